@@ -1,0 +1,94 @@
+# Each target is one line that a person could type; what it needs is installed first, into $(VENV).
+# Works from a bare checkout with nothing but make and a Python of 3.10 or newer.
+
+PRESET  = kit1000
+DATA    = data/$(PRESET)
+WORKERS =
+PARTS   =
+PYTHON  =
+VENV    = .venv
+BIN     = $(VENV)/bin
+
+# A stamp is touched last of all and removed first of all, so an install that was cut short is never taken for done.
+RUN  = $(VENV)/.installed-run
+DEV  = $(VENV)/.installed-dev
+PIP  = $(BIN)/python -m pip --disable-pip-version-check --quiet
+LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --universal --python-version 3.10 \
+       --generate-hashes --upgrade --quiet --custom-compile-command "make lock"
+
+.DEFAULT_GOAL = help
+.DELETE_ON_ERROR:
+.PHONY: help install dataset test test-slow lint bench bench-parts pictures lock clean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@echo
+	@echo "  make dataset PRESET=tiny DATA=DIR WORKERS=N    another preset, folder, number of processes"
+	@echo "  make install PYTHON=python3.12                 another interpreter than the first that suits"
+
+install: $(DEV) ## the environment alone: all commands then stand in .venv/bin
+
+dataset: $(RUN) ## the full KIT1000 under data/kit1000
+	$(BIN)/kit1000 generate $(PRESET) --out "$(DATA)" $(if $(WORKERS),--workers $(WORKERS))
+
+test: $(DEV) ## the test suite
+	$(BIN)/python -m pytest
+
+test-slow: $(DEV) ## the tests that take longer
+	$(BIN)/python -m pytest -m slow
+
+lint: $(DEV) ## ruff and pyright
+	$(BIN)/ruff check .
+	$(BIN)/pyright
+
+bench: $(DEV) ## time our kits beside the kit scheme of the paper's release
+	$(BIN)/python bench/bench_kits.py
+
+bench-parts: $(DEV) ## compare our parts with real ones: make bench-parts PARTS=DIR
+	$(if $(PARTS),,$(error a folder of meshes is wanted: make bench-parts PARTS=DIR))
+	$(BIN)/python bench/bench_parts.py "$(PARTS)"
+
+pictures: $(DEV) ## draw the pictures of the README and the docs
+	$(BIN)/python docs/pictures/draw.py
+
+lock: $(DEV) ## renew the pinned versions in requirements/
+	$(PIP) install uv
+	$(LOCK) --output-file requirements/run.txt
+	$(LOCK) --output-file requirements/dev.txt --extra dev --constraint requirements/run.txt
+
+clean: ## remove the environment and all caches, never data
+	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -not -path './data/*' -prune -exec rm -rf {} +
+
+# The environment. Without a stamp it is made from nothing; with one, pyproject.toml or a lock has changed since, and
+# pip brings it up to date.
+$(RUN): pyproject.toml requirements/run.txt
+	@if [ -e $(RUN) ] && $(BIN)/python -c 'import pip' 2>/dev/null; then rm -f $(RUN) $(DEV); else $(fresh); fi
+	@echo "installing what KIT1000 runs on into $(VENV)" >&2
+	@$(PIP) install --require-hashes -r requirements/run.txt
+	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $(RUN)
+
+$(DEV): $(RUN) requirements/dev.txt
+	@rm -f $(DEV)
+	@echo "installing what tests and lint need into $(VENV)" >&2
+	@$(PIP) install --require-hashes -r requirements/dev.txt
+	@touch $(DEV)
+
+# Takes the first interpreter that is new enough and can make an environment, and makes it.
+PYTHONS = $(if $(PYTHON),$(PYTHON),python3 python3.13 python3.12 python3.11 python3.10 python)
+define fresh
+	rm -rf $(VENV); found=; bare=; old=; \
+	for python in $(PYTHONS); do \
+	    version=$$($$python -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null) || continue; \
+	    $$python -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { old="$$old $$python is $$version."; continue; }; \
+	    $$python -c 'import venv, ensurepip' 2>/dev/null || { bare=$$version; continue; }; \
+	    found=$$python; break; \
+	done; \
+	if [ -n "$$found" ]; then $$found -m venv $(VENV); \
+	elif [ -n "$$bare" ]; then \
+	    echo "Python $$bare lacks the venv module (Debian, Ubuntu: apt install python$$bare-venv)." >&2; exit 1; \
+	else \
+	    echo "KIT1000 needs Python 3.10 or newer.$$old Name one: make install PYTHON=/path/to/python3" >&2; exit 1; \
+	fi
+endef

@@ -1,0 +1,109 @@
+"""What can be said of a part's shape in a few numbers: size-free descriptors of closed meshes.
+
+D2 is the distribution of distances between pairs of surface points (Osada et al., "Shape distributions", 2002).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from kit1000.mesh import Mesh, body_count, surface_points
+
+BINS = 32
+"""Of a D2 histogram, over 0 .. D2_RANGE mean distances."""
+D2_RANGE = 2.6
+"""Longest distance in a histogram, in mean distances; only rods reach it."""
+PAIRS = 8000
+"""Pairs of points a D2 histogram is counted from."""
+TWIN = 0.01
+"""Two parts are near-duplicates when no measure differs by more than this share."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Descriptors of one part; none depends on its size or place."""
+
+    triangles: int
+    genus: int
+    """through holes and handles"""
+    fill: float
+    """volume / volume of the box"""
+    convexity: float
+    """volume / volume of the convex hull"""
+    middle: float
+    """middle side of the box / longest"""
+    short: float
+    """shortest side of the box / longest"""
+    roughness: float
+    """area / volume^(2/3): 4.8 for a ball, 6 for a cube"""
+    d2: np.ndarray
+    """(BINS,) histogram, sums to 1"""
+
+    @property
+    def aspect(self) -> float:
+        """Longest side of the box / shortest."""
+        return 1 / self.short
+
+    def measures(self) -> np.ndarray:
+        """(5,) the continuous measures, without the sampled histogram."""
+        return np.array([self.fill, self.convexity, self.middle, self.short, self.roughness])
+
+    def vector(self) -> np.ndarray:
+        """(6 + BINS,) everything a classifier is shown; the number of triangles tells the exporter, not the shape."""
+        return np.concatenate([self.measures(), [float(self.genus > 0)], self.d2])
+
+
+def describe(mesh: Mesh, rng: np.random.Generator) -> Shape:
+    """Measure a closed mesh of one body."""
+    long, middle, short = np.sort(mesh.extents)[::-1]
+    volume = abs(mesh.volume)
+    euler = len(mesh.vertices) - len(mesh.faces) / 2
+    return Shape(
+        triangles=len(mesh.faces),
+        genus=round(body_count(mesh) - euler / 2),
+        fill=volume / float(long * middle * short),
+        convexity=volume / float(ConvexHull(mesh.vertices).volume),
+        middle=float(middle / long),
+        short=float(short / long),
+        roughness=mesh.area / volume ** (2 / 3),
+        d2=d2_histogram(mesh, rng),
+    )
+
+
+def d2_histogram(mesh: Mesh, rng: np.random.Generator) -> np.ndarray:
+    """(BINS,) shares of point pairs by their distance, in units of the mean distance."""
+    one, other = np.split(surface_points(mesh, 2 * PAIRS, rng), 2)
+    gaps = np.linalg.norm(one - other, axis=1)
+    counts, _ = np.histogram(np.minimum(gaps / gaps.mean(), D2_RANGE - 1e-9), BINS, (0, D2_RANGE))
+    return counts / PAIRS
+
+
+def d2_distance(ours: Sequence[Shape], theirs: Sequence[Shape]) -> float:
+    """L1 distance between the mean histograms of two sets, 0 .. 2."""
+    means = [np.mean([shape.d2 for shape in shapes], axis=0) for shapes in (ours, theirs)]
+    return float(np.abs(means[0] - means[1]).sum())
+
+
+def d2_noise(shapes: Sequence[Shape], rng: np.random.Generator, splits: int = 200) -> float:
+    """Mean D2 distance between two random halves of one set: what chance alone makes."""
+    half = len(shapes) // 2
+    gaps = []
+    for _ in range(splits):
+        order = rng.permutation(len(shapes))
+        gaps.append(d2_distance([shapes[i] for i in order[:half]], [shapes[i] for i in order[half:]]))
+    return float(np.mean(gaps))
+
+
+def twins(shapes: Sequence[Shape]) -> list[tuple[int, int]]:
+    """Pairs of near-duplicates: same genus, and every measure alike within TWIN of itself."""
+    measures = np.log([shape.measures() for shape in shapes])
+    genus = np.array([shape.genus for shape in shapes])
+    found = []
+    for i in range(len(shapes)):
+        alike = np.abs(measures[i + 1 :] - measures[i]).max(axis=1) < TWIN
+        found += [(i, int(i + 1 + j)) for j in np.flatnonzero(alike & (genus[i + 1 :] == genus[i]))]
+    return found

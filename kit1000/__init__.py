@@ -1,0 +1,83 @@
+"""KIT1000: parts, kits that fit them, and angled assemblies of kits, for research on 6DoF kit assembly.
+
+The public names stand here and load when first asked for, so that `import kit1000` costs next to nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from kit1000.camera import Camera, look_at
+    from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, ShapeError
+    from kit1000.kits.kit import make_kit
+    from kit1000.mesh import Mesh
+    from kit1000.pose import Pose
+    from kit1000.symmetry import Symmetry
+    from kit1000.values import (
+        Assembly,
+        Body,
+        FreeAxis,
+        Kit,
+        Mount,
+        Part,
+        Prediction,
+        Query,
+        Scene,
+        Slot,
+        Truth,
+        View,
+    )
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Assembly",
+    "Body",
+    "Camera",
+    "FreeAxis",
+    "InputError",
+    "Kit",
+    "Kit1000Error",
+    "Mesh",
+    "MeshRefused",
+    "Mount",
+    "Part",
+    "Pose",
+    "Prediction",
+    "Query",
+    "Redraw",
+    "Scene",
+    "ShapeError",
+    "Slot",
+    "Symmetry",
+    "Truth",
+    "View",
+    "look_at",
+    "make_kit",
+]
+
+_ELSEWHERE = {
+    "Camera": "camera",
+    "look_at": "camera",
+    "InputError": "errors",
+    "Kit1000Error": "errors",
+    "MeshRefused": "errors",
+    "Redraw": "errors",
+    "ShapeError": "errors",
+    "make_kit": "kits.kit",
+    "Mesh": "mesh",
+    "Pose": "pose",
+    "Symmetry": "symmetry",
+}  # the others are in values
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'kit1000' has no attribute {name!r}; it has {', '.join(__all__)}")
+    return getattr(import_module(f"kit1000.{_ELSEWHERE.get(name, 'values')}"), name)
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -1,0 +1,129 @@
+"""A pinhole camera after the convention of OpenCV: +x right, +y down, +z forward, depth along z.
+
+Pixel (u, v) has its centre at exactly (u, v), so the image covers -0.5 .. width - 0.5 across and
+-0.5 .. height - 0.5 down. Lengths are in m, image quantities in pixels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kit1000.errors import InputError, ShapeError, checked
+from kit1000.pose import Pose, unit_vector
+
+# A view direction this close [sine of the angle] to `up` leaves the roll of the camera to rounding.
+UPRIGHT_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics of a pinhole camera without distortion."""
+
+    width: int
+    """Columns of the image."""
+    height: int
+    """Rows of the image."""
+    fx: float
+    """Focal length across [pixels]."""
+    fy: float
+    """Focal length down [pixels]."""
+    cx: float
+    """Column of the principal point [pixels], from the centre of the first pixel."""
+    cy: float
+    """Row of the principal point [pixels], from the centre of the first pixel."""
+
+    def __post_init__(self) -> None:
+        for name in ("width", "height"):
+            size = getattr(self, name)
+            if size != int(size) or size < 1:
+                raise InputError(f"{name}: expected a whole number of pixels from 1 up, got {size}")
+            object.__setattr__(self, name, int(size))
+        for name in ("fx", "fy", "cx", "cy"):
+            object.__setattr__(self, name, float(checked(name, getattr(self, name), ())))
+        if self.fx <= 0 or self.fy <= 0:
+            raise InputError(f"fx, fy: expected focal lengths above 0, got {self.fx}, {self.fy}")
+
+    @property
+    def K(self) -> np.ndarray:
+        """The intrinsic matrix: (u, v, 1) is in proportion to K (x, y, z). (3, 3) float64."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def project(self, points_cam: ArrayLike) -> np.ndarray:
+        """Image positions of points, inside the image or not; NaN for points at or behind the camera's plane.
+
+        Args:
+            points_cam: points in the camera frame. (..., 3) [m].
+
+        Returns:
+            (..., 2) float64 (u, v) [pixels].
+        """
+        points = checked("points_cam", points_cam, (..., 3))
+        z = np.where(points[..., 2] > 0, points[..., 2], np.nan)
+        return np.stack(
+            [self.fx * points[..., 0] / z + self.cx, self.fy * points[..., 1] / z + self.cy], axis=-1
+        )
+
+    def unproject(self, depth: ArrayLike) -> np.ndarray:
+        """The point behind each pixel; where the depth is 0 (no return) the point is (0, 0, 0).
+
+        Args:
+            depth: z of what each pixel sees. (height, width) [m].
+
+        Returns:
+            (height, width, 3) float64 [m], in the camera frame.
+        """
+        z = checked("depth", depth, (self.height, self.width))
+        v, u = np.indices(z.shape)
+        return self.unproject_pixels(np.stack([u, v], axis=-1), z)
+
+    def unproject_pixels(self, uv: ArrayLike, depth: ArrayLike) -> np.ndarray:
+        """The points at image positions (..., 2) (u, v) [pixels] and depths (...,) [m]. (..., 3) [m]."""
+        pixels, z = checked("uv", uv, (..., 2)), checked("depth", depth, (...,))
+        if z.ndim > 0 and z.shape != pixels.shape[:-1]:
+            raise ShapeError(f"depth: expected one depth or shape {pixels.shape[:-1]}, got shape {z.shape}")
+        x = (pixels[..., 0] - self.cx) / self.fx * z
+        y = (pixels[..., 1] - self.cy) / self.fy * z
+        return np.stack([x, y, np.broadcast_to(z, x.shape)], axis=-1)
+
+    def scaled(self, factor: float) -> Camera:
+        """The same view with `factor` times as many pixels each way, rounded to whole ones.
+
+        The image keeps its edges, which lie half a pixel outside the outer centres; where rounding changes
+        the aspect, fx and fy differ a little.
+        """
+        if not 0 < factor < np.inf:
+            raise InputError(f"factor: expected a number above 0, got {factor}")
+        width, height = max(round(self.width * factor), 1), max(round(self.height * factor), 1)
+        across, down = width / self.width, height / self.height
+        return Camera(
+            width=width,
+            height=height,
+            fx=self.fx * across,
+            fy=self.fy * down,
+            cx=(self.cx + 0.5) * across - 0.5,
+            cy=(self.cy + 0.5) * down - 0.5,
+        )
+
+
+def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> Pose:
+    """The pose `world_from_camera` of a camera at `eye` that looks at `target`, `up` upward in its image.
+
+    Args:
+        eye: position of the camera. (3,) [m], world.
+        target: point that projects to the principal point. (3,) [m], world.
+        up: direction that appears upward; refused when it lies along the view. (3,), world.
+
+    Returns:
+        One pose, its axes those of OpenCV.
+    """
+    position = checked("eye", eye, (3,))
+    forward = unit_vector(checked("target", target, (3,)) - position, "target - eye")
+    right = np.cross(forward, unit_vector(checked("up", up, (3,)), "up"))
+    if np.linalg.norm(right) < UPRIGHT_TOLERANCE:
+        raise InputError("up: expected a direction off the line of sight, got one along it")
+    right = unit_vector(right)
+    axes = np.stack([right, np.cross(forward, right), forward], axis=-1)
+    return Pose.from_rotation_matrix(axes, position)

@@ -1,0 +1,167 @@
+"""A kit for a part: choose the face, cut the cavity, find the goals, build the plate, measure what came out.
+
+Kit frame: centre of the plate's top face, +z out of the cavity. All lengths are metres unless a name says mm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from manifold3d import CrossSection, Manifold
+
+from kit1000.errors import Redraw
+from kit1000.kits.cavity import THIN, Cavity, cut_cavity, insertion_depth
+from kit1000.kits.face import RestingFace, rank_faces, resting_faces
+from kit1000.kits.goals import Design, find_goals
+from kit1000.kits.measure import Clearance, measured_clearance
+from kit1000.mesh import Mesh, body_count, defect32, mesh_of, solid_of
+from kit1000.pose import Pose
+from kit1000.values import Kit, Part, Slot
+
+CLEARANCE = 2.5e-3  # [m] the paper's simulation margin
+PITCH = 0.1  # [m] between neighbouring plates of an assembly
+GAP = 1e-3  # [m] between neighbouring plates
+FLOOR = 2e-3  # [m] least material under a cavity
+RIM = 8e-3  # [m] least wall around the cavity of a plate made to measure
+MIN_HEIGHT = 7e-3  # [m] seated height below which a cavity has no depth to speak of
+MIN_DEPTH, MIN_PROUD = 4e-3, 3e-3  # [m] of cavity, and of part standing out of it
+WELDS = (2e-6, 5e-6, 10e-6)  # [m] edges shorter than this are collapsed until float32 keeps the plate closed
+
+
+@dataclass(frozen=True)
+class Plate:
+    """What a cavity is cut into."""
+
+    width: tuple[float, float]
+    """[m] along x and y."""
+    thickness: float
+    """[m]"""
+
+
+UNIT_PLATE = Plate((PITCH - GAP, PITCH - GAP), 22e-3)  # cavity of at most 20 mm over 2 mm of floor
+
+
+@dataclass(frozen=True, eq=False)
+class KitDesign:
+    """A kit and what is worth knowing about it."""
+
+    kit: Kit
+    cavity: Cavity
+    face: RestingFace
+    measured: Clearance
+
+    @property
+    def report(self) -> dict[str, float | int | bool]:
+        """The kit report, in the units people read."""
+        slot = self.kit.slot
+        return {
+            "clearance_asked_mm": slot.clearance * 1e3,
+            "clearance_smallest_mm": self.measured.smallest * 1e3,
+            "clearance_largest_mm": self.measured.largest * 1e3,
+            "depth_mm": slot.depth * 1e3,
+            "proud_mm": (self.face.height - slot.depth) * 1e3,
+            "walls_removed": self.cavity.opened_walls,
+            "walls_removed_mm3": self.cavity.opened_volume * 1e9,
+            "undercut_lost_mm3": self.cavity.undercut_volume * 1e9,
+            "goals": len(slot.goals),
+            "free_axis": slot.free_axis is not None,
+            "face_probability": self.face.probability,
+            "kit_faces": len(self.kit.mesh.faces),
+        }
+
+
+def make_kit(part: Part, clearance: float = CLEARANCE, plate: Plate | None = UNIT_PLATE) -> Kit:
+    """The kit of a part; see `design_kit`."""
+    return design_kit(part, clearance, plate).kit
+
+
+def design_kit(part: Part, clearance: float = CLEARANCE, plate: Plate | None = UNIT_PLATE) -> KitDesign:
+    """Design the kit of a part, with a clearance [m], in a given plate or (None) in one made to measure.
+
+    Raises Redraw with a short reason when the part has no face to be inserted on, or does not fit the plate.
+    """
+    face = _insertion_face(part.mesh, made_to_measure=plate is None)
+    depth = insertion_depth(face.height)
+    standing = _turned_square(part.mesh, face, depth)
+    solid = solid_of(part.mesh).transform(standing.matrix()[:3])
+    plate = plate or _plate_for(part.mesh.moved(standing), clearance, depth)
+    cavity = cut_cavity(solid, depth, clearance, plate.width)
+    if not _keeps_rim(cavity, plate):
+        raise Redraw("wider than the plate")
+    kit_from_part = Pose.from_translation(np.array([0, 0, -depth])) @ standing
+    goals, free_axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, cavity))
+    slot = Slot(part.id, kit_from_part, clearance, depth, goals, free_axis)
+    mesh = _plate_mesh(cavity, plate)
+    kit = Kit(part.id, mesh, slot, np.array([*plate.width, plate.thickness]))
+    return KitDesign(kit, cavity, face, measured_clearance(mesh, cavity))
+
+
+def _insertion_face(mesh: Mesh, made_to_measure: bool) -> RestingFace:
+    """The stable face whose shadow tells turns apart best. Own parts may be flatter than those of a dataset."""
+    faces = resting_faces(mesh)
+    if not faces:
+        raise Redraw("no stable resting face")
+    tall = [face for face in faces if _is_deep(face.height)]
+    if not tall and made_to_measure:
+        tall = faces
+    if not tall:
+        raise Redraw(f"no stable face with {MIN_HEIGHT * 1e3:g} mm of seated height")
+    return tall[rank_faces(mesh, tall, [insertion_depth(face.height) for face in tall])[0]]
+
+
+def _is_deep(height: float) -> bool:
+    depth = insertion_depth(height)
+    return height >= MIN_HEIGHT and depth >= MIN_DEPTH and height - depth >= MIN_PROUD - 0.3e-3
+
+
+def _turned_square(mesh: Mesh, face: RestingFace, depth: float) -> Pose:
+    """The lying part, lowest point at z = 0, the smallest rectangle around its shadow centred and square to the plate."""
+    lying = face.lying
+    points = mesh.moved(lying).vertices
+    outline = _rim_outline(points, depth)
+    edges = np.roll(outline, -1, axis=0) - outline
+    angles = np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (np.pi / 2), 9))
+    sizes = [np.prod(np.ptp(_rotated(outline, -angle), axis=0)) for angle in angles]
+    turn = -angles[int(np.argmin(np.round(sizes, 12)))]
+    if np.diff(np.ptp(_rotated(outline, turn), axis=0))[0] > 1e-9:
+        turn += np.pi / 2  # long side along x
+    square = _rotated(outline, turn)
+    centre = (square.min(0) + square.max(0)) / 2
+    turned = Pose.from_rotvec(np.array([0, 0, turn])) @ lying
+    return Pose.from_translation(np.array([-centre[0], -centre[1], -points[:, 2].min()])) @ turned
+
+
+def _rim_outline(points: np.ndarray, depth: float) -> np.ndarray:
+    """(n, 2) convex outline of what lies below the rim."""
+    low = points[points[:, 2] <= points[:, 2].min() + depth]
+    hull = CrossSection.hull_points(low[:, :2] if len(low) > 2 else points[:, :2])
+    return hull.to_polygons()[0]
+
+
+def _rotated(points: np.ndarray, angle: float) -> np.ndarray:
+    c, s = np.cos(angle), np.sin(angle)
+    return points @ np.array([[c, s], [-s, c]])
+
+
+def _plate_for(standing: Mesh, clearance: float, depth: float) -> Plate:
+    reach = np.abs(standing.bounds[:, :2]).max(0) + clearance + RIM
+    width = np.ceil(2 * reach * 1e3) / 1e3
+    return Plate((float(width[0]), float(width[1])), depth + FLOOR)
+
+
+def _keeps_rim(cavity: Cavity, plate: Plate) -> bool:
+    low_x, low_y, _, high_x, high_y, _ = cavity.solid.bounding_box()
+    reach = np.maximum([-low_x, -low_y], [high_x, high_y])
+    return bool((reach <= np.array(plate.width) / 2 - THIN).all())
+
+
+def _plate_mesh(cavity: Cavity, plate: Plate) -> Mesh:
+    """The plate with its cavity as a closed mesh on the float32 grid."""
+    block = Manifold.cube((*plate.width, plate.thickness), center=True).translate((0, 0, -plate.thickness / 2))
+    solid = block - cavity.solid.translate((0, 0, -cavity.depth))
+    for weld in WELDS:
+        mesh = mesh_of(solid.simplify(weld)).rounded32()
+        if defect32(mesh) is None and body_count(mesh) == 1:
+            return mesh
+    raise Redraw(f"plate not closed in float32: {defect32(mesh) or 'several bodies'}")

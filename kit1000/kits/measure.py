@@ -1,0 +1,71 @@
+"""The clearance of a finished plate, measured on its mesh: from the cavity's walls to the swept shadow, horizontally."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from manifold3d import CrossSection, Manifold
+
+from kit1000.kits.cavity import Cavity, Probe
+from kit1000.mesh import Mesh, solid_of
+
+SPACING = 0.4e-3  # [m] between measured points of a wall
+HEIGHTS = 6  # heights measured, spread over the probed ones
+BESIDE = 0.1e-3  # [m] wall points this near an opened-away wall belong to the opening, not to a kept wall
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """[m] between the part's swept shadow and the kept walls, over all measured points."""
+
+    smallest: float
+    largest: float
+
+
+def measured_clearance(plate: Mesh, cavity: Cavity, heights: int = HEIGHTS) -> Clearance:
+    """Slice the plate at several heights and measure from its inner walls to the shadow the part has swept there.
+
+    plate: in the kit frame (rim at z = 0).
+    """
+    solid = solid_of(plate)
+    picks = np.unique(np.linspace(0, len(cavity.probes) - 1, heights).round().astype(int))
+    gaps = [distances(_kept_walls(solid, cavity.probes[i], cavity.depth), cavity.probes[i].shadow) for i in picks]
+    every = np.concatenate(gaps)
+    return Clearance(float(every.min(initial=np.inf)), float(every.max(initial=0.0)))
+
+
+def _kept_walls(solid: Manifold, probe: Probe, depth: float) -> np.ndarray:
+    """(n, 2) points on the inner walls of the plate at a height, away from walls that were opened."""
+    outer = solid.bounding_box()[3:5]
+    loops = solid.slice(probe.z - depth).to_polygons()
+    points = [walk(loop) for loop in loops if (np.abs(loop).max(0) < np.array(outer) - 1e-6).all()]
+    walls = np.concatenate(points) if points else np.zeros((0, 2))
+    return walls if probe.opened.is_empty() else walls[distances(walls, probe.opened) > BESIDE]
+
+
+def walk(loop: np.ndarray) -> np.ndarray:
+    """(n, 2) points along a closed polygon, its corners and every SPACING between them."""
+    parts = []
+    for a, b in zip(loop, np.roll(loop, -1, axis=0), strict=True):
+        steps = max(int(np.ceil(np.linalg.norm(b - a) / SPACING)), 1)
+        parts.append(a + np.arange(steps)[:, None] / steps * (b - a))
+    return np.concatenate(parts)
+
+
+def distances(points: np.ndarray, shape: CrossSection) -> np.ndarray:
+    """(n,) [m] from points (n, 2) to the outline of a shape; 0 inside it."""
+    loops = shape.to_polygons()
+    if not loops or not len(points):
+        return np.full(len(points), np.inf)
+    a = np.concatenate(loops)
+    b = np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
+    along = b - a
+    offset = points[:, None] - a
+    share = np.clip((offset * along).sum(2) / np.maximum((along**2).sum(1), 1e-300), 0, 1)
+    nearest = np.linalg.norm(offset - share[..., None] * along, axis=2).min(1)
+    crossings = (a[:, 1] > points[:, None, 1]) != (b[:, 1] > points[:, None, 1])
+    slope = np.divide(along[:, 0], along[:, 1], out=np.zeros(len(a)), where=along[:, 1] != 0)
+    right = points[:, None, 0] < a[:, 0] + (points[:, None, 1] - a[:, 1]) * slope
+    inside = (crossings & right).sum(1) % 2 == 1
+    return np.where(inside, 0.0, nearest)

@@ -1,0 +1,125 @@
+"""The seating test: does a predicted pose put the part into its cavity?
+
+The part is held in the predicted orientation, starts HOVER out along the insertion axis as the prediction carries it,
+and moves along that axis to first contact with everything that stands there. It is seated when contact leaves it at
+goal height (within min(3 mm, depth/3) along the slot's axis), when the predicted pose lies within 3 mm of the contact
+pose, and when the slot is the true one. A strict twin asks 1 mm in place of 3. Two independent ways to the contact:
+`contact_raise` (closed form on faces and edges, a millisecond) and `judged_raise` (exact booleans of the part's swept
+solid, bisected), which must agree within JUDGE_STEP. All lengths are metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from manifold3d import Manifold, OpType
+
+from kit1000.kits.contact import Ridges, contact_height, feelers, ridges
+from kit1000.mesh import Mesh, solid_of
+from kit1000.pose import Pose, quaternion_between
+
+HOVER = 0.1  # [m] the approach begins so far out (paper, section III-E)
+SEATED = 3e-3  # [m] how far a seated prediction may be from contact, and contact from goal height
+STRICT = 1e-3  # [m] the same for the strict verdict
+JUDGE_STEP = 0.02e-3  # [m] resolution of the bisection; verdicts keep this distance from their limits
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Plug:
+    """A part made ready for contact: its convex edges and the axis it is inserted along."""
+
+    edges: Ridges
+    axis: np.ndarray
+    """(3,) unit, part frame: the direction out of the cavity."""
+
+    @staticmethod
+    def of(mesh: Mesh, kit_from_part: Pose) -> Plug:
+        """The part as its slot takes it: out of the cavity is +z of the kit."""
+        return Plug(ridges(mesh), kit_from_part.inverse().rotate(UP))
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the seating test says of one pose."""
+
+    rise: float
+    """[m] from the predicted pose up to contact along the carried axis; -inf when nothing is below."""
+    height: float
+    """[m] of the part's frame at contact above its goal, along the slot's axis."""
+    seated: bool
+    strict: bool
+
+    @property
+    def penetration(self) -> float:
+        """[m] how far the prediction lies below contact; 0 above it."""
+        return max(self.rise, 0.0)
+
+
+def contact_raise(plug: Plug, standing: Ridges, standing_from_part: Pose) -> float:
+    """How far the part must rise along its carried axis to just touch what stands there [m]; closed form.
+
+    Negative when it hangs free, -inf when nothing is below it.
+    """
+    path = _path_rotation(plug, standing_from_part)
+    turned = path @ standing_from_part.rotation_matrix()
+    moving = feelers(plug.edges, turned, path @ standing_from_part.xyz, -1.0)
+    return contact_height(moving, feelers(standing, path, np.zeros(3), 1.0))
+
+
+def judged_raise(swept: Manifold, plug: Plug, standing: Manifold, standing_from_part: Pose) -> float:
+    """The same by exact booleans: the lowest rise at which the swept part is clear of what stands there [m].
+
+    swept: the part swept out along its axis (`swept_out`), part frame. The swept solid makes "free" monotone in the
+    rise, so bisection is exact; the answer is good to JUDGE_STEP / 2.
+    """
+    placed = swept.transform(standing_from_part.matrix()[:3])
+    axis = standing_from_part.rotate(plug.axis)
+
+    def free(rise: float) -> bool:
+        return (placed.translate(axis * rise) ^ standing).is_empty()
+
+    low, high = -HOVER, HOVER
+    if free(low):
+        return -np.inf
+    while high - low > JUDGE_STEP:
+        middle = (low + high) / 2
+        low, high = (low, middle) if free(middle) else (middle, high)
+    return (low + high) / 2
+
+
+def swept_out(mesh: Mesh, axis: np.ndarray, length: float = HOVER) -> Manifold:
+    """The solid a part sweeps when it moves `length` [m] along a unit axis: the part and a prism over each back face."""
+    turn = Pose(quaternion_between(axis, UP), np.zeros(3))
+    upright = mesh.moved(turn)
+    backs = upright.triangles[upright.normals[:, 2] < -1e-9]
+    raised = backs + np.array([0, 0, length])
+    prisms = Manifold.batch_boolean(
+        [solid_of(upright)] + [Manifold.hull_points(np.concatenate([a, b])) for a, b in zip(backs, raised, strict=True)],
+        OpType.Add,
+    )
+    return prisms.transform(turn.inverse().matrix()[:3])
+
+
+def verdict(rise: float, plug: Plug, slot_from_part: Pose, goal: Pose, depth: float) -> Verdict:
+    """The seating verdict for a pose in the kit frame of the true slot, given its rise to contact.
+
+    slot_from_part, goal: unbatched poses in the kit frame, whose z is the slot's axis.
+    """
+    if not np.isfinite(rise):
+        return Verdict(rise, -np.inf, False, False)
+    contact = slot_from_part.xyz + rise * slot_from_part.rotate(plug.axis)
+    height = float(contact[2] - goal.xyz[2])
+
+    def passes(limit: float) -> bool:
+        deep = min(limit, depth / 3)
+        return bool(abs(height) <= deep - JUDGE_STEP and abs(rise) < limit - JUDGE_STEP)
+
+    return Verdict(rise, height, passes(SEATED), passes(STRICT))
+
+
+def _path_rotation(plug: Plug, standing_from_part: Pose) -> np.ndarray:
+    """(3, 3): the frame whose z is the carried axis."""
+    turn = Pose(quaternion_between(standing_from_part.rotate(plug.axis), UP), np.zeros(3))
+    return turn.rotation_matrix()

@@ -1,0 +1,167 @@
+"""Stray fits: poses of a part, other than its goals, that a cavity also accepts.
+
+A part lying on any of its stable faces is turned and shifted over the cavity's height field (optimistic by one cell,
+so that no fit is missed on the grid); what gets through is judged exactly. Run against the part's own slot this finds
+loose fits; against a neighbour's slot it finds parts that would seat in the wrong place. All lengths are metres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numba import njit
+
+from kit1000.kits.envelope import lower_envelope
+from kit1000.kits.face import RestingFace
+from kit1000.kits.goals import nearest_turn
+from kit1000.kits.seating import JUDGE_STEP, SEATED, Plug, contact_raise
+from kit1000.kits.contact import Ridges, ridges
+from kit1000.mesh import Mesh
+from kit1000.pose import Pose, quaternion_angle
+from kit1000.values import Kit, Slot
+
+CELL = 0.5e-3  # [m] of the cavity's height field
+FEEL = 1.0e-3  # [m] between the part's felt points
+SHIFT = 1.0e-3  # [m] between shifts: twice the optimism of the height field
+TURNS = np.radians(np.arange(0, 360, 5.0))
+APART_ANGLE, APART_SHIFT = np.radians(10), 5e-3  # a pose this far from every goal is another pose
+NUDGES = (0.0, -0.5e-3, 0.5e-3)  # [m] shifts tried exactly about a fit found on the grid
+JUDGED = 16  # fits judged exactly for one face before it is believed that none is real
+
+
+class Well:
+    """A kit made ready for stray parts: its height field seen from above, and its edges."""
+
+    def __init__(self, kit: Kit) -> None:
+        self.slot = kit.slot
+        self.edges: Ridges = ridges(kit.mesh)
+        upside = Mesh(kit.mesh.vertices * [1, 1, -1], kit.mesh.faces[:, ::-1])
+        heights, self.corner = lower_envelope(upside, CELL)
+        self.heights = _lowest_around(np.where(np.isfinite(heights), -heights, 0.0))
+        open_cells = np.argwhere(self.heights < -kit.slot.depth / 2)
+        self.low = self.corner + open_cells.min(0) * CELL
+        self.high = self.corner + open_cells.max(0) * CELL
+
+    @property
+    def limit(self) -> float:
+        """[m] above the floor at which a part still counts as seated."""
+        return min(SEATED, self.slot.depth / 3)
+
+
+def loose_fit(mesh: Mesh, faces: Sequence[RestingFace], well: Well) -> Pose | None:
+    """A kit_from_part pose in which the part seats in its own slot though it is at none of its goals, or None."""
+    goals = well.slot.goals
+    for face in faces:
+        anchor = -mesh.moved(face.lying).vertices[:, 2].min() - well.slot.depth
+        if np.abs(goals.xyz[:, 2] - anchor - well.limit / 2).min() > 1.5 * well.limit:
+            continue
+        for pose in _fits(mesh, face, well):
+            if not near_goal(pose, well.slot) and _seats_at_goal_height(mesh, pose, well):
+                return pose
+    return None
+
+
+def foreign_fit(mesh: Mesh, faces: Sequence[RestingFace], well: Well) -> Pose | None:
+    """A kit_from_part pose in which a part rests on the floor of a slot made for another part, or None."""
+    for face in faces:
+        for pose in _fits(mesh, face, well):
+            rise = contact_raise(Plug.of(mesh, pose), well.edges, pose)
+            if rise <= well.limit - JUDGE_STEP:
+                return pose
+    return None
+
+
+def near_goal(pose: Pose, slot: Slot) -> bool:
+    """Whether a pose is within 10 degrees and 5 mm of a goal."""
+    for goal in slot.goals:
+        turned = goal if slot.free_axis is None else nearest_turn(pose, goal, slot.free_axis)
+        angle = float(quaternion_angle(pose.wxyz, turned.wxyz))
+        if angle < APART_ANGLE and np.linalg.norm(pose.xyz - turned.xyz) < APART_SHIFT:
+            return True
+    return False
+
+
+def _seats_at_goal_height(mesh: Mesh, pose: Pose, well: Well) -> bool:
+    rise = contact_raise(Plug.of(mesh, pose), well.edges, pose)
+    heights = pose.xyz[2] + rise - well.slot.goals.xyz[:, 2]
+    return bool(np.abs(heights).min() <= well.limit - JUDGE_STEP)
+
+
+def _fits(mesh: Mesh, face: RestingFace, well: Well) -> Iterator[Pose]:
+    """Poses on one face, lowest point on the cavity's floor, that the height field lets through (nudged)."""
+    lying = mesh.moved(face.lying)
+    base = lying.bounds[0, 2]
+    points = _felt_points(lying)
+    points[:, 2] -= base
+    points = points[points[:, 2] < well.slot.depth]
+    found = _passing(points, well.heights, *well.corner, *well.low, *well.high, well.slot.depth, well.limit, TURNS)
+    for turn, dx, dy in found[:JUDGED]:
+        spun = Pose.from_rotvec(np.array([0, 0, turn])) @ face.lying
+        for nudge_x in NUDGES:
+            for nudge_y in NUDGES:
+                shift = np.array([dx + nudge_x, dy + nudge_y, -base - well.slot.depth])
+                yield Pose.from_translation(shift) @ spun
+
+
+def _felt_points(lying: Mesh) -> np.ndarray:
+    """(n, 3) points of the underside: a grid of its lower envelope and its corners, farthest from the middle first."""
+    heights, corner = lower_envelope(lying, FEEL)
+    i, j = np.nonzero(np.isfinite(heights))
+    grid = np.stack([corner[0] + i * FEEL, corner[1] + j * FEEL, heights[i, j]], 1)
+    points = np.concatenate([grid, lying.vertices])
+    order = np.argsort(-np.hypot(points[:, 0], points[:, 1]), kind="stable")
+    return np.ascontiguousarray(points[order])
+
+
+def _lowest_around(heights: np.ndarray) -> np.ndarray:
+    """The lowest of each cell and its eight neighbours."""
+    padded = np.pad(heights, 1)
+    rows, columns = heights.shape
+    return np.min([padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)], axis=0)
+
+
+@njit(cache=True, nogil=True)
+def _passing(points, heights, x0, y0, low_x, low_y, high_x, high_y, depth, limit, turns):
+    """(k, 3) turn, dx, dy: one shift for each turn at which no felt point meets the height field."""
+    found = np.empty((turns.shape[0], 3))
+    count = 0
+    spun = np.empty((points.shape[0], 2))
+    for turn in turns:
+        c, s = np.cos(turn), np.sin(turn)
+        left, right, near, far = np.inf, -np.inf, np.inf, -np.inf
+        for p in range(points.shape[0]):
+            x, y = c * points[p, 0] - s * points[p, 1], s * points[p, 0] + c * points[p, 1]
+            spun[p, 0], spun[p, 1] = x, y
+            if points[p, 2] < depth / 2 - limit:
+                left, right, near, far = min(left, x), max(right, x), min(near, y), max(far, y)
+        first = np.array([low_x - left, low_y - near])
+        last = np.array([high_x - right, high_y - far])
+        if last[0] < first[0] or last[1] < first[1]:
+            continue
+        steps_x, steps_y = int((last[0] - first[0]) / SHIFT) + 1, int((last[1] - first[1]) / SHIFT) + 1
+        hit = False
+        for i in range(steps_x + 1):
+            dx = first[0] + (last[0] - first[0]) * i / steps_x
+            for j in range(steps_y + 1):
+                dy = first[1] + (last[1] - first[1]) * j / steps_y
+                if _clear(points, spun, heights, x0, y0, dx, dy, limit - depth):
+                    found[count, 0], found[count, 1], found[count, 2] = turn, dx, dy
+                    hit = True
+                    break
+            if hit:
+                break
+        if hit:
+            count += 1
+    return found[:count]
+
+
+@njit(cache=True, nogil=True)
+def _clear(points, spun, heights, x0, y0, dx, dy, lift):
+    for p in range(points.shape[0]):
+        i, j = int(round((spun[p, 0] + dx - x0) / CELL)), int(round((spun[p, 1] + dy - y0) / CELL))
+        if i < 0 or j < 0 or i >= heights.shape[0] or j >= heights.shape[1]:
+            continue
+        if heights[i, j] > points[p, 2] + lift:
+            return False
+    return True

@@ -1,0 +1,179 @@
+"""Triangle meshes as values: measures, closedness, and the two bridges to exact solids.
+
+Vertices are metres in float64, faces wind counter-clockwise seen from outside. The gate for "this is a solid" is
+manifold3d's status; what leaves the package must also stay closed after float32 rounding and vertex merging, because
+that is what every loader of STL and GLB does to it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from manifold3d import Error, Manifold, Mesh64
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from kit1000.errors import MeshRefused, ShapeError, checked
+
+if TYPE_CHECKING:
+    from kit1000.pose import Pose
+
+FLAT_THICKNESS = 1e-5  # [m] a solid thinner than volume/area of 10 um is a sheet, not a part
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """vertices (n, 3) float64 [m], faces (m, 3) int32; both read-only copies."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "vertices", checked("vertices", self.vertices, ("n", 3)))
+        object.__setattr__(self, "faces", checked("faces", self.faces, ("m", 3), np.int32))
+        if len(self.faces) and (self.faces.min() < 0 or self.faces.max() >= len(self.vertices)):
+            raise ShapeError(
+                f"faces: indices run from {self.faces.min()} to {self.faces.max()}, "
+                f"expected 0 to {len(self.vertices) - 1}"
+            )
+
+    @cached_property
+    def triangles(self) -> np.ndarray:
+        """(m, 3, 3) [m]: the corners of each face."""
+        return self.vertices[self.faces]
+
+    @cached_property
+    def normals(self) -> np.ndarray:
+        """(m, 3) unit face normals, outward; zero for faces without area."""
+        crosses = _crosses(self.triangles)
+        lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
+        return np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0)
+
+    @cached_property
+    def area(self) -> float:
+        """[m^2]"""
+        return float(np.linalg.norm(_crosses(self.triangles), axis=1).sum() / 2)
+
+    @cached_property
+    def volume(self) -> float:
+        """[m^3], signed: negative when the mesh is inside out (divergence theorem, about the middle of the box)."""
+        return float(_tetrahedra(self.triangles, self._middle).sum())
+
+    @cached_property
+    def centroid(self) -> np.ndarray:
+        """(3,) [m]: centre of volume."""
+        corners = self.triangles - self._middle
+        volumes = _tetrahedra(self.triangles, self._middle)
+        return self._middle + volumes @ corners.sum(1) / 4 / volumes.sum()
+
+    @cached_property
+    def bounds(self) -> np.ndarray:
+        """(2, 3) [m]: smallest and largest corner of the axis-aligned box."""
+        return np.stack([self.vertices.min(0), self.vertices.max(0)])
+
+    @property
+    def extents(self) -> np.ndarray:
+        """(3,) [m]: sides of the axis-aligned box."""
+        return self.bounds[1] - self.bounds[0]
+
+    @property
+    def _middle(self) -> np.ndarray:
+        return self.bounds.mean(0)
+
+    def moved(self, pose: Pose) -> Mesh:
+        """The mesh carried by an unbatched pose."""
+        return Mesh(pose.apply(self.vertices), self.faces)
+
+    def scaled(self, factor: float) -> Mesh:
+        """The mesh with every coordinate multiplied by a positive factor."""
+        return Mesh(self.vertices * factor, self.faces)
+
+    def rounded32(self) -> Mesh:
+        """The mesh with vertices on the float32 grid, so that GLB and STL files hold exactly these numbers."""
+        return Mesh(self.vertices.astype(np.float32).astype(np.float64), self.faces)
+
+    def merged(self) -> Mesh:
+        """The mesh with equal vertices made one, unused ones dropped and collapsed faces removed."""
+        vertices, inverse = np.unique(self.vertices[self.faces].reshape(-1, 3), axis=0, return_inverse=True)
+        faces = inverse.reshape(-1, 3).astype(np.int32)
+        a, b, c = faces.T
+        return Mesh(vertices, faces[(a != b) & (b != c) & (c != a)])
+
+
+def solid_of(mesh: Mesh) -> Manifold:
+    """The exact solid of a closed mesh. Raises MeshRefused with the reason when it is none."""
+    solid = Manifold(Mesh64(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.uint64)))
+    if solid.status() != Error.NoError:
+        raise MeshRefused(defect(mesh) or f"not a solid: {solid.status().name}")
+    if solid.volume() <= 0:
+        raise MeshRefused(defect(mesh) or "zero thickness")
+    return solid
+
+
+def mesh_of(solid: Manifold) -> Mesh:
+    """The mesh of an exact solid, vertices in the order the solid keeps them."""
+    raw = solid.to_mesh64()
+    return Mesh(np.asarray(raw.vert_properties)[:, :3], np.asarray(raw.tri_verts).astype(np.int32))
+
+
+def defect(mesh: Mesh) -> str | None:
+    """What keeps a mesh from bounding a solid, in a few words; None when nothing does."""
+    if not len(mesh.faces):
+        return "empty mesh"
+    a, b = mesh.faces[:, [0, 1, 2]].ravel().astype(np.int64), mesh.faces[:, [1, 2, 0]].ravel().astype(np.int64)
+    if (a == b).any():
+        return f"{int((a == b).sum())} collapsed edges"
+    n = len(mesh.vertices)
+    forward, backward = np.sort(a * n + b), np.sort(b * n + a)
+    if not np.array_equal(forward, backward):
+        return _edge_fault(a, b, n)
+    if (forward[1:] == forward[:-1]).any():
+        return f"{int((forward[1:] == forward[:-1]).sum())} edges shared by more than two faces"
+    if mesh.volume <= FLAT_THICKNESS * mesh.area * 0.5:
+        return "inside out" if mesh.volume < -FLAT_THICKNESS * mesh.area * 0.5 else "zero thickness"
+    return None
+
+
+def _edge_fault(a: np.ndarray, b: np.ndarray, n: int) -> str:
+    counts = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_counts=True)[1]
+    open_edges = int((counts == 1).sum())
+    if open_edges:
+        return f"not closed: {open_edges} open edges"
+    crowded = int((counts > 2).sum())
+    if crowded:
+        return f"{crowded} edges shared by more than two faces"
+    return "inconsistent winding"
+
+
+def defect32(mesh: Mesh) -> str | None:
+    """`defect` of the mesh as a loader sees it: vertices rounded to float32, equal ones merged."""
+    return defect(mesh.rounded32().merged())
+
+
+def body_count(mesh: Mesh) -> int:
+    """Number of connected pieces of surface (a hollow body counts two)."""
+    a, b = mesh.faces[:, [0, 1, 2]].ravel(), mesh.faces[:, [1, 2, 0]].ravel()
+    used = np.unique(mesh.faces)
+    graph = coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(len(mesh.vertices),) * 2)
+    labels = connected_components(graph, directed=False)[1]
+    return len(np.unique(labels[used]))
+
+
+def surface_points(mesh: Mesh, n: int, rng: np.random.Generator) -> np.ndarray:
+    """(n, 3) [m]: points uniform over the area (Osada et al. 2002, eq. 1)."""
+    areas = np.linalg.norm(_crosses(mesh.triangles), axis=1)
+    corners = mesh.triangles[rng.choice(len(areas), size=n, p=areas / areas.sum())]
+    root, along = np.sqrt(rng.random((n, 1))), rng.random((n, 1))
+    return (1 - root) * corners[:, 0] + root * (1 - along) * corners[:, 1] + root * along * corners[:, 2]
+
+
+def _crosses(triangles: np.ndarray) -> np.ndarray:
+    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+
+
+def _tetrahedra(triangles: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    a, b, c = np.moveaxis(triangles - origin, 1, 0)
+    return np.einsum("ij,ij->i", a, np.cross(b, c)) / 6

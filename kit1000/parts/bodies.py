@@ -1,0 +1,191 @@
+"""An exact solid becomes the mesh of one part: bodies united, crossings resolved, needless faces dropped.
+
+Solids are metres. manifold3d accepts a surface that passes through itself; its volume and every boolean with
+it are then wrong, so crossings are looked for face by face, and what cannot be mended is refused.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from manifold3d import Manifold, OpType
+
+from kit1000.errors import MeshRefused
+from kit1000.mesh import Mesh, defect, defect32, mesh_of, solid_of
+from kit1000.parts.crossings import crossings, farthest, winding_numbers
+from kit1000.parts.repair import inverted
+
+MAX_PLAIN_FACES = 5000  # meshes up to this size are kept as they are
+SIMPLIFY_TOLERANCE = 2e-5  # [m] the sagitta to which our own parts are drawn
+SIMPLIFY_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)  # tried in turn: collapses add up to more than was asked
+KEPT_SHARE = 0.9  # of the volume that one body must hold for the others to be dropped
+CROSSING = 1e-6  # [m] surfaces that pass through each other by less are touching
+FOLD_TOLERANCES = (2e-5, 5e-5)  # [m] tried in turn to iron out small folds
+PINCH = 2e-6  # [m] how far surfaces that touch along an edge are drawn apart
+DEVIATION_POINTS = 20_000  # vertices whose distance is measured after simplifying
+WINDING_POINTS = 400  # places where a mended solid is compared with the winding number of the file's surface
+
+
+def part_mesh(solid: Manifold, notes: list[str]) -> Mesh:
+    """The mesh of the one body a solid holds, closed also on the float32 grid; notes of changes are appended.
+
+    Raises:
+        MeshRefused: several bodies, a surface that passes through itself, no thickness.
+    """
+    solid = _single(_united(solid, notes), notes)
+    solid = _thinned(solid, notes)
+    solid = _uncrossed(solid, notes)
+    return _rounded(solid, notes)
+
+
+def _united(solid: Manifold, notes: list[str]) -> Manifold:
+    """The union of all outward shells, less the voids that lie in them."""
+    shells = solid.decompose()
+    if len(shells) < 2:
+        return solid
+    outward = [shell for shell in shells if shell.volume() > 0]
+    inward = [inverted(shell) for shell in shells if shell.volume() < 0]
+    union = Manifold.batch_boolean(outward, OpType.Add)
+    inside = [_share_inside(shell, union) for shell in inward]
+    voids = [shell for shell, share in zip(inward, inside, strict=True) if share > 0.5]
+    loose = [shell for shell, share in zip(inward, inside, strict=True) if share <= 0.5]
+    if any(0.5 < share < 1 - 1e-9 for share in inside):
+        notes.append("cut out a void that breaks through the surface")
+    if loose:
+        notes.append(f"flipped {len(loose)} of {len(shells)} bodies inside out")
+        union = Manifold.batch_boolean([union, *loose], OpType.Add)
+    bodies = len(outward) + len(loose)
+    if len([body for body in union.decompose() if body.volume() > 0]) < bodies:
+        notes.append(f"united overlapping or touching bodies ({bodies} in the file)")
+    return Manifold.batch_boolean([union, *voids], OpType.Subtract) if voids else union
+
+
+def _share_inside(shell: Manifold, other: Manifold) -> float:
+    return (shell ^ other).volume() / max(shell.volume(), 1e-300)
+
+
+def _single(solid: Manifold, notes: list[str]) -> Manifold:
+    """The body that holds nearly all of the volume, with its own voids."""
+    shells = solid.decompose()
+    bodies = sorted((shell for shell in shells if shell.volume() > 0), key=lambda body: -body.volume())
+    if not bodies:
+        raise MeshRefused("zero thickness")
+    if len(bodies) == 1:
+        return solid
+    volumes = np.array([body.volume() for body in bodies])
+    shares = volumes / volumes.sum()
+    if shares[0] < KEPT_SHARE:
+        listed = ", ".join(f"{share:.0%}" for share in shares[:4]) + (", ..." if len(shares) > 4 else "")
+        raise MeshRefused(f"{len(bodies)} separate bodies ({listed} of the volume)")
+    notes.append(f"kept the largest of {len(bodies)} bodies ({shares[0]:.1%} of the volume)")
+    voids = [inverted(shell) for shell in shells if shell.volume() < 0]
+    inside = [void for void in voids if _share_inside(void, bodies[0]) > 0.5]
+    return Manifold.batch_boolean([bodies[0], *inside], OpType.Subtract) if inside else bodies[0]
+
+
+def _thinned(solid: Manifold, notes: list[str]) -> Manifold:
+    """Fewer faces where there are many, with the deviation measured."""
+    if solid.num_tri() <= MAX_PLAIN_FACES:
+        return solid
+    for share in SIMPLIFY_SHARES:
+        simple = solid.simplify(share * SIMPLIFY_TOLERANCE)
+        if simple.num_tri() >= solid.num_tri() or simple.volume() <= 0:
+            break
+        measured = _deviation(solid, simple, SIMPLIFY_TOLERANCE)
+        if measured <= SIMPLIFY_TOLERANCE:
+            fewer = f"{solid.num_tri():,} -> {simple.num_tri():,} faces"
+            notes.append(f"simplified {fewer} within {measured * 1e3:.3f} mm")
+            return simple
+    return solid
+
+
+def _deviation(before: Manifold, after: Manifold, tolerance: float) -> float:
+    """[m]: largest distance from vertices (every k-th of very many) of one solid to the other's surface."""
+    vertices = mesh_of(before).vertices
+    some = vertices[:: max(1, -(-len(vertices) // DEVIATION_POINTS))]
+    return farthest(some, mesh_of(after).triangles, 5 * tolerance)
+
+
+def _uncrossed(solid: Manifold, notes: list[str]) -> Manifold:
+    """A solid whose surface does not pass through itself, by the gentlest means that works."""
+    points = crossings(mesh_of(solid).triangles, CROSSING)
+    if not len(points):
+        return solid
+    for tolerance in FOLD_TOLERANCES:
+        ironed = solid.simplify(tolerance)
+        if _sound(ironed, solid, points):
+            measured = _deviation(solid, ironed, tolerance)
+            notes.append(f"ironed out a fold that crossed itself, within {measured * 1e3:.3f} mm")
+            return ironed
+    parted = _parted(solid, points)
+    if _sound(parted, solid, points):
+        notes.append(f"resolved a self-intersection (volume {parted.volume() / solid.volume() - 1:+.2%})")
+        return parted
+    raise MeshRefused(f"passes through itself at {len(points)} places, near ({_millimetres(points[0])}) mm")
+
+
+def _millimetres(point: np.ndarray) -> str:
+    return ", ".join(f"{value * 1e3:.2f}" for value in point)
+
+
+def _parted(solid: Manifold, points: np.ndarray) -> Manifold:
+    """The union of what a surface bounds inside and outside a box round its crossings.
+
+    Inside the box the branches that cross are bodies of their own, which a union joins exactly.
+    """
+    low, high = points.min(0), points.max(0)
+    margin = 0.02 * float(np.ptp(mesh_of(solid).vertices, axis=0).max()) + 0.05 * float((high - low).max())
+    box = Manifold.cube((high - low + 2 * margin).tolist()).translate((low - margin).tolist())
+    pieces = [*(solid ^ box).decompose(), *(solid - box).decompose()]
+    outward = [piece for piece in pieces if piece.volume() > 0]
+    inward = [inverted(piece) for piece in pieces if piece.volume() < 0]
+    union = Manifold.batch_boolean(outward, OpType.Add)
+    return Manifold.batch_boolean([union, *inward], OpType.Subtract) if inward else union
+
+
+def _sound(mended: Manifold, solid: Manifold, points: np.ndarray) -> bool:
+    """Whether a mended solid is one body without crossings that fills what the given surface winds round."""
+    if mended.is_empty() or sum(shell.volume() > 0 for shell in mended.decompose()) != 1:
+        return False
+    triangles = mesh_of(mended).triangles
+    if len(crossings(triangles, CROSSING)):
+        return False
+    original = mesh_of(solid).triangles
+    low, high = original.reshape(-1, 3).min(0), original.reshape(-1, 3).max(0)
+    rng = np.random.default_rng(0)
+    everywhere = rng.uniform(low, high, (WINDING_POINTS, 3))
+    spread = 0.03 * (high - low).max()
+    nearby = rng.choice(points, WINDING_POINTS) + rng.normal(0, spread, (WINDING_POINTS, 3))
+    samples = np.concatenate([everywhere, nearby])
+    wanted = winding_numbers(samples, original) > 0.5
+    return bool(((winding_numbers(samples, triangles) > 0.5) == wanted).mean() >= 1 - 1 / WINDING_POINTS)
+
+
+def _rounded(solid: Manifold, notes: list[str]) -> Mesh:
+    """The mesh on the float32 grid, with surfaces that only touch along edges drawn apart."""
+    mesh = mesh_of(solid)
+    fault = defect32(mesh)
+    if fault is not None and "more than two" in fault:
+        mesh = _unpinched(mesh)
+        notes.append(f"drew apart surfaces that touch along edges, by {PINCH * 1e6:.0f} um")
+        fault = defect32(mesh)
+    if fault is not None:
+        mesh = mesh_of(solid.simplify(SIMPLIFY_TOLERANCE / 10))
+        fault = defect32(mesh)
+    if fault is not None:
+        raise MeshRefused(fault if defect(mesh) else f"{fault} once rounded to float32")
+    mesh = mesh.rounded32().merged()
+    solid_of(mesh)
+    return mesh
+
+
+def _unpinched(mesh: Mesh) -> Mesh:
+    """The mesh with each vertex that shares its place with another moved inward along its own normal."""
+    places = mesh.vertices.astype(np.float32)
+    _, inverse, counts = np.unique(places, axis=0, return_inverse=True, return_counts=True)
+    shared = np.flatnonzero(counts[inverse.reshape(-1)] > 1)
+    normals = np.zeros_like(mesh.vertices)
+    np.add.at(normals, mesh.faces, mesh.normals[:, None])
+    lengths = np.linalg.norm(normals[shared], axis=1, keepdims=True)
+    moved = np.array(mesh.vertices)
+    moved[shared] -= PINCH * normals[shared] / np.maximum(lengths, 1e-12)
+    return Mesh(moved, mesh.faces)

@@ -1,0 +1,120 @@
+"""All part families by name, and how often each is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from kit1000.parts.bracket import Bracket
+from kit1000.parts.bushing import Bushing
+from kit1000.parts.cam import Cam
+from kit1000.parts.channel import Channel
+from kit1000.parts.clevis import Clevis
+from kit1000.parts.clip import Clip
+from kit1000.parts.connector import Connector
+from kit1000.parts.cover import Cover
+from kit1000.parts.crank import Crank
+from kit1000.parts.dovetail import Dovetail
+from kit1000.parts.elbow import Elbow
+from kit1000.parts.family import Family
+from kit1000.parts.flange import Flange
+from kit1000.parts.foot import Foot
+from kit1000.parts.frame_corner import FrameCorner
+from kit1000.parts.gear import Gear
+from kit1000.parts.hinge import Hinge
+from kit1000.parts.hook import Hook
+from kit1000.parts.housing import Housing
+from kit1000.parts.knob import Knob
+from kit1000.parts.lever import Lever
+from kit1000.parts.link import Link
+from kit1000.parts.motor_mount import MotorMount
+from kit1000.parts.mounting_plate import MountingPlate
+from kit1000.parts.pillow_block import PillowBlock
+from kit1000.parts.pulley import Pulley
+from kit1000.parts.ratchet import Ratchet
+from kit1000.parts.servo_horn import ServoHorn
+from kit1000.parts.stepped_shaft import SteppedShaft
+from kit1000.parts.tee import Tee
+from kit1000.parts.wedge import Wedge
+from kit1000.parts.yoke import Yoke
+from kit1000.rng import stream
+
+FAMILIES: dict[str, type[Family]] = {
+    "bracket": Bracket,
+    "bushing": Bushing,
+    "cam": Cam,
+    "channel": Channel,
+    "clevis": Clevis,
+    "clip": Clip,
+    "connector": Connector,
+    "cover": Cover,
+    "crank": Crank,
+    "dovetail": Dovetail,
+    "elbow": Elbow,
+    "flange": Flange,
+    "foot": Foot,
+    "frame_corner": FrameCorner,
+    "gear": Gear,
+    "hinge": Hinge,
+    "hook": Hook,
+    "housing": Housing,
+    "knob": Knob,
+    "lever": Lever,
+    "link": Link,
+    "motor_mount": MotorMount,
+    "mounting_plate": MountingPlate,
+    "pillow_block": PillowBlock,
+    "pulley": Pulley,
+    "ratchet": Ratchet,
+    "servo_horn": ServoHorn,
+    "stepped_shaft": SteppedShaft,
+    "tee": Tee,
+    "wedge": Wedge,
+    "yoke": Yoke,
+}
+"""Family name -> its class. A new family is one file beside this one, one line here and one in `WEIGHTS`."""
+
+WEIGHTS: dict[str, float] = {
+    "bracket": 1.0,
+    "bushing": 1.0,
+    "cam": 1.0,
+    "channel": 1.0,
+    "clevis": 1.0,
+    "clip": 1.0,
+    "connector": 1.0,
+    "cover": 1.0,
+    "crank": 1.0,
+    "dovetail": 1.0,
+    "elbow": 1.0,
+    "flange": 1.0,
+    "foot": 1.0,
+    "frame_corner": 1.0,
+    "gear": 1.0,
+    "hinge": 1.0,
+    "hook": 1.0,
+    "housing": 1.0,
+    "knob": 1.0,
+    "lever": 1.0,
+    "link": 1.0,
+    "motor_mount": 1.0,
+    "mounting_plate": 1.0,
+    "pillow_block": 1.0,
+    "pulley": 1.0,
+    "ratchet": 1.0,
+    "servo_horn": 1.0,
+    "stepped_shaft": 1.0,
+    "tee": 1.0,
+    "wedge": 1.0,
+    "yoke": 1.0,
+}
+"""How often each family is drawn, relative to the others."""
+
+
+def choose_family(root: int, *key: int | str, weights: Mapping[str, float] = MappingProxyType(WEIGHTS)) -> str:
+    """The family of the part that `key` names, drawn by weight from the root seed.
+
+    A race: each family gets an exponential finishing time of its own stream, divided by its weight, and the first wins.
+    So a family that is added later changes only the parts that it wins (Efraimidis and Spirakis 2006).
+    """
+    finish = {name: stream(root, *key, "family", name).exponential() / weight for name, weight in weights.items()}
+    return min(finish, key=finish.__getitem__)

@@ -1,0 +1,137 @@
+"""Where triangles cross and how far surfaces lie apart: boxes in a tree, triangle tests on the near pairs.
+
+Arrays of triangles are (n, 3, 3) float64; every length is in the unit of the coordinates. Touching is
+no crossing: an edge must pass through a face by more than a tolerance on both sides, and inside its rim.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+QUERY_CHUNK = 16384  # boxes asked at once; bounds the memory of a query
+MORTON_BITS = 20  # bits an axis in the sorting key: cells of a millionth of the whole
+
+
+class BoxTree:
+    """A complete binary tree of axis-aligned boxes, levels from the root to the leaves."""
+
+    def __init__(self, low: np.ndarray, high: np.ndarray) -> None:
+        """low, high: (n, 3) corners of the boxes."""
+        self.order = np.argsort(_morton((low + high) / 2), kind="stable")
+        size = 1 << max(len(low) - 1, 0).bit_length()
+        lows, highs = np.full((size, 3), np.inf), np.full((size, 3), -np.inf)  # empty leaves meet nothing
+        lows[: len(low)], highs[: len(low)] = low[self.order], high[self.order]
+        self.levels = [(lows, highs)]
+        while len(lows) > 1:
+            lows, highs = np.minimum(lows[::2], lows[1::2]), np.maximum(highs[::2], highs[1::2])
+            self.levels.insert(0, (lows, highs))
+
+    def overlaps(self, low: np.ndarray, high: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Yield (query, box) index arrays (k,) of all overlapping pairs, some queries (m, 3) at a time."""
+        for start in range(0, len(low), QUERY_CHUNK):
+            query = np.arange(start, min(start + QUERY_CHUNK, len(low)))
+            node = np.zeros(len(query), dtype=np.int64)
+            for depth, (lows, highs) in enumerate(self.levels):
+                if depth:
+                    node, query = np.concatenate([2 * node, 2 * node + 1]), np.tile(query, 2)
+                keep = np.ones(len(node), dtype=bool)
+                for axis in range(3):
+                    keep &= (lows[node, axis] <= high[query, axis]) & (highs[node, axis] >= low[query, axis])
+                node, query = node[keep], query[keep]
+            yield query, self.order[node]
+
+
+def crossings(triangles: np.ndarray, tolerance: float) -> np.ndarray:
+    """(k, 3): the points where an edge of one triangle passes through another by more than the tolerance."""
+    low, high = triangles.min(1), triangles.max(1)
+    normals = _unit_normals(triangles)
+    points = [np.empty((0, 3))]
+    for first, second in BoxTree(low, high).overlaps(low, high):
+        different = first != second
+        first, second = first[different], second[different]
+        points.append(_piercings(triangles, normals, first, second, tolerance))
+    return np.concatenate(points)
+
+
+def _piercings(
+    triangles: np.ndarray, normals: np.ndarray, face: np.ndarray, other: np.ndarray, tolerance: float
+) -> np.ndarray:
+    """(k, 3): points where the edges of `other` pass through `face`, both index arrays (m,)."""
+    heights = np.einsum("mkc,mc->mk", triangles[other] - triangles[face, None, 0], normals[face])
+    across = (heights.min(1) < -tolerance) & (heights.max(1) > tolerance)
+    face, other, heights = face[across], other[across], heights[across]
+    found = []
+    for start, end in ((0, 1), (1, 2), (2, 0)):
+        a, b = heights[:, start], heights[:, end]
+        through = (a * b < 0) & (np.minimum(np.abs(a), np.abs(b)) > tolerance)
+        share = (a[through] / (a[through] - b[through]))[:, None]
+        edge = triangles[other[through]]
+        point = edge[:, start] + share * (edge[:, end] - edge[:, start])
+        rim = _rim_distance(point, triangles[face[through]], normals[face[through]])
+        found.append(point[rim > tolerance])
+    return np.concatenate(found)
+
+
+def _rim_distance(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(m,): distance of in-plane points (m, 3) to the nearest side of their triangle, negative outside."""
+    distances = []
+    for start, end in ((0, 1), (1, 2), (2, 0)):
+        side = triangles[:, end] - triangles[:, start]
+        inward = np.cross(normals, side)
+        height = np.einsum("mc,mc->m", points - triangles[:, start], inward)
+        distances.append(height / np.maximum(np.linalg.norm(side, axis=1), 1e-300))
+    return np.min(distances, axis=0) if len(points) else np.empty(0)
+
+
+def farthest(points: np.ndarray, triangles: np.ndarray, reach: float) -> float:
+    """Largest distance from points (n, 3) to a surface (m, 3, 3); `reach` when a point lies farther off."""
+    nearest = np.full(len(points), reach)
+    tree = BoxTree(triangles.min(1), triangles.max(1))
+    for query, face in tree.overlaps(points - reach, points + reach):
+        np.minimum.at(nearest, query, _distances(points[query], triangles[face]))
+    return float(nearest.max(initial=0.0))
+
+
+def _distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(m,): distance of each point (m, 3) to its triangle (m, 3, 3)."""
+    normals = _unit_normals(triangles)
+    height = np.abs(np.einsum("mc,mc->m", points - triangles[:, 0], normals))
+    above = (_rim_distance(points, triangles, normals) >= 0) & normals.any(1)
+    sides = np.full(len(points), np.inf)
+    for start, end in ((0, 1), (1, 2), (2, 0)):
+        side = triangles[:, end] - triangles[:, start]
+        offset = points - triangles[:, start]
+        share = np.einsum("mc,mc->m", offset, side) / np.maximum(np.einsum("mc,mc->m", side, side), 1e-300)
+        sides = np.minimum(sides, np.linalg.norm(offset - np.clip(share, 0, 1)[:, None] * side, axis=1))
+    return np.where(above, height, sides)
+
+
+def winding_numbers(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """(n,): how often the surface winds round each point (van Oosterom and Strackee 1983, eq. 8)."""
+    total = np.empty(len(points))
+    for i, point in enumerate(points):
+        a, b, c = np.moveaxis(triangles - point, 1, 0)
+        la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
+        above = np.einsum("mc,mc->m", a, np.cross(b, c))
+        ab, bc, ca = (np.einsum("mc,mc->m", x, y) for x, y in ((a, b), (b, c), (c, a)))
+        total[i] = np.arctan2(above, la * lb * lc + ab * lc + bc * la + ca * lb).sum()
+    return total / (2 * np.pi)
+
+
+def _unit_normals(triangles: np.ndarray) -> np.ndarray:
+    crosses = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
+    return np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0)
+
+
+def _morton(points: np.ndarray) -> np.ndarray:
+    """(n,) uint64: keys whose order keeps neighbours in space near each other (Morton 1966)."""
+    span = np.maximum(np.ptp(points, axis=0).max(initial=0.0), 1e-300)
+    cells = ((points - points.min(0)) / span * (2**MORTON_BITS - 1)).astype(np.uint64)
+    keys = np.zeros(len(points), dtype=np.uint64)
+    for bit in range(MORTON_BITS):
+        for axis in range(3):
+            keys |= ((cells[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    return keys

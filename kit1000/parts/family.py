@@ -1,0 +1,73 @@
+"""What a family of parts is, and how one of its drawings becomes a `Part`.
+
+A family draws in millimetres in whatever place is convenient; a part is in metres about its volume centroid.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Protocol, TypeVar
+
+import numpy as np
+from manifold3d import Error, Manifold
+
+from kit1000.errors import Redraw
+from kit1000.mesh import Mesh, defect32, mesh_of
+from kit1000.symmetry import Symmetry
+from kit1000.values import Part
+
+Drawn = TypeVar("Drawn", bound="Family")
+
+DENSITY = 1240.0
+"""[kg/m^3] PLA, what a desktop printer would make the parts of."""
+LEAST_FILL_THICKNESS = 0.7e-3
+"""[m] volume / (area / 2) of the thinnest part taken: about the mean thickness of its walls. Families keep every
+single wall at 1.5 mm or more themselves; this only catches a drawing that went wrong."""
+MM = 1e-3
+
+
+class Family(Protocol):
+    """A frozen dataclass of named dimensions in mm (counts and switches may stand beside them)."""
+
+    @classmethod
+    def draw(cls: type[Drawn], rng: np.random.Generator) -> Drawn:
+        """Dimensions of one part; everything random comes from `rng`."""
+        ...
+
+    def solid(self) -> Manifold:
+        """The part in mm, at any place."""
+        ...
+
+    def symmetry(self) -> Symmetry:
+        """All rotations that leave the solid as it is, in the solid's own axes, about its centroid."""
+        ...
+
+
+def make_part(part_id: str, family_name: str, dims: Family, longest: float | None = None) -> Part:
+    """The part of one drawing, scaled uniformly so that the longest side of its box is `longest` [m] (None = as drawn).
+
+    Vertices lie on the float32 grid, so the mesh in memory is the mesh in every file. Raises Redraw when the drawing
+    gives no single closed body.
+    """
+    solid = dims.solid()
+    _require(solid.status() == Error.NoError and not solid.is_empty(), "no solid")
+    _require(solid.volume() > 0, "no volume")
+    drawn = mesh_of(solid)
+    factor = MM if longest is None else longest / float(drawn.extents.max())
+    mesh = Mesh((drawn.vertices - drawn.centroid) * factor, drawn.faces).rounded32().merged()
+    _require(len(solid.decompose()) == 1, "several bodies")
+    _require(2 * mesh.volume / mesh.area >= LEAST_FILL_THICKNESS, "too thin")
+    fault = defect32(mesh)
+    _require(fault is None, f"mesh {fault}")
+    return Part(part_id, family_name, mesh, dims.symmetry(), dimensions(dims), DENSITY * mesh.volume)
+
+
+def dimensions(dims: Family) -> dict[str, float]:
+    """The named numbers of a drawing, switches as 0 or 1; choices by name are left to the shape."""
+    named = {field.name: getattr(dims, field.name) for field in fields(dims)}  # type: ignore[arg-type]
+    return {name: float(value) for name, value in named.items() if isinstance(value, int | float)}
+
+
+def _require(holds: bool, reason: str) -> None:
+    if not holds:
+        raise Redraw(reason)

@@ -1,0 +1,123 @@
+"""Gears: spur gears with a plain bore, sector gears with a hub arm, and racks.
+
+A keyway or lightening holes would spoil the exact symmetry of a full wheel without showing in its outline, so they
+belong to the sector gears, whose outline tells every turn apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kit1000.parts.cad import (
+    CrossSection, Manifold, Symmetry, at, bolt_circle, bore, chance, circle, cyclic, cylinder, dihedral, gear, grid,
+    holes, hull_2d, join, none, pick, polygon, prism, rectangle, sector, span,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Gear:
+    """A wheel about z standing on z = 0; a sector is symmetric about +x, a rack runs along x."""
+
+    kind: str
+    """spur, sector or rack"""
+    teeth: int
+    module_mm: float
+    width: float
+    bore: float
+    hub: float
+    hub_height: float
+    """how far the hub stands above the web, 0 for none"""
+    recess: float
+    """depth of the turned recess in the web from both sides, 0 for none"""
+    sweep_deg: float
+    """angle of a sector's toothed rim"""
+    lightening: int
+    """openings in the web of a sector, screw holes of a rack"""
+    key: float
+    """width of the keyway of a sector, 0 for none"""
+    chamfer: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Gear:
+        kind = pick(rng, "spur", "spur", "sector", "sector", "rack")
+        teeth = {"spur": int(rng.integers(18, 29)), "sector": int(rng.integers(24, 40))}.get(kind, 60)
+        module = {"spur": span(rng, 38, 44) / teeth, "sector": span(rng, 56, 70) / teeth}.get(kind, span(rng, 1, 2.2))
+        hub = span(rng, 12, 18)
+        return cls(
+            kind=kind,
+            teeth=teeth,
+            module_mm=round(module, 3),
+            width=span(rng, 5, 12) if kind != "rack" else span(rng, 8, 14),
+            bore=span(rng, 0.4, 0.65, 0.01) * hub,
+            hub=hub,
+            hub_height=span(rng, 4, 14) if kind != "rack" and chance(rng, 0.65) else 0.0,
+            recess=span(rng, 1, 2) if kind == "spur" and chance(rng, 0.5) else 0.0,
+            sweep_deg=span(rng, 55, 110, 1),
+            lightening=int(rng.integers(0, 4)),
+            key=span(rng, 2.5, 4) if kind == "sector" and chance(rng, 0.5) else 0.0,
+            chamfer=span(rng, 0.3, 0.6) if chance(rng, 0.5) else 0.0,
+        )
+
+    def solid(self) -> Manifold:
+        if self.kind == "rack":
+            return self._rack()
+        wheel = prism(self._wheel(), self.width, chamfer=0.0)
+        if self.recess > 0:
+            web = circle(self._root - 3) - circle(self.hub)
+            for z in (-1, self.width - self.recess):
+                wheel -= at(prism(web, self.recess + 1), z=z)
+        body = join(wheel, at(cylinder(self.hub, self.width + self.hub_height, self.chamfer)))
+        opening = bore(self.bore, self.key, 0.4 * self.key)
+        return body - at(prism(opening, 100), z=-1)
+
+    def symmetry(self) -> Symmetry:
+        if self.kind == "spur":
+            return cyclic(self.teeth) if self.hub_height > 0 else dihedral(self.teeth)
+        if self.kind == "sector" and self.hub_height == 0:
+            return cyclic(2, (1, 0, 0))
+        return none()
+
+    @property
+    def _root(self) -> float:
+        """Root diameter."""
+        return (self.teeth - 2.5) * self.module_mm
+
+    def _wheel(self) -> CrossSection:
+        wheel = gear(self.teeth, self.module_mm)
+        if self.kind == "spur":
+            return wheel
+        rim = sector(3 * self._root, -self.sweep_deg / 2, self.sweep_deg / 2)
+        inner = circle(self._root - 7)
+        arm = hull_2d(circle(self.hub + 2), inner ^ rim) ^ circle(self._root - 4)
+        plate = ((wheel - inner) ^ rim) + arm
+        return plate - self._openings()
+
+    def _openings(self) -> CrossSection:
+        """Lightening holes of a sector between hub and rim."""
+        inner, outer = self.hub / 2 + 1 + 2.5, self._root / 2 - 3.5 - 2
+        d = min(outer - inner, 9.0)
+        if self.lightening == 0 or d < 3:
+            return CrossSection()
+        middle = (inner + outer) / 2
+        step = np.degrees((d + 2) / middle)
+        usable = max(self.sweep_deg - np.degrees((d + 4) / middle), 0)
+        n = min(self.lightening, 1 + int(usable / step))
+        angles = (np.arange(n) - (n - 1) / 2) * step
+        points = [bolt_circle(2 * middle, 1, float(angle))[0] for angle in angles]
+        return holes(d, points)
+
+    def _rack(self) -> Manifold:
+        """Straight teeth towards +y on a bar, with a foot plate for screws towards -y that starts at one end."""
+        pitch, depth, back = np.pi * self.module_mm, 2.25 * self.module_mm, 5.0
+        count = max(4, int(38 / pitch))
+        length = count * pitch
+        tooth = np.array([(-0.43 * pitch, 0), (-0.13 * pitch, depth), (0.13 * pitch, depth), (0.43 * pitch, 0)])
+        teeth = [polygon(tooth + ((k - (count - 1) / 2) * pitch, 0)) for k in range(count)]
+        bar = rectangle(length, back).translate((0, 0.01 - back / 2)) + CrossSection.compose(teeth)
+        long = length * (1 - 0.12 * self.lightening)
+        foot = rectangle(long, self.hub, 2).translate(((long - length) / 2, 2 - back - self.hub / 2))
+        screws = grid(2 + self.lightening % 2, 1, 0.36 * long, 0)
+        foot -= holes(4, screws).translate(((long - length) / 2, 1 - back - self.hub / 2))
+        return prism(bar, self.width) + prism(foot, 0.35 * self.width + 1)

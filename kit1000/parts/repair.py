@@ -1,0 +1,76 @@
+"""A soup of triangles becomes a closed, consistently wound, outward surface, or is refused with one line.
+
+In order: equal vertices are made one, faces that collapsed or are said twice dropped, open edges closed where
+that is safe, faces turned to agree with their neighbours. Vertices (n, 3) float64 [m], faces (m, 3) int64.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from manifold3d import Error, Manifold, Mesh64
+
+from kit1000.errors import MeshRefused
+from kit1000.parts.seams import closed
+from kit1000.parts.topology import longest_side, open_edges, unpaired, without_duplicates, wound
+
+FLAT_SHARE = 1e-6  # of the longest side: a soup thinner than this is a sheet
+
+
+def closed_solid(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> Manifold:
+    """The exact solid that a soup of triangles bounds; notes of what was mended are appended.
+
+    Raises:
+        MeshRefused: with the reason and its count.
+    """
+    faces = without_duplicates(*_welded_exactly(vertices, faces), notes)
+    vertices, faces = _compact(vertices, faces)
+    if not len(faces) or _is_sheet(vertices):
+        raise MeshRefused("zero thickness")
+    if len(open_edges(faces)):
+        vertices, faces = closed(vertices, faces, notes)
+    faces = wound(vertices, faces, notes)
+    solid = Manifold(Mesh64(vertices, faces.astype(np.uint64)))
+    if solid.status() != Error.NoError:
+        raise MeshRefused(f"not closed: {unpaired(faces)} edges without a partner ({solid.status().name})")
+    if solid.volume() < 0:
+        notes.append("flipped inside out")
+        solid = inverted(solid)
+    return solid
+
+
+def inverted(solid: Manifold) -> Manifold:
+    """The same surface wound the other way."""
+    raw = solid.to_mesh64()
+    flipped = np.ascontiguousarray(raw.tri_verts[:, ::-1])
+    return Manifold(Mesh64(np.array(raw.vert_properties), flipped))
+
+
+def _welded_exactly(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The vertices, and faces that name one of all equal vertices (the first)."""
+    rows = np.ascontiguousarray(vertices + 0.0)  # -0.0 becomes 0.0
+    bits = rows.view(np.uint64)
+    with np.errstate(over="ignore"):
+        keys = bits[:, 0] * np.uint64(0x9E3779B97F4A7C15)
+        for axis in (1, 2):
+            keys = ((keys ^ (keys >> np.uint64(29))) + bits[:, axis]) * np.uint64(0xBF58476D1CE4E5B9)
+        keys ^= keys >> np.uint64(32)
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    if not np.array_equal(rows[first[inverse]], rows):  # two vertices share a key
+        _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    return vertices, first[inverse][faces]
+
+
+def _compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices that faces use, sorted by place, so that no order of the file reaches the result."""
+    used, inverse = np.unique(faces, return_inverse=True)
+    order = np.lexsort(vertices[used].T[::-1])
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    return vertices[used][order] + 0.0, rank[inverse].reshape(-1, 3)
+
+
+def _is_sheet(vertices: np.ndarray) -> bool:
+    """Whether all vertices lie in one plane, however it is tilted."""
+    centred = vertices - vertices.mean(0)
+    normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
+    return bool(np.ptp(centred @ normal) <= FLAT_SHARE * longest_side(vertices))

@@ -1,0 +1,160 @@
+"""Open surfaces are closed by the gentlest means: seams welded, T-junctions stitched, small holes filled.
+
+Vertices (n, 3) are float64 [m], faces (m, 3) int64. What no step closes is refused, its open edges counted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from manifold3d import triangulate
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+
+from kit1000.errors import MeshRefused
+from kit1000.parts.topology import halfedges, longest_side, open_edges, without_duplicates, wound
+
+WELD_SHARES = (1e-7, 1e-6, 1e-5)  # of the longest side; CAD writes one corner in several last digits
+WELD_LIMIT = 1e-5  # [m] no seam wider than this is closed
+STITCH_SHARE = 1e-4  # of the longest side: how far a vertex may lie off the edge that it splits
+STITCH_LIMIT = 20_000  # open edges; a surface that falls apart into more is no closed one with faults
+STITCH_PASSES = 4  # a face may be split along each side, and its pieces once more
+HOLE_SHARE = 0.02  # of the surface: a larger hole could be meant, and a lid would make another solid
+TRIANGLE_SHARE = 0.2  # of the surface, for a hole of three edges: no lid but one fits it
+HOLE_FLATNESS = 2e-3  # of the longest side
+
+
+def closed(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Close seams, T-junctions and small holes, the gentlest means first; refuse what stays open."""
+    opened = len(open_edges(faces))
+    for share in WELD_SHARES:
+        faces = _welded_seams(vertices, faces, min(share * longest_side(vertices), WELD_LIMIT), notes)
+        if not len(open_edges(faces)):
+            return vertices, faces
+    if len(open_edges(faces)) <= STITCH_LIMIT:
+        faces = _stitched(vertices, faces, notes)
+    if 0 < len(open_edges(faces)) <= STITCH_LIMIT:
+        faces = _filled(vertices, wound(vertices, faces, notes), notes)
+    left = open_edges(faces)
+    if len(left):
+        was = "" if len(left) == opened else f" ({opened} before repair)"
+        raise MeshRefused(f"not closed: {len(left)} open edges{was}")
+    return vertices, faces
+
+
+def _welded_seams(vertices: np.ndarray, faces: np.ndarray, tolerance: float, notes: list[str]) -> np.ndarray:
+    """Make vertices on open edges one when they lie within a tolerance [m] of each other."""
+    start, end = halfedges(faces)
+    opened = open_edges(faces)
+    rim = np.unique([start[opened], end[opened]])
+    pairs = KDTree(vertices[rim]).query_pairs(tolerance, output_type="ndarray")
+    if not len(pairs):
+        return faces
+    graph = coo_array((np.ones(len(pairs), dtype=np.int8), pairs.T), shape=(len(rim), len(rim)))
+    count, labels = connected_components(graph, directed=False)
+    first = np.full(count, len(rim))
+    np.minimum.at(first, labels, np.arange(len(rim)))
+    target = np.arange(len(vertices))
+    target[rim] = rim[first[labels]]
+    notes.append(f"welded {len(rim) - count:,} vertices within {tolerance * 1e6:.2g} um")
+    return without_duplicates(vertices, target[faces], notes)
+
+
+def _stitched(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Split faces whose open side passes through vertices of other open sides."""
+    before = len(faces)
+    for _ in range(STITCH_PASSES):
+        splits = _splits(vertices, faces)
+        if not splits:
+            break
+        fans = [_fan(faces[face], side, points) for face, (side, points) in splits.items()]
+        faces = np.concatenate([np.delete(faces, list(splits), axis=0), *fans])
+    if len(faces) > before:
+        notes.append(f"stitched {len(faces) - before:,} T-junctions")
+        faces = without_duplicates(vertices, faces, notes)
+    return faces
+
+
+def _splits(vertices: np.ndarray, faces: np.ndarray) -> dict[int, tuple[int, np.ndarray]]:
+    """For each face to split: which side (0, 1, 2), and the vertices on it in order. One side a face."""
+    start, end = halfedges(faces)
+    opened = open_edges(faces)
+    if not len(opened):
+        return {}
+    rim = np.unique([start[opened], end[opened]])
+    tree = KDTree(vertices[rim])
+    a, b = vertices[start[opened]], vertices[end[opened]]
+    lengths = np.linalg.norm(b - a, axis=1)
+    near = tree.query_ball_point((a + b) / 2, lengths / 2)
+    tolerance = min(STITCH_SHARE * longest_side(vertices), WELD_LIMIT)
+    splits: dict[int, tuple[int, np.ndarray]] = {}
+    for i, halfedge in enumerate(opened):
+        side, face = divmod(int(halfedge), len(faces))
+        candidates = np.setdiff1d(rim[near[i]], faces[face])
+        offset, along = vertices[candidates] - a[i], (b[i] - a[i]) / max(lengths[i], 1e-300)
+        position = offset @ along
+        on_edge = np.linalg.norm(offset - position[:, None] * along, axis=1) <= tolerance
+        if on_edge.any() and face not in splits:
+            splits[face] = side, candidates[on_edge][np.argsort(position[on_edge])]
+    return splits
+
+
+def _fan(face: np.ndarray, side: int, points: np.ndarray) -> np.ndarray:
+    """(k + 1, 3): a face cut from its far corner to k points along one side."""
+    a, b, far = np.roll(face, -side)
+    chain = np.concatenate([[a], points, [b]])
+    return np.stack([chain[:-1], chain[1:], np.full(len(chain) - 1, far)], axis=1)
+
+
+def _filled(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Put a lid on holes that are flat and small; leave the others open."""
+    corners = vertices[faces]
+    crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(crosses, axis=1).sum() / 2
+    loops = _loops(faces)
+    shares = [TRIANGLE_SHARE if len(loop) == 3 else HOLE_SHARE for loop in loops]
+    found = [_lid(vertices, loop, share * area) for loop, share in zip(loops, shares, strict=True)]
+    lids = [lid for lid in found if lid is not None]
+    if not lids:
+        return faces
+    notes.append(f"filled {len(lids)} small holes" if len(lids) > 1 else "filled a small hole")
+    return np.concatenate([faces, *lids])
+
+
+def _loops(faces: np.ndarray) -> list[np.ndarray]:
+    """Rims of holes as rings of different vertices, against the winding of the faces around."""
+    start, end = halfedges(faces)
+    onward: dict[int, list[int]] = {}
+    for halfedge in open_edges(faces):
+        onward.setdefault(int(end[halfedge]), []).append(int(start[halfedge]))
+    loops = []
+    while onward:
+        path = [next(iter(onward))]
+        while path and (following := onward.get(path[-1])):
+            vertex = following.pop()
+            if not following:
+                del onward[path[-1]]
+            if vertex in path:  # holes that touch at a vertex come apart there
+                first = path.index(vertex)
+                loops.append(np.array(path[first:]))
+                path = path[: first + 1]
+            else:
+                path.append(vertex)
+        onward.pop(path[-1], None)
+    return loops
+
+
+def _lid(vertices: np.ndarray, ring: np.ndarray, largest: float) -> np.ndarray | None:
+    """(k, 3) faces over a ring of vertices when it is flat and its area [m^2] small, else None."""
+    points = vertices[ring] - vertices[ring].mean(0)
+    across = np.cross(points, np.roll(points, -1, axis=0)).sum(0) / 2  # area vector of the ring
+    area = np.linalg.norm(across)
+    if not 0 < area <= largest:
+        return None
+    normal = across / area
+    if np.abs(points @ normal).max() > HOLE_FLATNESS * longest_side(vertices):
+        return None
+    x = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
+    x /= np.linalg.norm(x)
+    plane = np.ascontiguousarray(np.stack([points @ x, points @ np.cross(normal, x)], axis=1))
+    return ring[np.asarray(triangulate([plane]), dtype=np.int64)]

@@ -1,0 +1,220 @@
+"""Mesh files become parts: which files, in which unit, read how, and what was done to them.
+
+Every change is in a reading's notes and every guess says how to override it; a file that cannot be a part is
+refused with one line, and one bad file never stops a run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+
+from kit1000.errors import InputError, MeshRefused
+from kit1000.mesh import Mesh
+from kit1000.parts.bodies import part_mesh
+from kit1000.parts.formats import MESH_SUFFIXES, STEP_SUFFIXES, read_soup
+from kit1000.parts.repair import closed_solid
+
+UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}  # [m] what a user can ask for
+FILE_UNITS = UNITS | {"foot": 0.3048, "micron": 1e-6}  # [m] what a file can say
+GUESS_ORDER = ("mm", "m", "inch", "cm")  # commonest in machine parts first
+MACHINE_PART = (0.005, 0.5)  # [m] longest side of a plausible machine part, the ground of a guess
+POSSIBLE_PART = (1e-4, 10.0)  # [m] longest side that is not refused
+FAR_AWAY = 100.0  # longest sides from the origin, beyond which float32 would eat the shape
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A part as a file holds it, mended."""
+
+    path: Path
+    mesh: Mesh
+    """Metres, closed, outward, one body, vertices on the float32 grid."""
+    unit: str
+    """The unit that the file's numbers were taken to be in."""
+    unit_guessed: bool
+    unit_reason: str
+    """Why this unit, and how to choose another."""
+    notes: tuple[str, ...]
+    """Everything that was done to the surface; empty for a clean file."""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A file that cannot be a part."""
+
+    path: Path
+    reason: str
+
+
+Outcome = Reading | Refusal
+
+
+def read_mesh(path: str | Path, unit: str | None = None) -> Reading:
+    """Read one mesh file as a part.
+
+    Args:
+        path: STL, OBJ, PLY, OFF, 3MF, GLB or GLTF; STEP where its optional reader is installed.
+        unit: "mm", "cm", "m" or "inch"; None: as the file says, else guessed from its size.
+
+    Raises:
+        MeshRefused: the file cannot be a part; one line says why.
+        InputError: the unit is unknown.
+    """
+    path = Path(path)
+    if unit is not None and unit not in UNITS:
+        raise InputError(f"unit {unit!r}: expected one of {', '.join(UNITS)}")
+    soup = read_soup(path)
+    notes = list(soup.notes)
+    used = np.zeros(len(soup.vertices), dtype=bool)
+    used[soup.faces] = True
+    _check_finite(soup.vertices[used])
+    longest = float(np.ptp(soup.vertices[used], axis=0).max())
+    asked = None if path.suffix.lower() in STEP_SUFFIXES else unit  # a STEP reader has converted already
+    chosen, guessed, reason = _unit(longest, asked, soup.unit)
+    vertices = soup.vertices * FILE_UNITS[chosen]
+    _check_size(longest * FILE_UNITS[chosen], chosen)
+    vertices = _brought_near(vertices, used, notes)
+    mesh = part_mesh(closed_solid(vertices, soup.faces, notes), notes)
+    return Reading(path, mesh, chosen, guessed, reason, tuple(notes))
+
+
+def _check_finite(vertices: np.ndarray) -> None:
+    bad = int((~np.isfinite(vertices)).any(1).sum())
+    if bad:
+        raise MeshRefused(f"NaN or infinite vertices: {bad:,} of {len(vertices):,}")
+
+
+def _check_size(longest: float, unit: str) -> None:
+    low, high = POSSIBLE_PART
+    if longest == 0:
+        raise MeshRefused("zero thickness: all vertices in one place")
+    if not low <= longest <= high:
+        size = f"longest side {longest:.4g} m when read in {unit}"
+        raise MeshRefused(f"{size}; expected {low:g} to {high:g} m, give the file's unit")
+
+
+def _unit(longest: float, asked: str | None, said: str | None) -> tuple[str, bool, str]:
+    """(unit, whether guessed, why) for a longest side in the unit of the file."""
+    if asked is not None:
+        return asked, False, "as asked"
+    if said is not None:
+        return said, False, "the file says so"
+    low, high = MACHINE_PART
+
+    def strangeness(unit: str) -> float:
+        size = max(longest * UNITS[unit], 1e-300)
+        return max(math.log(low * (1 - 1e-9) / size), math.log(size / (high * (1 + 1e-9))), 0.0)
+
+    unit = min(GUESS_ORDER, key=strangeness)
+    others = [other for other in GUESS_ORDER if other != unit and strangeness(other) == 0]
+    also = f"; could also be {' or '.join(others)}" if others else ""
+    size = f"longest side {longest:.4g} read as {unit} is {longest * UNITS[unit] * 1e3:.4g} mm"
+    return unit, True, f"guessed: {size}{also}; override with the unit option (mm, cm, m, inch)"
+
+
+def _brought_near(vertices: np.ndarray, used: np.ndarray, notes: list[str]) -> np.ndarray:
+    low, high = vertices[used].min(0), vertices[used].max(0)
+    if np.abs(low + high).max() / 2 <= FAR_AWAY * (high - low).max():
+        return vertices
+    notes.append(f"moved to the origin from {np.linalg.norm(low + high) / 2:.4g} m away")
+    return vertices - (low + high) / 2
+
+
+def mesh_files(path: str | Path) -> list[Path]:
+    """The mesh files that a path stands for: a file, a folder (all below, sorted), or a .txt list of paths.
+
+    Lines of a list are relative to it; blank lines and those beginning with # are skipped; a listed folder is
+    searched too.
+
+    Raises:
+        InputError: nothing there, or a folder or list without a mesh.
+    """
+    path = Path(path)
+    if path.is_dir():
+        found = _searched(path)
+    elif path.suffix.lower() == ".txt" and path.is_file():
+        found = _listed(path)
+    elif path.exists():
+        return [path]
+    else:
+        raise InputError(f"{path}: does not exist; expected a mesh file, a folder or a .txt list of them")
+    if not found:
+        raise InputError(f"{path}: no mesh files inside; looked for {' '.join(MESH_SUFFIXES)}")
+    return found
+
+
+def _searched(folder: Path) -> list[Path]:
+    """Mesh files below a folder, sorted, without hidden files and folders."""
+    files = (file for file in folder.rglob("*") if file.suffix.lower() in MESH_SUFFIXES and file.is_file())
+    inner = ((file, file.relative_to(folder).parts) for file in files)
+    return sorted(file for file, parts in inner if not any(part.startswith(".") for part in parts))
+
+
+def _listed(listing: Path) -> list[Path]:
+    try:
+        lines = [line.strip() for line in listing.read_text(encoding="utf-8").splitlines()]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{listing}: cannot be read as a list of paths: {error}") from None
+    found: list[Path] = []
+    for line in lines:
+        if line and not line.startswith("#"):
+            entry = listing.parent / line
+            found.extend(_searched(entry) if entry.is_dir() else [entry])
+    return found
+
+
+def read_all(
+    paths: Iterable[str | Path], unit: str | None = None, workers: int = 1
+) -> tuple[list[Reading], list[Refusal]]:
+    """Read many files; both lists keep the order of the paths, whatever the number of workers."""
+    if unit is not None and unit not in UNITS:
+        raise InputError(f"unit {unit!r}: expected one of {', '.join(UNITS)}")
+    files = [Path(path) for path in paths]
+    read = partial(_read_or_refuse, unit=unit)
+    outcomes = list(_spread(read, files, workers) if workers > 1 and len(files) > 1 else map(read, files))
+    readings = [outcome for outcome in outcomes if isinstance(outcome, Reading)]
+    return readings, [outcome for outcome in outcomes if isinstance(outcome, Refusal)]
+
+
+def _read_or_refuse(path: Path, unit: str | None) -> Outcome:
+    try:
+        return read_mesh(path, unit)
+    except MeshRefused as refused:
+        return Refusal(path, refused.reason)
+    except MemoryError:
+        return Refusal(path, "needs more memory than there is")
+
+
+def _spread(read: Callable[[Path], Outcome], files: Sequence[Path], workers: int) -> Iterator[Outcome]:
+    """Outcomes in order from several processes; a file that ends its process is refused, the rest go on."""
+    done = 0
+    while done < len(files):
+        with _pool(min(workers, len(files) - done)) as pool:
+            try:
+                for outcome in pool.map(read, files[done:]):
+                    yield outcome
+                    done += 1
+            except BrokenProcessPool:  # by one of the files under way, so the next is read alone
+                yield _alone(read, files[done])
+                done += 1
+
+
+def _alone(read: Callable[[Path], Outcome], path: Path) -> Outcome:
+    with _pool(1) as pool:
+        try:
+            return pool.submit(read, path).result()
+        except BrokenProcessPool:
+            return Refusal(path, "its reader crashed")
+
+
+def _pool(workers: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(workers, get_context("spawn"))  # a fork would copy locks that threads hold

@@ -1,0 +1,104 @@
+"""Stepped shafts: journals, a collar, and where it carries torque an eccentric, a cut collar or a crank."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from kit1000.parts.cad import (
+    Manifold, Symmetry, at, chance, circle, drill, free, free_flipped, hull_2d, join, keyway, none, pick, prism,
+    rectangle, revolved, span,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SteppedShaft:
+    """The shaft stands along z: lower journal, collar, upper journal with a smaller end. The collar's mark looks to +x."""
+
+    kind: str
+    """plain, cut, eccentric or crank"""
+    lower: float
+    lower_length: float
+    collar: float
+    collar_width: float
+    upper: float
+    upper_length: float
+    end: float
+    end_length: float
+    """0 for a shaft without the smaller end"""
+    bore: float
+    """hole along the axis, 0 for a full shaft"""
+    mark: float
+    """depth of the cut, offset of the eccentric or reach of the crank"""
+    key: float
+    """width of the key seat in the lower journal, 0 for none"""
+    chamfer: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> SteppedShaft:
+        kind = pick(rng, "plain", "cut", "cut", "eccentric", "crank", "crank")
+        lower = span(rng, 8, 16)
+        wider = {"cut": (14, 20), "crank": (4, 8)}.get(kind, (9, 18))
+        collar = lower + span(rng, *wider)
+        mark = {"cut": (collar - lower) / 2 - 0.5, "eccentric": max(6, 0.25 * collar), "crank": span(rng, 14, 24)}.get(kind, 0.0)
+        return cls(
+            kind=kind,
+            lower=lower,
+            lower_length=span(rng, 8, 18),
+            collar=collar,
+            collar_width=span(rng, 5, 10),
+            upper=span(rng, 0.7, 1.2, 0.05) * lower,
+            upper_length=span(rng, 4, 14),
+            end=span(rng, 0.5, 0.65, 0.05) * lower,
+            end_length=span(rng, 4, 9) if chance(rng, 0.5) else 0.0,
+            bore=span(rng, 0.35, 0.55, 0.05) * lower * (0.62 if kind == "plain" else 1) if chance(rng, 0.5) else 0.0,
+            mark=mark,
+            key=span(rng, 0.25, 0.3, 0.01) * lower if kind != "plain" and chance(rng, 0.5) else 0.0,
+            chamfer=span(rng, 0.4, 1.0),
+        )
+
+    def solid(self) -> Manifold:
+        body = join(revolved(self._journals()), self._collar())
+        if self.key > 0:
+            body = keyway(body, self.lower, self.key, 0.5 * self.key, 1.5, 0.75 * self.lower_length)
+        if self.bore > 0:
+            body = drill(body, min(self.bore, 0.6 * self._thinnest))
+        return body
+
+    def symmetry(self) -> Symmetry:
+        if self.kind != "plain":
+            return none()
+        return free() if not self._even else free_flipped()
+
+    @property
+    def _thinnest(self) -> float:
+        return min(self.lower, self.upper, self.end if self.end_length else self.upper)
+
+    @property
+    def _even(self) -> bool:
+        return self.lower == self.upper and self.lower_length == self.upper_length and self.end_length == 0
+
+    def _journals(self) -> list[tuple[float, float]]:
+        """(r, z) of everything that turns true, z = 0 at the foot."""
+        c, top = self.chamfer, self.lower_length + self.collar_width + self.upper_length
+        low, high, end = self.lower / 2, self.upper / 2, self.end / 2
+        waist = self.lower_length + 0.5 * self.collar_width
+        loop = [(0, 0), (low - c, 0), (low, c), (low, waist), (high, waist)]
+        if self.end_length > 0:
+            tip = top + self.end_length
+            return [*loop, (high, top), (end, top), (end, tip - c), (end - c, tip), (0, tip)]
+        return [*loop, (high, top - c), (high - c, top), (0, top)]
+
+    def _collar(self) -> Manifold:
+        disc = circle(self.collar)
+        if self.kind == "cut":
+            disc -= rectangle(self.collar, 2 * self.collar).translate((self.collar - self.mark, 0))
+        elif self.kind == "eccentric":
+            disc = disc.translate((self.mark, 0))
+        elif self.kind == "crank":
+            disc = hull_2d(disc, circle(0.8 * self.collar).translate((self.mark, 0)))
+        plate = prism(disc, self.collar_width, chamfer=min(self.chamfer, 0.6))
+        if self.kind == "crank":
+            plate = drill(plate, 0.4 * self.collar, (self.mark, 0))
+        return at(plate, z=self.lower_length)

@@ -1,0 +1,107 @@
+"""What the faces of a mesh share: edges, partners, duplicates, and a winding they agree on.
+
+Vertices (n, 3) are float64 [m], faces (m, 3) int64 of indices into them. A halfedge is one side of one face.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from kit1000.errors import MeshRefused
+
+
+def halfedges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Start and end vertex (3m,) of each side of each face; side k of face f stands at k * m + f."""
+    return faces.T.ravel(), faces[:, [1, 2, 0]].T.ravel()
+
+
+def edge_keys(faces: np.ndarray) -> np.ndarray:
+    """(3m,): one number for each side, the same in both directions."""
+    start, end = halfedges(faces)
+    return np.minimum(start, end) * (faces.max() + 1) + np.maximum(start, end)
+
+
+def open_edges(faces: np.ndarray) -> np.ndarray:
+    """(k,): halfedges whose edge an odd number of faces share."""
+    _, inverse, counts = np.unique(edge_keys(faces), return_inverse=True, return_counts=True)
+    return np.flatnonzero(counts[inverse] % 2)
+
+
+def without_duplicates(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Faces with three corners, each said once; a face and its reverse bound nothing and both go."""
+    faces = _uncollapsed(faces)
+    turned = faces[np.arange(len(faces))[:, None], (faces.argmin(1)[:, None] + np.arange(3)) % 3]
+    swapped = (turned[:, 1] > turned[:, 2]).astype(np.int64)
+    lowest, low, high = turned[:, 0], turned[:, 1:].min(1), turned[:, 1:].max(1)
+    order = np.lexsort((swapped, high, low, lowest))
+    same = np.ones(len(order), dtype=bool)
+    for key in (lowest, low, high):
+        same[1:] &= key[order][1:] == key[order][:-1]
+    same[:1] = False
+    group = np.cumsum(~same) - 1
+    if not same.any():
+        return faces
+    forward = np.bincount(group, weights=swapped[order] == 0) > 0
+    backward = np.bincount(group, weights=swapped[order] == 1) > 0
+    keep = ~same & ~(forward & backward)[group]
+    notes.append(f"dropped {len(faces) - int(keep.sum()):,} faces said twice")
+    return faces[np.sort(order[keep])]
+
+
+def _uncollapsed(faces: np.ndarray) -> np.ndarray:
+    a, b, c = faces.T
+    return faces[(a != b) & (b != c) & (c != a)]
+
+
+def longest_side(vertices: np.ndarray) -> float:
+    return float(np.ptp(vertices, axis=0).max())
+
+
+def unpaired(faces: np.ndarray) -> int:
+    """Number of halfedges without one of the opposite direction."""
+    start, end = halfedges(faces)
+    _, inverse = np.unique(edge_keys(faces), return_inverse=True)
+    return int(np.abs(np.bincount(inverse, weights=np.sign(start - end))).sum())
+
+
+def wound(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
+    """Faces turned to agree with their neighbours; pieces that had to be mended face outward."""
+    if not unpaired(faces):
+        return faces
+    piece, turn = _agreement(faces)
+    turning = np.bincount(piece, weights=turn.astype(np.float64))
+    mixed = (turning > 0) & (turning < np.bincount(piece))
+    turn &= mixed[piece]
+    turned = np.where(turn[:, None], faces[:, ::-1], faces)
+    a, b, c = np.moveaxis(vertices[turned] - vertices.mean(0), 1, 0)
+    inward = np.bincount(piece, weights=np.einsum("mc,mc->m", a, np.cross(b, c))) < 0
+    result = np.where((turn ^ (mixed & inward)[piece])[:, None], faces[:, ::-1], faces)
+    if changed := int((result != faces).any(1).sum()):
+        notes.append(f"turned {changed:,} faces to agree with their neighbours")
+    return result
+
+
+def _agreement(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(m,) piece of surface of each face, (m,) bool: whether it must turn to agree with the piece's first.
+
+    Each face stands in a graph twice, as it is and turned; an edge of two faces joins the states that agree.
+    """
+    count = len(faces)
+    start = halfedges(faces)[0]
+    keys = edge_keys(faces)
+    order = np.argsort(keys, kind="stable")
+    _, first, counts = np.unique(keys[order], return_index=True, return_counts=True)
+    left, right = order[first[counts == 2]], order[first[counts == 2] + 1]
+    opposed = (start[left] == start[right]).astype(np.int64)  # both run the same way: one must turn
+    left, right = left % count, right % count
+    rows = np.concatenate([left, left + count])
+    columns = np.concatenate([right + opposed * count, right + (1 - opposed) * count])
+    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(2 * count, 2 * count))
+    labels = connected_components(graph, directed=False)[1]
+    as_is, turned = labels[:count], labels[count:]
+    if (as_is == turned).any():
+        raise MeshRefused("one-sided surface: its faces cannot be wound consistently")
+    _, piece = np.unique(np.minimum(as_is, turned), return_inverse=True)
+    return piece, as_is > turned

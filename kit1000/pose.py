@@ -1,0 +1,385 @@
+"""Rigid poses and rotations: unit quaternions (w, x, y, z) and positions [m], batched over leading axes.
+
+`a_from_b` maps coordinates in b to coordinates in a, so that `a_from_c = a_from_b @ b_from_c`. Angles
+are read by atan2 and the exponential map uses series where the closed form cancels, so results hold to
+rounding from the identity to a half turn. No sum runs through a matrix library: a result never depends
+on how many poses or points were handed over together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kit1000.errors import InputError, ShapeError, checked
+
+# A product of a few float32 matrices departs from a rotation by less; a scaled or sheared one by more.
+ROTATION_TOLERANCE = 1e-5
+# The norm of a normalised quaternion is read within this of 1; such ones are left alone, bit for bit.
+UNIT_TOLERANCE = 4 * np.finfo(np.float64).eps
+# Quaternions and directions of a length beyond this, or under its inverse, are faults of the caller.
+NORM_LIMIT = 1e100
+# Directions this close to opposite [rad] leave no axis to read between them: any perpendicular one will do.
+OPPOSITE_TOLERANCE = 1e-12
+# Below this angle [rad] the coefficients of the exponential map cancel in closed form; both series there
+# are cut where the next term is under 1e-16 of the first.
+SERIES_ANGLE = 0.5
+# (t - sin t) / t^3 = sum over k of (-1)^k t^(2k) / (2k + 3)!
+_EXP_SERIES = (1 / 6, -1 / 120, 1 / 5040, -1 / 362880, 1 / 39916800, -1 / 6227020800, 1 / 1307674368000)
+# (1 - t/2 cot t/2) / t^2 = sum over k of |B_2k| / (2k)! t^(2k-2), with the Bernoulli numbers B
+_LOG_SERIES = (
+    1 / 12, 1 / 720, 1 / 30240, 1 / 1209600, 1 / 47900160, 691 / 1307674368000, 1 / 74724249600,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Rigid poses `a_from_b`, one or a batch; a point p in b lies at `rotate(p) + xyz` in a.
+
+    The leading axes of the two arrays broadcast. Quaternions are normalised on making and keep their
+    sign, so q and -q stay apart though they mean the same rotation. Both arrays are read-only copies.
+    """
+
+    wxyz: np.ndarray
+    """Rotation as a unit quaternion, scalar first. (..., 4) float64."""
+    xyz: np.ndarray
+    """Where the origin of b lies in a. (..., 3) float64 [m]."""
+
+    def __post_init__(self) -> None:
+        wxyz = normalized_quaternion(self.wxyz, "wxyz")
+        xyz = checked("xyz", self.xyz, (..., 3))
+        batch = _broadcast("xyz", xyz, "wxyz", wxyz)
+        object.__setattr__(self, "wxyz", _frozen(wxyz, (*batch, 4)))
+        object.__setattr__(self, "xyz", _frozen(xyz, (*batch, 3)))
+
+    @classmethod
+    def identity(cls, batch_shape: tuple[int, ...] = ()) -> Pose:
+        """The pose that moves nothing, repeated over `batch_shape`."""
+        return cls(np.broadcast_to((1.0, 0.0, 0.0, 0.0), (*batch_shape, 4)), np.zeros(3))
+
+    @classmethod
+    def from_translation(cls, xyz: ArrayLike) -> Pose:
+        """Pure translations. xyz: (..., 3) [m]."""
+        return cls(np.array((1.0, 0.0, 0.0, 0.0)), np.asarray(xyz))
+
+    @classmethod
+    def from_rotvec(cls, rotvec: ArrayLike, xyz: ArrayLike = (0.0, 0.0, 0.0)) -> Pose:
+        """Turn about the axis `rotvec` by its length. rotvec: (..., 3) [rad], xyz: (..., 3) [m]."""
+        return cls(quaternion_from_rotvec(rotvec), np.asarray(xyz))
+
+    @classmethod
+    def from_rotation_matrix(cls, matrix: ArrayLike, xyz: ArrayLike = (0.0, 0.0, 0.0)) -> Pose:
+        """From rotation matrices (..., 3, 3) and positions (..., 3) [m]; refuses scale, shear and mirrors."""
+        return cls(_quaternion_from_matrix(checked("rotation matrix", matrix, (..., 3, 3))), np.asarray(xyz))
+
+    @classmethod
+    def from_matrix(cls, matrix: ArrayLike) -> Pose:
+        """From homogeneous matrices (..., 4, 4) with positions in m; refuses all but rigid ones."""
+        rows = checked("matrix", matrix, (..., 4, 4))
+        if np.any(np.abs(rows[..., 3, :] - (0.0, 0.0, 0.0, 1.0)) > ROTATION_TOLERANCE):
+            raise InputError("matrix: expected the last row 0 0 0 1 (positions stand in the last column)")
+        return cls.from_rotation_matrix(rows[..., :3, :3], rows[..., :3, 3])
+
+    @classmethod
+    def exp(cls, twist: ArrayLike) -> Pose:
+        """Exponential map of SE(3). twist: (..., 6) = rho (..., 3) [m], phi (..., 3) [rad].
+
+        Rotation exp(phi), position V rho with V = I + (1 - cos t)/t^2 [phi] + (t - sin t)/t^3 [phi]^2 and
+        t = |phi|: Sola, Deray, Atchuthan, "A micro Lie theory" (2018), equations 172 and 174.
+        """
+        rho, phi = np.split(checked("twist", twist, (..., 6)), 2, axis=-1)
+        angle = np.linalg.norm(phi, axis=-1, keepdims=True)
+        closed = np.maximum(angle, SERIES_ANGLE)
+        first = 0.5 * _sinc(angle / 2) ** 2  # (1 - cos t)/t^2, in the form that does not cancel
+        second = np.where(
+            angle < SERIES_ANGLE, _series(_EXP_SERIES, angle), (closed - np.sin(closed)) / closed**3
+        )
+        once = np.cross(phi, rho)
+        return cls(quaternion_from_rotvec(phi), rho + first * once + second * np.cross(phi, once))
+
+    def log(self) -> np.ndarray:
+        """Inverse of `exp`: the shortest twist. (..., 6) = rho (..., 3) [m], phi (..., 3) [rad], |phi| <= pi.
+
+        The inverse of V is I - [phi]/2 + (1 - t/2 cot t/2)/t^2 [phi]^2: equation 146 of the same paper,
+        the first coefficient of which is written here with the half angle.
+        """
+        phi = self.rotvec()
+        angle = np.linalg.norm(phi, axis=-1, keepdims=True)
+        half = np.maximum(angle, SERIES_ANGLE) / 2
+        closed = (1 - half * np.cos(half) / np.sin(half)) / (4 * half**2)
+        factor = np.where(angle < SERIES_ANGLE, _series(_LOG_SERIES, angle), closed)
+        once = np.cross(phi, self.xyz)
+        return np.concatenate([self.xyz - 0.5 * once + factor * np.cross(phi, once), phi], axis=-1)
+
+    __array_ufunc__ = None  # so that `array @ pose` raises TypeError instead of taking the pose apart
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Compose: `a_from_c = a_from_b @ b_from_c`; leading axes broadcast."""
+        if not isinstance(other, Pose):
+            kind = type(other).__name__
+            raise TypeError(f"a pose composes with a pose, not with {kind}; points go to apply()")
+        return Pose(quaternion_multiply(self.wxyz, other.wxyz), self.apply(other.xyz))
+
+    def inverse(self) -> Pose:
+        """`b_from_a` of an `a_from_b`."""
+        back = quaternion_conjugate(self.wxyz)
+        return Pose(back, -_rotated(_matrix(back), self.xyz))
+
+    def apply(self, points: ArrayLike) -> np.ndarray:
+        """Map points from b to a. points: (..., 3) [m] -> (..., 3) [m].
+
+        Leading axes broadcast: one pose takes any points, n poses take n points, and `poses[:, None]`
+        takes every point to every pose. Points that are not finite pass through as such.
+        """
+        return self.rotate(points) + self.xyz
+
+    def rotate(self, vectors: ArrayLike) -> np.ndarray:
+        """Turn vectors from b to a, without moving them. (..., 3) -> (..., 3), broadcasting like `apply`."""
+        array = _trailing("points", vectors, 3)
+        _broadcast("points", array, "wxyz", self.wxyz)
+        return _rotated(self.rotation_matrix(), array)
+
+    def rotation_matrix(self) -> np.ndarray:
+        """The rotations as matrices. (..., 3, 3)."""
+        return _matrix(self.wxyz)
+
+    def matrix(self) -> np.ndarray:
+        """The poses as homogeneous matrices, positions in m in the last column. (..., 4, 4)."""
+        matrix = np.zeros((*self.batch_shape, 4, 4))
+        matrix[..., :3, :3] = self.rotation_matrix()
+        matrix[..., :3, 3] = self.xyz
+        matrix[..., 3, 3] = 1.0
+        return matrix
+
+    def rotvec(self) -> np.ndarray:
+        """Axis times angle, the short way round. (..., 3) [rad], length at most pi."""
+        w = self.wxyz[..., :1]
+        v = np.where(w < 0, -self.wxyz[..., 1:], self.wxyz[..., 1:])
+        sine = np.linalg.norm(v, axis=-1, keepdims=True)
+        # atan2(s, w)/s holds to rounding for every s > 0; where the squares in s vanish it is 1.
+        ratio = np.where(sine == 0, 1.0, np.arctan2(sine, np.abs(w)) / np.where(sine == 0, 1.0, sine))
+        return 2 * ratio * v
+
+    def angle(self) -> np.ndarray:
+        """Angle of the rotation. (...,) [rad], 0 .. pi."""
+        return _angle(self.wxyz)
+
+    @property
+    def batch_shape(self) -> tuple[int, ...]:
+        """The leading axes; () for a single pose."""
+        return self.xyz.shape[:-1]
+
+    @classmethod
+    def stack(cls, poses: Sequence[Pose]) -> Pose:
+        """Join poses of one batch shape along a new first axis; no poses give the batch of shape (0,)."""
+        if not poses:
+            return cls.identity((0,))
+        shapes = {pose.batch_shape for pose in poses}
+        if len(shapes) > 1:
+            raise ShapeError(f"poses: expected one batch shape to stack, got {sorted(shapes)}")
+        return cls(np.stack([pose.wxyz for pose in poses]), np.stack([pose.xyz for pose in poses]))
+
+    def __getitem__(self, index: Any) -> Pose:
+        """Index the batch axes as numpy does: ints, slices, masks, index arrays, None."""
+        if self.batch_shape == () and isinstance(index, int | slice):
+            raise IndexError("a single pose has no batch axis to index")
+        chosen = np.arange(self.xyz.size // 3).reshape(self.batch_shape)[index]
+        return Pose(self.wxyz.reshape(-1, 4)[chosen], self.xyz.reshape(-1, 3)[chosen])
+
+    def __len__(self) -> int:
+        if self.batch_shape == ():
+            raise TypeError("a single pose has no length")
+        return self.batch_shape[0]
+
+    def __iter__(self) -> Iterator[Pose]:
+        return (self[i] for i in range(len(self)))
+
+    def __reduce__(self) -> tuple[type[Pose], tuple[np.ndarray, np.ndarray]]:
+        # Pickled arrays come back writable; making the pose anew keeps the promise, and every bit.
+        return Pose, (self.wxyz, self.xyz)
+
+
+def normalized_quaternion(wxyz: ArrayLike, name: str = "quaternion") -> np.ndarray:
+    """Scale quaternions to unit length. (..., 4) -> (..., 4); `name` opens the message of a refusal.
+
+    A quaternion that is unit to rounding already comes back unchanged, so that normalising twice, or
+    reading back what was written, changes no bit.
+    """
+    q = checked(name, wxyz, (..., 4))
+    with np.errstate(over="ignore"):
+        norm = np.linalg.norm(q, axis=-1, keepdims=True)
+    if not np.all((norm > 1 / NORM_LIMIT) & (norm < NORM_LIMIT)):
+        raise InputError(f"{name}: expected unit quaternions (w, x, y, z), got one of no or huge length")
+    return np.where(np.abs(norm - 1) <= UNIT_TOLERANCE, q, q / norm)
+
+
+def quaternion_multiply(a: ArrayLike, b: ArrayLike) -> np.ndarray:
+    """Hamilton product: first turn by b, then by a. (..., 4), (..., 4) -> (..., 4), broadcasting."""
+    left, right = _trailing("a", a, 4), _trailing("b", b, 4)
+    _broadcast("a", left, "b", right)
+    aw, ax, ay, az = np.moveaxis(left, -1, 0)
+    bw, bx, by, bz = np.moveaxis(right, -1, 0)
+    product = (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+    return np.stack(product, axis=-1)
+
+
+def quaternion_conjugate(q: ArrayLike) -> np.ndarray:
+    """The inverse of unit quaternions. (..., 4) -> (..., 4)."""
+    return _trailing("q", q, 4) * (1.0, -1.0, -1.0, -1.0)
+
+
+def quaternion_angle(a: ArrayLike, b: ArrayLike) -> np.ndarray:
+    """Geodesic angle between rotations. (..., 4), (..., 4) -> (...,) [rad], 0 .. pi; blind to signs."""
+    return _angle(quaternion_multiply(quaternion_conjugate(a), b))
+
+
+def quaternion_from_rotvec(rotvec: ArrayLike) -> np.ndarray:
+    """Unit quaternions that turn about the axis `rotvec` by its length. (..., 3) [rad] -> (..., 4)."""
+    v = checked("rotvec", rotvec, (..., 3))
+    half = np.linalg.norm(v, axis=-1, keepdims=True) / 2
+    return np.concatenate([np.cos(half), 0.5 * _sinc(half) * v], axis=-1)
+
+
+def quaternion_between(u: ArrayLike, v: ArrayLike) -> np.ndarray:
+    """The shortest rotation that takes direction u to direction v. (..., 3), (..., 3) -> (..., 4).
+
+    Lengths do not matter. Opposite directions are turned by pi about some perpendicular of u, always
+    the same one for the same u.
+    """
+    start, end = unit_vector(u, "u"), unit_vector(v, "v")
+    batch = _broadcast("u", start, "v", end)
+    start, end = np.broadcast_to(start, (*batch, 3)), np.broadcast_to(end, (*batch, 3))
+    cosine = np.sum(start * end, axis=-1, keepdims=True)
+    # Beyond a right angle: half a turn about an axis truly perpendicular to u, then the small rest.
+    half_turn = np.concatenate([np.zeros_like(cosine), _axis_between(start, end)], axis=-1)
+    far = quaternion_multiply(_half_way(-start, end), half_turn)
+    return np.where(cosine >= 0, _half_way(start, end), far)
+
+
+def unit_vector(vector: ArrayLike, name: str = "vector") -> np.ndarray:
+    """Scale vectors to unit length. (..., 3) -> (..., 3); `name` opens the message of a refusal."""
+    array = checked(name, vector, (..., 3))
+    with np.errstate(over="ignore"):
+        norm = np.linalg.norm(array, axis=-1, keepdims=True)
+    if not np.all((norm > 1 / NORM_LIMIT) & (norm < NORM_LIMIT)):
+        raise InputError(f"{name}: expected a direction, got a vector of no or huge length")
+    return array / norm
+
+
+def random_quaternions(rng: np.random.Generator, n: int) -> np.ndarray:
+    """Draw n rotations, uniform over all rotations. (n, 4) unit quaternions of either sign."""
+    # Normal deviates have no preferred direction in four dimensions.
+    return normalized_quaternion(rng.standard_normal((n, 4)))
+
+
+def _half_way(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Unit quaternions that take unit vector u to unit vector v, for angles up to a right angle or so."""
+    w = 1 + np.sum(u * v, axis=-1, keepdims=True)
+    q = np.concatenate([w, np.cross(u, v)], axis=-1)
+    # A vector near -u gives a quaternion near zero; the caller discards it, so its length is kept off 0.
+    return q / np.maximum(np.linalg.norm(q, axis=-1, keepdims=True), OPPOSITE_TOLERANCE)
+
+
+def _axis_between(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Unit vectors perpendicular to u, and to v as well as the two unit vectors can tell. (..., 3)."""
+    cross = np.cross(u, v)
+    size = np.linalg.norm(cross, axis=-1, keepdims=True)
+    # The coordinate axis farthest from u is a safe partner where u and v have no plane between them.
+    partner = np.eye(3)[np.argmin(np.abs(u), axis=-1)]
+    axis = np.where(size < OPPOSITE_TOLERANCE, np.cross(u, partner), cross)
+    axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+    # Rounding of a short product leans towards u; take that part off.
+    axis = axis - np.sum(axis * u, axis=-1, keepdims=True) * u
+    return axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+
+
+def _quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
+    """Rotation matrices (..., 3, 3) as unit quaternions (..., 4).
+
+    The symmetric matrix 4 q q^T is linear in the entries; its column with the largest diagonal entry
+    is q without cancellation (Shepperd, "Quaternion from rotation matrix", 1978).
+    """
+    gram = np.sum(matrix[..., :, :, None] * matrix[..., :, None, :], axis=-3)
+    if np.any(np.abs(gram - np.eye(3)) > ROTATION_TOLERANCE) or np.any(np.linalg.det(matrix) < 0):
+        raise InputError("rotation matrix: expected a rotation, got one that scales, shears or mirrors")
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(matrix, (-2, -1), (0, 1))
+    rows = (
+        (1 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
+        (zy - yz, 1 + xx - yy - zz, xy + yx, xz + zx),
+        (xz - zx, xy + yx, 1 - xx + yy - zz, yz + zy),
+        (yx - xy, xz + zx, yz + zy, 1 - xx - yy + zz),
+    )
+    outer = np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)  # (..., 4, 4)
+    best = np.argmax(np.diagonal(outer, axis1=-2, axis2=-1), axis=-1)
+    column = np.take_along_axis(outer, best[..., None, None], axis=-2)[..., 0, :]
+    return column / np.linalg.norm(column, axis=-1, keepdims=True)
+
+
+def _matrix(wxyz: np.ndarray) -> np.ndarray:
+    """Unit quaternions (..., 4) as rotation matrices (..., 3, 3)."""
+    w, x, y, z = np.moveaxis(wxyz, -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _rotated(matrix: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Matrices (..., 3, 3) times vectors (..., 3), summed in one fixed order whatever the batch."""
+    columns = (matrix[..., :, i] * vectors[..., i, None] for i in range(3))
+    return next(columns) + next(columns) + next(columns)
+
+
+def _angle(q: np.ndarray) -> np.ndarray:
+    """Angle of quaternions of any length and sign. (..., 4) -> (...,) [rad], 0 .. pi."""
+    return 2 * np.arctan2(np.linalg.norm(q[..., 1:], axis=-1), np.abs(q[..., 0]))
+
+
+def _sinc(x: np.ndarray) -> np.ndarray:
+    """sin(x)/x, which holds to rounding for every x but 0."""
+    safe = np.where(x == 0, 1.0, x)
+    return np.where(x == 0, 1.0, np.sin(safe) / safe)
+
+
+def _series(coefficients: tuple[float, ...], angle: np.ndarray) -> np.ndarray:
+    """Power series in the square of the angle, cut off at SERIES_ANGLE. (...,) -> (...,)."""
+    square = np.minimum(angle, SERIES_ANGLE) ** 2
+    total = np.zeros_like(square)
+    for coefficient in reversed(coefficients):
+        total = total * square + coefficient
+    return total
+
+
+def _trailing(name: str, array: ArrayLike, size: int) -> np.ndarray:
+    """Return the array as float64 after checking its last axis."""
+    values = np.asarray(array, dtype=np.float64)
+    if values.ndim == 0 or values.shape[-1] != size:
+        raise ShapeError(f"{name}: expected shape (..., {size}), got {values.shape}")
+    return values
+
+
+def _broadcast(name: str, array: np.ndarray, other_name: str, other: np.ndarray) -> tuple[int, ...]:
+    """Shape that the leading axes of two arrays broadcast to."""
+    try:
+        return np.broadcast_shapes(array.shape[:-1], other.shape[:-1])
+    except ValueError:
+        expected = f"leading axes that broadcast with those of {other_name} {other.shape}"
+        raise ShapeError(f"{name}: expected {expected}, got shape {array.shape}") from None
+
+
+def _frozen(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Read-only contiguous copy, broadcast to the shape."""
+    copy = np.array(np.broadcast_to(array, shape), order="C")
+    copy.setflags(write=False)
+    return copy

@@ -1,0 +1,67 @@
+"""Which faces of a mesh form one smooth surface, and the normals that make it look smooth.
+
+Meshes from CAD stand for cylinders, fillets and planes by triangles. Faces that meet at less than a crease
+angle belong together; a line is drawn where two such patches meet.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from kit1000.mesh import Mesh
+
+CREASE_DEG = 32.0  # coarser cylinders have 12 sides or more (30 degrees), chamfers turn by 45
+PLANE_DEG = 0.5  # faces of one plane, after rounding to float32
+
+
+def smooth_patches(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+    """Patches and shading normals of m faces.
+
+    Returns:
+        patches: (m,) int32, equal for faces of one smooth surface.
+        normals: (m, 3, 3) unit normal at each corner of each face, averaged over its patch. Large planes
+            weigh more than the narrow faces of a fillet, so that planes stay flat.
+    """
+    corner = np.unique(mesh.triangles.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
+    pairs = _neighbours(corner)
+    cosine = np.einsum("ij,ij->i", mesh.normals[pairs[0]], mesh.normals[pairs[1]])
+    patches = _joined(len(corner), pairs[:, cosine > np.cos(np.deg2rad(CREASE_DEG))])
+    planes = _joined(len(corner), pairs[:, cosine > np.cos(np.deg2rad(PLANE_DEG))])
+    return patches, _corner_normals(mesh, corner, patches, planes)
+
+
+def _neighbours(corner: np.ndarray) -> np.ndarray:
+    """(2, e) faces that share an edge, from the numbers of their corners (m, 3)."""
+    start, end = corner.ravel().astype(np.int64), corner[:, [1, 2, 0]].ravel().astype(np.int64)
+    key = np.minimum(start, end) * (corner.max(initial=0) + 1) + np.maximum(start, end)
+    order = np.argsort(key, kind="stable")
+    same = key[order[1:]] == key[order[:-1]]
+    return np.stack([order[:-1][same], order[1:][same]]) // 3
+
+
+def _joined(m: int, pairs: np.ndarray) -> np.ndarray:
+    graph = coo_array((np.ones(pairs.shape[1], np.int8), (pairs[0], pairs[1])), shape=(m, m))
+    return connected_components(graph, directed=False)[1].astype(np.int32)
+
+
+def _corner_normals(mesh: Mesh, corner: np.ndarray, patches: np.ndarray, planes: np.ndarray) -> np.ndarray:
+    """(m, 3, 3): per vertex and patch, the mean of face normals weighed by area of the plane and corner angle."""
+    cross = np.cross(mesh.triangles[:, 1] - mesh.triangles[:, 0], mesh.triangles[:, 2] - mesh.triangles[:, 0])
+    area = np.bincount(planes, np.linalg.norm(cross, axis=1))[planes]
+    weighed = (area[:, None] * _corner_angles(mesh.triangles))[..., None] * mesh.normals[:, None]
+    key = corner.astype(np.int64) * (patches.max(initial=0) + 1) + patches[:, None]
+    place = np.unique(key, return_inverse=True)[1].reshape(-1)
+    sums = np.stack([np.bincount(place, weighed[..., i].ravel()) for i in range(3)], axis=1)
+    length = np.linalg.norm(sums, axis=1, keepdims=True)
+    unit = np.divide(sums, length, out=np.zeros_like(sums), where=length > 0)[place].reshape(-1, 3, 3)
+    return np.where((unit == 0).all(axis=2, keepdims=True), mesh.normals[:, None], unit)
+
+
+def _corner_angles(triangles: np.ndarray) -> np.ndarray:
+    """(m, 3) [rad]: the angle of each triangle at each of its corners."""
+    forward = np.roll(triangles, -1, axis=1) - triangles
+    backward = np.roll(triangles, 1, axis=1) - triangles
+    sine = np.linalg.norm(np.cross(forward, backward), axis=2)
+    return np.arctan2(sine, np.einsum("ijk,ijk->ij", forward, backward))

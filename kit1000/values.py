@@ -1,0 +1,200 @@
+"""The nouns of kit assembly as frozen values: parts, slots, kits, assemblies, scenes, views, queries, predictions.
+
+SI units (m, rad, kg, s); arrays are float64, read-only and checked when made; quaternions are wxyz; `a_from_b` maps
+coordinates in b to coordinates in a.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+
+from kit1000.camera import Camera
+from kit1000.errors import ShapeError, checked
+from kit1000.mesh import Mesh
+from kit1000.pose import Pose
+from kit1000.symmetry import Symmetry
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A rigid machine part. Its frame sits at the volume centroid, which every symmetry fixes; axes as drawn."""
+
+    id: str
+    family: str
+    mesh: Mesh
+    symmetry: Symmetry
+    dimensions: Mapping[str, float]
+    """The numbers it was drawn from, in the unit their family names; empty for a part read from a file."""
+    mass: float
+    """[kg]"""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "dimensions", MappingProxyType(dict(self.dimensions)))
+        _positive("mass", self.mass)
+
+
+@dataclass(frozen=True, eq=False)
+class FreeAxis:
+    """A line about which a seated part may turn by any angle."""
+
+    point: np.ndarray
+    """(3,) [m] in the kit frame."""
+    direction: np.ndarray
+    """(3,) unit vector in the kit frame."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "point", checked("point", self.point, (3,)))
+        direction = checked("direction", self.direction, (3,))
+        if abs(np.linalg.norm(direction) - 1) > 1e-9:
+            raise ShapeError(f"direction: expected a unit vector, got length {np.linalg.norm(direction):.6g}")
+        object.__setattr__(self, "direction", direction)
+
+
+@dataclass(frozen=True, eq=False)
+class Slot:
+    """Where a part goes in a kit."""
+
+    part_id: str
+    kit_from_part: Pose
+    """The design pose: seated, on the cavity's floor."""
+    clearance: float
+    """[m] horizontal, between the part's swept shadow and the walls."""
+    depth: float
+    """[m] from the rim to the cavity's floor."""
+    goals: Pose
+    """(n,) kit_from_part poses that are equally right; the design pose comes first."""
+    free_axis: FreeAxis | None = None
+    """Each goal may be turned about this line by any angle and stays a goal."""
+
+    def __post_init__(self) -> None:
+        _positive("clearance", self.clearance)
+        _positive("depth", self.depth)
+        if len(self.goals.batch_shape) != 1 or len(self.goals) < 1:
+            raise ShapeError(f"goals: expected a batch of shape (n,), n >= 1, got {self.goals.batch_shape}")
+
+
+@dataclass(frozen=True, eq=False)
+class Kit:
+    """A plate with one cavity. Frame: centre of the top face, +z out of the cavity."""
+
+    id: str
+    mesh: Mesh
+    slot: Slot
+    extent: np.ndarray
+    """(3,) [m]: width along x, width along y, thickness."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "extent", checked("extent", self.extent, (3,)))
+
+
+@dataclass(frozen=True, eq=False)
+class Mount:
+    """A kit on its bracket."""
+
+    kit: Kit
+    assembly_from_kit: Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """Kits joined by angle brackets on feet: one watertight, printable mesh, z up, standing on z = 0."""
+
+    id: str
+    mesh: Mesh
+    mounts: tuple[Mount, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Something that stands in a scene: a part or an assembly, by its id."""
+
+    id: str
+    world_from_body: Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Bodies with poses; nothing about what was seen."""
+
+    id: str
+    bodies: tuple[Body, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One depth image."""
+
+    camera: Camera
+    world_from_camera: Pose
+    depth: np.ndarray
+    """(H, W) float32 [m] along the optical axis; 0 = no return."""
+
+    def __post_init__(self) -> None:
+        size = (self.camera.height, self.camera.width)
+        object.__setattr__(self, "depth", checked("depth", self.depth, size, np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class Query:
+    """What a method is asked: which part, which region of the kit, and roughly how."""
+
+    id: str
+    scene_id: str
+    track: str
+    view: View
+    part_mask: np.ndarray
+    """(H, W) bool"""
+    kit_region: np.ndarray
+    """(H, W) bool"""
+    pivot: np.ndarray
+    """(3,) [m] world: middle of the extents of the part's masked depth points, rounded to 0.1 mm."""
+    guess: Pose | None = None
+    """goal_from_now of a person, turned about the pivot; None when nobody says."""
+
+    def __post_init__(self) -> None:
+        size = self.view.depth.shape
+        object.__setattr__(self, "part_mask", checked("part_mask", self.part_mask, size, bool))
+        object.__setattr__(self, "kit_region", checked("kit_region", self.kit_region, size, bool))
+        object.__setattr__(self, "pivot", checked("pivot", self.pivot, (3,)))
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The motion a method answers with: how the part it sees must move in the world."""
+
+    query_id: str
+    goal_from_now: Pose
+    confidence: float
+    seconds: float
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.confidence <= 1:
+            raise ShapeError(f"confidence of {self.query_id}: expected 0 to 1, got {self.confidence}")
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What a scorer knows about a query."""
+
+    query_id: str
+    part_id: str
+    family: str
+    rest_mode: str
+    """upright or tumbled"""
+    anchor: np.ndarray
+    """(3,) [m] world: the part's centroid now."""
+    world_from_part: Pose
+    world_from_kit: Pose
+    slot: Slot
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "anchor", checked("anchor", self.anchor, (3,)))
+
+
+def _positive(name: str, value: float) -> None:
+    if not (np.isfinite(value) and value > 0):
+        raise ShapeError(f"{name}: expected a finite number above 0, got {value}")

@@ -1,0 +1,138 @@
+"""Every part family keeps its promises, and the conformance check catches those that do not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from manifold3d import Manifold
+
+from kit1000.errors import Redraw
+from kit1000.mesh import mesh_of
+from kit1000.parts.cad import at, box, cylinder, join, sphere, tube
+from kit1000.parts.catalog import FAMILIES, WEIGHTS, choose_family
+from kit1000.parts.family import make_part
+from kit1000.symmetry import Symmetry
+from kit1000.testing import check_family, check_symmetry, distances
+from kit1000.values import Part
+
+SEEDS = range(3)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_family_conforms(name: str) -> None:
+    check_family(FAMILIES[name], SEEDS, name)
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_two_draws_differ(name: str) -> None:
+    one, other = (FAMILIES[name].draw(np.random.default_rng(seed)).solid() for seed in (10, 11))
+    assert abs(one.volume() - other.volume()) > 1.0
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_part_sits_at_its_centroid_on_the_float32_grid(name: str) -> None:
+    part = make_part("p0", name, FAMILIES[name].draw(np.random.default_rng(5)), 0.04)
+    assert np.abs(part.mesh.centroid).max() < 1e-7
+    assert part.mesh.extents.max() == pytest.approx(0.04, abs=1e-8)
+    assert np.array_equal(part.mesh.vertices, part.mesh.vertices.astype(np.float32))
+    assert part.mass == pytest.approx(1240 * part.mesh.volume)
+
+
+def test_weights_name_exactly_the_families() -> None:
+    assert list(WEIGHTS) == list(FAMILIES)
+    assert min(WEIGHTS.values()) > 0
+
+
+def test_choice_follows_the_weights() -> None:
+    drawn = [choose_family(7, "part", index) for index in range(1500)]
+    total = sum(WEIGHTS.values())
+    for name, weight in WEIGHTS.items():
+        share = weight / total
+        assert abs(drawn.count(name) / 1500 - share) < 5 * np.sqrt(share / 1500)
+
+
+def test_a_new_family_changes_only_the_parts_it_takes() -> None:
+    fewer = {name: weight for name, weight in WEIGHTS.items() if name != "bracket"}
+    before = [choose_family(3, index, weights=fewer) for index in range(300)]
+    after = [choose_family(3, index) for index in range(300)]
+    assert {new for old, new in zip(before, after, strict=True) if old != new} == {"bracket"}
+
+
+@dataclass(frozen=True)
+class Given:
+    """A family of one part: the solid and symmetry of a test."""
+
+    body: Manifold
+    turns: Symmetry
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> Given:
+        return cls(cylinder(10, 10), Symmetry.none())
+
+    def solid(self) -> Manifold:
+        return self.body
+
+    def symmetry(self) -> Symmetry:
+        return self.turns
+
+
+def _part(solid: Manifold, symmetry: Symmetry) -> Part:
+    return make_part("p", "given", Given(solid, symmetry))
+
+
+def test_symmetry_of_a_box_is_accepted() -> None:
+    check_symmetry(_part(box(10, 20, 30), Symmetry.dihedral(2)))
+
+
+def test_symmetry_of_a_tube_is_accepted() -> None:
+    check_symmetry(_part(tube(20, 10, 30), Symmetry.free_flipped()))
+
+
+def test_false_symmetry_is_caught() -> None:
+    with pytest.raises(AssertionError, match="90 degrees about .* is declared but moves"):
+        check_symmetry(_part(box(10, 10.2, 30), Symmetry.cyclic(4)))
+
+
+def test_small_feature_that_breaks_a_symmetry_is_caught() -> None:
+    pinned = join(box(20, 20, 10), at(cylinder(2, 2), 5, 0, 10))
+    with pytest.raises(AssertionError, match="is declared but"):
+        check_symmetry(_part(pinned, Symmetry.cyclic(2)))
+
+
+def test_missing_symmetry_is_caught() -> None:
+    with pytest.raises(AssertionError, match="not declared"):
+        check_symmetry(_part(box(10, 20, 30), Symmetry.none()))
+
+
+def test_mirror_image_needs_no_declaration() -> None:
+    gable = join(box(20, 10, 30), at(box(10, 4, 5), 5, 3, 0), at(box(10, 4, 5), 5, -3, 0), at(box(4, 6, 4), 10, 0, 20))
+    check_symmetry(_part(gable, Symmetry.none()))
+
+
+def test_free_axis_of_a_prism_is_caught() -> None:
+    with pytest.raises(AssertionError, match="is declared but"):
+        check_symmetry(_part(box(10, 10, 30), Symmetry.free()))
+
+
+@pytest.mark.parametrize(
+    ("drawn", "reason"),
+    [
+        (Manifold, "no solid"),
+        (lambda: join(box(5, 5, 5), at(box(5, 5, 5), 20)), "several bodies"),
+        (lambda: box(40, 40, 0.5), "too thin"),
+    ],
+)
+def test_drawing_that_is_no_part_is_redrawn(drawn: Callable[[], Manifold], reason: str) -> None:
+    with pytest.raises(Redraw) as caught:
+        _part(drawn(), Symmetry.none())
+    assert caught.value.reason == reason
+
+
+def test_distance_from_a_ball_is_that_from_its_centre() -> None:
+    ball = mesh_of(sphere(20)).scaled(1e-3)
+    points = np.random.default_rng(0).normal(size=(50, 3)) * 0.02
+    expected = np.abs(np.linalg.norm(points, axis=1) - 0.01)
+    assert np.abs(distances(points, ball) - expected).max() < 0.08e-3  # facets

@@ -1,0 +1,303 @@
+"""The renderer against closed forms and against a ray caster of a few lines of numpy."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import kit1000
+from kit1000.camera import Camera, look_at
+from kit1000.errors import InputError
+from kit1000.mesh import Mesh
+from kit1000.pose import Pose, random_quaternions
+from kit1000.sim.raster import NEAR
+from kit1000.sim.render import Frame, render
+
+IDENTITY = Pose.identity()
+SMALL = Camera(width=60, height=44, fx=70.0, fy=66.0, cx=28.3, cy=23.1)
+VGA = Camera(width=640, height=480, fx=600.0, fy=600.0, cx=320.0, cy=240.0)
+EDGE = 2e-3  # [px] coverage is exact in pixels / 4096; nearer to an edge than this either answer is right
+
+
+def mesh(shape: trimesh.Trimesh) -> Mesh:
+    return Mesh(np.array(shape.vertices), np.array(shape.faces, dtype=np.int32))
+
+
+def box(*extents: float) -> Mesh:
+    return mesh(trimesh.creation.box(extents=extents))
+
+
+def sphere(radius: float, subdivisions: int = 2) -> Mesh:
+    return mesh(trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius))
+
+
+def rectangle(z: float, half: float = 10.0, cells: int = 1) -> Mesh:
+    """A square sheet facing the camera, cells x cells x 2 triangles."""
+    line = np.linspace(-half, half, cells + 1)
+    x, y = np.meshgrid(line, line)
+    vertices = np.stack([x.ravel(), y.ravel(), np.full(x.size, z)], axis=1)
+    corner = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
+    a, b, c, d = (corner[i : cells + i, j : cells + j].ravel() for i in (0, 1) for j in (0, 1))
+    return Mesh(vertices, np.concatenate([np.stack([a, b, d], 1), np.stack([a, d, c], 1)]).astype(np.int32))
+
+
+def rays(camera: Camera) -> np.ndarray:
+    """(H, W, 3) points at depth 1 m behind each pixel centre."""
+    v, u = np.mgrid[: camera.height, : camera.width]
+    return np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
+
+
+def cast(camera: Camera, view: Pose, bodies: list[tuple[Mesh, Pose]]) -> tuple[np.ndarray, ...]:
+    """Brute force: depth, ids, faces, and whether any edge passes within EDGE of the pixel centre."""
+    direction = rays(camera).reshape(-1, 3)
+    depth, near_edge = np.full(len(direction), np.inf), np.zeros(len(direction), bool)
+    ids, faces = np.zeros(len(direction), int), np.full(len(direction), -1)
+    for number, (shape, pose) in enumerate(bodies):
+        corners = (view.inverse() @ pose).apply(shape.triangles)
+        for face, (a, b, c) in enumerate(corners):
+            normals = np.stack([np.cross(a, b), np.cross(b, c), np.cross(c, a)])  # of the planes eye - edge
+            edges = direction @ normals.T
+            slopes = np.hypot(normals[:, 0] / camera.fx, normals[:, 1] / camera.fy)
+            distance = edges / np.maximum(slopes, 1e-300)  # [px] from the edges, signed
+            with np.errstate(divide="ignore", invalid="ignore"):
+                z = np.dot(np.cross(b - a, c - a), a) / (direction @ np.cross(b - a, c - a))
+            inside = (distance > 0).all(1) | (distance < 0).all(1)
+            loosely = (distance > -EDGE).all(1) | (distance < EDGE).all(1)
+            near_edge |= loosely & (np.abs(distance) < EDGE).any(1)
+            hit = inside & (z >= NEAR) & (z < depth)
+            depth[hit], ids[hit], faces[hit] = z[hit], number + 1, face
+    depth[np.isinf(depth)] = 0
+    shape = (camera.height, camera.width)
+    return depth.reshape(shape), ids.reshape(shape), faces.reshape(shape), near_edge.reshape(shape)
+
+
+def assert_same(a: Frame, b: Frame) -> None:
+    for name in ("depth", "ids", "faces"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+
+
+def scene(rng: np.random.Generator, distance: float) -> list[tuple[Mesh, Pose]]:
+    """A box, a ball, a cylinder and a ring about the origin, turned and shifted at will; units of metres."""
+    shapes = [
+        box(0.5, 0.3, 0.4),
+        sphere(0.25, 1),
+        mesh(trimesh.creation.cylinder(radius=0.2, height=0.5, sections=9)),
+        mesh(trimesh.creation.annulus(r_min=0.1, r_max=0.3, height=0.2, sections=7)),
+    ]
+    places = rng.uniform(-0.4, 0.4, (len(shapes), 3)) + np.array((0, 0, distance))
+    return list(zip(shapes, Pose(random_quaternions(rng, len(shapes)), places), strict=True))
+
+
+def test_empty_scene_shows_nothing():
+    frame = render(SMALL, IDENTITY, [])
+    assert frame.depth.dtype == np.float32
+    assert frame.ids.dtype == np.int16
+    assert not frame.depth.any()
+    assert not frame.ids.any()
+    assert (frame.faces == -1).all()
+
+
+def test_results_are_read_only():
+    frame = render(SMALL, IDENTITY, [(rectangle(1.0), IDENTITY)])
+    with pytest.raises(ValueError, match="read-only"):
+        frame.depth[0, 0] = 1
+
+
+def test_sheet_facing_the_camera_has_one_depth_everywhere():
+    frame = render(VGA, IDENTITY, [(rectangle(0.75, cells=7), IDENTITY)])
+    np.testing.assert_allclose(frame.depth, 0.75, rtol=1e-7)
+    assert (frame.ids == 1).all()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_tilted_plane_matches_its_equation(seed: int):
+    rng = np.random.default_rng(seed)
+    tilt = Pose.from_rotvec(rng.uniform(-0.7, 0.7, 3), (0, 0, rng.uniform(0.3, 3)))
+    frame = render(SMALL, IDENTITY, [(rectangle(0.0, half=50.0, cells=3), tilt)])
+    normal = tilt.rotate(np.array([0.0, 0.0, 1.0]))
+    expected = normal @ tilt.xyz / (rays(SMALL) @ normal)
+    seen = (expected > 0) & (expected < 8)
+    np.testing.assert_allclose(frame.depth[seen], expected[seen], rtol=2e-7)
+
+
+def test_pixel_centres_are_whole_numbers():
+    # A sheet whose left edge projects to column 10 exactly, its top edge to row 5: both belong to it.
+    camera = Camera(width=32, height=24, fx=16.0, fy=16.0, cx=10.0, cy=5.0)
+    corners = np.array([[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], float)
+    sheet = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32))
+    ids = render(camera, IDENTITY, [(sheet, IDENTITY)]).ids
+    rows, columns = np.nonzero(ids)
+    assert (rows.min(), rows.max(), columns.min(), columns.max()) == (5, 20, 10, 25)
+    assert ids.sum() == 16 * 16
+
+
+def test_box_front_face_is_at_its_depth():
+    frame = render(VGA, IDENTITY, [(box(0.2, 0.1, 0.3), Pose.from_translation((0, 0, 1.0)))])
+    half_width, half_height = 0.1 / 0.85 * 600, 0.05 / 0.85 * 600
+    v, u = np.mgrid[:480, :640]
+    inside = (abs(u - 320) < half_width - 0.01) & (abs(v - 240) < half_height - 0.01)
+    outside = (abs(u - 320) > half_width + 0.01) | (abs(v - 240) > half_height + 0.01)
+    np.testing.assert_allclose(frame.depth[inside], 0.85, atol=1e-5)
+    assert not frame.ids[outside].any()
+
+
+def test_fine_ball_matches_the_sphere_and_its_outline():
+    radius, distance = 0.1, 0.5
+    frame = render(VGA, IDENTITY, [(sphere(radius, 6), Pose.from_translation((0, 0, distance)))])
+    ray = rays(VGA)
+    along, square = ray[..., 2] * distance, (ray**2).sum(-1)
+    root = along**2 - square * (distance**2 - radius**2)
+    well_inside = root > 0.02 * radius**2
+    expected = (along - np.sqrt(np.where(well_inside, root, 0))) / square
+    assert (frame.ids[root > 1e-3 * radius**2] == 1).all()
+    assert not frame.ids[root < 0].any()
+    # An icosphere of level 6 lies within 0.02 mm of its sphere; on the flank depth departs by more.
+    np.testing.assert_allclose(frame.depth[well_inside], expected[well_inside], atol=2e-4)
+    np.testing.assert_allclose(frame.depth[240, 320], distance - radius, atol=1e-5)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 1.0, 3.0]))
+def test_agrees_with_brute_force_rays(seed: int, distance: float):
+    """Also with the camera amid the bodies, where faces cross the near plane and lie behind it."""
+    bodies = scene(np.random.default_rng(seed), distance)
+    frame = render(SMALL, IDENTITY, bodies)
+    depth, ids, faces, near_edge = cast(SMALL, IDENTITY, bodies)
+    clear = ~near_edge
+    assert clear.mean() > 0.9
+    np.testing.assert_array_equal(frame.ids[clear], ids[clear])
+    np.testing.assert_allclose(frame.depth[clear], depth[clear], rtol=1e-6)
+    np.testing.assert_array_equal(frame.faces[clear], faces[clear])
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_no_crack_opens_in_a_closed_surface(seed: int):
+    """From inside a ball every pixel sees it, whatever the grid of edges and however the camera looks."""
+    rng = np.random.default_rng(seed)
+    ball = sphere(1.0, int(rng.integers(0, 5)))
+    view = Pose(random_quaternions(rng, 1)[0], rng.uniform(-0.5, 0.5, 3))
+    assert render(VGA, view, [(ball, IDENTITY)]).ids.all()
+
+
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, 0, -1)])
+def test_no_crack_opens_where_a_corner_meets_a_pixel_centre(axis: tuple[int, int, int]):
+    """The poles of a ball seen from its middle: all edges of a fan meet in the principal point."""
+    ball = mesh(trimesh.creation.uv_sphere(radius=1.0, count=[32, 32]))
+    view = look_at((0, 0, 0), axis, up=(0.3, 0.5, 0.7))
+    assert render(VGA, view, [(ball, IDENTITY)]).ids.all()
+
+
+def test_each_pixel_on_shared_edges_is_seen_once():
+    """Two sheets that meet in a diagonal of pixel centres fill the image, whichever is drawn first."""
+    camera = Camera(width=16, height=16, fx=8.0, fy=8.0, cx=7.0, cy=7.0)
+    corners = np.array([[-2, -2, 1], [2, -2, 1], [2, 2, 1], [-2, 2, 1]], float)
+    upper = Mesh(corners, np.array([[0, 1, 2]], np.int32))
+    lower = Mesh(corners, np.array([[0, 2, 3]], np.int32))
+    one = render(camera, IDENTITY, [(upper, IDENTITY), (lower, IDENTITY)]).ids
+    other = render(camera, IDENTITY, [(lower, IDENTITY), (upper, IDENTITY)]).ids
+    assert one.all()
+    np.testing.assert_array_equal(one, 3 - other)
+
+
+def test_a_floor_through_the_camera_is_cut_not_dropped():
+    floor = rectangle(0.0, half=40.0)
+    view = look_at((0, 0, 0.3), (1, 0, 0.3))  # level, so that the horizon is the middle row
+    frame = render(VGA, view, [(floor, IDENTITY)])
+    assert not frame.ids[:241].any()
+    assert frame.ids[246:].all()
+    np.testing.assert_allclose(frame.depth[300:, 320], 0.3 * 600 / (np.arange(300, 480) - 240), rtol=1e-6)
+
+
+def test_surfaces_nearer_than_the_near_plane_are_not_seen():
+    frame = render(SMALL, IDENTITY, [(rectangle(0.9 * NEAR), IDENTITY), (rectangle(1.1 * NEAR), IDENTITY)])
+    assert (frame.ids == 2).all()
+
+
+def test_the_nearer_body_hides_the_farther():
+    near, far = Pose.from_translation((0, 0, 0.8)), Pose.from_translation((0, 0, 1.5))
+    frame = render(VGA, IDENTITY, [(box(0.5, 0.5, 0.1), far), (box(0.2, 0.2, 0.1), near)])
+    assert frame.ids[240, 320] == 2
+    assert frame.ids[240, 320 + 90] == 1
+
+
+def test_coincident_surfaces_show_the_body_named_first():
+    sheet = rectangle(1.0)
+    assert (render(SMALL, IDENTITY, [(sheet, IDENTITY), (sheet, IDENTITY)]).ids == 1).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_order_of_bodies_does_not_matter(seed: int):
+    rng = np.random.default_rng(seed)
+    bodies = scene(rng, 1.5)
+    order = rng.permutation(len(bodies))
+    frame, shuffled = render(SMALL, IDENTITY, bodies), render(SMALL, IDENTITY, [bodies[i] for i in order])
+    np.testing.assert_array_equal(frame.depth, shuffled.depth)
+    np.testing.assert_array_equal(frame.faces, shuffled.faces)
+    np.testing.assert_array_equal(frame.ids, np.concatenate([[0], order + 1])[shuffled.ids])
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_moving_the_whole_world_changes_nothing(seed: int):
+    rng = np.random.default_rng(seed)
+    bodies, move = scene(rng, 1.5), Pose(random_quaternions(rng, 1)[0], rng.uniform(-2, 2, 3))
+    still = render(SMALL, IDENTITY, bodies)
+    moved = render(SMALL, move, [(shape, move @ pose) for shape, pose in bodies])
+    same = still.faces == moved.faces  # rounding may hand an edge pixel to the neighbour
+    assert same.mean() > 0.998
+    np.testing.assert_allclose(still.depth[same], moved.depth[same], rtol=1e-6)
+
+
+@pytest.mark.parametrize("threads", [2, 3, 7])
+def test_number_of_threads_changes_no_bit(threads: int):
+    ball = sphere(0.3, 6)  # 81920 faces: several chunks
+    bodies = [*scene(np.random.default_rng(5), 0.5), (ball, Pose.from_translation((0, 0, 1)))]
+    assert_same(render(VGA, IDENTITY, bodies, threads=1), render(VGA, IDENTITY, bodies, threads=threads))
+
+
+def test_faces_without_area_and_faces_edge_on_are_harmless():
+    vertices = np.array([[0, 0, 1], [1, 0, 1], [0.5, 0, 1], [0, 0, 2], [0, 0, 3], [0, 1, 1]], float)
+    thin = Mesh(vertices, np.array([[0, 1, 2], [0, 3, 4], [0, 0, 1], [0, 3, 5]], np.int32))
+    frame = render(SMALL, IDENTITY, [(thin, IDENTITY), (rectangle(5.0), IDENTITY)])
+    assert np.isfinite(frame.depth).all()
+    assert (frame.depth >= 1).all()
+
+
+def test_more_bodies_than_ids_are_refused():
+    with pytest.raises(InputError, match="at most 32767"):
+        render(SMALL, IDENTITY, [(rectangle(1.0), IDENTITY)] * 32768)
+
+
+def test_works_where_no_folder_can_be_written(tmp_path: Path):
+    """A package folder and a home that refuse writing: compiled in memory, the picture is the same."""
+    package = Path(kit1000.__path__[0])
+    copy = tmp_path / "site" / "kit1000"
+    shutil.copytree(package, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    (copy / "sim" / "__pycache__").write_text("a file where numba wants a folder")
+    blocked = tmp_path / "blocked"
+    blocked.write_text("a file where numba wants a home")
+    environment = {**os.environ, "PYTHONPATH": str(copy.parent), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    environment |= {"HOME": str(blocked), "XDG_CACHE_HOME": str(blocked / "cache")}
+    program = "import kit1000.sim.raster as r; print(r._floor_divide(-7, 2), r.__file__)"
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.split() == ["-4", str(copy / "sim" / "raster.py")]

@@ -1,0 +1,296 @@
+"""Laws of healing: what the order of a file cannot change, what is mended and said, what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from manifold3d import Manifold
+
+from kit1000.errors import MeshRefused
+from kit1000.mesh import Mesh, defect32, mesh_of, solid_of
+from kit1000.parts.bodies import MAX_PLAIN_FACES, SIMPLIFY_TOLERANCE, part_mesh
+from kit1000.parts.crossings import crossings, farthest, winding_numbers
+from kit1000.parts.repair import closed_solid
+
+BOX = Manifold.cube((0.04, 0.02, 0.01), True)
+SHAPES = {
+    "box": BOX,
+    "tube": Manifold.cylinder(0.03, 0.01, 0.01, 24) - Manifold.cylinder(0.09, 0.006, 0.006, 24, True),
+    "ball": Manifold.sphere(0.02, 20),
+    "bracket": Manifold.cube((0.04, 0.02, 0.004)) + Manifold.cube((0.004, 0.02, 0.03)),
+}
+
+
+def healed(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, list[str]]:
+    notes: list[str] = []
+    mesh = part_mesh(
+        closed_solid(np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64), notes), notes
+    )
+    assert defect32(mesh) is None
+    assert solid_of(mesh).volume() == pytest.approx(mesh.volume, rel=1e-9)
+    return mesh, notes
+
+
+def soup_of(*solids: Manifold) -> tuple[np.ndarray, np.ndarray]:
+    """Triangle corners (3m, 3) of several solids as an STL holds them, and faces (m, 3)."""
+    corners = np.concatenate([mesh_of(solid).triangles.reshape(-1, 3) for solid in solids])
+    return corners, np.arange(len(corners)).reshape(-1, 3)
+
+
+def notes_of(*solids: Manifold) -> list[str]:
+    return healed(*soup_of(*solids))[1]
+
+
+def tube_along(
+    centre: Callable[[np.ndarray], np.ndarray], radius: float, span: tuple[float, float], n: int
+) -> Mesh:
+    """A tube round a closed curve over a part of its parameter; capped unless the span is a full turn."""
+    full = np.isclose(span[1] - span[0], 2 * np.pi)
+    t = np.linspace(*span, n, endpoint=not full)
+    tangent = centre(t + 1e-6) - centre(t - 1e-6)
+    normal = np.cross(tangent, [0.0, 0.0, 1.0])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    third = np.cross(tangent / np.linalg.norm(tangent, axis=1, keepdims=True), normal)
+    k = 12
+    angle = 2 * np.pi * np.arange(k) / k
+    around = np.cos(angle)[:, None] * normal[:, None] + np.sin(angle)[:, None] * third[:, None]
+    vertices = (centre(t)[:, None] + radius * around).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(n if full else n - 1), np.arange(k), indexing="ij")
+    a, b = i * k + j, i * k + (j + 1) % k
+    c, d = (i + 1) % n * k + (j + 1) % k, (i + 1) % n * k + j
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    if not full:
+        fan = np.stack([np.zeros(k - 2, dtype=int), np.arange(2, k), np.arange(1, k - 1)], axis=1)
+        faces = np.concatenate([faces, fan, (n - 1) * k + fan[:, ::-1]])
+    mesh = Mesh(vertices, faces)
+    return mesh if mesh.volume > 0 else Mesh(mesh.vertices, mesh.faces[:, ::-1])
+
+
+def eight(t: np.ndarray) -> np.ndarray:
+    """A curve that crosses itself at right angles in the middle, 60 mm long."""
+    return 1e-3 * np.stack([30 * np.cos(t), 20 * np.sin(2 * t), np.zeros_like(t)], axis=1)
+
+
+@given(st.sampled_from(sorted(SHAPES)), st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_no_order_of_the_file_reaches_the_result(name: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    indexed = mesh_of(SHAPES[name])
+    corners, _ = soup_of(SHAPES[name])
+    wanted, _ = healed(indexed.vertices, indexed.faces)
+    order = rng.permutation(len(indexed.faces))
+    turned = np.stack(
+        [np.roll(face, rng.integers(3)) for face in np.arange(len(corners)).reshape(-1, 3)[order]]
+    )
+    shuffle = rng.permutation(len(corners))
+    found, notes = healed(corners[shuffle], np.argsort(shuffle)[turned])
+    assert np.array_equal(found.vertices, wanted.vertices)
+    assert found.volume == pytest.approx(wanted.volume, rel=1e-12)
+    assert notes == []
+
+
+@given(st.sampled_from(sorted(SHAPES)), st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_faces_of_any_winding_come_out_outward(name: str, seed: int) -> None:
+    mesh = mesh_of(SHAPES[name])
+    flip = np.random.default_rng(seed).random(len(mesh.faces)) < 0.5
+    found, _ = healed(mesh.vertices, np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces))
+    assert found.volume == pytest.approx(SHAPES[name].volume(), rel=1e-5)
+
+
+@given(st.sampled_from(sorted(SHAPES)), st.integers(0, 2**32 - 1))
+@settings(max_examples=40, deadline=None)
+def test_seams_of_rounding_noise_are_welded(name: str, seed: int) -> None:
+    corners, faces = soup_of(SHAPES[name])
+    noise = 1e-9 * np.random.default_rng(seed).uniform(-1, 1, corners.shape)
+    found, notes = healed(corners + noise, faces)
+    assert found.volume == pytest.approx(SHAPES[name].volume(), rel=1e-5)
+    assert any(note.startswith("welded") for note in notes)
+
+
+def test_an_inside_out_solid_is_turned_and_said() -> None:
+    mesh = mesh_of(BOX)
+    found, notes = healed(mesh.vertices, mesh.faces[:, ::-1])
+    assert found.volume == pytest.approx(8e-6)
+    assert notes == ["flipped inside out"]
+
+
+def test_vertices_in_the_middle_of_longer_edges_are_stitched() -> None:
+    corners, faces = soup_of(BOX)
+    top = np.flatnonzero(
+        (corners[faces][..., 2] > 0).all(1)
+    )  # the two faces above, replaced by a fan of eight
+    rim = 1e-3 * np.array([[20, 10, 5], [0, 10, 5], [-20, 10, 5], [-20, 0, 5], [-20, -10, 5], [0, -10, 5]])
+    rim = np.concatenate([rim, 1e-3 * np.array([[20, -10, 5], [20, 0, 5]])])
+    fan = np.stack([np.tile([0, 0, 0.005], (8, 1)), rim, np.roll(rim, -1, axis=0)], axis=1)
+    all_corners = np.concatenate([np.delete(corners[faces], top, axis=0), fan]).reshape(-1, 3)
+    found, notes = healed(all_corners, np.arange(len(all_corners)).reshape(-1, 3))
+    assert found.volume == pytest.approx(8e-6)
+    assert notes == ["stitched 4 T-junctions"]
+
+
+def test_a_small_hole_is_filled_and_a_lid_is_not_invented() -> None:
+    corners, faces = soup_of(SHAPES["ball"])
+    _, notes = healed(corners, faces[1:])
+    assert notes == ["filled a small hole"]
+    upper = corners[faces][..., 2].min(1) > 0.005
+    with pytest.raises(MeshRefused, match=r"^not closed: \d+ open edges"):
+        healed(corners, faces[~upper])
+
+
+def test_loose_triangles_are_refused_before_any_search() -> None:
+    corners = np.random.default_rng(0).uniform(0, 0.05, (120_000, 3))
+    with pytest.raises(MeshRefused, match=r"^not closed: 120000 open edges$"):
+        healed(corners, np.arange(120_000).reshape(-1, 3))
+
+
+def test_holes_that_touch_at_a_vertex_are_filled() -> None:
+    corners, faces = soup_of(SHAPES["ball"])
+    apex = corners[faces[0, 0]]
+    around = np.flatnonzero((corners[faces] == apex).all(-1).any(-1))
+    missing = around[[0, int(len(around) // 2)]]
+    found, _ = healed(corners, np.delete(faces, missing, axis=0))
+    assert found.volume == pytest.approx(SHAPES["ball"].volume(), rel=1e-3)
+
+
+@pytest.mark.parametrize("both_sides", [False, True])
+def test_a_sheet_has_no_thickness_however_it_is_tilted(both_sides: bool) -> None:
+    sheet = 1e-3 * np.array([[0, 0, 0], [30, 0, 3], [30, 20, 3], [0, 20, 0]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    with pytest.raises(MeshRefused, match=r"^zero thickness$"):
+        healed(sheet, np.concatenate([faces, faces[:, ::-1]]) if both_sides else faces)
+
+
+def test_a_foil_is_refused_for_its_thickness() -> None:
+    with pytest.raises(MeshRefused, match=r"^zero thickness$"):
+        healed(*soup_of(Manifold.cube((0.04, 0.02, 4e-6))))
+
+
+def test_a_klein_bottle_is_one_sided() -> None:
+    n = 8
+    i, j = np.meshgrid(np.arange(n), np.arange(n), indexing="ij")
+
+    def vertex(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return u % n * n + np.where(u >= n, -v, v) % n
+
+    a, b, c, d = vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1), vertex(i, j + 1)
+    faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
+    vertices = np.random.default_rng(0).uniform(0, 0.05, (n * n, 3))
+    with pytest.raises(MeshRefused, match="one-sided"):
+        healed(vertices, faces)
+
+
+@given(st.floats(-0.04, 0.04), st.floats(-0.02, 0.02), st.floats(-0.01, 0.01))
+@settings(max_examples=40, deadline=None)
+def test_bodies_are_united_when_they_overlap(x: float, y: float, z: float) -> None:
+    shift = np.round([x, y, z], 3)
+    overlap = float(np.prod(np.maximum([0.04, 0.02, 0.01] - np.abs(shift), 0)))
+    if overlap < 1e-9:  # touching or apart
+        return
+    found, _ = healed(*soup_of(BOX, BOX.translate(shift.tolist())))
+    assert found.volume == pytest.approx(2 * 8e-6 - overlap, rel=1e-5)
+
+
+def test_bodies_that_touch_face_to_face_become_one() -> None:
+    for shift in ((0.04, 0.0, 0.0), (0.04, 0.005, 0.003)):  # the first shares its faces, the second not
+        found, notes = healed(*soup_of(BOX, BOX.translate(shift)))
+        assert found.volume == pytest.approx(16e-6, rel=1e-5)
+        assert notes
+
+
+def test_a_crumb_is_dropped_and_two_parts_are_refused() -> None:
+    crumb = BOX.scale((0.3, 0.3, 0.3)).translate((0.06, 0, 0))
+    found, notes = healed(*soup_of(BOX, crumb))
+    assert found.volume == pytest.approx(8e-6, rel=1e-5)
+    assert notes == ["kept the largest of 2 bodies (97.4% of the volume)"]
+    with pytest.raises(MeshRefused, match=r"^2 separate bodies \(50%, 50% of the volume\)$"):
+        healed(*soup_of(BOX, BOX.translate((0.06, 0, 0))))
+
+
+def test_a_void_stays_and_a_stray_inverted_body_is_turned() -> None:
+    inner = BOX.scale((0.5, 0.5, 0.5))
+    hollow, notes = healed(*soup_of(BOX - inner))
+    assert hollow.volume == pytest.approx(7e-6, rel=1e-5)
+    assert notes == []
+    corners, faces = soup_of(BOX, BOX.scale((0.4, 0.4, 0.4)).translate((0.06, 0, 0)))
+    beside, notes = healed(corners, np.concatenate([faces[:12], faces[12:, ::-1]]))
+    assert beside.volume == pytest.approx(8e-6, rel=1e-5)
+    assert notes[0] == "flipped 1 of 2 bodies inside out"
+
+
+def test_solids_that_touch_along_an_edge_stay_closed_after_rounding() -> None:
+    stairs = (
+        BOX
+        + BOX.translate((0.04, 0.02, 0))
+        + Manifold.cube((0.08, 0.04, 0.01)).translate((-0.02, -0.01, 0.005))
+    )
+    found, notes = healed(*soup_of(stairs))
+    assert found.volume == pytest.approx(stairs.volume(), rel=1e-3)
+    assert notes == ["drew apart surfaces that touch along edges, by 2 um"]
+
+
+def test_a_loop_that_crosses_itself_is_united_exactly() -> None:
+    """Against the union of its two halves, each of which is simple."""
+    whole = tube_along(eight, 0.004, (0, 2 * np.pi), 96)
+    halves = [tube_along(eight, 0.004, (start, start + np.pi), 49) for start in (0.0, np.pi)]
+    expected = (solid_of(halves[0]) + solid_of(halves[1])).volume()
+    assert whole.volume > 1.02 * expected  # the middle counts twice until it is mended
+    found, notes = healed(whole.vertices, whole.faces)
+    assert found.volume == pytest.approx(expected, rel=1e-5)
+    assert any("self-intersection" in note for note in notes)
+
+
+def test_a_spike_through_the_far_side_is_refused() -> None:
+    mesh = mesh_of(BOX.refine(8))
+    vertices = np.array(mesh.vertices)
+    vertices[np.argmin(np.linalg.norm(vertices - [0, 0, 0.005], axis=1))] = [3e-4, 2e-4, -0.012]
+    with pytest.raises(MeshRefused, match=r"^passes through itself at \d+ places"):
+        healed(vertices, mesh.faces)
+
+
+def test_many_faces_are_thinned_within_the_stated_distance() -> None:
+    dense = SHAPES["tube"].refine(16)
+    found, notes = healed(*soup_of(dense))
+    assert dense.num_tri() > MAX_PLAIN_FACES >= len(found.faces)
+    assert notes[0].startswith(f"simplified {dense.num_tri():,} -> ")
+    assert farthest(found.vertices, mesh_of(dense).triangles, 1e-4) <= SIMPLIFY_TOLERANCE
+    assert farthest(mesh_of(dense).vertices, found.triangles, 1e-4) <= SIMPLIFY_TOLERANCE * (1 + 1e-3)
+    assert found.volume == pytest.approx(dense.volume(), rel=1e-2)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_surfaces_cross_just_when_solids_overlap_without_one_in_the_other(seed: int) -> None:
+    """Two random tetrahedra, judged by exact booleans."""
+    rng = np.random.default_rng(seed)
+    first, second = (
+        Manifold.hull_points(rng.uniform(-1, 1, (4, 3)) + shift) for shift in rng.uniform(0, 0.6, (2, 3))
+    )
+    shared = (first ^ second).volume()
+    cross = 1e-6 < shared < min(first.volume(), second.volume()) - 1e-6
+    triangles = np.concatenate([mesh_of(first).triangles, mesh_of(second).triangles])
+    if cross or shared == 0 or shared > min(first.volume(), second.volume()) - 1e-12:
+        assert (len(crossings(triangles, 1e-9)) > 0) == cross
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_distance_to_a_box_matches_its_closed_form(seed: int) -> None:
+    points = np.random.default_rng(seed).uniform(-3, 3, (20, 3))
+    outside = np.abs(points) - [1.0, 0.5, 0.25]
+    expected = np.where((outside > 0).any(1), np.linalg.norm(np.maximum(outside, 0), axis=1), -outside.max(1))
+    triangles = mesh_of(Manifold.cube((2, 1, 0.5), True)).triangles
+    for point, distance in zip(points, expected, strict=True):
+        assert farthest(point[None], triangles, 10.0) == pytest.approx(distance, abs=1e-12)
+    assert farthest(points, triangles, 1e-3) == pytest.approx(min(expected.max(), 1e-3))
+
+
+def test_winding_numbers_count_the_surfaces_round_a_point() -> None:
+    outer, inner = mesh_of(BOX).triangles, mesh_of(BOX.scale((0.5, 0.5, 0.5))).triangles
+    points = np.array([[0, 0, 0], [0.015, 0.001, 0.001], [0.1, 0, 0]])
+    assert winding_numbers(points, np.concatenate([outer, inner])) == pytest.approx([2, 1, 0])
+    assert winding_numbers(points, np.concatenate([outer, inner[:, ::-1]])) == pytest.approx([0, 1, 0])
