@@ -39,17 +39,9 @@ LAYERS = (
 ORDER = {name: place for place, name in enumerate(chain(*LAYERS))}
 
 FENCES = {
-    "manifold3d": ("kit1000.mesh", "kit1000.parts", "kit1000.kits", "kit1000.metrics"),
+    "manifold3d": ("kit1000.mesh", "kit1000.parts", "kit1000.kits", "kit1000.metrics", "kit1000.testing"),
     "pybullet": ("kit1000.sim", "kit1000.planner"),
-    "numba": (
-        "kit1000.voxels",
-        "kit1000.sim.raster",
-        "kit1000.sim.render",
-        "kit1000.kits.contact",
-        "kit1000.kits.seating",
-        "kit1000.metrics",
-        "baselines.registration",
-    ),
+    "numba": ("kit1000.voxels", "kit1000.sim", "kit1000.kits", "kit1000.metrics", "baselines.registration"),
     "open3d": ("baselines.icp",),
     "mcap": ("kit1000.data.mcap_io",),
     "foxglove_schemas_protobuf": ("kit1000.data.mcap_io",),
@@ -68,6 +60,7 @@ NAMED_AFTER_NOTHING = {"utils", "util", "common", "helpers", "helper", "core", "
 LONGEST_FILE = 400
 LONGEST_FUNCTION = 80  # without its docstring
 
+PYTHON_BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
 
 
@@ -322,6 +315,14 @@ def test_every_script_that_the_makefile_runs_is_there() -> None:
 def test_every_make_target_is_explained() -> None:
     phony = set(next(iter(make_names(r"^\.PHONY: (.*)$"))).split())
     assert phony == make_names(r"^([a-z-]+):.*## ")
+
+
+def test_shown_python_runs(capsys: pytest.CaptureFixture[str]) -> None:
+    shown = [block for document in DOCUMENTS for block in PYTHON_BLOCK.findall(document.read_text("utf-8"))]
+    assert shown, "the documents show no Python"
+    for block in shown:
+        exec(block, {})
+    assert capsys.readouterr().out
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))

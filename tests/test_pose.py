@@ -359,6 +359,6 @@ def test_stacking_undoes_iterating() -> None:
 
 def test_composing_with_anything_but_a_pose_is_refused() -> None:
     with pytest.raises(TypeError, match=r"not with ndarray; points go to apply\(\)"):
-        Pose.identity() @ np.eye(4)  # pyright: ignore[reportOperatorIssue]
+        _ = Pose.identity() @ np.eye(4)  # pyright: ignore[reportOperatorIssue]
     with pytest.raises(TypeError):
-        np.eye(4) @ Pose.identity((4,))  # pyright: ignore[reportOperatorIssue]
+        _ = np.eye(4) @ Pose.identity((4,))  # pyright: ignore[reportOperatorIssue]

@@ -144,6 +144,7 @@ def test_what_is_no_group_is_refused(rotations: np.ndarray) -> None:
     "rotations",
     [
         quaternion_from_rotvec([[0, 0, 0], [0, np.pi / 2, 0]]),  # takes the free axis elsewhere
+        quaternion_from_rotvec([[0, 0, 0], [0.6 * np.pi, 0, 0.8 * np.pi]]),  # so does this, and back again
         quaternion_from_rotvec([[0, 0, 0], [0, 0, np.pi]]),  # already among the free turns
         quaternion_from_rotvec([[0, 0, 0], [np.pi, 0, 0], [0, np.pi, 0]]),  # the same flip twice
     ],

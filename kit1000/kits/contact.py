@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
 
 STEEP = 1e-9  # faces whose unit normal has a smaller z are walls: their edges speak for them
@@ -105,7 +105,7 @@ def contact_height(moving: Feelers, standing: Feelers) -> float:
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _highest_under(points, faces, sign):
     """max of sign * (face height - point height) over points that lie in the shadow of a face."""
     best = -np.inf
@@ -131,7 +131,7 @@ def _highest_under(points, faces, sign):
     return best
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _highest_crossing(moving, standing):
     """max of (standing - moving) over the crossings of two sets of projected edges."""
     best = -np.inf

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
 
 RELIEF_CELL = 0.6e-3  # [m] fine enough to see a 3 mm feature five times, coarse enough for 2 ms
@@ -43,7 +43,7 @@ def polar_relief(lying: Mesh, depth: float) -> tuple[np.ndarray, np.ndarray]:
     return relief, radii * (RELIEF_CELL**2 * 2 * np.pi * reach / RELIEF_RINGS)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _lowest(triangles, x0, y0, cell, nx, ny):
     heights = np.full((nx, ny), np.inf)
     for t in range(triangles.shape[0]):

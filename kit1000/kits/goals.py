@@ -188,7 +188,9 @@ def _aligned(design: Design, lying: Pose, turn: float) -> Pose:
         spun = flat.translate(-centre).rotate(np.degrees(extra)).translate(centre)
         return (spun ^ rim).area()
 
-    best = minimize_scalar(lambda extra: -overlap(extra), bounds=(-FINE, FINE), method="bounded", options={"xatol": 1e-7})
+    best = minimize_scalar(
+        lambda extra: -overlap(extra), bounds=(-FINE, FINE), method="bounded", options={"xatol": 1e-7}
+    )
     return placed(turn + best.x)
 
 

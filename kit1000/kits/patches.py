@@ -7,7 +7,8 @@ sweep is then the hull of its corners here and at the rim, so the cavity of a wh
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from kit1000.compiled import compiled
 
 FLAT = 3e-6  # [m] a corner may lie this far below a plane: the hull then errs by as much, to the open side
 SNUG = 3e-4  # the hull of a shadow may exceed the shadow by this share of area
@@ -36,7 +37,7 @@ def _neighbours(faces: np.ndarray) -> np.ndarray:
     return np.where(there[across] == back, across // 3, -1).reshape(-1, 3)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _grow(corners, faces, neighbours):
     """Greedy: each face not yet taken seeds a patch that takes in neighbours as long as it stays convex."""
     count = faces.shape[0]
@@ -65,7 +66,9 @@ def _grow(corners, faces, neighbours):
             head += 1
             if f < 0 or labels[f] >= 0:
                 continue
-            if not _above(corners, points[:held], normals[f]) or not _under(corners, faces[f], normals, members[:sized]):
+            if not _above(corners, points[:held], normals[f]) or not _under(
+                corners, faces[f], normals, members[:sized]
+            ):
                 continue
             points[held : held + 3] = faces[f]
             if _hull_area(corners, points[: held + 3]) > (area + shadows[f]) * (1 + SNUG):
@@ -82,15 +85,15 @@ def _grow(corners, faces, neighbours):
     return labels
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _above(corners, points, plane):
-    for p in points:  # noqa: SIM110 (compiled code knows no generators)
+    for p in points:
         if corners[p, 0] * plane[0] + corners[p, 1] * plane[1] + corners[p, 2] * plane[2] < plane[3] - FLAT:
             return False
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _under(corners, face, planes, members):
     for m in members:  # noqa: SIM110 (compiled code knows no generators)
         if not _above(corners, face, planes[m]):
@@ -98,7 +101,7 @@ def _under(corners, face, planes, members):
     return True
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _hull_area(corners, points):
     """Area of the convex hull of the points' shadows (monotone chain)."""
     xy = np.empty((points.shape[0], 2))
@@ -112,10 +115,14 @@ def _hull_area(corners, points):
         n = 0
         for i in range(xy.shape[0]):
             p = xy[i] if side == 0 else xy[xy.shape[0] - 1 - i]
-            while n > 1 and (
-                (chain[n - 1, 0] - chain[n - 2, 0]) * (p[1] - chain[n - 2, 1])
-                - (chain[n - 1, 1] - chain[n - 2, 1]) * (p[0] - chain[n - 2, 0])
-            ) <= 0:
+            while (
+                n > 1
+                and (
+                    (chain[n - 1, 0] - chain[n - 2, 0]) * (p[1] - chain[n - 2, 1])
+                    - (chain[n - 1, 1] - chain[n - 2, 1]) * (p[0] - chain[n - 2, 0])
+                )
+                <= 0
+            ):
                 n -= 1
             chain[n] = p
             n += 1

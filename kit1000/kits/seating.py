@@ -96,7 +96,8 @@ def swept_out(mesh: Mesh, axis: np.ndarray, length: float = HOVER) -> Manifold:
     backs = upright.triangles[upright.normals[:, 2] < -1e-9]
     raised = backs + np.array([0, 0, length])
     prisms = Manifold.batch_boolean(
-        [solid_of(upright)] + [Manifold.hull_points(np.concatenate([a, b])) for a, b in zip(backs, raised, strict=True)],
+        [solid_of(upright)]
+        + [Manifold.hull_points(np.concatenate([a, b])) for a, b in zip(backs, raised, strict=True)],
         OpType.Add,
     )
     return prisms.transform(turn.inverse().matrix()[:3])

@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numba import njit
 
+from kit1000.compiled import compiled
+from kit1000.kits.contact import Ridges, ridges
 from kit1000.kits.envelope import lower_envelope
 from kit1000.kits.face import RestingFace
 from kit1000.kits.goals import nearest_turn
 from kit1000.kits.seating import JUDGE_STEP, SEATED, Plug, contact_raise
-from kit1000.kits.contact import Ridges, ridges
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.values import Kit, Slot
@@ -121,7 +121,7 @@ def _lowest_around(heights: np.ndarray) -> np.ndarray:
     return np.min([padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)], axis=0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _passing(points, heights, x0, y0, low_x, low_y, high_x, high_y, depth, limit, turns):
     """(k, 3) turn, dx, dy: one shift for each turn at which no felt point meets the height field."""
     found = np.empty((turns.shape[0], 3))
@@ -156,7 +156,7 @@ def _passing(points, heights, x0, y0, low_x, low_y, high_x, high_y, depth, limit
     return found[:count]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _clear(points, spun, heights, x0, y0, dx, dy, lift):
     for p in range(points.shape[0]):
         i, j = int(round((spun[p, 0] + dx - x0) / CELL)), int(round((spun[p, 1] + dy - y0) / CELL))

@@ -7,8 +7,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.parts.cad import (
-    CrossSection, Manifold, Symmetry, along, at, chance, circle, drill, gusset, holes, hull_2d, join, mirrored, none,
-    pick, prism, rectangle, slot, span,
+    CrossSection,
+    Manifold,
+    Symmetry,
+    along,
+    at,
+    chance,
+    circle,
+    drill,
+    gusset,
+    holes,
+    hull_2d,
+    join,
+    mirrored,
+    none,
+    pick,
+    prism,
+    rectangle,
+    slot,
+    span,
 )  # fmt: skip
 
 
@@ -24,7 +41,7 @@ class Bracket:
     upright: str
     """square, round, tapered or bearing"""
     foot_holes: str
-    """pair, row, slots or four"""
+    """pair, row, slots, four or none"""
     hole: float
     top_width: float
     bore: float
@@ -42,6 +59,7 @@ class Bracket:
         foot = span(rng, 22, 42)
         height = foot + pick(rng, -1, 1) * span(rng, 8, 16)
         height = float(np.clip(height, 20, 50))
+        plain = upright in ("square", "tapered") and chance(rng, 0.3)
         bearing = upright in ("round", "bearing")
         return cls(
             foot=foot if abs(foot - height) >= 7 else height + 9,
@@ -50,10 +68,10 @@ class Bracket:
             foot_thickness=span(rng, 2.5, 6),
             wall=span(rng, 2.5, 5.5),
             upright=upright,
-            foot_holes=pick(rng, "pair", "row", "slots", "four"),
+            foot_holes="none" if plain else pick(rng, "pair", "row", "slots", "four"),
             hole=span(rng, 3, 5.5),
             top_width=span(rng, 0.45, 0.8, 0.05) * width,
-            bore=span(rng, 0.3, 0.6, 0.01) * min(width, height - 12) if bearing else span(rng, 3, 6),
+            bore=span(rng, 0.3, 0.6, 0.01) * min(width, height - 12) if bearing else 0.0 if plain else span(rng, 3, 6),
             ribs=pick(rng, 0, 2) if bearing else pick(rng, 0, 1, 2),
             rib_reach=span(rng, 0.4, 0.85, 0.05),
             rib_wall=span(rng, 2, 3.5),
@@ -87,6 +105,8 @@ class Bracket:
         if self.foot_holes == "slots":
             long_hole = slot(max((outer - inner) * 0.7, self.hole + 2), self.hole)
             return plate - long_hole.translate((middle, edge)) - long_hole.translate((middle, -edge))
+        if self.foot_holes == "none":
+            return plate
         rows = {"pair": [middle], "row": [outer], "four": [inner, outer]}[self.foot_holes]
         return plate - holes(self.hole, [(x, s * edge) for x in rows for s in (-1, 1)])
 
@@ -99,7 +119,7 @@ class Bracket:
             plate = hull_2d(base, rectangle(self.top_width, 2).translate((0, self.height - 1)))
         else:
             plate = rectangle(self.width, self.height, 2).translate((0, self.height / 2)) + base
-        if self.upright == "bearing":
+        if self.upright == "bearing" or self.bore == 0:
             return plate
         edge = (self.top_width if self.upright == "tapered" else self.width) / 2 - self.bore / 2 - 2.5
         if edge < self.bore:

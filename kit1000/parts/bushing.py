@@ -7,8 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.parts.cad import (
-    Manifold, Symmetry, chance, circle, cut_slot, cyclic, cylinder, dihedral, drill, free, free_flipped, hull_2d, join,
-    none, pick, pocket, prism, rectangle, revolved, span,
+    Manifold,
+    Symmetry,
+    chance,
+    circle,
+    cyclic,
+    drill,
+    free,
+    free_flipped,
+    hull_2d,
+    join,
+    none,
+    pick,
+    pocket,
+    prism,
+    rectangle,
+    revolved,
+    span,
 )  # fmt: skip
 
 

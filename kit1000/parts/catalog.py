@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from types import MappingProxyType
 
+from kit1000.parts.block import Block
 from kit1000.parts.bracket import Bracket
 from kit1000.parts.bushing import Bushing
 from kit1000.parts.cam import Cam
@@ -19,8 +20,11 @@ from kit1000.parts.elbow import Elbow
 from kit1000.parts.family import Family
 from kit1000.parts.flange import Flange
 from kit1000.parts.foot import Foot
+from kit1000.parts.frame import Frame
 from kit1000.parts.frame_corner import FrameCorner
 from kit1000.parts.gear import Gear
+from kit1000.parts.grille import Grille
+from kit1000.parts.heat_sink import HeatSink
 from kit1000.parts.hinge import Hinge
 from kit1000.parts.hook import Hook
 from kit1000.parts.housing import Housing
@@ -40,6 +44,7 @@ from kit1000.parts.yoke import Yoke
 from kit1000.rng import stream
 
 FAMILIES: dict[str, type[Family]] = {
+    "block": Block,
     "bracket": Bracket,
     "bushing": Bushing,
     "cam": Cam,
@@ -53,8 +58,11 @@ FAMILIES: dict[str, type[Family]] = {
     "elbow": Elbow,
     "flange": Flange,
     "foot": Foot,
+    "frame": Frame,
     "frame_corner": FrameCorner,
     "gear": Gear,
+    "grille": Grille,
+    "heat_sink": HeatSink,
     "hinge": Hinge,
     "hook": Hook,
     "housing": Housing,
@@ -75,6 +83,7 @@ FAMILIES: dict[str, type[Family]] = {
 """Family name -> its class. A new family is one file beside this one, one line here and one in `WEIGHTS`."""
 
 WEIGHTS: dict[str, float] = {
+    "block": 1.0,
     "bracket": 1.0,
     "bushing": 1.0,
     "cam": 1.0,
@@ -88,8 +97,11 @@ WEIGHTS: dict[str, float] = {
     "elbow": 1.0,
     "flange": 1.0,
     "foot": 1.0,
+    "frame": 1.0,
     "frame_corner": 1.0,
     "gear": 1.0,
+    "grille": 1.0,
+    "heat_sink": 1.0,
     "hinge": 1.0,
     "hook": 1.0,
     "housing": 1.0,

@@ -25,7 +25,7 @@ class Channel:
     mitre_deg: float  # slant of the end at -x, seen from above; 0: square
     notch: float  # length of the gap in the flange at +y and the web beside it; 0: none
     notch_x: float
-    window: str  # in the web: "slot", "holes", "round" or "plain"
+    window: str  # in the web: "slot", "holes", "round" or "plain"; beside a notch only holes fit
     hole: float
     pierced: bool  # a cross hole through both flanges
 
@@ -42,11 +42,11 @@ class Channel:
             length=length, width=width, left=left, right=round(0.45 * left, 1) if uneven else left,
             gauge=cad.span(rng, 3.4, 5.6), bend=cad.pick(rng, 0.0, 2.5, 4.5), lip=lip,
             tab=tab if "tab" in keyed or twin_tabs else 0.0, tail=tab if twin_tabs else 0.0,
-            mitre_deg=cad.span(rng, 25, 35) if keyed == "mitre" else 0.0,
+            mitre_deg=cad.span(rng, 21, 28) if keyed == "mitre" else 0.0,
             notch=round(0.42 * length, 1) if "notch" in keyed else 0.0,
-            notch_x=cad.pick(rng, 0.18, 0.29) * length, hole=cad.span(rng, 3.4, 5.5),
-            window=cad.pick(rng, "plain", "holes") if "notch" in keyed
-            else cad.pick(rng, "slot", "holes", "round", "plain"),
+            notch_x=round(length * (0.16 if "tab" in keyed else cad.pick(rng, 0.16, 0.36)), 1),
+            window=cad.pick(rng, "plain", "slot", "round" if keyed == "mitre" else "holes"),
+            hole=cad.span(rng, 3.4, 5.5),
             pierced=cad.chance(rng, 0.6),
         )  # fmt: skip
 
@@ -100,7 +100,7 @@ class Channel:
 
     def _stations(self) -> tuple[float, ...]:
         """Where along x the small holes are, as shares of the length; none where a mitre would cut them."""
-        return (0.08, 0.36) if self.mitre_deg > 0 else (-0.34, 0.34)
+        return (0.16, 0.38) if self.mitre_deg > 0 else (-0.34, 0.34)
 
     def _tab(self, reach: float, end: int) -> cad.Manifold:
         """The web running on beyond the flanges at one end, with a hole in it."""
@@ -113,12 +113,13 @@ class Channel:
     def _window(self) -> cad.CrossSection:
         """What is cut out of the web."""
         free = self.width - 4 * self.gauge
+        shift = 0.14 * self.length if self.mitre_deg > 0 else 0.0
         if self.notch > 0:
             return cad.holes(self.hole, [(x * self.length, -0.2 * free) for x in self._stations()])
         if self.window == "slot":
-            return cad.slot(0.5 * self.length, 0.55 * free)
+            return cad.slot(0.5 * self.length, 0.55 * free).translate((shift, 0))
         if self.window == "round":
-            return cad.circle(min(0.8 * free, 0.4 * self.length))
+            return cad.circle(min(0.8 * free, 0.4 * self.length)).translate((shift, 0))
         if self.window == "holes":
             return cad.holes(self.hole, cad.grid(3, 2, 0.3 * self.length, 0.6 * free))
         return cad.CrossSection()

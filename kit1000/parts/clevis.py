@@ -7,8 +7,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.parts.cad import (
-    CrossSection, Manifold, Symmetry, along, at, box, chance, circle, cyclic, cylinder, drill, grid, holes, hull_2d, join,
-    none, pick, prism, rectangle, span,
+    CrossSection,
+    Manifold,
+    Symmetry,
+    along,
+    at,
+    box,
+    chance,
+    circle,
+    cyclic,
+    cylinder,
+    drill,
+    grid,
+    holes,
+    hull_2d,
+    join,
+    none,
+    pick,
+    prism,
+    rectangle,
+    span,
 )  # fmt: skip
 
 

@@ -7,8 +7,25 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.parts.cad import (
-    CrossSection, Manifold, Symmetry, at, bolt_circle, bore, chance, circle, cone, cyclic, dihedral, holes, hull_2d, join,
-    none, pick, prism, rectangle, span,
+    CrossSection,
+    Manifold,
+    Symmetry,
+    at,
+    bolt_circle,
+    bore,
+    chance,
+    circle,
+    cone,
+    cyclic,
+    dihedral,
+    holes,
+    hull_2d,
+    join,
+    none,
+    pick,
+    prism,
+    rectangle,
+    span,
 )  # fmt: skip
 
 BOLTS = {"oval": 2, "lobed3": 3, "lobed4": 4, "triangle": 3, "square": 4, "cut": 4, "tongue": 4}

@@ -11,8 +11,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.parts.cad import (
-    CrossSection, Manifold, Symmetry, at, bolt_circle, bore, chance, circle, cyclic, cylinder, dihedral, gear, grid,
-    holes, hull_2d, join, none, pick, polygon, prism, rectangle, sector, span,
+    CrossSection,
+    Manifold,
+    Symmetry,
+    at,
+    bolt_circle,
+    bore,
+    chance,
+    circle,
+    cyclic,
+    cylinder,
+    dihedral,
+    gear,
+    grid,
+    holes,
+    hull_2d,
+    join,
+    none,
+    pick,
+    polygon,
+    prism,
+    rectangle,
+    sector,
+    span,
 )  # fmt: skip
 
 
@@ -26,6 +47,7 @@ class Gear:
     module_mm: float
     width: float
     bore: float
+    """0 for a pinion cut on its shaft"""
     hub: float
     hub_height: float
     """how far the hub stands above the web, 0 for none"""
@@ -50,7 +72,7 @@ class Gear:
             teeth=teeth,
             module_mm=round(module, 3),
             width=span(rng, 5, 12) if kind != "rack" else span(rng, 8, 14),
-            bore=span(rng, 0.4, 0.65, 0.01) * hub,
+            bore=span(rng, 0.4, 0.65, 0.01) * hub if kind != "spur" or chance(rng, 0.6) else 0.0,
             hub=hub,
             hub_height=span(rng, 4, 14) if kind != "rack" and chance(rng, 0.65) else 0.0,
             recess=span(rng, 1, 2) if kind == "spur" and chance(rng, 0.5) else 0.0,
@@ -69,6 +91,8 @@ class Gear:
             for z in (-1, self.width - self.recess):
                 wheel -= at(prism(web, self.recess + 1), z=z)
         body = join(wheel, at(cylinder(self.hub, self.width + self.hub_height, self.chamfer)))
+        if self.bore == 0:
+            return body
         opening = bore(self.bore, self.key, 0.4 * self.key)
         return body - at(prism(opening, 100), z=-1)
 

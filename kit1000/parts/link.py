@@ -34,11 +34,12 @@ class Link:
         twin = cad.chance(rng, 0.2)
         bent = not twin and cad.chance(rng, 0.55)
         form = cad.pick(rng, "plain", "fork") if twin or bent else cad.pick(rng, "plain", "fork", "bolted")
-        big = cad.span(rng, 24, 30)
-        small = big if twin else cad.span(rng, 11, big - 11)
-        big_t = cad.span(rng, 12, 17)
+        big = cad.span(rng, 25, 31)
+        small = big if twin else cad.span(rng, 12, big - 11)
+        big_t = cad.span(rng, 15, 19)
         pitch = cad.span(rng, 38, 42) if twin else cad.span(rng, 28, 36)
-        web_t = cad.span(rng, 7, big_t - 2)
+        small_t = big_t if twin else cad.span(rng, 7.5, big_t - 6.5)
+        web_t = cad.span(rng, 6.5, min(small_t, 9))
         wall = cad.span(rng, 4, 7.5)
         bore = round(big - 2 * wall, 1)
         return cls(
@@ -46,8 +47,8 @@ class Link:
             knee=pitch / 2 if twin else round(pitch * cad.span(rng, 0.4, 0.6, 0.01), 1), big=big, small=small,
             big_bore=bore,
             small_bore=bore if twin else round(small - 2 * min(wall, 3.5), 1), big_t=big_t,
-            small_t=big_t if twin else max(cad.span(rng, 7, big_t), web_t), web_t=web_t,
-            web=cad.span(rng, 12, 18), pocket=round(0.3 * web_t, 1) if cad.chance(rng, 0.55) else 0.0,
+            small_t=small_t, web_t=web_t,
+            web=cad.span(rng, 13, 19), pocket=round(0.3 * web_t, 1) if cad.chance(rng, 0.55) else 0.0,
             fork=round(0.36 * big_t, 1) if form == "fork" and not twin else 0.0,
             brace=cad.chance(rng, 0.4), bolted=form == "bolted",
         )  # fmt: skip

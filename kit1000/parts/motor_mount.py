@@ -26,26 +26,28 @@ class MotorMount:
     right: float
     sloped: bool  # side walls are gussets that run out towards +y
     corner: float  # corner cut of the plate at +y
-    round_top: bool  # the walls' upper corners
+    top: str  # the walls' upper corners: "square", "round" or "clipped" (one of them, far)
     window: bool  # wide slots in the walls, or plain bolt holes
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> MotorMount:
         form = cad.pick(rng, "angle", "angle", "one gusset", "two gussets", "cradle", "step", "box")
-        side, plate, wall = cad.span(rng, 36, 46), cad.span(rng, 4, 7), cad.span(rng, 4, 6.5)
+        side, plate, wall = cad.span(rng, 40, 48), cad.span(rng, 4, 7), cad.span(rng, 4, 5.5)
         length = round(side * cad.pick(rng, 1.0, 1.0, 1.15, 1.3), 1)
         back = 0.0 if form in ("cradle", "step") else cad.span(rng, 20, 30)
         cheek = back if back > 0 else cad.span(rng, 18, 28)
         left = 0.0 if form in ("angle", "one gusset") else cheek
         right = {"angle": 0.0, "step": round(0.5 * cheek, 1)}.get(form, cheek)
         slotted = cad.chance(rng, 0.35)
-        pitch = round(side * cad.span(rng, 0.58, 0.66, 0.01), 1)
-        pilot = round(pitch * cad.span(rng, 0.62, 0.85, 0.01), 1)
+        pitch = round((side - 2 * wall - 8) * cad.span(rng, 0.86, 1.0, 0.01), 1)
+        pilot = round(pitch * cad.span(rng, 0.72, 0.92, 0.01), 1)
+        even_top = cad.pick(rng, "square", "round")
         return cls(
             side=side, length=length, plate=plate, pilot=pilot, pitch=pitch, bolt=cad.span(rng, 3.2, 4.2),
             slotted=slotted, wall=wall, back=back, left=left, right=right, sloped="gusset" in form,
             corner=cad.pick(rng, 0.0, 5.0, 8.0) if back > 0 and form != "box" else 0.0,
-            round_top=cad.chance(rng, 0.4), window=cad.chance(rng, 0.45),
+            top={"two gussets": "square", "box": "square", "cradle": even_top}.get(form, "clipped"),
+            window=cad.chance(rng, 0.45),
         )  # fmt: skip
 
     def solid(self) -> cad.Manifold:
@@ -81,16 +83,22 @@ class MotorMount:
     def _drilled_wall(self, long: float, height: float) -> cad.Manifold:
         """A wall lying down: `long` along x, its foot at y = 0, with slots or bolt holes above the plate."""
         wall = cad.rectangle(long, height).translate((0, height / 2))
-        if self.round_top:
+        free, shift = (height + self.plate) / 2, 0.0
+        if self.top == "round":
             top = cad.rectangle(long, height, 0.3 * height).translate((0, height / 2))
             wall = cad.hull_2d(top, cad.rectangle(long, 2 * self.plate).translate((0, self.plate)))
-        free = (height + self.plate) / 2
+        if self.top == "clipped":
+            corner, low = (-long / 2, height), height - 0.65 * (height - self.plate)
+            wall -= cad.polygon([corner, (-long / 2, low), (-0.2 * long, height)])
+            shift = 0.06 * long
+        if height - self.plate < 8:  # too low for holes
+            return cad.prism(wall, self.wall)
         if self.window:
             width = 0.4 * (height - self.plate)
-            wall -= cad.slot(0.62 * long, width).translate((0, free))
+            wall -= cad.slot(0.55 * long, width).translate((shift, free))
         else:
             for x, _ in cad.grid(2, 1, 0.5 * long, 0):
-                wall -= cad.circle(1.2 * self.bolt).translate((x, free))
+                wall -= cad.circle(self.bolt).translate((x + shift, free))
         return cad.prism(wall, self.wall)
 
     def _cheek(self, height: float, hand: int) -> cad.Manifold:

@@ -7,8 +7,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.parts.cad import (
-    CrossSection, Manifold, Symmetry, at, chance, cyclic, cylinder, dihedral, drill, free, free_flipped, gear, join, pick, prism,
-    revolved, ring, rounded, sector, span,
+    CrossSection,
+    Manifold,
+    Symmetry,
+    at,
+    chance,
+    cyclic,
+    cylinder,
+    dihedral,
+    drill,
+    free,
+    free_flipped,
+    gear,
+    join,
+    pick,
+    prism,
+    revolved,
+    ring,
+    rounded,
+    sector,
+    span,
 )  # fmt: skip
 
 

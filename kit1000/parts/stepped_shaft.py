@@ -7,8 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.parts.cad import (
-    Manifold, Symmetry, at, chance, circle, drill, free, free_flipped, hull_2d, join, keyway, none, pick, prism,
-    rectangle, revolved, span,
+    Manifold,
+    Symmetry,
+    at,
+    chance,
+    circle,
+    drill,
+    free,
+    free_flipped,
+    hull_2d,
+    join,
+    keyway,
+    none,
+    pick,
+    prism,
+    rectangle,
+    revolved,
+    span,
 )  # fmt: skip
 
 

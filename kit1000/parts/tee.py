@@ -7,8 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.parts.cad import (
-    Manifold, Symmetry, along, at, chance, cyclic, cylinder, drill, grid, holes, join, none, pick, prism,
-    rectangle, rounded, span,
+    Manifold,
+    Symmetry,
+    along,
+    at,
+    chance,
+    cyclic,
+    cylinder,
+    drill,
+    grid,
+    holes,
+    join,
+    none,
+    pick,
+    prism,
+    rectangle,
+    rounded,
+    span,
 )  # fmt: skip
 
 
@@ -31,7 +46,7 @@ class Tee:
     branch: float
     """the stem's thickness as a part of the head's"""
     bore: float
-    """inner diameter of a pipe as a part of the outer, or the screw holes' diameter"""
+    """inner diameter of a pipe as a part of the outer; diameter of the screw holes, 0 for none"""
     collar: float
     """how much wider the pipe's ends are, 0 for none"""
     collars: int
@@ -44,6 +59,7 @@ class Tee:
         kind = pick(rng, "pipe", "bar", "section")
         run, shifted = span(rng, 32, 46), chance(rng, 0.4)
         thickness = {"pipe": span(rng, 11, 17), "bar": span(rng, 9, 14)}.get(kind, span(rng, 3, 6))
+        screw = 0.0 if chance(rng, 0.35) else span(rng, 3, 5)
         return cls(
             kind=kind,
             run=run,
@@ -52,7 +68,7 @@ class Tee:
             thickness=thickness,
             depth=span(rng, 9, 15) if kind == "bar" else span(rng, 18, 36),
             branch=span(rng, 0.75, 1.0, 0.05) if kind != "section" else span(rng, 0.8, 1.2, 0.05),
-            bore=span(rng, 0.55, 0.75, 0.01) if kind == "pipe" else span(rng, 3, 5),
+            bore=span(rng, 0.55, 0.75, 0.01) if kind == "pipe" else screw,
             collar=span(rng, 3, 6) if kind == "pipe" and chance(rng, 0.7) else 0.0,
             collars=pick(rng, 1, 2, 3) if shifted else pick(rng, 1, 3),
             blend=span(rng, 1.5, 4),
@@ -85,7 +101,9 @@ class Tee:
         outline = rounded(outline, min(self.blend, 0.4 * stem))
         reach = self.run / 2 - w / 2
         screws = [(-reach, 0.0), (reach, 0.0), (self.shift, self.stem - stem / 2)]
-        plate = prism(outline - holes(min(self.bore, 0.5 * stem), screws), self.depth, chamfer=0.5)
+        if self.bore > 0:
+            outline -= holes(min(self.bore, 0.5 * stem), screws)
+        plate = prism(outline, self.depth, chamfer=0.5)
         return at(along(plate, "-y"), y=self.depth / 2)
 
     def _section(self) -> Manifold:
@@ -93,6 +111,8 @@ class Tee:
         outline = rectangle(self.run, wall).translate((0, wall / 2))
         outline += rectangle(web, self.stem).translate((self.shift, self.stem / 2))
         body = at(along(prism(outline, self.depth), "-y"), y=self.depth / 2)
+        if self.bore == 0:
+            return body
         left, right = self.run / 2 + self.shift - web / 2, self.run / 2 - self.shift - web / 2
         rows = 2 if self.depth > 4 * self.bore else 1
         inset = self.bore / 2 + 2.5

@@ -7,8 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.parts.cad import (
-    CrossSection, Manifold, Symmetry, along, at, chance, cyclic, drill, none, pick, pocket, polygon, prism, rectangle,
-    rounded, slot, span,
+    CrossSection,
+    Manifold,
+    Symmetry,
+    along,
+    at,
+    chance,
+    cyclic,
+    drill,
+    none,
+    pick,
+    pocket,
+    polygon,
+    prism,
+    rectangle,
+    rounded,
+    slot,
+    span,
 )  # fmt: skip
 
 

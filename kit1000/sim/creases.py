@@ -1,7 +1,7 @@
-"""Which faces of a mesh form one smooth surface, and the normals that make it look smooth.
+"""Which faces of a mesh form one smooth surface, the normals that make it look smooth, the lines around it.
 
 Meshes from CAD stand for cylinders, fillets and planes by triangles. Faces that meet at less than a crease
-angle belong together; a line is drawn where two such patches meet.
+angle belong to one patch; lines are drawn where two patches meet and around each body.
 """
 
 from __future__ import annotations
@@ -10,10 +10,13 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
 
 CREASE_DEG = 32.0  # coarser cylinders have 12 sides or more (30 degrees), chamfers turn by 45
 PLANE_DEG = 0.5  # faces of one plane, after rounding to float32
+LINE = 0.15  # colour of lines, as a share of the colour of the body
+CREASE, OUTLINE = 0.55, 0.9  # opacity of lines within a body and around it
 
 
 def smooth_patches(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
@@ -47,7 +50,7 @@ def _joined(m: int, pairs: np.ndarray) -> np.ndarray:
 
 
 def _corner_normals(mesh: Mesh, corner: np.ndarray, patches: np.ndarray, planes: np.ndarray) -> np.ndarray:
-    """(m, 3, 3): per vertex and patch, the mean of face normals weighed by area of the plane and corner angle."""
+    """(m, 3, 3): mean normal per vertex and patch; faces weigh by area of their plane and corner angle."""
     cross = np.cross(mesh.triangles[:, 1] - mesh.triangles[:, 0], mesh.triangles[:, 2] - mesh.triangles[:, 0])
     area = np.bincount(planes, np.linalg.norm(cross, axis=1))[planes]
     weighed = (area[:, None] * _corner_angles(mesh.triangles))[..., None] * mesh.normals[:, None]
@@ -65,3 +68,47 @@ def _corner_angles(triangles: np.ndarray) -> np.ndarray:
     backward = np.roll(triangles, 1, axis=1) - triangles
     sine = np.linalg.norm(np.cross(forward, backward), axis=2)
     return np.arctan2(sine, np.einsum("ijk,ijk->ij", forward, backward))
+
+
+@compiled
+def draw_lines(depth, ids, faces, first_of, patches, albedo, step, image):
+    """Darken the outlines and creases of a linear `image` (H, W, 3) in place.
+
+    A pixel is on an outline when the surface beside it is of another body or more than `step` [m] nearer or
+    farther. It is on a crease when the pixel above or to the left is of another patch of the same body.
+    `depth`, `ids`, `faces` are of a frame; `first_of` (b,), `patches` (m,), `albedo` (b, 3) of the bodies.
+    """
+    height, width = depth.shape
+    for v in range(height):
+        for u in range(width):
+            strength, here = 0.0, ids[v, u] - 1
+            owner = here
+            for dv, du in ((-1, 0), (0, -1), (1, 0), (0, 1)):
+                y, x = v + dv, u + du
+                if y < 0 or x < 0 or y >= height or x >= width:
+                    continue
+                there = ids[y, x] - 1
+                if here != there:
+                    strength = OUTLINE
+                    if there >= 0 and (here < 0 or depth[y, x] < depth[v, u]):
+                        owner = there
+                elif here >= 0 and _departure(depth, v, u, dv, du) > step:
+                    strength = OUTLINE
+                elif here >= 0 and dv + du < 0:
+                    first = first_of[here]
+                    if patches[first + faces[v, u]] != patches[first + faces[y, x]]:
+                        strength = max(strength, CREASE)
+            if strength > 0:
+                for i in range(3):
+                    image[v, u, i] += strength * (LINE * albedo[owner, i] - image[v, u, i])
+
+
+@compiled
+def _departure(depth, v, u, dv, du):
+    """Depth of the pixel beside (v, u), less that of the plane through (v, u) and the pixel opposite [m]."""
+    height, width = depth.shape
+    y, x = v - dv, u - du
+    expected = 1 / depth[v, u]
+    if 0 <= y < height and 0 <= x < width and depth[y, x] > 0:
+        expected += expected - 1 / depth[y, x]  # inverse depth is linear over a plane
+    return abs(depth[v + dv, u + du] - 1 / max(expected, 1e-6))

@@ -13,30 +13,31 @@ from typing import NamedTuple
 import numpy as np
 
 from kit1000.camera import Camera, look_at
+from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, quaternion_between
-from kit1000.sim.raster import compiled
 from kit1000.sim.render import render
 
 MAP = 512  # [px] side of a lamp's depth image
 FAR = 1000.0  # distance of the lamps, in radii of the scene: rays are parallel to a quarter of a texel
 KEY_SPREAD = 0.16  # sine of the half angle under which the key lamp is seen: soft, but a shadow with a shape
-KEY_COLOUR = (0.62, 0.60, 0.56)  # warm; with the sky, a level white surface comes out just white
+KEY_COLOUR = (0.62, 0.60, 0.56)  # warm; with the sky, a level surface shows its own colour, a little lighter
 SKY_COLOUR = (0.48, 0.50, 0.53)  # cool
 BOUNCE_COLOUR = (0.21, 0.205, 0.20)  # what the ground throws back from below
 GLOSS, SHININESS = 0.07, 24.0  # a satin plastic
+FADE = 0.08  # share of the image along its border where the ground turns into the plain background
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
 class Lamps(NamedTuple):
-    """L lamps and the shadows they cast; the first `keys` are parts of the key lamp, the others of the sky."""
+    """L lamps and the shadows they cast: first `keys` parts of the key lamp, then parts of the sky."""
 
     towards: np.ndarray
     """(L, 3) unit vectors from the scene to the lamps."""
     weights: np.ndarray
     """(L,): a level surface gets 1 from all key lamps together, and 1 from all of the sky."""
     maps_from_world: np.ndarray
-    """(L, 3, 4): column and row [px] of a point (x, y, z, 1) in the depth image of a lamp, and its depth [m]."""
+    """(L, 3, 4): column, row [px] and depth [m] of a point (x, y, z, 1) in the image of a lamp."""
     maps: np.ndarray
     """(L, MAP, MAP) float32 [m] depth from the lamp, 0 where nothing stands."""
     texel: float
@@ -60,7 +61,7 @@ class Scene(NamedTuple):
 
 
 def key_directions(n: int, towards: np.ndarray) -> np.ndarray:
-    """(n, 3) unit vectors spread evenly over the round key lamp that stands in the direction `towards` (3,)."""
+    """(n, 3) unit vectors spread evenly over the round key lamp in the direction `towards` (3,)."""
     count = np.arange(n)
     radius, angle = KEY_SPREAD * np.sqrt((count + 0.5) / n), GOLDEN_ANGLE * count
     disc = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)], axis=1)
@@ -78,7 +79,7 @@ def sky_directions(n: int) -> np.ndarray:
 def lamps(
     bodies: Sequence[tuple[Mesh, Pose]], ball: tuple[np.ndarray, float], key: np.ndarray, sky: np.ndarray
 ) -> Lamps:
-    """Light the bodies, all within `ball` = (centre (3,), radius) [m], from directions key (k, 3) and sky (s, 3)."""
+    """Lamps in directions key (k, 3) and sky (s, 3) for bodies within `ball`: centre (3,), radius [m]."""
     centre, radius = ball
     texel = 2 * radius / (MAP - 4)
     focal, middle = FAR * radius / texel, (MAP - 1) / 2
@@ -138,7 +139,15 @@ def illuminate(lens, rotation, eye, frame, scene, lamps, ground, paper, shadow, 
                     share = (key * colours[0, i] + sky * colours[1, i]) / (
                         open_key * colours[0, i] + open_sky * colours[1, i]
                     )
-                    out[v, u, i] = paper[i] * (1 - shadow * (1 - share))
+                    out[v, u, i] = paper[i] * (1 - shadow * (1 - share) * _fade(lens, u, v))
+
+
+@compiled
+def _fade(lens, u, v):
+    """0 at the border of the image, 1 well inside: shadows end softly where the picture does."""
+    border = min(u, v, lens.width - 1 - u, lens.height - 1 - v) / (FADE * min(lens.width, lens.height))
+    border = min(max(border, 0.0), 1.0)
+    return border * border * (3 - 2 * border)
 
 
 @compiled
@@ -173,7 +182,11 @@ def _received(lamps, point, normal, flat, view):
     key, sky, open_key, open_sky = 0.0, 0.0, 0.0, 0.0
     nx, ny, nz = normal[0], normal[1], normal[2]
     # A step off the surface keeps a body from shading itself where a depth image is coarse.
-    x, y, z = point[0] + 1.5 * texel * flat[0], point[1] + 1.5 * texel * flat[1], point[2] + 1.5 * texel * flat[2]
+    x, y, z = (
+        point[0] + 1.5 * texel * flat[0],
+        point[1] + 1.5 * texel * flat[1],
+        point[2] + 1.5 * texel * flat[2],
+    )
     for k in range(towards.shape[0]):
         share = weights[k] * (nx * towards[k, 0] + ny * towards[k, 1] + nz * towards[k, 2])
         if share <= 0:

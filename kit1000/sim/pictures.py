@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
@@ -20,9 +20,9 @@ from kit1000.errors import InputError, checked
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim import light
-from kit1000.sim.creases import smooth_patches
-from kit1000.sim.raster import Lens, compiled
-from kit1000.sim.render import Frame, cores, render
+from kit1000.sim.creases import draw_lines, smooth_patches
+from kit1000.sim.raster import Lens
+from kit1000.sim.render import cores, render
 
 Colour = tuple[int, int, int]
 
@@ -42,10 +42,8 @@ SECONDARY: tuple[Colour, ...] = (BLUE, TEAL, SAND, PLUM, MOSS, SLATE)  # parts b
 PRODUCT_VIEW = (0.75, -1.0, 0.8)  # from the scene to the eye: from the front right, well above
 SAMPLES = 16  # pictures averaged into one, each shifted by part of a pixel and lit by its own share of lamps
 KEYS, SKIES = 3, 7  # lamps a sample
+OUTLINE_STEP = 0.012  # a step in depth of this many radii of the scene is an outline
 GROUND_SHADOW = 0.75  # how dark a point of the ground gets that no light reaches
-LINE = 0.30  # colour of lines, as a share of the colour of the body
-CREASE, OUTLINE = 0.55, 0.9  # opacity of lines within a body and around it
-JUMP = 0.012  # a step in depth of this many radii of the scene is an outline
 
 
 class Painted(NamedTuple):
@@ -90,7 +88,7 @@ def shaded(
         lens = Lens(moved.fx, moved.fy, moved.cx, moved.cy, moved.width, moved.height)
         paper = _linear(background)
         light.illuminate(lens, rotation, eye, seen, scene, lamps, floor, paper, GROUND_SHADOW, colours, image)
-        _draw_lines(frame, scene, patches, JUMP * ball[1], image)
+        draw_lines(*seen, scene.first_of, patches, scene.albedo, OUTLINE_STEP * ball[1], image)
         return image
 
     total = np.zeros((camera.height, camera.width, 3), np.float32)
@@ -186,11 +184,12 @@ def _shortened(label: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, w
 
 def _staged(bodies: Sequence[Painted]) -> tuple[light.Scene, np.ndarray]:
     """The bodies as the shading loop needs them, and the smooth patch (m,) of every face, all distinct."""
-    known: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    meshes = {id(body.mesh): body.mesh for body in bodies}
+    smoothed = {key: smooth_patches(mesh) for key, mesh in meshes.items()}
     corners, normals, flat, patches = [], [], [], []
     first, patch = [0], 0
     for mesh, pose, _ in bodies:
-        own, smooth = known.setdefault(id(mesh), smooth_patches(mesh)) if id(mesh) not in known else known[id(mesh)]
+        own, smooth = smoothed[id(mesh)]
         corners.append(pose.apply(mesh.triangles))
         normals.append(pose.rotate(smooth))
         flat.append(pose.rotate(mesh.normals))
@@ -198,8 +197,8 @@ def _staged(bodies: Sequence[Painted]) -> tuple[light.Scene, np.ndarray]:
         first.append(first[-1] + len(mesh.faces))
         patch += own.max(initial=-1) + 1
     albedo = np.stack([_linear(body.colour) for body in bodies])
-    joined = (np.concatenate(arrays) for arrays in (corners, normals, flat))
-    return light.Scene(np.array(first[:-1]), *joined, albedo), np.concatenate(patches)
+    shape = (np.concatenate(corners), np.concatenate(normals), np.concatenate(flat))
+    return light.Scene(np.array(first[:-1]), *shape, albedo), np.concatenate(patches)
 
 
 def _ball(points: np.ndarray) -> tuple[np.ndarray, float]:
@@ -214,54 +213,6 @@ def _key_direction(world_from_camera: Pose) -> np.ndarray:
     aside = -0.75 * right - 0.25 * forward * (1, 1, 0)
     direction = aside + np.array((0.0, 0.0, 1.15))
     return direction / np.linalg.norm(direction)
-
-
-def _draw_lines(frame: Frame, scene: light.Scene, patches: np.ndarray, jump: float, image: np.ndarray) -> None:
-    """Darken outlines and creases of `image` (H, W, 3) in place."""
-    _line_loop(frame.depth, frame.ids, frame.faces, scene.first_of, scene.albedo, patches, jump, image)
-
-
-@compiled
-def _line_loop(depth, ids, faces, first_of, albedo, patches, jump, image):
-    """A pixel is on an outline when a neighbour is of a nearer surface, or of a farther one.
-
-    It is on a crease when the pixel above or to the left is of another patch of the same body.
-    """
-    height, width = depth.shape
-    for v in range(height):
-        for u in range(width):
-            strength, owner, here = 0.0, ids[v, u] - 1, ids[v, u] - 1
-            for dv, du in ((-1, 0), (0, -1), (1, 0), (0, 1)):
-                y, x = v + dv, u + du
-                if y < 0 or x < 0 or y >= height or x >= width:
-                    continue
-                there = ids[y, x] - 1
-                if here != there:
-                    nearer = there >= 0 and (here < 0 or depth[y, x] < depth[v, u])
-                    owner = there if nearer else owner
-                    strength = OUTLINE
-                elif here >= 0:
-                    if _step(depth, v, u, dv, du) > jump:
-                        strength = OUTLINE
-                    elif dv + du < 0 and (
-                        patches[first_of[here] + faces[v, u]] != patches[first_of[here] + faces[y, x]]
-                    ):
-                        strength = max(strength, CREASE)
-            if strength > 0:
-                for i in range(3):
-                    image[v, u, i] += strength * (LINE * albedo[owner, i] * 0.5 - image[v, u, i])
-
-
-@compiled
-def _step(depth, v, u, dv, du):
-    """How far the depth of the neighbour departs from the plane through this pixel and the one opposite [m]."""
-    height, width = depth.shape
-    y, x = v - dv, u - du
-    here, there = depth[v, u], depth[v + dv, u + du]
-    slope = 0.0
-    if 0 <= y < height and 0 <= x < width and depth[y, x] > 0:
-        slope = 1 / here - 1 / depth[y, x]  # inverse depth is linear over a plane
-    return abs(here - 1 / max(1 / here + slope, 1e-6)) if there == 0 else abs(there - 1 / max(1 / here + slope, 1e-6))
 
 
 def _van_der_corput(number: int, base: int) -> float:

@@ -11,11 +11,11 @@ Letters: n vertices, m faces, k prepared triangles. Pixels are (u, v) = (column,
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+
+from kit1000.compiled import compiled
 
 NEAR = 1e-3  # [m] nothing nearer to the camera is seen; keeps the division by depth finite
 SNAP_BITS = 12  # 1/4096 pixel: 500 times finer than a sharp picture shows, and products below stay under 2^62
@@ -50,15 +50,6 @@ class Batch(NamedTuple):
     """(k, 2) int16: first and last row of pixels."""
     faces: np.ndarray
     """(k,) int32: number of the face among those of all bodies."""
-
-
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile on the first call and keep the result on disk, or in memory where no folder can be written."""
-    options = {"nogil": True, "error_model": "numpy"}
-    try:
-        return njit(cache=True, **options)(function)
-    except RuntimeError:  # raised when neither the package nor the user's cache folder is writable
-        return njit(**options)(function)
 
 
 @compiled

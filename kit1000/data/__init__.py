@@ -1,0 +1,1 @@
+"""The dataset: its plan, how it is built and resumed, its files and how they are read."""

@@ -1,0 +1,189 @@
+"""Building a dataset from its plan: parts and kits, then assemblies, then tables, and `dataset.json` last.
+
+Every job leaves a record, so a run that was interrupted at any moment goes on where it stopped and ends with the same
+bytes. Jobs run in any order on any number of workers; what depends on order (near-duplicates) is decided here.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from kit1000.data import engines
+from kit1000.data.files import clear_partial, json_bytes, locked, read_json, sha256, write_json
+from kit1000.data.groups import GroupJob, make_group
+from kit1000.data.pairs import BUILD, PairJob, Record, make_pair
+from kit1000.data.plan import DATA_VERSION, dataset_id, make_plan
+from kit1000.data.presets import SPLITS, Preset
+from kit1000.errors import InputError
+from kit1000.parts.twins import twin_of
+
+FORMAT = "kit1000/1"
+LICENCE = "CC-BY-4.0"
+
+Spread = Callable[[Callable[[Any], Record], Iterable[Any]], Iterator[Record]]
+
+
+def generate(
+    preset: Preset,
+    root: Path,
+    seed: int | None = None,
+    workers: int | None = None,
+    sources: list[Path] | None = None,
+    unit: str | None = None,
+) -> dict[str, Any]:
+    """Build a dataset in a folder, or complete one that was begun there; returns the contents of its dataset.json.
+
+    Raises InputError when the folder holds a dataset of another plan, or cannot be written.
+    """
+    plan = make_plan(preset, preset.seed if seed is None else seed, sources)
+    with locked(root):
+        _claim(root, plan)
+        if (root / "dataset.json").exists():
+            shutil.rmtree(root / BUILD, ignore_errors=True)
+            return read_json(root / "dataset.json")
+        clear_partial(root)
+        with engines.local(workers) as spread:
+            pairs = _pairs(root, preset, plan, unit, spread)
+            groups = _groups(root, preset, plan, pairs, spread)
+        return _finish(root, plan, pairs, groups)
+
+
+def _claim(root: Path, plan: dict[str, Any]) -> None:
+    """Write the plan, or make sure that the folder was begun with the same one."""
+    path = root / "plan.json"
+    if path.exists():
+        if path.read_bytes() != json_bytes(plan):
+            raise InputError(f"{root} holds a dataset of another plan: choose another --out, or delete that folder")
+    elif any(entry.name != ".lock" for entry in root.iterdir()):
+        raise InputError(f"{root} is not empty and holds no dataset: choose another --out")
+    else:
+        write_json(path, plan)
+
+
+def _pairs(root: Path, preset: Preset, plan: dict[str, Any], unit: str | None, spread: Spread) -> dict[str, Record]:
+    """The record of every part and kit, by id; near-duplicates are drawn again until none is left."""
+    jobs = {
+        part_id: PairJob(root, preset, plan["seed"], part_id, row["split"], row.get("source"), unit)
+        for part_id, row in plan["parts"].items()
+    }
+    records = _run("parts and kits", make_pair, list(jobs.values()), spread)
+    accepted: list[str] = []
+    measures = np.zeros((0, 5))
+    for part_id in jobs:
+        record = records[part_id]
+        while "refused" not in record and (twin := twin_of(np.array(record["measures"]), measures)) is not None:
+            job = replace(jobs[part_id], redraws=(*record["redraws"], "near-duplicate"))
+            record = _refused_twin(record, accepted[twin]) if job.source else make_pair(job)
+        records[part_id] = record
+        if "refused" not in record:
+            accepted.append(part_id)
+            measures = np.concatenate([measures, [record["measures"]]])
+    return records
+
+
+def _refused_twin(record: Record, twin: str) -> Record:
+    """A part from a file that repeats an earlier one is left out."""
+    return {key: record[key] for key in ("id", "split", "redraws")} | {
+        "files": {},
+        "refused": f"near-duplicate of {twin}",
+    }
+
+
+def _groups(
+    root: Path, preset: Preset, plan: dict[str, Any], pairs: dict[str, Record], spread: Spread
+) -> dict[str, Record]:
+    """The record of every assembly, by id."""
+    usable = {part_id for part_id, record in pairs.items() if "refused" not in record}
+    jobs = [
+        GroupJob(
+            root,
+            preset,
+            plan["seed"],
+            assembly_id,
+            row["split"],
+            row["target"],
+            row["kits"],
+            tuple(part_id for part_id in row["company"] if part_id in usable),
+        )
+        for assembly_id, row in plan["assemblies"].items()
+        if row["target"] in usable
+    ]
+    return _run("assemblies", make_group, jobs, spread)
+
+
+def _run(what: str, function: Callable[[Any], Record], jobs: list[Any], spread: Spread) -> dict[str, Record]:
+    bar = tqdm(spread(function, jobs), total=len(jobs), desc=what, unit="", disable=None, smoothing=0.05)
+    return {record["id"]: record for record in bar}
+
+
+def _finish(root: Path, plan: dict[str, Any], pairs: dict[str, Record], groups: dict[str, Record]) -> dict[str, Any]:
+    """Tables from the records, stray files removed, `dataset.json` last."""
+    kept = {part_id: pairs[part_id] for part_id in plan["parts"] if "refused" not in pairs[part_id]}
+    common = ("split", "source", "redraws", "measures")
+    tables = {
+        "parts": {i: r["part"] | {key: r[key] for key in common if key in r} for i, r in kept.items()},
+        "kits": {i: r["kit"] | {"split": r["split"]} for i, r in kept.items()},
+        "assemblies": {
+            i: r["assembly"] | {key: r[key] for key in ("split", "target", "redraws")} for i, r in groups.items()
+        },
+    }
+    for name, rows in tables.items():
+        write_json(root / f"{name}.json", rows)
+    files = {name: digest for record in [*kept.values(), *groups.values()] for name, digest in record["files"].items()}
+    _remove_strays(root, files)
+    files |= {name: sha256(root / name) for name in ("plan.json", *(f"{table}.json" for table in tables))}
+    summary = _summary(plan, pairs, groups, files)
+    write_json(root / "dataset.json", summary)
+    shutil.rmtree(root / BUILD, ignore_errors=True)
+    return summary
+
+
+def _remove_strays(root: Path, files: dict[str, str]) -> None:
+    """Meshes of attempts that were drawn again under the same name do not exist; of refused files they may."""
+    for kind in ("parts", "kits", "assemblies"):
+        for path in (root / kind).glob("*.glb"):
+            if f"{kind}/{path.name}" not in files:
+                path.unlink()
+
+
+def _summary(
+    plan: dict[str, Any], pairs: dict[str, Record], groups: dict[str, Record], files: dict[str, str]
+) -> dict[str, Any]:
+    kept = [record for record in pairs.values() if "refused" not in record]
+    return {
+        "format": FORMAT,
+        "data_version": DATA_VERSION,
+        "dataset_id": dataset_id(plan),
+        "licence": LICENCE,
+        "preset": plan["preset"],
+        "seed": plan["seed"],
+        "config": plan["config"],
+        "held_out_families": plan["held_out_families"],
+        "counts": {
+            split: {
+                "parts": sum(record["split"] == split for record in kept),
+                "assemblies": sum(record["split"] == split for record in groups.values()),
+            }
+            for split in SPLITS
+        },
+        "redraws": {
+            "parts": _reasons(pairs.values()),
+            "assemblies": _reasons(groups.values()),
+        },
+        "refused": {
+            plan["parts"][i].get("source", i): record["refused"] for i, record in pairs.items() if "refused" in record
+        },
+        "files": files,
+    }
+
+
+def _reasons(records: Iterable[Record]) -> dict[str, int]:
+    return dict(Counter(reason for record in records for reason in record["redraws"]))

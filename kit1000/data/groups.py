@@ -1,0 +1,107 @@
+"""One assembly: its company chosen so that no part seats in another's slot, placed until it passes every check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from kit1000.data.files import read_json
+from kit1000.data.meshes import glb_bytes, read_glb
+from kit1000.data.pairs import BUILD, Record, finished, save, write_mesh_file
+from kit1000.data.plan import draw_assembly_of
+from kit1000.data.presets import Preset
+from kit1000.data.tables import assembly_row, kit_of, part_of
+from kit1000.errors import Redraw
+from kit1000.kits.assembly import build_assembly, check_assembly
+from kit1000.kits.face import RestingFace, resting_faces
+from kit1000.kits.stray import Well, foreign_fit
+from kit1000.values import Kit, Part
+
+ATTEMPTS = 60  # placings of one assembly before the check or the draw must be called broken
+REMEMBERED = 64  # pairs a worker keeps in memory
+
+
+@dataclass(frozen=True)
+class GroupJob:
+    """An assembly to be made."""
+
+    root: Path
+    preset: Preset
+    seed: int
+    assembly_id: str
+    split: str
+    target: str
+    kits: int
+    company: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """A part and its kit, ready to be held against others."""
+
+    part: Part
+    kit: Kit
+    faces: list[RestingFace]
+    well: Well
+
+
+def make_group(job: GroupJob) -> Record:
+    """Do the job, or find it done, and return its record."""
+    done = finished(job.root, "assemblies", job.assembly_id)
+    if done is not None:
+        return done
+    members, rejected = _company(job)
+    redraws: list[str] = []
+    while len(redraws) < ATTEMPTS:
+        draw = draw_assembly_of(job.preset, job.seed, job.assembly_id, len(members), len(redraws))
+        placed = [members[i] for i in draw.order]
+        try:
+            assembly = build_assembly(job.assembly_id, [member.kit for member in placed], draw.placing)
+            check_assembly(assembly, {member.part.id: member.part for member in placed})
+        except Redraw as refusal:
+            redraws.append(refusal.reason)
+            continue
+        name = f"assemblies/{job.assembly_id}.glb"
+        record = {
+            "id": job.assembly_id,
+            "split": job.split,
+            "target": job.target,
+            "files": write_mesh_file(job.root, name, glb_bytes({job.assembly_id: assembly.mesh})),
+            "redraws": redraws + rejected,
+            "assembly": assembly_row(assembly),
+        }
+        return save(job.root, "assemblies", job.assembly_id, record)
+    raise Redraw(f"assembly {job.assembly_id}: none of {ATTEMPTS} placings passes ({redraws[-1]})")
+
+
+def _company(job: GroupJob) -> tuple[list[Member], list[str]]:
+    """The target and its company, and the reasons for which candidates were passed over."""
+    members, rejected = [member(job.root, job.target)], []
+    for candidate_id in job.company:
+        if len(members) >= job.kits:
+            break
+        candidate = member(job.root, candidate_id)
+        if any(_mistakable(candidate, other) for other in members):
+            rejected.append("seats in a neighbour's slot")
+        else:
+            members.append(candidate)
+    if len(members) < job.kits:
+        rejected.append("fewer kits than drawn")
+    return members, rejected
+
+
+def _mistakable(a: Member, b: Member) -> bool:
+    """Whether one of two parts rests on the floor of the other's slot."""
+    return (
+        foreign_fit(a.part.mesh, a.faces, b.well) is not None or foreign_fit(b.part.mesh, b.faces, a.well) is not None
+    )
+
+
+@lru_cache(maxsize=REMEMBERED)
+def member(root: Path, part_id: str) -> Member:
+    """A pair that is already made, read from its files."""
+    record = read_json(root / BUILD / "parts" / f"{part_id}.json")
+    part = part_of(part_id, record["part"], read_glb(root / f"parts/{part_id}.glb")[part_id])
+    kit = kit_of(part_id, record["kit"], read_glb(root / f"kits/{part_id}.glb")[part_id])
+    return Member(part, kit, resting_faces(part.mesh), Well(kit))

@@ -1,0 +1,61 @@
+"""Meshes in files: GLB (metres, y up, as glTF wants) and STL (millimetres, z up, as slicers want).
+
+Meshes lie on the float32 grid, so what is read is to the bit what was written.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from kit1000.errors import InputError
+from kit1000.mesh import Mesh
+
+
+def glb_bytes(bodies: Mapping[str, Mesh], colours: Mapping[str, tuple[int, int, int]] | None = None) -> bytes:
+    """Named bodies as one GLB. colours: sRGB 0..255 by name, where given."""
+    scene = trimesh.Scene()
+    for name, mesh in bodies.items():
+        body = trimesh.Trimesh(y_up(mesh.vertices), mesh.faces, process=False)
+        if colours and name in colours:
+            linear = [(c / 255) ** 2.2 for c in colours[name]]
+            material = trimesh.visual.material.PBRMaterial(
+                baseColorFactor=[*linear, 1.0], metallicFactor=0.0, roughnessFactor=0.6, doubleSided=False
+            )
+            body.visual = trimesh.visual.TextureVisuals(material=material)
+        scene.add_geometry(body, node_name=name, geom_name=name)
+    return bytes(scene.export(file_type="glb"))
+
+
+def read_glb(path: Path) -> dict[str, Mesh]:
+    """The bodies of a GLB written by `glb_bytes`, by name. Raises InputError in one line on anything else."""
+    try:
+        scene = trimesh.load_scene(io.BytesIO(path.read_bytes()), file_type="glb", process=False)
+        return {
+            str(name): Mesh(z_up(np.asarray(body.vertices, dtype=np.float64)), body.faces)  # type: ignore[union-attr]
+            for name, body in scene.geometry.items()
+        }
+    except FileNotFoundError:
+        raise InputError(f"no file {path}") from None
+    except Exception as error:  # a foreign reader on damaged bytes may raise anything
+        raise InputError(f"cannot read {path}: damaged or no GLB ({type(error).__name__}: {error})") from error
+
+
+def stl_bytes(mesh: Mesh) -> bytes:
+    """A binary STL in millimetres, z up, ready for a slicer."""
+    body = trimesh.Trimesh(mesh.vertices * 1e3, mesh.faces, process=False)
+    return bytes(trimesh.exchange.stl.export_stl(body))
+
+
+def y_up(points: np.ndarray) -> np.ndarray:
+    """(n, 3) z-up coordinates as glTF's y-up ones."""
+    return points[:, [0, 2, 1]] * np.array([1, 1, -1])
+
+
+def z_up(points: np.ndarray) -> np.ndarray:
+    """(n, 3) glTF's y-up coordinates as z-up ones."""
+    return points[:, [0, 2, 1]] * np.array([1, -1, 1])

@@ -1,0 +1,84 @@
+"""A kit for somebody's own part, at true size: read any mesh, design the kit, write what a slicer and a person need."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kit1000.data.files import write_bytes, write_json
+from kit1000.data.meshes import glb_bytes, stl_bytes
+from kit1000.data.tables import pose_row
+from kit1000.errors import InputError, Redraw
+from kit1000.kits.kit import CLEARANCE, KitDesign, design_kit
+from kit1000.kits.trial import try_pair
+from kit1000.parts.family import DENSITY
+from kit1000.parts.sources import Reading, read_mesh
+from kit1000.symmetry import Symmetry
+from kit1000.values import Part
+
+COLOURS = {"kit": (224, 219, 210), "part": (238, 122, 40)}  # sRGB, those of the pictures
+
+
+def kit_for(
+    path: Path, out: Path, clearance: float = CLEARANCE, unit: str | None = None, longest: float | None = None
+) -> dict[str, Any]:
+    """Make the kit of a mesh file and write it to a folder; returns the report.
+
+    clearance [m]; unit: that of the file, guessed when None; longest [m]: scale the part to it, true size when None.
+    Raises InputError in one line when the file is no part, no kit can be made, or the folder cannot be written.
+    """
+    reading = read_mesh(path, unit)
+    part, scale = _part(path, reading, longest)
+    try:
+        design = design_kit(part, clearance, plate=None)
+    except Redraw as refusal:
+        raise InputError(f"{path}: no kit: {refusal.reason}") from None
+    report = _report(path, reading, part, scale, design)
+    _write(out, part, design, report)
+    return report
+
+
+def _part(path: Path, reading: Reading, longest: float | None) -> tuple[Part, float]:
+    scale = 1.0 if longest is None else longest / float(reading.mesh.extents.max())
+    mesh = reading.mesh.scaled(scale)
+    mesh = type(mesh)(mesh.vertices - mesh.centroid, mesh.faces).rounded32()
+    return Part(path.stem, "file", mesh, Symmetry.none(), {}, DENSITY * mesh.volume), scale
+
+
+def _report(path: Path, reading: Reading, part: Part, scale: float, design: KitDesign) -> dict[str, Any]:
+    return {
+        "part": path.name,
+        "unit": reading.unit,
+        "unit_reason": reading.unit_reason,
+        "repairs": list(reading.notes),
+        "scale": scale,
+        "size_mm": np.round(part.mesh.extents * 1e3, 3).tolist(),
+        "volume_mm3": part.mesh.volume * 1e9,
+        "plate_mm": (design.kit.extent * 1e3).tolist(),
+        "kit_from_part": pose_row(design.kit.slot.kit_from_part),
+        "trial": _trial(part, design),
+    } | design.report
+
+
+def _trial(part: Part, design: KitDesign) -> dict[str, Any]:
+    """What the seating trials say: not every part of the world can pass them, so this advises and does not refuse."""
+    try:
+        trial = try_pair(part, design.kit)
+    except Redraw as refusal:
+        return {"passes": False, "why": refusal.reason}
+    keyed = None if trial.keyedness is None else float(np.degrees(trial.keyedness))
+    return {"passes": not trial.loose, "why": "fits in another pose too" if trial.loose else "", "keyedness_deg": keyed}
+
+
+def _write(out: Path, part: Part, design: KitDesign, report: dict[str, Any]) -> None:
+    from kit1000.sim.preview import kit_picture  # rendering compiles: only when a picture is wanted
+
+    seated = part.mesh.moved(design.kit.slot.kit_from_part)
+    bodies = {"kit": design.kit.mesh, "part": seated}
+    write_bytes(out / "kit.stl", stl_bytes(design.kit.mesh))
+    write_bytes(out / "part.stl", stl_bytes(seated))
+    write_bytes(out / "seated.glb", glb_bytes(bodies, COLOURS))
+    write_bytes(out / "preview.png", kit_picture(part, design.kit))
+    write_json(out / "report.json", report)

@@ -1,0 +1,138 @@
+"""One part and its kit, drawn until they pass every trial: the job a worker does, and the record it leaves.
+
+A record is a JSON file in the build folder, written after the meshes it speaks of: where it stands and its hashes
+hold, the job is done. It says how many attempts were rejected and why.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kit1000.data.files import read_json, sha256, write_bytes, write_json
+from kit1000.data.meshes import glb_bytes
+from kit1000.data.plan import draw_longest, draw_part
+from kit1000.data.presets import Preset
+from kit1000.data.tables import kit_row, part_row
+from kit1000.errors import MeshRefused, Redraw
+from kit1000.kits.kit import KitDesign, design_kit
+from kit1000.kits.trial import Trial, try_pair
+from kit1000.parts.family import DENSITY, make_part
+from kit1000.parts.sources import read_mesh
+from kit1000.parts.twins import shape_measures
+from kit1000.symmetry import Symmetry
+from kit1000.values import Part
+
+ATTEMPTS = 200  # draws of one part before the mixture of families must be called broken
+BUILD = ".build"  # folder of records while a dataset is being built
+
+
+@dataclass(frozen=True)
+class PairJob:
+    """A part to be made, with its kit."""
+
+    root: Path
+    preset: Preset
+    seed: int
+    part_id: str
+    split: str
+    source: str | None = None
+    """A mesh file; None draws the part."""
+    unit: str | None = None
+    redraws: tuple[str, ...] = ()
+    """Reasons for which earlier attempts were rejected; their number is the attempt to go on with."""
+
+
+Record = dict[str, Any]
+
+
+def make_pair(job: PairJob) -> Record:
+    """Do the job, or find it done, and return its record."""
+    done = finished(job.root, "parts", job.part_id)
+    if done is not None and len(done["redraws"]) >= len(job.redraws):
+        return done
+    record = _from_file(job) if job.source else _drawn(job)
+    write_json(_record_path(job.root, "parts", job.part_id), record)
+    return record
+
+
+def finished(root: Path, kind: str, item_id: str) -> Record | None:
+    """The record of a job whose files are all there as it left them, else None."""
+    path = _record_path(root, kind, item_id)
+    if not path.exists():
+        return None
+    record = read_json(path)
+    for name, digest in record["files"].items():
+        if not (root / name).exists() or sha256(root / name) != digest:
+            return None
+    return record
+
+
+def save(root: Path, kind: str, item_id: str, record: Record) -> Record:
+    """Write the record of a finished job."""
+    write_json(_record_path(root, kind, item_id), record)
+    return record
+
+
+def write_mesh_file(root: Path, name: str, data: bytes) -> dict[str, str]:
+    """Write one file of a job and return its entry for the record."""
+    write_bytes(root / name, data)
+    return {name: sha256(root / name)}
+
+
+def _record_path(root: Path, kind: str, item_id: str) -> Path:
+    return root / BUILD / kind / f"{item_id}.json"
+
+
+def _drawn(job: PairJob) -> Record:
+    redraws = list(job.redraws)
+    while len(redraws) < ATTEMPTS:
+        draw = draw_part(job.preset, job.seed, job.part_id, job.split, len(redraws))
+        try:
+            part = make_part(job.part_id, draw.family, draw.drawing, draw.longest)
+            return _record(job, part, *tried(part, job.preset.clearance), redraws)
+        except Redraw as refusal:
+            redraws.append(refusal.reason)
+    raise Redraw(f"part {job.part_id}: none of {ATTEMPTS} draws gave a part that passes ({redraws[-1]})")
+
+
+def _from_file(job: PairJob) -> Record:
+    try:
+        reading = read_mesh(job.source, job.unit)  # type: ignore[arg-type]
+        mesh = reading.mesh.scaled(draw_longest(job.preset, job.seed, job.part_id) / reading.mesh.extents.max())
+        mesh = type(mesh)(mesh.vertices - mesh.centroid, mesh.faces).rounded32()
+        part = Part(job.part_id, "file", mesh, Symmetry.none(), {}, DENSITY * mesh.volume)
+        return _record(job, part, *tried(part, job.preset.clearance), list(job.redraws))
+    except (MeshRefused, Redraw) as refusal:
+        return {
+            "id": job.part_id,
+            "split": job.split,
+            "files": {},
+            "redraws": list(job.redraws),
+            "refused": refusal.reason,
+        }
+
+
+def tried(part: Part, clearance: float) -> tuple[KitDesign, Trial]:
+    """The kit of a part after all trials. Raises Redraw; a loose fit is a reason too."""
+    design = design_kit(part, clearance)
+    trial = try_pair(part, design.kit)
+    if trial.loose:
+        raise Redraw("loose fit")
+    return design, trial
+
+
+def _record(job: PairJob, part: Part, design: KitDesign, trial: Trial, redraws: list[str]) -> Record:
+    files = write_mesh_file(job.root, f"parts/{part.id}.glb", glb_bytes({part.id: part.mesh}))
+    files |= write_mesh_file(job.root, f"kits/{part.id}.glb", glb_bytes({part.id: design.kit.mesh}))
+    return {
+        "id": part.id,
+        "split": job.split,
+        "source": job.source,
+        "files": files,
+        "redraws": redraws,
+        "measures": shape_measures(part.mesh).tolist(),
+        "part": part_row(part),
+        "kit": kit_row(design.kit) | {"report": design.report, "keyedness": trial.keyedness},
+    }

@@ -1,0 +1,137 @@
+"""The plan of a dataset: every draw, no geometry. The same plan gives the same dataset on any number of workers.
+
+Each thing is drawn from its own stream, addressed by the root seed, its id and its attempt (`draw_part`,
+`draw_assembly_of`); a draw that geometry rejects is replaced by the next attempt of the same stream. The plan lists
+first attempts, so a reader sees what was asked for; tables list what came of it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kit1000.data.files import json_bytes
+from kit1000.data.presets import HELD_OUT, SPLITS, Preset
+from kit1000.kits.assembly import AssemblyPlan, draw_assembly
+from kit1000.parts.catalog import FAMILIES, WEIGHTS, choose_family
+from kit1000.parts.family import Family, dimensions
+from kit1000.rng import stream
+
+FORMAT = "kit1000-plan/1"
+DATA_VERSION = "0.1.0"
+"""Raised whenever the same plan gives other data."""
+CANDIDATES = 24  # parts drawn as company for an assembly's target, most of them spare
+
+
+@dataclass(frozen=True)
+class PartDraw:
+    """One attempt at a part."""
+
+    family: str
+    drawing: Family
+    longest: float
+    """[m] of the part's longest side."""
+
+
+@dataclass(frozen=True)
+class AssemblyDraw:
+    """One attempt at an assembly."""
+
+    order: np.ndarray
+    """(n,) where each chosen kit stands: order[0] is the base."""
+    placing: AssemblyPlan
+
+
+def make_plan(preset: Preset, seed: int, sources: list[Path] | None = None) -> dict[str, Any]:
+    """The plan of a preset, with procedural parts or (sources) with parts read from files."""
+    parts = _sourced_parts(preset, seed, sources) if sources is not None else _drawn_parts(preset, seed)
+    return {
+        "format": FORMAT,
+        "data_version": DATA_VERSION,
+        "preset": preset.name,
+        "seed": seed,
+        "config": preset.config,
+        "held_out_families": sorted(HELD_OUT),
+        "parts": parts,
+        "assemblies": _assemblies(preset, seed, parts),
+    }
+
+
+def dataset_id(plan: dict[str, Any]) -> str:
+    """The identity of a dataset: a hash of its plan, data version included."""
+    return hashlib.sha256(json_bytes(plan)).hexdigest()[:16]
+
+
+def draw_part(preset: Preset, seed: int, part_id: str, split: str, attempt: int) -> PartDraw:
+    """One attempt at a procedural part."""
+    family = choose_family(seed, "part", part_id, attempt, weights=family_weights(split))
+    rng = stream(seed, "part", part_id, attempt, family)
+    drawing = FAMILIES[family].draw(rng)
+    return PartDraw(family, drawing, float(rng.uniform(*preset.longest)))
+
+
+def draw_longest(preset: Preset, seed: int, part_id: str) -> float:
+    """[m] longest side of a part that is read from a file."""
+    return float(stream(seed, "part", part_id, "longest").uniform(*preset.longest))
+
+
+def draw_assembly_of(preset: Preset, seed: int, assembly_id: str, kits: int, attempt: int) -> AssemblyDraw:
+    """One attempt at placing a number of kits."""
+    rng = stream(seed, "assembly", assembly_id, attempt)
+    return AssemblyDraw(rng.permutation(kits), draw_assembly(rng, kits, level_base=preset.level_base))
+
+
+def family_weights(split: str) -> dict[str, float]:
+    """The mixture of families in a split: the held-out ones appear in the test split alone."""
+    return {name: weight for name, weight in WEIGHTS.items() if split == "test" or name not in HELD_OUT}
+
+
+def _drawn_parts(preset: Preset, seed: int) -> dict[str, Any]:
+    parts = {}
+    for split in SPLITS:
+        for i in range(preset.count(split)):
+            part_id = f"{split}-{i:04d}"
+            draw = draw_part(preset, seed, part_id, split, 0)
+            parts[part_id] = {
+                "split": split,
+                "family": draw.family,
+                "longest": draw.longest,
+                "dimensions": dimensions(draw.drawing),
+            }
+    return parts
+
+
+def _sourced_parts(preset: Preset, seed: int, sources: list[Path]) -> dict[str, Any]:
+    """At most as many files as the preset has parts, in a drawn order, split in the preset's proportions."""
+    order = stream(seed, "sources").permutation(len(sources))
+    total = sum(preset.count(split) for split in SPLITS)
+    chosen = [sources[i] for i in order[:total]]
+    bounds = np.rint(np.cumsum([0] + [preset.count(split) for split in SPLITS]) * len(chosen) / total).astype(int)
+    parts = {}
+    for split, low, high in zip(SPLITS, bounds[:-1], bounds[1:], strict=True):
+        for i, path in enumerate(chosen[low:high]):
+            part_id = f"{split}-{i:04d}"
+            parts[part_id] = {
+                "split": split,
+                "source": str(path),
+                "longest": draw_longest(preset, seed, part_id),
+            }
+    return parts
+
+
+def _assemblies(preset: Preset, seed: int, parts: dict[str, Any]) -> dict[str, Any]:
+    """One assembly for each part of a split, which is its target; company from the same split."""
+    plan = {}
+    for split in SPLITS:
+        ids = sorted(part_id for part_id, row in parts.items() if row["split"] == split)
+        for target in ids:
+            rng = stream(seed, "company", target)
+            others = [other for other in ids if other != target]
+            company = [others[i] for i in rng.permutation(len(others))[:CANDIDATES]]
+            kits = int(rng.integers(preset.kits[0], preset.kits[1] + 1))
+            plan[target] = {"split": split, "target": target, "kits": kits, "company": company}
+    return plan

@@ -1,0 +1,62 @@
+"""The datasets that can be asked for by name: how many parts, how large, how tightly fitted, how steeply tilted."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from kit1000.errors import InputError
+
+SPLITS = ("train", "val", "test")
+HELD_OUT = ("cam", "connector", "gear", "hook", "pillow_block", "tee")
+"""Families that only the test split has, so that a score on them says what a method does with the unknown."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """One kind of dataset. Lengths in metres, angles in radians unless named otherwise."""
+
+    name: str
+    train: int
+    """Parts, kits and assemblies for training."""
+    val: int
+    test: int
+    longest: tuple[float, float] = (0.035, 0.05)
+    """Range of a part's longest side, drawn uniformly."""
+    clearance: float = 2.5e-3
+    kits: tuple[int, int] = (2, 5)
+    """Fewest and most kits of an assembly."""
+    level_base: bool = False
+    """Whether base plates stand level, as in the paper."""
+    tilt_deg: tuple[float, float] = (10.0, 45.0)
+    """Range of a side plate's tilt against its base."""
+    seed: int = 1000
+
+    def count(self, split: str) -> int:
+        """Parts (and assemblies) of a split."""
+        return {"train": self.train, "val": self.val, "test": self.test}[split]
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The preset as plain values."""
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+
+
+PRESETS = {
+    preset.name: preset
+    for preset in (
+        Preset("tiny", 8, 2, 6),
+        Preset("small", 60, 12, 24),
+        Preset("kit1000", 1000, 100, 200),
+        Preset("paper", 1000, 100, 200, longest=(0.05, 0.05), level_base=True),
+        Preset("real-like", 400, 50, 100, clearance=10e-3, kits=(1, 4)),
+        Preset("study", 40, 8, 24, kits=(2, 3), tilt_deg=(10.0, 30.0)),
+    )
+}
+
+
+def preset(name: str) -> Preset:
+    """The preset of a name; InputError lists the names there are."""
+    if name not in PRESETS:
+        raise InputError(f"no preset {name!r}; there are {', '.join(PRESETS)}")
+    return PRESETS[name]

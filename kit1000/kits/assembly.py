@@ -1,0 +1,193 @@
+"""Assemblies: kits tilted against each other, joined by brackets on feet, and the checks that one can be used.
+
+A side plate stands GAP off the base and turns down about its lower inner edge, so that the gap between the two opens
+upward and plates never cut into each other. Assembly frame: z up, flat underside at z = 0, origin below the centre of
+the base plate's top face. All lengths are metres, all angles radians.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations
+
+import numpy as np
+from manifold3d import Manifold, OpType
+from scipy.spatial import ConvexHull
+
+from kit1000.errors import InputError, Redraw
+from kit1000.kits.cavity import THIN
+from kit1000.kits.contact import Ridges, ridges
+from kit1000.kits.kit import GAP
+from kit1000.kits.seating import JUDGE_STEP, Plug, contact_raise
+from kit1000.kits.stand import OUTWARD, stand
+from kit1000.kits.weld import printable_mesh
+from kit1000.mesh import body_count, defect32, solid_of
+from kit1000.parts.family import DENSITY
+from kit1000.pose import Pose
+from kit1000.values import Assembly, Kit, Mount, Part
+
+MOST_KITS = 5  # a base and one plate on each of its sides
+BASE_TILT = np.radians(20)  # most, of the base in the world
+SIDE_TILT = np.radians((10, 45))  # least and most, of a side plate against the base
+WORLD_TILT = np.radians(45)  # most, of any plate in the world
+FOOT = 6e-3  # [m] of the lowest corner of a plate above the ground
+STEADY = 5e-3  # [m] least, from the centre of mass to the edge of the footprint
+UNTOUCHED = 1e-9  # [m^3] rounding leaves films of some 20 nm on the walls, up to 0.1 mm^3; a rib in a cavity takes more
+
+
+@dataclass(frozen=True)
+class Side:
+    """A plate beside the base."""
+
+    direction: int
+    """0..3: on the base's +x, +y, -x or -y side."""
+    tilt: float
+    """[rad] against the base, outer edge down."""
+
+
+@dataclass(frozen=True)
+class AssemblyPlan:
+    """How the plates of an assembly stand."""
+
+    base_tilt: float
+    """[rad] of the base in the world."""
+    base_azimuth: float
+    """[rad] from x to y: towards where the base falls."""
+    sides: tuple[Side, ...]
+
+
+def draw_assembly(
+    rng: np.random.Generator, kits: int, level_base: bool = False, max_world_tilt: float = WORLD_TILT
+) -> AssemblyPlan:
+    """A plan for 1 to 5 kits, drawn again until no slot is tilted more than `max_world_tilt` [rad]."""
+    if not 1 <= kits <= MOST_KITS:
+        raise InputError(f"kits: expected 1 to {MOST_KITS} in an assembly, got {kits}")
+    if max_world_tilt < SIDE_TILT[0] and kits > 1:
+        raise InputError(f"max_world_tilt: expected at least {SIDE_TILT[0]:.3f} rad, got {max_world_tilt:.3f}")
+    while True:
+        base_tilt = 0.0 if level_base else rng.uniform(0, BASE_TILT)
+        azimuth = 0.0 if level_base else rng.uniform(0, 2 * np.pi)
+        directions, tilts = rng.permutation(4)[: kits - 1], rng.uniform(*SIDE_TILT, size=kits - 1)
+        sides = tuple(Side(int(d), float(t)) for d, t in zip(directions, tilts, strict=True))
+        plan = AssemblyPlan(float(base_tilt), float(azimuth), sides)
+        if world_tilts(plan).max() <= max_world_tilt:
+            return plan
+
+
+def world_tilts(plan: AssemblyPlan) -> np.ndarray:
+    """(kits,) [rad] between each slot's axis and the vertical, the base first."""
+    turns = [Pose.from_rotvec(_base_turn(plan)) @ Pose.from_rotvec(_side_turn(side)) for side in plan.sides]
+    axes = np.array([_up(turn) for turn in (Pose.from_rotvec(_base_turn(plan)), *turns)])
+    return np.arctan2(np.linalg.norm(axes[:, :2], axis=1), axes[:, 2])
+
+
+def build_assembly(assembly_id: str, kits: Sequence[Kit], plan: AssemblyPlan) -> Assembly:
+    """Stand kits on brackets and feet as planned; the first is the base. Raises Redraw when the union is no solid."""
+    mounts = placed(kits, plan)
+    plates = [solid_of(mount.kit.mesh).transform(mount.assembly_from_kit.matrix()[:3]) for mount in mounts]
+    solid = Manifold.batch_boolean([*plates, *stand(mounts)], OpType.Add)
+    return Assembly(assembly_id, printable_mesh(solid, "assembly"), mounts)
+
+
+def placed(kits: Sequence[Kit], plan: AssemblyPlan) -> tuple[Mount, ...]:
+    """Each kit where the plan wants it, the lowest corner of all FOOT above the ground."""
+    if len(kits) != 1 + len(plan.sides):
+        raise InputError(f"kits: expected {1 + len(plan.sides)} for this plan, got {len(kits)}")
+    if len({tuple(kit.extent) for kit in kits}) > 1:
+        raise InputError("kits: expected plates of one size in an assembly")
+    world_from_base = Pose.from_rotvec(_base_turn(plan))
+    extent = kits[0].extent
+    world_from_kit = [world_from_base, *(world_from_base @ _base_from_side(extent, side) for side in plan.sides)]
+    corners = np.array([(x, y, -extent[2]) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]) * (*extent[:2], 1)
+    lift = FOOT - min(pose.apply(corners)[:, 2].min() for pose in world_from_kit)
+    raised = Pose.from_translation(np.array([0, 0, lift]))
+    return tuple(Mount(kit, raised @ pose) for kit, pose in zip(kits, world_from_kit, strict=True))
+
+
+def check_assembly(assembly: Assembly, parts: Mapping[str, Part]) -> None:
+    """Raise Redraw with a short reason when an assembly cannot be used. `parts` holds each slot's part by id."""
+    _check_printable(assembly)
+    _check_cavities(assembly)
+    _check_paths(assembly, parts)
+    _check_steady(assembly, parts)
+
+
+def _base_turn(plan: AssemblyPlan) -> np.ndarray:
+    """(3,) rotation vector that lowers the base towards its azimuth."""
+    return plan.base_tilt * np.array([-np.sin(plan.base_azimuth), np.cos(plan.base_azimuth), 0])
+
+
+def _side_turn(side: Side) -> np.ndarray:
+    """(3,) rotation vector that lowers the outer edge of a side plate, in the frame of the base."""
+    outward = OUTWARD[side.direction]
+    return side.tilt * np.array([-outward[1], outward[0], 0])
+
+
+def _base_from_side(extent: np.ndarray, side: Side) -> Pose:
+    outward = np.array([*OUTWARD[side.direction], 0])
+    half = extent[side.direction % 2] / 2
+    hinge = outward * (half + GAP) - (0, 0, extent[2])
+    turn = Pose.from_rotvec(_side_turn(side))
+    return Pose(turn.wxyz, hinge + turn.rotate(outward * half + (0, 0, extent[2])))
+
+
+def _up(pose: Pose) -> np.ndarray:
+    """(3,) where +z of the turned frame points."""
+    return pose.rotation_matrix()[:, 2]
+
+
+def _check_printable(assembly: Assembly) -> None:
+    fault = defect32(assembly.mesh) or ("several bodies" if body_count(assembly.mesh) > 1 else None)
+    if fault:
+        raise Redraw(f"assembly not printable: {fault}")
+    if assembly.mesh.bounds[0, 2] != 0:
+        raise Redraw("assembly not printable: underside not at z = 0")
+
+
+def _check_cavities(assembly: Assembly) -> None:
+    """Every cavity is open as its kit was made, and THIN of wall stands between any two."""
+    whole, cavities = solid_of(assembly.mesh), [_cavity(mount) for mount in assembly.mounts]
+    if any((cavity ^ whole).volume() > UNTOUCHED for cavity in cavities):
+        raise Redraw("cavity touched")
+    if any(a.min_gap(b, THIN) < THIN for a, b in combinations(cavities, 2)):
+        raise Redraw("cavities too close")
+
+
+def _cavity(mount: Mount) -> Manifold:
+    """What is open in the block of a plate, in the assembly frame."""
+    low, high = mount.kit.mesh.bounds
+    block = Manifold.cube(high - low).translate(low)
+    return (block - solid_of(mount.kit.mesh)).transform(mount.assembly_from_kit.matrix()[:3])
+
+
+def _check_paths(assembly: Assembly, parts: Mapping[str, Part]) -> None:
+    """Every part reaches its slot along the slot's axis, all other parts being seated."""
+    whole = ridges(assembly.mesh)
+    for plug, pose in _seated(assembly, parts):
+        if contact_raise(plug, whole, pose) > JUDGE_STEP:
+            raise Redraw("insertion path blocked")
+    for (plug, pose), (other, stands) in permutations(_seated(assembly, parts), 2):
+        standing = Ridges(other.edges.mesh.moved(stands), other.edges.ends, other.edges.sides)
+        if contact_raise(plug, standing, pose) > 0:
+            raise Redraw("insertion path blocked by a seated part")
+
+
+def _seated(assembly: Assembly, parts: Mapping[str, Part]) -> Iterator[tuple[Plug, Pose]]:
+    """Each slot's part and its design pose in the assembly frame."""
+    for mount in assembly.mounts:
+        slot = mount.kit.slot
+        yield Plug.of(parts[slot.part_id].mesh, slot.kit_from_part), mount.assembly_from_kit @ slot.kit_from_part
+
+
+def _check_steady(assembly: Assembly, parts: Mapping[str, Part]) -> None:
+    """The centre of mass stands STEADY inside the footprint, whichever of the parts are seated."""
+    mesh, slots = assembly.mesh, [mount.kit.slot for mount in assembly.mounts]
+    masses = np.array([DENSITY * mesh.volume, *(parts[slot.part_id].mass for slot in slots)])
+    centres = np.array([mesh.centroid, *(pose.xyz for _, pose in _seated(assembly, parts))])
+    sole = ConvexHull(mesh.vertices[mesh.vertices[:, 2] == 0, :2])
+    inside = -centres[:, :2] @ sole.equations[:, :2].T - sole.equations[:, 2] - STEADY  # (1 + slots, edges)
+    moments = masses[:, None] * inside
+    # over each edge the worst load seats exactly the parts that pull towards it
+    if (moments[0] + np.minimum(moments[1:], 0).sum(0)).min() < 0:
+        raise Redraw("does not stand on its own")

@@ -1,0 +1,35 @@
+"""Near-duplicates: parts whose shapes are the same for every practical purpose.
+
+Two parts are twins when all of five size-free measures agree within TWIN: share of the box filled, share of the convex
+hull filled, the two ratios of the box's sides, and area over volume^(2/3).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from kit1000.mesh import Mesh
+
+TWIN = 0.01  # share by which at least one measure of two different parts differs
+
+
+def shape_measures(mesh: Mesh) -> np.ndarray:
+    """(5,) fill of the box, fill of the convex hull, middle / longest side, shortest / longest, area / volume^(2/3)."""
+    short, middle, long = np.sort(mesh.extents)
+    hull = ConvexHull(mesh.vertices).volume
+    return np.array(
+        [
+            mesh.volume / mesh.extents.prod(),
+            mesh.volume / hull,
+            middle / long,
+            short / long,
+            mesh.area / mesh.volume ** (2 / 3),
+        ]
+    )
+
+
+def twin_of(measures: np.ndarray, others: np.ndarray) -> int | None:
+    """The first of others (n, 5) that is a twin of a part with the given measures (5,), or None."""
+    alike = (np.abs(others / measures - 1) < TWIN).all(1)
+    return int(alike.argmax()) if alike.any() else None

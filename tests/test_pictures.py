@@ -1,0 +1,187 @@
+"""Pictures for people: everything in the frame, the right colours, shadows and lines where they belong."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from kit1000.errors import InputError
+from kit1000.mesh import Mesh
+from kit1000.pose import Pose, random_quaternions
+from kit1000.sim import light
+from kit1000.sim.creases import smooth_patches
+from kit1000.sim.pictures import KIT, PAPER, PART, SECONDARY, TEAL, Painted, contact_sheet, framing, shaded
+
+IDENTITY = Pose.identity()
+ABOVE = (0.0, 0.0, 1.0)
+SIZE = (120, 90)
+
+
+def mesh(shape: trimesh.Trimesh) -> Mesh:
+    return Mesh(np.array(shape.vertices), np.array(shape.faces, dtype=np.int32))
+
+
+BOX = mesh(trimesh.creation.box(extents=(0.08, 0.06, 0.04)))
+BALL = mesh(trimesh.creation.icosphere(subdivisions=3, radius=0.03))
+CYLINDER = mesh(trimesh.creation.cylinder(radius=0.02, height=0.05, sections=24))
+
+
+def picture(bodies: list[Painted], direction=(0.5, -1.0, 0.8), **options) -> np.ndarray:
+    return shaded(bodies, *framing(bodies, direction, SIZE, margin=0.2), **options)
+
+
+def brightness(image: np.ndarray) -> np.ndarray:
+    return image.astype(float).mean(axis=2)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.integers(0, 2**32 - 1),
+    st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-1, 1)).filter(lambda d: np.linalg.norm(d) > 0.1),
+    st.sampled_from([(640, 480), (300, 500), (64, 64)]),
+    st.sampled_from([5.0, 20.0, 60.0]),
+)
+def test_framing_holds_every_vertex_and_no_more(seed: int, direction: tuple, size: tuple, field_deg: float):
+    rng = np.random.default_rng(seed)
+    poses = Pose(random_quaternions(rng, 3), rng.uniform(-0.2, 0.2, (3, 3)))
+    bodies = list(zip((BOX, BALL, CYLINDER), poses, strict=True))
+    camera, view = framing(bodies, direction, size, field_deg, margin=0.1)
+    points = np.concatenate([pose.apply(shape.vertices) for shape, pose in bodies])
+    share = (camera.project(view.inverse().apply(points)) + 0.5) / np.array(size)
+    low, high = share.min(axis=0), share.max(axis=0)
+    assert (low >= 0.1 - 1e-9).all()
+    assert (high <= 0.9 + 1e-9).all()
+    # The tighter side is filled from border to border, the other one centred.
+    assert (high - low).max() == pytest.approx(0.8, abs=1e-6)
+    forward = view.rotate(np.array((0.0, 0.0, 1.0)))
+    np.testing.assert_allclose(forward, -np.array(direction) / np.linalg.norm(direction), atol=1e-9)
+
+
+def test_framing_needs_a_body():
+    with pytest.raises(InputError, match="at least one body"):
+        framing([])
+
+
+def test_same_picture_twice():
+    bodies = [Painted(BOX, IDENTITY, KIT), Painted(BALL, Pose.from_translation((0.07, 0, 0)), PART)]
+    np.testing.assert_array_equal(picture(bodies), picture(bodies))
+
+
+def test_no_bodies_leave_the_background():
+    camera, view = framing([(BOX, IDENTITY)], size=SIZE)
+    image = shaded([], camera, view)
+    assert image.shape == (90, 120, 3)
+    assert (image == PAPER).all()
+
+
+def test_background_keeps_its_colour_without_a_ground():
+    image = picture([Painted(BALL, IDENTITY, PART)], background=(10, 90, 200), ground=False)
+    v, u = np.mgrid[:90, :120]
+    far = np.hypot(u - 59.5, v - 44.5) > 30
+    assert (image[far] == (10, 90, 200)).all()
+
+
+@pytest.mark.parametrize("colour", [KIT, PART, *SECONDARY])
+def test_a_level_face_shows_its_own_colour(colour: tuple[int, int, int]):
+    image = picture([Painted(BOX, IDENTITY, colour)], ABOVE)
+    assert np.abs(image[45, 60].astype(int) - colour).max() <= 20
+
+
+def test_bodies_keep_apart_in_colour():
+    left, right = Pose.from_translation((-0.04, 0, 0)), Pose.from_translation((0.04, 0, 0))
+    image = picture([Painted(BALL, left, PART), Painted(BALL, right, TEAL)], ABOVE).astype(int)
+    assert image[45, 40, 0] > image[45, 40, 2] + 60
+    assert image[45, 80, 2] > image[45, 80, 0] + 60
+
+
+def test_a_body_throws_a_shadow_on_the_ground_only():
+    body = [Painted(BOX, IDENTITY, KIT)]
+    with_ground, without = brightness(picture(body, ABOVE)), brightness(picture(body, ABOVE, ground=False))
+    free = np.ones(with_ground.shape, bool)
+    free[15:75, 20:100] = False  # away from the box itself, which fills 60 % of the frame
+    assert (without[free] == np.mean(PAPER)).mean() > 0.98
+    assert with_ground[free].min() < np.mean(PAPER) - 20
+    assert with_ground[free].max() <= np.ceil(np.mean(PAPER))
+
+
+def test_a_cavity_is_darker_than_the_plate_around_it():
+    outer = trimesh.creation.annulus(r_min=0.01, r_max=0.05, height=0.04, sections=48)
+    floor = trimesh.creation.cylinder(radius=0.02, height=0.005, sections=48)
+    floor.apply_translation((0, 0, -0.015))
+    image = brightness(
+        picture([Painted(mesh(outer), IDENTITY, KIT), Painted(mesh(floor), IDENTITY, KIT)], ABOVE)
+    )
+    assert image[45, 60] < image[45, 80] - 30
+
+
+def test_edges_of_a_box_are_drawn_dark():
+    image = brightness(picture([Painted(BOX, IDENTITY, KIT)], (0.0, -1.0, 1.0), ground=False))
+    column = image[:, 60]  # from the background over the top face and the front face
+    front_edge = 30 + column[30:60].argmin()
+    assert column[front_edge] < min(column[front_edge - 5], column[front_edge + 5]) - 15
+    assert column[:30].min() < 160
+
+
+def test_a_view_from_below_draws_no_ground():
+    body = [Painted(BOX, IDENTITY, KIT)]
+    down = (0.3, -0.4, -1.0)
+    np.testing.assert_array_equal(picture(body, down), picture(body, down, ground=False))
+
+
+@pytest.mark.parametrize(("shape", "count"), [(BOX, 6), (BALL, 1), (CYLINDER, 3)])
+def test_number_of_smooth_patches(shape: Mesh, count: int):
+    assert len(np.unique(smooth_patches(shape)[0])) == count
+
+
+def test_patches_do_not_depend_on_shared_corners():
+    corners = BALL.triangles.reshape(-1, 3)
+    soup = Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
+    patches, normals = smooth_patches(soup)
+    assert len(np.unique(patches)) == 1
+    np.testing.assert_allclose(normals, smooth_patches(BALL)[1], atol=1e-9)
+
+
+def test_shading_normals_are_those_of_the_true_surface():
+    flat = smooth_patches(BOX)[1]
+    np.testing.assert_allclose(flat, np.repeat(BOX.normals[:, None], 3, axis=1), atol=1e-12)
+    np.testing.assert_allclose(smooth_patches(BALL)[1], BALL.triangles / 0.03, atol=0.01)
+    side = np.abs(CYLINDER.normals[:, 2]) < 0.5
+    radial = CYLINDER.triangles[side] * (1, 1, 0) / 0.02
+    np.testing.assert_allclose(smooth_patches(CYLINDER)[1][side], radial, atol=1e-6)
+
+
+def test_lamps_are_unit_vectors_above_the_horizon():
+    towards = np.array((0.6, 0.0, 0.8))
+    for directions in (light.sky_directions(112), light.key_directions(48, towards)):
+        np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-12)
+        assert (directions[:, 2] > 0).all()
+    spread = light.key_directions(48, towards) @ towards
+    assert spread.min() >= np.sqrt(1 - light.KEY_SPREAD**2) - 1e-12
+
+
+def test_contact_sheet_holds_every_picture_with_a_caption():
+    images = [np.full((30, 100, 3), shade, np.uint8) for shade in (10, 60, 110, 160, 210)]
+    sheet = np.array(contact_sheet(images, ["a", "b", "c", "d", "a long caption that cannot fit"], columns=2))
+    for shade in (10, 60, 110, 160, 210):
+        assert (sheet == shade).all(axis=2).sum() >= 30 * 100 - 5
+    rows, width = sheet.shape[0] // 3, sheet.shape[1] // 2
+    last = sheet[2 * rows + 35 :, :width]
+    assert (brightness(last) < 150).sum() > 20  # letters
+    assert (sheet[:, -2:] == PAPER).all()  # nothing runs over the border
+
+
+def test_contact_sheet_takes_pillow_images_of_several_sizes():
+    sheet = contact_sheet([Image.new("RGB", (40, 20)), Image.new("RGB", (80, 60))], ["one", "two"], columns=5)
+    assert sheet.width > 160
+    assert sheet.width < 200
+
+
+def test_contact_sheet_refuses_what_does_not_match():
+    with pytest.raises(InputError, match="1 images but 2 labels"):
+        contact_sheet([np.zeros((2, 2, 3), np.uint8)], ["a", "b"])
+    with pytest.raises(InputError, match="at least one image"):
+        contact_sheet([], [])
