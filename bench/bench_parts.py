@@ -26,6 +26,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from kit1000.errors import Redraw
+from kit1000.mesh import Mesh
 from kit1000.parts.catalog import FAMILIES, choose_family
 from kit1000.parts.family import make_part
 from kit1000.parts.sources import mesh_files, read_all
@@ -48,7 +49,9 @@ class Row:
     met: bool
 
 
-def main(parts: Annotated[Path, tyro.conf.Positional], ours: Path | None = None, count: int = 1000, seed: int = 0) -> int:
+def main(
+    parts: Annotated[Path, tyro.conf.Positional], ours: Path | None = None, count: int = 1000, seed: int = 0
+) -> int:
     """Print the comparison; the exit status is 1 when a target is missed.
 
     Args:
@@ -78,7 +81,7 @@ def draw_shapes(count: int, seed: int) -> list[Shape]:
     return [describe(_drawn(seed, index), stream(seed, "describe", index)) for index in range(count)]
 
 
-def _drawn(seed: int, index: int):
+def _drawn(seed: int, index: int) -> Mesh:
     name = choose_family(seed, index)
     for attempt in range(REDRAWS):
         dims = FAMILIES[name].draw(stream(seed, index, attempt))
@@ -116,14 +119,13 @@ def _median(
     form: str = "{:.2f}",
 ) -> Row:
     """Median with quartiles of one measure."""
-    cells = []
+    cells, middle = [], 0.0
     for shapes in (real, ours):
         low, middle, high = np.percentile([read(shape) for shape in shapes], [25, 50, 75])
         cells.append(f"{form} ({form} .. {form})".format(middle, low, high))
     if target is None:
-        return Row(name, *cells, "", True)
-    middle = float(np.median([read(shape) for shape in ours]))
-    return Row(name, *cells, f"{target[0]:g} .. {target[1]:g}", target[0] <= middle <= target[1])
+        return Row(name, cells[0], cells[1], "", True)
+    return Row(name, cells[0], cells[1], f"{target[0]:g} .. {target[1]:g}", target[0] <= float(middle) <= target[1])
 
 
 def _share(name: str, real: Sequence[Shape], ours: Sequence[Shape], target: tuple[float, float]) -> Row:

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull
 
 from kit1000.mesh import Mesh, body_count, surface_points
+from kit1000.parts.twins import TWIN, shape_measures
 
 BINS = 32
 """Of a D2 histogram, over 0 .. D2_RANGE mean distances."""
@@ -19,8 +19,6 @@ D2_RANGE = 2.6
 """Longest distance in a histogram, in mean distances; only rods reach it."""
 PAIRS = 8000
 """Pairs of points a D2 histogram is counted from."""
-TWIN = 0.01
-"""Two parts are near-duplicates when no measure differs by more than this share."""
 
 
 @dataclass(frozen=True)
@@ -59,19 +57,10 @@ class Shape:
 
 def describe(mesh: Mesh, rng: np.random.Generator) -> Shape:
     """Measure a closed mesh of one body."""
-    long, middle, short = np.sort(mesh.extents)[::-1]
-    volume = abs(mesh.volume)
+    fill, convexity, middle, short, roughness = (float(value) for value in shape_measures(mesh))
     euler = len(mesh.vertices) - len(mesh.faces) / 2
-    return Shape(
-        triangles=len(mesh.faces),
-        genus=round(body_count(mesh) - euler / 2),
-        fill=volume / float(long * middle * short),
-        convexity=volume / float(ConvexHull(mesh.vertices).volume),
-        middle=float(middle / long),
-        short=float(short / long),
-        roughness=mesh.area / volume ** (2 / 3),
-        d2=d2_histogram(mesh, rng),
-    )
+    genus = round(body_count(mesh) - euler / 2)
+    return Shape(len(mesh.faces), genus, fill, convexity, middle, short, roughness, d2_histogram(mesh, rng))
 
 
 def d2_histogram(mesh: Mesh, rng: np.random.Generator) -> np.ndarray:
@@ -99,11 +88,10 @@ def d2_noise(shapes: Sequence[Shape], rng: np.random.Generator, splits: int = 20
 
 
 def twins(shapes: Sequence[Shape]) -> list[tuple[int, int]]:
-    """Pairs of near-duplicates: same genus, and every measure alike within TWIN of itself."""
-    measures = np.log([shape.measures() for shape in shapes])
-    genus = np.array([shape.genus for shape in shapes])
+    """Pairs of near-duplicates, as datasets refuse them: no measure differs by more than TWIN of itself."""
+    measures = np.array([shape.measures() for shape in shapes])
     found = []
-    for i in range(len(shapes)):
-        alike = np.abs(measures[i + 1 :] - measures[i]).max(axis=1) < TWIN
-        found += [(i, int(i + 1 + j)) for j in np.flatnonzero(alike & (genus[i + 1 :] == genus[i]))]
+    for i, one in enumerate(measures):
+        alike = (np.abs(measures[i + 1 :] / one - 1) < TWIN).all(axis=1)
+        found += [(i, int(i + 1 + j)) for j in np.flatnonzero(alike)]
     return found

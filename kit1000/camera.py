@@ -62,9 +62,7 @@ class Camera:
         """
         points = checked("points_cam", points_cam, (..., 3))
         z = np.where(points[..., 2] > 0, points[..., 2], np.nan)
-        return np.stack(
-            [self.fx * points[..., 0] / z + self.cx, self.fy * points[..., 1] / z + self.cy], axis=-1
-        )
+        return np.stack([self.fx * points[..., 0] / z + self.cx, self.fy * points[..., 1] / z + self.cy], axis=-1)
 
     def unproject(self, depth: ArrayLike) -> np.ndarray:
         """The point behind each pixel; where the depth is 0 (no return) the point is (0, 0, 0).

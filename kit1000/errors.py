@@ -5,6 +5,8 @@ A message is one line: what is wrong, where, and what was expected instead.
 
 from __future__ import annotations
 
+import traceback
+from pathlib import Path
 from types import EllipsisType
 
 import numpy as np
@@ -37,6 +39,19 @@ class Redraw(Kit1000Error):
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
         self.reason = reason
+
+
+class Fault(Kit1000Error):
+    """A mistake of this package and not of its user, said in one line that helps to find it."""
+
+
+def fault(doing: str, error: BaseException) -> Fault:
+    """An unforeseen exception as a Fault: what was being done, what went wrong, in which line of this package."""
+    frames = traceback.extract_tb(error.__traceback__)
+    ours = [frame for frame in frames if "kit1000" in Path(frame.filename).parts]
+    where = f" ({Path(ours[-1].filename).name}:{ours[-1].lineno})" if ours else ""
+    said = " ".join(str(error).split())
+    return Fault(f"{doing}: {type(error).__name__}: {said or 'no message'}{where}; please report this fault of kit1000")
 
 
 Shape = tuple[int | str | EllipsisType, ...]

@@ -95,9 +95,7 @@ class Pose:
         angle = np.linalg.norm(phi, axis=-1, keepdims=True)
         closed = np.maximum(angle, SERIES_ANGLE)
         first = 0.5 * _sinc(angle / 2) ** 2  # (1 - cos t)/t^2, in the form that does not cancel
-        second = np.where(
-            angle < SERIES_ANGLE, _series(_EXP_SERIES, angle), (closed - np.sin(closed)) / closed**3
-        )
+        second = np.where(angle < SERIES_ANGLE, _series(_EXP_SERIES, angle), (closed - np.sin(closed)) / closed**3)
         once = np.cross(phi, rho)
         return cls(quaternion_from_rotvec(phi), rho + first * once + second * np.cross(phi, once))
 

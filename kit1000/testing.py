@@ -51,7 +51,9 @@ def check_symmetry(part: Part, where: str = "") -> None:
         assert gap <= allowed, f"{where}: {_said(turn)} is declared but moves the surface by {gap * 1e3:.3f} mm"
         changed = _changed_volume(solid, turn)
         limit = allowed * part.mesh.area
-        assert changed <= limit, f"{where}: {_said(turn)} is declared but changes {changed / part.mesh.volume:.2%} of it"
+        assert changed <= limit, (
+            f"{where}: {_said(turn)} is declared but changes {changed / part.mesh.volume:.2%} of it"
+        )
     for turn in _undeclared(part):
         if _changed_volume(solid, turn) < 0.1 * EXACT * part.mesh.area:
             raise AssertionError(f"{where}: {_said(turn)} maps the part on itself but is not declared")

@@ -102,9 +102,7 @@ def test_cameras_of_equal_numbers_are_equal() -> None:
 
 @given(cameras(), vectors(1.0), st.sampled_from([2.0, 3.0, 0.5, 0.37]))
 @laws
-def test_scaling_keeps_each_point_at_its_share_of_the_image(
-    camera: Camera, point: np.ndarray, factor: float
-) -> None:
+def test_scaling_keeps_each_point_at_its_share_of_the_image(camera: Camera, point: np.ndarray, factor: float) -> None:
     def share(view: Camera) -> np.ndarray:
         return (view.project(point + np.array([0, 0, 2])) + 0.5) / [view.width, view.height]
 

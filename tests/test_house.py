@@ -15,11 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+import tomli
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("kit1000", "benchmark", "baselines")  # the library and the two applications
@@ -27,7 +23,7 @@ PYTHON_FOLDERS = (*PACKAGES, "bench", "tests", "docs")
 
 # A module imports from rows above and from further left in its own; inside one entry no circles are the rule.
 LAYERS = (
-    ("errors", "rng", "pose", "symmetry", "mesh", "camera", "values"),
+    ("errors", "compiled", "rng", "pose", "symmetry", "mesh", "camera", "values"),
     ("parts", "kits", "voxels"),
     ("sim",),
     ("data", "submission", "predictor", "metrics"),
@@ -41,7 +37,8 @@ ORDER = {name: place for place, name in enumerate(chain(*LAYERS))}
 FENCES = {
     "manifold3d": ("kit1000.mesh", "kit1000.parts", "kit1000.kits", "kit1000.metrics", "kit1000.testing"),
     "pybullet": ("kit1000.sim", "kit1000.planner"),
-    "numba": ("kit1000.voxels", "kit1000.sim", "kit1000.kits", "kit1000.metrics", "baselines.registration"),
+    "numba": ("kit1000.compiled",),
+    "kit1000.compiled": ("kit1000.voxels", "kit1000.sim", "kit1000.kits", "kit1000.metrics", "baselines.registration"),
     "open3d": ("baselines.icp",),
     "mcap": ("kit1000.data.mcap_io",),
     "foxglove_schemas_protobuf": ("kit1000.data.mcap_io",),
@@ -163,7 +160,7 @@ def test_importing_the_library_loads_nothing_heavy() -> None:
 
 @cache
 def project() -> dict[str, Any]:
-    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return tomli.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
 def import_names(requirements: list[str]) -> set[str]:

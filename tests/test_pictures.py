@@ -112,9 +112,7 @@ def test_a_cavity_is_darker_than_the_plate_around_it():
     outer = trimesh.creation.annulus(r_min=0.01, r_max=0.05, height=0.04, sections=48)
     floor = trimesh.creation.cylinder(radius=0.02, height=0.005, sections=48)
     floor.apply_translation((0, 0, -0.015))
-    image = brightness(
-        picture([Painted(mesh(outer), IDENTITY, KIT), Painted(mesh(floor), IDENTITY, KIT)], ABOVE)
-    )
+    image = brightness(picture([Painted(mesh(outer), IDENTITY, KIT), Painted(mesh(floor), IDENTITY, KIT)], ABOVE))
     assert image[45, 60] < image[45, 80] - 30
 
 

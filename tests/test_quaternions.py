@@ -62,9 +62,7 @@ def test_quaternion_angle_is_the_angle_between(q: np.ndarray, axis: np.ndarray, 
 
 @given(quaternions(), quaternions(), quaternions())
 @laws
-def test_quaternion_angle_is_a_metric_blind_to_common_turns(
-    a: np.ndarray, b: np.ndarray, c: np.ndarray
-) -> None:
+def test_quaternion_angle_is_a_metric_blind_to_common_turns(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> None:
     ab, bc, ac = quaternion_angle(a, b), quaternion_angle(b, c), quaternion_angle(a, c)
     assert 0 <= ac <= ab + bc + ROUNDING
     assert ac <= np.pi
@@ -83,9 +81,7 @@ def test_quaternion_between_takes_u_to_v_by_the_shortest_turn(u: np.ndarray, v: 
 
 @given(directions(), directions(), st.one_of(st.just(0.0), st.floats(-17, -3).map(lambda x: 10.0**x)))
 @laws
-def test_quaternion_between_holds_next_to_equal_and_opposite(
-    u: np.ndarray, side: np.ndarray, gap: float
-) -> None:
+def test_quaternion_between_holds_next_to_equal_and_opposite(u: np.ndarray, side: np.ndarray, gap: float) -> None:
     for sign in (1.0, -1.0):
         v = unit_vector(sign * u + gap * side)
         turn = Pose(quaternion_between(u, v), np.zeros(3))

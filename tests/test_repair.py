@@ -27,9 +27,7 @@ SHAPES = {
 
 def healed(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, list[str]]:
     notes: list[str] = []
-    mesh = part_mesh(
-        closed_solid(np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64), notes), notes
-    )
+    mesh = part_mesh(closed_solid(np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64), notes), notes)
     assert defect32(mesh) is None
     assert solid_of(mesh).volume() == pytest.approx(mesh.volume, rel=1e-9)
     return mesh, notes
@@ -45,9 +43,7 @@ def notes_of(*solids: Manifold) -> list[str]:
     return healed(*soup_of(*solids))[1]
 
 
-def tube_along(
-    centre: Callable[[np.ndarray], np.ndarray], radius: float, span: tuple[float, float], n: int
-) -> Mesh:
+def tube_along(centre: Callable[[np.ndarray], np.ndarray], radius: float, span: tuple[float, float], n: int) -> Mesh:
     """A tube round a closed curve over a part of its parameter; capped unless the span is a full turn."""
     full = np.isclose(span[1] - span[0], 2 * np.pi)
     t = np.linspace(*span, n, endpoint=not full)
@@ -83,9 +79,7 @@ def test_no_order_of_the_file_reaches_the_result(name: str, seed: int) -> None:
     corners, _ = soup_of(SHAPES[name])
     wanted, _ = healed(indexed.vertices, indexed.faces)
     order = rng.permutation(len(indexed.faces))
-    turned = np.stack(
-        [np.roll(face, rng.integers(3)) for face in np.arange(len(corners)).reshape(-1, 3)[order]]
-    )
+    turned = np.stack([np.roll(face, rng.integers(3)) for face in np.arange(len(corners)).reshape(-1, 3)[order]])
     shuffle = rng.permutation(len(corners))
     found, notes = healed(corners[shuffle], np.argsort(shuffle)[turned])
     assert np.array_equal(found.vertices, wanted.vertices)
@@ -121,9 +115,7 @@ def test_an_inside_out_solid_is_turned_and_said() -> None:
 
 def test_vertices_in_the_middle_of_longer_edges_are_stitched() -> None:
     corners, faces = soup_of(BOX)
-    top = np.flatnonzero(
-        (corners[faces][..., 2] > 0).all(1)
-    )  # the two faces above, replaced by a fan of eight
+    top = np.flatnonzero((corners[faces][..., 2] > 0).all(1))  # the two faces above, replaced by a fan of eight
     rim = 1e-3 * np.array([[20, 10, 5], [0, 10, 5], [-20, 10, 5], [-20, 0, 5], [-20, -10, 5], [0, -10, 5]])
     rim = np.concatenate([rim, 1e-3 * np.array([[20, -10, 5], [20, 0, 5]])])
     fan = np.stack([np.tile([0, 0, 0.005], (8, 1)), rim, np.roll(rim, -1, axis=0)], axis=1)
@@ -223,11 +215,7 @@ def test_a_void_stays_and_a_stray_inverted_body_is_turned() -> None:
 
 
 def test_solids_that_touch_along_an_edge_stay_closed_after_rounding() -> None:
-    stairs = (
-        BOX
-        + BOX.translate((0.04, 0.02, 0))
-        + Manifold.cube((0.08, 0.04, 0.01)).translate((-0.02, -0.01, 0.005))
-    )
+    stairs = BOX + BOX.translate((0.04, 0.02, 0)) + Manifold.cube((0.08, 0.04, 0.01)).translate((-0.02, -0.01, 0.005))
     found, notes = healed(*soup_of(stairs))
     assert found.volume == pytest.approx(stairs.volume(), rel=1e-3)
     assert notes == ["drew apart surfaces that touch along edges, by 2 um"]
@@ -267,9 +255,7 @@ def test_many_faces_are_thinned_within_the_stated_distance() -> None:
 def test_surfaces_cross_just_when_solids_overlap_without_one_in_the_other(seed: int) -> None:
     """Two random tetrahedra, judged by exact booleans."""
     rng = np.random.default_rng(seed)
-    first, second = (
-        Manifold.hull_points(rng.uniform(-1, 1, (4, 3)) + shift) for shift in rng.uniform(0, 0.6, (2, 3))
-    )
+    first, second = (Manifold.hull_points(rng.uniform(-1, 1, (4, 3)) + shift) for shift in rng.uniform(0, 0.6, (2, 3)))
     shared = (first ^ second).volume()
     cross = 1e-6 < shared < min(first.volume(), second.volume()) - 1e-6
     triangles = np.concatenate([mesh_of(first).triangles, mesh_of(second).triangles])

@@ -33,9 +33,7 @@ OPEN = exported(trimesh.Trimesh(BOX.vertices, BOX.faces[2:], process=False))
 APART = np.array([BOX.triangles, BOX.triangles + [60, 0, 0]]).reshape(-1, 3, 3)
 TWO = exported(trimesh.Trimesh(**trimesh.triangles.to_kwargs(APART), process=False))
 NAN = STL[:84] + STL[84:].replace(struct.pack("<f", 20.0), struct.pack("<f", np.nan))
-PLY_HEADER = (
-    b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n"
-)
+PLY_HEADER = b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n"
 POINT = b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n"
 TETRAHEDRON = b"v 0 0 0\nv %s 0 0\nv 0 30 0\nv 0 0 30\nf 1 2 3\nf 1 3 4\nf 1 4 2\nf 2 4 3\n"
 
@@ -100,9 +98,7 @@ def test_what_cannot_be_a_part_is_refused_with_one_line(name: str, tmp_path: Pat
     st.sampled_from([".stl", ".ply", ".off", ".obj", ".glb"]),
 )
 @settings(max_examples=150, deadline=None)
-def test_a_damaged_byte_never_ends_in_a_traceback(
-    tmp_path_factory, place: int, byte: int, suffix: str
-) -> None:
+def test_a_damaged_byte_never_ends_in_a_traceback(tmp_path_factory, place: int, byte: int, suffix: str) -> None:
     data = bytearray(STL if suffix == ".stl" else scaled(1, suffix[1:]))
     data[place % len(data)] = byte
     path = written(tmp_path_factory.getbasetemp(), f"damaged{suffix}", bytes(data))
@@ -127,9 +123,7 @@ def test_too_many_triangles_are_refused(tmp_path: Path, monkeypatch: pytest.Monk
         read_mesh(written(tmp_path, "box.stl", STL))
 
 
-def test_folders_missing_files_and_closed_doors_are_answered(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_folders_missing_files_and_closed_doors_are_answered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "folder.stl").mkdir()
     with pytest.raises(MeshRefused, match="is a folder"):
         read_mesh(tmp_path / "folder.stl")

@@ -29,9 +29,7 @@ ROUNDING = 2e-14
 laws = settings(max_examples=60, deadline=None)
 TILTED = np.array([0.48, 0.6, 0.64])
 
-TETRAHEDRON = Symmetry.generated(
-    quaternion_from_rotvec([[np.pi, 0, 0], np.full(3, 2 * np.pi / 3) / np.sqrt(3)])
-)
+TETRAHEDRON = Symmetry.generated(quaternion_from_rotvec([[np.pi, 0, 0], np.full(3, 2 * np.pi / 3) / np.sqrt(3)]))
 GOLDEN = (1 + np.sqrt(5)) / 2
 ICOSAHEDRON = Symmetry.generated(np.array([[0.5, 0.5, 0.5, 0.5], [GOLDEN / 2, 1 / (2 * GOLDEN), 0.5, 0.0]]))
 FINITE = [
@@ -238,9 +236,7 @@ def test_error_about_a_free_axis_is_the_angle_between_the_axes(sym: Symmetry) ->
 @each
 @given(data=st.data(), truth=quaternions())
 @settings(max_examples=15, deadline=None)
-def test_error_is_zero_at_every_symmetric_orientation(
-    sym: Symmetry, data: st.DataObject, truth: np.ndarray
-) -> None:
+def test_error_is_zero_at_every_symmetric_orientation(sym: Symmetry, data: st.DataObject, truth: np.ndarray) -> None:
     estimate = quaternion_multiply(truth, data.draw(members(sym)))
     assert sym.error(estimate, truth) <= ROUNDING
 

@@ -28,9 +28,10 @@ def write_bytes(path: Path, data: bytes) -> None:
             os.fsync(file.fileno())
         os.replace(partial, path)
     except OSError as error:
+        raise InputError(f"cannot write {path}: {_said(error)}") from error
+    finally:  # also on Ctrl-C; after the rename there is nothing left to delete
         with suppress(OSError):
             partial.unlink()
-        raise InputError(f"cannot write {path}: {error.strerror or error}{_mend(error)}") from error
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -52,20 +53,38 @@ def read_json(path: Path) -> Any:
         return json.loads(path.read_bytes())
     except FileNotFoundError:
         raise InputError(f"no file {path}") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot read {path}: {error}") from error
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(f"cannot read {path}: damaged or no JSON ({error})") from error
 
 
-def sha256(path: Path) -> str:
-    """Hash of a file's bytes, in hex."""
-    with open(path, "rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest() if hasattr(hashlib, "file_digest") else _digest(file)
+def sha256(path: Path) -> str | None:
+    """Hash of a file's bytes in hex; None when there is no file, or none that can be read."""
+    digest = hashlib.sha256()
+    try:
+        with open(path, "rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    except OSError:
+        return None
+    return digest.hexdigest()
 
 
-def clear_partial(folder: Path) -> None:
-    """Delete what an interrupted writer left behind."""
-    for leftover in folder.rglob(f".*{PARTIAL}"):
-        leftover.unlink(missing_ok=True)
+def clear_partial(folder: Path, *names: str) -> None:
+    """Delete what an interrupted writer left behind: of files with these names, or of all below the folder."""
+    for pattern in [f".{name}.*{PARTIAL}" for name in names] or [f"**/.*{PARTIAL}"]:
+        for leftover in folder.glob(pattern):
+            leftover.unlink(missing_ok=True)
+
+
+def check_writable(folder: Path) -> None:
+    """Raise InputError now when files could not be written to a folder later; makes nothing."""
+    nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
+    if not nearest.is_dir():
+        raise InputError(f"cannot write to {folder}: {_said(NotADirectoryError(errno.ENOTDIR, 'Not a directory'))}")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise InputError(f"cannot write to {folder}: {_said(PermissionError(errno.EACCES, 'Permission denied'))}")
 
 
 @contextmanager
@@ -75,14 +94,16 @@ def locked(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         handle = open(folder / ".lock", "w")  # noqa: SIM115 (held until the end of the block)
     except OSError as error:
-        raise InputError(f"cannot write to {folder}: {error.strerror or error}{_mend(error)}") from error
+        raise InputError(f"cannot write to {folder}: {_said(error)}") from error
     with handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
+        except BlockingIOError:
             raise InputError(
                 f"{folder} is being written by another process: wait for it or choose another --out"
             ) from None
+        except OSError as error:
+            raise InputError(f"cannot lock {folder}: {_said(error)}; choose a folder on another disk") from error
         yield
 
 
@@ -90,18 +111,15 @@ def _compact(value: Any) -> str:
     return json.dumps(value, sort_keys=True, separators=(", ", ": "), allow_nan=False)
 
 
-def _digest(file: Any) -> str:
-    digest = hashlib.sha256()
-    while block := file.read(1 << 20):
-        digest.update(block)
-    return digest.hexdigest()
-
-
-def _mend(error: OSError) -> str:
-    if error.errno == errno.ENOSPC:
-        return "; free some space and run the same command again: it continues"
-    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return "; choose a folder you may write to with --out"
-    if error.errno in (errno.ENOTDIR, errno.EEXIST):
-        return "; a file stands where a folder is needed"
-    return ""
+def _said(error: OSError) -> str:
+    """What the system says of an error, and how to mend it."""
+    mend = ""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        mend = "; free some space and run the same command again"
+    elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        mend = "; choose a folder you may write to with --out"
+    elif error.errno in (errno.ENOTDIR, errno.EEXIST):
+        mend = "; a file stands where a folder is needed"
+    elif error.errno == errno.EISDIR:
+        mend = "; a folder stands where a file is needed"
+    return f"{error.strerror or error}{mend}"

@@ -6,6 +6,7 @@ hold, the job is done. It says how many attempts were rejected and why.
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,10 @@ from kit1000.data.meshes import glb_bytes
 from kit1000.data.plan import draw_longest, draw_part
 from kit1000.data.presets import Preset
 from kit1000.data.tables import kit_row, part_row
-from kit1000.errors import MeshRefused, Redraw
+from kit1000.errors import InputError, MeshRefused, Redraw, fault
 from kit1000.kits.kit import KitDesign, design_kit
 from kit1000.kits.trial import Trial, try_pair
+from kit1000.mesh import Mesh
 from kit1000.parts.family import DENSITY, make_part
 from kit1000.parts.sources import read_mesh
 from kit1000.parts.twins import shape_measures
@@ -38,10 +40,15 @@ class PairJob:
     part_id: str
     split: str
     source: str | None = None
-    """A mesh file; None draws the part."""
+    """Name of the mesh file that the part is read from; None draws the part."""
+    path: Path | None = None
+    """Where that file is."""
     unit: str | None = None
     redraws: tuple[str, ...] = ()
     """Reasons for which earlier attempts were rejected; their number is the attempt to go on with."""
+
+    def __str__(self) -> str:
+        return f"part {self.part_id}" + (f" ({self.source})" if self.source else "")
 
 
 Record = dict[str, Any]
@@ -52,21 +59,21 @@ def make_pair(job: PairJob) -> Record:
     done = finished(job.root, "parts", job.part_id)
     if done is not None and len(done["redraws"]) >= len(job.redraws):
         return done
-    record = _from_file(job) if job.source else _drawn(job)
-    write_json(_record_path(job.root, "parts", job.part_id), record)
-    return record
+    return save(job.root, "parts", job.part_id, _from_file(job) if job.source else _drawn(job))
 
 
 def finished(root: Path, kind: str, item_id: str) -> Record | None:
-    """The record of a job whose files are all there as it left them, else None."""
-    path = _record_path(root, kind, item_id)
-    if not path.exists():
+    """The record of a job whose files are all there as it left them, else None: the job is to be done again."""
+    try:
+        record = read_json(_record_path(root, kind, item_id))
+    except InputError:  # absent, or damaged by a crash of the machine
         return None
-    record = read_json(path)
-    for name, digest in record["files"].items():
-        if not (root / name).exists() or sha256(root / name) != digest:
-            return None
-    return record
+    return record if intact(root, record.get("files")) else None
+
+
+def intact(root: Path, files: dict[str, str] | None) -> bool:
+    """Whether files are all there with these hashes."""
+    return files is not None and all(sha256(root / name) == digest for name, digest in files.items())
 
 
 def save(root: Path, kind: str, item_id: str, record: Record) -> Record:
@@ -78,7 +85,7 @@ def save(root: Path, kind: str, item_id: str, record: Record) -> Record:
 def write_mesh_file(root: Path, name: str, data: bytes) -> dict[str, str]:
     """Write one file of a job and return its entry for the record."""
     write_bytes(root / name, data)
-    return {name: sha256(root / name)}
+    return {name: hashlib.sha256(data).hexdigest()}
 
 
 def _record_path(root: Path, kind: str, item_id: str) -> Path:
@@ -99,19 +106,23 @@ def _drawn(job: PairJob) -> Record:
 
 def _from_file(job: PairJob) -> Record:
     try:
-        reading = read_mesh(job.source, job.unit)  # type: ignore[arg-type]
-        mesh = reading.mesh.scaled(draw_longest(job.preset, job.seed, job.part_id) / reading.mesh.extents.max())
-        mesh = type(mesh)(mesh.vertices - mesh.centroid, mesh.faces).rounded32()
-        part = Part(job.part_id, "file", mesh, Symmetry.none(), {}, DENSITY * mesh.volume)
-        return _record(job, part, *tried(part, job.preset.clearance), list(job.redraws))
+        part = _read_part(job)
+        return _record(job, part, *tried(part, job.preset.clearance), [])
     except (MeshRefused, Redraw) as refusal:
-        return {
-            "id": job.part_id,
-            "split": job.split,
-            "files": {},
-            "redraws": list(job.redraws),
-            "refused": refusal.reason,
-        }
+        reason = refusal.reason
+    except InputError:  # of the dataset's folder, not of the file
+        raise
+    except Exception as error:  # a stranger's mesh may meet a case nobody thought of: it stops no run, and is reported
+        reason = str(fault("no kit", error))
+    return {"id": job.part_id, "split": job.split, "files": {}, "redraws": [], "refused": reason}
+
+
+def _read_part(job: PairJob) -> Part:
+    assert job.path is not None
+    mesh = read_mesh(job.path, job.unit).mesh
+    mesh = mesh.scaled(draw_longest(job.preset, job.seed, job.part_id) / mesh.extents.max())
+    mesh = Mesh(mesh.vertices - mesh.centroid, mesh.faces).rounded32()
+    return Part(job.part_id, "file", mesh, Symmetry.none(), {}, DENSITY * mesh.volume)
 
 
 def tried(part: Part, clearance: float) -> tuple[KitDesign, Trial]:

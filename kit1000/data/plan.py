@@ -8,13 +8,15 @@ first attempts, so a reader sees what was asked for; tables list what came of it
 from __future__ import annotations
 
 import hashlib
+import os
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kit1000.data.files import json_bytes
+from kit1000.data.files import json_bytes, sha256
 from kit1000.data.presets import HELD_OUT, SPLITS, Preset
 from kit1000.kits.assembly import AssemblyPlan, draw_assembly
 from kit1000.parts.catalog import FAMILIES, WEIGHTS, choose_family
@@ -38,6 +40,23 @@ class PartDraw:
 
 
 @dataclass(frozen=True)
+class Sources:
+    """Mesh files that take the place of procedural parts."""
+
+    files: dict[str, Path]
+    """By name: the path from the folder that holds them all, so that a plan says nothing of this machine."""
+    unit: str | None = None
+    """The unit of all of them; None: as each file says, else guessed."""
+
+    @classmethod
+    def of(cls, paths: Iterable[Path], unit: str | None = None) -> Sources:
+        """The sources of some paths."""
+        whole = [Path(os.path.abspath(path)) for path in paths]
+        folder = os.path.commonpath([path.parent for path in whole])
+        return cls({path.relative_to(folder).as_posix(): path for path in whole}, unit)
+
+
+@dataclass(frozen=True)
 class AssemblyDraw:
     """One attempt at an assembly."""
 
@@ -46,10 +65,11 @@ class AssemblyDraw:
     placing: AssemblyPlan
 
 
-def make_plan(preset: Preset, seed: int, sources: list[Path] | None = None) -> dict[str, Any]:
-    """The plan of a preset, with procedural parts or (sources) with parts read from files."""
+def make_plan(preset: Preset, seed: int, sources: Sources | None = None) -> dict[str, Any]:
+    """The plan of a preset, with procedural parts or with parts read from files."""
     parts = _sourced_parts(preset, seed, sources) if sources is not None else _drawn_parts(preset, seed)
-    return {
+    origin = {} if sources is None else {"unit": sources.unit}
+    return origin | {
         "format": FORMAT,
         "data_version": DATA_VERSION,
         "preset": preset.name,
@@ -105,19 +125,21 @@ def _drawn_parts(preset: Preset, seed: int) -> dict[str, Any]:
     return parts
 
 
-def _sourced_parts(preset: Preset, seed: int, sources: list[Path]) -> dict[str, Any]:
+def _sourced_parts(preset: Preset, seed: int, sources: Sources) -> dict[str, Any]:
     """At most as many files as the preset has parts, in a drawn order, split in the preset's proportions."""
-    order = stream(seed, "sources").permutation(len(sources))
+    names = sorted(sources.files)
+    order = stream(seed, "sources").permutation(len(names))
     total = sum(preset.count(split) for split in SPLITS)
-    chosen = [sources[i] for i in order[:total]]
+    chosen = [names[i] for i in order[:total]]
     bounds = np.rint(np.cumsum([0] + [preset.count(split) for split in SPLITS]) * len(chosen) / total).astype(int)
     parts = {}
     for split, low, high in zip(SPLITS, bounds[:-1], bounds[1:], strict=True):
-        for i, path in enumerate(chosen[low:high]):
+        for i, name in enumerate(chosen[low:high]):
             part_id = f"{split}-{i:04d}"
             parts[part_id] = {
                 "split": split,
-                "source": str(path),
+                "source": name,
+                "sha256": sha256(sources.files[name]),
                 "longest": draw_longest(preset, seed, part_id),
             }
     return parts

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from difflib import get_close_matches
 from typing import Any
 
 from kit1000.errors import InputError
@@ -38,8 +39,9 @@ class Preset:
 
     @property
     def config(self) -> dict[str, Any]:
-        """The preset as plain values."""
-        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+        """The preset as plain values, without its name and the seed, which the plan states itself."""
+        values = {key: value for key, value in asdict(self).items() if key not in ("name", "seed")}
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
 
 
 PRESETS = {
@@ -58,5 +60,7 @@ PRESETS = {
 def preset(name: str) -> Preset:
     """The preset of a name; InputError lists the names there are."""
     if name not in PRESETS:
-        raise InputError(f"no preset {name!r}; there are {', '.join(PRESETS)}")
+        near = get_close_matches(name, PRESETS, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]}? " if near else ""
+        raise InputError(f"no preset {name!r}; {hint}there are {', '.join(PRESETS)}")
     return PRESETS[name]

@@ -1,13 +1,13 @@
-"""Assemblies: kits tilted against each other, joined by brackets on feet, and the checks that one can be used.
+"""Assemblies: kits tilted against each other on brackets and feet, and the checks that one can be used.
 
-A side plate stands GAP off the base and turns down about its lower inner edge, so that the gap between the two opens
-upward and plates never cut into each other. Assembly frame: z up, flat underside at z = 0, origin below the centre of
-the base plate's top face. All lengths are metres, all angles radians.
+A side plate stands GAP off the base and turns down about its lower inner edge, so that the gap between them
+opens upward and plates never cut into each other. Assembly frame: z up, flat underside at z = 0, origin below
+the centre of the base plate's top face. All lengths are metres, all angles radians.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations, permutations
 
@@ -33,7 +33,7 @@ SIDE_TILT = np.radians((10, 45))  # least and most, of a side plate against the 
 WORLD_TILT = np.radians(45)  # most, of any plate in the world
 FOOT = 6e-3  # [m] of the lowest corner of a plate above the ground
 STEADY = 5e-3  # [m] least, from the centre of mass to the edge of the footprint
-UNTOUCHED = 1e-9  # [m^3] rounding leaves films of some 20 nm on the walls, up to 0.1 mm^3; a rib in a cavity takes more
+UNTOUCHED = 1e-9  # [m^3] of a cavity: rounding leaves films of 20 nm on its walls, up to 0.1 mm^3
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def draw_assembly(
     if not 1 <= kits <= MOST_KITS:
         raise InputError(f"kits: expected 1 to {MOST_KITS} in an assembly, got {kits}")
     if max_world_tilt < SIDE_TILT[0] and kits > 1:
-        raise InputError(f"max_world_tilt: expected at least {SIDE_TILT[0]:.3f} rad, got {max_world_tilt:.3f}")
+        raise InputError(f"max_world_tilt: expected {SIDE_TILT[0]:.3f} rad or more, got {max_world_tilt:.3f}")
     while True:
         base_tilt = 0.0 if level_base else rng.uniform(0, BASE_TILT)
         azimuth = 0.0 if level_base else rng.uniform(0, 2 * np.pi)
@@ -83,7 +83,7 @@ def world_tilts(plan: AssemblyPlan) -> np.ndarray:
 
 
 def build_assembly(assembly_id: str, kits: Sequence[Kit], plan: AssemblyPlan) -> Assembly:
-    """Stand kits on brackets and feet as planned; the first is the base. Raises Redraw when the union is no solid."""
+    """Stand kits on brackets and feet as planned, the first as the base. Raises Redraw when no solid results."""
     mounts = placed(kits, plan)
     plates = [solid_of(mount.kit.mesh).transform(mount.assembly_from_kit.matrix()[:3]) for mount in mounts]
     solid = Manifold.batch_boolean([*plates, *stand(mounts)], OpType.Add)
@@ -98,7 +98,8 @@ def placed(kits: Sequence[Kit], plan: AssemblyPlan) -> tuple[Mount, ...]:
         raise InputError("kits: expected plates of one size in an assembly")
     world_from_base = Pose.from_rotvec(_base_turn(plan))
     extent = kits[0].extent
-    world_from_kit = [world_from_base, *(world_from_base @ _base_from_side(extent, side) for side in plan.sides)]
+    base_from_kit = [Pose.identity(), *(_base_from_side(extent, side) for side in plan.sides)]
+    world_from_kit = [world_from_base @ pose for pose in base_from_kit]
     corners = np.array([(x, y, -extent[2]) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]) * (*extent[:2], 1)
     lift = FOOT - min(pose.apply(corners)[:, 2].min() for pose in world_from_kit)
     raised = Pose.from_translation(np.array([0, 0, lift]))
@@ -106,7 +107,7 @@ def placed(kits: Sequence[Kit], plan: AssemblyPlan) -> tuple[Mount, ...]:
 
 
 def check_assembly(assembly: Assembly, parts: Mapping[str, Part]) -> None:
-    """Raise Redraw with a short reason when an assembly cannot be used. `parts` holds each slot's part by id."""
+    """Raise Redraw with a short reason when an assembly cannot be used; `parts` holds each slot's part by id."""
     _check_printable(assembly)
     _check_cavities(assembly)
     _check_paths(assembly, parts)
@@ -146,45 +147,72 @@ def _check_printable(assembly: Assembly) -> None:
 
 
 def _check_cavities(assembly: Assembly) -> None:
-    """Every cavity is open as its kit was made, and THIN of wall stands between any two."""
-    whole, cavities = solid_of(assembly.mesh), [_cavity(mount) for mount in assembly.mounts]
-    if any((cavity ^ whole).volume() > UNTOUCHED for cavity in cavities):
-        raise Redraw("cavity touched")
-    if any(a.min_gap(b, THIN) < THIN for a, b in combinations(cavities, 2)):
+    """Every cavity is as open as its kit was made, and THIN of wall stands between any two."""
+    boxes = [_cavity_box(mount) for mount in assembly.mounts]
+    if any(a.min_gap(b, 2 * THIN) < THIN for a, b in combinations(boxes, 2)):
         raise Redraw("cavities too close")
+    made = sum(float(np.prod(mount.kit.extent)) - mount.kit.mesh.volume for mount in assembly.mounts)
+    if (Manifold.compose(boxes) - solid_of(assembly.mesh)).volume() < made - UNTOUCHED:
+        raise Redraw("cavity touched")
 
 
-def _cavity(mount: Mount) -> Manifold:
-    """What is open in the block of a plate, in the assembly frame."""
-    low, high = mount.kit.mesh.bounds
-    block = Manifold.cube(high - low).translate(low)
-    return (block - solid_of(mount.kit.mesh)).transform(mount.assembly_from_kit.matrix()[:3])
+def _cavity_box(mount: Mount) -> Manifold:
+    """The block of a plate within which its cavity lies, in the assembly frame."""
+    points, (width, depth, _) = mount.kit.mesh.vertices, mount.kit.extent
+    inner = points[(np.abs(points[:, :2]) < np.array((width, depth)) / 2 - THIN / 2).all(1)]
+    low, high = inner.min(0), inner.max(0)
+    return Manifold.cube(high - low).translate(low).transform(mount.assembly_from_kit.matrix()[:3])
+
+
+@dataclass(frozen=True, eq=False)
+class _Seated:
+    """The part of a slot, where it belongs."""
+
+    plug: Plug
+    pose: Pose
+    """assembly_from_part"""
+    reach: float
+    """[m] radius of the ball about the part's origin that holds it."""
+
+    @property
+    def ridges(self) -> Ridges:
+        """What the part shows to others, in the assembly frame."""
+        edges = self.plug.edges
+        return Ridges(edges.mesh.moved(self.pose), edges.ends, edges.sides)
+
+
+def _seated(mount: Mount, part: Part) -> _Seated:
+    kit_from_part = mount.kit.slot.kit_from_part
+    reach = float(np.linalg.norm(part.mesh.vertices, axis=1).max())
+    return _Seated(Plug.of(part.mesh, kit_from_part), mount.assembly_from_kit @ kit_from_part, reach)
 
 
 def _check_paths(assembly: Assembly, parts: Mapping[str, Part]) -> None:
     """Every part reaches its slot along the slot's axis, all other parts being seated."""
+    seated = [_seated(mount, parts[mount.kit.slot.part_id]) for mount in assembly.mounts]
     whole = ridges(assembly.mesh)
-    for plug, pose in _seated(assembly, parts):
-        if contact_raise(plug, whole, pose) > JUDGE_STEP:
-            raise Redraw("insertion path blocked")
-    for (plug, pose), (other, stands) in permutations(_seated(assembly, parts), 2):
-        standing = Ridges(other.edges.mesh.moved(stands), other.edges.ends, other.edges.sides)
-        if contact_raise(plug, standing, pose) > 0:
-            raise Redraw("insertion path blocked by a seated part")
+    if any(contact_raise(one.plug, whole, one.pose) > JUDGE_STEP for one in seated):
+        raise Redraw("insertion path blocked")
+    if any(_in_the_way(other, one) for one, other in permutations(seated, 2)):
+        raise Redraw("insertion path blocked by a seated part")
 
 
-def _seated(assembly: Assembly, parts: Mapping[str, Part]) -> Iterator[tuple[Plug, Pose]]:
-    """Each slot's part and its design pose in the assembly frame."""
-    for mount in assembly.mounts:
-        slot = mount.kit.slot
-        yield Plug.of(parts[slot.part_id].mesh, slot.kit_from_part), mount.assembly_from_kit @ slot.kit_from_part
+def _in_the_way(other: _Seated, moving: _Seated) -> bool:
+    """Whether a seated part meets what another sweeps on its way out; their balls answer most questions."""
+    axis = moving.pose.rotate(moving.plug.axis)
+    apart = other.pose.xyz - moving.pose.xyz
+    aside = apart - max(float(apart @ axis), 0.0) * axis
+    if np.linalg.norm(aside) > other.reach + moving.reach:
+        return False
+    return contact_raise(moving.plug, other.ridges, moving.pose) > 0
 
 
 def _check_steady(assembly: Assembly, parts: Mapping[str, Part]) -> None:
     """The centre of mass stands STEADY inside the footprint, whichever of the parts are seated."""
     mesh, slots = assembly.mesh, [mount.kit.slot for mount in assembly.mounts]
+    poses = [mount.assembly_from_kit @ mount.kit.slot.kit_from_part for mount in assembly.mounts]
     masses = np.array([DENSITY * mesh.volume, *(parts[slot.part_id].mass for slot in slots)])
-    centres = np.array([mesh.centroid, *(pose.xyz for _, pose in _seated(assembly, parts))])
+    centres = np.array([mesh.centroid, *(pose.xyz for pose in poses)])
     sole = ConvexHull(mesh.vertices[mesh.vertices[:, 2] == 0, :2])
     inside = -centres[:, :2] @ sole.equations[:, :2].T - sole.equations[:, 2] - STEADY  # (1 + slots, edges)
     moments = masses[:, None] * inside

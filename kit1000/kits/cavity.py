@@ -12,18 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from manifold3d import CrossSection, FillRule, JoinType, Manifold, OpType
+from manifold3d import CrossSection, JoinType, Manifold, OpType
 
-from kit1000.kits.patches import convex_patches
-from kit1000.mesh import mesh_of
+from kit1000.kits.sweep import OVER, grown_sweep, shadow_below
 
-SAGITTA = 0.02e-3  # [m] width of the band that the chords of the disc stay within
-OVERSIZE = 0.4 * SAGITTA  # the disc's corners lie this far outside the clearance, its chords 0.6 SAGITTA inside
-OVER = 1e-3  # [m] cutters stick out of the rim
-STEEP = 2e-4  # down-facing means a unit normal with z below -STEEP; steeper faces are walls: their edges sweep for them
-LEVEL = 2e-6  # [m] a face that rises less is level
 BRINK = 0.02e-3  # [m] "just above" and "just below" a ledge: lower steps are floor, not wall
-HIDE = 0.5e-3  # [m] steps of height at which faces are tested for being hidden from below
 STRIDE = 4e-3  # [m] between probed heights where the shadow changes
 THIN = 3e-3  # [m] walls, fins and posts thinner than this are opened away
 MITER = 2.0  # corners sharper than 60 degrees count as thin
@@ -72,95 +65,21 @@ def insertion_depth(height: float) -> float:
 
 def cut_cavity(standing: Manifold, depth: float, clearance: float, width: tuple[float, float]) -> Cavity:
     """The cavity for a solid standing on z = 0 about the origin, in a plate of width (x, y) [m]."""
-    sunk = standing.trim_by_plane((0, 0, -1), -depth)
-    triangles, level = _underside(sunk)
-    grown = _grown_sweep(standing, triangles, level, depth, clearance)
-    ledges = _ledges(triangles[level][:, 0, 2], depth)
+    grown, levels = grown_sweep(standing, depth, clearance)
+    ledges = _ledges(levels, depth)
     shadows = _probe_shadows(standing, ledges)
     openings, probes = _open_thin_walls(grown, shadows, depth + OVER, width)
     solid = Manifold.batch_boolean([grown, *openings], OpType.Add) if openings else grown
     opened = (solid - grown).trim_by_plane((0, 0, -1), -depth).volume() if openings else 0.0
     walls = sum(piece.area() > SPECK for piece in probes[-1].opened.decompose())
-    undercut = max(_swept_volume(shadows) - sunk.volume(), 0.0)
+    filled = standing.trim_by_plane((0, 0, -1), -depth).volume()
+    undercut = max(_swept_volume(shadows) - filled, 0.0)
     return Cavity(depth, solid, tuple(probes), walls, opened, undercut)
 
 
-def disc(clearance: float) -> np.ndarray:
-    """(n, 2) corners of the polygon that stands for the disc: all within OVERSIZE outside, 0.6 SAGITTA inside."""
-    radius = clearance + OVERSIZE
-    corners = int(np.ceil(np.pi / np.arccos(1 - min(SAGITTA / radius, 0.5)) / 2)) * 2
-    angles = np.arange(corners) * (2 * np.pi / corners)
-    return radius * np.stack([np.cos(angles), np.sin(angles)], 1)
-
-
-def shadow_below(standing: Manifold, z: float) -> CrossSection:
-    """S(z): the shadow of everything of a standing solid below a height [m]."""
-    return CrossSection(standing.trim_by_plane((0, 0, -1), -z).project().to_polygons(), FillRule.Positive)
-
-
-def _underside(sunk: Manifold) -> tuple[np.ndarray, np.ndarray]:
-    """Down-facing triangles (m, 3, 3) and which of them are level, these pressed flat onto their lowest corner."""
-    mesh = mesh_of(sunk)
-    triangles = mesh.triangles[mesh.normals[:, 2] < -STEEP].copy()
-    level = np.ptp(triangles[..., 2], axis=1) < LEVEL
-    heights = np.sort(triangles[level][..., 2].min(1))
-    lowest = heights[np.diff(heights, prepend=-np.inf) > LEVEL]
-    if len(lowest):
-        own = np.searchsorted(lowest, triangles[level][..., 2].min(1), side="right") - 1
-        triangles[level] = np.concatenate(
-            [triangles[level][..., :2], np.broadcast_to(lowest[own][:, None, None], (len(own), 3, 1))], axis=2
-        )
-    return triangles, level
-
-
-def _grown_sweep(
-    standing: Manifold, triangles: np.ndarray, level: np.ndarray, depth: float, clearance: float
-) -> Manifold:
-    """The Minkowski sum of an underside with the disc, swept up through the rim."""
-    round_ = disc(clearance)
-    flat, top = triangles[level], depth + OVER
-    bodies = []
-    for z in np.unique(flat[:, 0, 2]):
-        outline = _grown_outline(flat[flat[:, 0, 2] == z][..., :2], round_)
-        bodies.append(outline.extrude(top - z).translate((0, 0, z)))
-    level_disc = np.concatenate([round_, np.zeros((len(round_), 1))], 1)
-    for corners in _seen_from_below(standing, convex_patches(triangles[~level])):
-        low = (corners[:, None] + level_disc).reshape(-1, 3)
-        high = low.copy()
-        high[:, 2] = top
-        bodies.append(Manifold.hull_points(np.concatenate([low, high])))
-    return Manifold.batch_boolean(bodies, OpType.Add)
-
-
-def _seen_from_below(standing: Manifold, patches: list[np.ndarray]) -> list[np.ndarray]:
-    """The patches that the part's own lower faces do not hide entirely."""
-    shadows: dict[float, CrossSection] = {}
-    seen = []
-    for corners in patches:
-        z = np.floor(corners[:, 2].min() / HIDE) * HIDE
-        if z > 0:
-            shadow = shadows.get(z) or shadows.setdefault(z, shadow_below(standing, z))
-            if (CrossSection.hull_points(corners[:, :2]) - shadow).area() < NOTHING / 1e3:
-                continue
-        seen.append(corners)
-    return seen
-
-
-def _grown_outline(triangles: np.ndarray, round_: np.ndarray) -> CrossSection:
-    """Level triangles (k, 3, 2) and the disc, as one outline: the union of all, and of the disc along each edge."""
-    inner = CrossSection([triangle[::-1] for triangle in triangles], FillRule.Positive)
-    edges = [
-        CrossSection.hull_points(np.concatenate([a + round_, b + round_]))
-        for loop in inner.to_polygons()
-        for a, b in zip(loop, np.roll(loop, -1, axis=0), strict=True)
-    ]
-    return CrossSection.batch_boolean([inner, *edges], OpType.Add)
-
-
-def _ledges(heights: np.ndarray, depth: float) -> list[float]:
+def _ledges(levels: list[float], depth: float) -> list[float]:
     """Floor, level faces and rim: between them the shadow changes without a jump."""
-    inside = heights[(heights > THIN / 10) & (heights < depth - THIN / 10)]
-    return [0.0, *np.unique(inside).tolist(), depth]
+    return [0.0, *(z for z in levels if THIN / 10 < z < depth - THIN / 10), depth]
 
 
 def _probe_shadows(standing: Manifold, ledges: list[float]) -> list[tuple[float, CrossSection]]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import maximum_filter
 
 from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
 
 RELIEF_CELL = 0.6e-3  # [m] fine enough to see a 3 mm feature five times, coarse enough for 2 ms
-RELIEF_RINGS, RELIEF_TURNS = 40, 180
+RELIEF_RINGS, RELIEF_TURNS = 30, 120
 
 
 def lower_envelope(mesh: Mesh, cell: float, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -23,13 +24,13 @@ def lower_envelope(mesh: Mesh, cell: float, margin: float = 0.0) -> tuple[np.nda
     return _lowest(down, corner[0], corner[1], cell, shape[0], shape[1]), corner
 
 
-def polar_relief(lying: Mesh, depth: float) -> tuple[np.ndarray, np.ndarray]:
+def polar_relief(lying: Mesh, depth: float, clearance: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The lower envelope of a lying body, measured down from the rim, on a polar grid about its shadow's middle.
 
     lying: the body with its lowest point anywhere; depth [m] of its cavity: the rim lies so far above that point.
-    Returns (relief (rings, turns) [m], area weight of each ring (rings,) [m^2]).
+    Returns (relief (rings, turns) [m], the same grown sideways by the clearance, area weight of a ring (rings,) [m^2]).
     """
-    heights, corner = lower_envelope(lying, RELIEF_CELL)
+    heights, _ = lower_envelope(lying, RELIEF_CELL, margin=clearance)
     sunk = np.maximum(depth - (heights - lying.bounds[0, 2]), 0.0)
     i, j = np.nonzero(sunk)
     middle = np.array([i.mean(), j.mean()])
@@ -39,8 +40,15 @@ def polar_relief(lying: Mesh, depth: float) -> tuple[np.ndarray, np.ndarray]:
     rows = np.rint(middle[0] + radii[:, None] * np.cos(turns)).astype(int)
     columns = np.rint(middle[1] + radii[:, None] * np.sin(turns)).astype(int)
     inside = (rows >= 0) & (rows < sunk.shape[0]) & (columns >= 0) & (columns < sunk.shape[1])
-    relief = np.where(inside, sunk[np.clip(rows, 0, sunk.shape[0] - 1), np.clip(columns, 0, sunk.shape[1] - 1)], 0)
-    return relief, radii * (RELIEF_CELL**2 * 2 * np.pi * reach / RELIEF_RINGS)
+    spots = np.clip(rows, 0, sunk.shape[0] - 1), np.clip(columns, 0, sunk.shape[1] - 1)
+    relief, grown = (np.where(inside, field[spots], 0) for field in (sunk, _grown(sunk, clearance)))
+    return relief, grown, radii * (RELIEF_CELL**2 * 2 * np.pi * reach / RELIEF_RINGS)
+
+
+def _grown(sunk: np.ndarray, clearance: float) -> np.ndarray:
+    cells = int(clearance / RELIEF_CELL)
+    across = np.arange(-cells, cells + 1)
+    return maximum_filter(sunk, footprint=np.hypot(*np.meshgrid(across, across)) <= cells + 0.5, mode="constant")
 
 
 @compiled

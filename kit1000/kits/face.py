@@ -18,6 +18,7 @@ from kit1000.pose import Pose, quaternion_between
 PROBABLE = 0.05  # a resting face is one on which the part comes to lie in at least this share of drops
 ROUND = np.radians(12)  # stable facets closer than this are one rolling surface (a tessellated cylinder)
 WRONG_TURN = np.radians(20)  # turns beyond this ought to show in the cavity
+TIPPED, LEANING = np.radians(20), 3e-3  # a seated part must not lean so far while rising less than [m]
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
@@ -55,26 +56,50 @@ def resting_faces(mesh: Mesh, probable: float = PROBABLE) -> list[RestingFace]:
     return sorted((f for f in faces if f.probability >= probable), key=lambda f: -round(f.probability, 6))
 
 
-def rank_faces(mesh: Mesh, faces: list[RestingFace], depths: list[float]) -> list[int]:
-    """Indices of the faces, the one whose relief below the rim tells turns apart best first.
+def rank_faces(mesh: Mesh, faces: list[RestingFace], depths: list[float], clearance: float) -> list[int]:
+    """Indices of the faces, the best to be inserted on first.
 
-    depths: [m] of the cavity for each face. The relief is the lower envelope of the lying part, cut off at the rim,
-    on a polar grid about the middle of its shadow; the difference between relief and turned relief, as an integral
-    over the plane, comes for all turns at once from one autocorrelation.
+    depths: [m] of the cavity for each face. Faces on which the part would tip over inside its clearance come last;
+    among the others the one whose relief tells the least visible wrong turn apart best.
     """
-    scores = [_turn_contrast(mesh, face, depth) for face, depth in zip(faces, depths, strict=True)]
-    return sorted(range(len(faces)), key=lambda i: -round(scores[i], 9))
+    ranks = [
+        (_tips(mesh, face, depth, clearance), -round(_turn_contrast(mesh, face, depth, clearance), 9))
+        for face, depth in zip(faces, depths, strict=True)
+    ]
+    return sorted(range(len(faces)), key=ranks.__getitem__)
 
 
-def _turn_contrast(mesh: Mesh, face: RestingFace, depth: float) -> float:
-    """[m] root-mean-square relief difference: of the least visible wrong turn, plus a little of the mean one."""
-    relief, weights = polar_relief(mesh.moved(face.lying), depth)
-    spectrum = np.abs(np.fft.rfft(relief, axis=1)) ** 2
-    correlation = weights @ np.fft.irfft(spectrum, n=relief.shape[1], axis=1)
-    difference = np.sqrt(np.maximum(2 * (correlation[0] - correlation), 0) / (weights.sum() * relief.shape[1]))
-    turns = np.arange(relief.shape[1]) * (2 * np.pi / relief.shape[1])
-    wrong = (turns > WRONG_TURN) & (turns < 2 * np.pi - WRONG_TURN)
-    return float(difference[wrong].min() + 0.1 * difference.mean())
+def _tips(mesh: Mesh, face: RestingFace, depth: float, clearance: float) -> bool:
+    """Whether a block as narrow as the shadow's narrow side can lean by TIPPED without rising or jamming."""
+    points = mesh.moved(face.lying).vertices
+    width = narrow_side(points[points[:, 2] <= points[:, 2].min() + depth])
+    lean, drop = np.sin(TIPPED), 1 - np.cos(TIPPED)
+    rise = width / 2 * lean + points[:, 2].min() * drop  # of the centre, which stands -min above the floor
+    jams = depth * lean > 2 * clearance + width * drop
+    return bool(rise < min(LEANING, depth / 3) and not jams)
+
+
+def narrow_side(points: np.ndarray) -> float:
+    """[m] least width of the shadow of points (n, 3): across one of the edges of its convex outline."""
+    outline = points[ConvexHull(points[:, :2]).vertices, :2]
+    edges = np.roll(outline, -1, axis=0) - outline
+    across = np.stack([-edges[:, 1], edges[:, 0]], 1) / np.linalg.norm(edges, axis=1, keepdims=True)
+    return float(np.ptp(outline @ across.T, axis=0).min())
+
+
+def _turn_contrast(mesh: Mesh, face: RestingFace, depth: float, clearance: float) -> float:
+    """[m] how far the turned part would sink into the walls, on average: for the wrong turn that shows least.
+
+    The relief is the lower envelope of the lying part below the rim; the walls stand around its relief grown by the
+    clearance, and a part that still rises by LEANING counts as seated. A little of the mean breaks ties.
+    """
+    relief, cavity, weights = polar_relief(mesh.moved(face.lying), depth, clearance)
+    turns = relief.shape[1]
+    shifted = relief[:, (np.arange(turns)[:, None] - np.arange(turns)) % turns]  # (rings, turns, turned by)
+    sunk = np.maximum(shifted - cavity[:, :, None] - min(LEANING, depth / 3), 0).sum(1)
+    hidden = weights @ sunk / (weights.sum() * turns)
+    step = int(np.ceil(WRONG_TURN / (2 * np.pi) * turns))
+    return float(hidden[step : turns - step + 1].min() + 0.01 * hidden.mean())
 
 
 def _rolls_to(vertices: np.ndarray, hull: ConvexHull) -> np.ndarray:

@@ -13,9 +13,10 @@ import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold
 from scipy.optimize import minimize_scalar
 
-from kit1000.kits.cavity import NOTHING, Cavity, Probe, shadow_below
+from kit1000.kits.cavity import NOTHING, Cavity, Probe
 from kit1000.kits.envelope import polar_relief
 from kit1000.kits.face import resting_faces
+from kit1000.kits.sweep import shadow_below
 from kit1000.mesh import Mesh, solid_of
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry
@@ -24,7 +25,7 @@ from kit1000.values import FreeAxis
 SAME = 0.05e-3  # [m] shadows that differ by less are one shadow
 ORDERS = tuple(range(36, 1, -1))  # turns tried about the insertion axis: 360 degrees / n
 ALIKE = 0.15  # share of relief that may differ, on the coarse grid, in a candidate worth an exact test
-FINE = np.radians(3)  # the coarse grid knows a turn to 2 degrees
+FINE = np.radians(4.5)  # the coarse grid knows a turn to 3 degrees
 TWIN_ANGLE, TWIN_SHIFT = np.radians(1.0), 0.2e-3  # goals closer than this are one goal
 
 
@@ -109,7 +110,7 @@ def _round(loop: np.ndarray, centre: np.ndarray) -> bool:
 
 def _turn_order(design: Design) -> int:
     """The largest n such that a turn of 360/n degrees about the shadow's centre keeps every shadow."""
-    relief, weights = polar_relief(design.mesh.moved(design.kit_from_part), design.cavity.depth)
+    relief, _, weights = polar_relief(design.mesh.moved(design.kit_from_part), design.cavity.depth)
     for order in ORDERS:
         if _differ(relief, _shifted(relief, relief.shape[1] / order), weights) > ALIKE:
             continue
@@ -142,13 +143,13 @@ def _turned_about_shadow(design: Design, pose: Pose, order: int, which: int | No
 
 def _flipped(design: Design, known: list[Pose], axis: FreeAxis | None) -> list[Pose]:
     """Poses with another face down that leave the same shadow (one a face: its turns follow from the turn order)."""
-    relief, weights = polar_relief(design.mesh.moved(design.kit_from_part), design.cavity.depth)
+    relief, _, weights = polar_relief(design.mesh.moved(design.kit_from_part), design.cavity.depth)
     found = []
     for face in resting_faces(design.mesh, probable=0.0):
         if any(_faces_down(pose, face.normal) for pose in known) or face.height < design.cavity.depth:
             continue
         lying = design.mesh.moved(face.lying)
-        other, _ = polar_relief(lying, design.cavity.depth)
+        other, _, _ = polar_relief(lying, design.cavity.depth)
         turn, difference = _best_turn(relief, other, weights)
         if difference > ALIKE:
             continue

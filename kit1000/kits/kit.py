@@ -15,7 +15,8 @@ from kit1000.kits.cavity import THIN, Cavity, cut_cavity, insertion_depth
 from kit1000.kits.face import RestingFace, rank_faces, resting_faces
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.measure import Clearance, measured_clearance
-from kit1000.mesh import Mesh, body_count, defect32, mesh_of, solid_of
+from kit1000.kits.weld import printable_mesh
+from kit1000.mesh import Mesh, solid_of
 from kit1000.pose import Pose
 from kit1000.values import Kit, Part, Slot
 
@@ -26,7 +27,6 @@ FLOOR = 2e-3  # [m] least material under a cavity
 RIM = 8e-3  # [m] least wall around the cavity of a plate made to measure
 MIN_HEIGHT = 7e-3  # [m] seated height below which a cavity has no depth to speak of
 MIN_DEPTH, MIN_PROUD = 4e-3, 3e-3  # [m] of cavity, and of part standing out of it
-WELDS = (2e-6, 5e-6, 10e-6)  # [m] edges shorter than this are collapsed until float32 keeps the plate closed
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def design_kit(part: Part, clearance: float = CLEARANCE, plate: Plate | None = U
 
     Raises Redraw with a short reason when the part has no face to be inserted on, or does not fit the plate.
     """
-    face = _insertion_face(part.mesh, made_to_measure=plate is None)
+    face = _insertion_face(part.mesh, clearance, made_to_measure=plate is None)
     depth = insertion_depth(face.height)
     standing = _turned_square(part.mesh, face, depth)
     solid = solid_of(part.mesh).transform(standing.matrix()[:3])
@@ -97,7 +97,7 @@ def design_kit(part: Part, clearance: float = CLEARANCE, plate: Plate | None = U
     return KitDesign(kit, cavity, face, measured_clearance(mesh, cavity))
 
 
-def _insertion_face(mesh: Mesh, made_to_measure: bool) -> RestingFace:
+def _insertion_face(mesh: Mesh, clearance: float, made_to_measure: bool) -> RestingFace:
     """The stable face whose shadow tells turns apart best. Own parts may be flatter than those of a dataset."""
     faces = resting_faces(mesh)
     if not faces:
@@ -107,7 +107,7 @@ def _insertion_face(mesh: Mesh, made_to_measure: bool) -> RestingFace:
         tall = faces
     if not tall:
         raise Redraw(f"no stable face with {MIN_HEIGHT * 1e3:g} mm of seated height")
-    return tall[rank_faces(mesh, tall, [insertion_depth(face.height) for face in tall])[0]]
+    return tall[rank_faces(mesh, tall, [insertion_depth(face.height) for face in tall], clearance)[0]]
 
 
 def _is_deep(height: float) -> bool:
@@ -160,8 +160,4 @@ def _plate_mesh(cavity: Cavity, plate: Plate) -> Mesh:
     """The plate with its cavity as a closed mesh on the float32 grid."""
     block = Manifold.cube((*plate.width, plate.thickness), center=True).translate((0, 0, -plate.thickness / 2))
     solid = block - cavity.solid.translate((0, 0, -cavity.depth))
-    for weld in WELDS:
-        mesh = mesh_of(solid.simplify(weld)).rounded32()
-        if defect32(mesh) is None and body_count(mesh) == 1:
-            return mesh
-    raise Redraw(f"plate not closed in float32: {defect32(mesh) or 'several bodies'}")
+    return printable_mesh(solid, "plate")

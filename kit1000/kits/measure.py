@@ -12,6 +12,7 @@ from kit1000.mesh import Mesh, solid_of
 
 SPACING = 0.4e-3  # [m] between measured points of a wall
 HEIGHTS = 6  # heights measured, spread over the probed ones
+GRAIN = 0.01e-3  # [m] heights are good to this much: on a shallow slope a micron of height is many across
 BESIDE = 0.1e-3  # [m] wall points this near an opened-away wall belong to the opening, not to a kept wall
 
 
@@ -30,16 +31,21 @@ def measured_clearance(plate: Mesh, cavity: Cavity, heights: int = HEIGHTS) -> C
     """
     solid = solid_of(plate)
     picks = np.unique(np.linspace(0, len(cavity.probes) - 1, heights).round().astype(int))
-    gaps = [distances(_kept_walls(solid, cavity.probes[i], cavity.depth), cavity.probes[i].shadow) for i in picks]
-    every = np.concatenate(gaps)
-    return Clearance(float(every.min(initial=np.inf)), float(every.max(initial=0.0)))
+    nearest, farthest = [np.inf], [0.0]
+    for probe in (cavity.probes[i] for i in picks):
+        nearest.append(
+            distances(_kept_walls(solid, probe, probe.z + GRAIN - cavity.depth), probe.shadow).min(initial=np.inf)
+        )
+        farthest.append(
+            distances(_kept_walls(solid, probe, probe.z - GRAIN - cavity.depth), probe.shadow).max(initial=0.0)
+        )
+    return Clearance(float(min(nearest)), float(max(farthest)))
 
 
-def _kept_walls(solid: Manifold, probe: Probe, depth: float) -> np.ndarray:
+def _kept_walls(solid: Manifold, probe: Probe, z: float) -> np.ndarray:
     """(n, 2) points on the inner walls of the plate at a height, away from walls that were opened."""
-    outer = solid.bounding_box()[3:5]
-    loops = solid.slice(probe.z - depth).to_polygons()
-    points = [walk(loop) for loop in loops if (np.abs(loop).max(0) < np.array(outer) - 1e-6).all()]
+    outer = np.array(solid.bounding_box()[3:5])
+    points = [walk(loop) for loop in solid.slice(z).to_polygons() if (np.abs(loop).max(0) < outer - 1e-6).all()]
     walls = np.concatenate(points) if points else np.zeros((0, 2))
     return walls if probe.opened.is_empty() else walls[distances(walls, probe.opened) > BESIDE]
 

@@ -1,8 +1,8 @@
 """What carries the plates of an assembly: wedge brackets between neighbours, ribs and webs down to the ground.
 
-Every piece is the convex hull of a few points and overlaps what it holds by BITE, so the union of plates and pieces is
-one body. Ribs run under each plate along its slope and are open below: nothing hangs over that a printer cannot
-bridge. Assembly frame: z up, ground at z = 0. All lengths are metres.
+Every piece is the convex hull of a few points and overlaps what it holds by BITE, so the union of plates and
+pieces is one body. Ribs run under each plate along its slope and are open below: nothing hangs over that a
+printer cannot bridge. Assembly frame: z up, ground at z = 0. All lengths are metres.
 """
 
 from __future__ import annotations
@@ -44,17 +44,17 @@ def side_direction(base: Mount, side: Mount) -> int:
 
 
 def _bracket(base: Mount, side: Mount, direction: int) -> Manifold:
-    """The wedge between two plates: the hull of a band on each of the facing sides, BITE deep in the plate."""
-    return Manifold.hull_points(np.concatenate([_facing_band(base, direction), _facing_band(side, direction + 2)]))
+    """The wedge between two plates: the hull of a band inside each of the facing sides."""
+    bands = [_facing_band(base, direction), _facing_band(side, direction + 2)]
+    return Manifold.hull_points(np.concatenate(bands))
 
 
 def _facing_band(mount: Mount, direction: int) -> np.ndarray:
-    """(4, 3): a band inside one side of a plate, clear of its edges; below it reaches under the top of the web."""
+    """(4, 3): a band BITE inside one side of a plate, clear of its edges; down to below the top of the web."""
     x, y, thickness = mount.kit.extent
     depth, half = (x / 2, y / 2) if direction % 2 == 0 else (y / 2, x / 2)
-    corners = [
-        (depth - BITE, along, z) for along in (SETBACK - half, half - SETBACK) for z in (BITE / 2 - thickness, -SETBACK)
-    ]
+    heights = (BITE / 2 - thickness, -SETBACK)
+    corners = [(depth - BITE, v, z) for v in (SETBACK - half, half - SETBACK) for z in heights]
     return mount.assembly_from_kit.apply(_turned(np.array(corners), direction))
 
 

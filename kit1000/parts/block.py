@@ -33,7 +33,7 @@ class Opening:
             face=cad.pick(rng, *faces),
             across=cad.span(rng, -0.45, 0.0, 0.05),
             up=cad.span(rng, -0.45, 0.0, 0.05),
-            depth=cad.span(rng, 0.25, 0.5, 0.05) if cad.chance(rng, 0.55) else 0.0,
+            depth=cad.span(rng, 0.25, 0.5, 0.05) if cad.chance(rng, 0.7) else 0.0,
         )
 
     def profile(self) -> CrossSection:
@@ -70,7 +70,7 @@ class Block:
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Block:
         x = cad.span(rng, 32, 44)
-        cube = cad.chance(rng, 0.2)
+        cube = cad.chance(rng, 0.3)
         y = x if cube else cad.span(rng, 0.45, 0.9, 0.01) * x
         z = x if cube else cad.span(rng, 0.3, 0.8, 0.01) * x
         corner = tuple(round(cad.span(rng, low, 0.6, 0.01) * side, 1) for low, side in ((0.3, x), (0.35, y), (0.3, z)))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import reduce
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -39,11 +40,11 @@ from kit1000.parts.sketch import (
 from kit1000.symmetry import Symmetry
 
 __all__ = [
-    "Axis", "CrossSection", "Manifold", "Symmetry", "along", "arc_points", "at", "bolt_circle", "bore", "box", "chance",
-    "circle", "circle_segments", "cone", "cut_slot", "cyclic", "cylinder", "dihedral", "drill", "free", "free_flipped",
-    "gear", "grid", "gusset", "holes", "hull", "hull_2d", "join", "keyway", "mirrored", "ngon", "none", "pick", "pocket",
-    "polygon", "prism", "rectangle", "repeated", "revolved", "ring", "rounded", "sector", "slot", "span", "sphere",
-    "swept", "tube", "turned", "wedge",
+    "Axis", "CrossSection", "Manifold", "Symmetry", "along", "arc_points", "at", "bolt_circle", "bore", "box",
+    "chance", "circle", "circle_segments", "cone", "cut_slot", "cyclic", "cylinder", "dihedral", "drill", "free",
+    "free_flipped", "gear", "grid", "gusset", "holes", "hull", "hull_2d", "join", "keyway", "mirrored", "ngon",
+    "none", "pick", "pocket", "polygon", "prism", "rectangle", "repeated", "revolved", "ring", "rounded", "sector",
+    "slot", "span", "sphere", "swept", "tube", "turned", "wedge",
 ]  # fmt: skip
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -228,7 +229,7 @@ def drill(
     facing = np.degrees(np.arctan2(mouths[:, 1], mouths[:, 0])) if axis in ("z", "-z") else np.zeros(len(mouths))
     turn = 1 if axis == "z" else -1
     tools = [
-        along(turned(tool, "z", turn * angle), axis).translate(tuple(map(float, mouth)))
+        along(turned(tool, "z", turn * angle), axis).translate(mouth.tolist())
         for mouth, angle in zip(mouths, facing, strict=True)
     ]
     return Manifold.batch_boolean([solid, *tools], OpType.Subtract)
@@ -241,7 +242,7 @@ def pocket(
     at: Sequence[float] = (0.0, 0.0, 0.0),
     axis: Axis = "z",
 ) -> Manifold:
-    """The profile milled `depth` deep (None = through) from the side `axis`, its origin at the point `at` of that face."""
+    """The profile milled `depth` deep (None = through) from the side `axis`, its origin at `at` on that face."""
     below = REACH_MM if depth is None else depth
     tool = profile.extrude(below + REACH_MM).translate((0, 0, -below))
     return solid - along(tool, axis).translate((at[0], at[1], at[2]))
@@ -271,9 +272,7 @@ def keyway(
 # --- how it is done ---------------------------------------------------------------------------------------------
 
 
-def _drill_tool(
-    d: float, depth: float | None, countersink: float, counterbore: tuple[float, float] | None
-) -> Manifold:
+def _drill_tool(d: float, depth: float | None, countersink: float, counterbore: tuple[float, float] | None) -> Manifold:
     """The solid to take away for one hole with its mouth at the origin, drilled downwards."""
     below = REACH_MM if depth is None else depth
     tools = [Manifold.cylinder(below + REACH_MM, d / 2, d / 2, circle_segments(d / 2)).translate((0, 0, -below))]
@@ -349,7 +348,7 @@ def _skinned(rings: list[NDArray], first: list[NDArray], last: list[NDArray]) ->
     """A solid through rings of points (n, 3); `first` and `last` are the flat contours that close its ends."""
     n = len(rings[0])
     start = np.cumsum([0, *map(len, first)])
-    next_corner = np.concatenate([np.roll(np.arange(a, b), -1) for a, b in zip(start, start[1:], strict=False)])
+    next_corner = np.concatenate([np.roll(np.arange(a, b), -1) for a, b in pairwise(start)])
     here = np.arange(n)
     wall = np.concatenate(
         [

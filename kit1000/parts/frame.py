@@ -39,7 +39,8 @@ class Frame:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Frame:
-        x, height = cad.span(rng, 30, 44), cad.span(rng, 9, 26)
+        x = cad.span(rng, 30, 44)
+        height = cad.span(rng, 8.5, 12) if cad.chance(rng, 0.4) else cad.span(rng, 12, 26)
         ear = cad.span(rng, 8, 11)
         outline = cad.pick(rng, "box", "rounded", "house", "dee")
         ears = cad.pick(rng, 1, 2) if outline in ("box", "rounded") else cad.pick(rng, 0, 1, 2)
@@ -48,7 +49,7 @@ class Frame:
             x=x,
             y=round(cad.span(rng, 0.5, 0.85, 0.01) * x, 1),
             height=height,
-            wall=cad.span(rng, 1.6, 3.2),
+            wall=cad.span(rng, 1.9, 3.0),
             ears=ears,
             ear=ear,
             ear_height=cad.span(rng, 3, 6) if cad.chance(rng, 0.6) else height,
@@ -65,7 +66,7 @@ class Frame:
         body = cad.prism(outer - inner, self.height)
         extra = []
         if self.lip > 0:
-            extra.append(cad.prism(outer - inner.offset(-self.lip), 1.8))
+            extra.append(cad.prism(outer - inner.offset(-self.lip), 1.9))
         if self.bar > 0:
             across = cad.rectangle(self.bar, 2 * self.y).translate((self.bar_at * self.x / 2, 0)) ^ outer
             extra.append(cad.prism(across, min(0.6 * self.height, 8)))
@@ -88,7 +89,9 @@ class Frame:
         if self.outline == "house":
             gable = cad.polygon([(-x / 2, -y / 2), (0.2 * x, -y / 2), (x / 2, 0), (0.2 * x, y / 2), (-x / 2, y / 2)])
             return cad.rounded(gable, 2)
-        return cad.hull_2d(cad.rectangle(x / 2, y, 1).translate((-x / 4, 0)), cad.circle(y).translate((x / 2 - y / 2, 0)))
+        return cad.hull_2d(
+            cad.rectangle(x / 2, y, 1).translate((-x / 4, 0)), cad.circle(y).translate((x / 2 - y / 2, 0))
+        )
 
     def _screws(self) -> list[tuple[float, float]]:
         """Centres of the ears: they stand clear of the wall."""

@@ -10,31 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kit1000.parts.cad import (
-    CrossSection,
-    Manifold,
-    Symmetry,
-    at,
-    bolt_circle,
-    bore,
-    chance,
-    circle,
-    cyclic,
-    cylinder,
-    dihedral,
-    gear,
-    grid,
-    holes,
-    hull_2d,
-    join,
-    none,
-    pick,
-    polygon,
-    prism,
-    rectangle,
-    sector,
-    span,
-)  # fmt: skip
+from kit1000.parts import cad
+from kit1000.parts.cad import CrossSection, Manifold, Symmetry
 
 
 @dataclass(frozen=True)
@@ -63,45 +40,47 @@ class Gear:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Gear:
-        kind = pick(rng, "spur", "spur", "sector", "sector", "rack")
+        kind = cad.pick(rng, "spur", "spur", "sector", "sector", "rack")
         teeth = {"spur": int(rng.integers(18, 29)), "sector": int(rng.integers(24, 40))}.get(kind, 60)
-        module = {"spur": span(rng, 38, 44) / teeth, "sector": span(rng, 56, 70) / teeth}.get(kind, span(rng, 1, 2.2))
-        hub = span(rng, 12, 18)
+        module = {"spur": cad.span(rng, 38, 44) / teeth, "sector": cad.span(rng, 56, 70) / teeth}.get(
+            kind, cad.span(rng, 1, 2.2)
+        )
+        hub = cad.span(rng, 12, 18)
         return cls(
             kind=kind,
             teeth=teeth,
             module_mm=round(module, 3),
-            width=span(rng, 5, 12) if kind != "rack" else span(rng, 8, 14),
-            bore=span(rng, 0.4, 0.65, 0.01) * hub if kind != "spur" or chance(rng, 0.6) else 0.0,
+            width=cad.span(rng, 5, 12) if kind != "rack" else cad.span(rng, 8, 14),
+            bore=cad.span(rng, 0.4, 0.65, 0.01) * hub if kind != "spur" or cad.chance(rng, 0.6) else 0.0,
             hub=hub,
-            hub_height=span(rng, 4, 14) if kind != "rack" and chance(rng, 0.65) else 0.0,
-            recess=span(rng, 1, 2) if kind == "spur" and chance(rng, 0.5) else 0.0,
-            sweep_deg=span(rng, 55, 110, 1),
+            hub_height=cad.span(rng, 4, 14) if kind != "rack" and cad.chance(rng, 0.65) else 0.0,
+            recess=cad.span(rng, 1, 2) if kind == "spur" and cad.chance(rng, 0.5) else 0.0,
+            sweep_deg=cad.span(rng, 55, 110, 1),
             lightening=int(rng.integers(0, 4)),
-            key=span(rng, 2.5, 4) if kind == "sector" and chance(rng, 0.5) else 0.0,
-            chamfer=span(rng, 0.3, 0.6) if chance(rng, 0.5) else 0.0,
+            key=cad.span(rng, 2.5, 4) if kind == "sector" and cad.chance(rng, 0.5) else 0.0,
+            chamfer=cad.span(rng, 0.3, 0.6) if cad.chance(rng, 0.5) else 0.0,
         )
 
     def solid(self) -> Manifold:
         if self.kind == "rack":
             return self._rack()
-        wheel = prism(self._wheel(), self.width, chamfer=0.0)
+        wheel = cad.prism(self._wheel(), self.width, chamfer=0.0)
         if self.recess > 0:
-            web = circle(self._root - 3) - circle(self.hub)
+            web = cad.circle(self._root - 3) - cad.circle(self.hub)
             for z in (-1, self.width - self.recess):
-                wheel -= at(prism(web, self.recess + 1), z=z)
-        body = join(wheel, at(cylinder(self.hub, self.width + self.hub_height, self.chamfer)))
+                wheel -= cad.at(cad.prism(web, self.recess + 1), z=z)
+        body = cad.join(wheel, cad.at(cad.cylinder(self.hub, self.width + self.hub_height, self.chamfer)))
         if self.bore == 0:
             return body
-        opening = bore(self.bore, self.key, 0.4 * self.key)
-        return body - at(prism(opening, 100), z=-1)
+        opening = cad.bore(self.bore, self.key, 0.4 * self.key)
+        return body - cad.at(cad.prism(opening, 100), z=-1)
 
     def symmetry(self) -> Symmetry:
         if self.kind == "spur":
-            return cyclic(self.teeth) if self.hub_height > 0 else dihedral(self.teeth)
+            return cad.cyclic(self.teeth) if self.hub_height > 0 else cad.dihedral(self.teeth)
         if self.kind == "sector" and self.hub_height == 0:
-            return cyclic(2, (1, 0, 0))
-        return none()
+            return cad.cyclic(2, (1, 0, 0))
+        return cad.none()
 
     @property
     def _root(self) -> float:
@@ -109,12 +88,12 @@ class Gear:
         return (self.teeth - 2.5) * self.module_mm
 
     def _wheel(self) -> CrossSection:
-        wheel = gear(self.teeth, self.module_mm)
+        wheel = cad.gear(self.teeth, self.module_mm)
         if self.kind == "spur":
             return wheel
-        rim = sector(3 * self._root, -self.sweep_deg / 2, self.sweep_deg / 2)
-        inner = circle(self._root - 7)
-        arm = hull_2d(circle(self.hub + 2), inner ^ rim) ^ circle(self._root - 4)
+        rim = cad.sector(3 * self._root, -self.sweep_deg / 2, self.sweep_deg / 2)
+        inner = cad.circle(self._root - 7)
+        arm = cad.hull_2d(cad.circle(self.hub + 2), inner ^ rim) ^ cad.circle(self._root - 4)
         plate = ((wheel - inner) ^ rim) + arm
         return plate - self._openings()
 
@@ -129,8 +108,8 @@ class Gear:
         usable = max(self.sweep_deg - np.degrees((d + 4) / middle), 0)
         n = min(self.lightening, 1 + int(usable / step))
         angles = (np.arange(n) - (n - 1) / 2) * step
-        points = [bolt_circle(2 * middle, 1, float(angle))[0] for angle in angles]
-        return holes(d, points)
+        points = [cad.bolt_circle(2 * middle, 1, float(angle))[0] for angle in angles]
+        return cad.holes(d, points)
 
     def _rack(self) -> Manifold:
         """Straight teeth towards +y on a bar, with a foot plate for screws towards -y that starts at one end."""
@@ -138,10 +117,10 @@ class Gear:
         count = max(4, int(38 / pitch))
         length = count * pitch
         tooth = np.array([(-0.43 * pitch, 0), (-0.13 * pitch, depth), (0.13 * pitch, depth), (0.43 * pitch, 0)])
-        teeth = [polygon(tooth + ((k - (count - 1) / 2) * pitch, 0)) for k in range(count)]
-        bar = rectangle(length, back).translate((0, 0.01 - back / 2)) + CrossSection.compose(teeth)
+        teeth = [cad.polygon(tooth + ((k - (count - 1) / 2) * pitch, 0)) for k in range(count)]
+        bar = cad.rectangle(length, back).translate((0, 0.01 - back / 2)) + CrossSection.compose(teeth)
         long = length * (1 - 0.12 * self.lightening)
-        foot = rectangle(long, self.hub, 2).translate(((long - length) / 2, 2 - back - self.hub / 2))
-        screws = grid(2 + self.lightening % 2, 1, 0.36 * long, 0)
-        foot -= holes(4, screws).translate(((long - length) / 2, 1 - back - self.hub / 2))
-        return prism(bar, self.width) + prism(foot, 0.35 * self.width + 1)
+        foot = cad.rectangle(long, self.hub, 2).translate(((long - length) / 2, 2 - back - self.hub / 2))
+        screws = cad.grid(2 + self.lightening % 2, 1, 0.36 * long, 0)
+        foot -= cad.holes(4, screws).translate(((long - length) / 2, 1 - back - self.hub / 2))
+        return cad.prism(bar, self.width) + cad.prism(foot, 0.35 * self.width + 1)

@@ -40,12 +40,12 @@ class Grille:
             outline=cad.pick(rng, "cut", "triangle", "dee", "lug"),
             x=x,
             y=round(cad.span(rng, 0.6, 0.9, 0.01) * x, 1),
-            panel=cad.span(rng, 1.6, 3),
-            rim=cad.span(rng, 9, 16),
-            wall=cad.span(rng, 1.6, 3),
+            panel=cad.span(rng, 1.9, 3),
+            rim=cad.span(rng, 8.5, 16),
+            wall=cad.span(rng, 1.9, 3),
             openings=cad.pick(rng, "round", "hex", "hex", "slots", "slots", "none"),
             opening=cad.span(rng, 3, 7),
-            bridge=cad.span(rng, 1.6, 2.6),
+            bridge=cad.span(rng, 1.9, 2.6),
             stud=cad.span(rng, 4.5, 6.5) if cad.chance(rng, 0.5) else 0.0,
             pilot=cad.span(rng, 0.4, 0.55, 0.05),
         )
@@ -54,8 +54,7 @@ class Grille:
         outer = self._outline()
         inner = outer.offset(-self.wall)
         panel = outer - self._perforation(inner.offset(-self.bridge))
-        body = cad.join(cad.prism(panel, self.panel), cad.prism(outer - inner, self.rim), *self._studs(outer))
-        return body
+        return cad.join(cad.prism(panel, self.panel), cad.prism(outer - inner, self.rim), *self._studs())
 
     def symmetry(self) -> Symmetry:
         return cad.none()
@@ -80,7 +79,9 @@ class Grille:
         pitch = self.opening + self.bridge
         if self.openings == "slots":
             count = int(self.y / pitch) + 2
-            bars = [cad.rectangle(2 * self.x, self.opening).translate((0, (k - count / 2) * pitch)) for k in range(count)]
+            bars = [
+                cad.rectangle(2 * self.x, self.opening).translate((0, (k - count / 2) * pitch)) for k in range(count)
+            ]
             return CrossSection.compose(bars) ^ inside
         one = cad.circle(self.opening) if self.openings == "round" else cad.ngon(6, self.opening)
         rows, columns = int(self.y / (0.866 * pitch)) + 2, int(self.x / pitch) + 2
@@ -92,7 +93,7 @@ class Grille:
         whole = [hole for hole in map(one.rotate(30).translate, places) if (hole - inside).is_empty()]
         return CrossSection.compose(whole) if whole else CrossSection()
 
-    def _studs(self, outer: CrossSection) -> list[Manifold]:
+    def _studs(self) -> list[Manifold]:
         """Screw studs in the two corners at -x."""
         if self.stud == 0:
             return []

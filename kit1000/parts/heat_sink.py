@@ -39,7 +39,7 @@ class HeatSink:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> HeatSink:
-        fin, gap = cad.span(rng, 1.6, 2.4), cad.span(rng, 2.2, 4.0)
+        fin, gap = cad.span(rng, 1.8, 2.4), cad.span(rng, 2.2, 4.0)
         fins = max(4, int(cad.span(rng, 22, 34) / (fin + gap)))
         return cls(
             fins=fins,

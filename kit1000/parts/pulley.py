@@ -6,28 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kit1000.parts.cad import (
-    CrossSection,
-    Manifold,
-    Symmetry,
-    at,
-    chance,
-    cyclic,
-    cylinder,
-    dihedral,
-    drill,
-    free,
-    free_flipped,
-    gear,
-    join,
-    pick,
-    prism,
-    revolved,
-    ring,
-    rounded,
-    sector,
-    span,
-)  # fmt: skip
+from kit1000.parts import cad
+from kit1000.parts.cad import CrossSection, Manifold, Symmetry
+
+LIP_MM = 1.9
+"""Thickness of a belt's side discs."""
 
 
 @dataclass(frozen=True)
@@ -54,42 +37,42 @@ class Pulley:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Pulley:
-        kind = pick(rng, "vee", "flat", "stepped", "toothed")
-        width, hub, d = span(rng, 9, 18), span(rng, 11, 17), span(rng, 34, 45)
-        spoked = kind != "stepped" and chance(rng, 0.3)
-        flanges = pick(rng, 0, 1, 2)
-        webbed = spoked or chance(rng, 0.5) or (kind == "flat" and flanges == 0)
+        kind = cad.pick(rng, "vee", "flat", "stepped", "toothed")
+        width, hub, d = cad.span(rng, 9, 18), cad.span(rng, 11, 17), cad.span(rng, 34, 45)
+        spoked = kind != "stepped" and cad.chance(rng, 0.3)
+        flanges = cad.pick(rng, 0, 1, 2)
+        webbed = spoked or cad.chance(rng, 0.5) or (kind == "flat" and flanges == 0)
         return cls(
             kind=kind,
             d=d,
             width=width,
-            groove=span(rng, 2, 4.5),
+            groove=cad.span(rng, 2, 4.5),
             teeth=int(rng.integers(20, 31)),
-            bore=span(rng, 0.4, 0.65, 0.01) * hub,
+            bore=cad.span(rng, 0.4, 0.65, 0.01) * hub,
             hub=hub,
-            hub_height=span(rng, 4, 14) if chance(rng, 0.6) else 0.0,
-            web=span(rng, 0.35, 0.7, 0.05) * width if webbed else width,
-            spokes=pick(rng, 3, 4) if spoked and kind != "toothed" else 0,
+            hub_height=cad.span(rng, 4, 14) if cad.chance(rng, 0.6) else 0.0,
+            web=cad.span(rng, 0.35, 0.7, 0.05) * width if webbed else width,
+            spokes=cad.pick(rng, 3, 4) if spoked and kind != "toothed" else 0,
             flanges=flanges,
         )
 
     def solid(self) -> Manifold:
-        wheel = self._toothed() if self.kind == "toothed" else revolved(self._rim())
+        wheel = self._toothed() if self.kind == "toothed" else cad.revolved(self._rim())
         wheel = wheel - self._hollow()
-        body = join(wheel, cylinder(self.hub, self.width + self.hub_height, 0.6))
-        return drill(body, self.bore)
+        body = cad.join(wheel, cad.cylinder(self.hub, self.width + self.hub_height, 0.6))
+        return cad.drill(body, self.bore)
 
     def symmetry(self) -> Symmetry:
         sided = self.hub_height > 0 or self.kind == "stepped" or (self.kind != "vee" and self.flanges == 1)
         n = self.teeth if self.kind == "toothed" else self.spokes
         if n:
-            return cyclic(n) if sided else dihedral(n)
-        return free() if sided else free_flipped()
+            return cad.cyclic(n) if sided else cad.dihedral(n)
+        return cad.free() if sided else cad.free_flipped()
 
     @property
     def _inner(self) -> float:
         """Inner diameter of the rim."""
-        deepest = self.groove + (1.6 if self.kind == "toothed" else 0)
+        deepest = self.groove + (LIP_MM if self.kind == "toothed" else 0)
         return max(self.d - 2 * deepest - 5, self.hub + 1)
 
     def _rim(self) -> list[tuple[float, float]]:
@@ -102,16 +85,15 @@ class Pulley:
             return [(0, 0), (r, 0), *belt, (r, w), (0, w)]
         if self.kind == "stepped":
             return [(0, 0), (r, 0), (r, 0.4 * w), (r - g, 0.4 * w + 0.3 * g), (r - g, w), (0, w)]
-        lip = 1.6
-        low = [(r, 0), (r, lip), (r - g, lip)] if self.flanges > 0 else [(r - g, 0)]
-        high = [(r - g, w - lip), (r, w - lip), (r, w)] if self.flanges > 1 else [(r - g, w)]
+        low = [(r, 0), (r, LIP_MM), (r - g, LIP_MM)] if self.flanges > 0 else [(r - g, 0)]
+        high = [(r - g, w - LIP_MM), (r, w - LIP_MM), (r, w)] if self.flanges > 1 else [(r - g, w)]
         return [(0, 0), *low, *high, (0, w)]
 
     def _toothed(self) -> Manifold:
         tip = self.d - 2 * self.groove if self.flanges else self.d
-        wheel = prism(gear(self.teeth, tip / (self.teeth + 2), 2), self.width)
+        wheel = cad.prism(cad.gear(self.teeth, tip / (self.teeth + 2), 2), self.width)
         for k in range(self.flanges):
-            wheel += at(cylinder(tip + 3, 1.6), z=k * (self.width - 1.6))
+            wheel += cad.at(cad.cylinder(tip + 3, LIP_MM), z=k * (self.width - LIP_MM))
         return wheel
 
     def _hollow(self) -> Manifold:
@@ -120,11 +102,13 @@ class Pulley:
         side = (self.width - self.web) / 2
         if side < 0.5 or inner < self.hub + 4:
             return Manifold()
-        annulus = ring(inner, self.hub)
-        cut = join(at(prism(annulus, side + 1), z=-1), at(prism(annulus, side + 1), z=self.width - side))
+        annulus = cad.ring(inner, self.hub)
+        cut = cad.join(
+            cad.at(cad.prism(annulus, side + 1), z=-1), cad.at(cad.prism(annulus, side + 1), z=self.width - side)
+        )
         if self.spokes == 0:
             return cut
         half = 180 / self.spokes - 10
-        window = rounded(annulus ^ sector(2 * inner, -half, half), 1.2)
+        window = cad.rounded(annulus ^ cad.sector(2 * inner, -half, half), 1.2)
         windows = CrossSection.compose([window.rotate(k * 360 / self.spokes) for k in range(self.spokes)])
-        return cut + at(prism(windows, 50), z=-1)
+        return cut + cad.at(cad.prism(windows, 50), z=-1)

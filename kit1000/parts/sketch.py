@@ -82,9 +82,7 @@ def polygon(points: ArrayLike) -> CrossSection:
     return CrossSection([loop], FillRule.NonZero)
 
 
-def arc_points(
-    center: Sequence[float], radius: float, start_deg: float, end_deg: float
-) -> NDArray[np.float64]:
+def arc_points(center: Sequence[float], radius: float, start_deg: float, end_deg: float) -> NDArray[np.float64]:
     """Points (n, 2) on an arc, both ends included; it turns clockwise when end < start."""
     sweep = abs(end_deg - start_deg) / 360
     n = max(2, int(np.ceil(circle_segments(radius) * sweep)) + 1)

@@ -6,30 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kit1000.parts.cad import (
-    Manifold,
-    Symmetry,
-    at,
-    chance,
-    circle,
-    drill,
-    free,
-    free_flipped,
-    hull_2d,
-    join,
-    keyway,
-    none,
-    pick,
-    prism,
-    rectangle,
-    revolved,
-    span,
-)  # fmt: skip
+from kit1000.parts import cad
+from kit1000.parts.cad import Manifold, Symmetry
 
 
 @dataclass(frozen=True)
 class SteppedShaft:
-    """The shaft stands along z: lower journal, collar, upper journal with a smaller end. The collar's mark looks to +x."""
+    """The shaft stands along z: lower journal, collar, upper journal, smaller end. The collar's mark looks to +x."""
 
     kind: str
     """plain, cut, eccentric or crank"""
@@ -52,39 +35,45 @@ class SteppedShaft:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> SteppedShaft:
-        kind = pick(rng, "plain", "cut", "cut", "eccentric", "crank", "crank")
-        lower = span(rng, 8, 16)
+        kind = cad.pick(rng, "plain", "cut", "cut", "eccentric", "crank", "crank")
+        lower = cad.span(rng, 8, 16)
         wider = {"cut": (14, 20), "crank": (4, 8)}.get(kind, (9, 18))
-        collar = lower + span(rng, *wider)
-        mark = {"cut": (collar - lower) / 2 - 0.5, "eccentric": max(6, 0.25 * collar), "crank": span(rng, 14, 24)}.get(kind, 0.0)
+        collar = lower + cad.span(rng, *wider)
+        mark = {
+            "cut": (collar - lower) / 2 - 0.5,
+            "eccentric": max(6, 0.25 * collar),
+            "crank": cad.span(rng, 14, 24),
+        }.get(kind, 0.0)
         return cls(
             kind=kind,
             lower=lower,
-            lower_length=span(rng, 8, 18),
+            lower_length=cad.span(rng, 8, 18),
             collar=collar,
-            collar_width=span(rng, 5, 10),
-            upper=span(rng, 0.7, 1.2, 0.05) * lower,
-            upper_length=span(rng, 4, 14),
-            end=span(rng, 0.5, 0.65, 0.05) * lower,
-            end_length=span(rng, 4, 9) if chance(rng, 0.5) else 0.0,
-            bore=span(rng, 0.35, 0.55, 0.05) * lower * (0.62 if kind == "plain" else 1) if chance(rng, 0.5) else 0.0,
+            collar_width=cad.span(rng, 5, 10),
+            upper=cad.span(rng, 0.7, 1.2, 0.05) * lower,
+            upper_length=cad.span(rng, 4, 14),
+            end=cad.span(rng, 0.5, 0.65, 0.05) * lower,
+            end_length=cad.span(rng, 4, 9) if cad.chance(rng, 0.5) else 0.0,
+            bore=cad.span(rng, 0.35, 0.55, 0.05) * lower * (0.62 if kind == "plain" else 1)
+            if cad.chance(rng, 0.5)
+            else 0.0,
             mark=mark,
-            key=span(rng, 0.25, 0.3, 0.01) * lower if kind != "plain" and chance(rng, 0.5) else 0.0,
-            chamfer=span(rng, 0.4, 1.0),
+            key=cad.span(rng, 0.25, 0.3, 0.01) * lower if kind != "plain" and cad.chance(rng, 0.5) else 0.0,
+            chamfer=cad.span(rng, 0.4, 1.0),
         )
 
     def solid(self) -> Manifold:
-        body = join(revolved(self._journals()), self._collar())
+        body = cad.join(cad.revolved(self._journals()), self._collar())
         if self.key > 0:
-            body = keyway(body, self.lower, self.key, 0.5 * self.key, 1.5, 0.75 * self.lower_length)
+            body = cad.keyway(body, self.lower, self.key, 0.5 * self.key, 1.5, 0.75 * self.lower_length)
         if self.bore > 0:
-            body = drill(body, min(self.bore, 0.6 * self._thinnest))
+            body = cad.drill(body, min(self.bore, 0.6 * self._thinnest))
         return body
 
     def symmetry(self) -> Symmetry:
         if self.kind != "plain":
-            return none()
-        return free() if not self._even else free_flipped()
+            return cad.none()
+        return cad.free() if not self._even else cad.free_flipped()
 
     @property
     def _thinnest(self) -> float:
@@ -106,14 +95,14 @@ class SteppedShaft:
         return [*loop, (high, top - c), (high - c, top), (0, top)]
 
     def _collar(self) -> Manifold:
-        disc = circle(self.collar)
+        disc = cad.circle(self.collar)
         if self.kind == "cut":
-            disc -= rectangle(self.collar, 2 * self.collar).translate((self.collar - self.mark, 0))
+            disc -= cad.rectangle(self.collar, 2 * self.collar).translate((self.collar - self.mark, 0))
         elif self.kind == "eccentric":
             disc = disc.translate((self.mark, 0))
         elif self.kind == "crank":
-            disc = hull_2d(disc, circle(0.8 * self.collar).translate((self.mark, 0)))
-        plate = prism(disc, self.collar_width, chamfer=min(self.chamfer, 0.6))
+            disc = cad.hull_2d(disc, cad.circle(0.8 * self.collar).translate((self.mark, 0)))
+        plate = cad.prism(disc, self.collar_width, chamfer=min(self.chamfer, 0.6))
         if self.kind == "crank":
-            plate = drill(plate, 0.4 * self.collar, (self.mark, 0))
-        return at(plate, z=self.lower_length)
+            plate = cad.drill(plate, 0.4 * self.collar, (self.mark, 0))
+        return cad.at(plate, z=self.lower_length)

@@ -6,25 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kit1000.parts.cad import (
-    CrossSection,
-    Manifold,
-    Symmetry,
-    along,
-    at,
-    chance,
-    cyclic,
-    drill,
-    none,
-    pick,
-    pocket,
-    polygon,
-    prism,
-    rectangle,
-    rounded,
-    slot,
-    span,
-)  # fmt: skip
+from kit1000.parts import cad
+from kit1000.parts.cad import CrossSection, Manifold, Symmetry
 
 
 @dataclass(frozen=True)
@@ -53,29 +36,33 @@ class Wedge:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Wedge:
-        kind = pick(rng, "ramp", "ramp", "trapezoid", "vee")
-        length = span(rng, 30, 46)
-        opened = pick(rng, "no", "window", "window", "pocket") if kind != "vee" else "no"
+        kind = cad.pick(rng, "ramp", "ramp", "trapezoid", "vee")
+        length = cad.span(rng, 30, 46)
+        opened = cad.pick(rng, "no", "no", "window", "window", "pocket") if kind != "vee" else "no"
         return cls(
             kind=kind,
             length=length,
-            height=span(rng, 16, 34),
-            width=span(rng, 14, 34),
-            land=span(rng, 4, 10) if kind != "vee" else span(rng, 3, 6),
-            heel=span(rng, 3, 8),
-            toe=span(rng, 9, 14) if kind == "ramp" and chance(rng, 0.5) else 0.0,
-            hole=span(rng, 3, 6),
-            holes=pick(rng, 0, 1, 2),
-            window=span(rng, 3, 4.5) if opened == "window" else 0.0,
-            pocket=span(rng, 2.5, 4) if opened == "pocket" else 0.0,
-            notch=span(rng, 0.25, 0.45, 0.05) if kind != "vee" and opened != "pocket" and chance(rng, 0.35) else 0.0,
+            height=cad.span(rng, 16, 34),
+            width=cad.span(rng, 14, 34),
+            land=cad.span(rng, 4, 10) if kind != "vee" else cad.span(rng, 3, 6),
+            heel=cad.span(rng, 3, 8),
+            toe=cad.span(rng, 9, 14) if kind == "ramp" and cad.chance(rng, 0.5) else 0.0,
+            hole=cad.span(rng, 3, 6),
+            holes=cad.pick(rng, 0, 0, 1, 2),
+            window=cad.span(rng, 3, 4.5) if opened == "window" else 0.0,
+            pocket=cad.span(rng, 2.5, 4) if opened == "pocket" else 0.0,
+            notch=cad.span(rng, 0.25, 0.45, 0.05)
+            if kind != "vee" and opened != "pocket" and cad.chance(rng, 0.35)
+            else 0.0,
         )
 
     def solid(self) -> Manifold:
         profile = self._profile()
         if self.window > 0:
             profile -= self._opening(profile)
-        body = at(along(prism(profile, self.width, chamfer=0.4 if self.window == 0 else 0), "-y"), y=self.width / 2)
+        body = cad.at(
+            cad.along(cad.prism(profile, self.width, chamfer=0.4 if self.window == 0 else 0), "-y"), y=self.width / 2
+        )
         if self.pocket > 0:
             body -= self._hollow()
         if self.notch > 0:
@@ -83,36 +70,36 @@ class Wedge:
         return self._drilled(body)
 
     def symmetry(self) -> Symmetry:
-        return cyclic(2) if self.kind == "vee" else none()
+        return cad.cyclic(2) if self.kind == "vee" else cad.none()
 
     def _profile(self) -> CrossSection:
         left, right, top = -self.length / 2, self.length / 2, self.height
         if self.kind == "vee":
             half = self.length / 2 - self.land
             deep = min(half, top - 8)
-            block = rectangle(self.length, top).translate((0, top / 2))
-            relief = rectangle(3, 3).translate((0, top - deep))
-            return block - polygon([(-half, top), (0, top - deep), (half, top)]) - relief
+            block = cad.rectangle(self.length, top).translate((0, top / 2))
+            relief = cad.rectangle(3, 3).translate((0, top - deep))
+            return block - cad.polygon([(-half, top), (0, top - deep), (half, top)]) - relief
         foot = [(left, 0), (right, 0), (right, self.heel)]
         if self.kind == "trapezoid":
-            return polygon([*foot, (left + 4 + self.land, top), (left + 4, top), (left, 0.5 * self.heel)])
+            return cad.polygon([*foot, (left + 4 + self.land, top), (left + 4, top), (left, 0.5 * self.heel)])
         step = [(right - self.toe, self.heel), (right - self.toe, self.heel + 2)] if self.toe > 0 else []
-        return polygon([*foot, *step, (left + self.land, top), (left, top)])
+        return cad.polygon([*foot, *step, (left + self.land, top), (left, top)])
 
     def _opening(self, profile: CrossSection) -> CrossSection:
         """What a window takes away: the profile without a frame, its corners rounded."""
-        return rounded(profile.offset(-self.window), 1.5)
+        return cad.rounded(profile.offset(-self.window), 1.5)
 
     def _hollow(self) -> Manifold:
         inside = self._profile().offset(-self.pocket)
         inside = inside + inside.translate((0, -self.pocket - 1))
         width = self.width - 2 * self.pocket
-        return at(along(prism(inside, width), "-y"), y=width / 2)
+        return cad.at(cad.along(cad.prism(inside, width), "-y"), y=width / 2)
 
     def _notched(self, body: Manifold) -> Manifold:
         """An adjusting slot open at the low end."""
-        cut = slot(0.7 * self.length, self.notch * self.width)
-        return pocket(body, cut, None, (self.length / 2, 0, 0))
+        cut = cad.slot(0.7 * self.length, self.notch * self.width)
+        return cad.pocket(body, cut, None, (self.length / 2, 0, 0))
 
     def _drilled(self, body: Manifold) -> Manifold:
         """Screws down through the block, their heads sunk to leave a floor."""
@@ -122,4 +109,4 @@ class Wedge:
         spread = self.width / 4 if self.holes == 2 and self.width > 4 * self.hole else 0.0
         points = [(x, spread, 4.0), (x, -spread, 4.0)] if spread else [(x, 0.0, 4.0)]
         head = None if self.kind == "vee" else (min(1.8 * self.hole, 0.4 * self.width), 0.0)
-        return drill(body, self.hole, points, counterbore=head)
+        return cad.drill(body, self.hole, points, counterbore=head)

@@ -160,9 +160,7 @@ def contact_sheet(
     gap, caption = max(4, width // 40), round(1.9 * size)
     columns = max(1, min(columns, len(pictures)))
     rows = -(-len(pictures) // columns)
-    sheet = Image.new(
-        "RGB", (columns * (width + gap) + gap, rows * (height + caption + gap) + gap), background
-    )
+    sheet = Image.new("RGB", (columns * (width + gap) + gap, rows * (height + caption + gap) + gap), background)
     draw = ImageDraw.Draw(sheet)
     for number, (picture, label) in enumerate(zip(pictures, labels, strict=True)):
         left = gap + number % columns * (width + gap)

@@ -139,6 +139,4 @@ def _prepared(lens: Lens, body: _Body, start: int) -> list[tuple[Batch, int]]:
 
 
 def _room(k: int) -> Batch:
-    return Batch(
-        np.empty((k, 6), np.int32), np.empty((k, 5)), np.empty((k, 2), np.int16), np.empty(k, np.int32)
-    )
+    return Batch(np.empty((k, 6), np.int32), np.empty((k, 5)), np.empty((k, 2), np.int16), np.empty(k, np.int32))

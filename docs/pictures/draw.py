@@ -1,0 +1,106 @@
+"""The pictures of the README and the docs, drawn from the package itself: `make pictures`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from kit1000.errors import Redraw
+from kit1000.kits.assembly import build_assembly, check_assembly, draw_assembly
+from kit1000.kits.kit import make_kit
+from kit1000.mesh import Mesh
+from kit1000.parts.catalog import FAMILIES
+from kit1000.parts.family import make_part
+from kit1000.pose import Pose
+from kit1000.rng import stream
+from kit1000.sim.pictures import KIT, PART, Painted, contact_sheet, framing, shaded
+from kit1000.values import Assembly, Kit, Part
+
+FOLDER = Path(__file__).parent
+SEED = 1000
+LONGEST = 50e-3  # [m]
+SHOWN = ("gear", "bracket", "lever", "clevis")  # told apart at a glance; the first goes into the base
+HOVER = (0.05, 0.035, 0.06, 0.0)  # [m] of each part above its seat, along its own way in; the last is seated
+FRONT = (1.0, -1.6, 1.5)  # from the assembly to the eye
+
+
+def main() -> None:
+    """Draw everything, beside this file."""
+    hero(FOLDER / "hero.png")
+    families(FOLDER / "families.png")
+
+
+def hero(path: Path) -> None:
+    """Parts on their way into the cavities of an angled assembly."""
+    pairs = [next(pairs_of(name)) for name in SHOWN]
+    assembly = next(assemblies(pairs))
+    bodies = [Painted(assembly.mesh, Pose.identity(), KIT)]
+    for (part, _), mount, rise in zip(pairs, assembly.mounts, HOVER, strict=True):
+        out = Pose.from_translation(np.array([0, 0, rise]))
+        bodies.append(Painted(part.mesh, mount.assembly_from_kit @ out @ mount.kit.slot.kit_from_part, PART))
+    save(picture(bodies, (1600, 900), FRONT), path)
+
+
+def families(path: Path) -> None:
+    """One part of every family."""
+    parts = [next(parts_of(name)) for name in sorted(FAMILIES)]
+    views = [picture([Painted(standing(part.mesh), Pose.identity(), PART)], (280, 224)) for part in parts]
+    contact_sheet(views, [part.family.replace("_", " ") for part in parts], columns=7).save(path, optimize=True)
+
+
+def standing(mesh: Mesh) -> Mesh:
+    """The mesh with its longest side lying along x and its shortest upright."""
+    order = np.argsort(-mesh.extents, kind="stable")
+    turn = np.eye(3)[order]
+    turn[2] *= np.linalg.det(turn)
+    return mesh.moved(Pose.from_rotation_matrix(turn))
+
+
+def parts_of(family: str) -> Iterator[Part]:
+    """Parts of a family that geometry accepts."""
+    for number in range(100):
+        try:
+            yield make_part(family, family, FAMILIES[family].draw(stream(SEED, family, number)), LONGEST)
+        except Redraw:
+            continue
+
+
+def pairs_of(family: str) -> Iterator[tuple[Part, Kit]]:
+    """Parts of a family with their kits."""
+    for part in parts_of(family):
+        try:
+            yield part, make_kit(part)
+        except Redraw:
+            continue
+
+
+def assemblies(pairs: list[tuple[Part, Kit]]) -> Iterator[Assembly]:
+    """Assemblies of the kits that can be printed and used."""
+    parts = {part.id: part for part, _ in pairs}
+    for number in range(100):
+        try:
+            plan = draw_assembly(stream(SEED, "hero", number), len(pairs))
+            assembly = build_assembly("hero", [kit for _, kit in pairs], plan)
+            check_assembly(assembly, parts)
+            yield assembly
+        except Redraw:
+            continue
+
+
+def picture(
+    bodies: list[Painted], size: tuple[int, int], direction: tuple[float, float, float] | None = None
+) -> np.ndarray:
+    """(H, W, 3) uint8, the bodies filling it."""
+    view = framing(bodies, size=size) if direction is None else framing(bodies, direction, size=size)
+    return shaded(bodies, *view)
+
+
+def save(image: np.ndarray, path: Path) -> None:
+    Image.fromarray(image).save(path, optimize=True)
+
+
+if __name__ == "__main__":
+    main()

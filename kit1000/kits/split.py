@@ -1,0 +1,172 @@
+"""A kit as convex pieces that leave its cavity open, for physics engines that take the hull of every mesh.
+
+The plate is cut into level layers, thin where the walls slope. Of each layer only what stands over its whole
+height is kept, so pieces never reach into the cavity: steps and chords all lie on the open side. What is kept is
+triangulated, merged to convex polygons (Hertel and Mehlhorn 1983) and raised to prisms. Kit frame, metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from manifold3d import CrossSection, FillRule, JoinType, Manifold, triangulate
+
+from kit1000.mesh import Mesh, mesh_of, solid_of
+from kit1000.values import Kit
+
+TOLERANCE = 0.4e-3  # [m] walls recede by at most about so much, of a clearance of 2.5 mm
+MOST_LAYERS = 12  # a round bottom stops here, in steps of one or two millimetres
+BRINK = 1e-6  # [m] layers end so far below a ledge: what float32 makes of its corners belongs above
+LEDGE = 1e-6  # [m^2] smaller level faces are slopes to the layers
+STEP = 20e-6  # [m] ledges closer than this are one
+GRID = 1e-8  # [m] sections snap to a grid of some 4 nm
+SPECK = 1e-8  # [m^2] smaller polygons are dropped: engines refuse such slivers
+MITER = 2.0  # offset corners sharper than 60 degrees are cut off
+
+
+def convex_prisms(kit: Kit, tolerance: float = TOLERANCE) -> list[Mesh]:
+    """Disjoint convex prisms inside a kit, the floor slab first; walls recede by about `tolerance` [m] at most."""
+    low, high = kit.mesh.bounds
+    block = Manifold.cube(high - low).translate(low)
+    cavity = block - solid_of(kit.mesh)
+    floor = cavity.bounding_box()[2]
+    pieces = [block.trim_by_plane((0, 0, -1), -floor)]
+    plate = CrossSection.square(high[:2] - low[:2] - 2 * GRID).translate(low[:2] + GRID)
+    for layer in _layers(cavity, floor, float(high[2]), tolerance):
+        kept = plate - _outer_outline(layer.shadow, tolerance / 2)
+        pieces += [_prism(polygon, layer.low, layer.high) for polygon in convex_polygons(kept)]
+    return [mesh_of(piece) for piece in pieces]
+
+
+def convex_polygons(section: CrossSection) -> list[np.ndarray]:
+    """A section cut into convex polygons (n, 2), counter-clockwise: triangles merged, longest sides first."""
+    contours = section.to_polygons()
+    corners = np.concatenate(contours)
+    polygons = {i: list(triangle) for i, triangle in enumerate(triangulate(contours).tolist())}
+    owner = {(a, b): i for i, loop in polygons.items() for a, b in _sides(loop)}
+    shared = [(a, b) for a, b in owner if a < b and (b, a) in owner]
+    shared.sort(key=lambda side: -float(np.linalg.norm(corners[side[0]] - corners[side[1]])))
+    for a, b in shared:
+        left, right = owner[a, b], owner[b, a]
+        merged = _merged(polygons[left], polygons[right], a, b)
+        if left != right and _turns_left(corners, merged, a) and _turns_left(corners, merged, b):
+            del polygons[right]
+            polygons[left] = merged
+            owner.update(dict.fromkeys(_sides(merged), left))
+    return [corners[loop] for loop in polygons.values() if _area(corners[loop]) > SPECK]
+
+
+@dataclass(frozen=True, eq=False)
+class _Layer:
+    """A slice of the plate between two heights [m]."""
+
+    low: float
+    high: float
+    shadow: CrossSection
+    """Where the cavity is open anywhere in the layer."""
+    lost: float
+    """[m^3] of wall under the shadow."""
+
+    @property
+    def recession(self) -> float:
+        """[m] by which the layer's walls stand back, on average."""
+        perimeter = sum(np.linalg.norm(np.roll(p, -1, 0) - p, axis=1).sum() for p in self.shadow.to_polygons())
+        return self.lost / (self.high - self.low) / max(perimeter, 1e-9)
+
+
+def _layers(cavity: Manifold, floor: float, rim: float, tolerance: float) -> list[_Layer]:
+    """From floor to rim, cut at every ledge, then halved where most is lost."""
+    heights = [floor, *_ledges(cavity, floor, rim), rim]
+    layers = [_layer(cavity, a, b) for a, b in pairwise(heights)]
+    while len(layers) < MOST_LAYERS:
+        # the mean recession hides how far a slope goes back between upright walls
+        coarse = [layer for layer in layers if layer.recession > tolerance / 4]
+        if not coarse:
+            break
+        worst = max(coarse, key=lambda layer: layer.lost)
+        middle = (worst.low + worst.high) / 2
+        layers.remove(worst)
+        layers += [_layer(cavity, worst.low, middle), _layer(cavity, middle, worst.high)]
+    return layers
+
+
+def _layer(cavity: Manifold, low: float, high: float) -> _Layer:
+    open_ = cavity.trim_by_plane((0, 0, 1), low).trim_by_plane((0, 0, -1), -high)
+    shadow = CrossSection(open_.project().to_polygons(), FillRule.Positive)
+    return _Layer(low, high, shadow, shadow.area() * (high - low) - open_.volume())
+
+
+def _ledges(cavity: Manifold, floor: float, rim: float) -> list[float]:
+    """Heights just below the level faces between floor and rim."""
+    mesh = mesh_of(cavity)
+    z = mesh.triangles[..., 2]
+    edges = mesh.triangles[:, 1:] - mesh.triangles[:, :1]
+    areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2
+    level = (np.ptp(z, axis=1) < BRINK) & (z.min(1) > floor + STEP) & (z.min(1) < rim - STEP)
+    order = np.argsort(z[level].min(1))
+    heights, areas = z[level].min(1)[order], areas[level][order]
+    groups = np.split(np.arange(len(heights)), np.flatnonzero(np.diff(heights) > STEP) + 1)
+    return [float(heights[group[0]]) - BRINK for group in groups if areas[group].sum() > LEDGE]
+
+
+def _outer_outline(shadow: CrossSection, tolerance: float) -> CrossSection:
+    """A shadow with few corners: it holds all of the old one and reaches about 2 tolerances [m] beyond at most."""
+    few = [contour[_corners_kept(contour, tolerance)] for contour in shadow.to_polygons()]
+    outline = CrossSection([contour for contour in few if len(contour) > 2], FillRule.Positive)
+    # slots narrower than the tolerance may have collapsed: the shadow itself is always part of the outline
+    return outline.offset(tolerance + GRID, JoinType.Miter, MITER) + shadow
+
+
+def _corners_kept(contour: np.ndarray, tolerance: float) -> np.ndarray:
+    """Indices of corners that hold a closed contour (n, 2) within a tolerance [m] (Douglas and Peucker 1973)."""
+    far = int(np.argmax(np.linalg.norm(contour - contour[0], axis=1)))
+    closed, kept, spans = np.concatenate([contour, contour[:1]]), {0, far}, [(0, far), (far, len(contour))]
+    while spans:
+        start, end = spans.pop()
+        if end - start < 2:
+            continue
+        distance = _distance(closed[start + 1 : end], closed[start], closed[end])
+        worst = int(np.argmax(distance))
+        if distance[worst] > tolerance:
+            middle = start + 1 + worst
+            kept.add(middle)
+            spans += [(start, middle), (middle, end)]
+    return np.array(sorted(kept))
+
+
+def _distance(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(n,) [m] from points (n, 2) to the segment from a to b."""
+    along = b - a
+    share = np.clip((points - a) @ along / max(float(along @ along), 1e-30), 0, 1)
+    return np.linalg.norm(points - a - share[:, None] * along, axis=1)
+
+
+def _area(polygon: np.ndarray) -> float:
+    """[m^2] of a polygon (n, 2), positive when it runs counter-clockwise."""
+    x, y = polygon.T
+    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+
+
+def _prism(polygon: np.ndarray, low: float, high: float) -> Manifold:
+    ends = [np.column_stack([polygon, np.full(len(polygon), z)]) for z in (low, high)]
+    return Manifold.hull_points(np.concatenate(ends))
+
+
+def _sides(loop: list[int]) -> list[tuple[int, int]]:
+    return list(zip(loop, loop[1:] + loop[:1], strict=True))
+
+
+def _merged(left: list[int], right: list[int], a: int, b: int) -> list[int]:
+    """Two loops without their common side, a to b in the left one."""
+    i, j = left.index(b), right.index(a)
+    return left[i:] + left[:i] + (right[j:] + right[:j])[1:-1]
+
+
+def _turns_left(corners: np.ndarray, loop: list[int], vertex: int) -> bool:
+    """Whether a counter-clockwise loop is convex at a vertex."""
+    i = loop.index(vertex)
+    before, here, after = corners[[loop[i - 1], vertex, loop[(i + 1) % len(loop)]]]
+    (ax, ay), (bx, by) = here - before, after - here
+    return bool(ax * by - ay * bx >= 0)
