@@ -1,71 +1,104 @@
 """The command `kit1000`: each subcommand is a typed dataclass whose fields are its options.
 
-Results go to stdout, progress to stderr. Exit 0 good, 1 the answer is no, 2 wrong usage or bad input with one line.
+Results go to stdout, progress to stderr. Exit 0 good, 1 the answer is no, 2 wrong usage or bad input with one line,
+3 a fault of the package, 130 interrupted.
 """
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from kit1000 import __version__
-from kit1000.errors import InputError, Kit1000Error
+from kit1000.errors import Fault, InputError, Kit1000Error, fault
+from kit1000.usage import misuse
 
+if TYPE_CHECKING:
+    from kit1000.data.plan import Sources
+
+WRONG, FAULTY = 2, 3  # exit status: of the user, of the package
 INTERRUPTED = 130  # exit status of a command stopped by Ctrl-C, as shells have it
+ABOUT = """KIT1000: parts, kits that fit them, and angled assemblies of kits.
+
+`kit1000 COMMAND --help` says more about a command, `kit1000 --version` which version this is.
+
+Results go to stdout, progress to stderr. Exit status: 0 good, 1 the answer is no,
+2 wrong usage or bad input, 3 a fault of kit1000 itself, 130 interrupted."""
+
+Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
+Number = Annotated[float | None, tyro.conf.arg(metavar="X")]
+Optional = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
+Unit = Annotated[Literal["mm", "cm", "m", "inch"] | None, tyro.conf.arg(metavar="{mm,cm,m,inch}")]
+Folder = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATA")]
 
 
 @dataclass(frozen=True)
 class Generate:
     """Build a dataset; run the same command again to continue one that was interrupted."""
 
-    preset: tyro.conf.Positional[str]
+    preset: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="PRESET")]
     """tiny, small, kit1000, paper, real-like or study."""
     out: Path
     """Folder to build in."""
-    seed: int | None = None
+    seed: Whole = None
     """Root of all draws; the preset's own when absent."""
-    workers: int | None = None
+    workers: Whole = None
     """Processes; one per core when absent. Any number gives the same bytes."""
-    parts: Path | None = None
+    parts: Optional = None
     """Folder, file or .txt list of meshes to use in place of procedural parts."""
-    unit: Literal["mm", "cm", "m", "inch"] | None = None
+    unit: Unit = None
     """Unit of those meshes; guessed and reported when absent."""
 
     def run(self) -> int:
         """Build, then say what came out."""
-        from kit1000.data.build import generate
         from kit1000.data.presets import preset
-        from kit1000.parts.sources import mesh_files
 
+        chosen = preset(self.preset)
         if self.workers is not None and self.workers < 1:
             raise InputError(f"--workers: expected 1 or more, got {self.workers}")
         if self.seed is not None and self.seed < 0:
             raise InputError(f"--seed: expected 0 or more, got {self.seed}")
-        sources = None if self.parts is None else mesh_files(self.parts)
-        summary = generate(preset(self.preset), self.out, self.seed, self.workers, sources, self.unit)
-        print(describe(summary))
+        if self.unit is not None and self.parts is None:
+            raise InputError("--unit: says how to read the meshes of --parts, which is absent")
+        from kit1000.data.build import generate  # loads the geometry: not before the words are known to be right
+
+        print(describe(generate(chosen, self.out, self.seed, self.workers, self._sources())))
         return 0
+
+    def _sources(self) -> Sources | None:
+        """The mesh files asked for, without those that this command itself writes."""
+        from kit1000.data.plan import Sources
+        from kit1000.parts.sources import mesh_files
+
+        if self.parts is None:
+            return None
+        out = self.out.resolve()
+        files = [file for file in mesh_files(self.parts) if out not in file.resolve().parents]
+        if not files:
+            raise InputError(f"{self.parts}: no mesh files but those in --out {self.out}")
+        return Sources.of(files, self.unit)
 
 
 @dataclass(frozen=True)
 class MakeKit:
     """A kit for your own part, true size: kit.stl and part.stl for a slicer, seated.glb, report.json, preview.png."""
 
-    part: tyro.conf.Positional[Path]
+    part: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PART")]
     """Mesh file: STL, OBJ, PLY, OFF, 3MF, GLB (and STEP with `pip install kit1000[step]`)."""
     out: Path
     """Folder for the results."""
     clearance_mm: float = 2.5
     """Horizontal gap between part and walls."""
-    unit: Literal["mm", "cm", "m", "inch"] | None = None
+    unit: Unit = None
     """Unit of the file; guessed and reported when absent."""
-    fit_mm: float | None = None
+    fit_mm: Number = None
     """Scale the part to this longest side; true size when absent."""
 
     def run(self) -> int:
@@ -85,7 +118,7 @@ class MakeKit:
 class Info:
     """Describe a dataset: counts, identity, redraws."""
 
-    data: tyro.conf.Positional[Path]
+    data: Folder
     """Dataset folder."""
 
     def run(self) -> int:
@@ -100,7 +133,7 @@ class Info:
 class Show:
     """Draw parts, kits or assemblies of a dataset into one PNG."""
 
-    data: tyro.conf.Positional[Path]
+    data: Folder
     """Dataset folder."""
     out: Path = Path("sheet.png")
     """Picture to write."""
@@ -130,7 +163,7 @@ class Show:
 class Export:
     """Write assemblies of a dataset for other tools: URDF with open cavities, or STL in millimetres."""
 
-    data: tyro.conf.Positional[Path]
+    data: Folder
     """Dataset folder."""
     out: Path
     """Folder to write to; one folder (urdf) or file (stl) an assembly."""
@@ -157,46 +190,52 @@ class Export:
         return 0
 
 
-Command = (
-    Annotated[Generate, tyro.conf.subcommand("generate")]
-    | Annotated[MakeKit, tyro.conf.subcommand("kit")]
-    | Annotated[Info, tyro.conf.subcommand("info")]
-    | Annotated[Show, tyro.conf.subcommand("show")]
-    | Annotated[Export, tyro.conf.subcommand("export")]
-)
+COMMANDS = {"generate": Generate, "kit": MakeKit, "info": Info, "show": Show, "export": Export}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status."""
-    arguments = sys.argv[1:] if arguments is None else arguments
-    if list(arguments) in (["--version"], ["-V"]):
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    if arguments in (["--version"], ["-V"]):
         print(f"kit1000 {__version__}")
         return 0
+    said = misuse(arguments, COMMANDS)
+    if said:
+        return _answer(said, WRONG)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # workers and locks go down in order
-    command = tyro.cli(Command, prog="kit1000", description=__doc__, args=arguments)  # type: ignore[call-overload]
+    command = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="kit1000", description=ABOUT, args=arguments)
     try:
-        return command.run()
+        status = command.run()
+        sys.stdout.flush()
+        return status
     except Kit1000Error as error:
-        print(f"kit1000: {error}", file=sys.stderr)
-        return 2
+        return _answer(str(error), FAULTY if isinstance(error, Fault) else WRONG)
     except KeyboardInterrupt:
-        print("kit1000: interrupted; run the same command again to continue", file=sys.stderr)
-        return INTERRUPTED
+        return _answer("interrupted; run the same command again to continue", INTERRUPTED)
+    except BrokenPipeError:  # whoever read the results has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        return _answer(str(fault(arguments[0], error)), FAULTY)
+
+
+def _answer(line: str, status: int) -> int:
+    print(f"kit1000: {line}", file=sys.stderr)
+    return status
 
 
 def describe(summary: dict) -> str:
     """A dataset's summary as text."""
-    counts = [
-        f"  {split:6s} {n['parts']:5d} parts and kits, {n['assemblies']:5d} assemblies"
-        for split, n in summary["counts"].items()
-    ]
     lines = [
-        f"{summary['preset']}  {summary['dataset_id']}  (seed {summary['seed']}, data {summary['data_version']}, {summary['licence']})"
+        f"{summary['preset']}  {summary['dataset_id']}"
+        f"  (seed {summary['seed']}, data {summary['data_version']}, {summary['licence']})"
     ]
-    lines += counts
-    for kind, reasons in summary["redraws"].items():
-        total = ", ".join(f"{n} {reason}" for reason, n in sorted(reasons.items(), key=lambda item: -item[1]))
-        lines.append(f"  redrawn {kind}: {total or 'none'}")
+    for split in ("train", "val", "test"):
+        n = summary["counts"][split]
+        lines.append(f"  {split:6s} {n['parts']:5d} parts and kits, {n['assemblies']:5d} assemblies")
+    for kind, reasons in sorted(summary["redraws"].items()):
+        ranked = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
+        lines.append(f"  redrawn {kind}: {', '.join(f'{n} {reason}' for reason, n in ranked) or 'none'}")
     lines += [f"  refused {source}: {reason}" for source, reason in sorted(summary["refused"].items())]
     return "\n".join(lines)
 
@@ -214,5 +253,5 @@ def describe_kit(report: dict, out: Path) -> str:
         f" undercuts {report['undercut_lost_mm3']:.0f} mm3",
     ]
     if not report["trial"]["passes"]:
-        lines.append(f"note   {report['trial']['why']}")
+        lines.append(f"note   the cavity alone does not force the pose: the part {report['trial']['why']}")
     return "\n".join([*lines, f"files  {out}"])

@@ -48,7 +48,7 @@ class Fault(Kit1000Error):
 def fault(doing: str, error: BaseException) -> Fault:
     """An unforeseen exception as a Fault: what was being done, what went wrong, in which line of this package."""
     frames = traceback.extract_tb(error.__traceback__)
-    ours = [frame for frame in frames if "kit1000" in Path(frame.filename).parts]
+    ours = [frame for frame in frames if Path(__file__).parent in Path(frame.filename).parents]
     where = f" ({Path(ours[-1].filename).name}:{ours[-1].lineno})" if ours else ""
     said = " ".join(str(error).split())
     return Fault(f"{doing}: {type(error).__name__}: {said or 'no message'}{where}; please report this fault of kit1000")

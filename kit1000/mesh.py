@@ -15,6 +15,7 @@ import numpy as np
 from manifold3d import Error, Manifold, Mesh64
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull
 
 from kit1000.errors import MeshRefused, ShapeError, checked
 
@@ -119,6 +120,22 @@ def mesh_of(solid: Manifold) -> Mesh:
     return Mesh(np.asarray(raw.vert_properties)[:, :3], np.asarray(raw.tri_verts).astype(np.int32))
 
 
+def hull_of(points: np.ndarray) -> Manifold:
+    """The convex hull of points (n, 3) [m] as an exact solid.
+
+    By Qhull: manifold3d's own quickhull bends hulls of many nearly coplanar points (up to a millimetre, measured).
+    """
+    hull = ConvexHull(points)
+    corners, faces = np.unique(hull.simplices, return_inverse=True)
+    faces = faces.reshape(-1, 3)
+    normals = _crosses(points[hull.simplices])
+    inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    solid = Manifold(Mesh64(np.ascontiguousarray(points[corners]), faces.astype(np.uint64)))
+    # Qhull may leave collapsed triangles on a flat face; then the other hull, of few points, is the sound one
+    return solid if solid.status() == Error.NoError else Manifold.hull_points(points[corners] * 1e3).scale((1e-3,) * 3)
+
+
 def defect(mesh: Mesh) -> str | None:
     """What keeps a mesh from bounding a solid, in a few words; None when nothing does."""
     if not len(mesh.faces):
@@ -151,6 +168,15 @@ def _edge_fault(a: np.ndarray, b: np.ndarray, n: int) -> str:
 def defect32(mesh: Mesh) -> str | None:
     """`defect` of the mesh as a loader sees it: vertices rounded to float32, equal ones merged."""
     return defect(mesh.rounded32().merged())
+
+
+def crowded_edges(mesh: Mesh) -> np.ndarray:
+    """(k, 2, 3) [m]: ends of the edges that more than two faces share."""
+    a, b = mesh.faces.ravel().astype(np.int64), mesh.faces[:, [1, 2, 0]].ravel().astype(np.int64)
+    n = len(mesh.vertices)
+    keys, counts = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_counts=True)
+    crowded = keys[counts > 2]
+    return mesh.vertices[np.stack([crowded // n, crowded % n], 1)]
 
 
 def body_count(mesh: Mesh) -> int:

@@ -28,7 +28,7 @@ LAYERS = (
     ("sim",),
     ("data", "submission", "predictor", "metrics"),
     ("editor", "planner", "testing"),
-    ("cli", "", "__main__"),  # "" is the package itself, which hands out names of all the others
+    ("usage", "cli", "", "__main__"),  # "" is the package itself, which hands out names of all the others
     ("benchmark",),
     ("baselines",),
 )
@@ -46,7 +46,7 @@ FENCES = {
     "viser": ("kit1000.editor",),
     "ray": ("kit1000.data.engines",),
     "fsspec": ("kit1000.data.engines",),
-    "tyro": ("kit1000.cli", "benchmark", "baselines"),
+    "tyro": ("kit1000.cli", "kit1000.usage", "benchmark", "baselines"),
 }
 NOT_ON_IMPORT = ("numpy", "scipy", "numba", "trimesh", "manifold3d", "pybullet", "open3d", "torch", "viser")
 

@@ -7,6 +7,7 @@ bytes. Jobs run in any order on any number of workers; what depends on order (ne
 from __future__ import annotations
 
 import shutil
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -17,15 +18,15 @@ import numpy as np
 from tqdm import tqdm
 
 from kit1000.data import engines
-from kit1000.data.files import clear_partial, json_bytes, locked, read_json, sha256, write_json
+from kit1000.data.files import check_writable, clear_partial, json_bytes, locked, read_json, write_json
 from kit1000.data.groups import GroupJob, make_group
-from kit1000.data.pairs import BUILD, PairJob, Record, make_pair
-from kit1000.data.plan import DATA_VERSION, dataset_id, make_plan
+from kit1000.data.pairs import BUILD, PairJob, Record, intact, make_pair
+from kit1000.data.plan import DATA_VERSION, Sources, dataset_id, make_plan
 from kit1000.data.presets import SPLITS, Preset
+from kit1000.data.tables import FORMAT
 from kit1000.errors import InputError
 from kit1000.parts.twins import twin_of
 
-FORMAT = "kit1000/1"
 LICENCE = "CC-BY-4.0"
 
 Spread = Callable[[Callable[[Any], Record], Iterable[Any]], Iterator[Record]]
@@ -36,43 +37,73 @@ def generate(
     root: Path,
     seed: int | None = None,
     workers: int | None = None,
-    sources: list[Path] | None = None,
-    unit: str | None = None,
+    sources: Sources | None = None,
 ) -> dict[str, Any]:
     """Build a dataset in a folder, or complete one that was begun there; returns the contents of its dataset.json.
 
-    Raises InputError when the folder holds a dataset of another plan, or cannot be written.
+    Raises InputError when the folder holds something else or cannot be written, or when no source can be a part.
     """
     plan = make_plan(preset, preset.seed if seed is None else seed, sources)
+    check_writable(root)
+    _check_ours(root, plan)  # before the lock, which leaves a file
     with locked(root):
-        _claim(root, plan)
-        if (root / "dataset.json").exists():
-            shutil.rmtree(root / BUILD, ignore_errors=True)
-            return read_json(root / "dataset.json")
+        _check_ours(root, plan)
         clear_partial(root)
+        summary = _completed(root)
+        if summary is not None:
+            return summary
+        write_json(root / "plan.json", plan)
         with engines.local(workers) as spread:
-            pairs = _pairs(root, preset, plan, unit, spread)
+            pairs = _pairs(root, preset, plan, sources, spread)
             groups = _groups(root, preset, plan, pairs, spread)
         return _finish(root, plan, pairs, groups)
 
 
-def _claim(root: Path, plan: dict[str, Any]) -> None:
-    """Write the plan, or make sure that the folder was begun with the same one."""
+def _check_ours(root: Path, plan: dict[str, Any]) -> None:
+    """Raise InputError when a folder holds anything but a dataset of this plan, finished or begun."""
+    if not root.is_dir():
+        return
     path = root / "plan.json"
-    if path.exists():
-        if path.read_bytes() != json_bytes(plan):
-            raise InputError(f"{root} holds a dataset of another plan: choose another --out, or delete that folder")
-    elif any(entry.name != ".lock" for entry in root.iterdir()):
+    if path.is_file():
+        begun = read_json(path)
+        if json_bytes(begun) != json_bytes(plan):
+            other = _difference(begun, plan)
+            raise InputError(f"{root} holds another dataset ({other}): choose another --out, or delete that folder")
+    elif any(not entry.name.startswith(".") for entry in root.iterdir()):
         raise InputError(f"{root} is not empty and holds no dataset: choose another --out")
-    else:
-        write_json(path, plan)
 
 
-def _pairs(root: Path, preset: Preset, plan: dict[str, Any], unit: str | None, spread: Spread) -> dict[str, Record]:
+def _difference(begun: Any, plan: dict[str, Any]) -> str:
+    """The first entry of two plans that differs, in words."""
+    if not isinstance(begun, dict):
+        return "its plan.json is no plan"
+    for key in ("format", "data_version", "preset", "seed", "unit"):
+        if begun.get(key) != plan.get(key):
+            return f"{key.replace('_', ' ')} {begun.get(key)}, asked {plan.get(key)}"
+    return "of other parts"
+
+
+def _completed(root: Path) -> dict[str, Any] | None:
+    """The summary of a finished dataset; None when there is none, or when it lost files, which are then made anew."""
+    path = root / "dataset.json"
+    if not path.is_file():
+        return None
+    summary = intact(root, path)
+    if summary is not None:
+        shutil.rmtree(root / BUILD, ignore_errors=True)
+        print(f"{root} is complete: nothing to do", file=sys.stderr)
+        return summary
+    print(f"{root}: files are missing or changed, building again", file=sys.stderr)
+    path.unlink()
+    return None
+
+
+def _pairs(
+    root: Path, preset: Preset, plan: dict[str, Any], sources: Sources | None, spread: Spread
+) -> dict[str, Record]:
     """The record of every part and kit, by id; near-duplicates are drawn again until none is left."""
     jobs = {
-        part_id: PairJob(root, preset, plan["seed"], part_id, row["split"], row.get("source"), unit)
-        for part_id, row in plan["parts"].items()
+        part_id: _pair_job(root, preset, plan["seed"], part_id, row, sources) for part_id, row in plan["parts"].items()
     }
     records = _run("parts and kits", make_pair, list(jobs.values()), spread)
     accepted: list[str] = []
@@ -81,20 +112,38 @@ def _pairs(root: Path, preset: Preset, plan: dict[str, Any], unit: str | None, s
         record = records[part_id]
         while "refused" not in record and (twin := twin_of(np.array(record["measures"]), measures)) is not None:
             job = replace(jobs[part_id], redraws=(*record["redraws"], "near-duplicate"))
-            record = _refused_twin(record, accepted[twin]) if job.source else make_pair(job)
+            record = _refused_twin(record, records[accepted[twin]]) if job.source else make_pair(job)
         records[part_id] = record
         if "refused" not in record:
             accepted.append(part_id)
             measures = np.concatenate([measures, [record["measures"]]])
+    if not accepted:
+        raise InputError(_nothing_usable(root, plan, records))
     return records
 
 
-def _refused_twin(record: Record, twin: str) -> Record:
+def _pair_job(
+    root: Path, preset: Preset, seed: int, part_id: str, row: dict[str, Any], sources: Sources | None
+) -> PairJob:
+    if sources is None:
+        return PairJob(root, preset, seed, part_id, row["split"])
+    name = row["source"]
+    return PairJob(root, preset, seed, part_id, row["split"], name, sources.files[name], sources.unit)
+
+
+def _refused_twin(record: Record, twin: Record) -> Record:
     """A part from a file that repeats an earlier one is left out."""
-    return {key: record[key] for key in ("id", "split", "redraws")} | {
-        "files": {},
-        "refused": f"near-duplicate of {twin}",
-    }
+    refused = {"files": {}, "refused": f"near-duplicate of {twin['source']}"}
+    return {key: record[key] for key in ("id", "split", "redraws")} | refused
+
+
+def _nothing_usable(root: Path, plan: dict[str, Any], records: dict[str, Record]) -> str:
+    """Why no file became a part; the folder is left empty, so that the next attempt finds no other plan in it."""
+    shutil.rmtree(root / BUILD, ignore_errors=True)
+    (root / "plan.json").unlink(missing_ok=True)
+    reasons = [f"{plan['parts'][i]['source']}: {record['refused']}" for i, record in records.items()]
+    more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
+    return f"none of {len(reasons)} mesh files can be a part ({'; '.join(reasons[:3])}{more})"
 
 
 def _groups(
@@ -135,12 +184,11 @@ def _finish(root: Path, plan: dict[str, Any], pairs: dict[str, Record], groups: 
             i: r["assembly"] | {key: r[key] for key in ("split", "target", "redraws")} for i, r in groups.items()
         },
     }
-    for name, rows in tables.items():
-        write_json(root / f"{name}.json", rows)
+    written = {f"{name}.json": write_json(root / f"{name}.json", rows) for name, rows in tables.items()}
     files = {name: digest for record in [*kept.values(), *groups.values()] for name, digest in record["files"].items()}
     _remove_strays(root, files)
-    files |= {name: sha256(root / name) for name in ("plan.json", *(f"{table}.json" for table in tables))}
-    summary = _summary(plan, pairs, groups, files)
+    written["plan.json"] = write_json(root / "plan.json", plan)
+    summary = _summary(plan, pairs, groups, files | written)
     write_json(root / "dataset.json", summary)
     shutil.rmtree(root / BUILD, ignore_errors=True)
     return summary

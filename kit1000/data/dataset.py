@@ -6,10 +6,9 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
-from kit1000.data.build import FORMAT
 from kit1000.data.files import read_json
 from kit1000.data.meshes import read_glb
-from kit1000.data.tables import Row, assembly_of, kit_of, part_of
+from kit1000.data.tables import FORMAT, Row, assembly_of, kit_of, part_of
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.values import Assembly, Kit, Part
@@ -22,12 +21,11 @@ class Geometry:
         """Open a dataset folder. Raises InputError when it is none, or is not finished."""
         self.root = Path(root)
         if not (self.root / "dataset.json").is_file():
-            begun = (self.root / "plan.json").is_file()
-            hint = "begun but not finished: run the same `kit1000 generate` again" if begun else "no dataset.json in it"
-            raise InputError(f"{self.root}: no dataset ({hint})")
+            raise InputError(f"{self.root}: no dataset ({self._missing()})")
         self.summary: dict[str, Any] = read_json(self.root / "dataset.json")
-        if self.summary.get("format") != FORMAT:
-            raise InputError(f"{self.root}: format {self.summary.get('format')!r}, this version reads {FORMAT!r}")
+        found = self.summary.get("format") if isinstance(self.summary, dict) else None
+        if found != FORMAT:
+            raise InputError(f"{self.root}: dataset.json has format {found!r}, this version reads {FORMAT!r}")
         self.kit = lru_cache(maxsize=64)(self._kit)
 
     @cached_property
@@ -44,6 +42,13 @@ class Geometry:
     def assemblies(self) -> dict[str, Row]:
         """Rows of the table of assemblies by id."""
         return read_json(self.root / "assemblies.json")
+
+    def _missing(self) -> str:
+        if not self.root.is_dir():
+            return "it is a file" if self.root.exists() else "there is no such folder"
+        if (self.root / "plan.json").is_file():
+            return "begun but not finished: run the same `kit1000 generate` again"
+        return "no dataset.json in it"
 
     def part(self, part_id: str) -> Part:
         """A part by id."""

@@ -17,8 +17,8 @@ from kit1000.errors import InputError
 PARTIAL = ".partial"  # suffix of a file being written; whatever bears it may be deleted
 
 
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file so that it is there entirely or not at all, also after a crash between write and rename."""
+def write_bytes(path: Path, data: bytes) -> str:
+    """Write a file so that it is there entirely or not at all, also after a crash; returns the SHA-256 in hex."""
     partial = path.with_name(f".{path.name}.{os.getpid()}{PARTIAL}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -32,11 +32,12 @@ def write_bytes(path: Path, data: bytes) -> None:
     finally:  # also on Ctrl-C; after the rename there is nothing left to delete
         with suppress(OSError):
             partial.unlink()
+    return hashlib.sha256(data).hexdigest()
 
 
-def write_json(path: Path, value: Any) -> None:
-    """Write a value as JSON with sorted keys, one top-level entry a line, floats in full precision."""
-    write_bytes(path, json_bytes(value))
+def write_json(path: Path, value: Any) -> str:
+    """Write a value as JSON, sorted keys, one top-level entry a line, full precision; returns the SHA-256."""
+    return write_bytes(path, json_bytes(value))
 
 
 def json_bytes(value: Any) -> bytes:

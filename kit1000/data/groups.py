@@ -16,10 +16,11 @@ from kit1000.errors import Redraw
 from kit1000.kits.assembly import build_assembly, check_assembly
 from kit1000.kits.face import RestingFace, resting_faces
 from kit1000.kits.stray import Well, foreign_fit
-from kit1000.values import Kit, Part
+from kit1000.values import Assembly, Kit, Part
 
 ATTEMPTS = 60  # placings of one assembly before the check or the draw must be called broken
 REMEMBERED = 64  # pairs a worker keeps in memory
+FEWER = "fewer kits than drawn"
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,9 @@ class GroupJob:
     target: str
     kits: int
     company: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return f"assembly {self.assembly_id}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,27 +56,35 @@ def make_group(job: GroupJob) -> Record:
     if done is not None:
         return done
     members, rejected = _company(job)
+    assembly, redraws = _placed(job, members)
+    if len(assembly.mounts) < job.kits:
+        rejected.append(FEWER)
+    name = f"assemblies/{job.assembly_id}.glb"
+    record = {
+        "id": job.assembly_id,
+        "split": job.split,
+        "target": job.target,
+        "files": write_mesh_file(job.root, name, glb_bytes({job.assembly_id: assembly.mesh})),
+        "redraws": redraws + rejected,
+        "assembly": assembly_row(assembly),
+    }
+    return save(job.root, "assemblies", job.assembly_id, record)
+
+
+def _placed(job: GroupJob, members: list[Member]) -> tuple[Assembly, list[str]]:
+    """The first placing that passes, and why earlier ones did not; the last of the company goes when none does."""
     redraws: list[str] = []
-    while len(redraws) < ATTEMPTS:
-        draw = draw_assembly_of(job.preset, job.seed, job.assembly_id, len(members), len(redraws))
-        placed = [members[i] for i in draw.order]
-        try:
-            assembly = build_assembly(job.assembly_id, [member.kit for member in placed], draw.placing)
-            check_assembly(assembly, {member.part.id: member.part for member in placed})
-        except Redraw as refusal:
-            redraws.append(refusal.reason)
-            continue
-        name = f"assemblies/{job.assembly_id}.glb"
-        record = {
-            "id": job.assembly_id,
-            "split": job.split,
-            "target": job.target,
-            "files": write_mesh_file(job.root, name, glb_bytes({job.assembly_id: assembly.mesh})),
-            "redraws": redraws + rejected,
-            "assembly": assembly_row(assembly),
-        }
-        return save(job.root, "assemblies", job.assembly_id, record)
-    raise Redraw(f"assembly {job.assembly_id}: none of {ATTEMPTS} placings passes ({redraws[-1]})")
+    for kits in range(len(members), 0, -1):
+        for _ in range(ATTEMPTS):
+            draw = draw_assembly_of(job.preset, job.seed, job.assembly_id, kits, len(redraws))
+            placed = [members[i] for i in draw.order]
+            try:
+                assembly = build_assembly(job.assembly_id, [member.kit for member in placed], draw.placing)
+                check_assembly(assembly, {member.part.id: member.part for member in placed})
+                return assembly, redraws
+            except Redraw as refusal:
+                redraws.append(refusal.reason)
+    raise Redraw(f"{job}: none of {len(redraws)} placings passes ({redraws[-1]})")
 
 
 def _company(job: GroupJob) -> tuple[list[Member], list[str]]:
@@ -86,8 +98,6 @@ def _company(job: GroupJob) -> tuple[list[Member], list[str]]:
             rejected.append("seats in a neighbour's slot")
         else:
             members.append(candidate)
-    if len(members) < job.kits:
-        rejected.append("fewer kits than drawn")
     return members, rejected
 
 
@@ -98,9 +108,15 @@ def _mistakable(a: Member, b: Member) -> bool:
     )
 
 
-@lru_cache(maxsize=REMEMBERED)
 def member(root: Path, part_id: str) -> Member:
     """A pair that is already made, read from its files."""
+    record = root / BUILD / "parts" / f"{part_id}.json"
+    return _member(root, part_id, record.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=REMEMBERED)
+def _member(root: Path, part_id: str, _written: int) -> Member:
+    """The same, remembered for as long as its record is not written anew."""
     record = read_json(root / BUILD / "parts" / f"{part_id}.json")
     part = part_of(part_id, record["part"], read_glb(root / f"parts/{part_id}.glb")[part_id])
     kit = kit_of(part_id, record["kit"], read_glb(root / f"kits/{part_id}.glb")[part_id])

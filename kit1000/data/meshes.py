@@ -8,9 +8,12 @@ from __future__ import annotations
 import io
 from collections.abc import Mapping
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import trimesh
+from trimesh.visual.material import PBRMaterial
+from trimesh.visual.texture import TextureVisuals
 
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
@@ -23,12 +26,12 @@ def glb_bytes(bodies: Mapping[str, Mesh], colours: Mapping[str, tuple[int, int, 
         body = trimesh.Trimesh(y_up(mesh.vertices), mesh.faces, process=False)
         if colours and name in colours:
             linear = [(c / 255) ** 2.2 for c in colours[name]]
-            material = trimesh.visual.material.PBRMaterial(
+            material = PBRMaterial(
                 baseColorFactor=[*linear, 1.0], metallicFactor=0.0, roughnessFactor=0.6, doubleSided=False
             )
-            body.visual = trimesh.visual.TextureVisuals(material=material)
+            body.visual = TextureVisuals(material=material)
         scene.add_geometry(body, node_name=name, geom_name=name)
-    return bytes(scene.export(file_type="glb"))
+    return cast(bytes, scene.export(file_type="glb"))
 
 
 def read_glb(path: Path) -> dict[str, Mesh]:
@@ -48,7 +51,7 @@ def read_glb(path: Path) -> dict[str, Mesh]:
 def stl_bytes(mesh: Mesh) -> bytes:
     """A binary STL in millimetres, z up, ready for a slicer."""
     body = trimesh.Trimesh(mesh.vertices * 1e3, mesh.faces, process=False)
-    return bytes(trimesh.exchange.stl.export_stl(body))
+    return cast(bytes, body.export(file_type="stl"))
 
 
 def y_up(points: np.ndarray) -> np.ndarray:

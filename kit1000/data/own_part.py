@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from kit1000.data.files import write_bytes, write_json
+from kit1000.data.files import check_writable, clear_partial, write_bytes, write_json
 from kit1000.data.meshes import glb_bytes, stl_bytes
 from kit1000.data.tables import pose_row
-from kit1000.errors import InputError, Redraw
+from kit1000.errors import InputError, MeshRefused, Redraw
 from kit1000.kits.kit import CLEARANCE, KitDesign, design_kit
 from kit1000.kits.trial import try_pair
+from kit1000.mesh import Mesh
 from kit1000.parts.family import DENSITY
 from kit1000.parts.sources import Reading, read_mesh
 from kit1000.symmetry import Symmetry
 from kit1000.values import Part
 
 COLOURS = {"kit": (224, 219, 210), "part": (238, 122, 40)}  # sRGB, those of the pictures
+REPORT = "report.json"  # written last: where it stands, the others are whole and of one part
 
 
 def kit_for(
@@ -29,21 +32,31 @@ def kit_for(
     clearance [m]; unit: that of the file, guessed when None; longest [m]: scale the part to it, true size when None.
     Raises InputError in one line when the file is no part, no kit can be made, or the folder cannot be written.
     """
-    reading = read_mesh(path, unit)
+    check_writable(out)
+    try:
+        reading = read_mesh(path, unit)
+    except MeshRefused as refusal:
+        raise InputError(f"{path}: {refusal.reason}") from None
     part, scale = _part(path, reading, longest)
     try:
         design = design_kit(part, clearance, plate=None)
     except Redraw as refusal:
         raise InputError(f"{path}: no kit: {refusal.reason}") from None
     report = _report(path, reading, part, scale, design)
-    _write(out, part, design, report)
+    files = _files(part, design)
+    clear_partial(out, *files, REPORT)
+    with suppress(OSError):  # that of an earlier run; whatever hinders here, the next write reports
+        (out / REPORT).unlink()
+    for name, data in files.items():
+        write_bytes(out / name, data)
+    write_json(out / REPORT, report)
     return report
 
 
 def _part(path: Path, reading: Reading, longest: float | None) -> tuple[Part, float]:
     scale = 1.0 if longest is None else longest / float(reading.mesh.extents.max())
     mesh = reading.mesh.scaled(scale)
-    mesh = type(mesh)(mesh.vertices - mesh.centroid, mesh.faces).rounded32()
+    mesh = Mesh(mesh.vertices - mesh.centroid, mesh.faces).rounded32()
     return Part(path.stem, "file", mesh, Symmetry.none(), {}, DENSITY * mesh.volume), scale
 
 
@@ -72,13 +85,14 @@ def _trial(part: Part, design: KitDesign) -> dict[str, Any]:
     return {"passes": not trial.loose, "why": "fits in another pose too" if trial.loose else "", "keyedness_deg": keyed}
 
 
-def _write(out: Path, part: Part, design: KitDesign, report: dict[str, Any]) -> None:
+def _files(part: Part, design: KitDesign) -> dict[str, bytes]:
     from kit1000.sim.preview import kit_picture  # rendering compiles: only when a picture is wanted
 
     seated = part.mesh.moved(design.kit.slot.kit_from_part)
     bodies = {"kit": design.kit.mesh, "part": seated}
-    write_bytes(out / "kit.stl", stl_bytes(design.kit.mesh))
-    write_bytes(out / "part.stl", stl_bytes(seated))
-    write_bytes(out / "seated.glb", glb_bytes(bodies, COLOURS))
-    write_bytes(out / "preview.png", kit_picture(part, design.kit))
-    write_json(out / "report.json", report)
+    return {
+        "kit.stl": stl_bytes(design.kit.mesh),
+        "part.stl": stl_bytes(seated),
+        "seated.glb": glb_bytes(bodies, COLOURS),
+        "preview.png": kit_picture(part, design.kit),
+    }

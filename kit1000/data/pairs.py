@@ -6,7 +6,6 @@ hold, the job is done. It says how many attempts were rejected and why.
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -64,16 +63,18 @@ def make_pair(job: PairJob) -> Record:
 
 def finished(root: Path, kind: str, item_id: str) -> Record | None:
     """The record of a job whose files are all there as it left them, else None: the job is to be done again."""
+    return intact(root, _record_path(root, kind, item_id))
+
+
+def intact(root: Path, path: Path) -> Record | None:
+    """A JSON file that lists others by hash, when all are there as listed; None also when it is absent or damaged."""
     try:
-        record = read_json(_record_path(root, kind, item_id))
-    except InputError:  # absent, or damaged by a crash of the machine
+        record = read_json(path)
+    except InputError:
         return None
-    return record if intact(root, record.get("files")) else None
-
-
-def intact(root: Path, files: dict[str, str] | None) -> bool:
-    """Whether files are all there with these hashes."""
-    return files is not None and all(sha256(root / name) == digest for name, digest in files.items())
+    files = record.get("files") if isinstance(record, dict) else None
+    whole = isinstance(files, dict) and all(sha256(root / name) == digest for name, digest in files.items())
+    return record if whole else None
 
 
 def save(root: Path, kind: str, item_id: str, record: Record) -> Record:
@@ -84,8 +85,7 @@ def save(root: Path, kind: str, item_id: str, record: Record) -> Record:
 
 def write_mesh_file(root: Path, name: str, data: bytes) -> dict[str, str]:
     """Write one file of a job and return its entry for the record."""
-    write_bytes(root / name, data)
-    return {name: hashlib.sha256(data).hexdigest()}
+    return {name: write_bytes(root / name, data)}
 
 
 def _record_path(root: Path, kind: str, item_id: str) -> Path:
@@ -107,13 +107,13 @@ def _drawn(job: PairJob) -> Record:
 def _from_file(job: PairJob) -> Record:
     try:
         part = _read_part(job)
-        return _record(job, part, *tried(part, job.preset.clearance), [])
+        design, trial = tried(part, job.preset.clearance)
     except (MeshRefused, Redraw) as refusal:
         reason = refusal.reason
-    except InputError:  # of the dataset's folder, not of the file
-        raise
     except Exception as error:  # a stranger's mesh may meet a case nobody thought of: it stops no run, and is reported
         reason = str(fault("no kit", error))
+    else:
+        return _record(job, part, design, trial, [])
     return {"id": job.part_id, "split": job.split, "files": {}, "redraws": [], "refused": reason}
 
 

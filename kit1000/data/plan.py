@@ -102,7 +102,9 @@ def draw_longest(preset: Preset, seed: int, part_id: str) -> float:
 def draw_assembly_of(preset: Preset, seed: int, assembly_id: str, kits: int, attempt: int) -> AssemblyDraw:
     """One attempt at placing a number of kits."""
     rng = stream(seed, "assembly", assembly_id, attempt)
-    return AssemblyDraw(rng.permutation(kits), draw_assembly(rng, kits, level_base=preset.level_base))
+    least, most = np.radians(preset.tilt_deg)
+    order = rng.permutation(kits)
+    return AssemblyDraw(order, draw_assembly(rng, kits, preset.level_base, side_tilt=(float(least), float(most))))
 
 
 def family_weights(split: str) -> dict[str, float]:

@@ -16,6 +16,8 @@ from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Slot
 
+FORMAT = "kit1000/1"  # of the folder that holds these tables
+
 Row = dict[str, Any]
 
 

@@ -29,7 +29,7 @@ from kit1000.values import Assembly, Kit, Mount, Part
 
 MOST_KITS = 5  # a base and one plate on each of its sides
 BASE_TILT = np.radians(20)  # most, of the base in the world
-SIDE_TILT = np.radians((10, 45))  # least and most, of a side plate against the base
+SIDE_TILT = (float(np.radians(10)), float(np.radians(45)))  # least and most, of a side plate against the base
 WORLD_TILT = np.radians(45)  # most, of any plate in the world
 FOOT = 6e-3  # [m] of the lowest corner of a plate above the ground
 STEADY = 5e-3  # [m] least, from the centre of mass to the edge of the footprint
@@ -58,17 +58,24 @@ class AssemblyPlan:
 
 
 def draw_assembly(
-    rng: np.random.Generator, kits: int, level_base: bool = False, max_world_tilt: float = WORLD_TILT
+    rng: np.random.Generator,
+    kits: int,
+    level_base: bool = False,
+    max_world_tilt: float = WORLD_TILT,
+    side_tilt: tuple[float, float] = SIDE_TILT,
 ) -> AssemblyPlan:
-    """A plan for 1 to 5 kits, drawn again until no slot is tilted more than `max_world_tilt` [rad]."""
+    """A plan for 1 to 5 kits, drawn again until no slot is tilted more than `max_world_tilt` [rad].
+
+    side_tilt [rad]: least and most of a side plate against the base.
+    """
     if not 1 <= kits <= MOST_KITS:
         raise InputError(f"kits: expected 1 to {MOST_KITS} in an assembly, got {kits}")
-    if max_world_tilt < SIDE_TILT[0] and kits > 1:
-        raise InputError(f"max_world_tilt: expected {SIDE_TILT[0]:.3f} rad or more, got {max_world_tilt:.3f}")
+    if max_world_tilt < side_tilt[0] and kits > 1:
+        raise InputError(f"max_world_tilt: expected {side_tilt[0]:.3f} rad or more, got {max_world_tilt:.3f}")
     while True:
         base_tilt = 0.0 if level_base else rng.uniform(0, BASE_TILT)
         azimuth = 0.0 if level_base else rng.uniform(0, 2 * np.pi)
-        directions, tilts = rng.permutation(4)[: kits - 1], rng.uniform(*SIDE_TILT, size=kits - 1)
+        directions, tilts = rng.permutation(4)[: kits - 1], rng.uniform(*side_tilt, size=kits - 1)
         sides = tuple(Side(int(d), float(t)) for d, t in zip(directions, tilts, strict=True))
         plan = AssemblyPlan(float(base_tilt), float(azimuth), sides)
         if world_tilts(plan).max() <= max_world_tilt:
@@ -151,9 +158,13 @@ def _check_cavities(assembly: Assembly) -> None:
     boxes = [_cavity_box(mount) for mount in assembly.mounts]
     if any(a.min_gap(b, 2 * THIN) < THIN for a, b in combinations(boxes, 2)):
         raise Redraw("cavities too close")
-    made = sum(float(np.prod(mount.kit.extent)) - mount.kit.mesh.volume for mount in assembly.mounts)
-    if (Manifold.compose(boxes) - solid_of(assembly.mesh)).volume() < made - UNTOUCHED:
+    plates = [mount.kit.mesh for mount in assembly.mounts]
+    made = sum(float(np.prod(plate.extents)) - plate.volume for plate in plates)
+    open_ = (Manifold.compose(boxes) - solid_of(assembly.mesh)).volume()
+    if open_ < made - UNTOUCHED:
         raise Redraw("cavity touched")
+    if open_ > made + UNTOUCHED or assembly.mesh.volume < sum(plate.volume for plate in plates):
+        raise Redraw("plate not whole")
 
 
 def _cavity_box(mount: Mount) -> Manifold:

@@ -16,7 +16,7 @@ import numpy as np
 from manifold3d import Manifold, OpType
 
 from kit1000.kits.contact import Ridges, contact_height, feelers, ridges
-from kit1000.mesh import Mesh, solid_of
+from kit1000.mesh import Mesh, hull_of, solid_of
 from kit1000.pose import Pose, quaternion_between
 
 HOVER = 0.1  # [m] the approach begins so far out (paper, section III-E)
@@ -97,7 +97,7 @@ def swept_out(mesh: Mesh, axis: np.ndarray, length: float = HOVER) -> Manifold:
     raised = backs + np.array([0, 0, length])
     prisms = Manifold.batch_boolean(
         [solid_of(upright)]
-        + [Manifold.hull_points(np.concatenate([a, b])) for a, b in zip(backs, raised, strict=True)],
+        + [hull_of(np.concatenate([a, b])) for a, b in zip(backs, raised, strict=True)],
         OpType.Add,
     )
     return prisms.transform(turn.inverse().matrix()[:3])

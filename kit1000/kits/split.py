@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from manifold3d import CrossSection, FillRule, JoinType, Manifold, triangulate
 
-from kit1000.mesh import Mesh, mesh_of, solid_of
+from kit1000.mesh import Mesh, hull_of, mesh_of, solid_of
 from kit1000.values import Kit
 
 TOLERANCE = 0.4e-3  # [m] walls recede by at most about so much, of a clearance of 2.5 mm
@@ -43,6 +43,8 @@ def convex_prisms(kit: Kit, tolerance: float = TOLERANCE) -> list[Mesh]:
 def convex_polygons(section: CrossSection) -> list[np.ndarray]:
     """A section cut into convex polygons (n, 2), counter-clockwise: triangles merged, longest sides first."""
     contours = section.to_polygons()
+    if not contours:
+        return []
     corners = np.concatenate(contours)
     polygons = {i: list(triangle) for i, triangle in enumerate(triangulate(contours).tolist())}
     owner = {(a, b): i for i, loop in polygons.items() for a, b in _sides(loop)}
@@ -151,7 +153,7 @@ def _area(polygon: np.ndarray) -> float:
 
 def _prism(polygon: np.ndarray, low: float, high: float) -> Manifold:
     ends = [np.column_stack([polygon, np.full(len(polygon), z)]) for z in (low, high)]
-    return Manifold.hull_points(np.concatenate(ends))
+    return hull_of(np.concatenate(ends))
 
 
 def _sides(loop: list[int]) -> list[tuple[int, int]]:

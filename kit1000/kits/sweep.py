@@ -12,7 +12,7 @@ from manifold3d import CrossSection, FillRule, Manifold, OpType
 
 from kit1000.errors import Redraw
 from kit1000.kits.patches import convex_patches
-from kit1000.mesh import mesh_of
+from kit1000.mesh import hull_of, mesh_of
 
 SAGITTA = 0.02e-3  # [m] width of the band that the chords of the disc stay within
 OVERSIZE = 0.4 * SAGITTA  # the disc's corners lie this far outside the clearance, its chords 0.6 SAGITTA inside
@@ -50,7 +50,7 @@ def grown_sweep(standing: Manifold, depth: float, clearance: float) -> tuple[Man
     sloping = [patch for patch in convex_patches(triangles) if np.ptp(patch[:, 2]) > LEVEL]
     footing = _Footing(standing, clearance, levels, outlines)
     hulls = [
-        Manifold.hull_points(_risen(patch, round_, depth + OVER))
+        hull_of(_risen(patch, round_, depth + OVER))
         for patch in sloping
         if not footing.covers(patch, round_)
     ]

@@ -1,21 +1,52 @@
-"""The step from an exact solid to a mesh that stays one closed body in every file."""
+"""The step from an exact solid to a mesh that stays one closed body in every file.
+
+An exact solid is closed by its indices, but distinct vertices of it may share one place: where two walls touch, or
+where a sliver folds back on itself. A loader that makes equal vertices one then sees edges with four faces. So
+vertices go onto a grid, and those that still share a place where it matters are parted by microns.
+"""
 
 from __future__ import annotations
 
+import numpy as np
 from manifold3d import Manifold
 
 from kit1000.errors import Redraw
 from kit1000.mesh import Mesh, body_count, defect32, mesh_of
 
-WELDS = (2e-6, 5e-6, 10e-6)  # [m] edges shorter than this are collapsed until float32 keeps the solid closed
+WELD = 2e-6  # [m] edges and ripples smaller than this are simplified away
+GRID = 2.0**-23  # [m] 0.12 um: exact in float32 up to 2 m, and ten times what loaders take for equal
+PART = 2e-6  # [m] vertices that share a place are moved this far towards their own neighbours
+ROUNDS = 5  # each moves twice as far as the one before
 
 
 def printable_mesh(solid: Manifold, name: str) -> Mesh:
     """A solid as one closed body with vertices on the float32 grid; `name` opens the reason of a refusal."""
-    fault = "empty"
-    for weld in WELDS:
-        mesh = mesh_of(solid.simplify(weld)).rounded32()
-        fault = defect32(mesh) or ("several bodies" if body_count(mesh) > 1 else "")
-        if not fault:
-            return mesh
+    mesh = _on_grid(mesh_of(solid.as_original().simplify(WELD)))
+    for round_ in range(ROUNDS):
+        fault = defect32(mesh)
+        if fault is None:
+            return _one_body(mesh.merged(), name)
+        mesh = _on_grid(_parted(mesh, PART * 2**round_))
     raise Redraw(f"{name} not closed in float32: {fault}")
+
+
+def _one_body(mesh: Mesh, name: str) -> Mesh:
+    if body_count(mesh) > 1:
+        raise Redraw(f"{name} in several bodies")
+    return mesh
+
+
+def _on_grid(mesh: Mesh) -> Mesh:
+    return Mesh(np.round(mesh.vertices / GRID) * GRID, mesh.faces)
+
+
+def _parted(mesh: Mesh, distance: float) -> Mesh:
+    """The mesh with every vertex that shares its place with another moved towards the mean of its neighbours."""
+    _, place, count = np.unique(mesh.vertices, axis=0, return_inverse=True, return_counts=True)
+    shared = np.flatnonzero(count[place.ravel()] > 1)
+    vertices = mesh.vertices.copy()
+    for vertex in shared:
+        ring = mesh.faces[(mesh.faces == vertex).any(1)]
+        towards = mesh.vertices[ring].reshape(-1, 3).mean(0) - mesh.vertices[vertex]
+        vertices[vertex] += distance * towards / max(np.linalg.norm(towards), GRID)
+    return Mesh(vertices, mesh.faces)

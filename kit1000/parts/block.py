@@ -63,6 +63,8 @@ class Block:
     groove_at: float
     """its place, as a part of the half width y"""
     groove_depth: float
+    notch: float
+    """side of a square notch down the whole edge at (-x, +y), 0 for none"""
     left: bool
     """mirrored, the milled corner at -y"""
     openings: tuple[Opening, ...]
@@ -72,9 +74,9 @@ class Block:
         x = cad.span(rng, 32, 44)
         cube = cad.chance(rng, 0.3)
         y = x if cube else cad.span(rng, 0.45, 0.9, 0.01) * x
-        z = x if cube else cad.span(rng, 0.3, 0.8, 0.01) * x
+        z = x if cube else cad.span(rng, 0.22, 0.7, 0.01) * x
         corner = tuple(round(cad.span(rng, low, 0.6, 0.01) * side, 1) for low, side in ((0.3, x), (0.35, y), (0.3, z)))
-        edge = cad.pick(rng, "plain", "step", "bevel", "round")
+        edge = cad.pick(rng, "plain", "step", "step", "bevel", "bevel", "round")
         groove = round(cad.span(rng, 0.16, 0.3, 0.01) * y, 1) if cad.chance(rng, 0.35) else 0.0
         count = cad.pick(rng, 0, 1, 1, 2, 2)
         return cls(
@@ -88,6 +90,7 @@ class Block:
             groove=groove,
             groove_at=cad.span(rng, -0.5, 0.1, 0.05),
             groove_depth=round(cad.span(rng, 0.2, 0.4, 0.01) * z, 1),
+            notch=round(cad.span(rng, 0.14, 0.3, 0.01) * y, 1) if cad.chance(rng, 0.35) else 0.0,
             left=cad.chance(rng, 0.5),
             openings=tuple(Opening.draw(rng, min(x, y, z)) for _ in range(count)),
         )
@@ -99,6 +102,9 @@ class Block:
         if self.groove > 0:
             place = (0, self.groove_at * self.y / 2, self.z)
             body = cad.pocket(body, cad.rectangle(2 * self.x, self.groove), self.groove_depth, place)
+        if self.notch > 0:
+            size = 2 * self.notch
+            body -= cad.at(cad.box(size, size, 2 * self.z), -self.x / 2, self.y / 2, -self.z / 2)
         for opening in self.openings:
             body = self._opened(body, opening)
         body = max(body.decompose(), key=Manifold.volume)  # a deep cut may part off a sliver

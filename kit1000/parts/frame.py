@@ -25,6 +25,7 @@ class Frame:
     ear: float
     """diameter of an ear"""
     ear_height: float
+    """at least half of the wall, so that it shows whichever side is up"""
     screw: float
     bar: float
     """width of the bar across, 0 for none"""
@@ -39,8 +40,8 @@ class Frame:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Frame:
-        x = cad.span(rng, 30, 44)
-        height = cad.span(rng, 8.5, 12) if cad.chance(rng, 0.4) else cad.span(rng, 12, 26)
+        x = cad.span(rng, 32, 46)
+        height = cad.span(rng, 8, 11) if cad.chance(rng, 0.5) else cad.span(rng, 12, 26)
         ear = cad.span(rng, 8, 11)
         outline = cad.pick(rng, "box", "rounded", "house", "dee")
         ears = cad.pick(rng, 1, 2) if outline in ("box", "rounded") else cad.pick(rng, 0, 1, 2)
@@ -52,11 +53,11 @@ class Frame:
             wall=cad.span(rng, 1.9, 3.0),
             ears=ears,
             ear=ear,
-            ear_height=cad.span(rng, 3, 6) if cad.chance(rng, 0.6) else height,
+            ear_height=round(cad.span(rng, 0.5, 0.65, 0.05) * height, 1) if cad.chance(rng, 0.5) else height,
             screw=cad.span(rng, 3, 4.2),
-            bar=cad.span(rng, 2, 4) if cad.chance(rng, 0.4) else 0.0,
+            bar=cad.span(rng, 2, 4) if ears and cad.chance(rng, 0.4) else 0.0,
             bar_at=cad.span(rng, -0.3, 0.3, 0.05),
-            lip=cad.span(rng, 1.5, 3) if cad.chance(rng, 0.4) else 0.0,
+            lip=cad.span(rng, 1.5, 3) if ears and cad.chance(rng, 0.4) else 0.0,
             gate=cad.span(rng, 7, 12) if ears and cad.chance(rng, 0.5) else 0.0,
             windows=cad.pick(rng, 0, 1, 2) if ears else 0,
         )
@@ -77,8 +78,7 @@ class Frame:
         return self._opened(body)
 
     def symmetry(self) -> Symmetry:
-        even = self.ears == 0 and self.lip == 0 and self.bar == 0
-        return cad.cyclic(2, (1, 0, 0)) if even else cad.none()
+        return cad.none() if self.ears else cad.cyclic(2, (1, 0, 0))  # a bezel is bare
 
     def _outline(self) -> CrossSection:
         x, y = self.x, self.y

@@ -41,7 +41,7 @@ class Grille:
             x=x,
             y=round(cad.span(rng, 0.6, 0.9, 0.01) * x, 1),
             panel=cad.span(rng, 1.9, 3),
-            rim=cad.span(rng, 8.5, 16),
+            rim=cad.span(rng, 8, 13),
             wall=cad.span(rng, 1.9, 3),
             openings=cad.pick(rng, "round", "hex", "hex", "slots", "slots", "none"),
             opening=cad.span(rng, 3, 7),

@@ -30,12 +30,12 @@ class SteppedShaft:
     mark: float
     """depth of the cut, offset of the eccentric or reach of the crank"""
     key: float
-    """width of the key seat in the lower journal, 0 for none"""
+    """width of the key seat in the upper journal, 0 for none"""
     chamfer: float
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> SteppedShaft:
-        kind = cad.pick(rng, "plain", "cut", "cut", "eccentric", "crank", "crank")
+        kind = cad.pick(rng, "plain", "cut", "cut", "cut", "eccentric", "crank")
         lower = cad.span(rng, 8, 16)
         wider = {"cut": (14, 20), "crank": (4, 8)}.get(kind, (9, 18))
         collar = lower + cad.span(rng, *wider)
@@ -44,40 +44,38 @@ class SteppedShaft:
             "eccentric": max(6, 0.25 * collar),
             "crank": cad.span(rng, 14, 24),
         }.get(kind, 0.0)
+        upper = round(cad.span(rng, 0.7, 1.2, 0.05) * lower, 1)
+        end = round(cad.span(rng, 0.55, 0.7, 0.05) * lower, 1) if cad.chance(rng, 0.5) else 0.0
+        turned = kind == "plain"
+        keyed = not turned and cad.chance(rng, 0.45)
+        bore = min(upper, end or upper, lower) - cad.span(rng, 3.6, 5)  # leaves walls of 1.8 mm and more
         return cls(
             kind=kind,
             lower=lower,
-            lower_length=cad.span(rng, 8, 18),
+            lower_length=cad.span(rng, 8, 18) if turned else cad.span(rng, 2.5, 7),
             collar=collar,
             collar_width=cad.span(rng, 5, 10),
-            upper=cad.span(rng, 0.7, 1.2, 0.05) * lower,
-            upper_length=cad.span(rng, 4, 14),
-            end=cad.span(rng, 0.5, 0.65, 0.05) * lower,
-            end_length=cad.span(rng, 4, 9) if cad.chance(rng, 0.5) else 0.0,
-            bore=cad.span(rng, 0.35, 0.55, 0.05) * lower * (0.62 if kind == "plain" else 1)
-            if cad.chance(rng, 0.5)
-            else 0.0,
+            upper=upper,
+            upper_length=cad.span(rng, 4, 14) if turned else cad.span(rng, 9, 20),
+            end=min(end, 0.85 * upper),
+            end_length=cad.span(rng, 4, 9) if end else 0.0,
+            bore=bore if bore > 2 and not keyed and cad.chance(rng, 0.6) else 0.0,
             mark=mark,
-            key=cad.span(rng, 0.25, 0.3, 0.01) * lower if kind != "plain" and cad.chance(rng, 0.5) else 0.0,
+            key=round(cad.span(rng, 0.25, 0.3, 0.01) * upper, 2) if keyed else 0.0,
             chamfer=cad.span(rng, 0.4, 1.0),
         )
 
     def solid(self) -> Manifold:
         body = cad.join(cad.revolved(self._journals()), self._collar())
         if self.key > 0:
-            body = cad.keyway(body, self.lower, self.key, 0.5 * self.key, 1.5, 0.75 * self.lower_length)
-        if self.bore > 0:
-            body = cad.drill(body, min(self.bore, 0.6 * self._thinnest))
-        return body
+            start = self.lower_length + self.collar_width + 1
+            body = cad.keyway(body, self.upper, self.key, 0.5 * self.key, start, 0.7 * self.upper_length)
+        return cad.drill(body, self.bore) if self.bore > 0 else body
 
     def symmetry(self) -> Symmetry:
         if self.kind != "plain":
             return cad.none()
         return cad.free() if not self._even else cad.free_flipped()
-
-    @property
-    def _thinnest(self) -> float:
-        return min(self.lower, self.upper, self.end if self.end_length else self.upper)
 
     @property
     def _even(self) -> bool:

@@ -1,0 +1,106 @@
+"""Kits as convex pieces: convex, disjoint, inside the kit, nearly all of it, and none of them in the cavity."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from manifold3d import CrossSection, FillRule, Manifold, triangulate
+
+from kit1000.kits.split import convex_polygons, convex_prisms
+from kit1000.mesh import Mesh, solid_of
+from kit1000.values import Kit
+from tests.sample_kits import sample_kit, sample_part
+
+FAMILIES = ["tee", "cover", "hinge", "stepped_shaft", "clevis"]  # upright walls, ledges, round and sloping bottoms
+MOST_PIECES = 400
+NOTHING = 1e-12  # [m^3]
+
+
+@cache
+def pieces_of(family: str) -> tuple[Mesh, ...]:
+    return tuple(convex_prisms(sample_kit(family)))
+
+
+def cavity_of(kit: Kit) -> Manifold:
+    low, high = kit.mesh.bounds
+    return Manifold.cube(high - low).translate(low) - solid_of(kit.mesh)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_pieces_are_convex_and_disjoint(family: str) -> None:
+    pieces = [solid_of(piece) for piece in pieces_of(family)]
+    assert len(pieces) <= MOST_PIECES
+    assert all(abs(piece.hull().volume() - piece.volume()) < 1e-6 * piece.volume() for piece in pieces)
+    neighbours = [(a, b) for a, b in combinations(pieces, 2) if boxes_meet(a, b)]
+    assert all((a ^ b).volume() < 1e-15 for a, b in neighbours)
+
+
+def boxes_meet(a: Manifold, b: Manifold) -> bool:
+    first, second = np.reshape(a.bounding_box(), (2, 3)), np.reshape(b.bounding_box(), (2, 3))
+    return bool((first[0] < second[1]).all() and (second[0] < first[1]).all())
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_pieces_fill_the_kit_and_nothing_else(family: str) -> None:
+    kit = solid_of(sample_kit(family).mesh)
+    pieces = [solid_of(piece) for piece in pieces_of(family)]
+    assert sum((piece - kit).volume() for piece in pieces) < NOTHING
+    assert sum(piece.volume() for piece in pieces) >= 0.97 * kit.volume()
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_the_cavity_stays_open_at_every_height(family: str) -> None:
+    kit, pieces = sample_kit(family), pieces_of(family)
+    cavity = cavity_of(kit)
+    edges = np.unique([piece.bounds[:, 2] for piece in pieces[1:]])  # the first is the floor slab
+    for z in (edges[1:] + edges[:-1]) / 2:
+        contours = cavity.slice(z).to_polygons()
+        corners = np.concatenate(contours)[triangulate(contours)]
+        points = np.column_stack([corners.mean(1), np.full(len(corners), z)])
+        inside = [((points[:, None] - p.triangles[:, 0]) * p.normals).sum(2).max(1) < -1e-7 for p in pieces]
+        assert len(points)
+        assert not np.any(inside)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_a_seated_part_meets_no_piece(family: str) -> None:
+    part = solid_of(sample_part(family).mesh.moved(sample_kit(family).slot.kit_from_part))
+    assert sum((part ^ solid_of(piece)).volume() for piece in pieces_of(family)) < NOTHING * 10
+
+
+def test_a_finer_tolerance_keeps_more_of_the_kit() -> None:
+    kit = sample_kit("hinge")
+    coarse, fine = (sum(p.volume for p in convex_prisms(kit, tolerance)) for tolerance in (0.8e-3, 0.1e-3))
+    assert coarse < fine < kit.mesh.volume
+
+
+@given(st.integers(0, 2**32), st.integers(3, 40), st.integers(0, 3))
+@settings(max_examples=50, deadline=None)
+def test_polygons_are_convex_and_add_up_to_the_section(seed: int, corners: int, holes: int) -> None:
+    rng = np.random.default_rng(seed)
+    section = star(rng, corners)
+    for _ in range(holes):
+        section -= star(rng, 9).scale((0.2, 0.2)).translate(rng.uniform(-0.4, 0.4, 2))
+    polygons = convex_polygons(section)
+    assert abs(sum(CrossSection.hull_points(p).area() for p in polygons) - section.area()) < 1e-6
+    for polygon in polygons:
+        along = np.roll(polygon, -1, axis=0) - polygon
+        after = np.roll(along, -1, axis=0)
+        assert (along[:, 0] * after[:, 1] - along[:, 1] * after[:, 0]).min() >= 0
+
+
+def star(rng: np.random.Generator, corners: int) -> CrossSection:
+    """A polygon about the origin with corners at any distance."""
+    angles = np.sort(rng.uniform(0, 2 * np.pi, corners))
+    radii = rng.uniform(0.2, 1, corners)
+    return CrossSection([np.column_stack([radii * np.cos(angles), radii * np.sin(angles)])], FillRule.Positive)
+
+
+def test_a_square_with_a_square_hole_takes_four_pieces() -> None:
+    ring = CrossSection.square((4, 4), center=True) - CrossSection.square((2, 2), center=True)
+    assert len(convex_polygons(ring)) == 4

@@ -1,0 +1,145 @@
+"""URDF export: what is written reads back as the same assembly, in convex pieces, with the right mass and inertia."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from manifold3d import Manifold
+
+from kit1000.data.urdf import inertia, roll_pitch_yaw, write_urdf
+from kit1000.errors import InputError
+from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
+from kit1000.mesh import Mesh, mesh_of, solid_of
+from kit1000.parts.family import DENSITY
+from kit1000.pose import Pose, quaternion_angle
+from kit1000.values import Assembly
+from tests.sample_kits import sample_kit, sample_part
+from tests.strategies import poses
+
+LONGEST_LINE = 256  # [characters]
+
+
+@pytest.fixture(scope="module")
+def assembly() -> Assembly:
+    plan = AssemblyPlan(0.2, 1.0, (Side(0, 0.6), Side(3, 0.3)))
+    return build_assembly("<kits & parts>", [sample_kit(family) for family in ("tee", "foot", "cover")], plan)
+
+
+@pytest.fixture(scope="module")
+def urdf(assembly: Assembly, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_urdf(assembly, tmp_path_factory.mktemp("export") / "assembly")
+
+
+def read_obj(path: Path) -> Mesh:
+    rows = [line.split() for line in path.read_text().splitlines()]
+    vertices = [[float(x) for x in row[1:]] for row in rows if row[0] == "v"]
+    return Mesh(np.array(vertices), np.array([[int(i) for i in row[1:]] for row in rows if row[0] == "f"]) - 1)
+
+
+def read_pose(element: ElementTree.Element) -> Pose:
+    xyz, rpy = ([float(x) for x in element.attrib[name].split()] for name in ("xyz", "rpy"))
+    turns = [Pose.from_rotvec(angle * axis) for angle, axis in zip(rpy, np.eye(3), strict=True)]
+    return Pose.from_translation(xyz) @ turns[2] @ turns[1] @ turns[0]
+
+
+def elements(urdf: Path, path: str) -> list[ElementTree.Element]:
+    return ElementTree.parse(urdf).getroot().findall(path)
+
+
+def pieces(urdf: Path) -> list[Mesh]:
+    """The collision meshes in the frame of the link."""
+    return [
+        read_obj(urdf.parent / mesh.attrib["filename"]).moved(read_pose(collision.findall("origin")[0]))
+        for collision in elements(urdf, "link/collision")
+        for mesh in collision.findall("geometry/mesh")
+    ]
+
+
+def test_one_link_one_element_a_line(urdf: Path, assembly: Assembly) -> None:
+    lines = urdf.read_text().splitlines()
+    assert max(map(len, lines)) < LONGEST_LINE
+    assert all(line.count("<") == 1 for line in lines)
+    assert len(elements(urdf, "link")) == 1
+    assert ElementTree.parse(urdf).getroot().attrib["name"] == assembly.id
+
+
+def test_numbers_round_trip(urdf: Path, assembly: Assembly) -> None:
+    visual = read_obj(urdf.parent / elements(urdf, "link/visual/geometry/mesh")[0].attrib["filename"])
+    np.testing.assert_array_equal(visual.vertices, assembly.mesh.vertices)
+    np.testing.assert_array_equal(visual.faces, assembly.mesh.faces)
+    found = [read_pose(origin) for origin in elements(urdf, "link/collision/origin")]
+    for mount in assembly.mounts:
+        same = [pose for pose in found if np.array_equal(pose.xyz, mount.assembly_from_kit.xyz)]
+        assert same
+        assert all(quaternion_angle(pose.wxyz, mount.assembly_from_kit.wxyz) < 1e-12 for pose in same)
+
+
+def test_every_collision_mesh_is_its_own_hull(urdf: Path) -> None:
+    for piece in map(solid_of, pieces(urdf)):
+        assert abs(piece.hull().volume() - piece.volume()) < 1e-6 * piece.volume()
+
+
+def test_the_pieces_together_are_the_assembly(urdf: Path, assembly: Assembly) -> None:
+    whole, union = solid_of(assembly.mesh), Manifold()
+    for piece in map(solid_of, pieces(urdf)):
+        union += piece
+    assert (union - whole).volume() < 1e-9
+    assert union.volume() > 0.99 * whole.volume()
+    assert union.volume() < sum(piece.volume for piece in pieces(urdf)) < 1.2 * whole.volume()
+
+
+def test_seated_parts_meet_no_piece(urdf: Path, assembly: Assembly) -> None:
+    solids = [solid_of(piece) for piece in pieces(urdf)]
+    for mount in assembly.mounts:
+        pose = mount.assembly_from_kit @ mount.kit.slot.kit_from_part
+        part = solid_of(sample_part(mount.kit.id).mesh.moved(pose))
+        assert sum((part ^ solid).volume() for solid in solids) < 1e-11
+
+
+def test_mass_and_inertia_are_those_of_the_solid(urdf: Path, assembly: Assembly) -> None:
+    mass = float(elements(urdf, "link/inertial/mass")[0].attrib["value"])
+    written = elements(urdf, "link/inertial/inertia")[0].attrib
+    tensor = np.array([[float(written["i" + "".join(sorted(a + b))]) for a in "xyz"] for b in "xyz"])
+    centre = read_pose(elements(urdf, "link/inertial/origin")[0]).xyz
+    assert mass == DENSITY * assembly.mesh.volume
+    np.testing.assert_array_equal(centre, assembly.mesh.centroid)
+    np.testing.assert_allclose(tensor, inertia(assembly.mesh, DENSITY), rtol=1e-12)
+
+
+@given(poses())
+def test_inertia_of_a_box_in_any_place(pose: Pose) -> None:
+    sides = np.array([0.1, 0.2, 0.3])
+    box = mesh_of(Manifold.cube(sides, center=True)).moved(pose)
+    squares = sides**2
+    closed_form = np.diag(squares.sum() - squares) * sides.prod() * 1000 / 12
+    turn = pose.rotation_matrix()
+    np.testing.assert_allclose(inertia(box, 1000), turn @ closed_form @ turn.T, atol=1e-6)
+
+
+@given(poses())
+def test_roll_pitch_yaw_turn_back_to_the_same_rotation(pose: Pose) -> None:
+    roll, pitch, yaw = roll_pitch_yaw(pose)
+    x, y, z = (Pose.from_rotvec(a * axis) for a, axis in zip((roll, pitch, yaw), np.eye(3), strict=True))
+    assert quaternion_angle((z @ y @ x).wxyz, pose.wxyz) < 1e-7
+
+
+def test_an_existing_folder_is_left_alone(assembly: Assembly, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="exists already"):
+        write_urdf(assembly, tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_nothing_is_left_of_an_export_that_fails(
+    assembly: Assembly, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("kit1000.data.urdf.stand_meshes", full)
+    with pytest.raises(InputError, match=r"cannot write .*: No space left on device"):
+        write_urdf(assembly, tmp_path / "new")
+    assert list(tmp_path.iterdir()) == []
