@@ -98,8 +98,9 @@ class Mesh:
 
     def merged(self) -> Mesh:
         """The mesh with equal vertices made one, unused ones dropped and collapsed faces removed."""
-        vertices, inverse = np.unique(self.vertices[self.faces].reshape(-1, 3), axis=0, return_inverse=True)
-        faces = inverse.reshape(-1, 3).astype(np.int32)
+        used, corners = np.unique(self.faces, return_inverse=True)
+        vertices, inverse = np.unique(self.vertices[used], axis=0, return_inverse=True)
+        faces = inverse.ravel()[corners].reshape(-1, 3).astype(np.int32)
         a, b, c = faces.T
         return Mesh(vertices, faces[(a != b) & (b != c) & (c != a)])
 

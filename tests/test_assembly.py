@@ -33,7 +33,7 @@ from kit1000.values import Assembly, Mount, Part
 from tests.sample_kits import QUICK, sample_kit, sample_part
 
 DEGREE = np.pi / 180
-FILM = 2e-10  # [m^3] what float32 and welds may leave of a plate outside the union
+FILM = 60e-9  # [m] rounding of the union's vertices moves a surface by no more
 
 
 def parts() -> dict[str, Part]:
@@ -117,7 +117,7 @@ def test_stand_is_convex_bites_in_and_leaves_cavities_alone(plan: AssemblyPlan) 
     pieces = stand(mounts)
     cores = [block(mount, BITE * (1 + 1e-6)) for mount in mounts]
     for piece in pieces:
-        assert abs(piece.hull().volume() - piece.volume()) < 1e-15
+        assert abs(piece.hull().volume() - piece.volume()) < 1e-6 * piece.volume()
         assert all((piece ^ core).volume() < 1e-15 for core in cores)
         assert piece.bounding_box()[2] >= 0
     blocks = [block(mount) for mount in mounts]
@@ -151,10 +151,10 @@ def test_built_assemblies_pass_their_checks_and_are_the_union(seed: int, kits: i
     assert assembly.mesh.bounds[0, 2] == 0
     whole = solid_of(assembly.mesh)
     plates = [solid_of(mount.kit.mesh.moved(mount.assembly_from_kit)) for mount in assembly.mounts]
-    assert all((plate - whole).volume() < FILM for plate in plates)
+    assert all((plate - whole).volume() < FILM * plate.surface_area() for plate in plates)
     # one by one, because this union is the one thing that the builder trusts
     union = reduce(lambda a, b: a + b, [*plates, *stand(assembly.mounts)])
-    assert abs(union.volume() - whole.volume()) < FILM
+    assert abs(union.volume() - whole.volume()) < FILM * whole.surface_area()
 
 
 @pytest.mark.parametrize("seed", [4, 5])
@@ -168,7 +168,9 @@ def test_swept_parts_meet_nothing_on_their_way_out(seed: int) -> None:
         axis = mount.kit.slot.kit_from_part.inverse().rotate((0, 0, 1))
         swept = swept_out(sample_part(own).mesh, axis).transform(seats[own].matrix()[:3])
         others = [solid for i, solid in standing.items() if i != own]
-        assert all((swept ^ solid).volume() < FILM for solid in [solid_of(assembly.mesh), *others])
+        assert all(
+            (swept ^ solid).volume() < FILM * swept.surface_area() for solid in [solid_of(assembly.mesh), *others]
+        )
 
 
 def with_solid(assembly: Assembly, change: Manifold) -> Assembly:

@@ -19,6 +19,7 @@ from tests.sample_kits import sample_kit, sample_part
 FAMILIES = ["tee", "cover", "hinge", "stepped_shaft", "clevis"]  # upright walls, ledges, round and sloping bottoms
 MOST_PIECES = 400
 NOTHING = 1e-12  # [m^3]
+FILM = 60e-9  # [m] rounding of the plate's vertices moves its floor by no more
 
 
 @cache
@@ -70,7 +71,7 @@ def test_the_cavity_stays_open_at_every_height(family: str) -> None:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_seated_part_meets_no_piece(family: str) -> None:
     part = solid_of(sample_part(family).mesh.moved(sample_kit(family).slot.kit_from_part))
-    assert sum((part ^ solid_of(piece)).volume() for piece in pieces_of(family)) < NOTHING * 10
+    assert sum((part ^ solid_of(piece)).volume() for piece in pieces_of(family)) < FILM * part.surface_area()
 
 
 def test_a_finer_tolerance_keeps_more_of_the_kit() -> None:

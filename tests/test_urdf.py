@@ -21,6 +21,7 @@ from tests.sample_kits import sample_kit, sample_part
 from tests.strategies import poses
 
 LONGEST_LINE = 256  # [characters]
+FILM = 60e-9  # [m] rounding of a mesh's vertices moves its surface by no more
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +88,7 @@ def test_the_pieces_together_are_the_assembly(urdf: Path, assembly: Assembly) ->
     whole, union = solid_of(assembly.mesh), Manifold()
     for piece in map(solid_of, pieces(urdf)):
         union += piece
-    assert (union - whole).volume() < 1e-9
+    assert (union - whole).volume() < FILM * whole.surface_area()
     assert union.volume() > 0.99 * whole.volume()
     assert union.volume() < sum(piece.volume for piece in pieces(urdf)) < 1.2 * whole.volume()
 
@@ -97,7 +98,7 @@ def test_seated_parts_meet_no_piece(urdf: Path, assembly: Assembly) -> None:
     for mount in assembly.mounts:
         pose = mount.assembly_from_kit @ mount.kit.slot.kit_from_part
         part = solid_of(sample_part(mount.kit.id).mesh.moved(pose))
-        assert sum((part ^ solid).volume() for solid in solids) < 1e-11
+        assert sum((part ^ solid).volume() for solid in solids) < FILM * part.surface_area()
 
 
 def test_mass_and_inertia_are_those_of_the_solid(urdf: Path, assembly: Assembly) -> None:

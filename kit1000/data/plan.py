@@ -133,7 +133,8 @@ def _sourced_parts(preset: Preset, seed: int, sources: Sources) -> dict[str, Any
     order = stream(seed, "sources").permutation(len(names))
     total = sum(preset.count(split) for split in SPLITS)
     chosen = [names[i] for i in order[:total]]
-    bounds = np.rint(np.cumsum([0] + [preset.count(split) for split in SPLITS]) * len(chosen) / total).astype(int)
+    shares = np.cumsum([0] + [preset.count(split) for split in SPLITS]) * len(chosen) / total
+    bounds = np.floor(shares + 0.5).astype(int)  # halves go to the earlier split: a single file is for training
     parts = {}
     for split, low, high in zip(SPLITS, bounds[:-1], bounds[1:], strict=True):
         for i, name in enumerate(chosen[low:high]):

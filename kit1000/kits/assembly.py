@@ -33,7 +33,7 @@ SIDE_TILT = (float(np.radians(10)), float(np.radians(45)))  # least and most, of
 WORLD_TILT = np.radians(45)  # most, of any plate in the world
 FOOT = 6e-3  # [m] of the lowest corner of a plate above the ground
 STEADY = 5e-3  # [m] least, from the centre of mass to the edge of the footprint
-UNTOUCHED = 1e-9  # [m^3] of a cavity: rounding leaves films of 20 nm on its walls, up to 0.1 mm^3
+UNTOUCHED = 1e-9  # [m^3] of a cavity: rounding leaves films on its walls, up to 0.1 mm^3
 
 
 @dataclass(frozen=True)

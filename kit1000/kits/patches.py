@@ -10,8 +10,10 @@ import numpy as np
 
 from kit1000.compiled import compiled
 
-FLAT = 3e-6  # [m] a corner may lie this far below a plane: the hull then errs by as much, to the open side
-SNUG = 3e-4  # the hull of a shadow may exceed the shadow by this share of area
+FLAT = 2e-6  # [m] a corner may lie this far below a plane, or
+ACROSS = 0.1e-3  # [m] this far beyond it, measured level: hulls then err by as much, to the open side, and the facets
+# of a round hole join by twos and threes
+NICK = 2e-8  # [m^2] area by which the hull of a shadow may exceed the shadow
 
 
 def convex_patches(triangles: np.ndarray) -> list[np.ndarray]:
@@ -41,7 +43,7 @@ def _neighbours(faces: np.ndarray) -> np.ndarray:
 def _grow(corners, faces, neighbours):
     """Greedy: each face not yet taken seeds a patch that takes in neighbours as long as it stays convex."""
     count = faces.shape[0]
-    normals = np.empty((count, 4))
+    normals = np.empty((count, 5))
     shadows = np.empty(count)
     for f in range(count):
         a, b, c = corners[faces[f, 0]], corners[faces[f, 1]], corners[faces[f, 2]]
@@ -50,6 +52,7 @@ def _grow(corners, faces, neighbours):
         n /= np.sqrt((n**2).sum())
         normals[f, :3] = -n
         normals[f, 3] = -(n * a).sum()
+        normals[f, 4] = max(FLAT, ACROSS * np.hypot(n[0], n[1]))
     labels = np.full(count, -1)
     members, points, queue = np.empty(count, np.int64), np.empty(3 * count, np.int64), np.empty(3 * count, np.int64)
     for seed in range(count):
@@ -71,7 +74,7 @@ def _grow(corners, faces, neighbours):
             ):
                 continue
             points[held : held + 3] = faces[f]
-            if _hull_area(corners, points[: held + 3]) > (area + shadows[f]) * (1 + SNUG):
+            if _hull_area(corners, points[: held + 3]) > area + shadows[f] + NICK:
                 continue
             held += 3
             area += shadows[f]
@@ -88,7 +91,7 @@ def _grow(corners, faces, neighbours):
 @compiled
 def _above(corners, points, plane):
     for p in points:
-        if corners[p, 0] * plane[0] + corners[p, 1] * plane[1] + corners[p, 2] * plane[2] < plane[3] - FLAT:
+        if corners[p, 0] * plane[0] + corners[p, 1] * plane[1] + corners[p, 2] * plane[2] < plane[3] - plane[4]:
             return False
     return True
 

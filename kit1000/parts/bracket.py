@@ -46,8 +46,8 @@ class Bracket:
             foot=foot if abs(foot - height) >= 7 else height + 9,
             height=height,
             width=width,
-            foot_thickness=cad.span(rng, 2.5, 6),
-            wall=cad.span(rng, 2.5, 5.5),
+            foot_thickness=cad.span(rng, 2, 4.5),
+            wall=cad.span(rng, 2, 4.2),
             upright=upright,
             foot_holes="none" if plain else cad.pick(rng, "pair", "row", "slots", "four"),
             hole=cad.span(rng, 3, 5.5),
@@ -59,7 +59,7 @@ class Bracket:
             else cad.span(rng, 3, 6),
             ribs=cad.pick(rng, 0, 2) if bearing else cad.pick(rng, 0, 1, 2),
             rib_reach=cad.span(rng, 0.4, 0.85, 0.05),
-            rib_wall=cad.span(rng, 2, 3.5),
+            rib_wall=cad.span(rng, 1.9, 3),
             boss=cad.span(rng, 2, 5) if bearing and cad.chance(rng, 0.5) else 0.0,
         )
 

@@ -43,7 +43,7 @@ class Bushing:
             bore=cad.span(rng, 0.4, 0.78, 0.01) * d if kind != "boss" else cad.span(rng, 0.4, 0.6, 0.01) * d,
             length=length,
             flange=d + (cad.span(rng, 16, 20) if kind == "flats" else cad.span(rng, 6, 13)) if flanged else 0.0,
-            flange_thickness=cad.span(rng, 2.5, 5),
+            flange_thickness=cad.span(rng, 2, 4),
             relief=cad.span(rng, 0.25, 0.6, 0.05) if kind == "turned" and cad.chance(rng, 0.4) else 0.0,
             reach=cad.span(rng, 8, 13),
             slit=cad.span(rng, 2, 3),

@@ -36,7 +36,7 @@ class Clevis:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Clevis:
-        ear_width, gap, ear = cad.span(rng, 14, 24), cad.span(rng, 8, 18), cad.span(rng, 3.5, 7)
+        ear_width, gap, ear = cad.span(rng, 14, 24), cad.span(rng, 8, 18), cad.span(rng, 2.8, 6)
         outer = gap + 2 * ear
         stem = cad.pick(rng, "shank", "socket", "foot", "side_foot")
         return cls(
@@ -45,7 +45,7 @@ class Clevis:
             ear_width=ear_width,
             pin=cad.span(rng, 0.3, 0.55, 0.01) * ear_width,
             reach=cad.span(rng, 0.6, 1.1, 0.05) * ear_width + 3,
-            bridge=cad.span(rng, 4, 8),
+            bridge=cad.span(rng, 2.8, 7),
             offset=cad.span(rng, 8, 14) if cad.chance(rng, 0.35) else 0.0,
             stem=stem,
             stem_size=cad.span(rng, 0.45, 0.85, 0.05) * min(outer, ear_width),

@@ -38,7 +38,7 @@ class Cover:
         return cls(
             length=length, width=round(length * cad.span(rng, 0.58, 0.78, 0.01), 1),
             lid=cad.span(rng, 3.5, 5.5),
-            rim=cad.span(rng, 14, 24), wall=cad.span(rng, 2.4, 3.6), ledge=cad.pick(rng, 0.0, 0.0, 1.6, 2.5),
+            rim=cad.span(rng, 14, 24), wall=cad.span(rng, 1.9, 3.4), ledge=cad.pick(rng, 0.0, 0.0, 1.6, 2.5),
             outline=outline, corner=cad.pick(rng, 0.0, 3.0, 6.0), ears=ears, ear=cad.span(rng, 10, 13),
             bosses=cad.chance(rng, 0.6), post=cad.span(rng, 7, 9), screw=cad.span(rng, 2.8, 3.6),
             window=cad.pick(rng, "none", "round", "slots", "field"), notch=cad.pick(rng, 0.0, 5.0, 7.0, 10.0),

@@ -50,7 +50,7 @@ class Flange:
             size=hub + bolt + cad.span(rng, 6, 13),
             bolt=bolt,
             rim=cad.span(rng, 2.5, 4),
-            thickness=cad.span(rng, 3, 7),
+            thickness=cad.span(rng, 2.4, 6),
             bore=cad.span(rng, 0.4, 0.72, 0.01) * hub,
             hub=hub,
             hub_height=cad.span(rng, 6, 24) if cad.chance(rng, 0.75) else 0.0,

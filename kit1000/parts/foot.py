@@ -43,7 +43,7 @@ class Foot:
             height=height, across=across,
             shift=0.0 if even else round((length - across) / 2 - cad.pick(rng, 0.0, 2.0), 1),
             bore=round(across - 2 * cad.span(rng, 2.5, 4.5), 1), through=cad.chance(rng, 0.6),
-            wall=cad.span(rng, 3.5, 5.5), short=round(height * cad.span(rng, 0.45, 0.7, 0.01), 1),
+            wall=cad.span(rng, 2.2, 5.5), short=round(height * cad.span(rng, 0.45, 0.7, 0.01), 1),
             bolt=cad.span(rng, 3.6, 5.2), slotted=cad.chance(rng, 0.5), cross=cad.pick(rng, 0.0, 3.4, 5.0),
             ribs=cad.chance(rng, 0.75),
         )  # fmt: skip

@@ -50,7 +50,7 @@ class Frame:
             x=x,
             y=round(cad.span(rng, 0.5, 0.85, 0.01) * x, 1),
             height=height,
-            wall=cad.span(rng, 1.9, 3.0),
+            wall=cad.span(rng, 1.9, 2.6),
             ears=ears,
             ear=ear,
             ear_height=round(cad.span(rng, 0.5, 0.65, 0.05) * height, 1) if cad.chance(rng, 0.5) else height,

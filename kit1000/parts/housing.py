@@ -46,7 +46,7 @@ class Housing:
             length=length,
             width=width,
             height=cad.span(rng, 14, 24),
-            wall=cad.span(rng, 2.8, 3.8),
+            wall=cad.span(rng, 2.0, 3.6),
             floor=cad.span(rng, 3, 5),
             corner=cad.span(rng, 1.5, 5),
             notch=width * cad.span(rng, 0.38, 0.5, 0.01),

@@ -32,7 +32,7 @@ class MotorMount:
     @classmethod
     def draw(cls, rng: np.random.Generator) -> MotorMount:
         form = cad.pick(rng, "angle", "angle", "one gusset", "two gussets", "cradle", "step", "box")
-        side, plate, wall = cad.span(rng, 40, 48), cad.span(rng, 4, 7), cad.span(rng, 4, 5.5)
+        side, plate, wall = cad.span(rng, 40, 48), cad.span(rng, 2.6, 7), cad.span(rng, 2.2, 5.5)
         length = round(side * cad.pick(rng, 1.0, 1.0, 1.15, 1.3), 1)
         back = 0.0 if form in ("cradle", "step") else cad.span(rng, 20, 30)
         cheek = back if back > 0 else cad.span(rng, 18, 28)

@@ -41,7 +41,7 @@ class Tee:
     def draw(cls, rng: np.random.Generator) -> Tee:
         kind = cad.pick(rng, "pipe", "bar", "section")
         run, shifted = cad.span(rng, 32, 46), cad.chance(rng, 0.4)
-        thickness = {"pipe": cad.span(rng, 11, 17), "bar": cad.span(rng, 9, 14)}.get(kind, cad.span(rng, 3, 6))
+        thickness = {"pipe": cad.span(rng, 11, 17), "bar": cad.span(rng, 9, 14)}.get(kind, cad.span(rng, 2.1, 4.5))
         screw = 0.0 if cad.chance(rng, 0.35) else cad.span(rng, 3, 5)
         return cls(
             kind=kind,
@@ -90,7 +90,7 @@ class Tee:
         return cad.at(cad.along(plate, "-y"), y=self.depth / 2)
 
     def _section(self) -> Manifold:
-        wall, web = self.thickness, max(2.0, self.branch * self.thickness)
+        wall, web = self.thickness, max(1.9, self.branch * self.thickness)
         outline = cad.rectangle(self.run, wall).translate((0, wall / 2))
         outline += cad.rectangle(web, self.stem).translate((self.shift, self.stem / 2))
         body = cad.at(cad.along(cad.prism(outline, self.depth), "-y"), y=self.depth / 2)

@@ -49,8 +49,8 @@ class Wedge:
             toe=cad.span(rng, 9, 14) if kind == "ramp" and cad.chance(rng, 0.5) else 0.0,
             hole=cad.span(rng, 3, 6),
             holes=cad.pick(rng, 0, 0, 1, 2),
-            window=cad.span(rng, 3, 4.5) if opened == "window" else 0.0,
-            pocket=cad.span(rng, 2.5, 4) if opened == "pocket" else 0.0,
+            window=cad.span(rng, 2.1, 3.8) if opened == "window" else 0.0,
+            pocket=cad.span(rng, 2, 3.2) if opened == "pocket" else 0.0,
             notch=cad.span(rng, 0.25, 0.45, 0.05)
             if kind != "vee" and opened != "pocket" and cad.chance(rng, 0.35)
             else 0.0,

@@ -1,0 +1,235 @@
+"""The cavity is the swept shadow grown by the clearance: at every height, for every clearance, and nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from manifold3d import CrossSection, Manifold
+
+from kit1000.kits.cavity import Cavity, insertion_depth
+from kit1000.kits.patches import convex_patches
+from kit1000.kits.sweep import STEEP
+from kit1000.mesh import mesh_of
+from tests.shapes import (
+    box,
+    cavity_of,
+    cylinder,
+    ell,
+    gaps,
+    leaning_prism,
+    lying_cylinder,
+    outline_points,
+    plug,
+    prism,
+    random_solid,
+    ring_plate,
+    slice_union,
+    standing,
+    upturned_tee,
+)
+
+SHORT, LONG = 0.02e-3, 0.1e-3  # [m] the clearance may fall short of what was asked by, and exceed it by
+CLIPPED = 1e-9  # [m^2] sections snap to a grid of nanometres
+SHAPES: dict[str, Callable[[], Manifold]] = {
+    "box": lambda: box(30, 20, 20),
+    "ell": lambda: ell(),
+    "hex": lambda: prism(6, 30, 20),
+    "cone": lambda: cylinder(12, 24, top=36),
+    "cone upside down": lambda: cylinder(36, 24, top=12),
+    "lying cylinder": lambda: lying_cylinder(20, 34),
+    "leaning": lambda: leaning_prism(),
+    "tee": lambda: upturned_tee(),
+    "with hole": lambda: ring_plate(26, size=44),
+    "plug": lambda: plug(),
+}
+
+
+Cut = Callable[..., tuple[Manifold, Cavity]]
+
+
+@pytest.fixture(scope="module")
+def cut() -> Cut:
+    """The solid of a name and its cavity with a clearance in mm (2.5), made once."""
+
+    @cache
+    def made(name: str, clearance_mm: float = 2.5) -> tuple[Manifold, Cavity]:
+        solid = SHAPES[name]()
+        depth = insertion_depth(solid.bounding_box()[5] * 1e-3)
+        return standing(solid), cavity_of(solid, depth, clearance_mm * 1e-3)
+
+    return made
+
+
+def heights(cavity: Cavity) -> np.ndarray:
+    """Heights between floor and rim, none of them a ledge."""
+    return cavity.depth * np.array([0.013, 0.31, 0.57, 0.83, 0.987])
+
+
+def assert_keeps_clearance(solid: Manifold, cavity: Cavity, clearance: float, z: float) -> None:
+    """Every wall point is the clearance away from the shadow, but for opened walls, and the shadow is open."""
+    shadow, opening = slice_union(solid, z), cavity.solid.slice(z)
+    walls = outline_points(opening.to_polygons())
+    distance = gaps(walls, shadow)
+    assert distance.min() >= clearance - SHORT
+    opened = cavity.probes[-1].opened
+    kept = distance if opened.is_empty() else distance[gaps(walls, opened) > 0.1e-3]
+    assert kept.max(initial=0) <= clearance + LONG
+    assert (shadow - opening).area() < CLIPPED
+
+
+@pytest.mark.parametrize("clearance_mm", [0.5, 1.0, 2.5, 10.0])
+@pytest.mark.parametrize("name", SHAPES)
+def test_walls_keep_the_clearance_at_every_height(name: str, clearance_mm: float, cut: Cut) -> None:
+    solid, cavity = cut(name, clearance_mm)
+    for z in heights(cavity)[[0, 2, 4]]:
+        assert_keeps_clearance(solid, cavity, clearance_mm * 1e-3, z)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=12, deadline=None)
+def test_walls_keep_the_clearance_of_any_solid(seed: int) -> None:
+    drawn = random_solid(seed)
+    depth = insertion_depth(drawn.bounding_box()[5] * 1e-3)
+    cavity = cavity_of(drawn, depth)
+    for z in depth * np.array([0.237, 0.691]):
+        assert_keeps_clearance(standing(drawn), cavity, 2.5e-3, z)
+
+
+@pytest.mark.parametrize("clearance_mm", [0.5, 2.5, 10.0])
+def test_cavity_of_a_box_is_a_rounded_rectangle(clearance_mm: float, cut: Cut) -> None:
+    _, cavity = cut("box", clearance_mm)
+    c = clearance_mm * 1e-3
+    area = 30e-3 * 20e-3 + 2 * c * (30e-3 + 20e-3) + np.pi * c**2
+    assert cavity.solid.slice(6e-3).area() == pytest.approx(area, abs=0.02e-3 * (100e-3 + 2 * np.pi * c))
+    assert cavity.undercut_volume == pytest.approx(0, abs=1e-12)
+    assert cavity.opened_walls == 0
+
+
+def test_cavity_of_a_widening_cone_is_a_cone_of_the_same_slope(cut: Cut) -> None:
+    _, cavity = cut("cone")
+    for z in heights(cavity):
+        radius = 6e-3 + 12e-3 * z / 24e-3 + 2.5e-3
+        reach = np.linalg.norm(outline_points(cavity.solid.slice(z).to_polygons()), axis=1)
+        assert reach.max() == pytest.approx(radius, abs=0.02e-3)
+        assert reach.min() == pytest.approx(radius, abs=0.03e-3)  # a chord of the cone's own 96 corners
+
+
+def test_a_narrowing_cone_leaves_the_shaft_of_its_foot(cut: Cut) -> None:
+    _, cavity = cut("cone upside down")
+    areas = [cavity.solid.slice(z).area() for z in heights(cavity)]
+    assert np.ptp(areas) < CLIPPED
+
+
+@pytest.mark.parametrize("name", ["cone", "leaning", "lying cylinder"])
+def test_slopes_stay_slopes(name: str, cut: Cut) -> None:
+    _, cavity = cut(name)
+    mesh = mesh_of(cavity.solid)
+    z = mesh.triangles[..., 2]
+    steps = (np.abs(mesh.normals[:, 2]) > 0.999) & (z.min(1) > 0.5e-3) & (z.max(1) < cavity.depth)
+    slopes = (mesh.normals[:, 2] < -0.05) & (mesh.normals[:, 2] > -0.95)
+    areas = np.linalg.norm(np.cross(*np.moveaxis(mesh.triangles[:, 1:] - mesh.triangles[:, :1], 1, 0)), axis=1) / 2
+    assert areas[steps].sum() < 1e-3 * areas[slopes].sum()
+
+
+@pytest.mark.parametrize(("hole_mm", "posts"), [(10.8, 0), (11.4, 1)])
+def test_posts_thinner_than_3_mm_are_opened_away(hole_mm: float, posts: int) -> None:
+    """A post is 5 mm (twice the clearance) thinner than the hole it stands in; its square fit counts, hence 11.4."""
+    hole = hole_mm - 2.9 if posts == 0 else hole_mm - 3.0
+    cavity = cavity_of(ring_plate(hole), 7.2e-3)
+    outer = CrossSection.square((60e-3, 60e-3), center=True)
+    walls = (outer - cavity.solid.slice(7e-3)).decompose()
+    assert len(walls) == 1 + posts
+    assert cavity.opened_walls == 1 - posts
+    assert (cavity.opened_volume > 0) == (posts == 0)
+
+
+@pytest.mark.parametrize(("gap_mm", "kept"), [(7.8, False), (8.2, True)])
+def test_walls_between_two_legs_are_kept_from_3_mm(gap_mm: float, kept: bool) -> None:
+    legs = (
+        box(36, 24, 8, (0, 0, 12)) + box(10, 24, 20, (gap_mm / 2 + 5, 0, 0)) + box(10, 24, 20, (-gap_mm / 2 - 5, 0, 0))
+    )
+    cavity = cavity_of(legs, 11.5e-3)
+    middle = np.array([[0.0, 0.0]])
+    assert (gaps(middle, cavity.solid.slice(6e-3))[0] > 0) == kept
+    assert cavity.opened_walls == (0 if kept else 1)
+
+
+def test_right_angles_of_walls_stay_sharp_where_another_wall_is_opened() -> None:
+    """The wall in the inner corner of the L comes to a point; the post in its hole is too thin and goes."""
+    holed = ell() - cylinder(5.6, 99).translate((14, -8, -9))
+    cavity = cavity_of(holed, 8e-3)
+    assert cavity.opened_walls == 1
+    corner = np.array([-20 + 12 + 2.5, -14 + 12 + 2.5]) * 1e-3
+    inside_wall = corner + 0.03e-3
+    assert gaps(inside_wall[None], cavity.solid.slice(6e-3))[0] > 0
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_straight_way_out_is_free(name: str, cut: Cut) -> None:
+    solid, cavity = cut(name)
+    block = Manifold.cube((0.1, 0.1, cavity.depth + 2e-3), center=True)
+    plate = block.translate((0, 0, cavity.depth - (cavity.depth + 2e-3) / 2)) - cavity.solid
+    assert not plate.is_empty()
+    for share in (0.0, 0.2, 0.45, 0.7, 0.95):
+        assert (solid.translate((0, 0, 1e-7 + share * cavity.depth)) ^ plate).volume() < 1e-15
+
+
+def test_undercut_of_a_tee_is_what_stands_beside_its_stem(cut: Cut) -> None:
+    _, cavity = cut("tee")
+    assert cavity.undercut_volume == pytest.approx(20e-3 * 20e-3 * (cavity.depth - 4e-3), rel=0.01)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_the_cavity_only_widens_upwards(name: str, cut: Cut) -> None:
+    _, cavity = cut(name)
+    slices = [cavity.solid.slice(z) for z in np.linspace(1e-5, cavity.depth - 1e-5, 9)]
+    for below, above in zip(slices[:-1], slices[1:], strict=True):
+        assert (below - above).area() < CLIPPED
+
+
+@pytest.mark.parametrize("name", ["leaning", "lying cylinder", "cone"])
+def test_patches_sweep_what_their_triangles_sweep(name: str) -> None:
+    mesh = mesh_of(standing(SHAPES[name]()))
+    top = float(mesh.bounds[1, 2]) + 1e-3
+    assert_same_sweep(mesh.triangles[mesh.normals[:, 2] < -STEEP], top)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=8, deadline=None)
+def test_patches_of_any_solid_sweep_what_their_triangles_sweep(seed: int) -> None:
+    mesh = mesh_of(standing(random_solid(seed)))
+    assert_same_sweep(mesh.triangles[mesh.normals[:, 2] < -0.02], float(mesh.bounds[1, 2]) + 1e-3)
+
+
+def assert_same_sweep(triangles: np.ndarray, top: float) -> None:
+    """Prisms over the patches and over the single triangles fill the same space (in millimetres)."""
+    patches = convex_patches(triangles)
+    assert len(patches) <= len(triangles)
+    fused, single = (union_of_prisms(pieces, top) for pieces in (patches, list(triangles)))
+    surface = sum(np.linalg.norm(np.cross(t[1] - t[0], t[2] - t[0])) for t in triangles) * 1e6 / 2
+    assert (single - fused).volume() < 5e-3 * surface  # hulls may err by 3 um, to the open side
+    assert (fused - single).volume() < 5e-3 * surface
+
+
+def union_of_prisms(pieces: list[np.ndarray], top: float) -> Manifold:
+    prisms = []
+    for corners in pieces:
+        high = corners.copy()
+        high[:, 2] = top
+        prisms.append(Manifold.hull_points(np.concatenate([corners, high]) * 1e3))
+    return sum(prisms[1:], prisms[0])
+
+
+def test_a_lying_cylinder_is_few_patches() -> None:
+    mesh = mesh_of(standing(SHAPES["lying cylinder"]))
+    assert len(convex_patches(mesh.triangles[mesh.normals[:, 2] < -STEEP])) <= 3
+
+
+def test_depth_is_sixty_percent_but_at_most_20_mm() -> None:
+    assert insertion_depth(10e-3) == pytest.approx(6e-3)
+    assert insertion_depth(80e-3) == pytest.approx(20e-3)

@@ -1,0 +1,166 @@
+"""Laws of writing files: whole or absent, in one line when it fails, one writer a folder."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+from multiprocessing import get_context
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kit1000.data import files
+from kit1000.data.files import (
+    PARTIAL,
+    check_writable,
+    clear_partial,
+    json_bytes,
+    locked,
+    read_json,
+    sha256,
+    write_bytes,
+    write_json,
+)
+from kit1000.errors import InputError
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    max_leaves=20,
+)
+
+
+@given(VALUES)
+def test_json_round_trips_every_value_to_the_bit(value: object) -> None:
+    again = json.loads(json_bytes(value))
+    assert again == value
+    assert json_bytes(again) == json_bytes(value)
+
+
+def test_json_bytes_do_not_depend_on_the_order_of_keys() -> None:
+    assert json_bytes({"b": 1, "a": {"d": 2, "c": 3}}) == json_bytes({"a": {"c": 3, "d": 2}, "b": 1})
+
+
+def test_a_written_file_is_there_with_its_hash_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "deep/er/a.bin"
+    digest = write_bytes(path, b"data")
+    assert digest == sha256(path) == hashlib.sha256(b"data").hexdigest()
+    assert os.listdir(path.parent) == ["a.bin"]
+    write_bytes(path, b"new")
+    assert path.read_bytes() == b"new"
+
+
+def test_no_file_has_no_hash(tmp_path: Path) -> None:
+    assert sha256(tmp_path / "none") is None
+    assert sha256(tmp_path) is None
+
+
+@pytest.mark.parametrize("where", ["fsync", "replace"])
+@pytest.mark.parametrize("stop", [OSError(errno.ENOSPC, "No space left on device"), KeyboardInterrupt()])
+def test_a_write_that_is_stopped_leaves_the_old_file_and_no_other(
+    where: str, stop: BaseException, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.bin"
+    write_bytes(path, b"old")
+
+    def fail(*_: object) -> None:
+        raise stop
+
+    monkeypatch.setattr(files.os, where, fail)
+    with pytest.raises((InputError, KeyboardInterrupt)) as caught:
+        write_bytes(path, b"new")
+    if isinstance(stop, OSError):
+        assert str(caught.value) == (
+            f"cannot write {path}: No space left on device; free some space and run the same command again"
+        )
+    assert path.read_bytes() == b"old"
+    assert os.listdir(tmp_path) == ["a.bin"]
+
+
+def test_what_stands_in_the_way_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot write .*a.bin: .*; a file stands where a folder is needed"):
+        write_bytes(tmp_path / "file/a.bin", b"")
+    with pytest.raises(InputError, match="a folder stands where a file is needed"):
+        write_bytes(tmp_path, b"")
+    assert sorted(os.listdir(tmp_path)) == ["file"]
+
+
+def test_reading_what_is_no_json_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no file"):
+        read_json(tmp_path / "a.json")
+    for data in (b"", b'{"a": ', b"\xff\xfe\x00"):
+        (tmp_path / "a.json").write_bytes(data)
+        with pytest.raises(InputError, match="damaged or no JSON") as caught:
+            read_json(tmp_path / "a.json")
+        assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="Is a directory"):
+        read_json(tmp_path)
+
+
+def test_leftovers_go_and_nothing_else(tmp_path: Path) -> None:
+    keep = [tmp_path / name for name in ("a.glb", f"b{PARTIAL}", ".hidden", "in/c.glb")]
+    left = [tmp_path / name for name in (f".a.glb.1{PARTIAL}", f"in/.c.glb.22{PARTIAL}")]
+    for path in keep + left:
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+    clear_partial(tmp_path, "c.glb")
+    assert left[0].exists()
+    clear_partial(tmp_path, "a.glb")
+    assert not left[0].exists()
+    assert left[1].exists()
+    clear_partial(tmp_path)
+    assert not left[1].exists()
+    assert all(path.exists() for path in keep)
+
+
+def hold(folder: Path, ready, release) -> None:
+    """Another process that builds in a folder."""
+    with locked(folder):
+        ready.set()
+        release.wait(30)
+
+
+def test_a_folder_has_one_writer_and_a_killed_one_frees_it(tmp_path: Path) -> None:
+    context = get_context("spawn")
+    ready, release = context.Event(), context.Event()
+    other = context.Process(target=hold, args=(tmp_path, ready, release))
+    other.start()
+    assert ready.wait(30)
+    with pytest.raises(InputError, match="is being written by another process"), locked(tmp_path):
+        pass
+    other.kill()
+    other.join()
+    with locked(tmp_path):
+        pass
+
+
+def test_a_disk_without_locks_is_not_taken_for_a_busy_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def flock(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(files.fcntl, "flock", flock)
+    with pytest.raises(InputError, match="cannot lock .*: No locks available"), locked(tmp_path):
+        pass
+
+
+def test_a_folder_is_judged_before_it_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    check_writable(tmp_path / "new/er")
+    assert not os.listdir(tmp_path)
+    (tmp_path / "file").touch()
+    for folder in (tmp_path / "file", tmp_path / "file/below"):
+        with pytest.raises(InputError, match="a file stands where a folder is needed"):
+            check_writable(folder)
+    monkeypatch.setattr(files.os, "access", lambda *_: False)
+    with pytest.raises(InputError, match="Permission denied; choose a folder you may write to with --out"):
+        check_writable(tmp_path / "new")
+
+
+def test_values_that_json_lacks_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(tmp_path / "a.json", {"a": float("nan")})
+    assert not os.listdir(tmp_path)

@@ -1,0 +1,89 @@
+"""Laws of mesh files: what is read is to the bit what was written, in the unit and axes that its readers expect."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from datasets import corner
+from kit1000.data.meshes import glb_bytes, read_glb, stl_bytes, y_up, z_up
+from kit1000.errors import InputError
+from kit1000.mesh import Mesh, defect32
+from kit1000.parts.formats import read_soup
+
+POINTS = arrays(np.float64, (7, 3), elements=st.floats(-1, 1, width=32))
+FACES = np.array([[0, 1, 2], [6, 5, 4], [3, 3, 0]], dtype=np.int32)
+
+
+@given(POINTS)
+@settings(max_examples=50, deadline=None)
+def test_a_glb_holds_every_vertex_and_face_to_the_bit(tmp_path_factory, points: np.ndarray) -> None:
+    path = tmp_path_factory.getbasetemp() / "mesh.glb"
+    path.write_bytes(glb_bytes({"a b/c": Mesh(points, FACES), "ä": Mesh(points[::-1], FACES[:1])}))
+    bodies = read_glb(path)
+    assert list(bodies) == ["a b/c", "ä"]
+    assert bodies["a b/c"].vertices.tobytes() == points.tobytes()
+    assert np.array_equal(bodies["a b/c"].faces, FACES)
+    assert bodies["ä"].vertices.tobytes() == points[::-1].tobytes()
+
+
+@given(POINTS)
+def test_up_and_up_again_is_nothing(points: np.ndarray) -> None:
+    assert np.array_equal(z_up(y_up(points)), points)
+
+
+def test_up_is_up_and_hands_are_kept() -> None:
+    assert np.array_equal(y_up(np.eye(3)), [[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    assert np.linalg.det(y_up(np.eye(3))) == pytest.approx(1)
+
+
+def test_other_readers_find_metres_and_y_up_in_a_glb(tmp_path: Path) -> None:
+    mesh = corner().rounded32()
+    path = tmp_path / "mesh.glb"
+    path.write_bytes(glb_bytes({"part": mesh}, {"part": (255, 0, 0)}))
+    seen = trimesh.load_scene(path).to_mesh()
+    assert np.allclose(seen.extents, mesh.extents[[0, 2, 1]], atol=1e-9)
+    assert seen.volume == pytest.approx(mesh.volume, rel=1e-6)
+    assert seen.is_watertight
+
+
+def test_the_same_bodies_give_the_same_bytes() -> None:
+    assert glb_bytes({"a": corner()}, {"a": (1, 2, 3)}) == glb_bytes({"a": corner()}, {"a": (1, 2, 3)})
+    assert stl_bytes(corner()) == stl_bytes(corner())
+
+
+def test_an_stl_holds_float32_millimetres_with_z_up(tmp_path: Path) -> None:
+    mesh = corner()
+    path = tmp_path / "mesh.stl"
+    path.write_bytes(stl_bytes(mesh))
+    soup = read_soup(path)
+    assert np.array_equal(soup.vertices.reshape(-1, 3, 3), (mesh.triangles * 1e3).astype(np.float32))
+    seen = trimesh.load_mesh(path)
+    assert np.allclose(seen.bounds, mesh.bounds * 1e3, atol=1e-5)
+    assert seen.is_watertight
+    assert defect32(mesh.scaled(1e3)) is None
+
+
+def test_stl_normals_point_outward() -> None:
+    facets = np.frombuffer(stl_bytes(corner())[84:], np.dtype([("numbers", "<f4", 12), ("attribute", "<u2")]))
+    assert np.allclose(facets["numbers"][:, :3], corner().normals, atol=1e-6)
+
+
+@pytest.mark.parametrize("data", [b"", b"no glb", glb_bytes({"a": corner()})[:-100], glb_bytes({"a": corner()})[:40]])
+def test_a_damaged_glb_is_one_line(data: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "mesh.glb"
+    path.write_bytes(data)
+    with pytest.raises(InputError, match=r"cannot read .*mesh\.glb: damaged or no GLB") as caught:
+        read_glb(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_glb_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no file .*mesh\.glb"):
+        read_glb(tmp_path / "mesh.glb")

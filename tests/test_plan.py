@@ -1,0 +1,160 @@
+"""Laws of the plan: a pure function of preset, seed and sources, from which nothing leaks between splits."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from datasets import MINI, corner, corners, written
+from kit1000.data.files import json_bytes
+from kit1000.data.plan import Sources, dataset_id, draw_assembly_of, draw_part, family_weights, make_plan
+from kit1000.data.presets import HELD_OUT, PRESETS, SPLITS, Preset, preset
+from kit1000.errors import InputError
+from kit1000.parts import catalog
+from kit1000.parts.block import Block
+from kit1000.parts.catalog import FAMILIES, WEIGHTS
+
+TINY = PRESETS["tiny"]
+MANY = Preset("many", 120, 20, 40)
+
+GOLDEN = "????"
+"""Identity of `tiny` with its own seed. It changes with every draw, so each change is one of the data version:
+2026-11 first.
+"""
+
+
+def test_the_plan_of_tiny_is_the_one_we_know() -> None:
+    assert dataset_id(make_plan(TINY, TINY.seed)) == GOLDEN
+
+
+def test_a_plan_is_a_pure_function_of_preset_and_seed() -> None:
+    plan = make_plan(MANY, 5)
+    assert json_bytes(plan) == json_bytes(make_plan(MANY, 5))
+    assert json.loads(json_bytes(plan)) == plan
+
+
+def test_another_seed_is_another_dataset() -> None:
+    one, other = make_plan(MINI, 1), make_plan(MINI, 2)
+    assert dataset_id(one) != dataset_id(other)
+    assert all(one["parts"][i]["longest"] != other["parts"][i]["longest"] for i in one["parts"])
+
+
+def test_every_setting_of_a_preset_is_part_of_the_identity() -> None:
+    changes = {"train": 3, "longest": (0.03, 0.05), "clearance": 3e-3, "kits": (2, 2), "level_base": True}
+    changes |= {"tilt_deg": (10.0, 20.0), "name": "other"}
+    ids = {dataset_id(make_plan(replace(MINI, **{key: value}), 7)) for key, value in changes.items()}
+    assert len(ids | {dataset_id(make_plan(MINI, 7))}) == len(changes) + 1
+
+
+def test_splits_have_the_asked_size_and_share_nothing() -> None:
+    plan = make_plan(MANY, 5)
+    for table in ("parts", "assemblies"):
+        of = {split: {i for i, row in plan[table].items() if row["split"] == split} for split in SPLITS}
+        assert {split: len(ids) for split, ids in of.items()} == {split: MANY.count(split) for split in SPLITS}
+    drawn = [json.dumps(row["dimensions"], sort_keys=True) + row["family"] for row in plan["parts"].values()]
+    assert len(set(drawn)) == len(drawn)
+
+
+def test_company_comes_from_the_same_split_and_is_never_the_target() -> None:
+    plan = make_plan(MANY, 5)
+    for row in plan["assemblies"].values():
+        assert row["target"] not in row["company"]
+        assert len(set(row["company"])) == len(row["company"]) >= MANY.kits[1] - 1
+        assert {plan["parts"][i]["split"] for i in (row["target"], *row["company"])} == {row["split"]}
+        assert MANY.kits[0] <= row["kits"] <= MANY.kits[1]
+
+
+def test_held_out_families_are_in_test_alone_and_are_in_test() -> None:
+    parts = make_plan(Preset("many", 200, 50, 200), 5)["parts"].values()
+    assert not {row["family"] for row in parts if row["split"] != "test"} & set(HELD_OUT)
+    assert {row["family"] for row in parts if row["split"] == "test"} >= set(HELD_OUT)
+    assert set(HELD_OUT) < set(FAMILIES)
+    assert set(family_weights("test")) == set(WEIGHTS)
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_redraws_keep_to_the_families_of_their_split(split: str) -> None:
+    families = {draw_part(MINI, 7, f"{split}-0000", split, attempt).family for attempt in range(200)}
+    assert families <= set(family_weights(split))
+    assert len(families) > 20
+
+
+def test_attempts_are_independent_draws() -> None:
+    draws = [draw_part(MINI, 7, "train-0000", "train", attempt) for attempt in range(30)]
+    assert len({draw.longest for draw in draws}) == 30
+    assert draw_part(MINI, 7, "train-0000", "train", 3) == draws[3]
+
+
+def test_a_new_family_changes_only_the_parts_it_wins(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = make_plan(MANY, 5)
+    monkeypatch.setitem(catalog.WEIGHTS, "new", 3.0)
+    monkeypatch.setitem(catalog.FAMILIES, "new", Block)
+    after = make_plan(MANY, 5)
+    won = {i for i, row in after["parts"].items() if row["family"] == "new"}
+    assert 0 < len(won) < 40
+    assert {i for i in before["parts"] if before["parts"][i] != after["parts"][i]} == won
+    assert before["assemblies"] == after["assemblies"]
+
+
+def test_a_larger_dataset_begins_with_the_smaller_one() -> None:
+    small, large = make_plan(MANY, 5)["parts"], make_plan(replace(MANY, train=150, test=60), 5)["parts"]
+    assert {i: large[i] for i in small} == small
+
+
+def test_tilts_and_levels_are_those_of_the_preset() -> None:
+    asked = replace(MINI, level_base=True, tilt_deg=(25.0, 30.0))
+    for attempt in range(20):
+        placing = draw_assembly_of(asked, 7, "train-0000", 3, attempt).placing
+        assert placing.base_tilt == 0
+        assert all(np.radians(25) <= side.tilt <= np.radians(30) for side in placing.sides)
+
+
+def test_sizes_are_those_of_the_preset() -> None:
+    assert {row["longest"] for row in make_plan(PRESETS["paper"], 1)["parts"].values()} == {0.05}
+    assert all(0.035 <= row["longest"] <= 0.05 for row in make_plan(MANY, 1)["parts"].values())
+
+
+def test_a_plan_of_files_says_nothing_of_where_they_lie(tmp_path: Path) -> None:
+    here, there = corners(tmp_path / "a"), corners(tmp_path / "b/deeper")
+    assert json_bytes(make_plan(MINI, 7, here)) == json_bytes(make_plan(MINI, 7, there))
+    backwards = Sources.of(reversed(list(here.files.values())))
+    assert make_plan(MINI, 7, backwards) == make_plan(MINI, 7, here)
+
+
+def test_a_plan_of_files_changes_with_their_contents_and_their_unit(tmp_path: Path) -> None:
+    sources = corners(tmp_path)
+    plan = make_plan(MINI, 7, sources)
+    assert dataset_id(make_plan(MINI, 7, replace(sources, unit="inch"))) != dataset_id(plan)
+    written(tmp_path / "corner20.stl", corner(21))
+    assert dataset_id(make_plan(MINI, 7, sources)) != dataset_id(plan)
+
+
+def test_files_are_used_once_and_no_more_than_the_preset_has_parts(tmp_path: Path) -> None:
+    sources = corners(tmp_path, (20, 22, 24, 26, 28, 30, 32))
+    rows = make_plan(MINI, 7, sources)["parts"].values()
+    assert len({row["source"] for row in rows}) == len(rows) == 4
+    twice = Sources.of([*sources.files.values(), *sources.files.values()])
+    assert twice == sources
+
+
+@pytest.mark.parametrize("count", range(1, 5))
+def test_few_files_are_shared_out_among_the_splits(count: int, tmp_path: Path) -> None:
+    sources = corners(tmp_path, tuple(range(20, 20 + count)))
+    rows = make_plan(MINI, 7, sources)["parts"].values()
+    assert len(rows) == count
+    assert any(row["split"] == "train" for row in rows)
+
+
+def test_a_file_that_is_not_there_is_planned_all_the_same(tmp_path: Path) -> None:
+    plan = make_plan(MINI, 7, Sources.of([tmp_path / "none.stl"]))
+    assert [(row["source"], row["sha256"]) for row in plan["parts"].values()] == [("none.stl", None)]
+
+
+def test_a_misspelt_preset_is_answered_with_the_near_one() -> None:
+    with pytest.raises(InputError, match="no preset 'tyni'; did you mean tiny\\? there are tiny, small, kit1000"):
+        preset("tyni")
+    assert all(preset(name).name == name for name in PRESETS)

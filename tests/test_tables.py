@@ -1,0 +1,92 @@
+"""Laws of the tables: every value of a part, a kit and an assembly comes back to the bit, also through JSON."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from datasets import corner
+from kit1000.data.files import json_bytes
+from kit1000.data.tables import Row, assembly_of, assembly_row, kit_of, kit_row, part_of, part_row, pose_of, pose_row
+from kit1000.pose import Pose
+from kit1000.symmetry import Symmetry
+from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Slot
+from strategies import directions, pose_batches, poses, vectors
+
+MESH = corner()
+POSITIVE = st.floats(1e-6, 1e3)
+SYMMETRIES = st.one_of(
+    st.just(Symmetry.none()),
+    st.builds(Symmetry.cyclic, st.integers(2, 9), directions()),
+    st.builds(Symmetry.free, directions()),
+    st.builds(Symmetry.free_flipped, directions()),
+    st.just(Symmetry.cube()),
+)
+
+
+@st.composite
+def kits(draw: st.DrawFn) -> Kit:
+    axis = FreeAxis(draw(vectors()), draw(directions())) if draw(st.booleans()) else None
+    goals = draw(pose_batches(draw(st.integers(1, 4))))
+    slot = Slot("part", draw(poses()), draw(POSITIVE), draw(POSITIVE), goals, axis)
+    return Kit("kit", MESH, slot, np.abs(draw(vectors())))
+
+
+def through_json(row: Row) -> Row:
+    return json.loads(json_bytes(row))
+
+
+def assert_same(one: Any, other: Any) -> None:
+    """Equality of every field to the bit, all the way down."""
+    assert type(one) is type(other)
+    if isinstance(one, np.ndarray):
+        assert one.dtype == other.dtype
+        assert one.shape == other.shape
+        assert one.tobytes() == other.tobytes()
+    elif is_dataclass(one):
+        for field in fields(one):
+            assert_same(getattr(one, field.name), getattr(other, field.name))
+    elif isinstance(one, tuple):
+        assert len(one) == len(other)
+        for a, b in zip(one, other, strict=True):
+            assert_same(a, b)
+    else:
+        assert one == other
+
+
+@given(poses())
+def test_a_pose_comes_back_to_the_bit(pose: Pose) -> None:
+    assert_same(pose_of(through_json(pose_row(pose))), pose)
+
+
+@given(SYMMETRIES, POSITIVE, st.dictionaries(st.text(), st.floats(allow_nan=False, allow_infinity=False)))
+@settings(max_examples=50, deadline=None)
+def test_a_part_comes_back_to_the_bit(symmetry: Symmetry, mass: float, dimensions: dict[str, float]) -> None:
+    part = Part("part", "family", MESH, symmetry, dimensions, mass)
+    assert_same(part_of("part", through_json(part_row(part)), MESH), part)
+
+
+@given(kits())
+@settings(max_examples=50, deadline=None)
+def test_a_kit_comes_back_to_the_bit(kit: Kit) -> None:
+    assert_same(kit_of("kit", through_json(kit_row(kit)), MESH), kit)
+
+
+@given(kits(), poses(), poses())
+@settings(max_examples=20, deadline=None)
+def test_an_assembly_comes_back_to_the_bit(kit: Kit, first: Pose, second: Pose) -> None:
+    assembly = Assembly("assembly", MESH, (Mount(kit, first), Mount(kit, second)))
+    assert_same(assembly_of("assembly", through_json(assembly_row(assembly)), MESH, lambda _: kit), assembly)
+
+
+def test_a_row_says_what_its_mesh_measures() -> None:
+    row = part_row(Part("part", "family", MESH, Symmetry.cyclic(2), {}, 1.0))
+    assert row["volume"] == MESH.volume
+    assert row["extents"] == pytest.approx([0.04, 0.03, 0.024])
+    assert row["symmetry"]["name"] == "C2"

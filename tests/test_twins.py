@@ -1,0 +1,50 @@
+"""Laws of near-duplicates: size, place and the naming of axes make no difference, shape does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from manifold3d import Manifold
+
+from datasets import corner
+from kit1000.mesh import Mesh, mesh_of
+from kit1000.parts.twins import TWIN, shape_measures, twin_of
+from strategies import vectors
+
+SIDES = st.floats(0.2, 5)
+
+
+def box(*sides: float) -> Mesh:
+    return mesh_of(Manifold.cube(sides))
+
+
+@given(SIDES, SIDES, SIDES)
+def test_the_measures_of_a_box_are_known(a: float, b: float, c: float) -> None:
+    short, middle, long = sorted((a, b, c))
+    area = 2 * (a * b + b * c + c * a) / (a * b * c) ** (2 / 3)
+    assert shape_measures(box(a, b, c)) == pytest.approx([1, 1, middle / long, short / long, area], rel=1e-9)
+
+
+@given(st.floats(1e-3, 1e3), vectors(5.0), st.permutations([0, 1, 2]))
+def test_size_place_and_names_of_axes_do_not_count(size: float, shift: np.ndarray, axes: list[int]) -> None:
+    mesh = corner()
+    turned = mesh.vertices[:, axes] * size + shift * size
+    even = np.linalg.det(np.eye(3)[axes]) > 0
+    moved = Mesh(turned, mesh.faces if even else mesh.faces[:, ::-1])
+    assert shape_measures(moved) == pytest.approx(shape_measures(mesh), rel=1e-7)
+    assert twin_of(shape_measures(moved), shape_measures(mesh)[None]) == 0
+
+
+def test_a_solid_with_a_hollow_fills_less_of_its_hull() -> None:
+    assert shape_measures(corner())[1] < 0.9
+    assert shape_measures(box(1, 2, 3))[1] == pytest.approx(1)
+
+
+def test_a_twin_agrees_in_all_measures_and_the_first_is_named() -> None:
+    measures = np.array([0.5, 0.6, 0.7, 0.8, 9.0])
+    others = measures * (1 + TWIN * np.array([[1.2, 0, 0, 0, 0], [0.9] * 5, [0] * 5]))
+    assert twin_of(measures, others) == 1
+    assert twin_of(measures, others[:1]) is None
+    assert twin_of(measures, np.zeros((0, 5))) is None

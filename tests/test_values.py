@@ -1,0 +1,131 @@
+"""The nouns are frozen, hold read-only copies, and refuse what they cannot be with expected and actual."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import FrozenInstanceError
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kit1000.camera import Camera
+from kit1000.errors import ShapeError
+from kit1000.mesh import mesh_of
+from kit1000.pose import Pose
+from kit1000.symmetry import Symmetry
+from kit1000.values import Body, FreeAxis, Kit, Part, Prediction, Query, Scene, Slot, Truth, View
+from tests.shapes import box, standing
+
+MESH = mesh_of(standing(box(30, 20, 10)))
+POSE = Pose.identity()
+CAMERA = Camera(8, 6, 10.0, 10.0, 3.5, 2.5)
+
+
+def part(**changes: Any) -> Part:
+    return Part(**{"id": "p", "family": "f", "mesh": MESH, "symmetry": Symmetry.none(), "dimensions": {"d": 3.0},
+                   "mass": 0.01, **changes})  # fmt: skip
+
+
+def slot(**changes: Any) -> Slot:
+    return Slot(**{"part_id": "p", "kit_from_part": POSE, "clearance": 2.5e-3, "depth": 6e-3,
+                   "goals": Pose.stack([POSE]), **changes})  # fmt: skip
+
+
+def kit(**changes: Any) -> Kit:
+    return Kit(**{"id": "k", "mesh": MESH, "slot": slot(), "extent": np.array([0.099, 0.099, 0.022]), **changes})
+
+
+def view(**changes: Any) -> View:
+    return View(**{"camera": CAMERA, "world_from_camera": POSE, "depth": np.ones((6, 8), np.float32), **changes})
+
+
+def query(**changes: Any) -> Query:
+    masks = {"part_mask": np.zeros((6, 8), bool), "kit_region": np.ones((6, 8), bool)}
+    return Query(
+        **{"id": "q", "scene_id": "s", "track": "snap", "view": view(), **masks, "pivot": np.zeros(3), **changes}
+    )
+
+
+def prediction(**changes: Any) -> Prediction:
+    return Prediction(**{"query_id": "q", "goal_from_now": POSE, "confidence": 0.5, "seconds": 1.0, **changes})
+
+
+def truth(**changes: Any) -> Truth:
+    return Truth(**{"query_id": "q", "part_id": "p", "family": "f", "rest_mode": "upright", "anchor": np.zeros(3),
+                    "world_from_part": POSE, "world_from_kit": POSE, "slot": slot(), **changes})  # fmt: skip
+
+
+def free_axis(**changes: Any) -> FreeAxis:
+    return FreeAxis(**{"point": np.zeros(3), "direction": np.array([0.0, 0.0, 1.0]), **changes})
+
+
+def scene(**changes: Any) -> Scene:
+    return Scene(**{"id": "s", "bodies": (Body("p", POSE),), **changes})
+
+
+MAKERS: list[Callable[..., Any]] = [part, slot, kit, view, query, prediction, truth, free_axis, scene]
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_values_are_frozen(make: Callable[..., Any]) -> None:
+    value = make()
+    for name in value.__dataclass_fields__:
+        with pytest.raises(FrozenInstanceError):
+            setattr(value, name, None)
+
+
+@pytest.mark.parametrize(
+    ("make", "name", "array"),
+    [
+        (kit, "extent", np.array([0.1, 0.1, 0.022])),
+        (view, "depth", np.ones((6, 8), np.float32)),
+        (query, "part_mask", np.zeros((6, 8), bool)),
+        (query, "kit_region", np.zeros((6, 8), bool)),
+        (query, "pivot", np.zeros(3)),
+        (truth, "anchor", np.zeros(3)),
+        (free_axis, "point", np.zeros(3)),
+        (free_axis, "direction", np.array([1.0, 0.0, 0.0])),
+    ],
+)
+def test_arrays_are_read_only_copies(make: Callable[..., Any], name: str, array: np.ndarray) -> None:
+    before = array.copy()
+    held = getattr(make(**{name: array}), name)
+    array[...] = 1 - array
+    assert np.array_equal(held, before)
+    with pytest.raises(ValueError, match="read-only"):
+        held[...] = 0
+
+
+@pytest.mark.parametrize(
+    ("make", "changes", "message"),
+    [
+        (kit, {"extent": np.zeros(2)}, r"extent: expected .*\(3,\), got shape \(2,\)"),
+        (kit, {"extent": np.array([0.1, np.inf, 0.1])}, "extent"),
+        (view, {"depth": np.ones((8, 6))}, r"depth: expected .*\(6, 8\), got shape \(8, 6\)"),
+        (query, {"part_mask": np.zeros((6, 7), bool)}, r"part_mask: expected .*\(6, 8\), got shape \(6, 7\)"),
+        (query, {"kit_region": np.zeros(8, bool)}, r"kit_region: expected .*\(6, 8\), got shape \(8,\)"),
+        (query, {"pivot": np.zeros((1, 3))}, r"pivot: expected .*\(3,\), got shape \(1, 3\)"),
+        (truth, {"anchor": np.zeros(4)}, r"anchor: expected .*\(3,\), got shape \(4,\)"),
+        (free_axis, {"direction": np.array([0, 0, 2.0])}, "direction: expected a unit vector, got length 2"),
+        (free_axis, {"point": np.array([0, np.nan, 0])}, "point"),
+        (slot, {"goals": POSE}, r"goals: expected a batch of shape \(n,\), n >= 1, got \(\)"),
+        (slot, {"clearance": 0.0}, "clearance: expected a finite number above 0, got 0.0"),
+        (slot, {"depth": float("nan")}, "depth: expected a finite number above 0, got nan"),
+        (part, {"mass": -1.0}, "mass: expected a finite number above 0, got -1.0"),
+        (prediction, {"confidence": 1.5}, "confidence of q: expected 0 to 1, got 1.5"),
+        (prediction, {"confidence": float("nan")}, "confidence of q: expected 0 to 1, got nan"),
+    ],
+)
+def test_refusals_say_expected_and_actual(make: Callable[..., Any], changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ShapeError, match=message):
+        make(**changes)
+
+
+def test_dimensions_are_a_read_only_copy() -> None:
+    dimensions = {"d": 3.0}
+    made = part(dimensions=dimensions)
+    dimensions["d"] = 4.0
+    assert made.dimensions["d"] == 3.0
+    with pytest.raises(TypeError):
+        made.dimensions["d"] = 5.0  # pyright: ignore[reportIndexIssue]
