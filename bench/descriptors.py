@@ -20,6 +20,9 @@ D2_RANGE = 2.6
 PAIRS = 8000
 """Pairs of points a D2 histogram is counted from."""
 
+D2_SAMPLING = 0.12
+"""Two samples of PAIRS pairs from one shape differ by less (L1)."""
+
 
 @dataclass(frozen=True)
 class Shape:
@@ -88,10 +91,13 @@ def d2_noise(shapes: Sequence[Shape], rng: np.random.Generator, splits: int = 20
 
 
 def twins(shapes: Sequence[Shape]) -> list[tuple[int, int]]:
-    """Pairs of near-duplicates, as datasets refuse them: no measure differs by more than TWIN of itself."""
+    """Pairs of near-duplicates: all measures within TWIN, as many holes, and the same distances up to sampling."""
     measures = np.array([shape.measures() for shape in shapes])
+    genus, d2 = np.array([shape.genus for shape in shapes]), np.array([shape.d2 for shape in shapes])
     found = []
     for i, one in enumerate(measures):
-        alike = (np.abs(measures[i + 1 :] / one - 1) < TWIN).all(axis=1)
+        later = slice(i + 1, None)
+        alike = (np.abs(measures[later] / one - 1) < TWIN).all(axis=1) & (genus[later] == genus[i])
+        alike &= np.abs(d2[later] - d2[i]).sum(axis=1) < D2_SAMPLING
         found += [(i, int(i + 1 + j)) for j in np.flatnonzero(alike)]
     return found

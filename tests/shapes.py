@@ -106,10 +106,8 @@ def as_part(solid: Manifold, symmetry: Symmetry | None = None, name: str = "p") 
     return Part(name, "test", mesh, symmetry or Symmetry.none(), {}, 0.01)
 
 
-def cavity_of(
-    solid: Manifold, depth: float, clearance: float = 2.5e-3, width: tuple[float, float] = (0.2, 0.2)
-) -> Cavity:
-    return cut_cavity(standing(solid), depth, clearance, width)
+def cavity_of(solid: Manifold, depth: float, clearance: float = 2.5e-3, joined: bool = True) -> Cavity:
+    return cut_cavity(standing(solid), depth, clearance, (0.2, 0.2), joined)
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +136,7 @@ def seated(solid: Manifold, symmetry: Symmetry | None = None, depth: float | Non
     return Seated(part, pose, cut_cavity(solid_m, depth, clearance, UNIT_PLATE.width))
 
 
-def slice_union(solid: Manifold, z: float, step: float = 0.1e-3) -> CrossSection:
+def slice_union(solid: Manifold, z: float, step: float = 0.2e-3) -> CrossSection:
     """The union of the level sections at all heights up to z [m]: every `step`, and just beside every corner."""
     corners = np.unique(mesh_of(solid).vertices[:, 2].round(9))
     beside = np.concatenate([corners - 1e-7, corners + 1e-7, np.arange(step / 2, z, step), [z]])

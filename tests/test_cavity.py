@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -70,7 +71,7 @@ def heights(cavity: Cavity) -> np.ndarray:
     return cavity.depth * np.array([0.013, 0.31, 0.57, 0.83, 0.987])
 
 
-def assert_keeps_clearance(solid: Manifold, cavity: Cavity, clearance: float, z: float) -> None:
+def assert_keeps_clearance(solid: Manifold, cavity: Cavity, clearance: float, z: float, loose: float = LONG) -> None:
     """Every wall point is the clearance away from the shadow, but for opened walls, and the shadow is open."""
     shadow, opening = slice_union(solid, z), cavity.solid.slice(z)
     walls = outline_points(opening.to_polygons())
@@ -78,7 +79,7 @@ def assert_keeps_clearance(solid: Manifold, cavity: Cavity, clearance: float, z:
     assert distance.min() >= clearance - SHORT
     opened = cavity.probes[-1].opened
     kept = distance if opened.is_empty() else distance[gaps(walls, opened) > 0.1e-3]
-    assert kept.max(initial=0) <= clearance + LONG
+    assert kept.max(initial=0) <= clearance + loose
     assert (shadow - opening).area() < CLIPPED
 
 
@@ -90,14 +91,15 @@ def test_walls_keep_the_clearance_at_every_height(name: str, clearance_mm: float
         assert_keeps_clearance(solid, cavity, clearance_mm * 1e-3, z)
 
 
-@given(st.integers(0, 10_000))
-@settings(max_examples=12, deadline=None)
-def test_walls_keep_the_clearance_of_any_solid(seed: int) -> None:
+@given(st.integers(0, 10_000), st.booleans())
+@settings(max_examples=8, deadline=None)
+def test_walls_keep_the_clearance_of_any_solid(seed: int, joined: bool) -> None:
+    """Neighbours grown as one may widen the slot a little more, never narrow it."""
     drawn = random_solid(seed)
     depth = insertion_depth(drawn.bounding_box()[5] * 1e-3)
-    cavity = cavity_of(drawn, depth)
+    cavity = cavity_of(drawn, depth, joined=joined)
     for z in depth * np.array([0.237, 0.691]):
-        assert_keeps_clearance(standing(drawn), cavity, 2.5e-3, z)
+        assert_keeps_clearance(standing(drawn), cavity, 2.5e-3, z, loose=2 * LONG if joined else LONG)
 
 
 @pytest.mark.parametrize("clearance_mm", [0.5, 2.5, 10.0])
@@ -136,11 +138,10 @@ def test_slopes_stay_slopes(name: str, cut: Cut) -> None:
     assert areas[steps].sum() < 1e-3 * areas[slopes].sum()
 
 
-@pytest.mark.parametrize(("hole_mm", "posts"), [(10.8, 0), (11.4, 1)])
+@pytest.mark.parametrize(("hole_mm", "posts"), [(7.9, 0), (8.4, 1)])
 def test_posts_thinner_than_3_mm_are_opened_away(hole_mm: float, posts: int) -> None:
-    """A post is 5 mm (twice the clearance) thinner than the hole it stands in; its square fit counts, hence 11.4."""
-    hole = hole_mm - 2.9 if posts == 0 else hole_mm - 3.0
-    cavity = cavity_of(ring_plate(hole), 7.2e-3)
+    """The post in a hole is thinner than the hole by twice the clearance, 5 mm."""
+    cavity = cavity_of(ring_plate(hole_mm), 7.2e-3)
     outer = CrossSection.square((60e-3, 60e-3), center=True)
     walls = (outer - cavity.solid.slice(7e-3)).decompose()
     assert len(walls) == 1 + posts
@@ -188,7 +189,7 @@ def test_undercut_of_a_tee_is_what_stands_beside_its_stem(cut: Cut) -> None:
 def test_the_cavity_only_widens_upwards(name: str, cut: Cut) -> None:
     _, cavity = cut(name)
     slices = [cavity.solid.slice(z) for z in np.linspace(1e-5, cavity.depth - 1e-5, 9)]
-    for below, above in zip(slices[:-1], slices[1:], strict=True):
+    for below, above in pairwise(slices):
         assert (below - above).area() < CLIPPED
 
 
@@ -207,13 +208,15 @@ def test_patches_of_any_solid_sweep_what_their_triangles_sweep(seed: int) -> Non
 
 
 def assert_same_sweep(triangles: np.ndarray, top: float) -> None:
-    """Prisms over the patches and over the single triangles fill the same space (in millimetres)."""
-    patches = convex_patches(triangles)
-    assert len(patches) <= len(triangles)
-    fused, single = (union_of_prisms(pieces, top) for pieces in (patches, list(triangles)))
+    """Prisms over the patches and over the single triangles fill the same space; joined ones fill a little more."""
+    joined, patches = convex_patches(triangles), convex_patches(triangles, joined=False)
+    assert len(joined) <= len(patches) <= len(triangles)
+    wide, fused, single = (union_of_prisms(pieces, top) for pieces in (joined, patches, list(triangles)))
     surface = sum(np.linalg.norm(np.cross(t[1] - t[0], t[2] - t[0])) for t in triangles) * 1e6 / 2
-    assert (single - fused).volume() < 5e-3 * surface  # hulls may err by 3 um, to the open side
+    assert (single - fused).volume() < 5e-3 * surface  # [mm^3] hulls may err by 3 um, to the open side
     assert (fused - single).volume() < 5e-3 * surface
+    assert (single - wide).volume() < 5e-3 * surface
+    assert (wide - single).volume() < 0.1 * surface
 
 
 def union_of_prisms(pieces: list[np.ndarray], top: float) -> Manifold:
@@ -226,7 +229,7 @@ def union_of_prisms(pieces: list[np.ndarray], top: float) -> Manifold:
 
 
 def test_a_lying_cylinder_is_few_patches() -> None:
-    mesh = mesh_of(standing(SHAPES["lying cylinder"]))
+    mesh = mesh_of(standing(SHAPES["lying cylinder"]()))
     assert len(convex_patches(mesh.triangles[mesh.normals[:, 2] < -STEEP])) <= 3
 
 

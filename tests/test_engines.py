@@ -72,7 +72,7 @@ def test_an_unforeseen_error_stops_the_run_and_names_the_job_in_one_line(workers
 
 @WORKERS
 def test_our_own_errors_come_through_as_they_are(workers: int) -> None:
-    with pytest.raises(InputError, match="^disk full$"), local(workers) as spread:
+    with pytest.raises(InputError, match=r"^disk full$"), local(workers) as spread:
         list(spread(stumble, [5]))
 
 
@@ -84,9 +84,9 @@ def test_few_jobs_are_handed_out_ahead() -> None:
 
 
 def test_a_killed_worker_gives_one_line_that_names_the_suspects() -> None:
-    with pytest.raises(Kit1000Error, match=r"a worker process died .* one of: 3; run the same command") as caught:
-        with local(2) as spread:
-            list(spread(die, [3]))
+    with pytest.raises(Kit1000Error) as caught, local(2) as spread:
+        list(spread(die, [3]))
+    assert str(caught.value).startswith("a worker process died (killed, or out of memory), probably at one of: 3; run")
     assert "\n" not in str(caught.value)
 
 

@@ -83,7 +83,7 @@ def test_a_write_that_is_stopped_leaves_the_old_file_and_no_other(
 
 def test_what_stands_in_the_way_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot write .*a.bin: .*; a file stands where a folder is needed"):
+    with pytest.raises(InputError, match=r"cannot write .*a.bin: .*; a file stands where a folder is needed"):
         write_bytes(tmp_path / "file/a.bin", b"")
     with pytest.raises(InputError, match="a folder stands where a file is needed"):
         write_bytes(tmp_path, b"")
@@ -144,7 +144,7 @@ def test_a_disk_without_locks_is_not_taken_for_a_busy_one(tmp_path: Path, monkey
         raise OSError(errno.ENOLCK, "No locks available")
 
     monkeypatch.setattr(files.fcntl, "flock", flock)
-    with pytest.raises(InputError, match="cannot lock .*: No locks available"), locked(tmp_path):
+    with pytest.raises(InputError, match=r"cannot lock .*: No locks available"), locked(tmp_path):
         pass
 
 

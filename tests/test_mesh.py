@@ -15,7 +15,7 @@ from kit1000.pose import Pose
 from tests.shapes import box, cylinder, random_solid, standing
 from tests.strategies import poses
 
-CUBE = mesh_of(box(20, 30, 40).scale((1e-3,) * 3))
+CUBE = mesh_of(standing(box(20, 30, 40)))
 
 
 def other(mesh: Mesh) -> trimesh.Trimesh:
@@ -58,7 +58,6 @@ def test_measures_agree_with_another_package_wherever_the_solid_stands(seed: int
     assert mesh.area == pytest.approx(peer.area, rel=1e-9)
     assert np.allclose(mesh.centroid, peer.center_mass, atol=1e-8)
     assert np.allclose(mesh.bounds, peer.bounds)
-    assert np.allclose((mesh.normals * np.linalg.norm(mesh.normals, axis=1)[:, None]).sum(1), mesh.normals.sum(1))
 
 
 def test_measures_of_a_box() -> None:
@@ -84,9 +83,7 @@ def test_every_defect_has_its_name() -> None:
     assert defect(Mesh(vertices, faces[:, ::-1])) == "inside out"
     assert defect(Mesh(vertices * [1, 1, 1e-6], faces)) == "zero thickness"
     assert defect(Mesh(vertices, np.concatenate([faces, [[0, 0, 1]]]))) == "1 collapsed edges"
-    assert defect(two_boxes_on_an_edge()) == "1 edges shared by more than two faces" or "edges" in str(
-        defect(two_boxes_on_an_edge())
-    )
+    assert "edges shared by more than two faces" in str(defect(two_boxes_on_an_edge()))
 
 
 def test_solids_and_meshes_are_two_forms_of_one_thing() -> None:

@@ -7,17 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from manifold3d import Manifold
+from mini import corner
+from strategies import vectors
 
-from datasets import corner
 from kit1000.mesh import Mesh, mesh_of
 from kit1000.parts.twins import TWIN, shape_measures, twin_of
-from strategies import vectors
 
 SIDES = st.floats(0.2, 5)
 
 
-def box(*sides: float) -> Mesh:
-    return mesh_of(Manifold.cube(sides))
+def box(x: float, y: float, z: float) -> Mesh:
+    return mesh_of(Manifold.cube((x, y, z)))
 
 
 @given(SIDES, SIDES, SIDES)

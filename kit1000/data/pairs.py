@@ -16,7 +16,7 @@ from kit1000.data.plan import draw_longest, draw_part
 from kit1000.data.presets import Preset
 from kit1000.data.tables import kit_row, part_row
 from kit1000.errors import InputError, MeshRefused, Redraw, fault
-from kit1000.kits.kit import KitDesign, design_kit
+from kit1000.kits.kit import KitDesign, design_kit, insertion_faces
 from kit1000.kits.trial import Trial, try_pair
 from kit1000.mesh import Mesh
 from kit1000.parts.family import DENSITY, make_part
@@ -26,6 +26,7 @@ from kit1000.symmetry import Symmetry
 from kit1000.values import Part
 
 ATTEMPTS = 200  # draws of one part before the mixture of families must be called broken
+FACES = 2  # best faces tried before the part is drawn again
 BUILD = ".build"  # folder of records while a dataset is being built
 
 
@@ -126,12 +127,21 @@ def _read_part(job: PairJob) -> Part:
 
 
 def tried(part: Part, clearance: float) -> tuple[KitDesign, Trial]:
-    """The kit of a part after all trials. Raises Redraw; a loose fit is a reason too."""
-    design = design_kit(part, clearance)
-    trial = try_pair(part, design.kit)
-    if trial.loose:
-        raise Redraw("loose fit")
-    return design, trial
+    """The kit of a part on the first of its best faces that passes all trials.
+
+    Raises Redraw with the reason of the best face; a loose fit is a reason too.
+    """
+    first: Redraw | None = None
+    for face in insertion_faces(part, clearance)[:FACES]:
+        try:
+            design = design_kit(part, clearance, face=face)
+            trial = try_pair(part, design.kit)
+            if not trial.loose:
+                return design, trial
+            first = first or Redraw("loose fit")
+        except Redraw as refusal:
+            first = first or refusal
+    raise first or Redraw("no stable resting face")
 
 
 def _record(job: PairJob, part: Part, design: KitDesign, trial: Trial, redraws: list[str]) -> Record:

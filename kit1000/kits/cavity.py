@@ -10,6 +10,7 @@ are opened away. Frame: the part stands on z = 0, insertion face down. All lengt
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold, OpType
@@ -63,9 +64,14 @@ def insertion_depth(height: float) -> float:
     return min(20e-3, 0.6 * height)
 
 
-def cut_cavity(standing: Manifold, depth: float, clearance: float, width: tuple[float, float]) -> Cavity:
-    """The cavity for a solid standing on z = 0 about the origin, in a plate of width (x, y) [m]."""
-    grown, levels = grown_sweep(standing, depth, clearance)
+def cut_cavity(
+    standing: Manifold, depth: float, clearance: float, width: tuple[float, float], joined: bool = True
+) -> Cavity:
+    """The cavity for a solid standing on z = 0 about the origin, in a plate of width (x, y) [m].
+
+    joined: whether nearly convex neighbours may be grown as one, which is faster and up to 0.1 mm wider.
+    """
+    grown, levels = grown_sweep(standing, depth, clearance, joined)
     ledges = _ledges(levels, depth)
     shadows = _probe_shadows(standing, ledges)
     openings, probes = _open_thin_walls(grown, shadows, depth + OVER, width)
@@ -85,7 +91,7 @@ def _ledges(levels: list[float], depth: float) -> list[float]:
 def _probe_shadows(standing: Manifold, ledges: list[float]) -> list[tuple[float, CrossSection]]:
     """(z, S(z)) at both ends of each interval between ledges, and at a stride inside where the shadow changes."""
     probes = []
-    for low, high in zip(ledges[:-1], ledges[1:], strict=True):
+    for low, high in pairwise(ledges):
         ends = [(z, shadow_below(standing, z)) for z in (low + BRINK, high - BRINK)]
         inner: list[tuple[float, CrossSection]] = []
         if abs(ends[0][1].area() - ends[1][1].area()) > NOTHING:
@@ -110,7 +116,7 @@ def _open_thin_walls(
     for z, shadow in shadows:
         thin = _thin_walls(plate - grown.slice(z))
         if not thin.is_empty():
-            lapped, floor = thin.offset(LAP, JoinType.Miter, MITER), (below + z) / 2
+            lapped, floor = thin.offset(LAP, JoinType.Miter, MITER), (below + z) / 2 if probes else 0.0
             openings.append(lapped.extrude(top - floor).translate((0, 0, floor)))
             opened = opened + thin
         probes.append(Probe(z, shadow, opened))

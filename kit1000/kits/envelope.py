@@ -8,7 +8,7 @@ from scipy.ndimage import maximum_filter
 from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
 
-RELIEF_CELL = 0.6e-3  # [m] fine enough to see a 3 mm feature five times, coarse enough for 2 ms
+RELIEF_CELLS = 75  # of a relief's longest side: fine enough to see what turns apart tell, coarse enough for 2 ms
 RELIEF_RINGS, RELIEF_TURNS = 30, 120
 
 
@@ -30,7 +30,8 @@ def polar_relief(lying: Mesh, depth: float, clearance: float = 0.0) -> tuple[np.
     lying: the body with its lowest point anywhere; depth [m] of its cavity: the rim lies so far above that point.
     Returns (relief (rings, turns) [m], the same grown sideways by the clearance, area weight of a ring (rings,) [m^2]).
     """
-    heights, _ = lower_envelope(lying, RELIEF_CELL, margin=clearance)
+    cell = lying.extents.max() / RELIEF_CELLS
+    heights, _ = lower_envelope(lying, cell, margin=clearance)
     sunk = np.maximum(depth - (heights - lying.bounds[0, 2]), 0.0)
     i, j = np.nonzero(sunk)
     middle = np.array([i.mean(), j.mean()])
@@ -41,12 +42,11 @@ def polar_relief(lying: Mesh, depth: float, clearance: float = 0.0) -> tuple[np.
     columns = np.rint(middle[1] + radii[:, None] * np.sin(turns)).astype(int)
     inside = (rows >= 0) & (rows < sunk.shape[0]) & (columns >= 0) & (columns < sunk.shape[1])
     spots = np.clip(rows, 0, sunk.shape[0] - 1), np.clip(columns, 0, sunk.shape[1] - 1)
-    relief, grown = (np.where(inside, field[spots], 0) for field in (sunk, _grown(sunk, clearance)))
-    return relief, grown, radii * (RELIEF_CELL**2 * 2 * np.pi * reach / RELIEF_RINGS)
+    relief, grown = (np.where(inside, field[spots], 0) for field in (sunk, _grown(sunk, int(clearance / cell))))
+    return relief, grown, radii * (cell**2 * 2 * np.pi * reach / RELIEF_RINGS)
 
 
-def _grown(sunk: np.ndarray, clearance: float) -> np.ndarray:
-    cells = int(clearance / RELIEF_CELL)
+def _grown(sunk: np.ndarray, cells: int) -> np.ndarray:
     across = np.arange(-cells, cells + 1)
     return maximum_filter(sunk, footprint=np.hypot(*np.meshgrid(across, across)) <= cells + 0.5, mode="constant")
 

@@ -13,7 +13,8 @@ from scipy.spatial import ConvexHull
 
 from kit1000.kits.envelope import polar_relief
 from kit1000.mesh import Mesh
-from kit1000.pose import Pose, quaternion_between
+from kit1000.pose import Pose, quaternion_between, quaternion_from_rotvec
+from kit1000.symmetry import Symmetry
 
 PROBABLE = 0.05  # a resting face is one on which the part comes to lie in at least this share of drops
 ROUND = np.radians(12)  # stable facets closer than this are one rolling surface (a tessellated cylinder)
@@ -56,14 +57,18 @@ def resting_faces(mesh: Mesh, probable: float = PROBABLE) -> list[RestingFace]:
     return sorted((f for f in faces if f.probability >= probable), key=lambda f: -round(f.probability, 6))
 
 
-def rank_faces(mesh: Mesh, faces: list[RestingFace], depths: list[float], clearance: float) -> list[int]:
+def rank_faces(
+    mesh: Mesh, faces: list[RestingFace], depths: list[float], clearance: float, symmetry: Symmetry | None = None
+) -> list[int]:
     """Indices of the faces, the best to be inserted on first.
 
     depths: [m] of the cavity for each face. Faces on which the part would tip over inside its clearance come last;
-    among the others the one whose relief tells the least visible wrong turn apart best.
+    among the others the one whose relief tells the least visible wrong turn apart best. A turn that is a symmetry of
+    the part is not wrong, so a disc lies on its flat face.
     """
+    symmetry = symmetry or Symmetry.none()
     ranks = [
-        (_tips(mesh, face, depth, clearance), -round(_turn_contrast(mesh, face, depth, clearance), 9))
+        (_tips(mesh, face, depth, clearance), -round(_turn_contrast(mesh, face, depth, clearance, symmetry), 9))
         for face, depth in zip(faces, depths, strict=True)
     ]
     return sorted(range(len(faces)), key=ranks.__getitem__)
@@ -87,7 +92,7 @@ def narrow_side(points: np.ndarray) -> float:
     return float(np.ptp(outline @ across.T, axis=0).min())
 
 
-def _turn_contrast(mesh: Mesh, face: RestingFace, depth: float, clearance: float) -> float:
+def _turn_contrast(mesh: Mesh, face: RestingFace, depth: float, clearance: float, symmetry: Symmetry) -> float:
     """[m] how far the turned part would sink into the walls, on average: for the wrong turn that shows least.
 
     The relief is the lower envelope of the lying part below the rim; the walls stand around its relief grown by the
@@ -98,8 +103,10 @@ def _turn_contrast(mesh: Mesh, face: RestingFace, depth: float, clearance: float
     shifted = relief[:, (np.arange(turns)[:, None] - np.arange(turns)) % turns]  # (rings, turns, turned by)
     sunk = np.maximum(shifted - cavity[:, :, None] - min(LEANING, depth / 3), 0).sum(1)
     hidden = weights @ sunk / (weights.sum() * turns)
-    step = int(np.ceil(WRONG_TURN / (2 * np.pi) * turns))
-    return float(hidden[step : turns - step + 1].min() + 0.01 * hidden.mean())
+    angles = np.arange(turns) * (2 * np.pi / turns)
+    spun = quaternion_from_rotvec(-angles[:, None] * face.normal)  # the face looks down: it turns the other way
+    wrong = symmetry.error(spun, np.array([1.0, 0, 0, 0])) > WRONG_TURN
+    return float(hidden[wrong].min() + 0.01 * hidden.mean()) if wrong.any() else np.inf
 
 
 def _rolls_to(vertices: np.ndarray, hull: ConvexHull) -> np.ndarray:

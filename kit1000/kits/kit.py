@@ -24,6 +24,7 @@ CLEARANCE = 2.5e-3  # [m] the paper's simulation margin
 PITCH = 0.1  # [m] between neighbouring plates of an assembly
 GAP = 1e-3  # [m] between neighbouring plates
 FLOOR = 2e-3  # [m] least material under a cavity
+LOOSEST = 0.1e-3  # [m] that a kept wall may stand farther off than asked
 RIM = 8e-3  # [m] least wall around the cavity of a plate made to measure
 MIN_HEIGHT = 7e-3  # [m] seated height below which a cavity has no depth to speak of
 MIN_DEPTH, MIN_PROUD = 4e-3, 3e-3  # [m] of cavity, and of part standing out of it
@@ -72,34 +73,32 @@ class KitDesign:
 
 
 def make_kit(part: Part, clearance: float = CLEARANCE, plate: Plate | None = UNIT_PLATE) -> Kit:
-    """The kit of a part; see `design_kit`."""
+    """The kit of a part on its best face; see `design_kit`."""
     return design_kit(part, clearance, plate).kit
 
 
-def design_kit(part: Part, clearance: float = CLEARANCE, plate: Plate | None = UNIT_PLATE) -> KitDesign:
+def design_kit(
+    part: Part, clearance: float = CLEARANCE, plate: Plate | None = UNIT_PLATE, face: RestingFace | None = None
+) -> KitDesign:
     """Design the kit of a part, with a clearance [m], in a given plate or (None) in one made to measure.
 
-    Raises Redraw with a short reason when the part has no face to be inserted on, or does not fit the plate.
+    face: to be inserted on, the best one when None. Raises Redraw with a short reason when the part has no face to be
+    inserted on, or does not fit the plate.
     """
-    face = _insertion_face(part.mesh, clearance, made_to_measure=plate is None)
+    face = face or insertion_faces(part, clearance, made_to_measure=plate is None)[0]
     depth = insertion_depth(face.height)
     standing = _turned_square(part.mesh, face, depth)
-    solid = solid_of(part.mesh).transform(standing.matrix()[:3])
     plate = plate or _plate_for(part.mesh.moved(standing), clearance, depth)
-    cavity = cut_cavity(solid, depth, clearance, plate.width)
-    if not _keeps_rim(cavity, plate):
-        raise Redraw("wider than the plate")
+    cavity, mesh, measured = _cut_plate(solid_of(part.mesh).transform(standing.matrix()[:3]), depth, clearance, plate)
     kit_from_part = Pose.from_translation(np.array([0, 0, -depth])) @ standing
     goals, free_axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, cavity))
     slot = Slot(part.id, kit_from_part, clearance, depth, goals, free_axis)
-    mesh = _plate_mesh(cavity, plate)
-    kit = Kit(part.id, mesh, slot, np.array([*plate.width, plate.thickness]))
-    return KitDesign(kit, cavity, face, measured_clearance(mesh, cavity))
+    return KitDesign(Kit(part.id, mesh, slot, np.array([*plate.width, plate.thickness])), cavity, face, measured)
 
 
-def _insertion_face(mesh: Mesh, clearance: float, made_to_measure: bool) -> RestingFace:
-    """The stable face whose shadow tells turns apart best. Own parts may be flatter than those of a dataset."""
-    faces = resting_faces(mesh)
+def insertion_faces(part: Part, clearance: float = CLEARANCE, made_to_measure: bool = False) -> list[RestingFace]:
+    """The stable faces a part can be inserted on, best first. Own parts may be flatter than those of a dataset."""
+    faces = resting_faces(part.mesh)
     if not faces:
         raise Redraw("no stable resting face")
     tall = [face for face in faces if _is_deep(face.height)]
@@ -107,7 +106,21 @@ def _insertion_face(mesh: Mesh, clearance: float, made_to_measure: bool) -> Rest
         tall = faces
     if not tall:
         raise Redraw(f"no stable face with {MIN_HEIGHT * 1e3:g} mm of seated height")
-    return tall[rank_faces(mesh, tall, [insertion_depth(face.height) for face in tall], clearance)[0]]
+    depths = [insertion_depth(face.height) for face in tall]
+    return [tall[i] for i in rank_faces(part.mesh, tall, depths, clearance, part.symmetry)]
+
+
+def _cut_plate(standing: Manifold, depth: float, clearance: float, plate: Plate) -> tuple[Cavity, Mesh, Clearance]:
+    """The cavity, the plate and its clearance: fast if that keeps the bounds, face by face if not."""
+    for joined in (True, False):
+        cavity = cut_cavity(standing, depth, clearance, plate.width, joined)
+        if not _keeps_rim(cavity, plate):
+            raise Redraw("wider than the plate")
+        mesh = _plate_mesh(cavity, plate)
+        measured = measured_clearance(mesh, cavity)
+        if measured.largest <= clearance + LOOSEST:
+            break
+    return cavity, mesh, measured
 
 
 def _is_deep(height: float) -> bool:
@@ -116,7 +129,7 @@ def _is_deep(height: float) -> bool:
 
 
 def _turned_square(mesh: Mesh, face: RestingFace, depth: float) -> Pose:
-    """The lying part, lowest point at z = 0, the smallest rectangle around its shadow centred and square to the plate."""
+    """The lying part, lowest point at z = 0, the smallest rectangle about its shadow square to the plate and centred."""
     lying = face.lying
     points = mesh.moved(lying).vertices
     outline = _rim_outline(points, depth)

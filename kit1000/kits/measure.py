@@ -1,4 +1,4 @@
-"""The clearance of a finished plate, measured on its mesh: from the cavity's walls to the swept shadow, horizontally."""
+"""The clearance of a finished plate, measured on its mesh: level, from the walls to the swept shadow."""
 
 from __future__ import annotations
 

@@ -16,13 +16,16 @@ ACROSS = 0.1e-3  # [m] this far beyond it, measured level: hulls then err by as 
 NICK = 2e-8  # [m^2] area by which the hull of a shadow may exceed the shadow
 
 
-def convex_patches(triangles: np.ndarray) -> list[np.ndarray]:
-    """Triangles (m, 3, 3) [m] that all look down, as patches: (k, 3) [m] corners each."""
+def convex_patches(triangles: np.ndarray, joined: bool = True) -> list[np.ndarray]:
+    """Triangles (m, 3, 3) [m] that all look down, as patches: (k, 3) [m] corners each.
+
+    joined: allow ACROSS and NICK; otherwise only what is convex to FLAT is one patch.
+    """
     if not len(triangles):
         return []
     corners, faces = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     faces = faces.reshape(-1, 3)
-    labels = _grow(corners, faces, _neighbours(faces))
+    labels = _grow(corners, faces, _neighbours(faces), *((ACROSS, NICK) if joined else (0.0, NICK * 1e-3)))
     order = np.argsort(labels, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
     return [corners[np.unique(faces[group])] for group in groups]
@@ -40,7 +43,7 @@ def _neighbours(faces: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _grow(corners, faces, neighbours):
+def _grow(corners, faces, neighbours, across, nick):
     """Greedy: each face not yet taken seeds a patch that takes in neighbours as long as it stays convex."""
     count = faces.shape[0]
     normals = np.empty((count, 5))
@@ -52,7 +55,7 @@ def _grow(corners, faces, neighbours):
         n /= np.sqrt((n**2).sum())
         normals[f, :3] = -n
         normals[f, 3] = -(n * a).sum()
-        normals[f, 4] = max(FLAT, ACROSS * np.hypot(n[0], n[1]))
+        normals[f, 4] = max(FLAT, across * np.hypot(n[0], n[1]))
     labels = np.full(count, -1)
     members, points, queue = np.empty(count, np.int64), np.empty(3 * count, np.int64), np.empty(3 * count, np.int64)
     for seed in range(count):
@@ -74,7 +77,7 @@ def _grow(corners, faces, neighbours):
             ):
                 continue
             points[held : held + 3] = faces[f]
-            if _hull_area(corners, points[: held + 3]) > area + shadows[f] + NICK:
+            if _hull_area(corners, points[: held + 3]) > area + shadows[f] + nick:
                 continue
             held += 3
             area += shadows[f]

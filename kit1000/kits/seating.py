@@ -90,13 +90,16 @@ def judged_raise(swept: Manifold, plug: Plug, standing: Manifold, standing_from_
 
 
 def swept_out(mesh: Mesh, axis: np.ndarray, length: float = HOVER) -> Manifold:
-    """The solid a part sweeps when it moves `length` [m] along a unit axis: the part and a prism over each back face."""
+    """The solid a part sweeps when it moves `length` [m] along a unit axis, part frame.
+
+    It is the part at both ends of its way and a prism over each face that looks back.
+    """
     turn = Pose(quaternion_between(axis, UP), np.zeros(3))
     upright = mesh.moved(turn)
     backs = upright.triangles[upright.normals[:, 2] < -1e-9]
     raised = backs + np.array([0, 0, length])
     prisms = Manifold.batch_boolean(
-        [solid_of(upright)]
+        [solid_of(upright), solid_of(upright).translate((0, 0, length))]
         + [hull_of(np.concatenate([a, b])) for a, b in zip(backs, raised, strict=True)],
         OpType.Add,
     )

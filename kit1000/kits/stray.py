@@ -159,7 +159,7 @@ def _passing(points, heights, x0, y0, low_x, low_y, high_x, high_y, depth, limit
 @compiled
 def _clear(points, spun, heights, x0, y0, dx, dy, lift):
     for p in range(points.shape[0]):
-        i, j = int(round((spun[p, 0] + dx - x0) / CELL)), int(round((spun[p, 1] + dy - y0) / CELL))
+        i, j = round((spun[p, 0] + dx - x0) / CELL), round((spun[p, 1] + dy - y0) / CELL)
         if i < 0 or j < 0 or i >= heights.shape[0] or j >= heights.shape[1]:
             continue
         if heights[i, j] > points[p, 2] + lift:

@@ -36,7 +36,9 @@ def shadow_below(standing: Manifold, z: float) -> CrossSection:
     return CrossSection(standing.trim_by_plane((0, 0, -1), -z).project().to_polygons(), FillRule.Positive)
 
 
-def grown_sweep(standing: Manifold, depth: float, clearance: float) -> tuple[Manifold, list[float]]:
+def grown_sweep(
+    standing: Manifold, depth: float, clearance: float, joined: bool = True
+) -> tuple[Manifold, list[float]]:
     """The part below the rim, grown by the clearance and swept up; and the heights [m] of its level faces."""
     triangles, level = _underside(standing.trim_by_plane((0, 0, -1), -depth))
     round_, flat = disc(clearance), triangles[level]
@@ -47,7 +49,7 @@ def grown_sweep(standing: Manifold, depth: float, clearance: float) -> tuple[Man
         for z, outline in zip(levels, outlines, strict=True)
         if not outline.is_empty()  # a splinter of a face that Clipper rounds away
     ]
-    sloping = [patch for patch in convex_patches(triangles) if np.ptp(patch[:, 2]) > LEVEL]
+    sloping = [patch for patch in convex_patches(triangles, joined) if np.ptp(patch[:, 2]) > LEVEL]
     footing = _Footing(standing, clearance, levels, outlines)
     hulls = [
         hull_of(_risen(patch, round_, depth + OVER))

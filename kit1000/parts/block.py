@@ -33,7 +33,7 @@ class Opening:
             face=cad.pick(rng, *faces),
             across=cad.span(rng, -0.45, 0.0, 0.05),
             up=cad.span(rng, -0.45, 0.0, 0.05),
-            depth=cad.span(rng, 0.25, 0.5, 0.05) if cad.chance(rng, 0.7) else 0.0,
+            depth=cad.span(rng, 0.2, 0.5, 0.02) if cad.chance(rng, 0.75) else 0.0,
         )
 
     def profile(self) -> CrossSection:
@@ -72,13 +72,13 @@ class Block:
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Block:
         x = cad.span(rng, 32, 44)
-        cube = cad.chance(rng, 0.3)
+        cube = cad.chance(rng, 0.25)
         y = x if cube else cad.span(rng, 0.45, 0.9, 0.01) * x
         z = x if cube else cad.span(rng, 0.22, 0.7, 0.01) * x
         corner = tuple(round(cad.span(rng, low, 0.6, 0.01) * side, 1) for low, side in ((0.3, x), (0.35, y), (0.3, z)))
         edge = cad.pick(rng, "plain", "step", "step", "bevel", "bevel", "round")
         groove = round(cad.span(rng, 0.16, 0.3, 0.01) * y, 1) if cad.chance(rng, 0.35) else 0.0
-        count = cad.pick(rng, 0, 1, 1, 2, 2)
+        count = cad.pick(rng, 0, 1, 1, 2, 2, 3)
         return cls(
             x=x,
             y=round(y, 1),

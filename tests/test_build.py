@@ -1,0 +1,341 @@
+"""Laws of building: the same bytes from any number of workers and after any interruption, and no folder is harmed."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from mini import MINI, contents, corners
+
+from kit1000.data import build, files, groups, pairs
+from kit1000.data.build import generate
+from kit1000.data.dataset import Geometry
+from kit1000.data.files import locked
+from kit1000.data.plan import Sources
+from kit1000.errors import InputError, Redraw
+from kit1000.mesh import defect32
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory: pytest.TempPathFactory) -> Sources:
+    return corners(tmp_path_factory.mktemp("files"))
+
+
+@pytest.fixture(scope="module")
+def whole(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of files that nothing interrupted."""
+    root = tmp_path_factory.mktemp("whole")
+    generate(MINI, root, workers=1, sources=sources)
+    return root
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of procedural parts."""
+    root = tmp_path_factory.mktemp("drawn")
+    generate(MINI, root, workers=1)
+    return root
+
+
+def test_two_workers_write_the_same_bytes_as_one(drawn: Path, tmp_path: Path) -> None:
+    generate(MINI, tmp_path, workers=2)
+    assert contents(tmp_path) == contents(drawn)
+
+
+def test_a_finished_folder_holds_what_it_says_and_nothing_else(drawn: Path, whole: Path) -> None:
+    for root in (drawn, whole):
+        listed = json.loads((root / "dataset.json").read_bytes())["files"]
+        assert contents(root) == listed | {"dataset.json": contents(root)["dataset.json"]}
+
+
+def test_what_is_read_back_is_sound(drawn: Path) -> None:
+    geometry = Geometry(drawn)
+    counts = {split: {"parts": n, "assemblies": n} for split, n in (("train", 2), ("val", 1), ("test", 1))}
+    assert geometry.summary["counts"] == counts
+    for assembly_id, row in geometry.assemblies.items():
+        assembly = geometry.assembly(assembly_id)
+        ids = [mount.kit.slot.part_id for mount in assembly.mounts]
+        assert row["target"] in ids
+        assert {geometry.parts[i]["split"] for i in ids} == {row["split"]}
+        for mesh in (assembly.mesh, *(m.kit.mesh for m in assembly.mounts), *(geometry.part(i).mesh for i in ids)):
+            assert defect32(mesh) is None
+
+
+def test_a_finished_dataset_is_left_alone(
+    whole: Path, sources: Sources, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    times = {path: path.stat().st_mtime_ns for path in whole.rglob("*") if path.name != ".lock"}
+    monkeypatch.setattr(build, "_pairs", None)
+    summary = generate(MINI, whole, workers=1, sources=sources)
+    assert summary == json.loads((whole / "dataset.json").read_bytes())
+    assert capsys.readouterr() == ("", f"{whole} is complete: nothing to do\n")
+    assert times == {path: path.stat().st_mtime_ns for path in whole.rglob("*") if path.name != ".lock"}
+
+
+@pytest.mark.parametrize("name", ["parts/train-0000.glb", "kits.json", "dataset.json"])
+@pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:-9])])
+def test_a_finished_dataset_that_lost_a_file_is_made_whole(
+    name: str, harm: Callable[[Path], None], whole: Path, sources: Sources, tmp_path: Path
+) -> None:
+    root = shutil.copytree(whole, tmp_path / "copy")
+    harm(root / name)
+    generate(MINI, root, workers=1, sources=sources)
+    assert contents(root) == contents(whole)
+
+
+class Stop(BaseException):
+    """What no code of ours expects."""
+
+
+def test_a_run_stopped_at_any_write_ends_with_the_same_bytes(
+    whole: Path, sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replace, left = os.replace, 0
+
+    def stopping(source: Path, target: Path) -> None:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise Stop
+        replace(source, target)
+
+    stops = 0
+    monkeypatch.setattr(files.os, "replace", stopping)
+    for allowed in range(100):
+        left = allowed
+        try:
+            generate(MINI, tmp_path, workers=1, sources=sources)
+            break
+        except Stop:
+            stops += 1
+            assert not (tmp_path / "dataset.json").exists()
+    assert stops >= 7
+    assert contents(tmp_path) == contents(whole)
+
+
+def test_the_summary_is_written_last(sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    names, replace = [], os.replace
+    monkeypatch.setattr(files.os, "replace", lambda a, b: (names.append(Path(b).name), replace(a, b)))
+    generate(MINI, tmp_path, workers=1, sources=sources)
+    assert names[0] == "plan.json"
+    assert names[-1] == "dataset.json"
+    assert names.count("dataset.json") == 1
+
+
+RUN = """
+import os, signal, sys
+from pathlib import Path
+from mini import MINI, corners
+from kit1000.data import files
+from kit1000.data.build import generate
+
+def main(root, folder, workers, allowed):
+    replace, count = os.replace, 0
+    def stopping(source, target):
+        nonlocal count
+        count += 1
+        if count > allowed:
+            os.kill(os.getpid(), signal.SIGKILL)
+        replace(source, target)
+    files.os.replace = stopping
+    generate(MINI, Path(root), workers=workers, sources=corners(Path(folder)))
+
+if __name__ == "__main__":
+    main(sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4]))
+"""
+
+
+def started(
+    folder: Path, root: Path, workers: int, allowed: int, limit: int = resource.RLIM_INFINITY
+) -> subprocess.Popen[str]:
+    """A run in a process group of its own, killed between its last allowed write and the rename of the next."""
+    script = folder / "run.py"
+    script.write_text(RUN)
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    return subprocess.Popen(
+        [sys.executable, script, root, folder / "files", str(workers), str(allowed)],
+        env=os.environ | {"PYTHONPATH": paths},
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY)),
+    )
+
+
+def test_a_run_killed_between_write_and_rename_ends_with_the_same_bytes(whole: Path, tmp_path: Path) -> None:
+    root = tmp_path / "out"
+    for allowed in (0, 5, 1000):
+        run = started(tmp_path, root, 1, allowed)
+        run.communicate(timeout=120)
+        if run.returncode:
+            assert run.returncode == -signal.SIGKILL
+            assert list(root.rglob(f".*{files.PARTIAL}"))
+    assert contents(root) == contents(whole)
+
+
+@pytest.mark.slow
+def test_a_group_killed_at_random_moments_ends_with_the_same_bytes(whole: Path, tmp_path: Path) -> None:
+    root, rng = tmp_path / "out", random.Random(0)
+    for _ in range(12):
+        run = started(tmp_path, root, 2, 1000)
+        try:
+            run.communicate(timeout=rng.uniform(0.5, 4))
+        except subprocess.TimeoutExpired:
+            os.killpg(run.pid, signal.SIGKILL)
+            run.communicate()
+    assert started(tmp_path, root, 2, 1000).wait(timeout=120) == 0
+    assert contents(root) == contents(whole)
+
+
+def test_a_disk_that_takes_no_more_is_one_line_and_the_next_run_goes_on(whole: Path, tmp_path: Path) -> None:
+    root = tmp_path / "out"
+    run = started(tmp_path, root, 1, 1000, limit=6000)
+    assert run.communicate(timeout=120)[1].splitlines()[-1].endswith("File too large")
+    assert not (root / "dataset.json").exists()
+    generate(MINI, root, workers=1, sources=corners(tmp_path / "files"))
+    assert contents(root) == contents(whole)
+
+
+def test_a_full_disk_is_one_line(sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(files.os, "fsync", full)
+    with pytest.raises(InputError, match="No space left on device; free some space and run the same command again"):
+        generate(MINI, tmp_path, workers=1, sources=sources)
+
+
+def begun(root: Path, sources: Sources, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder in which everything is made but the tables."""
+
+    def stop(*_: object) -> None:
+        raise Stop
+
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "_finish", stop)
+        with pytest.raises(Stop):
+            generate(MINI, root, workers=1, sources=sources)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "parts/train-0000.glb",
+        "kits/val-0000.glb",
+        "assemblies/test-0000.glb",
+        f"{pairs.BUILD}/parts/train-0001.json",
+        f"{pairs.BUILD}/assemblies/train-0001.json",
+    ],
+)
+@pytest.mark.parametrize("data", [None, b"", b"null", b"{}\n", b'{"files": {"parts/train-0000.glb": "0"}}'])
+def test_damaged_work_is_done_again(
+    name: str, data: bytes | None, ready: Path, whole: Path, sources: Sources, tmp_path: Path
+) -> None:
+    root = shutil.copytree(ready, tmp_path / "copy")
+    half = (root / name).read_bytes()[: (root / name).stat().st_size // 2]
+    (root / name).write_bytes(half if data is None else data)
+    generate(MINI, root, workers=1, sources=sources)
+    assert contents(root) == contents(whole)
+
+
+@pytest.fixture(scope="module")
+def ready(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("ready")
+    with pytest.MonkeyPatch.context() as monkeypatch:
+        begun(root, sources, monkeypatch)
+    return root
+
+
+def test_strangers_and_leftovers_go_when_a_dataset_is_finished(
+    ready: Path, whole: Path, sources: Sources, tmp_path: Path
+) -> None:
+    root = shutil.copytree(ready, tmp_path / "copy")
+    (root / "parts/train-0009.glb").touch()
+    (root / f"kits/.train-0000.glb.99{files.PARTIAL}").touch()
+    generate(MINI, root, workers=1, sources=sources)
+    assert contents(root) == contents(whole)
+
+
+def test_a_foreign_folder_is_left_as_it_was(sources: Sources, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("ten years")
+    with pytest.raises(InputError, match="is not empty and holds no dataset: choose another --out"):
+        generate(MINI, tmp_path, workers=1, sources=sources)
+    assert os.listdir(tmp_path) == ["thesis.tex"]
+
+
+@pytest.mark.parametrize(
+    ("seed", "named", "said"), [(8, "mini", "seed 7, asked 8"), (7, "maxi", "preset mini, asked maxi")]
+)
+def test_another_plan_is_refused_and_the_dataset_kept(
+    seed: int, named: str, said: str, whole: Path, sources: Sources
+) -> None:
+    before = contents(whole)
+    with pytest.raises(InputError, match=rf"holds another dataset \({said}\): choose another --out, or delete"):
+        generate(build.replace(MINI, name=named), whole, seed, workers=1, sources=sources)
+    assert contents(whole) == before
+
+
+def test_a_file_in_place_of_the_folder_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("")
+    for out in (tmp_path / "out", tmp_path / "out/deeper"):
+        with pytest.raises(InputError, match=r"cannot write to .*: Not a directory; a file stands where a folder"):
+            generate(MINI, out, workers=1)
+    assert os.listdir(tmp_path) == ["out"]
+
+
+def test_a_folder_that_may_not_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(files.os, "access", lambda *_: False)
+    with pytest.raises(InputError, match=r"cannot write to .*: Permission denied; choose a folder you may write to"):
+        generate(MINI, tmp_path / "out", workers=1)
+    assert not os.listdir(tmp_path)
+
+
+def test_two_runs_in_one_folder_do_not_meet(sources: Sources, tmp_path: Path) -> None:
+    with locked(tmp_path), pytest.raises(InputError, match="is being written by another process"):
+        generate(MINI, tmp_path, workers=1, sources=sources)
+
+
+def test_a_plan_that_was_cut_short_is_one_line(sources: Sources, tmp_path: Path) -> None:
+    (tmp_path / "plan.json").write_text('{"format": ')
+    with pytest.raises(InputError, match=r"cannot read .*plan\.json: damaged or no JSON"):
+        generate(MINI, tmp_path, workers=1, sources=sources)
+
+
+def test_a_run_killed_before_its_plan_starts_anew(whole: Path, sources: Sources, tmp_path: Path) -> None:
+    (tmp_path / f".plan.json.1{files.PARTIAL}").write_text("{")
+    (tmp_path / ".lock").touch()
+    generate(MINI, tmp_path, workers=1, sources=sources)
+    assert contents(tmp_path) == contents(whole)
+
+
+def test_one_process_may_build_two_datasets_in_one_place(sources: Sources, tmp_path: Path) -> None:
+    generate(MINI, tmp_path / "a", 1, workers=1, sources=sources)
+    generate(MINI, tmp_path / "b", 2, workers=1, sources=sources)
+    shutil.rmtree(tmp_path / "a")
+    generate(MINI, tmp_path / "a", 2, workers=1, sources=sources)
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+
+
+def test_company_that_cannot_be_placed_goes(sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def check(assembly, _):
+        if len(assembly.mounts) > 1:
+            raise Redraw("too narrow")
+
+    monkeypatch.setattr(groups, "ATTEMPTS", 5)
+    monkeypatch.setattr(groups, "check_assembly", check)
+    monkeypatch.setattr(groups, "_mistakable", lambda *_: False)
+    asked = build.replace(MINI, kits=(2, 2))
+    summary = generate(asked, tmp_path, workers=1, sources=sources)
+    assert summary["redraws"]["assemblies"] == {"too narrow": 2 * groups.ATTEMPTS, groups.FEWER: 4}

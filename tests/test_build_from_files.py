@@ -1,0 +1,97 @@
+"""Laws of a dataset made of people's own files: a bad one is refused with a reason, and the rest become parts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from mini import MINI, corner, corners, written
+
+from kit1000.data import pairs
+from kit1000.data.build import generate
+from kit1000.data.dataset import Geometry
+from kit1000.data.plan import Sources
+from kit1000.errors import InputError
+from kit1000.mesh import Mesh
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory: pytest.TempPathFactory) -> Sources:
+    return corners(tmp_path_factory.mktemp("files"))
+
+
+def test_bad_files_are_refused_with_a_reason_and_stop_nothing(
+    sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "files"
+    good = [written(folder / path.name, corner(20 + 3 * i)) for i, path in enumerate(sources.files.values())]
+    written(folder / "same.stl", corner(20).scaled(1.3))
+    written(folder / "flat.stl", Mesh(corner().vertices * (1, 1, 1e-4), corner().faces))
+    written(folder / "strange.stl", corner(40))
+    (folder / "empty.stl").touch()
+    listed = [*good, *(folder / f"{name}.stl" for name in ("same", "flat", "strange", "empty", "missing"))]
+    known = pairs.design_kit
+
+    def design(part, clearance):
+        if abs(part.mesh.extents.min() / part.mesh.extents.max() - 30 / 40) < 1e-3:
+            raise ZeroDivisionError("nobody thought\nof this")
+        return known(part, clearance)
+
+    monkeypatch.setattr(pairs, "design_kit", design)
+    asked = replace(MINI, train=7)
+    summary = generate(asked, tmp_path / "out", workers=1, sources=Sources.of(listed))
+    refused = summary["refused"]
+    assert refused["empty.stl"] == "empty file"
+    assert refused["missing.stl"] == "cannot be read: no such file or directory"
+    assert refused["flat.stl"] == "zero thickness"
+    assert refused["strange.stl"].startswith("no kit: ZeroDivisionError: nobody thought of this (pairs.py:")
+    twins = {"same.stl", "corner20.stl"} & set(refused)
+    assert len(twins) == 1
+    assert refused[twins.pop()].startswith("near-duplicate of ")
+    assert len(refused) == 5
+    assert set(Geometry(tmp_path / "out").parts).isdisjoint(refused)
+    assert sum(n["parts"] for n in summary["counts"].values()) == 4
+
+
+def test_no_usable_file_is_one_line_and_leaves_the_folder_free(sources: Sources, tmp_path: Path) -> None:
+    for name in "abcd":
+        (tmp_path / f"{name}.stl").touch()
+    with pytest.raises(InputError) as caught:
+        generate(MINI, tmp_path / "out", workers=1, sources=Sources.of(sorted(tmp_path.glob("*.stl"))))
+    assert str(caught.value).startswith("none of 4 mesh files can be a part (")
+    assert str(caught.value).endswith(".stl: empty file; and 1 more)")
+    generate(MINI, tmp_path / "out", workers=1, sources=sources)
+
+
+def test_few_files_leave_splits_empty_and_kits_alone(tmp_path: Path) -> None:
+    summary = generate(MINI, tmp_path / "out", workers=1, sources=corners(tmp_path / "files", (24,)))
+    assert summary["counts"] == {
+        "train": {"parts": 1, "assemblies": 1},
+        "val": {"parts": 0, "assemblies": 0},
+        "test": {"parts": 0, "assemblies": 0},
+    }
+    assert len(Geometry(tmp_path / "out").assembly("train-0000").mounts) == 1
+
+
+def test_a_dataset_that_cannot_be_read_says_what_is_there(
+    sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole, ready = tmp_path / "whole", tmp_path / "ready"
+    generate(MINI, whole, workers=1, sources=sources)
+    ready.mkdir()
+    (ready / "plan.json").write_bytes((whole / "plan.json").read_bytes())
+    (tmp_path / "file").touch()
+    for folder, said in (
+        (tmp_path, "no dataset.json in it"),
+        (tmp_path / "none", "there is no such folder"),
+        (tmp_path / "file", "it is a file"),
+        (ready, "begun but not finished: run the same `kit1000 generate` again"),
+    ):
+        with pytest.raises(InputError, match=f"no dataset \\({said}"):
+            Geometry(folder)
+    (tmp_path / "dataset.json").write_text("[]")
+    with pytest.raises(InputError, match="has format None, this version reads 'kit1000/1'"):
+        Geometry(tmp_path)
+    with pytest.raises(InputError, match=r"no 'x' among 4 parts \(test-0000, "):
+        Geometry(whole).part("x")

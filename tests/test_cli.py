@@ -1,0 +1,299 @@
+"""Laws of the command line: results on stdout, one line on stderr and never a traceback, exit status as promised."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mini import MINI, contents, corner, corners, written
+from PIL import Image
+
+import kit1000
+from kit1000 import cli
+from kit1000.cli import COMMANDS, main
+from kit1000.data import build, own_part
+from kit1000.data.build import generate
+from kit1000.data.presets import preset
+from kit1000.mesh import Mesh
+
+ROOT = Path(__file__).resolve().parents[1]
+WIDTHS = (20, 22, 24, 26, 28, 30, 33, 36)
+
+
+@pytest.fixture(autouse=True)
+def _termination() -> Iterator[None]:
+    """`main` answers SIGTERM for its process; here that is pytest."""
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished dataset."""
+    folder = tmp_path_factory.mktemp("data")
+    generate(MINI, folder / "data", workers=1, sources=corners(folder / "files"))
+    return folder / "data"
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What people hand over."""
+    folder = tmp_path_factory.mktemp("files")
+    mesh = corner()
+    good = written(folder / "good.stl", mesh).read_bytes()
+    (folder / "empty.stl").touch()
+    (folder / "text.stl").write_text("Dear all, please find attached")
+    (folder / "nan.stl").write_bytes(good.replace(np.float32(40).tobytes(), np.float32(np.nan).tobytes()))
+    written(folder / "flat.stl", Mesh(mesh.vertices * (1, 1, 1e-4), mesh.faces))
+    written(folder / "open.stl", Mesh(mesh.vertices, mesh.faces[3:]))
+    (folder / "folder.stl").mkdir()
+    return folder
+
+
+def command(*arguments: object, **options) -> subprocess.Popen[str]:
+    """The command in a process of its own, at the head of its own group."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "kit1000", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        start_new_session=True,
+        **options,
+    )
+
+
+WRONG = {
+    "": "no command; there are generate, kit, info, show, export",
+    "genrate tiny": "no command 'genrate'; did you mean generate? there are",
+    "generate": "generate: PRESET and --out missing",
+    "generate tiny": "generate: --out missing",
+    "generate tiny --out": "generate: --out wants a value",
+    "generate tiny --ot {tmp}/out": "generate: no option --ot; did you mean --out? there are --out, --seed, --workers",
+    "generate tiny --out {tmp}/out --worker 2": "generate: no option --worker; did you mean --workers?",
+    "generate tiny small --out {tmp}/out": "generate: 'small' is one word too many",
+    "generate tiny --out {tmp}/out --workers two": "generate: --workers: expected a whole number, got 'two'",
+    "generate tiny --out {tmp}/out --workers 0": "--workers: expected 1 or more, got 0",
+    "generate tiny --out {tmp}/out --seed -1": "--seed: expected 0 or more, got -1",
+    "generate tiny --out {tmp}/out --seed=1.5": "generate: --seed: expected a whole number, got '1.5'",
+    "generate tiny --out {tmp}/out --seed " + "9" * 50: "root seed: expected 0 <= number < 2**128",
+    "generate tyni --out {tmp}/out": "no preset 'tyni'; did you mean tiny? there are tiny, small, kit1000, paper",
+    "generate tiny --out {tmp}/out --parts {tmp}/none": "{tmp}/none: does not exist; expected a mesh file, a folder",
+    "generate tiny --out {tmp}/out --parts {tmp}": "{tmp}: no mesh files inside; looked for .stl .obj",
+    "generate tiny --out {tmp}/out --parts {files}/empty.stl": "none of 1 mesh files can be a part (empty.stl: empty",
+    "generate tiny --out {tmp}/out --unit mm": "--unit: says how to read the meshes of --parts, which is absent",
+    "generate tiny --out {files}/good.stl": "cannot write to {files}/good.stl: Not a directory; a file stands where",
+    "generate tiny --out {files}": "{files} is not empty and holds no dataset: choose another --out",
+    "kit {files}/none.stl --out {tmp}/out": "{files}/none.stl: cannot be read: no such file or directory",
+    "kit {files}/empty.stl --out {tmp}/out": "{files}/empty.stl: empty file",
+    "kit {files}/text.stl --out {tmp}/out": "{files}/text.stl: not a mesh: text file",
+    "kit {files}/nan.stl --out {tmp}/out": "{files}/nan.stl: NaN or infinite vertices: ",
+    "kit {files} --out {tmp}/out": "{files}: is a folder, expected a mesh file",
+    "kit {files}/folder.stl --out {tmp}/out": "{files}/folder.stl: is a folder, expected a mesh file",
+    "kit {files}/flat.stl --out {tmp}/out": "{files}/flat.stl: zero thickness",
+    "kit {files}/open.stl --out {tmp}/out": "{files}/open.stl: not closed: ",
+    "kit {files}/good.stl --out {files}/good.stl": "cannot write to {files}/good.stl: Not a directory; a file stands",
+    "kit {files}/good.stl --out {tmp}/out --unit inches": "kit: --unit inches: did you mean inch? expected one of mm,",
+    "kit {files}/good.stl --out {tmp}/out --clearance-mm 0": "--clearance-mm: expected 0.05 to 1000, got 0",
+    "kit {files}/good.stl --out {tmp}/out --clearance-mm nan": "--clearance-mm: expected 0.05 to 1000, got nan",
+    "kit {files}/good.stl --out {tmp}/out --fit_mm -4": "--fit-mm: expected 0.05 to 1000, got -4",
+    "info {tmp}": "{tmp}: no dataset (no dataset.json in it)",
+    "info {tmp}/none": "{tmp}/none: no dataset (there is no such folder)",
+    "show {tmp}": "{tmp}: no dataset (no dataset.json in it)",
+    "show {data} --count 0": "--count: expected 1 or more, got 0",
+    "show {data} --what part": "show: --what part: did you mean parts? expected one of parts, kits, assemblies",
+    "show {data} --ids train-0000 x --out {tmp}/a.png": "{data}: no 'x' among 4 assemblies (test-0000,",
+    "show {data} --count 1 --out {files}/folder.stl": "cannot write {files}/folder.stl: Is a directory; a folder",
+    "export {tmp} --out {tmp}/out": "{tmp}: no dataset (no dataset.json in it)",
+}
+
+
+@pytest.mark.parametrize("line", WRONG)
+def test_what_is_wrong_is_said_in_one_line(
+    line: str, data: Path, files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = {"{tmp}": str(tmp_path), "{data}": str(data), "{files}": str(files)}
+
+    def placed(text: str) -> str:
+        for name, path in places.items():
+            text = text.replace(name, path)
+        return text
+
+    assert main(placed(line).split()) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"kit1000: {placed(WRONG[line])}")
+    assert err.count("\n") == 1
+    assert not any(path.name != ".lock" and path.is_file() for path in tmp_path.rglob("*"))
+
+
+def test_an_unforeseen_error_is_one_line_with_its_place_and_another_status(
+    files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(own_part, "design_kit", lambda *_, **__: 1 / 0)
+    assert main(["kit", str(files / "good.stl"), "--out", str(tmp_path)]) == 3
+    err = capsys.readouterr().err
+    assert err.startswith("kit1000: kit: ZeroDivisionError: division by zero (own_part.py:")
+    assert err.count("\n") == 1
+
+
+def test_a_kit_is_described_in_words(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["kit", str(files / "good.stl"), "--out", str(tmp_path / "out"), "--unit", "mm"]) == 0
+    out, err = capsys.readouterr()
+    assert "good.stl: 40.0 x 30.0 x 24.0 mm (as asked)" in out
+    assert "(asked 2.5)" in out
+    assert out.endswith(f"files  {tmp_path / 'out'}\n")
+    assert err == ""
+
+
+def test_generate_builds_from_files_and_info_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    corners(tmp_path / "files", (24, 30))
+    line = ["generate", "tiny", "--out", f"{tmp_path}/out", "--parts", f"{tmp_path}/files", "--workers", "1"]
+    assert main(line) == 0
+    built = capsys.readouterr()
+    assert "train      1 parts and kits,     1 assemblies" in built.out
+    assert built.err == ""
+    assert main(["info", f"{tmp_path}/out"]) == 0
+    assert capsys.readouterr().out == built.out
+    assert main(line) == 0
+    assert capsys.readouterr() == (built.out, f"{tmp_path}/out is complete: nothing to do\n")
+
+
+def test_what_a_run_wrote_is_no_source_of_the_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    corners(tmp_path, (24,))
+    line = ["generate", "tiny", "--out", f"{tmp_path}/out", "--parts", f"{tmp_path}", "--workers", "1"]
+    assert main(line) == 0
+    assert main(line) == 0
+    assert capsys.readouterr().err == f"{tmp_path}/out is complete: nothing to do\n"
+
+
+@pytest.mark.parametrize("what", ["parts", "kits", "assemblies"])
+def test_show_draws_every_kind(what: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = tmp_path / f"{what}.png"
+    assert main(["show", str(data), "--out", str(picture), "--what", what, "--split", "train", "--count", "2"]) == 0
+    assert capsys.readouterr() == (f"{picture}\n", "")
+    with Image.open(picture) as image:
+        assert image.size[0] > 2 * 400
+
+
+def test_a_split_without_parts_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    generate(MINI, tmp_path / "out", workers=1, sources=corners(tmp_path / "files", (24,)))
+    assert main(["show", f"{tmp_path}/out", "--split", "test"]) == 2
+    assert capsys.readouterr().err == f"kit1000: {tmp_path}/out: no assemblies in split 'test'\n"
+
+
+def test_a_dataset_begun_is_told_from_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    corners(tmp_path / "files", (24,))
+    monkeypatch.setattr(build, "_finish", interrupt)
+    line = ["generate", "tiny", "--out", f"{tmp_path}/out", "--parts", f"{tmp_path}/files", "--workers", "1"]
+    assert main(line) == 130
+    assert capsys.readouterr().err == "kit1000: interrupted; run the same command again to continue\n"
+    assert main(["info", f"{tmp_path}/out"]) == 2
+    assert "begun but not finished: run the same `kit1000 generate` again" in capsys.readouterr().err
+
+
+TINY = preset("tiny")
+
+
+def wait_for(folder: Path, pattern: str, run: subprocess.Popen[str]) -> None:
+    deadline = time.monotonic() + 60
+    while not any(folder.glob(pattern)):
+        assert run.poll() is None, run.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_generate_ends_in_one_line_and_goes_on(how: signal.Signals, tmp_path: Path) -> None:
+    sources, out = corners(tmp_path / "files", WIDTHS), tmp_path / "out"
+    line = ["generate", "tiny", "--out", out, "--parts", tmp_path / "files", "--workers", "2"]
+    run = command(*line)
+    wait_for(out, ".build/parts/*.json", run)
+    os.killpg(run.pid, how) if how == signal.SIGINT else run.send_signal(how)  # a terminal tells the whole group
+    assert run.communicate(timeout=30) == ("", "kit1000: interrupted; run the same command again to continue\n")
+    assert run.returncode == 130
+    assert not (out / "dataset.json").exists()
+    generate(TINY, out, workers=1, sources=sources)
+    generate(TINY, tmp_path / "whole", workers=1, sources=sources)
+    assert contents(out) == contents(tmp_path / "whole")
+
+
+def test_an_interrupt_while_workers_start_is_one_line_too(tmp_path: Path) -> None:
+    corners(tmp_path / "files", WIDTHS)
+    run = command("generate", "tiny", "--out", tmp_path / "out", "--parts", tmp_path / "files", "--workers", "2")
+    wait_for(tmp_path / "out", "plan.json", run)
+    time.sleep(0.1)
+    os.killpg(run.pid, signal.SIGINT)
+    assert run.communicate(timeout=30)[1] == "kit1000: interrupted; run the same command again to continue\n"
+    assert run.returncode == 130
+
+
+def test_an_interrupted_kit_ends_in_one_line(files: Path, tmp_path: Path) -> None:
+    pipe = tmp_path / "part.stl"
+    os.mkfifo(pipe)
+    run = command("kit", pipe, "--out", tmp_path / "out")
+    writer = os.open(pipe, os.O_WRONLY)  # opens when the command has begun to read
+    os.killpg(run.pid, signal.SIGINT)
+    assert run.communicate(timeout=30) == ("", "kit1000: interrupted; run the same command again to continue\n")
+    os.close(writer)
+    assert run.returncode == 130
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_reader_that_leaves_is_no_fault(data: Path) -> None:
+    run = command("info", data)
+    assert run.stdout is not None
+    run.stdout.close()
+    assert run.wait(timeout=30) == 0
+    assert run.stderr is not None
+    assert run.stderr.read() == ""
+
+
+def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    run = command("--version")
+    assert run.communicate(timeout=30) == (f"kit1000 {kit1000.__version__}\n", "")
+    assert run.returncode == 0
+    assert main(["-V"]) == 0
+    assert capsys.readouterr().out == f"kit1000 {kit1000.__version__}\n"
+
+
+@pytest.mark.parametrize("line", [["--help"], *([name, "--help"] for name in COMMANDS)])
+def test_help_names_every_command_and_option(line: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(line)
+    assert caught.value.code == 0
+    out = capsys.readouterr().out
+    options = [f"--{field.name.replace('_', '-')}" for field in fields(COMMANDS[line[0]])[1:]] if line[1:] else COMMANDS
+    assert all(word in out for word in options)
+
+
+def test_asking_for_help_loads_nothing_heavy() -> None:
+    ask = "import kit1000.cli, sys; print(*sys.modules)"
+    answer = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True, cwd=ROOT)
+    heavy = {"scipy", "numba", "trimesh", "manifold3d", "PIL", "tqdm", "kit1000.mesh", "concurrent.futures.process"}
+    assert heavy.isdisjoint(answer.stdout.split())
+
+
+def test_a_summary_reads_the_same_however_it_is_ordered() -> None:
+    counts = {split: {"parts": 1, "assemblies": 2} for split in ("test", "train", "val")}
+    head = {"preset": "p", "dataset_id": "d", "seed": 1, "data_version": "v", "licence": "l"}
+    text = cli.describe(
+        head | {"counts": counts, "redraws": {"parts": {"b": 1, "a": 1, "c": 2}}, "refused": {"x.stl": "empty file"}}
+    )
+    assert [line.split()[0] for line in text.splitlines()[1:4]] == ["train", "val", "test"]
+    assert "redrawn parts: 2 c, 1 a, 1 b" in text
+    assert "refused x.stl: empty file" in text

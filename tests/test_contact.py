@@ -1,0 +1,177 @@
+"""First contact: the raise that just parts two bodies, by booleans, by grids and by hand."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from manifold3d import Manifold
+
+from kit1000.kits.contact import Ridges, contact_height, feelers, ridges
+from kit1000.kits.envelope import lower_envelope
+from kit1000.mesh import Mesh, mesh_of, solid_of
+from kit1000.pose import Pose, random_quaternions
+from tests.shapes import MM, as_part, box, cylinder, random_solid, standing
+
+TURN_OVER = np.diag([1.0, -1.0, -1.0])
+STILL = Pose.identity()
+SEEDS = st.integers(0, 10_000)
+
+
+@cache
+def body(seed: int) -> Mesh:
+    return as_part(random_solid(seed)).mesh
+
+
+def drawn(seed: int) -> tuple[Mesh, Mesh, Pose]:
+    """Two bodies and a pose of the first over the second that makes them meet."""
+    rng = np.random.default_rng(seed)
+    a, b = (body(int(rng.integers(6)) + k) for k in (0, 6))
+    return a, b, Pose(random_quaternions(rng, 1)[0], np.array([*rng.uniform(-6e-3, 6e-3, 2), 0.05]))
+
+
+def raise_of(moving: Mesh, still: Mesh, pose: Pose, base: Pose = STILL) -> float:
+    return contact_height(
+        feelers(ridges(moving), pose.rotation_matrix(), pose.xyz, -1.0),
+        feelers(ridges(still), base.rotation_matrix(), base.xyz, 1.0),
+    )
+
+
+def overlap(moving: Mesh, still: Mesh, pose: Pose, rise: float) -> float:
+    """[m^3]"""
+    lifted = Pose(pose.wxyz, pose.xyz + [0, 0, rise])
+    return (solid_of(moving.moved(lifted)) ^ solid_of(still)).volume()
+
+
+@given(SEEDS)
+@settings(max_examples=60, deadline=None)
+def test_just_above_contact_bodies_are_apart_and_just_below_they_are_not(seed: int) -> None:
+    moving, still, pose = drawn(seed)
+    rise = raise_of(moving, still, pose)
+    assert np.isfinite(rise)
+    assert overlap(moving, still, pose, rise + 1e-6) < 1e-18
+    assert overlap(moving, still, pose, rise - 20e-6) > 0
+
+
+@given(SEEDS)
+@settings(max_examples=25, deadline=None)
+def test_contact_is_the_least_raise_over_a_fine_grid_of_envelopes(seed: int) -> None:
+    """A grid can only miss the highest point: it says no more than the closed form, and nearly as much."""
+    moving, still, pose = drawn(seed)
+    placed, cell = moving.moved(pose), 0.1e-3
+    upside = Mesh(still.vertices * [1, 1, -1], still.faces[:, ::-1])
+    low, corner_a = lower_envelope(placed, cell)
+    high, corner_b = lower_envelope(upside, cell)
+    shift = (corner_a - corner_b) / cell
+    placed = placed.moved(Pose.from_translation(np.array([*((np.round(shift) - shift) * cell), 0])))
+    low, corner_a = lower_envelope(placed, cell)
+    i, j = np.round((corner_a - corner_b) / cell).astype(int)
+    padded = np.full(np.array(low.shape) + 2 * np.array(high.shape), np.inf)
+    padded[high.shape[0] : -high.shape[0], high.shape[1] : -high.shape[1]] = low
+    window = padded[high.shape[0] - i :, high.shape[1] - j :][: high.shape[0], : high.shape[1]]
+    brute = float((-high - window).max())
+    moved = Pose(pose.wxyz, pose.xyz + [*((np.round(shift) - shift) * cell), 0])
+    exact = raise_of(moving, still, moved)
+    assert brute <= exact + 1e-9
+    assert exact - brute < 0.6e-3  # within a cell the steepest faces of these bodies fall by less
+
+
+@given(SEEDS)
+@settings(max_examples=40, deadline=None)
+def test_the_envelope_of_a_grid_is_the_lowest_of_plain_vertical_rays(seed: int) -> None:
+    mesh = body(seed % 12)
+    heights, corner = lower_envelope(mesh, 0.7e-3)
+    rng = np.random.default_rng(seed)
+    for i, j in zip(*(rng.integers(0, n, 12) for n in heights.shape), strict=True):
+        assert heights[i, j] == pytest.approx(ray_bottom(mesh, corner + np.array([i, j]) * 0.7e-3), abs=1e-9)
+
+
+def ray_bottom(mesh: Mesh, xy: np.ndarray) -> float:
+    """The lowest crossing of a vertical line with any face, by Cramer's rule."""
+    a, b, c = np.moveaxis(mesh.triangles - [*xy, 0], 1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        area = cross2(b - a, c - a)
+        u, v = cross2(b, c) / area, cross2(c, a) / area
+        hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1 + 1e-9)
+        z = u * a[:, 2] + v * b[:, 2] + (1 - u - v) * c[:, 2]
+    return float(z[hit].min(initial=np.inf))
+
+
+def cross2(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+@given(SEEDS)
+@settings(max_examples=30, deadline=None)
+def test_who_moves_does_not_matter(seed: int) -> None:
+    """The upper body let down on the lower one, or the lower one, all turned over, let down on the upper one."""
+    moving, still, pose = drawn(seed)
+    turn = Pose.from_rotation_matrix(TURN_OVER)
+    swapped = raise_of(still, moving, turn, turn @ pose)
+    assert swapped == pytest.approx(raise_of(moving, still, pose), abs=1e-12)
+
+
+@given(SEEDS)
+@settings(max_examples=30, deadline=None)
+def test_moving_both_or_turning_both_about_the_line_of_motion_changes_nothing(seed: int) -> None:
+    moving, still, pose = drawn(seed)
+    rng = np.random.default_rng(seed)
+    world = Pose.from_translation(rng.normal(0, 0.1, 3)) @ Pose.from_rotvec(np.array([0, 0, rng.uniform(0, 6)]))
+    assert raise_of(moving, still, world @ pose, world) == pytest.approx(raise_of(moving, still, pose), abs=1e-11)
+
+
+@given(SEEDS, st.floats(-0.05, 0.05))
+@settings(max_examples=30, deadline=None)
+def test_a_lift_is_taken_off_the_raise(seed: int, lift: float) -> None:
+    moving, still, pose = drawn(seed)
+    lifted = Pose(pose.wxyz, pose.xyz + [0, 0, lift])
+    assert raise_of(moving, still, lifted) == pytest.approx(raise_of(moving, still, pose) - lift, abs=1e-12)
+
+
+def solid(drawing: Manifold) -> Mesh:
+    return mesh_of(standing(drawing))
+
+
+def test_a_block_over_a_ramp_meets_it_with_its_edge() -> None:
+    ramp = Manifold.hull_points(np.array([[x, y, z] for y in (-9, 9) for x, z in ((0, 0), (30, 0), (30, 15))], float))
+    pose = Pose.from_translation(np.array([12e-3, 1e-3, 0]))
+    assert raise_of(solid(box(6, 4, 5)), solid(ramp), pose) == pytest.approx((12 + 3) / 2 * MM)
+
+
+def test_a_cone_sinks_into_a_hole_until_the_hole_is_as_wide() -> None:
+    plate = solid(box(40, 40, 10) - cylinder(12, 99, segments=64).translate((0, 0, -9)))
+    tip = solid(cylinder(0.0, 20, top=20, segments=64))  # half a millimetre a millimetre
+    assert raise_of(tip, plate, Pose.identity()) == pytest.approx(10 * MM - 12 * MM)
+
+
+def test_two_crossed_knife_edges_touch_between_their_ends() -> None:
+    roof = np.array([[x, y, 0] for x in (-20, 20) for y in (-5, 5)] + [[-20, 0, 5], [20, 0, 5]], float)
+    blade = solid(Manifold.hull_points(roof))
+    over = Pose.from_rotvec(np.array([0, 0, 1.0])) @ Pose.from_rotation_matrix(TURN_OVER)
+    assert raise_of(blade, blade, over) == pytest.approx(10 * MM)
+
+
+def test_past_the_edge_there_is_no_contact() -> None:
+    block = solid(box(10, 10, 10))
+    assert raise_of(block, block, Pose.from_translation(np.array([10.01e-3, 0, 0]))) == -np.inf
+    assert raise_of(block, block, Pose.from_translation(np.array([9.99e-3, 0, 0]))) == pytest.approx(10e-3)
+
+
+def test_hanging_free_is_a_negative_raise() -> None:
+    block = solid(box(10, 10, 10))
+    assert raise_of(block, block, Pose.from_translation(np.array([0, 0, 17e-3]))) == pytest.approx(-7e-3)
+
+
+def test_ridges_of_a_box_are_its_twelve_edges() -> None:
+    found: Ridges = ridges(solid(box(10, 20, 30)))
+    assert len(found.ends) == 12
+
+
+def test_inner_edges_of_an_l_are_no_ridges() -> None:
+    found = ridges(solid(box(20, 10, 10) + box(10, 10, 20, (-5, 0, 0))))
+    inner = [10e-3, 0.0]
+    middles = found.mesh.vertices[found.ends].mean(1)
+    assert not (np.abs(middles[:, [2, 0]] - inner).max(1) < 1e-6).any()

@@ -1,0 +1,139 @@
+"""Resting faces: shares of all drops, compared with another package, and the same wherever the part's axes point."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from manifold3d import Manifold
+from trimesh.poses import compute_stable_poses
+
+from kit1000.kits.cavity import insertion_depth
+from kit1000.kits.face import RestingFace, rank_faces, resting_faces
+from kit1000.kits.kit import CLEARANCE
+from kit1000.mesh import Mesh
+from kit1000.pose import Pose, random_quaternions
+from tests.shapes import as_part, box, cylinder, ell, prism, random_solid, upturned_tee
+
+SOLIDS = {
+    "slab": lambda: box(30, 20, 9),
+    "ell": ell,
+    "tee": upturned_tee,
+    "hex": lambda: prism(6, 20, 26),
+    "wedge": lambda: Manifold.hull_points(np.array([[0, 0, 0], [30, 0, 0], [0, 22, 0], [0, 0, 14], [9, 5, 12.0]])),
+}
+
+
+def mesh(name: str) -> Mesh:
+    return as_part(SOLIDS[name]()).mesh
+
+
+def near(face: RestingFace, normal: np.ndarray, angle: float = 1e-3) -> bool:
+    return float(face.normal @ normal) > np.cos(angle)
+
+
+def peer_shares(body: Mesh) -> list[tuple[np.ndarray, float]]:
+    """(down normal in the part's axes, share) by trimesh, same faces joined."""
+    hull = trimesh.Trimesh(body.vertices, body.faces, process=False)
+    poses, shares = compute_stable_poses(hull, center_mass=np.zeros(3), sigma=0, threshold=0)
+    joined: list[tuple[np.ndarray, float]] = []
+    for pose, share in zip(poses, shares, strict=True):
+        down = -pose[2, :3]
+        twin = [i for i, (normal, _) in enumerate(joined) if normal @ down > 1 - 1e-6]
+        if twin:
+            joined[twin[0]] = (joined[twin[0]][0], joined[twin[0]][1] + share)
+        else:
+            joined.append((down, share))
+    return joined
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_shares_agree_with_another_package(name: str) -> None:
+    faces, peers = resting_faces(mesh(name), probable=1e-6), peer_shares(mesh(name))
+    for normal, share in peers:
+        ours = sum(face.probability for face in faces if near(face, normal))
+        assert ours == pytest.approx(share, abs=2e-3)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=20, deadline=None)
+def test_shares_add_up_to_one(seed: int) -> None:
+    faces = resting_faces(as_part(random_solid(seed)).mesh, probable=0.0)
+    assert sum(face.probability for face in faces) == pytest.approx(1)
+    assert all(a.probability >= b.probability - 1e-6 for a, b in pairwise(faces))
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=20, deadline=None)
+def test_the_part_stands_stably_on_every_face(seed: int) -> None:
+    """The centre of mass lies over the convex hull of what touches the table, and the height is that of the part."""
+    body = as_part(random_solid(seed)).mesh
+    for face in resting_faces(body):
+        vertices = body.moved(face.lying).vertices
+        touching = vertices[vertices[:, 2] < vertices[:, 2].min() + 1e-6, :2]
+        angles = np.sort(np.arctan2(touching[:, 1], touching[:, 0]))
+        widest_gap = np.diff(angles, append=angles[0] + 2 * np.pi).max()
+        assert widest_gap < np.pi + 1e-6
+        assert face.height == pytest.approx(np.ptp(vertices[:, 2]))
+
+
+def test_a_cube_falls_on_each_face_alike() -> None:
+    faces = resting_faces(as_part(box(20, 20, 20)).mesh)
+    assert len(faces) == 6
+    assert [face.probability for face in faces] == pytest.approx([1 / 6] * 6)
+
+
+def test_unlikely_faces_are_left_out() -> None:
+    tower = as_part(box(6, 7, 60)).mesh
+    assert len(resting_faces(tower)) == 4
+    assert len(resting_faces(tower, probable=0.0)) == 6
+
+
+def test_a_cylinder_has_two_ends_and_one_side_to_roll_on() -> None:
+    body = as_part(cylinder(20, 22)).mesh
+    faces = resting_faces(body, probable=0.0)
+    assert len(faces) == 3
+    side = [face for face in faces if abs(face.normal[2]) < 1e-6]
+    assert len(side) == 1
+    # the zone of directions below the cone through the rim of an end
+    assert side[0].probability == pytest.approx(11 / np.hypot(10, 11), abs=2e-3)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+@pytest.mark.parametrize("seed", [1, 2])
+def test_turned_axes_turn_the_faces_and_nothing_else(name: str, seed: int) -> None:
+    body, turn = mesh(name), Pose(random_quaternions(np.random.default_rng(seed), 1)[0], np.zeros(3))
+    turned = resting_faces(body.moved(turn), probable=0.01)
+    before = resting_faces(body, probable=0.01)
+    assert len(turned) == len(before)
+    for face in before:
+        twins = [other for other in turned if near(other, turn.rotate(face.normal))]
+        assert len(twins) == 1
+        assert twins[0].probability == pytest.approx(face.probability, abs=1e-6)
+        assert twins[0].height == pytest.approx(face.height)
+
+
+def first_choice(body: Mesh) -> RestingFace:
+    faces = resting_faces(body)
+    return faces[rank_faces(body, faces, [insertion_depth(face.height) for face in faces], CLEARANCE)[0]]
+
+
+def test_an_l_is_inserted_where_its_l_shows() -> None:
+    assert abs(first_choice(mesh("ell")).normal[2]) == pytest.approx(1)
+
+
+def test_a_plate_is_not_stood_on_its_narrow_edge() -> None:
+    """On its edge a 7 mm plate would lean by 20 degrees within its clearance."""
+    assert abs(first_choice(as_part(box(40, 26, 7)).mesh).normal[2]) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_the_choice_does_not_depend_on_the_axes(name: str) -> None:
+    body, turn = mesh(name), Pose(random_quaternions(np.random.default_rng(4), 1)[0], np.zeros(3))
+    before, after = first_choice(body), first_choice(body.moved(turn))
+    assert after.height == pytest.approx(before.height)
+    assert after.probability == pytest.approx(before.probability, abs=1e-6)

@@ -1,0 +1,169 @@
+"""Goals: all poses with the same shadow below the rim, found without being told, and only those."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kit1000.kits.goals import SAME, Design, find_goals, nearest_turn, same_shadow
+from kit1000.pose import Pose, quaternion_angle, random_quaternions
+from kit1000.symmetry import Symmetry
+from kit1000.values import FreeAxis
+from tests.shapes import (
+    MM,
+    Seated,
+    X,
+    Y,
+    Z,
+    box,
+    cavity_of,
+    cylinder,
+    ell,
+    gaps,
+    lying_cylinder,
+    outline_points,
+    plug,
+    prism,
+    ring_plate,
+    seated,
+    slice_union,
+    standing,
+    upturned_tee,
+)
+
+HEX = np.array([np.cos(np.pi / 6), np.sin(np.pi / 6), 0])
+CASES = {
+    "box": (lambda: box(34, 22, 14), Symmetry.dihedral(2, Z, X), 4, None),
+    "square prism": (lambda: box(22, 22, 30), Symmetry.dihedral(4, Z, X), 8, None),
+    "hex": (lambda: prism(6, 30, 16), Symmetry.dihedral(6, Z, X), 12, None),
+    "ell": (ell, Symmetry.none(), 1, None),
+    "tee": (upturned_tee, Symmetry.cyclic(2, Z), 2, None),
+    "eccentric hole": (lambda: ring_plate(12, off=7), Symmetry.cyclic(2, X), 2, None),
+    "standing cylinder": (lambda: cylinder(26, 20), Symmetry.free_flipped(Z), 2, Z),
+    "lying cylinder": (lambda: lying_cylinder(20, 34), Symmetry.free_flipped(X), 2, X),
+    "plug": (plug, Symmetry.cyclic(4, Z), 1, Z),
+}
+UNTOLD = ["box", "square prism", "hex", "ell", "tee", "eccentric hole"]
+
+
+def design(place: Seated, symmetry: Symmetry | None = None) -> Design:
+    return Design(place.part.mesh, symmetry or place.part.symmetry, place.kit_from_part, place.cavity)
+
+
+@pytest.fixture(scope="module", params=CASES)
+def case(request: pytest.FixtureRequest):
+    make, symmetry, count, axis = CASES[request.param]
+    place = seated(make(), symmetry)
+    return request.param, place, count, axis, find_goals(design(place))
+
+
+def same_pose(a: Pose, b: Pose, axis: FreeAxis | None = None) -> bool:
+    b = b if axis is None else nearest_turn(a, b, axis)
+    return bool(quaternion_angle(a.wxyz, b.wxyz) < 3e-3 and np.linalg.norm(a.xyz - b.xyz) < 0.06e-3)
+
+
+def test_there_are_as_many_goals_as_the_shape_has(case) -> None:
+    _, place, count, axis, (goals, free) = case
+    assert len(goals) == count
+    assert same_pose(goals[0], place.kit_from_part)
+    assert (free is None) == (axis is None)
+    if free is not None:
+        assert abs(free.direction @ axis) == pytest.approx(1)
+        aside = place.kit_from_part.xyz - free.point
+        assert np.linalg.norm(aside - (aside @ axis) * axis) < 1e-6
+
+
+def test_declared_symmetries_are_among_the_goals(case) -> None:
+    _, place, _, _, (goals, free) = case
+    for rotation in place.part.symmetry.rotations:
+        declared = place.kit_from_part @ Pose(rotation, np.zeros(3))
+        assert any(same_pose(declared, goal, free) for goal in goals)
+
+
+def test_every_goal_leaves_the_shadow_of_the_design_pose(case) -> None:
+    """By plain slices of the moved part: no outline point of one shadow lies off the other's outline."""
+    _, place, _, _, (goals, free) = case
+    plain = design(place)
+    for goal in goals:
+        spun = goal if free is None else turned_about(free, goal, 0.7)
+        for z in place.cavity.depth * np.array([0.12, 0.55, 0.97]):
+            here, there = (slice_union(plain.standing(pose), z) for pose in (place.kit_from_part, spun))
+            for a, b in ((here, there), (there, here)):
+                assert np.abs(gaps(outline_points(a.to_polygons(), 1e-3), b)).max() < SAME + 0.01e-3
+
+
+def turned_about(axis: FreeAxis, pose: Pose, angle: float) -> Pose:
+    about = Pose.from_translation(axis.point) @ Pose.from_rotvec(angle * axis.direction)
+    return about @ Pose.from_translation(-axis.point) @ pose
+
+
+@pytest.mark.parametrize("name", UNTOLD)
+def test_goals_are_found_without_being_told_the_symmetry(name: str) -> None:
+    make, symmetry, count, _ = CASES[name]
+    told, _ = find_goals(design(seated(make(), symmetry)))
+    found, _ = find_goals(design(seated(make())))
+    assert len(found) == count
+    assert all(any(same_pose(a, b) for b in told) for a in found)
+
+
+@pytest.mark.parametrize("name", ["box", "tee", "standing cylinder", "plug"])
+def test_turned_part_axes_turn_the_goals_and_nothing_else(name: str) -> None:
+    make, symmetry, _, _ = CASES[name]
+    place = seated(make(), symmetry)
+    turn = Pose(random_quaternions(np.random.default_rng(3), 1)[0], np.zeros(3))
+    other = Design(
+        place.part.mesh.moved(turn),
+        symmetry.conjugated(turn.wxyz),
+        place.kit_from_part @ turn.inverse(),
+        place.cavity,
+    )
+    (before, axis), (after, _) = find_goals(design(place)), find_goals(other)
+    assert len(before) == len(after)
+    for goal in after:
+        assert any(same_pose(goal @ turn, known, axis) for known in before)
+
+
+def test_a_round_foot_is_free_though_its_head_is_square() -> None:
+    shallow, deep = (seated(plug(), Symmetry.cyclic(4, Z), depth=depth) for depth in (8e-3, 15e-3))
+    assert find_goals(design(shallow))[1] is not None
+    goals, axis = find_goals(design(deep))
+    assert axis is None
+    assert len(goals) == 4
+
+
+def test_a_hole_too_small_for_a_post_still_tells_turns_apart() -> None:
+    """The shadow decides, not the walls that are left: who aims at the wrong hole is wrong."""
+    place = seated(ring_plate(7, off=11))
+    goals, _ = find_goals(design(place))
+    assert place.cavity.opened_walls == 1
+    assert len(goals) == 2  # itself, and turned over about the line through its holes
+
+
+@pytest.mark.parametrize(("off_mm", "same"), [(0.03, True), (0.08, False)])
+def test_shadows_are_the_same_within_50_micrometres(off_mm: float, same: bool) -> None:
+    place = seated(ell())
+    moved = design(place).standing(Pose.from_translation(np.array([off_mm * MM, 0, 0])) @ place.kit_from_part)
+    assert same_shadow(place.cavity, moved) == same
+
+
+@pytest.mark.parametrize(("step_mm", "same"), [(0.01, True), (0.5, False)])
+def test_a_step_near_the_floor_is_seen(step_mm: float, same: bool) -> None:
+    """The shadows agree at the rim but not below: a notch under one end is higher."""
+    cavity = cavity_of(box(30, 20, 20) - box(8, 20, 6, (11, 0, 0)), 12e-3)
+    twin = box(30, 20, 20) - box(8, 20, 6 + step_mm, (11, 0, 0))
+    assert same_shadow(cavity, standing(twin)) == same
+
+
+def test_the_nearest_turn_is_the_nearest() -> None:
+    axis = FreeAxis(np.array([3e-3, 1e-3, 0]), Y)
+    rng = np.random.default_rng(2)
+    for quaternions in random_quaternions(rng, 20).reshape(10, 2, 4):
+        pose, goal = (Pose(q, rng.normal(0, 0.01, 3)) for q in quaternions)
+        best = nearest_turn(pose, goal, axis)
+        brute = [turned_about(axis, goal, angle) for angle in np.radians(np.arange(0, 360, 1.0))]
+        angles = [float(quaternion_angle(pose.wxyz, other.wxyz)) for other in brute]
+        found = float(quaternion_angle(pose.wxyz, best.wxyz))
+        assert found <= min(angles) + 1e-9
+        assert min(angles) - found < np.radians(0.6)
+        nearest = brute[int(np.argmin(angles))]
+        assert np.linalg.norm(nearest.xyz - best.xyz) < 1e-3

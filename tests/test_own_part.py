@@ -1,0 +1,202 @@
+"""Laws of a kit for one's own part: the files agree with each other and with the report, and the report comes last."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from mini import contents, corner, written
+from PIL import Image
+
+from kit1000.data import own_part
+from kit1000.data.files import PARTIAL
+from kit1000.data.meshes import read_glb
+from kit1000.data.own_part import kit_for
+from kit1000.errors import InputError
+from kit1000.mesh import Mesh, defect32, solid_of
+from kit1000.parts.formats import read_soup
+from kit1000.parts.sources import mesh_files
+from kit1000.sim import preview
+
+FILES = ["kit.stl", "part.stl", "preview.png", "report.json", "seated.glb"]
+DRAWN = preview.kit_picture
+EXACT = 1e-5  # [mm] float32 at a tenth of a metre
+
+
+def read(path: Path) -> Mesh:
+    """An STL in its own unit, equal corners merged."""
+    soup = read_soup(path)
+    return Mesh(soup.vertices, soup.faces).merged()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _picture() -> Iterator[None]:
+    """A quick one: drawing takes longer than all the rest."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(preview, "kit_picture", lambda *_: b"picture")
+        yield
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("own")
+    kit_for(written(folder / "corner.stl", corner()), folder / "out")
+    return folder / "out"
+
+
+@pytest.fixture(scope="module")
+def report(out: Path) -> dict[str, Any]:
+    return json.loads((out / "report.json").read_bytes())
+
+
+def test_five_files_are_written(out: Path) -> None:
+    assert sorted(os.listdir(out)) == FILES
+
+
+def test_the_preview_shows_the_part_in_its_colour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(preview, "kit_picture", DRAWN)
+    kit_for(written(tmp_path / "corner.stl", corner()), tmp_path / "out")
+    with Image.open(tmp_path / "out/preview.png") as picture:
+        assert picture.size == preview.WIDE
+        pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3).astype(int)
+    orange = (pixels[:, 0] - pixels[:, 2] > 60).mean()
+    assert 0.02 < orange < 0.5
+
+
+def test_the_part_is_seated_in_the_kit_without_touching_more_than_the_floor(out: Path, report: dict[str, Any]) -> None:
+    kit, part = read(out / "kit.stl"), read(out / "part.stl")
+    for mesh in (kit, part):
+        assert defect32(mesh) is None
+    assert (solid_of(kit) ^ solid_of(part)).volume() < EXACT * part.area
+    assert part.bounds[0, 2] == pytest.approx(-report["depth_mm"], abs=EXACT)
+    assert part.bounds[1, 2] == pytest.approx(report["proud_mm"], abs=EXACT)
+    assert np.isclose(kit.vertices[:, 2], -report["depth_mm"], atol=EXACT).any()
+
+
+def test_files_are_in_millimetres_with_z_up_at_true_size(out: Path, report: dict[str, Any]) -> None:
+    kit, part = read(out / "kit.stl"), read(out / "part.stl")
+    assert sorted(part.extents) == pytest.approx([24, 30, 40], abs=EXACT)
+    assert sorted(report["size_mm"]) == [24, 30, 40]
+    assert (
+        report["volume_mm3"] == pytest.approx(part.volume, rel=1e-6) == pytest.approx(corner().volume * 1e9, rel=1e-6)
+    )
+    assert kit.extents == pytest.approx(report["plate_mm"], abs=1e-3)
+    assert kit.bounds.sum(0)[:2] == pytest.approx([0, 0], abs=EXACT)
+    assert kit.bounds[1, 2] == 0
+
+
+def test_the_gap_is_the_one_asked_for_all_around(out: Path, report: dict[str, Any]) -> None:
+    kit, part = solid_of(read(out / "kit.stl")), solid_of(read(out / "part.stl"))
+    assert 2.48 < report["clearance_smallest_mm"] <= report["clearance_largest_mm"] < 2.6
+    for share in (0.1, 0.5, 0.9):
+        wall, body = kit.slice(-share * report["depth_mm"]), part.slice(-share * report["depth_mm"])
+        assert (wall ^ body.offset(2.48)).area() < 1e-6
+        assert (wall ^ body.offset(2.6)).area() > 0.05 * body.offset(2.6).area() / 100
+
+
+def test_the_seated_scene_is_the_same_in_metres(out: Path) -> None:
+    bodies = read_glb(out / "seated.glb")
+    assert list(bodies) == ["kit", "part"]
+    for name, mesh in bodies.items():
+        assert np.allclose(mesh.bounds * 1e3, read(out / f"{name}.stl").bounds, atol=EXACT)
+    seen = trimesh.load_scene(out / "seated.glb")
+    assert np.allclose(seen.extents[1] * 1e3, np.ptp(np.vstack([m.bounds for m in bodies.values()])[:, 2]) * 1e3)
+
+
+def test_the_report_says_what_was_done(out: Path, report: dict[str, Any]) -> None:
+    assert (report["part"], report["unit"], report["scale"], report["repairs"]) == ("corner.stl", "mm", 1.0, [])
+    assert report["kit_faces"] == len(read_soup(out / "kit.stl").faces)
+    assert report["trial"]["passes"] is True
+    assert report["trial"]["keyedness_deg"] > 0
+
+
+def test_another_run_over_the_same_folder_replaces_everything(out: Path, tmp_path: Path) -> None:
+    part, folder = written(tmp_path / "corner.stl", corner()), tmp_path / "out"
+    kit_for(part, folder, clearance=4e-3)
+    wide = contents(folder)
+    (folder / f".kit.stl.77{PARTIAL}").touch()
+    (folder / "notes.txt").touch()
+    kit_for(part, folder)
+    (folder / "notes.txt").unlink()
+    assert contents(folder) == contents(out)
+    assert {name for name in FILES if wide[name] != contents(out)[name]} == {"kit.stl", "seated.glb", "report.json"}
+
+
+@pytest.mark.parametrize("step", range(5))
+def test_an_interrupted_run_leaves_whole_files_and_no_report(
+    step: int, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, replace, left = tmp_path / "out", os.replace, step
+    part = written(tmp_path / "corner.stl", corner())
+    folder.mkdir()
+    (folder / "report.json").write_text("of an earlier run")
+
+    def stopping(source: Path, target: Path) -> None:
+        nonlocal left
+        left -= 1
+        if left < 0:
+            raise KeyboardInterrupt
+        replace(source, target)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", stopping)
+        with pytest.raises(KeyboardInterrupt):
+            kit_for(part, folder)
+    found = contents(folder)
+    assert "report.json" not in found
+    assert len(found) == step
+    assert found.items() <= contents(out).items()
+    kit_for(part, folder)
+    assert contents(folder) == contents(out)
+
+
+def test_nothing_is_written_when_no_kit_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    part = written(tmp_path / "corner.stl", corner())
+    monkeypatch.setattr(own_part, "_files", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        kit_for(part, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(("unit", "size"), [("mm", 1e-3), ("inch", 0.0254), ("m", 1.0)])
+def test_units_are_understood(unit: str, size: float, out: Path, tmp_path: Path) -> None:
+    mesh = corner().scaled(1e-3 / size)  # stl_bytes takes metres and writes thousands of them
+    made = kit_for(written(tmp_path / "corner.stl", mesh), tmp_path / "out", unit=unit)
+    assert sorted(made["size_mm"]) == pytest.approx([24, 30, 40], abs=1e-3)
+    assert made["unit"] == unit
+
+
+def test_a_part_may_be_scaled_to_fit(tmp_path: Path) -> None:
+    made = kit_for(written(tmp_path / "corner.stl", corner()), tmp_path / "out", longest=0.06)
+    assert sorted(made["size_mm"]) == pytest.approx([36, 45, 60], abs=1e-3)
+    assert made["scale"] == pytest.approx(1.5)
+    assert sorted(read(tmp_path / "out/part.stl").extents) == pytest.approx([36, 45, 60], abs=1e-3)
+
+
+def test_inverted_normals_are_repaired_and_reported(out: Path, tmp_path: Path) -> None:
+    inside_out = Mesh(corner().vertices, corner().faces[:, ::-1])
+    made = kit_for(written(tmp_path / "corner.stl", inside_out), tmp_path / "out")
+    assert made["repairs"]
+    assert read(tmp_path / "out/part.stl").volume == pytest.approx(read(out / "part.stl").volume, rel=1e-6)
+
+
+def test_a_refusal_names_the_file_and_the_reason(tmp_path: Path) -> None:
+    flat = written(tmp_path / "flat.stl", Mesh(corner().vertices * (1, 1, 1e-4), corner().faces))
+    with pytest.raises(InputError, match=r"^.*flat\.stl: zero thickness"):
+        kit_for(flat, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow
+def test_real_parts_get_kits(real_parts: Path, tmp_path: Path) -> None:
+    for path in mesh_files(real_parts)[::9]:
+        made = kit_for(path, tmp_path / path.stem)
+        kit, part = (solid_of(read(tmp_path / path.stem / name)) for name in ("kit.stl", "part.stl"))
+        assert (kit ^ part).volume() < EXACT * part.surface_area(), path.name
+        assert made["clearance_smallest_mm"] > 2.48

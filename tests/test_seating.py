@@ -1,0 +1,242 @@
+"""The seating verdict: two independent ways to contact agree, and each of its rules says no where it should."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+from manifold3d import Manifold
+
+from kit1000.kits.contact import ridges
+from kit1000.kits.seating import (
+    HOVER,
+    JUDGE_STEP,
+    SEATED,
+    STRICT,
+    Plug,
+    Verdict,
+    contact_raise,
+    judged_raise,
+    swept_out,
+    verdict,
+)
+from kit1000.mesh import mesh_of, solid_of
+from kit1000.pose import Pose
+from kit1000.values import Kit, Part
+from tests.sample_kits import QUICK, sample_kit, sample_part
+from tests.shapes import (
+    MM,
+    Z,
+    box,
+    cylinder,
+    ell,
+    leaning_prism,
+    lying_cylinder,
+    ring_plate,
+    seated,
+    standing,
+    upturned_tee,
+)
+
+BAND = 0.1e-3  # [m] the two ways may differ in their verdict so near to a limit
+SHAPES: dict[str, Callable[[], Manifold]] = {
+    "box": lambda: box(34, 22, 20),
+    "ell": ell,
+    "tee": upturned_tee,
+    "leaning": leaning_prism,
+    "lying cylinder": lambda: lying_cylinder(20, 34),
+    "cone": lambda: cylinder(14, 24, top=34, segments=48),
+    "plate with hole": lambda: ring_plate(16, off=4),
+}
+NAMES = [*SHAPES, *QUICK]
+
+
+class Pair:
+    """A part over its kit, to be tried in poses of the kit frame."""
+
+    def __init__(self, part: Part, kit: Kit) -> None:
+        self.part, self.goal, self.depth = part, kit.slot.goals[0], kit.slot.depth
+        self.kit, self.edges = kit, ridges(kit.mesh)
+        self.plug = Plug.of(part.mesh, self.goal)
+
+    def rise(self, pose: Pose) -> float:
+        return contact_raise(self.plug, self.edges, pose)
+
+    def verdict(self, pose: Pose, rise: float | None = None) -> Verdict:
+        rise = self.rise(pose) if rise is None else rise
+        return verdict(rise, self.plug, pose, self.goal, self.depth)
+
+    def moved(self, error: np.ndarray, share: float = 1.0) -> Pose:
+        """The goal shifted and turned about the centroid by a share of an error (6,) [m, rad]."""
+        turn = Pose.from_rotvec(share * error[3:]) @ Pose(self.goal.wxyz, np.zeros(3))
+        return Pose(turn.wxyz, self.goal.xyz + share * error[:3])
+
+    def lifted(self, height: float) -> Pose:
+        return self.moved(np.array([0, 0, height, 0, 0, 0]))
+
+    def brink(self, error: np.ndarray) -> float:
+        """The share of an error at which the part is no longer seated."""
+        low, high = 0.0, 1.0
+        for _ in range(14):
+            middle = (low + high) / 2
+            low, high = (middle, high) if self.verdict(self.moved(error, middle)).seated else (low, middle)
+        return low
+
+
+@cache
+def pair(name: str) -> Pair:
+    if name in QUICK:
+        return Pair(sample_part(name), sample_kit(name))
+    place = seated(SHAPES[name]())
+    return Pair(place.part, place.kit())
+
+
+def errors(seed: int, n: int) -> np.ndarray:
+    """(n, 6) shifts of 0 to 10 mm and turns of 0 to 25 degrees, any direction and axis."""
+    rng = np.random.default_rng(seed)
+    ways = rng.normal(size=(n, 2, 3))
+    ways /= np.linalg.norm(ways, axis=2, keepdims=True)
+    return (ways * rng.uniform(0, [10e-3, np.radians(25)], (n, 2))[..., None]).reshape(n, 6)
+
+
+def sweep_poses(subject: Pair, seed: int) -> list[Pose]:
+    """Errors as they come, others just before and behind the brink, and lifts about the limits."""
+    poses = [subject.moved(error) for error in errors(seed, 3)]
+    for error in errors(seed + 1, 3):
+        share = subject.brink(error)
+        poses += [subject.moved(error, share * (1 + step)) for step in (-0.02, 0.004)]
+    return poses + [subject.lifted(SEATED + step) for step in (-0.15e-3, 0.15e-3)]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_closed_form_and_booleans_agree(name: str) -> None:
+    subject = pair(name)
+    swept, plate = swept_out(subject.part.mesh, subject.plug.axis), solid_of(subject.kit.mesh)
+    for pose in sweep_poses(subject, NAMES.index(name)):
+        closed, judged = subject.rise(pose), judged_raise(swept, subject.plug, plate, pose)
+        assert closed == pytest.approx(judged, abs=JUDGE_STEP)
+        ours, theirs = subject.verdict(pose), subject.verdict(pose, judged)
+        if to_limit(ours, subject.depth) > BAND:
+            assert (ours.seated, ours.strict) == (theirs.seated, theirs.strict)
+
+
+def to_limit(found: Verdict, depth: float) -> float:
+    """[m] how near a verdict is to any of its limits."""
+    gaps = [abs(abs(found.height) - min(limit, depth / 3)) for limit in (SEATED, STRICT)]
+    return min([*gaps, *(abs(abs(found.rise) - limit) for limit in (SEATED, STRICT))])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_goal_is_seated_strictly_and_touches(name: str) -> None:
+    found = pair(name).verdict(pair(name).goal)
+    assert found.strict
+    assert found.seated
+    assert abs(found.rise) < 5e-6
+    assert found.penetration < 5e-6
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_height_alone_decides_over_a_free_slot(name: str) -> None:
+    subject = pair(name)
+    for lift, is_seated, is_strict in (
+        (0.9e-3, True, True),
+        (1.0e-3, True, False),
+        (2.9e-3, True, False),
+        (SEATED, False, False),
+        (15e-3, False, False),
+        (-0.9e-3, True, True),
+        (-2.9e-3, True, False),
+        (-SEATED, False, False),
+        (-15e-3, False, False),
+    ):
+        found = subject.verdict(subject.lifted(lift))
+        assert (found.seated, found.strict) == (is_seated, is_strict)
+        assert found.rise == pytest.approx(-lift, abs=5e-6)
+        assert found.penetration == pytest.approx(max(-lift, 0), abs=5e-6)
+        assert found.height == pytest.approx(0, abs=5e-6)
+
+
+def test_strict_is_never_laxer_than_seated() -> None:
+    for name in ("box", "leaning", "cone"):
+        for error in errors(8, 30):
+            found = pair(name).verdict(pair(name).moved(0.4 * error))
+            assert found.seated or not found.strict
+
+
+def test_a_shift_within_the_clearance_is_seated_and_one_beyond_is_not() -> None:
+    for angle in np.arange(0, 2 * np.pi, 0.5):
+        way = np.array([np.cos(angle), np.sin(angle), 0, 0, 0, 0])
+        assert pair("box").verdict(pair("box").moved(2.4e-3 * way)).strict
+        beyond = pair("box").verdict(pair("box").moved(3.6e-3 * way))
+        assert not beyond.seated
+        assert beyond.rise == pytest.approx(pair("box").depth, abs=5e-6)
+
+
+def test_beside_the_plate_nothing_is_seated() -> None:
+    found = pair("box").verdict(pair("box").moved(np.array([0.2, 0, 0, 0, 0, 0])))
+    assert found.rise == -np.inf
+    assert not found.seated
+    assert found.penetration == 0.0
+
+
+def test_half_beside_the_plate_the_part_rests_on_its_edge() -> None:
+    found = pair("box").verdict(pair("box").moved(np.array([0.0495, 0, 0, 0, 0, 0])))
+    assert found.rise == pytest.approx(pair("box").depth, abs=5e-6)
+    assert not found.seated
+
+
+def test_on_the_top_of_a_neighbour_in_its_plane_is_not_seated() -> None:
+    """Two plates side by side: over the neighbour's plain top the part is a slot's depth too high."""
+    subject = pair("box")
+    neighbour = mesh_of(box(0.099, 0.099, 0.022, (0.1, 0, -0.022)))
+    both = ridges(mesh_of(solid_of(subject.kit.mesh) + solid_of(neighbour)))
+    pose = subject.moved(np.array([0.1, 0, subject.depth, 0, 0, 0]))
+    rise = contact_raise(subject.plug, both, pose)
+    assert rise == pytest.approx(0, abs=5e-6)
+    assert not verdict(rise, subject.plug, pose, subject.goal, subject.depth).seated
+
+
+def test_a_pit_deeper_than_the_slot_is_not_seated_in() -> None:
+    """A neighbour's slot 5 mm deeper takes the part, but below goal height."""
+    subject = pair("box")
+    pit = box(60, 60, 40, (0, 0, -40)) - box(40, 30, 40, (0, 0, -(subject.depth / MM + 5)))
+    around = ridges(mesh_of(standing(pit)))
+    pose = subject.lifted(-5e-3)
+    rise = contact_raise(subject.plug, around, pose)
+    assert rise == pytest.approx(0, abs=5e-6)
+    assert not verdict(rise, subject.plug, pose, subject.goal, subject.depth).seated
+
+
+def test_a_tilted_pose_comes_down_along_the_axis_it_carries() -> None:
+    """Tilted by 10 degrees over a plain top, the part's lowest corner touches first, along the tilted axis."""
+    block = Manifold.cube((0.1, 0.1, 0.02), center=True).translate((0, 0, -0.01))
+    part = pair("box").part
+    pose = Pose.from_rotvec(np.array([0, np.radians(10), 0])) @ Pose.from_translation(np.array([0, 0, 0.03]))
+    lowest = pose.apply(part.mesh.vertices)[:, 2].min()
+    rise = contact_raise(Plug(ridges(part.mesh), Z), ridges(mesh_of(block)), pose)
+    assert rise == pytest.approx(-lowest / np.cos(np.radians(10)), abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["ell", "tee", "leaning", "bracket"])
+def test_swept_out_is_the_part_at_every_place_of_its_way(name: str) -> None:
+    """It holds the part at the start, under way and at the end, and its shadow is the part's own."""
+    subject = pair(name)
+    axis = subject.plug.axis
+    swept, part = swept_out(subject.part.mesh, axis), solid_of(subject.part.mesh)
+    for share in (0.0, 0.3, 1.0):
+        assert (part.translate(axis * HOVER * share) - swept).volume() < 1e-6 * part.volume()
+    upright = subject.goal.matrix()[:3]
+    shadow = part.transform(upright).project().area()
+    below = swept.transform(upright)
+    assert below.project().area() == pytest.approx(shadow, rel=1e-4)
+    low = below.bounding_box()[2]
+    top = low + subject.part.mesh.moved(subject.goal).extents[2] + HOVER
+    assert below.bounding_box()[5] < top + 1e-6
+
+
+def test_penetration_is_the_way_up_to_contact() -> None:
+    found = pair("ell").verdict(pair("ell").moved(np.array([8e-3, 0, -4e-3, 0, 0, 0])))
+    assert found.penetration == pytest.approx(found.rise)
+    assert found.penetration == pytest.approx(pair("ell").depth + 4e-3, abs=5e-6)

@@ -1,0 +1,133 @@
+"""Stray fits: what a wrong slot takes is found, what it refuses is not, and chance finds nothing that was missed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from manifold3d import Manifold
+
+from kit1000.kits.contact import ridges
+from kit1000.kits.face import resting_faces
+from kit1000.kits.goals import Design, find_goals
+from kit1000.kits.seating import JUDGE_STEP, Plug, contact_raise, judged_raise, swept_out
+from kit1000.kits.stray import Well, foreign_fit, loose_fit, near_goal
+from kit1000.mesh import Mesh, solid_of
+from kit1000.pose import Pose, quaternion_angle
+from kit1000.symmetry import Symmetry
+from kit1000.values import FreeAxis, Kit, Slot
+from tests.shapes import Z, as_part, box, cylinder, ell, leaning_prism, ring_plate, seated, upturned_tee
+
+
+def whole(solid: Manifold, symmetry: Symmetry | None = None) -> tuple[Mesh, Kit]:
+    """A part inserted as drawn, and its kit with all goals."""
+    place = seated(solid, symmetry)
+    goals, axis = find_goals(Design(place.part.mesh, place.part.symmetry, place.kit_from_part, place.cavity))
+    kit = place.kit(goals)
+    return place.part.mesh, replace(kit, slot=replace(kit.slot, free_axis=axis))
+
+
+def judged(mesh: Mesh, kit: Kit, pose: Pose) -> float:
+    """[m] rise to contact by booleans."""
+    plug = Plug.of(mesh, pose)
+    return judged_raise(swept_out(mesh, plug.axis), plug, solid_of(kit.mesh), pose)
+
+
+FOREIGN = [
+    ("peg in a larger bore", lambda: cylinder(16, 24), lambda: cylinder(22, 22), True),
+    ("peg in a bore as large", lambda: cylinder(20, 20), lambda: cylinder(20, 20), True),
+    ("peg over a smaller bore", lambda: cylinder(30, 24), lambda: cylinder(20, 22), False),
+    ("small box in a large slot, turned", lambda: box(14, 34, 18), lambda: box(38, 18, 20), True),
+    ("large box over a small slot", lambda: box(40, 40, 34), lambda: box(34, 22, 20), False),
+    ("bar too long for a square slot, but not across", lambda: box(33, 9, 9), lambda: box(26, 26, 20), True),
+    ("bar too long even across", lambda: box(48, 9, 30), lambda: box(26, 26, 20), False),
+    ("full block in a slot with a post", lambda: box(34, 34, 20), lambda: ring_plate(16), False),
+    ("ell on end in the slot of a tee", ell, upturned_tee, True),
+]
+
+
+@pytest.mark.parametrize(("part", "host", "fits"), [case[1:] for case in FOREIGN], ids=[case[0] for case in FOREIGN])
+def test_parts_that_fit_a_foreign_slot_are_found_and_others_are_not(part, host, fits: bool) -> None:
+    mesh, kit = as_part(part()).mesh, whole(host())[1]
+    well = Well(kit)
+    pose = foreign_fit(mesh, resting_faces(mesh), well)
+    assert (pose is not None) == fits
+    if pose is not None:
+        assert judged(mesh, kit, pose) <= well.limit
+        lowest = pose.apply(mesh.vertices)[:, 2].min()
+        assert lowest == pytest.approx(-kit.slot.depth, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("solid", "loose"),
+    [
+        (lambda: ring_plate(7, off=9), True),  # the hole is too small for a post: half a turn seats
+        (lambda: ring_plate(20, off=6), False),  # here the post tells
+        (ell, False),
+        (leaning_prism, False),
+        (lambda: box(34, 22, 14), False),
+        (lambda: box(34, 22, 14) - box(9, 9, 14, (16, 10, 7.5)), True),  # a corner cut above the middle of the depth
+    ],
+)
+def test_loose_fits_are_found_and_confirmed_by_booleans(solid, loose: bool) -> None:
+    mesh, kit = whole(solid())
+    pose = loose_fit(mesh, resting_faces(mesh), Well(kit))
+    assert (pose is not None) == loose
+    if pose is not None:
+        assert not near_goal(pose, kit.slot)
+        contact = pose.xyz[2] + judged(mesh, kit, pose)
+        assert np.abs(contact - kit.slot.goals.xyz[:, 2]).min() <= Well(kit).limit + JUDGE_STEP
+
+
+@pytest.mark.parametrize("solid", [ell, leaning_prism, lambda: ring_plate(20, off=6)])
+def test_chance_finds_no_fit_where_the_search_says_none(solid) -> None:
+    """A thousand lying poses inside the slot's reach, most of them hopeless: none may seat off the goals."""
+    mesh, kit = whole(solid())
+    well, rng = Well(kit), np.random.default_rng(11)
+    faces = resting_faces(mesh)
+    assert loose_fit(mesh, faces, well) is None
+    for number in range(1000):
+        face = faces[number % len(faces)]
+        turned = Pose.from_rotvec(np.array([0, 0, rng.uniform(0, 2 * np.pi)])) @ face.lying
+        low, high = mesh.moved(turned).bounds
+        room = well.high + 1e-3 - high[:2], well.low - 1e-3 - low[:2]
+        shift = rng.uniform(np.minimum(*room), np.maximum(*room))
+        pose = Pose.from_translation(np.array([*shift, -kit.slot.depth - low[2]])) @ turned
+        heights = pose.xyz[2] + contact_raise(Plug.of(mesh, pose), well.edges, pose) - kit.slot.goals.xyz[:, 2]
+        assert np.abs(heights).min() > well.limit or near_goal(pose, kit.slot)
+
+
+def test_what_the_search_calls_a_fit_does_not_depend_on_the_axes_of_the_part() -> None:
+    kit = whole(box(38, 18, 20))[1]
+    turn = Pose.from_rotvec(np.array([0.4, 1.1, -0.3]))
+    for solid, fits in ((box(14, 34, 18), True), (box(48, 30, 40), False)):
+        mesh = as_part(solid).mesh.moved(turn)
+        assert (foreign_fit(mesh, resting_faces(mesh), Well(kit)) is not None) == fits
+
+
+def test_near_a_goal_means_10_degrees_and_5_mm() -> None:
+    _, kit = whole(ell())
+    goal = kit.slot.goals[0]
+    for turn_deg, shift_mm, near in ((9, 4, True), (11, 0, False), (0, 5.5, False)):
+        turned = Pose.from_rotvec(np.radians(turn_deg) * Z) @ Pose(goal.wxyz, np.zeros(3))
+        assert near_goal(Pose(turned.wxyz, goal.xyz + [shift_mm * 1e-3, 0, 0]), kit.slot) == near
+
+
+def test_any_turn_about_a_free_axis_is_near_the_goal() -> None:
+    point = np.array([3e-3, 0, 0])
+    goal = Pose.from_translation(np.array([3e-3, 0, -5e-3]))
+    slot = Slot("p", goal, 2.5e-3, 8e-3, Pose.stack([goal]), FreeAxis(point, Z))
+    for angle in (0.5, 2.0, 3.1):
+        spun = Pose(Pose.from_rotvec(angle * Z).wxyz, goal.xyz)
+        assert near_goal(spun, slot)
+        assert float(quaternion_angle(spun.wxyz, goal.wxyz)) > 0.4
+
+
+def test_the_well_of_a_box_is_as_deep_and_wide_as_its_slot() -> None:
+    kit = whole(box(34, 22, 20))[1]
+    well = Well(kit)
+    assert well.heights.min() == pytest.approx(-kit.slot.depth, abs=1e-7)
+    assert well.heights.max() == pytest.approx(0, abs=1e-7)
+    assert np.allclose(well.high - well.low, np.array([39, 27]) * 1e-3, atol=1.6e-3)
+    assert len(ridges(kit.mesh).ends) == len(well.edges.ends)
