@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from kit1000.data.plan import Sources
 
 WRONG, FAULTY = 2, 3  # exit status: of the user, of the package
+LISTED = 20  # refused files in a description
 INTERRUPTED = 130  # exit status of a command stopped by Ctrl-C, as shells have it
 ABOUT = """KIT1000: parts, kits that fit them, and angled assemblies of kits.
 
@@ -235,8 +236,11 @@ def describe(summary: dict) -> str:
         lines.append(f"  {split:6s} {n['parts']:5d} parts and kits, {n['assemblies']:5d} assemblies")
     for kind, reasons in sorted(summary["redraws"].items()):
         ranked = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
-        lines.append(f"  redrawn {kind}: {', '.join(f'{n} {reason}' for reason, n in ranked) or 'none'}")
-    lines += [f"  refused {source}: {reason}" for source, reason in sorted(summary["refused"].items())]
+        lines.append(f"  redrawn {kind}: {', '.join(f'{n}x {reason}' for reason, n in ranked) or 'none'}")
+    refused = [f"  refused {source}: {reason}" for source, reason in sorted(summary["refused"].items())]
+    lines += refused[:LISTED]
+    if len(refused) > LISTED:
+        lines.append(f"  refused {len(refused) - LISTED} more: dataset.json lists them")
     return "\n".join(lines)
 
 

@@ -11,7 +11,7 @@ from mini import MINI, corner, corners, written
 from kit1000.data import pairs
 from kit1000.data.build import generate
 from kit1000.data.dataset import Geometry
-from kit1000.data.plan import Sources
+from kit1000.data.plan import Sources, make_plan
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 
@@ -33,10 +33,10 @@ def test_bad_files_are_refused_with_a_reason_and_stop_nothing(
     listed = [*good, *(folder / f"{name}.stl" for name in ("same", "flat", "strange", "empty", "missing"))]
     known = pairs.design_kit
 
-    def design(part, clearance):
+    def design(part, *settings, **others):
         if abs(part.mesh.extents.min() / part.mesh.extents.max() - 30 / 40) < 1e-3:
             raise ZeroDivisionError("nobody thought\nof this")
-        return known(part, clearance)
+        return known(part, *settings, **others)
 
     monkeypatch.setattr(pairs, "design_kit", design)
     asked = replace(MINI, train=7)
@@ -52,6 +52,29 @@ def test_bad_files_are_refused_with_a_reason_and_stop_nothing(
     assert len(refused) == 5
     assert set(Geometry(tmp_path / "out").parts).isdisjoint(refused)
     assert sum(n["parts"] for n in summary["counts"].values()) == 4
+
+
+def deal(seed: int, files: list[Path]) -> dict[str, list[str]]:
+    """The names of the files that each part may be made of."""
+    plan = make_plan(MINI, seed, Sources.of(files))
+    return {i: [name for name, _ in row["sources"]] for i, row in plan["parts"].items()}
+
+
+def test_a_spare_takes_the_place_of_a_bad_file(tmp_path: Path) -> None:
+    folder = tmp_path / "files"
+    files = [written(folder / f"good{width}.stl", corner(width)) for width in (20, 24, 28, 33)]
+    for i in range(4):
+        (folder / f"bad{i}.stl").touch()
+    files += folder.glob("bad*.stl")
+    seed = 0
+    while "bad" not in (dealt := deal(seed, files))["train-0000"][0] or "good" not in dealt["train-0000"][1]:
+        seed += 1
+    generate(MINI, tmp_path / "out", seed, workers=1, sources=Sources.of(files))
+    geometry = Geometry(tmp_path / "out")
+    used = {i: row["source"] for i, row in geometry.parts.items()}
+    assert used == {i: next(n for n in names if "good" in n) for i, names in dealt.items() if "good" in str(names)}
+    tried = {name for i, names in dealt.items() for name in names[: names.index(used[i]) if i in used else 2]}
+    assert geometry.summary["refused"] == dict.fromkeys(tried, "empty file")
 
 
 def test_no_usable_file_is_one_line_and_leaves_the_folder_free(sources: Sources, tmp_path: Path) -> None:

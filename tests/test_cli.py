@@ -295,5 +295,5 @@ def test_a_summary_reads_the_same_however_it_is_ordered() -> None:
         head | {"counts": counts, "redraws": {"parts": {"b": 1, "a": 1, "c": 2}}, "refused": {"x.stl": "empty file"}}
     )
     assert [line.split()[0] for line in text.splitlines()[1:4]] == ["train", "val", "test"]
-    assert "redrawn parts: 2 c, 1 a, 1 b" in text
+    assert "redrawn parts: 2x c, 1x a, 1x b" in text
     assert "refused x.stl: empty file" in text

@@ -168,9 +168,9 @@ def test_a_part_wider_than_the_plate_is_refused() -> None:
 
 @pytest.mark.parametrize("seed", [3, 29, 41])
 def test_kits_of_odd_solids_keep_the_clearance(seed: int) -> None:
-    """However the cavity was grown, what leaves `design_kit` is within 0.02 mm below and 0.1 mm above what was asked."""
+    """However the cavity was grown, the finished plate is 0.02 mm too tight at most, and 0.1 mm too wide."""
     part = as_part(random_solid(seed) + box(24, 22, 12))
     made = design_kit(part)
     assert_printable(part, made.kit.mesh)
-    assert 2.48e-3 <= made.measured.smallest
+    assert made.measured.smallest >= 2.48e-3
     assert made.measured.largest <= 2.6e-3

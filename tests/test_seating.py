@@ -158,6 +158,14 @@ def test_height_alone_decides_over_a_free_slot(name: str) -> None:
         assert found.height == pytest.approx(0, abs=5e-6)
 
 
+@pytest.mark.parametrize(("height_mm", "is_seated"), [(1.9, True), (2.1, False), (-1.9, True), (-2.1, False)])
+def test_in_a_shallow_slot_a_third_of_its_depth_is_the_limit(height_mm: float, is_seated: bool) -> None:
+    subject = pair("box")
+    pose = subject.lifted(height_mm * MM)
+    assert verdict(0.0, subject.plug, pose, subject.goal, 6e-3).seated == is_seated
+    assert verdict(0.0, subject.plug, pose, subject.goal, 12e-3).seated
+
+
 def test_strict_is_never_laxer_than_seated() -> None:
     for name in ("box", "leaning", "cone"):
         for error in errors(8, 30):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from manifold3d import CrossSection, Manifold
 
 from kit1000.errors import Redraw
 from kit1000.kits.goals import Design, find_goals
@@ -20,7 +21,7 @@ from tests.shapes import Z, as_part, box, cylinder, ell, ring_plate, seated
 STEP = np.radians(1)
 
 
-def whole(solid, symmetry: Symmetry | None = None, clearance: float = 2.5e-3) -> tuple[Part, Kit]:
+def whole(solid: Manifold, symmetry: Symmetry | None = None, clearance: float = 2.5e-3) -> tuple[Part, Kit]:
     """A part and its kit with all goals, inserted as drawn."""
     place = seated(solid, symmetry, clearance=clearance)
     goals, axis = find_goals(Design(place.part.mesh, place.part.symmetry, place.kit_from_part, place.cavity))
@@ -127,3 +128,16 @@ def test_a_turn_about_the_anchor_leaves_the_centroid_where_it_is() -> None:
 def test_a_kit_made_as_in_a_dataset_passes() -> None:
     part = as_part(box(40, 30, 16) - box(16, 12, 30, (12, 9, -2)), Symmetry.none())
     assert not try_pair(part, make_kit(part)).loose
+
+
+def test_a_turn_must_jam_both_ways_round() -> None:
+    """A snail cam jams at once when its step turns forward, and hardly when it turns back."""
+    angles = np.radians(np.arange(0, 361, 5.0))
+    radii = 14 + 6 * angles / (2 * np.pi)
+    snail = CrossSection([np.stack([radii * np.cos(angles), radii * np.sin(angles)], 1)])
+    part, kit = whole(Manifold.extrude(snail, 20))
+    seat, design = Seat(part.mesh, kit), kit.slot.goals[0]
+    turns = np.arange(STEP, np.pi, STEP)
+    ways = [next(t for t in turns if not seat.seats(about_anchor(design, s * t * Z), design)) for s in (1, -1)]
+    assert max(ways) > 5 * min(ways)
+    assert keyedness(seat) == pytest.approx(max(ways), abs=1e-9)

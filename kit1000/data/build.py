@@ -111,8 +111,8 @@ def _pairs(
     for part_id in jobs:
         record = records[part_id]
         while "refused" not in record and (twin := twin_of(np.array(record["measures"]), measures)) is not None:
-            job = replace(jobs[part_id], redraws=(*record["redraws"], "near-duplicate"))
-            record = _refused_twin(record, records[accepted[twin]]) if job.source else make_pair(job)
+            alike = f"near-duplicate of {records[accepted[twin]]['source']}" if sources else "near-duplicate"
+            record = make_pair(replace(jobs[part_id], redraws=(*record["redraws"], alike)))
         records[part_id] = record
         if "refused" not in record:
             accepted.append(part_id)
@@ -127,21 +127,25 @@ def _pair_job(
 ) -> PairJob:
     if sources is None:
         return PairJob(root, preset, seed, part_id, row["split"])
-    name = row["source"]
-    return PairJob(root, preset, seed, part_id, row["split"], name, sources.files[name], sources.unit)
+    files = tuple((name, sources.files[name]) for name, _ in row["sources"])
+    return PairJob(root, preset, seed, part_id, row["split"], files, sources.unit)
 
 
-def _refused_twin(record: Record, twin: Record) -> Record:
-    """A part from a file that repeats an earlier one is left out."""
-    refused = {"files": {}, "refused": f"near-duplicate of {twin['source']}"}
-    return {key: record[key] for key in ("id", "split", "redraws")} | refused
+def _refused(plan: dict[str, Any], records: dict[str, Record]) -> dict[str, str]:
+    """Why files became no part, by name."""
+    dealt = {part_id: row.get("sources", []) for part_id, row in plan["parts"].items()}
+    return {
+        name: reason
+        for part_id, record in records.items()
+        for (name, _), reason in zip(dealt[part_id], record["redraws"], strict=False)
+    }
 
 
 def _nothing_usable(root: Path, plan: dict[str, Any], records: dict[str, Record]) -> str:
     """Why no file became a part; the folder is left empty, so that the next attempt finds no other plan in it."""
     shutil.rmtree(root / BUILD, ignore_errors=True)
     (root / "plan.json").unlink(missing_ok=True)
-    reasons = [f"{plan['parts'][i]['source']}: {record['refused']}" for i, record in records.items()]
+    reasons = [f"{name}: {reason}" for name, reason in _refused(plan, records).items()]
     more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
     return f"none of {len(reasons)} mesh files can be a part ({'; '.join(reasons[:3])}{more})"
 
@@ -226,9 +230,7 @@ def _summary(
             "parts": _reasons(pairs.values()),
             "assemblies": _reasons(groups.values()),
         },
-        "refused": {
-            plan["parts"][i].get("source", i): record["refused"] for i, record in pairs.items() if "refused" in record
-        },
+        "refused": _refused(plan, pairs),
         "files": files,
     }
 

@@ -39,16 +39,14 @@ class PairJob:
     seed: int
     part_id: str
     split: str
-    source: str | None = None
-    """Name of the mesh file that the part is read from; None draws the part."""
-    path: Path | None = None
-    """Where that file is."""
+    sources: tuple[tuple[str, Path], ...] = ()
+    """Mesh files by name, tried one after another; the part is drawn when there are none."""
     unit: str | None = None
     redraws: tuple[str, ...] = ()
     """Reasons for which earlier attempts were rejected; their number is the attempt to go on with."""
 
     def __str__(self) -> str:
-        return f"part {self.part_id}" + (f" ({self.source})" if self.source else "")
+        return f"part {self.part_id}"
 
 
 Record = dict[str, Any]
@@ -59,7 +57,7 @@ def make_pair(job: PairJob) -> Record:
     done = finished(job.root, "parts", job.part_id)
     if done is not None and len(done["redraws"]) >= len(job.redraws):
         return done
-    return save(job.root, "parts", job.part_id, _from_file(job) if job.source else _drawn(job))
+    return save(job.root, "parts", job.part_id, _from_files(job) if job.sources else _drawn(job))
 
 
 def finished(root: Path, kind: str, item_id: str) -> Record | None:
@@ -105,22 +103,25 @@ def _drawn(job: PairJob) -> Record:
     raise Redraw(f"part {job.part_id}: none of {ATTEMPTS} draws gave a part that passes ({redraws[-1]})")
 
 
-def _from_file(job: PairJob) -> Record:
-    try:
-        part = _read_part(job)
-        design, trial = tried(part, job.preset.clearance)
-    except (MeshRefused, Redraw) as refusal:
-        reason = refusal.reason
-    except Exception as error:  # a stranger's mesh may meet a case nobody thought of: it stops no run, and is reported
-        reason = str(fault("no kit", error))
-    else:
-        return _record(job, part, design, trial, [])
-    return {"id": job.part_id, "split": job.split, "files": {}, "redraws": [], "refused": reason}
+def _from_files(job: PairJob) -> Record:
+    """The record of the first file that can be a part; without any, one that says "refused"."""
+    redraws = list(job.redraws)
+    while len(redraws) < len(job.sources):
+        name, path = job.sources[len(redraws)]
+        try:
+            part = _read_part(job, path)
+            design, trial = tried(part, job.preset.clearance)
+        except (MeshRefused, Redraw) as refusal:
+            redraws.append(refusal.reason)
+        except Exception as error:  # a stranger's mesh may meet a case nobody thought of: it is reported, stops no run
+            redraws.append(str(fault("no kit", error)))
+        else:
+            return _record(job, part, design, trial, redraws) | {"source": name}
+    return {"id": job.part_id, "split": job.split, "files": {}, "redraws": redraws, "refused": True}
 
 
-def _read_part(job: PairJob) -> Part:
-    assert job.path is not None
-    mesh = read_mesh(job.path, job.unit).mesh
+def _read_part(job: PairJob, path: Path) -> Part:
+    mesh = read_mesh(path, job.unit).mesh
     mesh = mesh.scaled(draw_longest(job.preset, job.seed, job.part_id) / mesh.extents.max())
     mesh = Mesh(mesh.vertices - mesh.centroid, mesh.faces).rounded32()
     return Part(job.part_id, "file", mesh, Symmetry.none(), {}, DENSITY * mesh.volume)
@@ -150,7 +151,6 @@ def _record(job: PairJob, part: Part, design: KitDesign, trial: Trial, redraws: 
     return {
         "id": part.id,
         "split": job.split,
-        "source": job.source,
         "files": files,
         "redraws": redraws,
         "measures": shape_measures(part.mesh).tolist(),

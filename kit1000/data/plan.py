@@ -26,6 +26,7 @@ from kit1000.rng import stream
 FORMAT = "kit1000-plan/1"
 DATA_VERSION = "0.1.0"
 """Raised whenever the same plan gives other data."""
+SPARES = 10  # files dealt to one part at most: the next is tried when one cannot be a part
 CANDIDATES = 24  # parts drawn as company for an assembly's target, most of them spare
 
 
@@ -128,21 +129,20 @@ def _drawn_parts(preset: Preset, seed: int) -> dict[str, Any]:
 
 
 def _sourced_parts(preset: Preset, seed: int, sources: Sources) -> dict[str, Any]:
-    """At most as many files as the preset has parts, in a drawn order, split in the preset's proportions."""
+    """Files dealt out in a drawn order, split in the preset's proportions; what is left over are spares."""
     names = sorted(sources.files)
-    order = stream(seed, "sources").permutation(len(names))
+    order = [names[i] for i in stream(seed, "sources").permutation(len(names))]
     total = sum(preset.count(split) for split in SPLITS)
-    chosen = [names[i] for i in order[:total]]
-    shares = np.cumsum([0] + [preset.count(split) for split in SPLITS]) * len(chosen) / total
+    count = min(len(names), total)
+    shares = np.cumsum([0] + [preset.count(split) for split in SPLITS]) * count / total
     bounds = np.floor(shares + 0.5).astype(int)  # halves go to the earlier split: a single file is for training
     parts = {}
     for split, low, high in zip(SPLITS, bounds[:-1], bounds[1:], strict=True):
-        for i, name in enumerate(chosen[low:high]):
-            part_id = f"{split}-{i:04d}"
+        for k in range(low, high):
+            part_id = f"{split}-{k - low:04d}"
             parts[part_id] = {
                 "split": split,
-                "source": name,
-                "sha256": sha256(sources.files[name]),
+                "sources": [[name, sha256(sources.files[name])] for name in order[k::count][:SPARES]],
                 "longest": draw_longest(preset, seed, part_id),
             }
     return parts

@@ -7,6 +7,7 @@ A part let go at random rolls over its convex hull until its centre of mass stan
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -33,7 +34,7 @@ class RestingFace:
     height: float
     """[m] of the part above the plane when it lies so."""
 
-    @property
+    @cached_property
     def lying(self) -> Pose:
         """plane_from_part: the face turned down by the shortest rotation, about the part's origin."""
         return Pose(quaternion_between(self.normal, DOWN), np.zeros(3))

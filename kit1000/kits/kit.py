@@ -129,7 +129,7 @@ def _is_deep(height: float) -> bool:
 
 
 def _turned_square(mesh: Mesh, face: RestingFace, depth: float) -> Pose:
-    """The lying part, lowest point at z = 0, the smallest rectangle about its shadow square to the plate and centred."""
+    """The lying part, lowest point at z = 0, the least rectangle about its shadow square to the plate, centred."""
     lying = face.lying
     points = mesh.moved(lying).vertices
     outline = _rim_outline(points, depth)

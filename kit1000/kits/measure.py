@@ -52,11 +52,11 @@ def _kept_walls(solid: Manifold, probe: Probe, z: float) -> np.ndarray:
 
 def walk(loop: np.ndarray) -> np.ndarray:
     """(n, 2) points along a closed polygon, its corners and every SPACING between them."""
-    parts = []
-    for a, b in zip(loop, np.roll(loop, -1, axis=0), strict=True):
-        steps = max(int(np.ceil(np.linalg.norm(b - a) / SPACING)), 1)
-        parts.append(a + np.arange(steps)[:, None] / steps * (b - a))
-    return np.concatenate(parts)
+    along = np.roll(loop, -1, axis=0) - loop
+    steps = np.maximum(np.ceil(np.hypot(*along.T) / SPACING).astype(int), 1)
+    edge = np.repeat(np.arange(len(loop)), steps)
+    number = np.arange(len(edge)) - np.repeat(np.cumsum(steps) - steps, steps)
+    return loop[edge] + along[edge] * (number / steps[edge])[:, None]
 
 
 def distances(points: np.ndarray, shape: CrossSection) -> np.ndarray:

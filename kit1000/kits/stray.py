@@ -8,15 +8,17 @@ loose fits; against a neighbour's slot it finds parts that would seat in the wro
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
 from kit1000.compiled import compiled
-from kit1000.kits.contact import Ridges, ridges
+from kit1000.kits.contact import Feelers, Ridges, contact_height, feelers, ridges
 from kit1000.kits.envelope import lower_envelope
 from kit1000.kits.face import RestingFace
 from kit1000.kits.goals import nearest_turn
-from kit1000.kits.seating import JUDGE_STEP, SEATED, Plug, contact_raise
+from kit1000.kits.seating import JUDGE_STEP, SEATED
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.values import Kit, Slot
@@ -26,16 +28,15 @@ FEEL = 1.0e-3  # [m] between the part's felt points
 SHIFT = 1.0e-3  # [m] between shifts: twice the optimism of the height field
 TURNS = np.radians(np.arange(0, 360, 5.0))
 APART_ANGLE, APART_SHIFT = np.radians(10), 5e-3  # a pose this far from every goal is another pose
-NUDGES = (0.0, -0.5e-3, 0.5e-3)  # [m] shifts tried exactly about a fit found on the grid
-JUDGED = 16  # fits judged exactly for one face before it is believed that none is real
+NUDGES = tuple(product((0.0, -0.5e-3, 0.5e-3), repeat=2))  # [m] shifts tried exactly about a fit found on the grid
 
 
 class Well:
-    """A kit made ready for stray parts: its height field seen from above, and its edges."""
+    """A kit made ready for stray parts: its height field seen from above, and what of it can be touched."""
 
     def __init__(self, kit: Kit) -> None:
         self.slot = kit.slot
-        self.edges: Ridges = ridges(kit.mesh)
+        self.seen = feelers(ridges(kit.mesh), np.eye(3), np.zeros(3), 1.0)
         upside = Mesh(kit.mesh.vertices * [1, 1, -1], kit.mesh.faces[:, ::-1])
         heights, self.corner = lower_envelope(upside, CELL)
         self.heights = _lowest_around(np.where(np.isfinite(heights), -heights, 0.0))
@@ -49,26 +50,44 @@ class Well:
         return min(SEATED, self.slot.depth / 3)
 
 
+class Fit(NamedTuple):
+    """A part in an upright well, with its exact rise to contact."""
+
+    rotation: np.ndarray
+    """(3, 3) kit from part."""
+    xyz: np.ndarray
+    """(3,) [m] of the part's frame, its lowest point on the cavity's floor."""
+    rise: float
+    """[m]"""
+
+    @property
+    def pose(self) -> Pose:
+        """kit_from_part"""
+        return Pose.from_rotation_matrix(self.rotation, self.xyz)
+
+
 def loose_fit(mesh: Mesh, faces: Sequence[RestingFace], well: Well) -> Pose | None:
     """A kit_from_part pose in which the part seats in its own slot though it is at none of its goals, or None."""
-    goals = well.slot.goals
+    goals = well.slot.goals.xyz[:, 2]
+    body = ridges(mesh)
     for face in faces:
         anchor = -mesh.moved(face.lying).vertices[:, 2].min() - well.slot.depth
-        if np.abs(goals.xyz[:, 2] - anchor - well.limit / 2).min() > 1.5 * well.limit:
+        if np.abs(goals - anchor - well.limit / 2).min() > 1.5 * well.limit:
             continue
-        for pose in _fits(mesh, face, well):
-            if not near_goal(pose, well.slot) and _seats_at_goal_height(mesh, pose, well):
-                return pose
+        for fit in _fits(mesh, body, face, well):
+            level = np.abs(fit.xyz[2] + fit.rise - goals).min() <= well.limit - JUDGE_STEP
+            if level and not near_goal(fit.pose, well.slot):
+                return fit.pose
     return None
 
 
 def foreign_fit(mesh: Mesh, faces: Sequence[RestingFace], well: Well) -> Pose | None:
     """A kit_from_part pose in which a part rests on the floor of a slot made for another part, or None."""
+    body = ridges(mesh)
     for face in faces:
-        for pose in _fits(mesh, face, well):
-            rise = contact_raise(Plug.of(mesh, pose), well.edges, pose)
-            if rise <= well.limit - JUDGE_STEP:
-                return pose
+        for fit in _fits(mesh, body, face, well):
+            if fit.rise <= well.limit - JUDGE_STEP:
+                return fit.pose
     return None
 
 
@@ -82,26 +101,23 @@ def near_goal(pose: Pose, slot: Slot) -> bool:
     return False
 
 
-def _seats_at_goal_height(mesh: Mesh, pose: Pose, well: Well) -> bool:
-    rise = contact_raise(Plug.of(mesh, pose), well.edges, pose)
-    heights = pose.xyz[2] + rise - well.slot.goals.xyz[:, 2]
-    return bool(np.abs(heights).min() <= well.limit - JUDGE_STEP)
-
-
-def _fits(mesh: Mesh, face: RestingFace, well: Well) -> Iterator[Pose]:
-    """Poses on one face, lowest point on the cavity's floor, that the height field lets through (nudged)."""
-    lying = mesh.moved(face.lying)
-    base = lying.bounds[0, 2]
-    points = _felt_points(lying)
+def _fits(mesh: Mesh, body: Ridges, face: RestingFace, well: Well) -> Iterator[Fit]:
+    """Poses on one face, lowest point on the cavity's floor, that the height field lets through, nudged."""
+    lying = face.lying.rotation_matrix()
+    points = _felt_points(Mesh(mesh.vertices @ lying.T, mesh.faces))
+    base = points[:, 2].min()
     points[:, 2] -= base
     points = points[points[:, 2] < well.slot.depth]
-    found = _passing(points, well.heights, *well.corner, *well.low, *well.high, well.slot.depth, well.limit, TURNS)
-    for turn, dx, dy in found[:JUDGED]:
-        spun = Pose.from_rotvec(np.array([0, 0, turn])) @ face.lying
-        for nudge_x in NUDGES:
-            for nudge_y in NUDGES:
-                shift = np.array([dx + nudge_x, dy + nudge_y, -base - well.slot.depth])
-                yield Pose.from_translation(shift) @ spun
+    for turn, dx, dy in _passing(
+        points, well.heights, *well.corner, *well.low, *well.high, well.slot.depth, well.limit, TURNS
+    ):
+        c, s = np.cos(turn), np.sin(turn)
+        rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ lying
+        moving = feelers(body, rotation, np.zeros(3), -1.0)
+        for nudge in NUDGES:
+            xyz = np.array([dx + nudge[0], dy + nudge[1], -base - well.slot.depth])
+            shifted = Feelers(moving.corners + xyz, moving.edges + xyz, moving.faces + xyz)
+            yield Fit(rotation, xyz, contact_height(shifted, well.seen))
 
 
 def _felt_points(lying: Mesh) -> np.ndarray:

@@ -17,6 +17,7 @@ from kit1000.mesh import hull_of, mesh_of
 SAGITTA = 0.02e-3  # [m] width of the band that the chords of the disc stay within
 OVERSIZE = 0.4 * SAGITTA  # the disc's corners lie this far outside the clearance, its chords 0.6 SAGITTA inside
 OVER = 1e-3  # [m] cutters stick out of the rim
+STAGGER = 1e-6  # [m] from the top of one cutter to the next
 STEEP = 2e-4  # down-facing means a unit normal with z below -STEEP; steeper faces are walls: their edges sweep for them
 LEVEL = 2e-6  # [m] a face that rises less is level
 STOREY = 1e-3  # [m] steps of height at which faces are tested for being covered
@@ -44,18 +45,17 @@ def grown_sweep(
     round_, flat = disc(clearance), triangles[level]
     levels = np.unique(flat[:, 0, 2])
     outlines = [_grown_outline(flat[flat[:, 0, 2] == z][..., :2], round_) for z in levels]
+    footing = _Footing(standing, clearance, levels, outlines)
+    sloping = [patch for patch in convex_patches(triangles, joined) if np.ptp(patch[:, 2]) > LEVEL]
+    shown = [patch for patch in sloping if not footing.covers(patch, round_)]
+    # tops at heights of their own: many coplanar ones would cost most of the time of the union
+    tops = iter(depth + OVER + STAGGER * np.arange(len(outlines) + len(shown)))
     prisms = [
-        outline.extrude(depth + OVER - z).translate((0, 0, z))
+        outline.extrude(next(tops) - z).translate((0, 0, z))
         for z, outline in zip(levels, outlines, strict=True)
         if not outline.is_empty()  # a splinter of a face that Clipper rounds away
     ]
-    sloping = [patch for patch in convex_patches(triangles, joined) if np.ptp(patch[:, 2]) > LEVEL]
-    footing = _Footing(standing, clearance, levels, outlines)
-    hulls = [
-        hull_of(_risen(patch, round_, depth + OVER))
-        for patch in sloping
-        if not footing.covers(patch, round_)
-    ]
+    hulls = [hull_of(_risen(patch, round_, next(tops))) for patch in shown]
     swept = Manifold.batch_boolean(prisms + hulls, OpType.Add)
     if swept.is_empty():
         raise Redraw(f"no underside to sweep ({swept.status().name})")
