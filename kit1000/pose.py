@@ -264,13 +264,16 @@ def quaternion_between(u: ArrayLike, v: ArrayLike) -> np.ndarray:
 
 
 def unit_vector(vector: ArrayLike, name: str = "vector") -> np.ndarray:
-    """Scale vectors to unit length. (..., 3) -> (..., 3); `name` opens the message of a refusal."""
+    """Scale vectors to unit length. (..., 3) -> (..., 3); `name` opens the message of a refusal.
+
+    One that is unit to rounding already comes back unchanged.
+    """
     array = checked(name, vector, (..., 3))
     with np.errstate(over="ignore"):
         norm = np.linalg.norm(array, axis=-1, keepdims=True)
     if not np.all((norm > 1 / NORM_LIMIT) & (norm < NORM_LIMIT)):
         raise InputError(f"{name}: expected a direction, got a vector of no or huge length")
-    return array / norm
+    return np.where(np.abs(norm - 1) <= UNIT_TOLERANCE, array, array / norm)
 
 
 def random_quaternions(rng: np.random.Generator, n: int) -> np.ndarray:

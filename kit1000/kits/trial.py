@@ -63,9 +63,12 @@ def try_pair(part: Part, kit: Kit) -> Trial:
         if not seat.try_pose(goal, goal).strict:
             raise Redraw("does not seat at a goal")
     for name, pose in wrong_poses(kit):
-        if not _at_a_goal(pose, kit) and seat.seats(pose, design):
+        if not at_a_goal(pose, kit) and seat.seats(pose, design):
             raise Redraw(f"seats when {name}")
     turn = keyedness(seat)
+    for pose in over_turned(kit, turn):
+        if not at_a_goal(pose, kit, turn) and seat.seats(pose, design):
+            raise Redraw("seats when turned past its keyedness")
     loose = loose_fit(part.mesh, resting_faces(part.mesh), Well(kit)) is not None
     return Trial(turn, loose)
 
@@ -95,10 +98,17 @@ def keyedness(seat: Seat) -> float | None:
     return None
 
 
-def _at_a_goal(pose: Pose, kit: Kit) -> bool:
-    """Whether a pose is, up to the free axis, within a fraction of the seating limits of a goal."""
+def over_turned(kit: Kit, turn: float | None) -> Iterator[Pose]:
+    """The design pose turned a little more than its keyedness [rad], both ways; nothing for a free axis."""
+    for side in (1, -1) if turn is not None else ():
+        yield about_anchor(kit.slot.goals[0], np.array([0, 0, side * ((turn or 0.0) + BEYOND)]))
+
+
+def at_a_goal(pose: Pose, kit: Kit, within: float | None = None) -> bool:
+    """Whether a pose is, up to the free axis, a goal: TURN_STEP or `within` [rad] and a millimetre from it at most."""
+    reach = max(TURN_STEP, within or 0.0)
     for goal in kit.slot.goals:
         turned = goal if kit.slot.free_axis is None else nearest_turn(pose, goal, kit.slot.free_axis)
-        if quaternion_angle(pose.wxyz, turned.wxyz) < TURN_STEP and np.linalg.norm(pose.xyz - turned.xyz) < SEATED / 3:
+        if quaternion_angle(pose.wxyz, turned.wxyz) < reach and np.linalg.norm(pose.xyz - turned.xyz) < SEATED / 3:
             return True
     return False

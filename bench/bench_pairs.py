@@ -1,0 +1,98 @@
+"""Parts and kits of a dataset, proved again from its files with exact booleans, which had no say when they were made.
+
+    python bench/bench_pairs.py data/kit1000 --count 100
+
+Every plate: closed and one body after float32 rounding and vertex merging, clearance within its bounds. A sample: the
+part never overlaps the plate on its way in, the boolean judge seats it at every goal and at none of the wrong poses.
+Exits with 1 when anything fails.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from kit1000.data.dataset import Geometry
+from kit1000.kits.kit import LOOSEST
+from kit1000.kits.seating import HOVER, Plug, judged_raise, swept_out, verdict
+from kit1000.kits.sweep import SAGITTA
+from kit1000.kits.trial import at_a_goal, over_turned, wrong_poses
+from kit1000.mesh import body_count, defect32, solid_of
+from kit1000.pose import Pose
+from kit1000.values import Kit, Part
+
+FILM = 1e-12  # [m^3] of overlap that is rounding on touching faces
+
+
+@dataclass(frozen=True)
+class Proof:
+    """Prove a dataset's parts and kits."""
+
+    data: tyro.conf.Positional[Path]
+    """Dataset folder."""
+    count: int = 100
+    """Pairs proved with booleans, drawn at random; all are checked for closedness and clearance."""
+    seed: int = 0
+    """Of the drawing."""
+
+
+def main(proof: Proof) -> int:
+    """Print the table; 1 when something fails."""
+    geometry, faults = Geometry(proof.data), Counter()
+    started = time.perf_counter()
+    for kit_id, row in geometry.kits.items():
+        mesh = geometry.kit(kit_id).mesh
+        faults["plate not closed in float32"] += defect32(mesh) is not None
+        faults["plate of several bodies"] += body_count(mesh) != 1
+        faults["clearance out of bounds"] += not _in_bounds(row)
+    sample = np.random.default_rng(proof.seed).choice(
+        sorted(geometry.kits), min(proof.count, len(geometry.kits)), False
+    )
+    tried: Counter[str] = Counter()
+    for part_id in sample:
+        _prove(geometry.part(part_id), geometry.kit(part_id), geometry.kits[part_id]["keyedness"], faults, tried)
+    reports = [row["report"] for row in geometry.kits.values()]
+    low, high = min(r["clearance_smallest_mm"] for r in reports), max(r["clearance_largest_mm"] for r in reports)
+    print(f"{len(reports)} plates: clearance {low:.3f} to {high:.3f} mm")
+    print(f"{len(sample)} pairs by booleans: " + ", ".join(f"{n} {what}" for what, n in tried.items()))
+    print("faults: " + (", ".join(f"{n} {what}" for what, n in faults.items() if n) or "none"))
+    print(f"{time.perf_counter() - started:.0f} s")
+    return int(any(faults.values()))
+
+
+def _in_bounds(row: dict) -> bool:
+    report, asked = row["report"], row["clearance"] * 1e3
+    low, high = asked - SAGITTA * 1e3, asked + LOOSEST * 1e3
+    return low <= report["clearance_smallest_mm"] and report["clearance_largest_mm"] <= high
+
+
+def _prove(part: Part, kit: Kit, keyedness: float | None, faults: Counter[str], tried: Counter[str]) -> None:
+    design, plate = kit.slot.goals[0], solid_of(kit.mesh)
+    body = solid_of(part.mesh).transform(design.matrix()[:3])
+    for rise in np.linspace(0, HOVER, 8):
+        tried["heights on the way in"] += 1
+        faults["overlap on the way in"] += (body.translate((0, 0, rise)) ^ plate).volume() > FILM
+    for goal in kit.slot.goals:
+        tried["goals"] += 1
+        faults["goal that does not seat"] += not _seats(part, kit, goal, goal)
+    wrong = [(pose, None) for _, pose in wrong_poses(kit)] + [(pose, keyedness) for pose in over_turned(kit, keyedness)]
+    for pose, reach in wrong:
+        if not at_a_goal(pose, kit, reach):
+            tried["wrong poses"] += 1
+            faults["wrong pose that seats"] += _seats(part, kit, pose, design)
+
+
+def _seats(part: Part, kit: Kit, pose: Pose, goal: Pose) -> bool:
+    plug = Plug.of(part.mesh, goal)
+    rise = judged_raise(swept_out(part.mesh, plug.axis), plug, solid_of(kit.mesh), pose)
+    return verdict(rise, plug, pose, goal, kit.slot.depth).seated
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Proof, description=__doc__)))
