@@ -136,6 +136,8 @@ def tried(part: Part, clearance: float) -> tuple[KitDesign, Trial]:
     for face in insertion_faces(part, clearance)[:FACES]:
         try:
             design = design_kit(part, clearance, face=face)
+            if not design.in_bounds:
+                raise Redraw("clearance out of bounds")
             trial = try_pair(part, design.kit)
             if not trial.loose:
                 return design, trial

@@ -20,6 +20,7 @@ from kit1000.symmetry import Symmetry
 PROBABLE = 0.05  # a resting face is one on which the part comes to lie in at least this share of drops
 ROUND = np.radians(12)  # stable facets closer than this are one rolling surface (a tessellated cylinder)
 WRONG_TURN = np.radians(20)  # turns beyond this ought to show in the cavity
+SAME_RELIEF = 0.02  # share of a relief by which a turn that is none may differ on the grid
 TIPPED, LEANING = np.radians(20), 3e-3  # a seated part must not lean so far while rising less than [m]
 DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -106,7 +107,8 @@ def _turn_contrast(mesh: Mesh, face: RestingFace, depth: float, clearance: float
     hidden = weights @ sunk / (weights.sum() * turns)
     angles = np.arange(turns) * (2 * np.pi / turns)
     spun = quaternion_from_rotvec(-angles[:, None] * face.normal)  # the face looks down: it turns the other way
-    wrong = symmetry.error(spun, np.array([1.0, 0, 0, 0])) > WRONG_TURN
+    alike = weights @ np.abs(shifted - relief[:, :, None]).sum(1) < SAME_RELIEF * (weights @ relief.sum(1))
+    wrong = (symmetry.error(spun, np.array([1.0, 0, 0, 0])) > WRONG_TURN) & ~alike
     return float(hidden[wrong].min() + 0.01 * hidden.mean()) if wrong.any() else np.inf
 
 

@@ -15,6 +15,7 @@ from kit1000.kits.cavity import THIN, Cavity, cut_cavity, insertion_depth
 from kit1000.kits.face import RestingFace, rank_faces, resting_faces
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.measure import Clearance, measured_clearance
+from kit1000.kits.sweep import SAGITTA
 from kit1000.kits.weld import printable_mesh
 from kit1000.mesh import Mesh, solid_of
 from kit1000.pose import Pose
@@ -51,6 +52,12 @@ class KitDesign:
     cavity: Cavity
     face: RestingFace
     measured: Clearance
+
+    @property
+    def in_bounds(self) -> bool:
+        """Whether every kept wall stands as far off as asked: SAGITTA nearer or LOOSEST farther at most."""
+        asked = self.kit.slot.clearance
+        return asked - SAGITTA <= self.measured.smallest and self.measured.largest <= asked + LOOSEST
 
     @property
     def report(self) -> dict[str, float | int | bool]:

@@ -139,7 +139,7 @@ def _lowest_around(heights: np.ndarray) -> np.ndarray:
 
 @compiled
 def _passing(points, heights, x0, y0, low_x, low_y, high_x, high_y, depth, limit, turns):
-    """(k, 3) turn, dx, dy: one shift for each turn at which no felt point meets the height field."""
+    """(k, 3) turn, dx, dy: for each turn the shift amid all those at which no felt point meets the height field."""
     found = np.empty((turns.shape[0], 3))
     count = 0
     spun = np.empty((points.shape[0], 2))
@@ -151,23 +151,19 @@ def _passing(points, heights, x0, y0, low_x, low_y, high_x, high_y, depth, limit
             spun[p, 0], spun[p, 1] = x, y
             if points[p, 2] < depth / 2 - limit:
                 left, right, near, far = min(left, x), max(right, x), min(near, y), max(far, y)
-        first = np.array([low_x - left, low_y - near])
-        last = np.array([high_x - right, high_y - far])
-        if last[0] < first[0] or last[1] < first[1]:
+        room_x, room_y = high_x - right - low_x + left, high_y - far - low_y + near
+        if not (room_x >= 0 and room_y >= 0):
             continue
-        steps_x, steps_y = int((last[0] - first[0]) / SHIFT) + 1, int((last[1] - first[1]) / SHIFT) + 1
-        hit = False
+        steps_x, steps_y = int(room_x / SHIFT) + 1, int(room_y / SHIFT) + 1
+        sum_x, sum_y, hits = 0.0, 0.0, 0
         for i in range(steps_x + 1):
-            dx = first[0] + (last[0] - first[0]) * i / steps_x
+            dx = low_x - left + room_x * i / steps_x
             for j in range(steps_y + 1):
-                dy = first[1] + (last[1] - first[1]) * j / steps_y
+                dy = low_y - near + room_y * j / steps_y
                 if _clear(points, spun, heights, x0, y0, dx, dy, limit - depth):
-                    found[count, 0], found[count, 1], found[count, 2] = turn, dx, dy
-                    hit = True
-                    break
-            if hit:
-                break
-        if hit:
+                    sum_x, sum_y, hits = sum_x + dx, sum_y + dy, hits + 1
+        if hits:
+            found[count, 0], found[count, 1], found[count, 2] = turn, sum_x / hits, sum_y / hits
             count += 1
     return found[:count]
 

@@ -21,7 +21,7 @@ STAGGER = 1e-6  # [m] from the top of one cutter to the next
 STEEP = 2e-4  # down-facing means a unit normal with z below -STEEP; steeper faces are walls: their edges sweep for them
 LEVEL = 2e-6  # [m] a face that rises less is level
 STOREY = 1e-3  # [m] steps of height at which faces are tested for being covered
-NOTHING = 1e-12  # [m^2] area that is rounding error
+NOTHING = 1e-10  # [m^2] area that is rounding error
 
 
 def disc(clearance: float) -> np.ndarray:
