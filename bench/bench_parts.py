@@ -29,7 +29,7 @@ from kit1000.errors import Redraw
 from kit1000.mesh import Mesh
 from kit1000.parts.catalog import FAMILIES, choose_family
 from kit1000.parts.family import make_part
-from kit1000.parts.sources import mesh_files, read_all
+from kit1000.parts.files.sources import mesh_files, read_all
 from kit1000.rng import stream
 
 LONGEST = 45e-3  # [m] every shape measure is free of it

@@ -76,7 +76,7 @@ class Generate:
     def _sources(self) -> Sources | None:
         """The mesh files asked for, without those that this command itself writes."""
         from kit1000.data.plan import Sources
-        from kit1000.parts.sources import mesh_files
+        from kit1000.parts.files.sources import mesh_files
 
         if self.parts is None:
             return None

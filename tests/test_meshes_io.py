@@ -15,7 +15,7 @@ from mini import corner
 from kit1000.data.meshes import glb_bytes, read_glb, stl_bytes, y_up, z_up
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, defect32
-from kit1000.parts.formats import read_soup
+from kit1000.parts.files.formats import read_soup
 
 POINTS = arrays(np.float64, (7, 3), elements=st.floats(-1, 1, width=32))
 FACES = np.array([[0, 1, 2], [6, 5, 4], [3, 3, 0]], dtype=np.int32)

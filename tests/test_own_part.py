@@ -20,8 +20,8 @@ from kit1000.data.meshes import read_glb
 from kit1000.data.own_part import kit_for
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, defect32, solid_of
-from kit1000.parts.formats import read_soup
-from kit1000.parts.sources import mesh_files
+from kit1000.parts.files.formats import read_soup
+from kit1000.parts.files.sources import mesh_files
 from kit1000.sim import preview
 
 FILES = ["kit.stl", "part.stl", "preview.png", "report.json", "seated.glb"]

@@ -15,8 +15,8 @@ from kit1000.data.plan import Sources, dataset_id, draw_assembly_of, draw_part, 
 from kit1000.data.presets import HELD_OUT, PRESETS, SPLITS, Preset, preset
 from kit1000.errors import InputError
 from kit1000.parts import catalog
-from kit1000.parts.block import Block
 from kit1000.parts.catalog import FAMILIES, WEIGHTS
+from kit1000.parts.families.block import Block
 
 TINY = PRESETS["tiny"]
 MANY = Preset("many", 120, 20, 40)

@@ -12,9 +12,9 @@ from manifold3d import Manifold
 
 from kit1000.errors import MeshRefused
 from kit1000.mesh import Mesh, defect32, mesh_of, solid_of
-from kit1000.parts.bodies import MAX_PLAIN_FACES, SIMPLIFY_TOLERANCE, part_mesh
-from kit1000.parts.crossings import crossings, farthest, winding_numbers
-from kit1000.parts.repair import closed_solid
+from kit1000.parts.files.bodies import MAX_PLAIN_FACES, SIMPLIFY_TOLERANCE, part_mesh
+from kit1000.parts.files.crossings import crossings, farthest, winding_numbers
+from kit1000.parts.files.repair import closed_solid
 
 BOX = Manifold.cube((0.04, 0.02, 0.01), True)
 SHAPES = {

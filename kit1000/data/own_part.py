@@ -16,7 +16,7 @@ from kit1000.kits.kit import CLEARANCE, KitDesign, design_kit
 from kit1000.kits.trial import try_pair
 from kit1000.mesh import Mesh
 from kit1000.parts.family import DENSITY
-from kit1000.parts.sources import Reading, read_mesh
+from kit1000.parts.files.sources import Reading, read_mesh
 from kit1000.symmetry import Symmetry
 from kit1000.values import Part
 

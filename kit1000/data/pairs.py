@@ -20,7 +20,7 @@ from kit1000.kits.kit import KitDesign, design_kit, insertion_faces
 from kit1000.kits.trial import Trial, try_pair
 from kit1000.mesh import Mesh
 from kit1000.parts.family import DENSITY, make_part
-from kit1000.parts.sources import read_mesh
+from kit1000.parts.files.sources import read_mesh
 from kit1000.parts.twins import shape_measures
 from kit1000.symmetry import Symmetry
 from kit1000.values import Part

@@ -10,8 +10,8 @@ import numpy as np
 from manifold3d import Error, Manifold, Mesh64
 
 from kit1000.errors import MeshRefused
-from kit1000.parts.seams import closed
-from kit1000.parts.topology import longest_side, open_edges, unpaired, without_duplicates, wound
+from kit1000.parts.files.seams import closed
+from kit1000.parts.files.topology import longest_side, open_edges, unpaired, without_duplicates, wound
 
 FLAT_SHARE = 1e-6  # of the longest side: a soup thinner than this is a sheet
 

@@ -11,8 +11,8 @@ from manifold3d import Manifold, OpType
 
 from kit1000.errors import MeshRefused
 from kit1000.mesh import Mesh, defect, defect32, mesh_of, solid_of
-from kit1000.parts.crossings import crossings, farthest, winding_numbers
-from kit1000.parts.repair import inverted
+from kit1000.parts.files.crossings import crossings, farthest, winding_numbers
+from kit1000.parts.files.repair import inverted
 
 MAX_PLAIN_FACES = 5000  # meshes up to this size are kept as they are
 SIMPLIFY_TOLERANCE = 2e-5  # [m] the sagitta to which our own parts are drawn

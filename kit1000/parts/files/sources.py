@@ -19,9 +19,9 @@ import numpy as np
 
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh
-from kit1000.parts.bodies import part_mesh
-from kit1000.parts.formats import MESH_SUFFIXES, STEP_SUFFIXES, read_soup
-from kit1000.parts.repair import closed_solid
+from kit1000.parts.files.bodies import part_mesh
+from kit1000.parts.files.formats import MESH_SUFFIXES, STEP_SUFFIXES, read_soup
+from kit1000.parts.files.repair import closed_solid
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}  # [m] what a user can ask for
 FILE_UNITS = UNITS | {"foot": 0.3048, "micron": 1e-6}  # [m] what a file can say

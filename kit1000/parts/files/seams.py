@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from kit1000.errors import MeshRefused
-from kit1000.parts.topology import halfedges, longest_side, open_edges, without_duplicates, wound
+from kit1000.parts.files.topology import halfedges, longest_side, open_edges, without_duplicates, wound
 
 WELD_SHARES = (1e-7, 1e-6, 1e-5)  # of the longest side; CAD writes one corner in several last digits
 WELD_LIMIT = 1e-5  # [m] no seam wider than this is closed

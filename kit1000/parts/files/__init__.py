@@ -1,0 +1,1 @@
+"""Mesh files of other people made into parts: read, mended, or refused with one line."""
