@@ -105,7 +105,10 @@ def draw_assembly_of(preset: Preset, seed: int, assembly_id: str, kits: int, att
     rng = stream(seed, "assembly", assembly_id, attempt)
     least, most = np.radians(preset.tilt_deg)
     order = rng.permutation(kits)
-    return AssemblyDraw(order, draw_assembly(rng, kits, preset.level_base, side_tilt=(float(least), float(most))))
+    brackets = tuple(float(np.radians(tilt)) for tilt in preset.brackets_deg)
+    return AssemblyDraw(
+        order, draw_assembly(rng, kits, preset.level_base, side_tilt=(float(least), float(most)), brackets=brackets)
+    )
 
 
 def family_weights(split: str) -> dict[str, float]:

@@ -31,6 +31,8 @@ class Preset:
     """Whether base plates stand level, as in the paper."""
     tilt_deg: tuple[float, float] = (10.0, 45.0)
     """Range of a side plate's tilt against its base."""
+    brackets_deg: tuple[float, ...] = ()
+    """Tilts to pick from in place of the range, where brackets come in a few angles."""
     seed: int = 1000
 
     def count(self, split: str) -> int:
@@ -52,7 +54,7 @@ PRESETS = {
         Preset("kit1000", 1000, 100, 200),
         Preset("paper", 1000, 100, 200, longest=(0.05, 0.05), level_base=True),
         Preset("real-like", 400, 50, 100, clearance=10e-3, kits=(1, 4)),
-        Preset("study", 40, 8, 24, kits=(2, 3), tilt_deg=(10.0, 30.0)),
+        Preset("study", 40, 8, 24, kits=(2, 3), tilt_deg=(10.0, 30.0), brackets_deg=(10.0, 20.0, 30.0)),
     )
 }
 

@@ -63,10 +63,11 @@ def draw_assembly(
     level_base: bool = False,
     max_world_tilt: float = WORLD_TILT,
     side_tilt: tuple[float, float] = SIDE_TILT,
+    brackets: tuple[float, ...] = (),
 ) -> AssemblyPlan:
     """A plan for 1 to 5 kits, drawn again until no slot is tilted more than `max_world_tilt` [rad].
 
-    side_tilt [rad]: least and most of a side plate against the base.
+    side_tilt [rad]: least and most of a side plate against the base; brackets [rad]: angles to pick from instead.
     """
     if not 1 <= kits <= MOST_KITS:
         raise InputError(f"kits: expected 1 to {MOST_KITS} in an assembly, got {kits}")
@@ -76,6 +77,8 @@ def draw_assembly(
         base_tilt = 0.0 if level_base else rng.uniform(0, BASE_TILT)
         azimuth = 0.0 if level_base else rng.uniform(0, 2 * np.pi)
         directions, tilts = rng.permutation(4)[: kits - 1], rng.uniform(*side_tilt, size=kits - 1)
+        if brackets:
+            tilts = rng.choice(brackets, size=kits - 1)
         sides = tuple(Side(int(d), float(t)) for d, t in zip(directions, tilts, strict=True))
         plan = AssemblyPlan(float(base_tilt), float(azimuth), sides)
         if world_tilts(plan).max() <= max_world_tilt:
