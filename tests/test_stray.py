@@ -12,7 +12,7 @@ from kit1000.kits.contact import ridges
 from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.seating import JUDGE_STEP, Plug, contact_raise, judged_raise, swept_out
-from kit1000.kits.stray import Well, foreign_fit, loose_fit, near_goal
+from kit1000.kits.stray import Stray, Well, foreign_fit, loose_fit, near_goal
 from kit1000.mesh import Mesh, solid_of
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry
@@ -51,7 +51,7 @@ FOREIGN = [
 def test_parts_that_fit_a_foreign_slot_are_found_and_others_are_not(part, host, fits: bool) -> None:
     mesh, kit = as_part(part()).mesh, whole(host())[1]
     well = Well(kit)
-    pose = foreign_fit(mesh, resting_faces(mesh), well)
+    pose = foreign_fit(Stray(mesh, resting_faces(mesh)), well)
     assert (pose is not None) == fits
     if pose is not None:
         assert judged(mesh, kit, pose) <= well.limit
@@ -72,7 +72,7 @@ def test_parts_that_fit_a_foreign_slot_are_found_and_others_are_not(part, host, 
 )
 def test_loose_fits_are_found_and_confirmed_by_booleans(solid, loose: bool) -> None:
     mesh, kit = whole(solid())
-    pose = loose_fit(mesh, resting_faces(mesh), Well(kit))
+    pose = loose_fit(Stray(mesh, resting_faces(mesh)), Well(kit))
     assert (pose is not None) == loose
     if pose is not None:
         assert not near_goal(pose, kit.slot)
@@ -86,7 +86,7 @@ def test_chance_finds_no_fit_where_the_search_says_none(solid) -> None:
     mesh, kit = whole(solid())
     well, edges, rng = Well(kit), ridges(kit.mesh), np.random.default_rng(11)
     faces = resting_faces(mesh)
-    assert loose_fit(mesh, faces, well) is None
+    assert loose_fit(Stray(mesh, faces), well) is None
     for number in range(1000):
         face = faces[number % len(faces)]
         turned = Pose.from_rotvec(np.array([0, 0, rng.uniform(0, 2 * np.pi)])) @ face.lying
@@ -103,7 +103,7 @@ def test_what_the_search_calls_a_fit_does_not_depend_on_the_axes_of_the_part() -
     turn = Pose.from_rotvec(np.array([0.4, 1.1, -0.3]))
     for solid, fits in ((box(14, 34, 18), True), (box(48, 30, 40), False)):
         mesh = as_part(solid).mesh.moved(turn)
-        assert (foreign_fit(mesh, resting_faces(mesh), Well(kit)) is not None) == fits
+        assert (foreign_fit(Stray(mesh, resting_faces(mesh)), Well(kit)) is not None) == fits
 
 
 def test_near_a_goal_means_10_degrees_and_5_mm() -> None:

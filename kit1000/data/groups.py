@@ -14,8 +14,8 @@ from kit1000.data.presets import Preset
 from kit1000.data.tables import assembly_row, kit_of, part_of
 from kit1000.errors import Redraw
 from kit1000.kits.assembly import build_assembly, check_assembly
-from kit1000.kits.face import RestingFace, resting_faces
-from kit1000.kits.stray import Well, foreign_fit
+from kit1000.kits.face import resting_faces
+from kit1000.kits.stray import Stray, Well, foreign_fit
 from kit1000.values import Assembly, Kit, Part
 
 ATTEMPTS = 60  # placings of one assembly before the check or the draw must be called broken
@@ -46,7 +46,7 @@ class Member:
 
     part: Part
     kit: Kit
-    faces: list[RestingFace]
+    stray: Stray
     well: Well
 
 
@@ -103,9 +103,7 @@ def _company(job: GroupJob) -> tuple[list[Member], list[str]]:
 
 def _mistakable(a: Member, b: Member) -> bool:
     """Whether one of two parts rests on the floor of the other's slot."""
-    return (
-        foreign_fit(a.part.mesh, a.faces, b.well) is not None or foreign_fit(b.part.mesh, b.faces, a.well) is not None
-    )
+    return foreign_fit(a.stray, b.well) is not None or foreign_fit(b.stray, a.well) is not None
 
 
 def member(root: Path, part_id: str) -> Member:
@@ -120,4 +118,4 @@ def _member(root: Path, part_id: str, _written: int) -> Member:
     record = read_json(root / BUILD / "parts" / f"{part_id}.json")
     part = part_of(part_id, record["part"], read_glb(root / f"parts/{part_id}.glb")[part_id])
     kit = kit_of(part_id, record["kit"], read_glb(root / f"kits/{part_id}.glb")[part_id])
-    return Member(part, kit, resting_faces(part.mesh), Well(kit))
+    return Member(part, kit, Stray(part.mesh, resting_faces(part.mesh)), Well(kit))

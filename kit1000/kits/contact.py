@@ -79,13 +79,10 @@ def feelers(body: Ridges, rotation: np.ndarray, translation: np.ndarray, side: f
 
 def within(standing: Feelers, low: np.ndarray, high: np.ndarray) -> Feelers:
     """The feelers whose shadow meets the box low..high (2,) [m] in the plane."""
-
-    def meets(points: np.ndarray) -> np.ndarray:
-        return ((points[..., :2].min(1) <= high) & (points[..., :2].max(1) >= low)).all(1)
-
-    inside = ((standing.corners[:, :2] >= low) & (standing.corners[:, :2] <= high)).all(1)
     return Feelers(
-        standing.corners[inside], standing.edges[meets(standing.edges)], standing.faces[meets(standing.faces)]
+        standing.corners[_meets(standing.corners[:, None], low, high)],
+        standing.edges[_meets(standing.edges, low, high)],
+        standing.faces[_meets(standing.faces, low, high)],
     )
 
 
@@ -103,6 +100,20 @@ def contact_height(moving: Feelers, standing: Feelers) -> float:
         _highest_under(standing.corners, moving.faces, -1.0),
         _highest_crossing(moving.edges, standing.edges),
     )
+
+
+@compiled
+def _meets(shapes, low, high):
+    """(n,) bool: which of n shapes of k corners (n, k, 3) have a shadow whose box meets the box low..high."""
+    meets = np.ones(shapes.shape[0], np.bool_)
+    for i in range(shapes.shape[0]):
+        for axis in range(2):
+            least = most = shapes[i, 0, axis]
+            for k in range(1, shapes.shape[1]):
+                least, most = min(least, shapes[i, k, axis]), max(most, shapes[i, k, axis])
+            if least > high[axis] or most < low[axis]:
+                meets[i] = False
+    return meets
 
 
 @compiled

@@ -27,6 +27,7 @@ CELL = 0.5e-3  # [m] of the cavity's height field
 FEEL = 1.0e-3  # [m] between the part's felt points
 SHIFT = 1.0e-3  # [m] between shifts: twice the optimism of the height field
 TURNS = np.radians(np.arange(0, 360, 5.0))
+BATCHES = 4  # turns are looked at a quarter at a time, widely spaced, so that an easy fit is soon found
 APART_ANGLE, APART_SHIFT = np.radians(10), 5e-3  # a pose this far from every goal is another pose
 NUDGES = tuple(product((0.0, -0.5e-3, 0.5e-3), repeat=2))  # [m] shifts tried exactly about a fit found on the grid
 
@@ -66,26 +67,49 @@ class Fit(NamedTuple):
         return Pose.from_rotation_matrix(self.rotation, self.xyz)
 
 
-def loose_fit(mesh: Mesh, faces: Sequence[RestingFace], well: Well) -> Pose | None:
+class Stray:
+    """A part made ready to be held over wells, lying on each of its stable faces."""
+
+    def __init__(self, mesh: Mesh, faces: Sequence[RestingFace]) -> None:
+        self.body = ridges(mesh)
+        self.lying = [_Lying.on(mesh, face) for face in faces]
+
+
+class _Lying(NamedTuple):
+    """A part on one face."""
+
+    rotation: np.ndarray
+    """(3, 3) that lays it so."""
+    anchor: float
+    """[m] of the part's frame above the plane it lies on."""
+    points: np.ndarray
+    """(n, 3) [m] felt points of its underside, the plane at z = 0."""
+
+    @staticmethod
+    def on(mesh: Mesh, face: RestingFace) -> _Lying:
+        rotation = face.lying.rotation_matrix()
+        points = _felt_points(Mesh(mesh.vertices @ rotation.T, mesh.faces))
+        low = float(points[:, 2].min())
+        return _Lying(rotation, -low, points - [0, 0, low])
+
+
+def loose_fit(stray: Stray, well: Well) -> Pose | None:
     """A kit_from_part pose in which the part seats in its own slot though it is at none of its goals, or None."""
     goals = well.slot.goals.xyz[:, 2]
-    body = ridges(mesh)
-    for face in faces:
-        anchor = -mesh.moved(face.lying).vertices[:, 2].min() - well.slot.depth
-        if np.abs(goals - anchor - well.limit / 2).min() > 1.5 * well.limit:
+    for lying in stray.lying:
+        if np.abs(goals - (lying.anchor - well.slot.depth) - well.limit / 2).min() > 1.5 * well.limit:
             continue
-        for fit in _fits(mesh, body, face, well):
+        for fit in _fits(stray.body, lying, well):
             level = np.abs(fit.xyz[2] + fit.rise - goals).min() <= well.limit - JUDGE_STEP
             if level and not near_goal(fit.pose, well.slot):
                 return fit.pose
     return None
 
 
-def foreign_fit(mesh: Mesh, faces: Sequence[RestingFace], well: Well) -> Pose | None:
+def foreign_fit(stray: Stray, well: Well) -> Pose | None:
     """A kit_from_part pose in which a part rests on the floor of a slot made for another part, or None."""
-    body = ridges(mesh)
-    for face in faces:
-        for fit in _fits(mesh, body, face, well):
+    for lying in stray.lying:
+        for fit in _fits(stray.body, lying, well):
             if fit.rise <= well.limit - JUDGE_STEP:
                 return fit.pose
     return None
@@ -101,23 +125,19 @@ def near_goal(pose: Pose, slot: Slot) -> bool:
     return False
 
 
-def _fits(mesh: Mesh, body: Ridges, face: RestingFace, well: Well) -> Iterator[Fit]:
+def _fits(body: Ridges, lying: _Lying, well: Well) -> Iterator[Fit]:
     """Poses on one face, lowest point on the cavity's floor, that the height field lets through, nudged."""
-    lying = face.lying.rotation_matrix()
-    points = _felt_points(Mesh(mesh.vertices @ lying.T, mesh.faces))
-    base = points[:, 2].min()
-    points[:, 2] -= base
-    points = points[points[:, 2] < well.slot.depth]
-    for turn, dx, dy in _passing(
-        points, well.heights, *well.corner, *well.low, *well.high, well.slot.depth, well.limit, TURNS
-    ):
-        c, s = np.cos(turn), np.sin(turn)
-        rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ lying
-        moving = feelers(body, rotation, np.zeros(3), -1.0)
-        for nudge in NUDGES:
-            xyz = np.array([dx + nudge[0], dy + nudge[1], -base - well.slot.depth])
-            shifted = Feelers(moving.corners + xyz, moving.edges + xyz, moving.faces + xyz)
-            yield Fit(rotation, xyz, contact_height(shifted, well.seen))
+    depth, points = well.slot.depth, lying.points[lying.points[:, 2] < well.slot.depth]
+    bounds = (*well.corner, *well.low, *well.high)
+    for batch in range(BATCHES):
+        for turn, dx, dy in _passing(points, well.heights, *bounds, depth, well.limit, TURNS[batch::BATCHES]):
+            c, s = np.cos(turn), np.sin(turn)
+            rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ lying.rotation
+            moving = feelers(body, rotation, np.zeros(3), -1.0)
+            for nudge in NUDGES:
+                xyz = np.array([dx + nudge[0], dy + nudge[1], lying.anchor - depth])
+                shifted = Feelers(moving.corners + xyz, moving.edges + xyz, moving.faces + xyz)
+                yield Fit(rotation, xyz, contact_height(shifted, well.seen))
 
 
 def _felt_points(lying: Mesh) -> np.ndarray:
@@ -155,7 +175,11 @@ def _passing(points, heights, x0, y0, low_x, low_y, high_x, high_y, depth, limit
         if not (room_x >= 0 and room_y >= 0):
             continue
         steps_x, steps_y = int(room_x / SHIFT) + 1, int(room_y / SHIFT) + 1
-        sum_x, sum_y, hits = 0.0, 0.0, 0
+        sum_x, sum_y, hits = low_x - left + room_x / 2, low_y - near + room_y / 2, 1
+        if _clear(points, spun, heights, x0, y0, sum_x, sum_y, limit - depth):
+            steps_x = steps_y = -1  # the middle of the room will do
+        else:
+            sum_x, sum_y, hits = 0.0, 0.0, 0
         for i in range(steps_x + 1):
             dx = low_x - left + room_x * i / steps_x
             for j in range(steps_y + 1):

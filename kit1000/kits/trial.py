@@ -15,7 +15,7 @@ from kit1000.kits.contact import Ridges, ridges
 from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import nearest_turn
 from kit1000.kits.seating import SEATED, Plug, Verdict, contact_raise, verdict
-from kit1000.kits.stray import Well, loose_fit
+from kit1000.kits.stray import Stray, Well, loose_fit
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.values import Kit, Part
@@ -69,7 +69,7 @@ def try_pair(part: Part, kit: Kit) -> Trial:
     for pose in over_turned(kit, turn):
         if not at_a_goal(pose, kit, turn) and seat.seats(pose, design):
             raise Redraw("seats when turned past its keyedness")
-    loose = loose_fit(part.mesh, resting_faces(part.mesh), Well(kit)) is not None
+    loose = loose_fit(Stray(part.mesh, resting_faces(part.mesh)), Well(kit)) is not None
     return Trial(turn, loose)
 
 
