@@ -21,7 +21,7 @@ from kit1000.data import engines
 from kit1000.data.files import check_writable, clear_partial, json_bytes, locked, read_json, write_json
 from kit1000.data.groups import GroupJob, make_group
 from kit1000.data.pairs import BUILD, PairJob, Record, intact, make_pair
-from kit1000.data.plan import DATA_VERSION, Sources, dataset_id, make_plan
+from kit1000.data.plan import DATA_VERSION, Sources, company_of, dataset_id, make_plan, split_ids
 from kit1000.data.presets import SPLITS, Preset
 from kit1000.data.tables import FORMAT
 from kit1000.errors import InputError
@@ -155,6 +155,7 @@ def _groups(
 ) -> dict[str, Record]:
     """The record of every assembly, by id."""
     usable = {part_id for part_id, record in pairs.items() if "refused" not in record}
+    ids = {split: split_ids(plan["parts"], split) for split in SPLITS}
     jobs = [
         GroupJob(
             root,
@@ -164,7 +165,7 @@ def _groups(
             row["split"],
             row["target"],
             row["kits"],
-            tuple(part_id for part_id in row["company"] if part_id in usable),
+            tuple(i for i in company_of(plan["seed"], row["target"], ids[row["split"]]) if i in usable),
         )
         for assembly_id, row in plan["assemblies"].items()
         if row["target"] in usable

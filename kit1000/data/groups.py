@@ -9,7 +9,7 @@ from pathlib import Path
 from kit1000.data.files import read_json
 from kit1000.data.meshes import glb_bytes, read_glb
 from kit1000.data.pairs import BUILD, Record, finished, save, write_mesh_file
-from kit1000.data.plan import draw_assembly_of
+from kit1000.data.plan import CANDIDATES, draw_assembly_of
 from kit1000.data.presets import Preset
 from kit1000.data.tables import assembly_row, kit_of, part_of
 from kit1000.errors import Redraw
@@ -35,6 +35,7 @@ class GroupJob:
     target: str
     kits: int
     company: tuple[str, ...]
+    """Usable parts of the split in the order in which they are asked to join."""
 
     def __str__(self) -> str:
         return f"assembly {self.assembly_id}"
@@ -90,8 +91,8 @@ def _placed(job: GroupJob, members: list[Member]) -> tuple[Assembly, list[str]]:
 def _company(job: GroupJob) -> tuple[list[Member], list[str]]:
     """The target and its company, and the reasons for which candidates were passed over."""
     members, rejected = [member(job.root, job.target)], []
-    for candidate_id in job.company:
-        if len(members) >= job.kits:
+    for asked, candidate_id in enumerate(job.company):
+        if len(members) >= (job.kits if asked < CANDIDATES else job.preset.kits[0]):
             break
         candidate = member(job.root, candidate_id)
         if any(_mistakable(candidate, other) for other in members):

@@ -27,7 +27,7 @@ FORMAT = "kit1000-plan/1"
 DATA_VERSION = "0.1.0"
 """Raised whenever the same plan gives other data."""
 SPARES = 10  # files dealt to one part at most: the next is tried when one cannot be a part
-CANDIDATES = 24  # parts drawn as company for an assembly's target, most of them spare
+CANDIDATES = 24  # parts asked to join an assembly before it may stay smaller than drawn; more only to reach the least
 
 
 @dataclass(frozen=True)
@@ -151,15 +151,24 @@ def _sourced_parts(preset: Preset, seed: int, sources: Sources) -> dict[str, Any
     return parts
 
 
+def company_of(seed: int, target: str, ids: list[str]) -> list[str]:
+    """The other parts of a split in the order in which they are asked to join a target's assembly."""
+    others = [other for other in ids if other != target]
+    return [others[i] for i in stream(seed, "company", target).permutation(len(others))]
+
+
 def _assemblies(preset: Preset, seed: int, parts: dict[str, Any]) -> dict[str, Any]:
     """One assembly for each part of a split, which is its target; company from the same split."""
     plan = {}
     for split in SPLITS:
-        ids = sorted(part_id for part_id, row in parts.items() if row["split"] == split)
+        ids = split_ids(parts, split)
         for target in ids:
-            rng = stream(seed, "company", target)
-            others = [other for other in ids if other != target]
-            company = [others[i] for i in rng.permutation(len(others))[:CANDIDATES]]
-            kits = int(rng.integers(preset.kits[0], preset.kits[1] + 1))
+            kits = int(stream(seed, "kits", target).integers(preset.kits[0], preset.kits[1] + 1))
+            company = company_of(seed, target, ids)[:CANDIDATES]
             plan[target] = {"split": split, "target": target, "kits": kits, "company": company}
     return plan
+
+
+def split_ids(parts: dict[str, Any], split: str) -> list[str]:
+    """Ids of the planned parts of a split, sorted."""
+    return sorted(part_id for part_id, row in parts.items() if row["split"] == split)

@@ -10,8 +10,8 @@ from manifold3d import CrossSection, Manifold
 from kit1000.kits.cavity import Cavity, Probe
 from kit1000.mesh import Mesh, solid_of
 
-SPACING = 0.4e-3  # [m] between measured points of a wall
-HEIGHTS = 6  # heights measured, spread over the probed ones
+SPACING = 0.5e-3  # [m] between measured points of a wall
+HEIGHTS = 5  # heights measured, spread over the probed ones
 GRAIN = 0.01e-3  # [m] heights are good to this much: on a shallow slope a micron of height is many across
 BESIDE = 0.1e-3  # [m] wall points this near an opened-away wall belong to the opening, not to a kept wall
 

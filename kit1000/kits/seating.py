@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from manifold3d import Manifold, OpType
 
-from kit1000.kits.contact import Ridges, contact_height, feelers, ridges
+from kit1000.kits.contact import Feelers, Ridges, contact_height, feelers, ridges
 from kit1000.mesh import Mesh, hull_of, solid_of
 from kit1000.pose import Pose, quaternion_between
 
@@ -23,6 +23,7 @@ HOVER = 0.1  # [m] the approach begins so far out (paper, section III-E)
 SEATED = 3e-3  # [m] how far a seated prediction may be from contact, and contact from goal height
 STRICT = 1e-3  # [m] the same for the strict verdict
 JUDGE_STEP = 0.02e-3  # [m] resolution of the bisection; verdicts keep this distance from their limits
+UPRIGHT = 1e-15  # 1 - cos of an angle (45 nrad) that moves nothing by a nanometre
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -57,14 +58,17 @@ class Verdict:
         return max(self.rise, 0.0)
 
 
-def contact_raise(plug: Plug, standing: Ridges, standing_from_part: Pose) -> float:
+def contact_raise(plug: Plug, standing: Ridges, standing_from_part: Pose, above: Feelers | None = None) -> float:
     """How far the part must rise along its carried axis to just touch what stands there [m]; closed form.
 
-    Negative when it hangs free, -inf when nothing is below it.
+    Negative when it hangs free, -inf when nothing is below it. above: what stands there, seen along its own z, for
+    callers that try many poses: it serves those whose carried axis is z.
     """
-    path = _path_rotation(plug, standing_from_part)
-    turned = path @ standing_from_part.rotation_matrix()
-    moving = feelers(plug.edges, turned, path @ standing_from_part.xyz, -1.0)
+    rotation, axis = standing_from_part.rotation_matrix(), standing_from_part.rotate(plug.axis)
+    if above is not None and axis[2] > 1 - UPRIGHT:
+        return contact_height(feelers(plug.edges, rotation, standing_from_part.xyz, -1.0), above)
+    path = Pose(quaternion_between(axis, UP), np.zeros(3)).rotation_matrix()
+    moving = feelers(plug.edges, path @ rotation, path @ standing_from_part.xyz, -1.0)
     return contact_height(moving, feelers(standing, path, np.zeros(3), 1.0))
 
 
@@ -121,9 +125,3 @@ def verdict(rise: float, plug: Plug, slot_from_part: Pose, goal: Pose, depth: fl
         return bool(abs(height) <= deep - JUDGE_STEP and abs(rise) < limit - JUDGE_STEP)
 
     return Verdict(rise, height, passes(SEATED), passes(STRICT))
-
-
-def _path_rotation(plug: Plug, standing_from_part: Pose) -> np.ndarray:
-    """(3, 3): the frame whose z is the carried axis."""
-    turn = Pose(quaternion_between(standing_from_part.rotate(plug.axis), UP), np.zeros(3))
-    return turn.rotation_matrix()

@@ -8,7 +8,6 @@ loose fits; against a neighbour's slot it finds parts that would seat in the wro
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -29,7 +28,8 @@ SHIFT = 1.0e-3  # [m] between shifts: twice the optimism of the height field
 TURNS = np.radians(np.arange(0, 360, 5.0))
 BATCHES = 4  # turns are looked at a quarter at a time, widely spaced, so that an easy fit is soon found
 APART_ANGLE, APART_SHIFT = np.radians(10), 5e-3  # a pose this far from every goal is another pose
-NUDGES = tuple(product((0.0, -0.5e-3, 0.5e-3), repeat=2))  # [m] shifts tried exactly about a fit found on the grid
+NUDGE = 0.5e-3  # [m] shifts tried exactly about a fit found on the grid
+NUDGES = NUDGE * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
 
 
 class Well:
@@ -99,9 +99,8 @@ def loose_fit(stray: Stray, well: Well) -> Pose | None:
     for lying in stray.lying:
         if np.abs(goals - (lying.anchor - well.slot.depth) - well.limit / 2).min() > 1.5 * well.limit:
             continue
-        for fit in _fits(stray.body, lying, well):
-            level = np.abs(fit.xyz[2] + fit.rise - goals).min() <= well.limit - JUDGE_STEP
-            if level and not near_goal(fit.pose, well.slot):
+        for fit in _fits(stray.body, lying, well, elsewhere=True):
+            if np.abs(fit.xyz[2] + fit.rise - goals).min() <= well.limit - JUDGE_STEP:
                 return fit.pose
     return None
 
@@ -115,27 +114,33 @@ def foreign_fit(stray: Stray, well: Well) -> Pose | None:
     return None
 
 
-def near_goal(pose: Pose, slot: Slot) -> bool:
-    """Whether a pose is within 10 degrees and 5 mm of a goal."""
+def near_goal(pose: Pose, slot: Slot, shift: float = APART_SHIFT) -> bool:
+    """Whether a pose is within 10 degrees and 5 mm (or another shift [m]) of a goal."""
     for goal in slot.goals:
         turned = goal if slot.free_axis is None else nearest_turn(pose, goal, slot.free_axis)
         angle = float(quaternion_angle(pose.wxyz, turned.wxyz))
-        if angle < APART_ANGLE and np.linalg.norm(pose.xyz - turned.xyz) < APART_SHIFT:
+        if angle < APART_ANGLE and np.linalg.norm(pose.xyz - turned.xyz) < shift:
             return True
     return False
 
 
-def _fits(body: Ridges, lying: _Lying, well: Well) -> Iterator[Fit]:
-    """Poses on one face, lowest point on the cavity's floor, that the height field lets through, nudged."""
+def _fits(body: Ridges, lying: _Lying, well: Well, elsewhere: bool = False) -> Iterator[Fit]:
+    """Poses on one face, lowest point on the cavity's floor, that the height field lets through, nudged.
+
+    elsewhere: leave out those that a nudge may leave near a goal.
+    """
     depth, points = well.slot.depth, lying.points[lying.points[:, 2] < well.slot.depth]
     bounds = (*well.corner, *well.low, *well.high)
     for batch in range(BATCHES):
         for turn, dx, dy in _passing(points, well.heights, *bounds, depth, well.limit, TURNS[batch::BATCHES]):
             c, s = np.cos(turn), np.sin(turn)
             rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ lying.rotation
+            amid = np.array([dx, dy, lying.anchor - depth])
+            if elsewhere and near_goal(Pose.from_rotation_matrix(rotation, amid), well.slot, APART_SHIFT + NUDGE):
+                continue
             moving = feelers(body, rotation, np.zeros(3), -1.0)
             for nudge in NUDGES:
-                xyz = np.array([dx + nudge[0], dy + nudge[1], lying.anchor - depth])
+                xyz = amid + [*nudge, 0]
                 shifted = Feelers(moving.corners + xyz, moving.edges + xyz, moving.faces + xyz)
                 yield Fit(rotation, xyz, contact_height(shifted, well.seen))
 

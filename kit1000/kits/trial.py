@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.errors import Redraw
-from kit1000.kits.contact import Ridges, ridges
+from kit1000.kits.contact import Ridges, feelers, ridges
 from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import nearest_turn
 from kit1000.kits.seating import SEATED, Plug, Verdict, contact_raise, verdict
@@ -41,12 +41,13 @@ class Seat:
 
     def __init__(self, mesh: Mesh, kit: Kit) -> None:
         self.slot, self.edges = kit.slot, ridges(kit.mesh)
+        self.above = feelers(self.edges, np.eye(3), np.zeros(3), 1.0)
         self.body: Ridges = ridges(mesh)
 
     def try_pose(self, pose: Pose, goal: Pose) -> Verdict:
         """The verdict on a pose that aims at a goal: the part is inserted along the axis that goal carries."""
         plug = Plug(self.body, goal.inverse().rotate(np.array([0.0, 0.0, 1.0])))
-        return verdict(contact_raise(plug, self.edges, pose), plug, pose, goal, self.slot.depth)
+        return verdict(contact_raise(plug, self.edges, pose, self.above), plug, pose, goal, self.slot.depth)
 
     def seats(self, pose: Pose, goal: Pose) -> bool:
         """Whether a pose that aims at a goal is seated."""
