@@ -19,7 +19,7 @@ from kit1000.kits.stray import Stray, Well, foreign_fit
 from kit1000.values import Assembly, Kit, Part
 
 ATTEMPTS = 60  # placings of one assembly before the check or the draw must be called broken
-REMEMBERED = 64  # pairs a worker keeps in memory
+REMEMBERED = 1000  # pairs a worker keeps in memory, about a third of a megabyte each
 FEWER = "fewer kits than drawn"
 
 

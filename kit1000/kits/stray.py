@@ -40,7 +40,7 @@ class Well:
         self.seen = feelers(ridges(kit.mesh), np.eye(3), np.zeros(3), 1.0)
         upside = Mesh(kit.mesh.vertices * [1, 1, -1], kit.mesh.faces[:, ::-1])
         heights, self.corner = lower_envelope(upside, CELL)
-        self.heights = _lowest_around(np.where(np.isfinite(heights), -heights, 0.0))
+        self.heights = _lowest_around(np.where(np.isfinite(heights), -heights, 0.0)).astype(np.float32)
         open_cells = np.argwhere(self.heights < -kit.slot.depth / 2)
         self.low = self.corner + open_cells.min(0) * CELL
         self.high = self.corner + open_cells.max(0) * CELL
