@@ -41,8 +41,9 @@ lint: $(DEV) ## ruff and pyright
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 
-bench: $(DEV) ## time our kits beside the kit scheme of the paper's release
+bench: $(DEV) ## our kits beside the scheme of the paper's release, the seating test beside its judge
 	$(BIN)/python bench/bench_kits.py
+	$(BIN)/python bench/bench_seating.py
 
 bench-parts: $(DEV) ## compare our parts with real ones: make bench-parts PARTS=DIR
 	$(if $(PARTS),,$(error a folder of meshes is wanted: make bench-parts PARTS=DIR))

@@ -236,3 +236,5 @@ def test_a_lying_cylinder_is_few_patches() -> None:
 def test_depth_is_sixty_percent_but_at_most_20_mm() -> None:
     assert insertion_depth(10e-3) == pytest.approx(6e-3)
     assert insertion_depth(80e-3) == pytest.approx(20e-3)
+    assert insertion_depth(7e-3) == pytest.approx(4e-3)
+    assert insertion_depth(5e-3) == pytest.approx(3e-3)

@@ -19,6 +19,8 @@ from kit1000.kits.sweep import OVER, grown_sweep, shadow_below
 
 BRINK = 0.02e-3  # [m] "just above" and "just below" a ledge: lower steps are floor, not wall
 STRIDE = 4e-3  # [m] between probed heights where the shadow changes
+SHALLOW = 7e-3  # [m] of seated height: lower parts leave no cavity to speak of
+PROUD = 3e-3  # [m] of a part that stands out of its cavity, to be taken by
 THIN = 3e-3  # [m] walls, fins and posts thinner than this are opened away
 MITER = 2.0  # corners sharper than 60 degrees count as thin
 SPECK = 0.05e-6  # [m^2] smaller pieces of thin wall are rounding, not walls
@@ -60,8 +62,11 @@ class Cavity:
 
 
 def insertion_depth(height: float) -> float:
-    """Cavity depth [m] for a part of a seated height [m]: 0.6 of it, at most 20 mm."""
-    return min(20e-3, 0.6 * height)
+    """Cavity depth [m] for a part of a seated height [m]: 0.6 of it, at most 20 mm, PROUD of it standing out.
+
+    Parts lower than SHALLOW, which no dataset has, sink by 0.6 of their height whatever stands out.
+    """
+    return min(20e-3, 0.6 * height, height - PROUD if height >= SHALLOW else np.inf)
 
 
 def cut_cavity(

@@ -11,7 +11,7 @@ import numpy as np
 from manifold3d import CrossSection, Manifold
 
 from kit1000.errors import Redraw
-from kit1000.kits.cavity import THIN, Cavity, cut_cavity, insertion_depth
+from kit1000.kits.cavity import SHALLOW, THIN, Cavity, cut_cavity, insertion_depth
 from kit1000.kits.face import RestingFace, rank_faces, resting_faces
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.measure import Clearance, measured_clearance
@@ -27,8 +27,6 @@ GAP = 1e-3  # [m] between neighbouring plates
 FLOOR = 2e-3  # [m] least material under a cavity
 LOOSEST = 0.1e-3  # [m] that a kept wall may stand farther off than asked
 RIM = 8e-3  # [m] least wall around the cavity of a plate made to measure
-MIN_HEIGHT = 7e-3  # [m] seated height below which a cavity has no depth to speak of
-MIN_DEPTH, MIN_PROUD = 4e-3, 3e-3  # [m] of cavity, and of part standing out of it
 
 
 @dataclass(frozen=True)
@@ -108,11 +106,11 @@ def insertion_faces(part: Part, clearance: float = CLEARANCE, made_to_measure: b
     faces = resting_faces(part.mesh)
     if not faces:
         raise Redraw("no stable resting face")
-    tall = [face for face in faces if _is_deep(face.height)]
+    tall = [face for face in faces if face.height >= SHALLOW]
     if not tall and made_to_measure:
         tall = faces
     if not tall:
-        raise Redraw(f"no stable face with {MIN_HEIGHT * 1e3:g} mm of seated height")
+        raise Redraw(f"no stable face with {SHALLOW * 1e3:g} mm of seated height")
     depths = [insertion_depth(face.height) for face in tall]
     return [tall[i] for i in rank_faces(part.mesh, tall, depths, clearance, part.symmetry)]
 
@@ -128,11 +126,6 @@ def _cut_plate(standing: Manifold, depth: float, clearance: float, plate: Plate)
         if measured.largest <= clearance + LOOSEST:
             break
     return cavity, mesh, measured
-
-
-def _is_deep(height: float) -> bool:
-    depth = insertion_depth(height)
-    return height >= MIN_HEIGHT and depth >= MIN_DEPTH and height - depth >= MIN_PROUD - 0.3e-3
 
 
 def _turned_square(mesh: Mesh, face: RestingFace, depth: float) -> Pose:
