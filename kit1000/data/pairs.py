@@ -17,6 +17,7 @@ from kit1000.data.presets import Preset
 from kit1000.data.tables import kit_row, part_row
 from kit1000.errors import InputError, MeshRefused, Redraw, fault
 from kit1000.kits.kit import KitDesign, design_kit, insertion_faces
+from kit1000.kits.stray import Well, takes_nearly_any
 from kit1000.kits.trial import Trial, try_pair
 from kit1000.mesh import Mesh
 from kit1000.parts.family import DENSITY, make_part
@@ -138,6 +139,8 @@ def tried(part: Part, clearance: float) -> tuple[KitDesign, Trial]:
             design = design_kit(part, clearance, face=face)
             if not design.in_bounds:
                 raise Redraw("clearance out of bounds")
+            if takes_nearly_any(Well(design.kit)):
+                raise Redraw("slot takes nearly any part")  # it would stand alone in every assembly
             trial = try_pair(part, design.kit)
             if not trial.loose:
                 return design, trial

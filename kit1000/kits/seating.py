@@ -16,7 +16,7 @@ import numpy as np
 from manifold3d import Manifold, OpType
 
 from kit1000.kits.contact import Feelers, Ridges, contact_height, feelers, ridges
-from kit1000.mesh import Mesh, hull_of, solid_of
+from kit1000.mesh import Mesh, solid_of
 from kit1000.pose import Pose, quaternion_between
 
 HOVER = 0.1  # [m] the approach begins so far out (paper, section III-E)
@@ -24,6 +24,10 @@ SEATED = 3e-3  # [m] how far a seated prediction may be from contact, and contac
 STRICT = 1e-3  # [m] the same for the strict verdict
 JUDGE_STEP = 0.02e-3  # [m] resolution of the bisection; verdicts keep this distance from their limits
 UPRIGHT = 1e-15  # 1 - cos of an angle (45 nrad) that moves nothing by a nanometre
+STEEP = 1e-6  # faces whose unit normal has a smaller -z are walls: what they sweep has no volume
+PRISM = np.array(
+    [(0, 1, 2), (5, 4, 3), (0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2), (2, 5, 3), (2, 3, 0)], dtype=np.int32
+)
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -100,14 +104,16 @@ def swept_out(mesh: Mesh, axis: np.ndarray, length: float = HOVER) -> Manifold:
     """
     turn = Pose(quaternion_between(axis, UP), np.zeros(3))
     upright = mesh.moved(turn)
-    backs = upright.triangles[upright.normals[:, 2] < -1e-9]
-    raised = backs + np.array([0, 0, length])
-    prisms = Manifold.batch_boolean(
-        [solid_of(upright), solid_of(upright).translate((0, 0, length))]
-        + [hull_of(np.concatenate([a, b])) for a, b in zip(backs, raised, strict=True)],
-        OpType.Add,
-    )
-    return prisms.transform(turn.inverse().matrix()[:3])
+    ends = [solid_of(upright), solid_of(upright).translate((0, 0, length))]
+    backs = upright.triangles[upright.normals[:, 2] < -STEEP]
+    swept = Manifold.batch_boolean(ends + [_prism(back, length) for back in backs], OpType.Add)
+    return swept.transform(turn.inverse().matrix()[:3])
+
+
+def _prism(triangle: np.ndarray, length: float) -> Manifold:
+    """A triangle (3, 3) [m] that looks down, moved up by a length [m]."""
+    corners = np.concatenate([triangle, triangle + [0, 0, length]])
+    return solid_of(Mesh(corners, PRISM))
 
 
 def verdict(rise: float, plug: Plug, slot_from_part: Pose, goal: Pose, depth: float) -> Verdict:

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from manifold3d import Manifold
 
 from kit1000.compiled import compiled
 from kit1000.kits.contact import Feelers, Ridges, contact_height, feelers, ridges
@@ -18,7 +19,7 @@ from kit1000.kits.envelope import lower_envelope
 from kit1000.kits.face import RestingFace
 from kit1000.kits.goals import nearest_turn
 from kit1000.kits.seating import JUDGE_STEP, SEATED
-from kit1000.mesh import Mesh
+from kit1000.mesh import Mesh, mesh_of
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.values import Kit, Slot
 
@@ -28,6 +29,7 @@ SHIFT = 1.0e-3  # [m] between shifts: twice the optimism of the height field
 TURNS = np.radians(np.arange(0, 360, 5.0))
 BATCHES = 4  # turns are looked at a quarter at a time, widely spaced, so that an easy fit is soon found
 APART_ANGLE, APART_SHIFT = np.radians(10), 5e-3  # a pose this far from every goal is another pose
+TRAY = np.array([36e-3, 29e-3])  # [m] sides of the shadow that makes an open tray
 NUDGE = 0.5e-3  # [m] shifts tried exactly about a fit found on the grid
 NUDGES = NUDGE * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
 
@@ -112,6 +114,13 @@ def foreign_fit(stray: Stray, well: Well) -> Pose | None:
             if fit.rise <= well.limit - JUDGE_STEP:
                 return fit.pose
     return None
+
+
+def takes_nearly_any(well: Well) -> bool:
+    """Whether a slot is an open tray: even a block as large as most parts rests on its floor."""
+    sides = TRAY + 2 * well.slot.clearance
+    block = mesh_of(Manifold.cube((*sides, well.slot.depth), center=True))
+    return foreign_fit(Stray(block, [RestingFace(np.array([0.0, 0.0, -1.0]), 1.0, well.slot.depth)]), well) is not None
 
 
 def near_goal(pose: Pose, slot: Slot, shift: float = APART_SHIFT) -> bool:
