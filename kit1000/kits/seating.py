@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from manifold3d import Manifold, OpType
+from manifold3d import Manifold, Mesh64, OpType
 
 from kit1000.kits.contact import Feelers, Ridges, contact_height, feelers, ridges
 from kit1000.mesh import Mesh, solid_of
@@ -113,7 +113,7 @@ def swept_out(mesh: Mesh, axis: np.ndarray, length: float = HOVER) -> Manifold:
 def _prism(triangle: np.ndarray, length: float) -> Manifold:
     """A triangle (3, 3) [m] that looks down, moved up by a length [m]."""
     corners = np.concatenate([triangle, triangle + [0, 0, length]])
-    return solid_of(Mesh(corners, PRISM))
+    return Manifold(Mesh64(corners, PRISM))
 
 
 def verdict(rise: float, plug: Plug, slot_from_part: Pose, goal: Pose, depth: float) -> Verdict:
