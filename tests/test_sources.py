@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import defect32
-from kit1000.parts import formats, sources
+from kit1000.parts.files import formats, sources
 from kit1000.parts.files.sources import UNITS, Reading, Refusal, mesh_files, read_all, read_mesh
 
 
