@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from manifold3d import Error, Manifold, Mesh64
@@ -133,8 +133,11 @@ def hull_of(points: np.ndarray) -> Manifold:
     inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
     solid = Manifold(Mesh64(np.ascontiguousarray(points[corners]), faces.astype(np.uint64)))
+    if solid.status() == Error.NoError:
+        return solid
     # Qhull may leave collapsed triangles on a flat face; then the other hull, of few points, is the sound one
-    return solid if solid.status() == Error.NoError else Manifold.hull_points(points[corners] * 1e3).scale((1e-3,) * 3)
+    other: Any = Manifold.hull_points(points[corners] * 1e3)
+    return other.scale((1e-3, 1e-3, 1e-3))
 
 
 def defect(mesh: Mesh) -> str | None:
@@ -169,15 +172,6 @@ def _edge_fault(a: np.ndarray, b: np.ndarray, n: int) -> str:
 def defect32(mesh: Mesh) -> str | None:
     """`defect` of the mesh as a loader sees it: vertices rounded to float32, equal ones merged."""
     return defect(mesh.rounded32().merged())
-
-
-def crowded_edges(mesh: Mesh) -> np.ndarray:
-    """(k, 2, 3) [m]: ends of the edges that more than two faces share."""
-    a, b = mesh.faces.ravel().astype(np.int64), mesh.faces[:, [1, 2, 0]].ravel().astype(np.int64)
-    n = len(mesh.vertices)
-    keys, counts = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_counts=True)
-    crowded = keys[counts > 2]
-    return mesh.vertices[np.stack([crowded // n, crowded % n], 1)]
 
 
 def body_count(mesh: Mesh) -> int:

@@ -7,6 +7,8 @@ insertion face down. All lengths are metres.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from manifold3d import CrossSection, FillRule, Manifold, OpType
 
@@ -72,7 +74,8 @@ class _Footing:
 
     def covers(self, patch: np.ndarray, round_: np.ndarray) -> bool:
         """Whether the grown shadow of a patch lies in what is swept below the patch already."""
-        shadow = CrossSection.hull_points((patch[:, None, :2] + round_).reshape(-1, 2))
+        grown: Any = (patch[:, None, :2] + round_).reshape(-1, 2)
+        shadow = CrossSection.hull_points(grown)
         return (shadow - self._at(float(patch[:, 2].min()))).area() < NOTHING
 
     def _at(self, z: float) -> CrossSection:

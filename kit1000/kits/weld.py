@@ -21,7 +21,7 @@ ROUNDS = 5  # each moves twice as far as the one before
 
 def printable_mesh(solid: Manifold, name: str) -> Mesh:
     """A solid as one closed body with vertices on the float32 grid; `name` opens the reason of a refusal."""
-    mesh = _on_grid(mesh_of(solid.as_original().simplify(WELD)))
+    mesh, fault = _on_grid(mesh_of(solid.as_original().simplify(WELD))), None
     for round_ in range(ROUNDS):
         fault = defect32(mesh)
         if fault is None:
