@@ -198,5 +198,6 @@ def test_real_parts_get_kits(real_parts: Path, tmp_path: Path) -> None:
     for path in mesh_files(real_parts)[::9]:
         made = kit_for(path, tmp_path / path.stem)
         kit, part = (solid_of(read(tmp_path / path.stem / name)) for name in ("kit.stl", "part.stl"))
-        assert (kit ^ part).volume() < EXACT * part.surface_area(), path.name
+        film = max(EXACT, 2e-7 * max(made["size_mm"]))  # files hold float32: the floor of a large part is rounded too
+        assert (kit ^ part).volume() < film * part.surface_area(), path.name
         assert made["clearance_smallest_mm"] > 2.48
