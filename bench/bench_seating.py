@@ -28,6 +28,7 @@ from kit1000.kits.seating import (
     swept_out,
     verdict,
 )
+from kit1000.kits.trial import about_anchor
 from kit1000.mesh import solid_of
 from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
@@ -80,8 +81,7 @@ class Pair:
 
     def moved(self, error: np.ndarray, share: float) -> Pose:
         """The goal with a share of an error (6,) [m, rad]: shift in the kit frame, turn about the centroid."""
-        shift, turn = error[:3] * share, Pose.from_rotvec(error[3:] * share)
-        return Pose((turn @ Pose(self.goal.wxyz, np.zeros(3))).wxyz, self.goal.xyz + shift)
+        return Pose.from_translation(share * error[:3]) @ about_anchor(self.goal, share * error[3:])
 
     def brink(self, error: np.ndarray) -> float:
         """The share of an error at which the verdict flips."""

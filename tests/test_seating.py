@@ -22,6 +22,7 @@ from kit1000.kits.seating import (
     swept_out,
     verdict,
 )
+from kit1000.kits.trial import about_anchor
 from kit1000.mesh import mesh_of, solid_of
 from kit1000.pose import Pose
 from kit1000.values import Kit, Part
@@ -70,8 +71,7 @@ class Pair:
 
     def moved(self, error: np.ndarray, share: float = 1.0) -> Pose:
         """The goal shifted and turned about the centroid by a share of an error (6,) [m, rad]."""
-        turn = Pose.from_rotvec(share * error[3:]) @ Pose(self.goal.wxyz, np.zeros(3))
-        return Pose(turn.wxyz, self.goal.xyz + share * error[:3])
+        return Pose.from_translation(share * error[:3]) @ about_anchor(self.goal, share * error[3:])
 
     def lifted(self, height: float) -> Pose:
         return self.moved(np.array([0, 0, height, 0, 0, 0]))

@@ -14,10 +14,8 @@ from kit1000.data.tables import pose_row
 from kit1000.errors import InputError, MeshRefused, Redraw
 from kit1000.kits.kit import CLEARANCE, KitDesign, design_kit
 from kit1000.kits.trial import try_pair
-from kit1000.mesh import Mesh
-from kit1000.parts.family import DENSITY
+from kit1000.parts.family import part_of_mesh
 from kit1000.parts.files.sources import Reading, read_mesh
-from kit1000.symmetry import Symmetry
 from kit1000.values import Part
 
 COLOURS = {"kit": (224, 219, 210), "part": (238, 122, 40)}  # sRGB, those of the pictures
@@ -55,9 +53,7 @@ def kit_for(
 
 def _part(path: Path, reading: Reading, longest: float | None) -> tuple[Part, float]:
     scale = 1.0 if longest is None else longest / float(reading.mesh.extents.max())
-    mesh = reading.mesh.scaled(scale)
-    mesh = Mesh(mesh.vertices - mesh.centroid, mesh.faces).rounded32()
-    return Part(path.stem, "file", mesh, Symmetry.none(), {}, DENSITY * mesh.volume), scale
+    return part_of_mesh(path.stem, reading.mesh, longest), scale
 
 
 def _report(path: Path, reading: Reading, part: Part, scale: float, design: KitDesign) -> dict[str, Any]:

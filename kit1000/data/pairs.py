@@ -19,11 +19,9 @@ from kit1000.errors import InputError, MeshRefused, Redraw, fault
 from kit1000.kits.kit import KitDesign, design_kit, insertion_faces
 from kit1000.kits.stray import Well, takes_nearly_any
 from kit1000.kits.trial import Trial, try_pair
-from kit1000.mesh import Mesh
-from kit1000.parts.family import DENSITY, make_part
+from kit1000.parts.family import make_part, part_of_mesh
 from kit1000.parts.files.sources import read_mesh
 from kit1000.parts.twins import shape_measures
-from kit1000.symmetry import Symmetry
 from kit1000.values import Part
 
 ATTEMPTS = 200  # draws of one part before the mixture of families must be called broken
@@ -122,10 +120,8 @@ def _from_files(job: PairJob) -> Record:
 
 
 def _read_part(job: PairJob, path: Path) -> Part:
-    mesh = read_mesh(path, job.unit).mesh
-    mesh = mesh.scaled(draw_longest(job.preset, job.seed, job.part_id) / mesh.extents.max())
-    mesh = Mesh(mesh.vertices - mesh.centroid, mesh.faces).rounded32()
-    return Part(job.part_id, "file", mesh, Symmetry.none(), {}, DENSITY * mesh.volume)
+    longest = draw_longest(job.preset, job.seed, job.part_id)
+    return part_of_mesh(job.part_id, read_mesh(path, job.unit).mesh, longest)
 
 
 def tried(part: Part, clearance: float) -> tuple[KitDesign, Trial]:

@@ -8,6 +8,7 @@ Two shadows are equal when neither leaves the other grown by SAME. Frame: kit fr
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold
@@ -38,6 +39,12 @@ class Design:
     kit_from_part: Pose
     cavity: Cavity
 
+    @cached_property
+    def relief(self) -> tuple[np.ndarray, np.ndarray]:
+        """The relief of the part in its design pose and the weights of its rings, as `polar_relief` has them."""
+        relief, _, weights = polar_relief(self.mesh.moved(self.kit_from_part), self.cavity.depth)
+        return relief, weights
+
     def standing(self, kit_from_part: Pose) -> Manifold:
         """The part in a pose, raised so that the cavity's floor is z = 0."""
         return solid_of(self.mesh).transform(kit_from_part.matrix()[:3]).translate((0, 0, self.cavity.depth))
@@ -48,7 +55,7 @@ def find_goals(design: Design) -> tuple[Pose, FreeAxis | None]:
     axis = _free_axis(design)
     order = 1 if axis is not None and abs(axis.direction[2]) > 0.5 else _turn_order(design)
     declared = [Pose(_times(design, q), design.kit_from_part.xyz) for q in design.symmetry.rotations]
-    flips = _flipped(design, known=declared, axis=axis)
+    flips = _flipped(design, known=declared)
     goals: list[Pose] = []
     for pose in [*declared, *flips]:
         for turned in _turned_about_shadow(design, pose, order):
@@ -110,7 +117,7 @@ def _round(loop: np.ndarray, centre: np.ndarray) -> bool:
 
 def _turn_order(design: Design) -> int:
     """The largest n such that a turn of 360/n degrees about the shadow's centre keeps every shadow."""
-    relief, _, weights = polar_relief(design.mesh.moved(design.kit_from_part), design.cavity.depth)
+    relief, weights = design.relief
     for order in ORDERS:
         if _differ(relief, _shifted(relief, relief.shape[1] / order), weights) > ALIKE:
             continue
@@ -141,9 +148,9 @@ def _turned_about_shadow(design: Design, pose: Pose, order: int, which: int | No
     ]
 
 
-def _flipped(design: Design, known: list[Pose], axis: FreeAxis | None) -> list[Pose]:
+def _flipped(design: Design, known: list[Pose]) -> list[Pose]:
     """Poses with another face down that leave the same shadow (one a face: its turns follow from the turn order)."""
-    relief, _, weights = polar_relief(design.mesh.moved(design.kit_from_part), design.cavity.depth)
+    relief, weights = design.relief
     found = []
     for face in resting_faces(design.mesh, probable=0.0):
         if any(_faces_down(pose, face.normal) for pose in known) or face.height < design.cavity.depth:

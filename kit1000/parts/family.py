@@ -62,6 +62,13 @@ def make_part(part_id: str, family_name: str, dims: Family, longest: float | Non
     return Part(part_id, family_name, mesh, dims.symmetry(), dimensions(dims), DENSITY * mesh.volume)
 
 
+def part_of_mesh(part_id: str, mesh: Mesh, longest: float | None = None) -> Part:
+    """The part of a closed mesh, as large as it is or scaled to a longest side [m]; no symmetry is declared."""
+    scaled = mesh.scaled(1.0 if longest is None else longest / float(mesh.extents.max()))
+    centred = Mesh(scaled.vertices - scaled.centroid, scaled.faces).rounded32()
+    return Part(part_id, "file", centred, Symmetry.none(), {}, DENSITY * centred.volume)
+
+
 def dimensions(dims: Family) -> dict[str, float]:
     """The named numbers of a drawing, switches as 0 or 1; choices by name are left to the shape."""
     named = {field.name: getattr(dims, field.name) for field in fields(dims)}  # type: ignore[arg-type]
