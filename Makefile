@@ -12,6 +12,7 @@ BIN     = $(VENV)/bin
 # A stamp is touched last of all and removed first of all, so an install that was cut short is never taken for done.
 RUN  = $(VENV)/.installed-run
 DEV  = $(VENV)/.installed-dev
+TORCH = torch==2.13.0 # outside the lock: the same version is another build on another machine
 PIP  = $(BIN)/python -m pip --disable-pip-version-check --quiet
 LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --universal --python-version 3.10 \
        --generate-hashes --upgrade --quiet --custom-compile-command "make lock"
@@ -54,7 +55,7 @@ pictures: $(DEV) ## draw the pictures of the README and the docs
 
 lock: $(DEV) ## renew the pinned versions in requirements/
 	$(PIP) install uv
-	$(LOCK) --output-file requirements/run.txt
+	$(LOCK) --output-file requirements/run.txt --extra sim
 	$(LOCK) --output-file requirements/dev.txt --extra dev --constraint requirements/run.txt
 
 clean: ## remove the environment and all caches, never data
@@ -74,6 +75,7 @@ $(DEV): $(RUN) requirements/dev.txt
 	@rm -f $(DEV)
 	@echo "installing what tests and lint need into $(VENV)" >&2
 	@$(PIP) install --require-hashes -r requirements/dev.txt
+	@$(PIP) install $(TORCH)
 	@touch $(DEV)
 
 # Takes the first interpreter that is new enough and can make an environment, and makes it.

@@ -19,7 +19,7 @@ import numpy as np
 import tyro
 from manifold3d import Manifold
 
-from kit1000.data.dataset import Geometry
+from kit1000.data.geometry import Geometry
 from kit1000.kits.kit import LOOSEST
 from kit1000.kits.seating import HOVER, Plug, judged_raise, swept_out, verdict
 from kit1000.kits.sweep import SAGITTA

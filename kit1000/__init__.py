@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from kit1000.camera import Camera, look_at
+    from kit1000.data.reader import Dataset, Recorded, Split
     from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, ShapeError
     from kit1000.kits.kit import make_kit
     from kit1000.mesh import Mesh
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
         Body,
         FreeAxis,
         Kit,
+        Look,
         Mount,
         Part,
         Prediction,
@@ -36,10 +38,12 @@ __all__ = [
     "Assembly",
     "Body",
     "Camera",
+    "Dataset",
     "FreeAxis",
     "InputError",
     "Kit",
     "Kit1000Error",
+    "Look",
     "Mesh",
     "MeshRefused",
     "Mount",
@@ -47,10 +51,12 @@ __all__ = [
     "Pose",
     "Prediction",
     "Query",
+    "Recorded",
     "Redraw",
     "Scene",
     "ShapeError",
     "Slot",
+    "Split",
     "Symmetry",
     "Truth",
     "View",
@@ -61,6 +67,9 @@ __all__ = [
 _ELSEWHERE = {
     "Camera": "camera",
     "look_at": "camera",
+    "Dataset": "data.reader",
+    "Recorded": "data.reader",
+    "Split": "data.reader",
     "InputError": "errors",
     "Kit1000Error": "errors",
     "MeshRefused": "errors",

@@ -10,9 +10,9 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
@@ -22,11 +22,12 @@ from kit1000.usage import misuse
 
 if TYPE_CHECKING:
     from kit1000.data.plan import Sources
+    from kit1000.data.presets import Preset
 
 WRONG, FAULTY = 2, 3  # exit status: of the user, of the package
 LISTED = 20  # refused files in a description
 INTERRUPTED = 130  # exit status of a command stopped by Ctrl-C, as shells have it
-ABOUT = """KIT1000: parts, kits that fit them, and angled assemblies of kits.
+ABOUT = """KIT1000: parts, kits that fit them, angled assemblies of kits, and scenes to learn assembly from.
 
 `kit1000 COMMAND --help` says more about a command, `kit1000 --version` which version this is.
 
@@ -46,8 +47,8 @@ class Generate:
 
     preset: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="PRESET")]
     """tiny, small, kit1000, paper, real-like or study."""
-    out: Path
-    """Folder to build in."""
+    out: Annotated[str, tyro.conf.arg(metavar="PATH")]
+    """Folder to build in; with --engine ray also an address such as s3://bucket/folder."""
     seed: Whole = None
     """Root of all draws; the preset's own when absent."""
     workers: Whole = None
@@ -56,6 +57,12 @@ class Generate:
     """Folder, file or .txt list of meshes to use in place of procedural parts."""
     unit: Unit = None
     """Unit of those meshes; guessed and reported when absent."""
+    engine: Literal["local", "ray"] = "local"
+    """What spreads the work: processes of this machine, or Ray."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
+    """Ray cluster to work on (`auto` finds the one of this machine); a new local one when absent."""
+    withhold: Optional = None
+    """Second folder: the whole dataset is built there, and --out gets all but the answers of the test split."""
 
     def run(self) -> int:
         """Build, then say what came out."""
@@ -68,22 +75,40 @@ class Generate:
             raise InputError(f"--seed: expected 0 or more, got {self.seed}")
         if self.unit is not None and self.parts is None:
             raise InputError("--unit: says how to read the meshes of --parts, which is absent")
-        from kit1000.data.build import generate  # loads the geometry: not before the words are known to be right
+        from kit1000.data.files import folder
 
-        print(describe(generate(chosen, self.out, self.seed, self.workers, self._sources())))
+        out = folder(self.out)
+        summary = self._built(chosen, out) if self.withhold is None else self._published(chosen, out, self.withhold)
+        print(describe(summary))
         return 0
 
-    def _sources(self) -> Sources | None:
+    def _built(self, chosen: Preset, out: Path, seed: int | None = None) -> dict[str, Any]:
+        """The dataset in a folder, whole."""
+        from kit1000.data.build import generate
+        from kit1000.data.engines import engine as engine_of
+
+        engine = engine_of(self.engine, self.workers, self.address)
+        return generate(chosen, out, self.seed if seed is None else seed, self.workers, self._sources(out), engine)
+
+    def _published(self, chosen: Preset, out: Path, whole: Path) -> dict[str, Any]:
+        """The dataset in a second folder, and what may be seen of it in --out."""
+        from kit1000.data.withhold import check_apart, publish, secret_seed
+
+        check_apart(out, whole)
+        self._built(replace(chosen, curve_scenes=0), whole, secret_seed(whole, self.seed))
+        return publish(whole, out)
+
+    def _sources(self, built: Path) -> Sources | None:
         """The mesh files asked for, without those that this command itself writes."""
         from kit1000.data.plan import Sources
         from kit1000.parts.files.sources import mesh_files
 
         if self.parts is None:
             return None
-        out = self.out.resolve()
+        out = built.resolve()
         files = [file for file in mesh_files(self.parts) if out not in file.resolve().parents]
         if not files:
-            raise InputError(f"{self.parts}: no mesh files but those in --out {self.out}")
+            raise InputError(f"{self.parts}: no mesh files but those in --out {built}")
         return Sources.of(files, self.unit)
 
 
@@ -124,7 +149,7 @@ class Info:
 
     def run(self) -> int:
         """Print the summary."""
-        from kit1000.data.dataset import Geometry
+        from kit1000.data.geometry import Geometry
 
         print(describe(Geometry(self.data).summary))
         return 0
@@ -132,7 +157,7 @@ class Info:
 
 @dataclass(frozen=True)
 class Show:
-    """Draw parts, kits or assemblies of a dataset into one PNG."""
+    """Draw parts, kits or assemblies of a dataset, or one of its scenes, into one PNG."""
 
     data: Folder
     """Dataset folder."""
@@ -146,52 +171,79 @@ class Show:
     """From which split."""
     ids: tuple[str, ...] = ()
     """Just these, in place of a spread."""
+    scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    """A scene to draw in place of a sheet: depth, masks, meshes and goals."""
 
     def run(self) -> int:
         """Draw and write."""
-        from kit1000.data.dataset import Geometry
         from kit1000.data.files import write_bytes
-        from kit1000.data.sheets import contact_sheet_of
+        from kit1000.data.geometry import Geometry
+        from kit1000.data.reader import Dataset
+        from kit1000.data.sheets import contact_sheet_of, scene_sheet
 
         if self.count < 1:
             raise InputError(f"--count: expected 1 or more, got {self.count}")
+        if self.scene is not None:
+            write_bytes(self.out, scene_sheet(Dataset(self.data), self.scene))
+            print(self.out)
+            return 0
         write_bytes(self.out, contact_sheet_of(Geometry(self.data), self.what, self.split, self.count, self.ids))
         print(self.out)
         return 0
 
 
 @dataclass(frozen=True)
+class Verify:
+    """Check every file of a dataset, and build a sample of its scenes again to compare."""
+
+    data: Folder
+    """Dataset folder."""
+    sample: int = 4
+    """Scenes to build again from the plan."""
+
+    def run(self) -> int:
+        """Check, then say what was found; 1 when something is wrong."""
+        from kit1000.data.verify import verify
+
+        if self.sample < 0:
+            raise InputError(f"--sample: expected 0 or more, got {self.sample}")
+        found = verify(self.data, self.sample)
+        for line in found.faults:
+            print(line)
+        rebuilt = ", ".join(found.rebuilt) or "none"
+        print(f"{found.files} files checked, {len(found.rebuilt)} scenes built again ({rebuilt})")
+        print(*(f"note: {note}" for note in found.notes), sep="\n", end="\n" if found.notes else "")
+        print(f"{len(found.faults)} faults" if found.faults else "all is as it was made")
+        return 1 if found.faults else 0
+
+
+@dataclass(frozen=True)
 class Export:
-    """Write assemblies of a dataset for other tools: URDF with open cavities, or STL in millimetres."""
+    """Write assemblies for other tools (URDF with open cavities, STL or 3MF in millimetres), or scenes as BOP."""
 
     data: Folder
     """Dataset folder."""
     out: Path
-    """Folder to write to; one folder (urdf) or file (stl) an assembly."""
-    format: Literal["urdf", "stl"] = "urdf"
+    """Folder to write to."""
+    format: Literal["bop", "urdf", "stl", "3mf"] = "urdf"
     """What to write."""
     ids: tuple[str, ...] = ()
-    """Assemblies to write; all of them when absent."""
+    """Assemblies, or for BOP scenes, to write; all of them when absent."""
+    split: Literal["train", "val", "test"] | None = None
+    """Just this split; all of them when absent."""
+    sensor: Literal["ideal", "d415"] = "ideal"
+    """Whose depth images BOP gets."""
 
     def run(self) -> int:
-        """Export one assembly after another."""
-        from kit1000.data.dataset import Geometry
-        from kit1000.data.files import write_bytes
-        from kit1000.data.meshes import stl_bytes
-        from kit1000.data.urdf import write_urdf
+        """Export one after another."""
+        from kit1000.data.export import export
 
-        geometry = Geometry(self.data)
-        for assembly_id in self.ids or sorted(geometry.assemblies):
-            assembly = geometry.assembly(assembly_id)
-            if self.format == "urdf":
-                write_urdf(assembly, self.out / assembly_id)
-            else:
-                write_bytes(self.out / f"{assembly_id}.stl", stl_bytes(assembly.mesh))
+        export(self.data, self.format, self.out, self.ids, self.split, self.sensor)
         print(self.out)
         return 0
 
 
-COMMANDS = {"generate": Generate, "kit": MakeKit, "info": Info, "show": Show, "export": Export}
+COMMANDS = {"generate": Generate, "kit": MakeKit, "info": Info, "show": Show, "verify": Verify, "export": Export}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -227,17 +279,21 @@ def _answer(line: str, status: int) -> int:
 
 def describe(summary: dict) -> str:
     """A dataset's summary as text."""
+    seed = "withheld" if summary["seed"] is None else summary["seed"]
     lines = [
         f"{summary['preset']}  {summary['dataset_id']}"
-        f"  (seed {summary['seed']}, data {summary['data_version']}, {summary['licence']})"
+        f"  (seed {seed}, data {summary['data_version']}, {summary['licence']})"
     ]
     for split in ("train", "val", "test"):
         n = summary["counts"][split]
-        lines.append(f"  {split:6s} {n['parts']:5d} parts and kits, {n['assemblies']:5d} assemblies")
+        lines.append(
+            f"  {split:6s} {n['parts']:5d} parts and kits, {n['assemblies']:5d} assemblies, {n['scenes']:5d} scenes"
+        )
     for kind, reasons in sorted(summary["redraws"].items()):
         ranked = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
         lines.append(f"  redrawn {kind}: {', '.join(f'{n}x {reason}' for reason, n in ranked) or 'none'}")
-    refused = [f"  refused {source}: {reason}" for source, reason in sorted(summary["refused"].items())]
+    refused = sorted((summary["refused"] | summary["refused_scenes"]).items())
+    refused = [f"  refused {name}: {reason}" for name, reason in refused]
     lines += refused[:LISTED]
     if len(refused) > LISTED:
         lines.append(f"  refused {len(refused) - LISTED} more: dataset.json lists them")

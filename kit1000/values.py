@@ -6,8 +6,9 @@ coordinates in b to coordinates in a.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
@@ -17,6 +18,9 @@ from kit1000.errors import ShapeError, checked
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
+
+ASSEMBLY_LABEL = 1
+FIRST_PART_LABEL = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +126,7 @@ class Scene:
 
     id: str
     bodies: tuple[Body, ...]
+    """The assembly first, then the parts p0, p1, ..."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,27 +144,59 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
+class Look:
+    """A depth image with its masks."""
+
+    view: View
+    labels: np.ndarray
+    """(H, W) uint8: 0 nothing or table, ASSEMBLY_LABEL the kits, FIRST_PART_LABEL + i part i."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "labels", checked("labels", self.labels, self.view.depth.shape, np.uint8))
+
+
+@dataclass(frozen=True, eq=False)
 class Query:
-    """What a method is asked: which part, which region of the kit, and roughly how."""
+    """What a method is asked: which part, which region of the kit, and roughly how. Images load when first read."""
 
     id: str
     scene_id: str
     track: str
-    view: View
-    part_mask: np.ndarray
-    """(H, W) bool"""
-    kit_region: np.ndarray
-    """(H, W) bool"""
+    sensor: str
+    """Which depth image to read: ideal or d415."""
+    part: int
+    """Index of the part among those of its scene."""
+    drawn: bool
+    """Whether this is the one target that was drawn for the scene."""
     pivot: np.ndarray
     """(3,) [m] world: middle of the extents of the part's masked depth points, rounded to 0.1 mm."""
-    guess: Pose | None = None
+    guess: Pose | None
     """goal_from_now of a person, turned about the pivot; None when nobody says."""
+    look: Callable[[], Look]
+    """Reads the images."""
 
     def __post_init__(self) -> None:
-        size = self.view.depth.shape
-        object.__setattr__(self, "part_mask", checked("part_mask", self.part_mask, size, bool))
-        object.__setattr__(self, "kit_region", checked("kit_region", self.kit_region, size, bool))
         object.__setattr__(self, "pivot", checked("pivot", self.pivot, (3,)))
+
+    @cached_property
+    def seen(self) -> Look:
+        """The depth image and its masks, read once."""
+        return self.look()
+
+    @property
+    def view(self) -> View:
+        """The depth image."""
+        return self.seen.view
+
+    @property
+    def part_mask(self) -> np.ndarray:
+        """(H, W) bool: the pixels of the part."""
+        return self.seen.labels == FIRST_PART_LABEL + self.part
+
+    @property
+    def kit_region(self) -> np.ndarray:
+        """(H, W) bool: the pixels of the kits."""
+        return self.seen.labels == ASSEMBLY_LABEL
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,15 +218,22 @@ class Truth:
     """What a scorer knows about a query."""
 
     query_id: str
+    assembly_id: str
     part_id: str
     family: str
     rest_mode: str
     """upright or tumbled"""
+    kits: int
+    """How many kits the assembly has."""
+    visible: float
+    """Share of the part's silhouette that the camera sees."""
     anchor: np.ndarray
     """(3,) [m] world: the part's centroid now."""
     world_from_part: Pose
     world_from_kit: Pose
     slot: Slot
+    goal_drawn: Pose
+    """goal_from_now of the goal that the guess was drawn around; of the design pose where nobody guesses."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "anchor", checked("anchor", self.anchor, (3,)))

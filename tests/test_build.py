@@ -19,7 +19,7 @@ from mini import MINI, contents, corners
 
 from kit1000.data import build, files, groups, pairs
 from kit1000.data.build import generate
-from kit1000.data.dataset import Geometry
+from kit1000.data.geometry import Geometry
 from kit1000.data.files import locked
 from kit1000.data.plan import Sources
 from kit1000.errors import InputError, Redraw

@@ -10,7 +10,7 @@ from mini import MINI, corner, corners, written
 
 from kit1000.data import pairs
 from kit1000.data.build import generate
-from kit1000.data.dataset import Geometry
+from kit1000.data.geometry import Geometry
 from kit1000.data.plan import Sources, make_plan
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh

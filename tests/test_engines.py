@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from kit1000.data.engines import AHEAD, cores, local
+from kit1000.data.engines import AHEAD, RETRIES, cores, engine, local
 from kit1000.errors import Fault, InputError, Kit1000Error
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -35,6 +35,16 @@ def die(x: int) -> int:
     if x == 3:
         os.kill(os.getpid(), signal.SIGKILL)
     return x
+
+
+def die_at_first(job: tuple[int, Path]) -> int:
+    """The first two attempts at every fifth job end with their process."""
+    number, folder = job
+    attempts = sorted(folder.glob(f"{number}-*"))
+    (folder / f"{number}-{len(attempts)}").touch()
+    if number % 5 == 2 and len(attempts) < RETRIES:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
 
 
 def nap(_: int) -> int:
@@ -83,15 +93,47 @@ def test_few_jobs_are_handed_out_ahead() -> None:
         assert len(taken) <= 2 * AHEAD
 
 
-def test_a_killed_worker_gives_one_line_that_names_the_suspects() -> None:
+def test_jobs_of_killed_workers_are_done_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with local(2) as spread:
+        assert sorted(spread(die_at_first, [(i, tmp_path) for i in range(6)])) == list(range(6))
+        assert sorted(spread(square, range(3))) == [0, 1, 4]
+    assert len(list(tmp_path.glob("2-*"))) == RETRIES + 1
+    assert "a worker process died (killed, or out of memory): its jobs are done again\n" in capsys.readouterr().err
+
+
+def test_a_job_that_kills_every_worker_is_named_in_one_line() -> None:
     with pytest.raises(Kit1000Error) as caught, local(2) as spread:
         list(spread(die, [3]))
-    assert str(caught.value).startswith("a worker process died (killed, or out of memory), probably at one of: 3; run")
+    assert str(caught.value).startswith(
+        f"a worker process died {RETRIES + 1} times (killed, or out of memory), probably at one of: 3; run"
+    )
     assert "\n" not in str(caught.value)
+
+
+def test_results_from_before_a_death_are_kept_and_the_guilty_named_among_others() -> None:
+    results: list[int] = []
+    with pytest.raises(Kit1000Error, match=r"probably at one of: (\d, )?3(, \d+)?; run"), local(2) as spread:
+        results.extend(spread(die, range(20)))
+    assert len(set(results)) == len(results)
 
 
 def test_all_cores_are_used_unless_asked_otherwise() -> None:
     assert cores() == len(os.sched_getaffinity(0))
+
+
+def test_an_engine_is_chosen_by_name() -> None:
+    with engine("local", workers=1) as spread:
+        assert list(spread(square, [3])) == [9]
+    with pytest.raises(InputError, match=r"--engine: expected local or ray, got 'spark'"):
+        engine("spark")
+    with pytest.raises(InputError, match="--address: names a Ray cluster, for --engine ray"):
+        engine("local", address="auto")
+
+
+def test_without_ray_the_way_to_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(InputError, match=r"--engine ray: .*pip install 'kit1000\[ray\]'"), engine("ray"):
+        pass
 
 
 ORPHANS = """
@@ -99,13 +141,17 @@ import sys, test_engines
 from kit1000.data.engines import local
 if __name__ == "__main__":
     with local(2) as spread:
-        print(*spread(test_engines.process_id, range(8)), flush=True)
+        print(*spread(test_engines.process_id, [sys.argv[1]] * 2), flush=True)
         list(spread(test_engines.nap, range(8)))
 """
 
 
-def process_id(_: int) -> int:
-    time.sleep(0.05)
+def process_id(folder: str) -> int:
+    """The number of this process, once there are two of them."""
+    (Path(folder) / f"{os.getpid()}.pid").touch()
+    deadline = time.monotonic() + 30
+    while len(list(Path(folder).glob("*.pid"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.02)
     return os.getpid()
 
 
@@ -124,7 +170,7 @@ def test_workers_go_with_the_process_that_started_them(how: signal.Signals, tmp_
     script = tmp_path / "orphans.py"
     script.write_text(ORPHANS)
     path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
-    command = [sys.executable, str(script)]
+    command = [sys.executable, str(script), str(tmp_path)]
     run = subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": path}
     )

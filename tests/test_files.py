@@ -6,21 +6,29 @@ import errno
 import hashlib
 import json
 import os
+import sys
+from collections.abc import Iterator
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mini import MINI, contents, corners
 
 from kit1000.data import files
+from kit1000.data.build import generate
 from kit1000.data.files import (
     PARTIAL,
     check_writable,
     clear_partial,
+    folder,
+    is_url,
     json_bytes,
     locked,
     read_json,
+    remove_folder,
     sha256,
     write_bytes,
     write_json,
@@ -152,9 +160,9 @@ def test_a_folder_is_judged_before_it_is_made(tmp_path: Path, monkeypatch: pytes
     check_writable(tmp_path / "new/er")
     assert not os.listdir(tmp_path)
     (tmp_path / "file").touch()
-    for folder in (tmp_path / "file", tmp_path / "file/below"):
+    for place in (tmp_path / "file", tmp_path / "file/below"):
         with pytest.raises(InputError, match="a file stands where a folder is needed"):
-            check_writable(folder)
+            check_writable(place)
     monkeypatch.setattr(files.os, "access", lambda *_: False)
     with pytest.raises(InputError, match="Permission denied; choose a folder you may write to with --out"):
         check_writable(tmp_path / "new")
@@ -164,3 +172,85 @@ def test_values_that_json_lacks_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="JSON"):
         write_json(tmp_path / "a.json", {"a": float("nan")})
     assert not os.listdir(tmp_path)
+
+
+def test_a_folder_of_this_machine_is_a_plain_path(tmp_path: Path) -> None:
+    assert folder("data/a b") == Path("data/a b")
+    assert folder(f"file://{tmp_path}/a%20b") == tmp_path / "a b"
+    assert not is_url(folder(f"file://{tmp_path}"))
+
+
+@pytest.mark.parametrize(("url", "said"), [("nowhere://a/b", "nowhere"), ("oci://bucket/data", "Install|install")])
+def test_a_url_that_cannot_be_reached_is_one_line(url: str, said: str) -> None:
+    with pytest.raises(InputError, match=rf"^{url}: .*({said}).*$"):
+        folder(url)
+
+
+def test_without_the_packages_for_urls_the_way_to_them_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "upath", None)
+    with pytest.raises(InputError, match=r"^memory://a: .*pip install 'kit1000\[ray\]'"):
+        folder("memory://a")
+
+
+@pytest.fixture(params=["memory", "local"])
+def remote(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
+    """A folder behind a URL: one that knows no folders, as object stores, and one that wants them made."""
+    place = folder(f"{request.param}://{tmp_path}/root")
+    assert is_url(place)
+    yield place
+    remove_folder(place)
+
+
+def test_files_behind_a_url_are_written_read_and_removed(remote: Path) -> None:
+    check_writable(remote)
+    assert not remote.is_dir() or not list(remote.iterdir())
+    assert sha256(remote / "deep/a.json") is None
+    with locked(remote):
+        digest = write_json(remote / "deep/a.json", {"a": [1, 2]})
+        clear_partial(remote)
+    assert read_json(remote / "deep/a.json") == {"a": [1, 2]}
+    assert sha256(remote / "deep/a.json") == digest == hashlib.sha256((remote / "deep/a.json").read_bytes()).hexdigest()
+    assert [path.name for path in (remote / "deep").glob("*.json")] == ["a.json"]
+    with pytest.raises(InputError, match=r"^no file .*b\.json$"):
+        read_json(remote / "b.json")
+    (remote / "deep/a.json").write_bytes(b"{")
+    with pytest.raises(InputError, match=r"^cannot read .*://.*a\.json: damaged or no JSON"):
+        read_json(remote / "deep/a.json")
+    remove_folder(remote / "deep")
+    remove_folder(remote / "deep")
+    assert not (remote / "deep").exists()
+
+
+class Refused(Exception):
+    """What a store says in its own way."""
+
+
+def test_a_store_that_refuses_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    place = folder("memory://bucket/data")
+
+    def refuse(*_: object, **__: object) -> None:
+        raise Refused("no\ncredentials")
+
+    monkeypatch.setattr(cast(Any, place).fs, "open", refuse)
+    with pytest.raises(InputError, match=r"^cannot write to memory://bucket/data: Refused: no credentials$"):
+        check_writable(place)
+    with pytest.raises(InputError, match=r"^cannot write memory://bucket/data/a: Refused: no credentials$"):
+        write_bytes(place / "a", b"")
+
+
+@pytest.mark.parametrize("kind", ["memory", "local"])
+def test_a_dataset_built_behind_a_url_has_the_bytes_of_one_on_disk(kind: str, tmp_path: Path) -> None:
+    sources = corners(tmp_path / "files")
+    generate(MINI, tmp_path / "disk", workers=1, sources=sources)
+    place = folder(f"{kind}://{tmp_path}/root")
+    try:
+        summary = generate(MINI, place, workers=1, sources=sources)
+        held = {
+            str(path)[len(str(place)) + 1 :]: hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in place.rglob("*")
+            if path.is_file()
+        }
+        assert held == contents(tmp_path / "disk")
+        assert generate(MINI, place, workers=1, sources=sources) == summary
+    finally:
+        remove_folder(place)

@@ -50,7 +50,7 @@ FENCES = {
 }
 NOT_ON_IMPORT = ("numpy", "scipy", "numba", "trimesh", "manifold3d", "pybullet", "open3d", "torch", "viser")
 
-IMPORT_NAMES = {"pillow": "PIL"}  # where a package on the index and its module differ
+IMPORT_NAMES = {"pillow": "PIL", "mcap-protobuf-support": "mcap_protobuf", "universal-pathlib": "upath"}  # where a package on the index and its module differ
 USED_BY_TRIMESH = {"networkx", "lxml"}  # it reads 3MF with them
 
 NAMED_AFTER_NOTHING = {"utils", "util", "common", "helpers", "helper", "core", "base", "manager", "misc"}

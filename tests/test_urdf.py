@@ -6,21 +6,27 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
+import pybullet as bullet
 import pytest
 from hypothesis import given
 from manifold3d import Manifold
 
-from kit1000.data.urdf import inertia, roll_pitch_yaw, write_urdf
+from kit1000.data.export.urdf import inertia, roll_pitch_yaw, write_urdf
 from kit1000.errors import InputError
 from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
+from kit1000.kits.kit import make_kit
 from kit1000.mesh import Mesh, mesh_of, solid_of
 from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose, quaternion_angle
+from kit1000.symmetry import Symmetry
 from kit1000.values import Assembly
 from tests.sample_kits import sample_kit, sample_part
+from tests.shapes import as_part
 from tests.strategies import poses
 
 LONGEST_LINE = 256  # [characters]
+CLEARANCE = 2.5e-3  # [m]
+MARGIN = 1e-3  # [m] that Bullet grows every convex piece of a URDF by, whatever its size
 FILM = 60e-9  # [m] rounding of a mesh's vertices moves its surface by no more
 
 
@@ -140,7 +146,59 @@ def test_nothing_is_left_of_an_export_that_fails(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("kit1000.data.urdf.stand_meshes", full)
+    monkeypatch.setattr("kit1000.data.export.urdf.stand_meshes", full)
     with pytest.raises(InputError, match=r"cannot write .*: No space left on device"):
         write_urdf(assembly, tmp_path / "new")
     assert list(tmp_path.iterdir()) == []
+
+
+def dropped(urdf: Path, start: Pose, halves: np.ndarray, scale: float = 1.0) -> np.ndarray:
+    """(3,) [m] where a box of some half extents comes to rest in Bullet that is let go 35 mm above a pose."""
+    client = bullet.connect(bullet.DIRECT)
+    try:
+        bullet.setGravity(0, 0, -9.81 * scale, physicsClientId=client)
+        bullet.loadURDF(str(urdf), useFixedBase=True, globalScaling=scale, physicsClientId=client)
+        shape = bullet.createCollisionShape(
+            bullet.GEOM_BOX, halfExtents=(halves * scale).tolist(), physicsClientId=client
+        )
+        place = ((start.xyz + [0, 0, 0.035]) * scale).tolist()
+        box = bullet.createMultiBody(
+            0.05, shape, basePosition=place, baseOrientation=start.wxyz[[1, 2, 3, 0]].tolist(), physicsClientId=client
+        )
+        for _ in range(480):
+            bullet.stepSimulation(physicsClientId=client)
+        return np.array(bullet.getBasePositionAndOrientation(box, physicsClientId=client)[0]) / scale
+    finally:
+        bullet.disconnect(client)
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Pose, np.ndarray, float]:
+    """A level kit for a block as URDF; the seated pose, the block's half extents and the depth of its cavity."""
+    part = as_part(Manifold.cube((40, 28, 30), center=True), Symmetry.dihedral(2))
+    kit = make_kit(part, clearance=CLEARANCE)
+    assembly = build_assembly("block", [kit], AssemblyPlan(0.0, 0.0, ()))
+    urdf = write_urdf(assembly, tmp_path_factory.mktemp("block") / "assembly")
+    seated = assembly.mounts[0].assembly_from_kit @ kit.slot.kit_from_part
+    return urdf, seated, part.mesh.extents / 2, kit.slot.depth
+
+
+@pytest.mark.parametrize("gap", [CLEARANCE, 1.5e-3])
+def test_a_peg_drops_into_the_cavity_in_bullet(block: tuple[Path, Pose, np.ndarray, float], gap: float) -> None:
+    urdf, seated, halves, _ = block
+    rest = dropped(urdf, seated, halves + [CLEARANCE - gap, CLEARANCE - gap, 0])
+    assert rest[2] - seated.xyz[2] == pytest.approx(MARGIN, abs=2e-4)  # on the floor, but for the margin
+    assert np.abs(rest - seated.xyz)[:2].max() < gap
+
+
+def test_a_peg_wider_than_the_cavity_stays_on_the_rim(block: tuple[Path, Pose, np.ndarray, float]) -> None:
+    urdf, seated, halves, depth = block
+    rest = dropped(urdf, seated, halves + [CLEARANCE + 1e-3, CLEARANCE + 1e-3, 0])
+    assert rest[2] - seated.xyz[2] == pytest.approx(depth + MARGIN, abs=2e-4)
+
+
+def test_the_margin_is_bullets_own_and_shrinks_with_the_scale(block: tuple[Path, Pose, np.ndarray, float]) -> None:
+    urdf, seated, halves, depth = block
+    tight = halves + [CLEARANCE - 1e-3, CLEARANCE - 1e-3, 0]  # a gap no wider than the margin
+    assert dropped(urdf, seated, tight)[2] - seated.xyz[2] > depth - MARGIN
+    assert dropped(urdf, seated, tight, scale=10)[2] - seated.xyz[2] == pytest.approx(MARGIN / 10, abs=1e-4)

@@ -14,7 +14,21 @@ from kit1000.errors import ShapeError
 from kit1000.mesh import mesh_of
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
-from kit1000.values import Body, FreeAxis, Kit, Part, Prediction, Query, Scene, Slot, Truth, View
+from kit1000.values import (
+    ASSEMBLY_LABEL,
+    FIRST_PART_LABEL,
+    Body,
+    FreeAxis,
+    Kit,
+    Look,
+    Part,
+    Prediction,
+    Query,
+    Scene,
+    Slot,
+    Truth,
+    View,
+)
 from tests.shapes import box, standing
 
 MESH = mesh_of(standing(box(30, 20, 10)))
@@ -40,11 +54,13 @@ def view(**changes: Any) -> View:
     return View(**{"camera": CAMERA, "world_from_camera": POSE, "depth": np.ones((6, 8), np.float32), **changes})
 
 
+def look(**changes: Any) -> Look:
+    return Look(**{"view": view(), "labels": np.zeros((6, 8), np.uint8), **changes})
+
+
 def query(**changes: Any) -> Query:
-    masks = {"part_mask": np.zeros((6, 8), bool), "kit_region": np.ones((6, 8), bool)}
-    return Query(
-        **{"id": "q", "scene_id": "s", "track": "snap", "view": view(), **masks, "pivot": np.zeros(3), **changes}
-    )
+    return Query(**{"id": "q", "scene_id": "s", "track": "snap", "sensor": "ideal", "part": 1, "drawn": True,
+                    "pivot": np.zeros(3), "guess": POSE, "look": look, **changes})  # fmt: skip
 
 
 def prediction(**changes: Any) -> Prediction:
@@ -52,8 +68,9 @@ def prediction(**changes: Any) -> Prediction:
 
 
 def truth(**changes: Any) -> Truth:
-    return Truth(**{"query_id": "q", "part_id": "p", "family": "f", "rest_mode": "upright", "anchor": np.zeros(3),
-                    "world_from_part": POSE, "world_from_kit": POSE, "slot": slot(), **changes})  # fmt: skip
+    return Truth(**{"query_id": "q", "assembly_id": "a", "part_id": "p", "family": "f", "rest_mode": "upright",
+                    "kits": 3, "visible": 0.9, "anchor": np.zeros(3), "world_from_part": POSE, "world_from_kit": POSE,
+                    "slot": slot(), "goal_drawn": POSE, **changes})  # fmt: skip
 
 
 def free_axis(**changes: Any) -> FreeAxis:
@@ -64,7 +81,7 @@ def scene(**changes: Any) -> Scene:
     return Scene(**{"id": "s", "bodies": (Body("p", POSE),), **changes})
 
 
-MAKERS: list[Callable[..., Any]] = [part, slot, kit, view, query, prediction, truth, free_axis, scene]
+MAKERS: list[Callable[..., Any]] = [part, slot, kit, view, look, query, prediction, truth, free_axis, scene]
 
 
 @pytest.mark.parametrize("make", MAKERS)
@@ -80,8 +97,7 @@ def test_values_are_frozen(make: Callable[..., Any]) -> None:
     [
         (kit, "extent", np.array([0.1, 0.1, 0.022])),
         (view, "depth", np.ones((6, 8), np.float32)),
-        (query, "part_mask", np.zeros((6, 8), bool)),
-        (query, "kit_region", np.zeros((6, 8), bool)),
+        (look, "labels", np.zeros((6, 8), np.uint8)),
         (query, "pivot", np.zeros(3)),
         (truth, "anchor", np.zeros(3)),
         (free_axis, "point", np.zeros(3)),
@@ -103,8 +119,8 @@ def test_arrays_are_read_only_copies(make: Callable[..., Any], name: str, array:
         (kit, {"extent": np.zeros(2)}, r"extent: expected .*\(3,\), got shape \(2,\)"),
         (kit, {"extent": np.array([0.1, np.inf, 0.1])}, "extent"),
         (view, {"depth": np.ones((8, 6))}, r"depth: expected .*\(6, 8\), got shape \(8, 6\)"),
-        (query, {"part_mask": np.zeros((6, 7), bool)}, r"part_mask: expected .*\(6, 8\), got shape \(6, 7\)"),
-        (query, {"kit_region": np.zeros(8, bool)}, r"kit_region: expected .*\(6, 8\), got shape \(8,\)"),
+        (look, {"labels": np.zeros((6, 7), np.uint8)}, r"labels: expected .*\(6, 8\), got shape \(6, 7\)"),
+        (look, {"labels": np.full((6, 8), 0.5)}, r"labels: expected uint8 .*, which is no uint8"),
         (query, {"pivot": np.zeros((1, 3))}, r"pivot: expected .*\(3,\), got shape \(1, 3\)"),
         (truth, {"anchor": np.zeros(4)}, r"anchor: expected .*\(3,\), got shape \(4,\)"),
         (free_axis, {"direction": np.array([0, 0, 2.0])}, "direction: expected a unit vector, got length 2"),
@@ -129,3 +145,22 @@ def test_dimensions_are_a_read_only_copy() -> None:
     assert made.dimensions["d"] == 3.0
     with pytest.raises(TypeError):
         made.dimensions["d"] = 5.0  # pyright: ignore[reportIndexIssue]
+
+
+def test_a_query_reads_its_images_once_and_only_when_looked_at() -> None:
+    looks = []
+    labels = np.zeros((6, 8), np.uint8)
+    labels[1:3], labels[4, 2:5] = ASSEMBLY_LABEL, FIRST_PART_LABEL + 1
+
+    def read() -> Look:
+        looks.append(look(labels=labels))
+        return looks[-1]
+
+    asked = query(part=1, look=read)
+    assert not looks
+    assert asked.view is asked.view is looks[0].view
+    assert np.argwhere(asked.part_mask).tolist() == [[4, 2], [4, 3], [4, 4]]
+    assert asked.kit_region.sum() == 16
+    assert asked.kit_region[1:3].all()
+    assert not query(part=0, look=read).part_mask.any()
+    assert len(looks) == 2

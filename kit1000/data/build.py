@@ -1,4 +1,4 @@
-"""Building a dataset from its plan: parts and kits, then assemblies, then tables, and `dataset.json` last.
+"""Building a dataset from its plan: parts and kits, then assemblies, then scenes, and `dataset.json` last.
 
 Every job leaves a record, so a run that was interrupted at any moment goes on where it stopped and ends with the same
 bytes. Jobs run in any order on any number of workers; what depends on order (near-duplicates) is decided here.
@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,16 +18,15 @@ import numpy as np
 from tqdm import tqdm
 
 from kit1000.data import engines
-from kit1000.data.files import check_writable, clear_partial, json_bytes, locked, read_json, write_json
+from kit1000.data.files import check_writable, clear_partial, json_bytes, locked, read_json, write_bytes, write_json
 from kit1000.data.groups import GroupJob, make_group
 from kit1000.data.pairs import BUILD, PairJob, Record, intact, make_pair
-from kit1000.data.plan import DATA_VERSION, Sources, company_of, dataset_id, make_plan, split_ids
+from kit1000.data.plan import Sources, company_of, make_plan, split_ids
 from kit1000.data.presets import SPLITS, Preset
-from kit1000.data.tables import FORMAT
+from kit1000.data.shards import make_shard, shards
+from kit1000.data.summary import Made, described, refused_files, sealed, summarised, tables
 from kit1000.errors import InputError
 from kit1000.parts.twins import twin_of
-
-LICENCE = "CC-BY-4.0"
 
 Spread = Callable[[Callable[[Any], Record], Iterable[Any]], Iterator[Record]]
 
@@ -38,10 +37,12 @@ def generate(
     seed: int | None = None,
     workers: int | None = None,
     sources: Sources | None = None,
+    engine: AbstractContextManager[Spread] | None = None,
 ) -> dict[str, Any]:
     """Build a dataset in a folder, or complete one that was begun there; returns the contents of its dataset.json.
 
-    Raises InputError when the folder holds something else or cannot be written, or when no source can be a part.
+    `engine` spreads the jobs; processes of this machine, as many as `workers`, when absent. Raises InputError when
+    the folder holds something else or cannot be written, or when no source can be a part.
     """
     plan = make_plan(preset, preset.seed if seed is None else seed, sources)
     check_writable(root)
@@ -53,10 +54,11 @@ def generate(
         if summary is not None:
             return summary
         write_json(root / "plan.json", plan)
-        with engines.local(workers) as spread:
+        with engine or engines.local(workers) as spread:
             pairs = _pairs(root, preset, plan, sources, spread)
             groups = _groups(root, preset, plan, pairs, spread)
-        return _finish(root, plan, pairs, groups)
+            scenes = _shards(root, preset, plan, groups, spread)
+        return _finish(root, plan, Made(pairs, groups, scenes))
 
 
 def _check_ours(root: Path, plan: dict[str, Any]) -> None:
@@ -131,21 +133,11 @@ def _pair_job(
     return PairJob(root, preset, seed, part_id, row["split"], files, sources.unit)
 
 
-def _refused(plan: dict[str, Any], records: dict[str, Record]) -> dict[str, str]:
-    """Why files became no part, by name."""
-    dealt = {part_id: row.get("sources", []) for part_id, row in plan["parts"].items()}
-    return {
-        name: reason
-        for part_id, record in records.items()
-        for (name, _), reason in zip(dealt[part_id], record["redraws"], strict=False)
-    }
-
-
 def _nothing_usable(root: Path, plan: dict[str, Any], records: dict[str, Record]) -> str:
     """Why no file became a part; the folder is left empty, so that the next attempt finds no other plan in it."""
     shutil.rmtree(root / BUILD, ignore_errors=True)
     (root / "plan.json").unlink(missing_ok=True)
-    reasons = [f"{name}: {reason}" for name, reason in _refused(plan, records).items()]
+    reasons = [f"{name}: {reason}" for name, reason in refused_files(plan, records).items()]
     more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
     return f"none of {len(reasons)} mesh files can be a part ({'; '.join(reasons[:3])}{more})"
 
@@ -173,68 +165,49 @@ def _groups(
     return _run("assemblies", make_group, jobs, spread)
 
 
-def _run(what: str, function: Callable[[Any], Record], jobs: list[Any], spread: Spread) -> dict[str, Record]:
-    bar = tqdm(spread(function, jobs), total=len(jobs), desc=what, unit="", disable=None, smoothing=0.05)
-    return {record["id"]: record for record in bar}
+def _shards(
+    root: Path, preset: Preset, plan: dict[str, Any], groups: dict[str, Record], spread: Spread
+) -> dict[str, Record]:
+    """The record of every shard of scenes, by id."""
+    jobs = [
+        job
+        for split in SPLITS
+        for job in shards(root, preset, plan["seed"], split, split_ids(plan["assemblies"], split), set(groups))
+    ]
+    return _run("scenes", make_shard, jobs, spread, units=[len(job.assemblies) for job in jobs])
 
 
-def _finish(root: Path, plan: dict[str, Any], pairs: dict[str, Record], groups: dict[str, Record]) -> dict[str, Any]:
-    """Tables from the records, stray files removed, `dataset.json` last."""
-    kept = {part_id: pairs[part_id] for part_id in plan["parts"] if "refused" not in pairs[part_id]}
-    common = ("split", "source", "redraws", "measures")
-    tables = {
-        "parts": {i: r["part"] | {key: r[key] for key in common if key in r} for i, r in kept.items()},
-        "kits": {i: r["kit"] | {"split": r["split"]} for i, r in kept.items()},
-        "assemblies": {
-            i: r["assembly"] | {key: r[key] for key in ("split", "target", "redraws")} for i, r in groups.items()
-        },
-    }
-    written = {f"{name}.json": write_json(root / f"{name}.json", rows) for name, rows in tables.items()}
-    files = {name: digest for record in [*kept.values(), *groups.values()] for name, digest in record["files"].items()}
-    _remove_strays(root, files)
+def _run(
+    what: str, function: Callable[[Any], Record], jobs: list[Any], spread: Spread, units: list[int] | None = None
+) -> dict[str, Record]:
+    """Records by id; the bar counts units of a job where they are given."""
+    total = len(jobs) if units is None else sum(units)
+    weight = {job.id: count for job, count in zip(jobs, units, strict=True)} if units else {}
+    records = {}
+    with tqdm(total=total, desc=what, unit="", disable=None, smoothing=0.05) as bar:
+        for record in spread(function, jobs):
+            records[record["id"]] = record
+            bar.update(weight.get(record["id"], 1))
+    return records
+
+
+def _finish(root: Path, plan: dict[str, Any], made: Made) -> dict[str, Any]:
+    """Tables from the records, stray files removed, card and Croissant, `dataset.json` last."""
+    written = {f"{name}.json": write_json(root / f"{name}.json", rows) for name, rows in tables(plan, made).items()}
+    _remove_strays(root, made.files)
     written["plan.json"] = write_json(root / "plan.json", plan)
-    summary = _summary(plan, pairs, groups, files | written)
-    write_json(root / "dataset.json", summary)
+    summary = summarised(plan, made, written)
+    for name, data in described(summary).items():
+        summary["files"][name] = write_bytes(root / name, data)
+    write_bytes(root / "dataset.json", sealed(summary))
     shutil.rmtree(root / BUILD, ignore_errors=True)
-    return summary
+    return read_json(root / "dataset.json")
 
 
 def _remove_strays(root: Path, files: dict[str, str]) -> None:
-    """Meshes of attempts that were drawn again under the same name do not exist; of refused files they may."""
-    for kind in ("parts", "kits", "assemblies"):
-        for path in (root / kind).glob("*.glb"):
-            if f"{kind}/{path.name}" not in files:
-                path.unlink()
-
-
-def _summary(
-    plan: dict[str, Any], pairs: dict[str, Record], groups: dict[str, Record], files: dict[str, str]
-) -> dict[str, Any]:
-    kept = [record for record in pairs.values() if "refused" not in record]
-    return {
-        "format": FORMAT,
-        "data_version": DATA_VERSION,
-        "dataset_id": dataset_id(plan),
-        "licence": LICENCE,
-        "preset": plan["preset"],
-        "seed": plan["seed"],
-        "config": plan["config"],
-        "held_out_families": plan["held_out_families"],
-        "counts": {
-            split: {
-                "parts": sum(record["split"] == split for record in kept),
-                "assemblies": sum(record["split"] == split for record in groups.values()),
-            }
-            for split in SPLITS
-        },
-        "redraws": {
-            "parts": _reasons(pairs.values()),
-            "assemblies": _reasons(groups.values()),
-        },
-        "refused": _refused(plan, pairs),
-        "files": files,
-    }
-
-
-def _reasons(records: Iterable[Record]) -> dict[str, int]:
-    return dict(Counter(reason for record in records for reason in record["redraws"]))
+    """Files of attempts that were drawn again under the same name do not exist; of refused ones they may."""
+    for kind in ("parts", "kits", "assemblies", *SPLITS):
+        for pattern in ("*.glb", "*.mcap"):
+            for path in (root / kind).glob(pattern):
+                if f"{kind}/{path.name}" not in files:
+                    path.unlink()

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from kit1000.data.files import read_json
+from kit1000.data.files import read_json, sha256
 from kit1000.data.meshes import glb_bytes, read_glb
 from kit1000.data.pairs import BUILD, Record, finished, save, write_mesh_file
 from kit1000.data.plan import CANDIDATES, draw_assembly_of
 from kit1000.data.presets import Preset
-from kit1000.data.tables import assembly_row, kit_of, part_of
+from kit1000.data.tables import assembly_of, assembly_row, kit_of, part_of
 from kit1000.errors import Redraw
 from kit1000.kits.assembly import build_assembly, check_assembly
 from kit1000.kits.face import resting_faces
@@ -67,7 +67,7 @@ def make_group(job: GroupJob) -> Record:
         "target": job.target,
         "files": write_mesh_file(job.root, name, glb_bytes({job.assembly_id: assembly.mesh})),
         "redraws": redraws + rejected,
-        "assembly": assembly_row(assembly),
+        "assembly": assembly_row(assembly) | {"attempt": len(redraws)},
     }
     return save(job.root, "assemblies", job.assembly_id, record)
 
@@ -107,16 +107,28 @@ def _mistakable(a: Member, b: Member) -> bool:
     return foreign_fit(a.stray, b.well) is not None or foreign_fit(b.stray, a.well) is not None
 
 
+def pair(root: Path, part_id: str) -> tuple[Part, Kit]:
+    """A part and its kit that are already made, read from their files."""
+    record = read_json(root / BUILD / "parts" / f"{part_id}.json")
+    part = part_of(part_id, record["part"], read_glb(root / f"parts/{part_id}.glb")[part_id])
+    return part, kit_of(part_id, record["kit"], read_glb(root / f"kits/{part_id}.glb")[part_id])
+
+
 def member(root: Path, part_id: str) -> Member:
-    """A pair that is already made, read from its files."""
-    record = root / BUILD / "parts" / f"{part_id}.json"
-    return _member(root, part_id, record.stat().st_mtime_ns)
+    """A pair that is already made, remembered for as long as its record is not written anew."""
+    return _member(root, part_id, sha256(root / BUILD / "parts" / f"{part_id}.json"))
 
 
 @lru_cache(maxsize=REMEMBERED)
-def _member(root: Path, part_id: str, _written: int) -> Member:
-    """The same, remembered for as long as its record is not written anew."""
-    record = read_json(root / BUILD / "parts" / f"{part_id}.json")
-    part = part_of(part_id, record["part"], read_glb(root / f"parts/{part_id}.glb")[part_id])
-    kit = kit_of(part_id, record["kit"], read_glb(root / f"kits/{part_id}.glb")[part_id])
+def _member(root: Path, part_id: str, _record: str | None) -> Member:
+    part, kit = pair(root, part_id)
     return Member(part, kit, Stray(part.mesh, resting_faces(part.mesh)), Well(kit))
+
+
+def group(root: Path, assembly_id: str) -> tuple[Assembly, dict[str, Part]]:
+    """An assembly that is already made, and its parts by id."""
+    record = read_json(root / BUILD / "assemblies" / f"{assembly_id}.json")
+    pairs = {m["kit_id"]: pair(root, m["kit_id"]) for m in record["assembly"]["mounts"]}
+    mesh = read_glb(root / f"assemblies/{assembly_id}.glb")[assembly_id]
+    assembly = assembly_of(assembly_id, record["assembly"], mesh, lambda kit_id: pairs[kit_id][1])
+    return assembly, {part_id: part for part_id, (part, _) in pairs.items()}

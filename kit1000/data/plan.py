@@ -22,9 +22,10 @@ from kit1000.kits.assembly import AssemblyPlan, draw_assembly
 from kit1000.parts.catalog import FAMILIES, WEIGHTS, choose_family
 from kit1000.parts.family import Family, dimensions
 from kit1000.rng import stream
+from kit1000.sim.layout import draw_modes
 
-FORMAT = "kit1000-plan/1"
-DATA_VERSION = "0.1.0"
+FORMAT = "kit1000-plan/2"
+DATA_VERSION = "0.2.0"
 """Raised whenever the same plan gives other data."""
 SPARES = 10  # files dealt to one part at most: the next is tried when one cannot be a part
 CANDIDATES = 24  # parts asked to join an assembly before it may stay smaller than drawn; more only to reach the least
@@ -78,7 +79,8 @@ def make_plan(preset: Preset, seed: int, sources: Sources | None = None) -> dict
         "config": preset.config,
         "held_out_families": sorted(HELD_OUT),
         "parts": parts,
-        "assemblies": _assemblies(preset, seed, parts),
+        "assemblies": (assemblies := _assemblies(preset, seed, parts)),
+        "scenes": _scenes(seed, assemblies),
     }
 
 
@@ -167,6 +169,27 @@ def _assemblies(preset: Preset, seed: int, parts: dict[str, Any]) -> dict[str, A
             company = company_of(seed, target, ids)[:CANDIDATES]
             plan[target] = {"split": split, "target": target, "kits": kits, "company": company}
     return plan
+
+
+def scene_id_of(assembly_id: str) -> str:
+    """The scene of an assembly: test-0007 stands in test-s0007."""
+    split, _, number = assembly_id.rpartition("-")
+    return f"{split}-s{number}"
+
+
+def rest_modes(seed: int, scene_id: str, parts: int) -> tuple[str, ...]:
+    """How the parts of a scene come to lie, in the order p0, p1, ..."""
+    return draw_modes(stream(seed, "rest", scene_id), parts)
+
+
+def _scenes(seed: int, assemblies: dict[str, Any]) -> dict[str, Any]:
+    """One scene for each assembly. An assembly that ends with fewer kits than drawn draws its rest modes anew."""
+    scenes = {}
+    for assembly_id, row in assemblies.items():
+        scene_id = scene_id_of(assembly_id)
+        rest = list(rest_modes(seed, scene_id, row["kits"]))
+        scenes[scene_id] = {"split": row["split"], "assembly": assembly_id, "rest": rest}
+    return scenes
 
 
 def split_ids(parts: dict[str, Any], split: str) -> list[str]:

@@ -13,6 +13,10 @@ HELD_OUT = ("cam", "connector", "gear", "hook", "pillow_block", "tee")
 """Families that only the test split has, so that a score on them says what a method does with the unknown."""
 
 
+TRACKS = ("snap", "snap-tilt", "place", "place-paper", "snap-d415", "place-d415")
+PAPER_TRACKS = ("snap-tilt", "place", "place-paper")  # guesses wrong by a tilt alone, ideal depth
+
+
 @dataclass(frozen=True)
 class Preset:
     """One kind of dataset. Lengths in metres, angles in radians unless named otherwise."""
@@ -33,11 +37,21 @@ class Preset:
     """Range of a side plate's tilt against its base."""
     brackets_deg: tuple[float, ...] = ()
     """Tilts to pick from in place of the range, where brackets come in a few angles."""
+    tracks: tuple[str, ...] = TRACKS
+    """What is asked of a scene; without a track of the d415 none is recorded."""
+    curve_scenes: int = 40
+    """Test scenes whose target is asked about at every level of guess error; their queries together give the goal
+    away, so a withheld test split has none."""
     seed: int = 1000
 
     def count(self, split: str) -> int:
         """Parts (and assemblies) of a split."""
         return {"train": self.train, "val": self.val, "test": self.test}[split]
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Which depth images are recorded."""
+        return ("ideal", "d415") if any(track.endswith("-d415") for track in self.tracks) else ("ideal",)
 
     @property
     def config(self) -> dict[str, Any]:
@@ -52,9 +66,10 @@ PRESETS = {
         Preset("tiny", 8, 2, 6),
         Preset("small", 60, 12, 24),
         Preset("kit1000", 1000, 100, 200),
-        Preset("paper", 1000, 100, 200, longest=(0.05, 0.05), level_base=True),
+        Preset("paper", 1000, 100, 200, longest=(0.05, 0.05), level_base=True, tracks=PAPER_TRACKS),
         Preset("real-like", 400, 50, 100, clearance=10e-3, kits=(1, 4)),
         Preset("study", 40, 8, 24, kits=(2, 3), tilt_deg=(10.0, 30.0), brackets_deg=(10.0, 20.0, 30.0)),
+        Preset("completion", 2000, 100, 100, seed=2000),
     )
 }
 
@@ -66,3 +81,9 @@ def preset(name: str) -> Preset:
         hint = f"did you mean {near[0]}? " if near else ""
         raise InputError(f"no preset {name!r}; {hint}there are {', '.join(PRESETS)}")
     return PRESETS[name]
+
+
+def preset_of(name: str, config: dict[str, Any]) -> Preset:
+    """The preset that a plan was made with, from the plain values that `config` gave."""
+    values = {key: tuple(value) if isinstance(value, list) else value for key, value in config.items()}
+    return Preset(name, **values)

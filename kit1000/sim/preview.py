@@ -58,7 +58,7 @@ def assembly_tile(assembly: Assembly, parts: Mapping[str, Part], size: tuple[int
     return _drawn(bodies, size)
 
 
-def sheet(tiles: Sequence[np.ndarray], labels: Sequence[str], columns: int = 6) -> bytes:
+def sheet(tiles: Sequence[np.ndarray | Image.Image], labels: Sequence[str], columns: int = 6) -> bytes:
     """Tiles with their captions as one PNG."""
     return _png(contact_sheet(tiles, labels, columns))
 

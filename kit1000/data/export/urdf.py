@@ -7,15 +7,13 @@ into a short buffer. Lengths are metres, mass kilograms; file names are relative
 
 from __future__ import annotations
 
-import os
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from kit1000.errors import InputError
+from kit1000.data.export.folder import new_folder
 from kit1000.kits.split import convex_prisms
 from kit1000.kits.stand import stand_meshes
 from kit1000.mesh import Mesh
@@ -32,20 +30,8 @@ def write_urdf(assembly: Assembly, folder: Path) -> Path:
 
     The folder appears when all of it is written. Raises InputError when it is there already or cannot be written.
     """
-    folder = Path(folder)
-    if folder.exists():
-        raise InputError(f"{folder} exists already: name a new folder for the URDF")
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
-        partial.mkdir()
-        try:
-            _write_files(assembly, partial)
-            os.rename(partial, folder)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
-    except OSError as error:
-        raise InputError(f"cannot write {folder}: {error.strerror or error}") from error
+    with new_folder(folder, "URDF") as partial:
+        _write_files(assembly, partial)
     return folder / URDF
 
 

@@ -1,0 +1,31 @@
+"""A new folder that appears when all of it is written, or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from kit1000.errors import InputError
+
+
+@contextmanager
+def new_folder(folder: Path, what: str) -> Iterator[Path]:
+    """A folder to write into, which takes its name at the end of the block; `what` it is for, in messages.
+
+    Raises InputError when the name is taken or cannot be written; nothing is left of a block that fails.
+    """
+    if os.path.lexists(folder):
+        raise InputError(f"{folder} exists already: name a new folder for the {what}")
+    partial = folder.with_name(f".{folder.name}.{os.getpid()}.partial")
+    try:
+        partial.mkdir(parents=True)
+        try:
+            yield partial
+            os.rename(partial, folder)
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+    except OSError as error:
+        raise InputError(f"cannot write {folder}: {error.strerror or error}") from error

@@ -1,0 +1,201 @@
+"""Where the kits stand and where the parts lie: drawn without geometry, then worked out with it.
+
+The table's half y > 0 is for the kits, y < 0 for the parts. A part lies as it was let go: `upright` on the face it is
+inserted with, at any yaw, or `tumbled`, dropped from a uniform rotation (and then perhaps on that same face).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from itertools import combinations
+
+import numpy as np
+from scipy.spatial import ConvexHull
+from scipy.spatial.distance import pdist
+
+from kit1000.errors import InputError, Redraw, ShapeError, checked
+from kit1000.mesh import Mesh
+from kit1000.pose import Pose, random_quaternions
+from kit1000.sim.settle import Release, Rest, on_grid, settle
+from kit1000.values import Assembly, Part, Slot
+
+UPRIGHT, TUMBLED = "upright", "tumbled"
+UPRIGHT_SHARE = 0.6  # of the parts, whatever their number in a scene
+
+_BOX_FACES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+     [1, 5, 7], [1, 7, 3]]
+)  # fmt: skip
+TABLE = (1.2, 1.6, 0.04)  # [m] along x, along y, thick; the top is z = 0, centred on the origin
+APART = 5e-3  # [m] least, in plan, between parts, and to the line between the halves
+KITS_AT = np.array([0.0, 0.20])  # [m] the middle of the assembly, but for a shift
+KITS_REACH = 0.19  # [m] the assembly and its shift stay within this of it
+KITS_SHIFT = 0.05  # [m] most along x and along y
+PARTS_AT = np.array([[-0.12, -0.30], [0.12, -0.06]])  # [m] lowest and highest spot
+PARTS_IN = np.array([[-0.19, -0.345], [0.19, -APART]])  # [m] what the cameras are set up for, of the parts' half
+PART_REACH = 0.0435  # [m] half the diagonal of a cube of 50 mm: no part of that size reaches farther from its middle
+MOST_PARTS = 5
+TRIES = 10_000  # draws of all spots at once; one in thirty or so keeps five parts apart
+DROP = 5e-3  # [m] under the lowest point of a tumbled part
+HAIR = 2e-4  # [m] under an upright part
+MOVED, TIPPED = 1e-3, np.radians(1)  # an upright part that does more did not stand there
+
+
+@dataclass(frozen=True, eq=False)
+class LayoutDraw:
+    """The random numbers of a layout."""
+
+    modes: tuple[str, ...]
+    """UPRIGHT or TUMBLED, by part."""
+    assembly_yaw: float
+    """[rad]"""
+    assembly_shift: np.ndarray
+    """(2,) in -1..1: of the room that the assembly leaves."""
+    spots: np.ndarray
+    """(n, 2) [m] above which the middles of the parts are let go."""
+    yaws: np.ndarray
+    """(n,) [rad] of the parts that stand upright."""
+    tumbles: np.ndarray
+    """(n, 4) quaternions world_from_part of the parts that tumble."""
+
+    def __post_init__(self) -> None:
+        n = len(self.modes)
+        wanted = {"assembly_shift": (2,), "spots": (n, 2), "yaws": (n,), "tumbles": (n, 4)}
+        for name, shape in wanted.items():
+            object.__setattr__(self, name, checked(name, getattr(self, name), shape))
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where everything stands."""
+
+    world_from_assembly: Pose
+    world_from_parts: tuple[Pose, ...]
+
+
+@cache
+def table() -> Mesh:
+    """The table as a box, z up, its top at z = 0, centred on the origin."""
+    corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-1.0, 0.0)]) * TABLE
+    return Mesh(corners, _BOX_FACES)
+
+
+def draw_modes(rng: np.random.Generator, n: int) -> tuple[str, ...]:
+    """How each of n parts is let go. Each is upright with UPRIGHT_SHARE; from two parts on at least one is."""
+    return modes_at(rng.random(), n)
+
+
+def modes_at(offset: float, n: int) -> tuple[str, ...]:
+    """The systematic sample at an offset of 0..1 (Madow 1949): as many upright as the share says, but for rounding."""
+    passed = np.floor(UPRIGHT_SHARE * np.arange(n + 1) + offset)
+    return tuple(UPRIGHT if step else TUMBLED for step in np.diff(passed))
+
+
+def draw_layout(rng: np.random.Generator, modes: Sequence[str]) -> LayoutDraw:
+    """A layout for parts let go in these modes. What is drawn for one part depends on no other's mode."""
+    unknown = sorted({*modes} - {UPRIGHT, TUMBLED})
+    if unknown or len(modes) > MOST_PARTS:
+        raise ShapeError(f"modes: expected up to {MOST_PARTS} of {UPRIGHT}, {TUMBLED}, got {', '.join(map(str, modes))}")
+    n = len(modes)
+    yaw, shift = float(rng.uniform(0, 2 * np.pi)), rng.uniform(-1, 1, 2)
+    yaws, tumbles = rng.uniform(0, 2 * np.pi, n), random_quaternions(rng, n)
+    return LayoutDraw(tuple(modes), yaw, shift, _spots(rng, n), yaws, tumbles)
+
+
+def lay_out(assembly: Assembly, parts: Sequence[tuple[Part, Slot]], draw: LayoutDraw) -> Layout:
+    """Stand the assembly where it was drawn and let the parts come to rest.
+
+    Raises Redraw when a part does not come to rest, an upright one does not stand, one leaves its half, or two come
+    nearer to each other than APART.
+    """
+    releases = [_release(draw, i, *pair) for i, pair in enumerate(_checked_parts(parts, draw))]
+    rests = settle(releases)
+    for mode, release, rest in zip(draw.modes, releases, rests, strict=True):
+        _check_rest(mode, release, rest)
+    poses = tuple(rest.world_from_part for rest in rests)
+    shadows = [shadow(part.mesh, pose) for (part, _), pose in zip(parts, poses, strict=True)]
+    if any((outline < PARTS_IN[0]).any() or (outline > PARTS_IN[1]).any() for outline in shadows):
+        raise Redraw("part left its half")
+    if any(plan_distance(a, b) < APART for a, b in combinations(shadows, 2)):
+        raise Redraw("parts touch")
+    return Layout(_stand(assembly.mesh, draw), poses)
+
+
+def shadow(mesh: Mesh, world_from_body: Pose) -> np.ndarray:
+    """(n, 2) [m] the convex outline of a body seen from above, counter-clockwise."""
+    points = world_from_body.apply(mesh.vertices)[:, :2]
+    return points[ConvexHull(points).vertices]
+
+
+def plan_distance(a: np.ndarray, b: np.ndarray) -> float:
+    """[m] between two convex outlines (n, 2) and (m, 2), counter-clockwise; 0 where they meet."""
+    if max(_separation(a, b), _separation(b, a)) <= 0:
+        return 0.0
+    return min(_to_edges(a, b), _to_edges(b, a))
+
+
+def _separation(a: np.ndarray, b: np.ndarray) -> float:
+    """[m] the widest gap between the two that an edge of `a` shows; none of either shows one where they overlap."""
+    edges = np.roll(a, -1, axis=0) - a
+    outward = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1, keepdims=True)
+    return float(((b @ outward.T).min(0) - (a * outward).sum(1)).max())
+
+
+def _to_edges(points: np.ndarray, outline: np.ndarray) -> float:
+    """[m] from the nearest of points (n, 2) to the nearest edge."""
+    edges = np.roll(outline, -1, axis=0) - outline
+    offset = points[:, None] - outline
+    share = np.clip((offset * edges).sum(2) / (edges**2).sum(1), 0, 1)
+    return float(np.linalg.norm(offset - share[..., None] * edges, axis=2).min())
+
+
+def _spots(rng: np.random.Generator, n: int) -> np.ndarray:
+    """(n, 2) [m] uniform among all sets of spots at which parts cannot meet while they turn."""
+    for _ in range(TRIES):
+        spots = rng.uniform(*PARTS_AT, (n, 2))
+        if pdist(spots).min(initial=np.inf) >= 2 * PART_REACH + APART:
+            return spots
+    raise Redraw("no room for the parts")
+
+
+def _checked_parts(parts: Sequence[tuple[Part, Slot]], draw: LayoutDraw) -> Sequence[tuple[Part, Slot]]:
+    if len(parts) != len(draw.modes):
+        raise ShapeError(f"parts: expected {len(draw.modes)} for this draw, got {len(parts)}")
+    for part, _ in parts:
+        reach = np.linalg.norm(part.mesh.extents) / 2
+        if reach > PART_REACH:
+            most = f"expected at most {2e3 * PART_REACH:.0f} mm, as of a cube of 50 mm"
+            raise InputError(f"part {part.id}: its box has a diagonal of {2e3 * reach:.1f} mm, {most}")
+    return parts
+
+
+def _release(draw: LayoutDraw, i: int, part: Part, slot: Slot) -> Release:
+    """A part let go with the middle of its box above its spot."""
+    upright = draw.modes[i] == UPRIGHT
+    yaw = Pose.from_rotvec([0.0, 0.0, draw.yaws[i]])
+    turned = Pose((yaw @ slot.kit_from_part).wxyz if upright else draw.tumbles[i], np.zeros(3))
+    middle = turned.rotate(part.mesh.bounds.mean(0))[:2]
+    lift = (HAIR if upright else DROP) - turned.rotate(part.mesh.vertices)[:, 2].min()
+    return Release(part.mesh, part.mass, Pose(turned.wxyz, np.array([*draw.spots[i] - middle, lift])))
+
+
+def _check_rest(mode: str, release: Release, rest: Rest) -> None:
+    if not rest.stable:
+        raise Redraw("part not at rest")
+    turn = release.world_from_part.inverse() @ rest.world_from_part
+    moved = np.linalg.norm(rest.world_from_part.xyz - release.world_from_part.xyz)
+    if mode == UPRIGHT and (moved > MOVED or turn.angle() > TIPPED):
+        raise Redraw("part unstable")
+
+
+def _stand(mesh: Mesh, draw: LayoutDraw) -> Pose:
+    """world_from_assembly: turned about its middle, shifted in the room it leaves, wholly on its half."""
+    middle = mesh.bounds.mean(0)[:2]
+    reach = np.linalg.norm(mesh.vertices[:, :2] - middle, axis=1).max()
+    room = np.clip(KITS_REACH - reach, 0, KITS_SHIFT)
+    x, y = KITS_AT + room * draw.assembly_shift
+    turn = Pose.from_rotvec([0.0, 0.0, draw.assembly_yaw])
+    offset = turn.rotate([*middle, 0.0])
+    return on_grid(Pose(turn.wxyz, np.array([x, max(y, reach + 2 * APART), 0.0]) - offset))

@@ -1,0 +1,247 @@
+"""Compiled loops of a depth sensor that triangulates: two eyes side by side, the picture is that of the left one.
+
+Letters: H rows, W columns; d disparity [px], how far left of its place in this picture a surface lies in that of
+the other eye: larger is nearer, 0 where nothing is seen. Images are float32; those of disparity are (H + 2, W + 2),
+with a frame of zeros one pixel wide around the picture, so that each pixel has neighbours.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from kit1000.compiled import compiled
+
+# [px] of disparity. Matching windows over smaller steps blend them; at larger ones the nearer surface wins the
+# window whole. Also the tolerance within which two eyes are said to see the same point.
+EDGE = 1.0
+
+
+@compiled
+def disparities(depth, gain):
+    """`gain` [px m] / depth (H, W) [m], with the frame; 0 where the depth is 0."""
+    rows, columns = depth.shape
+    out = np.zeros((rows + 2, columns + 2), np.float32)
+    for v in range(rows):
+        for u in range(columns):
+            out[v + 1, u + 1] = gain / depth[v, u] if depth[v, u] > 0 else np.float32(0)
+    return out
+
+
+@compiled
+def measured(d, noise, lost, step, gain):
+    """Depths (H, W) [m] from disparities with their noise (H, W) [px], in whole steps of `step` px if not 0.
+
+    0 where `lost`, like d with the frame, or where nothing was seen.
+    """
+    out = np.zeros(noise.shape, np.float32)
+    for v in range(noise.shape[0]):
+        for u in range(noise.shape[1]):
+            value = d[v + 1, u + 1] + noise[v, u]
+            if step > 0:
+                value = np.rint(value / step) * step
+            if d[v + 1, u + 1] > 0 and value > 0 and not lost[v + 1, u + 1]:
+                out[v, u] = gain / value
+    return out
+
+
+@compiled
+def blurred(image, width):
+    """Mean over squares of `width` (odd) x `width` px of an image (H, W) that goes on at its opposite edge."""
+    rows, columns = image.shape
+    half, share = width // 2, 1 / width
+    out = np.empty_like(image)
+    total = np.zeros(columns)
+    for k in range(-half, half + 1):
+        total += image[k % rows]
+    row = np.empty(columns + 2 * half, np.float32)  # one row of means down, with what it needs of both ends
+    for v in range(rows):
+        incoming, outgoing = image[(v + half + 1) % rows], image[(v - half) % rows]
+        for u in range(columns):
+            row[half + u] = total[u] * share
+            total[u] += incoming[u] - outgoing[u]
+        for k in range(half):
+            row[k], row[half + columns + k] = row[half + (k - half) % columns], row[half + k % columns]
+        running = 0.0
+        for k in range(width - 1):
+            running += row[k]
+        for u in range(columns):
+            running += row[u + width - 1]
+            out[v, u] = running * share
+            running -= row[u]
+    return out
+
+
+@compiled
+def _gentler(here, before, after):
+    """The smaller of two one-sided slopes [px/px], of those that lead to a surface; 0 when none does."""
+    back, ahead = here - before, after - here
+    if before == 0:
+        back = ahead
+    if after == 0:
+        ahead = back
+    if before == 0 and after == 0:
+        return np.float32(0)
+    return ahead if abs(ahead) < abs(back) else back
+
+
+@compiled
+def _slopes(d, v, u):
+    """Change of disparity from pixel to pixel, across and down, within the surface seen at row v, column u."""
+    here = d[v, u]
+    return _gentler(here, d[v, u - 1], d[v, u + 1]), _gentler(here, d[v - 1, u], d[v + 1, u])
+
+
+@compiled
+def _share_below(normal):
+    """The share of a standard normal distribution below a value."""
+    return 0.5 * (1 + math.erf(normal / math.sqrt(2.0)))
+
+
+@compiled
+def _behind(beside, limit):
+    """Whether a pixel sees a surface of less than this disparity."""
+    return (beside > 0) & (beside < limit)
+
+
+@compiled
+def fattened(d, patches, farthest):
+    """Disparities where near surfaces have taken over the pixels of far ones beyond their edges.
+
+    Each edge reaches 0 to `farthest` px, uniformly; `patches` (H/2, W/2) is a smooth standard normal field that
+    says how far. The near surface goes on with its own slope. Pixels that see nothing stay so.
+    """
+    rows, columns = d.shape
+    out = d.copy()
+    steps = np.zeros(columns, np.bool_)
+    for v in range(1, rows - 1):
+        above, here, below = d[v - 1], d[v], d[v + 1]
+        for u in range(1, columns - 1):
+            limit = here[u] - np.float32(EDGE)
+            steps[u] = (
+                _behind(here[u - 1], limit)
+                | _behind(here[u + 1], limit)
+                | _behind(above[u], limit)
+                | _behind(below[u], limit)
+            )
+        for u in range(1, columns - 1):
+            if steps[u]:
+                _grow(d, v, u, farthest * _share_below(patches[(v - 1) // 2, (u - 1) // 2]), out)
+    return out
+
+
+@compiled
+def _grow(d, v, u, reach, out):
+    """Enter the surface seen at row v, column u into the pixels within `reach` px that see farther ones."""
+    rows, columns = d.shape
+    across, down = _slopes(d, v, u)
+    whole = int(reach)
+    for y in range(max(v - whole, 1), min(v + whole + 1, rows - 1)):
+        for x in range(max(u - whole, 1), min(u + whole + 1, columns - 1)):
+            if (x - u) ** 2 + (y - v) ** 2 > reach * reach or d[y, x] == 0:
+                continue
+            value = d[v, u] + across * (x - u) + down * (y - v)
+            if value > d[y, x] + EDGE and value > out[y, x]:
+                out[y, x] = value
+
+
+@compiled
+def blended(d, width):
+    """Disparities averaged over `width` (odd) px down, then across, among surfaces within EDGE of the middle.
+
+    Pixels opposite each other enter together or not at all, so a plane passes unchanged, also at its edges.
+    """
+    rows, columns = d.shape
+    half = width // 2
+    between, out = d.copy(), d.copy()
+    total, count = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    for v in range(half, rows - half):
+        here = d[v]
+        total[:], count[:] = 0, 1
+        for y in range(1, half + 1):
+            _add_pairs(here, d[v - y], d[v + y], total, count)
+        between[v] += total / count
+    for v in range(rows):
+        here = between[v, half : columns - half]
+        total[:], count[:] = 0, 1
+        for x in range(1, half + 1):
+            _add_pairs(here, between[v, half - x :], between[v, half + x :], total, count)
+        out[v, half : columns - half] = here + total[: len(here)] / count[: len(here)]
+    return out
+
+
+@compiled
+def _add_pairs(here, before, after, total, count):
+    """Sum and number of the differences of two neighbours from each pixel of a row, where neither is an edge."""
+    edge = np.float32(EDGE)
+    for u in range(len(here)):
+        a, b = before[u] - here[u], after[u] - here[u]
+        near = (abs(a) <= edge) & (abs(b) <= edge)
+        total[u] += a + b if near else np.float32(0)
+        count[u] += np.float32(2) if near else np.float32(0)
+
+
+@compiled
+def hidden(d, shift):
+    """Pixels bool whose surface the other eye cannot see: behind a nearer one, or outside its picture.
+
+    A point at column u of the picture lies at u - d + `shift` there; both pictures have the same size.
+    """
+    rows, columns = d.shape
+    out = np.zeros(d.shape, np.bool_)
+    for v in range(1, rows - 1):
+        row = d[v]
+        most = row.max()
+        leftmost = np.inf  # of what lies to the right of this pixel: only that can stand before it
+        for u in range(columns - 2, 0, -1):
+            if row[u] > 0:
+                place = u - row[u]
+                inside = 0.5 <= place + shift < columns - 1.5
+                out[v, u] = not inside or (leftmost <= place + 0.5 and _covered(row, u, most))
+                leftmost = min(leftmost, place)
+    return out
+
+
+@compiled
+def _covered(row, u, most):
+    """Whether a surface of this row, of disparities up to `most`, stands before column u in the other eye."""
+    place = u - row[u]
+    for w in range(u + 1, min(math.ceil(place + most + 0.5), len(row) - 1)):
+        if row[w] <= row[u] + EDGE:
+            continue
+        this = w - row[w]
+        beside = w + 1 - row[w + 1]
+        if abs(this - place) <= 0.5:
+            return True
+        if abs(row[w + 1] - row[w]) <= EDGE and (this < place) == (place < beside):  # the surface goes on
+            return True
+    return False
+
+
+@compiled
+def grazed(d, lens, patches, start, gone):
+    """Pixels bool lost because their surface is seen at a grazing angle.
+
+    The angle [rad] between the ray and the surface's normal comes from the slopes of the disparities; the
+    probability of loss rises linearly from 0 at `start` to 1 at `gone`. `lens` is (fx, fy, cx, cy) [px];
+    `patches` (H/2, W/2) is a smooth standard normal field, so that losses come in patches.
+    """
+    fx, fy, cx, cy = lens
+    rows, columns = d.shape
+    out = np.zeros(d.shape, np.bool_)
+    cosines = np.ones(columns)
+    enough = math.cos(start)
+    for v in range(1, rows - 1):
+        y = (v - 1 - cy) / fy
+        for u in range(1, columns - 1):
+            across, down = _slopes(d, v, u)
+            x = (u - 1 - cx) / fx
+            a, b = fx * across, fy * down
+            c = d[v, u] - a * x - b * y  # (a, b, c) is along the normal, and its product with the ray is d
+            cosines[u] = d[v, u] / math.sqrt((a * a + b * b + c * c) * (x * x + y * y + 1))
+        for u in range(1, columns - 1):
+            if d[v, u] > 0 and cosines[u] < enough:
+                lost = (math.acos(cosines[u]) - start) / (gone - start)
+                out[v, u] = lost >= 1 or _share_below(patches[(v - 1) // 2, (u - 1) // 2]) < lost
+    return out

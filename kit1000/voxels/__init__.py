@@ -1,0 +1,26 @@
+"""Volumes: truncated signed distance on posed grids, from one depth image or from closed meshes.
+
+A value is distance / truncation, from -1 to 1: negative inside, positive outside, NaN where nobody knows. Voxel
+(i, j, k) has its centre at `world_from_grid.apply((i, j, k) * voxel)`, as pixels have theirs at whole numbers.
+"""
+
+from kit1000.voxels.distance import signed_distance
+from kit1000.voxels.encodings import from_float16, from_uint8, to_float16, to_uint8
+from kit1000.voxels.grid import Grid, Volume, crop
+from kit1000.voxels.sampling import resample, surface_points
+from kit1000.voxels.tsdf import fuse, tsdf
+
+__all__ = [
+    "Grid",
+    "Volume",
+    "crop",
+    "from_float16",
+    "from_uint8",
+    "fuse",
+    "resample",
+    "signed_distance",
+    "surface_points",
+    "to_float16",
+    "to_uint8",
+    "tsdf",
+]

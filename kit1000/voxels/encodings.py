@@ -1,0 +1,58 @@
+"""Volumes in one or two bytes a voxel, with unknown kept apart and the sign never lost.
+
+| encoding | unknown | largest error of a value |
+| --- | --- | --- |
+| uint8 | 0 | 1/254 (half a step); 1/127 just below zero, where rounding to zero would empty a voxel |
+| float16 | NaN | 2^-12 |
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kit1000.compiled import compiled
+from kit1000.errors import checked
+from kit1000.voxels.grid import Grid, Volume
+
+STEPS = 127  # codes from zero to either end
+ZERO = 128  # the code of zero; 1 is -1, 255 is 1, 0 is unknown
+LEAST_HALF = np.float32(2**-24)  # the smallest float16 above 0
+
+
+def to_uint8(volume: Volume) -> np.ndarray:
+    """(nx, ny, nz) uint8: 0 unknown, else 128 + 127 x value, rounded; what is inside stays under 128."""
+    codes = np.empty(volume.grid.shape, np.uint8)
+    _encode(volume.values.reshape(-1), codes.reshape(-1))
+    return codes
+
+
+def from_uint8(grid: Grid, codes: ArrayLike) -> Volume:
+    """The volume of codes (nx, ny, nz) uint8, as `to_uint8` makes them."""
+    values = (np.arange(256, dtype=np.float32) - ZERO) / STEPS
+    values[0] = np.nan
+    return Volume.adopt(grid, values[checked("codes", codes, grid.shape, np.uint8)])
+
+
+def to_float16(volume: Volume) -> np.ndarray:
+    """(nx, ny, nz) float16: the values rounded, NaN unknown."""
+    with np.errstate(under="ignore"):
+        halves = volume.values.astype(np.float16)
+    halves[(halves == 0) & (volume.values < 0)] = -LEAST_HALF
+    return halves
+
+
+def from_float16(grid: Grid, halves: ArrayLike) -> Volume:
+    """The volume of values (nx, ny, nz) float16, as `to_float16` makes them."""
+    return Volume(grid, np.asarray(halves))
+
+
+@compiled
+def _encode(values, codes):
+    for i in range(values.shape[0]):
+        value = values[i]
+        if value != value:
+            codes[i] = 0
+        else:
+            code = int(np.floor(value * STEPS + np.float32(ZERO + 0.5)))
+            codes[i] = min(code, ZERO - 1) if value < 0 else code

@@ -1,0 +1,34 @@
+"""Work shared among threads in slabs of a grid's first axis; compiled loops release the interpreter.
+
+Slabs do not depend on the number of threads, so neither does any result.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+from kit1000.errors import InputError
+
+SLAB_VOXELS = 1 << 17  # half a megabyte of float32: stays in the cache of a core, and there is enough to share
+
+
+def over_slabs(work: Callable[[int, int], None], shape: tuple[int, int, int], threads: int | None) -> None:
+    """Call work(start, stop) for ranges that cover the first axis. `threads` None: the cores at hand."""
+    if threads is not None and not (isinstance(threads, int) and threads >= 1):
+        raise InputError(f"threads: expected a whole number from 1 up, or None for all cores, got {threads!r}")
+    step = max(SLAB_VOXELS // (shape[1] * shape[2]), 1)
+    ranges = [(start, min(start + step, shape[0])) for start in range(0, shape[0], step)]
+    count = min(threads or _cores(), len(ranges))
+    if count == 1:
+        for start, stop in ranges:
+            work(start, stop)
+        return
+    with ThreadPoolExecutor(count) as pool:
+        for _ in pool.map(lambda slab: work(*slab), ranges):
+            pass  # reading the results raises what a thread raised
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,188 @@
+"""Projective truncated distance: what one depth image says of each voxel, and the mean of several.
+
+A voxel at depth z, whose pixel saw a surface at depth d, has the value (d - z) / truncation, at most 1. Farther than
+the truncation behind the surface nobody knows; such voxels are never filled as solid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kit1000.compiled import compiled
+from kit1000.errors import InputError, ShapeError, checked
+from kit1000.values import View
+from kit1000.voxels.grid import Grid, Volume, truncation_voxels
+from kit1000.voxels.slabs import over_slabs
+
+NEAREST = 1e-6  # [m] voxels at or behind the camera's plane have no pixel
+
+
+def tsdf(
+    grid: Grid,
+    view: View,
+    mask: ArrayLike | None = None,
+    truncation: float | None = None,
+    threads: int | None = None,
+) -> Volume:
+    """What one depth image says about each voxel of a grid.
+
+    The pixel of a voxel is the one whose centre lies nearest to its projection. Unknown (NaN) are voxels outside
+    the image, behind the camera, on pixels without return, and more than the truncation behind what their pixel saw.
+
+    Args:
+        grid: where to look.
+        view: the depth image.
+        mask: the pixels of the thing asked about. (H, W) bool. A pixel outside it that has a return saw past the
+            thing, so the thing is not in front of what it saw: free (1) up to the seen depth, unknown beyond.
+        truncation: [m] along the optical axis; five voxels by default.
+        threads: how many to use; all cores by default. The result is the same.
+    """
+    reach = truncation_voxels(grid, truncation) * grid.voxel
+    image = _image(view, mask)
+    values = np.empty(grid.shape, np.float32)
+    across, down, forward = _projection(grid, view)
+
+    def fill(start: int, stop: int) -> None:
+        _fill(start, stop, across, down, forward, image, 1 / reach, values)
+
+    over_slabs(fill, grid.shape, threads)
+    return Volume.adopt(grid, values)
+
+
+def fuse(volumes: Sequence[Volume], weights: Sequence[float] | None = None, threads: int | None = None) -> Volume:
+    """The weighted mean of volumes on one grid, at each voxel over those that know it (Curless and Levoy 1996).
+
+    It is what several views say together and not the truth: what no view saw stays unknown.
+    """
+    if not volumes:
+        raise InputError("volumes: expected at least one to fuse, got none")
+    grid = volumes[0].grid
+    if any(volume.grid != grid for volume in volumes):
+        raise ShapeError("volumes: expected all on one and the same grid (resample brings them there)")
+    shares = checked("weights", [1.0] * len(volumes) if weights is None else weights, (len(volumes),), np.float32)
+    if (shares <= 0).any():
+        raise InputError(f"weights: expected numbers above 0, got {shares.min()}")
+    values = np.empty(grid.shape, np.float32)
+
+    def average(start: int, stop: int) -> None:
+        total = np.zeros((stop - start, *grid.shape[1:]), np.float32)
+        weight = np.zeros_like(total)
+        for volume, share in zip(volumes, shares, strict=True):
+            _add(volume.values[start:stop], share, total, weight)
+        _divide(total, weight, values[start:stop])
+
+    over_slabs(average, grid.shape, threads)
+    return Volume.adopt(grid, values)
+
+
+def _image(view: View, mask: ArrayLike | None) -> np.ndarray:
+    """(H, W) float32 [m]: the depth; its negative outside the mask, 0 without return."""
+    if view.depth.size and view.depth.min() < 0:
+        raise InputError(f"depth: expected 0 (no return) or more, got {view.depth.min()} m")
+    if mask is None:
+        return view.depth
+    signed = np.empty(view.depth.shape, np.float32)
+    _sign(view.depth, checked("mask", mask, view.depth.shape, np.bool_), signed)
+    signed.setflags(write=False)
+    return signed
+
+
+def _projection(grid: Grid, view: View) -> np.ndarray:
+    """(3, 4): linear in the voxel index (i, j, k, 1), (u + 1/2) z and (v + 1/2) z [pixels m], and z [m]."""
+    camera = view.camera
+    camera_from_grid = view.world_from_camera.inverse() @ grid.world_from_grid
+    place = np.column_stack([camera_from_grid.rotation_matrix() * grid.voxel, camera_from_grid.xyz])
+    lens = np.array([[camera.fx, 0, camera.cx + 0.5], [0, camera.fy, camera.cy + 0.5], [0, 0, 1]])
+    return lens @ place
+
+
+@compiled
+def _sign(depth, mask, signed):
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            signed[v, u] = depth[v, u] if mask[v, u] else -depth[v, u]
+
+
+@compiled
+def _fill(start, stop, across, down, forward, image, per_reach, values):
+    """Write values[start:stop]; `across`, `down`, `forward` (4,) are the rows of `_projection`."""
+    height, width = image.shape
+    pixels = image.reshape(-1)
+    ny, nz = values.shape[1:]
+    steps = np.arange(nz).astype(np.float64)
+    index, seen = np.empty(nz, np.uint32), np.empty(nz, np.float32)
+    for i in range(start, stop):
+        for j in range(ny):
+            x = across[0] * i + across[1] * j + across[3]
+            y = down[0] * i + down[1] * j + down[3]
+            z = forward[0] * i + forward[1] * j + forward[3]
+            first, last = _clip(z - NEAREST, forward[2], 0, nz)
+            first, last = _clip(x, across[2], first, last)
+            first, last = _clip(width * z - x, width * forward[2] - across[2], first, last)
+            first, last = _clip(y, down[2], first, last)
+            first, last = _clip(height * z - y, height * forward[2] - down[2], first, last)
+            values[i, j, :first] = np.nan
+            values[i, j, last:] = np.nan
+            _find(steps[first:last], x, y, z, across[2], down[2], forward[2], width, height, index)
+            for n in range(last - first):
+                seen[n] = pixels[index[n]]
+            _compare(steps[first:last], z, forward[2], seen, per_reach, values[i, j, first:last])
+
+
+@compiled
+def _find(steps, x, y, z, x1, y1, z1, width, height, index):
+    """Write which pixel of a (height, width) image, counted along its rows, each voxel of a row falls on."""
+    right, bottom = np.int32(width - 1), np.int32(height - 1)
+    for n in range(steps.shape[0]):
+        inverse = 1 / (z + z1 * steps[n])
+        u = np.int32((x + x1 * steps[n]) * inverse)
+        v = np.int32((y + y1 * steps[n]) * inverse)
+        index[n] = min(max(v, np.int32(0)), bottom) * width + min(max(u, np.int32(0)), right)
+
+
+@compiled
+def _compare(steps, z, z1, seen, per_reach, row):
+    """Write the values of a row of voxels, whose pixels have seen these depths."""
+    one, nan = np.float32(1), np.float32(np.nan)
+    for n in range(steps.shape[0]):
+        surface, depth = seen[n], z + z1 * steps[n]
+        value = np.float32((surface - depth) * per_reach)
+        inside = nan if value < -one else min(value, one)
+        outside = one if depth <= -surface else nan
+        row[n] = inside if surface > 0 else outside
+
+
+@compiled
+def _clip(base, slope, first, last):
+    """Narrow the range first .. last - 1 of k to base + slope k >= 0."""
+    if slope == 0 or base + slope * first >= 0 <= base + slope * (last - 1):
+        return (first, last) if base + slope * first >= 0 else (first, first)
+    edge = -base / slope
+    if slope > 0:
+        first = max(first, int(np.ceil(min(max(edge, first), last))))
+    else:
+        last = min(last, int(np.floor(min(max(edge, first - 1.0), last))) + 1)
+    return first, max(first, last)
+
+
+@compiled
+def _add(values, share, total, weight):
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            for k in range(values.shape[2]):
+                value = values[i, j, k]
+                known = value == value
+                total[i, j, k] += value * share if known else np.float32(0)
+                weight[i, j, k] += share if known else np.float32(0)
+
+
+@compiled
+def _divide(total, weight, values):
+    for i in range(values.shape[0]):
+        for j in range(values.shape[1]):
+            for k in range(values.shape[2]):
+                heard = weight[i, j, k] > 0  # 0 / 0 would be a NaN with other bits than that of np.nan
+                values[i, j, k] = total[i, j, k] / weight[i, j, k] if heard else np.float32(np.nan)

@@ -1,0 +1,105 @@
+"""Summaries of datasets as `dataset.json` holds them, small and made up, for tests of what is told about them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kit1000.data.figures import merged, pair_statistics, statistics
+from kit1000.data.schema import SceneTruth
+from kit1000.data.tables import pose_row
+from kit1000.pose import Pose
+
+SYMMETRY = {"name": "C2", "rotations": [], "axis": None}
+
+
+def truth(scene_id: str = "test-s0000", tilts: tuple[float, ...] = (0.0, 45.0), off: float = 0.02) -> SceneTruth:
+    """A scene with a part for each tilt [deg], asked about in two tracks with guesses `off` [m] off."""
+    rows = tuple(
+        {
+            "part_id": f"test-{i:04d}",
+            "family": "tee",
+            "mount": i,
+            "rest_mode": ("upright", "tumbled")[i % 2],
+            "world_from_part": pose_row(Pose.identity()),
+            "world_from_kit": pose_row(Pose.from_rotvec([0.0, np.radians(tilt), 0.0]) @ Pose.from_rotvec([0, 0, 1.0])),
+            "pixels": 800 * (i + 1),
+            "visible": 1.0,
+            "slot_angle": 0.5,
+            "slot_visible": 0.5,
+            "unseen": None if i == 0 else "slot seen at a grazing angle",
+        }
+        for i, tilt in enumerate(tilts)
+    )
+    draw = {"goal": 0, "turn": 0.0, "offset": [off, 0.0, 0.0], "rotvec": [0.0, 0.1, 0.0]}
+    asked = {f"{scene_id}-p0-snap-tilt": draw, f"{scene_id}-p0-place-paper": None}
+    asked[f"{scene_id.replace('test-', 'curves-')}-p0-pos3-rot1"] = draw
+    queries = {i: {"part": 0, "goal_drawn": pose_row(Pose.identity()), "draw": row} for i, row in asked.items()}
+    return SceneTruth(scene_id, "test-0000", Pose.identity(), rows, queries, np.zeros((1, 1), np.uint16))
+
+
+def tables() -> dict[str, dict[str, Any]]:
+    """Rows of the tables, as far as anybody tells of them."""
+    ids = [f"{split}-{i:04d}" for split in ("train", "val", "test") for i in range(2)]
+    part = {"family": "tee", "mass": 0.05, "volume": 2e-5, "symmetry": SYMMETRY}
+    kit = {"clearance": 0.0025, "depth": 0.0184, "keyedness": 0.4}
+    return {
+        "parts": {i: part | {"split": i.partition("-")[0]} for i in ids},
+        "kits": {i: kit | {"split": i.partition("-")[0], "part_id": i} for i in ids},
+        "assemblies": {i: {"split": i.partition("-")[0], "target": i} for i in ids},
+    }
+
+
+def summary(folder: Path | None = None) -> dict[str, Any]:
+    """A whole dataset; its tables are written to a folder when one is given."""
+    files = {name: hashlib.sha256(name.encode()).hexdigest() for name in _names()}
+    for name, rows in tables().items():
+        data = json.dumps(rows).encode()
+        files[f"{name}.json"] = hashlib.sha256(data).hexdigest()
+        if folder is not None:
+            (folder / f"{name}.json").write_bytes(data)
+    figures = [statistics([truth(), truth("test-s0001")]), pair_statistics(*(tables()[k].values() for k in PAIRS))]
+    return {
+        "format": "kit1000/1",
+        "data_version": "0.2.0",
+        "dataset_id": "0123456789abcdef",
+        "licence": "CC-BY-4.0",
+        "preset": "tiny",
+        "seed": 7,
+        "config": {"longest": [0.035, 0.05], "clearance": 0.0025, "kits": [2, 5], "tilt_deg": [10.0, 45.0]},
+        "held_out_families": ["gear", "tee"],
+        "counts": {split: {"parts": 2, "assemblies": 2, "scenes": 2} for split in ("train", "val", "test")},
+        "redraws": {"parts": {"loose fit": 3, "near-duplicate": 11}, "assemblies": {}, "scenes": {"parts touch": 2}},
+        "refused": {},
+        "refused_scenes": {"val-s0001": "out of view"},
+        "statistics": {"train": {}, "val": {}, "test": merged(figures)},
+        "shards": {f"{split}/0000.mcap": [f"{split}-s0000", f"{split}-s0001"] for split in ("train", "val", "test")},
+        "files": files,
+    }
+
+
+PAIRS = ("parts", "kits")
+
+
+def withheld(folder: Path | None = None) -> dict[str, Any]:
+    """The open part of a dataset whose test split is withheld."""
+    whole = summary(folder)
+    secret = ("plan.json", "test/0000.truth.mcap")
+    files = {i: h for i, h in whole["files"].items() if i not in secret and "/test-" not in i}
+    return whole | {
+        "seed": None,
+        "refused_scenes": {},
+        "statistics": {split: whole["statistics"][split] for split in ("train", "val")},
+        "withheld": {"split": "test", "salted_sha256": "0" * 64},
+        "files": files,
+    }
+
+
+def _names() -> list[str]:
+    meshes = [f"{kind}/{split}-0000.glb" for kind in ("parts", "kits", "assemblies") for split in ("train", "test")]
+    shards = [f"{split}/0000{end}" for split in ("train", "val", "test") for end in (".mcap", ".truth.mcap")]
+    return ["plan.json", "test/0000.three.mcap", *meshes, *shards]

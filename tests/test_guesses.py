@@ -1,0 +1,228 @@
+"""Guesses: errors go on and come off, move with the world, have the statistics they are drawn for, reach every goal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from kit1000.data.guesses import (
+    ANGLE,
+    FIXED_LEVELS,
+    LEVELS,
+    OFFSET,
+    GuessDraw,
+    apply_error,
+    draw_ball,
+    draw_direction,
+    draw_goal,
+    draw_tilt,
+    error_of,
+    level_angle,
+    level_offset,
+    motion,
+    turned_goal,
+)
+from kit1000.errors import InputError
+from kit1000.kits.goals import nearest_turn
+from kit1000.pose import Pose, quaternion_angle, random_quaternions
+from kit1000.values import FreeAxis, Slot
+from tests.strategies import directions, poses, vectors
+
+DRAWS = 2000
+laws = settings(max_examples=40, deadline=None)
+LIKELY = 1e-3  # a fair draw fails a test of its distribution this rarely; the seed is fixed
+
+
+def slot(goals: int = 1, free: bool = False) -> Slot:
+    rng = np.random.default_rng(goals)
+    stacked = Pose(random_quaternions(rng, goals), rng.uniform(-0.02, 0.02, (goals, 3)))
+    axis = FreeAxis(np.array([0.003, -0.001, 0.0]), np.array([0.0, 0.0, 1.0])) if free else None
+    return Slot("p", stacked[0], 2.5e-3, 8e-3, stacked, axis)
+
+
+@cache
+def errors(draw: Callable) -> tuple[np.ndarray, np.ndarray]:
+    """(DRAWS, 3) offsets and (DRAWS, 3) turns."""
+    rng = np.random.default_rng(5)
+    offsets, rotvecs = zip(*(draw(rng) for _ in range(DRAWS)), strict=True)
+    return np.array(offsets), np.array(rotvecs)
+
+
+def fits(samples: np.ndarray, low: float, high: float) -> bool:
+    """Whether samples look drawn evenly between two numbers (Kolmogorov and Smirnov)."""
+    return stats.kstest(samples, stats.uniform(low, high - low).cdf).pvalue > LIKELY
+
+
+def near(a: Pose, b: Pose, tolerance: float = 1e-12) -> bool:
+    return bool(np.abs(a.xyz - b.xyz).max() < tolerance and quaternion_angle(a.wxyz, b.wxyz) < tolerance)
+
+
+@laws
+@given(poses(), vectors(), vectors(0.05), directions(), st.floats(0, 3))
+def test_an_error_put_on_is_the_error_read_back(
+    goal: Pose, pivot: np.ndarray, offset: np.ndarray, axis: np.ndarray, angle: float
+) -> None:
+    found = error_of(apply_error(goal, pivot, offset, angle * axis), goal, pivot)
+    assert np.abs(found[0] - offset).max() < 1e-12
+    assert np.abs(found[1] - angle * axis).max() < 1e-12
+
+
+@laws
+@given(poses(), poses(), vectors())
+def test_the_error_read_back_leads_from_any_goal_to_any_guess(goal: Pose, guess: Pose, pivot: np.ndarray) -> None:
+    assert near(apply_error(goal, pivot, *error_of(guess, goal, pivot)), guess, 1e-10)
+
+
+@laws
+@given(poses(), vectors(), vectors(0.05), directions(), st.floats(0, 3))
+def test_a_guess_is_the_product_that_the_documents_state(
+    goal: Pose, pivot: np.ndarray, offset: np.ndarray, axis: np.ndarray, angle: float
+) -> None:
+    home = goal.apply(pivot)
+    turn = Pose.from_rotvec(angle * axis)
+    product = Pose.from_translation(home + offset) @ turn @ Pose.from_translation(-home) @ goal
+    assert near(apply_error(goal, pivot, offset, angle * axis), product)
+
+
+@laws
+@given(poses(), vectors())
+def test_no_error_gives_the_goal_to_the_bit(goal: Pose, pivot: np.ndarray) -> None:
+    guess = apply_error(goal, pivot, np.zeros(3), np.zeros(3))
+    assert np.array_equal(guess.wxyz, goal.wxyz)
+    assert np.array_equal(guess.xyz, goal.xyz)
+
+
+@laws
+@given(poses(), poses(), vectors(), vectors(0.05), directions(), st.floats(0, 3))
+def test_a_guess_moves_with_the_world(
+    moved_from_world: Pose, goal: Pose, pivot: np.ndarray, offset: np.ndarray, axis: np.ndarray, angle: float
+) -> None:
+    # Everything moves, the error's directions too: as motions of the moved world, goal and guess are conjugates.
+    world_from_moved = moved_from_world.inverse()
+    guess = apply_error(goal, pivot, offset, angle * axis)
+    moved = apply_error(
+        moved_from_world @ goal @ world_from_moved,
+        moved_from_world.apply(pivot),
+        moved_from_world.rotate(offset),
+        moved_from_world.rotate(angle * axis),
+    )
+    assert near(moved, moved_from_world @ guess @ world_from_moved, 1e-11)
+
+
+@laws
+@given(poses(), vectors(), vectors(), directions())
+def test_how_far_the_pivot_is_missed_does_not_depend_on_the_turn(
+    goal: Pose, pivot: np.ndarray, offset: np.ndarray, rotvec: np.ndarray
+) -> None:
+    missed = apply_error(goal, pivot, offset, rotvec).apply(pivot) - goal.apply(pivot)
+    assert np.abs(missed - offset).max() < 1e-12
+
+
+@pytest.mark.parametrize("draw", [draw_ball, draw_tilt])
+def test_errors_are_even_and_as_large_as_the_paper_has_them(draw: Callable) -> None:
+    offsets, rotvecs = errors(draw)
+    angles = np.linalg.norm(rotvecs, axis=1)
+    assert np.abs(offsets).max() <= OFFSET
+    assert angles.max() <= ANGLE
+    assert np.mean(np.linalg.norm(offsets, axis=1)) == pytest.approx(26.9e-3, abs=0.5e-3)
+    assert np.degrees(angles.mean()) == pytest.approx(13.75, abs=0.5)
+    assert all(fits(column, -OFFSET, OFFSET) for column in offsets.T)
+    assert fits(angles, 0, ANGLE)
+
+
+def test_axes_of_the_ball_are_even_on_the_sphere() -> None:
+    _, rotvecs = errors(draw_ball)
+    axes = rotvecs / np.linalg.norm(rotvecs, axis=1, keepdims=True)
+    assert all(fits(column, -1, 1) for column in axes.T)  # Archimedes: each coordinate is even
+    assert fits(np.arctan2(axes[:, 1], axes[:, 0]), -np.pi, np.pi)
+
+
+def test_axes_of_the_tilt_are_level_and_even_and_without_twist() -> None:
+    _, rotvecs = errors(draw_tilt)
+    assert not rotvecs[:, 2].any()
+    assert fits(np.arctan2(rotvecs[:, 1], rotvecs[:, 0]), -np.pi, np.pi)
+    up = np.array([0.0, 0.0, 1.0])
+    leaned = Pose.from_rotvec(rotvecs).rotate(up)
+    shortest = np.arctan2(np.linalg.norm(leaned[:, :2], axis=1), leaned[:, 2])
+    assert np.allclose(shortest, np.linalg.norm(rotvecs, axis=1), atol=1e-12)
+
+
+def test_offsets_and_turns_know_nothing_of_each_other() -> None:
+    offsets, rotvecs = errors(draw_ball)
+    correlations = np.corrcoef(np.hstack([offsets, rotvecs]).T) - np.eye(6)
+    assert np.abs(correlations).max() < 4 / np.sqrt(DRAWS)
+
+
+def test_every_goal_is_drawn_as_often() -> None:
+    rng = np.random.default_rng(6)
+    symmetric = slot(goals=8)
+    drawn = [draw_goal(rng, symmetric) for _ in range(DRAWS)]
+    counts = np.bincount([goal for goal, _ in drawn], minlength=8)
+    assert stats.chisquare(counts).pvalue > LIKELY
+    assert {turn for _, turn in drawn} == {0.0}
+
+
+def test_turns_about_a_free_axis_are_even() -> None:
+    rng, round_slot = np.random.default_rng(7), slot(free=True)
+    assert fits(np.array([draw_goal(rng, round_slot)[1] for _ in range(DRAWS)]), 0, 2 * np.pi)
+
+
+@laws
+@given(st.floats(-7, 7))
+def test_a_turned_goal_is_a_turn_of_that_goal_about_the_axis(turn: float) -> None:
+    round_slot = slot(free=True)
+    axis = round_slot.free_axis
+    assert axis is not None
+    goal = turned_goal(round_slot, 0, turn)
+    assert near(nearest_turn(goal, round_slot.goals[0], axis), goal, 1e-9)  # the search for it finds it
+    line = axis.point + np.outer([-0.1, 0.2], axis.direction)
+    there = round_slot.goals[0].inverse().apply(line)  # points of the part on the axis stay where they are
+    assert np.allclose(goal.apply(there), line, atol=1e-12)
+
+
+def test_turned_goals_come_in_batches() -> None:
+    turns = np.linspace(0, 6, 7)
+    batch = turned_goal(slot(free=True), 0, turns)
+    assert batch.batch_shape == (7,)
+    assert all(near(batch[i], turned_goal(slot(free=True), 0, turn)) for i, turn in enumerate(turns))
+
+
+def test_a_slot_without_an_axis_refuses_a_turn() -> None:
+    with pytest.raises(InputError, match="turn: the slot of p has no free axis"):
+        turned_goal(slot(), 0, 0.1)
+
+
+@laws
+@given(poses(), poses())
+def test_a_motion_takes_the_part_from_where_it_is_to_its_goal(world_from_part: Pose, world_from_kit: Pose) -> None:
+    kit_from_part = slot().kit_from_part
+    goal_from_now = motion(world_from_part, world_from_kit, kit_from_part)
+    assert near(goal_from_now @ world_from_part, world_from_kit @ kit_from_part)
+
+
+def test_levels_run_evenly_from_nothing_to_the_most() -> None:
+    assert [round(1e3 * level_offset(k), 9) for k in range(LEVELS)] == [0, 4, 8, 12, 16, 20, 24, 28]
+    assert np.allclose(np.diff([level_angle(k) for k in range(LEVELS)]), np.radians(27.5) / 7)
+    assert (level_angle(0), level_angle(LEVELS - 1)) == (0, ANGLE)
+    assert set(FIXED_LEVELS) <= set(range(LEVELS))
+    for level in (-1, LEVELS):
+        with pytest.raises(InputError, match="level: expected 0 to 7"):
+            level_offset(level)
+
+
+def test_directions_are_even_on_the_sphere() -> None:
+    rng = np.random.default_rng(8)
+    drawn = np.array([draw_direction(rng) for _ in range(DRAWS)])
+    assert np.allclose(np.linalg.norm(drawn, axis=1), 1)
+    assert all(fits(column, -1, 1) for column in drawn.T)
+
+
+def test_the_row_of_a_draw_is_plain() -> None:
+    row = GuessDraw(2, 0.5, np.array([1e-3, 0, 0]), np.array([0, 0, 0.1])).row
+    assert row == {"goal": 2, "turn": 0.5, "offset": [1e-3, 0.0, 0.0], "rotvec": [0.0, 0.0, 0.1]}

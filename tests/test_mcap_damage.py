@@ -1,0 +1,192 @@
+"""Values that do not fit and files that are damaged or foreign are answered with one line, never with other numbers."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
+from kit1000.data.mcap_io import ObservationFile, TruthFile
+from kit1000.data.mcap_io.content import observation_hash, truth_hash
+from kit1000.data.schema import Observation
+from kit1000.errors import InputError
+from kit1000.values import View
+from tests.recorded import CAMERA, POSE, noise, observation, query, truth, write, write_truth
+
+
+@pytest.fixture
+def seen(tmp_path: Path) -> Path:
+    return write(tmp_path / "seen.mcap", [observation(k) for k in range(3)])
+
+
+# What does not fit is refused
+
+
+@pytest.mark.parametrize("depth", [1 / 3, -1 / 8192])
+def test_a_depth_off_the_grid_is_refused(tmp_path: Path, depth: float) -> None:
+    image = noise(CAMERA, 0).copy()
+    image[5, 7] = depth
+    scene = Observation("test-s0000", {"ideal": View(CAMERA, POSE, image)})
+    with pytest.raises(
+        InputError, match=r"test-s0000 ideal: depth .* at pixel \(7, 5\), expected a multiple of 2\^-13"
+    ):
+        write(tmp_path / "a.mcap", [scene])
+    assert not list(tmp_path.iterdir())
+
+
+REFUSED = {
+    "a field more": (replace(observation(), queries=(query("s", 0) | {"part_id": "x"},)), "query s-p0-snap: fields"),
+    "no number": (replace(observation(), queries=(query("s", 0) | {"pivot": [np.nan] * 3},)), "plain JSON"),
+    "an array": (replace(observation(), queries=(query("s", 0) | {"pivot": np.zeros(3)},)), "plain JSON"),
+    "a bad view": (Observation("s", {"../x": observation().views["ideal"]}), r"view '\.\./x': expected a name"),
+    "masks of floats": (replace(observation(), labels=np.full((24, 32), 0.5)), "labels: expected uint8"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_an_observation_that_does_not_fit_is_refused(tmp_path: Path, case: str) -> None:
+    scene, message = REFUSED[case]
+    with pytest.raises(InputError, match=message):
+        write(tmp_path / "a.mcap", [scene])
+
+
+def test_a_scene_is_recorded_once(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="test-s0000 is recorded twice"):
+        write(tmp_path / "a.mcap", [observation(), observation()])
+
+
+def test_models_of_strangers_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"models parts/x, expected"):
+        write_truth(tmp_path / "t.mcap", [replace(truth(), models={"parts/x": b""})])
+
+
+def test_unknown_scenes_and_views_are_answered_with_the_known_ones(seen: Path) -> None:
+    file = ObservationFile(seen)
+    with pytest.raises(InputError, match=r"no scene 'test-s0010' among 3 \(near: test-s000"):
+        file.queries("test-s0010")
+    with pytest.raises(InputError, match=r"test-s0001 has no view 'd435'; it has ideal, d415"):
+        file.view("test-s0001", "d435")
+
+
+def test_files_of_others_are_told_apart(tmp_path: Path, seen: Path) -> None:
+    def told(name: str, data: bytes, kind: type[ObservationFile] | type[TruthFile] = ObservationFile) -> str:
+        path = tmp_path / name
+        path.write_bytes(data)
+        with pytest.raises(InputError) as caught:
+            kind(path).scene_ids
+        return str(caught.value)
+
+    assert "empty file" in told("empty.mcap", b"")
+    assert "no MCAP file" in told("text.mcap", b"a recording, I swear\n" * 9)
+    assert "cut short" in told("short.mcap", seen.read_bytes()[:-100])
+    assert "cut short" in told("magic.mcap", seen.read_bytes()[:8])
+    assert "expected a file of 'truth'" in told("swapped.mcap", seen.read_bytes(), TruthFile)
+    with open(tmp_path / "foreign.mcap", "wb") as file:
+        writer = Writer(file)
+        writer.start()
+        writer.add_message(writer.register_channel("/a", "json", 0), 1, b"{}", 1)
+        writer.finish()
+    assert "no recording of kit1000" in told("foreign.mcap", (tmp_path / "foreign.mcap").read_bytes())
+    for path, message in ((tmp_path / "none.mcap", "no file"), (tmp_path, "Is a directory")):
+        with pytest.raises(InputError, match=message):
+            ObservationFile(path).scene_ids
+
+
+def test_a_file_packed_anew_by_another_tool_is_told(tmp_path: Path, seen: Path) -> None:
+    with open(seen, "rb") as file, open(tmp_path / "anew.mcap", "wb") as out:
+        reader, writer, ids = make_reader(file), Writer(out), {}
+        writer.start()
+        for schema, channel, message in reader.iter_messages():
+            assert schema is not None
+            if channel.id not in ids:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, number)
+            writer.add_message(ids[channel.id], message.log_time, message.data, message.publish_time)
+        for record in reader.iter_metadata():
+            writer.add_metadata(record.name, record.metadata)
+        writer.finish()
+    with pytest.raises(InputError, match="packed anew"):
+        ObservationFile(tmp_path / "anew.mcap").scene_ids
+
+
+# Damage
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """The bytes of a file of observations and of one of truths."""
+    folder = tmp_path_factory.mktemp("sound")
+    write(folder / "seen", [observation(k) for k in range(2)])
+    write_truth(folder / "truth", [truth()])
+    return {name: (folder / name).read_bytes() for name in ("seen", "truth")}
+
+
+def hashes(path: Path, name: str) -> list[str]:
+    """What the file says, computed from all that is read."""
+    file = ObservationFile(path) if name == "seen" else TruthFile(path)
+    return [file.recomputed_hash(scene_id) for scene_id in file.scene_ids]
+
+
+def same_or_told(path: Path, data: bytes, name: str) -> None:
+    """Assert that a file of these bytes says what the sound one does, or is refused in one line."""
+    path.write_bytes(data)
+    wanted = {"seen": [observation_hash(observation(k)) for k in range(2)], "truth": [truth_hash(truth())]}[name]
+    said = None
+    try:
+        assert hashes(path, name) == wanted
+    except InputError as error:
+        said = str(error)
+    assert said is None or (str(path) in said and "\n" not in said)
+
+
+DAMAGE = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@DAMAGE
+@given(st.data(), st.sampled_from(["seen", "truth"]))
+def test_a_shortened_file_is_told(tmp_path: Path, sound: dict[str, bytes], data: st.DataObject, name: str) -> None:
+    cut = data.draw(st.integers(0, len(sound[name]) - 1))
+    (tmp_path / "cut").write_bytes(sound[name][:cut])
+    with pytest.raises(InputError, match=r"empty file|no MCAP file|cut short"):
+        hashes(tmp_path / "cut", name)
+
+
+@DAMAGE
+@given(st.data(), st.sampled_from(["seen", "truth"]))
+def test_flipped_bytes_change_nothing_or_are_told(
+    tmp_path: Path, sound: dict[str, bytes], data: st.DataObject, name: str
+) -> None:
+    damaged = bytearray(sound[name])
+    flips = st.tuples(st.integers(0, len(damaged) - 1), st.integers(1, 255))
+    for place, change in data.draw(st.lists(flips, min_size=1, max_size=3)):
+        damaged[place] ^= change
+    same_or_told(tmp_path / "flipped", bytes(damaged), name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["seen", "truth"])
+def test_no_flipped_byte_goes_unseen(tmp_path: Path, sound: dict[str, bytes], name: str) -> None:
+    for place in range(0, len(sound[name]), 5):
+        damaged = bytearray(sound[name])
+        damaged[place] ^= 1 << place % 8
+        same_or_told(tmp_path / "flipped", bytes(damaged), name)
+
+
+@DAMAGE
+@given(st.data())
+def test_a_damaged_index_with_a_right_checksum_is_told(
+    tmp_path: Path, sound: dict[str, bytes], data: st.DataObject
+) -> None:
+    damaged = bytearray(sound["seen"])
+    start = struct.unpack_from("<Q", damaged, len(damaged) - 28)[0]
+    damaged[data.draw(st.integers(start, len(damaged) - 38))] ^= data.draw(st.integers(1, 255))
+    struct.pack_into("<I", damaged, len(damaged) - 12, zlib.crc32(damaged[start:-12]))
+    same_or_told(tmp_path / "forged", bytes(damaged), "seen")

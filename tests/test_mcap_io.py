@@ -1,0 +1,333 @@
+"""Recordings come back to the bit, are read in part, look right to viewers, and damage is always told."""
+
+from __future__ import annotations
+
+import json
+import os
+import pickle
+import struct
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from hashlib import sha256
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from hypothesis import HealthCheck, given, settings
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+from kit1000.camera import Camera
+from kit1000.data.mcap_io import ObservationFile, ObservationWriter, TruthFile, reading
+from kit1000.data.mcap_io.content import observation_hash, truth_hash
+from kit1000.data.schema import Observation
+from kit1000.errors import InputError
+from kit1000.pose import Pose
+from kit1000.values import View
+from tests.recorded import BIG, CAMERA, POSE, further, observation, query, same, same_pose, truth, write, write_truth
+from tests.strategies import poses
+
+
+@pytest.fixture
+def seen(tmp_path: Path) -> Path:
+    return write(tmp_path / "seen.mcap", [observation(k) for k in range(3)])
+
+
+@pytest.fixture
+def large(tmp_path: Path) -> Path:
+    return write(tmp_path / "large.mcap", [observation(k, BIG) for k in range(5)])
+
+
+def stock(path: Path, *topics: str) -> list[Any]:
+    """Channel, message and value as the stock library reads them, checksums and all."""
+    with open(path, "rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        return [(c, m, v) for _, c, m, v in reader.iter_decoded_messages(topics)]
+
+
+# What is written is what is read
+
+
+def test_observations_come_back_to_the_bit(seen: Path) -> None:
+    file = ObservationFile(seen)
+    assert file.scene_ids == ("test-s0000", "test-s0001", "test-s0002")
+    for k in (2, 0, 1):
+        assert same(file.observation(f"test-s{k:04d}"), observation(k))
+
+
+def test_views_of_further_cameras_come_back_in_order(tmp_path: Path) -> None:
+    file = ObservationFile(write(tmp_path / "seen.three.mcap", [further()]))
+    assert file.view_keys("test-s0000")[:3] == ("three/0/ideal", "three/0/d415", "three/1/ideal")
+    assert same(file.observation("test-s0000"), further())
+    assert file.labels("test-s0000") is None
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(poses(), poses())
+def test_poses_come_back_to_the_bit(tmp_path: Path, camera_pose: Pose, guess: Pose) -> None:
+    scene = replace(
+        observation(pose=camera_pose), queries=(query("test-s0000", 0, guess), query("test-s0000", 1, None))
+    )
+    assert same(ObservationFile(write(tmp_path / "pose.mcap", [scene])).observation("test-s0000"), scene)
+
+
+def sorted_json(*rows: Any) -> str:
+    return json.dumps(rows, sort_keys=True)
+
+
+def test_truths_come_back_to_the_bit(tmp_path: Path) -> None:
+    write_truth(tmp_path / "t.mcap", [truth(0), replace(truth(1), goals=None, models={})])
+    file = TruthFile(tmp_path / "t.mcap")
+    for k, wanted in enumerate([truth(0), replace(truth(1), goals=None, models={})]):
+        found = file.truth(f"test-s{k:04d}")
+        assert sorted_json(found.parts, found.queries) == sorted_json(wanted.parts, wanted.queries)
+        assert same_pose(found.world_from_assembly, wanted.world_from_assembly)
+        assert found.seg.tobytes() == wanted.seg.tobytes()
+        assert found.models == file.models(f"test-s{k:04d}") == wanted.models
+        if found.goals is None or wanted.goals is None:
+            assert found.goals is wanted.goals
+        else:
+            assert same_pose(found.goals, wanted.goals)
+
+
+def test_arrays_are_read_only_and_aligned(seen: Path) -> None:
+    scene = ObservationFile(seen).observation("test-s0001")
+    for array in (scene.views["ideal"].depth, scene.views["d415"].depth, scene.labels):
+        assert array is not None
+        assert not array.flags.writeable
+        assert array.flags.aligned
+
+
+# The same scenes give the same bytes
+
+
+def test_bytes_depend_on_the_scenes_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = write(tmp_path / "a.mcap", [observation(k) for k in range(2)])
+    monkeypatch.setattr(time, "time_ns", lambda: 12345)
+    monkeypatch.setattr(time, "time", lambda: 12.345)
+    scenes = [observation(k) for k in range(2)]
+    turned = [replace(scene, views=dict(reversed([*scene.views.items()]))) for scene in scenes]
+    assert write(tmp_path / "b.mcap", turned).read_bytes() == first.read_bytes()
+
+
+def test_the_writer_tells_the_hash_of_the_file(tmp_path: Path) -> None:
+    with ObservationWriter(tmp_path / "a.mcap") as writer:
+        writer.add(observation())
+        assert not list(tmp_path.iterdir())
+    assert writer.sha256 == sha256((tmp_path / "a.mcap").read_bytes()).hexdigest()
+
+
+def test_a_file_is_whole_or_absent(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="twice"):
+        write(tmp_path / "a.mcap", [observation(), observation()])
+    with ObservationWriter(tmp_path / "b.mcap") as writer:
+        pass
+    assert writer.sha256 is None
+    assert not list(tmp_path.iterdir())
+
+
+# What it looks like to others
+
+
+def test_one_scene_is_one_chunk_and_one_second(large: Path) -> None:
+    with open(large, "rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        summary, header = reader.get_summary(), reader.get_header()
+    assert summary is not None
+    assert (header.profile, header.library) == ("", "kit1000")
+    assert len(summary.chunk_indexes) == 5
+    for k, chunk in enumerate(summary.chunk_indexes):
+        assert chunk.message_start_time == (1_767_225_600 + k) * 10**9
+        assert chunk.message_end_time == chunk.message_start_time + len(chunk_messages(large, k)) - 1
+        assert chunk.compression == "zstd"
+
+
+def chunk_messages(path: Path, k: int) -> list[str]:
+    with open(path, "rb") as file:
+        messages = list(make_reader(file).iter_messages())
+    return [c.topic for _, c, m in messages if m.log_time // 10**9 == 1_767_225_600 + k]
+
+
+def test_small_messages_come_first(seen: Path) -> None:
+    cameras, rest = ["/camera", "/ideal/camera", "/d415/camera"], ["/mask/labels", "/ideal/depth", "/d415/depth"]
+    assert chunk_messages(seen, 1) == [*cameras, "/tf", *["/query"] * 3, *rest]
+
+
+def test_viewers_find_a_calibration_and_a_frame_for_every_depth_image(tmp_path: Path, seen: Path) -> None:
+    for path in (seen, write(tmp_path / "three.mcap", [further()])):
+        with open(path, "rb") as file:
+            channels = {c.topic: s for s, c, _ in make_reader(file).iter_messages() if s is not None}
+        depths = [topic for topic in channels if topic.endswith("/depth")]
+        assert depths
+        for topic in depths:
+            beside = topic.removesuffix("depth") + "camera"  # where the 3D panel looks for it
+            assert channels[topic].name == "foxglove.RawImage"
+            assert channels[beside].name == "foxglove.CameraCalibration"
+            (_, _, image), (_, _, camera), (_, _, frames) = (stock(path, t)[0] for t in (topic, beside, "/tf"))
+            assert image.frame_id == camera.frame_id
+            (transform,) = [t for t in frames.transforms if t.child_frame_id == image.frame_id]
+            assert transform.parent_frame_id == "world"
+            assert len({str(item.timestamp) for item in (image, camera, transform)}) == 1
+            assert (image.encoding, image.step, image.width) == ("32FC1", 4 * CAMERA.width, camera.width)
+            assert len(image.data) == image.step * image.height
+            assert np.reshape(camera.K, (3, 3)).tolist() == CAMERA.K.tolist()
+            assert np.reshape(camera.P, (3, 4))[:, :3].tolist() == CAMERA.K.tolist()
+            assert (list(camera.R), list(camera.D)) == (np.eye(3).ravel().tolist(), [])
+
+
+def test_a_scene_replaces_the_models_of_the_one_before(tmp_path: Path) -> None:
+    write_truth(tmp_path / "t.mcap", [truth()])
+    ((_, _, update),) = stock(tmp_path / "t.mcap", "/scene")
+    assert [deletion.type for deletion in update.deletions] == [1]  # all
+    assert [entity.id for entity in update.entities] == list(truth().models)
+    ((_, _, frames),) = stock(tmp_path / "t.mcap", "/tf")
+    assert [item.child_frame_id for item in frames.transforms] == list(truth().models)
+
+
+def test_schemas_are_complete_and_rows_fit_them(tmp_path: Path, seen: Path) -> None:
+    write_truth(tmp_path / "t.mcap", [truth()])
+    for path in (seen, tmp_path / "t.mcap"):
+        with open(path, "rb") as file:
+            messages = list(make_reader(file).iter_messages())
+        for schema, channel, message in messages:
+            assert schema is not None
+            if schema.encoding == "jsonschema":
+                assert channel.message_encoding == "json"
+                jsonschema.validate(json.loads(message.data), json.loads(schema.data))
+            else:
+                files = FileDescriptorSet.FromString(schema.data).file
+                held = {item.name for item in files}
+                assert {needed for item in files for needed in item.dependency} <= held
+
+
+def test_an_observation_file_names_no_part_and_no_seed(seen: Path) -> None:
+    with open(seen, "rb") as file:
+        reader = make_reader(file)
+        (record,) = reader.iter_metadata()
+        rows = [json.loads(message.data) for _, _, message in reader.iter_messages("/query")]
+    keys = {"format", "holds", "generator", "licence", "length_unit", "depth_unit", "scenes", "content", "messages"}
+    assert record.name == "kit1000"
+    assert set(record.metadata) == keys | {"checksum"}
+    for row in rows:
+        assert set(row) == {"id", "track", "sensor", "part", "drawn", "pivot", "guess"}
+
+
+# The content hash
+
+
+def test_the_content_hash_is_stored_and_can_be_computed_again(tmp_path: Path, seen: Path) -> None:
+    file = ObservationFile(seen)
+    for k, scene_id in enumerate(file.scene_ids):
+        assert file.content_hash(scene_id) == file.recomputed_hash(scene_id) == observation_hash(observation(k))
+    write_truth(tmp_path / "t.mcap", [truth()])
+    assert TruthFile(tmp_path / "t.mcap").recomputed_hash("test-s0000") == truth_hash(truth())
+
+
+def test_any_change_of_content_changes_the_hash() -> None:
+    scene, so = observation(), truth()
+    assert scene.labels is not None
+    ideal, rows = scene.views["ideal"], scene.queries
+    nudged = ideal.depth.copy()
+    nudged[3, 4] += 2**-13
+    scenes = [
+        scene,
+        replace(scene, scene_id="test-s0009"),
+        replace(scene, labels=None),
+        replace(scene, labels=scene.labels.T),
+        replace(scene, queries=rows[::-1]),
+        replace(scene, queries=(rows[0] | {"pivot": [0.1, 0.2, 0.3]}, *rows[1:])),
+        replace(scene, views={"ideal": ideal}),
+        replace(scene, views={**scene.views, "ideal": replace(ideal, depth=nudged)}),
+        replace(scene, views={**scene.views, "ideal": replace(ideal, camera=replace(CAMERA, cx=15.0))}),
+        replace(scene, views={**scene.views, "ideal": replace(ideal, world_from_camera=POSE.inverse())}),
+        replace(scene, views={"ideal": scene.views["d415"], "d415": ideal}),
+    ]
+    truths = [so, replace(so, goals=None), replace(so, seg=so.seg + 1), replace(so, parts=()), replace(so, queries={})]
+    assert len({observation_hash(item) for item in scenes}) == len(scenes)
+    assert len({truth_hash(item) for item in truths}) == len(truths)
+    assert truth_hash(replace(so, models={})) == truth_hash(so)  # copies for viewers
+
+
+def test_the_content_hash_is_what_it_was() -> None:
+    turned = Pose(np.array([0.5, 0.5, -0.5, 0.5]), np.array([0.25, -0.0, 1.5]))
+    view = View(Camera(3, 2, 4.0, 5.0, 1.0, 0.5), turned, np.arange(6, dtype=np.float32).reshape(2, 3) / 8)
+    scene = Observation("test-s0000", {"ideal": view}, np.eye(2, 3, dtype=np.uint8), (query("s", 1, turned),))
+    told = (
+        b'{"queries":[{"drawn":false,"guess":{"wxyz":[0.5,0.5,-0.5,0.5],"xyz":[0.25,-0.0,1.5]},"id":"s-p1-snap",'
+        b'"part":1,"pivot":[0.1,0.3333333333333333,-0.0],"sensor":"ideal","track":"snap"}],"scene_id":"test-s0000",'
+        b'"views":{"ideal":{"camera":[3,2,4.0,5.0,1.0,0.5],"world_from_camera":'
+        b'{"wxyz":[0.5,0.5,-0.5,0.5],"xyz":[0.25,-0.0,1.5]}}}}'
+    )
+    depth = b'["ideal","<f4",[2,3]]' + struct.pack("<6f", 0, 0.125, 0.25, 0.375, 0.5, 0.625)
+    masks = b'["labels","|u1",[2,3]]' + bytes([1, 0, 0, 0, 1, 0])
+    assert observation_hash(scene) == sha256(told + depth + masks).hexdigest()
+
+
+# Only what is asked for is read
+
+
+@pytest.fixture
+def bytes_read(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The sizes of all reads from files from now on."""
+    sizes: list[int] = []
+    plain = os.pread
+
+    def pread(descriptor: int, size: int, offset: int) -> bytes:
+        sizes.append(size)
+        return plain(descriptor, size, offset)
+
+    monkeypatch.setattr(os, "pread", pread)
+    return sizes
+
+
+def test_queries_are_read_without_the_images(large: Path, bytes_read: list[int]) -> None:
+    file = ObservationFile(large)
+    assert len(file.scene_ids) == 5
+    assert sum(bytes_read) < 100_000
+    bytes_read.clear()
+    assert [row["part"] for row in file.queries("test-s0003")] == [0, 1, 2]
+    assert sum(bytes_read) < large.stat().st_size / 5 / 4
+
+
+def test_the_images_of_a_scene_are_read_once(large: Path, bytes_read: list[int]) -> None:
+    file = ObservationFile(large)
+    file.view("test-s0002", "ideal")
+    file.view("test-s0002", "d415")
+    whole = sum(bytes_read)
+    file.observation("test-s0002")
+    file.view("test-s0002", "ideal")
+    assert sum(bytes_read) == whole
+    assert whole < 1.3 * large.stat().st_size / 5
+
+
+def test_images_outlive_the_memory_they_were_read_into(large: Path) -> None:
+    file = ObservationFile(large)
+    depths = {scene_id: file.view(scene_id).depth for scene_id in file.scene_ids}
+    reading._chunk.cache_clear()
+    for k in range(5):
+        assert depths[f"test-s{k:04d}"].tobytes() == observation(k, BIG).views["ideal"].depth.tobytes()
+
+
+def test_a_file_travels_to_other_processes_and_threads(large: Path) -> None:
+    file = ObservationFile(large)
+    wanted = file.view("test-s0001").depth.tobytes()
+    copy = pickle.loads(pickle.dumps(file))
+    assert copy.view("test-s0001").depth.tobytes() == wanted
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if file.view("test-s0001", "d415").depth.any() and file.queries("test-s0004") else 1)
+    file.view("test-s0003", "d415")
+    assert os.waitpid(child, 0)[1] == 0
+    with ThreadPoolExecutor(4) as threads:
+        k = [i % 5 for i in range(40)]
+        found = list(threads.map(lambda i: file.view(f"test-s{i:04d}", "d415").depth.tobytes(), k))
+    assert found == [observation(i, BIG).views["d415"].depth.tobytes() for i in k]
+
+
+def test_no_other_table_format_is_needed() -> None:
+    assert "pyarrow" not in {str(item.metadata["Name"]).lower() for item in metadata.distributions()}

@@ -1,0 +1,393 @@
+"""Queries: who is asked, the pivot and guess each tells, the one that is drawn; and that no draw disturbs another."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from scipy.spatial.transform import Rotation
+
+from kit1000.camera import Camera, look_at
+from kit1000.data.guesses import ANGLE, FIXED_LEVELS, LEVELS, OFFSET, apply_error, error_of, level_angle, level_offset
+from kit1000.data.queries import (
+    CURVES,
+    PAPER_TILT,
+    TRACKS,
+    Asked,
+    _paper_tilt,
+    curve_id,
+    curve_levels,
+    has_curves,
+    pivots_of,
+    scene_queries,
+)
+from kit1000.data.tables import Row, pose_of
+from kit1000.errors import InputError
+from kit1000.pose import Pose, quaternion_angle, random_quaternions
+from kit1000.sim.layout import TUMBLED, UPRIGHT
+from kit1000.values import FIRST_PART_LABEL, FreeAxis, Slot, View
+from tests.strategies import poses
+
+SCENE = "test-s0007"
+CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+SEES = look_at((0.7, -0.1, 0.6), (0, 0, 0))
+BELIEVES = Pose.from_rotvec((0.001, 0.002, -0.001), (1e-3, 0, -1e-3)) @ SEES
+PARTS = 5
+
+
+def tilted(angle_deg: float, azimuth: float = 0.7) -> Pose:
+    """World from a kit whose slot leans."""
+    axis = np.array([-np.sin(azimuth), np.cos(azimuth), 0])
+    return Pose.from_rotvec(np.radians(angle_deg) * axis, (0.02, 0.2, 0.06))
+
+
+def part(index: int, tilt_deg: float = 30.0, mode: str = UPRIGHT, free: bool = False, goals: int = 1) -> Asked:
+    """A part as the layout puts it: upright as in its kit but for yaw, or anyhow."""
+    rng = np.random.default_rng(100 + index)
+    axis = FreeAxis(np.zeros(3), np.array([0.0, 0.0, 1.0])) if free else None
+    stacked = Pose(random_quaternions(rng, goals), rng.uniform(-0.02, 0.02, (goals, 3)))
+    lying = Pose.from_rotvec((0, 0, rng.uniform(-3, 3))) @ Pose(stacked.wxyz[0], np.zeros(3))
+    turn = lying.wxyz if mode == UPRIGHT else random_quaternions(rng, 1)[0]
+    world_from_part = Pose(turn, np.array([rng.uniform(-0.2, 0.2), -0.17, 0.015]))
+    slot = Slot(f"part{index}", stacked[0], 2.5e-3, 8e-3, stacked, axis)
+    return Asked(index, mode, world_from_part, tilted(tilt_deg, 0.3 + index), slot, None)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """The arguments of `scene_queries`, with defaults."""
+
+    parts: tuple[Asked, ...]
+    views: dict[str, View]
+    labels: np.ndarray
+    drawn: int = 1
+    curves: bool = False
+    seed: int = 3
+    scene_id: str = SCENE
+
+    def rows(self) -> list[Row]:
+        return self.asked()[0]
+
+    def asked(self) -> tuple[list[Row], dict[str, Row]]:
+        split = self.scene_id.partition("-")[0]
+        parts = self.parts
+        return scene_queries(self.scene_id, split, self.seed, self.views, self.labels, parts, self.drawn, self.curves)
+
+    def by_id(self) -> dict[str, Row]:
+        return {row["id"]: row for row in self.rows()}
+
+
+@cache
+def images() -> tuple[dict[str, View], np.ndarray]:
+    """Depth images of the two sensors and their masks: a block of pixels for each part."""
+    rng = np.random.default_rng(0)
+    labels = np.zeros((48, 64), np.uint8)
+    for i in range(PARTS):
+        labels[10 + i : 20 + 3 * i, 12 * i : 12 * i + 8] = FIRST_PART_LABEL + i
+    labels[:5] = 1
+    depth = rng.uniform(0.7, 0.9, labels.shape)
+    noisy = np.where(rng.random(labels.shape) < 0.2, 0, depth + rng.normal(0, 1e-3, labels.shape))
+    return {"ideal": View(CAMERA, SEES, depth), "d415": View(CAMERA, BELIEVES, noisy)}, labels
+
+
+def stage(**changes: Any) -> Stage:
+    views, labels = images()
+    parts = (
+        part(0, 8.0),
+        part(1, 40.0, goals=4),
+        part(2, 30.0, mode=TUMBLED, goals=2),
+        part(3, 12.0, free=True),
+        replace(part(4), unseen="slot turned away"),
+    )
+    return replace(Stage(parts, views, labels), **changes)
+
+
+def test_every_track_asks_the_parts_it_is_for() -> None:
+    asked = {(row["track"], row["part"]) for row in stage().rows()}
+    expected = {track: [0, 1, 2, 3] for track in ("snap", "snap-tilt", "snap-d415")}
+    expected |= {"place": [0, 1, 3], "place-d415": [0, 1, 3], "place-paper": [0, 3]}
+    assert asked == {(track, i) for track, parts in expected.items() for i in parts}
+
+
+def test_rows_say_what_the_format_promises_and_nothing_more() -> None:
+    for row in stage().rows():
+        assert set(row) == {"id", "track", "sensor", "part", "drawn", "pivot", "guess"}
+        assert row["id"] == f"{SCENE}-p{row['part']}-{row['track']}"
+        assert row["sensor"] == ("d415" if row["track"].endswith("d415") else "ideal")
+        assert (row["guess"] is not None) == row["track"].startswith("snap")
+        assert len(row["pivot"]) == 3
+
+
+def test_truths_say_what_was_drawn() -> None:
+    rows, truths = stage(curves=True).asked()
+    asked = stage().parts
+    assert list(truths) == [row["id"] for row in rows]
+    for row in rows:
+        truth = truths[row["id"]]
+        goal, draw = pose_of(truth["goal_drawn"]), truth["draw"]
+        assert truth["part"] == row["part"]
+        one = asked[row["part"]]
+        if draw is None:
+            assert row["guess"] is None
+            assert same(goal @ one.world_from_part, one.world_from_kit @ one.slot.kit_from_part)
+        else:
+            assert same(goal, one.motion(draw["goal"], draw["turn"]))
+            offset, rotvec = np.array(draw["offset"]), np.array(draw["rotvec"])
+            assert same(pose_of(row["guess"]), apply_error(goal, np.array(row["pivot"]), offset, rotvec))
+
+
+def same(a: Pose, b: Pose, tolerance: float = 1e-9) -> bool:
+    return bool(np.abs(a.xyz - b.xyz).max() < tolerance and quaternion_angle(a.wxyz, b.wxyz) < tolerance)
+
+
+def test_the_goal_lies_inside_the_window_about_the_guess() -> None:
+    for seed in range(4):
+        rows, truths = stage(seed=seed, curves=True).asked()
+        for row in rows:
+            if row["guess"] is None:
+                continue
+            goal = pose_of(truths[row["id"]]["goal_drawn"])
+            offset, rotvec = error_of(pose_of(row["guess"]), goal, np.array(row["pivot"]))
+            assert np.abs(offset).max() <= OFFSET + 1e-12
+            assert np.linalg.norm(rotvec) <= ANGLE + 1e-9
+
+
+def test_the_pivot_is_the_middle_of_what_the_sensor_sees_where_it_believes_to_be() -> None:
+    views, labels = images()
+    for view in views.values():
+        for i, pivot in pivots_of(view, labels).items():
+            points = view.camera.unproject(view.depth)[(labels == FIRST_PART_LABEL + i) & (view.depth > 0)]
+            world = np.array([view.world_from_camera.matrix() @ [*point, 1] for point in points])[:, :3]
+            assert np.abs(pivot - (world.max(0) + world.min(0)) / 2).max() <= 0.5e-4 + 1e-12
+            assert np.allclose(pivot * 1e4, np.round(pivot * 1e4), atol=1e-9)
+    assert sorted(pivots_of(views["ideal"], labels)) == list(range(PARTS))
+
+
+def test_queries_of_a_sensor_use_its_own_pivot() -> None:
+    views, labels = images()
+    for row in stage().rows():
+        assert row["pivot"] == pivots_of(views[row["sensor"]], labels)[row["part"]].tolist()
+
+
+def test_a_part_without_a_return_is_not_asked_about_with_that_sensor() -> None:
+    views, labels = images()
+    blind = np.where(labels == FIRST_PART_LABEL + 1, 0, views["d415"].depth)
+    less = stage(views=views | {"d415": replace(views["d415"], depth=blind)}).by_id()
+    whole = stage().by_id()
+    assert set(whole) - set(less) == {f"{SCENE}-p1-snap-d415", f"{SCENE}-p1-place-d415"}
+    assert stage(views={"ideal": views["ideal"]}).by_id().keys() == {i for i in whole if "d415" not in i}
+
+
+def test_the_noisy_track_asks_the_same_as_the_ideal_one() -> None:
+    rows, truths = stage().asked()
+    for row in rows:
+        if row["track"] in ("snap-d415", "place-d415"):
+            ideal = row["id"].removesuffix("-d415")
+            assert truths[row["id"]] == truths[ideal]
+            assert row["drawn"] == stage().by_id()[ideal]["drawn"]
+
+
+def test_one_target_a_track_is_drawn_the_scenes_own_where_it_is_asked() -> None:
+    for drawn in range(PARTS):
+        rows = stage(drawn=drawn).rows()
+        for track in TRACKS:
+            chosen = [row["part"] for row in rows if row["track"] == track and row["drawn"]]
+            asked = [row["part"] for row in rows if row["track"] == track]
+            assert len(chosen) == 1
+            assert chosen == [drawn] or drawn not in asked
+
+
+def test_another_target_is_drawn_evenly_where_the_scenes_own_is_not_asked() -> None:
+    views, _ = images()
+    one = stage(drawn=2, views={"ideal": views["ideal"]})
+    picked = Counter(
+        row["part"] for seed in range(40) for row in replace(one, seed=seed).rows()
+        if row["track"] == "place" and row["drawn"]
+    )  # fmt: skip
+    assert picked.keys() == {0, 1, 3}
+    assert min(picked.values()) >= 6
+
+
+def test_a_track_without_any_part_draws_none() -> None:
+    rows = stage(parts=stage().parts[2:3]).rows()
+    assert {row["track"] for row in rows} == {"snap", "snap-tilt", "snap-d415"}
+
+
+@settings(max_examples=60, deadline=None)
+@given(poses())
+def test_roll_and_pitch_are_those_of_scipy(pose: Pose) -> None:
+    roll, pitch, _ = _scipy_angles(pose)
+    assert _paper_tilt(pose) == pytest.approx(max(abs(roll), abs(pitch)), abs=1e-7)
+
+
+def _scipy_angles(pose: Pose) -> np.ndarray:
+    """Roll, pitch, yaw [rad] about the fixed x, y, z, in this order."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # where x and z fall together it chooses a yaw, and says so
+        return Rotation.from_quat(pose.wxyz[[1, 2, 3, 0]]).as_euler("xyz")
+
+
+@pytest.mark.parametrize("goals", [1, 6])
+def test_the_paper_asks_for_goals_nearly_level(goals: int) -> None:
+    for index in range(40):
+        one = part(index, tilt_deg=index * 45 / 39, goals=goals)
+        angles = [_scipy_angles(one.motion(goal))[:2] for goal in range(goals)]
+        expected = min(np.abs(pair).max() for pair in angles) <= PAPER_TILT
+        assert TRACKS["place-paper"].asks(one) == expected
+        assert TRACKS["place"].asks(one)
+        assert not TRACKS["place-paper"].asks(replace(one, rest_mode=TUMBLED))
+
+
+def test_a_part_that_may_turn_freely_is_level_if_some_turn_is() -> None:
+    # The motion leans by the tilt t towards an azimuth that the free turn chooses: best half way between roll and
+    # pitch, where sin(t) = sqrt(2) sin(pitch), sin(roll) = tan(pitch); the smaller limit is that of pitch and roll 15.
+    limit = _steepest_free_tilt()
+    assert 20 < limit < 22
+    for tilt_deg in (5.0, 16.0, limit - 0.1, limit + 0.1, 30.0):
+        for index in range(6):
+            one = part(index, tilt_deg, free=True)
+            assert TRACKS["place-paper"].asks(one) == (tilt_deg < limit)
+
+
+def _steepest_free_tilt() -> float:
+    """[degrees] of the steepest lean that roll and pitch of 15 degrees make together."""
+    up = Rotation.from_euler("xyz", [15, 15, 0], degrees=True).inv().apply([0, 0, 1])
+    return float(np.degrees(np.arctan2(np.linalg.norm(up[:2]), up[2])))
+
+
+def test_an_upright_part_leans_as_its_slot_does() -> None:
+    for index, tilt_deg in enumerate((0.0, 10.0, 33.0, 45.0)):
+        up = part(index, tilt_deg).motion().rotate(np.array([0.0, 0.0, 1.0]))
+        assert np.degrees(np.arctan2(np.linalg.norm(up[:2]), up[2])) == pytest.approx(tilt_deg, abs=1e-6)
+
+
+def test_every_goal_is_drawn_from_time_to_time() -> None:
+    goals = set()
+    for seed in range(30):
+        _, truths = stage(seed=seed, parts=stage().parts[1:2]).asked()
+        goals.add(truths[f"{SCENE}-p1-snap"]["draw"]["goal"])
+    assert goals == {0, 1, 2, 3}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda s: replace(s, parts=s.parts[1:3]),
+        lambda s: replace(s, parts=s.parts[::-1]),
+        lambda s: replace(s, views={"ideal": s.views["ideal"]}),
+        lambda s: replace(s, curves=True),
+        lambda s: replace(s, parts=(*s.parts[:3], replace(s.parts[3], rest_mode=TUMBLED), s.parts[4])),
+        lambda s: replace(s, drawn=2),
+    ],
+    ids=["parts left out", "other order", "sensor left out", "curves", "other rest", "other target"],
+)
+def test_no_query_is_disturbed_by_another(change: Callable[[Stage], Stage]) -> None:
+    before, after = stage().asked(), change(stage()).asked()
+    rows = [{row["id"]: row | {"drawn": None} for row in rows} for rows, _ in (before, after)]
+    for query_id in rows[0].keys() & rows[1].keys():
+        assert rows[0][query_id] == rows[1][query_id]
+        assert before[1][query_id] == after[1][query_id]
+
+
+def test_draws_differ_between_tracks_parts_scenes_and_seeds() -> None:
+    stages = [stage(), stage(seed=4), stage(scene_id="test-s0008")]
+    drawn = [
+        tuple(truth["draw"]["offset"])
+        for one in stages
+        for query_id, truth in one.asked()[1].items()
+        if query_id.endswith(("snap", "snap-tilt"))
+    ]
+    assert len({*drawn}) == len(drawn) == 3 * 8
+
+
+def test_guesses_move_with_the_scene() -> None:
+    # Moved by whole tenths of a millimetre along the axes, so that pivots round alike; draws are made along world axes.
+    moved_from_world = Pose.from_translation((0.0123, -0.0045, 0.0))
+    here = stage(curves=True)
+    there = replace(
+        here,
+        parts=tuple(
+            replace(
+                one,
+                world_from_part=moved_from_world @ one.world_from_part,
+                world_from_kit=moved_from_world @ one.world_from_kit,
+            )
+            for one in here.parts
+        ),
+        views={
+            sensor: replace(view, world_from_camera=moved_from_world @ view.world_from_camera)
+            for sensor, view in here.views.items()
+        },
+    )
+    for row, moved in zip(here.rows(), there.rows(), strict=True):
+        assert row["id"] == moved["id"]
+        assert np.allclose(moved["pivot"], moved_from_world.apply(row["pivot"]), atol=1e-12)
+        if row["guess"] is not None:
+            guess = moved_from_world @ pose_of(row["guess"]) @ moved_from_world.inverse()
+            assert same(pose_of(moved["guess"]), guess)
+
+
+def test_curves_ask_every_level_of_one_error_at_fixed_levels_of_the_other() -> None:
+    rows, truths = stage(curves=True).asked()
+    curves = {row["id"]: row for row in rows if row["track"] == CURVES}
+    assert len(curves) == 2 * LEVELS * len(FIXED_LEVELS) == 48
+    assert {curve_levels(query_id) for query_id in curves} == {
+        (runs, k, j) for runs in ("pos", "rot") for k in range(LEVELS) for j in FIXED_LEVELS
+    }
+    snap = truths[f"{SCENE}-p1-snap"]
+    directions, axes = set(), set()
+    for query_id, row in curves.items():
+        runs, level, fixed = curve_levels(query_id)
+        k, j = (level, fixed) if runs == "pos" else (fixed, level)
+        goal = pose_of(truths[query_id]["goal_drawn"])
+        offset, rotvec = error_of(pose_of(row["guess"]), goal, np.array(row["pivot"]))
+        assert np.linalg.norm(offset) == pytest.approx(level_offset(k), abs=1e-12)
+        assert np.linalg.norm(rotvec) == pytest.approx(level_angle(j), abs=1e-12)
+        directions |= {tuple(np.round(offset / level_offset(k), 6))} if k else set()
+        axes |= {tuple(np.round(rotvec / level_angle(j), 6))} if j else set()
+        assert truths[query_id]["goal_drawn"] == snap["goal_drawn"]  # the same query as snap, missed otherwise
+        assert row["drawn"]
+        assert row["sensor"] == "ideal"
+    assert len(directions) == len(axes) == 1
+
+
+def test_the_level_without_error_is_the_goal() -> None:
+    rows, truths = stage(curves=True).asked()
+    guesses = {row["id"]: row["guess"] for row in rows}
+    level, turned = guesses[curve_id(SCENE, 1, "rot", 0, 4)], guesses[curve_id(SCENE, 1, "pos", 0, 4)]
+    goal = truths[curve_id(SCENE, 1, "rot", 0, 4)]["goal_drawn"]
+    assert level["wxyz"] == goal["wxyz"]
+    pivot = np.array(stage().by_id()[f"{SCENE}-p1-snap"]["pivot"])
+    assert np.allclose(pose_of(turned).apply(pivot), pose_of(goal).apply(pivot), atol=1e-12)
+
+
+def test_ids_of_curves_are_read_back() -> None:
+    assert curve_id(SCENE, 2, "pos", 3, 1) == "curves-s0007-p2-pos3-rot1"
+    assert curve_id(SCENE, 2, "rot", 3, 1) == "curves-s0007-p2-rot3-pos1"
+    for query_id in ("test-s0007-p2-snap", "curves-s0007-p2-pos3", "curves-s0007-p2-pos3-pos1"):
+        with pytest.raises(InputError, match="expected one of the curves, such as"):
+            curve_levels(query_id)
+
+
+def test_ids_are_unique_and_safe_in_a_spreadsheet() -> None:
+    ids = [row["id"] for row in stage(curves=True).rows()]
+    assert len(set(ids)) == len(ids)
+    for query_id in ids:
+        assert query_id[0].isalpha()
+        assert set(query_id) <= set("abcdefghijklmnopqrstuvwxyz0123456789-")
+        with pytest.raises(ValueError, match="could not convert"):
+            float(query_id)
+
+
+def test_curves_belong_to_the_first_test_scenes() -> None:
+    named = ["test-s0000", "test-s0039", "test-s0040", "val-s0001", "train-s0000"]
+    assert [has_curves(scene_id, 40) for scene_id in named] == [True, True, False, False, False]
+    with pytest.raises(InputError, match="curves: expected a scene of the test split, got val-s0001 of val"):
+        stage(scene_id="val-s0001", curves=True).rows()

@@ -1,0 +1,250 @@
+"""Laws of running jobs on Ray, on a cluster of two nodes: the same bytes, lost work done again, errors name jobs."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mini import MINI, contents, corners
+
+from kit1000.data import engines, files
+from kit1000.data.build import generate
+from kit1000.data.engines import AHEAD, RETRIES, Spread
+from kit1000.errors import Fault, InputError, Kit1000Error
+
+pytest.importorskip("ray", reason="an engine that is asked for: pip install 'kit1000[ray]'")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),  # Ray leaves the logs of its processes open
+]
+ROOT = Path(__file__).resolve().parents[1]
+STORE = 100 << 20  # bytes of shared memory a node
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    """A cluster of two nodes with one processor each, whose workers find the functions of this file.
+
+    It stands in another folder than the tests, as the nodes of a cluster do.
+    """
+    from ray.cluster_utils import Cluster
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(ROOT / "tests"))
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        patch.chdir("/")
+        head = {"num_cpus": 1, "object_store_memory": STORE, "include_dashboard": False}
+        cluster = Cluster(initialize_head=True, head_node_args=head)
+        cluster.add_node(num_cpus=1, object_store_memory=STORE)
+    yield str(cluster.address)
+    cluster.shutdown()
+
+
+def node() -> str:
+    import ray
+
+    return ray.get_runtime_context().get_node_id()
+
+
+def square(x: int) -> int:
+    return x * x
+
+
+def stumble(x: int) -> int:
+    if x == 3:
+        raise ValueError("two\nlines")
+    if x < 0:
+        raise InputError("disk full")
+    return x
+
+
+def die(x: int) -> int:
+    os._exit(x)
+
+
+def die_at_first(job: tuple[int, str]) -> int:
+    """The first attempt at every third job ends with its process, killed by the system or by itself."""
+    number, folder = job
+    attempts = sorted(Path(folder).glob(f"{number}-*"))
+    (Path(folder) / f"{number}-{len(attempts)}").touch()
+    if number % 3 == 0 and not attempts:
+        os.kill(os.getpid(), signal.SIGKILL) if number % 2 else os._exit(1)
+    return number
+
+
+def surroundings(name: str) -> tuple[str, str, str, str]:
+    """Of a worker: node, where it took kit1000 from, what a relative path means, threads."""
+    import kit1000
+
+    time.sleep(0.3)  # longer than a job takes to reach the other node
+    return node(), str(kit1000.__file__), str(Path(name).resolve()), os.environ["OMP_NUM_THREADS"]
+
+
+def process_id(_: int) -> int:
+    return os.getpid()
+
+
+def nap(_: int) -> None:
+    time.sleep(60)
+
+
+def located(function: Callable[[Any], Any], job: Any) -> tuple[str, Any]:
+    """A result, and the node that it was made on."""
+    return node(), function(job)
+
+
+@contextmanager
+def watched(address: str, seen: list[str]) -> Iterator[Spread]:
+    """The engine, with a note of the node of every result."""
+    with engines.ray(address) as spread:
+
+        def spread_seen(function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
+            for place, result in spread(partial(located, function), jobs):
+                seen.append(place)
+                yield result
+
+        yield spread_seen
+
+
+@pytest.mark.parametrize("url", [False, True])
+def test_two_nodes_share_the_work_and_write_the_bytes_of_one_process(url: bool, address: str, tmp_path: Path) -> None:
+    sources = corners(tmp_path / "files")
+    generate(MINI, tmp_path / "alone", workers=1, sources=sources)
+    out = files.folder(f"local://{tmp_path}/out") if url else tmp_path / "out"
+    seen: list[str] = []
+    generate(MINI, out, sources=sources, engine=watched(address, seen))
+    assert contents(tmp_path / "out") == contents(tmp_path / "alone")
+    assert len(set(seen)) == 2
+
+
+def test_a_node_runs_this_version_where_the_driver_stands(
+    address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with engines.ray(address) as spread:
+        nodes, packages, places, threads = zip(*spread(surroundings, ["out"] * 10), strict=True)
+    assert len(set(nodes)) == 2
+    assert not any(Path(package).is_relative_to(ROOT) for package in packages)
+    assert set(places) == {str(tmp_path / "out")}
+    assert set(threads) == {"1"}
+
+
+def test_every_job_has_its_result_and_few_are_handed_out_ahead(address: str) -> None:
+    taken: list[int] = []
+
+    def jobs() -> Iterator[int]:
+        for i in range(200):
+            taken.append(i)
+            yield i
+
+    with engines.ray(address) as spread:
+        assert list(spread(square, [])) == []
+        results = spread(square, jobs())
+        first = next(results)
+        assert len(taken) <= 2 * AHEAD
+        assert sorted([first, *results]) == [x * x for x in range(200)]
+    with engines.ray(address, workers=1) as spread:
+        taken.clear()
+        next(spread(square, jobs()))
+        assert len(taken) == 1
+
+
+def test_jobs_of_killed_workers_are_done_again(address: str, tmp_path: Path) -> None:
+    with engines.ray(address) as spread:
+        assert sorted(spread(die_at_first, [(i, str(tmp_path)) for i in range(7)])) == list(range(7))
+    assert [len(list(tmp_path.glob(f"{i}-*"))) for i in range(7)] == [2, 1, 1, 2, 1, 1, 2]
+
+
+def test_a_job_that_kills_every_worker_is_named_in_one_line(address: str) -> None:
+    with pytest.raises(Kit1000Error) as caught, engines.ray(address) as spread:
+        list(spread(die, [3]))
+    assert str(caught.value).startswith(f"3: its worker died {RETRIES + 1} times (killed, out of memory, or")
+    assert "\n" not in str(caught.value)
+
+
+def test_errors_stop_the_run_as_they_do_without_ray(address: str) -> None:
+    with pytest.raises(Fault) as caught, engines.ray(address) as spread:
+        list(spread(stumble, range(1000)))
+    assert str(caught.value).startswith("3: ValueError: two lines (")
+    with pytest.raises(InputError, match=r"^disk full$"), engines.ray(address) as spread:
+        list(spread(stumble, [-1]))
+
+
+def test_what_a_node_lacks_is_said(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "unheard_of.py").write_text("def job(x): return x")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    import unheard_of  # pyright: ignore[reportMissingImports]
+
+    with (
+        pytest.raises(InputError, match=r"^7: No module named 'unheard_of' on a node: install.*$"),
+        engines.ray(address) as spread,
+    ):
+        list(spread(unheard_of.job, [7]))
+
+
+@pytest.mark.parametrize("address", ["127.0.0.1:1", "nowhere.invalid:6379", "nonsense"])
+def test_an_address_without_a_cluster_is_one_line(address: str) -> None:
+    begun = time.monotonic()
+    with pytest.raises(InputError, match=f"^--address {address}: .*$") as caught, engines.ray(address):
+        pass
+    assert "\n" not in str(caught.value)
+    assert time.monotonic() - begun < 30
+
+
+ALONE = """
+import sys, test_ray
+from kit1000.data import engines
+if __name__ == "__main__":
+    with engines.ray(workers=2) as spread:
+        print(*{*spread(test_ray.process_id, range(8))}, flush=True)
+        list(spread(test_ray.nap, range(8)))
+"""
+
+
+def running(pid: int) -> bool:
+    stat = Path(f"/proc/{pid}/stat")
+    return stat.exists() and stat.read_text().rsplit(")", 1)[1].split()[0] != "Z"
+
+
+@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+def test_a_ray_of_our_own_goes_with_the_process_that_started_it(how: signal.Signals, tmp_path: Path) -> None:
+    script = tmp_path / "alone.py"
+    script.write_text(ALONE)
+    path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    run = subprocess.Popen(
+        [sys.executable, str(script)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ | {"PYTHONPATH": path},
+    )
+    assert run.stdout is not None
+    pids = {int(word) for word in run.stdout.readline().split()}
+    assert pids
+    run.send_signal(how)
+    run.communicate(timeout=60)
+    deadline = time.monotonic() + 60
+    while any(map(running, pids)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not any(map(running, pids))
+
+
+def test_sigterm_still_belongs_to_the_program() -> None:
+    def ours(*_: object) -> None: ...
+
+    before = signal.signal(signal.SIGTERM, ours)
+    try:
+        with engines.ray(workers=1) as spread:
+            assert signal.getsignal(signal.SIGTERM) is ours
+            assert list(spread(square, [3])) == [9]
+    finally:
+        signal.signal(signal.SIGTERM, before)

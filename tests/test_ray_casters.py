@@ -1,0 +1,130 @@
+"""The renderer against two ray casters by other hands, Embree's and Open3D's, on a real scene at full size."""
+
+from __future__ import annotations
+
+import ctypes
+from types import ModuleType
+
+import libusb_package
+import numpy as np
+import pytest
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from sample_kits import QUICK, sample_kit, sample_part
+from shapes import box
+
+from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
+from kit1000.mesh import Mesh, mesh_of
+from kit1000.pose import Pose, quaternion_from_rotvec
+from kit1000.sim.cameras import CAMERA, draw_primary
+from kit1000.sim.render import Frame, render
+
+Bodies = list[tuple[Mesh, Pose]]
+NEAREST = 1e-6  # [m] least agreement in depth, of the median and of 9999 pixels in 10,000
+OTHERWISE = 1e-4  # share of pixels, away from edges, that may see another body
+
+
+@pytest.fixture(scope="module")
+def bodies() -> Bodies:
+    """A table, a tilted assembly of four kits, and their parts beside it: as made, and turned over."""
+    kits = [sample_kit(family) for family in QUICK[:4]]
+    sides = (Side(0, 0.3), Side(1, 0.5), Side(3, 0.7))
+    assembly = build_assembly("a", kits, AssemblyPlan(0.2, 1.0, sides))
+    table = mesh_of(box(1200, 1600, 40, (0, 0, -40))).scaled(1e-3)
+    found = [(table, Pose.identity()), (assembly.mesh, Pose.from_rotvec((0, 0, 0.7), (0, 0.2, 0)))]
+    for i, family in enumerate(QUICK[:4]):
+        mesh, turn = sample_part(family).mesh, quaternion_from_rotvec((0, np.pi * (i % 2), 0.9 * i))
+        found.append((mesh, standing(mesh, turn, (0.08 * (i % 2) - 0.04, -0.24 + 0.08 * (i // 2)))))
+    return found
+
+
+def standing(mesh: Mesh, wxyz: np.ndarray, place: tuple[float, float]) -> Pose:
+    """The mesh turned and set down on the table."""
+    turned = Pose(wxyz, np.zeros(3))
+    return Pose(wxyz, np.array([*place, -turned.apply(mesh.vertices)[:, 2].min()]))
+
+
+@pytest.fixture(scope="module", params=range(3))
+def view(request: pytest.FixtureRequest) -> Pose:
+    return draw_primary(np.random.default_rng(request.param))
+
+
+def rays() -> np.ndarray:
+    """(H, W, 3) float32: the point at depth 1 m behind each pixel, so that the length along a ray is the depth."""
+    v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
+    ray = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
+    return ray.astype(np.float32)
+
+
+def in_camera(bodies: Bodies, view: Pose) -> list[np.ndarray]:
+    """(m, 3, 3) float32 corners of each body's faces, in the camera: there float32 is finest where it matters."""
+    return [(view.inverse() @ pose).apply(mesh.triangles).astype(np.float32) for mesh, pose in bodies]
+
+
+def by_embree(corners: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Depth [m] and body number + 1, 0 where nothing is hit, of the same pixels."""
+    scene = EmbreeScene()
+    TriangleMesh(scene, np.concatenate(corners))
+    direction = rays().reshape(-1, 3)
+    hit = scene.run(np.zeros_like(direction), direction, output=True)
+    body_of = np.repeat(np.arange(len(corners)), [len(c) for c in corners])
+    ids = np.where(hit["primID"] < 0, 0, body_of[hit["primID"]] + 1)
+    return imaged(np.where(ids > 0, hit["tfar"], 0)), imaged(ids)
+
+
+def by_open3d(o3d: ModuleType, corners: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """The same by Open3D."""
+    scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+    for body in corners:
+        faces = np.arange(3 * len(body), dtype=np.uint32).reshape(-1, 3)
+        scene.add_triangles(o3d.core.Tensor(body.reshape(-1, 3)), o3d.core.Tensor(faces))
+    ray = np.concatenate([np.zeros_like(rays()), rays()], axis=-1)
+    hit = scene.cast_rays(o3d.core.Tensor(ray), nthreads=1)
+    depth, ids = hit["t_hit"].numpy(), hit["geometry_ids"].numpy().astype(np.int64) + 1
+    return np.where(np.isfinite(depth), depth, 0), np.where(np.isfinite(depth), ids, 0)
+
+
+def imaged(values: np.ndarray) -> np.ndarray:
+    return values.reshape(CAMERA.height, CAMERA.width)
+
+
+@pytest.fixture(scope="module")
+def o3d() -> ModuleType:
+    """Open3D, which links to libusb: the wheel that carries that library is loaded first."""
+    ctypes.CDLL(str(libusb_package.get_library_path()), ctypes.RTLD_GLOBAL)
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        pytest.skip(f"Open3D cannot be loaded on this machine: {error}")
+    return open3d
+
+
+def assert_alike(frame: Frame, depth: np.ndarray, ids: np.ndarray) -> None:
+    """Depth to NEAREST where both see something, bodies alike a pixel away from every edge of either picture."""
+    both = (frame.ids > 0) & (ids > 0)
+    assert both.mean() > 0.5
+    apart = np.abs(frame.depth[both] - depth[both])
+    assert np.median(apart) < NEAREST
+    assert np.quantile(apart, 0.9999) < NEAREST
+    inner = ~(beside_edge(frame.ids) | beside_edge(ids))
+    assert inner.mean() > 0.9
+    assert (frame.ids != ids)[inner].mean() < OTHERWISE
+
+
+def beside_edge(ids: np.ndarray) -> np.ndarray:
+    """(H, W) bool: pixels with another body among their four neighbours."""
+    found = np.zeros(ids.shape, bool)
+    down, across = ids[1:] != ids[:-1], ids[:, 1:] != ids[:, :-1]
+    found[1:] |= down
+    found[:-1] |= down
+    found[:, 1:] |= across
+    found[:, :-1] |= across
+    return found
+
+
+def test_embree_sees_the_same(bodies: Bodies, view: Pose):
+    assert_alike(render(CAMERA, view, bodies), *by_embree(in_camera(bodies, view)))
+
+
+def test_open3d_sees_the_same(o3d: ModuleType, bodies: Bodies, view: Pose):
+    assert_alike(render(CAMERA, view, bodies), *by_open3d(o3d, in_camera(bodies, view)))

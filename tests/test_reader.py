@@ -1,0 +1,396 @@
+"""The reader: what was written comes back, splits ask what they should, and the truth stays shut unless asked for."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kit1000.camera import Camera, look_at
+from kit1000.data.files import write_bytes, write_json
+from kit1000.data.mcap_io import ObservationWriter, TruthWriter
+from kit1000.data.meshes import glb_bytes
+from kit1000.data.queries import TRACKS, Asked, scene_queries
+from kit1000.data.reader import Dataset, Split
+from kit1000.data.schema import Observation, SceneTruth
+from kit1000.data.tables import FORMAT, assembly_row, kit_row, part_row, pose_of, pose_row
+from kit1000.errors import InputError
+from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
+from kit1000.pose import Pose, quaternion_angle
+from kit1000.sim.layout import TUMBLED, UPRIGHT, table
+from kit1000.sim.render import render
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Assembly, View
+from tests.sample_kits import QUICK, sample_kit, sample_part
+
+CAMERA = Camera(64, 48, 55.0, 55.0, 31.5, 23.5)
+SEES = look_at((0.6, -0.1, 0.6), (0, 0, 0))
+SHARDS = {
+    "test/0000.mcap": ["test-s0007", "test-s0039"],
+    "test/0001.mcap": ["test-s0040"],
+    "train/0000.mcap": ["train-s0000", "train-s0001"],
+    "val/0000.mcap": ["val-s0000"],
+}
+SHUT = ("plan.json", "parts.json", "kits.json", "assemblies.json", ".truth.mcap", ".glb")
+FAMILIES = QUICK[:3]
+MODES = (UPRIGHT, TUMBLED, UPRIGHT)
+
+
+def assembly_of(scene_id: str) -> Assembly:
+    """The same kits for every scene, under its own name."""
+    plan = AssemblyPlan(0.1, 0.3, (Side(0, 0.4), Side(1, 0.3)))
+    return build_assembly(scene_id.replace("-s", "-"), [sample_kit(family) for family in FAMILIES], plan)
+
+
+def written(root: Path) -> Path:
+    """A dataset of a few small scenes."""
+    assembly = assembly_of("any-s0")
+    for name, scene_ids in SHARDS.items():
+        shard = root / name.removesuffix(".mcap")
+        with (
+            ObservationWriter(root / name) as seen,
+            TruthWriter(shard.with_suffix(".truth.mcap")) as true,
+            ObservationWriter(shard.with_suffix(".three.mcap")) as further,
+        ):
+            for scene_id in scene_ids:
+                observation, truth = scene(scene_id, assembly)
+                seen.add(observation)
+                true.add(truth)
+                further.add(Observation(scene_id, {"three/1/ideal": view(31)}))
+    for scene_id in (i for ids in SHARDS.values() for i in ids):
+        write_bytes(root / f"assemblies/{scene_id.replace('-s', '-')}.glb", glb_bytes({"any": assembly.mesh}))
+    for family in FAMILIES:
+        write_bytes(root / f"parts/{family}.glb", glb_bytes({family: sample_part(family).mesh}))
+        write_bytes(root / f"kits/{family}.glb", glb_bytes({family: sample_kit(family).mesh}))
+    ids = [i.replace("-s", "-") for ids in SHARDS.values() for i in ids]
+    write_json(root / "parts.json", {family: part_row(sample_part(family)) for family in FAMILIES})
+    write_json(root / "kits.json", {family: kit_row(sample_kit(family)) for family in FAMILIES})
+    write_json(root / "assemblies.json", {i: assembly_row(assembly) for i in ids})
+    write_json(root / "plan.json", {})
+    write_json(root / "dataset.json", {"format": FORMAT, "dataset_id": "abc123", "shards": SHARDS})
+    return root
+
+
+def view(seed: int) -> View:
+    """Depth on the grid of recordings."""
+    steps = np.random.default_rng(seed).integers(5000, 8000, (CAMERA.height, CAMERA.width))
+    return View(CAMERA, SEES, steps / 2**13)
+
+
+def views_of(scene_id: str) -> dict[str, View]:
+    return {"ideal": view(len(scene_id) + int(scene_id[-4:])), "d415": view(1000 + int(scene_id[-4:]))}
+
+
+def labels_of() -> np.ndarray:
+    labels = np.zeros((CAMERA.height, CAMERA.width), np.uint8)
+    labels[:10] = ASSEMBLY_LABEL
+    for i in range(len(FAMILIES)):
+        labels[20 + 3 * i : 32, 20 * i : 20 * i + 12] = FIRST_PART_LABEL + i
+    return labels
+
+
+def asked_of(assembly: Assembly) -> list[Asked]:
+    """The parts lie in a row, in the order of the mounts."""
+    lying = [
+        Pose(sample_kit(f).slot.kit_from_part.wxyz, np.array([0.1 * i, -0.17, 0.02])) for i, f in enumerate(FAMILIES)
+    ]
+    return [
+        Asked(i, MODES[i], lying[i], STANDS @ mount.assembly_from_kit, mount.kit.slot, None)
+        for i, mount in enumerate(assembly.mounts)
+    ]
+
+
+STANDS = Pose.from_rotvec((0, 0, 0.2), (0, 0.2, 0))
+
+
+def scene(scene_id: str, assembly: Assembly) -> tuple[Observation, SceneTruth]:
+    """What is recorded of a scene."""
+    split = scene_id.partition("-")[0]
+    views, labels, parts = views_of(scene_id), labels_of(), asked_of(assembly)
+    rows, truths = scene_queries(scene_id, split, 1, views, labels, parts, 1, scene_id in CURVED)
+    told = tuple(
+        {
+            "part_id": FAMILIES[part.index],
+            "family": FAMILIES[part.index],
+            "mount": part.index,
+            "rest_mode": part.rest_mode,
+            "world_from_part": pose_row(part.world_from_part),
+            "world_from_kit": pose_row(part.world_from_kit),
+            "pixels": 1000,
+            "visible": 0.9 - 0.1 * part.index,
+            "slot_angle": 0.2,
+            "slot_visible": 0.5,
+            "unseen": None,
+        }
+        for part in parts
+    )
+    seg = np.zeros(labels.shape, np.uint16)
+    return Observation(scene_id, views, labels, tuple(rows)), SceneTruth(
+        scene_id, scene_id.replace("-s", "-"), STANDS, told, truths, seg
+    )
+
+
+CURVED = ("test-s0007", "test-s0039")
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return written(tmp_path_factory.mktemp("dataset"))
+
+
+_opened: list[str] = []
+_listening = False
+
+
+def _listen(event: str, arguments: tuple) -> None:
+    if _listening and event in ("open", "os.open"):
+        _opened.append(str(arguments[0]))
+
+
+sys.addaudithook(_listen)  # it stays for good, so it is told when to listen
+
+
+@contextmanager
+def files_opened() -> Iterator[list[str]]:
+    """The names of all files that Python opens inside the block, by whatever means."""
+    global _listening
+    _opened.clear()
+    _listening = True
+    try:
+        yield _opened
+    finally:
+        _listening = False
+
+
+def read_all(dataset: Dataset, name: str, truth: bool = False) -> int:
+    """Read all that may be read without the truth; returns how many queries there are."""
+    count = 0
+    for recorded in dataset.split(name, truth=truth):
+        assert recorded.view("d415").depth.shape == recorded.view("three/1/ideal").depth.shape == recorded.labels.shape
+        for query in recorded.queries:
+            count += bool(query.part_mask.any() and query.kit_region.any() and query.view.depth.any())
+    return count
+
+
+@pytest.mark.parametrize("name", ["train", "val", "test", "test-all", "curves"])
+@pytest.mark.parametrize("truth", [False, True])
+def test_reading_what_was_seen_opens_no_truth(root: Path, name: str, truth: bool) -> None:
+    with files_opened() as opened:
+        assert read_all(Dataset(root), name, truth) > 0
+    assert any(path.endswith(".mcap") for path in opened)
+    assert not [path for path in opened if path.endswith(SHUT)]
+
+
+def test_reading_the_truth_opens_what_the_hook_listens_for(root: Path) -> None:
+    with files_opened() as opened:
+        dataset = Dataset(root)
+        assert dataset.split("test", truth=True).scene("test-s0007").truths
+        dataset.geometry.part("bracket")
+    for ending in SHUT[1:]:
+        assert [path for path in opened if path.endswith(ending)], ending
+
+
+def test_the_test_split_can_be_read_where_the_truth_is_missing(root: Path, tmp_path: Path) -> None:
+    for name in ("dataset.json", *SHARDS):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        shutil.copy(root / name, tmp_path / name)
+    write_json(tmp_path / "dataset.json", Dataset(root).summary | {"withheld": {}})
+    split = Dataset(tmp_path).split("test", truth=True)
+    assert len(list(split.queries())) == len(list(Dataset(root).split("test").queries()))
+    with pytest.raises(InputError, match=r"no file test/0000.truth.mcap \(withheld from this folder\)"):
+        split.scene("test-s0007").truth
+
+
+def test_the_truth_must_be_asked_for_by_name(root: Path) -> None:
+    recorded = Dataset(root).split("train").scene("train-s0000")
+    with files_opened() as opened:
+        for name in ("truth", "scene", "truths"):
+            with pytest.raises(InputError, match=r"truth was not opened; say dataset.split\('train', truth=True\)"):
+                getattr(recorded, name)
+        with pytest.raises(InputError, match="truth was not opened"):
+            recorded.bodies()
+    assert not opened
+
+
+def test_splits_hold_their_scenes_in_order(root: Path) -> None:
+    dataset = Dataset(root)
+    assert dataset.split("train").scene_ids == ["train-s0000", "train-s0001"]
+    assert dataset.split("test").scene_ids == dataset.split("test-all").scene_ids
+    assert dataset.split("test").scene_ids == ["test-s0007", "test-s0039", "test-s0040"]
+    assert dataset.split("curves").scene_ids == list(CURVED)
+    assert [recorded.id for recorded in dataset.split("test")] == dataset.split("test").scene_ids
+    assert len(dataset.split("val")) == 1
+    assert dataset.id == "abc123"
+
+
+def test_splits_ask_what_is_theirs(root: Path) -> None:
+    dataset = Dataset(root)
+    asked = {name: list(dataset.split(name).queries()) for name in ("train", "test", "test-all", "curves")}
+    assert len(asked["curves"]) == 48 * len(CURVED)
+    assert {query.track for query in asked["curves"]} == {"curves"}
+    for name in ("train", "test-all"):
+        assert {query.track for query in asked[name]} == set(TRACKS)
+        assert {query.part for query in asked[name]} == {0, 1, 2}
+    drawn = [query.id for query in asked["test-all"] if query.drawn]
+    assert [query.id for query in asked["test"]] == drawn
+    for track in ("snap", "snap-tilt", "place", "snap-d415", "place-d415"):
+        assert len([query for query in asked["test"] if query.track == track]) == 3  # one a scene
+
+
+def test_queries_of_a_track_come_in_the_order_of_all(root: Path) -> None:
+    split = Dataset(root).split("test-all")
+    for track in TRACKS:
+        ids = [query.id for query in split.queries(track)]
+        assert ids == [query.id for query in split.queries() if query.track == track]
+        assert ids == [query.id for query in Dataset(root).split("test-all").queries(track)]
+
+
+def test_queries_say_what_was_written(root: Path) -> None:
+    for scene_id in ("test-s0007", "val-s0000"):
+        observation, _ = scene(scene_id, assembly_of(scene_id))
+        recorded = Dataset(root).split("test-all" if "test" in scene_id else "val").scene(scene_id)
+        rows = [row for row in observation.queries if row["track"] != "curves"]
+        for row, query in zip(rows, recorded.queries, strict=True):
+            told = (query.id, query.track, query.sensor, query.part, query.drawn, query.pivot.tolist())
+            assert told == tuple(row[key] for key in ("id", "track", "sensor", "part", "drawn", "pivot"))
+            assert (None if query.guess is None else pose_row(query.guess)) == row["guess"]
+            assert query.scene_id == scene_id
+
+
+def test_images_come_back_to_the_bit(root: Path) -> None:
+    recorded = Dataset(root).split("test").scene("test-s0039")
+    for sensor, wanted in views_of("test-s0039").items():
+        found = recorded.view(sensor)
+        assert np.array_equal(found.depth, wanted.depth)
+        assert found.camera == CAMERA
+        assert np.array_equal(found.world_from_camera.wxyz, SEES.wxyz)
+    assert np.array_equal(recorded.labels, labels_of())
+    assert np.array_equal(recorded.view("three/1/ideal").depth, view(31).depth)
+
+
+def test_a_query_looks_with_its_own_sensor_at_its_own_part(root: Path) -> None:
+    for query in Dataset(root).split("test-all").scene("test-s0007").queries:
+        assert np.array_equal(query.view.depth, views_of("test-s0007")[query.sensor].depth)
+        assert np.array_equal(query.part_mask, labels_of() == FIRST_PART_LABEL + query.part)
+        assert np.array_equal(query.kit_region, labels_of() == ASSEMBLY_LABEL)
+
+
+def test_the_queries_of_a_scene_share_their_images(root: Path) -> None:
+    first, second = list(Dataset(root).split("test-all").scene("test-s0007").queries)[:2]
+    assert first.view is second.view
+
+
+def test_truths_say_what_was_written(root: Path) -> None:
+    dataset = Dataset(root)
+    recorded = dataset.split("curves", truth=True).scene("test-s0007")
+    _, truth = scene("test-s0007", assembly_of("test-s0007"))
+    assert recorded.truths.keys() == {query.id for query in recorded.queries}
+    assert recorded.truth.queries == truth.queries
+    for query_id, found in dataset.split("test-all", truth=True).scene("test-s0007").truths.items():
+        part = truth.parts[truth.queries[query_id]["part"]]
+        kit = sample_kit(part["part_id"])
+        assert (found.query_id, found.assembly_id, found.kits) == (query_id, "test-0007", 3)
+        told = (found.part_id, found.family, found.rest_mode, found.visible)
+        assert told == tuple(part[key] for key in ("part_id", "family", "rest_mode", "visible"))
+        assert np.array_equal(found.anchor, found.world_from_part.xyz)
+        assert pose_row(found.world_from_part) == part["world_from_part"]
+        assert pose_row(found.world_from_kit) == part["world_from_kit"]
+        assert pose_row(found.goal_drawn) == truth.queries[query_id]["goal_drawn"]
+        assert kit_row(kit)["goals"] == [pose_row(goal) for goal in found.slot.goals]
+        assert found.slot.part_id == part["part_id"]
+
+
+def test_the_drawn_goal_seats_the_part(root: Path) -> None:
+    for recorded in Dataset(root).split("test-all", truth=True):
+        for truth in recorded.truths.values():
+            there = truth.goal_drawn @ truth.world_from_part
+            goals = truth.world_from_kit @ truth.slot.goals
+            misses = quaternion_angle(goals.wxyz, there.wxyz) + np.linalg.norm(goals.xyz - there.xyz, axis=-1)
+            assert truth.slot.free_axis is not None or misses.min() < 1e-9
+
+
+def test_scenes_can_be_rendered_again(root: Path) -> None:
+    recorded = Dataset(root).split("val", truth=True).scene("val-s0000")
+    assert [body.id for body in recorded.scene.bodies] == ["val-0000", *FAMILIES]
+    bodies = recorded.bodies()
+    assert np.array_equal(bodies[0][0].vertices, table().vertices)
+    for (mesh, pose), body in zip(bodies[1:], recorded.scene.bodies, strict=True):
+        assert pose is body.world_from_body
+        assert mesh.vertices.shape[1] == 3
+    frame = render(CAMERA, SEES, bodies, threads=1)
+    assert {1, 2} <= set(np.unique(frame.ids))
+
+
+def test_what_is_not_there_is_said(root: Path) -> None:
+    dataset = Dataset(root)
+    with pytest.raises(
+        InputError, match=r"no split 'tets'; did you mean test\? there are train, val, test, test-all, curves"
+    ):
+        dataset.split("tets")
+    with pytest.raises(InputError, match="no scene 'test-s0009' among the 3 of split test; did you mean test-s00"):
+        dataset.split("test").scene("test-s0009")
+    with pytest.raises(InputError, match="no track 'snapp' in split test; there are snap, snap-tilt"):
+        dataset.split("test").queries("snapp")
+    with pytest.raises(InputError, match="no track 'snap' in split curves; there are curves"):
+        dataset.split("curves").queries("snap")
+    with pytest.raises(InputError, match=r"no file test/0000.top.mcap"):
+        dataset.split("test").scene("test-s0007").view("top/ideal")
+    with pytest.raises(InputError, match="no view 'photoneo'; it has ideal, d415"):
+        dataset.split("test").scene("test-s0007").view("photoneo")
+    with pytest.raises(InputError, match="no dataset"):
+        Dataset(root / "test")
+
+
+def test_a_dataset_without_scenes_says_so(tmp_path: Path) -> None:
+    write_json(tmp_path / "dataset.json", {"format": FORMAT})
+    with pytest.raises(InputError, match="split train has no scenes"):
+        len(Dataset(tmp_path).split("train"))
+
+
+def test_all_can_be_sent_to_another_process(root: Path) -> None:
+    split = Dataset(root).split("test", truth=True)
+    recorded = split.scene("test-s0007")
+    query = recorded.queries[0]
+    pixels, assembly_id = query.part_mask.sum(), recorded.truth.assembly_id  # files are open now
+    assert pickle.loads(pickle.dumps(query)).part_mask.sum() == pixels
+    assert pickle.loads(pickle.dumps(recorded)).truth.assembly_id == assembly_id
+    assert pickle.loads(pickle.dumps(split)).scene_ids == split.scene_ids
+    unread = split.scene("test-s0007").queries[0]
+    assert len(pickle.dumps(unread)) < 4000  # neither images nor files
+    assert np.array_equal(pickle.loads(pickle.dumps(unread)).view.depth, query.view.depth)
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")  # that it is unwise; loaders of others do it
+def test_forks_and_threads_read_the_same_from_files_opened_before(root: Path) -> None:
+    _shared.append(Dataset(root).split("test-all"))
+    ids = _shared[-1].scene_ids * 4
+    expected = [_sum(scene_id) for scene_id in ids]
+    with get_context("fork").Pool(2) as pool:
+        assert pool.map(_sum, ids) == expected
+    with ThreadPoolExecutor(4) as threads:
+        assert list(threads.map(_sum, ids)) == expected
+
+
+_shared: list[Split] = []
+
+
+def _sum(scene_id: str) -> int:
+    recorded = _shared[-1].scene(scene_id)
+    return sum(int((query.view.depth * query.part_mask).sum() * 2**13) for query in recorded.queries)
+
+
+def test_poses_of_guesses_are_exact(root: Path) -> None:
+    observation, _ = scene("test-s0007", assembly_of("test-s0007"))
+    guesses = {row["id"]: row["guess"] for row in observation.queries}
+    for query in Dataset(root).split("curves").scene("test-s0007").queries:
+        wanted = pose_of(guesses[query.id])
+        assert query.guess is not None
+        assert np.array_equal(query.guess.wxyz, wanted.wxyz)
+        assert np.array_equal(query.guess.xyz, wanted.xyz)

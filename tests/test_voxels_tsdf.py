@@ -1,0 +1,229 @@
+"""The truncated distance of depth images: against plain numpy, against known planes, and what stays unknown."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from shapes import as_part, ring_plate
+from strategies import poses
+
+from kit1000.camera import Camera, look_at
+from kit1000.errors import InputError
+from kit1000.pose import Pose
+from kit1000.sim.render import render
+from kit1000.values import View
+from kit1000.voxels import Grid, Volume, fuse, signed_distance, surface_points, tsdf
+
+CAMERA = Camera(width=160, height=120, fx=150.0, fy=140.0, cx=78.3, cy=61.7)
+SQUARE = Camera(width=101, height=101, fx=400.0, fy=400.0, cx=50.0, cy=50.0)
+AHEAD = Grid.centred(Pose.from_translation((0, 0, 0.5)), (21, 21, 41), 2e-3)
+PART = as_part(ring_plate(14)).mesh
+
+
+def plain(grid: Grid, view: View, mask: np.ndarray | None = None, truncation: float | None = None) -> np.ndarray:
+    """The rules of `tsdf`, written with whole arrays."""
+    reach = 5 * grid.voxel if truncation is None else truncation
+    x, y, z = np.moveaxis(view.world_from_camera.inverse().apply(grid.centres()), -1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.floor(view.camera.fx * x / z + view.camera.cx + 0.5)
+        v = np.floor(view.camera.fy * y / z + view.camera.cy + 0.5)
+    inside = (z > 0) & (u >= 0) & (v >= 0) & (u < view.camera.width) & (v < view.camera.height)
+    pixel = np.where(inside, v, 0).astype(int), np.where(inside, u, 0).astype(int)
+    seen = np.where(inside, view.depth[pixel], 0)
+    values = np.minimum((seen - z) / reach, 1)
+    values[values < -1] = np.nan
+    if mask is not None:
+        values = np.where(mask[pixel], values, np.where(z <= seen, 1, np.nan))
+    values[seen == 0] = np.nan
+    return values
+
+
+def differing(a: np.ndarray, b: np.ndarray) -> float:
+    """Share of voxels that differ by more than 1e-5: those whose projection is a tie between two pixels."""
+    same = (np.isnan(a) & np.isnan(b)) | (np.abs(a - b) <= 1e-5)
+    return float(1 - same.mean())
+
+
+def rough_view(seed: int, world_from_camera: Pose) -> View:
+    """Depths without any order, a fifth of the pixels without return."""
+    rng = np.random.default_rng(seed)
+    depth = rng.uniform(0.35, 0.65, (CAMERA.height, CAMERA.width))
+    return View(CAMERA, world_from_camera, np.where(rng.random(depth.shape) < 0.2, 0, depth))
+
+
+def level_view(depth: float) -> View:
+    """A wall across the optical axis."""
+    return View(SQUARE, Pose.identity(), np.full((101, 101), depth, np.float32))
+
+
+def part_view(eye: tuple[float, float, float] = (0.15, 0.1, 0.2), times: float = 3.0) -> View:
+    camera = CAMERA.scaled(times)
+    world_from_camera = look_at(eye, (0, 0, 0))
+    return View(camera, world_from_camera, render(camera, world_from_camera, [(PART, Pose.identity())], 1).depth)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+@pytest.mark.parametrize("truncation", [None, 0.03, 1e-4])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_agrees_with_plain_numpy(seed: int, truncation: float | None, masked: bool) -> None:
+    rng = np.random.default_rng(seed)
+    view = rough_view(seed, look_at(rng.uniform(-0.3, 0.3, 3) + (0, 0, 0.6), (0, 0, 0)))
+    mask = rng.random(view.depth.shape) < 0.5 if masked else None
+    grid = Grid.centred(Pose.from_rotvec(rng.normal(size=3)), (50, 40, 90), 7e-3)  # wider than the image
+    ours = tsdf(grid, view, mask, truncation)
+    assert 0.01 < ours.known.mean() < 0.9
+    assert differing(ours.values, plain(grid, view, mask, truncation)) < 1e-4
+
+
+def test_a_grid_around_the_camera_is_unknown_behind_it() -> None:
+    view = rough_view(0, Pose.identity())
+    grid = Grid.centred(Pose.identity(), (20, 20, 21), 0.03)
+    values = tsdf(grid, view).values
+    assert np.isnan(values[:, :, :11]).all()  # the eleventh layer lies in the camera's own plane
+    assert differing(values, plain(grid, view)) < 1e-3
+    assert np.isnan(tsdf(grid.moved(Pose.from_translation((0, 0, -1))), view).values).all()
+
+
+def test_a_wall_has_zero_at_its_own_depth_to_half_a_voxel() -> None:
+    for depth in (0.5, 0.5007, 0.4991):
+        volume = tsdf(AHEAD, level_view(depth))
+        z = AHEAD.centres()[..., 2]
+        known = volume.known
+        np.testing.assert_array_equal(known, depth - z >= -0.01 * (1 + 1e-9))
+        np.testing.assert_allclose(volume.values[known], np.minimum((depth - z[known]) / 0.01, 1), atol=1e-5)
+        np.testing.assert_allclose(surface_points(volume)[:, 2], depth, atol=1e-7)
+
+
+def test_a_pixel_answers_for_its_own_ray() -> None:
+    """One return in an image: it is found on the line through the centre of that pixel, not half a pixel off."""
+    depth = np.zeros((101, 101), np.float32)
+    depth[30, 70] = 0.5
+    fine = Grid.centred(Pose.from_translation(SQUARE.unproject_pixels((70.0, 30.0), 0.5)), (21, 21, 1), 1e-4)
+    known = tsdf(fine, View(SQUARE, Pose.identity(), depth)).known[:, :, 0]
+    np.testing.assert_array_equal(known, known[::-1, ::-1])
+    assert 100 < known.sum() < 170  # a pixel is 1.25 mm wide there, 12.5 voxels
+
+
+def test_a_tilted_wall_lies_within_half_a_voxel() -> None:
+    normal, far = np.array([0.3, -0.2, 0.93]), 0.5
+    rays = np.stack(np.meshgrid((np.arange(101) - 50) / 400, (np.arange(101) - 50) / 400), -1)
+    depth = far * normal[2] / (rays @ normal[:2] + normal[2])
+    points = surface_points(tsdf(AHEAD, View(SQUARE, Pose.identity(), depth)))
+    distance = (points - (0, 0, far)) @ (normal / np.linalg.norm(normal))
+    assert len(points) > 400
+    assert np.abs(distance).max() < 0.5 * AHEAD.voxel
+    assert abs(distance.mean()) < 0.02 * AHEAD.voxel
+
+
+@given(move=poses())
+@settings(max_examples=15, deadline=None)
+def test_moving_the_world_moves_nothing(move: Pose) -> None:
+    view = rough_view(3, look_at((0.2, 0.5, 0.3), (0.01, 0.02, 0.03)))
+    grid = Grid.centred(Pose.from_rotvec((0.3, 0.2, 0.1)), (30, 30, 30), 6e-3)
+    moved = View(view.camera, move @ view.world_from_camera, view.depth)
+    mask = view.depth > 0.5
+    for use in (None, mask):
+        assert differing(tsdf(grid, view, use).values, tsdf(grid.moved(move), moved, use).values) < 1e-3
+
+
+def test_what_is_unknown() -> None:
+    depth = np.full((101, 101), 0.5, np.float32)
+    depth[:, :40] = 0
+    wide = Grid.centred(Pose.from_translation((0, 0, 0.5)), (81, 3, 41), 2e-3)
+    values = tsdf(wide, View(SQUARE, Pose.identity(), depth)).values
+    x, _, z = np.moveaxis(wide.centres(), -1, 0)
+    u = 400 * x / z + 50
+    assert np.isnan(values[(u < 39.4)]).all()  # no return
+    assert np.isnan(values[(u > 100.6)]).all()  # outside the image
+    assert np.isnan(values[z > 0.5101]).all()  # hidden
+    assert not np.isnan(values[(u > 39.6) & (u < 100.4) & (z < 0.5099)]).any()
+
+
+def test_beside_the_mask_it_is_free_as_far_as_was_seen() -> None:
+    mask = np.zeros((101, 101), bool)
+    mask[:, 50:] = True
+    volume = tsdf(AHEAD, level_view(0.5), mask)
+    x, _, z = np.moveaxis(AHEAD.centres(), -1, 0)
+    beside, on = 400 * x / z < -0.6, 400 * x / z > -0.4
+    assert (volume.values[beside & (z < 0.4999)] == 1).all()
+    assert np.isnan(volume.values[beside & (z > 0.5001)]).all()
+    np.testing.assert_array_equal(volume.values[on], tsdf(AHEAD, level_view(0.5)).values[on])
+
+
+def test_what_is_deep_inside_is_never_seen_as_free() -> None:
+    grid = Grid.centred(Pose.from_rotvec((0.1, 0.2, 0.3)), (60, 60, 60), 1e-3)
+    inside = signed_distance(grid, [(PART, Pose.identity())], truncation=5e-3).values < -0.2  # one voxel
+    seen = tsdf(grid, part_view())
+    assert inside.sum() > 2000
+    assert not (inside & (seen.values > 0)).any()
+    assert (inside & seen.occupied).sum() > 500
+
+
+def test_fusing_is_the_weighted_mean_of_those_that_know() -> None:
+    rng = np.random.default_rng(5)
+    grid = Grid((40, 9, 8), 1e-3, Pose.identity())
+    volumes = [
+        Volume(grid, np.where(rng.random(grid.shape) < 0.4, np.nan, rng.uniform(-1, 1, grid.shape))) for _ in range(3)
+    ]
+    weights = np.array([1.0, 0.5, 2.0])
+    values = np.stack([volume.values for volume in volumes])
+    known = ~np.isnan(values) * weights[:, None, None, None]
+    with np.errstate(invalid="ignore"):
+        mean = (np.nan_to_num(values) * known).sum(0) / known.sum(0)
+    np.testing.assert_allclose(fuse(volumes, weights.tolist()).values, mean, atol=1e-6)
+    assert fuse([volumes[0]]).values.tobytes() == volumes[0].values.tobytes()
+    assert fuse([volumes[0]] * 3).values == pytest.approx(volumes[0].values, abs=1e-6, nan_ok=True)
+
+
+def test_more_views_know_more_and_are_still_not_the_truth() -> None:
+    grid = Grid.centred(Pose.identity(), (50, 50, 50), 1e-3)
+    above = [tsdf(grid, part_view(eye)) for eye in ((0.15, 0.1, 0.2), (-0.15, 0.1, 0.2), (0.0, -0.2, 0.15))]
+    both, inside = fuse(above), signed_distance(grid, [(PART, Pose.identity())]).occupied
+    np.testing.assert_array_equal(both.known, np.logical_or.reduce([volume.known for volume in above]))
+    assert (inside & ~both.known).sum() > 0.05 * inside.sum()
+
+
+def test_threads_change_no_byte() -> None:
+    grid = Grid.centred(Pose.from_rotvec((0.1, 0.2, 0.3)), (90, 80, 70), 1e-3)
+    view = part_view()
+    mask = view.depth > 0.25
+    volumes = [tsdf(grid, view, mask, threads=n) for n in (1, 2, 5, None)]
+    fused = [fuse(volumes[:2], threads=n) for n in (1, 2)]
+    assert len({volume.values.tobytes() for volume in volumes}) == 1
+    assert len({volume.values.tobytes() for volume in fused}) == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"mask": np.ones((3, 3), bool)}, r"mask: expected bool of shape \(101, 101\), got shape \(3, 3\)"),
+        ({"mask": np.full((101, 101), 7)}, r"mask: .* which is no bool"),
+        ({"truncation": 0.0}, r"truncation: expected a distance above 0 m, got 0.0"),
+        ({"truncation": float("inf")}, r"truncation: .*inf"),
+        ({"threads": 0}, r"threads: expected a whole number from 1 up"),
+        ({"threads": 1.5}, r"threads: .*got 1.5"),
+    ],
+)
+def test_bad_input_is_refused(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        tsdf(AHEAD, level_view(0.5), **arguments)
+
+
+def test_a_depth_below_zero_is_refused() -> None:
+    with pytest.raises(InputError, match=r"depth: expected 0 \(no return\) or more, got -0.5"):
+        tsdf(AHEAD, level_view(-0.5))
+
+
+def test_fusing_what_does_not_belong_together_is_refused() -> None:
+    volume = tsdf(AHEAD, level_view(0.5))
+    with pytest.raises(InputError, match="expected at least one to fuse"):
+        fuse([])
+    with pytest.raises(InputError, match="one and the same grid"):
+        fuse([volume, volume.moved(Pose.from_translation((1e-3, 0, 0)))])
+    with pytest.raises(InputError, match=r"weights: expected float32 of shape \(1,\)"):
+        fuse([volume], [1, 2])
+    with pytest.raises(InputError, match="weights: expected numbers above 0"):
+        fuse([volume], [0])
