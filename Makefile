@@ -42,9 +42,12 @@ lint: $(DEV) ## ruff and pyright
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 
-bench: $(DEV) ## our kits beside the scheme of the paper's release, the seating test beside its judge
+bench: $(DEV) ## each speed beside a reference measured in the same run: kits, seating, rendering, volumes, reading
 	$(BIN)/python bench/bench_kits.py
 	$(BIN)/python bench/bench_seating.py
+	$(BIN)/python bench/bench_render.py
+	$(BIN)/python bench/bench_voxels.py
+	$(BIN)/python bench/bench_reading.py
 
 bench-parts: $(DEV) ## compare our parts with real ones: make bench-parts PARTS=DIR
 	$(if $(PARTS),,$(error a folder of meshes is wanted: make bench-parts PARTS=DIR))
@@ -52,6 +55,7 @@ bench-parts: $(DEV) ## compare our parts with real ones: make bench-parts PARTS=
 
 pictures: $(DEV) ## draw the pictures of the README and the docs
 	$(BIN)/python docs/pictures/draw.py
+	$(BIN)/python docs/pictures/sensors.py
 
 lock: $(DEV) ## renew the pinned versions in requirements/
 	$(PIP) install uv

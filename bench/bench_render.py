@@ -119,8 +119,8 @@ def finely_split(bodies: Bodies) -> Bodies:
             return split
         widest = max(able, key=lambda i: split[i][0].area / len(split[i][0].faces))
         mesh, pose = split[widest]
-        vertices, faces = subdivide(mesh.vertices, mesh.faces)
-        split[widest] = (Mesh(np.asarray(vertices), np.asarray(faces)), pose)
+        finer = subdivide(mesh.vertices, mesh.faces)
+        split[widest] = (Mesh(np.asarray(finer[0]), np.asarray(finer[1])), pose)
 
 
 def rays() -> np.ndarray:

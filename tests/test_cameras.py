@@ -12,6 +12,7 @@ from strategies import poses
 from kit1000.camera import Camera
 from kit1000.errors import InputError
 from kit1000.pose import Pose
+from kit1000.sim import layout
 from kit1000.sim.cameras import (
     AZIMUTH,
     CAMERA,
@@ -62,6 +63,13 @@ def test_radius_and_angles_are_uniform_in_their_ranges(spherical: tuple[np.ndarr
         assert kstest(values, "uniform", (low, high - low)).pvalue > 1e-3
 
 
+def test_layouts_keep_within_the_workspace():
+    kits = np.stack([layout.KITS_AT - layout.KITS_REACH, layout.KITS_AT + layout.KITS_REACH])
+    for region in (kits, layout.PARTS_IN):
+        assert (region[0] >= WORKSPACE[0, :2]).all()
+        assert (region[1] <= WORKSPACE[1, :2]).all()
+
+
 def test_both_sides_of_the_table_are_drawn_alike(drawn: Pose):
     assert abs((drawn.xyz[:, 0] > 0).mean() - 0.5) < 4 * 0.5 / np.sqrt(DRAWS)
 
@@ -82,8 +90,8 @@ def test_the_halves_stand_side_by_side_in_a_drawn_image(drawn: Pose):
 
 def test_nearly_every_draw_holds_a_full_layout(drawn: Pose):
     """The widest assembly there is, in any turn, and parts all over their half."""
-    layout = np.concatenate([cylinder(0.165, 0.1, 0, 0.2), cylinder(0.15, 0.03, 0, -0.17)])
-    assert np.mean([in_view(CAMERA, pose, layout) for pose in drawn]) > 0.95
+    halves = np.concatenate([cylinder(0.165, 0.1, 0, 0.2), cylinder(0.15, 0.03, 0, -0.17)])
+    assert np.mean([in_view(CAMERA, pose, halves) for pose in drawn]) > 0.95
 
 
 def test_the_same_generator_draws_the_same_camera():

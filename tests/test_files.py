@@ -15,10 +15,8 @@ from typing import Any, cast
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mini import MINI, contents, corners
 
 from kit1000.data import files
-from kit1000.data.build import generate
 from kit1000.data.files import (
     PARTIAL,
     check_writable,
@@ -236,21 +234,3 @@ def test_a_store_that_refuses_is_one_line(monkeypatch: pytest.MonkeyPatch) -> No
         check_writable(place)
     with pytest.raises(InputError, match=r"^cannot write memory://bucket/data/a: Refused: no credentials$"):
         write_bytes(place / "a", b"")
-
-
-@pytest.mark.parametrize("kind", ["memory", "local"])
-def test_a_dataset_built_behind_a_url_has_the_bytes_of_one_on_disk(kind: str, tmp_path: Path) -> None:
-    sources = corners(tmp_path / "files")
-    generate(MINI, tmp_path / "disk", workers=1, sources=sources)
-    place = folder(f"{kind}://{tmp_path}/root")
-    try:
-        summary = generate(MINI, place, workers=1, sources=sources)
-        held = {
-            str(path)[len(str(place)) + 1 :]: hashlib.sha256(path.read_bytes()).hexdigest()
-            for path in place.rglob("*")
-            if path.is_file()
-        }
-        assert held == contents(tmp_path / "disk")
-        assert generate(MINI, place, workers=1, sources=sources) == summary
-    finally:
-        remove_folder(place)

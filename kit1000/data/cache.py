@@ -14,6 +14,7 @@ import re
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from kit1000 import __version__
-from kit1000.data.files import folder, is_url, json_bytes, remove_folder, write_bytes
+from kit1000.data.files import folder, is_url, json_bytes, write_bytes
 from kit1000.data.tables import pose_of, pose_row
 from kit1000.errors import InputError
 from kit1000.voxels import Grid, Volume, from_float16, from_uint8, to_float16, to_uint8
@@ -32,7 +33,8 @@ ENCODINGS: dict[str, tuple[Callable[[Volume], np.ndarray], Callable[[Grid, np.nd
 }
 """How to store the values of a volume, and how to read them back."""
 NAME = re.compile(r"[A-Za-z0-9][\w.-]*")  # of a dataset, scene or item: it becomes the name of a file
-_END = struct.Struct("<III8s")  # where the line of JSON begins from the end of the array, its length, checksum, mark
+RECIPE_DIGITS = 16  # of the hash that names the folder of a recipe
+_END = struct.Struct("<QII8s")  # [bytes] of the array, of the line of JSON; checksum of all before, mark
 _MARK = b"kit1000v"
 
 
@@ -105,8 +107,8 @@ class VolumeCache:
             if not NAME.fullmatch(name):
                 raise InputError(f"{name!r}: no name to keep a volume under (letters, digits, '.', '-', '_')")
         told = self._told(key)
-        recipe = hashlib.sha256(json_bytes([told["recipe"], told["encoding"], told["generator"]])).hexdigest()[:16]
-        return self.root / key.dataset_id / recipe / key.scene_id / f"{key.item}.npy"
+        recipe = hashlib.sha256(json_bytes([told["recipe"], told["encoding"], told["generator"]])).hexdigest()
+        return self.root / key.dataset_id / recipe[:RECIPE_DIGITS] / key.scene_id / f"{key.item}.npy"
 
     def size(self) -> CacheSize:
         """How much is stored, of all keys and encodings."""
@@ -114,19 +116,23 @@ class VolumeCache:
         return CacheSize(len(sizes), sum(sizes))
 
     def clear(self) -> None:
-        """Delete all volumes; other files in the folder stay."""
-        for place in {path.parents[1] for path in self._files()}:
-            remove_folder(place)
+        """Delete all volumes; whatever else lies in the folder stays."""
+        for path in list(self._files()):
+            path.unlink(missing_ok=True)
+            with suppress(OSError):  # the last one of a scene, recipe or dataset leaves an empty folder
+                for place in path.parents[:3]:
+                    place.rmdir()
 
     def _files(self) -> Iterator[Path]:
-        return self.root.glob("*/????????????????/*/*.npy")
+        return self.root.glob(f"*/{'[0-9a-f]' * RECIPE_DIGITS}/*/*.npy")
 
     def _told(self, key: Key) -> dict[str, Any]:
         """What an entry says of itself, its grid apart."""
-        return {**key._asdict(), "encoding": self.encoding, "generator": f"kit1000 {__version__}"}
+        made = {"recipe": dict(key.recipe), "encoding": self.encoding, "generator": f"kit1000 {__version__}"}
+        return key._asdict() | made
 
 
-def _packed(volume: Volume, told: Mapping[str, Any]) -> bytes:
+def _packed(volume: Volume, told: dict[str, Any]) -> bytes:
     """The bytes of an entry."""
     codes = ENCODINGS[told["encoding"]][0](volume)
     array = io.BytesIO()
@@ -138,7 +144,7 @@ def _packed(volume: Volume, told: Mapping[str, Any]) -> bytes:
     return body + _END.pack(codes.nbytes, len(line), zlib.crc32(body), _MARK)
 
 
-def _read(path: Path, told: Mapping[str, Any]) -> Entry | None:
+def _read(path: Path, told: dict[str, Any]) -> Entry | None:
     """The entry of a file; None where there is none, or none that is sound and says this of itself."""
     try:
         data = np.memmap(path, np.uint8, "c")  # copy on write: a tensor may be written to, and the file stays
@@ -148,11 +154,11 @@ def _read(path: Path, told: Mapping[str, Any]) -> Entry | None:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     body = data[: -_END.size]
     size, length, checksum, mark = _END.unpack(data[-_END.size :].tobytes().rjust(_END.size, b"\0"))
-    if mark != _MARK or zlib.crc32(body) != checksum:
+    if mark != _MARK or zlib.crc32(body.data) != checksum:
         return None
     (said,) = json.loads(body[len(body) - length :].tobytes())
     grid = said.pop("grid")
-    if json_bytes(said) != json_bytes(dict(told)):
+    if json_bytes(said) != json_bytes(told):
         return None
     start = len(body) - length - size
     codes = np.asarray(body[start : start + size]).view(told["encoding"]).reshape(grid["shape"])

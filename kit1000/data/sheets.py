@@ -7,15 +7,18 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image
 
+from kit1000.camera import Camera
 from kit1000.data.geometry import Geometry
 from kit1000.data.reader import Dataset, Recorded
 from kit1000.errors import InputError
+from kit1000.pose import Pose
 from kit1000.sim.depth_pictures import depth_picture, mask_picture
 from kit1000.sim.pictures import KIT, PART, SECONDARY, Painted, shaded
 from kit1000.sim.preview import assembly_tile, kit_tile, part_tile, sheet
 from kit1000.values import View
 
 SCENE_TILE = (960, 540)  # [px] one picture of a scene
+BORDER = 1.12  # of the window around all bodies, against their extents
 ASKED = "snap-tilt"  # the track whose guesses are drawn: every preset has it
 
 
@@ -29,35 +32,57 @@ def contact_sheet_of(geometry: Geometry, what: str, split: str, count: int, ids:
 
 
 def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
-    """A PNG of one scene: what the sensors see and the masks; where the truth is at hand, the scene, its goals and a
-    guess beside them.
+    """A PNG of one scene, cut to what stands on the table: what the sensors see and the masks; where the truth is at
+    hand, also the scene, the goals of what is asked, and a guess.
     """
     recorded = dataset.recorded(scene_id)
-    view = recorded.view("ideal")
-    tiles = {"ideal depth": depth_picture(view), "masks": mask_picture(recorded.look())}
+    window = _window(recorded.labels)
+    tiles = {"ideal depth": depth_picture(recorded.view("ideal")), "masks": mask_picture(recorded.look())}
     if "d415" in recorded.sensors:
         tiles["d415 depth"] = depth_picture(recorded.view("d415"))
+    pictures = [Image.fromarray(tile[window]).resize(SCENE_TILE, Image.Resampling.BICUBIC) for tile in tiles.values()]
+    names = list(tiles)
     if recorded.split.truth:
-        tiles |= _true_tiles(recorded, view)
-    pictures = [Image.fromarray(tile).resize(SCENE_TILE, Image.Resampling.LANCZOS) for tile in tiles.values()]
-    return sheet(pictures, [f"{scene_id}  {name}" for name in tiles], columns=2)
+        drawn = _true_tiles(recorded, window)
+        pictures, names = [*pictures, *map(Image.fromarray, drawn.values())], [*names, *drawn]
+    return sheet(pictures, [f"{scene_id}  {name}" for name in names], columns=2)
 
 
-def _true_tiles(recorded: Recorded, view: View) -> dict[str, np.ndarray]:
-    """The scene as it stands, with its parts seated, and with the drawn target as a person guesses it."""
+def _window(labels: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns that hold all bodies with a border, in the shape of the image."""
+    v, u = np.nonzero(labels)
+    height, width = labels.shape
+    share = max(np.ptp(u) / width, np.ptp(v) / height) * BORDER
+    tall, wide = min(round(height * share), height), min(round(width * share), width)
+    top = int(np.clip((v.min() + v.max() - tall) // 2, 0, height - tall))
+    left = int(np.clip((u.min() + u.max() - wide) // 2, 0, width - wide))
+    return slice(top, top + tall), slice(left, left + wide)
+
+
+def _true_tiles(recorded: Recorded, window: tuple[slice, slice]) -> dict[str, np.ndarray]:
+    """The scene as it stands, with its parts seated, and with them as a person guesses."""
     _, (assembly, world_from_assembly), *parts = recorded.bodies()
     kits = Painted(assembly, world_from_assembly, KIT)
     colours = [(PART, *SECONDARY)[i % 7] for i in range(len(parts))]
     lying = [Painted(mesh, pose, colour) for (mesh, pose), colour in zip(parts, colours, strict=True)]
-    truths = {query.part: (query, recorded.truths[query.id]) for query in recorded.queries if query.track == ASKED}
     seated, guessed = list(lying), list(lying)
-    for i, (query, truth) in truths.items():
-        seated[i] = Painted(parts[i][0], truth.goal_drawn @ parts[i][1], colours[i])
-        if query.guess is not None:
-            guessed[i] = Painted(parts[i][0], query.guess @ parts[i][1], colours[i])
-    camera = view.camera.scaled(SCENE_TILE[0] / view.camera.width)
+    for query in recorded.queries:
+        if query.track == ASKED and query.guess is not None:
+            mesh, pose = parts[query.part]
+            seated[query.part] = Painted(mesh, recorded.truths[query.id].goal_drawn @ pose, colours[query.part])
+            guessed[query.part] = Painted(mesh, query.guess @ pose, colours[query.part])
+    camera, pose = _cut(recorded.view("ideal"), window)
     drawn = {"the scene": lying, "the goals of what is asked": seated, "as a person guesses": guessed}
-    return {name: shaded([kits, *bodies], camera, view.world_from_camera) for name, bodies in drawn.items()}
+    return {name: shaded([kits, *bodies], camera, pose) for name, bodies in drawn.items()}
+
+
+def _cut(view: View, window: tuple[slice, slice]) -> tuple[Camera, Pose]:
+    """The camera that sees a window of a view, as large as a tile."""
+    rows, columns = window
+    whole = view.camera
+    size = columns.stop - columns.start, rows.stop - rows.start
+    part = Camera(*size, whole.fx, whole.fy, whole.cx - columns.start, whole.cy - rows.start)
+    return part.scaled(SCENE_TILE[0] / part.width), view.world_from_camera
 
 
 def _spread(ids: list[str], count: int) -> list[str]:

@@ -17,9 +17,9 @@ from kit1000.pose import Pose
 # the principal point is the middle of the image.
 CAMERA = Camera(width=1280, height=720, fx=925.0, fy=925.0, cx=639.5, cy=359.5)
 
-# (2, 3) lowest and highest corner of what may stand on the table: an assembly near (0, 0.2) that reaches up to
-# 0.17 m around, 0.13 m up, and parts near (0, -0.17).
-WORKSPACE = np.array([[-0.19, -0.34, 0.0], [0.19, 0.39, 0.13]])
+# (2, 3) [m] lowest and highest corner of what may stand on the table: an assembly near (0, 0.2), up to 0.13 m high, and
+# the parts near (0, -0.17). A layout keeps within it.
+WORKSPACE = np.array([[-0.19, -0.345, 0.0], [0.19, 0.39, 0.13]])
 WORKSPACE.setflags(write=False)
 
 LOOK_AT = (0.0, 0.03, 0.02)  # between the halves, towards the assembly, which is the wider and the higher

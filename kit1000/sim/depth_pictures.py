@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kit1000.sim.pictures import INK, KIT, PART, SECONDARY, Colour
+from kit1000.sim.pictures import INK, KIT, PART, SECONDARY, TABLE, Colour
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Look, View
 
 NEAR: Colour = (250, 214, 120)
@@ -30,7 +30,7 @@ def depth_picture(view: View) -> np.ndarray:
 
 def mask_picture(look: Look) -> np.ndarray:
     """The masks of the kits and of each part over the relief. (H, W, 3) uint8 sRGB."""
-    colours = np.full((256, 3), 255.0)
+    colours = np.full((256, 3), TABLE, float)
     colours[ASSEMBLY_LABEL] = np.array(KIT) * 0.8
     for i in range(256 - FIRST_PART_LABEL):
         colours[FIRST_PART_LABEL + i] = (PART, *SECONDARY)[i % 7]

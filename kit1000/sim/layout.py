@@ -97,7 +97,7 @@ def draw_layout(rng: np.random.Generator, modes: Sequence[str]) -> LayoutDraw:
     """A layout for parts let go in these modes. What is drawn for one part depends on no other's mode."""
     unknown = sorted({*modes} - {UPRIGHT, TUMBLED})
     if unknown or len(modes) > MOST_PARTS:
-        raise ShapeError(f"modes: expected up to {MOST_PARTS} of {UPRIGHT}, {TUMBLED}, got {', '.join(map(str, modes))}")
+        raise ShapeError(f"modes: expected up to {MOST_PARTS}, each {UPRIGHT} or {TUMBLED}, got {list(modes)}")
     n = len(modes)
     yaw, shift = float(rng.uniform(0, 2 * np.pi)), rng.uniform(-1, 1, 2)
     yaws, tumbles = rng.uniform(0, 2 * np.pi, n), random_quaternions(rng, n)
@@ -154,7 +154,7 @@ def _to_edges(points: np.ndarray, outline: np.ndarray) -> float:
 def _spots(rng: np.random.Generator, n: int) -> np.ndarray:
     """(n, 2) [m] uniform among all sets of spots at which parts cannot meet while they turn."""
     for _ in range(TRIES):
-        spots = rng.uniform(*PARTS_AT, (n, 2))
+        spots = rng.uniform(PARTS_AT[0], PARTS_AT[1], (n, 2))
         if pdist(spots).min(initial=np.inf) >= 2 * PART_REACH + APART:
             return spots
     raise Redraw("no room for the parts")
@@ -164,7 +164,7 @@ def _checked_parts(parts: Sequence[tuple[Part, Slot]], draw: LayoutDraw) -> Sequ
     if len(parts) != len(draw.modes):
         raise ShapeError(f"parts: expected {len(draw.modes)} for this draw, got {len(parts)}")
     for part, _ in parts:
-        reach = np.linalg.norm(part.mesh.extents) / 2
+        reach = float(np.linalg.norm(part.mesh.extents)) / 2
         if reach > PART_REACH:
             most = f"expected at most {2e3 * PART_REACH:.0f} mm, as of a cube of 50 mm"
             raise InputError(f"part {part.id}: its box has a diagonal of {2e3 * reach:.1f} mm, {most}")

@@ -96,9 +96,8 @@ def slot_seen(depth: np.ndarray, camera: Camera, world_from_camera: Pose, kit: K
 
 def slot_angle(world_from_camera: Pose, world_from_kit: Pose) -> float:
     """[rad] between a kit's +z and the direction from the middle of its top face to the camera."""
-    kit_from_camera = world_from_kit.inverse() @ world_from_camera
-    x, y, z = kit_from_camera.xyz
-    return float(np.arctan2(np.hypot(x, y), z))
+    axis, to_camera = world_from_kit.rotate((0.0, 0.0, 1.0)), world_from_camera.xyz - world_from_kit.xyz
+    return float(np.arctan2(np.linalg.norm(np.cross(axis, to_camera)), axis @ to_camera))
 
 
 def why_unseen(part: PartSeen, slot: SlotSeen) -> str | None:

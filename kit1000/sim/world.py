@@ -1,15 +1,18 @@
 """A world of rigid bodies under gravity: the one owner of a pybullet client.
 
-Bodies are convex hulls, which on a plane touch exactly as the solids do. Everything is SI; quaternions are wxyz, and
-pybullet's (x, y, z, w) is met in this file alone. The same calls in the same order give the same bytes.
+Bodies are convex hulls, which on a plane touch exactly as the solids do, or several of them in one piece. Everything is
+SI; quaternions are wxyz, and pybullet's (x, y, z, w) is met in this file alone. The same calls in the same order give
+the same bytes.
 """
 
 from __future__ import annotations
 
 import os
+import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -51,10 +54,10 @@ class World:
 
     def __enter__(self) -> World:
         self._bullet = _pybullet()
-        self.client = self._bullet.connect(self._bullet.DIRECT)
-        if self.client < 0:
-            self.client = None
+        client = self._bullet.connect(self._bullet.DIRECT)
+        if client < 0:
             raise InputError("physics: pybullet opens no further world; a thousand are open already")
+        self.client = client
         self._call("setGravity", 0.0, 0.0, -GRAVITY)
         self._call("setPhysicsEngineParameter", **SOLVER)
         return self
@@ -77,7 +80,7 @@ class World:
 
         Args:
             points: (n, 3) [m] in the frame of the body.
-            mass: [kg]
+            mass: [kg]; 0 for a body that never moves.
             inertia: (3,) [kg m^2] about the axes of the frame, which must be the principal ones.
             world_from_body: where it starts.
             dynamics: further settings by the names that pybullet's changeDynamics has for them.
@@ -85,17 +88,31 @@ class World:
         Returns:
             The number of the body.
         """
-        moments = checked("inertia", inertia, (3,)).tolist()
-        shape = self._hull_shape(hull_corners(points))
-        xyzw = np.roll(world_from_body.wxyz, -1).tolist()
-        body = self._call("createMultiBody", mass, shape, -1, world_from_body.xyz.tolist(), xyzw)
-        self._call("changeDynamics", body, -1, localInertiaDiagonal=moments)
-        self.change(body, **{"lateralFriction": FRICTION, "collisionMargin": MARGIN, **dynamics})
-        return body
+        return self._body(self._hull_shape(hull_corners(points)), mass, inertia, world_from_body, dynamics)
+
+    def add_pieces(
+        self, pieces: Sequence[np.ndarray], mass: float, inertia: np.ndarray, world_from_body: Pose, **dynamics: float
+    ) -> int:
+        """A body in the shape of several convex hulls in one piece; all else is as for `add_hull`.
+
+        pieces: each (n, 3) [m] in the frame of the body. They may overlap.
+        """
+        with tempfile.TemporaryDirectory() as folder:  # pybullet takes a compound of point sets from a file alone
+            path = Path(folder, "pieces.obj")
+            path.write_text(_obj([hull_corners(piece) for piece in pieces]), encoding="ascii")
+            shape = self._call("createCollisionShape", self._bullet.GEOM_MESH, fileName=str(path))
+            return self._body(shape, mass, inertia, world_from_body, dynamics)
 
     def change(self, body: int, **dynamics: float) -> None:
         """Other settings for a body, by the names that pybullet's changeDynamics has for them."""
         self._call("changeDynamics", body, -1, **dynamics)
+
+    def push(self, body: int, force: np.ndarray, torque: np.ndarray) -> None:
+        """Act on a body for the next step alone: force (3,) [N] at its centre of mass, torque (3,) [N m], world axes."""
+        at = self._call("getBasePositionAndOrientation", body)[0]
+        world = self._bullet.WORLD_FRAME
+        self._call("applyExternalForce", body, -1, np.asarray(force).tolist(), at, world)
+        self._call("applyExternalTorque", body, -1, np.asarray(torque).tolist(), world)
 
     def step(self, steps: int = 1) -> None:
         """Let time pass: 1/RATE s a step."""
@@ -111,6 +128,21 @@ class World:
         """Of the centre of mass [m/s], and of the rotation [rad/s]."""
         (vx, vy, vz), (wx, wy, wz) = self._call("getBaseVelocity", body)
         return (vx * vx + vy * vy + vz * vz) ** 0.5, (wx * wx + wy * wy + wz * wz) ** 0.5
+
+    def velocity(self, body: int) -> tuple[np.ndarray, np.ndarray]:
+        """(3,) [m/s] of the centre of mass, and (3,) [rad/s] of the rotation, world axes."""
+        linear, angular = self._call("getBaseVelocity", body)
+        return np.array(linear), np.array(angular)
+
+    def _body(
+        self, shape: int, mass: float, inertia: np.ndarray, world_from_body: Pose, dynamics: dict[str, float]
+    ) -> int:
+        moments = checked("inertia", inertia, (3,)).tolist()
+        xyzw = np.roll(world_from_body.wxyz, -1).tolist()
+        body = self._call("createMultiBody", mass, shape, -1, world_from_body.xyz.tolist(), xyzw)
+        self._call("changeDynamics", body, -1, localInertiaDiagonal=moments)
+        self.change(body, **{"lateralFriction": FRICTION, "collisionMargin": MARGIN, **dynamics})
+        return body
 
     def _hull_shape(self, corners: np.ndarray) -> int:
         with _rows_in_use:
@@ -139,6 +171,18 @@ def hull_corners(points: np.ndarray) -> np.ndarray:
     if len(corners) <= MOST_CORNERS:
         return corners
     return corners[np.unique((_directions(MOST_CORNERS) @ corners.T).argmax(1))]
+
+
+def _obj(pieces: Sequence[np.ndarray]) -> str:
+    """Point sets as OBJ text, an object each. Faces only name the points, which is all that pybullet reads of them."""
+    lines, first = [], 1
+    for number, points in enumerate(pieces):
+        lines.append(f"o piece{number}")
+        lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
+        named = [*range(first, first + len(points)), first, first]
+        lines += ["f {} {} {}".format(*named[i : i + 3]) for i in range(0, len(points), 3)]
+        first += len(points)
+    return "\n".join(lines) + "\n"
 
 
 def _directions(n: int) -> np.ndarray:

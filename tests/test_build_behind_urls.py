@@ -1,0 +1,76 @@
+"""Laws of building behind a URL: the bytes are those on disk, mended in the same way, and no file is missed unseen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from mini import MINI, contents, corners
+
+from kit1000.data.build import generate
+from kit1000.data.engines import Spread
+from kit1000.data.files import folder, remove_folder, sha256
+from kit1000.data.plan import Sources
+from kit1000.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def sources(tmp_path_factory: pytest.TempPathFactory) -> Sources:
+    return corners(tmp_path_factory.mktemp("files"))
+
+
+@pytest.fixture(scope="module")
+def on_disk(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """The hashes of a dataset on disk."""
+    root = tmp_path_factory.mktemp("disk")
+    generate(MINI, root, workers=1, sources=sources)
+    return contents(root)
+
+
+@pytest.fixture(params=["memory", "local"])
+def remote(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
+    """A folder behind a URL: one that knows no folders, as object stores, and one that wants them made."""
+    place = folder(f"{request.param}://{tmp_path}/root")
+    yield place
+    remove_folder(place)
+
+
+def held(root: Path) -> dict[str, str | None]:
+    """The hash of every file below a folder by its name."""
+    return {str(path)[len(str(root)) + 1 :]: sha256(path) for path in root.rglob("*") if path.is_file()}
+
+
+def test_a_dataset_has_the_bytes_of_one_on_disk_and_is_mended(
+    remote: Path, sources: Sources, on_disk: dict[str, str]
+) -> None:
+    summary = generate(MINI, remote, workers=1, sources=sources)
+    assert held(remote) == on_disk
+    (remote / "parts/train-0000.glb").unlink()
+    assert generate(MINI, remote, workers=1, sources=sources) == summary
+    assert held(remote) == on_disk
+
+
+def test_a_foreign_folder_and_another_plan_are_refused(sources: Sources, tmp_path: Path) -> None:
+    place = folder(f"memory://{tmp_path}/thesis")
+    (place / "thesis.tex").write_bytes(b"ten years")
+    with pytest.raises(InputError, match="is not empty and holds no dataset: choose another --out"):
+        generate(MINI, place, workers=1, sources=sources)
+    (place / "plan.json").write_bytes(b'{"format": "of another program"}')
+    with pytest.raises(InputError, match=r"^memory://.*thesis holds another dataset \(format"):
+        generate(MINI, place, workers=1, sources=sources)
+
+
+@contextmanager
+def strayed(place: Path) -> Iterator[Spread]:
+    """An engine whose workers have a disk of their own behind the name of the folder."""
+    yield lambda function, jobs: (function(replace(job, root=place)) for job in jobs)
+
+
+def test_files_that_a_node_wrote_to_a_disk_of_its_own_are_missed(sources: Sources, tmp_path: Path) -> None:
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    with pytest.raises(InputError, match=r"^parts/.*\.glb was written on another machine and is not in .*out: all"):
+        generate(MINI, out, sources=sources, engine=strayed(elsewhere))
+    assert not (out / "dataset.json").exists()

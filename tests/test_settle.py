@@ -1,0 +1,205 @@
+"""Rest poses against statics: z = 0 exactly, the centre of mass over the support; and against statistics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from manifold3d import Manifold
+from scipy.spatial import ConvexHull
+
+from kit1000.kits.face import resting_faces
+from kit1000.mesh import Mesh, mesh_of
+from kit1000.pose import Pose, random_quaternions
+from kit1000.sim.settle import DOWN, GRID, Release, Rest, carries, inertia, on_grid, principal_axes, settle
+from tests.shapes import box, cylinder, ell, leaning_prism, lying_cylinder, random_solid, standing, upturned_tee
+from tests.strategies import poses
+
+DENSITY = 1000.0
+SHAPES = {
+    "box": lambda: box(40, 30, 20),
+    "ell": ell,
+    "tee": upturned_tee,
+    "leaning": leaning_prism,
+    "disc": lambda: cylinder(40, 8),
+    "roller": lambda: lying_cylinder(20, 45),
+    "cone": lambda: cylinder(40, 30, top=5),
+}
+
+
+def part_of(solid: Manifold) -> Mesh:
+    """In metres about its centroid."""
+    mesh = mesh_of(standing(solid))
+    return Mesh(mesh.vertices - mesh.centroid, mesh.faces)
+
+
+def released(mesh: Mesh, wxyz: np.ndarray, height: float = 5e-3, at: tuple[float, float] = (0.0, 0.0)) -> Release:
+    """Let go with the lowest point `height` above the table."""
+    turned = Pose(wxyz, np.zeros(3))
+    lift = height - turned.apply(mesh.vertices)[:, 2].min()
+    return Release(mesh, DENSITY * mesh.volume, Pose(wxyz, np.array([*at, lift])))
+
+
+def over_support(mesh: Mesh, rest: Rest) -> bool:
+    """Whether the centroid stands inside the outline of what lies on the table: by Qhull, in the plane."""
+    points = rest.world_from_part.apply(mesh.vertices)
+    outline = ConvexHull(points[points[:, 2] < points[:, 2].min() + 2e-6, :2])
+    centre = rest.world_from_part.apply(mesh.centroid)[:2]
+    return bool((outline.equations[:, :2] @ centre + outline.equations[:, 2] < 0).all())
+
+
+def drops(mesh: Mesh, n: int, seed: int = 0) -> list[Rest]:
+    """From uniform rotations, five at a time and far apart."""
+    releases = [
+        released(mesh, wxyz, at=(0.2 * (i % 5), 0.0))
+        for i, wxyz in enumerate(random_quaternions(np.random.default_rng(seed), n))
+    ]
+    return [rest for k in range(0, n, 5) for rest in settle(releases[k : k + 5])]
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_dropped_part_ends_in_static_balance_on_the_table(name: str) -> None:
+    mesh = part_of(SHAPES[name]())
+    for rest in drops(mesh, 5):
+        assert rest.stable
+        assert abs(rest.world_from_part.apply(mesh.vertices)[:, 2].min()) < 1e-6
+        assert over_support(mesh, rest)
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=8, deadline=None)
+def test_so_does_any_part_that_stops(seed: int) -> None:
+    mesh = part_of(random_solid(seed))
+    (rest,) = settle([released(mesh, random_quaternions(np.random.default_rng(seed), 1)[0])])
+    if rest.stable:
+        assert abs(rest.world_from_part.apply(mesh.vertices)[:, 2].min()) < 1e-6
+        assert over_support(mesh, rest)
+
+
+def test_settling_twice_gives_the_same_bytes() -> None:
+    mesh = part_of(ell())
+    first, second = drops(mesh, 5), drops(mesh, 5)
+    for a, b in zip(first, second, strict=True):
+        assert a.world_from_part.wxyz.tobytes() == b.world_from_part.wxyz.tobytes()
+        assert a.world_from_part.xyz.tobytes() == b.world_from_part.xyz.tobytes()
+
+
+def test_the_last_bits_of_a_release_do_not_matter() -> None:
+    mesh = part_of(ell())
+    wxyz = on_grid(Pose(random_quaternions(np.random.default_rng(1), 1)[0], np.zeros(3))).wxyz
+    release = released(mesh, wxyz)
+    pose = release.world_from_part
+    # more than last bits, but far less than the grid
+    nudged = Release(mesh, release.mass, Pose(pose.wxyz + (1e-10, 0, 0, 0), np.round(pose.xyz, 6) + 1e-10))
+    plain = Release(mesh, release.mass, Pose(pose.wxyz, np.round(pose.xyz, 6)))
+    (a,), (b,) = settle([plain]), settle([nudged])
+    assert a.world_from_part.wxyz.tobytes() == b.world_from_part.wxyz.tobytes()
+    assert a.world_from_part.xyz.tobytes() == b.world_from_part.xyz.tobytes()
+
+
+@pytest.mark.parametrize("yaw", [0.0, 1.0, 4.0])
+def test_a_box_put_down_flat_stays(yaw: float) -> None:
+    mesh = part_of(box(40, 30, 20))
+    release = released(mesh, Pose.from_rotvec([0, 0, yaw]).wxyz, height=2e-4, at=(0.1, -0.2))
+    (rest,) = settle([release])
+    assert rest.stable
+    assert rest.world_from_part.xyz == pytest.approx([0.1, -0.2, 0.01], abs=2e-5)
+    assert (rest.world_from_part.inverse() @ release.world_from_part).angle() < 1e-3
+
+
+def test_a_part_falls_onto_its_stable_face_never_higher_than_it_was_let_go() -> None:
+    mesh = part_of(box(40, 40, 8))
+    release = released(mesh, Pose.from_rotvec([np.pi / 2 - 0.3, 0, 0]).wxyz)
+    (rest,) = settle([release])
+    assert rest.world_from_part.xyz[2] == pytest.approx(0.004, abs=1e-6)
+    assert rest.world_from_part.xyz[2] < release.world_from_part.xyz[2]
+
+
+def test_parts_that_fall_on_each_other_push_each_other_away() -> None:
+    mesh = part_of(box(30, 30, 30))
+    turns = random_quaternions(np.random.default_rng(3), 2)
+    below, above = released(mesh, turns[0]), released(mesh, turns[1], height=0.07, at=(0.012, 0.005))
+    alone = settle([below])[0].world_from_part.xyz
+    assert np.linalg.norm(settle([below, above])[0].world_from_part.xyz - alone) > 1e-3
+
+
+def test_a_part_far_from_others_rests_as_if_alone() -> None:
+    mesh = part_of(ell())
+    turns = random_quaternions(np.random.default_rng(5), 2)
+    one, other = released(mesh, turns[0]), released(mesh, turns[1], at=(0.3, 0.0))
+    apart, alone = settle([one, other])[0].world_from_part, settle([one])[0].world_from_part
+    # how long it lies before all the others lie too may move it by micrometres
+    assert apart.xyz == pytest.approx(alone.xyz, abs=5e-5)
+    assert (apart.inverse() @ alone).angle() < 5e-3
+
+
+def test_a_part_whose_frame_is_off_its_centroid_rests_the_same() -> None:
+    mesh = part_of(ell())
+    release = released(mesh, random_quaternions(np.random.default_rng(2), 1)[0])
+    offset = np.array([0.016, -0.008, 0.004])
+    moved = Mesh(mesh.vertices + offset, mesh.faces)
+    shifted = Release(moved, release.mass, release.world_from_part @ Pose.from_translation(-offset))
+    (rest,), (other,) = settle([release]), settle([shifted])
+    assert other.world_from_part.apply(offset) == pytest.approx(rest.world_from_part.xyz, abs=1e-3)
+    assert (rest.world_from_part.inverse() @ other.world_from_part).angle() < 0.02
+
+
+def test_nothing_to_settle_is_settled() -> None:
+    assert settle([]) == []
+
+
+def test_the_inertia_of_a_box_is_that_of_the_books() -> None:
+    mesh = mesh_of(standing(box(40, 30, 20)))  # not about its centroid
+    a, b, c = 0.04, 0.03, 0.02
+    expected = 0.7 / 12 * np.diag([b * b + c * c, a * a + c * c, a * a + b * b])
+    assert inertia(mesh, 0.7) == pytest.approx(expected, abs=1e-12)
+
+
+@given(seed=st.integers(0, 10_000))
+@settings(max_examples=10, deadline=None)
+def test_the_principal_axes_make_the_inertia_diagonal(seed: int) -> None:
+    mesh = part_of(random_solid(seed))
+    tensor = inertia(mesh, DENSITY * mesh.volume)
+    other = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    other.density = DENSITY
+    assert tensor == pytest.approx(other.moment_inertia, rel=1e-6, abs=1e-12)
+    turn = Pose(principal_axes(tensor), np.zeros(3)).rotation_matrix()
+    turned = turn.T @ tensor @ turn
+    assert np.abs(turned - np.diag(np.diag(turned))).max() < 1e-5 * np.trace(tensor)
+
+
+@given(pose=poses())
+def test_a_pose_on_the_grid_is_near_and_forgets_last_bits(pose: Pose) -> None:
+    snapped = on_grid(pose)
+    assert (snapped.inverse() @ pose).angle() < 4 * GRID
+    assert np.abs(snapped.xyz - pose.xyz).max() <= GRID / 2 + 1e-12
+    mirrored = on_grid(Pose(-pose.wxyz, pose.xyz))
+    assert mirrored.wxyz.tobytes() == snapped.wxyz.tobytes()
+
+
+def test_a_corner_carries_nothing_and_a_facet_carries_what_stands_over_it() -> None:
+    points = part_of(box(40, 30, 20)).vertices
+    assert carries(points, DOWN)
+    assert not carries(points, np.array([0.6, 0.0, -0.8]))  # on an edge
+    assert not carries(points + [0.03, 0, 0], DOWN)  # the centre of mass beside the face
+    assert carries(points + [0.0199, 0, 0], DOWN)
+
+
+@pytest.mark.slow
+def test_a_box_falls_on_its_faces_as_often_as_their_solid_angles_say() -> None:
+    """Physics against the quasi-static rule: within twice the standard error of 400 drops."""
+    mesh = part_of(box(40, 32, 24))
+    axes = np.array([np.abs(rest.world_from_part.rotation_matrix()[2]).argmax() for rest in drops(mesh, 400)])
+    counted = np.bincount(axes, minlength=3) / len(axes)
+    expected = np.zeros(3)
+    for face in resting_faces(mesh):
+        expected[np.abs(face.normal).argmax()] += face.probability
+    assert counted == pytest.approx(expected, abs=0.05)
+
+
+@pytest.mark.slow
+def test_nearly_every_drop_comes_to_rest() -> None:
+    rests = [rest for name, solid in SHAPES.items() for rest in drops(part_of(solid()), 40, seed=len(name))]
+    assert np.mean([rest.stable for rest in rests]) > 0.98
