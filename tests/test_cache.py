@@ -234,5 +234,5 @@ def test_what_cannot_be_is_said(tmp_path: Path) -> None:
         with pytest.raises(InputError, match="no name to keep a volume under"):
             VolumeCache(tmp_path).path(some_key(name))
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="cannot (read|write)"):
+    with pytest.raises(InputError, match=r"cannot (read|write)"):
         VolumeCache(tmp_path / "file").volume(some_key(), some_volume)

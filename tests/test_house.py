@@ -46,11 +46,13 @@ FENCES = {
     "viser": ("kit1000.editor",),
     "ray": ("kit1000.data.engines",),
     "fsspec": ("kit1000.data.engines",),
+    "upath": ("kit1000.data.files",),
     "tyro": ("kit1000.cli", "kit1000.usage", "benchmark", "baselines"),
 }
 NOT_ON_IMPORT = ("numpy", "scipy", "numba", "trimesh", "manifold3d", "pybullet", "open3d", "torch", "viser")
 
-IMPORT_NAMES = {"pillow": "PIL", "mcap-protobuf-support": "mcap_protobuf", "universal-pathlib": "upath"}  # where a package on the index and its module differ
+# Where a package on the index and its module differ.
+IMPORT_NAMES = {"pillow": "PIL", "mcap-protobuf-support": "mcap_protobuf", "universal-pathlib": "upath"}
 USED_BY_TRIMESH = {"networkx", "lxml"}  # it reads 3MF with them
 
 NAMED_AFTER_NOTHING = {"utils", "util", "common", "helpers", "helper", "core", "base", "manager", "misc"}

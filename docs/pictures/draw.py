@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from PIL import Image
 
+from kit1000.data.build import generate
+from kit1000.data.presets import PRESETS
+from kit1000.data.reader import Dataset
+from kit1000.data.sheets import scene_sheet
 from kit1000.errors import Redraw
 from kit1000.kits.assembly import build_assembly, check_assembly, draw_assembly
 from kit1000.kits.kit import make_kit
@@ -22,6 +28,7 @@ from kit1000.values import Assembly, Kit, Part
 FOLDER = Path(__file__).parent
 SEED = 1000
 LONGEST = 50e-3  # [m]
+SCENE, SCENE_WIDTH = "test-s0001", 1500  # [px]
 SHOWN = ("gear", "bracket", "lever", "clevis")  # told apart at a glance; the first goes into the base
 HOVER = (0.05, 0.035, 0.06, 0.0)  # [m] of each part above its seat, along its own way in; the last is seated
 FRONT = (1.0, -1.6, 1.5)  # from the assembly to the eye
@@ -31,6 +38,16 @@ def main() -> None:
     """Draw everything, beside this file."""
     hero(FOLDER / "hero.png")
     families(FOLDER / "families.png")
+    scene(FOLDER / "scene.png")
+
+
+def scene(path: Path) -> None:
+    """What a dataset holds of one scene."""
+    with TemporaryDirectory() as folder:
+        generate(PRESETS["tiny"], Path(folder))
+        sheet = Image.open(BytesIO(scene_sheet(Dataset(folder), SCENE)))
+    sheet.thumbnail((SCENE_WIDTH, SCENE_WIDTH), Image.Resampling.LANCZOS)
+    sheet.quantize(256).save(path, optimize=True)
 
 
 def hero(path: Path) -> None:

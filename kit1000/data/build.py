@@ -6,7 +6,6 @@ bytes. Jobs run in any order on any number of workers; what depends on order (ne
 
 from __future__ import annotations
 
-import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
@@ -18,7 +17,16 @@ import numpy as np
 from tqdm import tqdm
 
 from kit1000.data import engines
-from kit1000.data.files import check_writable, clear_partial, json_bytes, locked, read_json, write_bytes, write_json
+from kit1000.data.files import (
+    check_writable,
+    clear_partial,
+    json_bytes,
+    locked,
+    read_json,
+    remove_folder,
+    write_bytes,
+    write_json,
+)
 from kit1000.data.groups import GroupJob, make_group
 from kit1000.data.pairs import BUILD, PairJob, Record, intact, make_pair
 from kit1000.data.plan import Sources, company_of, make_plan, split_ids
@@ -92,7 +100,7 @@ def _completed(root: Path) -> dict[str, Any] | None:
         return None
     summary = intact(root, path)
     if summary is not None:
-        shutil.rmtree(root / BUILD, ignore_errors=True)
+        remove_folder(root / BUILD)
         print(f"{root} is complete: nothing to do", file=sys.stderr)
         return summary
     print(f"{root}: files are missing or changed, building again", file=sys.stderr)
@@ -135,7 +143,7 @@ def _pair_job(
 
 def _nothing_usable(root: Path, plan: dict[str, Any], records: dict[str, Record]) -> str:
     """Why no file became a part; the folder is left empty, so that the next attempt finds no other plan in it."""
-    shutil.rmtree(root / BUILD, ignore_errors=True)
+    remove_folder(root / BUILD)
     (root / "plan.json").unlink(missing_ok=True)
     reasons = [f"{name}: {reason}" for name, reason in refused_files(plan, records).items()]
     more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
@@ -186,9 +194,20 @@ def _run(
     records = {}
     with tqdm(total=total, desc=what, unit="", disable=None, smoothing=0.05) as bar:
         for record in spread(function, jobs):
+            _check_arrived(jobs[0].root, record)
             records[record["id"]] = record
             bar.update(weight.get(record["id"], 1))
     return records
+
+
+def _check_arrived(root: Path, record: Record) -> None:
+    """Raise InputError when a job wrote its files to another place of that name: a node may have a disk of its own."""
+    for name in record["files"]:
+        if not (root / name).is_file():
+            raise InputError(
+                f"{name} was written on another machine and is not in {root}: "
+                "all nodes must share that folder, or --out be a URL that all of them reach"
+            )
 
 
 def _finish(root: Path, plan: dict[str, Any], made: Made) -> dict[str, Any]:
@@ -200,7 +219,7 @@ def _finish(root: Path, plan: dict[str, Any], made: Made) -> dict[str, Any]:
     for name, data in described(summary).items():
         summary["files"][name] = write_bytes(root / name, data)
     write_bytes(root / "dataset.json", sealed(summary))
-    shutil.rmtree(root / BUILD, ignore_errors=True)
+    remove_folder(root / BUILD)
     return read_json(root / "dataset.json")
 
 

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -94,20 +95,20 @@ class Site:
         return said, found, {"held_up": came.held_up, "still": came.still}
 
 
-def study(root: str | Path, out: str | Path, sample: int = 16, seed: int = 0) -> dict[str, Any]:
-    """Try `sample` slots of a dataset, spread over tilt, each in a true pose and eight wrong ones; returns the report.
+def study(root: str | Path, out: str | Path, sample: int = 16, more: int = 32, seed: int = 0) -> dict[str, Any]:
+    """Try `sample` slots of a dataset in a true pose and eight wrong ones, and `more` in a true pose; the report.
 
-    Writes `insertions.json` and the convex pieces of the parts to a folder `out`. Pieces that are there already serve
-    again. Progress goes to stderr.
+    Slots are spread over tilt. Writes `insertions.json` and the convex pieces of the parts to a folder `out`; pieces
+    that are there already serve again. Progress goes to stderr.
     """
-    if sample < 1:
-        raise InputError(f"sample: expected 1 or more slots, got {sample}")
+    if sample < 1 or more < 0:
+        raise InputError(f"sample: expected 1 or more slots and 0 or more besides, got {sample} and {more}")
     geometry, folder = Geometry(root), Path(out)
-    places = drawn_places(geometry, sample, seed)
+    places = drawn_places(geometry, sample + more, seed)
     with locked(folder):
         rows: list[Row] = []
-        for place in tqdm(places, desc="slots", unit="", disable=None):
-            rows += tried_place(geometry, place, folder / PIECES, seed)
+        for number, place in enumerate(tqdm(places, desc="slots", unit="", disable=None)):
+            rows += tried_place(geometry, place, folder / PIECES, seed, ERRORS if number < sample else ERRORS[:1])
         report = {"dataset_id": geometry.summary["dataset_id"], "seed": seed, "slots": len(places)} | summarised(rows)
         write_json(folder / REPORT, report)
     return report
@@ -134,8 +135,10 @@ def _bin(value: float, edges: Sequence[float]) -> int:
     return int(np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2))
 
 
-def tried_place(geometry: Geometry, place: Place, pieces: Path, seed: int) -> list[Row]:
-    """The rows of one slot: a true prediction and one for each error, directions drawn."""
+def tried_place(
+    geometry: Geometry, place: Place, pieces: Path, seed: int, errors: Sequence[Error] = ERRORS
+) -> list[Row]:
+    """The rows of one slot: a prediction for each error, about a goal and in a direction that are drawn."""
     assembly = geometry.assembly(place.assembly_id)
     mount = assembly.mounts[place.mount]
     slot = mount.kit.slot
@@ -151,7 +154,7 @@ def tried_place(geometry: Geometry, place: Place, pieces: Path, seed: int) -> li
     }
     rng = stream(seed, "insertions", place.assembly_id, place.mount)
     rows = []
-    for error in ERRORS:
+    for error in errors:
         goal = slot.goals[int(rng.integers(len(slot.goals)))]
         said, found, course = site.tried(_off(goal, error, rng), goal)
         rows.append(about | {"error": asdict(error)} | {"seating": _said(said), "physics": _found(found) | course})
@@ -233,7 +236,7 @@ def _binned(rows: Sequence[Row], key: str, edges: Sequence[float]) -> dict[str, 
     inside = partial(_bin, edges=edges)
     return {
         f"{low:g}-{high:g}": _outcomes([row for row in rows if inside(row[key]) == k])
-        for k, (low, high) in enumerate(zip(edges, edges[1:], strict=False))
+        for k, (low, high) in enumerate(pairwise(edges))
     }
 
 
@@ -257,8 +260,9 @@ def _line(row: Row) -> str:
     said, found = row["seating"], row["physics"]
     rise = "free" if said["rise_mm"] is None else f"rise {said['rise_mm']:.2f} mm height {said['height_mm']:.2f} mm"
     return (
-        f"{row['assembly']} mount {row['mount']} {row['family']} tilt {row['tilt_deg']:.0f} depth {row['depth_mm']:.1f},"
-        f" {Error(**row['error'])}: test {'seated' if said['seated'] else 'not seated'} ({rise});"
+        f"{row['assembly']} mount {row['mount']} {row['family']} tilt {row['tilt_deg']:.0f},"
+        f" depth {row['depth_mm']:.1f} mm, {Error(**row['error'])}: "
+        f"test {'seated' if said['seated'] else 'not seated'} ({rise});"
         f" physics {found['outcome']} (height {found['height_mm']:.2f} mm, aside {found['aside_mm']:.2f} mm,"
         f" angle {found['angle_deg']:.1f}, turned {found['turned_deg']:.1f}"
         f"{', held up' if found['held_up'] else ''}{'' if found['still'] else ', moving'})"

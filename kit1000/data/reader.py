@@ -22,7 +22,11 @@ from kit1000.data.tables import Row, pose_of
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
+from kit1000.rng import stream
+from kit1000.sim import cameras
 from kit1000.sim.layout import table
+from kit1000.sim.render import render
+from kit1000.sim.sensors import sense
 from kit1000.values import Body, Look, Query, Scene, Truth, View
 
 OPEN_FILES = 128  # kept open at once: all shards of the largest split, with their truth
@@ -234,6 +238,18 @@ class Recorded:
         geometry, (assembly, *parts) = self._dataset.geometry, self.scene.bodies
         standing = [(geometry.part(body.id).mesh, body.world_from_body) for body in parts]
         return [(table(), Pose.identity()), (geometry.assembly(assembly.id).mesh, assembly.world_from_body), *standing]
+
+    def render(self, camera_set: str, sensor: str = "ideal", seed: int = 0) -> dict[str, View]:
+        """The scene as another set of cameras sees it, by camera: `primary`, `three` or `top`, with any sensor.
+
+        `seed` is that of the sensor's noise. Needs the truth: meshes and poses are those of the scene.
+        """
+        primary, bodies = self.view("ideal").world_from_camera, self.bodies()
+        views = {}
+        for key, (camera, pose) in cameras.camera_set(camera_set, primary).items():
+            exact = View(camera, pose, render(camera, pose, bodies).depth)
+            views[key or camera_set] = sense(sensor, exact, stream(seed, "noise", self.id, key, sensor))
+        return views
 
     @property
     def _dataset(self) -> Dataset:

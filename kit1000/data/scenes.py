@@ -6,6 +6,7 @@ touches a file, so any scene can be made again alone.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -144,7 +145,8 @@ def _staged(cast: _Cast) -> tuple[_Stage, list[str]]:
                 return _seen(cast, layout, view), redraws
             except Redraw as refusal:
                 redraws.append(refusal.reason)
-    raise Redraw(f"scene {cast.scene_id}: none of {LAYOUTS} layouts shows its target ({redraws[-1]})")
+    (commonest, _), *_ = Counter(redraws).most_common(1)
+    raise Redraw(f"none of {LAYOUTS} layouts passes, mostly: {commonest}")
 
 
 def _seen(cast: _Cast, layout: Layout, view: Pose) -> _Stage:

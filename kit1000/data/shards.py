@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kit1000.data.card import merged, statistics
+from kit1000.data.figures import merged, statistics
 from kit1000.data.groups import group
 from kit1000.data.mcap_io import ObservationWriter, TruthWriter
 from kit1000.data.pairs import Record, finished, save

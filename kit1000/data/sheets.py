@@ -45,7 +45,7 @@ def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
     if recorded.split.truth:
         drawn = _true_tiles(recorded, window)
         pictures, names = [*pictures, *map(Image.fromarray, drawn.values())], [*names, *drawn]
-    return sheet(pictures, [f"{scene_id}  {name}" for name in names], columns=2)
+    return sheet(pictures, [f"{scene_id}  {name}" for name in names], columns=3)
 
 
 def _window(labels: np.ndarray) -> tuple[slice, slice]:

@@ -5,7 +5,7 @@ This is the one module of the library that imports torch. Where items are made w
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -68,6 +68,9 @@ class QueryDataset(Dataset):
         """The item of a query, arrays as tensors."""
         place = range(len(self))[index]  # counts from the end, raises IndexError beyond it
         return tensors(self.make(*self.asked(place), stream(self.seed, "item", self.epoch, place)))
+
+    def __iter__(self) -> Iterator[Item]:
+        return map(self.__getitem__, range(len(self)))
 
     @property
     def epoch(self) -> int:

@@ -180,7 +180,7 @@ def judged(kit: Kit, kit_from_released: Pose, kit_from_rest: Pose) -> Standing:
 
 
 def _errors(kit: Kit, pose: Pose, goal: Pose) -> tuple[float, float, float]:
-    """Height [m], distance aside [m] and angle [rad] of a pose from a goal, turned about the free axis if there is one."""
+    """Height [m], distance aside [m] and angle [rad] of a pose from a goal, wherever that may turn to."""
     if kit.slot.free_axis is not None:
         goal = nearest_turn(pose, goal, kit.slot.free_axis)
     x, y, z = pose.xyz - goal.xyz

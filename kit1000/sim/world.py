@@ -108,7 +108,7 @@ class World:
         self._call("changeDynamics", body, -1, **dynamics)
 
     def push(self, body: int, force: np.ndarray, torque: np.ndarray) -> None:
-        """Act on a body for the next step alone: force (3,) [N] at its centre of mass, torque (3,) [N m], world axes."""
+        """Act on a body for the next step: force (3,) [N] at its centre of mass, and torque (3,) [N m], world axes."""
         at = self._call("getBasePositionAndOrientation", body)[0]
         world = self._bullet.WORLD_FRAME
         self._call("applyExternalForce", body, -1, np.asarray(force).tolist(), at, world)

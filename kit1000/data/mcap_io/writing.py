@@ -36,7 +36,7 @@ class ShardWriter:
     HOLDS: ClassVar[str]
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
+        self.path = Path(path) if isinstance(path, str) else path  # an object store has paths of its own
         self.sha256: str | None = None
         """Of the file, once it is written."""
         self._content: dict[str, str] = {}

@@ -1,0 +1,411 @@
+"""Items for learning: true to the recording, the same from any worker, on memory of their own; the shown net learns."""
+
+from __future__ import annotations
+
+import pickle
+import re
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from mini import MINI, corners
+from torch.utils.data import DataLoader
+
+from kit1000.data.build import generate
+from kit1000.data.cache import VolumeCache
+from kit1000.data.guesses import apply_error
+from kit1000.data.items import Item, numbers
+from kit1000.data.reader import Dataset, Split
+from kit1000.data.torch import QueryDataset, VolumeItem, decoded, depth_item, tensors
+from kit1000.errors import InputError
+from kit1000.pose import Pose
+from kit1000.values import Query, Truth
+from kit1000.voxels import Grid, Volume, signed_distance, surface_points, to_float16, to_uint8
+
+ROOT = Path(__file__).resolve().parents[1]
+SMALL = {"shape": (24, 20, 16), "voxel": 4e-3}
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """A recorded dataset of four scenes."""
+    folder = tmp_path_factory.mktemp("mini")
+    generate(MINI, folder / "out", workers=1, sources=corners(folder / "files"))
+    return Dataset(folder / "out")
+
+
+@pytest.fixture(scope="module")
+def train(data: Dataset) -> Split:
+    return data.split("train", truth=True)
+
+
+def drawing_item(query: Query, truth: Truth | None, rng: np.random.Generator) -> Item:
+    """What an augmentation would draw."""
+    return {"id": query.id, "draw": rng.integers(0, 2**62, 4), "pivot": query.pivot + rng.normal(size=3)}
+
+
+def refused(*_: object) -> None:
+    raise AssertionError("an image was opened")
+
+
+def same(a: Item, b: Item) -> bool:
+    """To the bit."""
+    assert list(a) == list(b)
+    return all(
+        a[name].numpy().tobytes() == b[name].numpy().tobytes() and a[name].dtype == b[name].dtype
+        if isinstance(a[name], torch.Tensor)
+        else a[name] == b[name]
+        for name in a
+    )
+
+
+def pose_of(row: torch.Tensor) -> Pose:
+    return Pose(row[:4].double().numpy(), row[4:].double().numpy())
+
+
+def test_items_are_the_queries_of_a_split_and_track_in_order(data: Dataset) -> None:
+    for name, track in (
+        ("train", "snap"),
+        ("train", "place"),
+        ("test-all", "snap-d415"),
+        ("curves", None),
+        ("train", None),
+        ("test", None),
+    ):
+        items = QueryDataset(data.split(name), track, drawing_item)
+        ids = [query.id for query in data.split(name).queries(track)]
+        assert [item["id"] for item in items] == ids
+        assert len(items) == len(ids) > 0
+        assert items[-1]["id"] == ids[-1]
+
+
+def test_the_index_is_known_without_images(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Dataset, "look", refused)
+    items = QueryDataset(data.split("test-all"), "snap", drawing_item)
+    assert items[len(items) - 1]["id"].endswith("-snap")
+    with pytest.raises(AssertionError, match="an image was opened"):
+        QueryDataset(data.split("test-all"), "snap")[0]
+
+
+def test_depth_items_say_what_was_recorded(train: Split) -> None:
+    items = QueryDataset(train, "snap-d415")
+    for index, item in enumerate(items):
+        query, truth = items.asked(index)
+        assert truth is not None
+        assert query.guess is not None
+        assert np.array_equal(item["depth"].numpy(), query.view.depth)
+        assert np.array_equal(item["part"].numpy(), query.part_mask)
+        assert np.array_equal(item["kits"].numpy(), query.kit_region)
+        assert torch.allclose(item["camera"], torch.tensor(query.view.camera.K, dtype=torch.float32))
+        for name, pose in (
+            ("world_from_camera", query.view.world_from_camera),
+            ("guess", query.guess),
+            ("goal", truth.goal_drawn),
+        ):
+            assert torch.equal(item[name], torch.tensor([*pose.wxyz, *pose.xyz], dtype=torch.float32))
+
+
+def test_offset_and_turn_lead_from_the_guess_to_the_goal(train: Split) -> None:
+    for track in ("snap", "snap-tilt", "snap-d415"):
+        items = QueryDataset(train, track)
+        for index, item in enumerate(items):
+            query, truth = items.asked(index)
+            assert query.guess is not None
+            assert truth is not None
+            reached = apply_error(query.guess, query.pivot, item["offset"].numpy(), item["turn"].numpy())
+            assert np.allclose(reached.matrix(), truth.goal_drawn.matrix(), atol=1e-6)
+            moved = truth.goal_drawn.apply(query.pivot) - query.guess.apply(query.pivot)
+            assert np.allclose(item["offset"], moved, atol=1e-7)
+            assert item["offset"].abs().max() <= 0.028 + 1e-7
+            assert item["turn"].norm() <= np.radians(27.5) + 1e-6
+
+
+def test_who_guesses_nothing_says_so_with_nan(train: Split) -> None:
+    for item in QueryDataset(train, "place"):
+        assert all(item[name].isnan().all() for name in ("guess", "offset", "turn"))
+        assert item["goal"].isfinite().all()
+    assert np.isnan(numbers(None)).all()
+
+
+def test_without_the_truth_nothing_is_to_be_learned(data: Dataset) -> None:
+    (item, *_) = QueryDataset(data.split("train"), "snap")
+    assert not {"goal", "offset", "turn"} & set(item)
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_any_number_of_workers_gives_the_same_bytes(data: Dataset, train: Split, tmp_path: Path) -> None:
+    makers = (
+        drawing_item,
+        depth_item,
+        VolumeItem(data, **SMALL),
+        VolumeItem(data, **SMALL, cache=VolumeCache(tmp_path), codes=True),
+    )
+    for make in makers:
+        items = QueryDataset(train, "snap", make, seed=3)
+        items.set_epoch(5)
+        alone = [items[i] for i in range(len(items))]
+        for workers in (0, 1, 2):
+            loaded = list(DataLoader(items, batch_size=None, num_workers=workers))
+            assert len(loaded) == len(alone)
+            assert all(same(a, b) for a, b in zip(alone, loaded, strict=True))
+
+
+def test_workers_that_are_spawned_give_the_same_bytes(data: Dataset, train: Split) -> None:
+    items = QueryDataset(train, "snap", VolumeItem(data, **SMALL), seed=3)
+    loader = DataLoader(items, batch_size=None, num_workers=1, multiprocessing_context="spawn")
+    assert all(same(items[i], loaded) for i, loaded in enumerate(loader))
+
+
+def test_draws_depend_on_seed_epoch_and_index_alone(train: Split) -> None:
+    def draws(seed: int, epoch: int) -> list[bytes]:
+        items = QueryDataset(train, None, drawing_item, seed)
+        items.set_epoch(epoch)
+        backward = [items[i]["draw"].numpy().tobytes() for i in reversed(range(len(items)))]
+        assert [items[i]["draw"].numpy().tobytes() for i in range(len(items))] == backward[::-1]
+        return backward
+
+    assert draws(0, 0) == draws(0, 0)
+    every = [*draws(0, 0), *draws(0, 1), *draws(1, 0)]
+    assert len(set(every)) == len(every)
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_workers_that_persist_see_the_epoch_change(train: Split) -> None:
+    items = QueryDataset(train, "snap", drawing_item)
+    loader = DataLoader(items, batch_size=None, num_workers=2, persistent_workers=True)
+    for epoch in (0, 1, 7):
+        items.set_epoch(epoch)
+        assert items.epoch == epoch
+        assert all(same(items[i], loaded) for i, loaded in enumerate(loader))
+
+
+def test_a_dataset_survives_pickling(data: Dataset, train: Split) -> None:
+    items = QueryDataset(train, "snap", VolumeItem(data, **SMALL), seed=9)
+    items.set_epoch(2)
+    before = items[0]
+    again = pickle.loads(pickle.dumps(items))
+    assert same(again[0], before)
+    assert again.epoch == 2
+    assert len(pickle.dumps(items)) < 5000  # no images, no truths
+
+
+def test_tensors_share_memory_with_arrays() -> None:
+    for dtype in ("float32", "float16", "uint8", "bool", "int64", "float64", "uint16"):
+        array = np.zeros((4, 5), dtype)[1:, ::2]
+        (tensor,) = tensors({"any": array}).values()
+        assert tensor.data_ptr() == array.ctypes.data
+        array[2, 1] = 1
+        assert tensor[2, 1] == 1
+    assert tensors({"id": "a", "n": 3, "t": np.float32(0.5)}) == {"id": "a", "n": 3, "t": torch.tensor(0.5)}
+
+
+def test_a_volume_item_is_not_copied_on_its_way(data: Dataset, train: Split, tmp_path: Path) -> None:
+    made: list[Item] = []
+    for make in (VolumeItem(data, **SMALL), VolumeItem(data, **SMALL, cache=VolumeCache(tmp_path), codes=True)):
+
+        def kept(query: Query, truth: Truth | None, rng: np.random.Generator, make: VolumeItem = make) -> Item:
+            made.append(make(query, truth, rng))
+            return made[-1]
+
+        item = QueryDataset(train, "snap", kept)[0]
+        for name in ("part", "kit", "guess", "goal"):
+            assert item[name].data_ptr() == made[-1][name].ctypes.data
+
+
+def test_arrays_of_others_are_copied_without_a_warning() -> None:
+    array = np.arange(6.0)
+    array.setflags(write=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = tensors({"sealed": array, "broadcast": np.broadcast_to(1.0, (2, 3)), "turned": np.arange(3)[::-1]})
+    found["sealed"][:] = 0
+    assert array.tolist() == [0, 1, 2, 3, 4, 5]
+    assert found["broadcast"].shape == (2, 3)
+    assert found["turned"].tolist() == [2, 1, 0]
+
+
+def test_what_is_done_to_an_item_no_other_sees(data: Dataset, train: Split, tmp_path: Path) -> None:
+    cache = VolumeCache(tmp_path)
+    for make in (
+        depth_item,
+        VolumeItem(data, **SMALL, cache=cache),
+        VolumeItem(data, **SMALL, cache=cache, codes=True),
+    ):
+        items = QueryDataset(train, "snap", make)
+        first = items[0]
+        kept = {name: value.clone() if isinstance(value, torch.Tensor) else value for name, value in first.items()}
+        for value in first.values():
+            if isinstance(value, torch.Tensor):
+                value.zero_()
+        assert same(items[0], kept)
+
+
+def test_the_goal_lays_the_part_into_the_kit(data: Dataset, train: Split) -> None:
+    """Where the goal is the guess, what is solid in both volumes is nothing, and their surfaces are close."""
+    items = QueryDataset(train, "snap")
+    make = VolumeItem(data, (64, 64, 64), 1.5e-3, source="truth")
+    for index in range(len(items)):
+        query, truth = items.asked(index)
+        assert truth is not None
+        item = make(replace(query, guess=truth.goal_drawn), truth, np.random.default_rng(0))
+        part, kit = item["part"], item["kit"]
+        assert not ((part < -0.2) & (kit < -0.2)).any()  # deeper than a voxel in both
+        assert ((part < 0.5) & (kit < 0.5)).sum() > 50  # 4 mm from both: in the cavity
+
+
+def test_the_guess_carries_the_grid_of_the_part_onto_that_of_the_kit(data: Dataset, train: Split) -> None:
+    items = QueryDataset(train, "snap", VolumeItem(data, **SMALL))
+    for index, item in enumerate(items):
+        query, _ = items.asked(index)
+        assert query.guess is not None
+        carried, kit = query.guess @ pose_of(item["part_grid"]), pose_of(item["kit_grid"])
+        assert np.allclose(carried.matrix(), kit.matrix(), atol=1e-6)
+        grids = {"part": pose_of(item["part_grid"]), "kit": kit}
+        middles = {name: Grid(SMALL["shape"], 4e-3, pose).world((11.5, 9.5, 7.5)) for name, pose in grids.items()}
+        assert np.allclose(middles["part"], query.pivot, atol=1e-6)
+        assert np.allclose(middles["kit"], query.guess.apply(query.pivot), atol=1e-6)
+
+
+def test_true_volumes_are_those_of_the_meshes_where_they_stand(data: Dataset, train: Split) -> None:
+    make = VolumeItem(data, (48, 48, 48), 2e-3, source="truth")
+    for recorded in train:
+        for query in recorded.queries:
+            truth = recorded.truths[query.id]
+            kit, part = make.kit(query, truth), make.part(query, truth)
+            _, stands, *_ = recorded.bodies()
+            wanted = signed_distance(kit.grid, [stands])
+            assert np.allclose(kit.values, wanted.values, atol=1e-4)
+            lies = recorded.bodies()[2 + query.part]
+            assert np.allclose(part.values, signed_distance(part.grid, [lies]).values, atol=1e-4)
+            assert part.occupied.any()
+
+
+def test_what_is_seen_lies_on_what_is_true(data: Dataset, train: Split) -> None:
+    seen, true = VolumeItem(data, (48, 48, 48), 2e-3), VolumeItem(data, (48, 48, 48), 2e-3, source="truth")
+    for index in range(len(items := QueryDataset(train, "snap"))):
+        query, truth = items.asked(index)
+        for of in (VolumeItem.part, VolumeItem.kit):
+            partial, whole = of(seen, query, truth), of(true, query, truth)
+            points = surface_points(partial)
+            nearest = np.abs(_at(whole, points)) * 10e-3  # [m] truncated at five voxels of 2 mm
+            assert np.median(nearest) < 1e-3
+        (centre,) = [of.grid.world((23.5, 23.5, 23.5)) for of in [seen.part(query, truth)]]
+        assert np.allclose(centre, query.pivot)
+
+
+def _at(volume: Volume, points: np.ndarray) -> np.ndarray:
+    """Values of the voxels nearest to points (n, 3)."""
+    i, j, k = np.rint(volume.grid.indices(points)).astype(int).T
+    return volume.values[i, j, k]
+
+
+def test_without_a_guess_the_kits_are_in_the_middle(data: Dataset, train: Split) -> None:
+    make = VolumeItem(data, (32, 32, 32), 3e-3, kit_shape=(96, 96, 64))
+    for query in train.queries("place"):
+        item = make(query, None, np.random.default_rng(0))
+        assert item["part"].shape == (32, 32, 32)
+        assert item["kit"].shape == (96, 96, 64)
+        view = query.view
+        points = view.world_from_camera.apply(view.camera.unproject(view.depth)[query.kit_region & (view.depth > 0)])
+        middle = make.kit(query).grid.world((47.5, 47.5, 31.5))
+        assert np.allclose(middle, (points.min(0) + points.max(0)) / 2)
+
+
+def test_a_cache_changes_nothing_but_the_last_digits(data: Dataset, train: Split, tmp_path: Path) -> None:
+    fresh = QueryDataset(train, "snap", VolumeItem(data, **SMALL))
+    for encoding, step in (("uint8", 1 / 127), ("float16", 2**-12)):
+        cache = VolumeCache(tmp_path, encoding)
+        items = QueryDataset(train, "snap", VolumeItem(data, **SMALL, cache=cache))
+        codes = QueryDataset(train, "snap", VolumeItem(data, **SMALL, cache=cache, codes=True))
+        for index, item in enumerate(fresh):
+            first, again = items[index], items[index]
+            assert same(first, again)
+            for name in ("part", "kit"):
+                assert (first[name] - item[name]).abs().max() <= step
+                assert torch.equal(decoded(codes[index][name]), first[name])
+
+
+def test_cached_volumes_open_no_image(
+    data: Dataset, train: Split, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for track in ("snap", "place"):
+        items = QueryDataset(train, track, VolumeItem(data, **SMALL, cache=VolumeCache(tmp_path)))
+        before = [items[i] for i in range(len(items))]
+        with monkeypatch.context() as patch:
+            patch.setattr(Dataset, "look", refused)
+            assert all(same(items[i], before[i]) for i in range(len(items)))
+
+
+@pytest.mark.parametrize("unknown", [1.0, -1.0, 0.5])
+def test_codes_decode_to_the_values_with_unknown_filled(unknown: float) -> None:
+    rng = np.random.default_rng(0)
+    values = rng.uniform(-1, 1, (8, 9, 10)).astype(np.float32)
+    values[rng.random(values.shape) < 0.3] = np.nan
+    volume = Volume(Grid(values.shape, 1e-3, Pose.identity()), values)
+    for to, step in ((to_uint8, 1 / 127), (to_float16, 2**-12)):
+        found = decoded(torch.from_numpy(to(volume)), unknown).numpy()
+        assert found.dtype == np.float32
+        assert np.abs(found - volume.filled(unknown)).max() <= step
+        assert np.array_equal(found[~volume.known], volume.filled(unknown)[~volume.known])
+    with pytest.raises(InputError, match=r"expected uint8 or float16, got torch.int32"):
+        decoded(torch.zeros(3, dtype=torch.int32))
+
+
+def test_what_cannot_be_is_said(data: Dataset, train: Split, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no track 'snapp' in split train; there are snap"):
+        QueryDataset(train, "snapp")
+    with pytest.raises(InputError, match="source 'dpeth': expected one of depth, truth"):
+        VolumeItem(data, source="dpeth")
+    with pytest.raises(InputError, match="codes: they are those of a cache; give one"):
+        VolumeItem(data, codes=True)
+    with pytest.raises(InputError, match="expected 1 voxel or more"):
+        VolumeItem(data, kit_shape=(0, 4, 4))
+    cache = VolumeCache(tmp_path)
+    assert QueryDataset(train, "snap", VolumeItem(data, **SMALL, source="truth", cache=cache))[0]
+    blind = QueryDataset(data.split("train"), "snap", VolumeItem(data, **SMALL, source="truth", cache=cache))
+    with pytest.raises(InputError, match="true volumes want the truth; say dataset"):
+        blind[0]
+    with pytest.raises(InputError, match="item 'name': torch has no tensors of <U3"):
+        tensors({"name": np.array("abc")})
+    with pytest.raises(InputError, match="stream key: expected"):
+        blind.set_epoch(-1)
+    with pytest.raises(IndexError):
+        blind[len(blind)]
+
+
+def test_without_torch_one_line_says_what_to_install() -> None:
+    ask = (
+        "import sys; sys.modules['torch'] = None\ntry: import kit1000.data.torch\nexcept Exception as e: print(repr(e))"
+    )
+    answer = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert answer.stdout == "InputError(\"kit1000.data.torch needs PyTorch: pip install 'kit1000[learn]'\")\n"
+
+
+def test_items_are_made_without_torch() -> None:
+    ask = "import sys, kit1000.data.items; print('torch' in sys.modules)"
+    answer = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert answer.stdout == "False\n"
+
+
+def shown(name: str) -> str:
+    """The example of a document that trains something."""
+    blocks = re.findall(r"^```py\n(.*?)^```", (ROOT / name).read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    (example,) = [block for block in blocks if "QueryDataset" in block]
+    return example
+
+
+def test_the_example_learns(
+    data: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tiny").symlink_to(data.root)
+    torch.manual_seed(0)
+    exec(shown("docs/learning.md"), {})
+    losses = [float(line.split()[2]) for line in capsys.readouterr().out.splitlines()]
+    assert losses[0] > 15  # [mm] about what the guess is off
+    assert losses[-1] < losses[0] / 2
