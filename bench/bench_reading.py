@@ -24,12 +24,12 @@ from torch.utils.data import DataLoader
 
 from kit1000.data.build import generate
 from kit1000.data.cache import VolumeCache
-from kit1000.data.items import depth_item
+from kit1000.data.items import Item, depth_item
 from kit1000.data.presets import preset
 from kit1000.data.reader import Dataset, Split
 from kit1000.data.torch import QueryDataset, VolumeItem
 from kit1000.errors import Kit1000Error
-from kit1000.values import Look
+from kit1000.values import Query, Truth, View
 
 STEP = 0.2  # [s] of computation for a batch
 SCENES, IMAGES = 200, 100  # [1/s] to reach, of scenes' queries and of depth images
@@ -61,10 +61,11 @@ def main(asked: Reading) -> None:
         _rate("queries of a scene, no image", lambda i: split.scene(i).queries, split.scene_ids, order, asked, SCENES)
         first, shard = next(iter(split.shards.items()))
         for sensor in dataset.observation_file(shard).view_keys(first):
-            look = partial(_look, split, sensor)
-            _rate(f"depth image with masks, {sensor}", look, split.scene_ids, order, asked, IMAGES)
+            view = partial(_view, split, sensor)
+            _rate(f"depth image, {sensor}", view, split.scene_ids, order, asked, IMAGES)
         cache = VolumeCache(Path(spare) / "volumes")
         makers = {
+            "the query alone": _nothing,
             "images and masks": depth_item,
             "volumes of 2 x 64^3 from depth": VolumeItem(dataset),
             "the same, true": VolumeItem(dataset, source="truth"),
@@ -88,8 +89,12 @@ def _split(folder: Path | None, spare: Path) -> Iterator[Split]:
     yield Dataset(folder).split("train", truth=True)
 
 
-def _look(split: Split, sensor: str, scene_id: str) -> Look:
-    return split.scene(scene_id).look(sensor)
+def _view(split: Split, key: str, scene_id: str) -> View:
+    return split.dataset.observation_file(split.shards[scene_id]).view(scene_id, key)
+
+
+def _nothing(query: Query, truth: Truth | None, rng: np.random.Generator) -> Item:
+    return {"id": query.id}
 
 
 def _warm(items: QueryDataset) -> None:
@@ -105,14 +110,15 @@ def _rate(
     is remembered of the last few helps."""
     shuffled = [of[i] for i in order.permutation(len(of))]
     read(shuffled[-1])
-    count, started = 0, time.perf_counter()
+    count, started, computed = 0, time.perf_counter(), time.process_time()
     while time.perf_counter() - started < asked.seconds:
         for one in shuffled:
             read(one)
         count += len(shuffled)
-    rate = count / (time.perf_counter() - started)
+    rate, cost = count / (time.perf_counter() - started), (time.process_time() - computed) / count
     print(
-        f"{name:44}{rate:9.0f}/s" + (f"   goal {goal:.0f}: {'reached' if rate >= goal else 'MISSED'}" if goal else "")
+        f"{name:36}{rate:7.0f}/s{cost * 1e3:8.1f} ms of CPU"
+        + (f"   goal {goal:.0f}: {'reached' if rate >= goal else 'MISSED'}" if goal else "")
     )
 
 

@@ -105,8 +105,8 @@ class Generate:
 
         if self.parts is None:
             return None
-        out = built.resolve()
-        files = [file for file in mesh_files(self.parts) if out not in file.resolve().parents]
+        ours = {built.resolve(), Path(self.out).resolve()}
+        files = [file for file in mesh_files(self.parts) if ours.isdisjoint(file.resolve().parents)]
         if not files:
             raise InputError(f"{self.parts}: no mesh files but those in --out {built}")
         return Sources.of(files, self.unit)
@@ -243,7 +243,30 @@ class Export:
         return 0
 
 
-COMMANDS = {"generate": Generate, "kit": MakeKit, "info": Info, "show": Show, "verify": Verify, "export": Export}
+@dataclass(frozen=True)
+class Insertions:
+    """Let a simulated hand put parts into their slots, and compare what physics says with the seating test."""
+
+    data: Folder
+    """Dataset folder."""
+    out: Path
+    """Folder for insertions.json and the convex pieces of the parts, which serve again."""
+    sample: int = 16
+    """Slots tried in a true pose and in eight wrong ones."""
+    more: int = 32
+    """Slots tried in a true pose alone."""
+    seed: int = 0
+    """Of the sample and of the errors."""
+
+    def run(self) -> int:
+        """Try, then print the tables."""
+        from kit1000.data.insertions import described, study
+
+        print(described(study(self.data, self.out, self.sample, self.more, self.seed)))
+        return 0
+
+
+COMMANDS = {"generate": Generate, "kit": MakeKit, "info": Info, "show": Show, "verify": Verify, "export": Export, "insertions": Insertions}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

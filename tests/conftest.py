@@ -1,4 +1,4 @@
-"""Fixtures of all tests: the optional folder of real CAD parts."""
+"""Fixtures of all tests: a dataset to be read, scenes in no time, and the optional folder of real CAD parts."""
 
 from __future__ import annotations
 
@@ -6,6 +6,10 @@ import os
 from pathlib import Path
 
 import pytest
+from mini import MINI, sketched
+
+from kit1000.data import shards
+from kit1000.data.build import generate
 
 
 def _folders() -> list[Path]:
@@ -13,6 +17,20 @@ def _folders() -> list[Path]:
     beside = Path(__file__).resolve().parents[2] / "shared/parts/real"
     folder = Path(os.environ.get("KIT1000_REAL_PARTS") or beside)
     return [folder] if (folder / "manifest.csv").is_file() else []
+
+
+@pytest.fixture(scope="session")
+def mini(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """MINI as it is built, of drawn parts and with all its scenes: to be read, never changed."""
+    root = tmp_path_factory.mktemp("mini")
+    generate(MINI, root, workers=1)
+    return root
+
+
+@pytest.fixture
+def sketches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Scenes are not made but sketched, in this process."""
+    monkeypatch.setattr(shards, "make_scene", sketched)
 
 
 @pytest.fixture(scope="session", params=_folders(), ids=lambda folder: folder.name)

@@ -11,21 +11,23 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from mini import MINI, contents, corners
+from mini import MINI, contents, corners, sketched
 
-from kit1000.data import build, files, groups, pairs
+from kit1000.data import build, files, groups, pairs, shards
 from kit1000.data.build import generate
-from kit1000.data.geometry import Geometry
 from kit1000.data.files import locked
+from kit1000.data.geometry import Geometry
 from kit1000.data.plan import Sources
 from kit1000.errors import InputError, Redraw
 from kit1000.mesh import defect32
 
 ROOT = Path(__file__).resolve().parents[1]
+pytestmark = pytest.mark.usefixtures("sketches")
 
 
 @pytest.fixture(scope="module")
@@ -35,34 +37,29 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> Sources:
 
 @pytest.fixture(scope="module")
 def whole(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of files that nothing interrupted."""
+    """A dataset of files, its scenes sketched, that nothing interrupted."""
     root = tmp_path_factory.mktemp("whole")
-    generate(MINI, root, workers=1, sources=sources)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shards, "make_scene", sketched)
+        generate(MINI, root, workers=1, sources=sources)
     return root
 
 
-@pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of procedural parts."""
-    root = tmp_path_factory.mktemp("drawn")
-    generate(MINI, root, workers=1)
-    return root
+def test_two_workers_write_the_same_bytes_as_one(mini: Path, tmp_path: Path) -> None:
+    generate(MINI, tmp_path, workers=2)  # other processes: scenes are made there, not sketched
+    assert contents(tmp_path) == contents(mini)
 
 
-def test_two_workers_write_the_same_bytes_as_one(drawn: Path, tmp_path: Path) -> None:
-    generate(MINI, tmp_path, workers=2)
-    assert contents(tmp_path) == contents(drawn)
-
-
-def test_a_finished_folder_holds_what_it_says_and_nothing_else(drawn: Path, whole: Path) -> None:
-    for root in (drawn, whole):
+def test_a_finished_folder_holds_what_it_says_and_nothing_else(mini: Path, whole: Path) -> None:
+    for root in (mini, whole):
         listed = json.loads((root / "dataset.json").read_bytes())["files"]
         assert contents(root) == listed | {"dataset.json": contents(root)["dataset.json"]}
 
 
-def test_what_is_read_back_is_sound(drawn: Path) -> None:
-    geometry = Geometry(drawn)
-    counts = {split: {"parts": n, "assemblies": n} for split, n in (("train", 2), ("val", 1), ("test", 1))}
+def test_what_is_read_back_is_sound(mini: Path) -> None:
+    geometry = Geometry(mini)
+    sizes = {"train": 2, "val": 1, "test": 1}
+    counts = {split: dict.fromkeys(("parts", "assemblies", "scenes"), n) for split, n in sizes.items()}
     assert geometry.summary["counts"] == counts
     for assembly_id, row in geometry.assemblies.items():
         assembly = geometry.assembly(assembly_id)
@@ -84,7 +81,7 @@ def test_a_finished_dataset_is_left_alone(
     assert times == {path: path.stat().st_mtime_ns for path in whole.rglob("*") if path.name != ".lock"}
 
 
-@pytest.mark.parametrize("name", ["parts/train-0000.glb", "kits.json", "dataset.json"])
+@pytest.mark.parametrize("name", ["parts/train-0000.glb", "test/0000.three.mcap", "README.md", "dataset.json"])
 @pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:-9])])
 def test_a_finished_dataset_that_lost_a_file_is_made_whole(
     name: str, harm: Callable[[Path], None], whole: Path, sources: Sources, tmp_path: Path
@@ -121,7 +118,7 @@ def test_a_run_stopped_at_any_write_ends_with_the_same_bytes(
         except Stop:
             stops += 1
             assert not (tmp_path / "dataset.json").exists()
-    assert stops >= 7
+    assert stops >= 10
     assert contents(tmp_path) == contents(whole)
 
 
@@ -137,9 +134,12 @@ def test_the_summary_is_written_last(sources: Sources, tmp_path: Path, monkeypat
 RUN = """
 import os, signal, sys
 from pathlib import Path
-from mini import MINI, corners
-from kit1000.data import files
+from mini import MINI, corners, sketched
+from kit1000.data import files, shards
 from kit1000.data.build import generate
+
+if sys.argv[5] == "sketched":  # also in the workers, which run these lines too
+    shards.make_scene = sketched
 
 def main(root, folder, workers, allowed):
     replace, count = os.replace, 0
@@ -158,14 +158,14 @@ if __name__ == "__main__":
 
 
 def started(
-    folder: Path, root: Path, workers: int, allowed: int, limit: int = resource.RLIM_INFINITY
+    folder: Path, root: Path, workers: int, allowed: int, limit: int = resource.RLIM_INFINITY, scenes: str = "sketched"
 ) -> subprocess.Popen[str]:
     """A run in a process group of its own, killed between its last allowed write and the rename of the next."""
     script = folder / "run.py"
     script.write_text(RUN)
     paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
     return subprocess.Popen(
-        [sys.executable, script, root, folder / "files", str(workers), str(allowed)],
+        [sys.executable, script, root, folder / "files", str(workers), str(allowed), scenes],
         env=os.environ | {"PYTHONPATH": paths},
         stderr=subprocess.PIPE,
         text=True,
@@ -176,7 +176,7 @@ def started(
 
 def test_a_run_killed_between_write_and_rename_ends_with_the_same_bytes(whole: Path, tmp_path: Path) -> None:
     root = tmp_path / "out"
-    for allowed in (0, 5, 1000):
+    for allowed in (0, 16, 3, 1000):
         run = started(tmp_path, root, 1, allowed)
         run.communicate(timeout=120)
         if run.returncode:
@@ -185,18 +185,43 @@ def test_a_run_killed_between_write_and_rename_ends_with_the_same_bytes(whole: P
     assert contents(root) == contents(whole)
 
 
+@pytest.fixture(scope="module")
+def real(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of files with its scenes."""
+    root = tmp_path_factory.mktemp("real")
+    generate(MINI, root, workers=1, sources=sources)
+    return root
+
+
 @pytest.mark.slow
-def test_a_group_killed_at_random_moments_ends_with_the_same_bytes(whole: Path, tmp_path: Path) -> None:
+def test_a_group_killed_at_random_moments_ends_with_the_same_bytes(real: Path, tmp_path: Path) -> None:
     root, rng = tmp_path / "out", random.Random(0)
     for _ in range(12):
-        run = started(tmp_path, root, 2, 1000)
+        run = started(tmp_path, root, 2, 1000, scenes="real")
         try:
-            run.communicate(timeout=rng.uniform(0.5, 4))
+            run.communicate(timeout=rng.uniform(0.5, 6))
         except subprocess.TimeoutExpired:
             os.killpg(run.pid, signal.SIGKILL)
             run.communicate()
-    assert started(tmp_path, root, 2, 1000).wait(timeout=120) == 0
-    assert contents(root) == contents(whole)
+    assert started(tmp_path, root, 2, 1000, scenes="real").wait(timeout=120) == 0
+    assert contents(root) == contents(real)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_group_killed_while_it_makes_scenes_ends_with_the_same_bytes(
+    workers: int, real: Path, tmp_path: Path
+) -> None:
+    root, rng = tmp_path / "out", random.Random(workers)
+    for _ in range(4):
+        run = started(tmp_path, root, workers, 1000, scenes="real")
+        while len(list(root.glob(f"{pairs.BUILD}/assemblies/*.json"))) < 4 and run.poll() is None:
+            time.sleep(0.01)
+        time.sleep(rng.uniform(0, 3))
+        os.killpg(run.pid, signal.SIGKILL)
+        run.communicate()
+    assert started(tmp_path, root, workers, 1000, scenes="real").wait(timeout=120) == 0
+    assert contents(root) == contents(real)
 
 
 def test_a_disk_that_takes_no_more_is_one_line_and_the_next_run_goes_on(whole: Path, tmp_path: Path) -> None:
@@ -237,6 +262,9 @@ def begun(root: Path, sources: Sources, monkeypatch: pytest.MonkeyPatch) -> None
         "assemblies/test-0000.glb",
         f"{pairs.BUILD}/parts/train-0001.json",
         f"{pairs.BUILD}/assemblies/train-0001.json",
+        "train/0000.mcap",
+        "test/0000.truth.mcap",
+        f"{pairs.BUILD}/shards/val/0000.json",
     ],
 )
 @pytest.mark.parametrize("data", [None, b"", b"null", b"{}\n", b'{"files": {"parts/train-0000.glb": "0"}}'])
@@ -254,6 +282,7 @@ def test_damaged_work_is_done_again(
 def ready(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("ready")
     with pytest.MonkeyPatch.context() as monkeypatch:
+        monkeypatch.setattr(shards, "make_scene", sketched)
         begun(root, sources, monkeypatch)
     return root
 
@@ -263,6 +292,7 @@ def test_strangers_and_leftovers_go_when_a_dataset_is_finished(
 ) -> None:
     root = shutil.copytree(ready, tmp_path / "copy")
     (root / "parts/train-0009.glb").touch()
+    (root / "train/0007.truth.mcap").touch()
     (root / f"kits/.train-0000.glb.99{files.PARTIAL}").touch()
     generate(MINI, root, workers=1, sources=sources)
     assert contents(root) == contents(whole)

@@ -8,12 +8,18 @@ from pathlib import Path
 import pytest
 from mini import MINI, corner, corners, written
 
-from kit1000.data import pairs
+from kit1000.data import pairs, shards
 from kit1000.data.build import generate
 from kit1000.data.geometry import Geometry
 from kit1000.data.plan import Sources, make_plan
+from kit1000.data.presets import SPLITS
+from kit1000.data.scenes import make_scene
+from kit1000.data.verify import verify
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
+from kit1000.parts.files.sources import mesh_files
+
+pytestmark = pytest.mark.usefixtures("sketches")
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +60,17 @@ def test_bad_files_are_refused_with_a_reason_and_stop_nothing(
     assert sum(n["parts"] for n in summary["counts"].values()) == 4
 
 
+@pytest.mark.slow
+def test_parts_of_others_become_a_dataset_that_passes(real_parts: Path, tmp_path: Path) -> None:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shards, "make_scene", make_scene)
+        asked = replace(MINI, train=6, val=2, test=4, kits=(2, 3))
+        summary = generate(asked, tmp_path / "out", sources=Sources.of(mesh_files(real_parts)))
+    assert [summary["counts"][split]["scenes"] for split in SPLITS] == [6, 2, 4]
+    assert summary["refused_scenes"] == {}
+    assert verify(tmp_path / "out", sample=3).faults == ()
+
+
 def deal(seed: int, files: list[Path]) -> dict[str, list[str]]:
     """The names of the files that each part may be made of."""
     plan = make_plan(MINI, seed, Sources.of(files))
@@ -90,9 +107,9 @@ def test_no_usable_file_is_one_line_and_leaves_the_folder_free(sources: Sources,
 def test_few_files_leave_splits_empty_and_kits_alone(tmp_path: Path) -> None:
     summary = generate(MINI, tmp_path / "out", workers=1, sources=corners(tmp_path / "files", (24,)))
     assert summary["counts"] == {
-        "train": {"parts": 1, "assemblies": 1},
-        "val": {"parts": 0, "assemblies": 0},
-        "test": {"parts": 0, "assemblies": 0},
+        "train": {"parts": 1, "assemblies": 1, "scenes": 1},
+        "val": {"parts": 0, "assemblies": 0, "scenes": 0},
+        "test": {"parts": 0, "assemblies": 0, "scenes": 0},
     }
     assert len(Geometry(tmp_path / "out").assembly("train-0000").mounts) == 1
 

@@ -13,19 +13,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mini import MINI, contents, corner, corners, written
+from mini import MINI, contents, corner, corners, sketched, written
 from PIL import Image
 
 import kit1000
 from kit1000 import cli
 from kit1000.cli import COMMANDS, main
-from kit1000.data import build, own_part
+from kit1000.data import build, own_part, shards
 from kit1000.data.build import generate
 from kit1000.data.presets import preset
 from kit1000.mesh import Mesh
 
 ROOT = Path(__file__).resolve().parents[1]
-WIDTHS = (20, 22, 24, 26, 28, 30, 33, 36)
+WIDTHS = (20, 24, 28, 33)
 
 
 @pytest.fixture(autouse=True)
@@ -38,9 +38,11 @@ def _termination() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished dataset."""
+    """A finished dataset, its scenes sketched."""
     folder = tmp_path_factory.mktemp("data")
-    generate(MINI, folder / "data", workers=1, sources=corners(folder / "files"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shards, "make_scene", sketched)
+        generate(MINI, folder / "data", workers=1, sources=corners(folder / "files"))
     return folder / "data"
 
 
@@ -73,7 +75,7 @@ def command(*arguments: object, **options) -> subprocess.Popen[str]:
 
 
 WRONG = {
-    "": "no command; there are generate, kit, info, show, export",
+    "": "no command; there are generate, kit, info, show, verify, export",
     "genrate tiny": "no command 'genrate'; did you mean generate? there are",
     "generate": "generate: PRESET and --out missing",
     "generate tiny": "generate: --out missing",
@@ -91,6 +93,10 @@ WRONG = {
     "generate tiny --out {tmp}/out --parts {tmp}": "{tmp}: no mesh files inside; looked for .stl .obj",
     "generate tiny --out {tmp}/out --parts {files}/empty.stl": "none of 1 mesh files can be a part (empty.stl: empty",
     "generate tiny --out {tmp}/out --unit mm": "--unit: says how to read the meshes of --parts, which is absent",
+    "generate tiny --out {tmp}/out --withhold {tmp}/out": "--withhold: expected a folder apart from --out {tmp}/out",
+    "generate tiny --out {tmp}/out --withhold {tmp}/w --seed 7": "--seed: 7 can be guessed, and with it the withheld",
+    "generate tiny --out {data} --withhold {tmp}/w": "{data} holds a whole dataset: choose another --out",
+    "generate tiny --out {tmp}/w --withhold {data}": "--withhold: {data} was made from seed 7, which can be guessed",
     "generate tiny --out {files}/good.stl": "cannot write to {files}/good.stl: Not a directory; a file stands where",
     "generate tiny --out {files}": "{files} is not empty and holds no dataset: choose another --out",
     "kit {files}/none.stl --out {tmp}/out": "{files}/none.stl: cannot be read: no such file or directory",
@@ -113,6 +119,8 @@ WRONG = {
     "show {data} --what part": "show: --what part: did you mean parts? expected one of parts, kits, assemblies",
     "show {data} --ids train-0000 x --out {tmp}/a.png": "{data}: no 'x' among 4 assemblies (test-0000,",
     "show {data} --count 1 --out {files}/folder.stl": "cannot write {files}/folder.stl: Is a directory; a folder",
+    "verify {tmp}": "{tmp}: no dataset (no dataset.json in it)",
+    "verify {data} --sample -1": "--sample: expected 0 or more, got -1",
     "export {tmp} --out {tmp}/out": "{tmp}: no dataset (no dataset.json in it)",
 }
 
@@ -155,12 +163,13 @@ def test_a_kit_is_described_in_words(files: Path, tmp_path: Path, capsys: pytest
     assert err == ""
 
 
+@pytest.mark.usefixtures("sketches")
 def test_generate_builds_from_files_and_info_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     corners(tmp_path / "files", (24, 30))
     line = ["generate", "tiny", "--out", f"{tmp_path}/out", "--parts", f"{tmp_path}/files", "--workers", "1"]
     assert main(line) == 0
     built = capsys.readouterr()
-    assert "train      1 parts and kits,     1 assemblies" in built.out
+    assert "train      1 parts and kits,     1 assemblies,     1 scenes" in built.out
     assert built.err == ""
     assert main(["info", f"{tmp_path}/out"]) == 0
     assert capsys.readouterr().out == built.out
@@ -168,6 +177,7 @@ def test_generate_builds_from_files_and_info_says_the_same(tmp_path: Path, capsy
     assert capsys.readouterr() == (built.out, f"{tmp_path}/out is complete: nothing to do\n")
 
 
+@pytest.mark.usefixtures("sketches")
 def test_what_a_run_wrote_is_no_source_of_the_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     corners(tmp_path, (24,))
     line = ["generate", "tiny", "--out", f"{tmp_path}/out", "--parts", f"{tmp_path}", "--workers", "1"]
@@ -185,6 +195,7 @@ def test_show_draws_every_kind(what: str, data: Path, tmp_path: Path, capsys: py
         assert image.size[0] > 2 * 400
 
 
+@pytest.mark.usefixtures("sketches")
 def test_a_split_without_parts_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     generate(MINI, tmp_path / "out", workers=1, sources=corners(tmp_path / "files", (24,)))
     assert main(["show", f"{tmp_path}/out", "--split", "test"]) == 2
@@ -289,11 +300,14 @@ def test_asking_for_help_loads_nothing_heavy() -> None:
 
 
 def test_a_summary_reads_the_same_however_it_is_ordered() -> None:
-    counts = {split: {"parts": 1, "assemblies": 2} for split in ("test", "train", "val")}
+    counts = {split: {"parts": 1, "assemblies": 2, "scenes": 3} for split in ("test", "train", "val")}
     head = {"preset": "p", "dataset_id": "d", "seed": 1, "data_version": "v", "licence": "l"}
-    text = cli.describe(
-        head | {"counts": counts, "redraws": {"parts": {"b": 1, "a": 1, "c": 2}}, "refused": {"x.stl": "empty file"}}
-    )
+    redraws = {"parts": {"b": 1, "a": 1, "c": 2}, "scenes": {}}
+    refused = {"refused": {"x.stl": "empty file"}, "refused_scenes": {"val-s0000": "no room"}}
+    text = cli.describe(head | {"counts": counts, "redraws": redraws} | refused)
     assert [line.split()[0] for line in text.splitlines()[1:4]] == ["train", "val", "test"]
     assert "redrawn parts: 2x c, 1x a, 1x b" in text
+    assert "redrawn scenes: none" in text
     assert "refused x.stl: empty file" in text
+    assert "refused val-s0000: no room" in text
+    assert "(seed withheld, " in cli.describe(head | {"counts": counts, "redraws": {}, "seed": None} | refused)

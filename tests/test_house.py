@@ -37,6 +37,7 @@ ORDER = {name: place for place, name in enumerate(chain(*LAYERS))}
 FENCES = {
     "manifold3d": ("kit1000.mesh", "kit1000.parts", "kit1000.kits", "kit1000.metrics", "kit1000.testing"),
     "pybullet": ("kit1000.sim", "kit1000.planner"),
+    "coacd": ("kit1000.sim",),
     "numba": ("kit1000.compiled",),
     "kit1000.compiled": ("kit1000.voxels", "kit1000.sim", "kit1000.kits", "kit1000.metrics", "baselines.registration"),
     "open3d": ("baselines.icp",),
@@ -271,8 +272,9 @@ def shown_commands(program: str) -> list[list[str]]:
     """Words of the commands that the documents show in code blocks, without the program's own name."""
     shown = []
     for document in DOCUMENTS:
-        blocks = re.findall(r"^```(?:sh|bash|console)?\n(.*?)^```", document.read_text("utf-8"), re.M | re.S)
-        lines = chain.from_iterable(block.replace("\\\n", " ").splitlines() for block in blocks)
+        blocks = re.findall(r"^```(\w*)\n(.*?)^```", document.read_text("utf-8"), re.M | re.S)
+        typed = [block for kind, block in blocks if kind in ("", "sh", "bash", "console")]
+        lines = chain.from_iterable(block.replace("\\\n", " ").splitlines() for block in typed)
         words = [shlex.split(line.removeprefix("$ "), comments=True) for line in lines]
         shown += [line[1:] for line in words if line and Path(line[0]).name == program]
     return shown

@@ -11,19 +11,29 @@ import pytest
 from mini import MINI, corner, corners, written
 
 from kit1000.data.files import json_bytes
-from kit1000.data.plan import Sources, dataset_id, draw_assembly_of, draw_part, family_weights, make_plan
-from kit1000.data.presets import HELD_OUT, PRESETS, SPLITS, Preset, preset
+from kit1000.data.plan import (
+    Sources,
+    dataset_id,
+    draw_assembly_of,
+    draw_part,
+    family_weights,
+    make_plan,
+    scene_id_of,
+)
+from kit1000.data.presets import HELD_OUT, PRESETS, SPLITS, Preset, preset, preset_of
 from kit1000.errors import InputError
 from kit1000.parts import catalog
 from kit1000.parts.catalog import FAMILIES, WEIGHTS
 from kit1000.parts.families.block import Block
+from kit1000.sim.layout import UPRIGHT, UPRIGHT_SHARE
 
 TINY = PRESETS["tiny"]
 MANY = Preset("many", 120, 20, 40)
 
-GOLDEN = "9a0d8ffcf810edc4"
+GOLDEN = "4376b2fdb0e0ed5f"
 """Identity of `tiny` with its own seed. It changes with every draw, so each change is one of the data version:
-2026-11 first.
+2026-11 9a0d8ffcf810edc4 first, data version 0.1.0.
+2026-11 4376b2fdb0e0ed5f plan format 2, data version 0.2.0: scenes join, with their rest modes, tracks and curves.
 """
 
 
@@ -45,7 +55,7 @@ def test_another_seed_is_another_dataset() -> None:
 
 def test_every_setting_of_a_preset_is_part_of_the_identity() -> None:
     changes = {"train": 3, "longest": (0.03, 0.05), "clearance": 3e-3, "kits": (2, 2), "level_base": True}
-    changes |= {"tilt_deg": (10.0, 20.0), "name": "other"}
+    changes |= {"tilt_deg": (10.0, 20.0), "name": "other", "tracks": ("snap",), "curve_scenes": 0}
     ids = {dataset_id(make_plan(replace(MINI, **{key: value}), 7)) for key, value in changes.items()}
     assert len(ids | {dataset_id(make_plan(MINI, 7))}) == len(changes) + 1
 
@@ -66,6 +76,24 @@ def test_company_comes_from_the_same_split_and_is_never_the_target() -> None:
         assert len(set(row["company"])) == len(row["company"]) >= MANY.kits[1] - 1
         assert {plan["parts"][i]["split"] for i in (row["target"], *row["company"])} == {row["split"]}
         assert MANY.kits[0] <= row["kits"] <= MANY.kits[1]
+
+
+def test_every_assembly_has_its_scene_and_most_parts_lie_upright() -> None:
+    plan = make_plan(replace(PRESETS["kit1000"], train=200), 5)
+    assert [row["assembly"] for row in plan["scenes"].values()] == list(plan["assemblies"])
+    for scene_id, row in plan["scenes"].items():
+        assert scene_id == row["assembly"].replace("-", "-s") == scene_id_of(row["assembly"])
+        assert row["split"] == plan["assemblies"][row["assembly"]]["split"]
+        assert len(row["rest"]) == plan["assemblies"][row["assembly"]]["kits"]
+        assert UPRIGHT in row["rest"]
+    lying = [mode for row in plan["scenes"].values() for mode in row["rest"]]
+    assert abs(lying.count(UPRIGHT) / len(lying) - UPRIGHT_SHARE) < 0.03
+
+
+def test_a_preset_comes_back_from_its_plan() -> None:
+    for known in PRESETS.values():
+        plan = json.loads(json_bytes(make_plan(replace(known, train=1, val=1, test=1), 5)))
+        assert preset_of(plan["preset"], plan["config"]) == replace(known, train=1, val=1, test=1, seed=1000)
 
 
 def test_held_out_families_are_in_test_alone_and_are_in_test() -> None:
@@ -115,7 +143,7 @@ def test_tilts_and_levels_are_those_of_the_preset() -> None:
 
 
 def test_sizes_are_those_of_the_preset() -> None:
-    assert {row["longest"] for row in make_plan(PRESETS["paper"], 1)["parts"].values()} == {0.05}
+    assert {row["longest"] for row in make_plan(replace(PRESETS["paper"], train=100), 1)["parts"].values()} == {0.05}
     assert all(0.035 <= row["longest"] <= 0.05 for row in make_plan(MANY, 1)["parts"].values())
 
 

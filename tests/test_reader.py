@@ -74,7 +74,8 @@ def written(root: Path) -> Path:
     write_json(root / "kits.json", {family: kit_row(sample_kit(family)) for family in FAMILIES})
     write_json(root / "assemblies.json", {i: assembly_row(assembly) for i in ids})
     write_json(root / "plan.json", {})
-    write_json(root / "dataset.json", {"format": FORMAT, "dataset_id": "abc123", "shards": SHARDS})
+    config = {"curve_scenes": 40}  # up to test-s0039
+    write_json(root / "dataset.json", {"format": FORMAT, "dataset_id": "abc123", "config": config, "shards": SHARDS})
     return root
 
 

@@ -76,7 +76,7 @@ class VolumeCache:
 
         Args:
             root: of this machine.
-            encoding: uint8 (a byte a voxel, off by 1/254 of the truncation) or float16 (two bytes, off by 1/4096).
+            encoding: uint8 (a byte a voxel, off by 1/127 of the truncation at most) or float16 (two bytes, by 1/4096).
         """
         self.root = folder(str(root))
         if is_url(self.root):

@@ -13,6 +13,7 @@ import json
 import os
 import platform
 import shutil
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -57,8 +58,8 @@ def write_bytes(path: Path, data: bytes) -> str:
 
 
 def _replace(path: Path, data: bytes) -> None:
-    """Write beside the file, then rename: the name of the machine tells nodes with a common disk apart."""
-    partial = path.with_name(f".{path.name}.{platform.node()}.{os.getpid()}{PARTIAL}")
+    """Write beside the file, then rename: the name tells nodes with a common disk apart, processes and threads."""
+    partial = path.with_name(f".{path.name}.{platform.node()}.{os.getpid()}-{threading.get_ident()}{PARTIAL}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with open(partial, "wb") as file:

@@ -82,7 +82,7 @@ class Site:
         self.edges: Ridges = ridges(assembly.mesh)
         self.standing: Sequence[Obstacle] = obstacles(assembly)
 
-    def tried(self, pose: Pose, goal: Pose) -> tuple[Verdict, Standing, Row]:
+    def tried(self, pose: Pose, goal: Pose) -> Row:
         """What the seating test says of a prediction about a goal (kit frame both), and what physics makes of it."""
         plug = Plug.of(self.part.mesh, goal)
         assembly_from_kit = self.mount.assembly_from_kit
@@ -91,8 +91,12 @@ class Site:
         said = verdict(contact_raise(plug, self.edges, predicted), plug, pose, goal, slot.depth)
         came = insert(self.workpiece, self.standing, predicted, plug.axis)
         back = assembly_from_kit.inverse()
-        found = judged(self.mount.kit, back @ came.released, back @ came.rest)
-        return said, found, {"held_up": came.held_up, "still": came.still}
+        released, rest = back @ came.released, back @ came.rest
+        return {
+            "seating": _said(said),
+            "released": _found(judged(self.mount.kit, released, released)) | {"held_up": came.held_up},
+            "physics": _found(judged(self.mount.kit, released, rest)) | {"still": came.still},
+        }
 
 
 def study(root: str | Path, out: str | Path, sample: int = 16, more: int = 32, seed: int = 0) -> dict[str, Any]:
@@ -156,8 +160,7 @@ def tried_place(
     rows = []
     for error in errors:
         goal = slot.goals[int(rng.integers(len(slot.goals)))]
-        said, found, course = site.tried(_off(goal, error, rng), goal)
-        rows.append(about | {"error": asdict(error)} | {"seating": _said(said), "physics": _found(found) | course})
+        rows.append(about | {"error": asdict(error)} | site.tried(_off(goal, error, rng), goal))
     return rows
 
 
@@ -257,13 +260,13 @@ def _table(title: str, counts: dict[str, dict[str, int]]) -> list[str]:
 
 
 def _line(row: Row) -> str:
-    said, found = row["seating"], row["physics"]
+    said, let_go, found = row["seating"], row["released"], row["physics"]
     rise = "free" if said["rise_mm"] is None else f"rise {said['rise_mm']:.2f} mm height {said['height_mm']:.2f} mm"
     return (
         f"{row['assembly']} mount {row['mount']} {row['family']} tilt {row['tilt_deg']:.0f},"
         f" depth {row['depth_mm']:.1f} mm, {Error(**row['error'])}: "
         f"test {'seated' if said['seated'] else 'not seated'} ({rise});"
-        f" physics {found['outcome']} (height {found['height_mm']:.2f} mm, aside {found['aside_mm']:.2f} mm,"
-        f" angle {found['angle_deg']:.1f}, turned {found['turned_deg']:.1f}"
-        f"{', held up' if found['held_up'] else ''}{'' if found['still'] else ', moving'})"
+        f" let go{' where held up,' if let_go['held_up'] else ''} at height {let_go['height_mm']:.2f} mm,"
+        f" angle {let_go['angle_deg']:.1f}; physics {found['outcome']} (height {found['height_mm']:.2f} mm,"
+        f" aside {found['aside_mm']:.2f} mm, angle {found['angle_deg']:.1f}{'' if found['still'] else ', moving'})"
     )

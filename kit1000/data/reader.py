@@ -145,8 +145,12 @@ class Split:
         shards = self.dataset.shards(WANTED[self.name][0])
         if not shards:
             raise InputError(f"{self.dataset.root}: split {self.name} has no scenes")
+        if self.name != "curves":
+            return shards
         count = self.dataset.summary["config"]["curve_scenes"]
-        return {i: shard for i, shard in shards.items() if self.name != "curves" or has_curves(i, count)}
+        if count == 0:
+            raise InputError(f"{self.dataset.root}: made without curves; a dataset whose answers are withheld has none")
+        return {i: shard for i, shard in shards.items() if has_curves(i, count)}
 
     @property
     def scene_ids(self) -> list[str]:

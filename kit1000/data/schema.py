@@ -39,8 +39,9 @@ class SceneTruth:
     assembly_id: str
     world_from_assembly: Pose
     parts: tuple[Row, ...]
-    """In the order p0, p1, ...: {"part_id", "family", "mount", "rest_mode", "world_from_part", "world_from_kit", "pixels",
-    "visible", "slot_angle", "slot_visible", "unseen": reason or null}; the mount is an index into the assembly's."""
+    """In the order p0, p1, ...: {"part_id", "family", "mount", "rest_mode", "world_from_part", "world_from_kit",
+    "pixels", "visible", "slot_angle", "slot_visible", "unseen": reason or null}; the mount is an index into the
+    assembly's."""
     queries: Mapping[str, Row]
     """By query id: {"part", "goal_drawn": pose, "draw": {"goal", "turn", "offset": [3], "rotvec": [3]} or null}."""
     seg: np.ndarray

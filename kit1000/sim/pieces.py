@@ -32,7 +32,9 @@ UNIT = 1e-3  # [m] coacd is given millimetres
 
 
 def convex_pieces(mesh: Mesh) -> list[np.ndarray]:
-    """The corners of each convex piece of a closed mesh: (n, 3) [m] in its frame. They cover it, and a little more."""
+    """The corners of each convex piece of a closed mesh: (n, 3) [m] in its frame. Together they are it, but for a
+    few tenths of a millimetre and what they fill of its hollows.
+    """
     coacd = _coacd()
     plain = mesh_of(solid_of(mesh).simplify(SIMPLIFY))
     cut = coacd.run_coacd(coacd.Mesh(plain.vertices / UNIT, np.array(plain.faces)), **CUTTING)

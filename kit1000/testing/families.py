@@ -1,7 +1,4 @@
-"""Conformance checks for those who extend the package: run them on your own class in your own tests.
-
-Each check raises AssertionError with one line that says what was broken and by how much.
-"""
+"""Whether a part family keeps its promises: solid, deterministic, and as symmetric as it declares."""
 
 from __future__ import annotations
 

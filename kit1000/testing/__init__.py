@@ -1,0 +1,13 @@
+"""Conformance checks for those who extend the package: run them on your own class or function in your own tests.
+
+Each check raises AssertionError with one line that says what was broken and by how much.
+"""
+
+from __future__ import annotations
+
+from kit1000.testing.families import check_family, check_symmetry, distances
+from kit1000.testing.renderers import check_renderer
+from kit1000.testing.sensors import check_sensor
+from kit1000.testing.sources import check_source
+
+__all__ = ["check_family", "check_renderer", "check_sensor", "check_source", "check_symmetry", "distances"]

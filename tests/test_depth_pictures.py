@@ -1,0 +1,133 @@
+"""Depth images and masks as pictures: holes in ink, near brighter and warmer than far, masks by their label."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kit1000.camera import Camera
+from kit1000.pose import Pose
+from kit1000.sim.depth_pictures import FAR, MIDDLE, NEAR, depth_picture, mask_picture
+from kit1000.sim.pictures import INK, KIT, PART, SECONDARY, TABLE
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Look, View
+
+CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
+SHAPE = (CAMERA.height, CAMERA.width)
+
+
+def seen(depth: np.ndarray) -> View:
+    return View(CAMERA, Pose.identity(), depth)
+
+
+def steps(*distances: float) -> np.ndarray:
+    """Walls across the optical axis, side by side from left to right [m]."""
+    width = CAMERA.width // len(distances)
+    return np.repeat(np.array(distances), width)[None].repeat(CAMERA.height, axis=0)
+
+
+def hue_of(picture: np.ndarray) -> np.ndarray:
+    """(H, W, 3) colours without their brightness: what share is red, green, blue."""
+    return picture / picture.sum(axis=-1, keepdims=True).clip(1)
+
+
+def unlit(colour: tuple[int, int, int]) -> np.ndarray:
+    return np.array(colour) / sum(colour)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.0, 1.0))
+def test_holes_are_ink_and_nothing_else_fails_about_them(seed: int, share: float) -> None:
+    rng = np.random.default_rng(seed)
+    depth = np.where(rng.random(SHAPE) < share, 0, rng.uniform(0.5, 1.5, SHAPE))
+    look = Look(seen(depth), rng.integers(0, 9, SHAPE).astype(np.uint8))
+    for picture in (depth_picture(look.view), mask_picture(look)):
+        assert picture.shape == (*SHAPE, 3)
+        assert picture.dtype == np.uint8
+        assert (picture[depth == 0] == INK).all()
+
+
+def test_nothing_seen_is_all_ink() -> None:
+    assert (depth_picture(seen(np.zeros(SHAPE))) == INK).all()
+
+
+def test_near_is_brighter_and_warmer_than_far() -> None:
+    picture = depth_picture(seen(steps(0.5, 0.7, 0.9, 1.1))).astype(float)
+    inside = picture[5:-5, 8::16]  # the middle of each wall, away from the steps
+    brightness, warmth = inside.sum(axis=-1), inside[..., 0] - inside[..., 2]
+    assert (np.diff(brightness, axis=1) < 0).all()
+    assert (warmth[:, 0] > 100).all()
+    assert (warmth[:, 2:] < -40).all()
+
+
+def test_the_ends_and_the_middle_of_the_scale_have_the_colours_named() -> None:
+    hues = hue_of(depth_picture(seen(steps(0.5, 1.0, 1.5, 0.5))).astype(float))[20, 8::16]
+    for hue, colour in zip(hues, (NEAR, MIDDLE, FAR, NEAR), strict=True):
+        np.testing.assert_allclose(hue, unlit(colour), atol=0.01)
+
+
+@settings(max_examples=20, deadline=None)
+@given(factor=st.floats(0.5, 3.0))
+def test_the_scale_follows_the_scene(factor: float) -> None:
+    """A scene twice as far and twice as large has the same picture, but for rounding."""
+    v, u = np.indices(SHAPE)
+    depth = 0.7 + 0.004 * u + 0.1 * np.sin(v / 7)
+    one, other = (depth_picture(seen(depth * scale)).astype(int) for scale in (1.0, factor))
+    assert np.abs(one - other).max() <= 2
+
+
+def test_a_single_depth_is_a_picture_too() -> None:
+    picture = depth_picture(seen(np.full(SHAPE, 0.8)))
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) == 1
+    np.testing.assert_allclose(hue_of(picture.astype(float))[0, 0], unlit(NEAR), atol=0.01)
+
+
+def test_a_few_strays_do_not_take_the_scale() -> None:
+    depth = steps(0.8, 0.9)
+    strays = depth.copy()
+    strays[3, 3], strays[40, 60] = 0.01, 60.0
+    one, other = (depth_picture(seen(image)).astype(int) for image in (depth, strays))
+    far = np.ones(SHAPE, bool)
+    far[1:6, 1:6] = far[38:43, 58:63] = False  # relief looks at neighbours
+    assert np.abs(one - other)[far].max() <= 2
+
+
+def test_relief_is_lit_from_the_upper_left() -> None:
+    """The same slope is bright where it faces the lamp and dark where it turns away."""
+    v, u = np.indices(SHAPE)
+    # Depth grows towards the side that a surface faces: the ground lies farther off the higher it is in the image.
+    facing = {"left": -u, "right": u, "up": -v, "down": v}
+    views = {side: Look(seen(1 + 0.01 * along), np.zeros(SHAPE, np.uint8)) for side, along in facing.items()}
+    lit = {side: int(mask_picture(look)[24, 32].sum()) for side, look in views.items()}
+    assert min(lit["left"], lit["up"]) > 1.2 * max(lit["right"], lit["down"])
+
+
+def test_masks_have_the_colour_of_their_label() -> None:
+    labels = np.zeros(SHAPE, np.uint8)
+    colours = {0: TABLE, ASSEMBLY_LABEL: KIT}
+    colours |= {FIRST_PART_LABEL + i: (PART, *SECONDARY)[i % 7] for i in range(8)}
+    for place, label in enumerate(colours):
+        labels[:, 6 * place : 6 * place + 6] = label
+    picture = mask_picture(Look(seen(np.full(SHAPE, 0.9)), labels)).astype(float)
+    for place, colour in enumerate(colours.values()):
+        stripe = picture[:, 6 * place : 6 * place + 6].reshape(-1, 3)
+        assert len(np.unique(stripe, axis=0)) == 1  # flat: nothing but the label decides
+        np.testing.assert_allclose(hue_of(stripe)[0], unlit(colour), atol=0.01)
+    first = picture[0, 6 * (FIRST_PART_LABEL + np.arange(8))]
+    assert len(np.unique(first[:7], axis=0)) == 7  # parts of one scene are told apart
+    assert np.array_equal(first[0], first[7])  # the eighth begins again
+
+
+def test_pictures_leave_the_images_alone() -> None:
+    depth = steps(0.5, 1.0)
+    view = seen(depth)
+    depth_picture(view)
+    mask_picture(Look(view, np.ones(SHAPE, np.uint8)))
+    assert np.array_equal(view.depth, depth.astype(np.float32))
+
+
+@pytest.mark.parametrize("label", [0, 1, 2, 9, 200, 255])
+def test_every_label_has_a_colour(label: int) -> None:
+    picture = mask_picture(Look(seen(np.full(SHAPE, 1.0)), np.full(SHAPE, label, np.uint8)))
+    assert picture.max() > 20

@@ -1,0 +1,57 @@
+"""The Python that the README and the page about learning show: it runs, and what it trains learns."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+import torch
+
+from kit1000.data.reader import Dataset, Split
+from kit1000.data.torch import QueryDataset
+from tests.built import mini_dataset
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    """A recorded dataset of four scenes."""
+    return Dataset(mini_dataset(tmp_path_factory))
+
+
+@pytest.fixture(scope="module")
+def train(data: Dataset) -> Split:
+    return data.split("train", truth=True)
+
+
+def shown() -> tuple[str, ...]:
+    """The Python of the document: what trains something, and an item of one's own."""
+    text = (ROOT / "docs/learning.md").read_text(encoding="utf-8")
+    return tuple(re.findall(r"^```py\n(.*?)^```", text, re.MULTILINE | re.DOTALL))
+
+
+def test_the_readme_shows_the_same_net() -> None:
+    assert f"```py\n{shown()[0]}```" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_shown_item_is_one(train: Split) -> None:
+    _, own = shown()
+    exec(own, names := {})
+    for item in QueryDataset(train, "snap", names["part_crop"]):
+        assert item["crop"].shape == (128, 128)
+        assert (item["crop"] > 0).any()
+
+
+def test_the_shown_net_learns(
+    data: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tiny").symlink_to(data.root)
+    torch.manual_seed(0)
+    example, _ = shown()
+    exec(example, {})
+    losses = [float(line.split()[2]) for line in capsys.readouterr().out.splitlines()]
+    assert losses[0] > 15  # [mm] about what the guess is off
+    assert losses[-1] < losses[0] / 2

@@ -1,0 +1,141 @@
+"""Laws of shards: what they hold follows from the plan alone, and a scene that cannot be made costs no other."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mini import MINI, contents, corners, sketched
+
+from kit1000.data import shards as module
+from kit1000.data.build import generate
+from kit1000.data.card import card_bytes
+from kit1000.data.figures import merged, statistics
+from kit1000.data.files import read_json
+from kit1000.data.mcap_io import ObservationFile, TruthFile
+from kit1000.data.pairs import BUILD
+from kit1000.data.plan import scene_id_of
+from kit1000.data.reader import Dataset
+from kit1000.data.schema import SCENES_PER_SHARD
+from kit1000.data.shards import FURTHER, SEEN, TRUE, make_shard, shards
+from kit1000.data.verify import verify
+from kit1000.errors import Redraw
+
+ROOT = Path("root")
+
+
+def planned(count: int) -> list[str]:
+    return [f"train-{k:04d}" for k in range(count)]
+
+
+@given(st.integers(0, 120), st.sets(st.integers(0, 119)))
+def test_shards_hold_every_usable_assembly_once_and_never_too_many(count: int, gone: set[int]) -> None:
+    usable = {i for k, i in enumerate(planned(count)) if k not in gone}
+    jobs = shards(ROOT, MINI, 7, "train", planned(count), usable)
+    assert [i for job in jobs for i in job.assemblies] == sorted(usable)
+    assert all(0 < len(job.assemblies) <= SCENES_PER_SHARD for job in jobs)
+
+
+@given(st.integers(1, 120), st.sets(st.integers(0, 119)))
+def test_what_cannot_be_made_moves_nothing_to_another_shard(count: int, gone: set[int]) -> None:
+    usable = {i for k, i in enumerate(planned(count)) if k not in gone}
+    whole = {i: job.id for job in shards(ROOT, MINI, 7, "train", planned(count), set(planned(count)))
+             for i in job.assemblies}  # fmt: skip
+    left = {i: job.id for job in shards(ROOT, MINI, 7, "train", planned(count), usable) for i in job.assemblies}
+    assert left == {i: whole[i] for i in usable}
+
+
+def refusing(*assembly_ids: str) -> Callable[..., Any]:
+    """Sketches of scenes, but for assemblies that no layout shows."""
+
+    def make(preset: Any, seed: int, split: str, assembly: Any, parts: Any, further: bool) -> Any:
+        if assembly.id in assembly_ids:
+            raise Redraw("none of 60 layouts passes, mostly: parts touch")
+        return sketched(preset, seed, split, assembly, parts, further)
+
+    return make
+
+
+def built(folder: Path, *refused: str) -> Path:
+    """A dataset, its scenes sketched, some refused."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "make_scene", refusing(*refused))
+        generate(MINI, folder / "data", workers=1, sources=corners(folder / "files"))
+    return folder / "data"
+
+
+def test_a_scene_that_cannot_be_made_is_told_and_costs_no_other(tmp_path: Path) -> None:
+    root, whole = built(tmp_path / "a", "train-0001"), built(tmp_path / "b")
+    summary = read_json(root / "dataset.json")
+    assert summary["refused_scenes"] == {"train-s0001": "none of 60 layouts passes, mostly: parts touch"}
+    assert summary["counts"]["train"] == {"parts": 2, "assemblies": 2, "scenes": 1}
+    assert summary["shards"]["train/0000.mcap"] == ["train-s0000"]
+    seen, same = (ObservationFile(folder / "train/0000.mcap") for folder in (root, whole))
+    assert seen.scene_ids == ("train-s0000",)
+    assert seen.content_hash("train-s0000") == same.content_hash("train-s0000")
+    assert TruthFile(root / "train/0000.truth.mcap").scene_ids == ("train-s0000",)
+    assert [scene.id for scene in Dataset(root).split("train")] == ["train-s0000"]
+    assert verify(root).faults == ()
+    assert b"none of 60 layouts passes, mostly: parts touch" in card_bytes(summary)
+
+
+def test_a_shard_without_a_scene_has_no_files(tmp_path: Path) -> None:
+    root = built(tmp_path, "test-0000")
+    summary = read_json(root / "dataset.json")
+    assert not [name for name in contents(root) if name.startswith("test/")]
+    assert list(summary["shards"]) == ["train/0000.mcap", "val/0000.mcap"]
+    assert summary["counts"]["test"] == {"parts": 1, "assemblies": 1, "scenes": 0}
+    assert verify(root).faults == ()
+
+
+def test_redraws_and_figures_are_those_of_the_scenes(tmp_path: Path) -> None:
+    summary = read_json(built(tmp_path, "val-0000") / "dataset.json")
+    scenes = [i for held in summary["shards"].values() for i in held]
+    kits = read_json(tmp_path / "data/assemblies.json")
+    sizes = [len(kits[i.replace("-s", "-")]["mounts"]) + MINI.seed % 2 for i in scenes]  # as `sketched` has it
+    assert summary["redraws"]["scenes"] == {"parts touch": sum(sizes)}
+    for split in ("train", "val", "test"):
+        paths = [tmp_path / "data" / name for name in summary["shards"] if name.startswith(split)]
+        files = [TruthFile(path.with_suffix(TRUE)) for path in paths]
+        figures = merged(statistics([file.truth(i)]) for file in files for i in file.scene_ids)
+        assert figures.items() <= summary["statistics"][split].items()
+
+
+def test_the_files_of_a_shard_hold_the_same_scenes(mini: Path) -> None:
+    for shard, held in read_json(mini / "dataset.json")["shards"].items():
+        path = mini / shard
+        assert list(ObservationFile(path).scene_ids) == list(TruthFile(path.with_suffix(TRUE)).scene_ids) == held
+        further = path.with_suffix(FURTHER)
+        assert further.is_file() == shard.startswith("test/")
+        assert not further.is_file() or list(ObservationFile(further).scene_ids) == held
+
+
+def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sketches: None) -> None:
+    jobs = []
+    known = make_shard
+    monkeypatch.setattr("kit1000.data.build.make_shard", lambda job: jobs.append(job) or known(job))
+    monkeypatch.setattr("kit1000.data.build._finish", lambda *_: {})
+    generate(MINI, tmp_path / "data", workers=1, sources=corners(tmp_path / "files"))
+    records = [make_shard(job) for job in jobs]
+    monkeypatch.setattr(module, "make_scene", refusing("train-0000", "train-0001", "val-0000", "test-0000"))
+    assert [make_shard(job) for job in jobs] == records
+    assert [str(job) for job in jobs] == ["shard train/0000", "shard val/0000", "shard test/0000"]
+    (tmp_path / "data/train/0000.truth.mcap").unlink()
+    again = make_shard(jobs[0])
+    assert again["refused"] == dict.fromkeys(
+        map(scene_id_of, jobs[0].assemblies), "none of 60 layouts passes, mostly: parts touch"
+    )
+
+
+def test_a_record_lists_its_files_by_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sketches: None) -> None:
+    monkeypatch.setattr("kit1000.data.build._finish", lambda *_: {})
+    generate(MINI, tmp_path / "data", workers=1, sources=corners(tmp_path / "files"))
+    found = contents(tmp_path / "data")
+    record = read_json(tmp_path / "data" / BUILD / "shards/test/0000.json")
+    assert record["files"] == {f"test/0000{ending}": found[f"test/0000{ending}"] for ending in (SEEN, TRUE, FURTHER)}
+    assert Counter(record["redraws"]).keys() == {"parts touch"}

@@ -1,0 +1,151 @@
+"""Contact sheets of scenes: what they hold with the truth at hand and without, and that they show the scene."""
+
+from __future__ import annotations
+
+import io
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from kit1000.camera import Camera
+from kit1000.data import sheets
+from kit1000.data.geometry import Geometry
+from kit1000.data.reader import Dataset, Recorded
+from kit1000.data.sheets import contact_sheet_of, scene_sheet
+from kit1000.data.withhold import publish
+from kit1000.errors import InputError
+from kit1000.sim.depth_pictures import depth_picture
+from kit1000.values import FIRST_PART_LABEL
+
+WIDTH, HEIGHT = 320, 180  # [px] smaller pictures than people get: drawing takes time
+GAP, CAPTION = 8, 30  # [px] between the pictures of a sheet, and below each, at this width
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _small_pictures() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sheets, "SCENE_TILE", (WIDTH, HEIGHT))
+        yield
+
+
+@pytest.fixture(scope="module")
+def opened(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same dataset with the answers of its test split withheld."""
+    folder = tmp_path_factory.mktemp("published")
+    publish(shutil.copytree(mini, folder / "whole"), folder / "open")
+    return folder / "open"
+
+
+def pixels(png: bytes) -> np.ndarray:
+    assert png.startswith(b"\x89PNG")
+    return np.asarray(Image.open(io.BytesIO(png)))
+
+
+def rows_of(image: np.ndarray) -> int:
+    """Rows of pictures in a sheet of three columns; a drawn one may be a pixel higher than asked."""
+    assert image.shape[1:] == (3 * (WIDTH + GAP) + GAP, 3)
+    rows, more = divmod(image.shape[0] - GAP, HEIGHT + CAPTION + GAP)
+    assert more in (0, rows)
+    return rows
+
+
+def tile(image: np.ndarray, number: int) -> np.ndarray:
+    """One picture of a sheet of three columns."""
+    top = GAP + number // 3 * ((image.shape[0] - GAP) // rows_of(image))
+    left = GAP + number % 3 * (WIDTH + GAP)
+    return image[top : top + HEIGHT, left : left + WIDTH].astype(int)
+
+
+@pytest.fixture(scope="module")
+def whole_sheet(mini: Path) -> np.ndarray:
+    return pixels(scene_sheet(Dataset(mini), "test-s0000"))
+
+
+def test_a_scene_with_its_truth_has_six_pictures(whole_sheet: np.ndarray) -> None:
+    assert rows_of(whole_sheet) == 2
+    pictures = [tile(whole_sheet, i) for i in range(6)]
+    for i, one in enumerate(pictures):
+        assert one.std() > 10  # it shows something
+        assert all(np.abs(one - other).mean() > 0.05 for other in pictures[:i])
+
+
+def test_a_scene_without_its_truth_has_three_pictures_fewer(opened: Path, whole_sheet: np.ndarray) -> None:
+    image = pixels(scene_sheet(Dataset(opened), "test-s0000"))
+    assert rows_of(image) == 1
+    for i in range(3):
+        assert np.array_equal(tile(image, i), tile(whole_sheet, i))
+
+
+def drawn_at_once(_: object, camera: Camera, __: object) -> np.ndarray:
+    """In the place of `shaded`, where only the number of pictures counts."""
+    return np.full((camera.height, camera.width, 3), 90, np.uint8)
+
+
+def test_training_scenes_of_an_open_folder_keep_their_truth(opened: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sheets, "shaded", drawn_at_once)
+    assert rows_of(pixels(scene_sheet(Dataset(opened), "train-s0000"))) == 2
+
+
+def test_without_the_d415_its_picture_is_left_out(
+    mini: Path, whole_sheet: np.ndarray, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sheets.Recorded, "sensors", ["ideal"])
+    monkeypatch.setattr(sheets, "shaded", drawn_at_once)
+    image = pixels(scene_sheet(Dataset(mini), "test-s0000"))
+    for i in range(2):  # depth and masks
+        assert np.array_equal(tile(image, i), tile(whole_sheet, i))
+    assert [int(np.median(tile(image, i))) for i in range(2, 6)] == [90, 90, 90, 250]  # the truth, then paper
+
+
+def test_the_pictures_are_cut_to_all_that_is_masked(mini: Path, whole_sheet: np.ndarray) -> None:
+    recorded = Dataset(mini).recorded("test-s0000")
+    rows, columns = sheets._window(recorded.labels)
+    outside = np.ones(recorded.labels.shape, bool)
+    outside[rows, columns] = False
+    assert not recorded.labels[outside].any()
+    tall, wide = rows.stop - rows.start, columns.stop - columns.start
+    assert wide / tall == pytest.approx(WIDTH / HEIGHT, rel=0.01)
+    cut = Image.fromarray(depth_picture(recorded.view())[rows, columns])
+    cut = cut.resize((WIDTH, HEIGHT), Image.Resampling.BICUBIC)
+    assert np.array_equal(tile(whole_sheet, 0), np.asarray(cut).astype(int))
+
+
+def labels_of(recorded: Recorded) -> np.ndarray:
+    """The masks as a picture of the sheet has them. (HEIGHT, WIDTH) uint8."""
+    masks = Image.fromarray(recorded.labels[sheets._window(recorded.labels)])
+    return np.asarray(masks.resize((WIDTH, HEIGHT), Image.Resampling.NEAREST))
+
+
+def test_drawn_pictures_lie_over_the_measured_ones(mini: Path, whole_sheet: np.ndarray) -> None:
+    """Where the masks show the kits, the drawing shows no table: outlines agree."""
+    recorded = Dataset(mini).recorded("test-s0000")
+    bodies = labels_of(recorded) > 0
+    scene = tile(whole_sheet, 3)
+    background = np.abs(scene - scene[2, 2]).sum(axis=-1) < 12
+    assert np.mean(background[bodies]) < 0.02
+    assert np.mean(background[~bodies]) > 0.6  # but for shadows
+
+
+def test_only_what_is_asked_moves_between_the_drawn_pictures(mini: Path, whole_sheet: np.ndarray) -> None:
+    lying, seated, guessed = (tile(whole_sheet, i) for i in (3, 4, 5))
+    recorded = Dataset(mini).recorded("test-s0000")
+    asked = [query for query in recorded.queries if query.track == "snap-tilt"]
+    assert asked
+    part = labels_of(recorded) == FIRST_PART_LABEL + asked[0].part
+    assert np.mean(np.abs(lying - seated).sum(-1)[part] > 12) > 0.5  # the part has left
+    near = np.abs(seated - guessed).sum(-1) > 12
+    assert 0.001 < near.mean() < 0.1
+
+
+def test_a_sheet_of_no_parts_is_refused(mini: Path) -> None:
+    with pytest.raises(InputError, match="no parts in split 'tets'"):
+        contact_sheet_of(Geometry(mini), "parts", "tets", 2)
+
+
+def test_a_scene_that_is_not_there_is_answered_with_a_near_one(mini: Path) -> None:
+    with pytest.raises(InputError, match=r"no scene 'test-s000' among 4; did you mean test-s0000\?"):
+        scene_sheet(Dataset(mini), "test-s000")

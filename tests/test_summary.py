@@ -1,0 +1,93 @@
+"""Laws of the summary: every number of `dataset.json` is found again in the files that it speaks of."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mini import MINI, contents
+
+from kit1000.data.card import card_bytes
+from kit1000.data.croissant import croissant_bytes
+from kit1000.data.figures import merged, pair_statistics, statistics
+from kit1000.data.files import json_bytes, read_json
+from kit1000.data.plan import DATA_VERSION, dataset_id, make_plan
+from kit1000.data.presets import SPLITS
+from kit1000.data.reader import Dataset
+from kit1000.data.summary import refused_files, sealed
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=10,
+)
+
+
+@pytest.fixture(scope="module")
+def summary(mini: Path) -> dict[str, Any]:
+    return read_json(mini / "dataset.json")
+
+
+@given(st.dictionaries(st.text(), JSON, max_size=4))
+def test_a_seal_holds_for_what_is_read_back_and_for_nothing_else(values: dict[str, Any]) -> None:
+    data = sealed(values)
+    assert sealed(json.loads(data)) == data
+    plain = {key: value for key, value in values.items() if key != "checksum"}
+    assert json.loads(data) == plain | {"checksum": hashlib.sha256(json_bytes(plain)).hexdigest()}
+    assert sealed({**json.loads(data), "more": 1}) != data
+
+
+def test_identity_and_configuration_are_those_of_the_plan(mini: Path, summary: dict[str, Any]) -> None:
+    plan = make_plan(MINI, MINI.seed)
+    assert read_json(mini / "plan.json") == plan
+    assert summary["dataset_id"] == dataset_id(plan)
+    assert (summary["seed"], summary["config"], summary["preset"]) == (MINI.seed, MINI.config, "mini")
+    assert summary["data_version"] == DATA_VERSION
+
+
+def test_counts_are_those_of_the_tables_and_the_recordings(mini: Path, summary: dict[str, Any]) -> None:
+    for split in SPLITS:
+        for table in ("parts", "assemblies"):
+            rows = read_json(mini / f"{table}.json").values()
+            assert summary["counts"][split][table] == sum(row["split"] == split for row in rows)
+        assert summary["counts"][split]["scenes"] == len(list(Dataset(mini).split(split)))
+
+
+def test_redraws_are_those_of_the_tables(mini: Path, summary: dict[str, Any]) -> None:
+    for table in ("parts", "assemblies"):
+        rows = read_json(mini / f"{table}.json").values()
+        assert summary["redraws"][table] == Counter(reason for row in rows for reason in row["redraws"])
+    assert all(count > 0 for count in summary["redraws"]["scenes"].values())
+
+
+def test_figures_are_those_of_the_truth_and_the_tables(mini: Path, summary: dict[str, Any]) -> None:
+    tables = [read_json(mini / f"{name}.json") for name in ("parts", "kits")]
+    for split in SPLITS:
+        parts, kits = ([row for row in table.values() if row["split"] == split] for table in tables)
+        truths = [scene.truth for scene in Dataset(mini).split(split, truth=True)]
+        assert summary["statistics"][split] == merged([statistics(truths), pair_statistics(parts, kits)])
+
+
+def test_files_are_all_there_with_their_hashes(mini: Path, summary: dict[str, Any]) -> None:
+    found = contents(mini)
+    assert summary["files"] == {name: digest for name, digest in found.items() if name != "dataset.json"}
+    assert set(summary["shards"]) == {name for name in found if name.count(".") == 1 and name.endswith(".mcap")}
+
+
+def test_card_and_croissant_are_written_from_the_summary_alone(mini: Path, summary: dict[str, Any]) -> None:
+    told = {key: value for key, value in summary.items() if key != "checksum"}
+    told["files"] = {i: digest for i, digest in summary["files"].items() if i not in ("README.md", "croissant.json")}
+    assert (mini / "README.md").read_bytes() == card_bytes(told)
+    assert (mini / "croissant.json").read_bytes() == croissant_bytes(told)
+
+
+def test_refused_files_are_those_tried_in_vain() -> None:
+    plan = {"parts": {"a": {"sources": [["x.stl", "0"], ["y.stl", "1"]]}, "b": {"sources": [["z.stl", "2"]]}, "c": {}}}
+    records = {"a": {"redraws": ["empty file"]}, "b": {"redraws": ["too thin"]}, "c": {"redraws": ["loose fit"]}}
+    assert refused_files(plan, records) == {"x.stl": "empty file", "z.stl": "too thin"}
