@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mini import MINI
 
 from kit1000.data.reader import Dataset, Recorded
 from kit1000.errors import InputError
 from kit1000.sim.cameras import CAMERA, camera_set
 from kit1000.sim.sensors import GRID, SENSORS
 from kit1000.values import ASSEMBLY_LABEL, View
-from tests.mini import MINI
 
 
 @pytest.fixture(scope="module")

@@ -47,7 +47,7 @@ def scene(path: Path) -> None:
         generate(PRESETS["tiny"], Path(folder))
         sheet = Image.open(BytesIO(scene_sheet(Dataset(folder), SCENE)))
     sheet.thumbnail((SCENE_WIDTH, SCENE_WIDTH), Image.Resampling.LANCZOS)
-    sheet.quantize(256).save(path, optimize=True)
+    sheet.save(path, optimize=True)
 
 
 def hero(path: Path) -> None:

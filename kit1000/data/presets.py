@@ -85,5 +85,5 @@ def preset(name: str) -> Preset:
 
 def preset_of(name: str, config: dict[str, Any]) -> Preset:
     """The preset that a plan was made with, from the plain values that `config` gave."""
-    values = {key: tuple(value) if isinstance(value, list) else value for key, value in config.items()}
+    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in config.items()}
     return Preset(name, **values)

@@ -79,10 +79,10 @@ def _true_tiles(recorded: Recorded, window: tuple[slice, slice]) -> dict[str, np
 def _cut(view: View, window: tuple[slice, slice]) -> tuple[Camera, Pose]:
     """The camera that sees a window of a view, as large as a tile."""
     rows, columns = window
-    whole = view.camera
-    size = columns.stop - columns.start, rows.stop - rows.start
-    part = Camera(*size, whole.fx, whole.fy, whole.cx - columns.start, whole.cy - rows.start)
-    return part.scaled(SCENE_TILE[0] / part.width), view.world_from_camera
+    whole, (width, height) = view.camera, SCENE_TILE
+    across, down = width / (columns.stop - columns.start), height / (rows.stop - rows.start)
+    centre = (whole.cx - columns.start + 0.5) * across - 0.5, (whole.cy - rows.start + 0.5) * down - 0.5
+    return Camera(width, height, whole.fx * across, whole.fy * down, *centre), view.world_from_camera
 
 
 def _spread(ids: list[str], count: int) -> list[str]:
