@@ -213,7 +213,7 @@ class Verify:
         rebuilt = ", ".join(found.rebuilt) or "none"
         print(f"{found.files} files checked, {len(found.rebuilt)} scenes built again ({rebuilt})")
         print(*(f"note: {note}" for note in found.notes), sep="\n", end="\n" if found.notes else "")
-        print(f"{len(found.faults)} faults" if found.faults else "all is as it was made")
+        print(f"faults: {len(found.faults)}" if found.faults else "all is as it was made")
         return 1 if found.faults else 0
 
 
@@ -266,7 +266,23 @@ class Insertions:
         return 0
 
 
-COMMANDS = {"generate": Generate, "kit": MakeKit, "info": Info, "show": Show, "verify": Verify, "export": Export, "insertions": Insertions}
+COMMANDS = {
+    "generate": Generate,
+    "kit": MakeKit,
+    "info": Info,
+    "show": Show,
+    "verify": Verify,
+    "export": Export,
+    "insertions": Insertions,
+}
+    "generate": Generate,
+    "kit": MakeKit,
+    "info": Info,
+    "show": Show,
+    "verify": Verify,
+    "export": Export,
+    "insertions": Insertions,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -6,6 +6,7 @@ leaving one out, or visiting them in another order changes no other stream.
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from operator import index
 
@@ -17,20 +18,28 @@ from kit1000.errors import InputError
 # into the next word and could meet another key.
 ROOT_LIMIT = 2**128
 KEY_LIMIT = 2**32
+GUESSABLE = 2**64
+"""A root below can be found by trying; from here on it may be a secret, and no draw tells it."""
 
 
 def stream(root: int, *key: int | str) -> np.random.Generator:
     """Return the generator at this address; the same address gives the same numbers everywhere.
 
     Args:
-        root: seed of the whole dataset, 0 <= root < 2**128.
+        root: seed of the whole dataset, 0 <= root < 2**128; a secret one from GUESSABLE up.
         key: path of the stream, each entry an int in 0 .. 2**32 - 1 or a string, which enters by its CRC-32.
 
     Returns:
         A PCG64 generator at its start. Two calls return two generators with equal numbers to come.
     """
     words = tuple(_word(entry) for entry in key)
-    seed = np.random.SeedSequence(_number("root seed", root, ROOT_LIMIT), spawn_key=words)
+    number = _number("root seed", root, ROOT_LIMIT)
+    if number < GUESSABLE:
+        seed = np.random.SeedSequence(number, spawn_key=words)
+    else:  # neither SeedSequence nor PCG64 is one-way: from enough published draws a root could be worked out
+        address = b"".join(word.to_bytes(4, "little") for word in words)
+        digest = hashlib.sha256(number.to_bytes(16, "little") + address).digest()
+        seed = np.random.SeedSequence(int.from_bytes(digest[:16], "little"))
     # Named outright, because numpy reserves the right to change what default_rng() makes.
     return np.random.Generator(np.random.PCG64(seed))
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 import torch
+from tests.built import mini_dataset
 
 from kit1000.data.reader import Dataset, Split
 from kit1000.data.torch import QueryDataset
-from tests.built import mini_dataset
 
 ROOT = Path(__file__).resolve().parents[1]
 

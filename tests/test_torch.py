@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from tests.built import mini_dataset
 from torch.utils.data import DataLoader
 
 from kit1000.data.cache import VolumeCache
@@ -23,7 +24,6 @@ from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.values import Query, Truth
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points, to_float16, to_uint8
-from tests.built import mini_dataset
 
 ROOT = Path(__file__).resolve().parents[1]
 SMALL = {"shape": (24, 20, 16), "voxel": 4e-3}

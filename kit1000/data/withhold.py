@@ -16,11 +16,11 @@ from typing import Any
 from kit1000.data.files import check_writable, is_url, json_bytes, locked, read_json, sha256, write_bytes, write_json
 from kit1000.data.summary import described, sealed
 from kit1000.errors import InputError
+from kit1000.rng import GUESSABLE
 
 HIDDEN = "test"
 SECRET = "withheld.json"  # in the whole folder: salt, commitment and the identity of the open one
 BEGUN = ".begun.json"  # in the open folder while it is being filled: whose open part it is to be
-GUESSABLE = 2**64  # a seed below can be found by trying: the training meshes tell when it is right
 TABLES = ("parts", "kits", "assemblies")
 
 
