@@ -275,14 +275,6 @@ COMMANDS = {
     "export": Export,
     "insertions": Insertions,
 }
-    "generate": Generate,
-    "kit": MakeKit,
-    "info": Info,
-    "show": Show,
-    "verify": Verify,
-    "export": Export,
-    "insertions": Insertions,
-}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

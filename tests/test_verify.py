@@ -312,5 +312,5 @@ def test_the_command_says_what_was_found(copy: Path, capsys: pytest.CaptureFixtu
         "kits.json: changed since it was written",
         f"{count} files checked, 0 scenes built again (none)",
         "note: nothing built again: files are damaged",
-        "1 faults",
+        "faults: 1",
     ]
