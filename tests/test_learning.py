@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from tests.built import mini_dataset
 
 from kit1000.data.reader import Dataset, Split
 from kit1000.data.torch import QueryDataset
@@ -16,9 +15,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+def data(mini: Path) -> Dataset:
     """A recorded dataset of four scenes."""
-    return Dataset(mini_dataset(tmp_path_factory))
+    return Dataset(mini)
 
 
 @pytest.fixture(scope="module")

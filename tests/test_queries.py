@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from scipy.spatial.transform import Rotation
 
 from kit1000.camera import Camera, look_at
@@ -224,6 +224,7 @@ def test_a_track_without_any_part_draws_none() -> None:
 @given(poses())
 def test_roll_and_pitch_are_those_of_scipy(pose: Pose) -> None:
     roll, pitch, _ = _scipy_angles(pose)
+    assume(abs(abs(pitch) - np.pi / 2) > 1e-3)  # there roll and yaw are one
     assert _paper_tilt(pose) == pytest.approx(max(abs(roll), abs(pitch)), abs=1e-7)
 
 

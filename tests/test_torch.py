@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from tests.built import mini_dataset
 from torch.utils.data import DataLoader
 
 from kit1000.data.cache import VolumeCache
@@ -30,9 +29,9 @@ SMALL = {"shape": (24, 20, 16), "voxel": 4e-3}
 
 
 @pytest.fixture(scope="module")
-def data(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+def data(mini: Path) -> Dataset:
     """A recorded dataset of four scenes."""
-    return Dataset(mini_dataset(tmp_path_factory))
+    return Dataset(mini)
 
 
 @pytest.fixture(scope="module")

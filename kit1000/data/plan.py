@@ -177,9 +177,9 @@ def scene_id_of(assembly_id: str) -> str:
     return f"{split}-s{number}"
 
 
-def rest_modes(seed: int, scene_id: str, parts: int) -> tuple[str, ...]:
-    """How the parts of a scene come to lie, in the order p0, p1, ..."""
-    return draw_modes(stream(seed, "rest", scene_id), parts)
+def rest_modes(seed: int, scene_id: str, parts: int, attempt: int = 0) -> tuple[str, ...]:
+    """How the parts of a scene come to lie, in the order p0, p1, ...; one attempt at drawing it."""
+    return draw_modes(stream(seed, "rest", scene_id, attempt), parts)
 
 
 def _scenes(seed: int, assemblies: dict[str, Any]) -> dict[str, Any]:

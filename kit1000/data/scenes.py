@@ -23,7 +23,7 @@ from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, camera_set, draw_primary, in_view
-from kit1000.sim.layout import UPRIGHT, Layout, draw_layout, lay_out, table
+from kit1000.sim.layout import UNSTABLE, UPRIGHT, Layout, draw_layout, lay_out, table
 from kit1000.sim.render import Frame, render
 from kit1000.sim.sensors import sense
 from kit1000.sim.visibility import PartSeen, SlotSeen, cavity_labels, part_seen, slot_angle, slot_seen, why_unseen
@@ -57,7 +57,6 @@ class _Cast:
     assembly: Assembly
     parts: tuple[Part, ...]
     mounts: tuple[int, ...]
-    modes: tuple[str, ...]
 
     def mount(self, i: int) -> Mount:
         return self.assembly.mounts[self.mounts[i]]
@@ -75,6 +74,7 @@ class _Cast:
 class _Stage:
     """A layout as the primary camera sees it."""
 
+    modes: tuple[str, ...]
     layout: Layout
     world_from_camera: Pose
     frame: Frame
@@ -123,9 +123,7 @@ def _cast(preset: Preset, seed: int, split: str, assembly: Assembly, parts: Mapp
     scene_id = scene_id_of(assembly.id)
     mounts = tuple(stream(seed, "order", scene_id).permutation(len(assembly.mounts)).tolist())
     order = tuple(parts[assembly.mounts[k].kit.slot.part_id] for k in mounts)
-    return _Cast(
-        scene_id, split, seed, preset.sensors, assembly, order, mounts, rest_modes(seed, scene_id, len(mounts))
-    )
+    return _Cast(scene_id, split, seed, preset.sensors, assembly, order, mounts)
 
 
 def _staged(cast: _Cast) -> tuple[_Stage, list[str]]:
@@ -133,7 +131,9 @@ def _staged(cast: _Cast) -> tuple[_Stage, list[str]]:
     redraws: list[str] = []
     slots = [cast.slot(i) for i in range(len(cast.parts))]
     for attempt in range(LAYOUTS):
-        draw = draw_layout(stream(cast.seed, "layout", cast.scene_id, attempt), cast.modes)
+        # A part that topples from its insertion face does so at every yaw, so how the parts lie is drawn again too.
+        modes = rest_modes(cast.seed, cast.scene_id, len(cast.parts), redraws.count(UNSTABLE))
+        draw = draw_layout(stream(cast.seed, "layout", cast.scene_id, attempt), modes)
         try:
             layout = lay_out(cast.assembly, list(zip(cast.parts, slots, strict=True)), draw)
         except Redraw as refusal:
@@ -142,14 +142,14 @@ def _staged(cast: _Cast) -> tuple[_Stage, list[str]]:
         for k in range(VIEWS):
             view = draw_primary(stream(cast.seed, "view", cast.scene_id, attempt, k))
             try:
-                return _seen(cast, layout, view), redraws
+                return _seen(cast, modes, layout, view), redraws
             except Redraw as refusal:
                 redraws.append(refusal.reason)
     (commonest, _), *_ = Counter(redraws).most_common(1)
     raise Redraw(f"none of {LAYOUTS} layouts passes, mostly: {commonest}")
 
 
-def _seen(cast: _Cast, layout: Layout, view: Pose) -> _Stage:
+def _seen(cast: _Cast, modes: tuple[str, ...], layout: Layout, view: Pose) -> _Stage:
     """The stage, or Redraw: all in view, the target well seen, and a part for the tracks without a guess."""
     target, n = cast.target, range(len(cast.parts))
     world_from_kits = [layout.world_from_assembly @ cast.mount(i).assembly_from_kit for i in n]
@@ -161,9 +161,9 @@ def _seen(cast: _Cast, layout: Layout, view: Pose) -> _Stage:
     frame = render(CAMERA, view, scene, threads=1)
     parts = tuple(part_seen(frame, 2 + i, CAMERA, view, *scene[2 + i]) for i in n)
     slots = tuple(slot_seen(frame.depth, CAMERA, view, cast.mount(i).kit, world_from_kits[i]) for i in n)
-    stage = _Stage(layout, view, frame, parts, slots)
+    stage = _Stage(modes, layout, view, frame, parts, slots)
     refused(stage.unseen(target))
-    upright = [i for i in n if cast.modes[i] == UPRIGHT]
+    upright = [i for i in n if modes[i] == UPRIGHT]
     if upright and all(stage.unseen(i) for i in upright):
         raise Redraw("no upright part is well seen with its slot")
     return stage
@@ -200,7 +200,7 @@ def _world_from_kit(cast: _Cast, stage: _Stage, i: int) -> Pose:
 def _asked(cast: _Cast, stage: _Stage, i: int) -> Asked:
     return Asked(
         i,
-        cast.modes[i],
+        stage.modes[i],
         stage.layout.world_from_parts[i],
         _world_from_kit(cast, stage, i),
         cast.slot(i),
@@ -214,7 +214,7 @@ def _part_row(cast: _Cast, stage: _Stage, i: int) -> Row:
         "part_id": cast.parts[i].id,
         "family": cast.parts[i].family,
         "mount": cast.mounts[i],
-        "rest_mode": cast.modes[i],
+        "rest_mode": stage.modes[i],
         "world_from_part": pose_row(stage.layout.world_from_parts[i]),
         "world_from_kit": pose_row(_world_from_kit(cast, stage, i)),
         "pixels": int(part.pixels),

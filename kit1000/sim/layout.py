@@ -22,6 +22,7 @@ from kit1000.sim.settle import Release, Rest, on_grid, settle
 from kit1000.values import Assembly, Part, Slot
 
 UPRIGHT, TUMBLED = "upright", "tumbled"
+UNSTABLE = "part unstable"  # the reason of a layout in which an upright part does not stand
 UPRIGHT_SHARE = 0.6  # of the parts, whatever their number in a scene
 
 _BOX_FACES = np.array(
@@ -84,7 +85,8 @@ def table() -> Mesh:
 
 def draw_modes(rng: np.random.Generator, n: int) -> tuple[str, ...]:
     """How each of n parts is let go. Each is upright with UPRIGHT_SHARE; from two parts on at least one is."""
-    return modes_at(rng.random(), n)
+    modes = modes_at(rng.random(), n)
+    return tuple(modes[i] for i in rng.permutation(n))  # no pair of parts is tied
 
 
 def modes_at(offset: float, n: int) -> tuple[str, ...]:
@@ -187,7 +189,7 @@ def _check_rest(mode: str, release: Release, rest: Rest) -> None:
     turn = release.world_from_part.inverse() @ rest.world_from_part
     moved = np.linalg.norm(rest.world_from_part.xyz - release.world_from_part.xyz)
     if mode == UPRIGHT and (moved > MOVED or turn.angle() > TIPPED):
-        raise Redraw("part unstable")
+        raise Redraw(UNSTABLE)
 
 
 def _stand(mesh: Mesh, draw: LayoutDraw) -> Pose:
