@@ -22,9 +22,9 @@ import torch
 import tyro
 from torch.utils.data import DataLoader
 
-from kit1000.data.build import generate
 from kit1000.data.cache import VolumeCache
 from kit1000.data.items import Item, depth_item
+from kit1000.data.making.build import generate
 from kit1000.data.presets import preset
 from kit1000.data.reader import Dataset, Split
 from kit1000.data.torch import QueryDataset, VolumeItem

@@ -21,7 +21,7 @@ from kit1000.errors import Fault, InputError, Kit1000Error, fault
 from kit1000.usage import misuse
 
 if TYPE_CHECKING:
-    from kit1000.data.plan import Sources
+    from kit1000.data.making.plan import Sources
     from kit1000.data.presets import Preset
 
 WRONG, FAULTY = 2, 3  # exit status: of the user, of the package
@@ -84,8 +84,8 @@ class Generate:
 
     def _built(self, chosen: Preset, out: Path, seed: int | None = None) -> dict[str, Any]:
         """The dataset in a folder, whole."""
-        from kit1000.data.build import generate
         from kit1000.data.engines import engine as engine_of
+        from kit1000.data.making.build import generate
 
         engine = engine_of(self.engine, self.workers, self.address)
         return generate(chosen, out, self.seed if seed is None else seed, self.workers, self._sources(out), engine)
@@ -100,7 +100,7 @@ class Generate:
 
     def _sources(self, built: Path) -> Sources | None:
         """The mesh files asked for, without those that this command itself writes."""
-        from kit1000.data.plan import Sources
+        from kit1000.data.making.plan import Sources
         from kit1000.parts.files.sources import mesh_files
 
         if self.parts is None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kit1000.data.figures import merged, pair_statistics, statistics
+from kit1000.data.description.figures import merged, pair_statistics, statistics
 from kit1000.data.schema import SceneTruth
 from kit1000.data.tables import pose_row
 from kit1000.pose import Pose

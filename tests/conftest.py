@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from mini import MINI, sketched
 
-from kit1000.data import shards
-from kit1000.data.build import generate
+from kit1000.data.making import shards
+from kit1000.data.making.build import generate
 
 
 def _folders() -> list[Path]:

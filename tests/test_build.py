@@ -18,11 +18,12 @@ from pathlib import Path
 import pytest
 from mini import MINI, contents, corners, sketched
 
-from kit1000.data import build, files, groups, pairs, shards
-from kit1000.data.build import generate
+from kit1000.data import files
 from kit1000.data.files import locked
 from kit1000.data.geometry import Geometry
-from kit1000.data.plan import Sources
+from kit1000.data.making import build, groups, pairs, shards
+from kit1000.data.making.build import generate
+from kit1000.data.making.plan import Sources
 from kit1000.errors import InputError, Redraw
 from kit1000.mesh import defect32
 
@@ -135,8 +136,9 @@ RUN = """
 import os, signal, sys
 from pathlib import Path
 from mini import MINI, corners, sketched
-from kit1000.data import files, shards
-from kit1000.data.build import generate
+from kit1000.data import files
+from kit1000.data.making import shards
+from kit1000.data.making.build import generate
 
 if sys.argv[5] == "sketched":  # also in the workers, which run these lines too
     shards.make_scene = sketched

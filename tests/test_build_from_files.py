@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from mini import MINI, corner, corners, written
 
-from kit1000.data import pairs, shards
-from kit1000.data.build import generate
 from kit1000.data.geometry import Geometry
-from kit1000.data.plan import Sources, make_plan
+from kit1000.data.making import pairs, shards
+from kit1000.data.making.build import generate
+from kit1000.data.making.plan import Sources, make_plan
+from kit1000.data.making.scenes import make_scene
 from kit1000.data.presets import SPLITS
-from kit1000.data.scenes import make_scene
 from kit1000.data.verify import verify
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh

@@ -128,8 +128,8 @@ def test_a_damaged_entry_is_made_again(tmp_path: Path, damage: Callable[[bytes],
     assert path.read_bytes() == whole
 
 
-@given(at=st.integers(0, 10_000), bit=st.integers(0, 7))
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=30, deadline=None)
+@given(at=st.integers(-40, 10_000), bit=st.integers(0, 7))  # from -40: the lengths and the checksum at the end
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)
 def test_no_flipped_bit_goes_unseen(tmp_path: Path, at: int, bit: int) -> None:
     cache = VolumeCache(tmp_path)
     cache.volume(some_key(), some_volume)

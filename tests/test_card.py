@@ -9,7 +9,7 @@ from itertools import chain
 
 import pytest
 
-from kit1000.data.card import FILES, READ, card_bytes, citation, listed
+from kit1000.data.description.card import FILES, READ, card_bytes, citation, listed
 from kit1000.data.schema import SceneTruth
 from kit1000.values import Query, View
 from tests.card_samples import summary, withheld

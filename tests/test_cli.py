@@ -19,8 +19,9 @@ from PIL import Image
 import kit1000
 from kit1000 import cli
 from kit1000.cli import COMMANDS, main
-from kit1000.data import build, own_part, shards
-from kit1000.data.build import generate
+from kit1000.data import own_part
+from kit1000.data.making import build, shards
+from kit1000.data.making.build import generate
 from kit1000.data.presets import preset
 from kit1000.mesh import Mesh
 

@@ -8,8 +8,8 @@ import mlcroissant
 import numpy as np
 import pytest
 
-from kit1000.data.build import generate
 from kit1000.data.export import export
+from kit1000.data.making.build import generate
 from kit1000.data.reader import Dataset
 from tests.mini import MINI, corners
 from tests.test_card import table_below

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kit1000.data import figures
-from kit1000.data.figures import binned, bins, merged, pair_statistics, statistics, track_of
+from kit1000.data.description import figures
+from kit1000.data.description.figures import binned, bins, merged, pair_statistics, statistics, track_of
 from tests.card_samples import PAIRS, tables, truth
 
 EDGES = [edges for name, edges in vars(figures).items() if isinstance(edges, tuple) and name.isupper()]

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from kit1000.data.guesses import (
+from kit1000.data.making.guesses import (
     ANGLE,
     FIXED_LEVELS,
     LEVELS,

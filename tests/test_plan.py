@@ -11,7 +11,7 @@ import pytest
 from mini import MINI, corner, corners, written
 
 from kit1000.data.files import json_bytes
-from kit1000.data.plan import (
+from kit1000.data.making.plan import (
     Sources,
     dataset_id,
     draw_assembly_of,

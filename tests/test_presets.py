@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kit1000.data import queries
-from kit1000.data.plan import make_plan
+from kit1000.data.making import queries
+from kit1000.data.making.plan import make_plan
 from kit1000.data.presets import HELD_OUT, PAPER_TRACKS, PRESETS, SPLITS, TRACKS, Preset, preset, preset_of
 from kit1000.errors import InputError
 from kit1000.parts.catalog import FAMILIES

@@ -15,8 +15,17 @@ from hypothesis import assume, given, settings
 from scipy.spatial.transform import Rotation
 
 from kit1000.camera import Camera, look_at
-from kit1000.data.guesses import ANGLE, FIXED_LEVELS, LEVELS, OFFSET, apply_error, error_of, level_angle, level_offset
-from kit1000.data.queries import (
+from kit1000.data.making.guesses import (
+    ANGLE,
+    FIXED_LEVELS,
+    LEVELS,
+    OFFSET,
+    apply_error,
+    error_of,
+    level_angle,
+    level_offset,
+)
+from kit1000.data.making.queries import (
     CURVES,
     PAPER_TILT,
     TRACKS,
@@ -207,10 +216,8 @@ def test_one_target_a_track_is_drawn_the_scenes_own_where_it_is_asked() -> None:
 def test_another_target_is_drawn_evenly_where_the_scenes_own_is_not_asked() -> None:
     views, _ = images()
     one = stage(drawn=2, views={"ideal": views["ideal"]})
-    picked = Counter(
-        row["part"] for seed in range(40) for row in replace(one, seed=seed).rows()
-        if row["track"] == "place" and row["drawn"]
-    )  # fmt: skip
+    rows = [row for seed in range(40) for row in replace(one, seed=seed).rows() if row["track"] == "place"]
+    picked = Counter(row["part"] for row in rows if row["drawn"])
     assert picked.keys() == {0, 1, 3}
     assert min(picked.values()) >= 6
 
@@ -224,7 +231,7 @@ def test_a_track_without_any_part_draws_none() -> None:
 @given(poses())
 def test_roll_and_pitch_are_those_of_scipy(pose: Pose) -> None:
     roll, pitch, _ = _scipy_angles(pose)
-    assume(abs(abs(pitch) - np.pi / 2) > 1e-3)  # there roll and yaw are one
+    assume(abs(pitch) < np.radians(89.9))  # beyond, roll and yaw are one
     assert _paper_tilt(pose) == pytest.approx(max(abs(roll), abs(pitch)), abs=1e-7)
 
 
@@ -388,7 +395,6 @@ def test_ids_are_unique_and_safe_in_a_spreadsheet() -> None:
 
 
 def test_curves_belong_to_the_first_test_scenes() -> None:
-    named = ["test-s0000", "test-s0039", "test-s0040", "val-s0001", "train-s0000"]
-    assert [has_curves(scene_id, 40) for scene_id in named] == [True, True, False, False, False]
+    assert [has_curves(i, 40) for i in ("test-s0039", "test-s0040", "val-s0001")] == [True, False, False]
     with pytest.raises(InputError, match="curves: expected a scene of the test split, got val-s0001 of val"):
         stage(scene_id="val-s0001", curves=True).rows()

@@ -17,8 +17,8 @@ import pytest
 from mini import MINI, contents, corners
 
 from kit1000.data import engines, files
-from kit1000.data.build import generate
 from kit1000.data.engines import AHEAD, RETRIES, Spread
+from kit1000.data.making.build import generate
 from kit1000.errors import Fault, InputError, Kit1000Error
 
 pytest.importorskip("ray", reason="an engine that is asked for: pip install 'kit1000[ray]'")

@@ -16,9 +16,9 @@ import pytest
 
 from kit1000.camera import Camera, look_at
 from kit1000.data.files import write_bytes, write_json
+from kit1000.data.making.queries import TRACKS, Asked, scene_queries
 from kit1000.data.mcap_io import ObservationWriter, TruthWriter
 from kit1000.data.meshes import glb_bytes
-from kit1000.data.queries import TRACKS, Asked, scene_queries
 from kit1000.data.reader import Dataset, Split
 from kit1000.data.schema import Observation, SceneTruth
 from kit1000.data.tables import FORMAT, assembly_row, kit_row, part_row, pose_of, pose_row

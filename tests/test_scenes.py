@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from mini import MINI
 
-from kit1000.data import scenes
 from kit1000.data.geometry import Geometry
+from kit1000.data.making import scenes
+from kit1000.data.making.plan import draw_assembly_of
+from kit1000.data.making.scenes import FIRST_CAVITY, LAYOUTS, VIEWS, MadeScene, make_scene
 from kit1000.data.mcap_io import ObservationFile, TruthFile
-from kit1000.data.plan import draw_assembly_of
-from kit1000.data.scenes import FIRST_CAVITY, LAYOUTS, VIEWS, MadeScene, make_scene
 from kit1000.data.tables import Row, pose_of
 from kit1000.errors import Redraw
 from kit1000.kits.assembly import build_assembly, check_assembly

@@ -15,8 +15,8 @@ import torch
 from torch.utils.data import DataLoader
 
 from kit1000.data.cache import VolumeCache
-from kit1000.data.guesses import apply_error
 from kit1000.data.items import Item, numbers
+from kit1000.data.making.guesses import apply_error
 from kit1000.data.reader import Dataset, Split
 from kit1000.data.torch import QueryDataset, VolumeItem, decoded, depth_item, tensors
 from kit1000.errors import InputError

@@ -15,13 +15,13 @@ from mini import MINI, contents, corners
 
 from kit1000.cli import main
 from kit1000.data import rebuild
-from kit1000.data.build import generate
 from kit1000.data.files import json_bytes, read_json
 from kit1000.data.geometry import Geometry
+from kit1000.data.making.build import generate
+from kit1000.data.making.summary import sealed
 from kit1000.data.mcap_io import ObservationFile, ObservationWriter, TruthFile, TruthWriter
 from kit1000.data.rebuild import observation_faults, scene_faults, truth_faults
 from kit1000.data.schema import Observation, SceneTruth
-from kit1000.data.summary import sealed
 from kit1000.data.tables import pose_of, pose_row
 from kit1000.data.verify import verify
 from kit1000.errors import InputError

@@ -18,12 +18,13 @@ from mcap.reader import make_reader
 from mini import MINI, contents, corners
 
 from kit1000.cli import main
-from kit1000.data import build, withhold
-from kit1000.data.build import generate
+from kit1000.data import withhold
 from kit1000.data.files import json_bytes, read_json
 from kit1000.data.geometry import Geometry
+from kit1000.data.making import build
+from kit1000.data.making.build import generate
+from kit1000.data.making.plan import dataset_id
 from kit1000.data.meshes import y_up
-from kit1000.data.plan import dataset_id
 from kit1000.data.presets import PRESETS, Preset
 from kit1000.data.reader import Dataset
 from kit1000.data.verify import verify

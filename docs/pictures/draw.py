@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
-from kit1000.data.build import generate
+from kit1000.data.making.build import generate
 from kit1000.data.presets import PRESETS
 from kit1000.data.reader import Dataset
 from kit1000.data.sheets import scene_sheet

@@ -34,7 +34,8 @@ ENCODINGS: dict[str, tuple[Callable[[Volume], np.ndarray], Callable[[Grid, np.nd
 """How to store the values of a volume, and how to read them back."""
 NAME = re.compile(r"[A-Za-z0-9][\w.-]*")  # of a dataset, scene or item: it becomes the name of a file
 RECIPE_DIGITS = 16  # of the hash that names the folder of a recipe
-_END = struct.Struct("<QII8s")  # [bytes] of the array, of the line of JSON; checksum of all before, mark
+_LENGTHS = struct.Struct("<QI")  # [bytes] of the array, of the line of JSON
+_END = struct.Struct("<I8s")  # checksum of all before, mark
 _MARK = b"kit1000v"
 
 
@@ -140,8 +141,8 @@ def _packed(volume: Volume, told: dict[str, Any]) -> bytes:
     grid = volume.grid
     row = {"shape": list(grid.shape), "voxel": grid.voxel, "world_from_grid": pose_row(grid.world_from_grid)}
     line = b"\n" + json_bytes([{**told, "grid": row}])
-    body = array.getvalue() + line
-    return body + _END.pack(codes.nbytes, len(line), zlib.crc32(body), _MARK)
+    body = array.getvalue() + line + _LENGTHS.pack(codes.nbytes, len(line))
+    return body + _END.pack(zlib.crc32(body), _MARK)
 
 
 def _read(path: Path, told: dict[str, Any]) -> Entry | None:
@@ -153,9 +154,11 @@ def _read(path: Path, told: dict[str, Any]) -> Entry | None:
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     body = data[: -_END.size]
-    size, length, checksum, mark = _END.unpack(data[-_END.size :].tobytes().rjust(_END.size, b"\0"))
+    checksum, mark = _END.unpack(data[-_END.size :].tobytes().rjust(_END.size, b"\0"))
     if mark != _MARK or zlib.crc32(body.data) != checksum:
         return None
+    size, length = _LENGTHS.unpack(body[-_LENGTHS.size :].tobytes())
+    body = body[: -_LENGTHS.size]
     (said,) = json.loads(body[len(body) - length :].tobytes())
     grid = said.pop("grid")
     if json_bytes(said) != json_bytes(told):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from kit1000.data.cache import Entry, Key, VolumeCache
-from kit1000.data.guesses import error_of
+from kit1000.data.making.guesses import error_of
 from kit1000.data.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
@@ -51,7 +51,7 @@ def asked(query: Query, truth: Truth | None) -> Item:
 
     `id` text; `pivot` (3,) float32 [m]; `guess` (7,) float32. With the truth: `goal` (7,) float32, and from the guess
     to it `offset` (3,) [m], by which the pivot must move on, and `turn` (3,) [rad], a rotation vector in the world:
-    `kit1000.data.guesses.apply_error(guess, pivot, offset, turn)` is the goal.
+    `kit1000.data.making.guesses.apply_error(guess, pivot, offset, turn)` is the goal.
     """
     item: Item = {"id": query.id, "pivot": query.pivot.astype(np.float32), "guess": numbers(query.guess)}
     if truth is None:

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from kit1000.data.geometry import Geometry
+from kit1000.data.making.queries import CURVES, TRACKS, has_curves
 from kit1000.data.mcap_io import ObservationFile, TruthFile
-from kit1000.data.queries import CURVES, TRACKS, has_curves
 from kit1000.data.schema import SceneTruth
 from kit1000.data.tables import Row, pose_of
 from kit1000.errors import InputError

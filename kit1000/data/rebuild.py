@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from kit1000.data.geometry import Geometry
+from kit1000.data.making.pairs import PairJob, make_pair
+from kit1000.data.making.plan import draw_assembly_of
+from kit1000.data.making.scenes import make_scene
+from kit1000.data.making.shards import FURTHER, SEEN, SPLITS_WITH_FURTHER, TRUE
 from kit1000.data.mcap_io import ObservationFile, TruthFile
 from kit1000.data.meshes import read_glb
-from kit1000.data.pairs import PairJob, make_pair
-from kit1000.data.plan import draw_assembly_of
 from kit1000.data.presets import Preset, preset_of
-from kit1000.data.scenes import make_scene
 from kit1000.data.schema import Observation, SceneTruth
-from kit1000.data.shards import FURTHER, SEEN, SPLITS_WITH_FURTHER, TRUE
 from kit1000.data.tables import Row, assembly_row, kit_of, kit_row, part_of, part_row
 from kit1000.errors import Kit1000Error
 from kit1000.kits.assembly import build_assembly

@@ -10,9 +10,9 @@ from tqdm import tqdm
 
 from kit1000.data.files import read_json, sha256
 from kit1000.data.geometry import Geometry
-from kit1000.data.plan import DATA_VERSION, dataset_id
+from kit1000.data.making.plan import DATA_VERSION, dataset_id
+from kit1000.data.making.summary import sealed
 from kit1000.data.rebuild import scene_faults
-from kit1000.data.summary import sealed
 from kit1000.data.withhold import SECRET, secret_fault
 from kit1000.errors import InputError
 from kit1000.rng import stream

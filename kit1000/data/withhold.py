@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from kit1000.data.files import check_writable, is_url, json_bytes, locked, read_json, sha256, write_bytes, write_json
-from kit1000.data.summary import described, sealed
+from kit1000.data.making.summary import described, sealed
 from kit1000.errors import InputError
 from kit1000.rng import GUESSABLE
 

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kit1000.data.figures import merged, statistics
-from kit1000.data.groups import group
+from kit1000.data.description.figures import merged, statistics
+from kit1000.data.making.groups import group
+from kit1000.data.making.pairs import Record, finished, save
+from kit1000.data.making.plan import scene_id_of
+from kit1000.data.making.scenes import make_scene
 from kit1000.data.mcap_io import ObservationWriter, TruthWriter
-from kit1000.data.pairs import Record, finished, save
-from kit1000.data.plan import scene_id_of
 from kit1000.data.presets import Preset
-from kit1000.data.scenes import make_scene
 from kit1000.data.schema import SCENES_PER_SHARD
 from kit1000.errors import Redraw
 

@@ -10,7 +10,7 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from kit1000.data.card import (
+from kit1000.data.description.card import (
     ABOUT,
     BIASES,
     COLLECTION,

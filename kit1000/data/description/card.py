@@ -10,8 +10,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
-from kit1000.data import figures
-from kit1000.data.figures import merged, pair_statistics, statistics
+from kit1000.data.description import figures
+from kit1000.data.description.figures import merged, pair_statistics, statistics
 from kit1000.data.presets import SPLITS
 
 __all__ = ["card_bytes", "merged", "pair_statistics", "statistics"]

@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from kit1000.data.guesses import (
+from kit1000.data.making.guesses import (
     FIXED_LEVELS,
     LEVELS,
     GuessDraw,

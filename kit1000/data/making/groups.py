@@ -7,9 +7,9 @@ from functools import lru_cache
 from pathlib import Path
 
 from kit1000.data.files import read_json, sha256
+from kit1000.data.making.pairs import BUILD, Record, finished, save, write_mesh_file
+from kit1000.data.making.plan import CANDIDATES, draw_assembly_of
 from kit1000.data.meshes import glb_bytes, read_glb
-from kit1000.data.pairs import BUILD, Record, finished, save, write_mesh_file
-from kit1000.data.plan import CANDIDATES, draw_assembly_of
 from kit1000.data.presets import Preset
 from kit1000.data.tables import assembly_of, assembly_row, kit_of, part_of
 from kit1000.errors import Redraw

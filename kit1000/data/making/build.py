@@ -27,12 +27,12 @@ from kit1000.data.files import (
     write_bytes,
     write_json,
 )
-from kit1000.data.groups import GroupJob, make_group
-from kit1000.data.pairs import BUILD, PairJob, Record, intact, make_pair
-from kit1000.data.plan import Sources, company_of, make_plan, split_ids
+from kit1000.data.making.groups import GroupJob, make_group
+from kit1000.data.making.pairs import BUILD, PairJob, Record, intact, make_pair
+from kit1000.data.making.plan import Sources, company_of, make_plan, split_ids
+from kit1000.data.making.shards import make_shard, shards
+from kit1000.data.making.summary import Made, described, refused_files, sealed, summarised, tables
 from kit1000.data.presets import SPLITS, Preset
-from kit1000.data.shards import make_shard, shards
-from kit1000.data.summary import Made, described, refused_files, sealed, summarised, tables
 from kit1000.errors import InputError
 from kit1000.parts.twins import twin_of
 

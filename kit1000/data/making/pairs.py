@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from kit1000.data.files import read_json, sha256, write_bytes, write_json
+from kit1000.data.making.plan import draw_longest, draw_part
 from kit1000.data.meshes import glb_bytes
-from kit1000.data.plan import draw_longest, draw_part
 from kit1000.data.presets import Preset
 from kit1000.data.tables import kit_row, part_row
 from kit1000.errors import InputError, MeshRefused, Redraw, fault

@@ -8,12 +8,12 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from kit1000.data.card import card_bytes
-from kit1000.data.croissant import croissant_bytes
-from kit1000.data.figures import merged, pair_statistics
+from kit1000.data.description.card import card_bytes
+from kit1000.data.description.croissant import croissant_bytes
+from kit1000.data.description.figures import merged, pair_statistics
 from kit1000.data.files import json_bytes
-from kit1000.data.pairs import Record
-from kit1000.data.plan import DATA_VERSION, dataset_id
+from kit1000.data.making.pairs import Record
+from kit1000.data.making.plan import DATA_VERSION, dataset_id
 from kit1000.data.presets import SPLITS
 from kit1000.data.schema import LICENCE
 from kit1000.data.tables import FORMAT, Row

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kit1000.data.making.plan import rest_modes, scene_id_of
+from kit1000.data.making.queries import Asked, has_curves, scene_queries
 from kit1000.data.meshes import glb_bytes
-from kit1000.data.plan import rest_modes, scene_id_of
 from kit1000.data.presets import Preset
-from kit1000.data.queries import Asked, has_curves, scene_queries
 from kit1000.data.schema import Observation, SceneTruth
 from kit1000.data.tables import Row, pose_row
 from kit1000.errors import Redraw
