@@ -226,6 +226,7 @@ def test_a_ray_of_our_own_goes_with_the_process_that_started_it(how: signal.Sign
         stderr=subprocess.PIPE,
         text=True,
         env=os.environ | {"PYTHONPATH": path},
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # tests run in the background ignore Ctrl-C
     )
     assert run.stdout is not None
     pids = {int(word) for word in run.stdout.readline().split()}
