@@ -8,6 +8,8 @@ PARTS   =
 PYTHON  =
 VENV    = .venv
 BIN     = $(VENV)/bin
+SITE    = site
+SUBMISSIONS = submissions
 
 # A stamp is touched last of all and removed first of all, so an install that was cut short is never taken for done.
 RUN  = $(VENV)/.installed-run
@@ -19,28 +21,38 @@ LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --unive
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install dataset test test-slow lint bench bench-parts pictures lock clean
+.PHONY: help install browser dataset test test-slow lint site table1 bench bench-parts pictures lock clean
 
 help: ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 	@echo
 	@echo "  make dataset PRESET=tiny DATA=DIR WORKERS=N    another preset, folder, number of processes"
 	@echo "  make install PYTHON=python3.12                 another interpreter than the first that suits"
 
-install: $(DEV) ## the environment alone: all commands then stand in .venv/bin
+install: $(DEV) browser ## the environment alone: all commands then stand in .venv/bin
+
+browser: ## Chromium for the tests of the pages, where it is missing and no password is asked
+	@$(chromium)
 
 dataset: $(RUN) ## the full KIT1000 under data/kit1000
 	$(BIN)/kit1000 generate $(PRESET) --out "$(DATA)" $(if $(WORKERS),--workers $(WORKERS))
 
-test: $(DEV) ## the test suite
+test: $(DEV) browser ## the test suite
 	$(BIN)/python -m pytest
 
-test-slow: $(DEV) ## the tests that take longer
+test-slow: $(DEV) browser ## the tests that take longer
 	$(BIN)/python -m pytest -m slow
 
 lint: $(DEV) ## ruff and pyright
 	$(BIN)/ruff check .
 	$(BIN)/pyright
+
+site: $(DEV) ## the documentation and the leaderboard, under site/; with pictures of cases if DATA is there
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir "$(SITE)"
+	$(BIN)/python -m benchmark pages --submissions "$(SUBMISSIONS)" --out "$(SITE)/board" $(if $(wildcard $(DATA)/dataset.json),--data "$(DATA)")
+
+table1: $(DEV) ## Table I of the paper beside the scores of the submissions
+	$(BIN)/python -m benchmark table1 --submissions "$(SUBMISSIONS)"
 
 bench: $(DEV) ## each speed beside a reference measured in the same run: kits, seating, rendering, volumes, reading
 	$(BIN)/python bench/bench_kits.py
@@ -63,7 +75,7 @@ lock: $(DEV) ## renew the pinned versions in requirements/
 	$(LOCK) --output-file requirements/dev.txt --extra dev --constraint requirements/run.txt
 
 clean: ## remove the environment and all caches, never data
-	rm -rf $(VENV) build dist .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -not -path './data/*' -prune -exec rm -rf {} +
 
 # The environment. Without a stamp it is made from nothing; with one, pyproject.toml or a lock has changed since, and
@@ -98,4 +110,12 @@ define fresh
 	else \
 	    echo "KIT1000 needs Python 3.10 or newer.$$old Name one: make install PYTHON=/path/to/python3" >&2; exit 1; \
 	fi
+endef
+
+# Without a browser the tests of the pages are skipped and say so: it is no reason to stop.
+SUDO = $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)
+define chromium
+	for name in chromium chromium-browser google-chrome; do ! command -v $$name >/dev/null || exit 0; done; \
+	command -v apt-get >/dev/null && { $(SUDO) apt-get update && $(SUDO) apt-get install -y chromium; } >/dev/null 2>&1 || \
+	    echo "no Chromium here: tests of the pages will be skipped (Debian: apt-get install chromium)" >&2
 endef

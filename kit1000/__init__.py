@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from kit1000.kits.kit import make_kit
     from kit1000.mesh import Mesh
     from kit1000.pose import Pose
+    from kit1000.submission.folder import Submission, read_submission, write_submission
+    from kit1000.submission.manifest import Manifest
+    from kit1000.submission.predictions import Predictions
     from kit1000.symmetry import Symmetry
     from kit1000.values import (
         Assembly,
@@ -44,12 +47,14 @@ __all__ = [
     "Kit",
     "Kit1000Error",
     "Look",
+    "Manifest",
     "Mesh",
     "MeshRefused",
     "Mount",
     "Part",
     "Pose",
     "Prediction",
+    "Predictions",
     "Query",
     "Recorded",
     "Redraw",
@@ -57,11 +62,14 @@ __all__ = [
     "ShapeError",
     "Slot",
     "Split",
+    "Submission",
     "Symmetry",
     "Truth",
     "View",
     "look_at",
     "make_kit",
+    "read_submission",
+    "write_submission",
 ]
 
 _ELSEWHERE = {
@@ -78,6 +86,11 @@ _ELSEWHERE = {
     "make_kit": "kits.kit",
     "Mesh": "mesh",
     "Pose": "pose",
+    "Submission": "submission.folder",
+    "read_submission": "submission.folder",
+    "write_submission": "submission.folder",
+    "Manifest": "submission.manifest",
+    "Predictions": "submission.predictions",
     "Symmetry": "symmetry",
 }  # the others are in values
 

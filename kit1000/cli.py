@@ -6,8 +6,6 @@ Results go to stdout, progress to stderr. Exit 0 good, 1 the answer is no, 2 wro
 
 from __future__ import annotations
 
-import os
-import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,16 +15,14 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from kit1000 import __version__
-from kit1000.errors import Fault, InputError, Kit1000Error, fault
-from kit1000.usage import misuse
+from kit1000.errors import InputError
+from kit1000.usage import run
 
 if TYPE_CHECKING:
     from kit1000.data.making.plan import Sources
     from kit1000.data.presets import Preset
 
-WRONG, FAULTY = 2, 3  # exit status: of the user, of the package
 LISTED = 20  # refused files in a description
-INTERRUPTED = 130  # exit status of a command stopped by Ctrl-C, as shells have it
 ABOUT = """KIT1000: parts, kits that fit them, angled assemblies of kits, and scenes to learn assembly from.
 
 `kit1000 COMMAND --help` says more about a command, `kit1000 --version` which version this is.
@@ -266,6 +262,29 @@ class Insertions:
         return 0
 
 
+@dataclass(frozen=True)
+class Check:
+    """List every fault of a submission, with line, column, value, what is expected and how to mend it."""
+
+    submission: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SUBMISSION")]
+    """Folder with manifest.toml and predictions.csv, or one predictions file."""
+    data: Optional = None
+    """Dataset that is answered; the form alone is checked when absent."""
+    split: Literal["test", "test-all", "val", "train"] = "test"
+    """Whose queries are to be answered."""
+    json: bool = False
+    """Print the report as JSON."""
+
+    def run(self) -> int:
+        """Check, then print the faults; 1 when there are errors."""
+        from kit1000.data.files import json_bytes
+        from kit1000.submission import check
+
+        report = check(self.submission, self.data, self.split)
+        print(json_bytes(report.as_json()).decode() if self.json else report, end="" if self.json else "\n")
+        return 0 if report.good else 1
+
+
 COMMANDS = {
     "generate": Generate,
     "kit": MakeKit,
@@ -273,6 +292,7 @@ COMMANDS = {
     "show": Show,
     "verify": Verify,
     "export": Export,
+    "check": Check,
     "insertions": Insertions,
 }
 
@@ -283,29 +303,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if arguments in (["--version"], ["-V"]):
         print(f"kit1000 {__version__}")
         return 0
-    said = misuse(arguments, COMMANDS)
-    if said:
-        return _answer(said, WRONG)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # workers and locks go down in order
-    command = tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="kit1000", description=ABOUT, args=arguments)
-    try:
-        status = command.run()
-        sys.stdout.flush()
-        return status
-    except Kit1000Error as error:
-        return _answer(str(error), FAULTY if isinstance(error, Fault) else WRONG)
-    except KeyboardInterrupt:
-        return _answer("interrupted; run the same command again to continue", INTERRUPTED)
-    except BrokenPipeError:  # whoever read the results has had enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except Exception as error:
-        return _answer(str(fault(arguments[0], error)), FAULTY)
-
-
-def _answer(line: str, status: int) -> int:
-    print(f"kit1000: {line}", file=sys.stderr)
-    return status
+    return run("kit1000", COMMANDS, ABOUT, arguments)
 
 
 def describe(summary: dict) -> str:

@@ -1,4 +1,4 @@
-"""The exceptions of the package, and the one check that every array from outside goes through.
+"""The exceptions of the package, the near word for an unknown one, and the check of every array from outside.
 
 A message is one line: what is wrong, where, and what was expected instead.
 """
@@ -6,6 +6,8 @@ A message is one line: what is wrong, where, and what was expected instead.
 from __future__ import annotations
 
 import traceback
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 from types import EllipsisType
 
@@ -54,6 +56,12 @@ def fault(doing: str, error: BaseException) -> Fault:
     return Fault(f"{doing}: {type(error).__name__}: {said or 'no message'}{where}; please report this fault of kit1000")
 
 
+def near(word: str, known: Iterable[str]) -> str:
+    """What goes into a message about a word that is not known: "did you mean x? ", or nothing where none is alike."""
+    found = get_close_matches(word, list(known), n=1, cutoff=0.5)
+    return f"did you mean {found[0]}? " if found else ""
+
+
 Shape = tuple[int | str | EllipsisType, ...]
 
 
@@ -73,30 +81,30 @@ def checked(name: str, array: ArrayLike, shape: Shape, dtype: DTypeLike = np.flo
     Raises:
         ShapeError: states the name, the expected shape and the shape found.
     """
-    wanted = f"{name}: expected {np.dtype(dtype).name} of shape {_written(shape)}"
-    source = _as_numbers(array, wanted)
+    try:
+        source = np.asarray(array)
+    except ValueError:
+        raise _unwanted(name, shape, dtype, "rows of unequal length") from None
+    if source.dtype.kind not in "biuf":  # text, objects
+        raise _unwanted(name, shape, dtype, f"{source.dtype} of shape {source.shape}")
     if not _fits(source.shape, shape):
-        raise ShapeError(f"{wanted}, got shape {source.shape}")
-    with np.errstate(invalid="ignore", over="ignore"):  # a lossy cast is answered below, not by a warning
-        copy = np.array(source, dtype=dtype, order="C", copy=True)
-    bad = ~np.isfinite(copy) if copy.dtype.kind == "f" else copy != source
-    if bad.any():
-        first = tuple(int(i) for i in np.argwhere(bad)[0])
-        fault = "which is not finite" if copy.dtype.kind == "f" else f"which is no {copy.dtype.name}"
-        raise ShapeError(f"{wanted}, got shape {source.shape} with {source[first]} at {first}, {fault}")
+        raise _unwanted(name, shape, dtype, f"shape {source.shape}")
+    if source.dtype == dtype:
+        copy = np.array(source, order="C", copy=True)
+    else:
+        with np.errstate(invalid="ignore", over="ignore"):  # a lossy cast is answered below, not by a warning
+            copy = np.array(source, dtype=dtype, order="C", copy=True)
+    good = np.isfinite(copy) if copy.dtype.kind == "f" else copy == source
+    if not good.all():
+        first = tuple(int(i) for i in np.argwhere(~good)[0])
+        why = "which is not finite" if copy.dtype.kind == "f" else f"which is no {copy.dtype.name}"
+        raise _unwanted(name, shape, dtype, f"shape {source.shape} with {source[first]} at {first}, {why}")
     copy.setflags(write=False)
     return copy
 
 
-def _as_numbers(array: ArrayLike, wanted: str) -> np.ndarray:
-    """Return the array as real numbers of any type; text, objects and ragged lists are refused."""
-    try:
-        source = np.asarray(array)
-    except ValueError:
-        raise ShapeError(f"{wanted}, got rows of unequal length") from None
-    if source.dtype.kind not in "biuf":
-        raise ShapeError(f"{wanted}, got {source.dtype} of shape {source.shape}")
-    return source
+def _unwanted(name: str, shape: Shape, dtype: DTypeLike, got: str) -> ShapeError:
+    return ShapeError(f"{name}: expected {np.dtype(dtype).name} of shape {_written(shape)}, got {got}")
 
 
 def _fits(found: tuple[int, ...], shape: Shape) -> bool:

@@ -105,6 +105,16 @@ class Mesh:
         return Mesh(vertices, faces[(a != b) & (b != c) & (c != a)])
 
 
+def inertia(mesh: Mesh, mass: float) -> np.ndarray:
+    """(3, 3) [kg m^2] of a uniform solid of a mass [kg] about its centre of mass, along the mesh's axes."""
+    corners = mesh.triangles - mesh.centroid  # each face and the centre span a tetrahedron
+    weights = np.linalg.det(corners)
+    sums = corners.sum(1)
+    squares = np.einsum("n,nki,nkj->ij", weights, corners, corners) + np.einsum("n,ni,nj->ij", weights, sums, sums)
+    second = mass / weights.sum() / 20 * squares
+    return np.trace(second) * np.eye(3) - second
+
+
 def solid_of(mesh: Mesh) -> Manifold:
     """The exact solid of a closed mesh. Raises MeshRefused with the reason when it is none."""
     solid = Manifold(Mesh64(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.uint64)))

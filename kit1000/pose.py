@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -50,7 +51,7 @@ class Pose:
     """Where the origin of b lies in a. (..., 3) float64 [m]."""
 
     def __post_init__(self) -> None:
-        wxyz = normalized_quaternion(self.wxyz, "wxyz")
+        wxyz = _unit(checked("wxyz", self.wxyz, (..., 4)), "wxyz")
         xyz = checked("xyz", self.xyz, (..., 3))
         batch = _broadcast("xyz", xyz, "wxyz", wxyz)
         object.__setattr__(self, "wxyz", _frozen(wxyz, (*batch, 4)))
@@ -118,8 +119,7 @@ class Pose:
     def __matmul__(self, other: Pose) -> Pose:
         """Compose: `a_from_c = a_from_b @ b_from_c`; leading axes broadcast."""
         if not isinstance(other, Pose):
-            kind = type(other).__name__
-            raise TypeError(f"a pose composes with a pose, not with {kind}; points go to apply()")
+            raise TypeError(f"a pose composes with a pose, not with {type(other).__name__}; points go to apply()")
         return Pose(quaternion_multiply(self.wxyz, other.wxyz), self.apply(other.xyz))
 
     def inverse(self) -> Pose:
@@ -193,6 +193,9 @@ class Pose:
             raise TypeError("a single pose has no length")
         return self.batch_shape[0]
 
+    def __bool__(self) -> bool:
+        raise TypeError("a pose is neither true nor false; ask whether there is one with `is None`")
+
     def __iter__(self) -> Iterator[Pose]:
         return (self[i] for i in range(len(self)))
 
@@ -207,27 +210,21 @@ def normalized_quaternion(wxyz: ArrayLike, name: str = "quaternion") -> np.ndarr
     A quaternion that is unit to rounding already comes back unchanged, so that normalising twice, or
     reading back what was written, changes no bit.
     """
-    q = checked(name, wxyz, (..., 4))
-    with np.errstate(over="ignore"):
-        norm = np.linalg.norm(q, axis=-1, keepdims=True)
-    if not np.all((norm > 1 / NORM_LIMIT) & (norm < NORM_LIMIT)):
-        raise InputError(f"{name}: expected unit quaternions (w, x, y, z), got one of no or huge length")
-    return np.where(np.abs(norm - 1) <= UNIT_TOLERANCE, q, q / norm)
+    return np.array(_unit(checked(name, wxyz, (..., 4)), name))
 
 
 def quaternion_multiply(a: ArrayLike, b: ArrayLike) -> np.ndarray:
     """Hamilton product: first turn by b, then by a. (..., 4), (..., 4) -> (..., 4), broadcasting."""
     left, right = _trailing("a", a, 4), _trailing("b", b, 4)
-    _broadcast("a", left, "b", right)
-    aw, ax, ay, az = np.moveaxis(left, -1, 0)
-    bw, bx, by, bz = np.moveaxis(right, -1, 0)
-    product = (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
-    return np.stack(product, axis=-1)
+    batch = _broadcast("a", left, "b", right)
+    aw, ax, ay, az = (left[..., i] for i in range(4))
+    bw, bx, by, bz = (right[..., i] for i in range(4))
+    result = np.empty((*batch, 4))
+    result[..., 0] = aw * bw - ax * bx - ay * by - az * bz
+    result[..., 1] = aw * bx + ax * bw + ay * bz - az * by
+    result[..., 2] = aw * by - ax * bz + ay * bw + az * bx
+    result[..., 3] = aw * bz + ax * by - ay * bx + az * bw
+    return result
 
 
 def quaternion_conjugate(q: ArrayLike) -> np.ndarray:
@@ -282,6 +279,18 @@ def random_quaternions(rng: np.random.Generator, n: int) -> np.ndarray:
     return normalized_quaternion(rng.standard_normal((n, 4)))
 
 
+def _unit(q: np.ndarray, name: str) -> np.ndarray:
+    """Finite quaternions (..., 4) scaled to unit length; the array itself where none needs it."""
+    with np.errstate(over="ignore"):
+        norm = np.sqrt(np.sum(q * q, axis=-1, keepdims=True))
+    off = np.abs(norm - 1) > UNIT_TOLERANCE
+    if not off.any():
+        return q
+    if not np.all((norm > 1 / NORM_LIMIT) & (norm < NORM_LIMIT)):
+        raise InputError(f"{name}: expected unit quaternions (w, x, y, z), got one of no or huge length")
+    return np.where(off, q / norm, q)
+
+
 def _half_way(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Unit quaternions that take unit vector u to unit vector v, for angles up to a right angle or so."""
     w = 1 + np.sum(u * v, axis=-1, keepdims=True)
@@ -327,13 +336,16 @@ def _quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
 
 def _matrix(wxyz: np.ndarray) -> np.ndarray:
     """Unit quaternions (..., 4) as rotation matrices (..., 3, 3)."""
-    w, x, y, z = np.moveaxis(wxyz, -1, 0)
+    w, x, y, z = (wxyz[..., i] for i in range(4))
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
         (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
     )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    matrix = np.empty((*wxyz.shape[:-1], 3, 3))
+    for i, j in product(range(3), repeat=2):
+        matrix[..., i, j] = rows[i][j]
+    return matrix
 
 
 def _rotated(matrix: np.ndarray, vectors: np.ndarray) -> np.ndarray:
@@ -372,6 +384,8 @@ def _trailing(name: str, array: ArrayLike, size: int) -> np.ndarray:
 
 def _broadcast(name: str, array: np.ndarray, other_name: str, other: np.ndarray) -> tuple[int, ...]:
     """Shape that the leading axes of two arrays broadcast to."""
+    if array.shape[:-1] == other.shape[:-1]:
+        return array.shape[:-1]
     try:
         return np.broadcast_shapes(array.shape[:-1], other.shape[:-1])
     except ValueError:
@@ -380,7 +394,7 @@ def _broadcast(name: str, array: np.ndarray, other_name: str, other: np.ndarray)
 
 
 def _frozen(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Read-only contiguous copy, broadcast to the shape."""
-    copy = np.array(np.broadcast_to(array, shape), order="C")
-    copy.setflags(write=False)
-    return copy
+    """An array of our own made read-only, broadcast to the shape by a contiguous copy where it has another."""
+    own = array if array.shape == shape else np.array(np.broadcast_to(array, shape), order="C")
+    own.setflags(write=False)
+    return own

@@ -1,30 +1,75 @@
-"""What is wrong with a command line, in one line that names the near word, found before the line is parsed."""
+"""Running a command line of subcommands, and what is wrong with it, in one line that names the near word.
+
+Results go to stdout, progress to stderr. Exit 0 good, 1 the answer is no, 2 wrong usage or bad input with one line,
+3 a fault of the package, 130 interrupted.
+"""
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
 import types
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import MISSING, fields
-from difflib import get_close_matches
 from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import tyro
 
+from kit1000.errors import Fault, Kit1000Error, fault, near
+
+WRONG, FAULTY = 2, 3  # exit status: of the user, of the package
+INTERRUPTED = 130  # exit status of a command stopped by Ctrl-C, as shells have it
 NUMBERS = {int: "a whole number", float: "a number"}
 POSITIONAL = get_args(tyro.conf.Positional[str])[1]  # what marks a field that is no option
 
 
-def misuse(arguments: Sequence[str], commands: Mapping[str, type]) -> str | None:
-    """The first fault of a command line, or None; commands: dataclasses by name."""
+def run(program: str, commands: Mapping[str, type], about: str, arguments: Sequence[str] | None = None) -> int:
+    """Run a command line; returns the exit status.
+
+    Args:
+        program: what users type before the command, such as kit1000.
+        commands: dataclasses by name, whose fields are options and whose method `run` gives the exit status.
+        about: what --help begins with.
+        arguments: the words behind the program; those of this process when absent.
+    """
+    words = sys.argv[1:] if arguments is None else list(arguments)
+    said = misuse(words, commands, program)
+    if said:
+        return _answer(program, said, WRONG)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # workers and locks go down in order
+    command = tyro.extras.subcommand_cli_from_dict(dict(commands), prog=program, description=about, args=words)
+    try:
+        status = command.run()
+        sys.stdout.flush()
+        return status
+    except Kit1000Error as error:
+        return _answer(program, str(error), FAULTY if isinstance(error, Fault) else WRONG)
+    except KeyboardInterrupt:
+        return _answer(program, "interrupted; run the same command again to continue", INTERRUPTED)
+    except BrokenPipeError:  # whoever read the results has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except Exception as error:
+        return _answer(program, str(fault(words[0], error)), FAULTY)
+
+
+def _answer(program: str, line: str, status: int) -> int:
+    print(f"{program}: {line}", file=sys.stderr)
+    return status
+
+
+def misuse(arguments: Sequence[str], commands: Mapping[str, type], program: str = "kit1000") -> str | None:
+    """The first fault of a command line, or None; commands: dataclasses by name; program: what stands before them."""
     if not arguments:
-        return f"no command; there are {', '.join(commands)} (kit1000 --help says more)"
+        return f"no command; there are {', '.join(commands)} ({program} --help says more)"
     name, rest = arguments[0], list(arguments[1:])
     if name in ("-h", "--help") or (name in commands and not {"-h", "--help"}.isdisjoint(rest)):
         return None
     if name not in commands:
-        return f"no command {name!r}; {_meant(name, commands)}there are {', '.join(commands)}"
+        return f"no command {name!r}; {near(name, commands)}there are {', '.join(commands)}"
     said = _misused(rest, commands[name])
-    return said and f"{name}: {said} (kit1000 {name} --help says more)"
+    return said and f"{name}: {said} ({program} {name} --help says more)"
 
 
 def _misused(rest: list[str], command: type) -> str | None:
@@ -37,14 +82,15 @@ def _misused(rest: list[str], command: type) -> str | None:
     spare: list[str] = []
     for option, values in _grouped(rest):
         if option is not None and option not in options:
-            return f"no option {option}; {_meant(option, options)}there are {', '.join(options)}"
+            return f"no option {option}; {near(option, options)}there are {', '.join(options)}"
         said = option and _misfit(option, values, options[option])
         if said:
             return said
         given.add(option)
         own = _taken(options[option]) if option else 0
         spare += [] if own is None else values[own:]
-    if len(spare) > len(positional):
+    many = bool(positional) and _taken(hints[positional[-1]]) is None
+    if len(spare) > len(positional) and not many:
         return f"{spare[len(positional)]!r} is one word too many"
     given |= set(positional[: len(spare)])
     missing = [_option(field.name) for field in fields(command) if field.default is MISSING]
@@ -83,7 +129,7 @@ def _misfit(option: str, values: list[str], hint: Any) -> str | None:
     for kind in _kinds(hint):
         choices = get_args(kind) if get_origin(kind) is Literal else ()
         if choices and values[0] not in choices:
-            return f"{option} {values[0]}: {_meant(values[0], choices)}expected one of {', '.join(choices)}"
+            return f"{option} {values[0]}: {near(values[0], choices)}expected one of {', '.join(choices)}"
         if kind in NUMBERS and not _is_number(values[0], kind):
             return f"{option}: expected {NUMBERS[kind]}, got {values[0]!r}"
     return None
@@ -102,8 +148,3 @@ def _is_number(word: str, kind: type) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _meant(word: str, known: Iterable[str]) -> str:
-    near = get_close_matches(word, list(known), n=1, cutoff=0.5)
-    return f"did you mean {near[0]}? " if near else ""

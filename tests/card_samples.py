@@ -65,7 +65,7 @@ def summary(folder: Path | None = None) -> dict[str, Any]:
     figures = [statistics([truth(), truth("test-s0001")]), pair_statistics(*(tables()[k].values() for k in PAIRS))]
     return {
         "format": "kit1000/1",
-        "data_version": "0.2.0",
+        "data_version": "0.2.1",
         "dataset_id": "0123456789abcdef",
         "licence": "CC-BY-4.0",
         "preset": "tiny",

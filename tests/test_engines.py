@@ -12,30 +12,14 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from jobs import die, square, stumble
 
-from kit1000.data.engines import AHEAD, RETRIES, cores, engine, local
+from kit1000.cores import cores
+from kit1000.data.engines import AHEAD, RETRIES, engine, local
 from kit1000.errors import Fault, InputError, Kit1000Error
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKERS = pytest.mark.parametrize("workers", [1, 2])
-
-
-def square(x: int) -> int:
-    return x * x
-
-
-def stumble(x: int) -> int:
-    if x == 3:
-        raise ValueError("two\nlines")
-    if x < 0:
-        raise InputError("disk full")
-    return x
-
-
-def die(x: int) -> int:
-    if x == 3:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return x
 
 
 def die_at_first(job: tuple[int, Path]) -> int:

@@ -70,7 +70,7 @@ def test_models_of_strangers_are_refused(tmp_path: Path) -> None:
 
 def test_unknown_scenes_and_views_are_answered_with_the_known_ones(seen: Path) -> None:
     file = ObservationFile(seen)
-    with pytest.raises(InputError, match=r"no scene 'test-s0010' among 3 \(near: test-s000"):
+    with pytest.raises(InputError, match=r"no scene 'test-s0010' among 3; did you mean test-s000\d\? see"):
         file.queries("test-s0010")
     with pytest.raises(InputError, match=r"test-s0001 has no view 'd435'; it has ideal, d415"):
         file.view("test-s0001", "d435")

@@ -347,6 +347,12 @@ def test_a_batch_iterates_and_a_single_pose_does_not() -> None:
         Pose.identity()[0]
 
 
+@pytest.mark.parametrize("pose", [Pose.identity(), Pose.identity((0,)), Pose.identity((2,))])
+def test_a_pose_is_neither_true_nor_false(pose: Pose) -> None:
+    with pytest.raises(TypeError, match="neither true nor false; ask whether there is one with `is None`"):
+        bool(pose)
+
+
 def test_stacking_undoes_iterating() -> None:
     batch = Pose(random_quaternions(stream(4), 3), stream(5).normal(size=(3, 3)))
     again = Pose.stack(list(batch))

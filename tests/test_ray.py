@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from jobs import die, square, stumble
 from mini import MINI, contents, corners
 
 from kit1000.data import engines, files
@@ -53,22 +54,6 @@ def node() -> str:
     import ray
 
     return ray.get_runtime_context().get_node_id()
-
-
-def square(x: int) -> int:
-    return x * x
-
-
-def stumble(x: int) -> int:
-    if x == 3:
-        raise ValueError("two\nlines")
-    if x < 0:
-        raise InputError("disk full")
-    return x
-
-
-def die(x: int) -> int:
-    os._exit(x)
 
 
 def die_at_first(job: tuple[int, str]) -> int:

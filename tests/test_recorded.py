@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from mini import MINI
 
+from kit1000.data.geometry import Geometry
 from kit1000.data.reader import Dataset, Recorded
+from kit1000.data.tables import pose_row
 from kit1000.errors import InputError
 from kit1000.sim.cameras import CAMERA, camera_set
 from kit1000.sim.sensors import GRID, SENSORS
@@ -112,3 +114,31 @@ def test_what_cannot_be_rendered_is_said(mini: Path, recorded: Recorded) -> None
         recorded.render("top", "d435")
     with pytest.raises(InputError, match=r"truth was not opened; say dataset.split\('test', truth=True\)"):
         Dataset(mini).split("test").scene("test-s0000").render("top")
+
+
+def test_the_truth_of_one_query_is_that_of_all_and_reads_no_mesh(
+    recorded: Recorded, mini: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delattr(Geometry, "_mesh")
+    again = Dataset(mini).recorded("test-s0000")
+    assert list(again.truths) == [query.id for query in recorded.queries]
+    for query_id, truth in again.truths.items():
+        one = Dataset(mini).recorded("test-s0000").truth_of(query_id)
+        assert (one.query_id, one.part_id, one.visible) == (truth.query_id, truth.part_id, truth.visible)
+        assert pose_row(one.goal_drawn) == pose_row(truth.goal_drawn)
+        assert np.array_equal(one.anchor, truth.anchor)
+
+
+def test_the_truth_of_what_is_not_asked_or_not_open_is_refused(recorded: Recorded, mini: Path) -> None:
+    with pytest.raises(InputError, match=r"no query 'test-s0000-p9-snap' in test-s0000 of .*; did you mean test-s0000"):
+        recorded.truth_of("test-s0000-p9-snap")
+    with pytest.raises(InputError, match="the truth was not opened"):
+        Dataset(mini).split("test").scene("test-s0000").truth_of(recorded.queries[0].id)
+
+
+def test_the_slot_of_a_part_is_that_of_its_kit(mini: Path) -> None:
+    geometry = Dataset(mini).geometry
+    for part_id in geometry.kits:
+        slot, wanted = geometry.slot(part_id), geometry.kit(part_id).slot
+        assert (slot.part_id, slot.clearance, slot.depth) == (wanted.part_id, wanted.clearance, wanted.depth)
+        assert slot.goals.matrix().tobytes() == wanted.goals.matrix().tobytes()

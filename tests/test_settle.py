@@ -11,9 +11,9 @@ from manifold3d import Manifold
 from scipy.spatial import ConvexHull
 
 from kit1000.kits.face import resting_faces
-from kit1000.mesh import Mesh, mesh_of
+from kit1000.mesh import Mesh, inertia, mesh_of
 from kit1000.pose import Pose, random_quaternions
-from kit1000.sim.settle import DOWN, GRID, Release, Rest, carries, inertia, on_grid, principal_axes, settle
+from kit1000.sim.settle import DOWN, GRID, Release, Rest, carries, on_grid, principal_axes, settle
 from tests.shapes import box, cylinder, ell, leaning_prism, lying_cylinder, random_solid, standing, upturned_tee
 from tests.strategies import poses
 

@@ -11,11 +11,11 @@ import pytest
 from hypothesis import given
 from manifold3d import Manifold
 
-from kit1000.data.export.urdf import inertia, roll_pitch_yaw, write_urdf
+from kit1000.data.export.urdf import roll_pitch_yaw, write_urdf
 from kit1000.errors import InputError
 from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
 from kit1000.kits.kit import make_kit
-from kit1000.mesh import Mesh, mesh_of, solid_of
+from kit1000.mesh import Mesh, inertia, mesh_of, solid_of
 from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry
@@ -114,7 +114,7 @@ def test_mass_and_inertia_are_those_of_the_solid(urdf: Path, assembly: Assembly)
     centre = read_pose(elements(urdf, "link/inertial/origin")[0]).xyz
     assert mass == DENSITY * assembly.mesh.volume
     np.testing.assert_array_equal(centre, assembly.mesh.centroid)
-    np.testing.assert_allclose(tensor, inertia(assembly.mesh, DENSITY), rtol=1e-12)
+    np.testing.assert_allclose(tensor, inertia(assembly.mesh, mass), rtol=1e-12)
 
 
 @given(poses())
@@ -122,9 +122,9 @@ def test_inertia_of_a_box_in_any_place(pose: Pose) -> None:
     sides = np.array([0.1, 0.2, 0.3])
     box = mesh_of(Manifold.cube(sides, center=True)).moved(pose)
     squares = sides**2
-    closed_form = np.diag(squares.sum() - squares) * sides.prod() * 1000 / 12
+    closed_form = np.diag(squares.sum() - squares) * 6.0 / 12
     turn = pose.rotation_matrix()
-    np.testing.assert_allclose(inertia(box, 1000), turn @ closed_form @ turn.T, atol=1e-6)
+    np.testing.assert_allclose(inertia(box, 6.0), turn @ closed_form @ turn.T, atol=1e-6)
 
 
 @given(poses())

@@ -8,10 +8,10 @@ from typing import Any
 
 from kit1000.data.files import read_json
 from kit1000.data.meshes import read_glb
-from kit1000.data.tables import FORMAT, Row, assembly_of, kit_of, part_of
+from kit1000.data.tables import FORMAT, Row, assembly_of, kit_of, part_of, slot_of
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
-from kit1000.values import Assembly, Kit, Part
+from kit1000.values import Assembly, Kit, Part, Slot
 
 
 class Geometry:
@@ -27,6 +27,7 @@ class Geometry:
         if found != FORMAT:
             raise InputError(f"{self.root}: dataset.json has format {found!r}, this version reads {FORMAT!r}")
         self.kit = lru_cache(maxsize=64)(self._kit)
+        self.slot = lru_cache(maxsize=4096)(self._slot)
 
     @cached_property
     def parts(self) -> dict[str, Row]:
@@ -56,6 +57,10 @@ class Geometry:
 
     def _kit(self, kit_id: str) -> Kit:
         return kit_of(kit_id, self._row("kits", kit_id), self._mesh("kits", kit_id))
+
+    def _slot(self, part_id: str) -> Slot:
+        """The slot of a part, from the table alone: no mesh is opened."""
+        return slot_of(self._row("kits", part_id))
 
     def assembly(self, assembly_id: str) -> Assembly:
         """An assembly by id, its kits with it."""

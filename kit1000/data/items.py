@@ -14,10 +14,11 @@ import numpy as np
 
 from kit1000.data.cache import Entry, Key, VolumeCache
 from kit1000.data.making.guesses import error_of
+from kit1000.data.making.queries import middle_of
 from kit1000.data.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
-from kit1000.values import Query, Truth, View
+from kit1000.values import Query, Truth
 from kit1000.voxels import Grid, Volume, signed_distance, tsdf
 from kit1000.voxels.grid import TRUNCATION
 
@@ -129,7 +130,9 @@ class VolumeItem:
 
     def kit(self, query: Query, truth: Truth | None = None) -> Volume:
         """The volume of the kits where the guess takes the part, or around the middle of them all."""
-        middle = _middle(query) if query.guess is None else query.guess.apply(query.pivot)
+        middle = middle_of(query.view, query.kit_region) if query.guess is None else query.guess.apply(query.pivot)
+        if middle is None:
+            raise InputError(f"{query.id}: its image shows nothing of the kits")
         grid = Grid.centred(Pose.from_translation(middle), self.kit_shape or self.shape, self.voxel)
         if self.source == "depth":
             return tsdf(grid, query.view, query.kit_region, threads=1)
@@ -155,13 +158,3 @@ class VolumeItem:
 
     def _handed(self, kept: Volume | Entry) -> np.ndarray:
         return kept.codes if isinstance(kept, Entry) else kept.filled(self.unknown)
-
-
-def _middle(query: Query) -> np.ndarray:
-    """(3,) [m] world: the middle of the extents of what is seen of the kits."""
-    view: View = query.view
-    v, u = np.nonzero(query.kit_region & (view.depth > 0))
-    if len(v) == 0:
-        raise InputError(f"{query.id}: its image shows nothing of the kits")
-    points = view.world_from_camera.apply(view.camera.unproject_pixels(np.stack([u, v], -1), view.depth[v, u]))
-    return (points.min(0) + points.max(0)) / 2

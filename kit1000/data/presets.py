@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from difflib import get_close_matches
 from typing import Any
 
-from kit1000.errors import InputError
+from kit1000.errors import InputError, near
 
 SPLITS = ("train", "val", "test")
 HELD_OUT = ("cam", "connector", "gear", "hook", "pillow_block", "tee")
@@ -14,6 +13,7 @@ HELD_OUT = ("cam", "connector", "gear", "hook", "pillow_block", "tee")
 
 
 TRACKS = ("snap", "snap-tilt", "place", "place-paper", "snap-d415", "place-d415")
+CURVES = "curves"  # the track of queries whose error is set and not drawn
 PAPER_TRACKS = ("snap-tilt", "place", "place-paper")  # guesses wrong by a tilt alone, ideal depth
 
 
@@ -77,9 +77,7 @@ PRESETS = {
 def preset(name: str) -> Preset:
     """The preset of a name; InputError lists the names there are."""
     if name not in PRESETS:
-        near = get_close_matches(name, PRESETS, n=1, cutoff=0.5)
-        hint = f"did you mean {near[0]}? " if near else ""
-        raise InputError(f"no preset {name!r}; {hint}there are {', '.join(PRESETS)}")
+        raise InputError(f"no preset {name!r}; {near(name, PRESETS)}there are {', '.join(PRESETS)}")
     return PRESETS[name]
 
 

@@ -6,8 +6,7 @@ A dataset, split, scene or query may be sent to another process; open files stay
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from difflib import get_close_matches
+from collections.abc import Callable, Iterator
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -15,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from kit1000.data.geometry import Geometry
-from kit1000.data.making.queries import CURVES, TRACKS, has_curves
+from kit1000.data.making.queries import TRACKS, has_curves
 from kit1000.data.mcap_io import ObservationFile, TruthFile
+from kit1000.data.presets import CURVES
 from kit1000.data.schema import SceneTruth
 from kit1000.data.tables import Row, pose_of
-from kit1000.errors import InputError
+from kit1000.errors import InputError, near
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
@@ -84,7 +84,7 @@ class Dataset:
         With `truth` the poses, goals, parts and kits may be read too: to train, to score, or by a method that says so.
         """
         if name not in WANTED:
-            raise InputError(f"no split {name!r}; {_near(name, WANTED)}there are {', '.join(WANTED)}")
+            raise InputError(f"no split {name!r}; {near(name, WANTED)}there are {', '.join(WANTED)}")
         return Split(self, name, truth)
 
     def recorded(self, scene_id: str) -> Recorded:
@@ -94,7 +94,7 @@ class Dataset:
         if shard is None:
             known = [i for held in self.summary.get("shards", {}).values() for i in held]
             raise InputError(
-                f"{self.root}: no scene {scene_id!r} among {len(known)}; {_near(scene_id, known)}".rstrip("; ")
+                f"{self.root}: no scene {scene_id!r} among {len(known)}; {near(scene_id, known)}".rstrip("; ")
             )
         truth = (self.root / f"{shard}.truth.mcap").is_file()
         return self.split("test-all" if folder == "test" else folder, truth).scene(scene_id)
@@ -166,8 +166,8 @@ class Split:
     def scene(self, scene_id: str) -> Recorded:
         """A scene by its id."""
         if scene_id not in self.shards:
-            near = _near(scene_id, self.shards)
-            raise InputError(f"no scene {scene_id!r} among the {len(self)} of split {self.name}; {near}see .scene_ids")
+            hint = near(scene_id, self.shards)
+            raise InputError(f"no scene {scene_id!r} among the {len(self)} of split {self.name}; {hint}see .scene_ids")
         return Recorded(self, scene_id)
 
     def queries(self, track: str | None = None) -> Iterator[Query]:
@@ -192,9 +192,7 @@ class Recorded:
     @cached_property
     def queries(self) -> tuple[Query, ...]:
         """What the split asks about this scene. Images are read when a query is first looked at."""
-        _, wanted = WANTED[self.split.name]
-        rows = self._dataset.observation_file(self.shard).queries(self.id)
-        return tuple(self._query(row) for row in rows if wanted(row))
+        return tuple(map(self._query, self._asked.values()))
 
     def view(self, key: str = "ideal") -> View:
         """A depth image: ideal or d415 of the primary camera, three/0/ideal ... of a further set."""
@@ -218,24 +216,29 @@ class Recorded:
 
     @cached_property
     def truth(self) -> SceneTruth:
-        """What is so in the scene, as recorded."""
-        if not self.split.truth:
-            raise InputError(f"{self.id}: the truth was not opened; say dataset.split({self.split.name!r}, truth=True)")
-        return self._dataset.truth_file(self.shard).truth(self.id)
+        """What is so in the scene, as recorded, with its images and models."""
+        return self._truth_file.truth(self.id)
 
     @cached_property
     def scene(self) -> Scene:
         """What stands where."""
-        truth = self.truth
-        parts = (Body(row["part_id"], pose_of(row["world_from_part"])) for row in truth.parts)
-        return Scene(self.id, (Body(truth.assembly_id, truth.world_from_assembly), *parts))
+        row = self._told
+        parts = (Body(part["part_id"], pose_of(part["world_from_part"])) for part in row["parts"])
+        return Scene(self.id, (Body(row["assembly_id"], pose_of(row["world_from_assembly"])), *parts))
 
     @cached_property
     def truths(self) -> dict[str, Truth]:
         """What a scorer knows, by query id, of the queries of this split."""
-        truth = self.truth
-        kits = len(self._dataset.geometry.assemblies[truth.assembly_id]["mounts"])
-        return {query.id: self._truth_of(query.id, kits) for query in self.queries}
+        told = self._told
+        return {query_id: self._truth_of(query_id, told) for query_id in self._asked}
+
+    def truth_of(self, query_id: str) -> Truth:
+        """What a scorer knows of one of the queries of this split."""
+        told = self._told
+        if query_id not in self._asked:
+            hint = near(query_id, self._asked)
+            raise InputError(f"no query {query_id!r} in {self.id} of split {self.split.name}; {hint}see .queries")
+        return self._truth_of(query_id, told)
 
     def bodies(self) -> list[tuple[Mesh, Pose]]:
         """Meshes with their `world_from_body`, for `kit1000.sim.render.render`: the table, the assembly, the parts."""
@@ -272,26 +275,45 @@ class Recorded:
             look=partial(self.look, row["sensor"]),
         )
 
-    def _truth_of(self, query_id: str, kits: int) -> Truth:
-        row = self.truth.queries[query_id]
-        part = self.truth.parts[row["part"]]
-        world_from_part = pose_of(part["world_from_part"])
+    @property
+    def _truth_file(self) -> TruthFile:
+        if not self.split.truth:
+            raise InputError(f"{self.id}: the truth was not opened; say dataset.split({self.split.name!r}, truth=True)")
+        return self._dataset.truth_file(self.shard)
+
+    @cached_property
+    def _asked(self) -> dict[str, Row]:
+        """The rows of the queries that the split asks, by id."""
+        _, wanted = WANTED[self.split.name]
+        rows = self._dataset.observation_file(self.shard).queries(self.id)
+        return {row["id"]: row for row in rows if wanted(row)}
+
+    @cached_property
+    def _told(self) -> Row:
+        """The numbers of the truth; all that poses and scores are made of."""
+        return self._truth_file.row(self.id)
+
+    @cached_property
+    def _world_from_kits(self) -> list[Pose]:
+        """By part."""
+        return [pose_of(part["world_from_kit"]) for part in self._told["parts"]]
+
+    def _truth_of(self, query_id: str, told: Row) -> Truth:
+        geometry = self._dataset.geometry
+        row = told["queries"][query_id]
+        part = told["parts"][row["part"]]
+        world_from_part = self.scene.bodies[1 + row["part"]].world_from_body
         return Truth(
             query_id=query_id,
-            assembly_id=self.truth.assembly_id,
+            assembly_id=told["assembly_id"],
             part_id=part["part_id"],
             family=part["family"],
             rest_mode=part["rest_mode"],
-            kits=kits,
+            kits=len(geometry.assemblies[told["assembly_id"]]["mounts"]),
             visible=part["visible"],
             anchor=world_from_part.xyz,
             world_from_part=world_from_part,
-            world_from_kit=pose_of(part["world_from_kit"]),
-            slot=self._dataset.geometry.kit(part["part_id"]).slot,
+            world_from_kit=self._world_from_kits[row["part"]],
+            slot=geometry.slot(part["part_id"]),
             goal_drawn=pose_of(row["goal_drawn"]),
         )
-
-
-def _near(name: str, known: Iterable[str]) -> str:
-    near = get_close_matches(name, known, n=1, cutoff=0.5)
-    return f"did you mean {near[0]}? " if near else ""

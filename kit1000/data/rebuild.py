@@ -14,15 +14,15 @@ from typing import Any
 import numpy as np
 
 from kit1000.data.geometry import Geometry
+from kit1000.data.making.groups import pair
 from kit1000.data.making.pairs import PairJob, make_pair
 from kit1000.data.making.plan import draw_assembly_of
 from kit1000.data.making.scenes import make_scene
 from kit1000.data.making.shards import FURTHER, SEEN, SPLITS_WITH_FURTHER, TRUE
 from kit1000.data.mcap_io import ObservationFile, TruthFile
-from kit1000.data.meshes import read_glb
 from kit1000.data.presets import Preset, preset_of
 from kit1000.data.schema import Observation, SceneTruth
-from kit1000.data.tables import Row, assembly_row, kit_of, kit_row, part_of, part_row
+from kit1000.data.tables import Row, assembly_row, kit_row, part_row
 from kit1000.errors import Kit1000Error
 from kit1000.kits.assembly import build_assembly
 from kit1000.mesh import Mesh
@@ -102,8 +102,7 @@ def _pair(
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch)
         record = make_pair(PairJob(root, preset, plan["seed"], part_id, row["split"], redraws=tuple(row["redraws"])))
-        part = part_of(part_id, record["part"], read_glb(root / f"parts/{part_id}.glb")[part_id])
-        kit = kit_of(part_id, record["kit"], read_glb(root / f"kits/{part_id}.glb")[part_id])
+        part, kit = pair(root, part_id)
     if record["redraws"] != row["redraws"]:
         faults.append(f"part {part_id}: drawn again more often than before")
     faults += _row_faults("part", {part_id: part_row(part)}, {part_id: part_row(stored[0])})

@@ -61,10 +61,14 @@ def kit_row(kit: Kit) -> Row:
 
 def kit_of(kit_id: str, row: Row, mesh: Mesh) -> Kit:
     """The kit of a row and its mesh."""
+    return Kit(kit_id, mesh, slot_of(row), np.array(row["extent"]))
+
+
+def slot_of(row: Row) -> Slot:
+    """The slot of the row of its kit."""
     axis = row["free_axis"] and FreeAxis(np.array(row["free_axis"]["point"]), np.array(row["free_axis"]["direction"]))
     goals = Pose.stack([pose_of(goal) for goal in row["goals"]])
-    slot = Slot(row["part_id"], pose_of(row["kit_from_part"]), row["clearance"], row["depth"], goals, axis)
-    return Kit(kit_id, mesh, slot, np.array(row["extent"]))
+    return Slot(row["part_id"], pose_of(row["kit_from_part"]), row["clearance"], row["depth"], goals, axis)
 
 
 def assembly_row(assembly: Assembly) -> Row:

@@ -88,7 +88,7 @@ class QueryDataset(Dataset):
         recorded = self.split.scene(scene_id)
         query, truth = recorded.queries[number], self._truths.get(index)
         if truth is None and self.split.truth:
-            truth = recorded.truths[query.id]
+            truth = recorded.truth_of(query.id)
             if len(self._truths) < TRUTHS:
                 self._truths[index] = truth
         return query, truth

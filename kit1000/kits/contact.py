@@ -55,6 +55,7 @@ def ridges(mesh: Mesh) -> Ridges:
     along = mesh.vertices[b[first]] - mesh.vertices[a[first]]
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
     convex = np.einsum("ij,ij->i", np.cross(left, right), along) > FLAT_EDGE
+    convex |= ~(left.any(1) & right.any(1))  # a face without area has no normal: its edges may be convex
     return Ridges(
         mesh,
         np.stack([a[first], b[first]], 1)[convex],

@@ -17,7 +17,7 @@ from kit1000.kits.seating import HOVER, SEATED
 from kit1000.kits.split import convex_prisms
 from kit1000.kits.stand import stand_meshes
 from kit1000.pose import Pose, quaternion_angle, quaternion_conjugate, quaternion_multiply
-from kit1000.sim.settle import LOOK_EVERY, QUIET_LOOKS, ROLLING, SLOW, SPINNING, inertia, principal_axes
+from kit1000.sim.settle import LOOK_EVERY, QUIET_LOOKS, ROLLING, SLOW, SPINNING, principal_frame
 from kit1000.sim.world import GRAVITY, RATE, World
 from kit1000.values import Assembly, Kit, Part
 
@@ -49,12 +49,8 @@ class Workpiece:
     @staticmethod
     def of(part: Part, pieces: Sequence[np.ndarray]) -> Workpiece:
         """A part and its convex pieces, (n, 3) [m] each in its frame."""
-        tensor = inertia(part.mesh, part.mass)
-        axes = principal_axes(tensor)
-        turn = Pose(axes, np.zeros(3)).rotation_matrix()
-        part_from_body = Pose(axes, part.mesh.centroid)
+        part_from_body, moments = principal_frame(part.mesh, part.mass)
         back = part_from_body.inverse()
-        moments = np.einsum("ji,jk,ki->i", turn, tensor, turn)
         return Workpiece([back.apply(piece) for piece in pieces], part_from_body, part.mass, moments)
 
 

@@ -16,13 +16,14 @@ from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFont
 
 from kit1000.camera import Camera, look_at
+from kit1000.cores import cores
 from kit1000.errors import InputError, checked
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim import light
 from kit1000.sim.creases import draw_lines, smooth_patches
 from kit1000.sim.raster import Lens
-from kit1000.sim.render import cores, render
+from kit1000.sim.render import render
 
 Colour = tuple[int, int, int]
 
@@ -85,9 +86,8 @@ def shaded(
         lamps = light.lamps(plain, ball, key[number::SAMPLES], sky[number::SAMPLES])
         image = np.empty((camera.height, camera.width, 3), np.float32)
         seen = (frame.depth, frame.ids, frame.faces)
-        lens = Lens(moved.fx, moved.fy, moved.cx, moved.cy, moved.width, moved.height)
         paper = _linear(background)
-        light.illuminate(lens, rotation, eye, seen, scene, lamps, floor, paper, GROUND_SHADOW, colours, image)
+        light.illuminate(Lens.of(moved), rotation, eye, seen, scene, lamps, floor, paper, GROUND_SHADOW, colours, image)
         draw_lines(*seen, scene.first_of, patches, scene.albedo, OUTLINE_STEP * ball[1], image)
         return image
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kit1000.camera import Camera
 from kit1000.compiled import compiled
 
 NEAR = 1e-3  # [m] nothing nearer to the camera is seen; keeps the division by depth finite
@@ -37,6 +38,11 @@ class Lens(NamedTuple):
     cy: float
     width: int
     height: int
+
+    @classmethod
+    def of(cls, camera: Camera) -> Lens:
+        """The lens of a camera."""
+        return cls(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
 
 
 class Batch(NamedTuple):

@@ -6,7 +6,6 @@ measured along the optical axis. The image does not depend on the number of thre
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -15,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kit1000.camera import Camera
+from kit1000.cores import cores
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
@@ -64,7 +64,7 @@ def render(
     depth = np.zeros((camera.height, camera.width), np.float32)
     ids = np.zeros(depth.shape, np.int16)
     faces = np.full(depth.shape, -1, np.int32)
-    lens = Lens(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+    lens = Lens.of(camera)
     camera_from_world = world_from_camera.inverse()
 
     def place(item: tuple[tuple[Mesh, Pose], int]) -> _Body:
@@ -90,11 +90,6 @@ def render(
     for array in (depth, ids, faces):
         array.setflags(write=False)
     return Frame(depth, ids, faces)
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class _Workers:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from kit1000.mesh import Mesh
+from kit1000.mesh import Mesh, inertia
 from kit1000.pose import Pose, quaternion_between
 from kit1000.sim.world import RATE, World
 
@@ -62,11 +62,7 @@ class _Solid:
 
     @classmethod
     def of(cls, mesh: Mesh, mass: float) -> _Solid:
-        tensor = inertia(mesh, mass)
-        axes = principal_axes(tensor)
-        turn = Pose(axes, np.zeros(3)).rotation_matrix()
-        moments = np.einsum("ji,jk,ki->i", turn, tensor, turn)
-        return cls(ConvexHull(mesh.vertices - mesh.centroid), Pose(axes, mesh.centroid), moments)
+        return cls(ConvexHull(mesh.vertices - mesh.centroid), *principal_frame(mesh, mass))
 
 
 def settle(releases: Sequence[Release]) -> list[Rest]:
@@ -87,14 +83,16 @@ def settle(releases: Sequence[Release]) -> list[Rest]:
     return rests
 
 
-def inertia(mesh: Mesh, mass: float) -> np.ndarray:
-    """(3, 3) [kg m^2] of a uniform solid about its centre of mass, along the mesh's axes."""
-    corners = mesh.triangles - mesh.centroid  # each face and the centre span a tetrahedron
-    weights = np.linalg.det(corners)
-    sums = corners.sum(1)
-    squares = np.einsum("n,nki,nkj->ij", weights, corners, corners) + np.einsum("n,ni,nj->ij", weights, sums, sums)
-    second = mass / weights.sum() / 20 * squares
-    return np.trace(second) * np.eye(3) - second
+def principal_frame(mesh: Mesh, mass: float) -> tuple[Pose, np.ndarray]:
+    """The frame of a uniform solid at its centre of mass along its principal axes, and its moments about them.
+
+    Returns:
+        part_from_body, and (3,) [kg m^2].
+    """
+    tensor = inertia(mesh, mass)
+    axes = principal_axes(tensor)
+    turn = Pose(axes, np.zeros(3)).rotation_matrix()
+    return Pose(axes, mesh.centroid), np.einsum("ji,jk,ki->i", turn, tensor, turn)
 
 
 def principal_axes(tensor: np.ndarray) -> np.ndarray:

@@ -90,7 +90,7 @@ def slot_seen(depth: np.ndarray, camera: Camera, world_from_camera: Pose, kit: K
     camera_from_kit = world_from_camera.inverse() @ world_from_kit
     points, normals = cavity_surface(kit)
     rotation, shift = camera_from_kit.rotation_matrix(), camera_from_kit.xyz
-    count = _count_seen(_lens(camera), depth, points, normals, rotation, shift)
+    count = _count_seen(Lens.of(camera), depth, points, normals, rotation, shift)
     return SlotSeen(slot_angle(world_from_camera, world_from_kit), count / len(points))
 
 
@@ -128,7 +128,7 @@ def cavity_labels(
     if len(kits) != len(world_from_kits):
         raise InputError(f"kits: expected one for each of {len(world_from_kits)} poses, got {len(kits)}")
     labels = np.full(depth.shape, -1, np.int16)
-    lens, camera_from_world = _lens(camera), world_from_camera.inverse()
+    lens, camera_from_world = Lens.of(camera), world_from_camera.inverse()
     for number, (kit, world_from_kit) in enumerate(zip(kits, world_from_kits, strict=True)):
         camera_from_kit = camera_from_world @ world_from_kit
         low = kit.extent * (-0.5, -0.5, -1) + OFF_SIDES
@@ -232,10 +232,6 @@ def _label_box(lens, depth, window, rotation, shift, low, high, number, labels):
                 inside &= low[axis] <= along <= high[axis]
             if inside:
                 labels[v, u] = number
-
-
-def _lens(camera: Camera) -> Lens:
-    return Lens(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:

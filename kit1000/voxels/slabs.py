@@ -5,10 +5,10 @@ Slabs do not depend on the number of threads, so neither does any result.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
+from kit1000.cores import cores
 from kit1000.errors import InputError
 
 SLAB_VOXELS = 1 << 17  # half a megabyte of float32: stays in the cache of a core, and there is enough to share
@@ -20,7 +20,7 @@ def over_slabs(work: Callable[[int, int], None], shape: tuple[int, int, int], th
         raise InputError(f"threads: expected a whole number from 1 up, or None for all cores, got {threads!r}")
     step = max(SLAB_VOXELS // (shape[1] * shape[2]), 1)
     ranges = [(start, min(start + step, shape[0])) for start in range(0, shape[0], step)]
-    count = min(threads or _cores(), len(ranges))
+    count = min(threads or cores(), len(ranges))
     if count == 1:
         for start, stop in ranges:
             work(start, stop)
@@ -28,7 +28,3 @@ def over_slabs(work: Callable[[int, int], None], shape: tuple[int, int, int], th
     with ThreadPoolExecutor(count) as pool:
         for _ in pool.map(lambda slab: work(*slab), ranges):
             pass  # reading the results raises what a thread raised
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from kit1000.data.presets import CURVES
 from kit1000.data.schema import SceneTruth
 from kit1000.data.tables import Row, pose_of
 
@@ -25,7 +26,6 @@ SLOT_VISIBLE_PERCENT = (0, 15, 30, 50, 75, 100)
 GUESS_MM = (0, 10, 20, 30, 40, 50)
 GUESS_DEG = (0, 5, 10, 15, 20, 25)
 KEYEDNESS_DEG = (0, 5, 10, 15, 20, 30, 45, 90)
-CURVES = "curves"
 FREE = "any turn seats"  # keyedness of a slot with a free axis
 
 Figures = dict[str, Any]

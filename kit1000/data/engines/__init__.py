@@ -10,10 +10,10 @@ from contextlib import AbstractContextManager
 
 from kit1000.data.engines.cluster import ray
 from kit1000.data.engines.jobs import AHEAD, RETRIES, Spread
-from kit1000.data.engines.processes import cores, local
+from kit1000.data.engines.processes import local
 from kit1000.errors import InputError
 
-__all__ = ["AHEAD", "ENGINES", "RETRIES", "Spread", "cores", "engine", "local", "ray"]
+__all__ = ["AHEAD", "ENGINES", "RETRIES", "Spread", "engine", "local", "ray"]
 
 ENGINES = ("local", "ray")
 

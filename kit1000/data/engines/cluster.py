@@ -19,8 +19,8 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from kit1000.cores import cores
 from kit1000.data.engines.jobs import AHEAD, RETRIES, Spread, named
-from kit1000.data.engines.processes import cores
 from kit1000.errors import InputError, Kit1000Error, fault
 
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}

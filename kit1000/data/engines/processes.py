@@ -16,6 +16,7 @@ from functools import partial
 from itertools import chain, islice
 from typing import Any
 
+from kit1000.cores import cores
 from kit1000.data.engines.jobs import AHEAD, RETRIES, Spread, named
 from kit1000.errors import Kit1000Error
 
@@ -37,11 +38,6 @@ def local(workers: int | None = None) -> Iterator[Spread]:
         pool.kill()
         raise
     pool.close()
-
-
-def cores() -> int:
-    """Processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass

@@ -16,7 +16,7 @@ import numpy as np
 from kit1000.data.export.folder import new_folder
 from kit1000.kits.split import convex_prisms
 from kit1000.kits.stand import stand_meshes
-from kit1000.mesh import Mesh
+from kit1000.mesh import Mesh, inertia
 from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose
 from kit1000.values import Assembly
@@ -33,16 +33,6 @@ def write_urdf(assembly: Assembly, folder: Path) -> Path:
     with new_folder(folder, "URDF") as partial:
         _write_files(assembly, partial)
     return folder / URDF
-
-
-def inertia(mesh: Mesh, density: float) -> np.ndarray:
-    """(3, 3) [kg m^2] of a solid of uniform density [kg/m^3] about its centre of mass, along the mesh's axes."""
-    corners = mesh.triangles - mesh.centroid  # each face and the centre span a tetrahedron
-    six_volumes = np.linalg.det(corners)
-    sums = corners.sum(1)
-    squares = np.einsum("n,nki,nkj->ij", six_volumes, corners, corners)
-    second = density / 120 * (squares + np.einsum("n,ni,nj->ij", six_volumes, sums, sums))
-    return np.trace(second) * np.eye(3) - second
 
 
 def roll_pitch_yaw(pose: Pose) -> np.ndarray:
@@ -78,13 +68,14 @@ def _pieces(assembly: Assembly) -> Iterator[tuple[str, Pose, Mesh]]:
 
 
 def _inertial(mesh: Mesh) -> list[str]:
-    tensor = inertia(mesh, DENSITY)
+    mass = float(DENSITY * mesh.volume)
+    tensor = inertia(mesh, mass)
     pairs = [(i, j) for i in range(3) for j in range(i, 3)]
     entries = " ".join(f'i{"xyz"[i]}{"xyz"[j]}="{float(tensor[i, j])!r}"' for i, j in pairs)
     return [
         "<inertial>",
         f'<origin xyz="{_numbers(mesh.centroid)}" rpy="0 0 0"/>',
-        f'<mass value="{float(DENSITY * mesh.volume)!r}"/>',
+        f'<mass value="{mass!r}"/>',
         f"<inertia {entries}/>",
         "</inertial>",
     ]

@@ -7,7 +7,7 @@ bytes. Jobs run in any order on any number of workers; what depends on order (ne
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from kit1000.data import engines
+from kit1000.data.engines import Spread, local
 from kit1000.data.files import (
     check_writable,
     clear_partial,
@@ -35,8 +35,6 @@ from kit1000.data.making.summary import Made, described, refused_files, sealed, 
 from kit1000.data.presets import SPLITS, Preset
 from kit1000.errors import InputError
 from kit1000.parts.twins import twin_of
-
-Spread = Callable[[Callable[[Any], Record], Iterable[Any]], Iterator[Record]]
 
 
 def generate(
@@ -62,7 +60,7 @@ def generate(
         if summary is not None:
             return summary
         write_json(root / "plan.json", plan)
-        with engine or engines.local(workers) as spread:
+        with engine or local(workers) as spread:
             pairs = _pairs(root, preset, plan, sources, spread)
             groups = _groups(root, preset, plan, pairs, spread)
             scenes = _shards(root, preset, plan, groups, spread)

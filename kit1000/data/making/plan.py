@@ -25,7 +25,7 @@ from kit1000.rng import stream
 from kit1000.sim.layout import draw_modes
 
 FORMAT = "kit1000-plan/2"
-DATA_VERSION = "0.2.0"
+DATA_VERSION = "0.2.1"
 """Raised whenever the same plan gives other data."""
 SPARES = 10  # files dealt to one part at most: the next is tried when one cannot be a part
 CANDIDATES = 24  # parts asked to join an assembly before it may stay smaller than drawn; more only to reach the least

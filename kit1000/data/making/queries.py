@@ -27,6 +27,7 @@ from kit1000.data.making.guesses import (
     motion,
     turned_goal,
 )
+from kit1000.data.presets import CURVES
 from kit1000.data.tables import Row, pose_row
 from kit1000.errors import InputError
 from kit1000.pose import Pose
@@ -37,7 +38,6 @@ from kit1000.values import FIRST_PART_LABEL, Slot, View
 PIVOT_DECIMALS = 4  # of a metre: 0.1 mm, about the grid of the depth images
 PAPER_TILT = float(np.radians(15))  # most roll and most pitch of a goal that the paper asks for without a guess
 TURN_STEP = np.radians(0.25)  # at which turns about a free axis are tried against PAPER_TILT
-CURVES = "curves"  # the track of queries whose error is set and not drawn
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,16 +140,24 @@ def pivots_of(view: View, labels: np.ndarray) -> dict[int, np.ndarray]:
 
     The points lie where the view believes they do; a part without a return has no pivot. labels: (H, W) uint8.
     """
-    pixels = np.flatnonzero(labels >= FIRST_PART_LABEL)
+    pivots = {}
+    for part in range(int(labels.max()) + 1 - FIRST_PART_LABEL):
+        middle = middle_of(view, labels == FIRST_PART_LABEL + part)
+        if middle is not None:
+            pivots[part] = np.round(middle, PIVOT_DECIMALS)
+    return pivots
+
+
+def middle_of(view: View, mask: np.ndarray) -> np.ndarray | None:
+    """(3,) [m] world: the middle of the extents of the points of a mask (H, W) bool; None without a return."""
+    pixels = np.flatnonzero(mask)
     pixels = pixels[view.depth.ravel()[pixels] > 0]
+    if len(pixels) == 0:
+        return None
     v, u = np.divmod(pixels, view.camera.width)
     points = view.camera.unproject_pixels(np.stack([u, v], axis=-1), view.depth[v, u])
-    points, bodies = view.world_from_camera.apply(points), labels[v, u]
-    pivots = {}
-    for label in np.unique(bodies):
-        cloud = points[bodies == label]
-        pivots[int(label) - FIRST_PART_LABEL] = np.round((cloud.min(0) + cloud.max(0)) / 2, PIVOT_DECIMALS)
-    return pivots
+    points = view.world_from_camera.apply(points)
+    return (points.min(0) + points.max(0)) / 2
 
 
 def has_curves(scene_id: str, scenes: int) -> bool:

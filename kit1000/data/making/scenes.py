@@ -15,7 +15,7 @@ import numpy as np
 from kit1000.data.making.plan import rest_modes, scene_id_of
 from kit1000.data.making.queries import Asked, has_curves, scene_queries
 from kit1000.data.meshes import glb_bytes
-from kit1000.data.presets import Preset
+from kit1000.data.presets import CURVES, Preset
 from kit1000.data.schema import Observation, SceneTruth
 from kit1000.data.tables import Row, pose_row
 from kit1000.errors import Redraw
@@ -76,6 +76,8 @@ class _Stage:
 
     modes: tuple[str, ...]
     layout: Layout
+    world_from_kits: tuple[Pose, ...]
+    """By part: of the kit that it belongs in."""
     world_from_camera: Pose
     frame: Frame
     parts: tuple[PartSeen, ...]
@@ -97,7 +99,7 @@ def make_scene(
     asked = [_asked(cast, stage, i) for i in range(len(cast.parts))]
     curves = has_curves(cast.scene_id, preset.curve_scenes)
     rows, drawn = scene_queries(cast.scene_id, split, seed, views, labels, asked, cast.target, curves)
-    rows = [row for row in rows if row["track"] in preset.tracks or (curves and row["id"].startswith("curves"))]
+    rows = [row for row in rows if row["track"] in (*preset.tracks, CURVES)]
     drawn = {row["id"]: drawn[row["id"]] for row in rows}
     truth = SceneTruth(
         cast.scene_id,
@@ -107,7 +109,7 @@ def make_scene(
         drawn,
         _segmented(cast, stage),
         _models(cast),
-        _goals(cast, stage, cast.target),
+        stage.world_from_kits[cast.target] @ cast.slot(cast.target).goals,
     )
     observation = Observation(cast.scene_id, views, labels, tuple(rows))
     return MadeScene(observation, truth, _further(cast, stage.layout) if further else None, tuple(redraws))
@@ -152,7 +154,7 @@ def _staged(cast: _Cast) -> tuple[_Stage, list[str]]:
 def _seen(cast: _Cast, modes: tuple[str, ...], layout: Layout, view: Pose) -> _Stage:
     """The stage, or Redraw: all in view, the target well seen, and a part for the tracks without a guess."""
     target, n = cast.target, range(len(cast.parts))
-    world_from_kits = [layout.world_from_assembly @ cast.mount(i).assembly_from_kit for i in n]
+    world_from_kits = tuple(layout.world_from_assembly @ cast.mount(i).assembly_from_kit for i in n)
     first = SlotSeen(slot_angle(view, world_from_kits[target]), 1.0)  # before anything is drawn: the quick answer
     refused(why_unseen(PartSeen(CAMERA.width * CAMERA.height, 1.0), first))
     scene = bodies(cast.assembly, cast.parts, layout)
@@ -161,7 +163,7 @@ def _seen(cast: _Cast, modes: tuple[str, ...], layout: Layout, view: Pose) -> _S
     frame = render(CAMERA, view, scene, threads=1)
     parts = tuple(part_seen(frame, 2 + i, CAMERA, view, *scene[2 + i]) for i in n)
     slots = tuple(slot_seen(frame.depth, CAMERA, view, cast.mount(i).kit, world_from_kits[i]) for i in n)
-    stage = _Stage(modes, layout, view, frame, parts, slots)
+    stage = _Stage(modes, layout, world_from_kits, view, frame, parts, slots)
     refused(stage.unseen(target))
     upright = [i for i in n if modes[i] == UPRIGHT]
     if upright and all(stage.unseen(i) for i in upright):
@@ -193,16 +195,12 @@ def _further(cast: _Cast, layout: Layout) -> Observation:
     return Observation(cast.scene_id, views)
 
 
-def _world_from_kit(cast: _Cast, stage: _Stage, i: int) -> Pose:
-    return stage.layout.world_from_assembly @ cast.mount(i).assembly_from_kit
-
-
 def _asked(cast: _Cast, stage: _Stage, i: int) -> Asked:
     return Asked(
         i,
         stage.modes[i],
         stage.layout.world_from_parts[i],
-        _world_from_kit(cast, stage, i),
+        stage.world_from_kits[i],
         cast.slot(i),
         stage.unseen(i),
     )
@@ -216,7 +214,7 @@ def _part_row(cast: _Cast, stage: _Stage, i: int) -> Row:
         "mount": cast.mounts[i],
         "rest_mode": stage.modes[i],
         "world_from_part": pose_row(stage.layout.world_from_parts[i]),
-        "world_from_kit": pose_row(_world_from_kit(cast, stage, i)),
+        "world_from_kit": pose_row(stage.world_from_kits[i]),
         "pixels": int(part.pixels),
         "visible": float(part.share),
         "slot_angle": float(slot.angle),
@@ -225,19 +223,12 @@ def _part_row(cast: _Cast, stage: _Stage, i: int) -> Row:
     }
 
 
-def _goals(cast: _Cast, stage: _Stage, i: int) -> Pose:
-    """(n,) world_from_part of every goal of a part."""
-    goals, world_from_kit = cast.slot(i).goals, _world_from_kit(cast, stage, i)
-    return world_from_kit @ goals
-
-
 def _segmented(cast: _Cast, stage: _Stage) -> np.ndarray:
     """(H, W) uint16, as `SceneTruth.seg` has it."""
-    mounts = cast.assembly.mounts
-    world_from_kits = [stage.layout.world_from_assembly @ mount.assembly_from_kit for mount in mounts]
-    cavity = cavity_labels(
-        stage.frame.depth, CAMERA, stage.world_from_camera, world_from_kits, [mount.kit for mount in mounts]
-    )
+    by_mount = np.argsort(cast.mounts).tolist()  # the part of each
+    kits = [cast.mount(i).kit for i in by_mount]
+    world_from_kits = [stage.world_from_kits[i] for i in by_mount]
+    cavity = cavity_labels(stage.frame.depth, CAMERA, stage.world_from_camera, world_from_kits, kits)
     seg = stage.frame.ids.astype(np.uint16)
     inside = (stage.frame.ids == ASSEMBLY_LABEL + 1) & (cavity >= 0)
     seg[inside] = FIRST_CAVITY + cavity[inside]

@@ -7,7 +7,6 @@ has passed a checksum.
 
 from __future__ import annotations
 
-import difflib
 import io
 import json
 import os
@@ -31,7 +30,7 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 from kit1000.data.mcap_io.messages import SECOND
 from kit1000.data.mcap_io.writing import RECORD, START, record_checksum
 from kit1000.data.tables import FORMAT
-from kit1000.errors import InputError
+from kit1000.errors import InputError, near
 
 MEND = "make or fetch it again"
 RECENT = 3  # chunks kept decompressed, of all files together: 8 MB each with two views, 22 MB with six
@@ -90,10 +89,11 @@ class ShardFile:
         return found
 
     def _check(self, scene_id: str) -> None:
-        ids = self.scene_ids
-        if scene_id not in self._source.chunks:
-            near = difflib.get_close_matches(scene_id, ids, 3) or ids[:3]
-            raise InputError(f"{self.path}: no scene {scene_id!r} among {len(ids)} (near: {', '.join(near)})")
+        ids = self._source.chunks
+        if scene_id not in ids:
+            raise InputError(
+                f"{self.path}: no scene {scene_id!r} among {len(ids)}; {near(scene_id, ids)}see .scene_ids"
+            )
 
 
 class _Source:

@@ -24,7 +24,7 @@ from kit1000.data.mcap_io.observations import POSE_SCHEMA
 from kit1000.data.mcap_io.reading import ShardFile
 from kit1000.data.mcap_io.writing import ShardWriter
 from kit1000.data.schema import SceneTruth
-from kit1000.data.tables import pose_of
+from kit1000.data.tables import Row, pose_of
 from kit1000.errors import InputError, checked
 from kit1000.pose import Pose
 
@@ -62,7 +62,7 @@ class TruthFile(ShardFile):
 
     def truth(self, scene_id: str) -> SceneTruth:
         """All that is so in a scene."""
-        row = row_of(self._one(scene_id, "/truth"))
+        row = self.row(scene_id)
         goals = self._all(scene_id, "/goals")
         return SceneTruth(
             scene_id=row["scene_id"],
@@ -74,6 +74,10 @@ class TruthFile(ShardFile):
             models=self.models(scene_id),
             goals=poses_of(goals[0]) if goals else None,
         )
+
+    def row(self, scene_id: str) -> Row:
+        """The numbers of a truth as `truth_row` wrote them: no image and no model is read."""
+        return row_of(self._one(scene_id, "/truth"))
 
     def models(self, scene_id: str) -> dict[str, bytes]:
         """The GLB models of a scene by body, y up and in m."""

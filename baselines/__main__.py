@@ -1,0 +1,86 @@
+"""The command `python -m baselines`: lists the reference methods, and lets one answer the queries of a dataset."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from kit1000.errors import InputError
+from kit1000.usage import run
+
+PROGRAM = "python -m baselines"
+ABOUT = """The reference methods of KIT1000: each reads a dataset and writes a submission.
+
+`python -m benchmark` scores submissions.
+
+`python -m baselines COMMAND --help` says more about a command.
+
+Results go to stdout, progress to stderr. Exit status: 0 good, 2 wrong usage or bad input,
+3 a fault of the method or of kit1000, 130 interrupted."""
+
+Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
+
+
+@dataclass(frozen=True)
+class List:
+    """List the methods: what each does, what it reads, which tracks it answers."""
+
+    def run(self) -> int:
+        """Print a table."""
+        from baselines.methods import METHODS, described
+
+        print("\n".join(described(name, method) for name, method in METHODS.items()))
+        return 0
+
+
+@dataclass(frozen=True)
+class Predict:
+    """Answer the queries of a dataset; run the same command again to continue a run that was interrupted."""
+
+    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]
+    """A method of the list, or module:Object of your own."""
+    data: Path
+    """Dataset folder."""
+    out: Path
+    """Submission folder; to one of the same method and dataset the answers are added."""
+    split: tuple[str, ...] = ("test",)
+    """test, curves, val, test-all, train: one or several."""
+    tracks: tuple[str, ...] = ()
+    """Just these; all that the method answers when absent."""
+    workers: Whole = None
+    """Processes; one per core when absent. Any number gives the same answers."""
+    limit: Whole = None
+    """Just the first N queries."""
+    seed: int = 0
+    """Of all draws of the method."""
+
+    def run(self) -> int:
+        """Predict, then say what was written."""
+        from baselines.predict import Asked, predict
+
+        for name, value, least in (("workers", self.workers, 1), ("limit", self.limit, 1), ("seed", self.seed, 0)):
+            if value is not None and value < least:
+                raise InputError(f"--{name}: expected {least} or more, got {value}")
+        asked = Asked(self.name, self.split, self.tracks or None, self.seed, self.limit)
+        submission = predict(asked, self.data, self.out, self.workers)
+        seconds = submission.predictions.seconds.mean()
+        tracks = ", ".join(submission.manifest.tracks)
+        print(f"{self.out}: {len(submission.predictions)} predictions of {self.name} ({tracks}), {seconds:.3g} s each")
+        return 0
+
+
+COMMANDS = {"list": List, "predict": Predict}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    return run(PROGRAM, COMMANDS, ABOUT, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

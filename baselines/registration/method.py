@@ -1,0 +1,136 @@
+"""The method from end to end: plates, cavities, coarse search, refinement, and the choice among what fits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines.registration.cavity import Cavity, find_cavity, plate_grid
+from baselines.registration.faces import standing_faces
+from baselines.registration.outline import outline_misfit
+from baselines.registration.plates import find_planes, frame_on
+from baselines.registration.refine import refine
+from baselines.registration.search import Window, coarse_search, distinct
+from baselines.registration.sources import DepthSource, Source, TrueSource
+from kit1000.data.making.guesses import ANGLE, OFFSET
+from kit1000.data.reader import Dataset
+from kit1000.errors import InputError
+from kit1000.pose import Pose
+from kit1000.predictor import Answer
+from kit1000.rng import stream
+from kit1000.values import Query, Truth
+from kit1000.voxels import Volume, surface_points
+
+SOURCES = ("depth", "truth")
+SLACK_OFFSET, SLACK_ANGLE = 1.5e-3, np.radians(2.5)  # looked at beyond the largest error of a guess
+SIDE = 0.144  # [m] of a plate's relief: the window of a guess and a part's half width on either side
+REFINED, REFINED_ANYWHERE = 6, 4  # candidates of each plate, with a guess and without
+STIFFNESS = 1.0  # of the contact between the face that looks down and the floor
+SURPRISE, USUAL = 0.5, 1e-3  # what a depth that is not the usual one costs, a metre, up to [m]
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A refined answer."""
+
+    goal_from_now: Pose
+    misfit: float
+    """[m] what is left: of the cavity's points, of its outline, and of its depth."""
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Predicts by registration: what the part would cut into a plate is compared with what is cut into the plates."""
+
+    dataset: Dataset
+    source: str = "depth"
+    """depth: the query's image and masks; truth: the true volumes."""
+    clearance: float | None = None
+    """[m]; None takes the one that the dataset publishes."""
+
+    def __post_init__(self) -> None:
+        if self.source not in SOURCES:
+            raise InputError(f"source {self.source!r}: expected one of {', '.join(SOURCES)}")
+
+    @property
+    def uses_true_geometry(self) -> bool:
+        """Whether it needs the truth."""
+        return self.source == "truth"
+
+    def __call__(self, query: Query, truth: Truth | None = None) -> Answer:
+        """The best fit; where nothing fits, the guess or no motion, without confidence."""
+        clearance = self.dataset.summary["config"]["clearance"] if self.clearance is None else self.clearance
+        fits = register(self._source(query, truth), query, clearance)
+        if not fits:
+            return Answer(Pose.identity() if query.guess is None else query.guess, 0.0)
+        return Answer(fits[0].goal_from_now, confidence(fits[0].misfit))
+
+    def _source(self, query: Query, truth: Truth | None) -> Source:
+        if self.source == "depth":
+            return DepthSource(query)
+        if truth is None:
+            raise InputError(f"{query.id}: true volumes want the truth; say dataset.split(NAME, truth=True)")
+        geometry = self.dataset.geometry
+        assembly = geometry.assembly(truth.assembly_id)
+        mount = next(mount for mount in assembly.mounts if mount.kit.id == truth.part_id)
+        stands = truth.world_from_kit @ mount.assembly_from_kit.inverse()
+        part = (geometry.part(truth.part_id).mesh, truth.world_from_part)
+        return TrueSource(query.pivot, part, ((assembly.mesh, stands),))
+
+
+def register(source: Source, query: Query, clearance: float) -> list[Fit]:
+    """All fits of a part in the kits it may belong to, the best first. clearance: [m]."""
+    part = source.part()
+    if not part.occupied.any():
+        return []
+    cavities = find_cavities(source, query)
+    window = Window(query.pivot, query.guess, ANGLE + SLACK_ANGLE, OFFSET + SLACK_OFFSET)
+    found = coarse_search(part, _downs(source, part, query), cavities, clearance, window)
+    if not found and query.guess is not None:  # no face was seen that may look down: the guess says which way is down
+        back = query.guess.inverse()
+        downs = [back.rotate(cavity.world_from_plate.rotate(DOWN)) for cavity in cavities]
+        found = coarse_search(part, downs, cavities, clearance, window)
+    fits = []
+    for candidate in distinct(found, query.pivot, REFINED if query.guess is not None else REFINED_ANYWHERE):
+        pose, rest = refine(part, query.pivot, candidate, clearance, STIFFNESS)
+        goal_from_now = candidate.cavity.world_from_plate @ pose
+        if query.guess is None or _near(goal_from_now, query.guess, query.pivot):
+            outline = outline_misfit(part, candidate.cavity, pose, clearance)
+            fits.append(Fit(goal_from_now, rest + outline + SURPRISE * min(candidate.surprise, USUAL)))
+    return sorted(fits, key=lambda fit: fit.misfit)
+
+
+def find_cavities(source: Source, query: Query) -> list[Cavity]:
+    """The cavities of all plates near the guess, or of all plates."""
+    home = None if query.guess is None else query.guess.apply(query.pivot)
+    box = None if home is None else home + np.array([[-SIDE / 2], [SIDE / 2]])
+    points, normals, area = source.oriented_points(box)
+    planes = find_planes(points, normals, area, source.near, source.flat, stream(0, "registration", query.id))
+    frames = [frame_on(plane, plane.point if home is None else home) for plane in planes]
+    cavities = [find_cavity(source.plate(plate_grid(frame, SIDE)), frame, source.near) for frame in frames]
+    return [cavity for cavity in cavities if cavity is not None]
+
+
+def confidence(misfit: float) -> float:
+    """The share of such fits that are seated on the validation split, smoothed. misfit: [m]."""
+    return float(1 / (1 + np.exp((misfit - HALF) / SPREAD)))
+
+
+HALF, SPREAD = 6e-3, 1.5e-3  # [m]
+
+
+def _downs(source: Source, part: Volume, query: Query) -> list[np.ndarray]:
+    """The normals that may point into a cavity, (3,) each; a part to be placed without a guess lies upright."""
+    if query.guess is None:
+        return [DOWN]
+    middle = part.grid.world(np.argwhere(part.occupied)).mean(0)
+    return [face.normal for face in standing_faces(surface_points(part), middle, source.flat)]
+
+
+def _near(goal_from_now: Pose, guess: Pose, pivot: np.ndarray) -> bool:
+    """Whether a motion is one that the guess may have meant."""
+    offset = np.abs(goal_from_now.apply(pivot) - guess.apply(pivot)).max()
+    turn = float((goal_from_now @ guess.inverse()).angle())
+    return bool(offset <= OFFSET + 2 * SLACK_OFFSET and turn <= ANGLE + 2 * SLACK_ANGLE)

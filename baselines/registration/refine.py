@@ -1,0 +1,195 @@
+"""Refinement: robust Levenberg-Marquardt on SE(3), in which walls stand one clearance away from the part.
+
+Every point of a cavity lies either on a wall, one clearance beside what the part sweeps at its height, or on the
+floor, under the grown part. The part's sweep is kept as distances in slices, found anew when its rotation has changed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines.registration.relief import grown, lower_envelope
+from baselines.registration.search import Candidate
+from kit1000.compiled import compiled
+from kit1000.pose import Pose
+from kit1000.voxels import Volume
+
+CELL = 0.625e-3  # [m] of slices
+WIDE = 144  # cells: 90 mm
+LAYER = 1e-3  # [m] between slices
+SCALES = (4e-3, 2e-3, 1e-3, 0.5e-3)  # [m] of the Geman-McClure weights, from far to near
+STEPS = 6  # of Levenberg-Marquardt at each scale
+REACH = 16  # cells (10 mm) to which distances are told
+POINTS = 1500
+FAR = 2e-3  # [m] a point that misses by more is no worse
+LEVER = 0.02  # [m] a lean moves the edge of a part by about its angle times this
+DIFFERENCES = np.array([1e-3, 1e-3, 1e-3, 5e-5, 5e-5, 5e-5])  # [rad, m] of the slopes
+METRIC = np.array([LEVER, LEVER, LEVER, 1, 1, 1]) ** 2
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """What a part sweeps above its lowest point on the way up, in one rotation; its pivot is the origin."""
+
+    rotation: Pose
+    """plate_from_now, a rotation alone."""
+    distance: np.ndarray
+    """(layers, n, n) float32 [m]: across, from each place to the sweep at the height of the layer; 0 inside."""
+    floor: np.ndarray
+    """(n, n) float32 [m]: lower envelope of the grown sweep; REACH where there is none."""
+    lowest: float
+    """[m] of the sweep, relative to the pivot."""
+
+    @classmethod
+    def of(cls, part: Volume, pivot: np.ndarray, rotation: Pose, depth: float, clearance: float) -> Sweep:
+        """Of a part in a rotation, up to a little more than `depth` [m] over its lowest point."""
+        envelope = lower_envelope(part, rotation @ Pose.from_translation(-pivot), CELL, WIDE)
+        lowest = float(envelope.min())
+        layers = int(np.ceil((depth + 3e-3) / LAYER)) + 1
+        distance = np.empty((layers, WIDE, WIDE), np.float32)
+        _across(envelope - lowest, LAYER, CELL, distance)
+        floor = grown(envelope, CELL, clearance)
+        return cls(rotation, distance, np.where(np.isfinite(floor), floor, 0.1).astype(np.float32), lowest)
+
+
+def refine(
+    part: Volume, pivot: np.ndarray, candidate: Candidate, clearance: float, stiffness: float, rounds: int = 2
+) -> tuple[Pose, float]:
+    """The best plate_from_now near a candidate, and the root mean square of its residuals, clipped at FAR [m].
+
+    stiffness: how firmly the face that looks down lies on the floor; 1 weighs a lean as what it moves at LEVER.
+    """
+    cavity, pose, rest = candidate.cavity, candidate.plate_from_now, np.inf
+    points = np.ascontiguousarray(cavity.points[:: max(1, len(cavity.points) // POINTS)])
+    for _ in range(rounds):
+        rotation = Pose(pose.wxyz, np.zeros(3))
+        sweep = Sweep.of(part, pivot, rotation, cavity.depth, clearance)
+        problem = Problem(points, sweep, rotation.rotate(candidate.down), clearance, stiffness)
+        twist = np.concatenate([np.zeros(3), pose.apply(pivot)])
+        for scale in SCALES:
+            twist = _levenberg(problem, twist, scale)
+        turned = Pose.from_rotvec(twist[:3]) @ rotation
+        pose = Pose(turned.wxyz, twist[3:] - turned.rotate(pivot))
+        rest = float(np.sqrt(np.mean(np.minimum(problem.residuals(twist)[:-2] ** 2, FAR**2))))
+    return pose, rest
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What is to be made small: the misses of the points, and the lean of the face that looks down."""
+
+    points: np.ndarray
+    sweep: Sweep
+    down: np.ndarray
+    """(3,) plate frame: where the face looks in the rotation of the sweep."""
+    clearance: float
+    stiffness: float
+
+    def residuals(self, twist: np.ndarray) -> np.ndarray:
+        """(n + 2,) [m] at a rotation vector and a place of the pivot (6,); the last two are the lean."""
+        sweep = self.sweep
+        misses = _residuals(self.points, twist, sweep.distance, sweep.floor, sweep.lowest, self.clearance)
+        (x, y, z), (a, b, c) = self.down, twist[:3]
+        lean = np.array([x + b * z - c * y, y + c * x - a * z])  # down, turned by a small rotation
+        return np.append(misses, self.stiffness * np.sqrt(len(misses)) * LEVER * lean)
+
+
+def _levenberg(problem: Problem, twist: np.ndarray, scale: float) -> np.ndarray:
+    """(6,) rotation vector and place of the pivot, after some steps at one scale of the weights."""
+    damping = 1e-3
+    residuals = problem.residuals(twist)
+    cost = _cost(residuals, scale)
+    for _ in range(STEPS):
+        slopes = np.empty((len(residuals), 6))
+        for k in range(6):
+            step = np.zeros(6)
+            step[k] = DIFFERENCES[k]
+            slopes[:, k] = (problem.residuals(twist + step) - problem.residuals(twist - step)) / (2 * DIFFERENCES[k])
+        weights = (scale**2 / (scale**2 + residuals**2)) ** 2
+        weights[-2:] = 1
+        normal, pull = (slopes * weights[:, None]).T @ slopes, (slopes * weights[:, None]).T @ residuals
+        mean = np.trace(normal[3:, 3:]) / 3 + 1e-9
+        for _ in range(4):
+            move = -np.linalg.solve(normal + damping * mean * np.diag(METRIC), pull)
+            tried = problem.residuals(twist + move)
+            if _cost(tried, scale) < cost:
+                twist, residuals, cost, damping = twist + move, tried, _cost(tried, scale), damping / 3
+                break
+            damping *= 5
+        else:
+            break
+        if np.abs(move[:3]).max() < 2e-5 and np.abs(move[3:]).max() < 1e-6:
+            break
+    return twist
+
+
+def _cost(residuals: np.ndarray, scale: float) -> float:
+    square = residuals[:-2] ** 2
+    return float((square / (scale**2 + square)).sum() + (residuals[-2:] ** 2).sum() / scale**2)
+
+
+@compiled
+def _across(heights, layer, cell, distance):
+    """Fill distance (layers, n, n): across from each cell to the nearest that begins at or below the layer.
+
+    Exact up to REACH cells, and REACH beyond. Half a cell less: the edge runs between a cell inside and the next.
+    """
+    layers, n, _ = distance.shape
+    along = np.empty((n, n))
+    for k in range(layers):
+        for i in range(n):
+            gap = np.inf
+            for j in range(n):
+                gap = 0.0 if heights[i, j] <= k * layer + 1e-9 else gap + 1
+                along[i, j] = gap
+            gap = np.inf
+            for j in range(n - 1, -1, -1):
+                gap = 0.0 if heights[i, j] <= k * layer + 1e-9 else gap + 1
+                along[i, j] = min(along[i, j], gap)
+        for i in range(n):
+            for j in range(n):
+                least = float(REACH * REACH)
+                for other in range(max(i - REACH, 0), min(i + REACH + 1, n)):
+                    least = min(least, along[other, j] ** 2 + (other - i) ** 2)
+                distance[k, i, j] = max(np.sqrt(least) - 0.5, 0.0) * cell
+
+
+@compiled
+def _residuals(points, twist, distance, floor, lowest, clearance):
+    """(n,) [m]: of each point the nearer of its misses, of the wall and of the floor."""
+    layers, n, _ = distance.shape
+    angle = np.sqrt(twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2)
+    r = np.eye(3)
+    if angle > 1e-12:
+        x, y, z = twist[0] / angle, twist[1] / angle, twist[2] / angle
+        c, s = np.cos(angle), np.sin(angle)
+        t = 1 - c
+        r = np.array(
+            [
+                [t * x * x + c, t * x * y - s * z, t * x * z + s * y],
+                [t * x * y + s * z, t * y * y + c, t * y * z - s * x],
+                [t * x * z - s * y, t * y * z + s * x, t * z * z + c],
+            ]
+        )
+    out = np.empty(len(points))
+    for p in range(len(points)):
+        dx, dy, dz = points[p, 0] - twist[3], points[p, 1] - twist[4], points[p, 2] - twist[5]
+        x = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
+        y = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
+        z = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
+        u = min(max(x / 0.625e-3 + (n - 1) / 2, 0.0), n - 1.001)
+        v = min(max(y / 0.625e-3 + (n - 1) / 2, 0.0), n - 1.001)
+        w = min(max((z - lowest) / 1e-3, 0.0), layers - 1.001)
+        i, j, k = int(u), int(v), int(w)
+        a, b, c = u - i, v - j, w - k
+        below = (1 - a) * ((1 - b) * distance[k, i, j] + b * distance[k, i, j + 1])
+        below += a * ((1 - b) * distance[k, i + 1, j] + b * distance[k, i + 1, j + 1])
+        above = (1 - a) * ((1 - b) * distance[k + 1, i, j] + b * distance[k + 1, i, j + 1])
+        above += a * ((1 - b) * distance[k + 1, i + 1, j] + b * distance[k + 1, i + 1, j + 1])
+        wall = (1 - c) * below + c * above - clearance
+        i, j = int(u + 0.5), int(v + 0.5)
+        under = floor[i, j] - z
+        out[p] = wall if abs(wall) < abs(under) else under
+    return out

@@ -1,0 +1,323 @@
+"""Charts as SVG text, small and crisp: lines with bands, histograms, means with their intervals.
+
+A chart is as wide as a phone's column, so its text stays legible there; pages set several side by side. Colours are
+variables with a light and a dark set, bound by STYLE: a page holds it in its style sheet, a file of its own carries it
+along (`standalone`). The same numbers give the same bytes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from html import escape
+from math import ceil, floor, isfinite, log10
+
+WIDTH, HEIGHT = 360, 260  # [px] of a chart before its legend
+LEFT, RIGHT, TOP, BOTTOM = 46, 14, 34, 44  # [px] around the plotted area
+LEGEND_ROW = 18  # [px]
+LETTER = 6.9  # [px] width of a letter of a label, on average
+SHORT = 40  # letters of a name in a legend; longer ones are cut
+DOT_ROW = 26  # [px] height of a line of a dot plot
+NAMES, NOTES = 122, 62  # [px] beside a dot plot
+MARK = (84, 16)  # [px] of an interval in a cell of a table
+TICKS = 5
+GAP = 12  # [px] below a row of a file of its own
+DASHES = ("", "6 4", "1.5 4")  # of the lines of a chart in turn: the largest error of the paper's figure is dotted
+LIGHT = ("#2f6f9f", "#c2571a", "#8a4f86", "#1f7f74", "#8f6b10", "#5c6670")  # of lines, in turn
+DARK = ("#6cb2e6", "#f2955a", "#d29ace", "#58c2b4", "#dcb552", "#aab4bf")
+HUES = len(LIGHT)
+
+
+def _variables(ink: str, soft: str, rule: str, paper: str, hues: Sequence[str]) -> str:
+    named = {"ink": ink, "soft": soft, "rule": rule, "paper": paper} | {f"hue-{i}": hue for i, hue in enumerate(hues)}
+    return " ".join(f"--{name}: {colour};" for name, colour in named.items())
+
+
+STYLE = f"""\
+svg.chart {{ {_variables("#1f2328", "#5f6872", "#dfe3e8", "#ffffff", LIGHT)}
+  font: 12px system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; font-variant-numeric: tabular-nums; }}
+@media (prefers-color-scheme: dark) {{ svg.chart {{ {_variables("#e6e9ed", "#9aa4af", "#2c333c", "#12161b", DARK)} }} }}
+.chart text {{ fill: var(--ink); }} .chart .soft {{ fill: var(--soft); }} .chart .title {{ font-weight: 600; }}
+.chart .end {{ text-anchor: end; }} .chart .middle {{ text-anchor: middle; }} .chart path {{ fill: none; }}
+.chart .rule {{ stroke: var(--rule); }} .chart .axis {{ stroke: var(--soft); }} .chart .paper {{ fill: var(--paper); }}
+.chart .given {{ stroke: var(--soft); stroke-dasharray: 2 3; }} .chart .whisker {{ stroke-width: 1.5; }}
+.chart .line {{ stroke-width: 2; stroke-linejoin: round; stroke-linecap: round; }} .chart .band {{ opacity: 0.15; }}
+""" + "".join(
+    f".chart .stroke-{i} {{ stroke: var(--hue-{i}); }} .chart .fill-{i} {{ fill: var(--hue-{i}); }}\n"
+    for i in range(HUES)
+)
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a chart, perhaps with a band about it."""
+
+    name: str
+    x: Sequence[float]
+    y: Sequence[float]
+    low: Sequence[float] = ()
+    high: Sequence[float] = ()
+    hue: int = 0
+    dash: int = 0
+
+
+@dataclass(frozen=True)
+class Dot:
+    """A mean with its interval, under a name."""
+
+    name: str
+    value: float | None
+    low: float | None
+    high: float | None
+    note: str = ""
+    """At the end of the line, such as n = 40."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """What an axis tells, from 0 to `most`."""
+
+    label: str
+    most: float
+
+    @property
+    def ticks(self) -> list[float]:
+        """Round numbers from 0 to no more than `most`."""
+        step = tick_step(self.most)
+        return [step * i for i in range(floor(self.most / step + 1e-9) + 1)]
+
+    def share(self, value: float) -> float:
+        """Where a number lies: 0 at the start of the axis, 1 at its end, never beyond."""
+        return min(max(value / self.most, 0.0), 1.0)
+
+
+def tick_step(most: float) -> float:
+    """The smallest of 1, 2 or 5 times a power of ten that reaches `most` in TICKS steps."""
+    if not (isfinite(most) and most > 0):
+        return 1.0
+    power = 10.0 ** floor(log10(most / TICKS))
+    return next(step * power for step in (1, 2, 5, 10) if step * power * TICKS >= most * (1 - 1e-9))
+
+
+def rounded_up(most: float) -> float:
+    """Where an axis ends that has to hold a number: at a tick."""
+    step = tick_step(most)
+    return max(ceil(most / step - 1e-9), 1) * step
+
+
+def line_chart(
+    title: str, description: str, lines: Sequence[Line], x: Axis, y: Axis, given: bool = False, note: str = ""
+) -> str:
+    """Lines with their bands over a grid, and a legend of their names where there are several.
+
+    Args:
+        title: above the chart; a screen reader reads it with `description`.
+        given: whether to draw y = x: an error left as it was given.
+        note: at the upper right, such as n = 40.
+    """
+    names = [line for line in lines if len(lines) > 1]
+    frame = _Frame(x, y, LEFT, WIDTH - RIGHT, HEIGHT - BOTTOM)
+    marks = [_heading(title, note), frame.grid(), frame.across([(tick, _number(tick)) for tick in x.ticks])]
+    if given:
+        end = min(x.most, y.most)
+        marks.append(f'<path class="given" d="{frame.path([0, end], [0, end])}"/>')
+    marks += [_band(frame, line) for line in lines if len(line.low)]  # all below all lines
+    marks += [_stroke(frame, line) for line in lines if len(line.x)]
+    legend, height = _legend(names)
+    return _svg(title, description, HEIGHT + height, [*marks, legend])
+
+
+def histogram(title: str, description: str, edges: Sequence[float | None], counts: Sequence[int], label: str) -> str:
+    """A bar for each bin, all of one width; where the last edge is null, the last bin is open and says so."""
+    frame = _Frame(
+        Axis(label, len(counts)), Axis("queries", rounded_up(max([*counts, 1]))), LEFT, WIDTH - RIGHT, HEIGHT - BOTTOM
+    )
+    bars = []
+    for i, count in enumerate(counts):
+        (left, top), (right, bottom) = frame.at(i + 0.08, count), frame.at(i + 0.92, 0)
+        told = f"<title>{escape(f'{_between(edges[i], edges[i + 1])}: {count}')}</title>"
+        place = f'x="{_p(left)}" y="{_p(top)}" width="{_p(right - left)}" height="{_p(bottom - top)}"'
+        bars.append(f'<rect class="fill-0" {place}>{told}</rect>')
+    every = ceil(len(counts) / 6) or 1
+    ticks = [(float(i), _number(edge)) for i, edge in enumerate(edges) if edge is not None and i % every == 0]
+    if edges[-1] is None:
+        ticks = [tick for tick in ticks if len(counts) - tick[0] > 0.8 * every] + [(float(len(counts)), "∞")]
+    return _svg(
+        title, description, HEIGHT, [_heading(title, f"n = {sum(counts)}"), frame.grid(), *bars, frame.across(ticks)]
+    )
+
+
+def dot_plot(title: str, description: str, dots: Sequence[Dot], axis: Axis) -> str:
+    """Means with their intervals under one another: names at the left, notes at the right."""
+    bottom = TOP + DOT_ROW * len(dots)
+    frame = _Frame(axis, None, NAMES, WIDTH - NOTES, bottom)
+    marks = [_heading(title, "")]
+    marks += [f'<path class="rule" d="M{_p(frame.at(tick, 0)[0])} {TOP}V{bottom}"/>' for tick in axis.ticks]
+    for i, dot in enumerate(dots):
+        level = TOP + DOT_ROW * (i + 0.5)
+        marks.append(_text(NAMES - 10, level + 4, _cut(dot.name, int((NAMES - 12) / LETTER)), "end"))
+        marks.append(_interval(dot, level, lambda value: frame.at(value, 0)[0], axis.most))
+        marks.append(_text(WIDTH - 4, level + 4, dot.note, "soft end"))
+    marks.append(frame.across([(tick, _number(tick)) for tick in axis.ticks]))
+    return _svg(title, description, bottom + BOTTOM, marks)
+
+
+def interval_mark(dot: Dot, most: float) -> str:
+    """A mean with its interval for a cell of a table, from 0 to `most`; an arrow says that it lies beyond."""
+    width, height = MARK
+    drawn = _interval(dot, height / 2, lambda value: 4 + (width - 8) * Axis("", most).share(value), most)
+    head = f'<svg class="chart mark" role="img" viewBox="0 0 {width} {height}" width="{width}" height="{height}">'
+    return (
+        f'{head}<title>{escape(dot.name)}</title><path class="rule" d="M4 {_p(height / 2)}H{width - 4}"/>{drawn}</svg>'
+    )
+
+
+def standalone(rows: Sequence[Sequence[str]]) -> str:
+    """One SVG file of charts in rows, with its style and on paper of its own."""
+    heights = [max(map(_height, row)) + GAP for row in rows]
+    width, height = WIDTH * max(map(len, rows)), sum(heights)
+    placed = [
+        chart.replace(
+            "<svg ", f'<svg x="{WIDTH * column}" y="{sum(heights[:row])}" width="{WIDTH}" height="{_height(chart)}" ', 1
+        )
+        for row, charts in enumerate(rows)
+        for column, chart in enumerate(charts)
+    ]
+    size = f'viewBox="0 0 {width} {height}" width="{width}" height="{height}"'
+    head = f'<svg xmlns="http://www.w3.org/2000/svg" class="chart" {size}>\n<style>\n{STYLE}</style>'
+    return "\n".join([head, f'<rect class="paper" width="{width}" height="{height}"/>', *placed, "</svg>\n"])
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """The plotted area: where numbers lie in the picture."""
+
+    x: Axis
+    y: Axis | None
+    left: float
+    right: float
+    bottom: float
+
+    def at(self, x: float, y: float) -> tuple[float, float]:
+        """The place of a pair of numbers [px]."""
+        up = self.y.share(y) if self.y else 0.0
+        return self.left + (self.right - self.left) * self.x.share(x), self.bottom - (self.bottom - TOP) * up
+
+    def path(self, x: Sequence[float], y: Sequence[float]) -> str:
+        """A chain of straight lines as path data."""
+        places = [self.at(*pair) for pair in zip(x, y, strict=True)]
+        return "M" + "L".join(f"{_p(u)} {_p(v)}" for u, v in places)
+
+    def grid(self) -> str:
+        """Level rules with their numbers, and what the y axis tells."""
+        assert self.y is not None
+        marks = []
+        for tick in self.y.ticks:
+            level = self.at(0, tick)[1]
+            marks.append(f'<path class="rule" d="M{_p(self.left)} {_p(level)}H{_p(self.right)}"/>')
+            marks.append(_text(self.left - 7, level + 4, _number(tick), "soft end"))
+        middle = (TOP + self.bottom) / 2
+        return "".join(
+            [*marks, _text(11, middle, self.y.label, "soft middle", f' transform="rotate(-90 11 {_p(middle)})"')]
+        )
+
+    def across(self, ticks: Sequence[tuple[float, str]]) -> str:
+        """The x axis with texts at some places, and what it tells."""
+        marks = [f'<path class="axis" d="M{_p(self.left)} {_p(self.bottom)}H{_p(self.right)}"/>']
+        for place, text in ticks:
+            u = self.at(place, 0)[0]
+            marks.append(
+                f'<path class="axis" d="M{_p(u)} {_p(self.bottom)}v4"/>'
+                + _text(u, self.bottom + 17, text, "soft middle")
+            )
+        return "".join([*marks, _text((self.left + self.right) / 2, self.bottom + 36, self.x.label, "soft middle")])
+
+
+def _band(frame: _Frame, line: Line) -> str:
+    there, back = frame.path(line.x, line.high), frame.path(line.x[::-1], line.low[::-1])
+    points = f"{there} {back}".replace("M", "").replace("L", " ")
+    return f'<polygon class="band fill-{line.hue % HUES}" points="{points}"/>'
+
+
+def _stroke(frame: _Frame, line: Line) -> str:
+    """A line with a point at each of its numbers, which tells them when pointed at."""
+    marks = [f'<path class="line stroke-{line.hue % HUES}"{_dashes(line)} d="{frame.path(line.x, line.y)}"/>']
+    for x, y in zip(line.x, line.y, strict=True):
+        u, v = frame.at(x, y)
+        told = escape(f"{line.name}: {x:.3g}, {y:.3g}")
+        marks.append(
+            f'<circle class="fill-{line.hue % HUES}" cx="{_p(u)}" cy="{_p(v)}" r="2.6"><title>{told}</title></circle>'
+        )
+    return "".join(marks)
+
+
+def _dashes(line: Line) -> str:
+    dash = DASHES[line.dash % len(DASHES)]
+    return f' stroke-dasharray="{dash}"' if dash else ""
+
+
+def _legend(lines: Sequence[Line]) -> tuple[str, int]:
+    """Names of the lines below a chart, as many in a row as fit, and the height that they take [px]."""
+    marks, u, row = [], float(LEFT), 0
+    for line in lines:
+        name = _cut(line.name, SHORT)
+        width = 30 + LETTER * len(name) + 14
+        if u > LEFT and u + width > WIDTH:
+            u, row = float(LEFT), row + 1
+        level = HEIGHT + LEGEND_ROW * row + 6
+        marks.append(f'<path class="line stroke-{line.hue % HUES}"{_dashes(line)} d="M{_p(u)} {level}h22"/>')
+        marks.append(_text(u + 29, level + 4, name))
+        u += width
+    return "".join(marks), LEGEND_ROW * (row + 1) if lines else 0
+
+
+def _interval(dot: Dot, level: float, place: Callable[[float], float], most: float) -> str:
+    """A dot on its whisker; an arrow at the end of the scale when the mean lies beyond it."""
+    if dot.value is None:
+        return ""
+    if dot.value > most * (1 + 1e-9):
+        end = place(most)
+        return f'<path class="whisker stroke-0" d="M{_p(end - 5)} {_p(level - 4)}l5 4l-5 4"/>'
+    whisker = ""
+    if dot.low is not None and dot.high is not None:
+        low, high = place(dot.low), place(dot.high)
+        ends = f"M{_p(low)} {_p(level - 3)}v6M{_p(high)} {_p(level - 3)}v6"
+        whisker = f'<path class="whisker stroke-0" d="M{_p(low)} {_p(level)}H{_p(high)}{ends}"/>'
+    return f'{whisker}<circle class="fill-0" cx="{_p(place(dot.value))}" cy="{_p(level)}" r="3.5"/>'
+
+
+def _heading(title: str, note: str) -> str:
+    return _text(4, 16, title, "title") + (_text(WIDTH - RIGHT, 16, note, "soft end") if note else "")
+
+
+def _text(x: float, y: float, text: str, kind: str = "", more: str = "") -> str:
+    named = f' class="{kind}"' if kind else ""
+    return f'<text{named} x="{_p(x)}" y="{_p(y)}"{more}>{escape(text)}</text>'
+
+
+def _svg(title: str, description: str, height: int, marks: Sequence[str]) -> str:
+    head = f'<svg class="chart" role="img" viewBox="0 0 {WIDTH} {height}">'
+    return f"{head}<title>{escape(title)}</title><desc>{escape(description)}</desc>{''.join(marks)}</svg>"
+
+
+def _height(chart: str) -> int:
+    """Of a chart that `_svg` wrote [px]."""
+    return int(chart.split('viewBox="', 1)[1].split('"', 1)[0].split()[3])
+
+
+def _between(low: float | None, high: float | None) -> str:
+    return f"{_number(low or 0.0)} and more" if high is None else f"{_number(low or 0.0)} to {_number(high)}"
+
+
+def _cut(text: str, letters: int) -> str:
+    """The text, its end replaced by dots when it is longer."""
+    return text if len(text) <= letters else text[: letters - 1].rstrip() + "…"
+
+
+def _number(value: float) -> str:
+    return f"{value:.6g}"
+
+
+def _p(value: float) -> str:
+    """A place in a picture, to a hundredth of a pixel."""
+    return f"{round(value, 2) + 0.0:.6g}"

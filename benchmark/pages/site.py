@@ -1,0 +1,94 @@
+"""Writes the site: index.html, table1.html, a page for each method under methods/, a style sheet and a script."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from markupsafe import Markup
+
+from benchmark import charts
+from benchmark.curves import CURVES, compared
+from benchmark.pages import board as boards
+from benchmark.pages import method as methods
+from benchmark.pages import numbers
+from benchmark.pages.cases import case_ids, pictures
+from benchmark.pages.entries import Board, Entry, read_board
+from benchmark.table1 import as_html, table_rows
+from kit1000.data.files import write_bytes
+from kit1000.data.reader import Dataset
+from kit1000.data.schema import LICENCE
+
+TEMPLATES = Path(__file__).parent / "templates"
+
+
+def build(submissions: Path, out: Path, data: Path | None = None) -> None:
+    """Write the pages of all scored submissions of a folder.
+
+    Args:
+        submissions: a folder with a folder for each method, `manifest.toml` and `scores.json` in it.
+        out: where the pages go; made where it is missing.
+        data: the dataset that was scored on, with its truth, to draw single cases; without it they are listed.
+    """
+    board = read_board(submissions)
+    dataset = None if data is None else Dataset(data)
+    pages = _environment(board)
+    write_bytes(out / "style.css", ((TEMPLATES / "style.css").read_text("utf-8") + charts.STYLE).encode())
+    write_bytes(out / "board.js", (TEMPLATES / "board.js").read_bytes())
+    for entry in board.entries:
+        files = {} if dataset is None else _write_pictures(dataset, entry, out)
+        _write(out / "methods" / f"{entry.name}.html", pages, "method.html", _method(entry, files, dataset is not None))
+    _write(out / "table1.html", pages, "table1.html", {"table1": Markup(as_html(table_rows(submissions)))})
+    _write(out / "index.html", pages, "index.html", _index(board))
+
+
+def _environment(board: Board) -> jinja2.Environment:
+    pages = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(TEMPLATES),
+        autoescape=True,  # manifests are other people's text
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    pages.globals |= {"board": board, "stated": board.stated, "data_licence": LICENCE, "numbers": numbers}
+    return pages
+
+
+def _write(path: Path, pages: jinja2.Environment, template: str, values: dict[str, Any]) -> None:
+    write_bytes(path, pages.get_template(template).render(values).encode())
+
+
+def _index(board: Board) -> dict[str, Any]:
+    methods_only = [entry for entry in board.entries if not entry.manifest.control]
+    curves = {entry.manifest.method: entry.scores["curves"] for entry in methods_only if entry.scores["curves"]}
+    return {
+        "tables": boards.track_tables(board),
+        "columns": boards.COLUMNS,
+        "leading": boards.LEADING,
+        "runtimes": boards.RUNTIMES,
+        "curves": [Markup(chart) for curve in CURVES for chart in compared(curve, curves)],
+    }
+
+
+def _method(entry: Entry, files: dict[str, str], with_data: bool) -> dict[str, Any]:
+    return {
+        "entry": entry,
+        "rows": methods.summary_rows(entry),
+        "summed": methods.SUMMED,
+        "with_median": methods.WITH_MEDIAN,
+        "grouped": methods.GROUPED,
+        "overview": methods.overview_charts(entry),
+        "curves": methods.curve_charts(entry),
+        "parts": [methods.track_part(entry, track, files) for track in methods.tracks_of(entry)],
+        "with_data": with_data,
+    }
+
+
+def _write_pictures(dataset: Dataset, entry: Entry, out: Path) -> dict[str, str]:
+    """Draw the listed cases of all tracks; by query id their files, as the page beside them names them."""
+    ids = [query_id for track in entry.scores["tracks"].values() for query_id in case_ids(track)]
+    drawn = pictures(dataset, entry, ids)
+    for query_id, picture in drawn.items():
+        write_bytes(out / "methods" / entry.name / f"{query_id}.jpg", picture)
+    return {query_id: f"{entry.name}/{query_id}.jpg" for query_id in drawn}

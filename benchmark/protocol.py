@@ -1,0 +1,105 @@
+"""The protocol: what is asked, how it is judged and how results are summed up, read from a dated file beside this one.
+
+Bins and thresholds stand there and nowhere in code; thresholds that the metrics have themselves are stated too, and
+compared, so that a file and the code it was written for cannot drift apart unnoticed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from kit1000 import metrics
+from kit1000.data.files import read_json
+from kit1000.errors import InputError
+from kit1000.kits import seating
+from kit1000.metrics.seating import BANDS
+
+FOLDER = Path(__file__).parent / "protocols"
+CURRENT = "kit1000-2026"
+MM = 1e3  # millimetres in a metre
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """A protocol, its JSON file field by field."""
+
+    name: str
+    status: str
+    """draft, or frozen: then no number of the file changes any more."""
+    dataset: Mapping[str, str]
+    """{"preset", "id"}: the dataset of the leaderboard."""
+    metric_versions: Mapping[str, int]
+    """By name of a metric; must be those of `kit1000.metrics`."""
+    tracks: Mapping[str, Mapping[str, str | None]]
+    """{"split", "sensor", "guess"} of each track of the leaderboard."""
+    splits: tuple[str, ...]
+    """Splits that can be scored; the first one is that of the leaderboard."""
+    thresholds: Mapping[str, float]
+    """seated_mm, strict_mm and near_limit_mm of the seating test; beyond beyond_mm or beyond_deg is another pose."""
+    bootstrap: Mapping[str, float]
+    """draws, seed and level of the intervals."""
+    breakdown: Mapping[str, tuple[float, ...]]
+    """Lower ends of the bins of tilt_deg and visible; the last bin is open."""
+    histograms: Mapping[str, tuple[float, ...]]
+    """Lower ends of the bins of position_mm and rotation_deg; the last bin is open."""
+    curves: Mapping[str, Any]
+    """The split and track of the robustness curves, their levels and the percentiles of their band."""
+    risk_points: int
+    """Points of a risk-coverage curve."""
+    listed: int
+    """Cases listed as the worst ones, and as those in the middle."""
+
+    @property
+    def draws(self) -> int:
+        """Bootstrap draws of an interval."""
+        return int(self.bootstrap["draws"])
+
+    @property
+    def seed(self) -> int:
+        """Seed of the bootstrap."""
+        return int(self.bootstrap["seed"])
+
+
+def read_protocol(name: str = CURRENT) -> Protocol:
+    """The protocol of a name. Raises InputError when there is none, or when the code measures otherwise."""
+    known = sorted(path.stem for path in FOLDER.glob("*.json"))
+    if name not in known:
+        raise InputError(f"no protocol {name!r}; there are {', '.join(known)}")
+    return protocol_of(read_json(FOLDER / f"{name}.json"), name)
+
+
+def protocol_of(row: Mapping[str, Any], name: str) -> Protocol:
+    """The protocol that a file of this name states."""
+    wanted = {field.name for field in fields(Protocol)}
+    if set(row) != wanted:
+        odd = ", ".join(sorted(wanted ^ set(row)))
+        raise InputError(f"protocol {name}: fields missing or too many: {odd}")
+    lists = {key: {bin_: tuple(edges) for bin_, edges in row[key].items()} for key in ("breakdown", "histograms")}
+    protocol = Protocol(**{**row, **lists, "splits": tuple(row["splits"])})
+    _check_named(protocol, name)
+    _check_measured(protocol)
+    return protocol
+
+
+def _check_named(protocol: Protocol, name: str) -> None:
+    if protocol.name != name:
+        raise InputError(f"protocol {name}: its file calls it {protocol.name!r}")
+    if protocol.status not in ("draft", "frozen"):
+        raise InputError(f"protocol {name}: status {protocol.status!r}, expected draft or frozen")
+
+
+def _check_measured(protocol: Protocol) -> None:
+    """Refuse a protocol whose metrics and limits are not those of the code."""
+    versions = metrics.METRIC_VERSIONS
+    for metric, version in protocol.metric_versions.items():
+        if versions.get(metric) != version:
+            has = f"version {versions[metric]}" if metric in versions else "no such metric"
+            raise InputError(f"protocol {protocol.name} wants {metric} version {version}; this code has {has}")
+    limits = {"seated_mm": seating.SEATED, "strict_mm": seating.STRICT, "near_limit_mm": BANDS["near"]}
+    for key, limit in limits.items():
+        said = protocol.thresholds[key]
+        if abs(said - limit * MM) > 1e-9:
+            raise InputError(f"protocol {protocol.name}: {key} {said:g}; the code has {limit * MM:g}")

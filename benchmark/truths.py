@@ -1,0 +1,68 @@
+"""What a scorer knows of the queries of a split: their truths in order, and the packed arrays that metrics take."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from kit1000.data.geometry import Geometry
+from kit1000.data.reader import Dataset
+from kit1000.errors import InputError
+from kit1000.metrics import Targets
+from kit1000.values import Truth
+
+
+@dataclass(frozen=True, eq=False)
+class Questions:
+    """Queries with what is true of them, n in all; scene after scene, as the dataset has them."""
+
+    geometry: Geometry
+    tracks: tuple[str, ...]
+    """Of each query."""
+    scene_ids: tuple[str, ...]
+    truths: tuple[Truth, ...]
+
+    def __len__(self) -> int:
+        return len(self.truths)
+
+    @property
+    def query_ids(self) -> tuple[str, ...]:
+        """Ids of the queries."""
+        return tuple(truth.query_id for truth in self.truths)
+
+    @cached_property
+    def targets(self) -> Targets:
+        """What the pose errors are measured against, (n,)."""
+        return Targets.of(self.truths, self._hull)
+
+    def _hull(self, part_id: str) -> np.ndarray:
+        """(v, 3) [m] part frame: the vertices of a part's convex hull."""
+        vertices = self.geometry.part(part_id).mesh.vertices
+        return vertices[ConvexHull(vertices).vertices]
+
+
+def questions(dataset: Dataset, split: str, tracks: Collection[str]) -> Questions:
+    """The queries of some tracks in a split, with their truths. Raises InputError when the truth is not here."""
+    found: list[tuple[str, str, Truth]] = []
+    for recorded in dataset.split(split, truth=True):
+        asked = (query for query in recorded.queries if query.track in tracks)
+        found += [(query.track, recorded.id, recorded.truth_of(query.id)) for query in asked]
+    if not found:
+        raise InputError(f"{dataset.root}: split {split} asks nothing in {', '.join(sorted(tracks))}")
+    names, scene_ids, truths = zip(*found, strict=True)
+    return Questions(dataset.geometry, names, scene_ids, truths)
+
+
+def joined(*several: Questions) -> Questions:
+    """Queries of several splits of one dataset, one after another."""
+    first = several[0]
+    return Questions(
+        first.geometry,
+        sum((each.tracks for each in several), ()),
+        sum((each.scene_ids for each in several), ()),
+        sum((each.truths for each in several), ()),
+    )

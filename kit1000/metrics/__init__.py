@@ -1,0 +1,38 @@
+"""Metrics of predicted motions, volumes and masks: pure functions of arrays, SI units, that anybody can log.
+
+Every score names the version of its metric; a change to a formula or a limit raises it.
+"""
+
+from kit1000.metrics.pose_errors import PoseErrors, judging_goals, pose_errors
+from kit1000.metrics.seating import Seatings, seatings
+from kit1000.metrics.segmentation import MatchedMasks, matched_masks, mean_iou
+from kit1000.metrics.targets import Targets
+from kit1000.metrics.volumes import known_share, occupancy_iou, surface_chamfer
+
+METRIC_VERSIONS: dict[str, int] = {
+    "position": 1,
+    "rotation": 1,
+    "mssd": 1,
+    "seated": 1,
+    "penetration": 1,
+    "occupancy_iou": 1,
+    "chamfer": 1,
+    "mean_iou": 1,
+}
+"""By metric: raised when the number it gives changes."""
+
+__all__ = [
+    "METRIC_VERSIONS",
+    "MatchedMasks",
+    "PoseErrors",
+    "Seatings",
+    "Targets",
+    "judging_goals",
+    "known_share",
+    "matched_masks",
+    "mean_iou",
+    "occupancy_iou",
+    "pose_errors",
+    "seatings",
+    "surface_chamfer",
+]

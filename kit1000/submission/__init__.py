@@ -1,0 +1,26 @@
+"""Submissions: a folder a method, with manifest.toml and predictions.csv; reading, writing and checking them."""
+
+from __future__ import annotations
+
+from kit1000.submission.check import check
+from kit1000.submission.faults import Fault, Report
+from kit1000.submission.folder import Submission, read_submission, write_submission
+from kit1000.submission.header import HEADER
+from kit1000.submission.manifest import Manifest, read_manifest, write_manifest
+from kit1000.submission.predictions import Predictions, read_predictions, write_predictions
+
+__all__ = [
+    "HEADER",
+    "Fault",
+    "Manifest",
+    "Predictions",
+    "Report",
+    "Submission",
+    "check",
+    "read_manifest",
+    "read_predictions",
+    "read_submission",
+    "write_manifest",
+    "write_predictions",
+    "write_submission",
+]

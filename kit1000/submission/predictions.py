@@ -1,0 +1,118 @@
+"""Predictions of a method as arrays, and as the file predictions.csv: what is written is read back bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kit1000.data.files import write_bytes
+from kit1000.errors import InputError, ShapeError, checked
+from kit1000.pose import Pose
+from kit1000.submission.faults import first_error, printable, quoted
+from kit1000.submission.form import ID, NOT_MEASURED, TOO_FAR, form_faults
+from kit1000.submission.header import HEADER
+from kit1000.submission.reading import file_bytes, text_of
+from kit1000.submission.rows import read_rows
+
+if TYPE_CHECKING:
+    from kit1000.values import Prediction
+
+FILE = "predictions.csv"
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions:
+    """The answers of a method, one a query, in any order."""
+
+    query_ids: tuple[str, ...]
+    motions: Pose
+    """(n,) goal_from_now: how the part that is seen must move in the world."""
+    confidence: np.ndarray
+    """(n,) 0 .. 1"""
+    seconds: np.ndarray
+    """(n,) [s], -1 where it was not measured."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "query_ids", tuple(self.query_ids))
+        n = len(self.query_ids)
+        object.__setattr__(self, "confidence", checked("confidence", self.confidence, (n,)))
+        object.__setattr__(self, "seconds", checked("seconds", self.seconds, (n,)))
+        if self.motions.batch_shape != (n,):
+            raise ShapeError(f"motions: expected {n}, one a query, got batch shape {self.motions.batch_shape}")
+        self._refuse_odd_values()
+
+    def _refuse_odd_values(self) -> None:
+        """What may not be written must not be made."""
+        if len(self._rows) < len(self.query_ids):
+            twice = next(query_id for i, query_id in enumerate(self.query_ids) if self._rows[query_id] != i)
+            raise InputError(f"predictions: expected one a query, got {quoted(twice)} more than once")
+        odd = next((query_id for query_id in self.query_ids if not ID.match(query_id)), None)
+        if odd is not None:
+            raise InputError(f"predictions: expected ids of letters, digits and hyphens, got {quoted(odd)}")
+        confidence, seconds = self.confidence, self.seconds
+        self._refuse("confidence", confidence, (confidence < 0) | (confidence > 1), "0 to 1")
+        self._refuse("seconds", seconds, (seconds < 0) & (seconds != NOT_MEASURED), "0 or more, or -1 for not measured")
+        farthest = np.abs(self.motions.xyz).max(axis=1, initial=0)
+        self._refuse("position", farthest, farthest > TOO_FAR, f"metres, at most {TOO_FAR:g}")
+
+    def _refuse(self, name: str, values: np.ndarray, wrong: np.ndarray, wanted: str) -> None:
+        if wrong.any():
+            i = int(np.argmax(wrong))
+            raise InputError(f"{name} of {self.query_ids[i]}: expected {wanted}, got {values[i]:g}")
+
+    @cached_property
+    def _rows(self) -> dict[str, int]:
+        return {query_id: i for i, query_id in enumerate(self.query_ids)}
+
+    @classmethod
+    def of(cls, predictions: Iterable[Prediction]) -> Predictions:
+        """Gather single predictions, in their order."""
+        rows = list(predictions)
+        return cls(
+            tuple(row.query_id for row in rows),
+            Pose.stack([row.goal_from_now for row in rows]),
+            np.array([row.confidence for row in rows], dtype=np.float64),
+            np.array([row.seconds for row in rows], dtype=np.float64),
+        )
+
+    def __len__(self) -> int:
+        return len(self.query_ids)
+
+    def row(self, query_id: str) -> int | None:
+        """Where the prediction for a query stands; None when there is none."""
+        return self._rows.get(query_id)
+
+
+def read_predictions(path: str | Path) -> Predictions:
+    """Read a predictions file. Raises InputError, with the first fault, when a row of it cannot be taken as it is."""
+    file = printable(path)
+    data, faults = file_bytes(Path(path), file)
+    text, more = (None, []) if data is None else text_of(data, file)
+    rows, rest = (None, []) if text is None else read_rows(text, file)
+    error = first_error([*faults, *more, *rest, *(form_faults(rows) if rows is not None else ())])
+    if error is not None:
+        raise InputError(f"{error} (`kit1000 check` lists all faults)")
+    assert rows is not None  # or there would be an error
+    wxyz, xyz, confidence, seconds = np.split(rows.numbers, (4, 7, 8), axis=1)
+    return Predictions(rows.query_ids, Pose(wxyz, xyz), confidence[:, 0], seconds[:, 0])
+
+
+def write_predictions(path: str | Path, predictions: Predictions | Iterable[Prediction]) -> None:
+    """Write a predictions file: whole or not at all, every number with all its digits."""
+    if not isinstance(predictions, Predictions):
+        predictions = Predictions.of(predictions)
+    write_bytes(Path(path), predictions_bytes(predictions))
+
+
+def predictions_bytes(predictions: Predictions) -> bytes:
+    """The bytes of a predictions file."""
+    motions = predictions.motions
+    numbers = np.column_stack([motions.wxyz, motions.xyz, predictions.confidence, predictions.seconds])
+    rows = zip(predictions.query_ids, numbers.tolist(), strict=True)
+    lines = [",".join([query_id, *map(repr, row)]) for query_id, row in rows]
+    return "\n".join([",".join(HEADER), *lines, ""]).encode("ascii")

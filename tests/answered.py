@@ -1,0 +1,118 @@
+"""Submissions made for tests: answers of a known quality to the queries of a dataset, or to made-up questions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from benchmark.truths import Questions
+from kit1000 import Dataset
+from kit1000.data.making.guesses import motion, turned_goal
+from kit1000.data.presets import CURVES, TRACKS
+from kit1000.mesh import Mesh, mesh_of
+from kit1000.parts.cad import polygon, prism
+from kit1000.pose import Pose
+from kit1000.submission import Manifest, Predictions, Submission, write_submission
+from kit1000.values import FreeAxis, Query, Slot, Truth
+
+Answer = Callable[[Query, Truth], Pose]
+SECONDS = 0.25
+
+
+def manifest(dataset_id: str, **fields: Any) -> Manifest:
+    told: dict[str, Any] = {
+        "method": "a method",
+        "authors": ("A. Name",),
+        "description": "Made for a test.",
+        "date": "2026-01-31",
+        "dataset_id": dataset_id,
+        "tracks": (*TRACKS, CURVES),
+        "learned": False,
+        "uses_true_geometry": True,
+    }
+    return Manifest(**told | fields)
+
+
+def the_truth(_: Query, truth: Truth) -> Pose:
+    return goal_of(truth)
+
+
+def goal_of(truth: Truth, goal: int = 0, turn: float = 0.0) -> Pose:
+    """goal_from_now of a goal of the slot, turned about the free axis [rad]."""
+    return motion(truth.world_from_part, truth.world_from_kit, turned_goal(truth.slot, goal, turn))
+
+
+def predictions(query_ids: Iterable[str], motions: Iterable[Pose], confidence: float = 0.5) -> Predictions:
+    ids = tuple(query_ids)
+    return Predictions(ids, Pose.stack(list(motions)), np.full(len(ids), confidence), np.full(len(ids), SECONDS))
+
+
+def answered(
+    folder: Path, dataset: Dataset, answer: Answer, splits: tuple[str, ...] = ("test", "curves"), **fields: Any
+) -> Submission:
+    """A submission that answers every query of the splits, written to a folder."""
+    ids, motions = [], []
+    for recorded in (recorded for split in splits for recorded in dataset.split(split, truth=True)):
+        for query in recorded.queries:
+            ids.append(query.id)
+            motions.append(answer(query, recorded.truth_of(query.id)))
+    return write_submission(folder, manifest(dataset.id, **fields), predictions(ids, motions))
+
+
+def corner() -> Mesh:
+    """An L of 40 x 30 x 24 mm about its centroid, in metres."""
+    mesh = mesh_of(prism(polygon([(0, 0), (40, 0), (40, 9), (14, 9), (14, 30), (0, 30)]), 24.0)).scaled(1e-3)
+    return Mesh(mesh.vertices - mesh.centroid, mesh.faces)
+
+
+class MadeUp:
+    """A geometry of one part that every query is about; nothing of it can be put anywhere."""
+
+    def __init__(self) -> None:
+        self.mesh = corner()
+        self.summary = {"held_out_families": ["gear"]}
+        self.kits = {f"part{i}": {"loose": i == 2} for i in range(4)}
+
+    def part(self, part_id: str) -> Any:
+        return SimpleNamespace(id=part_id, mesh=self.mesh)
+
+
+def slots(part_id: str, kind: int) -> Slot:
+    """One goal, several, or a free axis."""
+    design = Pose.from_rotvec((0.1, -0.2, 0.3), (1e-3, 2e-3, -8e-3))
+    goals = [design, Pose.from_rotvec((0, 0, np.pi)) @ design] if kind == 1 else [design]
+    axis = FreeAxis(np.array([1e-3, 2e-3, 0.0]), np.array([0.0, 0.0, 1.0])) if kind == 2 else None
+    return Slot(part_id, design, 2.5e-3, 12e-3, Pose.stack(goals), axis)
+
+
+def made_up(n: int = 12, track: str = "snap", seed: int = 0) -> Questions:
+    """Questions about parts that lie anywhere and slots of every symmetry: two to an assembly."""
+    rng = np.random.default_rng(seed)
+    truths = [_made_up_truth(i, track, rng) for i in range(n)]
+    scene_ids = tuple(f"test-s{i:04d}" for i in range(n))
+    return Questions(MadeUp(), (track,) * n, scene_ids, tuple(truths))  # type: ignore[arg-type]
+
+
+def _made_up_truth(i: int, track: str, rng: np.random.Generator) -> Truth:
+    now = Pose.from_rotvec(rng.uniform(-2, 2, 3), rng.uniform(-0.2, 0.2, 3))
+    tilt = np.radians(7 * i)
+    slot = slots(f"part{i % 4}", i % 3)
+    world_from_kit = Pose.from_rotvec((tilt, 0, 0), (0.1, 0.2, 0.05))
+    return Truth(
+        query_id=f"test-s{i:04d}-p0-{track}",
+        assembly_id=f"test-{i // 2:04d}",
+        part_id=slot.part_id,
+        family="gear" if i % 4 == 0 else "bracket",
+        rest_mode="upright" if i % 2 else "tumbled",
+        kits=2 + i % 3,
+        visible=0.5 + 0.04 * i,
+        anchor=now.xyz,
+        world_from_part=now,
+        world_from_kit=world_from_kit,
+        slot=slot,
+        goal_drawn=motion(now, world_from_kit, slot.goals[0]),
+    )

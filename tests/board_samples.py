@@ -1,0 +1,143 @@
+"""Made-up submissions of the leaderboard: manifests and scores of methods whose errors are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from functools import cache
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from benchmark.per_query import PerQuery
+from benchmark.protocol import Protocol, read_protocol
+from benchmark.report import json_text
+from benchmark.summary import summarised
+from kit1000.data.making.guesses import FIXED_LEVELS, LEVELS
+from kit1000.data.making.queries import curve_id
+from kit1000.data.presets import CURVES, TRACKS
+from kit1000.rng import stream
+from kit1000.submission.manifest import Manifest, write_manifest
+
+SCENES = 20
+DATASET = "0123456789abcdef"
+
+SNAPS = Manifest(
+    method="Snaps <b>well</b> & often",
+    authors=("A. Name", 'B. "Quote" Name'),
+    description="Fits the part's surface into the cavity <script>alert(1)</script>.",
+    url="https://example.org/snaps?a=1&b=2",
+    date="2026-03-01",
+    dataset_id=DATASET,
+    tracks=(*TRACKS, CURVES),
+    learned=False,
+    uses_true_geometry=False,
+    hardware="one core",
+    reproduce="python -m baselines predict registration --data DIR --split test --out FOLDER",
+)
+LEARNED = replace(SNAPS, method="Learned", url="", learned=True, training_data="train", date="2026-02-01", reproduce="")
+ORACLE = replace(
+    SNAPS, method="With true volumes", uses_true_geometry=True, date="2026-01-15", tracks=("snap", "place")
+)
+TURNS = replace(SNAPS, method="Turns only", predicts="rotation", learned=True, tracks=("snap", "snap-tilt", CURVES))
+GUESS = replace(SNAPS, method="Unchanged guess", control=True, tracks=("snap", "snap-tilt", CURVES))
+METHODS = {  # by folder: the manifest, about its errors [mm, degrees], and seconds a query
+    "snaps": (SNAPS, 1.2, 1.5, 0.4),
+    "learned": (LEARNED, 3.9, 4.9, 20.0),
+    "oracle": (ORACLE, 0.8, 0.9, 3.0),
+    "turns": (TURNS, 3.0, 6.0, 0.1),
+    "guess": (GUESS, 27.0, 13.8, None),
+}
+
+
+def write_board(folder: Path, names: tuple[str, ...] = tuple(METHODS)) -> Path:
+    """A folder of submissions, all scored."""
+    for name in names:
+        manifest, position_mm, rotation_deg, seconds = METHODS[name]
+        write_scored(folder / name, manifest, position_mm, rotation_deg, seconds)
+    return folder
+
+
+def write_scored(
+    folder: Path, manifest: Manifest, position_mm: float, rotation_deg: float, seconds: float | None
+) -> None:
+    """The manifest and the scores of one method."""
+    write_manifest(folder / "manifest.toml", manifest)
+    (folder / "scores.json").write_text(scores(manifest, position_mm, rotation_deg, seconds), encoding="utf-8")
+
+
+@cache
+def scores(manifest: Manifest, position_mm: float, rotation_deg: float, seconds: float | None) -> str:
+    """The text of scores.json for drawn errors."""
+    protocol = replace(read_protocol(), bootstrap={"draws": 50, "seed": 2026, "level": 0.95})
+    asked = [track for track in TRACKS if track in manifest.tracks]
+    ids = [(f"test-s{k:04}-p0-{track}", track) for track in asked for k in range(SCENES)]
+    if CURVES in manifest.tracks:
+        ids += [(query_id, CURVES) for query_id in curve_ids(4)]
+    rotations = manifest.predicts == "rotation"
+    summary = summarised(_rows(manifest, ids, position_mm, rotation_deg, seconds), protocol, rotations)
+    return json_text(_stated(manifest, protocol) | summary)
+
+
+def curve_ids(scenes: int) -> list[str]:
+    """All queries of the curves about some scenes."""
+    levels = product(range(scenes), ("pos", "rot"), range(LEVELS), FIXED_LEVELS)
+    return [curve_id(f"test-s{k:04}", 0, runs, level, fixed) for k, runs, level, fixed in levels]
+
+
+def _stated(manifest: Manifest, protocol: Protocol) -> dict[str, object]:
+    return {
+        "protocol": protocol.name,
+        "status": protocol.status,
+        "metric_versions": dict(protocol.metric_versions),
+        "dataset_id": DATASET,
+        "split": "test",
+        "judge": "near",
+        "commit": "0123456789abcdef0123456789abcdef01234567",
+        "evaluator": "fedcba9876543210",
+        "method": manifest.method,
+        "manifest": asdict(manifest),
+        "predictions_sha256": "ab" * 32,
+    }
+
+
+def _rows(
+    manifest: Manifest, ids: list[tuple[str, str]], position_mm: float, rotation_deg: float, seconds: float | None
+) -> PerQuery:
+    """A row for each query: errors about some numbers, and properties in turn."""
+    n, k = len(ids), np.arange(len(ids))
+    rng = stream(1, manifest.method)
+    position, rotation = position_mm * rng.gamma(2, 0.5, n), rotation_deg * rng.gamma(2, 0.5, n)
+    nothing = np.full(n, np.nan)
+    rotations = manifest.predicts == "rotation"
+    mssd = position + 0.4 * rotation
+    if not rotations:
+        for i, (query_id, track) in enumerate(ids):
+            if track == CURVES:  # worse as the guess gets worse
+                position[i] += 0.02 * position_mm * int(query_id[-6]) ** 1.3
+    return PerQuery(
+        query_id=np.array([query_id for query_id, _ in ids]),
+        track=np.array([track for _, track in ids]),
+        scene_id=np.array([f"test-s{i % SCENES:04}" for i in k]),
+        assembly_id=np.array([f"test-{i % SCENES:04}" for i in k]),
+        covered=k % 17 > 0,
+        position_mm=nothing if rotations else position,
+        rotation_deg=rotation,
+        mssd_mm=nothing if rotations else mssd,
+        position_plain_mm=nothing if rotations else position * 1.1,
+        rotation_plain_deg=rotation * 2,
+        seated=np.zeros(n, bool) if rotations else mssd < 3,
+        seated_strict=np.zeros(n, bool) if rotations else mssd < 1,
+        penetration_mm=nothing if rotations else mssd / 5,
+        judged=np.zeros(n, bool),
+        differs=np.zeros(n, bool),
+        confidence=1 / (1 + mssd * rng.uniform(0.5, 1.5, n)),
+        seconds=nothing if seconds is None else np.full(n, seconds),
+        rest_mode=np.where(k % 5 < 3, "upright", "tumbled"),
+        tilt_deg=(k * 7.0) % 44,
+        kits=2 + k % 4,
+        held_out=k % 4 == 0,
+        visible=0.5 + (k % 10) / 20,
+        symmetry=np.array(["one goal", "several goals", "free axis"])[k % 3],
+        loose=k % 19 == 0,
+    )

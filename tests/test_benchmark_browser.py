@@ -1,0 +1,179 @@
+"""The leaderboard pages in a real browser: sorting, filters, tabs, narrow and wide windows, light and dark."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from board_samples import SNAPS, write_board
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from benchmark.pages import build
+from kit1000.data.presets import TRACKS
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+WIDTHS = (390, 1280)
+READABLE = 4.5  # contrast of text, by WCAG AA
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Pages of all made-up methods."""
+    folder = tmp_path_factory.mktemp("board")
+    build(write_board(folder / "submissions"), folder / "site", None)
+    return folder / "site"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """A real one, without a window."""
+    if CHROMIUM is None:
+        pytest.skip("no chromium on the search path: install one to see the pages as a reader does")
+    with sync_playwright() as play:
+        opened = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield opened
+        opened.close()
+
+
+@pytest.fixture
+def opened(browser: Browser, site: Path) -> Iterator[Callable[..., Page]]:
+    """Opens a page of the site from its file; no page may write to the console or fetch from elsewhere."""
+    context = browser.new_context()
+    said: list[str] = []
+
+    def visit(name: str = "index.html", width: int = 1280) -> Page:
+        seen = context.new_page()
+        seen.on("console", lambda message: said.append(message.text))
+        seen.on("pageerror", lambda error: said.append(str(error)))
+        seen.on("request", lambda asked: None if asked.url.startswith(("file:", "data:")) else said.append(asked.url))
+        seen.set_viewport_size({"width": width, "height": 900})
+        seen.goto(f"file://{site}/{name}")
+        return seen
+
+    yield visit
+    context.close()
+    assert not said
+
+
+def shown(seen: Page, track: str = "snap") -> list[str]:
+    """Names of the methods that a reader sees in a table, in order."""
+    rows = seen.locator(f"#track-{track} tbody tr:visible th a")
+    return rows.all_inner_texts()
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_no_page_is_wider_than_its_window(opened: Callable[..., Page], width: int) -> None:
+    for name in ("index.html", "table1.html", "methods/snaps.html", "methods/turns.html"):
+        seen = opened(name, width)
+        assert seen.evaluate("document.documentElement.scrollWidth") == width
+        tables = seen.locator(".scroll:visible")
+        assert tables.count() > 0
+        wider = tables.evaluate_all(f"all => all.filter(one => one.getBoundingClientRect().right > {width}).length")
+        assert wider == 0
+
+
+def test_on_a_phone_the_names_stay_while_the_numbers_pass(opened: Callable[..., Page]) -> None:
+    seen = opened(width=390)
+    table, name = seen.locator("#track-snap .scroll"), seen.locator("#track-snap tbody th").first
+    before = name.bounding_box()
+    table.evaluate("one => one.scrollLeft = 300")
+    assert table.evaluate("one => one.scrollLeft") == 300
+    assert name.bounding_box() == before
+
+
+def test_a_click_sorts_and_another_turns_the_order_round(opened: Callable[..., Page]) -> None:
+    seen = opened()
+    head = seen.locator("#track-snap thead th", has_text="Rotation")
+    best = ["With true volumes", SNAPS.method, "Learned", "Turns only", "Unchanged guess"]
+    head.locator("button").click()
+    assert head.get_attribute("aria-sort") == "ascending"
+    assert shown(seen) == best
+    head.locator("button").press("Enter")  # as well as with the mouse
+    assert head.get_attribute("aria-sort") == "descending"
+    assert shown(seen) == best[::-1]
+    assert seen.locator('#track-snap thead [aria-sort]:not([aria-sort="none"])').count() == 1
+
+
+def test_what_was_not_measured_comes_last_either_way(opened: Callable[..., Page]) -> None:
+    seen = opened()
+    head = seen.locator("#track-snap thead th", has_text="Seated")
+    for _ in range(2):
+        head.locator("button").click()
+        assert shown(seen)[-1] == "Turns only"
+    seen.locator("#track-snap thead button").first.click()
+    assert shown(seen) == sorted(shown(seen), key=str.lower)
+
+
+def test_filters_leave_the_rows_that_pass_all_of_them(opened: Callable[..., Page]) -> None:
+    seen = opened()
+    assert len(shown(seen)) == 5
+    seen.get_by_label("Controls").uncheck()
+    assert "Unchanged guess" not in shown(seen)
+    seen.get_by_label("True geometry").select_option("no")
+    assert shown(seen) == [SNAPS.method, "Learned", "Turns only"]
+    seen.get_by_label("Learned").select_option("yes")
+    seen.get_by_label("Time a query").select_option("slow")
+    assert shown(seen) == ["Learned"]
+    assert seen.locator("output").inner_text() == "1 of 5 shown"
+    seen.get_by_label("Time a query").select_option("medium")
+    assert seen.locator("#track-snap .empty").is_visible()
+
+
+def test_tabs_are_reached_by_mouse_by_keys_and_by_address(opened: Callable[..., Page]) -> None:
+    seen = opened()
+    seen.get_by_role("tab", name="place", exact=True).click()
+    assert seen.locator(".track:visible").get_attribute("id") == "track-place"
+    assert seen.url.endswith("#track-place")
+    seen.keyboard.press("ArrowRight")
+    assert seen.locator(".track:visible").get_attribute("id") == "track-place-paper"
+    seen.keyboard.press("Home")
+    assert seen.get_by_role("tab", selected=True).inner_text() == "snap"
+    assert opened("index.html#track-snap-d415").locator(".track:visible").get_attribute("id") == "track-snap-d415"
+
+
+def test_without_scripts_every_table_is_there(browser: Browser, site: Path) -> None:
+    context = browser.new_context(java_script_enabled=False)
+    seen = context.new_page()
+    seen.goto(f"file://{site}/index.html")
+    assert seen.locator(".track:visible").count() == len(TRACKS)
+    assert not seen.locator(".filters").is_visible()
+    context.close()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_stands_out_from_the_page(browser: Browser, site: Path, scheme: Any) -> None:
+    context = browser.new_context(color_scheme=scheme)
+    seen = context.new_page()
+    seen.goto(f"file://{site}/index.html")
+    for place in (".lede", ".about", ".legend", "tbody a", ".control a", ".notice", "thead small", "svg text", ".tag"):
+        assert contrast(seen, place) >= READABLE, place
+    context.close()
+
+
+def contrast(seen: Page, place: str) -> float:
+    """Ratio of luminances of a text and what lies behind it."""
+    colours = (
+        seen.locator(place)
+        .locator("visible=true")
+        .first.evaluate(
+            """one => {
+            const style = getComputedStyle(one);
+            let behind = one;
+            const paper = (place) => getComputedStyle(place).backgroundColor;
+            while (paper(behind) === "rgba(0, 0, 0, 0)") behind = behind.parentElement;
+            return [one instanceof SVGElement ? style.fill : style.color, paper(behind)];
+        }"""
+        )
+    )
+    light, dark = sorted(map(luminance, colours), reverse=True)
+    return (light + 0.05) / (dark + 0.05)
+
+
+def luminance(colour: str) -> float:
+    values = [int(number) / 255 for number in re.findall(r"\d+", colour)[:3]]
+    linear = [value / 12.92 if value <= 0.04045 else ((value + 0.055) / 1.055) ** 2.4 for value in values]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]

@@ -1,0 +1,243 @@
+"""Comparing two methods: the verdict, the p value and the report, on rows made up so that the answer is known."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from math import comb
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmark import compare as module
+from benchmark.compare import bootstrap_p, compare, comparison_text, mcnemar_p
+from benchmark.intervals import mean_interval
+from benchmark.per_query import PerQuery
+from benchmark.report import json_text
+from benchmark.score import Scored
+from kit1000.errors import InputError
+
+TEXT = ("query_id", "track", "scene_id", "assembly_id", "rest_mode", "symmetry")
+BITS = ("covered", "seated", "seated_strict", "judged", "differs", "held_out", "loose")
+
+
+def rows(n: int = 100, track: str = "snap", **columns: Any) -> PerQuery:
+    """Rows of n queries, two an assembly, all answered; everything not given is 0, False or a dash."""
+    number = np.arange(n)
+    made: dict[str, Any] = {name: np.zeros(n) for name in PerQuery.__dataclass_fields__}
+    made |= {name: np.full(n, "-") for name in TEXT} | {name: np.zeros(n, bool) for name in BITS}
+    made |= {
+        "query_id": np.array([f"test-s{i:04d}-p0-{track}" for i in number]),
+        "track": np.full(n, track),
+        "assembly_id": np.array([f"a{i // 2}" for i in number]),
+        "covered": np.ones(n, bool),
+        "kits": np.full(n, 2),
+    }
+    return PerQuery(**{**made, **columns})
+
+
+def joined(*several: PerQuery) -> PerQuery:
+    names = PerQuery.__dataclass_fields__
+    return PerQuery(**{name: np.concatenate([getattr(each, name) for each in several]) for name in names})
+
+
+def scored(answers: PerQuery, method: str = "ours", **stated: str) -> Scored:
+    summary = {"method": method, "dataset_id": "abc", "protocol": "kit1000-2026", "split": "test"}
+    return Scored(answers, summary | stated)
+
+
+def errors(seed: int, n: int = 100, mean: float = 3.0) -> np.ndarray:
+    """(n,) errors with that mean, correlated within an assembly."""
+    rng = np.random.default_rng(seed)
+    return mean + np.repeat(rng.standard_normal(n // 2), 2) + 0.3 * rng.standard_normal(n)
+
+
+def test_a_method_that_is_better_everywhere_is_said_to_be() -> None:
+    a = rows(
+        position_mm=errors(1, mean=2),
+        rotation_deg=errors(2, mean=2),
+        mssd_mm=errors(3, mean=2),
+        seated=np.full(100, True),
+    )
+    b = rows(position_mm=errors(4, mean=9), rotation_deg=errors(5, mean=9), mssd_mm=errors(6, mean=9))
+    found = compare(scored(a), scored(b)).tracks["snap"]
+    for row in found.differences.values():
+        assert row is not None
+        assert row.better == "A"
+        assert row.p < 0.001
+        assert row.ci95[0] <= row.difference <= row.ci95[1]
+    assert all(row and row.better == "B" for row in compare(scored(b), scored(a)).tracks["snap"].differences.values())
+
+
+def test_the_interval_is_that_of_the_paired_differences() -> None:
+    a, b = rows(position_mm=errors(1)), rows(position_mm=errors(2))
+    row = compare(scored(a), scored(b), draws=500, seed=3).tracks["snap"].differences["position_mm"]
+    assert row is not None
+    assert row.ci95 == mean_interval(a.position_mm - b.position_mm, a.assembly_id, draws=500, seed=3)
+    assert row.difference == pytest.approx(row.a - row.b) == pytest.approx(np.mean(a.position_mm - b.position_mm))
+
+
+def test_pairing_shows_a_small_difference_that_the_spread_of_the_queries_would_hide() -> None:
+    hard = np.random.default_rng(1).exponential(10, 100)
+    found = compare(
+        scored(rows(position_mm=hard + errors(2, mean=1))), scored(rows(position_mm=hard + errors(3, mean=2)))
+    )
+    row = found.tracks["snap"].differences["position_mm"]
+    assert row is not None
+    assert row.better == "A"
+    lone = [mean_interval(hard + errors(seed, mean=mean), np.arange(100)) for seed, mean in ((2, 1), (3, 2))]
+    assert lone[0][1] > lone[1][0]  # each method's own interval overlaps the other's
+
+
+def test_a_method_does_not_differ_from_itself() -> None:
+    same = scored(rows(position_mm=errors(1), mssd_mm=errors(2), seated=errors(3) > 3))
+    for row in compare(same, same).tracks["snap"].differences.values():
+        assert row is not None
+        assert (row.difference, row.ci95, row.p, row.better) == (0, (0, 0), 1, None)
+
+
+def test_swapping_the_two_turns_every_sign() -> None:
+    a, b = (scored(rows(position_mm=errors(s, mean=s), seated=errors(s) > 3)) for s in (1, 2))
+    there, back = compare(a, b).tracks["snap"].differences, compare(b, a).tracks["snap"].differences
+    for metric, row in there.items():
+        other = back[metric]
+        assert row is not None
+        assert other is not None
+        assert (other.difference, other.p) == (-row.difference, row.p)
+        np.testing.assert_allclose(other.ci95, [-end for end in row.ci95[::-1]], rtol=1e-12, atol=1e-12)
+
+
+def test_only_queries_that_both_answer_count() -> None:
+    position = np.where(np.arange(100) < 10, 1e6, errors(1))
+    a = rows(position_mm=position, covered=np.arange(100) >= 10)
+    b = rows(position_mm=errors(2), covered=np.arange(100) < 95)
+    found = compare(scored(a), scored(b)).tracks["snap"]
+    assert (found.asked, found.answered_a, found.answered_b, found.n) == (100, 90, 95, 85)
+    row = found.differences["position_mm"]
+    assert row is not None
+    assert row.a == pytest.approx(position[10:95].mean())
+    assert "85 queries that both answer, of 100; A answers 90, B 95" in comparison_text(compare(scored(a), scored(b)))
+
+
+def test_no_query_in_common_is_a_declared_result() -> None:
+    half = np.arange(100) < 50
+    found = compare(scored(rows(covered=half)), scored(rows(covered=~half)))
+    assert found.tracks["snap"].n == 0
+    assert set(found.tracks["snap"].differences.values()) == {None}
+    assert "snap: 0 queries that both answer" in comparison_text(found)
+    assert json.loads(json_text(asdict(found)))["tracks"]["snap"]["differences"]["seated"] is None
+
+
+def test_a_method_of_rotations_is_compared_in_rotation_alone() -> None:
+    nothing = np.full(100, np.nan)
+    a = rows(position_mm=nothing, mssd_mm=nothing, rotation_deg=errors(1))
+    found = compare(scored(a), scored(rows(rotation_deg=errors(2, mean=8)))).tracks["snap"].differences
+    assert [metric for metric, row in found.items() if row is not None] == ["rotation_deg"]
+
+
+@pytest.mark.parametrize(("only_a", "only_b"), [(0, 0), (3, 3), (5, 0), (1, 9), (30, 12), (0, 1)])
+def test_mcnemar_equals_the_sum_of_binomial_terms(only_a: int, only_b: int) -> None:
+    n = only_a + only_b
+    tail = sum(comb(n, k) for k in range(min(only_a, only_b) + 1)) / 2**n
+    assert mcnemar_p(only_a, only_b) == pytest.approx(min(1.0, 2 * tail))
+
+
+def test_the_p_value_of_seated_is_mcnemars() -> None:
+    a, b = rows(seated=np.arange(100) < 60), rows(seated=np.arange(100) >= 45)
+    row = compare(scored(a), scored(b)).tracks["snap"].differences["seated"]
+    assert row is not None
+    assert (row.only_a, row.only_b) == (45, 40)
+    assert row.p == mcnemar_p(45, 40)
+    assert row.better is None
+
+
+def test_whole_assemblies_that_change_sides_are_no_proof_though_mcnemar_takes_them_for_many_queries() -> None:
+    assembly = np.repeat(np.arange(4), 25).astype(str)
+    a, b = (rows(seated=assembly == name, assembly_id=assembly) for name in ("0", "none"))
+    row = compare(scored(a), scored(b)).tracks["snap"].differences["seated"]
+    assert row is not None
+    assert row.p < 1e-6
+    assert row.ci95[0] == 0
+    assert row.better is None
+
+
+@pytest.mark.parametrize(
+    ("drawn", "p"),
+    [
+        (np.ones(999), 2 / 1000),
+        (-np.ones(999), 2 / 1000),
+        (np.zeros(999), 1.0),
+        (np.arange(-24, 975), 2 * 26 / 1000),  # 24 below zero, and zero itself
+    ],
+)
+def test_the_p_value_counts_the_rarer_side(drawn: np.ndarray, p: float) -> None:
+    assert bootstrap_p(drawn) == pytest.approx(p)
+
+
+def test_equal_methods_are_told_apart_in_5_of_100_worlds() -> None:
+    alarms = 0
+    for world in range(400):
+        a, b = (scored(rows(position_mm=errors(1000 * world + i))) for i in (1, 2))
+        row = compare(a, b, draws=400, seed=world).tracks["snap"].differences["position_mm"]
+        assert row is not None
+        assert (row.p < 0.05) == (row.better is not None) or abs(row.p - 0.05) < 0.006
+        alarms += row.better is not None
+    assert alarms / 400 == pytest.approx(0.05, abs=0.025)
+
+
+def test_tracks_are_those_in_common_and_curves_are_none() -> None:
+    a = scored(joined(rows(10), rows(10, "place"), rows(10, "curves")))
+    b = scored(joined(rows(10), rows(10, "snap-tilt"), rows(10, "place"), rows(10, "curves")))
+    assert list(compare(a, b).tracks) == ["snap", "place"]
+    assert list(compare(a, b, ["place"]).tracks) == ["place"]
+
+
+def test_a_track_that_one_of_them_lacks_is_answered_with_those_they_share() -> None:
+    a, b = scored(rows(10)), scored(joined(rows(10), rows(10, "place")))
+    with pytest.raises(InputError, match="track 'place': A and B both answer snap"):
+        compare(a, b, ["place"])
+    with pytest.raises(InputError, match="no track in common"):
+        compare(a, scored(rows(10, "place")))
+
+
+@pytest.mark.parametrize("key", ["dataset_id", "protocol", "split"])
+def test_scores_of_different_questions_are_refused(key: str) -> None:
+    with pytest.raises(InputError, match=f"{key} is .* of A, other of B"):
+        compare(scored(rows(10)), scored(rows(10), **{key: "other"}))
+
+
+def test_rows_of_different_queries_are_refused() -> None:
+    with pytest.raises(InputError, match="different queries"):
+        compare(scored(rows(10)), scored(rows(12)))
+
+
+def test_the_report_says_who_is_better_by_how_much_and_how_sure() -> None:
+    a = rows(position_mm=errors(1, mean=2), seated=np.arange(100) < 90)
+    b = rows(position_mm=errors(2, mean=9), seated=np.arange(100) < 20)
+    text = comparison_text(compare(scored(a, "registration"), scored(b, "icp")))
+    assert text.startswith("A: registration\nB: icp\n")
+    position, rotation, _, seated = text.splitlines()[6:10]
+    assert position.startswith("position mm   ")
+    assert position.endswith("<0.001  A is better by 7.09")
+    assert rotation.endswith("1.000  no difference can be shown")
+    assert "70.0 [" in seated
+    assert seated.endswith("A is better by 70.0 (70 by A alone, 0 by B alone)")
+    assert max(map(len, text.splitlines())) < 130
+
+
+def test_the_command_scores_both_and_writes_what_it_prints(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answers = {"a": rows(position_mm=errors(1, mean=2)), "b": rows(position_mm=errors(2, mean=9))}
+    monkeypatch.setattr(module, "Dataset", Path)
+    monkeypatch.setattr(module, "read_submission", lambda folder: SimpleNamespace(name=folder.name))
+    monkeypatch.setattr(module, "score", lambda submission, *_, **__: scored(answers[submission.name], submission.name))
+    module.run(Path("a"), Path("b"), tmp_path, ("snap",), tmp_path / "a-b.json")
+    found = compare(scored(answers["a"], "a"), scored(answers["b"], "b"))
+    assert capsys.readouterr().out == comparison_text(found) + "\n"
+    written = json.loads((tmp_path / "a-b.json").read_text("utf-8"))
+    assert written["tracks"]["snap"]["differences"]["position_mm"]["better"] == "A"
+    assert (tmp_path / "a-b.json").read_text("utf-8") == json_text(asdict(replace(found)))

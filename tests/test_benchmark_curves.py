@@ -1,0 +1,137 @@
+"""Robustness curves: tables against their definition, thinned sets, and the figure and the numbers beside it."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from statistics import fmean, median
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from board_samples import LEARNED, SNAPS, curve_ids, write_scored
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmark.curves import COLUMNS, CURVES, curve_table, figure, write_curves
+from kit1000.data.making.guesses import FIXED_LEVELS, LEVELS
+from kit1000.data.making.queries import curve_levels
+from kit1000.errors import InputError, ShapeError
+from kit1000.rng import stream
+
+IDS = curve_ids(3)
+MM = [0, 4, 8, 12, 16, 20, 24, 28]
+DEG = [27.5 * level / 7 for level in range(8)]
+
+
+def drawn_errors(n: int) -> tuple[np.ndarray, np.ndarray]:
+    rng = stream(5, "curves")
+    return rng.gamma(2, 3, n), rng.gamma(2, 4, n)
+
+
+def percentile(values: list[float], share: float) -> float:
+    """Between the sorted values, by straight lines: written out once more, apart from numpy."""
+    ordered, place = sorted(values), share * (len(values) - 1)
+    low = int(place)
+    high = min(low + 1, len(values) - 1)
+    return ordered[low] + (place - low) * (ordered[high] - ordered[low])
+
+
+def test_levels_are_those_of_the_dataset() -> None:
+    table = curve_table(IDS, *drawn_errors(len(IDS)))
+    for curve, user, fixed in (("position", MM, DEG), ("rotation", DEG, MM)):
+        (user_key, fixed_key) = ("user_mm", "fixed_deg") if curve == "position" else ("user_deg", "fixed_mm")
+        asked = [(row[fixed_key], row["level"], row[user_key]) for row in table[curve]]
+        wanted = [(fixed[k], level, user[level]) for k in FIXED_LEVELS for level in range(LEVELS)]
+        np.testing.assert_allclose(asked, wanted, atol=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_every_row_is_what_its_definition_says_whatever_the_order(seed: int) -> None:
+    position, rotation = drawn_errors(len(IDS))
+    order = stream(seed, "order").permutation(len(IDS))
+    kept = order[: stream(seed, "kept").integers(1, len(IDS))]
+    table = curve_table([IDS[i] for i in kept], position[kept], rotation[kept])
+    assert sum(row["n"] for rows in table.values() for row in rows) == len(kept)
+    for curve, runs, errors in (("position", "pos", position), ("rotation", "rot", rotation)):
+        asked = {curve_levels(IDS[i]) for i in kept if curve_levels(IDS[i])[0] == runs}
+        assert len(table[curve]) == len(asked)  # a level that nobody was asked at has no row
+        for row in table[curve]:
+            levels, key = (DEG, "fixed_deg") if curve == "position" else (MM, "fixed_mm")
+            fixed = int(np.argmin(np.abs(np.array(levels) - row[key])))
+            own = [float(errors[i]) for i in kept if curve_levels(IDS[i]) == (runs, row["level"], fixed)]
+            assert row["n"] == len(own)
+            told = [row[key] for key in ("mean", "median", "p20", "p80")]
+            np.testing.assert_allclose(told, [fmean(own), median(own), percentile(own, 0.2), percentile(own, 0.8)])
+
+
+def test_a_method_of_rotations_has_no_position_curve_and_its_rotations_stay_the_same() -> None:
+    position, rotation = drawn_errors(len(IDS))
+    alone = curve_table(IDS, np.full(len(IDS), np.nan), rotation)
+    assert alone["rotation"] == curve_table(IDS, position, rotation)["rotation"]
+    assert {row["mean"] for row in alone["position"]} == {row["p80"] for row in alone["position"]} == {None}
+    assert {row["n"] for row in alone["position"]} == {3}
+    assert json.loads(json.dumps(alone, allow_nan=False)) == alone
+
+
+def test_wrong_ids_and_lengths_are_refused() -> None:
+    with pytest.raises(InputError, match="expected one of the curves"):
+        curve_table(["test-s0001-p0-snap"], [1.0], [1.0])
+    with pytest.raises(ShapeError, match=r"position_mm: expected shape \(2,\)"):
+        curve_table(IDS[:2], [1.0], [1.0, 2.0])
+    with pytest.raises(InputError, match="at least one method"):
+        figure({})
+
+
+def texts(svg: str) -> str:
+    return " | ".join(
+        element.text or "" for element in ElementTree.fromstring(svg).iter() if element.tag.endswith("text")
+    )
+
+
+def test_the_figure_of_one_method_has_both_curves_a_line_for_each_fixed_error(tmp_path: Path) -> None:
+    write_scored(tmp_path / "snaps", SNAPS, 1.2, 1.5, None)
+    picture, numbers = write_curves([tmp_path / "snaps"], tmp_path / "out")
+    said = texts(picture.read_text("utf-8"))
+    for text in ("position error of the guess [mm]", "rotation error left [degrees]", "15.7°", "28 mm", "n = 4"):
+        assert text in said
+    rows = list(csv.DictReader(numbers.open(encoding="utf-8")))
+    assert tuple(rows[0]) == COLUMNS
+    assert len(rows) == 2 * LEVELS * len(FIXED_LEVELS)
+    table = json.loads((tmp_path / "snaps/scores.json").read_text("utf-8"))["curves"]
+    assert [float(row["mean"]) for row in rows] == [row["mean"] for curve in CURVES for row in table[curve.name]]
+    assert {row["method"] for row in rows} == {SNAPS.method}
+
+
+def test_several_methods_share_a_figure_and_the_same_scores_give_the_same_bytes(tmp_path: Path) -> None:
+    write_scored(tmp_path / "a", SNAPS, 1.2, 1.5, None)
+    write_scored(tmp_path / "b", LEARNED, 3.9, 4.9, None)
+    files = [tmp_path / "a", tmp_path / "b/scores.json"]
+    first, second = (write_curves(files, tmp_path / name) for name in ("one", "two"))
+    assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
+    said = texts(first[0].read_text("utf-8"))
+    assert said.count("Learned") == 2 * len(FIXED_LEVELS)
+    assert said.count("Snaps <b>well</b>") == 2 * len(FIXED_LEVELS)
+
+
+def test_a_thinned_set_shows_how_many_queries_are_left() -> None:
+    kept = [query_id for i, query_id in enumerate(IDS) if i % 5]
+    table = curve_table(kept, *drawn_errors(len(kept)))
+    assert "n = 2 to 3" in texts(figure({"thin": table}))
+
+
+def test_scores_that_cannot_be_drawn_are_refused_in_one_line(tmp_path: Path) -> None:
+    write_scored(tmp_path / "a", SNAPS, 1.2, 1.5, None)
+    with pytest.raises(InputError, match="methods of different names"):
+        write_curves([tmp_path / "a", tmp_path / "a/scores.json"], tmp_path)
+    scores = json.loads((tmp_path / "a/scores.json").read_text("utf-8")) | {"curves": None}
+    (tmp_path / "a/scores.json").write_text(json.dumps(scores), encoding="utf-8")
+    with pytest.raises(InputError, match="scored without curves"):
+        write_curves([tmp_path / "a"], tmp_path)
+    (tmp_path / "other.json").write_text("[]", encoding="utf-8")
+    with pytest.raises(InputError, match="no scores of a method"):
+        write_curves([tmp_path / "other.json"], tmp_path)
+    with pytest.raises(InputError, match="no file"):
+        write_curves([tmp_path / "nowhere"], tmp_path)

@@ -1,0 +1,202 @@
+"""Intervals: figures known from the literature, a plain twin, and how often they cover a truth that we know."""
+
+from __future__ import annotations
+
+import time
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import binomtest
+
+from benchmark import intervals
+from benchmark.intervals import bootstrap_means, mean_interval, rate_interval, summarise, summarise_rate
+from kit1000.errors import InputError
+from kit1000.rng import stream
+
+
+def clustered(rng: np.random.Generator, clusters: int = 60, between: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Values (n,) about 5 in clusters of 1 to 5, with a spread between clusters and one of 0.5 within; their labels."""
+    label = np.repeat(np.arange(clusters), rng.integers(1, 6, clusters))
+    return 5 + between * rng.standard_normal(clusters)[label] + 0.5 * rng.standard_normal(len(label)), label
+
+
+@pytest.mark.parametrize(
+    ("k", "n", "lo", "hi"),
+    [(50, 50, 92.9, 100), (45, 50, 78.6, 95.7), (900, 1000, 88.0, 91.7), (0, 20, 0, 16.1)],
+)
+def test_wilson_gives_the_figures_in_print(k: int, n: int, lo: float, hi: float) -> None:
+    assert tuple(round(100 * end, 1) for end in rate_interval(k, n)) == (lo, hi)
+
+
+@given(st.integers(1, 5000), st.floats(0, 1))
+def test_wilson_agrees_with_scipy(n: int, share: float) -> None:
+    k = round(share * n)
+    theirs = binomtest(k, n).proportion_ci(method="wilson")
+    np.testing.assert_allclose(rate_interval(k, n), (theirs.low, theirs.high), atol=1e-12)
+
+
+def test_without_a_trial_every_rate_is_possible() -> None:
+    assert rate_interval(0, 0) == (0.0, 1.0)
+
+
+@pytest.mark.parametrize(("k", "n"), [(-1, 5), (6, 5), (0, -1)])
+def test_impossible_counts_are_refused(k: int, n: int) -> None:
+    with pytest.raises(InputError, match="expected 0 <= successes <= trials"):
+        rate_interval(k, n)
+
+
+def twin(values: np.ndarray, labels: np.ndarray, draws: int, seed: int) -> list[float]:
+    """Means of resamples in plain Python, cluster by cluster; the draws alone are numpy's."""
+    groups = [values[labels == label].tolist() for label in sorted(set(labels.tolist()))]
+    rng, means = stream(seed, "bootstrap"), []
+    for _ in range(draws):
+        drawn = [groups[i] for i in rng.integers(len(groups), size=len(groups), dtype=np.int32)]
+        pooled = [value for group in drawn for value in group]
+        means.append(sum(pooled) / len(pooled))
+    return means
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(1, 40))
+def test_resampling_equals_a_plain_twin(seed: int, clusters: int, draws: int) -> None:
+    values, labels = clustered(np.random.default_rng(seed), clusters)
+    shuffled = np.random.default_rng(seed).permutation(len(values))
+    ours = bootstrap_means(values[shuffled, None], labels[shuffled], draws, seed)
+    np.testing.assert_allclose(ours[:, 0], twin(values, labels, draws, seed), rtol=1e-12)
+
+
+def test_the_ends_are_percentiles_of_the_resamples() -> None:
+    values, labels = clustered(np.random.default_rng(1))
+    means = np.sort(bootstrap_means(values[:, None], labels, draws=1001)[:, 0])
+    assert mean_interval(values, labels, draws=1001) == pytest.approx((means[25], means[975]))
+
+
+def test_clusters_of_one_value_each_are_the_ordinary_bootstrap() -> None:
+    values = np.random.default_rng(2).exponential(size=400)
+    lo, hi = mean_interval(values, np.arange(400), draws=20_000)
+    deviation = values.std() / np.sqrt(400)
+    rng = np.random.default_rng(3)
+    ordinary = np.quantile([rng.choice(values, 400).mean() for _ in range(20_000)], (0.025, 0.975))
+    np.testing.assert_allclose((lo, hi), ordinary, atol=0.1 * deviation)
+    assert hi - lo == pytest.approx(2 * 1.96 * deviation, rel=0.05)
+
+
+def test_copies_of_a_value_in_its_cluster_add_no_certainty() -> None:
+    values = np.random.default_rng(4).standard_normal(50)
+    once = mean_interval(values, np.arange(50))
+    assert mean_interval(np.repeat(values, 20), np.repeat(np.arange(50), 20)) == pytest.approx(once)
+
+
+def covered(clusters: int, trials: int, between: float, by_cluster: bool) -> float:
+    """How often the interval holds the true mean, 5."""
+    hits = 0
+    for trial in range(trials):
+        values, labels = clustered(stream(5, trial), clusters, between)
+        lo, hi = mean_interval(values, labels if by_cluster else np.arange(len(values)), draws=500, seed=trial)
+        hits += lo <= 5 <= hi
+    return hits / trials
+
+
+@pytest.mark.parametrize("between", [0.0, 1.0])
+def test_the_interval_covers_the_truth_in_95_of_100_worlds(between: float) -> None:
+    assert covered(100, 800, between, by_cluster=True) == pytest.approx(0.95, abs=0.02)
+
+
+def test_taking_the_values_of_a_cluster_for_independent_covers_the_truth_too_seldom() -> None:
+    assert covered(100, 300, 1.0, by_cluster=False) < 0.85
+
+
+def test_one_seed_gives_one_interval_and_another_seed_nearly_the_same() -> None:
+    values, labels = clustered(np.random.default_rng(6))
+    first = mean_interval(values, labels, seed=1)
+    assert mean_interval(values, labels, seed=1) == first
+    second = mean_interval(values, labels, seed=2)
+    assert second != first
+    np.testing.assert_allclose(second, first, atol=0.15 * (first[1] - first[0]))
+
+
+@pytest.mark.parametrize("at_once", [1, 100, 1 << 20])
+def test_the_size_of_a_step_changes_nothing(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    values, labels = clustered(np.random.default_rng(7))
+    whole = mean_interval(values, labels)
+    monkeypatch.setattr(intervals, "AT_ONCE", at_once)
+    assert mean_interval(values, labels) == pytest.approx(whole, rel=1e-12)
+
+
+def test_labels_may_be_text() -> None:
+    values, labels = clustered(np.random.default_rng(8))
+    text = np.array([f"test-s{label:04d}" for label in labels])
+    assert mean_interval(values, text) == mean_interval(values, labels)
+
+
+def test_a_shift_and_a_scale_of_the_values_shift_and_scale_the_interval() -> None:
+    values, labels = clustered(np.random.default_rng(9))
+    lo, hi = mean_interval(values, labels)
+    assert mean_interval(3 * values - 7, labels) == pytest.approx((3 * lo - 7, 3 * hi - 7))
+
+
+def test_one_value_is_its_own_interval() -> None:
+    assert mean_interval([4.5], ["a"]) == (4.5, 4.5)
+    assert summarise([4.5], ["a"]) == {"mean": 4.5, "median": 4.5, "ci95": [4.5, 4.5]}
+
+
+def test_equal_values_leave_no_room() -> None:
+    assert mean_interval(np.full(9, 2.0), [0, 0, 0, 1, 1, 2, 3, 3, 3]) == (2.0, 2.0)
+
+
+def test_columns_share_their_resamples() -> None:
+    values, labels = clustered(np.random.default_rng(10))
+    means = bootstrap_means(np.stack([values, 2 * values], axis=1), labels)
+    np.testing.assert_allclose(means[:, 1], 2 * means[:, 0])
+
+
+def test_a_summary_holds_mean_median_and_interval() -> None:
+    values, labels = clustered(np.random.default_rng(11))
+    summary = summarise(values, labels, draws=300, seed=4)
+    ci95 = list(mean_interval(values, labels, draws=300, seed=4))
+    assert summary == {"mean": np.mean(values), "median": np.median(values), "ci95": ci95}
+    assert ci95[0] < np.mean(values) < ci95[1]
+
+
+def test_a_summary_of_nothing_is_declared() -> None:
+    assert summarise([], []) == {"mean": None, "median": None, "ci95": None}
+    assert summarise_rate(np.array([], bool)) == {"rate": None, "ci95": None}
+
+
+def test_a_rate_is_summed_up_with_its_interval() -> None:
+    hits = np.arange(50) < 45
+    assert summarise_rate(hits) == {"rate": 0.9, "ci95": list(rate_interval(45, 50))}
+
+
+@pytest.mark.parametrize(
+    ("values", "clusters", "draws", "fault"),
+    [
+        ([], [], 10, "values: none"),
+        ([1.0, np.nan], [0, 1], 10, "not finite"),
+        ([1.0, 2.0], [0], 10, "a label for each of 2 values"),
+        ([1.0, 2.0], [0, 1], 0, "draws: expected at least 1"),
+    ],
+)
+def test_bad_input_is_refused_in_a_line(values: list[float], clusters: list[int], draws: int, fault: str) -> None:
+    with pytest.raises(InputError, match=fault):
+        mean_interval(values, clusters, draws=draws)
+
+
+def test_many_values_take_little_time_and_flat_memory() -> None:
+    rng = np.random.default_rng(12)
+    values, labels = rng.exponential(size=100_000), rng.integers(200, size=100_000)
+    mean_interval(values[:10], labels[:10])
+    started = time.process_time()
+    mean_interval(values, labels)
+    assert time.process_time() - started < 0.5
+    tracemalloc.start()
+    mean_interval(values, np.arange(100_000), draws=20)
+    few = tracemalloc.get_traced_memory()[1]
+    tracemalloc.reset_peak()
+    mean_interval(values, np.arange(100_000), draws=200)
+    many = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert many < 1.1 * few < 2e7

@@ -1,0 +1,179 @@
+"""The leaderboard pages: what they say, that foreign text is harmless, and that they are stable."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+from board_samples import GUESS, METHODS, SNAPS, write_board, write_scored
+from mini import contents
+
+from benchmark.pages import build
+from benchmark.pages.board import runtime_class
+from benchmark.pages.numbers import POSITION, percent, written
+from kit1000.data.presets import TRACKS
+from kit1000.errors import InputError
+
+VOID = {"meta", "link", "img", "input", "br"}
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Pages of all made-up methods, without a dataset."""
+    folder = tmp_path_factory.mktemp("board")
+    build(write_board(folder / "submissions"), folder / "site", None)
+    return folder / "site"
+
+
+def page(site: Path, name: str = "index") -> str:
+    return (site / (f"methods/{name}.html" if name in METHODS else f"{name}.html")).read_text("utf-8")
+
+
+class Outline(HTMLParser):
+    """The tags of a page: their attributes, and whether every one is closed."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: list[tuple[str, dict[str, str | None]]] = []
+        self.feed(text)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def all_pages(site: Path) -> dict[Path, Outline]:
+    return {path: Outline(path.read_text("utf-8")) for path in sorted(site.rglob("*.html"))}
+
+
+def test_there_is_a_page_for_each_method_and_every_tag_is_closed(site: Path) -> None:
+    pages = all_pages(site)
+    assert {path.relative_to(site).as_posix() for path in pages} == {
+        "index.html",
+        "table1.html",
+        *(f"methods/{n}.html" for n in METHODS),
+    }
+    assert not [path for path, outline in pages.items() if outline.open]
+
+
+def test_links_lead_to_files_and_places_of_the_site_and_nothing_is_fetched_from_elsewhere(site: Path) -> None:
+    pages = all_pages(site)
+    for path, outline in pages.items():
+        ids = [attrs["id"] for _, attrs in outline.seen if "id" in attrs]
+        assert len(ids) == len(set(ids))
+        for tag, attrs in outline.seen:
+            target = attrs.get("href") or attrs.get("src")
+            if target is None or target == "data:,":
+                continue
+            if re.match(r"[a-z]+:", target):
+                assert (tag, target) == ("a", SNAPS.url)
+                continue
+            file, _, place = target.partition("#")
+            assert (path.parent / file).exists()
+            assert not place or file or place in ids
+    assert not re.search(r"@import|url\(", (site / "style.css").read_text("utf-8"))
+
+
+def test_what_a_manifest_says_is_text_and_never_markup(site: Path) -> None:
+    for outline in all_pages(site).values():
+        assert [attrs.get("src") for tag, attrs in outline.seen if tag == "script"] in (["board.js"], ["../board.js"])
+        assert not [attrs for tag, attrs in outline.seen if tag == "b"]
+        assert not [name for _, attrs in outline.seen for name in attrs if name.startswith("on")]
+    assert "Snaps &lt;b&gt;well&lt;/b&gt; &amp; often" in page(site)
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page(site, "snaps")
+
+
+def test_every_page_names_what_its_numbers_rest_on(site: Path) -> None:
+    for path in all_pages(site):
+        text = path.read_text("utf-8")
+        for said in ("kit1000-2026", "draft", "mssd@v1", "0123456789abcdef", "fedcba9876543210", "2026-0", "CC-BY-4.0"):
+            assert said in text, (path.name, said)
+
+
+def test_the_board_shows_what_scores_json_holds(site: Path) -> None:
+    scores = json.loads((site.parent / "submissions/snaps/scores.json").read_text("utf-8"))
+    text = page(site)
+    for track in TRACKS:
+        mean = scores["tracks"][track]["position_mm"]["mean"]
+        assert f'data-value="{mean}"><span>{mean:.2f}</span>' in text
+    assert text.count("methods/snaps.html") == len(TRACKS)
+    assert text.count("methods/oracle.html") == 2  # the tracks that it answers
+
+
+def test_the_page_of_a_method_has_all_its_parts(site: Path) -> None:
+    text = page(site, "snaps")
+    assert SNAPS.reproduce in text
+    for title in ("Robustness", "Position errors", "MSSD by confidence", "Kits in the assembly", "The worst answers"):
+        assert title in text
+    assert "drawn when the pages are built with the dataset" in text
+    turns = page(site, "turns")
+    assert "rotation only" in turns
+    assert "Rotation errors" in turns
+    assert "Position errors" not in turns
+    assert "Robustness" not in page(site, "oracle")  # it answers no curves
+
+
+def test_the_same_scores_give_the_same_bytes(site: Path, tmp_path: Path) -> None:
+    build(site.parent / "submissions", tmp_path, None)
+    assert contents(tmp_path) == contents(site)
+    build(site.parent / "submissions", tmp_path, None)  # over itself
+    assert contents(tmp_path) == contents(site)
+
+
+def test_a_single_control_makes_a_board(tmp_path: Path) -> None:
+    write_board(tmp_path / "s", ("guess",))
+    (tmp_path / "s/empty").mkdir()
+    shutil.copy(tmp_path / "s/guess/manifest.toml", tmp_path / "s/empty")
+    build(tmp_path / "s", tmp_path / "site", None)
+    text = page(tmp_path / "site")
+    assert "No method has been scored on this track yet" in text
+    assert "Not scored yet: empty" in text
+    assert 'id="robustness"' not in text  # controls are no methods
+
+
+def edited(folder: Path, **changes: Any) -> None:
+    path = folder / "scores.json"
+    path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | changes), encoding="utf-8")
+
+
+def test_scores_that_cannot_be_compared_share_no_board(tmp_path: Path) -> None:
+    write_board(tmp_path, ("snaps", "guess"))
+    edited(tmp_path / "snaps", evaluator="0" * 16)
+    build(tmp_path, tmp_path / "site", None)
+    assert "2 versions of the evaluator" in page(tmp_path / "site")
+    edited(tmp_path / "snaps", dataset_id="another")
+    with pytest.raises(InputError, match=r"snaps: its scores have dataset_id another, those of guess 0123.*score both"):
+        build(tmp_path, tmp_path / "site", None)
+
+
+def test_folders_without_scores_are_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no folder of submissions"):
+        build(tmp_path / "nowhere", tmp_path / "site", None)
+    with pytest.raises(InputError, match="no scored submission"):
+        build(tmp_path, tmp_path / "site", None)
+    write_scored(tmp_path / "guess", GUESS, 27.0, 13.8, None)
+    (tmp_path / "guess/scores.json").write_text('{"method": "x"}', encoding="utf-8")
+    with pytest.raises(InputError, match=r"scores\.json: expected scores of .* there is no protocol, "):
+        build(tmp_path, tmp_path / "site", None)
+
+
+def test_numbers_are_written_with_the_decimals_of_their_column() -> None:
+    assert [written(value, POSITION) for value in (0.0, -1e-12, 3.875, 181.3)] == ["0.00", "0.00", "3.88", "181.30"]
+    assert [percent(share) for share in (0.0, 0.995, 1.0)] == ["0 %", "99.5 %", "100 %"]
+    assert [runtime_class(seconds) for seconds in (None, 1.0, 1.1, 10.0, 60.0)] == [
+        "unknown",
+        "quick",
+        "medium",
+        "medium",
+        "slow",
+    ]

@@ -1,0 +1,279 @@
+"""Table I: every row from the start, numbers from scores.json, and one committed table that is up to date."""
+
+from __future__ import annotations
+
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmark.protocol import read_protocol
+from benchmark.table1 import MARK, METHODS, NOT_YET, TRACKS, Grid, as_html, as_markdown, grids, run, table_rows
+from kit1000.errors import InputError
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def mean(value: float) -> dict[str, Any]:
+    return {"mean": value, "median": value / 2, "ci95": [value - 1, value + 1]}
+
+
+def track(position: float | None, rotation: float, **given: Any) -> dict[str, Any]:
+    """A track of scores.json, as far as the table reads it; its plain errors are 10 more."""
+    moved = {"position_mm": None, "position_plain_mm": None}
+    if position is not None:
+        moved = {"position_mm": mean(position), "position_plain_mm": mean(position + 10)}
+    turned = {"rotation_deg": mean(rotation), "rotation_plain_deg": mean(rotation + 10)}
+    return {"n": 200, "coverage": 1.0, "seated": None, **moved, **turned, **given}
+
+
+def put(folder: Path, name: str, tracks: dict[str, Any], **stated: Any) -> None:
+    """Write the scores.json of a submission."""
+    scores = {
+        "protocol": "kit1000-2026",
+        "status": "draft",
+        "metric_versions": {"rotation": 1, "position": 1},
+        "dataset_id": "91f0221d05e7d974",
+        "split": "test",
+        "method": name,
+        "manifest": {"camera_set": "primary"},
+        "tracks": tracks,
+        **stated,
+    }
+    (folder / name).mkdir(parents=True, exist_ok=True)
+    (folder / name / "scores.json").write_text(json.dumps(scores), encoding="utf-8")
+
+
+@pytest.fixture
+def submissions(tmp_path: Path) -> Path:
+    """Of a method of the paper's, of one that predicts rotations, and of two that are not in the paper."""
+    folder = tmp_path / "submissions"
+    put(folder, "snapnet", {"snap-tilt": track(3.4, 4.0), "place-paper": track(9.123, 20, coverage=0.985)})
+    put(folder, "kitnet", {"place-paper": track(None, 40)}, manifest={"camera_set": "top"})
+    put(folder, "registration", {name: track(2 + i, 3 + i) for i, name in enumerate(TRACKS)})
+    put(folder, "somebody-elses", {"snap": track(1, 1)}, dataset_id="another")
+    (folder / "icp").mkdir()
+    return folder
+
+
+def cells(folder: Path, title: str) -> dict[str, dict[str, str]]:
+    """The cells of a grid by method and heading."""
+    grid = next(grid for grid in grids(table_rows(folder)) if grid.title == title)
+    return {row[0]: dict(zip(grid.headings[1:], row[1:], strict=True)) for row in grid.rows}
+
+
+def test_the_table_has_a_row_for_each_method_before_anything_is_scored(tmp_path: Path) -> None:
+    table = table_rows(tmp_path)
+    assert [line.method for line in table.lines] == list(METHODS)
+    assert as_markdown(table).startswith("No submission is scored yet.")
+    for grid in grids(table):
+        assert len(grid.rows) == len(METHODS)
+        assert all(NOT_YET in row for row in grid.rows), grid.title
+
+
+def test_the_papers_numbers_stand_where_the_paper_has_them(tmp_path: Path) -> None:
+    found = {name: [*row.values()][::2][:4] for name, row in cells(tmp_path, "As in the paper").items()}
+    assert {name: row for name, row in found.items() if row != ["–"] * 4} == {
+        "KitNet": ["–", "–", "–", "49.2"],
+        "TransporterNet": ["15.3", "18.3", "41.5", "45.1"],
+        "SnapNet, partial volumes": ["5.1", "5.7", "49.4", "53.2"],
+        "SnapNet": ["3.9", "4.9", "10.8", "29.6"],
+        "SnapNet, true volumes": ["3.7", "4.61", "8.1", "28.9"],
+    }
+
+
+def test_ours_stands_beside_with_its_interval(submissions: Path) -> None:
+    row = cells(submissions, "As in the paper")["SnapNet"]
+    assert row == {
+        "with: mm, paper": "3.9",
+        "with: mm": "3.40 [2.40, 4.40]",
+        "with: °, paper": "4.9",
+        "with: °": "4.00 [3.00, 5.00]",
+        "without: mm, paper": "10.8",
+        "without: mm": "9.12 [8.12, 10.12]",
+        "without: °, paper": "29.6",
+        "without: °": "20.00 [19.00, 21.00]",
+        "cameras": "primary",
+    }
+
+
+def test_a_track_tells_plain_means_medians_and_how_many(submissions: Path) -> None:
+    assert cells(submissions, "place-paper")["SnapNet"] == {
+        "n": "200, 98.5 % answered",
+        "mm, paper": "10.8",
+        "mm, mean": "9.12 [8.12, 10.12]",
+        "mm, plain mean": "19.12",
+        "mm, median": "4.56",
+        "°, paper": "29.6",
+        "°, mean": "20.00 [19.00, 21.00]",
+        "°, plain mean": "30.00",
+        "°, median": "10.00",
+    }
+
+
+def test_every_track_has_the_numbers_of_that_track(submissions: Path) -> None:
+    for i, name in enumerate(TRACKS):
+        row = cells(submissions, name)["Registration, from depth"]
+        assert (row["mm, median"], row["°, median"]) == (f"{(2 + i) / 2:.2f}", f"{(3 + i) / 2:.2f}")
+        assert ("mm, paper" in row) == (name in ("snap-tilt", "place-paper"))
+
+
+def test_what_is_not_scored_differs_from_what_is_not_predicted(submissions: Path) -> None:
+    rotations = cells(submissions, "place-paper")["KitNet"]
+    assert (rotations["mm, mean"], rotations["°, mean"]) == ("–", "40.00 [39.00, 41.00]")
+    assert cells(submissions, "snap")["SnapNet"]["n"] == "–"
+    assert cells(submissions, "snap")["ICP from the guess"]["n"] == NOT_YET
+    overview = cells(submissions, "As in the paper")
+    assert overview["KitNet"]["cameras"] == "top"
+    assert overview["TransporterNet"]["with: mm"] == NOT_YET
+    assert overview["ICP from the guess"]["with: mm"] == NOT_YET
+
+
+def test_a_position_that_only_the_papers_row_could_have_is_not_waited_for(tmp_path: Path) -> None:
+    row = cells(tmp_path, "As in the paper")["KitNet"]
+    assert [row[f"without: {unit}"] for unit in ("mm", "°")] == ["–", NOT_YET]
+
+
+def test_a_summary_of_nothing_leaves_cells_empty(tmp_path: Path) -> None:
+    nothing = {"mean": None, "median": None, "ci95": None}
+    put(tmp_path, "guess", {"snap": track(1, 1, position_mm=nothing, position_plain_mm=nothing)})
+    row = cells(tmp_path, "snap")["The guess, unchanged"]
+    assert [row[f"mm, {name}"] for name in ("mean", "plain mean", "median")] == ["–"] * 3
+
+
+def test_the_guess_has_no_minus_zero(tmp_path: Path) -> None:
+    put(tmp_path, "guess", {"snap": track(-0.001, 1)})
+    assert cells(tmp_path, "snap")["The guess, unchanged"]["mm, median"] == "0.00"
+
+
+def test_the_source_says_protocol_versions_and_dataset(submissions: Path) -> None:
+    first = as_markdown(table_rows(submissions)).splitlines()[0]
+    assert first == ("Protocol kit1000-2026 (draft), dataset 91f0221d05e7d974, split test; position@v1, rotation@v1.")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("protocol", "other"), ("dataset_id", "other"), ("split", "val"), ("metric_versions", {"position": 2})],
+)
+def test_scores_of_different_questions_share_no_table(submissions: Path, key: str, value: Any) -> None:
+    put(submissions, "guess", {}, **{key: value})
+    with pytest.raises(InputError, match=f"{key} is .*: score both again"):
+        table_rows(submissions)
+
+
+def test_a_file_that_holds_no_scores_is_refused_by_name(submissions: Path) -> None:
+    incomplete = track(1, 1)
+    del incomplete["rotation_plain_deg"]
+    put(submissions, "guess", {"snap": incomplete})
+    with pytest.raises(
+        InputError, match=r"guess.scores\.json: expected scores .*there is no rotation_plain_deg of snap"
+    ):
+        table_rows(submissions)
+    (submissions / "guess" / "scores.json").write_text("[]", encoding="utf-8")
+    with pytest.raises(InputError, match="there is no protocol, status"):
+        table_rows(submissions)
+
+
+def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no folder of submissions"):
+        table_rows(tmp_path / "submisions")
+
+
+def test_markdown_has_as_many_cells_in_every_line_of_a_table(submissions: Path) -> None:
+    text = as_markdown(table_rows(submissions))
+    assert text == as_markdown(table_rows(submissions))
+    blocks = [block.splitlines() for block in text.split("\n\n") if block.startswith("|")]
+    assert [len(block) for block in blocks] == [len(METHODS) + 2] * (1 + len(TRACKS))
+    for block in blocks:
+        assert len({line.count("|") for line in block}) == 1
+
+
+class Reader(HTMLParser):
+    """Collects the texts of the cells of a page, and checks that every tag is closed in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.rows: list[list[str]] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+        if tag in ("th", "td"):
+            self.rows[-1].append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] in ("th", "td"):
+            self.rows[-1][-1] += data
+
+
+def drawn(grid: Grid) -> list[list[str]]:
+    return [list(grid.headings), *map(list, grid.rows)]
+
+
+def test_html_shows_the_same_cells(submissions: Path) -> None:
+    put(submissions, "chance", {}, manifest={"camera_set": "<b> & co"})
+    table, page = table_rows(submissions), Reader()
+    page.feed(as_html(table))
+    assert not page.open
+    assert page.rows == [row for grid in grids(table) for row in drawn(grid)]
+    assert as_html(table).count('<tr class="control">') == 2 * (1 + len(TRACKS))
+
+
+def test_json_holds_the_numbers_unrounded_with_the_notes(submissions: Path, tmp_path: Path) -> None:
+    run(submissions, tmp_path / "table1.json")
+    written = json.loads((tmp_path / "table1.json").read_text("utf-8"))
+    snapnet = next(line for line in written["lines"] if line["method"]["submission"] == "snapnet")
+    assert snapnet["tracks"]["place-paper"]["position_mm"]["mean"] == 9.123
+    assert snapnet["method"]["alone"] == [10.8, 29.6]
+    assert written["stated"]["dataset_id"] == "91f0221d05e7d974"
+    assert any("voxels of 0.89 mm" in note for note in written["notes"])
+    assert any("which statistic" in note for note in written["notes"])
+
+
+def test_without_a_file_the_table_is_printed(submissions: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(submissions)
+    assert capsys.readouterr().out == as_markdown(table_rows(submissions))
+
+
+def test_in_a_document_only_what_is_between_the_marks_changes(submissions: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(f"Before\n\n{MARK}\nold\n{MARK}\n\nAfter\n", encoding="utf-8")
+    run(submissions, page)
+    text = page.read_text("utf-8")
+    assert text == f"Before\n\n{MARK}\n\n{as_markdown(table_rows(submissions))}\n{MARK}\n\nAfter\n"
+    run(submissions, page)
+    assert page.read_text("utf-8") == text
+
+
+def test_a_new_file_can_be_written_again(submissions: Path, tmp_path: Path) -> None:
+    for _ in range(2):
+        run(submissions, tmp_path / "new.md")
+        run(submissions, tmp_path / "new.html")
+    assert as_markdown(table_rows(submissions)) in (tmp_path / "new.md").read_text("utf-8")
+    assert as_html(table_rows(submissions)) == (tmp_path / "new.html").read_text("utf-8")
+
+
+def test_a_document_without_marks_is_left_alone(submissions: Path, tmp_path: Path) -> None:
+    (tmp_path / "README.md").write_text("precious", encoding="utf-8")
+    with pytest.raises(InputError, match="it is there 0 times"):
+        run(submissions, tmp_path / "README.md")
+    assert (tmp_path / "README.md").read_text("utf-8") == "precious"
+    with pytest.raises(InputError, match=r"ends in \.md, \.json or \.html"):
+        run(submissions, tmp_path / "table1.csv")
+
+
+def test_the_tracks_are_those_of_the_protocol() -> None:
+    assert set(TRACKS) == set(read_protocol().tracks)
+
+
+def test_the_committed_table_is_what_the_submissions_give() -> None:
+    _, committed, _ = (ROOT / "docs" / "table1.md").read_text("utf-8").split(MARK)
+    scored = list((ROOT / "submissions").glob("*/scores.json"))
+    assert committed.strip() == (as_markdown(table_rows(ROOT / "submissions")).strip() if scored else "")

@@ -1,0 +1,332 @@
+"""Laws of checking a submission against a dataset: ids, coverage, and motions that are none."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kit1000.cli import main
+from kit1000.data.making.queries import CURVES
+from kit1000.data.reader import Dataset
+from kit1000.errors import InputError
+from kit1000.pose import Pose
+from kit1000.submission import Manifest, Predictions, Report, check, write_predictions, write_submission
+from kit1000.submission.asked import Asked
+from kit1000.submission.rows import read_rows
+from kit1000.submission.suspicions import suspicions
+from kit1000.values import Prediction
+
+DOCUMENT = Path(__file__).resolve().parents[1] / "docs/submission.md"
+
+
+@pytest.fixture(scope="module")
+def truth(mini: Path) -> Predictions:
+    """The right answer to every query of the test split and of the curves."""
+    dataset = Dataset(mini)
+    rows = [
+        Prediction(query.id, scene.truths[query.id].goal_drawn, 1.0, 0.5)
+        for name in ("test", CURVES)
+        for scene in dataset.split(name, truth=True)
+        for query in scene.queries
+    ]
+    return Predictions.of(rows)
+
+
+@pytest.fixture(scope="module")
+def manifest(mini: Path) -> Manifest:
+    dataset = Dataset(mini)
+    tracks = [query.track for query in dataset.split("test").queries()]
+    return Manifest(
+        method="truth",
+        authors=("A. Name",),
+        description="The right answer.",
+        date="2026-01-31",
+        dataset_id=dataset.id,
+        tracks=(*dict.fromkeys(tracks), CURVES),
+        learned=False,
+        uses_true_geometry=True,
+        control=True,
+        dataset_checksum=dataset.summary["checksum"],
+    )
+
+
+def changed(truth: Predictions, rows: np.ndarray | slice, ids: dict[str, str] | None = None) -> Predictions:
+    """Some of the predictions, some of the ids with another name."""
+    names: list[str] = np.array(truth.query_ids)[rows].tolist()
+    renamed = ids or {}
+    kept = tuple(renamed.get(name, name) for name in names)
+    return Predictions(kept, truth.motions[rows], truth.confidence[rows], truth.seconds[rows])
+
+
+def only(report: Report, name: str) -> str:
+    """What is said of the one fault, which has this name."""
+    assert [fault.name for fault in report.faults] == [name], str(report)
+    return str(report.faults[0])
+
+
+def test_the_truth_has_no_fault(
+    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_submission(tmp_path, manifest, truth)
+    report = check(tmp_path, mini)
+    assert (report.faults, report.read, report.against_data) == ((), len(truth), True)
+    assert main(["check", str(tmp_path), "--data", str(mini)]) == 0
+    assert capsys.readouterr().out == f"{tmp_path}: {len(truth)} rows checked against the dataset: all good\n"
+
+
+def test_no_truth_and_no_mesh_is_read(
+    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[str] = []
+    whole = Path.open
+
+    def watched(path: Path, *args: object, **options: object) -> object:
+        opened.append(path.name)
+        return whole(path, *args, **options)  # pyright: ignore[reportArgumentType, reportCallIssue]
+
+    monkeypatch.setattr(Path, "open", watched)
+    write_submission(tmp_path, manifest, truth)
+    assert check(tmp_path, mini).good
+    assert not [name for name in opened if "truth" in name or name.endswith(".glb")]
+
+
+def test_missing_predictions_are_told_by_track(
+    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+) -> None:
+    lost = [i for i, query_id in enumerate(truth.query_ids) if query_id.startswith("curves")][:5]
+    snap = next(i for i, query_id in enumerate(truth.query_ids) if query_id.endswith("-snap"))
+    rows = np.setdiff1d(np.arange(len(truth)), [*lost, snap])
+    write_submission(tmp_path, manifest, changed(truth, rows))
+    report = check(tmp_path, mini)
+    assert not report.good
+    curves, first = sorted(str(fault) for fault in report.faults)
+    names = ", ".join(truth.query_ids[i] for i in lost[:3])
+    assert f"track curves: 5 of 48 queries have no row ({names} and 2 more)" in curves
+    assert f"track snap: 1 of 1 queries have no row ({truth.query_ids[snap]})" in first
+
+
+def test_a_file_alone_claims_the_tracks_it_answers(mini: Path, truth: Predictions, tmp_path: Path) -> None:
+    rows = np.flatnonzero([not query_id.startswith("curves") for query_id in truth.query_ids])
+    write_predictions(tmp_path / "p.csv", changed(truth, rows))
+    assert check(tmp_path / "p.csv", mini).faults == ()
+
+
+NAMES: dict[str, Callable[[str], str]] = {
+    "case": str.upper,
+    "underscores": lambda name: name.replace("-", "_"),
+    "leading zeros": lambda name: name.replace("s0000", "s0"),
+    "track": lambda name: name.removesuffix("snap") + "snpa",
+}
+
+
+@pytest.mark.parametrize("case", NAMES)
+def test_an_unknown_id_is_answered_with_the_near_one(
+    case: str, mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+) -> None:
+    known = next(query_id for query_id in truth.query_ids if query_id.endswith("-snap"))
+    unknown = NAMES[case](known)
+    write_submission(tmp_path, manifest, changed(truth, slice(None), {known: unknown}))
+    fault = next(fault for fault in check(tmp_path, mini).faults if fault.name == "unknown-id")
+    assert fault.seen == f'query_id = "{unknown}"'
+    assert fault.repair == f"did you mean {known}?"
+
+
+def test_an_id_of_nothing_is_told_so(mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path) -> None:
+    known = truth.query_ids[0]
+    write_submission(tmp_path, manifest, changed(truth, slice(None), {known: "test-s7777-p0-snap"}))
+    names = {fault.name for fault in check(tmp_path, mini).errors}
+    assert names == {"unknown-id", "missing"}
+
+
+def test_rows_of_other_splits_are_not_looked_at(
+    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+) -> None:
+    dataset = Dataset(mini)
+    rows = [Prediction(query.id, Pose.identity(), 1.0, 0.0) for query in dataset.split("val").queries()]
+    both = Predictions.of(rows)
+    both = Predictions(
+        (*truth.query_ids, *both.query_ids),
+        Pose(
+            np.concatenate([truth.motions.wxyz, both.motions.wxyz]),
+            np.concatenate([truth.motions.xyz, both.motions.xyz]),
+        ),
+        np.concatenate([truth.confidence, both.confidence]),
+        np.concatenate([truth.seconds, both.seconds]),
+    )
+    write_submission(tmp_path, manifest, both)
+    said = only(check(tmp_path, mini), "other-split")
+    assert f"warning: {len(rows)} rows of the split val" in said
+    named = {fault.name for fault in check(tmp_path, mini, "val").errors}
+    assert named == {"missing"} or not named  # the curves are not asked of val, a track may be
+
+
+def test_rows_of_tracks_that_are_not_claimed(
+    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+) -> None:
+    write_submission(tmp_path, replace(manifest, tracks=manifest.tracks[:-1]), truth)
+    assert "48 rows of track curves, which is not claimed" in only(check(tmp_path, mini), "unclaimed")
+
+
+def test_another_plan_is_refused_and_other_bytes_are_told(
+    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+) -> None:
+    write_submission(tmp_path, replace(manifest, dataset_id="0123456789abcdef"), truth)
+    report = check(tmp_path, mini)
+    assert not report.good
+    assert f'expected "{manifest.dataset_id}", that of --data' in only(report, "foreign-dataset")
+    assert report.faults[0].line == 6
+    write_submission(tmp_path, replace(manifest, dataset_checksum="0" * 64), truth)
+    report = check(tmp_path, mini)
+    assert report.good
+    assert "built on another machine" in only(report, "other-bytes")
+
+
+def test_tracks_that_the_dataset_has_not_are_refused(
+    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(mini, data)
+    summary = json.loads((data / "dataset.json").read_text())
+    summary["config"]["curve_scenes"] = 0
+    (data / "dataset.json").write_text(json.dumps(summary))
+    rows = np.flatnonzero([not query_id.startswith("curves") for query_id in truth.query_ids])
+    write_submission(tmp_path / "mine", manifest, changed(truth, rows))
+    assert 'tracks has "curves"' in only(check(tmp_path / "mine", data), "no-such-track")
+
+
+def moved(truth: Predictions, motions: Pose) -> Predictions:
+    return Predictions(truth.query_ids, motions, truth.confidence, truth.seconds)
+
+
+def pivots(mini: Path, truth: Predictions) -> np.ndarray:
+    dataset = Dataset(mini)
+    known = {query.id: query.pivot for name in ("test", CURVES) for query in dataset.split(name).queries()}
+    return np.array([known[query_id] for query_id in truth.query_ids])
+
+
+MISTAKES: dict[str, Callable[[Pose, np.ndarray], Pose]] = {
+    "millimetres-suspected": lambda p, pivots: Pose(p.wxyz, p.xyz * 1e3),
+    "scalar-last-suspected": lambda p, pivots: Pose(np.roll(p.wxyz, -1, axis=1), p.xyz),
+    "pose-suspected": lambda p, pivots: Pose(p.wxyz, p.apply(pivots + 0.005)),
+    "inverse-suspected": lambda p, pivots: p.inverse(),
+    "turn-about-the-part-suspected": lambda p, pivots: Pose(p.wxyz, p.apply(pivots) - pivots),
+}
+
+
+@pytest.mark.parametrize("name", [name for name in MISTAKES if not name.startswith("turn")])  # one scene turns little
+def test_numbers_that_mean_something_else_are_suspected(
+    name: str, mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+) -> None:
+    write_submission(tmp_path, manifest, moved(truth, MISTAKES[name](truth.motions, pivots(mini, truth))))
+    report = check(tmp_path, mini)
+    assert name in [fault.name for fault in report.errors], str(report)
+
+
+def asked_and_answered(rng: np.random.Generator, guessed: float = 1.0) -> tuple[Asked, Pose]:
+    """Three hundred queries on a table, some share of them with guesses of the usual error, and their right answers."""
+    n = 300
+    near, far = rng.uniform((-0.15, -0.3, 0), (0.15, -0.03, 0.08), (n, 3)), np.array([0.1, 0.12, 0.1])
+    tilt = Pose.from_rotvec(rng.normal(0, 0.25, (n, 3)) * (1, 1, 0))
+    turns = tilt @ Pose.from_rotvec(rng.uniform(-np.pi, np.pi, (n, 1)) * (0, 0, 1))
+    homes = rng.uniform(-far, far, (n, 3)) + (0, 0.2, 0.1)
+    motions = Pose(turns.wxyz, homes - turns.apply(near))
+    error = Pose.from_rotvec(rng.normal(0, 0.15, (n, 3)))
+    guesses = np.where(rng.random((n, 1)) < guessed, (error @ motions).wxyz, np.nan)
+    ids = tuple(f"test-s{i:04d}-p0-snap" for i in range(n))
+    slips = homes + rng.uniform(-0.028, 0.028, (n, 3))
+    return Asked("x", None, ids, ("snap",) * n, ("test",) * n, np.ones(n, bool), near, slips, guesses), motions
+
+
+def suspected(asked: Asked, motions: Pose, folder: Path) -> list[str]:
+    n = len(motions)
+    write_predictions(folder / "p.csv", Predictions(asked.query_ids, motions, np.ones(n), np.ones(n)))
+    rows, _ = read_rows((folder / "p.csv").read_text(), "p.csv")
+    assert rows is not None
+    return [fault.name for fault in suspicions(rows, asked, rotation_only=False)]
+
+
+@pytest.mark.parametrize("guessed", [1.0, 0.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_mistakes_are_told_apart(seed: int, guessed: float, tmp_path: Path) -> None:
+    asked, motions = asked_and_answered(np.random.default_rng(seed), guessed)
+    assert suspected(asked, motions, tmp_path) == []
+    for name, mistake in MISTAKES.items():
+        assert suspected(asked, mistake(motions, asked.pivots), tmp_path) == [name]
+    for case, control in controls(motions, asked.pivots).items():
+        assert suspected(asked, control, tmp_path) == [], case
+
+
+def test_two_mistakes_at_once_are_both_suspected(
+    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+) -> None:
+    wrong = Pose(np.roll(truth.motions.wxyz, -1, axis=1), truth.motions.apply(pivots(mini, truth)) * 1e3)
+    write_submission(tmp_path, manifest, moved(truth, wrong))
+    names = {fault.name for fault in check(tmp_path, mini).errors}
+    assert names >= {"millimetres-suspected", "scalar-last-suspected", "pose-suspected"}
+
+
+def controls(motions: Pose, pivots: np.ndarray) -> dict[str, Pose]:
+    """Answers that are bad, and honest."""
+    n, rng = len(motions), np.random.default_rng(5)
+    anywhere = Pose(rng.standard_normal((n, 4)), np.zeros(3))
+    places = rng.uniform((-0.12, 0.06, 0.02), (0.12, 0.3, 0.15), (n, 3))
+    slip = Pose.from_rotvec(rng.normal(0, 0.2, (n, 3)), rng.normal(0, 0.02, (n, 3)))
+    return {
+        "chance": Pose(anywhere.wxyz, places - anywhere.apply(pivots)),
+        "no motion": Pose.identity((n,)),
+        "shift alone": Pose.from_translation(places - pivots),
+        "noise": slip @ motions,
+        "other signs": Pose(motions.wxyz * np.where(np.arange(n) % 2, -1.0, 1.0)[:, None], motions.xyz),
+    }
+
+
+@pytest.mark.parametrize("case", ["chance", "no motion", "shift alone", "noise", "other signs"])
+def test_bad_answers_are_no_faults(
+    case: str, mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+) -> None:
+    motions = controls(truth.motions, pivots(mini, truth))[case]
+    write_submission(tmp_path, manifest, moved(truth, motions))
+    assert check(tmp_path, mini).faults == ()
+    assert check(tmp_path).faults == ()
+
+
+def test_positions_of_a_method_of_rotations_are_no_fault(
+    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+) -> None:
+    turns = Pose(truth.motions.wxyz, np.zeros(3))
+    write_submission(tmp_path, replace(manifest, predicts="rotation"), moved(truth, turns))
+    assert check(tmp_path, mini).faults == ()
+
+
+def test_what_is_no_dataset_is_bad_input(mini: Path, truth: Predictions, tmp_path: Path) -> None:
+    write_predictions(tmp_path / "p.csv", truth)
+    with pytest.raises(InputError, match="no dataset"):
+        check(tmp_path / "p.csv", tmp_path)
+    with pytest.raises(InputError, match="did you mean test"):
+        check(tmp_path / "p.csv", mini, "tset")
+    assert main(["check", str(tmp_path / "p.csv"), "--data", str(tmp_path)]) == 2
+
+
+def test_any_file_is_checked_against_a_dataset(mini: Path, tmp_path: Path) -> None:
+    for content in (b"", b"\xff", b"query_id,qw,qx,qy,qz,x,y,z,confidence,seconds\n", b"a,b\n1,2\n"):
+        (tmp_path / "p.csv").write_bytes(content)
+        assert not check(tmp_path / "p.csv", mini).good
+
+
+def test_the_script_of_the_documents_is_answered_well(
+    mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/kit1000").symlink_to(mini)
+    monkeypatch.chdir(tmp_path)
+    script = re.findall(r"^```py\n(.*?)^```", DOCUMENT.read_text("utf-8"), re.MULTILINE | re.DOTALL)[0]
+    assert len(script.splitlines()) <= 25
+    exec(script, {})
+    assert check("submissions/mine", "data/kit1000").good

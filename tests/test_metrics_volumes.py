@@ -1,0 +1,200 @@
+"""Laws of comparing volumes: closed forms, slow twins, symmetry, and what the paper's release computed instead."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from scipy.spatial import KDTree
+
+from kit1000.errors import InputError, ShapeError
+from kit1000.mesh import Mesh, mesh_of
+from kit1000.mesh import surface_points as points_of
+from kit1000.metrics.volumes import known_share, occupancy_iou, surface_chamfer
+from kit1000.pose import Pose
+from kit1000.voxels import Grid, Volume, signed_distance, surface_points
+from tests.shapes import box
+from tests.strategies import poses
+
+MM = 1e-3
+VOXEL = 0.89e-3  # [m] that of the paper
+ORIGIN = Pose.identity()
+
+
+def grid(n: int = 64, voxel: float = 1 * MM) -> Grid:
+    """A cube about the origin, whose voxels lie at halves of `voxel`."""
+    return Grid.centred(ORIGIN, (n, n, n), voxel)
+
+
+def block(x: float, y: float, z: float, shift: tuple[float, float, float] = (0, 0, 0)) -> Mesh:
+    """A box about a place [mm]."""
+    return mesh_of(box(x, y, z, at=(0, 0, -z / 2)).translate(shift)).scaled(MM)
+
+
+def volume(mesh: Mesh, on: Grid | None = None, world_from_body: Pose = ORIGIN) -> Volume:
+    return signed_distance(on or grid(), [(mesh, world_from_body)], threads=1)
+
+
+def ball(radius: float, centre: tuple[float, float, float] = (0, 0, 0), on: Grid | None = None) -> Volume:
+    """A ball by its formula. radius, centre: [m]"""
+    on = on or grid()
+    distance = np.linalg.norm(on.centres() - np.array(centre), axis=-1) - radius
+    return Volume(on, np.clip(distance / (5 * on.voxel), -1, 1))
+
+
+def without(known: np.ndarray, of: Volume) -> Volume:
+    """A volume that knows less. known: (nx, ny, nz) bool"""
+    return Volume(of.grid, np.where(known, of.values, np.nan))
+
+
+def values() -> st.SearchStrategy[np.ndarray]:
+    """Distances (3, 4, 2), zeros and unknown ones among them."""
+    numbers = st.sampled_from([-1.0, -0.5, 0.0, 0.25, 1.0, float("nan")])
+    return arrays.arrays(np.float32, (3, 4, 2), elements=numbers)
+
+
+# --- what both take for solid ---
+
+
+@pytest.mark.parametrize(("shift", "expected"), [((0, 0, 0), 1.0), ((10, 0, 0), 0.5), ((30, 0, 0), 0.0)])
+def test_boxes_that_are_shifted_share_what_is_left(shift: tuple[float, float, float], expected: float) -> None:
+    still, moved = volume(block(30, 20, 20)), volume(block(30, 20, 20, shift))
+    assert occupancy_iou(still, moved) == pytest.approx(expected, abs=1e-12)
+
+
+def test_a_ball_in_a_ball_has_the_share_of_its_volume() -> None:
+    assert occupancy_iou(ball(0.015), ball(0.03)) == pytest.approx((15 / 30) ** 3, rel=0.02)
+
+
+@given(a=values(), b=values())
+def test_the_iou_is_that_of_a_loop_over_voxels(a: np.ndarray, b: np.ndarray) -> None:
+    both = either = known = 0
+    for x, y in zip(a.ravel().tolist(), b.ravel().tolist(), strict=True):
+        if x == x and y == y:
+            known += 1
+            both += x < 0 and y < 0
+            either += x < 0 or y < 0
+    expected = (both / either if either else 1.0) if known else 0.0
+    assert occupancy_iou(a, b) == expected
+    assert occupancy_iou(b, a) == expected
+    unit = Grid((3, 4, 2), 1.0, ORIGIN)
+    assert occupancy_iou(Volume(unit, a), Volume(unit, b)) == expected
+    assert known_share(a, b) == (known / np.count_nonzero(b == b) if (b == b).any() else 1.0)
+
+
+def test_what_one_of_the_two_does_not_know_is_left_out() -> None:
+    true, dented = volume(block(30, 20, 20)), volume(block(20, 20, 20, (-5, 0, 0)))
+    known = true.grid.centres()[..., 0] < 0.005
+    assert occupancy_iou(true, dented) == pytest.approx(2 / 3)
+    assert occupancy_iou(true, without(known, dented)) == 1
+    assert known_share(without(known, dented), true) == known.mean()
+    assert known_share(true, without(known, dented)) == 1
+
+
+def test_volumes_that_say_nothing() -> None:
+    true, free, unknown = (Volume(grid(4), np.full((4, 4, 4), value)) for value in (-0.5, 1.0, np.nan))
+    assert occupancy_iou(free, free) == 1
+    assert occupancy_iou(true, free) == 0
+    assert occupancy_iou(true, unknown) == occupancy_iou(unknown, unknown) == 0
+    assert known_share(unknown, true) == 0
+    assert known_share(unknown, unknown) == 1
+    assert surface_chamfer(free, unknown) == 0  # no surface in either
+
+
+# --- how far apart surfaces lie ---
+
+
+def test_shells_about_one_middle_are_as_far_apart_as_their_radii() -> None:
+    assert surface_chamfer(ball(0.020), ball(0.023)) == pytest.approx(3 * MM, rel=0.01)
+
+
+def test_a_pair_of_points_is_worked_out_by_hand() -> None:
+    a, b = np.array([[0.0, 0, 0], [0.003, 0, 0]]), np.array([[0.0, 0.004, 0]])
+    assert surface_chamfer(a, b) == pytest.approx(((4 + 5) / 2 + 4) / 2 * MM)
+
+
+@given(pose=poses(), scale=st.floats(0.1, 10))
+@settings(max_examples=20, deadline=None)
+def test_the_distance_is_that_of_all_pairs_and_moves_and_grows_with_the_world(pose: Pose, scale: float) -> None:
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(size=(40, 3)), rng.normal(size=(60, 3)) + 0.3
+    pairs = np.linalg.norm(a[:, None] - b, axis=-1)
+    expected = (pairs.min(1).mean() + pairs.min(0).mean()) / 2
+    assert surface_chamfer(a, b) == pytest.approx(expected, rel=1e-12)
+    assert surface_chamfer(b, a) == surface_chamfer(a, b)
+    moved = (scale * pose.apply(a), scale * pose.apply(b))
+    assert surface_chamfer(*moved) == pytest.approx(scale * expected, rel=1e-6)
+
+
+def test_a_volume_stands_for_the_points_on_its_surface() -> None:
+    a, b = ball(0.02), volume(block(30, 20, 20))
+    assert surface_chamfer(a, b) == surface_chamfer(surface_points(a), surface_points(b))
+    assert surface_chamfer(a.moved(Pose.from_translation((0.1, 0, 0))), b) > 0.05  # volumes stand in the world
+
+
+def test_points_even_on_two_meshes_tell_what_their_volumes_tell() -> None:
+    a, b = block(40, 30, 20), block(44, 30, 20)
+    even = [points_of(mesh, 20_000, np.random.default_rng(seed)) for seed, mesh in enumerate((a, b))]
+    assert surface_chamfer(volume(a), volume(b)) == pytest.approx(surface_chamfer(*even), abs=0.3 * MM)
+
+
+@given(pose=poses())
+@settings(max_examples=10, deadline=None)
+def test_equal_volumes_are_alike_to_the_bit(pose: Pose) -> None:
+    one = volume(block(20, 12, 8), grid(32), Pose(pose.wxyz, np.clip(pose.xyz, -5 * MM, 5 * MM)))
+    again = Volume(one.grid, one.values.copy())
+    assert surface_chamfer(one, again) == 0
+    assert occupancy_iou(one, again) == 1
+
+
+def test_nothing_is_infinitely_far_from_something() -> None:
+    nothing = np.empty((0, 3))
+    assert surface_chamfer(nothing, nothing) == 0
+    assert surface_chamfer(nothing, ball(0.02)) == surface_chamfer(ball(0.02), nothing) == float("inf")
+
+
+# --- what is refused ---
+
+
+def test_volumes_that_cannot_be_compared_are_refused() -> None:
+    with pytest.raises(InputError, match=r"expected two on one grid; kit1000\.voxels\.resample reads"):
+        occupancy_iou(ball(0.02), ball(0.02, on=grid(voxel=2 * MM)))
+    with pytest.raises(ShapeError, match=r"two of one shape, got \(2, 2, 2\) and \(2, 2, 3\)"):
+        occupancy_iou(np.zeros((2, 2, 2)), np.zeros((2, 2, 3)))
+    with pytest.raises(ShapeError, match=r"b: expected a Volume, or signed distances .* got bool"):
+        occupancy_iou(np.zeros((2, 2, 2)), np.zeros((2, 2, 2), bool))
+    with pytest.raises(ShapeError, match=r"a: expected float64 of shape \(n, 3\), got shape \(2, 2, 2\)"):
+        surface_chamfer(np.zeros((2, 2, 2)), np.zeros((1, 3)))
+
+
+# --- what the release of the paper computed instead ---
+
+
+def iou_of_the_release(a: Volume, b: Volume) -> float:
+    """Of the voxels half a truncation or more outside: of free space."""
+    free, other = a.values >= 0.5, b.values >= 0.5
+    return np.count_nonzero(free & other) / np.count_nonzero(free | other)
+
+
+def chamfer_of_the_release(a: Volume, b: Volume, rng: np.random.Generator) -> float:
+    """[m] by 10,000 solid voxels of each, inside ones too; distances |x| + |y| + |z|, both ways summed."""
+    left, right = (rng.permutation(np.argwhere(volume.occupied))[:10_000] * VOXEL for volume in (a, b))
+    return float(KDTree(right).query(left, p=1)[0].mean() + KDTree(left).query(right, p=1)[0].mean())
+
+
+def test_a_block_without_a_cavity_is_nearly_a_kit_to_the_release_and_far_from_one_here() -> None:
+    on = grid(128, 2 * MM)
+    plate = box(100, 100, 50)
+    kit, solid = mesh_of(plate - box(80, 80, 26, at=(0, 0, 25))).scaled(MM), mesh_of(plate).scaled(MM)
+    true, guess = volume(kit, on), volume(solid, on)
+    assert iou_of_the_release(guess, true) > 0.99
+    assert occupancy_iou(guess, true) == pytest.approx(0.67, abs=0.02)
+    assert surface_chamfer(guess, true) == pytest.approx(3 * MM, rel=0.1)
+
+
+def test_a_shape_is_millimetres_from_itself_to_the_release_and_nothing_here() -> None:
+    true = volume(block(80, 80, 50), Grid.centred(ORIGIN, (100, 100, 64), VOXEL))
+    assert chamfer_of_the_release(true, true, np.random.default_rng(0)) == pytest.approx(4.9 * MM, abs=0.2 * MM)
+    assert surface_chamfer(true, true) == 0

@@ -1,0 +1,143 @@
+"""The documentation as a site: it is whole, nothing in it comes from elsewhere, and it works from a disk."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+pytest.importorskip("mkdocs", reason="the site is built by mkdocs: pip install 'kit1000[docs]'")
+import yaml  # comes with mkdocs
+
+ROOT = Path(__file__).resolve().parents[1]
+CONFIG = ROOT / "mkdocs.yml"
+LOADED = {"script": "src", "img": "src", "source": "src", "iframe": "src", "video": "src", "link": "href"}
+"""Tags of HTML that load what they name, and the attribute that names it."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site as `make site` builds it, without the leaderboard."""
+    built = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "-f", str(CONFIG), "-d", str(built)]
+    done = subprocess.run(command, capture_output=True, text=True, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"})
+    assert done.returncode == 0, done.stdout + done.stderr
+    return built
+
+
+class Links(HTMLParser):
+    """What a page links to, what it loads, and the places in it that can be linked to."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.targets: list[str] = []
+        self.loaded: list[str] = []
+        self.anchors: set[str] = set()
+        self.feed(page.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        named = {key: value for key, value in attrs if value is not None}
+        self.anchors |= {named[key] for key in ("id", "name") if key in named}
+        if tag == "a" and "href" in named:
+            self.targets.append(named["href"])
+        if LOADED.get(tag) in named and named.get("rel") not in ("canonical", "prev", "next"):
+            self.loaded.append(named[LOADED[tag]])
+
+
+def pages(site: Path) -> list[Path]:
+    """Every page but the one for what is not found, whose links a server resolves."""
+    return sorted(page for page in site.glob("*.html") if page.name != "404.html")
+
+
+def entries(nav: Any) -> Iterator[str]:
+    """The files of a navigation."""
+    if isinstance(nav, str):
+        yield nav
+    else:
+        for item in nav.values() if isinstance(nav, dict) else nav:
+            yield from entries(item)
+
+
+def test_every_page_is_in_the_navigation_once() -> None:
+    named = sorted(entries(yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["nav"]))
+    assert named == sorted([*(page.name for page in (ROOT / "docs").glob("*.md")), "board/index.html"])
+
+
+def test_every_link_leads_somewhere(site: Path) -> None:
+    anchors = {page.name: Links(page).anchors for page in pages(site)}
+    for page in pages(site):
+        for target in Links(page).targets:
+            parts = urlsplit(target)
+            if parts.scheme or parts.path.startswith("board/"):
+                continue
+            name = unquote(parts.path) or page.name
+            assert (site / name).exists(), f"{page.name}: {target}"
+            assert not parts.fragment or unquote(parts.fragment) in anchors[name], f"{page.name}: {target}"
+
+
+def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+    for page in pages(site):
+        for target in Links(page).loaded:
+            assert not urlsplit(target).netloc, f"{page.name} loads {target}"
+            assert (site / unquote(urlsplit(target).path)).is_file(), f"{page.name}: {target}"
+    for sheet in site.rglob("*.css"):
+        assert not re.search(r"(@import|url\()\s*[\"']?(https?:)?//", sheet.read_text(encoding="utf-8")), sheet.name
+
+
+def test_tables_and_lists_are_told_apart_from_text(site: Path) -> None:
+    """A line that GitHub takes for a table or a list, and Python's Markdown for text."""
+    for page in pages(site):
+        stray = re.findall(r"^(?:<p>)?(?:\| |- |\d\. ).*$", page.read_text(encoding="utf-8"), re.MULTILINE)
+        stray = [line for line in stray if "<span" not in line]  # highlighted code
+        assert not stray, f"{page.name}: {stray[:3]}"
+
+
+def test_the_search_knows_every_page(site: Path) -> None:
+    index = json.loads((site / "search/search_index.json").read_text(encoding="utf-8"))
+    found = {entry["location"].partition("#")[0] for entry in index["docs"]}
+    assert {page.name for page in pages(site)} <= found
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """The system's Chromium, driven by Playwright."""
+    playwright = pytest.importorskip("playwright.sync_api")
+    program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if program is None:
+        pytest.skip("no Chromium on this machine: make browser")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=program, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+def test_a_page_opened_from_a_disk_can_be_searched_and_complains_of_nothing(site: Path, chromium: Any) -> None:
+    page = chromium.new_page(viewport={"width": 1280, "height": 800})
+    complaints: list[str] = []
+    page.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto((site / "index.html").as_uri())
+    page.locator(".md-search__input").press_sequentially("penetration")
+    page.locator(".md-search-result__link[href*='task.html']").first.wait_for()
+    assert not complaints
+    page.close()
+
+
+def test_a_page_fits_on_a_phone(site: Path, chromium: Any) -> None:
+    page = chromium.new_page(viewport={"width": 390, "height": 800})
+    page.route("**/*.png", lambda route: route.abort())  # pictures shrink to the page; without them it is quick
+    for path in pages(site):
+        page.goto(path.as_uri())
+        wide = page.evaluate("document.documentElement.scrollWidth")
+        assert wide <= 390, f"{path.name} is {wide} px wide"
+    page.close()

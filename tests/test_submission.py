@@ -1,0 +1,248 @@
+"""Laws of submissions: what is written is read back bit for bit, and what could not be read is never written."""
+
+from __future__ import annotations
+
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import kit1000
+from kit1000.errors import InputError, ShapeError
+from kit1000.pose import Pose, random_quaternions
+from kit1000.submission import (
+    HEADER,
+    Manifest,
+    Predictions,
+    check,
+    read_manifest,
+    read_predictions,
+    read_submission,
+    write_manifest,
+    write_predictions,
+    write_submission,
+)
+from kit1000.values import Prediction
+
+MANIFEST = Manifest(
+    method="A method",
+    authors=("A. Name", "B. Name"),
+    description="It predicts.",
+    date="2026-01-31",
+    dataset_id="0123456789abcdef",
+    tracks=("snap",),
+    learned=True,
+    uses_true_geometry=False,
+)
+NUMBERS = st.floats(-1e5, 1e5, allow_subnormal=True)
+
+
+def some(n: int = 20, seed: int = 0) -> Predictions:
+    rng = np.random.default_rng(seed)
+    motions = Pose(random_quaternions(rng, n), rng.normal(0, 0.3, (n, 3)))
+    ids = tuple(f"test-s{i:04d}-p0-snap" for i in range(n))
+    return Predictions(ids, motions, rng.uniform(size=n), rng.exponential(size=n))
+
+
+def same(a: Predictions, b: Predictions) -> bool:
+    """Equal to the last bit, the sign of zero included."""
+    pairs = ((a.motions.wxyz, b.motions.wxyz), (a.motions.xyz, b.motions.xyz), (a.confidence, b.confidence))
+    bits = all(x.tobytes() == y.tobytes() for x, y in (*pairs, (a.seconds, b.seconds)))
+    return bits and a.query_ids == b.query_ids
+
+
+@given(st.integers(0, 2**32 - 1), st.lists(NUMBERS, min_size=3, max_size=3), st.floats(0, 1), st.floats(0, 1e300))
+@settings(max_examples=100, deadline=None)
+def test_numbers_come_back_bit_for_bit(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, xyz: list[float], confidence: float, seconds: float
+) -> None:
+    path = tmp_path_factory.mktemp("round") / "predictions.csv"
+    motions = Pose(random_quaternions(np.random.default_rng(seed), 1), np.array([xyz]))
+    written = Predictions(("a",), motions, np.array([confidence]), np.array([seconds]))
+    write_predictions(path, written)
+    assert same(read_predictions(path), written)
+
+
+def test_a_folder_comes_back_as_it_was_written(tmp_path: Path) -> None:
+    predictions = some()
+    write_submission(tmp_path / "mine", MANIFEST, predictions)
+    read = read_submission(tmp_path / "mine")
+    assert (read.name, read.manifest, read.folder) == ("mine", MANIFEST, tmp_path / "mine")
+    assert same(read.predictions, predictions)
+    assert sorted(path.name for path in (tmp_path / "mine").iterdir()) == ["manifest.toml", "predictions.csv"]
+
+
+def test_what_is_written_is_plain_and_always_the_same(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_submission(tmp_path / name, MANIFEST, some())
+    data = (tmp_path / "a/predictions.csv").read_bytes()
+    assert data == (tmp_path / "b/predictions.csv").read_bytes()
+    assert data.startswith(",".join(HEADER).encode() + b"\n")
+    assert data.isascii()
+    assert b"\r" not in data
+    assert data.endswith(b"\n")
+
+
+def test_what_is_written_has_no_fault(tmp_path: Path) -> None:
+    write_submission(tmp_path, replace(MANIFEST, control=True), some())
+    assert check(tmp_path).faults == ()
+
+
+def test_single_predictions_are_gathered(tmp_path: Path) -> None:
+    predictions = some()
+    rows = [
+        Prediction(*row) for row in zip(predictions.query_ids, predictions.motions, predictions.confidence,
+                                        predictions.seconds, strict=True)
+    ]  # fmt: skip
+    assert same(Predictions.of(rows), predictions)
+    write_predictions(tmp_path / "p.csv", iter(rows))
+    assert same(read_predictions(tmp_path / "p.csv"), predictions)
+
+
+def test_no_predictions_are_a_file_with_a_header(tmp_path: Path) -> None:
+    write_predictions(tmp_path / "p.csv", [])
+    assert len(read_predictions(tmp_path / "p.csv")) == 0
+    assert not check(tmp_path / "p.csv").good
+
+
+def test_a_prediction_is_found_by_its_query() -> None:
+    predictions = some()
+    assert [predictions.row(query_id) for query_id in predictions.query_ids] == list(range(len(predictions)))
+    assert predictions.row("test-s9999-p0-snap") is None
+
+
+def test_arrays_cannot_be_written_to() -> None:
+    predictions = some()
+    for array in (predictions.confidence, predictions.seconds, predictions.motions.xyz):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"query_ids": ("a", "b", "a")}, 'expected one a query, got "a" more than once'),
+        ({"query_ids": ("a", "b", "c,d")}, 'letters, digits and hyphens, got "c,d"'),
+        ({"query_ids": ("a", "b", "")}, 'got ""'),
+        ({"query_ids": ("a", "b", "query_id")}, 'got "query_id"'),
+        ({"query_ids": ("a", "b")}, "confidence: expected"),
+        ({"confidence": np.array([0, 1, 1.1])}, "confidence of c: expected 0 to 1, got 1.1"),
+        ({"confidence": np.array([0, 1, np.nan])}, "which is not finite"),
+        ({"seconds": np.array([0, -1, -2.0])}, "seconds of c: expected 0 or more, or -1 for not measured, got -2"),
+        ({"motions": Pose.identity()}, "motions: expected 3"),
+        ({"motions": Pose.from_translation(np.full((3, 3), 1e7))}, "position of a: expected metres"),
+    ],
+)
+def test_what_could_not_be_read_is_not_made(changes: dict, said: str) -> None:
+    good = Predictions(("a", "b", "c"), Pose.identity((3,)), np.ones(3), np.zeros(3))
+    with pytest.raises(InputError) as caught:
+        replace(good, **changes)
+    assert said in str(caught.value)
+
+
+def test_motions_of_another_shape_are_refused() -> None:
+    with pytest.raises(ShapeError):
+        Predictions(("a",), Pose.identity((2,)), np.ones(1), np.ones(1))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"tracks": ("snap", "plaec")}, "did you mean place?"),
+        ({"tracks": ()}, "tracks"),
+        ({"predicts": "position"}, "pose or rotation"),
+        ({"date": "yesterday"}, "YYYY-MM-DD"),
+        ({"learned": 1}, "true or false"),
+        ({"method": ""}, "fill in"),
+        ({"authors": ("",)}, "a list of names"),
+        ({"url": "ftp://example.org"}, "https://"),
+        ({"camera_set": "none"}, "primary, three, top"),
+    ],
+)
+def test_a_manifest_that_could_not_be_read_is_not_made(changes: dict, said: str) -> None:
+    with pytest.raises(InputError) as caught:
+        replace(MANIFEST, **changes)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+TEXT = st.text(st.characters(exclude_categories=["Cs", "Cc"]) | st.sampled_from("\n\t\\\"'#"), min_size=1, max_size=40)
+
+
+@given(TEXT.filter(str.strip), TEXT, st.booleans())
+@settings(max_examples=100, deadline=None)
+def test_a_manifest_comes_back_as_it_was_written(
+    tmp_path_factory: pytest.TempPathFactory, description: str, training_data: str, learned: bool
+) -> None:
+    path = tmp_path_factory.mktemp("manifest") / "manifest.toml"
+    manifest = replace(MANIFEST, description=description, training_data=training_data, learned=learned)
+    write_manifest(path, manifest)
+    assert read_manifest(path) == manifest
+
+
+def test_reading_names_the_first_fault_and_where_all_are_listed(tmp_path: Path) -> None:
+    write_submission(tmp_path, MANIFEST, some(3))
+    path = tmp_path / "predictions.csv"
+    lines = path.read_text().split("\n")
+    path.write_text("\n".join([*lines[:2], lines[2].replace("test", "te st"), lines[3] + ",1", ""]))
+    with pytest.raises(InputError) as caught:
+        read_submission(tmp_path)
+    assert str(caught.value).startswith(f"{path}:3:1: query_id = ")
+    assert str(caught.value).endswith("(`kit1000 check` lists all faults)")
+
+
+def test_what_cannot_be_written_is_said_in_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for write in (
+        lambda: write_submission(tmp_path / "file", MANIFEST, some()),
+        lambda: write_predictions(tmp_path / "file/p.csv", some()),
+        lambda: write_manifest(tmp_path / "file/m.toml", MANIFEST),
+    ):
+        with pytest.raises(InputError, match="cannot write"):
+            write()
+
+
+def test_an_interrupted_writer_leaves_no_whole_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_submission(tmp_path, MANIFEST, some())
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("kit1000.submission.folder.write_predictions", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        write_submission(tmp_path, MANIFEST, some(3))
+    with pytest.raises(InputError, match="does not exist"):
+        read_submission(tmp_path)
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_predictions_are_read_in_a_second(tmp_path: Path) -> None:
+    path, n = tmp_path / "p.csv", 100_000
+    write_predictions(path, some(n))
+    read_predictions(path)
+    start = time.process_time()
+    read_predictions(path)
+    read = time.process_time() - start
+    assert check(path).faults == ()
+    checked = time.process_time() - start - read
+    assert read < 2  # 0.7 s on an idle machine
+    assert checked < 3
+
+
+def test_the_names_stand_in_the_package() -> None:
+    assert kit1000.write_submission is write_submission
+    assert kit1000.read_submission is read_submission
+    assert (kit1000.Manifest, kit1000.Predictions) == (Manifest, Predictions)
+
+
+def test_reading_a_submission_loads_no_reader_of_datasets() -> None:
+    import subprocess
+
+    ask = "import sys, kit1000.submission; print('kit1000.data.reader' in sys.modules, 'numba' in sys.modules)"
+    answer = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
+    assert answer.stdout.split() == ["False", "False"]
