@@ -54,12 +54,14 @@ site: $(DEV) ## the documentation and the leaderboard, under site/; with picture
 table1: $(DEV) ## Table I of the paper beside the scores of the submissions
 	$(BIN)/python -m benchmark table1 --submissions "$(SUBMISSIONS)"
 
-bench: $(DEV) ## each speed beside a reference measured in the same run: kits, seating, rendering, volumes, reading
+bench: $(DEV) ## each speed beside a reference measured in the same run: kits to methods
 	$(BIN)/python bench/bench_kits.py
 	$(BIN)/python bench/bench_seating.py
 	$(BIN)/python bench/bench_render.py
 	$(BIN)/python bench/bench_voxels.py
 	$(BIN)/python bench/bench_reading.py
+	$(BIN)/python bench/bench_scoring.py
+	$(BIN)/python bench/bench_methods.py
 
 bench-parts: $(DEV) ## compare our parts with real ones: make bench-parts PARTS=DIR
 	$(if $(PARTS),,$(error a folder of meshes is wanted: make bench-parts PARTS=DIR))

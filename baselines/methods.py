@@ -83,9 +83,14 @@ METHODS = {
         "search of turns and places, then refinement, of one height map in another, from the depth image",
         options={"source": "depth"},
     ),
+    "registration-any-clearance": Method(
+        "baselines.registration:Registration",
+        "the same, not told the clearance: 1, 2.5, 5 and 10 mm are tried",
+        options={"source": "depth", "clearances": (1e-3, 2.5e-3, 5e-3, 10e-3)},
+    ),
     "registration-gtvol": Method(
         "baselines.registration:Registration",
-        "the same, from the true shapes of part and kits",
+        "registration from the true shapes of part and kits",
         options={"source": "truth"},
         uses_true_geometry=True,
     ),

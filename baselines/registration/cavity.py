@@ -15,6 +15,7 @@ VOXEL = 1e-3  # [m] of the volumes of plates
 ABOVE, BELOW = 4e-3, 24e-3  # [m] the volume reaches so far from the plate; no cavity is deeper than 20 mm
 CUT = 1.5e-3  # [m] below the plate begins a cavity, if the image is not noisier
 RIM = 1e-3  # [m] of the walls nearest the rim tell nothing: the plate's face is near them too
+UNDER = 1e-3  # [m] points so far below the floor are of another face: that of the plate is 2 mm away at the least
 SPECK = 12e-6  # [m^2] a smaller hole is noise
 
 
@@ -62,8 +63,14 @@ def find_cavity(volume: Volume, world_from_plate: Pose, near: float) -> Cavity |
     points = world_from_plate.inverse().apply(surface_points(volume))
     i, j = _cells(points, len(relief))
     heights = points[:, 2]
-    inside = np.asarray(binary_dilation(region), bool)[i, j] & (heights < -max(RIM, near)) & (heights > -depth - 2e-3)
-    points = np.concatenate([points[inside], _edges(face, region)])
+    inside = (
+        np.asarray(binary_dilation(region), bool)[i, j]
+        & (heights < -max(RIM, near))
+        & (heights > -depth - max(UNDER, near))
+    )
+    points = points[inside]
+    if np.isnan(relief[region]).any():  # of walls that were not seen the upper edge was
+        points = np.concatenate([points, _edges(face, region)])
     return Cavity(world_from_plate, relief, free, face | region, region, depth, points)
 
 

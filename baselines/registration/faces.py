@@ -27,6 +27,8 @@ def standing_faces(points: np.ndarray, middle: np.ndarray, flat: float) -> list[
 
     flat: [rad] facets within this angle are one face; the more, the noisier the points.
     """
+    if len(points) < 4:
+        return []
     try:
         hull = ConvexHull(points)
     except QhullError:  # nothing of the part was seen but a line

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
@@ -29,6 +30,9 @@ REFINED, REFINED_ANYWHERE = 6, 4  # candidates of each plate, with a guess and w
 STIFFNESS = 1.0  # of the contact between the face that looks down and the floor
 SURPRISE, USUAL = 0.5, 1e-3  # what a depth that is not the usual one costs, a metre, up to [m]
 DOWN = np.array([0.0, 0.0, -1.0])
+SEATED = {"truth": (6e-3, 1.5e-3), "ideal": (6e-3, 1.5e-3), "d415": (6e-3, 1.5e-3)}
+"""By the kind of volumes: the misfit [m] at which half of the answers are seated, and the spread of the logistic curve,
+fitted to the validation split."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +51,8 @@ class Registration:
     dataset: Dataset
     source: str = "depth"
     """depth: the query's image and masks; truth: the true volumes."""
-    clearance: float | None = None
-    """[m]; None takes the one that the dataset publishes."""
+    clearances: tuple[float, ...] = ()
+    """[m] to try, the one that fits best counts; by default the one that the dataset publishes."""
 
     def __post_init__(self) -> None:
         if self.source not in SOURCES:
@@ -61,11 +65,13 @@ class Registration:
 
     def __call__(self, query: Query, truth: Truth | None = None) -> Answer:
         """The best fit; where nothing fits, the guess or no motion, without confidence."""
-        clearance = self.dataset.summary["config"]["clearance"] if self.clearance is None else self.clearance
-        fits = register(self._source(query, truth), query, clearance)
+        source = self._source(query, truth)
+        tried = self.clearances or (self.dataset.summary["config"]["clearance"],)
+        fits = sorted(chain.from_iterable(register(source, query, c) for c in tried), key=lambda fit: fit.misfit)
         if not fits:
             return Answer(Pose.identity() if query.guess is None else query.guess, 0.0)
-        return Answer(fits[0].goal_from_now, confidence(fits[0].misfit))
+        kind = "truth" if self.uses_true_geometry else query.sensor
+        return Answer(fits[0].goal_from_now, confidence(fits[0].misfit, kind))
 
     def _source(self, query: Query, truth: Truth | None) -> Source:
         if self.source == "depth":
@@ -87,14 +93,14 @@ def register(source: Source, query: Query, clearance: float) -> list[Fit]:
         return []
     cavities = find_cavities(source, query)
     window = Window(query.pivot, query.guess, ANGLE + SLACK_ANGLE, OFFSET + SLACK_OFFSET)
-    found = coarse_search(part, _downs(source, part, query), cavities, clearance, window)
+    found = coarse_search(part, source.middle, _downs(source, part, query), cavities, clearance, window)
     if not found and query.guess is not None:  # no face was seen that may look down: the guess says which way is down
         back = query.guess.inverse()
         downs = [back.rotate(cavity.world_from_plate.rotate(DOWN)) for cavity in cavities]
-        found = coarse_search(part, downs, cavities, clearance, window)
+        found = coarse_search(part, source.middle, downs, cavities, clearance, window)
     fits = []
-    for candidate in distinct(found, query.pivot, REFINED if query.guess is not None else REFINED_ANYWHERE):
-        pose, rest = refine(part, query.pivot, candidate, clearance, STIFFNESS)
+    for candidate in distinct(found, source.middle, REFINED if query.guess is not None else REFINED_ANYWHERE):
+        pose, rest = refine(part, source.middle, candidate, clearance, STIFFNESS)
         goal_from_now = candidate.cavity.world_from_plate @ pose
         if query.guess is None or _near(goal_from_now, query.guess, query.pivot):
             outline = outline_misfit(part, candidate.cavity, pose, clearance)
@@ -113,12 +119,10 @@ def find_cavities(source: Source, query: Query) -> list[Cavity]:
     return [cavity for cavity in cavities if cavity is not None]
 
 
-def confidence(misfit: float) -> float:
-    """The share of such fits that are seated on the validation split, smoothed. misfit: [m]."""
-    return float(1 / (1 + np.exp((misfit - HALF) / SPREAD)))
-
-
-HALF, SPREAD = 6e-3, 1.5e-3  # [m]
+def confidence(misfit: float, kind: str) -> float:
+    """The share of fits that are seated among those with such a misfit [m], for a kind of volumes in SEATED."""
+    half, spread = SEATED[kind]
+    return float(1 / (1 + np.exp((misfit - half) / spread)))
 
 
 def _downs(source: Source, part: Volume, query: Query) -> list[np.ndarray]:

@@ -87,10 +87,15 @@ class Problem:
     clearance: float
     stiffness: float
 
-    def residuals(self, twist: np.ndarray) -> np.ndarray:
-        """(n + 2,) [m] at a rotation vector and a place of the pivot (6,); the last two are the lean."""
+    def residuals(self, twist: np.ndarray, about: np.ndarray | None = None) -> np.ndarray:
+        """(n + 2,) [m] at a rotation vector and a place of the pivot (6,); the last two are the lean.
+
+        about: (6,) where the floor under each point is looked up; at the twist itself by default. Held fast it keeps
+        the steps of the floor out of slopes: floors say how high and how level, walls where and how turned.
+        """
         sweep = self.sweep
-        misses = _residuals(self.points, twist, sweep.distance, sweep.floor, sweep.lowest, self.clearance)
+        floors = _floors(self.points, twist if about is None else about, sweep.floor)
+        misses = _residuals(self.points, twist, sweep.distance, floors, sweep.lowest, self.clearance)
         (x, y, z), (a, b, c) = self.down, twist[:3]
         lean = np.array([x + b * z - c * y, y + c * x - a * z])  # down, turned by a small rotation
         return np.append(misses, self.stiffness * np.sqrt(len(misses)) * LEVER * lean)
@@ -99,23 +104,24 @@ class Problem:
 def _levenberg(problem: Problem, twist: np.ndarray, scale: float) -> np.ndarray:
     """(6,) rotation vector and place of the pivot, after some steps at one scale of the weights."""
     damping = 1e-3
-    residuals = problem.residuals(twist)
-    cost = _cost(residuals, scale)
     for _ in range(STEPS):
+        residuals = problem.residuals(twist)
+        cost = _cost(residuals, scale)
         slopes = np.empty((len(residuals), 6))
         for k in range(6):
             step = np.zeros(6)
             step[k] = DIFFERENCES[k]
-            slopes[:, k] = (problem.residuals(twist + step) - problem.residuals(twist - step)) / (2 * DIFFERENCES[k])
+            slopes[:, k] = (problem.residuals(twist + step, twist) - problem.residuals(twist - step, twist)) / (
+                2 * DIFFERENCES[k]
+            )
         weights = (scale**2 / (scale**2 + residuals**2)) ** 2
         weights[-2:] = 1
         normal, pull = (slopes * weights[:, None]).T @ slopes, (slopes * weights[:, None]).T @ residuals
         mean = np.trace(normal[3:, 3:]) / 3 + 1e-9
         for _ in range(4):
             move = -np.linalg.solve(normal + damping * mean * np.diag(METRIC), pull)
-            tried = problem.residuals(twist + move)
-            if _cost(tried, scale) < cost:
-                twist, residuals, cost, damping = twist + move, tried, _cost(tried, scale), damping / 3
+            if _cost(problem.residuals(twist + move, twist), scale) < cost:
+                twist, damping = twist + move, damping / 3
                 break
             damping *= 5
         else:
@@ -157,31 +163,57 @@ def _across(heights, layer, cell, distance):
 
 
 @compiled
-def _residuals(points, twist, distance, floor, lowest, clearance):
-    """(n,) [m]: of each point the nearer of its misses, of the wall and of the floor."""
-    layers, n, _ = distance.shape
+def _turned(twist):
+    """(3, 3) rotation by the first three numbers."""
     angle = np.sqrt(twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2)
-    r = np.eye(3)
-    if angle > 1e-12:
-        x, y, z = twist[0] / angle, twist[1] / angle, twist[2] / angle
-        c, s = np.cos(angle), np.sin(angle)
-        t = 1 - c
-        r = np.array(
-            [
-                [t * x * x + c, t * x * y - s * z, t * x * z + s * y],
-                [t * x * y + s * z, t * y * y + c, t * y * z - s * x],
-                [t * x * z - s * y, t * y * z + s * x, t * z * z + c],
-            ]
-        )
+    if angle < 1e-12:
+        return np.eye(3)
+    x, y, z = twist[0] / angle, twist[1] / angle, twist[2] / angle
+    c, s = np.cos(angle), np.sin(angle)
+    t = 1 - c
+    return np.array(
+        [
+            [t * x * x + c, t * x * y - s * z, t * x * z + s * y],
+            [t * x * y + s * z, t * y * y + c, t * y * z - s * x],
+            [t * x * z - s * y, t * y * z + s * x, t * z * z + c],
+        ]
+    )
+
+
+@compiled
+def _in_sweep(point, twist, r):
+    """The point in the frame of the sweep."""
+    dx, dy, dz = point[0] - twist[3], point[1] - twist[4], point[2] - twist[5]
+    x = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
+    y = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
+    z = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
+    return x, y, z
+
+
+@compiled
+def _floors(points, twist, floor):
+    """(n,) [m]: the floor at the cell of each point."""
+    n = floor.shape[0]
+    r = _turned(twist)
     out = np.empty(len(points))
     for p in range(len(points)):
-        dx, dy, dz = points[p, 0] - twist[3], points[p, 1] - twist[4], points[p, 2] - twist[5]
-        x = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
-        y = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
-        z = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
-        u = min(max(x / 0.625e-3 + (n - 1) / 2, 0.0), n - 1.001)
-        v = min(max(y / 0.625e-3 + (n - 1) / 2, 0.0), n - 1.001)
-        w = min(max((z - lowest) / 1e-3, 0.0), layers - 1.001)
+        x, y, _ = _in_sweep(points[p], twist, r)
+        u, v = x / CELL + (n - 1) / 2, y / CELL + (n - 1) / 2
+        out[p] = floor[int(min(max(u + 0.5, 0.0), n - 1.0)), int(min(max(v + 0.5, 0.0), n - 1.0))]
+    return out
+
+
+@compiled
+def _residuals(points, twist, distance, floors, lowest, clearance):
+    """(n,) [m]: of each point the nearer of its misses, of the wall and of the floor."""
+    layers, n, _ = distance.shape
+    r = _turned(twist)
+    out = np.empty(len(points))
+    for p in range(len(points)):
+        x, y, z = _in_sweep(points[p], twist, r)
+        u = min(max(x / CELL + (n - 1) / 2, 0.0), n - 1.001)
+        v = min(max(y / CELL + (n - 1) / 2, 0.0), n - 1.001)
+        w = min(max((z - lowest) / LAYER, 0.0), layers - 1.001)
         i, j, k = int(u), int(v), int(w)
         a, b, c = u - i, v - j, w - k
         below = (1 - a) * ((1 - b) * distance[k, i, j] + b * distance[k, i, j + 1])
@@ -189,7 +221,6 @@ def _residuals(points, twist, distance, floor, lowest, clearance):
         above = (1 - a) * ((1 - b) * distance[k + 1, i, j] + b * distance[k + 1, i, j + 1])
         above += a * ((1 - b) * distance[k + 1, i + 1, j] + b * distance[k + 1, i + 1, j + 1])
         wall = (1 - c) * below + c * above - clearance
-        i, j = int(u + 0.5), int(v + 0.5)
-        under = floor[i, j] - z
+        under = floors[p] - z
         out[p] = wall if abs(wall) < abs(under) else under
     return out

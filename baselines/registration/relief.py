@@ -33,7 +33,7 @@ def lower_envelope(volume: Volume, plane_from_now: Pose, cell: float, cells: int
 
 def grown(envelope: np.ndarray, cell: float, clearance: float) -> np.ndarray:
     """(n, n) [m]: the lower envelope of a part to which a disc as wide as the clearance is added at every height."""
-    reach = int(np.floor(clearance / cell + 1e-6))
+    reach = int(np.floor(clearance / cell + 0.5))
     u, v = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     disc = u * u + v * v <= (clearance / cell + 0.5) ** 2
     return minimum_filter(envelope, footprint=disc, mode="constant", cval=np.inf)

@@ -75,20 +75,34 @@ class Window:
 
 
 def coarse_search(
-    part: Volume, downs: Sequence[np.ndarray], cavities: Sequence[Cavity], clearance: float, window: Window
+    part: Volume,
+    middle: np.ndarray,
+    downs: Sequence[np.ndarray],
+    cavities: Sequence[Cavity],
+    clearance: float,
+    window: Window,
 ) -> list[Candidate]:
-    """All candidates, the best first: one of the normals `downs` (3,) of the part, world, into one of the cavities."""
+    """All candidates, the best first: one of the normals `downs` (3,) of the part, world, into one of the cavities.
+
+    middle: (3,) [m] world, of the part.
+    """
     found = []
     inside = part.grid.world(np.argwhere(part.occupied))
     for down in downs:
         made = depth_made(inside, down)
         for cavity in chain.from_iterable(_depths(cavity, made, down[2] < UPRIGHT) for cavity in cavities):
-            found += _in_cavity(part, down, cavity, abs(cavity.depth - made), clearance, window)
+            found += _in_cavity(part, middle, down, cavity, abs(cavity.depth - made), clearance, window)
     return sorted(found, key=lambda candidate: candidate.misfit)
 
 
 def _in_cavity(
-    part: Volume, down: np.ndarray, cavity: Cavity, surprise: float, clearance: float, window: Window
+    part: Volume,
+    middle: np.ndarray,
+    down: np.ndarray,
+    cavity: Cavity,
+    surprise: float,
+    clearance: float,
+    window: Window,
 ) -> Iterator[Candidate]:
     """The best places of each turn."""
     kit = KitImage.of(cavity)
@@ -96,10 +110,10 @@ def _in_cavity(
     lying = quaternion_between(plate_from_world.rotate(down), -UP)
     laid = Pose(quaternion_multiply(lying, plate_from_world.wxyz), np.zeros(3))
     for turn in window.turns(laid, plate_from_world):
-        about = Pose.from_rotvec(turn * UP) @ laid @ Pose.from_translation(-window.pivot)
+        about = Pose.from_rotvec(turn * UP) @ laid @ Pose.from_translation(-middle)
         envelope = lower_envelope(part, about, CELL, WIDE)
         if np.isfinite(envelope).any():
-            for place, misfit in places(kit, envelope, cavity, clearance, window):
+            for place, misfit in places(kit, envelope, cavity, clearance, window, about.apply(window.pivot)):
                 yield Candidate(cavity, Pose.from_translation(place) @ about, down, surprise, misfit)
 
 
@@ -169,9 +183,11 @@ class KitImage:
 
 
 def places(
-    kit: KitImage, envelope: np.ndarray, cavity: Cavity, clearance: float, window: Window
+    kit: KitImage, envelope: np.ndarray, cavity: Cavity, clearance: float, window: Window, pivot: np.ndarray
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """The best places (3,) [m] in the plate frame of the pivot of a part with this lower envelope, and their misfits.
+    """The best shifts (3,) [m] in the plate frame of a part with this lower envelope, and their misfits.
+
+    pivot: (3,) [m] of the part before it is shifted.
 
     The misfit at a shift t is the sum over all cells x of trust(x) (relief(x) - sunk(x - t))^2, over that without a
     part. Multiplied out it takes two correlations.
@@ -181,11 +197,11 @@ def places(
     product = kit.trust * _spectrum(sunk**2, kit.size).conj() - 2 * kit.weighed * _spectrum(sunk, kit.size).conj()
     misfit = kit.empty + np.asarray(irfft2(product, (kit.size, kit.size)))
     steps = np.arange(kit.size)
-    steps = np.where(steps > kit.size // 2, steps - kit.size, steps)
-    axis = (steps - (kit.cells - len(envelope)) / 2) * CELL
+    middle = (kit.cells - len(envelope)) / 2  # the step that lays the middle of one image on that of the other
+    axis = (np.where(steps > middle + kit.size / 2, steps - kit.size, steps) - middle) * CELL
     z = -cavity.depth - lowest
     shifts = np.stack(np.broadcast_arrays(axis[:, None], axis[None], z), axis=-1)
-    misfit = np.where(window.holds(cavity.world_from_plate, shifts), misfit, np.inf)
+    misfit = np.where(window.holds(cavity.world_from_plate, shifts + pivot), misfit, np.inf)
     low = (misfit == minimum_filter(misfit, 2 * APART + 1, mode="wrap")) & np.isfinite(misfit)
     i, j = np.nonzero(low)
     best = np.argsort(misfit[i, j])[:PEAKS]

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, uniform_filter
+from scipy.ndimage import distance_transform_edt, label, uniform_filter
 
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
@@ -22,6 +22,8 @@ COARSE = 2e-3  # [m] voxels among which planes are looked for
 SMOOTH = 7  # pixels over which a noisy image is averaged
 EDGE = 5e-3  # [m] a step in depth that is no noise
 AROUND = 0.06  # [m] the table is looked at so far around a part
+FLYING = 0.02  # share of the points of a part that may float far from it
+GAP = 20  # pixels
 SPREAD = 4  # places across a pixel
 STRIDE = 2  # every second pixel of rows and columns names planes
 
@@ -37,6 +39,11 @@ class Source(Protocol):
     @property
     def flat(self) -> float:
         """[rad] how far facets of one face may lean from it."""
+        ...
+
+    @property
+    def middle(self) -> np.ndarray:
+        """(3,) [m] world: about the middle of the part."""
         ...
 
     def part(self) -> Volume:
@@ -56,15 +63,15 @@ class Source(Protocol):
 class TrueSource:
     """Exact volumes from meshes that stand where they truly do."""
 
-    pivot: np.ndarray
+    middle: np.ndarray
     part_body: tuple[Mesh, Pose]
     kit_bodies: Sequence[tuple[Mesh, Pose]]
     near: float = 0.5e-3
-    flat: float = np.radians(4)
+    flat: float = float(np.radians(1.5))
 
     def part(self) -> Volume:
         """The part, exact."""
-        return signed_distance(_around(self.pivot), [self.part_body], threads=1)
+        return signed_distance(_around(self.middle), [self.part_body], threads=1)
 
     def oriented_points(self, box: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, float]:
         """Zero crossings of a coarse volume, with its slopes."""
@@ -96,7 +103,7 @@ class DepthSource:
     @property
     def flat(self) -> float:
         """[rad] noise of faces."""
-        return np.radians(8 if self._noisy else 4)
+        return float(np.radians(8 if self._noisy else 4))
 
     @property
     def _noisy(self) -> bool:
@@ -104,22 +111,23 @@ class DepthSource:
 
     @cached_property
     def view(self) -> View:
-        """The image; one that is noisy smoothed within the part and within the kits, never across an edge."""
+        """The image; one that is noisy is smoothed in the part and in the kits, gaps closed, not across edges."""
         view = self.query.view
         if not self._noisy:
             return view
         depth = view.depth.copy()
         for mask in (self.query.part_mask, self.query.kit_region):
-            _smooth(depth, mask & (view.depth > 0))
+            _close_gaps(depth, mask)
+            _smooth(depth, mask & (depth > 0))
         return View(view.camera, view.world_from_camera, depth)
 
     def part(self) -> Volume:
         """What was seen of the part, and under it all that nobody saw to be free, down to the table."""
-        fine = Grid.centred(Pose.from_translation(self.query.pivot), (2 * SIDE, 2 * SIDE, 2 * SIDE), VOXEL / 2)
+        fine = Grid.centred(Pose.from_translation(self.middle), (2 * SIDE, 2 * SIDE, 2 * SIDE), VOXEL / 2)
         seen = tsdf(fine, self.view, self.query.part_mask, threads=1).values[..., ::2]
-        top = _top(fine, self._points(self.query.part_mask))
+        top = _top(fine, self._points)
         heights = fine.world(np.arange(0, 2 * SIDE, 2)[:, None] * [0, 0, 1])[:, 2]
-        solid = (heights <= top[..., None]) & (heights > self.table_height()) & ~(seen > 0)
+        solid = _largest((heights <= top[..., None]) & (heights > self.table_height()) & ~(seen > 0))
         return Volume.adopt(Grid((SIDE, SIDE, SIDE), VOXEL, fine.world_from_grid), _distances(solid, seen)[::2, ::2])
 
     def table_height(self) -> float:
@@ -141,6 +149,8 @@ class DepthSource:
         view = self.view
         mask = self.query.kit_region & (view.depth > 0)
         v, u = np.nonzero(mask)
+        if len(v) == 0:
+            return np.empty((0, 3)), np.empty((0, 3)), 0.0
         low, high = (v.min(), u.min()), (v.max() + 1, u.max() + 1)
         crop = np.s_[low[0] : high[0], low[1] : high[1]]
         v, u = np.mgrid[crop]
@@ -167,13 +177,30 @@ class DepthSource:
         """What the image says of the kits."""
         return tsdf(grid, self.view, self.query.kit_region, threads=1)
 
-    def _points(self, mask: np.ndarray) -> np.ndarray:
-        """(n, 3) [m] world: places spread evenly over the pixels of a mask, on the plane that each pixel saw.
+    @property
+    def middle(self) -> np.ndarray:
+        """(3,) [m] world: see `_between`."""
+        return self._between
 
-        A mask holds the pixels whose centres the part covers: on average the part ends half a pixel beyond the last.
+    @cached_property
+    def _between(self) -> np.ndarray:
+        """(3,) [m] world: between the extents of what was seen of the part, but for the outermost FLYING of it.
+
+        The pivot lies between the extents of all its points, also of those that float in front of it or behind.
+        """
+        if len(self._points) == 0:
+            return self.query.pivot
+        low, high = np.percentile(self._points, [100 * FLYING, 100 * (1 - FLYING)], axis=0)
+        return (low + high) / 2
+
+    @cached_property
+    def _points(self) -> np.ndarray:
+        """(n, 3) [m] world: places spread evenly over the pixels of the part, on the plane that each pixel saw.
+
+        The mask holds the pixels whose centres the part covers: on average it ends half a pixel beyond the last.
         """
         view = self.view
-        mask = mask & (view.depth > 0)
+        mask = self.query.part_mask & (view.depth > 0)
         v, u = np.nonzero(mask)
         across, down = (_slope(view.depth, mask, axis)[v, u] for axis in (1, 0))
         steps = (np.arange(SPREAD) + 0.5) / SPREAD - 0.5
@@ -182,6 +209,26 @@ class DepthSource:
         depth = view.depth[v, u][:, None] + across[:, None] * a + down[:, None] * b
         points = view.camera.unproject_pixels(pixels.reshape(-1, 2), depth.ravel())
         return view.world_from_camera.apply(points)
+
+
+def _close_gaps(depth: np.ndarray, mask: np.ndarray) -> None:
+    """Give pixels of a mask without return, in gaps of at most GAP along a row, the farther depth of the two sides.
+
+    Such gaps are shadows of the sensor's projector or of its second eye: what they hide belongs to what is farther.
+    """
+    v, u = np.nonzero(mask)
+    if len(v) == 0:
+        return
+    box = np.s_[v.min() : v.max() + 1, u.min() : u.max() + 1]
+    here, inside = depth[box], mask[box]
+    known = inside & (here > 0)
+    columns = np.arange(here.shape[1])
+    left = np.maximum.accumulate(np.where(known, columns, -GAP - 1), axis=1)
+    right = np.minimum.accumulate(np.where(known, columns, len(columns) + GAP)[:, ::-1], axis=1)[:, ::-1]
+    sides = [np.where(np.abs(side - columns) <= GAP, side, -1) for side in (left, right)]
+    rows = np.arange(here.shape[0])[:, None]
+    farther = np.maximum(*(np.where(side >= 0, here[rows, side], 0) for side in sides))
+    here[inside & ~known] = farther[inside & ~known]
 
 
 def _smooth(depth: np.ndarray, mask: np.ndarray) -> None:
@@ -239,6 +286,12 @@ def _top(grid: Grid, points: np.ndarray) -> np.ndarray:
     top = np.full(grid.shape[:2], -1.0)
     np.maximum.at(top, (i[inside], j[inside]), points[inside, 2])
     return top
+
+
+def _largest(solid: np.ndarray) -> np.ndarray:
+    """(nx, ny, nz) bool: the largest piece of a solid; the others are points that float."""
+    names, count = label(solid)  # type: ignore[misc]
+    return solid if count < 2 else names == 1 + np.bincount(names[solid])[1:].argmax()
 
 
 def _distances(solid: np.ndarray, seen: np.ndarray) -> np.ndarray:
