@@ -19,7 +19,7 @@ from baselines.registration.cavity import VOXEL, find_cavity, plate_grid
 from baselines.registration.faces import standing_faces
 from baselines.registration.plates import Plane, find_planes, frame_on
 from baselines.registration.relief import grown, lower_envelope
-from baselines.registration.search import NEIGHBOUR, SHALLOWER, TURN_STEP, Candidate, Window, distinct
+from baselines.registration.search import NEIGHBOUR, SHALLOWER, TURN_STEP, Candidate, Lying, Window, distinct
 from kit1000.data.making.guesses import ANGLE, OFFSET, apply_error
 from kit1000.mesh import Mesh, mesh_of, solid_of
 from kit1000.pose import Pose
@@ -315,27 +315,35 @@ def test_what_has_no_extent_has_no_face(points: np.ndarray) -> None:
 # turns and places apart
 
 
-@given(laid=poses(), plate=poses(), guess=poses(), turn=st.floats(0.01, ANGLE))
+@given(now=poses(), plate=poses(), guess=poses(), turn=st.floats(0.01, ANGLE))
 @settings(max_examples=40, deadline=None)
-def test_turns_stay_near_the_guess_and_leave_no_gap(laid: Pose, plate: Pose, guess: Pose, turn: float) -> None:
-    turns = Window(np.zeros(3), guess, turn, OFFSET).turns(laid, plate)
+def test_every_turn_near_the_guess_has_one_that_is_looked_at(now: Pose, plate: Pose, guess: Pose, turn: float) -> None:
+    rotations = Lying(volume_of(cuboid()), np.zeros(3), now.rotate(UP)).rotations
+    allowed = Window(np.zeros(3), guess, turn, OFFSET).allows(rotations, plate)
 
-    def away(about: np.ndarray) -> np.ndarray:
-        meant = (plate @ guess).rotation_matrix()
-        turned = (Pose.from_rotvec(about[:, None] * UP) @ laid).rotation_matrix()
-        return np.arccos(np.clip((np.einsum("nij,ij->n", turned, meant) - 1) / 2, -1, 1))
+    def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+        cosines = (np.einsum("aij,bij->ab", a, b) - 1) / 2
+        return np.arccos(np.clip(cosines, -1, 1))
 
-    assert (away(turns) <= turn + 1e-6).all()
-    every = np.linspace(-np.pi, np.pi, 500)
-    near = every[away(every) < turn - 1e-6]
-    apart = np.angle(np.exp(1j * (near[:, None] - turns)))
-    assert (np.abs(apart).min(1, initial=np.pi) <= TURN_STEP + 1e-9).all() if len(turns) else len(near) <= 1
+    meant = (plate @ guess).rotation_matrix()[None]
+    assert (apart(rotations.rotation_matrix()[allowed], meant) <= turn + TURN_STEP / 2 + 1e-6).all()
+    about = Pose.from_rotvec(np.linspace(0, 2 * np.pi, 500)[:, None] * UP)
+    every = (about @ Pose(rotations.wxyz[0], np.zeros(3))).rotation_matrix()
+    near = every[apart(every, meant)[:, 0] < turn - 1e-6]
+    assert (apart(near, rotations.rotation_matrix()[allowed]).min(1, initial=np.pi) <= TURN_STEP / 2 + 1e-6).all()
 
 
-def test_without_a_guess_there_are_turns_all_around() -> None:
-    turns = Window(np.zeros(3), None, ANGLE, OFFSET).turns(HOME, HOME)
-    around = np.sort(np.append(turns % (2 * np.pi), 2 * np.pi))
-    np.testing.assert_allclose(np.diff(around), TURN_STEP, atol=1e-9)
+@given(now=poses())
+@settings(max_examples=20, deadline=None)
+def test_without_a_guess_there_are_turns_all_around(now: Pose) -> None:
+    """All of them carry the face that looks down to the floor."""
+    down = now.rotate(UP)
+    rotations = Lying(volume_of(cuboid()), np.zeros(3), down).rotations
+    assert Window(np.zeros(3), None, ANGLE, OFFSET).allows(rotations, HOME).all()
+    np.testing.assert_allclose(rotations.rotate(down), np.broadcast_to(-UP, (len(rotations), 3)), atol=1e-9)
+    beside = rotations.rotate(now.rotate(np.array([1.0, 0, 0])))
+    around = np.sort(np.arctan2(beside[:, 1], beside[:, 0]))
+    np.testing.assert_allclose(np.diff(np.append(around, around[0] + 2 * np.pi)), TURN_STEP, atol=1e-6)
 
 
 @given(seed=st.integers(0, 50), most=st.integers(1, 6))

@@ -97,7 +97,8 @@ def test_the_best_places_are_those_of_a_sum_of_squares_over_all_shifts(seed: int
     cavity, envelope = pitted(seed, hidden), lumps(seed)
     kit = KitImage.of(cavity)
     every = brute_misfits(cavity, kit, envelope)
-    found = list(places(kit, envelope, cavity, CLEARANCE, Window(np.zeros(3), None, ANGLE, OFFSET), np.zeros(3)))
+    anywhere = Window(np.zeros(3), None, ANGLE, OFFSET)
+    found = list(places(kit, grown(envelope, CELL, CLEARANCE), cavity, anywhere, np.zeros(3)))
     assert found[0][1] == pytest.approx(every.min(), abs=1e-9)
     assert [misfit for _, misfit in found] == sorted(misfit for _, misfit in found)
     for place, misfit in found:
@@ -117,7 +118,7 @@ def test_no_place_is_farther_from_the_guess_than_allowed() -> None:
     pivot = np.array([3e-3, -2e-3, 1e-3])  # where it is before it is shifted
     home = WORLD_FROM_KIT.apply(pivot + [0.006, -0.008, z])
     window = Window(np.zeros(3), Pose.from_translation(home), ANGLE, 4e-3)
-    found = list(places(kit, envelope, cavity, CLEARANCE, window, pivot))
+    found = list(places(kit, grown(envelope, CELL, CLEARANCE), cavity, window, pivot))
     assert found
     for place, _ in found:
         assert np.abs(WORLD_FROM_KIT.apply(pivot + place) - home).max() <= 4e-3 + 1e-12

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import numpy as np
@@ -12,7 +13,7 @@ from baselines.registration.faces import standing_faces
 from baselines.registration.outline import outline_misfit
 from baselines.registration.plates import find_planes, frame_on
 from baselines.registration.refine import refine
-from baselines.registration.search import Window, coarse_search, distinct
+from baselines.registration.search import Candidate, Window, coarse_search, distinct
 from baselines.registration.sources import DepthSource, Source, TrueSource
 from kit1000.data.making.guesses import ANGLE, OFFSET
 from kit1000.data.reader import Dataset
@@ -27,6 +28,7 @@ SOURCES = ("depth", "truth")
 SLACK_OFFSET, SLACK_ANGLE = 1.5e-3, np.radians(2.5)  # looked at beyond the largest error of a guess
 SIDE = 0.144  # [m] of a plate's relief: the window of a guess and a part's half width on either side
 REFINED, REFINED_ANYWHERE = 6, 4  # candidates of each plate, with a guess and without
+POLISHED = 3  # fits that are refined once more
 STIFFNESS = 1.0  # of the contact between the face that looks down and the floor
 SURPRISE, USUAL = 0.5, 1e-3  # what a depth that is not the usual one costs, a metre, up to [m]
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -42,6 +44,8 @@ class Fit:
     goal_from_now: Pose
     misfit: float
     """[m] what is left: of the cavity's points, of its outline, and of its depth."""
+    candidate: Candidate
+    """Where to go on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,13 +102,24 @@ def register(source: Source, query: Query, clearance: float) -> list[Fit]:
         back = query.guess.inverse()
         downs = [back.rotate(cavity.world_from_plate.rotate(DOWN)) for cavity in cavities]
         found = coarse_search(part, source.middle, downs, cavities, clearance, window)
+    first = distinct(found, source.middle, REFINED if query.guess is not None else REFINED_ANYWHERE)
+    fits = _refined(part, source.middle, first, query, clearance)
+    again = [fit.candidate for fit in fits[:POLISHED]]  # with the part's sweep at the turn that was found
+    return _refined(part, source.middle, again, query, clearance)
+
+
+def _refined(
+    part: Volume, middle: np.ndarray, candidates: Sequence[Candidate], query: Query, clearance: float
+) -> list[Fit]:
+    """Candidates after refinement, the best first; those are left out that the guess cannot have meant."""
     fits = []
-    for candidate in distinct(found, source.middle, REFINED if query.guess is not None else REFINED_ANYWHERE):
-        pose, rest = refine(part, source.middle, candidate, clearance, STIFFNESS)
+    for candidate in candidates:
+        pose, rest = refine(part, middle, candidate, clearance, STIFFNESS)
         goal_from_now = candidate.cavity.world_from_plate @ pose
         if query.guess is None or _near(goal_from_now, query.guess, query.pivot):
             outline = outline_misfit(part, candidate.cavity, pose, clearance)
-            fits.append(Fit(goal_from_now, rest + outline + SURPRISE * min(candidate.surprise, USUAL)))
+            misfit = rest + outline + SURPRISE * min(candidate.surprise, USUAL)
+            fits.append(Fit(goal_from_now, misfit, replace(candidate, plate_from_now=pose)))
     return sorted(fits, key=lambda fit: fit.misfit)
 
 

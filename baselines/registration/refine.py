@@ -21,7 +21,7 @@ WIDE = 144  # cells: 90 mm
 LAYER = 1e-3  # [m] between slices
 SCALES = (4e-3, 2e-3, 1e-3, 0.5e-3)  # [m] of the Geman-McClure weights, from far to near
 STEPS = 6  # of Levenberg-Marquardt at each scale
-REACH = 16  # cells (10 mm) to which distances are told
+REACH = 12  # cells (7.5 mm) to which distances are told
 POINTS = 1500
 FAR = 2e-3  # [m] a point that misses by more is no worse
 LEVER = 0.02  # [m] a lean moves the edge of a part by about its angle times this
@@ -55,25 +55,22 @@ class Sweep:
 
 
 def refine(
-    part: Volume, pivot: np.ndarray, candidate: Candidate, clearance: float, stiffness: float, rounds: int = 2
+    part: Volume, pivot: np.ndarray, candidate: Candidate, clearance: float, stiffness: float
 ) -> tuple[Pose, float]:
     """The best plate_from_now near a candidate, and the root mean square of its residuals, clipped at FAR [m].
 
     stiffness: how firmly the face that looks down lies on the floor; 1 weighs a lean as what it moves at LEVER.
     """
-    cavity, pose, rest = candidate.cavity, candidate.plate_from_now, np.inf
+    cavity, rotation = candidate.cavity, Pose(candidate.plate_from_now.wxyz, np.zeros(3))
     points = np.ascontiguousarray(cavity.points[:: max(1, len(cavity.points) // POINTS)])
-    for _ in range(rounds):
-        rotation = Pose(pose.wxyz, np.zeros(3))
-        sweep = Sweep.of(part, pivot, rotation, cavity.depth, clearance)
-        problem = Problem(points, sweep, rotation.rotate(candidate.down), clearance, stiffness)
-        twist = np.concatenate([np.zeros(3), pose.apply(pivot)])
-        for scale in SCALES:
-            twist = _levenberg(problem, twist, scale)
-        turned = Pose.from_rotvec(twist[:3]) @ rotation
-        pose = Pose(turned.wxyz, twist[3:] - turned.rotate(pivot))
-        rest = float(np.sqrt(np.mean(np.minimum(problem.residuals(twist)[:-2] ** 2, FAR**2))))
-    return pose, rest
+    sweep = Sweep.of(part, pivot, rotation, cavity.depth, clearance)
+    problem = Problem(points, sweep, rotation.rotate(candidate.down), clearance, stiffness)
+    twist = np.concatenate([np.zeros(3), candidate.plate_from_now.apply(pivot)])
+    for scale in SCALES:
+        twist = _levenberg(problem, twist, scale)
+    turned = Pose.from_rotvec(twist[:3]) @ rotation
+    rest = float(np.sqrt(np.mean(np.minimum(problem.residuals(twist)[:-2] ** 2, FAR**2))))
+    return Pose(turned.wxyz, twist[3:] - turned.rotate(pivot)), rest
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 from scipy.fft import irfft2, next_fast_len, rfft2
@@ -13,7 +12,7 @@ from scipy.ndimage import minimum_filter
 from baselines.registration.cavity import VOXEL, Cavity
 from baselines.registration.outline import expected
 from baselines.registration.relief import grown, lower_envelope
-from kit1000.pose import Pose, quaternion_between, quaternion_multiply
+from kit1000.pose import Pose, quaternion_between
 from kit1000.voxels import Volume
 
 CELL = 1.25e-3  # [m] of the images that are compared: half the usual clearance
@@ -56,15 +55,12 @@ class Window:
     offset: float
     """[m] most along each axis of the world, of where the pivot goes."""
 
-    def turns(self, laid: Pose, plate_from_world: Pose) -> np.ndarray:
-        """(k,) [rad]: turns about the plate's normal after a rotation plate_from_now that stay within `turn`."""
+    def allows(self, rotations: Pose, plate_from_world: Pose) -> np.ndarray:
+        """(k,) bool: which rotations (k,) plate_from_now stand for turns within `turn` of the guess: half a step around."""
         if self.guess is None:
-            return np.arange(0, 2 * np.pi, TURN_STEP)
+            return np.ones(len(rotations), bool)
         meant = Pose((plate_from_world @ self.guess).wxyz, np.zeros(3))
-        w, _, _, z = (meant @ laid.inverse()).wxyz
-        steps = 2 * np.arctan2(z, w) + TURN_STEP * np.arange(-5, 6)  # around the nearest: the twist about z
-        turned = Pose.from_rotvec(steps[:, None] * UP) @ laid
-        return steps[(turned @ meant.inverse()).angle() <= self.turn]
+        return (rotations @ meant.inverse()).angle() <= self.turn + TURN_STEP / 2
 
     def holds(self, world_from_plate: Pose, places: np.ndarray) -> np.ndarray | bool:
         """(...,) bool: which places (..., 3) [m] of the pivot in the plate frame are near enough."""
@@ -86,35 +82,44 @@ def coarse_search(
 
     middle: (3,) [m] world, of the part.
     """
-    found = []
+    found: list[Candidate] = []
+    kits: dict[tuple[int, float], KitImage] = {}
     inside = part.grid.world(np.argwhere(part.occupied))
     for down in downs:
+        lying = Lying(part, middle, down)
         made = depth_made(inside, down)
-        for cavity in chain.from_iterable(_depths(cavity, made, down[2] < UPRIGHT) for cavity in cavities):
-            found += _in_cavity(part, middle, down, cavity, abs(cavity.depth - made), clearance, window)
+        for number, whole in enumerate(cavities):
+            allowed = np.flatnonzero(window.allows(lying.rotations, whole.world_from_plate.inverse()))
+            for cavity in _depths(whole, made, down[2] < UPRIGHT) if len(allowed) else ():
+                key = (number, cavity.depth)
+                if key not in kits:
+                    kits[key] = KitImage.of(cavity)
+                for turn in allowed.tolist():
+                    about, envelope = lying.seen(turn, clearance)
+                    if np.isfinite(envelope).any():
+                        for place, misfit in places(kits[key], envelope, cavity, window, about.apply(window.pivot)):
+                            pose = Pose.from_translation(place) @ about
+                            found.append(Candidate(cavity, pose, down, abs(cavity.depth - made), misfit))
     return sorted(found, key=lambda candidate: candidate.misfit)
 
 
-def _in_cavity(
-    part: Volume,
-    middle: np.ndarray,
-    down: np.ndarray,
-    cavity: Cavity,
-    surprise: float,
-    clearance: float,
-    window: Window,
-) -> Iterator[Candidate]:
-    """The best places of each turn."""
-    kit = KitImage.of(cavity)
-    plate_from_world = cavity.world_from_plate.inverse()
-    lying = quaternion_between(plate_from_world.rotate(down), -UP)
-    laid = Pose(quaternion_multiply(lying, plate_from_world.wxyz), np.zeros(3))
-    for turn in window.turns(laid, plate_from_world):
-        about = Pose.from_rotvec(turn * UP) @ laid @ Pose.from_translation(-middle)
-        envelope = lower_envelope(part, about, CELL, WIDE)
-        if np.isfinite(envelope).any():
-            for place, misfit in places(kit, envelope, cavity, clearance, window, about.apply(window.pivot)):
-                yield Candidate(cavity, Pose.from_translation(place) @ about, down, surprise, misfit)
+class Lying:
+    """A part with one of its normals turned down, at every turn about it; its envelopes serve all plates."""
+
+    def __init__(self, part: Volume, middle: np.ndarray, down: np.ndarray) -> None:
+        self.part = part
+        self.middle = middle
+        turns = np.arange(0, 2 * np.pi, TURN_STEP)
+        laid = Pose(quaternion_between(down, -UP), np.zeros(3))
+        self.rotations = Pose.from_rotvec(turns[:, None] * UP) @ laid
+        self._seen: dict[int, tuple[Pose, np.ndarray]] = {}
+
+    def seen(self, turn: int, clearance: float) -> tuple[Pose, np.ndarray]:
+        """The pose about the part's middle at a turn, by its number, and the grown envelope (n, n) [m]."""
+        if turn not in self._seen:
+            about = self.rotations[turn] @ Pose.from_translation(-self.middle)
+            self._seen[turn] = (about, grown(lower_envelope(self.part, about, CELL, WIDE), CELL, clearance))
+        return self._seen[turn]
 
 
 def distinct(candidates: Sequence[Candidate], pivot: np.ndarray, most: int) -> list[Candidate]:
@@ -183,9 +188,9 @@ class KitImage:
 
 
 def places(
-    kit: KitImage, envelope: np.ndarray, cavity: Cavity, clearance: float, window: Window, pivot: np.ndarray
+    kit: KitImage, envelope: np.ndarray, cavity: Cavity, window: Window, pivot: np.ndarray
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """The best shifts (3,) [m] in the plate frame of a part with this lower envelope, and their misfits.
+    """The best shifts (3,) [m] in the plate frame of a part with this grown envelope, and their misfits.
 
     pivot: (3,) [m] of the part before it is shifted.
 
@@ -193,7 +198,7 @@ def places(
     part. Multiplied out it takes two correlations.
     """
     lowest = float(envelope.min())
-    sunk = np.minimum(grown(envelope, CELL, clearance) - lowest - cavity.depth, 0)
+    sunk = np.minimum(envelope - lowest - cavity.depth, 0)
     product = kit.trust * _spectrum(sunk**2, kit.size).conj() - 2 * kit.weighed * _spectrum(sunk, kit.size).conj()
     misfit = kit.empty + np.asarray(irfft2(product, (kit.size, kit.size)))
     steps = np.arange(kit.size)

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from scipy.ndimage import distance_transform_edt, label, uniform_filter
 
+from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.values import Query, View
@@ -238,15 +239,26 @@ def _smooth(depth: np.ndarray, mask: np.ndarray) -> None:
         return
     reach = SMOOTH // 2
     box = np.s_[max(v.min() - reach, 0) : v.max() + reach + 1, max(u.min() - reach, 0) : u.max() + reach + 1]
-    inside, here = mask[box], depth[box].astype(np.float64)
-    total, count = np.zeros_like(here), np.zeros_like(here)
-    for dv in range(-reach, reach + 1):
-        for du in range(-reach, reach + 1):
-            there = np.roll(here, (dv, du), (0, 1))
-            alike = np.roll(inside, (dv, du), (0, 1)) & (np.abs(there - here) < EDGE)
-            total += np.where(alike, there, 0)
-            count += alike
-    depth[box] = np.where(inside, total / np.maximum(count, 1), here)
+    smoothed = np.empty_like(depth[box])
+    _means(depth[box], mask[box], reach, EDGE, smoothed)
+    depth[box] = smoothed
+
+
+@compiled
+def _means(depth, inside, reach, edge, smoothed):
+    height, width = depth.shape
+    for v in range(height):
+        for u in range(width):
+            smoothed[v, u] = depth[v, u]
+            if not inside[v, u]:
+                continue
+            total, count = 0.0, 0
+            for y in range(max(v - reach, 0), min(v + reach + 1, height)):
+                for x in range(max(u - reach, 0), min(u + reach + 1, width)):
+                    if inside[y, x] and abs(depth[y, x] - depth[v, u]) < edge:
+                        total += depth[y, x]
+                        count += 1
+            smoothed[v, u] = total / count
 
 
 def _slope(depth: np.ndarray, mask: np.ndarray, axis: int) -> np.ndarray:
