@@ -22,10 +22,13 @@ class Face:
     """[m^2]"""
 
 
-def standing_faces(points: np.ndarray, middle: np.ndarray, flat: float) -> list[Face]:
+def standing_faces(
+    points: np.ndarray, middle: np.ndarray, flat: float, ways: np.ndarray | None = None, cone: float = np.pi
+) -> list[Face]:
     """The faces of the hull of points (n, 3) [m] on which a part of that middle (3,) [m] stands, largest first.
 
     flat: [rad] facets within this angle are one face; the more, the noisier the points.
+    ways: (m, 3) unit; only faces that look along one of them, within the angle `cone` [rad].
     """
     if len(points) < 4:
         return []
@@ -37,7 +40,7 @@ def standing_faces(points: np.ndarray, middle: np.ndarray, flat: float) -> list[
     normals = hull.equations[:, :3]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     faces = []
-    free = np.ones(len(areas), bool)
+    free = np.ones(len(areas), bool) if ways is None else (normals @ ways.T).max(1) > np.cos(cone)
     for _ in range(MOST):
         if not free.any():
             break

@@ -96,12 +96,11 @@ def register(source: Source, query: Query, clearance: float) -> list[Fit]:
     if not part.occupied.any():
         return []
     cavities = find_cavities(source, query)
+    if not cavities:
+        return []
     window = Window(query.pivot, query.guess, ANGLE + SLACK_ANGLE, OFFSET + SLACK_OFFSET)
-    found = coarse_search(part, source.middle, _downs(source, part, query), cavities, clearance, window)
-    if not found and query.guess is not None:  # no face was seen that may look down: the guess says which way is down
-        back = query.guess.inverse()
-        downs = [back.rotate(cavity.world_from_plate.rotate(DOWN)) for cavity in cavities]
-        found = coarse_search(part, source.middle, downs, cavities, clearance, window)
+    downs = _downs(source, part, query, cavities)
+    found = coarse_search(part, source.middle, downs, cavities, clearance, window)
     first = distinct(found, source.middle, REFINED if query.guess is not None else REFINED_ANYWHERE)
     fits = _refined(part, source.middle, first, query, clearance)
     again = [fit.candidate for fit in fits[:POLISHED]]  # with the part's sweep at the turn that was found
@@ -140,12 +139,17 @@ def confidence(misfit: float, kind: str) -> float:
     return float(1 / (1 + np.exp((misfit - half) / spread)))
 
 
-def _downs(source: Source, part: Volume, query: Query) -> list[np.ndarray]:
+def _downs(source: Source, part: Volume, query: Query, cavities: Sequence[Cavity]) -> list[np.ndarray]:
     """The normals that may point into a cavity, (3,) each; a part to be placed without a guess lies upright."""
     if query.guess is None:
         return [DOWN]
+    back = query.guess.inverse()
+    meant = [back.rotate(cavity.world_from_plate.rotate(DOWN)) for cavity in cavities]
     middle = part.grid.world(np.argwhere(part.occupied)).mean(0)
-    return [face.normal for face in standing_faces(surface_points(part), middle, source.flat)]
+    cone = ANGLE + SLACK_ANGLE + source.flat
+    faces = standing_faces(surface_points(part), middle, source.flat, np.array(meant), cone)
+    # Where no face was seen that may look down, the guess says which way is down.
+    return [face.normal for face in faces] or meant
 
 
 def _near(goal_from_now: Pose, guess: Pose, pivot: np.ndarray) -> bool:
