@@ -1,4 +1,4 @@
-"""95 % intervals: of a mean by a bootstrap that resamples clusters, of a rate by Wilson's formula; and their summaries.
+"""95 % intervals: of a mean by a bootstrap that resamples clusters, of a rate by Wilson's formula.
 
 Queries about one assembly are not independent: they share its kits and its view. So whole assemblies are drawn, with
 replacement, and a mean is the ratio of two sums, over values and over how many there are. All draws come from one
@@ -6,8 +6,6 @@ seed: equal input gives equal intervals, whichever method or metric they are of.
 """
 
 from __future__ import annotations
-
-from typing import TypedDict
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,43 +21,14 @@ Z = 1.959963984540054  # beyond it lies TAIL of the standard normal distribution
 AT_ONCE = 1 << 16  # clusters drawn in one step: half a megabyte, stays in the cache
 
 
-class MeanSummary(TypedDict):
-    """Of values; all None where there are none."""
-
-    mean: float | None
-    median: float | None
-    ci95: list[float] | None
-    """[lo, hi] of the mean."""
-
-
-class RateSummary(TypedDict):
-    """Of successes; all None where nothing was tried."""
-
-    rate: float | None
-    ci95: list[float] | None
-
-
-def mean_interval(values: ArrayLike, clusters: ArrayLike, draws: int = DRAWS, seed: int = SEED) -> tuple[float, float]:
-    """95 % percentile interval (lo, hi) of the mean of values, by a cluster bootstrap.
-
-    Where all values lie in one cluster, both ends are the mean: nothing is known about the spread between clusters.
-
-    Args:
-        values: (n,) finite, n >= 1, in any unit.
-        clusters: (n,) labels, integers (the quickest) or text; values of equal labels are drawn together.
-        draws: how many resamples.
-        seed: of all of them.
-    """
-    lo, hi = np.quantile(bootstrap_means(checked("values", values, ("n",))[:, None], clusters, draws, seed), ENDS)
-    return float(lo), float(hi)
-
-
 def bootstrap_means(columns: ArrayLike, clusters: ArrayLike, draws: int = DRAWS, seed: int = SEED) -> np.ndarray:
     """(draws, m): the means of m columns of values in each resample of the clusters, the same for all columns.
 
+    Where all values lie in one cluster, every mean is the same: nothing is known about the spread between clusters.
+
     Args:
-        columns: (n, m) finite, n >= 1.
-        clusters: (n,) labels.
+        columns: (n, m) finite, n >= 1, in any unit.
+        clusters: (n,) labels, integers (the quickest) or text; values of equal labels are drawn together.
         draws: how many resamples.
         seed: of all of them.
     """
@@ -111,20 +80,3 @@ def rate_interval(k: int, n: int) -> tuple[float, float]:
     lo = 0.0 if k == 0 else float(centre - half)  # exact at the ends, where rounding leaves 1e-17
     hi = 1.0 if k == n else float(centre + half)
     return lo, hi
-
-
-def summarise(values: ArrayLike, clusters: ArrayLike, draws: int = DRAWS, seed: int = SEED) -> MeanSummary:
-    """Mean, median and 95 % interval of the mean of values (n,); arguments as of `mean_interval`, but n may be 0."""
-    values = checked("values", values, ("n",))
-    if not len(values):
-        return {"mean": None, "median": None, "ci95": None}
-    ci95 = list(mean_interval(values, clusters, draws, seed))
-    return {"mean": float(np.mean(values)), "median": float(np.median(values)), "ci95": ci95}
-
-
-def summarise_rate(hits: ArrayLike) -> RateSummary:
-    """Rate and Wilson's 95 % interval of successes (n,) bool; n may be 0."""
-    hits = checked("hits", hits, ("n",), np.bool_)
-    if not len(hits):
-        return {"rate": None, "ci95": None}
-    return {"rate": float(np.mean(hits)), "ci95": list(rate_interval(int(hits.sum()), len(hits)))}

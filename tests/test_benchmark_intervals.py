@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 from scipy.stats import binomtest
 
 from benchmark import intervals
-from benchmark.intervals import bootstrap_means, mean_interval, rate_interval, summarise, summarise_rate
+from benchmark.intervals import ENDS, bootstrap_means, rate_interval
 from kit1000.errors import InputError
 from kit1000.rng import stream
 
@@ -21,6 +22,12 @@ def clustered(rng: np.random.Generator, clusters: int = 60, between: float = 1.0
     """Values (n,) about 5 in clusters of 1 to 5, with a spread between clusters and one of 0.5 within; their labels."""
     label = np.repeat(np.arange(clusters), rng.integers(1, 6, clusters))
     return 5 + between * rng.standard_normal(clusters)[label] + 0.5 * rng.standard_normal(len(label)), label
+
+
+def mean_interval(values: ArrayLike, clusters: ArrayLike, **drawn: int) -> tuple[float, float]:
+    """The interval of a single mean."""
+    lo, hi = np.quantile(bootstrap_means(np.asarray(values, float)[:, None], clusters, **drawn), ENDS)
+    return float(lo), float(hi)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +147,6 @@ def test_a_shift_and_a_scale_of_the_values_shift_and_scale_the_interval() -> Non
 
 def test_one_value_is_its_own_interval() -> None:
     assert mean_interval([4.5], ["a"]) == (4.5, 4.5)
-    assert summarise([4.5], ["a"]) == {"mean": 4.5, "median": 4.5, "ci95": [4.5, 4.5]}
 
 
 def test_equal_values_leave_no_room() -> None:
@@ -151,24 +157,6 @@ def test_columns_share_their_resamples() -> None:
     values, labels = clustered(np.random.default_rng(10))
     means = bootstrap_means(np.stack([values, 2 * values], axis=1), labels)
     np.testing.assert_allclose(means[:, 1], 2 * means[:, 0])
-
-
-def test_a_summary_holds_mean_median_and_interval() -> None:
-    values, labels = clustered(np.random.default_rng(11))
-    summary = summarise(values, labels, draws=300, seed=4)
-    ci95 = list(mean_interval(values, labels, draws=300, seed=4))
-    assert summary == {"mean": np.mean(values), "median": np.median(values), "ci95": ci95}
-    assert ci95[0] < np.mean(values) < ci95[1]
-
-
-def test_a_summary_of_nothing_is_declared() -> None:
-    assert summarise([], []) == {"mean": None, "median": None, "ci95": None}
-    assert summarise_rate(np.array([], bool)) == {"rate": None, "ci95": None}
-
-
-def test_a_rate_is_summed_up_with_its_interval() -> None:
-    hits = np.arange(50) < 45
-    assert summarise_rate(hits) == {"rate": 0.9, "ci95": list(rate_interval(45, 50))}
 
 
 @pytest.mark.parametrize(
