@@ -87,7 +87,7 @@ class Registration:
         mount = next(mount for mount in assembly.mounts if mount.kit.id == truth.part_id)
         stands = truth.world_from_kit @ mount.assembly_from_kit.inverse()
         part = (geometry.part(truth.part_id).mesh, truth.world_from_part)
-        return TrueSource(query.pivot, part, ((assembly.mesh, stands),))
+        return TrueSource(part, ((assembly.mesh, stands),))
 
 
 def register(source: Source, query: Query, clearance: float) -> list[Fit]:

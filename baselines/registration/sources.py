@@ -64,11 +64,17 @@ class Source(Protocol):
 class TrueSource:
     """Exact volumes from meshes that stand where they truly do."""
 
-    middle: np.ndarray
     part_body: tuple[Mesh, Pose]
     kit_bodies: Sequence[tuple[Mesh, Pose]]
     near: float = 0.5e-3
     flat: float = float(np.radians(1.5))
+
+    @cached_property
+    def middle(self) -> np.ndarray:
+        """(3,) [m] world: of the part's extents; what a noisy image shows of them may be off by centimetres."""
+        mesh, world_from_part = self.part_body
+        corners = world_from_part.apply(mesh.vertices)
+        return (corners.min(0) + corners.max(0)) / 2
 
     def part(self) -> Volume:
         """The part, exact."""
