@@ -1,4 +1,4 @@
-"""The command `python -m baselines`: lists the reference methods, and lets one answer the queries of a dataset."""
+"""The command `python -m baselines`: lists the reference methods, trains networks, answers the queries of a dataset."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -74,7 +74,45 @@ class Predict:
         return 0
 
 
-COMMANDS = {"list": List, "predict": Predict}
+@dataclass(frozen=True)
+class Train:
+    """Train a network; run the same command again to go on after a stop, a crash or a kill."""
+
+    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]
+    """Such as snapnet-gtvol-position; a wrong name lists them all."""
+    data: Path
+    """Dataset folder, with its truth."""
+    out: Path
+    """Folder of this run: checkpoint, log, best weights."""
+    preset: Literal["small", "paper"] = "small"
+    """small for two cores of a CPU, paper in the sizes of the paper for a GPU."""
+    steps: Whole = None
+    """Of training; the preset's own when absent, like the next two."""
+    batch: Whole = None
+    """Examples of a step."""
+    seed: Whole = None
+    """Of first weights and all draws."""
+    workers: Whole = None
+    """Processes that make examples."""
+    threads: Whole = None
+    """Of PyTorch."""
+    time_limit_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    """Stop after this long, with a checkpoint."""
+
+    def run(self) -> int:
+        """Train, then say how it ended."""
+        from baselines.networks import train_network
+
+        fields = ("steps", "batch", "seed", "workers", "threads", "time_limit_s")
+        changes = {name: value for name in fields if (value := getattr(self, name)) is not None}
+        trained = train_network(self.name, self.data, self.out, self.preset, changes)
+        best = ", ".join(f"{name} median {values['median']:.3g}" for name, values in trained.measures.items())
+        ended = f"step {trained.step} ({trained.why}), {trained.seconds:.0f} s"
+        print(f"{self.out}: {ended}; best so far: {best or 'none'}")
+        return 0
+
+
+COMMANDS = {"list": List, "predict": Predict, "train": Train}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

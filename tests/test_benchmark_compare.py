@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mean_intervals import mean_interval
 
 from benchmark import compare as module
 from benchmark.compare import bootstrap_p, compare, comparison_text, mcnemar_p
-from benchmark.intervals import mean_interval
 from benchmark.per_query import PerQuery
 from benchmark.report import json_text
 from benchmark.score import Scored

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import ArrayLike
+from mean_intervals import mean_interval
 from scipy.stats import binomtest
 
 from benchmark import intervals
-from benchmark.intervals import ENDS, bootstrap_means, rate_interval
+from benchmark.intervals import bootstrap_means, rate_interval
 from kit1000.errors import InputError
 from kit1000.rng import stream
 
@@ -22,12 +22,6 @@ def clustered(rng: np.random.Generator, clusters: int = 60, between: float = 1.0
     """Values (n,) about 5 in clusters of 1 to 5, with a spread between clusters and one of 0.5 within; their labels."""
     label = np.repeat(np.arange(clusters), rng.integers(1, 6, clusters))
     return 5 + between * rng.standard_normal(clusters)[label] + 0.5 * rng.standard_normal(len(label)), label
-
-
-def mean_interval(values: ArrayLike, clusters: ArrayLike, **drawn: int) -> tuple[float, float]:
-    """The interval of a single mean."""
-    lo, hi = np.quantile(bootstrap_means(np.asarray(values, float)[:, None], clusters, **drawn), ENDS)
-    return float(lo), float(hi)
 
 
 @pytest.mark.parametrize(

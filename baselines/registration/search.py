@@ -56,7 +56,7 @@ class Window:
     """[m] most along each axis of the world, of where the pivot goes."""
 
     def allows(self, rotations: Pose, plate_from_world: Pose) -> np.ndarray:
-        """(k,) bool: which rotations (k,) plate_from_now stand for turns within `turn` of the guess: half a step around."""
+        """(k,) bool: which rotations (k,) plate_from_now stay within `turn` of the guess, or half a step beyond."""
         if self.guess is None:
             return np.ones(len(rotations), bool)
         meant = Pose((plate_from_world @ self.guess).wxyz, np.zeros(3))

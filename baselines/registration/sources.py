@@ -69,7 +69,7 @@ class TrueSource:
     near: float = 0.5e-3
     flat: float = float(np.radians(1.5))
 
-    @cached_property
+    @property
     def middle(self) -> np.ndarray:
         """(3,) [m] world: of the part's extents; what a noisy image shows of them may be off by centimetres."""
         mesh, world_from_part = self.part_body

@@ -1,0 +1,79 @@
+"""All networks that can be trained, by name: what each learns from, and how it is trained in either size."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+
+from baselines.snapnet.config import POSITION, ROTATION, Kind
+from baselines.snapnet.examples import Guesses, PositionExamples, RotationExamples
+from baselines.snapnet.position import PositionNet
+from baselines.snapnet.rotation import RotationNet
+from baselines.snapnet.tasks import PositionTask, RotationTask
+from baselines.training.batches import Task
+from baselines.training.config import TrainConfig
+from baselines.training.loop import Trained, train
+from kit1000.data.reader import Dataset
+from kit1000.errors import InputError, near
+
+Preset = Literal["small", "paper"]
+CHECKS = {"position": 100, "rotation": 48}  # queries to check by
+
+
+@dataclass(frozen=True)
+class Network:
+    """A network by what it is to learn."""
+
+    finds: Literal["position", "rotation"]
+    kind: Kind
+    guesses: Guesses = "ball"
+
+
+NETWORKS = {
+    "snapnet-gtvol-position": Network("position", "truth"),
+    "snapnet-gtvol-rotation": Network("rotation", "truth"),
+    "snapnet-partialvol-position": Network("position", "partial"),
+    "snapnet-partialvol-rotation": Network("rotation", "partial"),
+}
+TRAINING = {
+    ("position", "small"): TrainConfig(steps=16_000, batch=4, rate=1e-3, warmup=200, average=0.999, check_every=500),
+    ("rotation", "small"): TrainConfig(steps=20_000, batch=2, rate=1e-3, warmup=200, average=0.999, check_every=1000),
+    ("position", "paper"): TrainConfig(steps=20_000, batch=4, rate=1e-4, decay="none"),
+    ("rotation", "paper"): TrainConfig(steps=150_000, batch=1, rate=1e-4, decay="none", check_every=500),
+}
+
+
+def train_network(name: str, data: Path, out: Path, preset: Preset, changes: dict[str, Any]) -> Trained:
+    """Train a network of NETWORKS on the training split of a dataset, or go on with it.
+
+    Args:
+        name: of the network.
+        data: dataset folder, with its truth.
+        out: folder of the run.
+        preset: small or paper.
+        changes: fields of the training config that are to be others.
+    """
+    if name not in NETWORKS:
+        raise InputError(f"no network {name!r}; {near(name, NETWORKS)}there are {', '.join(NETWORKS)}")
+    network = NETWORKS[name]
+    training = TrainConfig(**{**asdict(TRAINING[network.finds, preset]), **changes})
+    dataset = Dataset(data)
+    torch.manual_seed(training.seed)  # of the first weights
+    task, sizes = _task(network, dataset, preset)
+    about = {"name": name, "preset": preset, "network": asdict(sizes), "dataset_id": dataset.id}
+    return train(task, training, out, about)
+
+
+def _task(network: Network, dataset: Dataset, preset: Preset) -> tuple[Task, Any]:
+    """The task of a network, and its sizes."""
+    kind, guesses = network.kind, network.guesses
+    if network.finds == "position":
+        sizes = POSITION[preset]
+        learn, check = (PositionExamples(dataset, split, sizes, kind, guesses) for split in ("train", "val"))
+        return PositionTask(PositionNet(sizes), learn, check, CHECKS["position"]), sizes
+    sizes = ROTATION[preset]
+    learn, check = (RotationExamples(dataset, split, sizes, kind, guesses) for split in ("train", "val"))
+    return RotationTask(RotationNet(sizes), learn, check, CHECKS["rotation"]), sizes

@@ -1,0 +1,276 @@
+"""Sets of points made into fewer, richer ones: the layers of PointNet++ (Qi et al. 2017) on flat banks of points.
+
+A bank is a list of points (N, 3) whatever clouds they come from; a group is a centre among them and k members, given
+by index. Groups of many copies of a scene thus go through a layer in one go, and what the copies share stands in the
+bank once. Letters: B scenes, C candidates, N points of a bank, G groups, k members of a group, F features.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, cast
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from kit1000.compiled import compiled
+
+
+class Dense(nn.Module):
+    """Linear map, batch norm over all rows, ReLU. (..., inputs) -> (..., outputs)."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.linear = nn.Linear(inputs, outputs, bias=False)  # the norm has one
+        self.norm = nn.BatchNorm1d(outputs)
+
+    def forward(self, rows: Tensor) -> Tensor:
+        return self.after(functional.linear(rows, self.linear.weight))
+
+    def after(self, mapped: Tensor) -> Tensor:
+        """What follows the linear map."""
+        return self.normed(mapped).relu_()
+
+    def normed(self, mapped: Tensor) -> Tensor:
+        """Each feature over all rows, (..., F)."""
+        return self.norm(mapped.flatten(0, -2)).view_as(mapped)
+
+    def folded(self) -> tuple[Tensor, Tensor]:
+        """Weight (outputs, inputs) and bias (outputs,) of the linear map and the norm together, when not training."""
+        mean, var = self.norm.running_mean, self.norm.running_var
+        assert mean is not None
+        assert var is not None
+        scale = self.norm.weight / torch.sqrt(var + self.norm.eps)
+        return self.linear.weight * scale[:, None], self.norm.bias - mean * scale
+
+
+class Chain(nn.Module):
+    """Layers from each width to the next. (N, F) -> (N, F')."""
+
+    def __init__(self, widths: Sequence[int]) -> None:
+        super().__init__()
+        self.layers = nn.ModuleList(Dense(a, b) for a, b in pairwise(widths))
+
+    def __iter__(self) -> Iterator[Dense]:
+        return (cast(Dense, layer) for layer in self.layers)
+
+    def forward(self, rows: Tensor) -> Tensor:
+        return mapped(list(self), rows)
+
+
+def mapped(layers: list[Dense], rows: Tensor) -> Tensor:
+    """Rows (N, F) through the layers, with the norms folded into the maps when not training. (N, F')."""
+    for layer in layers:
+        if layer.training:
+            rows = layer(rows)
+        else:
+            weight, bias = layer.folded()
+            rows = torch.addmm(bias, rows, weight.T).relu_()
+    return rows
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """Centres (G,) in a bank and, of each scale, members (G, k)."""
+
+    centres: Tensor
+    members: list[Tensor]
+
+    def joined(self, other: Groups) -> Groups:
+        """These and then the others."""
+        members = [torch.cat(both) for both in zip(self.members, other.members, strict=True)]
+        return Groups(torch.cat([self.centres, other.centres]), members)
+
+
+class Level(nn.Module):
+    """One set abstraction at several scales: each group to the largest of what its members are mapped to.
+
+    A member enters as its place and flag less those of the centre, and its features.
+    """
+
+    def __init__(self, features: int, widths: list[list[int]]) -> None:
+        """features: of the points that come in, none at the first level; widths: layers of each scale."""
+        super().__init__()
+        self.scales = nn.ModuleList(Chain([4 + features, *layers]) for layers in widths)
+
+    def forward(self, places: Tensor, features: Tensor | None, groups: Groups) -> Tensor:
+        """The features of groups.
+
+        Args:
+            places: (N, 4) coordinates and flag.
+            features: (N, F), or None.
+            groups: indices into both.
+
+        Returns:
+            (G, F') of all scales, one after another.
+        """
+        middle = places[groups.centres][:, None]  # (G, 1, 4)
+        found = []
+        for layers, index in zip(self.scales, groups.members, strict=True):
+            apart = places[index] - middle  # (G, k, 4)
+            pooled = _pooled if self.training else _pooled_folded
+            found.append(pooled(list(cast(Chain, layers)), apart, features, index))
+        return torch.cat(found, -1)
+
+
+def _pooled(layers: list[Dense], apart: Tensor, features: Tensor | None, index: Tensor) -> Tensor:
+    """(G, k, 4) -> (G, F'): the layers one by one."""
+    weight = layers[0].linear.weight
+    rows = functional.linear(apart, weight[:, :4])
+    if features is not None:  # the map is linear: once for each point, not for each membership
+        rows = rows + functional.embedding(index, functional.linear(features, weight[:, 4:]))
+    rows = layers[0].after(rows)
+    for layer in layers[1:-1]:
+        rows = layer(rows)
+    rows = layers[-1].normed(functional.linear(rows, layers[-1].linear.weight))
+    return cast(Tensor, _Largest.apply(rows)).relu()  # ReLU of the largest is the largest ReLU, and there are fewer
+
+
+def _pooled_folded(layers: list[Dense], apart: Tensor, features: Tensor | None, index: Tensor) -> Tensor:
+    """The same with the norms folded into the maps, and the last bias and ReLU after the largest."""
+    weight, bias = layers[0].folded()
+    groups, members = index.shape
+    rows = torch.addmm(bias, apart.flatten(0, 1).to(weight.dtype), weight[:, :4].T)  # (G k, F)
+    if features is not None:
+        rows += torch.index_select(features @ weight[:, 4:].T, 0, index.flatten())
+    rows = mapped(layers[1:-1], rows.relu_())
+    weight, bias = layers[-1].folded()
+    return (rows @ weight.T).view(groups, members, -1).amax(1).add_(bias).relu_()
+
+
+class _Largest(torch.autograd.Function):
+    """The largest over the members, (G, k, F) -> (G, F). torch's own gradients of it take far longer on a processor."""
+
+    @staticmethod
+    def forward(ctx: Any, rows: Tensor) -> Tensor:
+        image = rows[None].permute(0, 3, 1, 2)  # (1, F, G, k), its features side by side in memory
+        found, place = functional.max_pool2d(image, (1, rows.shape[1]), return_indices=True)
+        ctx.shape = rows.shape
+        ctx.save_for_backward(place[0, :, :, 0].T)  # (G, F), among all G k rows
+        return found[0, :, :, 0].T.contiguous()
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Tensor) -> Tensor:
+        (place,) = ctx.saved_tensors
+        groups, members, features = ctx.shape
+        return grads[0].new_zeros(groups * members, features).scatter_(0, place, grads[0]).view(ctx.shape)
+
+
+def farthest(points: Tensor, count: int) -> Tensor:
+    """Points far from each other: the first, then always the one farthest from all chosen so far.
+
+    Args:
+        points: (B, N, 3).
+        count: how many, at most N.
+
+    Returns:
+        (B, count) indices; of equally far points the first. Fewer are a prefix of more.
+    """
+    if points.device.type == "cpu":
+        chosen = np.empty((len(points), count), np.int64)
+        _farthest(np.ascontiguousarray(points.detach().numpy(), np.float32), chosen)
+        return torch.from_numpy(chosen)
+    steps = [points.new_zeros(len(points), dtype=torch.long)]
+    nearest = points.new_full(points.shape[:2], torch.inf)
+    scene = torch.arange(len(points), device=points.device)
+    for _ in range(count - 1):
+        nearest = torch.minimum(nearest, squares(points, points[scene, steps[-1]][:, None]))
+        steps.append(nearest.argmax(1))
+    return torch.stack(steps, 1)
+
+
+def squares(a: Tensor, b: Tensor) -> Tensor:
+    """Squared distances (...) of points (..., 3), broadcasting; summed in one order on every machine."""
+    x, y, z = (a - b).unbind(-1)
+    return x * x + y * y + z * z
+
+
+def within(centres: Tensor, points: Tensor, radii: tuple[float, ...], counts: tuple[int, ...]) -> list[Tensor]:
+    """The first points, in their order, within each radius of each centre.
+
+    Args:
+        centres: (B, S, 3).
+        points: (B, N, 3).
+        radii: of each scale.
+        counts: k of each scale.
+
+    Returns:
+        Of each scale, (B, S, k) indices; -1 where there are no more.
+    """
+    if centres.device.type == "cpu":
+        return _within_compiled(centres, points, radii, counts)
+    return within_sorted(centres, points, radii, counts)
+
+
+def within_sorted(centres: Tensor, points: Tensor, radii: tuple[float, ...], counts: tuple[int, ...]) -> list[Tensor]:
+    """The same as `within`, by array operations alone."""
+    distance = squares(centres[:, :, None], points[:, None])  # (B, S, N)
+    number = points.shape[1]
+    order = torch.arange(number, device=points.device, dtype=torch.int32)
+    found = []
+    for radius, count in zip(radii, counts, strict=True):
+        reached = torch.where(distance <= np.float32(radius) ** 2, order, number)
+        first = reached.topk(min(count, number), largest=False, sorted=True).values.long()
+        first = functional.pad(first, (0, count - first.shape[-1]), value=number)
+        found.append(first.where(first < number, -1))
+    return found
+
+
+def _within_compiled(
+    centres: Tensor, points: Tensor, radii: tuple[float, ...], counts: tuple[int, ...]
+) -> list[Tensor]:
+    found = np.full((*centres.shape[:2], sum(counts)), -1, np.int64)
+    ends = np.concatenate([[0], np.cumsum(counts)])
+    limits = np.array([np.float32(radius) ** 2 for radius in radii], np.float32)
+    arrays = (np.ascontiguousarray(cloud.detach().numpy(), np.float32) for cloud in (centres, points))
+    _scan(*arrays, limits, ends, found)
+    return [torch.from_numpy(found[..., a:b]) for a, b in pairwise(ends.tolist())]
+
+
+@compiled
+def _farthest(points, chosen):
+    """Write the indices (B, count) of points (B, N, 3) float32."""
+    number = points.shape[1]
+    nearest = np.empty(number, np.float32)
+    for scene in range(len(points)):
+        cloud = points[scene]
+        nearest[:] = np.inf
+        last = 0
+        for step in range(chosen.shape[1]):
+            chosen[scene, step] = last
+            cx, cy, cz = cloud[last, 0], cloud[last, 1], cloud[last, 2]
+            last, most = 0, np.float32(-1)
+            for i in range(number):
+                x, y, z = cloud[i, 0] - cx, cloud[i, 1] - cy, cloud[i, 2] - cz
+                nearest[i] = min(nearest[i], x * x + y * y + z * z)
+                if nearest[i] > most:
+                    last, most = i, nearest[i]
+
+
+@compiled
+def _scan(centres, points, limits, ends, found):
+    """Write the first points (B, N, 3) within each of the rising limits about each centre (B, S, 3), all float32."""
+    scales = len(limits)
+    have = np.empty(scales, np.int64)
+    for scene in range(len(centres)):
+        cloud = points[scene]
+        for c in range(centres.shape[1]):
+            cx, cy, cz = centres[scene, c, 0], centres[scene, c, 1], centres[scene, c, 2]
+            have[:] = ends[:-1]
+            missing = scales
+            for i in range(len(cloud)):
+                x, y, z = cx - cloud[i, 0], cy - cloud[i, 1], cz - cloud[i, 2]
+                square = x * x + y * y + z * z
+                if square > limits[scales - 1]:
+                    continue
+                for scale in range(scales):
+                    if square <= limits[scale] and have[scale] < ends[scale + 1]:
+                        found[scene, c, have[scale]] = i
+                        have[scale] += 1
+                        missing -= have[scale] == ends[scale + 1]
+                if missing == 0:
+                    break

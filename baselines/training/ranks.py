@@ -1,0 +1,94 @@
+"""The processes of one training run: alone, or several that torchrun started, each with its device."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+import torch.distributed as dist
+
+from kit1000.errors import InputError
+
+GROUPS = "cpu:gloo,cuda:nccl"  # words and decisions go by gloo, gradients on a GPU by nccl
+
+
+@dataclass(frozen=True)
+class Ranks:
+    """Which of how many processes this is, and where it computes."""
+
+    rank: int
+    world: int
+    device: torch.device
+
+    @property
+    def first(self) -> bool:
+        """Whether this is the one that writes."""
+        return self.rank == 0
+
+    def share(self, count: int) -> range:
+        """Which of a number of things are this process's."""
+        return range(self.rank, count, self.world)
+
+    def agreed(self, decision: bool) -> bool:
+        """What the first process decided."""
+        if self.world == 1:
+            return decision
+        said = torch.tensor(int(decision))
+        dist.broadcast(said, 0)
+        return bool(said)
+
+    def mean(self, value: torch.Tensor) -> torch.Tensor:
+        """The mean of a tensor over the processes."""
+        if self.world == 1:
+            return value
+        total = value.clone()
+        dist.all_reduce(total)
+        return total / self.world
+
+    def gathered(self, value: Any) -> list[Any]:
+        """What each process has, in their order, in all of them; must be such that it can be pickled."""
+        if self.world == 1:
+            return [value]
+        values = [None] * self.world
+        dist.all_gather_object(values, value)
+        return values
+
+
+@contextmanager
+def joined(device: torch.device | str | None = None) -> Iterator[Ranks]:
+    """The processes that the environment tells of (WORLD_SIZE, RANK, LOCAL_RANK, as torchrun sets them), or one alone.
+
+    Args:
+        device: a GPU where there is one, else the CPU, when None; each process of a machine takes a GPU of its own.
+    """
+    rank, world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+    chosen = _device(device)
+    if chosen.type == "cuda":
+        torch.cuda.set_device(chosen)
+    begun = world > 1 and not dist.is_initialized()
+    if begun:
+        dist.init_process_group(GROUPS if chosen.type == "cuda" else "gloo", rank=rank, world_size=world)
+    try:
+        yield Ranks(rank, world, chosen)
+    finally:
+        if begun:
+            dist.destroy_process_group()
+
+
+def processes_here() -> int:
+    """How many processes of the run share this machine."""
+    return int(os.environ.get("LOCAL_WORLD_SIZE", os.environ.get("WORLD_SIZE", 1)))
+
+
+def _device(device: torch.device | str | None) -> torch.device:
+    chosen = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
+    if chosen.type != "cuda" or chosen.index is not None:
+        return chosen
+    place = int(os.environ.get("LOCAL_RANK", 0))
+    if place >= torch.cuda.device_count():
+        raise InputError(f"process {place} of this machine has no GPU: it has {torch.cuda.device_count()}")
+    return torch.device("cuda", place)

@@ -1,0 +1,236 @@
+"""The rotation network beside a plain PointNet++ of the same weights: seconds, and whether the answers are the same.
+
+    python bench/bench_snap_rotation.py
+
+The plain one goes through the candidates in chunks, as the release does: in each it picks centres, looks for
+neighbours by sorting all distances, gathers groups and maps them by convolutions, for the kits as for the part.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+import torch
+import tyro
+from torch import Tensor, nn
+
+from baselines.snapnet.candidates import candidates
+from baselines.snapnet.config import ROTATION, RotationConfig
+from baselines.snapnet.points import turned
+from baselines.snapnet.rotation import COUNTS, RADII, RotationNet, rotation_loss
+from baselines.snapnet.set_abstraction import Chain, Dense, Level, squares
+from baselines.training.checkpoint import fill, load_weights
+from kit1000.rng import stream
+
+Made = TypeVar("Made")
+
+CHUNK = 20  # candidates that the release scores together
+
+
+def main(
+    preset: str = "small",
+    weights: Path | None = None,
+    seconds: float = 60,
+    threads: int = 1,
+    scenes: int = 30,
+    seed: int = 0,
+) -> None:
+    """Time one scene of drawn points.
+
+    Args:
+        preset: of the network.
+        weights: path without ending, of learnt ones; drawn ones say nothing of how bfloat16 chooses.
+        seconds: about how long the plain network may take; what is left of its candidates is extrapolated.
+        threads: of torch. With one, the seconds are those of the processor, which other programs do not lengthen.
+        scenes: in which the choices of bfloat16 are compared, where there are weights.
+        seed: of points and weights.
+    """
+    torch.set_num_threads(threads)
+    config = ROTATION[preset]
+    net = drawn_net(config, seed)
+    if weights:
+        fill(net, load_weights(weights)[0], weights)
+    part, kit = drawn_points(config, seed)
+    turns = torch.from_numpy(np.array(candidates("ball").wxyz))[None]
+    clock = time.process_time if threads == 1 else time.perf_counter
+    with torch.inference_mode():
+        fast, ours = min((timed(clock, lambda: net(part, kit, turns)) for _ in range(3)), key=lambda run: run[1])
+        plain, chunks = plain_run(clock, net, part, kit, turns, seconds)
+    done, number = plain.shape[1], turns.shape[1]
+    whole = chunks * number / done
+    print(f"{preset}: {config.part_points} + {config.kit_points} points, {number} candidates, one scene")
+    print(f"{threads} threads, {sum(p.numel() for p in net.parameters()):,} parameters")
+    print(f"plain: {chunks:.2f} s for {done} candidates, which makes {whole:.2f} s for all")
+    print(f"ours: {ours:.2f} s, {whole / ours:.1f} times as fast")
+    print(f"largest difference of a logit: {(fast[:, :done] - plain).abs().max():.1e}, of up to {fast.abs().max():.1f}")
+    step = training_step(clock, net, part, kit, turns)
+    print(f"training step of {config.shown} candidates: {step:.2f} s")
+    if weights:
+        few = turns[:, ::16]
+        agreement = same_best(net, config, few, scenes)
+        print(f"bfloat16 chooses as float32 among {few.shape[1]} candidates in {agreement:.0%} of {scenes} scenes")
+
+
+def plain_run(
+    clock: Callable[[], float], net: RotationNet, part: Tensor, kit: Tensor, turns: Tensor, seconds: float
+) -> tuple[Tensor, float]:
+    """Logits of as many chunks as fit into the time, at least one, and the seconds they took."""
+    start, found = clock(), []
+    for chunk in turns.split(CHUNK, 1):
+        found.append(plain_scores(net, part, kit, chunk))
+        if clock() - start > seconds:
+            break
+    return torch.cat(found, 1), clock() - start
+
+
+def plain_scores(net: RotationNet, part: Tensor, kit: Tensor, turns: Tensor) -> Tensor:
+    """The same function of the same weights, all anew for each candidate. One scene: turns (1, n, 4) -> (1, n)."""
+    number, config = turns.shape[1], net.config
+    scale = torch.cat([part, kit], 1).norm(dim=-1).max()
+    own, still = (cloud.expand(number, -1, -1) / scale for cloud in (part, kit))
+    moved = turned(part / scale, turns)[0]  # (n, P, 3)
+    features: Tensor | None = None
+    for stage, level in enumerate(net.levels):
+        assert isinstance(level, Level)
+        half = config.centres[stage] // 2
+        chosen = [plain_farthest(own, half), plain_farthest(still, config.centres[stage] - half)]
+        places = with_flag(moved, still, config)
+        points = own.shape[1]
+        centres = torch.cat([chosen[0], chosen[1] + points], 1)
+        found = []
+        for layers, radius, count in zip(level.scales, RADII[stage], COUNTS[stage], strict=True):
+            k = max(2, round(count * config.neighbours[stage]))
+            index = plain_groups(own, moved, still, chosen, radius, k)
+            rows = taken(places, index.flatten(1)).unflatten(1, index.shape[1:]) - taken(places, centres)[:, :, None]
+            if features is not None:
+                rows = torch.cat([rows, taken(features, index.flatten(1)).unflatten(1, index.shape[1:])], -1)
+            assert isinstance(layers, Chain)
+            found.append(convolved(layers, rows.permute(0, 3, 1, 2)).amax(3).transpose(1, 2))
+        features = torch.cat(found, -1)
+        own, moved, still = taken(own, chosen[0]), taken(moved, chosen[0]), taken(still, chosen[1])
+    assert features is not None
+    rows = torch.cat([with_flag(moved, still, config), features], -1).transpose(1, 2)[..., None]
+    return net.head(convolved(net.last, rows).amax((2, 3))).T
+
+
+def convolved(layers: Iterable[Dense], image: Tensor) -> Tensor:
+    """(n, F, G, k) through 1 x 1 convolutions, norms and ReLUs."""
+    for layer in layers:
+        mapped = nn.functional.conv2d(image, layer.linear.weight[:, :, None, None])
+        norm = layer.norm
+        mean, var = norm.running_mean, norm.running_var
+        image = torch.relu(nn.functional.batch_norm(mapped, mean, var, norm.weight, norm.bias, False, 0.0, norm.eps))
+    return image
+
+
+def plain_groups(own: Tensor, moved: Tensor, still: Tensor, chosen: list[Tensor], radius: float, k: int) -> Tensor:
+    """Members (n, G, k) in the bank of part and kits."""
+    points = own.shape[1]
+    same = plain_within(taken(own, chosen[0]), own, radius, k - k // 2)
+    across = plain_within(taken(moved, chosen[0]), still, radius, k // 2)
+    across = torch.where(across < 0, same[..., :1], across + points)
+    kits = filled(plain_within(taken(still, chosen[1]), still, radius, k)) + points
+    return torch.cat([torch.cat([filled(same), across], -1), kits], 1)
+
+
+def filled(index: Tensor) -> Tensor:
+    """The first in place of those that are missing."""
+    return torch.where(index < 0, index[..., :1], index)
+
+
+def plain_within(centres: Tensor, points: Tensor, radius: float, k: int) -> Tensor:
+    """First k indices within the radius, by sorting all; -1 where there are no more."""
+    distance = squares(centres[:, :, None], points[:, None])
+    order = torch.arange(points.shape[1]).expand(distance.shape).clone()
+    order[distance > np.float32(radius) ** 2] = points.shape[1]
+    first = order.sort(-1).values[..., :k]
+    first = torch.where(first == points.shape[1], -1, first)
+    return nn.functional.pad(first, (0, k - first.shape[-1]), value=-1)
+
+
+def plain_farthest(points: Tensor, count: int) -> Tensor:
+    """Farthest points, one after another."""
+    chosen = torch.zeros(len(points), count, dtype=torch.long)
+    nearest, last = torch.full(points.shape[:2], torch.inf), torch.zeros(len(points), dtype=torch.long)
+    for step in range(count):
+        chosen[:, step] = last
+        nearest = torch.minimum(nearest, squares(points, taken(points, last[:, None])))
+        last = nearest.max(-1).indices
+    return chosen
+
+
+def taken(points: Tensor, index: Tensor) -> Tensor:
+    """(n, N, F) at (n, S) -> (n, S, F)."""
+    return points[torch.arange(len(points))[:, None], index]
+
+
+def with_flag(moved: Tensor, still: Tensor, config: RotationConfig) -> Tensor:
+    sign = 1.0 if config.flag == "paper" else -1.0
+    clouds = ((moved, sign), (still, -sign))
+    return torch.cat([nn.functional.pad(cloud, (0, 1), value=value) for cloud, value in clouds], 1)
+
+
+def drawn_net(config: RotationConfig, seed: int) -> RotationNet:
+    """Random weights, norms that have seen a scene, and logits of up to about 10 as learnt ones have."""
+    torch.manual_seed(seed)
+    net = RotationNet(config)
+    part, kit = drawn_points(config, seed + 1)
+    turns = torch.from_numpy(np.array(candidates("ball").wxyz[::40]))[None]
+    with torch.no_grad():
+        for _ in range(20):
+            net.train()(part, kit, turns)
+        last = net.eval().head[-1]
+        assert isinstance(last, nn.Linear)
+        last.weight *= 10 / net(part, kit, turns).abs().max()
+    return net
+
+
+def drawn_points(config: RotationConfig, seed: int) -> tuple[Tensor, Tensor]:
+    """A box of 50 x 40 x 25 mm in a block with room for it, (1, n, 3) float32 [m] each."""
+    rng = stream(seed, "bench", "rotation")
+    part = rng.uniform(-1, 1, (config.part_points, 3)) * (25e-3, 20e-3, 12.5e-3)
+    reach = np.array(config.kit_cells) * config.voxel / 2
+    kit = rng.uniform(-1, 1, (20 * config.kit_points, 3)) * reach
+    hole = np.all(np.abs(kit[:, :2]) < (27.5e-3, 22.5e-3), axis=1) & (kit[:, 2] > -12.5e-3)
+    kit = kit[~hole & (kit[:, 2] < 6e-3)][: config.kit_points]
+    part, kit = (torch.from_numpy(cloud.astype(np.float32))[None] for cloud in (part, kit))
+    return part, kit
+
+
+def training_step(clock: Callable[[], float], net: RotationNet, part: Tensor, kit: Tensor, turns: Tensor) -> float:
+    """Seconds forward and backward, the best of five."""
+    net = copy.deepcopy(net).train()
+    shown = turns[:, : net.config.shown]
+
+    def step() -> None:
+        logits = net(part, kit, shown)
+        rotation_loss(logits, torch.zeros(1, dtype=torch.long), torch.ones_like(logits), net.config).sum().backward()
+
+    return min(timed(clock, step)[1] for _ in range(5))
+
+
+def same_best(net: RotationNet, config: RotationConfig, turns: Tensor, scenes: int) -> float:
+    """Share of drawn scenes in which bfloat16 chooses as float32."""
+    half = copy.deepcopy(net)
+    half.levels.to(torch.bfloat16)
+    same = []
+    with torch.inference_mode():
+        for scene in range(scenes):
+            part, kit = drawn_points(config, 100 + scene)
+            same.append(net(part, kit, turns).argmax() == half(part, kit, turns).argmax())
+    return float(torch.stack(same).float().mean())
+
+
+def timed(clock: Callable[[], float], work: Callable[[], Made]) -> tuple[Made, float]:
+    """The result and the seconds."""
+    start = clock()
+    return work(), clock() - start
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,283 @@
+"""The position network: its layers, its correlation, its loss and its answer, against plain forms and closed ones."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from baselines import layers
+from baselines.layers import First, Join, correlate, descend
+from baselines.snapnet.config import POSITION, PositionConfig
+from baselines.snapnet.position import Encoder, PositionNet, kit_region, position_loss, position_of, target_of
+from bench.bench_snap_position import plain_features, plain_scores
+from kit1000.errors import InputError
+
+TOY = PositionConfig(1e-3, (16, 16, 32), (48, 32, 64), (8, 8, 9), channels=(2, 3, 4, 5, 6), features=3)
+LOSS = PositionConfig(2e-3, (16, 16, 16), (32, 32, 32), (6, 7, 8))
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> None:
+    torch.set_num_threads(1)
+    torch.manual_seed(7)
+
+
+def toy(config: PositionConfig = TOY, batch: int = 2) -> tuple[PositionNet, Tensor, Tensor]:
+    return PositionNet(config), torch.randn(batch, *config.part_cells), torch.randn(batch, *config.kit_cells)
+
+
+def centred(scores: Tensor) -> Tensor:
+    """(B, x, y, z) less the mean of each sample, which a softmax does not see."""
+    return scores - scores.mean(dim=(1, 2, 3), keepdim=True)
+
+
+def cells(config: PositionConfig, *offset: float) -> Tensor:
+    """(1, 3) [m] of an offset in cells."""
+    return torch.tensor([offset]) * 2 * config.voxel
+
+
+def test_parameters_are_as_many_as_in_the_paper() -> None:
+    encoder = Encoder(POSITION["paper"].channels, POSITION["paper"].features)
+    assert sum(weight.numel() for weight in encoder.parameters()) == 2_918_214
+    assert (encoder.u1.in_channels, encoder.u2.in_channels, encoder.u3.in_channels) == (384, 192, 96)
+
+
+@pytest.mark.parametrize("config", [TOY, replace(TOY, window=(4, 1, 17)), replace(TOY, kit_cells=(64, 48, 96))])
+def test_scores_have_the_window_s_shape_whatever_the_context(config: PositionConfig) -> None:
+    net, part, kit = toy(config)
+    assert net(part, kit).shape == (2, *config.window)
+
+
+@pytest.mark.parametrize("preset", POSITION)
+def test_presets_fit(preset: str) -> None:
+    config = POSITION[preset]
+    for (first, last), part, kit, window in zip(
+        kit_region(config), config.part_cells, config.kit_cells, config.window, strict=True
+    ):
+        assert 0 <= first < last <= kit // 2
+        assert first + window // 2 + part // 4 == kit // 4  # cell w // 2 lays voxel n // 2 on voxel n // 2
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize(
+    "config", [TOY, replace(TOY, kit_cells=(64, 48, 96)), replace(TOY, kit_cells=(32, 32, 48), window=(9, 9, 9))]
+)
+def test_scores_are_those_of_the_plain_scheme(config: PositionConfig, dtype: torch.dtype) -> None:
+    net, part, kit = toy(config)
+    ours = net.to(dtype)(part.to(dtype), kit.to(dtype))
+    plain = plain_scores(net.double(), part.double(), kit.double())
+    assert plain.std() > 1e-3
+    assert (centred(ours) - centred(plain)).abs().max() < (1e-4 if dtype is torch.float32 else 1e-10)
+
+
+def test_gradients_are_those_of_the_plain_scheme() -> None:
+    net, part, kit = toy()
+    net, part, kit = net.double(), part.double(), kit.double()
+    aim = torch.randn(2, *TOY.window).double()
+    taken = [
+        torch.autograd.grad((make(part, kit).flatten(1).softmax(1) * aim.flatten(1)).sum(), list(net.parameters()))
+        for make in (net, lambda part, kit: plain_scores(net, part, kit))
+    ]
+    for ours, plain in zip(*taken, strict=True):
+        assert torch.allclose(ours, plain, rtol=1e-8, atol=1e-10)
+
+
+def test_correlation_is_the_sum_that_it_says() -> None:
+    part, kit, window = torch.randn(2, 3, 2, 3, 4), torch.randn(2, 3, 5, 5, 7), (4, 3, 2)
+    ours = correlate(part, kit, window)
+    less = kit - kit.mean(dim=(2, 3, 4), keepdim=True)
+    for b, x, y, z in ((0, 0, 0, 0), (1, 3, 2, 1), (1, 0, 1, 1), (0, 2, 0, 1)):
+        expected = (part[b] * less[b, :, x : x + 2, y : y + 3, z : z + 4]).sum()
+        assert torch.isclose(ours[b, x, y, z], expected, atol=1e-5)
+
+
+def test_correlation_keeps_small_differences_beside_large_sums() -> None:
+    part, kit = torch.rand(1, 2, 12, 12, 12) + 5, torch.rand(1, 2, 20, 20, 20) + 5
+    exact = correlate(part.double(), kit.double(), (8, 8, 8))
+    assert (correlate(part, kit, (8, 8, 8)) - exact).abs().max() < 1e-4 * exact.std()
+
+
+def test_moving_the_kits_by_two_voxels_moves_the_scores_by_one_cell() -> None:
+    """With all weights random down to the half resolution: coarser cells are left by less than their own width."""
+    net, part, kit = toy(replace(TOY, part_cells=(16, 16, 16), kit_cells=(192, 16, 16), window=(48, 1, 1)), batch=1)
+    for layer in (net.kit.b, net.part.b, net.kit.d4, net.part.d4, net.kit.d3, net.part.d3):
+        nn.init.zeros_(layer.weight)
+    still = net(part, kit)
+    moved = net(part, kit.roll(2, dims=1))
+    assert still.std() > 1e-4
+    assert (centred(moved[:, 1:]) - centred(still[:, :-1])).abs().max() < 1e-4 * still.std()
+
+
+def test_moving_the_kits_by_a_coarsest_cell_moves_all_scores_alike() -> None:
+    net, part, kit = toy(replace(TOY, part_cells=(16, 16, 16), kit_cells=(320, 16, 16), window=(48, 1, 1)), batch=1)
+    kit[:, :112] = kit[:, -112:] = 1  # far from the borders nothing tells where they are
+    still, moved = net(part, kit), net(part, kit.roll(16, dims=1))
+    assert (centred(moved[:, 8:]) - centred(still[:, :-8])).abs().max() < 1e-4 * still.std()
+
+
+def test_joining_is_upsampling_then_convolving() -> None:
+    join, fine, coarse = Join(3, 5, 4), torch.randn(2, 3, 6, 4, 8), torch.randn(2, 5, 3, 2, 4)
+    joined = torch.cat([fine, F.interpolate(coarse, scale_factor=2.0)], dim=1)
+    expected = F.conv3d(joined, join.weight, join.bias, padding=1)
+    assert torch.allclose(join(fine, coarse), expected, atol=1e-5)
+
+
+def test_first_layer_is_a_convolution() -> None:
+    first, volume = First(4), torch.randn(2, 1, 5, 6, 7)
+    assert torch.allclose(first(volume), F.conv3d(volume, first.weight, first.bias, padding=1), atol=1e-5)
+
+
+@pytest.mark.parametrize("rows", [1, 3, 4])
+def test_slabs_change_nothing(monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
+    first, second, volume = First(3), nn.Conv3d(3, 4, 3, stride=2, padding=1), torch.randn(2, 1, 16, 8, 6)
+    whole = descend(first, second, volume)
+    monkeypatch.setattr(layers, "SLAB", 0)
+    monkeypatch.setattr(layers, "SLAB_ROWS", rows)
+    assert torch.allclose(descend(first, second, volume), whole, atol=1e-6)
+
+
+def test_a_region_of_features_is_cut_from_all_of_them() -> None:
+    encoder, volume = Encoder((2, 3, 4, 5, 6), 3), torch.randn(1, 64, 48, 32)
+    every = plain_features(encoder, volume)
+    for region in (((0, 32), (0, 24), (0, 16)), ((5, 17), (0, 3), (15, 16)), ((14, 16), (11, 24), (7, 9))):
+        (a, b), (c, d), (e, f) = region
+        assert torch.allclose(encoder(volume, region), every[:, :, a:b, c:d, e:f], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"part_cells": (24, 16, 16)}, "multiples of 16"),
+        ({"kit_cells": (16, 32, 64)}, "do not fit"),
+        ({"window": (0, 8, 8)}, "do not fit"),
+    ],
+)
+def test_sizes_that_cannot_be_are_refused(change: dict[str, tuple[int, int, int]], reason: str) -> None:
+    with pytest.raises(InputError, match=reason):
+        PositionNet(replace(TOY, **change))  # pyright: ignore[reportArgumentType]
+
+
+def test_volumes_of_other_sizes_are_refused() -> None:
+    net, part, kit = toy()
+    with pytest.raises(InputError, match=r"kit: expected volumes \(B, 48, 32, 64\)"):
+        net(part, kit[:, 1:])
+    with pytest.raises(InputError, match="part: expected volumes"):
+        net(part[0], kit)
+
+
+@pytest.mark.parametrize("target", ["cell", "spread"])
+def test_loss_of_even_scores_is_the_logarithm_of_the_cells(target: str) -> None:
+    config = replace(LOSS, target=target)  # pyright: ignore[reportArgumentType]
+    loss = position_loss(torch.zeros(1, *config.window), cells(config, 0.3, -1.2, 0.4), config)
+    assert loss.item() == pytest.approx(math.log(6 * 7 * 8), rel=1e-5)
+
+
+def test_loss_is_least_at_the_truth() -> None:
+    offset = cells(LOSS, 0.25, -1.5, 0.4)
+    scores = torch.zeros(1, *LOSS.window, requires_grad=True)
+    loss = position_loss(scores, offset, LOSS)
+    loss.sum().backward()
+    assert scores.grad is not None
+    target = scores.detach().softmax(0) * 0 + 1 / (6 * 7 * 8) - scores.grad  # the gradient is softmax less target
+    assert target.sum().item() == pytest.approx(1, abs=1e-5)
+    assert position_of(target.clamp(min=0).log(), LOSS).numpy() == pytest.approx(offset.numpy(), abs=1e-8)
+    best = position_loss(target.clamp(min=1e-30).log(), offset, LOSS)
+    shares = (0.75, 0.25), (0.5, 0.5), (0.6, 0.4)
+    entropy = -sum(share * math.log(share) for pair in shares for share in pair)
+    assert best.item() == pytest.approx(entropy, rel=1e-4)
+
+
+@pytest.mark.parametrize("offset", [(0, 0, 0), (0.5, -0.5, 0.1), (-3, -3, -4), (2, 3, 3), (1.99, 2.6, -3.7)])
+def test_a_spread_target_is_recovered_exactly(offset: tuple[float, float, float]) -> None:
+    place = torch.tensor([offset], dtype=torch.float64)
+    target = target_of(place + torch.tensor([3, 3, 4]), LOSS.window).unflatten(1, LOSS.window)
+    answer = position_of(target.log() + 5, LOSS) / (2 * LOSS.voxel)
+    assert answer.numpy() == pytest.approx(place.numpy(), abs=1e-9)
+
+
+def test_the_best_cell_is_answered_by_its_centre() -> None:
+    config = replace(LOSS, peak="cell")
+    scores = torch.zeros(2, *LOSS.window)
+    scores[0, 3, 3, 4] = scores[1, 5, 0, 7] = 1
+    expected = torch.tensor([[0.0, 0, 0], [2, -3, 3]]) * 4e-3
+    assert torch.allclose(position_of(scores, config), expected)
+
+
+@pytest.mark.parametrize("target", ["cell", "spread"])
+@pytest.mark.parametrize("offset", [(-3.51, 0, 0), (0, 3.51, 0), (0, 0, 3.51), (0, 9, -9)])
+def test_what_lies_outside_the_window_counts_nothing(target: str, offset: tuple[float, float, float]) -> None:
+    config = replace(LOSS, target=target)  # pyright: ignore[reportArgumentType]
+    scores = torch.randn(2, *LOSS.window, requires_grad=True)
+    loss = position_loss(scores, cells(LOSS, *offset).repeat(2, 1), config)
+    loss.sum().backward()
+    assert scores.grad is not None
+    assert loss.tolist() == [0, 0]
+    assert not scores.grad.any()
+
+
+def test_what_lies_within_half_a_cell_of_the_edge_counts_as_the_edge() -> None:
+    scores = torch.randn(1, *LOSS.window)
+    beyond = position_loss(scores, cells(LOSS, 2.4, 0, -4.4), LOSS)
+    assert beyond.item() == pytest.approx(-scores.flatten(1).log_softmax(1).view_as(scores)[0, 5, 3, 0].item())
+
+
+def test_distance_weighs_by_the_miss_and_right_answers_not_at_all() -> None:
+    config = replace(LOSS, target="cell", weight="distance")
+    scores = torch.zeros(1, *LOSS.window)
+    scores[0, 3, 3, 4] = 4
+    assert position_loss(scores, cells(LOSS, 0.2, -0.3, 0.4), config).item() == 0
+    far = cells(LOSS, 2, 3, -4)
+    factor = math.expm1(math.sqrt(29) / math.sqrt(6**2 + 7**2 + 8**2))
+    even = position_loss(scores, far, replace(config, weight="even"))
+    assert position_loss(scores, far, config).item() == pytest.approx(factor * even.item(), rel=1e-5)
+
+
+def test_distance_is_a_constant_to_the_gradient() -> None:
+    config = replace(LOSS, target="cell", weight="distance")
+    scores = torch.randn(1, *LOSS.window, requires_grad=True)
+    losses = [position_loss(scores, cells(LOSS, 2, 3, -4), each) for each in (config, replace(config, weight="even"))]
+    weighted, even = (torch.autograd.grad(loss.sum(), scores)[0] for loss in losses)
+    assert torch.allclose(weighted, even * (losses[0] / losses[1]).item(), atol=1e-7)
+
+
+def blobs(config: PositionConfig, places: Tensor) -> tuple[Tensor, Tensor]:
+    """Balls of different radii in the middle of a part, and at offsets (B, 3) in voxels in the kits."""
+    volumes = []
+    for sizes, shift in ((config.part_cells, torch.zeros_like(places)), (config.kit_cells, places)):
+        axes = [torch.arange(n) - n // 2 for n in sizes]
+        grid = torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1)[None]  # (1, x, y, z, 3)
+        far = torch.linalg.norm(grid - shift[:, None, None, None], dim=-1)
+        volumes.append(((far - torch.linspace(3, 5, len(places))[:, None, None, None]) / 3).clamp(-1, 1))
+    return volumes[0], volumes[1]
+
+
+def test_one_batch_is_learnt_by_heart() -> None:
+    config = PositionConfig(1e-3, (16, 16, 16), (32, 32, 32), (8, 8, 8), channels=(4, 8, 8, 8, 8), features=2)
+    places = torch.tensor([[4.0, -2, 5], [-5, 3, 0], [1, 1, -6]])
+    part, kit = blobs(config, places)
+    net = PositionNet(config)
+    adam = torch.optim.Adam(net.parameters(), 3e-3)
+    for _ in range(50):
+        loss = position_loss(net(part, kit), places * config.voxel, config).mean()
+        adam.zero_grad()
+        loss.backward()
+        adam.step()
+    miss = torch.linalg.norm(position_of(net(part, kit), config) - places * config.voxel, dim=1)
+    assert miss.max() < 1e-3  # half a cell
+
+
+def test_nothing_in_the_network_names_a_device() -> None:
+    """All of it runs on torch's device of shapes alone, where any other device would be refused."""
+    net, part, kit = toy()
+    net, part, kit = net.to("meta"), part.to("meta"), kit.to("meta")
+    for weight in ("even", "distance"):
+        scores = net(part, kit)
+        assert scores.device.type == position_of(scores, TOY).device.type == "meta"
+        loss = position_loss(scores, torch.zeros(2, 3, device="meta"), replace(TOY, weight=weight))
+        assert loss.device.type == "meta"
+        loss.mean().backward()

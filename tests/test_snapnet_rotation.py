@@ -1,0 +1,218 @@
+"""The rotation network: points of volumes, neighbours, what leaves its answer alone, and a plain one beside it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from baselines.snapnet import rotation
+from baselines.snapnet.candidates import candidates
+from baselines.snapnet.config import ROTATION, RotationConfig
+from baselines.snapnet.points import points_in, turned
+from baselines.snapnet.rotation import RotationNet, rotation_loss
+from baselines.snapnet.set_abstraction import Groups, Level, farthest, squares, within, within_sorted
+from bench.bench_snap_rotation import plain_farthest, plain_scores
+from kit1000.errors import InputError
+from kit1000.pose import Pose, quaternion_multiply
+from kit1000.rng import stream
+
+TOY = replace(
+    ROTATION["small"], part_points=48, kit_points=96, width=0.125, centres=(24, 8), neighbours=(0.25, 0.125), shown=6
+)
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+def scene(config: RotationConfig = TOY, seed: int = 0, scenes: int = 2) -> tuple[Tensor, Tensor, Tensor]:
+    """Points of a box and of the block around it, and some candidates."""
+    rng = stream(seed, "scene")
+    part = rng.uniform(-1, 1, (scenes, config.part_points, 3)) * (0.025, 0.015, 0.01)
+    kit = rng.uniform(-1, 1, (scenes, config.kit_points, 3)) * (0.05, 0.05, 0.01) - (0, 0, 0.015)
+    turns = candidates("ball").wxyz[rng.permutation(391)[: scenes * 20]].reshape(scenes, 20, 4)
+    part, kit = (torch.from_numpy(cloud.astype(np.float32)) for cloud in (part, kit))
+    return part, kit, torch.from_numpy(turns)
+
+
+def made(config: RotationConfig = TOY, seed: int = 0) -> RotationNet:
+    """Random weights that tell candidates apart, with norms that have seen some scenes."""
+    torch.manual_seed(seed)
+    net = RotationNet(config)
+    with torch.no_grad():
+        for number in range(15):
+            net.train()(*scene(config, number + 100))
+        last = net.head[-1]
+        assert isinstance(last, torch.nn.Linear)
+        last.weight.mul_(100)
+    return net.eval()
+
+
+def scores(net: RotationNet, part: Tensor, kit: Tensor, turns: Tensor) -> Tensor:
+    with torch.inference_mode():
+        return net(part, kit, turns)
+
+
+def test_the_papers_network_has_as_many_parameters_as_the_paper_says():
+    count = sum(p.numel() for p in RotationNet(ROTATION["paper"]).parameters())
+    assert count == pytest.approx(1.74e6, rel=0.005)
+
+
+def test_points_are_middles_of_voxels_inside_and_come_once():
+    volume = np.ones((7, 6, 5))
+    volume[2:5, 1:4, 1:3] = -0.5
+    points = points_in(volume, 2e-3, 18, stream(0))
+    assert points.dtype == np.float32
+    index = np.round(points / 2e-3).astype(int) + (3, 3, 2)
+    np.testing.assert_allclose(points, (index - (3, 3, 2)) * 2e-3, atol=1e-7)
+    assert np.all(volume[tuple(index.T)] <= 0)
+    assert len(np.unique(index, axis=0)) == 18
+
+
+def test_too_few_voxels_come_again_and_none_give_the_middle():
+    volume = np.ones((4, 4, 4))
+    assert not points_in(volume, 1e-3, 5, stream(0)).any()
+    volume[0, 0], volume[0, 1] = 0, -1
+    assert len(points_in(volume, 1e-3, 30, stream(0), deepest=-1)) == 30
+    counts = np.unique(points_in(volume, 1e-3, 30, stream(0), deepest=-1), axis=0, return_counts=True)[1]
+    assert set(counts.tolist()) == {7, 8}  # only the 4 shallow ones
+    with pytest.raises(InputError, match="volume"):
+        points_in(np.ones((2, 2)), 1e-3, 5, stream(0))
+
+
+def test_turned_is_what_poses_do_and_the_same_alone_to_the_bit():
+    part, _, turns = scene()
+    found = turned(part, turns)
+    for number in range(2):
+        poses = Pose(turns[number].numpy(), np.zeros(3))
+        np.testing.assert_allclose(found[number], poses[:, None].apply(part[number].numpy()), atol=1e-7)
+    assert torch.equal(found[:, 3:4], turned(part, turns[:, 3:4]))
+
+
+def test_farthest_points_are_those_of_the_plain_search_and_fewer_are_a_prefix():
+    part = scene()[0]
+    chosen = farthest(part, 20)
+    assert torch.equal(chosen, plain_farthest(part, 20))
+    assert torch.equal(chosen[:, :7], farthest(part, 7))
+
+
+def test_neighbours_are_the_first_within_the_radius():
+    part, kit, _ = scene()
+    radii, counts = (0.005, 0.02, 0.05), (4, 9, 120)
+    found = within(part, kit, radii, counts)
+    for one, other in zip(found, within_sorted(part, kit, radii, counts), strict=True):
+        assert torch.equal(one, other)
+    near = squares(part[:, :, None], kit[:, None]) <= np.float32(0.02) ** 2
+    for centre in range(part.shape[1]):
+        first = near[1, centre].nonzero()[:9, 0].tolist()
+        assert found[1][1, centre].tolist() == first + [-1] * (9 - len(first))
+
+
+def test_a_level_does_not_mind_the_order_of_members_nor_where_the_scene_stands():
+    torch.manual_seed(0)
+    level = Level(0, [[8, 8], [8, 12]]).eval()
+    places = torch.randn(50, 4)
+    members = [torch.randint(50, (10, 6)), torch.randint(50, (10, 9))]
+    groups = Groups(torch.arange(10), members)
+    found = level(places, None, groups)
+    shuffled = Groups(groups.centres, [index[:, torch.randperm(index.shape[1])] for index in members])
+    torch.testing.assert_close(level(places, None, shuffled), found)
+    torch.testing.assert_close(level(places + torch.tensor([3.0, -2, 1, 0.5]), None, groups), found)
+
+
+@pytest.mark.parametrize("config", [TOY, replace(TOY, flag="release", centres=(25, 9))])
+def test_answers_are_those_of_a_plain_network_of_the_same_weights(config):
+    net = made(config)
+    part, kit, turns = scene(config)
+    found = scores(net, part, kit, turns)
+    assert found.std() > 0.05
+    with torch.inference_mode():
+        for number in range(2):
+            one = slice(number, number + 1)
+            plain = plain_scores(net, part[one], kit[one], turns[one])
+            torch.testing.assert_close(found[one], plain, atol=1e-4, rtol=0)
+
+
+def test_the_norms_folded_into_the_maps_change_nothing():
+    net = made()
+    found = scores(net, *scene())
+    for module in net.modules():
+        module.training = not isinstance(module, torch.nn.BatchNorm1d)
+    torch.testing.assert_close(scores(net, *scene()), found, atol=1e-4, rtol=0)
+
+
+def test_candidates_are_scored_one_by_one(monkeypatch):
+    net = made()
+    part, kit, turns = scene()
+    found = scores(net, part, kit, turns)
+    order = torch.randperm(20)
+    torch.testing.assert_close(scores(net, part, kit, turns[:, order]), found[:, order], atol=1e-4, rtol=0)
+    monkeypatch.setattr(rotation, "AT_ONCE", 3)
+    torch.testing.assert_close(scores(net, part, kit, turns), found, atol=1e-4, rtol=0)
+    torch.testing.assert_close(scores(net, part[1:], kit[1:], turns[1:]), found[1:], atol=1e-4, rtol=0)
+
+
+def test_the_sign_of_a_quaternion_and_the_size_of_the_scene_do_not_matter():
+    net = made()
+    part, kit, turns = scene()
+    found = scores(net, part, kit, turns)
+    torch.testing.assert_close(scores(net, part, kit, -turns), found)
+    torch.testing.assert_close(scores(net, part * 4, kit * 4, turns), found)  # by a power of two: to the bit
+
+
+def test_turning_the_part_first_is_turning_by_the_product():
+    net = made()
+    part, kit, turns = scene(scenes=1)
+    first = Pose.from_rotvec([0.1, -0.2, 0.3])
+    before = torch.from_numpy(first.apply(part.numpy()))
+    product = torch.from_numpy(quaternion_multiply(turns.numpy(), first.wxyz))
+    torch.testing.assert_close(
+        scores(net, before.float(), kit, turns), scores(net, part, kit, product), atol=1e-3, rtol=0
+    )
+
+
+def test_a_scene_without_points_has_an_answer():
+    nothing = torch.zeros(1, TOY.part_points, 3)
+    found = scores(made(), nothing, torch.zeros(1, TOY.kit_points, 3), scene(scenes=1)[2])
+    assert torch.isfinite(found).all()
+
+
+def test_one_batch_is_learnt_by_heart():
+    torch.manual_seed(0)
+    net = RotationNet(TOY).train()
+    part, kit, turns = scene()
+    turns = turns[:, :6]
+    right = torch.tensor([4, 1])
+    steps = torch.optim.Adam(net.parameters(), 3e-3)
+    for _ in range(40):
+        loss = rotation_loss(net(part, kit, turns), right, torch.ones(2, 6), TOY).mean()
+        steps.zero_grad()
+        loss.backward()
+        steps.step()
+    assert rotation_loss(net(part, kit, turns), right, torch.ones(2, 6), TOY).mean() < 0.1
+    assert torch.equal(net(part, kit, turns).argmax(1), right)
+
+
+def test_gradients_are_those_of_differences():
+    torch.manual_seed(0)
+    level = Level(3, [[5, 4]]).double().train()
+    places, features = torch.randn(12, 4).double(), torch.randn(12, 3).double().requires_grad_()
+    groups = Groups(torch.arange(6), [torch.randint(12, (6, 5))])
+    assert torch.autograd.gradcheck(lambda x: level(places, x, groups), (features,))
+
+
+def test_loss_is_cross_entropy_and_the_release_weighs_it():
+    logits, right = torch.tensor([[2.0, 0, 1], [0, 3, 0]]), torch.tensor([2, 1])
+    distances = torch.tensor([[0.3, 0.2, 0.0], [0.1, 0.0, 0.4]])
+    plain = -logits.log_softmax(1)[[0, 1], right]
+    torch.testing.assert_close(rotation_loss(logits, right, distances, TOY), plain)
+    weighed = rotation_loss(logits, right, distances, replace(TOY, weight="distance"))
+    torch.testing.assert_close(weighed, plain * torch.tensor([np.e - 1, 0.0], dtype=torch.float32))
