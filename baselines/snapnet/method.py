@@ -1,0 +1,112 @@
+"""SnapNet as a method: where the part goes, then how it must turn there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from baselines.snapnet.candidates import candidates
+from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
+from baselines.snapnet.points import points_in
+from baselines.snapnet.position import PositionNet, position_of
+from baselines.snapnet.rotation import RotationNet
+from baselines.snapnet.volumes import Looks
+from baselines.training.checkpoint import fill, load_weights
+from kit1000.data.making.guesses import apply_error
+from kit1000.data.reader import Dataset
+from kit1000.errors import InputError
+from kit1000.pose import Pose
+from kit1000.predictor import Answer
+from kit1000.rng import stream
+from kit1000.values import Query, Truth
+
+TURNS = {"snap-tilt": "tilt", "place": "place", "place-paper": "place-paper"}
+"""Candidates by track; everywhere else those around a guess of any kind."""
+
+
+@dataclass(frozen=True, eq=False)
+class SnapNet:
+    """Corrects a guess by two networks, as in the paper: one sees volumes, the other points taken from volumes."""
+
+    dataset: Dataset
+    position: PositionNet
+    rotation: RotationNet
+    kind: Kind
+    """Of the volumes."""
+
+    @property
+    def uses_true_geometry(self) -> bool:
+        """Whether it needs the truth."""
+        return self.kind == "truth"
+
+    @torch.inference_mode()
+    def __call__(self, query: Query, truth: Truth | None = None) -> Answer:
+        """The guess, moved by the best offset and turned by the best candidate; the answer of a query is its own."""
+        looks = Looks(query, truth, self.kind, self.dataset)
+        guess = looks.start()
+        work = Pose.from_translation(guess.apply(query.pivot))
+        offset, sure = self._offset(looks, guess, work)
+        place = work @ Pose.from_translation(offset)
+        rng = stream(0, "snapnet", query.id)
+        turn, surer = self._turn(looks, guess, place, TURNS.get(query.track, "ball"), rng)
+        return Answer(apply_error(guess, query.pivot, offset, turn), sure * surer)
+
+    def _offset(self, looks: Looks, guess: Pose, work: Pose) -> tuple[np.ndarray, float]:
+        """(3,) [m] along the axes of the world, and the probability of the cells around."""
+        config = self.position.config
+        part = looks.part_volume(guess, work, config.part_cells, config.voxel)
+        kit = looks.kit_volume(work, config.kit_cells, config.voxel)
+        scores = self.position(_batch(part, self.position), _batch(kit, self.position)).float()
+        likely = scores.flatten(1).softmax(1).topk(8).values.sum()
+        return position_of(scores, config)[0].double().cpu().numpy(), float(likely.clamp(max=1))
+
+    def _turn(
+        self, looks: Looks, guess: Pose, place: Pose, kind: Any, rng: np.random.Generator
+    ) -> tuple[np.ndarray, float]:
+        """(3,) [rad] rotation vector along the axes of the world, and the probability of the candidate."""
+        config, turns = self.rotation.config, candidates(kind)
+        part = looks.part_volume(guess, place, config.part_cells, config.voxel)
+        kit = looks.kit_volume(place, config.kit_cells, config.voxel)
+        clouds = (
+            points_in(part, config.voxel, config.part_points, rng),
+            points_in(kit, config.voxel, config.kit_points, rng),
+        )
+        asked = (_batch(cloud, self.rotation) for cloud in clouds)
+        likely = self.rotation(*asked, _batch(turns.wxyz, self.rotation))[0].float().softmax(0)
+        best = int(likely.argmax())
+        return turns[best].rotvec(), float(likely[best])
+
+
+def snapnet(dataset: Dataset, kind: Kind, position: str, rotation: str) -> SnapNet:
+    """SnapNet with trained weights.
+
+    Args:
+        dataset: that is asked about.
+        kind: of the volumes.
+        position, rotation: stems of weights, such as baselines/weights/snapnet-gtvol-position.
+    """
+    device = "cuda" if torch.cuda.is_available() else "cpu"
+    places = _loaded(Path(position), PositionConfig, PositionNet).to(device).eval()
+    turns = _loaded(Path(rotation), RotationConfig, RotationNet).to(device).eval()
+    return SnapNet(dataset, places, turns, kind)
+
+
+def _loaded(stem: Path, sizes: type, make: type) -> Any:
+    """A network in the sizes that its weights say, with them in it."""
+    tensors, info = load_weights(stem)
+    told = info.get("about", {}).get("network", {})
+    unknown = set(told) ^ {field.name for field in fields(sizes)}
+    if unknown:
+        raise InputError(f"{stem}.json: the sizes of a {make.__name__} differ in {', '.join(sorted(unknown))}")
+    net = make(sizes(**{name: tuple(value) if isinstance(value, list) else value for name, value in told.items()}))
+    fill(net, tensors, stem)
+    return net
+
+
+def _batch(values: np.ndarray, net: torch.nn.Module) -> torch.Tensor:
+    """One example on the device of a network."""
+    return torch.tensor(values, dtype=torch.float32, device=next(net.parameters()).device)[None]
