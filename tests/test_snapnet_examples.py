@@ -37,7 +37,7 @@ from kit1000.voxels import tsdf
 VOXEL = 2e-3
 CELLS = (40, 44, 48)
 POSITION = PositionConfig(VOXEL, (32, 32, 32), CELLS, (8, 8, 8))
-ROTATION = RotationConfig(VOXEL, (32, 32, 32), CELLS, 300, 400, shown=9, jitter=0.0)
+ROTATION = RotationConfig(VOXEL, (32, 32, 32), CELLS, "inside", 300, 400, shown=9, jitter=0.0)
 ELSEWHERE = Pose.from_rotvec((0, 0, 2.0), (0.4, -0.3, 0.0))
 LEVEL = Pose.from_rotvec((0, 0, 0.7))
 

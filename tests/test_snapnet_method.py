@@ -19,7 +19,7 @@ from kit1000.errors import InputError
 from kit1000.testing import check_predictor
 
 POSITION = PositionConfig(4e-3, (16, 16, 16), (32, 32, 32), (9, 9, 9), (2, 2, 4, 4, 4), features=2)
-ROTATION = RotationConfig(4e-3, (16, 16, 16), (24, 24, 24), 32, 64, 0.1, (8, 4), (0.1, 0.1))
+ROTATION = RotationConfig(4e-3, (16, 16, 16), (24, 24, 24), "surface", 32, 64, 0.1, (8, 4), (0.1, 0.1))
 
 
 @pytest.fixture(scope="module")

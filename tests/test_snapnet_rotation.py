@@ -12,7 +12,7 @@ from torch import Tensor
 from baselines.snapnet import rotation
 from baselines.snapnet.candidates import candidates
 from baselines.snapnet.config import ROTATION, RotationConfig
-from baselines.snapnet.points import points_in, turned
+from baselines.snapnet.points import Kind, points_of, turned
 from baselines.snapnet.rotation import RotationNet, rotation_loss
 from baselines.snapnet.set_abstraction import Groups, Level, farthest, squares, within, within_sorted
 from bench.bench_snap_rotation import plain_farthest, plain_scores
@@ -69,7 +69,7 @@ def test_the_papers_network_has_as_many_parameters_as_the_paper_says():
 def test_points_are_middles_of_voxels_inside_and_come_once():
     volume = np.ones((7, 6, 5))
     volume[2:5, 1:4, 1:3] = -0.5
-    points = points_in(volume, 2e-3, 18, stream(0))
+    points = points_of(volume, 2e-3, "inside", 18, stream(0))
     assert points.dtype == np.float32
     index = np.round(points / 2e-3).astype(int) + (3, 3, 2)
     np.testing.assert_allclose(points, (index - (3, 3, 2)) * 2e-3, atol=1e-7)
@@ -77,15 +77,27 @@ def test_points_are_middles_of_voxels_inside_and_come_once():
     assert len(np.unique(index, axis=0)) == 18
 
 
-def test_too_few_voxels_come_again_and_none_give_the_middle():
+def test_points_of_a_ball_lie_on_its_surface_and_not_where_sight_ends():
+    index = np.moveaxis(np.indices((24, 24, 24)), 0, -1) - 12
+    distance = np.linalg.norm(index, axis=-1) - 7.3  # voxels
+    volume = np.clip(distance / 5, -1, 1)
+    away = np.linalg.norm(points_of(volume, 2e-3, "surface", 400, stream(0)), axis=1)
+    np.testing.assert_allclose(away, 7.3 * 2e-3, atol=0.05 * 2e-3)  # far finer than a voxel
+    volume[:, :, :12] = np.where(volume[:, :, :12] < -0.9, 1, volume[:, :, :12])  # unknown beyond the truncation
+    away = np.linalg.norm(points_of(volume, 2e-3, "surface", 400, stream(0)), axis=1)
+    np.testing.assert_allclose(away, 7.3 * 2e-3, atol=0.05 * 2e-3)
+
+
+@pytest.mark.parametrize("kind", ["inside", "surface"])
+def test_too_few_points_come_again_and_none_give_the_middle(kind: Kind):
     volume = np.ones((4, 4, 4))
-    assert not points_in(volume, 1e-3, 5, stream(0)).any()
-    volume[0, 0], volume[0, 1] = 0, -1
-    assert len(points_in(volume, 1e-3, 30, stream(0), deepest=-1)) == 30
-    counts = np.unique(points_in(volume, 1e-3, 30, stream(0), deepest=-1), axis=0, return_counts=True)[1]
-    assert set(counts.tolist()) == {7, 8}  # only the 4 shallow ones
+    assert not points_of(volume, 1e-3, kind, 5, stream(0)).any()
+    volume[0, 0, :3] = -0.1
+    counts = np.unique(points_of(volume, 1e-3, kind, 100, stream(0)), axis=0, return_counts=True)[1]
+    assert counts.sum() == 100
+    assert counts.max() - counts.min() <= 1
     with pytest.raises(InputError, match="volume"):
-        points_in(np.ones((2, 2)), 1e-3, 5, stream(0))
+        points_of(np.ones((2, 2)), 1e-3, kind, 5, stream(0))
 
 
 def test_turned_is_what_poses_do_and_the_same_alone_to_the_bit():

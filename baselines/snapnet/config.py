@@ -43,6 +43,8 @@ class RotationConfig:
     """Voxels of the part's volume."""
     kit_cells: Cells
     """Voxels of the kits' volume, around where the part goes."""
+    points: Literal["inside", "surface"] = "inside"
+    """inside: middles of voxels in the solid, as in the paper; surface: where the distance passes zero, between them."""
     part_points: int = 2048
     kit_points: int = 4096
     width: float = 1.0
@@ -71,7 +73,7 @@ POSITION = {
 }
 ROTATION = {
     "small": RotationConfig(
-        1.78e-3, (48, 48, 48), (64, 64, 64), 512, 1024, 0.5, (256, 64), neighbours=(0.5, 0.5), shown=24
+        1.78e-3, (48, 48, 48), (64, 64, 64), "surface", 512, 1024, 0.5, (256, 64), neighbours=(0.5, 0.5), shown=24
     ),
     "paper": RotationConfig(0.89e-3, (128, 128, 80), (128, 128, 128)),
 }

@@ -15,7 +15,7 @@ import numpy as np
 
 from baselines.snapnet.candidates import candidates, nearest
 from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
-from baselines.snapnet.points import points_in
+from baselines.snapnet.points import points_of
 from baselines.snapnet.volumes import SCENES, Kept, Looks
 from kit1000.data.making.guesses import apply_error, draw_ball, draw_goal, draw_tilt, motion, turned_goal
 from kit1000.data.making.queries import TRACKS
@@ -238,8 +238,8 @@ class RotationExamples:
         right, distances = nearest(self.candidates, asked.residual.turns, asked.residual.axis)
         chosen = np.arange(len(distances)) if every else shown(rng, int(right), len(distances), config.shown)
         return {
-            "part_points": points_in(part, config.voxel, config.part_points, rng),
-            "kit_points": points_in(kit, config.voxel, config.kit_points, rng),
+            "part_points": points_of(part, config.voxel, config.points, config.part_points, rng),
+            "kit_points": points_of(kit, config.voxel, config.points, config.kit_points, rng),
             "turns": self.candidates.wxyz[chosen],
             "nearest": np.asarray(np.flatnonzero(chosen == right)[0], np.int64),
             "distances": distances[chosen].astype(np.float32),

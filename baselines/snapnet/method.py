@@ -11,7 +11,7 @@ import torch
 
 from baselines.snapnet.candidates import candidates
 from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
-from baselines.snapnet.points import points_in
+from baselines.snapnet.points import points_of
 from baselines.snapnet.position import PositionNet, position_of
 from baselines.snapnet.rotation import RotationNet
 from baselines.snapnet.volumes import Looks
@@ -72,8 +72,8 @@ class SnapNet:
         part = looks.part_volume(guess, place, config.part_cells, config.voxel)
         kit = looks.kit_volume(place, config.kit_cells, config.voxel)
         clouds = (
-            points_in(part, config.voxel, config.part_points, rng),
-            points_in(kit, config.voxel, config.kit_points, rng),
+            points_of(part, config.voxel, config.points, config.part_points, rng),
+            points_of(kit, config.voxel, config.points, config.kit_points, rng),
         )
         asked = (_batch(cloud, self.rotation) for cloud in clouds)
         likely = self.rotation(*asked, _batch(turns.wxyz, self.rotation))[0].float().softmax(0)

@@ -2,43 +2,50 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from kit1000.errors import InputError
+from kit1000.pose import Pose
+from kit1000.voxels import Grid, Volume, surface_points
+
+Kind = Literal["inside", "surface"]
 
 
-def points_in(
-    volume: np.ndarray, voxel: float, count: int, rng: np.random.Generator, deepest: float = -np.inf
-) -> np.ndarray:
-    """Middles of voxels inside, drawn evenly without putting back.
+def points_of(volume: np.ndarray, voxel: float, kind: Kind, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Points of a volume, drawn evenly without putting back.
 
-    Where there are fewer voxels than points, all of them come, and come again in a new order until the points are
-    full (the release fills up with a corner of the volume, which then is a point of the shape); where there are
-    none, all points lie in the middle.
+    Where there are fewer than wanted, all of them come, and come again in a new order until the points are full (the
+    release fills up with a corner of the volume, which then is a point of the shape); where there are none, all
+    points lie in the middle.
 
     Args:
-        volume: (nx, ny, nz) signed distances in truncations, or any values that are at most 0 inside.
+        volume: (nx, ny, nz) float32, signed distances in truncations, 1 where nobody knows.
         voxel: [m] edge.
+        kind: inside: the middles of voxels whose value is at most 0; surface: where the value passes zero between two
+            voxels, but not where it jumps by more than the truncation: there what was seen ends.
         count: points wanted.
         rng: draws them.
-        deepest: only values from here to 0 count: -1 (not included) leaves out what lies deeper than the truncation.
 
     Returns:
         (count, 3) float32 [m] from the middle of the voxel n // 2 of each axis, along the axes of the grid; in
         random order.
     """
-    values = np.asarray(volume)
+    values = np.asarray(volume, np.float32)
     if values.ndim != 3:
         raise InputError(f"volume: expected shape (nx, ny, nz), got {values.shape}")
-    inside = np.flatnonzero((values <= 0) & (values > deepest))
-    if len(inside) == 0:
+    if kind == "inside":
+        places = np.argwhere(values <= 0).astype(np.float64)
+    else:
+        places = surface_points(Volume(Grid(values.shape, 1.0, Pose.identity()), values))
+    if len(places) == 0:
         return np.zeros((count, 3), np.float32)
-    full, rest = divmod(count, len(inside))
-    rounds = [rng.permutation(inside) for _ in range(full)] + [rng.choice(inside, rest, replace=False)]
-    index = np.stack(np.unravel_index(np.concatenate(rounds), values.shape), axis=-1)
-    return ((index - np.array(values.shape) // 2) * voxel).astype(np.float32)
+    full, rest = divmod(count, len(places))
+    rounds = [rng.permutation(len(places)) for _ in range(full)] + [rng.choice(len(places), rest, replace=False)]
+    return ((places[np.concatenate(rounds)] - np.array(values.shape) // 2) * voxel).astype(np.float32)
 
 
 def turned(points: Tensor, turns: Tensor) -> Tensor:

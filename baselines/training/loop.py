@@ -25,6 +25,7 @@ from baselines.training.checkpoint import read_state, save_weights, write_state
 from baselines.training.config import FREE, TrainConfig
 from baselines.training.curve import curve
 from baselines.training.descent import Descent
+from baselines.training.memory import keep_memory
 from baselines.training.ranks import Ranks, joined, processes_here
 from kit1000.cores import cores
 from kit1000.data.files import clear_partial, locked, read_json, write_bytes, write_json
@@ -269,6 +270,8 @@ def _cut(log: Path, size: int) -> None:
 @contextmanager
 def _settings(config: TrainConfig, ranks: Ranks) -> Iterator[None]:
     """The threads and the random state of PyTorch: the caller's again afterwards."""
+    if ranks.device.type == "cpu":
+        keep_memory()
     threads = torch.get_num_threads()
     torch.set_num_threads(config.threads or max(cores() // processes_here(), 1))
     try:
