@@ -44,7 +44,7 @@ class RotationConfig:
     kit_cells: Cells
     """Voxels of the kits' volume, around where the part goes."""
     points: Literal["inside", "surface"] = "inside"
-    """inside: middles of voxels in the solid, as in the paper; surface: where the distance passes zero, between them."""
+    """inside: middles of solid voxels, as in the paper; surface: where the distance passes zero, between voxels."""
     part_points: int = 2048
     kit_points: int = 4096
     width: float = 1.0
