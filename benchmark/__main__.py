@@ -28,6 +28,7 @@ Optional = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
 Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
 One = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SUBMISSION")]
 Several = Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SUBMISSION...")]
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 Split = Literal["test", "test-all", "val", "train"]
 
 
@@ -51,9 +52,9 @@ class Score:
     """Processes for the seating test; any number gives the same scores."""
     cache: Optional = None
     """Folder of results that serve again; below ~/.cache/kit1000 when absent."""
-    no_cache: bool = False
+    no_cache: Flag = False
     """Measure all anew and keep nothing."""
-    breakdown: bool = False
+    breakdown: Flag = False
     """Print the breakdown too."""
 
     def run(self) -> int:
@@ -109,7 +110,7 @@ class Compare:
     """Processes for the seating test."""
     cache: Optional = None
     """Folder of results that serve again; below ~/.cache/kit1000 when absent."""
-    no_cache: bool = False
+    no_cache: Flag = False
     """Measure all anew and keep nothing."""
 
     def run(self) -> int:

@@ -34,6 +34,7 @@ Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
 Number = Annotated[float | None, tyro.conf.arg(metavar="X")]
 Optional = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
 Unit = Annotated[Literal["mm", "cm", "m", "inch"] | None, tyro.conf.arg(metavar="{mm,cm,m,inch}")]
+Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 Folder = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATA")]
 
 
@@ -272,7 +273,7 @@ class Check:
     """Dataset that is answered; the form alone is checked when absent."""
     split: Literal["test", "test-all", "val", "train"] = "test"
     """Whose queries are to be answered."""
-    json: bool = False
+    json: Flag = False
     """Print the report as JSON."""
 
     def run(self) -> int:

@@ -104,7 +104,7 @@ def _option(name: str) -> str:
 
 def _taken(hint: Any) -> int | None:
     """How many of the words behind an option are its own; None for all of them."""
-    if hint is bool:
+    if bool in _kinds(hint):
         return 0
     return None if any(get_origin(kind) is tuple for kind in _kinds(hint)) else 1
 
