@@ -73,7 +73,7 @@ def _task(network: Network, dataset: Dataset, preset: Preset) -> tuple[Task, Any
     if network.finds == "position":
         sizes = POSITION[preset]
         learn, check = (PositionExamples(dataset, split, sizes, kind, guesses) for split in ("train", "val"))
-        return PositionTask(PositionNet(sizes), learn, check, CHECKS["position"]), sizes
+        return PositionTask(learn, check, CHECKS["position"], PositionNet(sizes)), sizes
     sizes = ROTATION[preset]
     learn, check = (RotationExamples(dataset, split, sizes, kind, guesses) for split in ("train", "val"))
-    return RotationTask(RotationNet(sizes), learn, check, CHECKS["rotation"]), sizes
+    return RotationTask(learn, check, CHECKS["rotation"], RotationNet(sizes)), sizes

@@ -8,20 +8,16 @@ method, which compiles, is not counted.
 
 from __future__ import annotations
 
-import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import tyro
+from measured_dataset import measured_dataset
 
 from baselines.methods import made, method_of
-from kit1000.data.making.build import generate
-from kit1000.data.presets import preset
 from kit1000.data.reader import Dataset
 from kit1000.errors import Kit1000Error
 
@@ -41,7 +37,7 @@ class Methods:
 
 def main(asked: Methods) -> None:
     """Print the table."""
-    with tempfile.TemporaryDirectory() as spare, _dataset(asked.data, Path(spare)) as dataset:
+    with measured_dataset(asked.data) as (dataset, _):
         split = dataset.split("test", truth=True)
         print(f"{dataset.root.name}: seconds a query, mean and largest, and the mean over that of {METHODS[0]}")
         for track in TRACKS:
@@ -68,15 +64,6 @@ def _seconds(dataset: Dataset, split, name: str, track: str, most: int) -> np.nd
         predictor(query, truth)
         taken.append(time.perf_counter() - start)
     return np.array(taken[1:])
-
-
-@contextmanager
-def _dataset(folder: Path | None, spare: Path) -> Iterator[Dataset]:
-    """The dataset asked for, or a tiny one."""
-    if folder is None:
-        folder = spare / "tiny"
-        generate(preset("tiny"), folder, workers=1)
-    yield Dataset(folder)
 
 
 if __name__ == "__main__":

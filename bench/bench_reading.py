@@ -8,10 +8,8 @@ that a loop of steps of 0.2 s waits for its batches less than a twentieth of the
 
 from __future__ import annotations
 
-import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -20,13 +18,12 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
+from measured_dataset import measured_dataset
 from torch.utils.data import DataLoader
 
 from kit1000.data.cache import VolumeCache
 from kit1000.data.items import Item, depth_item
-from kit1000.data.making.build import generate
-from kit1000.data.presets import preset
-from kit1000.data.reader import Dataset, Split
+from kit1000.data.reader import Split
 from kit1000.data.torch import QueryDataset, VolumeItem
 from kit1000.errors import Kit1000Error
 from kit1000.values import Query, Truth, View
@@ -52,8 +49,8 @@ class Reading:
 def main(asked: Reading) -> None:
     """Print the table."""
     torch.set_num_threads(1)
-    with tempfile.TemporaryDirectory() as spare, _split(asked.data, Path(spare)) as split:
-        dataset = split.dataset
+    with measured_dataset(asked.data) as (dataset, spare):
+        split = dataset.split("train", truth=True)
         track = next(query.track for query in split.queries() if query.guess is not None)
         queries = len(list(split.queries(track)))
         print(f"{dataset.root.name}: {len(split)} scenes of train, {queries} queries of {track}")
@@ -63,7 +60,7 @@ def main(asked: Reading) -> None:
         for sensor in dataset.observation_file(shard).view_keys(first):
             view = partial(_view, split, sensor)
             _rate(f"depth image, {sensor}", view, split.scene_ids, order, asked, IMAGES)
-        cache = VolumeCache(Path(spare) / "volumes")
+        cache = VolumeCache(spare / "volumes")
         makers = {
             "the query alone": _nothing,
             "images and masks": depth_item,
@@ -79,14 +76,6 @@ def main(asked: Reading) -> None:
         print(f"cache: {cache.size()}")
         for name, make in makers.items():
             _feed(name, QueryDataset(split, track, make), asked)
-
-
-@contextmanager
-def _split(folder: Path | None, spare: Path) -> Iterator[Split]:
-    if folder is None:
-        folder = spare / "tiny"
-        generate(preset("tiny"), folder)
-    yield Dataset(folder).split("train", truth=True)
 
 
 def _view(split: Split, key: str, scene_id: str) -> View:

@@ -8,20 +8,17 @@ plain way takes all vertices of the mesh, every goal in turn, and steps a free a
 
 from __future__ import annotations
 
-import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import tyro
+from measured_dataset import measured_dataset
 from scipy.spatial import ConvexHull
 
-from kit1000.data.making.build import generate
 from kit1000.data.making.guesses import motion, turned_goal
-from kit1000.data.presets import preset
 from kit1000.data.reader import Dataset
 from kit1000.errors import Kit1000Error
 from kit1000.metrics import Targets, pose_errors, seatings
@@ -52,7 +49,7 @@ class Scoring:
 
 def main(asked: Scoring) -> None:
     """Print the table."""
-    with tempfile.TemporaryDirectory() as spare, _dataset(asked.data, Path(spare)) as dataset:
+    with measured_dataset(asked.data) as (dataset, _):
         split = dataset.split("test", truth=True)
         truths = [truth for scene in split for truth in scene.truths.values()]
         free = np.mean([truth.slot.free_axis is not None for truth in truths])
@@ -61,14 +58,6 @@ def main(asked: Scoring) -> None:
         for name, (shift, turn) in KINDS.items():
             print(f"{name}: {shift * 1e3:g} mm, {np.degrees(turn):.1f} degrees, standard deviations")
             _seatings(dataset, truths[: asked.queries], np.random.default_rng(asked.seed), shift, turn)
-
-
-@contextmanager
-def _dataset(folder: Path | None, spare: Path) -> Iterator[Dataset]:
-    if folder is None:
-        folder = spare / "tiny"
-        generate(preset("tiny"), folder)
-    yield Dataset(folder)
 
 
 def missed(truths: list[Truth], rng: np.random.Generator, shift: float, turn: float) -> Pose:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 import torch
@@ -14,25 +15,32 @@ from baselines.snapnet.position import PositionNet, position_loss, position_of
 from baselines.snapnet.rotation import RotationNet, rotation_loss
 
 Batch = dict[str, Tensor]
+Examples = TypeVar("Examples", PositionExamples, RotationExamples)
 
 
 @dataclass
-class PositionTask:
-    """Find where the part goes."""
+class Examined(Generic[Examples]):
+    """Examples of one split to learn from, and of another to check by."""
 
-    model: PositionNet
-    learn: PositionExamples
-    check: PositionExamples
+    learn: Examples
+    check: Examples
     checks: int
-    """Queries to check by, spread evenly over the split."""
+    """Queries to check by, spread evenly over their split."""
 
     def example(self, rng: np.random.Generator) -> Example:
-        """See `PositionExamples.draw`."""
+        """A part of any scene with a fresh guess."""
         return self.learn.draw(rng)
 
     def check_examples(self) -> Sequence[str]:
         """Ids of queries."""
         return self.check.keys(self.checks)
+
+
+@dataclass
+class PositionTask(Examined[PositionExamples]):
+    """Find where the part goes."""
+
+    model: PositionNet
 
     def check_example(self, key: str) -> Example:
         """The query with its stored guess."""
@@ -50,21 +58,10 @@ class PositionTask:
 
 
 @dataclass
-class RotationTask:
+class RotationTask(Examined[RotationExamples]):
     """Tell turned copies of the part apart."""
 
     model: RotationNet
-    learn: RotationExamples
-    check: RotationExamples
-    checks: int
-
-    def example(self, rng: np.random.Generator) -> Example:
-        """See `RotationExamples.draw`."""
-        return self.learn.draw(rng)
-
-    def check_examples(self) -> Sequence[str]:
-        """Ids of queries."""
-        return self.check.keys(self.checks)
 
     def check_example(self, key: str) -> Example:
         """The query with its stored guess, and every candidate."""
