@@ -6,7 +6,7 @@ bytes, wherever it is made.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -78,7 +78,7 @@ def score(
     rotations = submission.manifest.predicts == "rotation"
 
     def make() -> PerQuery:
-        asked = _asked(dataset, protocol, split, tracks)
+        asked = _asked(dataset, protocol, split, tracks, submission.predictions.query_ids)
         _check_known(submission, dataset, split, asked)
         return measured(asked, answers_to(asked, submission.predictions), rotations, judge, workers)
 
@@ -88,15 +88,21 @@ def score(
     return Scored(rows, stated | summarised(rows, protocol, rotations))
 
 
-def _asked(dataset: Dataset, protocol: Protocol, split: str, tracks: list[str]) -> Questions:
-    """The questions of the tracks in a split, and those of the curves when it is the protocol's own split."""
+def _asked(dataset: Dataset, protocol: Protocol, split: str, tracks: list[str], answered: Collection[str]) -> Questions:
+    """The questions of the tracks in a split, and those of the curves when it is the protocol's own split.
+
+    Slow methods may leave whole scenes out of the curves: they are drawn of those of which any query is answered.
+    """
     parts: list[Questions] = []
     held = dataset.summary["config"]
     known = [track for track in tracks if track in held["tracks"]]
     if known:
         parts.append(questions(dataset, split, known))
     if CURVES in tracks and split == protocol.splits[0] and held["curve_scenes"]:
-        parts.append(questions(dataset, protocol.curves["split"], [CURVES]))
+        curves, known_ids = questions(dataset, protocol.curves["split"], [CURVES]), set(answered)
+        asked = zip(curves.scene_ids, curves.query_ids, strict=True)
+        held = {scene_id for scene_id, query_id in asked if query_id in known_ids}
+        parts.append(curves.of_scenes(held) if held else curves)
     if not parts:
         raise InputError(f"{dataset.root}: split {split} asks nothing in {', '.join(tracks) or 'no track'}")
     return joined(*parts)

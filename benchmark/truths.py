@@ -29,6 +29,12 @@ class Questions:
     def __len__(self) -> int:
         return len(self.truths)
 
+    def of_scenes(self, scene_ids: Collection[str]) -> Questions:
+        """Those of some scenes alone."""
+        kept = [i for i, scene_id in enumerate(self.scene_ids) if scene_id in scene_ids]
+        tracks, scenes = tuple(self.tracks[i] for i in kept), tuple(self.scene_ids[i] for i in kept)
+        return Questions(self.geometry, tracks, scenes, tuple(self.truths[i] for i in kept))
+
     @property
     def query_ids(self) -> tuple[str, ...]:
         """Ids of the queries."""

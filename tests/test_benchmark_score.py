@@ -20,7 +20,7 @@ from benchmark.protocol import read_protocol
 from benchmark.report import json_text, rounded, table
 from benchmark.score import Scored, score
 from benchmark.summary import histogram, risk_coverage, summarised
-from benchmark.truths import Questions
+from benchmark.truths import Questions, questions
 from kit1000 import Dataset
 from kit1000.data.presets import CURVES
 from kit1000.errors import InputError
@@ -149,6 +149,16 @@ def test_missing_rows_of_a_submission_stay_in_n(perfect: Submission, dataset: Da
     assert tracks["snap"]["position_mm"]["mean"] > 50
     assert tracks["snap"]["seconds"] is None
     assert tracks["snap-tilt"]["coverage"] == 1
+
+
+def test_questions_of_some_scenes_are_theirs_alone(dataset: Dataset) -> None:
+    """So curves may be of some scenes; where only a part of a scene is answered, the rest still counts."""
+    asked = questions(dataset, "test", ["snap", "place"])
+    scene_id = asked.scene_ids[-1]
+    kept = asked.of_scenes([scene_id])
+    assert set(kept.scene_ids) == {scene_id}
+    assert kept.query_ids == tuple(i for i in asked.query_ids if i.startswith(scene_id + "-"))
+    assert len(kept.tracks) == len(kept)
 
 
 def test_the_order_of_rows_does_not_matter(perfect: Submission, dataset: Dataset, perfect_score: Scored) -> None:

@@ -8,6 +8,7 @@ import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,8 @@ from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.submission import Manifest, Predictions, Report, check, write_predictions, write_submission
 from kit1000.submission.asked import Asked
+from kit1000.submission.check import _coverage_faults
+from kit1000.submission.faults import Fault
 from kit1000.submission.rows import read_rows
 from kit1000.submission.suspicions import suspicions
 from kit1000.values import Prediction
@@ -110,6 +113,23 @@ def test_missing_predictions_are_told_by_track(
     names = ", ".join(truth.query_ids[i] for i in lost[:3])
     assert f"track curves: 5 of 48 queries have no row ({names} and 2 more)" in curves
     assert f"track snap: 1 of 1 queries have no row ({truth.query_ids[snap]})" in first
+
+
+def test_whole_scenes_may_be_left_out_of_curves_but_no_part_of_one() -> None:
+    ids = tuple(f"curves-s{scene:04}-p0-pos{level}-rot1" for scene in range(3) for level in range(4))
+    no = np.zeros((len(ids), 3))
+    asked = Asked("id", None, ids, ("curves",) * 12, ("curves",) * 12, np.ones(12, bool), no, no, np.zeros((12, 4)))
+
+    def told(answered: tuple[str, ...]) -> list[Fault]:
+        return _coverage_faults(SimpleNamespace(query_ids=answered), ["curves"], asked, "p.csv")  # pyright: ignore[reportArgumentType]
+
+    assert told(ids) == []
+    (thinned,) = told(ids[4:8])
+    assert thinned.kind == "warning"
+    assert "1 of 3 scenes are answered" in thinned.seen
+    missing, thinned = sorted(told(ids[:6]), key=lambda fault: fault.kind)
+    assert (missing.kind, thinned.kind) == ("error", "warning")
+    assert "2 of 8 queries have no row" in missing.seen
 
 
 def test_a_file_alone_claims_the_tracks_it_answers(mini: Path, truth: Predictions, tmp_path: Path) -> None:

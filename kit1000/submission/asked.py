@@ -57,6 +57,10 @@ class Asked:
             found.setdefault(_part(query_id), []).append(query_id)
         return found
 
+    def part(self, i: int) -> str:
+        """Scene and part of a query: test-s0007-p2."""
+        return _part(self.query_ids[i])
+
     def near(self, query_id: str, thoroughly: bool) -> str | None:
         """The query that was probably meant."""
         text = query_id[:100]

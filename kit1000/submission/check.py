@@ -13,7 +13,7 @@ from kit1000.submission import manifest as manifests
 from kit1000.submission import predictions as answers
 from kit1000.submission.faults import Fault, Report, in_order, named, printable
 from kit1000.submission.form import form_faults
-from kit1000.submission.manifest import CLAIMS, Manifest, line_of, manifest_of
+from kit1000.submission.manifest import CLAIMS, CURVES, Manifest, line_of, manifest_of
 from kit1000.submission.reading import aside, file_bytes, text_of, whole
 from kit1000.submission.rows import Rows, read_rows
 from kit1000.submission.suspicions import suspicions
@@ -151,9 +151,12 @@ def _coverage_faults(rows: Rows, claims: Iterable[str] | None, asked: Asked, fil
     answered = set(held)
     counts = _counts(asked.tracks[i] for i in held if asked.wanted[i])
     claimed = [track for track in CLAIMS if track in (counts if claims is None else claims)]
-    faults = []
+    faults: list[Fault] = []
     for track in claimed:
         queries = [i for i, of in enumerate(asked.tracks) if of == track and asked.wanted[i]]
+        if track == CURVES:
+            queries, left_out = _thinned(queries, answered, asked, file)
+            faults += left_out
         missing = [asked.query_ids[i] for i in queries if i not in answered]
         if missing:
             seen = (
@@ -168,6 +171,18 @@ def _coverage_faults(rows: Rows, claims: Iterable[str] | None, asked: Asked, fil
         repair = f"nothing need be done: they are not looked at; --split {split} checks them"
         faults.append(aside(file, "other-split", seen, "rows of the split that is checked", repair))
     return [*faults, *([] if claims is None else _unclaimed(counts, claims, file))]
+
+
+def _thinned(queries: list[int], answered: set[int], asked: Asked, file: str) -> tuple[list[int], list[Fault]]:
+    """The queries of the curves in scenes of which any is answered: whole scenes may be left out of curves."""
+    held = {asked.part(i) for i in queries if i in answered}
+    kept = [i for i in queries if asked.part(i) in held]
+    if not held or len(kept) == len(queries):
+        return queries, []
+    scenes = len({asked.part(i) for i in queries})
+    seen = f"track {CURVES}: {len(held)} of {scenes} scenes are answered"
+    repair = "nothing need be done: the curves are drawn of these and say how many they are"
+    return kept, [aside(file, "thinned", seen, "all scenes, or some of them whole", repair)]
 
 
 def _unclaimed(counts: dict[str, int], claims: Iterable[str], file: str) -> list[Fault]:
