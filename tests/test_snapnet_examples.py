@@ -13,6 +13,7 @@ import pytest
 from baselines.snapnet import volumes
 from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
 from baselines.snapnet.examples import (
+    NEAR,
     Guesses,
     PositionExamples,
     RotationExamples,
@@ -301,13 +302,20 @@ def test_the_right_candidate_is_the_nearest_to_any_right_turn(data: Dataset) -> 
 
 
 def test_the_right_candidate_is_shown_once_among_others_at_any_place() -> None:
-    places = set()
+    places, distances = set(), np.roll(np.arange(20.0), 4)
     for seed in range(60):
-        chosen = shown(stream(seed), right=4, count=20, most=6)
+        chosen = shown(stream(seed), distances, most=6)
         assert len(set(chosen.tolist())) == 6
         places.update(np.flatnonzero(chosen == 4).tolist())
     assert places == set(range(6))
-    assert sorted(shown(stream(1), 2, 5, 9).tolist()) == list(range(5))
+    assert sorted(shown(stream(1), np.arange(5.0), 9, 0.5).tolist()) == list(range(5))
+
+
+def test_hard_candidates_are_shown_more_often() -> None:
+    distances = stream(0).permutation(391).astype(float)
+    share = [np.mean(distances[shown(stream(seed), distances, 25, hard)] <= NEAR) for seed, hard in ((1, 0), (2, 1))]
+    assert share[0] < 0.5
+    assert share[1] == 1
 
 
 def test_keys_are_those_of_drawn_queries_spread_evenly(data: Dataset) -> None:

@@ -13,15 +13,22 @@ from baselines.snapnet import rotation
 from baselines.snapnet.candidates import candidates
 from baselines.snapnet.config import ROTATION, RotationConfig
 from baselines.snapnet.points import Kind, points_of, turned
-from baselines.snapnet.rotation import RotationNet, rotation_loss
+from baselines.snapnet.rotation import SPREAD, RotationNet, rotation_loss, turn_of
 from baselines.snapnet.set_abstraction import Groups, Level, farthest, squares, within, within_sorted
 from bench.bench_snap_rotation import plain_farthest, plain_scores
 from kit1000.errors import InputError
-from kit1000.pose import Pose, quaternion_multiply
+from kit1000.pose import Pose, quaternion_angle, quaternion_from_rotvec, quaternion_multiply
 from kit1000.rng import stream
 
 TOY = replace(
-    ROTATION["small"], part_points=48, kit_points=96, width=0.125, centres=(24, 8), neighbours=(0.25, 0.125), shown=6
+    ROTATION["small"],
+    target="candidate",
+    part_points=48,
+    kit_points=96,
+    width=0.125,
+    centres=(24, 8),
+    neighbours=(0.25, 0.125),
+    shown=6,
 )
 
 
@@ -228,3 +235,26 @@ def test_loss_is_cross_entropy_and_the_release_weighs_it():
     torch.testing.assert_close(rotation_loss(logits, right, distances, TOY), plain)
     weighed = rotation_loss(logits, right, distances, replace(TOY, weight="distance"))
     torch.testing.assert_close(weighed, plain * torch.tensor([np.e - 1, 0.0], dtype=torch.float32))
+
+
+def test_a_spread_target_is_met_by_a_bell_about_the_right_turns():
+    distances = torch.tensor([[0.0, 0.05, 0.1], [0.02, 0.3, 0.02]])
+    config = replace(TOY, target="spread")
+    bell = -((distances / SPREAD) ** 2) / 2
+    best = rotation_loss(bell, torch.tensor([0, 0]), distances, config)
+    for seed in range(20):
+        torch.manual_seed(seed)
+        other = bell + 0.3 * torch.randn(2, 3)
+        assert (rotation_loss(other, torch.tensor([0, 0]), distances, config) > best).all()
+
+
+def test_the_mean_about_the_best_candidate_lies_between_candidates():
+    turns, truth = candidates("ball").wxyz, quaternion_from_rotvec([0.13, -0.05, 0.21])
+    bell = torch.tensor(-((quaternion_angle(turns, truth) / SPREAD) ** 2) / 2)[None]
+    signs = np.where(np.arange(len(turns)) % 2, 1.0, -1.0)[:, None]
+    off = {}
+    for peak in ("candidate", "mean"):
+        found = [turn_of(bell, torch.tensor(q)[None], replace(TOY, peak=peak)) for q in (turns, turns * signs)]
+        off[peak] = [float(quaternion_angle(q[0].numpy(), truth)) for q in found]
+    np.testing.assert_allclose(off["candidate"], quaternion_angle(turns, truth).min(), atol=1e-9)
+    np.testing.assert_allclose(off["mean"], 0, atol=np.radians(0.5))

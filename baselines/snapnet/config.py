@@ -57,6 +57,12 @@ class RotationConfig:
     """Turns that are told apart: around a guess, or all that a part to be placed may need."""
     shown: int = 40
     """Candidates of a training step: the right one and others."""
+    hard: float = 0.0
+    """Share of the others that is drawn among the nearest to a right turn; the rest among all, as in the paper."""
+    target: Literal["candidate", "spread"] = "candidate"
+    """candidate: all on the right one, as in the paper; spread: less the farther a candidate is from a right turn."""
+    peak: Literal["candidate", "mean"] = "candidate"
+    """candidate: the best one, as in the paper; mean: the mean of those around it, by their probability."""
     jitter: float = 2.67e-3
     """[m] most along an axis, by which the kits' volume lies off in training: three voxels of the paper."""
     flag: Literal["paper", "release"] = "paper"
@@ -73,7 +79,10 @@ POSITION = {
 }
 ROTATION = {
     "small": RotationConfig(
-        1.78e-3, (48, 48, 48), (64, 64, 64), "surface", 512, 1024, 0.5, (256, 64), neighbours=(0.5, 0.5), shown=24
+        *(1.78e-3, (48, 48, 48), (64, 64, 64), "surface", 512, 1024, 0.5, (256, 64), (0.5, 0.5)),
+        shown=24,
+        hard=0.5,
+        target="spread",
     ),
     "paper": RotationConfig(0.89e-3, (128, 128, 80), (128, 128, 128)),
 }

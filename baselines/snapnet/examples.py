@@ -36,6 +36,7 @@ ASKED = {"ball": "snap", "tilt": "snap-tilt", "place": "place"}
 ERRORS = {"ball": draw_ball, "tilt": draw_tilt}
 START_JITTER = 3.56e-3  # [m] most along an axis, where nobody guesses: four voxels of the paper
 TRIES = 1000  # scenes drawn in a row with nothing asked, before the split counts as one that asks nothing
+NEAR = 64  # candidates that are hard to tell from the right one: on the ball those within some 14 degrees
 SEED = 0  # of the points and turns of checked examples
 
 
@@ -236,7 +237,7 @@ class RotationExamples:
         part = looks.part_volume(asked.guess, work, config.part_cells, config.voxel)
         kit = looks.kit_volume(place, config.kit_cells, config.voxel)
         right, distances = nearest(self.candidates, asked.residual.turns, asked.residual.axis)
-        chosen = np.arange(len(distances)) if every else shown(rng, int(right), len(distances), config.shown)
+        chosen = np.arange(len(distances)) if every else shown(rng, distances, config.shown, config.hard)
         return {
             "part_points": points_of(part, config.voxel, config.points, config.part_points, rng),
             "kit_points": points_of(kit, config.voxel, config.points, config.kit_points, rng),
@@ -276,8 +277,21 @@ def residual_of(truth: Truth, pivot: np.ndarray, guess: Pose, world_from_work: P
     return Residual(offset, turns, least, axis)
 
 
-def shown(rng: np.random.Generator, right: int, count: int, most: int) -> np.ndarray:
-    """(most,) indices among `count` candidates, or all if fewer: the right one and others, in any order."""
-    others = np.delete(np.arange(count), right)
-    drawn = rng.choice(others, min(most, count) - 1, replace=False)
-    return rng.permutation(np.append(drawn, right))
+def shown(rng: np.random.Generator, distances: np.ndarray, most: int, hard: float = 0.0) -> np.ndarray:
+    """Candidates to learn from: the right one and others, in any order.
+
+    Args:
+        rng: source of the draw.
+        distances: (n,) [rad] of all candidates to the nearest right turn.
+        most: that are shown; all if there are fewer.
+        hard: share of the others that is drawn among the NEAR nearest.
+
+    Returns:
+        (most,) indices.
+    """
+    order = np.argsort(distances, kind="stable")
+    others = min(most, len(order)) - 1
+    near = min(round(hard * others), NEAR, others)
+    drawn = rng.choice(order[1 : NEAR + 1], near, replace=False) if near else order[:0]
+    rest = rng.choice(np.setdiff1d(order[1:], drawn), others - near, replace=False)
+    return rng.permutation(np.concatenate([order[:1], drawn, rest]))

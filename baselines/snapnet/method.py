@@ -13,7 +13,7 @@ from baselines.snapnet.candidates import candidates
 from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
 from baselines.snapnet.points import points_of
 from baselines.snapnet.position import PositionNet, position_of
-from baselines.snapnet.rotation import RotationNet
+from baselines.snapnet.rotation import RotationNet, turn_of
 from baselines.snapnet.volumes import Looks
 from baselines.training.checkpoint import fill, load_weights
 from kit1000.data.making.guesses import apply_error
@@ -76,9 +76,10 @@ class SnapNet:
             points_of(kit, config.voxel, config.points, config.kit_points, rng),
         )
         asked = (_batch(cloud, self.rotation) for cloud in clouds)
-        likely = self.rotation(*asked, _batch(turns.wxyz, self.rotation))[0].float().softmax(0)
-        best = int(likely.argmax())
-        return turns[best].rotvec(), float(likely[best])
+        offered = _batch(turns.wxyz, self.rotation)
+        logits = self.rotation(*asked, offered).float()
+        turn = turn_of(logits, offered, config)[0].double().cpu().numpy()
+        return Pose(turn, np.zeros(3)).rotvec(), float(logits.softmax(1).amax())
 
 
 def snapnet(dataset: Dataset, kind: Kind, position: str, rotation: str) -> SnapNet:

@@ -20,6 +20,7 @@ Letters: B scenes, C candidates, P points of the part, K of the kits, S centres,
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -38,6 +39,8 @@ WIDTHS = (
 )
 LAST = (256, 512, 1024)
 HEAD = (512, 256)
+SPREAD = math.radians(3)  # of the target: half the way from a candidate to the next
+AROUND = math.radians(8)  # candidates of the mean: on the ball the best and its 14 neighbours
 AT_ONCE = 8  # candidates that answering takes together: their rows stay in the cache of a processor
 
 
@@ -171,17 +174,41 @@ def rotation_loss(logits: Tensor, nearest: Tensor, distances: Tensor, config: Ro
         logits: (B, C).
         nearest: (B,) int64, which of them is nearest to a right turn.
         distances: (B, C) [rad] of each to the nearest right turn.
-        config: `weight` "distance" multiplies by exp(d / d_max) - 1 of the best candidate's distance, as the release
+        config: `target` "spread" asks for exp(-(d / SPREAD)^2 / 2) over the candidates in place of the right one
+            alone; `weight` "distance" multiplies by exp(d / d_max) - 1 of the best candidate's distance, as the release
             does; where the network is right it then learns nothing.
 
     Returns:
         (B,).
     """
-    loss = functional.cross_entropy(logits.float(), nearest, reduction="none")
+    wanted = nearest
+    if config.target == "spread":
+        wanted = (-((distances.float() / SPREAD) ** 2) / 2).softmax(1)
+    loss = functional.cross_entropy(logits.float(), wanted, reduction="none")
     if config.weight == "even":
         return loss
     chosen = distances.gather(1, logits.argmax(1, keepdim=True))[:, 0]
     return loss * torch.expm1(chosen / distances.amax(1).clamp(min=1e-9))
+
+
+def turn_of(logits: Tensor, turns: Tensor, config: RotationConfig) -> Tensor:
+    """The best turn, or the mean of those around it by their probability, as `peak` of the config has it.
+
+    Args:
+        logits: (B, C).
+        turns: (B, C, 4) wxyz.
+        config: `peak`.
+
+    Returns:
+        (B, 4) unit, wxyz.
+    """
+    best = logits.argmax(1)
+    chosen = turns[torch.arange(len(best)), best]
+    if config.peak == "candidate":
+        return chosen
+    same = (turns * chosen[:, None]).sum(-1, keepdim=True)  # cosine of half the angle between, but for the sign
+    weight = logits.softmax(1)[..., None] * same.sign() * (same.abs() >= math.cos(AROUND / 2))
+    return functional.normalize((weight * turns).sum(1), dim=1)
 
 
 def _scaled(part: Tensor, kit: Tensor) -> tuple[Tensor, Tensor]:
