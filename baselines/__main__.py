@@ -20,7 +20,7 @@ ABOUT = """The reference methods of KIT1000: each reads a dataset and writes a s
 
 `python -m baselines COMMAND --help` says more about a command.
 
-Results go to stdout, progress to stderr. Exit status: 0 good, 2 wrong usage or bad input,
+Results go to stdout, progress to stderr. Exit status: 0 good, 1 the answer is no, 2 wrong usage or bad input,
 3 a fault of the method or of kit1000, 130 interrupted."""
 
 Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
@@ -75,6 +75,37 @@ class Predict:
 
 
 @dataclass(frozen=True)
+class Rerun:
+    """Answer queries of submissions again and say whether the answers are those written there."""
+
+    submissions: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SUBMISSION...")]
+    """Folders that `predict` wrote with seed 0."""
+    data: Path
+    """Dataset folder."""
+    first: Annotated[int, tyro.conf.arg(metavar="N")] = 50
+    """How many queries of each, from the first on."""
+    workers: Whole = None
+    """Processes; one per core when absent."""
+
+    def run(self) -> int:
+        """Answer and compare."""
+        from baselines.rerun import DEGREES, MILLIMETRES, rerun
+
+        for name, value in (("first", self.first), ("workers", self.workers)):
+            if value is not None and value < 1:
+                raise InputError(f"--{name}: expected 1 or more, got {value}")
+        good = True
+        for folder in self.submissions:
+            found = rerun(folder, self.data, self.first, self.workers)
+            most = f"at most {found.position_mm.max():.2g} mm and {found.rotation_deg.max():.2g}° from those there"
+            others = [query_id for query_id, same in zip(found.query_ids, found.same, strict=True) if not same]
+            told = f"; {len(others)} beyond {MILLIMETRES:g} mm or {DEGREES:g}°, the first {others[0]}" if others else ""
+            print(f"{folder}: {len(found.query_ids)} answers, {most}{told}", flush=True)
+            good &= not others
+        return 0 if good else 1
+
+
+@dataclass(frozen=True)
 class Train:
     """Train a network; run the same command again to go on after a stop, a crash or a kill."""
 
@@ -112,7 +143,7 @@ class Train:
         return 0
 
 
-COMMANDS = {"list": List, "predict": Predict, "train": Train}
+COMMANDS = {"list": List, "predict": Predict, "rerun": Rerun, "train": Train}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

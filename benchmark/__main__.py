@@ -76,6 +76,30 @@ class Score:
 
 
 @dataclass(frozen=True)
+class Rescore:
+    """Score submissions again and say whether their scores.json is what comes out, to the last digit."""
+
+    submissions: Several
+    """Folders with predictions.csv and scores.json."""
+    data: Folder
+    """Dataset folder, with its truth."""
+    workers: int = 1
+    """Processes for the seating test."""
+
+    def run(self) -> int:
+        """Score and compare."""
+        from benchmark.rescore import rescored
+
+        workers, same = _workers(self.workers), True
+        for folder in self.submissions:
+            found = rescored(folder, self.data, workers)
+            told = f"{len(found)} values differ; {found[0]}" if found else "the same scores"
+            print(f"{folder}: {told}", flush=True)
+            same &= not found
+        return 0 if same else 1
+
+
+@dataclass(frozen=True)
 class Curves:
     """Draw the robustness curves of scored submissions: curves.svg, and curves.csv with the numbers."""
 
@@ -174,7 +198,7 @@ def _workers(count: int) -> int:
     return count
 
 
-COMMANDS = {"score": Score, "curves": Curves, "compare": Compare, "table1": Table1, "pages": Pages}
+COMMANDS = {"score": Score, "rescore": Rescore, "curves": Curves, "compare": Compare, "table1": Table1, "pages": Pages}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -101,8 +101,8 @@ def _asked(dataset: Dataset, protocol: Protocol, split: str, tracks: list[str], 
     if CURVES in tracks and split == protocol.splits[0] and held["curve_scenes"]:
         curves, known_ids = questions(dataset, protocol.curves["split"], [CURVES]), set(answered)
         asked = zip(curves.scene_ids, curves.query_ids, strict=True)
-        held = {scene_id for scene_id, query_id in asked if query_id in known_ids}
-        parts.append(curves.of_scenes(held) if held else curves)
+        scenes = {scene_id for scene_id, query_id in asked if query_id in known_ids}
+        parts.append(curves.of_scenes(scenes) if scenes else curves)
     if not parts:
         raise InputError(f"{dataset.root}: split {split} asks nothing in {', '.join(tracks) or 'no track'}")
     return joined(*parts)

@@ -1,0 +1,83 @@
+"""Answering queries of a submission again: does its method still say what is written there?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from tqdm import tqdm
+
+from baselines.methods import Method, method_of
+from baselines.predict import Asked, Job, answer_of, jobs_of
+from kit1000.data.engines import local
+from kit1000.data.presets import CURVES, SPLITS
+from kit1000.data.reader import Dataset
+from kit1000.errors import InputError
+from kit1000.pose import Pose
+from kit1000.submission import read_submission
+
+MILLIMETRES, DEGREES = 0.01, 0.01
+"""By which an answer may differ from one machine to another: sums of float32 depend on their order."""
+
+
+@dataclass(frozen=True)
+class Rerun:
+    """Answers beside those of a submission."""
+
+    query_ids: tuple[str, ...]
+    position_mm: np.ndarray
+    """(n,) by which the pivot goes elsewhere."""
+    rotation_deg: np.ndarray
+    """(n,)"""
+
+    @property
+    def same(self) -> np.ndarray:
+        """(n,) bool."""
+        return (self.position_mm <= MILLIMETRES) & (self.rotation_deg <= DEGREES)
+
+
+def rerun(folder: Path, data: Path, first: int, workers: int | None = None) -> Rerun:
+    """Answer the first queries of a submission again, by the method that its manifest names, with seed 0.
+
+    Args:
+        folder: of the submission.
+        data: dataset folder.
+        first: how many.
+        workers: processes; None = one per core.
+
+    Raises:
+        InputError: no such method, another dataset, or a query that it does not ask.
+    """
+    submission, dataset = read_submission(folder), Dataset(data)
+    name, stated = submission.manifest.method, submission.manifest.dataset_id
+    if stated != dataset.id:
+        raise InputError(f"{folder}: answers dataset {stated}, and {dataset.root} is {dataset.id}")
+    query_ids = submission.predictions.query_ids[:first]
+    jobs = _jobs(dataset, method_of(name), name, query_ids, folder)
+    with local(workers) as spread:
+        answers = spread(partial(answer_of, dataset.root, name, 0), jobs)
+        motions = [answer.goal_from_now for answer in tqdm(answers, folder.name, len(jobs), unit="query", disable=None)]
+    pivots = np.stack([_pivot(dataset, job) for job in jobs])
+    now, there = Pose.stack(motions), submission.predictions.motions[: len(jobs)]
+    apart = np.linalg.norm(now.apply(pivots) - there.apply(pivots), axis=-1)
+    return Rerun(query_ids, 1e3 * apart, np.degrees((now.inverse() @ there).angle()))
+
+
+def _jobs(dataset: Dataset, method: Method, name: str, query_ids: Sequence[str], folder: Path) -> list[Job]:
+    """Where the queries are found."""
+    kinds = {query_id.partition("-")[0] for query_id in query_ids}
+    splits = tuple("test-all" if kind == "test" else kind for kind in (*SPLITS, CURVES) if kind in kinds)
+    found = {job.query_id: job for job in jobs_of(dataset, method, Asked(name, splits))} if splits else {}
+    for query_id in query_ids:
+        if query_id not in found:
+            raise InputError(f"{folder}: query {query_id} is none that {dataset.root} asks {name}")
+    return [found[query_id] for query_id in query_ids]
+
+
+def _pivot(dataset: Dataset, job: Job) -> np.ndarray:
+    """(3,) [m] of a query."""
+    queries = dataset.split(job.split).scene(job.scene_id).queries
+    return next(query.pivot for query in queries if query.id == job.query_id)
