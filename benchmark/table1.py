@@ -47,6 +47,7 @@ METHODS = (  # numbers: Table I of "Scene Editing as Teleoperation", arXiv 2110.
     Method("snapnet", "SnapNet", "paper", (3.9, 4.9), (10.8, 29.6)),
     Method("snapnet-gtvol", "SnapNet, true volumes", "paper", (3.7, 4.61), (8.1, 28.9)),
     Method("registration", "Registration, from depth", "here"),
+    Method("registration-any-clearance", "Registration, clearance unknown", "here"),
     Method("registration-gtvol", "Registration, true geometry", "here"),
     Method("icp", "ICP from the guess", "here"),
     Method("guess", "The guess, unchanged", "control"),
