@@ -40,7 +40,7 @@ dataset: $(RUN) ## the full KIT1000 under data/kit1000
 	$(BIN)/kit1000 generate $(PRESET) --out "$(DATA)" $(if $(WORKERS),--workers $(WORKERS))
 
 test: $(DEV) browser ## the test suite
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 
 test-slow: $(DEV) browser ## the tests that take longer
 	$(BIN)/python -m pytest -m slow

@@ -60,7 +60,7 @@ def test_the_command_writes_the_scores_and_a_row_a_query(
 
 
 WRONG = {
-    "": "no command; there are score, curves, compare, table1, pages (python -m benchmark --help says more)",
+    "": "no command; there are score, rescore, curves, compare, table1, pages (python -m benchmark --help says more)",
     "scor": "no command 'scor'; did you mean score?",
     "score": "score: SUBMISSION and --data missing",
     "score {sub}": "score: --data missing",
