@@ -17,6 +17,7 @@ from kit1000.errors import InputError, near
 from kit1000.predictor import Predictor
 
 EVERY = (*TRACKS, CURVES)
+WEIGHTS = Path(__file__).parent / "weights"
 GUESSED = ("snap", "snap-tilt", "snap-d415", CURVES)
 """Tracks whose queries come with a guess."""
 
@@ -41,6 +42,8 @@ class Method:
     predicts: Literal["pose", "rotation"] = "pose"
     training_data: str = ""
     """What it learned from."""
+    weights: Mapping[str, str] = field(default_factory=dict)
+    """Further arguments of the class: names of files in WEIGHTS, handed over as paths without an ending."""
 
 
 METHODS = {
@@ -120,7 +123,8 @@ def made(method: Method, dataset: Dataset, seed: int) -> Predictor:
     if not isinstance(target, type):
         return target
     takes_seed = "seed" in inspect.signature(target).parameters
-    return target(dataset, **method.options, **({"seed": seed} if takes_seed else {}))
+    weights = {name: WEIGHTS / stem for name, stem in method.weights.items()}
+    return target(dataset, **method.options, **weights, **({"seed": seed} if takes_seed else {}))
 
 
 def resolved(target: str) -> Any:
@@ -136,12 +140,13 @@ def resolved(target: str) -> Any:
 
 
 def source_hash(method: Method) -> str:
-    """SHA-256 in hex of the Python files that the method is written in: its module, or all of its package."""
+    """SHA-256 in hex of what the method is made of: its module, or all files of its package, and its weights."""
     spec = find_spec(method.make.partition(":")[0])
     assert spec is not None, "methods are resolved before they are hashed"
     assert spec.origin is not None
     origin = Path(spec.origin)
     files = sorted(origin.parent.rglob("*.py")) if spec.submodule_search_locations else [origin]
+    files += [WEIGHTS / f"{stem}.safetensors" for stem in method.weights.values()]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from baselines.snapnet.config import PositionConfig, RotationConfig
-from baselines.snapnet.method import SnapNet, snapnet
+from baselines.snapnet.method import SnapNet
 from baselines.snapnet.position import PositionNet
 from baselines.snapnet.rotation import RotationNet
 from baselines.training.checkpoint import save_weights
@@ -29,7 +29,7 @@ def data(mini: Path) -> Dataset:
 
 def untrained(data: Dataset, kind: str) -> SnapNet:
     torch.manual_seed(0)
-    return SnapNet(data, PositionNet(POSITION).eval(), RotationNet(ROTATION).eval(), kind)  # pyright: ignore[reportArgumentType]
+    return SnapNet(data, kind, PositionNet(POSITION), RotationNet(ROTATION))  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("kind", ["truth", "partial"])
@@ -45,7 +45,7 @@ def test_weights_come_back_with_their_sizes(data: Dataset, tmp_path: Path) -> No
     method = untrained(data, "partial")
     for name, net in (("position", method.position), ("rotation", method.rotation)):
         save_weights(tmp_path / name, net, {"about": {"network": asdict(net.config)}})
-    again = snapnet(data, "partial", str(tmp_path / "position"), str(tmp_path / "rotation"))
+    again = SnapNet(data, "partial", tmp_path / "position", tmp_path / "rotation")
     query = next(q for scene in data.split("val") for q in scene.queries if q.track == "snap")
     one, other = method(query).goal_from_now, again(query).goal_from_now
     np.testing.assert_allclose((one @ other.inverse()).xyz, 0, atol=1e-6)
@@ -56,4 +56,4 @@ def test_weights_of_the_other_network_are_refused(data: Dataset, tmp_path: Path)
     method = untrained(data, "partial")
     save_weights(tmp_path / "rotation", method.rotation, {"about": {"network": asdict(ROTATION)}})
     with pytest.raises(InputError, match="the sizes of a PositionNet differ in"):
-        snapnet(data, "partial", str(tmp_path / "rotation"), str(tmp_path / "rotation"))
+        SnapNet(data, "partial", tmp_path / "rotation", tmp_path / "rotation")

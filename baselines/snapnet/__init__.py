@@ -2,3 +2,7 @@
 
 After "Scene Editing as Teleoperation" (IROS 2022, arXiv 2110.04450).
 """
+
+from baselines.snapnet.method import SnapNet
+
+__all__ = ["SnapNet"]

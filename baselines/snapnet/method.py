@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -28,15 +28,24 @@ TURNS = {"snap-tilt": "tilt", "place": "place", "place-paper": "place-paper"}
 """Candidates by track; everywhere else those around a guess of any kind."""
 
 
-@dataclass(frozen=True, eq=False)
 class SnapNet:
     """Corrects a guess by two networks, as in the paper: one sees volumes, the other points taken from volumes."""
 
-    dataset: Dataset
-    position: PositionNet
-    rotation: RotationNet
-    kind: Kind
-    """Of the volumes."""
+    def __init__(
+        self, dataset: Dataset, kind: Kind, position: PositionNet | Path, rotation: RotationNet | Path
+    ) -> None:
+        """Networks as they are, or read from the stems of their weights and put on a GPU where there is one.
+
+        Args:
+            dataset: that is asked about.
+            kind: of the volumes.
+            position: where the part goes.
+            rotation: how it must turn there.
+        """
+        self.dataset = dataset
+        self.kind: Kind = kind
+        self.position: PositionNet = _ready(position, PositionConfig, PositionNet)
+        self.rotation: RotationNet = _ready(rotation, RotationConfig, RotationNet)
 
     @property
     def uses_true_geometry(self) -> bool:
@@ -82,18 +91,11 @@ class SnapNet:
         return Pose(turn, np.zeros(3)).rotvec(), float(logits.softmax(1).amax())
 
 
-def snapnet(dataset: Dataset, kind: Kind, position: str, rotation: str) -> SnapNet:
-    """SnapNet with trained weights.
-
-    Args:
-        dataset: that is asked about.
-        kind: of the volumes.
-        position, rotation: stems of weights, such as baselines/weights/snapnet-gtvol-position.
-    """
-    device = "cuda" if torch.cuda.is_available() else "cpu"
-    places = _loaded(Path(position), PositionConfig, PositionNet).to(device).eval()
-    turns = _loaded(Path(rotation), RotationConfig, RotationNet).to(device).eval()
-    return SnapNet(dataset, places, turns, kind)
+def _ready(net: Any, sizes: type, make: type) -> Any:
+    """A network that answers."""
+    if not isinstance(net, Path):
+        return net.eval()
+    return _loaded(net, sizes, make).to("cuda" if torch.cuda.is_available() else "cpu").eval()
 
 
 def _loaded(stem: Path, sizes: type, make: type) -> Any:
