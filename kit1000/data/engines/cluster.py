@@ -20,10 +20,9 @@ from pathlib import Path
 from typing import Any
 
 from kit1000.cores import cores
-from kit1000.data.engines.jobs import AHEAD, RETRIES, Spread, named
+from kit1000.data.engines.jobs import AHEAD, ONE_THREAD, RETRIES, Spread, named
 from kit1000.errors import InputError, Kit1000Error, fault
 
-ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 ANSWER_S = 5.0  # to wait for a cluster to answer; Ray itself tries for minutes
 STORE_BYTES = 100 << 20  # of shared memory for a Ray of our own: it carries records, Ray's least is 75 MiB
 

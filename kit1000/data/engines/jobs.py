@@ -13,6 +13,8 @@ Result = TypeVar("Result")
 Spread = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 
 AHEAD = 4  # jobs handed out per worker before results are taken: keeps workers fed and memory flat
+ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
+"""Environment of a worker: there are as many of them as cores, and their threads would be in each other's way."""
 RETRIES = 2  # times that a job whose worker died is done again: by the third death it is to blame itself
 
 

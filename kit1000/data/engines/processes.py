@@ -17,7 +17,7 @@ from itertools import chain, islice
 from typing import Any
 
 from kit1000.cores import cores
-from kit1000.data.engines.jobs import AHEAD, RETRIES, Spread, named
+from kit1000.data.engines.jobs import AHEAD, ONE_THREAD, RETRIES, Spread, named
 from kit1000.errors import Kit1000Error
 
 
@@ -56,7 +56,7 @@ class _Pool:
 
     def _started(self) -> ProcessPoolExecutor:
         spawn = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self.count, mp_context=spawn, initializer=_follow_parent)
+        return ProcessPoolExecutor(self.count, mp_context=spawn, initializer=_begin)
 
     def submit(self, function: Callable[[Any], Any], job: Any) -> Future[Any]:
         """Hand out a job. Its future says BrokenProcessPool when a worker died, also before this call."""
@@ -126,6 +126,13 @@ def _signals_held() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin() -> None:
+    """One thread for this worker, before it imports what reads that; and an end when its parent is gone."""
+    for name, value in ONE_THREAD.items():
+        os.environ.setdefault(name, value)
+    _follow_parent()
 
 
 def _follow_parent() -> None:
