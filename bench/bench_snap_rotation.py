@@ -17,6 +17,7 @@ from typing import TypeVar
 import numpy as np
 import torch
 import tyro
+from scipy.ndimage import distance_transform_edt, map_coordinates
 from torch import Tensor, nn
 
 from baselines.snapnet.candidates import candidates
@@ -28,6 +29,8 @@ from baselines.training.checkpoint import fill, load_weights
 from kit1000.rng import stream
 
 Made = TypeVar("Made")
+
+Scene = tuple[Tensor, Tensor, Tensor]  # points of part and kits, and the volume of the kits
 
 CHUNK = 20  # candidates that the release scores together
 
@@ -55,12 +58,14 @@ def main(
     net = drawn_net(config, seed)
     if weights:
         fill(net, load_weights(weights)[0], weights)
-    part, kit = drawn_points(config, seed)
+    scene = drawn_scene(config, seed)
     turns = torch.from_numpy(np.array(candidates("ball").wxyz))[None]
     clock = time.process_time if threads == 1 else time.perf_counter
     with torch.inference_mode():
-        fast, ours = min((timed(clock, lambda: net(part, kit, turns)) for _ in range(3)), key=lambda run: run[1])
-        plain, chunks = plain_run(clock, net, part, kit, turns, seconds)
+        fast, ours = min(
+            (timed(clock, lambda: net(*scene[:2], turns, scene[2])) for _ in range(3)), key=lambda run: run[1]
+        )
+        plain, chunks = plain_run(clock, net, scene, turns, seconds)
     done, number = plain.shape[1], turns.shape[1]
     whole = chunks * number / done
     print(f"{preset}: {config.part_points} + {config.kit_points} points, {number} candidates, one scene")
@@ -68,7 +73,7 @@ def main(
     print(f"plain: {chunks:.2f} s for {done} candidates, which makes {whole:.2f} s for all")
     print(f"ours: {ours:.2f} s, {whole / ours:.1f} times as fast")
     print(f"largest difference of a logit: {(fast[:, :done] - plain).abs().max():.1e}, of up to {fast.abs().max():.1f}")
-    step = training_step(clock, net, part, kit, turns)
+    step = training_step(clock, net, scene, turns)
     print(f"training step of {config.shown} candidates: {step:.2f} s")
     if weights:
         few = turns[:, ::16]
@@ -77,24 +82,24 @@ def main(
 
 
 def plain_run(
-    clock: Callable[[], float], net: RotationNet, part: Tensor, kit: Tensor, turns: Tensor, seconds: float
+    clock: Callable[[], float], net: RotationNet, scene: Scene, turns: Tensor, seconds: float
 ) -> tuple[Tensor, float]:
     """Logits of as many chunks as fit into the time, at least one, and the seconds they took."""
     start, found = clock(), []
     for chunk in turns.split(CHUNK, 1):
-        found.append(plain_scores(net, part, kit, chunk))
+        found.append(plain_scores(net, *scene[:2], chunk, scene[2]))
         if clock() - start > seconds:
             break
     return torch.cat(found, 1), clock() - start
 
 
-def plain_scores(net: RotationNet, part: Tensor, kit: Tensor, turns: Tensor) -> Tensor:
+def plain_scores(net: RotationNet, part: Tensor, kit: Tensor, turns: Tensor, volume: Tensor) -> Tensor:
     """The same function of the same weights, all anew for each candidate. One scene: turns (1, n, 4) -> (1, n)."""
     number, config = turns.shape[1], net.config
     scale = torch.cat([part, kit], 1).norm(dim=-1).max()
     own, still = (cloud.expand(number, -1, -1) / scale for cloud in (part, kit))
     moved = turned(part / scale, turns)[0]  # (n, P, 3)
-    features: Tensor | None = None
+    features = plain_distances(part, kit, turns, volume, config) if config.distance else None
     for stage, level in enumerate(net.levels):
         assert isinstance(level, Level)
         half = config.centres[stage] // 2
@@ -116,6 +121,14 @@ def plain_scores(net: RotationNet, part: Tensor, kit: Tensor, turns: Tensor) -> 
     assert features is not None
     rows = torch.cat([with_flag(moved, still, config), features], -1).transpose(1, 2)[..., None]
     return net.head(convolved(net.last, rows).amax((2, 3))).T
+
+
+def plain_distances(part: Tensor, kit: Tensor, turns: Tensor, volume: Tensor, config: RotationConfig) -> Tensor:
+    """Of the turned part's points, nothing for the kits'. (n, P + K, 1)."""
+    middle = np.array(volume.shape[1:]) // 2
+    places = np.moveaxis(turned(part, turns)[0].numpy() / config.voxel + middle, -1, 0)
+    found = map_coordinates(volume[0].numpy(), places, order=1, mode="nearest")
+    return nn.functional.pad(torch.from_numpy(found.astype(np.float32)), (0, kit.shape[1]))[..., None]
 
 
 def convolved(layers: Iterable[Dense], image: Tensor) -> Tensor:
@@ -179,36 +192,45 @@ def drawn_net(config: RotationConfig, seed: int) -> RotationNet:
     """Random weights, norms that have seen a scene, and logits of up to about 10 as learnt ones have."""
     torch.manual_seed(seed)
     net = RotationNet(config)
-    part, kit = drawn_points(config, seed + 1)
+    part, kit, volume = drawn_scene(config, seed + 1)
     turns = torch.from_numpy(np.array(candidates("ball").wxyz[::40]))[None]
     with torch.no_grad():
         for _ in range(20):
-            net.train()(part, kit, turns)
+            net.train()(part, kit, turns, volume)
         last = net.eval().head[-1]
         assert isinstance(last, nn.Linear)
-        last.weight *= 10 / net(part, kit, turns).abs().max()
+        last.weight *= 10 / net(part, kit, turns, volume).abs().max()
     return net
 
 
-def drawn_points(config: RotationConfig, seed: int) -> tuple[Tensor, Tensor]:
-    """A box of 50 x 40 x 25 mm in a block with room for it, (1, n, 3) float32 [m] each."""
+def drawn_scene(config: RotationConfig, seed: int) -> Scene:
+    """A box of 50 x 40 x 25 mm in a block with room for it: (1, n, 3) float32 [m], and (1, nx, ny, nz) float32."""
     rng = stream(seed, "bench", "rotation")
     part = rng.uniform(-1, 1, (config.part_points, 3)) * (25e-3, 20e-3, 12.5e-3)
     reach = np.array(config.kit_cells) * config.voxel / 2
     kit = rng.uniform(-1, 1, (20 * config.kit_points, 3)) * reach
-    hole = np.all(np.abs(kit[:, :2]) < (27.5e-3, 22.5e-3), axis=1) & (kit[:, 2] > -12.5e-3)
-    kit = kit[~hole & (kit[:, 2] < 6e-3)][: config.kit_points]
-    part, kit = (torch.from_numpy(cloud.astype(np.float32))[None] for cloud in (part, kit))
-    return part, kit
+    kit = kit[solid(kit)][: config.kit_points]
+    middles = np.moveaxis(np.indices(config.kit_cells), 0, -1) - np.array(config.kit_cells) // 2
+    inside = solid(middles * config.voxel)
+    out, deep = (np.asarray(distance_transform_edt(cells)) for cells in (~inside, inside))
+    arrays = part, kit, np.clip((out - deep) / 5, -1, 1)
+    part, kit, volume = (torch.from_numpy(array.astype(np.float32))[None] for array in arrays)
+    return part, kit, volume
 
 
-def training_step(clock: Callable[[], float], net: RotationNet, part: Tensor, kit: Tensor, turns: Tensor) -> float:
+def solid(places: np.ndarray) -> np.ndarray:
+    """Whether the block is at places (..., 3) [m]."""
+    hole = np.all(np.abs(places[..., :2]) < (27.5e-3, 22.5e-3), axis=-1) & (places[..., 2] > -12.5e-3)
+    return ~hole & (places[..., 2] < 6e-3)
+
+
+def training_step(clock: Callable[[], float], net: RotationNet, scene: Scene, turns: Tensor) -> float:
     """Seconds forward and backward, the best of five."""
     net = copy.deepcopy(net).train()
     shown = turns[:, : net.config.shown]
 
     def step() -> None:
-        logits = net(part, kit, shown)
+        logits = net(*scene[:2], shown, scene[2])
         rotation_loss(logits, torch.zeros(1, dtype=torch.long), torch.ones_like(logits), net.config).sum().backward()
 
     return min(timed(clock, step)[1] for _ in range(5))
@@ -221,8 +243,8 @@ def same_best(net: RotationNet, config: RotationConfig, turns: Tensor, scenes: i
     same = []
     with torch.inference_mode():
         for scene in range(scenes):
-            part, kit = drawn_points(config, 100 + scene)
-            same.append(net(part, kit, turns).argmax() == half(part, kit, turns).argmax())
+            part, kit, volume = drawn_scene(config, 100 + scene)
+            same.append(net(part, kit, turns, volume).argmax() == half(part, kit, turns, volume).argmax())
     return float(torch.stack(same).float().mean())
 
 

@@ -6,10 +6,14 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from mini import MINI, sketched
 
 from kit1000.data.making import shards
 from kit1000.data.making.build import generate
+
+settings.register_profile("kit1000", deadline=None)  # a busy machine may take its time
+settings.load_profile("kit1000")
 
 
 def _folders() -> list[Path]:

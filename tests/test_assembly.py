@@ -83,7 +83,7 @@ def test_draws_use_the_whole_range() -> None:
 
 
 @given(plans(st.floats(0, 45 * DEGREE)))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_world_tilts_are_those_of_the_mounts(plan: AssemblyPlan) -> None:
     mounts = placed([sample_kit("foot")] * (1 + len(plan.sides)), plan)
     up = np.array([mount.assembly_from_kit.rotate((0, 0, 1))[2] for mount in mounts])
@@ -92,7 +92,7 @@ def test_world_tilts_are_those_of_the_mounts(plan: AssemblyPlan) -> None:
 
 
 @given(plans(st.one_of(st.just(45 * DEGREE), st.floats(10 * DEGREE, 45 * DEGREE))))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_plates_never_cut_into_each_other(plan: AssemblyPlan) -> None:
     mounts = placed([sample_kit("foot")] * (1 + len(plan.sides)), plan)
     blocks = [block(mount) for mount in mounts]
@@ -111,7 +111,7 @@ def test_the_gap_opens_upward_by_the_sine_of_the_tilt(tilt_deg: float) -> None:
 
 
 @given(plans(st.floats(10 * DEGREE, 45 * DEGREE)).filter(lambda plan: world_tilts(plan).max() <= 45 * DEGREE))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_stand_is_convex_bites_in_and_leaves_cavities_alone(plan: AssemblyPlan) -> None:
     mounts = placed([sample_kit("foot")] * (1 + len(plan.sides)), plan)
     pieces = stand(mounts)
@@ -128,7 +128,7 @@ def test_stand_is_convex_bites_in_and_leaves_cavities_alone(plan: AssemblyPlan) 
 
 
 @given(plans(st.floats(10 * DEGREE, 45 * DEGREE)).filter(lambda plan: world_tilts(plan).max() <= 45 * DEGREE))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_no_wall_is_thinner_than_three_millimetres(plan: AssemblyPlan) -> None:
     mounts = placed([sample_kit("foot")] * (1 + len(plan.sides)), plan)
     for piece in stand(mounts):

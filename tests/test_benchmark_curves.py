@@ -48,7 +48,7 @@ def test_levels_are_those_of_the_dataset() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_every_row_is_what_its_definition_says_whatever_the_order(seed: int) -> None:
     position, rotation = drawn_errors(len(IDS))
     order = stream(seed, "order").permutation(len(IDS))

@@ -60,7 +60,7 @@ def twin(values: np.ndarray, labels: np.ndarray, draws: int, seed: int) -> list[
     return means
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(1, 40))
 def test_resampling_equals_a_plain_twin(seed: int, clusters: int, draws: int) -> None:
     values, labels = clustered(np.random.default_rng(seed), clusters)

@@ -129,7 +129,7 @@ def test_a_damaged_entry_is_made_again(tmp_path: Path, damage: Callable[[bytes],
 
 
 @given(at=st.integers(-40, 10_000), bit=st.integers(0, 7))  # from -40: the lengths and the checksum at the end
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
 def test_no_flipped_bit_goes_unseen(tmp_path: Path, at: int, bit: int) -> None:
     cache = VolumeCache(tmp_path)
     cache.volume(some_key(), some_volume)

@@ -16,7 +16,7 @@ from kit1000.parts import cad
 ROUND = 4e-3
 """Relative loss of an area or volume when inscribed polygons stand for circles."""
 LENGTHS = st.floats(4.0, 40.0)
-quickly = settings(max_examples=30, deadline=None)
+quickly = settings(max_examples=30)
 
 
 def _sound(solid: Manifold) -> Manifold:

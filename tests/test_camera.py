@@ -14,7 +14,7 @@ from kit1000.rng import stream
 from tests.strategies import directions, poses, vectors
 
 ROUNDING = 1e-14
-laws = settings(max_examples=50, deadline=None)
+laws = settings(max_examples=50)
 CAMERA = Camera(width=64, height=48, fx=50.0, fy=55.0, cx=31.5, cy=20.25)
 
 

@@ -143,7 +143,7 @@ def test_the_primary_set_wants_the_pose_that_was_drawn():
         camera_set("primary")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(poses(), st.integers(0, 2**32 - 1), st.floats(0, 50))
 def test_points_are_in_view_if_each_projects_inside_the_margin(pose: Pose, seed: int, margin: float):
     rng = np.random.default_rng(seed)

@@ -104,7 +104,7 @@ def test_shared_weights_are_written_for_each_name(stem: Path) -> None:
 
 
 @given(place=st.floats(0, 1, exclude_max=True), flip=st.integers(1, 255))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_any_changed_byte_of_weights_is_noticed(
     tmp_path_factory: pytest.TempPathFactory, place: float, flip: int
 ) -> None:
@@ -171,7 +171,7 @@ def test_a_state_comes_back_to_the_bit(tmp_path: Path) -> None:
 
 
 @given(place=st.floats(0, 1, exclude_max=True), flip=st.integers(1, 255))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_changed_byte_of_a_state_is_noticed_or_harmless(
     tmp_path_factory: pytest.TempPathFactory, place: float, flip: int
 ) -> None:

@@ -47,7 +47,7 @@ def overlap(moving: Mesh, still: Mesh, pose: Pose, rise: float) -> float:
 
 
 @given(SEEDS)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_just_above_contact_bodies_are_apart_and_just_below_they_are_not(seed: int) -> None:
     moving, still, pose = drawn(seed)
     rise = raise_of(moving, still, pose)
@@ -57,7 +57,7 @@ def test_just_above_contact_bodies_are_apart_and_just_below_they_are_not(seed: i
 
 
 @given(SEEDS)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_contact_is_the_least_raise_over_a_fine_grid_of_envelopes(seed: int) -> None:
     """A grid can only miss the highest point: it says no more than the closed form, and nearly as much."""
     moving, still, pose = drawn(seed)
@@ -80,7 +80,7 @@ def test_contact_is_the_least_raise_over_a_fine_grid_of_envelopes(seed: int) -> 
 
 
 @given(SEEDS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_envelope_of_a_grid_is_the_lowest_of_plain_vertical_rays(seed: int) -> None:
     mesh = body(seed % 12)
     heights, corner = lower_envelope(mesh, 0.7e-3)
@@ -105,7 +105,7 @@ def cross2(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 @given(SEEDS)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_who_moves_does_not_matter(seed: int) -> None:
     """The upper body let down on the lower one, or the lower one, all turned over, let down on the upper one."""
     moving, still, pose = drawn(seed)
@@ -115,7 +115,7 @@ def test_who_moves_does_not_matter(seed: int) -> None:
 
 
 @given(SEEDS)
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_moving_both_or_turning_both_about_the_line_of_motion_changes_nothing(seed: int) -> None:
     moving, still, pose = drawn(seed)
     rng = np.random.default_rng(seed)
@@ -124,7 +124,7 @@ def test_moving_both_or_turning_both_about_the_line_of_motion_changes_nothing(se
 
 
 @given(SEEDS, st.floats(-0.05, 0.05))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_lift_is_taken_off_the_raise(seed: int, lift: float) -> None:
     moving, still, pose = drawn(seed)
     lifted = Pose(pose.wxyz, pose.xyz + [0, 0, lift])

@@ -36,7 +36,7 @@ def unlit(colour: tuple[int, int, int]) -> np.ndarray:
     return np.array(colour) / sum(colour)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.0, 1.0))
 def test_holes_are_ink_and_nothing_else_fails_about_them(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)
@@ -67,7 +67,7 @@ def test_the_ends_and_the_middle_of_the_scale_have_the_colours_named() -> None:
         np.testing.assert_allclose(hue, unlit(colour), atol=0.01)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(factor=st.floats(0.5, 3.0))
 def test_the_scale_follows_the_scene(factor: float) -> None:
     """A scene twice as far and twice as large has the same picture, but for rounding."""

@@ -51,7 +51,7 @@ def test_a_read_only_array_is_copied_all_the_same() -> None:
 
 
 @given(st.lists(st.integers(0, 3), max_size=4), st.integers(0, 3), st.integers(0, 3))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_leading_axes_are_free_and_trailing_ones_exact(leading: list[int], size: int, wanted: int) -> None:
     array = np.zeros((*leading, size))
     if size == wanted:

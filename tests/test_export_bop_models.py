@@ -66,7 +66,7 @@ def test_listed_symmetries_leave_the_model_as_it_is(name: str) -> None:
 
 
 @given(poses())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_the_diameter_is_that_of_all_vertices_however_turned(pose: Pose) -> None:
     mesh = sample_part("tee").mesh.moved(pose)
     assert diameter(mesh) == pytest.approx(pdist(mesh.vertices).max())

@@ -60,7 +60,7 @@ def test_shares_agree_with_another_package(name: str) -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_shares_add_up_to_one(seed: int) -> None:
     faces = resting_faces(as_part(random_solid(seed)).mesh, probable=0.0)
     assert sum(face.probability for face in faces) == pytest.approx(1)
@@ -68,7 +68,7 @@ def test_shares_add_up_to_one(seed: int) -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_the_part_stands_stably_on_every_face(seed: int) -> None:
     """The centre of mass lies over the convex hull of what touches the table, and the height is that of the part."""
     body = as_part(random_solid(seed)).mesh

@@ -35,7 +35,7 @@ from kit1000.values import FreeAxis, Slot
 from tests.strategies import directions, poses, vectors
 
 DRAWS = 2000
-laws = settings(max_examples=40, deadline=None)
+laws = settings(max_examples=40)
 LIKELY = 1e-3  # a fair draw fails a test of its distribution this rarely; the seed is fixed
 
 

@@ -93,7 +93,7 @@ def test_drawn_modes_are_those_of_a_uniform_offset() -> None:
 
 
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 5))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_spots_keep_parts_apart_however_they_turn(seed: int, n: int) -> None:
     spots = draw_layout(stream(seed), (TUMBLED,) * n).spots
     assert ((spots >= PARTS_AT[0]) & (spots <= PARTS_AT[1])).all()
@@ -124,7 +124,7 @@ def test_a_part_larger_than_the_spots_allow_is_refused() -> None:
 
 
 @given(seed=st.integers(0, 1000))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_everything_stands_on_its_half_and_apart(seed: int) -> None:
     _, layout = laid(seed)
     shadows = [shadow(part.mesh, pose) for (part, _), pose in zip(pairs(), layout.world_from_parts, strict=True)]
@@ -140,7 +140,7 @@ def test_everything_stands_on_its_half_and_apart(seed: int) -> None:
 
 
 @given(seed=st.integers(0, 1000))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_upright_parts_stand_as_they_are_inserted_at_the_drawn_yaw_and_spot(seed: int) -> None:
     draw, layout = laid(seed)
     for i, (part, slot) in enumerate(pairs()):
@@ -152,7 +152,7 @@ def test_upright_parts_stand_as_they_are_inserted_at_the_drawn_yaw_and_spot(seed
 
 
 @given(seed=st.integers(0, 1000))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_every_part_touches_the_table(seed: int) -> None:
     _, layout = laid(seed)
     for (part, _), pose in zip(pairs(), layout.world_from_parts, strict=True):
@@ -186,7 +186,7 @@ def test_a_layout_is_the_same_every_time() -> None:
 
 
 @given(yaw=st.floats(0, 6.28), shift=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), n=st.integers(1, 4))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_the_kits_stay_on_their_half_at_every_draw(yaw: float, shift: tuple[float, float], n: int) -> None:
     draw = replace(draw_layout(stream(0), ()), assembly_yaw=yaw, assembly_shift=np.array(shift))
     layout = lay_out(sample_assembly(n), [], draw)
@@ -249,7 +249,7 @@ def test_distances_of_squares_are_those_of_the_books() -> None:
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_distances_agree_with_dense_points(seed: int) -> None:
     rng = np.random.default_rng(seed)
     outlines = []

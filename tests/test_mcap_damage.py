@@ -147,7 +147,7 @@ def same_or_told(path: Path, data: bytes, name: str) -> None:
     assert said is None or (str(path) in said and "\n" not in said)
 
 
-DAMAGE = settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+DAMAGE = settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @DAMAGE

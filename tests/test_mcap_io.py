@@ -67,7 +67,7 @@ def test_views_of_further_cameras_come_back_in_order(tmp_path: Path) -> None:
     assert file.labels("test-s0000") is None
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(poses(), poses())
 def test_poses_come_back_to_the_bit(tmp_path: Path, camera_pose: Pose, guess: Pose) -> None:
     scene = replace(

@@ -50,7 +50,7 @@ def test_wrong_arrays_are_refused_with_what_was_expected(vertices: np.ndarray, f
 
 
 @given(st.integers(0, 10_000), poses())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_measures_agree_with_another_package_wherever_the_solid_stands(seed: int, pose: Pose) -> None:
     mesh = mesh_of(standing(random_solid(seed))).moved(pose)
     peer = other(mesh)
@@ -137,7 +137,7 @@ def test_surface_points_are_uniform_over_the_area() -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_hulls_are_exact_at_the_size_of_a_part(seed: int) -> None:
     """In metres the hull of the solids package is off by micrometres: facets and volume tell."""
     points = np.random.default_rng(seed).normal(0, 0.01, (60, 3))

@@ -22,7 +22,7 @@ FACES = np.array([[0, 1, 2], [6, 5, 4], [3, 3, 0]], dtype=np.int32)
 
 
 @given(POINTS)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_a_glb_holds_every_vertex_and_face_to_the_bit(tmp_path_factory, points: np.ndarray) -> None:
     path = tmp_path_factory.getbasetemp() / "mesh.glb"
     path.write_bytes(glb_bytes({"a b/c": Mesh(points, FACES), "ä": Mesh(points[::-1], FACES[:1])}))

@@ -20,7 +20,7 @@ from kit1000.testing import check_metric
 from kit1000.values import FreeAxis, Slot, Truth
 from tests.strategies import directions, poses, vectors
 
-laws = settings(max_examples=40, deadline=None)
+laws = settings(max_examples=40)
 EXACT = 1e-9  # [m], [rad] most at a right goal
 FINE = 2 * np.pi / 3600  # [rad] between the angles that the plain loop tries
 FIELDS = [field.name for field in fields(PoseErrors)]

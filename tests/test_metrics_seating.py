@@ -34,7 +34,7 @@ from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Truth
 from tests.sample_kits import QUICK, sample_kit, sample_part
 from tests.shapes import cylinder, leaning_prism, lying_cylinder, random_solid, seated, upturned_tee
 
-laws = settings(max_examples=40, deadline=None)
+laws = settings(max_examples=40)
 APART = 0.15  # [m] between two kits of an assembly
 PAIRS = [f"{a}+{b}" for a, b in zip(QUICK, [*QUICK[1:], QUICK[0]], strict=True)]
 NOTHING = 1e-12  # [m^3] a cube of 0.1 mm

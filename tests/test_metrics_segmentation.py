@@ -38,7 +38,7 @@ def best_of_all(predicted: np.ndarray, true: np.ndarray) -> float:
 
 
 @given(predicted=masks(3), true=seen(3))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_no_assignment_is_better(predicted: np.ndarray, true: np.ndarray) -> None:
     matched = matched_masks(predicted, true)
     assert matched.iou.sum() == pytest.approx(best_of_all(predicted, true), abs=1e-12)
@@ -51,14 +51,14 @@ def test_no_assignment_is_better(predicted: np.ndarray, true: np.ndarray) -> Non
 
 
 @given(true=seen(4), data=st.data())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_the_truth_in_any_order_is_right(true: np.ndarray, data: st.DataObject) -> None:
     order = data.draw(st.permutations(range(len(true))))
     assert mean_iou(true[list(order)], true) == 1
 
 
 @given(predicted=masks(3), true=seen(3))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_masks_that_no_object_wants_cost_nothing_and_lost_ones_count_zero(
     predicted: np.ndarray, true: np.ndarray
 ) -> None:
@@ -71,7 +71,7 @@ def test_masks_that_no_object_wants_cost_nothing_and_lost_ones_count_zero(
 
 
 @given(a=seen(3), b=seen(3))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_two_sets_of_as_many_masks_may_change_places(a: np.ndarray, b: np.ndarray) -> None:
     k = min(len(a), len(b))
     assert mean_iou(a[:k], b[:k]) == pytest.approx(mean_iou(b[:k], a[:k]))

@@ -116,7 +116,7 @@ def test_a_pair_of_points_is_worked_out_by_hand() -> None:
 
 
 @given(pose=poses(), scale=st.floats(0.1, 10))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_the_distance_is_that_of_all_pairs_and_moves_and_grows_with_the_world(pose: Pose, scale: float) -> None:
     rng = np.random.default_rng(0)
     a, b = rng.normal(size=(40, 3)), rng.normal(size=(60, 3)) + 0.3
@@ -141,7 +141,7 @@ def test_points_even_on_two_meshes_tell_what_their_volumes_tell() -> None:
 
 
 @given(pose=poses())
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_equal_volumes_are_alike_to_the_bit(pose: Pose) -> None:
     one = volume(block(20, 12, 8), grid(32), Pose(pose.wxyz, np.clip(pose.xyz, -5 * MM, 5 * MM)))
     again = Volume(one.grid, one.values.copy())

@@ -32,7 +32,7 @@ from tests.strategies import (
 
 # Rounding of a few products of numbers of size 1 to 4: about fifty units in the last place of 1.
 ROUNDING = 1e-14
-laws = settings(max_examples=60, deadline=None)
+laws = settings(max_examples=60)
 
 
 def assert_same(a: Pose, b: Pose, tolerance: float = ROUNDING) -> None:
@@ -267,7 +267,7 @@ def test_float32_matrices_are_taken(pose: Pose) -> None:
 
 
 @given(pose_batches(3), pose_batches(3), st.lists(vectors(2.0), min_size=3, max_size=3).map(np.array))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_a_batch_gives_bit_for_bit_what_its_members_give(a: Pose, b: Pose, points: np.ndarray) -> None:
     product, back, moved = a @ b, a.inverse(), a.apply(points)
     for i in range(3):

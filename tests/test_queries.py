@@ -227,7 +227,7 @@ def test_a_track_without_any_part_draws_none() -> None:
     assert {row["track"] for row in rows} == {"snap", "snap-tilt", "snap-d415"}
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(poses())
 def test_roll_and_pitch_are_those_of_scipy(pose: Pose) -> None:
     roll, pitch, _ = _scipy_angles(pose)

@@ -107,14 +107,14 @@ def spotted(seed: int, n: int = 17) -> np.ndarray:
 
 
 @given(cells=st.integers(0, 5), seed=st.integers(0, 99))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_growing_by_whole_cells_is_the_least_value_in_a_disc(cells: int, seed: int) -> None:
     image = spotted(seed)
     np.testing.assert_array_equal(grown(image, 0.5e-3, cells * 0.5e-3), lowest_around(image, cells + 0.5))
 
 
 @given(clearance=st.floats(0, 2.5e-3), seed=st.integers(0, 99))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_growing_reaches_as_far_as_the_clearance_to_within_half_a_cell(clearance: float, seed: int) -> None:
     image, cell = spotted(seed), 0.5e-3
     bigger = grown(image, cell, clearance)
@@ -274,7 +274,7 @@ def axes_of(pose: Pose) -> np.ndarray:
 
 
 @given(size=st.tuples(*[st.floats(5e-3, 50e-3)] * 3), pose=poses())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_a_box_stands_on_its_six_faces(size: tuple[float, ...], pose: Pose) -> None:
     faces = standing_faces(corner_points(np.array(size), pose), pose.xyz, np.radians(4))
     x, y, z = size
@@ -286,7 +286,7 @@ def test_a_box_stands_on_its_six_faces(size: tuple[float, ...], pose: Pose) -> N
 
 
 @given(pose=poses(), beyond=st.floats(1.2e-3, 5e-3), axis=st.integers(0, 2))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_box_with_its_middle_beyond_an_edge_stands_only_on_what_lies_beneath(
     pose: Pose, beyond: float, axis: int
 ) -> None:
@@ -316,7 +316,7 @@ def test_what_has_no_extent_has_no_face(points: np.ndarray) -> None:
 
 
 @given(now=poses(), plate=poses(), guess=poses(), turn=st.floats(0.01, ANGLE))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_every_turn_near_the_guess_has_one_that_is_looked_at(now: Pose, plate: Pose, guess: Pose, turn: float) -> None:
     rotations = Lying(volume_of(cuboid()), np.zeros(3), now.rotate(UP)).rotations
     allowed = Window(np.zeros(3), guess, turn, OFFSET).allows(rotations, plate)
@@ -334,7 +334,7 @@ def test_every_turn_near_the_guess_has_one_that_is_looked_at(now: Pose, plate: P
 
 
 @given(now=poses())
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_without_a_guess_there_are_turns_all_around(now: Pose) -> None:
     """All of them carry the face that looks down to the floor."""
     down = now.rotate(UP)
@@ -347,7 +347,7 @@ def test_without_a_guess_there_are_turns_all_around(now: Pose) -> None:
 
 
 @given(seed=st.integers(0, 50), most=st.integers(1, 6))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_kept_candidates_are_no_neighbours_and_the_others_are(seed: int, most: int) -> None:
     rng = np.random.default_rng(seed)
     plate = find_cavity(*on_a_plate(ell_kit().kit().mesh, HOME), 0.5e-3)

@@ -118,7 +118,7 @@ def test_sheet_facing_the_camera_has_one_depth_everywhere():
     assert (frame.ids == 1).all()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1))
 def test_tilted_plane_matches_its_equation(seed: int):
     rng = np.random.default_rng(seed)
@@ -166,7 +166,7 @@ def test_fine_ball_matches_the_sphere_and_its_outline():
     np.testing.assert_allclose(frame.depth[240, 320], distance - radius, atol=1e-5)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 1.0, 3.0]))
 def test_agrees_with_brute_force_rays(seed: int, distance: float):
     """Also with the camera amid the bodies, where faces cross the near plane and lie behind it."""
@@ -180,7 +180,7 @@ def test_agrees_with_brute_force_rays(seed: int, distance: float):
     np.testing.assert_array_equal(frame.faces[clear], faces[clear])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_no_crack_opens_in_a_closed_surface(seed: int):
     """From inside a ball every pixel sees it, whatever the grid of edges and however the camera looks."""
@@ -236,7 +236,7 @@ def test_coincident_surfaces_show_the_body_named_first():
     assert (render(SMALL, IDENTITY, [(sheet, IDENTITY), (sheet, IDENTITY)]).ids == 1).all()
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1))
 def test_order_of_bodies_does_not_matter(seed: int):
     rng = np.random.default_rng(seed)
@@ -248,7 +248,7 @@ def test_order_of_bodies_does_not_matter(seed: int):
     np.testing.assert_array_equal(frame.ids, np.concatenate([[0], order + 1])[shuffled.ids])
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1))
 def test_moving_the_whole_world_changes_nothing(seed: int):
     rng = np.random.default_rng(seed)

@@ -72,7 +72,7 @@ def eight(t: np.ndarray) -> np.ndarray:
 
 
 @given(st.sampled_from(sorted(SHAPES)), st.integers(0, 2**32 - 1))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_no_order_of_the_file_reaches_the_result(name: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     indexed = mesh_of(SHAPES[name])
@@ -88,7 +88,7 @@ def test_no_order_of_the_file_reaches_the_result(name: str, seed: int) -> None:
 
 
 @given(st.sampled_from(sorted(SHAPES)), st.integers(0, 2**32 - 1))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_faces_of_any_winding_come_out_outward(name: str, seed: int) -> None:
     mesh = mesh_of(SHAPES[name])
     flip = np.random.default_rng(seed).random(len(mesh.faces)) < 0.5
@@ -97,7 +97,7 @@ def test_faces_of_any_winding_come_out_outward(name: str, seed: int) -> None:
 
 
 @given(st.sampled_from(sorted(SHAPES)), st.integers(0, 2**32 - 1))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_seams_of_rounding_noise_are_welded(name: str, seed: int) -> None:
     corners, faces = soup_of(SHAPES[name])
     noise = 1e-9 * np.random.default_rng(seed).uniform(-1, 1, corners.shape)
@@ -177,7 +177,7 @@ def test_a_klein_bottle_is_one_sided() -> None:
 
 
 @given(st.floats(-0.04, 0.04), st.floats(-0.02, 0.02), st.floats(-0.01, 0.01))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_bodies_are_united_when_they_overlap(x: float, y: float, z: float) -> None:
     shift = np.round([x, y, z], 3)
     overlap = float(np.prod(np.maximum([0.04, 0.02, 0.01] - np.abs(shift), 0)))
@@ -251,7 +251,7 @@ def test_many_faces_are_thinned_within_the_stated_distance() -> None:
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_surfaces_cross_just_when_solids_overlap_without_one_in_the_other(seed: int) -> None:
     """Two random tetrahedra, judged by exact booleans."""
     rng = np.random.default_rng(seed)
@@ -264,7 +264,7 @@ def test_surfaces_cross_just_when_solids_overlap_without_one_in_the_other(seed: 
 
 
 @given(st.integers(0, 2**32 - 1))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_distance_to_a_box_matches_its_closed_form(seed: int) -> None:
     points = np.random.default_rng(seed).uniform(-3, 3, (20, 3))
     outside = np.abs(points) - [1.0, 0.5, 0.25]

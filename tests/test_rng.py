@@ -23,13 +23,13 @@ def first(root: int, *key: int | str) -> list[int]:
 
 
 @given(ROOTS, KEYS)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_one_address_gives_one_stream(root: int, key: tuple) -> None:
     assert first(root, *key) == first(root, *key)
 
 
 @given(ROOTS, KEYS, ROOTS, KEYS)
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_other_addresses_give_other_streams(root: int, key: tuple, other_root: int, other_key: tuple) -> None:
     if (root, key) != (other_root, other_key):
         assert first(root, *key) != first(other_root, *other_key)

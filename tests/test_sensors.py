@@ -250,7 +250,7 @@ def two_walls(near: float, far: float) -> np.ndarray:
 
 
 @given(near=st.floats(0.4, 0.9), behind=st.floats(0.05, 1.0))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_shadows_lie_left_of_near_things_and_are_as_wide_as_the_step_in_disparity(near: float, behind: float) -> None:
     band = int(np.ceil(GAIN / (near + behind)))  # columns that the other eye's picture does not hold
     columns = np.flatnonzero(hidden(two_walls(near, near + behind), 0.0)[20, 1:-1][band + 1 :]) + band + 1
@@ -325,7 +325,7 @@ def test_growing_only_brings_nearer_and_keeps_what_is_empty(polar: float) -> Non
 
 
 @given(a=st.floats(-0.3, 0.3), b=st.floats(-0.3, 0.3), cut=st.integers(5, 35))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_blending_leaves_planes_and_high_edges_alone(a: float, b: float, cut: int) -> None:
     v, u = np.mgrid[:30, :40]
     d = np.pad(np.where(u < cut, 60 + a * u + b * v, 20 - b * u), 1).astype(np.float32)

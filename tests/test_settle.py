@@ -69,7 +69,7 @@ def test_a_dropped_part_ends_in_static_balance_on_the_table(name: str) -> None:
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 def test_so_does_any_part_that_stops(seed: int) -> None:
     mesh = part_of(random_solid(seed))
     (rest,) = settle([released(mesh, random_quaternions(np.random.default_rng(seed), 1)[0])])
@@ -158,7 +158,7 @@ def test_the_inertia_of_a_box_is_that_of_the_books() -> None:
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_the_principal_axes_make_the_inertia_diagonal(seed: int) -> None:
     mesh = part_of(random_solid(seed))
     tensor = inertia(mesh, DENSITY * mesh.volume)

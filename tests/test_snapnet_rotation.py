@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from baselines.snapnet import rotation
 from baselines.snapnet.candidates import candidates
 from baselines.snapnet.config import ROTATION, RotationConfig
-from baselines.snapnet.points import Kind, points_of, turned
+from baselines.snapnet.points import Kind, points_of, sampled, turned
 from baselines.snapnet.rotation import SPREAD, RotationNet, rotation_loss, turn_of
 from baselines.snapnet.set_abstraction import Groups, Level, farthest, squares, within, within_sorted
 from bench.bench_snap_rotation import plain_farthest, plain_scores
@@ -40,14 +41,15 @@ def one_thread():
     torch.set_num_threads(before)
 
 
-def scene(config: RotationConfig = TOY, seed: int = 0, scenes: int = 2) -> tuple[Tensor, Tensor, Tensor]:
-    """Points of a box and of the block around it, and some candidates."""
+def scene(config: RotationConfig = TOY, seed: int = 0, scenes: int = 2) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Points of a box and of the block around it, some candidates, and a volume whose values are any."""
     rng = stream(seed, "scene")
     part = rng.uniform(-1, 1, (scenes, config.part_points, 3)) * (0.025, 0.015, 0.01)
     kit = rng.uniform(-1, 1, (scenes, config.kit_points, 3)) * (0.05, 0.05, 0.01) - (0, 0, 0.015)
     turns = candidates("ball").wxyz[rng.permutation(391)[: scenes * 20]].reshape(scenes, 20, 4)
-    part, kit = (torch.from_numpy(cloud.astype(np.float32)) for cloud in (part, kit))
-    return part, kit, torch.from_numpy(turns)
+    volume = rng.uniform(-1, 1, (scenes, *config.kit_cells))
+    part, kit, volume = (torch.from_numpy(values.astype(np.float32)) for values in (part, kit, volume))
+    return part, kit, torch.from_numpy(turns), volume
 
 
 def made(config: RotationConfig = TOY, seed: int = 0) -> RotationNet:
@@ -63,9 +65,9 @@ def made(config: RotationConfig = TOY, seed: int = 0) -> RotationNet:
     return net.eval()
 
 
-def scores(net: RotationNet, part: Tensor, kit: Tensor, turns: Tensor) -> Tensor:
+def scores(net: RotationNet, part: Tensor, kit: Tensor, turns: Tensor, volume: Tensor) -> Tensor:
     with torch.inference_mode():
-        return net(part, kit, turns)
+        return net(part, kit, turns, volume)
 
 
 def test_the_papers_network_has_as_many_parameters_as_the_paper_says():
@@ -108,12 +110,22 @@ def test_too_few_points_come_again_and_none_give_the_middle(kind: Kind):
 
 
 def test_turned_is_what_poses_do_and_the_same_alone_to_the_bit():
-    part, _, turns = scene()
+    part, _, turns, _ = scene()
     found = turned(part, turns)
     for number in range(2):
         poses = Pose(turns[number].numpy(), np.zeros(3))
         np.testing.assert_allclose(found[number], poses[:, None].apply(part[number].numpy()), atol=1e-7)
     assert torch.equal(found[:, 3:4], turned(part, turns[:, 3:4]))
+
+
+def test_values_between_voxels_are_those_of_a_linear_interpolation():
+    volume = stream(0).uniform(-1, 1, (2, 7, 6, 5)).astype(np.float32)
+    points = stream(1).uniform(-9e-3, 9e-3, (2, 3, 40, 3)).astype(np.float32)  # some of them beyond
+    found = sampled(torch.from_numpy(volume), torch.from_numpy(points), 2e-3)
+    for number in range(2):
+        places = np.moveaxis(points[number] / 2e-3 + (3, 3, 2), -1, 0)
+        wanted = map_coordinates(volume[number], places, order=1, mode="nearest")
+        np.testing.assert_allclose(found[number], wanted, atol=1e-5)
 
 
 def test_farthest_points_are_those_of_the_plain_search_and_fewer_are_a_prefix():
@@ -124,7 +136,7 @@ def test_farthest_points_are_those_of_the_plain_search_and_fewer_are_a_prefix():
 
 
 def test_neighbours_are_the_first_within_the_radius():
-    part, kit, _ = scene()
+    part, kit, _, _ = scene()
     radii, counts = (0.005, 0.02, 0.05), (4, 9, 120)
     found = within(part, kit, radii, counts)
     for one, other in zip(found, within_sorted(part, kit, radii, counts), strict=True):
@@ -147,16 +159,16 @@ def test_a_level_does_not_mind_the_order_of_members_nor_where_the_scene_stands()
     torch.testing.assert_close(level(places + torch.tensor([3.0, -2, 1, 0.5]), None, groups), found)
 
 
-@pytest.mark.parametrize("config", [TOY, replace(TOY, flag="release", centres=(25, 9))])
+@pytest.mark.parametrize("config", [TOY, replace(TOY, flag="release", centres=(25, 9), distance=False)])
 def test_answers_are_those_of_a_plain_network_of_the_same_weights(config):
     net = made(config)
-    part, kit, turns = scene(config)
-    found = scores(net, part, kit, turns)
+    part, kit, turns, volume = scene(config)
+    found = scores(net, part, kit, turns, volume)
     assert found.std() > 0.05
     with torch.inference_mode():
         for number in range(2):
             one = slice(number, number + 1)
-            plain = plain_scores(net, part[one], kit[one], turns[one])
+            plain = plain_scores(net, part[one], kit[one], turns[one], volume[one])
             torch.testing.assert_close(found[one], plain, atol=1e-4, rtol=0)
 
 
@@ -170,54 +182,54 @@ def test_the_norms_folded_into_the_maps_change_nothing():
 
 def test_candidates_are_scored_one_by_one(monkeypatch):
     net = made()
-    part, kit, turns = scene()
-    found = scores(net, part, kit, turns)
+    part, kit, turns, volume = scene()
+    found = scores(net, part, kit, turns, volume)
     order = torch.randperm(20)
-    torch.testing.assert_close(scores(net, part, kit, turns[:, order]), found[:, order], atol=1e-4, rtol=0)
+    torch.testing.assert_close(scores(net, part, kit, turns[:, order], volume), found[:, order], atol=1e-4, rtol=0)
     monkeypatch.setattr(rotation, "AT_ONCE", 3)
-    torch.testing.assert_close(scores(net, part, kit, turns), found, atol=1e-4, rtol=0)
-    torch.testing.assert_close(scores(net, part[1:], kit[1:], turns[1:]), found[1:], atol=1e-4, rtol=0)
+    torch.testing.assert_close(scores(net, part, kit, turns, volume), found, atol=1e-4, rtol=0)
+    torch.testing.assert_close(scores(net, part[1:], kit[1:], turns[1:], volume[1:]), found[1:], atol=1e-4, rtol=0)
 
 
 def test_the_sign_of_a_quaternion_and_the_size_of_the_scene_do_not_matter():
     net = made()
-    part, kit, turns = scene()
-    found = scores(net, part, kit, turns)
-    torch.testing.assert_close(scores(net, part, kit, -turns), found)
-    torch.testing.assert_close(scores(net, part * 4, kit * 4, turns), found)  # by a power of two: to the bit
+    part, kit, turns, volume = scene()
+    found = scores(net, part, kit, turns, volume)
+    torch.testing.assert_close(scores(net, part, kit, -turns, volume), found)
+    net.config = replace(TOY, voxel=4 * TOY.voxel)
+    torch.testing.assert_close(scores(net, part * 4, kit * 4, turns, volume), found)  # by a power of two: to the bit
 
 
 def test_turning_the_part_first_is_turning_by_the_product():
     net = made()
-    part, kit, turns = scene(scenes=1)
+    part, kit, turns, volume = scene(scenes=1)
     first = Pose.from_rotvec([0.1, -0.2, 0.3])
     before = torch.from_numpy(first.apply(part.numpy()))
     product = torch.from_numpy(quaternion_multiply(turns.numpy(), first.wxyz))
-    torch.testing.assert_close(
-        scores(net, before.float(), kit, turns), scores(net, part, kit, product), atol=1e-3, rtol=0
-    )
+    found = scores(net, before.float(), kit, turns, volume)
+    torch.testing.assert_close(found, scores(net, part, kit, product, volume), atol=1e-3, rtol=0)
 
 
 def test_a_scene_without_points_has_an_answer():
     nothing = torch.zeros(1, TOY.part_points, 3)
-    found = scores(made(), nothing, torch.zeros(1, TOY.kit_points, 3), scene(scenes=1)[2])
+    found = scores(made(), nothing, torch.zeros(1, TOY.kit_points, 3), *scene(scenes=1)[2:])
     assert torch.isfinite(found).all()
 
 
 def test_one_batch_is_learnt_by_heart():
     torch.manual_seed(0)
     net = RotationNet(TOY).train()
-    part, kit, turns = scene()
+    part, kit, turns, volume = scene()
     turns = turns[:, :6]
     right = torch.tensor([4, 1])
     steps = torch.optim.Adam(net.parameters(), 3e-3)
     for _ in range(40):
-        loss = rotation_loss(net(part, kit, turns), right, torch.ones(2, 6), TOY).mean()
+        loss = rotation_loss(net(part, kit, turns, volume), right, torch.ones(2, 6), TOY).mean()
         steps.zero_grad()
         loss.backward()
         steps.step()
-    assert rotation_loss(net(part, kit, turns), right, torch.ones(2, 6), TOY).mean() < 0.1
-    assert torch.equal(net(part, kit, turns).argmax(1), right)
+    assert rotation_loss(net(part, kit, turns, volume), right, torch.ones(2, 6), TOY).mean() < 0.1
+    assert torch.equal(net(part, kit, turns, volume).argmax(1), right)
 
 
 def test_gradients_are_those_of_differences():

@@ -97,7 +97,7 @@ def test_what_cannot_be_a_part_is_refused_with_one_line(name: str, tmp_path: Pat
     st.integers(0, 255),
     st.sampled_from([".stl", ".ply", ".off", ".obj", ".glb"]),
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_a_damaged_byte_never_ends_in_a_traceback(tmp_path_factory, place: int, byte: int, suffix: str) -> None:
     data = bytearray(STL if suffix == ".stl" else scaled(1, suffix[1:]))
     data[place % len(data)] = byte
@@ -169,7 +169,7 @@ def test_a_part_far_from_its_origin_keeps_its_shape(tmp_path: Path) -> None:
 
 
 @given(st.floats(1e-2, 1e5))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_guess_makes_a_machine_part_wherever_a_unit_does(tmp_path_factory, longest: float) -> None:
     path = written(tmp_path_factory.getbasetemp(), "guess.stl", scaled(longest / 40))
     plausible = [unit for unit, metres in UNITS.items() if 0.0051 < longest * metres < 0.499]

@@ -81,7 +81,7 @@ def test_a_finer_tolerance_keeps_more_of_the_kit() -> None:
 
 
 @given(st.integers(0, 2**32), st.integers(3, 40), st.integers(0, 3))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_polygons_are_convex_and_add_up_to_the_section(seed: int, corners: int, holes: int) -> None:
     rng = np.random.default_rng(seed)
     section = star(rng, corners)

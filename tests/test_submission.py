@@ -57,7 +57,7 @@ def same(a: Predictions, b: Predictions) -> bool:
 
 
 @given(st.integers(0, 2**32 - 1), st.lists(NUMBERS, min_size=3, max_size=3), st.floats(0, 1), st.floats(0, 1e300))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_numbers_come_back_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, seed: int, xyz: list[float], confidence: float, seconds: float
 ) -> None:
@@ -175,7 +175,7 @@ TEXT = st.text(st.characters(exclude_categories=["Cs", "Cc"]) | st.sampled_from(
 
 
 @given(TEXT.filter(str.strip), TEXT, st.booleans())
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_a_manifest_comes_back_as_it_was_written(
     tmp_path_factory: pytest.TempPathFactory, description: str, training_data: str, learned: bool
 ) -> None:

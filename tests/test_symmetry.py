@@ -26,7 +26,7 @@ from kit1000.symmetry import Symmetry
 from tests.strategies import directions, quaternions
 
 ROUNDING = 2e-14
-laws = settings(max_examples=60, deadline=None)
+laws = settings(max_examples=60)
 TILTED = np.array([0.48, 0.6, 0.64])
 
 TETRAHEDRON = Symmetry.generated(quaternion_from_rotvec([[np.pi, 0, 0], np.full(3, 2 * np.pi / 3) / np.sqrt(3)]))
@@ -235,7 +235,7 @@ def test_error_about_a_free_axis_is_the_angle_between_the_axes(sym: Symmetry) ->
 
 @each
 @given(data=st.data(), truth=quaternions())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_error_is_zero_at_every_symmetric_orientation(sym: Symmetry, data: st.DataObject, truth: np.ndarray) -> None:
     estimate = quaternion_multiply(truth, data.draw(members(sym)))
     assert sym.error(estimate, truth) <= ROUNDING
@@ -243,7 +243,7 @@ def test_error_is_zero_at_every_symmetric_orientation(sym: Symmetry, data: st.Da
 
 @each
 @given(data=st.data(), estimate=quaternions(), truth=quaternions(), world=quaternions())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_error_ignores_the_world_frame_and_turns_by_a_symmetry(
     sym: Symmetry, data: st.DataObject, estimate: np.ndarray, truth: np.ndarray, world: np.ndarray
 ) -> None:
@@ -259,7 +259,7 @@ def test_error_ignores_the_world_frame_and_turns_by_a_symmetry(
 
 @each
 @given(estimate=quaternions(), truth=quaternions(), third=quaternions())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_error_is_a_metric_no_larger_than_the_plain_angle(
     sym: Symmetry, estimate: np.ndarray, truth: np.ndarray, third: np.ndarray
 ) -> None:
@@ -325,7 +325,7 @@ def test_expanded_takes_a_step_that_divides_the_circle_as_it_is() -> None:
 
 @each
 @given(turn=quaternions(), estimate=quaternions(), truth=quaternions())
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_conjugated_is_the_symmetry_of_the_turned_part(
     sym: Symmetry, turn: np.ndarray, estimate: np.ndarray, truth: np.ndarray
 ) -> None:

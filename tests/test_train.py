@@ -148,7 +148,7 @@ def test_the_best_weights_are_those_of_the_least_median(plain: Path) -> None:
 
 
 @given(deaths=st.lists(st.integers(0, 9), min_size=1, max_size=3), average=st.sampled_from([None, 0.9]))
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_a_run_goes_on_after_any_kills_to_the_bit(
     tmp_path_factory: pytest.TempPathFactory, deaths: list[int], average: float | None
 ) -> None:

@@ -65,7 +65,7 @@ def larger(camera: Camera, rim: int) -> Camera:
     )
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
 def test_a_part_alone_shows_all_of_its_silhouette_to_the_pixel(seed: int):
     """Also where the image cuts it: then the share is that of an image with room around."""
@@ -245,7 +245,7 @@ def kits_on_show(rng: np.random.Generator) -> tuple[list[Kit], Pose]:
     return kits, Pose.stack([Pose.from_rotvec(rng.uniform(-0.4, 0.4, 3), place) for place in places])
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=6)
 @given(st.integers(0, 2**32 - 1))
 def test_labels_are_the_pixels_of_cavity_faces(seed: int):
     """By the faces that the renderer saw; pixels within 1 um of the limit may go either way."""

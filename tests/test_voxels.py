@@ -51,7 +51,7 @@ def test_a_voxel_has_its_centre_at_its_index() -> None:
 
 
 @given(pose=poses(), shape=st.tuples(*[st.integers(1, 9)] * 3))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_centred_grid_has_its_middle_at_the_pose(pose: Pose, shape: tuple[int, int, int]) -> None:
     grid = Grid.centred(pose, shape, 1e-3)
     np.testing.assert_allclose(grid.centres().reshape(-1, 3).mean(0), pose.xyz, atol=1e-12)
@@ -184,7 +184,7 @@ values = st.lists(st.floats(-1, 1, width=32) | st.just(float("nan")), min_size=1
 
 
 @given(values)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_a_byte_keeps_sign_unknown_and_a_value(numbers: list[float]) -> None:
     volume = Volume(Grid((len(numbers), 1, 1), 1.0, Pose.identity()), np.array(numbers).reshape(-1, 1, 1))
     back = from_uint8(volume.grid, to_uint8(volume))
@@ -193,7 +193,7 @@ def test_a_byte_keeps_sign_unknown_and_a_value(numbers: list[float]) -> None:
 
 
 @given(values)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_two_bytes_keep_sign_unknown_and_a_value(numbers: list[float]) -> None:
     volume = Volume(Grid((len(numbers), 1, 1), 1.0, Pose.identity()), np.array(numbers).reshape(-1, 1, 1))
     check_encoding(volume, from_float16(volume.grid, to_float16(volume)), np.full(volume.values.shape, 2.0**-12))

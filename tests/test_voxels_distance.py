@@ -62,7 +62,7 @@ def triangle_distance(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 @given(size=st.tuples(*[st.floats(2e-3, 25e-3)] * 3), world_from_box=poses(), turn=poses())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_a_box_in_any_pose_has_its_closed_form(size: tuple[float, ...], world_from_box: Pose, turn: Pose) -> None:
     grid = Grid.centred(Pose(turn.wxyz, world_from_box.xyz + 1e-3), (32, 30, 28), 1e-3)
     values = signed_distance(grid, [(cuboid(*size), world_from_box)], truncation=4e-3).values
@@ -163,7 +163,7 @@ def test_occupied_voxels_sum_to_the_volume(seed: int) -> None:
 
 
 @given(move=poses())
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_moving_the_world_moves_nothing(move: Pose) -> None:
     grid, mesh = Grid.centred(Pose.from_rotvec((0.3, 0.2, 0.1)), (32, 32, 32), 1.3e-3), solid(3)
     here, there = signed_distance(grid, [(mesh, HOME)]), signed_distance(grid.moved(move), [(mesh, move)])

@@ -119,7 +119,7 @@ def test_a_tilted_wall_lies_within_half_a_voxel() -> None:
 
 
 @given(move=poses())
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_moving_the_world_moves_nothing(move: Pose) -> None:
     view = rough_view(3, look_at((0.2, 0.5, 0.3), (0.01, 0.02, 0.03)))
     grid = Grid.centred(Pose.from_rotvec((0.3, 0.2, 0.1)), (30, 30, 30), 6e-3)

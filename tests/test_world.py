@@ -40,7 +40,7 @@ def test_a_body_in_the_air_falls_as_galileo_says() -> None:
 
 
 @given(pose=poses())
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 def test_a_pose_comes_back_as_it_was_given(pose: Pose) -> None:
     with World() as world:
         back = world.pose(world.add_hull(CUBE, 0.05, MOMENTS, pose))
@@ -151,7 +151,7 @@ def test_a_hull_keeps_its_corners_and_loses_what_lies_inside() -> None:
 
 
 @given(seed=st.integers(0, 100))
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 def test_a_round_hull_is_thinned_but_keeps_its_shape(seed: int) -> None:
     ball = np.random.default_rng(seed).standard_normal((4000, 3))
     ball *= 0.02 / np.linalg.norm(ball, axis=1, keepdims=True)

@@ -199,7 +199,8 @@ class RotationExamples:
     `part_points` (P, 3) and `kit_points` (K, 3) float32 [m] along working axes, of the part laid by the guess, about
     its pivot, and of the kits, about where the pivot belongs but for a jitter; `turns` (C, 4) float64 wxyz candidates
     on the left of the guess; `nearest` () int64, the right one among them; `distances` (C,) float32 [rad] of each to
-    the nearest right turn. In training C is `config.shown`: the right one and others, in any order.
+    the nearest right turn; where the config has distances, `kit_volume` (nx, ny, nz) float32. In training C is
+    `config.shown`: the right one and others, in any order.
     """
 
     def __init__(
@@ -238,7 +239,8 @@ class RotationExamples:
         kit = looks.kit_volume(place, config.kit_cells, config.voxel)
         right, distances = nearest(self.candidates, asked.residual.turns, asked.residual.axis)
         chosen = np.arange(len(distances)) if every else shown(rng, distances, config.shown, config.hard)
-        return {
+        told = {"kit_volume": kit} if config.distance else {}
+        return told | {
             "part_points": points_of(part, config.voxel, config.points, config.part_points, rng),
             "kit_points": points_of(kit, config.voxel, config.points, config.kit_points, rng),
             "turns": self.candidates.wxyz[chosen],

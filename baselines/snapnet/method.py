@@ -85,8 +85,8 @@ class SnapNet:
             points_of(kit, config.voxel, config.points, config.kit_points, rng),
         )
         asked = (_batch(cloud, self.rotation) for cloud in clouds)
-        offered = _batch(turns.wxyz, self.rotation)
-        logits = self.rotation(*asked, offered).float()
+        offered, volume = (_batch(values, self.rotation) for values in (turns.wxyz, kit))
+        logits = self.rotation(*asked, offered, volume if config.distance else None).float()
         turn = turn_of(logits, offered, config)[0].double().cpu().numpy()
         return Pose(turn, np.zeros(3)).rotvec(), float(logits.softmax(1).amax())
 

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from kit1000.errors import InputError
 from kit1000.pose import Pose
@@ -57,6 +58,24 @@ def turned(points: Tensor, turns: Tensor) -> Tensor:
     matrix = _matrices(turns).to(points.dtype)[:, :, None]  # (B, C, 1, 3, 3)
     p = points[:, None, :, None]  # (B, 1, P, 1, 3)
     return matrix[..., 0] * p[..., 0] + matrix[..., 1] * p[..., 1] + matrix[..., 2] * p[..., 2]  # (B, C, P, 3)
+
+
+def sampled(volume: Tensor, points: Tensor, voxel: float) -> Tensor:
+    """Values of volumes at places, interpolated linearly along each axis; beyond the last voxels those of the last.
+
+    Args:
+        volume: (B, nx, ny, nz).
+        points: (B, C, P, 3) [m] from the middle of the voxel n // 2 of each axis.
+        voxel: [m] edge.
+
+    Returns:
+        (B, C, P).
+    """
+    cells = points.new_tensor(volume.shape[1:])
+    places = 2 * (points / voxel + torch.floor(cells / 2)) / (cells - 1) - 1  # -1 and 1 at the outermost voxels
+    grid = places.flip(-1)[:, :, :, None]  # torch counts axes from the last
+    found = functional.grid_sample(volume[:, None], grid, padding_mode="border", align_corners=True)
+    return found[:, 0, :, :, 0]
 
 
 def _matrices(wxyz: Tensor) -> Tensor:

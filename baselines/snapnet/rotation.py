@@ -12,6 +12,9 @@ Layers, radii and counts are the paper's. Where it departs, so that the kits are
 - the head has no batch norms: there they would compare the few candidates of a step with one another, which nobody does
   when answering, and in our trials learning set in later with them.
 
+With `distance` a point of the part also enters with the kits' signed distance where the candidate takes it, looked up
+in their volume: a fit can then be told from points alone that lie farther apart than the clearance.
+
 As in the paper the flag of the fourth channel is relative to the centre in the first two levels, like the coordinates:
 0 within a cloud and +-2 across. Its sign says more only in the last level.
 
@@ -28,7 +31,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from baselines.snapnet.config import RotationConfig
-from baselines.snapnet.points import turned
+from baselines.snapnet.points import sampled, turned
 from baselines.snapnet.set_abstraction import Chain, Groups, Level, farthest, within
 
 RADII = ((0.1, 0.2, 0.4), (0.2, 0.4, 0.8))  # of the scales of both levels, over the largest distance of a point
@@ -56,6 +59,19 @@ class _Clouds:
     """(B, K, 3)."""
     part_centres: Tensor
     kit_centres: Tensor
+    apart: Tensor | None = None
+    """(B, C, P) distances of the part's points from the kits, in truncations; of the first level, where told."""
+
+    def some(self, chosen: slice) -> _Clouds:
+        """Just some of the candidates."""
+        return replace(self, moved=self.moved[:, chosen], apart=None if self.apart is None else self.apart[:, chosen])
+
+    @property
+    def told(self) -> Tensor | None:
+        """The distances as a feature of the bank, nothing for the kits' own points. (B C P + B K, 1)."""
+        if self.apart is None:
+            return None
+        return functional.pad(self.apart.flatten(), (0, self.kit.shape[:2].numel()))[:, None]
 
     @property
     def places(self) -> Tensor:
@@ -86,7 +102,7 @@ class RotationNet(nn.Module):
         widths = [[[self._wide(n) for n in scale] for scale in level] for level in WIDTHS]
         last, head = [self._wide(n) for n in LAST], [self._wide(n) for n in HEAD]
         first, second = (sum(scale[-1] for scale in level) for level in widths)
-        self.levels = nn.ModuleList([Level(0, widths[0]), Level(first, widths[1])])
+        self.levels = nn.ModuleList([Level(int(config.distance), widths[0]), Level(first, widths[1])])
         self.last = Chain([4 + second, *last])
         self.head = nn.Sequential(
             *(nn.Linear(last[-1], head[0]), nn.ReLU()),
@@ -94,13 +110,14 @@ class RotationNet(nn.Module):
             nn.Linear(head[1], 1),
         )
 
-    def forward(self, part: Tensor, kit: Tensor, turns: Tensor) -> Tensor:
+    def forward(self, part: Tensor, kit: Tensor, turns: Tensor, volume: Tensor | None = None) -> Tensor:
         """Score turns; in training all in one go, otherwise the kits once and the turns a few at a time.
 
         Args:
             part: (B, P, 3) [m] about the middle of the part's volume, as the part lies before any of the turns.
             kit: (B, K, 3) [m] about the same middle, where the part is to go.
             turns: (B, C, 4) wxyz, on the left.
+            volume: (B, nx, ny, nz) of the kits about the same middle, in voxels of the config; read for distances.
 
         Returns:
             (B, C) logits.
@@ -108,11 +125,14 @@ class RotationNet(nn.Module):
         own, kit = _scaled(part, kit)
         centres = (farthest(cloud, count) for cloud, count in zip((own, kit), self._shares(0), strict=True))
         scene = _Clouds(own, turned(own, turns), kit, *centres)
+        if self.config.distance:
+            assert volume is not None, "the config has distances"
+            scene = replace(scene, apart=sampled(volume, turned(part.float(), turns), self.config.voxel))
         if self.training:
             found, kits = self._features(scene, None)
             return self._judge(found, kits)
-        kits = self._features(replace(scene, moved=scene.moved[:, :0]), None)[1]
-        few = (replace(scene, moved=moved) for moved in scene.moved.split(AT_ONCE, 1))
+        kits = self._features(scene.some(slice(0)), None)[1]
+        few = (scene.some(slice(first, first + AT_ONCE)) for first in range(0, turns.shape[1], AT_ONCE))
         return torch.cat([self._judge(self._features(clouds, kits)[0], kits) for clouds in few], 1)
 
     def _features(self, clouds: _Clouds, kits: list[Tensor] | None) -> tuple[Tensor, list[Tensor]]:
@@ -126,7 +146,9 @@ class RotationNet(nn.Module):
             Features of each turned part (B, C, F), and of the kits: (B S, F) of both levels and (B, F) of the last.
         """
         scenes, copies = clouds.moved.shape[:2]
-        features: Tensor | None = None
+        features = clouds.told
+        if features is not None:
+            features = features.to(next(self.levels.parameters()).dtype)
         made: list[Tensor] = []
         for number, level in enumerate(self.levels):
             groups = _part_groups(clouds, number, self._counts(number))

@@ -78,4 +78,4 @@ class RotationTask(Examined[RotationExamples]):
         return {"rotation_deg": degrees.gather(1, best)[:, 0], "floor_deg": degrees.amin(1)}
 
     def _logits(self, batch: Batch) -> Tensor:
-        return self.model(batch["part_points"], batch["kit_points"], batch["turns"])
+        return self.model(batch["part_points"], batch["kit_points"], batch["turns"], batch.get("kit_volume"))
