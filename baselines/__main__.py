@@ -143,7 +143,26 @@ class Train:
         return 0
 
 
-COMMANDS = {"list": List, "predict": Predict, "rerun": Rerun, "train": Train}
+@dataclass(frozen=True)
+class Ship:
+    """Put the best weights of a run where the methods look for them."""
+
+    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+    """Folder that `train` wrote."""
+    commit: str | None = None
+    """Of the code that trained them; the checkout's own when absent."""
+
+    def run(self) -> int:
+        """Copy, then say where."""
+        from baselines.methods import WEIGHTS
+        from baselines.ship import ship
+        from benchmark.provenance import commit
+
+        print(ship(self.run_folder, WEIGHTS, self.commit or commit()))
+        return 0
+
+
+COMMANDS = {"list": List, "predict": Predict, "rerun": Rerun, "train": Train, "ship": Ship}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

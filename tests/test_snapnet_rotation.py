@@ -266,7 +266,7 @@ def test_the_mean_about_the_best_candidate_lies_between_candidates():
     signs = np.where(np.arange(len(turns)) % 2, 1.0, -1.0)[:, None]
     off = {}
     for peak in ("candidate", "mean"):
-        found = [turn_of(bell, torch.tensor(q)[None], replace(TOY, peak=peak)) for q in (turns, turns * signs)]
+        found = [turn_of(bell, torch.tensor(q)[None], peak) for q in (turns, turns * signs)]
         off[peak] = [float(quaternion_angle(q[0].numpy(), truth)) for q in found]
     np.testing.assert_allclose(off["candidate"], quaternion_angle(turns, truth).min(), atol=1e-9)
     np.testing.assert_allclose(off["mean"], 0, atol=np.radians(0.5))

@@ -63,8 +63,6 @@ class RotationConfig:
     """Share of the others that is drawn among the nearest to a right turn; the rest among all, as in the paper."""
     target: Literal["candidate", "spread"] = "candidate"
     """candidate: all on the right one, as in the paper; spread: less the farther a candidate is from a right turn."""
-    peak: Literal["candidate", "mean"] = "candidate"
-    """candidate: the best one, as in the paper; mean: the mean of those around it, by their probability."""
     jitter: float = 2.67e-3
     """[m] most along an axis, by which the kits' volume lies off in training: three voxels of the paper."""
     flag: Literal["paper", "release"] = "paper"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -32,7 +32,12 @@ class SnapNet:
     """Corrects a guess by two networks, as in the paper: one sees volumes, the other points taken from volumes."""
 
     def __init__(
-        self, dataset: Dataset, kind: Kind, position: PositionNet | Path, rotation: RotationNet | Path
+        self,
+        dataset: Dataset,
+        kind: Kind,
+        position: PositionNet | Path,
+        rotation: RotationNet | Path,
+        peak: Literal["candidate", "mean"] = "candidate",
     ) -> None:
         """Networks as they are, or read from the stems of their weights and put on a GPU where there is one.
 
@@ -41,9 +46,11 @@ class SnapNet:
             kind: of the volumes.
             position: where the part goes.
             rotation: how it must turn there.
+            peak: the best turn, as in the paper, or the mean of those around it by their probability.
         """
         self.dataset = dataset
         self.kind: Kind = kind
+        self.peak: Literal["candidate", "mean"] = peak
         self.position: PositionNet = _ready(position, PositionConfig, PositionNet)
         self.rotation: RotationNet = _ready(rotation, RotationConfig, RotationNet)
 
@@ -87,7 +94,7 @@ class SnapNet:
         asked = (_batch(cloud, self.rotation) for cloud in clouds)
         offered, volume = (_batch(values, self.rotation) for values in (turns.wxyz, kit))
         logits = self.rotation(*asked, offered, volume if config.distance else None).float()
-        turn = turn_of(logits, offered, config)[0].double().cpu().numpy()
+        turn = turn_of(logits, offered, self.peak)[0].double().cpu().numpy()
         return Pose(turn, np.zeros(3)).rotvec(), float(logits.softmax(1).amax())
 
 

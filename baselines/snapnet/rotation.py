@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
@@ -213,20 +214,20 @@ def rotation_loss(logits: Tensor, nearest: Tensor, distances: Tensor, config: Ro
     return loss * torch.expm1(chosen / distances.amax(1).clamp(min=1e-9))
 
 
-def turn_of(logits: Tensor, turns: Tensor, config: RotationConfig) -> Tensor:
-    """The best turn, or the mean of those around it by their probability, as `peak` of the config has it.
+def turn_of(logits: Tensor, turns: Tensor, peak: Literal["candidate", "mean"]) -> Tensor:
+    """The best turn, or the mean of those around it by their probability.
 
     Args:
         logits: (B, C).
         turns: (B, C, 4) wxyz.
-        config: `peak`.
+        peak: which of the two.
 
     Returns:
         (B, 4) unit, wxyz.
     """
     best = logits.argmax(1)
     chosen = turns[torch.arange(len(best)), best]
-    if config.peak == "candidate":
+    if peak == "candidate":
         return chosen
     same = (turns * chosen[:, None]).sum(-1, keepdim=True)  # cosine of half the angle between, but for the sign
     weight = logits.softmax(1)[..., None] * same.sign() * (same.abs() >= math.cos(AROUND / 2))
