@@ -149,16 +149,15 @@ class Ship:
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """Folder that `train` wrote."""
-    commit: str | None = None
-    """Of the code that trained them; the checkout's own when absent."""
+    commit: str
+    """Of the code that trained them: `git rev-parse HEAD`."""
 
     def run(self) -> int:
         """Copy, then say where."""
         from baselines.methods import WEIGHTS
         from baselines.ship import ship
-        from benchmark.provenance import commit
 
-        print(ship(self.run_folder, WEIGHTS, self.commit or commit()))
+        print(ship(self.run_folder, WEIGHTS, self.commit))
         return 0
 
 
