@@ -66,6 +66,8 @@ bench: $(DEV) ## each speed beside a reference measured in the same run: kits to
 	$(BIN)/python bench/bench_reading.py
 	$(BIN)/python bench/bench_scoring.py
 	$(BIN)/python bench/bench_methods.py
+	$(BIN)/python bench/bench_snap_position.py --presets small
+	$(BIN)/python bench/bench_snap_rotation.py
 
 bench-parts: $(DEV) ## compare our parts with real ones: make bench-parts PARTS=DIR
 	$(if $(PARTS),,$(error a folder of meshes is wanted: make bench-parts PARTS=DIR))

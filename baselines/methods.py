@@ -20,6 +20,7 @@ EVERY = (*TRACKS, CURVES)
 WEIGHTS = Path(__file__).parent / "weights"
 GUESSED = ("snap", "snap-tilt", "snap-d415", CURVES)
 """Tracks whose queries come with a guess."""
+LEARNED_FROM = "split train of kit1000"
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,26 @@ METHODS = {
         "registration from the true shapes of part and kits",
         options={"source": "truth"},
         uses_true_geometry=True,
+    ),
+    "snapnet-gtvol": Method(
+        "baselines.snapnet:SnapNet",
+        "SnapNet of the paper in its small size, from true volumes",
+        options={"kind": "truth"},
+        tracks=GUESSED,
+        uses_true_geometry=True,
+        learned=True,
+        training_data=LEARNED_FROM,
+        weights={"position": "snapnet-gtvol-position", "rotation": "snapnet-gtvol-rotation"},
+    ),
+    "snapnet-gtvol-fine": Method(
+        "baselines.snapnet:SnapNet",
+        "the same, with the mean of the turns around the best one, by their probability",
+        options={"kind": "truth", "peak": "mean"},
+        tracks=GUESSED,
+        uses_true_geometry=True,
+        learned=True,
+        training_data=LEARNED_FROM,
+        weights={"position": "snapnet-gtvol-position", "rotation": "snapnet-gtvol-rotation"},
     ),
 }
 

@@ -1,0 +1,75 @@
+"""Weights that travel with the project: written from a run with their story, and the very networks of the methods."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+from baselines.methods import METHODS, WEIGHTS
+from baselines.networks import NETWORKS
+from baselines.ship import ship
+from baselines.training import checkpoint
+from baselines.training.checkpoint import LARGEST, load_weights, save_weights
+from baselines.training.curve import curve
+from benchmark.protocol import read_protocol
+from kit1000.errors import InputError
+
+ROOT = Path(__file__).resolve().parents[1]
+SHIPPED = sorted({path.stem for path in WEIGHTS.glob("*.json")})
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """A folder as `train` writes it."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    save_weights(folder / "best", torch.nn.Linear(3, 2), {"about": {"name": "some-network"}, "step": 20})
+    rows = [{"step": step, "loss": 1 / step, "measures": {}} for step in (10, 20)]
+    (folder / "log.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    return folder
+
+
+def test_weights_are_shipped_with_commit_and_log(run: Path, tmp_path: Path) -> None:
+    stem = ship(run, tmp_path / "weights", "0123abc")
+    assert stem == tmp_path / "weights/some-network"
+    tensors, info = load_weights(stem)
+    there, _ = load_weights(run / "best")
+    assert all(torch.equal(tensors[name], there[name]) for name in there)
+    assert info["commit"] == "0123abc"
+    assert [row["step"] for row in info["log"]] == [10, 20]
+
+
+def test_what_cannot_be_shipped_is_said(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(InputError, match=r"best\.json"):
+        ship(tmp_path, tmp_path / "weights", "")
+    monkeypatch.setattr("baselines.ship.LARGEST", 10)
+    with pytest.raises(InputError, match="MiB, and at most"):
+        ship(run, tmp_path / "weights", "")
+    assert not (tmp_path / "weights").exists()
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_weights_say_where_they_come_from(name: str) -> None:
+    _, info = load_weights(WEIGHTS / name)
+    assert name in NETWORKS
+    assert (WEIGHTS / f"{name}.safetensors").stat().st_size <= LARGEST
+    assert info["about"]["name"] == name
+    assert info["about"]["dataset_id"] == read_protocol().dataset["id"]
+    assert len(info["commit"]) == 40
+    assert info["seconds"] > 0
+    assert info["log"][-1]["step"] <= info["train"]["steps"]
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_pictures_of_learning_are_those_of_the_logs(name: str) -> None:
+    _, info = load_weights(WEIGHTS / name)
+    assert (ROOT / f"docs/pictures/{name}.svg").read_text(encoding="utf-8") == curve(info["log"])
+
+
+def test_every_method_finds_its_weights_and_none_lie_about() -> None:
+    assert {stem for method in METHODS.values() for stem in method.weights.values()} <= set(SHIPPED)
+    assert {path.stem for path in WEIGHTS.iterdir()} == set(SHIPPED) <= set(NETWORKS)
+    assert checkpoint.LARGEST == 16 * 2**20
