@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from baselines.snapnet.candidates import candidates, nearest
-from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
+from baselines.snapnet.config import UNKNOWN, Kind, PositionConfig, RotationConfig
 from baselines.snapnet.points import points_of
 from baselines.snapnet.volumes import SCENES, Kept, Looks
 from kit1000.data.making.guesses import apply_error, draw_ball, draw_goal, draw_tilt, motion, turned_goal
@@ -199,8 +199,8 @@ class RotationExamples:
     `part_points` (P, 3) and `kit_points` (K, 3) float32 [m] along working axes, of the part laid by the guess, about
     its pivot, and of the kits, about where the pivot belongs but for a jitter; `turns` (C, 4) float64 wxyz candidates
     on the left of the guess; `nearest` () int64, the right one among them; `distances` (C,) float32 [rad] of each to
-    the nearest right turn; where the config has distances, `kit_volume` (nx, ny, nz) float32. In training C is
-    `config.shown`: the right one and others, in any order.
+    the nearest right turn; where the config has distances, `kit_volume` (nx, ny, nz) float32, NaN where nobody knows.
+    In training C is `config.shown`: the right one and others, in any order.
     """
 
     def __init__(
@@ -236,10 +236,11 @@ class RotationExamples:
         jitter = rng.uniform(-config.jitter, config.jitter, 3)
         place = work @ Pose.from_translation(asked.residual.offset + jitter)
         part = looks.part_volume(asked.guess, work, config.part_cells, config.voxel)
-        kit = looks.kit_volume(place, config.kit_cells, config.voxel)
+        known = looks.kit_volume(place, config.kit_cells, config.voxel, np.nan)
+        kit = np.where(np.isnan(known), np.float32(UNKNOWN), known)
         right, distances = nearest(self.candidates, asked.residual.turns, asked.residual.axis)
         chosen = np.arange(len(distances)) if every else shown(rng, distances, config.shown, config.hard)
-        told = {"kit_volume": kit} if config.distance else {}
+        told = {"kit_volume": known} if config.distance else {}
         return told | {
             "part_points": points_of(part, config.voxel, config.points, config.part_points, rng),
             "kit_points": points_of(kit, config.voxel, config.points, config.kit_points, rng),

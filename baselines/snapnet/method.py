@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from baselines.snapnet.candidates import candidates
-from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
+from baselines.snapnet.config import UNKNOWN, Kind, PositionConfig, RotationConfig
 from baselines.snapnet.points import points_of
 from baselines.snapnet.position import PositionNet, position_of
 from baselines.snapnet.rotation import RotationNet, turn_of
@@ -86,13 +86,14 @@ class SnapNet:
         """(3,) [rad] rotation vector along the axes of the world, and the probability of the candidate."""
         config, turns = self.rotation.config, candidates(kind)
         part = looks.part_volume(guess, place, config.part_cells, config.voxel)
-        kit = looks.kit_volume(place, config.kit_cells, config.voxel)
+        known = looks.kit_volume(place, config.kit_cells, config.voxel, np.nan)
+        kit = np.where(np.isnan(known), np.float32(UNKNOWN), known)
         clouds = (
             points_of(part, config.voxel, config.points, config.part_points, rng),
             points_of(kit, config.voxel, config.points, config.kit_points, rng),
         )
         asked = (_batch(cloud, self.rotation) for cloud in clouds)
-        offered, volume = (_batch(values, self.rotation) for values in (turns.wxyz, kit))
+        offered, volume = (_batch(values, self.rotation) for values in (turns.wxyz, known))
         logits = self.rotation(*asked, offered, volume if config.distance else None).float()
         turn = turn_of(logits, offered, self.peak)[0].double().cpu().numpy()
         return Pose(turn, np.zeros(3)).rotvec(), float(logits.softmax(1).amax())

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import find_objects
 
-from baselines.snapnet.config import Cells, Kind
+from baselines.snapnet.config import UNKNOWN, Cells, Kind
 from kit1000.camera import Camera
 from kit1000.data.making.queries import middle_of
 from kit1000.data.reader import Dataset
@@ -26,7 +26,6 @@ from kit1000.voxels import Grid, signed_distance, tsdf
 
 MESHES = 2048  # parts, and as many assemblies, kept in memory: 0.2 MB each, all of a training split
 SCENES = 1024  # whose depth images, cut to their masks, are kept in memory: 0.5 MB each
-UNKNOWN = 1.0
 
 
 class Standing(NamedTuple):
@@ -105,11 +104,21 @@ class Looks:
             return self._seen(grid, FIRST_PART_LABEL + self.query.part)
         return _exact(grid, self._store.part(self._known.part_id), self._known.world_from_part)
 
-    def kit_volume(self, world_from_work: Pose, cells: Cells, voxel: float) -> np.ndarray:
-        """The kits, on a grid of the working axes with their origin in the middle. (nx, ny, nz) float32."""
+    def kit_volume(self, world_from_work: Pose, cells: Cells, voxel: float, unknown: float = UNKNOWN) -> np.ndarray:
+        """The kits, on a grid of the working axes with their origin in the middle.
+
+        Args:
+            world_from_work: the working axes.
+            cells: (nx, ny, nz) voxels.
+            voxel: [m] edge.
+            unknown: value where nobody knows.
+
+        Returns:
+            (nx, ny, nz) float32.
+        """
         grid = grid_about(world_from_work, cells, voxel)
         if self.kind == "partial":
-            return self._seen(grid, ASSEMBLY_LABEL)
+            return self._seen(grid, ASSEMBLY_LABEL, unknown)
         standing = self._store.assembly(self._known.assembly_id)
         kit = standing.assembly_from_kit[self._known.part_id]
         return _exact(grid, standing.mesh, self._known.world_from_kit @ kit.inverse())
@@ -141,10 +150,10 @@ class Looks:
     def _views(self) -> dict[int, View]:
         return cut_out(self.query.seen) if self.kept is None else self.kept.views(self.query)
 
-    def _seen(self, grid: Grid, label: int) -> np.ndarray:
+    def _seen(self, grid: Grid, label: int, unknown: float = UNKNOWN) -> np.ndarray:
         if label not in self._views:
-            return np.full(grid.shape, UNKNOWN, np.float32)
-        return tsdf(grid, self._views[label], threads=1).filled(UNKNOWN)
+            return np.full(grid.shape, unknown, np.float32)
+        return tsdf(grid, self._views[label], threads=1).filled(unknown)
 
 
 def grid_about(world_from_middle: Pose, cells: Cells, voxel: float) -> Grid:
