@@ -64,8 +64,7 @@ class Predict:
         from baselines.predict import Asked, predict
 
         for name, value, least in (("workers", self.workers, 1), ("limit", self.limit, 1), ("seed", self.seed, 0)):
-            if value is not None and value < least:
-                raise InputError(f"--{name}: expected {least} or more, got {value}")
+            _check_least(name, value, least)
         asked = Asked(self.name, self.split, self.tracks or None, self.seed, self.limit)
         submission = predict(asked, self.data, self.out, self.workers)
         seconds = submission.predictions.seconds.mean()
@@ -91,9 +90,8 @@ class Rerun:
         """Answer and compare."""
         from baselines.rerun import DEGREES, MILLIMETRES, rerun
 
-        for name, value in (("first", self.first), ("workers", self.workers)):
-            if value is not None and value < 1:
-                raise InputError(f"--{name}: expected 1 or more, got {value}")
+        _check_least("first", self.first, 1)
+        _check_least("workers", self.workers, 1)
         good = True
         for folder in self.submissions:
             found = rerun(folder, self.data, self.first, self.workers)
@@ -159,6 +157,11 @@ class Ship:
 
         print(ship(self.run_folder, WEIGHTS, self.commit))
         return 0
+
+
+def _check_least(name: str, value: int | None, least: int) -> None:
+    if value is not None and value < least:
+        raise InputError(f"--{name}: expected {least} or more, got {value}")
 
 
 COMMANDS = {"list": List, "predict": Predict, "rerun": Rerun, "train": Train, "ship": Ship}

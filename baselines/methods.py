@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,7 +20,6 @@ EVERY = (*TRACKS, CURVES)
 WEIGHTS = Path(__file__).parent / "weights"
 GUESSED = ("snap", "snap-tilt", "snap-d415", CURVES)
 """Tracks whose queries come with a guess."""
-LEARNED_FROM = "split train of kit1000"
 
 
 @dataclass(frozen=True)
@@ -47,6 +46,16 @@ class Method:
     """Further arguments of the class: names of files in WEIGHTS, handed over as paths without an ending."""
 
 
+SNAPNET_GTVOL = Method(
+    "baselines.snapnet:SnapNet",
+    "SnapNet of the paper in its small size, from true volumes",
+    options={"kind": "truth"},
+    tracks=GUESSED,
+    uses_true_geometry=True,
+    learned=True,
+    training_data="split train of kit1000",
+    weights={"position": "snapnet-gtvol-position", "rotation": "snapnet-gtvol-rotation"},
+)
 METHODS = {
     "truth": Method(
         "baselines.controls:TrueGoal",
@@ -98,25 +107,11 @@ METHODS = {
         options={"source": "truth"},
         uses_true_geometry=True,
     ),
-    "snapnet-gtvol": Method(
-        "baselines.snapnet:SnapNet",
-        "SnapNet of the paper in its small size, from true volumes",
-        options={"kind": "truth"},
-        tracks=GUESSED,
-        uses_true_geometry=True,
-        learned=True,
-        training_data=LEARNED_FROM,
-        weights={"position": "snapnet-gtvol-position", "rotation": "snapnet-gtvol-rotation"},
-    ),
-    "snapnet-gtvol-fine": Method(
-        "baselines.snapnet:SnapNet",
-        "the same, with the mean of the turns around the best one, by their probability",
+    "snapnet-gtvol": SNAPNET_GTVOL,
+    "snapnet-gtvol-fine": replace(
+        SNAPNET_GTVOL,
+        description="the same, with the mean of the turns around the best one, by their probability",
         options={"kind": "truth", "peak": "mean"},
-        tracks=GUESSED,
-        uses_true_geometry=True,
-        learned=True,
-        training_data=LEARNED_FROM,
-        weights={"position": "snapnet-gtvol-position", "rotation": "snapnet-gtvol-rotation"},
     ),
 }
 

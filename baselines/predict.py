@@ -172,11 +172,15 @@ def _singly(submission: Submission | None) -> Iterator[Prediction]:
 def _in_order(dataset: Dataset, predictions: Iterable[Prediction]) -> list[Prediction]:
     """The last prediction for each query, in the order in which the dataset asks."""
     last = {prediction.query_id: prediction for prediction in predictions}
-    kinds = {query_id.partition("-")[0] for query_id in last}
-    splits = ["test-all" if kind == "test" else kind for kind in (*SPLITS, CURVES) if kind in kinds]
-    asked = (query.id for split in splits for query in dataset.split(split).queries())
+    asked = (query.id for split in splits_of(last) for query in dataset.split(split).queries())
     place = {query_id: i for i, query_id in enumerate(asked)}
     return sorted(last.values(), key=lambda prediction: place.get(prediction.query_id, len(place)))
+
+
+def splits_of(query_ids: Iterable[str]) -> tuple[str, ...]:
+    """The splits that ask queries, in their order; of the test split all that it asks."""
+    kinds = {query_id.partition("-")[0] for query_id in query_ids}
+    return tuple("test-all" if kind == "test" else kind for kind in (*SPLITS, CURVES) if kind in kinds)
 
 
 def _manifest(asked: Asked, method: Method, dataset: Dataset, tracks: set[str]) -> Manifest:

@@ -10,10 +10,9 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from baselines.methods import Method, method_of
-from baselines.predict import Asked, Job, answer_of, jobs_of
+from baselines.methods import method_of
+from baselines.predict import Job, answer_of, splits_of
 from kit1000.data.engines import local
-from kit1000.data.presets import CURVES, SPLITS
 from kit1000.data.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
@@ -56,28 +55,25 @@ def rerun(folder: Path, data: Path, first: int, workers: int | None = None) -> R
     if stated != dataset.id:
         raise InputError(f"{folder}: answers dataset {stated}, and {dataset.root} is {dataset.id}")
     query_ids = submission.predictions.query_ids[:first]
-    jobs = _jobs(dataset, method_of(name), name, query_ids, folder)
+    method_of(name)  # before anything is read
+    jobs, pivots = _asked(dataset, query_ids, folder)
     with local(workers) as spread:
         answers = spread(partial(answer_of, dataset.root, name, 0), jobs)
         motions = [answer.goal_from_now for answer in tqdm(answers, folder.name, len(jobs), unit="query", disable=None)]
-    pivots = np.stack([_pivot(dataset, job) for job in jobs])
     now, there = Pose.stack(motions), submission.predictions.motions[: len(jobs)]
     apart = np.linalg.norm(now.apply(pivots) - there.apply(pivots), axis=-1)
     return Rerun(query_ids, 1e3 * apart, np.degrees((now.inverse() @ there).angle()))
 
 
-def _jobs(dataset: Dataset, method: Method, name: str, query_ids: Sequence[str], folder: Path) -> list[Job]:
-    """Where the queries are found."""
-    kinds = {query_id.partition("-")[0] for query_id in query_ids}
-    splits = tuple("test-all" if kind == "test" else kind for kind in (*SPLITS, CURVES) if kind in kinds)
-    found = {job.query_id: job for job in jobs_of(dataset, method, Asked(name, splits))} if splits else {}
+def _asked(dataset: Dataset, query_ids: Sequence[str], folder: Path) -> tuple[list[Job], np.ndarray]:
+    """Where queries are found, and their pivots (n, 3) [m]."""
+    wanted, found = set(query_ids), {}
+    for split in splits_of(query_ids):
+        for query in dataset.split(split).queries():
+            if query.id in wanted:
+                found[query.id] = Job(split, query.scene_id, query.id, query.track), query.pivot
     for query_id in query_ids:
         if query_id not in found:
-            raise InputError(f"{folder}: query {query_id} is none that {dataset.root} asks {name}")
-    return [found[query_id] for query_id in query_ids]
-
-
-def _pivot(dataset: Dataset, job: Job) -> np.ndarray:
-    """(3,) [m] of a query."""
-    queries = dataset.split(job.split).scene(job.scene_id).queries
-    return next(query.pivot for query in queries if query.id == job.query_id)
+            raise InputError(f"{folder}: query {query_id} is none that {dataset.root} asks")
+    jobs, pivots = zip(*(found[query_id] for query_id in query_ids), strict=True)
+    return list(jobs), np.stack(pivots)

@@ -28,7 +28,7 @@ def rescored(folder: Path, data: Path, workers: int = 1) -> list[str]:
         A line for each value that differs, such as `tracks.snap.position_mm.mean: 1.82 there, 1.83 now`.
     """
     there: dict[str, Any] = read_json(folder / "scores.json")
-    split, judge = (there.get(key, default) for key, default in (("split", "test"), ("judge", "near")))
+    split, judge = there.get("split", "test"), there.get("judge", "near")
     submission = read_checked(folder, data, split)
     summary = score(submission, Dataset(data), None, split, judge, workers).summary
     now = json.loads(json_text(summary))

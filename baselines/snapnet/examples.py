@@ -14,8 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from baselines.snapnet.candidates import candidates, nearest
-from baselines.snapnet.config import UNKNOWN, Kind, PositionConfig, RotationConfig
-from baselines.snapnet.points import points_of
+from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
 from baselines.snapnet.volumes import SCENES, Kept, Looks
 from kit1000.data.making.guesses import apply_error, draw_ball, draw_goal, draw_tilt, motion, turned_goal
 from kit1000.data.making.queries import TRACKS
@@ -185,9 +184,7 @@ class PositionExamples:
         config, looks, work = self.config, asked.looks, asked.world_from_work
         window = np.array(config.window)
         cell = np.floor(asked.residual.offset / (2 * config.voxel) + window // 2 + 0.5)
-        return {
-            "part": looks.part_volume(asked.guess, work, config.part_cells, config.voxel),
-            "kit": looks.kit_volume(work, config.kit_cells, config.voxel),
+        return looks.for_position(asked.guess, work, config) | {
             "offset": asked.residual.offset.astype(np.float32),
             "inside": np.asarray(((cell >= 0) & (cell < window)).all()),
         }
@@ -235,15 +232,9 @@ class RotationExamples:
         config, looks, work = self.config, asked.looks, asked.world_from_work
         jitter = rng.uniform(-config.jitter, config.jitter, 3)
         place = work @ Pose.from_translation(asked.residual.offset + jitter)
-        part = looks.part_volume(asked.guess, work, config.part_cells, config.voxel)
-        known = looks.kit_volume(place, config.kit_cells, config.voxel, np.nan)
-        kit = np.where(np.isnan(known), np.float32(UNKNOWN), known)
         right, distances = nearest(self.candidates, asked.residual.turns, asked.residual.axis)
         chosen = np.arange(len(distances)) if every else shown(rng, distances, config.shown, config.hard)
-        told = {"kit_volume": known} if config.distance else {}
-        return told | {
-            "part_points": points_of(part, config.voxel, config.points, config.part_points, rng),
-            "kit_points": points_of(kit, config.voxel, config.points, config.kit_points, rng),
+        return looks.for_rotation(asked.guess, place, config, rng) | {
             "turns": self.candidates.wxyz[chosen],
             "nearest": np.asarray(np.flatnonzero(chosen == right)[0], np.int64),
             "distances": distances[chosen].astype(np.float32),

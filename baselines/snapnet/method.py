@@ -10,8 +10,7 @@ import numpy as np
 import torch
 
 from baselines.snapnet.candidates import candidates
-from baselines.snapnet.config import UNKNOWN, Kind, PositionConfig, RotationConfig
-from baselines.snapnet.points import points_of
+from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
 from baselines.snapnet.position import PositionNet, position_of
 from baselines.snapnet.rotation import RotationNet, turn_of
 from baselines.snapnet.volumes import Looks
@@ -74,9 +73,8 @@ class SnapNet:
     def _offset(self, looks: Looks, guess: Pose, work: Pose) -> tuple[np.ndarray, float]:
         """(3,) [m] along the axes of the world, and the probability of the cells around."""
         config = self.position.config
-        part = looks.part_volume(guess, work, config.part_cells, config.voxel)
-        kit = looks.kit_volume(work, config.kit_cells, config.voxel)
-        scores = self.position(_batch(part, self.position), _batch(kit, self.position)).float()
+        shown = looks.for_position(guess, work, config)
+        scores = self.position(*(_batch(shown[name], self.position) for name in ("part", "kit"))).float()
         likely = scores.flatten(1).softmax(1).topk(8).values.sum()
         return position_of(scores, config)[0].double().cpu().numpy(), float(likely.clamp(max=1))
 
@@ -85,16 +83,10 @@ class SnapNet:
     ) -> tuple[np.ndarray, float]:
         """(3,) [rad] rotation vector along the axes of the world, and the probability of the candidate."""
         config, turns = self.rotation.config, candidates(kind)
-        part = looks.part_volume(guess, place, config.part_cells, config.voxel)
-        known = looks.kit_volume(place, config.kit_cells, config.voxel, np.nan)
-        kit = np.where(np.isnan(known), np.float32(UNKNOWN), known)
-        clouds = (
-            points_of(part, config.voxel, config.points, config.part_points, rng),
-            points_of(kit, config.voxel, config.points, config.kit_points, rng),
-        )
-        asked = (_batch(cloud, self.rotation) for cloud in clouds)
-        offered, volume = (_batch(values, self.rotation) for values in (turns.wxyz, known))
-        logits = self.rotation(*asked, offered, volume if config.distance else None).float()
+        arrays = looks.for_rotation(guess, place, config, rng) | {"turns": turns.wxyz}
+        shown = {name: _batch(values, self.rotation) for name, values in arrays.items()}
+        offered = shown["turns"]
+        logits = self.rotation(shown["part_points"], shown["kit_points"], offered, shown.get("kit_volume")).float()
         turn = turn_of(logits, offered, self.peak)[0].double().cpu().numpy()
         return Pose(turn, np.zeros(3)).rotvec(), float(logits.softmax(1).amax())
 

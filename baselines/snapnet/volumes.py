@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import find_objects
 
-from baselines.snapnet.config import UNKNOWN, Cells, Kind
+from baselines.snapnet.config import UNKNOWN, Cells, Kind, PositionConfig, RotationConfig
+from baselines.snapnet.points import points_of
 from kit1000.camera import Camera
 from kit1000.data.making.queries import middle_of
 from kit1000.data.reader import Dataset
@@ -122,6 +123,37 @@ class Looks:
         standing = self._store.assembly(self._known.assembly_id)
         kit = standing.assembly_from_kit[self._known.part_id]
         return _exact(grid, standing.mesh, self._known.world_from_kit @ kit.inverse())
+
+    def for_position(self, guess: Pose, work: Pose, config: PositionConfig) -> dict[str, np.ndarray]:
+        """What the position network is shown: `part` and `kit`, along working axes that begin where the pivot is."""
+        return {
+            "part": self.part_volume(guess, work, config.part_cells, config.voxel),
+            "kit": self.kit_volume(work, config.kit_cells, config.voxel),
+        }
+
+    def for_rotation(
+        self, guess: Pose, place: Pose, config: RotationConfig, rng: np.random.Generator
+    ) -> dict[str, np.ndarray]:
+        """What the rotation network is shown, but for the turns.
+
+        Args:
+            guess: a motion of the part in the world.
+            place: working axes that begin where the part goes.
+            config: what is wanted.
+            rng: draws the points.
+
+        Returns:
+            float32: `part_points` (P, 3), `kit_points` (K, 3) and, where the config has distances, `kit_volume`
+            (nx, ny, nz), NaN where nobody knows.
+        """
+        part = self.part_volume(guess, place, config.part_cells, config.voxel)
+        known = self.kit_volume(place, config.kit_cells, config.voxel, np.nan)
+        kit = np.where(np.isnan(known), np.float32(UNKNOWN), known)
+        told = {"kit_volume": known} if config.distance else {}
+        return told | {
+            "part_points": points_of(part, config.voxel, config.points, config.part_points, rng),
+            "kit_points": points_of(kit, config.voxel, config.points, config.kit_points, rng),
+        }
 
     def start(self) -> Pose:
         """The guess, or where nobody guesses the shift that takes the pivot to the middle of what is seen of the kits.
