@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
 
@@ -75,7 +75,5 @@ def _task(network: Network, dataset: Dataset, preset: Preset) -> tuple[Task, Any
         learn, check = (PositionExamples(dataset, split, sizes, kind, guesses) for split in ("train", "val"))
         return PositionTask(learn, check, CHECKS["position"], PositionNet(sizes)), sizes
     sizes = ROTATION[preset]
-    if sizes.distance:
-        sizes = replace(sizes, known=kind == "partial")
     learn, check = (RotationExamples(dataset, split, sizes, kind, guesses) for split in ("train", "val"))
     return RotationTask(learn, check, CHECKS["rotation"], RotationNet(sizes)), sizes

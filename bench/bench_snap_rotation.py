@@ -127,10 +127,8 @@ def plain_distances(part: Tensor, kit: Tensor, turns: Tensor, volume: Tensor, co
     """Of the turned part's points, nothing for the kits'. (n, P + K, 1)."""
     middle = np.array(volume.shape[1:]) // 2
     places = np.moveaxis(turned(part, turns)[0].numpy() / config.voxel + middle, -1, 0)
-    unknown = np.isnan(volume[0].numpy())
-    told = [np.where(unknown, 1, volume[0].numpy())] + ([1.0 - unknown] if config.known else [])
-    found = np.stack([map_coordinates(values, places, order=1, mode="nearest") for values in told], -1)
-    return nn.functional.pad(torch.from_numpy(found.astype(np.float32)), (0, 0, 0, kit.shape[1]))
+    found = map_coordinates(volume[0].numpy(), places, order=1, mode="nearest")
+    return nn.functional.pad(torch.from_numpy(found.astype(np.float32))[..., None], (0, 0, 0, kit.shape[1]))
 
 
 def convolved(layers: Iterable[Dense], image: Tensor) -> Tensor:

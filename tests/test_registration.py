@@ -17,9 +17,9 @@ from strategies import poses
 
 from baselines.registration.cavity import VOXEL, find_cavity, plate_grid
 from baselines.registration.faces import standing_faces
-from baselines.registration.plates import Plane, find_planes, frame_on
 from baselines.registration.relief import grown, lower_envelope
 from baselines.registration.search import NEIGHBOUR, SHALLOWER, TURN_STEP, Candidate, Lying, Window, distinct
+from baselines.seen.planes import Plane, find_planes, frame_on
 from kit1000.data.making.guesses import ANGLE, OFFSET, apply_error
 from kit1000.mesh import Mesh, mesh_of, solid_of
 from kit1000.pose import Pose

@@ -10,6 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from baselines.seen import SeenKits, SeenPart
+from baselines.seen.pixels import noise_of
 from baselines.snapnet import volumes
 from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
 from baselines.snapnet.examples import (
@@ -32,8 +34,8 @@ from kit1000.metrics import Targets, pose_errors
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.rng import stream
 from kit1000.testing import moved_query, moved_truth
-from kit1000.values import FreeAxis
-from kit1000.voxels import tsdf
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, FreeAxis
+from kit1000.voxels import resample, tsdf
 
 VOXEL = 2e-3
 CELLS = (40, 44, 48)
@@ -125,6 +127,11 @@ def test_the_offset_is_that_of_the_goal_nearest_in_rotation(data: Dataset, free:
 # volumes
 
 
+def differing(a: np.ndarray, b: np.ndarray) -> float:
+    """Share of voxels."""
+    return float((np.abs(a - b) > 1e-4).mean())
+
+
 def laid(told: Situation, offset: np.ndarray) -> Situation:
     """The same query, its first goal missed by an offset (3,) [voxels] along the working axes and by no turn."""
     truth, pivot = told.looks.truth, told.looks.query.pivot
@@ -178,16 +185,17 @@ def test_a_world_moved_and_turned_looks_the_same_along_axes_turned_with_it(data:
     assert looks.truth is not None
     there = replace(looks, query=moved_query(looks.query, ELSEWHERE), truth=moved_truth(looks.truth, ELSEWHERE))
     work, guess = ELSEWHERE @ told.world_from_work, ELSEWHERE @ told.guess @ ELSEWHERE.inverse()
-    pairs = [
-        (
-            looks.part_volume(told.guess, told.world_from_work, CELLS, VOXEL),
-            there.part_volume(guess, work, CELLS, VOXEL),
-        ),
-        (looks.kit_volume(told.world_from_work, CELLS, VOXEL), there.kit_volume(work, CELLS, VOXEL)),
-    ]
-    for here, moved in pairs:
-        assert (np.abs(here - moved) > 1e-4).mean() < 1e-4  # a pixel or a sign may tip over by rounding
-        assert here.min() < 0
+    part = looks.part_volume(told.guess, told.world_from_work, CELLS, VOXEL)
+    kit = looks.kit_volume(told.world_from_work, CELLS, VOXEL)
+    moved_part = there.part_volume(guess, work, CELLS, VOXEL)
+    assert differing(kit, there.kit_volume(work, CELLS, VOXEL)) < 1e-4  # a pixel or a sign may tip over by rounding
+    if kind == "truth":
+        assert differing(part, moved_part) < 1e-4
+    else:  # its own voxels stand along the axes of the world
+        assert np.abs(part - moved_part)[part < 1].mean() < 0.1
+        assert (part < 0).sum() == pytest.approx((moved_part < 0).sum(), rel=0.03)
+    assert part.min() < 0
+    assert kit.min() < 0
     pivot = there.query.pivot
     before, after = told.residual, residual_of(there._known, pivot, guess, work)
     np.testing.assert_allclose(after.offset, before.offset, atol=1e-9)
@@ -199,20 +207,30 @@ def test_what_is_cut_out_says_what_the_whole_image_says(data: Dataset, sensor: S
     told = asked(data, "partial", sensor=sensor).draw(stream(6))
     query, work = told.looks.query, told.world_from_work
     assert query.sensor == sensor
-    here = told.guess.inverse() @ work
-    for volume, middle, mask in (
-        (told.looks.part_volume(told.guess, work, CELLS, VOXEL), here, query.part_mask),
-        (told.looks.kit_volume(work, CELLS, VOXEL), work, query.kit_region),
-    ):
-        grid = grid_about(middle, CELLS, VOXEL)
-        whole = tsdf(grid, query.view, mask, threads=1)
-        assert (volume != whole.filled(1.0)).mean() < 1e-5
-        view = query.view
-        u, v = np.moveaxis(np.rint(view.camera.project(view.world_from_camera.inverse().apply(grid.centres()))), -1, 0)
-        seen = (u >= 0) & (v >= 0) & (u < view.camera.width) & (v < view.camera.height)
-        seen[seen] = mask[v[seen].astype(int), u[seen].astype(int)]
-        assert np.all(seen[volume < 1])
-        assert (volume < 0).any()
+    grid = grid_about(told.guess.inverse() @ work, CELLS, VOXEL)
+    whole = resample(SeenPart(query.seen, FIRST_PART_LABEL + query.part, query.pivot).volume(VOXEL), grid, threads=1)
+    part = told.looks.part_volume(told.guess, work, CELLS, VOXEL)
+    np.testing.assert_allclose(part, whole.filled(1.0), atol=1e-6)
+    assert (part < 0).any()
+
+    grid, view, mask = grid_about(work, CELLS, VOXEL), query.view, query.kit_region
+    kit = told.looks.kit_volume(work, CELLS, VOXEL)
+    assert differing(kit, tsdf(grid, view, mask, threads=1).filled(1)) < 1e-4
+    whole = SeenKits(query.seen, noise_of(sensor), query.scene_id).volume(work.xyz, VOXEL)
+    columns = told.looks.kit_volume(work, CELLS, VOXEL, columns=True)
+    assert differing(columns, resample(whole, grid, threads=1).filled(1)) < 1e-2
+    assert (columns < 0).sum() > (kit < 0).sum()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_filled_under_an_image_is_nearly_the_kit(data: Dataset, seed: int) -> None:
+    told = drawn(data, seed, "partial")
+    true = replace(told.looks, kind="truth")
+    place = told.world_from_work @ Pose.from_translation(told.residual.offset)
+    exact = true.kit_volume(place, (24, 24, 24), VOXEL) < 0
+    alone = told.looks.kit_volume(place, (24, 24, 24), VOXEL) < 0
+    filled = told.looks.kit_volume(place, (24, 24, 24), VOXEL, columns=True) < 0
+    assert (filled == exact).mean() > max(0.85, (alone == exact).mean())
 
 
 def test_without_the_memory_the_volumes_are_the_same(data: Dataset) -> None:
@@ -328,24 +346,34 @@ def test_keys_are_those_of_drawn_queries_spread_evenly(data: Dataset) -> None:
     assert told.world_from_work.angle() == 0
 
 
-def test_no_more_images_are_kept_than_allowed(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_more_is_kept_of_images_than_allowed(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(volumes, "SCENES", 1)
+    monkeypatch.setattr(volumes, "PARTS", 2)
     examples = asked(data, "partial")
     for seed in range(6):
         told = examples.draw(stream(seed))
         told.looks.kit_volume(told.world_from_work, (4, 4, 4), VOXEL)
-        assert len(examples._kept._views) == 1
+        told.looks.part_volume(told.guess, told.world_from_work, (4, 4, 4), VOXEL)
+        assert len(examples._kept._seen) == 1
+        assert 1 <= len(examples._kept._parts) <= 2
         assert "seen" not in vars(told.looks.query)
 
 
-def test_cut_images_hold_every_masked_depth_and_nothing_else(data: Dataset) -> None:
-    look = drawn(data).looks.query.look()
-    views = cut_out(look)
-    assert set(views) == set(np.unique(look.labels).tolist()) - {0}
-    for label, view in views.items():
-        np.testing.assert_array_equal(
-            view.depth[view.depth > 0], look.view.depth[(look.labels == label) & (look.view.depth > 0)]
-        )
+def test_cut_images_hold_every_masked_depth(data: Dataset) -> None:
+    query = drawn(data).looks.query
+    look = query.look()
+    seen = cut_out(look, query)
+    assert {FIRST_PART_LABEL + part for part in seen.parts} == set(np.unique(look.labels).tolist()) - {
+        0,
+        ASSEMBLY_LABEL,
+    }
+    assert seen.kits is not None
+    windows = {FIRST_PART_LABEL + part: window for part, window in seen.parts.items()} | {
+        ASSEMBLY_LABEL: seen.kits.look
+    }
+    for label, window in windows.items():
+        depth = window.view.depth[window.labels == label]
+        np.testing.assert_array_equal(depth, look.view.depth[look.labels == label])
 
 
 def test_what_cannot_be_is_refused(data: Dataset) -> None:

@@ -8,25 +8,20 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt, label, uniform_filter
 
+from baselines.seen import SeenPart
+from baselines.seen.pixels import IDEAL, SENSOR, Noise, noise_of, oriented_points
 from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
-from kit1000.values import Query, View
+from kit1000.values import FIRST_PART_LABEL, Look, Query, View
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points, tsdf
-from kit1000.voxels.grid import TRUNCATION
 
 VOXEL = 1e-3  # [m] of the part's volume
 SIDE = 84  # voxels: no part of 50 mm reaches beyond, however it lies
 COARSE = 2e-3  # [m] voxels among which planes are looked for
-SMOOTH = 7  # pixels over which a noisy image is averaged
 EDGE = 5e-3  # [m] a step in depth that is no noise
-AROUND = 0.06  # [m] the table is looked at so far around a part
-FLYING = 0.02  # share of the points of a part that may float far from it
 GAP = 20  # pixels
-SPREAD = 4  # places across a pixel
-STRIDE = 2  # every second pixel of rows and columns names planes
 
 
 class Source(Protocol):
@@ -105,22 +100,22 @@ class DepthSource:
     @property
     def near(self) -> float:
         """[m] noise of the image."""
-        return 2e-3 if self._noisy else 0.5e-3
+        return self._noise.near
 
     @property
     def flat(self) -> float:
         """[rad] noise of faces."""
-        return float(np.radians(8 if self._noisy else 4))
+        return self._noise.flat
 
     @property
-    def _noisy(self) -> bool:
-        return self.query.sensor != "ideal"
+    def _noise(self) -> Noise:
+        return noise_of(self.query.sensor)
 
     @cached_property
     def view(self) -> View:
         """The image; one that is noisy is smoothed in the part and in the kits, gaps closed, not across edges."""
         view = self.query.view
-        if not self._noisy:
+        if self._noise is IDEAL:
             return view
         depth = view.depth.copy()
         for mask in (self.query.part_mask, self.query.kit_region):
@@ -130,55 +125,13 @@ class DepthSource:
 
     def part(self) -> Volume:
         """What was seen of the part, and under it all that nobody saw to be free, down to the table."""
-        fine = Grid.centred(Pose.from_translation(self.middle), (2 * SIDE, 2 * SIDE, 2 * SIDE), VOXEL / 2)
-        seen = tsdf(fine, self.view, self.query.part_mask, threads=1).values[..., ::2]
-        top = _top(fine, self._points)
-        heights = fine.world(np.arange(0, 2 * SIDE, 2)[:, None] * [0, 0, 1])[:, 2]
-        solid = _largest((heights <= top[..., None]) & (heights > self.table_height()) & ~(seen > 0))
-        return Volume.adopt(Grid((SIDE, SIDE, SIDE), VOXEL, fine.world_from_grid), _distances(solid, seen)[::2, ::2])
-
-    def table_height(self) -> float:
-        """[m] of the table around the part, as this image has it: a sensor's scale and pose are a little off."""
-        view, labels = self.view, self.query.seen.labels
-        camera = view.world_from_camera.inverse().apply(self.query.pivot)
-        u, v = np.rint(view.camera.project(camera)).astype(int)
-        reach = round(AROUND * view.camera.fx / camera[2])
-        box = np.s_[max(v - reach, 0) : v + reach, max(u - reach, 0) : u + reach]
-        rows, columns = np.nonzero((labels[box] == 0) & (view.depth[box] > 0))
-        if len(rows) == 0:
-            return 0.0
-        rows, columns = rows + box[0].start, columns + box[1].start
-        points = view.camera.unproject_pixels(np.stack([columns, rows], -1), view.depth[rows, columns])
-        return float(np.median(view.world_from_camera.apply(points)[:, 2]))
+        return self._part.volume(VOXEL)
 
     def oriented_points(self, box: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, float]:
         """Points of the image on the kits, with normals from their neighbours."""
-        view = self.view
-        mask = self.query.kit_region & (view.depth > 0)
-        v, u = np.nonzero(mask)
-        if len(v) == 0:
-            return np.empty((0, 3)), np.empty((0, 3)), 0.0
-        low, high = (v.min(), u.min()), (v.max() + 1, u.max() + 1)
-        crop = np.s_[low[0] : high[0], low[1] : high[1]]
-        v, u = np.mgrid[crop]
-        cloud = view.camera.unproject_pixels(np.stack([u, v], -1), view.depth[crop])
-        wide = SMOOTH if self._noisy else 3
-        share = uniform_filter(mask[crop].astype(float), wide)
-        smooth = np.stack([uniform_filter(cloud[..., k] * mask[crop], wide) for k in range(3)], -1)
-        smooth /= np.maximum(share, 1e-9)[..., None]
-        normals = np.cross(np.gradient(smooth, axis=0), np.gradient(smooth, axis=1))
-        normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
-        good = mask[crop] & (share > 0.999)
-        good[::STRIDE] = False
-        good[:, ::STRIDE] = False
-        sight = cloud / np.maximum(np.linalg.norm(cloud, axis=-1, keepdims=True), 1e-9)
-        cosine = np.einsum("ijk,ijk->ij", normals, sight)
-        normals = np.where(cosine[..., None] > 0, -normals, normals)
-        area = cloud[..., 2] ** 2 / (view.camera.fx * view.camera.fy) / np.maximum(np.abs(cosine), 0.2)
-        points = view.world_from_camera.apply(cloud[good])
-        turned = view.world_from_camera.rotate(normals[good])
+        points, normals, area = oriented_points(self.view, self.query.kit_region, self._noise.smooth)
         inside = np.ones(len(points), bool) if box is None else ((points >= box[0]) & (points <= box[1])).all(1)
-        return points[inside], turned[inside], float(np.median(area[good])) * STRIDE**2
+        return points[inside], normals[inside], area
 
     def plate(self, grid: Grid) -> Volume:
         """What the image says of the kits."""
@@ -186,36 +139,13 @@ class DepthSource:
 
     @property
     def middle(self) -> np.ndarray:
-        """(3,) [m] world: see `_between`."""
-        return self._between
+        """(3,) [m] world: of what was seen of the part."""
+        return self._part.middle
 
     @cached_property
-    def _between(self) -> np.ndarray:
-        """(3,) [m] world: between the extents of what was seen of the part, but for the outermost FLYING of it.
-
-        The pivot lies between the extents of all its points, also of those that float in front of it or behind.
-        """
-        if len(self._points) == 0:
-            return self.query.pivot
-        low, high = np.percentile(self._points, [100 * FLYING, 100 * (1 - FLYING)], axis=0)
-        return (low + high) / 2
-
-    @cached_property
-    def _points(self) -> np.ndarray:
-        """(n, 3) [m] world: places spread evenly over the pixels of the part, on the plane that each pixel saw.
-
-        The mask holds the pixels whose centres the part covers: on average it ends half a pixel beyond the last.
-        """
-        view = self.view
-        mask = self.query.part_mask & (view.depth > 0)
-        v, u = np.nonzero(mask)
-        across, down = (_slope(view.depth, mask, axis)[v, u] for axis in (1, 0))
-        steps = (np.arange(SPREAD) + 0.5) / SPREAD - 0.5
-        a, b = (grid.ravel() for grid in np.meshgrid(steps, steps))
-        pixels = np.stack([u[:, None] + a, v[:, None] + b], axis=-1)
-        depth = view.depth[v, u][:, None] + across[:, None] * a + down[:, None] * b
-        points = view.camera.unproject_pixels(pixels.reshape(-1, 2), depth.ravel())
-        return view.world_from_camera.apply(points)
+    def _part(self) -> SeenPart:
+        look = Look(self.view, self.query.seen.labels)
+        return SeenPart(look, FIRST_PART_LABEL + self.query.part, self.query.pivot)
 
 
 def _close_gaps(depth: np.ndarray, mask: np.ndarray) -> None:
@@ -239,11 +169,11 @@ def _close_gaps(depth: np.ndarray, mask: np.ndarray) -> None:
 
 
 def _smooth(depth: np.ndarray, mask: np.ndarray) -> None:
-    """Replace the depths (H, W) [m] of a mask by means over SMOOTH x SMOOTH of its pixels, as far away within EDGE."""
+    """Replace the depths (H, W) [m] of a mask by means over its pixels around that are as far away within EDGE."""
     v, u = np.nonzero(mask)
     if len(v) == 0:
         return
-    reach = SMOOTH // 2
+    reach = SENSOR.smooth // 2
     box = np.s_[max(v.min() - reach, 0) : v.max() + reach + 1, max(u.min() - reach, 0) : u.max() + reach + 1]
     smoothed = np.empty_like(depth[box])
     _means(depth[box], mask[box], reach, EDGE, smoothed)
@@ -267,16 +197,6 @@ def _means(depth, inside, reach, edge, smoothed):
             smoothed[v, u] = total / count
 
 
-def _slope(depth: np.ndarray, mask: np.ndarray, axis: int) -> np.ndarray:
-    """(H, W) [m a pixel]: how the depth goes on across each pixel, by the nearer of its two neighbours in the mask."""
-    ahead = np.roll(depth, -1, axis) - depth
-    behind = depth - np.roll(depth, 1, axis)
-    ahead = np.where(np.roll(mask, -1, axis), ahead, np.inf)
-    behind = np.where(np.roll(mask, 1, axis), behind, np.inf)
-    nearer = np.where(np.abs(ahead) < np.abs(behind), ahead, behind)
-    return np.where(np.isfinite(nearer), nearer, 0.0)
-
-
 def _around(pivot: np.ndarray) -> Grid:
     return Grid.centred(Pose.from_translation(pivot), (SIDE, SIDE, SIDE), VOXEL)
 
@@ -295,37 +215,3 @@ def _slopes(volume: Volume, points: np.ndarray) -> np.ndarray:
         axis=-1,
     )
     return slopes / np.maximum(np.linalg.norm(slopes, axis=1, keepdims=True), 1e-12)
-
-
-def _top(grid: Grid, points: np.ndarray) -> np.ndarray:
-    """(nx, ny) [m]: the highest point seen of each column of the world; below the table where none was."""
-    i, j = np.rint(grid.indices(points)[:, :2]).astype(int).T
-    inside = (i >= 0) & (j >= 0) & (i < grid.shape[0]) & (j < grid.shape[1])
-    top = np.full(grid.shape[:2], -1.0)
-    np.maximum.at(top, (i[inside], j[inside]), points[inside, 2])
-    return top
-
-
-def _largest(solid: np.ndarray) -> np.ndarray:
-    """(nx, ny, nz) bool: the largest piece of a solid; the others are points that float."""
-    names, count = label(solid)  # type: ignore[misc]
-    return solid if count < 2 else names == 1 + np.bincount(names[solid])[1:].argmax()
-
-
-def _distances(solid: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """(nx, ny, nz) float32: distance / truncation to the surface of a solid; nearer where a surface was seen nearer.
-
-    Cells are VOXEL / 2 wide and VOXEL high.
-    """
-    values = np.ones(solid.shape, np.float32)
-    held = np.nonzero(solid)
-    if len(held[0]) == 0:
-        return values
-    margins = (2 * int(TRUNCATION) + 1, 2 * int(TRUNCATION) + 1, int(TRUNCATION) + 1)
-    box = tuple(slice(max(i.min() - m, 0), i.max() + m + 1) for i, m in zip(held, margins, strict=True))
-    solid, seen = solid[box], seen[box]
-    outside, inside = (np.asarray(distance_transform_edt(place, (0.5, 0.5, 1.0))) for place in (~solid, solid))
-    away = np.maximum(np.where(solid, inside, outside) - 0.25, 0) / TRUNCATION
-    away = np.fmin(away, np.abs(seen) / 2)  # of half a voxel, so is its truncation
-    values[box] = np.where(solid, -away, away).clip(-1, 1)
-    return values

@@ -8,8 +8,6 @@ from typing import Literal
 Cells = tuple[int, int, int]
 Kind = Literal["truth", "partial"]
 
-UNKNOWN = 1.0  # value of a voxel where nobody knows: as if free
-
 
 @dataclass(frozen=True)
 class PositionConfig:
@@ -57,8 +55,6 @@ class RotationConfig:
     """Points of a group at either level, over the paper's."""
     distance: bool = False
     """Whether each point of the part is told the kits' signed distance where a candidate takes it; not in the paper."""
-    known: bool = False
-    """Whether it is told, beside the distance, if anybody saw the kits there."""
     candidates: Literal["ball", "tilt", "place", "place-paper"] = "ball"
     """Turns that are told apart: around a guess, or all that a part to be placed may need."""
     shown: int = 40

@@ -196,7 +196,7 @@ class RotationExamples:
     `part_points` (P, 3) and `kit_points` (K, 3) float32 [m] along working axes, of the part laid by the guess, about
     its pivot, and of the kits, about where the pivot belongs but for a jitter; `turns` (C, 4) float64 wxyz candidates
     on the left of the guess; `nearest` () int64, the right one among them; `distances` (C,) float32 [rad] of each to
-    the nearest right turn; where the config has distances, `kit_volume` (nx, ny, nz) float32, NaN where nobody knows.
+    the nearest right turn; where the config has distances, `kit_volume` (nx, ny, nz) float32.
     In training C is `config.shown`: the right one and others, in any order.
     """
 

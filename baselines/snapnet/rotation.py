@@ -13,8 +13,7 @@ Layers, radii and counts are the paper's. Where it departs, so that the kits are
   when answering, and in our trials learning set in later with them.
 
 With `distance` a point of the part also enters with the kits' signed distance where the candidate takes it, looked up
-in their volume: a fit can then be told from points alone that lie farther apart than the clearance. With `known` it
-also learns whether anybody saw that place: what nobody saw counts as free and may be anything.
+in their volume: a fit can then be told from points alone that lie farther apart than the clearance.
 
 As in the paper the flag of the fourth channel is relative to the centre in the first two levels, like the coordinates:
 0 within a cloud and +-2 across. Its sign says more only in the last level.
@@ -32,7 +31,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from baselines.snapnet.config import UNKNOWN, RotationConfig
+from baselines.snapnet.config import RotationConfig
 from baselines.snapnet.points import sampled, turned
 from baselines.snapnet.set_abstraction import Chain, Groups, Level, farthest, within
 
@@ -104,9 +103,7 @@ class RotationNet(nn.Module):
         widths = [[[self._wide(n) for n in scale] for scale in level] for level in WIDTHS]
         last, head = [self._wide(n) for n in LAST], [self._wide(n) for n in HEAD]
         first, second = (sum(scale[-1] for scale in level) for level in widths)
-        self.levels = nn.ModuleList(
-            [Level(int(config.distance) + int(config.distance and config.known), widths[0]), Level(first, widths[1])]
-        )
+        self.levels = nn.ModuleList([Level(int(config.distance), widths[0]), Level(first, widths[1])])
         self.last = Chain([4 + second, *last])
         self.head = nn.Sequential(
             *(nn.Linear(last[-1], head[0]), nn.ReLU()),
@@ -121,8 +118,7 @@ class RotationNet(nn.Module):
             part: (B, P, 3) [m] about the middle of the part's volume, as the part lies before any of the turns.
             kit: (B, K, 3) [m] about the same middle, where the part is to go.
             turns: (B, C, 4) wxyz, on the left.
-            volume: (B, nx, ny, nz) of the kits about the same middle, in voxels of the config, NaN where nobody knows;
-                read for distances.
+            volume: (B, nx, ny, nz) of the kits about the same middle, in voxels of the config; read for distances.
 
         Returns:
             (B, C) logits.
@@ -132,18 +128,14 @@ class RotationNet(nn.Module):
         scene = _Clouds(own, turned(own, turns), kit, *centres)
         if self.config.distance:
             assert volume is not None, "the config has distances"
-            scene = replace(scene, apart=self._apart(volume, turned(part.float(), turns)))
+            told = sampled(volume, turned(part.float(), turns), self.config.voxel)
+            scene = replace(scene, apart=told[..., None])
         if self.training:
             found, kits = self._features(scene, None)
             return self._judge(found, kits)
         kits = self._features(scene.some(slice(0)), None)[1]
         few = (scene.some(slice(first, first + AT_ONCE)) for first in range(0, turns.shape[1], AT_ONCE))
         return torch.cat([self._judge(self._features(clouds, kits)[0], kits) for clouds in few], 1)
-
-    def _apart(self, volume: Tensor, points: Tensor) -> Tensor:
-        """What points (B, C, P, 3) are told of the kits. (B, C, P, F)."""
-        told = [volume.nan_to_num(UNKNOWN)] + ([1 - volume.isnan().float()] if self.config.known else [])
-        return torch.stack([sampled(values, points, self.config.voxel) for values in told], -1)
 
     def _features(self, clouds: _Clouds, kits: list[Tensor] | None) -> tuple[Tensor, list[Tensor]]:
         """What the network sees in all points.

@@ -1,7 +1,7 @@
 """What the networks see of a query: volumes of its part, laid as a guess lays it, and of the kits around a place.
 
-Values are distance / truncation (five voxels) from -1 to 1, negative inside; where nobody knows they are 1, as if free.
-The middle of a volume is its voxel n // 2 along each axis. Training and answering make them by the same calls.
+Values are distance / truncation (five voxels) from -1 to 1, negative inside. Where nobody knows it is free. The middle
+of a volume is its voxel n // 2 along each axis. Training and answering make them by the same calls.
 """
 
 from __future__ import annotations
@@ -9,24 +9,27 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import find_objects
 
-from baselines.snapnet.config import UNKNOWN, Cells, Kind, PositionConfig, RotationConfig
+from baselines.seen import AROUND, SeenKits, SeenPart
+from baselines.seen.pixels import noise_of, window
+from baselines.snapnet.config import Cells, Kind, PositionConfig, RotationConfig
 from baselines.snapnet.points import points_of
-from kit1000.camera import Camera
 from kit1000.data.making.queries import middle_of
 from kit1000.data.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
-from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Look, Query, Truth, View
-from kit1000.voxels import Grid, signed_distance, tsdf
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Look, Query, Truth
+from kit1000.voxels import Grid, Volume, crop, resample, signed_distance, tsdf
 
 MESHES = 2048  # parts, and as many assemblies, kept in memory: 0.2 MB each, all of a training split
 SCENES = 1024  # whose depth images, cut to their masks, are kept in memory: 0.5 MB each
+PARTS = 4096  # of images, whose volumes are kept in memory: 0.1 MB each in voxels of the small size
 
 
 class Standing(NamedTuple):
@@ -35,6 +38,14 @@ class Standing(NamedTuple):
     mesh: Mesh
     assembly_from_kit: dict[str, Pose]
     """By the id of the kit."""
+
+
+class Seen(NamedTuple):
+    """What an image shows, cut out of it; nothing of what it does not show."""
+
+    kits: SeenKits | None
+    parts: dict[int, Look]
+    """By the number of the part: the box of its mask, and AROUND it."""
 
 
 class Kept:
@@ -47,19 +58,33 @@ class Kept:
         self.dataset = dataset
         self.part: Callable[[str], Mesh] = lru_cache(MESHES)(self._part)
         self.assembly: Callable[[str], Standing] = lru_cache(MESHES)(self._assembly)
-        self._views: dict[tuple[str, str], dict[int, View]] = {}
+        self._seen: dict[tuple[str, str], Seen] = {}
+        self._parts: dict[tuple[str, str, int, float], Volume | None] = {}
 
     def __reduce__(self) -> tuple[type[Kept], tuple[Dataset]]:
         return Kept, (self.dataset,)
 
-    def views(self, query: Query) -> dict[int, View]:
-        """What `cut_out` leaves of the image of a query, which must be one of this dataset as it was read."""
+    def seen_kits(self, query: Query) -> SeenKits | None:
+        """What was seen of the kits of a query, which must be one of this dataset as it was read."""
+        return self._of(query).kits
+
+    def seen_part(self, query: Query, voxel: float) -> Volume | None:
+        """The part as its image shows it, in voxels [m], upright; None where it does not."""
+        key = (query.scene_id, query.sensor, query.part, voxel)
+        if key not in self._parts:
+            if len(self._parts) >= PARTS:
+                del self._parts[next(iter(self._parts))]
+            look = self._of(query).parts.get(query.part)
+            self._parts[key] = None if look is None else _filled_part(look, query, voxel)
+        return self._parts[key]
+
+    def _of(self, query: Query) -> Seen:
         key = (query.scene_id, query.sensor)
-        if key not in self._views:
-            if len(self._views) >= SCENES:
-                del self._views[next(iter(self._views))]
-            self._views[key] = cut_out(query.look())
-        return self._views[key]
+        if key not in self._seen:
+            if len(self._seen) >= SCENES:
+                del self._seen[next(iter(self._seen))]
+            self._seen[key] = cut_out(query.look(), query)
+        return self._seen[key]
 
     def _part(self, part_id: str) -> Mesh:
         return self.dataset.geometry.part(part_id).mesh
@@ -102,27 +127,33 @@ class Looks:
         there = Pose(world_from_work.wxyz, guess.apply(self.query.pivot))
         grid = grid_about(guess.inverse() @ there, cells, voxel)
         if self.kind == "partial":
-            return self._seen(grid, FIRST_PART_LABEL + self.query.part)
+            seen = self._store.seen_part(self.query, voxel)
+            return np.ones(cells, np.float32) if seen is None else resample(seen, grid, threads=1).filled(1)
         return _exact(grid, self._store.part(self._known.part_id), self._known.world_from_part)
 
-    def kit_volume(self, world_from_work: Pose, cells: Cells, voxel: float, unknown: float = UNKNOWN) -> np.ndarray:
+    def kit_volume(self, world_from_work: Pose, cells: Cells, voxel: float, columns: bool = False) -> np.ndarray:
         """The kits, on a grid of the working axes with their origin in the middle.
 
         Args:
             world_from_work: the working axes.
             cells: (nx, ny, nz) voxels.
             voxel: [m] edge.
-            unknown: value where nobody knows.
+            columns: whether what an image hides of the kits is filled under what it shows, see `SeenKits.volume`.
 
         Returns:
             (nx, ny, nz) float32.
         """
         grid = grid_about(world_from_work, cells, voxel)
-        if self.kind == "partial":
-            return self._seen(grid, ASSEMBLY_LABEL, unknown)
-        standing = self._store.assembly(self._known.assembly_id)
-        kit = standing.assembly_from_kit[self._known.part_id]
-        return _exact(grid, standing.mesh, self._known.world_from_kit @ kit.inverse())
+        if self.kind == "truth":
+            standing = self._store.assembly(self._known.assembly_id)
+            kit = standing.assembly_from_kit[self._known.part_id]
+            return _exact(grid, standing.mesh, self._known.world_from_kit @ kit.inverse())
+        seen = self._store.seen_kits(self.query)
+        if seen is None:
+            return np.ones(cells, np.float32)
+        if columns:
+            return resample(seen.volume(world_from_work.xyz, voxel), grid, threads=1).filled(1)
+        return tsdf(grid, seen.view, seen.mask, threads=1).filled(1)
 
     def for_position(self, guess: Pose, work: Pose, config: PositionConfig) -> dict[str, np.ndarray]:
         """What the position network is shown: `part` and `kit`, along working axes that begin where the pivot is."""
@@ -144,12 +175,11 @@ class Looks:
 
         Returns:
             float32: `part_points` (P, 3), `kit_points` (K, 3) and, where the config has distances, `kit_volume`
-            (nx, ny, nz), NaN where nobody knows.
+            (nx, ny, nz).
         """
         part = self.part_volume(guess, place, config.part_cells, config.voxel)
-        known = self.kit_volume(place, config.kit_cells, config.voxel, np.nan)
-        kit = np.where(np.isnan(known), np.float32(UNKNOWN), known)
-        told = {"kit_volume": known} if config.distance else {}
+        kit = self.kit_volume(place, config.kit_cells, config.voxel, columns=True)
+        told = {"kit_volume": kit} if config.distance else {}
         return told | {
             "part_points": points_of(part, config.voxel, config.points, config.part_points, rng),
             "kit_points": points_of(kit, config.voxel, config.points, config.kit_points, rng),
@@ -163,8 +193,8 @@ class Looks:
         """
         if self.query.guess is not None:
             return self.query.guess
-        view = self._views.get(ASSEMBLY_LABEL)
-        middle = None if view is None else middle_of(view, view.depth > 0)
+        seen = self._store.seen_kits(self.query)
+        middle = None if seen is None else middle_of(seen.view, seen.mask & (seen.view.depth > 0))
         if middle is None:
             raise InputError(f"{self.query.id}: its image shows nothing of the kits")
         return Pose.from_translation(middle - self.query.pivot)
@@ -178,15 +208,6 @@ class Looks:
     def _store(self) -> Kept:
         return self.kept or Kept(self.dataset)
 
-    @cached_property
-    def _views(self) -> dict[int, View]:
-        return cut_out(self.query.seen) if self.kept is None else self.kept.views(self.query)
-
-    def _seen(self, grid: Grid, label: int, unknown: float = UNKNOWN) -> np.ndarray:
-        if label not in self._views:
-            return np.full(grid.shape, unknown, np.float32)
-        return tsdf(grid, self._views[label], threads=1).filled(unknown)
-
 
 def grid_about(world_from_middle: Pose, cells: Cells, voxel: float) -> Grid:
     """The grid of `cells` voxels [m] whose voxel n // 2 along each axis has its centre at a pose."""
@@ -194,25 +215,34 @@ def grid_about(world_from_middle: Pose, cells: Cells, voxel: float) -> Grid:
     return Grid(cells, voxel, world_from_middle @ Pose.from_translation(first))
 
 
-def cut_out(look: Look) -> dict[int, View]:
-    """By label, the image cut to the box of its mask, without a return beside the mask; labels not seen are left out.
-
-    Volumes made of them are those of the whole image with its mask: pixels beside the mask only tell free from unknown,
-    and both are 1 to a network.
-    """
-    views = {}
+def cut_out(look: Look, query: Query) -> Seen:
+    """The windows of the image of a query that volumes are made of."""
+    kits, parts = None, {}
     for label, box in enumerate(find_objects(look.labels), start=1):
-        if box is not None:
-            depth = np.where(look.labels[box] == label, look.view.depth[box], np.float32(0))
-            camera = _shifted(look.view.camera, depth.shape, box[1].start, box[0].start)
-            views[label] = View(camera, look.view.world_from_camera, depth)
-    return views
+        if box is not None and label == ASSEMBLY_LABEL:
+            kits = SeenKits(window(look, box), noise_of(query.sensor), query.scene_id)
+        elif box is not None:
+            parts[label - FIRST_PART_LABEL] = window(look, _grown(box, look, label))
+    return Seen(kits, parts)
 
 
-def _shifted(camera: Camera, size: tuple[int, ...], left: int, top: int) -> Camera:
-    """The camera of a window of its image that begins at a column and a row; size: its rows and columns."""
-    return Camera(size[1], size[0], camera.fx, camera.fy, camera.cx - left, camera.cy - top)
+def _grown(box: tuple[slice, slice], look: Look, label: int) -> tuple[slice, slice]:
+    """A box of pixels, and so many more as AROUND asks for at the depth of what is seen there."""
+    depth = look.view.depth[box][(look.labels[box] == label) & (look.view.depth[box] > 0)]
+    more = ceil(AROUND * look.view.camera.fx / depth.min()) if len(depth) else 0
+    rows, columns = (slice(max(side.start - more, 0), side.stop + more) for side in box)
+    return rows, columns
+
+
+def _filled_part(look: Look, query: Query, voxel: float) -> Volume:
+    """What is seen of a part and what hides behind, no more of the volume than is not free."""
+    volume = SeenPart(look, FIRST_PART_LABEL + query.part, query.pivot).volume(voxel)
+    held = find_objects((volume.values < 1).astype(np.uint8))
+    if not held:
+        return volume
+    first, last = np.array([(max(side.start - 1, 0), side.stop + 1) for side in held[0]]).T
+    return crop(volume, tuple(first), tuple(last - first))
 
 
 def _exact(grid: Grid, mesh: Mesh, world_from_body: Pose) -> np.ndarray:
-    return signed_distance(grid, [(mesh, world_from_body)], threads=1).filled(UNKNOWN)
+    return signed_distance(grid, [(mesh, world_from_body)], threads=1).filled(1)
