@@ -9,7 +9,7 @@ from typing import Any, Literal
 import torch
 
 from baselines.snapnet.config import POSITION, ROTATION, Kind
-from baselines.snapnet.examples import Guesses, PositionExamples, RotationExamples
+from baselines.snapnet.examples import Guesses, PositionExamples, RotationExamples, Situations
 from baselines.snapnet.position import PositionNet
 from baselines.snapnet.rotation import RotationNet
 from baselines.snapnet.tasks import PositionTask, RotationTask
@@ -69,11 +69,11 @@ def train_network(name: str, data: Path, out: Path, preset: Preset, changes: dic
 
 def _task(network: Network, dataset: Dataset, preset: Preset) -> tuple[Task, Any]:
     """The task of a network, and its sizes."""
-    kind, guesses = network.kind, network.guesses
+    learn, check = (Situations(dataset, split, network.kind, network.guesses) for split in ("train", "val"))
     if network.finds == "position":
-        sizes = POSITION[preset]
-        learn, check = (PositionExamples(dataset, split, sizes, kind, guesses) for split in ("train", "val"))
-        return PositionTask(learn, check, CHECKS["position"], PositionNet(sizes)), sizes
-    sizes = ROTATION[preset]
-    learn, check = (RotationExamples(dataset, split, sizes, kind, guesses) for split in ("train", "val"))
-    return RotationTask(learn, check, CHECKS["rotation"], RotationNet(sizes)), sizes
+        places = POSITION[preset]
+        examples = PositionExamples(learn, places), PositionExamples(check, places)
+        return PositionTask(*examples, CHECKS["position"], PositionNet(places)), places
+    turns = ROTATION[preset]
+    shown = RotationExamples(learn, turns), RotationExamples(check, turns)
+    return RotationTask(*shown, CHECKS["rotation"], RotationNet(turns)), turns

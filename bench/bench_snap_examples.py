@@ -47,9 +47,9 @@ def main(dataset: tyro.conf.Positional[Path], preset: str = "small", examples: i
     data = Dataset(dataset)
     print(f"{'one example, ' + preset:34}{'first ms':>10}{'again ms':>10}")
     for kind, sensor in MADE:
-        position = PositionExamples(data, "train", POSITION[preset], kind, "ball", sensor)
+        position = PositionExamples(Situations(data, "train", kind, "ball", sensor), POSITION[preset])
         print_draws(f"position, {kind}, {sensor}", position.draw, examples)
-        rotation = RotationExamples(data, "train", ROTATION[preset], kind, "ball", sensor)
+        rotation = RotationExamples(Situations(data, "train", kind, "ball", sensor), ROTATION[preset])
         print_draws(f"rotation, {kind}, {sensor}", rotation.draw, examples)
     print(f"peak of this process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.1f} GB")
     if resampled:

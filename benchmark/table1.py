@@ -46,6 +46,7 @@ METHODS = (  # numbers: Table I of "Scene Editing as Teleoperation", arXiv 2110.
     Method("snapnet-partialvol", "SnapNet, partial volumes", "paper", (5.1, 5.7), (49.4, 53.2)),
     Method("snapnet", "SnapNet", "paper", (3.9, 4.9), (10.8, 29.6)),
     Method("snapnet-gtvol", "SnapNet, true volumes", "paper", (3.7, 4.61), (8.1, 28.9)),
+    Method("snapnet-partialvol-fine", "SnapNet, partial volumes, mean of turns", "here"),
     Method("snapnet-gtvol-fine", "SnapNet, true volumes, mean of turns", "here"),
     Method("registration", "Registration, from depth", "here"),
     Method("registration-any-clearance", "Registration, clearance unknown", "here"),

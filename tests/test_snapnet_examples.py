@@ -163,7 +163,7 @@ def test_the_part_laid_by_its_offset_fills_the_cavity_and_meets_nothing(data: Da
 
 @pytest.mark.parametrize("seed", range(3))
 def test_points_of_the_part_turned_aright_lie_clear_of_the_kits(data: Dataset, seed: int) -> None:
-    examples = RotationExamples(data, "train", ROTATION, "truth")
+    examples = RotationExamples(asked(data), ROTATION)
     points, told = examples.draw(stream(seed))["part_points"], examples.situations.draw(stream(seed))
     place = told.world_from_work @ Pose.from_translation(told.residual.offset)
     kit = told.looks.kit_volume(place, CELLS, VOXEL)
@@ -270,11 +270,11 @@ def test_without_a_guess_the_pivot_goes_to_the_middle_of_the_kits(data: Dataset)
 
 
 def position(data: Dataset, kind: Kind) -> PositionExamples:
-    return PositionExamples(data, "train", POSITION, kind)
+    return PositionExamples(asked(data, kind), POSITION)
 
 
 def rotation(data: Dataset, kind: Kind) -> RotationExamples:
-    return RotationExamples(data, "train", replace(ROTATION, jitter=2e-3), kind)
+    return RotationExamples(asked(data, kind), replace(ROTATION, jitter=2e-3))
 
 
 @pytest.mark.parametrize("kind", ["truth", "partial"])
@@ -295,7 +295,7 @@ def test_the_same_generator_gives_the_same_bytes(data: Dataset, made: Callable, 
 
 
 def test_position_examples_have_the_sizes_of_their_config_and_flag_what_is_outside(data: Dataset) -> None:
-    examples = PositionExamples(data, "train", replace(POSITION, window=(10, 8, 6)), "truth")
+    examples = PositionExamples(asked(data), replace(POSITION, window=(10, 8, 6)))
     for seed in range(6):
         example = examples.draw(stream(seed))
         assert example["part"].shape == POSITION.part_cells
@@ -305,7 +305,7 @@ def test_position_examples_have_the_sizes_of_their_config_and_flag_what_is_outsi
 
 
 def test_the_right_candidate_is_the_nearest_to_any_right_turn(data: Dataset) -> None:
-    examples = RotationExamples(data, "val", ROTATION, "truth")
+    examples = RotationExamples(Situations(data, "val", "truth"), ROTATION)
     key = examples.keys(1)[0]
     every, some = examples.check(key, every=True), examples.check(key)
     assert len(every["turns"]) == len(examples.candidates)
@@ -385,7 +385,7 @@ def test_what_cannot_be_is_refused(data: Dataset) -> None:
     with pytest.raises(InputError, match="no track snap-tilt-d415"):
         asked(data, guesses="tilt", sensor="d415")
     with pytest.raises(InputError, match="not made for them"):
-        RotationExamples(data, "train", ROTATION, "truth", "place")
+        RotationExamples(asked(data, guesses="place"), ROTATION)
     with pytest.raises(InputError, match="no query"):
         asked(data).stored("train-s0000-p9-snap")
     with pytest.raises(InputError, match="train"):

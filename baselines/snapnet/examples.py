@@ -155,18 +155,10 @@ class PositionExamples:
     it belongs, along working axes; `inside` () bool, whether the cell nearest to the offset is one of the window's.
     """
 
-    def __init__(
-        self,
-        dataset: Dataset,
-        split: str,
-        config: PositionConfig,
-        kind: Kind,
-        guesses: Guesses = "ball",
-        sensor: Sensor = "ideal",
-    ) -> None:
-        """As `Situations`, in the sizes of a config."""
+    def __init__(self, situations: Situations, config: PositionConfig) -> None:
+        """Of situations, in the sizes of a config."""
+        self.situations = situations
         self.config = config
-        self.situations = Situations(dataset, split, kind, guesses, sensor)
 
     def draw(self, rng: np.random.Generator) -> Example:
         """An example to learn from; the same generator gives the same bytes."""
@@ -200,20 +192,13 @@ class RotationExamples:
     In training C is `config.shown`: the right one and others, in any order.
     """
 
-    def __init__(
-        self,
-        dataset: Dataset,
-        split: str,
-        config: RotationConfig,
-        kind: Kind,
-        guesses: Guesses = "ball",
-        sensor: Sensor = "ideal",
-    ) -> None:
-        """As `Situations`, in the sizes of a config. Raises InputError also when its candidates are for others."""
+    def __init__(self, situations: Situations, config: RotationConfig) -> None:
+        """Of situations, in the sizes of a config. Raises InputError when its candidates are for other guesses."""
+        guesses = situations.guesses
         if config.candidates.startswith("place") != (guesses == "place"):
             raise InputError(f"guesses {guesses!r}: the candidates {config.candidates!r} are not made for them")
+        self.situations = situations
         self.config = config
-        self.situations = Situations(dataset, split, kind, guesses, sensor)
         self.candidates = candidates(config.candidates)
 
     def draw(self, rng: np.random.Generator) -> Example:
