@@ -56,6 +56,14 @@ SNAPNET_GTVOL = Method(
     training_data="split train of kit1000",
     weights={"position": "snapnet-gtvol-position", "rotation": "snapnet-gtvol-rotation"},
 )
+SNAPNET_PARTIALVOL = replace(
+    SNAPNET_GTVOL,
+    description="SnapNet in its small size, from one depth image; what that hides is filled in columns",
+    options={"kind": "partial"},
+    uses_true_geometry=False,
+    weights={"position": "snapnet-partialvol-position", "rotation": "snapnet-partialvol-rotation"},
+)
+MEAN_OF_TURNS = "the same, with the mean of the turns around the best one, by their probability"
 METHODS = {
     "truth": Method(
         "baselines.controls:TrueGoal",
@@ -110,8 +118,14 @@ METHODS = {
     "snapnet-gtvol": SNAPNET_GTVOL,
     "snapnet-gtvol-fine": replace(
         SNAPNET_GTVOL,
-        description="the same, with the mean of the turns around the best one, by their probability",
+        description=MEAN_OF_TURNS,
         options={"kind": "truth", "peak": "mean"},
+    ),
+    "snapnet-partialvol": SNAPNET_PARTIALVOL,
+    "snapnet-partialvol-fine": replace(
+        SNAPNET_PARTIALVOL,
+        description=MEAN_OF_TURNS,
+        options={"kind": "partial", "peak": "mean"},
     ),
 }
 

@@ -84,15 +84,14 @@ class Rescore:
     data: Folder
     """Dataset folder, with its truth."""
     workers: int = 1
-    """Processes for the seating test."""
+    """Processes, each with a submission of its own."""
 
     def run(self) -> int:
         """Score and compare."""
         from benchmark.rescore import rescored
 
-        workers, same = _workers(self.workers), True
-        for folder in self.submissions:
-            found = rescored(folder, self.data, workers)
+        found_in, same = rescored(self.submissions, self.data, _workers(self.workers)), True
+        for folder, found in zip(self.submissions, found_in, strict=True):
             told = f"{len(found)} values differ; {found[0]}" if found else "the same scores"
             print(f"{folder}: {told}", flush=True)
             same &= not found

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
 from benchmark.report import json_text
 from benchmark.score import read_checked, score
+from kit1000.data.engines import local
 from kit1000.data.files import read_json
 from kit1000.data.reader import Dataset
 
@@ -16,23 +18,34 @@ MADE = ("commit", "evaluator")
 """What a score says of the code that made it: another commit may well give the same numbers."""
 
 
-def rescored(folder: Path, data: Path, workers: int = 1) -> list[str]:
-    """Score a submission again, with nothing kept from before, and compare to the last digit.
+def rescored(folders: Sequence[Path], data: Path, workers: int = 1) -> Iterator[list[str]]:
+    """Score submissions again, with nothing kept from before, and compare to the last digit.
 
     Args:
-        folder: of the submission, with predictions.csv and scores.json.
+        folders: of the submissions, each with predictions.csv and scores.json.
         data: dataset folder, with its truth.
-        workers: processes for the seating test.
+        workers: processes, each of which scores a submission at a time.
 
-    Returns:
-        A line for each value that differs, such as `tracks.snap.position_mm.mean: 1.82 there, 1.83 now`.
+    Yields:
+        For each a line for each value that differs, such as `tracks.snap.position_mm.mean: 1.82 there, 1.83 now`.
     """
+    with local(min(workers, len(folders))) as spread:
+        yield from spread(partial(_rescored, data), folders)
+
+
+def _rescored(data: Path, folder: Path) -> list[str]:
     there: dict[str, Any] = read_json(folder / "scores.json")
     split, judge = there.get("split", "test"), there.get("judge", "near")
     submission = read_checked(folder, data, split)
-    summary = score(submission, Dataset(data), None, split, judge, workers).summary
+    summary = score(submission, _opened(data), None, split, judge).summary
     now = json.loads(json_text(summary))
     return [line for line in _differences(there, now, "") if line.partition(":")[0] not in MADE]
+
+
+@lru_cache(maxsize=1)
+def _opened(data: Path) -> Dataset:
+    """The dataset, opened once a process: truths and shapes are read once for all submissions."""
+    return Dataset(data)
 
 
 def _differences(there: Any, now: Any, name: str) -> Iterator[str]:

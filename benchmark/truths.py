@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -53,14 +53,21 @@ class Questions:
 
 def questions(dataset: Dataset, split: str, tracks: Collection[str]) -> Questions:
     """The queries of some tracks in a split, with their truths. Raises InputError when the truth is not here."""
-    found: list[tuple[str, str, Truth]] = []
-    for recorded in dataset.split(split, truth=True):
-        asked = (query for query in recorded.queries if query.track in tracks)
-        found += [(query.track, recorded.id, recorded.truth_of(query.id)) for query in asked]
+    found = [row for row in _read(dataset, split) if row[0] in tracks]
     if not found:
         raise InputError(f"{dataset.root}: split {split} asks nothing in {', '.join(sorted(tracks))}")
     names, scene_ids, truths = zip(*found, strict=True)
     return Questions(dataset.geometry, names, scene_ids, truths)
+
+
+@lru_cache(maxsize=4)
+def _read(dataset: Dataset, split: str) -> tuple[tuple[str, str, Truth], ...]:
+    """All queries of a split: track, scene and truth. Remembered for as long as a dataset is open, or a few others."""
+    return tuple(
+        (query.track, recorded.id, recorded.truth_of(query.id))
+        for recorded in dataset.split(split, truth=True)
+        for query in recorded.queries
+    )
 
 
 def joined(*several: Questions) -> Questions:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -73,21 +73,30 @@ class Asked:
 
 
 def asked_of(data: Path, split: str, query_ids: Iterable[str]) -> Asked:
-    """Read the queries of a split, and of the other splits that some of the ids name. Raises InputError."""
+    """Read the queries of a split, and of the other splits that some of the ids name. Raises InputError.
+
+    A dataset that says what its bytes sum up to is read once, however many submissions are checked.
+    """
     if split not in SPLITS:
         raise InputError(f"no split {split!r}; {near(split, SPLITS)}there are {', '.join(SPLITS)}")
     dataset = Dataset(data)
-    folder = WANTED[split][0]
+    folder, checksum = WANTED[split][0], dataset.summary.get("checksum")
     named = {query_id.partition("-")[0].strip().lower() for query_id in query_ids}
     others = [other for other in ("train", "val", "test") if other in named and other != folder]
-    held = list(_queries(dataset, [folder, *others]))
+    read = _remembered if checksum else _read
+    return read(dataset.root, checksum, split, (folder, *others))
+
+
+def _read(root: Path, checksum: str | None, split: str, folders: tuple[str, ...]) -> Asked:
+    dataset = Dataset(root)
+    held = list(_queries(dataset, folders))
     queries = [query for _, query in held]
     pivots = np.array([query.pivot for query in queries]).reshape(-1, 3)
     homes, guesses = _homes(queries, pivots)
     wanted = [_wanted(of, query, split) for of, query in held]
     return Asked(
         dataset.id,
-        dataset.summary.get("checksum"),
+        checksum,
         tuple(query.id for query in queries),
         tuple(query.track for query in queries),
         tuple(of for of, _ in held),
@@ -98,7 +107,10 @@ def asked_of(data: Path, split: str, query_ids: Iterable[str]) -> Asked:
     )
 
 
-def _queries(dataset: Dataset, folders: list[str]) -> Iterator[tuple[str, Query]]:
+_remembered = lru_cache(maxsize=4)(_read)
+
+
+def _queries(dataset: Dataset, folders: Sequence[str]) -> Iterator[tuple[str, Query]]:
     """All queries with the name of their split, those of the curves behind the others of the test split."""
     for folder in folders:
         if not dataset.shards(folder):
