@@ -59,8 +59,10 @@ def rerun(folder: Path, data: Path, first: int, workers: int | None = None) -> R
     jobs, pivots = _asked(dataset, query_ids, folder)
     with local(workers) as spread:
         answers = spread(partial(answer_of, dataset.root, name, 0), jobs)
-        motions = [answer.goal_from_now for answer in tqdm(answers, folder.name, len(jobs), unit="query", disable=None)]
-    now, there = Pose.stack(motions), submission.predictions.motions[: len(jobs)]
+        shown = tqdm(answers, folder.name, len(jobs), unit="query", disable=None)
+        motions = {answer.query_id: answer.goal_from_now for answer in shown}  # they come as they are done
+    now = Pose.stack([motions[query_id] for query_id in query_ids])
+    there = submission.predictions.motions[: len(jobs)]
     apart = np.linalg.norm(now.apply(pivots) - there.apply(pivots), axis=-1)
     return Rerun(query_ids, 1e3 * apart, np.degrees((now.inverse() @ there).angle()))
 

@@ -90,8 +90,8 @@ class Rescore:
         """Score and compare."""
         from benchmark.rescore import rescored
 
-        found_in, same = rescored(self.submissions, self.data, _workers(self.workers)), True
-        for folder, found in zip(self.submissions, found_in, strict=True):
+        same = True
+        for folder, found in rescored(self.submissions, self.data, _workers(self.workers)):
             told = f"{len(found)} values differ; {found[0]}" if found else "the same scores"
             print(f"{folder}: {told}", flush=True)
             same &= not found

@@ -18,7 +18,7 @@ MADE = ("commit", "evaluator")
 """What a score says of the code that made it: another commit may well give the same numbers."""
 
 
-def rescored(folders: Sequence[Path], data: Path, workers: int = 1) -> Iterator[list[str]]:
+def rescored(folders: Sequence[Path], data: Path, workers: int = 1) -> Iterator[tuple[Path, list[str]]]:
     """Score submissions again, with nothing kept from before, and compare to the last digit.
 
     Args:
@@ -27,19 +27,20 @@ def rescored(folders: Sequence[Path], data: Path, workers: int = 1) -> Iterator[
         workers: processes, each of which scores a submission at a time.
 
     Yields:
-        For each a line for each value that differs, such as `tracks.snap.position_mm.mean: 1.82 there, 1.83 now`.
+        Each folder when it is done, with a line for each value that differs, such as
+        `tracks.snap.position_mm.mean: 1.82 there, 1.83 now`.
     """
     with local(min(workers, len(folders))) as spread:
         yield from spread(partial(_rescored, data), folders)
 
 
-def _rescored(data: Path, folder: Path) -> list[str]:
+def _rescored(data: Path, folder: Path) -> tuple[Path, list[str]]:
     there: dict[str, Any] = read_json(folder / "scores.json")
     split, judge = there.get("split", "test"), there.get("judge", "near")
     submission = read_checked(folder, data, split)
     summary = score(submission, _opened(data), None, split, judge).summary
     now = json.loads(json_text(summary))
-    return [line for line in _differences(there, now, "") if line.partition(":")[0] not in MADE]
+    return folder, [line for line in _differences(there, now, "") if line.partition(":")[0] not in MADE]
 
 
 @lru_cache(maxsize=1)

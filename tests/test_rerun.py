@@ -35,8 +35,11 @@ def copied(made: Path, out: Path) -> Path:
     return out
 
 
-def test_a_method_says_again_what_it_said(made: Path, mini: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    found = rerun(made, mini, 10_000, 1)
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_method_says_again_what_it_said(
+    made: Path, mini: Path, workers: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = rerun(made, mini, 10_000, workers)
     assert found.query_ids == read_submission(made).predictions.query_ids
     assert {query_id.partition("-")[0] for query_id in found.query_ids} == {"test", "curves"}
     assert found.same.all()
@@ -74,7 +77,7 @@ def test_what_cannot_be_asked_again_is_bad_input(made: Path, mini: Path, tmp_pat
 
 
 def test_scores_come_out_again_to_the_last_digit(made: Path, mini: Path, tmp_path: Path) -> None:
-    assert list(rescored([made], mini)) == [[]]
+    assert list(rescored([made], mini)) == [(made, [])]
     assert benchmark(["rescore", str(made), "--data", str(mini)]) == 0
     out = copied(made, tmp_path / "chance")
     scores = json.loads((out / "scores.json").read_text())
@@ -82,7 +85,8 @@ def test_scores_come_out_again_to_the_last_digit(made: Path, mini: Path, tmp_pat
     scores["commit"] = "another"
     (out / "scores.json").write_text(json.dumps(scores))
     for workers in (1, 2):  # each submission is told apart, whoever scored it
-        same, (line,) = rescored([made, out], mini, workers)
-        assert same == []
+        found = dict(rescored([made, out], mini, workers))
+        assert found[made] == []
+        (line,) = found[out]
         assert line.startswith("tracks.snap.position_mm.mean: ")
     assert benchmark(["rescore", str(out), "--data", str(mini)]) == 1
