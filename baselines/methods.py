@@ -63,7 +63,16 @@ SNAPNET_PARTIALVOL = replace(
     uses_true_geometry=False,
     weights={"position": "snapnet-partialvol-position", "rotation": "snapnet-partialvol-rotation"},
 )
-MEAN_OF_TURNS = "the same, with the mean of the turns around the best one, by their probability"
+
+
+def _mean_of_turns(method: Method) -> Method:
+    return replace(
+        method,
+        description="the same, with the mean of the turns around the best one, by their probability",
+        options={**method.options, "peak": "mean"},
+    )
+
+
 METHODS = {
     "truth": Method(
         "baselines.controls:TrueGoal",
@@ -116,17 +125,9 @@ METHODS = {
         uses_true_geometry=True,
     ),
     "snapnet-gtvol": SNAPNET_GTVOL,
-    "snapnet-gtvol-fine": replace(
-        SNAPNET_GTVOL,
-        description=MEAN_OF_TURNS,
-        options={"kind": "truth", "peak": "mean"},
-    ),
+    "snapnet-gtvol-fine": _mean_of_turns(SNAPNET_GTVOL),
     "snapnet-partialvol": SNAPNET_PARTIALVOL,
-    "snapnet-partialvol-fine": replace(
-        SNAPNET_PARTIALVOL,
-        description=MEAN_OF_TURNS,
-        options={"kind": "partial", "peak": "mean"},
-    ),
+    "snapnet-partialvol-fine": _mean_of_turns(SNAPNET_PARTIALVOL),
 }
 
 

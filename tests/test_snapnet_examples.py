@@ -246,6 +246,14 @@ def test_without_the_memory_the_volumes_are_the_same(data: Dataset) -> None:
         )
 
 
+def test_an_answer_reads_the_image_of_its_query_once(data: Dataset) -> None:
+    query, read = drawn(data, 7, "partial").looks.query, []
+    looks = Looks(replace(query, look=lambda: read.append(1) or query.look()), None, "partial", data)
+    looks.part_volume(Pose.identity(), LEVEL, CELLS, VOXEL)
+    looks.kit_volume(LEVEL, CELLS, VOXEL)
+    assert (looks.query.seen.labels.any(), len(read)) == (True, 1)
+
+
 def test_a_part_that_is_not_seen_leaves_a_volume_of_nothing(data: Dataset) -> None:
     looks = replace(drawn(data, 0, "partial").looks, query=replace(drawn(data).looks.query, part=200))
     assert np.all(looks.part_volume(Pose.identity(), LEVEL, CELLS, VOXEL) == 1)

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from baselines.seen import SeenPart
+from baselines.seen.part import REACH
 from baselines.seen.pixels import IDEAL, SENSOR, Noise, noise_of, oriented_points
 from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
@@ -18,7 +19,7 @@ from kit1000.values import FIRST_PART_LABEL, Look, Query, View
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points, tsdf
 
 VOXEL = 1e-3  # [m] of the part's volume
-SIDE = 84  # voxels: no part of 50 mm reaches beyond, however it lies
+SIDE = 2 * round(REACH / VOXEL)  # voxels
 COARSE = 2e-3  # [m] voxels among which planes are looked for
 EDGE = 5e-3  # [m] a step in depth that is no noise
 GAP = 20  # pixels

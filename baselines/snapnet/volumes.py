@@ -10,7 +10,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import ceil
-from typing import NamedTuple
+from operator import attrgetter, methodcaller
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy.ndimage import find_objects
@@ -30,6 +31,9 @@ from kit1000.voxels import Grid, Volume, crop, resample, signed_distance, tsdf
 MESHES = 2048  # parts, and as many assemblies, kept in memory: 0.2 MB each, all of a training split
 SCENES = 1024  # whose depth images, cut to their masks, are kept in memory: 0.5 MB each
 PARTS = 4096  # of images, whose volumes are kept in memory: 0.1 MB each in voxels of the small size
+
+Key = TypeVar("Key")
+Value = TypeVar("Value")
 
 
 class Standing(NamedTuple):
@@ -54,10 +58,12 @@ class Kept:
     May be pickled and forked; when pickled, what is kept stays behind.
     """
 
-    def __init__(self, dataset: Dataset) -> None:
+    def __init__(self, dataset: Dataset, look: Callable[[Query], Look] = methodcaller("look")) -> None:
+        """Nothing is read yet. look: how the image of a query is read; what is pickled reads it anew."""
         self.dataset = dataset
         self.part: Callable[[str], Mesh] = lru_cache(MESHES)(self._part)
         self.assembly: Callable[[str], Standing] = lru_cache(MESHES)(self._assembly)
+        self._look = look
         self._seen: dict[tuple[str, str], Seen] = {}
         self._parts: dict[tuple[str, str, int, float], Volume | None] = {}
 
@@ -70,21 +76,16 @@ class Kept:
 
     def seen_part(self, query: Query, voxel: float) -> Volume | None:
         """The part as its image shows it, in voxels [m], upright; None where it does not."""
-        key = (query.scene_id, query.sensor, query.part, voxel)
-        if key not in self._parts:
-            if len(self._parts) >= PARTS:
-                del self._parts[next(iter(self._parts))]
+
+        def make() -> Volume | None:
             look = self._of(query).parts.get(query.part)
-            self._parts[key] = None if look is None else _filled_part(look, query, voxel)
-        return self._parts[key]
+            return None if look is None else _filled_part(look, query, voxel)
+
+        return _remembered(self._parts, (query.scene_id, query.sensor, query.part, voxel), PARTS, make)
 
     def _of(self, query: Query) -> Seen:
         key = (query.scene_id, query.sensor)
-        if key not in self._seen:
-            if len(self._seen) >= SCENES:
-                del self._seen[next(iter(self._seen))]
-            self._seen[key] = cut_out(query.look(), query)
-        return self._seen[key]
+        return _remembered(self._seen, key, SCENES, lambda: cut_out(self._look(query), query))
 
     def _part(self, part_id: str) -> Mesh:
         return self.dataset.geometry.part(part_id).mesh
@@ -206,13 +207,22 @@ class Looks:
 
     @cached_property
     def _store(self) -> Kept:
-        return self.kept or Kept(self.dataset)
+        return self.kept or Kept(self.dataset, attrgetter("seen"))
 
 
 def grid_about(world_from_middle: Pose, cells: Cells, voxel: float) -> Grid:
     """The grid of `cells` voxels [m] whose voxel n // 2 along each axis has its centre at a pose."""
     first = -(np.array(cells) // 2) * voxel
     return Grid(cells, voxel, world_from_middle @ Pose.from_translation(first))
+
+
+def _remembered(store: dict[Key, Value], key: Key, most: int, make: Callable[[], Value]) -> Value:
+    """The value of a key, made when it is not there; the first of too many goes."""
+    if key not in store:
+        if len(store) >= most:
+            del store[next(iter(store))]
+        store[key] = make()
+    return store[key]
 
 
 def cut_out(look: Look, query: Query) -> Seen:
