@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from kit1000.camera import Camera
+from kit1000.compiled import compiled
 from kit1000.values import Look, View
 
 SPREAD = 4  # places across a pixel: closer than columns, also on what is seen aslant
@@ -47,15 +48,25 @@ def spread_points(view: View, mask: np.ndarray) -> np.ndarray:
 
     A mask holds the pixels whose centres a thing covers: on average it ends half a pixel beyond the last.
     """
-    mask = mask & (view.depth > 0)
+    mask, camera = mask & (view.depth > 0), view.camera
     v, u = np.nonzero(mask)
     across, down = (_slope(view.depth, mask, axis)[v, u] for axis in (1, 0))
-    steps = (np.arange(SPREAD) + 0.5) / SPREAD - 0.5
-    a, b = (grid.ravel() for grid in np.meshgrid(steps, steps))
-    pixels = np.stack([u[:, None] + a, v[:, None] + b], axis=-1)
-    depth = view.depth[v, u][:, None] + across[:, None] * a + down[:, None] * b
-    points = view.camera.unproject_pixels(pixels.reshape(-1, 2), depth.ravel())
-    return view.world_from_camera.apply(points)
+    points = np.empty((len(v), SPREAD * SPREAD, 3))
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    _spread(v, u, view.depth[v, u], across, down, lens, points)
+    return view.world_from_camera.apply(points.reshape(-1, 3))
+
+
+@compiled
+def _spread(v, u, depth, across, down, lens, points):
+    """Fill `points` (n, SPREAD^2, 3) [m], of the camera, from pixels, their depths and the slopes of these."""
+    fx, fy, cx, cy = lens
+    for n in range(len(v)):
+        for place in range(SPREAD * SPREAD):
+            a = (place % SPREAD + 0.5) / SPREAD - 0.5
+            b = (place // SPREAD + 0.5) / SPREAD - 0.5
+            z = depth[n] + across[n] * a + down[n] * b
+            points[n, place] = (u[n] + a - cx) / fx * z, (v[n] + b - cy) / fy * z, z
 
 
 def oriented_points(view: View, mask: np.ndarray, smooth: int) -> tuple[np.ndarray, np.ndarray, float]:
