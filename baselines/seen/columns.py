@@ -86,9 +86,20 @@ def _distances(solid: np.ndarray, seen: np.ndarray) -> np.ndarray:
     outside, inside = _squares(solid), _squares(~solid)
     held = solid[::2, ::2]
     away = np.maximum(np.sqrt(np.where(held, inside, outside)) - 0.25, 0) / TRUNCATION
-    shown = np.where((np.abs(seen) < 1) & (away < 1), np.abs(seen) / 2, 1)  # not of what floats far from the solid
-    away = np.minimum(away, shown)
-    return np.where(held, -away, away).astype(np.float32)
+    near = _box(solid)
+    away[near] = np.fmin(away[near], np.abs(seen[near]) / 2)  # of half a voxel, so is its truncation
+    return np.where(held, -away, away).clip(-1, 1).astype(np.float32)
+
+
+def _box(solid: np.ndarray) -> tuple[slice, ...]:
+    """Of every second cell, those that a solid may have within a truncation, in a box."""
+    held = np.nonzero(solid)
+    if len(held[0]) == 0:
+        return (slice(0),) * 3
+    low, high = ([int(way(i)) for i in held] for way in (np.min, np.max))
+    reach, step = (CELLS + 1, CELLS + 1, int(TRUNCATION) + 1), (2, 2, 1)
+    sides = zip(low, high, reach, step, strict=True)
+    return tuple(slice(max(-((r - a) // s), 0), (b + r) // s + 1) for a, b, r, s in sides)
 
 
 @compiled
