@@ -40,7 +40,7 @@ NETWORKS = {
 }
 TRAINING = {
     ("position", "small"): TrainConfig(steps=4_000, batch=2, rate=1e-3, warmup=200, average=0.999, check_every=500),
-    ("rotation", "small"): TrainConfig(steps=4_000, batch=2, rate=1e-3, warmup=200, average=0.999, check_every=500),
+    ("rotation", "small"): TrainConfig(steps=3_000, batch=2, rate=1e-3, warmup=200, average=0.999, check_every=500),
     ("position", "paper"): TrainConfig(steps=20_000, batch=4, rate=1e-4, decay="none"),
     ("rotation", "paper"): TrainConfig(steps=150_000, batch=1, rate=1e-4, decay="none", check_every=500),
 }
