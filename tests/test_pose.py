@@ -283,6 +283,13 @@ def test_a_batch_gives_bit_for_bit_what_its_members_give(a: Pose, b: Pose, point
         assert np.array_equal(quaternion_between(u, v)[i], quaternion_between(u[i], v[i]))
 
 
+@given(poses())
+def test_many_points_go_where_each_goes_alone_bit_for_bit(pose: Pose) -> None:
+    points = np.random.default_rng(0).normal(size=(100, 3))
+    assert np.array_equal(pose.apply(points), [pose.apply(point) for point in points])
+    assert np.array_equal(pose.apply(points[::2]), pose.apply(points)[::2])
+
+
 @pytest.mark.parametrize(
     ("batch", "points", "result"),
     [

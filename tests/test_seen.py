@@ -7,18 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from scipy.ndimage import distance_transform_edt
 
 from baselines.seen import AROUND, SeenKits, SeenPart
+from baselines.seen.columns import extruded
 from baselines.seen.kits import HIGH
 from baselines.seen.kits import REACH as KIT_REACH
 from baselines.seen.part import REACH
-from baselines.seen.pixels import IDEAL, window
+from baselines.seen.pixels import IDEAL, spread_points, window
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, Look, View
 from kit1000.voxels import signed_distance, tsdf
+from kit1000.voxels.grid import TRUNCATION
 
 CAMERA = Camera(width=400, height=300, fx=500.0, fy=500.0, cx=199.5, cy=149.5)
 EYE = look_at((0.3, 0.2, 0.6), (0, 0, 0))
@@ -91,6 +94,45 @@ def test_a_window_of_the_image_shows_the_same() -> None:
     smaller = replace(part, look=window(part.look, (rows, columns)))
     assert smaller.look.labels.size < part.look.labels.size
     np.testing.assert_allclose(smaller.volume(VOXEL).values, part.volume(VOXEL).values, atol=1e-5)
+
+
+def test_distances_to_columns_are_those_of_a_search_through_all_cells() -> None:
+    view = View(CAMERA, EYE, np.zeros((300, 400), np.float32))
+    world_from_middle = look_at((0.1, 0, 0.2), (0, 0.05, 0))
+    rng, half = np.random.default_rng(0), VOXEL / 2
+    points = rng.uniform(-0.012, 0.012, (4000, 3))
+    points = points[
+        (points[:, 0] > 0) | (np.arange(4000) < 60)
+    ]  # one half dense, the other with columns here and there
+    volume = extruded(
+        view, view.depth > 0, world_from_middle.apply(points), world_from_middle, (0.01, 0.008), -5e-3, VOXEL
+    )
+    solid = np.zeros((40, 40, 16), bool)
+    heights = (np.arange(16) + 0.25) * VOXEL - 8e-3  # every second of the half voxels
+    for x, y, z in points:
+        i, j = (int(np.floor(at / half)) + 20 for at in (x, y))
+        if 0 <= i < 40 and 0 <= j < 40:
+            solid[i, j] |= (heights > -5e-3) & (heights <= z)
+    apart = [distance_transform_edt(cells, (0.5, 0.5, 1)) for cells in (~solid, solid)]
+    wanted = np.where(solid, -1, 1) * np.maximum(np.where(solid, apart[1], apart[0]) - 0.25, 0) / TRUNCATION
+    np.testing.assert_array_equal(volume.values, wanted[::2, ::2].clip(-1, 1).astype(np.float32))
+    assert 0.05 < (volume.values < 0).mean() < 0.5
+
+
+def test_points_are_spread_over_each_pixel_on_the_plane_it_saw() -> None:
+    floor = box(2, 2, 0.1, at=(0, 0, -0.1))
+    view = View(CAMERA, EYE, render(CAMERA, EYE, [(floor, Pose.identity())], 1).depth)
+    mask = np.zeros((300, 400), bool)
+    mask[100:103, 200:205] = True
+    points = spread_points(view, mask)
+    assert points.shape == (3 * 5 * 16, 3)
+    assert np.abs(points[:, 2]).max() < 2e-5  # slopes are those between pixels
+    places = CAMERA.project(EYE.inverse().apply(points))
+    steps = (np.arange(4) + 0.5) / 4
+    wanted = [
+        (u - 0.5 + a, v - 0.5 + b) for v in (100, 101, 102) for u in range(200, 205) for b in steps for a in steps
+    ]
+    np.testing.assert_allclose(places, wanted, atol=1e-9)
 
 
 def test_a_part_without_a_return_leaves_nothing() -> None:
