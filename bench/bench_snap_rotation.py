@@ -99,7 +99,7 @@ def plain_scores(net: RotationNet, part: Tensor, kit: Tensor, turns: Tensor, vol
     scale = torch.cat([part, kit], 1).norm(dim=-1).max()
     own, still = (cloud.expand(number, -1, -1) / scale for cloud in (part, kit))
     moved = turned(part / scale, turns)[0]  # (n, P, 3)
-    told = features = plain_distances(part, kit, turns, volume, config) if config.distance else None
+    features = plain_distances(part, kit, turns, volume, config) if config.distance else None
     for stage, level in enumerate(net.levels):
         assert isinstance(level, Level)
         half = config.centres[stage] // 2
@@ -120,10 +120,7 @@ def plain_scores(net: RotationNet, part: Tensor, kit: Tensor, turns: Tensor, vol
         own, moved, still = taken(own, chosen[0]), taken(moved, chosen[0]), taken(still, chosen[1])
     assert features is not None
     rows = torch.cat([with_flag(moved, still, config), features], -1).transpose(1, 2)[..., None]
-    found = convolved(net.last, rows).amax((2, 3))
-    if config.shares:
-        found = torch.cat([found, plain_shares(told[:, : part.shape[1], 0], config.shares)], -1)
-    return net.head(found).T
+    return net.head(convolved(net.last, rows).amax((2, 3))).T
 
 
 def plain_distances(part: Tensor, kit: Tensor, turns: Tensor, volume: Tensor, config: RotationConfig) -> Tensor:
@@ -132,17 +129,6 @@ def plain_distances(part: Tensor, kit: Tensor, turns: Tensor, volume: Tensor, co
     places = np.moveaxis(turned(part, turns)[0].numpy() / config.voxel + middle, -1, 0)
     found = map_coordinates(volume[0].numpy(), places, order=1, mode="nearest")
     return nn.functional.pad(torch.from_numpy(found.astype(np.float32))[..., None], (0, 0, 0, kit.shape[1]))
-
-
-def plain_shares(distances: Tensor, ranges: int) -> Tensor:
-    """Each point shared out between the two middles of ranges beside it. (n, P) -> (n, ranges)."""
-    shares = np.zeros((len(distances), ranges))
-    for row, values in zip(shares, distances.numpy(), strict=True):
-        place = (values + 1) / 2 * (ranges - 1)
-        below = np.minimum(place.astype(int), ranges - 2)
-        np.add.at(row, below, 1 - (place - below))
-        np.add.at(row, below + 1, place - below)
-    return torch.from_numpy(shares / distances.shape[1] * ranges).to(distances.dtype)
 
 
 def convolved(layers: Iterable[Dense], image: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ from baselines.snapnet import rotation
 from baselines.snapnet.candidates import candidates
 from baselines.snapnet.config import ROTATION, RotationConfig
 from baselines.snapnet.points import Kind, points_of, sampled, turned
-from baselines.snapnet.rotation import SPREAD, RotationNet, rotation_loss, shares_of, turn_of
+from baselines.snapnet.rotation import SPREAD, RotationNet, rotation_loss, turn_of
 from baselines.snapnet.set_abstraction import Groups, Level, farthest, squares, within, within_sorted
 from bench.bench_snap_rotation import plain_farthest, plain_scores
 from kit1000.errors import InputError
@@ -159,7 +159,7 @@ def test_a_level_does_not_mind_the_order_of_members_nor_where_the_scene_stands()
     torch.testing.assert_close(level(places + torch.tensor([3.0, -2, 1, 0.5]), None, groups), found)
 
 
-@pytest.mark.parametrize("config", [TOY, replace(TOY, flag="release", centres=(25, 9), distance=False, shares=0)])
+@pytest.mark.parametrize("config", [TOY, replace(TOY, flag="release", centres=(25, 9), distance=False)])
 def test_answers_are_those_of_a_plain_network_of_the_same_weights(config):
     net = made(config)
     part, kit, turns, volume = scene(config)
@@ -170,14 +170,6 @@ def test_answers_are_those_of_a_plain_network_of_the_same_weights(config):
             one = slice(number, number + 1)
             plain = plain_scores(net, part[one], kit[one], turns[one], volume[one])
             torch.testing.assert_close(found[one], plain, atol=1e-4, rtol=0)
-
-
-def test_a_part_is_shared_out_among_the_ranges_of_its_distances():
-    distances = torch.tensor([-1.0, -0.75, 0.0, 0.5, 1.0, 1.0])[None, None]
-    found = shares_of(distances, 5)[0, 0] * 6 / 5
-    torch.testing.assert_close(found, torch.tensor([1.5, 0.5, 1.0, 1.0, 2.0]))
-    spread = shares_of(torch.rand(2, 3, 40) * 2 - 1, 20)
-    torch.testing.assert_close(spread.sum(-1), torch.full((2, 3), 20.0))
 
 
 def test_the_norms_folded_into_the_maps_change_nothing():

@@ -55,8 +55,6 @@ class RotationConfig:
     """Points of a group at either level, over the paper's."""
     distance: bool = False
     """Whether each point of the part is told the kits' signed distance where a candidate takes it; not in the paper."""
-    shares: int = 0
-    """Ranges of that distance for which a candidate is told what share of the part lies there; not in the paper."""
     candidates: Literal["ball", "tilt", "place", "place-paper"] = "ball"
     """Turns that are told apart: around a guess, or all that a part to be placed may need."""
     shown: int = 40
@@ -83,7 +81,6 @@ ROTATION = {
     "small": RotationConfig(
         *(1.78e-3, (48, 48, 48), (64, 64, 64), "surface", 512, 1024, 0.5, (128, 32), (0.5, 0.5)),
         distance=True,
-        shares=20,
         shown=24,
         hard=0.5,
         target="spread",

@@ -106,7 +106,7 @@ class RotationNet(nn.Module):
         self.levels = nn.ModuleList([Level(int(config.distance), widths[0]), Level(first, widths[1])])
         self.last = Chain([4 + second, *last])
         self.head = nn.Sequential(
-            *(nn.Linear(last[-1] + config.shares, head[0]), nn.ReLU()),
+            *(nn.Linear(last[-1], head[0]), nn.ReLU()),
             *(nn.Linear(head[0], head[1]), nn.ReLU()),
             nn.Linear(head[1], 1),
         )
@@ -132,10 +132,10 @@ class RotationNet(nn.Module):
             scene = replace(scene, apart=told[..., None])
         if self.training:
             found, kits = self._features(scene, None)
-            return self._judge(found, kits, scene)
+            return self._judge(found, kits)
         kits = self._features(scene.some(slice(0)), None)[1]
         few = (scene.some(slice(first, first + AT_ONCE)) for first in range(0, turns.shape[1], AT_ONCE))
-        return torch.cat([self._judge(self._features(clouds, kits)[0], kits, clouds) for clouds in few], 1)
+        return torch.cat([self._judge(self._features(clouds, kits)[0], kits) for clouds in few], 1)
 
     def _features(self, clouds: _Clouds, kits: list[Tensor] | None) -> tuple[Tensor, list[Tensor]]:
         """What the network sees in all points.
@@ -168,12 +168,9 @@ class RotationNet(nn.Module):
         made.append(kits[-1] if kits else rows[parts:].unflatten(0, (scenes, -1)).amax(1))
         return rows[:parts].unflatten(0, (scenes, copies, clouds.own.shape[1])).amax(2), made
 
-    def _judge(self, found: Tensor, kits: list[Tensor], clouds: _Clouds) -> Tensor:
+    def _judge(self, found: Tensor, kits: list[Tensor]) -> Tensor:
         """Logits (B, C) of features (B, C, F) of the part, beside those of the kits (B, F)."""
         both = torch.maximum(found, kits[-1][:, None])
-        if self.config.shares:
-            assert clouds.apart is not None, "shares are of the distances"
-            both = torch.cat([both, shares_of(clouds.apart[..., 0], self.config.shares).to(both.dtype)], -1)
         return self.head(both.flatten(0, 1)).view(both.shape[:2])
 
     @property
@@ -216,23 +213,6 @@ def rotation_loss(logits: Tensor, nearest: Tensor, distances: Tensor, config: Ro
         return loss
     chosen = distances.gather(1, logits.argmax(1, keepdim=True))[:, 0]
     return loss * torch.expm1(chosen / distances.amax(1).clamp(min=1e-9))
-
-
-def shares_of(distances: Tensor, ranges: int) -> Tensor:
-    """How much of a part lies in each range of distances from -1 to 1, over what it were if it lay in all alike.
-
-    A point counts in the two ranges whose middles it lies between, linearly, so that no small move counts whole.
-
-    Args:
-        distances: (B, C, P) of its points to the kits, in truncations.
-        ranges: how many, at least 2.
-
-    Returns:
-        (B, C, ranges), `ranges` in all.
-    """
-    place = (distances.clamp(-1, 1) + 1) * ((ranges - 1) / 2)
-    middles = torch.arange(ranges, dtype=place.dtype, device=place.device)
-    return (1 - (place[..., None] - middles).abs()).clamp(min=0).mean(2) * ranges
 
 
 def turn_of(logits: Tensor, turns: Tensor, peak: Literal["candidate", "mean"]) -> Tensor:
