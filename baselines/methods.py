@@ -68,10 +68,12 @@ SNAPNET_PARTIALVOL = replace(
 def _mean_of_turns(method: Method) -> Method:
     return replace(
         method,
-        description="the same, with the mean of the turns around the best one, by their probability",
+        description=f"{method.description}; the mean of the turns around the best one",
         options={**method.options, "peak": "mean"},
     )
 
+
+SNAPNET_GTVOL_FINE = _mean_of_turns(SNAPNET_GTVOL)
 
 METHODS = {
     "truth": Method(
@@ -125,7 +127,12 @@ METHODS = {
         uses_true_geometry=True,
     ),
     "snapnet-gtvol": SNAPNET_GTVOL,
-    "snapnet-gtvol-fine": _mean_of_turns(SNAPNET_GTVOL),
+    "snapnet-gtvol-fine": SNAPNET_GTVOL_FINE,
+    "snapnet-gtvol-twice": replace(
+        SNAPNET_GTVOL_FINE,
+        description=f"{SNAPNET_GTVOL_FINE.description}; it looks again from its own answer",
+        options={**SNAPNET_GTVOL_FINE.options, "passes": 2},
+    ),
     "snapnet-partialvol": SNAPNET_PARTIALVOL,
     "snapnet-partialvol-fine": _mean_of_turns(SNAPNET_PARTIALVOL),
 }

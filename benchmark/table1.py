@@ -48,6 +48,7 @@ METHODS = (  # numbers: Table I of "Scene Editing as Teleoperation", arXiv 2110.
     Method("snapnet-gtvol", "SnapNet, true volumes", "paper", (3.7, 4.61), (8.1, 28.9)),
     Method("snapnet-partialvol-fine", "SnapNet, partial volumes, mean of turns", "here"),
     Method("snapnet-gtvol-fine", "SnapNet, true volumes, mean of turns", "here"),
+    Method("snapnet-gtvol-twice", "SnapNet, true volumes, two looks", "here"),
     Method("registration", "Registration, from depth", "here"),
     Method("registration-any-clearance", "Registration, clearance unknown", "here"),
     Method("registration-gtvol", "Registration, true geometry", "here"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +39,16 @@ def test_it_conforms(data: Dataset, kind: str) -> None:
     asked = [(query, truth) for query, truth in asked if query.track in ("snap", "snap-tilt")][:4]
     queries, truths = zip(*asked, strict=True)
     check_predictor(untrained(data, kind), queries, truths if kind == "truth" else None, moves=False)
+
+
+def test_a_second_pass_takes_the_first_answer_for_the_guess(data: Dataset) -> None:
+    once, twice = untrained(data, "partial"), untrained(data, "partial")
+    twice.passes = 2
+    query = next(q for scene in data.split("val") for q in scene.queries if q.track == "snap")
+    first = once(query).goal_from_now
+    wanted, found = once(replace(query, guess=first)), twice(query)
+    assert np.array_equal(found.goal_from_now.matrix(), wanted.goal_from_now.matrix())
+    assert not np.allclose(found.goal_from_now.matrix(), first.matrix())
 
 
 def test_weights_come_back_with_their_sizes(data: Dataset, tmp_path: Path) -> None:

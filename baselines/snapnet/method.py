@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
+from baselines.snapnet.candidates import Kind as Turns
 from baselines.snapnet.candidates import candidates
 from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
 from baselines.snapnet.position import PositionNet, position_of
@@ -23,7 +24,7 @@ from kit1000.predictor import Answer
 from kit1000.rng import stream
 from kit1000.values import Query, Truth
 
-TURNS = {"snap-tilt": "tilt", "place": "place", "place-paper": "place-paper"}
+TURNS: dict[str, Turns] = {"snap-tilt": "tilt", "place": "place", "place-paper": "place-paper"}
 """Candidates by track; everywhere else those around a guess of any kind."""
 
 
@@ -37,6 +38,7 @@ class SnapNet:
         position: PositionNet | Path,
         rotation: RotationNet | Path,
         peak: Literal["candidate", "mean"] = "candidate",
+        passes: int = 1,
     ) -> None:
         """Networks as they are, or read from the stems of their weights and put on a GPU where there is one.
 
@@ -46,10 +48,12 @@ class SnapNet:
             position: where the part goes.
             rotation: how it must turn there.
             peak: the best turn, as in the paper, or the mean of those around it by their probability.
+            passes: how often it looks; from the second time on its own answer is the guess.
         """
         self.dataset = dataset
         self.kind: Kind = kind
         self.peak: Literal["candidate", "mean"] = peak
+        self.passes = passes
         self.position: PositionNet = _ready(position, PositionConfig, PositionNet)
         self.rotation: RotationNet = _ready(rotation, RotationConfig, RotationNet)
 
@@ -60,9 +64,16 @@ class SnapNet:
 
     @torch.inference_mode()
     def __call__(self, query: Query, truth: Truth | None = None) -> Answer:
-        """The guess, moved by the best offset and turned by the best candidate; the answer of a query is its own."""
+        """The guess once it is corrected as often as asked; the answer of a query is its own."""
         looks = Looks(query, truth, self.kind, self.dataset)
-        guess = looks.start()
+        answer = Answer(looks.start(), 0.0)
+        for _ in range(self.passes):
+            answer = self._corrected(looks, answer.goal_from_now)
+        return answer
+
+    def _corrected(self, looks: Looks, guess: Pose) -> Answer:
+        """A guess, moved by the best offset and turned by the best candidate."""
+        query = looks.query
         work = Pose.from_translation(guess.apply(query.pivot))
         offset, sure = self._offset(looks, guess, work)
         place = work @ Pose.from_translation(offset)
@@ -79,7 +90,7 @@ class SnapNet:
         return position_of(scores, config)[0].double().cpu().numpy(), float(likely.clamp(max=1))
 
     def _turn(
-        self, looks: Looks, guess: Pose, place: Pose, kind: Any, rng: np.random.Generator
+        self, looks: Looks, guess: Pose, place: Pose, kind: Turns, rng: np.random.Generator
     ) -> tuple[np.ndarray, float]:
         """(3,) [rad] rotation vector along the axes of the world, and the probability of the candidate."""
         config, turns = self.rotation.config, candidates(kind)
