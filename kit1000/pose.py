@@ -30,8 +30,6 @@ OPPOSITE_TOLERANCE = 1e-12
 # are cut where the next term is under 1e-16 of the first.
 SERIES_ANGLE = 0.5
 # (t - sin t) / t^3 = sum over k of (-1)^k t^(2k) / (2k + 3)!
-MANY = 64  # vectors turned by one matrix: more are turned row by row, which gives the same bytes sooner
-
 _EXP_SERIES = (1 / 6, -1 / 120, 1 / 5040, -1 / 362880, 1 / 39916800, -1 / 6227020800, 1 / 1307674368000)
 # (1 - t/2 cot t/2) / t^2 = sum over k of |B_2k| / (2k)! t^(2k-2), with the Bernoulli numbers B
 _LOG_SERIES = (
@@ -352,11 +350,6 @@ def _matrix(wxyz: np.ndarray) -> np.ndarray:
 
 def _rotated(matrix: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Matrices (..., 3, 3) times vectors (..., 3), summed in one fixed order whatever the batch."""
-    if matrix.ndim == vectors.ndim == 2 and len(vectors) > MANY:
-        turned, (x, y, z) = np.empty(vectors.shape), vectors.T
-        for row, (a, b, c) in zip(turned.T, matrix, strict=True):
-            row[:] = a * x + b * y + c * z
-        return turned
     columns = (matrix[..., :, i] * vectors[..., i, None] for i in range(3))
     return next(columns) + next(columns) + next(columns)
 

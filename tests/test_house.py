@@ -47,6 +47,7 @@ FENCES = {
         "kit1000.kits",
         "kit1000.metrics",
         "baselines.registration",
+        "baselines.seen",
         "baselines.snapnet",
     ),
     "open3d": ("baselines.icp",),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import label
 
+from baselines.seen.pixels import moved
 from kit1000.compiled import compiled
 from kit1000.pose import Pose
 from kit1000.values import View
@@ -43,28 +44,29 @@ def extruded(
     fine = Grid.centred(world_from_middle, (2 * side, 2 * side, 2 * high), voxel / 2)
     seen = tsdf(fine, view, mask, threads=1).values[..., ::2]
     heights = (np.arange(0, 2 * high, 2) - (high - 0.5)) * voxel / 2
-    top = _top(fine, world_from_middle.inverse().apply(points))
+    top = _top(fine, world_from_middle.inverse(), points)
     solid = (heights <= top[..., None]) & (heights > floor) & ~(seen > 0)
     values = _distances(_largest(solid) if one else solid, seen[::2, ::2])
     return Volume.adopt(Grid((side, side, high), voxel, fine.world_from_grid), values)
 
 
-def _top(grid: Grid, points: np.ndarray) -> np.ndarray:
+def _top(grid: Grid, middle_from_world: Pose, points: np.ndarray) -> np.ndarray:
     """(nx, ny) [m]: the highest of the points about the middle of a grid in each of its columns; -inf where none is."""
     top = np.full(grid.shape[:2], -np.inf)
-    _raise(points, grid.voxel, top)
+    _raise(points, middle_from_world.rotation_matrix(), middle_from_world.xyz, grid.voxel, top)
     return top
 
 
 @compiled
-def _raise(points, voxel, top):
+def _raise(points, rotation, shift, voxel, top):
     """Raise `top` (nx, ny) to the highest of the points of each column."""
     nx, ny = top.shape
     for p in range(len(points)):
-        i, j = np.rint(points[p, 0] / voxel + (nx - 1) / 2), np.rint(points[p, 1] / voxel + (ny - 1) / 2)
+        x, y, z = moved(rotation, shift, points[p, 0], points[p, 1], points[p, 2])
+        i, j = np.rint(x / voxel + (nx - 1) / 2), np.rint(y / voxel + (ny - 1) / 2)
         if 0 <= i < nx and 0 <= j < ny:
             column = np.int64(i), np.int64(j)
-            top[column] = max(top[column], points[p, 2])
+            top[column] = max(top[column], z)
 
 
 def _largest(solid: np.ndarray) -> np.ndarray:

@@ -53,20 +53,31 @@ def spread_points(view: View, mask: np.ndarray) -> np.ndarray:
     across, down = (_slope(view.depth, mask, axis)[v, u] for axis in (1, 0))
     points = np.empty((len(v), SPREAD * SPREAD, 3))
     lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    _spread(v, u, view.depth[v, u], across, down, lens, points)
-    return view.world_from_camera.apply(points.reshape(-1, 3))
+    eye = view.world_from_camera
+    _spread(v, u, view.depth[v, u], across, down, lens, eye.rotation_matrix(), eye.xyz, points)
+    return points.reshape(-1, 3)
 
 
 @compiled
-def _spread(v, u, depth, across, down, lens, points):
-    """Fill `points` (n, SPREAD^2, 3) [m], of the camera, from pixels, their depths and the slopes of these."""
+def _spread(v, u, depth, across, down, lens, rotation, shift, points):
+    """Fill `points` (n, SPREAD^2, 3) [m], of the world, from pixels, their depths and the slopes of these."""
     fx, fy, cx, cy = lens
     for n in range(len(v)):
         for place in range(SPREAD * SPREAD):
             a = (place % SPREAD + 0.5) / SPREAD - 0.5
             b = (place // SPREAD + 0.5) / SPREAD - 0.5
             z = depth[n] + across[n] * a + down[n] * b
-            points[n, place] = (u[n] + a - cx) / fx * z, (v[n] + b - cy) / fy * z, z
+            points[n, place] = moved(rotation, shift, (u[n] + a - cx) / fx * z, (v[n] + b - cy) / fy * z, z)
+
+
+@compiled
+def moved(rotation, shift, x, y, z):
+    """A point once it is turned and shifted, as `Pose.apply` does it, without an array for each step."""
+    return (
+        rotation[0, 0] * x + rotation[0, 1] * y + rotation[0, 2] * z + shift[0],
+        rotation[1, 0] * x + rotation[1, 1] * y + rotation[1, 2] * z + shift[1],
+        rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + shift[2],
+    )
 
 
 def oriented_points(view: View, mask: np.ndarray, smooth: int) -> tuple[np.ndarray, np.ndarray, float]:
