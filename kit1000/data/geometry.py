@@ -13,9 +13,11 @@ from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.values import Assembly, Kit, Part, Slot
 
+KEPT = 512  # parts, and as many assemblies, in memory: a test split is read once however often it is scored
+
 
 class Geometry:
-    """The parts, kits and assemblies of a finished dataset."""
+    """The parts, kits and assemblies of a finished dataset, by id: `part`, `kit`, `slot` and `assembly`."""
 
     def __init__(self, root: str | Path) -> None:
         """Open a dataset folder. Raises InputError when it is none, or is not finished."""
@@ -26,7 +28,9 @@ class Geometry:
         found = self.summary.get("format") if isinstance(self.summary, dict) else None
         if found != FORMAT:
             raise InputError(f"{self.root}: dataset.json has format {found!r}, this version reads {FORMAT!r}")
+        self.part = lru_cache(maxsize=KEPT)(self._part)
         self.kit = lru_cache(maxsize=64)(self._kit)
+        self.assembly = lru_cache(maxsize=KEPT)(self._assembly)
         self.slot = lru_cache(maxsize=4096)(self._slot)
 
     @cached_property
@@ -51,8 +55,7 @@ class Geometry:
             return "begun but not finished: run the same `kit1000 generate` again"
         return "no dataset.json in it"
 
-    def part(self, part_id: str) -> Part:
-        """A part by id."""
+    def _part(self, part_id: str) -> Part:
         return part_of(part_id, self._row("parts", part_id), self._mesh("parts", part_id))
 
     def _kit(self, kit_id: str) -> Kit:
@@ -62,8 +65,8 @@ class Geometry:
         """The slot of a part, from the table alone: no mesh is opened."""
         return slot_of(self._row("kits", part_id))
 
-    def assembly(self, assembly_id: str) -> Assembly:
-        """An assembly by id, its kits with it."""
+    def _assembly(self, assembly_id: str) -> Assembly:
+        """With its kits."""
         row, mesh = self._row("assemblies", assembly_id), self._mesh("assemblies", assembly_id)
         return assembly_of(assembly_id, row, mesh, self.kit)
 
