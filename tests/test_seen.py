@@ -113,7 +113,7 @@ def test_distances_to_columns_are_those_of_a_search_through_all_cells() -> None:
         i, j = (int(np.floor(at / half)) + 20 for at in (x, y))
         if 0 <= i < 40 and 0 <= j < 40:
             solid[i, j] |= (heights > -5e-3) & (heights <= z)
-    apart = [distance_transform_edt(cells, (0.5, 0.5, 1)) for cells in (~solid, solid)]
+    apart = [np.asarray(distance_transform_edt(cells, (0.5, 0.5, 1))) for cells in (~solid, solid)]
     wanted = np.where(solid, -1, 1) * np.maximum(np.where(solid, apart[1], apart[0]) - 0.25, 0) / TRUNCATION
     np.testing.assert_array_equal(volume.values, wanted[::2, ::2].clip(-1, 1).astype(np.float32))
     assert 0.05 < (volume.values < 0).mean() < 0.5
