@@ -101,9 +101,8 @@ def test_distances_to_columns_are_those_of_a_search_through_all_cells() -> None:
     world_from_middle = look_at((0.1, 0, 0.2), (0, 0.05, 0))
     rng, half = np.random.default_rng(0), VOXEL / 2
     points = rng.uniform(-0.012, 0.012, (4000, 3))
-    points = points[
-        (points[:, 0] > 0) | (np.arange(4000) < 60)
-    ]  # one half dense, the other with columns here and there
+    dense = points[:, 0] > 0  # and columns here and there on the other side
+    points = points[dense | (np.arange(4000) < 60)]
     volume = extruded(
         view, view.depth > 0, world_from_middle.apply(points), world_from_middle, (0.01, 0.008), -5e-3, VOXEL
     )
@@ -128,10 +127,8 @@ def test_points_are_spread_over_each_pixel_on_the_plane_it_saw() -> None:
     assert points.shape == (3 * 5 * 16, 3)
     assert np.abs(points[:, 2]).max() < 2e-5  # slopes are those between pixels
     places = CAMERA.project(EYE.inverse().apply(points))
-    steps = (np.arange(4) + 0.5) / 4
-    wanted = [
-        (u - 0.5 + a, v - 0.5 + b) for v in (100, 101, 102) for u in range(200, 205) for b in steps for a in steps
-    ]
+    steps = (np.arange(4) + 0.5) / 4 - 0.5
+    wanted = [(u + a, v + b) for v in (100, 101, 102) for u in range(200, 205) for b in steps for a in steps]
     np.testing.assert_allclose(places, wanted, atol=1e-9)
 
 

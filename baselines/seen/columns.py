@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import label
+from scipy.ndimage import find_objects, label
 
 from baselines.seen.pixels import moved
 from kit1000.compiled import compiled
@@ -95,13 +95,12 @@ def _distances(solid: np.ndarray, seen: np.ndarray) -> np.ndarray:
 
 def _box(solid: np.ndarray) -> tuple[slice, ...]:
     """Of every second cell, those that a solid may have within a truncation, in a box."""
-    held = np.nonzero(solid)
-    if len(held[0]) == 0:
+    held = find_objects(solid.astype(np.uint8))
+    if not held:
         return (slice(0),) * 3
-    low, high = ([int(way(i)) for i in held] for way in (np.min, np.max))
-    reach, step = (CELLS + 1, CELLS + 1, int(TRUNCATION) + 1), (2, 2, 1)
-    sides = zip(low, high, reach, step, strict=True)
-    return tuple(slice(max(-((r - a) // s), 0), (b + r) // s + 1) for a, b, r, s in sides)
+    reach, step = (CELLS + 1, CELLS + 1, CELLS // 2 + 1), (2, 2, 1)
+    sides = zip(held[0], reach, step, strict=True)
+    return tuple(slice(max(-((r - side.start) // s), 0), (side.stop - 1 + r) // s + 1) for side, r, s in sides)
 
 
 @compiled
