@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.points import seen_points
-from kit1000.data.making.guesses import apply_error, draw_ball, draw_direction, draw_goal, motion, turned_goal
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.guesses import draw_ball, draw_direction, draw_goal
+from kit1000.motions import apply_error, motion, turned_goal
 from kit1000.pose import Pose
 from kit1000.predictor import Answer
 from kit1000.rng import stream

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 
 from baselines.points import seen_points
-from kit1000.data.making.guesses import ANGLE, OFFSET
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.guesses import ANGLE, OFFSET
 from kit1000.pose import Pose, unit_vector
 from kit1000.predictor import Answer
 from kit1000.values import Query, Truth

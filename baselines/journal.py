@@ -9,8 +9,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from kit1000.data.files import check_writable
 from kit1000.errors import InputError
+from kit1000.files import check_writable
 from kit1000.pose import Pose
 from kit1000.values import Prediction
 

@@ -11,10 +11,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
-from kit1000.data.presets import CURVES, TRACKS
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, near
 from kit1000.predictor import Predictor
+from kit1000.tracks import CURVES, TRACKS
 
 EVERY = (*TRACKS, CURVES)
 WEIGHTS = Path(__file__).parent / "weights"

@@ -16,7 +16,7 @@ from baselines.snapnet.tasks import PositionTask, RotationTask
 from baselines.training.batches import Task
 from baselines.training.config import TrainConfig
 from baselines.training.loop import Trained, train
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, near
 
 Preset = Literal["small", "paper"]

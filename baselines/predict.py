@@ -21,14 +21,14 @@ from tqdm import tqdm
 
 from baselines.journal import Journal
 from baselines.methods import EVERY, Method, made, method_of, source_hash
-from kit1000.cores import cores
-from kit1000.data.engines import local
-from kit1000.data.files import check_writable
-from kit1000.data.presets import CURVES, SPLITS
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
+from kit1000.engines import local
+from kit1000.engines.cores import cores
 from kit1000.errors import Fault, InputError, Kit1000Error, near
+from kit1000.files import check_writable
 from kit1000.predictor import Answer, Predictor, predicted
 from kit1000.submission import Manifest, Submission, read_submission, write_submission
+from kit1000.tracks import CURVES, SPLITS
 from kit1000.values import Prediction, Query, Truth
 
 AUTHORS = ("The KIT1000 authors",)  # in a new manifest; what someone else writes there stays

@@ -12,8 +12,8 @@ from tqdm import tqdm
 
 from baselines.methods import method_of
 from baselines.predict import Job, answer_of, splits_of
-from kit1000.data.engines import local
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
+from kit1000.engines import local
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.submission import read_submission

@@ -8,8 +8,8 @@ from typing import Any
 
 from baselines.training.checkpoint import LARGEST, load_weights
 from baselines.training.loop import BEST, LOG
-from kit1000.data.files import write_bytes, write_json
 from kit1000.errors import InputError
+from kit1000.files import write_bytes, write_json
 
 
 def ship(run: Path, weights: Path, commit: str) -> Path:

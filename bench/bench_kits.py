@@ -21,8 +21,8 @@ from release_kits import MARGIN, VOXEL, release_kit, stretched
 from scipy.spatial import KDTree
 
 from kit1000.errors import Kit1000Error, Redraw
+from kit1000.kits.clearance import walk
 from kit1000.kits.kit import CLEARANCE, KitDesign, Plate, design_kit
-from kit1000.kits.measure import walk
 from kit1000.mesh import Mesh, defect32, solid_of
 from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part

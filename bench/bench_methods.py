@@ -18,7 +18,7 @@ import tyro
 from measured_dataset import measured_dataset
 
 from baselines.methods import made, method_of
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
 
 METHODS = ("icp", "registration", "registration-gtvol")

@@ -19,11 +19,11 @@ import numpy as np
 import tyro
 from manifold3d import Manifold
 
-from kit1000.data.geometry import Geometry
+from kit1000.dataset.geometry import Geometry
+from kit1000.kits.acceptance import at_a_goal, over_turned, wrong_poses
 from kit1000.kits.kit import LOOSEST
 from kit1000.kits.seating import HOVER, Plug, judged_raise, swept_out, verdict
 from kit1000.kits.sweep import SAGITTA
-from kit1000.kits.trial import at_a_goal, over_turned, wrong_poses
 from kit1000.mesh import body_count, defect32, solid_of
 from kit1000.pose import Pose
 from kit1000.values import Kit, Part

@@ -21,10 +21,10 @@ import tyro
 from measured_dataset import measured_dataset
 from torch.utils.data import DataLoader
 
-from kit1000.data.cache import VolumeCache
-from kit1000.data.items import Item, depth_item
-from kit1000.data.reader import Split
-from kit1000.data.torch import QueryDataset, VolumeItem
+from kit1000.dataset.cache import VolumeCache
+from kit1000.dataset.items import Item, depth_item
+from kit1000.dataset.reader import Split
+from kit1000.dataset.torch import QueryDataset, VolumeItem
 from kit1000.errors import Kit1000Error
 from kit1000.values import Query, Truth, View
 

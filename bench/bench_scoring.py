@@ -18,10 +18,10 @@ import tyro
 from measured_dataset import measured_dataset
 from scipy.spatial import ConvexHull
 
-from kit1000.data.making.guesses import motion, turned_goal
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
 from kit1000.metrics import Targets, pose_errors, seatings
+from kit1000.motions import motion, turned_goal
 from kit1000.pose import Pose
 from kit1000.values import Truth
 

@@ -16,6 +16,7 @@ import numpy as np
 import tyro
 
 from kit1000.errors import Kit1000Error, Redraw
+from kit1000.kits.acceptance import about_anchor
 from kit1000.kits.contact import ridges
 from kit1000.kits.kit import make_kit
 from kit1000.kits.seating import (
@@ -28,7 +29,6 @@ from kit1000.kits.seating import (
     swept_out,
     verdict,
 )
-from kit1000.kits.trial import about_anchor
 from kit1000.mesh import solid_of
 from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part

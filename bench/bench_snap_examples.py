@@ -22,7 +22,7 @@ import tyro
 from baselines.snapnet.config import POSITION, ROTATION, Kind
 from baselines.snapnet.examples import PositionExamples, RotationExamples, Sensor, Situations
 from baselines.snapnet.volumes import grid_about
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose

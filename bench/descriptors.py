@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.mesh import Mesh, body_count, surface_points
-from kit1000.parts.twins import TWIN, shape_measures
+from kit1000.parts.near_duplicates import TWIN, shape_measures
 
 BINS = 32
 """Of a D2 histogram, over 0 .. D2_RANGE mean distances."""

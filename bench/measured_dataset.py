@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from kit1000.data.making.build import generate
-from kit1000.data.presets import preset
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
+from kit1000.generation.build import generate
+from kit1000.generation.presets import preset
 
 
 @contextmanager

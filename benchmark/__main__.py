@@ -62,8 +62,8 @@ class Score:
         from benchmark.per_query import write_per_query
         from benchmark.report import json_text, score_text
         from benchmark.score import read_checked, score
-        from kit1000.data.files import write_bytes
-        from kit1000.data.reader import Dataset
+        from kit1000.dataset.reader import Dataset
+        from kit1000.files import write_bytes
 
         workers, kept = _workers(self.workers), _cache(self.cache, self.no_cache)
         submission = read_checked(self.submission, self.data, self.split)

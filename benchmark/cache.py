@@ -19,8 +19,8 @@ import numpy as np
 
 from benchmark.per_query import PerQuery
 from benchmark.provenance import evaluator
-from kit1000.data.files import json_bytes, write_bytes
 from kit1000.errors import InputError
+from kit1000.files import json_bytes, write_bytes
 from kit1000.submission import Predictions
 
 COLUMNS = tuple(field.name for field in fields(PerQuery))

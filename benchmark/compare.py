@@ -21,11 +21,11 @@ from benchmark.per_query import PerQuery
 from benchmark.protocol import read_protocol
 from benchmark.report import json_text, table
 from benchmark.score import Scored, score
-from kit1000.data.files import write_bytes
-from kit1000.data.presets import CURVES
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, near
+from kit1000.files import write_bytes
 from kit1000.submission import read_submission
+from kit1000.tracks import CURVES
 
 ALPHA = 0.05  # below it a p value shows a difference
 SEATED = "seated"

@@ -20,10 +20,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from benchmark.charts import HUES, Axis, Line, line_chart, rounded_up, standalone
-from kit1000.data.files import read_json, write_bytes
-from kit1000.data.making.guesses import LEVELS, level_angle, level_offset
-from kit1000.data.making.queries import curve_levels
 from kit1000.errors import InputError, ShapeError
+from kit1000.files import read_json, write_bytes
+from kit1000.guesses import LEVELS, level_angle, level_offset
+from kit1000.tracks import curve_levels
 
 BAND = (20, 80)  # percentiles about each line, as in the paper
 LINE_HUES = (0, 3, 1)  # of the errors that stay: the largest is red and dotted, as in the paper

@@ -8,10 +8,10 @@ import numpy as np
 
 from benchmark.per_query import PerQuery
 from benchmark.truths import Questions
-from kit1000.data.presets import CURVES
 from kit1000.metrics import Seatings, Targets, pose_errors, seatings
 from kit1000.pose import Pose
 from kit1000.submission import Predictions
+from kit1000.tracks import CURVES
 from kit1000.values import Slot, Truth
 
 MM = 1e3  # millimetres in a metre

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kit1000.data.files import write_bytes
+from kit1000.files import write_bytes
 
 
 @dataclass(frozen=True, eq=False)

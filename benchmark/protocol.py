@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from kit1000 import metrics
-from kit1000.data.files import read_json
 from kit1000.errors import InputError
+from kit1000.files import read_json
 from kit1000.kits import seating
 from kit1000.metrics.seating import BANDS
 

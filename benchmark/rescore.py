@@ -10,9 +10,9 @@ from typing import Any
 
 from benchmark.report import json_text
 from benchmark.score import read_checked, score
-from kit1000.data.engines import local
-from kit1000.data.files import read_json
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
+from kit1000.engines import local
+from kit1000.files import read_json
 
 MADE = ("commit", "evaluator")
 """What a score says of the code that made it: another commit may well give the same numbers."""

@@ -18,13 +18,13 @@ from benchmark.protocol import Protocol, read_protocol
 from benchmark.provenance import commit, evaluator
 from benchmark.summary import summarised
 from benchmark.truths import Questions, joined, questions
-from kit1000.data.files import sha256
-from kit1000.data.presets import CURVES
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, near
+from kit1000.files import sha256
 from kit1000.metrics.seating import BANDS
 from kit1000.submission import Submission, check, read_submission
 from kit1000.submission.predictions import FILE
+from kit1000.tracks import CURVES
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from benchmark.curves import curve_table
 from benchmark.intervals import ENDS, bootstrap_means, rate_interval
 from benchmark.per_query import PerQuery
 from benchmark.protocol import Protocol
-from kit1000.data.presets import CURVES
+from kit1000.tracks import CURVES
 
 Row = dict[str, Any]
 ERRORS = ("position_mm", "rotation_deg", "mssd_mm", "penetration_mm", "position_plain_mm", "rotation_plain_deg")

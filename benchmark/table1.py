@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from benchmark.report import json_text
-from kit1000.data.files import read_json, write_bytes
 from kit1000.errors import InputError
+from kit1000.files import read_json, write_bytes
 
 MARK = "<!-- table1 -->"  # stands before and behind the table in a document that it is written into
 NOT_YET = "not yet"  # where no submission is scored

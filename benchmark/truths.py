@@ -9,8 +9,8 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from kit1000.data.geometry import Geometry
-from kit1000.data.reader import Dataset
+from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics import Targets
 from kit1000.values import Truth

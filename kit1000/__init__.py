@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from kit1000.camera import Camera, look_at
-    from kit1000.data.reader import Dataset, Recorded, Split
+    from kit1000.dataset.reader import Dataset, Recorded, Split
     from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, ShapeError
     from kit1000.kits.kit import make_kit
     from kit1000.mesh import Mesh
@@ -75,9 +75,9 @@ __all__ = [
 _ELSEWHERE = {
     "Camera": "camera",
     "look_at": "camera",
-    "Dataset": "data.reader",
-    "Recorded": "data.reader",
-    "Split": "data.reader",
+    "Dataset": "dataset.reader",
+    "Recorded": "dataset.reader",
+    "Split": "dataset.reader",
     "InputError": "errors",
     "Kit1000Error": "errors",
     "MeshRefused": "errors",

@@ -19,8 +19,8 @@ from kit1000.errors import InputError
 from kit1000.usage import run
 
 if TYPE_CHECKING:
-    from kit1000.data.making.plan import Sources
-    from kit1000.data.presets import Preset
+    from kit1000.generation.plan import Sources
+    from kit1000.generation.presets import Preset
 
 LISTED = 20  # refused files in a description
 ABOUT = """KIT1000: parts, kits that fit them, angled assemblies of kits, and scenes to learn assembly from.
@@ -63,7 +63,7 @@ class Generate:
 
     def run(self) -> int:
         """Build, then say what came out."""
-        from kit1000.data.presets import preset
+        from kit1000.generation.presets import preset
 
         chosen = preset(self.preset)
         if self.workers is not None and self.workers < 1:
@@ -72,7 +72,7 @@ class Generate:
             raise InputError(f"--seed: expected 0 or more, got {self.seed}")
         if self.unit is not None and self.parts is None:
             raise InputError("--unit: says how to read the meshes of --parts, which is absent")
-        from kit1000.data.files import folder
+        from kit1000.files import folder
 
         out = folder(self.out)
         summary = self._built(chosen, out) if self.withhold is None else self._published(chosen, out, self.withhold)
@@ -81,15 +81,15 @@ class Generate:
 
     def _built(self, chosen: Preset, out: Path, seed: int | None = None) -> dict[str, Any]:
         """The dataset in a folder, whole."""
-        from kit1000.data.engines import engine as engine_of
-        from kit1000.data.making.build import generate
+        from kit1000.engines import engine as engine_of
+        from kit1000.generation.build import generate
 
         engine = engine_of(self.engine, self.workers, self.address)
         return generate(chosen, out, self.seed if seed is None else seed, self.workers, self._sources(out), engine)
 
     def _published(self, chosen: Preset, out: Path, whole: Path) -> dict[str, Any]:
         """The dataset in a second folder, and what may be seen of it in --out."""
-        from kit1000.data.withhold import check_apart, publish, secret_seed
+        from kit1000.generation.withhold import check_apart, publish, secret_seed
 
         check_apart(out, whole)
         self._built(replace(chosen, curve_scenes=0), whole, secret_seed(whole, self.seed))
@@ -97,7 +97,7 @@ class Generate:
 
     def _sources(self, built: Path) -> Sources | None:
         """The mesh files asked for, without those that this command itself writes."""
-        from kit1000.data.making.plan import Sources
+        from kit1000.generation.plan import Sources
         from kit1000.parts.files.sources import mesh_files
 
         if self.parts is None:
@@ -126,7 +126,7 @@ class MakeKit:
 
     def run(self) -> int:
         """Make the kit, then print its report."""
-        from kit1000.data.own_part import kit_for
+        from kit1000.export.own_part import kit_for
 
         for name, value in (("--clearance-mm", self.clearance_mm), ("--fit-mm", self.fit_mm)):
             if value is not None and not 0.05 <= value <= 1000:
@@ -146,7 +146,7 @@ class Info:
 
     def run(self) -> int:
         """Print the summary."""
-        from kit1000.data.geometry import Geometry
+        from kit1000.dataset.geometry import Geometry
 
         print(describe(Geometry(self.data).summary))
         return 0
@@ -173,10 +173,10 @@ class Show:
 
     def run(self) -> int:
         """Draw and write."""
-        from kit1000.data.files import write_bytes
-        from kit1000.data.geometry import Geometry
-        from kit1000.data.reader import Dataset
-        from kit1000.data.sheets import contact_sheet_of, scene_sheet
+        from kit1000.dataset.geometry import Geometry
+        from kit1000.dataset.reader import Dataset
+        from kit1000.files import write_bytes
+        from kit1000.pictures.dataset_sheets import contact_sheet_of, scene_sheet
 
         if self.count < 1:
             raise InputError(f"--count: expected 1 or more, got {self.count}")
@@ -200,7 +200,7 @@ class Verify:
 
     def run(self) -> int:
         """Check, then say what was found; 1 when something is wrong."""
-        from kit1000.data.verify import verify
+        from kit1000.generation.verify import verify
 
         if self.sample < 0:
             raise InputError(f"--sample: expected 0 or more, got {self.sample}")
@@ -233,7 +233,7 @@ class Export:
 
     def run(self) -> int:
         """Export one after another."""
-        from kit1000.data.export import export
+        from kit1000.export import export
 
         export(self.data, self.format, self.out, self.ids, self.split, self.sensor)
         print(self.out)
@@ -257,7 +257,7 @@ class Insertions:
 
     def run(self) -> int:
         """Try, then print the tables."""
-        from kit1000.data.insertions import described, study
+        from kit1000.insertion_study import described, study
 
         print(described(study(self.data, self.out, self.sample, self.more, self.seed)))
         return 0
@@ -278,7 +278,7 @@ class Check:
 
     def run(self) -> int:
         """Check, then print the faults; 1 when there are errors."""
-        from kit1000.data.files import json_bytes
+        from kit1000.files import json_bytes
         from kit1000.submission import check
 
         report = check(self.submission, self.data, self.split)

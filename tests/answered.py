@@ -11,12 +11,12 @@ import numpy as np
 
 from benchmark.truths import Questions
 from kit1000 import Dataset
-from kit1000.data.making.guesses import motion, turned_goal
-from kit1000.data.presets import CURVES, TRACKS
 from kit1000.mesh import Mesh, mesh_of
+from kit1000.motions import motion, turned_goal
 from kit1000.parts.cad import polygon, prism
 from kit1000.pose import Pose
 from kit1000.submission import Manifest, Predictions, Submission, write_submission
+from kit1000.tracks import CURVES, TRACKS
 from kit1000.values import FreeAxis, Query, Slot, Truth
 
 Answer = Callable[[Query, Truth], Pose]

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from kit1000.data.description.figures import merged, pair_statistics, statistics
-from kit1000.data.schema import SceneTruth
-from kit1000.data.tables import pose_row
+from kit1000.dataset.schema import SceneTruth
+from kit1000.dataset.tables import pose_row
+from kit1000.generation.card_statistics import merged, pair_statistics, statistics
 from kit1000.pose import Pose
 
 SYMMETRY = {"name": "C2", "rotations": [], "axis": None}

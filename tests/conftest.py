@@ -9,8 +9,8 @@ import pytest
 from hypothesis import settings
 from mini import MINI, sketched
 
-from kit1000.data.making import shards
-from kit1000.data.making.build import generate
+from kit1000.generation import shards
+from kit1000.generation.build import generate
 
 settings.register_profile("kit1000", deadline=None)  # a busy machine may take its time
 settings.load_profile("kit1000")

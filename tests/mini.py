@@ -10,10 +10,10 @@ from pathlib import Path
 import card_samples
 import recorded
 
-from kit1000.data.making.plan import Sources, scene_id_of
-from kit1000.data.making.scenes import MadeScene
-from kit1000.data.meshes import stl_bytes
-from kit1000.data.presets import Preset
+from kit1000.dataset.mesh_files import stl_bytes
+from kit1000.generation.plan import Sources, scene_id_of
+from kit1000.generation.presets import Preset
+from kit1000.generation.scenes import MadeScene
 from kit1000.mesh import Mesh, mesh_of
 from kit1000.parts.cad import polygon, prism
 from kit1000.values import Assembly, Part

@@ -24,9 +24,9 @@ from kit1000.kits.assembly import (
     placed,
     world_tilts,
 )
+from kit1000.kits.brackets import BITE, RIB, stand
 from kit1000.kits.kit import GAP
 from kit1000.kits.seating import swept_out
-from kit1000.kits.stand import BITE, RIB, stand
 from kit1000.mesh import Mesh, body_count, defect32, mesh_of, solid_of
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Mount, Part

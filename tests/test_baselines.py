@@ -10,9 +10,9 @@ import pytest
 
 from baselines.methods import EVERY, GUESSED, METHODS, Method, described, made, method_of, resolved, source_hash
 from baselines.points import seen_points
-from kit1000.data.making.guesses import error_of, motion, turned_goal
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.motions import error_of, motion, turned_goal
 from kit1000.pose import Pose
 from kit1000.predictor import Answer
 from kit1000.testing import check_predictor

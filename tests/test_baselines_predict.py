@@ -19,12 +19,12 @@ from baselines.__main__ import main
 from baselines.journal import Journal
 from baselines.methods import EVERY, METHODS
 from baselines.predict import Asked, predict
-from kit1000.data.presets import TRACKS
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import Fault, InputError
 from kit1000.pose import Pose
 from kit1000.predictor import Answer
 from kit1000.submission import Submission, check, read_submission
+from kit1000.tracks import TRACKS
 from kit1000.values import Prediction, Query, Truth
 
 ROOT = Path(__file__).resolve().parents[1]

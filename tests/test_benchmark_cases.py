@@ -17,7 +17,7 @@ from benchmark.pages.cases import LARGEST, SIZE, Drawn, case_picture, jpeg, pict
 from benchmark.pages.entries import read_board
 from benchmark.report import json_text
 from benchmark.score import score
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.rng import stream

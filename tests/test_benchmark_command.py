@@ -16,8 +16,8 @@ from answered import answered, the_truth
 
 from benchmark.__main__ import main
 from kit1000 import Dataset
-from kit1000.data.presets import CURVES
 from kit1000.submission import Submission, read_submission
+from kit1000.tracks import CURVES
 
 MINI_TRACKS = ("snap", "snap-tilt", "snap-d415")  # what MINI asks in its one test scene
 

@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmark.curves import COLUMNS, CURVES, curve_table, figure, write_curves
-from kit1000.data.making.guesses import FIXED_LEVELS, LEVELS
-from kit1000.data.making.queries import curve_levels
 from kit1000.errors import InputError, ShapeError
+from kit1000.guesses import FIXED_LEVELS, LEVELS
 from kit1000.rng import stream
+from kit1000.tracks import curve_levels
 
 IDS = curve_ids(3)
 MM = [0, 4, 8, 12, 16, 20, 24, 28]

@@ -16,8 +16,8 @@ from mini import contents
 from benchmark.pages import build
 from benchmark.pages.board import runtime_class
 from benchmark.pages.numbers import POSITION, percent, written
-from kit1000.data.presets import TRACKS
 from kit1000.errors import InputError
+from kit1000.tracks import TRACKS
 
 VOID = {"meta", "link", "img", "input", "br"}
 

@@ -22,11 +22,11 @@ from benchmark.score import Scored, score
 from benchmark.summary import histogram, risk_coverage, summarised
 from benchmark.truths import Questions, questions
 from kit1000 import Dataset
-from kit1000.data.presets import CURVES
 from kit1000.errors import InputError
 from kit1000.metrics import Seatings
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.submission import Submission, read_predictions, read_submission, write_predictions, write_submission
+from kit1000.tracks import CURVES
 
 PROTOCOL = read_protocol()
 ERRORS = ("position_mm", "rotation_deg", "mssd_mm", "position_plain_mm", "rotation_plain_deg")

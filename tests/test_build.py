@@ -18,13 +18,13 @@ from pathlib import Path
 import pytest
 from mini import MINI, contents, corners, sketched
 
-from kit1000.data import files
-from kit1000.data.files import locked
-from kit1000.data.geometry import Geometry
-from kit1000.data.making import build, groups, pairs, shards
-from kit1000.data.making.build import generate
-from kit1000.data.making.plan import Sources
+from kit1000 import files
+from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError, Redraw
+from kit1000.files import locked
+from kit1000.generation import assemblies, build, parts_and_kits, shards
+from kit1000.generation.build import generate
+from kit1000.generation.plan import Sources
 from kit1000.mesh import defect32
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -136,9 +136,9 @@ RUN = """
 import os, signal, sys
 from pathlib import Path
 from mini import MINI, corners, sketched
-from kit1000.data import files
-from kit1000.data.making import shards
-from kit1000.data.making.build import generate
+from kit1000 import files
+from kit1000.generation import shards
+from kit1000.generation.build import generate
 
 if sys.argv[5] == "sketched":  # also in the workers, which run these lines too
     shards.make_scene = sketched
@@ -217,7 +217,7 @@ def test_a_group_killed_while_it_makes_scenes_ends_with_the_same_bytes(
     root, rng = tmp_path / "out", random.Random(workers)
     for _ in range(4):
         run = started(tmp_path, root, workers, 1000, scenes="real")
-        while len(list(root.glob(f"{pairs.BUILD}/assemblies/*.json"))) < 4 and run.poll() is None:
+        while len(list(root.glob(f"{parts_and_kits.BUILD}/assemblies/*.json"))) < 4 and run.poll() is None:
             time.sleep(0.01)
         time.sleep(rng.uniform(0, 3))
         os.killpg(run.pid, signal.SIGKILL)
@@ -262,11 +262,11 @@ def begun(root: Path, sources: Sources, monkeypatch: pytest.MonkeyPatch) -> None
         "parts/train-0000.glb",
         "kits/val-0000.glb",
         "assemblies/test-0000.glb",
-        f"{pairs.BUILD}/parts/train-0001.json",
-        f"{pairs.BUILD}/assemblies/train-0001.json",
+        f"{parts_and_kits.BUILD}/parts/train-0001.json",
+        f"{parts_and_kits.BUILD}/assemblies/train-0001.json",
         "train/0000.mcap",
         "test/0000.truth.mcap",
-        f"{pairs.BUILD}/shards/val/0000.json",
+        f"{parts_and_kits.BUILD}/shards/val/0000.json",
     ],
 )
 @pytest.mark.parametrize("data", [None, b"", b"null", b"{}\n", b'{"files": {"parts/train-0000.glb": "0"}}'])
@@ -365,9 +365,9 @@ def test_company_that_cannot_be_placed_goes(sources: Sources, tmp_path: Path, mo
         if len(assembly.mounts) > 1:
             raise Redraw("too narrow")
 
-    monkeypatch.setattr(groups, "ATTEMPTS", 5)
-    monkeypatch.setattr(groups, "check_assembly", check)
-    monkeypatch.setattr(groups, "_mistakable", lambda *_: False)
+    monkeypatch.setattr(assemblies, "ATTEMPTS", 5)
+    monkeypatch.setattr(assemblies, "check_assembly", check)
+    monkeypatch.setattr(assemblies, "_mistakable", lambda *_: False)
     asked = build.replace(MINI, kits=(2, 2))
     summary = generate(asked, tmp_path, workers=1, sources=sources)
-    assert summary["redraws"]["assemblies"] == {"too narrow": 2 * groups.ATTEMPTS, groups.FEWER: 4}
+    assert summary["redraws"]["assemblies"] == {"too narrow": 2 * assemblies.ATTEMPTS, assemblies.FEWER: 4}

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from mini import MINI, contents, corners
 
-from kit1000.data.engines import Spread
-from kit1000.data.files import folder, remove_folder, sha256
-from kit1000.data.making.build import generate
-from kit1000.data.making.plan import Sources
+from kit1000.engines import Spread
 from kit1000.errors import InputError
+from kit1000.files import folder, remove_folder, sha256
+from kit1000.generation.build import generate
+from kit1000.generation.plan import Sources
 
 
 @pytest.fixture(scope="module")

@@ -8,16 +8,16 @@ from pathlib import Path
 import pytest
 from mini import MINI, corner, corners, written
 
-from kit1000.data.geometry import Geometry
-from kit1000.data.making import pairs, shards
-from kit1000.data.making.build import generate
-from kit1000.data.making.plan import Sources, make_plan
-from kit1000.data.making.scenes import make_scene
-from kit1000.data.presets import SPLITS
-from kit1000.data.verify import verify
+from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError
+from kit1000.generation import parts_and_kits, shards
+from kit1000.generation.build import generate
+from kit1000.generation.plan import Sources, make_plan
+from kit1000.generation.scenes import make_scene
+from kit1000.generation.verify import verify
 from kit1000.mesh import Mesh
 from kit1000.parts.files.sources import mesh_files
+from kit1000.tracks import SPLITS
 
 pytestmark = pytest.mark.usefixtures("sketches")
 
@@ -37,21 +37,21 @@ def test_bad_files_are_refused_with_a_reason_and_stop_nothing(
     written(folder / "strange.stl", corner(40))
     (folder / "empty.stl").touch()
     listed = [*good, *(folder / f"{name}.stl" for name in ("same", "flat", "strange", "empty", "missing"))]
-    known = pairs.design_kit
+    known = parts_and_kits.design_kit
 
     def design(part, *settings, **others):
         if abs(part.mesh.extents.min() / part.mesh.extents.max() - 30 / 40) < 1e-3:
             raise ZeroDivisionError("nobody thought\nof this")
         return known(part, *settings, **others)
 
-    monkeypatch.setattr(pairs, "design_kit", design)
+    monkeypatch.setattr(parts_and_kits, "design_kit", design)
     asked = replace(MINI, train=7)
     summary = generate(asked, tmp_path / "out", workers=1, sources=Sources.of(listed))
     refused = summary["refused"]
     assert refused["empty.stl"] == "empty file"
     assert refused["missing.stl"] == "cannot be read: no such file or directory"
     assert refused["flat.stl"] == "zero thickness"
-    assert refused["strange.stl"].startswith("no kit: ZeroDivisionError: nobody thought of this (pairs.py:")
+    assert refused["strange.stl"].startswith("no kit: ZeroDivisionError: nobody thought of this (parts_and_kits.py:")
     twins = {"same.stl", "corner20.stl"} & set(refused)
     assert len(twins) == 1
     assert refused[twins.pop()].startswith("near-duplicate of ")

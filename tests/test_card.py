@@ -9,8 +9,8 @@ from itertools import chain
 
 import pytest
 
-from kit1000.data.description.card import FILES, READ, card_bytes, citation, listed
-from kit1000.data.schema import SceneTruth
+from kit1000.dataset.schema import SceneTruth
+from kit1000.generation.card import FILES, READ, card_bytes, citation, listed
 from kit1000.values import Query, View
 from tests.card_samples import summary, withheld
 
@@ -102,7 +102,7 @@ def test_the_citation_names_this_very_dataset() -> None:
 
 
 def test_the_shown_code_uses_what_there_is() -> None:
-    from kit1000.data.reader import Dataset, Recorded, Split
+    from kit1000.dataset.reader import Dataset, Recorded, Split
 
     names = {node.attr for node in ast.walk(ast.parse(READ)) if isinstance(node, ast.Attribute)}
     there = chain.from_iterable(map(dir, (Dataset, Split, Recorded, Query)))

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 
 from kit1000.cli import main
-from kit1000.data.making.queries import CURVES
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.submission import Manifest, Predictions, Report, check, write_predictions, write_submission
@@ -24,6 +23,7 @@ from kit1000.submission.check import _coverage_faults
 from kit1000.submission.faults import Fault
 from kit1000.submission.rows import read_rows
 from kit1000.submission.suspicions import suspicions
+from kit1000.tracks import CURVES
 from kit1000.values import Prediction
 
 DOCUMENT = Path(__file__).resolve().parents[1] / "docs/submission.md"

@@ -15,8 +15,8 @@ import pytest
 from broken_submissions import BROKEN, GOOD, MANIFEST, MANIFESTS, WARNED, as_bytes
 
 from kit1000.cli import main
-from kit1000.data.files import json_bytes
 from kit1000.errors import InputError
+from kit1000.files import json_bytes
 from kit1000.submission import Report, check, read_manifest, read_predictions, write_manifest, write_predictions
 
 SECONDS = float(os.environ.get("KIT1000_FUZZ_S", "4"))

@@ -20,10 +20,10 @@ from PIL import Image
 import kit1000
 from kit1000 import cli
 from kit1000.cli import COMMANDS, main
-from kit1000.data import own_part
-from kit1000.data.making import build, shards
-from kit1000.data.making.build import generate
-from kit1000.data.presets import preset
+from kit1000.export import own_part
+from kit1000.generation import build, shards
+from kit1000.generation.build import generate
+from kit1000.generation.presets import preset
 from kit1000.mesh import Mesh
 
 ROOT = Path(__file__).resolve().parents[1]

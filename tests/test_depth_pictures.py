@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kit1000.camera import Camera
+from kit1000.pictures.depth_images import FAR, MIDDLE, NEAR, depth_picture, mask_picture
+from kit1000.pictures.shading import INK, KIT, PART, SECONDARY, TABLE
 from kit1000.pose import Pose
-from kit1000.sim.depth_pictures import FAR, MIDDLE, NEAR, depth_picture, mask_picture
-from kit1000.sim.pictures import INK, KIT, PART, SECONDARY, TABLE
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Look, View
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)

@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 from jobs import die, square, stumble
 
-from kit1000.cores import cores
-from kit1000.data.engines import AHEAD, RETRIES, engine, local
+from kit1000.engines import AHEAD, RETRIES, engine, local
+from kit1000.engines.cores import cores
 from kit1000.errors import Fault, InputError, Kit1000Error
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -123,7 +123,7 @@ def test_without_ray_the_way_to_it_is_said(monkeypatch: pytest.MonkeyPatch) -> N
 
 ORPHANS = """
 import sys, test_engines
-from kit1000.data.engines import local
+from kit1000.engines import local
 if __name__ == "__main__":
     with local(2) as spread:
         print(*spread(test_engines.process_id, [sys.argv[1]] * 2), flush=True)

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from kit1000.data.export import ASSEMBLIES, FORMATS, export
-from kit1000.data.export.threemf import threemf_bytes, write_3mf
-from kit1000.data.geometry import Geometry
+from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError
+from kit1000.export import ASSEMBLIES, FORMATS, export
+from kit1000.export.threemf import threemf_bytes, write_3mf
 from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
 from kit1000.mesh import Mesh, defect32, solid_of
 from kit1000.parts.files.sources import read_mesh

@@ -15,10 +15,10 @@ from PIL import Image
 from scipy.spatial.distance import pdist
 
 from kit1000.camera import Camera, look_at
-from kit1000.data.export import bop, export
-from kit1000.data.export.bop import DELTA, distances, gt_info, silhouette, stored_depth, visible_pixels, write_bop
-from kit1000.data.schema import SceneTruth
+from kit1000.dataset.schema import SceneTruth
 from kit1000.errors import InputError
+from kit1000.export import bop, export
+from kit1000.export.bop import DELTA, distances, gt_info, silhouette, stored_depth, visible_pixels, write_bop
 from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
 from kit1000.mesh import Mesh, mesh_of
 from kit1000.pose import Pose

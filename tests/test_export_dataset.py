@@ -8,9 +8,9 @@ import mlcroissant
 import numpy as np
 import pytest
 
-from kit1000.data.export import export
-from kit1000.data.making.build import generate
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
+from kit1000.export import export
+from kit1000.generation.build import generate
 from tests.mini import MINI, corners
 from tests.test_card import table_below
 from tests.test_export_bop import BopImage, off_model

@@ -16,8 +16,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kit1000.data import files
-from kit1000.data.files import (
+from kit1000 import files
+from kit1000.errors import InputError
+from kit1000.files import (
     PARTIAL,
     check_writable,
     clear_partial,
@@ -31,7 +32,6 @@ from kit1000.data.files import (
     write_bytes,
     write_json,
 )
-from kit1000.errors import InputError
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),

@@ -11,25 +11,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from kit1000.data.making.guesses import (
+from kit1000.errors import InputError
+from kit1000.generation.queries import GuessDraw
+from kit1000.guesses import (
     ANGLE,
     FIXED_LEVELS,
     LEVELS,
     OFFSET,
-    GuessDraw,
-    apply_error,
     draw_ball,
     draw_direction,
     draw_goal,
     draw_tilt,
-    error_of,
     level_angle,
     level_offset,
-    motion,
-    turned_goal,
 )
-from kit1000.errors import InputError
 from kit1000.kits.goals import nearest_turn
+from kit1000.motions import apply_error, error_of, motion, turned_goal
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.values import FreeAxis, Slot
 from tests.strategies import directions, poses, vectors

@@ -25,11 +25,13 @@ PYTHON_FOLDERS = (*PACKAGES, "bench", "tests", "docs")
 
 # A module imports from rows above and from further left in its own; inside one entry no circles are the rule.
 LAYERS = (
-    ("errors", "cores", "compiled", "rng", "pose", "symmetry", "mesh", "camera", "values"),
+    ("errors", "compiled", "rng", "pose", "symmetry", "mesh", "camera", "values", "files", "engines"),
     ("parts", "kits", "voxels"),
+    ("motions", "metrics"),
     ("sim",),
-    ("data", "submission", "predictor", "metrics"),
-    ("editor", "planner", "testing"),
+    ("guesses", "tracks", "pivots", "dataset", "predictor", "submission"),
+    ("pictures", "export", "generation", "insertion_study"),
+    ("planner", "editor", "testing"),
     ("usage", "cli", "", "__main__"),  # "" is the package itself, which hands out names of all the others
     ("benchmark",),
     ("baselines",),
@@ -46,24 +48,26 @@ FENCES = {
         "kit1000.sim",
         "kit1000.kits",
         "kit1000.metrics",
+        "kit1000.pictures",
         "baselines.registration",
-        "baselines.seen",
+        "baselines.completion",
         "baselines.snapnet",
     ),
+    "kit1000.generation": ("kit1000.generation", "kit1000.cli"),  # and tests, benches and the pictures of the docs
     "open3d": ("baselines.icp",),
     "libusb_package": ("baselines.icp",),
     "jinja2": ("benchmark.pages",),
     "tomllib": ("kit1000.submission.manifest",),
     "tomli": ("kit1000.submission.manifest",),
     "playwright": (),  # the tests alone
-    "mcap": ("kit1000.data.mcap_io",),
-    "foxglove_schemas_protobuf": ("kit1000.data.mcap_io",),
-    "torch": ("kit1000.data.torch", "baselines"),
+    "mcap": ("kit1000.dataset.mcap_io",),
+    "foxglove_schemas_protobuf": ("kit1000.dataset.mcap_io",),
+    "torch": ("kit1000.dataset.torch", "baselines"),
     "safetensors": ("baselines",),
     "viser": ("kit1000.editor",),
-    "ray": ("kit1000.data.engines",),
-    "fsspec": ("kit1000.data.engines",),
-    "upath": ("kit1000.data.files",),
+    "ray": ("kit1000.engines",),
+    "fsspec": ("kit1000.engines",),
+    "upath": ("kit1000.files",),
     "tyro": ("kit1000.cli", "kit1000.usage", "benchmark", "baselines"),
 }
 NOT_ON_IMPORT = ("numpy", "scipy", "numba", "trimesh", "manifold3d", "pybullet", "open3d", "torch", "viser")
@@ -160,6 +164,19 @@ def test_the_applications_never_import_each_other() -> None:
     for module, path in modules().items():
         others = {"benchmark", "baselines"} - {module.partition(".")[0]}
         assert not [target for target in imports(path) if target.partition(".")[0] in others], module
+
+
+def test_metrics_are_pure() -> None:
+    """They know values, shapes and motions, and nothing of folders, recordings or simulation."""
+    pure = (*LAYERS[0], "kits", "voxels", "motions", "metrics")
+    outside = [
+        f"{module} imports {target}"
+        for module, path in modules().items()
+        if inside(module, ("kit1000.metrics",))
+        for target in sorted(filter(ours, imports(path)))
+        if target.split(".")[1] not in pure
+    ]
+    assert not outside
 
 
 @pytest.mark.parametrize("package", FENCES)

@@ -10,7 +10,7 @@ import pytest
 
 from baselines import icp
 from baselines.icp import Icp, fitted, shell_of
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.testing import check_predictor

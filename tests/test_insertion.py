@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from kit1000.data import insertions
-from kit1000.data.files import write_json
-from kit1000.data.geometry import Geometry
-from kit1000.data.insertions import Error, described, drawn_places, kept_pieces, study
-from kit1000.data.meshes import glb_bytes
-from kit1000.data.tables import FORMAT, assembly_row, kit_row, part_row
+from kit1000 import insertion_study as insertions
+from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.mesh_files import glb_bytes
+from kit1000.dataset.tables import FORMAT, assembly_row, kit_row, part_row
 from kit1000.errors import InputError
+from kit1000.files import write_json
+from kit1000.insertion_study import Error, described, drawn_places, kept_pieces, study
+from kit1000.kits.acceptance import about_anchor
 from kit1000.kits.assembly import AssemblyPlan, build_assembly
-from kit1000.kits.trial import about_anchor
 from kit1000.mesh import hull_of, mesh_of
 from kit1000.pose import Pose
 from kit1000.rng import stream

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from kit1000.data.reader import Dataset, Split
-from kit1000.data.torch import QueryDataset
+from kit1000.dataset.reader import Dataset, Split
+from kit1000.dataset.torch import QueryDataset
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from kit1000.data.mcap_io import ObservationFile, TruthFile
-from kit1000.data.mcap_io.content import observation_hash, truth_hash
-from kit1000.data.schema import Observation
+from kit1000.dataset.mcap_io import ObservationFile, TruthFile
+from kit1000.dataset.mcap_io.content import observation_hash, truth_hash
+from kit1000.dataset.schema import Observation
 from kit1000.errors import InputError
 from kit1000.values import View
 from tests.recorded import CAMERA, POSE, noise, observation, query, truth, write, write_truth

@@ -23,9 +23,9 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from kit1000.camera import Camera
-from kit1000.data.mcap_io import ObservationFile, ObservationWriter, TruthFile, reading
-from kit1000.data.mcap_io.content import observation_hash, truth_hash
-from kit1000.data.schema import Observation
+from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter, TruthFile, reading
+from kit1000.dataset.mcap_io.content import observation_hash, truth_hash
+from kit1000.dataset.schema import Observation
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.values import View

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kit1000.errors import MeshRefused, ShapeError
-from kit1000.kits.weld import printable_mesh
+from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.mesh import Mesh, body_count, defect, defect32, hull_of, mesh_of, solid_of, surface_points
 from kit1000.pose import Pose
 from tests.shapes import box, cylinder, random_solid, standing

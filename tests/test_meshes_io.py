@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from mini import corner
 
-from kit1000.data.meshes import glb_bytes, read_glb, stl_bytes, y_up, z_up
+from kit1000.dataset.mesh_files import glb_bytes, read_glb, stl_bytes, y_up, z_up
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, defect32
 from kit1000.parts.files.formats import read_soup

@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import kit1000.metrics as metrics
-from kit1000.data.making.guesses import motion, turned_goal
 from kit1000.errors import InputError, ShapeError
 from kit1000.metrics import METRIC_VERSIONS, PoseErrors, Targets, judging_goals, pose_errors
+from kit1000.motions import motion, turned_goal
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.testing import check_metric
 from kit1000.values import FreeAxis, Slot, Truth

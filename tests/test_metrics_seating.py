@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold, OpType
 
-from kit1000.data.making.guesses import motion
 from kit1000.errors import InputError, ShapeError
+from kit1000.kits.acceptance import Seat, about_anchor
 from kit1000.kits.contact import ridges
 from kit1000.kits.seating import (
     HOVER,
@@ -25,10 +25,10 @@ from kit1000.kits.seating import (
     swept_out,
     verdict,
 )
-from kit1000.kits.trial import Seat, about_anchor
 from kit1000.mesh import Mesh, defect, mesh_of, solid_of
 from kit1000.metrics import Seatings, seatings
-from kit1000.metrics.judge import Sweep, Window, passes
+from kit1000.metrics.exact_seating import Sweep, Window, passes
+from kit1000.motions import motion
 from kit1000.pose import Pose, random_quaternions
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Truth
 from tests.sample_kits import QUICK, sample_kit, sample_part

@@ -14,18 +14,18 @@ import trimesh
 from mini import contents, corner, written
 from PIL import Image
 
-from kit1000.data import own_part
-from kit1000.data.files import PARTIAL
-from kit1000.data.meshes import read_glb
-from kit1000.data.own_part import kit_for
+from kit1000.dataset.mesh_files import read_glb
 from kit1000.errors import InputError
+from kit1000.export import own_part
+from kit1000.export.own_part import kit_for
+from kit1000.files import PARTIAL
 from kit1000.mesh import Mesh, defect32, solid_of
 from kit1000.parts.files.formats import read_soup
 from kit1000.parts.files.sources import mesh_files
-from kit1000.sim import preview
+from kit1000.pictures import previews
 
 FILES = ["kit.stl", "part.stl", "preview.png", "report.json", "seated.glb"]
-DRAWN = preview.kit_picture
+DRAWN = previews.kit_picture
 EXACT = 1e-5  # [mm] float32 at a tenth of a metre
 
 
@@ -39,7 +39,7 @@ def read(path: Path) -> Mesh:
 def _picture() -> Iterator[None]:
     """A quick one: drawing takes longer than all the rest."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(preview, "kit_picture", lambda *_: b"picture")
+        patch.setattr(previews, "kit_picture", lambda *_: b"picture")
         yield
 
 
@@ -60,10 +60,10 @@ def test_five_files_are_written(out: Path) -> None:
 
 
 def test_the_preview_shows_the_part_in_its_colour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(preview, "kit_picture", DRAWN)
+    monkeypatch.setattr(previews, "kit_picture", DRAWN)
     kit_for(written(tmp_path / "corner.stl", corner()), tmp_path / "out")
     with Image.open(tmp_path / "out/preview.png") as picture:
-        assert picture.size == preview.WIDE
+        assert picture.size == previews.WIDE
         pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3).astype(int)
     orange = (pixels[:, 0] - pixels[:, 2] > 60).mean()
     assert 0.02 < orange < 0.5

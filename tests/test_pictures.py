@@ -11,10 +11,10 @@ from PIL import Image
 
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
+from kit1000.pictures import lighting
+from kit1000.pictures.creases import smooth_patches
+from kit1000.pictures.shading import KIT, PAPER, PART, SECONDARY, TEAL, Painted, contact_sheet, framing, shaded
 from kit1000.pose import Pose, random_quaternions
-from kit1000.sim import light
-from kit1000.sim.creases import smooth_patches
-from kit1000.sim.pictures import KIT, PAPER, PART, SECONDARY, TEAL, Painted, contact_sheet, framing, shaded
 
 IDENTITY = Pose.identity()
 ABOVE = (0.0, 0.0, 1.0)
@@ -154,11 +154,11 @@ def test_shading_normals_are_those_of_the_true_surface():
 
 def test_lamps_are_unit_vectors_above_the_horizon():
     towards = np.array((0.6, 0.0, 0.8))
-    for directions in (light.sky_directions(112), light.key_directions(48, towards)):
+    for directions in (lighting.sky_directions(112), lighting.key_directions(48, towards)):
         np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-12)
         assert (directions[:, 2] > 0).all()
-    spread = light.key_directions(48, towards) @ towards
-    assert spread.min() >= np.sqrt(1 - light.KEY_SPREAD**2) - 1e-12
+    spread = lighting.key_directions(48, towards) @ towards
+    assert spread.min() >= np.sqrt(1 - lighting.KEY_SPREAD**2) - 1e-12
 
 
 def test_contact_sheet_holds_every_picture_with_a_caption():

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from mini import MINI, corner, corners, written
 
-from kit1000.data.files import json_bytes
-from kit1000.data.making.plan import (
+from kit1000.errors import InputError
+from kit1000.files import json_bytes
+from kit1000.generation.plan import (
     Sources,
     dataset_id,
     draw_assembly_of,
@@ -20,12 +21,12 @@ from kit1000.data.making.plan import (
     make_plan,
     scene_id_of,
 )
-from kit1000.data.presets import HELD_OUT, PRESETS, SPLITS, Preset, preset, preset_of
-from kit1000.errors import InputError
+from kit1000.generation.presets import HELD_OUT, PRESETS, Preset, preset, preset_of
 from kit1000.parts import catalog
 from kit1000.parts.catalog import FAMILIES, WEIGHTS
 from kit1000.parts.families.block import Block
 from kit1000.sim.layout import UPRIGHT, UPRIGHT_SHARE
+from kit1000.tracks import SPLITS
 
 TINY = PRESETS["tiny"]
 MANY = Preset("many", 120, 20, 40)

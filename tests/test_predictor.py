@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kit1000.data.making.guesses import motion
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.motions import motion
 from kit1000.pose import Pose
 from kit1000.predictor import Answer, Predictor, predicted
 from kit1000.testing import check_predictor, moved_query, moved_truth

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kit1000.data.making import queries
-from kit1000.data.making.plan import make_plan
-from kit1000.data.presets import HELD_OUT, PAPER_TRACKS, PRESETS, SPLITS, TRACKS, Preset, preset, preset_of
 from kit1000.errors import InputError
+from kit1000.generation.plan import make_plan
+from kit1000.generation.presets import HELD_OUT, IDEAL_TRACKS, PRESETS, Preset, preset, preset_of
 from kit1000.parts.catalog import FAMILIES
+from kit1000.tracks import SPLITS, TRACKS
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -31,7 +31,7 @@ def test_a_plan_on_disk_gives_its_preset_back() -> None:
 
 
 @given(
-    st.sets(st.sampled_from(TRACKS), min_size=1),
+    st.sets(st.sampled_from(list(TRACKS)), min_size=1),
     st.tuples(st.integers(1, 2), st.integers(2, 5)),
     st.lists(st.floats(1, 45), max_size=3),
     st.booleans(),
@@ -46,7 +46,7 @@ def test_the_config_states_everything_but_name_and_seed() -> None:
     assert json.loads(json.dumps(preset("study").config)) == preset("study").config
 
 
-@given(st.sets(st.sampled_from(TRACKS)))
+@given(st.sets(st.sampled_from(list(TRACKS))))
 def test_sensors_follow_the_tracks(tracks: set[str]) -> None:
     """The d415 is recorded exactly when it is asked for; the ideal image always."""
     sensors = Preset("any", 1, 1, 1, tracks=tuple(tracks)).sensors
@@ -56,12 +56,11 @@ def test_sensors_follow_the_tracks(tracks: set[str]) -> None:
 
 
 def test_every_preset_asks_tracks_that_there_are() -> None:
-    assert tuple(queries.TRACKS) == TRACKS
     for one in PRESETS.values():
         assert set(one.tracks) <= set(TRACKS)
         assert "snap-tilt" in one.tracks  # contact sheets draw its guesses
-        assert {queries.TRACKS[track].sensor for track in one.tracks} == set(one.sensors)
-    assert not [track for track in PAPER_TRACKS if queries.TRACKS[track].sensor != "ideal"]
+        assert {TRACKS[track].sensor for track in one.tracks} == set(one.sensors)
+    assert not [track for track in IDEAL_TRACKS if TRACKS[track].sensor != "ideal"]
 
 
 def test_every_preset_can_be_built() -> None:

@@ -15,32 +15,15 @@ from hypothesis import assume, given, settings
 from scipy.spatial.transform import Rotation
 
 from kit1000.camera import Camera, look_at
-from kit1000.data.making.guesses import (
-    ANGLE,
-    FIXED_LEVELS,
-    LEVELS,
-    OFFSET,
-    apply_error,
-    error_of,
-    level_angle,
-    level_offset,
-)
-from kit1000.data.making.queries import (
-    CURVES,
-    PAPER_TILT,
-    TRACKS,
-    Asked,
-    _paper_tilt,
-    curve_id,
-    curve_levels,
-    has_curves,
-    pivots_of,
-    scene_queries,
-)
-from kit1000.data.tables import Row, pose_of
+from kit1000.dataset.tables import Row, pose_of
 from kit1000.errors import InputError
+from kit1000.generation.queries import PAPER_TILT, Asked, _paper_tilt, eligible, scene_queries
+from kit1000.guesses import ANGLE, FIXED_LEVELS, LEVELS, OFFSET, level_angle, level_offset
+from kit1000.motions import apply_error, error_of
+from kit1000.pivots import pivots_of
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.sim.layout import TUMBLED, UPRIGHT
+from kit1000.tracks import CURVES, TRACKS, curve_id, curve_levels, has_curves
 from kit1000.values import FIRST_PART_LABEL, FreeAxis, Slot, View
 from tests.strategies import poses
 
@@ -248,9 +231,9 @@ def test_the_paper_asks_for_goals_nearly_level(goals: int) -> None:
         one = part(index, tilt_deg=index * 45 / 39, goals=goals)
         angles = [_scipy_angles(one.motion(goal))[:2] for goal in range(goals)]
         expected = min(np.abs(pair).max() for pair in angles) <= PAPER_TILT
-        assert TRACKS["place-paper"].asks(one) == expected
-        assert TRACKS["place"].asks(one)
-        assert not TRACKS["place-paper"].asks(replace(one, rest_mode=TUMBLED))
+        assert eligible(TRACKS["place-paper"], one) == expected
+        assert eligible(TRACKS["place"], one)
+        assert not eligible(TRACKS["place-paper"], replace(one, rest_mode=TUMBLED))
 
 
 def test_a_part_that_may_turn_freely_is_level_if_some_turn_is() -> None:
@@ -261,7 +244,7 @@ def test_a_part_that_may_turn_freely_is_level_if_some_turn_is() -> None:
     for tilt_deg in (5.0, 16.0, limit - 0.1, limit + 0.1, 30.0):
         for index in range(6):
             one = part(index, tilt_deg, free=True)
-            assert TRACKS["place-paper"].asks(one) == (tilt_deg < limit)
+            assert eligible(TRACKS["place-paper"], one) == (tilt_deg < limit)
 
 
 def _steepest_free_tilt() -> float:

@@ -17,10 +17,10 @@ import pytest
 from jobs import die, square, stumble
 from mini import MINI, contents, corners
 
-from kit1000.data import engines, files
-from kit1000.data.engines import AHEAD, RETRIES, Spread
-from kit1000.data.making.build import generate
+from kit1000 import engines, files
+from kit1000.engines import AHEAD, RETRIES, Spread
 from kit1000.errors import Fault, InputError, Kit1000Error
+from kit1000.generation.build import generate
 
 pytest.importorskip("ray", reason="an engine that is asked for: pip install 'kit1000[ray]'")
 pytestmark = [
@@ -187,7 +187,7 @@ def test_an_address_without_a_cluster_is_one_line(address: str) -> None:
 
 ALONE = """
 import sys, test_ray
-from kit1000.data import engines
+from kit1000 import engines
 if __name__ == "__main__":
     with engines.ray(workers=2) as spread:
         print(*{*spread(test_ray.process_id, range(8))}, flush=True)

@@ -15,18 +15,19 @@ import numpy as np
 import pytest
 
 from kit1000.camera import Camera, look_at
-from kit1000.data.files import write_bytes, write_json
-from kit1000.data.making.queries import TRACKS, Asked, scene_queries
-from kit1000.data.mcap_io import ObservationWriter, TruthWriter
-from kit1000.data.meshes import glb_bytes
-from kit1000.data.reader import Dataset, Split
-from kit1000.data.schema import Observation, SceneTruth
-from kit1000.data.tables import FORMAT, assembly_row, kit_row, part_row, pose_of, pose_row
+from kit1000.dataset.mcap_io import ObservationWriter, TruthWriter
+from kit1000.dataset.mesh_files import glb_bytes
+from kit1000.dataset.reader import Dataset, Split
+from kit1000.dataset.schema import Observation, SceneTruth
+from kit1000.dataset.tables import FORMAT, assembly_row, kit_row, part_row, pose_of, pose_row
 from kit1000.errors import InputError
+from kit1000.files import write_bytes, write_json
+from kit1000.generation.queries import Asked, scene_queries
 from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.sim.layout import TUMBLED, UPRIGHT, table
 from kit1000.sim.render import render
+from kit1000.tracks import TRACKS
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Assembly, View
 from tests.sample_kits import QUICK, sample_kit, sample_part
 

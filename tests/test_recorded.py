@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from mini import MINI
 
-from kit1000.data.geometry import Geometry
-from kit1000.data.reader import Dataset, Recorded
-from kit1000.data.tables import pose_row
+from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.reader import Dataset, Recorded
+from kit1000.dataset.tables import pose_row
 from kit1000.errors import InputError
 from kit1000.sim.cameras import CAMERA, camera_set
 from kit1000.sim.sensors import GRID, SENSORS

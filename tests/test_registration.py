@@ -15,13 +15,14 @@ from sample_kits import sample_kit
 from shapes import Seated, box, ell, gaps, seated
 from strategies import poses
 
+from baselines.completion.planes import Plane, find_planes, frame_on
 from baselines.registration.cavity import VOXEL, find_cavity, plate_grid
 from baselines.registration.faces import standing_faces
 from baselines.registration.relief import grown, lower_envelope
 from baselines.registration.search import NEIGHBOUR, SHALLOWER, TURN_STEP, Candidate, Lying, Window, distinct
-from baselines.seen.planes import Plane, find_planes, frame_on
-from kit1000.data.making.guesses import ANGLE, OFFSET, apply_error
+from kit1000.guesses import ANGLE, OFFSET
 from kit1000.mesh import Mesh, mesh_of, solid_of
+from kit1000.motions import apply_error
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points
 

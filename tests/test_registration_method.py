@@ -27,10 +27,11 @@ from baselines.registration.search import (
     coarse_search,
     places,
 )
-from kit1000.data.making.guesses import ANGLE, OFFSET, apply_error, motion
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.guesses import ANGLE, OFFSET
 from kit1000.metrics import Targets, pose_errors
+from kit1000.motions import apply_error, motion
 from kit1000.pose import Pose
 from kit1000.predictor import Answer
 from kit1000.testing import check_predictor, moved_query, moved_truth

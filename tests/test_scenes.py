@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from mini import MINI
 
-from kit1000.data.geometry import Geometry
-from kit1000.data.making import scenes
-from kit1000.data.making.plan import draw_assembly_of
-from kit1000.data.making.scenes import FIRST_CAVITY, LAYOUTS, VIEWS, MadeScene, make_scene
-from kit1000.data.mcap_io import ObservationFile, TruthFile
-from kit1000.data.tables import Row, pose_of
+from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.mcap_io import ObservationFile, TruthFile
+from kit1000.dataset.tables import Row, pose_of
 from kit1000.errors import Redraw
+from kit1000.generation import scenes
+from kit1000.generation.plan import draw_assembly_of
+from kit1000.generation.scenes import FIRST_CAVITY, LAYOUTS, VIEWS, MadeScene, make_scene
 from kit1000.kits.assembly import build_assembly, check_assembly
 from kit1000.kits.contact import ridges
 from kit1000.kits.goals import nearest_turn

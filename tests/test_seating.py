@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from manifold3d import Manifold
 
+from kit1000.kits.acceptance import about_anchor
 from kit1000.kits.contact import ridges
 from kit1000.kits.seating import (
     HOVER,
@@ -22,7 +23,6 @@ from kit1000.kits.seating import (
     swept_out,
     verdict,
 )
-from kit1000.kits.trial import about_anchor
 from kit1000.mesh import mesh_of, solid_of
 from kit1000.pose import Pose
 from kit1000.values import Kit, Part

@@ -9,12 +9,12 @@ import pytest
 import trimesh
 from scipy.ndimage import distance_transform_edt
 
-from baselines.seen import AROUND, SeenKits, SeenPart
-from baselines.seen.columns import extruded
-from baselines.seen.kits import HIGH
-from baselines.seen.kits import REACH as KIT_REACH
-from baselines.seen.part import REACH
-from baselines.seen.pixels import IDEAL, spread_points, window
+from baselines.completion import AROUND, SeenKits, SeenPart
+from baselines.completion.columns import extruded
+from baselines.completion.kits import HIGH
+from baselines.completion.kits import REACH as KIT_REACH
+from baselines.completion.part import REACH
+from baselines.completion.pixels import IDEAL, spread_points, window
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose

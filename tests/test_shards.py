@@ -12,19 +12,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mini import MINI, contents, corners, sketched
 
-from kit1000.data.description.card import card_bytes
-from kit1000.data.description.figures import merged, statistics
-from kit1000.data.files import read_json
-from kit1000.data.making import shards as module
-from kit1000.data.making.build import generate
-from kit1000.data.making.pairs import BUILD
-from kit1000.data.making.plan import scene_id_of
-from kit1000.data.making.shards import FURTHER, SEEN, TRUE, make_shard, shards
-from kit1000.data.mcap_io import ObservationFile, TruthFile
-from kit1000.data.reader import Dataset
-from kit1000.data.schema import SCENES_PER_SHARD
-from kit1000.data.verify import verify
+from kit1000.dataset.mcap_io import ObservationFile, TruthFile
+from kit1000.dataset.reader import Dataset
+from kit1000.dataset.schema import SCENES_PER_SHARD
 from kit1000.errors import Redraw
+from kit1000.files import read_json
+from kit1000.generation import shards as module
+from kit1000.generation.build import generate
+from kit1000.generation.card import card_bytes
+from kit1000.generation.card_statistics import merged, statistics
+from kit1000.generation.parts_and_kits import BUILD
+from kit1000.generation.plan import scene_id_of
+from kit1000.generation.shards import FURTHER, SEEN, TRUE, make_shard, shards
+from kit1000.generation.verify import verify
 
 ROOT = Path("root")
 
@@ -118,8 +118,8 @@ def test_the_files_of_a_shard_hold_the_same_scenes(mini: Path) -> None:
 def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sketches: None) -> None:
     jobs = []
     known = make_shard
-    monkeypatch.setattr("kit1000.data.making.build.make_shard", lambda job: jobs.append(job) or known(job))
-    monkeypatch.setattr("kit1000.data.making.build._finish", lambda *_: {})
+    monkeypatch.setattr("kit1000.generation.build.make_shard", lambda job: jobs.append(job) or known(job))
+    monkeypatch.setattr("kit1000.generation.build._finish", lambda *_: {})
     generate(MINI, tmp_path / "data", workers=1, sources=corners(tmp_path / "files"))
     records = [make_shard(job) for job in jobs]
     monkeypatch.setattr(module, "make_scene", refusing("train-0000", "train-0001", "val-0000", "test-0000"))
@@ -133,7 +133,7 @@ def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_record_lists_its_files_by_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sketches: None) -> None:
-    monkeypatch.setattr("kit1000.data.making.build._finish", lambda *_: {})
+    monkeypatch.setattr("kit1000.generation.build._finish", lambda *_: {})
     generate(MINI, tmp_path / "data", workers=1, sources=corners(tmp_path / "files"))
     found = contents(tmp_path / "data")
     record = read_json(tmp_path / "data" / BUILD / "shards/test/0000.json")

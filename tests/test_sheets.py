@@ -12,13 +12,13 @@ import pytest
 from PIL import Image
 
 from kit1000.camera import Camera
-from kit1000.data import sheets
-from kit1000.data.geometry import Geometry
-from kit1000.data.reader import Dataset, Recorded
-from kit1000.data.sheets import contact_sheet_of, scene_sheet
-from kit1000.data.withhold import publish
+from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.reader import Dataset, Recorded
 from kit1000.errors import InputError
-from kit1000.sim.depth_pictures import depth_picture
+from kit1000.generation.withhold import publish
+from kit1000.pictures import dataset_sheets as sheets
+from kit1000.pictures.dataset_sheets import contact_sheet_of, scene_sheet
+from kit1000.pictures.depth_images import depth_picture
 from kit1000.values import FIRST_PART_LABEL
 
 WIDTH, HEIGHT = 320, 180  # [px] smaller pictures than people get: drawing takes time

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from baselines.snapnet.candidates import candidates, distances, floor, nearest, super_fibonacci
-from kit1000.data.making.guesses import ANGLE
 from kit1000.errors import InputError
+from kit1000.guesses import ANGLE
 from kit1000.pose import Pose, quaternion_angle, quaternion_from_rotvec, unit_vector
 from kit1000.rng import stream
 

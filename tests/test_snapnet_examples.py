@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.seen import SeenKits, SeenPart
-from baselines.seen.pixels import noise_of
+from baselines.completion import SeenKits, SeenPart
+from baselines.completion.pixels import noise_of
 from baselines.snapnet import volumes
 from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
 from baselines.snapnet.examples import (
@@ -27,18 +27,18 @@ from baselines.snapnet.examples import (
     situation,
 )
 from baselines.snapnet.volumes import Looks, cut_out, grid_about
-from kit1000.data.making.guesses import OFFSET, apply_error, motion
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.guesses import OFFSET
 from kit1000.metrics import Targets, pose_errors
+from kit1000.motions import apply_error, motion
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.rng import stream
 from kit1000.testing import moved_query, moved_truth
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, FreeAxis
 from kit1000.voxels import resample, tsdf
 
-VOXEL = 2e-3
-CELLS = (40, 44, 48)
+VOXEL, CELLS = 2e-3, (40, 44, 48)
 POSITION = PositionConfig(VOXEL, (32, 32, 32), CELLS, (8, 8, 8))
 ROTATION = RotationConfig(VOXEL, (32, 32, 32), CELLS, "inside", 300, 400, shown=9, jitter=0.0)
 ELSEWHERE = Pose.from_rotvec((0, 0, 2.0), (0.4, -0.3, 0.0))

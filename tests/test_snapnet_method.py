@@ -14,7 +14,7 @@ from baselines.snapnet.method import SnapNet
 from baselines.snapnet.position import PositionNet
 from baselines.snapnet.rotation import RotationNet
 from baselines.training.checkpoint import save_weights
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.testing import check_predictor
 

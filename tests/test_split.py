@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import CrossSection, FillRule, Manifold, triangulate
 
-from kit1000.kits.split import convex_polygons, convex_prisms
+from kit1000.kits.convex_pieces import convex_polygons, convex_prisms
 from kit1000.mesh import Mesh, solid_of
 from kit1000.values import Kit
 from tests.sample_kits import sample_kit, sample_part

@@ -11,8 +11,8 @@ from manifold3d import Manifold
 from kit1000.kits.contact import ridges
 from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import Design, find_goals
+from kit1000.kits.loose_fits import Stray, Well, foreign_fit, loose_fit, near_goal
 from kit1000.kits.seating import JUDGE_STEP, Plug, contact_raise, judged_raise, swept_out
-from kit1000.kits.stray import Stray, Well, foreign_fit, loose_fit, near_goal
 from kit1000.mesh import Mesh, solid_of
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry

@@ -243,6 +243,6 @@ def test_the_names_stand_in_the_package() -> None:
 def test_reading_a_submission_loads_no_reader_of_datasets() -> None:
     import subprocess
 
-    ask = "import sys, kit1000.submission; print('kit1000.data.reader' in sys.modules, 'numba' in sys.modules)"
+    ask = "import sys, kit1000.submission; print('kit1000.dataset.reader' in sys.modules, 'numba' in sys.modules)"
     answer = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True)
     assert answer.stdout.split() == ["False", "False"]

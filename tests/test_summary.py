@@ -13,14 +13,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from mini import MINI, contents
 
-from kit1000.data.description.card import card_bytes
-from kit1000.data.description.croissant import croissant_bytes
-from kit1000.data.description.figures import merged, pair_statistics, statistics
-from kit1000.data.files import json_bytes, read_json
-from kit1000.data.making.plan import DATA_VERSION, dataset_id, make_plan
-from kit1000.data.making.summary import refused_files, sealed
-from kit1000.data.presets import SPLITS
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
+from kit1000.files import json_bytes, read_json
+from kit1000.generation.card import card_bytes
+from kit1000.generation.card_statistics import merged, pair_statistics, statistics
+from kit1000.generation.croissant import croissant_bytes
+from kit1000.generation.plan import DATA_VERSION, dataset_id, make_plan
+from kit1000.generation.summary import refused_files, sealed
+from kit1000.tracks import SPLITS
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from mini import corner
 from strategies import directions, pose_batches, poses, vectors
 
-from kit1000.data.files import json_bytes
-from kit1000.data.tables import Row, assembly_of, assembly_row, kit_of, kit_row, part_of, part_row, pose_of, pose_row
+from kit1000.dataset.tables import Row, assembly_of, assembly_row, kit_of, kit_row, part_of, part_row, pose_of, pose_row
+from kit1000.files import json_bytes
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Slot

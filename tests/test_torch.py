@@ -14,12 +14,12 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from kit1000.data.cache import VolumeCache
-from kit1000.data.items import Item, numbers
-from kit1000.data.making.guesses import apply_error
-from kit1000.data.reader import Dataset, Split
-from kit1000.data.torch import QueryDataset, VolumeItem, decoded, depth_item, tensors
+from kit1000.dataset.cache import VolumeCache
+from kit1000.dataset.items import Item, numbers
+from kit1000.dataset.reader import Dataset, Split
+from kit1000.dataset.torch import QueryDataset, VolumeItem, decoded, depth_item, tensors
 from kit1000.errors import InputError
+from kit1000.motions import apply_error
 from kit1000.pose import Pose
 from kit1000.values import Query, Truth
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points, to_float16, to_uint8
@@ -362,7 +362,7 @@ def test_what_cannot_be_is_said(data: Dataset, train: Split, tmp_path: Path) -> 
 
 
 def test_without_torch_items_are_made_and_one_line_says_what_to_install() -> None:
-    ask = "import sys; sys.modules['torch'] = None; import kit1000.data.items\ntry: import kit1000.data.torch"
+    ask = "import sys; sys.modules['torch'] = None; import kit1000.dataset.items\ntry: import kit1000.dataset.torch"
     ask += "\nexcept Exception as error: print(repr(error))"
     answer = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True, cwd=ROOT)
-    assert answer.stdout == "InputError(\"kit1000.data.torch needs PyTorch: pip install 'kit1000[learn]'\")\n"
+    assert answer.stdout == "InputError(\"kit1000.dataset.torch needs PyTorch: pip install 'kit1000[learn]'\")\n"

@@ -25,8 +25,8 @@ from baselines.training import loop
 from baselines.training.batches import _Drawn, train_batches
 from baselines.training.checkpoint import fill, load_weights, read_state, stored
 from baselines.training.loop import Batch, TrainConfig, train
-from kit1000.data.files import locked
 from kit1000.errors import InputError
+from kit1000.files import locked
 from kit1000.rng import stream
 
 CPU = torch.device("cpu")

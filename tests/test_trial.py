@@ -9,9 +9,9 @@ import pytest
 from manifold3d import CrossSection, Manifold
 
 from kit1000.errors import Redraw
+from kit1000.kits.acceptance import Seat, about_anchor, keyedness, try_pair, wrong_poses
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.kit import make_kit
-from kit1000.kits.trial import Seat, about_anchor, keyedness, try_pair, wrong_poses
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Kit, Part

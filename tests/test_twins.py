@@ -11,7 +11,7 @@ from mini import corner
 from strategies import vectors
 
 from kit1000.mesh import Mesh, mesh_of
-from kit1000.parts.twins import TWIN, shape_measures, twin_of
+from kit1000.parts.near_duplicates import TWIN, shape_measures, twin_of
 
 SIDES = st.floats(0.2, 5)
 

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from manifold3d import Manifold
 
-from kit1000.data.export.urdf import roll_pitch_yaw, write_urdf
 from kit1000.errors import InputError
+from kit1000.export.urdf import roll_pitch_yaw, write_urdf
 from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
 from kit1000.kits.kit import make_kit
 from kit1000.mesh import Mesh, inertia, mesh_of, solid_of
@@ -146,7 +146,7 @@ def test_nothing_is_left_of_an_export_that_fails(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("kit1000.data.export.urdf.stand_meshes", full)
+    monkeypatch.setattr("kit1000.export.urdf.stand_meshes", full)
     with pytest.raises(InputError, match=r"cannot write .*: No space left on device"):
         write_urdf(assembly, tmp_path / "new")
     assert list(tmp_path.iterdir()) == []

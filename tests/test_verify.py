@@ -14,17 +14,17 @@ import pytest
 from mini import MINI, contents, corners
 
 from kit1000.cli import main
-from kit1000.data import rebuild
-from kit1000.data.files import json_bytes, read_json
-from kit1000.data.geometry import Geometry
-from kit1000.data.making.build import generate
-from kit1000.data.making.summary import sealed
-from kit1000.data.mcap_io import ObservationFile, ObservationWriter, TruthFile, TruthWriter
-from kit1000.data.rebuild import observation_faults, scene_faults, truth_faults
-from kit1000.data.schema import Observation, SceneTruth
-from kit1000.data.tables import pose_of, pose_row
-from kit1000.data.verify import verify
+from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter, TruthFile, TruthWriter
+from kit1000.dataset.schema import Observation, SceneTruth
+from kit1000.dataset.tables import pose_of, pose_row
 from kit1000.errors import InputError
+from kit1000.files import json_bytes, read_json
+from kit1000.generation import rebuild
+from kit1000.generation.build import generate
+from kit1000.generation.rebuild import observation_faults, scene_faults, truth_faults
+from kit1000.generation.summary import sealed
+from kit1000.generation.verify import verify
 from kit1000.pose import Pose
 from kit1000.values import View
 
@@ -158,7 +158,7 @@ def test_scenes_of_parts_from_files_are_built_again(of_files: Path, monkeypatch:
 
 
 def test_a_sample_is_the_same_whenever_it_is_drawn(of_files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kit1000.data.verify.scene_faults", lambda *_: [])
+    monkeypatch.setattr("kit1000.generation.verify.scene_faults", lambda *_: [])
     samples = [verify(of_files, sample).rebuilt for sample in (1, 2, 3)]
     assert samples == [verify(of_files, sample).rebuilt for sample in (1, 2, 3)]
     assert set(samples[0]) < set(samples[1]) < set(samples[2])

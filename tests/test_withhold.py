@@ -18,17 +18,16 @@ from mcap.reader import make_reader
 from mini import MINI, contents, corners
 
 from kit1000.cli import main
-from kit1000.data import withhold
-from kit1000.data.files import json_bytes, read_json
-from kit1000.data.geometry import Geometry
-from kit1000.data.making import build
-from kit1000.data.making.build import generate
-from kit1000.data.making.plan import dataset_id
-from kit1000.data.meshes import y_up
-from kit1000.data.presets import PRESETS, Preset
-from kit1000.data.reader import Dataset
-from kit1000.data.verify import verify
+from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.mesh_files import y_up
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.files import json_bytes, read_json
+from kit1000.generation import build, withhold
+from kit1000.generation.build import generate
+from kit1000.generation.plan import dataset_id
+from kit1000.generation.presets import PRESETS, Preset
+from kit1000.generation.verify import verify
 
 HIDDEN = Preset("hidden", 1, 1, 1, kits=(1, 1))
 RUN = 12  # vertices in a row: more than the corners that all plates have

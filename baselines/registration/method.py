@@ -8,16 +8,16 @@ from itertools import chain
 
 import numpy as np
 
+from baselines.completion.planes import find_planes, frame_on
 from baselines.registration.cavity import Cavity, find_cavity, plate_grid
 from baselines.registration.faces import standing_faces
 from baselines.registration.outline import outline_misfit
 from baselines.registration.refine import refine
 from baselines.registration.search import Candidate, Window, coarse_search, distinct
 from baselines.registration.sources import DepthSource, Source, TrueSource
-from baselines.seen.planes import find_planes, frame_on
-from kit1000.data.making.guesses import ANGLE, OFFSET
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.guesses import ANGLE, OFFSET
 from kit1000.pose import Pose
 from kit1000.predictor import Answer
 from kit1000.rng import stream

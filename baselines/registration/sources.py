@@ -9,9 +9,9 @@ from typing import Protocol
 
 import numpy as np
 
-from baselines.seen import SeenPart
-from baselines.seen.part import REACH
-from baselines.seen.pixels import IDEAL, SENSOR, Noise, noise_of, oriented_points
+from baselines.completion import SeenPart
+from baselines.completion.part import REACH
+from baselines.completion.pixels import IDEAL, SENSOR, Noise, noise_of, oriented_points
 from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose

@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from kit1000.data.making.guesses import ANGLE, draw_ball, draw_tilt
 from kit1000.errors import InputError, near
+from kit1000.guesses import ANGLE, draw_ball, draw_tilt
 from kit1000.pose import Pose, quaternion_from_rotvec, quaternion_multiply
 from kit1000.rng import stream
 

@@ -16,13 +16,14 @@ import numpy as np
 from baselines.snapnet.candidates import candidates, nearest
 from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
 from baselines.snapnet.volumes import SCENES, Kept, Looks
-from kit1000.data.making.guesses import apply_error, draw_ball, draw_goal, draw_tilt, motion, turned_goal
-from kit1000.data.making.queries import TRACKS
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, near
+from kit1000.guesses import draw_ball, draw_goal, draw_tilt
 from kit1000.kits.goals import nearest_turn
+from kit1000.motions import apply_error, motion, turned_goal
 from kit1000.pose import Pose, unit_vector
 from kit1000.rng import stream
+from kit1000.tracks import TRACKS
 from kit1000.values import FreeAxis, Query, Truth
 
 Guesses = Literal["ball", "tilt", "place"]

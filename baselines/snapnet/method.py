@@ -16,9 +16,9 @@ from baselines.snapnet.position import PositionNet, position_of
 from baselines.snapnet.rotation import RotationNet, turn_of
 from baselines.snapnet.volumes import Looks
 from baselines.training.checkpoint import fill, load_weights
-from kit1000.data.making.guesses import apply_error
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.motions import apply_error
 from kit1000.pose import Pose
 from kit1000.predictor import Answer
 from kit1000.rng import stream

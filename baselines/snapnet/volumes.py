@@ -16,14 +16,14 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from scipy.ndimage import find_objects
 
-from baselines.seen import AROUND, SeenKits, SeenPart
-from baselines.seen.pixels import noise_of, window
+from baselines.completion import AROUND, SeenKits, SeenPart
+from baselines.completion.pixels import noise_of, window
 from baselines.snapnet.config import Cells, Kind, PositionConfig, RotationConfig
 from baselines.snapnet.points import points_of
-from kit1000.data.making.queries import middle_of
-from kit1000.data.reader import Dataset
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
+from kit1000.pivots import middle_of
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Look, Query, Truth
 from kit1000.voxels import Grid, Volume, crop, resample, signed_distance, tsdf

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset
 
-from kit1000.data.torch import tensors
+from kit1000.dataset.torch import tensors
 from kit1000.rng import stream
 
 AHEAD = 4  # batches that a worker makes before they are asked for

@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from kit1000.data.files import read_json, write_bytes, write_json
 from kit1000.errors import InputError, near
+from kit1000.files import read_json, write_bytes, write_json
 
 try:
     import torch

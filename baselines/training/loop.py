@@ -27,9 +27,9 @@ from baselines.training.curve import curve
 from baselines.training.descent import Descent
 from baselines.training.memory import keep_memory
 from baselines.training.ranks import Ranks, joined, processes_here
-from kit1000.cores import cores
-from kit1000.data.files import clear_partial, locked, read_json, write_bytes, write_json
+from kit1000.engines.cores import cores
 from kit1000.errors import InputError
+from kit1000.files import clear_partial, locked, read_json, write_bytes, write_json
 
 __all__ = ["Batch", "Task", "TrainConfig", "Trained", "train"]
 

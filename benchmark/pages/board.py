@@ -9,7 +9,7 @@ from typing import Any
 from benchmark.pages import numbers
 from benchmark.pages.entries import Board, Entry
 from benchmark.pages.numbers import Cell, mean_cell, mean_of, median_cell, most_of
-from kit1000.data.presets import TRACKS
+from kit1000.tracks import TRACKS
 
 QUICK, SLOW = 1.0, 10.0  # [s] a query: between the classes of runtime
 RUNTIMES = {"quick": "up to 1 s", "medium": "1 to 10 s", "slow": "over 10 s", "unknown": "not measured"}

@@ -14,13 +14,13 @@ from benchmark.measure import answers_to, centred
 from benchmark.pages.entries import Entry
 from benchmark.truths import Questions
 from kit1000.camera import Camera
-from kit1000.data.reader import Dataset, Recorded
+from kit1000.dataset.reader import Dataset, Recorded
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.metrics import judging_goals, pose_errors
+from kit1000.pictures.depth_images import depth_picture, mask_picture
+from kit1000.pictures.shading import INK
 from kit1000.pose import Pose
-from kit1000.sim.depth_pictures import depth_picture, mask_picture
-from kit1000.sim.pictures import INK
 from kit1000.sim.render import render
 from kit1000.submission import read_submission
 from kit1000.values import FIRST_PART_LABEL, Look, Query, Truth, View

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kit1000.data.files import read_json
 from kit1000.errors import InputError
+from kit1000.files import read_json
 from kit1000.submission.manifest import Manifest, read_manifest
 
 COMMON = ("protocol", "status", "metric_versions", "dataset_id", "split")  # scores that differ in one share no table

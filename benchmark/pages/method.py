@@ -13,7 +13,7 @@ from benchmark.curves import CURVES, panel
 from benchmark.pages import numbers
 from benchmark.pages.entries import Entry
 from benchmark.pages.numbers import Cell, Quantity, mean_cell, mean_of, median_cell, most_of
-from kit1000.data.presets import TRACKS
+from kit1000.tracks import TRACKS
 
 THINGS = {
     "rest_mode": "How the part lies",

@@ -16,9 +16,9 @@ from benchmark.pages import numbers
 from benchmark.pages.cases import case_ids, pictures
 from benchmark.pages.entries import Board, Entry, read_board
 from benchmark.table1 import as_html, table_rows
-from kit1000.data.files import write_bytes
-from kit1000.data.reader import Dataset
-from kit1000.data.schema import LICENCE
+from kit1000.dataset.reader import Dataset
+from kit1000.dataset.schema import LICENCE
+from kit1000.files import write_bytes
 
 TEMPLATES = Path(__file__).parent / "templates"
 

@@ -10,19 +10,19 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
-from kit1000.data.making.build import generate
-from kit1000.data.presets import PRESETS
-from kit1000.data.reader import Dataset
-from kit1000.data.sheets import scene_sheet
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import Redraw
+from kit1000.generation.build import generate
+from kit1000.generation.presets import PRESETS
 from kit1000.kits.assembly import build_assembly, check_assembly, draw_assembly
 from kit1000.kits.kit import make_kit
 from kit1000.mesh import Mesh
 from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.pictures.dataset_sheets import scene_sheet
+from kit1000.pictures.shading import KIT, PART, Painted, contact_sheet, framing, shaded
 from kit1000.pose import Pose
 from kit1000.rng import stream
-from kit1000.sim.pictures import KIT, PART, Painted, contact_sheet, framing, shaded
 from kit1000.values import Assembly, Kit, Part
 
 FOLDER = Path(__file__).parent

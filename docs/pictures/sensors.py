@@ -11,9 +11,9 @@ from PIL import Image, ImageDraw, ImageFont
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh, mesh_of
 from kit1000.parts.cad import polygon, prism
+from kit1000.pictures.shading import BLUE, INK, PAPER, PART, SLATE, TABLE, contact_sheet
 from kit1000.pose import Pose
 from kit1000.rng import stream
-from kit1000.sim.pictures import BLUE, INK, PAPER, PART, SLATE, TABLE, contact_sheet
 from kit1000.sim.render import render
 from kit1000.sim.sensors import SENSORS, sense
 from kit1000.values import View

@@ -16,12 +16,12 @@ from manifold3d import Manifold, OpType
 from scipy.spatial import ConvexHull
 
 from kit1000.errors import InputError, Redraw
+from kit1000.kits.brackets import OUTWARD, stand
 from kit1000.kits.cavity import THIN
 from kit1000.kits.contact import Ridges, ridges
 from kit1000.kits.kit import GAP
+from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.kits.seating import JUDGE_STEP, Plug, contact_raise
-from kit1000.kits.stand import OUTWARD, stand
-from kit1000.kits.weld import printable_mesh
 from kit1000.mesh import body_count, defect32, solid_of
 from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose

@@ -12,11 +12,11 @@ from manifold3d import CrossSection, Manifold
 
 from kit1000.errors import Redraw
 from kit1000.kits.cavity import SHALLOW, THIN, Cavity, cut_cavity, insertion_depth
+from kit1000.kits.clearance import Clearance, measured_clearance
 from kit1000.kits.face import RestingFace, rank_faces, resting_faces
 from kit1000.kits.goals import Design, find_goals
-from kit1000.kits.measure import Clearance, measured_clearance
+from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.kits.sweep import SAGITTA
-from kit1000.kits.weld import printable_mesh
 from kit1000.mesh import Mesh, solid_of
 from kit1000.pose import Pose
 from kit1000.values import Kit, Part, Slot

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from kit1000.metrics.judging import judged
+from kit1000.metrics.nearest_goal import judged
 from kit1000.metrics.targets import Targets, check_poses
 from kit1000.pose import Pose, quaternion_angle, quaternion_conjugate, quaternion_multiply
 

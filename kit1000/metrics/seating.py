@@ -15,12 +15,12 @@ import numpy as np
 from manifold3d import Manifold
 from scipy.spatial import ConvexHull
 
-from kit1000.data.engines import local
+from kit1000.engines import local
 from kit1000.errors import InputError
 from kit1000.kits.contact import Ridges, ridges
 from kit1000.kits.seating import SEATED, STRICT, UP, Plug, Verdict, contact_raise, verdict
 from kit1000.mesh import Mesh, solid_of
-from kit1000.metrics.judge import Sweep, Window, passes
+from kit1000.metrics.exact_seating import Sweep, Window, passes
 from kit1000.metrics.pose_errors import judging_goals, pose_errors
 from kit1000.metrics.targets import Targets, check_poses
 from kit1000.pose import Pose
@@ -32,7 +32,7 @@ SAME_AXIS = 9  # decimals of a part's axis: turns of a goal about its own axis l
 
 
 class Geometries(Protocol):
-    """Where parts and assemblies are found by id: `kit1000.data.geometry.Geometry`, or anything alike."""
+    """Where parts and assemblies are found by id: `kit1000.dataset.geometry.Geometry`, or anything alike."""
 
     def part(self, part_id: str) -> Part:
         """A part."""

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kit1000.data.making.guesses import motion
 from kit1000.errors import ShapeError, checked
+from kit1000.motions import motion
 from kit1000.pose import Pose, unit_vector
 from kit1000.values import Truth
 

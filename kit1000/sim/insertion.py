@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kit1000.kits.brackets import stand_meshes
+from kit1000.kits.convex_pieces import convex_prisms
 from kit1000.kits.goals import nearest_turn
 from kit1000.kits.seating import HOVER, SEATED
-from kit1000.kits.split import convex_prisms
-from kit1000.kits.stand import stand_meshes
 from kit1000.pose import Pose, quaternion_angle, quaternion_conjugate, quaternion_multiply
 from kit1000.sim.settle import LOOK_EVERY, QUIET_LOOKS, ROLLING, SLOW, SPINNING, principal_frame
 from kit1000.sim.world import GRAVITY, RATE, World

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kit1000.camera import Camera
-from kit1000.cores import cores
+from kit1000.engines.cores import cores
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from kit1000.data.making.queries import CURVES
-from kit1000.data.reader import WANTED, Dataset
+from kit1000.dataset.reader import WANTED, Dataset
 from kit1000.errors import InputError, near
 from kit1000.pose import Pose
+from kit1000.tracks import CURVES
 from kit1000.values import Query
 
 SPLITS = tuple(name for name in WANTED if name != CURVES)

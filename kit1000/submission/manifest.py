@@ -11,12 +11,12 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from kit1000.data.files import write_bytes
-from kit1000.data.presets import TRACKS
 from kit1000.errors import InputError
+from kit1000.files import write_bytes
 from kit1000.sim.cameras import CAMERA_SETS
 from kit1000.submission.faults import Fault, first_error, printable, quoted
 from kit1000.submission.reading import STRAY, file_bytes, text_of, whole
+from kit1000.tracks import TRACKS
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kit1000.data.files import write_bytes
 from kit1000.errors import InputError, ShapeError, checked
+from kit1000.files import write_bytes
 from kit1000.pose import Pose
 from kit1000.submission.faults import first_error, printable, quoted
 from kit1000.submission.form import ID, NOT_MEASURED, TOO_FAR, form_faults

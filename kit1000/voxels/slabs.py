@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-from kit1000.cores import cores
+from kit1000.engines.cores import cores
 from kit1000.errors import InputError
 
 SLAB_VOXELS = 1 << 17  # half a megabyte of float32: stays in the cache of a core, and there is enough to share

@@ -1,6 +1,0 @@
-"""What one depth image shows of a part and of kits, and what it hides as far as that follows from how they are made."""
-
-from baselines.seen.kits import SeenKits
-from baselines.seen.part import AROUND, SeenPart
-
-__all__ = ["AROUND", "SeenKits", "SeenPart"]

@@ -1,1 +1,0 @@
-"""The dataset: its plan, how it is built and resumed, its files and how they are read."""

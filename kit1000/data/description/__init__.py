@@ -1,1 +1,0 @@
-"""What a dataset says of itself to people and to tools: figures, data card, Croissant."""

@@ -1,0 +1,81 @@
+"""Reading a dataset: its summary, its tables, and parts, kits and assemblies by id, each loaded when asked for."""
+
+from __future__ import annotations
+
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+from kit1000.dataset.mesh_files import read_glb
+from kit1000.dataset.tables import FORMAT, Row, assembly_of, kit_of, part_of, slot_of
+from kit1000.errors import InputError
+from kit1000.files import read_json
+from kit1000.mesh import Mesh
+from kit1000.values import Assembly, Kit, Part, Slot
+
+KEPT = 512  # parts, and as many assemblies, in memory: a test split is read once however often it is scored
+
+
+class Geometry:
+    """The parts, kits and assemblies of a finished dataset, by id: `part`, `kit`, `slot` and `assembly`."""
+
+    def __init__(self, root: str | Path) -> None:
+        """Open a dataset folder. Raises InputError when it is none, or is not finished."""
+        self.root = Path(root)
+        if not (self.root / "dataset.json").is_file():
+            raise InputError(f"{self.root}: no dataset ({self._missing()})")
+        self.summary: dict[str, Any] = read_json(self.root / "dataset.json")
+        found = self.summary.get("format") if isinstance(self.summary, dict) else None
+        if found != FORMAT:
+            raise InputError(f"{self.root}: dataset.json has format {found!r}, this version reads {FORMAT!r}")
+        self.part = lru_cache(maxsize=KEPT)(self._part)
+        self.kit = lru_cache(maxsize=64)(self._kit)
+        self.assembly = lru_cache(maxsize=KEPT)(self._assembly)
+        self.slot = lru_cache(maxsize=4096)(self._slot)
+
+    @cached_property
+    def parts(self) -> dict[str, Row]:
+        """Rows of the table of parts by id."""
+        return read_json(self.root / "parts.json")
+
+    @cached_property
+    def kits(self) -> dict[str, Row]:
+        """Rows of the table of kits by id (that of their part)."""
+        return read_json(self.root / "kits.json")
+
+    @cached_property
+    def assemblies(self) -> dict[str, Row]:
+        """Rows of the table of assemblies by id."""
+        return read_json(self.root / "assemblies.json")
+
+    def _missing(self) -> str:
+        if not self.root.is_dir():
+            return "it is a file" if self.root.exists() else "there is no such folder"
+        if (self.root / "plan.json").is_file():
+            return "begun but not finished: run the same `kit1000 generate` again"
+        return "no dataset.json in it"
+
+    def _part(self, part_id: str) -> Part:
+        return part_of(part_id, self._row("parts", part_id), self._mesh("parts", part_id))
+
+    def _kit(self, kit_id: str) -> Kit:
+        return kit_of(kit_id, self._row("kits", kit_id), self._mesh("kits", kit_id))
+
+    def _slot(self, part_id: str) -> Slot:
+        """The slot of a part, from the table alone: no mesh is opened."""
+        return slot_of(self._row("kits", part_id))
+
+    def _assembly(self, assembly_id: str) -> Assembly:
+        """With its kits."""
+        row, mesh = self._row("assemblies", assembly_id), self._mesh("assemblies", assembly_id)
+        return assembly_of(assembly_id, row, mesh, self.kit)
+
+    def _row(self, table: str, item_id: str) -> Row:
+        rows: dict[str, Row] = getattr(self, table)
+        if item_id not in rows:
+            near = ", ".join(sorted(rows)[:3])
+            raise InputError(f"{self.root}: no {item_id!r} among {len(rows)} {table} ({near}, ...)")
+        return rows[item_id]
+
+    def _mesh(self, kind: str, item_id: str) -> Mesh:
+        return next(iter(read_glb(self.root / kind / f"{item_id}.glb").values()))

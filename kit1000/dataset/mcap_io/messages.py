@@ -1,0 +1,225 @@
+"""Values as messages of the Foxglove schemas, and back: cameras, poses, images, models, and rows as JSON.
+
+Foreign orders are turned here and nowhere else: quaternions x y z w, matrices row by row, times in seconds and
+nanoseconds. Positions and rotations are float64 in the messages, so a pose comes back to the bit.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
+from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap_protobuf.schema import build_file_descriptor_set
+
+from kit1000.camera import Camera
+from kit1000.dataset.mcap_io.content import json_bytes
+from kit1000.pose import Pose
+
+WORLD = "world"
+SECOND = 1_000_000_000  # [ns]
+GLB = "model/gltf-binary"
+ENCODINGS = {"32FC1": np.dtype("<f4"), "mono8": np.dtype("u1"), "mono16": np.dtype("<u2")}
+
+
+@dataclass(frozen=True)
+class Schema:
+    """How the messages of a topic are to be read."""
+
+    name: str
+    encoding: str
+    message_encoding: str
+    data: bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Message:
+    """A message ready to be written."""
+
+    topic: str
+    schema: Schema
+    data: bytes
+
+
+@cache
+def _protobuf(kind: type) -> Schema:
+    """The schema of a protobuf class, with all that it builds on."""
+    files = build_file_descriptor_set(kind).SerializeToString(deterministic=True)
+    return Schema(kind.DESCRIPTOR.full_name, SchemaEncoding.Protobuf, MessageEncoding.Protobuf, files)  # type: ignore[attr-defined]
+
+
+def json_schema(name: str, schema: Mapping[str, Any]) -> Schema:
+    """The schema of rows written as JSON."""
+    return Schema(name, SchemaEncoding.JSONSchema, MessageEncoding.JSON, json_bytes(schema, name))
+
+
+def _message(topic: str, value: Any) -> Message:
+    return Message(topic, _protobuf(type(value)), value.SerializeToString(deterministic=True))
+
+
+def row_message(topic: str, schema: Schema, row: Any, what: str) -> Message:
+    """A row as JSON; `what` opens the message of a refusal."""
+    return Message(topic, schema, json_bytes(row, what))
+
+
+def row_of(data: memoryview) -> Any:
+    """The row of a JSON message."""
+    return json.loads(bytes(data))
+
+
+def camera_message(topic: str, camera: Camera, frame: str, stamp: int) -> Message:
+    """The calibration of a camera without distortion; `stamp` [ns] here and below."""
+    value = CameraCalibration(
+        frame_id=frame,
+        width=camera.width,
+        height=camera.height,
+        distortion_model="plumb_bob",  # with no parameters: none
+        K=camera.K.ravel().tolist(),
+        R=np.eye(3).ravel().tolist(),
+        P=np.hstack([camera.K, np.zeros((3, 1))]).ravel().tolist(),
+    )
+    _set_time(value.timestamp, stamp)
+    return _message(topic, value)
+
+
+def camera_of(data: memoryview) -> Camera:
+    """The camera of a calibration."""
+    value = CameraCalibration.FromString(bytes(data))
+    return Camera(value.width, value.height, value.K[0], value.K[4], value.K[2], value.K[5])
+
+
+def frames_message(topic: str, world_from_frames: Mapping[str, Pose], stamp: int) -> Message:
+    """Where frames stand in the world."""
+    value = FrameTransforms()
+    for frame, pose in world_from_frames.items():
+        transform = value.transforms.add(parent_frame_id=WORLD, child_frame_id=frame)
+        _set_time(transform.timestamp, stamp)
+        _set_vector(transform.translation, pose.xyz)
+        _set_rotation(transform.rotation, pose.wxyz)
+    return _message(topic, value)
+
+
+def frames_of(data: memoryview) -> dict[str, Pose]:
+    """The poses `world_from_frame` by the name of the frame."""
+    transforms = FrameTransforms.FromString(bytes(data)).transforms
+    return {item.child_frame_id: _pose_of(item.translation, item.rotation) for item in transforms}
+
+
+def poses_message(topic: str, world_from_poses: Pose, stamp: int) -> Message:
+    """A batch (n,) of poses in the world."""
+    value = PosesInFrame(frame_id=WORLD)
+    _set_time(value.timestamp, stamp)
+    for pose in world_from_poses:
+        item = value.poses.add()
+        _set_vector(item.position, pose.xyz)
+        _set_rotation(item.orientation, pose.wxyz)
+    return _message(topic, value)
+
+
+def poses_of(data: memoryview) -> Pose:
+    """The batch (n,) of poses."""
+    poses = PosesInFrame.FromString(bytes(data)).poses
+    return Pose.stack([_pose_of(item.position, item.orientation) for item in poses])
+
+
+def models_message(
+    topic: str, models: Mapping[str, bytes], world_from_bodies: Mapping[str, Pose], stamp: int
+) -> Message:
+    """GLB models standing in the world, in place of all that stood there before.
+
+    A GLB is y up, and the viewer turns it to z up, so the pose of a model is that of its body.
+    """
+    value = SceneUpdate()
+    _set_time(value.deletions.add(type=SceneEntityDeletion.ALL).timestamp, stamp)
+    for name, data in models.items():
+        entity = value.entities.add(frame_id=WORLD, id=name)
+        _set_time(entity.timestamp, stamp)
+        model = entity.models.add(media_type=GLB, data=data)
+        model.scale.x = model.scale.y = model.scale.z = 1.0
+        _set_vector(model.pose.position, world_from_bodies[name].xyz)
+        _set_rotation(model.pose.orientation, world_from_bodies[name].wxyz)
+    return _message(topic, value)
+
+
+def models_of(data: memoryview) -> dict[str, bytes]:
+    """The GLB models by the name of their body."""
+    return {entity.id: entity.models[0].data for entity in SceneUpdate.FromString(bytes(data)).entities}
+
+
+def image_message(topic: str, image: np.ndarray, encoding: str, frame: str, stamp: int) -> Message:
+    """An image (H, W) of the type that the encoding names."""
+    height, width = image.shape
+    rows = np.ascontiguousarray(image, dtype=ENCODINGS[encoding])
+    value = RawImage(
+        frame_id=frame, width=width, height=height, encoding=encoding, step=rows.strides[0], data=rows.tobytes()
+    )
+    _set_time(value.timestamp, stamp)
+    return _message(topic, value)
+
+
+def image_of(data: memoryview) -> np.ndarray:
+    """The image (H, W) of a message: no copy but a window on it, read-only, perhaps not aligned."""
+    fields = {name: _wire(data).get(RawImage.DESCRIPTOR.fields_by_name[name].number) for name in
+              ("width", "height", "encoding", "data")}  # fmt: skip
+    dtype = ENCODINGS[str(fields["encoding"], "utf-8")]  # type: ignore[arg-type]
+    image = np.frombuffer(fields["data"], dtype).reshape(fields["height"], fields["width"])  # type: ignore[arg-type]
+    image.setflags(write=False)
+    return image
+
+
+def _wire(data: memoryview) -> dict[int, Any]:
+    """The fields of a protobuf message by number, bytes as windows on it: its own parser would copy an image twice."""
+    fields: dict[int, Any] = {}
+    at = 0
+    while at < len(data):
+        key, at = _varint(data, at)
+        if key & 7 == 0:
+            value, at = _varint(data, at)
+        elif key & 7 == 2:
+            size, at = _varint(data, at)
+            value, at = data[at : at + size], at + size
+        else:
+            layout = {1: "<Q", 5: "<I"}[key & 7]
+            (value,) = struct.unpack_from(layout, data, at)
+            at += struct.calcsize(layout)
+        fields[key >> 3] = value
+    return fields
+
+
+def _varint(data: memoryview, at: int) -> tuple[int, int]:
+    """A number of seven bits a byte, least first, and where it ends."""
+    value = shift = 0
+    while True:
+        byte = data[at]
+        at += 1
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value, at
+        shift += 7
+
+
+def _set_time(stamp: Any, time: int) -> None:
+    stamp.seconds, stamp.nanos = divmod(time, SECOND)
+
+
+def _set_vector(vector: Any, xyz: np.ndarray) -> None:
+    vector.x, vector.y, vector.z = xyz.tolist()
+
+
+def _set_rotation(quaternion: Any, wxyz: np.ndarray) -> None:
+    quaternion.w, quaternion.x, quaternion.y, quaternion.z = wxyz.tolist()
+
+
+def _pose_of(vector: Any, q: Any) -> Pose:
+    return Pose(np.array([q.w, q.x, q.y, q.z]), np.array([vector.x, vector.y, vector.z]))

@@ -1,0 +1,166 @@
+"""Recordings of what was seen: cameras, where they are believed to stand, queries, masks and depth images.
+
+A view "ideal" or "d415" belongs to the primary camera, "three/0/ideal" to a camera of a further set. Nothing here tells
+which part lies where, or what was drawn.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import lru_cache
+
+import numpy as np
+
+from kit1000.camera import Camera
+from kit1000.dataset.mcap_io.content import check_on_grid, observation_hash
+from kit1000.dataset.mcap_io.messages import (
+    Message,
+    camera_message,
+    camera_of,
+    frames_message,
+    frames_of,
+    image_message,
+    image_of,
+    json_schema,
+    row_message,
+    row_of,
+)
+from kit1000.dataset.mcap_io.reading import ShardFile
+from kit1000.dataset.mcap_io.writing import ShardWriter
+from kit1000.dataset.schema import Observation
+from kit1000.dataset.tables import Row
+from kit1000.errors import InputError, checked
+from kit1000.pose import Pose
+from kit1000.values import View
+
+IDEAL = "ideal"  # the sensor whose frame is that of the camera itself
+VIEW_KEY = re.compile(r"((?:[a-z0-9]+/)*)([a-z0-9]+)")  # camera, then sensor
+QUERY_FIELDS = ("drawn", "guess", "id", "part", "pivot", "sensor", "track")
+
+_NUMBERS = {"type": "array", "items": {"type": "number"}}
+POSE_SCHEMA = {
+    "type": "object",
+    "required": ["wxyz", "xyz"],
+    "properties": {
+        "wxyz": _NUMBERS | {"minItems": 4, "maxItems": 4, "description": "unit quaternion, scalar first"},
+        "xyz": _NUMBERS | {"minItems": 3, "maxItems": 3, "description": "m"},
+    },
+}
+_QUERY = json_schema(
+    "kit1000.Query",
+    {
+        "type": "object",
+        "description": "Which part of a scene a method is asked about, and roughly how it should move.",
+        "required": list(QUERY_FIELDS),
+        "additionalProperties": False,
+        "properties": {
+            "id": {"type": "string"},
+            "track": {"type": "string"},
+            "sensor": {"type": "string", "description": "whose depth image to read"},
+            "part": {"type": "integer", "description": "its pixels are 2 + part in the masks"},
+            "drawn": {"type": "boolean", "description": "whether it is the target drawn for the scene"},
+            "pivot": _NUMBERS | {"minItems": 3, "maxItems": 3, "description": "m, world: the guess turns about it"},
+            "guess": {"oneOf": [POSE_SCHEMA, {"type": "null"}], "description": "goal_from_now, a motion in the world"},
+        },
+    },
+)
+
+
+class ObservationWriter(ShardWriter):
+    """Writes a file of observations when its `with` block ends well."""
+
+    HOLDS = "observations"
+
+    def add(self, observation: Observation) -> None:
+        """Record a scene after those before. Raises InputError when a value does not fit the format."""
+        self.record(observation.scene_id, observation_hash(observation), _messages(observation, self.stamp))
+
+
+class ObservationFile(ShardFile):
+    """A file of observations. Arrays come read-only."""
+
+    HOLDS = "observations"
+
+    def queries(self, scene_id: str) -> list[Row]:
+        """What is asked about a scene, as `kit1000.dataset.schema.Observation` has it."""
+        return [row_of(data) for data in self._all(scene_id, "/query")]
+
+    def view_keys(self, scene_id: str) -> tuple[str, ...]:
+        """The views of a scene, those of the camera itself before those of other sensors."""
+        return tuple(t.removeprefix("/").removesuffix("/depth") for t in self._topics(scene_id) if t.endswith("/depth"))
+
+    def view(self, scene_id: str, key: str = IDEAL) -> View:
+        """A depth image with its camera and where that is believed to stand."""
+        keys = self.view_keys(scene_id)
+        if key not in keys:
+            raise InputError(f"{self.path}: scene {scene_id} has no view {key!r}; it has {', '.join(keys) or 'none'}")
+        camera = _camera(bytes(self._one(scene_id, f"/{key}/camera")))
+        pose = frames_of(self._one(scene_id, "/tf"))[_frame(key)]
+        return View(camera, pose, image_of(self._one(scene_id, f"/{key}/depth")))
+
+    def labels(self, scene_id: str) -> np.ndarray | None:
+        """(H, W) uint8 masks of the primary camera, as `kit1000.values.Look` has them; None where there are none."""
+        masks = self._all(scene_id, "/mask/labels")
+        return checked("labels", image_of(masks[0]), ("h", "w"), np.uint8) if masks else None
+
+    def observation(self, scene_id: str) -> Observation:
+        """All of a scene."""
+        views = {key: self.view(scene_id, key) for key in self.view_keys(scene_id)}
+        return Observation(scene_id, views, self.labels(scene_id), tuple(self.queries(scene_id)))
+
+    def recomputed_hash(self, scene_id: str) -> str:
+        """The content hash anew, from what is read."""
+        return observation_hash(self.observation(scene_id))
+
+
+def _messages(observation: Observation, stamp: int) -> Iterator[Message]:
+    """The messages of a scene, small ones first: a reader stops where it has what it wants."""
+    views = {key: observation.views[key] for key in sorted(observation.views, key=_order)}
+    yield from _camera_messages(views, stamp)
+    frames: dict[str, Pose] = {}
+    for key, view in views.items():
+        frames[_frame(key)] = view.world_from_camera
+    yield frames_message("/tf", frames, stamp)
+    for row in observation.queries:
+        if sorted(row) != sorted(QUERY_FIELDS):
+            raise InputError(f"query {row.get('id')}: fields {sorted(row)}, expected {sorted(QUERY_FIELDS)}")
+        yield row_message("/query", _QUERY, row, f"query {row['id']}")
+    if observation.labels is not None:
+        labels = checked(f"{observation.scene_id}: labels", observation.labels, ("h", "w"), np.uint8)
+        yield image_message("/mask/labels", labels, "mono8", _frame(IDEAL), stamp)
+    for key, view in views.items():
+        check_on_grid(view.depth, f"{observation.scene_id} {key}")
+        yield image_message(f"/{key}/depth", view.depth, "32FC1", _frame(key), stamp)
+
+
+def _camera_messages(views: dict[str, View], stamp: int) -> Iterator[Message]:
+    """A calibration beside every depth image, where viewers look for it, and of the camera under its plain name."""
+    for key, view in views.items():
+        prefix, sensor = _parts(key)
+        if sensor == IDEAL:
+            yield camera_message(f"/{prefix}camera", view.camera, _frame(key), stamp)
+        yield camera_message(f"/{key}/camera", view.camera, _frame(key), stamp)
+
+
+@lru_cache(maxsize=16)
+def _camera(data: bytes) -> Camera:
+    return camera_of(memoryview(data))
+
+
+def _frame(key: str) -> str:
+    """The frame of a view: "camera" of "ideal", else its key; "three/0/camera" of "three/0/ideal"."""
+    prefix, sensor = _parts(key)
+    return f"{prefix}camera" if sensor == IDEAL else key
+
+
+def _order(key: str) -> tuple[str, bool, str]:
+    prefix, sensor = _parts(key)
+    return prefix, sensor != IDEAL, sensor
+
+
+def _parts(key: str) -> tuple[str, str]:
+    match = VIEW_KEY.fullmatch(key)
+    if match is None or match[2] == "camera":
+        raise InputError(f"view {key!r}: expected a name such as ideal, d415 or three/0/ideal")
+    return match[1], match[2]

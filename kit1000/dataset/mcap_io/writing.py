@@ -1,0 +1,102 @@
+"""Writing a shard: scenes as messages, one chunk each, and a record of what the file holds.
+
+The bytes depend on nothing but the scenes: times and the name of the library are fixed. The record `kit1000` keeps a
+checksum of every message, so that a reader can trust a part of a chunk without the rest of it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import sys
+import zlib
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import TracebackType
+from typing import ClassVar
+
+from mcap.writer import CompressionType, Writer
+
+from kit1000 import __version__
+from kit1000.dataset.mcap_io.content import json_bytes
+from kit1000.dataset.mcap_io.messages import SECOND, Message
+from kit1000.dataset.schema import LICENCE
+from kit1000.dataset.tables import FORMAT
+from kit1000.errors import InputError
+from kit1000.files import write_bytes
+
+LIBRARY = "kit1000"  # without a version: it would change the bytes
+RECORD = "kit1000"  # name of the metadata record
+START = 1_767_225_600 * SECOND  # [ns] 2026-01-01: scene k of a shard is recorded k seconds later
+
+
+class ShardWriter:
+    """A context manager that writes a file of scenes when its block ends well; of no scenes, none."""
+
+    HOLDS: ClassVar[str]
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path) if isinstance(path, str) else path  # an object store has paths of its own
+        self.sha256: str | None = None
+        """Of the file, once it is written."""
+        self._content: dict[str, str] = {}
+        self._messages: dict[str, list[tuple[str, int]]] = {}
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        self._buffer = io.BytesIO()
+        self._mcap = Writer(self._buffer, chunk_size=sys.maxsize, compression=CompressionType.ZSTD)
+        self._mcap.start(profile="", library=LIBRARY)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        if kind is None and self._content:
+            self._mcap.add_metadata(RECORD, self._record())
+            self._mcap.finish()
+            self.sha256 = write_bytes(self.path, self._buffer.getvalue())
+
+    @property
+    def stamp(self) -> int:
+        """The time of the next scene [ns]."""
+        return START + len(self._content) * SECOND
+
+    def record(self, scene_id: str, content_hash: str, messages: Iterable[Message]) -> None:
+        """Write the messages of a scene in their order, as one chunk."""
+        if scene_id in self._content:
+            raise InputError(f"{self.path}: scene {scene_id} is recorded twice")
+        start, held = self.stamp, list(messages)
+        for k, message in enumerate(held):
+            self._mcap.add_message(self._channel(message), start + k, message.data, start + k)
+        self._mcap.flush()  # ends the chunk
+        self._content[scene_id] = content_hash
+        self._messages[scene_id] = [(message.topic, zlib.crc32(message.data)) for message in held]
+
+    def _channel(self, message: Message) -> int:
+        schema, topic = message.schema, message.topic
+        if schema.name not in self._schemas:
+            self._schemas[schema.name] = self._mcap.register_schema(schema.name, schema.encoding, schema.data)
+        if topic not in self._channels:
+            number = self._schemas[schema.name]
+            self._channels[topic] = self._mcap.register_channel(topic, schema.message_encoding, number)
+        return self._channels[topic]
+
+    def _record(self) -> dict[str, str]:
+        told = {
+            "format": FORMAT,
+            "holds": self.HOLDS,
+            "generator": f"kit1000 {__version__}",
+            "licence": LICENCE,
+            "length_unit": "m",
+            "depth_unit": "m",
+            "scenes": json_bytes(list(self._content), "scenes").decode(),
+            "content": json_bytes(self._content, "content").decode(),
+            "messages": json_bytes(self._messages, "messages").decode(),
+        }
+        return told | {"checksum": record_checksum(told)}
+
+
+def record_checksum(told: Mapping[str, str]) -> str:
+    """Of the metadata record without its checksum."""
+    plain = {key: value for key, value in told.items() if key != "checksum"}
+    return hashlib.sha256(json_bytes(plain, RECORD)).hexdigest()

@@ -1,0 +1,300 @@
+"""Scenes as a dataset in the format of BOP, so that tools for 6DoF object pose read them: millimetres, row-major.
+
+One BOP scene holds one scene of ours as one image. Objects are the parts and, last in each image, the assembly;
+targets are the parts that are asked about. Poses are the true ones, also where a sensor errs about its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from PIL import Image
+from tqdm import tqdm
+
+from kit1000.camera import Camera
+from kit1000.errors import InputError
+from kit1000.export.bop_models import ASSEMBLY, KINDS, MM, PART, model_info, object_numbers, ply_bytes
+from kit1000.export.folder import new_folder
+from kit1000.files import json_bytes
+from kit1000.mesh import Mesh
+from kit1000.pose import Pose
+from kit1000.sim.render import render
+from kit1000.symmetry import Symmetry
+from kit1000.tracks import SPLITS
+
+if TYPE_CHECKING:
+    from kit1000.dataset.reader import Dataset, Recorded
+
+SENSORS = ("ideal", "d415")
+DEPTH_SCALE = 0.1  # [mm] of one step of a depth image, which reaches to 6.55 m
+FARTHEST = np.iinfo(np.uint16).max
+DELTA = 5.0  # [mm] by which a visible surface may lie behind what was measured
+IMAGE = "000000"  # the one image of each scene
+NOWHERE = [-1, -1, -1, -1]  # the box of nothing
+
+
+class Placed(NamedTuple):
+    """An object in a scene."""
+
+    number: int
+    mesh: Mesh
+    camera_from_body: Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Silhouette:
+    """What an object alone covers, on a canvas three times the image, so that objects cut by its border are whole."""
+
+    distance: np.ndarray
+    """(H, W) [mm] along the ray within the image, 0 where the object is not."""
+    whole: np.ndarray
+    """(n, 2) int (u, v) of all its pixels, outside the image too."""
+
+
+def write_bop(
+    dataset: Dataset, folder: Path, ids: Sequence[str] = (), split: str | None = None, sensor: str = "ideal"
+) -> Path:
+    """Write scenes as a BOP dataset into a new folder, which appears when all of it is there; returns the folder.
+
+    Args:
+        dataset: its truth is read.
+        folder: does not exist yet.
+        ids: scenes to write; all of the split when empty.
+        split: train, val or test; all three when None.
+        sensor: ideal or d415, the depth images to write.
+
+    Raises:
+        InputError: no such split, scene or sensor, the truth is withheld, or the folder cannot be written.
+    """
+    if sensor not in SENSORS:
+        raise InputError(f"no sensor {sensor!r}; there are {', '.join(SENSORS)}")
+    scenes = _chosen(dataset, ids, split)
+    numbers = object_numbers(dataset.geometry)
+    with new_folder(folder, "BOP dataset") as out:
+        used: set[tuple[str, str]] = set()
+        camera, targets = None, {name: [] for name in scenes}
+        every = [(name, number, scene) for name, those in scenes.items() for number, scene in those]
+        for name, number, scene in tqdm(every, desc="scenes", unit="", disable=None):
+            recorded = dataset.split(name, truth=True).scene(scene)
+            camera = _write_scene(out / name / f"{number:06d}", recorded, dataset, numbers, sensor)
+            used |= {(PART if i else ASSEMBLY, body.id) for i, body in enumerate(recorded.scene.bodies)}
+            targets[name] += _targets(number, recorded, numbers)
+        _write_models(out, dataset, {key: numbers[key] for key in sorted(used)})
+        assert camera is not None  # there is at least one scene
+        _write_tables(out, camera, targets)
+        _write(out / "dataset_info.json", json_bytes(_told(dataset, scenes, numbers, used, sensor)))
+    return folder
+
+
+def _chosen(dataset: Dataset, ids: Sequence[str], split: str | None) -> dict[str, list[tuple[int, str]]]:
+    """The scenes to write by split, each with its number, which is its place among all of its split."""
+    if split is not None and split not in SPLITS:
+        raise InputError(f"no split {split!r} to export; there are {', '.join(SPLITS)}")
+    there = {name: list(dataset.shards(name)) for name in (SPLITS if split is None else (split,))}
+    unknown = sorted(set(ids) - {scene for scenes in there.values() for scene in scenes})
+    if unknown:
+        raise InputError(f"{dataset.root}: no scene {unknown[0]!r} in {', '.join(there)}")
+    chosen = {
+        name: [(i, scene) for i, scene in enumerate(scenes) if not ids or scene in ids]
+        for name, scenes in there.items()
+    }
+    chosen = {name: scenes for name, scenes in chosen.items() if scenes}
+    if not chosen:
+        raise InputError(f"{dataset.root}: no scenes in {', '.join(there)}")
+    for name, scenes in chosen.items():
+        dataset.split(name, truth=True).scene(scenes[0][1]).truth  # noqa: B018 (says now when it is withheld)
+    return chosen
+
+
+def _write_scene(
+    folder: Path, recorded: Recorded, dataset: Dataset, numbers: dict[tuple[str, str], int], sensor: str
+) -> Camera:
+    """The files of one scene; returns its camera."""
+    view, world_from_camera = recorded.view(sensor), recorded.view("ideal").world_from_camera
+    steps = stored_depth(view.depth)
+    placed = list(_placed(recorded, dataset, numbers, world_from_camera.inverse()))
+    measured = distances(view.camera, steps * DEPTH_SCALE)
+    infos = []
+    for i, thing in enumerate(placed):
+        seen = silhouette(view.camera, thing.mesh, thing.camera_from_body)
+        visible = visible_pixels(seen.distance, measured)
+        infos.append(gt_info(seen, visible, measured))
+        for name, mask in (("mask", seen.distance > 0), ("mask_visib", visible)):
+            _write(folder / name / f"{IMAGE}_{i:06d}.png", png_bytes(mask.astype(np.uint8) * np.uint8(255)))
+    _write(folder / "depth" / f"{IMAGE}.png", png_bytes(steps))
+    _write_json(folder / "scene_camera.json", _camera_entry(view.camera, world_from_camera.inverse()))
+    _write_json(folder / "scene_gt.json", [_gt_entry(thing) for thing in placed])
+    _write_json(folder / "scene_gt_info.json", infos)
+    return view.camera
+
+
+def _placed(
+    recorded: Recorded, dataset: Dataset, numbers: dict[tuple[str, str], int], camera_from_world: Pose
+) -> Iterator[Placed]:
+    """The parts p0, p1, ... and then the assembly."""
+    assembly, *parts = recorded.scene.bodies
+    for body in parts:
+        mesh = dataset.geometry.part(body.id).mesh
+        yield Placed(numbers[PART, body.id], mesh, camera_from_world @ body.world_from_body)
+    mesh = dataset.geometry.assembly(assembly.id).mesh
+    yield Placed(numbers[ASSEMBLY, assembly.id], mesh, camera_from_world @ assembly.world_from_body)
+
+
+def stored_depth(depth: np.ndarray) -> np.ndarray:
+    """(H, W) uint16 steps of DEPTH_SCALE for depths (H, W) [m]; what is too far for them counts as no return."""
+    steps = np.round(depth.astype(np.float64) * (MM / DEPTH_SCALE))
+    return np.where(steps > FARTHEST, 0, steps).astype(np.uint16)
+
+
+def distances(camera: Camera, depth: np.ndarray) -> np.ndarray:
+    """(H, W) distances along the rays for depths along the optical axis, in their unit; 0 stays 0."""
+    v, u = np.indices(depth.shape)
+    return depth * np.sqrt(((u - camera.cx) / camera.fx) ** 2 + ((v - camera.cy) / camera.fy) ** 2 + 1)
+
+
+def silhouette(camera: Camera, mesh: Mesh, camera_from_body: Pose) -> Silhouette:
+    """What one object covers. Only the window that holds it is drawn."""
+    left, top, right, bottom = _window(camera, camera_from_body.apply(mesh.vertices))
+    window = Camera(right - left, bottom - top, camera.fx, camera.fy, camera.cx - left, camera.cy - top)
+    frame = render(window, Pose.identity(), [(mesh, camera_from_body)], threads=1)
+    v, u = np.nonzero(frame.ids)
+    depth = np.zeros((camera.height, camera.width))
+    within = (u + left >= 0) & (u + left < camera.width) & (v + top >= 0) & (v + top < camera.height)
+    depth[v[within] + top, u[within] + left] = frame.depth[v[within], u[within]]
+    return Silhouette(distances(camera, MM * depth), np.stack([u + left, v + top], axis=-1))
+
+
+def _window(camera: Camera, points: np.ndarray) -> tuple[int, int, int, int]:
+    """First and past-last column and row of some points (n, 3) [m], cut to three times the image about its middle."""
+    least, most = np.array([-camera.width, -camera.height]), np.array([2 * camera.width, 2 * camera.height])
+    if points[:, 2].min() > 1e-3:  # else they reach behind the camera, and may be anywhere
+        seen = camera.project(points)
+        low, high = np.floor(seen.min(0)) - 1, np.ceil(seen.max(0)) + 2
+        least, most = np.clip(low, least, most - 1), np.clip(high, least + 1, most)
+    return int(least[0]), int(least[1]), int(max(most[0], least[0] + 1)), int(max(most[1], least[1] + 1))
+
+
+def visible_pixels(distance: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """(H, W) bool: covered by the object, and nothing measured more than DELTA before it; distances [mm]."""
+    return (distance > 0) & ((distance - measured <= DELTA) | (measured == 0))
+
+
+def gt_info(seen: Silhouette, visible: np.ndarray, measured: np.ndarray) -> dict[str, Any]:
+    """The entry of an object in `scene_gt_info.json`, as the toolkit of BOP makes it."""
+    shown = int(visible.sum())
+    inside = seen.distance > 0
+    return {
+        "px_count_all": len(seen.whole),
+        "px_count_valid": int((measured[inside] > 0).sum()),
+        "px_count_visib": shown,
+        "visib_fract": shown / len(seen.whole) if len(seen.whole) else 0.0,
+        "bbox_obj": _box(seen.whole) if shown else NOWHERE,
+        "bbox_visib": _box(np.argwhere(visible)[:, ::-1]) if shown else NOWHERE,
+    }
+
+
+def _box(pixels: np.ndarray) -> list[int]:
+    """Left, top, width and height of pixels (n, 2); width from first to last, as the toolkit counts."""
+    low, high = pixels.min(0), pixels.max(0)
+    return [*low.tolist(), *(high - low).tolist()]
+
+
+def _camera_entry(camera: Camera, camera_from_world: Pose) -> dict[str, Any]:
+    rotation, shift = _written(camera_from_world)
+    return {
+        "cam_K": camera.K.reshape(-1).tolist(),
+        "depth_scale": DEPTH_SCALE,
+        "cam_R_w2c": rotation,
+        "cam_t_w2c": shift,
+    }
+
+
+def _gt_entry(thing: Placed) -> dict[str, Any]:
+    rotation, shift = _written(thing.camera_from_body)
+    return {"obj_id": thing.number, "cam_R_m2c": rotation, "cam_t_m2c": shift}
+
+
+def _written(pose: Pose) -> tuple[list[float], list[float]]:
+    """A rotation as nine numbers, row by row, and a shift as three [mm]."""
+    return pose.rotation_matrix().reshape(-1).tolist(), (MM * pose.xyz).tolist()
+
+
+def _targets(number: int, recorded: Recorded, numbers: dict[tuple[str, str], int]) -> list[dict[str, int]]:
+    """What is to be found in a scene: the parts that are asked about."""
+    return [
+        {"scene_id": number, "im_id": 0, "obj_id": numbers[PART, row["part_id"]], "inst_count": 1}
+        for row in recorded.truth.parts
+        if row["unseen"] is None
+    ]
+
+
+def _write_models(out: Path, dataset: Dataset, used: dict[tuple[str, str], int]) -> None:
+    """Models of the objects that occur, twice: those that metrics use are those for training."""
+    infos = {}
+    for (kind, item_id), number in used.items():
+        if kind == PART:
+            part = dataset.geometry.part(item_id)
+            mesh, symmetry = part.mesh, part.symmetry
+        else:
+            mesh, symmetry = dataset.geometry.assembly(item_id).mesh, Symmetry.none()
+        infos[str(number)] = model_info(mesh, symmetry)
+        data = ply_bytes(mesh)
+        for name in ("models", "models_eval"):
+            _write(out / name / f"obj_{number:06d}.ply", data)
+    for name in ("models", "models_eval"):
+        _write(out / name / "models_info.json", json_bytes(infos))
+
+
+def _write_tables(out: Path, camera: Camera, targets: dict[str, list[dict[str, int]]]) -> None:
+    """The sensor, and what is to be found in each split but that for training."""
+    sensor = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
+    _write(out / "camera.json", json_bytes(sensor | {"depth_scale": DEPTH_SCALE}))
+    for split in targets.keys() - {"train"}:
+        images = [{"scene_id": i, "im_id": 0} for i in sorted({row["scene_id"] for row in targets[split]})]
+        _write(out / f"{split}_targets_bop19.json", json_bytes(targets[split]))
+        _write(out / f"{split}_targets_bop24.json", json_bytes(images))
+
+
+def _told(
+    dataset: Dataset,
+    scenes: dict[str, list[tuple[int, str]]],
+    numbers: dict[tuple[str, str], int],
+    used: Iterable[tuple[str, str]],
+    sensor: str,
+) -> dict[str, Any]:
+    """What BOP has no place for: which dataset this is, and what its numbers stand for."""
+    objects = {}
+    for kind, item_id in used:
+        family = getattr(dataset.geometry, KINDS[kind])[item_id].get("family")
+        objects[str(numbers[kind, item_id])] = {"kind": kind, "id": item_id} | ({"family": family} if family else {})
+    return {
+        "name": "KIT1000",
+        "dataset_id": dataset.id,
+        "licence": dataset.summary["licence"],
+        "sensor": sensor,
+        "delta_mm": DELTA,
+        "objects": objects,
+        "scenes": {name: {str(number): scene for number, scene in those} for name, those in scenes.items()},
+    }
+
+
+def png_bytes(image: np.ndarray) -> bytes:
+    """An image (H, W) of uint8 or uint16 as PNG of one channel."""
+    file = BytesIO()
+    Image.fromarray(image).save(file, "PNG")
+    return file.getvalue()
+
+
+def _write_json(path: Path, entry: Any) -> None:
+    """A table of a scene, whose one image is 0."""
+    _write(path, json_bytes({"0": entry}))
+
+
+def _write(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)

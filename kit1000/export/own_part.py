@@ -1,0 +1,94 @@
+"""A kit for somebody's own part, at true size: read any mesh, design the kit, write what a slicer and a person need."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from kit1000.dataset.mesh_files import glb_bytes, stl_bytes
+from kit1000.dataset.tables import pose_row
+from kit1000.errors import InputError, MeshRefused, Redraw
+from kit1000.files import check_writable, clear_partial, write_bytes, write_json
+from kit1000.kits.acceptance import try_pair
+from kit1000.kits.kit import CLEARANCE, KitDesign, design_kit
+from kit1000.parts.family import part_of_mesh
+from kit1000.parts.files.sources import Reading, read_mesh
+from kit1000.values import Part
+
+COLOURS = {"kit": (224, 219, 210), "part": (238, 122, 40)}  # sRGB, those of the pictures
+REPORT = "report.json"  # written last: where it stands, the others are whole and of one part
+
+
+def kit_for(
+    path: Path, out: Path, clearance: float = CLEARANCE, unit: str | None = None, longest: float | None = None
+) -> dict[str, Any]:
+    """Make the kit of a mesh file and write it to a folder; returns the report.
+
+    clearance [m]; unit: that of the file, guessed when None; longest [m]: scale the part to it, true size when None.
+    Raises InputError in one line when the file is no part, no kit can be made, or the folder cannot be written.
+    """
+    check_writable(out)
+    try:
+        reading = read_mesh(path, unit)
+    except MeshRefused as refusal:
+        raise InputError(f"{path}: {refusal.reason}") from None
+    part, scale = _part(path, reading, longest)
+    try:
+        design = design_kit(part, clearance, plate=None)
+    except Redraw as refusal:
+        raise InputError(f"{path}: no kit: {refusal.reason}") from None
+    report = _report(path, reading, part, scale, design)
+    files = _files(part, design)
+    clear_partial(out, *files, REPORT)
+    with suppress(OSError):  # that of an earlier run; whatever hinders here, the next write reports
+        (out / REPORT).unlink()
+    for name, data in files.items():
+        write_bytes(out / name, data)
+    write_json(out / REPORT, report)
+    return report
+
+
+def _part(path: Path, reading: Reading, longest: float | None) -> tuple[Part, float]:
+    scale = 1.0 if longest is None else longest / float(reading.mesh.extents.max())
+    return part_of_mesh(path.stem, reading.mesh, longest), scale
+
+
+def _report(path: Path, reading: Reading, part: Part, scale: float, design: KitDesign) -> dict[str, Any]:
+    return {
+        "part": path.name,
+        "unit": reading.unit,
+        "unit_reason": reading.unit_reason,
+        "repairs": list(reading.notes),
+        "scale": scale,
+        "size_mm": np.round(part.mesh.extents * 1e3, 3).tolist(),
+        "volume_mm3": part.mesh.volume * 1e9,
+        "plate_mm": (design.kit.extent * 1e3).tolist(),
+        "kit_from_part": pose_row(design.kit.slot.kit_from_part),
+        "trial": _trial(part, design),
+    } | design.report
+
+
+def _trial(part: Part, design: KitDesign) -> dict[str, Any]:
+    """What the seating trials say: not every part of the world can pass them, so this advises and does not refuse."""
+    try:
+        trial = try_pair(part, design.kit)
+    except Redraw as refusal:
+        return {"passes": False, "why": refusal.reason}
+    keyed = None if trial.keyedness is None else float(np.degrees(trial.keyedness))
+    return {"passes": not trial.loose, "why": "fits in another pose too" if trial.loose else "", "keyedness_deg": keyed}
+
+
+def _files(part: Part, design: KitDesign) -> dict[str, bytes]:
+    from kit1000.pictures.previews import kit_picture  # rendering compiles: only when a picture is wanted
+
+    seated = part.mesh.moved(design.kit.slot.kit_from_part)
+    bodies = {"kit": design.kit.mesh, "part": seated}
+    return {
+        "kit.stl": stl_bytes(design.kit.mesh),
+        "part.stl": stl_bytes(seated),
+        "seated.glb": glb_bytes(bodies, COLOURS),
+        "preview.png": kit_picture(part, design.kit),
+    }

@@ -1,0 +1,231 @@
+"""Building a dataset from its plan: parts and kits, then assemblies, then scenes, and `dataset.json` last.
+
+Every job leaves a record, so a run that was interrupted at any moment goes on where it stopped and ends with the same
+bytes. Jobs run in any order on any number of workers; what depends on order (near-duplicates) is decided here.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from kit1000.engines import Spread, local
+from kit1000.errors import InputError
+from kit1000.files import (
+    check_writable,
+    clear_partial,
+    json_bytes,
+    locked,
+    read_json,
+    remove_folder,
+    write_bytes,
+    write_json,
+)
+from kit1000.generation.assemblies import GroupJob, make_group
+from kit1000.generation.parts_and_kits import BUILD, PairJob, Record, intact, make_pair
+from kit1000.generation.plan import Sources, company_of, make_plan, split_ids
+from kit1000.generation.presets import Preset
+from kit1000.generation.shards import make_shard, shards
+from kit1000.generation.summary import Made, described, refused_files, sealed, summarised, tables
+from kit1000.parts.near_duplicates import twin_of
+from kit1000.tracks import SPLITS
+
+
+def generate(
+    preset: Preset,
+    root: Path,
+    seed: int | None = None,
+    workers: int | None = None,
+    sources: Sources | None = None,
+    engine: AbstractContextManager[Spread] | None = None,
+) -> dict[str, Any]:
+    """Build a dataset in a folder, or complete one that was begun there; returns the contents of its dataset.json.
+
+    `engine` spreads the jobs; processes of this machine, as many as `workers`, when absent. Raises InputError when
+    the folder holds something else or cannot be written, or when no source can be a part.
+    """
+    plan = make_plan(preset, preset.seed if seed is None else seed, sources)
+    check_writable(root)
+    _check_ours(root, plan)  # before the lock, which leaves a file
+    with locked(root):
+        _check_ours(root, plan)
+        clear_partial(root)
+        summary = _completed(root)
+        if summary is not None:
+            return summary
+        write_json(root / "plan.json", plan)
+        with engine or local(workers) as spread:
+            pairs = _pairs(root, preset, plan, sources, spread)
+            groups = _groups(root, preset, plan, pairs, spread)
+            scenes = _shards(root, preset, plan, groups, spread)
+        return _finish(root, plan, Made(pairs, groups, scenes))
+
+
+def _check_ours(root: Path, plan: dict[str, Any]) -> None:
+    """Raise InputError when a folder holds anything but a dataset of this plan, finished or begun."""
+    if not root.is_dir():
+        return
+    path = root / "plan.json"
+    if path.is_file():
+        begun = read_json(path)
+        if json_bytes(begun) != json_bytes(plan):
+            other = _difference(begun, plan)
+            raise InputError(f"{root} holds another dataset ({other}): choose another --out, or delete that folder")
+    elif any(not entry.name.startswith(".") for entry in root.iterdir()):
+        raise InputError(f"{root} is not empty and holds no dataset: choose another --out")
+
+
+def _difference(begun: Any, plan: dict[str, Any]) -> str:
+    """The first entry of two plans that differs, in words."""
+    if not isinstance(begun, dict):
+        return "its plan.json is no plan"
+    for key in ("format", "data_version", "preset", "seed", "unit"):
+        if begun.get(key) != plan.get(key):
+            return f"{key.replace('_', ' ')} {begun.get(key)}, asked {plan.get(key)}"
+    return "of other parts"
+
+
+def _completed(root: Path) -> dict[str, Any] | None:
+    """The summary of a finished dataset; None when there is none, or when it lost files, which are then made anew."""
+    path = root / "dataset.json"
+    if not path.is_file():
+        return None
+    summary = intact(root, path)
+    if summary is not None:
+        remove_folder(root / BUILD)
+        print(f"{root} is complete: nothing to do", file=sys.stderr)
+        return summary
+    print(f"{root}: files are missing or changed, building again", file=sys.stderr)
+    path.unlink()
+    return None
+
+
+def _pairs(
+    root: Path, preset: Preset, plan: dict[str, Any], sources: Sources | None, spread: Spread
+) -> dict[str, Record]:
+    """The record of every part and kit, by id; near-duplicates are drawn again until none is left."""
+    jobs = {
+        part_id: _pair_job(root, preset, plan["seed"], part_id, row, sources) for part_id, row in plan["parts"].items()
+    }
+    records = _run("parts and kits", make_pair, list(jobs.values()), spread)
+    accepted: list[str] = []
+    measures = np.zeros((0, 5))
+    for part_id in jobs:
+        record = records[part_id]
+        while "refused" not in record and (twin := twin_of(np.array(record["measures"]), measures)) is not None:
+            alike = f"near-duplicate of {records[accepted[twin]]['source']}" if sources else "near-duplicate"
+            record = make_pair(replace(jobs[part_id], redraws=(*record["redraws"], alike)))
+        records[part_id] = record
+        if "refused" not in record:
+            accepted.append(part_id)
+            measures = np.concatenate([measures, [record["measures"]]])
+    if not accepted:
+        raise InputError(_nothing_usable(root, plan, records))
+    return records
+
+
+def _pair_job(
+    root: Path, preset: Preset, seed: int, part_id: str, row: dict[str, Any], sources: Sources | None
+) -> PairJob:
+    if sources is None:
+        return PairJob(root, preset, seed, part_id, row["split"])
+    files = tuple((name, sources.files[name]) for name, _ in row["sources"])
+    return PairJob(root, preset, seed, part_id, row["split"], files, sources.unit)
+
+
+def _nothing_usable(root: Path, plan: dict[str, Any], records: dict[str, Record]) -> str:
+    """Why no file became a part; the folder is left empty, so that the next attempt finds no other plan in it."""
+    remove_folder(root / BUILD)
+    (root / "plan.json").unlink(missing_ok=True)
+    reasons = [f"{name}: {reason}" for name, reason in refused_files(plan, records).items()]
+    more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
+    return f"none of {len(reasons)} mesh files can be a part ({'; '.join(reasons[:3])}{more})"
+
+
+def _groups(
+    root: Path, preset: Preset, plan: dict[str, Any], pairs: dict[str, Record], spread: Spread
+) -> dict[str, Record]:
+    """The record of every assembly, by id."""
+    usable = {part_id for part_id, record in pairs.items() if "refused" not in record}
+    ids = {split: split_ids(plan["parts"], split) for split in SPLITS}
+    jobs = [
+        GroupJob(
+            root,
+            preset,
+            plan["seed"],
+            assembly_id,
+            row["split"],
+            row["target"],
+            row["kits"],
+            tuple(i for i in company_of(plan["seed"], row["target"], ids[row["split"]]) if i in usable),
+        )
+        for assembly_id, row in plan["assemblies"].items()
+        if row["target"] in usable
+    ]
+    return _run("assemblies", make_group, jobs, spread)
+
+
+def _shards(
+    root: Path, preset: Preset, plan: dict[str, Any], groups: dict[str, Record], spread: Spread
+) -> dict[str, Record]:
+    """The record of every shard of scenes, by id."""
+    jobs = [
+        job
+        for split in SPLITS
+        for job in shards(root, preset, plan["seed"], split, split_ids(plan["assemblies"], split), set(groups))
+    ]
+    return _run("scenes", make_shard, jobs, spread, units=[len(job.assemblies) for job in jobs])
+
+
+def _run(
+    what: str, function: Callable[[Any], Record], jobs: list[Any], spread: Spread, units: list[int] | None = None
+) -> dict[str, Record]:
+    """Records by id; the bar counts units of a job where they are given."""
+    total = len(jobs) if units is None else sum(units)
+    weight = {job.id: count for job, count in zip(jobs, units, strict=True)} if units else {}
+    records = {}
+    with tqdm(total=total, desc=what, unit="", disable=None, smoothing=0.05) as bar:
+        for record in spread(function, jobs):
+            _check_arrived(jobs[0].root, record)
+            records[record["id"]] = record
+            bar.update(weight.get(record["id"], 1))
+    return records
+
+
+def _check_arrived(root: Path, record: Record) -> None:
+    """Raise InputError when a job wrote its files to another place of that name: a node may have a disk of its own."""
+    for name in record["files"]:
+        if not (root / name).is_file():
+            raise InputError(
+                f"{name} was written on another machine and is not in {root}: "
+                "all nodes must share that folder, or --out be a URL that all of them reach"
+            )
+
+
+def _finish(root: Path, plan: dict[str, Any], made: Made) -> dict[str, Any]:
+    """Tables from the records, stray files removed, card and Croissant, `dataset.json` last."""
+    written = {f"{name}.json": write_json(root / f"{name}.json", rows) for name, rows in tables(plan, made).items()}
+    _remove_strays(root, made.files)
+    written["plan.json"] = write_json(root / "plan.json", plan)
+    summary = summarised(plan, made, written)
+    for name, data in described(summary).items():
+        summary["files"][name] = write_bytes(root / name, data)
+    write_bytes(root / "dataset.json", sealed(summary))
+    remove_folder(root / BUILD)
+    return read_json(root / "dataset.json")
+
+
+def _remove_strays(root: Path, files: dict[str, str]) -> None:
+    """Files of attempts that were drawn again under the same name do not exist; of refused ones they may."""
+    for kind in ("parts", "kits", "assemblies", *SPLITS):
+        for pattern in ("*.glb", "*.mcap"):
+            for path in (root / kind).glob(pattern):
+                if f"{kind}/{path.name}" not in files:
+                    path.unlink()

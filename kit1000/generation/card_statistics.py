@@ -1,0 +1,131 @@
+"""Figures about scenes and pairs: counts and histograms that are made shard by shard and added up.
+
+Every figure is a whole number at a leaf of nested dicts, so that sums are the same in any order. Bins are named by
+their ends, the lower of which belongs to the bin: "5-15", and "45+" for all from 45 up.
+"""
+
+from __future__ import annotations
+
+import re
+from bisect import bisect_right
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from kit1000.dataset.schema import SceneTruth
+from kit1000.dataset.tables import Row, pose_of
+from kit1000.tracks import CURVES
+
+TILT_DEG = (0, 5, 15, 30, 45)
+VISIBLE_PERCENT = (0, 50, 60, 70, 80, 90, 100)
+PIXELS = (0, 800, 1600, 3200, 6400)
+SLOT_ANGLE_DEG = (0, 20, 40, 55, 70)
+SLOT_VISIBLE_PERCENT = (0, 15, 30, 50, 75, 100)
+GUESS_MM = (0, 10, 20, 30, 40, 50)
+GUESS_DEG = (0, 5, 10, 15, 20, 25)
+KEYEDNESS_DEG = (0, 5, 10, 15, 20, 30, 45, 90)
+FREE = "any turn seats"  # keyedness of a slot with a free axis
+
+Figures = dict[str, Any]
+
+
+def statistics(truths: Iterable[SceneTruth]) -> Figures:
+    """The figures of some scenes; empty without any. Those of several lots are joined by `merged`."""
+    return merged(_of_scene(truth) for truth in truths)
+
+
+def pair_statistics(parts: Iterable[Row], kits: Iterable[Row]) -> Figures:
+    """The figures of some parts and kits, given as rows of their tables; `merged` puts them beside those of scenes."""
+    rows = list(parts)
+    if not rows:
+        return {}
+    return {
+        "pairs": len(rows),
+        "part_family": _counted(row["family"] for row in rows),
+        "symmetry": _counted(row["symmetry"]["name"] for row in rows),
+        "keyedness_deg": _counted(_keyedness(kit.get("keyedness")) for kit in kits),
+    }
+
+
+def merged(lots: Iterable[Mapping[str, Any]]) -> Figures:
+    """The sums of figures, leaf by leaf; a leaf that is absent counts nothing."""
+    total: Figures = {}
+    for lot in lots:
+        for key, value in lot.items():
+            if isinstance(value, Mapping):
+                total[key] = merged([total.get(key, {}), value])
+            else:
+                total[key] = total.get(key, 0) + value
+    return total
+
+
+def binned(value: float, edges: tuple[int, ...]) -> str:
+    """The name of the bin that a number falls into; what equals the last edge of a share belongs to the bin below."""
+    place = bisect_right(edges, value)
+    if edges[-1] == 100 and place == len(edges):  # nothing is more than all of it
+        place -= 1
+    return f"{edges[place - 1]}+" if place == len(edges) else f"{edges[place - 1]}-{edges[place]}"
+
+
+def bins(edges: tuple[int, ...]) -> list[str]:
+    """The names of all bins in order."""
+    return list(dict.fromkeys([*(binned(edge, edges) for edge in edges)]))
+
+
+def track_of(query_id: str) -> str:
+    """The track of a query, from its id."""
+    if query_id.startswith(f"{CURVES}-"):
+        return CURVES
+    return re.sub(r"^.*?-p\d+-", "", query_id)
+
+
+def _of_scene(truth: SceneTruth) -> Figures:
+    parts = truth.parts
+    return {
+        "scenes": 1,
+        "parts": len(parts),
+        "kits": {str(len(parts)): 1},
+        "family": _counted(row["family"] for row in parts),
+        "rest_mode": _counted(row["rest_mode"] for row in parts),
+        "tilt_deg": _counted(binned(_tilt_deg(row), TILT_DEG) for row in parts),
+        "visible_percent": _counted(binned(100 * row["visible"], VISIBLE_PERCENT) for row in parts),
+        "pixels": _counted(binned(row["pixels"], PIXELS) for row in parts),
+        "slot_angle_deg": _counted(binned(np.degrees(row["slot_angle"]), SLOT_ANGLE_DEG) for row in parts),
+        "slot_visible_percent": _counted(binned(100 * row["slot_visible"], SLOT_VISIBLE_PERCENT) for row in parts),
+        "unseen": _counted(row["unseen"] for row in parts if row["unseen"] is not None),
+        "queries": _counted(map(track_of, truth.queries)),
+        "guesses": merged(_guess(track_of(query_id), row["draw"]) for query_id, row in truth.queries.items()),
+    }
+
+
+def _guess(track: str, draw: Row | None) -> Figures:
+    """How far a guess is off at its pivot. Those of the curves are set, not drawn: they are left out."""
+    if draw is None or track == CURVES:
+        return {}
+    millimetres = 1e3 * float(np.linalg.norm(draw["offset"]))
+    degrees = float(np.degrees(np.linalg.norm(draw["rotvec"])))
+    return {
+        track: {
+            "n": 1,
+            "sum_um": round(1e3 * millimetres),
+            "sum_mdeg": round(1e3 * degrees),
+            "mm": {binned(millimetres, GUESS_MM): 1},
+            "deg": {binned(degrees, GUESS_DEG): 1},
+        }
+    }
+
+
+def _tilt_deg(row: Row) -> float:
+    """[deg] between the kit's axis and up; slots stand at 45 degrees at most, which is to fall into the bin below."""
+    up = pose_of(row["world_from_kit"]).rotate([0.0, 0.0, 1.0])
+    return max(float(np.degrees(np.arctan2(np.hypot(up[0], up[1]), up[2]))) - 1e-6, 0.0)
+
+
+def _keyedness(turn: float | None) -> str:
+    return FREE if turn is None else binned(float(np.degrees(turn)) + 1e-6, KEYEDNESS_DEG)
+
+
+def _counted(names: Iterable[str]) -> dict[str, int]:
+    return dict(sorted(Counter(names).items()))

@@ -1,0 +1,85 @@
+"""The datasets that can be asked for by name: how many parts, how large, how tightly fitted, how steeply tilted."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from kit1000.errors import InputError, near
+from kit1000.tracks import TRACKS
+
+HELD_OUT = ("cam", "connector", "gear", "hook", "pillow_block", "tee")
+"""Families that only the test split has, so that a score on them says what a method does with the unknown."""
+
+IDEAL_TRACKS = ("snap-tilt", "place", "place-paper")
+"""Of the preset `paper`: guesses off by a tilt alone, ideal depth."""
+
+
+@dataclass(frozen=True)
+class Preset:
+    """One kind of dataset. Lengths in metres, angles in radians unless named otherwise."""
+
+    name: str
+    train: int
+    """Parts, kits and assemblies for training."""
+    val: int
+    test: int
+    longest: tuple[float, float] = (0.035, 0.05)
+    """Range of a part's longest side, drawn uniformly."""
+    clearance: float = 2.5e-3
+    kits: tuple[int, int] = (2, 5)
+    """Fewest and most kits of an assembly."""
+    level_base: bool = False
+    """Whether base plates stand level, as in the paper."""
+    tilt_deg: tuple[float, float] = (10.0, 45.0)
+    """Range of a side plate's tilt against its base."""
+    brackets_deg: tuple[float, ...] = ()
+    """Tilts to pick from in place of the range, where brackets come in a few angles."""
+    tracks: tuple[str, ...] = tuple(TRACKS)
+    """What is asked of a scene; without a track of the d415 none is recorded."""
+    curve_scenes: int = 40
+    """Test scenes whose target is asked about at every level of guess error; their queries together give the goal
+    away, so a withheld test split has none."""
+    seed: int = 1000
+
+    def count(self, split: str) -> int:
+        """Parts (and assemblies) of a split."""
+        return {"train": self.train, "val": self.val, "test": self.test}[split]
+
+    @property
+    def sensors(self) -> tuple[str, ...]:
+        """Which depth images are recorded."""
+        return tuple(dict.fromkeys(("ideal", *(TRACKS[track].sensor for track in self.tracks))))
+
+    @property
+    def config(self) -> dict[str, Any]:
+        """The preset as plain values, without its name and the seed, which the plan states itself."""
+        values = {key: value for key, value in asdict(self).items() if key not in ("name", "seed")}
+        return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
+
+
+PRESETS = {
+    preset.name: preset
+    for preset in (
+        Preset("tiny", 8, 2, 6),
+        Preset("small", 60, 12, 24),
+        Preset("kit1000", 1000, 100, 200),
+        Preset("paper", 1000, 100, 200, longest=(0.05, 0.05), level_base=True, tracks=IDEAL_TRACKS),
+        Preset("real-like", 400, 50, 100, clearance=10e-3, kits=(1, 4)),
+        Preset("study", 40, 8, 24, kits=(2, 3), tilt_deg=(10.0, 30.0), brackets_deg=(10.0, 20.0, 30.0)),
+        Preset("completion", 2000, 100, 100, seed=2000),
+    )
+}
+
+
+def preset(name: str) -> Preset:
+    """The preset of a name; InputError lists the names there are."""
+    if name not in PRESETS:
+        raise InputError(f"no preset {name!r}; {near(name, PRESETS)}there are {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def preset_of(name: str, config: dict[str, Any]) -> Preset:
+    """The preset that a plan was made with, from the plain values that `config` gave."""
+    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in config.items()}
+    return Preset(name, **values)

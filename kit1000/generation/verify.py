@@ -1,0 +1,105 @@
+"""Is a dataset what it says it is? Every file against its hash, and a sample of scenes built again from the plan."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from kit1000.dataset.geometry import Geometry
+from kit1000.errors import InputError
+from kit1000.files import read_json, sha256
+from kit1000.generation.plan import DATA_VERSION, dataset_id
+from kit1000.generation.rebuild import scene_faults
+from kit1000.generation.summary import sealed
+from kit1000.generation.withhold import SECRET, secret_fault
+from kit1000.rng import stream
+
+INDEX, PLAN = "dataset.json", "plan.json"
+
+
+@dataclass(frozen=True)
+class Findings:
+    """What `verify` found."""
+
+    files: int
+    """Files whose hash was checked."""
+    rebuilt: tuple[str, ...]
+    """Scenes that were built again."""
+    faults: tuple[str, ...]
+    """One line each; none when all is well."""
+    notes: tuple[str, ...] = ()
+    """What could not be checked, and why."""
+
+
+def verify(root: Path, sample: int = 0) -> Findings:
+    """Check all files of a dataset and build `sample` of its scenes again. Raises InputError when it is no dataset."""
+    geometry = Geometry(root)
+    summary = geometry.summary
+    if not _holds_its_checksum(root, summary):
+        return Findings(0, (), (f"{INDEX}: changed since it was written",), ("it lists all others: none was checked",))
+    count, faults = len(summary["files"]), _files(root, summary)
+    if sample == 0:
+        return Findings(count, (), tuple(faults))
+    why = _not_rebuilt(root, summary, faults)
+    if why is not None:
+        return Findings(count, (), tuple(faults), (why,))
+    plan, scenes = read_json(root / PLAN), _sampled(summary, sample)
+    for scene_id in tqdm(scenes, desc="building scenes again", unit="", disable=None):
+        faults += [f"{scene_id}: {said}" for said in scene_faults(geometry, plan, scene_id)]
+    notes = ("parts come from files: they are taken as stored",) if "unit" in plan else ()
+    return Findings(count, tuple(scenes), tuple(faults), notes)
+
+
+def _not_rebuilt(root: Path, summary: dict[str, Any], faults: list[str]) -> str | None:
+    """Why no scene can be built again; None when it can."""
+    if not (root / PLAN).is_file():
+        return "the plan is withheld: scenes can be built again from the whole dataset alone"
+    if faults:
+        return "nothing built again: files are damaged"
+    if summary["data_version"] != DATA_VERSION:
+        return f"nothing built again: made as data version {summary['data_version']}, this kit1000 makes {DATA_VERSION}"
+    return None
+
+
+def _holds_its_checksum(root: Path, summary: dict[str, Any]) -> bool:
+    try:
+        return (root / INDEX).read_bytes() == sealed(summary)
+    except ValueError:  # an infinite number: a changed digit may make one
+        return False
+
+
+def _files(root: Path, summary: dict[str, Any]) -> list[str]:
+    """Files that changed, are missing, or are none of this dataset; what is hidden is of no account."""
+    faults = []
+    for name, digest in tqdm(sorted(summary["files"].items()), desc="files", unit="", disable=None):
+        found = sha256(root / name)
+        if found != digest:
+            faults.append(f"{name}: {'missing or unreadable' if found is None else 'changed since it was written'}")
+    whole = PLAN in summary["files"]
+    listed = {INDEX, *summary["files"], *([SECRET] if whole else [])}
+    present = (path.relative_to(root) for path in root.rglob("*") if path.is_file())
+    shown = (path.as_posix() for path in present if not any(step.startswith(".") for step in path.parts))
+    faults += [f"{name}: not a file of this dataset" for name in sorted(shown) if name not in listed]
+    if whole and not faults and dataset_id(read_json(root / PLAN)) != summary["dataset_id"]:
+        faults.append(f"{PLAN}: of another dataset")
+    if whole and (root / SECRET).is_file():
+        faults += _secret_faults(root, summary)
+    return faults
+
+
+def _secret_faults(root: Path, summary: dict[str, Any]) -> list[str]:
+    try:
+        fault = secret_fault(summary, read_json(root / SECRET))
+    except InputError as error:
+        return [str(error)]
+    return [] if fault is None else [f"{SECRET}: {fault}"]
+
+
+def _sampled(summary: dict[str, Any], sample: int) -> list[str]:
+    """Scene ids, the same for the same dataset, spread over all splits."""
+    scenes = sorted(scene_id for held in summary["shards"].values() for scene_id in held)
+    chosen = stream(0, "verify", summary["dataset_id"]).permutation(len(scenes))[:sample]
+    return sorted(scenes[i] for i in chosen)

@@ -1,0 +1,104 @@
+"""Contact sheets of a dataset: what a person looks at before trusting it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from PIL import Image
+
+from kit1000.camera import Camera
+from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.reader import Dataset, Recorded
+from kit1000.errors import InputError
+from kit1000.pictures.depth_images import depth_picture, mask_picture
+from kit1000.pictures.previews import assembly_tile, kit_tile, part_tile, sheet
+from kit1000.pictures.shading import KIT, PART, SECONDARY, Painted, shaded
+from kit1000.pose import Pose
+from kit1000.values import View
+
+SCENE_TILE = (960, 540)  # [px] one picture of a scene
+BORDER = 1.12  # of the window around all bodies, against their extents
+ASKED = "snap-tilt"  # the track whose guesses are drawn: every preset has it
+
+
+def contact_sheet_of(geometry: Geometry, what: str, split: str, count: int, ids: Sequence[str] = ()) -> bytes:
+    """A PNG of parts, kits or assemblies: the given ids, or `count` spread evenly over a split."""
+    rows = getattr(geometry, what)
+    chosen = list(ids) or _spread(sorted(i for i, row in rows.items() if row["split"] == split), count)
+    if not chosen:
+        raise InputError(f"{geometry.root}: no {what} in split {split!r}")
+    return sheet([_tile(geometry, what, item_id) for item_id in chosen], [_label(geometry, what, i) for i in chosen])
+
+
+def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
+    """A PNG of one scene, cut to what stands on the table: what the sensors see and the masks; where the truth is at
+    hand, also the scene, the goals of what is asked, and a guess.
+    """
+    recorded = dataset.recorded(scene_id)
+    window = _window(recorded.labels)
+    tiles = {"ideal depth": depth_picture(recorded.view("ideal")), "masks": mask_picture(recorded.look())}
+    if "d415" in recorded.sensors:
+        tiles["d415 depth"] = depth_picture(recorded.view("d415"))
+    pictures = [Image.fromarray(tile[window]).resize(SCENE_TILE, Image.Resampling.BICUBIC) for tile in tiles.values()]
+    names = list(tiles)
+    if recorded.split.truth:
+        drawn = _true_tiles(recorded, window)
+        pictures, names = [*pictures, *map(Image.fromarray, drawn.values())], [*names, *drawn]
+    return sheet(pictures, [f"{scene_id}  {name}" for name in names], columns=3)
+
+
+def _window(labels: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns that hold all bodies with a border, in the shape of the image."""
+    v, u = np.nonzero(labels)
+    height, width = labels.shape
+    share = max(np.ptp(u) / width, np.ptp(v) / height) * BORDER
+    tall, wide = min(round(height * share), height), min(round(width * share), width)
+    top = int(np.clip((v.min() + v.max() - tall) // 2, 0, height - tall))
+    left = int(np.clip((u.min() + u.max() - wide) // 2, 0, width - wide))
+    return slice(top, top + tall), slice(left, left + wide)
+
+
+def _true_tiles(recorded: Recorded, window: tuple[slice, slice]) -> dict[str, np.ndarray]:
+    """The scene as it stands, with its parts seated, and with them as a person guesses."""
+    _, (assembly, world_from_assembly), *parts = recorded.bodies()
+    kits = Painted(assembly, world_from_assembly, KIT)
+    colours = [(PART, *SECONDARY)[i % 7] for i in range(len(parts))]
+    lying = [Painted(mesh, pose, colour) for (mesh, pose), colour in zip(parts, colours, strict=True)]
+    seated, guessed = list(lying), list(lying)
+    for query in recorded.queries:
+        if query.track == ASKED and query.guess is not None:
+            mesh, pose = parts[query.part]
+            seated[query.part] = Painted(mesh, recorded.truths[query.id].goal_drawn @ pose, colours[query.part])
+            guessed[query.part] = Painted(mesh, query.guess @ pose, colours[query.part])
+    camera, pose = _cut(recorded.view("ideal"), window)
+    drawn = {"the scene": lying, "the goals of what is asked": seated, "as a person guesses": guessed}
+    return {name: shaded([kits, *bodies], camera, pose) for name, bodies in drawn.items()}
+
+
+def _cut(view: View, window: tuple[slice, slice]) -> tuple[Camera, Pose]:
+    """The camera that sees a window of a view, as large as a tile."""
+    rows, columns = window
+    whole, (width, height) = view.camera, SCENE_TILE
+    across, down = width / (columns.stop - columns.start), height / (rows.stop - rows.start)
+    centre = (whole.cx - columns.start + 0.5) * across - 0.5, (whole.cy - rows.start + 0.5) * down - 0.5
+    return Camera(width, height, whole.fx * across, whole.fy * down, *centre), view.world_from_camera
+
+
+def _spread(ids: list[str], count: int) -> list[str]:
+    return [ids[i] for i in np.unique(np.linspace(0, len(ids) - 1, count).round().astype(int))] if ids else []
+
+
+def _tile(geometry: Geometry, what: str, item_id: str) -> np.ndarray:
+    if what == "parts":
+        return part_tile(geometry.part(item_id))
+    if what == "kits":
+        return kit_tile(geometry.part(item_id), geometry.kit(item_id))
+    assembly = geometry.assembly(item_id)
+    return assembly_tile(assembly, {m.kit.id: geometry.part(m.kit.id) for m in assembly.mounts})
+
+
+def _label(geometry: Geometry, what: str, item_id: str) -> str:
+    if what == "assemblies":
+        return f"{item_id}  {len(geometry.assemblies[item_id]['mounts'])} kits"
+    return f"{item_id}  {geometry.parts[item_id]['family']}"

@@ -1,0 +1,238 @@
+"""Pictures of parts, kits and scenes for people: soft light, crisp edges, a ground that bodies stand on.
+
+`framing` finds a camera, `shaded` draws, `contact_sheet` lays out many pictures with captions. Colours are
+8-bit sRGB triples; the palette below is the one of the whole project.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from PIL import Image, ImageDraw, ImageFont
+
+from kit1000.camera import Camera, look_at
+from kit1000.engines.cores import cores
+from kit1000.errors import InputError, checked
+from kit1000.mesh import Mesh
+from kit1000.pictures import lighting
+from kit1000.pictures.creases import draw_lines, smooth_patches
+from kit1000.pose import Pose
+from kit1000.sim.raster import Lens
+from kit1000.sim.render import render
+
+Colour = tuple[int, int, int]
+
+KIT: Colour = (224, 219, 210)  # warm light grey: the plates
+PART: Colour = (238, 122, 40)  # orange: the part that matters
+BLUE: Colour = (74, 124, 178)
+TEAL: Colour = (62, 152, 146)
+SAND: Colour = (222, 184, 104)
+PLUM: Colour = (146, 98, 142)
+MOSS: Colour = (128, 154, 84)
+SLATE: Colour = (112, 122, 136)
+TABLE: Colour = (232, 234, 236)
+PAPER: Colour = (250, 250, 248)  # background
+INK: Colour = (44, 46, 50)  # text
+SECONDARY: tuple[Colour, ...] = (BLUE, TEAL, SAND, PLUM, MOSS, SLATE)  # parts beside the one that matters
+
+PRODUCT_VIEW = (0.75, -1.0, 0.8)  # from the scene to the eye: from the front right, well above
+SAMPLES = 16  # pictures averaged into one, each shifted by part of a pixel and lit by its own share of lamps
+KEYS, SKIES = 3, 7  # lamps a sample
+OUTLINE_STEP = 0.012  # a step in depth of this many radii of the scene is an outline
+GROUND_SHADOW = 0.75  # how dark a point of the ground gets that no light reaches
+
+
+class Painted(NamedTuple):
+    """A body in a picture."""
+
+    mesh: Mesh
+    pose: Pose
+    """world_from_body"""
+    colour: Colour
+
+
+def shaded(
+    bodies: Sequence[Painted],
+    camera: Camera,
+    world_from_camera: Pose,
+    background: Colour = PAPER,
+    ground: bool = True,
+) -> np.ndarray:
+    """Draw bodies in soft light. (H, W, 3) uint8 sRGB.
+
+    With `ground`, bodies throw a soft shadow on a floor through their lowest point, of the colour of the
+    background; it is not drawn for a camera below it.
+    """
+    if not bodies:
+        return np.full((camera.height, camera.width, 3), background, np.uint8)
+    plain = [(body.mesh, body.pose) for body in bodies]
+    scene, patches = _staged(bodies)
+    ball = _ball(scene.corners.reshape(-1, 3))
+    floor = float(scene.corners[..., 2].min()) if ground else np.nan
+    key = lighting.key_directions(SAMPLES * KEYS, _key_direction(world_from_camera))
+    sky = lighting.sky_directions(SAMPLES * SKIES)
+    rotation, eye = world_from_camera.rotation_matrix(), world_from_camera.xyz
+    colours = np.array((lighting.KEY_COLOUR, lighting.SKY_COLOUR, lighting.BOUNCE_COLOUR))
+
+    def sample(number: int) -> np.ndarray:
+        shift = (_van_der_corput(number, 2) - 0.5, _van_der_corput(number, 3) - 0.5)
+        moved = replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1])
+        frame = render(moved, world_from_camera, plain, threads=1)
+        lamps = lighting.lamps(plain, ball, key[number::SAMPLES], sky[number::SAMPLES])
+        image = np.empty((camera.height, camera.width, 3), np.float32)
+        seen = (frame.depth, frame.ids, frame.faces)
+        paper = _linear(background)
+        lighting.illuminate(
+            Lens.of(moved), rotation, eye, seen, scene, lamps, floor, paper, GROUND_SHADOW, colours, image
+        )
+        draw_lines(*seen, scene.first_of, patches, scene.albedo, OUTLINE_STEP * ball[1], image)
+        return image
+
+    total = np.zeros((camera.height, camera.width, 3), np.float32)
+    with ThreadPoolExecutor(cores()) as pool:
+        for image in pool.map(sample, range(SAMPLES)):
+            total += np.minimum(image, 1)
+    return _srgb(total / SAMPLES)
+
+
+def framing(
+    bodies: Sequence[tuple[Mesh, Pose] | Painted],
+    direction: ArrayLike = PRODUCT_VIEW,
+    size: tuple[int, int] = (1280, 960),
+    field_deg: float = 20.0,
+    margin: float = 0.08,
+) -> tuple[Camera, Pose]:
+    """A camera that looks at the bodies from `direction` and just holds them all.
+
+    Args:
+        bodies: meshes and their world_from_body; colours are ignored.
+        direction: from the bodies to the eye. (3,), any length.
+        size: width and height of the image [px].
+        field_deg: the longer side of the image seen from the eye; small for a long lens.
+        margin: free border on each side, as a share of the image.
+
+    Returns:
+        The camera and its world_from_camera.
+    """
+    if not bodies:
+        raise InputError("framing: expected at least one body")
+    back = checked("direction", direction, (3,))
+    across = 2 * np.tan(np.deg2rad(field_deg) / 2) * np.array(size) / max(size)  # of the image, at 1 m
+    camera = Camera(
+        width=size[0],
+        height=size[1],
+        fx=size[0] / across[0],
+        fy=size[0] / across[0],
+        cx=(size[0] - 1) / 2,
+        cy=(size[1] - 1) / 2,
+    )
+    points = np.concatenate([body[1].apply(body[0].vertices) for body in bodies])
+    upright = np.linalg.norm(back[:2]) > 1e-3 * abs(back[2])
+    turn = look_at(back, np.zeros(3), up=(0, 0, 1) if upright else (0, 1, 0))
+    x, y, z = turn.inverse().rotate(points).T
+    centre, distances = [], []
+    for along, slope in zip((x, y), across / 2 * (1 - 2 * margin), strict=True):
+        # A point stays left of the right border when along - centre <= slope (z + distance), and so on.
+        right, left = (along - slope * z).max(), (-along - slope * z).max()
+        centre.append((right - left) / 2)
+        distances.append((right + left) / (2 * slope))
+    return camera, Pose(turn.wxyz, turn.rotate(np.array((*centre, -max(distances)))))
+
+
+def contact_sheet(
+    images: Sequence[np.ndarray | Image.Image],
+    labels: Sequence[str],
+    columns: int = 4,
+    background: Colour = PAPER,
+) -> Image.Image:
+    """Lay pictures out in rows, a caption under each; cells are as large as the largest picture."""
+    if len(images) != len(labels):
+        raise InputError(f"contact_sheet: {len(images)} images but {len(labels)} labels")
+    if not images:
+        raise InputError("contact_sheet: expected at least one image")
+    pictures = [image if isinstance(image, Image.Image) else Image.fromarray(image) for image in images]
+    width, height = max(p.width for p in pictures), max(p.height for p in pictures)
+    size = max(12, round(width / 20))
+    font = ImageFont.load_default(size=size)
+    gap, caption = max(4, width // 40), round(1.9 * size)
+    columns = max(1, min(columns, len(pictures)))
+    rows = -(-len(pictures) // columns)
+    sheet = Image.new("RGB", (columns * (width + gap) + gap, rows * (height + caption + gap) + gap), background)
+    draw = ImageDraw.Draw(sheet)
+    for number, (picture, label) in enumerate(zip(pictures, labels, strict=True)):
+        left = gap + number % columns * (width + gap)
+        top = gap + number // columns * (height + caption + gap)
+        sheet.paste(picture, (left + (width - picture.width) // 2, top + (height - picture.height) // 2))
+        middle = (left + width / 2, top + height + caption / 2)
+        draw.text(middle, _shortened(label, font, width), fill=INK, font=font, anchor="mm")
+    return sheet
+
+
+def _shortened(label: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: float) -> str:
+    """The label, its end replaced by dots when it is wider than `width` [px]."""
+    if font.getlength(label) <= width:
+        return label
+    while label and font.getlength(label + "...") > width:
+        label = label[:-1]
+    return label.rstrip() + "..."
+
+
+def _staged(bodies: Sequence[Painted]) -> tuple[lighting.Scene, np.ndarray]:
+    """The bodies as the shading loop needs them, and the smooth patch (m,) of every face, all distinct."""
+    meshes = {id(body.mesh): body.mesh for body in bodies}
+    smoothed = {key: smooth_patches(mesh) for key, mesh in meshes.items()}
+    corners, normals, flat, patches = [], [], [], []
+    first, patch = [0], 0
+    for mesh, pose, _ in bodies:
+        own, smooth = smoothed[id(mesh)]
+        corners.append(pose.apply(mesh.triangles))
+        normals.append(pose.rotate(smooth))
+        flat.append(pose.rotate(mesh.normals))
+        patches.append(own + patch)
+        first.append(first[-1] + len(mesh.faces))
+        patch += own.max(initial=-1) + 1
+    albedo = np.stack([_linear(body.colour) for body in bodies])
+    shape = (np.concatenate(corners), np.concatenate(normals), np.concatenate(flat))
+    return lighting.Scene(np.array(first[:-1]), *shape, albedo), np.concatenate(patches)
+
+
+def _ball(points: np.ndarray) -> tuple[np.ndarray, float]:
+    """Centre and radius [m] of a ball about the box of the points (n, 3)."""
+    centre = (points.min(0) + points.max(0)) / 2
+    return centre, float(np.linalg.norm(points - centre, axis=1).max())
+
+
+def _key_direction(world_from_camera: Pose) -> np.ndarray:
+    """(3,) where the key lamp stands: high above, to the left of the viewer and a little on his side."""
+    right, _, forward = world_from_camera.rotation_matrix().T
+    aside = -0.75 * right - 0.25 * forward * (1, 1, 0)
+    direction = aside + np.array((0.0, 0.0, 1.15))
+    return direction / np.linalg.norm(direction)
+
+
+def _van_der_corput(number: int, base: int) -> float:
+    """The number written in `base`, mirrored at the point: fills 0 .. 1 evenly."""
+    value, share = 0.0, 1.0 / base
+    while number:
+        number, digit = divmod(number, base)
+        value += digit * share
+        share /= base
+    return value
+
+
+def _linear(colour: Colour) -> np.ndarray:
+    """(3,) linear light of an sRGB colour (IEC 61966-2-1)."""
+    value = np.array(colour) / 255
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def _srgb(linear: np.ndarray) -> np.ndarray:
+    """The inverse of `_linear`, for images. (..., 3) -> (..., 3) uint8."""
+    value = np.clip(linear, 0, 1)
+    curve = np.where(value <= 0.0031308, value * 12.92, 1.055 * value ** (1 / 2.4) - 0.055)
+    return np.round(255 * curve).astype(np.uint8)

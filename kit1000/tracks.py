@@ -1,0 +1,116 @@
+"""What the benchmark asks, by name: splits, tracks and the ids of queries."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Literal
+
+from kit1000.errors import InputError
+
+SPLITS = ("train", "val", "test")
+
+
+@dataclass(frozen=True)
+class Track:
+    """One kind of query."""
+
+    name: str
+    sensor: Literal["ideal", "d415"]
+    """Which depth image a query is about."""
+    guess: Literal["ball", "tilt"] | None
+    """The rotation error of the user's initial guess: about any axis, or a tilt alone; None: there is no guess."""
+    parts: Literal["all", "upright", "upright with a nearly level goal"]
+    """Which of the well visible parts of a scene are asked about."""
+    stream: str
+    """Name of the random stream of its draws. Tracks that share it ask the same on another sensor's image."""
+    description: str
+    """One sentence for tables and pages."""
+
+
+TRACKS = {
+    track.name: track
+    for track in (
+        Track(
+            "snap",
+            sensor="ideal",
+            guess="ball",
+            parts="all",
+            stream="snap",
+            description="With an initial guess: up to 28 mm off along each axis and up to 27.5° about any axis.",
+        ),
+        Track(
+            "snap-tilt",
+            sensor="ideal",
+            guess="tilt",
+            parts="all",
+            stream="snap-tilt",
+            description="As snap, but the guess is rotated by a tilt alone: the guesses of the paper's release.",
+        ),
+        Track(
+            "place",
+            sensor="ideal",
+            guess=None,
+            parts="upright",
+            stream="place",
+            description="Without a guess: parts lie upright at any yaw, slots are tilted by up to 45°.",
+        ),
+        Track(
+            "place-paper",
+            sensor="ideal",
+            guess=None,
+            parts="upright with a nearly level goal",
+            stream="place-paper",
+            description="Without a guess, as in the paper: only goals with roll and pitch within ± 15°.",
+        ),
+        Track(
+            "snap-d415",
+            sensor="d415",
+            guess="ball",
+            parts="all",
+            stream="snap",
+            description="As snap, from a depth image with the noise of a RealSense D415.",
+        ),
+        Track(
+            "place-d415",
+            sensor="d415",
+            guess=None,
+            parts="upright",
+            stream="place",
+            description="As place, from a depth image with the noise of a RealSense D415.",
+        ),
+    )
+}
+CURVES = "curves"
+"""The track of the robustness curves: the queries of snap, with guess errors that are set and not drawn."""
+ALL_TRACKS = (*TRACKS, CURVES)
+GUESS_TRACKS = (*(name for name, track in TRACKS.items() if track.guess is not None), CURVES)
+"""Tracks whose queries come with a guess."""
+PAPER_TRACKS = {"with user input": "snap-tilt", "without user input": "place-paper"}
+"""The tracks that ask what Table I of the paper asks, by the half of the table."""
+
+
+def query_id(scene_id: str, part: int, track: str) -> str:
+    """Id of the query about a part of a scene, such as test-s0007-p2-snap."""
+    return f"{scene_id}-p{part}-{track}"
+
+
+def has_curves(scene_id: str, scenes: int) -> bool:
+    """Whether the drawn target of a scene is asked about at every level of error too: in the first test scenes."""
+    split, _, number = scene_id.rpartition("-s")
+    return split == "test" and int(number) < scenes
+
+
+def curve_id(scene_id: str, part: int, runs: str, level: int, fixed: int) -> str:
+    """Id of a query of the curves: `runs` is the error ("pos" or "rot") at `level`, the other stays at `fixed`."""
+    stays = {"pos": "rot", "rot": "pos"}[runs]
+    return f"{scene_id.replace('test-', 'curves-', 1)}-p{part}-{runs}{level}-{stays}{fixed}"
+
+
+def curve_levels(query_id: str) -> tuple[str, int, int]:
+    """Which error runs ("pos" or "rot"), its level, and the level of the one that stays, read from the id."""
+    match = re.fullmatch(r"curves-s\d+-p\d+-(?:pos(\d)-rot(\d)|rot(\d)-pos(\d))", query_id)
+    if match is None:
+        raise InputError(f"query id {query_id!r}: expected one of the curves, such as curves-s0007-p2-pos3-rot1")
+    runs, groups = ("pos", match.group(1, 2)) if match.group(1) else ("rot", match.group(3, 4))
+    return runs, int(groups[0]), int(groups[1])

@@ -1,0 +1,99 @@
+"""Figures of a dataset: whole numbers in bins that miss nothing, the same however the scenes are dealt out."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kit1000.generation import card_statistics
+from kit1000.generation.card_statistics import binned, bins, merged, pair_statistics, statistics, track_of
+from tests.card_samples import PAIRS, tables, truth
+
+EDGES = [edges for name, edges in vars(card_statistics).items() if isinstance(edges, tuple) and name.isupper()]
+TREES = st.recursive(
+    st.dictionaries(st.sampled_from("abc"), st.integers(0, 9), max_size=3),
+    lambda inner: st.dictionaries(st.sampled_from("xyz"), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+def leaves(tree: object) -> list[int]:
+    return [leaf for value in tree.values() for leaf in leaves(value)] if isinstance(tree, dict) else [tree]  # type: ignore[list-item]
+
+
+def test_a_scene_is_counted_by_hand() -> None:
+    found = statistics([truth()])
+    assert found["scenes"] == 1
+    assert found["parts"] == 2
+    assert found["kits"] == {"2": 1}
+    assert found["rest_mode"] == {"tumbled": 1, "upright": 1}
+    assert found["tilt_deg"] == {"0-5": 1, "30-45": 1}  # the limit itself counts below
+    assert found["visible_percent"] == {"90-100": 2}
+    assert found["pixels"] == {"800-1600": 1, "1600-3200": 1}
+    assert found["slot_angle_deg"] == {"20-40": 2}
+    assert found["slot_visible_percent"] == {"50-75": 2}
+    assert found["unseen"] == {"slot seen at a grazing angle": 1}
+    assert found["queries"] == {"curves": 1, "place-paper": 1, "snap-tilt": 1}
+    guesses = {"n": 1, "sum_um": 20000, "sum_mdeg": 5730, "mm": {"20-30": 1}, "deg": {"5-10": 1}}
+    assert found["guesses"] == {"snap-tilt": guesses}
+
+
+@given(st.lists(st.floats(0, 0.05), max_size=6), st.integers(0, 6))
+def test_figures_do_not_depend_on_how_scenes_are_dealt_out(offs: list[float], cut: int) -> None:
+    scenes = [truth(off=off) for off in offs]
+    whole = statistics(scenes)
+    assert merged([statistics(scenes[cut:]), statistics(scenes[:cut])]) == whole
+    assert merged(statistics([scene]) for scene in reversed(scenes)) == whole
+    assert json.loads(json.dumps(whole)) == whole
+
+
+@given(st.lists(TREES, max_size=4).filter(lambda trees: len({*map(shape, trees)}) <= 1))
+def test_sums_hold_every_count(trees: list[dict]) -> None:
+    assert sum(leaves(merged(trees))) == sum(sum(leaves(tree)) for tree in trees)
+
+
+def shape(tree: object) -> int:
+    return 1 + max(map(shape, tree.values()), default=0) if isinstance(tree, dict) else 0
+
+
+@given(st.sampled_from(EDGES), st.floats(0, 100))
+def test_every_number_has_one_bin_that_holds_it(edges: tuple[int, ...], value: float) -> None:
+    name = binned(value, edges)
+    assert name in bins(edges)
+    low, _, high = name.partition("-")
+    assert float(low.rstrip("+")) <= value
+    assert value < float(high or "inf") or value == edges[-1] == 100
+
+
+def test_bins_are_named_in_order() -> None:
+    assert bins((0, 5, 15)) == ["0-5", "5-15", "15+"]
+    assert bins((0, 50, 100)) == ["0-50", "50-100"]
+
+
+@pytest.mark.parametrize(
+    ("query_id", "track"),
+    [
+        ("test-s0007-p2-snap", "snap"),
+        ("val-s0007-p12-snap-tilt", "snap-tilt"),
+        ("train-s0000-p0-place-paper", "place-paper"),
+        ("curves-s0007-p2-rot3-pos1", "curves"),
+    ],
+)
+def test_a_track_is_read_from_the_id(query_id: str, track: str) -> None:
+    assert track_of(query_id) == track
+
+
+def test_pairs_are_counted_by_family_symmetry_and_keyedness() -> None:
+    parts, kits = (list(tables()[name].values()) for name in PAIRS)
+    kits[0] = kits[0] | {"keyedness": None}
+    kits[1] = kits[1] | {"keyedness": 0.0872664625997}  # 5 degrees, but for the last bits
+    found = pair_statistics(parts, kits)
+    assert found["pairs"] == len(parts)
+    assert found["part_family"] == Counter(row["family"] for row in parts)
+    assert found["symmetry"] == {"C2": len(parts)}
+    assert found["keyedness_deg"] == {"20-30": len(parts) - 2, "any turn seats": 1, "5-10": 1}
+    assert pair_statistics([], []) == {}
