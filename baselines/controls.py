@@ -14,9 +14,9 @@ from baselines.points import seen_points
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.guesses import draw_ball, draw_direction, draw_goal
-from kit1000.motions import apply_error, motion, turned_goal
+from kit1000.motions import apply_error, goal_motion, goal_pose
 from kit1000.pose import Pose
-from kit1000.predictor import Answer
+from kit1000.predictor import PredictedMotion
 from kit1000.rng import stream
 from kit1000.values import Query, Truth
 
@@ -32,9 +32,9 @@ class TrueGoal:
     dataset: Dataset
     uses_true_geometry = True
 
-    def __call__(self, query: Query, truth: Truth | None) -> Answer:
+    def __call__(self, query: Query, truth: Truth | None) -> PredictedMotion:
         """The goal."""
-        return Answer(_known(query, truth).goal_drawn, SURE)
+        return PredictedMotion(_known(query, truth).goal_drawn, SURE)
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,12 @@ class SymmetricGoal:
     seed: int = 0
     uses_true_geometry = True
 
-    def __call__(self, query: Query, truth: Truth | None) -> Answer:
+    def __call__(self, query: Query, truth: Truth | None) -> PredictedMotion:
         """A goal."""
         known = _known(query, truth)
         goal, turn = draw_goal(stream(self.seed, "truth-symmetric", query.id), known.slot)
-        seated = turned_goal(known.slot, goal, turn)
-        return Answer(motion(known.world_from_part, known.world_from_kit, seated), SURE)
+        seated = goal_pose(known.slot, goal, turn)
+        return PredictedMotion(goal_motion(known.world_from_part, known.world_from_kit, seated), SURE)
 
 
 @dataclass(frozen=True)
@@ -68,18 +68,18 @@ class NoisyGoal:
     seed: int = 0
     uses_true_geometry = True
 
-    def __call__(self, query: Query, truth: Truth | None) -> Answer:
+    def __call__(self, query: Query, truth: Truth | None) -> PredictedMotion:
         """A goal missed."""
         known, rng = _known(query, truth), stream(self.seed, "truth-noise", query.id)
         offset, rotvec = NOISE * draw_direction(rng), NOISE_ANGLE * draw_direction(rng)
-        return Answer(apply_error(known.goal_drawn, known.anchor, offset, rotvec), SURE)
+        return PredictedMotion(apply_error(known.goal_drawn, known.anchor, offset, rotvec), SURE)
 
 
-def guess(query: Query, truth: Truth | None) -> Answer:
+def guess(query: Query, truth: Truth | None) -> PredictedMotion:
     """The guess, left as it is."""
     if query.guess is None:
         raise InputError(f"{query.id}: nobody guesses in track {query.track}")
-    return Answer(query.guess, UNSURE)
+    return PredictedMotion(query.guess, UNSURE)
 
 
 @dataclass(frozen=True)
@@ -93,17 +93,17 @@ class Chance:
     dataset: Dataset
     seed: int = 0
 
-    def __call__(self, query: Query, truth: Truth | None) -> Answer:
+    def __call__(self, query: Query, truth: Truth | None) -> PredictedMotion:
         """A motion."""
         rng = stream(self.seed, "chance", query.id)
         if query.guess is not None:
-            return Answer(apply_error(query.guess, query.pivot, *draw_ball(rng)), UNSURE)
+            return PredictedMotion(apply_error(query.guess, query.pivot, *draw_ball(rng)), UNSURE)
         points = seen_points(query, query.kit_region)
         if len(points) == 0:
             raise InputError(f"{query.id}: its image shows nothing of the kits")
         there, yaw = points[rng.integers(len(points))], rng.uniform(0, 2 * np.pi)
         turned = Pose.from_translation(there) @ Pose.from_rotvec((0.0, 0.0, yaw))
-        return Answer(turned @ Pose.from_translation(-query.pivot), UNSURE)
+        return PredictedMotion(turned @ Pose.from_translation(-query.pivot), UNSURE)
 
 
 def _known(query: Query, truth: Truth | None) -> Truth:

@@ -21,7 +21,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.guesses import ANGLE, OFFSET
 from kit1000.pose import Pose, unit_vector
-from kit1000.predictor import Answer
+from kit1000.predictor import PredictedMotion
 from kit1000.values import Query, Truth
 
 REACHES = (20e-3, 10e-3, 5e-3)  # [m] how far a point looks for its partner: from the error of a guess to the clearance
@@ -42,7 +42,7 @@ class Icp:
 
     dataset: Dataset
 
-    def __call__(self, query: Query, truth: Truth | None) -> Answer:
+    def __call__(self, query: Query, truth: Truth | None) -> PredictedMotion:
         """The motion that ICP comes to rest at; confidence: the share of the shell that then has a partner."""
         if query.guess is None:
             raise InputError(f"{query.id}: ICP begins at a guess, and there is none")
@@ -53,12 +53,12 @@ class Icp:
         reach = np.linalg.norm(shell, axis=1).max() + FARTHEST
         kits = kits[np.linalg.norm(kits, axis=1) < reach]
         if len(kits) < FEWEST:
-            return Answer(query.guess, 0.0)
+            return PredictedMotion(query.guess, 0.0)
         kits = kits[:: -(-len(kits) // MOST_KITS)]
         step, fitness = fitted(shell, kits, _about(world_from_middle, query.view.world_from_camera.xyz))
         if np.linalg.norm(step.xyz) > FARTHEST or step.angle() > ANGLE:
-            return Answer(query.guess, 0.0)
-        return Answer(world_from_middle @ step @ world_from_middle.inverse() @ query.guess, fitness)
+            return PredictedMotion(query.guess, 0.0)
+        return PredictedMotion(world_from_middle @ step @ world_from_middle.inverse() @ query.guess, fitness)
 
 
 def _about(world_from_middle: Pose, points: np.ndarray) -> np.ndarray:

@@ -26,7 +26,7 @@ from kit1000.engines import local
 from kit1000.engines.cores import cores
 from kit1000.errors import Fault, InputError, Kit1000Error, near
 from kit1000.files import check_writable
-from kit1000.predictor import Answer, Predictor, predicted
+from kit1000.predictor import PredictedMotion, Predictor, to_prediction
 from kit1000.submission import Manifest, Submission, read_submission, write_submission
 from kit1000.tracks import CURVES, SPLITS
 from kit1000.values import Prediction, Query, Truth
@@ -118,10 +118,10 @@ def answer_of(root: Path, name: str, seed: int, job: Job) -> Prediction:
     scene = dataset.split(job.split, method.uses_true_geometry).scene(job.scene_id)
     query = next(query for query in scene.queries if query.id == job.query_id)
     truth = scene.truth_of(query.id) if method.uses_true_geometry else None
-    query.seen  # noqa: B018 (reads the images: reading is no part of the method)
+    query.image  # noqa: B018 (reads the images: reading is no part of the method)
     start = perf_counter()
     answer = _called(predictor, query, truth)
-    return predicted(query, answer, round(perf_counter() - start, MICROSECOND))
+    return to_prediction(query, answer, round(perf_counter() - start, MICROSECOND))
 
 
 @lru_cache(maxsize=1)
@@ -131,7 +131,7 @@ def _ready(root: Path, name: str, seed: int) -> tuple[Method, Dataset, Predictor
     return method, dataset, made(method, dataset, seed)
 
 
-def _called(predictor: Predictor, query: Query, truth: Truth | None) -> Answer:
+def _called(predictor: Predictor, query: Query, truth: Truth | None) -> PredictedMotion:
     """The answer; whatever goes wrong is said in one line that names the query."""
     try:
         return predictor(query, truth)

@@ -21,7 +21,7 @@ from scipy.spatial import ConvexHull
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
 from kit1000.metrics import Targets, pose_errors, seatings
-from kit1000.motions import motion, turned_goal
+from kit1000.motions import goal_motion, goal_pose
 from kit1000.pose import Pose
 from kit1000.values import Truth
 
@@ -110,9 +110,9 @@ def plain_mssd(predicted: Pose, truth: Truth, vertices: np.ndarray) -> float:
     there, smallest = predicted.apply(points), np.inf
     steps = STEPS if truth.slot.free_axis is not None else 1
     for goal in range(len(truth.slot.goals)):
-        turned = turned_goal(truth.slot, goal, np.arange(steps) * 2 * np.pi / steps) if steps > 1 else None
+        turned = goal_pose(truth.slot, goal, np.arange(steps) * 2 * np.pi / steps) if steps > 1 else None
         kit_from_part = truth.slot.goals[goal : goal + 1] if turned is None else turned
-        homes = motion(truth.world_from_part, truth.world_from_kit, kit_from_part).matrix()
+        homes = goal_motion(truth.world_from_part, truth.world_from_kit, kit_from_part).matrix()
         for home in homes:
             away = there - (points @ home[:3, :3].T + home[:3, 3])
             smallest = min(smallest, float(np.linalg.norm(away, axis=1).max()))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from kit1000.camera import Camera, look_at
-    from kit1000.dataset.reader import Dataset, Recorded, Split
+    from kit1000.dataset.reader import Dataset, RecordedScene, Split
     from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, ShapeError
     from kit1000.kits.kit import make_kit
     from kit1000.mesh import Mesh
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
         Body,
         FreeAxis,
         Kit,
-        Look,
+        LabelledDepth,
         Mount,
         Part,
         Prediction,
@@ -46,7 +46,7 @@ __all__ = [
     "InputError",
     "Kit",
     "Kit1000Error",
-    "Look",
+    "LabelledDepth",
     "Manifest",
     "Mesh",
     "MeshRefused",
@@ -56,7 +56,7 @@ __all__ = [
     "Prediction",
     "Predictions",
     "Query",
-    "Recorded",
+    "RecordedScene",
     "Redraw",
     "Scene",
     "ShapeError",
@@ -76,7 +76,7 @@ _ELSEWHERE = {
     "Camera": "camera",
     "look_at": "camera",
     "Dataset": "dataset.reader",
-    "Recorded": "dataset.reader",
+    "RecordedScene": "dataset.reader",
     "Split": "dataset.reader",
     "InputError": "errors",
     "Kit1000Error": "errors",

@@ -18,12 +18,12 @@ from kit1000.pose import Pose, quaternion_multiply
 from kit1000.values import FreeAxis, Slot
 
 
-def motion(world_from_part: Pose, world_from_kit: Pose, kit_from_part: Pose) -> Pose:
+def goal_motion(world_from_part: Pose, world_from_kit: Pose, kit_from_part: Pose) -> Pose:
     """goal_from_now of a part that belongs at kit_from_part; leading axes broadcast."""
     return world_from_kit @ kit_from_part @ world_from_part.inverse()
 
 
-def turned_goal(slot: Slot, goal: int, turn: float | np.ndarray = 0.0) -> Pose:
+def goal_pose(slot: Slot, goal: int, turn: float | np.ndarray = 0.0) -> Pose:
     """kit_from_part of a goal, turned about the free axis by `turn` (...,) [rad]; without an axis there is no turn."""
     if slot.free_axis is not None:
         return _about(slot.free_axis, np.asarray(turn)) @ slot.goals[goal]

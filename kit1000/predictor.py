@@ -9,7 +9,7 @@ from kit1000.pose import Pose
 from kit1000.values import Prediction, Query, Truth
 
 
-class Answer(NamedTuple):
+class PredictedMotion(NamedTuple):
     """What a method says to a query."""
 
     goal_from_now: Pose
@@ -21,15 +21,17 @@ class Answer(NamedTuple):
 class Predictor(Protocol):
     """A method: a function, or an instance whose `__init__` read its weights."""
 
-    def __call__(self, query: Query, truth: Truth | None, /) -> Answer:
+    def __call__(self, query: Query, truth: Truth | None, /) -> PredictedMotion:
         """Answer a query from itself alone. The truth is None unless the method says that it uses true geometry."""
         ...
 
 
-def predicted(query: Query, answer: Answer, seconds: float) -> Prediction:
+def to_prediction(query: Query, answer: PredictedMotion, seconds: float) -> Prediction:
     """The answer to a query as a prediction; raises InputError when it is none. seconds: [s] that it took."""
     if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], Pose)):
-        raise InputError(f"{query.id}: expected an Answer(goal_from_now: Pose, confidence: float), got {_told(answer)}")
+        raise InputError(
+            f"{query.id}: expected a PredictedMotion(goal_from_now: Pose, confidence: float), got {_told(answer)}"
+        )
     motion, confidence = answer
     if motion.batch_shape != ():
         raise InputError(f"{query.id}: expected one motion, got a batch of shape {motion.batch_shape}")

@@ -144,7 +144,7 @@ class View:
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class LabelledDepth:
     """A depth image with its masks."""
 
     view: View
@@ -172,31 +172,31 @@ class Query:
     """(3,) [m] world: middle of the extents of the part's masked depth points, rounded to 0.1 mm."""
     guess: Pose | None
     """goal_from_now of a person, turned about the pivot; None when nobody says."""
-    look: Callable[[], Look]
+    read_image: Callable[[], LabelledDepth]
     """Reads the images."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pivot", checked("pivot", self.pivot, (3,)))
 
     @cached_property
-    def seen(self) -> Look:
+    def image(self) -> LabelledDepth:
         """The depth image and its masks, read once."""
-        return self.look()
+        return self.read_image()
 
     @property
     def view(self) -> View:
         """The depth image."""
-        return self.seen.view
+        return self.image.view
 
     @property
     def part_mask(self) -> np.ndarray:
         """(H, W) bool: the pixels of the part."""
-        return self.seen.labels == FIRST_PART_LABEL + self.part
+        return self.image.labels == FIRST_PART_LABEL + self.part
 
     @property
     def kit_region(self) -> np.ndarray:
         """(H, W) bool: the pixels of the kits."""
-        return self.seen.labels == ASSEMBLY_LABEL
+        return self.image.labels == ASSEMBLY_LABEL
 
 
 @dataclass(frozen=True, eq=False)

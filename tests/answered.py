@@ -12,7 +12,7 @@ import numpy as np
 from benchmark.truths import Questions
 from kit1000 import Dataset
 from kit1000.mesh import Mesh, mesh_of
-from kit1000.motions import motion, turned_goal
+from kit1000.motions import goal_motion, goal_pose
 from kit1000.parts.cad import polygon, prism
 from kit1000.pose import Pose
 from kit1000.submission import Manifest, Predictions, Submission, write_submission
@@ -43,7 +43,7 @@ def the_truth(_: Query, truth: Truth) -> Pose:
 
 def goal_of(truth: Truth, goal: int = 0, turn: float = 0.0) -> Pose:
     """goal_from_now of a goal of the slot, turned about the free axis [rad]."""
-    return motion(truth.world_from_part, truth.world_from_kit, turned_goal(truth.slot, goal, turn))
+    return goal_motion(truth.world_from_part, truth.world_from_kit, goal_pose(truth.slot, goal, turn))
 
 
 def predictions(query_ids: Iterable[str], motions: Iterable[Pose], confidence: float = 0.5) -> Predictions:
@@ -114,5 +114,5 @@ def _made_up_truth(i: int, track: str, rng: np.random.Generator) -> Truth:
         world_from_part=now,
         world_from_kit=world_from_kit,
         slot=slot,
-        goal_drawn=motion(now, world_from_kit, slot.goals[0]),
+        goal_drawn=goal_motion(now, world_from_kit, slot.goals[0]),
     )

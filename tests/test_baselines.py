@@ -12,9 +12,9 @@ from baselines.methods import EVERY, GUESSED, METHODS, Method, described, made, 
 from baselines.points import seen_points
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.motions import error_of, motion, turned_goal
+from kit1000.motions import error_of, goal_motion, goal_pose
 from kit1000.pose import Pose
-from kit1000.predictor import Answer
+from kit1000.predictor import PredictedMotion
 from kit1000.testing import check_predictor
 from kit1000.values import Query, Truth
 
@@ -74,7 +74,7 @@ def test_a_symmetric_truth_is_some_goal_turned_about_the_free_axis(data: Dataset
         slot = truth.slot
         turns = np.linspace(0, 2 * np.pi, 100_001) if slot.free_axis is not None else 0.0
         goals = [
-            motion(truth.world_from_part, truth.world_from_kit, turned_goal(slot, i, turns))
+            goal_motion(truth.world_from_part, truth.world_from_kit, goal_pose(slot, i, turns))
             for i in range(len(slot.goals))
         ]
         nearest = min(float((goal.inverse() @ answer).angle().min()) for goal in goals)
@@ -151,8 +151,8 @@ class Own:
     def __init__(self, dataset: Dataset, seed: int) -> None:
         self.dataset, self.seed = dataset, seed
 
-    def __call__(self, query: Query, truth: Truth | None) -> Answer:
-        return Answer(Pose.identity(), 1.0)
+    def __call__(self, query: Query, truth: Truth | None) -> PredictedMotion:
+        return PredictedMotion(Pose.identity(), 1.0)
 
 
 def test_a_method_of_ones_own_is_made_from_its_module(data: Dataset) -> None:

@@ -22,7 +22,7 @@ from baselines.predict import Asked, predict
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Fault, InputError
 from kit1000.pose import Pose
-from kit1000.predictor import Answer
+from kit1000.predictor import PredictedMotion
 from kit1000.submission import Submission, check, read_submission
 from kit1000.tracks import TRACKS
 from kit1000.values import Prediction, Query, Truth
@@ -31,25 +31,25 @@ ROOT = Path(__file__).resolve().parents[1]
 STOP = "KIT1000_TEST_STOP"
 
 
-def stopping(query: Query, truth: Truth | None) -> Answer:
+def stopping(query: Query, truth: Truth | None) -> PredictedMotion:
     """Answers, but dies at the query that the environment names."""
     if query.id == os.environ.get(STOP):
         raise RuntimeError("out\nof luck")
-    return Answer(Pose.from_translation(query.pivot), 0.25)
+    return PredictedMotion(Pose.from_translation(query.pivot), 0.25)
 
 
-def slow(query: Query, truth: Truth | None) -> Answer:
+def slow(query: Query, truth: Truth | None) -> PredictedMotion:
     time.sleep(0.2)
     return stopping(query, truth)
 
 
-def refusing(query: Query, truth: Truth | None) -> Answer:
+def refusing(query: Query, truth: Truth | None) -> PredictedMotion:
     raise InputError("no part in sight")
 
 
-def peeking(query: Query, truth: Truth | None) -> Answer:
+def peeking(query: Query, truth: Truth | None) -> PredictedMotion:
     """Sure when it is told the truth."""
-    return Answer(Pose.identity(), float(truth is not None))
+    return PredictedMotion(Pose.identity(), float(truth is not None))
 
 
 class Knowing:
@@ -61,7 +61,7 @@ class Knowing:
     def __init__(self, dataset: Dataset) -> None:
         pass
 
-    def __call__(self, query: Query, truth: Truth | None) -> Answer:
+    def __call__(self, query: Query, truth: Truth | None) -> PredictedMotion:
         return peeking(query, truth)
 
 

@@ -102,10 +102,10 @@ def test_the_citation_names_this_very_dataset() -> None:
 
 
 def test_the_shown_code_uses_what_there_is() -> None:
-    from kit1000.dataset.reader import Dataset, Recorded, Split
+    from kit1000.dataset.reader import Dataset, RecordedScene, Split
 
     names = {node.attr for node in ast.walk(ast.parse(READ)) if isinstance(node, ast.Attribute)}
-    there = chain.from_iterable(map(dir, (Dataset, Split, Recorded, Query)))
+    there = chain.from_iterable(map(dir, (Dataset, Split, RecordedScene, Query)))
     fields = chain.from_iterable(kind.__dataclass_fields__ for kind in (View, SceneTruth, Query))
     assert names <= {*there, *fields}
     assert len(READ.splitlines()) <= 12

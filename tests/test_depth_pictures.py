@@ -11,7 +11,7 @@ from kit1000.camera import Camera
 from kit1000.pictures.depth_images import FAR, MIDDLE, NEAR, depth_picture, mask_picture
 from kit1000.pictures.shading import INK, KIT, PART, SECONDARY, TABLE
 from kit1000.pose import Pose
-from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Look, View
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 SHAPE = (CAMERA.height, CAMERA.width)
@@ -41,7 +41,7 @@ def unlit(colour: tuple[int, int, int]) -> np.ndarray:
 def test_holes_are_ink_and_nothing_else_fails_about_them(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     depth = np.where(rng.random(SHAPE) < share, 0, rng.uniform(0.5, 1.5, SHAPE))
-    look = Look(seen(depth), rng.integers(0, 9, SHAPE).astype(np.uint8))
+    look = LabelledDepth(seen(depth), rng.integers(0, 9, SHAPE).astype(np.uint8))
     for picture in (depth_picture(look.view), mask_picture(look)):
         assert picture.shape == (*SHAPE, 3)
         assert picture.dtype == np.uint8
@@ -98,7 +98,7 @@ def test_relief_is_lit_from_the_upper_left() -> None:
     v, u = np.indices(SHAPE)
     # Depth grows towards the side that a surface faces: the ground lies farther off the higher it is in the image.
     facing = {"left": -u, "right": u, "up": -v, "down": v}
-    views = {side: Look(seen(1 + 0.01 * along), np.zeros(SHAPE, np.uint8)) for side, along in facing.items()}
+    views = {side: LabelledDepth(seen(1 + 0.01 * along), np.zeros(SHAPE, np.uint8)) for side, along in facing.items()}
     lit = {side: int(mask_picture(look)[24, 32].sum()) for side, look in views.items()}
     assert min(lit["left"], lit["up"]) > 1.2 * max(lit["right"], lit["down"])
 
@@ -109,7 +109,7 @@ def test_masks_have_the_colour_of_their_label() -> None:
     colours |= {FIRST_PART_LABEL + i: (PART, *SECONDARY)[i % 7] for i in range(8)}
     for place, label in enumerate(colours):
         labels[:, 6 * place : 6 * place + 6] = label
-    picture = mask_picture(Look(seen(np.full(SHAPE, 0.9)), labels)).astype(float)
+    picture = mask_picture(LabelledDepth(seen(np.full(SHAPE, 0.9)), labels)).astype(float)
     for place, colour in enumerate(colours.values()):
         stripe = picture[:, 6 * place : 6 * place + 6].reshape(-1, 3)
         assert len(np.unique(stripe, axis=0)) == 1  # flat: nothing but the label decides
@@ -123,11 +123,11 @@ def test_pictures_leave_the_images_alone() -> None:
     depth = steps(0.5, 1.0)
     view = seen(depth)
     depth_picture(view)
-    mask_picture(Look(view, np.ones(SHAPE, np.uint8)))
+    mask_picture(LabelledDepth(view, np.ones(SHAPE, np.uint8)))
     assert np.array_equal(view.depth, depth.astype(np.float32))
 
 
 @pytest.mark.parametrize("label", [0, 1, 2, 9, 200, 255])
 def test_every_label_has_a_colour(label: int) -> None:
-    picture = mask_picture(Look(seen(np.full(SHAPE, 1.0)), np.full(SHAPE, label, np.uint8)))
+    picture = mask_picture(LabelledDepth(seen(np.full(SHAPE, 1.0)), np.full(SHAPE, label, np.uint8)))
     assert picture.max() > 20

@@ -26,7 +26,7 @@ from kit1000.guesses import (
     level_offset,
 )
 from kit1000.kits.goals import nearest_turn
-from kit1000.motions import apply_error, error_of, motion, turned_goal
+from kit1000.motions import apply_error, error_of, goal_motion, goal_pose
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.values import FreeAxis, Slot
 from tests.strategies import directions, poses, vectors
@@ -176,7 +176,7 @@ def test_a_turned_goal_is_a_turn_of_that_goal_about_the_axis(turn: float) -> Non
     round_slot = slot(free=True)
     axis = round_slot.free_axis
     assert axis is not None
-    goal = turned_goal(round_slot, 0, turn)
+    goal = goal_pose(round_slot, 0, turn)
     assert near(nearest_turn(goal, round_slot.goals[0], axis), goal, 1e-9)  # the search for it finds it
     line = axis.point + np.outer([-0.1, 0.2], axis.direction)
     there = round_slot.goals[0].inverse().apply(line)  # points of the part on the axis stay where they are
@@ -185,21 +185,21 @@ def test_a_turned_goal_is_a_turn_of_that_goal_about_the_axis(turn: float) -> Non
 
 def test_turned_goals_come_in_batches() -> None:
     turns = np.linspace(0, 6, 7)
-    batch = turned_goal(slot(free=True), 0, turns)
+    batch = goal_pose(slot(free=True), 0, turns)
     assert batch.batch_shape == (7,)
-    assert all(near(batch[i], turned_goal(slot(free=True), 0, turn)) for i, turn in enumerate(turns))
+    assert all(near(batch[i], goal_pose(slot(free=True), 0, turn)) for i, turn in enumerate(turns))
 
 
 def test_a_slot_without_an_axis_refuses_a_turn() -> None:
     with pytest.raises(InputError, match="turn: the slot of p has no free axis"):
-        turned_goal(slot(), 0, 0.1)
+        goal_pose(slot(), 0, 0.1)
 
 
 @laws
 @given(poses(), poses())
 def test_a_motion_takes_the_part_from_where_it_is_to_its_goal(world_from_part: Pose, world_from_kit: Pose) -> None:
     kit_from_part = slot().kit_from_part
-    goal_from_now = motion(world_from_part, world_from_kit, kit_from_part)
+    goal_from_now = goal_motion(world_from_part, world_from_kit, kit_from_part)
     assert near(goal_from_now @ world_from_part, world_from_kit @ kit_from_part)
 
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 import kit1000.metrics as metrics
 from kit1000.errors import InputError, ShapeError
-from kit1000.metrics import METRIC_VERSIONS, PoseErrors, Targets, judging_goals, pose_errors
-from kit1000.motions import motion, turned_goal
+from kit1000.metrics import METRIC_VERSIONS, PoseErrors, Targets, nearest_goal_motions, pose_errors
+from kit1000.motions import goal_motion, goal_pose
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.testing import check_metric
 from kit1000.values import FreeAxis, Slot, Truth
@@ -38,7 +38,7 @@ def truth_of(
     )
     part, kit = (Pose(random_quaternions(rng, 1)[0], rng.uniform(-0.4, 0.4, 3)) for _ in range(2))
     turn = rng.uniform(0, 2 * np.pi) if free else 0.0
-    home = motion(part, kit, turned_goal(slot, drawn, turn))
+    home = goal_motion(part, kit, goal_pose(slot, drawn, turn))
     return Truth("q", "a", part_id, "family", "upright", 2, 0.9, part.xyz, part, kit, slot, home)
 
 
@@ -74,8 +74,8 @@ def looped(predicted: Pose, truth: Truth) -> tuple[float, int, float]:
 
 def distances(predicted: Pose, truth: Truth, goal: int, turns: np.ndarray) -> np.ndarray:
     """(n,) [m] the largest distance of a vertex to its place at one goal, at n turns."""
-    kit_from_part = turned_goal(truth.slot, goal, turns if truth.slot.free_axis is not None else 0.0)
-    home = motion(
+    kit_from_part = goal_pose(truth.slot, goal, turns if truth.slot.free_axis is not None else 0.0)
+    home = goal_motion(
         truth.world_from_part, truth.world_from_kit, Pose(*map(np.atleast_2d, (kit_from_part.wxyz, kit_from_part.xyz)))
     )
     points = truth.world_from_part.apply(corners(truth.part_id))
@@ -116,7 +116,7 @@ def relative(predicted: Pose, targets: Targets) -> np.ndarray:
 
 def one_axis(predicted: Pose, targets: Targets) -> np.ndarray:
     """Along x alone."""
-    home = judging_goals(targets, pose_errors(predicted, targets))
+    home = nearest_goal_motions(targets, pose_errors(predicted, targets))
     return np.abs((predicted.apply(targets.anchors) - home.apply(targets.anchors))[:, 0])
 
 
@@ -150,7 +150,7 @@ def test_they_equal_plain_loops_over_goals_angles_and_vertices(goals: int, free:
     mssd, goal, turn = looped(near, truth)
     assert found.mssd[0] == pytest.approx(mssd, abs=3e-8)
     assert found.goal[0] == goal
-    home = motion(truth.world_from_part, truth.world_from_kit, turned_goal(truth.slot, goal, turn))
+    home = goal_motion(truth.world_from_part, truth.world_from_kit, goal_pose(truth.slot, goal, turn))
     # where the largest distance is flat about its least, the turn itself is known less well
     assert found.position[0] == pytest.approx(
         np.linalg.norm(near.apply(truth.anchor) - home.apply(truth.anchor)), abs=1e-6
@@ -171,7 +171,7 @@ def test_the_search_over_turns_is_never_worse_than_3600_angles() -> None:
         truth.goal_drawn, rng.normal(size=(n, 3)) * sizes, rng.normal(size=(n, 3)) * sizes * 30, truth.anchor
     )
     found = pose_errors(predicted, Targets.of([truth] * n, lambda part_id: hull)).mssd
-    turned = motion(truth.world_from_part, truth.world_from_kit, turned_goal(truth.slot, 0, np.arange(3600) * FINE))
+    turned = goal_motion(truth.world_from_part, truth.world_from_kit, goal_pose(truth.slot, 0, np.arange(3600) * FINE))
     points = truth.world_from_part.apply(hull)
     there = turned[:, None].apply(points)
     for k in range(n):
@@ -188,8 +188,8 @@ def test_every_right_goal_scores_nothing(goals: int, free: bool, seed: int, turn
         truth, anchor=world.apply(truth.anchor), world_from_part=world @ truth.world_from_part,
         world_from_kit=world @ truth.world_from_kit, goal_drawn=world @ truth.goal_drawn @ world.inverse(),
     )  # fmt: skip
-    right = [turned_goal(truth.slot, k, turn if free else 0.0) for k in range(goals)]
-    predicted = motion(truth.world_from_part, truth.world_from_kit, Pose.stack(right))
+    right = [goal_pose(truth.slot, k, turn if free else 0.0) for k in range(goals)]
+    predicted = goal_motion(truth.world_from_part, truth.world_from_kit, Pose.stack(right))
     found = pose_errors(predicted, target_of(*[truth] * goals))
     for errors in (found.position, found.rotation, found.mssd):
         assert errors.max() <= EXACT
@@ -215,8 +215,8 @@ def test_one_goal_judges_position_and_rotation_alike() -> None:
     turned = missed(truth.slot.goals[0], np.array([5e-3, 0, 0]), np.array([0, 0, np.pi]), np.zeros(3))
     slot = replace(truth.slot, goals=Pose.stack([truth.slot.goals[0], turned]))
     truth = replace(truth, slot=slot)
-    there = motion(truth.world_from_part, truth.world_from_kit, turned)
-    home = motion(truth.world_from_part, truth.world_from_kit, slot.goals[0])
+    there = goal_motion(truth.world_from_part, truth.world_from_kit, turned)
+    home = goal_motion(truth.world_from_part, truth.world_from_kit, slot.goals[0])
     predicted = Pose(there.wxyz, there.xyz + home.apply(truth.anchor) - there.apply(truth.anchor))
     found = pose_errors(predicted[None], target_of(truth))
     assert found.goal[0] == 1
@@ -237,7 +237,7 @@ def test_golden_values() -> None:
         "position": [0.003999981, 0.003999981, 0.004869826, 0.004387856],
         "rotation": [0.1999849, 0.1999849, 0.1933784, 0.1687036],
         "mssd": [0.0073651, 0.00915996, 0.006819885, 0.008454633],
-        "turn": [0, 0, -0.9119003, 1.929566],
+        "angle": [0, 0, -0.9119003, 1.929566],
     }
     for name, values in golden.items():
         assert getattr(found, name) == pytest.approx(values, rel=1e-5, abs=1e-9), name
@@ -248,13 +248,13 @@ def test_the_judging_goals_are_those_the_errors_are_read_against() -> None:
     targets = target_of(*truths)
     predicted = missed(targets.goals_drawn, np.full((3, 3), 2e-3), np.full((3, 3), 0.1), targets.anchors)
     found = pose_errors(predicted, targets)
-    home = judging_goals(targets, found)
+    home = nearest_goal_motions(targets, found)
     assert np.array_equal(quaternion_angle(predicted.wxyz, home.wxyz), found.rotation)
     again = pose_errors(home, targets)
     assert max(again.mssd.max(), again.position.max(), again.rotation.max()) <= EXACT
     for i, truth in enumerate(truths):
-        goal = turned_goal(truth.slot, int(found.goal[i]), float(found.turn[i]))
-        wanted = motion(truth.world_from_part, truth.world_from_kit, goal)
+        goal = goal_pose(truth.slot, int(found.goal[i]), float(found.angle[i]))
+        wanted = goal_motion(truth.world_from_part, truth.world_from_kit, goal)
         assert np.allclose(home[i].matrix(), wanted.matrix(), atol=1e-12)
 
 

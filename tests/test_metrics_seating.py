@@ -28,7 +28,7 @@ from kit1000.kits.seating import (
 from kit1000.mesh import Mesh, defect, mesh_of, solid_of
 from kit1000.metrics import Seatings, seatings
 from kit1000.metrics.exact_seating import Sweep, Window, passes
-from kit1000.motions import motion
+from kit1000.motions import goal_motion
 from kit1000.pose import Pose, random_quaternions
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Truth
 from tests.sample_kits import QUICK, sample_kit, sample_part
@@ -91,7 +91,7 @@ def truth_of(assembly_id: str, mount: int = 0, seed: int = 0) -> Truth:
         Pose(random_quaternions(rng, 1)[0], rng.uniform(-0.4, 0.4, 3)) for _ in range(2)
     )
     world_from_kit = world_from_assembly @ held.assembly_from_kit
-    home = motion(world_from_part, world_from_kit, slot.goals[0])
+    home = goal_motion(world_from_part, world_from_kit, slot.goals[0])
     return Truth(
         *(f"{assembly_id}-q", assembly_id, slot.part_id, "family", "upright", 2, 0.9),
         *(world_from_part.xyz, world_from_part, world_from_kit, slot, home),
@@ -100,7 +100,7 @@ def truth_of(assembly_id: str, mount: int = 0, seed: int = 0) -> Truth:
 
 def moved(truth: Truth, kit_from_part: Pose) -> Pose:
     """goal_from_now that takes the part to a pose in its kit's frame."""
-    return motion(truth.world_from_part, truth.world_from_kit, kit_from_part)
+    return goal_motion(truth.world_from_part, truth.world_from_kit, kit_from_part)
 
 
 def said_of(*tries: tuple[Truth, Pose], judge: str = "near", workers: int = 1) -> Seatings:

@@ -11,9 +11,9 @@ import pytest
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.motions import motion
+from kit1000.motions import goal_motion
 from kit1000.pose import Pose
-from kit1000.predictor import Answer, Predictor, predicted
+from kit1000.predictor import PredictedMotion, Predictor, to_prediction
 from kit1000.testing import check_predictor, moved_query, moved_truth
 from kit1000.testing.predictors import ELSEWHERE
 from kit1000.values import Query, Truth
@@ -34,14 +34,14 @@ def guessed(query: Query) -> Pose:
     return query.guess
 
 
-def steady(query: Query, truth: Truth | None) -> Answer:
+def steady(query: Query, truth: Truth | None) -> PredictedMotion:
     """A method without a fault: what it sees of the part decides, and the guess."""
-    return Answer(guessed(query), float(query.part_mask.mean()))
+    return PredictedMotion(guessed(query), float(query.part_mask.mean()))
 
 
-def knowing(query: Query, truth: Truth | None) -> Answer:
+def knowing(query: Query, truth: Truth | None) -> PredictedMotion:
     assert truth is not None
-    return Answer(motion(truth.world_from_part, truth.world_from_kit, truth.slot.kit_from_part), 1.0)
+    return PredictedMotion(goal_motion(truth.world_from_part, truth.world_from_kit, truth.slot.kit_from_part), 1.0)
 
 
 def test_a_method_without_a_fault_passes(asked: Asked) -> None:
@@ -56,19 +56,19 @@ def remembering() -> Predictor:
     """Answers by how often it was asked."""
     calls: list[str] = []
 
-    def answer(query: Query, truth: Truth | None) -> Answer:
+    def answer(query: Query, truth: Truth | None) -> PredictedMotion:
         calls.append(query.id)
-        return Answer(Pose.from_translation((0.0, 0.0, 1e-3 * len(calls))) @ guessed(query), 1.0)
+        return PredictedMotion(Pose.from_translation((0.0, 0.0, 1e-3 * len(calls))) @ guessed(query), 1.0)
 
     return answer
 
 
-def writing(query: Query, truth: Truth | None) -> Answer:
+def writing(query: Query, truth: Truth | None) -> PredictedMotion:
     query.view.depth[0, 0] = 1.0
     return steady(query, truth)
 
 
-def forcing(query: Query, truth: Truth | None) -> Answer:
+def forcing(query: Query, truth: Truth | None) -> PredictedMotion:
     """Shifts the pivot of a frozen query."""
     object.__setattr__(query, "pivot", query.pivot + 1e-3)
     return steady(query, truth)
@@ -78,16 +78,25 @@ BROKEN: dict[str, tuple[Callable[[Query, Truth | None], Any], str]] = {
     "remembers": (remembering(), "asked again, in another order, gets another answer: .* mm"),
     "writes": (writing, "writes into query .* read-only"),
     "forces": (forcing, "changes pivot of query"),
-    "a number": (lambda query, truth: 1.0, r"expected an Answer\(goal_from_now: Pose, confidence: float\), got float"),
-    "a tuple": (lambda query, truth: (1.0, guessed(query)), r"expected an Answer.*, got \(float, Pose\)"),
-    "nothing": (lambda query, truth: None, "expected an Answer.*, got NoneType"),
-    "a batch": (lambda query, truth: Answer(Pose.identity((2,)), 1.0), r"one motion, got a batch of shape \(2,\)"),
-    "percent": (lambda query, truth: Answer(guessed(query), 50.0), "expected 0 to 1, got 50"),
-    "NaN": (lambda query, truth: Answer(guessed(query), float("nan")), "expected 0 to 1, got nan"),
+    "a number": (
+        lambda query, truth: 1.0,
+        r"expected a PredictedMotion\(goal_from_now: Pose, confidence: float\), got float",
+    ),
+    "a tuple": (lambda query, truth: (1.0, guessed(query)), r"expected a PredictedMotion.*, got \(float, Pose\)"),
+    "nothing": (lambda query, truth: None, "expected a PredictedMotion.*, got NoneType"),
+    "a batch": (
+        lambda query, truth: PredictedMotion(Pose.identity((2,)), 1.0),
+        r"one motion, got a batch of shape \(2,\)",
+    ),
+    "percent": (lambda query, truth: PredictedMotion(guessed(query), 50.0), "expected 0 to 1, got 50"),
+    "NaN": (lambda query, truth: PredictedMotion(guessed(query), float("nan")), "expected 0 to 1, got nan"),
     "words": (lambda query, truth: (guessed(query), "high"), "expected a number, got str"),
-    "fixed": (lambda query, truth: Answer(HALF_TURN, 1.0), "did not move along: .* degrees off: it is not in world"),
+    "fixed": (
+        lambda query, truth: PredictedMotion(HALF_TURN, 1.0),
+        "did not move along: .* degrees off: it is not in world",
+    ),
     "camera": (
-        lambda query, truth: Answer(query.view.world_from_camera.inverse() @ guessed(query), 1.0),
+        lambda query, truth: PredictedMotion(query.view.world_from_camera.inverse() @ guessed(query), 1.0),
         "did not move along",
     ),
 }
@@ -101,7 +110,7 @@ def test_each_broken_method_is_told_what_is_wrong(fault: str, asked: Asked) -> N
 
 
 def test_a_method_with_axes_of_its_own_may_stay_where_it_is(asked: Asked) -> None:
-    check_predictor(lambda query, truth: Answer(HALF_TURN, 1.0), [query for query, _ in asked], moves=False)
+    check_predictor(lambda query, truth: PredictedMotion(HALF_TURN, 1.0), [query for query, _ in asked], moves=False)
 
 
 def test_a_check_on_nothing_is_no_check() -> None:
@@ -125,8 +134,8 @@ def test_a_moved_query_shows_the_same_parts_elsewhere(asked: Asked) -> None:
 
 def test_an_answer_becomes_a_prediction(asked: Asked) -> None:
     query, _ = asked[0]
-    prediction = predicted(query, Answer(guessed(query), np.float32(0.25)), 1.5)  # pyright: ignore[reportArgumentType]
+    prediction = to_prediction(query, PredictedMotion(guessed(query), np.float32(0.25)), 1.5)  # pyright: ignore[reportArgumentType]
     assert (prediction.query_id, prediction.confidence, prediction.seconds) == (query.id, 0.25, 1.5)
     assert prediction.goal_from_now is query.guess
-    with pytest.raises(InputError, match=rf"^{query.id}: expected an Answer"):
-        predicted(query, (guessed(query),), 0.0)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InputError, match=rf"^{query.id}: expected a PredictedMotion"):
+        to_prediction(query, (guessed(query),), 0.0)  # pyright: ignore[reportArgumentType]

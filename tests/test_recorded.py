@@ -9,7 +9,7 @@ import pytest
 from mini import MINI
 
 from kit1000.dataset.geometry import Geometry
-from kit1000.dataset.reader import Dataset, Recorded
+from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.dataset.tables import pose_row
 from kit1000.errors import InputError
 from kit1000.sim.cameras import CAMERA, camera_set
@@ -18,8 +18,8 @@ from kit1000.values import ASSEMBLY_LABEL, View
 
 
 @pytest.fixture(scope="module")
-def recorded(mini: Path) -> Recorded:
-    return Dataset(mini).recorded("test-s0000")
+def recorded(mini: Path) -> RecordedScene:
+    return Dataset(mini).recorded_scene("test-s0000")
 
 
 def assert_same(found: View, wanted: View) -> None:
@@ -33,7 +33,7 @@ def assert_same(found: View, wanted: View) -> None:
 def test_a_scene_of_any_split_is_found_by_its_id(mini: Path) -> None:
     dataset = Dataset(mini)
     for scene_id in ("train-s0000", "train-s0001", "val-s0000", "test-s0000"):
-        found = dataset.recorded(scene_id)
+        found = dataset.recorded_scene(scene_id)
         split = dataset.split("test-all" if scene_id.startswith("test") else scene_id.partition("-")[0])
         assert [query.id for query in found.queries] == [query.id for query in split.scene(scene_id).queries]
         assert found.truths.keys() == {query.id for query in found.queries}
@@ -41,31 +41,31 @@ def test_a_scene_of_any_split_is_found_by_its_id(mini: Path) -> None:
 
 def test_a_scene_that_is_not_there_is_answered_with_a_near_one(mini: Path) -> None:
     with pytest.raises(InputError, match=r"no scene 'tets-s0000' among 4; did you mean test-s0000\?$"):
-        Dataset(mini).recorded("tets-s0000")
+        Dataset(mini).recorded_scene("tets-s0000")
     with pytest.raises(InputError, match=r"no scene 'nothing' among 4$"):
-        Dataset(mini).recorded("nothing")
+        Dataset(mini).recorded_scene("nothing")
 
 
 @pytest.mark.parametrize("scene_id", ["train-s0001", "val-s0000", "test-s0000"])
 def test_the_primary_camera_sees_again_what_was_recorded(mini: Path, scene_id: str) -> None:
-    again = Dataset(mini).recorded(scene_id)
+    again = Dataset(mini).recorded_scene(scene_id)
     views = again.render("primary")
     assert list(views) == ["primary"]
     assert_same(views["primary"], again.view("ideal"))
 
 
-def test_the_three_cameras_of_the_test_split_see_again_what_was_recorded(recorded: Recorded) -> None:
+def test_the_three_cameras_of_the_test_split_see_again_what_was_recorded(recorded: RecordedScene) -> None:
     views = recorded.render("three")
     assert list(views) == ["three/0", "three/1", "three/2"]
     for key, view in views.items():
         assert_same(view, recorded.view(f"{key}/ideal"))
 
 
-def test_with_the_seed_of_the_dataset_the_noise_comes_again_too(recorded: Recorded) -> None:
+def test_with_the_seed_of_the_dataset_the_noise_comes_again_too(recorded: RecordedScene) -> None:
     assert_same(recorded.render("three", "d415", MINI.seed)["three/2"], recorded.view("three/2/d415"))
 
 
-def test_a_sensor_differs_from_the_ideal_one_and_follows_its_seed(recorded: Recorded) -> None:
+def test_a_sensor_differs_from_the_ideal_one_and_follows_its_seed(recorded: RecordedScene) -> None:
     one, again, other = (recorded.render("primary", "d415", seed)["primary"] for seed in (3, 3, 4))
     assert_same(one, again)
     ideal = recorded.view("ideal").depth
@@ -77,7 +77,7 @@ def test_a_sensor_differs_from_the_ideal_one_and_follows_its_seed(recorded: Reco
     assert np.mean(one.depth[both] != other.depth[both]) > 0.8
 
 
-def test_the_camera_above_sees_both_halves_of_the_table(recorded: Recorded) -> None:
+def test_the_camera_above_sees_both_halves_of_the_table(recorded: RecordedScene) -> None:
     (key, view), *others = recorded.render("top").items()
     assert (key, others) == ("top", [])
     assert_same(view, View(CAMERA, camera_set("top")["top"][1], view.depth))
@@ -95,7 +95,7 @@ def test_the_camera_above_sees_both_halves_of_the_table(recorded: Recorded) -> N
     assert np.array_equal(grid, np.rint(grid))
 
 
-def test_what_the_top_camera_sees_agrees_with_the_recorded_image(recorded: Recorded) -> None:
+def test_what_the_top_camera_sees_agrees_with_the_recorded_image(recorded: RecordedScene) -> None:
     """Points of the kits that the primary camera saw are where the camera above finds them, or below what it finds."""
     seen, above = recorded.view("ideal"), recorded.render("top")["top"]
     kits = seen.world_from_camera.apply(CAMERA.unproject(seen.depth)[recorded.labels == ASSEMBLY_LABEL])
@@ -107,7 +107,7 @@ def test_what_the_top_camera_sees_agrees_with_the_recorded_image(recorded: Recor
     assert np.mean(found > local[:, 2] + 2e-3) < 0.03
 
 
-def test_what_cannot_be_rendered_is_said(mini: Path, recorded: Recorded) -> None:
+def test_what_cannot_be_rendered_is_said(mini: Path, recorded: RecordedScene) -> None:
     with pytest.raises(InputError, match="camera set 'tpo': expected one of primary, three, top"):
         recorded.render("tpo")
     with pytest.raises(InputError, match=f"no 'd435', expected one of {', '.join(SENSORS)}"):
@@ -117,19 +117,19 @@ def test_what_cannot_be_rendered_is_said(mini: Path, recorded: Recorded) -> None
 
 
 def test_the_truth_of_one_query_is_that_of_all_and_reads_no_mesh(
-    recorded: Recorded, mini: Path, monkeypatch: pytest.MonkeyPatch
+    recorded: RecordedScene, mini: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(Geometry, "_mesh")
-    again = Dataset(mini).recorded("test-s0000")
+    again = Dataset(mini).recorded_scene("test-s0000")
     assert list(again.truths) == [query.id for query in recorded.queries]
     for query_id, truth in again.truths.items():
-        one = Dataset(mini).recorded("test-s0000").truth_of(query_id)
+        one = Dataset(mini).recorded_scene("test-s0000").truth_of(query_id)
         assert (one.query_id, one.part_id, one.visible) == (truth.query_id, truth.part_id, truth.visible)
         assert pose_row(one.goal_drawn) == pose_row(truth.goal_drawn)
         assert np.array_equal(one.anchor, truth.anchor)
 
 
-def test_the_truth_of_what_is_not_asked_or_not_open_is_refused(recorded: Recorded, mini: Path) -> None:
+def test_the_truth_of_what_is_not_asked_or_not_open_is_refused(recorded: RecordedScene, mini: Path) -> None:
     with pytest.raises(InputError, match=r"no query 'test-s0000-p9-snap' in test-s0000 of .*; did you mean test-s0000"):
         recorded.truth_of("test-s0000-p9-snap")
     with pytest.raises(InputError, match="the truth was not opened"):

@@ -31,12 +31,12 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.guesses import ANGLE, OFFSET
 from kit1000.metrics import Targets, pose_errors
-from kit1000.motions import apply_error, motion
+from kit1000.motions import apply_error, goal_motion
 from kit1000.pose import Pose
-from kit1000.predictor import Answer
+from kit1000.predictor import PredictedMotion
 from kit1000.testing import check_predictor, moved_query, moved_truth
 from kit1000.testing.predictors import ELSEWHERE
-from kit1000.values import Look, Query, Truth
+from kit1000.values import LabelledDepth, Query, Truth
 from kit1000.voxels import Grid, Volume, signed_distance
 
 CLEARANCE = 2.5e-3
@@ -137,7 +137,7 @@ class Case:
     """A part somewhere, its kit elsewhere, as exact volumes."""
 
     def __init__(self, known: Seated) -> None:
-        self.goal = motion(WORLD_FROM_PART, WORLD_FROM_KIT, known.kit_from_part)
+        self.goal = goal_motion(WORLD_FROM_PART, WORLD_FROM_KIT, known.kit_from_part)
         self.pivot = WORLD_FROM_PART.xyz + [1e-3, -2e-3, 1.5e-3]  # a pivot is nowhere special in the part
         around = Grid.centred(Pose.from_translation(self.pivot), (84, 84, 84), 1e-3)
         self.part: Volume = signed_distance(around, [(known.part.mesh, WORLD_FROM_PART)], threads=1)
@@ -270,7 +270,7 @@ def missed(data: Dataset, answers: list[Pose], asked: Asked) -> tuple[np.ndarray
     return errors.position * 1e3, np.degrees(errors.rotation)
 
 
-def answered(method: Registration, asked: Asked) -> list[Answer]:
+def answered(method: Registration, asked: Asked) -> list[PredictedMotion]:
     return [method(query, truth if method.uses_true_geometry else None) for query, truth in asked]
 
 
@@ -360,16 +360,20 @@ def test_an_unknown_source_is_refused(data: Dataset) -> None:
 
 def without(query: Query, mask: np.ndarray) -> Query:
     """The query with some pixels of its masks taken away; the image stays."""
-    look = Look(query.view, np.where(mask, 0, query.seen.labels).astype(np.uint8))
-    return replace(query, look=lambda: look)
+    image = LabelledDepth(query.view, np.where(mask, 0, query.image.labels).astype(np.uint8))
+    return replace(query, read_image=lambda: image)
+
+
+def without_depth(query: Query) -> Query:
+    """The query with an image that has no return anywhere."""
+    view = replace(query.view, depth=np.zeros_like(query.view.depth))
+    return replace(query, read_image=lambda: LabelledDepth(view, query.image.labels))
 
 
 UNSEEN: dict[str, Callable[[Query], Query]] = {
     "no part": lambda query: without(query, query.part_mask),
     "no kits": lambda query: without(query, query.kit_region),
-    "no depth": lambda query: replace(
-        query, look=lambda: Look(replace(query.view, depth=np.zeros_like(query.view.depth)), query.seen.labels)
-    ),
+    "no depth": without_depth,
     "a guess far from all": lambda query: replace(query, guess=Pose.from_translation((0.0, 0.0, 3.0))),
 }
 

@@ -19,7 +19,7 @@ from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim.render import render
-from kit1000.values import ASSEMBLY_LABEL, Look, View
+from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 from kit1000.voxels import signed_distance, tsdf
 from kit1000.voxels.grid import TRUNCATION
 
@@ -42,7 +42,9 @@ def seen(*bodies: Mesh, world_from_camera: Pose = EYE, lift: float = 0.0) -> See
     up = Pose.from_translation((0, 0, lift))
     image = render(CAMERA, world_from_camera, [(table, up), *((body, up) for body in bodies)], 1)
     labels = np.where(image.ids > 1, PART, 0).astype(np.uint8)
-    return SeenPart(Look(View(CAMERA, world_from_camera, image.depth), labels), PART, np.array([0, 0, 0.01 + lift]))
+    return SeenPart(
+        LabelledDepth(View(CAMERA, world_from_camera, image.depth), labels), PART, np.array([0, 0, 0.01 + lift])
+    )
 
 
 def overlap(part: SeenPart, *bodies: Mesh) -> float:
@@ -155,7 +157,7 @@ def seen_kits(body: trimesh.Trimesh, world_from_kit: Pose, world_from_camera: Po
     bodies = [(box(2, 2, 0.1, at=(0, 0, -0.2)), Pose.identity()), (Mesh(body.vertices, body.faces), world_from_kit)]
     image = render(CAMERA, world_from_camera, bodies, 1)
     labels = np.where(image.ids == 2, ASSEMBLY_LABEL, 0).astype(np.uint8)
-    return SeenKits(Look(View(CAMERA, world_from_camera, image.depth), labels), IDEAL, "tray")
+    return SeenKits(LabelledDepth(View(CAMERA, world_from_camera, image.depth), labels), IDEAL, "tray")
 
 
 LEANING = Pose.from_rotvec((0.35, 0.2, 0.4), (0.01, -0.02, 0.03))

@@ -13,7 +13,7 @@ from PIL import Image
 
 from kit1000.camera import Camera
 from kit1000.dataset.geometry import Geometry
-from kit1000.dataset.reader import Dataset, Recorded
+from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.generation.withhold import publish
 from kit1000.pictures import dataset_sheets as sheets
@@ -93,7 +93,7 @@ def test_training_scenes_of_an_open_folder_keep_their_truth(opened: Path, monkey
 def test_without_the_d415_its_picture_is_left_out(
     mini: Path, whole_sheet: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(sheets.Recorded, "sensors", ["ideal"])
+    monkeypatch.setattr(sheets.RecordedScene, "sensors", ["ideal"])
     monkeypatch.setattr(sheets, "shaded", drawn_at_once)
     image = pixels(scene_sheet(Dataset(mini), "test-s0000"))
     for i in range(2):  # depth and masks
@@ -102,7 +102,7 @@ def test_without_the_d415_its_picture_is_left_out(
 
 
 def test_the_pictures_are_cut_to_all_that_is_masked(mini: Path, whole_sheet: np.ndarray) -> None:
-    recorded = Dataset(mini).recorded("test-s0000")
+    recorded = Dataset(mini).recorded_scene("test-s0000")
     rows, columns = sheets._window(recorded.labels)
     outside = np.ones(recorded.labels.shape, bool)
     outside[rows, columns] = False
@@ -114,7 +114,7 @@ def test_the_pictures_are_cut_to_all_that_is_masked(mini: Path, whole_sheet: np.
     assert np.array_equal(tile(whole_sheet, 0), np.asarray(cut).astype(int))
 
 
-def labels_of(recorded: Recorded) -> np.ndarray:
+def labels_of(recorded: RecordedScene) -> np.ndarray:
     """The masks as a picture of the sheet has them. (HEIGHT, WIDTH) uint8."""
     masks = Image.fromarray(recorded.labels[sheets._window(recorded.labels)])
     return np.asarray(masks.resize((WIDTH, HEIGHT), Image.Resampling.NEAREST))
@@ -122,7 +122,7 @@ def labels_of(recorded: Recorded) -> np.ndarray:
 
 def test_drawn_pictures_lie_over_the_measured_ones(mini: Path, whole_sheet: np.ndarray) -> None:
     """Where the masks show the kits, the drawing shows no table: outlines agree."""
-    recorded = Dataset(mini).recorded("test-s0000")
+    recorded = Dataset(mini).recorded_scene("test-s0000")
     bodies = labels_of(recorded) > 0
     scene = tile(whole_sheet, 3)
     background = np.abs(scene - scene[2, 2]).sum(axis=-1) < 12
@@ -132,7 +132,7 @@ def test_drawn_pictures_lie_over_the_measured_ones(mini: Path, whole_sheet: np.n
 
 def test_only_what_is_asked_moves_between_the_drawn_pictures(mini: Path, whole_sheet: np.ndarray) -> None:
     lying, seated, guessed = (tile(whole_sheet, i) for i in (3, 4, 5))
-    recorded = Dataset(mini).recorded("test-s0000")
+    recorded = Dataset(mini).recorded_scene("test-s0000")
     asked = [query for query in recorded.queries if query.track == "snap-tilt"]
     assert asked
     part = labels_of(recorded) == FIRST_PART_LABEL + asked[0].part

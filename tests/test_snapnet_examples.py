@@ -31,7 +31,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.guesses import OFFSET
 from kit1000.metrics import Targets, pose_errors
-from kit1000.motions import apply_error, motion
+from kit1000.motions import apply_error, goal_motion
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.rng import stream
 from kit1000.testing import moved_query, moved_truth
@@ -112,7 +112,7 @@ def test_the_offset_is_that_of_the_goal_nearest_in_rotation(data: Dataset, free:
     about = Pose.from_rotvec(angles[:, None] * direction)
     point = np.zeros(3) if line is None else line.point
     turned = Pose(about.wxyz, point - about.rotate(point))[:, None] @ goals
-    every = motion(truth.world_from_part, truth.world_from_kit, turned)
+    every = goal_motion(truth.world_from_part, truth.world_from_kit, turned)
     apart = quaternion_angle(every.wxyz, guess.wxyz)
     turn, goal = np.unravel_index(apart.argmin(), apart.shape)
     assert residual.nearest == goal
@@ -136,7 +136,7 @@ def laid(told: Situation, offset: np.ndarray) -> Situation:
     """The same query, its first goal missed by an offset (3,) [voxels] along the working axes and by no turn."""
     truth, pivot = told.looks.truth, told.looks.query.pivot
     assert truth is not None
-    home = motion(truth.world_from_part, truth.world_from_kit, truth.slot.goals[0])
+    home = goal_motion(truth.world_from_part, truth.world_from_kit, truth.slot.goals[0])
     return situation(told.looks, apply_error(home, pivot, LEVEL.rotate(offset * VOXEL), np.zeros(3)), LEVEL)
 
 
@@ -208,7 +208,7 @@ def test_what_is_cut_out_says_what_the_whole_image_says(data: Dataset, sensor: S
     query, work = told.looks.query, told.world_from_work
     assert query.sensor == sensor
     grid = grid_about(told.guess.inverse() @ work, CELLS, VOXEL)
-    whole = resample(SeenPart(query.seen, FIRST_PART_LABEL + query.part, query.pivot).volume(VOXEL), grid, threads=1)
+    whole = resample(SeenPart(query.image, FIRST_PART_LABEL + query.part, query.pivot).volume(VOXEL), grid, threads=1)
     part = told.looks.part_volume(told.guess, work, CELLS, VOXEL)
     np.testing.assert_allclose(part, whole.filled(1.0), atol=1e-6)
     assert (part < 0).any()
@@ -216,7 +216,7 @@ def test_what_is_cut_out_says_what_the_whole_image_says(data: Dataset, sensor: S
     grid, view, mask = grid_about(work, CELLS, VOXEL), query.view, query.kit_region
     kit = told.looks.kit_volume(work, CELLS, VOXEL)
     assert differing(kit, tsdf(grid, view, mask, threads=1).filled(1)) < 1e-4
-    whole = SeenKits(query.seen, noise_of(sensor), query.scene_id).volume(work.xyz, VOXEL)
+    whole = SeenKits(query.image, noise_of(sensor), query.scene_id).volume(work.xyz, VOXEL)
     columns = told.looks.kit_volume(work, CELLS, VOXEL, columns=True)
     assert differing(columns, resample(whole, grid, threads=1).filled(1)) < 1e-2
     assert (columns < 0).sum() > (kit < 0).sum()
@@ -248,10 +248,10 @@ def test_without_the_memory_the_volumes_are_the_same(data: Dataset) -> None:
 
 def test_an_answer_reads_the_image_of_its_query_once(data: Dataset) -> None:
     query, read = drawn(data, 7, "partial").looks.query, []
-    looks = Looks(replace(query, look=lambda: read.append(1) or query.look()), None, "partial", data)
+    looks = Looks(replace(query, read_image=lambda: read.append(1) or query.read_image()), None, "partial", data)
     looks.part_volume(Pose.identity(), LEVEL, CELLS, VOXEL)
     looks.kit_volume(LEVEL, CELLS, VOXEL)
-    assert (looks.query.seen.labels.any(), len(read)) == (True, 1)
+    assert (looks.query.image.labels.any(), len(read)) == (True, 1)
 
 
 def test_a_part_that_is_not_seen_leaves_a_volume_of_nothing(data: Dataset) -> None:
@@ -269,9 +269,9 @@ def test_without_a_guess_the_pivot_goes_to_the_middle_of_the_kits(data: Dataset)
     points = view.world_from_camera.apply(view.camera.unproject_pixels(np.stack([u, v], -1), view.depth[mask]))
     np.testing.assert_allclose(told.world_from_work.xyz, (points.min(0) + points.max(0)) / 2, atol=1e-9)
     assert told.guess.angle() == 0
-    nothing = replace(query.seen, labels=np.zeros_like(query.seen.labels))
+    nothing = replace(query.image, labels=np.zeros_like(query.image.labels))
     with pytest.raises(InputError, match="nothing of the kits"):
-        Looks(replace(query, look=lambda: nothing), None, "partial", data).start()
+        Looks(replace(query, read_image=lambda: nothing), None, "partial", data).start()
 
 
 # examples
@@ -369,7 +369,7 @@ def test_no_more_is_kept_of_images_than_allowed(data: Dataset, monkeypatch: pyte
 
 def test_cut_images_hold_every_masked_depth(data: Dataset) -> None:
     query = drawn(data).looks.query
-    look = query.look()
+    look = query.read_image()
     seen = cut_out(look, query)
     assert {FIRST_PART_LABEL + part for part in seen.parts} == set(np.unique(look.labels).tolist()) - {
         0,

@@ -20,7 +20,7 @@ from kit1000.values import (
     Body,
     FreeAxis,
     Kit,
-    Look,
+    LabelledDepth,
     Part,
     Prediction,
     Query,
@@ -54,13 +54,13 @@ def view(**changes: Any) -> View:
     return View(**{"camera": CAMERA, "world_from_camera": POSE, "depth": np.ones((6, 8), np.float32), **changes})
 
 
-def look(**changes: Any) -> Look:
-    return Look(**{"view": view(), "labels": np.zeros((6, 8), np.uint8), **changes})
+def look(**changes: Any) -> LabelledDepth:
+    return LabelledDepth(**{"view": view(), "labels": np.zeros((6, 8), np.uint8), **changes})
 
 
 def query(**changes: Any) -> Query:
     return Query(**{"id": "q", "scene_id": "s", "track": "snap", "sensor": "ideal", "part": 1, "drawn": True,
-                    "pivot": np.zeros(3), "guess": POSE, "look": look, **changes})  # fmt: skip
+                    "pivot": np.zeros(3), "guess": POSE, "read_image": look, **changes})  # fmt: skip
 
 
 def prediction(**changes: Any) -> Prediction:
@@ -152,15 +152,15 @@ def test_a_query_reads_its_images_once_and_only_when_looked_at() -> None:
     labels = np.zeros((6, 8), np.uint8)
     labels[1:3], labels[4, 2:5] = ASSEMBLY_LABEL, FIRST_PART_LABEL + 1
 
-    def read() -> Look:
+    def read() -> LabelledDepth:
         looks.append(look(labels=labels))
         return looks[-1]
 
-    asked = query(part=1, look=read)
+    asked = query(part=1, read_image=read)
     assert not looks
     assert asked.view is asked.view is looks[0].view
     assert np.argwhere(asked.part_mask).tolist() == [[4, 2], [4, 3], [4, 4]]
     assert asked.kit_region.sum() == 16
     assert asked.kit_region[1:3].all()
-    assert not query(part=0, look=read).part_mask.any()
+    assert not query(part=0, read_image=read).part_mask.any()
     assert len(looks) == 2

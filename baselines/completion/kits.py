@@ -12,7 +12,7 @@ from baselines.completion.pixels import Noise, oriented_points, spread_points, w
 from baselines.completion.planes import Plane, find_planes, frame_on
 from kit1000.pose import Pose
 from kit1000.rng import stream
-from kit1000.values import ASSEMBLY_LABEL, Look, View
+from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 from kit1000.voxels import Volume
 
 REACH = 0.045  # [m] from the middle of a volume to every side: a part of 50 mm reaches no farther
@@ -24,7 +24,7 @@ UPRIGHT = Plane(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0)
 class SeenKits:
     """The kits in an image that may be a window of a larger one."""
 
-    look: Look
+    look: LabelledDepth
     noise: Noise
     name: str
     """Of the image: what is drawn at random about it is drawn from its own stream."""
@@ -64,7 +64,7 @@ class SeenKits:
         mask = near.labels == ASSEMBLY_LABEL
         return extruded(near.view, mask, spread_points(near.view, mask), along, (REACH, HIGH), -HIGH, voxel)
 
-    def _about(self, middle: np.ndarray) -> Look:
+    def _about(self, middle: np.ndarray) -> LabelledDepth:
         """The part of the image that shows what is REACH about a place, and the corners of that."""
         camera, (height, width) = self.view.camera, self.view.depth.shape
         place = self.view.world_from_camera.inverse().apply(middle)

@@ -10,7 +10,7 @@ import numpy as np
 from baselines.completion.columns import extruded
 from baselines.completion.pixels import spread_points
 from kit1000.pose import Pose
-from kit1000.values import Look
+from kit1000.values import LabelledDepth
 from kit1000.voxels import Volume
 
 REACH = 0.042  # [m] from the middle of a part of 50 mm, however it lies
@@ -22,7 +22,7 @@ FLYING = 0.02  # share of the points of a part that may float far from it
 class SeenPart:
     """A part in an image that may be a window of a larger one, AROUND wider than the part on every side."""
 
-    look: Look
+    look: LabelledDepth
     label: int
     """Of the part, in the masks."""
     pivot: np.ndarray

@@ -9,7 +9,7 @@ from scipy.ndimage import uniform_filter
 
 from kit1000.camera import Camera
 from kit1000.compiled import compiled
-from kit1000.values import Look, View
+from kit1000.values import LabelledDepth, View
 
 SPREAD = 4  # places across a pixel: closer than columns, also on what is seen aslant
 STRIDE = 2  # every second pixel of rows and columns has a normal
@@ -35,12 +35,12 @@ def noise_of(sensor: str) -> Noise:
     return IDEAL if sensor == "ideal" else SENSOR
 
 
-def window(look: Look, box: tuple[slice, slice]) -> Look:
+def window(look: LabelledDepth, box: tuple[slice, slice]) -> LabelledDepth:
     """An image of its own: some rows and columns of another."""
     camera, depth = look.view.camera, look.view.depth[box]
     left, top = box[1].start, box[0].start
     shifted = Camera(depth.shape[1], depth.shape[0], camera.fx, camera.fy, camera.cx - left, camera.cy - top)
-    return Look(View(shifted, look.view.world_from_camera, depth), look.labels[box])
+    return LabelledDepth(View(shifted, look.view.world_from_camera, depth), look.labels[box])
 
 
 def spread_points(view: View, mask: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.guesses import ANGLE, OFFSET
 from kit1000.pose import Pose
-from kit1000.predictor import Answer
+from kit1000.predictor import PredictedMotion
 from kit1000.rng import stream
 from kit1000.values import Query, Truth
 from kit1000.voxels import Volume, surface_points
@@ -67,15 +67,15 @@ class Registration:
         """Whether it needs the truth."""
         return self.source == "truth"
 
-    def __call__(self, query: Query, truth: Truth | None = None) -> Answer:
+    def __call__(self, query: Query, truth: Truth | None = None) -> PredictedMotion:
         """The best fit; where nothing fits, the guess or no motion, without confidence."""
         source = self._source(query, truth)
         tried = self.clearances or (self.dataset.summary["config"]["clearance"],)
         fits = sorted(chain.from_iterable(register(source, query, c) for c in tried), key=lambda fit: fit.misfit)
         if not fits:
-            return Answer(Pose.identity() if query.guess is None else query.guess, 0.0)
+            return PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
         kind = "truth" if self.uses_true_geometry else query.sensor
-        return Answer(fits[0].goal_from_now, confidence(fits[0].misfit, kind))
+        return PredictedMotion(fits[0].goal_from_now, confidence(fits[0].misfit, kind))
 
     def _source(self, query: Query, truth: Truth | None) -> Source:
         if self.source == "depth":

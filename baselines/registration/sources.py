@@ -15,7 +15,7 @@ from baselines.completion.pixels import IDEAL, SENSOR, Noise, noise_of, oriented
 from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
-from kit1000.values import FIRST_PART_LABEL, Look, Query, View
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, View
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points, tsdf
 
 VOXEL = 1e-3  # [m] of the part's volume
@@ -145,7 +145,7 @@ class DepthSource:
 
     @cached_property
     def _part(self) -> SeenPart:
-        look = Look(self.view, self.query.seen.labels)
+        look = LabelledDepth(self.view, self.query.image.labels)
         return SeenPart(look, FIRST_PART_LABEL + self.query.part, self.query.pivot)
 
 

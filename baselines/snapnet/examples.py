@@ -20,7 +20,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, near
 from kit1000.guesses import draw_ball, draw_goal, draw_tilt
 from kit1000.kits.goals import nearest_turn
-from kit1000.motions import apply_error, motion, turned_goal
+from kit1000.motions import apply_error, goal_motion, goal_pose
 from kit1000.pose import Pose, unit_vector
 from kit1000.rng import stream
 from kit1000.tracks import TRACKS
@@ -114,9 +114,9 @@ class Situations:
         if self.guesses == "place":
             shift = yaw.rotate(rng.uniform(-START_JITTER, START_JITTER, 3))
             return situation(looks, Pose.from_translation(shift) @ looks.start(), yaw)
-        goal = turned_goal(truth.slot, *draw_goal(rng, truth.slot))
+        goal = goal_pose(truth.slot, *draw_goal(rng, truth.slot))
         offset, rotvec = ERRORS[self.guesses](rng)
-        home = motion(truth.world_from_part, truth.world_from_kit, goal)
+        home = goal_motion(truth.world_from_part, truth.world_from_kit, goal)
         return situation(looks, apply_error(home, query.pivot, yaw.rotate(offset), yaw.rotate(rotvec)), yaw)
 
     def keys(self, count: int) -> list[str]:
@@ -144,9 +144,9 @@ class Situations:
     def _read(self, scene_id: str) -> tuple[tuple[Query, Truth], ...]:
         """The queries of the track about a scene; they share its images, and hold on to none."""
         recorded = self._split.scene(scene_id)
-        look = partial(self.dataset.look, recorded.shard, scene_id, self.sensor)
+        look = partial(self.dataset.labelled_depth, recorded.shard, scene_id, self.sensor)
         asked = (query for query in recorded.queries if query.track == self.track)
-        return tuple((replace(query, look=look), recorded.truth_of(query.id)) for query in asked)
+        return tuple((replace(query, read_image=look), recorded.truth_of(query.id)) for query in asked)
 
 
 class PositionExamples:
@@ -243,7 +243,7 @@ def residual_of(truth: Truth, pivot: np.ndarray, guess: Pose, world_from_work: P
         guess: goal_from_now.
         world_from_work: the working axes; where they begin is not read.
     """
-    goals = motion(truth.world_from_part, truth.world_from_kit, truth.slot.goals)
+    goals = goal_motion(truth.world_from_part, truth.world_from_kit, truth.slot.goals)
     free, axis = truth.slot.free_axis, None
     if free is not None:
         direction = unit_vector(truth.world_from_kit.rotate(free.direction))

@@ -20,7 +20,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.motions import apply_error
 from kit1000.pose import Pose
-from kit1000.predictor import Answer
+from kit1000.predictor import PredictedMotion
 from kit1000.rng import stream
 from kit1000.values import Query, Truth
 
@@ -63,15 +63,15 @@ class SnapNet:
         return self.kind == "truth"
 
     @torch.inference_mode()
-    def __call__(self, query: Query, truth: Truth | None = None) -> Answer:
+    def __call__(self, query: Query, truth: Truth | None = None) -> PredictedMotion:
         """The guess once it is corrected as often as asked; the answer of a query is its own."""
         looks = Looks(query, truth, self.kind, self.dataset)
-        answer = Answer(looks.start(), 0.0)
+        answer = PredictedMotion(looks.start(), 0.0)
         for _ in range(self.passes):
             answer = self._corrected(looks, answer.goal_from_now)
         return answer
 
-    def _corrected(self, looks: Looks, guess: Pose) -> Answer:
+    def _corrected(self, looks: Looks, guess: Pose) -> PredictedMotion:
         """A guess, moved by the best offset and turned by the best candidate."""
         query = looks.query
         work = Pose.from_translation(guess.apply(query.pivot))
@@ -79,7 +79,7 @@ class SnapNet:
         place = work @ Pose.from_translation(offset)
         rng = stream(0, "snapnet", query.id)
         turn, surer = self._turn(looks, guess, place, TURNS.get(query.track, "ball"), rng)
-        return Answer(apply_error(guess, query.pivot, offset, turn), sure * surer)
+        return PredictedMotion(apply_error(guess, query.pivot, offset, turn), sure * surer)
 
     def _offset(self, looks: Looks, guess: Pose, work: Pose) -> tuple[np.ndarray, float]:
         """(3,) [m] along the axes of the world, and the probability of the cells around."""

@@ -25,7 +25,7 @@ from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pivots import middle_of
 from kit1000.pose import Pose
-from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Look, Query, Truth
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, Truth
 from kit1000.voxels import Grid, Volume, crop, resample, signed_distance, tsdf
 
 MESHES = 2048  # parts, and as many assemblies, kept in memory: 0.2 MB each, all of a training split
@@ -48,7 +48,7 @@ class Seen(NamedTuple):
     """What an image shows, cut out of it; nothing of what it does not show."""
 
     kits: SeenKits | None
-    parts: dict[int, Look]
+    parts: dict[int, LabelledDepth]
     """By the number of the part: the box of its mask, and AROUND it."""
 
 
@@ -58,7 +58,7 @@ class Kept:
     May be pickled and forked; when pickled, what is kept stays behind.
     """
 
-    def __init__(self, dataset: Dataset, look: Callable[[Query], Look] = methodcaller("look")) -> None:
+    def __init__(self, dataset: Dataset, look: Callable[[Query], LabelledDepth] = methodcaller("read_image")) -> None:
         """Nothing is read yet. look: how the image of a query is read; what is pickled reads it anew."""
         self.dataset = dataset
         self.part: Callable[[str], Mesh] = lru_cache(MESHES)(self._part)
@@ -207,7 +207,7 @@ class Looks:
 
     @cached_property
     def _store(self) -> Kept:
-        return self.kept or Kept(self.dataset, attrgetter("seen"))
+        return self.kept or Kept(self.dataset, attrgetter("image"))
 
 
 def grid_about(world_from_middle: Pose, cells: Cells, voxel: float) -> Grid:
@@ -225,7 +225,7 @@ def _remembered(store: dict[Key, Value], key: Key, most: int, make: Callable[[],
     return store[key]
 
 
-def cut_out(look: Look, query: Query) -> Seen:
+def cut_out(look: LabelledDepth, query: Query) -> Seen:
     """The windows of the image of a query that volumes are made of."""
     kits, parts = None, {}
     for label, box in enumerate(find_objects(look.labels), start=1):
@@ -236,7 +236,7 @@ def cut_out(look: Look, query: Query) -> Seen:
     return Seen(kits, parts)
 
 
-def _grown(box: tuple[slice, slice], look: Look, label: int) -> tuple[slice, slice]:
+def _grown(box: tuple[slice, slice], look: LabelledDepth, label: int) -> tuple[slice, slice]:
     """A box of pixels, and so many more as AROUND asks for at the depth of what is seen there."""
     depth = look.view.depth[box][(look.labels[box] == label) & (look.view.depth[box] > 0)]
     more = ceil(AROUND * look.view.camera.fx / depth.min()) if len(depth) else 0
@@ -244,7 +244,7 @@ def _grown(box: tuple[slice, slice], look: Look, label: int) -> tuple[slice, sli
     return rows, columns
 
 
-def _filled_part(look: Look, query: Query, voxel: float) -> Volume:
+def _filled_part(look: LabelledDepth, query: Query, voxel: float) -> Volume:
     """What is seen of a part and what hides behind, no more of the volume than is not free."""
     volume = SeenPart(look, FIRST_PART_LABEL + query.part, query.pivot).volume(voxel)
     held = find_objects((volume.values < 1).astype(np.uint8))

@@ -14,16 +14,16 @@ from benchmark.measure import answers_to, centred
 from benchmark.pages.entries import Entry
 from benchmark.truths import Questions
 from kit1000.camera import Camera
-from kit1000.dataset.reader import Dataset, Recorded
+from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
-from kit1000.metrics import judging_goals, pose_errors
+from kit1000.metrics import nearest_goal_motions, pose_errors
 from kit1000.pictures.depth_images import depth_picture, mask_picture
 from kit1000.pictures.shading import INK
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.submission import read_submission
-from kit1000.values import FIRST_PART_LABEL, Look, Query, Truth, View
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, Truth, View
 
 SIZE = (400, 300)  # [px]
 FINE = 2  # drawn this many times larger, and then made smaller: smooth edges
@@ -39,7 +39,7 @@ QUALITIES = (85, 75, 65, 50, 35)  # of JPEG, the first that is small enough
 class Drawn(NamedTuple):
     """A query with what a picture of it shows."""
 
-    recorded: Recorded
+    recorded: RecordedScene
     query: Query
     truth: Truth
     predicted: Pose
@@ -64,14 +64,14 @@ def pictures(dataset: Dataset, entry: Entry, query_ids: Sequence[str]) -> dict[s
 
 def case_picture(drawn: Drawn) -> Image.Image:
     """The sensor's depth around the slot; orange the part as predicted, outlined in white the goal."""
-    look, (mesh, world_from_part) = drawn.recorded.look(drawn.query.sensor), _part(drawn)
+    look, (mesh, world_from_part) = drawn.recorded.labelled_depth(drawn.query.sensor), _part(drawn)
     poses = [motion @ world_from_part for motion in (drawn.predicted, drawn.goal)]
     window = _window(look.view, drawn.truth, mesh, poses)
     view = _cut(look.view, window)
     camera, picture, depth = _enlarged(view)
     predicted, goal = (render(camera, view.world_from_camera, [(mesh, pose)]).depth for pose in poses)
     labels = np.where(predicted > 0, FIRST_PART_LABEL, 0).astype(np.uint8)
-    part = mask_picture(Look(View(camera, view.world_from_camera, predicted), labels))
+    part = mask_picture(LabelledDepth(View(camera, view.world_from_camera, predicted), labels))
     opaque = np.where((depth > 0) & (predicted > depth), BEHIND, IN_FRONT) * (predicted > 0)
     picture = picture * (1 - opaque[..., None]) + part * opaque[..., None]
     picture[_edge(goal > 0, HALO, OUTLINE + HALO)] = INK
@@ -99,9 +99,9 @@ def _edge(mask: np.ndarray, outside: int, inside: int) -> np.ndarray:
 
 def _answered(dataset: Dataset, entry: Entry, query_ids: Sequence[str]) -> list[Drawn]:
     """The queries with their truth, the answer and the goal that judges it."""
-    asked: list[tuple[Recorded, Query, Truth]] = []
+    asked: list[tuple[RecordedScene, Query, Truth]] = []
     for query_id in query_ids:
-        recorded = dataset.recorded(query_id.partition("-p")[0])
+        recorded = dataset.recorded_scene(query_id.partition("-p")[0])
         query = next((query for query in recorded.queries if query.id == query_id), None)
         if query is None:
             raise InputError(f"{entry.folder}: scores.json lists {query_id}, which is no query of {dataset.root}")
@@ -114,7 +114,7 @@ def _answered(dataset: Dataset, entry: Entry, query_ids: Sequence[str]) -> list[
     motions = answers_to(questions, read_submission(entry.folder).predictions).motions
     if entry.manifest.predicts == "rotation":
         motions = centred(motions, questions.targets)
-    goals = judging_goals(questions.targets, pose_errors(motions, questions.targets))
+    goals = nearest_goal_motions(questions.targets, pose_errors(motions, questions.targets))
     return [Drawn(*row, motions[i], goals[i]) for i, row in enumerate(asked)]
 
 

@@ -26,10 +26,10 @@ from kit1000.sim.layout import table
 from kit1000.sim.render import render
 from kit1000.sim.sensors import sense
 from kit1000.tracks import CURVES, TRACKS, has_curves
-from kit1000.values import Body, Look, Query, Scene, Truth, View
+from kit1000.values import Body, LabelledDepth, Query, Scene, Truth, View
 
 OPEN_FILES = 128  # kept open at once: all shards of the largest split, with their truth
-LOOKS = 4  # depth images kept in memory with their masks: the queries of a scene share theirs
+IMAGES_KEPT = 4  # depth images kept in memory with their masks: the queries of a scene share theirs
 
 
 def _every(row: Row) -> bool:
@@ -62,7 +62,7 @@ class Dataset:
         self.root = Path(root)
         self.geometry = Geometry(root)
         self._files = lru_cache(OPEN_FILES)(self._open)
-        self._looks = lru_cache(LOOKS)(self._look)
+        self._looks = lru_cache(IMAGES_KEPT)(self._read_labelled_depth)
 
     def __reduce__(self) -> tuple[type[Dataset], tuple[Path]]:
         return Dataset, (self.root,)
@@ -86,7 +86,7 @@ class Dataset:
             raise InputError(f"no split {name!r}; {near(name, WANTED)}there are {', '.join(WANTED)}")
         return Split(self, name, truth)
 
-    def recorded(self, scene_id: str) -> Recorded:
+    def recorded_scene(self, scene_id: str) -> RecordedScene:
         """A scene of any split with everything asked about it, and with the truth where this folder has it."""
         folder = scene_id.partition("-")[0]
         shard = self.shards(folder).get(scene_id)
@@ -112,16 +112,16 @@ class Dataset:
         """The truth about the scenes of a shard."""
         return self._files(TruthFile, f"{shard}.truth.mcap")
 
-    def look(self, shard: str, scene_id: str, sensor: str) -> Look:
+    def labelled_depth(self, shard: str, scene_id: str, sensor: str) -> LabelledDepth:
         """A depth image of the primary camera with its masks; the last few are remembered."""
         return self._looks(shard, scene_id, sensor)
 
-    def _look(self, shard: str, scene_id: str, sensor: str) -> Look:
+    def _read_labelled_depth(self, shard: str, scene_id: str, sensor: str) -> LabelledDepth:
         file = self.observation_file(shard)
         labels = file.labels(scene_id)
         if labels is None:
             raise InputError(f"{file.path}: scene {scene_id} has no masks")
-        return Look(file.view(scene_id, sensor), labels)
+        return LabelledDepth(file.view(scene_id, sensor), labels)
 
     def _open(self, kind: Callable[[Path], Any], name: str) -> Any:
         if not (self.root / name).is_file():
@@ -159,15 +159,15 @@ class Split:
     def __len__(self) -> int:
         return len(self.shards)
 
-    def __iter__(self) -> Iterator[Recorded]:
+    def __iter__(self) -> Iterator[RecordedScene]:
         return map(self.scene, self.shards)
 
-    def scene(self, scene_id: str) -> Recorded:
+    def scene(self, scene_id: str) -> RecordedScene:
         """A scene by its id."""
         if scene_id not in self.shards:
             hint = near(scene_id, self.shards)
             raise InputError(f"no scene {scene_id!r} among the {len(self)} of split {self.name}; {hint}see .scene_ids")
-        return Recorded(self, scene_id)
+        return RecordedScene(self, scene_id)
 
     def queries(self, track: str | None = None) -> Iterator[Query]:
         """All queries, or those of a track: scene after scene, always in the same order."""
@@ -177,7 +177,7 @@ class Split:
         return (query for scene in self for query in scene.queries if track in (None, query.track))
 
 
-class Recorded:
+class RecordedScene:
     """A recorded scene: what was seen, what is asked, and the truth if the split was opened with it."""
 
     def __init__(self, split: Split, scene_id: str) -> None:
@@ -185,8 +185,8 @@ class Recorded:
         self.id = scene_id
         self.shard = split.shards[scene_id]
 
-    def __reduce__(self) -> tuple[type[Recorded], tuple[Split, str]]:
-        return Recorded, (self.split, self.id)
+    def __reduce__(self) -> tuple[type[RecordedScene], tuple[Split, str]]:
+        return RecordedScene, (self.split, self.id)
 
     @cached_property
     def queries(self) -> tuple[Query, ...]:
@@ -196,7 +196,7 @@ class Recorded:
     def view(self, key: str = "ideal") -> View:
         """A depth image: ideal or d415 of the primary camera, three/0/ideal ... of a further set."""
         if "/" not in key:
-            return self.look(key).view
+            return self.labelled_depth(key).view
         return self._dataset.observation_file(self.shard, key.partition("/")[0]).view(self.id, key)
 
     @property
@@ -206,12 +206,12 @@ class Recorded:
 
     @property
     def labels(self) -> np.ndarray:
-        """(H, W) uint8 masks of the primary camera, as `kit1000.values.Look` has them."""
-        return self.look().labels
+        """(H, W) uint8 masks of the primary camera, as `kit1000.values.LabelledDepth` has them."""
+        return self.labelled_depth().labels
 
-    def look(self, sensor: str = "ideal") -> Look:
+    def labelled_depth(self, sensor: str = "ideal") -> LabelledDepth:
         """The depth image of a sensor with its masks."""
-        return self._dataset.look(self.shard, self.id, sensor)
+        return self._dataset.labelled_depth(self.shard, self.id, sensor)
 
     @cached_property
     def truth(self) -> SceneTruth:
@@ -271,7 +271,7 @@ class Recorded:
             drawn=row["drawn"],
             pivot=np.array(row["pivot"]),
             guess=row["guess"] and pose_of(row["guess"]),
-            look=partial(self.look, row["sensor"]),
+            read_image=partial(self.labelled_depth, row["sensor"]),
         )
 
     @property

@@ -26,7 +26,7 @@ class Observation:
     views: Mapping[str, View]
     """By key: "ideal" and "d415" of the primary camera, "three/0/ideal" ... of a further set."""
     labels: np.ndarray | None = None
-    """(H, W) uint8 masks of the primary camera, see `kit1000.values.Look`."""
+    """(H, W) uint8 masks of the primary camera, see `kit1000.values.LabelledDepth`."""
     queries: tuple[Row, ...] = ()
     """Rows {"id", "track", "sensor", "part", "drawn", "pivot": [3], "guess": pose or null}."""
 

@@ -28,7 +28,7 @@ from kit1000.symmetry import Symmetry
 from kit1000.tracks import SPLITS
 
 if TYPE_CHECKING:
-    from kit1000.dataset.reader import Dataset, Recorded
+    from kit1000.dataset.reader import Dataset, RecordedScene
 
 SENSORS = ("ideal", "d415")
 DEPTH_SCALE = 0.1  # [mm] of one step of a depth image, which reaches to 6.55 m
@@ -112,7 +112,7 @@ def _chosen(dataset: Dataset, ids: Sequence[str], split: str | None) -> dict[str
 
 
 def _write_scene(
-    folder: Path, recorded: Recorded, dataset: Dataset, numbers: dict[tuple[str, str], int], sensor: str
+    folder: Path, recorded: RecordedScene, dataset: Dataset, numbers: dict[tuple[str, str], int], sensor: str
 ) -> Camera:
     """The files of one scene; returns its camera."""
     view, world_from_camera = recorded.view(sensor), recorded.view("ideal").world_from_camera
@@ -134,7 +134,7 @@ def _write_scene(
 
 
 def _placed(
-    recorded: Recorded, dataset: Dataset, numbers: dict[tuple[str, str], int], camera_from_world: Pose
+    recorded: RecordedScene, dataset: Dataset, numbers: dict[tuple[str, str], int], camera_from_world: Pose
 ) -> Iterator[Placed]:
     """The parts p0, p1, ... and then the assembly."""
     assembly, *parts = recorded.scene.bodies
@@ -224,7 +224,7 @@ def _written(pose: Pose) -> tuple[list[float], list[float]]:
     return pose.rotation_matrix().reshape(-1).tolist(), (MM * pose.xyz).tolist()
 
 
-def _targets(number: int, recorded: Recorded, numbers: dict[tuple[str, str], int]) -> list[dict[str, int]]:
+def _targets(number: int, recorded: RecordedScene, numbers: dict[tuple[str, str], int]) -> list[dict[str, int]]:
     """What is to be found in a scene: the parts that are asked about."""
     return [
         {"scene_id": number, "im_id": 0, "obj_id": numbers[PART, row["part_id"]], "inst_count": 1}

@@ -24,7 +24,7 @@ from kit1000.guesses import (
     level_angle,
     level_offset,
 )
-from kit1000.motions import apply_error, motion, turned_goal
+from kit1000.motions import apply_error, goal_motion, goal_pose
 from kit1000.pivots import pivots_of
 from kit1000.pose import Pose
 from kit1000.rng import stream
@@ -52,7 +52,7 @@ class Asked:
 
     def motion(self, goal: int = 0, turn: float | np.ndarray = 0.0) -> Pose:
         """goal_from_now of a goal of the slot, turned about the free axis by `turn` (...,) [rad]."""
-        return motion(self.world_from_part, self.world_from_kit, turned_goal(self.slot, goal, turn))
+        return goal_motion(self.world_from_part, self.world_from_kit, goal_pose(self.slot, goal, turn))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,7 @@ def scene_queries(
         scene_id: such as test-s0007, of this split.
         seed: of the dataset.
         views: by sensor; a sensor that is not there is not asked about.
-        labels: (H, W) uint8 masks, see `kit1000.values.Look`.
+        labels: (H, W) uint8 masks, see `kit1000.values.LabelledDepth`.
         parts: those of the scene.
         drawn: index of the target that was drawn for the scene.
         curves: whether the drawn target is asked about at every level of error too.

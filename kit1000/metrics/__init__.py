@@ -3,7 +3,7 @@
 Every score names the version of its metric; a change to a formula or a limit raises it.
 """
 
-from kit1000.metrics.pose_errors import PoseErrors, judging_goals, pose_errors
+from kit1000.metrics.pose_errors import PoseErrors, nearest_goal_motions, pose_errors
 from kit1000.metrics.seating import Seatings, seatings
 from kit1000.metrics.segmentation import MatchedMasks, matched_masks, mean_iou
 from kit1000.metrics.targets import Targets
@@ -27,7 +27,7 @@ __all__ = [
     "PoseErrors",
     "Seatings",
     "Targets",
-    "judging_goals",
+    "nearest_goal_motions",
     "known_share",
     "matched_masks",
     "mean_iou",

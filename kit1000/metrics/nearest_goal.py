@@ -18,7 +18,7 @@ GOLDEN = (np.sqrt(5.0) - 1) / 2
 
 
 @compiled
-def judged(
+def nearest_goals(
     moved_r, moved_t, wanted_r, wanted_t, goal_starts, free, points, directions, twists, hulls, hull_starts, shape
 ):
     """For n queries the index of the judging goal among their own, its turn [rad] and the MSSD [m]: (n,) each.

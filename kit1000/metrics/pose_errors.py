@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from kit1000.metrics.nearest_goal import judged
+from kit1000.metrics.nearest_goal import nearest_goals
 from kit1000.metrics.targets import Targets, check_poses
 from kit1000.pose import Pose, quaternion_angle, quaternion_conjugate, quaternion_multiply
 
@@ -27,7 +27,7 @@ class PoseErrors:
     """(n,) [m] maximum symmetry-aware surface distance: of the worst point of the part to its place."""
     goal: np.ndarray
     """(n,) int: the judging goal, among those of its query."""
-    turn: np.ndarray
+    angle: np.ndarray
     """(n,) [rad] by which the judging goal is turned about the free axis, -pi to pi; 0 without one."""
     position_plain: np.ndarray
     """(n,) [m] the same as `position` against the drawn goal, whatever the symmetry."""
@@ -49,9 +49,9 @@ def pose_errors(predicted: Pose, targets: Targets) -> PoseErrors:
     return PoseErrors(position, rotation, mssd, goal, turn, position_plain, rotation_plain)
 
 
-def judging_goals(targets: Targets, errors: PoseErrors) -> Pose:
+def nearest_goal_motions(targets: Targets, errors: PoseErrors) -> Pose:
     """(n,) goal_from_now of the goals that predictions were judged by, turned as they were judged."""
-    return _turned(targets, errors.goal, errors.turn)
+    return _turned(targets, errors.goal, errors.angle)
 
 
 def _judged(predicted: Pose, targets: Targets) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -60,7 +60,7 @@ def _judged(predicted: Pose, targets: Targets) -> tuple[np.ndarray, np.ndarray, 
     moved = predicted @ targets.world_from_part
     wanted = targets.goals @ targets.world_from_part[owner]
     directions = np.where(free[:, None], targets.axis_directions, 0.0)
-    goal, turn, mssd = judged(
+    goal, turn, mssd = nearest_goals(
         *(moved.rotation_matrix(), moved.xyz),
         *(wanted.rotation_matrix(), wanted.xyz),
         targets.goal_starts,

@@ -21,7 +21,7 @@ from kit1000.kits.contact import Ridges, ridges
 from kit1000.kits.seating import SEATED, STRICT, UP, Plug, Verdict, contact_raise, verdict
 from kit1000.mesh import Mesh, solid_of
 from kit1000.metrics.exact_seating import Sweep, Window, passes
-from kit1000.metrics.pose_errors import judging_goals, pose_errors
+from kit1000.metrics.pose_errors import nearest_goal_motions, pose_errors
 from kit1000.metrics.targets import Targets, check_poses
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Part, Truth
@@ -165,7 +165,7 @@ def _place(assembly: Assembly, part_id: str) -> _Place:
 def _tested(bench: _Bench) -> tuple[tuple[int, ...], list[_Found]]:
     """The rows of a job and what is said of each."""
     targets = Targets.of(bench.truths, lambda part_id: _hull(bench.parts[part_id]))
-    home = judging_goals(targets, pose_errors(bench.predicted, targets))
+    home = nearest_goal_motions(targets, pose_errors(bench.predicted, targets))
     kit_from_world = Pose.stack([truth.world_from_kit for truth in bench.truths]).inverse()
     assembly_from_kit = Pose.stack([bench.places[truth.part_id].assembly_from_kit for truth in bench.truths])
     poses = kit_from_world @ bench.predicted @ targets.world_from_part

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.errors import ShapeError, checked
-from kit1000.motions import motion
+from kit1000.motions import goal_motion
 from kit1000.pose import Pose, unit_vector
 from kit1000.values import Truth
 
@@ -78,7 +78,7 @@ class Targets:
         axes = [truth.slot.free_axis for truth in truths]
         return Targets(
             anchors=np.array([truth.anchor for truth in truths]).reshape(-1, 3),
-            goals=motion(world_from_part[owner], world_from_kit[owner], kit_from_part),
+            goals=goal_motion(world_from_part[owner], world_from_kit[owner], kit_from_part),
             goal_starts=starts_of(counts),
             axis_points=world_from_kit.apply(_joined([NO_AXIS if a is None else a.point for a in axes], 3)),
             axis_directions=world_from_kit.rotate(_joined([NO_AXIS if a is None else a.direction for a in axes], 3)),

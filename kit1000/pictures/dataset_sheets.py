@@ -9,7 +9,7 @@ from PIL import Image
 
 from kit1000.camera import Camera
 from kit1000.dataset.geometry import Geometry
-from kit1000.dataset.reader import Dataset, Recorded
+from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.pictures.depth_images import depth_picture, mask_picture
 from kit1000.pictures.previews import assembly_tile, kit_tile, part_tile, sheet
@@ -35,9 +35,9 @@ def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
     """A PNG of one scene, cut to what stands on the table: what the sensors see and the masks; where the truth is at
     hand, also the scene, the goals of what is asked, and a guess.
     """
-    recorded = dataset.recorded(scene_id)
+    recorded = dataset.recorded_scene(scene_id)
     window = _window(recorded.labels)
-    tiles = {"ideal depth": depth_picture(recorded.view("ideal")), "masks": mask_picture(recorded.look())}
+    tiles = {"ideal depth": depth_picture(recorded.view("ideal")), "masks": mask_picture(recorded.labelled_depth())}
     if "d415" in recorded.sensors:
         tiles["d415 depth"] = depth_picture(recorded.view("d415"))
     pictures = [Image.fromarray(tile[window]).resize(SCENE_TILE, Image.Resampling.BICUBIC) for tile in tiles.values()]
@@ -59,7 +59,7 @@ def _window(labels: np.ndarray) -> tuple[slice, slice]:
     return slice(top, top + tall), slice(left, left + wide)
 
 
-def _true_tiles(recorded: Recorded, window: tuple[slice, slice]) -> dict[str, np.ndarray]:
+def _true_tiles(recorded: RecordedScene, window: tuple[slice, slice]) -> dict[str, np.ndarray]:
     """The scene as it stands, with its parts seated, and with them as a person guesses."""
     _, (assembly, world_from_assembly), *parts = recorded.bodies()
     kits = Painted(assembly, world_from_assembly, KIT)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from kit1000.pictures.shading import INK, KIT, PART, SECONDARY, TABLE, Colour
-from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Look, View
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 NEAR: Colour = (250, 214, 120)
 MIDDLE: Colour = (76, 148, 150)
@@ -28,7 +28,7 @@ def depth_picture(view: View) -> np.ndarray:
     return np.where(seen[..., None], np.clip(picture, 0, 255), INK).astype(np.uint8)
 
 
-def mask_picture(look: Look) -> np.ndarray:
+def mask_picture(look: LabelledDepth) -> np.ndarray:
     """The masks of the kits and of each part over the relief. (H, W, 3) uint8 sRGB."""
     colours = np.full((256, 3), TABLE, float)
     colours[ASSEMBLY_LABEL] = np.array(KIT) * 0.8

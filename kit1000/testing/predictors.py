@@ -10,8 +10,8 @@ import numpy as np
 
 from kit1000.errors import InputError
 from kit1000.pose import Pose
-from kit1000.predictor import Answer, Predictor, predicted
-from kit1000.values import Look, Query, Truth
+from kit1000.predictor import PredictedMotion, Predictor, to_prediction
+from kit1000.values import LabelledDepth, Query, Truth
 
 SAME_PLACE, SAME_TURN = 1e-6, 1e-5  # [m], [rad] between two answers to one question: what parallel sums leave open
 ELSEWHERE = Pose.from_rotvec((0.0, 0.0, 2.0), (0.4, -0.3, 0.0))
@@ -59,8 +59,8 @@ def check_predictor(
 def moved_query(query: Query, pose: Pose) -> Query:
     """The same question in a world moved by a pose: the images are the same, the camera stands elsewhere."""
     guess = None if query.guess is None else pose @ query.guess @ pose.inverse()
-    look = partial(_moved_look, query, pose)
-    return replace(query, pivot=pose.apply(query.pivot), guess=guess, look=look)
+    read_image = partial(_moved_image, query, pose)
+    return replace(query, pivot=pose.apply(query.pivot), guess=guess, read_image=read_image)
 
 
 def moved_truth(truth: Truth, pose: Pose) -> Truth:
@@ -74,12 +74,12 @@ def moved_truth(truth: Truth, pose: Pose) -> Truth:
     )
 
 
-def _moved_look(query: Query, pose: Pose) -> Look:
+def _moved_image(query: Query, pose: Pose) -> LabelledDepth:
     view = query.view
-    return Look(replace(view, world_from_camera=pose @ view.world_from_camera), query.seen.labels)
+    return LabelledDepth(replace(view, world_from_camera=pose @ view.world_from_camera), query.image.labels)
 
 
-def _answered(predictor: Predictor, query: Query, truth: Truth | None, name: str) -> Answer:
+def _answered(predictor: Predictor, query: Query, truth: Truth | None, name: str) -> PredictedMotion:
     """What it says to a query, which it must leave as it was."""
     before = _contents(query)
     try:
@@ -91,21 +91,21 @@ def _answered(predictor: Predictor, query: Query, truth: Truth | None, name: str
     changed = [part for part, value in _contents(query).items() if value != before[part]]
     assert not changed, f"{name}: changes {', '.join(changed)} of query {query.id}"
     try:
-        made = predicted(query, answer, 0.0)
+        made = to_prediction(query, answer, 0.0)
     except InputError as error:
         raise AssertionError(f"{name}: {error}") from error
-    return Answer(made.goal_from_now, made.confidence)
+    return PredictedMotion(made.goal_from_now, made.confidence)
 
 
 def _contents(query: Query) -> dict[str, bytes]:
     """All that a query holds."""
     poses = {"guess": query.guess, "camera pose": query.view.world_from_camera}
-    arrays = {"pivot": query.pivot, "depth": query.view.depth, "masks": query.seen.labels}
+    arrays = {"pivot": query.pivot, "depth": query.view.depth, "masks": query.image.labels}
     told = {part: b"" if pose is None else pose.wxyz.tobytes() + pose.xyz.tobytes() for part, pose in poses.items()}
     return told | {part: array.tobytes() for part, array in arrays.items()}
 
 
-def _check_same(query: Query, one: Answer, other: Answer, name: str) -> None:
+def _check_same(query: Query, one: PredictedMotion, other: PredictedMotion, name: str) -> None:
     shift, turn = _apart(one.goal_from_now, other.goal_from_now, query.pivot)
     same = shift <= SAME_PLACE and turn <= SAME_TURN and abs(one.confidence - other.confidence) <= SAME_TURN
     assert same, (
@@ -115,7 +115,9 @@ def _check_same(query: Query, one: Answer, other: Answer, name: str) -> None:
     )
 
 
-def _check_moved(query: Query, answer: Answer, there: Answer, allowed: tuple[float, float], name: str) -> None:
+def _check_moved(
+    query: Query, answer: PredictedMotion, there: PredictedMotion, allowed: tuple[float, float], name: str
+) -> None:
     """The answer in the moved world, brought back, is the answer."""
     back = ELSEWHERE.inverse() @ there.goal_from_now @ ELSEWHERE
     shift, turn = _apart(answer.goal_from_now, back, query.pivot)

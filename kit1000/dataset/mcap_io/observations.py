@@ -100,7 +100,7 @@ class ObservationFile(ShardFile):
         return View(camera, pose, image_of(self._one(scene_id, f"/{key}/depth")))
 
     def labels(self, scene_id: str) -> np.ndarray | None:
-        """(H, W) uint8 masks of the primary camera, as `kit1000.values.Look` has them; None where there are none."""
+        """(H, W) uint8 masks of the primary camera, as `kit1000.values.LabelledDepth` has them; None where there are none."""
         masks = self._all(scene_id, "/mask/labels")
         return checked("labels", image_of(masks[0]), ("h", "w"), np.uint8) if masks else None
 
