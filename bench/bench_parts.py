@@ -27,11 +27,13 @@ from sklearn.preprocessing import StandardScaler
 
 from kit1000.errors import Redraw
 from kit1000.mesh import Mesh
-from kit1000.parts.catalog import FAMILIES, choose_family
+from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
 from kit1000.parts.files.sources import mesh_files, read_all
+from kit1000.parts.mixtures import MIXTURES, choose_family
 from kit1000.rng import stream
 
+MIXTURE = "2026"
 LONGEST = 45e-3  # [m] every shape measure is free of it
 REDRAWS = 20  # tries before a family counts as broken
 DRAWS = 10  # balanced draws of our parts that a classifier's accuracy is averaged over
@@ -57,7 +59,7 @@ def main(
     Args:
         parts: folder of real meshes; what is not closed or cannot be mended is left out.
         ours: folder of meshes to compare instead of drawing them.
-        count: how many parts to draw from the default mixture.
+        count: how many parts to draw from the mixture 2026.
         seed: of the draws.
     """
     real = shapes_of(parts, seed)
@@ -77,12 +79,12 @@ def shapes_of(folder: Path, seed: int) -> list[Shape]:
 
 
 def draw_shapes(count: int, seed: int) -> list[Shape]:
-    """Descriptors of parts drawn from the default mixture."""
+    """Descriptors of parts drawn from the mixture 2026."""
     return [describe(_drawn(seed, index), stream(seed, "describe", index)) for index in range(count)]
 
 
 def _drawn(seed: int, index: int) -> Mesh:
-    name = choose_family(seed, index)
+    name = choose_family(seed, index, weights=MIXTURES[MIXTURE])
     for attempt in range(REDRAWS):
         dims = FAMILIES[name].draw(stream(seed, index, attempt))
         try:

@@ -10,15 +10,17 @@ import pytest
 from manifold3d import Manifold
 
 from kit1000.errors import Redraw
-from kit1000.mesh import mesh_of
+from kit1000.mesh import mesh_from_solid
 from kit1000.parts.cad import at, box, cylinder, join, sphere, tube
-from kit1000.parts.catalog import FAMILIES, WEIGHTS, choose_family
+from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.mixtures import MIXTURES, choose_family
 from kit1000.symmetry import Symmetry
 from kit1000.testing import check_family, check_symmetry, distances
 from kit1000.values import Part
 
 SEEDS = range(3)
+WEIGHTS = MIXTURES["2026"]
 
 
 @pytest.mark.parametrize("name", FAMILIES)
@@ -41,23 +43,24 @@ def test_part_sits_at_its_centroid_on_the_float32_grid(name: str) -> None:
     assert part.mass == pytest.approx(1240 * part.mesh.volume)
 
 
-def test_weights_name_exactly_the_families() -> None:
-    assert list(WEIGHTS) == list(FAMILIES)
-    assert min(WEIGHTS.values()) > 0
+@pytest.mark.parametrize("mixture", MIXTURES)
+def test_a_mixture_weighs_families_of_the_catalog(mixture: str) -> None:
+    assert set(MIXTURES[mixture]) <= set(FAMILIES)
+    assert min(MIXTURES[mixture].values()) > 0
 
 
 def test_choice_follows_the_weights() -> None:
-    drawn = [choose_family(7, "part", index) for index in range(1500)]
+    drawn = [choose_family(7, "part", index, weights=WEIGHTS) for index in range(1500)]
     total = sum(WEIGHTS.values())
     for name, weight in WEIGHTS.items():
         share = weight / total
         assert abs(drawn.count(name) / 1500 - share) < 5 * np.sqrt(share / 1500)
 
 
-def test_a_new_family_changes_only_the_parts_it_takes() -> None:
+def test_one_more_weight_changes_only_the_parts_that_its_family_wins() -> None:
     fewer = {name: weight for name, weight in WEIGHTS.items() if name != "bracket"}
     before = [choose_family(3, index, weights=fewer) for index in range(300)]
-    after = [choose_family(3, index) for index in range(300)]
+    after = [choose_family(3, index, weights=WEIGHTS) for index in range(300)]
     assert {new for old, new in zip(before, after, strict=True) if old != new} == {"bracket"}
 
 
@@ -132,7 +135,7 @@ def test_drawing_that_is_no_part_is_redrawn(drawn: Callable[[], Manifold], reaso
 
 
 def test_distance_from_a_ball_is_that_from_its_centre() -> None:
-    ball = mesh_of(sphere(20)).scaled(1e-3)
+    ball = mesh_from_solid(sphere(20)).scaled(1e-3)
     points = np.random.default_rng(0).normal(size=(50, 3)) * 0.02
     expected = np.abs(np.linalg.norm(points, axis=1) - 0.01)
     assert np.abs(distances(points, ball) - expected).max() < 0.08e-3  # facets

@@ -22,9 +22,9 @@ from kit1000.generation.plan import (
     scene_id_of,
 )
 from kit1000.generation.presets import HELD_OUT, PRESETS, Preset, preset, preset_of
-from kit1000.parts import catalog
-from kit1000.parts.catalog import FAMILIES, WEIGHTS
+from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.families.block import Block
+from kit1000.parts.mixtures import MIXTURES
 from kit1000.sim.layout import UPRIGHT, UPRIGHT_SHARE
 from kit1000.tracks import SPLITS
 
@@ -103,14 +103,14 @@ def test_held_out_families_are_in_test_alone_and_are_in_test() -> None:
     parts = make_plan(asked, asked.seed)["parts"].values()
     assert not {row["family"] for row in parts if row["split"] != "test"} & set(HELD_OUT)
     assert {row["family"] for row in parts if row["split"] == "test"} >= set(HELD_OUT)
-    assert set(HELD_OUT) < set(FAMILIES)
-    assert set(family_weights("test")) == set(WEIGHTS)
+    assert set(HELD_OUT) < set(MIXTURES[MINI.mixture])
+    assert family_weights(MINI, "test") == MIXTURES[MINI.mixture]
 
 
 @pytest.mark.parametrize("split", ["train", "test"])
 def test_redraws_keep_to_the_families_of_their_split(split: str) -> None:
     families = {draw_part(MINI, 7, f"{split}-0000", split, attempt).family for attempt in range(200)}
-    assert families <= set(family_weights(split))
+    assert families <= set(family_weights(MINI, split))
     assert len(families) > 20
 
 
@@ -120,11 +120,21 @@ def test_attempts_are_independent_draws() -> None:
     assert draw_part(MINI, 7, "train-0000", "train", 3) == draws[3]
 
 
-def test_a_new_family_changes_only_the_parts_it_wins(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_family_in_the_catalog_changes_no_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither the plan and its identity nor any redraw: a family is drawn when a mixture weighs it."""
     before = make_plan(MANY, 5)
-    monkeypatch.setitem(catalog.WEIGHTS, "new", 3.0)
-    monkeypatch.setitem(catalog.FAMILIES, "new", Block)
-    after = make_plan(MANY, 5)
+    redraws = [draw_part(MANY, 5, "test-0000", "test", attempt) for attempt in range(1, 20)]
+    monkeypatch.setitem(FAMILIES, "new", Block)
+    assert json_bytes(make_plan(MANY, 5)) == json_bytes(before)
+    assert dataset_id(make_plan(TINY, TINY.seed)) == GOLDEN
+    assert [draw_part(MANY, 5, "test-0000", "test", attempt) for attempt in range(1, 20)] == redraws
+
+
+def test_a_mixture_with_one_more_family_changes_only_the_parts_that_it_wins(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = make_plan(MANY, 5)
+    monkeypatch.setitem(FAMILIES, "new", Block)
+    monkeypatch.setitem(MIXTURES, "next", {**MIXTURES[MANY.mixture], "new": 3.0})
+    after = make_plan(replace(MANY, mixture="next"), 5)
     won = {i for i, row in after["parts"].items() if row["family"] == "new"}
     assert 0 < len(won) < 40
     assert {i for i in before["parts"] if before["parts"][i] != after["parts"][i]} == won
@@ -139,7 +149,7 @@ def test_a_larger_dataset_begins_with_the_smaller_one() -> None:
 def test_tilts_and_levels_are_those_of_the_preset() -> None:
     asked = replace(MINI, level_base=True, tilt_deg=(25.0, 30.0))
     for attempt in range(20):
-        placing = draw_assembly_of(asked, 7, "train-0000", 3, attempt).placing
+        placing = draw_assembly_of(asked, 7, "train-0000", 3, attempt).placement
         assert placing.base_tilt == 0
         assert all(np.radians(25) <= side.tilt <= np.radians(30) for side in placing.sides)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from kit1000.errors import InputError
 from kit1000.generation.plan import make_plan
 from kit1000.generation.presets import HELD_OUT, IDEAL_TRACKS, PRESETS, Preset, preset, preset_of
-from kit1000.parts.catalog import FAMILIES
+from kit1000.parts.mixtures import MIXTURES
 from kit1000.tracks import SPLITS, TRACKS
 
 
@@ -30,6 +30,13 @@ def test_a_plan_on_disk_gives_its_preset_back() -> None:
     assert replace(preset_of(plan["preset"], plan["config"]), seed=plan["seed"]) == replace(preset("tiny"), seed=5)
 
 
+def test_the_mixture_of_a_plan_is_that_of_its_preset(monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that a dataset built again draws from the families that it was drawn from."""
+    monkeypatch.setitem(PRESETS, "tiny", replace(preset("tiny"), mixture="another"))
+    assert preset_of("tiny", preset("tiny").config).mixture == "another"
+    assert preset_of("unknown", preset("tiny").config).mixture == "2026"
+
+
 @given(
     st.sets(st.sampled_from(list(TRACKS)), min_size=1),
     st.tuples(st.integers(1, 2), st.integers(2, 5)),
@@ -41,8 +48,8 @@ def test_any_preset_comes_back(tracks: set[str], kits: tuple[int, int], brackets
     assert preset_of("any", json.loads(json.dumps(asked.config))) == asked
 
 
-def test_the_config_states_everything_but_name_and_seed() -> None:
-    assert {*preset("tiny").config, "name", "seed"} == {field.name for field in fields(Preset)}
+def test_the_config_states_everything_but_name_seed_and_mixture() -> None:
+    assert {*preset("tiny").config, "name", "seed", "mixture"} == {field.name for field in fields(Preset)}
     assert json.loads(json.dumps(preset("study").config)) == preset("study").config
 
 
@@ -71,7 +78,7 @@ def test_every_preset_can_be_built() -> None:
         assert 0 <= one.tilt_deg[0] <= one.tilt_deg[1] < 90
         assert all(one.tilt_deg[0] <= tilt <= one.tilt_deg[1] for tilt in one.brackets_deg)
         assert one.clearance > 0
-    assert set(HELD_OUT) < set(FAMILIES)
+        assert set(HELD_OUT) < set(MIXTURES[one.mixture])
 
 
 def test_an_unknown_preset_is_answered_with_a_near_one() -> None:

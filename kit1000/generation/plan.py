@@ -19,8 +19,9 @@ import numpy as np
 from kit1000.files import json_bytes, sha256
 from kit1000.generation.presets import HELD_OUT, Preset
 from kit1000.kits.assembly import AssemblyPlan, draw_assembly
-from kit1000.parts.catalog import FAMILIES, WEIGHTS, choose_family
+from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import Family, dimensions
+from kit1000.parts.mixtures import MIXTURES, choose_family
 from kit1000.rng import stream
 from kit1000.sim.layout import draw_modes
 from kit1000.tracks import SPLITS
@@ -28,8 +29,8 @@ from kit1000.tracks import SPLITS
 FORMAT = "kit1000-plan/2"
 DATA_VERSION = "0.2.1"
 """Raised whenever the same plan gives other data."""
-SPARES = 10  # files dealt to one part at most: the next is tried when one cannot be a part
-CANDIDATES = 24  # parts asked to join an assembly before it may stay smaller than drawn; more only to reach the least
+MAX_SOURCE_FILES = 10  # files dealt to one part at most: the next is tried when one cannot be a part
+MAX_CANDIDATES = 24  # parts asked to join an assembly before it may stay smaller than drawn; more only to reach the least
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,12 @@ class AssemblyDraw:
 
     order: np.ndarray
     """(n,) where each chosen kit stands: order[0] is the base."""
-    placing: AssemblyPlan
+    placement: AssemblyPlan
 
 
 def make_plan(preset: Preset, seed: int, sources: Sources | None = None) -> dict[str, Any]:
     """The plan of a preset, with procedural parts or with parts read from files."""
-    parts = _sourced_parts(preset, seed, sources) if sources is not None else _drawn_parts(preset, seed)
+    parts = _parts_from_files(preset, seed, sources) if sources is not None else _procedural_parts(preset, seed)
     origin = {} if sources is None else {"unit": sources.unit}
     return origin | {
         "format": FORMAT,
@@ -92,7 +93,7 @@ def dataset_id(plan: dict[str, Any]) -> str:
 
 def draw_part(preset: Preset, seed: int, part_id: str, split: str, attempt: int) -> PartDraw:
     """One attempt at a procedural part."""
-    family = choose_family(seed, "part", part_id, attempt, weights=family_weights(split))
+    family = choose_family(seed, "part", part_id, attempt, weights=family_weights(preset, split))
     rng = stream(seed, "part", part_id, attempt, family)
     drawing = FAMILIES[family].draw(rng)
     return PartDraw(family, drawing, float(rng.uniform(*preset.longest)))
@@ -114,12 +115,13 @@ def draw_assembly_of(preset: Preset, seed: int, assembly_id: str, kits: int, att
     )
 
 
-def family_weights(split: str) -> dict[str, float]:
-    """The mixture of families in a split: the held-out ones appear in the test split alone."""
-    return {name: weight for name, weight in WEIGHTS.items() if split == "test" or name not in HELD_OUT}
+def family_weights(preset: Preset, split: str) -> dict[str, float]:
+    """The weight of each family that a split draws from: the held-out ones appear in the test split alone."""
+    weights = MIXTURES[preset.mixture]
+    return {name: weight for name, weight in weights.items() if split == "test" or name not in HELD_OUT}
 
 
-def _drawn_parts(preset: Preset, seed: int) -> dict[str, Any]:
+def _procedural_parts(preset: Preset, seed: int) -> dict[str, Any]:
     parts = {}
     for split in SPLITS:
         for i in range(preset.count(split)):
@@ -134,7 +136,7 @@ def _drawn_parts(preset: Preset, seed: int) -> dict[str, Any]:
     return parts
 
 
-def _sourced_parts(preset: Preset, seed: int, sources: Sources) -> dict[str, Any]:
+def _parts_from_files(preset: Preset, seed: int, sources: Sources) -> dict[str, Any]:
     """Files dealt out in a drawn order, split in the preset's proportions; what is left over are spares."""
     names = sorted(sources.files)
     order = [names[i] for i in stream(seed, "sources").permutation(len(names))]
@@ -148,13 +150,13 @@ def _sourced_parts(preset: Preset, seed: int, sources: Sources) -> dict[str, Any
             part_id = f"{split}-{k - low:04d}"
             parts[part_id] = {
                 "split": split,
-                "sources": [[name, sha256(sources.files[name])] for name in order[k::count][:SPARES]],
+                "sources": [[name, sha256(sources.files[name])] for name in order[k::count][:MAX_SOURCE_FILES]],
                 "longest": draw_longest(preset, seed, part_id),
             }
     return parts
 
 
-def company_of(seed: int, target: str, ids: list[str]) -> list[str]:
+def candidate_order(seed: int, target: str, ids: list[str]) -> list[str]:
     """The other parts of a split in the order in which they are asked to join a target's assembly."""
     others = [other for other in ids if other != target]
     return [others[i] for i in stream(seed, "company", target).permutation(len(others))]
@@ -167,7 +169,7 @@ def _assemblies(preset: Preset, seed: int, parts: dict[str, Any]) -> dict[str, A
         ids = split_ids(parts, split)
         for target in ids:
             kits = int(stream(seed, "kits", target).integers(preset.kits[0], preset.kits[1] + 1))
-            company = company_of(seed, target, ids)[:CANDIDATES]
+            company = candidate_order(seed, target, ids)[:MAX_CANDIDATES]
             plan[target] = {"split": split, "target": target, "kits": kits, "company": company}
     return plan
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from kit1000.errors import InputError, near
+from kit1000.errors import InputError, did_you_mean
 from kit1000.tracks import TRACKS
 
 HELD_OUT = ("cam", "connector", "gear", "hook", "pillow_block", "tee")
@@ -13,6 +13,9 @@ HELD_OUT = ("cam", "connector", "gear", "hook", "pillow_block", "tee")
 
 IDEAL_TRACKS = ("snap-tilt", "place", "place-paper")
 """Of the preset `paper`: guesses off by a tilt alone, ideal depth."""
+
+OUTSIDE_CONFIG = ("name", "seed", "mixture")
+"""Fields of a preset that its `config` omits: the plan states name and seed itself, the name implies the mixture."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +43,9 @@ class Preset:
     curve_scenes: int = 40
     """Test scenes whose target is asked about at every level of guess error; their queries together give the goal
     away, so a withheld test split has none."""
+    mixture: str = "2026"
+    """Families and weights of procedural parts, by name in `MIXTURES`. No part of `config`: the plan lists the parts
+    drawn, and the mixture of a preset never changes."""
     seed: int = 1000
 
     def count(self, split: str) -> int:
@@ -53,8 +59,8 @@ class Preset:
 
     @property
     def config(self) -> dict[str, Any]:
-        """The preset as plain values, without its name and the seed, which the plan states itself."""
-        values = {key: value for key, value in asdict(self).items() if key not in ("name", "seed")}
+        """The preset as plain values, without the fields of OUTSIDE_CONFIG."""
+        values = {key: value for key, value in asdict(self).items() if key not in OUTSIDE_CONFIG}
         return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
 
 
@@ -75,11 +81,12 @@ PRESETS = {
 def preset(name: str) -> Preset:
     """The preset of a name; InputError lists the names there are."""
     if name not in PRESETS:
-        raise InputError(f"no preset {name!r}; {near(name, PRESETS)}there are {', '.join(PRESETS)}")
+        raise InputError(f"no preset {name!r}; {did_you_mean(name, PRESETS)}there are {', '.join(PRESETS)}")
     return PRESETS[name]
 
 
 def preset_of(name: str, config: dict[str, Any]) -> Preset:
     """The preset that a plan was made with, from the plain values that `config` gave."""
     values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in config.items()}
-    return Preset(name, **values)
+    made = Preset(name, **values)
+    return replace(made, mixture=PRESETS[name].mixture) if name in PRESETS else made
