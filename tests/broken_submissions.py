@@ -225,6 +225,10 @@ MANIFESTS: dict[str, tuple[str | bytes, str, int | None, str]] = {
     "empty name": (field("method", '" "'), "empty-field", 1, "fill in"),
     "long name": (field("method", f'"{"x" * 100}"'), "too-long", 1, "at most 80 characters"),
     "two lines": (field("method", '"a\\nb"'), "two-lines", 1, "in one line"),
+    "long label": (MANIFEST + f'label = "{"x" * 100}"\n', "too-long", 16, "a short name of at most 80 characters"),
+    "label of a number": (MANIFEST + "label = 7\n", "wrong-type", 16, 'label = "7"'),
+    "two paper rows": (MANIFEST + 'paper_row = ["a", "b"]\n', "wrong-type", 16, "the key of a row of Table I"),
+    "paper row in two lines": (MANIFEST + 'paper_row = "a\\nb"\n', "two-lines", 16, "in one line"),
     "control": (field("method", '"a\\u0007"'), "stray-byte", 1, "control characters"),
     "claimed": (
         field("tracks", '["snap", "place", "curves"]'), "empty-track", None, "curves is claimed and has no row",

@@ -171,6 +171,11 @@ def test_a_manifest_that_could_not_be_read_is_not_made(changes: dict, said: str)
     assert "\n" not in str(caught.value)
 
 
+def test_a_table_shows_the_label_or_the_name_of_the_method() -> None:
+    assert MANIFEST.display_name == MANIFEST.method
+    assert replace(MANIFEST, label="Short").display_name == "Short"
+
+
 TEXT = st.text(st.characters(exclude_categories=["Cs", "Cc"]) | st.sampled_from("\n\t\\\"'#"), min_size=1, max_size=40)
 
 

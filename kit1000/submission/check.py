@@ -13,10 +13,11 @@ from kit1000.submission import manifest as manifests
 from kit1000.submission import predictions as answers
 from kit1000.submission.faults import Fault, Report, in_order, named, printable
 from kit1000.submission.form import form_faults
-from kit1000.submission.manifest import CLAIMS, CURVES, Manifest, line_of, manifest_of
+from kit1000.submission.manifest import Manifest, line_of, manifest_of
 from kit1000.submission.reading import aside, file_bytes, text_of, whole
 from kit1000.submission.rows import Rows, read_rows
 from kit1000.submission.suspicions import suspicions
+from kit1000.tracks import ALL_TRACKS, CURVES
 
 if TYPE_CHECKING:
     from kit1000.submission.asked import Asked
@@ -108,7 +109,7 @@ def _dataset_faults(manifest: Manifest, asked: Asked, path: Path) -> list[Fault]
         add("other-bytes", "dataset_checksum", seen, wanted, repair, "warning")
     for track in manifest.tracks:
         if track not in set(asked.tracks):
-            has = ", ".join(track for track in CLAIMS if track in set(asked.tracks))
+            has = ", ".join(track for track in ALL_TRACKS if track in set(asked.tracks))
             add("no-such-track", "tracks", f'tracks has "{track}"', f"some of {has}", f"delete {track}", "error")
     return faults
 
@@ -150,7 +151,7 @@ def _coverage_faults(rows: Rows, claims: Iterable[str] | None, asked: Asked, fil
     held = [asked.index[query_id] for query_id in rows.query_ids if query_id in asked.index]
     answered = set(held)
     counts = _counts(asked.tracks[i] for i in held if asked.wanted[i])
-    claimed = [track for track in CLAIMS if track in (counts if claims is None else claims)]
+    claimed = [track for track in ALL_TRACKS if track in (counts if claims is None else claims)]
     faults: list[Fault] = []
     for track in claimed:
         queries = [i for i, of in enumerate(asked.tracks) if of == track and asked.wanted[i]]
@@ -203,7 +204,7 @@ def _track(query_id: str) -> str:
     """The track that an id names; "" when it is of no usual form."""
     match = USUAL_ID.match(query_id)
     track = (match[1] or match[2]) if match else ""
-    return track if track in CLAIMS else ""
+    return track if track in ALL_TRACKS else ""
 
 
 def _counts(values: Iterable[str]) -> dict[str, int]:

@@ -1,4 +1,4 @@
-"""What a submission says about its method: the file manifest.toml, checked field by field."""
+"""The manifest of a submission, manifest.toml: a description of its method, checked field by field."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from kit1000.files import write_bytes
 from kit1000.sim.cameras import CAMERA_SETS
 from kit1000.submission.faults import Fault, first_error, printable, quoted
 from kit1000.submission.reading import STRAY, file_bytes, text_of, whole
-from kit1000.tracks import TRACKS
+from kit1000.tracks import ALL_TRACKS
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -24,20 +24,20 @@ else:
     import tomli as tomllib
 
 FILE = "manifest.toml"
-CURVES = "curves"
-CLAIMS = (*TRACKS, CURVES)
 PREDICTS = ("pose", "rotation")
-LONGEST_NAME = 80  # characters of a method's name, so that it fits into a table
-LONGEST_TEXT = 2000
+MAX_NAME = 80  # characters of a name or label, so that it fits into a table
+MAX_TEXT = 2000  # characters of any other field
 DAY = re.compile(r"\d{4}-\d{2}-\d{2}\Z", re.ASCII)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """A method and how it came to its answers."""
+    """A method and how it made its predictions."""
 
     method: str
-    """Its name, as the tables show it."""
+    """Its name, unique among the submissions of a leaderboard."""
+    label: str = ""
+    """Short name in tables; the method's name when left out."""
     authors: tuple[str, ...]
     description: str
     """One or two sentences."""
@@ -48,36 +48,43 @@ class Manifest:
     dataset_id: str
     """As dataset.json has it."""
     tracks: tuple[str, ...]
-    """What is answered: tracks of the dataset, and `curves`."""
+    """The tracks with predictions: those of the dataset, and `curves`."""
     predicts: str = "pose"
-    """pose, or rotation when the positions are no answer."""
+    """pose, or rotation when the positions are not predicted."""
     learned: bool
     """Whether anything was fitted to data."""
     uses_true_geometry: bool
-    """Whether meshes or poses were read that only the truth has."""
+    """Whether the method reads meshes or poses of the ground truth."""
     control: bool = False
-    """Whether this is no method but a yardstick, such as the unchanged guess."""
+    """Whether this is a control and no method, such as the unchanged initial guess."""
+    paper_row: str = ""
+    """Key of the row of the paper's Table I that it reproduces, see `benchmark.table1`; none when left out."""
     training_data: str = ""
-    """What it was fitted to."""
+    """The data it was fitted to."""
     hardware: str = ""
-    """What the seconds were measured on."""
+    """The computer on which the seconds were measured."""
     camera_set: str = "primary"
-    """Which cameras it reads: primary, three or top."""
+    """The cameras it reads: primary, three or top."""
     reproduce: str = ""
     """The command that makes these predictions."""
     dataset_checksum: str = ""
-    """Of the very copy of the dataset that was read, as dataset.json has it."""
+    """Of the copy of the dataset that was read, as dataset.json has it."""
 
     def __post_init__(self) -> None:
         for name in ("authors", "tracks"):
             value = getattr(self, name)
             object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
-        wrong = next((said for name in KINDS if (said := _misfit(name, getattr(self, name)))), None)
-        if wrong is not None:
-            raise InputError(f"manifest: {wrong.seen}: expected {wrong.wanted}; {wrong.repair}")
+        first = next((fault for name in FIELD_TYPES if (fault := _value_fault(name, getattr(self, name)))), None)
+        if first is not None:
+            raise InputError(f"manifest: {first.seen}: expected {first.wanted}; {first.repair}")
+
+    @property
+    def display_name(self) -> str:
+        """The label, or the method's name where there is none."""
+        return self.label or self.method
 
 
-KINDS = get_type_hints(Manifest)
+FIELD_TYPES = get_type_hints(Manifest)
 REQUIRED = tuple(field.name for field in fields(Manifest) if field.default is MISSING)
 
 
@@ -98,7 +105,7 @@ def write_manifest(path: str | Path, manifest: Manifest) -> None:
 
 
 def manifest_of(path: Path, file: str) -> tuple[Manifest | None, list[Fault]]:
-    """A manifest and all that is wrong with it; `file` is what messages call it. No manifest when there are errors."""
+    """A manifest and its faults; `file` is its name in messages. The manifest is None when there are errors."""
     data, faults = file_bytes(path, file)
     text, more = (None, []) if data is None else text_of(data, file)
     faults += more
@@ -127,7 +134,7 @@ def _parsed(text: str, file: str) -> tuple[dict[str, Any], Fault | None]:
         return {}, Fault(file, line, column, seen, "UTF-8 text", "write the file again", "error", "stray-byte")
     try:
         return tomllib.loads(text), None
-    except (ValueError, RecursionError) as error:  # numbers or nesting beyond all measure among them
+    except (ValueError, RecursionError) as error:  # numbers or nesting out of range included
         said = " ".join(str(error).split())
         place = re.search(r" \(at line (\d+), column (\d+)\)", said)
         at = (int(place[1]), int(place[2])) if place else (None, None)
@@ -138,27 +145,27 @@ def _parsed(text: str, file: str) -> tuple[dict[str, Any], Fault | None]:
 
 def _value_faults(values: Mapping[str, Any], text: str, file: str) -> list[Fault]:
     faults = []
-    unknown = [name for name in values if name not in KINDS]
+    unknown = [name for name in values if name not in FIELD_TYPES]
     for name in unknown:
-        near = get_close_matches(name, [kind for kind in KINDS if kind not in values], n=1, cutoff=0.6)
+        near = get_close_matches(name, [field for field in FIELD_TYPES if field not in values], n=1, cutoff=0.6)
         repair = f"did you mean {near[0]}?" if near else "delete it"
         seen = f"{'table' if isinstance(values[name], dict) else 'field'} {quoted(name)}"
-        wanted = f"one of {', '.join(KINDS)}"
+        wanted = f"one of {', '.join(FIELD_TYPES)}"
         faults.append(Fault(file, line_of(name, text), None, seen, wanted, repair, "error", "unknown-field"))
     for name in REQUIRED:
         if name not in values:
             seen, wanted = f"no field {name}", EXPECTED[name]
             faults.append(whole(file, "missing-field", seen, wanted, f"add a line {name} = {EXAMPLES[name]}"))
-    for name in KINDS:
-        fault = _misfit(name, _plain(values[name]), file, line_of(name, text)) if name in values else None
+    for name in FIELD_TYPES:
+        fault = _value_fault(name, _plain(values[name]), file, line_of(name, text)) if name in values else None
         faults += [fault] if fault else []
     return faults + (_omissions(values, file) if not faults else [])
 
 
 def _omissions(values: Mapping[str, Any], file: str) -> list[Fault]:
-    """Fields that a reader of the tables would like to know."""
-    asked = ["reproduce", "hardware", *(["training_data"] if values["learned"] else [])]
-    empty = [name for name in asked if not values.get(name)]
+    """A warning about empty fields that others need to reproduce the numbers."""
+    needed = ["reproduce", "hardware", *(["training_data"] if values["learned"] else [])]
+    empty = [name for name in needed if not values.get(name)]
     if not empty or values.get("control"):
         return []
     seen, wanted = f"{' and '.join(empty)} left empty", "what others need to repeat the numbers"
@@ -166,17 +173,19 @@ def _omissions(values: Mapping[str, Any], file: str) -> list[Fault]:
 
 
 EXPECTED = {
-    "method": f"a name of at most {LONGEST_NAME} characters, in one line",
+    "method": f"a name of at most {MAX_NAME} characters, in one line",
+    "label": f"a short name of at most {MAX_NAME} characters, in one line, or nothing",
     "authors": "a list of names",
-    "description": f"text of at most {LONGEST_TEXT} characters",
+    "description": f"text of at most {MAX_TEXT} characters",
     "url": "an address that begins with https://, or nothing",
     "date": "a day as YYYY-MM-DD",
     "dataset_id": "the dataset_id of dataset.json",
-    "tracks": f"a list of some of {', '.join(CLAIMS)}",
+    "tracks": f"a list of some of {', '.join(ALL_TRACKS)}",
     "predicts": " or ".join(PREDICTS),
     "learned": "true or false",
     "uses_true_geometry": "true or false",
     "control": "true or false",
+    "paper_row": f"the key of a row of Table I, of at most {MAX_NAME} characters, in one line, or nothing",
     "camera_set": f"one of {', '.join(CAMERA_SETS)}",
 }
 EXAMPLES = {
@@ -191,10 +200,10 @@ EXAMPLES = {
 }
 
 
-def _misfit(name: str, value: Any, file: str = "", line: int | None = None) -> Fault | None:
-    """What is wrong with the value of a field."""
-    kind = KINDS[name]
-    wanted = EXPECTED.get(name, f"text of at most {LONGEST_TEXT} characters")
+def _value_fault(name: str, value: Any, file: str = "", line: int | None = None) -> Fault | None:
+    """The fault of a field's value; None where it is right."""
+    kind = FIELD_TYPES[name]
+    expected = EXPECTED.get(name, f"text of at most {MAX_TEXT} characters")
     if kind is bool:
         right, repair = isinstance(value, bool), "write true or false, without quotes"
     elif kind is str:
@@ -204,9 +213,9 @@ def _misfit(name: str, value: Any, file: str = "", line: int | None = None) -> F
         right, repair = listed, 'write a list of texts, such as ["a", "b"]'
     seen = f"{name} = {quoted(list(value) if isinstance(value, tuple) else value)}"
     if not right:
-        return Fault(file, line, None, seen, wanted, repair, "error", "wrong-type")
-    said = _wrong_value(name, value)
-    return said and Fault(file, line, None, seen, wanted, said[1], "error", said[0])
+        return Fault(file, line, None, seen, expected, repair, "error", "wrong-type")
+    wrong = _wrong_value(name, value)
+    return wrong and Fault(file, line, None, seen, expected, wrong[1], "error", wrong[0])
 
 
 def _wrong_value(name: str, value: str | bool | Sequence[str]) -> tuple[str, str] | None:
@@ -214,10 +223,10 @@ def _wrong_value(name: str, value: str | bool | Sequence[str]) -> tuple[str, str
     if isinstance(value, bool):
         return None
     texts = [value] if isinstance(value, str) else list(value)
-    short = name in ("method", "dataset_id", "dataset_checksum")
+    short = name in ("method", "label", "paper_row", "dataset_id", "dataset_checksum")
     if any(STRAY.search(text) for text in texts):
         return "stray-byte", "leave out control characters"
-    if any(len(text) > (LONGEST_NAME if short else LONGEST_TEXT) for text in texts):
+    if any(len(text) > (MAX_NAME if short else MAX_TEXT) for text in texts):
         return "too-long", "shorten it"
     if (short or name == "authors") and any("\n" in text for text in texts):
         return "two-lines", "write it in one line"
@@ -232,7 +241,7 @@ def _wrong_value(name: str, value: str | bool | Sequence[str]) -> tuple[str, str
     return None
 
 
-CHOICES = {"tracks": CLAIMS, "predicts": PREDICTS, "camera_set": CAMERA_SETS}
+CHOICES = {"tracks": ALL_TRACKS, "predicts": PREDICTS, "camera_set": CAMERA_SETS}
 
 
 def _choice(texts: list[str], known: tuple[str, ...]) -> tuple[str, str] | None:
