@@ -1,9 +1,9 @@
-"""Iterative closest points, by Open3D: what the best-known method of registration makes of a guess, without learning.
+"""Iterative closest points, by Open3D: what the best-known registration method makes of a guess, without learning.
 
-What is seen of a part is closed to a shell by walls and a floor down to the table it lies on. Those of its points that
-face the kits are moved onto the points of the kits until no point-to-plane step makes them fit better. A part touches
-its cavity in few places and stands free of its walls, and most of a plate looks like a cavity's floor, so the nearest
-fit is seldom the right one: this is the row that says so.
+The observed surface of a part is closed to a shell by walls and a floor, down to the table it lies on. Those of its
+points that face the kits are moved onto the points of the kits by point-to-plane steps until the fit no longer
+improves. A part touches its cavity in few places and stands clear of its walls, and most of a plate looks like the
+floor of a cavity, so the nearest fit is seldom the right one.
 """
 
 from __future__ import annotations
@@ -16,24 +16,34 @@ from typing import Any
 
 import numpy as np
 
-from baselines.points import seen_points
+from baselines.catalog import Method
+from baselines.points import observed_points
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.guesses import ANGLE, OFFSET
+from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.pose import Pose, unit_vector
 from kit1000.predictor import PredictedMotion
-from kit1000.values import Query, Truth
+from kit1000.tracks import GUESS_TRACKS
+from kit1000.values import Query, TrueGeometry
 
-REACHES = (20e-3, 10e-3, 5e-3)  # [m] how far a point looks for its partner: from the error of a guess to the clearance
+REACHES = (20e-3, 10e-3, 5e-3)  # [m] largest distance between partners: from the error of a guess to the clearance
 STEPS = 60  # most, at each reach; few runs take as many
-MOST_POINTS = 4000  # of the part as it is seen; its shell has about twice as many
+MOST_POINTS = 4000  # of the observed part; its shell has about twice as many
 MOST_KITS = 8000  # points of the kits that are fitted to
 WALL_STEP = 2e-3  # [m] between points of a wall, from top to bottom
 NEIGHBOURS = 20  # points that a normal is fitted to
 FACING = 0.5  # cosine between the normals of part and plate below which a point of the part faces the kits
 FEWEST = 50  # points of the kits; with fewer near the guess there is nothing to fit to
 GRID_DECIMALS = 7  # of a metre
-FARTHEST = OFFSET * 3**0.5  # [m] a guess is never off by more: what ICP does beyond is no answer
+FARTHEST = MAX_OFFSET * 3**0.5  # [m] no guess is farther off: a result of ICP beyond is wrong
+
+METHODS = {
+    "icp": Method(
+        "baselines.icp:Icp",
+        "from the guess, point-to-plane ICP of the part's shell onto the kits, by Open3D",
+        tracks=GUESS_TRACKS,
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -42,61 +52,61 @@ class Icp:
 
     dataset: Dataset
 
-    def __call__(self, query: Query, truth: Truth | None) -> PredictedMotion:
-        """The motion that ICP comes to rest at; confidence: the share of the shell that then has a partner."""
+    def __call__(self, query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
+        """The motion that ICP converges to; confidence: the share of the shell that then has a partner."""
         if query.guess is None:
             raise InputError(f"{query.id}: ICP begins at a guess, and there is none")
-        home = query.guess.apply(query.pivot)
-        world_from_middle = Pose(query.view.world_from_camera.wxyz, home)
-        shell = _about(world_from_middle, query.guess.apply(shell_of(query)))
-        kits = _about(world_from_middle, seen_points(query, query.kit_region))
+        guessed = query.guess.apply(query.pivot)
+        world_from_middle = Pose(query.view.world_from_camera.wxyz, guessed)
+        shell = _in_middle_frame(world_from_middle, query.guess.apply(shell_of(query)))
+        kits = _in_middle_frame(world_from_middle, observed_points(query, query.kit_region))
         reach = np.linalg.norm(shell, axis=1).max() + FARTHEST
         kits = kits[np.linalg.norm(kits, axis=1) < reach]
         if len(kits) < FEWEST:
             return PredictedMotion(query.guess, 0.0)
         kits = kits[:: -(-len(kits) // MOST_KITS)]
-        step, fitness = fitted(shell, kits, _about(world_from_middle, query.view.world_from_camera.xyz))
-        if np.linalg.norm(step.xyz) > FARTHEST or step.angle() > ANGLE:
+        step, fitness = fitted(shell, kits, _in_middle_frame(world_from_middle, query.view.world_from_camera.xyz))
+        if np.linalg.norm(step.xyz) > FARTHEST or step.angle() > MAX_ANGLE:
             return PredictedMotion(query.guess, 0.0)
         return PredictedMotion(world_from_middle @ step @ world_from_middle.inverse() @ query.guess, fitness)
 
 
-def _about(world_from_middle: Pose, points: np.ndarray) -> np.ndarray:
-    """(..., 3) [m] points of the world as seen from the middle of the guessed part, where turns and shifts hardly mix.
+def _in_middle_frame(world_from_middle: Pose, points: np.ndarray) -> np.ndarray:
+    """(..., 3) [m]: points of the world in a frame about the guessed part, where rotation and shift hardly mix.
 
-    On a grid, so that the last bit of a pose decides nothing: a round part turns for as long as ICP runs.
+    Rounded to a grid, so that the last bit of a pose decides nothing: a round part rotates for as long as ICP runs.
     """
     return world_from_middle.inverse().apply(points).round(GRID_DECIMALS)
 
 
 def shell_of(query: Query) -> np.ndarray:
-    """(n, 3) [m] world: what is seen of a part, its shadow on the table z = 0, and walls between the two.
+    """(n, 3) [m] world: the observed points of a part, their projection on the table z = 0, and walls between them.
 
-    The walls hang from the outline of the part in the image, which is where the seen surface ends.
+    The walls hang from the outline of the part in the image, where the observed surface ends.
     """
     mask = query.part_mask
-    seen, outline = seen_points(query, mask, MOST_POINTS), seen_points(query, mask & ~_inner(mask))
-    floor = seen * (1.0, 1.0, 0.0)
-    heights = np.arange(WALL_STEP, seen[:, 2].max(initial=0.0), WALL_STEP)
+    surface, outline = observed_points(query, mask, MOST_POINTS), observed_points(query, mask & ~_inner(mask))
+    floor = surface * (1.0, 1.0, 0.0)
+    heights = np.arange(WALL_STEP, surface[:, 2].max(initial=0.0), WALL_STEP)
     walls = np.repeat(outline[:, None], len(heights), axis=1)  # (outline, heights, 3)
     walls[..., 2] = heights
-    return np.concatenate([seen, floor, walls[heights < outline[:, None, 2]]])
+    return np.concatenate([surface, floor, walls[heights < outline[:, None, 2]]])
 
 
 def _inner(mask: np.ndarray) -> np.ndarray:
-    """(H, W) bool: pixels all four neighbours of which are in the mask; none at the border of the image."""
+    """(H, W) bool: pixels whose four neighbours are all in the mask; none at the border of the image."""
     inner = np.zeros_like(mask)
     inner[1:-1, 1:-1] = mask[1:-1, 1:-1] & mask[:-2, 1:-1] & mask[2:, 1:-1] & mask[1:-1, :-2] & mask[1:-1, 2:]
     return inner
 
 
 def fitted(shell: np.ndarray, kits: np.ndarray, camera: np.ndarray) -> tuple[Pose, float]:
-    """The motion of a shell that fits points of kits best, and the share of the shell's facing points with a partner.
+    """The motion of a shell that best fits points of kits, and the share of its facing points that have a partner.
 
     Args:
         shell: (n, 3) [m] about its middle.
         kits: (m, 3) [m] in the same frame.
-        camera: (3,) [m] where the kits were seen from, so that their normals point out of them.
+        camera: (3,) [m] where the kits were observed from, so that their normals point out of them.
     """
     o3d = _open3d()
     registration = o3d.pipelines.registration
@@ -110,8 +120,8 @@ def fitted(shell: np.ndarray, kits: np.ndarray, camera: np.ndarray) -> tuple[Pos
     motion, fitness = np.eye(4), 0.0
     for reach in REACHES:
         estimate = registration.TransformationEstimationPointToPlane(registration.TukeyLoss(reach / 2))
-        found = registration.registration_icp(source, target, reach, motion, estimate, criteria)
-        motion, fitness = found.transformation, found.fitness
+        result = registration.registration_icp(source, target, reach, motion, estimate, criteria)
+        motion, fitness = result.transformation, result.fitness
     return Pose.from_matrix(motion), float(fitness)
 
 
@@ -132,8 +142,8 @@ def _open3d() -> ModuleType:
         ctypes.CDLL(str(libusb_package.get_library_path()), ctypes.RTLD_GLOBAL)
         import open3d
     except (ImportError, OSError) as error:
-        said = " ".join(str(error).split())
-        raise InputError(f"icp: {said}; it needs Open3D: pip install 'kit1000[icp]'") from error
+        message = " ".join(str(error).split())
+        raise InputError(f"icp: {message}; it needs Open3D: pip install 'kit1000[icp]'") from error
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
     open3d.utility.set_max_threads(1)  # several add up in no fixed order
     return open3d

@@ -17,7 +17,7 @@ from baselines.training.batches import Task
 from baselines.training.config import TrainConfig
 from baselines.training.loop import Trained, train
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import InputError, near
+from kit1000.errors import InputError, did_you_mean
 
 Preset = Literal["small", "paper"]
 CHECKS = {"position": 100, "rotation": 48}  # queries to check by
@@ -57,7 +57,7 @@ def train_network(name: str, data: Path, out: Path, preset: Preset, changes: dic
         changes: fields of the training config that are to be others.
     """
     if name not in NETWORKS:
-        raise InputError(f"no network {name!r}; {near(name, NETWORKS)}there are {', '.join(NETWORKS)}")
+        raise InputError(f"no network {name!r}; {did_you_mean(name, NETWORKS)}there are {', '.join(NETWORKS)}")
     network = NETWORKS[name]
     training = TrainConfig(**{**asdict(TRAINING[network.finds, preset]), **changes})
     dataset = Dataset(data)

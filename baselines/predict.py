@@ -1,7 +1,7 @@
 """Running a method on the queries of a dataset, in one process or many, into a submission folder.
 
-Each answer stands in a journal beside the folder as soon as it is there, so that a killed run goes on where it
-stopped. The answers do not depend on the number of processes.
+Each prediction is written to a journal beside the folder at once, so that a killed run resumes where it stopped. The
+predictions do not depend on the number of processes.
 """
 
 from __future__ import annotations
@@ -19,40 +19,41 @@ from time import perf_counter
 
 from tqdm import tqdm
 
+from baselines.catalog import Method
 from baselines.journal import Journal
-from baselines.methods import EVERY, Method, made, method_of, source_hash
+from baselines.methods import make_predictor, method_of, source_hash
 from kit1000.dataset.reader import Dataset
 from kit1000.engines import local
 from kit1000.engines.cores import cores
-from kit1000.errors import Fault, InputError, Kit1000Error, near
+from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean
 from kit1000.files import check_writable
 from kit1000.predictor import PredictedMotion, Predictor, to_prediction
 from kit1000.submission import Manifest, Submission, read_submission, write_submission
-from kit1000.tracks import CURVES, SPLITS
-from kit1000.values import Prediction, Query, Truth
+from kit1000.tracks import ALL_TRACKS, CURVES, SPLITS
+from kit1000.values import Prediction, Query, TrueGeometry
 
 AUTHORS = ("The KIT1000 authors",)  # in a new manifest; what someone else writes there stays
 MICROSECOND = 6  # decimals of a time
 
 
 @dataclass(frozen=True)
-class Asked:
-    """What a run is to answer. With the dataset and the method's own files it determines every answer."""
+class RunConfig:
+    """What a run predicts. With the dataset and the method's own files it determines every prediction."""
 
     name: str
-    """Of METHODS, or module:Object."""
+    """Of a method: one of the catalog, or module:Object."""
     splits: tuple[str, ...] = ("test",)
     tracks: tuple[str, ...] | None = None
-    """None: all that the method answers."""
+    """None: all tracks of the method."""
     seed: int = 0
     """Of all draws of the method."""
     limit: int | None = None
-    """The first so many queries alone."""
+    """Only the first so many queries."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """A query to answer, by where it is found."""
+    """A query to predict for, by its place in the dataset."""
 
     split: str
     scene_id: str
@@ -63,92 +64,94 @@ class Job:
         return self.query_id
 
 
-def predict(asked: Asked, data: Path, out: Path, workers: int | None = None) -> Submission:
-    """Answer what is asked and write the submission; to one that is there the answers are added.
+def predict(config: RunConfig, data: Path, out: Path, workers: int | None = None) -> Submission:
+    """Run a method and write the submission; the predictions are added to a submission that is there already.
 
     Args:
-        asked: method, queries, seed.
+        config: method, queries, seed.
         data: dataset folder.
-        out: submission folder; an earlier one must be of the same method and dataset.
+        out: submission folder; an earlier submission must be of the same method and dataset.
         workers: processes; None = one per core.
     """
-    method, dataset, out = method_of(asked.name), Dataset(data), out.absolute()
-    jobs = jobs_of(dataset, method, asked)
+    method, dataset, out = method_of(config.name), Dataset(data), out.absolute()
+    jobs = jobs_of(dataset, method, config)
     check_writable(out)
-    earlier = _earlier(out, asked.name, dataset)
-    run = {"method": asked.name, "dataset_id": dataset.id, "splits": asked.splits, "tracks": asked.tracks}
-    run |= {"seed": asked.seed, "limit": asked.limit, "source": source_hash(method)}
+    earlier = _earlier_submission(out, config.name, dataset)
+    run = {"method": config.name, "dataset_id": dataset.id, "splits": config.splits, "tracks": config.tracks}
+    run |= {"seed": config.seed, "limit": config.limit, "source": source_hash(method)}
     with Journal(out.with_name(f"{out.name}.journal"), run) as journal:
         left = [job for job in jobs if job.query_id not in journal.done]
-        _ready.cache_clear()  # the folder may hold another dataset than in an earlier run of this process
+        _made.cache_clear()  # the folder may hold another dataset than in an earlier run of this process
         with local(workers) as spread:
-            answers = spread(partial(answer_of, dataset.root, asked.name, asked.seed), left)
-            for prediction in tqdm(answers, None, len(jobs), initial=len(jobs) - len(left), unit="query", disable=None):
+            predictions = spread(partial(predict_job, dataset.root, config.name, config.seed), left)
+            bar = tqdm(predictions, None, len(jobs), initial=len(jobs) - len(left), unit="query", disable=None)
+            for prediction in bar:
                 journal.add(prediction)
-        manifest = _manifest(asked, method, dataset, {job.track for job in jobs})
-        manifest = replace(manifest, hardware=_hardware(workers), reproduce=_command(asked, dataset, out))
+        manifest = _manifest(config, method, dataset, {job.track for job in jobs})
+        manifest = replace(manifest, hardware=_hardware(workers), reproduce=_command(config, dataset, out))
         if earlier is not None:
-            manifest = _joined(earlier.manifest, manifest)
-        submission = write_submission(out, manifest, _in_order(dataset, [*_singly(earlier), *journal.done.values()]))
+            manifest = _merged_manifest(earlier.manifest, manifest)
+        submission = write_submission(out, manifest, _sorted(dataset, [*_each(earlier), *journal.done.values()]))
         journal.delete()
     return submission
 
 
-def jobs_of(dataset: Dataset, method: Method, asked: Asked) -> list[Job]:
-    """The queries to answer, in the order of the splits; raises InputError when there is nothing to do."""
-    for track in asked.tracks or ():
+def jobs_of(dataset: Dataset, method: Method, config: RunConfig) -> list[Job]:
+    """The queries to predict for, in the order of the splits; raises InputError where there are none."""
+    for track in config.tracks or ():
         if track not in method.tracks:
-            hint = near(track, method.tracks)
-            raise InputError(f"--tracks {track}: {hint}{asked.name} answers {', '.join(method.tracks)}")
-    wanted = asked.tracks or method.tracks
+            hint = did_you_mean(track, method.tracks)
+            raise InputError(f"--tracks {track}: {hint}the tracks of {config.name} are {', '.join(method.tracks)}")
+    tracks = config.tracks or method.tracks
     jobs: dict[str, Job] = {}  # the queries of test are among those of test-all
-    for name in asked.splits:
-        queries = [query for query in dataset.split(name).queries() if query.track in wanted]
+    for name in config.splits:
+        queries = [query for query in dataset.split(name).queries() if query.track in tracks]
         if not queries:
-            raise InputError(f"{dataset.root}: split {name} asks nothing in {', '.join(wanted)}")
+            raise InputError(f"{dataset.root}: split {name} has no query in {', '.join(tracks)}")
         jobs |= {query.id: Job(name, query.scene_id, query.id, query.track) for query in queries}
     if not jobs:
         raise InputError("--split: expected at least one")
-    return list(jobs.values())[: asked.limit]
+    return list(jobs.values())[: config.limit]
 
 
-def answer_of(root: Path, name: str, seed: int, job: Job) -> Prediction:
-    """A method's answer to a query, and how long it took from the images in memory to the answer."""
-    method, dataset, predictor = _ready(root, name, seed)
+def predict_job(root: Path, name: str, seed: int, job: Job) -> Prediction:
+    """A method's prediction for a query, and its time from the images in memory to the prediction."""
+    method, dataset, predictor = _made(root, name, seed)
     scene = dataset.split(job.split, method.uses_true_geometry).scene(job.scene_id)
     query = next(query for query in scene.queries if query.id == job.query_id)
-    truth = scene.truth_of(query.id) if method.uses_true_geometry else None
+    true = method.uses_true_geometry
+    geometry = dataset.geometry.true_geometry(scene.truth_of(query.id)) if true else None
     query.image  # noqa: B018 (reads the images: reading is no part of the method)
     start = perf_counter()
-    answer = _called(predictor, query, truth)
-    return to_prediction(query, answer, round(perf_counter() - start, MICROSECOND))
+    predicted = _predicted(predictor, query, geometry)
+    return to_prediction(query, predicted, round(perf_counter() - start, MICROSECOND))
 
 
 @lru_cache(maxsize=1)
-def _ready(root: Path, name: str, seed: int) -> tuple[Method, Dataset, Predictor]:
-    """A method made and ready, once in each process."""
+def _made(root: Path, name: str, seed: int) -> tuple[Method, Dataset, Predictor]:
+    """A method, the dataset and the predictor, made once in each process."""
     method, dataset = method_of(name), Dataset(root)
-    return method, dataset, made(method, dataset, seed)
+    return method, dataset, make_predictor(method, dataset, seed)
 
 
-def _called(predictor: Predictor, query: Query, truth: Truth | None) -> PredictedMotion:
-    """The answer; whatever goes wrong is said in one line that names the query."""
+def _predicted(predictor: Predictor, query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
+    """What the method returns; its errors become one line that names the query."""
     try:
-        return predictor(query, truth)
+        return predictor(query, geometry)
     except Kit1000Error as error:
-        if isinstance(error, Fault) or query.id in str(error):
+        if isinstance(error, InternalError) or query.id in str(error):
             raise
         raise InputError(f"{query.id}: {error}") from error
     except Exception as error:
         frames = traceback.extract_tb(error.__traceback__)
-        where = [frame for frame in frames if "site-packages" not in frame.filename][-1]
-        said = " ".join(str(error).split()) or "no message"
-        place = f"{Path(where.filename).name}:{where.lineno}"
-        raise Fault(f"{query.id}: {type(error).__name__}: {said} ({place})") from error
+        frame = [frame for frame in frames if "site-packages" not in frame.filename][-1]
+        message = " ".join(str(error).split()) or "no message"
+        place = f"{Path(frame.filename).name}:{frame.lineno}"
+        raise InternalError(f"{query.id}: {type(error).__name__}: {message} ({place})") from error
 
 
-def _earlier(out: Path, name: str, dataset: Dataset) -> Submission | None:
-    """The submission that is there already; raises InputError when it is another one."""
+def _earlier_submission(out: Path, name: str, dataset: Dataset) -> Submission | None:
+    """The submission that is there already; raises InputError where it is of another method or dataset."""
     if not out.exists() or not any(out.iterdir()):
         return None
     earlier = read_submission(out)
@@ -157,41 +160,42 @@ def _earlier(out: Path, name: str, dataset: Dataset) -> Submission | None:
         ("dataset", earlier.manifest.dataset_id, dataset.id),
     ):
         if theirs != ours:
-            raise InputError(f"{out}: holds answers of {what} {theirs}, not {ours}; choose another --out")
+            raise InputError(f"{out}: holds predictions of {what} {theirs}, not {ours}; choose another --out")
     return earlier
 
 
-def _singly(submission: Submission | None) -> Iterator[Prediction]:
+def _each(submission: Submission | None) -> Iterator[Prediction]:
+    """The predictions of a submission one by one."""
     if submission is None:
         return
-    all_of = submission.predictions
-    rows = zip(all_of.query_ids, all_of.motions, all_of.confidence.tolist(), all_of.seconds.tolist(), strict=True)
+    table = submission.predictions
+    rows = zip(table.query_ids, table.motions, table.confidence.tolist(), table.seconds.tolist(), strict=True)
     yield from (Prediction(*row) for row in rows)
 
 
-def _in_order(dataset: Dataset, predictions: Iterable[Prediction]) -> list[Prediction]:
-    """The last prediction for each query, in the order in which the dataset asks."""
+def _sorted(dataset: Dataset, predictions: Iterable[Prediction]) -> list[Prediction]:
+    """The last prediction for each query, in the order of the dataset's queries."""
     last = {prediction.query_id: prediction for prediction in predictions}
-    asked = (query.id for split in splits_of(last) for query in dataset.split(split).queries())
-    place = {query_id: i for i, query_id in enumerate(asked)}
+    query_ids = (query.id for split in splits_of(last) for query in dataset.split(split).queries())
+    place = {query_id: i for i, query_id in enumerate(query_ids)}
     return sorted(last.values(), key=lambda prediction: place.get(prediction.query_id, len(place)))
 
 
 def splits_of(query_ids: Iterable[str]) -> tuple[str, ...]:
-    """The splits that ask queries, in their order; of the test split all that it asks."""
+    """The splits that hold queries, in their order; test-all for those of the test split."""
     kinds = {query_id.partition("-")[0] for query_id in query_ids}
     return tuple("test-all" if kind == "test" else kind for kind in (*SPLITS, CURVES) if kind in kinds)
 
 
-def _manifest(asked: Asked, method: Method, dataset: Dataset, tracks: set[str]) -> Manifest:
+def _manifest(config: RunConfig, method: Method, dataset: Dataset, tracks: set[str]) -> Manifest:
     return Manifest(
-        method=asked.name,
+        method=config.name,
         authors=AUTHORS,
         description=method.description,
         date=date.today().isoformat(),
         dataset_id=dataset.id,
         dataset_checksum=dataset.summary["checksum"],
-        tracks=_in_their_order(tracks),
+        tracks=_in_order(tracks),
         predicts=method.predicts,
         learned=method.learned,
         uses_true_geometry=method.uses_true_geometry,
@@ -200,31 +204,31 @@ def _manifest(asked: Asked, method: Method, dataset: Dataset, tracks: set[str]) 
     )
 
 
-def _joined(earlier: Manifest, new: Manifest) -> Manifest:
-    """The manifest of answers that were added: what people write into one by hand stays."""
+def _merged_manifest(earlier: Manifest, new: Manifest) -> Manifest:
+    """The manifest of a submission with added predictions: what people write into one by hand stays."""
     commands = dict.fromkeys([*earlier.reproduce.split(" && "), new.reproduce])
     reproduce = " && ".join(filter(None, commands))
-    by_hand = {name: getattr(earlier, name) for name in ("authors", "description", "url")}
-    return replace(new, tracks=_in_their_order({*earlier.tracks, *new.tracks}), reproduce=reproduce, **by_hand)
+    by_hand = {name: getattr(earlier, name) for name in ("label", "authors", "description", "url", "paper_row")}
+    return replace(new, tracks=_in_order({*earlier.tracks, *new.tracks}), reproduce=reproduce, **by_hand)
 
 
-def _in_their_order(tracks: set[str]) -> tuple[str, ...]:
-    return tuple(track for track in EVERY if track in tracks)
+def _in_order(tracks: set[str]) -> tuple[str, ...]:
+    return tuple(track for track in ALL_TRACKS if track in tracks)
 
 
-def _command(asked: Asked, dataset: Dataset, out: Path) -> str:
-    """What to type for these answers, the folders as they are in a checkout."""
-    words = ["python", "-m", "baselines", "predict", asked.name, "--split", *asked.splits]
-    words += ["--tracks", *asked.tracks] if asked.tracks else []
-    words += ["--seed", str(asked.seed)] if asked.seed else []
-    words += ["--limit", str(asked.limit)] if asked.limit is not None else []
+def _command(config: RunConfig, dataset: Dataset, out: Path) -> str:
+    """The command that repeats a run, with the folders of a checkout."""
+    words = ["python", "-m", "baselines", "predict", config.name, "--split", *config.splits]
+    words += ["--tracks", *config.tracks] if config.tracks else []
+    words += ["--seed", str(config.seed)] if config.seed else []
+    words += ["--limit", str(config.limit)] if config.limit is not None else []
     words += ["--data", f"data/{dataset.summary['preset']}", "--out", f"submissions/{out.name}"]
     return shlex.join(words)
 
 
 def _hardware(workers: int | None) -> str:
-    """Processor, how many of them, and how many answers were worked out at once."""
+    """Processor, its cores, and how many queries are predicted at a time."""
     file = Path("/proc/cpuinfo")
     named = re.search(r"^model name\s*: (.*)$", file.read_text(), re.M) if file.is_file() else None
     model = named[1].strip() if named else platform.processor() or platform.machine()
-    return f"{model}, {cores()} cores, {workers or cores()} answers at a time"
+    return f"{model}, {cores()} cores, {workers or cores()} queries at a time"

@@ -23,7 +23,7 @@ from scipy.spatial import KDTree
 from kit1000.errors import Kit1000Error, Redraw
 from kit1000.kits.clearance import walk
 from kit1000.kits.kit import CLEARANCE, KitDesign, Plate, design_kit
-from kit1000.mesh import Mesh, defect32, solid_of
+from kit1000.mesh import Mesh, defect_float32, solid_from_mesh
 from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
 from kit1000.rng import stream
@@ -88,7 +88,7 @@ def compare(part: Part) -> tuple[Row, Row, Row]:
     """The release's kit, ours for the same stretched part, and ours for the part as drawn."""
     standing = stretched(part.mesh)
     seconds, kit = timed(lambda: release_kit(standing))
-    theirs = Row(seconds, len(kit.faces), *wall_distances(kit, standing), defect32(kit) is None)
+    theirs = Row(seconds, len(kit.faces), *wall_distances(kit, standing), defect_float32(kit) is None)
     stretched_part = standing_part(standing)
     same_job = timed(lambda: design_kit(stretched_part, MARGIN, BLOCK_PLATE))
     return theirs, our_row(*same_job), our_row(*timed(lambda: design_kit(part)))
@@ -96,7 +96,7 @@ def compare(part: Part) -> tuple[Row, Row, Row]:
 
 def our_row(seconds: float, design: KitDesign) -> Row:
     mesh, found = design.kit.mesh, design.measured
-    return Row(seconds, len(mesh.faces), found.smallest, found.largest, defect32(mesh) is None)
+    return Row(seconds, len(mesh.faces), found.smallest, found.largest, defect_float32(mesh) is None)
 
 
 def standing_part(standing: Mesh) -> Part:
@@ -117,7 +117,7 @@ def wall_distances(kit: Mesh, standing: Mesh) -> tuple[float, float]:
     A step of the floor may be off by a voxel without counting as a wall: the nearest wall is measured from
     the shadow one voxel lower, the farthest from the shadow one voxel higher.
     """
-    part, plate = solid_of(standing), solid_of(kit)
+    part, plate = solid_from_mesh(standing), solid_from_mesh(kit)
     near, far = [], []
     for height in HEIGHTS:
         loops = sorted(plate.slice(height).to_polygons(), key=np.ptp)[:-1]  # the largest is the block

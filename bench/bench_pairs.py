@@ -20,11 +20,11 @@ import tyro
 from manifold3d import Manifold
 
 from kit1000.dataset.geometry import Geometry
-from kit1000.kits.acceptance import at_a_goal, over_turned, wrong_poses
+from kit1000.kits.acceptance import is_goal, poses_beyond_keyedness, wrong_poses
 from kit1000.kits.kit import LOOSEST
-from kit1000.kits.seating import HOVER, Plug, judged_raise, swept_out, verdict
+from kit1000.kits.seating import HOVER, InsertedPart, contact_offset_by_booleans, swept_solid, seating_result
 from kit1000.kits.sweep import SAGITTA
-from kit1000.mesh import body_count, defect32, solid_of
+from kit1000.mesh import body_count, defect_float32, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.values import Kit, Part
 
@@ -49,7 +49,7 @@ def main(proof: Proof) -> int:
     started = time.perf_counter()
     for kit_id, row in geometry.kits.items():
         mesh = geometry.kit(kit_id).mesh
-        faults["plate not closed in float32"] += defect32(mesh) is not None
+        faults["plate not closed in float32"] += defect_float32(mesh) is not None
         faults["plate of several bodies"] += body_count(mesh) != 1
         faults["clearance out of bounds"] += not _in_bounds(row)
     sample = np.random.default_rng(proof.seed).choice(
@@ -74,8 +74,8 @@ def _in_bounds(row: dict) -> bool:
 
 
 def _prove(part: Part, kit: Kit, keyedness: float | None, faults: Counter[str], tried: Counter[str]) -> None:
-    design, plate = kit.slot.goals[0], solid_of(kit.mesh)
-    body = solid_of(part.mesh).transform(design.matrix()[:3])
+    design, plate = kit.slot.goals[0], solid_from_mesh(kit.mesh)
+    body = solid_from_mesh(part.mesh).transform(design.matrix()[:3])
     for rise in np.linspace(FILM, HOVER, 8):
         tried["heights on the way in"] += 1
         faults["overlap on the way in"] += not (body.translate((0, 0, rise)) ^ plate).is_empty()
@@ -83,22 +83,22 @@ def _prove(part: Part, kit: Kit, keyedness: float | None, faults: Counter[str], 
         tried["goals"] += 1
         faults["goal that does not seat"] += not _seats(*judge_of(part, goal), kit, goal, goal)
     judge = judge_of(part, design)
-    wrong = [(pose, None) for _, pose in wrong_poses(kit)] + [(pose, keyedness) for pose in over_turned(kit, keyedness)]
+    wrong = [(pose, None) for _, pose in wrong_poses(kit)] + [(pose, keyedness) for pose in poses_beyond_keyedness(kit, keyedness)]
     for pose, reach in wrong:
-        if not at_a_goal(pose, kit, reach):
+        if not is_goal(pose, kit, reach):
             tried["wrong poses"] += 1
             faults["wrong pose that seats"] += _seats(*judge, kit, pose, design)
 
 
-def judge_of(part: Part, goal: Pose) -> tuple[Manifold, Plug]:
+def judge_of(part: Part, goal: Pose) -> tuple[Manifold, InsertedPart]:
     """The part swept out along the axis that a goal carries."""
-    plug = Plug.of(part.mesh, goal)
-    return swept_out(part.mesh, plug.axis), plug
+    plug = InsertedPart.of(part.mesh, goal)
+    return swept_solid(part.mesh, plug.axis), plug
 
 
-def _seats(swept: Manifold, plug: Plug, kit: Kit, pose: Pose, goal: Pose) -> bool:
-    rise = judged_raise(swept, plug, solid_of(kit.mesh), pose)
-    return verdict(rise, plug, pose, goal, kit.slot.depth).seated
+def _seats(swept: Manifold, plug: InsertedPart, kit: Kit, pose: Pose, goal: Pose) -> bool:
+    rise = contact_offset_by_booleans(swept, plug, solid_from_mesh(kit.mesh), pose)
+    return seating_result(rise, plug, pose, goal, kit.slot.depth).seated
 
 
 if __name__ == "__main__":

@@ -16,20 +16,20 @@ import numpy as np
 import tyro
 
 from kit1000.errors import Kit1000Error, Redraw
-from kit1000.kits.acceptance import about_anchor
-from kit1000.kits.contact import ridges
+from kit1000.kits.acceptance import rotated_about_centroid
+from kit1000.kits.contact import convex_edges
 from kit1000.kits.kit import make_kit
 from kit1000.kits.seating import (
-    JUDGE_STEP,
-    SEATED,
-    Plug,
-    Verdict,
-    contact_raise,
-    judged_raise,
-    swept_out,
-    verdict,
+    BISECTION_STEP,
+    SEATED_LIMIT,
+    InsertedPart,
+    SeatingResult,
+    contact_offset,
+    contact_offset_by_booleans,
+    swept_solid,
+    seating_result,
 )
-from kit1000.mesh import solid_of
+from kit1000.mesh import solid_from_mesh
 from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
 from kit1000.pose import Pose
@@ -45,8 +45,8 @@ BRINK_STEPS = np.array([-2e-2, -2e-3, 2e-3, 2e-2])  # shares of an error, about 
 class Row:
     """One pose judged twice."""
 
-    closed: Verdict
-    judged: Verdict
+    closed: SeatingResult
+    judged: SeatingResult
     to_limit: float
     """[m] from the nearest limit"""
     closed_s: float
@@ -58,14 +58,14 @@ class Pair:
 
     def __init__(self, part: Part, kit: Kit) -> None:
         self.goal, self.depth = kit.slot.goals[0], kit.slot.depth
-        self.plug, self.edges = Plug.of(part.mesh, self.goal), ridges(kit.mesh)
-        self.swept, self.plate = swept_out(part.mesh, self.plug.axis), solid_of(kit.mesh)
+        self.plug, self.edges = InsertedPart.of(part.mesh, self.goal), convex_edges(kit.mesh)
+        self.swept, self.plate = swept_solid(part.mesh, self.plug.axis), solid_from_mesh(kit.mesh)
 
-    def closed(self, pose: Pose) -> Verdict:
-        return verdict(contact_raise(self.plug, self.edges, pose), self.plug, pose, self.goal, self.depth)
+    def closed(self, pose: Pose) -> SeatingResult:
+        return seating_result(contact_offset(self.plug, self.edges, pose), self.plug, pose, self.goal, self.depth)
 
-    def judged(self, pose: Pose) -> Verdict:
-        return verdict(judged_raise(self.swept, self.plug, self.plate, pose), self.plug, pose, self.goal, self.depth)
+    def judged(self, pose: Pose) -> SeatingResult:
+        return seating_result(contact_offset_by_booleans(self.swept, self.plug, self.plate, pose), self.plug, pose, self.goal, self.depth)
 
     def compared(self, pose: Pose) -> Row:
         """Both verdicts on a pose, timed."""
@@ -75,13 +75,13 @@ class Pair:
         judged = self.judged(pose)
         return Row(closed, judged, self.to_limit(closed), between - start, time.perf_counter() - between)
 
-    def to_limit(self, found: Verdict) -> float:
+    def to_limit(self, found: SeatingResult) -> float:
         """[m] how near a verdict is to one of its limits."""
-        return min(abs(abs(found.height) - min(SEATED, self.depth / 3)), abs(abs(found.rise) - SEATED))
+        return min(abs(abs(found.contact_height) - min(SEATED_LIMIT, self.depth / 3)), abs(abs(found.contact_offset) - SEATED_LIMIT))
 
     def moved(self, error: np.ndarray, share: float) -> Pose:
         """The goal with a share of an error (6,) [m, rad]: shift in the kit frame, turn about the centroid."""
-        return Pose.from_translation(share * error[:3]) @ about_anchor(self.goal, share * error[3:])
+        return Pose.from_translation(share * error[:3]) @ rotated_about_centroid(self.goal, share * error[3:])
 
     def brink(self, error: np.ndarray) -> float:
         """The share of an error at which the verdict flips."""
@@ -134,8 +134,8 @@ def drawn_poses(pair: Pair, poses: int, rng: np.random.Generator) -> Iterator[Po
 
 def report(pairs: int, rows: list[Row]) -> None:
     """Print what agrees and what it costs."""
-    both = [row for row in rows if np.isfinite([row.closed.rise, row.judged.rise]).all()]
-    differences = np.array([abs(row.closed.rise - row.judged.rise) for row in both])
+    both = [row for row in rows if np.isfinite([row.closed.contact_offset, row.judged.contact_offset]).all()]
+    differences = np.array([abs(row.closed.contact_offset - row.judged.contact_offset) for row in both])
     verdicts = np.array([(r.closed.seated, r.closed.strict) != (r.judged.seated, r.judged.strict) for r in rows])
     near = np.array([row.to_limit < BAND for row in rows])
     seated = np.mean([row.closed.seated for row in rows])
@@ -143,7 +143,7 @@ def report(pairs: int, rows: list[Row]) -> None:
         f"{pairs} pairs, {len(rows)} poses, {seated:.0%} seated, {near.mean():.1%} within {BAND * 1e3:g} mm of a limit"
     )
     print(
-        f"rise: largest difference {differences.max() * 1e6:.1f} um, {(differences > JUDGE_STEP).sum()} above the step"
+        f"rise: largest difference {differences.max() * 1e6:.1f} um, {(differences > BISECTION_STEP).sum()} above the step"
     )
     print(f"verdicts that differ: {verdicts.mean():.2%}, of these outside the band {(verdicts & ~near).sum()}")
     for name, times in (("closed form", [r.closed_s for r in rows]), ("booleans", [r.judged_s for r in rows])):

@@ -22,7 +22,7 @@ from benchmark.protocol import read_protocol
 from benchmark.report import json_text, table
 from benchmark.score import Scored, score
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import InputError, near
+from kit1000.errors import InputError, did_you_mean
 from kit1000.files import write_bytes
 from kit1000.submission import read_submission
 from kit1000.tracks import CURVES
@@ -141,7 +141,7 @@ def _shared(a: Scored, b: Scored, asked: Sequence[str]) -> list[str]:
         raise InputError("nothing to compare: A and B answer no track in common")
     for track in asked:
         if track not in both:
-            raise InputError(f"track {track!r}: {near(track, both)}A and B both answer {', '.join(both)}")
+            raise InputError(f"track {track!r}: {did_you_mean(track, both)}A and B both answer {', '.join(both)}")
     return list(asked) or both
 
 

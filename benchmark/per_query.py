@@ -1,20 +1,23 @@
-"""One row a query: what was measured of each answer, and what the query is like; as arrays and as a CSV file."""
+"""One row per query: the measured quantities and the properties of the query, as arrays and as a CSV file."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from benchmark import quantities
+from kit1000.errors import InternalError
 from kit1000.files import write_bytes
 
 
 @dataclass(frozen=True, eq=False)
 class PerQuery:
-    """Arrays (n,), read-only; a row a query. NaN: not measured, as positions of a method that predicts rotations."""
+    """Arrays (n,), read-only, a row per query. NaN: not measured, as positions of a method that predicts rotations."""
 
     query_id: np.ndarray
     """str"""
@@ -25,60 +28,57 @@ class PerQuery:
     assembly_id: np.ndarray
     """str: queries about one assembly are resampled together."""
     covered: np.ndarray
-    """bool: whether there is an answer; without one, no motion is what is measured."""
-    position_mm: np.ndarray
-    """Of the part's centroid, to the goal that judges: the one of least MSSD."""
-    rotation_deg: np.ndarray
-    """To the same goal."""
-    mssd_mm: np.ndarray
-    """Most that any point of the part misses, to the same goal."""
-    position_plain_mm: np.ndarray
-    """To the goal that the guess was drawn around."""
-    rotation_plain_deg: np.ndarray
-    seated: np.ndarray
-    """bool; False where it is not measured: in curves, and for a method that predicts rotations."""
-    seated_strict: np.ndarray
-    """bool"""
-    penetration_mm: np.ndarray
-    judged: np.ndarray
-    """bool: whether the exact judge was asked."""
-    differs: np.ndarray
-    """bool: whether its verdict is another than that of the fast test."""
+    """bool: whether there is a prediction; without one, the zero motion is measured."""
+    quantities: Mapping[str, np.ndarray]
+    """By key, those of `quantities.per_query()`: float in the unit of the key, or bool for a rate."""
+    exact_test: np.ndarray
+    """bool: whether the exact seating test ran."""
+    exact_disagreement: np.ndarray
+    """bool: whether its result differs from that of the fast test."""
     confidence: np.ndarray
-    """0 to 1; 0 without an answer."""
-    seconds: np.ndarray
-    """NaN where it is not told."""
+    """0 to 1; 0 without a prediction."""
     rest_mode: np.ndarray
     """str: upright or tumbled."""
     tilt_deg: np.ndarray
-    """Of the slot: its axis, z of the kit, against z of the world."""
+    """Angle between the axis of the slot, z of the kit, and z of the world."""
     kits: np.ndarray
-    """int: how many the assembly has."""
+    """int: number of kits in the assembly."""
     held_out: np.ndarray
     """bool: whether the part's family is in no training scene."""
     visible: np.ndarray
-    """Share of the part's silhouette that the camera sees."""
+    """Share of the part's silhouette that is visible to the camera."""
     symmetry: np.ndarray
     """str: one goal, several goals, or free axis; that of the part in its slot."""
-    loose: np.ndarray
-    """bool: whether the slot also takes the part in a pose that is no goal."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            array = np.asarray(getattr(self, field.name))
-            array.setflags(write=False)
-            object.__setattr__(self, field.name, array)
+        keys = [quantity.key for quantity in quantities.per_query()]
+        if wrong := {*keys} ^ {*self.quantities}:
+            raise InternalError(f"rows per query: quantities missing or too many: {', '.join(sorted(wrong))}")
+        object.__setattr__(self, "quantities", MappingProxyType({key: self.quantities[key] for key in keys}))
+        for column in self.columns().values():
+            column.setflags(write=False)
 
     def __len__(self) -> int:
         return len(self.query_id)
 
     def __getitem__(self, index: np.ndarray | slice) -> PerQuery:
         """Some of the rows, by indices, a mask or a slice."""
-        return PerQuery(**{name: column[index] for name, column in self.columns().items()})
+        return PerQuery.of_columns({name: column[index] for name, column in self.columns().items()})
+
+    @staticmethod
+    def of_columns(columns: Mapping[str, np.ndarray]) -> PerQuery:
+        """The rows of columns by name, as `columns` gives them."""
+        measured = {quantity.key: columns[quantity.key] for quantity in quantities.per_query()}
+        rest = {field.name: columns[field.name] for field in fields(PerQuery) if field.name != "quantities"}
+        return PerQuery(**rest, quantities=measured)
 
     def columns(self) -> dict[str, np.ndarray]:
-        """The arrays by name, in order."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        """All arrays by name, in order, the quantities in place."""
+        columns: dict[str, np.ndarray] = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            columns |= value if field.name == "quantities" else {field.name: value}
+        return columns
 
     def of_track(self, track: str) -> PerQuery:
         """The rows of a track."""
@@ -86,20 +86,20 @@ class PerQuery:
 
     @property
     def tracks(self) -> tuple[str, ...]:
-        """The tracks that have rows, in the order in which they first come."""
+        """The tracks that have rows, in the order of their first rows."""
         names, first = np.unique(self.track, return_index=True)
         return tuple(names[np.argsort(first)].tolist())
 
 
 def write_per_query(path: Path, rows: PerQuery) -> None:
-    """Write the rows as a CSV file: a header, then a line a query; what was not measured is left empty."""
+    """Write the rows as a CSV file: a header, then a line per query; values that were not measured are empty."""
     columns = rows.columns()
-    lines = [",".join(columns), *map(",".join, zip(*map(_written, columns.values()), strict=True))]
+    lines = [",".join(columns), *map(",".join, zip(*map(_cells, columns.values()), strict=True))]
     write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
-def _written(column: np.ndarray) -> Sequence[str]:
-    """A column as text, a cell a row."""
+def _cells(column: np.ndarray) -> Sequence[str]:
+    """A column as text, a cell per row."""
     if column.dtype.kind == "b":
         return ["true" if value else "false" for value in column.tolist()]
     return [_cell(value) for value in column.tolist()]

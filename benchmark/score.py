@@ -19,9 +19,9 @@ from benchmark.provenance import commit, evaluator
 from benchmark.summary import summarised
 from benchmark.truths import Questions, joined, questions
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import InputError, near
+from kit1000.errors import InputError, did_you_mean
 from kit1000.files import sha256
-from kit1000.metrics.seating import BANDS
+from kit1000.metrics.seating import EXACT_BANDS
 from kit1000.submission import Submission, check, read_submission
 from kit1000.submission.predictions import FILE
 from kit1000.tracks import CURVES
@@ -111,9 +111,9 @@ def _asked(dataset: Dataset, protocol: Protocol, split: str, tracks: list[str], 
 def _check(submission: Submission, dataset: Dataset, protocol: Protocol, split: str, judge: str, workers: int) -> None:
     """Refuse what cannot be scored before anything is read."""
     if split not in protocol.splits:
-        raise InputError(f"split {split!r}: {near(split, protocol.splits)}expected one of {', '.join(protocol.splits)}")
-    if judge not in BANDS:
-        raise InputError(f"judge {judge!r}: {near(judge, BANDS)}expected one of {', '.join(BANDS)}")
+        raise InputError(f"split {split!r}: {did_you_mean(split, protocol.splits)}expected one of {', '.join(protocol.splits)}")
+    if judge not in EXACT_BANDS:
+        raise InputError(f"judge {judge!r}: {did_you_mean(judge, EXACT_BANDS)}expected one of {', '.join(EXACT_BANDS)}")
     if workers < 1:
         raise InputError(f"workers: expected 1 or more, got {workers}")
     said = submission.manifest.dataset_id

@@ -43,20 +43,20 @@ class Redraw(Kit1000Error):
         self.reason = reason
 
 
-class Fault(Kit1000Error):
+class InternalError(Kit1000Error):
     """A mistake of this package and not of its user, said in one line that helps to find it."""
 
 
-def fault(doing: str, error: BaseException) -> Fault:
+def internal_error(doing: str, error: BaseException) -> InternalError:
     """An unforeseen exception as a Fault: what was being done, what went wrong, in which line of this package."""
     frames = traceback.extract_tb(error.__traceback__)
     ours = [frame for frame in frames if Path(__file__).parent in Path(frame.filename).parents]
     where = f" ({Path(ours[-1].filename).name}:{ours[-1].lineno})" if ours else ""
     said = " ".join(str(error).split())
-    return Fault(f"{doing}: {type(error).__name__}: {said or 'no message'}{where}; please report this fault of kit1000")
+    return InternalError(f"{doing}: {type(error).__name__}: {said or 'no message'}{where}; please report this fault of kit1000")
 
 
-def near(word: str, known: Iterable[str]) -> str:
+def did_you_mean(word: str, known: Iterable[str]) -> str:
     """What goes into a message about a word that is not known: "did you mean x? ", or nothing where none is alike."""
     found = get_close_matches(word, list(known), n=1, cutoff=0.5)
     return f"did you mean {found[0]}? " if found else ""
@@ -84,11 +84,11 @@ def checked(name: str, array: ArrayLike, shape: Shape, dtype: DTypeLike = np.flo
     try:
         source = np.asarray(array)
     except ValueError:
-        raise _unwanted(name, shape, dtype, "rows of unequal length") from None
+        raise _shape_error(name, shape, dtype, "rows of unequal length") from None
     if source.dtype.kind not in "biuf":  # text, objects
-        raise _unwanted(name, shape, dtype, f"{source.dtype} of shape {source.shape}")
-    if not _fits(source.shape, shape):
-        raise _unwanted(name, shape, dtype, f"shape {source.shape}")
+        raise _shape_error(name, shape, dtype, f"{source.dtype} of shape {source.shape}")
+    if not _matches(source.shape, shape):
+        raise _shape_error(name, shape, dtype, f"shape {source.shape}")
     if source.dtype == dtype:
         copy = np.array(source, order="C", copy=True)
     else:
@@ -98,16 +98,16 @@ def checked(name: str, array: ArrayLike, shape: Shape, dtype: DTypeLike = np.flo
     if not good.all():
         first = tuple(int(i) for i in np.argwhere(~good)[0])
         why = "which is not finite" if copy.dtype.kind == "f" else f"which is no {copy.dtype.name}"
-        raise _unwanted(name, shape, dtype, f"shape {source.shape} with {source[first]} at {first}, {why}")
+        raise _shape_error(name, shape, dtype, f"shape {source.shape} with {source[first]} at {first}, {why}")
     copy.setflags(write=False)
     return copy
 
 
-def _unwanted(name: str, shape: Shape, dtype: DTypeLike, got: str) -> ShapeError:
-    return ShapeError(f"{name}: expected {np.dtype(dtype).name} of shape {_written(shape)}, got {got}")
+def _shape_error(name: str, shape: Shape, dtype: DTypeLike, got: str) -> ShapeError:
+    return ShapeError(f"{name}: expected {np.dtype(dtype).name} of shape {_shape_text(shape)}, got {got}")
 
 
-def _fits(found: tuple[int, ...], shape: Shape) -> bool:
+def _matches(found: tuple[int, ...], shape: Shape) -> bool:
     """Whether the found sizes match the wanted ones, equal names standing for equal sizes."""
     trailing = shape
     if shape and shape[0] is Ellipsis:
@@ -122,7 +122,7 @@ def _fits(found: tuple[int, ...], shape: Shape) -> bool:
     )
 
 
-def _written(shape: Shape) -> str:
+def _shape_text(shape: Shape) -> str:
     """The shape as a reader writes it: (..., n, 3)."""
     sizes = ["..." if size is Ellipsis else str(size) for size in shape]
     return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"

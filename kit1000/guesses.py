@@ -8,8 +8,8 @@ from kit1000.errors import InputError
 from kit1000.pose import unit_vector
 from kit1000.values import Slot
 
-OFFSET = 28e-3  # [m] most along a world axis: as far as the paper's matcher looks around a guess
-ANGLE = float(np.radians(27.5))  # most: as far as the paper's candidate turns reach
+MAX_OFFSET = 28e-3  # [m] most along a world axis: as far as the paper's matcher looks around a guess
+MAX_ANGLE = float(np.radians(27.5))  # most: as far as the paper's candidate turns reach
 LEVELS = 8  # of a curve: level k is k/7 of OFFSET and of ANGLE
 FIXED_LEVELS = (1, 4, 7)  # at which one kind of error stays while the other runs through all levels
 
@@ -25,25 +25,25 @@ def draw_direction(rng: np.random.Generator) -> np.ndarray:
     return unit_vector(rng.standard_normal(3))
 
 
-def draw_ball(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def draw_ball_error(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """An offset (3,) [m], uniform in a cube, and a turn (3,) [rad] by an even angle about any axis."""
-    return _draw_offset(rng), draw_direction(rng) * rng.uniform(0, ANGLE)
+    return _draw_offset(rng), draw_direction(rng) * rng.uniform(0, MAX_ANGLE)
 
 
-def draw_tilt(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def draw_tilt_error(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """The paper's error: the same offset, and a turn that takes the vertical to a direction the shortest way."""
     offset, azimuth = _draw_offset(rng), rng.uniform(0, 2 * np.pi)
-    return offset, np.array([-np.sin(azimuth), np.cos(azimuth), 0.0]) * rng.uniform(0, ANGLE)
+    return offset, np.array([-np.sin(azimuth), np.cos(azimuth), 0.0]) * rng.uniform(0, MAX_ANGLE)
 
 
 def level_offset(level: int) -> float:
     """Length [m] of the offset at a level of a curve: 0, 4 ... 28 mm."""
-    return OFFSET * _level(level) / (LEVELS - 1)
+    return MAX_OFFSET * _level(level) / (LEVELS - 1)
 
 
 def level_angle(level: int) -> float:
     """Angle [rad] of the turn at a level of a curve: 0, 3.9 ... 27.5 degrees."""
-    return ANGLE * _level(level) / (LEVELS - 1)
+    return MAX_ANGLE * _level(level) / (LEVELS - 1)
 
 
 def _level(level: int) -> int:
@@ -53,4 +53,4 @@ def _level(level: int) -> int:
 
 
 def _draw_offset(rng: np.random.Generator) -> np.ndarray:
-    return rng.uniform(-OFFSET, OFFSET, 3)
+    return rng.uniform(-MAX_OFFSET, MAX_OFFSET, 3)

@@ -22,9 +22,9 @@ from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.tables import pose_of
 from kit1000.errors import InputError
 from kit1000.files import locked, write_bytes, write_json
-from kit1000.kits.acceptance import about_anchor
-from kit1000.kits.contact import Ridges, ridges
-from kit1000.kits.seating import Plug, Verdict, contact_raise, verdict
+from kit1000.kits.acceptance import rotated_about_centroid
+from kit1000.kits.contact import ConvexEdges, convex_edges
+from kit1000.kits.seating import InsertedPart, SeatingResult, contact_offset, seating_result
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
@@ -79,16 +79,16 @@ class Site:
 
     def __init__(self, assembly: Assembly, mount: Mount, part: Part, workpiece: Workpiece) -> None:
         self.mount, self.part, self.workpiece = mount, part, workpiece
-        self.edges: Ridges = ridges(assembly.mesh)
+        self.edges: ConvexEdges = convex_edges(assembly.mesh)
         self.standing: Sequence[Obstacle] = obstacles(assembly)
 
     def tried(self, pose: Pose, goal: Pose) -> Row:
         """What the seating test says of a prediction about a goal (kit frame both), and what physics makes of it."""
-        plug = Plug.of(self.part.mesh, goal)
+        plug = InsertedPart.of(self.part.mesh, goal)
         assembly_from_kit = self.mount.assembly_from_kit
         predicted = assembly_from_kit @ pose
         slot = self.mount.kit.slot
-        said = verdict(contact_raise(plug, self.edges, predicted), plug, pose, goal, slot.depth)
+        said = seating_result(contact_offset(plug, self.edges, predicted), plug, pose, goal, slot.depth)
         came = insert(self.workpiece, self.standing, predicted, plug.axis)
         back = assembly_from_kit.inverse()
         released, rest = back @ came.released, back @ came.rest
@@ -169,16 +169,16 @@ def _off(goal: Pose, error: Error, rng: np.random.Generator) -> Pose:
     angle, axis = rng.uniform(0, 2 * np.pi), rng.standard_normal(3)
     if error.kind == "shift":
         return Pose.from_translation(error.amount * 1e-3 * np.array([np.cos(angle), np.sin(angle), 0.0])) @ goal
-    return about_anchor(goal, np.radians(error.amount) * axis / np.linalg.norm(axis))
+    return rotated_about_centroid(goal, np.radians(error.amount) * axis / np.linalg.norm(axis))
 
 
-def _said(said: Verdict) -> Row:
-    seen = np.isfinite(said.rise)
+def _said(said: SeatingResult) -> Row:
+    seen = np.isfinite(said.contact_offset)
     return {
         "seated": said.seated,
         "strict": said.strict,
-        "rise_mm": round(said.rise * 1e3, 3) if seen else None,
-        "height_mm": round(said.height * 1e3, 3) if seen else None,
+        "rise_mm": round(said.contact_offset * 1e3, 3) if seen else None,
+        "height_mm": round(said.contact_height * 1e3, 3) if seen else None,
     }
 
 

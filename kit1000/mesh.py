@@ -49,26 +49,26 @@ class Mesh:
     @cached_property
     def normals(self) -> np.ndarray:
         """(m, 3) unit face normals, outward; zero for faces without area."""
-        crosses = _crosses(self.triangles)
+        crosses = _cross_products(self.triangles)
         lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
         return np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0)
 
     @cached_property
     def area(self) -> float:
         """[m^2]"""
-        return float(np.linalg.norm(_crosses(self.triangles), axis=1).sum() / 2)
+        return float(np.linalg.norm(_cross_products(self.triangles), axis=1).sum() / 2)
 
     @cached_property
     def volume(self) -> float:
         """[m^3], signed: negative when the mesh is inside out (divergence theorem, about the middle of the box)."""
-        return float(_tetrahedra(self.triangles, self._middle).sum())
+        return float(_tetrahedron_volumes(self.triangles, self._box_centre).sum())
 
     @cached_property
     def centroid(self) -> np.ndarray:
         """(3,) [m]: centre of volume."""
-        corners = self.triangles - self._middle
-        volumes = _tetrahedra(self.triangles, self._middle)
-        return self._middle + volumes @ corners.sum(1) / 4 / volumes.sum()
+        corners = self.triangles - self._box_centre
+        volumes = _tetrahedron_volumes(self.triangles, self._box_centre)
+        return self._box_centre + volumes @ corners.sum(1) / 4 / volumes.sum()
 
     @cached_property
     def bounds(self) -> np.ndarray:
@@ -81,7 +81,7 @@ class Mesh:
         return self.bounds[1] - self.bounds[0]
 
     @property
-    def _middle(self) -> np.ndarray:
+    def _box_centre(self) -> np.ndarray:
         return self.bounds.mean(0)
 
     def moved(self, pose: Pose) -> Mesh:
@@ -92,7 +92,7 @@ class Mesh:
         """The mesh with every coordinate multiplied by a positive factor."""
         return Mesh(self.vertices * factor, self.faces)
 
-    def rounded32(self) -> Mesh:
+    def rounded_float32(self) -> Mesh:
         """The mesh with vertices on the float32 grid, so that GLB and STL files hold exactly these numbers."""
         return Mesh(self.vertices.astype(np.float32).astype(np.float64), self.faces)
 
@@ -115,7 +115,7 @@ def inertia(mesh: Mesh, mass: float) -> np.ndarray:
     return np.trace(second) * np.eye(3) - second
 
 
-def solid_of(mesh: Mesh) -> Manifold:
+def solid_from_mesh(mesh: Mesh) -> Manifold:
     """The exact solid of a closed mesh. Raises MeshRefused with the reason when it is none."""
     solid = Manifold(Mesh64(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.uint64)))
     if solid.status() != Error.NoError:
@@ -125,13 +125,13 @@ def solid_of(mesh: Mesh) -> Manifold:
     return solid
 
 
-def mesh_of(solid: Manifold) -> Mesh:
+def mesh_from_solid(solid: Manifold) -> Mesh:
     """The mesh of an exact solid, vertices in the order the solid keeps them."""
     raw = solid.to_mesh64()
     return Mesh(np.asarray(raw.vert_properties)[:, :3], np.asarray(raw.tri_verts).astype(np.int32))
 
 
-def hull_of(points: np.ndarray) -> Manifold:
+def convex_hull(points: np.ndarray) -> Manifold:
     """The convex hull of points (n, 3) [m] as an exact solid.
 
     By Qhull: manifold3d's own quickhull bends hulls of many nearly coplanar points (up to a millimetre, measured).
@@ -139,7 +139,7 @@ def hull_of(points: np.ndarray) -> Manifold:
     hull = ConvexHull(points)
     corners, faces = np.unique(hull.simplices, return_inverse=True)
     faces = faces.reshape(-1, 3)
-    normals = _crosses(points[hull.simplices])
+    normals = _cross_products(points[hull.simplices])
     inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
     solid = Manifold(Mesh64(np.ascontiguousarray(points[corners]), faces.astype(np.uint64)))
@@ -160,7 +160,7 @@ def defect(mesh: Mesh) -> str | None:
     n = len(mesh.vertices)
     forward, backward = np.sort(a * n + b), np.sort(b * n + a)
     if not np.array_equal(forward, backward):
-        return _edge_fault(a, b, n)
+        return _edge_defect(a, b, n)
     if (forward[1:] == forward[:-1]).any():
         return f"{int((forward[1:] == forward[:-1]).sum())} edges shared by more than two faces"
     if mesh.volume <= FLAT_THICKNESS * mesh.area * 0.5:
@@ -168,7 +168,7 @@ def defect(mesh: Mesh) -> str | None:
     return None
 
 
-def _edge_fault(a: np.ndarray, b: np.ndarray, n: int) -> str:
+def _edge_defect(a: np.ndarray, b: np.ndarray, n: int) -> str:
     counts = np.unique(np.minimum(a, b) * n + np.maximum(a, b), return_counts=True)[1]
     open_edges = int((counts == 1).sum())
     if open_edges:
@@ -179,9 +179,9 @@ def _edge_fault(a: np.ndarray, b: np.ndarray, n: int) -> str:
     return "inconsistent winding"
 
 
-def defect32(mesh: Mesh) -> str | None:
+def defect_float32(mesh: Mesh) -> str | None:
     """`defect` of the mesh as a loader sees it: vertices rounded to float32, equal ones merged."""
-    return defect(mesh.rounded32().merged())
+    return defect(mesh.rounded_float32().merged())
 
 
 def body_count(mesh: Mesh) -> int:
@@ -195,16 +195,16 @@ def body_count(mesh: Mesh) -> int:
 
 def surface_points(mesh: Mesh, n: int, rng: np.random.Generator) -> np.ndarray:
     """(n, 3) [m]: points uniform over the area (Osada et al. 2002, eq. 1)."""
-    areas = np.linalg.norm(_crosses(mesh.triangles), axis=1)
+    areas = np.linalg.norm(_cross_products(mesh.triangles), axis=1)
     corners = mesh.triangles[rng.choice(len(areas), size=n, p=areas / areas.sum())]
     root, along = np.sqrt(rng.random((n, 1))), rng.random((n, 1))
     return (1 - root) * corners[:, 0] + root * (1 - along) * corners[:, 1] + root * along * corners[:, 2]
 
 
-def _crosses(triangles: np.ndarray) -> np.ndarray:
+def _cross_products(triangles: np.ndarray) -> np.ndarray:
     return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
-def _tetrahedra(triangles: np.ndarray, origin: np.ndarray) -> np.ndarray:
+def _tetrahedron_volumes(triangles: np.ndarray, origin: np.ndarray) -> np.ndarray:
     a, b, c = np.moveaxis(triangles - origin, 1, 0)
     return np.einsum("ij,ij->i", a, np.cross(b, c)) / 6

@@ -9,20 +9,20 @@ from kit1000.values import FIRST_PART_LABEL, View
 PIVOT_DECIMALS = 4  # of a metre: 0.1 mm, about the grid of the depth images
 
 
-def pivots_of(view: View, labels: np.ndarray) -> dict[int, np.ndarray]:
+def part_pivots(view: View, labels: np.ndarray) -> dict[int, np.ndarray]:
     """By part index, (3,) [m] world: the middle of the extents of the part's points, to 0.1 mm.
 
     The points lie where the view believes they do; a part without a return has no pivot. labels: (H, W) uint8.
     """
     pivots = {}
     for part in range(int(labels.max()) + 1 - FIRST_PART_LABEL):
-        middle = middle_of(view, labels == FIRST_PART_LABEL + part)
+        middle = extent_centre(view, labels == FIRST_PART_LABEL + part)
         if middle is not None:
             pivots[part] = np.round(middle, PIVOT_DECIMALS)
     return pivots
 
 
-def middle_of(view: View, mask: np.ndarray) -> np.ndarray | None:
+def extent_centre(view: View, mask: np.ndarray) -> np.ndarray | None:
     """(3,) [m] world: the middle of the extents of the points of a mask (H, W) bool; None without a return."""
     pixels = np.flatnonzero(mask)
     pixels = pixels[view.depth.ravel()[pixels] > 0]

@@ -18,7 +18,7 @@ from kit1000.errors import InputError
 # into the next word and could meet another key.
 ROOT_LIMIT = 2**128
 KEY_LIMIT = 2**32
-GUESSABLE = 2**64
+MIN_SECRET_ROOT = 2**64
 """A root below can be found by trying; from here on it may be a secret, and no draw tells it."""
 
 
@@ -34,7 +34,7 @@ def stream(root: int, *key: int | str) -> np.random.Generator:
     """
     words = tuple(_word(entry) for entry in key)
     number = _number("root seed", root, ROOT_LIMIT)
-    if number < GUESSABLE:
+    if number < MIN_SECRET_ROOT:
         seed = np.random.SeedSequence(number, spawn_key=words)
     else:  # neither SeedSequence nor PCG64 is one-way: from enough published draws a root could be worked out
         address = b"".join(word.to_bytes(4, "little") for word in words)

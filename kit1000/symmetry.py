@@ -26,9 +26,9 @@ from kit1000.pose import (
 # apart; rounding along a chain of 120 products stays eight orders below.
 GROUP_TOLERANCE = 1e-6
 # The largest group that a generated symmetry may have: twice the rotations of an icosahedron.
-LARGEST_GROUP = 120
+MAX_GROUP_ORDER = 120
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
-Z = (0.0, 0.0, 1.0)
+Z_AXIS = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,23 +58,23 @@ class Symmetry:
         return cls(np.array([IDENTITY]))
 
     @classmethod
-    def cyclic(cls, n: int, axis: ArrayLike = Z) -> Symmetry:
+    def cyclic(cls, n: int, axis: ArrayLike = Z_AXIS) -> Symmetry:
         """n equal steps about an axis (3,): an n-fold wheel. One step is no symmetry."""
-        return cls(_turns(_count(n), axis))
+        return cls(_rotation_steps(_step_count(n), axis))
 
     @classmethod
-    def dihedral(cls, n: int, axis: ArrayLike = Z, flip: ArrayLike = (1.0, 0.0, 0.0)) -> Symmetry:
+    def dihedral(cls, n: int, axis: ArrayLike = Z_AXIS, flip: ArrayLike = (1.0, 0.0, 0.0)) -> Symmetry:
         """n steps about an axis (3,) and half a turn about a perpendicular `flip` (3,): an n-fold prism."""
-        turns = _turns(_count(n), axis)
+        turns = _rotation_steps(_step_count(n), axis)
         return cls(np.concatenate([turns, quaternion_multiply(turns, _half_turn(flip, axis))]))
 
     @classmethod
-    def free(cls, axis: ArrayLike = Z) -> Symmetry:
+    def free(cls, axis: ArrayLike = Z_AXIS) -> Symmetry:
         """Every turn about an axis (3,): a cone."""
         return cls(np.array([IDENTITY]), unit_vector(axis, "axis"))
 
     @classmethod
-    def free_flipped(cls, axis: ArrayLike = Z) -> Symmetry:
+    def free_flipped(cls, axis: ArrayLike = Z_AXIS) -> Symmetry:
         """Every turn about an axis (3,) and the flip of its two ends: a cylinder."""
         n = checked("axis", unit_vector(axis, "axis"), (3,))
         flip = np.cross(n, np.eye(3)[np.argmin(np.abs(n))])
@@ -90,8 +90,8 @@ class Symmetry:
             products = quaternion_multiply(new[:, None], steps).reshape(-1, 4)
             new = _distinct(products, found)
             found = np.concatenate([found, new])
-            if len(found) > LARGEST_GROUP:
-                raise InputError(f"generators: expected a group of up to {LARGEST_GROUP} rotations, got more")
+            if len(found) > MAX_GROUP_ORDER:
+                raise InputError(f"generators: expected a group of up to {MAX_GROUP_ORDER} rotations, got more")
         return cls(found)
 
     @classmethod
@@ -143,7 +143,7 @@ class Symmetry:
             return self.rotations
         if not 0 < step <= 2 * np.pi:
             raise InputError(f"step: expected an angle above 0 and up to 2 pi rad, got {step}")
-        turns = _turns(int(np.ceil(2 * np.pi / step - GROUP_TOLERANCE)), self.axis)
+        turns = _rotation_steps(int(np.ceil(2 * np.pi / step - GROUP_TOLERANCE)), self.axis)
         return quaternion_multiply(self.rotations[:, None], turns).reshape(-1, 4)
 
     def conjugated(self, q: ArrayLike) -> Symmetry:
@@ -194,7 +194,7 @@ def _tilt(rotations: np.ndarray, axis: np.ndarray) -> np.ndarray:
     return np.linalg.norm(np.cross(images, axis), axis=-1)
 
 
-def _turns(n: int, axis: ArrayLike) -> np.ndarray:
+def _rotation_steps(n: int, axis: ArrayLike) -> np.ndarray:
     """n equal turns about an axis (3,), the identity first. (n, 4)."""
     unit = checked("axis", unit_vector(axis, "axis"), (3,))
     half = np.arange(n) * (np.pi / n)
@@ -210,7 +210,7 @@ def _half_turn(flip: ArrayLike, axis: ArrayLike) -> np.ndarray:
     return np.concatenate([[0.0], direction])
 
 
-def _count(n: int) -> int:
+def _step_count(n: int) -> int:
     """Return the number of steps of a turn, which is a whole number from 1 up."""
     if n != int(n) or n < 1:
         raise InputError(f"n: expected a whole number of steps from 1 up, got {n}")

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import tyro
 
-from kit1000.errors import Fault, Kit1000Error, fault, near
+from kit1000.errors import InternalError, Kit1000Error, internal_error, did_you_mean
 
 WRONG, FAULTY = 2, 3  # exit status: of the user, of the package
 INTERRUPTED = 130  # exit status of a command stopped by Ctrl-C, as shells have it
@@ -44,14 +44,14 @@ def run(program: str, commands: Mapping[str, type], about: str, arguments: Seque
         sys.stdout.flush()
         return status
     except Kit1000Error as error:
-        return _answer(program, str(error), FAULTY if isinstance(error, Fault) else WRONG)
+        return _answer(program, str(error), FAULTY if isinstance(error, InternalError) else WRONG)
     except KeyboardInterrupt:
         return _answer(program, "interrupted; run the same command again to continue", INTERRUPTED)
     except BrokenPipeError:  # whoever read the results has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
-        return _answer(program, str(fault(words[0], error)), FAULTY)
+        return _answer(program, str(internal_error(words[0], error)), FAULTY)
 
 
 def _answer(program: str, line: str, status: int) -> int:
@@ -67,7 +67,7 @@ def misuse(arguments: Sequence[str], commands: Mapping[str, type], program: str 
     if name in ("-h", "--help") or (name in commands and not {"-h", "--help"}.isdisjoint(rest)):
         return None
     if name not in commands:
-        return f"no command {name!r}; {near(name, commands)}there are {', '.join(commands)}"
+        return f"no command {name!r}; {did_you_mean(name, commands)}there are {', '.join(commands)}"
     said = _misused(rest, commands[name])
     return said and f"{name}: {said} ({program} {name} --help says more)"
 
@@ -82,7 +82,7 @@ def _misused(rest: list[str], command: type) -> str | None:
     spare: list[str] = []
     for option, values in _grouped(rest):
         if option is not None and option not in options:
-            return f"no option {option}; {near(option, options)}there are {', '.join(options)}"
+            return f"no option {option}; {did_you_mean(option, options)}there are {', '.join(options)}"
         said = option and _misfit(option, values, options[option])
         if said:
             return said
@@ -129,7 +129,7 @@ def _misfit(option: str, values: list[str], hint: Any) -> str | None:
     for kind in _kinds(hint):
         choices = get_args(kind) if get_origin(kind) is Literal else ()
         if choices and values[0] not in choices:
-            return f"{option} {values[0]}: {near(values[0], choices)}expected one of {', '.join(choices)}"
+            return f"{option} {values[0]}: {did_you_mean(values[0], choices)}expected one of {', '.join(choices)}"
         if kind in NUMBERS and not _is_number(values[0], kind):
             return f"{option}: expected {NUMBERS[kind]}, got {values[0]!r}"
     return None

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmark.truths import Questions
 from kit1000 import Dataset
-from kit1000.mesh import Mesh, mesh_of
+from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.motions import goal_motion, goal_pose
 from kit1000.parts.cad import polygon, prism
 from kit1000.pose import Pose
@@ -65,7 +65,7 @@ def answered(
 
 def corner() -> Mesh:
     """An L of 40 x 30 x 24 mm about its centroid, in metres."""
-    mesh = mesh_of(prism(polygon([(0, 0), (40, 0), (40, 9), (14, 9), (14, 30), (0, 30)]), 24.0)).scaled(1e-3)
+    mesh = mesh_from_solid(prism(polygon([(0, 0), (40, 0), (40, 9), (14, 9), (14, 30), (0, 30)]), 24.0)).scaled(1e-3)
     return Mesh(mesh.vertices - mesh.centroid, mesh.faces)
 
 

@@ -13,8 +13,8 @@ import recorded
 from kit1000.dataset.mesh_files import stl_bytes
 from kit1000.generation.plan import Sources, scene_id_of
 from kit1000.generation.presets import Preset
-from kit1000.generation.scenes import MadeScene
-from kit1000.mesh import Mesh, mesh_of
+from kit1000.generation.scenes import GeneratedScene
+from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.parts.cad import polygon, prism
 from kit1000.values import Assembly, Part
 
@@ -30,7 +30,7 @@ def contents(folder: Path) -> dict[str, str]:
 def corner(width: float = 24.0) -> Mesh:
     """An L of 40 x 30 mm and some width [mm], in metres."""
     outline = [(0, 0), (40, 0), (40, 9), (14, 9), (14, 30), (0, 30)]
-    return mesh_of(prism(polygon(outline), width)).scaled(1e-3)
+    return mesh_from_solid(prism(polygon(outline), width)).scaled(1e-3)
 
 
 def written(path: Path, mesh: Mesh) -> Path:
@@ -47,9 +47,9 @@ def corners(folder: Path, widths: tuple[int, ...] = (20, 24, 28, 33)) -> Sources
 
 def sketched(
     preset: Preset, seed: int, split: str, assembly: Assembly, parts: Mapping[str, Part], further: bool
-) -> MadeScene:
+) -> GeneratedScene:
     """In place of `make_scene`, a scene of made-up numbers in a millisecond, for tests of what is done with scenes."""
     scene_id, k = scene_id_of(assembly.id), int(assembly.id[-4:])
     seen = replace(recorded.observation(k), scene_id=scene_id)
     extra = replace(recorded.further(k), scene_id=scene_id) if further else None
-    return MadeScene(seen, card_samples.truth(scene_id), extra, ("parts touch",) * (len(parts) + seed % 2))
+    return GeneratedScene(seen, card_samples.truth(scene_id), extra, ("parts touch",) * (len(parts) + seed % 2))

@@ -12,7 +12,7 @@ from manifold3d import CrossSection, FillRule, Manifold, OpType
 
 from kit1000.kits.cavity import Cavity, cut_cavity, insertion_depth
 from kit1000.kits.kit import UNIT_PLATE, Plate, _plate_mesh
-from kit1000.mesh import Mesh, mesh_of, solid_of
+from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Kit, Part, Slot
@@ -101,7 +101,7 @@ def standing(solid: Manifold) -> Manifold:
 
 def as_part(solid: Manifold, symmetry: Symmetry | None = None, name: str = "p") -> Part:
     """In metres about its centroid, axes as drawn."""
-    mesh = mesh_of(standing(solid))
+    mesh = mesh_from_solid(standing(solid))
     mesh = Mesh(mesh.vertices - mesh.centroid, mesh.faces)
     return Part(name, "test", mesh, symmetry or Symmetry.none(), {}, 0.01)
 
@@ -132,13 +132,13 @@ def seated(solid: Manifold, symmetry: Symmetry | None = None, depth: float | Non
     depth = insertion_depth(height) if depth is None else depth
     pose = Pose.from_translation(np.array([0, 0, -depth - part.mesh.bounds[0, 2]]))
     lowered = part.mesh.moved(pose).vertices + [0, 0, depth]
-    solid_m = solid_of(Mesh(lowered, part.mesh.faces))
+    solid_m = solid_from_mesh(Mesh(lowered, part.mesh.faces))
     return Seated(part, pose, cut_cavity(solid_m, depth, clearance, UNIT_PLATE.width))
 
 
 def slice_union(solid: Manifold, z: float, step: float = 0.2e-3) -> CrossSection:
     """The union of the level sections at all heights up to z [m]: every `step`, and just beside every corner."""
-    corners = np.unique(mesh_of(solid).vertices[:, 2].round(9))
+    corners = np.unique(mesh_from_solid(solid).vertices[:, 2].round(9))
     beside = np.concatenate([corners - 1e-7, corners + 1e-7, np.arange(step / 2, z, step), [z]])
     heights = np.unique(beside[(beside > 0) & (beside <= z)])
     return CrossSection.batch_boolean([solid.slice(h) for h in heights], OpType.Add)

@@ -26,8 +26,8 @@ from kit1000.kits.assembly import (
 )
 from kit1000.kits.brackets import BITE, RIB, stand
 from kit1000.kits.kit import GAP
-from kit1000.kits.seating import swept_out
-from kit1000.mesh import Mesh, body_count, defect32, mesh_of, solid_of
+from kit1000.kits.seating import swept_solid
+from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Mount, Part
 from tests.sample_kits import QUICK, sample_kit, sample_part
@@ -145,12 +145,12 @@ def test_no_wall_is_thinner_than_three_millimetres(plan: AssemblyPlan) -> None:
 def test_built_assemblies_pass_their_checks_and_are_the_union(seed: int, kits: int) -> None:
     assembly = drawn(seed, kits)
     check_assembly(assembly, parts())
-    assert defect32(assembly.mesh) is None
+    assert defect_float32(assembly.mesh) is None
     assert body_count(assembly.mesh) == 1
-    np.testing.assert_array_equal(assembly.mesh.vertices, assembly.mesh.rounded32().vertices)
+    np.testing.assert_array_equal(assembly.mesh.vertices, assembly.mesh.rounded_float32().vertices)
     assert assembly.mesh.bounds[0, 2] == 0
-    whole = solid_of(assembly.mesh)
-    plates = [solid_of(mount.kit.mesh.moved(mount.assembly_from_kit)) for mount in assembly.mounts]
+    whole = solid_from_mesh(assembly.mesh)
+    plates = [solid_from_mesh(mount.kit.mesh.moved(mount.assembly_from_kit)) for mount in assembly.mounts]
     assert all((plate - whole).volume() < FILM * plate.surface_area() for plate in plates)
     # one by one, because this union is the one thing that the builder trusts
     union = reduce(lambda a, b: a + b, [*plates, *stand(assembly.mounts)])
@@ -162,20 +162,20 @@ def test_swept_parts_meet_nothing_on_their_way_out(seed: int) -> None:
     """The checks use closed-form contact; the exact solids of what the parts sweep must agree."""
     assembly = drawn(seed)
     seats = {m.kit.id: m.assembly_from_kit @ m.kit.slot.kit_from_part for m in assembly.mounts}
-    standing = {i: solid_of(sample_part(i).mesh.moved(pose)) for i, pose in seats.items()}
+    standing = {i: solid_from_mesh(sample_part(i).mesh.moved(pose)) for i, pose in seats.items()}
     for mount in assembly.mounts:
         own = mount.kit.id
         axis = mount.kit.slot.kit_from_part.inverse().rotate((0, 0, 1))
-        swept = swept_out(sample_part(own).mesh, axis).transform(seats[own].matrix()[:3])
+        swept = swept_solid(sample_part(own).mesh, axis).transform(seats[own].matrix()[:3])
         others = [solid for i, solid in standing.items() if i != own]
         assert all(
-            (swept ^ solid).volume() < FILM * swept.surface_area() for solid in [solid_of(assembly.mesh), *others]
+            (swept ^ solid).volume() < FILM * swept.surface_area() for solid in [solid_from_mesh(assembly.mesh), *others]
         )
 
 
 def with_solid(assembly: Assembly, change: Manifold) -> Assembly:
     """The assembly with something added to its mesh."""
-    return replace(assembly, mesh=mesh_of(solid_of(assembly.mesh) + change).rounded32())
+    return replace(assembly, mesh=mesh_from_solid(solid_from_mesh(assembly.mesh) + change).rounded_float32())
 
 
 def cube_at(centre: ArrayLike, size: tuple[float, float, float]) -> Manifold:
@@ -196,9 +196,9 @@ def test_a_pin_in_a_cavity_is_caught() -> None:
 
 def test_a_hole_in_a_plate_is_caught() -> None:
     assembly = drawn(3, 4)
-    hole = solid_of(assembly.mesh) - cube_at(floor_of(assembly.mounts[0]), (3e-3, 3e-3, 3e-3))
+    hole = solid_from_mesh(assembly.mesh) - cube_at(floor_of(assembly.mounts[0]), (3e-3, 3e-3, 3e-3))
     with pytest.raises(Redraw, match="plate not whole"):
-        check_assembly(replace(assembly, mesh=mesh_of(hole).rounded32()), parts())
+        check_assembly(replace(assembly, mesh=mesh_from_solid(hole).rounded_float32()), parts())
 
 
 def test_a_bar_over_a_slot_is_caught() -> None:
@@ -215,7 +215,7 @@ def test_a_seated_part_in_the_way_is_caught() -> None:
     base, side = assembly.mounts
     above = base.assembly_from_kit.apply((0, 0, 0.07))
     assembly_from_part = side.assembly_from_kit @ side.kit.slot.kit_from_part
-    far = mesh_of(cube_at(above, (0.01, 0.01, 0.01))).moved(assembly_from_part.inverse())
+    far = mesh_from_solid(cube_at(above, (0.01, 0.01, 0.01))).moved(assembly_from_part.inverse())
     long = replace(sample_part(side.kit.id), mesh=far)
     with pytest.raises(Redraw, match="insertion path blocked by a seated part"):
         check_assembly(assembly, {**parts(), side.kit.id: long})

@@ -20,7 +20,7 @@ from baselines.journal import Journal
 from baselines.methods import EVERY, METHODS
 from baselines.predict import Asked, predict
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import Fault, InputError
+from kit1000.errors import InternalError, InputError
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.submission import Submission, check, read_submission
@@ -168,7 +168,7 @@ def test_a_run_that_dies_names_the_query_and_goes_on_where_it_stopped(
     asked, out = Asked(named(stopping)), tmp_path / "mine"
     last = asked_of(mini, "test")[-1]
     monkeypatch.setenv(STOP, last)
-    with pytest.raises(Fault, match=rf"^{last}: RuntimeError: out of luck \(test_baselines_predict.py:\d+\)$"):
+    with pytest.raises(InternalError, match=rf"^{last}: RuntimeError: out of luck \(test_baselines_predict.py:\d+\)$"):
         predict(asked, mini, out, workers)
     journal = out.with_name("mine.journal")
     kept = journal.read_text().splitlines()[1:]
@@ -211,7 +211,7 @@ def test_an_unfinished_run_of_other_answers_is_not_continued(
 ) -> None:
     out = tmp_path / "mine"
     monkeypatch.setenv(STOP, asked_of(mini, "test")[1])
-    with pytest.raises(Fault):
+    with pytest.raises(InternalError):
         predict(Asked(named(stopping)), mini, out, 1)
     monkeypatch.delenv(STOP)
     for asked, said in (

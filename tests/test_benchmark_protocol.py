@@ -13,7 +13,7 @@ from kit1000.dataset.reader import WANTED
 from kit1000.errors import InputError
 from kit1000.generation.plan import dataset_id, make_plan
 from kit1000.generation.presets import PRESETS
-from kit1000.guesses import ANGLE, FIXED_LEVELS, LEVELS, OFFSET
+from kit1000.guesses import MAX_ANGLE, FIXED_LEVELS, LEVELS, MAX_OFFSET
 from kit1000.metrics import METRIC_VERSIONS
 from kit1000.tracks import TRACKS
 
@@ -51,7 +51,7 @@ def test_the_dataset_is_the_one_its_preset_makes() -> None:
 def test_curves_are_those_that_the_dataset_asks() -> None:
     curves = read_protocol().curves
     assert (curves["levels"], tuple(curves["fixed_levels"])) == (LEVELS, FIXED_LEVELS)
-    assert (curves["most_mm"], curves["most_deg"]) == pytest.approx((OFFSET * 1e3, np.degrees(ANGLE)))
+    assert (curves["most_mm"], curves["most_deg"]) == pytest.approx((MAX_OFFSET * 1e3, np.degrees(MAX_ANGLE)))
 
 
 def test_metrics_are_measured_in_the_versions_that_it_names() -> None:

@@ -25,7 +25,7 @@ from kit1000.files import locked
 from kit1000.generation import assemblies, build, parts_and_kits, shards
 from kit1000.generation.build import generate
 from kit1000.generation.plan import Sources
-from kit1000.mesh import defect32
+from kit1000.mesh import defect_float32
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.usefixtures("sketches")
@@ -68,7 +68,7 @@ def test_what_is_read_back_is_sound(mini: Path) -> None:
         assert row["target"] in ids
         assert {geometry.parts[i]["split"] for i in ids} == {row["split"]}
         for mesh in (assembly.mesh, *(m.kit.mesh for m in assembly.mounts), *(geometry.part(i).mesh for i in ids)):
-            assert defect32(mesh) is None
+            assert defect_float32(mesh) is None
 
 
 def test_a_finished_dataset_is_left_alone(
@@ -217,7 +217,7 @@ def test_a_group_killed_while_it_makes_scenes_ends_with_the_same_bytes(
     root, rng = tmp_path / "out", random.Random(workers)
     for _ in range(4):
         run = started(tmp_path, root, workers, 1000, scenes="real")
-        while len(list(root.glob(f"{parts_and_kits.BUILD}/assemblies/*.json"))) < 4 and run.poll() is None:
+        while len(list(root.glob(f"{parts_and_kits.BUILD_FOLDER}/assemblies/*.json"))) < 4 and run.poll() is None:
             time.sleep(0.01)
         time.sleep(rng.uniform(0, 3))
         os.killpg(run.pid, signal.SIGKILL)
@@ -262,11 +262,11 @@ def begun(root: Path, sources: Sources, monkeypatch: pytest.MonkeyPatch) -> None
         "parts/train-0000.glb",
         "kits/val-0000.glb",
         "assemblies/test-0000.glb",
-        f"{parts_and_kits.BUILD}/parts/train-0001.json",
-        f"{parts_and_kits.BUILD}/assemblies/train-0001.json",
+        f"{parts_and_kits.BUILD_FOLDER}/parts/train-0001.json",
+        f"{parts_and_kits.BUILD_FOLDER}/assemblies/train-0001.json",
         "train/0000.mcap",
         "test/0000.truth.mcap",
-        f"{parts_and_kits.BUILD}/shards/val/0000.json",
+        f"{parts_and_kits.BUILD_FOLDER}/shards/val/0000.json",
     ],
 )
 @pytest.mark.parametrize("data", [None, b"", b"null", b"{}\n", b'{"files": {"parts/train-0000.glb": "0"}}'])
@@ -370,4 +370,4 @@ def test_company_that_cannot_be_placed_goes(sources: Sources, tmp_path: Path, mo
     monkeypatch.setattr(assemblies, "_mistakable", lambda *_: False)
     asked = build.replace(MINI, kits=(2, 2))
     summary = generate(asked, tmp_path, workers=1, sources=sources)
-    assert summary["redraws"]["assemblies"] == {"too narrow": 2 * assemblies.ATTEMPTS, assemblies.FEWER: 4}
+    assert summary["redraws"]["assemblies"] == {"too narrow": 2 * assemblies.MAX_ATTEMPTS, assemblies.FEWER_KITS: 4}

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import CrossSection, Manifold
 
-from kit1000.mesh import defect, mesh_of
+from kit1000.mesh import defect, mesh_from_solid
 from kit1000.parts import cad
 
 ROUND = 4e-3
@@ -21,7 +21,7 @@ quickly = settings(max_examples=30)
 
 def _sound(solid: Manifold) -> Manifold:
     """The solid itself, after making sure that its mesh is closed."""
-    assert defect(mesh_of(solid)) is None
+    assert defect(mesh_from_solid(solid)) is None
     return solid
 
 
@@ -191,7 +191,7 @@ def test_blind_hole_goes_as_deep_as_asked_from_the_side_asked(axis: cad.Axis) ->
     block = _sound(cad.drill(cad.at(cad.box(20, 20, 20), z=-10), 6, mouth, axis, depth=4))
     assert block.genus() == 0
     assert block.volume() == pytest.approx(8000 - np.pi * 9 * 4, rel=1e-3)
-    centroid = mesh_of(block).centroid
+    centroid = mesh_from_solid(block).centroid
     assert np.sign(centroid[row]) == -sign
 
 

@@ -15,7 +15,7 @@ from manifold3d import CrossSection, Manifold
 from kit1000.kits.cavity import Cavity, insertion_depth
 from kit1000.kits.patches import convex_patches
 from kit1000.kits.sweep import STEEP
-from kit1000.mesh import mesh_of
+from kit1000.mesh import mesh_from_solid
 from tests.shapes import (
     box,
     cavity_of,
@@ -130,7 +130,7 @@ def test_a_narrowing_cone_leaves_the_shaft_of_its_foot(cut: Cut) -> None:
 @pytest.mark.parametrize("name", ["cone", "leaning", "lying cylinder"])
 def test_slopes_stay_slopes(name: str, cut: Cut) -> None:
     _, cavity = cut(name)
-    mesh = mesh_of(cavity.solid)
+    mesh = mesh_from_solid(cavity.solid)
     z = mesh.triangles[..., 2]
     steps = (np.abs(mesh.normals[:, 2]) > 0.999) & (z.min(1) > 0.5e-3) & (z.max(1) < cavity.depth)
     slopes = (mesh.normals[:, 2] < -0.05) & (mesh.normals[:, 2] > -0.95)
@@ -195,7 +195,7 @@ def test_the_cavity_only_widens_upwards(name: str, cut: Cut) -> None:
 
 @pytest.mark.parametrize("name", ["leaning", "lying cylinder", "cone"])
 def test_patches_sweep_what_their_triangles_sweep(name: str) -> None:
-    mesh = mesh_of(standing(SHAPES[name]()))
+    mesh = mesh_from_solid(standing(SHAPES[name]()))
     top = float(mesh.bounds[1, 2]) + 1e-3
     assert_same_sweep(mesh.triangles[mesh.normals[:, 2] < -STEEP], top)
 
@@ -203,7 +203,7 @@ def test_patches_sweep_what_their_triangles_sweep(name: str) -> None:
 @given(st.integers(0, 10_000))
 @settings(max_examples=8)
 def test_patches_of_any_solid_sweep_what_their_triangles_sweep(seed: int) -> None:
-    mesh = mesh_of(standing(random_solid(seed)))
+    mesh = mesh_from_solid(standing(random_solid(seed)))
     assert_same_sweep(mesh.triangles[mesh.normals[:, 2] < -0.02], float(mesh.bounds[1, 2]) + 1e-3)
 
 
@@ -229,7 +229,7 @@ def union_of_prisms(pieces: list[np.ndarray], top: float) -> Manifold:
 
 
 def test_a_lying_cylinder_is_few_patches() -> None:
-    mesh = mesh_of(standing(SHAPES["lying cylinder"]()))
+    mesh = mesh_from_solid(standing(SHAPES["lying cylinder"]()))
     assert len(convex_patches(mesh.triangles[mesh.normals[:, 2] < -STEEP])) <= 3
 
 

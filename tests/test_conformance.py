@@ -263,7 +263,7 @@ def test_our_reader_conforms(files: list[Path]) -> None:
 
 def in_millimetres(path: Path) -> Reading:
     reading = read_mesh(path)
-    return replace(reading, mesh=reading.mesh.scaled(1e3).rounded32())
+    return replace(reading, mesh=reading.mesh.scaled(1e3).rounded_float32())
 
 
 def inside_out(path: Path) -> Reading:
@@ -293,7 +293,7 @@ def talkative(path: Path) -> Reading:
 def shaky(path: Path) -> Reading:
     reading = read_mesh(path)
     shift = np.random.default_rng().integers(1, 1000, 3) * 2.0**-16
-    return replace(reading, mesh=Mesh(reading.mesh.vertices + shift, reading.mesh.faces).rounded32())
+    return replace(reading, mesh=Mesh(reading.mesh.vertices + shift, reading.mesh.faces).rounded_float32())
 
 
 def touching(path: Path) -> Reading:

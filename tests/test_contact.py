@@ -10,9 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold
 
-from kit1000.kits.contact import Ridges, contact_height, feelers, ridges
+from kit1000.kits.contact import ConvexEdges, vertical_contact_offset, contact_features, convex_edges
 from kit1000.kits.envelope import lower_envelope
-from kit1000.mesh import Mesh, mesh_of, solid_of
+from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose, random_quaternions
 from tests.shapes import MM, as_part, box, cylinder, random_solid, standing
 
@@ -34,16 +34,16 @@ def drawn(seed: int) -> tuple[Mesh, Mesh, Pose]:
 
 
 def raise_of(moving: Mesh, still: Mesh, pose: Pose, base: Pose = STILL) -> float:
-    return contact_height(
-        feelers(ridges(moving), pose.rotation_matrix(), pose.xyz, -1.0),
-        feelers(ridges(still), base.rotation_matrix(), base.xyz, 1.0),
+    return vertical_contact_offset(
+        contact_features(convex_edges(moving), pose.rotation_matrix(), pose.xyz, -1.0),
+        contact_features(convex_edges(still), base.rotation_matrix(), base.xyz, 1.0),
     )
 
 
 def overlap(moving: Mesh, still: Mesh, pose: Pose, rise: float) -> float:
     """[m^3]"""
     lifted = Pose(pose.wxyz, pose.xyz + [0, 0, rise])
-    return (solid_of(moving.moved(lifted)) ^ solid_of(still)).volume()
+    return (solid_from_mesh(moving.moved(lifted)) ^ solid_from_mesh(still)).volume()
 
 
 @given(SEEDS)
@@ -132,7 +132,7 @@ def test_a_lift_is_taken_off_the_raise(seed: int, lift: float) -> None:
 
 
 def solid(drawing: Manifold) -> Mesh:
-    return mesh_of(standing(drawing))
+    return mesh_from_solid(standing(drawing))
 
 
 def test_a_block_over_a_ramp_meets_it_with_its_edge() -> None:
@@ -166,12 +166,12 @@ def test_hanging_free_is_a_negative_raise() -> None:
 
 
 def test_ridges_of_a_box_are_its_twelve_edges() -> None:
-    found: Ridges = ridges(solid(box(10, 20, 30)))
+    found: ConvexEdges = convex_edges(solid(box(10, 20, 30)))
     assert len(found.ends) == 12
 
 
 def test_inner_edges_of_an_l_are_no_ridges() -> None:
-    found = ridges(solid(box(20, 10, 10) + box(10, 10, 20, (-5, 0, 0))))
+    found = convex_edges(solid(box(20, 10, 10) + box(10, 10, 20, (-5, 0, 0))))
     inner = [10e-3, 0.0]
     middles = found.mesh.vertices[found.ends].mean(1)
     assert not (np.abs(middles[:, [2, 0]] - inner).max(1) < 1e-6).any()

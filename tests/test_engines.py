@@ -16,7 +16,7 @@ from jobs import die, square, stumble
 
 from kit1000.engines import AHEAD, RETRIES, engine, local
 from kit1000.engines.cores import cores
-from kit1000.errors import Fault, InputError, Kit1000Error
+from kit1000.errors import InternalError, InputError, Kit1000Error
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKERS = pytest.mark.parametrize("workers", [1, 2])
@@ -59,7 +59,7 @@ def test_workers_serve_one_batch_after_another() -> None:
 @WORKERS
 def test_an_unforeseen_error_stops_the_run_and_names_the_job_in_one_line(workers: int) -> None:
     taken: list[int] = []
-    with pytest.raises(Fault) as caught, local(workers) as spread:
+    with pytest.raises(InternalError) as caught, local(workers) as spread:
         list(spread(stumble, counted(taken, 1000)))
     assert str(caught.value).startswith("3: ValueError: two lines")
     assert len(taken) < 100

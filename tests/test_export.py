@@ -17,7 +17,7 @@ from kit1000.errors import InputError
 from kit1000.export import ASSEMBLIES, FORMATS, export
 from kit1000.export.threemf import threemf_bytes, write_3mf
 from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
-from kit1000.mesh import Mesh, defect32, solid_of
+from kit1000.mesh import Mesh, defect_float32, solid_from_mesh
 from kit1000.parts.files.sources import read_mesh
 from kit1000.values import Assembly
 from tests.sample_kits import sample_kit, sample_part
@@ -29,7 +29,7 @@ NAME = '<kits & "parts">'
 def assembly() -> Assembly:
     plan = AssemblyPlan(0.2, 1.0, (Side(0, 0.6), Side(3, 0.3)))
     made = build_assembly(NAME, [sample_kit(family) for family in ("tee", "foot", "cover")], plan)
-    return Assembly(NAME, made.mesh.rounded32(), made.mounts)  # as a dataset holds it
+    return Assembly(NAME, made.mesh.rounded_float32(), made.mounts)  # as a dataset holds it
 
 
 @pytest.fixture
@@ -56,11 +56,11 @@ def test_what_is_read_is_the_assembly_in_millimetres(ending: str, assembly: Asse
 @pytest.mark.parametrize("ending", ["stl", "3mf"])
 def test_parts_seat_in_what_is_read(ending: str, assembly: Assembly, tmp_path: Path) -> None:
     seen = trimesh.load_scene(ASSEMBLIES[ending][1](assembly, tmp_path / f"assembly.{ending}")).to_mesh()
-    whole = solid_of(Mesh(seen.vertices, seen.faces))
+    whole = solid_from_mesh(Mesh(seen.vertices, seen.faces))
     for mount in assembly.mounts:
         up = mount.assembly_from_kit.rotate([0.0, 0.0, 1.0])
         seated = mount.assembly_from_kit @ mount.kit.slot.kit_from_part
-        part = solid_of(sample_part(mount.kit.id).mesh.moved(seated).scaled(1e3))
+        part = solid_from_mesh(sample_part(mount.kit.id).mesh.moved(seated).scaled(1e3))
         assert part.translate(tuple(up)).min_gap(whole, 5) == pytest.approx(1, abs=0.01)  # a millimetre off its floor
 
 
@@ -72,7 +72,7 @@ def test_our_own_reader_finds_the_same_solid(ending: str, assembly: Assembly, tm
     assert reading.unit_guessed is False
     assert reading.mesh.volume == pytest.approx(assembly.mesh.volume, rel=1e-6)
     np.testing.assert_allclose(reading.mesh.extents, assembly.mesh.extents, atol=1e-7)
-    assert defect32(reading.mesh) is None
+    assert defect_float32(reading.mesh) is None
 
 
 def test_a_3mf_holds_every_vertex_and_face_to_the_bit(assembly: Assembly, tmp_path: Path) -> None:

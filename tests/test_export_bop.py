@@ -20,14 +20,14 @@ from kit1000.errors import InputError
 from kit1000.export import bop, export
 from kit1000.export.bop import DELTA, distances, gt_info, silhouette, stored_depth, visible_pixels, write_bop
 from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
-from kit1000.mesh import Mesh, mesh_of
+from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import Assembly, Body, Part, Scene, View
 from tests.sample_kits import sample_kit, sample_part
 
 CAMERA = Camera(640, 360, 460.0, 462.0, 318.5, 181.0)
-TABLE = mesh_of(Manifold.cube((1.2, 1.6, 0.04), center=True).translate((0, 0, -0.02)))
+TABLE = mesh_from_solid(Manifold.cube((1.2, 1.6, 0.04), center=True).translate((0, 0, -0.02)))
 FAMILIES = ("tee", "foot")
 SHIFTED = Pose.from_rotvec([0.0, 0.002, 0.001], [0.001, -0.001, 0.0005])  # what a sensor errs about its own pose
 
@@ -304,7 +304,7 @@ def test_depth_is_stored_to_a_twentieth_of_a_millimetre_and_too_far_is_nothing()
 
 
 def test_an_object_out_of_sight_has_no_box() -> None:
-    box = mesh_of(Manifold.cube((0.04, 0.04, 0.04), center=True))
+    box = mesh_from_solid(Manifold.cube((0.04, 0.04, 0.04), center=True))
     nothing = np.zeros((CAMERA.height, CAMERA.width))
     for place in ([5.0, 0, 1.0], [0, 0, -1.0]):  # far aside, and behind the camera
         seen = silhouette(CAMERA, box, Pose.from_translation(place))

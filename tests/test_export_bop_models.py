@@ -13,7 +13,7 @@ from scipy.spatial.distance import pdist
 
 from kit1000.dataset.geometry import Geometry
 from kit1000.export.bop_models import diameter, model_info, object_numbers, ply_bytes, vertex_normals
-from kit1000.mesh import mesh_of
+from kit1000.mesh import mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Part
@@ -73,7 +73,7 @@ def test_the_diameter_is_that_of_all_vertices_however_turned(pose: Pose) -> None
 
 
 def test_normals_of_a_box_lean_outward_alike() -> None:
-    box = mesh_of(Manifold.cube((2, 3, 4), center=True))
+    box = mesh_from_solid(Manifold.cube((2, 3, 4), center=True))
     np.testing.assert_allclose(vertex_normals(box), np.sign(box.vertices) / np.sqrt(3), atol=1e-12)
 
 

@@ -14,14 +14,14 @@ from scipy import stats
 from kit1000.errors import InputError
 from kit1000.generation.queries import GuessDraw
 from kit1000.guesses import (
-    ANGLE,
+    MAX_ANGLE,
     FIXED_LEVELS,
     LEVELS,
-    OFFSET,
-    draw_ball,
+    MAX_OFFSET,
+    draw_ball_error,
     draw_direction,
     draw_goal,
-    draw_tilt,
+    draw_tilt_error,
     level_angle,
     level_offset,
 )
@@ -121,27 +121,27 @@ def test_how_far_the_pivot_is_missed_does_not_depend_on_the_turn(
     assert np.abs(missed - offset).max() < 1e-12
 
 
-@pytest.mark.parametrize("draw", [draw_ball, draw_tilt])
+@pytest.mark.parametrize("draw", [draw_ball_error, draw_tilt_error])
 def test_errors_are_even_and_as_large_as_the_paper_has_them(draw: Callable) -> None:
     offsets, rotvecs = errors(draw)
     angles = np.linalg.norm(rotvecs, axis=1)
-    assert np.abs(offsets).max() <= OFFSET
-    assert angles.max() <= ANGLE
+    assert np.abs(offsets).max() <= MAX_OFFSET
+    assert angles.max() <= MAX_ANGLE
     assert np.mean(np.linalg.norm(offsets, axis=1)) == pytest.approx(26.9e-3, abs=0.5e-3)
     assert np.degrees(angles.mean()) == pytest.approx(13.75, abs=0.5)
-    assert all(fits(column, -OFFSET, OFFSET) for column in offsets.T)
-    assert fits(angles, 0, ANGLE)
+    assert all(fits(column, -MAX_OFFSET, MAX_OFFSET) for column in offsets.T)
+    assert fits(angles, 0, MAX_ANGLE)
 
 
 def test_axes_of_the_ball_are_even_on_the_sphere() -> None:
-    _, rotvecs = errors(draw_ball)
+    _, rotvecs = errors(draw_ball_error)
     axes = rotvecs / np.linalg.norm(rotvecs, axis=1, keepdims=True)
     assert all(fits(column, -1, 1) for column in axes.T)  # Archimedes: each coordinate is even
     assert fits(np.arctan2(axes[:, 1], axes[:, 0]), -np.pi, np.pi)
 
 
 def test_axes_of_the_tilt_are_level_and_even_and_without_twist() -> None:
-    _, rotvecs = errors(draw_tilt)
+    _, rotvecs = errors(draw_tilt_error)
     assert not rotvecs[:, 2].any()
     assert fits(np.arctan2(rotvecs[:, 1], rotvecs[:, 0]), -np.pi, np.pi)
     up = np.array([0.0, 0.0, 1.0])
@@ -151,7 +151,7 @@ def test_axes_of_the_tilt_are_level_and_even_and_without_twist() -> None:
 
 
 def test_offsets_and_turns_know_nothing_of_each_other() -> None:
-    offsets, rotvecs = errors(draw_ball)
+    offsets, rotvecs = errors(draw_ball_error)
     correlations = np.corrcoef(np.hstack([offsets, rotvecs]).T) - np.eye(6)
     assert np.abs(correlations).max() < 4 / np.sqrt(DRAWS)
 
@@ -206,7 +206,7 @@ def test_a_motion_takes_the_part_from_where_it_is_to_its_goal(world_from_part: P
 def test_levels_run_evenly_from_nothing_to_the_most() -> None:
     assert [round(1e3 * level_offset(k), 9) for k in range(LEVELS)] == [0, 4, 8, 12, 16, 20, 24, 28]
     assert np.allclose(np.diff([level_angle(k) for k in range(LEVELS)]), np.radians(27.5) / 7)
-    assert (level_angle(0), level_angle(LEVELS - 1)) == (0, ANGLE)
+    assert (level_angle(0), level_angle(LEVELS - 1)) == (0, MAX_ANGLE)
     assert set(FIXED_LEVELS) <= set(range(LEVELS))
     for level in (-1, LEVELS):
         with pytest.raises(InputError, match="level: expected 0 to 7"):

@@ -57,7 +57,7 @@ def test_answers_stay_within_the_error_of_a_guess(data: Dataset, queries: list[Q
         step = answer @ query.guess.inverse()
         home = query.guess.apply(query.pivot)
         assert np.linalg.norm(step.apply(home) - home) <= icp.FARTHEST + 1e-6
-        assert step.angle() <= icp.ANGLE + 1e-6
+        assert step.angle() <= icp.MAX_ANGLE + 1e-6
         assert 0 <= confidence <= 1
 
 

@@ -17,9 +17,9 @@ from kit1000.dataset.tables import FORMAT, assembly_row, kit_row, part_row
 from kit1000.errors import InputError
 from kit1000.files import write_json
 from kit1000.insertion_study import Error, described, drawn_places, kept_pieces, study
-from kit1000.kits.acceptance import about_anchor
+from kit1000.kits.acceptance import rotated_about_centroid
 from kit1000.kits.assembly import AssemblyPlan, build_assembly
-from kit1000.mesh import hull_of, mesh_of
+from kit1000.mesh import convex_hull, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.insertion import HELD_UP, Insertion, Workpiece, insert, judged, obstacles
@@ -122,7 +122,7 @@ def test_a_shift_within_the_clearance_seats_and_one_of_8_mm_does_not() -> None:
 
 def test_a_part_on_its_side_does_not_seat() -> None:
     for axis in ((1, 0, 0), (0, 1, 0)):
-        assert box_peg().outcome(about_anchor(box_peg().goal, np.pi / 2 * np.array(axis))) != "seated"
+        assert box_peg().outcome(rotated_about_centroid(box_peg().goal, np.pi / 2 * np.array(axis))) != "seated"
 
 
 def test_the_hand_gives_up_only_where_something_is_in_its_way() -> None:
@@ -136,7 +136,7 @@ def test_the_hand_gives_up_only_where_something_is_in_its_way() -> None:
 def test_a_part_let_go_in_the_air_is_there_when_the_hand_opens() -> None:
     """The hand follows its way to a tenth of a millimetre and a tenth of a degree."""
     peg = box_peg()
-    aim = Pose.from_translation([0, 0, 0.05]) @ about_anchor(peg.goal, np.array([0.3, -0.2, 0.5]))
+    aim = Pose.from_translation([0, 0, 0.05]) @ rotated_about_centroid(peg.goal, np.array([0.3, -0.2, 0.5]))
     error = (peg.assembly.mounts[0].assembly_from_kit @ aim).inverse() @ peg.let_go(aim).released
     assert np.linalg.norm(error.xyz) < 1e-4
     assert error.angle() < np.radians(0.1)
@@ -165,8 +165,8 @@ def test_what_became_of_a_part(
     shift_mm: tuple[float, float, float], turn_deg: float, since_deg: float, outcome: str
 ) -> None:
     kit = box_peg().kit
-    rest = Pose.from_translation(MM * np.array(shift_mm)) @ about_anchor(box_peg().goal, np.radians(turn_deg) * Z)
-    released = Pose.from_translation(rest.xyz - box_peg().goal.xyz) @ about_anchor(
+    rest = Pose.from_translation(MM * np.array(shift_mm)) @ rotated_about_centroid(box_peg().goal, np.radians(turn_deg) * Z)
+    released = Pose.from_translation(rest.xyz - box_peg().goal.xyz) @ rotated_about_centroid(
         box_peg().goal, np.radians(turn_deg - since_deg) * Z
     )
     found = judged(kit, released, rest)
@@ -177,20 +177,20 @@ def test_what_became_of_a_part(
 
 def test_any_goal_and_any_turn_about_a_free_axis_is_seated() -> None:
     slot, extent = box_peg().kit.slot, box_peg().kit.extent
-    half = about_anchor(slot.goals[0], np.pi * Z)
+    half = rotated_about_centroid(slot.goals[0], np.pi * Z)
     both = Slot("p", slot.kit_from_part, slot.clearance, slot.depth, Pose.stack([slot.goals[0], half]))
     free = FreeAxis(np.zeros(3), Z)
     turning = Slot("p", slot.kit_from_part, slot.clearance, slot.depth, slot.goals, free)
     for one, angle in ((both, np.pi), (turning, 0.3), (turning, 2.0)):
-        rest = about_anchor(slot.goals[0], angle * Z)
+        rest = rotated_about_centroid(slot.goals[0], angle * Z)
         assert judged(Kit("k", box_peg().kit.mesh, one, extent), rest, rest).outcome == "seated"
 
 
 def test_pieces_cover_the_part_and_little_more() -> None:
-    mesh = mesh_of(standing(ell()))
+    mesh = mesh_from_solid(standing(ell()))
     pieces = convex_pieces(mesh)
     assert len(pieces) > 1
-    assert sum(hull_of(piece).volume() for piece in pieces) == pytest.approx(mesh.volume, rel=0.05)
+    assert sum(convex_hull(piece).volume() for piece in pieces) == pytest.approx(mesh.volume, rel=0.05)
     x, y, z = stream(0, "inside").uniform((0, 0, 0), (40, 28, 14), (2000, 3)).T  # mm, the ell before it was centred
     depth = np.maximum(np.minimum(40 - x, 12 - y), np.minimum(12 - x, 28 - y))
     deep = np.minimum.reduce([depth, x, y, z, 14 - z]) > 0.3
@@ -200,7 +200,7 @@ def test_pieces_cover_the_part_and_little_more() -> None:
 
 
 def test_pieces_are_named_by_the_mesh_and_come_back_bit_for_bit() -> None:
-    mesh = mesh_of(standing(ell()))
+    mesh = mesh_from_solid(standing(ell()))
     assert key_of(mesh) == key_of(mesh.scaled(1.0)) != key_of(mesh.scaled(1.001))
     assert packed(ARCH) == packed(ARCH)
     back = unpacked(packed(ARCH))
@@ -211,7 +211,7 @@ def test_pieces_are_named_by_the_mesh_and_come_back_bit_for_bit() -> None:
 
 
 def test_kept_pieces_are_cut_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mesh, cut = mesh_of(standing(ell())), []
+    mesh, cut = mesh_from_solid(standing(ell())), []
     monkeypatch.setattr(insertions, "convex_pieces", lambda mesh: cut.append(mesh) or ARCH)
     first, again = kept_pieces(mesh, tmp_path), kept_pieces(mesh, tmp_path)
     assert [piece.tobytes() for piece in first] == [piece.tobytes() for piece in again]
@@ -236,7 +236,7 @@ def small_dataset(folder: Path) -> Path:
     for kind, items in meshes.items():
         (folder / kind).mkdir(parents=True)
         for name, mesh in items.items():
-            (folder / kind / f"{name}.glb").write_bytes(glb_bytes({name: mesh.rounded32()}))
+            (folder / kind / f"{name}.glb").write_bytes(glb_bytes({name: mesh.rounded_float32()}))
     write_json(folder / "parts.json", {part.id: part_row(part)})
     write_json(folder / "kits.json", {kit.id: kit_row(kit)})
     write_json(folder / "assemblies.json", {a.id: assembly_row(a) for a in stood})

@@ -22,7 +22,7 @@ from kit1000.kits.kit import (
     make_kit,
 )
 from kit1000.kits.sweep import shadow_below
-from kit1000.mesh import Mesh, body_count, defect32, solid_of
+from kit1000.mesh import Mesh, body_count, defect_float32, solid_from_mesh
 from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
 from kit1000.pose import Pose, random_quaternions
@@ -42,7 +42,7 @@ def design() -> KitDesign:
 
 
 def assert_printable(part: Part, kit_mesh: Mesh) -> None:
-    assert defect32(kit_mesh) is None, part.id
+    assert defect_float32(kit_mesh) is None, part.id
     assert body_count(kit_mesh) == 1
     assert np.array_equal(kit_mesh.vertices, kit_mesh.vertices.astype(np.float32))
 
@@ -81,10 +81,10 @@ def test_the_finished_plate_keeps_the_clearance_it_reports(clearance_mm: float) 
     part = as_part(ell())
     made = design_kit(part, clearance_mm * MM)
     slot = made.kit.slot
-    seated = solid_of(part.mesh.moved(slot.kit_from_part)).translate((0, 0, slot.depth))
+    seated = solid_from_mesh(part.mesh.moved(slot.kit_from_part)).translate((0, 0, slot.depth))
     gap = []
     for share in (0.1, 0.5, 0.9):
-        loops = solid_of(made.kit.mesh).slice((share - 1) * slot.depth).to_polygons()
+        loops = solid_from_mesh(made.kit.mesh).slice((share - 1) * slot.depth).to_polygons()
         inner = [loop for loop in loops if np.abs(loop).max() < 0.049]
         gap.append(gaps(outline_points(inner), shadow_below(seated, share * slot.depth)))
     found = np.concatenate(gap)
@@ -98,7 +98,7 @@ def test_the_design_pose_stands_on_the_floor_and_touches_nothing(design: KitDesi
     slot = design.kit.slot
     part = as_part(ell()).mesh.moved(slot.kit_from_part)
     assert part.bounds[0, 2] == pytest.approx(-slot.depth, abs=1e-9)
-    assert (solid_of(part).translate((0, 0, 2e-6)) ^ solid_of(design.kit.mesh)).volume() < 1e-15
+    assert (solid_from_mesh(part).translate((0, 0, 2e-6)) ^ solid_from_mesh(design.kit.mesh)).volume() < 1e-15
     assert part.bounds[1, 2] >= PROUD
     assert slot.depth + FLOOR <= UNIT_PLATE.thickness + 1e-9
 

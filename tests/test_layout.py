@@ -15,7 +15,7 @@ from scipy.spatial.distance import pdist
 
 from kit1000.errors import InputError, Redraw, ShapeError
 from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
-from kit1000.mesh import Mesh, defect, solid_of
+from kit1000.mesh import Mesh, defect, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim import layout as module
@@ -269,7 +269,7 @@ def test_distances_agree_with_dense_points(seed: int) -> None:
 def test_the_table_is_a_closed_box_below_zero() -> None:
     mesh = table()
     assert defect(mesh) is None
-    assert solid_of(mesh).volume() == pytest.approx(1.2 * 1.6 * 0.04)
+    assert solid_from_mesh(mesh).volume() == pytest.approx(1.2 * 1.6 * 0.04)
     assert mesh.bounds == pytest.approx(np.array([[-0.6, -0.8, -0.04], [0.6, 0.8, 0.0]]))
     assert isinstance(mesh, Mesh)
 

@@ -17,7 +17,7 @@ from kit1000.dataset.mcap_io import ObservationWriter, TruthWriter
 from kit1000.dataset.mesh_files import glb_bytes, read_glb
 from kit1000.dataset.schema import Observation, SceneTruth
 from kit1000.dataset.tables import pose_row
-from kit1000.mesh import Mesh, mesh_of
+from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import View
@@ -30,9 +30,9 @@ PAGE = Path(__file__).resolve().parents[1] / "docs/recordings.md"
 def bodies() -> list[tuple[Mesh, Pose]]:
     """A table, an L in place of the assembly, and a round bar as part 0."""
     return [
-        (mesh_of(standing(box(600, 800, 40, (0, 0, -40)))), Pose.identity()),
-        (mesh_of(standing(ell(120, 80, 40, 50))), Pose.from_rotvec((0, 0, 0.4), (0, 0.1, 0))),
-        (mesh_of(standing(lying_cylinder(30, 60))), Pose.from_rotvec((0, 0, 1.2), (0.02, -0.1, 0))),
+        (mesh_from_solid(standing(box(600, 800, 40, (0, 0, -40)))), Pose.identity()),
+        (mesh_from_solid(standing(ell(120, 80, 40, 50))), Pose.from_rotvec((0, 0, 0.4), (0, 0.1, 0))),
+        (mesh_from_solid(standing(lying_cylinder(30, 60))), Pose.from_rotvec((0, 0, 1.2), (0.02, -0.1, 0))),
     ]
 
 

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from kit1000.errors import MeshRefused, ShapeError
 from kit1000.kits.printable_mesh import printable_mesh
-from kit1000.mesh import Mesh, body_count, defect, defect32, hull_of, mesh_of, solid_of, surface_points
+from kit1000.mesh import Mesh, body_count, defect, defect_float32, convex_hull, mesh_from_solid, solid_from_mesh, surface_points
 from kit1000.pose import Pose
 from tests.shapes import box, cylinder, random_solid, standing
 from tests.strategies import poses
 
-CUBE = mesh_of(standing(box(20, 30, 40)))
+CUBE = mesh_from_solid(standing(box(20, 30, 40)))
 
 
 def other(mesh: Mesh) -> trimesh.Trimesh:
@@ -52,7 +52,7 @@ def test_wrong_arrays_are_refused_with_what_was_expected(vertices: np.ndarray, f
 @given(st.integers(0, 10_000), poses())
 @settings(max_examples=20)
 def test_measures_agree_with_another_package_wherever_the_solid_stands(seed: int, pose: Pose) -> None:
-    mesh = mesh_of(standing(random_solid(seed))).moved(pose)
+    mesh = mesh_from_solid(standing(random_solid(seed))).moved(pose)
     peer = other(mesh)
     assert mesh.volume == pytest.approx(peer.volume, rel=1e-6)
     assert mesh.area == pytest.approx(peer.area, rel=1e-9)
@@ -71,7 +71,7 @@ def test_measures_of_a_box() -> None:
 
 def two_boxes_on_an_edge() -> Mesh:
     touching = box(10, 10, 10) + box(10, 10, 10, (10, 10, 0))
-    return mesh_of(standing(touching)).merged()
+    return mesh_from_solid(standing(touching)).merged()
 
 
 def test_every_defect_has_its_name() -> None:
@@ -87,36 +87,36 @@ def test_every_defect_has_its_name() -> None:
 
 
 def test_solids_and_meshes_are_two_forms_of_one_thing() -> None:
-    again = mesh_of(solid_of(CUBE))
+    again = mesh_from_solid(solid_from_mesh(CUBE))
     assert again.volume == pytest.approx(CUBE.volume)
     assert len(again.faces) == 12
     with pytest.raises(MeshRefused, match="not closed: 3 open edges"):
-        solid_of(Mesh(CUBE.vertices, CUBE.faces[1:]))
+        solid_from_mesh(Mesh(CUBE.vertices, CUBE.faces[1:]))
     with pytest.raises(MeshRefused, match="inside out"):
-        solid_of(Mesh(CUBE.vertices, CUBE.faces[:, ::-1]))
+        solid_from_mesh(Mesh(CUBE.vertices, CUBE.faces[:, ::-1]))
 
 
 def test_defect32_sees_what_a_loader_sees() -> None:
     """Closed by its indices, yet two vertices are one for everybody who reads the file."""
-    parted = mesh_of(box(10, 10, 10)).vertices * 1e-3, mesh_of(box(10, 10, 10)).faces
+    parted = mesh_from_solid(box(10, 10, 10)).vertices * 1e-3, mesh_from_solid(box(10, 10, 10)).faces
     second = parted[0] + [10e-3, 10e-3 + 1e-12, 0]
     both = Mesh(np.concatenate([parted[0], second]), np.concatenate([parted[1], parted[1] + 8]))
     assert defect(both) is None
-    assert "shared by more than two faces" in str(defect32(both))
+    assert "shared by more than two faces" in str(defect_float32(both))
 
 
 def test_bodies_are_counted() -> None:
     assert body_count(CUBE) == 1
-    assert body_count(mesh_of(box(5, 5, 5) + box(5, 5, 5, (9, 0, 0)))) == 2
-    assert body_count(mesh_of(box(9, 9, 9) - box(3, 3, 3, (0, 0, 3)))) == 2
+    assert body_count(mesh_from_solid(box(5, 5, 5) + box(5, 5, 5, (9, 0, 0)))) == 2
+    assert body_count(mesh_from_solid(box(9, 9, 9) - box(3, 3, 3, (0, 0, 3)))) == 2
 
 
 def test_rounding_moves_less_than_a_float32_step_and_is_final() -> None:
-    mesh = mesh_of(standing(random_solid(3)))
-    rounded = mesh.rounded32()
+    mesh = mesh_from_solid(standing(random_solid(3)))
+    rounded = mesh.rounded_float32()
     assert np.array_equal(rounded.vertices, rounded.vertices.astype(np.float32))
     assert np.abs(rounded.vertices - mesh.vertices).max() < 4e-9
-    assert np.array_equal(rounded.rounded32().vertices, rounded.vertices)
+    assert np.array_equal(rounded.rounded_float32().vertices, rounded.vertices)
 
 
 def test_merging_drops_doubles_strays_and_collapsed_faces() -> None:
@@ -142,7 +142,7 @@ def test_hulls_are_exact_at_the_size_of_a_part(seed: int) -> None:
     """In metres the hull of the solids package is off by micrometres: facets and volume tell."""
     points = np.random.default_rng(seed).normal(0, 0.01, (60, 3))
     points = np.concatenate([points, points * [1, 1, 1 + 1e-4]])
-    hull = mesh_of(hull_of(points))
+    hull = mesh_from_solid(convex_hull(points))
     heights = points @ hull.normals.T - np.einsum("ij,ij->i", hull.normals, hull.triangles[:, 0])
     broad = np.linalg.norm(np.cross(*np.moveaxis(np.diff(hull.triangles, axis=1), 1, 0)), axis=1) > 1e-8
     assert heights[:, broad].max() < 1e-8
@@ -152,12 +152,12 @@ def test_walls_that_touch_on_an_edge_are_printable() -> None:
     """Two pits that meet in one upright line leave a plate whose mesh no loader would take as closed."""
     pits = box(10, 10, 20, (-5, -5, 4)) + box(10, 10, 20, (5, 5, 4))
     solid = standing(box(40, 40, 12) - pits)
-    assert "shared by more than two faces" in str(defect32(mesh_of(solid)))
+    assert "shared by more than two faces" in str(defect_float32(mesh_from_solid(solid)))
     mesh = printable_mesh(solid, "plate")
-    assert defect32(mesh) is None
+    assert defect_float32(mesh) is None
     assert body_count(mesh) == 1
     assert mesh.volume == pytest.approx(solid.volume(), rel=1e-4)
-    assert np.array_equal(mesh.vertices, mesh.rounded32().vertices)
+    assert np.array_equal(mesh.vertices, mesh.rounded_float32().vertices)
 
 
 def test_splinters_and_films_do_not_open_a_printable_mesh() -> None:
@@ -167,4 +167,4 @@ def test_splinters_and_films_do_not_open_a_printable_mesh() -> None:
         for angle in rng.uniform(0, 360, 4):
             shaft = cylinder(14, 20, segments=48).rotate((0, 0, angle)).translate((7, 0, 3))
             solid = solid - shaft.rotate((0, 0, angle + 1e-7))
-        assert defect32(printable_mesh(standing(solid), "plate")) is None
+        assert defect_float32(printable_mesh(standing(solid), "plate")) is None

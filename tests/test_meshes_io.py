@@ -14,7 +14,7 @@ from mini import corner
 
 from kit1000.dataset.mesh_files import glb_bytes, read_glb, stl_bytes, y_up, z_up
 from kit1000.errors import InputError
-from kit1000.mesh import Mesh, defect32
+from kit1000.mesh import Mesh, defect_float32
 from kit1000.parts.files.formats import read_soup
 
 POINTS = arrays(np.float64, (7, 3), elements=st.floats(-1, 1, width=32))
@@ -44,7 +44,7 @@ def test_up_is_up_and_hands_are_kept() -> None:
 
 
 def test_other_readers_find_metres_and_y_up_in_a_glb(tmp_path: Path) -> None:
-    mesh = corner().rounded32()
+    mesh = corner().rounded_float32()
     path = tmp_path / "mesh.glb"
     path.write_bytes(glb_bytes({"part": mesh}, {"part": (255, 0, 0)}))
     seen = trimesh.load_scene(path).to_mesh()
@@ -67,7 +67,7 @@ def test_an_stl_holds_float32_millimetres_with_z_up(tmp_path: Path) -> None:
     seen = trimesh.load_mesh(path)
     assert np.allclose(seen.bounds, mesh.bounds * 1e3, atol=1e-5)
     assert seen.is_watertight
-    assert defect32(mesh.scaled(1e3)) is None
+    assert defect_float32(mesh.scaled(1e3)) is None
 
 
 def test_stl_normals_point_outward() -> None:

@@ -12,22 +12,22 @@ from hypothesis import strategies as st
 from manifold3d import Manifold, OpType
 
 from kit1000.errors import InputError, ShapeError
-from kit1000.kits.acceptance import Seat, about_anchor
-from kit1000.kits.contact import ridges
+from kit1000.kits.acceptance import SeatingTest, rotated_about_centroid
+from kit1000.kits.contact import convex_edges
 from kit1000.kits.seating import (
     HOVER,
-    JUDGE_STEP,
-    SEATED,
-    STRICT,
-    Plug,
-    contact_raise,
-    judged_raise,
-    swept_out,
-    verdict,
+    BISECTION_STEP,
+    SEATED_LIMIT,
+    STRICT_LIMIT,
+    InsertedPart,
+    contact_offset,
+    contact_offset_by_booleans,
+    swept_solid,
+    seating_result,
 )
-from kit1000.mesh import Mesh, defect, mesh_of, solid_of
+from kit1000.mesh import Mesh, defect, mesh_from_solid, solid_from_mesh
 from kit1000.metrics import Seatings, seatings
-from kit1000.metrics.exact_seating import Sweep, Window, passes
+from kit1000.metrics.exact_seating import SweptVolume, ContactInterval, contact_in_interval
 from kit1000.motions import goal_motion
 from kit1000.pose import Pose, random_quaternions
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Truth
@@ -118,7 +118,7 @@ def errors(seed: int, n: int, shift: float = 4e-3, turn: float = 0.15) -> np.nda
 
 
 def off(goal: Pose, error: np.ndarray) -> Pose:
-    return Pose.from_translation(error[:3]) @ about_anchor(goal, error[3:])
+    return Pose.from_translation(error[:3]) @ rotated_about_centroid(goal, error[3:])
 
 
 @pytest.mark.parametrize("mount", [0, 1])
@@ -128,7 +128,7 @@ def test_every_goal_is_seated_strictly_in_an_assembly(assembly_id: str, mount: i
     found = said_of(*((truth, goal) for goal in truth.slot.goals))
     assert found.seated.all()
     assert found.strict.all()
-    assert np.abs(found.height).max() < 0.01e-3
+    assert np.abs(found.contact_height).max() < 0.01e-3
     assert found.penetration.max() < 0.01e-3
 
 
@@ -145,17 +145,17 @@ def test_a_round_part_is_seated_at_any_turn() -> None:
 def test_verdicts_are_those_of_single_trials(name: str) -> None:
     """A kit alone, in its own frame: what making the pairs asks."""
     truth = truth_of(next(i for i in shelf().assemblies if i.startswith(name)))
-    goal, seat = truth.slot.goals[0], Seat(sample_part(name).mesh, sample_kit(name))
+    goal, seat = truth.slot.goals[0], SeatingTest(sample_part(name).mesh, sample_kit(name))
     poses = [off(goal, error) for error in errors(QUICK.index(name), 30)]
     found = said_of(*((truth, pose) for pose in poses), judge="never")
-    alone = [seat.try_pose(pose, goal) for pose in poses]
+    alone = [seat.result(pose, goal) for pose in poses]
     assert 0 < sum(one.seated for one in alone) < len(alone)
     assert found.seated.tolist() == [one.seated for one in alone]
     assert found.strict.tolist() == [one.strict for one in alone]
-    assert found.rise == pytest.approx([one.rise for one in alone], abs=1e-9)
-    assert found.height == pytest.approx([one.height for one in alone], abs=1e-9)
+    assert found.contact_offset == pytest.approx([one.contact_offset for one in alone], abs=1e-9)
+    assert found.contact_height == pytest.approx([one.contact_height for one in alone], abs=1e-9)
     assert found.penetration == pytest.approx([one.penetration for one in alone], abs=1e-9)
-    assert not found.judged.any()
+    assert not found.exact.any()
 
 
 @pytest.mark.parametrize("name", QUICK)
@@ -163,16 +163,16 @@ def test_the_judge_is_that_of_the_bisection(name: str) -> None:
     """Where it is asked, about poses at the brink, it says what the bisected booleans say, but for their step."""
     truth = truth_of(next(i for i in shelf().assemblies if i.startswith(name)))
     goal, slot = truth.slot.goals[0], truth.slot
-    mesh, plate = sample_part(name).mesh, solid_of(sample_kit(name).mesh)
-    plug = Plug.of(mesh, goal)
-    swept = swept_out(mesh, plug.axis)
-    lifts = [limit + step for limit in (SEATED, STRICT) for step in (-45e-6, -5e-6, 35e-6)]
+    mesh, plate = sample_part(name).mesh, solid_from_mesh(sample_kit(name).mesh)
+    plug = InsertedPart.of(mesh, goal)
+    swept = swept_solid(mesh, plug.axis)
+    lifts = [limit + step for limit in (SEATED_LIMIT, STRICT_LIMIT) for step in (-45e-6, -5e-6, 35e-6)]
     poses = [off(goal, np.array([0, 0, lift, 0, 0, 0])) for lift in lifts] + [off(goal, e) for e in errors(1, 3)]
     found = said_of(*((truth, pose) for pose in poses), judge="all")
-    assert found.judged.all()
-    assert not found.differs.any()
+    assert found.exact.all()
+    assert not found.disagrees.any()
     for i, pose in enumerate(poses):
-        said = verdict(judged_raise(swept, plug, plate, pose), plug, pose, goal, slot.depth)
+        said = seating_result(contact_offset_by_booleans(swept, plug, plate, pose), plug, pose, goal, slot.depth)
         assert (found.seated[i], found.strict[i]) == (said.seated, said.strict), i
 
 
@@ -180,7 +180,7 @@ def body(name: str) -> tuple[Mesh, np.ndarray]:
     """A part and the axis (3,) it leaves along."""
     if name in QUICK:
         return sample_part(name).mesh, sample_kit(name).slot.goals[0].inverse().rotate(UP)
-    return mesh_of(SHAPES[name]().scale((1e-3, 1e-3, 1e-3))), UP
+    return mesh_from_solid(SHAPES[name]().scale((1e-3, 1e-3, 1e-3))), UP
 
 
 SHAPES = {
@@ -195,9 +195,9 @@ SHAPES = {
 def test_the_sheets_of_a_sweep_are_what_the_part_sweeps(name: str) -> None:
     """All of it, and nothing else but what a longer way sweeps."""
     mesh, axis = body(name)
-    sheets = Manifold.batch_boolean(list(Sweep.of(mesh, axis).solids), OpType.Add)
-    assert (swept_out(mesh, axis) - sheets).volume() < NOTHING
-    assert (sheets - swept_out(mesh, axis, HOVER + np.ptp(mesh.vertices @ axis))).volume() < NOTHING
+    sheets = Manifold.batch_boolean(list(SweptVolume.of(mesh, axis).solids), OpType.Add)
+    assert (swept_solid(mesh, axis) - sheets).volume() < NOTHING
+    assert (sheets - swept_solid(mesh, axis, HOVER + np.ptp(mesh.vertices @ axis))).volume() < NOTHING
 
 
 def test_a_thread_lies_over_itself_and_still_tells_what_it_meets() -> None:
@@ -214,13 +214,13 @@ def test_a_thread_lies_over_itself_and_still_tells_what_it_meets() -> None:
     faces += [ends, ends[:, ::-1] + last]
     mesh = Mesh(corners, np.concatenate(faces).astype(np.int32))
     assert defect(mesh) is None
-    sweep = Sweep.of(mesh, UP)
+    sweep = SweptVolume.of(mesh, UP)
     ball = Manifold.sphere(1e-3, 24)
     for height, clear in ((-2e-3, True), (3e-3, False), (10e-3, False), (60e-3, False), (-40e-3, True)):
         for turn in (0.0, 2.0, 4.0):
             at = (7.5e-3 * np.cos(turn), 7.5e-3 * np.sin(turn), height + 1e-3 * turn)
-            assert sweep.clear(ball.translate(at), Pose.identity(), 0.0) == clear
-    assert sweep.clear(ball.translate((0, 0, 50e-3)), Pose.identity(), 0.0)
+            assert sweep.is_collision_free(ball.translate(at), Pose.identity(), 0.0) == clear
+    assert sweep.is_collision_free(ball.translate((0, 0, 50e-3)), Pose.identity(), 0.0)
 
 
 @laws
@@ -230,12 +230,12 @@ def test_a_sweep_is_clear_from_contact_on(seed: int) -> None:
     truth = truth_of("channel+tee", seed % 2)
     name = truth.part_id
     mesh, goal = shelf().part(name).mesh, truth.slot.goals[0]
-    plug = Plug.of(mesh, goal)
+    plug = InsertedPart.of(mesh, goal)
     pose = off(goal, errors(seed, 1, 10e-3, 0.4)[0])
-    rise = contact_raise(plug, ridges(sample_kit(name).mesh), pose)
-    sweep, plate = Sweep.of(mesh, plug.axis), solid_of(sample_kit(name).mesh)
-    assert sweep.clear(plate, pose, rise + JUDGE_STEP / 2)
-    assert not sweep.clear(plate, pose, rise - JUDGE_STEP / 2)
+    rise = contact_offset(plug, convex_edges(sample_kit(name).mesh), pose)
+    sweep, plate = SweptVolume.of(mesh, plug.axis), solid_from_mesh(sample_kit(name).mesh)
+    assert sweep.is_collision_free(plate, pose, rise + BISECTION_STEP / 2)
+    assert not sweep.is_collision_free(plate, pose, rise - BISECTION_STEP / 2)
 
 
 @laws
@@ -243,17 +243,17 @@ def test_a_sweep_is_clear_from_contact_on(seed: int) -> None:
 def test_a_window_holds_the_rises_that_the_verdict_takes(lift: float, rise: float, lean: float, depth: float) -> None:
     axis = np.array([np.sqrt(1 - lean**2), 0, lean])
     pose, goal = Pose.from_translation(np.array([0, 0, lift])), Pose.identity()
-    plug = Plug(ridges(sample_part("tee").mesh), axis)
-    said = verdict(rise, plug, pose, goal, depth)
+    plug = InsertedPart(convex_edges(sample_part("tee").mesh), axis)
+    said = seating_result(rise, plug, pose, goal, depth)
 
     def unasked(end: float) -> bool:
         raise AssertionError(f"asked at {end}")
 
-    for limit, wanted in ((SEATED, said.seated), (STRICT, said.strict)):
-        window = Window.of(limit, depth, lean, lift)
-        if not window.near(rise, 1e-9):
-            assert passes(window, rise, 0.0, unasked) == wanted
-            assert passes(window, 0.0, np.inf, lambda end, rise=rise: rise <= end) == wanted
+    for limit, wanted in ((SEATED_LIMIT, said.seated), (STRICT_LIMIT, said.strict)):
+        window = ContactInterval.of(limit, depth, lean, lift)
+        if not window.has_end_within(rise, 1e-9):
+            assert contact_in_interval(window, rise, 0.0, unasked) == wanted
+            assert contact_in_interval(window, 0.0, np.inf, lambda end, rise=rise: rise <= end) == wanted
 
 
 def test_the_judge_is_asked_near_limits_alone() -> None:
@@ -263,23 +263,23 @@ def test_the_judge_is_asked_near_limits_alone() -> None:
     for judge in ("near", "all", "never"):
         found = said_of(*tries, judge=judge)
         near = np.isin(np.arange(8), (2, 3, 5, 6))
-        assert found.judged.tolist() == {"near": near, "all": near | True, "never": near & False}[judge].tolist()
-        assert found.strict.tolist() == (lifts < STRICT).tolist()
-        assert found.seated.tolist() == (lifts < SEATED).tolist()
+        assert found.exact.tolist() == {"near": near, "all": near | True, "never": near & False}[judge].tolist()
+        assert found.strict.tolist() == (lifts < STRICT_LIMIT).tolist()
+        assert found.seated.tolist() == (lifts < SEATED_LIMIT).tolist()
 
 
 def test_a_part_in_the_slot_of_its_neighbour_is_not_seated() -> None:
     """Two kits for the same part: at goal height over the other plate it is in the wrong slot."""
     kit = sample_kit("tee")
     there = Pose.from_translation(np.array([APART, 0, 0]))
-    two = mesh_of(solid_of(kit.mesh) + solid_of(kit.mesh.moved(there)))
+    two = mesh_from_solid(solid_from_mesh(kit.mesh) + solid_from_mesh(kit.mesh.moved(there)))
     twins = Assembly("twins", two, (Mount(kit, Pose.identity()),))
     truth = replace(truth_of("tee+foot"), assembly_id="twins")
     goal = truth.slot.goals[0]
     predicted = Pose.stack([moved(truth, goal), moved(truth, there @ goal)])
     for judge in ("near", "all"):
         found = seatings(predicted, [truth] * 2, Shelf(shelf().parts, {"twins": twins}), judge)
-        assert np.abs(found.height).max() < 0.01e-3
+        assert np.abs(found.contact_height).max() < 0.01e-3
         assert found.seated.tolist() == found.strict.tolist() == [True, False]
 
 
@@ -288,7 +288,7 @@ def test_nothing_below_is_not_seated() -> None:
     away = Pose.from_translation(np.array([0, 5.0, 0])) @ truth.slot.goals[0]
     for judge in ("near", "all", "never"):
         found = said_of((truth, away), judge=judge)
-        assert found.rise[0] == found.height[0] == -np.inf
+        assert found.contact_offset[0] == found.contact_height[0] == -np.inf
         assert found.penetration[0] == 0
         assert not found.seated[0]
 
@@ -298,8 +298,8 @@ def test_penetration_is_how_far_below_contact_a_prediction_lies() -> None:
     for lift in (-2e-3, -0.5e-3, 1.5e-3):
         found = said_of((truth, off(truth.slot.goals[0], np.array([0, 0, lift, 0, 0, 0]))))
         assert found.penetration[0] == pytest.approx(max(-lift, 0), abs=1e-5)
-        assert found.rise[0] == pytest.approx(-lift, abs=1e-5)
-        assert found.height[0] == pytest.approx(0, abs=1e-5)
+        assert found.contact_offset[0] == pytest.approx(-lift, abs=1e-5)
+        assert found.contact_height[0] == pytest.approx(0, abs=1e-5)
 
 
 def test_the_answer_depends_on_nothing_but_the_query() -> None:
@@ -316,13 +316,13 @@ def test_the_answer_depends_on_nothing_but_the_query() -> None:
         replace(t, world_from_kit=stand @ t.world_from_kit, world_from_part=stand @ t.world_from_part) for t in truths
     ]
     elsewhere = said_of(*zip(carried, (pose for _, pose in tries), strict=True), judge="all")
-    assert elsewhere.rise == pytest.approx(whole.rise, abs=1e-9)
+    assert elsewhere.contact_offset == pytest.approx(whole.contact_offset, abs=1e-9)
     assert np.array_equal(elsewhere.seated, whole.seated)
 
 
 def test_no_queries_have_no_verdicts() -> None:
     found = seatings(Pose.identity((0,)), [], shelf())
-    assert found.seated.shape == found.rise.shape == (0,)
+    assert found.seated.shape == found.contact_offset.shape == (0,)
     assert found.seated.dtype == bool
 
 

@@ -10,7 +10,7 @@ from hypothesis.extra import numpy as arrays
 from scipy.spatial import KDTree
 
 from kit1000.errors import InputError, ShapeError
-from kit1000.mesh import Mesh, mesh_of
+from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.mesh import surface_points as points_of
 from kit1000.metrics.volumes import known_share, occupancy_iou, surface_chamfer
 from kit1000.pose import Pose
@@ -30,7 +30,7 @@ def grid(n: int = 64, voxel: float = 1 * MM) -> Grid:
 
 def block(x: float, y: float, z: float, shift: tuple[float, float, float] = (0, 0, 0)) -> Mesh:
     """A box about a place [mm]."""
-    return mesh_of(box(x, y, z, at=(0, 0, -z / 2)).translate(shift)).scaled(MM)
+    return mesh_from_solid(box(x, y, z, at=(0, 0, -z / 2)).translate(shift)).scaled(MM)
 
 
 def volume(mesh: Mesh, on: Grid | None = None, world_from_body: Pose = ORIGIN) -> Volume:
@@ -187,7 +187,7 @@ def chamfer_of_the_release(a: Volume, b: Volume, rng: np.random.Generator) -> fl
 def test_a_block_without_a_cavity_is_nearly_a_kit_to_the_release_and_far_from_one_here() -> None:
     on = grid(128, 2 * MM)
     plate = box(100, 100, 50)
-    kit, solid = mesh_of(plate - box(80, 80, 26, at=(0, 0, 25))).scaled(MM), mesh_of(plate).scaled(MM)
+    kit, solid = mesh_from_solid(plate - box(80, 80, 26, at=(0, 0, 25))).scaled(MM), mesh_from_solid(plate).scaled(MM)
     true, guess = volume(kit, on), volume(solid, on)
     assert iou_of_the_release(guess, true) > 0.99
     assert occupancy_iou(guess, true) == pytest.approx(0.67, abs=0.02)

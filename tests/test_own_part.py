@@ -19,7 +19,7 @@ from kit1000.errors import InputError
 from kit1000.export import own_part
 from kit1000.export.own_part import kit_for
 from kit1000.files import PARTIAL
-from kit1000.mesh import Mesh, defect32, solid_of
+from kit1000.mesh import Mesh, defect_float32, solid_from_mesh
 from kit1000.parts.files.formats import read_soup
 from kit1000.parts.files.sources import mesh_files
 from kit1000.pictures import previews
@@ -72,8 +72,8 @@ def test_the_preview_shows_the_part_in_its_colour(tmp_path: Path, monkeypatch: p
 def test_the_part_is_seated_in_the_kit_without_touching_more_than_the_floor(out: Path, report: dict[str, Any]) -> None:
     kit, part = read(out / "kit.stl"), read(out / "part.stl")
     for mesh in (kit, part):
-        assert defect32(mesh) is None
-    assert (solid_of(kit) ^ solid_of(part)).volume() < EXACT * part.area
+        assert defect_float32(mesh) is None
+    assert (solid_from_mesh(kit) ^ solid_from_mesh(part)).volume() < EXACT * part.area
     assert part.bounds[0, 2] == pytest.approx(-report["depth_mm"], abs=EXACT)
     assert part.bounds[1, 2] == pytest.approx(report["proud_mm"], abs=EXACT)
     assert np.isclose(kit.vertices[:, 2], -report["depth_mm"], atol=EXACT).any()
@@ -92,7 +92,7 @@ def test_files_are_in_millimetres_with_z_up_at_true_size(out: Path, report: dict
 
 
 def test_the_gap_is_the_one_asked_for_all_around(out: Path, report: dict[str, Any]) -> None:
-    kit, part = solid_of(read(out / "kit.stl")), solid_of(read(out / "part.stl"))
+    kit, part = solid_from_mesh(read(out / "kit.stl")), solid_from_mesh(read(out / "part.stl"))
     assert 2.48 < report["clearance_smallest_mm"] <= report["clearance_largest_mm"] < 2.6
     for share in (0.1, 0.5, 0.9):
         wall, body = kit.slice(-share * report["depth_mm"]), part.slice(-share * report["depth_mm"])
@@ -197,7 +197,7 @@ def test_a_refusal_names_the_file_and_the_reason(tmp_path: Path) -> None:
 def test_real_parts_get_kits(real_parts: Path, tmp_path: Path) -> None:
     for path in mesh_files(real_parts)[::9]:
         made = kit_for(path, tmp_path / path.stem)
-        kit, part = (solid_of(read(tmp_path / path.stem / name)) for name in ("kit.stl", "part.stl"))
+        kit, part = (solid_from_mesh(read(tmp_path / path.stem / name)) for name in ("kit.stl", "part.stl"))
         film = max(EXACT, 2e-7 * max(made["size_mm"]))  # files hold float32: the floor of a large part is rounded too
         assert (kit ^ part).volume() < film * part.surface_area(), path.name
         assert made["clearance_smallest_mm"] > 2.48

@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.tables import Row, pose_of
 from kit1000.errors import InputError
-from kit1000.generation.queries import PAPER_TILT, Asked, _paper_tilt, eligible, scene_queries
-from kit1000.guesses import ANGLE, FIXED_LEVELS, LEVELS, OFFSET, level_angle, level_offset
+from kit1000.generation.queries import PAPER_TILT, PartInScene, _largest_roll_or_pitch, eligible, scene_queries
+from kit1000.guesses import MAX_ANGLE, FIXED_LEVELS, LEVELS, MAX_OFFSET, level_angle, level_offset
 from kit1000.motions import apply_error, error_of
-from kit1000.pivots import pivots_of
+from kit1000.pivots import part_pivots
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.sim.layout import TUMBLED, UPRIGHT
 from kit1000.tracks import CURVES, TRACKS, curve_id, curve_levels, has_curves
@@ -40,7 +40,7 @@ def tilted(angle_deg: float, azimuth: float = 0.7) -> Pose:
     return Pose.from_rotvec(np.radians(angle_deg) * axis, (0.02, 0.2, 0.06))
 
 
-def part(index: int, tilt_deg: float = 30.0, mode: str = UPRIGHT, free: bool = False, goals: int = 1) -> Asked:
+def part(index: int, tilt_deg: float = 30.0, mode: str = UPRIGHT, free: bool = False, goals: int = 1) -> PartInScene:
     """A part as the layout puts it: upright as in its kit but for yaw, or anyhow."""
     rng = np.random.default_rng(100 + index)
     axis = FreeAxis(np.zeros(3), np.array([0.0, 0.0, 1.0])) if free else None
@@ -49,14 +49,14 @@ def part(index: int, tilt_deg: float = 30.0, mode: str = UPRIGHT, free: bool = F
     turn = lying.wxyz if mode == UPRIGHT else random_quaternions(rng, 1)[0]
     world_from_part = Pose(turn, np.array([rng.uniform(-0.2, 0.2), -0.17, 0.015]))
     slot = Slot(f"part{index}", stacked[0], 2.5e-3, 8e-3, stacked, axis)
-    return Asked(index, mode, world_from_part, tilted(tilt_deg, 0.3 + index), slot, None)
+    return PartInScene(index, mode, world_from_part, tilted(tilt_deg, 0.3 + index), slot, None)
 
 
 @dataclass(frozen=True)
 class Stage:
     """The arguments of `scene_queries`, with defaults."""
 
-    parts: tuple[Asked, ...]
+    parts: tuple[PartInScene, ...]
     views: dict[str, View]
     labels: np.ndarray
     drawn: int = 1
@@ -147,25 +147,25 @@ def test_the_goal_lies_inside_the_window_about_the_guess() -> None:
                 continue
             goal = pose_of(truths[row["id"]]["goal_drawn"])
             offset, rotvec = error_of(pose_of(row["guess"]), goal, np.array(row["pivot"]))
-            assert np.abs(offset).max() <= OFFSET + 1e-12
-            assert np.linalg.norm(rotvec) <= ANGLE + 1e-9
+            assert np.abs(offset).max() <= MAX_OFFSET + 1e-12
+            assert np.linalg.norm(rotvec) <= MAX_ANGLE + 1e-9
 
 
 def test_the_pivot_is_the_middle_of_what_the_sensor_sees_where_it_believes_to_be() -> None:
     views, labels = images()
     for view in views.values():
-        for i, pivot in pivots_of(view, labels).items():
+        for i, pivot in part_pivots(view, labels).items():
             points = view.camera.unproject(view.depth)[(labels == FIRST_PART_LABEL + i) & (view.depth > 0)]
             world = np.array([view.world_from_camera.matrix() @ [*point, 1] for point in points])[:, :3]
             assert np.abs(pivot - (world.max(0) + world.min(0)) / 2).max() <= 0.5e-4 + 1e-12
             assert np.allclose(pivot * 1e4, np.round(pivot * 1e4), atol=1e-9)
-    assert sorted(pivots_of(views["ideal"], labels)) == list(range(PARTS))
+    assert sorted(part_pivots(views["ideal"], labels)) == list(range(PARTS))
 
 
 def test_queries_of_a_sensor_use_its_own_pivot() -> None:
     views, labels = images()
     for row in stage().rows():
-        assert row["pivot"] == pivots_of(views[row["sensor"]], labels)[row["part"]].tolist()
+        assert row["pivot"] == part_pivots(views[row["sensor"]], labels)[row["part"]].tolist()
 
 
 def test_a_part_without_a_return_is_not_asked_about_with_that_sensor() -> None:
@@ -215,7 +215,7 @@ def test_a_track_without_any_part_draws_none() -> None:
 def test_roll_and_pitch_are_those_of_scipy(pose: Pose) -> None:
     roll, pitch, _ = _scipy_angles(pose)
     assume(abs(pitch) < np.radians(89.9))  # beyond, roll and yaw are one
-    assert _paper_tilt(pose) == pytest.approx(max(abs(roll), abs(pitch)), abs=1e-7)
+    assert _largest_roll_or_pitch(pose) == pytest.approx(max(abs(roll), abs(pitch)), abs=1e-7)
 
 
 def _scipy_angles(pose: Pose) -> np.ndarray:

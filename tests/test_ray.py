@@ -19,7 +19,7 @@ from mini import MINI, contents, corners
 
 from kit1000 import engines, files
 from kit1000.engines import AHEAD, RETRIES, Spread
-from kit1000.errors import Fault, InputError, Kit1000Error
+from kit1000.errors import InternalError, InputError, Kit1000Error
 from kit1000.generation.build import generate
 
 pytest.importorskip("ray", reason="an engine that is asked for: pip install 'kit1000[ray]'")
@@ -157,7 +157,7 @@ def test_a_job_that_kills_every_worker_is_named_in_one_line(address: str) -> Non
 
 
 def test_errors_stop_the_run_as_they_do_without_ray(address: str) -> None:
-    with pytest.raises(Fault) as caught, engines.ray(address) as spread:
+    with pytest.raises(InternalError) as caught, engines.ray(address) as spread:
         list(spread(stumble, range(1000)))
     assert str(caught.value).startswith("3: ValueError: two lines (")
     with pytest.raises(InputError, match=r"^disk full$"), engines.ray(address) as spread:

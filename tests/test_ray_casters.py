@@ -14,7 +14,7 @@ from sample_kits import QUICK, sample_kit, sample_part
 from shapes import box
 
 from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
-from kit1000.mesh import Mesh, mesh_of
+from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose, quaternion_from_rotvec
 from kit1000.sim.cameras import CAMERA, draw_primary
 from kit1000.sim.render import Frame, render
@@ -30,7 +30,7 @@ def bodies() -> Bodies:
     kits = [sample_kit(family) for family in QUICK[:4]]
     sides = (Side(0, 0.3), Side(1, 0.5), Side(3, 0.7))
     assembly = build_assembly("a", kits, AssemblyPlan(0.2, 1.0, sides))
-    table = mesh_of(box(1200, 1600, 40, (0, 0, -40))).scaled(1e-3)
+    table = mesh_from_solid(box(1200, 1600, 40, (0, 0, -40))).scaled(1e-3)
     found = [(table, Pose.identity()), (assembly.mesh, Pose.from_rotvec((0, 0, 0.7), (0, 0.2, 0)))]
     for i, family in enumerate(QUICK[:4]):
         mesh, turn = sample_part(family).mesh, quaternion_from_rotvec((0, np.pi * (i % 2), 0.9 * i))

@@ -20,8 +20,8 @@ from baselines.registration.cavity import VOXEL, find_cavity, plate_grid
 from baselines.registration.faces import standing_faces
 from baselines.registration.relief import grown, lower_envelope
 from baselines.registration.search import NEIGHBOUR, SHALLOWER, TURN_STEP, Candidate, Lying, Window, distinct
-from kit1000.guesses import ANGLE, OFFSET
-from kit1000.mesh import Mesh, mesh_of, solid_of
+from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
+from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh
 from kit1000.motions import apply_error
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points
@@ -35,7 +35,7 @@ SIZE = np.array([30e-3, 20e-3, 12e-3])
 
 def cuboid(size: np.ndarray = SIZE) -> Mesh:
     """[m], about the origin."""
-    mesh = mesh_of(box(*size))
+    mesh = mesh_from_solid(box(*size))
     return Mesh(mesh.vertices - mesh.bounds.mean(0), mesh.faces)
 
 
@@ -140,7 +140,7 @@ def on_a_plate(mesh: Mesh, world_from_kit: Pose, side: float = 0.12, nudge: Pose
 
 def walls_of(mesh: Mesh, height: float, points: np.ndarray) -> np.ndarray:
     """(n,) [m] across from points (n, 2) to the solid at a height; negative inside it."""
-    return gaps(points, solid_of(mesh).slice(height))
+    return gaps(points, solid_from_mesh(mesh).slice(height))
 
 
 @pytest.mark.parametrize("pose", [HOME, LEANING], ids=["square", "leaning"])
@@ -316,11 +316,11 @@ def test_what_has_no_extent_has_no_face(points: np.ndarray) -> None:
 # turns and places apart
 
 
-@given(now=poses(), plate=poses(), guess=poses(), turn=st.floats(0.01, ANGLE))
+@given(now=poses(), plate=poses(), guess=poses(), turn=st.floats(0.01, MAX_ANGLE))
 @settings(max_examples=40)
 def test_every_turn_near_the_guess_has_one_that_is_looked_at(now: Pose, plate: Pose, guess: Pose, turn: float) -> None:
     rotations = Lying(volume_of(cuboid()), np.zeros(3), now.rotate(UP)).rotations
-    allowed = Window(np.zeros(3), guess, turn, OFFSET).allows(rotations, plate)
+    allowed = Window(np.zeros(3), guess, turn, MAX_OFFSET).allows(rotations, plate)
 
     def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         cosines = (np.einsum("aij,bij->ab", a, b) - 1) / 2
@@ -340,7 +340,7 @@ def test_without_a_guess_there_are_turns_all_around(now: Pose) -> None:
     """All of them carry the face that looks down to the floor."""
     down = now.rotate(UP)
     rotations = Lying(volume_of(cuboid()), np.zeros(3), down).rotations
-    assert Window(np.zeros(3), None, ANGLE, OFFSET).allows(rotations, HOME).all()
+    assert Window(np.zeros(3), None, MAX_ANGLE, MAX_OFFSET).allows(rotations, HOME).all()
     np.testing.assert_allclose(rotations.rotate(down), np.broadcast_to(-UP, (len(rotations), 3)), atol=1e-9)
     beside = rotations.rotate(now.rotate(np.array([1.0, 0, 0])))
     around = np.sort(np.arctan2(beside[:, 1], beside[:, 0]))

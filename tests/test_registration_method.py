@@ -29,7 +29,7 @@ from baselines.registration.search import (
 )
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.guesses import ANGLE, OFFSET
+from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.metrics import Targets, pose_errors
 from kit1000.motions import apply_error, goal_motion
 from kit1000.pose import Pose
@@ -98,7 +98,7 @@ def test_the_best_places_are_those_of_a_sum_of_squares_over_all_shifts(seed: int
     cavity, envelope = pitted(seed, hidden), lumps(seed)
     kit = KitImage.of(cavity)
     every = brute_misfits(cavity, kit, envelope)
-    anywhere = Window(np.zeros(3), None, ANGLE, OFFSET)
+    anywhere = Window(np.zeros(3), None, MAX_ANGLE, MAX_OFFSET)
     found = list(places(kit, grown(envelope, CELL, CLEARANCE), cavity, anywhere, np.zeros(3)))
     assert found[0][1] == pytest.approx(every.min(), abs=1e-9)
     assert [misfit for _, misfit in found] == sorted(misfit for _, misfit in found)
@@ -118,7 +118,7 @@ def test_no_place_is_farther_from_the_guess_than_allowed() -> None:
     z = -cavity.depth - envelope.min()
     pivot = np.array([3e-3, -2e-3, 1e-3])  # where it is before it is shifted
     home = WORLD_FROM_KIT.apply(pivot + [0.006, -0.008, z])
-    window = Window(np.zeros(3), Pose.from_translation(home), ANGLE, 4e-3)
+    window = Window(np.zeros(3), Pose.from_translation(home), MAX_ANGLE, 4e-3)
     found = list(places(kit, grown(envelope, CELL, CLEARANCE), cavity, window, pivot))
     assert found
     for place, _ in found:
@@ -187,7 +187,7 @@ def test_the_search_ranks_the_truth_first(name: str, guessed: bool) -> None:
     """Among all places and turns near a bad guess, or all there are, on every face that a box about the part has."""
     known = case(name)
     guess = apply_error(known.goal, known.pivot, np.array([20e-3, -15e-3, 10e-3]), np.array([0.1, -0.2, 0.3]))
-    window = Window(known.pivot, guess if guessed else None, ANGLE, OFFSET)
+    window = Window(known.pivot, guess if guessed else None, MAX_ANGLE, MAX_OFFSET)
     found = coarse_search(known.part, WORLD_FROM_PART.xyz, [known.down, -known.down], [known.cavity], CLEARANCE, window)
     assert [each.misfit for each in found] == sorted(each.misfit for each in found)
     distance, turn = known.missed(found[0].plate_from_now)

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from manifold3d import Manifold
 
 from kit1000.errors import MeshRefused
-from kit1000.mesh import Mesh, defect32, mesh_of, solid_of
+from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parts.files.bodies import MAX_PLAIN_FACES, SIMPLIFY_TOLERANCE, part_mesh
 from kit1000.parts.files.crossings import crossings, farthest, winding_numbers
 from kit1000.parts.files.repair import closed_solid
@@ -28,14 +28,14 @@ SHAPES = {
 def healed(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, list[str]]:
     notes: list[str] = []
     mesh = part_mesh(closed_solid(np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64), notes), notes)
-    assert defect32(mesh) is None
-    assert solid_of(mesh).volume() == pytest.approx(mesh.volume, rel=1e-9)
+    assert defect_float32(mesh) is None
+    assert solid_from_mesh(mesh).volume() == pytest.approx(mesh.volume, rel=1e-9)
     return mesh, notes
 
 
 def soup_of(*solids: Manifold) -> tuple[np.ndarray, np.ndarray]:
     """Triangle corners (3m, 3) of several solids as an STL holds them, and faces (m, 3)."""
-    corners = np.concatenate([mesh_of(solid).triangles.reshape(-1, 3) for solid in solids])
+    corners = np.concatenate([mesh_from_solid(solid).triangles.reshape(-1, 3) for solid in solids])
     return corners, np.arange(len(corners)).reshape(-1, 3)
 
 
@@ -75,7 +75,7 @@ def eight(t: np.ndarray) -> np.ndarray:
 @settings(max_examples=40)
 def test_no_order_of_the_file_reaches_the_result(name: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    indexed = mesh_of(SHAPES[name])
+    indexed = mesh_from_solid(SHAPES[name])
     corners, _ = soup_of(SHAPES[name])
     wanted, _ = healed(indexed.vertices, indexed.faces)
     order = rng.permutation(len(indexed.faces))
@@ -90,7 +90,7 @@ def test_no_order_of_the_file_reaches_the_result(name: str, seed: int) -> None:
 @given(st.sampled_from(sorted(SHAPES)), st.integers(0, 2**32 - 1))
 @settings(max_examples=40)
 def test_faces_of_any_winding_come_out_outward(name: str, seed: int) -> None:
-    mesh = mesh_of(SHAPES[name])
+    mesh = mesh_from_solid(SHAPES[name])
     flip = np.random.default_rng(seed).random(len(mesh.faces)) < 0.5
     found, _ = healed(mesh.vertices, np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces))
     assert found.volume == pytest.approx(SHAPES[name].volume(), rel=1e-5)
@@ -107,7 +107,7 @@ def test_seams_of_rounding_noise_are_welded(name: str, seed: int) -> None:
 
 
 def test_an_inside_out_solid_is_turned_and_said() -> None:
-    mesh = mesh_of(BOX)
+    mesh = mesh_from_solid(BOX)
     found, notes = healed(mesh.vertices, mesh.faces[:, ::-1])
     assert found.volume == pytest.approx(8e-6)
     assert notes == ["flipped inside out"]
@@ -225,7 +225,7 @@ def test_a_loop_that_crosses_itself_is_united_exactly() -> None:
     """Against the union of its two halves, each of which is simple."""
     whole = tube_along(eight, 0.004, (0, 2 * np.pi), 96)
     halves = [tube_along(eight, 0.004, (start, start + np.pi), 49) for start in (0.0, np.pi)]
-    expected = (solid_of(halves[0]) + solid_of(halves[1])).volume()
+    expected = (solid_from_mesh(halves[0]) + solid_from_mesh(halves[1])).volume()
     assert whole.volume > 1.02 * expected  # the middle counts twice until it is mended
     found, notes = healed(whole.vertices, whole.faces)
     assert found.volume == pytest.approx(expected, rel=1e-5)
@@ -233,7 +233,7 @@ def test_a_loop_that_crosses_itself_is_united_exactly() -> None:
 
 
 def test_a_spike_through_the_far_side_is_refused() -> None:
-    mesh = mesh_of(BOX.refine(8))
+    mesh = mesh_from_solid(BOX.refine(8))
     vertices = np.array(mesh.vertices)
     vertices[np.argmin(np.linalg.norm(vertices - [0, 0, 0.005], axis=1))] = [3e-4, 2e-4, -0.012]
     with pytest.raises(MeshRefused, match=r"^passes through itself at \d+ places"):
@@ -245,8 +245,8 @@ def test_many_faces_are_thinned_within_the_stated_distance() -> None:
     found, notes = healed(*soup_of(dense))
     assert dense.num_tri() > MAX_PLAIN_FACES >= len(found.faces)
     assert notes[0].startswith(f"simplified {dense.num_tri():,} -> ")
-    assert farthest(found.vertices, mesh_of(dense).triangles, 1e-4) <= SIMPLIFY_TOLERANCE
-    assert farthest(mesh_of(dense).vertices, found.triangles, 1e-4) <= SIMPLIFY_TOLERANCE * (1 + 1e-3)
+    assert farthest(found.vertices, mesh_from_solid(dense).triangles, 1e-4) <= SIMPLIFY_TOLERANCE
+    assert farthest(mesh_from_solid(dense).vertices, found.triangles, 1e-4) <= SIMPLIFY_TOLERANCE * (1 + 1e-3)
     assert found.volume == pytest.approx(dense.volume(), rel=1e-2)
 
 
@@ -258,7 +258,7 @@ def test_surfaces_cross_just_when_solids_overlap_without_one_in_the_other(seed: 
     first, second = (Manifold.hull_points(rng.uniform(-1, 1, (4, 3)) + shift) for shift in rng.uniform(0, 0.6, (2, 3)))
     shared = (first ^ second).volume()
     cross = 1e-6 < shared < min(first.volume(), second.volume()) - 1e-6
-    triangles = np.concatenate([mesh_of(first).triangles, mesh_of(second).triangles])
+    triangles = np.concatenate([mesh_from_solid(first).triangles, mesh_from_solid(second).triangles])
     if cross or shared == 0 or shared > min(first.volume(), second.volume()) - 1e-12:
         assert (len(crossings(triangles, 1e-9)) > 0) == cross
 
@@ -269,14 +269,14 @@ def test_distance_to_a_box_matches_its_closed_form(seed: int) -> None:
     points = np.random.default_rng(seed).uniform(-3, 3, (20, 3))
     outside = np.abs(points) - [1.0, 0.5, 0.25]
     expected = np.where((outside > 0).any(1), np.linalg.norm(np.maximum(outside, 0), axis=1), -outside.max(1))
-    triangles = mesh_of(Manifold.cube((2, 1, 0.5), True)).triangles
+    triangles = mesh_from_solid(Manifold.cube((2, 1, 0.5), True)).triangles
     for point, distance in zip(points, expected, strict=True):
         assert farthest(point[None], triangles, 10.0) == pytest.approx(distance, abs=1e-12)
     assert farthest(points, triangles, 1e-3) == pytest.approx(min(expected.max(), 1e-3))
 
 
 def test_winding_numbers_count_the_surfaces_round_a_point() -> None:
-    outer, inner = mesh_of(BOX).triangles, mesh_of(BOX.scale((0.5, 0.5, 0.5))).triangles
+    outer, inner = mesh_from_solid(BOX).triangles, mesh_from_solid(BOX.scale((0.5, 0.5, 0.5))).triangles
     points = np.array([[0, 0, 0], [0.015, 0.001, 0.001], [0.1, 0, 0]])
     assert winding_numbers(points, np.concatenate([outer, inner])) == pytest.approx([2, 1, 0])
     assert winding_numbers(points, np.concatenate([outer, inner[:, ::-1]])) == pytest.approx([0, 1, 0])

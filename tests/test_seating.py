@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from manifold3d import Manifold
 
-from kit1000.kits.acceptance import about_anchor
-from kit1000.kits.contact import ridges
+from kit1000.kits.acceptance import rotated_about_centroid
+from kit1000.kits.contact import convex_edges
 from kit1000.kits.seating import (
     HOVER,
-    JUDGE_STEP,
-    SEATED,
-    STRICT,
-    Plug,
-    Verdict,
-    contact_raise,
-    judged_raise,
-    swept_out,
-    verdict,
+    BISECTION_STEP,
+    SEATED_LIMIT,
+    STRICT_LIMIT,
+    InsertedPart,
+    SeatingResult,
+    contact_offset,
+    contact_offset_by_booleans,
+    swept_solid,
+    seating_result,
 )
-from kit1000.mesh import mesh_of, solid_of
+from kit1000.mesh import mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.values import Kit, Part
 from tests.sample_kits import QUICK, sample_kit, sample_part
@@ -59,19 +59,19 @@ class Pair:
 
     def __init__(self, part: Part, kit: Kit) -> None:
         self.part, self.goal, self.depth = part, kit.slot.goals[0], kit.slot.depth
-        self.kit, self.edges = kit, ridges(kit.mesh)
-        self.plug = Plug.of(part.mesh, self.goal)
+        self.kit, self.edges = kit, convex_edges(kit.mesh)
+        self.plug = InsertedPart.of(part.mesh, self.goal)
 
     def rise(self, pose: Pose) -> float:
-        return contact_raise(self.plug, self.edges, pose)
+        return contact_offset(self.plug, self.edges, pose)
 
-    def verdict(self, pose: Pose, rise: float | None = None) -> Verdict:
+    def verdict(self, pose: Pose, rise: float | None = None) -> SeatingResult:
         rise = self.rise(pose) if rise is None else rise
-        return verdict(rise, self.plug, pose, self.goal, self.depth)
+        return seating_result(rise, self.plug, pose, self.goal, self.depth)
 
     def moved(self, error: np.ndarray, share: float = 1.0) -> Pose:
         """The goal shifted and turned about the centroid by a share of an error (6,) [m, rad]."""
-        return Pose.from_translation(share * error[:3]) @ about_anchor(self.goal, share * error[3:])
+        return Pose.from_translation(share * error[:3]) @ rotated_about_centroid(self.goal, share * error[3:])
 
     def lifted(self, height: float) -> Pose:
         return self.moved(np.array([0, 0, height, 0, 0, 0]))
@@ -107,25 +107,25 @@ def sweep_poses(subject: Pair, seed: int) -> list[Pose]:
     for error in errors(seed + 1, 3):
         share = subject.brink(error)
         poses += [subject.moved(error, share * (1 + step)) for step in (-0.02, 0.004)]
-    return poses + [subject.lifted(SEATED + step) for step in (-0.15e-3, 0.15e-3)]
+    return poses + [subject.lifted(SEATED_LIMIT + step) for step in (-0.15e-3, 0.15e-3)]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_closed_form_and_booleans_agree(name: str) -> None:
     subject = pair(name)
-    swept, plate = swept_out(subject.part.mesh, subject.plug.axis), solid_of(subject.kit.mesh)
+    swept, plate = swept_solid(subject.part.mesh, subject.plug.axis), solid_from_mesh(subject.kit.mesh)
     for pose in sweep_poses(subject, NAMES.index(name)):
-        closed, judged = subject.rise(pose), judged_raise(swept, subject.plug, plate, pose)
-        assert closed == pytest.approx(judged, abs=JUDGE_STEP)
+        closed, judged = subject.rise(pose), contact_offset_by_booleans(swept, subject.plug, plate, pose)
+        assert closed == pytest.approx(judged, abs=BISECTION_STEP)
         ours, theirs = subject.verdict(pose), subject.verdict(pose, judged)
         if to_limit(ours, subject.depth) > BAND:
             assert (ours.seated, ours.strict) == (theirs.seated, theirs.strict)
 
 
-def to_limit(found: Verdict, depth: float) -> float:
+def to_limit(found: SeatingResult, depth: float) -> float:
     """[m] how near a verdict is to any of its limits."""
-    gaps = [abs(abs(found.height) - min(limit, depth / 3)) for limit in (SEATED, STRICT)]
-    return min([*gaps, *(abs(abs(found.rise) - limit) for limit in (SEATED, STRICT))])
+    gaps = [abs(abs(found.contact_height) - min(limit, depth / 3)) for limit in (SEATED_LIMIT, STRICT_LIMIT)]
+    return min([*gaps, *(abs(abs(found.contact_offset) - limit) for limit in (SEATED_LIMIT, STRICT_LIMIT))])
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -133,7 +133,7 @@ def test_the_goal_is_seated_strictly_and_touches(name: str) -> None:
     found = pair(name).verdict(pair(name).goal)
     assert found.strict
     assert found.seated
-    assert abs(found.rise) < 5e-6
+    assert abs(found.contact_offset) < 5e-6
     assert found.penetration < 5e-6
 
 
@@ -144,26 +144,26 @@ def test_height_alone_decides_over_a_free_slot(name: str) -> None:
         (0.9e-3, True, True),
         (1.0e-3, True, False),
         (2.9e-3, True, False),
-        (SEATED, False, False),
+        (SEATED_LIMIT, False, False),
         (15e-3, False, False),
         (-0.9e-3, True, True),
         (-2.9e-3, True, False),
-        (-SEATED, False, False),
+        (-SEATED_LIMIT, False, False),
         (-15e-3, False, False),
     ):
         found = subject.verdict(subject.lifted(lift))
         assert (found.seated, found.strict) == (is_seated, is_strict)
-        assert found.rise == pytest.approx(-lift, abs=5e-6)
+        assert found.contact_offset == pytest.approx(-lift, abs=5e-6)
         assert found.penetration == pytest.approx(max(-lift, 0), abs=5e-6)
-        assert found.height == pytest.approx(0, abs=5e-6)
+        assert found.contact_height == pytest.approx(0, abs=5e-6)
 
 
 @pytest.mark.parametrize(("height_mm", "is_seated"), [(1.9, True), (2.1, False), (-1.9, True), (-2.1, False)])
 def test_in_a_shallow_slot_a_third_of_its_depth_is_the_limit(height_mm: float, is_seated: bool) -> None:
     subject = pair("box")
     pose = subject.lifted(height_mm * MM)
-    assert verdict(0.0, subject.plug, pose, subject.goal, 6e-3).seated == is_seated
-    assert verdict(0.0, subject.plug, pose, subject.goal, 12e-3).seated
+    assert seating_result(0.0, subject.plug, pose, subject.goal, 6e-3).seated == is_seated
+    assert seating_result(0.0, subject.plug, pose, subject.goal, 12e-3).seated
 
 
 def test_strict_is_never_laxer_than_seated() -> None:
@@ -179,42 +179,42 @@ def test_a_shift_within_the_clearance_is_seated_and_one_beyond_is_not() -> None:
         assert pair("box").verdict(pair("box").moved(2.4e-3 * way)).strict
         beyond = pair("box").verdict(pair("box").moved(3.6e-3 * way))
         assert not beyond.seated
-        assert beyond.rise == pytest.approx(pair("box").depth, abs=5e-6)
+        assert beyond.contact_offset == pytest.approx(pair("box").depth, abs=5e-6)
 
 
 def test_beside_the_plate_nothing_is_seated() -> None:
     found = pair("box").verdict(pair("box").moved(np.array([0.2, 0, 0, 0, 0, 0])))
-    assert found.rise == -np.inf
+    assert found.contact_offset == -np.inf
     assert not found.seated
     assert found.penetration == 0.0
 
 
 def test_half_beside_the_plate_the_part_rests_on_its_edge() -> None:
     found = pair("box").verdict(pair("box").moved(np.array([0.0495, 0, 0, 0, 0, 0])))
-    assert found.rise == pytest.approx(pair("box").depth, abs=5e-6)
+    assert found.contact_offset == pytest.approx(pair("box").depth, abs=5e-6)
     assert not found.seated
 
 
 def test_on_the_top_of_a_neighbour_in_its_plane_is_not_seated() -> None:
     """Two plates side by side: over the neighbour's plain top the part is a slot's depth too high."""
     subject = pair("box")
-    neighbour = mesh_of(box(0.099, 0.099, 0.022, (0.1, 0, -0.022)))
-    both = ridges(mesh_of(solid_of(subject.kit.mesh) + solid_of(neighbour)))
+    neighbour = mesh_from_solid(box(0.099, 0.099, 0.022, (0.1, 0, -0.022)))
+    both = convex_edges(mesh_from_solid(solid_from_mesh(subject.kit.mesh) + solid_from_mesh(neighbour)))
     pose = subject.moved(np.array([0.1, 0, subject.depth, 0, 0, 0]))
-    rise = contact_raise(subject.plug, both, pose)
+    rise = contact_offset(subject.plug, both, pose)
     assert rise == pytest.approx(0, abs=5e-6)
-    assert not verdict(rise, subject.plug, pose, subject.goal, subject.depth).seated
+    assert not seating_result(rise, subject.plug, pose, subject.goal, subject.depth).seated
 
 
 def test_a_pit_deeper_than_the_slot_is_not_seated_in() -> None:
     """A neighbour's slot 5 mm deeper takes the part, but below goal height."""
     subject = pair("box")
     pit = box(60, 60, 40, (0, 0, -40)) - box(40, 30, 40, (0, 0, -(subject.depth / MM + 5)))
-    around = ridges(mesh_of(standing(pit)))
+    around = convex_edges(mesh_from_solid(standing(pit)))
     pose = subject.lifted(-5e-3)
-    rise = contact_raise(subject.plug, around, pose)
+    rise = contact_offset(subject.plug, around, pose)
     assert rise == pytest.approx(0, abs=5e-6)
-    assert not verdict(rise, subject.plug, pose, subject.goal, subject.depth).seated
+    assert not seating_result(rise, subject.plug, pose, subject.goal, subject.depth).seated
 
 
 def test_a_tilted_pose_comes_down_along_the_axis_it_carries() -> None:
@@ -223,7 +223,7 @@ def test_a_tilted_pose_comes_down_along_the_axis_it_carries() -> None:
     part = pair("box").part
     pose = Pose.from_rotvec(np.array([0, np.radians(10), 0])) @ Pose.from_translation(np.array([0, 0, 0.03]))
     lowest = pose.apply(part.mesh.vertices)[:, 2].min()
-    rise = contact_raise(Plug(ridges(part.mesh), Z), ridges(mesh_of(block)), pose)
+    rise = contact_offset(InsertedPart(convex_edges(part.mesh), Z), convex_edges(mesh_from_solid(block)), pose)
     assert rise == pytest.approx(-lowest / np.cos(np.radians(10)), abs=1e-9)
 
 
@@ -232,7 +232,7 @@ def test_swept_out_is_the_part_at_every_place_of_its_way(name: str) -> None:
     """It holds the part at the start, under way and at the end, and its shadow is the part's own."""
     subject = pair(name)
     axis = subject.plug.axis
-    swept, part = swept_out(subject.part.mesh, axis), solid_of(subject.part.mesh)
+    swept, part = swept_solid(subject.part.mesh, axis), solid_from_mesh(subject.part.mesh)
     for share in (0.0, 0.3, 1.0):
         assert (part.translate(axis * HOVER * share) - swept).volume() < 1e-6 * part.volume()
     upright = subject.goal.matrix()[:3]
@@ -246,5 +246,5 @@ def test_swept_out_is_the_part_at_every_place_of_its_way(name: str) -> None:
 
 def test_penetration_is_the_way_up_to_contact() -> None:
     found = pair("ell").verdict(pair("ell").moved(np.array([8e-3, 0, -4e-3, 0, 0, 0])))
-    assert found.penetration == pytest.approx(found.rise)
+    assert found.penetration == pytest.approx(found.contact_offset)
     assert found.penetration == pytest.approx(pair("ell").depth + 4e-3, abs=5e-6)

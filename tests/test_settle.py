@@ -11,7 +11,7 @@ from manifold3d import Manifold
 from scipy.spatial import ConvexHull
 
 from kit1000.kits.face import resting_faces
-from kit1000.mesh import Mesh, inertia, mesh_of
+from kit1000.mesh import Mesh, inertia, mesh_from_solid
 from kit1000.pose import Pose, random_quaternions
 from kit1000.sim.settle import DOWN, GRID, Release, Rest, carries, on_grid, principal_axes, settle
 from tests.shapes import box, cylinder, ell, leaning_prism, lying_cylinder, random_solid, standing, upturned_tee
@@ -31,7 +31,7 @@ SHAPES = {
 
 def part_of(solid: Manifold) -> Mesh:
     """In metres about its centroid."""
-    mesh = mesh_of(standing(solid))
+    mesh = mesh_from_solid(standing(solid))
     return Mesh(mesh.vertices - mesh.centroid, mesh.faces)
 
 
@@ -151,7 +151,7 @@ def test_nothing_to_settle_is_settled() -> None:
 
 
 def test_the_inertia_of_a_box_is_that_of_the_books() -> None:
-    mesh = mesh_of(standing(box(40, 30, 20)))  # not about its centroid
+    mesh = mesh_from_solid(standing(box(40, 30, 20)))  # not about its centroid
     a, b, c = 0.04, 0.03, 0.02
     expected = 0.7 / 12 * np.diag([b * b + c * c, a * a + c * c, a * a + b * b])
     assert inertia(mesh, 0.7) == pytest.approx(expected, abs=1e-12)

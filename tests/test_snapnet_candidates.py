@@ -7,7 +7,7 @@ import pytest
 
 from baselines.snapnet.candidates import candidates, distances, floor, nearest, super_fibonacci
 from kit1000.errors import InputError
-from kit1000.guesses import ANGLE
+from kit1000.guesses import MAX_ANGLE
 from kit1000.pose import Pose, quaternion_angle, quaternion_from_rotvec, unit_vector
 from kit1000.rng import stream
 
@@ -36,7 +36,7 @@ def test_counts_are_as_stated_and_all_differ(kind):
 @pytest.mark.parametrize("kind", ["ball", "tilt"])
 def test_turns_about_a_guess_lie_in_its_ball_with_nothing_among_them(kind):
     angles = candidates(kind).angle()
-    assert angles.max() <= ANGLE + 1e-4  # the release says 0.48 rad
+    assert angles.max() <= MAX_ANGLE + 1e-4  # the release says 0.48 rad
     assert (angles == 0).sum() == 1
 
 

@@ -29,7 +29,7 @@ from baselines.snapnet.examples import (
 from baselines.snapnet.volumes import Looks, cut_out, grid_about
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.guesses import OFFSET
+from kit1000.guesses import MAX_OFFSET
 from kit1000.metrics import Targets, pose_errors
 from kit1000.motions import apply_error, goal_motion
 from kit1000.pose import Pose, quaternion_angle
@@ -91,8 +91,8 @@ def test_errors_fill_the_cube_along_the_working_axes(data: Dataset) -> None:
     examples = asked(data)
     offsets = np.array([examples.draw(stream(2, k)).residual.offset for k in range(200)])
     largest = np.abs(offsets).max(0)
-    assert np.all(largest > 0.9 * OFFSET)
-    assert np.all(largest < OFFSET + 1e-3)  # a goal nearer than the drawn one has its pivot elsewhere
+    assert np.all(largest > 0.9 * MAX_OFFSET)
+    assert np.all(largest < MAX_OFFSET + 1e-3)  # a goal nearer than the drawn one has its pivot elsewhere
 
 
 @pytest.mark.parametrize("free", [False, True], ids=["goals", "free axis"])

@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kit1000.errors import InputError, MeshRefused
-from kit1000.mesh import defect32
+from kit1000.mesh import defect_float32
 from kit1000.parts.files import formats, sources
 from kit1000.parts.files.sources import UNITS, Reading, Refusal, mesh_files, read_all, read_mesh
 
@@ -104,7 +104,7 @@ def test_a_damaged_byte_never_ends_in_a_traceback(tmp_path_factory, place: int, 
     path = written(tmp_path_factory.getbasetemp(), f"damaged{suffix}", bytes(data))
     outcomes = read_all([path])
     assert [len(outcome) for outcome in outcomes] in ([1, 0], [0, 1])
-    assert all(defect32(reading.mesh) is None for reading in outcomes[0])
+    assert all(defect_float32(reading.mesh) is None for reading in outcomes[0])
 
 
 def test_a_declared_count_takes_no_memory(tmp_path: Path) -> None:
@@ -283,6 +283,6 @@ def test_real_parts_are_accepted_and_their_measures_kept(real_parts: Path) -> No
     for name in closed & accepted.keys():
         metres = UNITS[accepted[name].unit]
         assert accepted[name].mesh.volume == pytest.approx(float(truth[name]["volume"]) * metres**3, rel=5e-3)
-        assert defect32(accepted[name].mesh) is None
+        assert defect_float32(accepted[name].mesh) is None
     said = [name for name in accepted if truth[name]["units"] in UNITS]
     assert np.mean([accepted[name].unit == truth[name]["units"] for name in said]) >= 0.95

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from manifold3d import CrossSection, FillRule, Manifold, triangulate
 
 from kit1000.kits.convex_pieces import convex_polygons, convex_prisms
-from kit1000.mesh import Mesh, solid_of
+from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.values import Kit
 from tests.sample_kits import sample_kit, sample_part
 
@@ -29,12 +29,12 @@ def pieces_of(family: str) -> tuple[Mesh, ...]:
 
 def cavity_of(kit: Kit) -> Manifold:
     low, high = kit.mesh.bounds
-    return Manifold.cube(high - low).translate(low) - solid_of(kit.mesh)
+    return Manifold.cube(high - low).translate(low) - solid_from_mesh(kit.mesh)
 
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_pieces_are_convex_and_disjoint(family: str) -> None:
-    pieces = [solid_of(piece) for piece in pieces_of(family)]
+    pieces = [solid_from_mesh(piece) for piece in pieces_of(family)]
     assert len(pieces) <= MOST_PIECES
     assert all(abs(piece.hull().volume() - piece.volume()) < 1e-6 * piece.volume() for piece in pieces)
     neighbours = [(a, b) for a, b in combinations(pieces, 2) if boxes_meet(a, b)]
@@ -48,8 +48,8 @@ def boxes_meet(a: Manifold, b: Manifold) -> bool:
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_pieces_fill_the_kit_and_nothing_else(family: str) -> None:
-    kit = solid_of(sample_kit(family).mesh)
-    pieces = [solid_of(piece) for piece in pieces_of(family)]
+    kit = solid_from_mesh(sample_kit(family).mesh)
+    pieces = [solid_from_mesh(piece) for piece in pieces_of(family)]
     assert sum((piece - kit).volume() for piece in pieces) < NOTHING
     assert sum(piece.volume() for piece in pieces) >= 0.97 * kit.volume()
 
@@ -70,8 +70,8 @@ def test_the_cavity_stays_open_at_every_height(family: str) -> None:
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_seated_part_meets_no_piece(family: str) -> None:
-    part = solid_of(sample_part(family).mesh.moved(sample_kit(family).slot.kit_from_part))
-    assert sum((part ^ solid_of(piece)).volume() for piece in pieces_of(family)) < FILM * part.surface_area()
+    part = solid_from_mesh(sample_part(family).mesh.moved(sample_kit(family).slot.kit_from_part))
+    assert sum((part ^ solid_from_mesh(piece)).volume() for piece in pieces_of(family)) < FILM * part.surface_area()
 
 
 def test_a_finer_tolerance_keeps_more_of_the_kit() -> None:

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from manifold3d import Manifold
 
-from kit1000.kits.contact import ridges
+from kit1000.kits.contact import convex_edges
 from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import Design, find_goals
-from kit1000.kits.loose_fits import Stray, Well, foreign_fit, loose_fit, near_goal
-from kit1000.kits.seating import JUDGE_STEP, Plug, contact_raise, judged_raise, swept_out
-from kit1000.mesh import Mesh, solid_of
+from kit1000.kits.loose_fits import PreparedPart, PreparedKit, fit_in_other_slot, loose_fit, near_goal
+from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset, contact_offset_by_booleans, swept_solid
+from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry
 from kit1000.values import FreeAxis, Kit, Slot
@@ -30,8 +30,8 @@ def whole(solid: Manifold, symmetry: Symmetry | None = None) -> tuple[Mesh, Kit]
 
 def judged(mesh: Mesh, kit: Kit, pose: Pose) -> float:
     """[m] rise to contact by booleans."""
-    plug = Plug.of(mesh, pose)
-    return judged_raise(swept_out(mesh, plug.axis), plug, solid_of(kit.mesh), pose)
+    plug = InsertedPart.of(mesh, pose)
+    return contact_offset_by_booleans(swept_solid(mesh, plug.axis), plug, solid_from_mesh(kit.mesh), pose)
 
 
 FOREIGN = [
@@ -50,8 +50,8 @@ FOREIGN = [
 @pytest.mark.parametrize(("part", "host", "fits"), [case[1:] for case in FOREIGN], ids=[case[0] for case in FOREIGN])
 def test_parts_that_fit_a_foreign_slot_are_found_and_others_are_not(part, host, fits: bool) -> None:
     mesh, kit = as_part(part()).mesh, whole(host())[1]
-    well = Well(kit)
-    pose = foreign_fit(Stray(mesh, resting_faces(mesh)), well)
+    well = PreparedKit(kit)
+    pose = fit_in_other_slot(PreparedPart(mesh, resting_faces(mesh)), well)
     assert (pose is not None) == fits
     if pose is not None:
         assert judged(mesh, kit, pose) <= well.limit
@@ -72,29 +72,29 @@ def test_parts_that_fit_a_foreign_slot_are_found_and_others_are_not(part, host, 
 )
 def test_loose_fits_are_found_and_confirmed_by_booleans(solid, loose: bool) -> None:
     mesh, kit = whole(solid())
-    pose = loose_fit(Stray(mesh, resting_faces(mesh)), Well(kit))
+    pose = loose_fit(PreparedPart(mesh, resting_faces(mesh)), PreparedKit(kit))
     assert (pose is not None) == loose
     if pose is not None:
         assert not near_goal(pose, kit.slot)
         contact = pose.xyz[2] + judged(mesh, kit, pose)
-        assert np.abs(contact - kit.slot.goals.xyz[:, 2]).min() <= Well(kit).limit + JUDGE_STEP
+        assert np.abs(contact - kit.slot.goals.xyz[:, 2]).min() <= PreparedKit(kit).limit + BISECTION_STEP
 
 
 @pytest.mark.parametrize("solid", [ell, leaning_prism, lambda: ring_plate(20, off=6)])
 def test_chance_finds_no_fit_where_the_search_says_none(solid) -> None:
     """A thousand lying poses inside the slot's reach, most of them hopeless: none may seat off the goals."""
     mesh, kit = whole(solid())
-    well, edges, rng = Well(kit), ridges(kit.mesh), np.random.default_rng(11)
+    well, edges, rng = PreparedKit(kit), convex_edges(kit.mesh), np.random.default_rng(11)
     faces = resting_faces(mesh)
-    assert loose_fit(Stray(mesh, faces), well) is None
+    assert loose_fit(PreparedPart(mesh, faces), well) is None
     for number in range(1000):
         face = faces[number % len(faces)]
-        turned = Pose.from_rotvec(np.array([0, 0, rng.uniform(0, 2 * np.pi)])) @ face.lying
+        turned = Pose.from_rotvec(np.array([0, 0, rng.uniform(0, 2 * np.pi)])) @ face.plane_from_part
         low, high = mesh.moved(turned).bounds
         room = well.high + 1e-3 - high[:2], well.low - 1e-3 - low[:2]
         shift = rng.uniform(np.minimum(*room), np.maximum(*room))
         pose = Pose.from_translation(np.array([*shift, -kit.slot.depth - low[2]])) @ turned
-        heights = pose.xyz[2] + contact_raise(Plug.of(mesh, pose), edges, pose) - kit.slot.goals.xyz[:, 2]
+        heights = pose.xyz[2] + contact_offset(InsertedPart.of(mesh, pose), edges, pose) - kit.slot.goals.xyz[:, 2]
         assert np.abs(heights).min() > well.limit or near_goal(pose, kit.slot)
 
 
@@ -103,7 +103,7 @@ def test_what_the_search_calls_a_fit_does_not_depend_on_the_axes_of_the_part() -
     turn = Pose.from_rotvec(np.array([0.4, 1.1, -0.3]))
     for solid, fits in ((box(14, 34, 18), True), (box(48, 30, 40), False)):
         mesh = as_part(solid).mesh.moved(turn)
-        assert (foreign_fit(Stray(mesh, resting_faces(mesh)), Well(kit)) is not None) == fits
+        assert (fit_in_other_slot(PreparedPart(mesh, resting_faces(mesh)), PreparedKit(kit)) is not None) == fits
 
 
 def test_near_a_goal_means_10_degrees_and_5_mm() -> None:
@@ -126,7 +126,7 @@ def test_any_turn_about_a_free_axis_is_near_the_goal() -> None:
 
 def test_the_well_of_a_box_is_as_deep_and_wide_as_its_slot() -> None:
     kit = whole(box(34, 22, 20))[1]
-    well = Well(kit)
+    well = PreparedKit(kit)
     assert well.heights.min() == pytest.approx(-kit.slot.depth, abs=1e-7)
     assert well.heights.max() == pytest.approx(0, abs=1e-7)
     assert np.allclose(well.high - well.low, np.array([39, 27]) * 1e-3, atol=1.6e-3)

@@ -10,14 +10,14 @@ from manifold3d import Manifold
 from mini import corner
 from strategies import vectors
 
-from kit1000.mesh import Mesh, mesh_of
+from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.parts.near_duplicates import TWIN, shape_measures, twin_of
 
 SIDES = st.floats(0.2, 5)
 
 
 def box(x: float, y: float, z: float) -> Mesh:
-    return mesh_of(Manifold.cube((x, y, z)))
+    return mesh_from_solid(Manifold.cube((x, y, z)))
 
 
 @given(SIDES, SIDES, SIDES)

@@ -15,7 +15,7 @@ from kit1000.errors import InputError
 from kit1000.export.urdf import roll_pitch_yaw, write_urdf
 from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
 from kit1000.kits.kit import make_kit
-from kit1000.mesh import Mesh, inertia, mesh_of, solid_of
+from kit1000.mesh import Mesh, inertia, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry
@@ -86,13 +86,13 @@ def test_numbers_round_trip(urdf: Path, assembly: Assembly) -> None:
 
 
 def test_every_collision_mesh_is_its_own_hull(urdf: Path) -> None:
-    for piece in map(solid_of, pieces(urdf)):
+    for piece in map(solid_from_mesh, pieces(urdf)):
         assert abs(piece.hull().volume() - piece.volume()) < 1e-6 * piece.volume()
 
 
 def test_the_pieces_together_are_the_assembly(urdf: Path, assembly: Assembly) -> None:
-    whole, union = solid_of(assembly.mesh), Manifold()
-    for piece in map(solid_of, pieces(urdf)):
+    whole, union = solid_from_mesh(assembly.mesh), Manifold()
+    for piece in map(solid_from_mesh, pieces(urdf)):
         union += piece
     assert (union - whole).volume() < FILM * whole.surface_area()
     assert union.volume() > 0.99 * whole.volume()
@@ -100,10 +100,10 @@ def test_the_pieces_together_are_the_assembly(urdf: Path, assembly: Assembly) ->
 
 
 def test_seated_parts_meet_no_piece(urdf: Path, assembly: Assembly) -> None:
-    solids = [solid_of(piece) for piece in pieces(urdf)]
+    solids = [solid_from_mesh(piece) for piece in pieces(urdf)]
     for mount in assembly.mounts:
         pose = mount.assembly_from_kit @ mount.kit.slot.kit_from_part
-        part = solid_of(sample_part(mount.kit.id).mesh.moved(pose))
+        part = solid_from_mesh(sample_part(mount.kit.id).mesh.moved(pose))
         assert sum((part ^ solid).volume() for solid in solids) < FILM * part.surface_area()
 
 
@@ -120,7 +120,7 @@ def test_mass_and_inertia_are_those_of_the_solid(urdf: Path, assembly: Assembly)
 @given(poses())
 def test_inertia_of_a_box_in_any_place(pose: Pose) -> None:
     sides = np.array([0.1, 0.2, 0.3])
-    box = mesh_of(Manifold.cube(sides, center=True)).moved(pose)
+    box = mesh_from_solid(Manifold.cube(sides, center=True)).moved(pose)
     squares = sides**2
     closed_form = np.diag(squares.sum() - squares) * 6.0 / 12
     turn = pose.rotation_matrix()

@@ -11,7 +11,7 @@ import pytest
 
 from kit1000.camera import Camera
 from kit1000.errors import ShapeError
-from kit1000.mesh import mesh_of
+from kit1000.mesh import mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import (
@@ -31,7 +31,7 @@ from kit1000.values import (
 )
 from tests.shapes import box, standing
 
-MESH = mesh_of(standing(box(30, 20, 10)))
+MESH = mesh_from_solid(standing(box(30, 20, 10)))
 POSE = Pose.identity()
 CAMERA = Camera(8, 6, 10.0, 10.0, 3.5, 2.5)
 

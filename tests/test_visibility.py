@@ -14,7 +14,7 @@ from shapes import box, seated
 
 from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError
-from kit1000.mesh import Mesh, mesh_of
+from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose, random_quaternions
 from kit1000.sim.cameras import CAMERA
 from kit1000.sim.render import Frame, render
@@ -48,7 +48,7 @@ def trough() -> Kit:
 
 
 def slab(x: float, y: float, z: float) -> Mesh:
-    return mesh_of(box(x, y, z))
+    return mesh_from_solid(box(x, y, z))
 
 
 def camera_around(rng: np.random.Generator, target: np.ndarray, steepest: float = 1.2) -> Pose:
@@ -166,7 +166,7 @@ def test_from_far_away_a_box_shows_two_walls_and_a_floor_that_its_rim_cuts(tilt:
     """At s below the rim the view has gone s tan(tilt) sideways: a strip of the floor and two triangles are hidden."""
     (width, breadth, depth), plate = (0.04, 0.03, 0.01), trough().extent
     hole = box(width, breadth, 2 * depth, (0, 0, -depth))
-    kit = replace(trough(), mesh=mesh_of(box(*plate, at=(0, 0, -plate[2])) - hole))
+    kit = replace(trough(), mesh=mesh_from_solid(box(*plate, at=(0, 0, -plate[2])) - hole))
     towards = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
     camera, view = Camera(600, 600, 1e6, 1e6, 299.5, 299.5), look_at(200 * towards, (0, 0, 0))
     along_x, along_y = depth * abs(towards[:2]) / towards[2]

@@ -13,7 +13,7 @@ from shapes import box
 from strategies import poses
 
 from kit1000.errors import InputError
-from kit1000.mesh import Mesh, mesh_of
+from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.voxels import (
     Grid,
@@ -41,7 +41,7 @@ def any_volume(grid: Grid = GRID, unknown: float = 0.2, seed: int = 0) -> Volume
 
 def millimetre_box(x: float, y: float, z: float) -> Mesh:
     """In metres, about the origin."""
-    mesh = mesh_of(box(x, y, z)).scaled(1e-3)
+    mesh = mesh_from_solid(box(x, y, z)).scaled(1e-3)
     return Mesh(mesh.vertices - mesh.bounds.mean(0), mesh.faces)
 
 

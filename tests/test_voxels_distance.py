@@ -14,7 +14,7 @@ from shapes import MM, box, random_solid
 from strategies import poses
 
 from kit1000.errors import InputError
-from kit1000.mesh import Mesh, mesh_of
+from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, signed_distance
 
@@ -27,12 +27,12 @@ def centred(mesh: Mesh) -> Mesh:
 
 
 def solid(seed: int) -> Mesh:
-    return centred(mesh_of(random_solid(seed)).scaled(MM))
+    return centred(mesh_from_solid(random_solid(seed)).scaled(MM))
 
 
 def cuboid(x: float, y: float, z: float) -> Mesh:
     """In metres, about the origin."""
-    return centred(mesh_of(box(x, y, z)))
+    return centred(mesh_from_solid(box(x, y, z)))
 
 
 def box_distance(points: np.ndarray, size: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
 from kit1000.errors import InputError, ShapeError
-from kit1000.mesh import mesh_of
+from kit1000.mesh import mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.sim import world as module
 from kit1000.sim.world import GRAVITY, MARGIN, MOST_CORNERS, RATE, World, hull_corners
@@ -88,7 +88,7 @@ def memory() -> int:
 
 @pytest.mark.skipif(not Path("/proc/self/statm").is_file(), reason="reads memory use from /proc")
 def test_many_worlds_leave_nothing_behind() -> None:
-    points = mesh_of(standing(cylinder(30, 10, segments=200))).vertices - [0, 0, 0.005]
+    points = mesh_from_solid(standing(cylinder(30, 10, segments=200))).vertices - [0, 0, 0.005]
 
     def use() -> None:
         with World() as world:
@@ -162,7 +162,7 @@ def test_a_round_hull_is_thinned_but_keeps_its_shape(seed: int) -> None:
 
 
 def test_a_block_stands_on_another() -> None:
-    flat = mesh_of(standing(box(40, 40, 10))).vertices - [0, 0, 0.005]
+    flat = mesh_from_solid(standing(box(40, 40, 10))).vertices - [0, 0, 0.005]
     with World() as world:
         world.add_ground()
         world.add_hull(flat, 0.05, MOMENTS, Pose.from_translation([0, 0, 0.0051]))

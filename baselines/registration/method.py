@@ -17,7 +17,7 @@ from baselines.registration.search import Candidate, Window, coarse_search, dist
 from baselines.registration.sources import DepthSource, Source, TrueSource
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.guesses import ANGLE, OFFSET
+from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.rng import stream
@@ -98,7 +98,7 @@ def register(source: Source, query: Query, clearance: float) -> list[Fit]:
     cavities = find_cavities(source, query)
     if not cavities:
         return []
-    window = Window(query.pivot, query.guess, ANGLE + SLACK_ANGLE, OFFSET + SLACK_OFFSET)
+    window = Window(query.pivot, query.guess, MAX_ANGLE + SLACK_ANGLE, MAX_OFFSET + SLACK_OFFSET)
     downs = _downs(source, part, query, cavities)
     found = coarse_search(part, source.middle, downs, cavities, clearance, window)
     first = distinct(found, source.middle, REFINED if query.guess is not None else REFINED_ANYWHERE)
@@ -146,7 +146,7 @@ def _downs(source: Source, part: Volume, query: Query, cavities: Sequence[Cavity
     back = query.guess.inverse()
     meant = [back.rotate(cavity.world_from_plate.rotate(DOWN)) for cavity in cavities]
     middle = part.grid.world(np.argwhere(part.occupied)).mean(0)
-    cone = ANGLE + SLACK_ANGLE + source.flat
+    cone = MAX_ANGLE + SLACK_ANGLE + source.flat
     faces = standing_faces(surface_points(part), middle, source.flat, np.array(meant), cone)
     # Where no face was seen that may look down, the guess says which way is down.
     return [face.normal for face in faces] or meant
@@ -156,4 +156,4 @@ def _near(goal_from_now: Pose, guess: Pose, pivot: np.ndarray) -> bool:
     """Whether a motion is one that the guess may have meant."""
     offset = np.abs(goal_from_now.apply(pivot) - guess.apply(pivot)).max()
     turn = float((goal_from_now @ guess.inverse()).angle())
-    return bool(offset <= OFFSET + 2 * SLACK_OFFSET and turn <= ANGLE + 2 * SLACK_ANGLE)
+    return bool(offset <= MAX_OFFSET + 2 * SLACK_OFFSET and turn <= MAX_ANGLE + 2 * SLACK_ANGLE)

@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from kit1000.errors import InputError, near
-from kit1000.guesses import ANGLE, draw_ball, draw_tilt
+from kit1000.errors import InputError, did_you_mean
+from kit1000.guesses import MAX_ANGLE, draw_ball_error, draw_tilt_error
 from kit1000.pose import Pose, quaternion_from_rotvec, quaternion_multiply
 from kit1000.rng import stream
 
@@ -55,7 +55,7 @@ def candidates(kind: Kind) -> Pose:
         InputError: unknown kind.
     """
     if kind not in _MAKERS:
-        raise InputError(f"candidates: {near(kind, _MAKERS)}expected one of {', '.join(_MAKERS)}, got {kind!r}")
+        raise InputError(f"candidates: {did_you_mean(kind, _MAKERS)}expected one of {', '.join(_MAKERS)}, got {kind!r}")
     return Pose(_MAKERS[kind](), np.zeros(3))
 
 
@@ -115,7 +115,7 @@ def _ball() -> np.ndarray:
     half = lattice[np.lexsort((*lattice.T, square))]
     half = half[[tuple(row) > (0, 0, 0) for row in half]][: COUNT // 2]
     vectors = np.concatenate([half[::-1] * -1, np.zeros((1, 3), int), half])
-    return quaternion_from_rotvec(vectors * (BALL_REACH * ANGLE / np.sqrt((half**2).sum(1).max())))
+    return quaternion_from_rotvec(vectors * (BALL_REACH * MAX_ANGLE / np.sqrt((half**2).sum(1).max())))
 
 
 def _tilt() -> np.ndarray:
@@ -188,8 +188,8 @@ def _draw_place_paper(rng: np.random.Generator, draws: int) -> np.ndarray:
 
 _MAKERS = {"ball": _ball, "tilt": _tilt, "place": _place, "place-paper": _place_paper}
 _DRAWS = {
-    "ball": lambda rng, n: quaternion_from_rotvec(np.stack([draw_ball(rng)[1] for _ in range(n)])),
-    "tilt": lambda rng, n: quaternion_from_rotvec(np.stack([draw_tilt(rng)[1] for _ in range(n)])),
+    "ball": lambda rng, n: quaternion_from_rotvec(np.stack([draw_ball_error(rng)[1] for _ in range(n)])),
+    "tilt": lambda rng, n: quaternion_from_rotvec(np.stack([draw_tilt_error(rng)[1] for _ in range(n)])),
     "place": _draw_place,
     "place-paper": _draw_place_paper,
 }

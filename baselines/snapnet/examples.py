@@ -17,8 +17,8 @@ from baselines.snapnet.candidates import candidates, nearest
 from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
 from baselines.snapnet.volumes import SCENES, Kept, Looks
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import InputError, near
-from kit1000.guesses import draw_ball, draw_goal, draw_tilt
+from kit1000.errors import InputError, did_you_mean
+from kit1000.guesses import draw_ball_error, draw_goal, draw_tilt_error
 from kit1000.kits.goals import nearest_turn
 from kit1000.motions import apply_error, goal_motion, goal_pose
 from kit1000.pose import Pose, unit_vector
@@ -33,7 +33,7 @@ Example = dict[str, np.ndarray]
 
 ASKED = {"ball": "snap", "tilt": "snap-tilt", "place": "place"}
 """The track whose queries are meant."""
-ERRORS = {"ball": draw_ball, "tilt": draw_tilt}
+ERRORS = {"ball": draw_ball_error, "tilt": draw_tilt_error}
 START_JITTER = 3.56e-3  # [m] most along an axis, where nobody guesses: four voxels of the paper
 TRIES = 1000  # scenes drawn in a row with nothing asked, before the split counts as one that asks nothing
 NEAR = 64  # candidates that are hard to tell from the right one: on the ball those within some 14 degrees
@@ -87,7 +87,7 @@ class Situations:
             InputError: no such errors, or a sensor that the dataset does not ask about with them.
         """
         if guesses not in ASKED:
-            raise InputError(f"guesses {guesses!r}: {near(guesses, ASKED)}there are {', '.join(ASKED)}")
+            raise InputError(f"guesses {guesses!r}: {did_you_mean(guesses, ASKED)}there are {', '.join(ASKED)}")
         self.dataset, self.split = dataset, split
         self.kind: Kind = kind
         self.guesses: Guesses = guesses
@@ -129,7 +129,7 @@ class Situations:
         scene_id = key.partition("-p")[0]  # train-s0012-p3-snap
         found = {query.id: (query, truth) for query, truth in self._asked(scene_id)}
         if key not in found:
-            raise InputError(f"no query {key!r} of track {self.track}; {near(key, found)}see keys()")
+            raise InputError(f"no query {key!r} of track {self.track}; {did_you_mean(key, found)}see keys()")
         looks = Looks(*found[key], self.kind, self.dataset, self._kept)
         return situation(looks, looks.start(), Pose.identity())
 

@@ -23,7 +23,7 @@ from baselines.snapnet.points import points_of
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
-from kit1000.pivots import middle_of
+from kit1000.pivots import extent_centre
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, Truth
 from kit1000.voxels import Grid, Volume, crop, resample, signed_distance, tsdf
@@ -195,7 +195,7 @@ class Looks:
         if self.query.guess is not None:
             return self.query.guess
         seen = self._store.seen_kits(self.query)
-        middle = None if seen is None else middle_of(seen.view, seen.mask & (seen.view.depth > 0))
+        middle = None if seen is None else extent_centre(seen.view, seen.mask & (seen.view.depth > 0))
         if middle is None:
             raise InputError(f"{self.query.id}: its image shows nothing of the kits")
         return Pose.from_translation(middle - self.query.pivot)

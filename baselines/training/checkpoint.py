@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from kit1000.errors import InputError, near
+from kit1000.errors import InputError, did_you_mean
 from kit1000.files import read_json, write_bytes, write_json
 
 try:
@@ -177,7 +177,7 @@ def _check_names(own: Mapping[str, Any], given: Mapping[str, Any], where: str | 
     if missing := sorted(set(own) - set(given)):
         raise InputError(f"{where}: holds no {missing[0]}, which this network has ({len(missing)} such)")
     if foreign := sorted(set(given) - set(own)):
-        hint = near(foreign[0], own)
+        hint = did_you_mean(foreign[0], own)
         raise InputError(f"{where}: holds {foreign[0]}, which this network has not; {hint}({len(foreign)} such)")
 
 

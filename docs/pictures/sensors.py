@@ -9,7 +9,7 @@ from draw import SHOWN, assemblies, pairs_of
 from PIL import Image, ImageDraw, ImageFont
 
 from kit1000.camera import Camera, look_at
-from kit1000.mesh import Mesh, mesh_of
+from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.parts.cad import polygon, prism
 from kit1000.pictures.shading import BLUE, INK, PAPER, PART, SLATE, TABLE, contact_sheet
 from kit1000.pose import Pose
@@ -118,7 +118,7 @@ def scene() -> View:
 
 def table() -> Mesh:
     corners = np.array([(-0.6, -0.8), (0.6, -0.8), (0.6, 0.8), (-0.6, 0.8)])
-    return mesh_of(prism(polygon(corners), 0.04).translate((0, 0, -0.04)))
+    return mesh_from_solid(prism(polygon(corners), 0.04).translate((0, 0, -0.04)))
 
 
 def relief(view: View) -> np.ndarray:

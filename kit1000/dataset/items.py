@@ -16,7 +16,7 @@ from kit1000.dataset.cache import Entry, Key, VolumeCache
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.motions import error_of
-from kit1000.pivots import middle_of
+from kit1000.pivots import extent_centre
 from kit1000.pose import Pose
 from kit1000.values import Query, Truth
 from kit1000.voxels import Grid, Volume, signed_distance, tsdf
@@ -124,23 +124,19 @@ class VolumeItem:
         grid = Grid.centred(middle, self.shape, self.voxel)
         if self.source == "depth":
             return tsdf(grid, query.view, query.part_mask, threads=1)
-        known = self._check(query, truth)
-        mesh = self.dataset.geometry.part(known.part_id).mesh
-        return signed_distance(grid, [(mesh, known.world_from_part)], threads=1)
+        true = self.dataset.geometry.true_geometry(self._check(query, truth))
+        return signed_distance(grid, [(true.part, true.world_from_part)], threads=1)
 
     def kit(self, query: Query, truth: Truth | None = None) -> Volume:
         """The volume of the kits where the guess takes the part, or around the middle of them all."""
-        middle = middle_of(query.view, query.kit_region) if query.guess is None else query.guess.apply(query.pivot)
+        middle = extent_centre(query.view, query.kit_region) if query.guess is None else query.guess.apply(query.pivot)
         if middle is None:
             raise InputError(f"{query.id}: its image shows nothing of the kits")
         grid = Grid.centred(Pose.from_translation(middle), self.kit_shape or self.shape, self.voxel)
         if self.source == "depth":
             return tsdf(grid, query.view, query.kit_region, threads=1)
-        known = self._check(query, truth)
-        assembly = self.dataset.geometry.assembly(known.assembly_id)
-        mount = next(mount for mount in assembly.mounts if mount.kit.id == known.part_id)
-        stands = known.world_from_kit @ mount.assembly_from_kit.inverse()
-        return signed_distance(grid, [(assembly.mesh, stands)], threads=1)
+        true = self.dataset.geometry.true_geometry(self._check(query, truth))
+        return signed_distance(grid, [(true.assembly, true.world_from_assembly)], threads=1)
 
     def _check(self, query: Query, truth: Truth | None) -> Any:
         """The truth, which must be there when volumes are true."""

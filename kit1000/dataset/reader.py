@@ -17,7 +17,7 @@ from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.mcap_io import ObservationFile, TruthFile
 from kit1000.dataset.schema import SceneTruth
 from kit1000.dataset.tables import Row, pose_of
-from kit1000.errors import InputError, near
+from kit1000.errors import InputError, did_you_mean
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
@@ -83,7 +83,7 @@ class Dataset:
         With `truth` the poses, goals, parts and kits may be read too: to train, to score, or by a method that says so.
         """
         if name not in WANTED:
-            raise InputError(f"no split {name!r}; {near(name, WANTED)}there are {', '.join(WANTED)}")
+            raise InputError(f"no split {name!r}; {did_you_mean(name, WANTED)}there are {', '.join(WANTED)}")
         return Split(self, name, truth)
 
     def recorded_scene(self, scene_id: str) -> RecordedScene:
@@ -93,10 +93,16 @@ class Dataset:
         if shard is None:
             known = [i for held in self.summary.get("shards", {}).values() for i in held]
             raise InputError(
-                f"{self.root}: no scene {scene_id!r} among {len(known)}; {near(scene_id, known)}".rstrip("; ")
+                f"{self.root}: no scene {scene_id!r} among {len(known)}; {did_you_mean(scene_id, known)}".rstrip("; ")
             )
         truth = (self.root / f"{shard}.truth.mcap").is_file()
         return self.split("test-all" if folder == "test" else folder, truth).scene(scene_id)
+
+    def truth_of(self, query: Query) -> Truth:
+        """The ground truth about a query of this dataset; raises InputError where the folder is without it."""
+        folder = query.scene_id.partition("-")[0]
+        split = CURVES if query.track == CURVES else {"test": "test-all"}.get(folder, folder)
+        return self.split(split, truth=True).scene(query.scene_id).truth_of(query.id)
 
     def shards(self, folder: str) -> dict[str, str]:
         """The shard of every scene in the folder of a split, in order: test-s0007 is in test/0000."""
@@ -165,7 +171,7 @@ class Split:
     def scene(self, scene_id: str) -> RecordedScene:
         """A scene by its id."""
         if scene_id not in self.shards:
-            hint = near(scene_id, self.shards)
+            hint = did_you_mean(scene_id, self.shards)
             raise InputError(f"no scene {scene_id!r} among the {len(self)} of split {self.name}; {hint}see .scene_ids")
         return RecordedScene(self, scene_id)
 
@@ -235,7 +241,7 @@ class RecordedScene:
         """What a scorer knows of one of the queries of this split."""
         told = self._told
         if query_id not in self._asked:
-            hint = near(query_id, self._asked)
+            hint = did_you_mean(query_id, self._asked)
             raise InputError(f"no query {query_id!r} in {self.id} of split {self.split.name}; {hint}see .queries")
         return self._truth_of(query_id, told)
 

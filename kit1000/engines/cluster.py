@@ -21,7 +21,7 @@ from typing import Any
 
 from kit1000.engines.cores import cores
 from kit1000.engines.jobs import AHEAD, ONE_THREAD, RETRIES, Spread, named
-from kit1000.errors import InputError, Kit1000Error, fault
+from kit1000.errors import InputError, Kit1000Error, internal_error
 
 ANSWER_S = 5.0  # to wait for a cluster to answer; Ray itself tries for minutes
 STORE_BYTES = 100 << 20  # of shared memory for a Ray of our own: it carries records, Ray's least is 75 MiB
@@ -131,7 +131,7 @@ def _told(library: Any, job: Any, cause: BaseException) -> Kit1000Error:
     if isinstance(cause, (ImportError, library.exceptions.RaySystemError)):  # the job could not even be read there
         lack = _first_line(cause).removeprefix("System error: ")
         return InputError(f"{job}: {lack} on a node: install there what kit1000 needs, the same Python and packages")
-    return fault(str(job), cause)
+    return internal_error(str(job), cause)
 
 
 def _first_line(error: BaseException) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, TypeVar
 
-from kit1000.errors import Kit1000Error, fault
+from kit1000.errors import Kit1000Error, internal_error
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -25,4 +25,4 @@ def named(function: Callable[[Job], Result], job: Job) -> Result:
     except Kit1000Error:
         raise
     except Exception as error:
-        raise fault(str(job), error) from error
+        raise internal_error(str(job), error) from error

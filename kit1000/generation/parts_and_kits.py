@@ -12,25 +12,25 @@ from typing import Any
 
 from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.dataset.tables import kit_row, part_row
-from kit1000.errors import InputError, MeshRefused, Redraw, fault
+from kit1000.errors import InputError, MeshRefused, Redraw, internal_error
 from kit1000.files import read_json, sha256, write_bytes, write_json
 from kit1000.generation.plan import draw_longest, draw_part
 from kit1000.generation.presets import Preset
-from kit1000.kits.acceptance import Trial, try_pair
+from kit1000.kits.acceptance import PairCheck, check_pair
 from kit1000.kits.kit import KitDesign, design_kit, insertion_faces
-from kit1000.kits.loose_fits import Well, takes_nearly_any
+from kit1000.kits.loose_fits import PreparedKit, accepts_most_parts
 from kit1000.parts.family import make_part, part_of_mesh
 from kit1000.parts.files.sources import read_mesh
 from kit1000.parts.near_duplicates import shape_measures
 from kit1000.values import Part
 
-ATTEMPTS = 200  # draws of one part before the mixture of families must be called broken
-FACES = 2  # best faces tried before the part is drawn again
-BUILD = ".build"  # folder of records while a dataset is being built
+MAX_ATTEMPTS = 200  # draws of one part before the mixture of families must be called broken
+MAX_FACES = 2  # best faces tried before the part is drawn again
+BUILD_FOLDER = ".build"  # folder of records while a dataset is being built
 
 
 @dataclass(frozen=True)
-class PairJob:
+class PartJob:
     """A part to be made, with its kit."""
 
     root: Path
@@ -51,20 +51,20 @@ class PairJob:
 Record = dict[str, Any]
 
 
-def make_pair(job: PairJob) -> Record:
+def make_part_and_kit(job: PartJob) -> Record:
     """Do the job, or find it done, and return its record."""
-    done = finished(job.root, "parts", job.part_id)
+    done = finished_record(job.root, "parts", job.part_id)
     if done is not None and len(done["redraws"]) >= len(job.redraws):
         return done
-    return save(job.root, "parts", job.part_id, _from_files(job) if job.sources else _drawn(job))
+    return save_record(job.root, "parts", job.part_id, _from_files(job) if job.sources else _from_draws(job))
 
 
-def finished(root: Path, kind: str, item_id: str) -> Record | None:
+def finished_record(root: Path, kind: str, item_id: str) -> Record | None:
     """The record of a job whose files are all there as it left them, else None: the job is to be done again."""
-    return intact(root, _record_path(root, kind, item_id))
+    return read_intact(root, _record_path(root, kind, item_id))
 
 
-def intact(root: Path, path: Path) -> Record | None:
+def read_intact(root: Path, path: Path) -> Record | None:
     """A JSON file that lists others by hash, when all are there as listed; None also when it is absent or damaged."""
     try:
         record = read_json(path)
@@ -75,7 +75,7 @@ def intact(root: Path, path: Path) -> Record | None:
     return record if whole else None
 
 
-def save(root: Path, kind: str, item_id: str, record: Record) -> Record:
+def save_record(root: Path, kind: str, item_id: str, record: Record) -> Record:
     """Write the record of a finished job."""
     write_json(_record_path(root, kind, item_id), record)
     return record
@@ -87,58 +87,58 @@ def write_mesh_file(root: Path, name: str, data: bytes) -> dict[str, str]:
 
 
 def _record_path(root: Path, kind: str, item_id: str) -> Path:
-    return root / BUILD / kind / f"{item_id}.json"
+    return root / BUILD_FOLDER / kind / f"{item_id}.json"
 
 
-def _drawn(job: PairJob) -> Record:
+def _from_draws(job: PartJob) -> Record:
     redraws = list(job.redraws)
-    while len(redraws) < ATTEMPTS:
+    while len(redraws) < MAX_ATTEMPTS:
         draw = draw_part(job.preset, job.seed, job.part_id, job.split, len(redraws))
         try:
             part = make_part(job.part_id, draw.family, draw.drawing, draw.longest)
-            return _record(job, part, *tried(part, job.preset.clearance), redraws)
+            return _record(job, part, *design_accepted_kit(part, job.preset.clearance), redraws)
         except Redraw as refusal:
             redraws.append(refusal.reason)
-    raise Redraw(f"part {job.part_id}: none of {ATTEMPTS} draws gave a part that passes ({redraws[-1]})")
+    raise Redraw(f"part {job.part_id}: none of {MAX_ATTEMPTS} draws gave a part that passes ({redraws[-1]})")
 
 
-def _from_files(job: PairJob) -> Record:
+def _from_files(job: PartJob) -> Record:
     """The record of the first file that can be a part; without any, one that says "refused"."""
     redraws = list(job.redraws)
     while len(redraws) < len(job.sources):
         name, path = job.sources[len(redraws)]
         try:
             part = _read_part(job, path)
-            design, trial = tried(part, job.preset.clearance)
+            design, trial = design_accepted_kit(part, job.preset.clearance)
         except (MeshRefused, Redraw) as refusal:
             redraws.append(refusal.reason)
         except Exception as error:  # a stranger's mesh may meet a case nobody thought of: it is reported, stops no run
-            redraws.append(str(fault("no kit", error)))
+            redraws.append(str(internal_error("no kit", error)))
         else:
             return _record(job, part, design, trial, redraws) | {"source": name}
     return {"id": job.part_id, "split": job.split, "files": {}, "redraws": redraws, "refused": True}
 
 
-def _read_part(job: PairJob, path: Path) -> Part:
+def _read_part(job: PartJob, path: Path) -> Part:
     longest = draw_longest(job.preset, job.seed, job.part_id)
     return part_of_mesh(job.part_id, read_mesh(path, job.unit).mesh, longest)
 
 
-def tried(part: Part, clearance: float) -> tuple[KitDesign, Trial]:
+def design_accepted_kit(part: Part, clearance: float) -> tuple[KitDesign, PairCheck]:
     """The kit of a part on the first of its best faces that passes all trials.
 
     Raises Redraw with the reason of the best face; a loose fit is a reason too.
     """
     first: Redraw | None = None
-    for face in insertion_faces(part, clearance)[:FACES]:
+    for face in insertion_faces(part, clearance)[:MAX_FACES]:
         try:
             design = design_kit(part, clearance, face=face)
             if not design.in_bounds:
                 raise Redraw("clearance out of bounds")
-            if takes_nearly_any(Well(design.kit)):
+            if accepts_most_parts(PreparedKit(design.kit)):
                 raise Redraw("slot takes nearly any part")  # it would stand alone in every assembly
-            trial = try_pair(part, design.kit)
-            if not trial.loose:
+            trial = check_pair(part, design.kit)
+            if not trial.has_loose_fit:
                 return design, trial
             first = first or Redraw("loose fit")
         except Redraw as refusal:
@@ -146,7 +146,7 @@ def tried(part: Part, clearance: float) -> tuple[KitDesign, Trial]:
     raise first or Redraw("no stable resting face")
 
 
-def _record(job: PairJob, part: Part, design: KitDesign, trial: Trial, redraws: list[str]) -> Record:
+def _record(job: PartJob, part: Part, design: KitDesign, trial: PairCheck, redraws: list[str]) -> Record:
     files = write_mesh_file(job.root, f"parts/{part.id}.glb", glb_bytes({part.id: part.mesh}))
     files |= write_mesh_file(job.root, f"kits/{part.id}.glb", glb_bytes({part.id: design.kit.mesh}))
     return {

@@ -17,15 +17,15 @@ from kit1000.errors import InputError
 from kit1000.guesses import (
     FIXED_LEVELS,
     LEVELS,
-    draw_ball,
+    draw_ball_error,
     draw_direction,
     draw_goal,
-    draw_tilt,
+    draw_tilt_error,
     level_angle,
     level_offset,
 )
 from kit1000.motions import apply_error, goal_motion, goal_pose
-from kit1000.pivots import pivots_of
+from kit1000.pivots import part_pivots
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.layout import UPRIGHT
@@ -33,12 +33,12 @@ from kit1000.tracks import CURVES, TRACKS, Track, curve_id, query_id
 from kit1000.values import Slot, View
 
 PAPER_TILT = float(np.radians(15))  # most roll and most pitch of a goal that the paper asks for without a guess
-TURN_STEP = np.radians(0.25)  # at which turns about a free axis are tried against PAPER_TILT
-GUESS_ERRORS = {"ball": draw_ball, "tilt": draw_tilt}
+ANGLE_STEP = np.radians(0.25)  # at which turns about a free axis are tried against PAPER_TILT
+GUESS_ERRORS = {"ball": draw_ball_error, "tilt": draw_tilt_error}
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class PartInScene:
     """A part of a scene about which may be asked."""
 
     index: int
@@ -47,7 +47,7 @@ class Asked:
     world_from_part: Pose
     world_from_kit: Pose
     slot: Slot
-    unseen: str | None
+    rejection: str | None
     """Why the part or its slot is not seen well enough to ask; None when both are."""
 
     def motion(self, goal: int = 0, turn: float | np.ndarray = 0.0) -> Pose:
@@ -81,7 +81,7 @@ def scene_queries(
     seed: int,
     views: Mapping[str, View],
     labels: np.ndarray,
-    parts: Sequence[Asked],
+    parts: Sequence[PartInScene],
     drawn: int,
     curves: bool,
 ) -> tuple[list[Row], dict[str, Row]]:
@@ -100,8 +100,8 @@ def scene_queries(
         raise InputError(f"curves: expected a scene of the test split, got {scene_id} of {split}")
     rows: list[Row] = []
     truths: dict[str, Row] = {}
-    seen = [part for part in parts if part.unseen is None]
-    pivots = {sensor: pivots_of(view, labels) for sensor, view in views.items()}
+    seen = [part for part in parts if part.rejection is None]
+    pivots = {sensor: part_pivots(view, labels) for sensor, view in views.items()}
     for name, track in TRACKS.items():
         queries = list(_track_queries(scene_id, seed, name, seen, pivots.get(track.sensor, {})))
         target = _target(seed, scene_id, track.stream, [query.part.index for query in queries], drawn)
@@ -115,13 +115,13 @@ def scene_queries(
 
 
 @dataclass(frozen=True, eq=False)
-class _Query:
+class _QueryAndTruth:
     """A query with what is true of it."""
 
     id: str
     track: str
     sensor: str
-    part: Asked
+    part: PartInScene
     pivot: np.ndarray
     goal: Pose
     """The goal that the guess is drawn around; the design pose where nobody guesses."""
@@ -137,44 +137,44 @@ class _Query:
         return {"part": self.part.index, "goal_drawn": pose_row(self.goal), "draw": self.draw and self.draw.row}
 
 
-def _all(_: Asked) -> bool:
+def _all(_: PartInScene) -> bool:
     return True
 
 
-def _upright(part: Asked) -> bool:
+def _upright(part: PartInScene) -> bool:
     return part.rest_mode == UPRIGHT
 
 
-def _nearly_level(part: Asked) -> bool:
+def _nearly_level(part: PartInScene) -> bool:
     """Lying upright, and some goal needs no more roll and pitch than the paper's candidates have."""
-    angles = np.arange(0, 2 * np.pi, TURN_STEP) if part.slot.free_axis is not None else 0.0
+    angles = np.arange(0, 2 * np.pi, ANGLE_STEP) if part.slot.free_axis is not None else 0.0
     goals = range(len(part.slot.goals))
-    return _upright(part) and any(bool(np.any(_paper_tilt(part.motion(i, angles)) <= PAPER_TILT)) for i in goals)
+    return _upright(part) and any(bool(np.any(_largest_roll_or_pitch(part.motion(i, angles)) <= PAPER_TILT)) for i in goals)
 
 
 _ELIGIBLE = {"all": _all, "upright": _upright, "upright with a nearly level goal": _nearly_level}
 
 
-def eligible(track: Track, part: Asked) -> bool:
+def eligible(track: Track, part: PartInScene) -> bool:
     """Whether a track asks about a part that is well visible."""
     return _ELIGIBLE[track.parts](part)
 
 
 def _track_queries(
-    scene_id: str, seed: int, name: str, parts: Sequence[Asked], pivots: Mapping[int, np.ndarray]
-) -> Iterator[_Query]:
+    scene_id: str, seed: int, name: str, parts: Sequence[PartInScene], pivots: Mapping[int, np.ndarray]
+) -> Iterator[_QueryAndTruth]:
     """What a track asks about the parts that are seen, where its sensor has a return from them."""
     track = TRACKS[name]
     for part in parts:
         if part.index in pivots and eligible(track, part):
-            draw = _drawn_guess(scene_id, seed, part, track)
+            draw = _draw_guess(scene_id, seed, part, track)
             goal = part.motion() if draw is None else part.motion(draw.goal, draw.angle)
-            yield _Query(query_id(scene_id, part.index, name), name, track.sensor, part, pivots[part.index], goal, draw)
+            yield _QueryAndTruth(query_id(scene_id, part.index, name), name, track.sensor, part, pivots[part.index], goal, draw)
 
 
 def _curve_queries(
-    scene_id: str, seed: int, parts: Sequence[Asked], pivots: Mapping[int, np.ndarray], drawn: int
-) -> Iterator[_Query]:
+    scene_id: str, seed: int, parts: Sequence[PartInScene], pivots: Mapping[int, np.ndarray], drawn: int
+) -> Iterator[_QueryAndTruth]:
     """The drawn target's snap query, its goal missed by every level along one direction and about one axis."""
     for snap in _track_queries(scene_id, seed, "snap", [part for part in parts if part.index == drawn], pivots):
         assert snap.draw is not None
@@ -186,7 +186,7 @@ def _curve_queries(
             yield replace(snap, id=curve_id(scene_id, drawn, runs, level, fixed), track=CURVES, draw=draw)
 
 
-def _drawn_guess(scene_id: str, seed: int, part: Asked, track: Track) -> GuessDraw | None:
+def _draw_guess(scene_id: str, seed: int, part: PartInScene, track: Track) -> GuessDraw | None:
     if track.guess is None:
         return None
     rng = stream(seed, "query", scene_id, part.index, track.stream)
@@ -200,7 +200,7 @@ def _target(seed: int, scene_id: str, draws: str, indices: list[int], drawn: int
     return min(indices, key=lambda i: stream(seed, "query", scene_id, i, draws, "drawn").random(), default=None)
 
 
-def _paper_tilt(goal_from_now: Pose) -> np.ndarray:
+def _largest_roll_or_pitch(goal_from_now: Pose) -> np.ndarray:
     """(...,) [rad] the larger of |roll| and |pitch|: the turn is by roll about x, pitch about y, then yaw about z."""
     x, y, z = np.moveaxis(goal_from_now.rotation_matrix()[..., 2, :], -1, 0)
     return np.maximum(np.abs(np.arctan2(y, z)), np.abs(np.arctan2(-x, np.hypot(y, z))))

@@ -15,12 +15,12 @@ from typing import Any
 
 from kit1000.errors import InputError
 from kit1000.files import check_writable, is_url, json_bytes, locked, read_json, sha256, write_bytes, write_json
-from kit1000.generation.summary import described, sealed
-from kit1000.rng import GUESSABLE
+from kit1000.generation.summary import description_files, summary_bytes
+from kit1000.rng import MIN_SECRET_ROOT
 
-HIDDEN = "test"
-SECRET = "withheld.json"  # in the whole folder: salt, commitment and the identity of the open one
-BEGUN = ".begun.json"  # in the open folder while it is being filled: whose open part it is to be
+HIDDEN_SPLIT = "test"
+SECRET_FILE = "withheld.json"  # in the whole folder: salt, commitment and the identity of the open one
+BEGUN_FILE = ".begun.json"  # in the open folder while it is being filled: whose open part it is to be
 TABLES = ("parts", "kits", "assemblies")
 
 
@@ -31,11 +31,11 @@ def secret_seed(whole: Path, asked: int | None) -> int:
     """
     begun = whole / "plan.json"
     if asked is None and not begun.is_file():
-        return secrets.randbits(128) | GUESSABLE
+        return secrets.randbits(128) | MIN_SECRET_ROOT
     seed = read_json(begun)["seed"] if asked is None else asked
-    if seed < GUESSABLE and asked is None:
+    if seed < MIN_SECRET_ROOT and asked is None:
         raise InputError(f"--withhold: {whole} was made from seed {seed}, which can be guessed; choose another folder")
-    if seed < GUESSABLE:
+    if seed < MIN_SECRET_ROOT:
         raise InputError(
             f"--seed: {seed} can be guessed, and with it the withheld answers; expected at least 2**64, "
             "or leave --seed out: a secret one is drawn and kept in the withheld folder"
@@ -43,7 +43,7 @@ def secret_seed(whole: Path, asked: int | None) -> int:
     return seed
 
 
-def check_apart(open_folder: Path, whole: Path) -> None:
+def check_separate(open_folder: Path, whole: Path) -> None:
     """Raise InputError when the two folders cannot be what they are meant to be."""
     one, other = (folder if is_url(folder) else folder.resolve() for folder in (open_folder, whole))
     if one == other or one in other.parents or other in one.parents:
@@ -54,16 +54,16 @@ def check_apart(open_folder: Path, whole: Path) -> None:
     if (open_folder / "plan.json").exists():
         raise InputError(f"{open_folder} holds a whole dataset: choose another --out")
     empty = all(entry.name.startswith(".") for entry in open_folder.iterdir())
-    if not empty and not _belongs(open_folder, whole):
+    if not empty and not _is_public_part_of(open_folder, whole):
         raise InputError(f"{open_folder} is not empty and holds no open part of {whole}: choose another --out")
 
 
-def _belongs(open_folder: Path, whole: Path) -> bool:
+def _is_public_part_of(open_folder: Path, whole: Path) -> bool:
     """Whether a folder is the open part of a whole one, finished or begun."""
-    if not (whole / SECRET).is_file():
+    if not (whole / SECRET_FILE).is_file():
         return False
-    told = [open_folder / name for name in (BEGUN, "dataset.json") if (open_folder / name).is_file()]
-    return bool(told) and read_json(told[0]).get("dataset_id") == read_json(whole / SECRET)["dataset_id"]
+    told = [open_folder / name for name in (BEGUN_FILE, "dataset.json") if (open_folder / name).is_file()]
+    return bool(told) and read_json(told[0]).get("dataset_id") == read_json(whole / SECRET_FILE)["dataset_id"]
 
 
 def publish(whole: Path, open_folder: Path) -> dict[str, Any]:
@@ -72,18 +72,18 @@ def publish(whole: Path, open_folder: Path) -> dict[str, Any]:
     tables = {name: read_json(whole / f"{name}.json") for name in TABLES}
     secret = _secret(whole, summary, tables)
     with locked(open_folder):
-        write_json(open_folder / BEGUN, {"dataset_id": secret["dataset_id"]})
-        files = {name: digest for name, digest in summary["files"].items() if _open(name, tables)}
+        write_json(open_folder / BEGUN_FILE, {"dataset_id": secret["dataset_id"]})
+        files = {name: digest for name, digest in summary["files"].items() if _is_public(name, tables)}
         for name, digest in files.items():
-            _copied(whole / name, open_folder / name, digest)
+            _link_or_copy(whole / name, open_folder / name, digest)
         for name, rows in tables.items():
-            kept = {i: row for i, row in rows.items() if row["split"] != HIDDEN}
+            kept = {i: row for i, row in rows.items() if row["split"] != HIDDEN_SPLIT}
             files[f"{name}.json"] = write_json(open_folder / f"{name}.json", kept)
-        public = _without_answers(summary, secret) | {"files": files}
-        for name, data in described(public).items():
+        public = _public_summary(summary, secret) | {"files": files}
+        for name, data in description_files(public).items():
             files[name] = write_bytes(open_folder / name, data)
-        write_bytes(open_folder / "dataset.json", sealed(public))
-        (open_folder / BEGUN).unlink()
+        write_bytes(open_folder / "dataset.json", summary_bytes(public))
+        (open_folder / BEGUN_FILE).unlink()
     return read_json(open_folder / "dataset.json")
 
 
@@ -92,7 +92,7 @@ def commitment(salt: str, files: dict[str, str]) -> str:
     return hashlib.sha256(salt.encode() + json_bytes(files)).hexdigest()
 
 
-def open_identity(salt: str, dataset_id: str) -> str:
+def public_id(salt: str, dataset_id: str) -> str:
     """The identity of the open part: that of the whole one is a hash of the seed, and seeds are tried faster."""
     return hashlib.sha256(salt.encode() + dataset_id.encode()).hexdigest()[:16]
 
@@ -103,21 +103,21 @@ def secret_fault(summary: dict[str, Any], secret: dict[str, Any]) -> str | None:
         return "no record of what is withheld"
     if any(summary["files"].get(name) != digest for name, digest in secret["files"].items()):
         return "speaks of other files than this dataset has"
-    known = commitment(secret["salt"], secret["files"]), open_identity(secret["salt"], summary["dataset_id"])
+    known = commitment(secret["salt"], secret["files"]), public_id(secret["salt"], summary["dataset_id"])
     return None if known == (secret["sha256"], secret["dataset_id"]) else "changed since it was written"
 
 
-def _open(name: str, tables: dict[str, Any]) -> bool:
+def _is_public(name: str, tables: dict[str, Any]) -> bool:
     """Whether a file may be seen as it is: tables, card and Croissant are written anew."""
     folder, _, rest = name.partition("/")
     if folder in TABLES:
-        return tables[folder][Path(rest).stem]["split"] != HIDDEN
-    return folder in ("train", "val") or (folder == HIDDEN and not rest.endswith(".truth.mcap"))
+        return tables[folder][Path(rest).stem]["split"] != HIDDEN_SPLIT
+    return folder in ("train", "val") or (folder == HIDDEN_SPLIT and not rest.endswith(".truth.mcap"))
 
 
 def _secret(whole: Path, summary: dict[str, Any], tables: dict[str, Any]) -> dict[str, Any]:
     """Salt, commitment and identity of the open part; drawn once."""
-    path = whole / SECRET
+    path = whole / SECRET_FILE
     if path.is_file():
         secret = read_json(path)
         fault = secret_fault(summary, secret)
@@ -125,15 +125,15 @@ def _secret(whole: Path, summary: dict[str, Any], tables: dict[str, Any]) -> dic
             raise InputError(f"{path}: {fault}; restore it, or delete it to publish under another identity")
         return secret
     salt = secrets.token_hex(32)
-    told = described(summary)
-    withheld = {i: digest for i, digest in summary["files"].items() if i not in told and not _open(i, tables)}
-    identity = open_identity(salt, summary["dataset_id"])
+    told = description_files(summary)
+    withheld = {i: digest for i, digest in summary["files"].items() if i not in told and not _is_public(i, tables)}
+    identity = public_id(salt, summary["dataset_id"])
     secret = {"salt": salt, "sha256": commitment(salt, withheld), "dataset_id": identity, "files": withheld}
     write_json(path, secret)
     return secret
 
 
-def _without_answers(summary: dict[str, Any], secret: dict[str, Any]) -> dict[str, Any]:
+def _public_summary(summary: dict[str, Any], secret: dict[str, Any]) -> dict[str, Any]:
     """The summary as the public may read it."""
     hidden = ("seed", "checksum", "refused", "files")
     public = {key: value for key, value in summary.items() if key not in hidden}
@@ -141,13 +141,13 @@ def _without_answers(summary: dict[str, Any], secret: dict[str, Any]) -> dict[st
         "dataset_id": secret["dataset_id"],
         "seed": None,
         "refused": {},
-        "refused_scenes": {i: why for i, why in summary["refused_scenes"].items() if not i.startswith(HIDDEN)},
-        "statistics": {split: rows for split, rows in summary["statistics"].items() if split != HIDDEN},
-        "withheld": {"split": HIDDEN, "salted_sha256": secret["sha256"]},
+        "refused_scenes": {i: why for i, why in summary["refused_scenes"].items() if not i.startswith(HIDDEN_SPLIT)},
+        "statistics": {split: rows for split, rows in summary["statistics"].items() if split != HIDDEN_SPLIT},
+        "withheld": {"split": HIDDEN_SPLIT, "salted_sha256": secret["sha256"]},
     }
 
 
-def _copied(source: Path, target: Path, digest: str) -> None:
+def _link_or_copy(source: Path, target: Path, digest: str) -> None:
     """A file in a second place, without a second copy of its bytes where the disk can do that."""
     if sha256(target) == digest:
         return

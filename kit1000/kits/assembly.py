@@ -18,11 +18,11 @@ from scipy.spatial import ConvexHull
 from kit1000.errors import InputError, Redraw
 from kit1000.kits.brackets import OUTWARD, stand
 from kit1000.kits.cavity import THIN
-from kit1000.kits.contact import Ridges, ridges
+from kit1000.kits.contact import ConvexEdges, convex_edges
 from kit1000.kits.kit import GAP
 from kit1000.kits.printable_mesh import printable_mesh
-from kit1000.kits.seating import JUDGE_STEP, Plug, contact_raise
-from kit1000.mesh import body_count, defect32, solid_of
+from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset
+from kit1000.mesh import body_count, defect_float32, solid_from_mesh
 from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Mount, Part
@@ -95,7 +95,7 @@ def world_tilts(plan: AssemblyPlan) -> np.ndarray:
 def build_assembly(assembly_id: str, kits: Sequence[Kit], plan: AssemblyPlan) -> Assembly:
     """Stand kits on brackets and feet as planned, the first as the base. Raises Redraw when no solid results."""
     mounts = placed(kits, plan)
-    plates = [solid_of(mount.kit.mesh).transform(mount.assembly_from_kit.matrix()[:3]) for mount in mounts]
+    plates = [solid_from_mesh(mount.kit.mesh).transform(mount.assembly_from_kit.matrix()[:3]) for mount in mounts]
     solid = Manifold.batch_boolean([*plates, *stand(mounts)], OpType.Add)
     return Assembly(assembly_id, printable_mesh(solid, "assembly"), mounts)
 
@@ -149,7 +149,7 @@ def _up(pose: Pose) -> np.ndarray:
 
 
 def _check_printable(assembly: Assembly) -> None:
-    fault = defect32(assembly.mesh) or ("several bodies" if body_count(assembly.mesh) > 1 else None)
+    fault = defect_float32(assembly.mesh) or ("several bodies" if body_count(assembly.mesh) > 1 else None)
     if fault:
         raise Redraw(f"assembly not printable: {fault}")
     if assembly.mesh.bounds[0, 2] != 0:
@@ -163,7 +163,7 @@ def _check_cavities(assembly: Assembly) -> None:
         raise Redraw("cavities too close")
     plates = [mount.kit.mesh for mount in assembly.mounts]
     made = sum(float(np.prod(plate.extents)) - plate.volume for plate in plates)
-    open_ = (Manifold.compose(boxes) - solid_of(assembly.mesh)).volume()
+    open_ = (Manifold.compose(boxes) - solid_from_mesh(assembly.mesh)).volume()
     if open_ < made - UNTOUCHED:
         raise Redraw("cavity touched")
     if open_ > made + UNTOUCHED or assembly.mesh.volume < sum(plate.volume for plate in plates):
@@ -182,30 +182,30 @@ def _cavity_box(mount: Mount) -> Manifold:
 class _Seated:
     """The part of a slot, where it belongs."""
 
-    plug: Plug
+    plug: InsertedPart
     pose: Pose
     """assembly_from_part"""
     reach: float
     """[m] radius of the ball about the part's origin that holds it."""
 
     @property
-    def ridges(self) -> Ridges:
+    def ridges(self) -> ConvexEdges:
         """What the part shows to others, in the assembly frame."""
         edges = self.plug.edges
-        return Ridges(edges.mesh.moved(self.pose), edges.ends, edges.sides)
+        return ConvexEdges(edges.mesh.moved(self.pose), edges.ends, edges.sides)
 
 
 def _seated(mount: Mount, part: Part) -> _Seated:
     kit_from_part = mount.kit.slot.kit_from_part
     reach = float(np.linalg.norm(part.mesh.vertices, axis=1).max())
-    return _Seated(Plug.of(part.mesh, kit_from_part), mount.assembly_from_kit @ kit_from_part, reach)
+    return _Seated(InsertedPart.of(part.mesh, kit_from_part), mount.assembly_from_kit @ kit_from_part, reach)
 
 
 def _check_paths(assembly: Assembly, parts: Mapping[str, Part]) -> None:
     """Every part reaches its slot along the slot's axis, all other parts being seated."""
     seated = [_seated(mount, parts[mount.kit.slot.part_id]) for mount in assembly.mounts]
-    whole = ridges(assembly.mesh)
-    if any(contact_raise(one.plug, whole, one.pose) > JUDGE_STEP for one in seated):
+    whole = convex_edges(assembly.mesh)
+    if any(contact_offset(one.plug, whole, one.pose) > BISECTION_STEP for one in seated):
         raise Redraw("insertion path blocked")
     if any(_in_the_way(other, one) for one, other in permutations(seated, 2)):
         raise Redraw("insertion path blocked by a seated part")
@@ -218,7 +218,7 @@ def _in_the_way(other: _Seated, moving: _Seated) -> bool:
     aside = apart - max(float(apart @ axis), 0.0) * axis
     if np.linalg.norm(aside) > other.reach + moving.reach:
         return False
-    return contact_raise(moving.plug, other.ridges, moving.pose) > 0
+    return contact_offset(moving.plug, other.ridges, moving.pose) > 0
 
 
 def _check_steady(assembly: Assembly, parts: Mapping[str, Part]) -> None:

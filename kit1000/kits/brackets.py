@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 from manifold3d import Manifold
 
-from kit1000.mesh import Mesh, hull_of, mesh_of
+from kit1000.mesh import Mesh, convex_hull, mesh_from_solid
 from kit1000.values import Mount
 
 BITE = 1e-3  # [m] a piece reaches so far into a plate; the floor under a cavity is 2 mm
@@ -25,7 +25,7 @@ OUTWARD = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # (4, 2) the sides of a 
 
 def stand_meshes(mounts: Sequence[Mount]) -> list[Mesh]:
     """The convex pieces that carry the plates, in the assembly frame."""
-    return [mesh_of(piece) for piece in stand(mounts)]
+    return [mesh_from_solid(piece) for piece in stand(mounts)]
 
 
 def stand(mounts: Sequence[Mount]) -> list[Manifold]:
@@ -46,7 +46,7 @@ def side_direction(base: Mount, side: Mount) -> int:
 def _bracket(base: Mount, side: Mount, direction: int) -> Manifold:
     """The wedge between two plates: the hull of a band inside each of the facing sides."""
     bands = [_facing_band(base, direction), _facing_band(side, direction + 2)]
-    return hull_of(np.concatenate(bands))
+    return convex_hull(np.concatenate(bands))
 
 
 def _facing_band(mount: Mount, direction: int) -> np.ndarray:
@@ -98,7 +98,7 @@ def _under(mount: Mount, points: np.ndarray) -> np.ndarray:
 
 def _dropped(points: np.ndarray) -> Manifold:
     """The hull of points (n, 3) and of their shadow on the ground."""
-    return hull_of(np.concatenate([points, points * (1, 1, 0)]))
+    return convex_hull(np.concatenate([points, points * (1, 1, 0)]))
 
 
 def _turned(points: np.ndarray, direction: int) -> np.ndarray:

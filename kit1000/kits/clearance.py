@@ -8,7 +8,7 @@ import numpy as np
 from manifold3d import CrossSection, Manifold
 
 from kit1000.kits.cavity import Cavity, Probe
-from kit1000.mesh import Mesh, solid_of
+from kit1000.mesh import Mesh, solid_from_mesh
 
 SPACING = 0.5e-3  # [m] between measured points of a wall
 HEIGHTS = 5  # heights measured, spread over the probed ones
@@ -29,7 +29,7 @@ def measured_clearance(plate: Mesh, cavity: Cavity, heights: int = HEIGHTS) -> C
 
     plate: in the kit frame (rim at z = 0).
     """
-    solid = solid_of(plate)
+    solid = solid_from_mesh(plate)
     picks = np.unique(np.linspace(0, len(cavity.probes) - 1, heights).round().astype(int))
     nearest, farthest = [np.inf], [0.0]
     for probe in (cavity.probes[i] for i in picks):

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from manifold3d import CrossSection, FillRule, JoinType, Manifold, triangulate
 
-from kit1000.mesh import Mesh, hull_of, mesh_of, solid_of
+from kit1000.mesh import Mesh, convex_hull, mesh_from_solid, solid_from_mesh
 from kit1000.values import Kit
 
 TOLERANCE = 0.4e-3  # [m] walls recede by at most about so much, of a clearance of 2.5 mm
@@ -30,14 +30,14 @@ def convex_prisms(kit: Kit, tolerance: float = TOLERANCE) -> list[Mesh]:
     """Disjoint convex prisms inside a kit, the floor slab first; walls recede by about `tolerance` [m] at most."""
     low, high = kit.mesh.bounds
     block = Manifold.cube(high - low).translate(low)
-    cavity = block - solid_of(kit.mesh)
+    cavity = block - solid_from_mesh(kit.mesh)
     floor = cavity.bounding_box()[2]
     pieces = [block.trim_by_plane((0, 0, -1), -floor)]
     plate = CrossSection.square(high[:2] - low[:2] - 2 * GRID).translate(low[:2] + GRID)
     for layer in _layers(cavity, floor, float(high[2]), tolerance):
         kept = plate - _outer_outline(layer.shadow, tolerance / 2)
         pieces += [_prism(polygon, layer.low, layer.high) for polygon in convex_polygons(kept)]
-    return [mesh_of(piece) for piece in pieces]
+    return [mesh_from_solid(piece) for piece in pieces]
 
 
 def convex_polygons(section: CrossSection) -> list[np.ndarray]:
@@ -102,7 +102,7 @@ def _layer(cavity: Manifold, low: float, high: float) -> _Layer:
 
 def _ledges(cavity: Manifold, floor: float, rim: float) -> list[float]:
     """Heights just below the level faces between floor and rim."""
-    mesh = mesh_of(cavity)
+    mesh = mesh_from_solid(cavity)
     z = mesh.triangles[..., 2]
     edges = mesh.triangles[:, 1:] - mesh.triangles[:, :1]
     areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2
@@ -153,7 +153,7 @@ def _area(polygon: np.ndarray) -> float:
 
 def _prism(polygon: np.ndarray, low: float, high: float) -> Manifold:
     ends = [np.column_stack([polygon, np.full(len(polygon), z)]) for z in (low, high)]
-    return hull_of(np.concatenate(ends))
+    return convex_hull(np.concatenate(ends))
 
 
 def _sides(loop: list[int]) -> list[tuple[int, int]]:

@@ -18,7 +18,7 @@ from kit1000.kits.cavity import NOTHING, Cavity, Probe
 from kit1000.kits.envelope import polar_relief
 from kit1000.kits.face import resting_faces
 from kit1000.kits.sweep import shadow_below
-from kit1000.mesh import Mesh, solid_of
+from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry
 from kit1000.values import FreeAxis
@@ -47,7 +47,7 @@ class Design:
 
     def standing(self, kit_from_part: Pose) -> Manifold:
         """The part in a pose, raised so that the cavity's floor is z = 0."""
-        return solid_of(self.mesh).transform(kit_from_part.matrix()[:3]).translate((0, 0, self.cavity.depth))
+        return solid_from_mesh(self.mesh).transform(kit_from_part.matrix()[:3]).translate((0, 0, self.cavity.depth))
 
 
 def find_goals(design: Design) -> tuple[Pose, FreeAxis | None]:
@@ -155,12 +155,12 @@ def _flipped(design: Design, known: list[Pose]) -> list[Pose]:
     for face in resting_faces(design.mesh, probable=0.0):
         if any(_faces_down(pose, face.normal) for pose in known) or face.height < design.cavity.depth:
             continue
-        lying = design.mesh.moved(face.lying)
+        lying = design.mesh.moved(face.plane_from_part)
         other, _, _ = polar_relief(lying, design.cavity.depth)
         turn, difference = _best_turn(relief, other, weights)
         if difference > ALIKE:
             continue
-        pose = _aligned(design, face.lying, turn)
+        pose = _aligned(design, face.plane_from_part, turn)
         if same_shadow(design.cavity, design.standing(pose)):
             found.append(pose)
     return found

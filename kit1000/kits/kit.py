@@ -17,7 +17,7 @@ from kit1000.kits.face import RestingFace, rank_faces, resting_faces
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.kits.sweep import SAGITTA
-from kit1000.mesh import Mesh, solid_of
+from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.values import Kit, Part, Slot
 
@@ -94,7 +94,7 @@ def design_kit(
     depth = insertion_depth(face.height)
     standing = _turned_square(part.mesh, face, depth)
     plate = plate or _plate_for(part.mesh.moved(standing), clearance, depth)
-    cavity, mesh, measured = _cut_plate(solid_of(part.mesh).transform(standing.matrix()[:3]), depth, clearance, plate)
+    cavity, mesh, measured = _cut_plate(solid_from_mesh(part.mesh).transform(standing.matrix()[:3]), depth, clearance, plate)
     kit_from_part = Pose.from_translation(np.array([0, 0, -depth])) @ standing
     goals, free_axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, cavity))
     slot = Slot(part.id, kit_from_part, clearance, depth, goals, free_axis)
@@ -130,7 +130,7 @@ def _cut_plate(standing: Manifold, depth: float, clearance: float, plate: Plate)
 
 def _turned_square(mesh: Mesh, face: RestingFace, depth: float) -> Pose:
     """The lying part, lowest point at z = 0, the least rectangle about its shadow square to the plate, centred."""
-    lying = face.lying
+    lying = face.plane_from_part
     points = mesh.moved(lying).vertices
     outline = _rim_outline(points, depth)
     edges = np.roll(outline, -1, axis=0) - outline

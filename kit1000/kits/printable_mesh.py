@@ -11,7 +11,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from kit1000.errors import Redraw
-from kit1000.mesh import Mesh, body_count, defect32, mesh_of
+from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid
 
 WELD = 2e-6  # [m] edges and ripples smaller than this are simplified away
 GRID = 2.0**-23  # [m] 0.12 um: exact in float32 up to 2 m, and ten times what loaders take for equal
@@ -21,9 +21,9 @@ ROUNDS = 5  # each moves twice as far as the one before
 
 def printable_mesh(solid: Manifold, name: str) -> Mesh:
     """A solid as one closed body with vertices on the float32 grid; `name` opens the reason of a refusal."""
-    mesh, fault = _on_grid(mesh_of(solid.as_original().simplify(WELD))), None
+    mesh, fault = _on_grid(mesh_from_solid(solid.as_original().simplify(WELD))), None
     for round_ in range(ROUNDS):
-        fault = defect32(mesh)
+        fault = defect_float32(mesh)
         if fault is None:
             return _one_body(mesh.merged(), name)
         mesh = _on_grid(_parted(mesh, PART * 2**round_))

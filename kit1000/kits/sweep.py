@@ -14,7 +14,7 @@ from manifold3d import CrossSection, FillRule, Manifold, OpType
 
 from kit1000.errors import Redraw
 from kit1000.kits.patches import convex_patches
-from kit1000.mesh import hull_of, mesh_of
+from kit1000.mesh import convex_hull, mesh_from_solid
 
 SAGITTA = 0.02e-3  # [m] width of the band that the chords of the disc stay within
 OVERSIZE = 0.4 * SAGITTA  # the disc's corners lie this far outside the clearance, its chords 0.6 SAGITTA inside
@@ -57,7 +57,7 @@ def grown_sweep(
         for z, outline in zip(levels, outlines, strict=True)
         if not outline.is_empty()  # a splinter of a face that Clipper rounds away
     ]
-    hulls = [hull_of(_risen(patch, round_, next(tops))) for patch in shown]
+    hulls = [convex_hull(_risen(patch, round_, next(tops))) for patch in shown]
     swept = Manifold.batch_boolean(prisms + hulls, OpType.Add)
     if swept.is_empty():
         raise Redraw(f"no underside to sweep ({swept.status().name})")
@@ -95,7 +95,7 @@ class _Footing:
 
 def _underside(sunk: Manifold) -> tuple[np.ndarray, np.ndarray]:
     """Down-facing triangles (m, 3, 3) and which of them are level, these pressed flat onto their lowest corner."""
-    mesh = mesh_of(sunk)
+    mesh = mesh_from_solid(sunk)
     triangles = mesh.triangles[mesh.normals[:, 2] < -STEEP].copy()
     level = np.ptp(triangles[..., 2], axis=1) < LEVEL
     heights = np.sort(triangles[level][..., 2].min(1))

@@ -12,7 +12,7 @@ import numpy as np
 from manifold3d import Error, Manifold
 
 from kit1000.errors import Redraw
-from kit1000.mesh import Mesh, defect32, mesh_of
+from kit1000.mesh import Mesh, defect_float32, mesh_from_solid
 from kit1000.symmetry import Symmetry
 from kit1000.values import Part
 
@@ -52,12 +52,12 @@ def make_part(part_id: str, family_name: str, dims: Family, longest: float | Non
     solid = dims.solid()
     _require(solid.status() == Error.NoError and not solid.is_empty(), "no solid")
     _require(solid.volume() > 0, "no volume")
-    drawn = mesh_of(solid)
+    drawn = mesh_from_solid(solid)
     factor = MM if longest is None else longest / float(drawn.extents.max())
-    mesh = Mesh((drawn.vertices - drawn.centroid) * factor, drawn.faces).rounded32().merged()
+    mesh = Mesh((drawn.vertices - drawn.centroid) * factor, drawn.faces).rounded_float32().merged()
     _require(len(solid.decompose()) == 1, "several bodies")
     _require(2 * mesh.volume / mesh.area >= LEAST_FILL_THICKNESS, "too thin")
-    fault = defect32(mesh)
+    fault = defect_float32(mesh)
     _require(fault is None, f"mesh {fault}")
     return Part(part_id, family_name, mesh, dims.symmetry(), dimensions(dims), DENSITY * mesh.volume)
 
@@ -65,7 +65,7 @@ def make_part(part_id: str, family_name: str, dims: Family, longest: float | Non
 def part_of_mesh(part_id: str, mesh: Mesh, longest: float | None = None) -> Part:
     """The part of a closed mesh, as large as it is or scaled to a longest side [m]; no symmetry is declared."""
     scaled = mesh.scaled(1.0 if longest is None else longest / float(mesh.extents.max()))
-    centred = Mesh(scaled.vertices - scaled.centroid, scaled.faces).rounded32()
+    centred = Mesh(scaled.vertices - scaled.centroid, scaled.faces).rounded_float32()
     return Part(part_id, "file", centred, Symmetry.none(), {}, DENSITY * centred.volume)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from kit1000.kits.brackets import stand_meshes
 from kit1000.kits.convex_pieces import convex_prisms
 from kit1000.kits.goals import nearest_turn
-from kit1000.kits.seating import HOVER, SEATED
+from kit1000.kits.seating import HOVER, SEATED_LIMIT
 from kit1000.pose import Pose, quaternion_angle, quaternion_conjugate, quaternion_multiply
 from kit1000.sim.settle import LOOK_EVERY, QUIET_LOOKS, ROLLING, SLOW, SPINNING, principal_frame
 from kit1000.sim.world import GRAVITY, RATE, World
@@ -169,7 +169,7 @@ def _let_go(world: World, body: int) -> bool:
 def judged(kit: Kit, kit_from_released: Pose, kit_from_rest: Pose) -> Standing:
     """What became of a part in the frame of its kit: seated, or in which way not."""
     turned = float(quaternion_angle(kit_from_released.wxyz, kit_from_rest.wxyz))
-    limits = (min(SEATED, kit.slot.depth / 3), kit.slot.clearance * 2**0.5 + SLACK, float(ALIGNED))
+    limits = (min(SEATED_LIMIT, kit.slot.depth / 3), kit.slot.clearance * 2**0.5 + SLACK, float(ALIGNED))
     errors = min((_errors(kit, kit_from_rest, goal) for goal in kit.slot.goals), key=lambda e: _excess(e, limits))
     outcome = "seated" if _excess(errors, limits) <= 1 else _failure(kit, kit_from_rest, errors, limits, turned)
     return Standing(outcome, *errors, turned)

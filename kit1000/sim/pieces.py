@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from kit1000.errors import InputError
-from kit1000.mesh import Mesh, mesh_of, solid_of
+from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh
 
 SIMPLIFY = 0.2e-3  # [m] the surface may move so far before it is cut: dense CAD is many times faster
 CONCAVITY = 0.05  # of coacd: how far a piece may be from convex, as a share of half the part's longest side
@@ -36,7 +36,7 @@ def convex_pieces(mesh: Mesh) -> list[np.ndarray]:
     few tenths of a millimetre and what they fill of its hollows.
     """
     coacd = _coacd()
-    plain = mesh_of(solid_of(mesh).simplify(SIMPLIFY))
+    plain = mesh_from_solid(solid_from_mesh(mesh).simplify(SIMPLIFY))
     cut = coacd.run_coacd(coacd.Mesh(plain.vertices / UNIT, np.array(plain.faces)), **CUTTING)
     if not cut:
         raise InputError("pieces: coacd finds none: is the mesh closed?")

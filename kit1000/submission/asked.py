@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from kit1000.dataset.reader import WANTED, Dataset
-from kit1000.errors import InputError, near
+from kit1000.errors import InputError, did_you_mean
 from kit1000.pose import Pose
 from kit1000.tracks import CURVES
 from kit1000.values import Query
@@ -78,7 +78,7 @@ def asked_of(data: Path, split: str, query_ids: Iterable[str]) -> Asked:
     A dataset that says what its bytes sum up to is read once, however many submissions are checked.
     """
     if split not in SPLITS:
-        raise InputError(f"no split {split!r}; {near(split, SPLITS)}there are {', '.join(SPLITS)}")
+        raise InputError(f"no split {split!r}; {did_you_mean(split, SPLITS)}there are {', '.join(SPLITS)}")
     dataset = Dataset(data)
     folder, checksum = WANTED[split][0], dataset.summary.get("checksum")
     named = {query_id.partition("-")[0].strip().lower() for query_id in query_ids}

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from manifold3d import Error, Manifold
 
-from kit1000.mesh import Mesh, mesh_of, solid_of, surface_points
+from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh, surface_points
 from kit1000.parts.family import Family, dimensions, make_part
 from kit1000.pose import Pose, quaternion_from_rotvec
 from kit1000.symmetry import Symmetry
@@ -42,7 +42,7 @@ def check_symmetry(part: Part, where: str = "") -> None:
     """Check the declared symmetry of a part against its mesh, by distances and by volumes."""
     where = where or part.id
     points = surface_points(part.mesh, WITNESSES, np.random.default_rng(0))
-    solid = solid_of(part.mesh)
+    solid = solid_from_mesh(part.mesh)
     for turn, allowed in _declared(part.symmetry):
         gap = float(distances(Pose(turn, np.zeros(3)).apply(points), part.mesh).max())
         assert gap <= allowed, f"{where}: {_said(turn)} is declared but moves the surface by {gap * 1e3:.3f} mm"
@@ -85,7 +85,7 @@ def _check_drawing(dims: Family, again: Family, where: str) -> None:
     assert solid.status() == Error.NoError, f"{where}: solid is {solid.status().name}"
     bodies = len(solid.decompose())
     assert bodies == 1, f"{where}: {bodies} bodies, expected 1"
-    first, second = mesh_of(solid), mesh_of(again.solid())
+    first, second = mesh_from_solid(solid), mesh_from_solid(again.solid())
     same = np.array_equal(first.vertices, second.vertices) and np.array_equal(first.faces, second.faces)
     assert same, f"{where}: two solids from one drawing differ"
 

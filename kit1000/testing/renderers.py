@@ -9,7 +9,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from kit1000.camera import Camera, look_at
-from kit1000.mesh import Mesh, mesh_of
+from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.sim.render import Frame
 from kit1000.testing.depths import as_if, plane, rays
@@ -107,7 +107,7 @@ def _check_pixel_centres(render: Render, name: str) -> None:
 
 def _check_ball(render: Render, name: str) -> None:
     radius, middle = 0.2, np.array([0.15, -0.1, 0.9])
-    ball = mesh_of(Manifold.sphere(radius, 256))
+    ball = mesh_from_solid(Manifold.sphere(radius, 256))
     frame = render(CAMERA, SEEN_FROM, [(ball, SEEN_FROM @ Pose.from_translation(middle))])
     _check_form(frame, CAMERA, name)
     ray = rays(CAMERA)
@@ -157,7 +157,7 @@ def _check_all_laws(render: Render, name: str) -> None:
     )
     turns = ((0.3, 0.2, -0.5), (0.1, 0.7, 0.2), (1.2, -0.4, 0.1))
     places = ((0.1, 0.0, 0.1), (0.25, 0.05, 0.15), (0.05, -0.1, 0.1))
-    meshes = [mesh_of(shape) for shape in shapes]
+    meshes = [mesh_from_solid(shape) for shape in shapes]
     bodies = [(mesh, Pose.from_rotvec(turn, at)) for mesh, turn, at in zip(meshes, turns, places, strict=True)]
     frame = render(CAMERA, SEEN_FROM, bodies)
     _check_form(frame, CAMERA, name)

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from kit1000.errors import MeshRefused
-from kit1000.mesh import body_count, defect32
+from kit1000.mesh import body_count, defect_float32
 from kit1000.parts.files.sources import POSSIBLE_PART, Outcome, Reading, Refusal
 
 Read = Callable[[Path], Reading]
@@ -37,12 +37,12 @@ def check_source(read: Read, files: Iterable[str | Path], name: str = "source") 
 def _check_reading(reading: Reading, path: Path, name: str) -> None:
     mesh, where = reading.mesh, f"{name}: {path.name}"
     assert Path(reading.path) == path, f"{where}: the reading names {reading.path}"
-    defect = defect32(mesh)
+    defect = defect_float32(mesh)
     assert defect is None, f"{where}: {defect}"
     assert mesh.volume > 0, f"{where}: inside out, its volume is {mesh.volume:.3g} m^3"
     bodies = body_count(mesh)
     assert bodies == 1, f"{where}: {bodies} bodies, expected 1"
-    on_grid = np.array_equal(mesh.vertices, mesh.rounded32().vertices)
+    on_grid = np.array_equal(mesh.vertices, mesh.rounded_float32().vertices)
     assert on_grid, f"{where}: vertices are not on the float32 grid, so that files would hold others"
     low, high = POSSIBLE_PART
     longest = float(mesh.extents.max())

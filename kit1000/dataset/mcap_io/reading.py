@@ -30,7 +30,7 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 from kit1000.dataset.mcap_io.messages import SECOND
 from kit1000.dataset.mcap_io.writing import RECORD, START, record_checksum
 from kit1000.dataset.tables import FORMAT
-from kit1000.errors import InputError, near
+from kit1000.errors import InputError, did_you_mean
 
 MEND = "make or fetch it again"
 RECENT = 3  # chunks kept decompressed, of all files together: 8 MB each with two views, 22 MB with six
@@ -92,7 +92,7 @@ class ShardFile:
         ids = self._source.chunks
         if scene_id not in ids:
             raise InputError(
-                f"{self.path}: no scene {scene_id!r} among {len(ids)}; {near(scene_id, ids)}see .scene_ids"
+                f"{self.path}: no scene {scene_id!r} among {len(ids)}; {did_you_mean(scene_id, ids)}see .scene_ids"
             )
 
 

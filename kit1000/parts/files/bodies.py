@@ -10,7 +10,7 @@ import numpy as np
 from manifold3d import Manifold, OpType
 
 from kit1000.errors import MeshRefused
-from kit1000.mesh import Mesh, defect, defect32, mesh_of, solid_of
+from kit1000.mesh import Mesh, defect, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parts.files.crossings import crossings, farthest, winding_numbers
 from kit1000.parts.files.repair import inverted
 
@@ -100,14 +100,14 @@ def _thinned(solid: Manifold, notes: list[str]) -> Manifold:
 
 def _deviation(before: Manifold, after: Manifold, tolerance: float) -> float:
     """[m]: largest distance from vertices (every k-th of very many) of one solid to the other's surface."""
-    vertices = mesh_of(before).vertices
+    vertices = mesh_from_solid(before).vertices
     some = vertices[:: max(1, -(-len(vertices) // DEVIATION_POINTS))]
-    return farthest(some, mesh_of(after).triangles, 5 * tolerance)
+    return farthest(some, mesh_from_solid(after).triangles, 5 * tolerance)
 
 
 def _uncrossed(solid: Manifold, notes: list[str]) -> Manifold:
     """A solid whose surface does not pass through itself, by the gentlest means that works."""
-    points = crossings(mesh_of(solid).triangles, CROSSING)
+    points = crossings(mesh_from_solid(solid).triangles, CROSSING)
     if not len(points):
         return solid
     for tolerance in FOLD_TOLERANCES:
@@ -133,7 +133,7 @@ def _parted(solid: Manifold, points: np.ndarray) -> Manifold:
     Inside the box the branches that cross are bodies of their own, which a union joins exactly.
     """
     low, high = points.min(0), points.max(0)
-    margin = 0.02 * float(np.ptp(mesh_of(solid).vertices, axis=0).max()) + 0.05 * float((high - low).max())
+    margin = 0.02 * float(np.ptp(mesh_from_solid(solid).vertices, axis=0).max()) + 0.05 * float((high - low).max())
     box = Manifold.cube((high - low + 2 * margin).tolist()).translate((low - margin).tolist())
     pieces = [*(solid ^ box).decompose(), *(solid - box).decompose()]
     outward = [piece for piece in pieces if piece.volume() > 0]
@@ -146,10 +146,10 @@ def _sound(mended: Manifold, solid: Manifold, points: np.ndarray) -> bool:
     """Whether a mended solid is one body without crossings that fills what the given surface winds round."""
     if mended.is_empty() or sum(shell.volume() > 0 for shell in mended.decompose()) != 1:
         return False
-    triangles = mesh_of(mended).triangles
+    triangles = mesh_from_solid(mended).triangles
     if len(crossings(triangles, CROSSING)):
         return False
-    original = mesh_of(solid).triangles
+    original = mesh_from_solid(solid).triangles
     low, high = original.reshape(-1, 3).min(0), original.reshape(-1, 3).max(0)
     rng = np.random.default_rng(0)
     everywhere = rng.uniform(low, high, (WINDING_POINTS, 3))
@@ -162,19 +162,19 @@ def _sound(mended: Manifold, solid: Manifold, points: np.ndarray) -> bool:
 
 def _rounded(solid: Manifold, notes: list[str]) -> Mesh:
     """The mesh on the float32 grid, with surfaces that only touch along edges drawn apart."""
-    mesh = mesh_of(solid)
-    fault = defect32(mesh)
+    mesh = mesh_from_solid(solid)
+    fault = defect_float32(mesh)
     if fault is not None and "more than two" in fault:
         mesh = _unpinched(mesh)
         notes.append(f"drew apart surfaces that touch along edges, by {PINCH * 1e6:.0f} um")
-        fault = defect32(mesh)
+        fault = defect_float32(mesh)
     if fault is not None:
-        mesh = mesh_of(solid.simplify(SIMPLIFY_TOLERANCE / 10))
-        fault = defect32(mesh)
+        mesh = mesh_from_solid(solid.simplify(SIMPLIFY_TOLERANCE / 10))
+        fault = defect_float32(mesh)
     if fault is not None:
         raise MeshRefused(fault if defect(mesh) else f"{fault} once rounded to float32")
-    mesh = mesh.rounded32().merged()
-    solid_of(mesh)
+    mesh = mesh.rounded_float32().merged()
+    solid_from_mesh(mesh)
     return mesh
 
 
