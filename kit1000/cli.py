@@ -89,9 +89,9 @@ class Generate:
 
     def _published(self, chosen: Preset, out: Path, whole: Path) -> dict[str, Any]:
         """The dataset in a second folder, and what may be seen of it in --out."""
-        from kit1000.generation.withhold import check_apart, publish, secret_seed
+        from kit1000.generation.withhold import check_separate, publish, secret_seed
 
-        check_apart(out, whole)
+        check_separate(out, whole)
         self._built(replace(chosen, curve_scenes=0), whole, secret_seed(whole, self.seed))
         return publish(whole, out)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from kit1000.dataset.schema import SceneTruth
 from kit1000.dataset.tables import pose_row
-from kit1000.generation.card_statistics import merged, pair_statistics, statistics
+from kit1000.generation.card_statistics import add_up, part_statistics, scene_statistics
 from kit1000.pose import Pose
 
 SYMMETRY = {"name": "C2", "rotations": [], "axis": None}
@@ -62,7 +62,10 @@ def summary(folder: Path | None = None) -> dict[str, Any]:
         files[f"{name}.json"] = hashlib.sha256(data).hexdigest()
         if folder is not None:
             (folder / f"{name}.json").write_bytes(data)
-    figures = [statistics([truth(), truth("test-s0001")]), pair_statistics(*(tables()[k].values() for k in PAIRS))]
+    figures = [
+        scene_statistics([truth(), truth("test-s0001")]),
+        part_statistics(*(tables()[k].values() for k in PAIRS)),
+    ]
     return {
         "format": "kit1000/1",
         "data_version": "0.2.1",
@@ -76,7 +79,7 @@ def summary(folder: Path | None = None) -> dict[str, Any]:
         "redraws": {"parts": {"loose fit": 3, "near-duplicate": 11}, "assemblies": {}, "scenes": {"parts touch": 2}},
         "refused": {},
         "refused_scenes": {"val-s0001": "out of view"},
-        "statistics": {"train": {}, "val": {}, "test": merged(figures)},
+        "statistics": {"train": {}, "val": {}, "test": add_up(figures)},
         "shards": {f"{split}/0000.mcap": [f"{split}-s0000", f"{split}-s0001"] for split in ("train", "val", "test")},
         "files": files,
     }

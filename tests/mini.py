@@ -46,10 +46,10 @@ def corners(folder: Path, widths: tuple[int, ...] = (20, 24, 28, 33)) -> Sources
 
 
 def sketched(
-    preset: Preset, seed: int, split: str, assembly: Assembly, parts: Mapping[str, Part], further: bool
+    preset: Preset, seed: int, split: str, assembly: Assembly, parts: Mapping[str, Part], extra_views: bool
 ) -> GeneratedScene:
     """In place of `make_scene`, a scene of made-up numbers in a millisecond, for tests of what is done with scenes."""
     scene_id, k = scene_id_of(assembly.id), int(assembly.id[-4:])
     seen = replace(recorded.observation(k), scene_id=scene_id)
-    extra = replace(recorded.further(k), scene_id=scene_id) if further else None
+    extra = replace(recorded.extra_views(k), scene_id=scene_id) if extra_views else None
     return GeneratedScene(seen, card_samples.truth(scene_id), extra, ("parts touch",) * (len(parts) + seed % 2))

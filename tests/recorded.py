@@ -37,7 +37,7 @@ def observation(k: int = 0, camera: Camera = CAMERA, pose: Pose = POSE) -> Obser
     return Observation(scene_id, views, labels, tuple(query(scene_id, part) for part in range(3)))
 
 
-def further(k: int = 0) -> Observation:
+def extra_views(k: int = 0) -> Observation:
     keys = [f"three/{i}/{sensor}" for i in range(3) for sensor in ("ideal", "d415")]
     views = {key: View(CAMERA, Pose(POSE.wxyz, POSE.xyz + i), noise(CAMERA, i)) for i, key in enumerate(keys)}
     return Observation(f"test-s{k:04d}", views)

@@ -75,7 +75,7 @@ def test_a_finished_dataset_is_left_alone(
     whole: Path, sources: Sources, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     times = {path: path.stat().st_mtime_ns for path in whole.rglob("*") if path.name != ".lock"}
-    monkeypatch.setattr(build, "_pairs", None)
+    monkeypatch.setattr(build, "_make_parts_and_kits", None)
     summary = generate(MINI, whole, workers=1, sources=sources)
     assert summary == json.loads((whole / "dataset.json").read_bytes())
     assert capsys.readouterr() == ("", f"{whole} is complete: nothing to do\n")
@@ -251,7 +251,7 @@ def begun(root: Path, sources: Sources, monkeypatch: pytest.MonkeyPatch) -> None
         raise Stop
 
     with monkeypatch.context() as patch:
-        patch.setattr(build, "_finish", stop)
+        patch.setattr(build, "_write_summary", stop)
         with pytest.raises(Stop):
             generate(MINI, root, workers=1, sources=sources)
 
@@ -365,9 +365,9 @@ def test_company_that_cannot_be_placed_goes(sources: Sources, tmp_path: Path, mo
         if len(assembly.mounts) > 1:
             raise Redraw("too narrow")
 
-    monkeypatch.setattr(assemblies, "ATTEMPTS", 5)
+    monkeypatch.setattr(assemblies, "MAX_ATTEMPTS", 5)
     monkeypatch.setattr(assemblies, "check_assembly", check)
-    monkeypatch.setattr(assemblies, "_mistakable", lambda *_: False)
+    monkeypatch.setattr(assemblies, "_fits_in_other_slot", lambda *_: False)
     asked = build.replace(MINI, kits=(2, 2))
     summary = generate(asked, tmp_path, workers=1, sources=sources)
     assert summary["redraws"]["assemblies"] == {"too narrow": 2 * assemblies.MAX_ATTEMPTS, assemblies.FEWER_KITS: 4}

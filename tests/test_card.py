@@ -10,7 +10,7 @@ from itertools import chain
 import pytest
 
 from kit1000.dataset.schema import SceneTruth
-from kit1000.generation.card import FILES, READ, card_bytes, citation, listed
+from kit1000.generation.card import FILES, READING_EXAMPLE, card_bytes, citation, files_by_pattern
 from kit1000.values import Query, View
 from tests.card_samples import summary, withheld
 
@@ -67,7 +67,7 @@ def test_the_head_is_read_by_machines() -> None:
 
 def test_every_file_is_explained() -> None:
     files = summary()["files"]
-    explained = listed(summary())
+    explained = files_by_pattern(summary())
     assert sorted(name for names in explained.values() for name in names) == sorted(files)
     rows = {row[0].strip("`"): int(row[1]) for row in table_below(card(summary()), "Files")[1:]}
     assert rows == {name: len(names) for name, names in explained.items()} | {"dataset.json": 1, "croissant.json": 1}
@@ -104,11 +104,11 @@ def test_the_citation_names_this_very_dataset() -> None:
 def test_the_shown_code_uses_what_there_is() -> None:
     from kit1000.dataset.reader import Dataset, RecordedScene, Split
 
-    names = {node.attr for node in ast.walk(ast.parse(READ)) if isinstance(node, ast.Attribute)}
+    names = {node.attr for node in ast.walk(ast.parse(READING_EXAMPLE)) if isinstance(node, ast.Attribute)}
     there = chain.from_iterable(map(dir, (Dataset, Split, RecordedScene, Query)))
     fields = chain.from_iterable(kind.__dataclass_fields__ for kind in (View, SceneTruth, Query))
     assert names <= {*there, *fields}
-    assert len(READ.splitlines()) <= 12
+    assert len(READING_EXAMPLE.splitlines()) <= 12
 
 
 @pytest.mark.parametrize("of", [summary, withheld])

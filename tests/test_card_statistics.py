@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kit1000.generation import card_statistics
-from kit1000.generation.card_statistics import binned, bins, merged, pair_statistics, statistics, track_of
+from kit1000.generation.card_statistics import add_up, bin_name, bin_names, part_statistics, scene_statistics, track_of
 from tests.card_samples import PAIRS, tables, truth
 
 EDGES = [edges for name, edges in vars(card_statistics).items() if isinstance(edges, tuple) and name.isupper()]
@@ -26,7 +26,7 @@ def leaves(tree: object) -> list[int]:
 
 
 def test_a_scene_is_counted_by_hand() -> None:
-    found = statistics([truth()])
+    found = scene_statistics([truth()])
     assert found["scenes"] == 1
     assert found["parts"] == 2
     assert found["kits"] == {"2": 1}
@@ -45,15 +45,15 @@ def test_a_scene_is_counted_by_hand() -> None:
 @given(st.lists(st.floats(0, 0.05), max_size=6), st.integers(0, 6))
 def test_figures_do_not_depend_on_how_scenes_are_dealt_out(offs: list[float], cut: int) -> None:
     scenes = [truth(off=off) for off in offs]
-    whole = statistics(scenes)
-    assert merged([statistics(scenes[cut:]), statistics(scenes[:cut])]) == whole
-    assert merged(statistics([scene]) for scene in reversed(scenes)) == whole
+    whole = scene_statistics(scenes)
+    assert add_up([scene_statistics(scenes[cut:]), scene_statistics(scenes[:cut])]) == whole
+    assert add_up(scene_statistics([scene]) for scene in reversed(scenes)) == whole
     assert json.loads(json.dumps(whole)) == whole
 
 
 @given(st.lists(TREES, max_size=4).filter(lambda trees: len({*map(shape, trees)}) <= 1))
 def test_sums_hold_every_count(trees: list[dict]) -> None:
-    assert sum(leaves(merged(trees))) == sum(sum(leaves(tree)) for tree in trees)
+    assert sum(leaves(add_up(trees))) == sum(sum(leaves(tree)) for tree in trees)
 
 
 def shape(tree: object) -> int:
@@ -62,16 +62,16 @@ def shape(tree: object) -> int:
 
 @given(st.sampled_from(EDGES), st.floats(0, 100))
 def test_every_number_has_one_bin_that_holds_it(edges: tuple[int, ...], value: float) -> None:
-    name = binned(value, edges)
-    assert name in bins(edges)
+    name = bin_name(value, edges)
+    assert name in bin_names(edges)
     low, _, high = name.partition("-")
     assert float(low.rstrip("+")) <= value
     assert value < float(high or "inf") or value == edges[-1] == 100
 
 
 def test_bins_are_named_in_order() -> None:
-    assert bins((0, 5, 15)) == ["0-5", "5-15", "15+"]
-    assert bins((0, 50, 100)) == ["0-50", "50-100"]
+    assert bin_names((0, 5, 15)) == ["0-5", "5-15", "15+"]
+    assert bin_names((0, 50, 100)) == ["0-50", "50-100"]
 
 
 @pytest.mark.parametrize(
@@ -91,9 +91,9 @@ def test_pairs_are_counted_by_family_symmetry_and_keyedness() -> None:
     parts, kits = (list(tables()[name].values()) for name in PAIRS)
     kits[0] = kits[0] | {"keyedness": None}
     kits[1] = kits[1] | {"keyedness": 0.0872664625997}  # 5 degrees, but for the last bits
-    found = pair_statistics(parts, kits)
+    found = part_statistics(parts, kits)
     assert found["pairs"] == len(parts)
     assert found["part_family"] == Counter(row["family"] for row in parts)
     assert found["symmetry"] == {"C2": len(parts)}
     assert found["keyedness_deg"] == {"20-30": len(parts) - 2, "any turn seats": 1, "5-10": 1}
-    assert pair_statistics([], []) == {}
+    assert part_statistics([], []) == {}

@@ -212,7 +212,7 @@ def test_a_dataset_begun_is_told_from_none(
         raise KeyboardInterrupt
 
     corners(tmp_path / "files", (24,))
-    monkeypatch.setattr(build, "_finish", interrupt)
+    monkeypatch.setattr(build, "_write_summary", interrupt)
     line = ["generate", "tiny", "--out", f"{tmp_path}/out", "--parts", f"{tmp_path}/files", "--workers", "1"]
     assert main(line) == 130
     assert capsys.readouterr().err == "kit1000: interrupted; run the same command again to continue\n"

@@ -29,7 +29,19 @@ from kit1000.dataset.schema import Observation
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.values import View
-from tests.recorded import BIG, CAMERA, POSE, further, observation, query, same, same_pose, truth, write, write_truth
+from tests.recorded import (
+    BIG,
+    CAMERA,
+    POSE,
+    extra_views,
+    observation,
+    query,
+    same,
+    same_pose,
+    truth,
+    write,
+    write_truth,
+)
 from tests.strategies import poses
 
 
@@ -61,9 +73,9 @@ def test_observations_come_back_to_the_bit(seen: Path) -> None:
 
 
 def test_views_of_further_cameras_come_back_in_order(tmp_path: Path) -> None:
-    file = ObservationFile(write(tmp_path / "seen.three.mcap", [further()]))
+    file = ObservationFile(write(tmp_path / "seen.three.mcap", [extra_views()]))
     assert file.view_keys("test-s0000")[:3] == ("three/0/ideal", "three/0/d415", "three/1/ideal")
-    assert same(file.observation("test-s0000"), further())
+    assert same(file.observation("test-s0000"), extra_views())
     assert file.labels("test-s0000") is None
 
 
@@ -159,7 +171,7 @@ def test_small_messages_come_first(seen: Path) -> None:
 
 
 def test_viewers_find_a_calibration_and_a_frame_for_every_depth_image(tmp_path: Path, seen: Path) -> None:
-    for path in (seen, write(tmp_path / "three.mcap", [further()])):
+    for path in (seen, write(tmp_path / "three.mcap", [extra_views()])):
         with open(path, "rb") as file:
             channels = {c.topic: s for s, c, _ in make_reader(file).iter_messages() if s is not None}
         depths = [topic for topic in channels if topic.endswith("/depth")]

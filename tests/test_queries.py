@@ -18,7 +18,7 @@ from kit1000.camera import Camera, look_at
 from kit1000.dataset.tables import Row, pose_of
 from kit1000.errors import InputError
 from kit1000.generation.queries import PAPER_TILT, PartInScene, _largest_roll_or_pitch, eligible, scene_queries
-from kit1000.guesses import MAX_ANGLE, FIXED_LEVELS, LEVELS, MAX_OFFSET, level_angle, level_offset
+from kit1000.guesses import FIXED_LEVELS, LEVELS, MAX_ANGLE, MAX_OFFSET, level_angle, level_offset
 from kit1000.motions import apply_error, error_of
 from kit1000.pivots import part_pivots
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
@@ -96,7 +96,7 @@ def stage(**changes: Any) -> Stage:
         part(1, 40.0, goals=4),
         part(2, 30.0, mode=TUMBLED, goals=2),
         part(3, 12.0, free=True),
-        replace(part(4), unseen="slot turned away"),
+        replace(part(4), rejection="slot turned away"),
     )
     return replace(Stage(parts, views, labels), **changes)
 

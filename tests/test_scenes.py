@@ -19,12 +19,12 @@ from kit1000.dataset.tables import Row, pose_of
 from kit1000.errors import Redraw
 from kit1000.generation import scenes
 from kit1000.generation.plan import draw_assembly_of
-from kit1000.generation.scenes import FIRST_CAVITY, LAYOUTS, VIEWS, MadeScene, make_scene
+from kit1000.generation.scenes import FIRST_CAVITY_LABEL, MAX_LAYOUTS, MAX_VIEWS, GeneratedScene, make_scene
 from kit1000.kits.assembly import build_assembly, check_assembly
-from kit1000.kits.contact import ridges
-from kit1000.kits.goals import nearest_turn
+from kit1000.kits.contact import convex_edges
+from kit1000.kits.goals import nearest_about_axis
 from kit1000.kits.kit import make_kit
-from kit1000.kits.seating import Plug, contact_raise, verdict
+from kit1000.kits.seating import InsertedPart, contact_offset, seating_result
 from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
 from kit1000.pose import Pose, quaternion_angle
@@ -48,9 +48,9 @@ class Play:
 
     assembly: Assembly
     parts: dict[str, Part]
-    scene: MadeScene
+    scene: GeneratedScene
 
-    def again(self, **changes: Any) -> MadeScene:
+    def again(self, **changes: Any) -> GeneratedScene:
         return make_scene(replace(MINI, **changes), SEED, "test", self.assembly, self.parts, True)
 
     @property
@@ -83,7 +83,7 @@ def play() -> Play:
     for attempt in range(60):
         draw = draw_assembly_of(MINI, SEED, TARGET, len(kits), attempt)
         try:
-            assembly = build_assembly(TARGET, [kits[i] for i in draw.order], draw.placing)
+            assembly = build_assembly(TARGET, [kits[i] for i in draw.order], draw.placement)
             check_assembly(assembly, parts)
         except Redraw:
             continue
@@ -91,15 +91,15 @@ def play() -> Play:
     raise AssertionError
 
 
-def cast_of(made: MadeScene) -> list[Row]:
+def cast_of(made: GeneratedScene) -> list[Row]:
     return list(made.truth.parts)
 
 
-def alike(one: MadeScene, other: MadeScene, sensors: tuple[str, ...] = ("ideal", "d415")) -> bool:
+def alike(one: GeneratedScene, other: GeneratedScene, sensors: tuple[str, ...] = ("ideal", "d415")) -> bool:
     """To the bit, as far as some sensors go."""
     images = all(
         getattr(one, kind).views[key].depth.tobytes() == getattr(other, kind).views[key].depth.tobytes()
-        for kind in ("observation", "further")
+        for kind in ("observation", "extra_views")
         for key in getattr(one, kind).views
         if key.rpartition("/")[2] in sensors
     )
@@ -129,7 +129,7 @@ def test_the_same_draws_give_the_same_scene(play: Play) -> None:
 def test_another_seed_is_another_scene(play: Play) -> None:
     other = make_scene(MINI, SEED + 1, "test", play.assembly, play.parts, False)
     assert not np.allclose(other.truth.world_from_assembly.xyz, play.scene.truth.world_from_assembly.xyz)
-    assert other.further is None
+    assert other.extra_views is None
 
 
 def test_what_is_asked_changes_neither_the_scene_nor_what_is_seen(play: Play) -> None:
@@ -142,8 +142,8 @@ def test_what_is_asked_changes_neither_the_scene_nor_what_is_seen(play: Play) ->
 
 
 def test_noise_is_drawn_for_each_sensor_and_camera_and_moves_nothing(play: Play) -> None:
-    assert play.scene.further is not None
-    views = {**play.scene.observation.views, **play.scene.further.views}
+    assert play.scene.extra_views is not None
+    views = {**play.scene.observation.views, **play.scene.extra_views.views}
     errors = {}
     for key in ("", "three/0/", "three/1/", "three/2/"):
         ideal, measured = views[f"{key}ideal"].depth, views[f"{key}d415"].depth
@@ -181,17 +181,17 @@ def test_all_else_is_the_top_of_the_table_or_nothing(play: Play) -> None:
 
 def test_masks_and_segmentation_speak_of_the_same_bodies(play: Play) -> None:
     seg, n = play.scene.truth.seg, len(play.parts)
-    assert ((play.labels == ASSEMBLY_LABEL) == ((seg == 2) | (seg >= FIRST_CAVITY))).all()
+    assert ((play.labels == ASSEMBLY_LABEL) == ((seg == 2) | (seg >= FIRST_CAVITY_LABEL))).all()
     for i in range(n):
         assert ((play.labels == FIRST_PART_LABEL + i) == (seg == 3 + i)).all()
         assert np.count_nonzero(seg == 3 + i) == play.scene.truth.parts[i]["pixels"]
-    assert set(np.unique(seg)) <= {0, 1, 2, *range(3, 3 + n), *range(FIRST_CAVITY, FIRST_CAVITY + n)}
+    assert set(np.unique(seg)) <= {0, 1, 2, *range(3, 3 + n), *range(FIRST_CAVITY_LABEL, FIRST_CAVITY_LABEL + n)}
 
 
 def test_pixels_of_a_cavity_lie_inside_it_and_on_its_kit(play: Play) -> None:
     seg, world = play.scene.truth.seg, play.scene.truth.world_from_assembly
     for k, mount in enumerate(play.assembly.mounts):
-        chosen = seg == FIRST_CAVITY + k
+        chosen = seg == FIRST_CAVITY_LABEL + k
         if not chosen.any():
             continue
         points = (world @ mount.assembly_from_kit).inverse().apply(play.points(chosen))
@@ -199,7 +199,7 @@ def test_pixels_of_a_cavity_lie_inside_it_and_on_its_kit(play: Play) -> None:
         assert (points[:, 2] < 0).all()
         assert (points[:, 2] > -mount.kit.slot.depth - NEAR).all()
         assert distances(points, mount.kit.mesh).max() < NEAR
-    assert (seg >= FIRST_CAVITY).any()
+    assert (seg >= FIRST_CAVITY_LABEL).any()
 
 
 def test_a_pixel_deep_in_a_plate_s_block_is_of_its_cavity(play: Play) -> None:
@@ -207,7 +207,7 @@ def test_a_pixel_deep_in_a_plate_s_block_is_of_its_cavity(play: Play) -> None:
     for k, mount in enumerate(play.assembly.mounts):
         inside = (play.scene.truth.world_from_assembly @ mount.assembly_from_kit).inverse().apply(points)
         low, high = mount.kit.extent * (-0.5, -0.5, -1) + 1e-3, mount.kit.extent * (0.5, 0.5, 0) - 1e-3
-        assert (seg[((inside > low) & (inside < high)).all(1)] == FIRST_CAVITY + k).all()
+        assert (seg[((inside > low) & (inside < high)).all(1)] == FIRST_CAVITY_LABEL + k).all()
 
 
 def test_a_part_stands_in_the_order_that_the_truth_gives(play: Play) -> None:
@@ -226,7 +226,7 @@ def test_the_place_in_the_order_tells_nothing_of_the_mount() -> None:
 
     def order(k: int) -> tuple[int, ...]:
         assembly = cast(Assembly, SimpleNamespace(id=f"test-{k:04d}", mounts=mounts))
-        return scenes._cast(MINI, 1, "test", assembly, parts).mounts
+        return scenes._scene_parts(MINI, 1, "test", assembly, parts).mounts
 
     counts = Counter(map(order, range(1200)))
     assert len(counts) == 6
@@ -236,7 +236,7 @@ def test_the_place_in_the_order_tells_nothing_of_the_mount() -> None:
 def is_goal_of(slot: Any, world_from_kit: Pose, world_from_part: Pose) -> bool:
     """Whether a pose is one of the slot's goals, turned about the free axis at most."""
     found = world_from_kit.inverse() @ world_from_part
-    goals = slot.goals if slot.free_axis is None else [nearest_turn(found, g, slot.free_axis) for g in slot.goals]
+    goals = slot.goals if slot.free_axis is None else [nearest_about_axis(found, g, slot.free_axis) for g in slot.goals]
     return any(
         np.linalg.norm(found.xyz - goal.xyz) < 1e-9 and quaternion_angle(found.wxyz, goal.wxyz) < 1e-7 for goal in goals
     )
@@ -244,16 +244,16 @@ def is_goal_of(slot: Any, world_from_kit: Pose, world_from_part: Pose) -> bool:
 
 def test_every_goal_that_was_drawn_is_one_of_the_slot_and_seats(play: Play) -> None:
     assert play.scene.truth.queries
-    standing = ridges(play.assembly.mesh)
+    standing = convex_edges(play.assembly.mesh)
     for truth in play.scene.truth.queries.values():
         row = play.scene.truth.parts[truth["part"]]
         mount, part = play.assembly.mounts[row["mount"]], play.part(truth["part"])
         world_from_goal = pose_of(truth["goal_drawn"]) @ pose_of(row["world_from_part"])
         assert is_goal_of(mount.kit.slot, pose_of(row["world_from_kit"]), world_from_goal)
-        plug = Plug.of(part.mesh, mount.kit.slot.kit_from_part)
-        rise = contact_raise(plug, standing, play.scene.truth.world_from_assembly.inverse() @ world_from_goal)
+        plug = InsertedPart.of(part.mesh, mount.kit.slot.kit_from_part)
+        rise = contact_offset(plug, standing, play.scene.truth.world_from_assembly.inverse() @ world_from_goal)
         at_goal = pose_of(row["world_from_kit"]).inverse() @ world_from_goal
-        found = verdict(rise, plug, at_goal, at_goal, mount.kit.slot.depth)
+        found = seating_result(rise, plug, at_goal, at_goal, mount.kit.slot.depth)
         assert found.seated
         assert found.strict
 
@@ -287,7 +287,7 @@ def stored_plays(root: Path) -> list[Play]:
         for scene_id in held:
             truth = TruthFile(root / shard.replace(".mcap", ".truth.mcap")).truth(scene_id)
             parts = {row["part_id"]: geometry.part(row["part_id"]) for row in truth.parts}
-            made = MadeScene(ObservationFile(root / shard).observation(scene_id), truth, None, ())
+            made = GeneratedScene(ObservationFile(root / shard).observation(scene_id), truth, None, ())
             plays.append(Play(geometry.assembly(truth.assembly_id), parts, made))
     return plays
 
@@ -351,30 +351,30 @@ def test_views_that_fail_are_drawn_again_and_counted(play: Play, monkeypatch: py
 
 
 def test_a_layout_without_a_good_view_is_drawn_again(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenes, "refused", first(VIEWS, Redraw("part mostly hidden"), scenes.refused))
+    monkeypatch.setattr(scenes, "redraw_for", first(MAX_VIEWS, Redraw("part mostly hidden"), scenes.redraw_for))
     again = play.again(tracks=("snap",))
-    assert again.redraws[:VIEWS] == ("part mostly hidden",) * VIEWS
+    assert again.redraws[:MAX_VIEWS] == ("part mostly hidden",) * MAX_VIEWS
     assert again.truth.world_from_assembly.xyz != pytest.approx(play.scene.truth.world_from_assembly.xyz)
 
 
 def test_a_layout_that_does_not_rest_is_drawn_again(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenes, "lay_out", first(2, Redraw("parts touch"), scenes.lay_out))
+    monkeypatch.setattr(scenes, "lay_out", first(2, Redraw("parts touch"), scenes.simulate_layout))
     assert play.again(tracks=("snap",)).redraws[:2] == ("parts touch", "parts touch")
 
 
 def test_a_scene_that_no_layout_shows_says_why(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenes, "lay_out", first(LAYOUTS, Redraw("parts touch"), scenes.lay_out))
+    monkeypatch.setattr(scenes, "lay_out", first(MAX_LAYOUTS, Redraw("parts touch"), scenes.simulate_layout))
     with pytest.raises(Redraw) as caught:
         play.again()
-    assert caught.value.reason == f"none of {LAYOUTS} layouts passes, mostly: parts touch"
+    assert caught.value.reason == f"none of {MAX_LAYOUTS} layouts passes, mostly: parts touch"
 
 
 def test_a_view_is_drawn_from_a_stream_of_its_own(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
-    known = scenes.draw_primary
+    known = scenes.draw_primary_pose
     poses = []
     monkeypatch.setattr(scenes, "draw_primary", lambda rng: poses.append(known(rng)) or poses[-1])
     made = play.again(tracks=("snap",))
     k = len(poses) - 1
-    assert k < VIEWS
+    assert k < MAX_VIEWS
     alone = known(stream(SEED, "view", made.observation.scene_id, 0, k))
     assert alone.xyz == pytest.approx(made.observation.views["ideal"].world_from_camera.xyz, abs=0)

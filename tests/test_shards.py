@@ -20,10 +20,10 @@ from kit1000.files import read_json
 from kit1000.generation import shards as module
 from kit1000.generation.build import generate
 from kit1000.generation.card import card_bytes
-from kit1000.generation.card_statistics import merged, statistics
-from kit1000.generation.parts_and_kits import BUILD
+from kit1000.generation.card_statistics import add_up, scene_statistics
+from kit1000.generation.parts_and_kits import BUILD_FOLDER
 from kit1000.generation.plan import scene_id_of
-from kit1000.generation.shards import FURTHER, SEEN, TRUE, make_shard, shards
+from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS, TRUTH, make_shard, shard_jobs
 from kit1000.generation.verify import verify
 
 ROOT = Path("root")
@@ -36,7 +36,7 @@ def planned(count: int) -> list[str]:
 @given(st.integers(0, 120), st.sets(st.integers(0, 119)))
 def test_shards_hold_every_usable_assembly_once_and_never_too_many(count: int, gone: set[int]) -> None:
     usable = {i for k, i in enumerate(planned(count)) if k not in gone}
-    jobs = shards(ROOT, MINI, 7, "train", planned(count), usable)
+    jobs = shard_jobs(ROOT, MINI, 7, "train", planned(count), usable)
     assert [i for job in jobs for i in job.assemblies] == sorted(usable)
     assert all(0 < len(job.assemblies) <= SCENES_PER_SHARD for job in jobs)
 
@@ -44,19 +44,19 @@ def test_shards_hold_every_usable_assembly_once_and_never_too_many(count: int, g
 @given(st.integers(1, 120), st.sets(st.integers(0, 119)))
 def test_what_cannot_be_made_moves_nothing_to_another_shard(count: int, gone: set[int]) -> None:
     usable = {i for k, i in enumerate(planned(count)) if k not in gone}
-    whole = {i: job.id for job in shards(ROOT, MINI, 7, "train", planned(count), set(planned(count)))
+    whole = {i: job.id for job in shard_jobs(ROOT, MINI, 7, "train", planned(count), set(planned(count)))
              for i in job.assemblies}  # fmt: skip
-    left = {i: job.id for job in shards(ROOT, MINI, 7, "train", planned(count), usable) for i in job.assemblies}
+    left = {i: job.id for job in shard_jobs(ROOT, MINI, 7, "train", planned(count), usable) for i in job.assemblies}
     assert left == {i: whole[i] for i in usable}
 
 
 def refusing(*assembly_ids: str) -> Callable[..., Any]:
     """Sketches of scenes, but for assemblies that no layout shows."""
 
-    def make(preset: Any, seed: int, split: str, assembly: Any, parts: Any, further: bool) -> Any:
+    def make(preset: Any, seed: int, split: str, assembly: Any, parts: Any, extra_views: bool) -> Any:
         if assembly.id in assembly_ids:
             raise Redraw("none of 60 layouts passes, mostly: parts touch")
-        return sketched(preset, seed, split, assembly, parts, further)
+        return sketched(preset, seed, split, assembly, parts, extra_views)
 
     return make
 
@@ -101,25 +101,25 @@ def test_redraws_and_figures_are_those_of_the_scenes(tmp_path: Path) -> None:
     assert summary["redraws"]["scenes"] == {"parts touch": sum(sizes)}
     for split in ("train", "val", "test"):
         paths = [tmp_path / "data" / name for name in summary["shards"] if name.startswith(split)]
-        files = [TruthFile(path.with_suffix(TRUE)) for path in paths]
-        figures = merged(statistics([file.truth(i)]) for file in files for i in file.scene_ids)
+        files = [TruthFile(path.with_suffix(TRUTH)) for path in paths]
+        figures = add_up(scene_statistics([file.truth(i)]) for file in files for i in file.scene_ids)
         assert figures.items() <= summary["statistics"][split].items()
 
 
 def test_the_files_of_a_shard_hold_the_same_scenes(mini: Path) -> None:
     for shard, held in read_json(mini / "dataset.json")["shards"].items():
         path = mini / shard
-        assert list(ObservationFile(path).scene_ids) == list(TruthFile(path.with_suffix(TRUE)).scene_ids) == held
-        further = path.with_suffix(FURTHER)
-        assert further.is_file() == shard.startswith("test/")
-        assert not further.is_file() or list(ObservationFile(further).scene_ids) == held
+        assert list(ObservationFile(path).scene_ids) == list(TruthFile(path.with_suffix(TRUTH)).scene_ids) == held
+        extra_views = path.with_suffix(EXTRA_VIEWS)
+        assert extra_views.is_file() == shard.startswith("test/")
+        assert not extra_views.is_file() or list(ObservationFile(extra_views).scene_ids) == held
 
 
 def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sketches: None) -> None:
     jobs = []
     known = make_shard
     monkeypatch.setattr("kit1000.generation.build.make_shard", lambda job: jobs.append(job) or known(job))
-    monkeypatch.setattr("kit1000.generation.build._finish", lambda *_: {})
+    monkeypatch.setattr("kit1000.generation.build._write_summary", lambda *_: {})
     generate(MINI, tmp_path / "data", workers=1, sources=corners(tmp_path / "files"))
     records = [make_shard(job) for job in jobs]
     monkeypatch.setattr(module, "make_scene", refusing("train-0000", "train-0001", "val-0000", "test-0000"))
@@ -133,9 +133,11 @@ def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_record_lists_its_files_by_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sketches: None) -> None:
-    monkeypatch.setattr("kit1000.generation.build._finish", lambda *_: {})
+    monkeypatch.setattr("kit1000.generation.build._write_summary", lambda *_: {})
     generate(MINI, tmp_path / "data", workers=1, sources=corners(tmp_path / "files"))
     found = contents(tmp_path / "data")
-    record = read_json(tmp_path / "data" / BUILD / "shards/test/0000.json")
-    assert record["files"] == {f"test/0000{ending}": found[f"test/0000{ending}"] for ending in (SEEN, TRUE, FURTHER)}
+    record = read_json(tmp_path / "data" / BUILD_FOLDER / "shards/test/0000.json")
+    assert record["files"] == {
+        f"test/0000{ending}": found[f"test/0000{ending}"] for ending in (OBSERVATIONS, TRUTH, EXTRA_VIEWS)
+    }
     assert Counter(record["redraws"]).keys() == {"parts touch"}

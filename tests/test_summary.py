@@ -16,10 +16,10 @@ from mini import MINI, contents
 from kit1000.dataset.reader import Dataset
 from kit1000.files import json_bytes, read_json
 from kit1000.generation.card import card_bytes
-from kit1000.generation.card_statistics import merged, pair_statistics, statistics
+from kit1000.generation.card_statistics import add_up, part_statistics, scene_statistics
 from kit1000.generation.croissant import croissant_bytes
 from kit1000.generation.plan import DATA_VERSION, dataset_id, make_plan
-from kit1000.generation.summary import refused_files, sealed
+from kit1000.generation.summary import refused_files, summary_bytes
 from kit1000.tracks import SPLITS
 
 JSON = st.recursive(
@@ -36,11 +36,11 @@ def summary(mini: Path) -> dict[str, Any]:
 
 @given(st.dictionaries(st.text(), JSON, max_size=4))
 def test_a_seal_holds_for_what_is_read_back_and_for_nothing_else(values: dict[str, Any]) -> None:
-    data = sealed(values)
-    assert sealed(json.loads(data)) == data
+    data = summary_bytes(values)
+    assert summary_bytes(json.loads(data)) == data
     plain = {key: value for key, value in values.items() if key != "checksum"}
     assert json.loads(data) == plain | {"checksum": hashlib.sha256(json_bytes(plain)).hexdigest()}
-    assert sealed({**json.loads(data), "more": 1}) != data
+    assert summary_bytes({**json.loads(data), "more": 1}) != data
 
 
 def test_identity_and_configuration_are_those_of_the_plan(mini: Path, summary: dict[str, Any]) -> None:
@@ -71,7 +71,7 @@ def test_figures_are_those_of_the_truth_and_the_tables(mini: Path, summary: dict
     for split in SPLITS:
         parts, kits = ([row for row in table.values() if row["split"] == split] for table in tables)
         truths = [scene.truth for scene in Dataset(mini).split(split, truth=True)]
-        assert summary["statistics"][split] == merged([statistics(truths), pair_statistics(parts, kits)])
+        assert summary["statistics"][split] == add_up([scene_statistics(truths), part_statistics(parts, kits)])
 
 
 def test_files_are_all_there_with_their_hashes(mini: Path, summary: dict[str, Any]) -> None:

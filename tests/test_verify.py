@@ -22,8 +22,8 @@ from kit1000.errors import InputError
 from kit1000.files import json_bytes, read_json
 from kit1000.generation import rebuild
 from kit1000.generation.build import generate
-from kit1000.generation.rebuild import observation_faults, scene_faults, truth_faults
-from kit1000.generation.summary import sealed
+from kit1000.generation.rebuild import observation_differences, scene_differences, truth_differences
+from kit1000.generation.summary import summary_bytes
 from kit1000.generation.verify import verify
 from kit1000.pose import Pose
 from kit1000.values import View
@@ -126,7 +126,7 @@ def resealed(root: Path, name: str, data: bytes) -> None:
     (root / name).write_bytes(data)
     summary = read_json(root / "dataset.json")
     summary["files"][name] = sha256(data).hexdigest()
-    (root / "dataset.json").write_bytes(sealed(summary))
+    (root / "dataset.json").write_bytes(summary_bytes(summary))
 
 
 def exactly(patch: pytest.MonkeyPatch) -> None:
@@ -138,7 +138,7 @@ def exactly(patch: pytest.MonkeyPatch) -> None:
 
 def test_a_scene_built_again_is_the_same_to_the_bit(mini: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     exactly(monkeypatch)
-    assert scene_faults(Geometry(mini), read_json(mini / "plan.json"), "val-s0000") == []
+    assert scene_differences(Geometry(mini), read_json(mini / "plan.json"), "val-s0000") == []
 
 
 @pytest.mark.slow
@@ -158,7 +158,7 @@ def test_scenes_of_parts_from_files_are_built_again(of_files: Path, monkeypatch:
 
 
 def test_a_sample_is_the_same_whenever_it_is_drawn(of_files: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("kit1000.generation.verify.scene_faults", lambda *_: [])
+    monkeypatch.setattr("kit1000.generation.verify.scene_differences", lambda *_: [])
     samples = [verify(of_files, sample).rebuilt for sample in (1, 2, 3)]
     assert samples == [verify(of_files, sample).rebuilt for sample in (1, 2, 3)]
     assert set(samples[0]) < set(samples[1]) < set(samples[2])
@@ -188,7 +188,7 @@ def test_a_depth_changed_with_all_its_hashes_is_found(of_files: Path, tmp_path: 
         writer.add(with_view(seen, "d415", lambda view: View(view.camera, view.world_from_camera, raised(view.depth))))
     resealed(root, "val/0000.mcap", (root / "val/0000.mcap").read_bytes())
     assert said_nothing(root)
-    faults = scene_faults(Geometry(root), read_json(root / "plan.json"), "val-s0000")
+    faults = scene_differences(Geometry(root), read_json(root / "plan.json"), "val-s0000")
     assert faults == ["d415: depths differ"]
 
 
@@ -197,7 +197,7 @@ def test_a_goal_changed_with_all_its_hashes_is_found(copy: Path) -> None:
     kits["val-0000"]["goals"][0] = shifted(kits["val-0000"]["goals"][0])
     resealed(copy, "kits.json", json_bytes(kits))
     assert said_nothing(copy)
-    faults = scene_faults(Geometry(copy), read_json(copy / "plan.json"), "val-s0000")
+    faults = scene_differences(Geometry(copy), read_json(copy / "plan.json"), "val-s0000")
     assert faults == ["kit val-0000: differs"]
 
 
@@ -273,13 +273,13 @@ def recorded(mini: Path) -> tuple[Observation, SceneTruth]:
 
 @pytest.mark.parametrize("said", SEEN)
 def test_a_difference_in_what_was_seen_is_named(said: str, recorded: tuple[Observation, SceneTruth]) -> None:
-    (fault,) = observation_faults(recorded[0], SEEN[said](recorded[0]))
+    (fault,) = observation_differences(recorded[0], SEEN[said](recorded[0]))
     assert fault.startswith(said.strip())
 
 
 @pytest.mark.parametrize("said", TRUE)
 def test_a_difference_in_what_is_so_is_named(said: str, recorded: tuple[Observation, SceneTruth]) -> None:
-    (fault,) = truth_faults(recorded[1], TRUE[said](recorded[1]))
+    (fault,) = truth_differences(recorded[1], TRUE[said](recorded[1]))
     assert fault.startswith(said.strip())
 
 
@@ -289,14 +289,14 @@ def test_what_another_processor_may_do_is_no_fault(recorded: tuple[Observation, 
         with_query(seen, "pivot", lambda at: [at[0] + 1e-4, *at[1:]]), "guess", lambda g: shifted(g, 1e-4)
     )
     specks = with_view(flips, "ideal", lambda view: moved(replace(view, depth=spotted(view.depth, 9e-4)), 1e-6))
-    assert observation_faults(seen, replace(specks, labels=spotted(seen.labels, 9e-4))) == []  # type: ignore[arg-type]
+    assert observation_differences(seen, replace(specks, labels=spotted(seen.labels, 9e-4))) == []  # type: ignore[arg-type]
     near = with_part(with_part(truth, "world_from_part", lambda row: shifted(row, 9e-6)), "pixels", lambda n: n + 3)
-    assert truth_faults(truth, replace(near, seg=spotted(truth.seg, 9e-4))) == []
+    assert truth_differences(truth, replace(near, seg=spotted(truth.seg, 9e-4))) == []
 
 
 def test_data_of_another_version_is_not_built_again(copy: Path) -> None:
     summary = read_json(copy / "dataset.json") | {"data_version": "0.1.9"}
-    (copy / "dataset.json").write_bytes(sealed(summary))
+    (copy / "dataset.json").write_bytes(summary_bytes(summary))
     found = verify(copy, sample=1)
     assert (found.faults, found.rebuilt) == ((), ())
     assert found.notes[0].startswith("nothing built again: made as data version 0.1.9, this kit1000 makes ")

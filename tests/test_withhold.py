@@ -138,7 +138,7 @@ def of_meshes(whole: Path) -> set[bytes]:
 
 
 def test_no_byte_of_the_open_folder_tells_the_seed_a_pose_or_a_mesh(pair: Pair) -> None:
-    plan, secret = read_json(pair.whole / "plan.json"), read_json(pair.whole / withhold.SECRET)
+    plan, secret = read_json(pair.whole / "plan.json"), read_json(pair.whole / withhold.SECRET_FILE)
     seed = of_seed(plan["seed"], dataset_id(plan)) | {secret["salt"].encode()}
     poses, meshes = of_poses(pair.whole), of_meshes(pair.whole)
     assert not occurring(pair.shown, seed | poses | meshes)
@@ -151,7 +151,7 @@ def test_no_byte_of_the_open_folder_tells_the_seed_a_pose_or_a_mesh(pair: Pair) 
 def test_the_open_folder_has_neither_plan_nor_truth_nor_anything_of_the_test_parts(pair: Pair) -> None:
     names = set(contents(pair.shown))
     assert not [name for name in names if "truth" in name and name.startswith("test")]
-    assert not names & {"plan.json", withhold.SECRET, withhold.BEGUN}
+    assert not names & {"plan.json", withhold.SECRET_FILE, withhold.BEGUN_FILE}
     assert not [name for name in names if name.startswith(("parts/test", "kits/test", "assemblies/test"))]
     assert {"test/0000.mcap", "test/0000.three.mcap", "train/0000.truth.mcap", "parts/val-0000.glb"} < names
     for name in ("parts.json", "kits.json", "assemblies.json"):
@@ -170,13 +170,13 @@ def test_what_is_shown_is_what_the_whole_has(pair: Pair) -> None:
 
 
 def test_the_commitment_is_that_of_the_withheld_files(pair: Pair) -> None:
-    secret, shown = read_json(pair.whole / withhold.SECRET), read_json(pair.shown / "dataset.json")
+    secret, shown = read_json(pair.whole / withhold.SECRET_FILE), read_json(pair.shown / "dataset.json")
     hashes = {name: hashlib.sha256((pair.whole / name).read_bytes()).hexdigest() for name in secret["files"]}
     assert hashes == secret["files"]
     told = hashlib.sha256(secret["salt"].encode() + json_bytes(hashes)).hexdigest()
     assert shown["withheld"] == {"split": "test", "salted_sha256": told}
     assert len(secret["salt"]) == 64
-    kept_back = set(contents(pair.whole)) - set(contents(pair.shown)) - {withhold.SECRET}
+    kept_back = set(contents(pair.whole)) - set(contents(pair.shown)) - {withhold.SECRET_FILE}
     assert set(secret["files"]) == kept_back | {"parts.json", "kits.json", "assemblies.json"}
 
 
@@ -200,7 +200,7 @@ def test_both_folders_pass_and_the_open_one_says_what_it_cannot_show(pair: Pair)
 
 
 def read_secret(pair: Pair) -> dict[str, Any]:
-    return read_json(pair.whole / withhold.SECRET)
+    return read_json(pair.whole / withhold.SECRET_FILE)
 
 
 def test_the_same_command_again_changes_nothing(quick: list[str], tmp_path: Path) -> None:
@@ -247,7 +247,7 @@ def test_an_interrupted_run_goes_on_as_the_same_dataset(
             published(tmp_path, *quick)
     assert not (tmp_path / "open/dataset.json").exists()
     seed = read_json(tmp_path / "whole/plan.json")["seed"]
-    secret = tmp_path / "whole" / withhold.SECRET
+    secret = tmp_path / "whole" / withhold.SECRET_FILE
     known_secret = secret.read_bytes() if secret.exists() else None
     pair = published(tmp_path, *quick)
     assert read_json(pair.whole / "plan.json")["seed"] == seed
@@ -278,34 +278,34 @@ def test_one_folder_cannot_be_both(shown: str, tmp_path: Path) -> None:
     (tmp_path / "whole").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "whole")
     with pytest.raises(InputError, match="--withhold: expected a folder apart from --out"):
-        withhold.check_apart(tmp_path / shown, tmp_path / "whole")
+        withhold.check_separate(tmp_path / shown, tmp_path / "whole")
 
 
 def test_a_folder_that_holds_something_else_is_refused(quick: list[str], tmp_path: Path) -> None:
     one, other = published(tmp_path / "a", *quick), published(tmp_path / "b", *quick)
     with pytest.raises(InputError, match="holds a whole dataset: choose another --out"):
-        withhold.check_apart(one.whole, other.whole)
+        withhold.check_separate(one.whole, other.whole)
     for shown, whole in ((one.shown, other.whole), (one.shown, tmp_path / "new"), (tmp_path / "files", one.whole)):
         with pytest.raises(InputError, match=r"is not empty and holds no open part of .*: choose another --out"):
-            withhold.check_apart(shown, whole)
-    withhold.check_apart(one.shown, one.whole)
-    withhold.check_apart(tmp_path / "new", one.whole)
+            withhold.check_separate(shown, whole)
+    withhold.check_separate(one.shown, one.whole)
+    withhold.check_separate(tmp_path / "new", one.whole)
 
 
 def test_a_record_of_what_is_withheld_that_does_not_hold_is_told(quick: list[str], tmp_path: Path) -> None:
     pair = published(tmp_path, *quick)
-    path, secret = pair.whole / withhold.SECRET, read_secret(pair)
+    path, secret = pair.whole / withhold.SECRET_FILE, read_secret(pair)
     changed = {key: {**value, "plan.json": "0"} if key == "files" else value[::-1] for key, value in secret.items()}
     for key, value in changed.items():
         path.write_bytes(json_bytes(secret | {key: value}))
-        assert [fault.partition(":")[0] for fault in verify(pair.whole).faults] == [withhold.SECRET]
+        assert [fault.partition(":")[0] for fault in verify(pair.whole).faults] == [withhold.SECRET_FILE]
         with pytest.raises(InputError, match=r"withheld\.json: .*; restore it, or delete it to publish under another"):
             withhold.publish(pair.whole, pair.shown)
 
 
 def test_answers_left_in_the_open_folder_are_found(quick: list[str], tmp_path: Path) -> None:
     pair = published(tmp_path, *quick)
-    for name in (withhold.SECRET, "plan.json", "test/0000.truth.mcap"):
+    for name in (withhold.SECRET_FILE, "plan.json", "test/0000.truth.mcap"):
         (pair.shown / name).write_bytes((pair.whole / name).read_bytes())
         assert verify(pair.shown).faults == (f"{name}: not a file of this dataset",)
         (pair.shown / name).unlink()

@@ -10,21 +10,21 @@ from kit1000.dataset.mesh_files import glb_bytes, read_glb
 from kit1000.dataset.tables import assembly_of, assembly_row, kit_of, part_of
 from kit1000.errors import Redraw
 from kit1000.files import read_json, sha256
-from kit1000.generation.parts_and_kits import BUILD, Record, finished, save, write_mesh_file
-from kit1000.generation.plan import CANDIDATES, draw_assembly_of
+from kit1000.generation.parts_and_kits import BUILD_FOLDER, Record, finished_record, save_record, write_mesh_file
+from kit1000.generation.plan import MAX_CANDIDATES, draw_assembly_of
 from kit1000.generation.presets import Preset
 from kit1000.kits.assembly import build_assembly, check_assembly
 from kit1000.kits.face import resting_faces
-from kit1000.kits.loose_fits import Stray, Well, foreign_fit
+from kit1000.kits.loose_fits import PreparedKit, PreparedPart, fit_in_other_slot
 from kit1000.values import Assembly, Kit, Part
 
-ATTEMPTS = 60  # placings of one assembly before the check or the draw must be called broken
-REMEMBERED = 1000  # pairs a worker keeps in memory, about a third of a megabyte each
-FEWER = "fewer kits than drawn"
+MAX_ATTEMPTS = 60  # placings of one assembly before the check or the draw must be called broken
+CACHED_MEMBERS = 1000  # pairs a worker keeps in memory, about a third of a megabyte each
+FEWER_KITS = "fewer kits than drawn"
 
 
 @dataclass(frozen=True)
-class GroupJob:
+class AssemblyJob:
     """An assembly to be made."""
 
     root: Path
@@ -34,7 +34,7 @@ class GroupJob:
     split: str
     target: str
     kits: int
-    company: tuple[str, ...]
+    candidates: tuple[str, ...]
     """Usable parts of the split in the order in which they are asked to join."""
 
     def __str__(self) -> str:
@@ -47,19 +47,19 @@ class Member:
 
     part: Part
     kit: Kit
-    stray: Stray
-    well: Well
+    stray: PreparedPart
+    well: PreparedKit
 
 
-def make_group(job: GroupJob) -> Record:
+def make_assembly(job: AssemblyJob) -> Record:
     """Do the job, or find it done, and return its record."""
-    done = finished(job.root, "assemblies", job.assembly_id)
+    done = finished_record(job.root, "assemblies", job.assembly_id)
     if done is not None:
         return done
-    members, rejected = _company(job)
-    assembly, redraws = _placed(job, members)
+    members, rejected = _choose_members(job)
+    assembly, redraws = _place_kits(job, members)
     if len(assembly.mounts) < job.kits:
-        rejected.append(FEWER)
+        rejected.append(FEWER_KITS)
     name = f"assemblies/{job.assembly_id}.glb"
     record = {
         "id": job.assembly_id,
@@ -69,18 +69,18 @@ def make_group(job: GroupJob) -> Record:
         "redraws": redraws + rejected,
         "assembly": assembly_row(assembly) | {"attempt": len(redraws)},
     }
-    return save(job.root, "assemblies", job.assembly_id, record)
+    return save_record(job.root, "assemblies", job.assembly_id, record)
 
 
-def _placed(job: GroupJob, members: list[Member]) -> tuple[Assembly, list[str]]:
+def _place_kits(job: AssemblyJob, members: list[Member]) -> tuple[Assembly, list[str]]:
     """The first placing that passes, and why earlier ones did not; the last of the company goes when none does."""
     redraws: list[str] = []
     for kits in range(len(members), 0, -1):
-        for _ in range(ATTEMPTS):
+        for _ in range(MAX_ATTEMPTS):
             draw = draw_assembly_of(job.preset, job.seed, job.assembly_id, kits, len(redraws))
             placed = [members[i] for i in draw.order]
             try:
-                assembly = build_assembly(job.assembly_id, [member.kit for member in placed], draw.placing)
+                assembly = build_assembly(job.assembly_id, [member.kit for member in placed], draw.placement)
                 check_assembly(assembly, {member.part.id: member.part for member in placed})
                 return assembly, redraws
             except Redraw as refusal:
@@ -88,47 +88,47 @@ def _placed(job: GroupJob, members: list[Member]) -> tuple[Assembly, list[str]]:
     raise Redraw(f"{job}: none of {len(redraws)} placings passes ({redraws[-1]})")
 
 
-def _company(job: GroupJob) -> tuple[list[Member], list[str]]:
+def _choose_members(job: AssemblyJob) -> tuple[list[Member], list[str]]:
     """The target and its company, and the reasons for which candidates were passed over."""
-    members, rejected = [member(job.root, job.target)], []
-    for asked, candidate_id in enumerate(job.company):
-        if len(members) >= (job.kits if asked < CANDIDATES else job.preset.kits[0]):
+    members, rejected = [read_member(job.root, job.target)], []
+    for asked, candidate_id in enumerate(job.candidates):
+        if len(members) >= (job.kits if asked < MAX_CANDIDATES else job.preset.kits[0]):
             break
-        candidate = member(job.root, candidate_id)
-        if any(_mistakable(candidate, other) for other in members):
+        candidate = read_member(job.root, candidate_id)
+        if any(_fits_in_other_slot(candidate, other) for other in members):
             rejected.append("seats in a neighbour's slot")
         else:
             members.append(candidate)
     return members, rejected
 
 
-def _mistakable(a: Member, b: Member) -> bool:
+def _fits_in_other_slot(a: Member, b: Member) -> bool:
     """Whether one of two parts rests on the floor of the other's slot."""
-    return foreign_fit(a.stray, b.well) is not None or foreign_fit(b.stray, a.well) is not None
+    return fit_in_other_slot(a.stray, b.well) is not None or fit_in_other_slot(b.stray, a.well) is not None
 
 
-def pair(root: Path, part_id: str) -> tuple[Part, Kit]:
+def read_part_and_kit(root: Path, part_id: str) -> tuple[Part, Kit]:
     """A part and its kit that are already made, read from their files."""
-    record = read_json(root / BUILD / "parts" / f"{part_id}.json")
+    record = read_json(root / BUILD_FOLDER / "parts" / f"{part_id}.json")
     part = part_of(part_id, record["part"], read_glb(root / f"parts/{part_id}.glb")[part_id])
     return part, kit_of(part_id, record["kit"], read_glb(root / f"kits/{part_id}.glb")[part_id])
 
 
-def member(root: Path, part_id: str) -> Member:
+def read_member(root: Path, part_id: str) -> Member:
     """A pair that is already made, remembered for as long as its record is not written anew."""
-    return _member(root, part_id, sha256(root / BUILD / "parts" / f"{part_id}.json"))
+    return _read_member(root, part_id, sha256(root / BUILD_FOLDER / "parts" / f"{part_id}.json"))
 
 
-@lru_cache(maxsize=REMEMBERED)
-def _member(root: Path, part_id: str, _record: str | None) -> Member:
-    part, kit = pair(root, part_id)
-    return Member(part, kit, Stray(part.mesh, resting_faces(part.mesh)), Well(kit))
+@lru_cache(maxsize=CACHED_MEMBERS)
+def _read_member(root: Path, part_id: str, _record: str | None) -> Member:
+    part, kit = read_part_and_kit(root, part_id)
+    return Member(part, kit, PreparedPart(part.mesh, resting_faces(part.mesh)), PreparedKit(kit))
 
 
-def group(root: Path, assembly_id: str) -> tuple[Assembly, dict[str, Part]]:
+def read_assembly(root: Path, assembly_id: str) -> tuple[Assembly, dict[str, Part]]:
     """An assembly that is already made, and its parts by id."""
-    record = read_json(root / BUILD / "assemblies" / f"{assembly_id}.json")
-    pairs = {m["kit_id"]: pair(root, m["kit_id"]) for m in record["assembly"]["mounts"]}
+    record = read_json(root / BUILD_FOLDER / "assemblies" / f"{assembly_id}.json")
+    pairs = {m["kit_id"]: read_part_and_kit(root, m["kit_id"]) for m in record["assembly"]["mounts"]}
     mesh = read_glb(root / f"assemblies/{assembly_id}.glb")[assembly_id]
     assembly = assembly_of(assembly_id, record["assembly"], mesh, lambda kit_id: pairs[kit_id][1])
     return assembly, {part_id: part for part_id, (part, _) in pairs.items()}

@@ -28,12 +28,12 @@ from kit1000.files import (
     write_bytes,
     write_json,
 )
-from kit1000.generation.assemblies import GroupJob, make_group
-from kit1000.generation.parts_and_kits import BUILD, PairJob, Record, intact, make_pair
-from kit1000.generation.plan import Sources, company_of, make_plan, split_ids
+from kit1000.generation.assemblies import AssemblyJob, make_assembly
+from kit1000.generation.parts_and_kits import BUILD_FOLDER, PartJob, Record, make_part_and_kit, read_intact
+from kit1000.generation.plan import Sources, candidate_order, make_plan, split_ids
 from kit1000.generation.presets import Preset
-from kit1000.generation.shards import make_shard, shards
-from kit1000.generation.summary import Made, described, refused_files, sealed, summarised, tables
+from kit1000.generation.shards import make_shard, shard_jobs
+from kit1000.generation.summary import JobRecords, description_files, make_summary, refused_files, summary_bytes, tables
 from kit1000.parts.near_duplicates import twin_of
 from kit1000.tracks import SPLITS
 
@@ -53,22 +53,22 @@ def generate(
     """
     plan = make_plan(preset, preset.seed if seed is None else seed, sources)
     check_writable(root)
-    _check_ours(root, plan)  # before the lock, which leaves a file
+    _check_folder(root, plan)  # before the lock, which leaves a file
     with locked(root):
-        _check_ours(root, plan)
+        _check_folder(root, plan)
         clear_partial(root)
-        summary = _completed(root)
+        summary = _finished_summary(root)
         if summary is not None:
             return summary
         write_json(root / "plan.json", plan)
         with engine or local(workers) as spread:
-            pairs = _pairs(root, preset, plan, sources, spread)
-            groups = _groups(root, preset, plan, pairs, spread)
-            scenes = _shards(root, preset, plan, groups, spread)
-        return _finish(root, plan, Made(pairs, groups, scenes))
+            parts = _make_parts_and_kits(root, preset, plan, sources, spread)
+            assemblies = _make_assemblies(root, preset, plan, parts, spread)
+            scenes = _make_shards(root, preset, plan, assemblies, spread)
+        return _write_summary(root, plan, JobRecords(parts, assemblies, scenes))
 
 
-def _check_ours(root: Path, plan: dict[str, Any]) -> None:
+def _check_folder(root: Path, plan: dict[str, Any]) -> None:
     """Raise InputError when a folder holds anything but a dataset of this plan, finished or begun."""
     if not root.is_dir():
         return
@@ -76,13 +76,13 @@ def _check_ours(root: Path, plan: dict[str, Any]) -> None:
     if path.is_file():
         begun = read_json(path)
         if json_bytes(begun) != json_bytes(plan):
-            other = _difference(begun, plan)
+            other = _plan_difference(begun, plan)
             raise InputError(f"{root} holds another dataset ({other}): choose another --out, or delete that folder")
     elif any(not entry.name.startswith(".") for entry in root.iterdir()):
         raise InputError(f"{root} is not empty and holds no dataset: choose another --out")
 
 
-def _difference(begun: Any, plan: dict[str, Any]) -> str:
+def _plan_difference(begun: Any, plan: dict[str, Any]) -> str:
     """The first entry of two plans that differs, in words."""
     if not isinstance(begun, dict):
         return "its plan.json is no plan"
@@ -92,14 +92,14 @@ def _difference(begun: Any, plan: dict[str, Any]) -> str:
     return "of other parts"
 
 
-def _completed(root: Path) -> dict[str, Any] | None:
+def _finished_summary(root: Path) -> dict[str, Any] | None:
     """The summary of a finished dataset; None when there is none, or when it lost files, which are then made anew."""
     path = root / "dataset.json"
     if not path.is_file():
         return None
-    summary = intact(root, path)
+    summary = read_intact(root, path)
     if summary is not None:
-        remove_folder(root / BUILD)
+        remove_folder(root / BUILD_FOLDER)
         print(f"{root} is complete: nothing to do", file=sys.stderr)
         return summary
     print(f"{root}: files are missing or changed, building again", file=sys.stderr)
@@ -107,56 +107,56 @@ def _completed(root: Path) -> dict[str, Any] | None:
     return None
 
 
-def _pairs(
+def _make_parts_and_kits(
     root: Path, preset: Preset, plan: dict[str, Any], sources: Sources | None, spread: Spread
 ) -> dict[str, Record]:
     """The record of every part and kit, by id; near-duplicates are drawn again until none is left."""
     jobs = {
-        part_id: _pair_job(root, preset, plan["seed"], part_id, row, sources) for part_id, row in plan["parts"].items()
+        part_id: _part_job(root, preset, plan["seed"], part_id, row, sources) for part_id, row in plan["parts"].items()
     }
-    records = _run("parts and kits", make_pair, list(jobs.values()), spread)
+    records = _run_jobs("parts and kits", make_part_and_kit, list(jobs.values()), spread)
     accepted: list[str] = []
     measures = np.zeros((0, 5))
     for part_id in jobs:
         record = records[part_id]
         while "refused" not in record and (twin := twin_of(np.array(record["measures"]), measures)) is not None:
             alike = f"near-duplicate of {records[accepted[twin]]['source']}" if sources else "near-duplicate"
-            record = make_pair(replace(jobs[part_id], redraws=(*record["redraws"], alike)))
+            record = make_part_and_kit(replace(jobs[part_id], redraws=(*record["redraws"], alike)))
         records[part_id] = record
         if "refused" not in record:
             accepted.append(part_id)
             measures = np.concatenate([measures, [record["measures"]]])
     if not accepted:
-        raise InputError(_nothing_usable(root, plan, records))
+        raise InputError(_no_usable_file(root, plan, records))
     return records
 
 
-def _pair_job(
+def _part_job(
     root: Path, preset: Preset, seed: int, part_id: str, row: dict[str, Any], sources: Sources | None
-) -> PairJob:
+) -> PartJob:
     if sources is None:
-        return PairJob(root, preset, seed, part_id, row["split"])
+        return PartJob(root, preset, seed, part_id, row["split"])
     files = tuple((name, sources.files[name]) for name, _ in row["sources"])
-    return PairJob(root, preset, seed, part_id, row["split"], files, sources.unit)
+    return PartJob(root, preset, seed, part_id, row["split"], files, sources.unit)
 
 
-def _nothing_usable(root: Path, plan: dict[str, Any], records: dict[str, Record]) -> str:
+def _no_usable_file(root: Path, plan: dict[str, Any], records: dict[str, Record]) -> str:
     """Why no file became a part; the folder is left empty, so that the next attempt finds no other plan in it."""
-    remove_folder(root / BUILD)
+    remove_folder(root / BUILD_FOLDER)
     (root / "plan.json").unlink(missing_ok=True)
     reasons = [f"{name}: {reason}" for name, reason in refused_files(plan, records).items()]
     more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
     return f"none of {len(reasons)} mesh files can be a part ({'; '.join(reasons[:3])}{more})"
 
 
-def _groups(
-    root: Path, preset: Preset, plan: dict[str, Any], pairs: dict[str, Record], spread: Spread
+def _make_assemblies(
+    root: Path, preset: Preset, plan: dict[str, Any], parts: dict[str, Record], spread: Spread
 ) -> dict[str, Record]:
     """The record of every assembly, by id."""
-    usable = {part_id for part_id, record in pairs.items() if "refused" not in record}
+    usable = {part_id for part_id, record in parts.items() if "refused" not in record}
     ids = {split: split_ids(plan["parts"], split) for split in SPLITS}
     jobs = [
-        GroupJob(
+        AssemblyJob(
             root,
             preset,
             plan["seed"],
@@ -164,27 +164,27 @@ def _groups(
             row["split"],
             row["target"],
             row["kits"],
-            tuple(i for i in company_of(plan["seed"], row["target"], ids[row["split"]]) if i in usable),
+            tuple(i for i in candidate_order(plan["seed"], row["target"], ids[row["split"]]) if i in usable),
         )
         for assembly_id, row in plan["assemblies"].items()
         if row["target"] in usable
     ]
-    return _run("assemblies", make_group, jobs, spread)
+    return _run_jobs("assemblies", make_assembly, jobs, spread)
 
 
-def _shards(
-    root: Path, preset: Preset, plan: dict[str, Any], groups: dict[str, Record], spread: Spread
+def _make_shards(
+    root: Path, preset: Preset, plan: dict[str, Any], assemblies: dict[str, Record], spread: Spread
 ) -> dict[str, Record]:
     """The record of every shard of scenes, by id."""
     jobs = [
         job
         for split in SPLITS
-        for job in shards(root, preset, plan["seed"], split, split_ids(plan["assemblies"], split), set(groups))
+        for job in shard_jobs(root, preset, plan["seed"], split, split_ids(plan["assemblies"], split), set(assemblies))
     ]
-    return _run("scenes", make_shard, jobs, spread, units=[len(job.assemblies) for job in jobs])
+    return _run_jobs("scenes", make_shard, jobs, spread, units=[len(job.assemblies) for job in jobs])
 
 
-def _run(
+def _run_jobs(
     what: str, function: Callable[[Any], Record], jobs: list[Any], spread: Spread, units: list[int] | None = None
 ) -> dict[str, Record]:
     """Records by id; the bar counts units of a job where they are given."""
@@ -193,13 +193,13 @@ def _run(
     records = {}
     with tqdm(total=total, desc=what, unit="", disable=None, smoothing=0.05) as bar:
         for record in spread(function, jobs):
-            _check_arrived(jobs[0].root, record)
+            _check_files_present(jobs[0].root, record)
             records[record["id"]] = record
             bar.update(weight.get(record["id"], 1))
     return records
 
 
-def _check_arrived(root: Path, record: Record) -> None:
+def _check_files_present(root: Path, record: Record) -> None:
     """Raise InputError when a job wrote its files to another place of that name: a node may have a disk of its own."""
     for name in record["files"]:
         if not (root / name).is_file():
@@ -209,20 +209,20 @@ def _check_arrived(root: Path, record: Record) -> None:
             )
 
 
-def _finish(root: Path, plan: dict[str, Any], made: Made) -> dict[str, Any]:
+def _write_summary(root: Path, plan: dict[str, Any], records: JobRecords) -> dict[str, Any]:
     """Tables from the records, stray files removed, card and Croissant, `dataset.json` last."""
-    written = {f"{name}.json": write_json(root / f"{name}.json", rows) for name, rows in tables(plan, made).items()}
-    _remove_strays(root, made.files)
+    written = {f"{name}.json": write_json(root / f"{name}.json", rows) for name, rows in tables(plan, records).items()}
+    _remove_unlisted(root, records.files)
     written["plan.json"] = write_json(root / "plan.json", plan)
-    summary = summarised(plan, made, written)
-    for name, data in described(summary).items():
+    summary = make_summary(plan, records, written)
+    for name, data in description_files(summary).items():
         summary["files"][name] = write_bytes(root / name, data)
-    write_bytes(root / "dataset.json", sealed(summary))
-    remove_folder(root / BUILD)
+    write_bytes(root / "dataset.json", summary_bytes(summary))
+    remove_folder(root / BUILD_FOLDER)
     return read_json(root / "dataset.json")
 
 
-def _remove_strays(root: Path, files: dict[str, str]) -> None:
+def _remove_unlisted(root: Path, files: dict[str, str]) -> None:
     """Files of attempts that were drawn again under the same name do not exist; of refused ones they may."""
     for kind in ("parts", "kits", "assemblies", *SPLITS):
         for pattern in ("*.glb", "*.mcap"):

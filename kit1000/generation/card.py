@@ -11,10 +11,10 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from kit1000.generation import card_statistics
-from kit1000.generation.card_statistics import merged, pair_statistics, statistics
+from kit1000.generation.card_statistics import add_up, part_statistics, scene_statistics
 from kit1000.tracks import SPLITS
 
-__all__ = ["card_bytes", "merged", "pair_statistics", "statistics"]
+__all__ = ["add_up", "card_bytes", "part_statistics", "scene_statistics"]
 
 NAME = "KIT1000"
 ABOUT = (
@@ -76,8 +76,8 @@ FILES = {
     "croissant.json": "this description for machines (Croissant 1.1)",
 }
 ALWAYS = ("dataset.json", "croissant.json")  # the first is written after the card, the second with it
-KINDS = ("parts", "assemblies", "scenes")
-READ = """from kit1000 import Dataset
+COUNTED_KINDS = ("parts", "assemblies", "scenes")
+READING_EXAMPLE = """from kit1000 import Dataset
 
 data = Dataset("path/to/this/folder")
 for query in data.split("test").queries("snap"):
@@ -109,7 +109,7 @@ HISTOGRAMS = (
 
 def card_bytes(summary: Mapping[str, Any]) -> bytes:
     """The data card of a dataset, from the contents of its `dataset.json`; the same summary gives the same bytes."""
-    sections = [_head(summary), *_contents(summary), *_figures(summary), *_about(summary)]
+    sections = [_head(summary), *_contents(summary), *_redraws_and_statistics(summary), *_about(summary)]
     return ("\n\n".join(sections) + "\n").encode()
 
 
@@ -123,7 +123,7 @@ def citation(summary: Mapping[str, Any]) -> str:
     return CITATION % (summary["data_version"], summary["dataset_id"])
 
 
-def listed(summary: Mapping[str, Any]) -> dict[str, list[str]]:
+def files_by_pattern(summary: Mapping[str, Any]) -> dict[str, list[str]]:
     """The files of a dataset, sorted, by the pattern of FILES that speaks of them; none without files."""
     names = sorted(summary["files"])
     found = {pattern: [name for name in names if _fits(name, pattern)] for pattern in FILES}
@@ -153,24 +153,24 @@ def _contents(summary: Mapping[str, Any]) -> Iterator[str]:
     identity = [("dataset id", f"`{summary['dataset_id']}`"), ("data version", summary["data_version"])]
     identity += [("preset", f"`{summary['preset']}`")]
     identity += [("seed", summary["seed"])] if summary.get("seed") is not None else []
-    identity += [("licence", summary["licence"]), *_configured(summary.get("config") or {})]
+    identity += [("licence", summary["licence"]), *_preset_rows(summary.get("config") or {})]
     yield "## Identity\n\n" + _table(("", ""), identity)
     counted = {kind for split in SPLITS for kind in summary["counts"].get(split, {})}
-    kinds = [kind for kind in KINDS if kind in counted] + sorted(counted - {*KINDS})
+    kinds = [kind for kind in COUNTED_KINDS if kind in counted] + sorted(counted - {*COUNTED_KINDS})
     rows = [(split, *(summary["counts"].get(split, {}).get(kind, 0) for kind in kinds)) for split in SPLITS]
     yield "## Counts\n\n" + _table(("split", *kinds), rows)
     occur = summary.get("statistics", {}).get("test", {}).get("family")
     held = [family for family in summary.get("held_out_families") or () if occur is None or family in occur]
     if held:
         yield f"Families in the test split alone: {', '.join(held)}."
-    shown = listed(summary) | {name: [name] for name in ALWAYS}
+    shown = files_by_pattern(summary) | {name: [name] for name in ALWAYS}
     rows = [(f"`{pattern}`", len(shown[pattern]), FILES[pattern]) for pattern in FILES if pattern in shown]
     yield "## Files\n\n" + _table(("path", "files", "holds"), rows)
     if summary.get("withheld"):
         yield WITHHELD.format(**summary["withheld"])
 
 
-def _configured(config: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+def _preset_rows(config: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """What the preset asks for, in the units that people read."""
     if "longest" in config:
         low, high = (1e3 * side for side in config["longest"])
@@ -183,10 +183,12 @@ def _configured(config: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "tilt of side kits", "{:g} to {:g} degrees".format(*config["tilt_deg"])
 
 
-def _figures(summary: Mapping[str, Any]) -> Iterator[str]:
+def _redraws_and_statistics(summary: Mapping[str, Any]) -> Iterator[str]:
     yield "## Drawn again\n\nNothing is dropped in silence: a draw that geometry refuses is replaced by the next one."
     redraws = summary.get("redraws", {})
-    for kind in sorted(redraws, key=lambda kind: (KINDS.index(kind) if kind in KINDS else len(KINDS), kind)):
+    for kind in sorted(
+        redraws, key=lambda kind: (COUNTED_KINDS.index(kind) if kind in COUNTED_KINDS else len(COUNTED_KINDS), kind)
+    ):
         rows = sorted(redraws[kind].items(), key=lambda row: (-row[1], row[0]))
         yield f"### {kind.capitalize()}\n\n" + (_table(("reason", "times"), rows) if rows else "None.")
     for what, key in (("files", "refused"), ("scenes", "refused_scenes")):
@@ -206,13 +208,13 @@ def _figures(summary: Mapping[str, Any]) -> Iterator[str]:
     for heading, key, of, edges in HISTOGRAMS:
         if any(key in lot for lot in found.values()):
             yield f"### {heading}\n\n" + _histogram(found, key, of, edges)
-    yield from _asked(found)
+    yield from _query_tables(found)
 
 
 def _histogram(found: Mapping[str, Mapping], key: str, of: str, edges: tuple[int, ...] | None) -> str:
     """A table of a figure: a row for each bin, a column for each split, each with its share of all."""
     every = {name for lot in found.values() for name in lot.get(key, {})}
-    ordered = [name for name in card_statistics.bins(edges) if name in every] if edges else []
+    ordered = [name for name in card_statistics.bin_names(edges) if name in every] if edges else []
     names = ordered + sorted(every - {*ordered}, key=lambda name: (len(name) if name.isdigit() else 0, name))
     splits = [split for split in SPLITS if found[split].get(key)]
     rows = [
@@ -221,7 +223,7 @@ def _histogram(found: Mapping[str, Mapping], key: str, of: str, edges: tuple[int
     return _table(("", *splits), rows)
 
 
-def _asked(found: Mapping[str, Mapping]) -> Iterator[str]:
+def _query_tables(found: Mapping[str, Mapping]) -> Iterator[str]:
     """Queries by track, parts that nobody is asked about, and how far guesses are off."""
     splits = [split for split in SPLITS if found[split]]
     for heading, key in (("Queries by track", "queries"), ("Parts not asked about, and why", "unseen")):
@@ -242,9 +244,9 @@ def _asked(found: Mapping[str, Mapping]) -> Iterator[str]:
 
 def _about(summary: Mapping[str, Any]) -> Iterator[str]:
     yield f"## Where it comes from\n\n{COLLECTION}"
-    yield "## Use\n\n" + _items(USES)
-    yield "## Known limits\n\n" + _items((*LIMITS, *BIASES))
-    yield f"## How to read it\n\n```python\n{READ}\n```"
+    yield "## Use\n\n" + _bullet_list(USES)
+    yield "## Known limits\n\n" + _bullet_list((*LIMITS, *BIASES))
+    yield f"## How to read it\n\n```python\n{READING_EXAMPLE}\n```"
     yield (
         "Units are SI, quaternions are wxyz, `a_from_b` maps coordinates in b to coordinates in a, cameras are those "
         "of OpenCV. The MCAP files open in Foxglove and Lichtblick as they are."
@@ -262,7 +264,7 @@ def _table(head: Sequence[object], rows: Sequence[Sequence[object]]) -> str:
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in [head, rule, *cells])
 
 
-def _items(texts: Sequence[str]) -> str:
+def _bullet_list(texts: Sequence[str]) -> str:
     return "\n".join(f"- {text}" for text in texts)
 
 

@@ -26,42 +26,42 @@ SLOT_VISIBLE_PERCENT = (0, 15, 30, 50, 75, 100)
 GUESS_MM = (0, 10, 20, 30, 40, 50)
 GUESS_DEG = (0, 5, 10, 15, 20, 25)
 KEYEDNESS_DEG = (0, 5, 10, 15, 20, 30, 45, 90)
-FREE = "any turn seats"  # keyedness of a slot with a free axis
+FREE_AXIS = "any turn seats"  # keyedness of a slot with a free axis
 
-Figures = dict[str, Any]
+Statistics = dict[str, Any]
 
 
-def statistics(truths: Iterable[SceneTruth]) -> Figures:
+def scene_statistics(truths: Iterable[SceneTruth]) -> Statistics:
     """The figures of some scenes; empty without any. Those of several lots are joined by `merged`."""
-    return merged(_of_scene(truth) for truth in truths)
+    return add_up(_one_scene(truth) for truth in truths)
 
 
-def pair_statistics(parts: Iterable[Row], kits: Iterable[Row]) -> Figures:
+def part_statistics(parts: Iterable[Row], kits: Iterable[Row]) -> Statistics:
     """The figures of some parts and kits, given as rows of their tables; `merged` puts them beside those of scenes."""
     rows = list(parts)
     if not rows:
         return {}
     return {
         "pairs": len(rows),
-        "part_family": _counted(row["family"] for row in rows),
-        "symmetry": _counted(row["symmetry"]["name"] for row in rows),
-        "keyedness_deg": _counted(_keyedness(kit.get("keyedness")) for kit in kits),
+        "part_family": _counts(row["family"] for row in rows),
+        "symmetry": _counts(row["symmetry"]["name"] for row in rows),
+        "keyedness_deg": _counts(_keyedness(kit.get("keyedness")) for kit in kits),
     }
 
 
-def merged(lots: Iterable[Mapping[str, Any]]) -> Figures:
+def add_up(lots: Iterable[Mapping[str, Any]]) -> Statistics:
     """The sums of figures, leaf by leaf; a leaf that is absent counts nothing."""
-    total: Figures = {}
+    total: Statistics = {}
     for lot in lots:
         for key, value in lot.items():
             if isinstance(value, Mapping):
-                total[key] = merged([total.get(key, {}), value])
+                total[key] = add_up([total.get(key, {}), value])
             else:
                 total[key] = total.get(key, 0) + value
     return total
 
 
-def binned(value: float, edges: tuple[int, ...]) -> str:
+def bin_name(value: float, edges: tuple[int, ...]) -> str:
     """The name of the bin that a number falls into; what equals the last edge of a share belongs to the bin below."""
     place = bisect_right(edges, value)
     if edges[-1] == 100 and place == len(edges):  # nothing is more than all of it
@@ -69,9 +69,9 @@ def binned(value: float, edges: tuple[int, ...]) -> str:
     return f"{edges[place - 1]}+" if place == len(edges) else f"{edges[place - 1]}-{edges[place]}"
 
 
-def bins(edges: tuple[int, ...]) -> list[str]:
+def bin_names(edges: tuple[int, ...]) -> list[str]:
     """The names of all bins in order."""
-    return list(dict.fromkeys([*(binned(edge, edges) for edge in edges)]))
+    return list(dict.fromkeys([*(bin_name(edge, edges) for edge in edges)]))
 
 
 def track_of(query_id: str) -> str:
@@ -81,26 +81,28 @@ def track_of(query_id: str) -> str:
     return re.sub(r"^.*?-p\d+-", "", query_id)
 
 
-def _of_scene(truth: SceneTruth) -> Figures:
+def _one_scene(truth: SceneTruth) -> Statistics:
     parts = truth.parts
     return {
         "scenes": 1,
         "parts": len(parts),
         "kits": {str(len(parts)): 1},
-        "family": _counted(row["family"] for row in parts),
-        "rest_mode": _counted(row["rest_mode"] for row in parts),
-        "tilt_deg": _counted(binned(_tilt_deg(row), TILT_DEG) for row in parts),
-        "visible_percent": _counted(binned(100 * row["visible"], VISIBLE_PERCENT) for row in parts),
-        "pixels": _counted(binned(row["pixels"], PIXELS) for row in parts),
-        "slot_angle_deg": _counted(binned(np.degrees(row["slot_angle"]), SLOT_ANGLE_DEG) for row in parts),
-        "slot_visible_percent": _counted(binned(100 * row["slot_visible"], SLOT_VISIBLE_PERCENT) for row in parts),
-        "unseen": _counted(row["unseen"] for row in parts if row["unseen"] is not None),
-        "queries": _counted(map(track_of, truth.queries)),
-        "guesses": merged(_guess(track_of(query_id), row["draw"]) for query_id, row in truth.queries.items()),
+        "family": _counts(row["family"] for row in parts),
+        "rest_mode": _counts(row["rest_mode"] for row in parts),
+        "tilt_deg": _counts(bin_name(_tilt_deg(row), TILT_DEG) for row in parts),
+        "visible_percent": _counts(bin_name(100 * row["visible"], VISIBLE_PERCENT) for row in parts),
+        "pixels": _counts(bin_name(row["pixels"], PIXELS) for row in parts),
+        "slot_angle_deg": _counts(bin_name(np.degrees(row["slot_angle"]), SLOT_ANGLE_DEG) for row in parts),
+        "slot_visible_percent": _counts(bin_name(100 * row["slot_visible"], SLOT_VISIBLE_PERCENT) for row in parts),
+        "unseen": _counts(row["unseen"] for row in parts if row["unseen"] is not None),
+        "queries": _counts(map(track_of, truth.queries)),
+        "guesses": add_up(
+            _guess_statistics(track_of(query_id), row["draw"]) for query_id, row in truth.queries.items()
+        ),
     }
 
 
-def _guess(track: str, draw: Row | None) -> Figures:
+def _guess_statistics(track: str, draw: Row | None) -> Statistics:
     """How far a guess is off at its pivot. Those of the curves are set, not drawn: they are left out."""
     if draw is None or track == CURVES:
         return {}
@@ -111,8 +113,8 @@ def _guess(track: str, draw: Row | None) -> Figures:
             "n": 1,
             "sum_um": round(1e3 * millimetres),
             "sum_mdeg": round(1e3 * degrees),
-            "mm": {binned(millimetres, GUESS_MM): 1},
-            "deg": {binned(degrees, GUESS_DEG): 1},
+            "mm": {bin_name(millimetres, GUESS_MM): 1},
+            "deg": {bin_name(degrees, GUESS_DEG): 1},
         }
     }
 
@@ -124,8 +126,8 @@ def _tilt_deg(row: Row) -> float:
 
 
 def _keyedness(turn: float | None) -> str:
-    return FREE if turn is None else binned(float(np.degrees(turn)) + 1e-6, KEYEDNESS_DEG)
+    return FREE_AXIS if turn is None else bin_name(float(np.degrees(turn)) + 1e-6, KEYEDNESS_DEG)
 
 
-def _counted(names: Iterable[str]) -> dict[str, int]:
+def _counts(names: Iterable[str]) -> dict[str, int]:
     return dict(sorted(Counter(names).items()))

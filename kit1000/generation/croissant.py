@@ -22,7 +22,7 @@ from kit1000.generation.card import (
     USES,
     WITHHELD,
     citation,
-    listed,
+    files_by_pattern,
     title,
 )
 from kit1000.tracks import SPLITS
@@ -86,7 +86,7 @@ def _dataset(summary: Mapping[str, Any]) -> Node:
         "@type": "sc:Dataset",
         "conformsTo": CONFORMS,
         "name": title(summary),
-        "description": f"{ABOUT} {PAPER} {_place(summary)}",
+        "description": f"{ABOUT} {PAPER} {_identity(summary)}",
         "url": f"urn:kit1000:{summary['dataset_id']}",
         "license": LICENCES.get(summary["licence"], summary["licence"]),
         "version": summary["data_version"],
@@ -108,7 +108,7 @@ def _dataset(summary: Mapping[str, Any]) -> Node:
     }
 
 
-def _place(summary: Mapping[str, Any]) -> str:
+def _identity(summary: Mapping[str, Any]) -> str:
     """Which dataset this is, and that its address is a name and leads nowhere by itself."""
     what = f"Dataset {summary['dataset_id']}, preset {summary['preset']}."
     held = f" {WITHHELD.format(**summary['withheld'])}" if summary.get("withheld") else ""
@@ -117,7 +117,7 @@ def _place(summary: Mapping[str, Any]) -> str:
 
 def _distribution(summary: Mapping[str, Any]) -> Iterator[Node]:
     """A node for each file with its hash, but one for each folder of meshes."""
-    for pattern, names in listed(summary).items():
+    for pattern, names in files_by_pattern(summary).items():
         if pattern.endswith(".glb"):
             yield {
                 "@type": "cr:FileSet",

@@ -23,14 +23,16 @@ from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import Family, dimensions
 from kit1000.parts.mixtures import MIXTURES, choose_family
 from kit1000.rng import stream
-from kit1000.sim.layout import draw_modes
+from kit1000.sim.layout import draw_rest_modes
 from kit1000.tracks import SPLITS
 
 FORMAT = "kit1000-plan/2"
 DATA_VERSION = "0.2.1"
 """Raised whenever the same plan gives other data."""
 MAX_SOURCE_FILES = 10  # files dealt to one part at most: the next is tried when one cannot be a part
-MAX_CANDIDATES = 24  # parts asked to join an assembly before it may stay smaller than drawn; more only to reach the least
+MAX_CANDIDATES = (
+    24  # parts asked to join an assembly before it may stay smaller than drawn; more only to reach the least
+)
 
 
 @dataclass(frozen=True)
@@ -182,7 +184,7 @@ def scene_id_of(assembly_id: str) -> str:
 
 def rest_modes(seed: int, scene_id: str, parts: int, attempt: int = 0) -> tuple[str, ...]:
     """How the parts of a scene come to lie, in the order p0, p1, ...; one attempt at drawing it."""
-    return draw_modes(stream(seed, "rest", scene_id, attempt), parts)
+    return draw_rest_modes(stream(seed, "rest", scene_id, attempt), parts)
 
 
 def _scenes(seed: int, assemblies: dict[str, Any]) -> dict[str, Any]:

@@ -18,46 +18,52 @@ from kit1000.dataset.mcap_io import ObservationFile, TruthFile
 from kit1000.dataset.schema import Observation, SceneTruth
 from kit1000.dataset.tables import Row, assembly_row, kit_row, part_row
 from kit1000.errors import Kit1000Error
-from kit1000.generation.assemblies import pair
-from kit1000.generation.parts_and_kits import PairJob, make_pair
+from kit1000.generation.assemblies import read_part_and_kit
+from kit1000.generation.parts_and_kits import PartJob, make_part_and_kit
 from kit1000.generation.plan import draw_assembly_of
 from kit1000.generation.presets import Preset, preset_of
 from kit1000.generation.scenes import make_scene
-from kit1000.generation.shards import FURTHER, SEEN, SPLITS_WITH_FURTHER, TRUE
+from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS, SPLITS_WITH_EXTRA_VIEWS, TRUTH
 from kit1000.kits.assembly import build_assembly
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Part
 
 DEPTH_TOLERANCE = 1e-4  # [m]
-PIXELS_ALIKE = 0.999  # share of them
+MATCHING_PIXELS = 0.999  # share of them
 POSE_TOLERANCE = 1e-5  # [m], and as much in a quaternion's entries
 TOLERANCES = {"pivot": 2e-4, "guess": 2e-4, "pixels": 10, "visible": 1e-3, "slot_visible": 1e-3}  # where others
 SIZE_TOLERANCE = 1e-5  # [m] of a mesh's extents
 
 
-def scene_faults(geometry: Geometry, plan: dict[str, Any], scene_id: str) -> list[str]:
+def scene_differences(geometry: Geometry, plan: dict[str, Any], scene_id: str) -> list[str]:
     """What differs between a scene on disk and the same scene built from the plan, one line each."""
     preset, row = preset_of(plan["preset"], plan["config"]), plan["scenes"][scene_id]
     faults: list[str] = []
     try:
         stored = geometry.assembly(row["assembly"])
-        pairs = {m.kit.id: _pair(geometry, plan, preset, m.kit.id, faults) for m in stored.mounts}
-        assembly = _assembly(geometry, plan, preset, stored, [pairs[m.kit.id][1] for m in stored.mounts], faults)
+        pairs = {m.kit.id: _rebuild_part_and_kit(geometry, plan, preset, m.kit.id, faults) for m in stored.mounts}
+        assembly = _rebuild_assembly(
+            geometry, plan, preset, stored, [pairs[m.kit.id][1] for m in stored.mounts], faults
+        )
         parts = {part.id: part for part, _ in pairs.values()}
-        made = make_scene(preset, plan["seed"], row["split"], assembly, parts, row["split"] in SPLITS_WITH_FURTHER)
+        made = make_scene(preset, plan["seed"], row["split"], assembly, parts, row["split"] in SPLITS_WITH_EXTRA_VIEWS)
         shard = next(name for name, held in geometry.summary["shards"].items() if scene_id in held)
-        path = geometry.root / shard.removesuffix(SEEN)
-        faults += observation_faults(made.observation, ObservationFile(f"{path}{SEEN}").observation(scene_id))
-        faults += truth_faults(made.truth, TruthFile(f"{path}{TRUE}").truth(scene_id))
-        if made.further is not None:
-            faults += observation_faults(made.further, ObservationFile(f"{path}{FURTHER}").observation(scene_id))
+        path = geometry.root / shard.removesuffix(OBSERVATIONS)
+        faults += observation_differences(
+            made.observation, ObservationFile(f"{path}{OBSERVATIONS}").observation(scene_id)
+        )
+        faults += truth_differences(made.truth, TruthFile(f"{path}{TRUTH}").truth(scene_id))
+        if made.extra_views is not None:
+            faults += observation_differences(
+                made.extra_views, ObservationFile(f"{path}{EXTRA_VIEWS}").observation(scene_id)
+            )
     except Kit1000Error as error:
         faults.append(f"cannot be built again ({error})")
     return faults
 
 
-def observation_faults(made: Observation, stored: Observation) -> list[str]:
+def observation_differences(made: Observation, stored: Observation) -> list[str]:
     """What differs between two records of what was seen."""
     faults = []
     if set(made.views) != set(stored.views):
@@ -66,32 +72,34 @@ def observation_faults(made: Observation, stored: Observation) -> list[str]:
         other = stored.views[key]
         if view.camera != other.camera:
             faults.append(f"{key}: another camera")
-        elif not _images_alike(view.depth, other.depth, DEPTH_TOLERANCE):
+        elif not _images_match(view.depth, other.depth, DEPTH_TOLERANCE):
             faults.append(f"{key}: depths differ")
-        if not _poses_alike(view.world_from_camera, other.world_from_camera):
+        if not _poses_match(view.world_from_camera, other.world_from_camera):
             faults.append(f"{key}: another camera pose")
-    if not _images_alike(made.labels, stored.labels):
+    if not _images_match(made.labels, stored.labels):
         faults.append("masks differ")
-    return faults + _row_faults("query", {row["id"]: row for row in made.queries}, {r["id"]: r for r in stored.queries})
+    return faults + _row_differences(
+        "query", {row["id"]: row for row in made.queries}, {r["id"]: r for r in stored.queries}
+    )
 
 
-def truth_faults(made: SceneTruth, stored: SceneTruth) -> list[str]:
+def truth_differences(made: SceneTruth, stored: SceneTruth) -> list[str]:
     """What differs between two truths; models are copies of the meshes for viewers, their names are compared."""
     faults = [] if made.assembly_id == stored.assembly_id else [f"assembly {stored.assembly_id}"]
-    if not _poses_alike(made.world_from_assembly, stored.world_from_assembly):
+    if not _poses_match(made.world_from_assembly, stored.world_from_assembly):
         faults.append("the assembly stands elsewhere")
-    faults += _row_faults("part", dict(enumerate(made.parts)), dict(enumerate(stored.parts)))
-    faults += _row_faults("truth of", made.queries, stored.queries)
-    if not _images_alike(made.seg, stored.seg):
+    faults += _row_differences("part", dict(enumerate(made.parts)), dict(enumerate(stored.parts)))
+    faults += _row_differences("truth of", made.queries, stored.queries)
+    if not _images_match(made.seg, stored.seg):
         faults.append("segmentation differs")
     if set(made.models) != set(stored.models):
         faults.append("other models")
-    if not _poses_alike(made.goals, stored.goals):
+    if not _poses_match(made.goals, stored.goals):
         faults.append("goals differ")
     return faults
 
 
-def _pair(
+def _rebuild_part_and_kit(
     geometry: Geometry, plan: dict[str, Any], preset: Preset, part_id: str, faults: list[str]
 ) -> tuple[Part, Kit]:
     """A part and its kit drawn anew; as stored where the part came from a file."""
@@ -101,30 +109,32 @@ def _pair(
     row = geometry.parts[part_id]
     with tempfile.TemporaryDirectory() as scratch:
         root = Path(scratch)
-        record = make_pair(PairJob(root, preset, plan["seed"], part_id, row["split"], redraws=tuple(row["redraws"])))
-        part, kit = pair(root, part_id)
+        record = make_part_and_kit(
+            PartJob(root, preset, plan["seed"], part_id, row["split"], redraws=tuple(row["redraws"]))
+        )
+        part, kit = read_part_and_kit(root, part_id)
     if record["redraws"] != row["redraws"]:
         faults.append(f"part {part_id}: drawn again more often than before")
-    faults += _row_faults("part", {part_id: part_row(part)}, {part_id: part_row(stored[0])})
-    faults += _row_faults("kit", {part_id: kit_row(kit)}, {part_id: kit_row(stored[1])})
-    faults += _mesh_faults(f"part {part_id}", part.mesh, stored[0].mesh)
-    faults += _mesh_faults(f"kit {part_id}", kit.mesh, stored[1].mesh)
+    faults += _row_differences("part", {part_id: part_row(part)}, {part_id: part_row(stored[0])})
+    faults += _row_differences("kit", {part_id: kit_row(kit)}, {part_id: kit_row(stored[1])})
+    faults += _mesh_differences(f"part {part_id}", part.mesh, stored[0].mesh)
+    faults += _mesh_differences(f"kit {part_id}", kit.mesh, stored[1].mesh)
     return part, kit
 
 
-def _assembly(
+def _rebuild_assembly(
     geometry: Geometry, plan: dict[str, Any], preset: Preset, stored: Assembly, kits: list[Kit], faults: list[str]
 ) -> Assembly:
     """The assembly placed anew, at the attempt that passed."""
     attempt = geometry.assemblies[stored.id]["attempt"]
     draw = draw_assembly_of(preset, plan["seed"], stored.id, len(kits), attempt)
-    assembly = build_assembly(stored.id, kits, draw.placing)
-    faults += _row_faults("assembly", {stored.id: assembly_row(assembly)}, {stored.id: assembly_row(stored)})
-    faults += _mesh_faults(f"assembly {stored.id}", assembly.mesh, stored.mesh)
+    assembly = build_assembly(stored.id, kits, draw.placement)
+    faults += _row_differences("assembly", {stored.id: assembly_row(assembly)}, {stored.id: assembly_row(stored)})
+    faults += _mesh_differences(f"assembly {stored.id}", assembly.mesh, stored.mesh)
     return assembly
 
 
-def _mesh_faults(what: str, made: Mesh, stored: Mesh) -> list[str]:
+def _mesh_differences(what: str, made: Mesh, stored: Mesh) -> list[str]:
     apart = float(np.abs(made.bounds - stored.bounds).max())
     if apart > SIZE_TOLERANCE:
         return [f"{what}: bounds differ by {apart * 1e3:.3f} mm"]
@@ -133,38 +143,38 @@ def _mesh_faults(what: str, made: Mesh, stored: Mesh) -> list[str]:
     return []
 
 
-def _row_faults(what: str, made: Any, stored: Any) -> list[str]:
+def _row_differences(what: str, made: Any, stored: Any) -> list[str]:
     """What differs between rows by key."""
     if set(made) != set(stored):
         odd = sorted(map(str, set(made) ^ set(stored)))
         return [f"{what} {', '.join(odd[:3])}: in one and not in the other"]
-    return [f"{what} {key}: differs" for key in made if not rows_alike(made[key], stored[key])]
+    return [f"{what} {key}: differs" for key in made if not rows_match(made[key], stored[key])]
 
 
-def rows_alike(a: Row, b: Row) -> bool:
+def rows_match(a: Row, b: Row) -> bool:
     """Equal rows, numbers within their tolerances."""
-    return set(a) == set(b) and all(_alike(a[key], b[key], TOLERANCES.get(key, POSE_TOLERANCE)) for key in a)
+    return set(a) == set(b) and all(_values_match(a[key], b[key], TOLERANCES.get(key, POSE_TOLERANCE)) for key in a)
 
 
-def _alike(a: Any, b: Any, tolerance: float) -> bool:
+def _values_match(a: Any, b: Any, tolerance: float) -> bool:
     """Equal JSON values, numbers within a tolerance."""
     if isinstance(a, dict) and isinstance(b, dict):
-        return set(a) == set(b) and all(_alike(a[key], b[key], tolerance) for key in a)
+        return set(a) == set(b) and all(_values_match(a[key], b[key], tolerance) for key in a)
     if isinstance(a, list | tuple) and isinstance(b, list | tuple):
-        return len(a) == len(b) and all(_alike(one, other, tolerance) for one, other in zip(a, b, strict=True))
+        return len(a) == len(b) and all(_values_match(one, other, tolerance) for one, other in zip(a, b, strict=True))
     if isinstance(a, float | int) and isinstance(b, float | int):
         return abs(a - b) <= tolerance
     return a == b
 
 
-def _images_alike(a: np.ndarray | None, b: np.ndarray | None, tolerance: float = 0.0) -> bool:
+def _images_match(a: np.ndarray | None, b: np.ndarray | None, tolerance: float = 0.0) -> bool:
     """Whether nearly all pixels of two images (H, W) differ by no more than a tolerance."""
     if a is None or b is None:
         return a is b
-    return a.shape == b.shape and float(np.mean(np.abs(a.astype(float) - b) <= tolerance)) >= PIXELS_ALIKE
+    return a.shape == b.shape and float(np.mean(np.abs(a.astype(float) - b) <= tolerance)) >= MATCHING_PIXELS
 
 
-def _poses_alike(a: Pose | None, b: Pose | None) -> bool:
+def _poses_match(a: Pose | None, b: Pose | None) -> bool:
     if a is None or b is None:
         return a is b
     return a.xyz.shape == b.xyz.shape and float(np.abs(a.matrix() - b.matrix()).max()) <= POSE_TOLERANCE

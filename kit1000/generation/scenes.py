@@ -18,37 +18,37 @@ from kit1000.dataset.tables import Row, pose_row
 from kit1000.errors import Redraw
 from kit1000.generation.plan import rest_modes, scene_id_of
 from kit1000.generation.presets import Preset
-from kit1000.generation.queries import Asked, scene_queries
+from kit1000.generation.queries import PartInScene, scene_queries
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
-from kit1000.sim.cameras import CAMERA, camera_set, draw_primary, in_view
-from kit1000.sim.layout import UNSTABLE, UPRIGHT, Layout, draw_layout, lay_out, table
+from kit1000.sim.cameras import CAMERA, camera_set, draw_primary_pose, in_view
+from kit1000.sim.layout import PART_UNSTABLE, UPRIGHT, Layout, draw_layout, simulate_layout, table
 from kit1000.sim.render import Frame, render
 from kit1000.sim.sensors import sense
 from kit1000.sim.visibility import PartSeen, SlotSeen, cavity_labels, part_seen, slot_angle, slot_seen, why_unseen
 from kit1000.tracks import CURVES, has_curves
 from kit1000.values import ASSEMBLY_LABEL, Assembly, Mount, Part, Slot, View
 
-LAYOUTS = 60  # layouts of one scene before the draw or the rules must be called broken
-VIEWS = 12  # views of one layout before it is drawn again
-FIRST_CAVITY = 100  # in the segmentation: 100 + k is the cavity of mount k
+MAX_LAYOUTS = 60  # layouts of one scene before the draw or the rules must be called broken
+MAX_VIEWS = 12  # views of one layout before it is drawn again
+FIRST_CAVITY_LABEL = 100  # in the segmentation: 100 + k is the cavity of mount k
 
 
 @dataclass(frozen=True, eq=False)
-class MadeScene:
+class GeneratedScene:
     """All that is recorded of a scene."""
 
     observation: Observation
     truth: SceneTruth
-    further: Observation | None
+    extra_views: Observation | None
     """The camera set `three`, where it is stored."""
     redraws: tuple[str, ...]
     """Why layouts and views were rejected."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Cast:
+class _SceneParts:
     """Who takes part in a scene: the parts in the order p0, p1, ..., each with its mount."""
 
     scene_id: str
@@ -72,7 +72,7 @@ class _Cast:
 
 
 @dataclass(frozen=True, eq=False)
-class _Stage:
+class _LayoutView:
     """A layout as the primary camera sees it."""
 
     modes: tuple[str, ...]
@@ -89,154 +89,158 @@ class _Stage:
 
 
 def make_scene(
-    preset: Preset, seed: int, split: str, assembly: Assembly, parts: Mapping[str, Part], further: bool
-) -> MadeScene:
+    preset: Preset, seed: int, split: str, assembly: Assembly, parts: Mapping[str, Part], extra_views: bool
+) -> GeneratedScene:
     """The scene of an assembly and its parts; `further` adds the camera set `three`. Raises Redraw when none passes."""
-    cast = _cast(preset, seed, split, assembly, parts)
-    stage, redraws = _staged(cast)
-    views = _sensed(cast, "", stage.world_from_camera, stage.frame)
-    labels = np.maximum(stage.frame.ids - 1, 0).astype(np.uint8)  # nothing and table both become 0
+    scene_parts = _scene_parts(preset, seed, split, assembly, parts)
+    layout_view, redraws = _draw_layout_and_view(scene_parts)
+    views = _sensor_views(scene_parts, "", layout_view.world_from_camera, layout_view.frame)
+    labels = np.maximum(layout_view.frame.ids - 1, 0).astype(np.uint8)  # nothing and table both become 0
     labels.setflags(write=False)
-    asked = [_asked(cast, stage, i) for i in range(len(cast.parts))]
-    curves = has_curves(cast.scene_id, preset.curve_scenes)
-    rows, drawn = scene_queries(cast.scene_id, split, seed, views, labels, asked, cast.target, curves)
+    asked = [_part_in_scene(scene_parts, layout_view, i) for i in range(len(scene_parts.parts))]
+    curves = has_curves(scene_parts.scene_id, preset.curve_scenes)
+    rows, drawn = scene_queries(scene_parts.scene_id, split, seed, views, labels, asked, scene_parts.target, curves)
     rows = [row for row in rows if row["track"] in (*preset.tracks, CURVES)]
     drawn = {row["id"]: drawn[row["id"]] for row in rows}
     truth = SceneTruth(
-        cast.scene_id,
+        scene_parts.scene_id,
         assembly.id,
-        stage.layout.world_from_assembly,
-        tuple(_part_row(cast, stage, i) for i in range(len(cast.parts))),
+        layout_view.layout.world_from_assembly,
+        tuple(_part_row(scene_parts, layout_view, i) for i in range(len(scene_parts.parts))),
         drawn,
-        _segmented(cast, stage),
-        _models(cast),
-        stage.world_from_kits[cast.target] @ cast.slot(cast.target).goals,
+        _segmentation(scene_parts, layout_view),
+        _models(scene_parts),
+        layout_view.world_from_kits[scene_parts.target] @ scene_parts.slot(scene_parts.target).goals,
     )
-    observation = Observation(cast.scene_id, views, labels, tuple(rows))
-    return MadeScene(observation, truth, _further(cast, stage.layout) if further else None, tuple(redraws))
+    observation = Observation(scene_parts.scene_id, views, labels, tuple(rows))
+    return GeneratedScene(
+        observation, truth, _extra_views(scene_parts, layout_view.layout) if extra_views else None, tuple(redraws)
+    )
 
 
 def bodies(assembly: Assembly, parts: tuple[Part, ...], layout: Layout) -> list[tuple[Mesh, Pose]]:
     """What stands in a scene, for `render`: the table, the assembly, the parts in their order."""
-    placed = zip((part.mesh for part in parts), layout.world_from_parts, strict=True)
-    return [(table(), Pose.identity()), (assembly.mesh, layout.world_from_assembly), *placed]
+    scene_parts = zip((part.mesh for part in parts), layout.world_from_parts, strict=True)
+    return [(table(), Pose.identity()), (assembly.mesh, layout.world_from_assembly), *scene_parts]
 
 
-def _cast(preset: Preset, seed: int, split: str, assembly: Assembly, parts: Mapping[str, Part]) -> _Cast:
+def _scene_parts(preset: Preset, seed: int, split: str, assembly: Assembly, parts: Mapping[str, Part]) -> _SceneParts:
     scene_id = scene_id_of(assembly.id)
     mounts = tuple(stream(seed, "order", scene_id).permutation(len(assembly.mounts)).tolist())
     order = tuple(parts[assembly.mounts[k].kit.slot.part_id] for k in mounts)
-    return _Cast(scene_id, split, seed, preset.sensors, assembly, order, mounts)
+    return _SceneParts(scene_id, split, seed, preset.sensors, assembly, order, mounts)
 
 
-def _staged(cast: _Cast) -> tuple[_Stage, list[str]]:
+def _draw_layout_and_view(scene_parts: _SceneParts) -> tuple[_LayoutView, list[str]]:
     """The first layout and view that show what must be seen, and why earlier ones did not."""
     redraws: list[str] = []
-    slots = [cast.slot(i) for i in range(len(cast.parts))]
-    for attempt in range(LAYOUTS):
+    slots = [scene_parts.slot(i) for i in range(len(scene_parts.parts))]
+    for attempt in range(MAX_LAYOUTS):
         # A part that topples from its insertion face does so at every yaw, so how the parts lie is drawn again too.
-        modes = rest_modes(cast.seed, cast.scene_id, len(cast.parts), redraws.count(UNSTABLE))
-        draw = draw_layout(stream(cast.seed, "layout", cast.scene_id, attempt), modes)
+        modes = rest_modes(scene_parts.seed, scene_parts.scene_id, len(scene_parts.parts), redraws.count(PART_UNSTABLE))
+        draw = draw_layout(stream(scene_parts.seed, "layout", scene_parts.scene_id, attempt), modes)
         try:
-            layout = lay_out(cast.assembly, list(zip(cast.parts, slots, strict=True)), draw)
+            layout = simulate_layout(scene_parts.assembly, list(zip(scene_parts.parts, slots, strict=True)), draw)
         except Redraw as refusal:
             redraws.append(refusal.reason)
             continue
-        for k in range(VIEWS):
-            view = draw_primary(stream(cast.seed, "view", cast.scene_id, attempt, k))
+        for k in range(MAX_VIEWS):
+            view = draw_primary_pose(stream(scene_parts.seed, "view", scene_parts.scene_id, attempt, k))
             try:
-                return _seen(cast, modes, layout, view), redraws
+                return _view_layout(scene_parts, modes, layout, view), redraws
             except Redraw as refusal:
                 redraws.append(refusal.reason)
     (commonest, _), *_ = Counter(redraws).most_common(1)
-    raise Redraw(f"none of {LAYOUTS} layouts passes, mostly: {commonest}")
+    raise Redraw(f"none of {MAX_LAYOUTS} layouts passes, mostly: {commonest}")
 
 
-def _seen(cast: _Cast, modes: tuple[str, ...], layout: Layout, view: Pose) -> _Stage:
+def _view_layout(scene_parts: _SceneParts, modes: tuple[str, ...], layout: Layout, view: Pose) -> _LayoutView:
     """The stage, or Redraw: all in view, the target well seen, and a part for the tracks without a guess."""
-    target, n = cast.target, range(len(cast.parts))
-    world_from_kits = tuple(layout.world_from_assembly @ cast.mount(i).assembly_from_kit for i in n)
+    target, n = scene_parts.target, range(len(scene_parts.parts))
+    world_from_kits = tuple(layout.world_from_assembly @ scene_parts.mount(i).assembly_from_kit for i in n)
     first = SlotSeen(slot_angle(view, world_from_kits[target]), 1.0)  # before anything is drawn: the quick answer
-    refused(why_unseen(PartSeen(CAMERA.width * CAMERA.height, 1.0), first))
-    scene = bodies(cast.assembly, cast.parts, layout)
+    redraw_for(why_unseen(PartSeen(CAMERA.width * CAMERA.height, 1.0), first))
+    scene = bodies(scene_parts.assembly, scene_parts.parts, layout)
     if not all(in_view(CAMERA, view, pose.apply(mesh.vertices)) for mesh, pose in scene[1:]):
         raise Redraw("out of view")
     frame = render(CAMERA, view, scene, threads=1)
     parts = tuple(part_seen(frame, 2 + i, CAMERA, view, *scene[2 + i]) for i in n)
-    slots = tuple(slot_seen(frame.depth, CAMERA, view, cast.mount(i).kit, world_from_kits[i]) for i in n)
-    stage = _Stage(modes, layout, world_from_kits, view, frame, parts, slots)
-    refused(stage.unseen(target))
+    slots = tuple(slot_seen(frame.depth, CAMERA, view, scene_parts.mount(i).kit, world_from_kits[i]) for i in n)
+    layout_view = _LayoutView(modes, layout, world_from_kits, view, frame, parts, slots)
+    redraw_for(layout_view.unseen(target))
     upright = [i for i in n if modes[i] == UPRIGHT]
-    if upright and all(stage.unseen(i) for i in upright):
+    if upright and all(layout_view.unseen(i) for i in upright):
         raise Redraw("no upright part is well seen with its slot")
-    return stage
+    return layout_view
 
 
-def refused(reason: str | None) -> None:
+def redraw_for(reason: str | None) -> None:
     """Raise Redraw for a reason; nothing without one."""
     if reason is not None:
         raise Redraw(reason)
 
 
-def _sensed(cast: _Cast, camera_key: str, world_from_camera: Pose, frame: Frame) -> dict[str, View]:
+def _sensor_views(scene_parts: _SceneParts, camera_key: str, world_from_camera: Pose, frame: Frame) -> dict[str, View]:
     """One view as every sensor records it, the noise of each from its own stream."""
     view = View(CAMERA, world_from_camera, frame.depth)
     prefix = f"{camera_key}/" if camera_key else ""
     return {
-        prefix + sensor: sense(sensor, view, stream(cast.seed, "noise", cast.scene_id, camera_key, sensor))
-        for sensor in cast.sensors
+        prefix + sensor: sense(
+            sensor, view, stream(scene_parts.seed, "noise", scene_parts.scene_id, camera_key, sensor)
+        )
+        for sensor in scene_parts.sensors
     }
 
 
-def _further(cast: _Cast, layout: Layout) -> Observation:
-    scene = bodies(cast.assembly, cast.parts, layout)
+def _extra_views(scene_parts: _SceneParts, layout: Layout) -> Observation:
+    scene = bodies(scene_parts.assembly, scene_parts.parts, layout)
     views: dict[str, View] = {}
     for key, (camera, pose) in camera_set("three").items():
-        views |= _sensed(cast, key, pose, render(camera, pose, scene, threads=1))
-    return Observation(cast.scene_id, views)
+        views |= _sensor_views(scene_parts, key, pose, render(camera, pose, scene, threads=1))
+    return Observation(scene_parts.scene_id, views)
 
 
-def _asked(cast: _Cast, stage: _Stage, i: int) -> Asked:
-    return Asked(
+def _part_in_scene(scene_parts: _SceneParts, layout_view: _LayoutView, i: int) -> PartInScene:
+    return PartInScene(
         i,
-        stage.modes[i],
-        stage.layout.world_from_parts[i],
-        stage.world_from_kits[i],
-        cast.slot(i),
-        stage.unseen(i),
+        layout_view.modes[i],
+        layout_view.layout.world_from_parts[i],
+        layout_view.world_from_kits[i],
+        scene_parts.slot(i),
+        layout_view.unseen(i),
     )
 
 
-def _part_row(cast: _Cast, stage: _Stage, i: int) -> Row:
-    part, slot = stage.parts[i], stage.slots[i]
+def _part_row(scene_parts: _SceneParts, layout_view: _LayoutView, i: int) -> Row:
+    part, slot = layout_view.parts[i], layout_view.slots[i]
     return {
-        "part_id": cast.parts[i].id,
-        "family": cast.parts[i].family,
-        "mount": cast.mounts[i],
-        "rest_mode": stage.modes[i],
-        "world_from_part": pose_row(stage.layout.world_from_parts[i]),
-        "world_from_kit": pose_row(stage.world_from_kits[i]),
+        "part_id": scene_parts.parts[i].id,
+        "family": scene_parts.parts[i].family,
+        "mount": scene_parts.mounts[i],
+        "rest_mode": layout_view.modes[i],
+        "world_from_part": pose_row(layout_view.layout.world_from_parts[i]),
+        "world_from_kit": pose_row(layout_view.world_from_kits[i]),
         "pixels": int(part.pixels),
         "visible": float(part.share),
         "slot_angle": float(slot.angle),
         "slot_visible": float(slot.share),
-        "unseen": stage.unseen(i),
+        "unseen": layout_view.unseen(i),
     }
 
 
-def _segmented(cast: _Cast, stage: _Stage) -> np.ndarray:
+def _segmentation(scene_parts: _SceneParts, layout_view: _LayoutView) -> np.ndarray:
     """(H, W) uint16, as `SceneTruth.seg` has it."""
-    by_mount = np.argsort(cast.mounts).tolist()  # the part of each
-    kits = [cast.mount(i).kit for i in by_mount]
-    world_from_kits = [stage.world_from_kits[i] for i in by_mount]
-    cavity = cavity_labels(stage.frame.depth, CAMERA, stage.world_from_camera, world_from_kits, kits)
-    seg = stage.frame.ids.astype(np.uint16)
-    inside = (stage.frame.ids == ASSEMBLY_LABEL + 1) & (cavity >= 0)
-    seg[inside] = FIRST_CAVITY + cavity[inside]
+    by_mount = np.argsort(scene_parts.mounts).tolist()  # the part of each
+    kits = [scene_parts.mount(i).kit for i in by_mount]
+    world_from_kits = [layout_view.world_from_kits[i] for i in by_mount]
+    cavity = cavity_labels(layout_view.frame.depth, CAMERA, layout_view.world_from_camera, world_from_kits, kits)
+    seg = layout_view.frame.ids.astype(np.uint16)
+    inside = (layout_view.frame.ids == ASSEMBLY_LABEL + 1) & (cavity >= 0)
+    seg[inside] = FIRST_CAVITY_LABEL + cavity[inside]
     seg.setflags(write=False)
     return seg
 
 
-def _models(cast: _Cast) -> dict[str, bytes]:
-    models = {f"assemblies/{cast.assembly.id}": glb_bytes({cast.assembly.id: cast.assembly.mesh})}
-    return models | {f"parts/{part.id}": glb_bytes({part.id: part.mesh}) for part in cast.parts}
+def _models(scene_parts: _SceneParts) -> dict[str, bytes]:
+    models = {f"assemblies/{scene_parts.assembly.id}": glb_bytes({scene_parts.assembly.id: scene_parts.assembly.mesh})}
+    return models | {f"parts/{part.id}": glb_bytes({part.id: part.mesh}) for part in scene_parts.parts}

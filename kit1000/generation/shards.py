@@ -16,15 +16,15 @@ from typing import Any
 from kit1000.dataset.mcap_io import ObservationWriter, TruthWriter
 from kit1000.dataset.schema import SCENES_PER_SHARD
 from kit1000.errors import Redraw
-from kit1000.generation.assemblies import group
-from kit1000.generation.card_statistics import merged, statistics
-from kit1000.generation.parts_and_kits import Record, finished, save
+from kit1000.generation.assemblies import read_assembly
+from kit1000.generation.card_statistics import add_up, scene_statistics
+from kit1000.generation.parts_and_kits import Record, finished_record, save_record
 from kit1000.generation.plan import scene_id_of
 from kit1000.generation.presets import Preset
 from kit1000.generation.scenes import make_scene
 
-SEEN, TRUE, FURTHER = ".mcap", ".truth.mcap", ".three.mcap"  # endings of the files of a shard
-SPLITS_WITH_FURTHER = ("test",)  # splits that store the camera set `three`
+OBSERVATIONS, TRUTH, EXTRA_VIEWS = ".mcap", ".truth.mcap", ".three.mcap"  # endings of the files of a shard
+SPLITS_WITH_EXTRA_VIEWS = ("test",)  # splits that store the camera set `three`
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,9 @@ class ShardJob:
         return f"shard {self.id}"
 
 
-def shards(root: Path, preset: Preset, seed: int, split: str, planned: list[str], usable: set[str]) -> list[ShardJob]:
+def shard_jobs(
+    root: Path, preset: Preset, seed: int, split: str, planned: list[str], usable: set[str]
+) -> list[ShardJob]:
     """The shards of a split. What a shard holds depends on the plan alone, less what could not be made."""
     jobs = []
     for first in range(0, len(planned), SCENES_PER_SHARD):
@@ -60,7 +62,7 @@ def shards(root: Path, preset: Preset, seed: int, split: str, planned: list[str]
 
 def make_shard(job: ShardJob) -> Record:
     """Do the job, or find it done, and return its record."""
-    done = finished(job.root, "shards", job.id)
+    done = finished_record(job.root, "shards", job.id)
     if done is not None:
         return done
     redraws: Counter[str] = Counter()
@@ -68,21 +70,25 @@ def make_shard(job: ShardJob) -> Record:
     figures: list[dict[str, Any]] = []
     held: list[str] = []
     with ExitStack() as stack:
-        files = {ending: stack.enter_context(kind(job.root / f"{job.id}{ending}")) for ending, kind in _kinds(job)}
+        files = {ending: stack.enter_context(kind(job.root / f"{job.id}{ending}")) for ending, kind in _writers(job)}
         for assembly_id in job.assemblies:
-            assembly, parts = group(job.root, assembly_id)
+            assembly, parts = read_assembly(job.root, assembly_id)
             try:
-                scene = make_scene(job.preset, job.seed, job.split, assembly, parts, FURTHER in files)
+                scene = make_scene(job.preset, job.seed, job.split, assembly, parts, EXTRA_VIEWS in files)
             except Redraw as refusal:  # no layout shows its target: the scene is missing, the rest is not
                 refused[scene_id_of(assembly_id)] = refusal.reason
                 continue
             redraws.update(scene.redraws)
-            for ending, value in ((SEEN, scene.observation), (TRUE, scene.truth), (FURTHER, scene.further)):
+            for ending, value in (
+                (OBSERVATIONS, scene.observation),
+                (TRUTH, scene.truth),
+                (EXTRA_VIEWS, scene.extra_views),
+            ):
                 if value is not None:
                     files[ending].add(value)
-            figures.append(statistics([scene.truth]))
+            figures.append(scene_statistics([scene.truth]))
             held.append(scene.truth.scene_id)
-    return save(
+    return save_record(
         job.root,
         "shards",
         job.id,
@@ -93,12 +99,12 @@ def make_shard(job: ShardJob) -> Record:
             "scenes": held,
             "redraws": dict(redraws),
             "refused": refused,
-            "statistics": merged(figures),
+            "statistics": add_up(figures),
         },
     )
 
 
-def _kinds(job: ShardJob) -> list[tuple[str, Callable[[Path], Any]]]:
+def _writers(job: ShardJob) -> list[tuple[str, Callable[[Path], Any]]]:
     """The files of a shard: their endings and who writes them."""
-    further = [(FURTHER, ObservationWriter)] if job.split in SPLITS_WITH_FURTHER else []
-    return [(SEEN, ObservationWriter), (TRUE, TruthWriter), *further]
+    extra_views = [(EXTRA_VIEWS, ObservationWriter)] if job.split in SPLITS_WITH_EXTRA_VIEWS else []
+    return [(OBSERVATIONS, ObservationWriter), (TRUTH, TruthWriter), *extra_views]

@@ -12,7 +12,7 @@ from kit1000.dataset.schema import LICENCE
 from kit1000.dataset.tables import FORMAT, Row
 from kit1000.files import json_bytes
 from kit1000.generation.card import card_bytes
-from kit1000.generation.card_statistics import merged, pair_statistics
+from kit1000.generation.card_statistics import add_up, part_statistics
 from kit1000.generation.croissant import croissant_bytes
 from kit1000.generation.parts_and_kits import Record
 from kit1000.generation.plan import DATA_VERSION, dataset_id
@@ -20,39 +20,40 @@ from kit1000.tracks import SPLITS
 
 
 @dataclass(frozen=True, eq=False)
-class Made:
+class JobRecords:
     """The records of all jobs of a dataset, by id."""
 
-    pairs: dict[str, Record]
-    groups: dict[str, Record]
+    parts: dict[str, Record]
+    assemblies: dict[str, Record]
     shards: dict[str, Record]
 
     @property
-    def kept(self) -> list[Record]:
+    def accepted_parts(self) -> list[Record]:
         """Records of the pairs that came to be."""
-        return [record for record in self.pairs.values() if "refused" not in record]
+        return [record for record in self.parts.values() if "refused" not in record]
 
     @property
     def files(self) -> dict[str, str]:
         """Hashes of all files that jobs wrote, by name."""
-        records = [*self.kept, *self.groups.values(), *self.shards.values()]
+        records = [*self.accepted_parts, *self.assemblies.values(), *self.shards.values()]
         return {name: digest for record in records for name, digest in record["files"].items()}
 
 
-def tables(plan: Mapping[str, Any], made: Made) -> dict[str, dict[str, Row]]:
+def tables(plan: Mapping[str, Any], records: JobRecords) -> dict[str, dict[str, Row]]:
     """The rows of parts, kits and assemblies."""
-    kept = {part_id: made.pairs[part_id] for part_id in plan["parts"] if "refused" not in made.pairs[part_id]}
+    kept = {part_id: records.parts[part_id] for part_id in plan["parts"] if "refused" not in records.parts[part_id]}
     common = ("split", "source", "redraws", "measures")
     return {
         "parts": {i: r["part"] | {key: r[key] for key in common if key in r} for i, r in kept.items()},
         "kits": {i: r["kit"] | {"split": r["split"]} for i, r in kept.items()},
         "assemblies": {
-            i: r["assembly"] | {key: r[key] for key in ("split", "target", "redraws")} for i, r in made.groups.items()
+            i: r["assembly"] | {key: r[key] for key in ("split", "target", "redraws")}
+            for i, r in records.assemblies.items()
         },
     }
 
 
-def summarised(plan: dict[str, Any], made: Made, written: Mapping[str, str]) -> dict[str, Any]:
+def make_summary(plan: dict[str, Any], records: JobRecords, written: Mapping[str, str]) -> dict[str, Any]:
     """The contents of `dataset.json` but for the card and the Croissant file; `written` are hashes of further files."""
     return {
         "format": FORMAT,
@@ -63,28 +64,28 @@ def summarised(plan: dict[str, Any], made: Made, written: Mapping[str, str]) -> 
         "seed": plan["seed"],
         "config": plan["config"],
         "held_out_families": plan["held_out_families"],
-        "counts": {split: _counts(made, split) for split in SPLITS},
+        "counts": {split: _counts(records, split) for split in SPLITS},
         "redraws": {
-            "parts": _reasons(record["redraws"] for record in made.pairs.values()),
-            "assemblies": _reasons(record["redraws"] for record in made.groups.values()),
-            "scenes": _reasons(record["redraws"] for record in made.shards.values()),
+            "parts": _count_reasons(record["redraws"] for record in records.parts.values()),
+            "assemblies": _count_reasons(record["redraws"] for record in records.assemblies.values()),
+            "scenes": _count_reasons(record["redraws"] for record in records.shards.values()),
         },
-        "refused": refused_files(plan, made.pairs),
-        "refused_scenes": {k: v for _, record in sorted(made.shards.items()) for k, v in record["refused"].items()},
-        "statistics": {split: _figures(made, split) for split in SPLITS},
+        "refused": refused_files(plan, records.parts),
+        "refused_scenes": {k: v for _, record in sorted(records.shards.items()) for k, v in record["refused"].items()},
+        "statistics": {split: _statistics(records, split) for split in SPLITS},
         "shards": {
-            f"{shard_id}.mcap": record["scenes"] for shard_id, record in made.shards.items() if record["scenes"]
+            f"{shard_id}.mcap": record["scenes"] for shard_id, record in records.shards.items() if record["scenes"]
         },
-        "files": made.files | dict(written),
+        "files": records.files | dict(written),
     }
 
 
-def described(summary: dict[str, Any]) -> dict[str, bytes]:
+def description_files(summary: dict[str, Any]) -> dict[str, bytes]:
     """The files that tell people and tools about the dataset, by name."""
     return {"README.md": card_bytes(summary), "croissant.json": croissant_bytes(summary)}
 
 
-def sealed(summary: Mapping[str, Any]) -> bytes:
+def summary_bytes(summary: Mapping[str, Any]) -> bytes:
     """`dataset.json` with a checksum of itself, so that a change of any byte of it is found."""
     plain = {key: value for key, value in summary.items() if key != "checksum"}
     return json_bytes(plain | {"checksum": hashlib.sha256(json_bytes(plain)).hexdigest()})
@@ -100,26 +101,26 @@ def refused_files(plan: Mapping[str, Any], records: Mapping[str, Record]) -> dic
     }
 
 
-def _of(records: Mapping[str, Record], split: str) -> list[Record]:
+def _of_split(records: Mapping[str, Record], split: str) -> list[Record]:
     return [record for _, record in sorted(records.items()) if record["split"] == split]
 
 
-def _counts(made: Made, split: str) -> dict[str, int]:
+def _counts(records: JobRecords, split: str) -> dict[str, int]:
     return {
-        "parts": sum(record["split"] == split for record in made.kept),
-        "assemblies": len(_of(made.groups, split)),
-        "scenes": sum(len(record["scenes"]) for record in _of(made.shards, split)),
+        "parts": sum(record["split"] == split for record in records.accepted_parts),
+        "assemblies": len(_of_split(records.assemblies, split)),
+        "scenes": sum(len(record["scenes"]) for record in _of_split(records.shards, split)),
     }
 
 
-def _figures(made: Made, split: str) -> dict[str, Any]:
+def _statistics(records: JobRecords, split: str) -> dict[str, Any]:
     """The figures of the data card: of the scenes, and of the parts and their kits."""
-    pairs = [record for record in made.kept if record["split"] == split]
-    of_pairs = pair_statistics([record["part"] for record in pairs], [record["kit"] for record in pairs])
-    return merged([*(record["statistics"] for record in _of(made.shards, split)), of_pairs])
+    parts = [record for record in records.accepted_parts if record["split"] == split]
+    of_pairs = part_statistics([record["part"] for record in parts], [record["kit"] for record in parts])
+    return add_up([*(record["statistics"] for record in _of_split(records.shards, split)), of_pairs])
 
 
-def _reasons(redraws: Iterable[Iterable[str] | Mapping[str, int]]) -> dict[str, int]:
+def _count_reasons(redraws: Iterable[Iterable[str] | Mapping[str, int]]) -> dict[str, int]:
     """How often each reason was given; a job gives a list of them, or their counts."""
     total: Counter[str] = Counter()
     for reasons in redraws:

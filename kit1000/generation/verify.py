@@ -12,16 +12,16 @@ from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError
 from kit1000.files import read_json, sha256
 from kit1000.generation.plan import DATA_VERSION, dataset_id
-from kit1000.generation.rebuild import scene_faults
-from kit1000.generation.summary import sealed
-from kit1000.generation.withhold import SECRET, secret_fault
+from kit1000.generation.rebuild import scene_differences
+from kit1000.generation.summary import summary_bytes
+from kit1000.generation.withhold import SECRET_FILE, secret_fault
 from kit1000.rng import stream
 
 INDEX, PLAN = "dataset.json", "plan.json"
 
 
 @dataclass(frozen=True)
-class Findings:
+class VerifyReport:
     """What `verify` found."""
 
     files: int
@@ -34,26 +34,28 @@ class Findings:
     """What could not be checked, and why."""
 
 
-def verify(root: Path, sample: int = 0) -> Findings:
+def verify(root: Path, sample: int = 0) -> VerifyReport:
     """Check all files of a dataset and build `sample` of its scenes again. Raises InputError when it is no dataset."""
     geometry = Geometry(root)
     summary = geometry.summary
-    if not _holds_its_checksum(root, summary):
-        return Findings(0, (), (f"{INDEX}: changed since it was written",), ("it lists all others: none was checked",))
-    count, faults = len(summary["files"]), _files(root, summary)
+    if not _checksum_holds(root, summary):
+        return VerifyReport(
+            0, (), (f"{INDEX}: changed since it was written",), ("it lists all others: none was checked",)
+        )
+    count, faults = len(summary["files"]), _file_faults(root, summary)
     if sample == 0:
-        return Findings(count, (), tuple(faults))
-    why = _not_rebuilt(root, summary, faults)
+        return VerifyReport(count, (), tuple(faults))
+    why = _why_not_rebuilt(root, summary, faults)
     if why is not None:
-        return Findings(count, (), tuple(faults), (why,))
-    plan, scenes = read_json(root / PLAN), _sampled(summary, sample)
+        return VerifyReport(count, (), tuple(faults), (why,))
+    plan, scenes = read_json(root / PLAN), _sample_scenes(summary, sample)
     for scene_id in tqdm(scenes, desc="building scenes again", unit="", disable=None):
-        faults += [f"{scene_id}: {said}" for said in scene_faults(geometry, plan, scene_id)]
+        faults += [f"{scene_id}: {said}" for said in scene_differences(geometry, plan, scene_id)]
     notes = ("parts come from files: they are taken as stored",) if "unit" in plan else ()
-    return Findings(count, tuple(scenes), tuple(faults), notes)
+    return VerifyReport(count, tuple(scenes), tuple(faults), notes)
 
 
-def _not_rebuilt(root: Path, summary: dict[str, Any], faults: list[str]) -> str | None:
+def _why_not_rebuilt(root: Path, summary: dict[str, Any], faults: list[str]) -> str | None:
     """Why no scene can be built again; None when it can."""
     if not (root / PLAN).is_file():
         return "the plan is withheld: scenes can be built again from the whole dataset alone"
@@ -64,14 +66,14 @@ def _not_rebuilt(root: Path, summary: dict[str, Any], faults: list[str]) -> str 
     return None
 
 
-def _holds_its_checksum(root: Path, summary: dict[str, Any]) -> bool:
+def _checksum_holds(root: Path, summary: dict[str, Any]) -> bool:
     try:
-        return (root / INDEX).read_bytes() == sealed(summary)
+        return (root / INDEX).read_bytes() == summary_bytes(summary)
     except ValueError:  # an infinite number: a changed digit may make one
         return False
 
 
-def _files(root: Path, summary: dict[str, Any]) -> list[str]:
+def _file_faults(root: Path, summary: dict[str, Any]) -> list[str]:
     """Files that changed, are missing, or are none of this dataset; what is hidden is of no account."""
     faults = []
     for name, digest in tqdm(sorted(summary["files"].items()), desc="files", unit="", disable=None):
@@ -79,26 +81,26 @@ def _files(root: Path, summary: dict[str, Any]) -> list[str]:
         if found != digest:
             faults.append(f"{name}: {'missing or unreadable' if found is None else 'changed since it was written'}")
     whole = PLAN in summary["files"]
-    listed = {INDEX, *summary["files"], *([SECRET] if whole else [])}
+    listed = {INDEX, *summary["files"], *([SECRET_FILE] if whole else [])}
     present = (path.relative_to(root) for path in root.rglob("*") if path.is_file())
     shown = (path.as_posix() for path in present if not any(step.startswith(".") for step in path.parts))
     faults += [f"{name}: not a file of this dataset" for name in sorted(shown) if name not in listed]
     if whole and not faults and dataset_id(read_json(root / PLAN)) != summary["dataset_id"]:
         faults.append(f"{PLAN}: of another dataset")
-    if whole and (root / SECRET).is_file():
+    if whole and (root / SECRET_FILE).is_file():
         faults += _secret_faults(root, summary)
     return faults
 
 
 def _secret_faults(root: Path, summary: dict[str, Any]) -> list[str]:
     try:
-        fault = secret_fault(summary, read_json(root / SECRET))
+        fault = secret_fault(summary, read_json(root / SECRET_FILE))
     except InputError as error:
         return [str(error)]
-    return [] if fault is None else [f"{SECRET}: {fault}"]
+    return [] if fault is None else [f"{SECRET_FILE}: {fault}"]
 
 
-def _sampled(summary: dict[str, Any], sample: int) -> list[str]:
+def _sample_scenes(summary: dict[str, Any], sample: int) -> list[str]:
     """Scene ids, the same for the same dataset, spread over all splits."""
     scenes = sorted(scene_id for held in summary["shards"].values() for scene_id in held)
     chosen = stream(0, "verify", summary["dataset_id"]).permutation(len(scenes))[:sample]
