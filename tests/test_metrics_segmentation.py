@@ -1,4 +1,4 @@
-"""Laws of matching masks: the best of all assignments, no mask twice, and what the paper's release did instead."""
+"""IoU of matched masks: the best of all assignments, no mask twice, and the matching of the paper's release."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ H, W = 4, 6
 
 
 def masks(most: int) -> st.SearchStrategy[np.ndarray]:
-    """Up to so many masks (k, H, W), which may overlap or be empty."""
+    """At most `most` masks (k, H, W), which may overlap or be empty."""
     return st.integers(0, most).flatmap(lambda k: arrays.arrays(bool, (k, H, W)))
 
 
-def seen(most: int) -> st.SearchStrategy[np.ndarray]:
-    """The same without empty ones."""
+def nonempty_masks(most: int) -> st.SearchStrategy[np.ndarray]:
+    """The same without empty masks."""
     return masks(most).map(lambda array: array[array.any(axis=(1, 2))])
 
 
@@ -31,37 +31,37 @@ def iou(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def best_of_all(predicted: np.ndarray, true: np.ndarray) -> float:
-    """The largest mean that any assignment reaches, by trying them all."""
+    """The largest sum of IoU that any assignment reaches, by trying them all."""
     nothing = np.zeros((len(true), H, W), bool)
     choices = permutations(np.concatenate([predicted, nothing]), len(true))
-    return max(sum(iou(mask, thing) for mask, thing in zip(choice, true, strict=True)) for choice in choices)
+    return max(
+        sum(iou(mask, object_mask) for mask, object_mask in zip(choice, true, strict=True)) for choice in choices
+    )
 
 
-@given(predicted=masks(3), true=seen(3))
+@given(predicted=masks(3), true=nonempty_masks(3))
 @settings(max_examples=50)
 def test_no_assignment_is_better(predicted: np.ndarray, true: np.ndarray) -> None:
     matched = matched_masks(predicted, true)
     assert matched.iou.sum() == pytest.approx(best_of_all(predicted, true), abs=1e-12)
     taken = matched.match[matched.match >= 0]
     assert len(set(taken.tolist())) == len(taken)
-    for thing, mask, share in zip(true, matched.match.tolist(), matched.iou.tolist(), strict=True):
-        assert share == (iou(predicted[mask], thing) if mask >= 0 else 0)
+    for object_mask, mask, share in zip(true, matched.match.tolist(), matched.iou.tolist(), strict=True):
+        assert share == (iou(predicted[mask], object_mask) if mask >= 0 else 0)
     if len(true):
         assert mean_iou(predicted, true) == pytest.approx(matched.iou.mean())
 
 
-@given(true=seen(4), data=st.data())
+@given(true=nonempty_masks(4), data=st.data())
 @settings(max_examples=50)
-def test_the_truth_in_any_order_is_right(true: np.ndarray, data: st.DataObject) -> None:
+def test_the_ground_truth_in_any_order_scores_1(true: np.ndarray, data: st.DataObject) -> None:
     order = data.draw(st.permutations(range(len(true))))
     assert mean_iou(true[list(order)], true) == 1
 
 
-@given(predicted=masks(3), true=seen(3))
+@given(predicted=masks(3), true=nonempty_masks(3))
 @settings(max_examples=50)
-def test_masks_that_no_object_wants_cost_nothing_and_lost_ones_count_zero(
-    predicted: np.ndarray, true: np.ndarray
-) -> None:
+def test_unmatched_masks_cost_nothing_and_unmatched_objects_count_zero(predicted: np.ndarray, true: np.ndarray) -> None:
     if not len(true):
         return
     more = np.concatenate([predicted, np.zeros((2, H, W), bool)])
@@ -70,20 +70,23 @@ def test_masks_that_no_object_wants_cost_nothing_and_lost_ones_count_zero(
     assert fewer <= matched_masks(predicted, true).iou.sum() + 1e-12
 
 
-@given(a=seen(3), b=seen(3))
+@given(a=nonempty_masks(3), b=nonempty_masks(3))
 @settings(max_examples=50)
-def test_two_sets_of_as_many_masks_may_change_places(a: np.ndarray, b: np.ndarray) -> None:
+def test_two_sets_of_equally_many_masks_are_symmetric(a: np.ndarray, b: np.ndarray) -> None:
     k = min(len(a), len(b))
     assert mean_iou(a[:k], b[:k]) == pytest.approx(mean_iou(b[:k], a[:k]))
 
 
 @given(labels=arrays.arrays(np.int16, (H, W), elements=st.integers(0, 4)))
-def test_labels_stand_for_their_masks(labels: np.ndarray) -> None:
+def test_labels_equal_their_masks(labels: np.ndarray) -> None:
     true = np.zeros((1, H, W), bool)
     true[0, :2, :3] = True
     stack = np.array([labels == number for number in np.unique(labels[labels > 0])], bool).reshape(-1, H, W)
-    found, wanted = matched_masks(labels, true), matched_masks(stack, true)
-    assert (found.match.tolist(), found.iou.tolist()) == (wanted.match.tolist(), wanted.iou.tolist())
+    from_labels, from_masks = matched_masks(labels, true), matched_masks(stack, true)
+    assert (from_labels.match.tolist(), from_labels.iou.tolist()) == (
+        from_masks.match.tolist(),
+        from_masks.iou.tolist(),
+    )
     renumbered = np.where(labels > 0, labels.astype(np.uint16) * 1000, 0)
     assert mean_iou(renumbered, true) == mean_iou(labels, true)
 
@@ -104,24 +107,26 @@ def test_an_image_without_objects() -> None:
     assert mean_iou(nothing, something) == 0
 
 
-def test_what_are_no_masks_is_refused() -> None:
+def test_anything_but_masks_is_refused() -> None:
     labels, stack = np.ones((H, W), int), np.ones((2, H, W), bool)
     for wrong in (labels * 0.5, stack * 0.5, stack[0], stack.astype(int), stack[None]):
         with pytest.raises(ShapeError, match=r"predicted: expected labels \(H, W\) of integers or masks \(k, H, W\)"):
             mean_iou(wrong, labels)
     with pytest.raises(ShapeError, match=r"images of one size, got \(4, 5\) and \(4, 6\)"):
         mean_iou(labels[:, 1:], labels)
-    with pytest.raises(InputError, match="true: object 1 has no pixel: leave out what is not seen"):
+    with pytest.raises(InputError, match="true: object 1 has no pixel: leave out objects that are not visible"):
         mean_iou(stack, np.array([labels > 0, labels > 1]))
 
 
 def mean_of_the_release(predicted: np.ndarray, true: np.ndarray) -> float:
-    """Each object takes the mask of largest overlap in pixels, whoever else takes it."""
-    overlaps = np.array([[np.count_nonzero(mask & thing) for mask in predicted] for thing in true])
-    return float(np.mean([iou(predicted[k], thing) for k, thing in zip(overlaps.argmax(1), true, strict=True)]))
+    """Each object has the mask of largest overlap in pixels, even if another object has it too."""
+    overlaps = np.array([[np.count_nonzero(mask & object_mask) for mask in predicted] for object_mask in true])
+    return float(
+        np.mean([iou(predicted[k], object_mask) for k, object_mask in zip(overlaps.argmax(1), true, strict=True)])
+    )
 
 
-def test_one_mask_over_two_objects_is_two_half_right_ones_to_the_release_and_a_lost_one_here() -> None:
+def test_one_mask_over_two_objects_counts_twice_by_the_release_but_once_here() -> None:
     true = np.zeros((2, H, W), bool)
     true[0, :, :3], true[1, :, 3:] = True, True
     blob = np.array([true[0] | true[1]])

@@ -1,4 +1,4 @@
-"""Laws of comparing volumes: closed forms, slow twins, symmetry, and what the paper's release computed instead."""
+"""IoU and chamfer distance of volumes: closed forms, brute force, symmetry, and the formulas of the paper's release."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ ORIGIN = Pose.identity()
 
 
 def grid(n: int = 64, voxel: float = 1 * MM) -> Grid:
-    """A cube about the origin, whose voxels lie at halves of `voxel`."""
+    """A cube about the origin; voxel centres lie at odd multiples of `voxel` / 2."""
     return Grid.centred(ORIGIN, (n, n, n), voxel)
 
 
 def block(x: float, y: float, z: float, shift: tuple[float, float, float] = (0, 0, 0)) -> Mesh:
-    """A box about a place [mm]."""
+    """A box [mm] with its centre at `shift` [mm]."""
     return mesh_from_solid(box(x, y, z, at=(0, 0, -z / 2)).translate(shift)).scaled(MM)
 
 
@@ -38,38 +38,38 @@ def volume(mesh: Mesh, on: Grid | None = None, world_from_body: Pose = ORIGIN) -
 
 
 def ball(radius: float, centre: tuple[float, float, float] = (0, 0, 0), on: Grid | None = None) -> Volume:
-    """A ball by its formula. radius, centre: [m]"""
+    """Signed distances of a ball in closed form. radius, centre: [m]"""
     on = on or grid()
     distance = np.linalg.norm(on.centres() - np.array(centre), axis=-1) - radius
     return Volume(on, np.clip(distance / (5 * on.voxel), -1, 1))
 
 
-def without(known: np.ndarray, of: Volume) -> Volume:
-    """A volume that knows less. known: (nx, ny, nz) bool"""
+def masked(known: np.ndarray, of: Volume) -> Volume:
+    """A volume with more unknown voxels. known: (nx, ny, nz) bool"""
     return Volume(of.grid, np.where(known, of.values, np.nan))
 
 
 def values() -> st.SearchStrategy[np.ndarray]:
-    """Distances (3, 4, 2), zeros and unknown ones among them."""
+    """Signed distances (3, 4, 2) with zeros and unknown voxels."""
     numbers = st.sampled_from([-1.0, -0.5, 0.0, 0.25, 1.0, float("nan")])
     return arrays.arrays(np.float32, (3, 4, 2), elements=numbers)
 
 
-# --- what both take for solid ---
+# --- occupancy ---
 
 
 @pytest.mark.parametrize(("shift", "expected"), [((0, 0, 0), 1.0), ((10, 0, 0), 0.5), ((30, 0, 0), 0.0)])
-def test_boxes_that_are_shifted_share_what_is_left(shift: tuple[float, float, float], expected: float) -> None:
+def test_shifted_boxes_have_the_iou_of_their_overlap(shift: tuple[float, float, float], expected: float) -> None:
     still, moved = volume(block(30, 20, 20)), volume(block(30, 20, 20, shift))
     assert occupancy_iou(still, moved) == pytest.approx(expected, abs=1e-12)
 
 
-def test_a_ball_in_a_ball_has_the_share_of_its_volume() -> None:
+def test_a_ball_in_a_ball_has_the_iou_of_their_volumes() -> None:
     assert occupancy_iou(ball(0.015), ball(0.03)) == pytest.approx((15 / 30) ** 3, rel=0.02)
 
 
 @given(a=values(), b=values())
-def test_the_iou_is_that_of_a_loop_over_voxels(a: np.ndarray, b: np.ndarray) -> None:
+def test_the_iou_equals_a_loop_over_voxels(a: np.ndarray, b: np.ndarray) -> None:
     both = either = known = 0
     for x, y in zip(a.ravel().tolist(), b.ravel().tolist(), strict=True):
         if x == x and y == y:
@@ -84,16 +84,16 @@ def test_the_iou_is_that_of_a_loop_over_voxels(a: np.ndarray, b: np.ndarray) -> 
     assert known_share(a, b) == (known / np.count_nonzero(b == b) if (b == b).any() else 1.0)
 
 
-def test_what_one_of_the_two_does_not_know_is_left_out() -> None:
+def test_voxels_unknown_in_either_volume_are_left_out() -> None:
     true, dented = volume(block(30, 20, 20)), volume(block(20, 20, 20, (-5, 0, 0)))
     known = true.grid.centres()[..., 0] < 0.005
     assert occupancy_iou(true, dented) == pytest.approx(2 / 3)
-    assert occupancy_iou(true, without(known, dented)) == 1
-    assert known_share(without(known, dented), true) == known.mean()
-    assert known_share(true, without(known, dented)) == 1
+    assert occupancy_iou(true, masked(known, dented)) == 1
+    assert known_share(masked(known, dented), true) == known.mean()
+    assert known_share(true, masked(known, dented)) == 1
 
 
-def test_volumes_that_say_nothing() -> None:
+def test_volumes_without_known_or_occupied_voxels() -> None:
     true, free, unknown = (Volume(grid(4), np.full((4, 4, 4), value)) for value in (-0.5, 1.0, np.nan))
     assert occupancy_iou(free, free) == 1
     assert occupancy_iou(true, free) == 0
@@ -103,21 +103,21 @@ def test_volumes_that_say_nothing() -> None:
     assert surface_chamfer(free, unknown) == 0  # no surface in either
 
 
-# --- how far apart surfaces lie ---
+# --- chamfer distance ---
 
 
-def test_shells_about_one_middle_are_as_far_apart_as_their_radii() -> None:
+def test_concentric_shells_are_as_far_apart_as_their_radii() -> None:
     assert surface_chamfer(ball(0.020), ball(0.023)) == pytest.approx(3 * MM, rel=0.01)
 
 
-def test_a_pair_of_points_is_worked_out_by_hand() -> None:
+def test_three_points_by_hand() -> None:
     a, b = np.array([[0.0, 0, 0], [0.003, 0, 0]]), np.array([[0.0, 0.004, 0]])
     assert surface_chamfer(a, b) == pytest.approx(((4 + 5) / 2 + 4) / 2 * MM)
 
 
 @given(pose=poses(), scale=st.floats(0.1, 10))
 @settings(max_examples=20)
-def test_the_distance_is_that_of_all_pairs_and_moves_and_grows_with_the_world(pose: Pose, scale: float) -> None:
+def test_the_distance_equals_all_pairs_in_any_world_frame_and_scale(pose: Pose, scale: float) -> None:
     rng = np.random.default_rng(0)
     a, b = rng.normal(size=(40, 3)), rng.normal(size=(60, 3)) + 0.3
     pairs = np.linalg.norm(a[:, None] - b, axis=-1)
@@ -128,13 +128,13 @@ def test_the_distance_is_that_of_all_pairs_and_moves_and_grows_with_the_world(po
     assert surface_chamfer(*moved) == pytest.approx(scale * expected, rel=1e-6)
 
 
-def test_a_volume_stands_for_the_points_on_its_surface() -> None:
+def test_a_volume_has_the_distance_of_its_surface_points() -> None:
     a, b = ball(0.02), volume(block(30, 20, 20))
     assert surface_chamfer(a, b) == surface_chamfer(surface_points(a), surface_points(b))
-    assert surface_chamfer(a.moved(Pose.from_translation((0.1, 0, 0))), b) > 0.05  # volumes stand in the world
+    assert surface_chamfer(a.moved(Pose.from_translation((0.1, 0, 0))), b) > 0.05  # volumes are posed in the world
 
 
-def test_points_even_on_two_meshes_tell_what_their_volumes_tell() -> None:
+def test_even_samples_of_two_meshes_have_the_distance_of_their_volumes() -> None:
     a, b = block(40, 30, 20), block(44, 30, 20)
     even = [points_of(mesh, 20_000, np.random.default_rng(seed)) for seed, mesh in enumerate((a, b))]
     assert surface_chamfer(volume(a), volume(b)) == pytest.approx(surface_chamfer(*even), abs=0.3 * MM)
@@ -142,24 +142,24 @@ def test_points_even_on_two_meshes_tell_what_their_volumes_tell() -> None:
 
 @given(pose=poses())
 @settings(max_examples=10)
-def test_equal_volumes_are_alike_to_the_bit(pose: Pose) -> None:
+def test_equal_volumes_have_exactly_iou_1_and_distance_0(pose: Pose) -> None:
     one = volume(block(20, 12, 8), grid(32), Pose(pose.wxyz, np.clip(pose.xyz, -5 * MM, 5 * MM)))
     again = Volume(one.grid, one.values.copy())
     assert surface_chamfer(one, again) == 0
     assert occupancy_iou(one, again) == 1
 
 
-def test_nothing_is_infinitely_far_from_something() -> None:
+def test_no_surface_is_infinitely_far_from_a_surface() -> None:
     nothing = np.empty((0, 3))
     assert surface_chamfer(nothing, nothing) == 0
     assert surface_chamfer(nothing, ball(0.02)) == surface_chamfer(ball(0.02), nothing) == float("inf")
 
 
-# --- what is refused ---
+# --- wrong input ---
 
 
 def test_volumes_that_cannot_be_compared_are_refused() -> None:
-    with pytest.raises(InputError, match=r"expected two on one grid; kit1000\.voxels\.resample reads"):
+    with pytest.raises(InputError, match=r"expected two on one grid; kit1000\.voxels\.resample samples"):
         occupancy_iou(ball(0.02), ball(0.02, on=grid(voxel=2 * MM)))
     with pytest.raises(ShapeError, match=r"two of one shape, got \(2, 2, 2\) and \(2, 2, 3\)"):
         occupancy_iou(np.zeros((2, 2, 2)), np.zeros((2, 2, 3)))
@@ -169,22 +169,22 @@ def test_volumes_that_cannot_be_compared_are_refused() -> None:
         surface_chamfer(np.zeros((2, 2, 2)), np.zeros((1, 3)))
 
 
-# --- what the release of the paper computed instead ---
+# --- the formulas of the paper's release ---
 
 
 def iou_of_the_release(a: Volume, b: Volume) -> float:
-    """Of the voxels half a truncation or more outside: of free space."""
+    """IoU of free space: of the voxels half a truncation distance or more outside."""
     free, other = a.values >= 0.5, b.values >= 0.5
     return np.count_nonzero(free & other) / np.count_nonzero(free | other)
 
 
 def chamfer_of_the_release(a: Volume, b: Volume, rng: np.random.Generator) -> float:
-    """[m] by 10,000 solid voxels of each, inside ones too; distances |x| + |y| + |z|, both ways summed."""
+    """[m] Of 10,000 occupied voxels each, interior ones too; L1 distances, both directions summed."""
     left, right = (rng.permutation(np.argwhere(volume.occupied))[:10_000] * VOXEL for volume in (a, b))
     return float(KDTree(right).query(left, p=1)[0].mean() + KDTree(left).query(right, p=1)[0].mean())
 
 
-def test_a_block_without_a_cavity_is_nearly_a_kit_to_the_release_and_far_from_one_here() -> None:
+def test_a_block_without_a_cavity_scores_as_a_kit_by_the_release_but_not_here() -> None:
     on = grid(128, 2 * MM)
     plate = box(100, 100, 50)
     kit, solid = mesh_from_solid(plate - box(80, 80, 26, at=(0, 0, 25))).scaled(MM), mesh_from_solid(plate).scaled(MM)
@@ -194,7 +194,7 @@ def test_a_block_without_a_cavity_is_nearly_a_kit_to_the_release_and_far_from_on
     assert surface_chamfer(guess, true) == pytest.approx(3 * MM, rel=0.1)
 
 
-def test_a_shape_is_millimetres_from_itself_to_the_release_and_nothing_here() -> None:
+def test_a_shape_is_millimetres_from_itself_by_the_release_but_not_here() -> None:
     true = volume(block(80, 80, 50), Grid.centred(ORIGIN, (100, 100, 64), VOXEL))
     assert chamfer_of_the_release(true, true, np.random.default_rng(0)) == pytest.approx(4.9 * MM, abs=0.2 * MM)
     assert surface_chamfer(true, true) == 0

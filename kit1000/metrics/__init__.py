@@ -1,6 +1,6 @@
-"""Metrics of predicted motions, volumes and masks: pure functions of arrays, SI units, that anybody can log.
+"""Metrics of predicted motions, volumes and masks: pure functions of arrays, in SI units.
 
-Every score names the version of its metric; a change to a formula or a limit raises it.
+Every score states the versions of its metrics; a change to a formula or a limit raises the version.
 """
 
 from kit1000.metrics.pose_errors import PoseErrors, nearest_goal_motions, pose_errors
@@ -19,7 +19,7 @@ METRIC_VERSIONS: dict[str, int] = {
     "chamfer": 1,
     "mean_iou": 1,
 }
-"""By metric: raised when the number it gives changes."""
+"""By metric; raised when its values change."""
 
 __all__ = [
     "METRIC_VERSIONS",
@@ -27,10 +27,10 @@ __all__ = [
     "PoseErrors",
     "Seatings",
     "Targets",
-    "nearest_goal_motions",
     "known_share",
     "matched_masks",
     "mean_iou",
+    "nearest_goal_motions",
     "occupancy_iou",
     "pose_errors",
     "seatings",

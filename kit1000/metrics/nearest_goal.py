@@ -1,7 +1,8 @@
-"""Which goal, at which turn about the free axis, a predicted motion comes nearest to: loops over hull vertices.
+"""The goal of smallest MSSD, with its angle about the free axis: compiled loops over the vertices of convex hulls.
 
-Nearest means smallest MSSD, the largest distance between where a vertex is taken and where it belongs. A placement is
-a rotation (3, 3) and a translation (3,) [m] that take vertices of the part's frame to the world.
+MSSD is the maximum symmetry-aware surface distance: the largest distance between a vertex of the part where the
+prediction puts it and where the goal puts it, minimised over the goals and over rotations of the goal about its free
+axis. A pose is a rotation (3, 3) and a translation (3,) [m] from the part's frame to the world.
 """
 
 from __future__ import annotations
@@ -10,148 +11,169 @@ import numpy as np
 
 from kit1000.compiled import compiled
 
-CELLS = 24  # equal angles looked at, the twist angle first
-CELL = 2 * np.pi / CELLS
-BEST = 3  # cells searched further, one cell to either side
-STEPS = 30  # of golden section: a bracket of 30 degrees shrinks to 3e-7 rad
-GOLDEN = (np.sqrt(5.0) - 1) / 2
+ANGLE_SAMPLES = 24  # equally spaced angles that are evaluated, the twist angle first
+ANGLE_STEP = 2 * np.pi / ANGLE_SAMPLES
+REFINED = 3  # best samples that are refined, each between its two neighbours
+GOLDEN_STEPS = 30  # of golden section: a bracket of 30 degrees shrinks to 3e-7 rad
+GOLDEN_RATIO = (np.sqrt(5.0) - 1) / 2
 
 
 @compiled
 def nearest_goals(
-    moved_r, moved_t, wanted_r, wanted_t, goal_starts, free, points, directions, twists, hulls, hull_starts, shape
+    predicted_r,
+    predicted_t,
+    goal_r,
+    goal_t,
+    goal_starts,
+    has_free_axis,
+    axis_points,
+    axis_directions,
+    twists,
+    hulls,
+    hull_starts,
+    hull_index,
 ):
-    """For n queries the index of the judging goal among their own, its turn [rad] and the MSSD [m]: (n,) each.
+    """For n queries the index of the nearest goal among their own, its angle [rad] and the MSSD [m]: (n,) each.
 
-    moved: (n, ...) placements as predicted; wanted: (m, ...) placements at the goals; free (n,) bool; points and
-    directions (n, 3) of the free axes; twists (m,) [rad] of the prediction about the axis, seen from each goal.
+    predicted: (n, ...) poses as predicted; goal: (m, ...) poses of the goals; has_free_axis (n,) bool; axis_points and
+    axis_directions (n, 3); twists (m,) [rad]: the rotation from each goal to the prediction, projected on the axis.
     """
-    n = moved_r.shape[0]
-    goal, turn, mssd = np.zeros(n, np.int64), np.zeros(n), np.zeros(n)
+    n = predicted_r.shape[0]
+    goal, angle, mssd = np.zeros(n, np.int64), np.zeros(n), np.zeros(n)
     for i in range(n):
-        vertices = hulls[hull_starts[shape[i]] : hull_starts[shape[i] + 1]]
+        vertices = hulls[hull_starts[hull_index[i]] : hull_starts[hull_index[i] + 1]]
         best = np.inf
         for g in range(goal_starts[i], goal_starts[i + 1]):
-            angle = 0.0
-            if free[i]:
-                angle, largest = _best_turn(
-                    vertices, moved_r[i], moved_t[i], wanted_r[g], wanted_t[g], points[i], directions[i], twists[g]
+            best_angle = 0.0
+            if has_free_axis[i]:
+                best_angle, largest = _best_angle(
+                    vertices,
+                    predicted_r[i],
+                    predicted_t[i],
+                    goal_r[g],
+                    goal_t[g],
+                    axis_points[i],
+                    axis_directions[i],
+                    twists[g],
                 )
             else:
-                largest = _largest_distance(vertices, moved_r[i], moved_t[i], wanted_r[g], wanted_t[g])
+                largest = _largest_distance(vertices, predicted_r[i], predicted_t[i], goal_r[g], goal_t[g])
             if largest < best:
                 best = largest
-                goal[i], turn[i], mssd[i] = g - goal_starts[i], angle, largest
-    return goal, turn, mssd
+                goal[i], angle[i], mssd[i] = g - goal_starts[i], best_angle, largest
+    return goal, angle, mssd
 
 
 @compiled
-def _largest_distance(vertices, moved_r, moved_t, wanted_r, wanted_t):
-    """The largest distance [m] between two placements of the same vertices: exact down to rounding."""
-    apart, shift = moved_r - wanted_r, moved_t - wanted_t
+def _largest_distance(vertices, predicted_r, predicted_t, goal_r, goal_t):
+    """The largest distance [m] between the same vertices at two poses: exact down to rounding."""
+    change, shift = predicted_r - goal_r, predicted_t - goal_t
     largest = 0.0
     for k in range(vertices.shape[0]):
         x, y, z = vertices[k]
-        dx = apart[0, 0] * x + apart[0, 1] * y + apart[0, 2] * z + shift[0]
-        dy = apart[1, 0] * x + apart[1, 1] * y + apart[1, 2] * z + shift[1]
-        dz = apart[2, 0] * x + apart[2, 1] * y + apart[2, 2] * z + shift[2]
+        dx = change[0, 0] * x + change[0, 1] * y + change[0, 2] * z + shift[0]
+        dy = change[1, 0] * x + change[1, 1] * y + change[1, 2] * z + shift[1]
+        dz = change[2, 0] * x + change[2, 1] * y + change[2, 2] * z + shift[2]
         largest = max(largest, dx * dx + dy * dy + dz * dz)
     return np.sqrt(largest)
 
 
 @compiled
-def _best_turn(vertices, moved_r, moved_t, wanted_r, wanted_t, point, direction, twist):
-    """The turn of the goal about its axis that makes the largest distance smallest, and that distance.
+def _best_angle(vertices, predicted_r, predicted_t, goal_r, goal_t, point, direction, twist):
+    """The angle [rad] of the goal about its axis with the smallest largest distance, and that distance [m].
 
-    The twist angle has the last word: where it does as well, as at the truth, it is exact and the search is not.
+    Where the twist angle does as well, as at the ground truth, it is returned: it is exact and the search is not.
     """
-    waves = _waves(vertices, moved_r, moved_t - point, wanted_r, wanted_t - point, direction)
-    searched = _searched(waves, twist)
-    at_twist = _turned_distance(vertices, moved_r, moved_t, wanted_r, wanted_t, point, direction, twist)
-    at_best = _turned_distance(vertices, moved_r, moved_t, wanted_r, wanted_t, point, direction, searched)
-    return (searched, at_best) if at_best < at_twist else (twist, at_twist)
+    sinusoids = _distance_sinusoids(vertices, predicted_r, predicted_t - point, goal_r, goal_t - point, direction)
+    found = _search_angle(sinusoids, twist)
+    at_twist = _largest_distance_at_angle(vertices, predicted_r, predicted_t, goal_r, goal_t, point, direction, twist)
+    at_found = _largest_distance_at_angle(vertices, predicted_r, predicted_t, goal_r, goal_t, point, direction, found)
+    return (found, at_found) if at_found < at_twist else (twist, at_twist)
 
 
 @compiled
-def _waves(vertices, moved_r, moved_t, wanted_r, wanted_t, n):
-    """(v, 3): for each vertex a, b, c of its squared distance a + b cos t + c sin t [m^2] at a turn t of the goal.
+def _distance_sinusoids(vertices, predicted_r, predicted_t, goal_r, goal_t, n):
+    """(v, 3): for each vertex a, b, c of its squared distance a + b cos t + c sin t [m^2] at angle t of the goal.
 
-    With p and g the vertex as predicted and at the goal, both seen from the axis n, and R the turn about n,
+    With p and g the vertex as predicted and at the goal, both relative to a point on the axis n, and R the rotation by
+    t about n,
     |p - R g|^2 = |p|^2 + |g|^2 - 2 (n.p)(n.g) - 2 cos t (p.g - (n.p)(n.g)) - 2 sin t n.(g x p).
     """
-    waves = np.empty((vertices.shape[0], 3))
+    sinusoids = np.empty((vertices.shape[0], 3))
     for k in range(vertices.shape[0]):
         x, y, z = vertices[k]
-        px = moved_r[0, 0] * x + moved_r[0, 1] * y + moved_r[0, 2] * z + moved_t[0]
-        py = moved_r[1, 0] * x + moved_r[1, 1] * y + moved_r[1, 2] * z + moved_t[1]
-        pz = moved_r[2, 0] * x + moved_r[2, 1] * y + moved_r[2, 2] * z + moved_t[2]
-        gx = wanted_r[0, 0] * x + wanted_r[0, 1] * y + wanted_r[0, 2] * z + wanted_t[0]
-        gy = wanted_r[1, 0] * x + wanted_r[1, 1] * y + wanted_r[1, 2] * z + wanted_t[1]
-        gz = wanted_r[2, 0] * x + wanted_r[2, 1] * y + wanted_r[2, 2] * z + wanted_t[2]
+        px = predicted_r[0, 0] * x + predicted_r[0, 1] * y + predicted_r[0, 2] * z + predicted_t[0]
+        py = predicted_r[1, 0] * x + predicted_r[1, 1] * y + predicted_r[1, 2] * z + predicted_t[1]
+        pz = predicted_r[2, 0] * x + predicted_r[2, 1] * y + predicted_r[2, 2] * z + predicted_t[2]
+        gx = goal_r[0, 0] * x + goal_r[0, 1] * y + goal_r[0, 2] * z + goal_t[0]
+        gy = goal_r[1, 0] * x + goal_r[1, 1] * y + goal_r[1, 2] * z + goal_t[1]
+        gz = goal_r[2, 0] * x + goal_r[2, 1] * y + goal_r[2, 2] * z + goal_t[2]
         along = (n[0] * px + n[1] * py + n[2] * pz) * (n[0] * gx + n[1] * gy + n[2] * gz)
-        waves[k, 0] = px * px + py * py + pz * pz + gx * gx + gy * gy + gz * gz - 2 * along
-        waves[k, 1] = -2 * (px * gx + py * gy + pz * gz - along)
-        waves[k, 2] = -2 * (n[0] * (gy * pz - gz * py) + n[1] * (gz * px - gx * pz) + n[2] * (gx * py - gy * px))
-    return waves
+        sinusoids[k, 0] = px * px + py * py + pz * pz + gx * gx + gy * gy + gz * gz - 2 * along
+        sinusoids[k, 1] = -2 * (px * gx + py * gy + pz * gz - along)
+        sinusoids[k, 2] = -2 * (n[0] * (gy * pz - gz * py) + n[1] * (gz * px - gx * pz) + n[2] * (gx * py - gy * px))
+    return sinusoids
 
 
 @compiled
-def _height(waves, angle):
-    """The largest squared distance [m^2] at a turn."""
+def _largest_squared_distance(sinusoids, angle):
+    """The largest squared distance [m^2] of any vertex at an angle [rad] of the goal."""
     c, s = np.cos(angle), np.sin(angle)
-    highest = -np.inf
-    for k in range(waves.shape[0]):
-        highest = max(highest, waves[k, 0] + waves[k, 1] * c + waves[k, 2] * s)
-    return highest
+    largest = -np.inf
+    for k in range(sinusoids.shape[0]):
+        largest = max(largest, sinusoids[k, 0] + sinusoids[k, 1] * c + sinusoids[k, 2] * s)
+    return largest
 
 
 @compiled
-def _searched(waves, first):
-    """The turn of the lowest height: equal angles from `first` on, then golden section in the best cells."""
-    heights = np.empty(CELLS)
-    for k in range(CELLS):
-        heights[k] = _height(waves, first + k * CELL)
-    best, lowest = first, np.inf
-    for k in np.argsort(heights)[:BEST]:
-        angle = _golden(waves, first + (k - 1) * CELL, first + (k + 1) * CELL)
-        height = _height(waves, angle)
-        if height < lowest:
-            best, lowest = angle, height
+def _search_angle(sinusoids, first):
+    """The angle of smallest largest distance: equally spaced samples from `first` on, the best refined."""
+    values = np.empty(ANGLE_SAMPLES)
+    for k in range(ANGLE_SAMPLES):
+        values[k] = _largest_squared_distance(sinusoids, first + k * ANGLE_STEP)
+    best, smallest = first, np.inf
+    for k in np.argsort(values)[:REFINED]:
+        angle = _golden_section(sinusoids, first + (k - 1) * ANGLE_STEP, first + (k + 1) * ANGLE_STEP)
+        value = _largest_squared_distance(sinusoids, angle)
+        if value < smallest:
+            best, smallest = angle, value
     return best
 
 
 @compiled
-def _golden(waves, low, high):
-    """The lowest turn between two, by golden section."""
-    left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
-    at_left, at_right = _height(waves, left), _height(waves, right)
-    for _ in range(STEPS):
+def _golden_section(sinusoids, low, high):
+    """The angle of smallest largest distance between two angles, by golden section."""
+    left, right = high - GOLDEN_RATIO * (high - low), low + GOLDEN_RATIO * (high - low)
+    at_left, at_right = _largest_squared_distance(sinusoids, left), _largest_squared_distance(sinusoids, right)
+    for _ in range(GOLDEN_STEPS):
         if at_left <= at_right:
             high, right, at_right = right, left, at_left
-            left = high - GOLDEN * (high - low)
-            at_left = _height(waves, left)
+            left = high - GOLDEN_RATIO * (high - low)
+            at_left = _largest_squared_distance(sinusoids, left)
         else:
             low, left, at_left = left, right, at_right
-            right = low + GOLDEN * (high - low)
-            at_right = _height(waves, right)
+            right = low + GOLDEN_RATIO * (high - low)
+            at_right = _largest_squared_distance(sinusoids, right)
     return left if at_left <= at_right else right
 
 
 @compiled
-def _turned_distance(vertices, moved_r, moved_t, wanted_r, wanted_t, point, n, angle):
-    """The largest distance [m] to the goal turned about its axis, without the cancellation of the waves."""
+def _largest_distance_at_angle(vertices, predicted_r, predicted_t, goal_r, goal_t, point, n, angle):
+    """The largest distance [m] to the goal at an angle about its axis, without the cancellation of the sinusoids."""
     c, s = np.cos(angle), np.sin(angle)
-    turn = np.array(
+    rotation = np.array(
         (
             (c + (1 - c) * n[0] * n[0], (1 - c) * n[0] * n[1] - s * n[2], (1 - c) * n[0] * n[2] + s * n[1]),
             ((1 - c) * n[1] * n[0] + s * n[2], c + (1 - c) * n[1] * n[1], (1 - c) * n[1] * n[2] - s * n[0]),
             ((1 - c) * n[2] * n[0] - s * n[1], (1 - c) * n[2] * n[1] + s * n[0], c + (1 - c) * n[2] * n[2]),
         )
     )
-    turned_r, turned_t = np.empty((3, 3)), np.empty(3)
+    rotated_r, rotated_t = np.empty((3, 3)), np.empty(3)
     for i in range(3):
-        turned_t[i] = point[i]
+        rotated_t[i] = point[i]
         for j in range(3):
-            turned_t[i] += turn[i, j] * (wanted_t[j] - point[j])
-            turned_r[i, j] = turn[i, 0] * wanted_r[0, j] + turn[i, 1] * wanted_r[1, j] + turn[i, 2] * wanted_r[2, j]
-    return _largest_distance(vertices, moved_r, moved_t, turned_r, turned_t)
+            rotated_t[i] += rotation[i, j] * (goal_t[j] - point[j])
+            rotated_r[i, j] = (
+                rotation[i, 0] * goal_r[0, j] + rotation[i, 1] * goal_r[1, j] + rotation[i, 2] * goal_r[2, j]
+            )
+    return _largest_distance(vertices, predicted_r, predicted_t, rotated_r, rotated_t)

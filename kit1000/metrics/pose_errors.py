@@ -1,7 +1,7 @@
-"""How far predicted motions are from home: position, rotation and MSSD, blind to which of several right goals is meant.
+"""Position error, rotation error and MSSD of predicted motions, symmetry-aware: any of several equal goals is right.
 
-One goal judges a query, the one of smallest MSSD over all goals and, where the slot leaves one free, over all turns
-about its axis; position and rotation are read against that same goal. Pure functions of arrays: metres and radians.
+Each query is measured against its nearest goal: the one of smallest MSSD, over all goals and, where the slot has a free
+axis, over all angles about it. Position and rotation errors are against that same goal. Metres and radians.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ class PoseErrors:
     """Errors of n predictions, one row a query; read-only."""
 
     position: np.ndarray
-    """(n,) [m] from where the anchor is taken to where the judging goal wants it."""
+    """(n,) [m] between the anchor under the predicted motion and under the nearest goal."""
     rotation: np.ndarray
-    """(n,) [rad] geodesic angle to the judging goal, 0 to pi."""
+    """(n,) [rad] geodesic angle to the nearest goal, 0 to pi."""
     mssd: np.ndarray
-    """(n,) [m] maximum symmetry-aware surface distance: of the worst point of the part to its place."""
+    """(n,) [m] maximum symmetry-aware surface distance: of the worst vertex of the part, to the nearest goal."""
     goal: np.ndarray
-    """(n,) int: the judging goal, among those of its query."""
+    """(n,) int: index of the nearest goal, among those of its query."""
     angle: np.ndarray
-    """(n,) [rad] by which the judging goal is turned about the free axis, -pi to pi; 0 without one."""
+    """(n,) [rad] of the nearest goal about the free axis, -pi to pi; 0 without one."""
     position_plain: np.ndarray
-    """(n,) [m] the same as `position` against the drawn goal, whatever the symmetry."""
+    """(n,) [m] as `position`, but against the drawn goal, without symmetry."""
     rotation_plain: np.ndarray
-    """(n,) [rad] the same as `rotation` against the drawn goal."""
+    """(n,) [rad] as `rotation`, but against the drawn goal, without symmetry."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -40,39 +40,39 @@ class PoseErrors:
 
 
 def pose_errors(predicted: Pose, targets: Targets) -> PoseErrors:
-    """Measure predicted motions (n,) goal_from_now, one for each of n targets, in their order."""
+    """The errors of predicted motions (n,) goal_from_now, one for each of n targets, in their order."""
     check_poses("predicted", predicted, len(targets))
-    goal, turn, mssd = _judged(predicted, targets)
-    home = _turned(targets, goal, turn)
-    position, rotation = _apart(predicted, home, targets.anchors)
-    position_plain, rotation_plain = _apart(predicted, targets.goals_drawn, targets.anchors)
-    return PoseErrors(position, rotation, mssd, goal, turn, position_plain, rotation_plain)
+    goal, angle, mssd = _nearest_goals(predicted, targets)
+    goal_motions = _goal_motions(targets, goal, angle)
+    position, rotation = _position_and_rotation(predicted, goal_motions, targets.anchors)
+    position_plain, rotation_plain = _position_and_rotation(predicted, targets.goals_drawn, targets.anchors)
+    return PoseErrors(position, rotation, mssd, goal, angle, position_plain, rotation_plain)
 
 
 def nearest_goal_motions(targets: Targets, errors: PoseErrors) -> Pose:
-    """(n,) goal_from_now of the goals that predictions were judged by, turned as they were judged."""
-    return _turned(targets, errors.goal, errors.angle)
+    """(n,) goal_from_now of the nearest goals, at their angles about the free axes."""
+    return _goal_motions(targets, errors.goal, errors.angle)
 
 
-def _judged(predicted: Pose, targets: Targets) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The judging goals, their turns [rad] and the MSSD [m], (n,) each."""
-    owner, free = targets.owner, targets.free
-    moved = predicted @ targets.world_from_part
-    wanted = targets.goals @ targets.world_from_part[owner]
+def _nearest_goals(predicted: Pose, targets: Targets) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The nearest goals, their angles about the free axes [rad] and the MSSD [m], (n,) each."""
+    query, free = targets.query_of_goal, targets.has_free_axis
+    predicted_poses = predicted @ targets.world_from_part
+    goal_poses = targets.goals @ targets.world_from_part[query]
     directions = np.where(free[:, None], targets.axis_directions, 0.0)
-    goal, turn, mssd = nearest_goals(
-        *(moved.rotation_matrix(), moved.xyz),
-        *(wanted.rotation_matrix(), wanted.xyz),
+    goal, angle, mssd = nearest_goals(
+        *(predicted_poses.rotation_matrix(), predicted_poses.xyz),
+        *(goal_poses.rotation_matrix(), goal_poses.xyz),
         targets.goal_starts,
         *(free, np.where(free[:, None], targets.axis_points, 0.0), directions),
-        _twist(predicted[owner], targets.goals, directions[owner]),
-        *(targets.hulls, targets.hull_starts, targets.shape),
+        _twist(predicted[query], targets.goals, directions[query]),
+        *(targets.hulls, targets.hull_starts, targets.hull_index),
     )
-    return goal, turn - 2 * np.pi * np.round(turn / (2 * np.pi)), mssd
+    return goal, angle - 2 * np.pi * np.round(angle / (2 * np.pi)), mssd
 
 
 def _twist(predicted: Pose, goals: Pose, directions: np.ndarray) -> np.ndarray:
-    """(m,) [rad] turns of the goals about directions (m, 3) that come nearest to the predicted rotations.
+    """(m,) [rad] angles of the goals about directions (m, 3) with the smallest rotation error.
 
     The twist of the rotation from goal to prediction: 2 atan2(n . q_xyz, q_w).
     """
@@ -80,18 +80,18 @@ def _twist(predicted: Pose, goals: Pose, directions: np.ndarray) -> np.ndarray:
     return 2 * np.arctan2(np.sum(relative[:, 1:] * directions, axis=1), relative[:, 0])
 
 
-def _turned(targets: Targets, goal: np.ndarray, turn: np.ndarray) -> Pose:
-    """(n,) one goal a query, turned [rad] about the free axis where there is one."""
-    free = targets.free[:, None]
+def _goal_motions(targets: Targets, goal: np.ndarray, angle: np.ndarray) -> Pose:
+    """(n,) goal_from_now of one goal a query, rotated by an angle [rad] about the free axis where there is one."""
+    free = targets.has_free_axis[:, None]
     points = np.where(free, targets.axis_points, 0.0)
-    about = Pose.from_rotvec(np.where(free, turn[:, None] * targets.axis_directions, 0.0))
+    about = Pose.from_rotvec(np.where(free, angle[:, None] * targets.axis_directions, 0.0))
     about = Pose(about.wxyz, points - about.rotate(points))
     chosen = targets.goals[targets.goal_starts[:-1] + goal]
-    turned = about @ chosen
-    return Pose(np.where(free, turned.wxyz, chosen.wxyz), np.where(free, turned.xyz, chosen.xyz))
+    rotated = about @ chosen
+    return Pose(np.where(free, rotated.wxyz, chosen.wxyz), np.where(free, rotated.xyz, chosen.xyz))
 
 
-def _apart(predicted: Pose, home: Pose, anchors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _position_and_rotation(predicted: Pose, goals: Pose, anchors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(n,) [m] between the anchors under two motions, (n,) [rad] between their rotations."""
-    distance = np.linalg.norm(predicted.apply(anchors) - home.apply(anchors), axis=1)
-    return distance, quaternion_angle(predicted.wxyz, home.wxyz)
+    distance = np.linalg.norm(predicted.apply(anchors) - goals.apply(anchors), axis=1)
+    return distance, quaternion_angle(predicted.wxyz, goals.wxyz)

@@ -1,8 +1,8 @@
 """The seating test of predicted motions against whole assemblies, exact where the closed form is near a limit.
 
 The closed form (`kit1000.kits.seating.contact_offset`) decides by default. Where its contact offset lies so near to a
-limit that the two could disagree, the exact test by booleans decides (`kit1000.metrics.exact_seating`). The goal and its
-angle about the free axis are those of smallest MSSD, as in the pose errors.
+limit that the two could disagree, the exact test by booleans decides (`kit1000.metrics.exact_seating`). The goal and
+its angle about the free axis are those of smallest MSSD, as in the pose errors.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from manifold3d import Manifold
 from scipy.spatial import ConvexHull
 
-from kit1000.engines import local
+from kit1000.engines import local_engine
 from kit1000.errors import InputError
 from kit1000.kits.contact import ConvexEdges, convex_edges
 from kit1000.kits.seating import (
@@ -95,7 +95,7 @@ def seatings(
     if workers < 1:
         raise InputError(f"workers: expected 1 or more, got {workers}")
     results: list[_TestResult | None] = [None] * len(truths)
-    with local(workers) as run_jobs:
+    with local_engine(workers) as run_jobs:
         for rows, group in run_jobs(_test_assembly, _assembly_jobs(predicted, truths, geometry, exact)):
             for row, result in zip(rows, group, strict=True):
                 results[row] = result

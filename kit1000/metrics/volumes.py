@@ -1,6 +1,6 @@
-"""How alike two volumes are: what both take for solid, and how far apart their surfaces lie.
+"""Comparing two volumes: IoU of their occupied voxels, and chamfer distance of their surfaces.
 
-Nothing is drawn at random, so a volume compared with itself is alike to the bit: IoU 1, chamfer distance 0.
+Nothing is sampled at random, so a volume compared with itself has exactly IoU 1 and chamfer distance 0.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from kit1000.voxels import Volume, surface_points
 
 
 def occupancy_iou(a: Volume | np.ndarray, b: Volume | np.ndarray) -> float:
-    """Intersection over union of what two volumes take for solid, over the voxels that both know. 0 to 1.
+    """Intersection over union of the occupied voxels of two volumes, over the voxels known in both. 0 to 1.
 
-    |A and B| / |A or B| with A, B the voxels of negative distance, as in `Volume.occupied`. Two volumes that both know
-    a voxel and take none for solid are alike: 1. Where they know no voxel in common, nothing was told: 0.
+    |A and B| / |A or B| with A, B the voxels of negative distance, as in `Volume.occupied`. 1 when neither volume has
+    an occupied voxel, 0 when no voxel is known in both.
 
     Args:
         a: a volume, or signed distances (nx, ny, nz) of any scale, negative inside, NaN unknown.
-        b: another on the same grid; the two may change places.
+        b: another on the same grid; the order does not matter.
     """
-    left, right = _alike(a, b)
+    left, right = _on_one_grid(a, b)
     known = ~np.isnan(left) & ~np.isnan(right)
     if not known.any():
         return 0.0
@@ -32,55 +32,57 @@ def occupancy_iou(a: Volume | np.ndarray, b: Volume | np.ndarray) -> float:
 
 
 def known_share(predicted: Volume | np.ndarray, true: Volume | np.ndarray) -> float:
-    """The share of the voxels known in `true` that `predicted` knows too, 0 to 1; 1 where there are none.
+    """The share of the voxels known in `true` that are known in `predicted` too, 0 to 1; 1 where there are none.
 
-    It stands beside `occupancy_iou`, which a volume that dares to say little could make large.
+    To be reported beside `occupancy_iou`, which a volume with few known voxels can make large.
     """
-    left, right = _alike(predicted, true)
-    wanted = ~np.isnan(right)
-    return float(np.mean(~np.isnan(left[wanted]))) if wanted.any() else 1.0
+    left, right = _on_one_grid(predicted, true)
+    known = ~np.isnan(right)
+    return float(np.mean(~np.isnan(left[known]))) if known.any() else 1.0
 
 
 def surface_chamfer(a: Volume | np.ndarray, b: Volume | np.ndarray) -> float:
     """Symmetric chamfer distance between two surfaces [m].
 
     (mean over A of the distance to the nearest of B + mean over B of the distance to the nearest of A) / 2, Euclidean,
-    with A, B points on the surfaces: of a volume those where a line of its grid passes from free to solid between two
-    known voxels (`kit1000.voxels.surface_points`), found between the voxels. Two without any surface are alike: 0; to
-    one without, all else is infinitely far.
+    with A, B points on the surfaces: of a volume those where a line of its grid passes from free to occupied between
+    two known voxels (`kit1000.voxels.surface_points`), interpolated. 0 when neither has a surface, infinite when only
+    one has.
 
     Args:
         a: a volume, or points (n, 3) [m] of a surface in the world, evenly spread.
-        b: another; the two may change places. Volumes on one grid have their points on the same lines, which keeps
-            the spacing of the points out of the result.
+        b: another; the order does not matter. Volumes on one grid have their points on the same lines, so that the
+            spacing of the points does not affect the result.
     """
-    left, right = _points("a", a), _points("b", b)
+    left, right = _surface_samples("a", a), _surface_samples("b", b)
     if not len(left) or not len(right):
         return 0.0 if len(left) == len(right) else float("inf")
-    there, back = KDTree(right).query(left)[0], KDTree(left).query(right)[0]
-    return float(there.mean() + back.mean()) / 2
+    to_right, to_left = KDTree(right).query(left)[0], KDTree(left).query(right)[0]
+    return float(to_right.mean() + to_left.mean()) / 2
 
 
-def _alike(a: Volume | np.ndarray, b: Volume | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The distances of two volumes on one grid."""
+def _on_one_grid(a: Volume | np.ndarray, b: Volume | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The signed distances of two volumes, which must share one grid."""
     if isinstance(a, Volume) and isinstance(b, Volume) and a.grid != b.grid:
-        raise InputError("volumes: expected two on one grid; kit1000.voxels.resample reads one on the grid of another")
-    left, right = _distances("a", a), _distances("b", b)
+        raise InputError(
+            "volumes: expected two on one grid; kit1000.voxels.resample samples one on the grid of another"
+        )
+    left, right = _signed_distances("a", a), _signed_distances("b", b)
     if left.shape != right.shape:
         raise ShapeError(f"volumes: expected two of one shape, got {left.shape} and {right.shape}")
     return left, right
 
 
-def _distances(name: str, volume: Volume | np.ndarray) -> np.ndarray:
+def _signed_distances(name: str, volume: Volume | np.ndarray) -> np.ndarray:
     """(nx, ny, nz) signed distances, NaN unknown."""
     if isinstance(volume, Volume):
         return volume.values
     values = np.asarray(volume)
     if values.dtype.kind not in "if" or values.ndim != 3:
-        wanted = f"{name}: expected a Volume, or signed distances of shape (nx, ny, nz), negative inside"
-        raise ShapeError(f"{wanted}, got {values.dtype} of shape {values.shape}")
+        expected = f"{name}: expected a Volume, or signed distances of shape (nx, ny, nz), negative inside"
+        raise ShapeError(f"{expected}, got {values.dtype} of shape {values.shape}")
     return values
 
 
-def _points(name: str, surface: Volume | np.ndarray) -> np.ndarray:
+def _surface_samples(name: str, surface: Volume | np.ndarray) -> np.ndarray:
     return surface_points(surface) if isinstance(surface, Volume) else checked(name, surface, ("n", 3))
