@@ -1,4 +1,4 @@
-"""The Python that the README and the page about learning show: it runs, and what it trains learns."""
+"""The Python on the page about learning: it runs, and its network learns."""
 
 from __future__ import annotations
 
@@ -25,32 +25,28 @@ def train(data: Dataset) -> Split:
     return data.split("train", truth=True)
 
 
-def shown() -> tuple[str, ...]:
-    """The Python of the document: what trains something, and an item of one's own."""
+def code_blocks() -> tuple[str, ...]:
+    """The Python blocks of the page: a training loop, and your own item."""
     text = (ROOT / "docs/learning.md").read_text(encoding="utf-8")
     return tuple(re.findall(r"^```py\n(.*?)^```", text, re.MULTILINE | re.DOTALL))
 
 
-def test_the_readme_shows_the_same_net() -> None:
-    assert f"```py\n{shown()[0]}```" in (ROOT / "README.md").read_text(encoding="utf-8")
-
-
-def test_the_shown_item_is_one(train: Split) -> None:
-    _, own = shown()
+def test_the_example_of_an_own_item_works(train: Split) -> None:
+    _, own = code_blocks()
     exec(own, names := {})
     for item in QueryDataset(train, "snap", names["part_crop"]):
         assert item["crop"].shape == (128, 128)
         assert (item["crop"] > 0).any()
 
 
-def test_the_shown_net_learns(
+def test_the_example_network_learns(
     data: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "tiny").symlink_to(data.root)
     torch.manual_seed(0)
-    example, _ = shown()
+    example, _ = code_blocks()
     exec(example, {})
     losses = [float(line.split()[2]) for line in capsys.readouterr().out.splitlines()]
-    assert losses[0] > 15  # [mm] about what the guess is off
+    assert losses[0] > 15  # [mm] about the error of the guess
     assert losses[-1] < losses[0] / 2
