@@ -12,6 +12,7 @@ SITE    = site
 SUBMISSIONS = submissions
 SCORED  = $(patsubst %/scores.json,%,$(wildcard $(SUBMISSIONS)/*/scores.json))
 RERUN   =
+UPGRADE =
 
 # A stamp is touched last of all and removed first of all, so an install that was cut short is never taken for done.
 RUN  = $(VENV)/.installed-run
@@ -19,7 +20,7 @@ DEV  = $(VENV)/.installed-dev
 TORCH = torch==2.13.0 # outside the lock: the same version is another build on another machine
 PIP  = $(BIN)/python -m pip --disable-pip-version-check --quiet
 LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --universal --python-version 3.10 \
-       --generate-hashes --upgrade --quiet --custom-compile-command "make lock"
+       --generate-hashes --quiet $(if $(UPGRADE),--upgrade) --custom-compile-command "make lock"
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
@@ -49,7 +50,7 @@ lint: $(DEV) ## ruff and pyright
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 
-site: $(DEV) ## the documentation and the leaderboard, under site/; with pictures of cases if DATA is there
+site: $(DEV) ## documentation, API reference and leaderboard, under site/; with pictures of cases if DATA is there
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir "$(SITE)"
 	$(BIN)/python -m benchmark pages --submissions "$(SUBMISSIONS)" --out "$(SITE)/board" $(if $(wildcard $(DATA)/dataset.json),--data "$(DATA)")
 
@@ -77,7 +78,7 @@ pictures: $(DEV) ## draw the pictures of the README and the docs
 	$(BIN)/python docs/pictures/draw.py
 	$(BIN)/python docs/pictures/sensors.py
 
-lock: $(DEV) ## renew the pinned versions in requirements/
+lock: $(DEV) ## pin in requirements/ what pyproject.toml asks for; UPGRADE=1 renews all versions
 	$(PIP) install uv
 	$(LOCK) --output-file requirements/run.txt --extra sim
 	$(LOCK) --output-file requirements/dev.txt --extra dev --constraint requirements/run.txt

@@ -1,4 +1,4 @@
-"""The documentation as a site: it is whole, nothing in it comes from elsewhere, and it works from a disk."""
+"""The documentation as a site: complete, self-contained, and usable from a disk."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ class Links(HTMLParser):
 
 
 def pages(site: Path) -> list[Path]:
-    """Every page but the one for what is not found, whose links a server resolves."""
-    return sorted(page for page in site.glob("*.html") if page.name != "404.html")
+    """Every page but 404.html, whose links only a server can resolve."""
+    return sorted(page for page in site.rglob("*.html") if page.name != "404.html")
 
 
 def entries(nav: Any) -> Iterator[str]:
@@ -70,26 +70,27 @@ def entries(nav: Any) -> Iterator[str]:
 
 def test_every_page_is_in_the_navigation_once() -> None:
     named = sorted(entries(yaml.safe_load(CONFIG.read_text(encoding="utf-8"))["nav"]))
-    assert named == sorted([*(page.name for page in (ROOT / "docs").glob("*.md")), "board/index.html"])
+    pages = [page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")]
+    assert named == sorted([*pages, "board/index.html"])
 
 
 def test_every_link_leads_somewhere(site: Path) -> None:
-    anchors = {page.name: Links(page).anchors for page in pages(site)}
-    for page in pages(site):
-        for target in Links(page).targets:
+    links = {page: Links(page) for page in pages(site)}
+    for page, found in links.items():
+        for target in found.targets:
             parts = urlsplit(target)
-            if parts.scheme or parts.path.startswith("board/"):
+            place = (page.parent / unquote(parts.path)).resolve() if parts.path else page
+            if parts.scheme or site / "board" in place.parents:
                 continue
-            name = unquote(parts.path) or page.name
-            assert (site / name).exists(), f"{page.name}: {target}"
-            assert not parts.fragment or unquote(parts.fragment) in anchors[name], f"{page.name}: {target}"
+            assert place.exists(), f"{page.name}: {target}"
+            assert not parts.fragment or unquote(parts.fragment) in links[place].anchors, f"{page.name}: {target}"
 
 
 def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
     for page in pages(site):
         for target in Links(page).loaded:
             assert not urlsplit(target).netloc, f"{page.name} loads {target}"
-            assert (site / unquote(urlsplit(target).path)).is_file(), f"{page.name}: {target}"
+            assert (page.parent / unquote(urlsplit(target).path)).is_file(), f"{page.name}: {target}"
     for sheet in site.rglob("*.css"):
         assert not re.search(r"(@import|url\()\s*[\"']?(https?:)?//", sheet.read_text(encoding="utf-8")), sheet.name
 
@@ -105,7 +106,7 @@ def test_tables_and_lists_are_told_apart_from_text(site: Path) -> None:
 def test_the_search_knows_every_page(site: Path) -> None:
     index = json.loads((site / "search/search_index.json").read_text(encoding="utf-8"))
     found = {entry["location"].partition("#")[0] for entry in index["docs"]}
-    assert {page.name for page in pages(site)} <= found
+    assert {page.relative_to(site).as_posix() for page in pages(site)} <= found
 
 
 @pytest.fixture(scope="module")
