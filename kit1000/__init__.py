@@ -1,6 +1,6 @@
 """KIT1000: parts, kits that fit them, and angled assemblies of kits, for research on 6DoF kit assembly.
 
-The public names stand here and load when first asked for, so that `import kit1000` costs next to nothing.
+The public names are defined here and load on first use, so `import kit1000` takes almost no time.
 """
 
 from __future__ import annotations
@@ -10,11 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from kit1000.camera import Camera, look_at
+    from kit1000.dataset.cache import VolumeCache
     from kit1000.dataset.reader import Dataset, RecordedScene, Split
     from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, ShapeError
+    from kit1000.export.own_part import make_kit_from_file
     from kit1000.kits.kit import make_kit
     from kit1000.mesh import Mesh
+    from kit1000.parts.family import make_part
     from kit1000.pose import Pose
+    from kit1000.predictor import PredictedMotion, Predictor
     from kit1000.submission.folder import Submission, read_submission, write_submission
     from kit1000.submission.manifest import Manifest
     from kit1000.submission.predictions import Predictions
@@ -31,6 +35,7 @@ if TYPE_CHECKING:
         Query,
         Scene,
         Slot,
+        TrueGeometry,
         Truth,
         View,
     )
@@ -53,8 +58,10 @@ __all__ = [
     "Mount",
     "Part",
     "Pose",
+    "PredictedMotion",
     "Prediction",
     "Predictions",
+    "Predictor",
     "Query",
     "RecordedScene",
     "Redraw",
@@ -64,17 +71,22 @@ __all__ = [
     "Split",
     "Submission",
     "Symmetry",
+    "TrueGeometry",
     "Truth",
     "View",
+    "VolumeCache",
     "look_at",
     "make_kit",
+    "make_kit_from_file",
+    "make_part",
     "read_submission",
     "write_submission",
 ]
 
-_ELSEWHERE = {
+_MODULES = {
     "Camera": "camera",
     "look_at": "camera",
+    "VolumeCache": "dataset.cache",
     "Dataset": "dataset.reader",
     "RecordedScene": "dataset.reader",
     "Split": "dataset.reader",
@@ -83,22 +95,26 @@ _ELSEWHERE = {
     "MeshRefused": "errors",
     "Redraw": "errors",
     "ShapeError": "errors",
+    "make_kit_from_file": "export.own_part",
     "make_kit": "kits.kit",
     "Mesh": "mesh",
+    "make_part": "parts.family",
     "Pose": "pose",
+    "PredictedMotion": "predictor",
+    "Predictor": "predictor",
     "Submission": "submission.folder",
     "read_submission": "submission.folder",
     "write_submission": "submission.folder",
     "Manifest": "submission.manifest",
     "Predictions": "submission.predictions",
     "Symmetry": "symmetry",
-}  # the others are in values
+}  # of names that are not in values
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'kit1000' has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(import_module(f"kit1000.{_ELSEWHERE.get(name, 'values')}"), name)
+    return getattr(import_module(f"kit1000.{_MODULES.get(name, 'values')}"), name)
 
 
 def __dir__() -> list[str]:

@@ -17,11 +17,11 @@ from typing import Any
 import pytest
 import tomli
 
-from kit1000.usage import misuse
+from kit1000.usage import usage_error
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("kit1000", "benchmark", "baselines")  # the library and the two applications
-PYTHON_FOLDERS = (*PACKAGES, "bench", "tests", "docs")
+PYTHON_FOLDERS = (*PACKAGES, "bench", "examples", "tests", "docs")
 
 # A module imports from rows above and from further left in its own; inside one entry no circles are the rule.
 LAYERS = (
@@ -81,7 +81,7 @@ LONGEST_FILE = 400
 LONGEST_FUNCTION = 80  # without its docstring
 
 PYTHON_BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
-DOCUMENTS = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "submissions").glob("*.md")])
+DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
 PAGES = sorted((ROOT / "benchmark" / "pages" / "templates").glob("*.html"))
 
 
@@ -330,7 +330,7 @@ def test_every_shown_command_is_one(module: str) -> None:
     modules_run = [words[1:] for words in shown_commands("python") if words[:1] == ["-m"]]
     shown = [*shown_commands(module), *(words[1:] for words in modules_run if words[0] == module)]
     assert shown, f"the documents show no command of {module}"
-    assert not list(filter(None, (misuse(words, commands, module) for words in shown)))
+    assert not list(filter(None, (usage_error(words, commands, module) for words in shown)))
 
 
 def make_names(pattern: str) -> set[str]:
@@ -373,5 +373,9 @@ def test_links_inside_the_repository_lead_somewhere(document: Path) -> None:
     assert not [target for target in local if not (document.parent / target).exists()]
 
 
-def test_the_command_of_continuous_integration_can_be_run() -> None:
+def test_the_hosted_workflow_runs_the_same_command_on_the_oldest_and_newest_python() -> None:
     assert (ROOT / ".ci/run").stat().st_mode & 0o111
+    workflow = (ROOT / ".github/workflows/ci.yml").read_text(encoding="utf-8")
+    assert "      - run: .ci/run\n" in workflow
+    promised = [line.rpartition(" ")[2] for line in project()["classifiers"] if re.search(r"3\.\d+$", line)]
+    assert f'python: ["{promised[0]}", "{promised[-1]}"]' in workflow

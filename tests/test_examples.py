@@ -1,0 +1,128 @@
+"""The scripts in examples/ and the Python of the README: short, runnable, and built on public names."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import runpy
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from mini import corner, written
+from PIL import Image
+
+from kit1000 import Dataset
+from kit1000.testing import check_predictor
+
+ROOT = Path(__file__).resolve().parents[1]
+SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
+LONGEST = 60
+"""Lines of a script."""
+PUBLIC = ("kit1000", "kit1000.dataset.torch", "kit1000.parts", "kit1000.testing")
+"""Where a script may import names of the library from; the applications are public as a whole."""
+
+
+@pytest.fixture
+def tiny(mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working folder with the dataset `tiny` in it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tiny").symlink_to(mini)
+    return tmp_path
+
+
+def run(name: str, *arguments: str) -> None:
+    """Run a script as its command line does."""
+    kept, sys.argv = sys.argv, [f"examples/{name}.py", *arguments]
+    try:
+        runpy.run_path(str(ROOT / "examples" / f"{name}.py"), run_name="__main__")
+    finally:
+        sys.argv = kept
+
+
+def test_reading_a_dataset_prints_a_query_and_its_ground_truth(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("read_dataset", "tiny")
+    printed = capsys.readouterr().out
+    assert f"dataset {Dataset('tiny').id}" in printed
+    assert re.search(r"query val-s0000-p\d-snap: depth image \(720, 1280\), [1-9]\d+ points", printed)
+    assert re.search(r"rotated by \d+\.\d degrees from its goal", printed)
+
+
+def test_a_query_is_drawn_with_its_part_guess_and_goal(tiny: Path) -> None:
+    run("draw_query", "tiny", "--out", "query.png")
+    colours = {colour for _, colour in Image.open("query.png").convert("RGB").getcolors(1 << 16) or ()}
+    assert {(232, 114, 42), (60, 120, 200), (40, 160, 80)} <= colours
+
+
+def test_the_submission_is_valid_and_scores_as_the_guess(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("submit_and_score", "tiny", "--out", "my-submission")
+    printed = capsys.readouterr().out
+    assert re.search(r"position \d+\.\d mm, rotation \d+\.\d degrees", printed)
+    assert "the submission is in my-submission" in printed
+    assert (tiny / "my-submission/predictions.csv").is_file()
+
+
+def test_a_network_is_trained(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("torch")
+    run("train_network", "tiny", "--epochs", "2")
+    assert re.search(r"validation: \d+\.\d mm left on \d queries", capsys.readouterr().out)
+
+
+def test_a_kit_is_made_for_an_stl_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run("kit_for_stl", str(written(tmp_path / "corner.stl", corner())), "--out", str(tmp_path / "kit"))
+    assert "corner.stl, read in mm: 40 x 30 x 24 mm" in capsys.readouterr().out
+    assert {"kit.stl", "part.stl", "preview.png"} <= {path.name for path in (tmp_path / "kit").iterdir()}
+
+
+@pytest.mark.parametrize("name", ["own_family", "own_sensor", "own_method"])
+def test_an_extension_passes_its_check(name: str, tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run(name, *(["tiny"] if name != "own_family" else []))
+    assert capsys.readouterr().out
+
+
+def imported(script: Path) -> set[str]:
+    """The modules of ours that a script imports from."""
+    nodes = ast.walk(ast.parse(script.read_text(encoding="utf-8")))
+    names = {str(node.module) for node in nodes if isinstance(node, ast.ImportFrom)}
+    return {name for name in names if name.partition(".")[0] == "kit1000"}
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.stem)
+def test_a_script_is_short_and_uses_public_names(script: Path) -> None:
+    text = script.read_text(encoding="utf-8")
+    assert text.startswith(f'"""python examples/{script.name}')  # the command to type
+    assert len(text.splitlines()) <= LONGEST
+    assert imported(script) <= set(PUBLIC)
+
+
+def test_the_page_lists_every_script() -> None:
+    page = (ROOT / "docs/examples.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^\| `(\w+\.py)`", page, re.MULTILINE)) == [script.name for script in SCRIPTS]
+
+
+def test_the_code_of_the_readme_runs(tiny: Path) -> None:
+    names: dict[str, Any] = {}
+    for block in re.findall(r"^```py\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.M | re.S):
+        exec(block, names)
+    assert names["part"].any()
+    assert names["kits"].any()
+    check_predictor(names["predict"], Dataset("tiny").split("val").queries("snap"))
+
+
+def test_the_results_of_the_readme_are_those_of_the_submissions() -> None:
+    """Every number measured here, at the digits shown; paper columns are those of `benchmark table1`."""
+    rows = re.findall(r"^\| [^|]+ \| `([\w-]+)` \|(.*)\|$", (ROOT / "README.md").read_text(encoding="utf-8"), re.M)
+    assert len(rows) >= 5
+    for submission, cells in rows:
+        _, mm, _, degrees, seated = (cell.strip().removesuffix(" %") for cell in cells.split("|"))
+        scores = json.loads((ROOT / "submissions" / submission / "scores.json").read_text(encoding="utf-8"))
+        track = scores["tracks"]["snap-tilt"]
+        for shown, value in (
+            (mm, track["position_mm"]["mean"]),
+            (degrees, track["rotation_deg"]["mean"]),
+            (seated, 100 * track["seated"]["rate"]),
+        ):
+            decimals = len(shown.partition(".")[2])
+            assert shown == f"{value:.{decimals}f}", f"{submission}: {shown} in the README, {value} in its scores"
