@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 PROGRAM = "python -m benchmark"
 ABOUT = """The benchmark of KIT1000: scores with intervals, robustness curves, paired tests, Table I, the leaderboard.
 
-`python -m benchmark COMMAND --help` says more about a command.
+`python -m benchmark COMMAND --help` shows the options of a command.
 
-Results go to stdout, progress to stderr. Exit status: 0 good, 1 the answer is no,
+Results go to stdout, progress to stderr. Exit status: 0 success, 1 a check failed,
 2 wrong usage or bad input, 3 a fault of kit1000 itself, 130 interrupted."""
 
 Optional = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
@@ -39,23 +39,23 @@ class Score:
     submission: One
     """Folder with manifest.toml and predictions.csv."""
     data: Folder
-    """Dataset folder, with its truth."""
+    """Dataset folder, with ground truth."""
     out: Optional = None
     """File for the scores; scores.json in the folder of the submission when absent."""
     per_query: Optional = None
-    """File for one row a query, as CSV."""
+    """CSV file with one row per query."""
     split: Split = "test"
-    """Which queries; with test the curves are scored too."""
-    judge: Literal["near", "all", "never"] = "near"
-    """Whom the exact judge of seating is asked about: answers near a limit, all, or none."""
+    """The queries to score; with test the curves are scored too."""
+    exact: Literal["near", "all", "never"] = "near"
+    """The predictions that the exact seating test decides: those near a limit, all, or none."""
     workers: int = 1
     """Processes for the seating test; any number gives the same scores."""
     cache: Optional = None
-    """Folder of results that serve again; below ~/.cache/kit1000 when absent."""
+    """Folder of cached results; below ~/.cache/kit1000 when absent."""
     no_cache: Flag = False
-    """Measure all anew and keep nothing."""
+    """Measure everything, and cache nothing."""
     breakdown: Flag = False
-    """Print the breakdown too."""
+    """Print the breakdown by properties of the queries too."""
 
     def run(self) -> int:
         """Score, write and print."""
@@ -65,36 +65,36 @@ class Score:
         from kit1000.dataset.reader import Dataset
         from kit1000.files import write_bytes
 
-        workers, kept = _workers(self.workers), _cache(self.cache, self.no_cache)
+        workers, cache = _workers(self.workers), _cache(self.cache, self.no_cache)
         submission = read_checked(self.submission, self.data, self.split)
-        scored = score(submission, Dataset(self.data), None, self.split, self.judge, workers, kept)
-        write_bytes(self.out or self.submission / "scores.json", json_text(scored.summary).encode())
+        scores = score(submission, Dataset(self.data), None, self.split, self.exact, workers, cache)
+        write_bytes(self.out or self.submission / "scores.json", json_text(scores.summary).encode())
         if self.per_query is not None:
-            write_per_query(self.per_query, scored.rows)
-        print(score_text(scored.summary, self.breakdown))
+            write_per_query(self.per_query, scores.rows)
+        print(score_text(scores.summary, self.breakdown))
         return 0
 
 
 @dataclass(frozen=True)
 class Rescore:
-    """Score submissions again and say whether their scores.json is what comes out, to the last digit."""
+    """Score submissions again and check that their scores.json is the result, to the last digit."""
 
     submissions: Several
     """Folders with predictions.csv and scores.json."""
     data: Folder
-    """Dataset folder, with its truth."""
+    """Dataset folder, with ground truth."""
     workers: int = 1
-    """Processes, each with a submission of its own."""
+    """Processes, one submission each."""
 
     def run(self) -> int:
         """Score and compare."""
-        from benchmark.rescore import rescored
+        from benchmark.rescore import rescore
 
         same = True
-        for folder, found in rescored(self.submissions, self.data, _workers(self.workers)):
-            told = f"{len(found)} values differ; {found[0]}" if found else "the same scores"
-            print(f"{folder}: {told}", flush=True)
-            same &= not found
+        for folder, differences in rescore(self.submissions, self.data, _workers(self.workers)):
+            result = f"{len(differences)} values differ; {differences[0]}" if differences else "the same scores"
+            print(f"{folder}: {result}", flush=True)
+            same &= not differences
         return 0 if same else 1
 
 
@@ -108,8 +108,8 @@ class Curves:
     """Folder for the two files."""
 
     def run(self) -> int:
-        """Draw, then say where."""
-        from benchmark.curves import write_curves
+        """Draw, then print the files."""
+        from benchmark.curve_charts import write_curves
 
         print(*write_curves(self.submissions, self.out), sep="\n")
         return 0
@@ -117,42 +117,42 @@ class Curves:
 
 @dataclass(frozen=True)
 class Compare:
-    """Say which of two methods is better: paired differences with intervals, and McNemar's test of seating."""
+    """Compare two methods: paired differences with intervals, and McNemar's test of seating."""
 
     a: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="A")]
     """Folder of a submission."""
     b: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="B")]
     """Folder of another."""
     data: Folder
-    """Dataset folder, with its truth."""
+    """Dataset folder, with ground truth."""
     tracks: tuple[str, ...] = ()
-    """Just these tracks; all that both answer when absent."""
+    """Only these tracks; all that both have when absent."""
     out: Optional = None
-    """File for the same as JSON."""
+    """JSON file for the comparison."""
     workers: int = 1
     """Processes for the seating test."""
     cache: Optional = None
-    """Folder of results that serve again; below ~/.cache/kit1000 when absent."""
+    """Folder of cached results; below ~/.cache/kit1000 when absent."""
     no_cache: Flag = False
-    """Measure all anew and keep nothing."""
+    """Measure everything, and cache nothing."""
 
     def run(self) -> int:
         """Compare and print."""
         from benchmark.compare import run as compare
 
-        kept = _cache(self.cache, self.no_cache)
-        compare(self.a, self.b, self.data, self.tracks, self.out, _workers(self.workers), kept)
+        cache = _cache(self.cache, self.no_cache)
+        compare(self.a, self.b, self.data, self.tracks, self.out, _workers(self.workers), cache)
         return 0
 
 
 @dataclass(frozen=True)
 class Table1:
-    """Set the scores of all submissions beside Table I of the paper."""
+    """Print the scores of all submissions beside Table I of the paper."""
 
     submissions: Folder = Path("submissions")
-    """Folder with a folder for each method, scores.json in it."""
+    """Folder with a folder for each method, manifest.toml and scores.json in it."""
     out: Optional = None
-    """File to write in place of printing: .md, .json or .html; in an .md file the table there is replaced."""
+    """File to write instead of printing: .md, .json or .html; in an existing .md file the table is replaced."""
 
     def run(self) -> int:
         """Print the table."""
@@ -171,10 +171,10 @@ class Pages:
     out: Folder = Path("site/board")
     """Folder for the pages."""
     data: Optional = None
-    """Dataset folder, with its truth: single cases are drawn too."""
+    """Dataset folder, with ground truth: pictures of single predictions are drawn too."""
 
     def run(self) -> int:
-        """Build, then say where."""
+        """Build, then print the folder."""
         from benchmark.pages import build
 
         build(self.submissions, self.out, self.data)
@@ -183,7 +183,7 @@ class Pages:
 
 
 def _cache(folder: Path | None, none: bool) -> ResultCache | None:
-    """Where results are kept."""
+    """The cache of results; None without one."""
     from benchmark.cache import ResultCache, user_folder
 
     if none and folder is not None:

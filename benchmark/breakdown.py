@@ -1,4 +1,4 @@
-"""Groups of queries that are alike in one thing: rest, tilt, kits, family, what is seen, symmetry, loose fit."""
+"""Groups of queries that share a property: rest mode, tilt, number of kits, family, visible share, symmetry."""
 
 from __future__ import annotations
 
@@ -11,9 +11,19 @@ import numpy as np
 from benchmark.per_query import PerQuery
 from benchmark.protocol import Protocol
 
+TITLES = {
+    "rest_mode": "Rest mode of the part",
+    "tilt": "Tilt of the slot, °",
+    "kits": "Kits in the assembly",
+    "family": "Family of the part in training",
+    "visible": "Visible share of the part",
+    "symmetry": "Goals of the slot",
+}
+"""The properties and their titles on pages, in order."""
+
 
 def groups(rows: PerQuery, protocol: Protocol) -> dict[str, dict[str, np.ndarray]]:
-    """For each thing, which rows are in which of its groups: masks (n,); a group without rows is left out."""
+    """For each property, the masks (n,) of the rows in each of its groups; a group without rows is left out."""
     labels = {
         "rest_mode": rows.rest_mode,
         "tilt": binned(rows.tilt_deg, protocol.breakdown["tilt_deg"]),
@@ -21,19 +31,19 @@ def groups(rows: PerQuery, protocol: Protocol) -> dict[str, dict[str, np.ndarray
         "family": np.where(rows.held_out, "held out", "seen"),
         "visible": binned(rows.visible, protocol.breakdown["visible"]),
         "symmetry": rows.symmetry,
-        "loose": np.where(rows.loose, "yes", "no"),
     }
-    return {thing: {name: found == name for name in _in_order(found)} for thing, found in labels.items()}
+    return {key: {name: column == name for name in _in_order(column)} for key, column in labels.items()}
 
 
 def _in_order(names: np.ndarray) -> list[str]:
     """Each name once: those of bins by their lower end, others by the alphabet."""
-    return sorted(map(str, np.unique(names)), key=lambda name: (_lower_end(name), name))
+    return sorted(map(str, np.unique(names)), key=group_order)
 
 
-def _lower_end(name: str) -> float:
+def group_order(name: str) -> tuple[float, str]:
+    """Sort key of a group: bins such as 5-15 or 30+ by their lower end, others by name."""
     number = re.match(r"[\d.]+", name)
-    return float(number[0]) if number else 0.0
+    return float(number[0]) if number else 0.0, name
 
 
 def binned(values: np.ndarray, edges: Sequence[float]) -> np.ndarray:

@@ -1,6 +1,6 @@
-"""Results kept on disk: the rows of a submission are measured once for each evaluator, dataset and set of answers.
+"""The cache of results: the rows of a submission are measured once per evaluator, dataset and set of predictions.
 
-An entry is a file of numpy arrays named by a hash of all that decides them. One that is damaged is measured again.
+An entry is a file of numpy arrays, named by a hash of all that determines them. A damaged entry is measured again.
 """
 
 from __future__ import annotations
@@ -12,32 +12,31 @@ import sys
 import zipfile
 import zlib
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
 from benchmark.per_query import PerQuery
 from benchmark.provenance import evaluator
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import json_bytes, write_bytes
 from kit1000.submission import Predictions
 
-COLUMNS = tuple(field.name for field in fields(PerQuery))
-
 
 def user_folder() -> Path:
-    """Where results are kept when nobody says where: below $XDG_CACHE_HOME, or ~/.cache."""
+    """The default folder of the cache: below $XDG_CACHE_HOME, or ~/.cache."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "kit1000" / "scores"
 
 
-def key_of(
-    predictions: Predictions, dataset_id: str, split: str, tracks: Sequence[str], rotations: bool, judge: str
+def cache_key(
+    predictions: Predictions, dataset: Dataset, split: str, tracks: Sequence[str], rotation_only: bool, exact: str
 ) -> str:
-    """The name of a result: a hash of every answer, of what is asked, and of the sources that measure."""
+    """The name of a result: a hash of all predictions, the copy of the dataset, the options, and the evaluator."""
     digest = hashlib.sha256()
-    asked = [evaluator(), dataset_id, split, sorted(tracks), rotations, judge, list(predictions.query_ids)]
-    digest.update(json_bytes(asked))
+    data = [dataset.id, dataset.summary.get("checksum")]
+    options = [split, sorted(tracks), rotation_only, exact]
+    digest.update(json_bytes([evaluator(), *data, *options, list(predictions.query_ids)]))
     motions = predictions.motions
     for array in (motions.wxyz, motions.xyz, predictions.confidence, predictions.seconds):
         digest.update(np.ascontiguousarray(array, "<f8").tobytes())
@@ -45,22 +44,22 @@ def key_of(
 
 
 class ResultCache:
-    """A folder of measured rows; processes may share it, and deleting it costs nothing but time."""
+    """A folder of measured rows; processes may share it, and it may be deleted at any time."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
 
-    def rows(self, key: str, make: Callable[[], PerQuery]) -> PerQuery:
-        """The rows of a key, measured when they are not there yet."""
+    def rows(self, key: str, measure: Callable[[], PerQuery]) -> PerQuery:
+        """The rows of a key, measured where there is no entry."""
         path = self.root / f"{key}.npz"
-        found = _read(path)
-        if found is None:
-            found = make()
+        rows = _read(path)
+        if rows is None:
+            rows = measure()
             try:
-                write_bytes(path, _packed(found))
-            except InputError as error:  # a result that cannot be kept is a result all the same
-                print(f"note: the result is not kept: {error}", file=sys.stderr)
-        return found
+                write_bytes(path, _packed(rows))
+            except InputError as error:  # the result is valid without an entry
+                print(f"note: the result is not cached: {error}", file=sys.stderr)
+        return rows
 
 
 def _packed(rows: PerQuery) -> bytes:
@@ -70,11 +69,12 @@ def _packed(rows: PerQuery) -> bytes:
 
 
 def _read(path: Path) -> PerQuery | None:
-    """The rows of a file; None where there is none, or none that is whole."""
+    """The rows of an entry; None where there is none, or a damaged one."""
     try:
         with np.load(path, allow_pickle=False) as stored:
-            columns = {name: stored[name] for name in COLUMNS}
+            columns = {name: stored[name] for name in stored.files}
+        rows = PerQuery.of_columns(columns)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
         return None
     lengths = {column.shape for column in columns.values()}
-    return PerQuery(**columns) if len(lengths) == 1 else None
+    return rows if len(lengths) == 1 else None

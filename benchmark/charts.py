@@ -1,8 +1,8 @@
 """Charts as SVG text, small and crisp: lines with bands, histograms, means with their intervals.
 
-A chart is as wide as a phone's column, so its text stays legible there; pages set several side by side. Colours are
-variables with a light and a dark set, bound by STYLE: a page holds it in its style sheet, a file of its own carries it
-along (`standalone`). The same numbers give the same bytes.
+A chart is as wide as the column of a phone, so its text stays legible; pages set several side by side. Colours are
+variables with a light and a dark set, defined by STYLE: a page has it in its style sheet, a file of its own includes it
+(`standalone`). The same numbers give the same bytes.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ WIDTH, HEIGHT = 360, 260  # [px] of a chart before its legend
 LEFT, RIGHT, TOP, BOTTOM = 46, 14, 34, 44  # [px] around the plotted area
 LEGEND_ROW = 18  # [px]
 LETTER = 6.9  # [px] width of a letter of a label, on average
-SHORT = 40  # letters of a name in a legend; longer ones are cut
+MAX_NAME = 40  # letters of a name in a legend; longer ones are cut
 DOT_ROW = 26  # [px] height of a line of a dot plot
 NAMES, NOTES = 122, 62  # [px] beside a dot plot
 MARK = (84, 16)  # [px] of an interval in a cell of a table
 TICKS = 5
 GAP = 12  # [px] below a row of a file of its own
-DASHES = ("", "6 4", "1.5 4")  # of the lines of a chart in turn: the largest error of the paper's figure is dotted
+DASHES = ("", "6 4", "1.5 4")  # of the lines of a chart in turn: in the paper's figure the largest error is dotted
 LIGHT = ("#2f6f9f", "#c2571a", "#8a4f86", "#1f7f74", "#8f6b10", "#5c6670")  # of lines, in turn
 DARK = ("#6cb2e6", "#f2955a", "#d29ace", "#58c2b4", "#dcb552", "#aab4bf")
 HUES = len(LIGHT)
@@ -40,7 +40,7 @@ svg.chart {{ {_variables("#1f2328", "#5f6872", "#dfe3e8", "#ffffff", LIGHT)}
 .chart text {{ fill: var(--ink); }} .chart .soft {{ fill: var(--soft); }} .chart .title {{ font-weight: 600; }}
 .chart .end {{ text-anchor: end; }} .chart .middle {{ text-anchor: middle; }} .chart path {{ fill: none; }}
 .chart .rule {{ stroke: var(--rule); }} .chart .axis {{ stroke: var(--soft); }} .chart .paper {{ fill: var(--paper); }}
-.chart .given {{ stroke: var(--soft); stroke-dasharray: 2 3; }} .chart .whisker {{ stroke-width: 1.5; }}
+.chart .identity {{ stroke: var(--soft); stroke-dasharray: 2 3; }} .chart .whisker {{ stroke-width: 1.5; }}
 .chart .line {{ stroke-width: 2; stroke-linejoin: round; stroke-linecap: round; }} .chart .band {{ opacity: 0.15; }}
 """ + "".join(
     f".chart .stroke-{i} {{ stroke: var(--hue-{i}); }} .chart .fill-{i} {{ fill: var(--hue-{i}); }}\n"
@@ -75,52 +75,52 @@ class Dot:
 
 @dataclass(frozen=True)
 class Axis:
-    """What an axis tells, from 0 to `most`."""
+    """An axis with its label, from 0 to `end`."""
 
     label: str
-    most: float
+    end: float
 
     @property
     def ticks(self) -> list[float]:
-        """Round numbers from 0 to no more than `most`."""
-        step = tick_step(self.most)
-        return [step * i for i in range(floor(self.most / step + 1e-9) + 1)]
+        """Round numbers from 0 to no more than `end`."""
+        step = tick_step(self.end)
+        return [step * i for i in range(floor(self.end / step + 1e-9) + 1)]
 
-    def share(self, value: float) -> float:
-        """Where a number lies: 0 at the start of the axis, 1 at its end, never beyond."""
-        return min(max(value / self.most, 0.0), 1.0)
+    def fraction(self, value: float) -> float:
+        """The position of a number: 0 at the start of the axis, 1 at its end, clipped."""
+        return min(max(value / self.end, 0.0), 1.0)
 
 
-def tick_step(most: float) -> float:
-    """The smallest of 1, 2 or 5 times a power of ten that reaches `most` in TICKS steps."""
-    if not (isfinite(most) and most > 0):
+def tick_step(end: float) -> float:
+    """The smallest of 1, 2 or 5 times a power of ten that reaches `end` in TICKS steps."""
+    if not (isfinite(end) and end > 0):
         return 1.0
-    power = 10.0 ** floor(log10(most / TICKS))
-    return next(step * power for step in (1, 2, 5, 10) if step * power * TICKS >= most * (1 - 1e-9))
+    power = 10.0 ** floor(log10(end / TICKS))
+    return next(step * power for step in (1, 2, 5, 10) if step * power * TICKS >= end * (1 - 1e-9))
 
 
-def rounded_up(most: float) -> float:
-    """Where an axis ends that has to hold a number: at a tick."""
-    step = tick_step(most)
-    return max(ceil(most / step - 1e-9), 1) * step
+def rounded_up(value: float) -> float:
+    """The end of an axis that holds a number: the next tick."""
+    step = tick_step(value)
+    return max(ceil(value / step - 1e-9), 1) * step
 
 
 def line_chart(
-    title: str, description: str, lines: Sequence[Line], x: Axis, y: Axis, given: bool = False, note: str = ""
+    title: str, description: str, lines: Sequence[Line], x: Axis, y: Axis, identity: bool = False, note: str = ""
 ) -> str:
     """Lines with their bands over a grid, and a legend of their names where there are several.
 
     Args:
         title: above the chart; a screen reader reads it with `description`.
-        given: whether to draw y = x: an error left as it was given.
+        identity: whether to draw y = x: the error of the guess, unchanged.
         note: at the upper right, such as n = 40.
     """
     names = [line for line in lines if len(lines) > 1]
     frame = _Frame(x, y, LEFT, WIDTH - RIGHT, HEIGHT - BOTTOM)
     marks = [_heading(title, note), frame.grid(), frame.across([(tick, _number(tick)) for tick in x.ticks])]
-    if given:
-        end = min(x.most, y.most)
-        marks.append(f'<path class="given" d="{frame.path([0, end], [0, end])}"/>')
+    if identity:
+        end = min(x.end, y.end)
+        marks.append(f'<path class="identity" d="{frame.path([0, end], [0, end])}"/>')
     marks += [_band(frame, line) for line in lines if len(line.low)]  # all below all lines
     marks += [_stroke(frame, line) for line in lines if len(line.x)]
     legend, height = _legend(names)
@@ -128,16 +128,16 @@ def line_chart(
 
 
 def histogram(title: str, description: str, edges: Sequence[float | None], counts: Sequence[int], label: str) -> str:
-    """A bar for each bin, all of one width; where the last edge is null, the last bin is open and says so."""
+    """A bar for each bin, all of one width; where the last edge is None, the last bin is open and labelled so."""
     frame = _Frame(
         Axis(label, len(counts)), Axis("queries", rounded_up(max([*counts, 1]))), LEFT, WIDTH - RIGHT, HEIGHT - BOTTOM
     )
     bars = []
     for i, count in enumerate(counts):
         (left, top), (right, bottom) = frame.at(i + 0.08, count), frame.at(i + 0.92, 0)
-        told = f"<title>{escape(f'{_between(edges[i], edges[i + 1])}: {count}')}</title>"
+        tooltip = f"<title>{escape(f'{_between(edges[i], edges[i + 1])}: {count}')}</title>"
         place = f'x="{_p(left)}" y="{_p(top)}" width="{_p(right - left)}" height="{_p(bottom - top)}"'
-        bars.append(f'<rect class="fill-0" {place}>{told}</rect>')
+        bars.append(f'<rect class="fill-0" {place}>{tooltip}</rect>')
     every = ceil(len(counts) / 6) or 1
     ticks = [(float(i), _number(edge)) for i, edge in enumerate(edges) if edge is not None and i % every == 0]
     if edges[-1] is None:
@@ -156,16 +156,16 @@ def dot_plot(title: str, description: str, dots: Sequence[Dot], axis: Axis) -> s
     for i, dot in enumerate(dots):
         level = TOP + DOT_ROW * (i + 0.5)
         marks.append(_text(NAMES - 10, level + 4, _cut(dot.name, int((NAMES - 12) / LETTER)), "end"))
-        marks.append(_interval(dot, level, lambda value: frame.at(value, 0)[0], axis.most))
+        marks.append(_interval(dot, level, lambda value: frame.at(value, 0)[0], axis.end))
         marks.append(_text(WIDTH - 4, level + 4, dot.note, "soft end"))
     marks.append(frame.across([(tick, _number(tick)) for tick in axis.ticks]))
     return _svg(title, description, bottom + BOTTOM, marks)
 
 
-def interval_mark(dot: Dot, most: float) -> str:
-    """A mean with its interval for a cell of a table, from 0 to `most`; an arrow says that it lies beyond."""
+def interval_mark(dot: Dot, end: float) -> str:
+    """A mean with its interval for a cell of a table, from 0 to `end`; an arrow where it lies beyond."""
     width, height = MARK
-    drawn = _interval(dot, height / 2, lambda value: 4 + (width - 8) * Axis("", most).share(value), most)
+    drawn = _interval(dot, height / 2, lambda value: 4 + (width - 8) * Axis("", end).fraction(value), end)
     head = f'<svg class="chart mark" role="img" viewBox="0 0 {width} {height}" width="{width}" height="{height}">'
     return (
         f'{head}<title>{escape(dot.name)}</title><path class="rule" d="M4 {_p(height / 2)}H{width - 4}"/>{drawn}</svg>'
@@ -173,7 +173,7 @@ def interval_mark(dot: Dot, most: float) -> str:
 
 
 def standalone(rows: Sequence[Sequence[str]]) -> str:
-    """One SVG file of charts in rows, with its style and on paper of its own."""
+    """One SVG file of charts in rows, with its style and background."""
     heights = [max(map(_height, row)) + GAP for row in rows]
     width, height = WIDTH * max(map(len, rows)), sum(heights)
     placed = [
@@ -190,7 +190,7 @@ def standalone(rows: Sequence[Sequence[str]]) -> str:
 
 @dataclass(frozen=True)
 class _Frame:
-    """The plotted area: where numbers lie in the picture."""
+    """The plotted area: numbers to positions in the picture."""
 
     x: Axis
     y: Axis | None
@@ -199,9 +199,9 @@ class _Frame:
     bottom: float
 
     def at(self, x: float, y: float) -> tuple[float, float]:
-        """The place of a pair of numbers [px]."""
-        up = self.y.share(y) if self.y else 0.0
-        return self.left + (self.right - self.left) * self.x.share(x), self.bottom - (self.bottom - TOP) * up
+        """The position of a pair of numbers [px]."""
+        up = self.y.fraction(y) if self.y else 0.0
+        return self.left + (self.right - self.left) * self.x.fraction(x), self.bottom - (self.bottom - TOP) * up
 
     def path(self, x: Sequence[float], y: Sequence[float]) -> str:
         """A chain of straight lines as path data."""
@@ -209,7 +209,7 @@ class _Frame:
         return "M" + "L".join(f"{_p(u)} {_p(v)}" for u, v in places)
 
     def grid(self) -> str:
-        """Level rules with their numbers, and what the y axis tells."""
+        """Horizontal grid lines with their numbers, and the label of the y axis."""
         assert self.y is not None
         marks = []
         for tick in self.y.ticks:
@@ -222,7 +222,7 @@ class _Frame:
         )
 
     def across(self, ticks: Sequence[tuple[float, str]]) -> str:
-        """The x axis with texts at some places, and what it tells."""
+        """The x axis with texts at some positions, and its label."""
         marks = [f'<path class="axis" d="M{_p(self.left)} {_p(self.bottom)}H{_p(self.right)}"/>']
         for place, text in ticks:
             u = self.at(place, 0)[0]
@@ -240,14 +240,12 @@ def _band(frame: _Frame, line: Line) -> str:
 
 
 def _stroke(frame: _Frame, line: Line) -> str:
-    """A line with a point at each of its numbers, which tells them when pointed at."""
+    """A line with a point at each of its numbers, shown as a tooltip."""
     marks = [f'<path class="line stroke-{line.hue % HUES}"{_dashes(line)} d="{frame.path(line.x, line.y)}"/>']
     for x, y in zip(line.x, line.y, strict=True):
         u, v = frame.at(x, y)
-        told = escape(f"{line.name}: {x:.3g}, {y:.3g}")
-        marks.append(
-            f'<circle class="fill-{line.hue % HUES}" cx="{_p(u)}" cy="{_p(v)}" r="2.6"><title>{told}</title></circle>'
-        )
+        tooltip = f"<title>{escape(f'{line.name}: {x:.3g}, {y:.3g}')}</title>"
+        marks.append(f'<circle class="fill-{line.hue % HUES}" cx="{_p(u)}" cy="{_p(v)}" r="2.6">{tooltip}</circle>')
     return "".join(marks)
 
 
@@ -260,7 +258,7 @@ def _legend(lines: Sequence[Line]) -> tuple[str, int]:
     """Names of the lines below a chart, as many in a row as fit, and the height that they take [px]."""
     marks, u, row = [], float(LEFT), 0
     for line in lines:
-        name = _cut(line.name, SHORT)
+        name = _cut(line.name, MAX_NAME)
         width = 30 + LETTER * len(name) + 14
         if u > LEFT and u + width > WIDTH:
             u, row = float(LEFT), row + 1
@@ -271,19 +269,19 @@ def _legend(lines: Sequence[Line]) -> tuple[str, int]:
     return "".join(marks), LEGEND_ROW * (row + 1) if lines else 0
 
 
-def _interval(dot: Dot, level: float, place: Callable[[float], float], most: float) -> str:
-    """A dot on its whisker; an arrow at the end of the scale when the mean lies beyond it."""
+def _interval(dot: Dot, level: float, position: Callable[[float], float], end: float) -> str:
+    """A dot on its whisker; an arrow where the mean lies beyond the end of the scale. position: [px] of a number."""
     if dot.value is None:
         return ""
-    if dot.value > most * (1 + 1e-9):
-        end = place(most)
-        return f'<path class="whisker stroke-0" d="M{_p(end - 5)} {_p(level - 4)}l5 4l-5 4"/>'
+    if dot.value > end * (1 + 1e-9):
+        tip = position(end)
+        return f'<path class="whisker stroke-0" d="M{_p(tip - 5)} {_p(level - 4)}l5 4l-5 4"/>'
     whisker = ""
     if dot.low is not None and dot.high is not None:
-        low, high = place(dot.low), place(dot.high)
+        low, high = position(dot.low), position(dot.high)
         ends = f"M{_p(low)} {_p(level - 3)}v6M{_p(high)} {_p(level - 3)}v6"
         whisker = f'<path class="whisker stroke-0" d="M{_p(low)} {_p(level)}H{_p(high)}{ends}"/>'
-    return f'{whisker}<circle class="fill-0" cx="{_p(place(dot.value))}" cy="{_p(level)}" r="3.5"/>'
+    return f'{whisker}<circle class="fill-0" cx="{_p(position(dot.value))}" cy="{_p(level)}" r="3.5"/>'
 
 
 def _heading(title: str, note: str) -> str:
@@ -301,7 +299,7 @@ def _svg(title: str, description: str, height: int, marks: Sequence[str]) -> str
 
 
 def _height(chart: str) -> int:
-    """Of a chart that `_svg` wrote [px]."""
+    """The height of a chart that `_svg` wrote [px]."""
     return int(chart.split('viewBox="', 1)[1].split('"', 1)[0].split()[3])
 
 
@@ -319,5 +317,5 @@ def _number(value: float) -> str:
 
 
 def _p(value: float) -> str:
-    """A place in a picture, to a hundredth of a pixel."""
+    """A coordinate in a picture, to a hundredth of a pixel."""
     return f"{round(value, 2) + 0.0:.6g}"

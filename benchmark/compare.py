@@ -1,9 +1,9 @@
-"""Which of two methods is better: paired on the queries that both answer, with intervals and p values.
+"""The comparison of two methods: paired over the queries that both predict, with intervals and p values.
 
-Both face the same queries, so the difference is taken query by query and its mean resampled by assembly, as in
-`intervals`. The two-sided p value is read off the same resamples: with c of B on the rarer side of zero, zeros on both,
-it is 2 (c + 1) / (B + 1), at most 1; so it says below 0.05 where the interval leaves zero out. Seated or not is one bit
-a query: there the p value is McNemar's, exact, from the queries that only one of the two seats.
+Both have the same queries, so the difference is taken query by query and its mean resampled by assembly, as in
+`intervals`. The two-sided p value comes from the same resamples: with c of B on the rarer side of zero, zeros counted
+on both, it is 2 (c + 1) / (B + 1), at most 1; so it is below 0.05 where the interval excludes zero. A rate, such as
+seated, is one bit per query: its p value is that of McNemar's exact test, from the queries that only one method passes.
 """
 
 from __future__ import annotations
@@ -15,63 +15,63 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import binomtest
 
+from benchmark import quantities
 from benchmark.cache import ResultCache
 from benchmark.intervals import DRAWS, ENDS, SEED, bootstrap_means
 from benchmark.per_query import PerQuery
 from benchmark.protocol import read_protocol
+from benchmark.quantities import Quantity
 from benchmark.report import json_text, table
-from benchmark.score import Scored, score
+from benchmark.score import Scores, score
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import write_bytes
 from kit1000.submission import read_submission
 from kit1000.tracks import CURVES
 
-ALPHA = 0.05  # below it a p value shows a difference
-SEATED = "seated"
-METRICS = {"position_mm": "position mm", "rotation_deg": "rotation deg", "mssd_mm": "MSSD mm", SEATED: "seated %"}
-"""What is compared, and how a table heads it; of seated more is better, of the others less."""
-STATED = ("dataset_id", "protocol", "split")  # two scores that differ in one of these are of different questions
-UNDECIDED = "no difference can be shown"
+ALPHA = 0.05  # significance level
+SAME = ("dataset_id", "protocol", "split")  # keys of scores.json that must agree: else the queries differ
+UNDECIDED = "no significant difference"
 HEADINGS = ("", "A", "B", "A - B", "p", "")
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Of one metric between A and B, over the queries that both answer."""
+    """The difference of one quantity between A and B, over the queries that both predict."""
 
     a: float
-    """Mean of A, in the unit of the metric; of seated a share."""
+    """Mean of A, in the unit of the key; of a rate the share."""
     b: float
     difference: float
     """a - b"""
     ci95: tuple[float, float]
     """Of the difference."""
     p: float
-    """Two-sided; exact by McNemar of seated, from the bootstrap of the others. As JSON, 0 is less than 1e-9."""
+    """Two-sided; of a rate from McNemar's exact test, else from the bootstrap. In JSON, 0 is less than 1e-9."""
     better: str | None
-    """A or B; None where no difference can be shown."""
+    """A or B; None where the difference is not significant."""
     only_a: int | None = None
-    """Of seated: queries that A alone seats."""
+    """Of a rate: queries that only A passes."""
     only_b: int | None = None
 
 
 @dataclass(frozen=True)
 class TrackComparison:
-    """Of one track."""
+    """The comparison on one track."""
 
-    asked: int
-    answered_a: int
-    answered_b: int
+    queries: int
+    predicted_a: int
+    """Queries with a prediction of A."""
+    predicted_b: int
     n: int
-    """Queries that both answer: those compared."""
+    """Queries that both predict: those compared."""
     differences: dict[str, Difference | None]
-    """By metric; None where one of the two does not predict it, or n is 0."""
+    """By key of the quantity; None where one of the two does not predict it, or n is 0."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Of two scored submissions."""
+    """The comparison of two scored submissions."""
 
     a: str
     """Name of the method."""
@@ -93,145 +93,152 @@ def run(
     workers: int = 1,
     cache: ResultCache | None = None,
 ) -> None:
-    """Score two submissions, print how they compare, and write it as JSON.
+    """Score two submissions, print their comparison, and write it as JSON.
 
     Args:
         a: folder of a submission.
         b: folder of another.
         data: dataset folder, with its truth.
-        tracks: those to compare; all that both answer when empty.
+        tracks: those to compare; all that both have when empty.
         out: JSON file; nothing is written when absent.
         workers: processes for the seating test.
-        cache: where rows are kept; nowhere when absent.
+        cache: of measured rows; none when absent.
     """
     protocol, dataset = read_protocol(), Dataset(data)
     submissions = [read_submission(folder) for folder in (a, b)]
     first, second = (score(each, dataset, protocol, workers=workers, cache=cache) for each in submissions)
-    found = compare(first, second, tracks, protocol.draws, protocol.seed)
+    comparison = compare(first, second, tracks, protocol.draws, protocol.seed)
     if out is not None:
-        write_bytes(out, json_text(asdict(found)).encode())
-    print(comparison_text(found))
+        write_bytes(out, json_text(asdict(comparison)).encode())
+    print(comparison_text(comparison))
 
 
-def compare(a: Scored, b: Scored, tracks: Sequence[str] = (), draws: int = DRAWS, seed: int = SEED) -> Comparison:
+def compare(a: Scores, b: Scores, tracks: Sequence[str] = (), draws: int = DRAWS, seed: int = SEED) -> Comparison:
     """Compare two submissions scored on the same dataset.
 
     Args:
-        a: one.
-        b: the other.
-        tracks: those to compare; all that both answer when empty.
-        draws: how many resamples.
-        seed: of all of them.
+        a: scores of one.
+        b: scores of the other.
+        tracks: those to compare; all that both have when empty.
+        draws: number of resamples.
+        seed: of all resamples.
     """
-    for key in STATED:
+    for key in SAME:
         if a.summary[key] != b.summary[key]:
             raise InputError(f"scores that cannot be compared: {key} is {a.summary[key]} of A, {b.summary[key]} of B")
     compared = {
-        track: _of_track(a.rows.of_track(track), b.rows.of_track(track), draws, seed) for track in _shared(a, b, tracks)
+        track: _compare_track(a.rows.of_track(track), b.rows.of_track(track), draws, seed)
+        for track in _common_tracks(a, b, tracks)
     }
-    stated = {key: a.summary[key] for key in STATED}
+    same = {key: a.summary[key] for key in SAME}
     names = {"a": a.summary["method"], "b": b.summary["method"]}
-    return Comparison(**names, **stated, draws=draws, seed=seed, tracks=compared)
+    return Comparison(**names, **same, draws=draws, seed=seed, tracks=compared)
 
 
-def _shared(a: Scored, b: Scored, asked: Sequence[str]) -> list[str]:
-    """The tracks to compare; those of the curves are no track, their errors are set."""
+def _common_tracks(a: Scores, b: Scores, chosen: Sequence[str]) -> list[str]:
+    """The tracks to compare, without the curves: the errors of their guesses are set and not drawn."""
     both = [track for track in a.rows.tracks if track in b.rows.tracks and track != CURVES]
     if not both:
-        raise InputError("nothing to compare: A and B answer no track in common")
-    for track in asked:
+        raise InputError("nothing to compare: A and B have no track in common")
+    for track in chosen:
         if track not in both:
-            raise InputError(f"track {track!r}: {did_you_mean(track, both)}A and B both answer {', '.join(both)}")
-    return list(asked) or both
+            raise InputError(f"track {track!r}: {did_you_mean(track, both)}A and B both have {', '.join(both)}")
+    return list(chosen) or both
 
 
-def _of_track(a: PerQuery, b: PerQuery, draws: int, seed: int) -> TrackComparison:
+def _compare_track(a: PerQuery, b: PerQuery, draws: int, seed: int) -> TrackComparison:
     """Compare the rows of one track, which both have in the same order."""
     if not np.array_equal(a.query_id, b.query_id):
         raise InputError("scores that cannot be compared: A and B are of different queries")
     both = a.covered & b.covered
-    differences = _differences(a[both], b[both], draws, seed) if both.any() else dict.fromkeys(METRICS)
+    keys = [quantity.key for quantity in quantities.shown_in("comparison")]
+    differences = _differences(a[both], b[both], draws, seed) if both.any() else dict.fromkeys(keys)
     return TrackComparison(len(a), int(a.covered.sum()), int(b.covered.sum()), int(both.sum()), differences)
 
 
 def _differences(a: PerQuery, b: PerQuery, draws: int, seed: int) -> dict[str, Difference | None]:
-    """Compare n >= 1 paired rows in every metric that both have."""
-    pairs = {metric: _pair(a, b, metric) for metric in METRICS}
-    told = {metric: pair for metric, pair in pairs.items() if np.isfinite(pair).all()}
-    columns = np.stack([first - second for first, second in told.values()], axis=1)
-    drawn = bootstrap_means(columns, a.assembly_id, draws, seed)
-    found: dict[str, Difference | None] = dict.fromkeys(METRICS)
-    return found | {metric: _judged(metric, pair, drawn[:, i]) for i, (metric, pair) in enumerate(told.items())}
+    """Compare n >= 1 paired rows in every quantity that both predict; by key."""
+    shown = quantities.shown_in("comparison")
+    pairs = {quantity: _pair(a, b, quantity) for quantity in shown}
+    known = {quantity: pair for quantity, pair in pairs.items() if np.isfinite(pair).all()}
+    columns = np.stack([first - second for first, second in known.values()], axis=1)
+    resampled = bootstrap_means(columns, a.assembly_id, draws, seed)
+    differences: dict[str, Difference | None] = dict.fromkeys(quantity.key for quantity in shown)
+    for i, (quantity, pair) in enumerate(known.items()):
+        differences[quantity.key] = _difference(quantity, pair, resampled[:, i])
+    return differences
 
 
-def _pair(a: PerQuery, b: PerQuery, metric: str) -> np.ndarray:
-    """(2, n) the metric of A and of B, NaN where it was not measured."""
-    pair = np.stack([np.asarray(getattr(rows, metric), np.float64) for rows in (a, b)])
-    if metric == SEATED:  # a bool has no NaN: what is not seated is told from what was not tested by the MSSD
-        pair[np.isnan([a.mssd_mm, b.mssd_mm])] = np.nan
+def _pair(a: PerQuery, b: PerQuery, quantity: Quantity) -> np.ndarray:
+    """(2, n) the quantity of A and of B, NaN where it was not measured."""
+    pair = np.stack([np.asarray(rows.quantities[quantity.key], np.float64) for rows in (a, b)])
+    if quantity.rate and quantity.needs_position:  # a bool has no NaN: without positions there is no MSSD either
+        mssd = [rows.quantities[quantities.MSSD.key] for rows in (a, b)]
+        pair[np.isnan(mssd)] = np.nan
     return pair
 
 
-def _judged(metric: str, pair: np.ndarray, drawn: np.ndarray) -> Difference:
-    """Say who is better.
+def _difference(quantity: Quantity, pair: np.ndarray, resampled: np.ndarray) -> Difference:
+    """The difference of a quantity, and whether it is significant.
 
     Args:
-        metric: one of METRICS.
+        quantity: the quantity.
         pair: (2, n) of A and of B.
-        drawn: (draws,) mean differences of the resamples.
+        resampled: (draws,) mean differences of the resamples.
     """
-    lo, hi = np.quantile(drawn, ENDS).tolist()
+    lo, hi = np.quantile(resampled, ENDS).tolist()
     a, b = pair.mean(axis=1).tolist()
-    only_a, only_b, p = None, None, bootstrap_p(drawn)
-    if metric == SEATED:
+    only_a, only_b, p = None, None, bootstrap_p(resampled)
+    if quantity.rate:
         only_a, only_b = int((pair[0] > pair[1]).sum()), int((pair[0] < pair[1]).sum())
         p = mcnemar_p(only_a, only_b)
-    shown = (lo > 0 or hi < 0) and p < ALPHA  # of seated both: McNemar's test takes queries for independent
-    better = ("A" if (a > b) == (metric == SEATED) else "B") if shown else None
+    significant = (lo > 0 or hi < 0) and p < ALPHA  # a rate needs both: McNemar's test takes queries as independent
+    better = ("A" if (a > b) == quantity.higher_is_better else "B") if significant else None
     return Difference(a, b, a - b, (lo, hi), p, better, only_a, only_b)
 
 
-def bootstrap_p(drawn: np.ndarray) -> float:
+def bootstrap_p(resampled: np.ndarray) -> float:
     """Two-sided p value of no difference, from mean differences of resamples (draws,); never below 2 / (draws + 1)."""
-    rarer = min((drawn <= 0).sum(), (drawn >= 0).sum())
-    return min(1.0, 2 * (int(rarer) + 1) / (len(drawn) + 1))
+    rarer = min((resampled <= 0).sum(), (resampled >= 0).sum())
+    return min(1.0, 2 * (int(rarer) + 1) / (len(resampled) + 1))
 
 
 def mcnemar_p(only_a: int, only_b: int) -> float:
-    """Exact two-sided p value of McNemar's test: are queries that one alone passes as often A's as B's?"""
+    """Exact two-sided p value of McNemar's test, from the numbers of queries that only one of the two passes."""
     return float(binomtest(only_a, only_a + only_b).pvalue) if only_a + only_b else 1.0
 
 
-def comparison_text(found: Comparison) -> str:
-    """The report that a person reads."""
+def comparison_text(comparison: Comparison) -> str:
+    """The report for a terminal."""
     lines = [
-        f"A: {found.a}",
-        f"B: {found.b}",
-        f"on {found.dataset_id}, split {found.split}, protocol {found.protocol}",
+        f"A: {comparison.a}",
+        f"B: {comparison.b}",
+        f"on {comparison.dataset_id}, split {comparison.split}, protocol {comparison.protocol}",
     ]
-    for track, compared in found.tracks.items():
+    for track, compared in comparison.tracks.items():
         lines += ["", *_track_lines(track, compared)]
     lines += [
         "",
-        f"A - B [95 % interval], paired; {found.draws} resamples of whole assemblies, seed {found.seed}; p two-sided,",
-        "from the resamples, of seated by McNemar's exact test. Not corrected for how many comparisons are made.",
+        f"A - B [95 % interval], paired; {comparison.draws} resamples of whole assemblies, seed {comparison.seed};",
+        "two-sided p from the resamples, of rates from McNemar's exact test. Not corrected for multiple comparisons.",
     ]
     return "\n".join(lines)
 
 
 def _track_lines(track: str, compared: TrackComparison) -> list[str]:
-    first = f"{track}: {compared.n} queries that both answer"
-    if compared.n < compared.asked:
-        first += f", of {compared.asked}; A answers {compared.answered_a}, B {compared.answered_b}"
-    told = [(METRICS[metric], row) for metric, row in compared.differences.items() if row is not None]
-    return [first, *table(HEADINGS, [_cells(name, row) for name, row in told])] if told else [first]
+    first = f"{track}: {compared.n} queries that both predict"
+    if compared.n < compared.queries:
+        first += f", of {compared.queries}; A predicts {compared.predicted_a}, B {compared.predicted_b}"
+    known = [(each, row) for each in quantities.shown_in("comparison") if (row := compared.differences[each.key])]
+    return [first, *table(HEADINGS, [_cells(quantity, row) for quantity, row in known])] if known else [first]
 
 
-def _cells(name: str, row: Difference) -> list[str]:
-    """A line of the table: per cent of seated, otherwise the unit of the metric."""
-    scale, digits = (100, 1) if row.only_a is not None else (1, 2)
-    a, b, difference, lo, hi = (f"{scale * x:.{digits}f}" for x in (row.a, row.b, row.difference, *row.ci95))
+def _cells(quantity: Quantity, row: Difference) -> list[str]:
+    """A line of the table, in the unit of the quantity."""
+    a, b, difference, lo, hi = (
+        quantity.text(quantity.scale * value) for value in (row.a, row.b, row.difference, *row.ci95)
+    )
     verdict = UNDECIDED if row.better is None else f"{row.better} is better by {difference.lstrip('-')}"
-    if row.only_a is not None:
+    if quantity.rate:
         verdict += f" ({row.only_a} by A alone, {row.only_b} by B alone)"
-    return [name, a, b, f"{difference} [{lo}, {hi}]", "<0.001" if row.p < 1e-3 else f"{row.p:.3f}", verdict]
+    return [quantity.heading, a, b, f"{difference} [{lo}, {hi}]", "<0.001" if row.p < 1e-3 else f"{row.p:.3f}", verdict]

@@ -1,8 +1,8 @@
 """95 % intervals: of a mean by a bootstrap that resamples clusters, of a rate by Wilson's formula.
 
 Queries about one assembly are not independent: they share its kits and its view. So whole assemblies are drawn, with
-replacement, and a mean is the ratio of two sums, over values and over how many there are. All draws come from one
-seed: equal input gives equal intervals, whichever method or metric they are of.
+replacement, and a mean is the ratio of two sums, of values and of their counts. All draws come from one seed: equal
+input gives equal intervals, for every method and metric.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ AT_ONCE = 1 << 16  # clusters drawn in one step: half a megabyte, stays in the c
 def bootstrap_means(columns: ArrayLike, clusters: ArrayLike, draws: int = DRAWS, seed: int = SEED) -> np.ndarray:
     """(draws, m): the means of m columns of values in each resample of the clusters, the same for all columns.
 
-    Where all values lie in one cluster, every mean is the same: nothing is known about the spread between clusters.
+    Where all values are in one cluster, every mean is the same: the spread between clusters is unknown.
 
     Args:
         columns: (n, m) finite, n >= 1, in any unit.
-        clusters: (n,) labels, integers (the quickest) or text; values of equal labels are drawn together.
-        draws: how many resamples.
-        seed: of all of them.
+        clusters: (n,) labels, integers (the fastest) or text; values of equal labels are drawn together.
+        draws: number of resamples.
+        seed: of all resamples.
     """
     columns = checked("values", columns, ("n", "m"))
     labels = np.asarray(clusters)
@@ -47,13 +47,13 @@ def bootstrap_means(columns: ArrayLike, clusters: ArrayLike, draws: int = DRAWS,
 
 
 def _resampled_ratios(sums: list[np.ndarray], counts: np.ndarray, draws: int, rng: np.random.Generator) -> np.ndarray:
-    """(draws, m): sum over count of clusters drawn with replacement, in steps of flat memory.
+    """(draws, m): sum over count of clusters drawn with replacement, in steps of bounded memory.
 
     Args:
         sums: m arrays (k,), of the values in each cluster.
         counts: (k,) values in each cluster.
-        draws: how many resamples.
-        rng: gives all draws, the same for any size of step.
+        draws: number of resamples.
+        rng: gives all draws, the same for any step size.
     """
     clusters = len(counts)
     even = float(counts[0]) * clusters if (counts == counts[0]).all() else None  # then each resample is as large

@@ -1,7 +1,7 @@
-"""The protocol: what is asked, how it is judged and how results are summed up, read from a dated file beside this one.
+"""The protocol: tracks, thresholds, bins and the bootstrap of a score, read from a dated JSON file in `protocols/`.
 
-Bins and thresholds stand there and nowhere in code; thresholds that the metrics have themselves are stated too, and
-compared, so that a file and the code it was written for cannot drift apart unnoticed.
+Bins and thresholds are in that file and nowhere in code. Thresholds of the metrics are in both, and compared, so that
+the file and the code cannot differ unnoticed.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from kit1000 import metrics
 from kit1000.errors import InputError
 from kit1000.files import read_json
 from kit1000.kits import seating
-from kit1000.metrics.seating import BANDS
+from kit1000.metrics.seating import EXACT_BANDS
 
 FOLDER = Path(__file__).parent / "protocols"
 CURRENT = "kit1000-2026"
@@ -24,21 +24,21 @@ MM = 1e3  # millimetres in a metre
 
 @dataclass(frozen=True)
 class Protocol:
-    """A protocol, its JSON file field by field."""
+    """A protocol, field by field as in its JSON file."""
 
     name: str
     status: str
-    """draft, or frozen: then no number of the file changes any more."""
+    """draft, or frozen: then no number of the file may change."""
     dataset: Mapping[str, str]
     """{"preset", "id"}: the dataset of the leaderboard."""
     metric_versions: Mapping[str, int]
-    """By name of a metric; must be those of `kit1000.metrics`."""
+    """By name of a metric; must be those of `kit1000.metrics.METRIC_VERSIONS`."""
     tracks: Mapping[str, Mapping[str, str | None]]
     """{"split", "sensor", "guess"} of each track of the leaderboard."""
     splits: tuple[str, ...]
     """Splits that can be scored; the first one is that of the leaderboard."""
     thresholds: Mapping[str, float]
-    """seated_mm, strict_mm and near_limit_mm of the seating test; beyond beyond_mm or beyond_deg is another pose."""
+    """seated_mm, strict_mm, near_limit_mm of the seating test; a pose beyond beyond_mm or beyond_deg is another one."""
     bootstrap: Mapping[str, float]
     """draws, seed and level of the intervals."""
     breakdown: Mapping[str, tuple[float, ...]]
@@ -48,9 +48,9 @@ class Protocol:
     curves: Mapping[str, Any]
     """The split and track of the robustness curves, their levels and the percentiles of their band."""
     risk_points: int
-    """Points of a risk-coverage curve."""
+    """Number of points of a risk-coverage curve."""
     listed: int
-    """Cases listed as the worst ones, and as those in the middle."""
+    """Number of queries listed with the worst predictions, and with those nearest to the median."""
 
     @property
     def draws(self) -> int:
@@ -64,7 +64,7 @@ class Protocol:
 
 
 def read_protocol(name: str = CURRENT) -> Protocol:
-    """The protocol of a name. Raises InputError when there is none, or when the code measures otherwise."""
+    """The protocol of a name. Raises InputError when there is none, or when the code differs from it."""
     known = sorted(path.stem for path in FOLDER.glob("*.json"))
     if name not in known:
         raise InputError(f"no protocol {name!r}; there are {', '.join(known)}")
@@ -72,7 +72,7 @@ def read_protocol(name: str = CURRENT) -> Protocol:
 
 
 def protocol_of(row: Mapping[str, Any], name: str) -> Protocol:
-    """The protocol that a file of this name states."""
+    """The protocol in the JSON value of a file of this name."""
     wanted = {field.name for field in fields(Protocol)}
     if set(row) != wanted:
         odd = ", ".join(sorted(wanted ^ set(row)))
@@ -80,7 +80,7 @@ def protocol_of(row: Mapping[str, Any], name: str) -> Protocol:
     lists = {key: {bin_: tuple(edges) for bin_, edges in row[key].items()} for key in ("breakdown", "histograms")}
     protocol = Protocol(**{**row, **lists, "splits": tuple(row["splits"])})
     _check_named(protocol, name)
-    _check_measured(protocol)
+    _check_metrics(protocol)
     return protocol
 
 
@@ -91,15 +91,19 @@ def _check_named(protocol: Protocol, name: str) -> None:
         raise InputError(f"protocol {name}: status {protocol.status!r}, expected draft or frozen")
 
 
-def _check_measured(protocol: Protocol) -> None:
-    """Refuse a protocol whose metrics and limits are not those of the code."""
+def _check_metrics(protocol: Protocol) -> None:
+    """Refuse a protocol whose metric versions and limits are not those of the code."""
     versions = metrics.METRIC_VERSIONS
     for metric, version in protocol.metric_versions.items():
         if versions.get(metric) != version:
             has = f"version {versions[metric]}" if metric in versions else "no such metric"
             raise InputError(f"protocol {protocol.name} wants {metric} version {version}; this code has {has}")
-    limits = {"seated_mm": seating.SEATED, "strict_mm": seating.STRICT, "near_limit_mm": BANDS["near"]}
+    limits = {
+        "seated_mm": seating.SEATED_LIMIT,
+        "strict_mm": seating.STRICT_LIMIT,
+        "near_limit_mm": EXACT_BANDS["near"],
+    }
     for key, limit in limits.items():
-        said = protocol.thresholds[key]
-        if abs(said - limit * MM) > 1e-9:
-            raise InputError(f"protocol {protocol.name}: {key} {said:g}; the code has {limit * MM:g}")
+        threshold = protocol.thresholds[key]
+        if abs(threshold - limit * MM) > 1e-9:
+            raise InputError(f"protocol {protocol.name}: {key} {threshold:g}; the code has {limit * MM:g}")

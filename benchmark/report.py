@@ -1,4 +1,4 @@
-"""Scores as people and other programs read them: the table of a terminal, and the text of scores.json."""
+"""Scores as text: the table for a terminal, and scores.json."""
 
 from __future__ import annotations
 
@@ -6,15 +6,13 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from benchmark import quantities
+from benchmark.quantities import Quantity
+
 WIDTH = 150  # of a line of JSON that holds a whole object or list
 DIGITS = 6  # significant ones of a number
 DECIMALS = 9  # of a number, so that rounding noise of the last bits reads as 0
-NOTHING = "-"  # in a table, where nothing was measured
-
-HEADINGS = (
-    "track", "n", "cover %", "position mm", "rotation deg", "MSSD mm", "seated %", "strict %", "seconds",
-)  # fmt: skip
-GROUP_HEADINGS = ("", "", "n", "position mm", "rotation deg", "MSSD mm", "seated %")
+NO_VALUE = "-"  # in a table, where nothing was measured
 
 
 def json_text(value: Any) -> str:
@@ -46,8 +44,8 @@ def _laid_out(value: Any, indent: str) -> str:
     return ends[0] + "\n" + ",\n".join(deeper + row for row in rows) + "\n" + indent + ends[1]
 
 
-def score_text(summary: Mapping[str, Any], groups: bool = False) -> str:
-    """The table of a score, with the lines that say what was scored; `groups`: its breakdown too."""
+def score_text(summary: Mapping[str, Any], with_breakdown: bool = False) -> str:
+    """The table of a score, below its method, dataset and protocol; on request with its breakdown."""
     versions = ", ".join(f"{name}@v{version}" for name, version in sorted(summary["metric_versions"].items()))
     lines = [
         f"{summary['method']}  on {summary['dataset_id']}, split {summary['split']}",
@@ -56,54 +54,50 @@ def score_text(summary: Mapping[str, Any], groups: bool = False) -> str:
         "",
     ]
     if summary["tracks"]:
-        lines += table(HEADINGS, [_track_line(name, row) for name, row in summary["tracks"].items()])
+        shown = quantities.shown_in("text")
+        headings = ["track", "n", "cover %", *(quantity.heading for quantity in shown)]
+        lines += table(headings, [_track_cells(name, row, shown) for name, row in summary["tracks"].items()])
         lines += [
             "",
-            "mean [95 % interval]; per cent with Wilson's interval; a query without an answer counts as no motion",
+            "mean [95 % interval]; per cent with Wilson's interval; a missing prediction counts as no motion",
         ]
     if summary["curves"] is not None:
-        asked = sum(row["n"] for rows in summary["curves"].values() for row in rows)
-        lines += ["", f"curves: {asked} queries, see scores.json and `python -m benchmark curves`"]
-    for track, things in summary["breakdown"].items() if groups else ():
-        lines += ["", track, *table(GROUP_HEADINGS, list(_group_lines(things)))]
+        n = sum(row["n"] for rows in summary["curves"].values() for row in rows)
+        lines += ["", f"curves: {n} queries, see scores.json and `python -m benchmark curves`"]
+    for track, groups in summary["breakdown"].items() if with_breakdown else ():
+        shown = quantities.shown_in("breakdown")
+        headings = ["", "", "n", *(quantity.heading for quantity in shown)]
+        lines += ["", track, *table(headings, list(_group_cells(groups, shown)))]
     return "\n".join(lines)
 
 
-def _track_line(name: str, row: Mapping[str, Any]) -> list[str]:
-    means = [_mean(row[key]) for key in ("position_mm", "rotation_deg", "mssd_mm")]
-    rates = [_rate(row[key]) for key in ("seated", "seated_strict")]
-    seconds = row["seconds"]
-    quick = NOTHING if seconds is None else f"{seconds['mean']:.3g}"
-    return [name, str(row["n"]), f"{100 * row['coverage']:.1f}", *means, *rates, quick]
+def _track_cells(name: str, row: Mapping[str, Any], shown: Sequence[Quantity]) -> list[str]:
+    return [name, str(row["n"]), f"{100 * row['coverage']:.1f}", *(_cell(quantity, row) for quantity in shown)]
 
 
-def _group_lines(things: Mapping[str, Any]) -> Iterable[list[str]]:
-    for thing, named in things.items():
+def _group_cells(groups: Mapping[str, Any], shown: Sequence[Quantity]) -> Iterable[list[str]]:
+    for key, named in groups.items():
         for i, (name, row) in enumerate(named.items()):
-            means = [_mean(row[key]) for key in ("position_mm", "rotation_deg", "mssd_mm")]
-            yield ["" if i else thing, name, str(row["n"]), *means, _rate(row["seated"])]
+            yield ["" if i else key, name, str(row["n"]), *(_cell(quantity, row) for quantity in shown)]
 
 
-def _mean(row: Mapping[str, Any] | None) -> str:
-    if row is None:
-        return NOTHING
-    low, high = row["ci95"]
-    return f"{row['mean']:.2f} [{low:.2f}, {high:.2f}]"
-
-
-def _rate(row: Mapping[str, Any] | None) -> str:
-    if row is None:
-        return NOTHING
-    low, high = row["ci95"]
-    return f"{100 * row['rate']:.1f} [{100 * low:.1f}, {100 * high:.1f}]"
+def _cell(quantity: Quantity, row: Mapping[str, Any]) -> str:
+    """A mean or a rate with its interval; of a quantity that submissions report, the mean alone."""
+    value, interval = quantity.estimate(row)
+    if value is None or interval is None:
+        return NO_VALUE
+    if quantity.metric is None:
+        return f"{value:.3g}"
+    low, high = interval
+    return f"{quantity.text(value)} [{quantity.text(low)}, {quantity.text(high)}]"
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table: words to the left, numbers to the right, columns two spaces apart."""
+    """Lines of a table: text aligned left, numbers right, columns two spaces apart."""
     cells = [list(headings), *map(list, rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(headings))]
-    words = [i for i, heading in enumerate(headings) if heading in ("track", "")]
-    return ["  ".join(_padded(row[i], widths[i], i in words) for i in range(len(row))).rstrip() for row in cells]
+    text = [i for i, heading in enumerate(headings) if heading in ("track", "")]
+    return ["  ".join(_padded(row[i], widths[i], i in text) for i in range(len(row))).rstrip() for row in cells]
 
 
 def _padded(text: str, width: int, left: bool) -> str:

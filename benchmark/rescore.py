@@ -1,4 +1,4 @@
-"""Scoring committed submissions again: is what stands in their scores.json what comes out?"""
+"""Scoring submissions again and comparing the result with their scores.json."""
 
 from __future__ import annotations
 
@@ -11,51 +11,51 @@ from typing import Any
 from benchmark.report import json_text
 from benchmark.score import read_checked, score
 from kit1000.dataset.reader import Dataset
-from kit1000.engines import local
+from kit1000.engines import local_engine
 from kit1000.files import read_json
 
-MADE = ("commit", "evaluator")
-"""What a score says of the code that made it: another commit may well give the same numbers."""
+CODE_KEYS = ("commit", "evaluator")
+"""Keys of scores.json about the code that made it; they are not compared: another commit may give the same numbers."""
 
 
-def rescored(folders: Sequence[Path], data: Path, workers: int = 1) -> Iterator[tuple[Path, list[str]]]:
-    """Score submissions again, with nothing kept from before, and compare to the last digit.
+def rescore(folders: Sequence[Path], data: Path, workers: int = 1) -> Iterator[tuple[Path, list[str]]]:
+    """Score submissions again, without any cache, and compare to the last digit.
 
     Args:
         folders: of the submissions, each with predictions.csv and scores.json.
         data: dataset folder, with its truth.
-        workers: processes, each of which scores a submission at a time.
+        workers: processes; each scores one submission at a time.
 
     Yields:
         Each folder when it is done, with a line for each value that differs, such as
-        `tracks.snap.position_mm.mean: 1.82 there, 1.83 now`.
+        `tracks.snap.position_mm.mean: 1.82 before, 1.83 now`.
     """
-    with local(min(workers, len(folders))) as spread:
-        yield from spread(partial(_rescored, data), folders)
+    with local_engine(min(workers, len(folders))) as spread:
+        yield from spread(partial(_rescore, data), folders)
 
 
-def _rescored(data: Path, folder: Path) -> tuple[Path, list[str]]:
-    there: dict[str, Any] = read_json(folder / "scores.json")
-    split, judge = there.get("split", "test"), there.get("judge", "near")
+def _rescore(data: Path, folder: Path) -> tuple[Path, list[str]]:
+    before: dict[str, Any] = read_json(folder / "scores.json")
+    split, exact = before.get("split", "test"), before.get("exact", "near")
     submission = read_checked(folder, data, split)
-    summary = score(submission, _opened(data), None, split, judge).summary
+    summary = score(submission, _dataset(data), None, split, exact).summary
     now = json.loads(json_text(summary))
-    return folder, [line for line in _differences(there, now, "") if line.partition(":")[0] not in MADE]
+    return folder, [line for line in _differences(before, now, "") if line.partition(":")[0] not in CODE_KEYS]
 
 
 @lru_cache(maxsize=1)
-def _opened(data: Path) -> Dataset:
-    """The dataset, opened once a process: truths and shapes are read once for all submissions."""
+def _dataset(data: Path) -> Dataset:
+    """The dataset, opened once in each process: ground truth and shapes are read once for all submissions."""
     return Dataset(data)
 
 
-def _differences(there: Any, now: Any, name: str) -> Iterator[str]:
-    """Where two values as JSON has them differ, entry by entry."""
-    if isinstance(there, dict) and isinstance(now, dict):
-        for key in there | now:
-            yield from _differences(there.get(key), now.get(key), f"{name}.{key}" if name else key)
-    elif there != now:
-        yield f"{name}: {_short(there)} there, {_short(now)} now"
+def _differences(before: Any, now: Any, name: str) -> Iterator[str]:
+    """A line for each entry in which two JSON values differ."""
+    if isinstance(before, dict) and isinstance(now, dict):
+        for key in before | now:
+            yield from _differences(before.get(key), now.get(key), f"{name}.{key}" if name else key)
+    elif before != now:
+        yield f"{name}: {_short(before)} before, {_short(now)} now"
 
 
 def _short(value: Any) -> str:

@@ -1,7 +1,7 @@
-"""Scoring a submission: its answers are measured against the truth and summed up under a protocol.
+"""Scoring a submission: its predictions are measured against the ground truth and summarised under a protocol.
 
-`score` gives the rows of single queries and the summary, which as text is scores.json: the same input gives the same
-bytes, wherever it is made.
+`score` returns the rows of single queries and the summary, which as text is scores.json: the same input gives the same
+bytes on every computer.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from benchmark.cache import ResultCache, key_of
-from benchmark.measure import answers_to, measured
+from benchmark.cache import ResultCache, cache_key
+from benchmark.evaluate import align, evaluate
 from benchmark.per_query import PerQuery
 from benchmark.protocol import Protocol, read_protocol
 from benchmark.provenance import commit, evaluator
-from benchmark.summary import summarised
-from benchmark.truths import Questions, joined, questions
+from benchmark.queries import ScoredQueries, concatenate, read_queries
+from benchmark.summary import summarise
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import sha256
@@ -28,19 +28,19 @@ from kit1000.tracks import CURVES
 
 
 @dataclass(frozen=True, eq=False)
-class Scored:
-    """A scored submission."""
+class Scores:
+    """The scores of a submission."""
 
     rows: PerQuery
-    """Every query that was asked, of the tracks and of the curves."""
+    """All queries of its tracks and of the curves."""
     summary: dict[str, Any]
-    """What scores.json holds."""
+    """The content of scores.json."""
 
 
 def read_checked(folder: Path, data: Path, split: str) -> Submission:
-    """Read a submission after `kit1000 check` has found no error in it; a query without an answer is none.
+    """Read a submission in which `kit1000 check` finds no error; a query without a prediction is no error.
 
-    Raises InputError with the first error: a score of numbers that mean something else would mislead.
+    Raises InputError with the first error: a score of misread numbers would mislead.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no folder of a submission")
@@ -56,84 +56,88 @@ def score(
     dataset: Dataset,
     protocol: Protocol | None = None,
     split: str | None = None,
-    judge: str = "near",
+    exact: str = "near",
     workers: int = 1,
     cache: ResultCache | None = None,
-) -> Scored:
-    """Score a submission on the tracks that its manifest names.
+) -> Scores:
+    """Score a submission on the tracks of its manifest.
 
     Args:
-        submission: as `kit1000.read_submission` gives it.
-        dataset: the one it answers, with its truth.
+        submission: as `kit1000.read_submission` returns it.
+        dataset: the one of its predictions, with ground truth.
         protocol: the current one when absent.
         split: the protocol's first, test, when absent; with it the curves are scored too.
-        judge: near, all or never; whom the exact judge of seating is asked about.
+        exact: near, all or never: the predictions that the exact seating test decides.
         workers: processes for the seating test.
-        cache: where rows are kept; nowhere when absent.
+        cache: of measured rows; none when absent.
     """
     protocol = protocol or read_protocol()
     split = split or protocol.splits[0]
-    _check(submission, dataset, protocol, split, judge, workers)
+    _check_options(submission, dataset, protocol, split, exact, workers)
     tracks = [track for track in (*protocol.tracks, CURVES) if track in submission.manifest.tracks]
-    rotations = submission.manifest.predicts == "rotation"
+    rotation_only = submission.manifest.predicts == "rotation"
 
-    def make() -> PerQuery:
-        asked = _asked(dataset, protocol, split, tracks, submission.predictions.query_ids)
-        _check_known(submission, dataset, split, asked)
-        return measured(asked, answers_to(asked, submission.predictions), rotations, judge, workers)
+    def measure() -> PerQuery:
+        queries = _queries(dataset, protocol, split, tracks, submission.predictions.query_ids)
+        _check_query_ids(submission, dataset, split, queries)
+        return evaluate(queries, align(submission.predictions, queries), rotation_only, exact, workers)
 
-    key = key_of(submission.predictions, dataset.id, split, tracks, rotations, judge)
-    rows = make() if cache is None else cache.rows(key, make)
-    stated = _stated(submission, dataset, protocol, split, judge)
-    return Scored(rows, stated | summarised(rows, protocol, rotations))
+    key = cache_key(submission.predictions, dataset, split, tracks, rotation_only, exact)
+    rows = measure() if cache is None else cache.rows(key, measure)
+    provenance = _provenance(submission, dataset, protocol, split, exact)
+    return Scores(rows, provenance | summarise(rows, protocol, rotation_only))
 
 
-def _asked(dataset: Dataset, protocol: Protocol, split: str, tracks: list[str], answered: Collection[str]) -> Questions:
-    """The questions of the tracks in a split, and those of the curves when it is the protocol's own split.
+def _queries(
+    dataset: Dataset, protocol: Protocol, split: str, tracks: list[str], predicted: Collection[str]
+) -> ScoredQueries:
+    """The queries of the tracks in a split, and those of the curves when it is the protocol's own split.
 
-    Slow methods may leave whole scenes out of the curves: they are drawn of those of which any query is answered.
+    Slow methods may leave whole scenes out of the curves: only scenes with a predicted query count there.
     """
-    parts: list[Questions] = []
-    held = dataset.summary["config"]
-    known = [track for track in tracks if track in held["tracks"]]
+    parts: list[ScoredQueries] = []
+    config = dataset.summary["config"]
+    known = [track for track in tracks if track in config["tracks"]]
     if known:
-        parts.append(questions(dataset, split, known))
-    if CURVES in tracks and split == protocol.splits[0] and held["curve_scenes"]:
-        curves, known_ids = questions(dataset, protocol.curves["split"], [CURVES]), set(answered)
-        asked = zip(curves.scene_ids, curves.query_ids, strict=True)
-        scenes = {scene_id for scene_id, query_id in asked if query_id in known_ids}
+        parts.append(read_queries(dataset, split, known))
+    if CURVES in tracks and split == protocol.splits[0] and config["curve_scenes"]:
+        curves, ids = read_queries(dataset, protocol.curves["split"], [CURVES]), set(predicted)
+        pairs = zip(curves.scene_ids, curves.query_ids, strict=True)
+        scenes = {scene_id for scene_id, query_id in pairs if query_id in ids}
         parts.append(curves.of_scenes(scenes) if scenes else curves)
     if not parts:
-        raise InputError(f"{dataset.root}: split {split} asks nothing in {', '.join(tracks) or 'no track'}")
-    return joined(*parts)
+        raise InputError(f"{dataset.root}: split {split} has no query of {', '.join(tracks) or 'no track'}")
+    return concatenate(*parts)
 
 
-def _check(submission: Submission, dataset: Dataset, protocol: Protocol, split: str, judge: str, workers: int) -> None:
-    """Refuse what cannot be scored before anything is read."""
-    if split not in protocol.splits:
-        raise InputError(f"split {split!r}: {did_you_mean(split, protocol.splits)}expected one of {', '.join(protocol.splits)}")
-    if judge not in EXACT_BANDS:
-        raise InputError(f"judge {judge!r}: {did_you_mean(judge, EXACT_BANDS)}expected one of {', '.join(EXACT_BANDS)}")
+def _check_options(
+    submission: Submission, dataset: Dataset, protocol: Protocol, split: str, exact: str, workers: int
+) -> None:
+    """Refuse wrong options before anything is read."""
+    for name, value, choices in (("split", split, protocol.splits), ("exact", exact, EXACT_BANDS)):
+        if value not in choices:
+            hint = did_you_mean(value, choices)
+            raise InputError(f"{name} {value!r}: {hint}expected one of {', '.join(choices)}")
     if workers < 1:
         raise InputError(f"workers: expected 1 or more, got {workers}")
-    said = submission.manifest.dataset_id
-    if said != dataset.id:
+    dataset_id = submission.manifest.dataset_id
+    if dataset_id not in (dataset.id, dataset.public_id):
         raise InputError(
-            f"{submission.folder}: answers dataset {said}, and {dataset.root} is {dataset.id}: "
+            f"{submission.folder}: predictions for dataset {dataset_id}, and {dataset.root} is {dataset.id}: "
             "score it on the dataset it was made for"
         )
 
 
-def _check_known(submission: Submission, dataset: Dataset, split: str, asked: Questions) -> None:
-    """Refuse a submission with answers to queries that are nowhere, or with none to those that are asked."""
-    known = set(asked.query_ids)
+def _check_query_ids(submission: Submission, dataset: Dataset, split: str, queries: ScoredQueries) -> None:
+    """Refuse a submission with predictions for unknown queries, or with none for the scored ones."""
+    known = set(queries.query_ids)
     strays = [query_id for query_id in submission.predictions.query_ids if query_id not in known]
     if len(strays) == len(submission.predictions):
         first = f" (its first is of {strays[0]})" if strays else ""
-        raise InputError(f"{submission.folder}: answers no query of split {split} in its tracks{first}")
+        raise InputError(f"{submission.folder}: no prediction for a query of split {split} in its tracks{first}")
     scored = {query_id.partition("-")[0] for query_id in known}
     strays = [query_id for query_id in strays if query_id.partition("-")[0] in scored]
-    others = set(_ids(dataset, split)) if strays else set()
+    others = set(_all_query_ids(dataset, split)) if strays else set()
     unknown = [query_id for query_id in strays if query_id not in others]
     if unknown:
         raise InputError(
@@ -142,7 +146,7 @@ def _check_known(submission: Submission, dataset: Dataset, split: str, asked: Qu
         )
 
 
-def _ids(dataset: Dataset, split: str) -> Iterator[str]:
+def _all_query_ids(dataset: Dataset, split: str) -> Iterator[str]:
     """Ids of all queries about the scenes of a split: every part, every track, the curves."""
     if not split.startswith("test"):
         return (query.id for query in dataset.split(split).queries())
@@ -150,15 +154,15 @@ def _ids(dataset: Dataset, split: str) -> Iterator[str]:
     return (query.id for name in splits for query in dataset.split(name).queries())
 
 
-def _stated(submission: Submission, dataset: Dataset, protocol: Protocol, split: str, judge: str) -> dict[str, Any]:
-    """What a score says of where it comes from."""
+def _provenance(submission: Submission, dataset: Dataset, protocol: Protocol, split: str, exact: str) -> dict[str, Any]:
+    """The keys of scores.json about protocol, dataset, code and submission."""
     return {
         "protocol": protocol.name,
         "status": protocol.status,
         "metric_versions": dict(protocol.metric_versions),
         "dataset_id": dataset.id,
         "split": split,
-        "judge": judge,
+        "exact": exact,
         "commit": commit(),
         "evaluator": evaluator(),
         "method": submission.manifest.method,

@@ -1,108 +1,136 @@
-"""From one row a query to what a table says: means with intervals, rates, histograms, risk-coverage, named cases.
+"""From one row per query to a summary: means with intervals, rates, histograms, risk-coverage curves, listed cases.
 
-Everything here is a plain JSON value; null stands where nothing was measured.
+Every result is a plain JSON value; null where nothing was measured.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from benchmark import quantities
 from benchmark.breakdown import groups
 from benchmark.curves import curve_table
 from benchmark.intervals import ENDS, bootstrap_means, rate_interval
 from benchmark.per_query import PerQuery
 from benchmark.protocol import Protocol
+from benchmark.quantities import Quantity
 from kit1000.tracks import CURVES
 
 Row = dict[str, Any]
-ERRORS = ("position_mm", "rotation_deg", "mssd_mm", "penetration_mm", "position_plain_mm", "rotation_plain_deg")
-LEADING = ("position_mm", "rotation_deg", "mssd_mm")  # what a breakdown tells
-CASE = ("position_mm", "rotation_deg", "mssd_mm", "seated")  # what is told of a single query
 
 
-def summarised(rows: PerQuery, protocol: Protocol, rotations: bool) -> Row:
-    """What scores.json says of the rows: `tracks`, `breakdown` and `curves`; `rotations`: nothing else is predicted."""
+def summarise(rows: PerQuery, protocol: Protocol, rotation_only: bool) -> Row:
+    """`tracks`, `breakdown` and `curves` of scores.json; `rotation_only`: the method predicts no positions."""
     rows = _numbered(rows)
     tracks = {track: rows.of_track(track) for track in rows.tracks if track != CURVES}
-    curves = rows.of_track(CURVES)
     return {
-        "tracks": {track: track_summary(own, protocol, rotations) for track, own in tracks.items()},
-        "breakdown": {track: breakdown(own, protocol, rotations) for track, own in tracks.items()},
-        "curves": curve_table(curves.query_id.tolist(), curves.position_mm, curves.rotation_deg)
-        if len(curves)
-        else None,
+        "tracks": {track: track_summary(own, protocol, rotation_only) for track, own in tracks.items()},
+        "breakdown": {track: breakdown(own, protocol, rotation_only) for track, own in tracks.items()},
+        "curves": _curves(rows.of_track(CURVES)),
     }
+
+
+def _curves(rows: PerQuery) -> Row | None:
+    """The robustness curves of the rows of their track; None without any."""
+    position_mm, rotation_deg = (rows.quantities[each.key] for each in (quantities.POSITION, quantities.ROTATION))
+    return curve_table(rows.query_id.tolist(), position_mm, rotation_deg) if len(rows) else None
 
 
 def _numbered(rows: PerQuery) -> PerQuery:
-    """The same rows with numbers for assemblies: they are resampled quicker than names, and alike."""
+    """The same rows with numbers for assemblies: they are resampled faster than names, with the same result."""
     return replace(rows, assembly_id=np.unique(rows.assembly_id, return_inverse=True)[1])
 
 
-def track_summary(rows: PerQuery, protocol: Protocol, rotations: bool) -> Row:
-    """Everything that is said of a track."""
-    histograms = {name: histogram(getattr(rows, name), edges) for name, edges in protocol.histograms.items()}
+def track_summary(rows: PerQuery, protocol: Protocol, rotation_only: bool) -> Row:
+    """The summary of a track."""
+    far = beyond(rows, protocol)
+    columns = {**rows.quantities, quantities.BEYOND.key: far}
     return {
         "n": len(rows),
         "coverage": float(rows.covered.mean()),
-        **means(rows, (*ERRORS, "seconds"), protocol),
-        **{name: None if rotations else _rate(getattr(rows, name)) for name in ("seated", "seated_strict")},
-        "beyond": None if rotations else _rate(beyond(rows, protocol)),
-        "loose_fits": None if rotations else int((rows.seated & beyond(rows, protocol)).sum()),
-        "judged": int(rows.judged.sum()),
-        "differs": int(rows.differs.sum()),
-        "histograms": histograms,
-        "risk_coverage": risk_coverage(rows, protocol.risk_points, rotations),
-        **_cases(rows, protocol.listed, rotations),
+        **estimates(quantities.QUANTITIES, columns, rows.assembly_id, protocol, rotation_only),
+        "loose_fits": None if rotation_only else int((rows.quantities[quantities.SEATED.key] & far).sum()),
+        "exact_tests": int(rows.exact_test.sum()),
+        "exact_disagreements": int(rows.exact_disagreement.sum()),
+        "histograms": {name: histogram(columns[name], edges) for name, edges in protocol.histograms.items()},
+        "risk_coverage": risk_coverage(rows, protocol.risk_points, rotation_only),
+        **_cases(rows, protocol.listed, rotation_only),
     }
 
 
-def breakdown(rows: PerQuery, protocol: Protocol, rotations: bool) -> Row:
-    """The leading numbers of every group of queries."""
+def breakdown(rows: PerQuery, protocol: Protocol, rotation_only: bool) -> Row:
+    """The headline quantities of every group of queries."""
     return {
-        thing: {name: _group(rows[inside], protocol, rotations) for name, inside in named.items()}
-        for thing, named in groups(rows, protocol).items()
+        title: {name: _group(rows[inside], protocol, rotation_only) for name, inside in named.items()}
+        for title, named in groups(rows, protocol).items()
     }
 
 
-def _group(rows: PerQuery, protocol: Protocol, rotations: bool) -> Row:
-    return {"n": len(rows), **means(rows, LEADING, protocol), "seated": None if rotations else _rate(rows.seated)}
+def _group(rows: PerQuery, protocol: Protocol, rotation_only: bool) -> Row:
+    shown = quantities.shown_in("breakdown")
+    return {"n": len(rows)} | estimates(shown, rows.quantities, rows.assembly_id, protocol, rotation_only)
 
 
 def beyond(rows: PerQuery, protocol: Protocol) -> np.ndarray:
-    """(n,) bool: which answers are so far off in position or in rotation that they count as another pose."""
-    limits = protocol.thresholds
-    return (rows.position_mm > limits["beyond_mm"]) | (rows.rotation_deg > limits["beyond_deg"])
+    """(n,) bool: predictions so far off in position or in rotation that they count as another pose."""
+    limits, measured = protocol.thresholds, rows.quantities
+    far = measured[quantities.POSITION.key] > limits["beyond_mm"]
+    return far | (measured[quantities.ROTATION.key] > limits["beyond_deg"])
 
 
-def means(rows: PerQuery, names: Sequence[str], protocol: Protocol) -> dict[str, Row | None]:
-    """Mean, median and interval of some columns, over the rows where they were measured; None where nothing was."""
-    columns = {name: getattr(rows, name) for name in names}
-    whole = [name for name, column in columns.items() if np.isfinite(column).all()]
-    told: dict[str, Row | None] = dict.fromkeys(names)
-    if whole:  # the same draws serve all of them
-        told |= zip(whole, _mean_rows(np.stack([columns[name] for name in whole], axis=1), rows, protocol), strict=True)
-    for name in names:
-        known = np.isfinite(columns[name])
-        if name not in whole and known.any():
-            (told[name],) = _mean_rows(columns[name][known, None], rows[known], protocol)
-    return told
+def estimates(
+    of: Iterable[Quantity],
+    columns: Mapping[str, np.ndarray],
+    assemblies: np.ndarray,
+    protocol: Protocol,
+    rotation_only: bool,
+) -> dict[str, Row | None]:
+    """Means and rates of some quantities, by key; None where nothing was measured.
+
+    Args:
+        of: the quantities.
+        columns: their values (n,), by key.
+        assemblies: (n,) labels; queries of equal labels are resampled together.
+        protocol: for the bootstrap.
+        rotation_only: whether the method predicts no positions.
+    """
+    of = tuple(of)
+    rates = {
+        each.key: None if rotation_only and each.needs_position else _rate(columns[each.key])
+        for each in of
+        if each.rate
+    }
+    return means({each.key: columns[each.key] for each in of if not each.rate}, assemblies, protocol) | rates
 
 
-def _mean_rows(columns: np.ndarray, rows: PerQuery, protocol: Protocol) -> list[Row]:
-    """Mean, median and interval of columns (n, m) of the rows."""
-    drawn = bootstrap_means(columns, rows.assembly_id, protocol.draws, protocol.seed)
+def means(columns: Mapping[str, np.ndarray], assemblies: np.ndarray, protocol: Protocol) -> dict[str, Row | None]:
+    """Mean, median and interval of columns (n,), over the rows where they were measured; None where nothing was."""
+    complete = [name for name, column in columns.items() if np.isfinite(column).all()]
+    found: dict[str, Row | None] = dict.fromkeys(columns)
+    if complete:  # the same draws serve all of them
+        stacked = np.stack([columns[name] for name in complete], axis=1)
+        found |= zip(complete, _mean_rows(stacked, assemblies, protocol), strict=True)
+    for name, column in columns.items():
+        known = np.isfinite(column)
+        if name not in complete and known.any():
+            (found[name],) = _mean_rows(column[known, None], assemblies[known], protocol)
+    return found
+
+
+def _mean_rows(columns: np.ndarray, assemblies: np.ndarray, protocol: Protocol) -> list[Row]:
+    """Mean, median and interval of each of m columns (n, m); assemblies: (n,)."""
+    drawn = bootstrap_means(columns, assemblies, protocol.draws, protocol.seed)
     ends, medians = np.quantile(drawn, ENDS, axis=0), np.median(columns, axis=0)
-    stated = zip(columns.mean(axis=0).tolist(), medians.tolist(), ends.T.tolist(), strict=True)
-    return [{"mean": mean, "median": median, "ci95": ci95} for mean, median, ci95 in stated]
+    numbers = zip(columns.mean(axis=0).tolist(), medians.tolist(), ends.T.tolist(), strict=True)
+    return [{"mean": mean, "median": median, "ci95": ci95} for mean, median, ci95 in numbers]
 
 
 def _rate(passed: np.ndarray) -> Row:
-    """The share of trues and its interval."""
+    """The share of True in (n,) bool, with its interval."""
     count, n = int(passed.sum()), len(passed)
     return {"rate": count / n, "ci95": list(rate_interval(count, n))}
 
@@ -115,18 +143,17 @@ def histogram(values: np.ndarray, edges: Sequence[float]) -> Row | None:
     return {"edges": [*edges, None], "counts": counts.tolist()}
 
 
-def risk_coverage(rows: PerQuery, points: int, rotations: bool) -> Row:
-    """Mean MSSD and share seated of the most confident answers, from 1/points of all queries up to all.
+def risk_coverage(rows: PerQuery, points: int, rotation_only: bool) -> Row:
+    """Mean MSSD and seated rate of the most confident predictions, from 1/points of all queries up to all.
 
-    Equal confidence is taken in every order alike: such queries enter with their mean.
+    Queries of equal confidence enter with their mean, so that their order does not matter.
     """
     shares = np.arange(1, points + 1) / points
-    risk, seated = (_among_first(values, rows.confidence, shares) for values in (rows.mssd_mm, rows.seated))
-    return {
-        "coverage": shares.tolist(),
-        "mssd_mm": None if rotations else risk.tolist(),
-        "seated": None if rotations else seated.tolist(),
-    }
+    row: Row = {"coverage": shares.tolist()}
+    for quantity in (quantities.MSSD, quantities.SEATED):
+        risk = _among_first(rows.quantities[quantity.key], rows.confidence, shares)
+        row[quantity.key] = None if rotation_only else risk.tolist()
+    return row
 
 
 def _among_first(values: np.ndarray, confidence: np.ndarray, shares: np.ndarray) -> np.ndarray:
@@ -140,19 +167,22 @@ def _among_first(values: np.ndarray, confidence: np.ndarray, shares: np.ndarray)
     return np.interp(first, ends, totals) / first
 
 
-def _cases(rows: PerQuery, count: int, rotations: bool) -> Row:
-    """The worst answers, and those nearest to the median, by MSSD; by rotation where there is nothing else."""
-    errors = rows.rotation_deg if rotations else rows.mssd_mm
+def _cases(rows: PerQuery, count: int, rotation_only: bool) -> Row:
+    """The queries of largest MSSD, and those nearest to its median; of the rotation error without positions."""
+    errors = rows.quantities[(quantities.ROTATION if rotation_only else quantities.MSSD).key]
     worst = np.lexsort((rows.query_id, -np.round(errors, 9)))[:count]
     middle = np.lexsort((rows.query_id, np.round(np.abs(errors - np.median(errors)), 9)))[:count]
     return {
-        "worst": [_case(rows, i, rotations) for i in worst.tolist()],
-        "middle": [_case(rows, i, rotations) for i in middle.tolist()],
+        "worst": [_case(rows, i, rotation_only) for i in worst.tolist()],
+        "middle": [_case(rows, i, rotation_only) for i in middle.tolist()],
     }
 
 
-def _case(rows: PerQuery, i: int, rotations: bool) -> Row:
-    told = {name: getattr(rows, name)[i].item() for name in CASE}
-    if rotations:
-        told |= {"position_mm": None, "mssd_mm": None, "seated": None}
-    return {"query_id": str(rows.query_id[i]), **told}
+def _case(rows: PerQuery, i: int, rotation_only: bool) -> Row:
+    """The quantities of a single query."""
+    case: Row = {"query_id": str(rows.query_id[i])}
+    for quantity in quantities.shown_in("cases"):
+        value = rows.quantities[quantity.key][i].item()
+        unknown = np.isnan(value) or (rotation_only and quantity.needs_position)
+        case[quantity.key] = None if unknown else value
+    return case

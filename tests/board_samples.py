@@ -1,4 +1,4 @@
-"""Made-up submissions of the leaderboard: manifests and scores of methods whose errors are drawn."""
+"""Made-up entries of the leaderboard: manifests and scores of methods with random errors."""
 
 from __future__ import annotations
 
@@ -9,10 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmark import quantities
 from benchmark.per_query import PerQuery
 from benchmark.protocol import Protocol, read_protocol
 from benchmark.report import json_text
-from benchmark.summary import summarised
+from benchmark.summary import summarise
 from kit1000.guesses import FIXED_LEVELS, LEVELS
 from kit1000.rng import stream
 from kit1000.submission.manifest import Manifest, write_manifest
@@ -38,13 +39,15 @@ LEARNED = replace(SNAPS, method="Learned", url="", learned=True, training_data="
 ORACLE = replace(
     SNAPS, method="With true volumes", uses_true_geometry=True, date="2026-01-15", tracks=("snap", "place")
 )
-TURNS = replace(SNAPS, method="Turns only", predicts="rotation", learned=True, tracks=("snap", "snap-tilt", CURVES))
+ROTATIONS = replace(
+    SNAPS, method="Rotations only", predicts="rotation", learned=True, tracks=("snap", "snap-tilt", CURVES)
+)
 GUESS = replace(SNAPS, method="Unchanged guess", control=True, tracks=("snap", "snap-tilt", CURVES))
 METHODS = {  # by folder: the manifest, about its errors [mm, degrees], and seconds a query
     "snaps": (SNAPS, 1.2, 1.5, 0.4),
     "learned": (LEARNED, 3.9, 4.9, 20.0),
     "oracle": (ORACLE, 0.8, 0.9, 3.0),
-    "turns": (TURNS, 3.0, 6.0, 0.1),
+    "rotations": (ROTATIONS, 3.0, 6.0, 0.1),
     "guess": (GUESS, 27.0, 13.8, None),
 }
 
@@ -67,31 +70,30 @@ def write_scored(
 
 @cache
 def scores(manifest: Manifest, position_mm: float, rotation_deg: float, seconds: float | None) -> str:
-    """The text of scores.json for drawn errors."""
+    """The text of scores.json for random errors."""
     protocol = replace(read_protocol(), bootstrap={"draws": 50, "seed": 2026, "level": 0.95})
-    asked = [track for track in TRACKS if track in manifest.tracks]
-    ids = [(f"test-s{k:04}-p0-{track}", track) for track in asked for k in range(SCENES)]
+    tracks = [track for track in TRACKS if track in manifest.tracks]
+    ids = [(f"test-s{k:04}-p0-{track}", track) for track in tracks for k in range(SCENES)]
     if CURVES in manifest.tracks:
         ids += [(query_id, CURVES) for query_id in curve_ids(4)]
-    rotations = manifest.predicts == "rotation"
-    summary = summarised(_rows(manifest, ids, position_mm, rotation_deg, seconds), protocol, rotations)
-    return json_text(_stated(manifest, protocol) | summary)
+    rows = _rows(manifest, ids, position_mm, rotation_deg, seconds)
+    return json_text(_provenance(manifest, protocol) | summarise(rows, protocol, manifest.predicts == "rotation"))
 
 
 def curve_ids(scenes: int) -> list[str]:
     """All queries of the curves about some scenes."""
     levels = product(range(scenes), ("pos", "rot"), range(LEVELS), FIXED_LEVELS)
-    return [curve_id(f"test-s{k:04}", 0, runs, level, fixed) for k, runs, level, fixed in levels]
+    return [curve_id(f"test-s{k:04}", 0, varied, level, fixed) for k, varied, level, fixed in levels]
 
 
-def _stated(manifest: Manifest, protocol: Protocol) -> dict[str, object]:
+def _provenance(manifest: Manifest, protocol: Protocol) -> dict[str, object]:
     return {
         "protocol": protocol.name,
         "status": protocol.status,
         "metric_versions": dict(protocol.metric_versions),
         "dataset_id": DATASET,
         "split": "test",
-        "judge": "near",
+        "exact": "near",
         "commit": "0123456789abcdef0123456789abcdef01234567",
         "evaluator": "fedcba9876543210",
         "method": manifest.method,
@@ -103,40 +105,44 @@ def _stated(manifest: Manifest, protocol: Protocol) -> dict[str, object]:
 def _rows(
     manifest: Manifest, ids: list[tuple[str, str]], position_mm: float, rotation_deg: float, seconds: float | None
 ) -> PerQuery:
-    """A row for each query: errors about some numbers, and properties in turn."""
+    """A row for each query: errors about some means, and properties in turn."""
     n, k = len(ids), np.arange(len(ids))
     rng = stream(1, manifest.method)
     position, rotation = position_mm * rng.gamma(2, 0.5, n), rotation_deg * rng.gamma(2, 0.5, n)
-    nothing = np.full(n, np.nan)
-    rotations = manifest.predicts == "rotation"
+    rotation_only = manifest.predicts == "rotation"
     mssd = position + 0.4 * rotation
-    if not rotations:
+    if not rotation_only:
         for i, (query_id, track) in enumerate(ids):
             if track == CURVES:  # worse as the guess gets worse
                 position[i] += 0.02 * position_mm * int(query_id[-6]) ** 1.3
+    measured = {
+        quantities.POSITION.key: position,
+        quantities.ROTATION.key: rotation,
+        quantities.MSSD.key: mssd,
+        quantities.SEATED.key: mssd < 3,
+        quantities.STRICT.key: mssd < 1,
+        quantities.PENETRATION.key: mssd / 5,
+        quantities.POSITION_PLAIN.key: position * 1.1,
+        quantities.ROTATION_PLAIN.key: rotation * 2,
+        quantities.SECONDS.key: np.full(n, np.nan if seconds is None else seconds),
+    }
+    for quantity in quantities.per_query() if rotation_only else ():
+        if quantity.needs_position:
+            measured[quantity.key] = np.zeros(n, bool) if quantity.rate else np.full(n, np.nan)
     return PerQuery(
         query_id=np.array([query_id for query_id, _ in ids]),
         track=np.array([track for _, track in ids]),
         scene_id=np.array([f"test-s{i % SCENES:04}" for i in k]),
         assembly_id=np.array([f"test-{i % SCENES:04}" for i in k]),
         covered=k % 17 > 0,
-        position_mm=nothing if rotations else position,
-        rotation_deg=rotation,
-        mssd_mm=nothing if rotations else mssd,
-        position_plain_mm=nothing if rotations else position * 1.1,
-        rotation_plain_deg=rotation * 2,
-        seated=np.zeros(n, bool) if rotations else mssd < 3,
-        seated_strict=np.zeros(n, bool) if rotations else mssd < 1,
-        penetration_mm=nothing if rotations else mssd / 5,
-        judged=np.zeros(n, bool),
-        differs=np.zeros(n, bool),
+        quantities=measured,
+        exact_test=np.zeros(n, bool),
+        exact_disagreement=np.zeros(n, bool),
         confidence=1 / (1 + mssd * rng.uniform(0.5, 1.5, n)),
-        seconds=nothing if seconds is None else np.full(n, seconds),
         rest_mode=np.where(k % 5 < 3, "upright", "tumbled"),
         tilt_deg=(k * 7.0) % 44,
         kits=2 + k % 4,
         held_out=k % 4 == 0,
         visible=0.5 + (k % 10) / 20,
         symmetry=np.array(["one goal", "several goals", "free axis"])[k % 3],
-        loose=k % 19 == 0,
     )

@@ -30,7 +30,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
-    """A real one, without a window."""
+    """Chromium, without a window."""
     if CHROMIUM is None:
         pytest.skip("no chromium on the search path: install one to see the pages as a reader does")
     with sync_playwright() as play:
@@ -41,123 +41,126 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture
 def opened(browser: Browser, site: Path) -> Iterator[Callable[..., Page]]:
-    """Opens a page of the site from its file; no page may write to the console or fetch from elsewhere."""
+    """Opens a page of the site from its file; no page may write to the console or load anything external."""
     context = browser.new_context()
-    said: list[str] = []
+    complaints: list[str] = []
 
     def visit(name: str = "index.html", width: int = 1280) -> Page:
-        seen = context.new_page()
-        seen.on("console", lambda message: said.append(message.text))
-        seen.on("pageerror", lambda error: said.append(str(error)))
-        seen.on("request", lambda asked: None if asked.url.startswith(("file:", "data:")) else said.append(asked.url))
-        seen.set_viewport_size({"width": width, "height": 900})
-        seen.goto(f"file://{site}/{name}")
-        return seen
+        page = context.new_page()
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on(
+            "request",
+            lambda request: None if request.url.startswith(("file:", "data:")) else complaints.append(request.url),
+        )
+        page.set_viewport_size({"width": width, "height": 900})
+        page.goto(f"file://{site}/{name}")
+        return page
 
     yield visit
     context.close()
-    assert not said
+    assert not complaints
 
 
-def shown(seen: Page, track: str = "snap") -> list[str]:
+def shown(page: Page, track: str = "snap") -> list[str]:
     """Names of the methods that a reader sees in a table, in order."""
-    rows = seen.locator(f"#track-{track} tbody tr:visible th a")
+    rows = page.locator(f"#track-{track} tbody tr:visible th a")
     return rows.all_inner_texts()
 
 
 @pytest.mark.parametrize("width", WIDTHS)
 def test_no_page_is_wider_than_its_window(opened: Callable[..., Page], width: int) -> None:
-    for name in ("index.html", "table1.html", "methods/snaps.html", "methods/turns.html"):
-        seen = opened(name, width)
-        assert seen.evaluate("document.documentElement.scrollWidth") == width
-        tables = seen.locator(".scroll:visible")
+    for name in ("index.html", "table1.html", "methods/snaps.html", "methods/rotations.html"):
+        page = opened(name, width)
+        assert page.evaluate("document.documentElement.scrollWidth") == width
+        tables = page.locator(".scroll:visible")
         assert tables.count() > 0
         wider = tables.evaluate_all(f"all => all.filter(one => one.getBoundingClientRect().right > {width}).length")
         assert wider == 0
 
 
 def test_on_a_phone_the_names_stay_while_the_numbers_pass(opened: Callable[..., Page]) -> None:
-    seen = opened(width=390)
-    table, name = seen.locator("#track-snap .scroll"), seen.locator("#track-snap tbody th").first
+    page = opened(width=390)
+    table, name = page.locator("#track-snap .scroll"), page.locator("#track-snap tbody th").first
     before = name.bounding_box()
     table.evaluate("one => one.scrollLeft = 300")
     assert table.evaluate("one => one.scrollLeft") == 300
     assert name.bounding_box() == before
 
 
-def test_a_click_sorts_and_another_turns_the_order_round(opened: Callable[..., Page]) -> None:
-    seen = opened()
-    head = seen.locator("#track-snap thead th", has_text="Rotation")
-    best = ["With true volumes", SNAPS.method, "Learned", "Turns only", "Unchanged guess"]
+def test_a_click_sorts_and_another_reverses_the_order(opened: Callable[..., Page]) -> None:
+    page = opened()
+    head = page.locator("#track-snap thead th", has_text="Rotation")
+    best = ["With true volumes", SNAPS.method, "Learned", "Rotations only", "Unchanged guess"]
     head.locator("button").click()
     assert head.get_attribute("aria-sort") == "ascending"
-    assert shown(seen) == best
+    assert shown(page) == best
     head.locator("button").press("Enter")  # as well as with the mouse
     assert head.get_attribute("aria-sort") == "descending"
-    assert shown(seen) == best[::-1]
-    assert seen.locator('#track-snap thead [aria-sort]:not([aria-sort="none"])').count() == 1
+    assert shown(page) == best[::-1]
+    assert page.locator('#track-snap thead [aria-sort]:not([aria-sort="none"])').count() == 1
 
 
-def test_what_was_not_measured_comes_last_either_way(opened: Callable[..., Page]) -> None:
-    seen = opened()
-    head = seen.locator("#track-snap thead th", has_text="Seated")
+def test_missing_values_come_last_in_both_orders(opened: Callable[..., Page]) -> None:
+    page = opened()
+    head = page.locator("#track-snap thead th", has_text="Seated")
     for _ in range(2):
         head.locator("button").click()
-        assert shown(seen)[-1] == "Turns only"
-    seen.locator("#track-snap thead button").first.click()
-    assert shown(seen) == sorted(shown(seen), key=str.lower)
+        assert shown(page)[-1] == "Rotations only"
+    page.locator("#track-snap thead button").first.click()
+    assert shown(page) == sorted(shown(page), key=str.lower)
 
 
-def test_filters_leave_the_rows_that_pass_all_of_them(opened: Callable[..., Page]) -> None:
-    seen = opened()
-    assert len(shown(seen)) == 5
-    seen.get_by_label("Controls").uncheck()
-    assert "Unchanged guess" not in shown(seen)
-    seen.get_by_label("True geometry").select_option("no")
-    assert shown(seen) == [SNAPS.method, "Learned", "Turns only"]
-    seen.get_by_label("Learned").select_option("yes")
-    seen.get_by_label("Time a query").select_option("slow")
-    assert shown(seen) == ["Learned"]
-    assert seen.locator("output").inner_text() == "1 of 5 shown"
-    seen.get_by_label("Time a query").select_option("medium")
-    assert seen.locator("#track-snap .empty").is_visible()
+def test_filters_leave_the_rows_that_match_all_of_them(opened: Callable[..., Page]) -> None:
+    page = opened()
+    assert len(shown(page)) == 5
+    page.get_by_label("Controls").uncheck()
+    assert "Unchanged guess" not in shown(page)
+    page.get_by_label("True geometry").select_option("no")
+    assert shown(page) == [SNAPS.method, "Learned", "Rotations only"]
+    page.get_by_label("Learned").select_option("yes")
+    page.get_by_label("Time per query").select_option("slow")
+    assert shown(page) == ["Learned"]
+    assert page.locator("output").inner_text() == "1 of 5 shown"
+    page.get_by_label("Time per query").select_option("medium")
+    assert page.locator("#track-snap .empty").is_visible()
 
 
 def test_tabs_are_reached_by_mouse_by_keys_and_by_address(opened: Callable[..., Page]) -> None:
-    seen = opened()
-    seen.get_by_role("tab", name="place", exact=True).click()
-    assert seen.locator(".track:visible").get_attribute("id") == "track-place"
-    assert seen.url.endswith("#track-place")
-    seen.keyboard.press("ArrowRight")
-    assert seen.locator(".track:visible").get_attribute("id") == "track-place-paper"
-    seen.keyboard.press("Home")
-    assert seen.get_by_role("tab", selected=True).inner_text() == "snap"
+    page = opened()
+    page.get_by_role("tab", name="place", exact=True).click()
+    assert page.locator(".track:visible").get_attribute("id") == "track-place"
+    assert page.url.endswith("#track-place")
+    page.keyboard.press("ArrowRight")
+    assert page.locator(".track:visible").get_attribute("id") == "track-place-paper"
+    page.keyboard.press("Home")
+    assert page.get_by_role("tab", selected=True).inner_text() == "snap"
     assert opened("index.html#track-snap-d415").locator(".track:visible").get_attribute("id") == "track-snap-d415"
 
 
 def test_without_scripts_every_table_is_there(browser: Browser, site: Path) -> None:
     context = browser.new_context(java_script_enabled=False)
-    seen = context.new_page()
-    seen.goto(f"file://{site}/index.html")
-    assert seen.locator(".track:visible").count() == len(TRACKS)
-    assert not seen.locator(".filters").is_visible()
+    page = context.new_page()
+    page.goto(f"file://{site}/index.html")
+    assert page.locator(".track:visible").count() == len(TRACKS)
+    assert not page.locator(".filters").is_visible()
     context.close()
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_text_stands_out_from_the_page(browser: Browser, site: Path, scheme: Any) -> None:
     context = browser.new_context(color_scheme=scheme)
-    seen = context.new_page()
-    seen.goto(f"file://{site}/index.html")
+    page = context.new_page()
+    page.goto(f"file://{site}/index.html")
     for place in (".lede", ".about", ".legend", "tbody a", ".control a", ".notice", "thead small", "svg text", ".tag"):
-        assert contrast(seen, place) >= READABLE, place
+        assert contrast(page, place) >= READABLE, place
     context.close()
 
 
-def contrast(seen: Page, place: str) -> float:
+def contrast(page: Page, place: str) -> float:
     """Ratio of luminances of a text and what lies behind it."""
     colours = (
-        seen.locator(place)
+        page.locator(place)
         .locator("visible=true")
         .first.evaluate(
             """one => {

@@ -1,4 +1,4 @@
-"""Pictures of single cases: the part where it is predicted over what the sensor saw, the goal outlined."""
+"""Pictures of single queries: the part at its predicted pose over the depth image, the goal outlined."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from board_samples import GUESS
 from mini import contents
 from PIL import Image
 
+from benchmark.entries import read_entries
 from benchmark.pages import build
-from benchmark.pages.cases import LARGEST, SIZE, Drawn, case_picture, jpeg, pictures
-from benchmark.pages.entries import read_board
+from benchmark.pages.cases import MAX_BYTES, SIZE, Case, case_picture, jpeg, pictures
 from benchmark.report import json_text
 from benchmark.score import score
 from kit1000.dataset.reader import Dataset
@@ -31,22 +31,22 @@ TRACK = "snap"
 def scored(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Submissions on the small dataset: one, the unchanged guess."""
     dataset, folder = Dataset(mini), tmp_path_factory.mktemp("submissions")
-    asked = [query for query in dataset.split("test").queries(TRACK) if query.guess is not None]
-    answers = [Prediction(query.id, query.guess, 0.5, 0.1) for query in asked if query.guess is not None]
+    queries = dataset.split("test").queries(TRACK)
+    guesses = [Prediction(query.id, query.guess, 0.5, 0.1) for query in queries if query.guess is not None]
     manifest = replace(GUESS, dataset_id=dataset.id, tracks=(TRACK,))
-    submission = write_submission(folder / "guess", manifest, answers)
-    text = json_text(score(submission, dataset, judge="never").summary)
+    submission = write_submission(folder / "guess", manifest, guesses)
+    text = json_text(score(submission, dataset, exact="never").summary)
     (folder / "guess/scores.json").write_text(text, encoding="utf-8")
     return folder
 
 
-def drawn(mini: Path) -> Drawn:
+def case_at_goal(mini: Path) -> Case:
     """A query with a prediction at its goal."""
     split = Dataset(mini).split("test", truth=True)
     recorded = next(iter(split))
     query = next(query for query in recorded.queries if query.track == TRACK)
     truth = recorded.truth_of(query.id)
-    return Drawn(recorded, query, truth, truth.goal_drawn, truth.goal_drawn)
+    return Case(recorded, query, truth, truth.goal_drawn, truth.goal_drawn)
 
 
 def whites(picture: Image.Image) -> np.ndarray:
@@ -61,7 +61,7 @@ def oranges(picture: Image.Image) -> np.ndarray:
 
 
 def test_a_part_at_its_goal_fills_the_outline_and_one_elsewhere_leaves_it(mini: Path) -> None:
-    right = drawn(mini)
+    right = case_at_goal(mini)
     aside = right._replace(predicted=Pose.from_translation((0.0, 0.0, 0.06)) @ right.goal)
     at_goal, away = case_picture(right), case_picture(aside)
     assert at_goal.size == away.size == SIZE
@@ -81,12 +81,12 @@ def test_the_pages_show_every_listed_case_small_and_the_same_each_time(
         build(scored, tmp_path / name, mini)
     assert contents(tmp_path / "once") == contents(tmp_path / "again")
     text = (tmp_path / "once/methods/guess.html").read_text("utf-8")
-    (entry,) = read_board(scored).entries
+    (entry,) = read_entries(scored)
     listed = {case["query_id"] for case in entry.scores["tracks"][TRACK]["worst"]}
     assert listed
     for query_id in listed:
         data = (tmp_path / f"once/methods/guess/{query_id}.jpg").read_bytes()
-        assert len(data) <= LARGEST
+        assert len(data) <= MAX_BYTES
         assert Image.open(BytesIO(data)).size == SIZE
         assert f'src="guess/{query_id}.jpg"' in text
 
@@ -94,11 +94,11 @@ def test_the_pages_show_every_listed_case_small_and_the_same_each_time(
 def test_even_noise_becomes_a_small_picture() -> None:
     noise = stream(1, "noise").integers(0, 255, (*SIZE[::-1], 3)).astype(np.uint8)
     small = Image.fromarray(noise).resize((200, 150)).resize(SIZE)
-    assert len(jpeg(small)) <= LARGEST
+    assert len(jpeg(small)) <= MAX_BYTES
 
 
 def test_another_dataset_and_unknown_queries_are_refused_in_one_line(mini: Path, scored: Path) -> None:
-    (entry,) = read_board(scored).entries
+    (entry,) = read_entries(scored)
     other = replace(entry, scores={**entry.scores, "dataset_id": "another"})
     with pytest.raises(InputError, match="scores of guess are on another"):
         pictures(Dataset(mini), other, [])

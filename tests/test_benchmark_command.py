@@ -1,4 +1,4 @@
-"""The command line of the benchmark: files and tables as promised, one line and never a traceback for what is wrong."""
+"""The command line of the benchmark: its files and tables, and one line instead of a traceback for every error."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from answered import answered, the_truth
+from sample_submissions import ground_truth, predicted
 
 from benchmark.__main__ import main
 from kit1000 import Dataset
 from kit1000.submission import Submission, read_submission
 from kit1000.tracks import CURVES
 
-MINI_TRACKS = ("snap", "snap-tilt", "snap-d415")  # what MINI asks in its one test scene
+MINI_TRACKS = ("snap", "snap-tilt", "snap-d415")  # of the one test scene of MINI
 
 
 @pytest.fixture(autouse=True)
 def _termination() -> Iterator[None]:
-    """`main` answers SIGTERM for its process; here that is pytest."""
+    """`main` handles SIGTERM for its process; here that is pytest."""
     before = signal.getsignal(signal.SIGTERM)
     yield
     signal.signal(signal.SIGTERM, before)
@@ -38,11 +38,11 @@ def dataset(mini: Path) -> Dataset:
 @pytest.fixture(scope="module")
 def perfect(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Submission:
     folder = tmp_path_factory.mktemp("submissions") / "truth"
-    answered(folder, dataset, the_truth, tracks=(*MINI_TRACKS, CURVES), control=True)
+    predicted(folder, dataset, ground_truth, tracks=(*MINI_TRACKS, CURVES), control=True)
     return read_submission(folder)
 
 
-def test_the_command_writes_the_scores_and_a_row_a_query(
+def test_the_command_writes_the_scores_and_a_row_per_query(
     perfect: Submission, dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = ["score", perfect.folder, "--data", dataset.root, "--cache", tmp_path / "kept", "--breakdown"]
@@ -60,7 +60,7 @@ def test_the_command_writes_the_scores_and_a_row_a_query(
 
 
 WRONG = {
-    "": "no command; there are score, rescore, curves, compare, table1, pages (python -m benchmark --help says more)",
+    "": "no command; there are score, rescore, curves, compare, table1, pages (see python -m benchmark --help)",
     "scor": "no command 'scor'; did you mean score?",
     "score": "score: SUBMISSION and --data missing",
     "score {sub}": "score: --data missing",
@@ -78,17 +78,17 @@ WRONG = {
 
 
 @pytest.mark.parametrize("line", WRONG)
-def test_what_is_wrong_is_said_in_one_line(
+def test_wrong_usage_is_reported_in_one_line(
     line: str, perfect: Submission, dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     places = {"{tmp}": str(tmp_path), "{data}": str(dataset.root), "{sub}": str(perfect.folder)}
-    typed, said = line, WRONG[line]
+    typed, message = line, WRONG[line]
     for name, path in places.items():
-        typed, said = typed.replace(name, path), said.replace(name, path)
+        typed, message = typed.replace(name, path), message.replace(name, path)
     assert main(typed.split()) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith(f"python -m benchmark: {said}")
+    assert err.startswith(f"python -m benchmark: {message}")
     assert err.count("\n") == 1
 
 
@@ -116,7 +116,7 @@ def test_a_broken_submission_gives_one_line_and_no_traceback(
     folder, rng = tmp_path / "broken", np.random.default_rng(11)
     shutil.copytree(perfect.folder, folder)
     whole = (folder / name).read_bytes()
-    words = ["score", str(folder), "--data", str(dataset.root), "--judge", "never", "--cache", str(tmp_path / "kept")]
+    words = ["score", str(folder), "--data", str(dataset.root), "--exact", "never", "--cache", str(tmp_path / "kept")]
     for data in (mutant for _ in range(2) for mutant in mutants(whole, rng)):
         (folder / name).write_bytes(data)
         status = main(words)

@@ -1,4 +1,4 @@
-"""Comparing two methods: the verdict, the p value and the report, on rows made up so that the answer is known."""
+"""Comparing two methods: the verdict, the p value and the report, on made-up rows with a known result."""
 
 from __future__ import annotations
 
@@ -14,20 +14,22 @@ import pytest
 from mean_intervals import mean_interval
 
 from benchmark import compare as module
+from benchmark import quantities
 from benchmark.compare import bootstrap_p, compare, comparison_text, mcnemar_p
 from benchmark.per_query import PerQuery
 from benchmark.report import json_text
-from benchmark.score import Scored
+from benchmark.score import Scores
 from kit1000.errors import InputError
 
 TEXT = ("query_id", "track", "scene_id", "assembly_id", "rest_mode", "symmetry")
-BITS = ("covered", "seated", "seated_strict", "judged", "differs", "held_out", "loose")
+BITS = ("covered", "seated", "seated_strict", "exact_test", "exact_disagreement", "held_out")
 
 
 def rows(n: int = 100, track: str = "snap", **columns: Any) -> PerQuery:
-    """Rows of n queries, two an assembly, all answered; everything not given is 0, False or a dash."""
+    """Rows of n queries, two per assembly, all predicted; columns that are not given are 0, False or a dash."""
     number = np.arange(n)
-    made: dict[str, Any] = {name: np.zeros(n) for name in PerQuery.__dataclass_fields__}
+    names = {*PerQuery.__dataclass_fields__, *(quantity.key for quantity in quantities.per_query())}
+    made: dict[str, Any] = {name: np.zeros(n) for name in names}
     made |= {name: np.full(n, "-") for name in TEXT} | {name: np.zeros(n, bool) for name in BITS}
     made |= {
         "query_id": np.array([f"test-s{i:04d}-p0-{track}" for i in number]),
@@ -36,17 +38,17 @@ def rows(n: int = 100, track: str = "snap", **columns: Any) -> PerQuery:
         "covered": np.ones(n, bool),
         "kits": np.full(n, 2),
     }
-    return PerQuery(**{**made, **columns})
+    return PerQuery.of_columns({**made, **columns})
 
 
-def joined(*several: PerQuery) -> PerQuery:
-    names = PerQuery.__dataclass_fields__
-    return PerQuery(**{name: np.concatenate([getattr(each, name) for each in several]) for name in names})
+def concatenate(*several: PerQuery) -> PerQuery:
+    columns = [each.columns() for each in several]
+    return PerQuery.of_columns({name: np.concatenate([each[name] for each in columns]) for name in columns[0]})
 
 
-def scored(answers: PerQuery, method: str = "ours", **stated: str) -> Scored:
+def scored(measured: PerQuery, method: str = "ours", **setting: str) -> Scores:
     summary = {"method": method, "dataset_id": "abc", "protocol": "kit1000-2026", "split": "test"}
-    return Scored(answers, summary | stated)
+    return Scores(measured, summary | setting)
 
 
 def errors(seed: int, n: int = 100, mean: float = 3.0) -> np.ndarray:
@@ -55,7 +57,7 @@ def errors(seed: int, n: int = 100, mean: float = 3.0) -> np.ndarray:
     return mean + np.repeat(rng.standard_normal(n // 2), 2) + 0.3 * rng.standard_normal(n)
 
 
-def test_a_method_that_is_better_everywhere_is_said_to_be() -> None:
+def test_a_method_that_is_better_everywhere_is_reported_so() -> None:
     a = rows(
         position_mm=errors(1, mean=2),
         rotation_deg=errors(2, mean=2),
@@ -74,10 +76,11 @@ def test_a_method_that_is_better_everywhere_is_said_to_be() -> None:
 
 def test_the_interval_is_that_of_the_paired_differences() -> None:
     a, b = rows(position_mm=errors(1)), rows(position_mm=errors(2))
+    difference = a.quantities["position_mm"] - b.quantities["position_mm"]
     row = compare(scored(a), scored(b), draws=500, seed=3).tracks["snap"].differences["position_mm"]
     assert row is not None
-    assert row.ci95 == mean_interval(a.position_mm - b.position_mm, a.assembly_id, draws=500, seed=3)
-    assert row.difference == pytest.approx(row.a - row.b) == pytest.approx(np.mean(a.position_mm - b.position_mm))
+    assert row.ci95 == mean_interval(difference, a.assembly_id, draws=500, seed=3)
+    assert row.difference == pytest.approx(row.a - row.b) == pytest.approx(np.mean(difference))
 
 
 def test_pairing_shows_a_small_difference_that_the_spread_of_the_queries_would_hide() -> None:
@@ -99,7 +102,7 @@ def test_a_method_does_not_differ_from_itself() -> None:
         assert (row.difference, row.ci95, row.p, row.better) == (0, (0, 0), 1, None)
 
 
-def test_swapping_the_two_turns_every_sign() -> None:
+def test_swapping_the_two_flips_every_sign() -> None:
     a, b = (scored(rows(position_mm=errors(s, mean=s), seated=errors(s) > 3)) for s in (1, 2))
     there, back = compare(a, b).tracks["snap"].differences, compare(b, a).tracks["snap"].differences
     for metric, row in there.items():
@@ -110,24 +113,24 @@ def test_swapping_the_two_turns_every_sign() -> None:
         np.testing.assert_allclose(other.ci95, [-end for end in row.ci95[::-1]], rtol=1e-12, atol=1e-12)
 
 
-def test_only_queries_that_both_answer_count() -> None:
+def test_only_queries_that_both_predict_count() -> None:
     position = np.where(np.arange(100) < 10, 1e6, errors(1))
     a = rows(position_mm=position, covered=np.arange(100) >= 10)
     b = rows(position_mm=errors(2), covered=np.arange(100) < 95)
     found = compare(scored(a), scored(b)).tracks["snap"]
-    assert (found.asked, found.answered_a, found.answered_b, found.n) == (100, 90, 95, 85)
+    assert (found.queries, found.predicted_a, found.predicted_b, found.n) == (100, 90, 95, 85)
     row = found.differences["position_mm"]
     assert row is not None
     assert row.a == pytest.approx(position[10:95].mean())
-    assert "85 queries that both answer, of 100; A answers 90, B 95" in comparison_text(compare(scored(a), scored(b)))
+    assert "85 queries that both predict, of 100; A predicts 90, B 95" in comparison_text(compare(scored(a), scored(b)))
 
 
-def test_no_query_in_common_is_a_declared_result() -> None:
+def test_no_query_in_common_gives_empty_differences() -> None:
     half = np.arange(100) < 50
     found = compare(scored(rows(covered=half)), scored(rows(covered=~half)))
     assert found.tracks["snap"].n == 0
     assert set(found.tracks["snap"].differences.values()) == {None}
-    assert "snap: 0 queries that both answer" in comparison_text(found)
+    assert "snap: 0 queries that both predict" in comparison_text(found)
     assert json.loads(json_text(asdict(found)))["tracks"]["snap"]["differences"]["seated"] is None
 
 
@@ -154,7 +157,7 @@ def test_the_p_value_of_seated_is_mcnemars() -> None:
     assert row.better is None
 
 
-def test_whole_assemblies_that_change_sides_are_no_proof_though_mcnemar_takes_them_for_many_queries() -> None:
+def test_few_assemblies_are_not_significant_though_mcnemar_counts_many_queries() -> None:
     assembly = np.repeat(np.arange(4), 25).astype(str)
     a, b = (rows(seated=assembly == name, assembly_id=assembly) for name in ("0", "none"))
     row = compare(scored(a), scored(b)).tracks["snap"].differences["seated"]
@@ -177,7 +180,7 @@ def test_the_p_value_counts_the_rarer_side(drawn: np.ndarray, p: float) -> None:
     assert bootstrap_p(drawn) == pytest.approx(p)
 
 
-def test_equal_methods_are_told_apart_in_5_of_100_worlds() -> None:
+def test_equal_methods_differ_significantly_in_5_of_100_worlds() -> None:
     alarms = 0
     for world in range(400):
         a, b = (scored(rows(position_mm=errors(1000 * world + i))) for i in (1, 2))
@@ -189,22 +192,22 @@ def test_equal_methods_are_told_apart_in_5_of_100_worlds() -> None:
 
 
 def test_tracks_are_those_in_common_and_curves_are_none() -> None:
-    a = scored(joined(rows(10), rows(10, "place"), rows(10, "curves")))
-    b = scored(joined(rows(10), rows(10, "snap-tilt"), rows(10, "place"), rows(10, "curves")))
+    a = scored(concatenate(rows(10), rows(10, "place"), rows(10, "curves")))
+    b = scored(concatenate(rows(10), rows(10, "snap-tilt"), rows(10, "place"), rows(10, "curves")))
     assert list(compare(a, b).tracks) == ["snap", "place"]
     assert list(compare(a, b, ["place"]).tracks) == ["place"]
 
 
-def test_a_track_that_one_of_them_lacks_is_answered_with_those_they_share() -> None:
-    a, b = scored(rows(10)), scored(joined(rows(10), rows(10, "place")))
-    with pytest.raises(InputError, match="track 'place': A and B both answer snap"):
+def test_a_track_that_one_of_them_lacks_is_refused_with_the_common_ones() -> None:
+    a, b = scored(rows(10)), scored(concatenate(rows(10), rows(10, "place")))
+    with pytest.raises(InputError, match="track 'place': A and B both have snap"):
         compare(a, b, ["place"])
     with pytest.raises(InputError, match="no track in common"):
         compare(a, scored(rows(10, "place")))
 
 
 @pytest.mark.parametrize("key", ["dataset_id", "protocol", "split"])
-def test_scores_of_different_questions_are_refused(key: str) -> None:
+def test_scores_of_different_settings_are_refused(key: str) -> None:
     with pytest.raises(InputError, match=f"{key} is .* of A, other of B"):
         compare(scored(rows(10)), scored(rows(10), **{key: "other"}))
 
@@ -214,7 +217,7 @@ def test_rows_of_different_queries_are_refused() -> None:
         compare(scored(rows(10)), scored(rows(12)))
 
 
-def test_the_report_says_who_is_better_by_how_much_and_how_sure() -> None:
+def test_the_report_has_the_better_method_the_difference_and_its_p_value() -> None:
     a = rows(position_mm=errors(1, mean=2), seated=np.arange(100) < 90)
     b = rows(position_mm=errors(2, mean=9), seated=np.arange(100) < 20)
     text = comparison_text(compare(scored(a, "registration"), scored(b, "icp")))
@@ -222,7 +225,7 @@ def test_the_report_says_who_is_better_by_how_much_and_how_sure() -> None:
     position, rotation, _, seated = text.splitlines()[6:10]
     assert position.startswith("position mm   ")
     assert position.endswith("<0.001  A is better by 7.09")
-    assert rotation.endswith("1.000  no difference can be shown")
+    assert rotation.endswith("1.000  no significant difference")
     assert "70.0 [" in seated
     assert seated.endswith("A is better by 70.0 (70 by A alone, 0 by B alone)")
     assert max(map(len, text.splitlines())) < 130
@@ -231,12 +234,14 @@ def test_the_report_says_who_is_better_by_how_much_and_how_sure() -> None:
 def test_the_command_scores_both_and_writes_what_it_prints(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    answers = {"a": rows(position_mm=errors(1, mean=2)), "b": rows(position_mm=errors(2, mean=9))}
+    measured = {"a": rows(position_mm=errors(1, mean=2)), "b": rows(position_mm=errors(2, mean=9))}
     monkeypatch.setattr(module, "Dataset", Path)
     monkeypatch.setattr(module, "read_submission", lambda folder: SimpleNamespace(name=folder.name))
-    monkeypatch.setattr(module, "score", lambda submission, *_, **__: scored(answers[submission.name], submission.name))
+    monkeypatch.setattr(
+        module, "score", lambda submission, *_, **__: scored(measured[submission.name], submission.name)
+    )
     module.run(Path("a"), Path("b"), tmp_path, ("snap",), tmp_path / "a-b.json")
-    found = compare(scored(answers["a"], "a"), scored(answers["b"], "b"))
+    found = compare(scored(measured["a"], "a"), scored(measured["b"], "b"))
     assert capsys.readouterr().out == comparison_text(found) + "\n"
     written = json.loads((tmp_path / "a-b.json").read_text("utf-8"))
     assert written["tracks"]["snap"]["differences"]["position_mm"]["better"] == "A"

@@ -1,4 +1,4 @@
-"""Robustness curves: tables against their definition, thinned sets, and the figure and the numbers beside it."""
+"""Robustness curves: tables against their definition, subsets of queries, and the figure with its numbers."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ from board_samples import LEARNED, SNAPS, curve_ids, write_scored
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmark.curves import COLUMNS, CURVES, curve_table, figure, write_curves
+from benchmark.curve_charts import COLUMNS, figure, write_curves
+from benchmark.curves import CURVES, curve_table
 from kit1000.errors import InputError, ShapeError
 from kit1000.guesses import FIXED_LEVELS, LEVELS
 from kit1000.rng import stream
@@ -42,29 +43,31 @@ def test_levels_are_those_of_the_dataset() -> None:
     table = curve_table(IDS, *drawn_errors(len(IDS)))
     for curve, user, fixed in (("position", MM, DEG), ("rotation", DEG, MM)):
         (user_key, fixed_key) = ("user_mm", "fixed_deg") if curve == "position" else ("user_deg", "fixed_mm")
-        asked = [(row[fixed_key], row["level"], row[user_key]) for row in table[curve]]
-        wanted = [(fixed[k], level, user[level]) for k in FIXED_LEVELS for level in range(LEVELS)]
-        np.testing.assert_allclose(asked, wanted, atol=1e-9)
+        found = [(row[fixed_key], row["level"], row[user_key]) for row in table[curve]]
+        expected = [(fixed[k], level, user[level]) for k in FIXED_LEVELS for level in range(LEVELS)]
+        np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=20)
-def test_every_row_is_what_its_definition_says_whatever_the_order(seed: int) -> None:
+def test_every_row_follows_its_definition_in_any_order(seed: int) -> None:
     position, rotation = drawn_errors(len(IDS))
     order = stream(seed, "order").permutation(len(IDS))
     kept = order[: stream(seed, "kept").integers(1, len(IDS))]
     table = curve_table([IDS[i] for i in kept], position[kept], rotation[kept])
     assert sum(row["n"] for rows in table.values() for row in rows) == len(kept)
-    for curve, runs, errors in (("position", "pos", position), ("rotation", "rot", rotation)):
-        asked = {curve_levels(IDS[i]) for i in kept if curve_levels(IDS[i])[0] == runs}
-        assert len(table[curve]) == len(asked)  # a level that nobody was asked at has no row
+    for curve, varied, errors in (("position", "pos", position), ("rotation", "rot", rotation)):
+        levels_left = {curve_levels(IDS[i]) for i in kept if curve_levels(IDS[i])[0] == varied}
+        assert len(table[curve]) == len(levels_left)  # a level without queries has no row
         for row in table[curve]:
             levels, key = (DEG, "fixed_deg") if curve == "position" else (MM, "fixed_mm")
             fixed = int(np.argmin(np.abs(np.array(levels) - row[key])))
-            own = [float(errors[i]) for i in kept if curve_levels(IDS[i]) == (runs, row["level"], fixed)]
+            own = [float(errors[i]) for i in kept if curve_levels(IDS[i]) == (varied, row["level"], fixed)]
             assert row["n"] == len(own)
-            told = [row[key] for key in ("mean", "median", "p20", "p80")]
-            np.testing.assert_allclose(told, [fmean(own), median(own), percentile(own, 0.2), percentile(own, 0.8)])
+            statistics = [row[key] for key in ("mean", "median", "p20", "p80")]
+            np.testing.assert_allclose(
+                statistics, [fmean(own), median(own), percentile(own, 0.2), percentile(own, 0.8)]
+            )
 
 
 def test_a_method_of_rotations_has_no_position_curve_and_its_rotations_stay_the_same() -> None:
@@ -94,9 +97,9 @@ def texts(svg: str) -> str:
 def test_the_figure_of_one_method_has_both_curves_a_line_for_each_fixed_error(tmp_path: Path) -> None:
     write_scored(tmp_path / "snaps", SNAPS, 1.2, 1.5, None)
     picture, numbers = write_curves([tmp_path / "snaps"], tmp_path / "out")
-    said = texts(picture.read_text("utf-8"))
+    shown = texts(picture.read_text("utf-8"))
     for text in ("position error of the guess [mm]", "rotation error left [degrees]", "15.7°", "28 mm", "n = 4"):
-        assert text in said
+        assert text in shown
     rows = list(csv.DictReader(numbers.open(encoding="utf-8")))
     assert tuple(rows[0]) == COLUMNS
     assert len(rows) == 2 * LEVELS * len(FIXED_LEVELS)
@@ -111,12 +114,12 @@ def test_several_methods_share_a_figure_and_the_same_scores_give_the_same_bytes(
     files = [tmp_path / "a", tmp_path / "b/scores.json"]
     first, second = (write_curves(files, tmp_path / name) for name in ("one", "two"))
     assert [path.read_bytes() for path in first] == [path.read_bytes() for path in second]
-    said = texts(first[0].read_text("utf-8"))
-    assert said.count("Learned") == 2 * len(FIXED_LEVELS)
-    assert said.count("Snaps <b>well</b>") == 2 * len(FIXED_LEVELS)
+    shown = texts(first[0].read_text("utf-8"))
+    assert shown.count("Learned") == 2 * len(FIXED_LEVELS)
+    assert shown.count("Snaps <b>well</b>") == 2 * len(FIXED_LEVELS)
 
 
-def test_a_thinned_set_shows_how_many_queries_are_left() -> None:
+def test_a_subset_shows_its_number_of_queries() -> None:
     kept = [query_id for i, query_id in enumerate(IDS) if i % 5]
     table = curve_table(kept, *drawn_errors(len(kept)))
     assert "n = 2 to 3" in texts(figure({"thin": table}))

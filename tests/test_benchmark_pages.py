@@ -1,4 +1,4 @@
-"""The leaderboard pages: what they say, that foreign text is harmless, and that they are stable."""
+"""The leaderboard pages: their content, that text of manifests is escaped, and that they are deterministic."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from mini import contents
 
 from benchmark.pages import build
 from benchmark.pages.board import runtime_class
-from benchmark.pages.numbers import POSITION, percent, written
+from benchmark.pages.numbers import percent
+from benchmark.quantities import POSITION
 from kit1000.errors import InputError
 from kit1000.tracks import TRACKS
 
@@ -66,7 +67,7 @@ def test_there_is_a_page_for_each_method_and_every_tag_is_closed(site: Path) -> 
     assert not [path for path, outline in pages.items() if outline.open]
 
 
-def test_links_lead_to_files_and_places_of_the_site_and_nothing_is_fetched_from_elsewhere(site: Path) -> None:
+def test_links_lead_to_files_and_anchors_of_the_site_and_nothing_external_is_loaded(site: Path) -> None:
     pages = all_pages(site)
     for path, outline in pages.items():
         ids = [attrs["id"] for _, attrs in outline.seen if "id" in attrs]
@@ -78,13 +79,13 @@ def test_links_lead_to_files_and_places_of_the_site_and_nothing_is_fetched_from_
             if re.match(r"[a-z]+:", target):
                 assert (tag, target) == ("a", SNAPS.url)
                 continue
-            file, _, place = target.partition("#")
+            file, _, anchor = target.partition("#")
             assert (path.parent / file).exists()
-            assert not place or file or place in ids
+            assert not anchor or file or anchor in ids
     assert not re.search(r"@import|url\(", (site / "style.css").read_text("utf-8"))
 
 
-def test_what_a_manifest_says_is_text_and_never_markup(site: Path) -> None:
+def test_the_text_of_a_manifest_is_never_markup(site: Path) -> None:
     for outline in all_pages(site).values():
         assert [attrs.get("src") for tag, attrs in outline.seen if tag == "script"] in (["board.js"], ["../board.js"])
         assert not [attrs for tag, attrs in outline.seen if tag == "b"]
@@ -93,11 +94,11 @@ def test_what_a_manifest_says_is_text_and_never_markup(site: Path) -> None:
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page(site, "snaps")
 
 
-def test_every_page_names_what_its_numbers_rest_on(site: Path) -> None:
+def test_every_page_names_protocol_metrics_dataset_evaluator_and_licence(site: Path) -> None:
     for path in all_pages(site):
         text = path.read_text("utf-8")
-        for said in ("kit1000-2026", "draft", "mssd@v1", "0123456789abcdef", "fedcba9876543210", "2026-0", "CC-BY-4.0"):
-            assert said in text, (path.name, said)
+        for name in ("kit1000-2026", "draft", "mssd@v1", "0123456789abcdef", "fedcba9876543210", "2026-0", "CC-BY-4.0"):
+            assert name in text, (path.name, name)
 
 
 def test_the_board_shows_what_scores_json_holds(site: Path) -> None:
@@ -107,20 +108,20 @@ def test_the_board_shows_what_scores_json_holds(site: Path) -> None:
         mean = scores["tracks"][track]["position_mm"]["mean"]
         assert f'data-value="{mean}"><span>{mean:.2f}</span>' in text
     assert text.count("methods/snaps.html") == len(TRACKS)
-    assert text.count("methods/oracle.html") == 2  # the tracks that it answers
+    assert text.count("methods/oracle.html") == 2  # its tracks
 
 
 def test_the_page_of_a_method_has_all_its_parts(site: Path) -> None:
     text = page(site, "snaps")
     assert SNAPS.reproduce in text
-    for title in ("Robustness", "Position errors", "MSSD by confidence", "Kits in the assembly", "The worst answers"):
+    for title in ("Robustness", "Position errors", "MSSD by confidence", "Kits in the assembly", "Largest errors"):
         assert title in text
     assert "drawn when the pages are built with the dataset" in text
-    turns = page(site, "turns")
-    assert "rotation only" in turns
-    assert "Rotation errors" in turns
-    assert "Position errors" not in turns
-    assert "Robustness" not in page(site, "oracle")  # it answers no curves
+    rotations = page(site, "rotations")
+    assert "rotation only" in rotations
+    assert "Rotation errors" in rotations
+    assert "Position errors" not in rotations
+    assert "Robustness" not in page(site, "oracle")  # without curves
 
 
 def test_the_same_scores_give_the_same_bytes(site: Path, tmp_path: Path) -> None:
@@ -168,11 +169,11 @@ def test_folders_without_scores_are_refused_in_one_line(tmp_path: Path) -> None:
 
 
 def test_numbers_are_written_with_the_decimals_of_their_column() -> None:
-    assert [written(value, POSITION) for value in (0.0, -1e-12, 3.875, 181.3)] == ["0.00", "0.00", "3.88", "181.30"]
+    assert [POSITION.text(value) for value in (0.0, -1e-12, 3.875, 181.3)] == ["0.00", "0.00", "3.88", "181.30"]
     assert [percent(share) for share in (0.0, 0.995, 1.0)] == ["0 %", "99.5 %", "100 %"]
     assert [runtime_class(seconds) for seconds in (None, 1.0, 1.1, 10.0, 60.0)] == [
         "unknown",
-        "quick",
+        "fast",
         "medium",
         "medium",
         "slow",

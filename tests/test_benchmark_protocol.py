@@ -1,4 +1,4 @@
-"""The protocol says what the code does, and a file that says otherwise is refused."""
+"""The protocol agrees with the code, and a file that differs from it is refused."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from benchmark.protocol import CURRENT, FOLDER, protocol_of, read_protocol
-from kit1000.dataset.reader import WANTED
+from benchmark.quantities import BEYOND, QUANTITIES, STRICT
+from kit1000.dataset.reader import SPLIT_QUERIES
 from kit1000.errors import InputError
 from kit1000.generation.plan import dataset_id, make_plan
 from kit1000.generation.presets import PRESETS
-from kit1000.guesses import MAX_ANGLE, FIXED_LEVELS, LEVELS, MAX_OFFSET
+from kit1000.guesses import FIXED_LEVELS, LEVELS, MAX_ANGLE, MAX_OFFSET
 from kit1000.metrics import METRIC_VERSIONS
 from kit1000.tracks import TRACKS
 
@@ -39,26 +40,36 @@ def test_tracks_are_those_of_the_dataset() -> None:
 
 def test_splits_are_those_of_the_reader() -> None:
     protocol = read_protocol()
-    assert {*protocol.splits, protocol.curves["split"]} == set(WANTED)
+    assert {*protocol.splits, protocol.curves["split"]} == set(SPLIT_QUERIES)
 
 
 def test_the_dataset_is_the_one_its_preset_makes() -> None:
-    stated = read_protocol().dataset
-    preset = PRESETS[stated["preset"]]
-    assert stated["id"] == dataset_id(make_plan(preset, preset.seed))
+    dataset = read_protocol().dataset
+    preset = PRESETS[dataset["preset"]]
+    assert dataset["id"] == dataset_id(make_plan(preset, preset.seed))
 
 
-def test_curves_are_those_that_the_dataset_asks() -> None:
+def test_curves_are_those_of_the_dataset() -> None:
     curves = read_protocol().curves
     assert (curves["levels"], tuple(curves["fixed_levels"])) == (LEVELS, FIXED_LEVELS)
     assert (curves["most_mm"], curves["most_deg"]) == pytest.approx((MAX_OFFSET * 1e3, np.degrees(MAX_ANGLE)))
 
 
-def test_metrics_are_measured_in_the_versions_that_it_names() -> None:
+def test_metric_versions_are_those_of_the_code() -> None:
     assert read_protocol().metric_versions.items() <= METRIC_VERSIONS.items()
 
 
-def test_bins_rise() -> None:
+def test_every_metric_of_a_score_has_a_version() -> None:
+    assert {quantity.metric for quantity in QUANTITIES} - {None} == set(read_protocol().metric_versions)
+
+
+def test_descriptions_name_the_thresholds() -> None:
+    limits = read_protocol().thresholds
+    assert f"{limits['beyond_mm']:g} mm or {limits['beyond_deg']:g}°" in BEYOND.description
+    assert f"{limits['strict_mm']:g} mm in place of {limits['seated_mm']:g} mm" in STRICT.description
+
+
+def test_bins_increase() -> None:
     protocol = read_protocol()
     for edges in (*protocol.breakdown.values(), *protocol.histograms.values()):
         assert (np.diff(edges) > 0).all()
@@ -66,7 +77,7 @@ def test_bins_rise() -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"metric_versions": {"mssd": 99}}, "wants mssd version 99; this code has version 1"),
         ({"metric_versions": {"vsd": 1}}, "wants vsd version 1; this code has no such metric"),
@@ -75,8 +86,8 @@ def test_bins_rise() -> None:
         ({"extra": 1}, "fields missing or too many: extra"),
     ],
 )
-def test_a_file_at_odds_with_the_code_is_refused(change: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_a_file_that_differs_from_the_code_is_refused(change: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
         protocol_of(current() | change, CURRENT)
 
 
@@ -88,6 +99,6 @@ def test_limits_are_those_of_the_metrics(limit: str) -> None:
         protocol_of(row, CURRENT)
 
 
-def test_an_unknown_protocol_is_answered_with_the_known_ones() -> None:
+def test_an_unknown_protocol_is_refused_with_the_known_ones() -> None:
     with pytest.raises(InputError, match=f"no protocol 'kit1000-1999'; there are {CURRENT}"):
         read_protocol("kit1000-1999")

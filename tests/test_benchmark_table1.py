@@ -1,4 +1,4 @@
-"""Table I: every row from the start, numbers from scores.json, and one committed table that is up to date."""
+"""Table I: the paper's rows from the start, the others by label, numbers from scores.json; the committed table."""
 
 from __future__ import annotations
 
@@ -10,10 +10,14 @@ from typing import Any
 import pytest
 
 from benchmark.protocol import read_protocol
-from benchmark.table1 import MARK, METHODS, NOT_YET, TRACKS, Grid, as_html, as_markdown, grids, run, table_rows
+from benchmark.table1 import MARK, NOT_YET, PAPER_ROWS, Grid, as_html, as_markdown, grids, read_table, run
 from kit1000.errors import InputError
+from kit1000.submission.manifest import Manifest, write_manifest
+from kit1000.tracks import PAPER_TRACKS, TRACKS
 
 ROOT = Path(__file__).resolve().parents[1]
+DATASET = "91f0221d05e7d974"
+PAPER_LABELS = [row.label for row in PAPER_ROWS.values()]
 
 
 def mean(value: float) -> dict[str, Any]:
@@ -22,58 +26,105 @@ def mean(value: float) -> dict[str, Any]:
 
 def track(position: float | None, rotation: float, **given: Any) -> dict[str, Any]:
     """A track of scores.json, as far as the table reads it; its plain errors are 10 more."""
-    moved = {"position_mm": None, "position_plain_mm": None}
+    positions = {"position_mm": None, "position_plain_mm": None}
     if position is not None:
-        moved = {"position_mm": mean(position), "position_plain_mm": mean(position + 10)}
-    turned = {"rotation_deg": mean(rotation), "rotation_plain_deg": mean(rotation + 10)}
-    return {"n": 200, "coverage": 1.0, "seated": None, **moved, **turned, **given}
+        positions = {"position_mm": mean(position), "position_plain_mm": mean(position + 10)}
+    rotations = {"rotation_deg": mean(rotation), "rotation_plain_deg": mean(rotation + 10)}
+    return {"n": 200, "coverage": 1.0, "seated": None, **positions, **rotations, **given}
 
 
-def put(folder: Path, name: str, tracks: dict[str, Any], **stated: Any) -> None:
-    """Write the scores.json of a submission."""
-    scores = {
+def put(folder: Path, name: str, tracks: dict[str, Any], manifest: dict[str, Any] | None = None, **scores: Any) -> None:
+    """Write the manifest and the scores.json of a submission."""
+    defaults: dict[str, Any] = {
+        "method": name,
+        "authors": ("A. Name",),
+        "description": "Made for a test.",
+        "date": "2026-01-31",
+        "dataset_id": DATASET,
+        "tracks": tuple(tracks) or ("snap",),
+        "learned": False,
+        "uses_true_geometry": False,
+    }
+    setting = {
         "protocol": "kit1000-2026",
         "status": "draft",
         "metric_versions": {"rotation": 1, "position": 1},
-        "dataset_id": "91f0221d05e7d974",
+        "dataset_id": DATASET,
         "split": "test",
-        "method": name,
-        "manifest": {"camera_set": "primary"},
-        "tracks": tracks,
-        **stated,
+        "evaluator": "0" * 16,
+        "commit": "1" * 40,
     }
     (folder / name).mkdir(parents=True, exist_ok=True)
-    (folder / name / "scores.json").write_text(json.dumps(scores), encoding="utf-8")
+    write_manifest(folder / name / "manifest.toml", Manifest(**defaults | (manifest or {})))
+    content = {**setting, "method": name, "tracks": tracks, "breakdown": {}, "curves": None, **scores}
+    (folder / name / "scores.json").write_text(json.dumps(content), encoding="utf-8")
+
+
+GUESS = {"label": "Initial guess, unchanged", "control": True}
 
 
 @pytest.fixture
 def submissions(tmp_path: Path) -> Path:
-    """Of a method of the paper's, of one that predicts rotations, and of two that are not in the paper."""
+    """Two methods of the paper, one of them for rotations alone, two others and a control."""
     folder = tmp_path / "submissions"
-    put(folder, "snapnet", {"snap-tilt": track(3.4, 4.0), "place-paper": track(9.123, 20, coverage=0.985)})
-    put(folder, "kitnet", {"place-paper": track(None, 40)}, manifest={"camera_set": "top"})
-    put(folder, "registration", {name: track(2 + i, 3 + i) for i, name in enumerate(TRACKS)})
-    put(folder, "somebody-elses", {"snap": track(1, 1)}, dataset_id="another")
-    (folder / "icp").mkdir()
+    snapnet = {"label": "My SnapNet", "paper_row": "snapnet"}
+    put(folder, "ours", {"snap-tilt": track(3.4, 4.0), "place-paper": track(9.123, 20, coverage=0.985)}, snapnet)
+    put(folder, "kits", {"place-paper": track(None, 40)}, {"camera_set": "top", "paper_row": "kitnet"})
+    every = {name: track(2 + i, 3 + i) for i, name in enumerate(TRACKS)}
+    put(folder, "a", every, {"label": "Registration, from depth"})
+    put(folder, "b", {"snap": track(1, 1)}, {"label": "ICP from the guess"})
+    put(folder, "c", {"snap": track(27, 14)}, GUESS)
+    (folder / "unscored").mkdir()
     return folder
 
 
 def cells(folder: Path, title: str) -> dict[str, dict[str, str]]:
     """The cells of a grid by method and heading."""
-    grid = next(grid for grid in grids(table_rows(folder)) if grid.title == title)
+    grid = next(grid for grid in grids(read_table(folder)) if grid.title == title)
     return {row[0]: dict(zip(grid.headings[1:], row[1:], strict=True)) for row in grid.rows}
 
 
-def test_the_table_has_a_row_for_each_method_before_anything_is_scored(tmp_path: Path) -> None:
-    table = table_rows(tmp_path)
-    assert [line.method for line in table.lines] == list(METHODS)
+def test_the_rows_of_the_paper_are_there_before_anything_is_scored(tmp_path: Path) -> None:
+    table = read_table(tmp_path)
+    assert [row.label for row in table.rows] == PAPER_LABELS
     assert as_markdown(table).startswith("No submission is scored yet.")
     for grid in grids(table):
-        assert len(grid.rows) == len(METHODS)
         assert all(NOT_YET in row for row in grid.rows), grid.title
 
 
-def test_the_papers_numbers_stand_where_the_paper_has_them(tmp_path: Path) -> None:
+def test_other_methods_follow_by_label_and_controls_come_last(submissions: Path) -> None:
+    put(submissions, "z", {"snap": track(1, 1)}, {"label": "A control", "control": True})
+    put(submissions, "y", {"snap": track(1, 1)}, {"method": "no label"})
+    labels = [row.label for row in read_table(submissions).rows]
+    others = ["ICP from the guess", "no label", "Registration, from depth"]
+    assert labels == [*PAPER_LABELS, *others, "A control", "Initial guess, unchanged"]
+
+
+def test_a_submission_stands_in_the_row_that_its_manifest_names(submissions: Path) -> None:
+    rows = {row.label: row for row in read_table(submissions).rows}
+    assert (rows["SnapNet"].submission, rows["SnapNet"].kind) == ("ours", "paper")
+    assert rows["TransporterNet"].submission is None
+    assert "My SnapNet" not in rows
+
+
+@pytest.mark.parametrize(
+    ("manifest", "message"),
+    [
+        ({"paper_row": "snapnet"}, "theirs: paper_row 'snapnet' is that of ours too"),
+        ({"method": "ours"}, "theirs: method 'ours' is that of ours too"),
+        ({"label": "My SnapNet"}, "theirs: label 'My SnapNet' is that of ours too"),
+        ({"paper_row": "snapnett"}, "theirs: paper_row 'snapnett': did you mean snapnet.* expected one of kitnet, "),
+    ],
+)
+def test_two_submissions_for_one_row_or_of_one_name_are_refused(
+    submissions: Path, manifest: dict[str, Any], message: str
+) -> None:
+    put(submissions, "theirs", {}, manifest)
+    with pytest.raises(InputError, match=message):
+        read_table(submissions)
+
+
+def test_the_papers_numbers_are_in_their_columns(tmp_path: Path) -> None:
     found = {name: [*row.values()][::2][:4] for name, row in cells(tmp_path, "As in the paper").items()}
     assert {name: row for name, row in found.items() if row != ["–"] * 4} == {
         "KitNet": ["–", "–", "–", "49.2"],
@@ -84,7 +135,7 @@ def test_the_papers_numbers_stand_where_the_paper_has_them(tmp_path: Path) -> No
     }
 
 
-def test_ours_stands_beside_with_its_interval(submissions: Path) -> None:
+def test_our_mean_is_beside_the_papers_number(submissions: Path) -> None:
     row = cells(submissions, "As in the paper")["SnapNet"]
     assert row == {
         "with: mm, paper": "3.9",
@@ -99,9 +150,9 @@ def test_ours_stands_beside_with_its_interval(submissions: Path) -> None:
     }
 
 
-def test_a_track_tells_plain_means_medians_and_how_many(submissions: Path) -> None:
+def test_a_track_has_plain_means_medians_and_counts(submissions: Path) -> None:
     assert cells(submissions, "place-paper")["SnapNet"] == {
-        "n": "200, 98.5 % answered",
+        "n": "200, 98.5 % predicted",
         "mm, paper": "10.8",
         "mm, mean": "9.12 [8.12, 10.12]",
         "mm, plain mean": "19.12",
@@ -117,39 +168,39 @@ def test_every_track_has_the_numbers_of_that_track(submissions: Path) -> None:
     for i, name in enumerate(TRACKS):
         row = cells(submissions, name)["Registration, from depth"]
         assert (row["mm, median"], row["°, median"]) == (f"{(2 + i) / 2:.2f}", f"{(3 + i) / 2:.2f}")
-        assert ("mm, paper" in row) == (name in ("snap-tilt", "place-paper"))
+        assert ("mm, paper" in row) == (name in PAPER_TRACKS.values())
 
 
-def test_what_is_not_scored_differs_from_what_is_not_predicted(submissions: Path) -> None:
+def test_a_missing_submission_differs_from_a_missing_prediction(submissions: Path) -> None:
     rotations = cells(submissions, "place-paper")["KitNet"]
     assert (rotations["mm, mean"], rotations["°, mean"]) == ("–", "40.00 [39.00, 41.00]")
     assert cells(submissions, "snap")["SnapNet"]["n"] == "–"
-    assert cells(submissions, "snap")["ICP from the guess"]["n"] == NOT_YET
+    assert cells(submissions, "snap")["TransporterNet"]["n"] == NOT_YET
     overview = cells(submissions, "As in the paper")
     assert overview["KitNet"]["cameras"] == "top"
     assert overview["TransporterNet"]["with: mm"] == NOT_YET
-    assert overview["ICP from the guess"]["with: mm"] == NOT_YET
+    assert overview["ICP from the guess"]["with: mm"] == "–"
 
 
-def test_a_position_that_only_the_papers_row_could_have_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_number_that_the_paper_lacks_is_not_awaited(tmp_path: Path) -> None:
     row = cells(tmp_path, "As in the paper")["KitNet"]
     assert [row[f"without: {unit}"] for unit in ("mm", "°")] == ["–", NOT_YET]
 
 
-def test_a_summary_of_nothing_leaves_cells_empty(tmp_path: Path) -> None:
+def test_a_quantity_that_was_not_measured_leaves_cells_empty(tmp_path: Path) -> None:
     nothing = {"mean": None, "median": None, "ci95": None}
-    put(tmp_path, "guess", {"snap": track(1, 1, position_mm=nothing, position_plain_mm=nothing)})
-    row = cells(tmp_path, "snap")["The guess, unchanged"]
+    put(tmp_path, "guess", {"snap": track(1, 1, position_mm=nothing, position_plain_mm=nothing)}, GUESS)
+    row = cells(tmp_path, "snap")["Initial guess, unchanged"]
     assert [row[f"mm, {name}"] for name in ("mean", "plain mean", "median")] == ["–"] * 3
 
 
-def test_the_guess_has_no_minus_zero(tmp_path: Path) -> None:
-    put(tmp_path, "guess", {"snap": track(-0.001, 1)})
-    assert cells(tmp_path, "snap")["The guess, unchanged"]["mm, median"] == "0.00"
+def test_no_cell_has_a_minus_zero(tmp_path: Path) -> None:
+    put(tmp_path, "guess", {"snap": track(-0.001, 1)}, GUESS)
+    assert cells(tmp_path, "snap")["Initial guess, unchanged"]["mm, median"] == "0.00"
 
 
-def test_the_source_says_protocol_versions_and_dataset(submissions: Path) -> None:
-    first = as_markdown(table_rows(submissions)).splitlines()[0]
+def test_the_first_line_has_protocol_versions_and_dataset(submissions: Path) -> None:
+    first = as_markdown(read_table(submissions)).splitlines()[0]
     assert first == ("Protocol kit1000-2026 (draft), dataset 91f0221d05e7d974, split test; position@v1, rotation@v1.")
 
 
@@ -157,37 +208,40 @@ def test_the_source_says_protocol_versions_and_dataset(submissions: Path) -> Non
     ("key", "value"),
     [("protocol", "other"), ("dataset_id", "other"), ("split", "val"), ("metric_versions", {"position": 2})],
 )
-def test_scores_of_different_questions_share_no_table(submissions: Path, key: str, value: Any) -> None:
-    put(submissions, "guess", {}, **{key: value})
-    with pytest.raises(InputError, match=f"{key} is .*: score both again"):
-        table_rows(submissions)
+def test_scores_of_different_settings_share_no_table(submissions: Path, key: str, value: Any) -> None:
+    put(submissions, "c", {}, GUESS, **{key: value})
+    with pytest.raises(InputError, match=f"c: its scores have {key} .*those of .*; score both again, on one dataset"):
+        read_table(submissions)
 
 
-def test_a_file_that_holds_no_scores_is_refused_by_name(submissions: Path) -> None:
+def test_a_file_without_scores_is_refused_by_name(submissions: Path) -> None:
     incomplete = track(1, 1)
     del incomplete["rotation_plain_deg"]
-    put(submissions, "guess", {"snap": incomplete})
-    with pytest.raises(
-        InputError, match=r"guess.scores\.json: expected scores .*there is no rotation_plain_deg of snap"
-    ):
-        table_rows(submissions)
-    (submissions / "guess" / "scores.json").write_text("[]", encoding="utf-8")
+    put(submissions, "c", {"snap": incomplete}, GUESS)
+    with pytest.raises(InputError, match=r"c.scores\.json: expected scores .*there is no rotation_plain_deg of snap"):
+        read_table(submissions)
+    (submissions / "c" / "scores.json").write_text("[]", encoding="utf-8")
     with pytest.raises(InputError, match="there is no protocol, status"):
-        table_rows(submissions)
+        read_table(submissions)
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no folder of submissions"):
-        table_rows(tmp_path / "submisions")
+        read_table(tmp_path / "submisions")
 
 
 def test_markdown_has_as_many_cells_in_every_line_of_a_table(submissions: Path) -> None:
-    text = as_markdown(table_rows(submissions))
-    assert text == as_markdown(table_rows(submissions))
+    text = as_markdown(read_table(submissions))
+    assert text == as_markdown(read_table(submissions))
     blocks = [block.splitlines() for block in text.split("\n\n") if block.startswith("|")]
-    assert [len(block) for block in blocks] == [len(METHODS) + 2] * (1 + len(TRACKS))
+    assert [len(block) for block in blocks] == [len(PAPER_ROWS) + 3 + 2] * (1 + len(TRACKS))
     for block in blocks:
         assert len({line.count("|") for line in block}) == 1
+
+
+def test_a_label_cannot_break_a_table(submissions: Path) -> None:
+    put(submissions, "odd", {"snap": track(1, 1)}, {"label": "a | b <i>"})
+    assert "| a \\| b \\<i> |" in as_markdown(read_table(submissions))
 
 
 class Reader(HTMLParser):
@@ -218,8 +272,8 @@ def drawn(grid: Grid) -> list[list[str]]:
 
 
 def test_html_shows_the_same_cells(submissions: Path) -> None:
-    put(submissions, "chance", {}, manifest={"camera_set": "<b> & co"})
-    table, page = table_rows(submissions), Reader()
+    put(submissions, "chance", {}, {"label": "<b> & co", "control": True})
+    table, page = read_table(submissions), Reader()
     page.feed(as_html(table))
     assert not page.open
     assert page.rows == [row for grid in grids(table) for row in drawn(grid)]
@@ -229,25 +283,25 @@ def test_html_shows_the_same_cells(submissions: Path) -> None:
 def test_json_holds_the_numbers_unrounded_with_the_notes(submissions: Path, tmp_path: Path) -> None:
     run(submissions, tmp_path / "table1.json")
     written = json.loads((tmp_path / "table1.json").read_text("utf-8"))
-    snapnet = next(line for line in written["lines"] if line["method"]["submission"] == "snapnet")
+    snapnet = next(row for row in written["rows"] if row["submission"] == "ours")
     assert snapnet["tracks"]["place-paper"]["position_mm"]["mean"] == 9.123
-    assert snapnet["method"]["alone"] == [10.8, 29.6]
-    assert written["stated"]["dataset_id"] == "91f0221d05e7d974"
+    assert snapnet["printed"] == {"snap-tilt": [3.9, 4.9], "place-paper": [10.8, 29.6]}
+    assert written["setting"]["dataset_id"] == DATASET
     assert any("voxels of 0.89 mm" in note for note in written["notes"])
-    assert any("which statistic" in note for note in written["notes"])
+    assert any("their statistic" in note for note in written["notes"])
 
 
 def test_without_a_file_the_table_is_printed(submissions: Path, capsys: pytest.CaptureFixture[str]) -> None:
     run(submissions)
-    assert capsys.readouterr().out == as_markdown(table_rows(submissions))
+    assert capsys.readouterr().out == as_markdown(read_table(submissions))
 
 
-def test_in_a_document_only_what_is_between_the_marks_changes(submissions: Path, tmp_path: Path) -> None:
+def test_in_a_document_only_the_text_between_the_marks_changes(submissions: Path, tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text(f"Before\n\n{MARK}\nold\n{MARK}\n\nAfter\n", encoding="utf-8")
     run(submissions, page)
     text = page.read_text("utf-8")
-    assert text == f"Before\n\n{MARK}\n\n{as_markdown(table_rows(submissions))}\n{MARK}\n\nAfter\n"
+    assert text == f"Before\n\n{MARK}\n\n{as_markdown(read_table(submissions))}\n{MARK}\n\nAfter\n"
     run(submissions, page)
     assert page.read_text("utf-8") == text
 
@@ -256,8 +310,8 @@ def test_a_new_file_can_be_written_again(submissions: Path, tmp_path: Path) -> N
     for _ in range(2):
         run(submissions, tmp_path / "new.md")
         run(submissions, tmp_path / "new.html")
-    assert as_markdown(table_rows(submissions)) in (tmp_path / "new.md").read_text("utf-8")
-    assert as_html(table_rows(submissions)) == (tmp_path / "new.html").read_text("utf-8")
+    assert as_markdown(read_table(submissions)) in (tmp_path / "new.md").read_text("utf-8")
+    assert as_html(read_table(submissions)) == (tmp_path / "new.html").read_text("utf-8")
 
 
 def test_a_document_without_marks_is_left_alone(submissions: Path, tmp_path: Path) -> None:
@@ -276,4 +330,4 @@ def test_the_tracks_are_those_of_the_protocol() -> None:
 def test_the_committed_table_is_what_the_submissions_give() -> None:
     _, committed, _ = (ROOT / "docs" / "table1.md").read_text("utf-8").split(MARK)
     scored = list((ROOT / "submissions").glob("*/scores.json"))
-    assert committed.strip() == (as_markdown(table_rows(ROOT / "submissions")).strip() if scored else "")
+    assert committed.strip() == (as_markdown(read_table(ROOT / "submissions")).strip() if scored else "")

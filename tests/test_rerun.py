@@ -1,4 +1,4 @@
-"""Submissions are confirmed: their answers by the method that gave them, their scores by scoring again."""
+"""Submissions are reproduced: predictions by running the method again, scores by scoring again."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from baselines.__main__ import main as baselines
-from baselines.predict import Asked, predict
+from baselines.predict import RunConfig, predict
 from baselines.rerun import rerun
 from benchmark.__main__ import main as benchmark
-from benchmark.rescore import rescored
+from benchmark.rescore import rescore
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.submission import read_submission, write_predictions
@@ -21,9 +21,9 @@ from kit1000.submission import read_submission, write_predictions
 
 @pytest.fixture(scope="module")
 def made(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Answers of a method that draws, to the curves too."""
+    """Predictions of a method that draws, also for the curves."""
     out = tmp_path_factory.mktemp("made") / "chance"
-    predict(Asked("chance", ("test", "curves")), mini, out, 1)
+    predict(RunConfig("chance", ("test", "curves")), mini, out, 1)
     assert benchmark(["score", str(out), "--data", str(mini), "--no-cache"]) == 0
     return out
 
@@ -36,48 +36,48 @@ def copied(made: Path, out: Path) -> Path:
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_method_says_again_what_it_said(
+def test_a_method_predicts_the_same_again(
     made: Path, mini: Path, workers: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = rerun(made, mini, 10_000, workers)
-    assert found.query_ids == read_submission(made).predictions.query_ids
-    assert {query_id.partition("-")[0] for query_id in found.query_ids} == {"test", "curves"}
-    assert found.same.all()
-    np.testing.assert_allclose(found.position_mm, 0, atol=1e-6)
+    again = rerun(made, mini, 10_000, workers)
+    assert again.query_ids == read_submission(made).predictions.query_ids
+    assert {query_id.partition("-")[0] for query_id in again.query_ids} == {"test", "curves"}
+    assert again.same.all()
+    np.testing.assert_allclose(again.position_mm, 0, atol=1e-6)
     assert baselines(["rerun", str(made), "--data", str(mini), "--first", "3", "--workers", "1"]) == 0
-    assert capsys.readouterr().out.startswith(f"{made}: 3 answers, at most ")
+    assert capsys.readouterr().out.startswith(f"{made}: 3 predictions, at most ")
 
 
-def test_an_answer_that_was_changed_is_named(
+def test_a_changed_prediction_is_named(
     made: Path, mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    out, told = copied(made, tmp_path / "chance"), read_submission(made).predictions
-    nudges = np.zeros((len(told), 3))
+    out, table = copied(made, tmp_path / "chance"), read_submission(made).predictions
+    nudges = np.zeros((len(table), 3))
     nudges[2, 1] = 2e-5
-    write_predictions(out / "predictions.csv", replace(told, motions=Pose.from_translation(nudges) @ told.motions))
-    found = rerun(out, mini, 5, 1)
-    np.testing.assert_allclose(found.position_mm, [0, 0, 0.02, 0, 0], atol=1e-6)
-    assert found.same.tolist() == [True, True, False, True, True]
+    write_predictions(out / "predictions.csv", replace(table, motions=Pose.from_translation(nudges) @ table.motions))
+    again = rerun(out, mini, 5, 1)
+    np.testing.assert_allclose(again.position_mm, [0, 0, 0.02, 0, 0], atol=1e-6)
+    assert again.same.tolist() == [True, True, False, True, True]
     assert baselines(["rerun", str(out), "--data", str(mini), "--first", "5", "--workers", "1"]) == 1
-    assert f"1 beyond 0.01 mm or 0.01°, the first {told.query_ids[2]}" in capsys.readouterr().out
+    assert f"1 beyond 0.01 mm or 0.01°, the first {table.query_ids[2]}" in capsys.readouterr().out
 
 
-def test_what_cannot_be_asked_again_is_bad_input(made: Path, mini: Path, tmp_path: Path) -> None:
+def test_a_submission_that_cannot_be_rerun_is_bad_input(made: Path, mini: Path, tmp_path: Path) -> None:
     out = copied(made, tmp_path / "chance")
     manifest = (out / "manifest.toml").read_text()
     (out / "manifest.toml").write_text(manifest.replace('method = "chance"', 'method = "chanse"'))
     with pytest.raises(InputError, match="no method 'chanse'; did you mean chance"):
         rerun(out, mini, 1, 1)
     assert baselines(["rerun", str(made), "--data", str(mini), "--first", "0"]) == 2
-    told = read_submission(made).predictions
+    table = read_submission(made).predictions
     (out / "manifest.toml").write_text(manifest)
-    write_predictions(out / "predictions.csv", replace(told, query_ids=("test-s9999-p0-snap", *told.query_ids[1:])))
-    with pytest.raises(InputError, match="query test-s9999-p0-snap is none that"):
+    write_predictions(out / "predictions.csv", replace(table, query_ids=("test-s9999-p0-snap", *table.query_ids[1:])))
+    with pytest.raises(InputError, match="has no query test-s9999-p0-snap"):
         rerun(out, mini, 1, 1)
 
 
 def test_scores_come_out_again_to_the_last_digit(made: Path, mini: Path, tmp_path: Path) -> None:
-    assert list(rescored([made], mini)) == [(made, [])]
+    assert list(rescore([made], mini)) == [(made, [])]
     assert benchmark(["rescore", str(made), "--data", str(mini)]) == 0
     out = copied(made, tmp_path / "chance")
     scores = json.loads((out / "scores.json").read_text())
@@ -85,8 +85,8 @@ def test_scores_come_out_again_to_the_last_digit(made: Path, mini: Path, tmp_pat
     scores["commit"] = "another"
     (out / "scores.json").write_text(json.dumps(scores))
     for workers in (1, 2):  # each submission is told apart, whoever scored it
-        found = dict(rescored([made, out], mini, workers))
-        assert found[made] == []
-        (line,) = found[out]
+        again = dict(rescore([made, out], mini, workers))
+        assert again[made] == []
+        (line,) = again[out]
         assert line.startswith("tracks.snap.position_mm.mean: ")
     assert benchmark(["rescore", str(out), "--data", str(mini)]) == 1

@@ -1,7 +1,7 @@
-"""The leaderboard as static pages: a board of all methods, a page for each, no server and nothing from elsewhere.
+"""The leaderboard as static pages: a board of all methods and a page for each, without a server or external files.
 
-`submissions/<name>/{manifest.toml,scores.json}` is all they are made of; with the dataset at hand, single cases are
-drawn too. The same files give the same pages, byte for byte.
+They are made of `submissions/<name>/{manifest.toml,scores.json}` alone; with the dataset, single queries are drawn too.
+The same files give the same pages, byte for byte.
 """
 
 from benchmark.pages.site import build

@@ -1,29 +1,62 @@
-"""The board: for each track a table of all methods, its intervals drawn on one scale a column."""
+"""The board: for each track a table of all methods, the intervals of a column drawn on one scale."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+from benchmark import quantities
+from benchmark.entries import Entry, read_entries, unscored
 from benchmark.pages import numbers
-from benchmark.pages.entries import Board, Entry
-from benchmark.pages.numbers import Cell, mean_cell, mean_of, median_cell, most_of
+from benchmark.pages.numbers import Cell, mean_cell, median_cell, scale_end
+from kit1000.errors import InputError
 from kit1000.tracks import TRACKS
 
-QUICK, SLOW = 1.0, 10.0  # [s] a query: between the classes of runtime
-RUNTIMES = {"quick": "up to 1 s", "medium": "1 to 10 s", "slow": "over 10 s", "unknown": "not measured"}
+FAST, SLOW = 1.0, 10.0  # [s] per query: between the classes of runtime
+RUNTIMES = {"fast": "up to 1 s", "medium": "1 to 10 s", "slow": "over 10 s", "unknown": "not measured"}
+SORTED_BY = quantities.MSSD.key  # the column by which a table is sorted at first
+MEDIAN = " median"  # behind the key of a quantity: the column of its median
 
-ABOUT = {
-    "snap": "Exact depth and a person’s rough guess, wrong by up to 28 mm along each axis and by up to 27.5° about any "
-    "axis. All parts are asked about.",
-    "snap-tilt": "As snap, but the guess is turned only by a tilt, as in the paper: the left half of its Table I.",
-    "place": "Exact depth and no guess. Parts lie upright; their yaw is free, slots are tilted up to 45°.",
-    "place-paper": "No guess, and only goals with roll and pitch within ± 15°: the right half of the paper’s Table I.",
-    "snap-d415": "The questions of snap, seen with the noise of a consumer depth camera.",
-    "place-d415": "The questions of place, seen with the noise of a consumer depth camera.",
-}
-"""What each track asks."""
+
+@dataclass(frozen=True, eq=False)
+class Board:
+    """All entries, and the common setting of their scores."""
+
+    entries: tuple[Entry, ...]
+    """By name of their folders; never empty."""
+    unscored: tuple[str, ...]
+    """Names of the submissions without scores."""
+
+    @property
+    def setting(self) -> Mapping[str, Any]:
+        """Protocol, its status, metric versions, dataset and split of all scores."""
+        return self.entries[0].setting
+
+    @property
+    def evaluators(self) -> tuple[str, ...]:
+        """The evaluators of the scores: one, unless some are older."""
+        return tuple(sorted({entry.scores["evaluator"] for entry in self.entries}))
+
+    @property
+    def date(self) -> str:
+        """Of the latest submission, YYYY-MM-DD."""
+        return max(entry.manifest.date for entry in self.entries)
+
+    @property
+    def tracks(self) -> tuple[str, ...]:
+        """All tracks, those that are scored and not among TRACKS last."""
+        scored = {track for entry in self.entries for track in entry.scores["tracks"]}
+        return (*TRACKS, *sorted(scored - set(TRACKS)))
+
+
+def read_board(submissions: Path) -> Board:
+    """The board of a folder of submissions. Raises InputError when none is scored, or two cannot share a table."""
+    entries = read_entries(submissions)
+    if not entries:
+        raise InputError(f"{submissions}: no scored submission (folders with manifest.toml and scores.json)")
+    return Board(entries, unscored(submissions))
 
 
 @dataclass(frozen=True)
@@ -33,27 +66,26 @@ class Column:
     key: str
     name: str
     detail: str
-    tells: str
-    """What it means, for a tooltip."""
+    description: str
+    """For a tooltip."""
     first: str = "ascending"
-    """How the first click sorts."""
+    """Order after the first click."""
 
 
-COLUMNS = (
-    Column("position", "Position", "mean, mm", "Distance of the part’s centroid from the goal that judges it"),
-    Column("position_median", "", "median", "Median position error, mm"),
-    Column("rotation", "Rotation", "mean, °", "Angle between predicted and wanted orientation"),
-    Column("rotation_median", "", "median", "Median rotation error, degrees"),
-    Column("mssd", "MSSD", "mean, mm", "Most that any point of the part misses, symmetry-aware"),
-    Column("seated", "Seated", "%", "Share of answers with which the part goes into its slot", "descending"),
-    Column("strict", "Strict", "%", "The same within 1 mm in place of 3 mm", "descending"),
-    Column("seconds", "Time", "s a query", "Mean time for a query, as its authors measured it"),
-    Column(
-        "coverage", "Answered", "%", "Share of queries answered; a missing answer counts as no motion", "descending"
-    ),
-    Column("date", "Date", "", "Of the submission", "descending"),
-)
-LEADING = "mssd"  # the column that a table is sorted by at first
+def columns() -> tuple[Column, ...]:
+    """The columns behind the name of a method."""
+    made: list[Column] = []
+    for quantity in quantities.shown_in("board"):
+        unit = quantity.unit.symbol
+        order = "descending" if quantity.higher_is_better else "ascending"
+        detail = unit if quantity.rate else f"mean, {unit}"
+        made.append(Column(quantity.key, quantity.name, detail, quantity.description, order))
+        if "median" in quantity.outputs:
+            made.append(Column(quantity.key + MEDIAN, "", "median", f"{quantity.name}, median, {unit}"))
+    coverage = "Share of queries with a prediction; a missing one counts as no motion"
+    made.append(Column("coverage", "Coverage", "%", coverage, "descending"))
+    made.append(Column("date", "Date", "", "Of the submission", "descending"))
+    return tuple(made)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +94,7 @@ class Row:
 
     entry: Entry
     cells: Mapping[str, Cell]
+    """By key of the column."""
     runtime: str
     """Its class of runtime, a key of RUNTIMES."""
 
@@ -71,59 +104,46 @@ class TrackTable:
     """The table of a track."""
 
     name: str
-    about: str
+    description: str
     n: int
-    """How many queries it asks."""
+    """Number of queries."""
     rows: tuple[Row, ...]
-    ends: Mapping[str, str]
-    """Where the scale of a column ends, by its key; written in its head."""
+    scale_ends: Mapping[str, str]
+    """The end of the scale of a column with drawn intervals, by its key; shown in its head."""
 
 
 def track_tables(board: Board) -> list[TrackTable]:
-    """A table for every track, also for those that nobody has answered yet."""
-    known = [*TRACKS, *sorted(set(board.tracks) - set(TRACKS))]
-    return [_table(board, track) for track in known]
+    """A table for every track, also for those without a method."""
+    return [_table(board, track) for track in board.tracks]
 
 
 def runtime_class(seconds: float | None) -> str:
-    """The class of a mean time for a query [s]."""
+    """The class of a mean time per query [s]."""
     if seconds is None:
         return "unknown"
-    return "quick" if seconds <= QUICK else "medium" if seconds <= SLOW else "slow"
+    return "fast" if seconds <= FAST else "medium" if seconds <= SLOW else "slow"
 
 
 def _table(board: Board, track: str) -> TrackTable:
     entries = [entry for entry in board.entries if track in entry.scores["tracks"]]
     scored = {entry.name: entry.scores["tracks"][track] for entry in entries}
     methods = [scored[entry.name] for entry in entries if not entry.manifest.control] or list(scored.values())
-    quantities = {
-        "position": numbers.POSITION,
-        "rotation": numbers.ROTATION,
-        "mssd": numbers.MSSD,
-        "seated": numbers.SEATED,
-    }
-    most = {key: most_of(quantity, methods) for key, quantity in quantities.items()}
-    rows = [_row(entry, scored[entry.name], most) for entry in entries]
-    rows.sort(key=lambda row: (row.cells[LEADING].value is None, row.cells[LEADING].value or 0.0, row.entry.name))
-    ends = {key: f"{end:g}" for key, end in most.items()}
-    return TrackTable(
-        track, ABOUT.get(track, ""), max((row["n"] for row in scored.values()), default=0), tuple(rows), ends
-    )
+    ends = {quantity.key: scale_end(quantity, methods) for quantity in quantities.shown_in("interval")}
+    rows = [_row(entry, scored[entry.name], ends) for entry in entries]
+    rows.sort(key=lambda row: (row.cells[SORTED_BY].value is None, row.cells[SORTED_BY].value or 0.0, row.entry.name))
+    description = TRACKS[track].description if track in TRACKS else ""
+    n = max((row["n"] for row in scored.values()), default=0)
+    return TrackTable(track, description, n, tuple(rows), {key: f"{end:g}" for key, end in ends.items()})
 
 
-def _row(entry: Entry, scored: Mapping[str, Any], most: Mapping[str, float]) -> Row:
-    seconds, _ = mean_of(numbers.SECONDS, scored)
+def _row(entry: Entry, scored: Mapping[str, Any], ends: Mapping[str, float]) -> Row:
+    cells: dict[str, Cell] = {}
+    for quantity in quantities.shown_in("board"):
+        cells[quantity.key] = mean_cell(quantity, scored, ends.get(quantity.key))
+        if "median" in quantity.outputs:
+            cells[quantity.key + MEDIAN] = median_cell(quantity, scored)
     date = entry.manifest.date
-    cells = {
-        "position": mean_cell(numbers.POSITION, scored, most["position"]),
-        "position_median": median_cell(numbers.POSITION, scored),
-        "rotation": mean_cell(numbers.ROTATION, scored, most["rotation"]),
-        "rotation_median": median_cell(numbers.ROTATION, scored),
-        "mssd": mean_cell(numbers.MSSD, scored, most["mssd"]),
-        "seated": mean_cell(numbers.SEATED, scored, most["seated"]),
-        "strict": mean_cell(numbers.STRICT, scored),
-        "seconds": mean_cell(numbers.SECONDS, scored),
-        "coverage": Cell(numbers.percent(scored["coverage"]).removesuffix(" %"), scored["coverage"]),
-        "date": Cell(date, float(date.replace("-", ""))),
-    }
+    cells["coverage"] = Cell(numbers.percent(scored["coverage"]).removesuffix(" %"), scored["coverage"])
+    cells["date"] = Cell(date, float(date.replace("-", "")))
+    seconds, _ = quantities.SECONDS.estimate(scored)
     return Row(entry, cells, runtime_class(seconds))

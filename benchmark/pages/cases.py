@@ -1,4 +1,4 @@
-"""Single cases as pictures: what the sensor saw of the slot, the part where a method puts it, and where it belongs."""
+"""Pictures of single queries: the depth image around the slot, with the part at its predicted pose and at its goal."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from benchmark.measure import answers_to, centred
-from benchmark.pages.entries import Entry
-from benchmark.truths import Questions
+from benchmark.entries import Entry
+from benchmark.evaluate import align, centred
+from benchmark.queries import ScoredQueries
 from kit1000.camera import Camera
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
@@ -26,18 +26,18 @@ from kit1000.submission import read_submission
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, Truth, View
 
 SIZE = (400, 300)  # [px]
-FINE = 2  # drawn this many times larger, and then made smaller: smooth edges
-BORDER = 1.2  # of the window around the slot and both poses, against their extents
-SLOT_SIDE = 0.06  # [m] around the middle of a slot that a picture shows at least
-IN_FRONT, BEHIND = 0.85, 0.4  # how opaque the part is before what the sensor saw, and behind it
-OUTLINE, HALO = 3, 3  # [px] of the white line along the goal, and of the dark ones on both its sides
+SUPERSAMPLING = 2  # drawn this many times larger, then scaled down: smooth edges
+MARGIN = 1.2  # size of the window, as a multiple of the extents of the slot and both poses
+SLOT_SIDE = 0.06  # [m] side of the square around a slot that a picture shows at least
+OPAQUE, HIDDEN = 0.85, 0.4  # opacity of the part in front of the observed surface, and behind it
+OUTLINE, HALO = 3, 3  # [px] width of the white line along the goal, and of the dark lines on both its sides
 WHITE = (255, 255, 255)
-LARGEST = 25_000  # bytes of a picture
-QUALITIES = (85, 75, 65, 50, 35)  # of JPEG, the first that is small enough
+MAX_BYTES = 25_000  # of a picture
+QUALITIES = (85, 75, 65, 50, 35)  # of JPEG: the first that is small enough
 
 
-class Drawn(NamedTuple):
-    """A query with what a picture of it shows."""
+class Case(NamedTuple):
+    """A query with its ground truth, its prediction and the nearest goal."""
 
     recorded: RecordedScene
     query: Query
@@ -45,93 +45,93 @@ class Drawn(NamedTuple):
     predicted: Pose
     """goal_from_now"""
     goal: Pose
-    """goal_from_now of the goal that judges the prediction."""
+    """goal_from_now of the goal nearest to the prediction."""
 
 
 def case_ids(track: Mapping[str, Any]) -> list[str]:
     """The queries that a track of scores.json lists, each once."""
-    return list(dict.fromkeys(case["query_id"] for kind in ("worst", "middle") for case in track[kind]))
+    return list(dict.fromkeys(case["query_id"] for key in ("worst", "middle") for case in track[key]))
 
 
 def pictures(dataset: Dataset, entry: Entry, query_ids: Sequence[str]) -> dict[str, bytes]:
-    """By query id, a JPEG of what a method answers. Raises InputError when its predictions are not at hand."""
+    """By query id, a JPEG of the prediction. Raises InputError when the predictions of the entry are not there."""
     if dataset.id != entry.scores["dataset_id"]:
         raise InputError(
             f"{dataset.root}: is dataset {dataset.id}; the scores of {entry.name} are on {entry.scores['dataset_id']}"
         )
-    return {drawn.query.id: jpeg(case_picture(drawn)) for drawn in _answered(dataset, entry, query_ids)}
+    return {case.query.id: jpeg(case_picture(case)) for case in _cases(dataset, entry, query_ids)}
 
 
-def case_picture(drawn: Drawn) -> Image.Image:
-    """The sensor's depth around the slot; orange the part as predicted, outlined in white the goal."""
-    look, (mesh, world_from_part) = drawn.recorded.labelled_depth(drawn.query.sensor), _part(drawn)
-    poses = [motion @ world_from_part for motion in (drawn.predicted, drawn.goal)]
-    window = _window(look.view, drawn.truth, mesh, poses)
-    view = _cut(look.view, window)
+def case_picture(case: Case) -> Image.Image:
+    """The depth image around the slot, with the part as predicted in orange and its goal as a white outline."""
+    image, (mesh, world_from_part) = case.recorded.labelled_depth(case.query.sensor), _part(case)
+    poses = [motion @ world_from_part for motion in (case.predicted, case.goal)]
+    window = _window(image.view, case.truth, mesh, poses)
+    view = _cut(image.view, window)
     camera, picture, depth = _enlarged(view)
     predicted, goal = (render(camera, view.world_from_camera, [(mesh, pose)]).depth for pose in poses)
     labels = np.where(predicted > 0, FIRST_PART_LABEL, 0).astype(np.uint8)
     part = mask_picture(LabelledDepth(View(camera, view.world_from_camera, predicted), labels))
-    opaque = np.where((depth > 0) & (predicted > depth), BEHIND, IN_FRONT) * (predicted > 0)
-    picture = picture * (1 - opaque[..., None]) + part * opaque[..., None]
+    opacity = np.where((depth > 0) & (predicted > depth), HIDDEN, OPAQUE) * (predicted > 0)
+    picture = picture * (1 - opacity[..., None]) + part * opacity[..., None]
     picture[_edge(goal > 0, HALO, OUTLINE + HALO)] = INK
     picture[_edge(goal > 0, 0, OUTLINE)] = WHITE
     return Image.fromarray(picture.astype(np.uint8)).resize(SIZE, Image.Resampling.BOX)
 
 
 def jpeg(picture: Image.Image) -> bytes:
-    """A picture as JPEG, as good as LARGEST allows."""
+    """A picture as JPEG, in the best quality of at most MAX_BYTES."""
     data = b""
     for quality in QUALITIES:
         buffer = io.BytesIO()
         picture.save(buffer, "JPEG", quality=quality, optimize=True)
         data = buffer.getvalue()
-        if len(data) <= LARGEST:
+        if len(data) <= MAX_BYTES:
             break
     return data
 
 
 def _edge(mask: np.ndarray, outside: int, inside: int) -> np.ndarray:
-    """(H, W) bool: a line along the edge of a mask, so many pixels out and in."""
+    """(H, W) bool: a line along the edge of a mask; outside, inside: its width [px] on both sides."""
     grown = np.asarray(binary_dilation(mask, iterations=outside)) if outside else mask
     return grown & ~np.asarray(binary_erosion(mask, iterations=inside), bool)
 
 
-def _answered(dataset: Dataset, entry: Entry, query_ids: Sequence[str]) -> list[Drawn]:
-    """The queries with their truth, the answer and the goal that judges it."""
-    asked: list[tuple[RecordedScene, Query, Truth]] = []
+def _cases(dataset: Dataset, entry: Entry, query_ids: Sequence[str]) -> list[Case]:
+    """The queries with their ground truth, prediction and nearest goal."""
+    rows: list[tuple[RecordedScene, Query, Truth]] = []
     for query_id in query_ids:
         recorded = dataset.recorded_scene(query_id.partition("-p")[0])
         query = next((query for query in recorded.queries if query.id == query_id), None)
         if query is None:
             raise InputError(f"{entry.folder}: scores.json lists {query_id}, which is no query of {dataset.root}")
-        asked.append((recorded, query, recorded.truth_of(query_id)))
-    if not asked:
+        rows.append((recorded, query, recorded.truth_of(query_id)))
+    if not rows:
         return []
-    truths = tuple(truth for _, _, truth in asked)
-    tracks = tuple(query.track for _, query, _ in asked)
-    questions = Questions(dataset.geometry, tracks, tuple(recorded.id for recorded, _, _ in asked), truths)
-    motions = answers_to(questions, read_submission(entry.folder).predictions).motions
+    truths = tuple(truth for _, _, truth in rows)
+    tracks = tuple(query.track for _, query, _ in rows)
+    queries = ScoredQueries(dataset.geometry, tracks, tuple(recorded.id for recorded, _, _ in rows), truths)
+    motions = align(read_submission(entry.folder).predictions, queries).motions
     if entry.manifest.predicts == "rotation":
-        motions = centred(motions, questions.targets)
-    goals = nearest_goal_motions(questions.targets, pose_errors(motions, questions.targets))
-    return [Drawn(*row, motions[i], goals[i]) for i, row in enumerate(asked)]
+        motions = centred(motions, queries.targets)
+    goals = nearest_goal_motions(queries.targets, pose_errors(motions, queries.targets))
+    return [Case(*row, motions[i], goals[i]) for i, row in enumerate(rows)]
 
 
-def _part(drawn: Drawn) -> tuple[Mesh, Pose]:
+def _part(case: Case) -> tuple[Mesh, Pose]:
     """The part and its world_from_part."""
-    geometry = drawn.recorded.split.dataset.geometry
-    return geometry.part(drawn.truth.part_id).mesh, drawn.truth.world_from_part
+    geometry = case.recorded.split.dataset.geometry
+    return geometry.part(case.truth.part_id).mesh, case.truth.world_from_part
 
 
 def _window(view: View, truth: Truth, mesh: Mesh, poses: Sequence[Pose]) -> tuple[slice, slice]:
-    """Rows and columns of the image around the slot and the part in some poses, in the shape of a picture."""
+    """Rows and columns of the image around the slot and the part in some poses, in the aspect ratio of a picture."""
     side = SLOT_SIDE / 2 * np.array([(x, y, 0.0) for x in (-1, 1) for y in (-1, 1)])
     points = np.concatenate([truth.world_from_kit.apply(side), *(pose.apply(mesh.vertices) for pose in poses)])
     places = view.camera.project(view.world_from_camera.inverse().apply(points))
     places = places[np.isfinite(places).all(1)]
     low, high = np.clip((places.min(0), places.max(0)), 0, (view.camera.width - 1, view.camera.height - 1))
-    tall = BORDER * max(high[1] - low[1], (high[0] - low[0]) * SIZE[1] / SIZE[0], 4.0)
+    tall = MARGIN * max(high[1] - low[1], (high[0] - low[0]) * SIZE[1] / SIZE[0], 4.0)
     tall = round(min(tall, view.camera.height, view.camera.width * SIZE[1] / SIZE[0]))
     wide = min(round(tall * SIZE[0] / SIZE[1]), view.camera.width)
     left, top = (low + high - (wide, tall)) / 2
@@ -141,7 +141,7 @@ def _window(view: View, truth: Truth, mesh: Mesh, poses: Sequence[Pose]) -> tupl
 
 
 def _cut(view: View, window: tuple[slice, slice]) -> View:
-    """A window of a view as a view of its own."""
+    """A window of a view, as a view."""
     rows, columns = window
     whole = view.camera
     wide, tall = columns.stop - columns.start, rows.stop - rows.start
@@ -150,8 +150,8 @@ def _cut(view: View, window: tuple[slice, slice]) -> View:
 
 
 def _enlarged(view: View) -> tuple[Camera, np.ndarray, np.ndarray]:
-    """The same view FINE times as large as a picture: its camera, its colours (H, W, 3) and depths (H, W) [m]."""
-    size = (FINE * SIZE[0], FINE * SIZE[1])
+    """The view SUPERSAMPLING times as large as a picture: its camera, colours (H, W, 3) and depth (H, W) [m]."""
+    size = (SUPERSAMPLING * SIZE[0], SUPERSAMPLING * SIZE[1])
     coloured = Image.fromarray(depth_picture(view)).resize(size, Image.Resampling.BICUBIC)
     depth = Image.fromarray(view.depth).resize(size, Image.Resampling.NEAREST)
     small = view.camera

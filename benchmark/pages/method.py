@@ -1,4 +1,4 @@
-"""The page of a method: its scores in all tracks, and behind each track its errors, groups of queries and cases."""
+"""The page of a method: its scores in all tracks, and for each track its errors, groups of queries and single cases."""
 
 from __future__ import annotations
 
@@ -8,51 +8,32 @@ from typing import Any
 
 from markupsafe import Markup
 
+from benchmark import quantities
+from benchmark.breakdown import TITLES, group_order
 from benchmark.charts import Axis, Dot, Line, dot_plot, histogram, line_chart, rounded_up
-from benchmark.curves import CURVES, panel
+from benchmark.curve_charts import panel
+from benchmark.curves import CURVES
+from benchmark.entries import Entry
 from benchmark.pages import numbers
-from benchmark.pages.entries import Entry
-from benchmark.pages.numbers import Cell, Quantity, mean_cell, mean_of, median_cell, most_of
+from benchmark.pages.numbers import Cell, mean_cell, median_cell, scale_end
+from benchmark.quantities import Quantity
 from kit1000.tracks import TRACKS
 
-THINGS = {
-    "rest_mode": "How the part lies",
-    "tilt": "Tilt of the slot, °",
-    "kits": "Kits in the assembly",
-    "family": "Family of the part in training",
-    "visible": "Share of the part that is seen",
-    "symmetry": "Goals of the slot",
-    "loose": "Another pose fits too",
-}
-"""What the breakdown splits by, in the order of the page."""
-SUMMED = (
-    numbers.POSITION,
-    numbers.ROTATION,
-    numbers.MSSD,
-    numbers.SEATED,
-    numbers.STRICT,
-    numbers.BEYOND,
-    numbers.PENETRATION,
-    numbers.POSITION_PLAIN,
-    numbers.ROTATION_PLAIN,
-    numbers.SECONDS,
-)
-WITH_MEDIAN = (numbers.POSITION, numbers.ROTATION)
-GROUPED = (numbers.POSITION, numbers.ROTATION, numbers.MSSD, numbers.SEATED)
-KINDS = {"worst": "The worst answers", "middle": "Answers nearest to the median"}
+BINNED = ("tilt", "visible")  # properties whose groups are bins
+CASE_TITLES = {"worst": "Largest errors", "middle": "Errors nearest to the median"}
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
-    """An answer to a single query."""
+class CaseRow:
+    """A single query with the prediction for it."""
 
     query_id: str
-    position: str
-    rotation: str
-    mssd: str
-    seated: bool | None
+    cells: Sequence[str]
+    """Its quantities, in the order of `quantities.shown_in("cases")`."""
+    caption: str
+    """Of its picture."""
     picture: str | None
-    """Its file, beside the page."""
+    """Its file, relative to the page."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,16 +46,16 @@ class Group:
 
 
 @dataclass(frozen=True, eq=False)
-class TrackPart:
-    """What a page says of a track."""
+class TrackSection:
+    """The section of a page about one track."""
 
     name: str
     n: int
     charts: Sequence[Markup]
     groups: Mapping[str, Sequence[Group]]
-    """By what they are split by, as a reader knows it."""
-    cases: Mapping[str, Sequence[Case]]
-    """By kind, as a reader knows it."""
+    """By title of their property."""
+    cases: Mapping[str, Sequence[CaseRow]]
+    """By title of the list."""
 
 
 def tracks_of(entry: Entry) -> list[str]:
@@ -84,116 +65,112 @@ def tracks_of(entry: Entry) -> list[str]:
 
 
 def summary_rows(entry: Entry) -> list[dict[str, Any]]:
-    """The rows of the table of all tracks."""
+    """The rows of the table of all tracks: every quantity, some with their median."""
     rows = []
     for track in tracks_of(entry):
         scored = entry.scores["tracks"][track]
         cells = []
-        for quantity in SUMMED:
+        for quantity in quantities.QUANTITIES:
             cells.append(mean_cell(quantity, scored))
-            cells += [median_cell(quantity, scored)] if quantity in WITH_MEDIAN else []
+            cells += [median_cell(quantity, scored)] if "median" in quantity.outputs else []
         rows.append({"track": track, "n": scored["n"], "coverage": numbers.percent(scored["coverage"]), "cells": cells})
     return rows
 
 
 def overview_charts(entry: Entry) -> list[Markup]:
-    """The leading number of all tracks, and the share seated: means with their intervals."""
+    """The main error and the seated rate in all tracks: means with their intervals."""
     charts = []
-    for quantity in (numbers.ROTATION if entry.manifest.predicts == "rotation" else numbers.MSSD, numbers.SEATED):
-        rows = {track: entry.scores["tracks"][track] for track in tracks_of(entry)}
+    error = quantities.ROTATION if entry.manifest.predicts == "rotation" else quantities.MSSD
+    rows = {track: entry.scores["tracks"][track] for track in tracks_of(entry)}
+    for quantity in (error, quantities.SEATED):
         dots = [_dot(quantity, track, row) for track, row in rows.items() if row.get(quantity.key) is not None]
         if dots:
-            axis = Axis(f"{quantity.name} [{quantity.unit}]", most_of(quantity, list(rows.values())))
-            said = "Mean and 95 % interval in each track."
-            charts.append(Markup(dot_plot(f"{quantity.name} by track", said, dots, axis)))
+            axis = Axis(f"{quantity.name} [{quantity.unit.symbol}]", scale_end(quantity, list(rows.values())))
+            description = "Mean and 95 % interval in each track."
+            charts.append(Markup(dot_plot(f"{quantity.name} by track", description, dots, axis)))
     return charts
 
 
 def curve_charts(entry: Entry) -> list[Markup]:
-    """Both robustness curves; none where the method was not asked."""
+    """Both robustness curves; none where they were not scored."""
     table = entry.scores["curves"]
     return [Markup(panel(curve, table)) for curve in CURVES] if table else []
 
 
-def track_part(entry: Entry, track: str, pictures: Mapping[str, str]) -> TrackPart:
-    """Everything about a track; `pictures` are files by query id."""
+def track_section(entry: Entry, track: str, pictures: Mapping[str, str]) -> TrackSection:
+    """The section about a track; `pictures`: files by query id."""
     scored = entry.scores["tracks"][track]
-    cases = {title: [_case(row, pictures) for row in scored[kind]] for kind, title in KINDS.items()}
+    cases = {title: [_case(row, pictures) for row in scored[key]] for key, title in CASE_TITLES.items()}
     charts = [*_histograms(scored), *_risk_coverage(scored)]
-    return TrackPart(track, scored["n"], charts, _groups(entry.scores["breakdown"].get(track, {})), cases)
+    return TrackSection(track, scored["n"], charts, _groups(entry.scores["breakdown"].get(track, {})), cases)
 
 
 def _dot(quantity: Quantity, name: str, row: Mapping[str, Any]) -> Dot:
-    value, interval = mean_of(quantity, row)
+    value, interval = quantity.estimate(row)
     low, high = interval or (None, None)
-    return Dot(name, value, low, high, "" if value is None else numbers.written(value, quantity))
+    return Dot(name, value, low, high, "" if value is None else quantity.text(value))
 
 
 def _histograms(scored: Mapping[str, Any]) -> list[Markup]:
-    titles = {"position_mm": ("Position errors", "mm"), "rotation_deg": ("Rotation errors", "degrees")}
     charts = []
-    for key, (title, unit) in titles.items():
-        bins = scored["histograms"].get(key)
+    for quantity in quantities.QUANTITIES:
+        bins = scored["histograms"].get(quantity.key)
         if bins is not None:
-            said = "How many answers have an error in each bin; bins grow wider towards large errors."
-            label = f"{title.lower().removesuffix('s')} [{unit}], bins of unequal width"
-            charts.append(Markup(histogram(title, said, bins["edges"], bins["counts"], label)))
+            description = "Number of predictions with an error in each bin; bins grow wider towards large errors."
+            label = f"{quantity.name.lower()} error [{quantity.unit.label}], bins of unequal width"
+            title = f"{quantity.name} errors"
+            charts.append(Markup(histogram(title, description, bins["edges"], bins["counts"], label)))
     return charts
 
 
 def _risk_coverage(scored: Mapping[str, Any]) -> list[Markup]:
-    """What the most confident answers are worth, by how many of them are taken."""
+    """The error and the seated rate of the most confident predictions, over their share of all."""
     points = scored["risk_coverage"]
-    across = Axis("most confident answers [%]", 100.0)
+    x = Axis("most confident predictions [%]", 100.0)
     share = [100 * value for value in points["coverage"]]
     charts = []
-    for quantity in (numbers.MSSD, numbers.SEATED):
+    for quantity in (quantities.MSSD, quantities.SEATED):
         if points[quantity.key] is None:
             continue
         values = [quantity.scale * value for value in points[quantity.key]]
-        most = 100.0 if quantity.rate else rounded_up(max(values))
-        unit = f"mean {quantity.name} [{quantity.unit}]" if not quantity.rate else f"seated [{quantity.unit}]"
-        said = "Of the most confident answers, from a few up to all."
-        line = Line(quantity.name, share, values, hue=0)
-        title = f"{quantity.name} by confidence"
-        charts.append(Markup(line_chart(title, said, [line], across, Axis(unit, most))))
+        end = 100.0 if quantity.rate else rounded_up(max(values))
+        name = quantity.name.lower() if quantity.rate else f"mean {quantity.name}"
+        description = "Of the most confident predictions, from a few up to all."
+        line, y = Line(quantity.name, share, values, hue=0), Axis(f"{name} [{quantity.unit.symbol}]", end)
+        charts.append(Markup(line_chart(f"{quantity.name} by confidence", description, [line], x, y)))
     return charts
 
 
 def _groups(breakdown: Mapping[str, Any]) -> dict[str, list[Group]]:
+    """The groups of a track by title of their property."""
+    shown = quantities.shown_in("breakdown")
     rows = [row for named in breakdown.values() for row in named.values()]
-    most = {quantity: most_of(quantity, rows) for quantity in GROUPED}
-    known = [*(thing for thing in THINGS if thing in breakdown), *sorted(set(breakdown) - set(THINGS))]
+    ends = {quantity: scale_end(quantity, rows) for quantity in shown}
+    known = [*(key for key in TITLES if key in breakdown), *sorted(set(breakdown) - set(TITLES))]
     return {
-        THINGS.get(thing, thing): [
-            Group(
-                _group_name(thing, name), row["n"], [mean_cell(quantity, row, most[quantity]) for quantity in GROUPED]
-            )
-            for name, row in sorted(breakdown[thing].items(), key=lambda item: _order(item[0]))
+        TITLES.get(key, key): [
+            Group(_group_name(key, name), row["n"], [mean_cell(quantity, row, ends[quantity]) for quantity in shown])
+            for name, row in sorted(breakdown[key].items(), key=lambda item: group_order(item[0]))
         ]
-        for thing in known
+        for key in known
     }
 
 
-def _order(name: str) -> tuple[float, str]:
-    """Groups named by numbers, such as 5-15 or 30+, in their order; the others by name."""
-    start = name.split("-")[0].removesuffix("+")
-    try:
-        return float(start), name
-    except ValueError:
-        return 0.0, name
-
-
-def _group_name(thing: str, name: str) -> str:
+def _group_name(key: str, name: str) -> str:
     if name.endswith("+"):
         return f"{name[:-1]} and more"
-    return name.replace("-", " to ") if thing in ("tilt", "visible") else name
+    return name.replace("-", " to ") if key in BINNED else name
 
 
-def _case(row: Mapping[str, Any], pictures: Mapping[str, str]) -> Case:
-    shown = {}
-    for quantity in (numbers.POSITION, numbers.ROTATION, numbers.MSSD):
-        value = row[quantity.key]
-        shown[quantity.key] = numbers.NONE if value is None else numbers.written(value, quantity)
-    errors = (shown["position_mm"], shown["rotation_deg"], shown["mssd_mm"])
-    return Case(row["query_id"], *errors, row["seated"], pictures.get(row["query_id"]))
+def _case(row: Mapping[str, Any], pictures: Mapping[str, str]) -> CaseRow:
+    cells = [_case_cell(quantity, row[quantity.key]) for quantity in quantities.shown_in("cases")]
+    pose = (quantities.POSITION, quantities.ROTATION)
+    errors = [f"{each.text(row[each.key])}{each.unit.suffix}" for each in pose if row[each.key] is not None]
+    seated = {None: [], True: ["seated"], False: ["not seated"]}[row[quantities.SEATED.key]]
+    return CaseRow(row["query_id"], cells, " · ".join([*errors, *seated]), pictures.get(row["query_id"]))
+
+
+def _case_cell(quantity: Quantity, value: float | bool | None) -> str:
+    if value is None:
+        return numbers.NO_VALUE
+    return ("yes" if value else "no") if quantity.rate else quantity.text(value)

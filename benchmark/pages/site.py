@@ -8,14 +8,15 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from benchmark import charts
-from benchmark.curves import CURVES, compared
+from benchmark import charts, quantities
+from benchmark.curve_charts import compared
+from benchmark.curves import CURVES
+from benchmark.entries import Entry
 from benchmark.pages import board as boards
 from benchmark.pages import method as methods
-from benchmark.pages import numbers
+from benchmark.pages.board import Board, read_board
 from benchmark.pages.cases import case_ids, pictures
-from benchmark.pages.entries import Board, Entry, read_board
-from benchmark.table1 import as_html, table_rows
+from benchmark.table1 import as_html, table_of
 from kit1000.dataset.reader import Dataset
 from kit1000.dataset.schema import LICENCE
 from kit1000.files import write_bytes
@@ -29,7 +30,7 @@ def build(submissions: Path, out: Path, data: Path | None = None) -> None:
     Args:
         submissions: a folder with a folder for each method, `manifest.toml` and `scores.json` in it.
         out: where the pages go; made where it is missing.
-        data: the dataset that was scored on, with its truth, to draw single cases; without it they are listed.
+        data: the dataset of the scores, with ground truth, to draw single queries; without it they are only listed.
     """
     board = read_board(submissions)
     dataset = None if data is None else Dataset(data)
@@ -39,19 +40,19 @@ def build(submissions: Path, out: Path, data: Path | None = None) -> None:
     for entry in board.entries:
         files = {} if dataset is None else _write_pictures(dataset, entry, out)
         _write(out / "methods" / f"{entry.name}.html", pages, "method.html", _method(entry, files, dataset is not None))
-    _write(out / "table1.html", pages, "table1.html", {"table1": Markup(as_html(table_rows(submissions)))})
+    _write(out / "table1.html", pages, "table1.html", {"table1": Markup(as_html(table_of(board.entries)))})
     _write(out / "index.html", pages, "index.html", _index(board))
 
 
 def _environment(board: Board) -> jinja2.Environment:
     pages = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
-        autoescape=True,  # manifests are other people's text
+        autoescape=True,  # manifests are text of other people
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    pages.globals |= {"board": board, "stated": board.stated, "data_licence": LICENCE, "numbers": numbers}
+    pages.globals |= {"board": board, "setting": board.setting, "data_licence": LICENCE}
     return pages
 
 
@@ -61,11 +62,11 @@ def _write(path: Path, pages: jinja2.Environment, template: str, values: dict[st
 
 def _index(board: Board) -> dict[str, Any]:
     methods_only = [entry for entry in board.entries if not entry.manifest.control]
-    curves = {entry.manifest.method: entry.scores["curves"] for entry in methods_only if entry.scores["curves"]}
+    curves = {entry.manifest.display_name: entry.scores["curves"] for entry in methods_only if entry.scores["curves"]}
     return {
         "tables": boards.track_tables(board),
-        "columns": boards.COLUMNS,
-        "leading": boards.LEADING,
+        "columns": boards.columns(),
+        "sorted_by": boards.SORTED_BY,
         "runtimes": boards.RUNTIMES,
         "curves": [Markup(chart) for curve in CURVES for chart in compared(curve, curves)],
     }
@@ -75,18 +76,19 @@ def _method(entry: Entry, files: dict[str, str], with_data: bool) -> dict[str, A
     return {
         "entry": entry,
         "rows": methods.summary_rows(entry),
-        "summed": methods.SUMMED,
-        "with_median": methods.WITH_MEDIAN,
-        "grouped": methods.GROUPED,
+        "quantities": quantities.QUANTITIES,
+        "explained": [quantity for quantity in quantities.QUANTITIES if "board" not in quantity.outputs],
+        "in_breakdown": quantities.shown_in("breakdown"),
+        "in_cases": quantities.shown_in("cases"),
         "overview": methods.overview_charts(entry),
         "curves": methods.curve_charts(entry),
-        "parts": [methods.track_part(entry, track, files) for track in methods.tracks_of(entry)],
+        "sections": [methods.track_section(entry, track, files) for track in methods.tracks_of(entry)],
         "with_data": with_data,
     }
 
 
 def _write_pictures(dataset: Dataset, entry: Entry, out: Path) -> dict[str, str]:
-    """Draw the listed cases of all tracks; by query id their files, as the page beside them names them."""
+    """Draw the listed queries of all tracks; their files by query id, relative to the page."""
     ids = [query_id for track in entry.scores["tracks"].values() for query_id in case_ids(track)]
     drawn = pictures(dataset, entry, ids)
     for query_id, picture in drawn.items():

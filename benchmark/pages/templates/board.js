@@ -1,4 +1,4 @@
-// Tabs, sorting and filters of the board. Without this script every table is shown whole, in the order of the file.
+// Tabs, sorting and filters of the board. Without this script every table is shown, in the order of the file.
 (() => {
   "use strict";
   document.documentElement.classList.add("js");
@@ -6,7 +6,7 @@
   if (!form) return;
   const tabs = [...document.querySelectorAll("[role=tab]")];
   const sections = tabs.map((tab) => document.getElementById(tab.getAttribute("aria-controls")));
-  const told = form.querySelector("output");
+  const status = form.querySelector("output");
 
   function show(chosen) {
     tabs.forEach((tab, i) => {
@@ -17,7 +17,7 @@
     filter();
   }
 
-  function fits(row, wanted) {
+  function matches(row, wanted) {
     if (row.dataset.control === "yes" && !form.elements.controls.checked) return false;
     return wanted.every(([name, value]) => row.dataset[name] === value);
   }
@@ -26,10 +26,10 @@
     const wanted = ["geometry", "learned", "runtime"].map((name) => [name, form.elements[name].value]).filter(([, value]) => value);
     for (const section of sections) {
       const rows = [...section.querySelectorAll("table.board tbody tr")];
-      for (const row of rows) row.hidden = !fits(row, wanted);
+      for (const row of rows) row.hidden = !matches(row, wanted);
       const left = rows.filter((row) => !row.hidden).length;
       if (rows.length) section.querySelector(".empty").hidden = left > 0;
-      if (!section.hidden) told.textContent = rows.length ? `${left} of ${rows.length} shown` : "";
+      if (!section.hidden) status.textContent = rows.length ? `${left} of ${rows.length} shown` : "";
     }
   }
 
@@ -48,7 +48,7 @@
     const sign = order === "ascending" ? 1 : -1;
     const rows = [...body.rows].map((row) => [valueOf(row, head.cellIndex), row]);
     rows.sort(([a], [b]) => {
-      if (a === null || b === null) return (a === null) - (b === null); // what was not measured comes last, either way
+      if (a === null || b === null) return (a === null) - (b === null); // missing values come last in both orders
       return a < b ? -sign : a > b ? sign : 0;
     });
     body.append(...rows.map(([, row]) => row));

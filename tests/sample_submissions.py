@@ -1,4 +1,4 @@
-"""Submissions made for tests: answers of a known quality to the queries of a dataset, or to made-up questions."""
+"""Submissions made for tests: predictions of known errors for the queries of a dataset, or for made-up queries."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmark.truths import Questions
+from benchmark.queries import ScoredQueries
 from kit1000 import Dataset
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.motions import goal_motion, goal_pose
@@ -19,12 +19,12 @@ from kit1000.submission import Manifest, Predictions, Submission, write_submissi
 from kit1000.tracks import CURVES, TRACKS
 from kit1000.values import FreeAxis, Query, Slot, Truth
 
-Answer = Callable[[Query, Truth], Pose]
+Predictor = Callable[[Query, Truth], Pose]
 SECONDS = 0.25
 
 
 def manifest(dataset_id: str, **fields: Any) -> Manifest:
-    told: dict[str, Any] = {
+    defaults: dict[str, Any] = {
         "method": "a method",
         "authors": ("A. Name",),
         "description": "Made for a test.",
@@ -34,16 +34,16 @@ def manifest(dataset_id: str, **fields: Any) -> Manifest:
         "learned": False,
         "uses_true_geometry": True,
     }
-    return Manifest(**told | fields)
+    return Manifest(**defaults | fields)
 
 
-def the_truth(_: Query, truth: Truth) -> Pose:
+def ground_truth(_: Query, truth: Truth) -> Pose:
     return goal_of(truth)
 
 
-def goal_of(truth: Truth, goal: int = 0, turn: float = 0.0) -> Pose:
-    """goal_from_now of a goal of the slot, turned about the free axis [rad]."""
-    return goal_motion(truth.world_from_part, truth.world_from_kit, goal_pose(truth.slot, goal, turn))
+def goal_of(truth: Truth, goal: int = 0, angle: float = 0.0) -> Pose:
+    """goal_from_now of a goal of the slot, rotated about the free axis by an angle [rad]."""
+    return goal_motion(truth.world_from_part, truth.world_from_kit, goal_pose(truth.slot, goal, angle))
 
 
 def predictions(query_ids: Iterable[str], motions: Iterable[Pose], confidence: float = 0.5) -> Predictions:
@@ -51,15 +51,15 @@ def predictions(query_ids: Iterable[str], motions: Iterable[Pose], confidence: f
     return Predictions(ids, Pose.stack(list(motions)), np.full(len(ids), confidence), np.full(len(ids), SECONDS))
 
 
-def answered(
-    folder: Path, dataset: Dataset, answer: Answer, splits: tuple[str, ...] = ("test", "curves"), **fields: Any
+def predicted(
+    folder: Path, dataset: Dataset, predictor: Predictor, splits: tuple[str, ...] = ("test", "curves"), **fields: Any
 ) -> Submission:
-    """A submission that answers every query of the splits, written to a folder."""
+    """A submission with a prediction for every query of the splits, written to a folder."""
     ids, motions = [], []
     for recorded in (recorded for split in splits for recorded in dataset.split(split, truth=True)):
         for query in recorded.queries:
             ids.append(query.id)
-            motions.append(answer(query, recorded.truth_of(query.id)))
+            motions.append(predictor(query, recorded.truth_of(query.id)))
     return write_submission(folder, manifest(dataset.id, **fields), predictions(ids, motions))
 
 
@@ -70,12 +70,11 @@ def corner() -> Mesh:
 
 
 class MadeUp:
-    """A geometry of one part that every query is about; nothing of it can be put anywhere."""
+    """A geometry of one part, the same for every query, without kits or assemblies."""
 
     def __init__(self) -> None:
         self.mesh = corner()
         self.summary = {"held_out_families": ["gear"]}
-        self.kits = {f"part{i}": {"loose": i == 2} for i in range(4)}
 
     def part(self, part_id: str) -> Any:
         return SimpleNamespace(id=part_id, mesh=self.mesh)
@@ -89,12 +88,12 @@ def slots(part_id: str, kind: int) -> Slot:
     return Slot(part_id, design, 2.5e-3, 12e-3, Pose.stack(goals), axis)
 
 
-def made_up(n: int = 12, track: str = "snap", seed: int = 0) -> Questions:
-    """Questions about parts that lie anywhere and slots of every symmetry: two to an assembly."""
+def made_up(n: int = 12, track: str = "snap", seed: int = 0) -> ScoredQueries:
+    """Queries about parts at random poses and slots of every symmetry: two per assembly."""
     rng = np.random.default_rng(seed)
     truths = [_made_up_truth(i, track, rng) for i in range(n)]
     scene_ids = tuple(f"test-s{i:04d}" for i in range(n))
-    return Questions(MadeUp(), (track,) * n, scene_ids, tuple(truths))  # type: ignore[arg-type]
+    return ScoredQueries(MadeUp(), (track,) * n, scene_ids, tuple(truths))  # type: ignore[arg-type]
 
 
 def _made_up_truth(i: int, track: str, rng: np.random.Generator) -> Truth:

@@ -1,4 +1,4 @@
-"""What a scorer knows of the queries of a split: their truths in order, and the packed arrays that metrics take."""
+"""The queries of a split with their ground truth, in order, and as the packed arrays that the metrics take."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from kit1000.values import Truth
 
 
 @dataclass(frozen=True, eq=False)
-class Questions:
-    """Queries with what is true of them, n in all; scene after scene, as the dataset has them."""
+class ScoredQueries:
+    """n queries with their ground truth, scene after scene, as the dataset has them."""
 
     geometry: Geometry
     tracks: tuple[str, ...]
@@ -29,11 +29,11 @@ class Questions:
     def __len__(self) -> int:
         return len(self.truths)
 
-    def of_scenes(self, scene_ids: Collection[str]) -> Questions:
-        """Those of some scenes alone."""
-        kept = [i for i, scene_id in enumerate(self.scene_ids) if scene_id in scene_ids]
-        tracks, scenes = tuple(self.tracks[i] for i in kept), tuple(self.scene_ids[i] for i in kept)
-        return Questions(self.geometry, tracks, scenes, tuple(self.truths[i] for i in kept))
+    def of_scenes(self, scene_ids: Collection[str]) -> ScoredQueries:
+        """The queries of some scenes alone."""
+        chosen = [i for i, scene_id in enumerate(self.scene_ids) if scene_id in scene_ids]
+        tracks, scenes = tuple(self.tracks[i] for i in chosen), tuple(self.scene_ids[i] for i in chosen)
+        return ScoredQueries(self.geometry, tracks, scenes, tuple(self.truths[i] for i in chosen))
 
     @property
     def query_ids(self) -> tuple[str, ...]:
@@ -42,7 +42,7 @@ class Questions:
 
     @cached_property
     def targets(self) -> Targets:
-        """What the pose errors are measured against, (n,)."""
+        """The goals against which pose errors are measured, (n,)."""
         return Targets.of(self.truths, self._hull)
 
     def _hull(self, part_id: str) -> np.ndarray:
@@ -51,18 +51,18 @@ class Questions:
         return vertices[ConvexHull(vertices).vertices]
 
 
-def questions(dataset: Dataset, split: str, tracks: Collection[str]) -> Questions:
-    """The queries of some tracks in a split, with their truths. Raises InputError when the truth is not here."""
-    found = [row for row in _read(dataset, split) if row[0] in tracks]
-    if not found:
-        raise InputError(f"{dataset.root}: split {split} asks nothing in {', '.join(sorted(tracks))}")
-    names, scene_ids, truths = zip(*found, strict=True)
-    return Questions(dataset.geometry, names, scene_ids, truths)
+def read_queries(dataset: Dataset, split: str, tracks: Collection[str]) -> ScoredQueries:
+    """The queries of some tracks in a split, with their ground truth. Raises InputError when that is not here."""
+    rows = [row for row in _read(dataset, split) if row[0] in tracks]
+    if not rows:
+        raise InputError(f"{dataset.root}: split {split} has no query of {', '.join(sorted(tracks))}")
+    names, scene_ids, truths = zip(*rows, strict=True)
+    return ScoredQueries(dataset.geometry, names, scene_ids, truths)
 
 
 @lru_cache(maxsize=4)
 def _read(dataset: Dataset, split: str) -> tuple[tuple[str, str, Truth], ...]:
-    """All queries of a split: track, scene and truth. Remembered for as long as a dataset is open, or a few others."""
+    """Track, scene and ground truth of all queries of a split; cached for the last few splits and datasets."""
     return tuple(
         (query.track, recorded.id, recorded.truth_of(query.id))
         for recorded in dataset.split(split, truth=True)
@@ -70,10 +70,10 @@ def _read(dataset: Dataset, split: str) -> tuple[tuple[str, str, Truth], ...]:
     )
 
 
-def joined(*several: Questions) -> Questions:
+def concatenate(*several: ScoredQueries) -> ScoredQueries:
     """Queries of several splits of one dataset, one after another."""
     first = several[0]
-    return Questions(
+    return ScoredQueries(
         first.geometry,
         sum((each.tracks for each in several), ()),
         sum((each.scene_ids for each in several), ()),

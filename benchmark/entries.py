@@ -1,0 +1,90 @@
+"""The entries of a leaderboard: the scored submissions of a folder, all under one protocol and on one dataset."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kit1000.errors import InputError
+from kit1000.files import read_json
+from kit1000.submission.manifest import Manifest, read_manifest
+
+SETTING = ("protocol", "status", "metric_versions", "dataset_id", "split")
+"""Keys of scores.json that entries must agree in: else their numbers cannot be compared."""
+KEYS = (*SETTING, "evaluator", "commit", "method", "tracks", "breakdown", "curves")
+
+
+@dataclass(frozen=True, eq=False)
+class Entry:
+    """A scored submission."""
+
+    name: str
+    """Name of its folder, and of its page."""
+    folder: Path
+    manifest: Manifest
+    scores: Mapping[str, Any]
+    """The content of scores.json."""
+
+    @property
+    def setting(self) -> dict[str, Any]:
+        """Protocol, its status, metric versions, dataset and split of the scores."""
+        return {key: self.scores[key] for key in SETTING}
+
+
+def read_entries(submissions: Path) -> tuple[Entry, ...]:
+    """The scored submissions of a folder, by name. Raises InputError when two of them cannot share a table."""
+    entries = tuple(_read(folder) for folder in _folders(submissions) if (folder / "scores.json").is_file())
+    _check_setting(entries)
+    _check_unique(entries)
+    return entries
+
+
+def unscored(submissions: Path) -> tuple[str, ...]:
+    """Names of the folders with a manifest and without scores."""
+    return tuple(folder.name for folder in _folders(submissions) if not (folder / "scores.json").is_file())
+
+
+def _folders(submissions: Path) -> list[Path]:
+    """The folders with a manifest."""
+    if not submissions.is_dir():
+        raise InputError(f"{submissions}: no folder of submissions")
+    return sorted(path.parent for path in submissions.glob("*/manifest.toml"))
+
+
+def _read(folder: Path) -> Entry:
+    path = folder / "scores.json"
+    scores = read_json(path)
+    missing = [key for key in KEYS if not isinstance(scores, dict) or key not in scores]
+    if missing:
+        raise InputError(f"{path}: expected scores of `python -m benchmark score`; there is no {', '.join(missing)}")
+    return Entry(folder.name, folder, read_manifest(folder / "manifest.toml"), scores)
+
+
+def _check_setting(entries: Sequence[Entry]) -> None:
+    for entry in entries[1:]:
+        for key, ours in entries[0].setting.items():
+            theirs = entry.setting[key]
+            if theirs != ours:
+                raise InputError(
+                    f"{entry.folder}: its scores have {key} {theirs}, those of {entries[0].name} {ours}; "
+                    "score both again, on one dataset"
+                )
+
+
+def _check_unique(entries: Sequence[Entry]) -> None:
+    """Refuse two entries of one method, with one label, or for one row of the paper."""
+    for what, of in (
+        ("method", lambda manifest: manifest.method),
+        ("label", lambda manifest: manifest.display_name),
+        ("paper_row", lambda manifest: manifest.paper_row),
+    ):
+        first: dict[str, Entry] = {}
+        for entry in entries:
+            value = of(entry.manifest)
+            other = first.setdefault(value, entry) if value else entry
+            if other is not entry:
+                raise InputError(
+                    f"{entry.folder}: {what} {value!r} is that of {other.name} too; change it in one manifest.toml"
+                )
