@@ -30,30 +30,35 @@ METHODS = {
     "truth": Method(
         "baselines.controls:TrueGoal",
         "the goal itself: every error is 0",
+        label="Ground truth",
         uses_true_geometry=True,
         control=True,
     ),
     "truth-symmetric": Method(
         "baselines.controls:SymmetricGoal",
         "any of the symmetric goals, rotated about the free axis by any angle: every error is 0",
+        label="Ground truth at any symmetric goal",
         uses_true_geometry=True,
         control=True,
     ),
     "truth-noise": Method(
         "baselines.controls:NoisyGoal",
         "the goal, missed by exactly 2 mm and 2 degrees",
+        label="Ground truth with 2 mm and 2° error",
         uses_true_geometry=True,
         control=True,
     ),
     "guess": Method(
         "baselines.controls:guess",
         "the user's initial guess, unchanged",
+        label="Initial guess, unchanged",
         tracks=GUESS_TRACKS,
         control=True,
     ),
     "chance": Method(
         "baselines.controls:Chance",
         "a random motion: near the guess or, without one, to a point on the kits at any yaw",
+        label="Chance",
         control=True,
     ),
 }

@@ -41,6 +41,7 @@ METHODS = {
     "icp": Method(
         "baselines.icp:Icp",
         "from the guess, point-to-plane ICP of the part's shell onto the kits, by Open3D",
+        label="ICP from the guess",
         tracks=GUESS_TRACKS,
     ),
 }

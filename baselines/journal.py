@@ -1,4 +1,4 @@
-"""Predictions as they come, kept in a file beside the submission so that a killed run goes on where it stopped."""
+"""Predictions of a run, kept in a file beside the submission so that a killed run resumes where it stopped."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from kit1000.values import Prediction
 
 
 class Journal:
-    """What was asked, in the first line, and a prediction in each further one; held for one run at a time."""
+    """A file with the run's settings in the first line and a prediction in each further one; locked by one run."""
 
-    def __init__(self, path: Path, asked: Mapping[str, Any]) -> None:
-        """Continue a journal, or begin one; raises InputError when it is that of another run.
+    def __init__(self, path: Path, settings: Mapping[str, Any]) -> None:
+        """Continue a journal, or begin one; raises InputError where it is of a run with other settings.
 
-        asked: what the predictions depend on, as JSON has it.
+        settings: what the predictions depend on, as JSON has it.
         """
         self.path = path
         check_writable(path.parent)
@@ -29,7 +29,7 @@ class Journal:
         self._file = open(path, "a+", encoding="utf-8", newline="\n")  # noqa: SIM115 (closed on leaving)
         try:
             self._lock()
-            self.done = self._continued(json.loads(json.dumps(asked)))
+            self.done = self._read_back(json.loads(json.dumps(settings)))
         except BaseException:
             self._file.close()
             raise
@@ -41,30 +41,30 @@ class Journal:
         self._file.close()
 
     def add(self, prediction: Prediction) -> None:
-        """Keep a prediction."""
+        """Write a prediction."""
         motion = prediction.goal_from_now
         row = [*motion.wxyz.tolist(), *motion.xyz.tolist(), prediction.confidence, prediction.seconds]
         self._write([prediction.query_id, *row])
         self.done[prediction.query_id] = prediction
 
     def delete(self) -> None:
-        """Throw the file away, once its predictions stand elsewhere."""
+        """Delete the file, once its predictions are in a submission."""
         self.path.unlink()
 
     def _lock(self) -> None:
-        """Hold the file until it is closed; the lock goes with the process, also when it is killed."""
+        """Lock the file until it is closed; the lock ends with the process, also when it is killed."""
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise InputError(f"{self.path} is being written by another process: wait for it") from None
 
-    def _continued(self, asked: dict[str, Any]) -> dict[str, Prediction]:
-        """The predictions that are there, by query id; whatever was being written when the run died is cut off."""
+    def _read_back(self, settings: dict[str, Any]) -> dict[str, Prediction]:
+        """The predictions in the file, by query id; a line that was not finished is cut off."""
         self._file.seek(0)
         whole, broken, _ = self._file.read().rpartition("\n")
         if not broken:
             self._file.truncate(0)
-            self._write(asked)
+            self._write(settings)
             return {}
         self._file.truncate(len((whole + broken).encode()))
         try:
@@ -72,10 +72,10 @@ class Journal:
             done = {row[0]: Prediction(row[0], Pose(row[1:5], row[5:8]), *row[8:]) for row in rows}
         except (ValueError, LookupError, TypeError) as error:
             raise InputError(f"{self.path} is no journal of predictions, or damaged: delete it") from error
-        if first != asked:
-            differs = next(key for key in asked if first.get(key) != asked[key])
-            said = f"{differs} {first.get(differs)!r}, now {asked[differs]!r}"
-            raise InputError(f"{self.path}: an unfinished run with {said}; finish that one, or delete the file")
+        if first != settings:
+            key = next(key for key in settings if first.get(key) != settings[key])
+            difference = f"{key} {first.get(key)!r}, now {settings[key]!r}"
+            raise InputError(f"{self.path}: an unfinished run with {difference}; finish that one, or delete the file")
         return done
 
     def _write(self, value: Any) -> None:

@@ -27,7 +27,9 @@ def method_of(name: str) -> Method:
         return methods[name]
     if ":" not in name:
         known = ", ".join(methods)
-        raise InputError(f"no method {name!r}; {did_you_mean(name, methods)}there are {known}, or module:Object of your own")
+        raise InputError(
+            f"no method {name!r}; {did_you_mean(name, methods)}there are {known}, or module:Object of your own"
+        )
     target = resolved(name)
     values = {attribute: getattr(target, attribute, None) for attribute in ATTRIBUTES}
     stated = {key: value for key, value in values.items() if value is not None and not isinstance(value, property)}

@@ -7,10 +7,10 @@ import numpy as np
 from kit1000.values import Query
 
 
-def seen_points(query: Query, mask: np.ndarray, most: int | None = None) -> np.ndarray:
-    """(n, 3) float64 [m] world: the points of a mask (H, W) that gave a return, row after row of the image.
+def observed_points(query: Query, mask: np.ndarray, most: int | None = None) -> np.ndarray:
+    """(n, 3) float64 [m] world: the points of the pixels of a mask (H, W) that have a return, row by row.
 
-    With `most`, every k-th of them, so that there are no more.
+    With `most`, every k-th of them, so that there are no more than that.
     """
     view = query.view
     v, u = np.nonzero(mask & (view.depth > 0))

@@ -23,8 +23,8 @@ from baselines.catalog import Method
 from baselines.journal import Journal
 from baselines.methods import make_predictor, method_of, source_hash
 from kit1000.dataset.reader import Dataset
-from kit1000.engines import local
-from kit1000.engines.cores import cores
+from kit1000.engines import local_engine
+from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean
 from kit1000.files import check_writable
 from kit1000.predictor import PredictedMotion, Predictor, to_prediction
@@ -82,7 +82,7 @@ def predict(config: RunConfig, data: Path, out: Path, workers: int | None = None
     with Journal(out.with_name(f"{out.name}.journal"), run) as journal:
         left = [job for job in jobs if job.query_id not in journal.done]
         _made.cache_clear()  # the folder may hold another dataset than in an earlier run of this process
-        with local(workers) as spread:
+        with local_engine(workers) as spread:
             predictions = spread(partial(predict_job, dataset.root, config.name, config.seed), left)
             bar = tqdm(predictions, None, len(jobs), initial=len(jobs) - len(left), unit="query", disable=None)
             for prediction in bar:
@@ -190,6 +190,7 @@ def splits_of(query_ids: Iterable[str]) -> tuple[str, ...]:
 def _manifest(config: RunConfig, method: Method, dataset: Dataset, tracks: set[str]) -> Manifest:
     return Manifest(
         method=config.name,
+        label=method.label,
         authors=AUTHORS,
         description=method.description,
         date=date.today().isoformat(),
@@ -200,6 +201,7 @@ def _manifest(config: RunConfig, method: Method, dataset: Dataset, tracks: set[s
         learned=method.learned,
         uses_true_geometry=method.uses_true_geometry,
         control=method.control,
+        paper_row=method.paper_row,
         training_data=method.training_data,
     )
 
@@ -231,4 +233,4 @@ def _hardware(workers: int | None) -> str:
     file = Path("/proc/cpuinfo")
     named = re.search(r"^model name\s*: (.*)$", file.read_text(), re.M) if file.is_file() else None
     model = named[1].strip() if named else platform.processor() or platform.machine()
-    return f"{model}, {cores()} cores, {workers or cores()} queries at a time"
+    return f"{model}, {usable_cores()} cores, {workers or usable_cores()} queries at a time"

@@ -1,4 +1,4 @@
-"""Answering queries of a submission again: does its method still say what is written there?"""
+"""Repeating predictions of a submission: does its method still predict the same?"""
 
 from __future__ import annotations
 
@@ -11,71 +11,71 @@ import numpy as np
 from tqdm import tqdm
 
 from baselines.methods import method_of
-from baselines.predict import Job, answer_of, splits_of
+from baselines.predict import Job, predict_job, splits_of
 from kit1000.dataset.reader import Dataset
-from kit1000.engines import local
+from kit1000.engines import local_engine
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.submission import read_submission
 
 MILLIMETRES, DEGREES = 0.01, 0.01
-"""By which an answer may differ from one machine to another: sums of float32 depend on their order."""
+"""By which a prediction may differ between machines: sums of float32 depend on their order."""
 
 
 @dataclass(frozen=True)
 class Rerun:
-    """Answers beside those of a submission."""
+    """Repeated predictions against those of a submission."""
 
     query_ids: tuple[str, ...]
     position_mm: np.ndarray
-    """(n,) by which the pivot goes elsewhere."""
+    """(n,) difference in where the pivot goes."""
     rotation_deg: np.ndarray
     """(n,)"""
 
     @property
     def same(self) -> np.ndarray:
-        """(n,) bool."""
+        """(n,) bool: within MILLIMETRES and DEGREES."""
         return (self.position_mm <= MILLIMETRES) & (self.rotation_deg <= DEGREES)
 
 
 def rerun(folder: Path, data: Path, first: int, workers: int | None = None) -> Rerun:
-    """Answer the first queries of a submission again, by the method that its manifest names, with seed 0.
+    """Predict the first queries of a submission again, by the method that its manifest names, with seed 0.
 
     Args:
         folder: of the submission.
         data: dataset folder.
-        first: how many.
+        first: how many queries.
         workers: processes; None = one per core.
 
     Raises:
-        InputError: no such method, another dataset, or a query that it does not ask.
+        InputError: no such method, another dataset, or a query that the dataset does not have.
     """
     submission, dataset = read_submission(folder), Dataset(data)
     name, stated = submission.manifest.method, submission.manifest.dataset_id
     if stated != dataset.id:
-        raise InputError(f"{folder}: answers dataset {stated}, and {dataset.root} is {dataset.id}")
+        raise InputError(f"{folder}: is about dataset {stated}, and {dataset.root} is {dataset.id}")
     query_ids = submission.predictions.query_ids[:first]
     method_of(name)  # before anything is read
-    jobs, pivots = _asked(dataset, query_ids, folder)
-    with local(workers) as spread:
-        answers = spread(partial(answer_of, dataset.root, name, 0), jobs)
-        shown = tqdm(answers, folder.name, len(jobs), unit="query", disable=None)
-        motions = {answer.query_id: answer.goal_from_now for answer in shown}  # they come as they are done
+    jobs, pivots = _jobs_and_pivots(dataset, query_ids, folder)
+    with local_engine(workers) as spread:
+        predictions = spread(partial(predict_job, dataset.root, name, 0), jobs)
+        bar = tqdm(predictions, folder.name, len(jobs), unit="query", disable=None)
+        motions = {prediction.query_id: prediction.goal_from_now for prediction in bar}  # in the order of completion
     now = Pose.stack([motions[query_id] for query_id in query_ids])
-    there = submission.predictions.motions[: len(jobs)]
-    apart = np.linalg.norm(now.apply(pivots) - there.apply(pivots), axis=-1)
-    return Rerun(query_ids, 1e3 * apart, np.degrees((now.inverse() @ there).angle()))
+    submitted = submission.predictions.motions[: len(jobs)]
+    shift = np.linalg.norm(now.apply(pivots) - submitted.apply(pivots), axis=-1)
+    return Rerun(query_ids, 1e3 * shift, np.degrees((now.inverse() @ submitted).angle()))
 
 
-def _asked(dataset: Dataset, query_ids: Sequence[str], folder: Path) -> tuple[list[Job], np.ndarray]:
-    """Where queries are found, and their pivots (n, 3) [m]."""
-    wanted, found = set(query_ids), {}
+def _jobs_and_pivots(dataset: Dataset, query_ids: Sequence[str], folder: Path) -> tuple[list[Job], np.ndarray]:
+    """The jobs of queries, and their pivots (n, 3) [m]."""
+    wanted, known = set(query_ids), {}
     for split in splits_of(query_ids):
         for query in dataset.split(split).queries():
             if query.id in wanted:
-                found[query.id] = Job(split, query.scene_id, query.id, query.track), query.pivot
+                known[query.id] = Job(split, query.scene_id, query.id, query.track), query.pivot
     for query_id in query_ids:
-        if query_id not in found:
-            raise InputError(f"{folder}: query {query_id} is none that {dataset.root} asks")
-    jobs, pivots = zip(*(found[query_id] for query_id in query_ids), strict=True)
+        if query_id not in known:
+            raise InputError(f"{folder}: {dataset.root} has no query {query_id}")
+    jobs, pivots = zip(*(known[query_id] for query_id in query_ids), strict=True)
     return list(jobs), np.stack(pivots)

@@ -1,4 +1,4 @@
-"""What a method is to the benchmark: something to call with a query, which answers with a motion."""
+"""What a method is to the benchmark: something to call with a query, which returns a motion of the part."""
 
 from __future__ import annotations
 
@@ -6,44 +6,46 @@ from typing import NamedTuple, Protocol
 
 from kit1000.errors import InputError
 from kit1000.pose import Pose
-from kit1000.values import Prediction, Query, Truth
+from kit1000.values import Prediction, Query, TrueGeometry
 
 
 class PredictedMotion(NamedTuple):
-    """What a method says to a query."""
+    """What a method predicts for a query."""
 
     goal_from_now: Pose
-    """How the part that is seen must move in the world."""
+    """The motion, in the world, that takes the part from where it lies to its goal."""
     confidence: float
-    """0 to 1: how sure the method is, to be compared with its own other answers."""
+    """0 to 1: how sure the method is, to be compared with its own other predictions."""
 
 
 class Predictor(Protocol):
     """A method: a function, or an instance whose `__init__` read its weights."""
 
-    def __call__(self, query: Query, truth: Truth | None, /) -> PredictedMotion:
-        """Answer a query from itself alone. The truth is None unless the method says that it uses true geometry."""
+    def __call__(self, query: Query, geometry: TrueGeometry | None, /) -> PredictedMotion:
+        """Predict from this query alone. The geometry is None unless the method sets `uses_true_geometry`."""
         ...
 
 
-def to_prediction(query: Query, answer: PredictedMotion, seconds: float) -> Prediction:
-    """The answer to a query as a prediction; raises InputError when it is none. seconds: [s] that it took."""
-    if not (isinstance(answer, tuple) and len(answer) == 2 and isinstance(answer[0], Pose)):
-        raise InputError(
-            f"{query.id}: expected a PredictedMotion(goal_from_now: Pose, confidence: float), got {_told(answer)}"
-        )
-    motion, confidence = answer
+def to_prediction(query: Query, predicted: PredictedMotion, seconds: float) -> Prediction:
+    """What a method returned for a query as a prediction; raises InputError where it is not one.
+
+    seconds: [s] that the method took.
+    """
+    if not (isinstance(predicted, tuple) and len(predicted) == 2 and isinstance(predicted[0], Pose)):
+        wanted = "expected a PredictedMotion(goal_from_now: Pose, confidence: float)"
+        raise InputError(f"{query.id}: {wanted}, got {_type_name(predicted)}")
+    motion, confidence = predicted
     if motion.batch_shape != ():
         raise InputError(f"{query.id}: expected one motion, got a batch of shape {motion.batch_shape}")
     try:
         return Prediction(query.id, motion, float(confidence), seconds)
     except (TypeError, ValueError) as error:
-        told = f"confidence of {query.id}: expected a number, got {type(confidence).__name__}"
-        raise InputError(str(error) if isinstance(error, InputError) else told) from error
+        message = f"confidence of {query.id}: expected a number, got {type(confidence).__name__}"
+        raise InputError(str(error) if isinstance(error, InputError) else message) from error
 
 
-def _told(answer: object) -> str:
-    """A short word for what came in place of an answer."""
-    if isinstance(answer, tuple):
-        return f"({', '.join(type(entry).__name__ for entry in answer)})"
-    return type(answer).__name__
+def _type_name(value: object) -> str:
+    """The type of a value; of a tuple, the types of its entries."""
+    if isinstance(value, tuple):
+        return f"({', '.join(type(entry).__name__ for entry in value)})"
+    return type(value).__name__

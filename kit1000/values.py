@@ -239,6 +239,17 @@ class Truth:
         object.__setattr__(self, "anchor", checked("anchor", self.anchor, (3,)))
 
 
+@dataclass(frozen=True, eq=False)
+class TrueGeometry:
+    """The shapes of a scene and where they stand, never a goal."""
+
+    part: Mesh
+    """In the part's own frame."""
+    world_from_part: Pose
+    assembly: Mesh
+    world_from_assembly: Pose
+
+
 def _positive(name: str, value: float) -> None:
     if not (np.isfinite(value) and value > 0):
         raise ShapeError(f"{name}: expected a finite number above 0, got {value}")

@@ -1,24 +1,33 @@
-"""Laws of the reference methods: what each is said to be it is, and controls score what they must."""
+"""The reference methods: each is what its entry in the catalog states, and controls have the errors they must have."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from baselines.methods import EVERY, GUESSED, METHODS, Method, described, made, method_of, resolved, source_hash
-from baselines.points import seen_points
+from baselines import catalog
+from baselines.__main__ import main
+from baselines.catalog import Method, all_methods, all_networks
+from baselines.methods import listed, make_predictor, method_of, resolved, source_hash
+from baselines.points import observed_points
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.motions import error_of, goal_motion, goal_pose
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
+from kit1000.submission import Manifest
 from kit1000.testing import check_predictor
-from kit1000.values import Query, Truth
+from kit1000.tracks import ALL_TRACKS, GUESS_TRACKS
+from kit1000.values import Query, TrueGeometry, Truth
 
-Asked = list[tuple[Query, Truth]]
+ROOT = Path(__file__).resolve().parents[1]
+QueryTruths = list[tuple[Query, Truth]]
+METHODS = all_methods()
 CONTROLS = [name for name, method in METHODS.items() if method.control]
 
 
@@ -28,115 +37,103 @@ def data(mini: Path) -> Dataset:
 
 
 @pytest.fixture(scope="module")
-def asked(data: Dataset) -> Asked:
-    split = data.split("train", truth=True)
-    return [(query, scene.truth_of(query.id)) for scene in split for query in scene.queries]
+def queries(data: Dataset) -> QueryTruths:
+    """All queries of the training split with their ground truth."""
+    return [(query, data.truth_of(query)) for query in data.split("train").queries()]
 
 
-def answers(name: str, data: Dataset, asked: Asked, seed: int = 0) -> list[tuple[Query, Truth, Pose]]:
-    """A method's answers to the queries of its tracks."""
-    method = METHODS[name]
-    predictor = made(method, data, seed)
-    mine = [(query, truth) for query, truth in asked if query.track in method.tracks]
-    handed = [truth if method.uses_true_geometry else None for _, truth in mine]
-    motions = [predictor(query, given).goal_from_now for (query, _), given in zip(mine, handed, strict=True)]
-    return [(query, truth, motion) for (query, truth), motion in zip(mine, motions, strict=True)]
+def predicted(name: str, data: Dataset, queries: QueryTruths, seed: int = 0) -> list[tuple[Query, Truth, Pose]]:
+    """A method's motions for the queries of its tracks."""
+    predictor = make_predictor(METHODS[name], data, seed)
+    asked = [(query, truth) for query, truth in queries if query.track in METHODS[name].tracks]
+    return [(query, truth, predictor(query, None).goal_from_now) for query, truth in asked]
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_a_method_says_the_same_in_the_list_and_in_its_code(name: str, data: Dataset) -> None:
+def test_the_catalog_and_the_code_agree(name: str, data: Dataset) -> None:
     method = METHODS[name]
-    assert getattr(made(method, data, 0), "uses_true_geometry", method.uses_true_geometry) == method.uses_true_geometry
-    assert set(method.tracks) <= set(EVERY)
-    assert described(name, method).startswith(name)
-    assert "\n" not in described(name, method)
+    predictor = make_predictor(method, data, 0)
+    assert getattr(predictor, "uses_true_geometry", method.uses_true_geometry) == method.uses_true_geometry
+    assert set(method.tracks) <= set(ALL_TRACKS)
+    assert listed(name, method).startswith(f"{name} ")
+    assert "\n" not in listed(name, method)
 
 
 @pytest.mark.parametrize("name", CONTROLS)
-def test_controls_conform(name: str, data: Dataset, asked: Asked) -> None:
-    method = METHODS[name]
-    mine = [(query, truth) for query, truth in asked if query.track in method.tracks]
-    queries, truths = [query for query, _ in mine], [truth for _, truth in mine]
-    draws = name in ("truth-noise", "chance")  # along the axes of the world
-    check_predictor(
-        made(method, data, 0), queries, truths if method.uses_true_geometry else None, name, moves=not draws
-    )
+def test_controls_conform(name: str, data: Dataset, queries: QueryTruths) -> None:
+    """Only the guess moves with the world: the others read goals by the query's id or draw along the world's axes."""
+    asked = [query for query, _ in queries if query.track in METHODS[name].tracks]
+    check_predictor(make_predictor(METHODS[name], data, 0), asked, name=name, moves=name == "guess")
 
 
-def test_the_truth_is_a_goal(data: Dataset, asked: Asked) -> None:
-    for _, truth, answer in answers("truth", data, asked):
-        np.testing.assert_array_equal(answer.xyz, truth.goal_drawn.xyz)
-        np.testing.assert_array_equal(answer.wxyz, truth.goal_drawn.wxyz)
+def test_the_truth_is_the_drawn_goal(data: Dataset, queries: QueryTruths) -> None:
+    for _, truth, motion in predicted("truth", data, queries):
+        np.testing.assert_array_equal(motion.xyz, truth.goal_drawn.xyz)
+        np.testing.assert_array_equal(motion.wxyz, truth.goal_drawn.wxyz)
 
 
-def test_a_symmetric_truth_is_some_goal_turned_about_the_free_axis(data: Dataset, asked: Asked) -> None:
-    for _, truth, answer in answers("truth-symmetric", data, asked):
+def test_a_symmetric_truth_is_some_goal_rotated_about_the_free_axis(data: Dataset, queries: QueryTruths) -> None:
+    for _, truth, motion in predicted("truth-symmetric", data, queries):
         slot = truth.slot
-        turns = np.linspace(0, 2 * np.pi, 100_001) if slot.free_axis is not None else 0.0
+        angles = np.linspace(0, 2 * np.pi, 100_001) if slot.free_axis is not None else 0.0
         goals = [
-            goal_motion(truth.world_from_part, truth.world_from_kit, goal_pose(slot, i, turns))
+            goal_motion(truth.world_from_part, truth.world_from_kit, goal_pose(slot, i, angles))
             for i in range(len(slot.goals))
         ]
-        nearest = min(float((goal.inverse() @ answer).angle().min()) for goal in goals)
-        shifts = [np.linalg.norm(goal.apply(truth.anchor) - answer.apply(truth.anchor), axis=-1) for goal in goals]
+        nearest = min(float((goal.inverse() @ motion).angle().min()) for goal in goals)
+        shifts = [np.linalg.norm(goal.apply(truth.anchor) - motion.apply(truth.anchor), axis=-1) for goal in goals]
         assert nearest < 1e-4
         assert min(float(shift.min()) for shift in shifts) < 1e-5
 
 
-def test_noise_is_two_millimetres_and_two_degrees_at_the_anchor(data: Dataset, asked: Asked) -> None:
-    for _, truth, answer in answers("truth-noise", data, asked):
-        home = truth.goal_drawn.apply(truth.anchor)
-        assert np.linalg.norm(answer.apply(truth.anchor) - home) == pytest.approx(2e-3, abs=1e-12)
-        assert (answer @ truth.goal_drawn.inverse()).angle() == pytest.approx(np.radians(2), abs=1e-9)
+def test_noise_is_two_millimetres_and_two_degrees_at_the_anchor(data: Dataset, queries: QueryTruths) -> None:
+    for _, truth, motion in predicted("truth-noise", data, queries):
+        goal = truth.goal_drawn.apply(truth.anchor)
+        assert np.linalg.norm(motion.apply(truth.anchor) - goal) == pytest.approx(2e-3, abs=1e-12)
+        assert (motion @ truth.goal_drawn.inverse()).angle() == pytest.approx(np.radians(2), abs=1e-9)
 
 
-def test_the_guess_is_the_guess(data: Dataset, asked: Asked) -> None:
-    found = answers("guess", data, asked)
-    assert {query.track for query, _, _ in found} == {"snap", "snap-tilt", "snap-d415"}
-    assert all(answer is query.guess for query, _, answer in found)
-    assert all(query.guess is None for query, _ in asked if query.track not in GUESSED)
-    without = next(query for query, _ in asked if query.guess is None)
-    with pytest.raises(InputError, match=f"{without.id}: nobody guesses in track {without.track}"):
-        made(METHODS["guess"], data, 0)(without, None)
+def test_the_guess_is_the_guess(data: Dataset, queries: QueryTruths) -> None:
+    motions = predicted("guess", data, queries)
+    assert {query.track for query, _, _ in motions} == {"snap", "snap-tilt", "snap-d415"}
+    assert all(motion is query.guess for query, _, motion in motions)
+    assert all(query.guess is None for query, _ in queries if query.track not in GUESS_TRACKS)
+    without = next(query for query, _ in queries if query.guess is None)
+    with pytest.raises(InputError, match=f"{without.id}: track {without.track} has no guess"):
+        make_predictor(METHODS["guess"], data, 0)(without, None)
 
 
-def test_chance_stays_near_a_guess_and_else_goes_to_the_kits_at_any_yaw(data: Dataset, asked: Asked) -> None:
-    for query, _, answer in answers("chance", data, asked):
+def test_chance_stays_near_a_guess_and_else_goes_to_the_kits_at_any_yaw(data: Dataset, queries: QueryTruths) -> None:
+    for query, _, motion in predicted("chance", data, queries):
         if query.guess is not None:
-            offset, turn = error_of(answer, query.guess, query.pivot)
+            offset, rotvec = error_of(motion, query.guess, query.pivot)
             assert np.abs(offset).max() <= 28e-3
-            assert np.linalg.norm(turn) <= np.radians(27.5) + 1e-9
+            assert np.linalg.norm(rotvec) <= np.radians(27.5) + 1e-9
             continue
-        there = answer.apply(query.pivot)
-        assert np.linalg.norm(seen_points(query, query.kit_region) - there, axis=1).min() < 1e-9
-        np.testing.assert_allclose(answer.rotate((0.0, 0.0, 1.0)), (0, 0, 1), atol=1e-12)
+        there = motion.apply(query.pivot)
+        assert np.linalg.norm(observed_points(query, query.kit_region) - there, axis=1).min() < 1e-9
+        np.testing.assert_allclose(motion.rotate((0.0, 0.0, 1.0)), (0, 0, 1), atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["truth-symmetric", "truth-noise", "chance"])
-def test_draws_follow_the_seed(name: str, data: Dataset, asked: Asked) -> None:
-    drawn = [[(*answer.wxyz, *answer.xyz) for *_, answer in answers(name, data, asked, seed)] for seed in (0, 0, 1)]
+def test_draws_follow_the_seed(name: str, data: Dataset, queries: QueryTruths) -> None:
+    drawn = [[(*motion.wxyz, *motion.xyz) for *_, motion in predicted(name, data, queries, s)] for s in (0, 0, 1)]
     assert drawn[0] == drawn[1]
     assert drawn[0] != drawn[2]
 
 
-@pytest.mark.parametrize("name", ["truth", "truth-symmetric", "truth-noise"])
-def test_a_control_without_the_truth_says_so(name: str, data: Dataset, asked: Asked) -> None:
-    with pytest.raises(InputError, match="made from the truth"):
-        made(METHODS[name], data, 0)(asked[0][0], None)
-
-
-def test_points_of_a_mask_are_those_it_shows(asked: Asked) -> None:
-    query, _ = asked[0]
-    points = seen_points(query, query.part_mask)
+def test_observed_points_are_those_of_the_masked_pixels(queries: QueryTruths) -> None:
+    query, _ = queries[0]
+    points = observed_points(query, query.part_mask)
     uv = query.view.camera.project(query.view.world_from_camera.inverse().apply(points))
     u, v = np.rint(uv).astype(int).T
     assert query.part_mask[v, u].all()
     assert len(points) == (query.part_mask & (query.view.depth > 0)).sum()
     np.testing.assert_allclose((points.min(0) + points.max(0)) / 2, query.pivot, atol=1e-4)
-    few = seen_points(query, query.part_mask, 100)
+    few = observed_points(query, query.part_mask, 100)
     assert 50 < len(few) <= 100
     assert (few[:, None] == points).all(2).any(1).all()
-    assert seen_points(query, np.zeros_like(query.part_mask), 100).shape == (0, 3)
+    assert observed_points(query, np.zeros_like(query.part_mask), 100).shape == (0, 3)
 
 
 class Own:
@@ -151,52 +148,144 @@ class Own:
     def __init__(self, dataset: Dataset, seed: int) -> None:
         self.dataset, self.seed = dataset, seed
 
-    def __call__(self, query: Query, truth: Truth | None) -> PredictedMotion:
+    def __call__(self, query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
         return PredictedMotion(Pose.identity(), 1.0)
 
 
 def test_a_method_of_ones_own_is_made_from_its_module(data: Dataset) -> None:
     method = method_of(f"{__name__}:Own")
     assert method == Method(f"{__name__}:Own", "A method of one's own.", tracks=("place",), learned=True)
-    predictor = made(method, data, 3)
+    predictor = make_predictor(method, data, 3)
     assert isinstance(predictor, Own)
     assert (predictor.dataset, predictor.seed) == (data, 3)
-    assert made(method_of("baselines.controls:guess"), data, 0) is resolved("baselines.controls:guess")
+    assert make_predictor(method_of("baselines.controls:guess"), data, 0) is resolved("baselines.controls:guess")
     assert method_of("baselines.controls:NoisyGoal").uses_true_geometry
-    assert not method_of("baselines.registration:Registration").uses_true_geometry  # its instances know
+    assert not method_of("baselines.registration.method:Registration").uses_true_geometry  # its instances have it
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
+    ("name", "message"),
     [
         ("gues", "no method 'gues'; did you mean guess[?] there are truth, .*module:Object of your own"),
         ("nowhere:Object", "nowhere:Object: No module named 'nowhere'"),
-        ("baselines.controls:Gues", "baselines.controls has no Gues that could be called"),
-        ("baselines.controls:NOISE", "has no NOISE that could be called"),
-        ("baselines.controls:", "has no object that could be called"),
+        ("baselines.controls:Gues", "baselines.controls has no Gues that can be called"),
+        ("baselines.controls:NOISE", "has no NOISE that can be called"),
+        ("baselines.controls:", "has no object that can be called"),
     ],
 )
-def test_a_name_that_is_no_method_is_answered_in_one_line(name: str, said: str) -> None:
-    with pytest.raises(InputError, match=said):
+def test_an_unknown_method_gives_one_line(name: str, message: str) -> None:
+    with pytest.raises(InputError, match=message):
         method_of(name)
 
 
 def test_the_source_of_a_method_is_its_module_or_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "lone_method.py").write_text("def answer(): ...\n")
+    (tmp_path / "lone_method.py").write_text("def predict(): ...\n")
     (tmp_path / "wide_method").mkdir()
-    (tmp_path / "wide_method/__init__.py").write_text("def answer(): ...\n")
+    (tmp_path / "wide_method/__init__.py").write_text("")
+    (tmp_path / "wide_method/method.py").write_text("def predict(): ...\n")
     (tmp_path / "wide_method/deep.py").write_text("")
-    lone, wide = (Method(f"{name}:answer", "") for name in ("lone_method", "wide_method"))
+    lone, wide = (Method(f"{name}:predict", "") for name in ("lone_method", "wide_method.method"))
     before = source_hash(lone), source_hash(wide)
     assert before == (source_hash(lone), source_hash(wide))
     (tmp_path / "wide_method/deep.py").write_text("x = 1\n")
     assert source_hash(lone) == before[0]
     assert source_hash(wide) != before[1]
+    of_baselines = [source_hash(METHODS[name]) for name in ("icp", "guess", "registration", "snapnet-gtvol")]
+    assert len(set(of_baselines)) == len(of_baselines)  # none is the hash of all baselines
 
 
-def test_a_manifest_can_say_all_that_a_method_is() -> None:
-    from kit1000.submission import Manifest
-
+def test_a_manifest_has_the_fields_of_a_method() -> None:
     shared = {"description", "tracks", "uses_true_geometry", "learned", "control", "predicts", "training_data"}
+    shared |= {"label", "paper_row"}
     assert shared <= {field.name for field in fields(Manifest)} & {field.name for field in fields(Method)}
+
+
+def test_the_list_loads_no_network() -> None:
+    code = "import sys; from baselines.__main__ import main; main(['list']); print('torch' in sys.modules)"
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT).stdout
+    lines = out.splitlines()
+    assert [line.split()[0] for line in lines[:-1]] == list(METHODS)
+    assert lines[-1] == "False"
+
+
+TOY = '''
+"""A network that learns one number: the mean height of pivots."""
+
+from pathlib import Path
+
+import torch
+
+from baselines.catalog import Method, Network
+from baselines.training.checkpoint import load_weights
+from baselines.training.config import TrainConfig
+from kit1000.pose import Pose
+from kit1000.predictor import PredictedMotion
+
+METHODS = {
+    "toy": Method("toy_method:Toy", "a toy", learned=True, options={"half": True}, weights={"stem": "toy-height"})
+}
+NETWORKS = {
+    "toy-height": Network("toy_method:height_task", {"tiny": TrainConfig(steps=2, batch=1)}, {"split": "train"})
+}
+
+
+class Toy:
+    def __init__(self, dataset, half, stem):
+        self.weights, self.half = stem, half
+
+    def __call__(self, query, geometry):
+        return PredictedMotion(Pose.identity(), 0.5 if self.half else 1.0)
+
+
+class HeightTask:
+    def __init__(self, queries):
+        self.model = torch.nn.Linear(1, 1)
+        self.queries = queries
+
+    def example(self, rng):
+        return {"height": self.queries[rng.integers(len(self.queries))].pivot[2:].astype("float32")}
+
+    def validation_keys(self):
+        return range(1)
+
+    def validation_example(self, key):
+        return {"height": self.queries[key].pivot[2:].astype("float32")}
+
+    def loss(self, batch):
+        return (self.model(torch.ones_like(batch["height"])) - batch["height"]).square().mean()
+
+    def measure(self, batch):
+        return {"error": (self.model(torch.ones_like(batch["height"])) - batch["height"])[:, 0].abs()}
+
+
+def height_task(dataset, preset, split):
+    return HeightTask(list(dataset.split(split).queries())), TrainConfig()
+'''
+
+
+def test_a_learned_method_is_a_folder_and_a_line(
+    mini: Path, data: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It is listed, trained by its name and preset, and makes predictions, with nothing but a line of FOLDERS."""
+    (tmp_path / "toy_method").mkdir()
+    (tmp_path / "toy_method/__init__.py").write_text(TOY)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(catalog, "FOLDERS", (*catalog.FOLDERS, "toy_method"))
+    assert list(all_methods()) == [*METHODS, "toy"]
+    assert list(all_networks())[-1] == "toy-height"
+    query = next(data.split("train").queries())
+    assert make_predictor(method_of("toy"), data, 0)(query, None).confidence == 0.5
+
+    train = ["train", "toy-height", "--data", str(mini), "--out", str(tmp_path / "run"), "--workers", "0"]
+    assert main([*train, "--preset", "tinny"]) == 2
+    assert "no preset 'tinny' of toy-height; did you mean tiny? there are tiny" in capsys.readouterr().err
+    assert main([*train, "--preset", "tiny"]) == 0
+    assert "step 2 (steps)" in capsys.readouterr().out
+    assert (tmp_path / "run/best.safetensors").is_file()
+
+
+def test_a_name_declared_twice_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(catalog, "FOLDERS", (*catalog.FOLDERS, "baselines.icp"))
+    with pytest.raises(AssertionError, match=r"baselines\.icp\.METHODS: icp is declared twice"):
+        all_methods()

@@ -1,4 +1,4 @@
-"""Laws of the runner: the answers of a method, all of them, whatever stops or splits the run, in a whole submission."""
+"""The runner: a prediction for every query, the same however a run is stopped or split, in a complete submission."""
 
 from __future__ import annotations
 
@@ -16,44 +16,44 @@ import pytest
 
 from baselines import predict as runner
 from baselines.__main__ import main
+from baselines.catalog import all_methods
 from baselines.journal import Journal
-from baselines.methods import EVERY, METHODS
-from baselines.predict import Asked, predict
+from baselines.predict import RunConfig, predict
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import InternalError, InputError
+from kit1000.errors import InputError, InternalError
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.submission import Submission, check, read_submission
-from kit1000.tracks import TRACKS
-from kit1000.values import Prediction, Query, Truth
+from kit1000.tracks import ALL_TRACKS, TRACKS
+from kit1000.values import Prediction, Query, TrueGeometry
 
 ROOT = Path(__file__).resolve().parents[1]
 STOP = "KIT1000_TEST_STOP"
 
 
-def stopping(query: Query, truth: Truth | None) -> PredictedMotion:
-    """Answers, but dies at the query that the environment names."""
+def stopping(query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
+    """Raises at the query that the environment names."""
     if query.id == os.environ.get(STOP):
         raise RuntimeError("out\nof luck")
     return PredictedMotion(Pose.from_translation(query.pivot), 0.25)
 
 
-def slow(query: Query, truth: Truth | None) -> PredictedMotion:
+def slow(query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
     time.sleep(0.2)
-    return stopping(query, truth)
+    return stopping(query, geometry)
 
 
-def refusing(query: Query, truth: Truth | None) -> PredictedMotion:
+def refusing(query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
     raise InputError("no part in sight")
 
 
-def peeking(query: Query, truth: Truth | None) -> PredictedMotion:
-    """Sure when it is told the truth."""
-    return PredictedMotion(Pose.identity(), float(truth is not None))
+def peeking(query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
+    """Confident when it is handed the true geometry."""
+    return PredictedMotion(Pose.identity(), float(geometry is not None))
 
 
-class Knowing:
-    """Says that it uses true geometry."""
+class UsesGeometry:
+    """Sets `uses_true_geometry`."""
 
     uses_true_geometry = True
     tracks = ("snap",)
@@ -61,8 +61,8 @@ class Knowing:
     def __init__(self, dataset: Dataset) -> None:
         pass
 
-    def __call__(self, query: Query, truth: Truth | None) -> PredictedMotion:
-        return peeking(query, truth)
+    def __call__(self, query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
+        return peeking(query, geometry)
 
 
 def named(function: Any) -> str:
@@ -70,21 +70,21 @@ def named(function: Any) -> str:
 
 
 def rows(submission: Submission) -> list[tuple[Any, ...]]:
-    """All but the seconds, which no two runs share."""
-    told = submission.predictions
+    """All but the seconds, which differ between runs."""
+    table = submission.predictions
     return [
         (query_id, *motion.wxyz.tolist(), *motion.xyz.tolist(), confidence)
-        for query_id, motion, confidence in zip(told.query_ids, told.motions, told.confidence, strict=True)
+        for query_id, motion, confidence in zip(table.query_ids, table.motions, table.confidence, strict=True)
     ]
 
 
-def asked_of(mini: Path, split: str) -> list[str]:
+def query_ids_of(mini: Path, split: str) -> list[str]:
     return [query.id for query in Dataset(mini).split(split).queries()]
 
 
-def test_every_query_of_the_split_is_answered_in_its_order(mini: Path, tmp_path: Path) -> None:
-    submission = predict(Asked("chance"), mini, tmp_path / "chance", 1)
-    assert list(submission.predictions.query_ids) == asked_of(mini, "test")
+def test_there_is_a_prediction_for_every_query_in_the_order_of_the_split(mini: Path, tmp_path: Path) -> None:
+    submission = predict(RunConfig("chance"), mini, tmp_path / "chance", 1)
+    assert list(submission.predictions.query_ids) == query_ids_of(mini, "test")
     assert submission.manifest.tracks == tuple(
         track for track in TRACKS if any(i.endswith(f"-{track}") for i in submission.predictions.query_ids)
     )
@@ -94,38 +94,38 @@ def test_every_query_of_the_split_is_answered_in_its_order(mini: Path, tmp_path:
 
 
 def test_what_is_written_passes_the_check(mini: Path, tmp_path: Path) -> None:
-    predict(Asked("guess", ("test", "curves")), mini, tmp_path / "guess", 1)
+    predict(RunConfig("guess", ("test", "curves")), mini, tmp_path / "guess", 1)
     report = check(tmp_path / "guess", mini)
-    assert not [fault for fault in report.faults if fault.kind == "error"]
+    assert not [fault for fault in report.faults if fault.severity == "error"]
 
 
 def test_one_process_and_two_give_the_same(mini: Path, tmp_path: Path) -> None:
-    one, two = (predict(Asked("truth-noise", seed=5), mini, tmp_path / str(n), n) for n in (1, 2))
+    one, two = (predict(RunConfig("truth-noise", seed=5), mini, tmp_path / str(n), n) for n in (1, 2))
     assert rows(one) == rows(two)
 
 
 def test_tracks_and_splits_added_one_by_one_are_what_one_run_gives(mini: Path, tmp_path: Path) -> None:
-    whole = predict(Asked("guess", ("val", "test", "curves")), mini, tmp_path / "whole", 1)
+    whole = predict(RunConfig("guess", ("val", "test", "curves")), mini, tmp_path / "whole", 1)
     for split, tracks in (("curves", None), ("test", ("snap-d415",)), ("val", None), ("test", ("snap-tilt", "snap"))):
-        step = predict(Asked("guess", (split,), tracks), mini, tmp_path / "steps", 1)
+        step = predict(RunConfig("guess", (split,), tracks), mini, tmp_path / "steps", 1)
     assert rows(step) == rows(whole)
     assert step.manifest.tracks == whole.manifest.tracks == ("snap", "snap-tilt", "snap-d415", "curves")
     assert step.manifest.reproduce.count("python -m baselines predict guess") == 4
     assert Counter(i.partition("-")[0] for i in step.predictions.query_ids)["curves"] == 48
 
 
-def test_the_queries_of_test_are_asked_once_beside_test_all(mini: Path, tmp_path: Path) -> None:
-    both = predict(Asked("guess", ("test", "test-all")), mini, tmp_path / "both", 1)
+def test_queries_of_test_appear_once_beside_test_all(mini: Path, tmp_path: Path) -> None:
+    both = predict(RunConfig("guess", ("test", "test-all")), mini, tmp_path / "both", 1)
     assert len(set(both.predictions.query_ids)) == len(both.predictions)
-    assert rows(both) == rows(predict(Asked("guess", ("test-all",)), mini, tmp_path / "all", 1))
+    assert rows(both) == rows(predict(RunConfig("guess", ("test-all",)), mini, tmp_path / "all", 1))
 
 
-def test_answering_again_replaces_and_what_people_wrote_stays(mini: Path, tmp_path: Path) -> None:
+def test_a_second_run_replaces_predictions_and_keeps_what_people_wrote(mini: Path, tmp_path: Path) -> None:
     out = tmp_path / "chance"
-    zero = predict(Asked("chance", tracks=("snap",)), mini, out, 1)
+    zero = predict(RunConfig("chance", tracks=("snap",)), mini, out, 1)
     text = (out / "manifest.toml").read_text()
     (out / "manifest.toml").write_text(text.replace("The KIT1000 authors", "Ada Example"))
-    one = predict(Asked("chance", tracks=("snap",), seed=1), mini, out, 1)
+    one = predict(RunConfig("chance", tracks=("snap",), seed=1), mini, out, 1)
     assert one.predictions.query_ids == zero.predictions.query_ids
     assert rows(one) != rows(zero)
     assert one.manifest.authors == ("Ada Example",)
@@ -133,57 +133,57 @@ def test_answering_again_replaces_and_what_people_wrote_stays(mini: Path, tmp_pa
 
 def test_another_method_or_dataset_is_not_mixed_in(mini: Path, tmp_path: Path) -> None:
     out = tmp_path / "mine"
-    predict(Asked("guess", limit=1), mini, out, 1)
-    with pytest.raises(InputError, match="holds answers of method guess, not chance; choose another --out"):
-        predict(Asked("chance"), mini, out, 1)
+    predict(RunConfig("guess", limit=1), mini, out, 1)
+    with pytest.raises(InputError, match="holds predictions of method guess, not chance; choose another --out"):
+        predict(RunConfig("chance"), mini, out, 1)
     manifest = (out / "manifest.toml").read_text()
     (out / "manifest.toml").write_text(manifest.replace(Dataset(mini).id, "0123456789abcdef"))
-    with pytest.raises(InputError, match=r"holds answers of dataset 0123456789abcdef"):
-        predict(Asked("guess"), mini, out, 1)
+    with pytest.raises(InputError, match=r"holds predictions of dataset 0123456789abcdef"):
+        predict(RunConfig("guess"), mini, out, 1)
     (tmp_path / "full").mkdir()
     (tmp_path / "full/notes.txt").touch()
     with pytest.raises(InputError, match=r"full"):
-        predict(Asked("guess"), mini, tmp_path / "full", 1)
+        predict(RunConfig("guess"), mini, tmp_path / "full", 1)
 
 
-def test_only_a_method_that_says_so_gets_the_truth(mini: Path, tmp_path: Path) -> None:
-    blind = predict(Asked(named(peeking)), mini, tmp_path / "blind", 1)
+def test_only_a_method_that_uses_true_geometry_gets_it(mini: Path, tmp_path: Path) -> None:
+    blind = predict(RunConfig(named(peeking)), mini, tmp_path / "blind", 1)
     assert not blind.predictions.confidence.any()
     assert not blind.manifest.uses_true_geometry
-    knowing = predict(Asked(named(Knowing)), mini, tmp_path / "knowing", 1)
-    assert knowing.predictions.confidence.all()
-    assert knowing.manifest.uses_true_geometry
-    assert knowing.manifest.tracks == ("snap",)
+    informed = predict(RunConfig(named(UsesGeometry)), mini, tmp_path / "informed", 1)
+    assert informed.predictions.confidence.all()
+    assert informed.manifest.uses_true_geometry
+    assert informed.manifest.tracks == ("snap",)
 
 
-def test_without_the_truth_no_file_of_it_is_opened(mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_methods_open_no_file_of_the_truth(mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Dataset, "truth_file", lambda *_: pytest.fail("the truth was opened"))
-    predict(Asked("guess"), mini, tmp_path / "guess", 1)
+    predict(RunConfig("guess"), mini, tmp_path / "guess", 1)
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_a_run_that_dies_names_the_query_and_goes_on_where_it_stopped(
+def test_a_run_that_fails_names_the_query_and_resumes(
     workers: int, mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    asked, out = Asked(named(stopping)), tmp_path / "mine"
-    last = asked_of(mini, "test")[-1]
+    config, out = RunConfig(named(stopping)), tmp_path / "mine"
+    last = query_ids_of(mini, "test")[-1]
     monkeypatch.setenv(STOP, last)
     with pytest.raises(InternalError, match=rf"^{last}: RuntimeError: out of luck \(test_baselines_predict.py:\d+\)$"):
-        predict(asked, mini, out, workers)
+        predict(config, mini, out, workers)
     journal = out.with_name("mine.journal")
     kept = journal.read_text().splitlines()[1:]
-    assert 0 < len(kept) < len(asked_of(mini, "test"))
+    assert 0 < len(kept) < len(query_ids_of(mini, "test"))
     assert not out.exists()
     monkeypatch.delenv(STOP)
-    whole = predict(asked, mini, out, workers)
-    assert list(whole.predictions.query_ids) == asked_of(mini, "test")
+    whole = predict(config, mini, out, workers)
+    assert list(whole.predictions.query_ids) == query_ids_of(mini, "test")
     assert not journal.exists()
     kept_seconds = {row[0]: row[-1] for row in map(json.loads, kept)}
     at = {i: float(s) for i, s in zip(whole.predictions.query_ids, whole.predictions.seconds, strict=True)}
-    assert all(at[query_id] == seconds for query_id, seconds in kept_seconds.items())  # not worked out again
+    assert all(at[query_id] == seconds for query_id, seconds in kept_seconds.items())  # not computed again
 
 
-def test_a_killed_run_goes_on(mini: Path, tmp_path: Path) -> None:
+def test_a_killed_run_resumes(mini: Path, tmp_path: Path) -> None:
     out, journal = tmp_path / "mine", tmp_path / "mine.journal"
     command = [sys.executable, "-m", "baselines", "predict", named(slow), "--data", str(mini), "--out", str(out)]
     environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"}
@@ -191,51 +191,53 @@ def test_a_killed_run_goes_on(mini: Path, tmp_path: Path) -> None:
     limit = time.monotonic() + 60
     while not (journal.is_file() and journal.read_text().count("\n") > 2):
         assert process.poll() is None, "the run ended before it could be killed"
-        assert time.monotonic() < limit, "the run never answered anything"
+        assert time.monotonic() < limit, "the run never predicted anything"
         time.sleep(0.02)
     process.kill()
     process.wait()
     with open(journal, "a") as file:
         file.write('["half a li')  # as if it had been killed while writing
-    whole = predict(Asked(named(slow)), mini, out, 1)
-    assert list(whole.predictions.query_ids) == asked_of(mini, "test")
+    whole = predict(RunConfig(named(slow)), mini, out, 1)
+    assert list(whole.predictions.query_ids) == query_ids_of(mini, "test")
 
 
 def test_an_error_of_a_method_names_the_query(mini: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=rf"^{asked_of(mini, 'test')[0]}: no part in sight$"):
-        predict(Asked(named(refusing)), mini, tmp_path / "mine", 1)
+    with pytest.raises(InputError, match=rf"^{query_ids_of(mini, 'test')[0]}: no part in sight$"):
+        predict(RunConfig(named(refusing)), mini, tmp_path / "mine", 1)
 
 
-def test_an_unfinished_run_of_other_answers_is_not_continued(
+def test_an_unfinished_run_with_other_settings_is_not_resumed(
     mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "mine"
-    monkeypatch.setenv(STOP, asked_of(mini, "test")[1])
+    monkeypatch.setenv(STOP, query_ids_of(mini, "test")[1])
     with pytest.raises(InternalError):
-        predict(Asked(named(stopping)), mini, out, 1)
+        predict(RunConfig(named(stopping)), mini, out, 1)
     monkeypatch.delenv(STOP)
-    for asked, said in (
-        (Asked(named(stopping), seed=1), "seed 0, now 1"),
-        (Asked(named(stopping), ("val",)), r"splits \['test'\], now \['val'\]"),
-        (Asked("guess"), "method 'test_baselines_predict:stopping', now 'guess'"),
+    for config, difference in (
+        (RunConfig(named(stopping), seed=1), "seed 0, now 1"),
+        (RunConfig(named(stopping), ("val",)), r"splits \['test'\], now \['val'\]"),
+        (RunConfig("guess"), "method 'test_baselines_predict:stopping', now 'guess'"),
     ):
-        with pytest.raises(InputError, match=f"mine.journal: an unfinished run with {said}; finish that one, or"):
-            predict(asked, mini, out, 1)
+        with pytest.raises(InputError, match=f"mine.journal: an unfinished run with {difference}; finish that one, or"):
+            predict(config, mini, out, 1)
     monkeypatch.setattr(runner, "source_hash", lambda _: "changed")
     with pytest.raises(InputError, match="an unfinished run with source"):
-        predict(Asked(named(stopping)), mini, out, 1)
+        predict(RunConfig(named(stopping)), mini, out, 1)
 
 
-def test_a_journal_gives_back_every_bit_and_is_held_by_one(tmp_path: Path) -> None:
+def test_a_journal_returns_every_bit_and_is_locked_by_one_run(tmp_path: Path) -> None:
     rng, path = np.random.default_rng(0), tmp_path / "some.journal"
-    said = [Prediction(f"q{i}", Pose(rng.normal(size=4), rng.normal(size=3)), rng.random(), 0.1) for i in range(5)]
+    predictions = [
+        Prediction(f"q{i}", Pose(rng.normal(size=4), rng.normal(size=3)), rng.random(), 0.1) for i in range(5)
+    ]
     with Journal(path, {"seed": 0}) as journal:
-        for prediction in said:
+        for prediction in predictions:
             journal.add(prediction)
         with pytest.raises(InputError, match="is being written by another process"):
             Journal(path, {"seed": 0})
     with Journal(path, {"seed": 0}) as journal:
-        for prediction in said:
+        for prediction in predictions:
             again = journal.done[prediction.query_id]
             assert again.goal_from_now.wxyz.tobytes() == prediction.goal_from_now.wxyz.tobytes()
             assert again.goal_from_now.xyz.tobytes() == prediction.goal_from_now.xyz.tobytes()
@@ -248,38 +250,43 @@ def test_a_journal_gives_back_every_bit_and_is_held_by_one(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("asked", "said"),
+    ("config", "message"),
     [
-        (Asked("guess", tracks=("place",)), "--tracks place: guess answers snap, snap-tilt, snap-d415, curves"),
-        (Asked("truth", tracks=("snapp",)), "--tracks snapp: did you mean snap[?] truth answers"),
-        (Asked("guess", ("tests",)), "no split 'tests'; did you mean test"),
-        (Asked("guess", ("test", "curves"), ("snap",)), "split curves asks nothing in snap"),
-        (Asked("guess", ()), "--split: expected at least one"),
+        (
+            RunConfig("guess", tracks=("place",)),
+            "--tracks place: the tracks of guess are snap, snap-tilt, snap-d415, curves",
+        ),
+        (RunConfig("truth", tracks=("snapp",)), "--tracks snapp: did you mean snap[?] the tracks of truth are"),
+        (RunConfig("guess", ("tests",)), "no split 'tests'; did you mean test"),
+        (RunConfig("guess", ("test", "curves"), ("snap",)), "split curves has no query in snap"),
+        (RunConfig("guess", ()), "--split: expected at least one"),
     ],
 )
-def test_what_cannot_be_answered_is_said(asked: Asked, said: str, mini: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=said):
-        predict(asked, mini, tmp_path / "out", 1)
+def test_a_run_without_queries_is_refused(config: RunConfig, message: str, mini: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=message):
+        predict(config, mini, tmp_path / "out", 1)
     assert not list(tmp_path.iterdir())
 
 
 def test_the_command_lists_all_methods(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["list"]) == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(METHODS)
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == list(all_methods())
 
 
-def test_the_command_predicts_and_says_what(mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_predicts_and_prints_what_it_wrote(
+    mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "truth"
     line = f"predict truth --data {mini} --out {out} --split test curves --tracks snap curves --limit 3 --workers 1"
     assert main(line.split()) == 0
-    said = capsys.readouterr()
-    assert said.err == ""  # no bar where nobody looks
-    assert said.out.startswith(f"{out}: 3 predictions of truth (snap, curves), ")
-    assert set(read_submission(out).manifest.tracks) <= set(EVERY)
+    printed = capsys.readouterr()
+    assert printed.err == ""  # no progress bar without a terminal
+    assert printed.out.startswith(f"{out}: 3 predictions of truth (snap, curves), ")
+    assert set(read_submission(out).manifest.tracks) <= set(ALL_TRACKS)
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
+    ("line", "message"),
     [
         ("", "no command; there are list, predict"),
         ("predct truth", "no command 'predct'; did you mean predict?"),
@@ -290,9 +297,9 @@ def test_the_command_predicts_and_says_what(mini: Path, tmp_path: Path, capsys: 
         ("predict nobody --data . --out o", "no method 'nobody'"),
     ],
 )
-def test_misuse_is_one_line_and_status_two(line: str, said: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_misuse_is_one_line_and_status_two(line: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(line.split()) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("python -m baselines: ")
-    assert said in told
-    assert told.count("\n") == 1
+    printed = capsys.readouterr().err
+    assert printed.startswith("python -m baselines: ")
+    assert message in printed
+    assert printed.count("\n") == 1

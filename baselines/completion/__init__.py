@@ -1,6 +1,6 @@
-"""What one depth image shows of a part and of kits, and what it hides as far as that follows from how they are made."""
+"""Solid volumes of a part and of kits from one depth image: observed surfaces, completed by how parts and kits are."""
 
-from baselines.completion.kits import SeenKits
-from baselines.completion.part import AROUND, SeenPart
+from baselines.completion.kits import ObservedKits
+from baselines.completion.part import TABLE_MARGIN, ObservedPart
 
-__all__ = ["AROUND", "SeenKits", "SeenPart"]
+__all__ = ["TABLE_MARGIN", "ObservedKits", "ObservedPart"]

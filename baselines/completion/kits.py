@@ -1,4 +1,4 @@
-"""Kits as one depth image shows them: solid under what was seen, along the normal of the plate."""
+"""Kits from one depth image: solid below the observed surface, along the normal of the plate."""
 
 from __future__ import annotations
 
@@ -8,69 +8,71 @@ from functools import cached_property
 import numpy as np
 
 from baselines.completion.columns import extruded
-from baselines.completion.pixels import Noise, oriented_points, spread_points, window
-from baselines.completion.planes import Plane, find_planes, frame_on
+from baselines.completion.pixels import Noise, cropped, oriented_points, subpixel_points
+from baselines.completion.planes import Plane, find_planes, plane_frame
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 from kit1000.voxels import Volume
 
-REACH = 0.045  # [m] from the middle of a volume to every side: a part of 50 mm reaches no farther
-HIGH = 0.03  # [m] and up and down: no cavity is deeper, and what stands higher meets no part
+HALF_WIDTH = 0.045  # [m] from the middle of a volume to its sides: no part of 50 mm is wider
+HALF_HEIGHT = 0.03  # [m] to its top and bottom: no cavity is deeper, and nothing higher touches a part
 UPRIGHT = Plane(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0)
 
 
 @dataclass(frozen=True, eq=False)
-class SeenKits:
-    """The kits in an image that may be a window of a larger one."""
+class ObservedKits:
+    """The kits in a depth image, which may be cropped."""
 
-    look: LabelledDepth
+    image: LabelledDepth
     noise: Noise
     name: str
-    """Of the image: what is drawn at random about it is drawn from its own stream."""
+    """Of the image: names the stream of its random draws."""
 
     @property
     def view(self) -> View:
-        """The image."""
-        return self.look.view
+        """The depth image."""
+        return self.image.view
 
     @cached_property
     def mask(self) -> np.ndarray:
         """(H, W) bool: the pixels of the kits."""
-        return self.look.labels == ASSEMBLY_LABEL
+        return self.image.labels == ASSEMBLY_LABEL
 
     @cached_property
     def plates(self) -> list[Plane]:
-        """The planes of all plates that are seen, the largest first."""
-        points, normals, area = oriented_points(self.view, self.mask, self.noise.smooth)
-        return find_planes(points, normals, area, self.noise.near, self.noise.flat, stream(0, "plates", self.name))
+        """The planes of all observed plates, the largest first."""
+        points, normals, area = oriented_points(self.view, self.mask, self.noise.window)
+        return find_planes(points, normals, area, self.noise, stream(0, "plates", self.name))
 
     def volume(self, middle: np.ndarray, voxel: float) -> Volume:
-        """Signed distances to what was seen about a place, with all under it along the normal of the nearest plate.
+        """Signed distances to the kits around a point: solid below what was observed, along the nearest plate's normal.
 
-        A cavity is what its part sweeps along that normal, so its walls are as steep as the columns. Where nothing was
-        seen of its floor it has none.
+        A cavity is what its part sweeps along that normal, so its walls run along it. Where no point of its floor was
+        observed it has no floor.
 
         Args:
             middle: (3,) [m] world.
             voxel: [m] edge.
 
         Returns:
-            A volume about the middle along the plate, REACH to every side, HIGH up and down; nowhere unknown.
+            A volume about the middle, its z axis the normal, of HALF_WIDTH and HALF_HEIGHT; no voxel is unknown.
         """
         nearest = min(self.plates, key=lambda plate: float(np.linalg.norm(plate.point - middle)), default=UPRIGHT)
-        along = Pose(frame_on(nearest, middle).wxyz, middle)
-        near = self._about(middle)
+        along = Pose(plane_frame(nearest, middle).wxyz, middle)
+        near = self._cropped_about(middle)
         mask = near.labels == ASSEMBLY_LABEL
-        return extruded(near.view, mask, spread_points(near.view, mask), along, (REACH, HIGH), -HIGH, voxel)
+        points, half_sizes = subpixel_points(near.view, mask), (HALF_WIDTH, HALF_HEIGHT)
+        return extruded(near.view, mask, points, along, half_sizes, -HALF_HEIGHT, voxel)
 
-    def _about(self, middle: np.ndarray) -> LabelledDepth:
-        """The part of the image that shows what is REACH about a place, and the corners of that."""
+    def _cropped_about(self, middle: np.ndarray) -> LabelledDepth:
+        """The image, cropped to what shows the volume around a point."""
         camera, (height, width) = self.view.camera, self.view.depth.shape
-        place = self.view.world_from_camera.inverse().apply(middle)
-        u, v = np.rint(camera.project(place)).astype(int)
-        reach = int(np.ceil(np.hypot(np.sqrt(2) * REACH, HIGH) * camera.fx / max(place[2] - REACH, REACH)))
+        point = self.view.world_from_camera.inverse().apply(middle)
+        u, v = np.rint(camera.project(point)).astype(int)
+        radius = np.hypot(np.sqrt(2) * HALF_WIDTH, HALF_HEIGHT)
+        reach = int(np.ceil(radius * camera.fx / max(point[2] - HALF_WIDTH, HALF_WIDTH)))
         rows, columns = (
             slice(*np.clip((i - reach, i + reach), (0, 1), (n - 1, n)).tolist()) for i, n in ((v, height), (u, width))
         )
-        return window(self.look, (rows, columns))
+        return cropped(self.image, (rows, columns))

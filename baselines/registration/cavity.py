@@ -1,4 +1,4 @@
-"""The relief of a plate and the cavity in it, from a volume that stands square on the plate."""
+"""The relief of a plate and the cavity in it, from a volume aligned with the plate."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume, surface_points
 
 VOXEL = 1e-3  # [m] of the volumes of plates
-ABOVE, BELOW = 4e-3, 24e-3  # [m] the volume reaches so far from the plate; no cavity is deeper than 20 mm
-CUT = 1.5e-3  # [m] below the plate begins a cavity, if the image is not noisier
-RIM = 1e-3  # [m] of the walls nearest the rim tell nothing: the plate's face is near them too
-UNDER = 1e-3  # [m] points so far below the floor are of another face: that of the plate is 2 mm away at the least
+ABOVE, BELOW = 4e-3, 24e-3  # [m] extent of the volume from the plate's face; no cavity is deeper than 20 mm
+CUT = 1.5e-3  # [m] below the plate's face, where a cavity begins, unless the noise is larger
+RIM = 1e-3  # [m] below the rim, where points are left out: the plate's face is near them too
+UNDER = 1e-3  # [m] below the floor, beyond which points are of another face: the plate's lower face is 2 mm away
 SPECK = 12e-6  # [m^2] a smaller hole is noise
 
 
 @dataclass(frozen=True, eq=False)
 class Cavity:
-    """What is cut into a plate."""
+    """A cavity in a plate."""
 
     world_from_plate: Pose
     """z out of the cavity, z = 0 the plate's face, the origin in the middle of the relief."""
     relief: np.ndarray
-    """(n, n) [m] height of what is seen from above, NaN where nobody knows; cells of VOXEL."""
+    """(n, n) [m] height of the surface from above, NaN where it is unknown; cells of VOXEL."""
     free: np.ndarray
-    """(n, n) [m] height down to which a cell is known to be free: the relief where that is known."""
+    """(n, n) [m] height down to which a cell is free: the relief where that is known."""
     known: np.ndarray
     """(n, n) bool: cells of the plate's face and of the cavity."""
     region: np.ndarray
@@ -40,20 +40,20 @@ class Cavity:
 
 
 def plate_grid(world_from_plate: Pose, side: float) -> Grid:
-    """The grid that stands square on a plate, its origin in the middle, `side` [m] wide."""
+    """The grid aligned with a plate, `side` [m] wide, the plate's origin in its middle."""
     n = round(side / VOXEL)
     layers = round((ABOVE + BELOW) / VOXEL) + 1
     first = Pose.from_translation([-(n - 1) / 2 * VOXEL, -(n - 1) / 2 * VOXEL, -BELOW])
     return Grid((n, n, layers), VOXEL, world_from_plate @ first)
 
 
-def find_cavity(volume: Volume, world_from_plate: Pose, near: float) -> Cavity | None:
+def find_cavity(volume: Volume, world_from_plate: Pose, noise: float) -> Cavity | None:
     """The cavity in the volume of a plate on its `plate_grid`; None where there is none.
 
-    near: [m] how far points of the plate's face may lie from it.
+    noise: [m] largest distance of points on the plate's face from its plane.
     """
-    cut = max(CUT, 1.25 * near)
-    relief, free = seen_from_above(volume)
+    cut = max(CUT, 1.25 * noise)
+    relief, free = heights_from_above(volume)
     face = np.abs(relief) < cut
     region = _enclosed(~(relief > -cut), free < -cut)
     bottom = relief[region & (relief < -cut)]
@@ -65,17 +65,17 @@ def find_cavity(volume: Volume, world_from_plate: Pose, near: float) -> Cavity |
     heights = points[:, 2]
     inside = (
         np.asarray(binary_dilation(region), bool)[i, j]
-        & (heights < -max(RIM, near))
-        & (heights > -depth - max(UNDER, near))
+        & (heights < -max(RIM, noise))
+        & (heights > -depth - max(UNDER, noise))
     )
     points = points[inside]
-    if np.isnan(relief[region]).any():  # of walls that were not seen the upper edge was
+    if np.isnan(relief[region]).any():  # the upper edge of a hidden wall is visible
         points = np.concatenate([points, _edges(face, region)])
     return Cavity(world_from_plate, relief, free, face | region, region, depth, points)
 
 
 def _enclosed(holes: np.ndarray, deep: np.ndarray) -> np.ndarray:
-    """(n, n) bool: holes that do not reach the border of the image, and are seen to be deep over more than a SPECK."""
+    """(n, n) bool: holes that do not reach the image border and are known to be deep over more than a SPECK."""
     names, count = label(holes)  # type: ignore[misc]
     rims = np.concatenate([names[0], names[-1], names[:, 0], names[:, -1]])
     sizes = np.bincount(names.ravel(), deep.ravel(), count + 1) * VOXEL**2
@@ -84,26 +84,26 @@ def _enclosed(holes: np.ndarray, deep: np.ndarray) -> np.ndarray:
 
 
 def _edges(face: np.ndarray, region: np.ndarray) -> np.ndarray:
-    """(k, 3) [m]: halfway between neighbouring cells of the plate's face and of the cavity, a little below the rim."""
+    """(k, 3) [m]: midpoints between neighbouring cells of the plate's face and of the cavity, RIM below the face."""
     n = len(face)
-    found = []
+    edges = []
     for axis in range(2):
         a, b = np.moveaxis(face, axis, 0), np.moveaxis(region, axis, 0)
         i, j = np.nonzero((a[1:] & b[:-1]) | (a[:-1] & b[1:]))
         cells = np.stack([i + 0.5, j] if axis == 0 else [j, i + 0.5], axis=1)
-        found.append((cells - (n - 1) / 2) * VOXEL)
-    flat = np.concatenate(found)
+        edges.append((cells - (n - 1) / 2) * VOXEL)
+    flat = np.concatenate(edges)
     return np.column_stack([flat, np.full(len(flat), -RIM)])
 
 
 def _cells(points: np.ndarray, n: int) -> np.ndarray:
-    """(2, k) indices of the cells of points (k, 3) [m] in the plate frame, the nearest at the border."""
+    """(2, k) indices of the cells of points (k, 3) [m] in the plate frame, clipped to the image."""
     return np.clip(np.rint(points[:, :2] / VOXEL + (n - 1) / 2).astype(int), 0, n - 1).T
 
 
-def seen_from_above(volume: Volume) -> tuple[np.ndarray, np.ndarray]:
-    """(nx, ny) [m], twice: height over the plate of the surface seen from above, NaN where it is unknown, and the
-    height down to which the column is known to be free."""
+def heights_from_above(volume: Volume) -> tuple[np.ndarray, np.ndarray]:
+    """(nx, ny) [m], twice: height over the plate of the surface from above, NaN where it is unknown, and the height
+    down to which the column is free."""
     heights = np.empty((2, *volume.grid.shape[:2]))
     _descend(volume.values, VOXEL, BELOW, heights[0], heights[1])
     return heights[0], heights[1]

@@ -1,7 +1,7 @@
 """Refinement: robust Levenberg-Marquardt on SE(3), in which walls stand one clearance away from the part.
 
 Every point of a cavity lies either on a wall, one clearance beside what the part sweeps at its height, or on the
-floor, under the grown part. The part's sweep is kept as distances in slices, found anew when its rotation has changed.
+floor, under the dilated part. The part's sweep is stored as distances in slices, for one rotation.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.registration.relief import grown, lower_envelope
+from baselines.registration.relief import dilated, lower_envelope
 from baselines.registration.search import Candidate
 from kit1000.compiled import compiled
 from kit1000.pose import Pose
@@ -21,102 +21,103 @@ WIDE = 144  # cells: 90 mm
 LAYER = 1e-3  # [m] between slices
 SCALES = (4e-3, 2e-3, 1e-3, 0.5e-3)  # [m] of the Geman-McClure weights, from far to near
 STEPS = 6  # of Levenberg-Marquardt at each scale
-REACH = 12  # cells (7.5 mm) to which distances are told
+REACH = 12  # cells (7.5 mm) up to which distances are computed
 POINTS = 1500
-FAR = 2e-3  # [m] a point that misses by more is no worse
-LEVER = 0.02  # [m] a lean moves the edge of a part by about its angle times this
-DIFFERENCES = np.array([1e-3, 1e-3, 1e-3, 5e-5, 5e-5, 5e-5])  # [rad, m] of the slopes
+MAX_RESIDUAL = 2e-3  # [m] at which residuals are clipped
+LEVER = 0.02  # [m] a tilt moves the edge of a part by about its angle times this
+DIFFERENCES = np.array([1e-3, 1e-3, 1e-3, 5e-5, 5e-5, 5e-5])  # [rad, m] of the numerical derivatives
 METRIC = np.array([LEVER, LEVER, LEVER, 1, 1, 1]) ** 2
 
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """What a part sweeps above its lowest point on the way up, in one rotation; its pivot is the origin."""
+    """What a part sweeps on its way up, in one rotation, from its lowest point on; its pivot is the origin."""
 
     rotation: Pose
     """plate_from_now, a rotation alone."""
     distance: np.ndarray
-    """(layers, n, n) float32 [m]: across, from each place to the sweep at the height of the layer; 0 inside."""
+    """(layers, n, n) float32 [m]: horizontal distance from each cell to the sweep at the layer's height; 0 inside."""
     floor: np.ndarray
-    """(n, n) float32 [m]: lower envelope of the grown sweep; REACH where there is none."""
+    """(n, n) float32 [m]: lower envelope of the dilated part; 0.1 where there is none."""
     lowest: float
     """[m] of the sweep, relative to the pivot."""
 
     @classmethod
-    def of(cls, part: Volume, pivot: np.ndarray, rotation: Pose, depth: float, clearance: float) -> Sweep:
-        """Of a part in a rotation, up to a little more than `depth` [m] over its lowest point."""
+    def from_part(cls, part: Volume, pivot: np.ndarray, rotation: Pose, depth: float, clearance: float) -> Sweep:
+        """The sweep of a part in a rotation, up to a little more than `depth` [m] above its lowest point."""
         envelope = lower_envelope(part, rotation @ Pose.from_translation(-pivot), CELL, WIDE)
         lowest = float(envelope.min())
         layers = int(np.ceil((depth + 3e-3) / LAYER)) + 1
         distance = np.empty((layers, WIDE, WIDE), np.float32)
-        _across(envelope - lowest, LAYER, CELL, distance)
-        floor = grown(envelope, CELL, clearance)
+        _horizontal_distances(envelope - lowest, LAYER, CELL, distance)
+        floor = dilated(envelope, CELL, clearance)
         return cls(rotation, distance, np.where(np.isfinite(floor), floor, 0.1).astype(np.float32), lowest)
 
 
 def refine(
     part: Volume, pivot: np.ndarray, candidate: Candidate, clearance: float, stiffness: float
 ) -> tuple[Pose, float]:
-    """The best plate_from_now near a candidate, and the root mean square of its residuals, clipped at FAR [m].
+    """The best plate_from_now near a candidate, and the RMS [m] of its residuals, clipped at MAX_RESIDUAL.
 
-    stiffness: how firmly the face that looks down lies on the floor; 1 weighs a lean as what it moves at LEVER.
+    stiffness: how firmly the lower face lies on the floor; 1 weighs a tilt by how far it moves a point at LEVER.
     """
     cavity, rotation = candidate.cavity, Pose(candidate.plate_from_now.wxyz, np.zeros(3))
     points = np.ascontiguousarray(cavity.points[:: max(1, len(cavity.points) // POINTS)])
-    sweep = Sweep.of(part, pivot, rotation, cavity.depth, clearance)
-    problem = Problem(points, sweep, rotation.rotate(candidate.down), clearance, stiffness)
+    sweep = Sweep.from_part(part, pivot, rotation, cavity.depth, clearance)
+    problem = Problem(points, sweep, rotation.rotate(candidate.down_normal), clearance, stiffness)
     twist = np.concatenate([np.zeros(3), candidate.plate_from_now.apply(pivot)])
     for scale in SCALES:
         twist = _levenberg(problem, twist, scale)
-    turned = Pose.from_rotvec(twist[:3]) @ rotation
-    rest = float(np.sqrt(np.mean(np.minimum(problem.residuals(twist)[:-2] ** 2, FAR**2))))
-    return Pose(turned.wxyz, twist[3:] - turned.rotate(pivot)), rest
+    refined = Pose.from_rotvec(twist[:3]) @ rotation
+    rms = float(np.sqrt(np.mean(np.minimum(problem.residuals(twist)[:-2] ** 2, MAX_RESIDUAL**2))))
+    return Pose(refined.wxyz, twist[3:] - refined.rotate(pivot)), rms
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is to be made small: the misses of the points, and the lean of the face that looks down."""
+    """The least-squares problem: the distances of the points from walls and floor, and the tilt of the lower face."""
 
     points: np.ndarray
+    """(n, 3) [m] plate frame: of the cavity."""
     sweep: Sweep
-    down: np.ndarray
-    """(3,) plate frame: where the face looks in the rotation of the sweep."""
+    down_normal: np.ndarray
+    """(3,) plate frame: normal of the lower face in the rotation of the sweep."""
     clearance: float
     stiffness: float
 
     def residuals(self, twist: np.ndarray, about: np.ndarray | None = None) -> np.ndarray:
-        """(n + 2,) [m] at a rotation vector and a place of the pivot (6,); the last two are the lean.
+        """(n + 2,) [m] at a rotation vector and a position of the pivot (6,); the last two are the tilt.
 
-        about: (6,) where the floor under each point is looked up; at the twist itself by default. Held fast it keeps
-        the steps of the floor out of slopes: floors say how high and how level, walls where and how turned.
+        about: (6,) at which the floor under each point is looked up; the twist itself by default. A fixed one keeps
+        the steps of the floor out of derivatives: floors fix height and tilt, walls position and yaw.
         """
         sweep = self.sweep
         floors = _floors(self.points, twist if about is None else about, sweep.floor)
-        misses = _residuals(self.points, twist, sweep.distance, floors, sweep.lowest, self.clearance)
-        (x, y, z), (a, b, c) = self.down, twist[:3]
-        lean = np.array([x + b * z - c * y, y + c * x - a * z])  # down, turned by a small rotation
-        return np.append(misses, self.stiffness * np.sqrt(len(misses)) * LEVER * lean)
+        distances = _residuals(self.points, twist, sweep.distance, floors, sweep.lowest, self.clearance)
+        (x, y, z), (a, b, c) = self.down_normal, twist[:3]
+        tilt = np.array([x + b * z - c * y, y + c * x - a * z])  # of the normal after a small rotation
+        return np.append(distances, self.stiffness * np.sqrt(len(distances)) * LEVER * tilt)
 
 
 def _levenberg(problem: Problem, twist: np.ndarray, scale: float) -> np.ndarray:
-    """(6,) rotation vector and place of the pivot, after some steps at one scale of the weights."""
+    """(6,) rotation vector and position of the pivot, after some steps at one scale of the weights."""
     damping = 1e-3
     for _ in range(STEPS):
         residuals = problem.residuals(twist)
         cost = _cost(residuals, scale)
-        slopes = np.empty((len(residuals), 6))
+        jacobian = np.empty((len(residuals), 6))
         for k in range(6):
             step = np.zeros(6)
             step[k] = DIFFERENCES[k]
-            slopes[:, k] = (problem.residuals(twist + step, twist) - problem.residuals(twist - step, twist)) / (
+            jacobian[:, k] = (problem.residuals(twist + step, twist) - problem.residuals(twist - step, twist)) / (
                 2 * DIFFERENCES[k]
             )
         weights = (scale**2 / (scale**2 + residuals**2)) ** 2
         weights[-2:] = 1
-        normal, pull = (slopes * weights[:, None]).T @ slopes, (slopes * weights[:, None]).T @ residuals
+        normal, gradient = (jacobian * weights[:, None]).T @ jacobian, (jacobian * weights[:, None]).T @ residuals
         mean = np.trace(normal[3:, 3:]) / 3 + 1e-9
         for _ in range(4):
-            move = -np.linalg.solve(normal + damping * mean * np.diag(METRIC), pull)
+            move = -np.linalg.solve(normal + damping * mean * np.diag(METRIC), gradient)
             if _cost(problem.residuals(twist + move, twist), scale) < cost:
                 twist, damping = twist + move, damping / 3
                 break
@@ -134,8 +135,8 @@ def _cost(residuals: np.ndarray, scale: float) -> float:
 
 
 @compiled
-def _across(heights, layer, cell, distance):
-    """Fill distance (layers, n, n): across from each cell to the nearest that begins at or below the layer.
+def _horizontal_distances(heights, layer, cell, distance):
+    """Fill distance (layers, n, n): from each cell to the nearest whose envelope is at or below the layer.
 
     Exact up to REACH cells, and REACH beyond. Half a cell less: the edge runs between a cell inside and the next.
     """
@@ -160,8 +161,8 @@ def _across(heights, layer, cell, distance):
 
 
 @compiled
-def _turned(twist):
-    """(3, 3) rotation by the first three numbers."""
+def _rotation(twist):
+    """(3, 3) rotation matrix of the first three numbers."""
     angle = np.sqrt(twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2)
     if angle < 1e-12:
         return np.eye(3)
@@ -191,7 +192,7 @@ def _in_sweep(point, twist, r):
 def _floors(points, twist, floor):
     """(n,) [m]: the floor at the cell of each point."""
     n = floor.shape[0]
-    r = _turned(twist)
+    r = _rotation(twist)
     out = np.empty(len(points))
     for p in range(len(points)):
         x, y, _ = _in_sweep(points[p], twist, r)
@@ -202,9 +203,9 @@ def _floors(points, twist, floor):
 
 @compiled
 def _residuals(points, twist, distance, floors, lowest, clearance):
-    """(n,) [m]: of each point the nearer of its misses, of the wall and of the floor."""
+    """(n,) [m]: signed distance of each point from the wall or the floor, whichever is nearer."""
     layers, n, _ = distance.shape
-    r = _turned(twist)
+    r = _rotation(twist)
     out = np.empty(len(points))
     for p in range(len(points)):
         x, y, z = _in_sweep(points[p], twist, r)

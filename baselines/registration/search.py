@@ -1,4 +1,4 @@
-"""The coarse search: over faces to stand on, turns about the plate's normal and, by FFT, all places on the plate."""
+"""The coarse search: over the part's faces, yaws about the plate's normal and, by FFT, all positions on the plate."""
 
 from __future__ import annotations
 
@@ -10,170 +10,174 @@ from scipy.fft import irfft2, next_fast_len, rfft2
 from scipy.ndimage import minimum_filter
 
 from baselines.registration.cavity import VOXEL, Cavity
-from baselines.registration.outline import expected
-from baselines.registration.relief import grown, lower_envelope
+from baselines.registration.outline import expected_relief
+from baselines.registration.relief import dilated, lower_envelope
+from kit1000.kits.cavity import insertion_depth
 from kit1000.pose import Pose, quaternion_between
 from kit1000.voxels import Volume
 
 CELL = 1.25e-3  # [m] of the images that are compared: half the usual clearance
-WIDE = 72  # cells of the part's image: 90 mm hold any part of 50 mm at any turn
-TURN_STEP = np.radians(6)
-PEAKS = 3  # places kept of each turn
-APART = 5  # cells between them
-NEIGHBOUR = 4e-3  # [m] candidates nearer than this, at nearly the same turn, end in the same place when refined
-DEEPEST, SUNK = 20e-3, 0.6  # [m] and share of its height by which a part sinks into its kit
-SHALLOWER = 1e-3  # [m] by which the floor that was seen may be no floor
-UPRIGHT = -0.99  # z of a normal that looks down at the table
+WIDE = 72  # cells of the part's image: 90 mm hold any part of 50 mm at any yaw
+YAW_STEP = np.radians(6)
+PEAKS = 3  # positions kept for each yaw
+PEAK_DISTANCE = 5  # cells between them
+DUPLICATE_DISTANCE = 4e-3  # [m] candidates nearer than this, at nearly the same rotation, are refined to the same pose
+SHALLOWER = 1e-3  # [m] by which the observed floor may lie above the hidden one and still be the floor
+UPRIGHT = -0.99  # z of a normal that points down at the table
 UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A place found by the coarse search."""
+    """A pose found by the coarse search."""
 
     cavity: Cavity
     plate_from_now: Pose
-    """Carries the part, as it lies now, into the cavity."""
-    down: np.ndarray
-    """(3,) unit, world: the normal of the face that looks into the cavity, the part as it lies now."""
-    surprise: float
-    """[m] by which the cavity is deeper or less deep than kits for such a part are made."""
+    """Takes the part from where it lies into the cavity."""
+    down_normal: np.ndarray
+    """(3,) unit, world, the part as it lies now: outward normal of the face that goes onto the cavity's floor."""
+    depth_difference: float
+    """[m] between the cavity's depth and the depth that a kit for this part has."""
     misfit: float
     """Squared difference of the reliefs over that of an empty plate: 0 fits, 1 explains nothing."""
 
 
 @dataclass(frozen=True, eq=False)
-class Window:
-    """Where to look: at most so far from a guess, or everywhere without one."""
+class SearchWindow:
+    """Bounds of the search about a guess; without a guess there are none."""
 
     pivot: np.ndarray
     """(3,) [m] world: the middle of the part now."""
     guess: Pose | None
     """goal_from_now, world."""
-    turn: float
+    angle: float
     """[rad] most from the guess."""
     offset: float
-    """[m] most along each axis of the world, of where the pivot goes."""
+    """[m] most along each axis of the world, of the pivot's position from the guessed one."""
 
-    def allows(self, rotations: Pose, plate_from_world: Pose) -> np.ndarray:
-        """(k,) bool: which rotations (k,) plate_from_now stay within `turn` of the guess, or half a step beyond."""
+    def rotations_inside(self, rotations: Pose, plate_from_world: Pose) -> np.ndarray:
+        """(k,) bool: which rotations (k,) plate_from_now are within `angle` of the guess, plus half a YAW_STEP."""
         if self.guess is None:
             return np.ones(len(rotations), bool)
-        meant = Pose((plate_from_world @ self.guess).wxyz, np.zeros(3))
-        return (rotations @ meant.inverse()).angle() <= self.turn + TURN_STEP / 2
+        guessed = Pose((plate_from_world @ self.guess).wxyz, np.zeros(3))
+        return (rotations @ guessed.inverse()).angle() <= self.angle + YAW_STEP / 2
 
-    def holds(self, world_from_plate: Pose, places: np.ndarray) -> np.ndarray | bool:
-        """(...,) bool: which places (..., 3) [m] of the pivot in the plate frame are near enough."""
+    def positions_inside(self, world_from_plate: Pose, positions: np.ndarray) -> np.ndarray | bool:
+        """(...,) bool: which positions (..., 3) [m] of the pivot, plate frame, are within `offset` of the guess."""
         if self.guess is None:
             return True
-        home = self.guess.apply(self.pivot)
-        return np.all(np.abs(world_from_plate.apply(places) - home) <= self.offset, axis=-1)
+        guessed = self.guess.apply(self.pivot)
+        return np.all(np.abs(world_from_plate.apply(positions) - guessed) <= self.offset, axis=-1)
 
 
 def coarse_search(
     part: Volume,
     middle: np.ndarray,
-    downs: Sequence[np.ndarray],
+    down_normals: Sequence[np.ndarray],
     cavities: Sequence[Cavity],
     clearance: float,
-    window: Window,
+    window: SearchWindow,
 ) -> list[Candidate]:
-    """All candidates, the best first: one of the normals `downs` (3,) of the part, world, into one of the cavities.
+    """All candidates, the best first: any of the part's faces down in any of the cavities, within the window.
 
-    middle: (3,) [m] world, of the part.
+    Args:
+        part: as it lies now.
+        middle: (3,) [m] world, of the part.
+        down_normals: (3,) unit, world, each: outward normals of the faces that may go onto the floor.
+        cavities: of all plates.
+        clearance: [m]
+        window: about the guess.
     """
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     kits: dict[tuple[int, float], KitImage] = {}
-    inside = part.grid.world(np.argwhere(part.occupied))
-    for down in downs:
-        lying = Lying(part, middle, down)
-        made = depth_made(inside, down)
+    occupied = part.grid.world(np.argwhere(part.occupied))
+    for down_normal in down_normals:
+        oriented = OrientedPart(part, middle, down_normal)
+        expected = insertion_depth(float(np.ptp(occupied @ down_normal)))
         for number, whole in enumerate(cavities):
-            allowed = np.flatnonzero(window.allows(lying.rotations, whole.world_from_plate.inverse()))
-            for cavity in _depths(whole, made, down[2] < UPRIGHT) if len(allowed) else ():
+            inside = np.flatnonzero(window.rotations_inside(oriented.rotations, whole.world_from_plate.inverse()))
+            for cavity in _possible_depths(whole, expected, down_normal[2] < UPRIGHT) if len(inside) else ():
                 key = (number, cavity.depth)
                 if key not in kits:
                     kits[key] = KitImage.of(cavity)
-                for turn in allowed.tolist():
-                    about, envelope = lying.seen(turn, clearance)
+                for yaw in inside.tolist():
+                    about, envelope = oriented.at_yaw(yaw, clearance)
                     if np.isfinite(envelope).any():
-                        for place, misfit in places(kits[key], envelope, cavity, window, about.apply(window.pivot)):
-                            pose = Pose.from_translation(place) @ about
-                            found.append(Candidate(cavity, pose, down, abs(cavity.depth - made), misfit))
-    return sorted(found, key=lambda candidate: candidate.misfit)
+                        for shift, misfit in best_shifts(
+                            kits[key], envelope, cavity, window, about.apply(window.pivot)
+                        ):
+                            pose = Pose.from_translation(shift) @ about
+                            difference = abs(cavity.depth - expected)
+                            candidates.append(Candidate(cavity, pose, down_normal, difference, misfit))
+    return sorted(candidates, key=lambda candidate: candidate.misfit)
 
 
-class Lying:
-    """A part with one of its normals turned down, at every turn about it; its envelopes serve all plates."""
+class OrientedPart:
+    """A part with one of its faces down, at every yaw; its envelopes are computed once for all plates."""
 
-    def __init__(self, part: Volume, middle: np.ndarray, down: np.ndarray) -> None:
+    def __init__(self, part: Volume, middle: np.ndarray, down_normal: np.ndarray) -> None:
         self.part = part
         self.middle = middle
-        turns = np.arange(0, 2 * np.pi, TURN_STEP)
-        laid = Pose(quaternion_between(down, -UP), np.zeros(3))
-        self.rotations = Pose.from_rotvec(turns[:, None] * UP) @ laid
-        self._seen: dict[int, tuple[Pose, np.ndarray]] = {}
+        yaws = np.arange(0, 2 * np.pi, YAW_STEP)
+        face_down = Pose(quaternion_between(down_normal, -UP), np.zeros(3))
+        self.rotations = Pose.from_rotvec(yaws[:, None] * UP) @ face_down
+        self._envelopes: dict[int, tuple[Pose, np.ndarray]] = {}
 
-    def seen(self, turn: int, clearance: float) -> tuple[Pose, np.ndarray]:
-        """The pose about the part's middle at a turn, by its number, and the grown envelope (n, n) [m]."""
-        if turn not in self._seen:
-            about = self.rotations[turn] @ Pose.from_translation(-self.middle)
-            self._seen[turn] = (about, grown(lower_envelope(self.part, about, CELL, WIDE), CELL, clearance))
-        return self._seen[turn]
+    def at_yaw(self, yaw: int, clearance: float) -> tuple[Pose, np.ndarray]:
+        """The rotation about the part's middle at a yaw, by its index, and the dilated envelope (n, n) [m]."""
+        if yaw not in self._envelopes:
+            about = self.rotations[yaw] @ Pose.from_translation(-self.middle)
+            self._envelopes[yaw] = (about, dilated(lower_envelope(self.part, about, CELL, WIDE), CELL, clearance))
+        return self._envelopes[yaw]
 
 
-def distinct(candidates: Sequence[Candidate], pivot: np.ndarray, most: int) -> list[Candidate]:
-    """The first few candidates (best first) of every plate that are no neighbours: another place, turn or depth.
+def without_duplicates(candidates: Sequence[Candidate], pivot: np.ndarray, most: int) -> list[Candidate]:
+    """The first `most` candidates (best first) of every plate that differ in position, rotation or depth.
 
-    Of every plate, because misfits of cavities of which more or less was seen cannot be compared; what is left after
-    refinement can.
+    Of every plate, because misfits of cavities that are hidden to different degrees cannot be compared; the residuals
+    after refinement can.
     """
     kept: list[Candidate] = []
     for candidate in candidates:
-        same = [other for other in kept if other.cavity.world_from_plate is candidate.cavity.world_from_plate]
-        if len(same) < most and not any(_neighbours(candidate, other, pivot) for other in same):
+        same_plate = [other for other in kept if other.cavity.world_from_plate is candidate.cavity.world_from_plate]
+        if len(same_plate) < most and not any(_duplicates(candidate, other, pivot) for other in same_plate):
             kept.append(candidate)
     return kept
 
 
-def _neighbours(a: Candidate, b: Candidate, pivot: np.ndarray) -> bool:
+def _duplicates(a: Candidate, b: Candidate, pivot: np.ndarray) -> bool:
     if abs(a.cavity.depth - b.cavity.depth) > SHALLOWER:
         return False
     one, other = (c.cavity.world_from_plate @ c.plate_from_now for c in (a, b))
-    if np.linalg.norm(one.apply(pivot) - other.apply(pivot)) > NEIGHBOUR:
+    if np.linalg.norm(one.apply(pivot) - other.apply(pivot)) > DUPLICATE_DISTANCE:
         return False
-    return bool((one @ other.inverse()).angle() < 1.5 * TURN_STEP)
+    return bool((one @ other.inverse()).angle() < 1.5 * YAW_STEP)
 
 
-def _depths(cavity: Cavity, made: float, sure: bool) -> list[Cavity]:
-    """The cavity as deep as it was seen to be and, where its floor may be hidden, as deep as kits are made [m].
+def _possible_depths(cavity: Cavity, expected: float, certain: bool) -> list[Cavity]:
+    """The cavity with its observed depth and, where its floor may be hidden, with the expected depth [m].
 
-    sure: that depth is well known, because the part lies as it will be inserted and shows its height.
+    certain: the expected depth is well known, because the part lies as it will be inserted and shows its height.
     """
     hidden = np.isnan(cavity.relief[cavity.region]).any()
-    if not hidden or made <= cavity.depth + SHALLOWER:
+    if not hidden or expected <= cavity.depth + SHALLOWER:
         return [cavity]
-    return [replace(cavity, depth=made)] if sure else [cavity, replace(cavity, depth=made)]
-
-
-def depth_made(inside: np.ndarray, down: np.ndarray) -> float:
-    """[m] how deep a kit takes a part from places (n, 3) [m] in it, with this normal down: the rule of kits."""
-    return min(DEEPEST, SUNK * float(np.ptp(inside @ down)))
+    return [replace(cavity, depth=expected)] if certain else [cavity, replace(cavity, depth=expected)]
 
 
 @dataclass(frozen=True, eq=False)
 class KitImage:
-    """The expected relief of a plate at CELL with its transforms."""
+    """The expected relief of a plate at CELL, as Fourier transforms."""
 
     cells: int
     size: int
     """Of the transforms: no less than the cells."""
-    weighed: np.ndarray
+    weighted_relief: np.ndarray
     """Transform of the relief times its trust."""
     trust: np.ndarray
     """Transform of the trust."""
     empty: float
-    """Squared height that a plate without a part leaves unexplained."""
+    """Sum of squared heights without a part."""
 
     @classmethod
     def of(cls, cavity: Cavity) -> KitImage:
@@ -181,33 +185,34 @@ class KitImage:
         cells = int(len(cavity.relief) * VOXEL / CELL)
         size = int(next_fast_len(max(cells, WIDE), real=True) or cells)
         at = np.rint((np.arange(cells) - (cells - 1) / 2) * CELL / VOXEL + (len(cavity.relief) - 1) / 2).astype(int)
-        relief, trust = (image[np.ix_(at, at)] for image in expected(cavity))
+        relief, trust = (image[np.ix_(at, at)] for image in expected_relief(cavity))
         return cls(
             cells, size, _spectrum(trust * relief, size), _spectrum(trust, size), float((trust * relief**2).sum())
         )
 
 
-def places(
-    kit: KitImage, envelope: np.ndarray, cavity: Cavity, window: Window, pivot: np.ndarray
+def best_shifts(
+    kit: KitImage, envelope: np.ndarray, cavity: Cavity, window: SearchWindow, pivot: np.ndarray
 ) -> Iterator[tuple[np.ndarray, float]]:
-    """The best shifts (3,) [m] in the plate frame of a part with this grown envelope, and their misfits.
+    """The best shifts (3,) [m] in the plate frame of a part with this dilated envelope, and their misfits.
 
     pivot: (3,) [m] of the part before it is shifted.
 
-    The misfit at a shift t is the sum over all cells x of trust(x) (relief(x) - sunk(x - t))^2, over that without a
+    The misfit at a shift t is the sum over all cells x of trust(x) (relief(x) - cut(x - t))^2, over that without a
     part. Multiplied out it takes two correlations.
     """
     lowest = float(envelope.min())
-    sunk = np.minimum(envelope - lowest - cavity.depth, 0)
-    product = kit.trust * _spectrum(sunk**2, kit.size).conj() - 2 * kit.weighed * _spectrum(sunk, kit.size).conj()
+    cut = np.minimum(envelope - lowest - cavity.depth, 0)
+    squares, heights = (_spectrum(image, kit.size).conj() for image in (cut**2, cut))
+    product = kit.trust * squares - 2 * kit.weighted_relief * heights
     misfit = kit.empty + np.asarray(irfft2(product, (kit.size, kit.size)))
     steps = np.arange(kit.size)
-    middle = (kit.cells - len(envelope)) / 2  # the step that lays the middle of one image on that of the other
+    middle = (kit.cells - len(envelope)) / 2  # the step that puts the middle of one image on that of the other
     axis = (np.where(steps > middle + kit.size / 2, steps - kit.size, steps) - middle) * CELL
     z = -cavity.depth - lowest
     shifts = np.stack(np.broadcast_arrays(axis[:, None], axis[None], z), axis=-1)
-    misfit = np.where(window.holds(cavity.world_from_plate, shifts + pivot), misfit, np.inf)
-    low = (misfit == minimum_filter(misfit, 2 * APART + 1, mode="wrap")) & np.isfinite(misfit)
+    misfit = np.where(window.positions_inside(cavity.world_from_plate, shifts + pivot), misfit, np.inf)
+    low = (misfit == minimum_filter(misfit, 2 * PEAK_DISTANCE + 1, mode="wrap")) & np.isfinite(misfit)
     i, j = np.nonzero(low)
     best = np.argsort(misfit[i, j])[:PEAKS]
     for a, b in zip(i[best], j[best], strict=True):

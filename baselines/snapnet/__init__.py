@@ -1,8 +1,75 @@
-"""SnapNet: two networks that correct a guess, one of the position by cross-correlation, one of the rotation by points.
+"""SnapNet: two networks that correct a guess, its position by cross-correlation of volumes, its rotation from points.
 
 After "Scene Editing as Teleoperation" (IROS 2022, arXiv 2110.04450).
 """
 
-from baselines.snapnet.method import SnapNet
+from dataclasses import replace
 
-__all__ = ["SnapNet"]
+from baselines.catalog import Method, Network
+from baselines.training.config import TrainConfig
+from kit1000.tracks import GUESS_TRACKS
+
+GTVOL = Method(
+    "baselines.snapnet.method:SnapNet",
+    "SnapNet, small preset, from true volumes",
+    options={"source": "truth"},
+    tracks=GUESS_TRACKS,
+    uses_true_geometry=True,
+    learned=True,
+    training_data="split train of kit1000",
+    weights={"position": "snapnet-gtvol-position", "rotation": "snapnet-gtvol-rotation"},
+    label="SnapNet, true volumes",
+    paper_row="snapnet-gtvol",
+)
+PARTIALVOL = replace(
+    GTVOL,
+    description="SnapNet, small preset, from one depth image; space hidden behind what it shows is filled in columns",
+    options={"source": "depth"},
+    uses_true_geometry=False,
+    weights={"position": "snapnet-partialvol-position", "rotation": "snapnet-partialvol-rotation"},
+    label="SnapNet, partial volumes",
+    paper_row="snapnet-partialvol",
+)
+
+
+def _with_mean(method: Method) -> Method:
+    return replace(
+        method,
+        description=f"{method.description}; mean of the rotations around the best candidate",
+        options={**method.options, "peak": "mean"},
+        label=f"{method.label}, mean rotation",
+        paper_row="",
+    )
+
+
+GTVOL_MEAN = _with_mean(GTVOL)
+
+METHODS = {
+    "snapnet-gtvol": GTVOL,
+    "snapnet-gtvol-mean": GTVOL_MEAN,
+    "snapnet-gtvol-2pass": replace(
+        GTVOL_MEAN,
+        description=f"{GTVOL_MEAN.description}; a second pass starts from the first prediction",
+        options={**GTVOL_MEAN.options, "passes": 2},
+        label=f"{GTVOL.label}, 2 passes",
+    ),
+    "snapnet-partialvol": PARTIALVOL,
+    "snapnet-partialvol-mean": _with_mean(PARTIALVOL),
+}
+
+POSITION_TRAINING = {
+    "small": TrainConfig(steps=4_000, batch=2, learning_rate=1e-3, warmup=200, ema_decay=0.999, validate_every=500),
+    "paper": TrainConfig(steps=20_000, batch=4, learning_rate=1e-4, decay="none"),
+}
+ROTATION_TRAINING = {
+    "small": TrainConfig(steps=3_000, batch=2, learning_rate=1e-3, warmup=200, ema_decay=0.999, validate_every=500),
+    "paper": TrainConfig(steps=150_000, batch=1, learning_rate=1e-4, decay="none", validate_every=500),
+}
+POSITION_TASK, ROTATION_TASK = "baselines.snapnet.tasks:position_task", "baselines.snapnet.tasks:rotation_task"
+
+NETWORKS = {
+    "snapnet-gtvol-position": Network(POSITION_TASK, POSITION_TRAINING, {"source": "truth"}),
+    "snapnet-gtvol-rotation": Network(ROTATION_TASK, ROTATION_TRAINING, {"source": "truth"}),
+    "snapnet-partialvol-position": Network(POSITION_TASK, POSITION_TRAINING, {"source": "depth"}),
+    "snapnet-partialvol-rotation": Network(ROTATION_TASK, ROTATION_TRAINING, {"source": "depth"}),
+}

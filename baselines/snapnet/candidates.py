@@ -1,7 +1,7 @@
-"""Turns that the rotation network tells apart, and how near they come: about a guess, or all a part may need.
+"""The candidate rotations of the rotation network: around a guess, or all that a part without a guess may need.
 
-All are turns on the left along the working axes: right = candidate . guess. What no candidate reaches stays as an
-error whatever the network says; `floor` measures it.
+Candidates are along the working axes, on the left: correct rotation = candidate . guess. The angle from the correct
+rotation to the nearest candidate remains as an error, whatever the network predicts; `error_floor` measures it.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from kit1000.guesses import MAX_ANGLE, draw_ball_error, draw_tilt_error
 from kit1000.pose import Pose, quaternion_from_rotvec, quaternion_multiply
 from kit1000.rng import stream
 
-Kind = Literal["ball", "tilt", "place", "place-paper"]
+CandidateSet = Literal["ball", "tilt", "place", "place-paper"]
 
 COUNT = 391  # of the paper: 1 + 5 rings of 78
-RINGS, ON_RING = 5, 78  # the release: int(0.48 / 0.08) - 1, and the whole turns of 0.08 rad in a circle
+RINGS, ON_RING = 5, 78  # the release: int(0.48 / 0.08) - 1, and the whole steps of 0.08 rad in a circle
 TILT = 0.48  # [rad] of the outermost ring, 27.5 degrees
-BALL_REACH = 0.94  # of 27.5 degrees: the outermost candidates; errors of even angle are met best, on average, so
-PLACE_TILT = float(np.radians(45))  # most tilt of a cavity
+BALL_REACH = 0.94  # of 27.5 degrees: the outermost candidates; this has the least mean error floor for uniform angles
+PLACE_TILT = float(np.radians(45))  # largest tilt of a cavity
 PLACE_SPIRAL = 4096  # rotations of the spiral before those of more tilt are left out
-PAPER_EULER = float(np.radians(15))  # most roll and pitch of the paper's candidates without a guess
-PAPER_APART = float(np.radians(10))  # least angle between two of them
+PAPER_EULER = float(np.radians(15))  # largest roll and pitch of the paper's candidates without a guess
+PAPER_SPACING = float(np.radians(10))  # smallest angle between two of them
 
 
 @dataclass(frozen=True)
-class Floor:
-    """Angles [rad] between drawn turns and the nearest candidate."""
+class ErrorFloor:
+    """Angles [rad] between drawn rotations and the nearest candidate."""
 
     count: int
     """Candidates."""
@@ -41,46 +41,46 @@ class Floor:
 
 
 @cache
-def candidates(kind: Kind) -> Pose:
-    """The turns of a kind. (n,), about the origin.
+def candidates(name: CandidateSet) -> Pose:
+    """A set of candidate rotations about the origin, (n,).
 
-    - ball: 391 rotation vectors on a body-centred cubic lattice, nothing among them, out to 26 degrees about any
-      axis, for errors of up to 27.5; with each its inverse.
-    - tilt: the paper's 391. Nothing, and 5 rings of 78 turns about horizontal axes: none turns about the vertical.
-    - place: an even spiral over all rotations, of which those stay that tilt the vertical by 45 degrees at most.
-    - place-paper: the paper's for no guess, roll and pitch within 15 degrees of every yaw, thinned to 10 degrees
+    - ball: 391 rotation vectors on a body-centred cubic lattice, the identity and inverses included, up to 26 degrees
+      about any axis, for errors of up to 27.5.
+    - tilt: the paper's 391: the identity and 5 rings of 78 rotations about horizontal axes; none changes the yaw.
+    - place: a uniform spiral over all rotations, restricted to those that tilt the vertical by 45 degrees at most.
+    - place-paper: the paper's without a guess: every yaw, roll and pitch within 15 degrees, thinned to 10 degrees
       apart; 286, as in the release.
 
     Raises:
-        InputError: unknown kind.
+        InputError: unknown name.
     """
-    if kind not in _MAKERS:
-        raise InputError(f"candidates: {did_you_mean(kind, _MAKERS)}expected one of {', '.join(_MAKERS)}, got {kind!r}")
-    return Pose(_MAKERS[kind](), np.zeros(3))
+    if name not in _MAKERS:
+        raise InputError(f"candidates: {did_you_mean(name, _MAKERS)}expected one of {', '.join(_MAKERS)}, got {name!r}")
+    return Pose(_MAKERS[name](), np.zeros(3))
 
 
-def nearest(candidates: Pose, residuals: Pose, axis: np.ndarray | None = None) -> tuple[int, np.ndarray]:
-    """Which candidate comes nearest to any right turn.
+def nearest_candidate(candidates: Pose, correct: Pose, axis: np.ndarray | None = None) -> tuple[int, np.ndarray]:
+    """The candidate nearest to any correct rotation.
 
     Args:
         candidates: (n,).
-        residuals: (m,), all of them right.
-        axis: (3,) unit vector along the working axes: where given, a right turn stays right when turned on the left
-            about it by any angle.
+        correct: (m,), the correct rotations.
+        axis: (3,) unit vector along the working axes: where given, a correct rotation followed by any rotation about
+            it is correct too.
 
     Returns:
-        The index, and of each candidate the angle to the nearest right turn, (n,) [rad].
+        Its index, and the angle of each candidate to the nearest correct rotation, (n,) [rad].
     """
-    return int(np.argmin(angles := distances(candidates, residuals, axis).min(1))), angles
+    return int(np.argmin(angles := angles_between(candidates, correct, axis).min(1))), angles
 
 
-def distances(candidates: Pose, residuals: Pose, axis: np.ndarray | None = None) -> np.ndarray:
-    """Angle of each candidate to each right turn, as in `nearest`. (n,), (m,) -> (n, m) [rad].
+def angles_between(candidates: Pose, correct: Pose, axis: np.ndarray | None = None) -> np.ndarray:
+    """Angle of each candidate to each correct rotation, as in `nearest_candidate`. (n,), (m,) -> (n, m) [rad].
 
-    With p = residual . candidate^-1, turning by t about the axis a leaves |cos(angle / 2)| = |cos(t / 2) p_w -
-    sin(t / 2) a.p_v|, the most of which is the length of (p_w, a.p_v).
+    With p = correct . candidate^-1, a further rotation by t about the axis a leaves |cos(angle / 2)| =
+    |cos(t / 2) p_w - sin(t / 2) a.p_v|, the largest value of which is the length of (p_w, a.p_v).
     """
-    between = quaternion_multiply(residuals.wxyz[None], candidates.inverse().wxyz[:, None])  # (n, m, 4)
+    between = quaternion_multiply(correct.wxyz[None], candidates.inverse().wxyz[:, None])  # (n, m, 4)
     scalar, vector = between[..., 0], between[..., 1:]
     if axis is not None:
         along = vector @ np.asarray(axis)
@@ -88,29 +88,32 @@ def distances(candidates: Pose, residuals: Pose, axis: np.ndarray | None = None)
     return 2 * np.arctan2(np.linalg.norm(vector, axis=-1), np.abs(scalar))
 
 
-def floor(kind: Kind, draws: int = 20000, seed: int = 0, errors: Kind | None = None) -> Floor:
-    """How near the candidates come to turns as they are asked for.
+def error_floor(
+    name: CandidateSet, draws: int = 20000, seed: int = 0, errors: CandidateSet | None = None
+) -> ErrorFloor:
+    """Angles from drawn rotations to the nearest candidate.
 
     Args:
-        kind: of the candidates.
-        draws: turns drawn.
+        name: of the candidates.
+        draws: rotations drawn.
         seed: of the draws.
-        errors: what is drawn, by default what the candidates are for. ball and tilt: errors of a guess; place: any
-            yaw and an even direction of the vertical within 45 degrees; place-paper: any yaw, roll and pitch within 15.
+        errors: the distribution, by default the one that the candidates are for. ball and tilt: errors of a guess;
+            place: any yaw and a uniform direction of the vertical within 45 degrees; place-paper: any yaw, roll and
+            pitch within 15.
     """
-    rng = stream(seed, "floor", errors or kind)
-    turns = _DRAWS[errors or kind](rng, draws)
-    offered = candidates(kind).wxyz
-    cosines = np.concatenate([np.abs(some @ offered.T).max(1) for some in np.array_split(turns, 1 + draws // 1000)])
+    rng = stream(seed, "floor", errors or name)
+    rotations = _DRAWS[errors or name](rng, draws)
+    offered = candidates(name).wxyz
+    cosines = np.concatenate([np.abs(some @ offered.T).max(1) for some in np.array_split(rotations, 1 + draws // 1000)])
     angles = 2 * np.arccos(np.minimum(cosines, 1))
-    return Floor(len(offered), float(angles.mean()), float(np.median(angles)), float(angles.max()))
+    return ErrorFloor(len(offered), float(angles.mean()), float(np.median(angles)), float(angles.max()))
 
 
 def _ball() -> np.ndarray:
-    """The first of the lattice by distance, in pairs of opposite ones, stretched until the last lies at BALL_REACH."""
+    """The lattice points nearest to the origin, in opposite pairs, scaled so that the last one lies at BALL_REACH."""
     reach = np.arange(-6, 7)
     whole = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), -1).reshape(-1, 3) * 2
-    lattice = np.concatenate([whole, whole + 1])  # in halves of an edge, so that all is whole numbers
+    lattice = np.concatenate([whole, whole + 1])  # in half edges, so that all are integers
     square = (lattice**2).sum(1)
     half = lattice[np.lexsort((*lattice.T, square))]
     half = half[[tuple(row) > (0, 0, 0) for row in half]][: COUNT // 2]
@@ -130,7 +133,7 @@ def _place() -> np.ndarray:
 
 
 def super_fibonacci(count: int) -> np.ndarray:
-    """Rotations spread evenly over all there are: Alexa, "Super-Fibonacci spirals" (2022). (count, 4) wxyz."""
+    """Rotations spread uniformly: Alexa, "Super-Fibonacci spirals" (2022). (count, 4) wxyz."""
     psi = 1.533751168755204288118041  # psi^4 = psi + 4
     steps = np.arange(count) + 0.5
     share = steps / count
@@ -140,7 +143,7 @@ def super_fibonacci(count: int) -> np.ndarray:
 
 
 def _place_paper() -> np.ndarray:
-    """In the order of the release: all axes and angles, then yaws; each stays that is far from all before it."""
+    """In the order of the release: all axes and angles, then yaws; one is kept if it is far from all kept before."""
     polar = np.linspace(0.1, np.pi, 31)
     azimuth = np.linspace(0, 2 * np.pi, 62)
     a, b, angle = np.meshgrid(polar, azimuth, np.linspace(0.1, 3.4, 34), indexing="ij")
@@ -150,9 +153,9 @@ def _place_paper() -> np.ndarray:
     around = around[(np.abs(roll) <= PAPER_EULER) & (np.abs(pitch) <= PAPER_EULER)]
     yaws = quaternion_from_rotvec(np.linspace(-np.pi, np.pi, 62)[:, None] * (0, 0, 1))
     kept = np.empty((0, 4))
-    for turn in np.concatenate([around, yaws]):
-        if np.all(np.abs(kept @ turn) <= np.cos(PAPER_APART / 2)):
-            kept = np.concatenate([kept, turn[None]])
+    for rotation in np.concatenate([around, yaws]):
+        if np.all(np.abs(kept @ rotation) <= np.cos(PAPER_SPACING / 2)):
+            kept = np.concatenate([kept, rotation[None]])
     return kept
 
 
@@ -164,7 +167,7 @@ def _roll_pitch(wxyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _tilts(wxyz: np.ndarray) -> np.ndarray:
-    """Angles between the vertical and the turned vertical. (n, 4) -> (n,) [rad]."""
+    """Angles between the vertical and the rotated vertical. (n, 4) -> (n,) [rad]."""
     return 2 * np.arctan2(np.hypot(wxyz[:, 1], wxyz[:, 2]), np.hypot(wxyz[:, 0], wxyz[:, 3]))
 
 
@@ -175,15 +178,15 @@ def _circle(count: int) -> np.ndarray:
 def _draw_place(rng: np.random.Generator, draws: int) -> np.ndarray:
     tilt = np.arccos(rng.uniform(np.cos(PLACE_TILT), 1, draws))
     azimuth, yaw = rng.uniform(-np.pi, np.pi, (2, draws))
-    leaning = quaternion_from_rotvec(np.stack([-np.sin(azimuth) * tilt, np.cos(azimuth) * tilt, 0 * tilt], -1))
-    return quaternion_multiply(leaning, quaternion_from_rotvec(yaw[:, None] * (0, 0, 1)))
+    tilted = quaternion_from_rotvec(np.stack([-np.sin(azimuth) * tilt, np.cos(azimuth) * tilt, 0 * tilt], -1))
+    return quaternion_multiply(tilted, quaternion_from_rotvec(yaw[:, None] * (0, 0, 1)))
 
 
 def _draw_place_paper(rng: np.random.Generator, draws: int) -> np.ndarray:
     roll, pitch = rng.uniform(-PAPER_EULER, PAPER_EULER, (2, draws, 1))
     yaw = rng.uniform(-np.pi, np.pi, (draws, 1))
-    turns = [quaternion_from_rotvec(a * e) for a, e in zip((yaw, pitch, roll), np.eye(3)[::-1], strict=True)]
-    return quaternion_multiply(quaternion_multiply(turns[0], turns[1]), turns[2])
+    steps = [quaternion_from_rotvec(a * e) for a, e in zip((yaw, pitch, roll), np.eye(3)[::-1], strict=True)]
+    return quaternion_multiply(quaternion_multiply(steps[0], steps[1]), steps[2])
 
 
 _MAKERS = {"ball": _ball, "tilt": _tilt, "place": _place, "place-paper": _place_paper}

@@ -1,4 +1,4 @@
-"""Sizes and choices of both networks: flat, one preset for two CPU cores and one as in the paper."""
+"""Sizes and choices of both networks: a preset for two CPU cores and one as in the paper."""
 
 from __future__ import annotations
 
@@ -6,69 +6,70 @@ from dataclasses import dataclass
 from typing import Literal
 
 Cells = tuple[int, int, int]
-Kind = Literal["truth", "partial"]
+Source = Literal["truth", "depth"]
+"""Of volumes: exact, from the true geometry, or from one depth image."""
 
 
 @dataclass(frozen=True)
 class PositionConfig:
-    """The network that finds where the part goes, by cross-correlation of features."""
+    """The network that predicts the position of the part at its goal, by cross-correlation of features."""
 
     voxel: float
     """[m] of both volumes."""
     part_cells: Cells
     """Voxels of the part's volume."""
     kit_cells: Cells
-    """Voxels of the kits' volume: what the part may slide over, and context around it."""
+    """Voxels of the kits' volume: the range of positions, and context around it."""
     window: Cells = (16, 16, 16)
-    """Cells of the scores; the features are half as fine as the volumes, so a cell is two voxels wide."""
+    """Cells of the scores; features have half the resolution of the volumes, so a cell is two voxels wide."""
     channels: tuple[int, int, int, int, int] = (16, 32, 64, 128, 256)
-    """Of the encoder, from the full resolution to a sixteenth of it."""
+    """Of the encoder, from full resolution to a sixteenth of it."""
     features: int = 6
-    """That are correlated."""
+    """Channels that are correlated."""
     target: Literal["cell", "spread"] = "spread"
-    """cell: all on the cell of the truth, as in the release; spread: over the eight cells around it, linearly."""
+    """cell: one-hot on the nearest cell, as in the release; spread: trilinear over the eight cells around."""
     weight: Literal["even", "distance"] = "even"
-    """distance: the release's factor exp(miss / window) - 1, which is nothing where the best cell is right."""
+    """Of an example in the loss; distance: exp(error / window) - 1, as in the release: 0 if the best cell is right."""
     peak: Literal["cell", "mean"] = "mean"
-    """cell: the best cell, as in the paper; mean: the mean of the cells around it, by their probability."""
+    """cell: the best cell, as in the paper; mean: the mean of the cells around it, weighted by probability."""
 
 
 @dataclass(frozen=True)
 class RotationConfig:
-    """The network that says which of some turned copies of the part fits, from points."""
+    """The network that scores candidate rotations of the part, from points."""
 
     voxel: float
-    """[m] of the volumes that points are taken from."""
+    """[m] of the volumes that points are sampled from."""
     part_cells: Cells
     """Voxels of the part's volume."""
     kit_cells: Cells
-    """Voxels of the kits' volume, around where the part goes."""
+    """Voxels of the kits' volume, around the predicted position."""
     points: Literal["inside", "surface"] = "inside"
-    """inside: middles of solid voxels, as in the paper; surface: where the distance passes zero, between voxels."""
+    """inside: centres of solid voxels, as in the paper; surface: zero crossings of the distance, between voxels."""
     part_points: int = 2048
     kit_points: int = 4096
     width: float = 1.0
-    """Of all layers, over the paper's."""
+    """Of all layers, as a multiple of the paper's."""
     centres: tuple[int, int] = (512, 128)
-    """Points that the first and the second level keep."""
+    """Points after the first and the second set abstraction."""
     neighbours: tuple[float, float] = (1.0, 1.0)
-    """Points of a group at either level, over the paper's."""
-    distance: bool = False
-    """Whether each point of the part is told the kits' signed distance where a candidate takes it; not in the paper."""
+    """Points of a group at either level, as a multiple of the paper's."""
+    kit_distance: bool = False
+    """Whether the kits' signed distance at each rotated point of the part is an input feature; not in the paper."""
     candidates: Literal["ball", "tilt", "place", "place-paper"] = "ball"
-    """Turns that are told apart: around a guess, or all that a part to be placed may need."""
-    shown: int = 40
-    """Candidates of a training step: the right one and others."""
-    hard: float = 0.0
-    """Share of the others that is drawn among the nearest to a right turn; the rest among all, as in the paper."""
+    """Candidate rotations: around a guess, or all that a part without a guess may need."""
+    training_candidates: int = 40
+    """Candidates of a training step: the correct one and negatives."""
+    hard_negatives: float = 0.0
+    """Share of the negatives that is drawn among those nearest to the correct rotation; 0 in the paper."""
     target: Literal["candidate", "spread"] = "candidate"
-    """candidate: all on the right one, as in the paper; spread: less the farther a candidate is from a right turn."""
+    """candidate: one-hot on the nearest, as in the paper; spread: a Gaussian of the angle to the correct rotation."""
     jitter: float = 2.67e-3
-    """[m] most along an axis, by which the kits' volume lies off in training: three voxels of the paper."""
+    """[m] largest offset along an axis of the kits' volume in training: three voxels of the paper."""
     flag: Literal["paper", "release"] = "paper"
-    """The fourth channel: +1 on the part and -1 on the kits, or the other way round."""
+    """The fourth channel: +1 on the part and -1 on the kits, or with the signs reversed."""
     weight: Literal["even", "distance"] = "even"
-    """distance: the release's factor exp(miss / largest) - 1."""
+    """Of an example in the loss; distance: exp(error / largest) - 1 as in the release."""
 
 
 POSITION = {
@@ -80,9 +81,9 @@ POSITION = {
 ROTATION = {
     "small": RotationConfig(
         *(1.78e-3, (48, 48, 48), (64, 64, 64), "surface", 512, 1024, 0.5, (128, 32), (0.5, 0.5)),
-        distance=True,
-        shown=24,
-        hard=0.5,
+        kit_distance=True,
+        training_candidates=24,
+        hard_negatives=0.5,
         target="spread",
     ),
     "paper": RotationConfig(0.89e-3, (128, 128, 80), (128, 128, 128)),

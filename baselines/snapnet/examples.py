@@ -1,7 +1,7 @@
-"""What the networks learn from: volumes, points and what is right for them, made of a dataset when they are asked for.
+"""Training and validation examples of the networks: inputs and targets, made of a dataset on demand.
 
-A training example is a part of any scene, a goal of its slot, a fresh error about it and working axes of any yaw, all
-drawn from one generator. To check by there are the dataset's own queries with the guesses it stores, and no yaw.
+A training example is a part of any scene, a goal of its slot, a fresh guess error about it and working axes at any yaw,
+all drawn from one generator. Validation uses the dataset's queries with their stored guesses, along the world's axes.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from baselines.snapnet.candidates import candidates, nearest
-from baselines.snapnet.config import Kind, PositionConfig, RotationConfig
-from baselines.snapnet.volumes import SCENES, Kept, Looks
+from baselines.snapnet.candidates import candidates, nearest_candidate
+from baselines.snapnet.config import PositionConfig, RotationConfig, Source
+from baselines.snapnet.volumes import SCENES, ImageCache, QueryVolumes
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.guesses import draw_ball_error, draw_goal, draw_tilt_error
-from kit1000.kits.goals import nearest_turn
+from kit1000.kits.goals import nearest_about_axis
 from kit1000.motions import apply_error, goal_motion, goal_pose
 from kit1000.pose import Pose, unit_vector
 from kit1000.rng import stream
@@ -27,251 +27,258 @@ from kit1000.tracks import TRACKS
 from kit1000.values import FreeAxis, Query, Truth
 
 Guesses = Literal["ball", "tilt", "place"]
-"""Errors of a person's guess about any axis, about level axes, or no guess at all."""
+"""Errors of the guess: about any axis, about level axes; place: no guess."""
 Sensor = Literal["ideal", "d415"]
 Example = dict[str, np.ndarray]
 
-ASKED = {"ball": "snap", "tilt": "snap-tilt", "place": "place"}
-"""The track whose queries are meant."""
-ERRORS = {"ball": draw_ball_error, "tilt": draw_tilt_error}
-START_JITTER = 3.56e-3  # [m] most along an axis, where nobody guesses: four voxels of the paper
-TRIES = 1000  # scenes drawn in a row with nothing asked, before the split counts as one that asks nothing
-NEAR = 64  # candidates that are hard to tell from the right one: on the ball those within some 14 degrees
-SEED = 0  # of the points and turns of checked examples
+TRACK_OF = {"ball": "snap", "tilt": "snap-tilt", "place": "place"}
+"""The track with such guesses."""
+DRAW_ERROR = {"ball": draw_ball_error, "tilt": draw_tilt_error}
+START_JITTER = 3.56e-3  # [m] most along an axis, without a guess: four voxels of the paper
+TRIES = 1000  # scenes drawn in a row without a query before the split counts as empty
+HARD = 64  # candidates nearest to the correct one: on the ball those within some 14 degrees
+SEED = 0  # of the points and candidates of validation examples
 
 
 class Residual(NamedTuple):
-    """What is left to do after a guess; along working axes."""
+    """The offset and the rotations that take a guess to a goal; along working axes."""
 
     offset: np.ndarray
-    """(3,) [m] of the pivot, for the goal whose rotation is nearest to that of the guess."""
-    turns: Pose
-    """(m,) rotations on the left of the guess's, one for each goal: any of them is right."""
+    """(3,) [m] of the pivot, to the goal whose rotation is nearest to that of the guess."""
+    rotations: Pose
+    """(m,) on the left of the guess's rotation, one for each goal: any of them is correct."""
     nearest: int
-    """The goal of the offset: the least of the turns."""
+    """The goal of the offset: the one with the smallest rotation."""
     axis: np.ndarray | None
-    """(3,) unit: a further turn about it, on the left, leaves a right turn right."""
+    """(3,) unit: a correct rotation followed by any rotation about this axis is correct too."""
 
 
 @dataclass(frozen=True, eq=False)
-class Situation:
-    """A query with a guess, as the networks are asked about it."""
+class QuerySample:
+    """A query with a guess, its volumes and what the networks are to predict."""
 
-    looks: Looks
+    volumes: QueryVolumes
     guess: Pose
     """goal_from_now"""
     world_from_work: Pose
-    """The working axes; their origin is where the guess takes the pivot."""
+    """The working axes; the origin is the pivot moved by the guess."""
     residual: Residual
 
 
-class Situations:
-    """Queries of a split: with fresh guesses to learn from, and with stored ones to check by.
+class QuerySampler:
+    """Queries of a split: with fresh guesses for training, with stored ones for validation.
 
-    Files are read when first needed and what is read of them is kept. May be pickled and forked.
+    Files are read when first needed and cached. May be pickled and forked.
     """
 
     def __init__(
-        self, dataset: Dataset, split: str, kind: Kind, guesses: Guesses = "ball", sensor: Sensor = "ideal"
+        self, dataset: Dataset, split: str, source: Source, guesses: Guesses = "ball", sensor: Sensor = "ideal"
     ) -> None:
         """Nothing is read yet.
 
         Args:
-            dataset: with its truth.
+            dataset: with its ground truth.
             split: such as train or val.
-            kind: of the volumes.
-            guesses: what the errors are like; of place, only parts that lie upright are asked about.
-            sensor: whose depth images and pivots.
+            source: of the volumes.
+            guesses: the kind of guess errors; place: upright parts without a guess.
+            sensor: of depth images and pivots.
 
         Raises:
-            InputError: no such errors, or a sensor that the dataset does not ask about with them.
+            InputError: unknown guesses, or no track with these guesses and this sensor.
         """
-        if guesses not in ASKED:
-            raise InputError(f"guesses {guesses!r}: {did_you_mean(guesses, ASKED)}there are {', '.join(ASKED)}")
+        if guesses not in TRACK_OF:
+            raise InputError(f"guesses {guesses!r}: {did_you_mean(guesses, TRACK_OF)}there are {', '.join(TRACK_OF)}")
         self.dataset, self.split = dataset, split
-        self.kind: Kind = kind
+        self.source: Source = source
         self.guesses: Guesses = guesses
         self.sensor: Sensor = sensor
-        self.track = ASKED[guesses] if sensor == "ideal" else f"{ASKED[guesses]}-{sensor}"
+        self.track = TRACK_OF[guesses] if sensor == "ideal" else f"{TRACK_OF[guesses]}-{sensor}"
         if self.track not in TRACKS:
             raise InputError(f"sensor {sensor!r}: no track {self.track}; there are {', '.join(TRACKS)}")
         self._split = dataset.split(split, truth=True)
-        self._kept = Kept(dataset)
-        self._asked: Callable[[str], tuple[tuple[Query, Truth], ...]] = lru_cache(SCENES)(self._read)
+        self._images = ImageCache()
+        self._queries: Callable[[str], tuple[tuple[Query, Truth], ...]] = lru_cache(SCENES)(self._read)
 
-    def __reduce__(self) -> tuple[type[Situations], tuple[Dataset, str, Kind, Guesses, Sensor]]:
-        return Situations, (self.dataset, self.split, self.kind, self.guesses, self.sensor)
+    def __reduce__(self) -> tuple[type[QuerySampler], tuple[Dataset, str, Source, Guesses, Sensor]]:
+        return QuerySampler, (self.dataset, self.split, self.source, self.guesses, self.sensor)
 
-    def draw(self, rng: np.random.Generator) -> Situation:
-        """A part of a scene, every scene as likely, with a fresh guess.
+    def draw(self, rng: np.random.Generator) -> QuerySample:
+        """A part of a scene, every scene with the same probability, with a fresh guess.
 
         The error is drawn along the working axes, not the world's, so that it fills the window of scores as it does
-        when there is no yaw.
+        without a yaw.
         """
-        query, truth = self._drawn(rng)
-        looks = Looks(query, truth, self.kind, self.dataset, self._kept)
+        query, truth = self._draw_query(rng)
+        volumes = self._volumes(query, truth)
         yaw = Pose.from_rotvec((0, 0, rng.uniform(0, 2 * np.pi)))
         if self.guesses == "place":
             shift = yaw.rotate(rng.uniform(-START_JITTER, START_JITTER, 3))
-            return situation(looks, Pose.from_translation(shift) @ looks.start(), yaw)
+            return query_sample(volumes, truth, Pose.from_translation(shift) @ volumes.initial_guess(), yaw)
         goal = goal_pose(truth.slot, *draw_goal(rng, truth.slot))
-        offset, rotvec = ERRORS[self.guesses](rng)
-        home = goal_motion(truth.world_from_part, truth.world_from_kit, goal)
-        return situation(looks, apply_error(home, query.pivot, yaw.rotate(offset), yaw.rotate(rotvec)), yaw)
+        offset, rotvec = DRAW_ERROR[self.guesses](rng)
+        motion = goal_motion(truth.world_from_part, truth.world_from_kit, goal)
+        guess = apply_error(motion, query.pivot, yaw.rotate(offset), yaw.rotate(rotvec))
+        return query_sample(volumes, truth, guess, yaw)
 
     def keys(self, count: int) -> list[str]:
-        """Ids of queries to check by: of those drawn for their scenes, `count` spread evenly, or all if fewer."""
-        asked = [query.id for scene_id in self._split.scene_ids for query, _ in self._asked(scene_id) if query.drawn]
-        return [asked[i * len(asked) // count] for i in range(count)] if count < len(asked) else asked
+        """Ids of validation queries: `count` of the drawn targets, spread evenly, or all if there are fewer."""
+        drawn = [query.id for scene_id in self._split.scene_ids for query, _ in self._queries(scene_id) if query.drawn]
+        return [drawn[i * len(drawn) // count] for i in range(count)] if count < len(drawn) else drawn
 
-    def stored(self, key: str) -> Situation:
-        """A query of the track by its id, with the guess that the dataset stores, if any, and the axes of the world."""
+    def stored(self, key: str) -> QuerySample:
+        """A query of the track by its id, with its stored guess, if it has one, along the axes of the world."""
         scene_id = key.partition("-p")[0]  # train-s0012-p3-snap
-        found = {query.id: (query, truth) for query, truth in self._asked(scene_id)}
-        if key not in found:
-            raise InputError(f"no query {key!r} of track {self.track}; {did_you_mean(key, found)}see keys()")
-        looks = Looks(*found[key], self.kind, self.dataset, self._kept)
-        return situation(looks, looks.start(), Pose.identity())
+        queries = {query.id: (query, truth) for query, truth in self._queries(scene_id)}
+        if key not in queries:
+            raise InputError(f"no query {key!r} of track {self.track}; {did_you_mean(key, queries)}see keys()")
+        query, truth = queries[key]
+        volumes = self._volumes(query, truth)
+        return query_sample(volumes, truth, volumes.initial_guess(), Pose.identity())
 
-    def _drawn(self, rng: np.random.Generator) -> tuple[Query, Truth]:
+    def _volumes(self, query: Query, truth: Truth) -> QueryVolumes:
+        geometry = self.dataset.geometry.true_geometry(truth) if self.source == "truth" else None
+        return QueryVolumes(query, self.source, geometry, self._images)
+
+    def _draw_query(self, rng: np.random.Generator) -> tuple[Query, Truth]:
         scene_ids = self._split.scene_ids
         for _ in range(TRIES):
-            asked = self._asked(scene_ids[rng.integers(len(scene_ids))])
-            if asked:
-                return asked[rng.integers(len(asked))]
-        raise InputError(f"{self.dataset.root}: split {self.split} asks nothing of track {self.track}")
+            queries = self._queries(scene_ids[rng.integers(len(scene_ids))])
+            if queries:
+                return queries[rng.integers(len(queries))]
+        raise InputError(f"{self.dataset.root}: split {self.split} has no query of track {self.track}")
 
     def _read(self, scene_id: str) -> tuple[tuple[Query, Truth], ...]:
-        """The queries of the track about a scene; they share its images, and hold on to none."""
+        """The queries of the track in a scene, with their truths; they share its images and hold none in memory."""
         recorded = self._split.scene(scene_id)
-        look = partial(self.dataset.labelled_depth, recorded.shard, scene_id, self.sensor)
-        asked = (query for query in recorded.queries if query.track == self.track)
-        return tuple((replace(query, read_image=look), recorded.truth_of(query.id)) for query in asked)
+        read_image = partial(self.dataset.labelled_depth, recorded.shard, scene_id, self.sensor)
+        queries = (query for query in recorded.queries if query.track == self.track)
+        return tuple((replace(query, read_image=read_image), recorded.truth_of(query.id)) for query in queries)
 
 
 class PositionExamples:
-    """Examples for the network that finds where a part goes.
+    """Examples for the position network.
 
-    `part`, `kit` (nx, ny, nz) float32 volumes; `offset` (3,) float32 [m] from where the guess takes the pivot to where
-    it belongs, along working axes; `inside` () bool, whether the cell nearest to the offset is one of the window's.
+    `part`, `kit` (nx, ny, nz) float32 volumes; `offset` (3,) float32 [m] from the guessed to the correct position of
+    the pivot, along working axes; `inside` () bool, whether the cell nearest to the offset is in the window.
     """
 
-    def __init__(self, situations: Situations, config: PositionConfig) -> None:
-        """Of situations, in the sizes of a config."""
-        self.situations = situations
+    def __init__(self, sampler: QuerySampler, config: PositionConfig) -> None:
+        """Of the sampler's queries, in the sizes of a config."""
+        self.sampler = sampler
         self.config = config
 
     def draw(self, rng: np.random.Generator) -> Example:
-        """An example to learn from; the same generator gives the same bytes."""
-        return self._of(self.situations.draw(rng))
+        """A training example; the same generator gives the same bytes."""
+        return self._of(self.sampler.draw(rng))
 
     def keys(self, count: int) -> list[str]:
-        """See `Situations.keys`."""
-        return self.situations.keys(count)
+        """See `QuerySampler.keys`."""
+        return self.sampler.keys(count)
 
-    def check(self, key: str) -> Example:
+    def stored(self, key: str) -> Example:
         """The example of a stored query."""
-        return self._of(self.situations.stored(key))
+        return self._of(self.sampler.stored(key))
 
-    def _of(self, asked: Situation) -> Example:
-        config, looks, work = self.config, asked.looks, asked.world_from_work
+    def _of(self, sample: QuerySample) -> Example:
+        config = self.config
         window = np.array(config.window)
-        cell = np.floor(asked.residual.offset / (2 * config.voxel) + window // 2 + 0.5)
-        return looks.for_position(asked.guess, work, config) | {
-            "offset": asked.residual.offset.astype(np.float32),
+        cell = np.floor(sample.residual.offset / (2 * config.voxel) + window // 2 + 0.5)
+        return sample.volumes.position_inputs(sample.guess, sample.world_from_work, config) | {
+            "offset": sample.residual.offset.astype(np.float32),
             "inside": np.asarray(((cell >= 0) & (cell < window)).all()),
         }
 
 
 class RotationExamples:
-    """Examples for the network that tells turned copies of a part apart.
+    """Examples for the rotation network.
 
-    `part_points` (P, 3) and `kit_points` (K, 3) float32 [m] along working axes, of the part laid by the guess, about
-    its pivot, and of the kits, about where the pivot belongs but for a jitter; `turns` (C, 4) float64 wxyz candidates
-    on the left of the guess; `nearest` () int64, the right one among them; `distances` (C,) float32 [rad] of each to
-    the nearest right turn; where the config has distances, `kit_volume` (nx, ny, nz) float32.
-    In training C is `config.shown`: the right one and others, in any order.
+    `part_points` (P, 3) and `kit_points` (K, 3) float32 [m] along working axes: of the part rotated by the guess, about
+    its pivot, and of the kits, about the pivot's correct position plus a jitter; `rotations` (C, 4) float64 wxyz
+    candidates on the left of the guess; `nearest` () int64, the one nearest to a correct rotation; `angles` (C,)
+    float32 [rad] of each to the nearest correct rotation; with `kit_distance`, `kit_volume` (nx, ny, nz) float32.
+    In training C is `config.training_candidates`: the nearest one and negatives, in random order.
     """
 
-    def __init__(self, situations: Situations, config: RotationConfig) -> None:
-        """Of situations, in the sizes of a config. Raises InputError when its candidates are for other guesses."""
-        guesses = situations.guesses
+    def __init__(self, sampler: QuerySampler, config: RotationConfig) -> None:
+        """Of the sampler's queries, in the sizes of a config; InputError where its candidates are for other guesses."""
+        guesses = sampler.guesses
         if config.candidates.startswith("place") != (guesses == "place"):
             raise InputError(f"guesses {guesses!r}: the candidates {config.candidates!r} are not made for them")
-        self.situations = situations
+        self.sampler = sampler
         self.config = config
         self.candidates = candidates(config.candidates)
 
     def draw(self, rng: np.random.Generator) -> Example:
-        """An example to learn from; the same generator gives the same bytes."""
-        return self._of(self.situations.draw(rng), rng)
+        """A training example; the same generator gives the same bytes."""
+        return self._of(self.sampler.draw(rng), rng)
 
     def keys(self, count: int) -> list[str]:
-        """See `Situations.keys`."""
-        return self.situations.keys(count)
+        """See `QuerySampler.keys`."""
+        return self.sampler.keys(count)
 
-    def check(self, key: str, every: bool = False) -> Example:
-        """The example of a stored query; always the same points, jitter and candidates, or `every` one in order."""
-        return self._of(self.situations.stored(key), stream(SEED, "check", key), every)
+    def stored(self, key: str, every: bool = False) -> Example:
+        """The example of a stored query, always with the same points, jitter and candidates; `every`: all in order."""
+        return self._of(self.sampler.stored(key), stream(SEED, "check", key), every)
 
-    def _of(self, asked: Situation, rng: np.random.Generator, every: bool = False) -> Example:
-        config, looks, work = self.config, asked.looks, asked.world_from_work
+    def _of(self, sample: QuerySample, rng: np.random.Generator, every: bool = False) -> Example:
+        config, residual = self.config, sample.residual
         jitter = rng.uniform(-config.jitter, config.jitter, 3)
-        place = work @ Pose.from_translation(asked.residual.offset + jitter)
-        right, distances = nearest(self.candidates, asked.residual.turns, asked.residual.axis)
-        chosen = np.arange(len(distances)) if every else shown(rng, distances, config.shown, config.hard)
-        return looks.for_rotation(asked.guess, place, config, rng) | {
-            "turns": self.candidates.wxyz[chosen],
-            "nearest": np.asarray(np.flatnonzero(chosen == right)[0], np.int64),
-            "distances": distances[chosen].astype(np.float32),
+        work = sample.world_from_work @ Pose.from_translation(residual.offset + jitter)
+        correct, angles = nearest_candidate(self.candidates, residual.rotations, residual.axis)
+        chosen = np.arange(len(angles))
+        if not every:
+            chosen = training_candidates(rng, angles, config.training_candidates, config.hard_negatives)
+        return sample.volumes.rotation_inputs(sample.guess, work, config, rng) | {
+            "rotations": self.candidates.wxyz[chosen],
+            "nearest": np.asarray(np.flatnonzero(chosen == correct)[0], np.int64),
+            "angles": angles[chosen].astype(np.float32),
         }
 
 
-def situation(looks: Looks, guess: Pose, yaw: Pose) -> Situation:
-    """A query whose truth is known, a guess, and working axes that are those of the world turned by a yaw."""
-    assert looks.truth is not None
-    work = Pose(yaw.wxyz, guess.apply(looks.query.pivot))
-    return Situation(looks, guess, work, residual_of(looks.truth, looks.query.pivot, guess, work))
+def query_sample(volumes: QueryVolumes, truth: Truth, guess: Pose, yaw: Pose) -> QuerySample:
+    """A query with a guess, along working axes that are the world's, rotated by a yaw."""
+    work = Pose(yaw.wxyz, guess.apply(volumes.query.pivot))
+    return QuerySample(volumes, guess, work, residual_of(truth, volumes.query.pivot, guess, work))
 
 
 def residual_of(truth: Truth, pivot: np.ndarray, guess: Pose, world_from_work: Pose) -> Residual:
-    """What a guess lacks of every goal, each turned about the free axis so that it is nearest to the guess.
+    """What takes a guess to every goal, each rotated about the free axis so that it is nearest to the guess.
 
     Args:
         truth: of the query.
         pivot: (3,) [m] world.
         guess: goal_from_now.
-        world_from_work: the working axes; where they begin is not read.
+        world_from_work: the working axes; the origin is not read.
     """
     goals = goal_motion(truth.world_from_part, truth.world_from_kit, truth.slot.goals)
     free, axis = truth.slot.free_axis, None
     if free is not None:
         direction = unit_vector(truth.world_from_kit.rotate(free.direction))
         line = FreeAxis(truth.world_from_kit.apply(free.point), direction)
-        goals = Pose.stack([nearest_turn(guess, goal, line) for goal in goals])
+        goals = Pose.stack([nearest_about_axis(guess, goal, line) for goal in goals])
         axis = Pose(world_from_work.wxyz, np.zeros(3)).inverse().rotate(direction)
     axes = Pose(world_from_work.wxyz, np.zeros(3))
-    turns = axes.inverse() @ Pose((goals @ guess.inverse()).wxyz, np.zeros(3)) @ axes
-    least = int(np.argmin(turns.angle()))
-    offset = axes.inverse().rotate(goals[least].apply(pivot) - guess.apply(pivot))
-    return Residual(offset, turns, least, axis)
+    rotations = axes.inverse() @ Pose((goals @ guess.inverse()).wxyz, np.zeros(3)) @ axes
+    nearest = int(np.argmin(rotations.angle()))
+    offset = axes.inverse().rotate(goals[nearest].apply(pivot) - guess.apply(pivot))
+    return Residual(offset, rotations, nearest, axis)
 
 
-def shown(rng: np.random.Generator, distances: np.ndarray, most: int, hard: float = 0.0) -> np.ndarray:
-    """Candidates to learn from: the right one and others, in any order.
+def training_candidates(rng: np.random.Generator, angles: np.ndarray, most: int, hard: float = 0.0) -> np.ndarray:
+    """Candidates of a training step: the nearest to a correct rotation and negatives, in random order.
 
     Args:
         rng: source of the draw.
-        distances: (n,) [rad] of all candidates to the nearest right turn.
-        most: that are shown; all if there are fewer.
-        hard: share of the others that is drawn among the NEAR nearest.
+        angles: (n,) [rad] of all candidates to the nearest correct rotation.
+        most: how many; all if there are fewer.
+        hard: share of the negatives that is drawn among the HARD nearest.
 
     Returns:
         (most,) indices.
     """
-    order = np.argsort(distances, kind="stable")
-    others = min(most, len(order)) - 1
-    near = min(round(hard * others), NEAR, others)
-    drawn = rng.choice(order[1 : NEAR + 1], near, replace=False) if near else order[:0]
-    rest = rng.choice(np.setdiff1d(order[1:], drawn), others - near, replace=False)
+    order = np.argsort(angles, kind="stable")
+    negatives = min(most, len(order)) - 1
+    near = min(round(hard * negatives), HARD, negatives)
+    drawn = rng.choice(order[1 : HARD + 1], near, replace=False) if near else order[:0]
+    rest = rng.choice(np.setdiff1d(order[1:], drawn), negatives - near, replace=False)
     return rng.permutation(np.concatenate([order[:1], drawn, rest]))

@@ -1,4 +1,4 @@
-"""Points of volumes, and their turning: what the rotation network is shown of a part and of the kits."""
+"""Points sampled from volumes, and their rotation: the inputs of the rotation network."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume, surface_points
 
-Kind = Literal["inside", "surface"]
+Where = Literal["inside", "surface"]
 
 
-def points_of(volume: np.ndarray, voxel: float, kind: Kind, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Points of a volume, drawn evenly without putting back.
+def sample_points(volume: np.ndarray, voxel: float, where: Where, count: int, rng: np.random.Generator) -> np.ndarray:
+    """Points of a volume, drawn uniformly without replacement.
 
-    Where there are fewer than wanted, all of them come, and come again in a new order until the points are full (the
-    release fills up with a corner of the volume, which then is a point of the shape); where there are none, all
-    points lie in the middle.
+    Where there are fewer than `count`, all of them are taken repeatedly, each time in a new order (the release fills
+    up with a corner of the volume, which then is a point of the shape); where there are none, all points lie in the
+    middle.
 
     Args:
-        volume: (nx, ny, nz) float32, signed distances in truncations, 1 where nobody knows.
+        volume: (nx, ny, nz) float32, signed distances in truncations, 1 where unknown.
         voxel: [m] edge.
-        kind: inside: the middles of voxels whose value is at most 0; surface: where the value passes zero between two
-            voxels, but not where it jumps by more than the truncation: there what was seen ends.
-        count: points wanted.
+        where: inside: centres of voxels whose value is at most 0; surface: zero crossings between two voxels, except
+            where the value jumps by more than the truncation: that is the end of the observed surface.
+        count: points.
         rng: draws them.
 
     Returns:
@@ -38,7 +38,7 @@ def points_of(volume: np.ndarray, voxel: float, kind: Kind, count: int, rng: np.
     values = np.asarray(volume, np.float32)
     if values.ndim != 3:
         raise InputError(f"volume: expected shape (nx, ny, nz), got {values.shape}")
-    if kind == "inside":
+    if where == "inside":
         places = np.argwhere(values <= 0).astype(np.float64)
     else:
         places = surface_points(Volume(Grid(values.shape, 1.0, Pose.identity()), values))
@@ -49,19 +49,19 @@ def points_of(volume: np.ndarray, voxel: float, kind: Kind, count: int, rng: np.
     return ((places[np.concatenate(rounds)] - np.array(values.shape) // 2) * voxel).astype(np.float32)
 
 
-def turned(points: Tensor, turns: Tensor) -> Tensor:
-    """Points (B, P, 3) turned about the origin by quaternions (B, C, 4) wxyz. (B, C, P, 3), of the points' type.
+def rotated(points: Tensor, rotations: Tensor) -> Tensor:
+    """Points (B, P, 3) rotated about the origin by quaternions (B, C, 4) wxyz. (B, C, P, 3), of the points' type.
 
-    Each coordinate is one fixed sum of three products, so that a point turned alone and in company are the same to
-    the bit: what lies within a radius must not depend on how many candidates are scored together.
+    Each coordinate is one fixed sum of three products, so that a point rotated alone and in a batch is the same to
+    the bit: the points within a radius must not depend on how many candidates are scored together.
     """
-    matrix = _matrices(turns).to(points.dtype)[:, :, None]  # (B, C, 1, 3, 3)
+    matrix = _matrices(rotations).to(points.dtype)[:, :, None]  # (B, C, 1, 3, 3)
     p = points[:, None, :, None]  # (B, 1, P, 1, 3)
     return matrix[..., 0] * p[..., 0] + matrix[..., 1] * p[..., 1] + matrix[..., 2] * p[..., 2]  # (B, C, P, 3)
 
 
-def sampled(volume: Tensor, points: Tensor, voxel: float) -> Tensor:
-    """Values of volumes at places, interpolated linearly along each axis; beyond the last voxels those of the last.
+def interpolated(volume: Tensor, points: Tensor, voxel: float) -> Tensor:
+    """Values of volumes at points, trilinear; outside, the value of the nearest voxel at the border.
 
     Args:
         volume: (B, nx, ny, nz).
@@ -74,12 +74,12 @@ def sampled(volume: Tensor, points: Tensor, voxel: float) -> Tensor:
     cells = points.new_tensor(volume.shape[1:])
     places = 2 * (points / voxel + torch.floor(cells / 2)) / (cells - 1) - 1  # -1 and 1 at the outermost voxels
     grid = places.flip(-1)[:, :, :, None]  # torch counts axes from the last
-    found = functional.grid_sample(volume[:, None], grid, padding_mode="border", align_corners=True)
-    return found[:, 0, :, :, 0]
+    values = functional.grid_sample(volume[:, None], grid, padding_mode="border", align_corners=True)
+    return values[:, 0, :, :, 0]
 
 
 def _matrices(wxyz: Tensor) -> Tensor:
-    """Rotation matrices of quaternions of any length but nothing. (..., 4) -> (..., 3, 3)."""
+    """Rotation matrices of quaternions of any length above 0. (..., 4) -> (..., 3, 3)."""
     w, x, y, z = (wxyz / wxyz.norm(dim=-1, keepdim=True)).unbind(-1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),

@@ -1,7 +1,7 @@
-"""The network that finds where a part goes: features of part and kits, cross-correlated, score each place.
+"""The position network: features of part and kits, cross-correlated, score each position of the part.
 
 B batch; p* and k* voxels of the part's and the kits' volume; w* cells of the scores; F features. A cell is two voxels
-wide, as features are half as fine as volumes, and cell c of n means the offset (c - n // 2) * 2 * voxel along an axis.
+wide: features have half the resolution of volumes. Cell c of n is the offset (c - n // 2) * 2 * voxel along an axis.
 """
 
 from __future__ import annotations
@@ -10,33 +10,43 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from baselines.layers import First, Join, Region, coarser, correlate, cut, descend, finer, within
+from baselines.layers import (
+    Region,
+    SingleChannelConv,
+    UpsampleConcatConv,
+    coarser,
+    correlate,
+    cropped,
+    downsampled,
+    finer,
+    relative,
+)
 from baselines.snapnet.config import Cells, PositionConfig
 from kit1000.errors import InputError
 
 COARSEST = 16
-"""Voxels of a volume that the coarsest features see as one: sizes are multiples of it."""
+"""Voxels along a cell of the coarsest features: sizes are multiples of it."""
 
 
 class Encoder(nn.Module):
-    """Features of a volume, half as fine: down to a sixteenth and up again, with the layers of the paper."""
+    """Features of a volume at half its resolution: down to a sixteenth and up again, with the layers of the paper."""
 
     def __init__(self, channels: tuple[int, int, int, int, int], features: int) -> None:
         super().__init__()
         one, two, three, four, five = channels
-        self.d1 = First(one)
+        self.d1 = SingleChannelConv(one)
         self.d2 = nn.Conv3d(one, two, 3, stride=2, padding=1)
         self.d3 = nn.Conv3d(two, three, 3, stride=2, padding=1)
         self.d4 = nn.Conv3d(three, four, 3, stride=2, padding=1)
         self.b = nn.Conv3d(four, five, 3, stride=2, padding=1)
-        self.u1 = Join(four, five, four)
-        self.u2 = Join(three, four, three)
-        self.u3 = Join(two, three, two)
+        self.u1 = UpsampleConcatConv(four, five, four)
+        self.u2 = UpsampleConcatConv(three, four, three)
+        self.u3 = UpsampleConcatConv(two, three, two)
         self.f = nn.Conv3d(two, features, 1)
 
     def forward(self, volume: Tensor, region: Region | None = None) -> Tensor:
-        """(B, x, y, z) -> (B, F, x/2, y/2, z/2), or of that the region alone, for which less is computed."""
-        d2 = descend(self.d1, self.d2, volume[:, None])
+        """(B, x, y, z) -> (B, F, x/2, y/2, z/2), or only its region, for which less is computed."""
+        d2 = downsampled(self.d1, self.d2, volume[:, None])
         d3 = F.relu_(self.d3(d2))
         d4 = F.relu_(self.d4(d3))
         b = F.relu_(self.b(d4))
@@ -45,16 +55,16 @@ class Encoder(nn.Module):
         r2 = coarser(r3, tuple(d3.shape[-3:]))  # what u3 needs of u2's output; then likewise, downwards
         r1 = coarser(r2, tuple(d4.shape[-3:]))
         r0 = coarser(r1, tuple(b.shape[-3:]))
-        u1 = F.relu_(self.u1(cut(d4, finer(r0)), cut(b, r0)))
-        u2 = F.relu_(self.u2(cut(d3, finer(r1)), cut(u1, within(r1, finer(r0)))))
-        u3 = F.relu_(self.u3(cut(d2, finer(r2)), cut(u2, within(r2, finer(r1)))))
-        return self.f(cut(u3, within(r3, finer(r2))))  # (B, F, x/2, y/2, z/2)
+        u1 = F.relu_(self.u1(cropped(d4, finer(r0)), cropped(b, r0)))
+        u2 = F.relu_(self.u2(cropped(d3, finer(r1)), cropped(u1, relative(r1, finer(r0)))))
+        u3 = F.relu_(self.u3(cropped(d2, finer(r2)), cropped(u2, relative(r2, finer(r1)))))
+        return self.f(cropped(u3, relative(r3, finer(r2))))  # (B, F, x/2, y/2, z/2)
 
 
 class PositionNet(nn.Module):
-    """Scores of all places in the window, as in the paper: two encoders and a valid cross-correlation.
+    """Scores of all positions in the window, as in the paper: two encoders and a valid cross-correlation.
 
-    The release pads the part's features by a slab of zeros at the high end, which adds nothing to any sum: left out.
+    The release pads the part's features with zeros at the high end, which changes no sum: left out.
 
     Raises:
         InputError: sizes that do not halve four times, or a kit volume too small for the window.
@@ -80,7 +90,7 @@ class PositionNet(nn.Module):
 
 
 def kit_region(config: PositionConfig) -> Region:
-    """The features of the kits that the part's meet: cell w // 2 lays middle (n // 2) on middle.
+    """The features of the kits that are correlated: at cell w // 2 the middles (n // 2) of both volumes coincide.
 
     Raises:
         InputError: sizes that do not halve four times, or a kit volume too small for the window.
@@ -100,46 +110,46 @@ def kit_region(config: PositionConfig) -> Region:
 def position_loss(scores: Tensor, offset: Tensor, config: PositionConfig) -> Tensor:
     """Cross-entropy over the cells of the window.
 
-    An offset whose nearest cell is not in the window counts nothing: its loss and gradient are zero, as the release
-    leaves such samples out. Within half a cell outside the window's outermost centres, the target is the edge.
+    An offset whose nearest cell is outside the window has zero loss and gradient: the release leaves such samples out.
+    Within half a cell outside the window's outermost centres, the target is the edge.
 
     Args:
         scores: (B, wx, wy, wz) logits.
-        offset: (B, 3) [m] of the truth.
-        config: `target` cell: the nearest cell (the release takes the one below); spread: the eight around, linearly.
-            `weight` distance: times exp(miss / window) - 1, miss the distance from best to right cell, a constant.
+        offset: (B, 3) [m], the correct one.
+        config: `target` cell: the nearest cell (the release rounds down); spread: trilinear over the eight around.
+            `weight` distance: times exp(error / window) - 1 of the best cell's distance from the correct one, detached.
 
     Returns:
         (B,) losses, >= 0.
     """
     sizes = scores.new_tensor(config.window)  # (3,)
-    place = offset / (2 * config.voxel) + sizes.div(2, rounding_mode="floor")  # (B, 3) cells
-    nearest = torch.floor(place + 0.5)
+    position = offset / (2 * config.voxel) + sizes.div(2, rounding_mode="floor")  # (B, 3) cells
+    nearest = torch.floor(position + 0.5)
     inside = ((nearest >= 0) & (nearest < sizes)).all(dim=1)
     bounded = torch.minimum(nearest.clamp(min=0), sizes - 1)
-    spread = torch.minimum(place.clamp(min=0), sizes - 1)
+    spread = torch.minimum(position.clamp(min=0), sizes - 1)
     target = target_of(spread if config.target == "spread" else bounded, config.window)
     loss = -(target * scores.flatten(1).log_softmax(dim=1)).sum(dim=1)
     if config.weight == "distance":
-        miss = torch.linalg.norm(best_cell(scores.detach()) - bounded, dim=1)
-        loss = loss * torch.expm1(miss / torch.linalg.norm(sizes))
+        error = torch.linalg.norm(best_cell(scores.detach()) - bounded, dim=1)
+        loss = loss * torch.expm1(error / torch.linalg.norm(sizes))
     return torch.where(inside, loss, 0)
 
 
-def target_of(place: Tensor, window: Cells) -> Tensor:
-    """(B, 3) in cells, 0 to window - 1 -> (B, wx wy wz) shares of the cells around it, which sum to one."""
+def target_of(position: Tensor, window: Cells) -> Tensor:
+    """(B, 3) in cells, 0 to window - 1 -> (B, wx wy wz) weights of the cells around it, which sum to one."""
     axes = []
     for axis, count in enumerate(window):
-        cells = torch.arange(count, device=place.device, dtype=place.dtype)
-        axes.append((1 - (cells - place[:, axis, None]).abs()).clamp(min=0))  # (B, count)
+        cells = torch.arange(count, device=position.device, dtype=position.dtype)
+        axes.append((1 - (cells - position[:, axis, None]).abs()).clamp(min=0))  # (B, count)
     return torch.einsum("bx,by,bz->bxyz", *axes).flatten(1)  # (B, wx wy wz)
 
 
 def position_of(scores: Tensor, config: PositionConfig) -> Tensor:
-    """(B, wx, wy, wz) logits -> (B, 3) [m] offset of the best place.
+    """(B, wx, wy, wz) logits -> (B, 3) [m] predicted offset.
 
-    `peak` cell: the centre of the best cell. mean: the mean of the up to 27 cells around and including it, by their
-    probability; where the scores are logarithms of a spread target, this is its offset exactly.
+    `peak` cell: the centre of the best cell. mean: the mean of the up to 27 cells around and including it,
+    weighted by probability; where the scores are logarithms of a spread target, this is its offset exactly.
     """
     best = best_cell(scores)  # (B, 3)
     if config.peak == "mean":
@@ -157,7 +167,7 @@ def best_cell(scores: Tensor) -> Tensor:
 
 
 def mean_around(scores: Tensor, best: Tensor) -> Tensor:
-    """(B, wx, wy, wz) logits, (B, 3) cells -> (B, 3) cells from there to the mean of the 3x3x3 cells around."""
+    """(B, wx, wy, wz) logits, (B, 3) cells -> (B, 3) cells from there to the mean of the 3x3x3 cells around it."""
     step = torch.arange(-1, 2, device=scores.device)
     steps = torch.cartesian_prod(step, step, step)  # (27, 3)
     sizes = torch.tensor(scores.shape[1:], device=scores.device)

@@ -1,8 +1,8 @@
-"""Sets of points made into fewer, richer ones: the layers of PointNet++ (Qi et al. 2017) on flat banks of points.
+"""The layers of PointNet++ (Qi et al. 2017), set abstraction with multi-scale grouping, on flat banks of points.
 
-A bank is a list of points (N, 3) whatever clouds they come from; a group is a centre among them and k members, given
-by index. Groups of many copies of a scene thus go through a layer in one go, and what the copies share stands in the
-bank once. Letters: B scenes, C candidates, N points of a bank, G groups, k members of a group, F features.
+A bank is a list of points (N, 3) of any number of clouds; a group is a centre among them and k members, given by index.
+Groups of many copies of a scene thus go through a layer at once, and what the copies share is in the bank once.
+Letters: B scenes, C candidates, N points of a bank, G groups, k members of a group, F features.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ class Dense(nn.Module):
         return self.after(functional.linear(rows, self.linear.weight))
 
     def after(self, mapped: Tensor) -> Tensor:
-        """What follows the linear map."""
+        """Norm and ReLU, which follow the linear map."""
         return self.normed(mapped).relu_()
 
     def normed(self, mapped: Tensor) -> Tensor:
-        """Each feature over all rows, (..., F)."""
+        """The norm of each feature over all rows, (..., F)."""
         return self.norm(mapped.flatten(0, -2)).view_as(mapped)
 
     def folded(self) -> tuple[Tensor, Tensor]:
@@ -48,8 +48,8 @@ class Dense(nn.Module):
         return self.linear.weight * scale[:, None], self.norm.bias - mean * scale
 
 
-class Chain(nn.Module):
-    """Layers from each width to the next. (N, F) -> (N, F')."""
+class MLP(nn.Module):
+    """Dense layers from each width to the next. (N, F) -> (N, F')."""
 
     def __init__(self, widths: Sequence[int]) -> None:
         super().__init__()
@@ -59,11 +59,11 @@ class Chain(nn.Module):
         return (cast(Dense, layer) for layer in self.layers)
 
     def forward(self, rows: Tensor) -> Tensor:
-        return mapped(list(self), rows)
+        return mlp(list(self), rows)
 
 
-def mapped(layers: list[Dense], rows: Tensor) -> Tensor:
-    """Rows (N, F) through the layers, with the norms folded into the maps when not training. (N, F')."""
+def mlp(layers: list[Dense], rows: Tensor) -> Tensor:
+    """The layers applied to rows (N, F), with the norms folded into the maps when not training. (N, F')."""
     for layer in layers:
         if layer.training:
             rows = layer(rows)
@@ -75,100 +75,100 @@ def mapped(layers: list[Dense], rows: Tensor) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Groups:
-    """Centres (G,) in a bank and, of each scale, members (G, k)."""
+    """Indices into a bank: centres (G,) and, for each scale, members (G, k)."""
 
     centres: Tensor
     members: list[Tensor]
 
     def joined(self, other: Groups) -> Groups:
-        """These and then the others."""
+        """These groups followed by others."""
         members = [torch.cat(both) for both in zip(self.members, other.members, strict=True)]
         return Groups(torch.cat([self.centres, other.centres]), members)
 
 
-class Level(nn.Module):
-    """One set abstraction at several scales: each group to the largest of what its members are mapped to.
+class SetAbstraction(nn.Module):
+    """One set abstraction at several scales: an MLP on the members of each group, then the maximum over them.
 
-    A member enters as its place and flag less those of the centre, and its features.
+    The input of a member is its coordinates and flag relative to those of the centre, and its features.
     """
 
     def __init__(self, features: int, widths: list[list[int]]) -> None:
-        """features: of the points that come in, none at the first level; widths: layers of each scale."""
+        """features: input features of a point, 0 for none; widths: of the layers of each scale."""
         super().__init__()
-        self.scales = nn.ModuleList(Chain([4 + features, *layers]) for layers in widths)
+        self.scales = nn.ModuleList(MLP([4 + features, *layers]) for layers in widths)
 
-    def forward(self, places: Tensor, features: Tensor | None, groups: Groups) -> Tensor:
+    def forward(self, points: Tensor, features: Tensor | None, groups: Groups) -> Tensor:
         """The features of groups.
 
         Args:
-            places: (N, 4) coordinates and flag.
+            points: (N, 4) coordinates and flag.
             features: (N, F), or None.
             groups: indices into both.
 
         Returns:
-            (G, F') of all scales, one after another.
+            (G, F') of all scales, concatenated.
         """
-        middle = places[groups.centres][:, None]  # (G, 1, 4)
-        found = []
+        centre = points[groups.centres][:, None]  # (G, 1, 4)
+        scales = []
         for layers, index in zip(self.scales, groups.members, strict=True):
-            apart = places[index] - middle  # (G, k, 4)
+            relative = points[index] - centre  # (G, k, 4)
             pooled = _pooled if self.training else _pooled_folded
-            found.append(pooled(list(cast(Chain, layers)), apart, features, index))
-        return torch.cat(found, -1)
+            scales.append(pooled(list(cast(MLP, layers)), relative, features, index))
+        return torch.cat(scales, -1)
 
 
-def _pooled(layers: list[Dense], apart: Tensor, features: Tensor | None, index: Tensor) -> Tensor:
-    """(G, k, 4) -> (G, F'): the layers one by one."""
+def _pooled(layers: list[Dense], relative: Tensor, features: Tensor | None, index: Tensor) -> Tensor:
+    """(G, k, 4) -> (G, F'): the layers, then the maximum over the members."""
     weight = layers[0].linear.weight
-    rows = functional.linear(apart, weight[:, :4])
-    if features is not None:  # the map is linear: once for each point, not for each membership
+    rows = functional.linear(relative, weight[:, :4])
+    if features is not None:  # the map is linear: once for each point, not for each member
         rows = rows + functional.embedding(index, functional.linear(features, weight[:, 4:]))
     rows = layers[0].after(rows)
     for layer in layers[1:-1]:
         rows = layer(rows)
     rows = layers[-1].normed(functional.linear(rows, layers[-1].linear.weight))
-    return cast(Tensor, _Largest.apply(rows)).relu()  # ReLU of the largest is the largest ReLU, and there are fewer
+    return cast(Tensor, _MaxPool.apply(rows)).relu()  # the maximum commutes with ReLU, and leaves fewer rows
 
 
-def _pooled_folded(layers: list[Dense], apart: Tensor, features: Tensor | None, index: Tensor) -> Tensor:
-    """The same with the norms folded into the maps, and the last bias and ReLU after the largest."""
+def _pooled_folded(layers: list[Dense], relative: Tensor, features: Tensor | None, index: Tensor) -> Tensor:
+    """The same with the norms folded into the maps, and the last bias and ReLU after the maximum."""
     weight, bias = layers[0].folded()
     groups, members = index.shape
-    rows = torch.addmm(bias, apart.flatten(0, 1).to(weight.dtype), weight[:, :4].T)  # (G k, F)
+    rows = torch.addmm(bias, relative.flatten(0, 1).to(weight.dtype), weight[:, :4].T)  # (G k, F)
     if features is not None:
         rows += torch.index_select(features @ weight[:, 4:].T, 0, index.flatten())
-    rows = mapped(layers[1:-1], rows.relu_())
+    rows = mlp(layers[1:-1], rows.relu_())
     weight, bias = layers[-1].folded()
     return (rows @ weight.T).view(groups, members, -1).amax(1).add_(bias).relu_()
 
 
-class _Largest(torch.autograd.Function):
-    """The largest over the members, (G, k, F) -> (G, F). torch's own gradients of it take far longer on a processor."""
+class _MaxPool(torch.autograd.Function):
+    """The maximum over the members, (G, k, F) -> (G, F). torch's own gradient of it is far slower on a CPU."""
 
     @staticmethod
     def forward(ctx: Any, rows: Tensor) -> Tensor:
         image = rows[None].permute(0, 3, 1, 2)  # (1, F, G, k), its features side by side in memory
-        found, place = functional.max_pool2d(image, (1, rows.shape[1]), return_indices=True)
+        values, index = functional.max_pool2d(image, (1, rows.shape[1]), return_indices=True)
         ctx.shape = rows.shape
-        ctx.save_for_backward(place[0, :, :, 0].T)  # (G, F), among all G k rows
-        return found[0, :, :, 0].T.contiguous()
+        ctx.save_for_backward(index[0, :, :, 0].T)  # (G, F), among all G k rows
+        return values[0, :, :, 0].T.contiguous()
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> Tensor:
-        (place,) = ctx.saved_tensors
+        (index,) = ctx.saved_tensors
         groups, members, features = ctx.shape
-        return grads[0].new_zeros(groups * members, features).scatter_(0, place, grads[0]).view(ctx.shape)
+        return grads[0].new_zeros(groups * members, features).scatter_(0, index, grads[0]).view(ctx.shape)
 
 
-def farthest(points: Tensor, count: int) -> Tensor:
-    """Points far from each other: the first, then always the one farthest from all chosen so far.
+def farthest_points(points: Tensor, count: int) -> Tensor:
+    """Farthest point sampling: the first point, then always the one farthest from all chosen before.
 
     Args:
         points: (B, N, 3).
         count: how many, at most N.
 
     Returns:
-        (B, count) indices; of equally far points the first. Fewer are a prefix of more.
+        (B, count) indices; of equally far points the first. A smaller count gives a prefix.
     """
     if points.device.type == "cpu":
         chosen = np.empty((len(points), count), np.int64)
@@ -178,57 +178,59 @@ def farthest(points: Tensor, count: int) -> Tensor:
     nearest = points.new_full(points.shape[:2], torch.inf)
     scene = torch.arange(len(points), device=points.device)
     for _ in range(count - 1):
-        nearest = torch.minimum(nearest, squares(points, points[scene, steps[-1]][:, None]))
+        nearest = torch.minimum(nearest, squared_distances(points, points[scene, steps[-1]][:, None]))
         steps.append(nearest.argmax(1))
     return torch.stack(steps, 1)
 
 
-def squares(a: Tensor, b: Tensor) -> Tensor:
-    """Squared distances (...) of points (..., 3), broadcasting; summed in one order on every machine."""
+def squared_distances(a: Tensor, b: Tensor) -> Tensor:
+    """Squared distances (...) of points (..., 3), broadcasting; summed in the same order on every machine."""
     x, y, z = (a - b).unbind(-1)
     return x * x + y * y + z * z
 
 
-def within(centres: Tensor, points: Tensor, radii: tuple[float, ...], counts: tuple[int, ...]) -> list[Tensor]:
+def ball_query(centres: Tensor, points: Tensor, radii: tuple[float, ...], counts: tuple[int, ...]) -> list[Tensor]:
     """The first points, in their order, within each radius of each centre.
 
     Args:
         centres: (B, S, 3).
         points: (B, N, 3).
-        radii: of each scale.
+        radii: one for each scale.
         counts: k of each scale.
 
     Returns:
-        Of each scale, (B, S, k) indices; -1 where there are no more.
+        For each scale, (B, S, k) indices; -1 where there are no more.
     """
     if centres.device.type == "cpu":
-        return _within_compiled(centres, points, radii, counts)
-    return within_sorted(centres, points, radii, counts)
+        return _ball_query_compiled(centres, points, radii, counts)
+    return ball_query_sorted(centres, points, radii, counts)
 
 
-def within_sorted(centres: Tensor, points: Tensor, radii: tuple[float, ...], counts: tuple[int, ...]) -> list[Tensor]:
-    """The same as `within`, by array operations alone."""
-    distance = squares(centres[:, :, None], points[:, None])  # (B, S, N)
+def ball_query_sorted(
+    centres: Tensor, points: Tensor, radii: tuple[float, ...], counts: tuple[int, ...]
+) -> list[Tensor]:
+    """The same as `ball_query`, by array operations alone."""
+    distance = squared_distances(centres[:, :, None], points[:, None])  # (B, S, N)
     number = points.shape[1]
     order = torch.arange(number, device=points.device, dtype=torch.int32)
-    found = []
+    indices = []
     for radius, count in zip(radii, counts, strict=True):
         reached = torch.where(distance <= np.float32(radius) ** 2, order, number)
         first = reached.topk(min(count, number), largest=False, sorted=True).values.long()
         first = functional.pad(first, (0, count - first.shape[-1]), value=number)
-        found.append(first.where(first < number, -1))
-    return found
+        indices.append(first.where(first < number, -1))
+    return indices
 
 
-def _within_compiled(
+def _ball_query_compiled(
     centres: Tensor, points: Tensor, radii: tuple[float, ...], counts: tuple[int, ...]
 ) -> list[Tensor]:
-    found = np.full((*centres.shape[:2], sum(counts)), -1, np.int64)
+    indices = np.full((*centres.shape[:2], sum(counts)), -1, np.int64)
     ends = np.concatenate([[0], np.cumsum(counts)])
     limits = np.array([np.float32(radius) ** 2 for radius in radii], np.float32)
     arrays = (np.ascontiguousarray(cloud.detach().numpy(), np.float32) for cloud in (centres, points))
-    _scan(*arrays, limits, ends, found)
-    return [torch.from_numpy(found[..., a:b]) for a, b in pairwise(ends.tolist())]
+    _scan(*arrays, limits, ends, indices)
+    return [torch.from_numpy(indices[..., a:b]) for a, b in pairwise(ends.tolist())]
 
 
 @compiled
@@ -252,7 +254,7 @@ def _farthest(points, chosen):
 
 
 @compiled
-def _scan(centres, points, limits, ends, found):
+def _scan(centres, points, limits, ends, indices):
     """Write the first points (B, N, 3) within each of the rising limits about each centre (B, S, 3), all float32."""
     scales = len(limits)
     have = np.empty(scales, np.int64)
@@ -269,7 +271,7 @@ def _scan(centres, points, limits, ends, found):
                     continue
                 for scale in range(scales):
                     if square <= limits[scale] and have[scale] < ends[scale + 1]:
-                        found[scene, c, have[scale]] = i
+                        indices[scene, c, have[scale]] = i
                         have[scale] += 1
                         missing -= have[scale] == ends[scale + 1]
                 if missing == 0:

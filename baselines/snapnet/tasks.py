@@ -1,4 +1,4 @@
-"""What the training loop needs of either network: its examples, its loss, and how well it has learnt."""
+"""The training tasks of both networks: their examples, losses and validation measures."""
 
 from __future__ import annotations
 
@@ -10,72 +10,97 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from baselines.snapnet.examples import Example, PositionExamples, RotationExamples
+from baselines.snapnet.config import POSITION, ROTATION, PositionConfig, RotationConfig, Source
+from baselines.snapnet.examples import Example, Guesses, PositionExamples, QuerySampler, RotationExamples
 from baselines.snapnet.position import PositionNet, position_loss, position_of
 from baselines.snapnet.rotation import RotationNet, rotation_loss
+from kit1000.dataset.reader import Dataset
+
+VALIDATION_QUERIES = {"position": 100, "rotation": 48}  # spread evenly over the validation split
 
 Batch = dict[str, Tensor]
 Examples = TypeVar("Examples", PositionExamples, RotationExamples)
 
 
 @dataclass
-class Examined(Generic[Examples]):
-    """Examples of one split to learn from, and of another to check by."""
+class QueryTask(Generic[Examples]):
+    """Examples of one split for training, and of another for validation."""
 
-    learn: Examples
-    check: Examples
-    checks: int
-    """Queries to check by, spread evenly over their split."""
+    training: Examples
+    validation: Examples
+    validation_queries: int
 
     def example(self, rng: np.random.Generator) -> Example:
         """A part of any scene with a fresh guess."""
-        return self.learn.draw(rng)
+        return self.training.draw(rng)
 
-    def check_examples(self) -> Sequence[str]:
-        """Ids of queries."""
-        return self.check.keys(self.checks)
+    def validation_keys(self) -> Sequence[str]:
+        """Ids of queries, spread evenly over their split."""
+        return self.validation.keys(self.validation_queries)
 
 
 @dataclass
-class PositionTask(Examined[PositionExamples]):
-    """Find where the part goes."""
+class PositionTask(QueryTask[PositionExamples]):
+    """Predict the position of the part at its goal."""
 
     model: PositionNet
 
-    def check_example(self, key: str) -> Example:
+    def validation_example(self, key: str) -> Example:
         """The query with its stored guess."""
-        return self.check.check(key)
+        return self.validation.stored(key)
 
     def loss(self, batch: Batch) -> Tensor:
-        """() cross-entropy over the cells, the mean over those examples that lie in the window."""
+        """() cross-entropy over the cells, the mean over those examples that are inside the window."""
         losses = position_loss(self.model(batch["part"], batch["kit"]), batch["offset"], self.model.config)
         return losses.sum() / batch["inside"].sum().clamp(min=1)
 
     def measure(self, batch: Batch) -> Batch:
-        """(B,) `position_mm`: how far the best place lies off."""
-        found = position_of(self.model(batch["part"], batch["kit"]), self.model.config)
-        return {"position_mm": 1e3 * torch.linalg.norm(found - batch["offset"], dim=1)}
+        """(B,) `position_mm`: error of the predicted offset."""
+        predicted = position_of(self.model(batch["part"], batch["kit"]), self.model.config)
+        return {"position_mm": 1e3 * torch.linalg.norm(predicted - batch["offset"], dim=1)}
 
 
 @dataclass
-class RotationTask(Examined[RotationExamples]):
-    """Tell turned copies of the part apart."""
+class RotationTask(QueryTask[RotationExamples]):
+    """Score candidate rotations of the part."""
 
     model: RotationNet
 
-    def check_example(self, key: str) -> Example:
-        """The query with its stored guess, and every candidate."""
-        return self.check.check(key, every=True)
+    def validation_example(self, key: str) -> Example:
+        """The query with its stored guess, and all candidates."""
+        return self.validation.stored(key, every=True)
 
     def loss(self, batch: Batch) -> Tensor:
-        """() cross-entropy over the candidates that are shown."""
-        return rotation_loss(self._logits(batch), batch["nearest"], batch["distances"], self.model.config).mean()
+        """() cross-entropy over the candidates."""
+        return rotation_loss(self._logits(batch), batch["nearest"], batch["angles"], self.model.config).mean()
 
     def measure(self, batch: Batch) -> Batch:
-        """(B,) `rotation_deg` of the best candidate from the nearest right turn, and `floor_deg` of the nearest."""
-        degrees = torch.rad2deg(batch["distances"])
+        """(B,) `rotation_deg`: angle of the best candidate to the nearest correct rotation; `floor_deg`: the least."""
+        degrees = torch.rad2deg(batch["angles"])
         best = self._logits(batch).argmax(1, keepdim=True)
         return {"rotation_deg": degrees.gather(1, best)[:, 0], "floor_deg": degrees.amin(1)}
 
     def _logits(self, batch: Batch) -> Tensor:
-        return self.model(batch["part_points"], batch["kit_points"], batch["turns"], batch.get("kit_volume"))
+        return self.model(batch["part_points"], batch["kit_points"], batch["rotations"], batch.get("kit_volume"))
+
+
+def position_task(
+    dataset: Dataset, preset: str, source: Source, guesses: Guesses = "ball"
+) -> tuple[PositionTask, PositionConfig]:
+    """The task of a position network with new weights, and its config."""
+    config = POSITION[preset]
+    training, validation = (
+        PositionExamples(QuerySampler(dataset, split, source, guesses), config) for split in ("train", "val")
+    )
+    return PositionTask(training, validation, VALIDATION_QUERIES["position"], PositionNet(config)), config
+
+
+def rotation_task(
+    dataset: Dataset, preset: str, source: Source, guesses: Guesses = "ball"
+) -> tuple[RotationTask, RotationConfig]:
+    """The task of a rotation network with new weights, and its config."""
+    config = ROTATION[preset]
+    training, validation = (
+        RotationExamples(QuerySampler(dataset, split, source, guesses), config) for split in ("train", "val")
+    )
+    return RotationTask(training, validation, VALIDATION_QUERIES["rotation"], RotationNet(config)), config

@@ -9,7 +9,7 @@ from typing import Literal
 from kit1000.errors import InputError
 
 FREE = ("checkpoint_every", "workers", "threads", "time_limit_s")
-"""Fields that may differ where a run goes on: they move no result."""
+"""Fields that may differ when a run is resumed: they change no result."""
 
 
 @dataclass(frozen=True)
@@ -19,51 +19,51 @@ class TrainConfig:
     steps: int = 20_000
     batch: int = 8
     """Examples of a step, over all processes together."""
-    rate: float = 1e-3
-    """Of Adam, at its highest."""
+    learning_rate: float = 1e-3
+    """Of Adam, at its peak."""
     warmup: int = 0
-    """Steps over which the rate grows from nothing, linearly."""
+    """Steps over which the learning rate rises linearly from 0."""
     decay: Literal["none", "linear", "cosine"] = "cosine"
-    """How the rate falls afterwards, to nothing at the last step."""
+    """How the learning rate falls afterwards, to 0 at the last step."""
     weight_decay: float = 0.0
-    """Of weights but not of biases and scales, apart from the gradient (AdamW); Adam as it was published when 0."""
+    """Of weights but not of biases and scales, decoupled from the gradient (AdamW); plain Adam when 0."""
     clip: float | None = None
     """Largest norm of the gradient."""
-    average: float | None = None
-    """What an average of the weights keeps of itself in a step, such as 0.999; that average is what is checked then."""
-    mixed: Literal["auto", "off"] = "auto"
+    ema_decay: float | None = None
+    """Of an exponential moving average of the weights, such as 0.999; the average is then validated and kept."""
+    mixed_precision: Literal["auto", "off"] = "auto"
     """auto: half precision on a GPU, bfloat16 where it has it."""
     seed: int = 0
-    check_every: int = 200
+    validate_every: int = 200
     """Steps."""
     patience: int | None = None
-    """Checks without a new best after which to stop."""
+    """Validations without a new best after which to stop."""
     checkpoint_every: int = 200
-    """Steps; a kill costs no more than these."""
+    """Steps: the most that a kill costs."""
     workers: int | None = None
-    """Processes that make examples; when absent, one per core beside a GPU, else one."""
+    """Processes that make examples; None: one per core with a GPU, else one."""
     threads: int | None = None
-    """Of PyTorch; one per core when absent."""
+    """Of PyTorch; None: one per core."""
     time_limit_s: float | None = None
-    """After which a call stops, with a checkpoint, to be called again."""
+    """After which a call stops, with a checkpoint, to be resumed."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "check_every", "checkpoint_every", "patience", "threads"):
+        for name in ("steps", "batch", "validate_every", "checkpoint_every", "patience", "threads"):
             _at_least(name, getattr(self, name), 1)
         for name in ("warmup", "weight_decay", "seed", "workers", "time_limit_s"):
             _at_least(name, getattr(self, name), 0)
-        for name, most in (("rate", math.inf), ("clip", math.inf), ("average", 1)):
+        for name, most in (("learning_rate", math.inf), ("clip", math.inf), ("ema_decay", 1)):
             value = getattr(self, name)
             if value is not None and not 0 < value < most:
                 raise InputError(f"{name}: expected a number above 0 and below {most}, got {value}")
 
-    def rate_at(self, step: int) -> float:
+    def learning_rate_at(self, step: int) -> float:
         """The learning rate of a step, counted from 0."""
         if step < self.warmup:
-            return self.rate * (step + 1) / (self.warmup + 1)
+            return self.learning_rate * (step + 1) / (self.warmup + 1)
         share = (step - self.warmup) / max(self.steps - self.warmup, 1)
-        left = {"none": 1.0, "linear": 1 - share, "cosine": (1 + math.cos(math.pi * share)) / 2}
-        return self.rate * left[self.decay]
+        factor = {"none": 1.0, "linear": 1 - share, "cosine": (1 + math.cos(math.pi * share)) / 2}
+        return self.learning_rate * factor[self.decay]
 
 
 def _at_least(name: str, value: float | None, least: int) -> None:

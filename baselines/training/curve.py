@@ -1,4 +1,4 @@
-"""How a training went, drawn as SVG from its log: a chart for the loss and one for each measure, by step."""
+"""Learning curves as SVG, from the log of a training run: a chart of the loss and one of each measure, by step."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 WIDTH, HEIGHT = 360, 220  # [px] of a chart
 LEFT, RIGHT, TOP, BOTTOM = 52, 14, 30, 34  # [px] around the plotted area
-WIDE = 10.0  # largest over smallest value from which on an axis is logarithmic
+LOG_RATIO = 10.0  # largest over smallest value above which an axis is logarithmic
 STYLE = """\
 svg { --ink: #1f2328; --rule: #dfe3e8; --median: #2f6f9f; --mean: #c2571a; --paper: #ffffff;
   font: 12px system-ui, -apple-system, "Segoe UI", Roboto, sans-serif; }
@@ -25,7 +25,7 @@ Points = list[tuple[float, float]]
 
 
 def curve(rows: Sequence[Mapping[str, Any]]) -> str:
-    """An SVG file of the rows of a log, which may be none: the same rows give the same bytes."""
+    """An SVG file of the rows of a log, possibly none: the same rows give the same bytes."""
     charts = [_chart("loss", {"mean": [(row["step"], row["loss"]) for row in rows]})]
     for name in rows[0]["measures"] if rows else ():
         kinds = ("median", "mean")
@@ -38,7 +38,7 @@ def curve(rows: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _chart(title: str, lines: Mapping[str, Points]) -> str:
-    """Lines by their kind, over a grid that is logarithmic where values spread widely."""
+    """Lines by their kind, over a grid; logarithmic where values span more than LOG_RATIO."""
     values = [value for points in lines.values() for _, value in points]
     last = max([step for points in lines.values() for step, _ in points], default=1)
     ticks, log = _ticks(values)
@@ -63,9 +63,9 @@ def _chart(title: str, lines: Mapping[str, Points]) -> str:
 
 
 def _ticks(values: Sequence[float]) -> tuple[list[float], bool]:
-    """Round numbers around all values, at least two; and whether they belong on a logarithmic axis."""
+    """Round numbers that enclose all values, at least two, and whether the axis is logarithmic."""
     low, high = min(values, default=0.0), max(values, default=1.0)
-    if low > 0 and high / low > WIDE:
+    if low > 0 and high / low > LOG_RATIO:
         powers = range(floor(log10(low)), ceil(log10(high)) + 1)
         every = ceil(len(powers) / 6)
         return [10.0**power for power in range(powers[0], powers[-1] + every, every)], True

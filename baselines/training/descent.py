@@ -1,4 +1,4 @@
-"""One step after another down the gradient: Adam, half precision, an average of the weights, several processes."""
+"""Optimiser steps: Adam, half precision, a moving average of the weights, several processes."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import torch
 from torch.nn.parallel import DistributedDataParallel
 
 from baselines.training.batches import Batch, Task
-from baselines.training.checkpoint import Tensors, fill, fill_optimizer, optimizer_tensors
+from baselines.training.checkpoint import Tensors, load_into, load_into_optimizer, optimizer_tensors
 from baselines.training.config import TrainConfig
 from baselines.training.ranks import Ranks
 from kit1000.errors import InputError
 from kit1000.rng import stream
 
-AVERAGE_START = 10  # steps: at first an average keeps only (1 + step) / (10 + step) of itself, as in TensorFlow
+EMA_WARMUP = 10  # steps: at first the decay is only (1 + step) / (10 + step), as in TensorFlow
 BF16_SINCE = (8, 0)  # compute capability of GPUs that calculate in bfloat16; older ones emulate it
 
 
 class Descent:
-    """A network with all that changes as it is trained."""
+    """A network with all state that training changes."""
 
     def __init__(self, task: Task, config: TrainConfig, ranks: Ranks) -> None:
         """Take the network to the device of this process."""
@@ -30,18 +30,18 @@ class Descent:
         self.model = task.model.to(ranks.device)
         self.loss = task.loss
         self.loss_sum = torch.zeros((), dtype=torch.float64, device=ranks.device)
-        """Of the steps since it was set to zero; on the device, so that no step waits for a number."""
+        """Over the steps since it was reset; on the device, so that no step waits for a transfer."""
         self._half = _half(config, ranks.device)
         self._optimizer = _adam(self.model, config)
         self._scaler = torch.amp.GradScaler(enabled=self._half == torch.float16)  # pyright: ignore[reportPrivateImportUsage]
-        self._average = {} if config.average is None else _copied(self.model)
+        self._average = {} if config.ema_decay is None else _copied(self.model)
         self._parallel: torch.nn.Module | None = None
 
     def step(self, step: int, batch: Batch) -> None:
-        """Take step number `step`, counted from 0, by this process's part of its batch."""
+        """Take step number `step`, counted from 0, on this process's part of its batch."""
         self._seed("torch", step, self.ranks.rank)
         for group in self._optimizer.param_groups:
-            group["lr"] = self.config.rate_at(step)
+            group["lr"] = self.config.learning_rate_at(step)
         self.model.train()
         with self._precision():
             loss = self._loss(batch)
@@ -52,21 +52,21 @@ class Descent:
             torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.config.clip)
         self._scaler.step(self._optimizer)
         self._scaler.update()
-        if self.config.average is not None:
-            _lean(self._average, self.model, 1 - min(self.config.average, (1 + step) / (AVERAGE_START + step)))
+        if self.config.ema_decay is not None:
+            _update_average(self._average, self.model, 1 - min(self.config.ema_decay, (1 + step) / (EMA_WARMUP + step)))
         self.loss_sum += loss.detach()
 
     def mean_loss(self, steps: int) -> float:
-        """Over the steps since the sum was zero, and over all processes; raises InputError when it is not finite."""
+        """Over the steps since the reset, and over all processes; raises InputError where it is not finite."""
         self.loss_sum.copy_(self.ranks.mean(self.loss_sum))
         loss = float(self.loss_sum) / max(steps, 1)
         if not math.isfinite(loss):
-            raise InputError("the loss is no longer finite; a lower rate, or clip, may help")
+            raise InputError("the loss is no longer finite; a lower learning_rate, or clip, may help")
         return loss
 
     @contextmanager
-    def checked(self) -> Iterator[None]:
-        """The network as it is measured and kept: in evaluation mode, without gradients, with averaged weights."""
+    def evaluation(self) -> Iterator[None]:
+        """The network as it is validated and kept: in evaluation mode, without gradients, with averaged weights."""
         own = _copied(self.model) if self._average else {}
         if own:
             self.model.load_state_dict(self._average)
@@ -79,26 +79,26 @@ class Descent:
             if own:
                 self.model.load_state_dict(own)
 
-    def parts(self) -> dict[str, Tensors]:
-        """Its tensors, for a checkpoint."""
+    def tensors(self) -> dict[str, Tensors]:
+        """Its tensors by group, for a checkpoint."""
         optimizer = optimizer_tensors(self.model, self._optimizer)
         return {"model": self.model.state_dict(), "average": self._average, "optimizer": optimizer}
 
-    def words(self) -> dict[str, Any]:
-        """Its numbers, for a checkpoint, as JSON has them."""
+    def numbers(self) -> dict[str, Any]:
+        """Its other state, for a checkpoint, as JSON has it."""
         return {"loss_sum": float(self.loss_sum), "scaler": self._scaler.state_dict()}
 
-    def fill(self, parts: Mapping[str, Tensors], words: Mapping[str, Any], where: object) -> None:
-        """Take up what a checkpoint holds; raises InputError when it is of another network."""
-        fill(self.model, parts["model"], str(where))
-        fill_optimizer(self.model, self._optimizer, parts["optimizer"], str(where))
-        self._average = {name: value.to(self.ranks.device) for name, value in parts["average"].items()}
-        self.loss_sum.fill_(words["loss_sum"])
-        if words["scaler"]:
-            self._scaler.load_state_dict(words["scaler"])
+    def restore(self, tensors: Mapping[str, Tensors], numbers: Mapping[str, Any], where: object) -> None:
+        """Restore the state of a checkpoint; raises InputError where it is of another network."""
+        load_into(self.model, tensors["model"], str(where))
+        load_into_optimizer(self.model, self._optimizer, tensors["optimizer"], str(where))
+        self._average = {name: value.to(self.ranks.device) for name, value in tensors["average"].items()}
+        self.loss_sum.fill_(numbers["loss_sum"])
+        if numbers["scaler"]:
+            self._scaler.load_state_dict(numbers["scaler"])
 
     def _loss(self, batch: Batch) -> torch.Tensor:
-        """() whose gradient is that of all processes together."""
+        """() the loss, whose gradient is the mean over all processes."""
         if self.ranks.world == 1:
             return self.loss(batch)
         if self._parallel is None:
@@ -109,12 +109,12 @@ class Descent:
         return torch.autocast(self.ranks.device.type, self._half or torch.bfloat16, enabled=self._half is not None)
 
     def _seed(self, *key: int | str) -> None:
-        """Of dropout and the like, which have no generators of their own: by step, so that a run can go on."""
+        """Seed dropout and the like, which have no generators of their own: by step, so that a run can be resumed."""
         torch.manual_seed(int(stream(self.config.seed, *key).integers(2**63)))
 
 
 class _Loss(torch.nn.Module):
-    """A loss as a module, so that all use of the network in it is seen from outside."""
+    """A loss as a module, so that DistributedDataParallel covers every use of the network in it."""
 
     def __init__(self, model: torch.nn.Module, loss: Callable[[Batch], torch.Tensor]) -> None:
         super().__init__()
@@ -127,17 +127,17 @@ class _Loss(torch.nn.Module):
 
 def _adam(model: torch.nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
     """Adam, or with weight decay AdamW; vectors, which are biases and scales, do not decay."""
-    learnt = [parameter for parameter in model.parameters() if parameter.requires_grad]
+    trainable = [parameter for parameter in model.parameters() if parameter.requires_grad]
     groups = [
-        {"params": [parameter for parameter in learnt if parameter.ndim > 1], "weight_decay": config.weight_decay},
-        {"params": [parameter for parameter in learnt if parameter.ndim <= 1], "weight_decay": 0.0},
+        {"params": [parameter for parameter in trainable if parameter.ndim > 1], "weight_decay": config.weight_decay},
+        {"params": [parameter for parameter in trainable if parameter.ndim <= 1], "weight_decay": 0.0},
     ]
-    return torch.optim.AdamW([group for group in groups if group["params"]], config.rate)
+    return torch.optim.AdamW([group for group in groups if group["params"]], config.learning_rate)
 
 
 def _half(config: TrainConfig, device: torch.device) -> torch.dtype | None:
-    """What a GPU calculates in where float32 is not needed."""
-    if config.mixed == "off" or device.type != "cuda":
+    """The half-precision type of a GPU; None on a CPU."""
+    if config.mixed_precision == "off" or device.type != "cuda":
         return None
     return torch.bfloat16 if torch.cuda.get_device_capability(device) >= BF16_SINCE else torch.float16
 
@@ -146,8 +146,8 @@ def _copied(model: torch.nn.Module) -> Tensors:
     return {name: value.detach().clone() for name, value in model.state_dict().items()}
 
 
-def _lean(average: Tensors, model: torch.nn.Module, share: float) -> None:
-    """Move an average towards the weights by a share of the way; counters are taken as they are."""
+def _update_average(average: Tensors, model: torch.nn.Module, share: float) -> None:
+    """Move an average towards the weights by a share of the way; integer counters are copied."""
     for name, value in model.state_dict().items():
         if value.is_floating_point():
             average[name].lerp_(value, share)

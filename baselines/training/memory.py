@@ -1,4 +1,4 @@
-"""Memory that the C library keeps instead of handing it back after every step, where it can be told to."""
+"""Makes the C library keep freed memory instead of returning it to the system after every step."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ TRIM_THRESHOLD, MMAP_MAX = -1, -4  # names of glibc's mallopt
 
 
 def keep_memory() -> bool:
-    """Let glibc keep what is freed; returns whether it was told.
+    """Make glibc keep freed memory; returns whether it could be set.
 
     Tensors of more than 32 MB are otherwise mapped anew each time, and touching their fresh pages costs more than the
     arithmetic of a small network: a step takes up to half as long again. It holds for the whole process.

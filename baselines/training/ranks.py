@@ -1,4 +1,4 @@
-"""The processes of one training run: alone, or several that torchrun started, each with its device."""
+"""The processes of one training run: one, or several started by torchrun, each with its device."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import torch.distributed as dist
 
 from kit1000.errors import InputError
 
-GROUPS = "cpu:gloo,cuda:nccl"  # words and decisions go by gloo, gradients on a GPU by nccl
+BACKENDS = "cpu:gloo,cuda:nccl"  # numbers and decisions by gloo, gradients on a GPU by nccl
 
 
 @dataclass(frozen=True)
 class Ranks:
-    """Which of how many processes this is, and where it computes."""
+    """The rank of this process, the number of processes, and its device."""
 
     rank: int
     world: int
@@ -26,20 +26,20 @@ class Ranks:
 
     @property
     def first(self) -> bool:
-        """Whether this is the one that writes."""
+        """Whether this is the process that writes files."""
         return self.rank == 0
 
     def share(self, count: int) -> range:
-        """Which of a number of things are this process's."""
+        """The indices of this process among `count`."""
         return range(self.rank, count, self.world)
 
     def agreed(self, decision: bool) -> bool:
-        """What the first process decided."""
+        """The decision of the first process."""
         if self.world == 1:
             return decision
-        said = torch.tensor(int(decision))
-        dist.broadcast(said, 0)
-        return bool(said)
+        value = torch.tensor(int(decision))
+        dist.broadcast(value, 0)
+        return bool(value)
 
     def mean(self, value: torch.Tensor) -> torch.Tensor:
         """The mean of a tensor over the processes."""
@@ -50,7 +50,7 @@ class Ranks:
         return total / self.world
 
     def gathered(self, value: Any) -> list[Any]:
-        """What each process has, in their order, in all of them; must be such that it can be pickled."""
+        """The values of all processes in their order, in every process; a value is pickled."""
         if self.world == 1:
             return [value]
         values = [None] * self.world
@@ -60,7 +60,7 @@ class Ranks:
 
 @contextmanager
 def joined(device: torch.device | str | None = None) -> Iterator[Ranks]:
-    """The processes that the environment tells of (WORLD_SIZE, RANK, LOCAL_RANK, as torchrun sets them), or one alone.
+    """The processes of the environment (WORLD_SIZE, RANK, LOCAL_RANK, as torchrun sets them), or this one alone.
 
     Args:
         device: a GPU where there is one, else the CPU, when None; each process of a machine takes a GPU of its own.
@@ -71,7 +71,7 @@ def joined(device: torch.device | str | None = None) -> Iterator[Ranks]:
         torch.cuda.set_device(chosen)
     begun = world > 1 and not dist.is_initialized()
     if begun:
-        dist.init_process_group(GROUPS if chosen.type == "cuda" else "gloo", rank=rank, world_size=world)
+        dist.init_process_group(BACKENDS if chosen.type == "cuda" else "gloo", rank=rank, world_size=world)
     try:
         yield Ranks(rank, world, chosen)
     finally:
@@ -80,7 +80,7 @@ def joined(device: torch.device | str | None = None) -> Iterator[Ranks]:
 
 
 def processes_here() -> int:
-    """How many processes of the run share this machine."""
+    """The number of processes of the run on this machine."""
     return int(os.environ.get("LOCAL_WORLD_SIZE", os.environ.get("WORLD_SIZE", 1)))
 
 

@@ -1,4 +1,4 @@
-"""Reading a dataset: its summary, its tables, and parts, kits and assemblies by id, each loaded when asked for."""
+"""Reading a dataset: its summary, its tables, and parts, kits and assemblies by id, each loaded on first use."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from kit1000.dataset.tables import FORMAT, Row, assembly_of, kit_of, part_of, sl
 from kit1000.errors import InputError
 from kit1000.files import read_json
 from kit1000.mesh import Mesh
-from kit1000.values import Assembly, Kit, Part, Slot
+from kit1000.values import Assembly, Kit, Part, Slot, TrueGeometry, Truth
 
-KEPT = 512  # parts, and as many assemblies, in memory: a test split is read once however often it is scored
+CACHED = 1024  # parts, and as many assemblies, in memory: all of a training split; 0.2 MB and 3 ms of reading each
 
 
 class Geometry:
     """The parts, kits and assemblies of a finished dataset, by id: `part`, `kit`, `slot` and `assembly`."""
 
     def __init__(self, root: str | Path) -> None:
-        """Open a dataset folder. Raises InputError when it is none, or is not finished."""
+        """Open a dataset folder. Raises InputError when it is no dataset, or an unfinished one."""
         self.root = Path(root)
         if not (self.root / "dataset.json").is_file():
             raise InputError(f"{self.root}: no dataset ({self._missing()})")
@@ -28,31 +28,38 @@ class Geometry:
         found = self.summary.get("format") if isinstance(self.summary, dict) else None
         if found != FORMAT:
             raise InputError(f"{self.root}: dataset.json has format {found!r}, this version reads {FORMAT!r}")
-        self.part = lru_cache(maxsize=KEPT)(self._part)
+        self.part = lru_cache(maxsize=CACHED)(self._part)
         self.kit = lru_cache(maxsize=64)(self._kit)
-        self.assembly = lru_cache(maxsize=KEPT)(self._assembly)
+        self.assembly = lru_cache(maxsize=CACHED)(self._assembly)
         self.slot = lru_cache(maxsize=4096)(self._slot)
 
     @cached_property
     def parts(self) -> dict[str, Row]:
-        """Rows of the table of parts by id."""
+        """Rows of the table `parts`, by id."""
         return read_json(self.root / "parts.json")
 
     @cached_property
     def kits(self) -> dict[str, Row]:
-        """Rows of the table of kits by id (that of their part)."""
+        """Rows of the table `kits`, by id, which is that of the part."""
         return read_json(self.root / "kits.json")
 
     @cached_property
     def assemblies(self) -> dict[str, Row]:
-        """Rows of the table of assemblies by id."""
+        """Rows of the table `assemblies`, by id."""
         return read_json(self.root / "assemblies.json")
+
+    def true_geometry(self, truth: Truth) -> TrueGeometry:
+        """The shapes that a query is about and where they stand, without its goals."""
+        assembly = self.assembly(truth.assembly_id)
+        mount = next(mount for mount in assembly.mounts if mount.kit.id == truth.part_id)
+        world_from_assembly = truth.world_from_kit @ mount.assembly_from_kit.inverse()
+        return TrueGeometry(self.part(truth.part_id).mesh, truth.world_from_part, assembly.mesh, world_from_assembly)
 
     def _missing(self) -> str:
         if not self.root.is_dir():
             return "it is a file" if self.root.exists() else "there is no such folder"
         if (self.root / "plan.json").is_file():
-            return "begun but not finished: run the same `kit1000 generate` again"
+            return "not finished: run the same `kit1000 generate` again"
         return "no dataset.json in it"
 
     def _part(self, part_id: str) -> Part:
@@ -62,11 +69,11 @@ class Geometry:
         return kit_of(kit_id, self._row("kits", kit_id), self._mesh("kits", kit_id))
 
     def _slot(self, part_id: str) -> Slot:
-        """The slot of a part, from the table alone: no mesh is opened."""
+        """The slot of a part, read from the table without opening a mesh."""
         return slot_of(self._row("kits", part_id))
 
     def _assembly(self, assembly_id: str) -> Assembly:
-        """With its kits."""
+        """An assembly with its kits."""
         row, mesh = self._row("assemblies", assembly_id), self._mesh("assemblies", assembly_id)
         return assembly_of(assembly_id, row, mesh, self.kit)
 

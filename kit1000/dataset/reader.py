@@ -1,7 +1,7 @@
-"""Reading a dataset: splits of scenes, what was seen of each, what is asked and, only when asked for, the truth.
+"""Reading a dataset: splits of scenes with their depth images, queries and, on request, ground truth.
 
-Everything is read when first used. Without `truth=True` no file of truth, table or mesh is opened, whatever the split.
-A dataset, split, scene or query may be sent to another process; open files stay behind.
+Everything is read on first use. Without `truth=True` no truth file, table or mesh is opened, whatever the split.
+Datasets, splits, scenes and queries can be pickled and sent to another process, which opens the files again.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from kit1000.dataset.mcap_io import ObservationFile, TruthFile
 from kit1000.dataset.schema import SceneTruth
 from kit1000.dataset.tables import Row, pose_of
 from kit1000.errors import InputError, did_you_mean
+from kit1000.files import read_json
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
@@ -28,70 +29,81 @@ from kit1000.sim.sensors import sense
 from kit1000.tracks import CURVES, TRACKS, has_curves
 from kit1000.values import Body, LabelledDepth, Query, Scene, Truth, View
 
-OPEN_FILES = 128  # kept open at once: all shards of the largest split, with their truth
-IMAGES_KEPT = 4  # depth images kept in memory with their masks: the queries of a scene share theirs
+MAX_OPEN_FILES = 128  # open at once: all shards of the largest split, with their truth
+WITHHELD_FILE = "withheld.json"  # in the full folder of a withheld dataset: salt, commitment and the id of the public one
+CACHED_IMAGES = 4  # depth images with masks in memory: the queries of a scene share them
 
 
-def _every(row: Row) -> bool:
+def _not_curve(row: Row) -> bool:
     return row["track"] != CURVES
 
 
-def _drawn(row: Row) -> bool:
+def _is_drawn(row: Row) -> bool:
     return row["drawn"] and row["track"] != CURVES
 
 
-def _curves(row: Row) -> bool:
+def _is_curve(row: Row) -> bool:
     return row["track"] == CURVES
 
 
-WANTED: dict[str, tuple[str, Callable[[Row], bool]]] = {
-    "train": ("train", _every),
-    "val": ("val", _every),
-    "test": ("test", _drawn),
-    "test-all": ("test", _every),
-    "curves": ("test", _curves),
+SPLIT_QUERIES: dict[str, tuple[str, Callable[[Row], bool]]] = {
+    "train": ("train", _not_curve),
+    "val": ("val", _not_curve),
+    "test": ("test", _is_drawn),
+    "test-all": ("test", _not_curve),
+    "curves": ("test", _is_curve),
 }
-"""By the name of a split: the folder of its shards, and which of the queries there it asks."""
+"""By split: the folder of its shards, and whether a query of that folder belongs to the split."""
 
 
 class Dataset:
     """A finished dataset on disk."""
 
     def __init__(self, root: str | Path) -> None:
-        """Open a dataset folder. Raises InputError when it is none, or is not finished."""
+        """Open a dataset folder. Raises InputError when it is no dataset, or an unfinished one."""
         self.root = Path(root)
         self.geometry = Geometry(root)
-        self._files = lru_cache(OPEN_FILES)(self._open)
-        self._looks = lru_cache(IMAGES_KEPT)(self._read_labelled_depth)
+        self._files = lru_cache(MAX_OPEN_FILES)(self._open)
+        self._labelled_depths = lru_cache(CACHED_IMAGES)(self._read_labelled_depth)
 
     def __reduce__(self) -> tuple[type[Dataset], tuple[Path]]:
         return Dataset, (self.root,)
 
     @property
     def summary(self) -> dict[str, Any]:
-        """What dataset.json says."""
+        """The contents of dataset.json."""
         return self.geometry.summary
 
     @property
     def id(self) -> str:
-        """Names this dataset and no other."""
+        """The id of the dataset, a hash of its plan."""
         return self.summary["dataset_id"]
 
-    def split(self, name: str, truth: bool = False) -> Split:
-        """The scenes and queries of train, val, test (one drawn target a track), test-all or curves.
+    @property
+    def public_id(self) -> str | None:
+        """The id of the public dataset whose withheld ground truth is in this folder; None where none is withheld."""
+        path = self.root / WITHHELD_FILE
+        return read_json(path)["dataset_id"] if path.is_file() else None
 
-        With `truth` the poses, goals, parts and kits may be read too: to train, to score, or by a method that says so.
+    def split(self, name: str, truth: bool = False) -> Split:
+        """The scenes and queries of a split.
+
+        Args:
+            name: train, val, test (one query for each scene and track), test-all (all queries) or curves.
+            truth: whether ground truth may be read: to train, to score, or by a method with true geometry.
         """
-        if name not in WANTED:
-            raise InputError(f"no split {name!r}; {did_you_mean(name, WANTED)}there are {', '.join(WANTED)}")
+        if name not in SPLIT_QUERIES:
+            raise InputError(
+                f"no split {name!r}; {did_you_mean(name, SPLIT_QUERIES)}there are {', '.join(SPLIT_QUERIES)}"
+            )
         return Split(self, name, truth)
 
     def recorded_scene(self, scene_id: str) -> RecordedScene:
-        """A scene of any split with everything asked about it, and with the truth where this folder has it."""
+        """A scene of any split with all its queries, and with its truth where this folder has it."""
         folder = scene_id.partition("-")[0]
         shard = self.shards(folder).get(scene_id)
         if shard is None:
-            known = [i for held in self.summary.get("shards", {}).values() for i in held]
+            known = [i for scene_ids in self.summary.get("shards", {}).values() for i in scene_ids]
             raise InputError(
                 f"{self.root}: no scene {scene_id!r} among {len(known)}; {did_you_mean(scene_id, known)}".rstrip("; ")
             )
@@ -105,22 +117,22 @@ class Dataset:
         return self.split(split, truth=True).scene(query.scene_id).truth_of(query.id)
 
     def shards(self, folder: str) -> dict[str, str]:
-        """The shard of every scene in the folder of a split, in order: test-s0007 is in test/0000."""
+        """The shard of every scene in the folder of a split, by scene id, in order: test-s0007 is in test/0000."""
         shards = sorted(self.summary.get("shards", {}).items())
         named = {scene_id: shard for shard, scene_ids in shards for scene_id in scene_ids}
         return {i: name.removesuffix(".mcap") for i, name in named.items() if name.startswith(f"{folder}/")}
 
     def observation_file(self, shard: str, camera_set: str | None = None) -> ObservationFile:
-        """What was seen of the scenes of a shard, by the primary camera or by a further set of cameras."""
+        """The observations of a shard, by the primary camera or by an extra camera set."""
         return self._files(ObservationFile, f"{shard}.mcap" if camera_set is None else f"{shard}.{camera_set}.mcap")
 
     def truth_file(self, shard: str) -> TruthFile:
-        """The truth about the scenes of a shard."""
+        """The ground truth of a shard."""
         return self._files(TruthFile, f"{shard}.truth.mcap")
 
     def labelled_depth(self, shard: str, scene_id: str, sensor: str) -> LabelledDepth:
-        """A depth image of the primary camera with its masks; the last few are remembered."""
-        return self._looks(shard, scene_id, sensor)
+        """A depth image of the primary camera with its masks; the last few are cached."""
+        return self._labelled_depths(shard, scene_id, sensor)
 
     def _read_labelled_depth(self, shard: str, scene_id: str, sensor: str) -> LabelledDepth:
         file = self.observation_file(shard)
@@ -137,7 +149,7 @@ class Dataset:
 
 
 class Split:
-    """Some scenes of a dataset and what is asked about them."""
+    """The scenes and queries of a split; iterating yields its scenes."""
 
     def __init__(self, dataset: Dataset, name: str, truth: bool) -> None:
         self.dataset = dataset
@@ -147,14 +159,14 @@ class Split:
     @cached_property
     def shards(self) -> dict[str, str]:
         """The shard of every scene, in order."""
-        shards = self.dataset.shards(WANTED[self.name][0])
+        shards = self.dataset.shards(SPLIT_QUERIES[self.name][0])
         if not shards:
             raise InputError(f"{self.dataset.root}: split {self.name} has no scenes")
         if self.name != "curves":
             return shards
         count = self.dataset.summary["config"]["curve_scenes"]
         if count == 0:
-            raise InputError(f"{self.dataset.root}: made without curves; a dataset whose answers are withheld has none")
+            raise InputError(f"{self.dataset.root}: made without curves; a dataset with withheld truth has none")
         return {i: shard for i, shard in shards.items() if has_curves(i, count)}
 
     @property
@@ -176,7 +188,7 @@ class Split:
         return RecordedScene(self, scene_id)
 
     def queries(self, track: str | None = None) -> Iterator[Query]:
-        """All queries, or those of a track: scene after scene, always in the same order."""
+        """All queries, or those of a track, scene by scene, always in the same order."""
         known = (CURVES,) if self.name == "curves" else tuple(TRACKS)
         if track is not None and track not in known:
             raise InputError(f"no track {track!r} in split {self.name}; there are {', '.join(known)}")
@@ -184,7 +196,7 @@ class Split:
 
 
 class RecordedScene:
-    """A recorded scene: what was seen, what is asked, and the truth if the split was opened with it."""
+    """A recorded scene: depth images, masks, queries, and ground truth if the split was opened with it."""
 
     def __init__(self, split: Split, scene_id: str) -> None:
         self.split = split
@@ -196,23 +208,23 @@ class RecordedScene:
 
     @cached_property
     def queries(self) -> tuple[Query, ...]:
-        """What the split asks about this scene. Images are read when a query is first looked at."""
-        return tuple(map(self._query, self._asked.values()))
+        """The queries of the split about this scene. Images are read when first used."""
+        return tuple(map(self._query, self._query_rows.values()))
 
     def view(self, key: str = "ideal") -> View:
-        """A depth image: ideal or d415 of the primary camera, three/0/ideal ... of a further set."""
+        """A depth image: ideal or d415 of the primary camera, three/0/ideal ... of an extra camera set."""
         if "/" not in key:
             return self.labelled_depth(key).view
         return self._dataset.observation_file(self.shard, key.partition("/")[0]).view(self.id, key)
 
     @property
     def sensors(self) -> list[str]:
-        """Which depth images there are of the primary camera."""
+        """Sensors of the depth images of the primary camera."""
         return list(self._dataset.observation_file(self.shard).view_keys(self.id))
 
     @property
     def labels(self) -> np.ndarray:
-        """(H, W) uint8 masks of the primary camera, as `kit1000.values.LabelledDepth` has them."""
+        """(H, W) uint8 masks of the primary camera, see `kit1000.values.LabelledDepth`."""
         return self.labelled_depth().labels
 
     def labelled_depth(self, sensor: str = "ideal") -> LabelledDepth:
@@ -221,40 +233,44 @@ class RecordedScene:
 
     @cached_property
     def truth(self) -> SceneTruth:
-        """What is so in the scene, as recorded, with its images and models."""
+        """The ground truth of the scene as recorded, with its images and models."""
         return self._truth_file.truth(self.id)
 
     @cached_property
     def scene(self) -> Scene:
-        """What stands where."""
-        row = self._told
+        """The bodies of the scene with their poses."""
+        row = self._truth_row
         parts = (Body(part["part_id"], pose_of(part["world_from_part"])) for part in row["parts"])
         return Scene(self.id, (Body(row["assembly_id"], pose_of(row["world_from_assembly"])), *parts))
 
     @cached_property
     def truths(self) -> dict[str, Truth]:
-        """What a scorer knows, by query id, of the queries of this split."""
-        told = self._told
-        return {query_id: self._truth_of(query_id, told) for query_id in self._asked}
+        """The ground truth of the split's queries about this scene, by query id."""
+        truth_row = self._truth_row
+        return {query_id: self._truth_of(query_id, truth_row) for query_id in self._query_rows}
 
     def truth_of(self, query_id: str) -> Truth:
-        """What a scorer knows of one of the queries of this split."""
-        told = self._told
-        if query_id not in self._asked:
-            hint = did_you_mean(query_id, self._asked)
+        """The ground truth of one of the split's queries."""
+        truth_row = self._truth_row
+        if query_id not in self._query_rows:
+            hint = did_you_mean(query_id, self._query_rows)
             raise InputError(f"no query {query_id!r} in {self.id} of split {self.split.name}; {hint}see .queries")
-        return self._truth_of(query_id, told)
+        return self._truth_of(query_id, truth_row)
 
     def bodies(self) -> list[tuple[Mesh, Pose]]:
         """Meshes with their `world_from_body`, for `kit1000.sim.render.render`: the table, the assembly, the parts."""
         geometry, (assembly, *parts) = self._dataset.geometry, self.scene.bodies
-        standing = [(geometry.part(body.id).mesh, body.world_from_body) for body in parts]
-        return [(table(), Pose.identity()), (geometry.assembly(assembly.id).mesh, assembly.world_from_body), *standing]
+        placed_parts = [(geometry.part(body.id).mesh, body.world_from_body) for body in parts]
+        placed_assembly = (geometry.assembly(assembly.id).mesh, assembly.world_from_body)
+        return [(table(), Pose.identity()), placed_assembly, *placed_parts]
 
     def render(self, camera_set: str, sensor: str = "ideal", seed: int = 0) -> dict[str, View]:
-        """The scene as another set of cameras sees it, by camera: `primary`, `three` or `top`, with any sensor.
+        """The scene rendered from another camera set, by camera. Needs the truth.
 
-        `seed` is that of the sensor's noise. Needs the truth: meshes and poses are those of the scene.
+        Args:
+            camera_set: primary, three or top.
+            sensor: any of `kit1000.sim.sensors.SENSORS`.
+            seed: of the sensor's noise.
         """
         primary, bodies = self.view("ideal").world_from_camera, self.bodies()
         views = {}
@@ -283,38 +299,38 @@ class RecordedScene:
     @property
     def _truth_file(self) -> TruthFile:
         if not self.split.truth:
-            raise InputError(f"{self.id}: the truth was not opened; say dataset.split({self.split.name!r}, truth=True)")
+            raise InputError(f"{self.id}: the truth was not opened; use dataset.split({self.split.name!r}, truth=True)")
         return self._dataset.truth_file(self.shard)
 
     @cached_property
-    def _asked(self) -> dict[str, Row]:
-        """The rows of the queries that the split asks, by id."""
-        _, wanted = WANTED[self.split.name]
+    def _query_rows(self) -> dict[str, Row]:
+        """The rows of the split's queries, by id."""
+        _, includes = SPLIT_QUERIES[self.split.name]
         rows = self._dataset.observation_file(self.shard).queries(self.id)
-        return {row["id"]: row for row in rows if wanted(row)}
+        return {row["id"]: row for row in rows if includes(row)}
 
     @cached_property
-    def _told(self) -> Row:
-        """The numbers of the truth; all that poses and scores are made of."""
+    def _truth_row(self) -> Row:
+        """The truth as one row, without images and models."""
         return self._truth_file.row(self.id)
 
     @cached_property
     def _world_from_kits(self) -> list[Pose]:
         """By part."""
-        return [pose_of(part["world_from_kit"]) for part in self._told["parts"]]
+        return [pose_of(part["world_from_kit"]) for part in self._truth_row["parts"]]
 
-    def _truth_of(self, query_id: str, told: Row) -> Truth:
+    def _truth_of(self, query_id: str, truth_row: Row) -> Truth:
         geometry = self._dataset.geometry
-        row = told["queries"][query_id]
-        part = told["parts"][row["part"]]
+        row = truth_row["queries"][query_id]
+        part = truth_row["parts"][row["part"]]
         world_from_part = self.scene.bodies[1 + row["part"]].world_from_body
         return Truth(
             query_id=query_id,
-            assembly_id=told["assembly_id"],
+            assembly_id=truth_row["assembly_id"],
             part_id=part["part_id"],
             family=part["family"],
             rest_mode=part["rest_mode"],
-            kits=len(geometry.assemblies[told["assembly_id"]]["mounts"]),
+            kits=len(geometry.assemblies[truth_row["assembly_id"]]["mounts"]),
             visible=part["visible"],
             anchor=world_from_part.xyz,
             world_from_part=world_from_part,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from kit1000.testing.families import check_family, check_symmetry, distances
 from kit1000.testing.metrics import check_metric
-from kit1000.testing.predictors import check_predictor, moved_query, moved_truth
+from kit1000.testing.predictors import check_predictor, moved_geometry, moved_query, moved_truth
 from kit1000.testing.renderers import check_renderer
 from kit1000.testing.sensors import check_sensor
 from kit1000.testing.sources import check_source
@@ -21,6 +21,7 @@ __all__ = [
     "check_source",
     "check_symmetry",
     "distances",
+    "moved_geometry",
     "moved_query",
     "moved_truth",
 ]

@@ -1,0 +1,82 @@
+"""Which reference methods and networks there are: each method folder declares its own, in tables METHODS and NETWORKS.
+
+A new method is a folder and a line of FOLDERS. Tables name code as `module:Object`, so reading them loads no network.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from typing import Any, Literal
+
+from baselines.training.config import TrainConfig
+from kit1000.tracks import ALL_TRACKS
+
+FOLDERS = (
+    "baselines.controls",
+    "baselines.icp",
+    "baselines.registration",
+    "baselines.snapnet",
+)
+"""Packages or modules with a table METHODS (name -> Method) and, where they learn, NETWORKS (name -> Network)."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """A method before it is made."""
+
+    make: str
+    """`module:Object`: a predictor as it is, or a class, called with dataset, options, and a seed if it takes one."""
+    description: str
+    """One line."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Further arguments of the class."""
+    tracks: tuple[str, ...] = ALL_TRACKS
+    """Those it predicts for; a method that corrects a guess needs one of GUESS_TRACKS."""
+    uses_true_geometry: bool = False
+    """Whether it is handed the true geometry; the controls read the ground truth as well."""
+    learned: bool = False
+    control: bool = False
+    """Whether it is no method but a yardstick, such as the unchanged guess."""
+    predicts: Literal["pose", "rotation"] = "pose"
+    training_data: str = ""
+    """What it learned from."""
+    weights: Mapping[str, str] = field(default_factory=dict)
+    """Further arguments of the class: names of files in baselines/weights, passed as paths without suffix."""
+    label: str = ""
+    """Short name in tables; the method's name when empty."""
+    paper_row: str = ""
+    """Key of the row of the paper's Table I that it reproduces, see `benchmark.table1`; none when empty."""
+
+
+@dataclass(frozen=True)
+class Network:
+    """A network that `python -m baselines train` can train."""
+
+    make_task: str
+    """`module:function`, called with dataset, preset, options: returns the training task and the network's config."""
+    training: Mapping[str, TrainConfig]
+    """How it is trained, by preset."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """Further arguments of the function."""
+
+
+def all_methods() -> dict[str, Method]:
+    """The methods of all folders by name, in the order of FOLDERS."""
+    return _merged("METHODS")
+
+
+def all_networks() -> dict[str, Network]:
+    """The networks of all folders by name, in the order of FOLDERS."""
+    return _merged("NETWORKS")
+
+
+def _merged(table: str) -> dict[str, Any]:
+    merged: dict[str, Any] = {}
+    for folder in FOLDERS:
+        entries: Mapping[str, Any] = getattr(import_module(folder), table, {})
+        twice = sorted(set(entries) & set(merged))
+        assert not twice, f"{folder}.{table}: {twice[0]} is declared twice"
+        merged |= entries
+    return merged
