@@ -117,7 +117,8 @@ def _contents(query: Query) -> dict[str, bytes]:
 def _check_repeatable(query: Query, one: PredictedMotion, other: PredictedMotion, name: str) -> None:
     shift, angle = _difference(one.goal_from_now, other.goal_from_now, query.pivot)
     confidence = abs(one.confidence - other.confidence)
-    assert shift <= SAME_POSITION and angle <= SAME_ROTATION and confidence <= SAME_ROTATION, (
+    repeatable = shift <= SAME_POSITION and angle <= SAME_ROTATION and confidence <= SAME_ROTATION
+    assert repeatable, (
         f"{name}: predictions for query {query.id} differ between two runs in different orders: "
         f"{shift * 1e3:.3g} mm and {np.degrees(angle):.3g} degrees apart, confidence {one.confidence:g} "
         f"and {other.confidence:g} (draws from a stream of the query's own?)"
@@ -133,7 +134,8 @@ def _check_moves_along(
     shift_mm, angle_deg = shift * 1e3, float(np.degrees(angle))
     unmoved = _difference(predicted.goal_from_now, there.goal_from_now, query.pivot)
     hint = ": it is not in world coordinates" if max(unmoved) < 1e-6 else ""
-    assert shift_mm <= allowed[0] and angle_deg <= allowed[1], (
+    moves_along = shift_mm <= allowed[0] and angle_deg <= allowed[1]
+    assert moves_along, (
         f"{name}: in a moved and rotated world the prediction for query {query.id} does not move along: "
         f"{shift_mm:.3g} mm and {angle_deg:.3g} degrees off{hint}"
     )
