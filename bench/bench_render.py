@@ -23,14 +23,14 @@ from embreex.rtcore_scene import EmbreeScene
 from trimesh.remesh import subdivide
 
 from kit1000.errors import Kit1000Error, Redraw
-from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
+from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.kits.kit import make_kit
 from kit1000.mesh import Mesh
 from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
 from kit1000.pose import Pose
 from kit1000.rng import stream
-from kit1000.sim.cameras import CAMERA, draw_primary
+from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.sim.render import render
 from kit1000.values import Kit, Part
 
@@ -50,7 +50,7 @@ def main(images: int = 20, seed: int = 1) -> None:
         seed: of the parts and the cameras.
     """
     bodies, rng = finely_split(scene(seed)), stream(seed, "cameras")
-    views = [draw_primary(rng) for _ in range(images)]
+    views = [draw_primary_pose(rng) for _ in range(images)]
     casters = {"embreex": embree(bodies), "open3d": open3d(bodies)}
     with tempfile.TemporaryDirectory() as folder, Tiny(bodies, Path(folder)) as tiny:
         ways = {
@@ -96,7 +96,7 @@ def scene(seed: int) -> Bodies:
             continue
         if len(pairs) == 4:
             break
-    plan = AssemblyPlan(0.2, 1.0, (Side(0, 0.3), Side(1, 0.5), Side(3, 0.7)))
+    plan = AssemblyPlan(0.2, 1.0, (SidePlate(0, 0.3), SidePlate(1, 0.5), SidePlate(3, 0.7)))
     assembly = build_assembly("bench", [kit for _, kit in pairs], plan)
     corners = np.array([(x, y, 0) for x in (-0.6, 0.6) for y in (-0.8, 0.8)])
     table = Mesh(corners, np.array([[0, 2, 3], [0, 3, 1]], np.int32))

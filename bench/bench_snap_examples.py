@@ -28,7 +28,7 @@ from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.voxels import Grid, resample, signed_distance
-from kit1000.voxels.grid import TRUNCATION
+from kit1000.voxels.grid import DEFAULT_TRUNCATION
 
 Made = TypeVar("Made")
 
@@ -91,13 +91,13 @@ def compared(grid: Grid, mesh: Mesh, world_from_body: Pose) -> tuple[float, floa
     """Times [ms] of exact and resampled values; how far these are off within the truncation, mean and 99 % [voxels];
     voxels with the other sign, as a share of those inside; and what would be kept as float16 [MB]."""
     low, high = mesh.bounds
-    shape = np.ceil((high - low) / grid.voxel + 2 * TRUNCATION + 3).astype(int)
-    middle = Grid.centred(Pose.from_translation((low + high) / 2), (shape[0], shape[1], shape[2]), grid.voxel)
+    shape = np.ceil((high - low) / grid.voxel_size + 2 * DEFAULT_TRUNCATION + 3).astype(int)
+    middle = Grid.centred(Pose.from_translation((low + high) / 2), (shape[0], shape[1], shape[2]), grid.voxel_size)
     own = signed_distance(middle, [(mesh, Pose.identity())], threads=1).moved(world_from_body)
     seconds, exact = timed(lambda: signed_distance(grid, [(mesh, world_from_body)], threads=1).filled(1.0))
     other, read = timed(lambda: resample(own, grid, threads=1).filled(1.0))
     near = np.abs(exact) < 1
-    off = np.abs(exact - read)[near] * TRUNCATION
+    off = np.abs(exact - read)[near] * DEFAULT_TRUNCATION
     signs = ((exact < 0) != (read < 0)).sum() / max((exact < 0).sum(), 1)
     size = 2 * float(shape.prod()) / 1e6
     return seconds * 1e3, other * 1e3, float(off.mean()), float(np.quantile(off, 0.99)), float(signs), size

@@ -97,12 +97,12 @@ def print_truth(name: str, mesh: Mesh, repeats: int, threads: int | None) -> Non
 def plain_tsdf(grid: Grid, view: View) -> np.ndarray:
     """Slab by slab in float32: what one would write in numpy with some care."""
     camera, camera_from_grid = view.camera, view.world_from_camera.inverse() @ grid.world_from_grid
-    turn, shift = (camera_from_grid.rotation_matrix() * grid.voxel).astype(np.float32), camera_from_grid.xyz
+    turn, shift = (camera_from_grid.rotation_matrix() * grid.voxel_size).astype(np.float32), camera_from_grid.xyz
     j, k = np.meshgrid(*(np.arange(n, dtype=np.float32) for n in grid.shape[1:]), indexing="ij")
     values = np.empty(grid.shape, np.float32)
     for i in range(grid.shape[0]):
         x, y, z = (turn[a, 1] * j + turn[a, 2] * k + np.float32(turn[a, 0] * i + shift[a]) for a in range(3))
-        values[i] = compared(camera, view.depth, x, y, z, 5 * grid.voxel)
+        values[i] = compared(camera, view.depth, x, y, z, 5 * grid.voxel_size)
     return values
 
 
@@ -111,7 +111,7 @@ def release_tsdf(grid: Grid, view: View) -> np.ndarray:
     indices = np.stack(np.meshgrid(*map(np.arange, grid.shape), indexing="ij"), axis=-1).reshape(-1, 3)
     points = view.world_from_camera.inverse().apply(grid.world(indices))
     x, y, z = points.T
-    return compared(view.camera, view.depth, x, y, z, 5 * grid.voxel).reshape(grid.shape)
+    return compared(view.camera, view.depth, x, y, z, 5 * grid.voxel_size).reshape(grid.shape)
 
 
 def compared(camera: Camera, depth: np.ndarray, x: Any, y: Any, z: Any, reach: float) -> np.ndarray:

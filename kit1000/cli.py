@@ -1,7 +1,7 @@
 """The command `kit1000`: each subcommand is a typed dataclass whose fields are its options.
 
-Results go to stdout, progress to stderr. Exit 0 good, 1 the answer is no, 2 wrong usage or bad input with one line,
-3 a fault of the package, 130 interrupted.
+Results go to stdout, progress and error messages to stderr. Exit status: 0 success, 1 a check found faults, 2 wrong
+usage or invalid input, 3 a bug of kit1000, 130 interrupted.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     from kit1000.generation.plan import Sources
     from kit1000.generation.presets import Preset
 
-LISTED = 20  # refused files in a description
-ABOUT = """KIT1000: parts, kits that fit them, angled assemblies of kits, and scenes to learn assembly from.
+MAX_LISTED = 20  # refused files in a summary
+ABOUT = """KIT1000: parts, kits that fit them, angled assemblies of kits, and depth scenes for learning kit assembly.
 
-`kit1000 COMMAND --help` says more about a command, `kit1000 --version` which version this is.
+`kit1000 COMMAND --help` describes a command, `kit1000 --version` prints the version.
 
-Results go to stdout, progress to stderr. Exit status: 0 good, 1 the answer is no,
-2 wrong usage or bad input, 3 a fault of kit1000 itself, 130 interrupted."""
+Results go to stdout, progress and error messages to stderr. Exit status: 0 success, 1 a check found faults,
+2 wrong usage or invalid input, 3 a bug of kit1000, 130 interrupted."""
 
-Whole = Annotated[int | None, tyro.conf.arg(metavar="N")]
-Number = Annotated[float | None, tyro.conf.arg(metavar="X")]
-Optional = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
+OptionalInt = Annotated[int | None, tyro.conf.arg(metavar="N")]
+OptionalFloat = Annotated[float | None, tyro.conf.arg(metavar="X")]
+OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
 Unit = Annotated[Literal["mm", "cm", "m", "inch"] | None, tyro.conf.arg(metavar="{mm,cm,m,inch}")]
 Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
 Folder = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATA")]
@@ -40,29 +40,29 @@ Folder = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATA")]
 
 @dataclass(frozen=True)
 class Generate:
-    """Build a dataset; run the same command again to continue one that was interrupted."""
+    """Generate a dataset. Run the same command again to continue after an interruption."""
 
     preset: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="PRESET")]
     """tiny, small, kit1000, paper, real-like or study."""
     out: Annotated[str, tyro.conf.arg(metavar="PATH")]
-    """Folder to build in; with --engine ray also an address such as s3://bucket/folder."""
-    seed: Whole = None
-    """Root of all draws; the preset's own when absent."""
-    workers: Whole = None
-    """Processes; one per core when absent. Any number gives the same bytes."""
-    parts: Optional = None
+    """Dataset folder to write; with --engine ray also a URL such as s3://bucket/folder."""
+    seed: OptionalInt = None
+    """Seed of all random draws; that of the preset when absent."""
+    workers: OptionalInt = None
+    """Number of processes; one per core when absent. The bytes do not depend on it."""
+    parts: OptionalPath = None
     """Folder, file or .txt list of meshes to use in place of procedural parts."""
     unit: Unit = None
     """Unit of those meshes; guessed and reported when absent."""
     engine: Literal["local", "ray"] = "local"
-    """What spreads the work: processes of this machine, or Ray."""
+    """Where jobs run: in processes of this machine, or on a Ray cluster."""
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
-    """Ray cluster to work on (`auto` finds the one of this machine); a new local one when absent."""
-    withhold: Optional = None
-    """Second folder: the whole dataset is built there, and --out gets all but the answers of the test split."""
+    """Address of the Ray cluster (`auto` finds a local one); a new local cluster when absent."""
+    withhold: OptionalPath = None
+    """Second folder: gets the full dataset, and --out everything but the ground truth of the test split."""
 
     def run(self) -> int:
-        """Build, then say what came out."""
+        """Generate the dataset and print its summary."""
         from kit1000.generation.presets import preset
 
         chosen = preset(self.preset)
@@ -71,75 +71,75 @@ class Generate:
         if self.seed is not None and self.seed < 0:
             raise InputError(f"--seed: expected 0 or more, got {self.seed}")
         if self.unit is not None and self.parts is None:
-            raise InputError("--unit: says how to read the meshes of --parts, which is absent")
-        from kit1000.files import folder
+            raise InputError("--unit: is the unit of the meshes of --parts, which is absent")
+        from kit1000.files import parse_folder
 
-        out = folder(self.out)
-        summary = self._built(chosen, out) if self.withhold is None else self._published(chosen, out, self.withhold)
-        print(describe(summary))
+        out = parse_folder(self.out)
+        summary = self._generate(chosen, out) if self.withhold is None else self._publish(chosen, out, self.withhold)
+        print(summary_text(summary))
         return 0
 
-    def _built(self, chosen: Preset, out: Path, seed: int | None = None) -> dict[str, Any]:
-        """The dataset in a folder, whole."""
+    def _generate(self, chosen: Preset, out: Path, seed: int | None = None) -> dict[str, Any]:
+        """Generate the full dataset in a folder; returns its summary."""
         from kit1000.engines import engine as engine_of
         from kit1000.generation.build import generate
 
         engine = engine_of(self.engine, self.workers, self.address)
         return generate(chosen, out, self.seed if seed is None else seed, self.workers, self._sources(out), engine)
 
-    def _published(self, chosen: Preset, out: Path, whole: Path) -> dict[str, Any]:
-        """The dataset in a second folder, and what may be seen of it in --out."""
+    def _publish(self, chosen: Preset, out: Path, full: Path) -> dict[str, Any]:
+        """Generate the full dataset in one folder and its public part in --out; returns the summary of the latter."""
         from kit1000.generation.withhold import check_separate, publish, secret_seed
 
-        check_separate(out, whole)
-        self._built(replace(chosen, curve_scenes=0), whole, secret_seed(whole, self.seed))
-        return publish(whole, out)
+        check_separate(out, full)
+        self._generate(replace(chosen, curve_scenes=0), full, secret_seed(full, self.seed))
+        return publish(full, out)
 
-    def _sources(self, built: Path) -> Sources | None:
-        """The mesh files asked for, without those that this command itself writes."""
+    def _sources(self, dataset: Path) -> Sources | None:
+        """The mesh files of --parts, without those that this command itself writes."""
         from kit1000.generation.plan import Sources
         from kit1000.parts.files.sources import mesh_files
 
         if self.parts is None:
             return None
-        ours = {built.resolve(), Path(self.out).resolve()}
-        files = [file for file in mesh_files(self.parts) if ours.isdisjoint(file.resolve().parents)]
+        own_folders = {dataset.resolve(), Path(self.out).resolve()}
+        files = [file for file in mesh_files(self.parts) if own_folders.isdisjoint(file.resolve().parents)]
         if not files:
-            raise InputError(f"{self.parts}: no mesh files but those in --out {built}")
+            raise InputError(f"{self.parts}: no mesh files but those in --out {dataset}")
         return Sources.of(files, self.unit)
 
 
 @dataclass(frozen=True)
 class MakeKit:
-    """A kit for your own part, true size: kit.stl and part.stl for a slicer, seated.glb, report.json, preview.png."""
+    """Make a kit for your own part at true size: kit.stl, part.stl, seated.glb, report.json, preview.png."""
 
     part: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="PART")]
     """Mesh file: STL, OBJ, PLY, OFF, 3MF, GLB (and STEP with `pip install kit1000[step]`)."""
     out: Path
-    """Folder for the results."""
+    """Folder to write to."""
     clearance_mm: float = 2.5
-    """Horizontal gap between part and walls."""
+    """Horizontal gap between part and cavity walls."""
     unit: Unit = None
     """Unit of the file; guessed and reported when absent."""
-    fit_mm: Number = None
+    fit_mm: OptionalFloat = None
     """Scale the part to this longest side; true size when absent."""
 
     def run(self) -> int:
         """Make the kit, then print its report."""
-        from kit1000.export.own_part import kit_for
+        from kit1000.export.own_part import make_kit_from_file
 
         for name, value in (("--clearance-mm", self.clearance_mm), ("--fit-mm", self.fit_mm)):
             if value is not None and not 0.05 <= value <= 1000:
                 raise InputError(f"{name}: expected 0.05 to 1000, got {value:g}")
         longest = None if self.fit_mm is None else self.fit_mm * 1e-3
-        report = kit_for(self.part, self.out, self.clearance_mm * 1e-3, self.unit, longest)
-        print(describe_kit(report, self.out))
+        report = make_kit_from_file(self.part, self.out, self.clearance_mm * 1e-3, self.unit, longest)
+        print(kit_report_text(report, self.out))
         return 0
 
 
 @dataclass(frozen=True)
 class Info:
-    """Describe a dataset: counts, identity, redraws."""
+    """Print the summary of a dataset: id, counts, redraws."""
 
     data: Folder
     """Dataset folder."""
@@ -148,35 +148,35 @@ class Info:
         """Print the summary."""
         from kit1000.dataset.geometry import Geometry
 
-        print(describe(Geometry(self.data).summary))
+        print(summary_text(Geometry(self.data).summary))
         return 0
 
 
 @dataclass(frozen=True)
 class Show:
-    """Draw parts, kits or assemblies of a dataset, or one of its scenes, into one PNG."""
+    """Draw parts, kits or assemblies of a dataset, or one of its scenes, as a PNG."""
 
     data: Folder
     """Dataset folder."""
     out: Path = Path("sheet.png")
-    """Picture to write."""
+    """PNG file to write."""
     what: Literal["parts", "kits", "assemblies"] = "assemblies"
     """What to draw."""
     count: int = 24
-    """How many, spread evenly over the split."""
+    """Number of items, evenly spaced over the split."""
     split: Literal["train", "val", "test"] = "test"
-    """From which split."""
+    """Split of the items."""
     ids: tuple[str, ...] = ()
-    """Just these, in place of a spread."""
+    """Ids of the items, in place of evenly spaced ones."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
-    """A scene to draw in place of a sheet: depth, masks, meshes and goals."""
+    """Id of a scene to draw in place of items: depth, masks, meshes and goals."""
 
     def run(self) -> int:
-        """Draw and write."""
+        """Draw the PNG and print its path."""
         from kit1000.dataset.geometry import Geometry
         from kit1000.dataset.reader import Dataset
         from kit1000.files import write_bytes
-        from kit1000.pictures.dataset_sheets import contact_sheet_of, scene_sheet
+        from kit1000.pictures.dataset_sheets import geometry_sheet, scene_sheet
 
         if self.count < 1:
             raise InputError(f"--count: expected 1 or more, got {self.count}")
@@ -184,55 +184,55 @@ class Show:
             write_bytes(self.out, scene_sheet(Dataset(self.data), self.scene))
             print(self.out)
             return 0
-        write_bytes(self.out, contact_sheet_of(Geometry(self.data), self.what, self.split, self.count, self.ids))
+        write_bytes(self.out, geometry_sheet(Geometry(self.data), self.what, self.split, self.count, self.ids))
         print(self.out)
         return 0
 
 
 @dataclass(frozen=True)
 class Verify:
-    """Check every file of a dataset, and build a sample of its scenes again to compare."""
+    """Check every file of a dataset, and generate a sample of its scenes again to compare."""
 
     data: Folder
     """Dataset folder."""
     sample: int = 4
-    """Scenes to build again from the plan."""
+    """Number of scenes to generate again from the plan."""
 
     def run(self) -> int:
-        """Check, then say what was found; 1 when something is wrong."""
+        """Check and print the faults; returns 1 when there are any."""
         from kit1000.generation.verify import verify
 
         if self.sample < 0:
             raise InputError(f"--sample: expected 0 or more, got {self.sample}")
-        found = verify(self.data, self.sample)
-        for line in found.faults:
+        report = verify(self.data, self.sample)
+        for line in report.faults:
             print(line)
-        rebuilt = ", ".join(found.rebuilt) or "none"
-        print(f"{found.files} files checked, {len(found.rebuilt)} scenes built again ({rebuilt})")
-        print(*(f"note: {note}" for note in found.notes), sep="\n", end="\n" if found.notes else "")
-        print(f"faults: {len(found.faults)}" if found.faults else "all is as it was made")
-        return 1 if found.faults else 0
+        rebuilt = ", ".join(report.rebuilt) or "none"
+        print(f"{report.files} files checked, {len(report.rebuilt)} scenes generated again ({rebuilt})")
+        print(*(f"note: {note}" for note in report.notes), sep="\n", end="\n" if report.notes else "")
+        print(f"faults: {len(report.faults) or 'none'}")
+        return 1 if report.faults else 0
 
 
 @dataclass(frozen=True)
 class Export:
-    """Write assemblies for other tools (URDF with open cavities, STL or 3MF in millimetres), or scenes as BOP."""
+    """Write assemblies as URDF with open cavities, STL or 3MF in millimetres, or scenes in the BOP format."""
 
     data: Folder
     """Dataset folder."""
     out: Path
     """Folder to write to."""
     format: Literal["bop", "urdf", "stl", "3mf"] = "urdf"
-    """What to write."""
+    """Format to write."""
     ids: tuple[str, ...] = ()
-    """Assemblies, or for BOP scenes, to write; all of them when absent."""
+    """Ids of the assemblies, or of the scenes for BOP; all of them when absent."""
     split: Literal["train", "val", "test"] | None = None
-    """Just this split; all of them when absent."""
+    """Split to export; all of them when absent."""
     sensor: Literal["ideal", "d415"] = "ideal"
-    """Whose depth images BOP gets."""
+    """Sensor of the depth images, for BOP."""
 
     def run(self) -> int:
-        """Export one after another."""
+        """Export, and print the folder."""
         from kit1000.export import export
 
         export(self.data, self.format, self.out, self.ids, self.split, self.sensor)
@@ -242,42 +242,42 @@ class Export:
 
 @dataclass(frozen=True)
 class Insertions:
-    """Let a simulated hand put parts into their slots, and compare what physics says with the seating test."""
+    """Insert parts into their slots with a simulated compliant gripper, and compare physics with the seating test."""
 
     data: Folder
     """Dataset folder."""
     out: Path
-    """Folder for insertions.json and the convex pieces of the parts, which serve again."""
+    """Folder for insertions.json, and for the convex pieces of the parts, which later runs use again."""
     sample: int = 16
-    """Slots tried in a true pose and in eight wrong ones."""
-    more: int = 32
-    """Slots tried in a true pose alone."""
+    """Number of slots with a true pose and eight wrong ones."""
+    true_only: int = 32
+    """Number of further slots with a true pose only."""
     seed: int = 0
-    """Of the sample and of the errors."""
+    """Seed of the sample and of the pose errors."""
 
     def run(self) -> int:
-        """Try, then print the tables."""
-        from kit1000.insertion_study import described, study
+        """Run the study and print its tables."""
+        from kit1000.insertion_study import format_report, study
 
-        print(described(study(self.data, self.out, self.sample, self.more, self.seed)))
+        print(format_report(study(self.data, self.out, self.sample, self.true_only, self.seed)))
         return 0
 
 
 @dataclass(frozen=True)
 class Check:
-    """List every fault of a submission, with line, column, value, what is expected and how to mend it."""
+    """List every fault of a submission, with line, column, value, expected value and fix."""
 
     submission: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SUBMISSION")]
     """Folder with manifest.toml and predictions.csv, or one predictions file."""
-    data: Optional = None
-    """Dataset that is answered; the form alone is checked when absent."""
+    data: OptionalPath = None
+    """Dataset of the predictions; only the format is checked when absent."""
     split: Literal["test", "test-all", "val", "train"] = "test"
-    """Whose queries are to be answered."""
+    """Split whose queries need predictions."""
     json: Flag = False
     """Print the report as JSON."""
 
     def run(self) -> int:
-        """Check, then print the faults; 1 when there are errors."""
+        """Check and print the report; returns 1 when there are errors."""
         from kit1000.files import json_bytes
         from kit1000.submission import check
 
@@ -299,7 +299,7 @@ COMMANDS = {
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit status."""
+    """Run a command line, that of this process when None; returns the exit status."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     if arguments in (["--version"], ["-V"]):
         print(f"kit1000 {__version__}")
@@ -307,8 +307,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return run("kit1000", COMMANDS, ABOUT, arguments)
 
 
-def describe(summary: dict) -> str:
-    """A dataset's summary as text."""
+def summary_text(summary: dict) -> str:
+    """The contents of a dataset.json as text."""
     seed = "withheld" if summary["seed"] is None else summary["seed"]
     lines = [
         f"{summary['preset']}  {summary['dataset_id']}"
@@ -321,27 +321,27 @@ def describe(summary: dict) -> str:
         )
     for kind, reasons in sorted(summary["redraws"].items()):
         ranked = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
-        lines.append(f"  redrawn {kind}: {', '.join(f'{n}x {reason}' for reason, n in ranked) or 'none'}")
+        lines.append(f"  redraws of {kind}: {', '.join(f'{n}x {reason}' for reason, n in ranked) or 'none'}")
     refused = sorted((summary["refused"] | summary["refused_scenes"]).items())
     refused = [f"  refused {name}: {reason}" for name, reason in refused]
-    lines += refused[:LISTED]
-    if len(refused) > LISTED:
-        lines.append(f"  refused {len(refused) - LISTED} more: dataset.json lists them")
+    lines += refused[:MAX_LISTED]
+    if len(refused) > MAX_LISTED:
+        lines.append(f"  {len(refused) - MAX_LISTED} more refused: dataset.json lists them")
     return "\n".join(lines)
 
 
-def describe_kit(report: dict, out: Path) -> str:
-    """A kit report as text."""
+def kit_report_text(report: dict, out: Path) -> str:
+    """The report of a kit as text."""
     size, plate = (" x ".join(f"{side:.1f}" for side in report[key]) for key in ("size_mm", "plate_mm"))
     lines = [
-        f"part   {report['part']}: {size} mm ({report['unit_reason']})",
-        *(f"       {note}" for note in report["repairs"]),
-        f"plate  {plate} mm, cavity {report['depth_mm']:.1f} mm deep, part stands {report['proud_mm']:.1f} mm out",
-        f"gap    {report['clearance_smallest_mm']:.3f} to {report['clearance_largest_mm']:.3f} mm"
-        f" (asked {report['clearance_asked_mm']:g})",
-        f"walls  {report['walls_removed']} too thin to print, opened ({report['walls_removed_mm3']:.0f} mm3);"
+        f"part       {report['part']}: {size} mm ({report['unit_reason']})",
+        *(f"           {note}" for note in report["repairs"]),
+        f"plate      {plate} mm, cavity {report['depth_mm']:.1f} mm deep, part protrudes {report['proud_mm']:.1f} mm",
+        f"clearance  {report['clearance_smallest_mm']:.3f} to {report['clearance_largest_mm']:.3f} mm"
+        f" (requested {report['clearance_asked_mm']:g})",
+        f"walls      {report['walls_removed']} too thin to print, removed ({report['walls_removed_mm3']:.0f} mm3);"
         f" undercuts {report['undercut_lost_mm3']:.0f} mm3",
     ]
     if not report["trial"]["passes"]:
-        lines.append(f"note   the cavity alone does not force the pose: the part {report['trial']['why']}")
-    return "\n".join([*lines, f"files  {out}"])
+        lines.append(f"note       the cavity alone does not determine the pose: the part {report['trial']['why']}")
+    return "\n".join([*lines, f"files      {out}"])

@@ -53,7 +53,9 @@ def internal_error(doing: str, error: BaseException) -> InternalError:
     ours = [frame for frame in frames if Path(__file__).parent in Path(frame.filename).parents]
     where = f" ({Path(ours[-1].filename).name}:{ours[-1].lineno})" if ours else ""
     said = " ".join(str(error).split())
-    return InternalError(f"{doing}: {type(error).__name__}: {said or 'no message'}{where}; please report this fault of kit1000")
+    return InternalError(
+        f"{doing}: {type(error).__name__}: {said or 'no message'}{where}; please report this fault of kit1000"
+    )
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:

@@ -21,7 +21,7 @@ from kit1000.mesh import Mesh
 from kit1000.parts.files.sources import Reading, read_mesh
 from kit1000.pose import Pose
 from kit1000.sim.render import Frame, render
-from kit1000.sim.sensors import GRID, SENSORS, sense
+from kit1000.sim.sensors import DEPTH_GRID, SENSORS, sense
 from kit1000.testing import check_renderer, check_sensor, check_source
 from kit1000.values import View
 
@@ -34,7 +34,7 @@ def test_our_sensors_conform(name: str) -> None:
 
 
 def on_grid(depth: np.ndarray) -> np.ndarray:
-    return np.rint(np.maximum(depth, 0) / GRID) * GRID
+    return np.rint(np.maximum(depth, 0) / DEPTH_GRID) * DEPTH_GRID
 
 
 def with_depth(change: Callable[[np.ndarray, Rng], Any]) -> Callable[[View, Rng], View]:
@@ -108,7 +108,7 @@ BROKEN_SENSORS: dict[str, tuple[Callable[[View, Rng], Any], str]] = {
     "5 % too far": (with_depth(lambda depth, _: depth * 1.05), r"depths are off by 3\d\.\d mm in the median$"),
     "beside the grid": (lambda view, _: replace(view, depth=view.depth * 0.999), r"beside the grid of 2\^-13 m"),
     "below 0": (
-        lambda view, _: replace(view, depth=np.where(view.depth > 0, view.depth, -GRID)),
+        lambda view, _: replace(view, depth=np.where(view.depth > 0, view.depth, -DEPTH_GRID)),
         "smallest depth is -",
     ),
     "blind": (with_depth(lambda depth, _: depth * 0), r"0% of a surface at 0.4 to 1 m gives a return, expected 50%"),

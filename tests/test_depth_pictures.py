@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kit1000.camera import Camera
-from kit1000.pictures.depth_images import FAR, MIDDLE, NEAR, depth_picture, mask_picture
+from kit1000.pictures.depth_images import FAR_COLOUR, MIDDLE_COLOUR, NEAR_COLOUR, depth_picture, mask_picture
 from kit1000.pictures.shading import INK, KIT, PART, SECONDARY, TABLE
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
@@ -63,7 +63,7 @@ def test_near_is_brighter_and_warmer_than_far() -> None:
 
 def test_the_ends_and_the_middle_of_the_scale_have_the_colours_named() -> None:
     hues = hue_of(depth_picture(seen(steps(0.5, 1.0, 1.5, 0.5))).astype(float))[20, 8::16]
-    for hue, colour in zip(hues, (NEAR, MIDDLE, FAR, NEAR), strict=True):
+    for hue, colour in zip(hues, (NEAR_COLOUR, MIDDLE_COLOUR, FAR_COLOUR, NEAR_COLOUR), strict=True):
         np.testing.assert_allclose(hue, unlit(colour), atol=0.01)
 
 
@@ -80,7 +80,7 @@ def test_the_scale_follows_the_scene(factor: float) -> None:
 def test_a_single_depth_is_a_picture_too() -> None:
     picture = depth_picture(seen(np.full(SHAPE, 0.8)))
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) == 1
-    np.testing.assert_allclose(hue_of(picture.astype(float))[0, 0], unlit(NEAR), atol=0.01)
+    np.testing.assert_allclose(hue_of(picture.astype(float))[0, 0], unlit(NEAR_COLOUR), atol=0.01)
 
 
 def test_a_few_strays_do_not_take_the_scale() -> None:

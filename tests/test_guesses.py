@@ -14,9 +14,9 @@ from scipy import stats
 from kit1000.errors import InputError
 from kit1000.generation.queries import GuessDraw
 from kit1000.guesses import (
-    MAX_ANGLE,
     FIXED_LEVELS,
     LEVELS,
+    MAX_ANGLE,
     MAX_OFFSET,
     draw_ball_error,
     draw_direction,
@@ -25,7 +25,7 @@ from kit1000.guesses import (
     level_angle,
     level_offset,
 )
-from kit1000.kits.goals import nearest_turn
+from kit1000.kits.goals import nearest_about_axis
 from kit1000.motions import apply_error, error_of, goal_motion, goal_pose
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.values import FreeAxis, Slot
@@ -177,7 +177,7 @@ def test_a_turned_goal_is_a_turn_of_that_goal_about_the_axis(turn: float) -> Non
     axis = round_slot.free_axis
     assert axis is not None
     goal = goal_pose(round_slot, 0, turn)
-    assert near(nearest_turn(goal, round_slot.goals[0], axis), goal, 1e-9)  # the search for it finds it
+    assert near(nearest_about_axis(goal, round_slot.goals[0], axis), goal, 1e-9)  # the search for it finds it
     line = axis.point + np.outer([-0.1, 0.2], axis.direction)
     there = round_slot.goals[0].inverse().apply(line)  # points of the part on the axis stay where they are
     assert np.allclose(goal.apply(there), line, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Parts let go over their slots: what physics has added, what became of a part by closed form, and pegs in cavities."""
+"""Simulated insertions: forces of the physics engine, outcomes in closed form, pegs in cavities, the study's report."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.dataset.tables import FORMAT, assembly_row, kit_row, part_row
 from kit1000.errors import InputError
 from kit1000.files import write_json
-from kit1000.insertion_study import Error, described, drawn_places, kept_pieces, study
+from kit1000.insertion_study import TrialError, cached_pieces, draw_slots, format_report, study
 from kit1000.kits.acceptance import rotated_about_centroid
 from kit1000.kits.assembly import AssemblyPlan, build_assembly
 from kit1000.mesh import convex_hull, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.rng import stream
-from kit1000.sim.insertion import HELD_UP, Insertion, Workpiece, insert, judged, obstacles
-from kit1000.sim.pieces import convex_pieces, key_of, packed, unpacked
-from kit1000.sim.world import MARGIN, RATE, World
+from kit1000.sim.convex_decomposition import cache_key, convex_pieces, pack_pieces, unpack_pieces
+from kit1000.sim.insertion import MAX_LAG, InsertionTrial, Workpiece, assembly_obstacles, classify_outcome, insert
+from kit1000.sim.world import MARGIN, STEP_RATE, World
 from kit1000.values import Assembly, FreeAxis, Kit, Part, Slot
 from tests.sample_kits import sample_kit, sample_part
 from tests.shapes import MM, Z, box, ell, seated, standing
@@ -35,13 +35,13 @@ FREE = {"linearDamping": 0.0, "angularDamping": 0.0}
 ARCH = [CUBE * (0.5, 1, 1) + [s * 0.015, 0, 0] for s in (-1, 1)] + [CUBE * (2, 1, 0.25) + [0, 0, 0.0125]]
 
 
-def test_pieces_leave_the_hollow_between_them_open() -> None:
-    """An arch with legs of 10 mm width stands on the ground over a post of 8 mm that its hull would stand on."""
+def test_convex_pieces_leave_the_gap_between_them_open() -> None:
+    """An arch with legs of 10 mm width rests on the ground over a post of 8 mm that its hull would rest on."""
     with World() as world:
         world.add_ground()
         world.add_hull(CUBE * (0.4, 0.4, 0.4), 0.0, np.zeros(3), Pose.from_translation([0, 0, 0.004]))
         arch = world.add_pieces(ARCH, 0.02, MOMENTS, Pose.from_translation([0, 0, 0.012]))
-        world.step(RATE)
+        world.step(STEP_RATE)
         assert abs(world.pose(arch).xyz[2] - 0.01) < 1.2 * MARGIN
 
 
@@ -54,13 +54,13 @@ def test_a_body_of_one_piece_moves_as_a_hull_does() -> None:
         with World() as world:
             world.add_ground()
             body = add(world, Pose.from_rotvec([0.3, 0.2, 0.1], [0, 0, 0.03]))
-            world.step(RATE // 8)
+            world.step(STEP_RATE // 8)
             poses.append(world.pose(body))
     assert poses[0].xyz == pytest.approx(poses[1].xyz, abs=2e-5)
     assert (poses[0].inverse() @ poses[1]).angle() < 1e-2
 
 
-def test_a_push_accelerates_along_the_axes_of_the_world() -> None:
+def test_a_push_accelerates_along_the_world_axes() -> None:
     """One step from rest: v = F/m t, and w = R I^-1 R^T torque t."""
     start = Pose.from_rotvec([0.4, -1.0, 0.7], [0, 0, 1.0])
     force, torque = np.array([0.1, -0.2, 0.3]), np.array([1e-5, 2e-5, -1e-5])
@@ -71,33 +71,34 @@ def test_a_push_accelerates_along_the_axes_of_the_world() -> None:
         linear, angular = world.velocity(body)
         world.step()
         assert world.velocity(body)[0][:2] == pytest.approx(linear[:2])  # the push is over
-    turn = start.rotation_matrix()
-    assert linear == pytest.approx(force / 0.02 / RATE, rel=1e-6)
-    assert angular == pytest.approx(turn @ (turn.T @ torque / MOMENTS) / RATE, rel=1e-3)
+    rotation = start.rotation_matrix()
+    assert linear == pytest.approx(force / 0.02 / STEP_RATE, rel=1e-6)
+    assert angular == pytest.approx(rotation @ (rotation.T @ torque / MOMENTS) / STEP_RATE, rel=1e-3)
 
 
-def test_a_body_without_mass_stands_still() -> None:
+def test_a_body_without_mass_does_not_move() -> None:
     with World() as world:
         block = world.add_hull(CUBE, 0.0, np.zeros(3), Pose.from_translation([0, 0, 0.5]))
-        world.step(RATE)
+        world.step(STEP_RATE)
         assert world.pose(block).xyz[2] == 0.5
 
 
 class Peg:
-    """A part over its kit on a foot that tilts it."""
+    """A part, and its kit on a foot that tilts it."""
 
     def __init__(self, part: Part, kit: Kit, pieces: list[np.ndarray], tilt: float) -> None:
         self.kit, self.goal = kit, kit.slot.goals[0]
         self.assembly: Assembly = build_assembly("a", [kit], AssemblyPlan(tilt, 0.4, ()))
-        self.piece, self.standing = Workpiece.of(part, pieces), obstacles(self.assembly)
+        self.workpiece, self.obstacles = Workpiece.of(part, pieces), assembly_obstacles(self.assembly)
 
-    def let_go(self, pose: Pose) -> Insertion:
+    def insert(self, pose: Pose) -> InsertionTrial:
         assembly_from_kit = self.assembly.mounts[0].assembly_from_kit
-        return insert(self.piece, self.standing, assembly_from_kit @ pose, self.goal.inverse().rotate(Z))
+        return insert(self.workpiece, self.obstacles, assembly_from_kit @ pose, self.goal.inverse().rotate(Z))
 
     def outcome(self, pose: Pose) -> str:
-        back, came = self.assembly.mounts[0].assembly_from_kit.inverse(), self.let_go(pose)
-        return judged(self.kit, back @ came.released, back @ came.rest).outcome
+        kit_from_assembly, trial = self.assembly.mounts[0].assembly_from_kit.inverse(), self.insert(pose)
+        poses = kit_from_assembly @ trial.release_pose, kit_from_assembly @ trial.rest_pose
+        return classify_outcome(self.kit, *poses).outcome
 
     def shifted(self, *millimetres: float) -> Pose:
         return Pose.from_translation(MM * np.array(millimetres)) @ self.goal
@@ -125,30 +126,30 @@ def test_a_part_on_its_side_does_not_seat() -> None:
         assert box_peg().outcome(rotated_about_centroid(box_peg().goal, np.pi / 2 * np.array(axis))) != "seated"
 
 
-def test_the_hand_gives_up_only_where_something_is_in_its_way() -> None:
+def test_the_hand_is_blocked_only_by_an_obstacle() -> None:
     peg = box_peg()
-    assert not peg.let_go(peg.goal).held_up
-    blocked = peg.let_go(peg.shifted(12, 0, 0))
-    assert blocked.held_up
-    assert HELD_UP < blocked.released.xyz[2] - (peg.assembly.mounts[0].assembly_from_kit @ peg.goal).xyz[2] < 0.03
+    assert not peg.insert(peg.goal).blocked
+    trial = peg.insert(peg.shifted(12, 0, 0))
+    assert trial.blocked
+    assert MAX_LAG < trial.release_pose.xyz[2] - (peg.assembly.mounts[0].assembly_from_kit @ peg.goal).xyz[2] < 0.03
 
 
-def test_a_part_let_go_in_the_air_is_there_when_the_hand_opens() -> None:
-    """The hand follows its way to a tenth of a millimetre and a tenth of a degree."""
+def test_a_part_released_in_the_air_is_at_the_predicted_pose() -> None:
+    """The hand follows its path to a tenth of a millimetre and a tenth of a degree."""
     peg = box_peg()
-    aim = Pose.from_translation([0, 0, 0.05]) @ rotated_about_centroid(peg.goal, np.array([0.3, -0.2, 0.5]))
-    error = (peg.assembly.mounts[0].assembly_from_kit @ aim).inverse() @ peg.let_go(aim).released
+    target = Pose.from_translation([0, 0, 0.05]) @ rotated_about_centroid(peg.goal, np.array([0.3, -0.2, 0.5]))
+    error = (peg.assembly.mounts[0].assembly_from_kit @ target).inverse() @ peg.insert(target).release_pose
     assert np.linalg.norm(error.xyz) < 1e-4
     assert error.angle() < np.radians(0.1)
 
 
 def test_the_same_insertion_gives_the_same_bytes() -> None:
-    first, again = (box_peg(20.0).let_go(box_peg(20.0).shifted(4, 1, 0)) for _ in range(2))
-    assert first.rest.xyz.tobytes() + first.rest.wxyz.tobytes() == again.rest.xyz.tobytes() + again.rest.wxyz.tobytes()
+    first, again = (box_peg(20.0).insert(box_peg(20.0).shifted(4, 1, 0)).rest_pose for _ in range(2))
+    assert first.xyz.tobytes() + first.wxyz.tobytes() == again.xyz.tobytes() + again.wxyz.tobytes()
 
 
 @pytest.mark.parametrize(
-    ("shift_mm", "turn_deg", "since_deg", "outcome"),
+    ("shift_mm", "angle_deg", "after_release_deg", "outcome"),
     [
         ((0, 0, 0), 0, 0, "seated"),
         ((4.4, 0, 2.9), 9.9, 9.9, "seated"),
@@ -161,29 +162,29 @@ def test_the_same_insertion_gives_the_same_bytes() -> None:
         ((0, 0, -30), 0, 0, "left"),
     ],
 )
-def test_what_became_of_a_part(
-    shift_mm: tuple[float, float, float], turn_deg: float, since_deg: float, outcome: str
+def test_the_outcome_of_an_insertion(
+    shift_mm: tuple[float, float, float], angle_deg: float, after_release_deg: float, outcome: str
 ) -> None:
-    kit = box_peg().kit
-    rest = Pose.from_translation(MM * np.array(shift_mm)) @ rotated_about_centroid(box_peg().goal, np.radians(turn_deg) * Z)
-    released = Pose.from_translation(rest.xyz - box_peg().goal.xyz) @ rotated_about_centroid(
-        box_peg().goal, np.radians(turn_deg - since_deg) * Z
+    kit, goal = box_peg().kit, box_peg().goal
+    rest = Pose.from_translation(MM * np.array(shift_mm)) @ rotated_about_centroid(goal, np.radians(angle_deg) * Z)
+    release = Pose.from_translation(rest.xyz - goal.xyz) @ rotated_about_centroid(
+        goal, np.radians(angle_deg - after_release_deg) * Z
     )
-    found = judged(kit, released, rest)
-    assert found.outcome == outcome
-    assert found.height == pytest.approx(MM * shift_mm[2], abs=1e-12)
-    assert found.turned == pytest.approx(np.radians(since_deg), abs=1e-7)
+    result = classify_outcome(kit, release, rest)
+    assert result.outcome == outcome
+    assert result.height == pytest.approx(MM * shift_mm[2], abs=1e-12)
+    assert result.rotation_after_release == pytest.approx(np.radians(after_release_deg), abs=1e-7)
 
 
 def test_any_goal_and_any_turn_about_a_free_axis_is_seated() -> None:
     slot, extent = box_peg().kit.slot, box_peg().kit.extent
     half = rotated_about_centroid(slot.goals[0], np.pi * Z)
-    both = Slot("p", slot.kit_from_part, slot.clearance, slot.depth, Pose.stack([slot.goals[0], half]))
-    free = FreeAxis(np.zeros(3), Z)
-    turning = Slot("p", slot.kit_from_part, slot.clearance, slot.depth, slot.goals, free)
-    for one, angle in ((both, np.pi), (turning, 0.3), (turning, 2.0)):
+    two_goals = Slot("p", slot.kit_from_part, slot.clearance, slot.depth, Pose.stack([slot.goals[0], half]))
+    axis = FreeAxis(np.zeros(3), Z)
+    with_axis = Slot("p", slot.kit_from_part, slot.clearance, slot.depth, slot.goals, axis)
+    for variant, angle in ((two_goals, np.pi), (with_axis, 0.3), (with_axis, 2.0)):
         rest = rotated_about_centroid(slot.goals[0], angle * Z)
-        assert judged(Kit("k", box_peg().kit.mesh, one, extent), rest, rest).outcome == "seated"
+        assert classify_outcome(Kit("k", box_peg().kit.mesh, variant, extent), rest, rest).outcome == "seated"
 
 
 def test_pieces_cover_the_part_and_little_more() -> None:
@@ -191,7 +192,7 @@ def test_pieces_cover_the_part_and_little_more() -> None:
     pieces = convex_pieces(mesh)
     assert len(pieces) > 1
     assert sum(convex_hull(piece).volume() for piece in pieces) == pytest.approx(mesh.volume, rel=0.05)
-    x, y, z = stream(0, "inside").uniform((0, 0, 0), (40, 28, 14), (2000, 3)).T  # mm, the ell before it was centred
+    x, y, z = stream(0, "inside").uniform((0, 0, 0), (40, 28, 14), (2000, 3)).T  # mm, the L shape before centring
     depth = np.maximum(np.minimum(40 - x, 12 - y), np.minimum(12 - x, 28 - y))
     deep = np.minimum.reduce([depth, x, y, z, 14 - z]) > 0.3
     points = MM * (np.column_stack([x, y, z]) - (20, 14, 0))[deep]
@@ -199,26 +200,26 @@ def test_pieces_cover_the_part_and_little_more() -> None:
     assert inside.all()
 
 
-def test_pieces_are_named_by_the_mesh_and_come_back_bit_for_bit() -> None:
+def test_pieces_are_cached_by_mesh_and_read_back_bit_for_bit() -> None:
     mesh = mesh_from_solid(standing(ell()))
-    assert key_of(mesh) == key_of(mesh.scaled(1.0)) != key_of(mesh.scaled(1.001))
-    assert packed(ARCH) == packed(ARCH)
-    back = unpacked(packed(ARCH))
-    assert back is not None
-    assert [piece.tobytes() for piece in back] == [piece.tobytes() for piece in ARCH]
-    assert unpacked(packed(ARCH)[:-40]) is None
-    assert unpacked(b"") is None
+    assert cache_key(mesh) == cache_key(mesh.scaled(1.0)) != cache_key(mesh.scaled(1.001))
+    assert pack_pieces(ARCH) == pack_pieces(ARCH)
+    read = unpack_pieces(pack_pieces(ARCH))
+    assert read is not None
+    assert [piece.tobytes() for piece in read] == [piece.tobytes() for piece in ARCH]
+    assert unpack_pieces(pack_pieces(ARCH)[:-40]) is None
+    assert unpack_pieces(b"") is None
 
 
-def test_kept_pieces_are_cut_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    mesh, cut = mesh_from_solid(standing(ell())), []
-    monkeypatch.setattr(insertions, "convex_pieces", lambda mesh: cut.append(mesh) or ARCH)
-    first, again = kept_pieces(mesh, tmp_path), kept_pieces(mesh, tmp_path)
+def test_cached_pieces_are_computed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh, calls = mesh_from_solid(standing(ell())), []
+    monkeypatch.setattr(insertions, "convex_pieces", lambda mesh: calls.append(mesh) or ARCH)
+    first, again = cached_pieces(mesh, tmp_path), cached_pieces(mesh, tmp_path)
     assert [piece.tobytes() for piece in first] == [piece.tobytes() for piece in again]
-    assert len(cut) == 1
+    assert len(calls) == 1
     next(tmp_path.glob("*.npz")).write_bytes(b"damaged")
-    kept_pieces(mesh, tmp_path)
-    assert len(cut) == 2
+    cached_pieces(mesh, tmp_path)
+    assert len(calls) == 2
 
 
 @cache
@@ -228,27 +229,30 @@ def small_pair() -> tuple[Part, Kit]:
 
 
 def small_dataset(folder: Path) -> Path:
-    """Two assemblies of one box each, level and tilted; as much of a dataset as the study reads."""
+    """Two assemblies of one box each, level and tilted; the files of a dataset that the study reads."""
     part, kit = small_pair()
     kit = Kit(part.id, kit.mesh, kit.slot, kit.extent)
-    stood = [build_assembly(f"a{k}", [kit], AssemblyPlan(tilt, 0.4, ())) for k, tilt in enumerate((0.0, 0.3))]
-    meshes = {"parts": {part.id: part.mesh}, "kits": {kit.id: kit.mesh}, "assemblies": {a.id: a.mesh for a in stood}}
+    assemblies = [build_assembly(f"a{k}", [kit], AssemblyPlan(tilt, 0.4, ())) for k, tilt in enumerate((0.0, 0.3))]
+    assembly_meshes = {assembly.id: assembly.mesh for assembly in assemblies}
+    meshes = {"parts": {part.id: part.mesh}, "kits": {kit.id: kit.mesh}, "assemblies": assembly_meshes}
     for kind, items in meshes.items():
         (folder / kind).mkdir(parents=True)
         for name, mesh in items.items():
             (folder / kind / f"{name}.glb").write_bytes(glb_bytes({name: mesh.rounded_float32()}))
     write_json(folder / "parts.json", {part.id: part_row(part)})
     write_json(folder / "kits.json", {kit.id: kit_row(kit)})
-    write_json(folder / "assemblies.json", {a.id: assembly_row(a) for a in stood})
+    write_json(folder / "assemblies.json", {assembly.id: assembly_row(assembly) for assembly in assemblies})
     write_json(folder / "dataset.json", {"format": FORMAT, "dataset_id": "small"})
     return folder
 
 
-def test_the_study_says_what_physics_and_the_test_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_study_reports_the_results_of_physics_and_of_the_seating_test(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     root = small_dataset(tmp_path / "data")
-    monkeypatch.setattr(insertions, "ERRORS", (Error("true", 0), Error("shift", 8)))
+    monkeypatch.setattr(insertions, "TRIAL_ERRORS", (TrialError("true", 0), TrialError("shift", 8)))
     monkeypatch.setattr(insertions, "convex_pieces", lambda mesh: [mesh.vertices])
-    report = study(root, tmp_path / "out", sample=1, more=1)
+    report = study(root, tmp_path / "out", sample=1, true_only=1)
     assert report == json.loads((tmp_path / "out/insertions.json").read_text())
     assert report["agreement"]["true"] == {
         "trials": 2, "both": 2, "test_alone": 0, "physics_alone": 0, "neither": 0,
@@ -256,25 +260,25 @@ def test_the_study_says_what_physics_and_the_test_say(tmp_path: Path, monkeypatc
     assert report["agreement"]["shift 8 mm"]["trials"] == 1
     assert sum(row["trials"] for row in report["true_by_tilt_deg"].values()) == 2
     assert {row["physics"]["outcome"] for row in report["trials"][:1]} == {"seated"}
-    assert described(report).splitlines()[1].split() == ["true", "2", "2", "0", "0", "0"]
-    study(root, tmp_path / "again", sample=1, more=1)
+    assert format_report(report).splitlines()[1].split() == ["true", "2", "2", "0", "0", "0"]
+    study(root, tmp_path / "again", sample=1, true_only=1)
     assert (tmp_path / "again/insertions.json").read_bytes() == (tmp_path / "out/insertions.json").read_bytes()
 
 
 def test_slots_are_spread_over_tilt(tmp_path: Path) -> None:
     geometry = Geometry(small_dataset(tmp_path))
-    assert {round(place.tilt, 3) for place in drawn_places(geometry, 2, 0)} == {0.0, 0.3}
-    assert len(drawn_places(geometry, 9, 0)) == 2
+    assert {round(slot.tilt, 3) for slot in draw_slots(geometry, 2, 0)} == {0.0, 0.3}
+    assert len(draw_slots(geometry, 9, 0)) == 2
 
 
-def test_a_sample_of_none_is_refused(tmp_path: Path) -> None:
+def test_an_empty_sample_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="sample: expected 1 or more"):
         study(tmp_path, tmp_path / "out", sample=0)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("family", ["bracket", "tee", "channel"])
-def test_real_pairs_seat_at_the_goal_and_not_far_from_it(family: str) -> None:
+def test_sample_pairs_seat_at_the_goal_and_not_far_from_it(family: str) -> None:
     part, kit = sample_part(family), sample_kit(family)
     peg = Peg(part, kit, convex_pieces(part.mesh), 0.1)
     assert peg.outcome(peg.goal) == "seated"

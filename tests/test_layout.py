@@ -14,30 +14,30 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 from kit1000.errors import InputError, Redraw, ShapeError
-from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
+from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import Mesh, defect, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim import layout as module
 from kit1000.sim.layout import (
-    APART,
-    KITS_REACH,
-    PART_REACH,
-    PARTS_AT,
-    PARTS_IN,
+    DROP_BOUNDS,
+    KITS_RADIUS,
+    MAX_PART_RADIUS,
+    MIN_GAP,
+    PARTS_BOUNDS,
     TUMBLED,
     UPRIGHT,
     Layout,
     LayoutDraw,
     draw_layout,
-    draw_modes,
-    lay_out,
-    modes_at,
-    plan_distance,
-    shadow,
+    draw_rest_modes,
+    footprint,
+    footprint_distance,
+    simulate_layout,
+    systematic_rest_modes,
     table,
 )
-from kit1000.sim.settle import Rest
+from kit1000.sim.settle import RestPose
 from kit1000.values import Assembly, Part, Slot
 from tests.sample_kits import sample_kit, sample_part
 from tests.shapes import as_part, box
@@ -48,7 +48,7 @@ FAMILIES = ("bracket", "channel", "tee", "cover")
 @cache
 def sample_assembly(n: int = 3) -> Assembly:
     """The kits of the first n families, the base tilted, the others hanging off it."""
-    sides = tuple(Side(k, 0.3 + 0.1 * k) for k in range(n - 1))
+    sides = tuple(SidePlate(k, 0.3 + 0.1 * k) for k in range(n - 1))
     return build_assembly("a", [sample_kit(family) for family in FAMILIES[:n]], AssemblyPlan(0.2, 0.7, sides))
 
 
@@ -61,9 +61,9 @@ def laid(seed: int, n: int = 3) -> tuple[LayoutDraw, Layout]:
     """The first layout of a seed that is no redraw."""
     for attempt in range(20):
         rng = stream(seed, attempt)
-        draw = draw_layout(rng, draw_modes(rng, n))
+        draw = draw_layout(rng, draw_rest_modes(rng, n))
         try:
-            return draw, lay_out(sample_assembly(n), pairs(n), draw)
+            return draw, simulate_layout(sample_assembly(n), pairs(n), draw)
         except Redraw:
             continue
     raise AssertionError("twenty layouts were rejected")
@@ -72,7 +72,7 @@ def laid(seed: int, n: int = 3) -> tuple[LayoutDraw, Layout]:
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
 def test_each_part_is_upright_with_a_share_of_exactly_six_tenths(n: int) -> None:
     """The mode changes at multiples of 0.2 of the offset, so middles of fifths integrate over it exactly."""
-    upright = np.array([[mode == UPRIGHT for mode in modes_at((k + 0.5) / 5, n)] for k in range(5)])
+    upright = np.array([[mode == UPRIGHT for mode in systematic_rest_modes((k + 0.5) / 5, n)] for k in range(5)])
     assert upright.mean(0) == pytest.approx(np.full(n, 0.6), abs=1e-12)
     assert (np.abs(upright.sum(1) - 0.6 * n) < 1).all()
     if n >= 2:
@@ -81,30 +81,30 @@ def test_each_part_is_upright_with_a_share_of_exactly_six_tenths(n: int) -> None
 
 @given(offset=st.floats(0, 1, exclude_max=True), n=st.integers(2, 5))
 def test_two_parts_or_more_never_all_tumble(offset: float, n: int) -> None:
-    modes = modes_at(offset, n)
+    modes = systematic_rest_modes(offset, n)
     assert len(modes) == n
     assert UPRIGHT in modes
     assert {*modes} <= {UPRIGHT, TUMBLED}
 
 
 def test_drawn_modes_are_those_of_a_uniform_offset() -> None:
-    modes = [draw_modes(stream(0, k), 3)[1] for k in range(2000)]
+    modes = [draw_rest_modes(stream(0, k), 3)[1] for k in range(2000)]
     assert np.mean([mode == UPRIGHT for mode in modes]) == pytest.approx(0.6, abs=0.04)
 
 
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 5))
 @settings(max_examples=40)
 def test_spots_keep_parts_apart_however_they_turn(seed: int, n: int) -> None:
-    spots = draw_layout(stream(seed), (TUMBLED,) * n).spots
-    assert ((spots >= PARTS_AT[0]) & (spots <= PARTS_AT[1])).all()
-    assert pdist(spots).min(initial=np.inf) >= 2 * PART_REACH + APART
-    assert spots[:, 1].max() + PART_REACH < -APART
+    spots = draw_layout(stream(seed), (TUMBLED,) * n).drop_points
+    assert ((spots >= DROP_BOUNDS[0]) & (spots <= DROP_BOUNDS[1])).all()
+    assert pdist(spots).min(initial=np.inf) >= 2 * MAX_PART_RADIUS + MIN_GAP
+    assert spots[:, 1].max() + MAX_PART_RADIUS < -MIN_GAP
 
 
 def test_the_same_stream_draws_the_same_and_modes_change_no_number() -> None:
     once, again = draw_layout(stream(4), (UPRIGHT, TUMBLED)), draw_layout(stream(4), (TUMBLED, TUMBLED))
-    assert once.spots.tobytes() == again.spots.tobytes()
-    assert once.tumbles.tobytes() == again.tumbles.tobytes()
+    assert once.drop_points.tobytes() == again.drop_points.tobytes()
+    assert once.tumbled_rotations.tobytes() == again.tumbled_rotations.tobytes()
     assert once.assembly_yaw == again.assembly_yaw
 
 
@@ -114,28 +114,28 @@ def test_unknown_modes_and_too_many_parts_are_refused() -> None:
     with pytest.raises(ShapeError, match="expected up to 5"):
         draw_layout(stream(0), (UPRIGHT,) * 6)
     with pytest.raises(ShapeError, match="expected 1 for this draw"):
-        lay_out(sample_assembly(), pairs(), draw_layout(stream(0), (UPRIGHT,)))
+        simulate_layout(sample_assembly(), pairs(), draw_layout(stream(0), (UPRIGHT,)))
 
 
 def test_a_part_larger_than_the_spots_allow_is_refused() -> None:
     part = as_part(box(60, 60, 60))
     with pytest.raises(InputError, match=r"diagonal of 103\.9 mm"):
-        lay_out(sample_assembly(), [(part, pairs()[0][1])], draw_layout(stream(0), (UPRIGHT,)))
+        simulate_layout(sample_assembly(), [(part, pairs()[0][1])], draw_layout(stream(0), (UPRIGHT,)))
 
 
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=12)
 def test_everything_stands_on_its_half_and_apart(seed: int) -> None:
     _, layout = laid(seed)
-    shadows = [shadow(part.mesh, pose) for (part, _), pose in zip(pairs(), layout.world_from_parts, strict=True)]
+    shadows = [footprint(part.mesh, pose) for (part, _), pose in zip(pairs(), layout.world_from_parts, strict=True)]
     sections = [CrossSection([outline], FillRule.NonZero) for outline in shadows]
     for i, outline in enumerate(shadows):
-        assert ((outline >= PARTS_IN[0]) & (outline <= PARTS_IN[1])).all()
-        grown = sections[i].offset(APART * (1 - 1e-3), circular_segments=256)
+        assert ((outline >= PARTS_BOUNDS[0]) & (outline <= PARTS_BOUNDS[1])).all()
+        grown = sections[i].offset(MIN_GAP * (1 - 1e-3), circular_segments=256)
         assert not any((grown ^ other).area() > 1e-12 for other in sections[:i])
     kits = layout.world_from_assembly.apply(sample_assembly().mesh.vertices)
-    assert kits[:, 1].min() >= APART
-    assert np.abs(kits[:, 0]).max() < KITS_REACH
+    assert kits[:, 1].min() >= MIN_GAP
+    assert np.abs(kits[:, 0]).max() < KITS_RADIUS
     assert abs(kits[:, 2].min()) < 1e-12
 
 
@@ -148,7 +148,7 @@ def test_upright_parts_stand_as_they_are_inserted_at_the_drawn_yaw_and_spot(seed
             world_from_part = layout.world_from_parts[i]
             wanted = Pose.from_rotvec([0, 0, draw.yaws[i]]) @ slot.kit_from_part
             assert np.degrees((world_from_part.inverse() @ wanted).angle()) < 1
-            assert world_from_part.apply(part.mesh.bounds.mean(0))[:2] == pytest.approx(draw.spots[i], abs=1.5e-3)
+            assert world_from_part.apply(part.mesh.bounds.mean(0))[:2] == pytest.approx(draw.drop_points[i], abs=1.5e-3)
 
 
 @given(seed=st.integers(0, 1000))
@@ -161,7 +161,9 @@ def test_every_part_touches_the_table(seed: int) -> None:
 
 def test_moving_the_kits_moves_no_part() -> None:
     draw, layout = laid(0)
-    other = lay_out(sample_assembly(), pairs(), replace(draw, assembly_yaw=1.0, assembly_shift=np.array([0.5, -0.5])))
+    other = simulate_layout(
+        sample_assembly(), pairs(), replace(draw, assembly_yaw=1.0, assembly_shift=np.array([0.5, -0.5]))
+    )
     assert [pose.xyz.tobytes() for pose in other.world_from_parts] == [p.xyz.tobytes() for p in layout.world_from_parts]
     assert other.world_from_assembly.xyz.tobytes() != layout.world_from_assembly.xyz.tobytes()
 
@@ -171,7 +173,7 @@ def test_turning_one_part_leaves_the_others_where_they_are() -> None:
     i = draw.modes.index(UPRIGHT)
     yaws = draw.yaws.copy()
     yaws[i] += 0.4
-    other = lay_out(sample_assembly(), pairs(), replace(draw, yaws=yaws))
+    other = simulate_layout(sample_assembly(), pairs(), replace(draw, yaws=yaws))
     assert other.world_from_assembly.xyz.tobytes() == layout.world_from_assembly.xyz.tobytes()
     for k, (a, b) in enumerate(zip(other.world_from_parts, layout.world_from_parts, strict=True)):
         turned = float((a.inverse() @ b).angle())
@@ -180,7 +182,7 @@ def test_turning_one_part_leaves_the_others_where_they_are() -> None:
 
 def test_a_layout_is_the_same_every_time() -> None:
     draw, layout = laid(1)
-    again = lay_out(sample_assembly(), pairs(), draw)
+    again = simulate_layout(sample_assembly(), pairs(), draw)
     for a, b in zip(again.world_from_parts, layout.world_from_parts, strict=True):
         assert (a.xyz.tobytes(), a.wxyz.tobytes()) == (b.xyz.tobytes(), b.wxyz.tobytes())
 
@@ -189,10 +191,10 @@ def test_a_layout_is_the_same_every_time() -> None:
 @settings(max_examples=12)
 def test_the_kits_stay_on_their_half_at_every_draw(yaw: float, shift: tuple[float, float], n: int) -> None:
     draw = replace(draw_layout(stream(0), ()), assembly_yaw=yaw, assembly_shift=np.array(shift))
-    layout = lay_out(sample_assembly(n), [], draw)
+    layout = simulate_layout(sample_assembly(n), [], draw)
     vertices = layout.world_from_assembly.apply(sample_assembly(n).mesh.vertices)
-    assert vertices[:, 1].min() >= APART
-    assert np.abs(vertices[:, 0]).max() < KITS_REACH + 1e-6
+    assert vertices[:, 1].min() >= MIN_GAP
+    assert np.abs(vertices[:, 0]).max() < KITS_RADIUS + 1e-6
     up = layout.world_from_assembly.rotation_matrix()[2]
     assert up.tolist() == [0, 0, 1]
 
@@ -200,8 +202,8 @@ def test_the_kits_stay_on_their_half_at_every_draw(yaw: float, shift: tuple[floa
 def faked(monkeypatch: pytest.MonkeyPatch, moved: Pose, stable: bool = True) -> None:
     """Settling that carries every part by a motion of the world."""
 
-    def settle(releases: list) -> list[Rest]:
-        return [Rest(moved @ release.world_from_part, stable) for release in releases]
+    def settle(releases: list) -> list[RestPose]:
+        return [RestPose(moved @ release.world_from_part, stable) for release in releases]
 
     monkeypatch.setattr(module, "settle", settle)
 
@@ -222,7 +224,7 @@ def test_reasons_to_draw_again(
     faked(monkeypatch, moved, stable)
     draw = draw_layout(stream(2), (mode,) * 3)
     with pytest.raises(Redraw, match=f"^{reason}$"):
-        lay_out(sample_assembly(), pairs(), draw)
+        simulate_layout(sample_assembly(), pairs(), draw)
 
 
 def test_parts_that_touch_are_drawn_again(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -230,7 +232,7 @@ def test_parts_that_touch_are_drawn_again(monkeypatch: pytest.MonkeyPatch) -> No
     draw = draw_layout(stream(2), (UPRIGHT,) * 3)
     near = replace(draw, spots=np.array([[0.0, -0.2], [0.1, -0.2], [0.02, -0.2]]))
     with pytest.raises(Redraw, match=r"^parts touch$"):
-        lay_out(sample_assembly(), pairs(), near)
+        simulate_layout(sample_assembly(), pairs(), near)
 
 
 def square(side: float, at: tuple[float, float], yaw: float = 0.0) -> np.ndarray:
@@ -241,11 +243,11 @@ def square(side: float, at: tuple[float, float], yaw: float = 0.0) -> np.ndarray
 
 def test_distances_of_squares_are_those_of_the_books() -> None:
     a = square(2, (0, 0))
-    assert plan_distance(a, square(2, (5, 0.5))) == pytest.approx(3)  # edge to edge
-    assert plan_distance(a, square(2, (5, 6))) == pytest.approx(5)  # corner to corner: 3, 4, 5
-    assert plan_distance(a, square(2, (4, 0), np.pi / 4)) == pytest.approx(3 - 2**0.5)  # corner to edge
-    assert plan_distance(a, square(2, (1.5, 1.5))) == 0
-    assert plan_distance(a, square(0.5, (0, 0))) == 0  # one within the other
+    assert footprint_distance(a, square(2, (5, 0.5))) == pytest.approx(3)  # edge to edge
+    assert footprint_distance(a, square(2, (5, 6))) == pytest.approx(5)  # corner to corner: 3, 4, 5
+    assert footprint_distance(a, square(2, (4, 0), np.pi / 4)) == pytest.approx(3 - 2**0.5)  # corner to edge
+    assert footprint_distance(a, square(2, (1.5, 1.5))) == 0
+    assert footprint_distance(a, square(0.5, (0, 0))) == 0  # one within the other
 
 
 @given(seed=st.integers(0, 10_000))
@@ -262,8 +264,8 @@ def test_distances_agree_with_dense_points(seed: int) -> None:
     nearest = min(np.linalg.norm(dense[1] - point, axis=1).min() for point in dense[0])
     overlap = (CrossSection([a], FillRule.NonZero) ^ CrossSection([b], FillRule.NonZero)).area()
     expected = 0.0 if overlap > 1e-9 else nearest
-    assert plan_distance(a, b) == pytest.approx(expected, abs=0.03)
-    assert plan_distance(a, b) == pytest.approx(plan_distance(b, a), abs=1e-12)
+    assert footprint_distance(a, b) == pytest.approx(expected, abs=0.03)
+    assert footprint_distance(a, b) == pytest.approx(footprint_distance(b, a), abs=1e-12)
 
 
 def test_the_table_is_a_closed_box_below_zero() -> None:
@@ -279,9 +281,9 @@ def test_few_layouts_are_drawn_again() -> None:
     failed = 0
     for k in range(100):
         rng = stream(k)
-        draw = draw_layout(rng, draw_modes(rng, 4))
+        draw = draw_layout(rng, draw_rest_modes(rng, 4))
         try:
-            lay_out(sample_assembly(4), pairs(4), draw)
+            simulate_layout(sample_assembly(4), pairs(4), draw)
         except Redraw:
             failed += 1
     assert failed <= 8

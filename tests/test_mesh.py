@@ -10,7 +10,16 @@ from hypothesis import strategies as st
 
 from kit1000.errors import MeshRefused, ShapeError
 from kit1000.kits.printable_mesh import printable_mesh
-from kit1000.mesh import Mesh, body_count, defect, defect_float32, convex_hull, mesh_from_solid, solid_from_mesh, surface_points
+from kit1000.mesh import (
+    Mesh,
+    body_count,
+    convex_hull,
+    defect,
+    defect_float32,
+    mesh_from_solid,
+    solid_from_mesh,
+    surface_points,
+)
 from kit1000.pose import Pose
 from tests.shapes import box, cylinder, random_solid, standing
 from tests.strategies import poses

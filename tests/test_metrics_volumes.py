@@ -41,7 +41,7 @@ def ball(radius: float, centre: tuple[float, float, float] = (0, 0, 0), on: Grid
     """Signed distances of a ball in closed form. radius, centre: [m]"""
     on = on or grid()
     distance = np.linalg.norm(on.centres() - np.array(centre), axis=-1) - radius
-    return Volume(on, np.clip(distance / (5 * on.voxel), -1, 1))
+    return Volume(on, np.clip(distance / (5 * on.voxel_size), -1, 1))
 
 
 def masked(known: np.ndarray, of: Volume) -> Volume:

@@ -17,21 +17,21 @@ from PIL import Image
 from kit1000.dataset.mesh_files import read_glb
 from kit1000.errors import InputError
 from kit1000.export import own_part
-from kit1000.export.own_part import kit_for
+from kit1000.export.own_part import make_kit_from_file
 from kit1000.files import PARTIAL
 from kit1000.mesh import Mesh, defect_float32, solid_from_mesh
-from kit1000.parts.files.formats import read_soup
+from kit1000.parts.files.formats import read_triangles
 from kit1000.parts.files.sources import mesh_files
 from kit1000.pictures import previews
 
 FILES = ["kit.stl", "part.stl", "preview.png", "report.json", "seated.glb"]
-DRAWN = previews.kit_picture
+DRAWN = previews.kit_preview
 EXACT = 1e-5  # [mm] float32 at a tenth of a metre
 
 
 def read(path: Path) -> Mesh:
     """An STL in its own unit, equal corners merged."""
-    soup = read_soup(path)
+    soup = read_triangles(path)
     return Mesh(soup.vertices, soup.faces).merged()
 
 
@@ -39,14 +39,14 @@ def read(path: Path) -> Mesh:
 def _picture() -> Iterator[None]:
     """A quick one: drawing takes longer than all the rest."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(previews, "kit_picture", lambda *_: b"picture")
+        patch.setattr(previews, "kit_preview", lambda *_: b"picture")
         yield
 
 
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("own")
-    kit_for(written(folder / "corner.stl", corner()), folder / "out")
+    make_kit_from_file(written(folder / "corner.stl", corner()), folder / "out")
     return folder / "out"
 
 
@@ -60,10 +60,10 @@ def test_five_files_are_written(out: Path) -> None:
 
 
 def test_the_preview_shows_the_part_in_its_colour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(previews, "kit_picture", DRAWN)
-    kit_for(written(tmp_path / "corner.stl", corner()), tmp_path / "out")
+    monkeypatch.setattr(previews, "kit_preview", DRAWN)
+    make_kit_from_file(written(tmp_path / "corner.stl", corner()), tmp_path / "out")
     with Image.open(tmp_path / "out/preview.png") as picture:
-        assert picture.size == previews.WIDE
+        assert picture.size == previews.PREVIEW_SIZE
         pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3).astype(int)
     orange = (pixels[:, 0] - pixels[:, 2] > 60).mean()
     assert 0.02 < orange < 0.5
@@ -111,18 +111,18 @@ def test_the_seated_scene_is_the_same_in_metres(out: Path) -> None:
 
 def test_the_report_says_what_was_done(out: Path, report: dict[str, Any]) -> None:
     assert (report["part"], report["unit"], report["scale"], report["repairs"]) == ("corner.stl", "mm", 1.0, [])
-    assert report["kit_faces"] == len(read_soup(out / "kit.stl").faces)
+    assert report["kit_faces"] == len(read_triangles(out / "kit.stl").faces)
     assert report["trial"]["passes"] is True
     assert report["trial"]["keyedness_deg"] > 0
 
 
 def test_another_run_over_the_same_folder_replaces_everything(out: Path, tmp_path: Path) -> None:
     part, folder = written(tmp_path / "corner.stl", corner()), tmp_path / "out"
-    kit_for(part, folder, clearance=4e-3)
+    make_kit_from_file(part, folder, clearance=4e-3)
     wide = contents(folder)
     (folder / f".kit.stl.77{PARTIAL}").touch()
     (folder / "notes.txt").touch()
-    kit_for(part, folder)
+    make_kit_from_file(part, folder)
     (folder / "notes.txt").unlink()
     assert contents(folder) == contents(out)
     assert {name for name in FILES if wide[name] != contents(out)[name]} == {"kit.stl", "seated.glb", "report.json"}
@@ -147,12 +147,12 @@ def test_an_interrupted_run_leaves_whole_files_and_no_report(
     with monkeypatch.context() as patch:
         patch.setattr(os, "replace", stopping)
         with pytest.raises(KeyboardInterrupt):
-            kit_for(part, folder)
+            make_kit_from_file(part, folder)
     found = contents(folder)
     assert "report.json" not in found
     assert len(found) == step
     assert found.items() <= contents(out).items()
-    kit_for(part, folder)
+    make_kit_from_file(part, folder)
     assert contents(folder) == contents(out)
 
 
@@ -160,20 +160,20 @@ def test_nothing_is_written_when_no_kit_can_be_made(tmp_path: Path, monkeypatch:
     part = written(tmp_path / "corner.stl", corner())
     monkeypatch.setattr(own_part, "_files", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        kit_for(part, tmp_path / "out")
+        make_kit_from_file(part, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(("unit", "size"), [("mm", 1e-3), ("inch", 0.0254), ("m", 1.0)])
 def test_units_are_understood(unit: str, size: float, out: Path, tmp_path: Path) -> None:
     mesh = corner().scaled(1e-3 / size)  # stl_bytes takes metres and writes thousands of them
-    made = kit_for(written(tmp_path / "corner.stl", mesh), tmp_path / "out", unit=unit)
+    made = make_kit_from_file(written(tmp_path / "corner.stl", mesh), tmp_path / "out", unit=unit)
     assert sorted(made["size_mm"]) == pytest.approx([24, 30, 40], abs=1e-3)
     assert made["unit"] == unit
 
 
 def test_a_part_may_be_scaled_to_fit(tmp_path: Path) -> None:
-    made = kit_for(written(tmp_path / "corner.stl", corner()), tmp_path / "out", longest=0.06)
+    made = make_kit_from_file(written(tmp_path / "corner.stl", corner()), tmp_path / "out", longest=0.06)
     assert sorted(made["size_mm"]) == pytest.approx([36, 45, 60], abs=1e-3)
     assert made["scale"] == pytest.approx(1.5)
     assert sorted(read(tmp_path / "out/part.stl").extents) == pytest.approx([36, 45, 60], abs=1e-3)
@@ -181,7 +181,7 @@ def test_a_part_may_be_scaled_to_fit(tmp_path: Path) -> None:
 
 def test_inverted_normals_are_repaired_and_reported(out: Path, tmp_path: Path) -> None:
     inside_out = Mesh(corner().vertices, corner().faces[:, ::-1])
-    made = kit_for(written(tmp_path / "corner.stl", inside_out), tmp_path / "out")
+    made = make_kit_from_file(written(tmp_path / "corner.stl", inside_out), tmp_path / "out")
     assert made["repairs"]
     assert read(tmp_path / "out/part.stl").volume == pytest.approx(read(out / "part.stl").volume, rel=1e-6)
 
@@ -189,14 +189,14 @@ def test_inverted_normals_are_repaired_and_reported(out: Path, tmp_path: Path) -
 def test_a_refusal_names_the_file_and_the_reason(tmp_path: Path) -> None:
     flat = written(tmp_path / "flat.stl", Mesh(corner().vertices * (1, 1, 1e-4), corner().faces))
     with pytest.raises(InputError, match=r"^.*flat\.stl: zero thickness"):
-        kit_for(flat, tmp_path / "out")
+        make_kit_from_file(flat, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
 def test_real_parts_get_kits(real_parts: Path, tmp_path: Path) -> None:
     for path in mesh_files(real_parts)[::9]:
-        made = kit_for(path, tmp_path / path.stem)
+        made = make_kit_from_file(path, tmp_path / path.stem)
         kit, part = (solid_from_mesh(read(tmp_path / path.stem / name)) for name in ("kit.stl", "part.stl"))
         film = max(EXACT, 2e-7 * max(made["size_mm"]))  # files hold float32: the floor of a large part is rounded too
         assert (kit ^ part).volume() < film * part.surface_area(), path.name

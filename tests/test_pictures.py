@@ -13,7 +13,17 @@ from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pictures import lighting
 from kit1000.pictures.creases import smooth_patches
-from kit1000.pictures.shading import KIT, PAPER, PART, SECONDARY, TEAL, Painted, contact_sheet, framing, shaded
+from kit1000.pictures.shading import (
+    KIT,
+    PAPER,
+    PART,
+    SECONDARY,
+    TEAL,
+    ColouredBody,
+    contact_sheet,
+    framing_camera,
+    shaded_picture,
+)
 from kit1000.pose import Pose, random_quaternions
 
 IDENTITY = Pose.identity()
@@ -30,8 +40,8 @@ BALL = mesh(trimesh.creation.icosphere(subdivisions=3, radius=0.03))
 CYLINDER = mesh(trimesh.creation.cylinder(radius=0.02, height=0.05, sections=24))
 
 
-def picture(bodies: list[Painted], direction=(0.5, -1.0, 0.8), **options) -> np.ndarray:
-    return shaded(bodies, *framing(bodies, direction, SIZE, margin=0.2), **options)
+def picture(bodies: list[ColouredBody], direction=(0.5, -1.0, 0.8), **options) -> np.ndarray:
+    return shaded_picture(bodies, *framing_camera(bodies, direction, SIZE, margin=0.2), **options)
 
 
 def brightness(image: np.ndarray) -> np.ndarray:
@@ -49,7 +59,7 @@ def test_framing_holds_every_vertex_and_no_more(seed: int, direction: tuple, siz
     rng = np.random.default_rng(seed)
     poses = Pose(random_quaternions(rng, 3), rng.uniform(-0.2, 0.2, (3, 3)))
     bodies = list(zip((BOX, BALL, CYLINDER), poses, strict=True))
-    camera, view = framing(bodies, direction, size, field_deg, margin=0.1)
+    camera, view = framing_camera(bodies, direction, size, field_deg, margin=0.1)
     points = np.concatenate([pose.apply(shape.vertices) for shape, pose in bodies])
     share = (camera.project(view.inverse().apply(points)) + 0.5) / np.array(size)
     low, high = share.min(axis=0), share.max(axis=0)
@@ -63,23 +73,23 @@ def test_framing_holds_every_vertex_and_no_more(seed: int, direction: tuple, siz
 
 def test_framing_needs_a_body():
     with pytest.raises(InputError, match="at least one body"):
-        framing([])
+        framing_camera([])
 
 
 def test_same_picture_twice():
-    bodies = [Painted(BOX, IDENTITY, KIT), Painted(BALL, Pose.from_translation((0.07, 0, 0)), PART)]
+    bodies = [ColouredBody(BOX, IDENTITY, KIT), ColouredBody(BALL, Pose.from_translation((0.07, 0, 0)), PART)]
     np.testing.assert_array_equal(picture(bodies), picture(bodies))
 
 
 def test_no_bodies_leave_the_background():
-    camera, view = framing([(BOX, IDENTITY)], size=SIZE)
-    image = shaded([], camera, view)
+    camera, view = framing_camera([(BOX, IDENTITY)], size=SIZE)
+    image = shaded_picture([], camera, view)
     assert image.shape == (90, 120, 3)
     assert (image == PAPER).all()
 
 
 def test_background_keeps_its_colour_without_a_ground():
-    image = picture([Painted(BALL, IDENTITY, PART)], background=(10, 90, 200), ground=False)
+    image = picture([ColouredBody(BALL, IDENTITY, PART)], background=(10, 90, 200), ground=False)
     v, u = np.mgrid[:90, :120]
     far = np.hypot(u - 59.5, v - 44.5) > 30
     assert (image[far] == (10, 90, 200)).all()
@@ -87,19 +97,19 @@ def test_background_keeps_its_colour_without_a_ground():
 
 @pytest.mark.parametrize("colour", [KIT, PART, *SECONDARY])
 def test_a_level_face_shows_its_own_colour(colour: tuple[int, int, int]):
-    image = picture([Painted(BOX, IDENTITY, colour)], ABOVE)
+    image = picture([ColouredBody(BOX, IDENTITY, colour)], ABOVE)
     assert np.abs(image[45, 60].astype(int) - colour).max() <= 20
 
 
 def test_bodies_keep_apart_in_colour():
     left, right = Pose.from_translation((-0.04, 0, 0)), Pose.from_translation((0.04, 0, 0))
-    image = picture([Painted(BALL, left, PART), Painted(BALL, right, TEAL)], ABOVE).astype(int)
+    image = picture([ColouredBody(BALL, left, PART), ColouredBody(BALL, right, TEAL)], ABOVE).astype(int)
     assert image[45, 40, 0] > image[45, 40, 2] + 60
     assert image[45, 80, 2] > image[45, 80, 0] + 60
 
 
 def test_a_body_throws_a_shadow_on_the_ground_only():
-    body = [Painted(BOX, IDENTITY, KIT)]
+    body = [ColouredBody(BOX, IDENTITY, KIT)]
     with_ground, without = brightness(picture(body, ABOVE)), brightness(picture(body, ABOVE, ground=False))
     free = np.ones(with_ground.shape, bool)
     free[15:75, 20:100] = False  # away from the box itself, which fills 60 % of the frame
@@ -112,12 +122,14 @@ def test_a_cavity_is_darker_than_the_plate_around_it():
     outer = trimesh.creation.annulus(r_min=0.01, r_max=0.05, height=0.04, sections=48)
     floor = trimesh.creation.cylinder(radius=0.02, height=0.005, sections=48)
     floor.apply_translation((0, 0, -0.015))
-    image = brightness(picture([Painted(mesh(outer), IDENTITY, KIT), Painted(mesh(floor), IDENTITY, KIT)], ABOVE))
+    image = brightness(
+        picture([ColouredBody(mesh(outer), IDENTITY, KIT), ColouredBody(mesh(floor), IDENTITY, KIT)], ABOVE)
+    )
     assert image[45, 60] < image[45, 80] - 30
 
 
 def test_edges_of_a_box_are_drawn_dark():
-    image = brightness(picture([Painted(BOX, IDENTITY, KIT)], (0.0, -1.0, 1.0), ground=False))
+    image = brightness(picture([ColouredBody(BOX, IDENTITY, KIT)], (0.0, -1.0, 1.0), ground=False))
     column = image[:, 60]  # from the background over the top face and the front face
     front_edge = 30 + column[30:60].argmin()
     assert column[front_edge] < min(column[front_edge - 5], column[front_edge + 5]) - 15
@@ -125,7 +137,7 @@ def test_edges_of_a_box_are_drawn_dark():
 
 
 def test_a_view_from_below_draws_no_ground():
-    body = [Painted(BOX, IDENTITY, KIT)]
+    body = [ColouredBody(BOX, IDENTITY, KIT)]
     down = (0.3, -0.4, -1.0)
     np.testing.assert_array_equal(picture(body, down), picture(body, down, ground=False))
 

@@ -13,10 +13,10 @@ from embreex.rtcore_scene import EmbreeScene
 from sample_kits import QUICK, sample_kit, sample_part
 from shapes import box
 
-from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
+from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose, quaternion_from_rotvec
-from kit1000.sim.cameras import CAMERA, draw_primary
+from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.sim.render import Frame, render
 
 Bodies = list[tuple[Mesh, Pose]]
@@ -28,7 +28,7 @@ OTHERWISE = 1e-4  # share of pixels, away from edges, that may see another body
 def bodies() -> Bodies:
     """A table, a tilted assembly of four kits, and their parts beside it: as made, and turned over."""
     kits = [sample_kit(family) for family in QUICK[:4]]
-    sides = (Side(0, 0.3), Side(1, 0.5), Side(3, 0.7))
+    sides = (SidePlate(0, 0.3), SidePlate(1, 0.5), SidePlate(3, 0.7))
     assembly = build_assembly("a", kits, AssemblyPlan(0.2, 1.0, sides))
     table = mesh_from_solid(box(1200, 1600, 40, (0, 0, -40))).scaled(1e-3)
     found = [(table, Pose.identity()), (assembly.mesh, Pose.from_rotvec((0, 0, 0.7), (0, 0.2, 0)))]
@@ -46,7 +46,7 @@ def standing(mesh: Mesh, wxyz: np.ndarray, place: tuple[float, float]) -> Pose:
 
 @pytest.fixture(scope="module", params=range(3))
 def view(request: pytest.FixtureRequest) -> Pose:
-    return draw_primary(np.random.default_rng(request.param))
+    return draw_primary_pose(np.random.default_rng(request.param))
 
 
 def rays() -> np.ndarray:

@@ -13,7 +13,7 @@ from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.dataset.tables import pose_row
 from kit1000.errors import InputError
 from kit1000.sim.cameras import CAMERA, camera_set
-from kit1000.sim.sensors import GRID, SENSORS
+from kit1000.sim.sensors import DEPTH_GRID, SENSORS
 from kit1000.values import ASSEMBLY_LABEL, View
 
 
@@ -91,7 +91,7 @@ def test_the_camera_above_sees_both_halves_of_the_table(recorded: RecordedScene)
     standing = raised[raised[:, 1] > 0]
     assert len(standing) > 10_000
     assert standing[:, 1].min() > 0.02
-    grid = view.depth.astype(np.float64) / GRID
+    grid = view.depth.astype(np.float64) / DEPTH_GRID
     assert np.array_equal(grid, np.rint(grid))
 
 
@@ -112,7 +112,7 @@ def test_what_cannot_be_rendered_is_said(mini: Path, recorded: RecordedScene) ->
         recorded.render("tpo")
     with pytest.raises(InputError, match=f"no 'd435', expected one of {', '.join(SENSORS)}"):
         recorded.render("top", "d435")
-    with pytest.raises(InputError, match=r"truth was not opened; say dataset.split\('test', truth=True\)"):
+    with pytest.raises(InputError, match=r"truth was not opened; use dataset.split\('test', truth=True\)"):
         Dataset(mini).split("test").scene("test-s0000").render("top")
 
 

@@ -19,7 +19,7 @@ from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, random_quaternions
-from kit1000.sim.raster import NEAR
+from kit1000.sim.raster import NEAR_PLANE
 from kit1000.sim.render import Frame, render
 
 IDENTITY = Pose.identity()
@@ -73,7 +73,7 @@ def cast(camera: Camera, view: Pose, bodies: list[tuple[Mesh, Pose]]) -> tuple[n
             inside = (distance > 0).all(1) | (distance < 0).all(1)
             loosely = (distance > -EDGE).all(1) | (distance < EDGE).all(1)
             near_edge |= loosely & (np.abs(distance) < EDGE).any(1)
-            hit = inside & (z >= NEAR) & (z < depth)
+            hit = inside & (z >= NEAR_PLANE) & (z < depth)
             depth[hit], ids[hit], faces[hit] = z[hit], number + 1, face
     depth[np.isinf(depth)] = 0
     shape = (camera.height, camera.width)
@@ -220,7 +220,7 @@ def test_a_floor_through_the_camera_is_cut_not_dropped():
 
 
 def test_surfaces_nearer_than_the_near_plane_are_not_seen():
-    frame = render(SMALL, IDENTITY, [(rectangle(0.9 * NEAR), IDENTITY), (rectangle(1.1 * NEAR), IDENTITY)])
+    frame = render(SMALL, IDENTITY, [(rectangle(0.9 * NEAR_PLANE), IDENTITY), (rectangle(1.1 * NEAR_PLANE), IDENTITY)])
     assert (frame.ids == 2).all()
 
 

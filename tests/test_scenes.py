@@ -32,7 +32,7 @@ from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, in_view
 from kit1000.sim.layout import UPRIGHT
 from kit1000.sim.render import render
-from kit1000.sim.visibility import LEAST_PIXELS, LEAST_SHARE, LEAST_SURFACE, STEEPEST, slot_seen
+from kit1000.sim.visibility import MAX_SLOT_ANGLE, MIN_CAVITY_SHARE, MIN_PART_PIXELS, MIN_PART_SHARE, slot_visibility
 from kit1000.testing import distances
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Assembly, Part, View
 
@@ -277,8 +277,10 @@ def test_who_is_asked_about_is_seen_well_and_who_is_not_is_not_asked_about(play:
             assert measured["slot_visible"] == pytest.approx(row["slot_visible"], abs=2e-2)
             assert measured["visible"] == pytest.approx(row["visible"], abs=2e-3)
             assert measured["slot_angle"] == pytest.approx(row["slot_angle"], abs=1e-9)
-            good = row["pixels"] >= LEAST_PIXELS and row["visible"] >= LEAST_SHARE
-            assert (good and row["slot_angle"] <= STEEPEST and row["slot_visible"] >= LEAST_SURFACE) == (i in asked)
+            good = row["pixels"] >= MIN_PART_PIXELS and row["visible"] >= MIN_PART_SHARE
+            assert (good and row["slot_angle"] <= MAX_SLOT_ANGLE and row["slot_visible"] >= MIN_CAVITY_SHARE) == (
+                i in asked
+            )
 
 
 def stored_plays(root: Path) -> list[Play]:
@@ -300,7 +302,7 @@ def seen_again(play: Play, i: int) -> dict[str, Any]:
     kit = pose_of(row["world_from_kit"])
     sight = (camera.xyz - kit.xyz) / np.linalg.norm(camera.xyz - kit.xyz)
     angle = np.arccos(np.clip(kit.rotation_matrix()[:, 2] @ sight, -1, 1))
-    share = slot_seen(play.ideal.depth, CAMERA, camera, play.assembly.mounts[row["mount"]].kit, kit).share
+    share = slot_visibility(play.ideal.depth, CAMERA, camera, play.assembly.mounts[row["mount"]].kit, kit).share
     return {"pixels": pixels, "visible": pixels / np.count_nonzero(alone), "slot_angle": angle, "slot_visible": share}
 
 
@@ -343,7 +345,7 @@ def first(times: int, blind: Any, real: Callable[..., Any]) -> Callable[..., Any
 
 
 def test_views_that_fail_are_drawn_again_and_counted(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenes, "why_unseen", first(2, "slot turned away", scenes.why_unseen))
+    monkeypatch.setattr(scenes, "invisibility_reason", first(2, "slot turned away", scenes.invisibility_reason))
     again = play.again(tracks=("snap",))
     assert again.redraws[:2] == ("slot turned away", "slot turned away")
     assert again.observation.views["ideal"].world_from_camera.xyz != pytest.approx(play.ideal.world_from_camera.xyz)
@@ -358,12 +360,12 @@ def test_a_layout_without_a_good_view_is_drawn_again(play: Play, monkeypatch: py
 
 
 def test_a_layout_that_does_not_rest_is_drawn_again(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenes, "lay_out", first(2, Redraw("parts touch"), scenes.simulate_layout))
+    monkeypatch.setattr(scenes, "simulate_layout", first(2, Redraw("parts touch"), scenes.simulate_layout))
     assert play.again(tracks=("snap",)).redraws[:2] == ("parts touch", "parts touch")
 
 
 def test_a_scene_that_no_layout_shows_says_why(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenes, "lay_out", first(MAX_LAYOUTS, Redraw("parts touch"), scenes.simulate_layout))
+    monkeypatch.setattr(scenes, "simulate_layout", first(MAX_LAYOUTS, Redraw("parts touch"), scenes.simulate_layout))
     with pytest.raises(Redraw) as caught:
         play.again()
     assert caught.value.reason == f"none of {MAX_LAYOUTS} layouts passes, mostly: parts touch"
@@ -372,7 +374,7 @@ def test_a_scene_that_no_layout_shows_says_why(play: Play, monkeypatch: pytest.M
 def test_a_view_is_drawn_from_a_stream_of_its_own(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
     known = scenes.draw_primary_pose
     poses = []
-    monkeypatch.setattr(scenes, "draw_primary", lambda rng: poses.append(known(rng)) or poses[-1])
+    monkeypatch.setattr(scenes, "draw_primary_pose", lambda rng: poses.append(known(rng)) or poses[-1])
     made = play.again(tracks=("snap",))
     k = len(poses) - 1
     assert k < MAX_VIEWS

@@ -17,8 +17,17 @@ from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.render import render
-from kit1000.sim.sensors import GRID, SENSORS, sense
-from kit1000.sim.stereo import EDGE, blended, blurred, disparities, fattened, grazed, hidden, measured
+from kit1000.sim.sensors import DEPTH_GRID, SENSORS, sense
+from kit1000.sim.stereo import (
+    EDGE_STEP,
+    blend_windows,
+    box_blur,
+    depth_from_disparity,
+    disparity_from_depth,
+    fatten_edges,
+    grazing_mask,
+    occlusion_mask,
+)
 from kit1000.values import View
 
 IDENTITY = Pose.identity()
@@ -91,7 +100,7 @@ def test_ideal_depth_is_the_rendered_one_to_half_a_step_of_the_grid() -> None:
     view = scene()
     seen = sense("ideal", view, stream(0))
     assert seen.world_from_camera is view.world_from_camera
-    assert np.abs(seen.depth.astype(float) - view.depth).max() <= GRID / 2
+    assert np.abs(seen.depth.astype(float) - view.depth).max() <= DEPTH_GRID / 2
     np.testing.assert_array_equal(seen.depth, sense("ideal", view, stream(1)).depth)
 
 
@@ -100,11 +109,11 @@ def test_depths_lie_on_the_grid_and_within_range(name: str) -> None:
     view = plane(CAMERA, (0, -1, 0.3), 0.7)  # from right below the camera to the horizon
     depth = sense(name, view, stream(3)).depth
     assert depth.dtype == np.float32
-    np.testing.assert_array_equal(depth, np.rint(depth.astype(float) / GRID) * GRID)
+    np.testing.assert_array_equal(depth, np.rint(depth.astype(float) / DEPTH_GRID) * DEPTH_GRID)
     found, sensor = depth[depth > 0], SENSORS[name]
     assert found.size
-    assert found.min() >= sensor.nearest - GRID / 2
-    assert found.max() <= sensor.farthest + GRID / 2
+    assert found.min() >= sensor.min_depth - DEPTH_GRID / 2
+    assert found.max() <= sensor.max_depth + DEPTH_GRID / 2
 
 
 @pytest.mark.parametrize("name", SENSORS)
@@ -146,16 +155,16 @@ def test_noise_on_a_plane_grows_as_the_formula_says(distance: float) -> None:
     cut = (slice(20, -20), slice(150, -20))
     seen = [sense("d415", view, stream(seed, "wall")).depth[cut].astype(float) for seed in range(4)]
     rms = np.sqrt(np.mean([np.var(depth) for depth in seen]))
-    in_px = D415.noise_px**2 + D415.step_px**2 / 12
-    expected = np.sqrt((distance**2 / GAIN) ** 2 * in_px + GRID**2 / 12)
+    in_px = D415.noise_px**2 + D415.quantisation_px**2 / 12
+    expected = np.sqrt((distance**2 / GAIN) ** 2 * in_px + DEPTH_GRID**2 / 12)
     assert rms == pytest.approx(expected, rel=0.03)
 
 
 @pytest.mark.parametrize("normal", [(0.5, 0.2, 1), (-0.3, 0.8, 1)])
 def test_noise_in_disparity_is_alike_on_slanted_planes(normal: tuple[float, float, float]) -> None:
     found = residual_px(plane(CAMERA, normal, 0.8), "d415", seed=11)
-    grid_px = GAIN / 0.8**2 * GRID
-    expected = np.sqrt(D415.noise_px**2 + D415.step_px**2 / 12 + grid_px**2 / 12)
+    grid_px = GAIN / 0.8**2 * DEPTH_GRID
+    expected = np.sqrt(D415.noise_px**2 + D415.quantisation_px**2 / 12 + grid_px**2 / 12)
     assert np.sqrt(np.mean(found**2)) == pytest.approx(expected, rel=0.04)
 
 
@@ -174,14 +183,14 @@ def test_noise_is_correlated_as_two_windows_in_succession_leave_it(name: str) ->
 def test_blurring_is_a_mean_over_squares_that_wrap_around() -> None:
     image = np.random.default_rng(0).standard_normal((11, 13)).astype(np.float32)
     shifted = [np.roll(image, (i, j), (0, 1)) for i in range(-2, 3) for j in range(-2, 3)]
-    np.testing.assert_allclose(blurred(image, 5), np.mean(shifted, axis=0), atol=1e-6)
-    np.testing.assert_allclose(blurred(image, 1), image, atol=1e-6)
+    np.testing.assert_allclose(box_blur(image, 5), np.mean(shifted, axis=0), atol=1e-6)
+    np.testing.assert_allclose(box_blur(image, 1), image, atol=1e-6)
 
 
 def test_disparity_comes_in_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     without_calibration_errors(monkeypatch)
     depth = sense("d415", wall(CAMERA, 2.0), stream(2)).depth[:, 60:].astype(float)
-    steps = GAIN / depth / D415.step_px
+    steps = GAIN / depth / D415.quantisation_px
     assert np.abs(steps - np.rint(steps)).max() < 0.03  # the grid of depths: 0.025 of a step at 2 m
     assert 10 < len(np.unique(depth)) < 40
 
@@ -190,7 +199,7 @@ def test_rounding_in_disparity_is_exact() -> None:
     rng = np.random.default_rng(1)
     d = np.pad(rng.uniform(20, 90, (30, 40)), 1).astype(np.float32)
     noise = rng.normal(0, 0.08, (30, 40)).astype(np.float32)
-    depth = measured(d, noise, np.zeros(d.shape, bool), np.float32(1 / 32), np.float32(50))
+    depth = depth_from_disparity(d, noise, np.zeros(d.shape, bool), np.float32(1 / 32), np.float32(50))
     steps = 50 / depth.astype(float) * 32
     np.testing.assert_allclose(steps, np.rint(steps), atol=1e-3)
     assert np.abs(50 / depth - d[1:-1, 1:-1] - noise).max() <= 0.5 / 32 + 1e-4
@@ -246,14 +255,14 @@ def two_walls(near: float, far: float) -> np.ndarray:
     """Framed disparities of a far wall with a near one before columns 250 to 389."""
     depth = np.full((40, 400), far, np.float32)
     depth[:, 250:390] = near
-    return disparities(depth, np.float32(GAIN))
+    return disparity_from_depth(depth, np.float32(GAIN))
 
 
 @given(near=st.floats(0.4, 0.9), behind=st.floats(0.05, 1.0))
 @settings(max_examples=30)
 def test_shadows_lie_left_of_near_things_and_are_as_wide_as_the_step_in_disparity(near: float, behind: float) -> None:
     band = int(np.ceil(GAIN / (near + behind)))  # columns that the other eye's picture does not hold
-    columns = np.flatnonzero(hidden(two_walls(near, near + behind), 0.0)[20, 1:-1][band + 1 :]) + band + 1
+    columns = np.flatnonzero(occlusion_mask(two_walls(near, near + behind), 0.0)[20, 1:-1][band + 1 :]) + band + 1
     step = GAIN / near - GAIN / (near + behind)
     assert columns.size == pytest.approx(step, abs=1.0)
     np.testing.assert_array_equal(columns, np.arange(250 - columns.size, 250))
@@ -262,8 +271,8 @@ def test_shadows_lie_left_of_near_things_and_are_as_wide_as_the_step_in_disparit
 @pytest.mark.parametrize(("polar", "radius"), [(0.5, 0.6), (0.9, 0.8), (1.25, 0.9)])
 def test_shadows_are_what_a_second_rendering_does_not_see(polar: float, radius: float) -> None:
     view = scene(radius, polar)
-    d = disparities(view.depth, np.float32(GAIN))
-    found = hidden(d, 0.0)[1:-1, 1:-1]
+    d = disparity_from_depth(view.depth, np.float32(GAIN))
+    found = occlusion_mask(d, 0.0)[1:-1, 1:-1]
     other = boxes(CAMERA, view.world_from_camera @ Pose.from_translation(np.array([D415.baseline, 0, 0])))
     v, u = np.nonzero(view.depth)
     x = u - GAIN / view.depth[v, u]
@@ -271,28 +280,28 @@ def test_shadows_are_what_a_second_rendering_does_not_see(polar: float, radius: 
     inside = (column >= 0) & (column < CAMERA.width)
     met = np.zeros(len(u))
     met[inside] = other.depth[v[inside], column[inside]]
-    nearer = met < GAIN / (GAIN / view.depth[v, u] + EDGE)
+    nearer = met < GAIN / (GAIN / view.depth[v, u] + EDGE_STEP)
     unseen = ~inside | ((met > 0) & nearer)
     assert 0.01 < unseen.mean() < 0.2
     assert np.mean(found[v, u] != unseen) < 0.002  # pixels that straddle an outline
 
 
 def test_an_eye_that_crosses_loses_the_other_side() -> None:
-    d = disparities(np.full((3, 200), 1.0, np.float32), np.float32(50))
-    assert list(np.flatnonzero(hidden(d, 0.0)[2, 1:-1])) == list(range(50))
-    assert not hidden(d, 50.0)[2].any()
-    assert list(np.flatnonzero(hidden(d, 80.0)[2, 1:-1])) == list(range(170, 200))
+    d = disparity_from_depth(np.full((3, 200), 1.0, np.float32), np.float32(50))
+    assert list(np.flatnonzero(occlusion_mask(d, 0.0)[2, 1:-1])) == list(range(50))
+    assert not occlusion_mask(d, 50.0)[2].any()
+    assert list(np.flatnonzero(occlusion_mask(d, 80.0)[2, 1:-1])) == list(range(170, 200))
 
 
 def patches(shape: tuple[int, int], seed: int = 0) -> np.ndarray:
     white = np.random.default_rng(seed).standard_normal(shape, dtype=np.float32)
-    soft = blurred(blurred(white, 7), 7)
+    soft = box_blur(box_blur(white, 7), 7)
     return soft / soft.std()
 
 
 def test_edges_grow_outward_only_and_no_farther_than_half_the_window() -> None:
     d = two_walls(0.6, 1.0)
-    grown = fattened(d, patches((20, 200)), 6.0)
+    grown = fatten_edges(d, patches((20, 200)), 6.0)
     near, far = d[20, 300], d[20, 20]
     assert set(np.unique(grown[1:-1, 1:-1])) == {near, far}
     assert (grown >= d).all()
@@ -308,7 +317,7 @@ def test_edges_grow_outward_only_and_no_farther_than_half_the_window() -> None:
 def test_grown_surfaces_go_on_in_their_own_plane() -> None:
     v, u = np.mgrid[:60, :80]
     d = np.pad(np.where(u < 40, 60 + 0.2 * u - 0.3 * v, 20), 1).astype(np.float32)
-    grown = fattened(d, patches((30, 40)), 6.0)[1:-1, 1:-1]
+    grown = fatten_edges(d, patches((30, 40)), 6.0)[1:-1, 1:-1]
     taken = grown != d[1:-1, 1:-1]
     assert taken.any()
     np.testing.assert_allclose(grown[taken], (60 + 0.2 * u - 0.3 * v)[taken], atol=1e-3)
@@ -316,11 +325,11 @@ def test_grown_surfaces_go_on_in_their_own_plane() -> None:
 
 @pytest.mark.parametrize("polar", [0.5, 0.9, 1.25])
 def test_growing_only_brings_nearer_and_keeps_what_is_empty(polar: float) -> None:
-    d = disparities(scene(polar=polar).depth, np.float32(GAIN))
-    grown = fattened(d, patches((360, 640)), 6.0)
+    d = disparity_from_depth(scene(polar=polar).depth, np.float32(GAIN))
+    grown = fatten_edges(d, patches((360, 640)), 6.0)
     changed = grown != d
     assert 0 < changed.mean() < 0.02
-    assert (grown[changed] > d[changed] + EDGE).all()
+    assert (grown[changed] > d[changed] + EDGE_STEP).all()
     assert not grown[d == 0].any()
 
 
@@ -329,14 +338,14 @@ def test_growing_only_brings_nearer_and_keeps_what_is_empty(polar: float) -> Non
 def test_blending_leaves_planes_and_high_edges_alone(a: float, b: float, cut: int) -> None:
     v, u = np.mgrid[:30, :40]
     d = np.pad(np.where(u < cut, 60 + a * u + b * v, 20 - b * u), 1).astype(np.float32)
-    np.testing.assert_allclose(blended(d, 7), d, atol=2e-5)
+    np.testing.assert_allclose(blend_windows(d, 7), d, atol=2e-5)
 
 
 def test_blending_rounds_low_steps_over_one_window() -> None:
     row = np.where(np.arange(42) < 20, 50.0, 50.6).astype(np.float32)
     d = np.tile(row, (30, 1))
     expected = np.convolve(row, np.ones(7) / 7, "valid")
-    np.testing.assert_allclose(blended(d, 7)[15, 3:-3], expected, atol=1e-4)
+    np.testing.assert_allclose(blend_windows(d, 7)[15, 3:-3], expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("tilt_deg", [60, 72, 78, 81, 84, 88])
@@ -348,10 +357,10 @@ def test_returns_fail_at_grazing_angles_with_the_stated_probability(tilt_deg: fl
     incidence = np.degrees(np.arccos(np.clip(ray @ normal / np.linalg.norm(ray, axis=-1), 0, 1)))
     start, gone = D415.grazing_deg
     expected = np.clip((incidence - start) / (gone - start), 0, 1)[1:-1, 1:-1]
-    d = disparities(view.depth, np.float32(GAIN))
+    d = disparity_from_depth(view.depth, np.float32(GAIN))
     lens = (SMALL.fx, SMALL.fy, SMALL.cx, SMALL.cy)
     limits = np.radians((start, gone))
-    lost = np.mean([grazed(d, lens, patches((60, 80), seed), *limits) for seed in range(300)], axis=0)[2:-2, 2:-2]
+    lost = np.mean([grazing_mask(d, lens, patches((60, 80), seed), *limits) for seed in range(300)], axis=0)[2:-2, 2:-2]
     seen = view.depth[1:-1, 1:-1] > 0
     assert lost[seen].mean() == pytest.approx(expected[seen].mean(), abs=0.02)
     assert not lost[seen & (expected == 0)].any()

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from kit1000.kits.face import resting_faces
 from kit1000.mesh import Mesh, inertia, mesh_from_solid
 from kit1000.pose import Pose, random_quaternions
-from kit1000.sim.settle import DOWN, GRID, Release, Rest, carries, on_grid, principal_axes, settle
+from kit1000.sim.settle import DOWN, POSE_GRID, Release, RestPose, is_stable_facet, principal_axes, rounded_pose, settle
 from tests.shapes import box, cylinder, ell, leaning_prism, lying_cylinder, random_solid, standing, upturned_tee
 from tests.strategies import poses
 
@@ -42,7 +42,7 @@ def released(mesh: Mesh, wxyz: np.ndarray, height: float = 5e-3, at: tuple[float
     return Release(mesh, DENSITY * mesh.volume, Pose(wxyz, np.array([*at, lift])))
 
 
-def over_support(mesh: Mesh, rest: Rest) -> bool:
+def over_support(mesh: Mesh, rest: RestPose) -> bool:
     """Whether the centroid stands inside the outline of what lies on the table: by Qhull, in the plane."""
     points = rest.world_from_part.apply(mesh.vertices)
     outline = ConvexHull(points[points[:, 2] < points[:, 2].min() + 2e-6, :2])
@@ -50,7 +50,7 @@ def over_support(mesh: Mesh, rest: Rest) -> bool:
     return bool((outline.equations[:, :2] @ centre + outline.equations[:, 2] < 0).all())
 
 
-def drops(mesh: Mesh, n: int, seed: int = 0) -> list[Rest]:
+def drops(mesh: Mesh, n: int, seed: int = 0) -> list[RestPose]:
     """From uniform rotations, five at a time and far apart."""
     releases = [
         released(mesh, wxyz, at=(0.2 * (i % 5), 0.0))
@@ -88,7 +88,7 @@ def test_settling_twice_gives_the_same_bytes() -> None:
 
 def test_the_last_bits_of_a_release_do_not_matter() -> None:
     mesh = part_of(ell())
-    wxyz = on_grid(Pose(random_quaternions(np.random.default_rng(1), 1)[0], np.zeros(3))).wxyz
+    wxyz = rounded_pose(Pose(random_quaternions(np.random.default_rng(1), 1)[0], np.zeros(3))).wxyz
     release = released(mesh, wxyz)
     pose = release.world_from_part
     # more than last bits, but far less than the grid
@@ -172,19 +172,19 @@ def test_the_principal_axes_make_the_inertia_diagonal(seed: int) -> None:
 
 @given(pose=poses())
 def test_a_pose_on_the_grid_is_near_and_forgets_last_bits(pose: Pose) -> None:
-    snapped = on_grid(pose)
-    assert (snapped.inverse() @ pose).angle() < 4 * GRID
-    assert np.abs(snapped.xyz - pose.xyz).max() <= GRID / 2 + 1e-12
-    mirrored = on_grid(Pose(-pose.wxyz, pose.xyz))
+    snapped = rounded_pose(pose)
+    assert (snapped.inverse() @ pose).angle() < 4 * POSE_GRID
+    assert np.abs(snapped.xyz - pose.xyz).max() <= POSE_GRID / 2 + 1e-12
+    mirrored = rounded_pose(Pose(-pose.wxyz, pose.xyz))
     assert mirrored.wxyz.tobytes() == snapped.wxyz.tobytes()
 
 
 def test_a_corner_carries_nothing_and_a_facet_carries_what_stands_over_it() -> None:
     points = part_of(box(40, 30, 20)).vertices
-    assert carries(points, DOWN)
-    assert not carries(points, np.array([0.6, 0.0, -0.8]))  # on an edge
-    assert not carries(points + [0.03, 0, 0], DOWN)  # the centre of mass beside the face
-    assert carries(points + [0.0199, 0, 0], DOWN)
+    assert is_stable_facet(points, DOWN)
+    assert not is_stable_facet(points, np.array([0.6, 0.0, -0.8]))  # on an edge
+    assert not is_stable_facet(points + [0.03, 0, 0], DOWN)  # the centre of mass beside the face
+    assert is_stable_facet(points + [0.0199, 0, 0], DOWN)
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.generation.withhold import publish
 from kit1000.pictures import dataset_sheets as sheets
-from kit1000.pictures.dataset_sheets import contact_sheet_of, scene_sheet
+from kit1000.pictures.dataset_sheets import geometry_sheet, scene_sheet
 from kit1000.pictures.depth_images import depth_picture
 from kit1000.values import FIRST_PART_LABEL
 
@@ -81,12 +81,12 @@ def test_a_scene_without_its_truth_has_three_pictures_fewer(opened: Path, whole_
 
 
 def drawn_at_once(_: object, camera: Camera, __: object) -> np.ndarray:
-    """In the place of `shaded`, where only the number of pictures counts."""
+    """In the place of `shaded_picture`, where only the number of pictures counts."""
     return np.full((camera.height, camera.width, 3), 90, np.uint8)
 
 
 def test_training_scenes_of_an_open_folder_keep_their_truth(opened: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sheets, "shaded", drawn_at_once)
+    monkeypatch.setattr(sheets, "shaded_picture", drawn_at_once)
     assert rows_of(pixels(scene_sheet(Dataset(opened), "train-s0000"))) == 2
 
 
@@ -94,7 +94,7 @@ def test_without_the_d415_its_picture_is_left_out(
     mini: Path, whole_sheet: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sheets.RecordedScene, "sensors", ["ideal"])
-    monkeypatch.setattr(sheets, "shaded", drawn_at_once)
+    monkeypatch.setattr(sheets, "shaded_picture", drawn_at_once)
     image = pixels(scene_sheet(Dataset(mini), "test-s0000"))
     for i in range(2):  # depth and masks
         assert np.array_equal(tile(image, i), tile(whole_sheet, i))
@@ -143,7 +143,7 @@ def test_only_what_is_asked_moves_between_the_drawn_pictures(mini: Path, whole_s
 
 def test_a_sheet_of_no_parts_is_refused(mini: Path) -> None:
     with pytest.raises(InputError, match="no parts in split 'tets'"):
-        contact_sheet_of(Geometry(mini), "parts", "tets", 2)
+        geometry_sheet(Geometry(mini), "parts", "tets", 2)
 
 
 def test_a_scene_that_is_not_there_is_answered_with_a_near_one(mini: Path) -> None:

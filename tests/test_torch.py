@@ -15,9 +15,9 @@ import torch
 from torch.utils.data import DataLoader
 
 from kit1000.dataset.cache import VolumeCache
-from kit1000.dataset.items import Item, numbers
+from kit1000.dataset.items import Item, pose_vector
 from kit1000.dataset.reader import Dataset, Split
-from kit1000.dataset.torch import QueryDataset, VolumeItem, decoded, depth_item, tensors
+from kit1000.dataset.torch import QueryDataset, VolumeItem, decode_volumes, depth_item, to_tensors
 from kit1000.errors import InputError
 from kit1000.motions import apply_error
 from kit1000.pose import Pose
@@ -25,7 +25,7 @@ from kit1000.values import Query, Truth
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points, to_float16, to_uint8
 
 ROOT = Path(__file__).resolve().parents[1]
-SMALL = {"shape": (24, 20, 16), "voxel": 4e-3}
+SMALL = {"shape": (24, 20, 16), "voxel_size": 4e-3}
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +90,7 @@ def test_the_index_is_known_without_images(data: Dataset, monkeypatch: pytest.Mo
 def test_depth_items_say_what_was_recorded(train: Split) -> None:
     items = QueryDataset(train, "snap-d415")
     for index, item in enumerate(items):
-        query, truth = items.asked(index)
+        query, truth = items.query_and_truth(index)
         assert truth is not None
         assert query.guess is not None
         assert np.array_equal(item["depth"].numpy(), query.view.depth)
@@ -106,26 +106,26 @@ def test_offset_and_turn_lead_from_the_guess_to_the_goal(train: Split) -> None:
     for track in ("snap", "snap-tilt", "snap-d415"):
         items = QueryDataset(train, track)
         for index, item in enumerate(items):
-            query, truth = items.asked(index)
+            query, truth = items.query_and_truth(index)
             assert query.guess is not None
             assert truth is not None
-            reached = apply_error(query.guess, query.pivot, item["offset"].numpy(), item["turn"].numpy())
+            reached = apply_error(query.guess, query.pivot, item["offset"].numpy(), item["rotvec"].numpy())
             assert np.allclose(reached.matrix(), truth.goal_drawn.matrix(), atol=1e-6)
             moved = truth.goal_drawn.apply(query.pivot) - query.guess.apply(query.pivot)
             assert np.allclose(item["offset"], moved, atol=1e-7)
             assert item["offset"].abs().max() <= 0.028 + 1e-7
-            assert item["turn"].norm() <= np.radians(27.5) + 1e-6
+            assert item["rotvec"].norm() <= np.radians(27.5) + 1e-6
 
 
 def test_who_guesses_nothing_says_so_with_nan(train: Split) -> None:
     for item in QueryDataset(train, "place"):
-        assert all(item[name].isnan().all() for name in ("guess", "offset", "turn"))
+        assert all(item[name].isnan().all() for name in ("guess", "offset", "rotvec"))
         assert item["goal"].isfinite().all()
-    assert np.isnan(numbers(None)).all()
+    assert np.isnan(pose_vector(None)).all()
 
 
 def test_without_the_truth_nothing_is_to_be_learned(data: Dataset) -> None:
-    assert not {"goal", "offset", "turn"} & set(QueryDataset(data.split("train"), "snap")[0])
+    assert not {"goal", "offset", "rotvec"} & set(QueryDataset(data.split("train"), "snap")[0])
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
@@ -188,11 +188,11 @@ def test_a_dataset_survives_pickling(data: Dataset, train: Split) -> None:
 def test_tensors_share_memory_with_arrays() -> None:
     for dtype in ("float32", "float16", "uint8", "bool", "int64", "float64", "uint16"):
         array = np.zeros((4, 5), dtype)[1:, ::2]
-        (tensor,) = tensors({"any": array}).values()
+        (tensor,) = to_tensors({"any": array}).values()
         assert tensor.data_ptr() == array.ctypes.data
         array[2, 1] = 1
         assert tensor[2, 1] == 1
-    assert tensors({"id": "a", "n": 3, "t": np.float32(0.5)}) == {"id": "a", "n": 3, "t": torch.tensor(0.5)}
+    assert to_tensors({"id": "a", "n": 3, "t": np.float32(0.5)}) == {"id": "a", "n": 3, "t": torch.tensor(0.5)}
 
 
 def test_a_volume_item_is_not_copied_on_its_way(data: Dataset, train: Split, tmp_path: Path) -> None:
@@ -213,7 +213,7 @@ def test_arrays_of_others_are_copied_without_a_warning() -> None:
     array.setflags(write=False)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = tensors({"sealed": array, "broadcast": np.broadcast_to(1.0, (2, 3)), "turned": np.arange(3)[::-1]})
+        found = to_tensors({"sealed": array, "broadcast": np.broadcast_to(1.0, (2, 3)), "turned": np.arange(3)[::-1]})
     found["sealed"][:] = 0
     assert array.tolist() == [0, 1, 2, 3, 4, 5]
     assert found["broadcast"].shape == (2, 3)
@@ -241,7 +241,7 @@ def test_the_goal_lays_the_part_into_the_kit(data: Dataset, train: Split) -> Non
     items = QueryDataset(train, "snap")
     make = VolumeItem(data, (64, 64, 64), 1.5e-3, source="truth")
     for index in range(len(items)):
-        query, truth = items.asked(index)
+        query, truth = items.query_and_truth(index)
         assert truth is not None
         item = make(replace(query, guess=truth.goal_drawn), truth, np.random.default_rng(0))
         part, kit = item["part"], item["kit"]
@@ -252,7 +252,7 @@ def test_the_goal_lays_the_part_into_the_kit(data: Dataset, train: Split) -> Non
 def test_the_guess_carries_the_grid_of_the_part_onto_that_of_the_kit(data: Dataset, train: Split) -> None:
     items = QueryDataset(train, "snap", VolumeItem(data, **SMALL))
     for index, item in enumerate(items):
-        query, _ = items.asked(index)
+        query, _ = items.query_and_truth(index)
         assert query.guess is not None
         carried, kit = query.guess @ pose_of(item["part_grid"]), pose_of(item["kit_grid"])
         assert np.allclose(carried.matrix(), kit.matrix(), atol=1e-6)
@@ -279,7 +279,7 @@ def test_true_volumes_are_those_of_the_meshes_where_they_stand(data: Dataset, tr
 def test_what_is_seen_lies_on_what_is_true(data: Dataset, train: Split) -> None:
     seen, true = VolumeItem(data, (48, 48, 48), 2e-3), VolumeItem(data, (48, 48, 48), 2e-3, source="truth")
     for index in range(len(items := QueryDataset(train, "snap"))):
-        query, truth = items.asked(index)
+        query, truth = items.query_and_truth(index)
         for of in (VolumeItem.part, VolumeItem.kit):
             partial, whole = of(seen, query, truth), of(true, query, truth)
             i, j, k = np.rint(whole.grid.indices(surface_points(partial))).astype(int).T
@@ -310,7 +310,7 @@ def test_a_cache_changes_nothing_but_the_last_digits(data: Dataset, train: Split
             assert same(first, again)
             for name in ("part", "kit"):
                 assert (first[name] - item[name]).abs().max() <= step
-                assert torch.equal(decoded(codes[index][name]), first[name])
+                assert torch.equal(decode_volumes(codes[index][name]), first[name])
 
 
 def test_cached_volumes_open_no_image(
@@ -331,12 +331,12 @@ def test_codes_decode_to_the_values_with_unknown_filled(unknown: float) -> None:
     values[rng.random(values.shape) < 0.3] = np.nan
     volume = Volume(Grid(values.shape, 1e-3, Pose.identity()), values)
     for to, step in ((to_uint8, 1 / 127), (to_float16, 2**-12)):
-        found = decoded(torch.from_numpy(to(volume)), unknown).numpy()
+        found = decode_volumes(torch.from_numpy(to(volume)), unknown).numpy()
         assert found.dtype == np.float32
         assert np.abs(found - volume.filled(unknown)).max() <= step
         assert np.array_equal(found[~volume.known], volume.filled(unknown)[~volume.known])
     with pytest.raises(InputError, match=r"expected uint8 or float16, got torch.int32"):
-        decoded(torch.zeros(3, dtype=torch.int32))
+        decode_volumes(torch.zeros(3, dtype=torch.int32))
 
 
 def test_what_cannot_be_is_said(data: Dataset, train: Split, tmp_path: Path) -> None:
@@ -344,17 +344,17 @@ def test_what_cannot_be_is_said(data: Dataset, train: Split, tmp_path: Path) -> 
         QueryDataset(train, "snapp")
     with pytest.raises(InputError, match="source 'dpeth': expected one of depth, truth"):
         VolumeItem(data, source="dpeth")
-    with pytest.raises(InputError, match="codes: they are those of a cache; give one"):
+    with pytest.raises(InputError, match="codes: need a cache, as in"):
         VolumeItem(data, codes=True)
     with pytest.raises(InputError, match="expected 1 voxel or more"):
         VolumeItem(data, kit_shape=(0, 4, 4))
     cache = VolumeCache(tmp_path)
     assert QueryDataset(train, "snap", VolumeItem(data, **SMALL, source="truth", cache=cache))[0]
     blind = QueryDataset(data.split("train"), "snap", VolumeItem(data, **SMALL, source="truth", cache=cache))
-    with pytest.raises(InputError, match="true volumes want the truth; say dataset"):
+    with pytest.raises(InputError, match="true volumes need the truth; use dataset"):
         blind[0]
     with pytest.raises(InputError, match="item 'name': torch has no tensors of <U3"):
-        tensors({"name": np.array("abc")})
+        to_tensors({"name": np.array("abc")})
     with pytest.raises(InputError, match="stream key: expected"):
         blind.set_epoch(-1)
     with pytest.raises(IndexError):

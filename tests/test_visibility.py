@@ -19,21 +19,21 @@ from kit1000.pose import Pose, random_quaternions
 from kit1000.sim.cameras import CAMERA
 from kit1000.sim.render import Frame, render
 from kit1000.sim.visibility import (
-    BELOW_RIM,
-    LEAST_PIXELS,
-    LEAST_SHARE,
-    LEAST_SURFACE,
-    OFF_SIDES,
-    SAMPLES,
-    STEEPEST,
-    PartSeen,
-    SlotSeen,
+    CAVITY_SAMPLES,
+    MAX_SLOT_ANGLE,
+    MIN_CAVITY_SHARE,
+    MIN_PART_PIXELS,
+    MIN_PART_SHARE,
+    RIM_MARGIN,
+    SIDE_MARGIN,
+    PartVisibility,
+    SlotVisibility,
     cavity_labels,
     cavity_surface,
-    part_seen,
+    invisibility_reason,
+    part_visibility,
     silhouette_pixels,
-    slot_seen,
-    why_unseen,
+    slot_visibility,
 )
 from kit1000.values import Kit
 
@@ -74,7 +74,7 @@ def test_a_part_alone_shows_all_of_its_silhouette_to_the_pixel(seed: int):
     pose = Pose(random_quaternions(rng, 1)[0], rng.uniform(-0.2, 0.2, 3))
     view = camera_around(rng, np.zeros(3))
     frame, roomy = render(CAMERA, view, [(mesh, pose)]), render(larger(CAMERA, 700), view, [(mesh, pose)])
-    seen = part_seen(frame, 0, CAMERA, view, mesh, pose)
+    seen = part_visibility(frame, 0, CAMERA, view, mesh, pose)
     whole = np.count_nonzero(roomy.ids)
     assert silhouette_pixels(CAMERA, view, mesh, pose) == whole
     assert seen.pixels == np.count_nonzero(frame.ids)
@@ -85,20 +85,20 @@ def test_a_part_half_behind_a_wall_is_half_seen():
     camera, part = Camera(200, 150, 200.0, 200.0, 99.5, 74.5), slab(0.2, 0.2, 0.2)
     wall, before = slab(1, 1, 0.01), Pose.from_translation((0.5, 0, 0.5))  # hides all that lies right of the middle
     bodies = [(wall, before), (part, Pose.from_translation((0, 0, 1)))]
-    seen = part_seen(render(camera, IDENTITY, bodies), 1, camera, IDENTITY, *bodies[1])
+    seen = part_visibility(render(camera, IDENTITY, bodies), 1, camera, IDENTITY, *bodies[1])
     assert seen.share == 0.5
     assert seen.pixels == 20 * 40
 
 
 def test_a_part_too_far_away_for_a_pixel_has_no_share():
     speck = (slab(1e-6, 1e-6, 1e-6), Pose.from_translation((1e-3, 0, 1)))
-    assert part_seen(render(CAMERA, IDENTITY, [speck]), 0, CAMERA, IDENTITY, *speck) == PartSeen(0, 0.0)
+    assert part_visibility(render(CAMERA, IDENTITY, [speck]), 0, CAMERA, IDENTITY, *speck) == PartVisibility(0, 0.0)
 
 
 def test_a_part_around_the_camera_is_refused():
     body = (slab(1, 1, 1), IDENTITY)
     with pytest.raises(InputError, match="part: expected one wholly before the camera"):
-        part_seen(render(CAMERA, IDENTITY, [body]), 0, CAMERA, IDENTITY, *body)
+        part_visibility(render(CAMERA, IDENTITY, [body]), 0, CAMERA, IDENTITY, *body)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3, 1.0, 1.6, 3.1])
@@ -106,7 +106,7 @@ def test_the_angle_of_a_slot_is_its_tilt_from_the_line_of_sight(tilt: float):
     view = look_at((0, 0, 0.8), (0, 0, 0), up=(0, 1, 0))
     pose = Pose.from_rotvec((tilt, 0, 0))
     depth = np.zeros((720, 1280), np.float32)
-    seen = slot_seen(depth, CAMERA, view, trough(), pose)
+    seen = slot_visibility(depth, CAMERA, view, trough(), pose)
     assert seen.angle == pytest.approx(tilt, abs=1e-12)
     assert seen.share == 0
 
@@ -154,7 +154,7 @@ def test_the_share_of_a_cavity_is_that_of_the_area_its_pixels_cover():
         view = camera_around(rng, pose.xyz)
         hovering = pose.xyz + rng.uniform((-0.06, -0.06, 0.03), (0.06, 0.06, 0.1))
         bodies = [(sample_part("tee").mesh, Pose(random_quaternions(rng, 1)[0], hovering)), (kit.mesh, pose)]
-        seen = slot_seen(render(CAMERA, view, bodies).depth, CAMERA, view, kit, pose)
+        seen = slot_visibility(render(CAMERA, view, bodies).depth, CAMERA, view, kit, pose)
         summed = area_seen(render(fine, view, bodies), 1, fine, view, kit, pose) / cavity_area(kit)
         off.append(seen.share - summed)
     assert np.abs(off).max() < 0.05
@@ -172,7 +172,7 @@ def test_from_far_away_a_box_shows_two_walls_and_a_floor_that_its_rim_cuts(tilt:
     along_x, along_y = depth * abs(towards[:2]) / towards[2]
     floor = (width - along_x) * (breadth - along_y)
     walls = depth * (breadth - along_y / 2) + depth * (width - along_x / 2)
-    seen = slot_seen(render(camera, view, [(kit.mesh, IDENTITY)]).depth, camera, view, kit, IDENTITY)
+    seen = slot_visibility(render(camera, view, [(kit.mesh, IDENTITY)]).depth, camera, view, kit, IDENTITY)
     assert seen.angle == pytest.approx(tilt)
     assert seen.share == pytest.approx((floor + walls) / (width * breadth + 2 * depth * (width + breadth)), abs=0.01)
 
@@ -182,14 +182,14 @@ def test_a_cavity_behind_the_image_or_the_camera_is_not_seen():
     beside = look_at((0, 0, 0.8), (1, 0, 0.4))
     behind = look_at((0, 0, 0.8), (0, 0, 1.6), up=(0, 1, 0))
     for view in (beside, behind):
-        assert slot_seen(depth, CAMERA, view, kit, IDENTITY).share == 0
+        assert slot_visibility(depth, CAMERA, view, kit, IDENTITY).share == 0
 
 
 @pytest.mark.parametrize("family", QUICK)
 def test_samples_lie_on_the_cavity_in_equal_shares_of_its_area(family: str):
     kit = sample_kit(family)
     points, normals = cavity_surface(kit)
-    assert points.shape == normals.shape == (SAMPLES, 3)
+    assert points.shape == normals.shape == (CAVITY_SAMPLES, 3)
     assert (abs(points[:, :2]) < kit.extent[:2] / 2).all()
     assert (points[:, 2] <= 0).all()
     triangles, faces = kit.mesh.triangles[cavity_faces(kit)], kit.mesh.normals[cavity_faces(kit)]
@@ -218,24 +218,24 @@ def test_a_plate_without_a_cavity_is_refused():
         cavity_surface(plate)
 
 
-GOOD_PART, GOOD_SLOT = PartSeen(LEAST_PIXELS, LEAST_SHARE), SlotSeen(STEEPEST, LEAST_SURFACE)
+GOOD_PART, GOOD_SLOT = PartVisibility(MIN_PART_PIXELS, MIN_PART_SHARE), SlotVisibility(MAX_SLOT_ANGLE, MIN_CAVITY_SHARE)
 
 
 def test_a_view_at_all_limits_at_once_is_good_enough():
-    assert why_unseen(GOOD_PART, GOOD_SLOT) is None
+    assert invisibility_reason(GOOD_PART, GOOD_SLOT) is None
 
 
 @pytest.mark.parametrize(
     ("part", "slot", "reason"),
     [
-        (PartSeen(LEAST_PIXELS - 1, 1.0), GOOD_SLOT, "part small in the image"),
-        (PartSeen(5000, 0.49), GOOD_SLOT, "part mostly hidden"),
-        (GOOD_PART, SlotSeen(STEEPEST + 1e-3, 1.0), "slot turned away"),
-        (GOOD_PART, SlotSeen(0.1, 0.149), "cavity mostly hidden"),
+        (PartVisibility(MIN_PART_PIXELS - 1, 1.0), GOOD_SLOT, "part small in the image"),
+        (PartVisibility(5000, 0.49), GOOD_SLOT, "part mostly hidden"),
+        (GOOD_PART, SlotVisibility(MAX_SLOT_ANGLE + 1e-3, 1.0), "slot turned away"),
+        (GOOD_PART, SlotVisibility(0.1, 0.149), "cavity mostly hidden"),
     ],
 )
-def test_each_limit_has_its_reason(part: PartSeen, slot: SlotSeen, reason: str):
-    assert why_unseen(part, slot) == reason
+def test_each_limit_has_its_reason(part: PartVisibility, slot: SlotVisibility, reason: str):
+    assert invisibility_reason(part, slot) == reason
 
 
 def kits_on_show(rng: np.random.Generator) -> tuple[list[Kit], Pose]:
@@ -257,8 +257,8 @@ def test_labels_are_the_pixels_of_cavity_faces(seed: int):
     points = view.apply(camera.unproject(frame.depth))
     for number, (kit, pose) in enumerate(zip(kits, poses, strict=True)):
         in_kit = pose.inverse().apply(points)
-        clear = np.abs(in_kit[..., 2] + BELOW_RIM) > 1e-6
-        expected = on_cavity(frame, number, kit) & (in_kit[..., 2] < -BELOW_RIM)
+        clear = np.abs(in_kit[..., 2] + RIM_MARGIN) > 1e-6
+        expected = on_cavity(frame, number, kit) & (in_kit[..., 2] < -RIM_MARGIN)
         np.testing.assert_array_equal((labels == number)[clear], expected[clear])
 
 
@@ -270,14 +270,14 @@ def test_a_seated_part_counts_as_in_the_cavity_where_it_is_below_the_rim():
     frame = render(CAMERA, view, bodies)
     height = (place.inverse() @ view).apply(CAMERA.unproject(frame.depth))[..., 2]
     labels = cavity_labels(frame.depth, CAMERA, view, [place], [kit])
-    assert (labels[(frame.ids == 2) & (height < -BELOW_RIM - 1e-6)] == 0).all()
-    assert (labels[(frame.ids == 2) & (height > -BELOW_RIM + 1e-6)] == -1).all()
+    assert (labels[(frame.ids == 2) & (height < -RIM_MARGIN - 1e-6)] == 0).all()
+    assert (labels[(frame.ids == 2) & (height > -RIM_MARGIN + 1e-6)] == -1).all()
 
 
 def test_nothing_is_labelled_where_nothing_is_seen_or_on_the_table_below():
     kit, view = trough(), look_at((0, 0, 0.6), (0, 0, 0), up=(0, 1, 0))
     assert (cavity_labels(np.zeros((720, 1280), np.float32), CAMERA, view, [IDENTITY], [kit]) == -1).all()
-    table = np.full((720, 1280), 0.6 + kit.extent[2] - OFF_SIDES / 2, np.float32)  # just above the plate's underside
+    table = np.full((720, 1280), 0.6 + kit.extent[2] - SIDE_MARGIN / 2, np.float32)  # just above the plate's underside
     assert (cavity_labels(table, CAMERA, view, [IDENTITY], [kit]) == -1).all()
 
 
@@ -286,8 +286,8 @@ def test_a_camera_amid_the_plates_is_no_fault():
     kit, view = trough(), Pose.from_rotvec((0, 0.3, 0), (0, 0, -4e-3))
     depth = np.full((720, 1280), 2e-3, np.float32)
     points = view.apply(CAMERA.unproject(depth))
-    half = kit.extent[:2] / 2 - OFF_SIDES
-    inside = (abs(points[..., :2]) <= half).all(-1) & (points[..., 2] <= -BELOW_RIM)
+    half = kit.extent[:2] / 2 - SIDE_MARGIN
+    inside = (abs(points[..., :2]) <= half).all(-1) & (points[..., 2] <= -RIM_MARGIN)
     assert inside.any()
     np.testing.assert_array_equal(cavity_labels(depth, CAMERA, view, [IDENTITY], [kit]) == 0, inside)
 

@@ -116,7 +116,7 @@ def test_resample_onto_its_own_grid_changes_nothing() -> None:
 def test_resample_onto_a_crop_is_the_crop() -> None:
     volume = any_volume()
     np.testing.assert_array_equal(
-        resample(volume, GRID.part((-1, 2, 1), (4, 4, 6))).values, crop(volume, (-1, 2, 1), (4, 4, 6)).values
+        resample(volume, GRID.crop((-1, 2, 1), (4, 4, 6))).values, crop(volume, (-1, 2, 1), (4, 4, 6)).values
     )
 
 
@@ -131,7 +131,7 @@ def test_resample_is_the_trilinear_reading_of_scipy() -> None:
 
 def test_resample_keeps_what_is_unknown_unknown() -> None:
     volume = any_volume(unknown=0.1)
-    half = Grid((13, 11, 9), GRID.voxel / 2, TURNED)
+    half = Grid((13, 11, 9), GRID.voxel_size / 2, TURNED)
     read = resample(volume, half)
     np.testing.assert_array_equal(read.values[::2, ::2, ::2], volume.values)
     pair = (volume.values[:-1] + volume.values[1:]) / 2  # NaN where either is
@@ -213,8 +213,8 @@ def check_encoding(volume: Volume, back: Volume, allowed: np.ndarray) -> None:
         (((4, 4), 1e-3, TURNED), r"shape: expected int64 of shape \(3,\)"),
         (((4, 4, 4.5), 1e-3, TURNED), r"shape: .*4.5"),
         (((4000, 4000, 4000), 1e-3, TURNED), r"at most 2\^31"),
-        (((4, 4, 4), 0.0, TURNED), r"voxel: expected an edge above 0 m, got 0.0"),
-        (((4, 4, 4), float("nan"), TURNED), r"voxel: .*nan"),
+        (((4, 4, 4), 0.0, TURNED), r"voxel_size: expected an edge above 0 m, got 0.0"),
+        (((4, 4, 4), float("nan"), TURNED), r"voxel_size: .*nan"),
         (((4, 4, 4), 1e-3, Pose.identity((2,))), r"world_from_grid: expected one pose"),
         (((4, 4, 4), 1e-3, np.eye(4)), r"world_from_grid: expected one pose"),
     ],

@@ -68,7 +68,7 @@ def test_a_box_in_any_pose_has_its_closed_form(size: tuple[float, ...], world_fr
     values = signed_distance(grid, [(cuboid(*size), world_from_box)], truncation=4e-3).values
     distance = box_distance(world_from_box.inverse().apply(grid.centres()), np.array(size))
     np.testing.assert_allclose(values, np.clip(distance / 4e-3, -1, 1), atol=1e-5)
-    clear = np.abs(distance) > 1e-6 * grid.voxel
+    clear = np.abs(distance) > 1e-6 * grid.voxel_size
     np.testing.assert_array_equal((values < 0)[clear], (distance < 0)[clear])
 
 

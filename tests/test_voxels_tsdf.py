@@ -25,7 +25,7 @@ PART = as_part(ring_plate(14)).mesh
 
 def plain(grid: Grid, view: View, mask: np.ndarray | None = None, truncation: float | None = None) -> np.ndarray:
     """The rules of `tsdf`, written with whole arrays."""
-    reach = 5 * grid.voxel if truncation is None else truncation
+    reach = 5 * grid.voxel_size if truncation is None else truncation
     x, y, z = np.moveaxis(view.world_from_camera.inverse().apply(grid.centres()), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         u = np.floor(view.camera.fx * x / z + view.camera.cx + 0.5)
@@ -114,8 +114,8 @@ def test_a_tilted_wall_lies_within_half_a_voxel() -> None:
     points = surface_points(tsdf(AHEAD, View(SQUARE, Pose.identity(), depth)))
     distance = (points - (0, 0, far)) @ (normal / np.linalg.norm(normal))
     assert len(points) > 400
-    assert np.abs(distance).max() < 0.5 * AHEAD.voxel
-    assert abs(distance.mean()) < 0.02 * AHEAD.voxel
+    assert np.abs(distance).max() < 0.5 * AHEAD.voxel_size
+    assert abs(distance.mean()) < 0.02 * AHEAD.voxel_size
 
 
 @given(move=poses())

@@ -15,7 +15,7 @@ from kit1000.errors import InputError, ShapeError
 from kit1000.mesh import mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.sim import world as module
-from kit1000.sim.world import GRAVITY, MARGIN, MOST_CORNERS, RATE, World, hull_corners
+from kit1000.sim.world import GRAVITY, MARGIN, MAX_HULL_VERTICES, STEP_RATE, World, hull_vertices
 from tests.shapes import box, cylinder, standing
 from tests.strategies import poses
 
@@ -34,8 +34,8 @@ def dropped(height: float, steps: int) -> Pose:
 def test_a_body_in_the_air_falls_as_galileo_says() -> None:
     with World() as world:
         cube = world.add_hull(CUBE, 0.05, MOMENTS, Pose.from_translation([0, 0, 10.0]), linearDamping=0.0)
-        world.step(RATE // 2)
-        assert world.pose(cube).xyz[2] == pytest.approx(10 - GRAVITY * 0.5**2 / 2, abs=GRAVITY * 0.5 / RATE)
+        world.step(STEP_RATE // 2)
+        assert world.pose(cube).xyz[2] == pytest.approx(10 - GRAVITY * 0.5**2 / 2, abs=GRAVITY * 0.5 / STEP_RATE)
         assert world.speeds(cube) == pytest.approx((GRAVITY * 0.5, 0.0), rel=1e-6)
 
 
@@ -52,7 +52,7 @@ def test_a_cube_lies_within_the_margin_of_the_ground() -> None:
     with World() as world:
         world.add_ground()
         cube = world.add_hull(CUBE, 0.05, MOMENTS, Pose.from_translation([0, 0, 0.012]))
-        world.step(RATE)
+        world.step(STEP_RATE)
         assert abs(world.pose(cube).xyz[2] - 0.01) < 1.2 * MARGIN
 
 
@@ -62,7 +62,7 @@ def test_a_cube_on_a_slope_of_friction_slides_only_beyond_it() -> None:
         world.add_ground(friction=1.0)
         cube = world.add_hull(CUBE, 0.05, MOMENTS, Pose.from_translation([0, 0, 0.01]), lateralFriction=0.3)
         world._call("resetBaseVelocity", cube, linearVelocity=[0.5, 0, 0])
-        world.step(RATE)
+        world.step(STEP_RATE)
         assert world.pose(cube).xyz[0] == pytest.approx(0.5**2 / (2 * 0.3 * GRAVITY), rel=0.05)
 
 
@@ -140,14 +140,14 @@ def test_when_no_further_world_opens_it_is_said(monkeypatch: pytest.MonkeyPatch)
 
 def test_points_that_span_nothing_are_refused() -> None:
     with pytest.raises(ShapeError, match="span a solid"):
-        hull_corners(CUBE * (1, 1, 0))
+        hull_vertices(CUBE * (1, 1, 0))
     with pytest.raises(ShapeError, match="span a solid"):
-        hull_corners(CUBE[:3])
+        hull_vertices(CUBE[:3])
 
 
 def test_a_hull_keeps_its_corners_and_loses_what_lies_inside() -> None:
     inside = np.random.default_rng(0).uniform(-0.009, 0.009, (50, 3))
-    assert np.array_equal(hull_corners(np.concatenate([inside, CUBE])), CUBE)
+    assert np.array_equal(hull_vertices(np.concatenate([inside, CUBE])), CUBE)
 
 
 @given(seed=st.integers(0, 100))
@@ -155,8 +155,8 @@ def test_a_hull_keeps_its_corners_and_loses_what_lies_inside() -> None:
 def test_a_round_hull_is_thinned_but_keeps_its_shape(seed: int) -> None:
     ball = np.random.default_rng(seed).standard_normal((4000, 3))
     ball *= 0.02 / np.linalg.norm(ball, axis=1, keepdims=True)
-    thin = hull_corners(ball)
-    assert len(thin) <= MOST_CORNERS
+    thin = hull_vertices(ball)
+    assert len(thin) <= MAX_HULL_VERTICES
     assert -ConvexHull(thin).equations[:, 3].max() > 0.02 * (1 - 0.01)  # the nearest facet
     assert {tuple(corner) for corner in thin} <= {tuple(corner) for corner in ball}
 
@@ -167,5 +167,5 @@ def test_a_block_stands_on_another() -> None:
         world.add_ground()
         world.add_hull(flat, 0.05, MOMENTS, Pose.from_translation([0, 0, 0.0051]))
         upper = world.add_hull(CUBE, 0.05, MOMENTS, Pose.from_translation([0, 0, 0.021]))
-        world.step(RATE)
+        world.step(STEP_RATE)
         assert abs(world.pose(upper).xyz[2] - 0.02) < 4 * MARGIN

@@ -20,7 +20,7 @@ from kit1000.mesh import Mesh
 from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
 from kit1000.pictures.dataset_sheets import scene_sheet
-from kit1000.pictures.shading import KIT, PART, Painted, contact_sheet, framing, shaded
+from kit1000.pictures.shading import KIT, PART, ColouredBody, contact_sheet, framing_camera, shaded_picture
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.values import Assembly, Kit, Part
@@ -54,17 +54,17 @@ def hero(path: Path) -> None:
     """Parts on their way into the cavities of an angled assembly."""
     pairs = [next(pairs_of(name)) for name in SHOWN]
     assembly = next(assemblies(pairs))
-    bodies = [Painted(assembly.mesh, Pose.identity(), KIT)]
+    bodies = [ColouredBody(assembly.mesh, Pose.identity(), KIT)]
     for (part, _), mount, rise in zip(pairs, assembly.mounts, HOVER, strict=True):
         out = Pose.from_translation(np.array([0, 0, rise]))
-        bodies.append(Painted(part.mesh, mount.assembly_from_kit @ out @ mount.kit.slot.kit_from_part, PART))
+        bodies.append(ColouredBody(part.mesh, mount.assembly_from_kit @ out @ mount.kit.slot.kit_from_part, PART))
     save(picture(bodies, (1600, 900), FRONT), path)
 
 
 def families(path: Path) -> None:
     """One part of every family."""
     parts = [next(parts_of(name)) for name in sorted(FAMILIES)]
-    views = [picture([Painted(standing(part.mesh), Pose.identity(), PART)], (280, 224)) for part in parts]
+    views = [picture([ColouredBody(standing(part.mesh), Pose.identity(), PART)], (280, 224)) for part in parts]
     contact_sheet(views, [part.family.replace("_", " ") for part in parts], columns=7).save(path, optimize=True)
 
 
@@ -108,11 +108,11 @@ def assemblies(pairs: list[tuple[Part, Kit]]) -> Iterator[Assembly]:
 
 
 def picture(
-    bodies: list[Painted], size: tuple[int, int], direction: tuple[float, float, float] | None = None
+    bodies: list[ColouredBody], size: tuple[int, int], direction: tuple[float, float, float] | None = None
 ) -> np.ndarray:
     """(H, W, 3) uint8, the bodies filling it."""
-    view = framing(bodies, size=size) if direction is None else framing(bodies, direction, size=size)
-    return shaded(bodies, *view)
+    view = framing_camera(bodies, size=size) if direction is None else framing_camera(bodies, direction, size=size)
+    return shaded_picture(bodies, *view)
 
 
 def save(image: np.ndarray, path: Path) -> None:

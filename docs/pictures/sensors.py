@@ -43,11 +43,11 @@ def noise_plot() -> Image.Image:
     d415, photoneo = SENSORS["d415"], SENSORS["photoneo"]
     for name, px, colour in (("d415", USUAL_PX, BLUE), ("d415", BEST_PX, SLATE), ("photoneo", photoneo.noise_px, PART)):
         sensor = SENSORS[name]
-        ends = [(z, formula_mm(px, z, sensor.baseline)) for z in (max(sensor.nearest, NEAR), sensor.farthest)]
+        ends = [(z, formula_mm(px, z, sensor.baseline)) for z in (max(sensor.min_depth, NEAR), sensor.max_depth)]
         draw.line([at(*end) for end in ends], fill=colour, width=4 if px != BEST_PX else 2)
     for name, colour in (("d415", BLUE), ("photoneo", PART)):
         for z in DISTANCES:
-            if z < SENSORS[name].farthest:
+            if z < SENSORS[name].max_depth:
                 x, y = at(z, measured_mm(name, z))
                 draw.ellipse((x - 9, y - 9, x + 9, y + 9), outline=colour, width=4, fill=PAPER)
     notes = (

@@ -1,4 +1,4 @@
-"""A kit for somebody's own part, at true size: read any mesh, design the kit, write what a slicer and a person need."""
+"""A kit for a user's own part at true size: reads a mesh file, designs the kit, writes files for a slicer, a report."""
 
 from __future__ import annotations
 
@@ -12,23 +12,30 @@ from kit1000.dataset.mesh_files import glb_bytes, stl_bytes
 from kit1000.dataset.tables import pose_row
 from kit1000.errors import InputError, MeshRefused, Redraw
 from kit1000.files import check_writable, clear_partial, write_bytes, write_json
-from kit1000.kits.acceptance import try_pair
+from kit1000.kits.acceptance import check_pair
 from kit1000.kits.kit import CLEARANCE, KitDesign, design_kit
 from kit1000.parts.family import part_of_mesh
 from kit1000.parts.files.sources import Reading, read_mesh
 from kit1000.values import Part
 
 COLOURS = {"kit": (224, 219, 210), "part": (238, 122, 40)}  # sRGB, those of the pictures
-REPORT = "report.json"  # written last: where it stands, the others are whole and of one part
+REPORT = "report.json"  # written last: when it exists, the other files are complete and of the same part
 
 
-def kit_for(
+def make_kit_from_file(
     path: Path, out: Path, clearance: float = CLEARANCE, unit: str | None = None, longest: float | None = None
 ) -> dict[str, Any]:
     """Make the kit of a mesh file and write it to a folder; returns the report.
 
-    clearance [m]; unit: that of the file, guessed when None; longest [m]: scale the part to it, true size when None.
-    Raises InputError in one line when the file is no part, no kit can be made, or the folder cannot be written.
+    Args:
+        path: mesh file of the part.
+        out: folder; gets kit.stl, part.stl, seated.glb, preview.png and report.json.
+        clearance: [m] horizontal gap between part and cavity walls.
+        unit: unit of the file: mm, cm, m or inch; guessed when None.
+        longest: [m] scale the part to this longest side; true size when None.
+
+    Raises:
+        InputError: the file is no usable part, no kit can be made, or the folder cannot be written.
     """
     check_writable(out)
     try:
@@ -43,7 +50,7 @@ def kit_for(
     report = _report(path, reading, part, scale, design)
     files = _files(part, design)
     clear_partial(out, *files, REPORT)
-    with suppress(OSError):  # that of an earlier run; whatever hinders here, the next write reports
+    with suppress(OSError):  # of an earlier run; the next write reports any error
         (out / REPORT).unlink()
     for name, data in files.items():
         write_bytes(out / name, data)
@@ -67,22 +74,26 @@ def _report(path: Path, reading: Reading, part: Part, scale: float, design: KitD
         "volume_mm3": part.mesh.volume * 1e9,
         "plate_mm": (design.kit.extent * 1e3).tolist(),
         "kit_from_part": pose_row(design.kit.slot.kit_from_part),
-        "trial": _trial(part, design),
+        "trial": _trial_report(part, design),
     } | design.report
 
 
-def _trial(part: Part, design: KitDesign) -> dict[str, Any]:
-    """What the seating trials say: not every part of the world can pass them, so this advises and does not refuse."""
+def _trial_report(part: Part, design: KitDesign) -> dict[str, Any]:
+    """The result of the seating trials. It is only reported, as not every user's part can pass them."""
     try:
-        trial = try_pair(part, design.kit)
+        trial = check_pair(part, design.kit)
     except Redraw as refusal:
         return {"passes": False, "why": refusal.reason}
     keyed = None if trial.keyedness is None else float(np.degrees(trial.keyedness))
-    return {"passes": not trial.loose, "why": "fits in another pose too" if trial.loose else "", "keyedness_deg": keyed}
+    return {
+        "passes": not trial.has_loose_fit,
+        "why": "fits in another pose too" if trial.has_loose_fit else "",
+        "keyedness_deg": keyed,
+    }
 
 
 def _files(part: Part, design: KitDesign) -> dict[str, bytes]:
-    from kit1000.pictures.previews import kit_picture  # rendering compiles: only when a picture is wanted
+    from kit1000.pictures.previews import kit_preview  # only here: importing it compiles the renderer
 
     seated = part.mesh.moved(design.kit.slot.kit_from_part)
     bodies = {"kit": design.kit.mesh, "part": seated}
@@ -90,5 +101,5 @@ def _files(part: Part, design: KitDesign) -> dict[str, bytes]:
         "kit.stl": stl_bytes(design.kit.mesh),
         "part.stl": stl_bytes(seated),
         "seated.glb": glb_bytes(bodies, COLOURS),
-        "preview.png": kit_picture(part, design.kit),
+        "preview.png": kit_preview(part, design.kit),
     }

@@ -1,7 +1,7 @@
-"""One scene from its draws: laid out, seen by a camera that shows what is asked, sensed, and asked about.
+"""Generation of one scene: layout of the bodies, camera view, depth images of all sensors, queries and ground truth.
 
-A layout or a view that fails is drawn again from the next attempt of its stream; why, is counted. Nothing here
-touches a file, so any scene can be made again alone.
+A layout or a view that is rejected is redrawn from the next attempt of its random stream, and the reason is counted.
+Nothing here reads or writes a file, so any scene can be made again by itself.
 """
 
 from __future__ import annotations
@@ -26,30 +26,38 @@ from kit1000.sim.cameras import CAMERA, camera_set, draw_primary_pose, in_view
 from kit1000.sim.layout import PART_UNSTABLE, UPRIGHT, Layout, draw_layout, simulate_layout, table
 from kit1000.sim.render import Frame, render
 from kit1000.sim.sensors import sense
-from kit1000.sim.visibility import PartSeen, SlotSeen, cavity_labels, part_seen, slot_angle, slot_seen, why_unseen
+from kit1000.sim.visibility import (
+    PartVisibility,
+    SlotVisibility,
+    cavity_labels,
+    invisibility_reason,
+    part_visibility,
+    slot_angle,
+    slot_visibility,
+)
 from kit1000.tracks import CURVES, has_curves
 from kit1000.values import ASSEMBLY_LABEL, Assembly, Mount, Part, Slot, View
 
-MAX_LAYOUTS = 60  # layouts of one scene before the draw or the rules must be called broken
-MAX_VIEWS = 12  # views of one layout before it is drawn again
+MAX_LAYOUTS = 60  # layouts of one scene before it is refused
+MAX_VIEWS = 12  # views of one layout before the layout is redrawn
 FIRST_CAVITY_LABEL = 100  # in the segmentation: 100 + k is the cavity of mount k
 
 
 @dataclass(frozen=True, eq=False)
 class GeneratedScene:
-    """All that is recorded of a scene."""
+    """Everything that is recorded of a scene."""
 
     observation: Observation
     truth: SceneTruth
     extra_views: Observation | None
-    """The camera set `three`, where it is stored."""
+    """Views of the camera set `three`; None where the split does not store them."""
     redraws: tuple[str, ...]
-    """Why layouts and views were rejected."""
+    """Reasons of the rejected layouts and views."""
 
 
 @dataclass(frozen=True, eq=False)
 class _SceneParts:
-    """Who takes part in a scene: the parts in the order p0, p1, ..., each with its mount."""
+    """The assembly and the parts of a scene, in the order p0, p1, ..., each with its mount."""
 
     scene_id: str
     split: str
@@ -67,47 +75,50 @@ class _SceneParts:
 
     @property
     def target(self) -> int:
-        """The drawn target: the part after which the assembly is named."""
+        """Index of the scene's target: the part whose id the assembly has."""
         return next(i for i, part in enumerate(self.parts) if part.id == self.assembly.id)
 
 
 @dataclass(frozen=True, eq=False)
 class _LayoutView:
-    """A layout as the primary camera sees it."""
+    """A layout rendered from the primary camera, and what of it is visible."""
 
     modes: tuple[str, ...]
     layout: Layout
     world_from_kits: tuple[Pose, ...]
-    """By part: of the kit that it belongs in."""
+    """By part: the pose of its kit."""
     world_from_camera: Pose
     frame: Frame
-    parts: tuple[PartSeen, ...]
-    slots: tuple[SlotSeen, ...]
+    parts: tuple[PartVisibility, ...]
+    slots: tuple[SlotVisibility, ...]
 
-    def unseen(self, i: int) -> str | None:
-        return why_unseen(self.parts[i], self.slots[i])
+    def part_invisibility(self, i: int) -> str | None:
+        return invisibility_reason(self.parts[i], self.slots[i])
 
 
 def make_scene(
     preset: Preset, seed: int, split: str, assembly: Assembly, parts: Mapping[str, Part], extra_views: bool
 ) -> GeneratedScene:
-    """The scene of an assembly and its parts; `further` adds the camera set `three`. Raises Redraw when none passes."""
+    """The scene of an assembly and its parts; `extra_views` adds the camera set `three`.
+
+    Raises Redraw when none of MAX_LAYOUTS layouts passes.
+    """
     scene_parts = _scene_parts(preset, seed, split, assembly, parts)
     layout_view, redraws = _draw_layout_and_view(scene_parts)
     views = _sensor_views(scene_parts, "", layout_view.world_from_camera, layout_view.frame)
     labels = np.maximum(layout_view.frame.ids - 1, 0).astype(np.uint8)  # nothing and table both become 0
     labels.setflags(write=False)
-    asked = [_part_in_scene(scene_parts, layout_view, i) for i in range(len(scene_parts.parts))]
+    in_scene = [_part_in_scene(scene_parts, layout_view, i) for i in range(len(scene_parts.parts))]
     curves = has_curves(scene_parts.scene_id, preset.curve_scenes)
-    rows, drawn = scene_queries(scene_parts.scene_id, split, seed, views, labels, asked, scene_parts.target, curves)
+    rows, truths = scene_queries(scene_parts.scene_id, split, seed, views, labels, in_scene, scene_parts.target, curves)
     rows = [row for row in rows if row["track"] in (*preset.tracks, CURVES)]
-    drawn = {row["id"]: drawn[row["id"]] for row in rows}
+    truths = {row["id"]: truths[row["id"]] for row in rows}
     truth = SceneTruth(
         scene_parts.scene_id,
         assembly.id,
         layout_view.layout.world_from_assembly,
         tuple(_part_row(scene_parts, layout_view, i) for i in range(len(scene_parts.parts))),
-        drawn,
+        truths,
         _segmentation(scene_parts, layout_view),
         _models(scene_parts),
         layout_view.world_from_kits[scene_parts.target] @ scene_parts.slot(scene_parts.target).goals,
@@ -119,7 +130,7 @@ def make_scene(
 
 
 def bodies(assembly: Assembly, parts: tuple[Part, ...], layout: Layout) -> list[tuple[Mesh, Pose]]:
-    """What stands in a scene, for `render`: the table, the assembly, the parts in their order."""
+    """Meshes with their `world_from_body`, for `render`: the table, the assembly, the parts in their order."""
     scene_parts = zip((part.mesh for part in parts), layout.world_from_parts, strict=True)
     return [(table(), Pose.identity()), (assembly.mesh, layout.world_from_assembly), *scene_parts]
 
@@ -132,11 +143,11 @@ def _scene_parts(preset: Preset, seed: int, split: str, assembly: Assembly, part
 
 
 def _draw_layout_and_view(scene_parts: _SceneParts) -> tuple[_LayoutView, list[str]]:
-    """The first layout and view that show what must be seen, and why earlier ones did not."""
+    """The first layout and view that pass, and the reasons of the rejected ones."""
     redraws: list[str] = []
     slots = [scene_parts.slot(i) for i in range(len(scene_parts.parts))]
     for attempt in range(MAX_LAYOUTS):
-        # A part that topples from its insertion face does so at every yaw, so how the parts lie is drawn again too.
+        # A part that topples from its insertion face does so at every yaw, so the rest modes are redrawn too.
         modes = rest_modes(scene_parts.seed, scene_parts.scene_id, len(scene_parts.parts), redraws.count(PART_UNSTABLE))
         draw = draw_layout(stream(scene_parts.seed, "layout", scene_parts.scene_id, attempt), modes)
         try:
@@ -155,21 +166,22 @@ def _draw_layout_and_view(scene_parts: _SceneParts) -> tuple[_LayoutView, list[s
 
 
 def _view_layout(scene_parts: _SceneParts, modes: tuple[str, ...], layout: Layout, view: Pose) -> _LayoutView:
-    """The stage, or Redraw: all in view, the target well seen, and a part for the tracks without a guess."""
+    """The layout seen from a camera pose. Raises Redraw unless all bodies are in view, target and slot are visible
+    enough, and so is an upright part with its slot where there is one."""
     target, n = scene_parts.target, range(len(scene_parts.parts))
     world_from_kits = tuple(layout.world_from_assembly @ scene_parts.mount(i).assembly_from_kit for i in n)
-    first = SlotSeen(slot_angle(view, world_from_kits[target]), 1.0)  # before anything is drawn: the quick answer
-    redraw_for(why_unseen(PartSeen(CAMERA.width * CAMERA.height, 1.0), first))
+    first = SlotVisibility(slot_angle(view, world_from_kits[target]), 1.0)  # the cheapest test, before rendering
+    redraw_for(invisibility_reason(PartVisibility(CAMERA.width * CAMERA.height, 1.0), first))
     scene = bodies(scene_parts.assembly, scene_parts.parts, layout)
     if not all(in_view(CAMERA, view, pose.apply(mesh.vertices)) for mesh, pose in scene[1:]):
         raise Redraw("out of view")
     frame = render(CAMERA, view, scene, threads=1)
-    parts = tuple(part_seen(frame, 2 + i, CAMERA, view, *scene[2 + i]) for i in n)
-    slots = tuple(slot_seen(frame.depth, CAMERA, view, scene_parts.mount(i).kit, world_from_kits[i]) for i in n)
+    parts = tuple(part_visibility(frame, 2 + i, CAMERA, view, *scene[2 + i]) for i in n)
+    slots = tuple(slot_visibility(frame.depth, CAMERA, view, scene_parts.mount(i).kit, world_from_kits[i]) for i in n)
     layout_view = _LayoutView(modes, layout, world_from_kits, view, frame, parts, slots)
-    redraw_for(layout_view.unseen(target))
+    redraw_for(layout_view.part_invisibility(target))
     upright = [i for i in n if modes[i] == UPRIGHT]
-    if upright and all(layout_view.unseen(i) for i in upright):
+    if upright and all(layout_view.part_invisibility(i) for i in upright):
         raise Redraw("no upright part is well seen with its slot")
     return layout_view
 
@@ -181,7 +193,7 @@ def redraw_for(reason: str | None) -> None:
 
 
 def _sensor_views(scene_parts: _SceneParts, camera_key: str, world_from_camera: Pose, frame: Frame) -> dict[str, View]:
-    """One view as every sensor records it, the noise of each from its own stream."""
+    """The depth images of all sensors from one camera pose, the noise of each from its own stream."""
     view = View(CAMERA, world_from_camera, frame.depth)
     prefix = f"{camera_key}/" if camera_key else ""
     return {
@@ -207,7 +219,7 @@ def _part_in_scene(scene_parts: _SceneParts, layout_view: _LayoutView, i: int) -
         layout_view.layout.world_from_parts[i],
         layout_view.world_from_kits[i],
         scene_parts.slot(i),
-        layout_view.unseen(i),
+        layout_view.part_invisibility(i),
     )
 
 
@@ -224,13 +236,13 @@ def _part_row(scene_parts: _SceneParts, layout_view: _LayoutView, i: int) -> Row
         "visible": float(part.share),
         "slot_angle": float(slot.angle),
         "slot_visible": float(slot.share),
-        "unseen": layout_view.unseen(i),
+        "unseen": layout_view.part_invisibility(i),
     }
 
 
 def _segmentation(scene_parts: _SceneParts, layout_view: _LayoutView) -> np.ndarray:
-    """(H, W) uint16, as `SceneTruth.seg` has it."""
-    by_mount = np.argsort(scene_parts.mounts).tolist()  # the part of each
+    """(H, W) uint16, labels as in `SceneTruth.seg`."""
+    by_mount = np.argsort(scene_parts.mounts).tolist()  # index of the part of each mount
     kits = [scene_parts.mount(i).kit for i in by_mount]
     world_from_kits = [layout_view.world_from_kits[i] for i in by_mount]
     cavity = cavity_labels(layout_view.frame.depth, CAMERA, layout_view.world_from_camera, world_from_kits, kits)

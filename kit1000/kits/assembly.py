@@ -16,10 +16,10 @@ from manifold3d import Manifold, OpType
 from scipy.spatial import ConvexHull
 
 from kit1000.errors import InputError, Redraw
-from kit1000.kits.brackets import OUTWARD, stand
-from kit1000.kits.cavity import THIN
+from kit1000.kits.brackets import OUTWARD, support_pieces
+from kit1000.kits.cavity import MIN_WALL
 from kit1000.kits.contact import ConvexEdges, convex_edges
-from kit1000.kits.kit import GAP
+from kit1000.kits.kit import PLATE_GAP
 from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset
 from kit1000.mesh import body_count, defect_float32, solid_from_mesh
@@ -27,17 +27,17 @@ from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Mount, Part
 
-MOST_KITS = 5  # a base and one plate on each of its sides
-BASE_TILT = np.radians(20)  # most, of the base in the world
-SIDE_TILT = (float(np.radians(10)), float(np.radians(45)))  # least and most, of a side plate against the base
-WORLD_TILT = np.radians(45)  # most, of any plate in the world
-FOOT = 6e-3  # [m] of the lowest corner of a plate above the ground
-STEADY = 5e-3  # [m] least, from the centre of mass to the edge of the footprint
-UNTOUCHED = 1e-9  # [m^3] of a cavity: rounding leaves films on its walls, up to 0.1 mm^3
+MAX_KITS = 5  # a base and one plate on each of its sides
+MAX_BASE_TILT = np.radians(20)  # most, of the base in the world
+SIDE_TILT_RANGE = (float(np.radians(10)), float(np.radians(45)))  # least and most, of a side plate against the base
+MAX_WORLD_TILT = np.radians(45)  # most, of any plate in the world
+GROUND_GAP = 6e-3  # [m] of the lowest corner of a plate above the ground
+STABILITY_MARGIN = 5e-3  # [m] least, from the centre of mass to the edge of the footprint
+CAVITY_VOLUME_TOLERANCE = 1e-9  # [m^3] of a cavity: rounding leaves films on its walls, up to 0.1 mm^3
 
 
 @dataclass(frozen=True)
-class Side:
+class SidePlate:
     """A plate beside the base."""
 
     direction: int
@@ -54,32 +54,32 @@ class AssemblyPlan:
     """[rad] of the base in the world."""
     base_azimuth: float
     """[rad] from x to y: towards where the base falls."""
-    sides: tuple[Side, ...]
+    sides: tuple[SidePlate, ...]
 
 
 def draw_assembly(
     rng: np.random.Generator,
     kits: int,
     level_base: bool = False,
-    max_world_tilt: float = WORLD_TILT,
-    side_tilt: tuple[float, float] = SIDE_TILT,
+    max_world_tilt: float = MAX_WORLD_TILT,
+    side_tilt: tuple[float, float] = SIDE_TILT_RANGE,
     brackets: tuple[float, ...] = (),
 ) -> AssemblyPlan:
     """A plan for 1 to 5 kits, drawn again until no slot is tilted more than `max_world_tilt` [rad].
 
     side_tilt [rad]: least and most of a side plate against the base; brackets [rad]: angles to pick from instead.
     """
-    if not 1 <= kits <= MOST_KITS:
-        raise InputError(f"kits: expected 1 to {MOST_KITS} in an assembly, got {kits}")
+    if not 1 <= kits <= MAX_KITS:
+        raise InputError(f"kits: expected 1 to {MAX_KITS} in an assembly, got {kits}")
     if max_world_tilt < side_tilt[0] and kits > 1:
         raise InputError(f"max_world_tilt: expected {side_tilt[0]:.3f} rad or more, got {max_world_tilt:.3f}")
     while True:
-        base_tilt = 0.0 if level_base else rng.uniform(0, BASE_TILT)
+        base_tilt = 0.0 if level_base else rng.uniform(0, MAX_BASE_TILT)
         azimuth = 0.0 if level_base else rng.uniform(0, 2 * np.pi)
         directions, tilts = rng.permutation(4)[: kits - 1], rng.uniform(*side_tilt, size=kits - 1)
         if brackets:
             tilts = rng.choice(brackets, size=kits - 1)
-        sides = tuple(Side(int(d), float(t)) for d, t in zip(directions, tilts, strict=True))
+        sides = tuple(SidePlate(int(d), float(t)) for d, t in zip(directions, tilts, strict=True))
         plan = AssemblyPlan(float(base_tilt), float(azimuth), sides)
         if world_tilts(plan).max() <= max_world_tilt:
             return plan
@@ -87,31 +87,31 @@ def draw_assembly(
 
 def world_tilts(plan: AssemblyPlan) -> np.ndarray:
     """(kits,) [rad] between each slot's axis and the vertical, the base first."""
-    turns = [Pose.from_rotvec(_base_turn(plan)) @ Pose.from_rotvec(_side_turn(side)) for side in plan.sides]
-    axes = np.array([_up(turn) for turn in (Pose.from_rotvec(_base_turn(plan)), *turns)])
+    turns = [Pose.from_rotvec(_base_rotvec(plan)) @ Pose.from_rotvec(_side_rotvec(side)) for side in plan.sides]
+    axes = np.array([_z_axis(turn) for turn in (Pose.from_rotvec(_base_rotvec(plan)), *turns)])
     return np.arctan2(np.linalg.norm(axes[:, :2], axis=1), axes[:, 2])
 
 
 def build_assembly(assembly_id: str, kits: Sequence[Kit], plan: AssemblyPlan) -> Assembly:
     """Stand kits on brackets and feet as planned, the first as the base. Raises Redraw when no solid results."""
-    mounts = placed(kits, plan)
+    mounts = place_kits(kits, plan)
     plates = [solid_from_mesh(mount.kit.mesh).transform(mount.assembly_from_kit.matrix()[:3]) for mount in mounts]
-    solid = Manifold.batch_boolean([*plates, *stand(mounts)], OpType.Add)
+    solid = Manifold.batch_boolean([*plates, *support_pieces(mounts)], OpType.Add)
     return Assembly(assembly_id, printable_mesh(solid, "assembly"), mounts)
 
 
-def placed(kits: Sequence[Kit], plan: AssemblyPlan) -> tuple[Mount, ...]:
+def place_kits(kits: Sequence[Kit], plan: AssemblyPlan) -> tuple[Mount, ...]:
     """Each kit where the plan wants it, the lowest corner of all FOOT above the ground."""
     if len(kits) != 1 + len(plan.sides):
         raise InputError(f"kits: expected {1 + len(plan.sides)} for this plan, got {len(kits)}")
     if len({tuple(kit.extent) for kit in kits}) > 1:
         raise InputError("kits: expected plates of one size in an assembly")
-    world_from_base = Pose.from_rotvec(_base_turn(plan))
+    world_from_base = Pose.from_rotvec(_base_rotvec(plan))
     extent = kits[0].extent
     base_from_kit = [Pose.identity(), *(_base_from_side(extent, side) for side in plan.sides)]
     world_from_kit = [world_from_base @ pose for pose in base_from_kit]
     corners = np.array([(x, y, -extent[2]) for x in (-0.5, 0.5) for y in (-0.5, 0.5)]) * (*extent[:2], 1)
-    lift = FOOT - min(pose.apply(corners)[:, 2].min() for pose in world_from_kit)
+    lift = GROUND_GAP - min(pose.apply(corners)[:, 2].min() for pose in world_from_kit)
     raised = Pose.from_translation(np.array([0, 0, lift]))
     return tuple(Mount(kit, raised @ pose) for kit, pose in zip(kits, world_from_kit, strict=True))
 
@@ -121,29 +121,29 @@ def check_assembly(assembly: Assembly, parts: Mapping[str, Part]) -> None:
     _check_printable(assembly)
     _check_cavities(assembly)
     _check_paths(assembly, parts)
-    _check_steady(assembly, parts)
+    _check_stability(assembly, parts)
 
 
-def _base_turn(plan: AssemblyPlan) -> np.ndarray:
+def _base_rotvec(plan: AssemblyPlan) -> np.ndarray:
     """(3,) rotation vector that lowers the base towards its azimuth."""
     return plan.base_tilt * np.array([-np.sin(plan.base_azimuth), np.cos(plan.base_azimuth), 0])
 
 
-def _side_turn(side: Side) -> np.ndarray:
+def _side_rotvec(side: SidePlate) -> np.ndarray:
     """(3,) rotation vector that lowers the outer edge of a side plate, in the frame of the base."""
     outward = OUTWARD[side.direction]
     return side.tilt * np.array([-outward[1], outward[0], 0])
 
 
-def _base_from_side(extent: np.ndarray, side: Side) -> Pose:
+def _base_from_side(extent: np.ndarray, side: SidePlate) -> Pose:
     outward = np.array([*OUTWARD[side.direction], 0])
     half = extent[side.direction % 2] / 2
-    hinge = outward * (half + GAP) - (0, 0, extent[2])
-    turn = Pose.from_rotvec(_side_turn(side))
+    hinge = outward * (half + PLATE_GAP) - (0, 0, extent[2])
+    turn = Pose.from_rotvec(_side_rotvec(side))
     return Pose(turn.wxyz, hinge + turn.rotate(outward * half + (0, 0, extent[2])))
 
 
-def _up(pose: Pose) -> np.ndarray:
+def _z_axis(pose: Pose) -> np.ndarray:
     """(3,) where +z of the turned frame points."""
     return pose.rotation_matrix()[:, 2]
 
@@ -159,76 +159,76 @@ def _check_printable(assembly: Assembly) -> None:
 def _check_cavities(assembly: Assembly) -> None:
     """Every cavity is as open as its kit was made, and THIN of wall stands between any two."""
     boxes = [_cavity_box(mount) for mount in assembly.mounts]
-    if any(a.min_gap(b, 2 * THIN) < THIN for a, b in combinations(boxes, 2)):
+    if any(a.min_gap(b, 2 * MIN_WALL) < MIN_WALL for a, b in combinations(boxes, 2)):
         raise Redraw("cavities too close")
     plates = [mount.kit.mesh for mount in assembly.mounts]
     made = sum(float(np.prod(plate.extents)) - plate.volume for plate in plates)
     open_ = (Manifold.compose(boxes) - solid_from_mesh(assembly.mesh)).volume()
-    if open_ < made - UNTOUCHED:
+    if open_ < made - CAVITY_VOLUME_TOLERANCE:
         raise Redraw("cavity touched")
-    if open_ > made + UNTOUCHED or assembly.mesh.volume < sum(plate.volume for plate in plates):
+    if open_ > made + CAVITY_VOLUME_TOLERANCE or assembly.mesh.volume < sum(plate.volume for plate in plates):
         raise Redraw("plate not whole")
 
 
 def _cavity_box(mount: Mount) -> Manifold:
     """The block of a plate within which its cavity lies, in the assembly frame."""
     points, (width, depth, _) = mount.kit.mesh.vertices, mount.kit.extent
-    inner = points[(np.abs(points[:, :2]) < np.array((width, depth)) / 2 - THIN / 2).all(1)]
+    inner = points[(np.abs(points[:, :2]) < np.array((width, depth)) / 2 - MIN_WALL / 2).all(1)]
     low, high = inner.min(0), inner.max(0)
     return Manifold.cube(high - low).translate(low).transform(mount.assembly_from_kit.matrix()[:3])
 
 
 @dataclass(frozen=True, eq=False)
-class _Seated:
+class _SeatedPart:
     """The part of a slot, where it belongs."""
 
-    plug: InsertedPart
+    part: InsertedPart
     pose: Pose
     """assembly_from_part"""
     reach: float
     """[m] radius of the ball about the part's origin that holds it."""
 
     @property
-    def ridges(self) -> ConvexEdges:
+    def convex_edges(self) -> ConvexEdges:
         """What the part shows to others, in the assembly frame."""
-        edges = self.plug.edges
-        return ConvexEdges(edges.mesh.moved(self.pose), edges.ends, edges.sides)
+        edges = self.part.edges
+        return ConvexEdges(edges.mesh.moved(self.pose), edges.ends, edges.adjacent)
 
 
-def _seated(mount: Mount, part: Part) -> _Seated:
+def _seated(mount: Mount, part: Part) -> _SeatedPart:
     kit_from_part = mount.kit.slot.kit_from_part
     reach = float(np.linalg.norm(part.mesh.vertices, axis=1).max())
-    return _Seated(InsertedPart.of(part.mesh, kit_from_part), mount.assembly_from_kit @ kit_from_part, reach)
+    return _SeatedPart(InsertedPart.of(part.mesh, kit_from_part), mount.assembly_from_kit @ kit_from_part, reach)
 
 
 def _check_paths(assembly: Assembly, parts: Mapping[str, Part]) -> None:
     """Every part reaches its slot along the slot's axis, all other parts being seated."""
     seated = [_seated(mount, parts[mount.kit.slot.part_id]) for mount in assembly.mounts]
     whole = convex_edges(assembly.mesh)
-    if any(contact_offset(one.plug, whole, one.pose) > BISECTION_STEP for one in seated):
+    if any(contact_offset(one.part, whole, one.pose) > BISECTION_STEP for one in seated):
         raise Redraw("insertion path blocked")
-    if any(_in_the_way(other, one) for one, other in permutations(seated, 2)):
+    if any(_blocks(other, one) for one, other in permutations(seated, 2)):
         raise Redraw("insertion path blocked by a seated part")
 
 
-def _in_the_way(other: _Seated, moving: _Seated) -> bool:
+def _blocks(other: _SeatedPart, moving: _SeatedPart) -> bool:
     """Whether a seated part meets what another sweeps on its way out; their balls answer most questions."""
-    axis = moving.pose.rotate(moving.plug.axis)
+    axis = moving.pose.rotate(moving.part.axis)
     apart = other.pose.xyz - moving.pose.xyz
     aside = apart - max(float(apart @ axis), 0.0) * axis
     if np.linalg.norm(aside) > other.reach + moving.reach:
         return False
-    return contact_offset(moving.plug, other.ridges, moving.pose) > 0
+    return contact_offset(moving.part, other.convex_edges, moving.pose) > 0
 
 
-def _check_steady(assembly: Assembly, parts: Mapping[str, Part]) -> None:
+def _check_stability(assembly: Assembly, parts: Mapping[str, Part]) -> None:
     """The centre of mass stands STEADY inside the footprint, whichever of the parts are seated."""
     mesh, slots = assembly.mesh, [mount.kit.slot for mount in assembly.mounts]
     poses = [mount.assembly_from_kit @ mount.kit.slot.kit_from_part for mount in assembly.mounts]
     masses = np.array([DENSITY * mesh.volume, *(parts[slot.part_id].mass for slot in slots)])
     centres = np.array([mesh.centroid, *(pose.xyz for pose in poses)])
     sole = ConvexHull(mesh.vertices[mesh.vertices[:, 2] == 0, :2])
-    inside = -centres[:, :2] @ sole.equations[:, :2].T - sole.equations[:, 2] - STEADY  # (1 + slots, edges)
+    inside = -centres[:, :2] @ sole.equations[:, :2].T - sole.equations[:, 2] - STABILITY_MARGIN  # (1 + slots, edges)
     moments = masses[:, None] * inside
     # over each edge the worst load seats exactly the parts that pull towards it
     if (moments[0] + np.minimum(moments[1:], 0).sum(0)).min() < 0:

@@ -15,8 +15,8 @@ from kit1000.mesh import Mesh
 
 CREASE_DEG = 32.0  # coarser cylinders have 12 sides or more (30 degrees), chamfers turn by 45
 PLANE_DEG = 0.5  # faces of one plane, after rounding to float32
-LINE = 0.15  # colour of lines, as a share of the colour of the body
-CREASE, OUTLINE = 0.55, 0.9  # opacity of lines within a body and around it
+LINE_SHADE = 0.15  # colour of lines, as a share of the colour of the body
+CREASE_OPACITY, OUTLINE_OPACITY = 0.55, 0.9  # opacity of lines within a body and around it
 
 
 def smooth_patches(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
@@ -28,14 +28,14 @@ def smooth_patches(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
             weigh more than the narrow faces of a fillet, so that planes stay flat.
     """
     corner = np.unique(mesh.triangles.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
-    pairs = _neighbours(corner)
+    pairs = _adjacent_faces(corner)
     cosine = np.einsum("ij,ij->i", mesh.normals[pairs[0]], mesh.normals[pairs[1]])
-    patches = _joined(len(corner), pairs[:, cosine > np.cos(np.deg2rad(CREASE_DEG))])
-    planes = _joined(len(corner), pairs[:, cosine > np.cos(np.deg2rad(PLANE_DEG))])
+    patches = _components(len(corner), pairs[:, cosine > np.cos(np.deg2rad(CREASE_DEG))])
+    planes = _components(len(corner), pairs[:, cosine > np.cos(np.deg2rad(PLANE_DEG))])
     return patches, _corner_normals(mesh, corner, patches, planes)
 
 
-def _neighbours(corner: np.ndarray) -> np.ndarray:
+def _adjacent_faces(corner: np.ndarray) -> np.ndarray:
     """(2, e) faces that share an edge, from the numbers of their corners (m, 3)."""
     start, end = corner.ravel().astype(np.int64), corner[:, [1, 2, 0]].ravel().astype(np.int64)
     key = np.minimum(start, end) * (corner.max(initial=0) + 1) + np.maximum(start, end)
@@ -44,7 +44,7 @@ def _neighbours(corner: np.ndarray) -> np.ndarray:
     return np.stack([order[:-1][same], order[1:][same]]) // 3
 
 
-def _joined(m: int, pairs: np.ndarray) -> np.ndarray:
+def _components(m: int, pairs: np.ndarray) -> np.ndarray:
     graph = coo_array((np.ones(pairs.shape[1], np.int8), (pairs[0], pairs[1])), shape=(m, m))
     return connected_components(graph, directed=False)[1].astype(np.int32)
 
@@ -89,22 +89,22 @@ def draw_lines(depth, ids, faces, first_of, patches, albedo, step, image):
                     continue
                 there = ids[y, x] - 1
                 if here != there:
-                    strength = OUTLINE
+                    strength = OUTLINE_OPACITY
                     if there >= 0 and (here < 0 or depth[y, x] < depth[v, u]):
                         owner = there
-                elif here >= 0 and _departure(depth, v, u, dv, du) > step:
-                    strength = OUTLINE
+                elif here >= 0 and _depth_step(depth, v, u, dv, du) > step:
+                    strength = OUTLINE_OPACITY
                 elif here >= 0 and dv + du < 0:
                     first = first_of[here]
                     if patches[first + faces[v, u]] != patches[first + faces[y, x]]:
-                        strength = max(strength, CREASE)
+                        strength = max(strength, CREASE_OPACITY)
             if strength > 0:
                 for i in range(3):
-                    image[v, u, i] += strength * (LINE * albedo[owner, i] - image[v, u, i])
+                    image[v, u, i] += strength * (LINE_SHADE * albedo[owner, i] - image[v, u, i])
 
 
 @compiled
-def _departure(depth, v, u, dv, du):
+def _depth_step(depth, v, u, dv, du):
     """Depth of the pixel beside (v, u), less that of the plane through (v, u) and the pixel opposite [m]."""
     height, width = depth.shape
     y, x = v - dv, u - du

@@ -12,23 +12,25 @@ from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.pictures.depth_images import depth_picture, mask_picture
-from kit1000.pictures.previews import assembly_tile, kit_tile, part_tile, sheet
-from kit1000.pictures.shading import KIT, PART, SECONDARY, Painted, shaded
+from kit1000.pictures.previews import assembly_tile, contact_sheet_png, kit_tile, part_tile
+from kit1000.pictures.shading import KIT, PART, SECONDARY, ColouredBody, shaded_picture
 from kit1000.pose import Pose
 from kit1000.values import View
 
 SCENE_TILE = (960, 540)  # [px] one picture of a scene
 BORDER = 1.12  # of the window around all bodies, against their extents
-ASKED = "snap-tilt"  # the track whose guesses are drawn: every preset has it
+GUESS_TRACK = "snap-tilt"  # the track whose guesses are drawn: every preset has it
 
 
-def contact_sheet_of(geometry: Geometry, what: str, split: str, count: int, ids: Sequence[str] = ()) -> bytes:
+def geometry_sheet(geometry: Geometry, what: str, split: str, count: int, ids: Sequence[str] = ()) -> bytes:
     """A PNG of parts, kits or assemblies: the given ids, or `count` spread evenly over a split."""
     rows = getattr(geometry, what)
-    chosen = list(ids) or _spread(sorted(i for i, row in rows.items() if row["split"] == split), count)
+    chosen = list(ids) or _evenly_chosen(sorted(i for i, row in rows.items() if row["split"] == split), count)
     if not chosen:
         raise InputError(f"{geometry.root}: no {what} in split {split!r}")
-    return sheet([_tile(geometry, what, item_id) for item_id in chosen], [_label(geometry, what, i) for i in chosen])
+    return contact_sheet_png(
+        [_tile(geometry, what, item_id) for item_id in chosen], [_label(geometry, what, i) for i in chosen]
+    )
 
 
 def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
@@ -43,9 +45,9 @@ def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
     pictures = [Image.fromarray(tile[window]).resize(SCENE_TILE, Image.Resampling.BICUBIC) for tile in tiles.values()]
     names = list(tiles)
     if recorded.split.truth:
-        drawn = _true_tiles(recorded, window)
+        drawn = _ground_truth_tiles(recorded, window)
         pictures, names = [*pictures, *map(Image.fromarray, drawn.values())], [*names, *drawn]
-    return sheet(pictures, [f"{scene_id}  {name}" for name in names], columns=3)
+    return contact_sheet_png(pictures, [f"{scene_id}  {name}" for name in names], columns=3)
 
 
 def _window(labels: np.ndarray) -> tuple[slice, slice]:
@@ -59,24 +61,24 @@ def _window(labels: np.ndarray) -> tuple[slice, slice]:
     return slice(top, top + tall), slice(left, left + wide)
 
 
-def _true_tiles(recorded: RecordedScene, window: tuple[slice, slice]) -> dict[str, np.ndarray]:
+def _ground_truth_tiles(recorded: RecordedScene, window: tuple[slice, slice]) -> dict[str, np.ndarray]:
     """The scene as it stands, with its parts seated, and with them as a person guesses."""
     _, (assembly, world_from_assembly), *parts = recorded.bodies()
-    kits = Painted(assembly, world_from_assembly, KIT)
+    kits = ColouredBody(assembly, world_from_assembly, KIT)
     colours = [(PART, *SECONDARY)[i % 7] for i in range(len(parts))]
-    lying = [Painted(mesh, pose, colour) for (mesh, pose), colour in zip(parts, colours, strict=True)]
+    lying = [ColouredBody(mesh, pose, colour) for (mesh, pose), colour in zip(parts, colours, strict=True)]
     seated, guessed = list(lying), list(lying)
     for query in recorded.queries:
-        if query.track == ASKED and query.guess is not None:
+        if query.track == GUESS_TRACK and query.guess is not None:
             mesh, pose = parts[query.part]
-            seated[query.part] = Painted(mesh, recorded.truths[query.id].goal_drawn @ pose, colours[query.part])
-            guessed[query.part] = Painted(mesh, query.guess @ pose, colours[query.part])
-    camera, pose = _cut(recorded.view("ideal"), window)
+            seated[query.part] = ColouredBody(mesh, recorded.truths[query.id].goal_drawn @ pose, colours[query.part])
+            guessed[query.part] = ColouredBody(mesh, query.guess @ pose, colours[query.part])
+    camera, pose = _tile_camera(recorded.view("ideal"), window)
     drawn = {"the scene": lying, "the goals of what is asked": seated, "as a person guesses": guessed}
-    return {name: shaded([kits, *bodies], camera, pose) for name, bodies in drawn.items()}
+    return {name: shaded_picture([kits, *bodies], camera, pose) for name, bodies in drawn.items()}
 
 
-def _cut(view: View, window: tuple[slice, slice]) -> tuple[Camera, Pose]:
+def _tile_camera(view: View, window: tuple[slice, slice]) -> tuple[Camera, Pose]:
     """The camera that sees a window of a view, as large as a tile."""
     rows, columns = window
     whole, (width, height) = view.camera, SCENE_TILE
@@ -85,7 +87,7 @@ def _cut(view: View, window: tuple[slice, slice]) -> tuple[Camera, Pose]:
     return Camera(width, height, whole.fx * across, whole.fy * down, *centre), view.world_from_camera
 
 
-def _spread(ids: list[str], count: int) -> list[str]:
+def _evenly_chosen(ids: list[str], count: int) -> list[str]:
     return [ids[i] for i in np.unique(np.linspace(0, len(ids) - 1, count).round().astype(int))] if ids else []
 
 

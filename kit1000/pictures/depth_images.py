@@ -7,11 +7,11 @@ import numpy as np
 from kit1000.pictures.shading import INK, KIT, PART, SECONDARY, TABLE, Colour
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
-NEAR: Colour = (250, 214, 120)
-MIDDLE: Colour = (76, 148, 150)
-FAR: Colour = (46, 52, 110)
-LAMP = np.array((-0.5, -0.6, -0.62))  # towards the light, in the camera's frame: from the upper left
-STEEPEST = 8.0  # slope beyond which relief gets no darker: the steps between bodies
+NEAR_COLOUR: Colour = (250, 214, 120)
+MIDDLE_COLOUR: Colour = (76, 148, 150)
+FAR_COLOUR: Colour = (46, 52, 110)
+LIGHT_DIRECTION = np.array((-0.5, -0.6, -0.62))  # towards the light, in the camera's frame: from the upper left
+MAX_SLOPE = 8.0  # slope beyond which relief gets no darker: the steps between bodies
 
 
 def depth_picture(view: View) -> np.ndarray:
@@ -23,28 +23,28 @@ def depth_picture(view: View) -> np.ndarray:
     near, far = np.percentile(depth[seen], (0.5, 99.5))
     share = np.clip((depth - near) / max(far - near, 1e-6), 0, 1)[..., None]
     first, last = np.minimum(2 * share, 1), np.maximum(2 * share - 1, 0)
-    ramp = np.array(NEAR) * (1 - first) + np.array(MIDDLE) * (first - last) + np.array(FAR) * last
-    picture = ramp * _relief(view)[..., None]
+    ramp = np.array(NEAR_COLOUR) * (1 - first) + np.array(MIDDLE_COLOUR) * (first - last) + np.array(FAR_COLOUR) * last
+    picture = ramp * _relief_shading(view)[..., None]
     return np.where(seen[..., None], np.clip(picture, 0, 255), INK).astype(np.uint8)
 
 
-def mask_picture(look: LabelledDepth) -> np.ndarray:
+def mask_picture(image: LabelledDepth) -> np.ndarray:
     """The masks of the kits and of each part over the relief. (H, W, 3) uint8 sRGB."""
     colours = np.full((256, 3), TABLE, float)
     colours[ASSEMBLY_LABEL] = np.array(KIT) * 0.8
     for i in range(256 - FIRST_PART_LABEL):
         colours[FIRST_PART_LABEL + i] = (PART, *SECONDARY)[i % 7]
-    picture = colours[look.labels] * _relief(look.view)[..., None]
-    return np.where((look.view.depth > 0)[..., None], np.clip(picture, 0, 255), INK).astype(np.uint8)
+    picture = colours[image.labels] * _relief_shading(image.view)[..., None]
+    return np.where((image.view.depth > 0)[..., None], np.clip(picture, 0, 255), INK).astype(np.uint8)
 
 
-def _relief(view: View) -> np.ndarray:
+def _relief_shading(view: View) -> np.ndarray:
     """(H, W) brightness 0.25 .. 1.1 of the surface under one lamp, from differences of neighbouring depths."""
     depth = np.where(view.depth > 0, view.depth, np.nan).astype(np.float64)
     pixel = depth / view.camera.fx  # [m] across, at that distance
     with np.errstate(invalid="ignore", divide="ignore"):
-        along_u = np.clip(np.gradient(depth, axis=1) / pixel, -STEEPEST, STEEPEST)
-        along_v = np.clip(np.gradient(depth, axis=0) / pixel, -STEEPEST, STEEPEST)
+        along_u = np.clip(np.gradient(depth, axis=1) / pixel, -MAX_SLOPE, MAX_SLOPE)
+        along_v = np.clip(np.gradient(depth, axis=0) / pixel, -MAX_SLOPE, MAX_SLOPE)
     normal = np.stack([along_u, along_v, -np.ones_like(depth)], axis=-1)
-    lit = normal @ LAMP / np.linalg.norm(normal, axis=-1)
+    lit = normal @ LIGHT_DIRECTION / np.linalg.norm(normal, axis=-1)
     return np.nan_to_num(0.45 + 0.65 * np.clip(lit, -0.3, 1), nan=0.45)

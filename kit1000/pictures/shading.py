@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike
 from PIL import Image, ImageDraw, ImageFont
 
 from kit1000.camera import Camera, look_at
-from kit1000.engines.cores import cores
+from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError, checked
 from kit1000.mesh import Mesh
 from kit1000.pictures import lighting
 from kit1000.pictures.creases import draw_lines, smooth_patches
 from kit1000.pose import Pose
-from kit1000.sim.raster import Lens
+from kit1000.sim.raster import Intrinsics
 from kit1000.sim.render import render
 
 Colour = tuple[int, int, int]
@@ -42,12 +42,12 @@ SECONDARY: tuple[Colour, ...] = (BLUE, TEAL, SAND, PLUM, MOSS, SLATE)  # parts b
 
 PRODUCT_VIEW = (0.75, -1.0, 0.8)  # from the scene to the eye: from the front right, well above
 SAMPLES = 16  # pictures averaged into one, each shifted by part of a pixel and lit by its own share of lamps
-KEYS, SKIES = 3, 7  # lamps a sample
+KEY_LAMPS, SKY_LAMPS = 3, 7  # lamps a sample
 OUTLINE_STEP = 0.012  # a step in depth of this many radii of the scene is an outline
 GROUND_SHADOW = 0.75  # how dark a point of the ground gets that no light reaches
 
 
-class Painted(NamedTuple):
+class ColouredBody(NamedTuple):
     """A body in a picture."""
 
     mesh: Mesh
@@ -56,8 +56,8 @@ class Painted(NamedTuple):
     colour: Colour
 
 
-def shaded(
-    bodies: Sequence[Painted],
+def shaded_picture(
+    bodies: Sequence[ColouredBody],
     camera: Camera,
     world_from_camera: Pose,
     background: Colour = PAPER,
@@ -71,11 +71,11 @@ def shaded(
     if not bodies:
         return np.full((camera.height, camera.width, 3), background, np.uint8)
     plain = [(body.mesh, body.pose) for body in bodies]
-    scene, patches = _staged(bodies)
-    ball = _ball(scene.corners.reshape(-1, 3))
+    scene, patches = _shading_scene(bodies)
+    ball = _bounding_ball(scene.corners.reshape(-1, 3))
     floor = float(scene.corners[..., 2].min()) if ground else np.nan
-    key = lighting.key_directions(SAMPLES * KEYS, _key_direction(world_from_camera))
-    sky = lighting.sky_directions(SAMPLES * SKIES)
+    key = lighting.key_directions(SAMPLES * KEY_LAMPS, _key_direction(world_from_camera))
+    sky = lighting.sky_directions(SAMPLES * SKY_LAMPS)
     rotation, eye = world_from_camera.rotation_matrix(), world_from_camera.xyz
     colours = np.array((lighting.KEY_COLOUR, lighting.SKY_COLOUR, lighting.BOUNCE_COLOUR))
 
@@ -83,25 +83,25 @@ def shaded(
         shift = (_van_der_corput(number, 2) - 0.5, _van_der_corput(number, 3) - 0.5)
         moved = replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1])
         frame = render(moved, world_from_camera, plain, threads=1)
-        lamps = lighting.lamps(plain, ball, key[number::SAMPLES], sky[number::SAMPLES])
+        lamps = lighting.place_lamps(plain, ball, key[number::SAMPLES], sky[number::SAMPLES])
         image = np.empty((camera.height, camera.width, 3), np.float32)
         seen = (frame.depth, frame.ids, frame.faces)
         paper = _linear(background)
         lighting.illuminate(
-            Lens.of(moved), rotation, eye, seen, scene, lamps, floor, paper, GROUND_SHADOW, colours, image
+            Intrinsics.of(moved), rotation, eye, seen, scene, lamps, floor, paper, GROUND_SHADOW, colours, image
         )
-        draw_lines(*seen, scene.first_of, patches, scene.albedo, OUTLINE_STEP * ball[1], image)
+        draw_lines(*seen, scene.first_face, patches, scene.albedo, OUTLINE_STEP * ball[1], image)
         return image
 
     total = np.zeros((camera.height, camera.width, 3), np.float32)
-    with ThreadPoolExecutor(cores()) as pool:
+    with ThreadPoolExecutor(usable_cores()) as pool:
         for image in pool.map(sample, range(SAMPLES)):
             total += np.minimum(image, 1)
     return _srgb(total / SAMPLES)
 
 
-def framing(
-    bodies: Sequence[tuple[Mesh, Pose] | Painted],
+def framing_camera(
+    bodies: Sequence[tuple[Mesh, Pose] | ColouredBody],
     direction: ArrayLike = PRODUCT_VIEW,
     size: tuple[int, int] = (1280, 960),
     field_deg: float = 20.0,
@@ -182,7 +182,7 @@ def _shortened(label: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, w
     return label.rstrip() + "..."
 
 
-def _staged(bodies: Sequence[Painted]) -> tuple[lighting.Scene, np.ndarray]:
+def _shading_scene(bodies: Sequence[ColouredBody]) -> tuple[lighting.ShadingScene, np.ndarray]:
     """The bodies as the shading loop needs them, and the smooth patch (m,) of every face, all distinct."""
     meshes = {id(body.mesh): body.mesh for body in bodies}
     smoothed = {key: smooth_patches(mesh) for key, mesh in meshes.items()}
@@ -198,10 +198,10 @@ def _staged(bodies: Sequence[Painted]) -> tuple[lighting.Scene, np.ndarray]:
         patch += own.max(initial=-1) + 1
     albedo = np.stack([_linear(body.colour) for body in bodies])
     shape = (np.concatenate(corners), np.concatenate(normals), np.concatenate(flat))
-    return lighting.Scene(np.array(first[:-1]), *shape, albedo), np.concatenate(patches)
+    return lighting.ShadingScene(np.array(first[:-1]), *shape, albedo), np.concatenate(patches)
 
 
-def _ball(points: np.ndarray) -> tuple[np.ndarray, float]:
+def _bounding_ball(points: np.ndarray) -> tuple[np.ndarray, float]:
     """Centre and radius [m] of a ball about the box of the points (n, 3)."""
     centre = (points.min(0) + points.max(0)) / 2
     return centre, float(np.linalg.norm(points - centre, axis=1).max())

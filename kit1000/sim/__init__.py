@@ -1,1 +1,1 @@
-"""Scenes of kits and parts: laid out, settled, seen by cameras, and drawn for people to look at."""
+"""Simulated scenes of kits and parts: layout, rigid-body settling, cameras, rendering, depth sensors."""

@@ -18,29 +18,31 @@ from scipy.spatial.distance import pdist
 from kit1000.errors import InputError, Redraw, ShapeError, checked
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, random_quaternions
-from kit1000.sim.settle import Release, Rest, on_grid, settle
+from kit1000.sim.settle import Release, RestPose, rounded_pose, settle
 from kit1000.values import Assembly, Part, Slot
 
 UPRIGHT, TUMBLED = "upright", "tumbled"
-UNSTABLE = "part unstable"  # the reason of a layout in which an upright part does not stand
+PART_UNSTABLE = "part unstable"  # the reason of a layout in which an upright part does not stand
 UPRIGHT_SHARE = 0.6  # of the parts, whatever their number in a scene
 
 _BOX_FACES = np.array(
     [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
      [1, 5, 7], [1, 7, 3]]
 )  # fmt: skip
-TABLE = (1.2, 1.6, 0.04)  # [m] along x, along y, thick; the top is z = 0, centred on the origin
-APART = 5e-3  # [m] least, in plan, between parts, and to the line between the halves
-KITS_AT = np.array([0.0, 0.20])  # [m] the middle of the assembly, but for a shift
-KITS_REACH = 0.19  # [m] the assembly and its shift stay within this of it
-KITS_SHIFT = 0.05  # [m] most along x and along y
-PARTS_AT = np.array([[-0.12, -0.30], [0.12, -0.06]])  # [m] lowest and highest spot
-PARTS_IN = np.array([[-0.19, -0.345], [0.19, -APART]])  # [m] what the cameras are set up for, of the parts' half
-PART_REACH = 0.0435  # [m] half the diagonal of a cube of 50 mm: no part of that size reaches farther from its middle
-MOST_PARTS = 5
-TRIES = 10_000  # draws of all spots at once; one in thirty or so keeps five parts apart
-DROP = 5e-3  # [m] under the lowest point of a tumbled part
-HAIR = 2e-4  # [m] under an upright part
+TABLE_SIZE = (1.2, 1.6, 0.04)  # [m] along x, along y, thick; the top is z = 0, centred on the origin
+MIN_GAP = 5e-3  # [m] least, in plan, between parts, and to the line between the halves
+KITS_CENTRE = np.array([0.0, 0.20])  # [m] the middle of the assembly, but for a shift
+KITS_RADIUS = 0.19  # [m] the assembly and its shift stay within this of it
+MAX_KITS_SHIFT = 0.05  # [m] most along x and along y
+DROP_BOUNDS = np.array([[-0.12, -0.30], [0.12, -0.06]])  # [m] lowest and highest spot
+PARTS_BOUNDS = np.array([[-0.19, -0.345], [0.19, -MIN_GAP]])  # [m] what the cameras are set up for, of the parts' half
+MAX_PART_RADIUS = (
+    0.0435  # [m] half the diagonal of a cube of 50 mm: no part of that size reaches farther from its middle
+)
+MAX_PARTS = 5
+MAX_TRIES = 10_000  # draws of all spots at once; one in thirty or so keeps five parts apart
+TUMBLED_DROP = 5e-3  # [m] under the lowest point of a tumbled part
+UPRIGHT_DROP = 2e-4  # [m] under an upright part
 MOVED, TIPPED = 1e-3, np.radians(1)  # an upright part that does more did not stand there
 
 
@@ -54,16 +56,16 @@ class LayoutDraw:
     """[rad]"""
     assembly_shift: np.ndarray
     """(2,) in -1..1: of the room that the assembly leaves."""
-    spots: np.ndarray
+    drop_points: np.ndarray
     """(n, 2) [m] above which the middles of the parts are let go."""
     yaws: np.ndarray
     """(n,) [rad] of the parts that stand upright."""
-    tumbles: np.ndarray
+    tumbled_rotations: np.ndarray
     """(n, 4) quaternions world_from_part of the parts that tumble."""
 
     def __post_init__(self) -> None:
         n = len(self.modes)
-        wanted = {"assembly_shift": (2,), "spots": (n, 2), "yaws": (n,), "tumbles": (n, 4)}
+        wanted = {"assembly_shift": (2,), "drop_points": (n, 2), "yaws": (n,), "tumbled_rotations": (n, 4)}
         for name, shape in wanted.items():
             object.__setattr__(self, name, checked(name, getattr(self, name), shape))
 
@@ -79,17 +81,17 @@ class Layout:
 @cache
 def table() -> Mesh:
     """The table as a box, z up, its top at z = 0, centred on the origin."""
-    corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-1.0, 0.0)]) * TABLE
+    corners = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-1.0, 0.0)]) * TABLE_SIZE
     return Mesh(corners, _BOX_FACES)
 
 
-def draw_modes(rng: np.random.Generator, n: int) -> tuple[str, ...]:
+def draw_rest_modes(rng: np.random.Generator, n: int) -> tuple[str, ...]:
     """How each of n parts is let go. Each is upright with UPRIGHT_SHARE; from two parts on at least one is."""
-    modes = modes_at(rng.random(), n)
+    modes = systematic_rest_modes(rng.random(), n)
     return tuple(modes[i] for i in rng.permutation(n))  # no pair of parts is tied
 
 
-def modes_at(offset: float, n: int) -> tuple[str, ...]:
+def systematic_rest_modes(offset: float, n: int) -> tuple[str, ...]:
     """The systematic sample at an offset of 0..1 (Madow 1949): as many upright as the share says, but for rounding."""
     passed = np.floor(UPRIGHT_SHARE * np.arange(n + 1) + offset)
     return tuple(UPRIGHT if step else TUMBLED for step in np.diff(passed))
@@ -98,15 +100,15 @@ def modes_at(offset: float, n: int) -> tuple[str, ...]:
 def draw_layout(rng: np.random.Generator, modes: Sequence[str]) -> LayoutDraw:
     """A layout for parts let go in these modes. What is drawn for one part depends on no other's mode."""
     unknown = sorted({*modes} - {UPRIGHT, TUMBLED})
-    if unknown or len(modes) > MOST_PARTS:
-        raise ShapeError(f"modes: expected up to {MOST_PARTS}, each {UPRIGHT} or {TUMBLED}, got {list(modes)}")
+    if unknown or len(modes) > MAX_PARTS:
+        raise ShapeError(f"modes: expected up to {MAX_PARTS}, each {UPRIGHT} or {TUMBLED}, got {list(modes)}")
     n = len(modes)
     yaw, shift = float(rng.uniform(0, 2 * np.pi)), rng.uniform(-1, 1, 2)
     yaws, tumbles = rng.uniform(0, 2 * np.pi, n), random_quaternions(rng, n)
-    return LayoutDraw(tuple(modes), yaw, shift, _spots(rng, n), yaws, tumbles)
+    return LayoutDraw(tuple(modes), yaw, shift, _draw_drop_points(rng, n), yaws, tumbles)
 
 
-def lay_out(assembly: Assembly, parts: Sequence[tuple[Part, Slot]], draw: LayoutDraw) -> Layout:
+def simulate_layout(assembly: Assembly, parts: Sequence[tuple[Part, Slot]], draw: LayoutDraw) -> Layout:
     """Stand the assembly where it was drawn and let the parts come to rest.
 
     Raises Redraw when a part does not come to rest, an upright one does not stand, one leaves its half, or two come
@@ -117,35 +119,35 @@ def lay_out(assembly: Assembly, parts: Sequence[tuple[Part, Slot]], draw: Layout
     for mode, release, rest in zip(draw.modes, releases, rests, strict=True):
         _check_rest(mode, release, rest)
     poses = tuple(rest.world_from_part for rest in rests)
-    shadows = [shadow(part.mesh, pose) for (part, _), pose in zip(parts, poses, strict=True)]
-    if any((outline < PARTS_IN[0]).any() or (outline > PARTS_IN[1]).any() for outline in shadows):
+    shadows = [footprint(part.mesh, pose) for (part, _), pose in zip(parts, poses, strict=True)]
+    if any((outline < PARTS_BOUNDS[0]).any() or (outline > PARTS_BOUNDS[1]).any() for outline in shadows):
         raise Redraw("part left its half")
-    if any(plan_distance(a, b) < APART for a, b in combinations(shadows, 2)):
+    if any(footprint_distance(a, b) < MIN_GAP for a, b in combinations(shadows, 2)):
         raise Redraw("parts touch")
-    return Layout(_stand(assembly.mesh, draw), poses)
+    return Layout(_place_assembly(assembly.mesh, draw), poses)
 
 
-def shadow(mesh: Mesh, world_from_body: Pose) -> np.ndarray:
+def footprint(mesh: Mesh, world_from_body: Pose) -> np.ndarray:
     """(n, 2) [m] the convex outline of a body seen from above, counter-clockwise."""
     points = world_from_body.apply(mesh.vertices)[:, :2]
     return points[ConvexHull(points).vertices]
 
 
-def plan_distance(a: np.ndarray, b: np.ndarray) -> float:
+def footprint_distance(a: np.ndarray, b: np.ndarray) -> float:
     """[m] between two convex outlines (n, 2) and (m, 2), counter-clockwise; 0 where they meet."""
-    if max(_separation(a, b), _separation(b, a)) <= 0:
+    if max(_separating_gap(a, b), _separating_gap(b, a)) <= 0:
         return 0.0
-    return min(_to_edges(a, b), _to_edges(b, a))
+    return min(_distance_to_edges(a, b), _distance_to_edges(b, a))
 
 
-def _separation(a: np.ndarray, b: np.ndarray) -> float:
+def _separating_gap(a: np.ndarray, b: np.ndarray) -> float:
     """[m] the widest gap between the two that an edge of `a` shows; none of either shows one where they overlap."""
     edges = np.roll(a, -1, axis=0) - a
     outward = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1, keepdims=True)
     return float(((b @ outward.T).min(0) - (a * outward).sum(1)).max())
 
 
-def _to_edges(points: np.ndarray, outline: np.ndarray) -> float:
+def _distance_to_edges(points: np.ndarray, outline: np.ndarray) -> float:
     """[m] from the nearest of points (n, 2) to the nearest edge."""
     edges = np.roll(outline, -1, axis=0) - outline
     offset = points[:, None] - outline
@@ -153,11 +155,11 @@ def _to_edges(points: np.ndarray, outline: np.ndarray) -> float:
     return float(np.linalg.norm(offset - share[..., None] * edges, axis=2).min())
 
 
-def _spots(rng: np.random.Generator, n: int) -> np.ndarray:
+def _draw_drop_points(rng: np.random.Generator, n: int) -> np.ndarray:
     """(n, 2) [m] uniform among all sets of spots at which parts cannot meet while they turn."""
-    for _ in range(TRIES):
-        spots = rng.uniform(PARTS_AT[0], PARTS_AT[1], (n, 2))
-        if pdist(spots).min(initial=np.inf) >= 2 * PART_REACH + APART:
+    for _ in range(MAX_TRIES):
+        spots = rng.uniform(DROP_BOUNDS[0], DROP_BOUNDS[1], (n, 2))
+        if pdist(spots).min(initial=np.inf) >= 2 * MAX_PART_RADIUS + MIN_GAP:
             return spots
     raise Redraw("no room for the parts")
 
@@ -167,8 +169,8 @@ def _checked_parts(parts: Sequence[tuple[Part, Slot]], draw: LayoutDraw) -> Sequ
         raise ShapeError(f"parts: expected {len(draw.modes)} for this draw, got {len(parts)}")
     for part, _ in parts:
         reach = float(np.linalg.norm(part.mesh.extents)) / 2
-        if reach > PART_REACH:
-            most = f"expected at most {2e3 * PART_REACH:.0f} mm, as of a cube of 50 mm"
+        if reach > MAX_PART_RADIUS:
+            most = f"expected at most {2e3 * MAX_PART_RADIUS:.0f} mm, as of a cube of 50 mm"
             raise InputError(f"part {part.id}: its box has a diagonal of {2e3 * reach:.1f} mm, {most}")
     return parts
 
@@ -177,27 +179,27 @@ def _release(draw: LayoutDraw, i: int, part: Part, slot: Slot) -> Release:
     """A part let go with the middle of its box above its spot."""
     upright = draw.modes[i] == UPRIGHT
     yaw = Pose.from_rotvec([0.0, 0.0, draw.yaws[i]])
-    turned = Pose((yaw @ slot.kit_from_part).wxyz if upright else draw.tumbles[i], np.zeros(3))
+    turned = Pose((yaw @ slot.kit_from_part).wxyz if upright else draw.tumbled_rotations[i], np.zeros(3))
     middle = turned.rotate(part.mesh.bounds.mean(0))[:2]
-    lift = (HAIR if upright else DROP) - turned.rotate(part.mesh.vertices)[:, 2].min()
-    return Release(part.mesh, part.mass, Pose(turned.wxyz, np.array([*draw.spots[i] - middle, lift])))
+    lift = (UPRIGHT_DROP if upright else TUMBLED_DROP) - turned.rotate(part.mesh.vertices)[:, 2].min()
+    return Release(part.mesh, part.mass, Pose(turned.wxyz, np.array([*draw.drop_points[i] - middle, lift])))
 
 
-def _check_rest(mode: str, release: Release, rest: Rest) -> None:
+def _check_rest(mode: str, release: Release, rest: RestPose) -> None:
     if not rest.stable:
         raise Redraw("part not at rest")
     turn = release.world_from_part.inverse() @ rest.world_from_part
     moved = np.linalg.norm(rest.world_from_part.xyz - release.world_from_part.xyz)
     if mode == UPRIGHT and (moved > MOVED or turn.angle() > TIPPED):
-        raise Redraw(UNSTABLE)
+        raise Redraw(PART_UNSTABLE)
 
 
-def _stand(mesh: Mesh, draw: LayoutDraw) -> Pose:
+def _place_assembly(mesh: Mesh, draw: LayoutDraw) -> Pose:
     """world_from_assembly: turned about its middle, shifted in the room it leaves, wholly on its half."""
     middle = mesh.bounds.mean(0)[:2]
     reach = np.linalg.norm(mesh.vertices[:, :2] - middle, axis=1).max()
-    room = np.clip(KITS_REACH - reach, 0, KITS_SHIFT)
-    x, y = KITS_AT + room * draw.assembly_shift
+    room = np.clip(KITS_RADIUS - reach, 0, MAX_KITS_SHIFT)
+    x, y = KITS_CENTRE + room * draw.assembly_shift
     turn = Pose.from_rotvec([0.0, 0.0, draw.assembly_yaw])
     offset = turn.rotate([*middle, 0.0])
-    return on_grid(Pose(turn.wxyz, np.array([x, max(y, reach + 2 * APART), 0.0]) - offset))
+    return rounded_pose(Pose(turn.wxyz, np.array([x, max(y, reach + 2 * MIN_GAP), 0.0]) - offset))

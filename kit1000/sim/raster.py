@@ -18,18 +18,18 @@ import numpy as np
 from kit1000.camera import Camera
 from kit1000.compiled import compiled
 
-NEAR = 1e-3  # [m] nothing nearer to the camera is seen; keeps the division by depth finite
+NEAR_PLANE = 1e-3  # [m] nothing nearer to the camera is seen; keeps the division by depth finite
 SNAP_BITS = 12  # 1/4096 pixel: 500 times finer than a sharp picture shows, and products below stay under 2^62
 SNAP = 1 << SNAP_BITS
 # Corners within REGULAR pixels are used as they are; triangles that reach beyond are cut at LIMIT. The gap
 # between the two makes sure that an edge of an uncut triangle is never cut in its neighbour.
-REGULAR = float(1 << 16)
-LIMIT = float(1 << 17)
+UNCLIPPED_LIMIT = float(1 << 16)
+CLIP_LIMIT = float(1 << 17)
 
 PASSES, FAR_OUT, BEHIND = 0, 1, 2  # what `project` says of a vertex
 
 
-class Lens(NamedTuple):
+class Intrinsics(NamedTuple):
     """A camera in the form that compiled loops can read; [pixels]."""
 
     fx: float
@@ -40,12 +40,12 @@ class Lens(NamedTuple):
     height: int
 
     @classmethod
-    def of(cls, camera: Camera) -> Lens:
+    def of(cls, camera: Camera) -> Intrinsics:
         """The lens of a camera."""
         return cls(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
 
 
-class Batch(NamedTuple):
+class TriangleBatch(NamedTuple):
     """Room for k triangles that are ready to be filled."""
 
     corners: np.ndarray
@@ -59,7 +59,7 @@ class Batch(NamedTuple):
 
 
 @compiled
-def project(lens, vertices, rotation, shift, seen, snapped, state):
+def project_vertices(lens, vertices, rotation, shift, seen, snapped, state):
     """Take vertices (n, 3) to the camera by `rotation` (3, 3) and `shift` (3,).
 
     Written: points `seen` (n, 3) [m], `snapped` (n, 2) int32 [pixels / 4096] where `state` (n,) is PASSES.
@@ -71,16 +71,16 @@ def project(lens, vertices, rotation, shift, seen, snapped, state):
         c = rotation[2, 0] * x + rotation[2, 1] * y + rotation[2, 2] * z + shift[2]
         seen[i, 0], seen[i, 1], seen[i, 2] = a, b, c
         state[i] = BEHIND
-        if c >= NEAR:
+        if c >= NEAR_PLANE:
             u, v = lens.fx * a / c + lens.cx, lens.fy * b / c + lens.cy
             state[i] = FAR_OUT
-            if abs(u) <= REGULAR and abs(v) <= REGULAR:
+            if abs(u) <= UNCLIPPED_LIMIT and abs(v) <= UNCLIPPED_LIMIT:
                 state[i] = PASSES
                 snapped[i, 0], snapped[i, 1] = round(u * SNAP), round(v * SNAP)
 
 
 @compiled
-def prepare(lens, faces, first, seen, snapped, state, batch, cut):
+def prepare_triangles(lens, faces, first, seen, snapped, state, batch, cut):
     """Write to `batch` the faces (m, 3) that can hold a pixel centre, to `cut` those that must be cut first.
 
     `first` is the number of faces[0] among all faces. Returns how many stand in `batch` and in `cut`.
@@ -101,15 +101,15 @@ def prepare(lens, faces, first, seen, snapped, state, batch, cut):
 
 
 @compiled
-def prepare_cut(lens, cut, faces, first, seen, batch):
+def prepare_clipped(lens, cut, faces, first, seen, batch):
     """Like `prepare`, for the faces that `cut` lists: clip each to the space that the camera can project.
 
     A clipped triangle has up to 8 corners, so `batch` must hold 6 triangles a face. Returns how many it got.
     """
     bounds = np.array((
-        (0.0, 0.0, 1.0, -NEAR),
-        (lens.fx, 0.0, LIMIT + lens.cx, 0.0), (-lens.fx, 0.0, LIMIT - lens.cx, 0.0),
-        (0.0, lens.fy, LIMIT + lens.cy, 0.0), (0.0, -lens.fy, LIMIT - lens.cy, 0.0),
+        (0.0, 0.0, 1.0, -NEAR_PLANE),
+        (lens.fx, 0.0, CLIP_LIMIT + lens.cx, 0.0), (-lens.fx, 0.0, CLIP_LIMIT - lens.cx, 0.0),
+        (0.0, lens.fy, CLIP_LIMIT + lens.cy, 0.0), (0.0, -lens.fy, CLIP_LIMIT - lens.cy, 0.0),
     ))  # fmt: skip
     polygon, spare = np.empty((9, 3)), np.empty((9, 3))
     uv = np.empty((9, 2), np.int32)
@@ -118,7 +118,7 @@ def prepare_cut(lens, cut, faces, first, seen, batch):
     for f in cut:
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
         polygon[0], polygon[1], polygon[2] = seen[i], seen[j], seen[k]
-        sides = _clip(polygon, spare, bounds)
+        sides = _clip_polygon(polygon, spare, bounds)
         for s in range(sides):
             uv[s, 0] = round((lens.fx * polygon[s, 0] / polygon[s, 2] + lens.cx) * SNAP)
             uv[s, 1] = round((lens.fy * polygon[s, 1] / polygon[s, 2] + lens.cy) * SNAP)
@@ -131,7 +131,7 @@ def prepare_cut(lens, cut, faces, first, seen, batch):
 
 
 @compiled
-def fill(top, batch, count, inverse, winner):
+def fill_band(top, batch, count, inverse, winner):
     """Draw the first `count` triangles into the band of rows that begins at `top`.
 
     `inverse` (rows, W) is 1/depth [1/m], 0 where nothing was seen; `winner` (rows, W) int32 the face there.
@@ -160,7 +160,7 @@ def fill(top, batch, count, inverse, winner):
 
 
 @compiled
-def resolve(inverse, winner, body_of, first_of, depth, ids, faces):
+def resolve_band(inverse, winner, body_of, first_of, depth, ids, faces):
     """Turn a filled band into depth [m], body number + 1 and the number of the face within its body."""
     for y in range(inverse.shape[0]):
         for x in range(inverse.shape[1]):
@@ -207,7 +207,7 @@ def _set_plane(lens, seen, i, j, k, planes, at):
     scale = 1 / (nx * x + ny * y + nz * z)
     along_u, along_v = nx * scale / lens.fx, ny * scale / lens.fy
     origin = nz * scale - along_u * lens.cx - along_v * lens.cy
-    nearest, farthest = max(z + min(r, w, 0.0), NEAR), z + max(r, w, 0.0)
+    nearest, farthest = max(z + min(r, w, 0.0), NEAR_PLANE), z + max(r, w, 0.0)
     planes[at, 3], planes[at, 4] = 1 / farthest, 1 / nearest
     if math.isfinite(origin + along_u + along_v):
         planes[at, 0], planes[at, 1], planes[at, 2] = origin, along_u, along_v
@@ -247,7 +247,7 @@ def _floor_divide(value, divisor):
 
 
 @compiled
-def _clip(polygon, spare, bounds):
+def _clip_polygon(polygon, spare, bounds):
     """Cut a triangle, in place, to the points p with bounds . (p, 1) >= 0; return its number of corners."""
     sides = 3
     for b in range(bounds.shape[0]):

@@ -14,10 +14,18 @@ import numpy as np
 
 from kit1000.errors import InputError
 from kit1000.pose import Pose
-from kit1000.sim.stereo import blended, blurred, disparities, fattened, grazed, hidden, measured
+from kit1000.sim.stereo import (
+    blend_windows,
+    box_blur,
+    depth_from_disparity,
+    disparity_from_depth,
+    fatten_edges,
+    grazing_mask,
+    occlusion_mask,
+)
 from kit1000.values import View
 
-GRID = 2.0**-13  # [m] 0.12 mm: depths on it are exact in float32 and take half the space on disk
+DEPTH_GRID = 2.0**-13  # [m] 0.12 mm: depths on it are exact in float32 and take half the space on disk
 
 
 @dataclass(frozen=True)
@@ -26,14 +34,14 @@ class Sensor:
 
     baseline: float = 0.0
     """[m] from the eye whose picture it is to the other eye (or the projector), along +x; 0: no triangulation."""
-    crossing: float = math.inf
+    convergence: float = math.inf
     """[m] distance at which both eyes' pictures show the same place; inf: they look in parallel."""
     noise_px: float = 0.0
     """RMS noise of the disparity [px]."""
     window_px: int = 1
     """Side of the matching window [px], odd. Detail is blended over one window; noise has the correlation of two
     in succession, one in which pixels are described and one in which the descriptions are compared."""
-    step_px: float = 0.0
+    quantisation_px: float = 0.0
     """Step to which disparity is rounded [px]; 0: none."""
     fattening_px: float = 0.0
     """Farthest that a near surface takes over pixels beyond its edge [px]; 0 to this, uniformly."""
@@ -45,9 +53,9 @@ class Sensor:
     """[m] RMS length of the error of the believed camera position; normal, alike along all axes."""
     rotation_error_deg: float = 0.0
     """RMS angle of the error of the believed camera rotation; rotation vector normal, alike along all axes."""
-    nearest: float = 0.0
+    min_depth: float = 0.0
     """[m] smallest depth that gives a return."""
-    farthest: float = math.inf
+    max_depth: float = math.inf
     """[m] largest depth that gives a return."""
 
 
@@ -57,26 +65,26 @@ SENSORS: dict[str, Sensor] = {
         baseline=0.055,  # data sheet of the D400 series
         noise_px=0.08,  # Intel's own advice for the RMS subpixel error of a D400
         window_px=7,  # census and box windows of the R200, the predecessor whose matcher is published
-        step_px=1 / 32,  # white paper on the subpixel linearity of the D400
+        quantisation_px=1 / 32,  # white paper on the subpixel linearity of the D400
         fattening_px=6.0,  # half the support of the two windows in succession
         grazing_deg=(75.0, 87.0),  # assumed: no figure is published
         scale_error=0.003,  # the paper's own D415 was off by 0.36 % before calibration
         position_error=1.5e-3,  # a hand-eye calibration; with the rest, the 5 mm class the paper assumes
         rotation_error_deg=0.15,
-        nearest=0.3,
-        farthest=3.0,
+        min_depth=0.3,
+        max_depth=3.0,
     ),
     "photoneo": Sensor(
         baseline=0.27,  # assumed, for a scanner that works about 0.8 m away, where its eye and projector aim
-        crossing=0.8,
+        convergence=0.8,
         noise_px=0.04,  # 0.1 mm at 0.8 m: this and the next errors are a tenth of the D415's, as 0.5 mm of 5 mm
         window_px=3,  # assumed: light smoothing of a measurement that each pixel makes by itself
         grazing_deg=(80.0, 89.0),  # assumed
         scale_error=0.0003,
         position_error=0.15e-3,
         rotation_error_deg=0.015,
-        nearest=0.4,
-        farthest=2.0,
+        min_depth=0.4,
+        max_depth=2.0,
     ),
 }
 
@@ -92,13 +100,13 @@ def sense(name: str, view: View, rng: np.random.Generator) -> View:
         raise InputError(f"sensor: there is no {name!r}, expected one of {', '.join(SENSORS)}")
     sensor = SENSORS[name]
     scale = np.float32(1 + sensor.scale_error * rng.uniform(-1, 1))
-    believed = _believed(sensor, view.world_from_camera, rng)
-    depth = scale * (_triangulated(sensor, view, rng) if sensor.baseline > 0 else view.depth)
-    depth[(depth < sensor.nearest) | (depth > sensor.farthest)] = 0
-    return View(view.camera, believed, np.rint(depth / np.float32(GRID)) * np.float32(GRID))
+    believed = _measured_pose(sensor, view.world_from_camera, rng)
+    depth = scale * (_measured_depth(sensor, view, rng) if sensor.baseline > 0 else view.depth)
+    depth[(depth < sensor.min_depth) | (depth > sensor.max_depth)] = 0
+    return View(view.camera, believed, np.rint(depth / np.float32(DEPTH_GRID)) * np.float32(DEPTH_GRID))
 
 
-def _believed(sensor: Sensor, world_from_camera: Pose, rng: np.random.Generator) -> Pose:
+def _measured_pose(sensor: Sensor, world_from_camera: Pose, rng: np.random.Generator) -> Pose:
     """The pose with its calibration error, which is drawn in the frame of the camera."""
     turn, shift = rng.standard_normal((2, 3)) / math.sqrt(3)
     if sensor.position_error == 0 and sensor.rotation_error_deg == 0:
@@ -107,24 +115,26 @@ def _believed(sensor: Sensor, world_from_camera: Pose, rng: np.random.Generator)
     return world_from_camera @ Pose.from_rotvec(turn, sensor.position_error * shift)
 
 
-def _triangulated(sensor: Sensor, view: View, rng: np.random.Generator) -> np.ndarray:
+def _measured_depth(sensor: Sensor, view: View, rng: np.random.Generator) -> np.ndarray:
     """Depths (H, W) float32 [m] from noisy disparities; 0 where none is found."""
     camera, depth = view.camera, view.depth
     gain = camera.fx * sensor.baseline  # [px m] disparity x depth
     half = ((camera.height + 1) // 2, (camera.width + 1) // 2)
-    noise, reach, loss = (_field(sensor, shape, rng) for shape in (depth.shape, half, half))
-    true = disparities(depth, np.float32(gain))
-    grown = fattened(true, reach, sensor.fattening_px) if sensor.fattening_px > 0 else true
+    noise, reach, loss = (_correlated_noise(sensor, shape, rng) for shape in (depth.shape, half, half))
+    true = disparity_from_depth(depth, np.float32(gain))
+    grown = fatten_edges(true, reach, sensor.fattening_px) if sensor.fattening_px > 0 else true
     lens = (camera.fx, camera.fy, camera.cx, camera.cy)
     start, gone = np.radians(sensor.grazing_deg)
-    lost = hidden(grown, gain / sensor.crossing) | grazed(true, lens, loss, start, gone)
+    lost = occlusion_mask(grown, gain / sensor.convergence) | grazing_mask(true, lens, loss, start, gone)
     noise *= np.float32(sensor.noise_px)
-    return measured(blended(grown, sensor.window_px), noise, lost, np.float32(sensor.step_px), np.float32(gain))
+    return depth_from_disparity(
+        blend_windows(grown, sensor.window_px), noise, lost, np.float32(sensor.quantisation_px), np.float32(gain)
+    )
 
 
-def _field(sensor: Sensor, shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
+def _correlated_noise(sensor: Sensor, shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
     """A standard normal field with the correlation that two windows in succession leave. float32."""
     white = rng.standard_normal(shape, dtype=np.float32)
     side = np.ones(sensor.window_px) / sensor.window_px
     power = np.sum(np.convolve(side, side) ** 2)  # variance that is left, along one axis
-    return blurred(blurred(white, sensor.window_px), sensor.window_px) / np.float32(power)
+    return box_blur(box_blur(white, sensor.window_px), sensor.window_px) / np.float32(power)

@@ -15,11 +15,11 @@ from kit1000.compiled import compiled
 
 # [px] of disparity. Matching windows over smaller steps blend them; at larger ones the nearer surface wins the
 # window whole. Also the tolerance within which two eyes are said to see the same point.
-EDGE = 1.0
+EDGE_STEP = 1.0
 
 
 @compiled
-def disparities(depth, gain):
+def disparity_from_depth(depth, gain):
     """`gain` [px m] / depth (H, W) [m], with the frame; 0 where the depth is 0."""
     rows, columns = depth.shape
     out = np.zeros((rows + 2, columns + 2), np.float32)
@@ -30,7 +30,7 @@ def disparities(depth, gain):
 
 
 @compiled
-def measured(d, noise, lost, step, gain):
+def depth_from_disparity(d, noise, lost, step, gain):
     """Depths (H, W) [m] from disparities with their noise (H, W) [px], in whole steps of `step` px if not 0.
 
     0 where `lost`, like d with the frame, or where nothing was seen.
@@ -47,7 +47,7 @@ def measured(d, noise, lost, step, gain):
 
 
 @compiled
-def blurred(image, width):
+def box_blur(image, width):
     """Mean over squares of `width` (odd) x `width` px of an image (H, W) that goes on at its opposite edge."""
     rows, columns = image.shape
     half, share = width // 2, 1 / width
@@ -74,7 +74,7 @@ def blurred(image, width):
 
 
 @compiled
-def _gentler(here, before, after):
+def _smaller_slope(here, before, after):
     """The smaller of two one-sided slopes [px/px], of those that lead to a surface; 0 when none does."""
     back, ahead = here - before, after - here
     if before == 0:
@@ -90,23 +90,23 @@ def _gentler(here, before, after):
 def _slopes(d, v, u):
     """Change of disparity from pixel to pixel, across and down, within the surface seen at row v, column u."""
     here = d[v, u]
-    return _gentler(here, d[v, u - 1], d[v, u + 1]), _gentler(here, d[v - 1, u], d[v + 1, u])
+    return _smaller_slope(here, d[v, u - 1], d[v, u + 1]), _smaller_slope(here, d[v - 1, u], d[v + 1, u])
 
 
 @compiled
-def _share_below(normal):
+def _normal_cdf(normal):
     """The share of a standard normal distribution below a value."""
     return 0.5 * (1 + math.erf(normal / math.sqrt(2.0)))
 
 
 @compiled
-def _behind(beside, limit):
+def _is_farther(beside, limit):
     """Whether a pixel sees a surface of less than this disparity."""
     return (beside > 0) & (beside < limit)
 
 
 @compiled
-def fattened(d, patches, farthest):
+def fatten_edges(d, patches, farthest):
     """Disparities where near surfaces have taken over the pixels of far ones beyond their edges.
 
     Each edge reaches 0 to `farthest` px, uniformly; `patches` (H/2, W/2) is a smooth standard normal field that
@@ -118,21 +118,21 @@ def fattened(d, patches, farthest):
     for v in range(1, rows - 1):
         above, here, below = d[v - 1], d[v], d[v + 1]
         for u in range(1, columns - 1):
-            limit = here[u] - np.float32(EDGE)
+            limit = here[u] - np.float32(EDGE_STEP)
             steps[u] = (
-                _behind(here[u - 1], limit)
-                | _behind(here[u + 1], limit)
-                | _behind(above[u], limit)
-                | _behind(below[u], limit)
+                _is_farther(here[u - 1], limit)
+                | _is_farther(here[u + 1], limit)
+                | _is_farther(above[u], limit)
+                | _is_farther(below[u], limit)
             )
         for u in range(1, columns - 1):
             if steps[u]:
-                _grow(d, v, u, farthest * _share_below(patches[(v - 1) // 2, (u - 1) // 2]), out)
+                _extend_surface(d, v, u, farthest * _normal_cdf(patches[(v - 1) // 2, (u - 1) // 2]), out)
     return out
 
 
 @compiled
-def _grow(d, v, u, reach, out):
+def _extend_surface(d, v, u, reach, out):
     """Enter the surface seen at row v, column u into the pixels within `reach` px that see farther ones."""
     rows, columns = d.shape
     across, down = _slopes(d, v, u)
@@ -142,12 +142,12 @@ def _grow(d, v, u, reach, out):
             if (x - u) ** 2 + (y - v) ** 2 > reach * reach or d[y, x] == 0:
                 continue
             value = d[v, u] + across * (x - u) + down * (y - v)
-            if value > d[y, x] + EDGE and value > out[y, x]:
+            if value > d[y, x] + EDGE_STEP and value > out[y, x]:
                 out[y, x] = value
 
 
 @compiled
-def blended(d, width):
+def blend_windows(d, width):
     """Disparities averaged over `width` (odd) px down, then across, among surfaces within EDGE of the middle.
 
     Pixels opposite each other enter together or not at all, so a plane passes unchanged, also at its edges.
@@ -174,7 +174,7 @@ def blended(d, width):
 @compiled
 def _add_pairs(here, before, after, total, count):
     """Sum and number of the differences of two neighbours from each pixel of a row, where neither is an edge."""
-    edge = np.float32(EDGE)
+    edge = np.float32(EDGE_STEP)
     for u in range(len(here)):
         a, b = before[u] - here[u], after[u] - here[u]
         near = (abs(a) <= edge) & (abs(b) <= edge)
@@ -183,7 +183,7 @@ def _add_pairs(here, before, after, total, count):
 
 
 @compiled
-def hidden(d, shift):
+def occlusion_mask(d, shift):
     """Pixels bool whose surface the other eye cannot see: behind a nearer one, or outside its picture.
 
     A point at column u of the picture lies at u - d + `shift` there; both pictures have the same size.
@@ -198,29 +198,29 @@ def hidden(d, shift):
             if row[u] > 0:
                 place = u - row[u]
                 inside = 0.5 <= place + shift < columns - 1.5
-                out[v, u] = not inside or (leftmost <= place + 0.5 and _covered(row, u, most))
+                out[v, u] = not inside or (leftmost <= place + 0.5 and _is_occluded(row, u, most))
                 leftmost = min(leftmost, place)
     return out
 
 
 @compiled
-def _covered(row, u, most):
+def _is_occluded(row, u, most):
     """Whether a surface of this row, of disparities up to `most`, stands before column u in the other eye."""
     place = u - row[u]
     for w in range(u + 1, min(math.ceil(place + most + 0.5), len(row) - 1)):
-        if row[w] <= row[u] + EDGE:
+        if row[w] <= row[u] + EDGE_STEP:
             continue
         this = w - row[w]
         beside = w + 1 - row[w + 1]
         if abs(this - place) <= 0.5:
             return True
-        if abs(row[w + 1] - row[w]) <= EDGE and (this < place) == (place < beside):  # the surface goes on
+        if abs(row[w + 1] - row[w]) <= EDGE_STEP and (this < place) == (place < beside):  # the surface goes on
             return True
     return False
 
 
 @compiled
-def grazed(d, lens, patches, start, gone):
+def grazing_mask(d, lens, patches, start, gone):
     """Pixels bool lost because their surface is seen at a grazing angle.
 
     The angle [rad] between the ray and the surface's normal comes from the slopes of the disparities; the
@@ -243,5 +243,5 @@ def grazed(d, lens, patches, start, gone):
         for u in range(1, columns - 1):
             if d[v, u] > 0 and cosines[u] < enough:
                 lost = (math.acos(cosines[u]) - start) / (gone - start)
-                out[v, u] = lost >= 1 or _share_below(patches[(v - 1) // 2, (u - 1) // 2]) < lost
+                out[v, u] = lost >= 1 or _normal_cdf(patches[(v - 1) // 2, (u - 1) // 2]) < lost
     return out

@@ -22,15 +22,15 @@ from kit1000.errors import InputError, ShapeError, checked
 from kit1000.pose import Pose
 
 GRAVITY = 9.81  # [m/s^2] along -z
-RATE = 240  # [1/s] steps
+STEP_RATE = 240  # [1/s] steps
 MARGIN = 1e-4  # [m] bodies keep so far apart; pybullet's own 1 mm lets a part of some centimetres stand on air
 FRICTION = 0.5
-MOST_CORNERS = 1000  # of a hull; a rounder one is thinned, by some 0.2 % of its radius
+MAX_HULL_VERTICES = 1000  # of a hull; a rounder one is thinned, by some 0.2 % of its radius
 # Written out so that the defaults of another release change nothing, and set in one call: a later call that names only
 # some makes contacts rattle. At pybullet's own residual (1e-7) and contactERP (0.2), which is the share of an overlap
 # that a step takes back, one part in thirty rattles on the spot for ever.
 SOLVER = {
-    "fixedTimeStep": 1 / RATE,
+    "fixedTimeStep": 1 / STEP_RATE,
     "numSubSteps": 0,
     "numSolverIterations": 50,
     "solverResidualThreshold": 0.0,
@@ -40,8 +40,8 @@ SOLVER = {
 }
 
 # pybullet (3.2.7) never lets go of the rows of the point lists it is given, so the same rows serve again and again.
-_rows: list[list[float]] = []
-_rows_in_use = threading.Lock()
+_point_rows: list[list[float]] = []
+_point_rows_lock = threading.Lock()
 
 
 class World:
@@ -88,7 +88,7 @@ class World:
         Returns:
             The number of the body.
         """
-        return self._body(self._hull_shape(hull_corners(points)), mass, inertia, world_from_body, dynamics)
+        return self._body(self._hull_shape(hull_vertices(points)), mass, inertia, world_from_body, dynamics)
 
     def add_pieces(
         self, pieces: Sequence[np.ndarray], mass: float, inertia: np.ndarray, world_from_body: Pose, **dynamics: float
@@ -99,7 +99,7 @@ class World:
         """
         with tempfile.TemporaryDirectory() as folder:  # pybullet takes a compound of point sets from a file alone
             path = Path(folder, "pieces.obj")
-            path.write_text(_obj([hull_corners(piece) for piece in pieces]), encoding="ascii")
+            path.write_text(_obj_text([hull_vertices(piece) for piece in pieces]), encoding="ascii")
             shape = self._call("createCollisionShape", self._bullet.GEOM_MESH, fileName=str(path))
             return self._body(shape, mass, inertia, world_from_body, dynamics)
 
@@ -145,9 +145,9 @@ class World:
         return body
 
     def _hull_shape(self, corners: np.ndarray) -> int:
-        with _rows_in_use:
-            _rows.extend([0.0, 0.0, 0.0] for _ in range(len(corners) - len(_rows)))
-            rows = _rows[: len(corners)]
+        with _point_rows_lock:
+            _point_rows.extend([0.0, 0.0, 0.0] for _ in range(len(corners) - len(_point_rows)))
+            rows = _point_rows[: len(corners)]
             for row, corner in zip(rows, corners.tolist(), strict=True):
                 row[:] = corner
             return self._call("createCollisionShape", self._bullet.GEOM_MESH, vertices=rows)
@@ -158,7 +158,7 @@ class World:
         return getattr(self._bullet, name)(*args, **settings, physicsClientId=self.client)
 
 
-def hull_corners(points: np.ndarray) -> np.ndarray:
+def hull_vertices(points: np.ndarray) -> np.ndarray:
     """(k, 3) corners of the convex hull of points (n, 3), in their order; thinned when more than MOST_CORNERS.
 
     Thinned are those that stand out farthest in none of MOST_CORNERS even directions.
@@ -168,12 +168,12 @@ def hull_corners(points: np.ndarray) -> np.ndarray:
         corners = cloud[np.unique(ConvexHull(cloud).simplices)]
     except (QhullError, ValueError):
         raise ShapeError(f"points: expected some that span a solid, got {len(cloud)} that span none") from None
-    if len(corners) <= MOST_CORNERS:
+    if len(corners) <= MAX_HULL_VERTICES:
         return corners
-    return corners[np.unique((_directions(MOST_CORNERS) @ corners.T).argmax(1))]
+    return corners[np.unique((_even_directions(MAX_HULL_VERTICES) @ corners.T).argmax(1))]
 
 
-def _obj(pieces: Sequence[np.ndarray]) -> str:
+def _obj_text(pieces: Sequence[np.ndarray]) -> str:
     """Point sets as OBJ text, an object each. Faces only name the points, which is all that pybullet reads of them."""
     lines, first = [], 1
     for number, points in enumerate(pieces):
@@ -185,7 +185,7 @@ def _obj(pieces: Sequence[np.ndarray]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _directions(n: int) -> np.ndarray:
+def _even_directions(n: int) -> np.ndarray:
     """(n, 3) unit vectors spread evenly: the golden spiral (Gonzalez 2010)."""
     heights = (2 * np.arange(n) + 1) / n - 1
     turns = np.arange(n) * (np.pi * (3 - 5**0.5))
@@ -195,7 +195,7 @@ def _directions(n: int) -> np.ndarray:
 
 def _pybullet() -> Any:
     try:
-        with _silent():
+        with _silent_stderr():
             import pybullet
     except ImportError:
         raise InputError("physics: needs pybullet: pip install 'kit1000[sim]'") from None
@@ -203,7 +203,7 @@ def _pybullet() -> Any:
 
 
 @contextmanager
-def _silent() -> Iterator[None]:
+def _silent_stderr() -> Iterator[None]:
     """What the process writes to its standard error is dropped: pybullet prints its build date when imported."""
     kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, 2)

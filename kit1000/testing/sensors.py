@@ -9,7 +9,7 @@ import numpy as np
 from kit1000.camera import Camera, look_at
 from kit1000.pose import Pose
 from kit1000.sim.cameras import CAMERA
-from kit1000.sim.sensors import GRID
+from kit1000.sim.sensors import DEPTH_GRID
 from kit1000.testing.depths import as_if
 from kit1000.values import View
 
@@ -102,7 +102,7 @@ def _check_form(seen: View, view: View, name: str) -> None:
     assert not depth.flags.writeable, f"{name}: depths can be written to"
     assert np.isfinite(depth).all(), f"{name}: {int((~np.isfinite(depth)).sum())} depths are not finite"
     assert depth.min() >= 0, f"{name}: the smallest depth is {depth.min():.4g} m; 0 says that there is no return"
-    steps = depth.astype(np.float64) / GRID
+    steps = depth.astype(np.float64) / DEPTH_GRID
     beside = int((steps != np.rint(steps)).sum())
     assert not beside, f"{name}: {beside} depths lie beside the grid of 2^-13 m on which depths are stored"
     invented = int(((depth > 0) & (view.depth == 0)).sum())
@@ -117,7 +117,7 @@ def _check_depths(seen: View, view: View, depth_error: float, name: str) -> None
     median = float(np.median(np.abs(error[found])))
     hint = as_if(seen.depth, view.camera, _bowl) if median > depth_error else ""
     assert median <= depth_error, f"{name}: depths are off by {median * 1e3:.1f} mm in the median{hint}"
-    shifts = _shifts(view, error, found & (np.abs(error) <= 4 * median + GRID))
+    shifts = _shifts(view, error, found & (np.abs(error) <= 4 * median + DEPTH_GRID))
     for way, shift in zip(("across", "down"), shifts, strict=True):
         assert abs(shift) <= SHIFT, f"{name}: pixels show what lies {shift:+.2f} px {way} of them"
 

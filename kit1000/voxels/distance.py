@@ -18,17 +18,19 @@ from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh, defect
 from kit1000.pose import Pose
 from kit1000.voxels.grid import Grid, Volume, truncation_voxels
-from kit1000.voxels.slabs import over_slabs
+from kit1000.voxels.slabs import for_each_slab
 
 LANES = 8  # voxels measured at once
 PLANES = 7  # linear functions that describe a triangle: height, then outward distance and place along each edge
-SLIVER = 1e-9  # [voxels] a triangle thinner than this has no normal to trust: it counts as its longest edge, or a point
-LEVEL = 1e-12  # slope of a plane that counts as none; over the widest grid it rises by less than SLACK
+SLIVER_WIDTH = (
+    1e-9  # [voxels] a triangle thinner than this has no normal to trust: it counts as its longest edge, or a point
+)
+MIN_SLOPE = 1e-12  # slope of a plane that counts as none; over the widest grid it rises by less than SLACK
 FAR = 1e30  # [voxels] beyond every voxel
-SLACK = 1e-6  # [voxels] by which ranges are widened, so that no voxel is lost to rounding
+RANGE_MARGIN = 1e-6  # [voxels] by which ranges are widened, so that no voxel is lost to rounding
 
 
-class Surface(NamedTuple):
+class TriangleSurface(NamedTuple):
     """The triangles of a body, ready to be measured from; m of them."""
 
     corners: np.ndarray
@@ -41,7 +43,7 @@ class Surface(NamedTuple):
     """(m, PLANES, 4) float64: coefficients of i, j, k and 1"""
     lengths: np.ndarray
     """(m, 3) float32: of the edges"""
-    widest: np.ndarray
+    max_inradius_squared: np.ndarray
     """(m,) float32: square of the radius of the inscribed circle, a little more; -1 for slivers"""
 
 
@@ -63,7 +65,7 @@ def signed_distance(
         InputError: when a mesh is not closed, and so has no inside.
     """
     reach = truncation_voxels(grid, truncation)
-    surfaces = [_surface(grid, number, *body) for number, body in enumerate(bodies)]
+    surfaces = [_prepared_surface(grid, number, *body) for number, body in enumerate(bodies)]
     values = np.ones(grid.shape, np.float32)
 
     def measure(start: int, stop: int) -> None:
@@ -73,36 +75,36 @@ def signed_distance(
         for surface in surfaces:
             squares.fill(np.inf)
             turns.fill(0)
-            _wind(start, stop, surface, turns)
-            _approach(start, stop, surface, reach, squares)
-            _sign(squares, turns, reach, values[start:stop])
+            _add_winding(start, stop, surface, turns)
+            _lower_distances(start, stop, surface, reach, squares)
+            _write_signed(squares, turns, reach, values[start:stop])
 
-    over_slabs(measure, grid.shape, threads)
+    for_each_slab(measure, grid.shape, threads)
     return Volume.adopt(grid, values)
 
 
-def _surface(grid: Grid, number: int, mesh: Mesh, world_from_body: Pose) -> Surface:
+def _prepared_surface(grid: Grid, number: int, mesh: Mesh, world_from_body: Pose) -> TriangleSurface:
     fault = defect(mesh)
     if fault is not None:
         raise MeshRefused(f"bodies[{number}]: no inside to tell ({fault}); equal vertices join by Mesh.merged()")
     if world_from_body.batch_shape != ():
         raise InputError(f"bodies[{number}]: expected one pose, got {world_from_body.batch_shape}")
-    places = (grid.world_from_grid.inverse() @ world_from_body).apply(mesh.vertices) / grid.voxel
+    places = (grid.world_from_grid.inverse() @ world_from_body).apply(mesh.vertices) / grid.voxel_size
     m = len(mesh.faces)
-    surface = Surface(
+    surface = TriangleSurface(
         corners=places[mesh.faces],
         low=np.empty((m, 3)),
         high=np.empty((m, 3)),
         planes=np.empty((m, PLANES, 4)),
         lengths=np.empty((m, 3), np.float32),
-        widest=np.empty(m, np.float32),
+        max_inradius_squared=np.empty(m, np.float32),
     )
-    _prepare(surface)
+    _fill_surface(surface)
     return surface
 
 
 @compiled
-def _prepare(surface):
+def _fill_surface(surface):
     """Fill all but the corners of a surface."""
     edges, lengths, normal, along, out = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for t in range(surface.corners.shape[0]):
@@ -116,26 +118,26 @@ def _prepare(surface):
         longest = np.argmax(lengths)
         _cross(edges[0], edges[1], normal)
         size = _length(normal)
-        if lengths[longest] < SLIVER:
+        if lengths[longest] < SLIVER_WIDTH:
             edges[longest], lengths[longest] = 0.0, 0.0
-        sliver = size <= SLIVER * max(lengths[longest], SLIVER)
-        surface.widest[t] = -1 if sliver else 1.01 * (size / (lengths[0] + lengths[1] + lengths[2])) ** 2
+        sliver = size <= SLIVER_WIDTH * max(lengths[longest], SLIVER_WIDTH)
+        surface.max_inradius_squared[t] = -1 if sliver else 1.01 * (size / (lengths[0] + lengths[1] + lengths[2])) ** 2
         if sliver:
-            _across(edges[longest], normal)
+            _perpendicular(edges[longest], normal)
         _set_plane(planes[0], normal, corners[0])
         for e in range(3):
             edge = longest if sliver else e
             surface.lengths[t, e] = lengths[edge]
             along[:] = edges[edge]
             if lengths[edge] == 0:
-                _across(normal, along)
+                _perpendicular(normal, along)
             _cross(along, normal, out)
             _set_plane(planes[1 + e], out, corners[edge])
             _set_plane(planes[4 + e], along, corners[edge])
 
 
 @compiled
-def _across(direction, into):
+def _perpendicular(direction, into):
     """Write some vector at a right angle to a direction; any vector where that is zero."""
     axis = np.zeros(3)
     axis[np.argmin(np.abs(direction))] = 1
@@ -165,7 +167,7 @@ def _set_plane(plane, direction, point):
 
 
 @compiled
-def _wind(start, stop, surface, turns):
+def _add_winding(start, stop, surface, turns):
     """Add to `turns` (stop - start, ny, nz) how often the surface winds about each voxel.
 
     Going up a column, each triangle facing down adds one from its crossing on, each facing up takes one off.
@@ -218,17 +220,17 @@ def _crossings(corners, i):
 
 
 @compiled
-def _approach(start, stop, surface, reach, squares):
+def _lower_distances(start, stop, surface, reach, squares):
     """Lower `squares` (stop - start, ny, nz + LANES), the squared distances, to those of triangles within reach."""
     ny, room = squares.shape[1:]
-    nz, wide, flat = room - LANES, reach + SLACK, squares.reshape(-1)
+    nz, wide, flat = room - LANES, reach + RANGE_MARGIN, squares.reshape(-1)
     for t in range(surface.corners.shape[0]):
         low, high, planes, lengths = surface.low[t], surface.high[t], surface.planes[t], surface.lengths[t]
         if low[0] > stop - 1 + wide or high[0] < start - wide:
             continue
-        first_i, last_i = _range(low[0] - wide, high[0] + wide, start, stop)
-        first_j, last_j = _range(low[1] - wide, high[1] + wide, 0, ny)
-        first_k, last_k = _range(low[2] - wide, high[2] + wide, 0, nz)
+        first_i, last_i = _clamped_range(low[0] - wide, high[0] + wide, start, stop)
+        first_j, last_j = _clamped_range(low[1] - wide, high[1] + wide, 0, ny)
+        first_k, last_k = _clamped_range(low[2] - wide, high[2] + wide, 0, nz)
         middle, radius = (low + high) / 2, np.sqrt(np.sum((high - low) ** 2)) / 2
         large = radius > 2
         for i in range(first_i, last_i):
@@ -237,51 +239,51 @@ def _approach(start, stop, surface, reach, squares):
                 if room_k < 0:
                     continue
                 half = np.sqrt(room_k)
-                first, last = _range(middle[2] - half, middle[2] + half, first_k, last_k)
+                first, last = _clamped_range(middle[2] - half, middle[2] + half, first_k, last_k)
                 if large:
-                    first, last = _clip(planes, wide, i, j, first, last)
+                    first, last = _clip_to_triangle(planes, wide, i, j, first, last)
                 if first < last:
                     at = ((i - start) * ny + j) * room + first
-                    _measure(planes, lengths, surface.widest[t], i, j, first, last, at, flat)
+                    _measure_row(planes, lengths, surface.max_inradius_squared[t], i, j, first, last, at, flat)
 
 
 @compiled
-def _clip(planes, wide, i, j, first, last):
+def _clip_to_triangle(planes, wide, i, j, first, last):
     """Narrow the range first .. last - 1 of k to voxels within reach of a triangle's plane and of its three sides."""
     for p in range(4):
         base, slope = planes[p, 0] * i + planes[p, 1] * j + planes[p, 3], planes[p, 2]
         least = -wide if p == 0 else -FAR
-        if abs(slope) < LEVEL:
-            if base < least - SLACK or base > wide + SLACK:
+        if abs(slope) < MIN_SLOPE:
+            if base < least - RANGE_MARGIN or base > wide + RANGE_MARGIN:
                 return first, first
         else:
             a, b = (least - base) / slope, (wide - base) / slope
-            first, last = _range(min(a, b), max(a, b), first, last)
+            first, last = _clamped_range(min(a, b), max(a, b), first, last)
     return first, last
 
 
 @compiled
-def _range(low, high, first, stop):
+def _clamped_range(low, high, first, stop):
     """Whole numbers from low to high among first .. stop - 1, as a range."""
     start = np.int64(np.ceil(min(max(low, first), stop)))
     return start, max(start, np.int64(np.floor(max(min(high, stop - 1.0), first - 1.0))) + 1)
 
 
 @compiled
-def _measure(planes, lengths, widest, i, j, first, last, at, squares):
+def _measure_row(planes, lengths, widest, i, j, first, last, at, squares):
     """Lower `squares`, which begin at k = first, to the squared distance from one triangle, at least up to last - 1.
 
     In the triangle's plane the nearest point lies inside, or on the nearest of the three edges. A whole number of
     blocks of LANES voxels is measured, each by one pass of the processor; what lies beyond is measured as truly.
     """
     zero = np.float32(0)
-    h0, h1 = _row(planes[0], i, j, first)
-    a0, a1 = _row(planes[1], i, j, first)
-    b0, b1 = _row(planes[2], i, j, first)
-    c0, c1 = _row(planes[3], i, j, first)
-    d0, d1 = _row(planes[4], i, j, first)
-    e0, e1 = _row(planes[5], i, j, first)
-    f0, f1 = _row(planes[6], i, j, first)
+    h0, h1 = _plane_along_row(planes[0], i, j, first)
+    a0, a1 = _plane_along_row(planes[1], i, j, first)
+    b0, b1 = _plane_along_row(planes[2], i, j, first)
+    c0, c1 = _plane_along_row(planes[3], i, j, first)
+    d0, d1 = _plane_along_row(planes[4], i, j, first)
+    e0, e1 = _plane_along_row(planes[5], i, j, first)
+    f0, f1 = _plane_along_row(planes[6], i, j, first)
     d2, e2, f2 = lengths[0], lengths[1], lengths[2]
     for n in range((last - first + LANES - 1) // LANES * LANES):
         k = np.float32(np.int32(n))
@@ -298,14 +300,14 @@ def _measure(planes, lengths, widest, i, j, first, last, at, squares):
 
 
 @compiled
-def _row(plane, i, j, first):
+def _plane_along_row(plane, i, j, first):
     """A plane along a row of voxels that begins at k = first: value and slope, float32."""
     base = plane[0] * i + plane[1] * j + plane[2] * first + plane[3]
     return np.float32(base), np.float32(plane[2])
 
 
 @compiled
-def _sign(squares, turns, reach, values):
+def _write_signed(squares, turns, reach, values):
     """Lower `values` to the signed and truncated distances of one body."""
     scale, one = np.float32(1 / reach), np.float32(1)
     for i in range(values.shape[0]):

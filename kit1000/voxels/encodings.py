@@ -15,9 +15,9 @@ from kit1000.compiled import compiled
 from kit1000.errors import checked
 from kit1000.voxels.grid import Grid, Volume
 
-STEPS = 127  # codes from zero to either end
-ZERO = 128  # the code of zero; 1 is -1, 255 is 1, 0 is unknown
-LEAST_HALF = np.float32(2**-24)  # the smallest float16 above 0
+CODE_STEPS = 127  # codes from zero to either end
+ZERO_CODE = 128  # the code of zero; 1 is -1, 255 is 1, 0 is unknown
+MIN_HALF = np.float32(2**-24)  # the smallest float16 above 0
 
 
 def to_uint8(volume: Volume) -> np.ndarray:
@@ -29,7 +29,7 @@ def to_uint8(volume: Volume) -> np.ndarray:
 
 def from_uint8(grid: Grid, codes: ArrayLike) -> Volume:
     """The volume of codes (nx, ny, nz) uint8, as `to_uint8` makes them."""
-    values = (np.arange(256, dtype=np.float32) - ZERO) / STEPS
+    values = (np.arange(256, dtype=np.float32) - ZERO_CODE) / CODE_STEPS
     values[0] = np.nan
     return Volume.adopt(grid, values[checked("codes", codes, grid.shape, np.uint8)])
 
@@ -38,7 +38,7 @@ def to_float16(volume: Volume) -> np.ndarray:
     """(nx, ny, nz) float16: the values rounded, NaN unknown."""
     with np.errstate(under="ignore"):
         halves = volume.values.astype(np.float16)
-    halves[(halves == 0) & (volume.values < 0)] = -LEAST_HALF
+    halves[(halves == 0) & (volume.values < 0)] = -MIN_HALF
     return halves
 
 
@@ -54,5 +54,5 @@ def _encode(values, codes):
         if value != value:
             codes[i] = 0
         else:
-            code = int(np.floor(value * STEPS + np.float32(ZERO + 0.5)))
-            codes[i] = min(code, ZERO - 1) if value < 0 else code
+            code = int(np.floor(value * CODE_STEPS + np.float32(ZERO_CODE + 0.5)))
+            codes[i] = min(code, ZERO_CODE - 1) if value < 0 else code

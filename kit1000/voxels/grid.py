@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from kit1000.errors import InputError, ShapeError, checked
 from kit1000.pose import Pose
 
-MOST_VOXELS = 1 << 31  # 8 GiB of float32: beyond it the voxel was most likely given in the wrong unit
-TRUNCATION = 5.0  # [voxels] where none is asked for: that of the paper
+MAX_VOXELS = 1 << 31  # 8 GiB of float32: beyond it the voxel was most likely given in the wrong unit
+DEFAULT_TRUNCATION = 5.0  # [voxels] where none is asked for: that of the paper
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,7 +22,7 @@ class Grid:
 
     shape: tuple[int, int, int]
     """Numbers of voxels (nx, ny, nz)."""
-    voxel: float
+    voxel_size: float
     """[m] between the centres of neighbours."""
     world_from_grid: Pose
     """The centre of voxel (i, j, k) lies at world_from_grid.apply((i, j, k) * voxel)."""
@@ -30,11 +30,11 @@ class Grid:
     def __post_init__(self) -> None:
         shape = tuple(checked("shape", self.shape, (3,), np.int64).tolist())
         object.__setattr__(self, "shape", shape)
-        object.__setattr__(self, "voxel", float(checked("voxel", self.voxel, ())))
-        if min(shape) < 1 or math.prod(shape) > MOST_VOXELS:
+        object.__setattr__(self, "voxel_size", float(checked("voxel_size", self.voxel_size, ())))
+        if min(shape) < 1 or math.prod(shape) > MAX_VOXELS:
             raise ShapeError(f"shape: expected 1 voxel or more an axis and at most 2^31 in all, got {shape}")
-        if self.voxel <= 0:
-            raise InputError(f"voxel: expected an edge above 0 m, got {self.voxel}")
+        if self.voxel_size <= 0:
+            raise InputError(f"voxel_size: expected an edge above 0 m, got {self.voxel_size}")
         if not isinstance(self.world_from_grid, Pose) or self.world_from_grid.batch_shape != ():
             raise ShapeError("world_from_grid: expected one pose")
 
@@ -42,29 +42,29 @@ class Grid:
     def centred(cls, world_from_middle: Pose, shape: tuple[int, int, int], voxel: float) -> Grid:
         """The grid whose middle, halfway between its first and last voxel, stands at a pose."""
         grid = cls(shape, voxel, world_from_middle)
-        first = -(np.array(grid.shape) - 1) / 2 * grid.voxel
-        return cls(grid.shape, grid.voxel, world_from_middle @ Pose.from_translation(first))
+        first = -(np.array(grid.shape) - 1) / 2 * grid.voxel_size
+        return cls(grid.shape, grid.voxel_size, world_from_middle @ Pose.from_translation(first))
 
     def world(self, indices: ArrayLike) -> np.ndarray:
         """Where (fractional) voxel indices (..., 3) lie. (..., 3) [m], world."""
-        return self.world_from_grid.apply(np.asarray(indices, dtype=np.float64) * self.voxel)
+        return self.world_from_grid.apply(np.asarray(indices, dtype=np.float64) * self.voxel_size)
 
     def indices(self, points: ArrayLike) -> np.ndarray:
         """Fractional voxel indices of points (..., 3) [m] of the world. (..., 3), inside the grid or not."""
-        return self.world_from_grid.inverse().apply(points) / self.voxel
+        return self.world_from_grid.inverse().apply(points) / self.voxel_size
 
     def centres(self) -> np.ndarray:
         """(nx, ny, nz, 3) [m]: the centre of every voxel in the world."""
         return self.world(np.moveaxis(np.indices(self.shape), 0, -1))
 
-    def part(self, start: tuple[int, int, int], shape: tuple[int, int, int]) -> Grid:
+    def crop(self, start: tuple[int, int, int], shape: tuple[int, int, int]) -> Grid:
         """The grid of `shape` whose voxel (0, 0, 0) is voxel `start` of this one; it may reach outside."""
         first = checked("start", start, (3,), np.int64)
-        return Grid(shape, self.voxel, self.world_from_grid @ Pose.from_translation(first * self.voxel))
+        return Grid(shape, self.voxel_size, self.world_from_grid @ Pose.from_translation(first * self.voxel_size))
 
     def moved(self, pose: Pose) -> Grid:
         """The grid carried through the world by a pose."""
-        return Grid(self.shape, self.voxel, pose @ self.world_from_grid)
+        return Grid(self.shape, self.voxel_size, pose @ self.world_from_grid)
 
     def __eq__(self, other: object) -> bool:
         """Whether the voxels are the same ones, to the last bit."""
@@ -76,7 +76,7 @@ class Grid:
     @property
     def _key(self) -> tuple[Any, ...]:
         pose = self.world_from_grid
-        return (self.shape, self.voxel, *pose.wxyz.tolist(), *pose.xyz.tolist())
+        return (self.shape, self.voxel_size, *pose.wxyz.tolist(), *pose.xyz.tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,14 +100,14 @@ class Volume:
         if beyond.any():
             at = tuple(int(i) for i in np.argwhere(beyond)[0])
             raise ShapeError(f"{wanted}, got {values[at]} at {at}")
-        object.__setattr__(self, "values", _sealed(values))
+        object.__setattr__(self, "values", _read_only(values))
 
     @classmethod
     def adopt(cls, grid: Grid, values: np.ndarray) -> Volume:
         """A volume around an array (nx, ny, nz) float32 that this package made itself: not copied, not checked."""
         volume = object.__new__(cls)
         object.__setattr__(volume, "grid", grid)
-        object.__setattr__(volume, "values", _sealed(values))
+        object.__setattr__(volume, "values", _read_only(values))
         return volume
 
     @property
@@ -131,29 +131,29 @@ class Volume:
 
 def crop(volume: Volume, start: tuple[int, int, int], shape: tuple[int, int, int]) -> Volume:
     """The box of `shape` voxels that begins at voxel `start`; where it reaches outside, nobody knows."""
-    grid = volume.grid.part(start, shape)
+    grid = volume.grid.crop(start, shape)
     low = np.array(start, dtype=np.int64)
     first = np.clip(low, 0, volume.grid.shape)
     last = np.maximum(np.clip(low + grid.shape, 0, volume.grid.shape), first)
     values = np.full(grid.shape, np.nan, np.float32)
-    values[_box(first - low, last - low)] = volume.values[_box(first, last)]
+    values[_slices(first - low, last - low)] = volume.values[_slices(first, last)]
     return Volume.adopt(grid, values)
 
 
 def truncation_voxels(grid: Grid, truncation: float | None) -> float:
     """A truncation [m] in voxels, after a check; None is TRUNCATION."""
     if truncation is None:
-        return TRUNCATION
+        return DEFAULT_TRUNCATION
     distance = float(checked("truncation", truncation, ()))
     if distance <= 0:
         raise InputError(f"truncation: expected a distance above 0 m, got {distance}")
-    return distance / grid.voxel
+    return distance / grid.voxel_size
 
 
-def _box(first: np.ndarray, last: np.ndarray) -> tuple[slice, ...]:
+def _slices(first: np.ndarray, last: np.ndarray) -> tuple[slice, ...]:
     return tuple(slice(int(a), int(b)) for a, b in zip(first, last, strict=True))
 
 
-def _sealed(values: np.ndarray) -> np.ndarray:
+def _read_only(values: np.ndarray) -> np.ndarray:
     values.setflags(write=False)
     return values

@@ -6,10 +6,12 @@ import numpy as np
 
 from kit1000.compiled import compiled
 from kit1000.voxels.grid import Grid, Volume
-from kit1000.voxels.slabs import over_slabs
+from kit1000.voxels.slabs import for_each_slab
 
-SNAP = 1e-6  # [voxels] a place this near to a voxel's centre is that voxel: keeps rounding from asking a neighbour
-RIM = 1.0  # neighbours that differ by more than the truncation stand at the rim of what was seen
+SNAP_TOLERANCE = (
+    1e-6  # [voxels] a place this near to a voxel's centre is that voxel: keeps rounding from asking a neighbour
+)
+MAX_STEP = 1.0  # neighbours that differ by more than the truncation stand at the rim of what was seen
 
 
 def resample(volume: Volume, grid: Grid, threads: int | None = None) -> Volume:
@@ -19,14 +21,14 @@ def resample(volume: Volume, grid: Grid, threads: int | None = None) -> Volume:
     shares of the truncation they were made with), and nothing is smoothed for a coarser grid.
     """
     source_from_grid = volume.grid.world_from_grid.inverse() @ grid.world_from_grid
-    linear = source_from_grid.rotation_matrix() * (grid.voxel / volume.grid.voxel)
-    origin = source_from_grid.xyz / volume.grid.voxel
+    linear = source_from_grid.rotation_matrix() * (grid.voxel_size / volume.grid.voxel_size)
+    origin = source_from_grid.xyz / volume.grid.voxel_size
     values = np.empty(grid.shape, np.float32)
 
     def read(start: int, stop: int) -> None:
         _interpolate(start, stop, linear, origin, volume.values, values)
 
-    over_slabs(read, grid.shape, threads)
+    for_each_slab(read, grid.shape, threads)
     return Volume.adopt(grid, values)
 
 
@@ -37,9 +39,9 @@ def surface_points(volume: Volume) -> np.ndarray:
     the truncation are left out: there something ends in the image, and no surface was seen.
     """
     ends = np.zeros(4, np.int64)
-    _cross(volume.values, ends, np.empty((0, 3)))
+    _find_crossings(volume.values, ends, np.empty((0, 3)))
     indices = np.empty((int(ends[3]), 3))
-    _cross(volume.values, np.concatenate([[0], ends[:3].cumsum()]), indices)
+    _find_crossings(volume.values, np.concatenate([[0], ends[:3].cumsum()]), indices)
     return volume.grid.world(indices)
 
 
@@ -55,7 +57,7 @@ def _interpolate(start, stop, linear, origin, source, values):
                 for axis in range(3):
                     place[axis] = linear[axis, 0] * i + linear[axis, 1] * j + linear[axis, 2] * k + origin[axis]
                     near = np.round(place[axis])
-                    if abs(place[axis] - near) < SNAP:
+                    if abs(place[axis] - near) < SNAP_TOLERANCE:
                         place[axis] = near
                     inside &= 0 <= place[axis] <= size[axis] - 1
                 if not inside:
@@ -76,7 +78,7 @@ def _interpolate(start, stop, linear, origin, source, values):
 
 
 @compiled
-def _cross(values, ends, indices):
+def _find_crossings(values, ends, indices):
     """Count the crossings along each axis and in all into `ends` (4,), or write them from there on."""
     nx, ny, nz = values.shape
     for i in range(nx):
@@ -88,7 +90,7 @@ def _cross(values, ends, indices):
                     if x == nx or y == ny or z == nz:
                         continue
                     there = values[x, y, z]
-                    if (here < 0) == (there < 0) or not abs(here - there) <= RIM:
+                    if (here < 0) == (there < 0) or not abs(here - there) <= MAX_STEP:
                         continue
                     if indices.shape[0]:
                         at = ends[axis]

@@ -8,19 +8,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-from kit1000.engines.cores import cores
+from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError
 
 SLAB_VOXELS = 1 << 17  # half a megabyte of float32: stays in the cache of a core, and there is enough to share
 
 
-def over_slabs(work: Callable[[int, int], None], shape: tuple[int, int, int], threads: int | None) -> None:
+def for_each_slab(work: Callable[[int, int], None], shape: tuple[int, int, int], threads: int | None) -> None:
     """Call work(start, stop) for ranges that cover the first axis. `threads` None: the cores at hand."""
     if threads is not None and not (isinstance(threads, int) and threads >= 1):
         raise InputError(f"threads: expected a whole number from 1 up, or None for all cores, got {threads!r}")
     step = max(SLAB_VOXELS // (shape[1] * shape[2]), 1)
     ranges = [(start, min(start + step, shape[0])) for start in range(0, shape[0], step)]
-    count = min(threads or cores(), len(ranges))
+    count = min(threads or usable_cores(), len(ranges))
     if count == 1:
         for start, stop in ranges:
             work(start, stop)

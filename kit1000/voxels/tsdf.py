@@ -15,9 +15,9 @@ from kit1000.compiled import compiled
 from kit1000.errors import InputError, ShapeError, checked
 from kit1000.values import View
 from kit1000.voxels.grid import Grid, Volume, truncation_voxels
-from kit1000.voxels.slabs import over_slabs
+from kit1000.voxels.slabs import for_each_slab
 
-NEAREST = 1e-6  # [m] voxels at or behind the camera's plane have no pixel
+MIN_DEPTH = 1e-6  # [m] voxels at or behind the camera's plane have no pixel
 
 
 def tsdf(
@@ -40,15 +40,15 @@ def tsdf(
         truncation: [m] along the optical axis; five voxels by default.
         threads: how many to use; all cores by default. The result is the same.
     """
-    reach = truncation_voxels(grid, truncation) * grid.voxel
-    image = _image(view, mask)
+    reach = truncation_voxels(grid, truncation) * grid.voxel_size
+    image = _signed_depth(view, mask)
     values = np.empty(grid.shape, np.float32)
     across, down, forward = _projection(grid, view)
 
     def fill(start: int, stop: int) -> None:
-        _fill(start, stop, across, down, forward, image, 1 / reach, values)
+        _fill_slab(start, stop, across, down, forward, image, 1 / reach, values)
 
-    over_slabs(fill, grid.shape, threads)
+    for_each_slab(fill, grid.shape, threads)
     return Volume.adopt(grid, values)
 
 
@@ -71,21 +71,21 @@ def fuse(volumes: Sequence[Volume], weights: Sequence[float] | None = None, thre
         total = np.zeros((stop - start, *grid.shape[1:]), np.float32)
         weight = np.zeros_like(total)
         for volume, share in zip(volumes, shares, strict=True):
-            _add(volume.values[start:stop], share, total, weight)
+            _add_weighted(volume.values[start:stop], share, total, weight)
         _divide(total, weight, values[start:stop])
 
-    over_slabs(average, grid.shape, threads)
+    for_each_slab(average, grid.shape, threads)
     return Volume.adopt(grid, values)
 
 
-def _image(view: View, mask: ArrayLike | None) -> np.ndarray:
+def _signed_depth(view: View, mask: ArrayLike | None) -> np.ndarray:
     """(H, W) float32 [m]: the depth; its negative outside the mask, 0 without return."""
     if view.depth.size and view.depth.min() < 0:
         raise InputError(f"depth: expected 0 (no return) or more, got {view.depth.min()} m")
     if mask is None:
         return view.depth
     signed = np.empty(view.depth.shape, np.float32)
-    _sign(view.depth, checked("mask", mask, view.depth.shape, np.bool_), signed)
+    _negate_outside(view.depth, checked("mask", mask, view.depth.shape, np.bool_), signed)
     signed.setflags(write=False)
     return signed
 
@@ -94,20 +94,20 @@ def _projection(grid: Grid, view: View) -> np.ndarray:
     """(3, 4): linear in the voxel index (i, j, k, 1), (u + 1/2) z and (v + 1/2) z [pixels m], and z [m]."""
     camera = view.camera
     camera_from_grid = view.world_from_camera.inverse() @ grid.world_from_grid
-    place = np.column_stack([camera_from_grid.rotation_matrix() * grid.voxel, camera_from_grid.xyz])
+    place = np.column_stack([camera_from_grid.rotation_matrix() * grid.voxel_size, camera_from_grid.xyz])
     lens = np.array([[camera.fx, 0, camera.cx + 0.5], [0, camera.fy, camera.cy + 0.5], [0, 0, 1]])
     return lens @ place
 
 
 @compiled
-def _sign(depth, mask, signed):
+def _negate_outside(depth, mask, signed):
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
             signed[v, u] = depth[v, u] if mask[v, u] else -depth[v, u]
 
 
 @compiled
-def _fill(start, stop, across, down, forward, image, per_reach, values):
+def _fill_slab(start, stop, across, down, forward, image, per_reach, values):
     """Write values[start:stop]; `across`, `down`, `forward` (4,) are the rows of `_projection`."""
     height, width = image.shape
     pixels = image.reshape(-1)
@@ -119,21 +119,21 @@ def _fill(start, stop, across, down, forward, image, per_reach, values):
             x = across[0] * i + across[1] * j + across[3]
             y = down[0] * i + down[1] * j + down[3]
             z = forward[0] * i + forward[1] * j + forward[3]
-            first, last = _clip(z - NEAREST, forward[2], 0, nz)
-            first, last = _clip(x, across[2], first, last)
-            first, last = _clip(width * z - x, width * forward[2] - across[2], first, last)
-            first, last = _clip(y, down[2], first, last)
-            first, last = _clip(height * z - y, height * forward[2] - down[2], first, last)
+            first, last = _clip_range(z - MIN_DEPTH, forward[2], 0, nz)
+            first, last = _clip_range(x, across[2], first, last)
+            first, last = _clip_range(width * z - x, width * forward[2] - across[2], first, last)
+            first, last = _clip_range(y, down[2], first, last)
+            first, last = _clip_range(height * z - y, height * forward[2] - down[2], first, last)
             values[i, j, :first] = np.nan
             values[i, j, last:] = np.nan
-            _find(steps[first:last], x, y, z, across[2], down[2], forward[2], width, height, index)
+            _find_pixels(steps[first:last], x, y, z, across[2], down[2], forward[2], width, height, index)
             for n in range(last - first):
                 seen[n] = pixels[index[n]]
-            _compare(steps[first:last], z, forward[2], seen, per_reach, values[i, j, first:last])
+            _compare_depths(steps[first:last], z, forward[2], seen, per_reach, values[i, j, first:last])
 
 
 @compiled
-def _find(steps, x, y, z, x1, y1, z1, width, height, index):
+def _find_pixels(steps, x, y, z, x1, y1, z1, width, height, index):
     """Write which pixel of a (height, width) image, counted along its rows, each voxel of a row falls on."""
     right, bottom = np.int32(width - 1), np.int32(height - 1)
     for n in range(steps.shape[0]):
@@ -144,7 +144,7 @@ def _find(steps, x, y, z, x1, y1, z1, width, height, index):
 
 
 @compiled
-def _compare(steps, z, z1, seen, per_reach, row):
+def _compare_depths(steps, z, z1, seen, per_reach, row):
     """Write the values of a row of voxels, whose pixels have seen these depths."""
     one, nan = np.float32(1), np.float32(np.nan)
     for n in range(steps.shape[0]):
@@ -156,7 +156,7 @@ def _compare(steps, z, z1, seen, per_reach, row):
 
 
 @compiled
-def _clip(base, slope, first, last):
+def _clip_range(base, slope, first, last):
     """Narrow the range first .. last - 1 of k to base + slope k >= 0."""
     if slope == 0 or base + slope * first >= 0 <= base + slope * (last - 1):
         return (first, last) if base + slope * first >= 0 else (first, first)
@@ -169,7 +169,7 @@ def _clip(base, slope, first, last):
 
 
 @compiled
-def _add(values, share, total, weight):
+def _add_weighted(values, share, total, weight):
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
             for k in range(values.shape[2]):

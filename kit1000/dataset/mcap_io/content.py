@@ -1,7 +1,7 @@
-"""What a recording says, apart from how it is packed: canonical JSON, and the content hash of a scene.
+"""The content of a recording, independent of its file format: canonical JSON, and the content hash of a scene.
 
-The content hash is SHA-256 over the scene's JSON and its arrays (little-endian, C order, each after its name, type and
-shape), so it survives another version of the libraries that pack and compress.
+The content hash is the SHA-256 of the scene's JSON and its arrays (little-endian, C order, each after its name, type
+and shape), so it does not change with the version of the libraries that serialise and compress.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from kit1000.camera import Camera
 from kit1000.dataset.schema import Observation, SceneTruth
 from kit1000.dataset.tables import Row, pose_row
 from kit1000.errors import InputError
-from kit1000.sim.sensors import GRID
+from kit1000.sim.sensors import DEPTH_GRID
 
 
 def json_bytes(value: Any, what: str) -> bytes:
-    """The canonical bytes of a JSON value, floats to the last bit; `what` opens the message of a refusal."""
+    """The canonical bytes of a JSON value, floats in full precision; `what` starts the error message."""
     try:
         return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
     except (TypeError, ValueError) as error:
@@ -32,21 +32,21 @@ def observation_hash(observation: Observation) -> str:
     """The content hash of an observation, in hex."""
     views = {key: {"camera": _camera_row(view.camera), "world_from_camera": pose_row(view.world_from_camera)}
              for key, view in observation.views.items()}  # fmt: skip
-    told = {"scene_id": observation.scene_id, "views": views, "queries": list(observation.queries)}
+    record = {"scene_id": observation.scene_id, "views": views, "queries": list(observation.queries)}
     images = {key: view.depth for key, view in observation.views.items()}
     if observation.labels is not None:
         images["labels"] = observation.labels
-    return _hash(told, images, observation.scene_id)
+    return _hash(record, images, observation.scene_id)
 
 
 def truth_hash(truth: SceneTruth) -> str:
-    """The content hash of a truth, in hex; the models are copies for viewers and stand outside it."""
+    """The content hash of a truth, in hex, without the models, which are copies for viewers."""
     goals = None if truth.goals is None else [pose_row(goal) for goal in truth.goals]
     return _hash(truth_row(truth) | {"goals": goals}, {"seg": truth.seg}, truth.scene_id)
 
 
 def truth_row(truth: SceneTruth) -> Row:
-    """The numbers of a truth as one JSON value."""
+    """The truth as one JSON value, without images, models and goals."""
     return {
         "scene_id": truth.scene_id,
         "assembly_id": truth.assembly_id,
@@ -57,8 +57,8 @@ def truth_row(truth: SceneTruth) -> Row:
 
 
 def check_on_grid(depth: np.ndarray, what: str) -> None:
-    """Raise InputError when a depth (H, W) [m] is negative, not finite, or no multiple of the grid's step."""
-    steps = depth * np.float32(1 / GRID)
+    """Raise InputError when a depth (H, W) [m] is negative, not finite, or no multiple of GRID."""
+    steps = depth * np.float32(1 / DEPTH_GRID)
     good = (steps >= 0) & (steps < np.inf) & (steps == np.rint(steps))
     if not good.all():
         v, u = (int(i) for i in np.argwhere(~good)[0])
@@ -72,8 +72,8 @@ def _camera_row(camera: Camera) -> list[float]:
     return [camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy]
 
 
-def _hash(told: Row, images: Mapping[str, np.ndarray], what: str) -> str:
-    digest = hashlib.sha256(json_bytes(told, what))
+def _hash(record: Row, images: Mapping[str, np.ndarray], what: str) -> str:
+    digest = hashlib.sha256(json_bytes(record, what))
     for name in sorted(images):
         image = np.ascontiguousarray(images[name], dtype=images[name].dtype.newbyteorder("<"))
         digest.update(json_bytes([name, image.dtype.str, list(image.shape)], what))
