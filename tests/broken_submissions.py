@@ -1,4 +1,4 @@
-"""Submissions with one mistake each: what the files hold, and how a check is to name it."""
+"""Submissions with one fault each: the content of the file, and the expected report."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ reproduce = "python -m method"
 
 
 def row(line: int, field: str, value: str) -> str:
-    """The good file with another value in a line, counted from 1 for the header."""
+    """The valid file with another value in a line, counted from 1 for the header."""
     lines = GOOD.split("\n")
     fields = lines[line - 1].split(",")
     fields[HEADER.index(field)] = value
@@ -45,7 +45,7 @@ def row(line: int, field: str, value: str) -> str:
 
 
 def with_line(line: int, text: str) -> str:
-    """The good file with a line put in."""
+    """The valid file with an inserted line."""
     lines = GOOD.split("\n")
     return "\n".join([*lines[: line - 1], text, *lines[line - 1 :]])
 
@@ -63,27 +63,27 @@ def permuted(order: tuple[int, ...]) -> str:
     return "\n".join([",".join(fields[i] for i in order) for fields in rows] + [""])
 
 
-ID = ROWS[1].index(",") + 2  # the column at which qw begins in the third line
+QW_COLUMN = ROWS[1].index(",") + 2  # position in the third line where qw begins
 
-# What is wrong: the bytes or text; then name, line and column of the fault, and a piece of what is said.
+# By description: the content; then code, line and column of the fault, and a part of its message.
 BROKEN: dict[str, tuple[str | bytes, str, int | None, int | None, str]] = {
     "nothing": (b"", "empty", None, None, "is empty"),
     "blanks alone": (b" \n\n\r\n", "empty", None, None, "is empty"),
-    "header alone": (HEAD + "\n", "no-rows", None, None, "no row"),
-    "no header": ("\n".join(ROWS) + "\n", "no-header", 1, 1, "no header, the first line is"),
-    "another text": ("Dear all,\nplease find attached\n", "no-header", 1, 1, 'the first line is "Dear all,"'),
-    "json": ('{"predictions": []}\n', "no-header", 1, 1, "as of a JSON file"),
-    "a web page": ("<!DOCTYPE html>\n<html>", "no-header", 1, 1, "as of a web page"),
+    "header alone": (HEAD + "\n", "no-rows", None, None, "has no readable row"),
+    "no header": ("\n".join(ROWS) + "\n", "missing-header", 1, 1, "no header; the first line is"),
+    "another text": ("Dear all,\nplease find attached\n", "missing-header", 1, 1, 'the first line is "Dear all,"'),
+    "json": ('{"predictions": []}\n', "missing-header", 1, 1, "as in a JSON file"),
+    "a web page": ("<!DOCTYPE html>\n<html>", "missing-header", 1, 1, "as in a web page"),
     "git lfs": ("version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "binary", None, None, "git lfs pull"),
     "gzip": (gzip.compress(GOOD.encode(), mtime=0), "binary", None, None, "is a gzip file"),
-    "spreadsheet": (b"PK\x03\x04" + bytes(100), "binary", None, None, "save the sheet as CSV"),
-    "numpy": (b"\x93NUMPY\x01\x00", "binary", None, None, "a file of numpy"),
-    "random bytes": (np.random.default_rng(0).bytes(3000), "binary", None, None, "bytes of no text"),
-    "utf-16": (GOOD.encode("utf-16"), "wide-text", None, None, "is UTF-16 text"),
-    "utf-16 without mark": (GOOD.encode("utf-16-be"), "wide-text", None, None, "iconv -f UTF-16-BE -t UTF-8"),
-    "utf-32": (GOOD.encode("utf-32"), "wide-text", None, None, "is UTF-32 text"),
-    "NUL bytes": (row(3, "qx", "0\x00.0"), "stray-byte", 3, ID + 5, "byte 0x00"),
-    "latin-1": (row(3, "query_id", "été").encode("latin-1"), "stray-byte", 3, 1, "byte 0xE9 that is not UTF-8"),
+    "spreadsheet": (b"PK\x03\x04" + bytes(100), "binary", None, None, "save the spreadsheet as CSV"),
+    "numpy": (b"\x93NUMPY\x01\x00", "binary", None, None, "a numpy file"),
+    "random bytes": (np.random.default_rng(0).bytes(3000), "binary", None, None, "contains binary data"),
+    "utf-16": (GOOD.encode("utf-16"), "not-utf-8", None, None, "is UTF-16 text"),
+    "utf-16 without mark": (GOOD.encode("utf-16-be"), "not-utf-8", None, None, "iconv -f UTF-16-BE -t UTF-8"),
+    "utf-32": (GOOD.encode("utf-32"), "not-utf-8", None, None, "is UTF-32 text"),
+    "NUL bytes": (row(3, "qx", "0\x00.0"), "invalid-byte", 3, QW_COLUMN + 5, "byte 0x00"),
+    "latin-1": (row(3, "query_id", "été").encode("latin-1"), "invalid-byte", 3, 1, "byte 0xE9, which is not UTF-8"),
     "header in capitals": (with_header(HEAD.upper()), "column-name", 1, 1, 'column "QUERY_ID": expected "query_id"'),
     "header with a blank": (with_header(HEAD.replace(",qw", ", qw")), "column-name", 1, 10, 'column " qw"'),
     "header misspelt": (with_header(HEAD.replace("confidence", "confidance")), "column-name", 1, 28, "confidence"),
@@ -94,90 +94,90 @@ BROKEN: dict[str, tuple[str | bytes, str, int | None, int | None, str]] = {
         "\n".join([HEAD + ",scene", *(r + ",7" for r in ROWS), ""]), "unknown-column", 1, 47, 'column "scene"',
     ),
     "column twice": (
-        "\n".join([HEAD + ",qw", *(r + ",1" for r in ROWS), ""]), "double-column", 1, 47, 'column "qw" once',
+        "\n".join([HEAD + ",qw", *(r + ",1" for r in ROWS), ""]), "duplicate-column", 1, 47, 'a second column "qw"',
     ),
     "empty columns": (GOOD.replace("\n", ",,\n"), "empty-column", 1, 47, "column 11 has no name"),
     "empty columns in rows": (
         with_header(HEAD).replace(ROWS[0], ROWS[0] + ",,,"), "empty-columns", 2, len(ROWS[0]) + 2, "13 fields",
     ),
-    "semicolons": (GOOD.replace(",", ";"), "separator", 1, None, "parted by semicolons"),
-    "tabs": (GOOD.replace(",", "\t"), "separator", 1, None, "parted by tabs"),
-    "spaces": (GOOD.replace(",", "  "), "separator", 1, None, "parted by spaces"),
-    "bars": (GOOD.replace(",", " | "), "separator", 1, None, "parted by bars"),
+    "semicolons": (GOOD.replace(",", ";"), "separator", 1, None, "separated by semicolons"),
+    "tabs": (GOOD.replace(",", "\t"), "separator", 1, None, "separated by tabs"),
+    "spaces": (GOOD.replace(",", "  "), "separator", 1, None, "separated by spaces"),
+    "bars": (GOOD.replace(",", " | "), "separator", 1, None, "separated by bars"),
     "semicolons in a row": (
-        GOOD.replace(ROWS[1], ROWS[1].replace(",", ";")), "separator", 3, 1, "parted by semicolons",
+        GOOD.replace(ROWS[1], ROWS[1].replace(",", ";")), "separator", 3, 1, "separated by semicolons",
     ),
     "European sheet": (european(";"), "decimal-comma", None, None, "a decimal comma"),
-    "decimal comma, parted by commas": (
-        GOOD.replace(ROWS[1], ROWS[1].replace(".", ",")), "decimal-comma", 3, ID, "decimal point instead of the comma",
+    "decimal comma, separated by commas": (
+        GOOD.replace(ROWS[1], ROWS[1].replace(".", ",")), "decimal-comma", 3, QW_COLUMN, "write a decimal point",
     ),
-    "decimal comma in quotes": (row(3, "qw", '"0,8"'), "decimal-comma", 3, ID, 'qw = "0,8": expected a number'),
+    "decimal comma in quotes": (row(3, "qw", '"0,8"'), "decimal-comma", 3, QW_COLUMN, 'qw = "0,8": expected a number'),
     "thousands": (
-        row(3, "seconds", "1_000.5"), "thousands-mark", 3, ROWS[1].rindex(",") + 2, "the digits without marks",
+        row(3, "seconds", "1_000.5"), "digit-separator", 3, ROWS[1].rindex(",") + 2, "digits without separators",
     ),
-    "two points": (row(3, "qw", "0.8.1"), "two-points", 3, ID, 'qw = "0.8.1"'),
-    "text": (row(3, "qw", "abc"), "text", 3, ID, 'qw = "abc": expected a number; write digits'),
-    "empty field": (row(3, "qw", ""), "empty-field", 3, ID, 'qw = ""'),
+    "two points": (row(3, "qw", "0.8.1"), "two-decimal-points", 3, QW_COLUMN, 'qw = "0.8.1"'),
+    "text": (row(3, "qw", "abc"), "text", 3, QW_COLUMN, 'qw = "abc": expected a number; write digits'),
+    "empty field": (row(3, "qw", ""), "empty-field", 3, QW_COLUMN, 'qw = ""'),
     "empty seconds": (row(5, "seconds", ""), "empty-field", 5, 52, "seconds are -1 when not measured"),
-    "NaN": (row(3, "qx", "nan"), "nan", 3, ID + 4, 'qx = "nan": expected a number; leave out the row'),
-    "N/A": (row(3, "z", "N/A"), "nan", 3, 44, "leave out the row when there is no answer"),
-    "None": (row(3, "z", "None"), "nan", 3, 44, "leave out the row"),
+    "NaN": (row(3, "qx", "nan"), "nan", 3, QW_COLUMN + 4, 'qx = "nan": expected a number; omit the row'),
+    "N/A": (row(3, "z", "N/A"), "nan", 3, 44, "omit the row when there is no prediction"),
+    "None": (row(3, "z", "None"), "nan", 3, 44, "omit the row"),
     "infinity": (row(3, "x", "-inf"), "infinity", 3, 36, 'x = "-inf"'),
-    "overflow": (row(3, "x", "1e999"), "too-large", 3, 36, "an overflow"),
-    "numpy's repr": (row(3, "x", "np.float64(0.5)"), "repr-of-a-type", 3, 36, "repr(float(value))"),
-    "brackets": (row(3, "qw", "[0.8"), "brackets", 3, ID, "the number alone"),
+    "overflow": (row(3, "x", "1e999"), "overflow", 3, 36, "beyond float64"),
+    "numpy's repr": (row(3, "x", "np.float64(0.5)"), "type-repr", 3, 36, "repr(float(value))"),
+    "brackets": (row(3, "qw", "[0.8"), "brackets", 3, QW_COLUMN, "only the number"),
     "unit": (row(3, "x", "300 mm"), "unit", 3, 36, "in metres"),
     "date": (row(3, "confidence", "01.Jan"), "date", 3, 49, "format the column"),
-    "sheet's error": (row(3, "qw", "#REF!"), "sheet-error", 3, ID, "mend the formula"),
-    "fraction": (row(3, "qw", "4/5"), "fraction", 3, ID, "decimal point"),
-    "true": (row(3, "confidence", "TRUE"), "true-or-false", 3, 49, 'confidence = "TRUE"'),
-    "hexadecimal": (row(3, "qw", "0x1.8p-1"), "hexadecimal", 3, ID, "decimal point"),
-    "complex": (row(3, "qw", "0.8+0j"), "complex", 3, ID, 'qw = "0.8+0j"'),
-    "a minus from a text": (row(3, "x", "\u22120.3"), "foreign-digits", 3, 36, "the minus sign -"),
-    "other digits": (row(3, "x", "\uff10.\uff13"), "foreign-digits", 3, 36, "ASCII digits"),
-    "huge field": (row(3, "qw", "0." + "1" * 500), "not-unit", 3, ID, "got 0.6"),
-    "huge text": (row(3, "qw", "x" * 500), "huge-field", 3, ID, "17 digits"),
-    "huge line": (row(3, "qw", "1" * 100_000), "huge-line", 3, 1, "a line of 1000"),
+    "sheet's error": (row(3, "qw", "#REF!"), "spreadsheet-error", 3, QW_COLUMN, "repair the formula"),
+    "fraction": (row(3, "qw", "4/5"), "fraction", 3, QW_COLUMN, "decimal point"),
+    "true": (row(3, "confidence", "TRUE"), "boolean", 3, 49, 'confidence = "TRUE"'),
+    "hexadecimal": (row(3, "qw", "0x1.8p-1"), "hexadecimal", 3, QW_COLUMN, "decimal point"),
+    "complex": (row(3, "qw", "0.8+0j"), "complex", 3, QW_COLUMN, 'qw = "0.8+0j"'),
+    "a minus from a text": (row(3, "x", "\u22120.3"), "non-ascii-digits", 3, 36, "the minus sign -"),
+    "other digits": (row(3, "x", "\uff10.\uff13"), "non-ascii-digits", 3, 36, "ASCII digits"),
+    "huge field": (row(3, "qw", "0." + "1" * 500), "quaternion-norm", 3, QW_COLUMN, "got 0.6"),
+    "huge text": (row(3, "qw", "x" * 500), "long-field", 3, QW_COLUMN, "17 digits"),
+    "huge line": (row(3, "qw", "1" * 100_000), "long-line", 3, 1, "a line of 1000"),
     "open quote": (row(3, "query_id", '"test-s0001-p2-snap'), "open-quote", 3, 1, "not closed"),
     "too few fields": (with_line(3, "test-s0009-p0-snap,1,0,0,0"), "too-few-fields", 3, 27, "5 fields in"),
     "too many fields": (
         with_line(3, ROWS[1].replace("s0001", "s0009") + ",7"), "too-many-fields", 3, len(ROWS[1]) + 2, "11 fields",
     ),
-    "cut off": (GOOD[:-12], "cut-off", 5, 42, "the file breaks off after 7 fields"),
+    "cut off": (GOOD[:-12], "truncated", 5, 42, "the file ends after 7 fields"),
     "comment": (with_line(3, "# from here on with another seed"), "comment", 3, 1, "a comment"),
     "row commented out": (with_line(3, "#" + ROWS[1]), "comment", 3, 1, "a comment"),
-    "second header": (with_line(4, HEAD), "second-header", 4, 1, "the header once more"),
+    "second header": (with_line(4, HEAD), "second-header", 4, 1, "a second header"),
     "no id": (row(3, "query_id", ""), "empty-id", 3, 1, 'query_id = ""'),
-    "id with a blank": (row(3, "query_id", "test s0001 p2 snap"), "odd-id", 3, 1, "letters, digits and hyphens"),
+    "id with a blank": (row(3, "query_id", "test s0001 p2 snap"), "invalid-id", 3, 1, "letters, digits and hyphens"),
     "double": (
-        row(4, "query_id", "test-s0000-p0-snap"), "double", 4, 1, "line 2 has this one; delete line 4 or line 2",
+        row(4, "query_id", "test-s0000-p0-snap"), "duplicate-id", 4, 1, "line 2 has the same id; delete line 4",
     ),
-    "zero quaternion": (row(2, "qw", "0"), "zero-quaternion", 2, ID, "of norm 1, got 0"),
-    "quaternion too long": (row(2, "qw", "1.02"), "not-unit", 2, ID, "norm 1, got 1.02; divide"),
-    "degrees": (row(2, "qw", "90"), "not-unit", 2, ID, "not angles in degrees"),
+    "zero quaternion": (row(2, "qw", "0"), "zero-quaternion", 2, QW_COLUMN, "of norm 1, got 0"),
+    "quaternion too long": (row(2, "qw", "1.02"), "quaternion-norm", 2, QW_COLUMN, "norm 1, got 1.02; divide"),
+    "degrees": (row(2, "qw", "90"), "quaternion-norm", 2, QW_COLUMN, "not angles in degrees"),
     "percent": (row(2, "confidence", "90"), "confidence-range", 2, 51, "divide percent by 100"),
     "negative confidence": (row(2, "confidence", "-0.5"), "confidence-range", 2, 51, "0 to 1"),
     "negative seconds": (row(2, "seconds", "-0.5"), "seconds-range", 2, 55, "-1 when it was not measured"),
-    "beyond all tables": (row(2, "x", "1e12"), "far", 2, 36, "metres"),
+    "beyond all tables": (row(2, "x", "1e12"), "position-range", 2, 36, "metres"),
 }  # fmt: skip
-WARNED: dict[str, tuple[str | bytes, str, int | None, int | None, str]] = {
+WARNINGS: dict[str, tuple[str | bytes, str, int | None, int | None, str]] = {
     "byte order mark": (b"\xef\xbb\xbf" + GOOD.encode(), "byte-order-mark", None, None, "byte order mark"),
-    "Windows": (GOOD.replace("\n", "\r\n"), "line-ends", None, None, "line ends of Windows"),
-    "an old Mac": (GOOD.replace("\n", "\r"), "line-ends", None, None, "line ends of Windows or an old Mac"),
+    "Windows": (GOOD.replace("\n", "\r\n"), "line-endings", None, None, "line endings of Windows"),
+    "an old Mac": (GOOD.replace("\n", "\r"), "line-endings", None, None, "line endings of Windows or an old Mac"),
     "empty lines": (with_line(3, "") + "\n", "empty-line", 3, 1, "2 empty lines, the first here"),
     "row of separators": (with_line(3, ",,,,,,,,,"), "empty-line", 3, 1, "1 empty line"),
-    "no line end": (GOOD[:-1], "no-line-end", 5, None, "the last line has no end"),
+    "no line end": (GOOD[:-1], "missing-line-ending", 5, None, "the last line has no line ending"),
     "quaternion a little too long": (
         row(2, "qw", "1.002"),
-        "not-unit",
+        "quaternion-norm",
         2,
-        ID,
+        QW_COLUMN,
         "got 1.002; divide the four by their norm",
     ),
-    "one row in millimetres": (row(2, "x", "300"), "far", 2, 36, "divide millimetres by 1000"),
+    "one row in millimetres": (row(2, "x", "300"), "position-range", 2, 36, "divide millimetres by 1000"),
     "ids of our own": (row(2, "query_id", "first"), "unusual-ids", None, None, "(first)"),
 }
-WHOLE_FILE_ALONE = {"header alone"}  # what `check` refuses and a reader takes: a file of no rows
+VALID_FOR_READERS = {"header alone"}  # an error for `check` but not for `read_predictions`: no rows
 
 
 def as_bytes(content: str | bytes) -> bytes:
@@ -185,14 +185,14 @@ def as_bytes(content: str | bytes) -> bytes:
 
 
 def field(name: str, value: str | None) -> str:
-    """The good manifest with another value, or none, for a field."""
+    """The valid manifest with another value, or none, for a field."""
     lines = MANIFEST.splitlines()
     i = next(i for i, line in enumerate(lines) if line.startswith(f"{name} ="))
     return "\n".join([*lines[:i], *([] if value is None else [f"{name} = {value}"]), *lines[i + 1 :], ""])
 
 
-SNAP_ALONE = field("tracks", '["snap"]')
-MANIFESTS: dict[str, tuple[str | bytes, str, int | None, str]] = {
+SNAP_ONLY = field("tracks", '["snap"]')
+BROKEN_MANIFESTS: dict[str, tuple[str | bytes, str, int | None, str]] = {
     "empty": ("", "empty", None, "is empty"),
     "no TOML": ("method: a\n", "no-toml", 1, "no TOML: Expected '=' after a key"),
     "unclosed": (MANIFEST.replace("predicts.", 'predicts.\n"'), "no-toml", 3, "no TOML"),
@@ -201,7 +201,7 @@ MANIFESTS: dict[str, tuple[str | bytes, str, int | None, str]] = {
     "deep": ("a = " + "[" * 100_000, "no-toml", None, "no TOML"),
     "long number": ("a = " + "1" * 100_000, "no-toml", None, "no TOML"),
     "bytes": (MANIFEST.encode() + b"\xff", "stray-byte", 16, "byte 0xFF"),
-    "utf-16": (MANIFEST.encode("utf-16"), "wide-text", None, "is UTF-16 text"),
+    "utf-16": (MANIFEST.encode("utf-16"), "not-utf-8", None, "is UTF-16 text"),
     "zip": (b"PK\x03\x04", "binary", None, "zip file"),
     "no method": (field("method", None), "missing-field", None, 'no field method'),
     "no tracks": (field("tracks", None), "missing-field", None, "a list of some of snap, snap-tilt, place"),
@@ -231,11 +231,11 @@ MANIFESTS: dict[str, tuple[str | bytes, str, int | None, str]] = {
     "paper row in two lines": (MANIFEST + 'paper_row = "a\\nb"\n', "two-lines", 16, "in one line"),
     "control": (field("method", '"a\\u0007"'), "stray-byte", 1, "control characters"),
     "claimed": (
-        field("tracks", '["snap", "place", "curves"]'), "empty-track", None, "curves is claimed and has no row",
+        field("tracks", '["snap", "place", "curves"]'), "empty-track", None, "curves is listed in manifest.toml",
     ),
 }  # fmt: skip
-ASIDE = {
-    "not claimed": (SNAP_ALONE, "unclaimed", None, "1 rows of track place, which is not claimed"),
+MANIFEST_WARNINGS = {
+    "not claimed": (SNAP_ONLY, "unlisted-track", None, "1 rows of track place, which manifest.toml does not list"),
     "left empty": (field("hardware", '""'), "left-empty", None, "hardware left empty"),
     "learned from what": (field("learned", "true"), "left-empty", None, "training_data left empty"),
 }

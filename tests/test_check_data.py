@@ -1,4 +1,4 @@
-"""Laws of checking a submission against a dataset: ids, coverage, and motions that are none."""
+"""Checking a submission against a dataset: ids, coverage, and implausible motions."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,11 +19,11 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.submission import Manifest, Predictions, Report, check, write_predictions, write_submission
-from kit1000.submission.asked import Asked
 from kit1000.submission.check import _coverage_faults
+from kit1000.submission.expected_queries import ExpectedQueries
 from kit1000.submission.faults import Fault
+from kit1000.submission.plausibility import plausibility_faults
 from kit1000.submission.rows import read_rows
-from kit1000.submission.suspicions import suspicions
 from kit1000.tracks import CURVES
 from kit1000.values import Prediction
 
@@ -31,7 +32,7 @@ DOCUMENT = Path(__file__).resolve().parents[1] / "docs/submission.md"
 
 @pytest.fixture(scope="module")
 def truth(mini: Path) -> Predictions:
-    """The right answer to every query of the test split and of the curves."""
+    """The drawn goal of every query of the test split and of the curves."""
     dataset = Dataset(mini)
     rows = [
         Prediction(query.id, scene.truths[query.id].goal_drawn, 1.0, 0.5)
@@ -49,7 +50,7 @@ def manifest(mini: Path) -> Manifest:
     return Manifest(
         method="truth",
         authors=("A. Name",),
-        description="The right answer.",
+        description="The ground truth.",
         date="2026-01-31",
         dataset_id=dataset.id,
         tracks=(*dict.fromkeys(tracks), CURVES),
@@ -61,30 +62,30 @@ def manifest(mini: Path) -> Manifest:
 
 
 def changed(truth: Predictions, rows: np.ndarray | slice, ids: dict[str, str] | None = None) -> Predictions:
-    """Some of the predictions, some of the ids with another name."""
+    """Some of the predictions, with some of the ids replaced."""
     names: list[str] = np.array(truth.query_ids)[rows].tolist()
     renamed = ids or {}
     kept = tuple(renamed.get(name, name) for name in names)
     return Predictions(kept, truth.motions[rows], truth.confidence[rows], truth.seconds[rows])
 
 
-def only(report: Report, name: str) -> str:
-    """What is said of the one fault, which has this name."""
-    assert [fault.name for fault in report.faults] == [name], str(report)
+def only(report: Report, code: str) -> str:
+    """The message of the only fault, which must have this code."""
+    assert [fault.code for fault in report.faults] == [code], str(report)
     return str(report.faults[0])
 
 
-def test_the_truth_has_no_fault(
+def test_the_ground_truth_has_no_fault(
     mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_submission(tmp_path, manifest, truth)
     report = check(tmp_path, mini)
-    assert (report.faults, report.read, report.against_data) == ((), len(truth), True)
+    assert (report.faults, report.rows, report.against_data) == ((), len(truth), True)
     assert main(["check", str(tmp_path), "--data", str(mini)]) == 0
-    assert capsys.readouterr().out == f"{tmp_path}: {len(truth)} rows checked against the dataset: all good\n"
+    assert capsys.readouterr().out == f"{tmp_path}: {len(truth)} rows checked against the dataset: no faults\n"
 
 
-def test_no_truth_and_no_mesh_is_read(
+def test_no_ground_truth_and_no_mesh_is_read(
     mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     opened: list[str] = []
@@ -100,7 +101,7 @@ def test_no_truth_and_no_mesh_is_read(
     assert not [name for name in opened if "truth" in name or name.endswith(".glb")]
 
 
-def test_missing_predictions_are_told_by_track(
+def test_missing_predictions_are_counted_by_track(
     mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
 ) -> None:
     lost = [i for i, query_id in enumerate(truth.query_ids) if query_id.startswith("curves")][:5]
@@ -115,24 +116,25 @@ def test_missing_predictions_are_told_by_track(
     assert f"track snap: 1 of 1 queries have no row ({truth.query_ids[snap]})" in first
 
 
-def test_whole_scenes_may_be_left_out_of_curves_but_no_part_of_one() -> None:
+def test_curves_may_leave_out_scenes_but_not_single_queries() -> None:
     ids = tuple(f"curves-s{scene:04}-p0-pos{level}-rot1" for scene in range(3) for level in range(4))
-    no = np.zeros((len(ids), 3))
-    asked = Asked("id", None, ids, ("curves",) * 12, ("curves",) * 12, np.ones(12, bool), no, no, np.zeros((12, 4)))
+    curves, zeros = (CURVES,) * 12, np.zeros((12, 3))
+    expected = ExpectedQueries("id", None, ids, curves, curves, np.ones(12, bool), zeros, zeros, np.zeros((12, 4)))
 
-    def told(answered: tuple[str, ...]) -> list[Fault]:
-        return _coverage_faults(SimpleNamespace(query_ids=answered), ["curves"], asked, "p.csv")  # pyright: ignore[reportArgumentType]
+    def coverage(query_ids: tuple[str, ...]) -> list[Fault]:
+        rows: Any = SimpleNamespace(query_ids=query_ids, file="p.csv")
+        return _coverage_faults(rows, [CURVES], expected)
 
-    assert told(ids) == []
-    (thinned,) = told(ids[4:8])
-    assert thinned.kind == "warning"
-    assert "1 of 3 scenes are answered" in thinned.seen
-    missing, thinned = sorted(told(ids[:6]), key=lambda fault: fault.kind)
-    assert (missing.kind, thinned.kind) == ("error", "warning")
-    assert "2 of 8 queries have no row" in missing.seen
+    assert coverage(ids) == []
+    (partial,) = coverage(ids[4:8])
+    assert partial.severity == "warning"
+    assert "1 of 3 scenes have predictions" in partial.actual
+    missing, partial = sorted(coverage(ids[:6]), key=lambda fault: fault.severity)
+    assert (missing.severity, partial.severity) == ("error", "warning")
+    assert "2 of 8 queries have no row" in missing.actual
 
 
-def test_a_file_alone_claims_the_tracks_it_answers(mini: Path, truth: Predictions, tmp_path: Path) -> None:
+def test_a_file_without_a_manifest_needs_the_tracks_of_its_rows(mini: Path, truth: Predictions, tmp_path: Path) -> None:
     rows = np.flatnonzero([not query_id.startswith("curves") for query_id in truth.query_ids])
     write_predictions(tmp_path / "p.csv", changed(truth, rows))
     assert check(tmp_path / "p.csv", mini).faults == ()
@@ -147,27 +149,27 @@ NAMES: dict[str, Callable[[str], str]] = {
 
 
 @pytest.mark.parametrize("case", NAMES)
-def test_an_unknown_id_is_answered_with_the_near_one(
+def test_the_closest_id_is_suggested_for_an_unknown_one(
     case: str, mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
 ) -> None:
     known = next(query_id for query_id in truth.query_ids if query_id.endswith("-snap"))
     unknown = NAMES[case](known)
     write_submission(tmp_path, manifest, changed(truth, slice(None), {known: unknown}))
-    fault = next(fault for fault in check(tmp_path, mini).faults if fault.name == "unknown-id")
-    assert fault.seen == f'query_id = "{unknown}"'
+    fault = next(fault for fault in check(tmp_path, mini).faults if fault.code == "unknown-id")
+    assert fault.actual == f'query_id = "{unknown}"'
     assert fault.repair == f"did you mean {known}?"
 
 
-def test_an_id_of_nothing_is_told_so(mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path) -> None:
-    known = truth.query_ids[0]
-    write_submission(tmp_path, manifest, changed(truth, slice(None), {known: "test-s7777-p0-snap"}))
-    names = {fault.name for fault in check(tmp_path, mini).errors}
-    assert names == {"unknown-id", "missing"}
-
-
-def test_rows_of_other_splits_are_not_looked_at(
+def test_an_id_without_a_close_one_is_reported(
     mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
 ) -> None:
+    known = truth.query_ids[0]
+    write_submission(tmp_path, manifest, changed(truth, slice(None), {known: "test-s7777-p0-snap"}))
+    names = {fault.code for fault in check(tmp_path, mini).errors}
+    assert names == {"unknown-id", "missing-predictions"}
+
+
+def test_rows_of_other_splits_are_ignored(mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path) -> None:
     dataset = Dataset(mini)
     rows = [Prediction(query.id, Pose.identity(), 1.0, 0.0) for query in dataset.split("val").queries()]
     both = Predictions.of(rows)
@@ -181,34 +183,32 @@ def test_rows_of_other_splits_are_not_looked_at(
         np.concatenate([truth.seconds, both.seconds]),
     )
     write_submission(tmp_path, manifest, both)
-    said = only(check(tmp_path, mini), "other-split")
-    assert f"warning: {len(rows)} rows of the split val" in said
-    named = {fault.name for fault in check(tmp_path, mini, "val").errors}
-    assert named == {"missing"} or not named  # the curves are not asked of val, a track may be
+    message = only(check(tmp_path, mini), "other-split")
+    assert f"warning: {len(rows)} rows of split val" in message
+    named = {fault.code for fault in check(tmp_path, mini, "val").errors}
+    assert named == {"missing-predictions"} or not named  # val has no curves, but may lack rows of a track
 
 
-def test_rows_of_tracks_that_are_not_claimed(
-    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
-) -> None:
+def test_rows_of_unlisted_tracks(mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path) -> None:
     write_submission(tmp_path, replace(manifest, tracks=manifest.tracks[:-1]), truth)
-    assert "48 rows of track curves, which is not claimed" in only(check(tmp_path, mini), "unclaimed")
+    assert "48 rows of track curves, which manifest.toml does not list" in only(check(tmp_path, mini), "unlisted-track")
 
 
-def test_another_plan_is_refused_and_other_bytes_are_told(
+def test_another_dataset_is_refused_and_another_copy_is_a_warning(
     mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
 ) -> None:
     write_submission(tmp_path, replace(manifest, dataset_id="0123456789abcdef"), truth)
     report = check(tmp_path, mini)
     assert not report.good
-    assert f'expected "{manifest.dataset_id}", that of --data' in only(report, "foreign-dataset")
-    assert report.faults[0].line == 6
+    assert f'expected "{manifest.dataset_id}", that of --data' in only(report, "other-dataset")
+    assert report.faults[0].line == 7
     write_submission(tmp_path, replace(manifest, dataset_checksum="0" * 64), truth)
     report = check(tmp_path, mini)
     assert report.good
-    assert "built on another machine" in only(report, "other-bytes")
+    assert "built on another machine" in only(report, "other-checksum")
 
 
-def test_tracks_that_the_dataset_has_not_are_refused(
+def test_tracks_that_the_dataset_lacks_are_refused(
     mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
 ) -> None:
     data = tmp_path / "data"
@@ -218,7 +218,7 @@ def test_tracks_that_the_dataset_has_not_are_refused(
     (data / "dataset.json").write_text(json.dumps(summary))
     rows = np.flatnonzero([not query_id.startswith("curves") for query_id in truth.query_ids])
     write_submission(tmp_path / "mine", manifest, changed(truth, rows))
-    assert 'tracks has "curves"' in only(check(tmp_path / "mine", data), "no-such-track")
+    assert 'tracks has "curves"' in only(check(tmp_path / "mine", data), "unknown-track")
 
 
 def moved(truth: Predictions, motions: Pose) -> Predictions:
@@ -236,51 +236,54 @@ MISTAKES: dict[str, Callable[[Pose, np.ndarray], Pose]] = {
     "scalar-last-suspected": lambda p, pivots: Pose(np.roll(p.wxyz, -1, axis=1), p.xyz),
     "pose-suspected": lambda p, pivots: Pose(p.wxyz, p.apply(pivots + 0.005)),
     "inverse-suspected": lambda p, pivots: p.inverse(),
-    "turn-about-the-part-suspected": lambda p, pivots: Pose(p.wxyz, p.apply(pivots) - pivots),
+    "rotation-about-the-part-suspected": lambda p, pivots: Pose(p.wxyz, p.apply(pivots) - pivots),
 }
 
 
-@pytest.mark.parametrize("name", [name for name in MISTAKES if not name.startswith("turn")])  # one scene turns little
-def test_numbers_that_mean_something_else_are_suspected(
+@pytest.mark.parametrize(
+    "name", [name for name in MISTAKES if not name.startswith("rotation")]
+)  # too little rotation in one scene
+def test_numbers_with_another_meaning_are_suspected(
     name: str, mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
 ) -> None:
     write_submission(tmp_path, manifest, moved(truth, MISTAKES[name](truth.motions, pivots(mini, truth))))
     report = check(tmp_path, mini)
-    assert name in [fault.name for fault in report.errors], str(report)
+    assert name in [fault.code for fault in report.errors], str(report)
 
 
-def asked_and_answered(rng: np.random.Generator, guessed: float = 1.0) -> tuple[Asked, Pose]:
-    """Three hundred queries on a table, some share of them with guesses of the usual error, and their right answers."""
+def queries_and_motions(rng: np.random.Generator, guessed: float = 1.0) -> tuple[ExpectedQueries, Pose]:
+    """300 queries on a table, a share of them with guesses of the usual error, and their correct motions."""
     n = 300
-    near, far = rng.uniform((-0.15, -0.3, 0), (0.15, -0.03, 0.08), (n, 3)), np.array([0.1, 0.12, 0.1])
+    pivots, spread = rng.uniform((-0.15, -0.3, 0), (0.15, -0.03, 0.08), (n, 3)), np.array([0.1, 0.12, 0.1])
     tilt = Pose.from_rotvec(rng.normal(0, 0.25, (n, 3)) * (1, 1, 0))
-    turns = tilt @ Pose.from_rotvec(rng.uniform(-np.pi, np.pi, (n, 1)) * (0, 0, 1))
-    homes = rng.uniform(-far, far, (n, 3)) + (0, 0.2, 0.1)
-    motions = Pose(turns.wxyz, homes - turns.apply(near))
+    rotations = tilt @ Pose.from_rotvec(rng.uniform(-np.pi, np.pi, (n, 1)) * (0, 0, 1))
+    targets = rng.uniform(-spread, spread, (n, 3)) + (0, 0.2, 0.1)
+    motions = Pose(rotations.wxyz, targets - rotations.apply(pivots))
     error = Pose.from_rotvec(rng.normal(0, 0.15, (n, 3)))
     guesses = np.where(rng.random((n, 1)) < guessed, (error @ motions).wxyz, np.nan)
     ids = tuple(f"test-s{i:04d}-p0-snap" for i in range(n))
-    slips = homes + rng.uniform(-0.028, 0.028, (n, 3))
-    return Asked("x", None, ids, ("snap",) * n, ("test",) * n, np.ones(n, bool), near, slips, guesses), motions
+    guessed_targets = targets + rng.uniform(-0.028, 0.028, (n, 3))
+    tracks, splits, required = ("snap",) * n, ("test",) * n, np.ones(n, bool)
+    return ExpectedQueries("x", None, ids, tracks, splits, required, pivots, guessed_targets, guesses), motions
 
 
-def suspected(asked: Asked, motions: Pose, folder: Path) -> list[str]:
+def plausibility_codes(expected: ExpectedQueries, motions: Pose, folder: Path) -> list[str]:
     n = len(motions)
-    write_predictions(folder / "p.csv", Predictions(asked.query_ids, motions, np.ones(n), np.ones(n)))
+    write_predictions(folder / "p.csv", Predictions(expected.query_ids, motions, np.ones(n), np.ones(n)))
     rows, _ = read_rows((folder / "p.csv").read_text(), "p.csv")
     assert rows is not None
-    return [fault.name for fault in suspicions(rows, asked, rotation_only=False)]
+    return [fault.code for fault in plausibility_faults(rows, expected, rotation_only=False)]
 
 
 @pytest.mark.parametrize("guessed", [1.0, 0.0])
 @pytest.mark.parametrize("seed", range(3))
-def test_mistakes_are_told_apart(seed: int, guessed: float, tmp_path: Path) -> None:
-    asked, motions = asked_and_answered(np.random.default_rng(seed), guessed)
-    assert suspected(asked, motions, tmp_path) == []
+def test_mistakes_are_distinguished(seed: int, guessed: float, tmp_path: Path) -> None:
+    expected, motions = queries_and_motions(np.random.default_rng(seed), guessed)
+    assert plausibility_codes(expected, motions, tmp_path) == []
     for name, mistake in MISTAKES.items():
-        assert suspected(asked, mistake(motions, asked.pivots), tmp_path) == [name]
-    for case, control in controls(motions, asked.pivots).items():
-        assert suspected(asked, control, tmp_path) == [], case
+        assert plausibility_codes(expected, mistake(motions, expected.pivots), tmp_path) == [name]
+    for case, control in controls(motions, expected.pivots).items():
+        assert plausibility_codes(expected, control, tmp_path) == [], case
 
 
 def test_two_mistakes_at_once_are_both_suspected(
@@ -288,12 +291,12 @@ def test_two_mistakes_at_once_are_both_suspected(
 ) -> None:
     wrong = Pose(np.roll(truth.motions.wxyz, -1, axis=1), truth.motions.apply(pivots(mini, truth)) * 1e3)
     write_submission(tmp_path, manifest, moved(truth, wrong))
-    names = {fault.name for fault in check(tmp_path, mini).errors}
+    names = {fault.code for fault in check(tmp_path, mini).errors}
     assert names >= {"millimetres-suspected", "scalar-last-suspected", "pose-suspected"}
 
 
 def controls(motions: Pose, pivots: np.ndarray) -> dict[str, Pose]:
-    """Answers that are bad, and honest."""
+    """Bad predictions without a mistake in their format."""
     n, rng = len(motions), np.random.default_rng(5)
     anywhere = Pose(rng.standard_normal((n, 4)), np.zeros(3))
     places = rng.uniform((-0.12, 0.06, 0.02), (0.12, 0.3, 0.15), (n, 3))
@@ -308,7 +311,7 @@ def controls(motions: Pose, pivots: np.ndarray) -> dict[str, Pose]:
 
 
 @pytest.mark.parametrize("case", ["chance", "no motion", "shift alone", "noise", "other signs"])
-def test_bad_answers_are_no_faults(
+def test_bad_predictions_are_not_faults(
     case: str, mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
 ) -> None:
     motions = controls(truth.motions, pivots(mini, truth))[case]
@@ -317,7 +320,7 @@ def test_bad_answers_are_no_faults(
     assert check(tmp_path).faults == ()
 
 
-def test_positions_of_a_method_of_rotations_are_no_fault(
+def test_positions_of_a_rotation_only_method_are_not_faults(
     mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
 ) -> None:
     turns = Pose(truth.motions.wxyz, np.zeros(3))
@@ -325,7 +328,7 @@ def test_positions_of_a_method_of_rotations_are_no_fault(
     assert check(tmp_path, mini).faults == ()
 
 
-def test_what_is_no_dataset_is_bad_input(mini: Path, truth: Predictions, tmp_path: Path) -> None:
+def test_anything_but_a_dataset_is_refused(mini: Path, truth: Predictions, tmp_path: Path) -> None:
     write_predictions(tmp_path / "p.csv", truth)
     with pytest.raises(InputError, match="no dataset"):
         check(tmp_path / "p.csv", tmp_path)
@@ -334,13 +337,13 @@ def test_what_is_no_dataset_is_bad_input(mini: Path, truth: Predictions, tmp_pat
     assert main(["check", str(tmp_path / "p.csv"), "--data", str(tmp_path)]) == 2
 
 
-def test_any_file_is_checked_against_a_dataset(mini: Path, tmp_path: Path) -> None:
+def test_any_file_can_be_checked_against_a_dataset(mini: Path, tmp_path: Path) -> None:
     for content in (b"", b"\xff", b"query_id,qw,qx,qy,qz,x,y,z,confidence,seconds\n", b"a,b\n1,2\n"):
         (tmp_path / "p.csv").write_bytes(content)
         assert not check(tmp_path / "p.csv", mini).good
 
 
-def test_the_script_of_the_documents_is_answered_well(
+def test_the_script_of_the_documentation_writes_a_valid_submission(
     mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "data").mkdir()

@@ -1,6 +1,6 @@
-"""A submission may hold any bytes: the check answers with a report and the reader with a value or one line, no more.
+"""For any bytes, the check returns a report, and the reader a value or an error of one line.
 
-KIT1000_FUZZ_S says for how many seconds files are mutilated; a few when it is absent.
+KIT1000_FUZZ_S: for how many seconds files are mutated; 4 by default.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from broken_submissions import BROKEN, GOOD, MANIFEST, MANIFESTS, WARNED, as_bytes
+from broken_submissions import BROKEN, BROKEN_MANIFESTS, GOOD, MANIFEST, WARNINGS, as_bytes
 
 from kit1000.cli import main
 from kit1000.errors import InputError
@@ -27,12 +27,12 @@ TOKENS = (
     b"1979-05-27T07:32:00Z", b"0x", b"1" * 400, b"\x1f\x8b", b"\xff\xfe", b"\xf0\x9f\x98\x80", b"\xed\xa0\x80",
     b"tracks", b"\x85", b"\x1c",
 )  # fmt: skip
-PREDICTIONS = [as_bytes(content) for content, *_ in (BROKEN | WARNED).values()] + [GOOD.encode()] * 20
-MANIFEST_FILES = [as_bytes(content) for content, *_ in MANIFESTS.values()] + [MANIFEST.encode()] * 20
+PREDICTIONS = [as_bytes(content) for content, *_ in (BROKEN | WARNINGS).values()] + [GOOD.encode()] * 20
+MANIFEST_FILES = [as_bytes(content) for content, *_ in BROKEN_MANIFESTS.values()] + [MANIFEST.encode()] * 20
 
 
-def mutilated(rng: np.random.Generator, files: list[bytes]) -> bytes:
-    """A file with bytes flipped, cut, repeated, spliced with another, or with odd pieces put in."""
+def mutated(rng: np.random.Generator, files: list[bytes]) -> bytes:
+    """A file with bytes flipped, cut, repeated, spliced with another file, or with tokens inserted."""
     data = files[rng.integers(len(files))][:20_000]
     for _ in range(rng.geometric(0.4)):
         i, j = sorted(rng.integers(len(data) + 1, size=2).tolist())
@@ -54,22 +54,22 @@ def mutilated(rng: np.random.Generator, files: list[bytes]) -> bytes:
 
 
 def files(seconds: float, seed: int) -> Iterator[tuple[int, bytes, bytes]]:
-    """Numbered pairs of manifest and predictions until time is up."""
+    """Numbered pairs of manifest and predictions until the time is over."""
     end, number = time.monotonic() + seconds, 0
     while time.monotonic() < end:
         rng = np.random.default_rng((seed, number))
-        yield number, mutilated(rng, MANIFEST_FILES), mutilated(rng, PREDICTIONS)
+        yield number, mutated(rng, MANIFEST_FILES), mutated(rng, PREDICTIONS)
         number += 1
 
 
-def refused(error: InputError, report: Report) -> None:
-    """What the reader refuses is no good to the check either."""
+def check_refused(error: InputError, report: Report) -> None:
+    """What the reader refuses, the check reports as an error."""
     assert "\n" not in str(error)
     assert not report.good
 
 
-def laws(folder: Path, again: Path, data: Path | None) -> None:
-    """What holds of any folder."""
+def check_laws(folder: Path, again: Path, data: Path | None) -> None:
+    """What holds for any folder."""
     report = check(folder, data)
     str(report).encode("ascii")
     json_bytes(report.as_json())
@@ -78,7 +78,7 @@ def laws(folder: Path, again: Path, data: Path | None) -> None:
     try:
         predictions = read_predictions(folder / "predictions.csv")
     except InputError as error:
-        refused(error, report)
+        check_refused(error, report)
     else:
         write_predictions(again, predictions)
         back = read_predictions(again)
@@ -88,14 +88,14 @@ def laws(folder: Path, again: Path, data: Path | None) -> None:
     try:
         manifest = read_manifest(folder / "manifest.toml")
     except InputError as error:
-        refused(error, report)
+        check_refused(error, report)
     else:
         write_manifest(again, manifest)
         assert read_manifest(again) == manifest
 
 
 @pytest.mark.parametrize("against_data", [False, True])
-def test_any_bytes_are_answered(against_data: bool, tmp_path: Path, request: pytest.FixtureRequest) -> None:
+def test_any_bytes_give_a_report(against_data: bool, tmp_path: Path, request: pytest.FixtureRequest) -> None:
     data = request.getfixturevalue("mini") if against_data else None
     folder, again = tmp_path / "mine", tmp_path / "again"
     folder.mkdir()
@@ -104,7 +104,7 @@ def test_any_bytes_are_answered(against_data: bool, tmp_path: Path, request: pyt
         (folder / "manifest.toml").write_bytes(manifest)
         (folder / "predictions.csv").write_bytes(predictions)
         try:
-            laws(folder, again, data)
+            check_laws(folder, again, data)
         except Exception as error:
             raise AssertionError(f"file {number}: {manifest!r} {predictions!r}") from error
         done += 1
@@ -112,7 +112,7 @@ def test_any_bytes_are_answered(against_data: bool, tmp_path: Path, request: pyt
     assert done
 
 
-def test_the_command_answers_any_bytes_with_0_or_1(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+def test_the_command_exits_with_0_or_1_for_any_bytes(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     for number, manifest, predictions in files(SECONDS / 4, seed=2):
         (tmp_path / "manifest.toml").write_bytes(manifest)
         (tmp_path / "predictions.csv").write_bytes(predictions)

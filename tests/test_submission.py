@@ -1,4 +1,4 @@
-"""Laws of submissions: what is written is read back bit for bit, and what could not be read is never written."""
+"""Submissions: written values are read back bit for bit, and values that could not be read are never written."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ MANIFEST = Manifest(
 NUMBERS = st.floats(-1e5, 1e5, allow_subnormal=True)
 
 
-def some(n: int = 20, seed: int = 0) -> Predictions:
+def random_predictions(n: int = 20, seed: int = 0) -> Predictions:
     rng = np.random.default_rng(seed)
     motions = Pose(random_quaternions(rng, n), rng.normal(0, 0.3, (n, 3)))
     ids = tuple(f"test-s{i:04d}-p0-snap" for i in range(n))
@@ -69,7 +69,7 @@ def test_numbers_come_back_bit_for_bit(
 
 
 def test_a_folder_comes_back_as_it_was_written(tmp_path: Path) -> None:
-    predictions = some()
+    predictions = random_predictions()
     write_submission(tmp_path / "mine", MANIFEST, predictions)
     read = read_submission(tmp_path / "mine")
     assert (read.name, read.manifest, read.folder) == ("mine", MANIFEST, tmp_path / "mine")
@@ -77,9 +77,9 @@ def test_a_folder_comes_back_as_it_was_written(tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / "mine").iterdir()) == ["manifest.toml", "predictions.csv"]
 
 
-def test_what_is_written_is_plain_and_always_the_same(tmp_path: Path) -> None:
+def test_files_are_ascii_and_deterministic(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        write_submission(tmp_path / name, MANIFEST, some())
+        write_submission(tmp_path / name, MANIFEST, random_predictions())
     data = (tmp_path / "a/predictions.csv").read_bytes()
     assert data == (tmp_path / "b/predictions.csv").read_bytes()
     assert data.startswith(",".join(HEADER).encode() + b"\n")
@@ -88,13 +88,13 @@ def test_what_is_written_is_plain_and_always_the_same(tmp_path: Path) -> None:
     assert data.endswith(b"\n")
 
 
-def test_what_is_written_has_no_fault(tmp_path: Path) -> None:
-    write_submission(tmp_path, replace(MANIFEST, control=True), some())
+def test_written_files_have_no_faults(tmp_path: Path) -> None:
+    write_submission(tmp_path, replace(MANIFEST, control=True), random_predictions())
     assert check(tmp_path).faults == ()
 
 
-def test_single_predictions_are_gathered(tmp_path: Path) -> None:
-    predictions = some()
+def test_single_predictions_can_be_collected(tmp_path: Path) -> None:
+    predictions = random_predictions()
     rows = [
         Prediction(*row) for row in zip(predictions.query_ids, predictions.motions, predictions.confidence,
                                         predictions.seconds, strict=True)
@@ -104,29 +104,29 @@ def test_single_predictions_are_gathered(tmp_path: Path) -> None:
     assert same(read_predictions(tmp_path / "p.csv"), predictions)
 
 
-def test_no_predictions_are_a_file_with_a_header(tmp_path: Path) -> None:
+def test_without_predictions_the_file_has_only_a_header(tmp_path: Path) -> None:
     write_predictions(tmp_path / "p.csv", [])
     assert len(read_predictions(tmp_path / "p.csv")) == 0
     assert not check(tmp_path / "p.csv").good
 
 
 def test_a_prediction_is_found_by_its_query() -> None:
-    predictions = some()
+    predictions = random_predictions()
     assert [predictions.row(query_id) for query_id in predictions.query_ids] == list(range(len(predictions)))
     assert predictions.row("test-s9999-p0-snap") is None
 
 
 def test_arrays_cannot_be_written_to() -> None:
-    predictions = some()
+    predictions = random_predictions()
     for array in (predictions.confidence, predictions.seconds, predictions.motions.xyz):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
-        ({"query_ids": ("a", "b", "a")}, 'expected one a query, got "a" more than once'),
+        ({"query_ids": ("a", "b", "a")}, 'expected one per query, got "a" more than once'),
         ({"query_ids": ("a", "b", "c,d")}, 'letters, digits and hyphens, got "c,d"'),
         ({"query_ids": ("a", "b", "")}, 'got ""'),
         ({"query_ids": ("a", "b", "query_id")}, 'got "query_id"'),
@@ -138,11 +138,11 @@ def test_arrays_cannot_be_written_to() -> None:
         ({"motions": Pose.from_translation(np.full((3, 3), 1e7))}, "position of a: expected metres"),
     ],
 )
-def test_what_could_not_be_read_is_not_made(changes: dict, said: str) -> None:
+def test_values_that_could_not_be_read_are_refused(changes: dict, message: str) -> None:
     good = Predictions(("a", "b", "c"), Pose.identity((3,)), np.ones(3), np.zeros(3))
     with pytest.raises(InputError) as caught:
         replace(good, **changes)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_motions_of_another_shape_are_refused() -> None:
@@ -151,7 +151,7 @@ def test_motions_of_another_shape_are_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"tracks": ("snap", "plaec")}, "did you mean place?"),
         ({"tracks": ()}, "tracks"),
@@ -164,10 +164,10 @@ def test_motions_of_another_shape_are_refused() -> None:
         ({"camera_set": "none"}, "primary, three, top"),
     ],
 )
-def test_a_manifest_that_could_not_be_read_is_not_made(changes: dict, said: str) -> None:
+def test_manifest_values_that_could_not_be_read_are_refused(changes: dict, message: str) -> None:
     with pytest.raises(InputError) as caught:
         replace(MANIFEST, **changes)
-    assert said in str(caught.value)
+    assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
@@ -190,8 +190,8 @@ def test_a_manifest_comes_back_as_it_was_written(
     assert read_manifest(path) == manifest
 
 
-def test_reading_names_the_first_fault_and_where_all_are_listed(tmp_path: Path) -> None:
-    write_submission(tmp_path, MANIFEST, some(3))
+def test_the_reader_reports_the_first_fault_and_the_command_that_lists_all(tmp_path: Path) -> None:
+    write_submission(tmp_path, MANIFEST, random_predictions(3))
     path = tmp_path / "predictions.csv"
     lines = path.read_text().split("\n")
     path.write_text("\n".join([*lines[:2], lines[2].replace("test", "te st"), lines[3] + ",1", ""]))
@@ -201,26 +201,26 @@ def test_reading_names_the_first_fault_and_where_all_are_listed(tmp_path: Path) 
     assert str(caught.value).endswith("(`kit1000 check` lists all faults)")
 
 
-def test_what_cannot_be_written_is_said_in_one_line(tmp_path: Path) -> None:
+def test_write_errors_have_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for write in (
-        lambda: write_submission(tmp_path / "file", MANIFEST, some()),
-        lambda: write_predictions(tmp_path / "file/p.csv", some()),
+        lambda: write_submission(tmp_path / "file", MANIFEST, random_predictions()),
+        lambda: write_predictions(tmp_path / "file/p.csv", random_predictions()),
         lambda: write_manifest(tmp_path / "file/m.toml", MANIFEST),
     ):
         with pytest.raises(InputError, match="cannot write"):
             write()
 
 
-def test_an_interrupted_writer_leaves_no_whole_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    write_submission(tmp_path, MANIFEST, some())
+def test_an_interrupted_write_leaves_no_complete_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_submission(tmp_path, MANIFEST, random_predictions())
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("kit1000.submission.folder.write_predictions", interrupt)
     with pytest.raises(KeyboardInterrupt):
-        write_submission(tmp_path, MANIFEST, some(3))
+        write_submission(tmp_path, MANIFEST, random_predictions(3))
     with pytest.raises(InputError, match="does not exist"):
         read_submission(tmp_path)
 
@@ -228,7 +228,7 @@ def test_an_interrupted_writer_leaves_no_whole_folder(tmp_path: Path, monkeypatc
 @pytest.mark.slow
 def test_a_hundred_thousand_predictions_are_read_in_a_second(tmp_path: Path) -> None:
     path, n = tmp_path / "p.csv", 100_000
-    write_predictions(path, some(n))
+    write_predictions(path, random_predictions(n))
     read_predictions(path)
     start = time.process_time()
     read_predictions(path)
@@ -239,13 +239,13 @@ def test_a_hundred_thousand_predictions_are_read_in_a_second(tmp_path: Path) -> 
     assert checked < 3
 
 
-def test_the_names_stand_in_the_package() -> None:
+def test_names_are_exported_by_the_package() -> None:
     assert kit1000.write_submission is write_submission
     assert kit1000.read_submission is read_submission
     assert (kit1000.Manifest, kit1000.Predictions) == (Manifest, Predictions)
 
 
-def test_reading_a_submission_loads_no_reader_of_datasets() -> None:
+def test_reading_a_submission_does_not_import_the_dataset_reader() -> None:
     import subprocess
 
     ask = "import sys, kit1000.submission; print('kit1000.dataset.reader' in sys.modules, 'numba' in sys.modules)"

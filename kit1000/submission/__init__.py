@@ -1,4 +1,4 @@
-"""Submissions: a folder a method, with manifest.toml and predictions.csv; reading, writing and checking them."""
+"""Submissions: one folder per method, with manifest.toml and predictions.csv; reading, writing and checking them."""
 
 from __future__ import annotations
 

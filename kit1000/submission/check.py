@@ -1,4 +1,4 @@
-"""Checking a submission: every fault of its two files, by themselves or against what a dataset asks."""
+"""Checking a submission: all faults of its two files, by themselves or against the queries of a dataset."""
 
 from __future__ import annotations
 
@@ -10,204 +10,209 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kit1000.submission import manifest as manifests
-from kit1000.submission import predictions as answers
-from kit1000.submission.faults import Fault, Report, in_order, named, printable
-from kit1000.submission.form import form_faults
+from kit1000.submission import predictions as prediction_files
+from kit1000.submission.faults import Fault, Report, listed, printable, sorted_faults
 from kit1000.submission.manifest import Manifest, line_of, manifest_of
-from kit1000.submission.reading import aside, file_bytes, text_of, whole
+from kit1000.submission.plausibility import plausibility_faults
+from kit1000.submission.reading import decode_text, file_error, file_warning, read_file
+from kit1000.submission.row_rules import row_faults
 from kit1000.submission.rows import Rows, read_rows
-from kit1000.submission.suspicions import suspicions
 from kit1000.tracks import ALL_TRACKS, CURVES
 
 if TYPE_CHECKING:
-    from kit1000.submission.asked import Asked
+    from kit1000.submission.expected_queries import ExpectedQueries
 
-USUAL_ID = re.compile(r"(?:(?:train|val|test)-s\d+-p\d+-([a-z0-9-]+)|(curves)-s\d+-p\d+-[a-z0-9-]+)\Z")
-MOST_LOOKED_UP = 20  # unknown ids for which near ones are looked for thoroughly
+ID_FORMAT = re.compile(r"(?:(?:train|val|test)-s\d+-p\d+-([a-z0-9-]+)|(curves)-s\d+-p\d+-[a-z0-9-]+)\Z")
+MOST_SUGGESTED = 20  # unknown ids for which similar ones are searched
 
 
 def check(path: str | Path, data: str | Path | None = None, split: str = "test") -> Report:
-    """Find every fault of a submission folder, or of a predictions file alone.
+    """Find all faults of a submission folder, or of a predictions file alone.
 
     Args:
         path: the folder with manifest.toml and predictions.csv, or one predictions file.
-        data: the dataset it answers; without it the form alone is checked. No truth is read.
-        split: whose queries are to be answered: test (those drawn, and the curves if claimed), test-all, val or train.
+        data: the dataset of the predictions; without it only the format is checked. No ground truth is read.
+        split: whose queries need a prediction: test (the drawn ones, and the curves if listed), test-all, val or train.
 
     Raises:
         InputError: when the dataset cannot be read. The submission may be anything.
     """
-    place = Path(path)
-    manifest, rows, faults, read = _read(place)
-    asked = None if data is None else _asked(Path(data), split, rows)
-    if manifest is not None and asked is not None:
-        faults += _dataset_faults(manifest, asked, place / manifests.FILE)
+    path = Path(path)
+    manifest, rows, faults, row_count = _read_files(path)
+    expected = None if data is None else _read_expected(Path(data), split, rows)
+    if manifest is not None and expected is not None:
+        faults += _dataset_faults(manifest, expected, path / manifests.FILE)
     if rows is not None:
-        file = rows.file
-        claims = None if manifest is None else manifest.tracks
-        faults += _asked_faults(rows, asked) if asked else _usual_faults(rows)
-        faults += _claim_faults(rows, claims, file) if asked is None else _coverage_faults(rows, claims, asked, file)
-        faults += suspicions(rows, asked, manifest is not None and manifest.predicts == "rotation")
-    return Report(printable(place), in_order(faults), read, asked is not None)
+        listed_tracks = None if manifest is None else manifest.tracks
+        if expected is None:
+            faults += [*_id_format_faults(rows), *_track_faults(rows, listed_tracks)]
+        else:
+            faults += [*_unknown_id_faults(rows, expected), *_coverage_faults(rows, listed_tracks, expected)]
+        rotation_only = manifest is not None and manifest.predicts == "rotation"
+        faults += plausibility_faults(rows, expected, rotation_only)
+    return Report(printable(path), sorted_faults(faults), row_count, expected is not None)
 
 
-def _asked(data: Path, split: str, rows: Rows | None) -> Asked:
-    from kit1000.submission.asked import asked_of  # with it comes the reader of datasets, which takes a second
+def _read_expected(data: Path, split: str, rows: Rows | None) -> ExpectedQueries:
+    from kit1000.submission.expected_queries import read_expected_queries  # imports the dataset reader: a second
 
-    return asked_of(data, split, () if rows is None else rows.query_ids)
+    return read_expected_queries(data, split, () if rows is None else rows.query_ids)
 
 
-def _read(place: Path) -> tuple[Manifest | None, Rows | None, list[Fault], int]:
-    """The two files as far as they can be read, all that is wrong with their form, and the number of rows."""
+def _read_files(path: Path) -> tuple[Manifest | None, Rows | None, list[Fault], int]:
+    """The two files as far as they can be read, the faults of their format, and the number of rows."""
     manifest, faults = None, []
-    if _is_folder(place):
-        manifest, faults = manifest_of(place / manifests.FILE, manifests.FILE)
-        place = place / answers.FILE
-        file = answers.FILE
+    if _is_folder(path):
+        manifest, faults = manifest_of(path / manifests.FILE, manifests.FILE)
+        path = path / prediction_files.FILE
+        file = prediction_files.FILE
     else:
-        file = printable(place)
-    if place.name == manifests.FILE:
-        seen, wanted = "is a manifest alone", "the folder of a submission, or its predictions file"
-        return None, None, [whole(file, "manifest-alone", seen, wanted, "give the folder around it")], 0
-    data, more = file_bytes(place, file)
-    text, found = (None, []) if data is None else text_of(data, file)
-    rows, rest = (None, []) if text is None else read_rows(text, file)
-    faults += [*more, *found, *rest]
+        file = printable(path)
+    if path.name == manifests.FILE:
+        expected = "the folder of a submission, or its predictions file"
+        fault = file_error(file, "manifest-only", "is only the manifest", expected, "give the folder that contains it")
+        return None, None, [fault], 0
+    data, open_faults = read_file(path, file)
+    text, text_faults = (None, []) if data is None else decode_text(data, file)
+    rows, format_faults = (None, []) if text is None else read_rows(text, file)
+    faults += [*open_faults, *text_faults, *format_faults]
     if rows is None:
         return manifest, None, faults, 0
-    faults += form_faults(rows)
+    faults += row_faults(rows)
     if len(rows) == 0:
-        faults.append(whole(file, "no-rows", "has no row that can be read", "a row a query", "write the predictions"))
+        faults.append(file_error(file, "no-rows", "has no readable row", "one row per query", "write the predictions"))
     return manifest, rows, faults, len(rows)
 
 
-def _is_folder(place: Path) -> bool:
+def _is_folder(path: Path) -> bool:
     try:
-        return place.is_dir()
-    except (OSError, ValueError, RuntimeError):  # links in a circle, a NUL in the path
+        return path.is_dir()
+    except (OSError, ValueError, RuntimeError):  # a loop of links, a NUL in the path
         return False
 
 
-def _dataset_faults(manifest: Manifest, asked: Asked, path: Path) -> list[Fault]:
-    """Whether the manifest speaks of this dataset."""
-    file, faults = manifests.FILE, []
+def _dataset_faults(manifest: Manifest, expected: ExpectedQueries, path: Path) -> list[Fault]:
+    """Differences between the dataset of the manifest and the given one."""
+    faults: list[Fault] = []
     text = path.read_text("utf-8", "replace")
 
-    def add(name: str, field: str, seen: str, wanted: str, repair: str, kind: str) -> None:
+    def add(code: str, field: str, actual: str, expectation: str, repair: str, error: bool = True) -> None:
+        severity = "error" if error else "warning"
         line = line_of(field, text)
-        faults.append(Fault(file, line, None, seen, wanted, repair, "error" if kind == "error" else "warning", name))
+        faults.append(Fault(manifests.FILE, line, None, actual, expectation, repair, severity, code))
 
-    if manifest.dataset_id != asked.dataset_id:
-        seen = f'dataset_id = "{printable(manifest.dataset_id)}"'
-        repair = "check against the dataset that was answered, or answer this one"
-        add("foreign-dataset", "dataset_id", seen, f'"{asked.dataset_id}", that of --data', repair, "error")
-    told = manifest.dataset_checksum
-    if told and asked.checksum and told != asked.checksum:
-        seen = f'dataset_checksum = "{printable(told)}"'
-        wanted = f'"{asked.checksum}": the same plan, built on another machine'
-        repair = "nothing need be done: kit1000 verify says how far the two agree"
-        add("other-bytes", "dataset_checksum", seen, wanted, repair, "warning")
+    if manifest.dataset_id not in (expected.dataset_id, expected.public_id):
+        actual = f'dataset_id = "{printable(manifest.dataset_id)}"'
+        repair = "check against the dataset of the predictions, or predict this one"
+        add("other-dataset", "dataset_id", actual, f'"{expected.dataset_id}", that of --data', repair)
+    checksum = manifest.dataset_checksum
+    if checksum and expected.checksum and checksum != expected.checksum:
+        actual = f'dataset_checksum = "{printable(checksum)}"'
+        expectation = f'"{expected.checksum}": the same plan, built on another machine'
+        repair = "no change needed: kit1000 verify compares the two copies"
+        add("other-checksum", "dataset_checksum", actual, expectation, repair, error=False)
     for track in manifest.tracks:
-        if track not in set(asked.tracks):
-            has = ", ".join(track for track in ALL_TRACKS if track in set(asked.tracks))
-            add("no-such-track", "tracks", f'tracks has "{track}"', f"some of {has}", f"delete {track}", "error")
+        if track not in set(expected.tracks):
+            present = ", ".join(track for track in ALL_TRACKS if track in set(expected.tracks))
+            add("unknown-track", "tracks", f'tracks has "{track}"', f"some of {present}", f"delete {track}")
     return faults
 
 
-def _usual_faults(rows: Rows) -> list[Fault]:
-    """Ids that no dataset of ours has, as far as that can be seen without one."""
-    odd = [i for i, query_id in enumerate(rows.query_ids) if query_id and not _track(query_id)]
-    if not odd:
+def _id_format_faults(rows: Rows) -> list[Fault]:
+    """A warning of ids without the format of a dataset of kit1000."""
+    unusual = [i for i, query_id in enumerate(rows.query_ids) if query_id and not _track_of(query_id)]
+    if not unusual:
         return []
-    seen = f"{len(odd)} ids are of an unusual form ({named((rows.query_ids[i] for i in odd), len(odd))})"
-    repair = "copy the ids as the dataset has them"
-    return [aside(rows.file, "unusual-ids", printable(seen[:300]), "ids such as test-s0007-p2-snap", repair)]
+    examples = listed((rows.query_ids[i] for i in unusual), len(unusual))
+    actual = printable(f"{len(unusual)} ids have an unusual format ({examples})"[:300])
+    repair = "copy the ids from the dataset"
+    return [file_warning(rows.file, "unusual-ids", actual, "ids such as test-s0007-p2-snap", repair)]
 
 
-def _asked_faults(rows: Rows, asked: Asked) -> list[Fault]:
+def _unknown_id_faults(rows: Rows, expected: ExpectedQueries) -> list[Fault]:
     """Ids that the dataset does not have."""
     faults = []
     for i, query_id in enumerate(rows.query_ids):
-        if query_id and query_id not in asked.index:
-            near = asked.near(query_id, thoroughly=len(faults) < MOST_LOOKED_UP)
-            repair = (
-                f"did you mean {near}?" if near else "delete the row, or check against the dataset that was answered"
-            )
+        if query_id and query_id not in expected.index:
+            closest = expected.closest_id(query_id, fuzzy=len(faults) < MOST_SUGGESTED)
+            other = "delete the row, or check against the dataset of the predictions"
+            repair = f"did you mean {closest}?" if closest else other
             faults.append(rows.fault(i, "query_id", "unknown-id", "the id of a query of this dataset", repair))
     return faults
 
 
-def _claim_faults(rows: Rows, claims: Iterable[str] | None, file: str) -> list[Fault]:
-    """Tracks that are claimed without a row, or answered without a claim, by the look of the ids."""
-    if claims is None:
+def _track_faults(rows: Rows, listed_tracks: Iterable[str] | None) -> list[Fault]:
+    """Listed tracks without a row, and rows of tracks that are not listed, by the format of the ids."""
+    if listed_tracks is None:
         return []
-    counts = _counts(_track(query_id) for query_id in rows.query_ids)
-    empty = [_no_rows(track, file) for track in claims if track not in counts] if len(rows) else []
-    return [*empty, *_unclaimed(counts, claims, file)]
+    counts = _count(_track_of(query_id) for query_id in rows.query_ids)
+    empty = [_empty_track_fault(track, rows.file) for track in listed_tracks if track not in counts]
+    return [*(empty if len(rows) else []), *_unlisted_track_faults(counts, listed_tracks, rows.file)]
 
 
-def _coverage_faults(rows: Rows, claims: Iterable[str] | None, asked: Asked, file: str) -> list[Fault]:
-    """Queries without a row, by track, and rows that nobody asks for."""
-    held = [asked.index[query_id] for query_id in rows.query_ids if query_id in asked.index]
-    answered = set(held)
-    counts = _counts(asked.tracks[i] for i in held if asked.wanted[i])
-    claimed = [track for track in ALL_TRACKS if track in (counts if claims is None else claims)]
+def _coverage_faults(rows: Rows, listed_tracks: Iterable[str] | None, expected: ExpectedQueries) -> list[Fault]:
+    """Queries without a row, by track, and rows of tracks and splits that are not checked."""
+    known = [expected.index[query_id] for query_id in rows.query_ids if query_id in expected.index]
+    predicted = set(known)
+    counts = _count(expected.tracks[i] for i in known if expected.required[i])
+    tracks = [track for track in ALL_TRACKS if track in (counts if listed_tracks is None else listed_tracks)]
     faults: list[Fault] = []
-    for track in claimed:
-        queries = [i for i, of in enumerate(asked.tracks) if of == track and asked.wanted[i]]
+    for track in tracks:
+        queries = [i for i, name in enumerate(expected.tracks) if name == track and expected.required[i]]
         if track == CURVES:
-            queries, left_out = _thinned(queries, answered, asked, file)
-            faults += left_out
-        missing = [asked.query_ids[i] for i in queries if i not in answered]
+            queries, warnings = _predicted_scenes(queries, predicted, expected, rows.file)
+            faults += warnings
+        missing = [expected.query_ids[i] for i in queries if i not in predicted]
         if missing:
-            seen = (
-                f"track {track}: {len(missing)} of {len(queries)} queries have no row ({named(missing, len(missing))})"
-            )
-            repair = "add them; a query without a row counts as a part that is not moved"
-            faults.append(whole(file, "missing", seen, "a row a query", repair))
-    checked = {asked.splits[i] for i in np.flatnonzero(asked.wanted)}
-    others = _counts(asked.splits[i] for i in held if asked.splits[i] not in checked)
+            examples = listed(missing, len(missing))
+            actual = f"track {track}: {len(missing)} of {len(queries)} queries have no row ({examples})"
+            repair = "add them; a query without a row counts as no motion"
+            faults.append(file_error(rows.file, "missing-predictions", actual, "one row per query", repair))
+    checked = {expected.splits[i] for i in np.flatnonzero(expected.required)}
+    others = _count(expected.splits[i] for i in known if expected.splits[i] not in checked)
     for split, count in others.items():
-        seen = f"{count} rows of the split {split}"
-        repair = f"nothing need be done: they are not looked at; --split {split} checks them"
-        faults.append(aside(file, "other-split", seen, "rows of the split that is checked", repair))
-    return [*faults, *([] if claims is None else _unclaimed(counts, claims, file))]
+        repair = f"no change needed: they are ignored; --split {split} checks them"
+        actual, expectation = f"{count} rows of split {split}", "rows of the checked split"
+        faults.append(file_warning(rows.file, "other-split", actual, expectation, repair))
+    return [*faults, *([] if listed_tracks is None else _unlisted_track_faults(counts, listed_tracks, rows.file))]
 
 
-def _thinned(queries: list[int], answered: set[int], asked: Asked, file: str) -> tuple[list[int], list[Fault]]:
-    """The queries of the curves in scenes of which any is answered: whole scenes may be left out of curves."""
-    held = {asked.part(i) for i in queries if i in answered}
-    kept = [i for i in queries if asked.part(i) in held]
-    if not held or len(kept) == len(queries):
+def _predicted_scenes(
+    queries: list[int], predicted: set[int], expected: ExpectedQueries, file: str
+) -> tuple[list[int], list[Fault]]:
+    """The queries of the curves in scenes with a prediction: other scenes may be left out, with a warning."""
+    predicted_parts = {expected.scene_part(i) for i in queries if i in predicted}
+    kept = [i for i in queries if expected.scene_part(i) in predicted_parts]
+    if not predicted_parts or len(kept) == len(queries):
         return queries, []
-    scenes = len({asked.part(i) for i in queries})
-    seen = f"track {CURVES}: {len(held)} of {scenes} scenes are answered"
-    repair = "nothing need be done: the curves are drawn of these and say how many they are"
-    return kept, [aside(file, "thinned", seen, "all scenes, or some of them whole", repair)]
+    scenes = len({expected.scene_part(i) for i in queries})
+    actual = f"track {CURVES}: {len(predicted_parts)} of {scenes} scenes have predictions"
+    repair = "no change needed: the curves use these scenes and state their number"
+    return kept, [file_warning(file, "partial-curves", actual, "all scenes, or some of them completely", repair)]
 
 
-def _unclaimed(counts: dict[str, int], claims: Iterable[str], file: str) -> list[Fault]:
-    repair = "add the track to tracks in manifest.toml, or leave out its rows"
-    return [
-        aside(file, "unclaimed", f"{n} rows of track {track}, which is not claimed", "rows of claimed tracks", repair)
-        for track, n in counts.items()
-        if track not in set(claims)
-    ]
+def _unlisted_track_faults(counts: dict[str, int], listed_tracks: Iterable[str], file: str) -> list[Fault]:
+    expected, repair = "rows of listed tracks", "add the track to tracks in manifest.toml, or delete its rows"
+    actual = {track: f"{n} rows of track {track}, which manifest.toml does not list" for track, n in counts.items()}
+    unlisted = [track for track in counts if track not in set(listed_tracks)]
+    return [file_warning(file, "unlisted-track", actual[track], expected, repair) for track in unlisted]
 
 
-def _no_rows(track: str, file: str) -> Fault:
-    repair = f"predict it, or take {track} out of tracks in manifest.toml"
-    return whole(file, "empty-track", f"track {track} is claimed and has no row", "a row a query", repair)
+def _empty_track_fault(track: str, file: str) -> Fault:
+    repair = f"predict it, or delete {track} from tracks in manifest.toml"
+    actual = f"track {track} is listed in manifest.toml and has no row"
+    return file_error(file, "empty-track", actual, "one row per query", repair)
 
 
-def _track(query_id: str) -> str:
-    """The track that an id names; "" when it is of no usual form."""
-    match = USUAL_ID.match(query_id)
+def _track_of(query_id: str) -> str:
+    """The track of an id; "" for an unusual format."""
+    match = ID_FORMAT.match(query_id)
     track = (match[1] or match[2]) if match else ""
     return track if track in ALL_TRACKS else ""
 
 
-def _counts(values: Iterable[str]) -> dict[str, int]:
+def _count(values: Iterable[str]) -> dict[str, int]:
+    """The number of times each value occurs, without empty ones."""
     counts: dict[str, int] = {}
     for value in values:
         if value:

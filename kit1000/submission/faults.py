@@ -1,4 +1,4 @@
-"""What is wrong with a submission: one fault a line, and the report that gathers them."""
+"""Faults of a submission, one printed line each, and the report that lists them."""
 
 from __future__ import annotations
 
@@ -7,58 +7,60 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-LONGEST_SHOWN = 60  # characters of a value that a message repeats
-FEW = 3  # ids or lines that a message names
+LONGEST_VALUE = 60  # characters of a value in a message; longer ones are shortened
+LISTED = 3  # ids in a message; the others are counted
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One thing that is wrong in one place. As text: file:line:column: what is seen: what is expected; the repair."""
+    """One fault in one place. As text: `file:line:column: actual: expected EXPECTED; repair`."""
 
     file: str
-    """manifest.toml, predictions.csv, or the path that was given."""
+    """manifest.toml, predictions.csv, or the given path."""
     line: int | None
-    """Counted from 1; None when the fault is one of the whole file."""
+    """Counted from 1; None when the fault concerns the whole file."""
     column: int | None
-    """The character of the line at which the value begins, counted from 1."""
-    seen: str
-    wanted: str
+    """Position in the line where the value begins, counted from 1."""
+    actual: str
+    """What the file contains, such as `qw = "abc"`."""
+    expected: str
     repair: str
-    kind: Literal["error", "warning"]
-    name: str
-    """The sort of fault, such as decimal-comma: for programs, always the same."""
+    """What to do."""
+    severity: Literal["error", "warning"]
+    code: str
+    """Kind of fault, such as decimal-comma: stable, for programs."""
 
     def __str__(self) -> str:
-        place = ":".join(str(part) for part in (self.file, self.line, self.column) if part is not None)
-        mark = "" if self.kind == "error" else "warning: "
-        return f"{place}: {mark}{self.seen}: expected {self.wanted}; {self.repair}"
+        location = ":".join(str(part) for part in (self.file, self.line, self.column) if part is not None)
+        prefix = "" if self.severity == "error" else "warning: "
+        return f"{location}: {prefix}{self.actual}: expected {self.expected}; {self.repair}"
 
 
 @dataclass(frozen=True)
 class Report:
-    """All that a check found."""
+    """The result of a check."""
 
     path: str
     faults: tuple[Fault, ...]
     """Ordered by file, line and column."""
-    read: int
-    """Rows of predictions that have all their fields."""
+    rows: int
+    """Number of predictions with all their fields."""
     against_data: bool
-    """Whether a dataset was at hand, or the form alone could be checked."""
+    """Whether ids and motions were checked against a dataset, or only the format."""
 
     @property
     def errors(self) -> tuple[Fault, ...]:
-        """The faults that a submission may not have."""
-        return tuple(fault for fault in self.faults if fault.kind == "error")
+        """Faults that make a submission invalid."""
+        return tuple(fault for fault in self.faults if fault.severity == "error")
 
     @property
     def warnings(self) -> tuple[Fault, ...]:
-        """What is allowed, and probably not meant."""
-        return tuple(fault for fault in self.faults if fault.kind == "warning")
+        """Allowed, but probably not intended."""
+        return tuple(fault for fault in self.faults if fault.severity == "warning")
 
     @property
     def good(self) -> bool:
-        """Whether there are no errors; warnings may be there."""
+        """Whether there are no errors; there may be warnings."""
         return not self.errors
 
     def __str__(self) -> str:
@@ -67,16 +69,18 @@ class Report:
     @property
     def summary(self) -> str:
         """The last line of the report."""
-        basis = "against the dataset" if self.against_data else "for form alone (--data DIR checks ids and motions too)"
-        counts = f"{_counted(len(self.errors), 'error')}, {_counted(len(self.warnings), 'warning')}"
-        return f"{self.path}: {_counted(self.read, 'row')} checked {basis}: {counts if self.faults else 'all good'}"
+        basis = (
+            "against the dataset" if self.against_data else "for format only (--data DIR checks ids and motions too)"
+        )
+        counts = f"{_count_of(len(self.errors), 'error')}, {_count_of(len(self.warnings), 'warning')}"
+        return f"{self.path}: {_count_of(self.rows, 'row')} checked {basis}: {counts if self.faults else 'no faults'}"
 
     def as_json(self) -> dict[str, Any]:
-        """The report as plain values."""
+        """The report as values for JSON."""
         return {
             "path": self.path,
             "good": self.good,
-            "read": self.read,
+            "rows": self.rows,
             "against_data": self.against_data,
             "errors": len(self.errors),
             "warnings": len(self.warnings),
@@ -84,34 +88,34 @@ class Report:
         }
 
 
-def in_order(faults: Iterable[Fault]) -> tuple[Fault, ...]:
-    """By file, and inside a file what concerns all of it before what concerns a line."""
-    return tuple(sorted(faults, key=lambda f: (f.file, f.line or 0, f.column or 0, f.kind, f.name)))
+def sorted_faults(faults: Iterable[Fault]) -> tuple[Fault, ...]:
+    """Sorted by file, line and column; faults of a whole file come first."""
+    return tuple(sorted(faults, key=lambda f: (f.file, f.line or 0, f.column or 0, f.severity, f.code)))
 
 
 def first_error(faults: Iterable[Fault]) -> Fault | None:
-    """The error that stands first in its file."""
-    return next((fault for fault in in_order(faults) if fault.kind == "error"), None)
+    """The first error in sorted order; None when there is none."""
+    return next((fault for fault in sorted_faults(faults) if fault.severity == "error"), None)
 
 
-def quoted(value: object) -> str:
-    """A value as a message shows it: in quotes, shortened, printable in any terminal."""
+def quote(value: object) -> str:
+    """A value for a message: in quotes, shortened, in ASCII."""
     text = value if isinstance(value, str) else str(value)
-    short = text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 3]}..."
+    short = text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
     return json.dumps(short).replace("\x7f", "\\u007f")
 
 
 def printable(name: object) -> str:
-    """A path or a name as a message shows it, without quotes: in ASCII, for terminals that know no more."""
+    """A path or a name for a message, in ASCII without quotes."""
     return "".join(c if " " <= c <= "~" else ascii(c)[1:-1] for c in str(name))
 
 
-def named(values: Iterable[str], count: int) -> str:
-    """The first few of some values: `a, b, c and 17 more`."""
-    few = [value for value, _ in zip(values, range(FEW), strict=False)]
-    more = f" and {count - len(few)} more" if count > len(few) else ""
-    return f"{', '.join(few)}{more}"
+def listed(values: Iterable[str], count: int) -> str:
+    """The first values of `count`: `a, b, c and 17 more`."""
+    first = [value for value, _ in zip(values, range(LISTED), strict=False)]
+    more = f" and {count - len(first)} more" if count > len(first) else ""
+    return f"{', '.join(first)}{more}"
 
 
-def _counted(n: int, noun: str) -> str:
+def _count_of(n: int, noun: str) -> str:
     return f"{n} {noun}{'' if n == 1 else 's'}"

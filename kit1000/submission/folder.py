@@ -1,4 +1,4 @@
-"""The folder of a submission: manifest.toml says what the method is, predictions.csv what it answers."""
+"""The folder of a submission: manifest.toml describes the method, predictions.csv has its predictions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from kit1000.errors import InputError
 from kit1000.submission import manifest as manifests
-from kit1000.submission import predictions as answers
+from kit1000.submission import predictions as prediction_files
 from kit1000.submission.manifest import Manifest, read_manifest, write_manifest
 from kit1000.submission.predictions import Predictions, read_predictions, write_predictions
 
@@ -19,34 +19,34 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Submission:
-    """A method and its answers."""
+    """A method and its predictions."""
 
     name: str
-    """That of the folder."""
+    """The name of the folder."""
     manifest: Manifest
     predictions: Predictions
     folder: Path
 
 
 def read_submission(folder: str | Path) -> Submission:
-    """Read a submission. Raises InputError, with the first fault, when it cannot be scored as it is."""
-    place = Path(folder)
-    manifest = read_manifest(place / manifests.FILE)
-    predictions = read_predictions(place / answers.FILE)
-    return Submission(place.resolve().name, manifest, predictions, place)
+    """Read a submission. Raises InputError with its first error, when it has any."""
+    path = Path(folder)
+    manifest = read_manifest(path / manifests.FILE)
+    predictions = read_predictions(path / prediction_files.FILE)
+    return Submission(path.resolve().name, manifest, predictions, path)
 
 
 def write_submission(
     folder: str | Path, manifest: Manifest, predictions: Predictions | Iterable[Prediction]
 ) -> Submission:
-    """Write a submission, the manifest last, so that a folder with one is whole; returns what was written."""
-    place = Path(folder)
+    """Write and return a submission. The manifest is written last: a folder with a manifest is complete."""
+    path = Path(folder)
     if not isinstance(predictions, Predictions):
         predictions = Predictions.of(predictions)
     try:
-        (place / manifests.FILE).unlink(missing_ok=True)
+        (path / manifests.FILE).unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(f"cannot write to {place}: {error.strerror or error}") from error
-    write_predictions(place / answers.FILE, predictions)
-    write_manifest(place / manifests.FILE, manifest)
-    return Submission(place.resolve().name, manifest, predictions, place)
+        raise InputError(f"cannot write to {path}: {error.strerror or error}") from error
+    write_predictions(path / prediction_files.FILE, predictions)
+    write_manifest(path / manifests.FILE, manifest)
+    return Submission(path.resolve().name, manifest, predictions, path)

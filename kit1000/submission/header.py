@@ -1,4 +1,4 @@
-"""The first line of a predictions file: which columns stand where, and what parts them."""
+"""The header of a predictions file: the separator, and the position of each column."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 
-from kit1000.submission.faults import Fault, quoted
+from kit1000.submission.faults import Fault, quote
 
 HEADER = ("query_id", "qw", "qx", "qy", "qz", "x", "y", "z", "confidence", "seconds")
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*\Z", re.ASCII)
-LOCAL_NUMBER = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*\Z", re.ASCII)  # as much of Europe writes it
-ALIASES = {
+COMMA_NUMBER = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*\Z", re.ASCII)  # with a decimal comma
+COLUMN_ALIASES = {
     **dict.fromkeys(("id", "query", "queryid", "image_id"), "query_id"),
     "w": "qw",
     **{f"{prefix}{axis}": axis for prefix in ("t", "t_", "p", "pos_", "position_") for axis in "xyz"},
@@ -26,160 +26,168 @@ ALIASES = {
 
 @dataclass(frozen=True)
 class Layout:
-    """How the rows of a predictions file are to be read."""
+    """The format of the rows of a predictions file."""
 
     separator: str
     decimal_comma: bool
-    """Whether numbers are written 0,5."""
+    """Whether numbers are written as 0,5."""
     columns: tuple[int | None, ...]
-    """Where each field of HEADER stands in a row; None for one that is missing."""
+    """Index in a row of each column of HEADER; None for a missing column."""
     width: int
-    """Fields of a row."""
+    """Number of fields of a row."""
     first: int
     """Index of the first line after the header."""
 
     @property
     def in_order(self) -> bool:
-        """Whether rows can be read as they are."""
+        """Whether rows can be split at the separator and read without reordering."""
         order = self.columns == tuple(range(self.width))
         return order and not self.decimal_comma and self.separator != " "
 
 
-def cut(line: str, separator: str) -> list[tuple[int, str]]:
-    """Fields of a line with the index at which each begins; a field may stand in quotes, doubled inside.
+def split_fields(line: str, separator: str) -> list[tuple[int, str]]:
+    """The fields of a line, each with the index where it begins. A field may be quoted, with doubled quotes inside.
 
-    A quote that never closes stays in its field.
+    A quote that is not closed is kept in its field.
     """
     if separator == " ":
         return [(match.start(), match[0]) for match in re.finditer(r"\S+", line)]
-    fields, position, pattern = [], 0, _field(separator)
+    fields, position, pattern = [], 0, _field_pattern(separator)
     while position <= len(line):
         match = pattern.match(line, position)
-        assert match is not None  # the last alternative takes anything
-        inside = match["quoted"]
-        fields.append((match.start("field"), match["field"] if inside is None else inside.replace('""', '"')))
+        assert match is not None  # the last alternative matches any text
+        quoted = match["quoted"]
+        fields.append((match.start("field"), match["field"] if quoted is None else quoted.replace('""', '"')))
         position = match.end() if match["end"] else len(line) + 1
     return fields
 
 
 @lru_cache
-def _field(separator: str) -> re.Pattern[str]:
-    """A field and the separator behind it."""
+def _field_pattern(separator: str) -> re.Pattern[str]:
+    """A field and the separator after it."""
     s = re.escape(separator)
     return re.compile(rf'(?P<field> *"(?P<quoted>(?:[^"]|"")*)" *(?=\Z|{s})|[^{s}]*)(?P<end>{s}|)')
 
 
-def layout_of(lines: Sequence[str], file: str) -> tuple[Layout | None, list[Fault]]:
-    """Read the header, and name all that is wrong with it. None when nothing below it can be read either."""
+def read_layout(lines: Sequence[str], file: str) -> tuple[Layout | None, list[Fault]]:
+    """The layout that a header describes, and all faults of the header; None when no row can be read."""
     first = next((i for i, line in enumerate(lines) if line.strip()), 0)
     line = lines[first]
-    separator = max(SEPARATORS, key=lambda s: _known(line, s))
-    if _known(line, separator) == 0:
-        return _without_header(lines, first, file)
-    names = [text for _, text in cut(line, separator)]
-    starts = [start for start, _ in cut(line, separator)]
-    columns, faults = _placed(names, starts, first + 1, file)
+    separator = max(SEPARATORS, key=lambda s: _count_names(line, s))
+    if _count_names(line, separator) == 0:
+        return _missing_header(lines, first, file)
+    names = [text for _, text in split_fields(line, separator)]
+    starts = [start for start, _ in split_fields(line, separator)]
+    columns, faults = _read_columns(names, starts, first + 1, file)
     below = [line for line in lines[first + 1 :] if line.strip()][:20]
-    layout = Layout(separator, _has_local_numbers(below, separator), columns, len(names), first + 1)
+    layout = Layout(separator, _has_decimal_commas(below, separator), columns, len(names), first + 1)
     return layout, _separator_faults(layout, file, first + 1) + faults
 
 
-def _known(line: str, separator: str) -> int:
-    """How many fields of a line are names of columns."""
-    return sum(_meant(text) is not None for _, text in cut(line[:2000], separator)) if separator in line else 0
+def _count_names(line: str, separator: str) -> int:
+    """The number of fields of a line that are column names."""
+    if separator not in line:
+        return 0
+    return sum(_column_name(text) is not None for _, text in split_fields(line[:2000], separator))
 
 
-def _meant(name: str) -> str | None:
-    """The column that a name stands for, whatever its case."""
+def _column_name(name: str) -> str | None:
+    """The column that a name means, in any case; None for an unknown name."""
     plain = name.strip().lower()
-    return plain if plain in HEADER else ALIASES.get(plain)
+    return plain if plain in HEADER else COLUMN_ALIASES.get(plain)
 
 
-def _placed(names: list[str], starts: list[int], line: int, file: str) -> tuple[tuple[int | None, ...], list[Fault]]:
-    """Where each field stands, and what is wrong with the names."""
-    right = ",".join(HEADER)
+def _read_columns(
+    names: list[str], starts: list[int], line: int, file: str
+) -> tuple[tuple[int | None, ...], list[Fault]]:
+    """The index of each column of HEADER, and the faults of the names."""
+    header = ",".join(HEADER)
     faults: list[Fault] = []
     columns: dict[str, int | None] = dict.fromkeys(HEADER)
 
-    def add(i: int, name: str, seen: str, wanted: str, repair: str) -> None:
-        faults.append(Fault(file, line, starts[i] + 1, seen, wanted, repair, "error", name))
+    def add(i: int, code: str, actual: str, expected: str, repair: str) -> None:
+        faults.append(Fault(file, line, starts[i] + 1, actual, expected, repair, "error", code))
 
     for i, name in enumerate(names):
         free = [field for field in HEADER if columns[field] is None and field not in names]
-        meant = _meant(name) or _near(name, free)
-        if meant is None and not name.strip():
+        column = _column_name(name) or _similar_field(name, free)
+        if column is None and not name.strip():
             add(i, "empty-column", f"column {i + 1} has no name", f"{len(HEADER)} columns", "delete the column")
-        elif meant is None:
-            add(i, "unknown-column", f"column {quoted(name)}", f"one of {', '.join(HEADER)}", "delete the column")
-        elif columns[meant] is not None:
-            add(i, "double-column", f"column {quoted(name)} once more", "each column once", "delete one of them")
+        elif column is None:
+            add(i, "unknown-column", f"column {quote(name)}", f"one of {', '.join(HEADER)}", "delete the column")
+        elif columns[column] is not None:
+            add(i, "duplicate-column", f"a second column {quote(name)}", "each column once", "delete one of them")
         else:
-            columns[meant] = i
-            if name != meant:
-                add(i, "column-name", f"column {quoted(name)}", f'"{meant}"', f"write {meant}")
+            columns[column] = i
+            if name != column:
+                add(i, "column-name", f"column {quote(name)}", f'"{column}"', f"rename it to {column}")
     missing = [field for field in HEADER if columns[field] is None]
     if missing:
-        seen = f"no column {', '.join(missing)}"
-        repair = "add what is missing"
-        faults.append(Fault(file, line, 1, seen, f"the header {right}", repair, "error", "missing-column"))
-    found = {i: field for field, i in columns.items() if i is not None}
-    if list(found) != sorted(found):
-        seen = f"columns in the order {','.join(field for _, field in sorted(found.items()))}"
-        repair = "move the columns"
-        faults.append(Fault(file, line, 1, seen, f"the order {right}", repair, "error", "column-order"))
+        actual, repair = f"no column {', '.join(missing)}", "add the missing columns"
+        faults.append(Fault(file, line, 1, actual, f"the header {header}", repair, "error", "missing-column"))
+    present = {i: field for field, i in columns.items() if i is not None}
+    if list(present) != sorted(present):
+        actual = f"columns in the order {','.join(field for _, field in sorted(present.items()))}"
+        expected, repair = f"the order {header}", "reorder the columns"
+        faults.append(Fault(file, line, 1, actual, expected, repair, "error", "column-order"))
     return tuple(columns.values()), faults
 
 
-def _near(name: str, fields: list[str]) -> str | None:
-    found = get_close_matches(name.strip().lower()[:40], [field for field in fields if len(field) > 2], n=1, cutoff=0.7)
-    return found[0] if found else None
+def _similar_field(name: str, fields: list[str]) -> str | None:
+    long_fields = [field for field in fields if len(field) > 2]
+    similar = get_close_matches(name.strip().lower()[:40], long_fields, n=1, cutoff=0.7)
+    return similar[0] if similar else None
 
 
 def _separator_faults(layout: Layout, file: str, line: int) -> list[Fault]:
     faults = []
     if layout.separator != ",":
-        seen = f"columns are parted by {SEPARATORS[layout.separator]}"
-        repair = "save with the comma as separator and the point as decimal mark"
-        faults.append(Fault(file, line, None, seen, "commas", repair, "error", "separator"))
+        actual = f"columns are separated by {SEPARATORS[layout.separator]}"
+        repair = "save with commas as separators and decimal points"
+        faults.append(Fault(file, line, None, actual, "commas", repair, "error", "separator"))
     if layout.decimal_comma:
-        repair = "save with the point as decimal mark"
-        faults.append(Fault(file, None, None, "numbers have a decimal comma", "0.5", repair, "error", "decimal-comma"))
+        actual, repair = "numbers have a decimal comma", "save with decimal points"
+        faults.append(Fault(file, None, None, actual, "a decimal point, as in 0.5", repair, "error", "decimal-comma"))
     return faults
 
 
-def _has_local_numbers(lines: list[str], separator: str) -> bool:
-    """Whether numbers are written 0,5 in the rows below a header of another separator."""
+def _has_decimal_commas(lines: list[str], separator: str) -> bool:
+    """Whether numbers are written as 0,5 in rows with a separator other than the comma."""
     if separator == ",":
         return False
-    return any(LOCAL_NUMBER.match(text) for line in lines for _, text in cut(line[:2000], separator))
+    return any(COMMA_NUMBER.match(text) for line in lines for _, text in split_fields(line[:2000], separator))
 
 
-def _without_header(lines: Sequence[str], first: int, file: str) -> tuple[Layout | None, list[Fault]]:
-    """The layout of a file the first line of which names no column."""
-    right, line = ",".join(HEADER), lines[first]
-    separator = max(SEPARATORS, key=lambda s: _numbers(line, s))
-    if _numbers(line, separator) >= len(HEADER) - 2:  # a row of predictions, one or two of its numbers at fault
-        seen = f"no header, the first line is {quoted(line)}"
-        fault = Fault(file, first + 1, 1, seen, f"the header {right}", f"put {right} before it", "error", "no-header")
-        layout = Layout(separator, _has_local_numbers([line], separator), tuple(range(len(HEADER))), len(HEADER), first)
+def _missing_header(lines: Sequence[str], first: int, file: str) -> tuple[Layout | None, list[Fault]]:
+    """The layout of a file whose first line names no column."""
+    header, line = ",".join(HEADER), lines[first]
+    expected = f"the header {header}"
+    separator = max(SEPARATORS, key=lambda s: _count_numbers(line, s))
+    if _count_numbers(line, separator) >= len(HEADER) - 2:  # a row of predictions with at most one or two faults
+        actual, repair = f"no header; the first line is {quote(line)}", f"insert the line {header}"
+        fault = Fault(file, first + 1, 1, actual, expected, repair, "error", "missing-header")
+        decimal_comma = _has_decimal_commas([line], separator)
+        layout = Layout(separator, decimal_comma, tuple(range(len(HEADER))), len(HEADER), first)
         return layout, [fault, *_separator_faults(layout, file, first + 1)]
-    seen = f"the first line is {quoted(line)}{_resembles(line)}"
-    fault = Fault(file, first + 1, 1, seen, f"the header {right}", f"write {right}", "error", "no-header")
+    actual, repair = f"the first line is {quote(line)}{_file_kind(line)}", f"replace it by {header}"
+    fault = Fault(file, first + 1, 1, actual, expected, repair, "error", "missing-header")
     below = [text for text in lines[first + 1 :] if text.strip()][:1]
-    if below and _numbers(below[0], ",") >= len(HEADER) - 2:
+    if below and _count_numbers(below[0], ",") >= len(HEADER) - 2:
         return Layout(",", False, tuple(range(len(HEADER))), len(HEADER), first + 1), [fault]
     return None, [fault]
 
 
-def _numbers(line: str, separator: str) -> int:
-    """How many fields of a line are numbers, none if there are far too few or too many."""
-    texts = [text for _, text in cut(line[:2000], separator)]
-    local = separator != "," and any(map(LOCAL_NUMBER.match, texts))
-    return sum(bool(NUMBER.match(t) or (local and LOCAL_NUMBER.match(t))) for t in texts) if len(texts) <= 12 else 0
+def _count_numbers(line: str, separator: str) -> int:
+    """The number of fields of a line that are numbers; 0 for a line with more than 12 fields."""
+    texts = [text for _, text in split_fields(line[:2000], separator)]
+    if len(texts) > 12:
+        return 0
+    commas = separator != "," and any(map(COMMA_NUMBER.match, texts))
+    return sum(bool(NUMBER.match(text) or (commas and COMMA_NUMBER.match(text))) for text in texts)
 
 
-def _resembles(line: str) -> str:
-    """What else the file may be."""
+def _file_kind(line: str) -> str:
+    """The kind of file that begins with such a line, for a message."""
     if line.lstrip()[:1] in ("{", "["):
-        return " as of a JSON file"
-    return " as of a web page" if line.lstrip()[:1] == "<" else ""
+        return ", as in a JSON file"
+    return ", as in a web page" if line.lstrip()[:1] == "<" else ""

@@ -14,8 +14,8 @@ from typing import Any, get_type_hints
 from kit1000.errors import InputError
 from kit1000.files import write_bytes
 from kit1000.sim.cameras import CAMERA_SETS
-from kit1000.submission.faults import Fault, first_error, printable, quoted
-from kit1000.submission.reading import STRAY, file_bytes, text_of, whole
+from kit1000.submission.faults import Fault, first_error, printable, quote
+from kit1000.submission.reading import UNPRINTABLE, decode_text, file_error, read_file
 from kit1000.tracks import ALL_TRACKS
 
 if sys.version_info >= (3, 11):
@@ -76,7 +76,7 @@ class Manifest:
             object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
         first = next((fault for name in FIELD_TYPES if (fault := _value_fault(name, getattr(self, name)))), None)
         if first is not None:
-            raise InputError(f"manifest: {first.seen}: expected {first.wanted}; {first.repair}")
+            raise InputError(f"manifest: {first.actual}: expected {first.expected}; {first.repair}")
 
     @property
     def display_name(self) -> str:
@@ -106,8 +106,8 @@ def write_manifest(path: str | Path, manifest: Manifest) -> None:
 
 def manifest_of(path: Path, file: str) -> tuple[Manifest | None, list[Fault]]:
     """A manifest and its faults; `file` is its name in messages. The manifest is None when there are errors."""
-    data, faults = file_bytes(path, file)
-    text, more = (None, []) if data is None else text_of(data, file)
+    data, faults = read_file(path, file)
+    text, more = (None, []) if data is None else decode_text(data, file)
     faults += more
     if text is None:
         return None, faults
@@ -127,7 +127,7 @@ def line_of(name: str, text: str) -> int | None:
 
 
 def _parsed(text: str, file: str) -> tuple[dict[str, Any], Fault | None]:
-    stray = STRAY.search(text)
+    stray = UNPRINTABLE.search(text)
     if stray:
         line, column = text.count("\n", 0, stray.start()) + 1, stray.start() - text.rfind("\n", 0, stray.start())
         seen = f"byte 0x{ord(stray[0]) & 0xFF:02X}"
@@ -149,13 +149,13 @@ def _value_faults(values: Mapping[str, Any], text: str, file: str) -> list[Fault
     for name in unknown:
         near = get_close_matches(name, [field for field in FIELD_TYPES if field not in values], n=1, cutoff=0.6)
         repair = f"did you mean {near[0]}?" if near else "delete it"
-        seen = f"{'table' if isinstance(values[name], dict) else 'field'} {quoted(name)}"
+        seen = f"{'table' if isinstance(values[name], dict) else 'field'} {quote(name)}"
         wanted = f"one of {', '.join(FIELD_TYPES)}"
         faults.append(Fault(file, line_of(name, text), None, seen, wanted, repair, "error", "unknown-field"))
     for name in REQUIRED:
         if name not in values:
             seen, wanted = f"no field {name}", EXPECTED[name]
-            faults.append(whole(file, "missing-field", seen, wanted, f"add a line {name} = {EXAMPLES[name]}"))
+            faults.append(file_error(file, "missing-field", seen, wanted, f"add a line {name} = {EXAMPLES[name]}"))
     for name in FIELD_TYPES:
         fault = _value_fault(name, _plain(values[name]), file, line_of(name, text)) if name in values else None
         faults += [fault] if fault else []
@@ -211,7 +211,7 @@ def _value_fault(name: str, value: Any, file: str = "", line: int | None = None)
     else:
         listed = isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)
         right, repair = listed, 'write a list of texts, such as ["a", "b"]'
-    seen = f"{name} = {quoted(list(value) if isinstance(value, tuple) else value)}"
+    seen = f"{name} = {quote(list(value) if isinstance(value, tuple) else value)}"
     if not right:
         return Fault(file, line, None, seen, expected, repair, "error", "wrong-type")
     wrong = _wrong_value(name, value)
@@ -224,7 +224,7 @@ def _wrong_value(name: str, value: str | bool | Sequence[str]) -> tuple[str, str
         return None
     texts = [value] if isinstance(value, str) else list(value)
     short = name in ("method", "label", "paper_row", "dataset_id", "dataset_checksum")
-    if any(STRAY.search(text) for text in texts):
+    if any(UNPRINTABLE.search(text) for text in texts):
         return "stray-byte", "leave out control characters"
     if any(len(text) > (MAX_NAME if short else MAX_TEXT) for text in texts):
         return "too-long", "shorten it"
@@ -248,7 +248,7 @@ def _choice(texts: list[str], known: tuple[str, ...]) -> tuple[str, str] | None:
     odd = [text for text in texts if text not in known]
     if odd:
         near = get_close_matches(odd[0].lower().replace("_", "-"), known, n=1, cutoff=0.5)
-        return "no-choice", f"did you mean {near[0]}?" if near else f"delete {quoted(odd[0])}"
+        return "no-choice", f"did you mean {near[0]}?" if near else f"delete {quote(odd[0])}"
     return ("double", "name each once") if len(set(texts)) < len(texts) else None
 
 

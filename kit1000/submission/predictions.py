@@ -1,4 +1,4 @@
-"""Predictions of a method as arrays, and as the file predictions.csv: what is written is read back bit for bit."""
+"""Predictions of a method as arrays and as the file predictions.csv; writing and reading back changes no bit."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ import numpy as np
 from kit1000.errors import InputError, ShapeError, checked
 from kit1000.files import write_bytes
 from kit1000.pose import Pose
-from kit1000.submission.faults import first_error, printable, quoted
-from kit1000.submission.form import ID, NOT_MEASURED, TOO_FAR, form_faults
+from kit1000.submission.faults import first_error, printable, quote
 from kit1000.submission.header import HEADER
-from kit1000.submission.reading import file_bytes, text_of
+from kit1000.submission.reading import decode_text, read_file
+from kit1000.submission.row_rules import ID_PATTERN, LARGEST_POSITION, NOT_MEASURED, row_faults
 from kit1000.submission.rows import read_rows
 
 if TYPE_CHECKING:
@@ -27,11 +27,11 @@ FILE = "predictions.csv"
 
 @dataclass(frozen=True, eq=False)
 class Predictions:
-    """The answers of a method, one a query, in any order."""
+    """The predictions of a method, one per query, in any order."""
 
     query_ids: tuple[str, ...]
     motions: Pose
-    """(n,) goal_from_now: how the part that is seen must move in the world."""
+    """(n,) goal_from_now: the motion of each part in the world, from its current pose to the goal."""
     confidence: np.ndarray
     """(n,) 0 .. 1"""
     seconds: np.ndarray
@@ -43,27 +43,29 @@ class Predictions:
         object.__setattr__(self, "confidence", checked("confidence", self.confidence, (n,)))
         object.__setattr__(self, "seconds", checked("seconds", self.seconds, (n,)))
         if self.motions.batch_shape != (n,):
-            raise ShapeError(f"motions: expected {n}, one a query, got batch shape {self.motions.batch_shape}")
-        self._refuse_odd_values()
+            raise ShapeError(f"motions: expected {n}, one per query, got batch shape {self.motions.batch_shape}")
+        self._check_values()
 
-    def _refuse_odd_values(self) -> None:
-        """What may not be written must not be made."""
+    def _check_values(self) -> None:
+        """Raise InputError for values that could not be written and read back."""
         if len(self._rows) < len(self.query_ids):
-            twice = next(query_id for i, query_id in enumerate(self.query_ids) if self._rows[query_id] != i)
-            raise InputError(f"predictions: expected one a query, got {quoted(twice)} more than once")
-        odd = next((query_id for query_id in self.query_ids if not ID.match(query_id)), None)
-        if odd is not None:
-            raise InputError(f"predictions: expected ids of letters, digits and hyphens, got {quoted(odd)}")
+            duplicate = next(query_id for i, query_id in enumerate(self.query_ids) if self._rows[query_id] != i)
+            raise InputError(f"predictions: expected one per query, got {quote(duplicate)} more than once")
+        invalid = next((query_id for query_id in self.query_ids if not ID_PATTERN.match(query_id)), None)
+        if invalid is not None:
+            raise InputError(f"predictions: expected ids of letters, digits and hyphens, got {quote(invalid)}")
         confidence, seconds = self.confidence, self.seconds
-        self._refuse("confidence", confidence, (confidence < 0) | (confidence > 1), "0 to 1")
-        self._refuse("seconds", seconds, (seconds < 0) & (seconds != NOT_MEASURED), "0 or more, or -1 for not measured")
+        self._check_range("confidence", confidence, (confidence < 0) | (confidence > 1), "0 to 1")
+        self._check_range(
+            "seconds", seconds, (seconds < 0) & (seconds != NOT_MEASURED), "0 or more, or -1 for not measured"
+        )
         farthest = np.abs(self.motions.xyz).max(axis=1, initial=0)
-        self._refuse("position", farthest, farthest > TOO_FAR, f"metres, at most {TOO_FAR:g}")
+        self._check_range("position", farthest, farthest > LARGEST_POSITION, f"metres, at most {LARGEST_POSITION:g}")
 
-    def _refuse(self, name: str, values: np.ndarray, wrong: np.ndarray, wanted: str) -> None:
+    def _check_range(self, name: str, values: np.ndarray, wrong: np.ndarray, expected: str) -> None:
         if wrong.any():
             i = int(np.argmax(wrong))
-            raise InputError(f"{name} of {self.query_ids[i]}: expected {wanted}, got {values[i]:g}")
+            raise InputError(f"{name} of {self.query_ids[i]}: expected {expected}, got {values[i]:g}")
 
     @cached_property
     def _rows(self) -> dict[str, int]:
@@ -71,7 +73,7 @@ class Predictions:
 
     @classmethod
     def of(cls, predictions: Iterable[Prediction]) -> Predictions:
-        """Gather single predictions, in their order."""
+        """Single predictions as one value, in their order."""
         rows = list(predictions)
         return cls(
             tuple(row.query_id for row in rows),
@@ -84,17 +86,17 @@ class Predictions:
         return len(self.query_ids)
 
     def row(self, query_id: str) -> int | None:
-        """Where the prediction for a query stands; None when there is none."""
+        """The index of the prediction for a query; None when there is none."""
         return self._rows.get(query_id)
 
 
 def read_predictions(path: str | Path) -> Predictions:
-    """Read a predictions file. Raises InputError, with the first fault, when a row of it cannot be taken as it is."""
+    """Read a predictions file. Raises InputError with its first error, when it has any."""
     file = printable(path)
-    data, faults = file_bytes(Path(path), file)
-    text, more = (None, []) if data is None else text_of(data, file)
+    data, faults = read_file(Path(path), file)
+    text, more = (None, []) if data is None else decode_text(data, file)
     rows, rest = (None, []) if text is None else read_rows(text, file)
-    error = first_error([*faults, *more, *rest, *(form_faults(rows) if rows is not None else ())])
+    error = first_error([*faults, *more, *rest, *(row_faults(rows) if rows is not None else ())])
     if error is not None:
         raise InputError(f"{error} (`kit1000 check` lists all faults)")
     assert rows is not None  # or there would be an error
@@ -103,7 +105,7 @@ def read_predictions(path: str | Path) -> Predictions:
 
 
 def write_predictions(path: str | Path, predictions: Predictions | Iterable[Prediction]) -> None:
-    """Write a predictions file: whole or not at all, every number with all its digits."""
+    """Write a predictions file, completely or not at all, with all digits of every number."""
     if not isinstance(predictions, Predictions):
         predictions = Predictions.of(predictions)
     write_bytes(Path(path), predictions_bytes(predictions))
