@@ -1,4 +1,4 @@
-"""`python -m kit1000` is the command `kit1000`."""
+"""`python -m kit1000` runs the command `kit1000`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Files that are whole or absent: atomic writes, hashes, canonical JSON, and a lock on a folder being built.
+"""Atomic writes, hashes, canonical JSON, and a lock on a folder that is being written.
 
-A folder is a Path, or behind a URL a UPath of universal_pathlib, which has the methods of a Path that we use and goes
-by that type here. Stores behind URLs have no locks, and no partial files: an object store takes a file whole.
+A folder is a Path, or for a URL a UPath of universal_pathlib, which has the methods of Path that are used here and is
+typed as Path. Object stores behind URLs have no locks and no partial files: they store a file in one operation.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from urllib.parse import unquote
 
 from kit1000.errors import InputError
 
-PARTIAL = ".partial"  # suffix of a file being written; whatever bears it may be deleted
+PARTIAL = ".partial"  # suffix of a file being written; files with it may be deleted
 
 
-def folder(name: str) -> Path:
-    """The folder that a path names, or a URL such as s3://bucket/data.
+def parse_folder(name: str) -> Path:
+    """The folder of a path or a URL such as s3://bucket/data.
 
-    Raises InputError when the URL is of a kind that cannot be reached, and says which package it takes.
+    Raises InputError when the URL's scheme is not supported; the message names the missing package.
     """
     if "://" not in name:
         return Path(name)
@@ -40,25 +40,25 @@ def folder(name: str) -> Path:
         raise InputError(f"{name}: a URL as a folder needs more packages: pip install 'kit1000[ray]'") from None
     try:
         place = UPath(name)
-        place.fs.invalidate_cache()  # finds the package that knows such places, and forgets what an earlier run saw
+        place.fs.invalidate_cache()  # imports the package for the scheme, and drops listings of earlier runs
     except (ImportError, ValueError) as error:
         raise InputError(f"{name}: {error}") from error
     return cast(Path, place)
 
 
 def is_url(path: Path) -> bool:
-    """Whether a folder or file is none of this machine's, but behind a URL."""
+    """Whether a folder or file is behind a URL."""
     return not isinstance(path, Path)
 
 
 def write_bytes(path: Path, data: bytes) -> str:
-    """Write a file so that it is there entirely or not at all, also after a crash; returns the SHA-256 in hex."""
-    (_put if is_url(path) else _replace)(path, data)
+    """Write a file atomically: complete or not at all, also after a crash; returns the SHA-256 in hex."""
+    (_write_url if is_url(path) else _write_local)(path, data)
     return hashlib.sha256(data).hexdigest()
 
 
-def _replace(path: Path, data: bytes) -> None:
-    """Write beside the file, then rename: the name tells nodes with a common disk apart, processes and threads."""
+def _write_local(path: Path, data: bytes) -> None:
+    """Write a partial file, then rename it; its name is unique by node, process and thread."""
     partial = path.with_name(f".{path.name}.{platform.node()}.{os.getpid()}-{threading.get_ident()}{PARTIAL}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -68,30 +68,30 @@ def _replace(path: Path, data: bytes) -> None:
             os.fsync(file.fileno())
         os.replace(partial, path)
     except OSError as error:
-        raise InputError(f"cannot write {path}: {_said(error)}") from error
-    finally:  # also on Ctrl-C; after the rename there is nothing left to delete
+        raise InputError(f"cannot write {path}: {_os_error(error)}") from error
+    finally:  # also on Ctrl-C; after the rename there is no partial file
         with suppress(OSError):
             partial.unlink()
 
 
-def _put(path: Path, data: bytes) -> None:
-    """Write behind a URL."""
+def _write_url(path: Path, data: bytes) -> None:
+    """Write a file behind a URL."""
     try:
-        _store(path, data)
-    except Exception as error:  # every store has errors of its own
-        raise InputError(f"cannot write {path}: {_told(error)}") from error
+        _write_store(path, data)
+    except Exception as error:  # every store has its own exceptions
+        raise InputError(f"cannot write {path}: {_store_error(error)}") from error
 
 
-def _store(path: Path, data: bytes) -> None:
+def _write_store(path: Path, data: bytes) -> None:
     try:
         path.write_bytes(data)
-    except FileNotFoundError:  # not an object store: it wants its folders made
+    except FileNotFoundError:  # not an object store: it needs its folders
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(data)
 
 
 def write_json(path: Path, value: Any) -> str:
-    """Write a value as JSON, sorted keys, one top-level entry a line, full precision; returns the SHA-256."""
+    """Write a value as JSON: sorted keys, one top-level entry a line, full precision; returns the SHA-256 in hex."""
     return write_bytes(path, json_bytes(value))
 
 
@@ -104,7 +104,7 @@ def json_bytes(value: Any) -> bytes:
 
 
 def read_json(path: Path) -> Any:
-    """Read a JSON file. Raises InputError in one line when it is missing, unreadable or no JSON."""
+    """The value in a JSON file. Raises InputError when it is missing, unreadable or no JSON."""
     try:
         return json.loads(path.read_bytes())
     except FileNotFoundError:
@@ -116,7 +116,7 @@ def read_json(path: Path) -> Any:
 
 
 def sha256(path: Path) -> str | None:
-    """Hash of a file's bytes in hex; None when there is no file, or none that can be read."""
+    """SHA-256 of a file's bytes in hex; None when it is missing or unreadable."""
     digest = hashlib.sha256()
     try:
         with path.open("rb") as file:
@@ -128,7 +128,7 @@ def sha256(path: Path) -> str | None:
 
 
 def clear_partial(folder: Path, *names: str) -> None:
-    """Delete what an interrupted writer left behind: of files with these names, or of all below the folder."""
+    """Delete partial files of interrupted writers: of files with these names, or all below the folder."""
     if is_url(folder):
         return
     for pattern in [f".{name}.*{PARTIAL}" for name in names] or [f"**/.*{PARTIAL}"]:
@@ -137,43 +137,43 @@ def clear_partial(folder: Path, *names: str) -> None:
 
 
 def remove_folder(folder: Path) -> None:
-    """Delete a folder and all below it, or as much of it as can be deleted."""
+    """Delete a folder and everything below it, as far as it can be deleted."""
     if not is_url(folder):
         shutil.rmtree(folder, ignore_errors=True)
         return
     store = cast(Any, folder).fs
-    store.invalidate_cache()  # of listings: other machines have written there meanwhile
-    with suppress(Exception):  # every store has errors of its own
+    store.invalidate_cache()  # of listings: other machines may have written there
+    with suppress(Exception):  # every store has its own exceptions
         store.rm(cast(Any, folder).path, recursive=True)
 
 
 def check_writable(folder: Path) -> None:
-    """Raise InputError now when files could not be written to a folder later; leaves nothing behind."""
+    """Raise InputError when files cannot be written to a folder; leaves no file behind."""
     if is_url(folder):
-        _try_out(folder)
+        _check_url_writable(folder)
         return
     nearest = next(path for path in (folder.absolute(), *folder.absolute().parents) if os.path.lexists(path))
     if not nearest.is_dir():
-        raise InputError(f"cannot write to {folder}: {_said(NotADirectoryError(errno.ENOTDIR, 'Not a directory'))}")
+        raise InputError(f"cannot write to {folder}: {_os_error(NotADirectoryError(errno.ENOTDIR, 'Not a directory'))}")
     if not os.access(nearest, os.W_OK | os.X_OK):
-        raise InputError(f"cannot write to {folder}: {_said(PermissionError(errno.EACCES, 'Permission denied'))}")
+        raise InputError(f"cannot write to {folder}: {_os_error(PermissionError(errno.EACCES, 'Permission denied'))}")
 
 
-def _try_out(folder: Path) -> None:
-    """Write behind a URL and delete again: stores do not tell beforehand what they will allow."""
+def _check_url_writable(folder: Path) -> None:
+    """Write and delete a file behind a URL: stores do not report permissions."""
     probe = folder / f".{platform.node()}.{os.getpid()}{PARTIAL}"
     try:
-        _store(probe, b"")
+        _write_store(probe, b"")
         probe.unlink()
-    except Exception as error:  # every store has errors of its own
-        raise InputError(f"cannot write to {folder}: {_told(error)}") from error
+    except Exception as error:  # every store has its own exceptions
+        raise InputError(f"cannot write to {folder}: {_store_error(error)}") from error
 
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the folder for one writer; the lock goes with the process, also when it is killed.
+    """Lock a folder for one writer; the lock ends with the process, also when it is killed.
 
-    Behind a URL there are no locks: two writers of the same plan only do the same work twice.
+    There are no locks behind a URL: two writers of the same plan do the same work twice.
     """
     if is_url(folder):
         yield
@@ -182,7 +182,7 @@ def locked(folder: Path) -> Iterator[None]:
         folder.mkdir(parents=True, exist_ok=True)
         handle = open(folder / ".lock", "w")  # noqa: SIM115 (held until the end of the block)
     except OSError as error:
-        raise InputError(f"cannot write to {folder}: {_said(error)}") from error
+        raise InputError(f"cannot write to {folder}: {_os_error(error)}") from error
     with handle:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -191,7 +191,7 @@ def locked(folder: Path) -> Iterator[None]:
                 f"{folder} is being written by another process: wait for it or choose another --out"
             ) from None
         except OSError as error:
-            raise InputError(f"cannot lock {folder}: {_said(error)}; choose a folder on another disk") from error
+            raise InputError(f"cannot lock {folder}: {_os_error(error)}; choose a folder on another disk") from error
         yield
 
 
@@ -199,20 +199,20 @@ def _compact(value: Any) -> str:
     return json.dumps(value, sort_keys=True, separators=(", ", ": "), allow_nan=False)
 
 
-def _told(error: Exception) -> str:
-    """What a store says of an error, in one line."""
+def _store_error(error: Exception) -> str:
+    """The error of an object store as one line."""
     return f"{type(error).__name__}: {' '.join(str(error).split()) or 'no message'}"
 
 
-def _said(error: OSError) -> str:
-    """What the system says of an error, and how to mend it."""
-    mend = ""
+def _os_error(error: OSError) -> str:
+    """The error of the operating system, with a hint how to fix it."""
+    hint = ""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        mend = "; free some space and run the same command again"
+        hint = "; free some space and run the same command again"
     elif error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        mend = "; choose a folder you may write to with --out"
+        hint = "; choose a folder you may write to with --out"
     elif error.errno in (errno.ENOTDIR, errno.EEXIST):
-        mend = "; a file stands where a folder is needed"
+        hint = "; a file exists where a folder is needed"
     elif error.errno == errno.EISDIR:
-        mend = "; a folder stands where a file is needed"
-    return f"{error.strerror or error}{mend}"
+        hint = "; a folder exists where a file is needed"
+    return f"{error.strerror or error}{hint}"

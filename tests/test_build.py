@@ -302,19 +302,19 @@ def test_strangers_and_leftovers_go_when_a_dataset_is_finished(
 
 def test_a_foreign_folder_is_left_as_it_was(sources: Sources, tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("ten years")
-    with pytest.raises(InputError, match="is not empty and holds no dataset: choose another --out"):
+    with pytest.raises(InputError, match="is not empty and contains no dataset: choose another --out"):
         generate(MINI, tmp_path, workers=1, sources=sources)
     assert os.listdir(tmp_path) == ["thesis.tex"]
 
 
 @pytest.mark.parametrize(
-    ("seed", "named", "said"), [(8, "mini", "seed 7, asked 8"), (7, "maxi", "preset mini, asked maxi")]
+    ("seed", "named", "said"), [(8, "mini", "seed 7, expected 8"), (7, "maxi", "preset mini, expected maxi")]
 )
 def test_another_plan_is_refused_and_the_dataset_kept(
     seed: int, named: str, said: str, whole: Path, sources: Sources
 ) -> None:
     before = contents(whole)
-    with pytest.raises(InputError, match=rf"holds another dataset \({said}\): choose another --out, or delete"):
+    with pytest.raises(InputError, match=rf"contains another dataset \({said}\): choose another --out, or delete"):
         generate(build.replace(MINI, name=named), whole, seed, workers=1, sources=sources)
     assert contents(whole) == before
 
@@ -322,7 +322,7 @@ def test_another_plan_is_refused_and_the_dataset_kept(
 def test_a_file_in_place_of_the_folder_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
     for out in (tmp_path / "out", tmp_path / "out/deeper"):
-        with pytest.raises(InputError, match=r"cannot write to .*: Not a directory; a file stands where a folder"):
+        with pytest.raises(InputError, match=r"cannot write to .*: Not a directory; a file exists where a folder"):
             generate(MINI, out, workers=1)
     assert os.listdir(tmp_path) == ["out"]
 
@@ -368,6 +368,6 @@ def test_company_that_cannot_be_placed_goes(sources: Sources, tmp_path: Path, mo
     monkeypatch.setattr(assemblies, "MAX_ATTEMPTS", 5)
     monkeypatch.setattr(assemblies, "check_assembly", check)
     monkeypatch.setattr(assemblies, "_fits_in_other_slot", lambda *_: False)
-    asked = build.replace(MINI, kits=(2, 2))
-    summary = generate(asked, tmp_path, workers=1, sources=sources)
+    preset = build.replace(MINI, kits=(2, 2))
+    summary = generate(preset, tmp_path, workers=1, sources=sources)
     assert summary["redraws"]["assemblies"] == {"too narrow": 2 * assemblies.MAX_ATTEMPTS, assemblies.FEWER_KITS: 4}

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from mini import MINI, contents, corners
 
-from kit1000.engines import Spread
+from kit1000.engines import ParallelMap
 from kit1000.errors import InputError
-from kit1000.files import folder, remove_folder, sha256
+from kit1000.files import parse_folder, remove_folder, sha256
 from kit1000.generation.build import generate
 from kit1000.generation.plan import Sources
 
@@ -33,7 +33,7 @@ def on_disk(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> dict[
 @pytest.fixture(params=["memory", "local"])
 def remote(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
     """A folder behind a URL: one that knows no folders, as object stores, and one that wants them made."""
-    place = folder(f"{request.param}://{tmp_path}/root")
+    place = parse_folder(f"{request.param}://{tmp_path}/root")
     yield place
     remove_folder(place)
 
@@ -54,17 +54,17 @@ def test_a_dataset_has_the_bytes_of_one_on_disk_and_is_mended(
 
 
 def test_a_foreign_folder_and_another_plan_are_refused(sources: Sources, tmp_path: Path) -> None:
-    place = folder(f"memory://{tmp_path}/thesis")
+    place = parse_folder(f"memory://{tmp_path}/thesis")
     (place / "thesis.tex").write_bytes(b"ten years")
-    with pytest.raises(InputError, match="is not empty and holds no dataset: choose another --out"):
+    with pytest.raises(InputError, match="is not empty and contains no dataset: choose another --out"):
         generate(MINI, place, workers=1, sources=sources)
     (place / "plan.json").write_bytes(b'{"format": "of another program"}')
-    with pytest.raises(InputError, match=r"^memory://.*thesis holds another dataset \(format"):
+    with pytest.raises(InputError, match=r"^memory://.*thesis contains another dataset \(format"):
         generate(MINI, place, workers=1, sources=sources)
 
 
 @contextmanager
-def strayed(place: Path) -> Iterator[Spread]:
+def strayed(place: Path) -> Iterator[ParallelMap]:
     """An engine whose workers have a disk of their own behind the name of the folder."""
     yield lambda function, jobs: (function(replace(job, root=place)) for job in jobs)
 

@@ -45,8 +45,8 @@ def test_bad_files_are_refused_with_a_reason_and_stop_nothing(
         return known(part, *settings, **others)
 
     monkeypatch.setattr(parts_and_kits, "design_kit", design)
-    asked = replace(MINI, train=7)
-    summary = generate(asked, tmp_path / "out", workers=1, sources=Sources.of(listed))
+    preset = replace(MINI, train=7)
+    summary = generate(preset, tmp_path / "out", workers=1, sources=Sources.of(listed))
     refused = summary["refused"]
     assert refused["empty.stl"] == "empty file"
     assert refused["missing.stl"] == "cannot be read: no such file or directory"
@@ -64,8 +64,8 @@ def test_bad_files_are_refused_with_a_reason_and_stop_nothing(
 def test_parts_of_others_become_a_dataset_that_passes(real_parts: Path, tmp_path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shards, "make_scene", make_scene)
-        asked = replace(MINI, train=6, val=2, test=4, kits=(2, 3))
-        summary = generate(asked, tmp_path / "out", sources=Sources.of(mesh_files(real_parts)))
+        preset = replace(MINI, train=6, val=2, test=4, kits=(2, 3))
+        summary = generate(preset, tmp_path / "out", sources=Sources.of(mesh_files(real_parts)))
     assert [summary["counts"][split]["scenes"] for split in SPLITS] == [6, 2, 4]
     assert summary["refused_scenes"] == {}
     assert verify(tmp_path / "out", sample=3).faults == ()
@@ -126,7 +126,7 @@ def test_a_dataset_that_cannot_be_read_says_what_is_there(
         (tmp_path, "no dataset.json in it"),
         (tmp_path / "none", "there is no such folder"),
         (tmp_path / "file", "it is a file"),
-        (ready, "begun but not finished: run the same `kit1000 generate` again"),
+        (ready, "not finished: run the same `kit1000 generate` again"),
     ):
         with pytest.raises(InputError, match=f"no dataset \\({said}"):
             Geometry(folder)

@@ -228,10 +228,10 @@ def test_a_cache_can_be_sent_to_another_process(tmp_path: Path) -> None:
 def test_what_cannot_be_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="encoding 'int4': expected one of uint8, float16"):
         VolumeCache(tmp_path, "int4")
-    with pytest.raises(InputError, match="memory-mapped, so it wants a folder of this machine"):
+    with pytest.raises(InputError, match="memory-mapped, so it needs a folder of this machine"):
         VolumeCache("memory://cache")
     for name in WRONG_NAME:
-        with pytest.raises(InputError, match="no name to keep a volume under"):
+        with pytest.raises(InputError, match="not usable in a file name"):
             VolumeCache(tmp_path).path(some_key(name))
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"cannot (read|write)"):

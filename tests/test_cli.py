@@ -82,10 +82,10 @@ WRONG = {
     "genrate tiny": "no command 'genrate'; did you mean generate? there are",
     "generate": "generate: PRESET and --out missing",
     "generate tiny": "generate: --out missing",
-    "generate tiny --out": "generate: --out wants a value",
+    "generate tiny --out": "generate: --out needs a value",
     "generate tiny --ot {tmp}/out": "generate: no option --ot; did you mean --out? there are --out, --seed, --workers",
     "generate tiny --out {tmp}/out --worker 2": "generate: no option --worker; did you mean --workers?",
-    "generate tiny small --out {tmp}/out": "generate: 'small' is one word too many",
+    "generate tiny small --out {tmp}/out": "generate: unexpected argument 'small'",
     "generate tiny --out {tmp}/out --workers two": "generate: --workers: expected a whole number, got 'two'",
     "generate tiny --out {tmp}/out --workers 0": "--workers: expected 1 or more, got 0",
     "generate tiny --out {tmp}/out --seed -1": "--seed: expected 0 or more, got -1",
@@ -95,13 +95,13 @@ WRONG = {
     "generate tiny --out {tmp}/out --parts {tmp}/none": "{tmp}/none: does not exist; expected a mesh file, a folder",
     "generate tiny --out {tmp}/out --parts {tmp}": "{tmp}: no mesh files inside; looked for .stl .obj",
     "generate tiny --out {tmp}/out --parts {files}/empty.stl": "none of 1 mesh files can be a part (empty.stl: empty",
-    "generate tiny --out {tmp}/out --unit mm": "--unit: says how to read the meshes of --parts, which is absent",
-    "generate tiny --out {tmp}/out --withhold {tmp}/out": "--withhold: expected a folder apart from --out {tmp}/out",
+    "generate tiny --out {tmp}/out --unit mm": "--unit: is the unit of the meshes of --parts, which is absent",
+    "generate tiny --out {tmp}/out --withhold {tmp}/out": "--withhold: expected a folder outside --out {tmp}/out",
     "generate tiny --out {tmp}/out --withhold {tmp}/w --seed 7": "--seed: 7 can be guessed, and with it the withheld",
-    "generate tiny --out {data} --withhold {tmp}/w": "{data} holds a whole dataset: choose another --out",
+    "generate tiny --out {data} --withhold {tmp}/w": "{data} contains a full dataset: choose another --out",
     "generate tiny --out {tmp}/w --withhold {data}": "--withhold: {data} was made from seed 7, which can be guessed",
-    "generate tiny --out {files}/good.stl": "cannot write to {files}/good.stl: Not a directory; a file stands where",
-    "generate tiny --out {files}": "{files} is not empty and holds no dataset: choose another --out",
+    "generate tiny --out {files}/good.stl": "cannot write to {files}/good.stl: Not a directory; a file exists where",
+    "generate tiny --out {files}": "{files} is not empty and contains no dataset: choose another --out",
     "kit {files}/none.stl --out {tmp}/out": "{files}/none.stl: cannot be read: no such file or directory",
     "kit {files}/empty.stl --out {tmp}/out": "{files}/empty.stl: empty file",
     "kit {files}/text.stl --out {tmp}/out": "{files}/text.stl: not a mesh: text file",
@@ -110,7 +110,7 @@ WRONG = {
     "kit {files}/folder.stl --out {tmp}/out": "{files}/folder.stl: is a folder, expected a mesh file",
     "kit {files}/flat.stl --out {tmp}/out": "{files}/flat.stl: zero thickness",
     "kit {files}/open.stl --out {tmp}/out": "{files}/open.stl: not closed: ",
-    "kit {files}/good.stl --out {files}/good.stl": "cannot write to {files}/good.stl: Not a directory; a file stands",
+    "kit {files}/good.stl --out {files}/good.stl": "cannot write to {files}/good.stl: Not a directory; a file exists",
     "kit {files}/good.stl --out {tmp}/out --unit inches": "kit: --unit inches: did you mean inch? expected one of mm,",
     "kit {files}/good.stl --out {tmp}/out --clearance-mm 0": "--clearance-mm: expected 0.05 to 1000, got 0",
     "kit {files}/good.stl --out {tmp}/out --clearance-mm nan": "--clearance-mm: expected 0.05 to 1000, got nan",
@@ -161,8 +161,8 @@ def test_a_kit_is_described_in_words(files: Path, tmp_path: Path, capsys: pytest
     assert main(["kit", str(files / "good.stl"), "--out", str(tmp_path / "out"), "--unit", "mm"]) == 0
     out, err = capsys.readouterr()
     assert "good.stl: 40.0 x 30.0 x 24.0 mm (as asked)" in out
-    assert "(asked 2.5)" in out
-    assert out.endswith(f"files  {tmp_path / 'out'}\n")
+    assert "(requested 2.5)" in out
+    assert out.endswith(f"files      {tmp_path / 'out'}\n")
     assert err == ""
 
 
@@ -217,7 +217,7 @@ def test_a_dataset_begun_is_told_from_none(
     assert main(line) == 130
     assert capsys.readouterr().err == "kit1000: interrupted; run the same command again to continue\n"
     assert main(["info", f"{tmp_path}/out"]) == 2
-    assert "begun but not finished: run the same `kit1000 generate` again" in capsys.readouterr().err
+    assert "not finished: run the same `kit1000 generate` again" in capsys.readouterr().err
 
 
 TINY = preset("tiny")
@@ -307,10 +307,10 @@ def test_a_summary_reads_the_same_however_it_is_ordered() -> None:
     head = {"preset": "p", "dataset_id": "d", "seed": 1, "data_version": "v", "licence": "l"}
     redraws = {"parts": {"b": 1, "a": 1, "c": 2}, "scenes": {}}
     refused = {"refused": {"x.stl": "empty file"}, "refused_scenes": {"val-s0000": "no room"}}
-    text = cli.describe(head | {"counts": counts, "redraws": redraws} | refused)
+    text = cli.summary_text(head | {"counts": counts, "redraws": redraws} | refused)
     assert [line.split()[0] for line in text.splitlines()[1:4]] == ["train", "val", "test"]
-    assert "redrawn parts: 2x c, 1x a, 1x b" in text
-    assert "redrawn scenes: none" in text
+    assert "redraws of parts: 2x c, 1x a, 1x b" in text
+    assert "redraws of scenes: none" in text
     assert "refused x.stl: empty file" in text
     assert "refused val-s0000: no room" in text
-    assert "(seed withheld, " in cli.describe(head | {"counts": counts, "redraws": {}, "seed": None} | refused)
+    assert "(seed withheld, " in cli.summary_text(head | {"counts": counts, "redraws": {}, "seed": None} | refused)

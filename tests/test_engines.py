@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 from jobs import die, square, stumble
 
-from kit1000.engines import AHEAD, RETRIES, engine, local
-from kit1000.engines.cores import cores
-from kit1000.errors import InternalError, InputError, Kit1000Error
+from kit1000.engines import JOBS_PER_WORKER, RETRIES, engine, local_engine
+from kit1000.engines.cores import usable_cores
+from kit1000.errors import InputError, InternalError, Kit1000Error
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKERS = pytest.mark.parametrize("workers", [1, 2])
@@ -46,12 +46,12 @@ def counted(taken: list[int], n: int) -> Iterator[int]:
 @WORKERS
 @pytest.mark.parametrize("jobs", [0, 1, 50])
 def test_every_job_has_its_result(workers: int, jobs: int) -> None:
-    with local(workers) as spread:
+    with local_engine(workers) as spread:
         assert sorted(spread(square, range(jobs))) == [x * x for x in range(jobs)]
 
 
 def test_workers_serve_one_batch_after_another() -> None:
-    with local(2) as spread:
+    with local_engine(2) as spread:
         assert sorted(spread(square, range(3))) == [0, 1, 4]
         assert sorted(spread(square, range(3))) == [0, 1, 4]
 
@@ -59,7 +59,7 @@ def test_workers_serve_one_batch_after_another() -> None:
 @WORKERS
 def test_an_unforeseen_error_stops_the_run_and_names_the_job_in_one_line(workers: int) -> None:
     taken: list[int] = []
-    with pytest.raises(InternalError) as caught, local(workers) as spread:
+    with pytest.raises(InternalError) as caught, local_engine(workers) as spread:
         list(spread(stumble, counted(taken, 1000)))
     assert str(caught.value).startswith("3: ValueError: two lines")
     assert len(taken) < 100
@@ -67,19 +67,19 @@ def test_an_unforeseen_error_stops_the_run_and_names_the_job_in_one_line(workers
 
 @WORKERS
 def test_our_own_errors_come_through_as_they_are(workers: int) -> None:
-    with pytest.raises(InputError, match=r"^disk full$"), local(workers) as spread:
+    with pytest.raises(InputError, match=r"^disk full$"), local_engine(workers) as spread:
         list(spread(stumble, [-1]))
 
 
 def test_few_jobs_are_handed_out_ahead() -> None:
     taken: list[int] = []
-    with local(2) as spread:
+    with local_engine(2) as spread:
         next(iter(spread(square, counted(taken, 1000))))
-        assert len(taken) <= 2 * AHEAD
+        assert len(taken) <= 2 * JOBS_PER_WORKER
 
 
 def test_jobs_of_killed_workers_are_done_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with local(2) as spread:
+    with local_engine(2) as spread:
         assert sorted(spread(die_at_first, [(i, tmp_path) for i in range(6)])) == list(range(6))
         assert sorted(spread(square, range(3))) == [0, 1, 4]
     assert len(list(tmp_path.glob("2-*"))) == RETRIES + 1
@@ -87,7 +87,7 @@ def test_jobs_of_killed_workers_are_done_again(tmp_path: Path, capsys: pytest.Ca
 
 
 def test_a_job_that_kills_every_worker_is_named_in_one_line() -> None:
-    with pytest.raises(Kit1000Error) as caught, local(2) as spread:
+    with pytest.raises(Kit1000Error) as caught, local_engine(2) as spread:
         list(spread(die, [3]))
     assert str(caught.value).startswith(
         f"a worker process died {RETRIES + 1} times (killed, or out of memory), probably at one of: 3; run"
@@ -97,13 +97,13 @@ def test_a_job_that_kills_every_worker_is_named_in_one_line() -> None:
 
 def test_results_from_before_a_death_are_kept_and_the_guilty_named_among_others() -> None:
     results: list[int] = []
-    with pytest.raises(Kit1000Error, match=r"probably at one of: (\d, )?3(, \d+)?; run"), local(2) as spread:
+    with pytest.raises(Kit1000Error, match=r"probably at one of: (\d, )?3(, \d+)?; run"), local_engine(2) as spread:
         results.extend(spread(die, range(20)))
     assert len(set(results)) == len(results)
 
 
 def test_all_cores_are_used_unless_asked_otherwise() -> None:
-    assert cores() == len(os.sched_getaffinity(0))
+    assert usable_cores() == len(os.sched_getaffinity(0))
 
 
 def test_an_engine_is_chosen_by_name() -> None:

@@ -14,9 +14,9 @@ import trimesh
 
 from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError
-from kit1000.export import ASSEMBLIES, FORMATS, export
+from kit1000.export import ASSEMBLY_FORMATS, FORMATS, export
 from kit1000.export.threemf import threemf_bytes, write_3mf
-from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
+from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import Mesh, defect_float32, solid_from_mesh
 from kit1000.parts.files.sources import read_mesh
 from kit1000.values import Assembly
@@ -27,7 +27,7 @@ NAME = '<kits & "parts">'
 
 @pytest.fixture(scope="module")
 def assembly() -> Assembly:
-    plan = AssemblyPlan(0.2, 1.0, (Side(0, 0.6), Side(3, 0.3)))
+    plan = AssemblyPlan(0.2, 1.0, (SidePlate(0, 0.6), SidePlate(3, 0.3)))
     made = build_assembly(NAME, [sample_kit(family) for family in ("tee", "foot", "cover")], plan)
     return Assembly(NAME, made.mesh.rounded_float32(), made.mounts)  # as a dataset holds it
 
@@ -45,7 +45,7 @@ def source(assembly: Assembly, monkeypatch: pytest.MonkeyPatch) -> Geometry:
 
 @pytest.mark.parametrize("ending", ["stl", "3mf"])
 def test_what_is_read_is_the_assembly_in_millimetres(ending: str, assembly: Assembly, tmp_path: Path) -> None:
-    path = ASSEMBLIES[ending][1](assembly, tmp_path / f"assembly.{ending}")
+    path = ASSEMBLY_FORMATS[ending][1](assembly, tmp_path / f"assembly.{ending}")
     seen = trimesh.load_scene(path).to_mesh()
     assert seen.is_watertight
     assert seen.volume == pytest.approx(assembly.mesh.volume * 1e9, rel=1e-6)
@@ -55,18 +55,18 @@ def test_what_is_read_is_the_assembly_in_millimetres(ending: str, assembly: Asse
 
 @pytest.mark.parametrize("ending", ["stl", "3mf"])
 def test_parts_seat_in_what_is_read(ending: str, assembly: Assembly, tmp_path: Path) -> None:
-    seen = trimesh.load_scene(ASSEMBLIES[ending][1](assembly, tmp_path / f"assembly.{ending}")).to_mesh()
-    whole = solid_from_mesh(Mesh(seen.vertices, seen.faces))
+    seen = trimesh.load_scene(ASSEMBLY_FORMATS[ending][1](assembly, tmp_path / f"assembly.{ending}")).to_mesh()
+    solid = solid_from_mesh(Mesh(seen.vertices, seen.faces))
     for mount in assembly.mounts:
         up = mount.assembly_from_kit.rotate([0.0, 0.0, 1.0])
         seated = mount.assembly_from_kit @ mount.kit.slot.kit_from_part
         part = solid_from_mesh(sample_part(mount.kit.id).mesh.moved(seated).scaled(1e3))
-        assert part.translate(tuple(up)).min_gap(whole, 5) == pytest.approx(1, abs=0.01)  # a millimetre off its floor
+        assert part.translate(tuple(up)).min_gap(solid, 5) == pytest.approx(1, abs=0.01)  # a millimetre off its floor
 
 
 @pytest.mark.parametrize("ending", ["stl", "3mf"])
 def test_our_own_reader_finds_the_same_solid(ending: str, assembly: Assembly, tmp_path: Path) -> None:
-    path = ASSEMBLIES[ending][1](assembly, tmp_path / f"assembly.{ending}")
+    path = ASSEMBLY_FORMATS[ending][1](assembly, tmp_path / f"assembly.{ending}")
     reading = read_mesh(path, None if ending == "3mf" else "mm")
     assert reading.unit == "mm"
     assert reading.unit_guessed is False
@@ -112,9 +112,9 @@ def test_the_same_assembly_gives_the_same_bytes(assembly: Assembly) -> None:
     assert threemf_bytes("a", assembly.mesh) == threemf_bytes("a", assembly.mesh)
 
 
-@pytest.mark.parametrize("name", ASSEMBLIES)
+@pytest.mark.parametrize("name", ASSEMBLY_FORMATS)
 def test_every_assembly_of_a_split_or_those_asked_for_get_an_entry(name: str, source: Geometry, tmp_path: Path) -> None:
-    ending = ASSEMBLIES[name][0]
+    ending = ASSEMBLY_FORMATS[name][0]
     assert export(source, name, tmp_path / "all") == tmp_path / "all"
     export(source, name, tmp_path / "split", split="test")
     export(source, name, tmp_path / "asked", ids=("train-0000",))

@@ -19,7 +19,7 @@ from kit1000.dataset.schema import SceneTruth
 from kit1000.errors import InputError
 from kit1000.export import bop, export
 from kit1000.export.bop import DELTA, distances, gt_info, silhouette, stored_depth, visible_pixels, write_bop
-from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
+from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.sim.render import render
@@ -49,7 +49,7 @@ class FakeGeometry:
         return part_named(part_id, self.parts[part_id]["family"])
 
     def assembly(self, assembly_id: str) -> Assembly:
-        plan = AssemblyPlan(0.2, 1.0, (Side(0, 0.6),))
+        plan = AssemblyPlan(0.2, 1.0, (SidePlate(0, 0.6),))
         return build_assembly(assembly_id, [sample_kit(family) for family in FAMILIES], plan)
 
 
@@ -147,9 +147,9 @@ class BopImage:
 
 
 def matrix(rotation: list[float], shift: list[float]) -> np.ndarray:
-    whole = np.eye(4)
-    whole[:3, :3], whole[:3, 3] = np.reshape(rotation, (3, 3)), shift
-    return whole
+    transform = np.eye(4)
+    transform[:3, :3], transform[:3, 3] = np.reshape(rotation, (3, 3)), shift
+    return transform
 
 
 def m2c(gt: dict) -> np.ndarray:

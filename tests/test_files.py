@@ -22,10 +22,10 @@ from kit1000.files import (
     PARTIAL,
     check_writable,
     clear_partial,
-    folder,
     is_url,
     json_bytes,
     locked,
+    parse_folder,
     read_json,
     remove_folder,
     sha256,
@@ -89,9 +89,9 @@ def test_a_write_that_is_stopped_leaves_the_old_file_and_no_other(
 
 def test_what_stands_in_the_way_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"cannot write .*a.bin: .*; a file stands where a folder is needed"):
+    with pytest.raises(InputError, match=r"cannot write .*a.bin: .*; a file exists where a folder is needed"):
         write_bytes(tmp_path / "file/a.bin", b"")
-    with pytest.raises(InputError, match="a folder stands where a file is needed"):
+    with pytest.raises(InputError, match="a folder exists where a file is needed"):
         write_bytes(tmp_path, b"")
     assert sorted(os.listdir(tmp_path)) == ["file"]
 
@@ -159,7 +159,7 @@ def test_a_folder_is_judged_before_it_is_made(tmp_path: Path, monkeypatch: pytes
     assert not os.listdir(tmp_path)
     (tmp_path / "file").touch()
     for place in (tmp_path / "file", tmp_path / "file/below"):
-        with pytest.raises(InputError, match="a file stands where a folder is needed"):
+        with pytest.raises(InputError, match="a file exists where a folder is needed"):
             check_writable(place)
     monkeypatch.setattr(files.os, "access", lambda *_: False)
     with pytest.raises(InputError, match="Permission denied; choose a folder you may write to with --out"):
@@ -173,27 +173,27 @@ def test_values_that_json_lacks_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_this_machine_is_a_plain_path(tmp_path: Path) -> None:
-    assert folder("data/a b") == Path("data/a b")
-    assert folder(f"file://{tmp_path}/a%20b") == tmp_path / "a b"
-    assert not is_url(folder(f"file://{tmp_path}"))
+    assert parse_folder("data/a b") == Path("data/a b")
+    assert parse_folder(f"file://{tmp_path}/a%20b") == tmp_path / "a b"
+    assert not is_url(parse_folder(f"file://{tmp_path}"))
 
 
 @pytest.mark.parametrize(("url", "said"), [("nowhere://a/b", "nowhere"), ("oci://bucket/data", "Install|install")])
 def test_a_url_that_cannot_be_reached_is_one_line(url: str, said: str) -> None:
     with pytest.raises(InputError, match=rf"^{url}: .*({said}).*$"):
-        folder(url)
+        parse_folder(url)
 
 
 def test_without_the_packages_for_urls_the_way_to_them_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "upath", None)
     with pytest.raises(InputError, match=r"^memory://a: .*pip install 'kit1000\[ray\]'"):
-        folder("memory://a")
+        parse_folder("memory://a")
 
 
 @pytest.fixture(params=["memory", "local"])
 def remote(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
     """A folder behind a URL: one that knows no folders, as object stores, and one that wants them made."""
-    place = folder(f"{request.param}://{tmp_path}/root")
+    place = parse_folder(f"{request.param}://{tmp_path}/root")
     assert is_url(place)
     yield place
     remove_folder(place)
@@ -224,7 +224,7 @@ class Refused(Exception):
 
 
 def test_a_store_that_refuses_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    place = folder("memory://bucket/data")
+    place = parse_folder("memory://bucket/data")
 
     def refuse(*_: object, **__: object) -> None:
         raise Refused("no\ncredentials")

@@ -15,7 +15,7 @@ from mini import corner
 from kit1000.dataset.mesh_files import glb_bytes, read_glb, stl_bytes, y_up, z_up
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, defect_float32
-from kit1000.parts.files.formats import read_soup
+from kit1000.parts.files.formats import read_triangles
 
 POINTS = arrays(np.float64, (7, 3), elements=st.floats(-1, 1, width=32))
 FACES = np.array([[0, 1, 2], [6, 5, 4], [3, 3, 0]], dtype=np.int32)
@@ -62,7 +62,7 @@ def test_an_stl_holds_float32_millimetres_with_z_up(tmp_path: Path) -> None:
     mesh = corner()
     path = tmp_path / "mesh.stl"
     path.write_bytes(stl_bytes(mesh))
-    soup = read_soup(path)
+    soup = read_triangles(path)
     assert np.array_equal(soup.vertices.reshape(-1, 3, 3), (mesh.triangles * 1e3).astype(np.float32))
     seen = trimesh.load_mesh(path)
     assert np.allclose(seen.bounds, mesh.bounds * 1e3, atol=1e-5)

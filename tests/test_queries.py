@@ -96,7 +96,7 @@ def stage(**changes: Any) -> Stage:
         part(1, 40.0, goals=4),
         part(2, 30.0, mode=TUMBLED, goals=2),
         part(3, 12.0, free=True),
-        replace(part(4), rejection="slot turned away"),
+        replace(part(4), invisibility="slot turned away"),
     )
     return replace(Stage(parts, views, labels), **changes)
 

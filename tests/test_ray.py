@@ -18,8 +18,8 @@ from jobs import die, square, stumble
 from mini import MINI, contents, corners
 
 from kit1000 import engines, files
-from kit1000.engines import AHEAD, RETRIES, Spread
-from kit1000.errors import InternalError, InputError, Kit1000Error
+from kit1000.engines import JOBS_PER_WORKER, RETRIES, ParallelMap
+from kit1000.errors import InputError, InternalError, Kit1000Error
 from kit1000.generation.build import generate
 
 pytest.importorskip("ray", reason="an engine that is asked for: pip install 'kit1000[ray]'")
@@ -88,9 +88,9 @@ def located(function: Callable[[Any], Any], job: Any) -> tuple[str, Any]:
 
 
 @contextmanager
-def watched(address: str, seen: list[str]) -> Iterator[Spread]:
+def watched(address: str, seen: list[str]) -> Iterator[ParallelMap]:
     """The engine, with a note of the node of every result."""
-    with engines.ray(address) as spread:
+    with engines.ray_engine(address) as spread:
 
         def spread_seen(function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
             for place, result in spread(partial(located, function), jobs):
@@ -104,7 +104,7 @@ def watched(address: str, seen: list[str]) -> Iterator[Spread]:
 def test_two_nodes_share_the_work_and_write_the_bytes_of_one_process(url: bool, address: str, tmp_path: Path) -> None:
     sources = corners(tmp_path / "files")
     generate(MINI, tmp_path / "alone", workers=1, sources=sources)
-    out = files.folder(f"local://{tmp_path}/out") if url else tmp_path / "out"
+    out = files.parse_folder(f"local://{tmp_path}/out") if url else tmp_path / "out"
     seen: list[str] = []
     generate(MINI, out, sources=sources, engine=watched(address, seen))
     assert contents(tmp_path / "out") == contents(tmp_path / "alone")
@@ -115,7 +115,7 @@ def test_a_node_runs_this_version_where_the_driver_stands(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with engines.ray(address) as spread:
+    with engines.ray_engine(address) as spread:
         nodes, packages, places, threads = zip(*spread(surroundings, ["out"] * 10), strict=True)
     assert len(set(nodes)) == 2
     assert not any(Path(package).is_relative_to(ROOT) for package in packages)
@@ -131,36 +131,36 @@ def test_every_job_has_its_result_and_few_are_handed_out_ahead(address: str) -> 
             taken.append(i)
             yield i
 
-    with engines.ray(address) as spread:
+    with engines.ray_engine(address) as spread:
         assert list(spread(square, [])) == []
         results = spread(square, jobs())
         first = next(results)
-        assert len(taken) <= 2 * AHEAD
+        assert len(taken) <= 2 * JOBS_PER_WORKER
         assert sorted([first, *results]) == [x * x for x in range(200)]
-    with engines.ray(address, workers=1) as spread:
+    with engines.ray_engine(address, workers=1) as spread:
         taken.clear()
         next(spread(square, jobs()))
         assert len(taken) == 1
 
 
 def test_jobs_of_killed_workers_are_done_again(address: str, tmp_path: Path) -> None:
-    with engines.ray(address) as spread:
+    with engines.ray_engine(address) as spread:
         assert sorted(spread(die_at_first, [(i, str(tmp_path)) for i in range(7)])) == list(range(7))
     assert [len(list(tmp_path.glob(f"{i}-*"))) for i in range(7)] == [2, 1, 1, 2, 1, 1, 2]
 
 
 def test_a_job_that_kills_every_worker_is_named_in_one_line(address: str) -> None:
-    with pytest.raises(Kit1000Error) as caught, engines.ray(address) as spread:
+    with pytest.raises(Kit1000Error) as caught, engines.ray_engine(address) as spread:
         list(spread(die, [3]))
     assert str(caught.value).startswith(f"3: its worker died {RETRIES + 1} times (killed, out of memory, or")
     assert "\n" not in str(caught.value)
 
 
 def test_errors_stop_the_run_as_they_do_without_ray(address: str) -> None:
-    with pytest.raises(InternalError) as caught, engines.ray(address) as spread:
+    with pytest.raises(InternalError) as caught, engines.ray_engine(address) as spread:
         list(spread(stumble, range(1000)))
     assert str(caught.value).startswith("3: ValueError: two lines (")
-    with pytest.raises(InputError, match=r"^disk full$"), engines.ray(address) as spread:
+    with pytest.raises(InputError, match=r"^disk full$"), engines.ray_engine(address) as spread:
         list(spread(stumble, [-1]))
 
 
@@ -171,7 +171,7 @@ def test_what_a_node_lacks_is_said(address: str, tmp_path: Path, monkeypatch: py
 
     with (
         pytest.raises(InputError, match=r"^7: No module named 'unheard_of' on a node: install.*$"),
-        engines.ray(address) as spread,
+        engines.ray_engine(address) as spread,
     ):
         list(spread(unheard_of.job, [7]))
 
@@ -179,7 +179,7 @@ def test_what_a_node_lacks_is_said(address: str, tmp_path: Path, monkeypatch: py
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "nowhere.invalid:6379", "nonsense"])
 def test_an_address_without_a_cluster_is_one_line(address: str) -> None:
     begun = time.monotonic()
-    with pytest.raises(InputError, match=f"^--address {address}: .*$") as caught, engines.ray(address):
+    with pytest.raises(InputError, match=f"^--address {address}: .*$") as caught, engines.ray_engine(address):
         pass
     assert "\n" not in str(caught.value)
     assert time.monotonic() - begun < 30
@@ -229,7 +229,7 @@ def test_sigterm_still_belongs_to_the_program() -> None:
 
     before = signal.signal(signal.SIGTERM, ours)
     try:
-        with engines.ray(workers=1) as spread:
+        with engines.ray_engine(workers=1) as spread:
             assert signal.getsignal(signal.SIGTERM) is ours
             assert list(spread(square, [3])) == [9]
     finally:

@@ -22,8 +22,8 @@ from kit1000.dataset.schema import Observation, SceneTruth
 from kit1000.dataset.tables import FORMAT, assembly_row, kit_row, part_row, pose_of, pose_row
 from kit1000.errors import InputError
 from kit1000.files import write_bytes, write_json
-from kit1000.generation.queries import Asked, scene_queries
-from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
+from kit1000.generation.queries import PartInScene, scene_queries
+from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.sim.layout import TUMBLED, UPRIGHT, table
 from kit1000.sim.render import render
@@ -46,7 +46,7 @@ MODES = (UPRIGHT, TUMBLED, UPRIGHT)
 
 def assembly_of(scene_id: str) -> Assembly:
     """The same kits for every scene, under its own name."""
-    plan = AssemblyPlan(0.1, 0.3, (Side(0, 0.4), Side(1, 0.3)))
+    plan = AssemblyPlan(0.1, 0.3, (SidePlate(0, 0.4), SidePlate(1, 0.3)))
     return build_assembly(scene_id.replace("-s", "-"), [sample_kit(family) for family in FAMILIES], plan)
 
 
@@ -98,13 +98,13 @@ def labels_of() -> np.ndarray:
     return labels
 
 
-def asked_of(assembly: Assembly) -> list[Asked]:
+def asked_of(assembly: Assembly) -> list[PartInScene]:
     """The parts lie in a row, in the order of the mounts."""
     lying = [
         Pose(sample_kit(f).slot.kit_from_part.wxyz, np.array([0.1 * i, -0.17, 0.02])) for i, f in enumerate(FAMILIES)
     ]
     return [
-        Asked(i, MODES[i], lying[i], STANDS @ mount.assembly_from_kit, mount.kit.slot, None)
+        PartInScene(i, MODES[i], lying[i], STANDS @ mount.assembly_from_kit, mount.kit.slot, None)
         for i, mount in enumerate(assembly.mounts)
     ]
 
@@ -214,7 +214,7 @@ def test_the_truth_must_be_asked_for_by_name(root: Path) -> None:
     recorded = Dataset(root).split("train").scene("train-s0000")
     with files_opened() as opened:
         for name in ("truth", "scene", "truths"):
-            with pytest.raises(InputError, match=r"truth was not opened; say dataset.split\('train', truth=True\)"):
+            with pytest.raises(InputError, match=r"truth was not opened; use dataset.split\('train', truth=True\)"):
                 getattr(recorded, name)
         with pytest.raises(InputError, match="truth was not opened"):
             recorded.bodies()

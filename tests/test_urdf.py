@@ -13,7 +13,7 @@ from manifold3d import Manifold
 
 from kit1000.errors import InputError
 from kit1000.export.urdf import roll_pitch_yaw, write_urdf
-from kit1000.kits.assembly import AssemblyPlan, Side, build_assembly
+from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.kits.kit import make_kit
 from kit1000.mesh import Mesh, inertia, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import DENSITY
@@ -32,7 +32,7 @@ FILM = 60e-9  # [m] rounding of a mesh's vertices moves its surface by no more
 
 @pytest.fixture(scope="module")
 def assembly() -> Assembly:
-    plan = AssemblyPlan(0.2, 1.0, (Side(0, 0.6), Side(3, 0.3)))
+    plan = AssemblyPlan(0.2, 1.0, (SidePlate(0, 0.6), SidePlate(3, 0.3)))
     return build_assembly("<kits & parts>", [sample_kit(family) for family in ("tee", "foot", "cover")], plan)
 
 
@@ -146,7 +146,7 @@ def test_nothing_is_left_of_an_export_that_fails(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("kit1000.export.urdf.stand_meshes", full)
+    monkeypatch.setattr("kit1000.export.urdf.support_meshes", full)
     with pytest.raises(InputError, match=r"cannot write .*: No space left on device"):
         write_urdf(assembly, tmp_path / "new")
     assert list(tmp_path.iterdir()) == []

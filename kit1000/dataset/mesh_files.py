@@ -1,6 +1,6 @@
-"""Meshes in files: GLB (metres, y up, as glTF wants) and STL (millimetres, z up, as slicers want).
+"""Mesh files: GLB (metres, y up, as in glTF) and STL (millimetres, z up, as in slicers).
 
-Meshes lie on the float32 grid, so what is read is to the bit what was written.
+Vertices are multiples of float32 steps, so a mesh read back equals the one written to the bit.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from kit1000.mesh import Mesh
 
 
 def glb_bytes(bodies: Mapping[str, Mesh], colours: Mapping[str, tuple[int, int, int]] | None = None) -> bytes:
-    """Named bodies as one GLB. colours: sRGB 0..255 by name, where given."""
+    """Named bodies as one GLB. `colours`: sRGB 0..255 by name; bodies without one get no material."""
     scene = trimesh.Scene()
     for name, mesh in bodies.items():
         body = trimesh.Trimesh(y_up(mesh.vertices), mesh.faces, process=False)
@@ -35,7 +35,7 @@ def glb_bytes(bodies: Mapping[str, Mesh], colours: Mapping[str, tuple[int, int, 
 
 
 def read_glb(path: Path) -> dict[str, Mesh]:
-    """The bodies of a GLB written by `glb_bytes`, by name. Raises InputError in one line on anything else."""
+    """The bodies of a GLB written by `glb_bytes`, by name. Raises InputError for anything else."""
     try:
         scene = trimesh.load_scene(io.BytesIO(path.read_bytes()), file_type="glb", process=False)
         return {
@@ -44,21 +44,21 @@ def read_glb(path: Path) -> dict[str, Mesh]:
         }
     except FileNotFoundError:
         raise InputError(f"no file {path}") from None
-    except Exception as error:  # a foreign reader on damaged bytes may raise anything
+    except Exception as error:  # the reader of trimesh may raise anything on damaged bytes
         raise InputError(f"cannot read {path}: damaged or no GLB ({type(error).__name__}: {error})") from error
 
 
 def stl_bytes(mesh: Mesh) -> bytes:
-    """A binary STL in millimetres, z up, ready for a slicer."""
+    """A mesh as a binary STL in millimetres, z up, ready for a slicer."""
     body = trimesh.Trimesh(mesh.vertices * 1e3, mesh.faces, process=False)
     return cast(bytes, body.export(file_type="stl"))
 
 
 def y_up(points: np.ndarray) -> np.ndarray:
-    """(n, 3) z-up coordinates as glTF's y-up ones."""
+    """Points (n, 3) with z up as points (n, 3) with y up, as in glTF."""
     return points[:, [0, 2, 1]] * np.array([1, 1, -1])
 
 
 def z_up(points: np.ndarray) -> np.ndarray:
-    """(n, 3) glTF's y-up coordinates as z-up ones."""
+    """Points (n, 3) with y up, as in glTF, as points (n, 3) with z up."""
     return points[:, [0, 2, 1]] * np.array([1, -1, 1])

@@ -30,7 +30,7 @@ from kit1000.tracks import CURVES, TRACKS, has_curves
 from kit1000.values import Body, LabelledDepth, Query, Scene, Truth, View
 
 MAX_OPEN_FILES = 128  # open at once: all shards of the largest split, with their truth
-WITHHELD_FILE = "withheld.json"  # in the full folder of a withheld dataset: salt, commitment and the id of the public one
+WITHHELD_FILE = "withheld.json"  # in the full folder of a withheld dataset: salt, commitment, id of the public one
 CACHED_IMAGES = 4  # depth images with masks in memory: the queries of a scene share them
 
 

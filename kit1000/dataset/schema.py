@@ -1,6 +1,6 @@
-"""What a recording holds: one scene as observed, and the truth about it, as plain values and rows.
+"""The contents of a recording: the observation of one scene, and its ground truth.
 
-The two never share a file. Rows are JSON values: numbers in SI, poses as {"wxyz": [...], "xyz": [...]}.
+The two are never in the same file. Rows are JSON values: SI units, poses as {"wxyz": [...], "xyz": [...]}.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from kit1000.pose import Pose
 from kit1000.values import View
 
 LICENCE = "CC-BY-4.0"
-SCENES_PER_SHARD = 25  # a shard is the unit of work and of download: some 20 MB, some ten seconds
+SCENES_PER_SHARD = 25  # a shard is the unit of work and of download: about 20 MB, about ten seconds
 
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """What was seen of a scene."""
+    """The observation of a scene: depth images, masks and queries."""
 
     scene_id: str
     views: Mapping[str, View]
-    """By key: "ideal" and "d415" of the primary camera, "three/0/ideal" ... of a further set."""
+    """By key: "ideal" and "d415" of the primary camera, "three/0/ideal" ... of an extra camera set."""
     labels: np.ndarray | None = None
     """(H, W) uint8 masks of the primary camera, see `kit1000.values.LabelledDepth`."""
     queries: tuple[Row, ...] = ()
@@ -33,20 +33,21 @@ class Observation:
 
 @dataclass(frozen=True, eq=False)
 class SceneTruth:
-    """What is so in a scene."""
+    """The ground truth of a scene."""
 
     scene_id: str
     assembly_id: str
     world_from_assembly: Pose
     parts: tuple[Row, ...]
     """In the order p0, p1, ...: {"part_id", "family", "mount", "rest_mode", "world_from_part", "world_from_kit",
-    "pixels", "visible", "slot_angle", "slot_visible", "unseen": reason or null}; the mount is an index into the
-    assembly's."""
+    "pixels", "visible", "slot_angle", "slot_visible", "unseen": reason or null}; `mount` is an index into the mounts of
+    the assembly, `unseen` is why the part or its slot is not visible enough for a query."""
     queries: Mapping[str, Row]
-    """By query id: {"part", "goal_drawn": pose, "draw": {"goal", "turn", "offset": [3], "rotvec": [3]} or null}."""
+    """By query id: {"part", "goal_drawn": pose, "draw": {"goal", "turn", "offset": [3], "rotvec": [3]} or null}. The
+    draw is that of the guess: index of the goal, its angle [rad] about the free axis, offset [m] and rotvec [rad]."""
     seg: np.ndarray
-    """(H, W) uint16: 0 nothing, 1 table, 2 assembly, 3 + i part i, 100 + k the cavity of mount k."""
+    """(H, W) uint16 segmentation: 0 nothing, 1 table, 2 assembly, 3 + i part i, 100 + k the cavity of mount k."""
     models: Mapping[str, bytes] = field(default_factory=dict)
     """GLB files by body, for viewers: "assemblies/<id>", "parts/<id>"."""
     goals: Pose | None = None
-    """(n,) world_from_part of every goal of the drawn target, for viewers."""
+    """(n,) world_from_part of every goal of the scene's target, for viewers."""

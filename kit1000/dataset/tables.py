@@ -1,7 +1,7 @@
-"""Parts, kits and assemblies as rows of the dataset's JSON tables, and back.
+"""Conversion of parts, kits and assemblies to rows of the dataset's JSON tables, and back.
 
-A row holds everything but the mesh, which stands in a GLB beside the table. Numbers are SI, quaternions wxyz, floats
-in full precision: a value read back equals the value written.
+A row holds everything except the mesh, which is in a GLB file. SI units, quaternions wxyz, floats in full precision: a
+value read back equals the value written.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Slot
 
-FORMAT = "kit1000/1"  # of the folder that holds these tables
+FORMAT = "kit1000/1"  # of the dataset folder
 
 Row = dict[str, Any]
 
@@ -65,20 +65,20 @@ def kit_of(kit_id: str, row: Row, mesh: Mesh) -> Kit:
 
 
 def slot_of(row: Row) -> Slot:
-    """The slot of the row of its kit."""
+    """The slot of a kit's row."""
     axis = row["free_axis"] and FreeAxis(np.array(row["free_axis"]["point"]), np.array(row["free_axis"]["direction"]))
     goals = Pose.stack([pose_of(goal) for goal in row["goals"]])
     return Slot(row["part_id"], pose_of(row["kit_from_part"]), row["clearance"], row["depth"], goals, axis)
 
 
 def assembly_row(assembly: Assembly) -> Row:
-    """The row of an assembly: which kits stand where."""
+    """The row of an assembly: its kits with their poses."""
     mounts = [{"kit_id": m.kit.id, "assembly_from_kit": pose_row(m.assembly_from_kit)} for m in assembly.mounts]
     return {"mounts": mounts}
 
 
 def assembly_of(assembly_id: str, row: Row, mesh: Mesh, kit: Callable[[str], Kit]) -> Assembly:
-    """The assembly of a row and its mesh; `kit` finds a kit by id."""
+    """The assembly of a row and its mesh; `kit` returns a kit by id."""
     mounts = tuple(Mount(kit(m["kit_id"]), pose_of(m["assembly_from_kit"])) for m in row["mounts"])
     return Assembly(assembly_id, mesh, mounts)
 

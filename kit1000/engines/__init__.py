@@ -1,29 +1,29 @@
-"""Running many independent jobs, in processes of this machine or on a Ray cluster: the results are the same.
+"""Runs many independent jobs, in processes of this machine or on a Ray cluster, with the same results.
 
-An engine is a context manager that gives a `Spread`: like `map`, it takes a function and jobs, and yields results as
-they come. The first error of a job stops the run and names it; a job whose worker dies is done again.
+An engine is a context manager that returns a `ParallelMap`: like `map`, it takes a function and jobs, and yields
+results in the order in which they finish. The first error of a job stops the run; a job whose worker dies is run again.
 """
 
 from __future__ import annotations
 
 from contextlib import AbstractContextManager
 
-from kit1000.engines.cluster import ray
-from kit1000.engines.jobs import AHEAD, RETRIES, Spread
-from kit1000.engines.processes import local
+from kit1000.engines.cluster import ray_engine
+from kit1000.engines.jobs import JOBS_PER_WORKER, RETRIES, ParallelMap
+from kit1000.engines.processes import local_engine
 from kit1000.errors import InputError
 
-__all__ = ["AHEAD", "ENGINES", "RETRIES", "Spread", "engine", "local", "ray"]
+__all__ = ["ENGINES", "JOBS_PER_WORKER", "RETRIES", "ParallelMap", "engine", "local_engine", "ray_engine"]
 
 ENGINES = ("local", "ray")
 
 
-def engine(name: str, workers: int | None = None, address: str | None = None) -> AbstractContextManager[Spread]:
-    """The engine that `--engine`, `--workers` and `--address` ask for. Raises InputError when they do not fit."""
+def engine(name: str, workers: int | None = None, address: str | None = None) -> AbstractContextManager[ParallelMap]:
+    """The engine of the options `--engine`, `--workers` and `--address`. Raises InputError when they do not fit."""
     if name not in ENGINES:
         raise InputError(f"--engine: expected {' or '.join(ENGINES)}, got {name!r}")
     if name == "ray":
-        return ray(address, workers)
+        return ray_engine(address, workers)
     if address is not None:
-        raise InputError("--address: names a Ray cluster, for --engine ray")
-    return local(workers)
+        raise InputError("--address: is that of a Ray cluster and needs --engine ray")
+    return local_engine(workers)

@@ -1,10 +1,10 @@
-"""How many processors there are to work with."""
+"""Number of processor cores that this process may use."""
 
 from __future__ import annotations
 
 import os
 
 
-def cores() -> int:
-    """Processors that this process may use."""
+def usable_cores() -> int:
+    """Number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""What all engines have in common: the form of a spread, how a job is called, how often a lost one is tried again."""
+"""What all engines share: the type of their map, the call of a job, and the number of retries of a lost job."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from kit1000.errors import Kit1000Error, internal_error
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
-Spread = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
+ParallelMap = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
 
-AHEAD = 4  # jobs handed out per worker before results are taken: keeps workers fed and memory flat
-ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
-"""Environment of a worker: there are as many of them as cores, and their threads would be in each other's way."""
-RETRIES = 2  # times that a job whose worker died is done again: by the third death it is to blame itself
+JOBS_PER_WORKER = 4  # submitted at once: keeps workers busy and memory bounded
+ONE_THREAD_ENV = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
+"""Environment of a worker: there is one worker per core, so more threads would only compete."""
+RETRIES = 2  # of a job whose worker died; at the third death the job itself is reported as the cause
 
 
-def named(function: Callable[[Job], Result], job: Job) -> Result:
-    """Do a job; an exception that nobody foresaw becomes one line that names it by its str()."""
+def run_job(function: Callable[[Job], Result], job: Job) -> Result:
+    """Run a job; an unforeseen exception becomes an InternalError with one line that names the job by its str()."""
     try:
         return function(job)
     except Kit1000Error:

@@ -1,4 +1,4 @@
-"""Jobs in processes of this machine. When this process dies, in whatever way, its workers go with it."""
+"""Jobs in processes of this machine. The workers end when this process ends, even when it is killed."""
 
 from __future__ import annotations
 
@@ -16,24 +16,25 @@ from functools import partial
 from itertools import chain, islice
 from typing import Any
 
-from kit1000.engines.cores import cores
-from kit1000.engines.jobs import AHEAD, ONE_THREAD, RETRIES, Spread, named
+from kit1000.engines.cores import usable_cores
+from kit1000.engines.jobs import JOBS_PER_WORKER, ONE_THREAD_ENV, RETRIES, ParallelMap, run_job
 from kit1000.errors import Kit1000Error
 
 
 @contextmanager
-def local(workers: int | None = None) -> Iterator[Spread]:
-    """Spread jobs over processes of this machine.
+def local_engine(workers: int | None = None) -> Iterator[ParallelMap]:
+    """Run jobs in processes of this machine.
 
-    workers: None = one per core; 1 = in this process.
+    Args:
+        workers: number of processes; None: one per core; 1: in this process.
     """
-    count = workers or cores()
+    count = workers or usable_cores()
     if count == 1:
-        yield lambda function, jobs: map(partial(named, function), jobs)
+        yield lambda function, jobs: map(partial(run_job, function), jobs)
         return
     pool = _Pool(count)
     try:
-        yield partial(_spread, pool)
+        yield partial(_map, pool)
     except BaseException:
         pool.kill()
         raise
@@ -44,32 +45,32 @@ def local(workers: int | None = None) -> Iterator[Spread]:
 class _Task:
     job: Any
     deaths: int = 0
-    """How often a worker died that may have been at it."""
+    """Number of times that a worker died that may have been running the job."""
 
 
 class _Pool:
-    """Processes, all of which are replaced when one of them dies."""
+    """Worker processes, all of which are replaced when one of them dies."""
 
     def __init__(self, count: int) -> None:
         self.count = count
-        self._executor = self._started()
+        self._executor = self._start()
 
-    def _started(self) -> ProcessPoolExecutor:
+    def _start(self) -> ProcessPoolExecutor:
         spawn = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self.count, mp_context=spawn, initializer=_begin)
+        return ProcessPoolExecutor(self.count, mp_context=spawn, initializer=_start_worker)
 
     def submit(self, function: Callable[[Any], Any], job: Any) -> Future[Any]:
-        """Hand out a job. Its future says BrokenProcessPool when a worker died, also before this call."""
+        """Submit a job. Its future raises BrokenProcessPool when a worker died, also before this call."""
         try:
-            return self._executor.submit(named, function, job)
+            return self._executor.submit(run_job, function, job)
         except BrokenProcessPool as error:
             future: Future[Any] = Future()
             future.set_exception(error)
             return future
 
-    def renew(self) -> None:
+    def restart(self) -> None:
         self.kill()
-        self._executor = self._started()
+        self._executor = self._start()
 
     def kill(self) -> None:
         for process in list((self._executor._processes or {}).values()):
@@ -80,22 +81,22 @@ class _Pool:
         self._executor.shutdown()
 
 
-def _spread(pool: _Pool, function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
+def _map(pool: _Pool, function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
     tasks: Iterator[_Task] = map(_Task, jobs)
     pending: dict[Future[Any], _Task] = {}  # the longest waiting first
     while True:
-        with _signals_held():
-            for task in islice(tasks, pool.count * AHEAD - len(pending)):
+        with _sigint_blocked():
+            for task in islice(tasks, pool.count * JOBS_PER_WORKER - len(pending)):
                 pending[pool.submit(function, task.job)] = task
         if not pending:
             return
         done = wait(pending, return_when=FIRST_COMPLETED).done
         if any(map(_lost, done)):
-            done = wait(pending).done  # all of them: the pool is gone, so none has long to wait
-            again = [task for future, task in pending.items() if _lost(future)]
-            _blame(again[: pool.count])
-            tasks = chain(again, tasks)
-            pool.renew()
+            done = wait(pending).done  # all of them: the pool is broken, so they end at once
+            lost_tasks = [task for future, task in pending.items() if _lost(future)]
+            _count_deaths(lost_tasks[: pool.count])
+            tasks = chain(lost_tasks, tasks)
+            pool.restart()
         finished = {future: pending.pop(future) for future in done}
         yield from [future.result() for future in finished if not _lost(future)]
 
@@ -104,23 +105,26 @@ def _lost(future: Future[Any]) -> bool:
     return isinstance(future.exception(), BrokenProcessPool)
 
 
-def _blame(suspects: list[_Task]) -> None:
-    """Count a death for the jobs that the dead worker may have been at, the longest waiting ones."""
-    for task in suspects:
+def _count_deaths(possible_causes: list[_Task]) -> None:
+    """Count a death for the jobs that the dead worker may have been running, which are the oldest ones.
+
+    Raises Kit1000Error when a job has more deaths than RETRIES.
+    """
+    for task in possible_causes:
         task.deaths += 1
-    worst = max(task.deaths for task in suspects)
-    if worst > RETRIES:
-        likely = ", ".join(str(task.job) for task in suspects if task.deaths == worst)
+    most_deaths = max(task.deaths for task in possible_causes)
+    if most_deaths > RETRIES:
+        likely = ", ".join(str(task.job) for task in possible_causes if task.deaths == most_deaths)
         raise Kit1000Error(
-            f"a worker process died {worst} times (killed, or out of memory), probably at one of: {likely}; "
+            f"a worker process died {most_deaths} times (killed, or out of memory), probably at one of: {likely}; "
             "run the same command again, it continues; fewer --workers need less memory"
         )
-    print("a worker process died (killed, or out of memory): its jobs are done again", file=sys.stderr)
+    print("a worker process died (killed, or out of memory): its jobs are run again", file=sys.stderr)
 
 
 @contextmanager
-def _signals_held() -> Iterator[None]:
-    """Ctrl-C waits meanwhile: processes started here never see it, their parent does and ends them."""
+def _sigint_blocked() -> Iterator[None]:
+    """Block Ctrl-C in this block: processes started here ignore it, and their parent ends them."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -128,15 +132,15 @@ def _signals_held() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _begin() -> None:
-    """One thread for this worker, before it imports what reads that; and an end when its parent is gone."""
-    for name, value in ONE_THREAD.items():
+def _start_worker() -> None:
+    """Set up a worker: one thread, set before the imports that read it, and an end when its parent is gone."""
+    for name, value in ONE_THREAD_ENV.items():
         os.environ.setdefault(name, value)
-    _follow_parent()
+    _end_with_parent()
 
 
-def _follow_parent() -> None:
-    """End this worker when its parent is gone, also by SIGKILL: it would wait for jobs for ever."""
+def _end_with_parent() -> None:
+    """End this worker when its parent is gone, also by SIGKILL: it would wait for jobs forever."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 

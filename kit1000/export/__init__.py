@@ -1,4 +1,4 @@
-"""Datasets for other tools: assemblies as URDF, STL or 3MF, scenes as a dataset in the format of BOP."""
+"""Export of datasets to other formats: assemblies as URDF, STL or 3MF, scenes in the BOP format."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from kit1000.values import Assembly
 if TYPE_CHECKING:
     from kit1000.dataset.reader import Dataset
 
-ASSEMBLIES: dict[str, tuple[str, Callable[[Assembly, Path], Path]]] = {
+ASSEMBLY_FORMATS: dict[str, tuple[str, Callable[[Assembly, Path], Path]]] = {
     "urdf": ("", write_urdf),
     "stl": (".stl", write_stl),
     "3mf": (".3mf", write_3mf),
 }
-"""Formats of one assembly: the ending of its file (none: a folder), and what writes it."""
-SCENES = {"bop": write_bop}
-"""Formats of many scenes together."""
-FORMATS = (*ASSEMBLIES, *SCENES)
+"""Formats of assemblies: the file name ending (empty for a folder), and the function that writes one."""
+SCENE_FORMATS = {"bop": write_bop}
+"""Formats of scenes: the function that writes many of them."""
+FORMATS = (*ASSEMBLY_FORMATS, *SCENE_FORMATS)
 
 
 def export(
@@ -36,25 +36,25 @@ def export(
     split: str | None = None,
     sensor: str = "ideal",
 ) -> Path:
-    """Write a dataset, or some of it, in another format; returns the folder.
+    """Write a dataset, or a part of it, in another format; returns the folder.
 
     Args:
-        source: a dataset or its folder; its geometry is enough for assemblies.
+        source: a dataset or its folder; for assemblies also its geometry.
         format: one of FORMATS.
-        out: folder to write to. bop: a new one; else an entry for each assembly, named after it.
-        ids: assemblies, or scenes for bop; all of the split when empty.
+        out: folder to write to. bop: must not exist; else it gets a file or folder for each assembly, named by its id.
+        ids: ids of assemblies, or of scenes for bop; all of the split when empty.
         split: train, val or test; all of them when None.
-        sensor: for bop, whose depth images: ideal or d415.
+        sensor: sensor of the depth images for bop: ideal or d415.
 
     Raises:
-        InputError: an unknown format, split, sensor or id, or a place that cannot be written.
+        InputError: an unknown format, split, sensor or id, or a folder that cannot be written.
     """
-    if format in SCENES:
-        return SCENES[format](_opened(source), out, ids, split, sensor)
-    if format not in ASSEMBLIES:
+    if format in SCENE_FORMATS:
+        return SCENE_FORMATS[format](_open_dataset(source), out, ids, split, sensor)
+    if format not in ASSEMBLY_FORMATS:
         raise InputError(f"no export format {format!r}; there are {', '.join(FORMATS)}")
     geometry = _geometry(source)
-    ending, write = ASSEMBLIES[format]
+    ending, write = ASSEMBLY_FORMATS[format]
     for assembly_id in ids or _assemblies(geometry, split):
         write(geometry.assembly(assembly_id), out / f"{assembly_id}{ending}")
     return out
@@ -62,10 +62,10 @@ def export(
 
 def _assemblies(geometry: Geometry, split: str | None) -> list[str]:
     """Ids of the assemblies of a split, or of all."""
-    found = sorted(i for i, row in geometry.assemblies.items() if split in (None, row["split"]))
-    if not found:
+    assembly_ids = sorted(i for i, row in geometry.assemblies.items() if split in (None, row["split"]))
+    if not assembly_ids:
         raise InputError(f"{geometry.root}: no assemblies in split {split!r}")
-    return found
+    return assembly_ids
 
 
 def _geometry(source: Dataset | Geometry | str | Path) -> Geometry:
@@ -74,10 +74,10 @@ def _geometry(source: Dataset | Geometry | str | Path) -> Geometry:
     return source if isinstance(source, Geometry) else source.geometry
 
 
-def _opened(source: Dataset | Geometry | str | Path) -> Dataset:
+def _open_dataset(source: Dataset | Geometry | str | Path) -> Dataset:
     """The dataset with its recordings."""
     if not isinstance(source, str | Path | Geometry):
         return source
-    from kit1000.dataset.reader import Dataset  # not before it is needed: assemblies go without a reader of recordings
+    from kit1000.dataset.reader import Dataset  # only here: assemblies need no reader of recordings
 
     return Dataset(source.root if isinstance(source, Geometry) else source)

@@ -1,7 +1,7 @@
-"""Scenes as a dataset in the format of BOP, so that tools for 6DoF object pose read them: millimetres, row-major.
+"""Export of scenes in the BOP format, for tools of 6DoF object pose estimation: millimetres, row-major matrices.
 
-One BOP scene holds one scene of ours as one image. Objects are the parts and, last in each image, the assembly;
-targets are the parts that are asked about. Poses are the true ones, also where a sensor errs about its own.
+A BOP scene is one KIT1000 scene with one image. Objects are the parts and, last in each image, the assembly; targets
+are the parts with queries. Poses are the true ones, also for a sensor with an error in its camera pose.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from kit1000.dataset.reader import Dataset, RecordedScene
 
 SENSORS = ("ideal", "d415")
-DEPTH_SCALE = 0.1  # [mm] of one step of a depth image, which reaches to 6.55 m
-FARTHEST = np.iinfo(np.uint16).max
-DELTA = 5.0  # [mm] by which a visible surface may lie behind what was measured
+DEPTH_SCALE = 0.1  # [mm] of one step of a depth image; the largest depth is 6.55 m
+MAX_STEPS = np.iinfo(np.uint16).max
+DELTA = 5.0  # [mm] that a visible surface may be behind the measured one
 IMAGE = "000000"  # the one image of each scene
-NOWHERE = [-1, -1, -1, -1]  # the box of nothing
+NO_BOX = [-1, -1, -1, -1]  # bounding box of an object without visible pixels
 
 
-class Placed(NamedTuple):
+class PlacedObject(NamedTuple):
     """An object in a scene."""
 
     number: int
@@ -48,25 +48,25 @@ class Placed(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """What an object alone covers, on a canvas three times the image, so that objects cut by its border are whole."""
+    """The pixels of an object without occlusion, on a canvas three times the image, for objects cut by its border."""
 
     distance: np.ndarray
-    """(H, W) [mm] along the ray within the image, 0 where the object is not."""
-    whole: np.ndarray
-    """(n, 2) int (u, v) of all its pixels, outside the image too."""
+    """(H, W) [mm] distance along the ray within the image, 0 outside the object."""
+    all_pixels: np.ndarray
+    """(n, 2) int (u, v) of all its pixels, also outside the image."""
 
 
 def write_bop(
     dataset: Dataset, folder: Path, ids: Sequence[str] = (), split: str | None = None, sensor: str = "ideal"
 ) -> Path:
-    """Write scenes as a BOP dataset into a new folder, which appears when all of it is there; returns the folder.
+    """Write scenes as a BOP dataset into a new folder, which appears when it is complete; returns the folder.
 
     Args:
-        dataset: its truth is read.
-        folder: does not exist yet.
-        ids: scenes to write; all of the split when empty.
+        dataset: the dataset; its truth is read.
+        folder: must not exist.
+        ids: ids of the scenes to write; all of the split when empty.
         split: train, val or test; all three when None.
-        sensor: ideal or d415, the depth images to write.
+        sensor: sensor of the depth images: ideal or d415.
 
     Raises:
         InputError: no such split, scene or sensor, the truth is withheld, or the folder cannot be written.
@@ -78,8 +78,8 @@ def write_bop(
     with new_folder(folder, "BOP dataset") as out:
         used: set[tuple[str, str]] = set()
         camera, targets = None, {name: [] for name in scenes}
-        every = [(name, number, scene) for name, those in scenes.items() for number, scene in those]
-        for name, number, scene in tqdm(every, desc="scenes", unit="", disable=None):
+        all_scenes = [(name, number, scene) for name, numbered in scenes.items() for number, scene in numbered]
+        for name, number, scene in tqdm(all_scenes, desc="scenes", unit="", disable=None):
             recorded = dataset.split(name, truth=True).scene(scene)
             camera = _write_scene(out / name / f"{number:06d}", recorded, dataset, numbers, sensor)
             used |= {(PART if i else ASSEMBLY, body.id) for i, body in enumerate(recorded.scene.bodies)}
@@ -87,78 +87,78 @@ def write_bop(
         _write_models(out, dataset, {key: numbers[key] for key in sorted(used)})
         assert camera is not None  # there is at least one scene
         _write_tables(out, camera, targets)
-        _write(out / "dataset_info.json", json_bytes(_told(dataset, scenes, numbers, used, sensor)))
+        _write(out / "dataset_info.json", json_bytes(_dataset_info(dataset, scenes, numbers, used, sensor)))
     return folder
 
 
 def _chosen(dataset: Dataset, ids: Sequence[str], split: str | None) -> dict[str, list[tuple[int, str]]]:
-    """The scenes to write by split, each with its number, which is its place among all of its split."""
+    """The scenes to write by split, each with its number, which is its index in the split."""
     if split is not None and split not in SPLITS:
         raise InputError(f"no split {split!r} to export; there are {', '.join(SPLITS)}")
-    there = {name: list(dataset.shards(name)) for name in (SPLITS if split is None else (split,))}
-    unknown = sorted(set(ids) - {scene for scenes in there.values() for scene in scenes})
+    available = {name: list(dataset.shards(name)) for name in (SPLITS if split is None else (split,))}
+    unknown = sorted(set(ids) - {scene for scenes in available.values() for scene in scenes})
     if unknown:
-        raise InputError(f"{dataset.root}: no scene {unknown[0]!r} in {', '.join(there)}")
+        raise InputError(f"{dataset.root}: no scene {unknown[0]!r} in {', '.join(available)}")
     chosen = {
         name: [(i, scene) for i, scene in enumerate(scenes) if not ids or scene in ids]
-        for name, scenes in there.items()
+        for name, scenes in available.items()
     }
     chosen = {name: scenes for name, scenes in chosen.items() if scenes}
     if not chosen:
-        raise InputError(f"{dataset.root}: no scenes in {', '.join(there)}")
+        raise InputError(f"{dataset.root}: no scenes in {', '.join(available)}")
     for name, scenes in chosen.items():
-        dataset.split(name, truth=True).scene(scenes[0][1]).truth  # noqa: B018 (says now when it is withheld)
+        dataset.split(name, truth=True).scene(scenes[0][1]).truth  # noqa: B018 (raises when it is withheld)
     return chosen
 
 
 def _write_scene(
     folder: Path, recorded: RecordedScene, dataset: Dataset, numbers: dict[tuple[str, str], int], sensor: str
 ) -> Camera:
-    """The files of one scene; returns its camera."""
+    """Write the files of one scene; returns its camera."""
     view, world_from_camera = recorded.view(sensor), recorded.view("ideal").world_from_camera
     steps = stored_depth(view.depth)
-    placed = list(_placed(recorded, dataset, numbers, world_from_camera.inverse()))
+    placed = list(_placed_objects(recorded, dataset, numbers, world_from_camera.inverse()))
     measured = distances(view.camera, steps * DEPTH_SCALE)
     infos = []
-    for i, thing in enumerate(placed):
-        seen = silhouette(view.camera, thing.mesh, thing.camera_from_body)
-        visible = visible_pixels(seen.distance, measured)
-        infos.append(gt_info(seen, visible, measured))
-        for name, mask in (("mask", seen.distance > 0), ("mask_visib", visible)):
+    for i, placed_object in enumerate(placed):
+        outline = silhouette(view.camera, placed_object.mesh, placed_object.camera_from_body)
+        visible = visible_pixels(outline.distance, measured)
+        infos.append(gt_info(outline, visible, measured))
+        for name, mask in (("mask", outline.distance > 0), ("mask_visib", visible)):
             _write(folder / name / f"{IMAGE}_{i:06d}.png", png_bytes(mask.astype(np.uint8) * np.uint8(255)))
     _write(folder / "depth" / f"{IMAGE}.png", png_bytes(steps))
     _write_json(folder / "scene_camera.json", _camera_entry(view.camera, world_from_camera.inverse()))
-    _write_json(folder / "scene_gt.json", [_gt_entry(thing) for thing in placed])
+    _write_json(folder / "scene_gt.json", [_gt_entry(placed_object) for placed_object in placed])
     _write_json(folder / "scene_gt_info.json", infos)
     return view.camera
 
 
-def _placed(
+def _placed_objects(
     recorded: RecordedScene, dataset: Dataset, numbers: dict[tuple[str, str], int], camera_from_world: Pose
-) -> Iterator[Placed]:
-    """The parts p0, p1, ... and then the assembly."""
+) -> Iterator[PlacedObject]:
+    """The objects of a scene: the parts p0, p1, ... and then the assembly."""
     assembly, *parts = recorded.scene.bodies
     for body in parts:
         mesh = dataset.geometry.part(body.id).mesh
-        yield Placed(numbers[PART, body.id], mesh, camera_from_world @ body.world_from_body)
+        yield PlacedObject(numbers[PART, body.id], mesh, camera_from_world @ body.world_from_body)
     mesh = dataset.geometry.assembly(assembly.id).mesh
-    yield Placed(numbers[ASSEMBLY, assembly.id], mesh, camera_from_world @ assembly.world_from_body)
+    yield PlacedObject(numbers[ASSEMBLY, assembly.id], mesh, camera_from_world @ assembly.world_from_body)
 
 
 def stored_depth(depth: np.ndarray) -> np.ndarray:
-    """(H, W) uint16 steps of DEPTH_SCALE for depths (H, W) [m]; what is too far for them counts as no return."""
+    """Depths (H, W) [m] as (H, W) uint16 steps of DEPTH_SCALE; larger depths become 0, no return."""
     steps = np.round(depth.astype(np.float64) * (MM / DEPTH_SCALE))
-    return np.where(steps > FARTHEST, 0, steps).astype(np.uint16)
+    return np.where(steps > MAX_STEPS, 0, steps).astype(np.uint16)
 
 
 def distances(camera: Camera, depth: np.ndarray) -> np.ndarray:
-    """(H, W) distances along the rays for depths along the optical axis, in their unit; 0 stays 0."""
+    """Distances (H, W) along the rays, from depths (H, W) along the optical axis, in the same unit; 0 stays 0."""
     v, u = np.indices(depth.shape)
     return depth * np.sqrt(((u - camera.cx) / camera.fx) ** 2 + ((v - camera.cy) / camera.fy) ** 2 + 1)
 
 
 def silhouette(camera: Camera, mesh: Mesh, camera_from_body: Pose) -> Silhouette:
-    """What one object covers. Only the window that holds it is drawn."""
+    """The silhouette of one object. Only its window of the image is rendered."""
     left, top, right, bottom = _window(camera, camera_from_body.apply(mesh.vertices))
     window = Camera(right - left, bottom - top, camera.fx, camera.fy, camera.cx - left, camera.cy - top)
     frame = render(window, Pose.identity(), [(mesh, camera_from_body)], threads=1)
@@ -170,62 +170,62 @@ def silhouette(camera: Camera, mesh: Mesh, camera_from_body: Pose) -> Silhouette
 
 
 def _window(camera: Camera, points: np.ndarray) -> tuple[int, int, int, int]:
-    """First and past-last column and row of some points (n, 3) [m], cut to three times the image about its middle."""
+    """Left, top, right and bottom (exclusive) pixel of points (n, 3) [m], clipped to three times the image."""
     least, most = np.array([-camera.width, -camera.height]), np.array([2 * camera.width, 2 * camera.height])
-    if points[:, 2].min() > 1e-3:  # else they reach behind the camera, and may be anywhere
-        seen = camera.project(points)
-        low, high = np.floor(seen.min(0)) - 1, np.ceil(seen.max(0)) + 2
+    if points[:, 2].min() > 1e-3:  # else some are behind the camera and have no projection
+        pixels = camera.project(points)
+        low, high = np.floor(pixels.min(0)) - 1, np.ceil(pixels.max(0)) + 2
         least, most = np.clip(low, least, most - 1), np.clip(high, least + 1, most)
     return int(least[0]), int(least[1]), int(max(most[0], least[0] + 1)), int(max(most[1], least[1] + 1))
 
 
 def visible_pixels(distance: np.ndarray, measured: np.ndarray) -> np.ndarray:
-    """(H, W) bool: covered by the object, and nothing measured more than DELTA before it; distances [mm]."""
+    """(H, W) bool: pixels of the object with no measured surface more than DELTA before it; distances (H, W) [mm]."""
     return (distance > 0) & ((distance - measured <= DELTA) | (measured == 0))
 
 
-def gt_info(seen: Silhouette, visible: np.ndarray, measured: np.ndarray) -> dict[str, Any]:
-    """The entry of an object in `scene_gt_info.json`, as the toolkit of BOP makes it."""
-    shown = int(visible.sum())
-    inside = seen.distance > 0
+def gt_info(outline: Silhouette, visible: np.ndarray, measured: np.ndarray) -> dict[str, Any]:
+    """The entry of an object in `scene_gt_info.json`, computed as in the BOP toolkit."""
+    visible_count = int(visible.sum())
+    inside = outline.distance > 0
     return {
-        "px_count_all": len(seen.whole),
+        "px_count_all": len(outline.all_pixels),
         "px_count_valid": int((measured[inside] > 0).sum()),
-        "px_count_visib": shown,
-        "visib_fract": shown / len(seen.whole) if len(seen.whole) else 0.0,
-        "bbox_obj": _box(seen.whole) if shown else NOWHERE,
-        "bbox_visib": _box(np.argwhere(visible)[:, ::-1]) if shown else NOWHERE,
+        "px_count_visib": visible_count,
+        "visib_fract": visible_count / len(outline.all_pixels) if len(outline.all_pixels) else 0.0,
+        "bbox_obj": _box(outline.all_pixels) if visible_count else NO_BOX,
+        "bbox_visib": _box(np.argwhere(visible)[:, ::-1]) if visible_count else NO_BOX,
     }
 
 
 def _box(pixels: np.ndarray) -> list[int]:
-    """Left, top, width and height of pixels (n, 2); width from first to last, as the toolkit counts."""
+    """Left, top, width and height of pixels (n, 2); width is last minus first, as in the BOP toolkit."""
     low, high = pixels.min(0), pixels.max(0)
     return [*low.tolist(), *(high - low).tolist()]
 
 
 def _camera_entry(camera: Camera, camera_from_world: Pose) -> dict[str, Any]:
-    rotation, shift = _written(camera_from_world)
+    rotation, translation = _bop_pose(camera_from_world)
     return {
         "cam_K": camera.K.reshape(-1).tolist(),
         "depth_scale": DEPTH_SCALE,
         "cam_R_w2c": rotation,
-        "cam_t_w2c": shift,
+        "cam_t_w2c": translation,
     }
 
 
-def _gt_entry(thing: Placed) -> dict[str, Any]:
-    rotation, shift = _written(thing.camera_from_body)
-    return {"obj_id": thing.number, "cam_R_m2c": rotation, "cam_t_m2c": shift}
+def _gt_entry(placed_object: PlacedObject) -> dict[str, Any]:
+    rotation, translation = _bop_pose(placed_object.camera_from_body)
+    return {"obj_id": placed_object.number, "cam_R_m2c": rotation, "cam_t_m2c": translation}
 
 
-def _written(pose: Pose) -> tuple[list[float], list[float]]:
-    """A rotation as nine numbers, row by row, and a shift as three [mm]."""
+def _bop_pose(pose: Pose) -> tuple[list[float], list[float]]:
+    """A pose as nine numbers of the rotation matrix, row by row, and three of the translation [mm]."""
     return pose.rotation_matrix().reshape(-1).tolist(), (MM * pose.xyz).tolist()
 
 
 def _targets(number: int, recorded: RecordedScene, numbers: dict[tuple[str, str], int]) -> list[dict[str, int]]:
-    """What is to be found in a scene: the parts that are asked about."""
+    """The targets of a scene: the parts with queries."""
     return [
         {"scene_id": number, "im_id": 0, "obj_id": numbers[PART, row["part_id"]], "inst_count": 1}
         for row in recorded.truth.parts
@@ -234,7 +234,7 @@ def _targets(number: int, recorded: RecordedScene, numbers: dict[tuple[str, str]
 
 
 def _write_models(out: Path, dataset: Dataset, used: dict[tuple[str, str], int]) -> None:
-    """Models of the objects that occur, twice: those that metrics use are those for training."""
+    """Write the models of the objects that occur, as `models` and the same as `models_eval`."""
     infos = {}
     for (kind, item_id), number in used.items():
         if kind == PART:
@@ -251,7 +251,7 @@ def _write_models(out: Path, dataset: Dataset, used: dict[tuple[str, str], int])
 
 
 def _write_tables(out: Path, camera: Camera, targets: dict[str, list[dict[str, int]]]) -> None:
-    """The sensor, and what is to be found in each split but that for training."""
+    """Write the camera, and the targets of each split except train."""
     sensor = {name: getattr(camera, name) for name in ("fx", "fy", "cx", "cy", "width", "height")}
     _write(out / "camera.json", json_bytes(sensor | {"depth_scale": DEPTH_SCALE}))
     for split in targets.keys() - {"train"}:
@@ -260,14 +260,14 @@ def _write_tables(out: Path, camera: Camera, targets: dict[str, list[dict[str, i
         _write(out / f"{split}_targets_bop24.json", json_bytes(images))
 
 
-def _told(
+def _dataset_info(
     dataset: Dataset,
     scenes: dict[str, list[tuple[int, str]]],
     numbers: dict[tuple[str, str], int],
     used: Iterable[tuple[str, str]],
     sensor: str,
 ) -> dict[str, Any]:
-    """What BOP has no place for: which dataset this is, and what its numbers stand for."""
+    """Metadata outside the BOP format: the dataset's id, and the ids of its objects and scenes by number."""
     objects = {}
     for kind, item_id in used:
         family = getattr(dataset.geometry, KINDS[kind])[item_id].get("family")
@@ -279,7 +279,7 @@ def _told(
         "sensor": sensor,
         "delta_mm": DELTA,
         "objects": objects,
-        "scenes": {name: {str(number): scene for number, scene in those} for name, those in scenes.items()},
+        "scenes": {name: {str(number): scene for number, scene in numbered} for name, numbered in scenes.items()},
     }
 
 
@@ -291,7 +291,7 @@ def png_bytes(image: np.ndarray) -> bytes:
 
 
 def _write_json(path: Path, entry: Any) -> None:
-    """A table of a scene, whose one image is 0."""
+    """Write a table of a scene, whose only image is 0."""
     _write(path, json_bytes({"0": entry}))
 
 

@@ -1,7 +1,7 @@
-"""Objects of a BOP dataset: their numbers, their models as PLY in millimetres, and what is said of those.
+"""Objects of a BOP dataset: numbers, models as PLY in millimetres, and the entries of `models_info.json`.
 
-A part's model has its origin at the part's centroid, which every symmetry fixes; that of an assembly in its foot, as
-everywhere in KIT1000. BOP asks for the middle of the box, which no tool relies on.
+The origin of a part's model is the part's centroid, which every symmetry fixes; that of an assembly is at its foot, as
+elsewhere in KIT1000. BOP specifies the centre of the bounding box, on which no tool relies.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.tracks import SPLITS
 
-MM = 1e3  # a metre
+MM = 1e3  # per metre
 PART, ASSEMBLY = "part", "assembly"
-KINDS = {PART: "parts", ASSEMBLY: "assemblies"}  # the table of each
+KINDS = {PART: "parts", ASSEMBLY: "assemblies"}  # table of each kind
 
 
 def object_numbers(geometry: Geometry) -> dict[tuple[str, str], int]:
-    """BOP's number of every object of a dataset, by its kind and id, whatever part of it is exported.
+    """The BOP number of every object of a dataset by kind and id, also of objects that are not exported.
 
-    Split by split, its parts, then its assemblies: a dataset whose test split is withheld numbers the rest alike.
+    Numbers follow the splits, in each the parts before the assemblies: without a withheld test split they are the same.
     """
     numbers: dict[tuple[str, str], int] = {}
     for split in SPLITS:
@@ -38,21 +38,21 @@ def object_numbers(geometry: Geometry) -> dict[tuple[str, str], int]:
 
 
 def model_info(mesh: Mesh, symmetry: Symmetry) -> dict[str, Any]:
-    """The entry of a model in `models_info.json`, in millimetres; symmetries turn about the origin."""
+    """The entry of a model in `models_info.json`, in millimetres; symmetries rotate about the origin."""
     low, size = MM * mesh.bounds[0], MM * mesh.extents
     info: dict[str, Any] = {"diameter": MM * diameter(mesh)}
     info |= {f"min_{axis}": float(low[i]) for i, axis in enumerate("xyz")}
     info |= {f"size_{axis}": float(size[i]) for i, axis in enumerate("xyz")}
-    if symmetry.order > 1:  # the identity, listed first, goes without saying
-        turns = Pose(symmetry.rotations[1:], np.zeros(3)).matrix()
-        info["symmetries_discrete"] = turns.reshape(-1, 16).tolist()
+    if symmetry.order > 1:  # without the identity, which is first
+        rotations = Pose(symmetry.rotations[1:], np.zeros(3)).matrix()
+        info["symmetries_discrete"] = rotations.reshape(-1, 16).tolist()
     if symmetry.axis is not None:
         info["symmetries_continuous"] = [{"axis": symmetry.axis.tolist(), "offset": [0.0, 0.0, 0.0]}]
     return info
 
 
 def diameter(mesh: Mesh) -> float:
-    """[m] the largest distance between two vertices, which are vertices of the convex hull."""
+    """The largest distance [m] between two vertices, found among those of the convex hull."""
     corners = mesh.vertices[ConvexHull(mesh.vertices).vertices]
     return float(pdist(corners).max())
 
@@ -77,7 +77,7 @@ def ply_bytes(mesh: Mesh) -> bytes:
 
 
 def vertex_normals(mesh: Mesh) -> np.ndarray:
-    """(n, 3) unit normals: those of the faces around a vertex, by the angle each has there; zero where none has one."""
+    """(n, 3) unit normals of the vertices: means of the adjacent face normals, weighted by angle; zero if undefined."""
     sides = np.roll(mesh.triangles, -1, axis=1) - mesh.triangles  # side i leaves corner i
     back = -np.roll(sides, 1, axis=1)
     crosses = np.linalg.norm(np.cross(sides, back), axis=-1)

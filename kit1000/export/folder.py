@@ -1,4 +1,4 @@
-"""A new folder that appears when all of it is written, or not at all."""
+"""Atomic writing of a new folder: it appears when it is complete, or not at all."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from kit1000.errors import InputError
 
 @contextmanager
 def new_folder(folder: Path, what: str) -> Iterator[Path]:
-    """A folder to write into, which takes its name at the end of the block; `what` it is for, in messages.
+    """A temporary folder to write into, renamed to `folder` at the end of the block, deleted when the block fails.
 
-    Raises InputError when the name is taken or cannot be written; nothing is left of a block that fails.
+    Raises InputError when `folder` exists or cannot be written. `what` names its contents in the messages.
     """
     if os.path.lexists(folder):
         raise InputError(f"{folder} exists already: name a new folder for the {what}")

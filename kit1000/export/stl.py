@@ -1,4 +1,4 @@
-"""An assembly as one STL in millimetres, z up, standing on z = 0: ready for a slicer."""
+"""Export of an assembly as one STL in millimetres, z up, standing on z = 0: ready for a slicer."""
 
 from __future__ import annotations
 
@@ -10,6 +10,6 @@ from kit1000.values import Assembly
 
 
 def write_stl(assembly: Assembly, path: Path) -> Path:
-    """Write a binary STL; a file of that name is replaced."""
+    """Write a binary STL, replacing an existing file; returns the path."""
     write_bytes(path, stl_bytes(assembly.mesh))
     return path

@@ -1,7 +1,7 @@
-"""An assembly as one object of a 3MF in millimetres, z up, standing on z = 0: ready for a slicer, its unit in the file.
+"""Export of an assembly as one object of a 3MF in millimetres, z up, standing on z = 0: ready for a slicer.
 
-Written here, because trimesh's writer puts random identifiers into every file and ours are the same bytes each time.
-Coordinates stand in full precision: what is read is what was written.
+The writer of trimesh puts random identifiers into every file; the bytes of this one depend only on the mesh.
+Coordinates have full precision: values read back equal those written.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ RELATIONS = f"""{XML}<Relationships xmlns="{PACKAGE}/relationships">
 <Relationship Target="/3D/3dmodel.model" Id="rel0" Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/>
 </Relationships>
 """
-ALWAYS = (1980, 1, 1, 0, 0, 0)  # the first moment a zip knows
+ALWAYS = (1980, 1, 1, 0, 0, 0)  # the earliest time in the zip format
 
 
 def write_3mf(assembly: Assembly, path: Path) -> Path:
-    """Write a 3MF of one object with the assembly's name; a file of that name is replaced."""
+    """Write a 3MF of one object named by the assembly's id, replacing an existing file; returns the path."""
     write_bytes(path, threemf_bytes(assembly.id, assembly.mesh))
     return path
 

@@ -1,7 +1,7 @@
-"""An assembly as a URDF: one rigid link, a visual mesh, and a collision mesh for every convex piece of it.
+"""Export of an assembly as a URDF: one rigid link, a visual mesh, and a collision mesh for every convex piece.
 
-Physics engines take the convex hull of each collision mesh, so kits enter as prisms that leave the cavities open
-and brackets and ribs as they are. Every element stands on a line of its own, because some parsers read lines
+Physics engines take the convex hull of each collision mesh, so kits are divided into convex prisms that leave the
+cavities open; brackets and ribs are convex already. Every element is on its own line, because some parsers read lines
 into a short buffer. Lengths are metres, mass kilograms; file names are relative to the URDF.
 """
 
@@ -14,7 +14,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from kit1000.export.folder import new_folder
-from kit1000.kits.brackets import stand_meshes
+from kit1000.kits.brackets import support_meshes
 from kit1000.kits.convex_pieces import convex_prisms
 from kit1000.mesh import Mesh, inertia
 from kit1000.parts.family import DENSITY
@@ -28,7 +28,7 @@ VISUAL = "assembly.obj"
 def write_urdf(assembly: Assembly, folder: Path) -> Path:
     """Write `assembly.urdf` and its meshes into a new folder; returns the path of the URDF.
 
-    The folder appears when all of it is written. Raises InputError when it is there already or cannot be written.
+    The folder appears when it is complete. Raises InputError when it exists or cannot be written.
     """
     with new_folder(folder, "URDF") as partial:
         _write_files(assembly, partial)
@@ -36,11 +36,11 @@ def write_urdf(assembly: Assembly, folder: Path) -> Path:
 
 
 def roll_pitch_yaw(pose: Pose) -> np.ndarray:
-    """(3,) [rad] the rotation as URDF writes it: about the fixed axes x, then y, then z."""
+    """The rotation as in URDF, (3,) [rad]: angles about the fixed axes x, then y, then z."""
     m = pose.rotation_matrix()
     level = np.hypot(m[0, 0], m[1, 0])
     pitch = np.arctan2(-m[2, 0], level)
-    if level < 1e-9:  # x points up or down: roll and yaw turn about one line, so yaw is set to zero
+    if level < 1e-9:  # x points up or down: roll and yaw are about the same axis, so yaw is set to zero
         return np.array([np.arctan2(-m[1, 2], m[1, 1]), pitch, 0.0])
     return np.array([np.arctan2(m[2, 1], m[2, 2]), pitch, np.arctan2(m[1, 0], m[0, 0])])
 
@@ -59,11 +59,11 @@ def _write_files(assembly: Assembly, folder: Path) -> None:
 
 
 def _pieces(assembly: Assembly) -> Iterator[tuple[str, Pose, Mesh]]:
-    """File name, assembly_from_piece and mesh of every convex piece; the prisms stay in the frames of their kits."""
+    """File name, assembly_from_piece and mesh of every convex piece; prisms are in the frames of their kits."""
     for k, mount in enumerate(assembly.mounts):
         for i, prism in enumerate(convex_prisms(mount.kit)):
             yield f"kit{k}/piece{i:03d}.obj", mount.assembly_from_kit, prism
-    for i, piece in enumerate(stand_meshes(assembly.mounts)):
+    for i, piece in enumerate(support_meshes(assembly.mounts)):
         yield f"stand/piece{i:03d}.obj", Pose.identity(), piece
 
 
@@ -100,5 +100,5 @@ def _obj(mesh: Mesh) -> str:
 
 
 def _numbers(values: np.ndarray) -> str:
-    """Numbers that read back to the bit, with blanks between."""
+    """Numbers in full precision, separated by spaces."""
     return " ".join(map(repr, values.tolist()))

@@ -1,4 +1,4 @@
-"""One assembly: its company chosen so that no part seats in another's slot, placed until it passes every check."""
+"""The job that makes one assembly: kits chosen so that no part seats in another's slot, placed so that it passes."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from kit1000.generation.plan import MAX_CANDIDATES, draw_assembly_of
 from kit1000.generation.presets import Preset
 from kit1000.kits.assembly import build_assembly, check_assembly
 from kit1000.kits.face import resting_faces
-from kit1000.kits.loose_fits import PreparedKit, PreparedPart, fit_in_other_slot
+from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_fit_in_other_slot
 from kit1000.values import Assembly, Kit, Part
 
-MAX_ATTEMPTS = 60  # placings of one assembly before the check or the draw must be called broken
-CACHED_MEMBERS = 1000  # pairs a worker keeps in memory, about a third of a megabyte each
+MAX_ATTEMPTS = 60  # placements of the same kits before one kit is left out
+CACHED_MEMBERS = 1000  # parts with their kits that a worker keeps in memory, about a third of a megabyte each
 FEWER_KITS = "fewer kits than drawn"
 
 
 @dataclass(frozen=True)
 class AssemblyJob:
-    """An assembly to be made."""
+    """The arguments of a job: an assembly to make."""
 
     root: Path
     preset: Preset
@@ -35,7 +35,7 @@ class AssemblyJob:
     target: str
     kits: int
     candidates: tuple[str, ...]
-    """Usable parts of the split in the order in which they are asked to join."""
+    """Accepted parts of the split, in the order in which they are tried as neighbours of the target."""
 
     def __str__(self) -> str:
         return f"assembly {self.assembly_id}"
@@ -43,16 +43,16 @@ class AssemblyJob:
 
 @dataclass(frozen=True, eq=False)
 class Member:
-    """A part and its kit, ready to be held against others."""
+    """A part and its kit, prepared for the test whether parts seat in each other's slots."""
 
     part: Part
     kit: Kit
-    stray: PreparedPart
-    well: PreparedKit
+    prepared_part: PreparedPart
+    prepared_kit: PreparedKit
 
 
 def make_assembly(job: AssemblyJob) -> Record:
-    """Do the job, or find it done, and return its record."""
+    """Do the job unless its record exists; returns the record."""
     done = finished_record(job.root, "assemblies", job.assembly_id)
     if done is not None:
         return done
@@ -73,26 +73,26 @@ def make_assembly(job: AssemblyJob) -> Record:
 
 
 def _place_kits(job: AssemblyJob, members: list[Member]) -> tuple[Assembly, list[str]]:
-    """The first placing that passes, and why earlier ones did not; the last of the company goes when none does."""
+    """The first placement that passes, and the reasons of the rejected ones; leaves out the last kit when none does."""
     redraws: list[str] = []
     for kits in range(len(members), 0, -1):
         for _ in range(MAX_ATTEMPTS):
             draw = draw_assembly_of(job.preset, job.seed, job.assembly_id, kits, len(redraws))
-            placed = [members[i] for i in draw.order]
+            ordered = [members[i] for i in draw.order]
             try:
-                assembly = build_assembly(job.assembly_id, [member.kit for member in placed], draw.placement)
-                check_assembly(assembly, {member.part.id: member.part for member in placed})
+                assembly = build_assembly(job.assembly_id, [member.kit for member in ordered], draw.placement)
+                check_assembly(assembly, {member.part.id: member.part for member in ordered})
                 return assembly, redraws
             except Redraw as refusal:
                 redraws.append(refusal.reason)
-    raise Redraw(f"{job}: none of {len(redraws)} placings passes ({redraws[-1]})")
+    raise Redraw(f"{job}: none of {len(redraws)} placements passes ({redraws[-1]})")
 
 
 def _choose_members(job: AssemblyJob) -> tuple[list[Member], list[str]]:
-    """The target and its company, and the reasons for which candidates were passed over."""
+    """The target and its neighbours, and the reasons of the rejected candidates."""
     members, rejected = [read_member(job.root, job.target)], []
-    for asked, candidate_id in enumerate(job.candidates):
-        if len(members) >= (job.kits if asked < MAX_CANDIDATES else job.preset.kits[0]):
+    for tried, candidate_id in enumerate(job.candidates):
+        if len(members) >= (job.kits if tried < MAX_CANDIDATES else job.preset.kits[0]):
             break
         candidate = read_member(job.root, candidate_id)
         if any(_fits_in_other_slot(candidate, other) for other in members):
@@ -103,19 +103,22 @@ def _choose_members(job: AssemblyJob) -> tuple[list[Member], list[str]]:
 
 
 def _fits_in_other_slot(a: Member, b: Member) -> bool:
-    """Whether one of two parts rests on the floor of the other's slot."""
-    return fit_in_other_slot(a.stray, b.well) is not None or fit_in_other_slot(b.stray, a.well) is not None
+    """Whether one of two parts can rest on the floor of the other's slot."""
+    return (
+        find_fit_in_other_slot(a.prepared_part, b.prepared_kit) is not None
+        or find_fit_in_other_slot(b.prepared_part, a.prepared_kit) is not None
+    )
 
 
 def read_part_and_kit(root: Path, part_id: str) -> tuple[Part, Kit]:
-    """A part and its kit that are already made, read from their files."""
+    """A part and its kit, read from their record and meshes."""
     record = read_json(root / BUILD_FOLDER / "parts" / f"{part_id}.json")
     part = part_of(part_id, record["part"], read_glb(root / f"parts/{part_id}.glb")[part_id])
     return part, kit_of(part_id, record["kit"], read_glb(root / f"kits/{part_id}.glb")[part_id])
 
 
 def read_member(root: Path, part_id: str) -> Member:
-    """A pair that is already made, remembered for as long as its record is not written anew."""
+    """A part and its kit, prepared; cached until their record changes."""
     return _read_member(root, part_id, sha256(root / BUILD_FOLDER / "parts" / f"{part_id}.json"))
 
 
@@ -126,9 +129,9 @@ def _read_member(root: Path, part_id: str, _record: str | None) -> Member:
 
 
 def read_assembly(root: Path, assembly_id: str) -> tuple[Assembly, dict[str, Part]]:
-    """An assembly that is already made, and its parts by id."""
+    """An assembly and its parts by id, read from their records and meshes."""
     record = read_json(root / BUILD_FOLDER / "assemblies" / f"{assembly_id}.json")
-    pairs = {m["kit_id"]: read_part_and_kit(root, m["kit_id"]) for m in record["assembly"]["mounts"]}
+    parts_and_kits = {m["kit_id"]: read_part_and_kit(root, m["kit_id"]) for m in record["assembly"]["mounts"]}
     mesh = read_glb(root / f"assemblies/{assembly_id}.glb")[assembly_id]
-    assembly = assembly_of(assembly_id, record["assembly"], mesh, lambda kit_id: pairs[kit_id][1])
-    return assembly, {part_id: part for part_id, (part, _) in pairs.items()}
+    assembly = assembly_of(assembly_id, record["assembly"], mesh, lambda kit_id: parts_and_kits[kit_id][1])
+    return assembly, {part_id: part for part_id, (part, _) in parts_and_kits.items()}

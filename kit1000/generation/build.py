@@ -1,7 +1,7 @@
-"""Building a dataset from its plan: parts and kits, then assemblies, then scenes, and `dataset.json` last.
+"""Generation of a dataset from its plan: parts and kits, then assemblies, then scenes, and `dataset.json` last.
 
-Every job leaves a record, so a run that was interrupted at any moment goes on where it stopped and ends with the same
-bytes. Jobs run in any order on any number of workers; what depends on order (near-duplicates) is decided here.
+Every job writes a record, so an interrupted run continues where it stopped and ends with the same bytes. Jobs run in
+any order on any number of workers; decisions that depend on order (near-duplicates) are made in this process.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from kit1000.engines import Spread, local
+from kit1000.engines import ParallelMap, local_engine
 from kit1000.errors import InputError
 from kit1000.files import (
     check_writable,
@@ -34,7 +34,7 @@ from kit1000.generation.plan import Sources, candidate_order, make_plan, split_i
 from kit1000.generation.presets import Preset
 from kit1000.generation.shards import make_shard, shard_jobs
 from kit1000.generation.summary import JobRecords, description_files, make_summary, refused_files, summary_bytes, tables
-from kit1000.parts.near_duplicates import twin_of
+from kit1000.parts.near_duplicates import near_duplicate_of
 from kit1000.tracks import SPLITS
 
 
@@ -44,12 +44,20 @@ def generate(
     seed: int | None = None,
     workers: int | None = None,
     sources: Sources | None = None,
-    engine: AbstractContextManager[Spread] | None = None,
+    engine: AbstractContextManager[ParallelMap] | None = None,
 ) -> dict[str, Any]:
-    """Build a dataset in a folder, or complete one that was begun there; returns the contents of its dataset.json.
+    """Generate a dataset in a folder, or complete an interrupted one; returns the contents of its dataset.json.
 
-    `engine` spreads the jobs; processes of this machine, as many as `workers`, when absent. Raises InputError when
-    the folder holds something else or cannot be written, or when no source can be a part.
+    Args:
+        preset: the configuration.
+        root: the folder.
+        seed: root of all random draws; that of the preset when None.
+        workers: number of local processes; one per core when None. Ignored when an engine is given.
+        sources: mesh files to use in place of procedural parts.
+        engine: runs the jobs; local processes when None.
+
+    Raises:
+        InputError: the folder contains something else or cannot be written, or no mesh file can be a part.
     """
     plan = make_plan(preset, preset.seed if seed is None else seed, sources)
     check_writable(root)
@@ -61,15 +69,15 @@ def generate(
         if summary is not None:
             return summary
         write_json(root / "plan.json", plan)
-        with engine or local(workers) as spread:
-            parts = _make_parts_and_kits(root, preset, plan, sources, spread)
-            assemblies = _make_assemblies(root, preset, plan, parts, spread)
-            scenes = _make_shards(root, preset, plan, assemblies, spread)
+        with engine or local_engine(workers) as parallel_map:
+            parts = _make_parts_and_kits(root, preset, plan, sources, parallel_map)
+            assemblies = _make_assemblies(root, preset, plan, parts, parallel_map)
+            scenes = _make_shards(root, preset, plan, assemblies, parallel_map)
         return _write_summary(root, plan, JobRecords(parts, assemblies, scenes))
 
 
 def _check_folder(root: Path, plan: dict[str, Any]) -> None:
-    """Raise InputError when a folder holds anything but a dataset of this plan, finished or begun."""
+    """Raise InputError when a folder contains anything but a dataset of this plan, finished or not."""
     if not root.is_dir():
         return
     path = root / "plan.json"
@@ -77,23 +85,23 @@ def _check_folder(root: Path, plan: dict[str, Any]) -> None:
         begun = read_json(path)
         if json_bytes(begun) != json_bytes(plan):
             other = _plan_difference(begun, plan)
-            raise InputError(f"{root} holds another dataset ({other}): choose another --out, or delete that folder")
+            raise InputError(f"{root} contains another dataset ({other}): choose another --out, or delete that folder")
     elif any(not entry.name.startswith(".") for entry in root.iterdir()):
-        raise InputError(f"{root} is not empty and holds no dataset: choose another --out")
+        raise InputError(f"{root} is not empty and contains no dataset: choose another --out")
 
 
 def _plan_difference(begun: Any, plan: dict[str, Any]) -> str:
-    """The first entry of two plans that differs, in words."""
+    """The first difference of two plans, for a message."""
     if not isinstance(begun, dict):
         return "its plan.json is no plan"
     for key in ("format", "data_version", "preset", "seed", "unit"):
         if begun.get(key) != plan.get(key):
-            return f"{key.replace('_', ' ')} {begun.get(key)}, asked {plan.get(key)}"
-    return "of other parts"
+            return f"{key.replace('_', ' ')} {begun.get(key)}, expected {plan.get(key)}"
+    return "with other parts"
 
 
 def _finished_summary(root: Path) -> dict[str, Any] | None:
-    """The summary of a finished dataset; None when there is none, or when it lost files, which are then made anew."""
+    """The summary of a finished dataset; None when there is none, or when files are missing or changed."""
     path = root / "dataset.json"
     if not path.is_file():
         return None
@@ -102,24 +110,26 @@ def _finished_summary(root: Path) -> dict[str, Any] | None:
         remove_folder(root / BUILD_FOLDER)
         print(f"{root} is complete: nothing to do", file=sys.stderr)
         return summary
-    print(f"{root}: files are missing or changed, building again", file=sys.stderr)
+    print(f"{root}: files are missing or changed, generating them again", file=sys.stderr)
     path.unlink()
     return None
 
 
 def _make_parts_and_kits(
-    root: Path, preset: Preset, plan: dict[str, Any], sources: Sources | None, spread: Spread
+    root: Path, preset: Preset, plan: dict[str, Any], sources: Sources | None, parallel_map: ParallelMap
 ) -> dict[str, Record]:
-    """The record of every part and kit, by id; near-duplicates are drawn again until none is left."""
+    """The record of every part and kit, by id; near-duplicates are redrawn until none is left."""
     jobs = {
         part_id: _part_job(root, preset, plan["seed"], part_id, row, sources) for part_id, row in plan["parts"].items()
     }
-    records = _run_jobs("parts and kits", make_part_and_kit, list(jobs.values()), spread)
+    records = _run_jobs("parts and kits", make_part_and_kit, list(jobs.values()), parallel_map)
     accepted: list[str] = []
     measures = np.zeros((0, 5))
     for part_id in jobs:
         record = records[part_id]
-        while "refused" not in record and (twin := twin_of(np.array(record["measures"]), measures)) is not None:
+        while (
+            "refused" not in record and (twin := near_duplicate_of(np.array(record["measures"]), measures)) is not None
+        ):
             alike = f"near-duplicate of {records[accepted[twin]]['source']}" if sources else "near-duplicate"
             record = make_part_and_kit(replace(jobs[part_id], redraws=(*record["redraws"], alike)))
         records[part_id] = record
@@ -141,7 +151,7 @@ def _part_job(
 
 
 def _no_usable_file(root: Path, plan: dict[str, Any], records: dict[str, Record]) -> str:
-    """Why no file became a part; the folder is left empty, so that the next attempt finds no other plan in it."""
+    """The message that no mesh file became a part. Deletes the plan, so that the folder can be used again."""
     remove_folder(root / BUILD_FOLDER)
     (root / "plan.json").unlink(missing_ok=True)
     reasons = [f"{name}: {reason}" for name, reason in refused_files(plan, records).items()]
@@ -150,7 +160,7 @@ def _no_usable_file(root: Path, plan: dict[str, Any], records: dict[str, Record]
 
 
 def _make_assemblies(
-    root: Path, preset: Preset, plan: dict[str, Any], parts: dict[str, Record], spread: Spread
+    root: Path, preset: Preset, plan: dict[str, Any], parts: dict[str, Record], parallel_map: ParallelMap
 ) -> dict[str, Record]:
     """The record of every assembly, by id."""
     usable = {part_id for part_id, record in parts.items() if "refused" not in record}
@@ -169,11 +179,11 @@ def _make_assemblies(
         for assembly_id, row in plan["assemblies"].items()
         if row["target"] in usable
     ]
-    return _run_jobs("assemblies", make_assembly, jobs, spread)
+    return _run_jobs("assemblies", make_assembly, jobs, parallel_map)
 
 
 def _make_shards(
-    root: Path, preset: Preset, plan: dict[str, Any], assemblies: dict[str, Record], spread: Spread
+    root: Path, preset: Preset, plan: dict[str, Any], assemblies: dict[str, Record], parallel_map: ParallelMap
 ) -> dict[str, Record]:
     """The record of every shard of scenes, by id."""
     jobs = [
@@ -181,18 +191,22 @@ def _make_shards(
         for split in SPLITS
         for job in shard_jobs(root, preset, plan["seed"], split, split_ids(plan["assemblies"], split), set(assemblies))
     ]
-    return _run_jobs("scenes", make_shard, jobs, spread, units=[len(job.assemblies) for job in jobs])
+    return _run_jobs("scenes", make_shard, jobs, parallel_map, units=[len(job.assemblies) for job in jobs])
 
 
 def _run_jobs(
-    what: str, function: Callable[[Any], Record], jobs: list[Any], spread: Spread, units: list[int] | None = None
+    what: str,
+    function: Callable[[Any], Record],
+    jobs: list[Any],
+    parallel_map: ParallelMap,
+    units: list[int] | None = None,
 ) -> dict[str, Record]:
-    """Records by id; the bar counts units of a job where they are given."""
+    """Run jobs; returns their records by id. `units`: the count of each job in the progress bar, 1 by default."""
     total = len(jobs) if units is None else sum(units)
     weight = {job.id: count for job, count in zip(jobs, units, strict=True)} if units else {}
     records = {}
     with tqdm(total=total, desc=what, unit="", disable=None, smoothing=0.05) as bar:
-        for record in spread(function, jobs):
+        for record in parallel_map(function, jobs):
             _check_files_present(jobs[0].root, record)
             records[record["id"]] = record
             bar.update(weight.get(record["id"], 1))
@@ -200,7 +214,7 @@ def _run_jobs(
 
 
 def _check_files_present(root: Path, record: Record) -> None:
-    """Raise InputError when a job wrote its files to another place of that name: a node may have a disk of its own."""
+    """Raise InputError when files of a job are not in the folder: a cluster node may have written to its own disk."""
     for name in record["files"]:
         if not (root / name).is_file():
             raise InputError(
@@ -210,7 +224,7 @@ def _check_files_present(root: Path, record: Record) -> None:
 
 
 def _write_summary(root: Path, plan: dict[str, Any], records: JobRecords) -> dict[str, Any]:
-    """Tables from the records, stray files removed, card and Croissant, `dataset.json` last."""
+    """Write the tables, the plan, the data card, the Croissant file and last `dataset.json`; returns its contents."""
     written = {f"{name}.json": write_json(root / f"{name}.json", rows) for name, rows in tables(plan, records).items()}
     _remove_unlisted(root, records.files)
     written["plan.json"] = write_json(root / "plan.json", plan)
@@ -223,7 +237,7 @@ def _write_summary(root: Path, plan: dict[str, Any], records: JobRecords) -> dic
 
 
 def _remove_unlisted(root: Path, files: dict[str, str]) -> None:
-    """Files of attempts that were drawn again under the same name do not exist; of refused ones they may."""
+    """Delete meshes and recordings that no record lists, such as those of a part that was refused later."""
     for kind in ("parts", "kits", "assemblies", *SPLITS):
         for pattern in ("*.glb", "*.mcap"):
             for path in (root / kind).glob(pattern):

@@ -1,7 +1,7 @@
-"""The data card: what a dataset holds, in words and tables, for the `README.md` that lies in it.
+"""The data card: a description of a dataset in words and tables, written as its `README.md`.
 
-All of it follows from `dataset.json`, and its figures from the statistics in there; nothing is measured here. Texts
-that the Croissant description says too stand here once.
+Everything in it follows from `dataset.json`; its numbers are the statistics in there. Texts that the Croissant
+description shares are defined here.
 """
 
 from __future__ import annotations
@@ -75,7 +75,10 @@ FILES = {
     "*/*.three.mcap": "depth from three further cameras",
     "croissant.json": "this description for machines (Croissant 1.1)",
 }
-ALWAYS = ("dataset.json", "croissant.json")  # the first is written after the card, the second with it
+ALWAYS = (
+    "dataset.json",
+    "croissant.json",
+)  # listed in the card without their hashes: the first is written after it, the second with it
 COUNTED_KINDS = ("parts", "assemblies", "scenes")
 READING_EXAMPLE = """from kit1000 import Dataset
 
@@ -108,26 +111,26 @@ HISTOGRAMS = (
 
 
 def card_bytes(summary: Mapping[str, Any]) -> bytes:
-    """The data card of a dataset, from the contents of its `dataset.json`; the same summary gives the same bytes."""
+    """The data card of a dataset, from the contents of its `dataset.json`."""
     sections = [_head(summary), *_contents(summary), *_redraws_and_statistics(summary), *_about(summary)]
     return ("\n\n".join(sections) + "\n").encode()
 
 
 def title(summary: Mapping[str, Any]) -> str:
-    """The name of a dataset: KIT1000, and the preset where that is another."""
+    """The name of a dataset: KIT1000, followed by the preset unless that is kit1000."""
     return NAME if summary["preset"] == "kit1000" else f"{NAME} {summary['preset']}"
 
 
 def citation(summary: Mapping[str, Any]) -> str:
-    """How to cite a dataset, as BibTeX."""
+    """The citation of a dataset, as BibTeX."""
     return CITATION % (summary["data_version"], summary["dataset_id"])
 
 
 def files_by_pattern(summary: Mapping[str, Any]) -> dict[str, list[str]]:
-    """The files of a dataset, sorted, by the pattern of FILES that speaks of them; none without files."""
+    """The files of a dataset, sorted, by the pattern of FILES that they match; patterns without files are left out."""
     names = sorted(summary["files"])
-    found = {pattern: [name for name in names if _fits(name, pattern)] for pattern in FILES}
-    return {pattern: files for pattern, files in found.items() if files}
+    matching = {pattern: [name for name in names if _fits(name, pattern)] for pattern in FILES}
+    return {pattern: files for pattern, files in matching.items() if files}
 
 
 def _fits(name: str, pattern: str) -> bool:
@@ -171,7 +174,7 @@ def _contents(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _preset_rows(config: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """What the preset asks for, in the units that people read."""
+    """Rows (name, value) of the preset's main settings, in millimetres and degrees."""
     if "longest" in config:
         low, high = (1e3 * side for side in config["longest"])
         yield "longest side of a part", f"{low:g} to {high:g} mm" if high > low else f"{low:g} mm"
@@ -201,42 +204,52 @@ def _redraws_and_statistics(summary: Mapping[str, Any]) -> Iterator[str]:
         "Loose fits (a cavity that accepts its part in a pose which is no goal) are drawn again in every split: "
         f"{redraws.get('parts', {}).get('loose fit', 0)} were, and none is left."
     )
-    found = {split: summary.get("statistics", {}).get(split) or {} for split in SPLITS}
-    if not any(found.values()):
+    statistics = {split: summary.get("statistics", {}).get(split) or {} for split in SPLITS}
+    if not any(statistics.values()):
         return
     yield "## Figures\n\nParts are counted once for each scene they lie in."
-    for heading, key, of, edges in HISTOGRAMS:
-        if any(key in lot for lot in found.values()):
-            yield f"### {heading}\n\n" + _histogram(found, key, of, edges)
-    yield from _query_tables(found)
+    for heading, key, total_key, edges in HISTOGRAMS:
+        if any(key in entry for entry in statistics.values()):
+            yield f"### {heading}\n\n" + _histogram(statistics, key, total_key, edges)
+    yield from _query_tables(statistics)
 
 
-def _histogram(found: Mapping[str, Mapping], key: str, of: str, edges: tuple[int, ...] | None) -> str:
-    """A table of a figure: a row for each bin, a column for each split, each with its share of all."""
-    every = {name for lot in found.values() for name in lot.get(key, {})}
+def _histogram(statistics: Mapping[str, Mapping], key: str, total_key: str, edges: tuple[int, ...] | None) -> str:
+    """A table with a row for each bin and a column for each split: counts, and their shares of the total.
+
+    Args:
+        statistics: by split.
+        key: of the histogram in them.
+        of: key of the total count in them.
+        edges: of the bins; None where bins are names.
+    """
+    every = {name for entry in statistics.values() for name in entry.get(key, {})}
     ordered = [name for name in card_statistics.bin_names(edges) if name in every] if edges else []
     names = ordered + sorted(every - {*ordered}, key=lambda name: (len(name) if name.isdigit() else 0, name))
-    splits = [split for split in SPLITS if found[split].get(key)]
+    splits = [split for split in SPLITS if statistics[split].get(key)]
     rows = [
-        (name, *(_share(found[split][key].get(name, 0), found[split].get(of, 0)) for split in splits)) for name in names
+        (name, *(_share(statistics[split][key].get(name, 0), statistics[split].get(total_key, 0)) for split in splits))
+        for name in names
     ]
     return _table(("", *splits), rows)
 
 
-def _query_tables(found: Mapping[str, Mapping]) -> Iterator[str]:
-    """Queries by track, parts that nobody is asked about, and how far guesses are off."""
-    splits = [split for split in SPLITS if found[split]]
+def _query_tables(statistics: Mapping[str, Mapping]) -> Iterator[str]:
+    """Tables of the queries by track, of the parts without queries, and of the mean errors of guesses."""
+    splits = [split for split in SPLITS if statistics[split]]
     for heading, key in (("Queries by track", "queries"), ("Parts not asked about, and why", "unseen")):
-        names = sorted({name for split in splits for name in found[split].get(key, {})})
-        rows = [(name, *(found[split].get(key, {}).get(name, 0) for split in splits)) for name in names]
+        names = sorted({name for split in splits for name in statistics[split].get(key, {})})
+        rows = [(name, *(statistics[split].get(key, {}).get(name, 0) for split in splits)) for name in names]
         yield f"### {heading}\n\n" + (_table(("", *splits), rows) if rows else "None.")
     guesses = [
-        (split, track, lot) for split in splits for track, lot in sorted(found[split].get("guesses", {}).items())
+        (split, track, entry)
+        for split in splits
+        for track, entry in sorted(statistics[split].get("guesses", {}).items())
     ]
     if guesses:
         rows = [
-            (split, track, lot["n"], _mean(lot["sum_um"], lot["n"]), _mean(lot["sum_mdeg"], lot["n"]))
-            for split, track, lot in guesses
+            (split, track, entry["n"], _mean(entry["sum_um"], entry["n"]), _mean(entry["sum_mdeg"], entry["n"]))
+            for split, track, entry in guesses
         ]
         head = ("split", "track", "guesses", "mean error [mm]", "mean error [deg]")
         yield "### How far guesses are off, at the pivot\n\n" + _table(head, rows)
@@ -257,7 +270,7 @@ def _about(summary: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _table(head: Sequence[object], rows: Sequence[Sequence[object]]) -> str:
-    """A table in Markdown; columns of numbers stand flush right."""
+    """A table in Markdown; columns of numbers are right-aligned."""
     cells = [[str(cell) for cell in row] for row in rows]
     numbers = [bool(cells) and all(row[i][:1].isdigit() for row in cells) for i in range(len(head))]
     rule = ["---:" if number and i else "---" for i, number in enumerate(numbers)]

@@ -1,7 +1,7 @@
-"""Figures about scenes and pairs: counts and histograms that are made shard by shard and added up.
+"""Statistics of scenes, parts and kits: counts and histograms, made shard by shard and added up.
 
-Every figure is a whole number at a leaf of nested dicts, so that sums are the same in any order. Bins are named by
-their ends, the lower of which belongs to the bin: "5-15", and "45+" for all from 45 up.
+Statistics are nested dicts with integers at the leaves, so their sums are the same in any order. A bin is named by its
+edges, and the lower edge belongs to it: "5-15", and "45+" for 45 and above.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ SLOT_VISIBLE_PERCENT = (0, 15, 30, 50, 75, 100)
 GUESS_MM = (0, 10, 20, 30, 40, 50)
 GUESS_DEG = (0, 5, 10, 15, 20, 25)
 KEYEDNESS_DEG = (0, 5, 10, 15, 20, 30, 45, 90)
-FREE_AXIS = "any turn seats"  # keyedness of a slot with a free axis
+FREE_AXIS = "any turn seats"  # bin name of the keyedness of a slot with a free axis
 
 Statistics = dict[str, Any]
 
 
 def scene_statistics(truths: Iterable[SceneTruth]) -> Statistics:
-    """The figures of some scenes; empty without any. Those of several lots are joined by `merged`."""
+    """The statistics of some scenes; empty without any. `add_up` sums those of several calls."""
     return add_up(_one_scene(truth) for truth in truths)
 
 
 def part_statistics(parts: Iterable[Row], kits: Iterable[Row]) -> Statistics:
-    """The figures of some parts and kits, given as rows of their tables; `merged` puts them beside those of scenes."""
+    """The statistics of some parts and their kits, given as rows of their tables."""
     rows = list(parts)
     if not rows:
         return {}
@@ -49,11 +49,11 @@ def part_statistics(parts: Iterable[Row], kits: Iterable[Row]) -> Statistics:
     }
 
 
-def add_up(lots: Iterable[Mapping[str, Any]]) -> Statistics:
-    """The sums of figures, leaf by leaf; a leaf that is absent counts nothing."""
+def add_up(terms: Iterable[Mapping[str, Any]]) -> Statistics:
+    """The sum of statistics, leaf by leaf; a missing leaf counts as 0."""
     total: Statistics = {}
-    for lot in lots:
-        for key, value in lot.items():
+    for statistics in terms:
+        for key, value in statistics.items():
             if isinstance(value, Mapping):
                 total[key] = add_up([total.get(key, {}), value])
             else:
@@ -62,15 +62,15 @@ def add_up(lots: Iterable[Mapping[str, Any]]) -> Statistics:
 
 
 def bin_name(value: float, edges: tuple[int, ...]) -> str:
-    """The name of the bin that a number falls into; what equals the last edge of a share belongs to the bin below."""
+    """The name of the bin of a number; 100, the last edge of a percentage, belongs to the bin below it."""
     place = bisect_right(edges, value)
-    if edges[-1] == 100 and place == len(edges):  # nothing is more than all of it
+    if edges[-1] == 100 and place == len(edges):  # no percentage is above 100
         place -= 1
     return f"{edges[place - 1]}+" if place == len(edges) else f"{edges[place - 1]}-{edges[place]}"
 
 
 def bin_names(edges: tuple[int, ...]) -> list[str]:
-    """The names of all bins in order."""
+    """The names of all bins, in order."""
     return list(dict.fromkeys([*(bin_name(edge, edges) for edge in edges)]))
 
 
@@ -103,7 +103,7 @@ def _one_scene(truth: SceneTruth) -> Statistics:
 
 
 def _guess_statistics(track: str, draw: Row | None) -> Statistics:
-    """How far a guess is off at its pivot. Those of the curves are set, not drawn: they are left out."""
+    """The error of a guess at its pivot. The errors of the curves are set, not drawn, and are left out."""
     if draw is None or track == CURVES:
         return {}
     millimetres = 1e3 * float(np.linalg.norm(draw["offset"]))
@@ -120,13 +120,13 @@ def _guess_statistics(track: str, draw: Row | None) -> Statistics:
 
 
 def _tilt_deg(row: Row) -> float:
-    """[deg] between the kit's axis and up; slots stand at 45 degrees at most, which is to fall into the bin below."""
+    """Angle [deg] between the kit's axis and up, less 1e-6, so that a tilt of 45 degrees is in the bin below."""
     up = pose_of(row["world_from_kit"]).rotate([0.0, 0.0, 1.0])
     return max(float(np.degrees(np.arctan2(np.hypot(up[0], up[1]), up[2]))) - 1e-6, 0.0)
 
 
-def _keyedness(turn: float | None) -> str:
-    return FREE_AXIS if turn is None else bin_name(float(np.degrees(turn)) + 1e-6, KEYEDNESS_DEG)
+def _keyedness(angle: float | None) -> str:
+    return FREE_AXIS if angle is None else bin_name(float(np.degrees(angle)) + 1e-6, KEYEDNESS_DEG)
 
 
 def _counts(names: Iterable[str]) -> dict[str, int]:

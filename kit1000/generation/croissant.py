@@ -1,7 +1,7 @@
-"""The Croissant description of a dataset (JSON-LD, version 1.1 with its part on responsible AI), from `dataset.json`.
+"""The Croissant description of a dataset (JSON-LD, version 1.1 with the RAI vocabulary), from `dataset.json`.
 
-Every recording and table is named with its SHA-256; meshes, which are thousands, by pattern. Tables and the list of
-scenes can be loaded as records; recordings are for `kit1000.dataset.reader` or any reader of MCAP.
+Every recording and table is listed with its SHA-256; the thousands of meshes are listed by pattern. Tables and the list
+of scenes can be loaded as records; recordings are read by `kit1000.dataset.reader` or any MCAP reader.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from kit1000.generation.card import (
 )
 from kit1000.tracks import SPLITS
 
-PUBLISHED = "2026-11-21"  # of the present data version: a constant, so that a build on any day gives the same bytes
+PUBLISHED = "2026-11-21"  # date of the current data version: a constant, so that the bytes do not depend on the day
 CONFORMS = ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"]
 LICENCES = {"CC-BY-4.0": "https://creativecommons.org/licenses/by/4.0/"}
 FORMATS = {"json": "application/json", "glb": "model/gltf-binary", "mcap": "application/x-mcap"}
@@ -76,7 +76,7 @@ Node = dict[str, Any]
 
 
 def croissant_bytes(summary: Mapping[str, Any]) -> bytes:
-    """The file `croissant.json`, from the contents of `dataset.json`; the same summary gives the same bytes."""
+    """The bytes of `croissant.json`, from the contents of `dataset.json`."""
     return (json.dumps(_dataset(summary), indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
@@ -109,14 +109,14 @@ def _dataset(summary: Mapping[str, Any]) -> Node:
 
 
 def _identity(summary: Mapping[str, Any]) -> str:
-    """Which dataset this is, and that its address is a name and leads nowhere by itself."""
+    """Id and preset of the dataset, what is withheld, and that its URL is only a name."""
     what = f"Dataset {summary['dataset_id']}, preset {summary['preset']}."
     held = f" {WITHHELD.format(**summary['withheld'])}" if summary.get("withheld") else ""
     return f"{what}{held} Its address is a name; its files stand beside this one."
 
 
 def _distribution(summary: Mapping[str, Any]) -> Iterator[Node]:
-    """A node for each file with its hash, but one for each folder of meshes."""
+    """A node for each file with its hash, and one node for each folder of meshes."""
     for pattern, names in files_by_pattern(summary).items():
         if pattern.endswith(".glb"):
             yield {
@@ -165,7 +165,7 @@ def _record_sets(summary: Mapping[str, Any]) -> Iterator[Node]:
 
 
 def _scenes(shards: Mapping[str, list[str]]) -> Node:
-    """Which recording holds which scene, as records in the description itself."""
+    """The scenes and their recordings, as records in the description itself."""
     rows = [
         {"scenes/id": scene, "scenes/split": shard.partition("/")[0], "scenes/recording": shard}
         for shard, scenes in sorted(shards.items())

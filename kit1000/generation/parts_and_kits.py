@@ -1,7 +1,7 @@
-"""One part and its kit, drawn until they pass every trial: the job a worker does, and the record it leaves.
+"""The job that makes one part and its kit, redrawn until they pass all trials, and its record.
 
-A record is a JSON file in the build folder, written after the meshes it speaks of: where it stands and its hashes
-hold, the job is done. It says how many attempts were rejected and why.
+A record is a JSON file in the build folder, written after the meshes that it lists: if it exists and its hashes match,
+the job is done. It also holds the reasons of the rejected attempts.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from kit1000.parts.files.sources import read_mesh
 from kit1000.parts.near_duplicates import shape_measures
 from kit1000.values import Part
 
-MAX_ATTEMPTS = 200  # draws of one part before the mixture of families must be called broken
-MAX_FACES = 2  # best faces tried before the part is drawn again
-BUILD_FOLDER = ".build"  # folder of records while a dataset is being built
+MAX_ATTEMPTS = 200  # draws of one part before the run fails
+MAX_FACES = 2  # best insertion faces tried before the part is redrawn
+BUILD_FOLDER = ".build"  # folder of records while a dataset is generated
 
 
 @dataclass(frozen=True)
 class PartJob:
-    """A part to be made, with its kit."""
+    """The arguments of a job: a part to make, with its kit."""
 
     root: Path
     preset: Preset
@@ -39,10 +39,10 @@ class PartJob:
     part_id: str
     split: str
     sources: tuple[tuple[str, Path], ...] = ()
-    """Mesh files by name, tried one after another; the part is drawn when there are none."""
+    """Names and paths of mesh files, tried in order; a procedural part is drawn when empty."""
     unit: str | None = None
     redraws: tuple[str, ...] = ()
-    """Reasons for which earlier attempts were rejected; their number is the attempt to go on with."""
+    """Reasons of the rejected attempts so far; their number is the next attempt."""
 
     def __str__(self) -> str:
         return f"part {self.part_id}"
@@ -52,7 +52,7 @@ Record = dict[str, Any]
 
 
 def make_part_and_kit(job: PartJob) -> Record:
-    """Do the job, or find it done, and return its record."""
+    """Do the job unless its record exists; returns the record."""
     done = finished_record(job.root, "parts", job.part_id)
     if done is not None and len(done["redraws"]) >= len(job.redraws):
         return done
@@ -60,29 +60,29 @@ def make_part_and_kit(job: PartJob) -> Record:
 
 
 def finished_record(root: Path, kind: str, item_id: str) -> Record | None:
-    """The record of a job whose files are all there as it left them, else None: the job is to be done again."""
+    """The record of a finished job; None when it is missing, or when a file of the job is missing or changed."""
     return read_intact(root, _record_path(root, kind, item_id))
 
 
 def read_intact(root: Path, path: Path) -> Record | None:
-    """A JSON file that lists others by hash, when all are there as listed; None also when it is absent or damaged."""
+    """The contents of a JSON file whose entry `files` lists SHA-256 by name; None unless all files match."""
     try:
         record = read_json(path)
     except InputError:
         return None
     files = record.get("files") if isinstance(record, dict) else None
-    whole = isinstance(files, dict) and all(sha256(root / name) == digest for name, digest in files.items())
-    return record if whole else None
+    matches = isinstance(files, dict) and all(sha256(root / name) == digest for name, digest in files.items())
+    return record if matches else None
 
 
 def save_record(root: Path, kind: str, item_id: str, record: Record) -> Record:
-    """Write the record of a finished job."""
+    """Write the record of a finished job and return it."""
     write_json(_record_path(root, kind, item_id), record)
     return record
 
 
 def write_mesh_file(root: Path, name: str, data: bytes) -> dict[str, str]:
-    """Write one file of a job and return its entry for the record."""
+    """Write one mesh file of a job; returns its entry for `files` of the record."""
     return {name: write_bytes(root / name, data)}
 
 
@@ -103,7 +103,7 @@ def _from_draws(job: PartJob) -> Record:
 
 
 def _from_files(job: PartJob) -> Record:
-    """The record of the first file that can be a part; without any, one that says "refused"."""
+    """The record of the first file that can be a part; a record with `refused` when there is none."""
     redraws = list(job.redraws)
     while len(redraws) < len(job.sources):
         name, path = job.sources[len(redraws)]
@@ -112,7 +112,7 @@ def _from_files(job: PartJob) -> Record:
             design, trial = design_accepted_kit(part, job.preset.clearance)
         except (MeshRefused, Redraw) as refusal:
             redraws.append(refusal.reason)
-        except Exception as error:  # a stranger's mesh may meet a case nobody thought of: it is reported, stops no run
+        except Exception as error:  # a user's mesh may trigger an unforeseen case: it is reported, the run goes on
             redraws.append(str(internal_error("no kit", error)))
         else:
             return _record(job, part, design, trial, redraws) | {"source": name}
@@ -125,18 +125,18 @@ def _read_part(job: PartJob, path: Path) -> Part:
 
 
 def design_accepted_kit(part: Part, clearance: float) -> tuple[KitDesign, PairCheck]:
-    """The kit of a part on the first of its best faces that passes all trials.
+    """The kit of a part on the first of its best insertion faces that passes all trials, and their result.
 
-    Raises Redraw with the reason of the best face; a loose fit is a reason too.
+    Raises Redraw with the reason of the best face. A loose fit is also a reason.
     """
     first: Redraw | None = None
     for face in insertion_faces(part, clearance)[:MAX_FACES]:
         try:
             design = design_kit(part, clearance, face=face)
-            if not design.in_bounds:
+            if not design.clearance_in_bounds:
                 raise Redraw("clearance out of bounds")
             if accepts_most_parts(PreparedKit(design.kit)):
-                raise Redraw("slot takes nearly any part")  # it would stand alone in every assembly
+                raise Redraw("slot takes nearly any part")  # every assembly with it would have one kit
             trial = check_pair(part, design.kit)
             if not trial.has_loose_fit:
                 return design, trial

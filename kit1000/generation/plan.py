@@ -1,8 +1,8 @@
 """The plan of a dataset: every draw, no geometry. The same plan gives the same dataset on any number of workers.
 
-Each thing is drawn from its own stream, addressed by the root seed, its id and its attempt (`draw_part`,
-`draw_assembly_of`); a draw that geometry rejects is replaced by the next attempt of the same stream. The plan lists
-first attempts, so a reader sees what was asked for; tables list what came of it.
+Each part, assembly and scene has its own random stream, keyed by the root seed, its id and the attempt (`draw_part`,
+`draw_assembly_of`). A draw that geometry rejects is replaced by the next attempt. The plan lists first attempts; the
+tables of the dataset list the accepted ones.
 """
 
 from __future__ import annotations
@@ -28,11 +28,9 @@ from kit1000.tracks import SPLITS
 
 FORMAT = "kit1000-plan/2"
 DATA_VERSION = "0.2.1"
-"""Raised whenever the same plan gives other data."""
-MAX_SOURCE_FILES = 10  # files dealt to one part at most: the next is tried when one cannot be a part
-MAX_CANDIDATES = (
-    24  # parts asked to join an assembly before it may stay smaller than drawn; more only to reach the least
-)
+"""Increased whenever the same plan gives other data."""
+MAX_SOURCE_FILES = 10  # of one part: the next file is tried when one cannot be a part
+MAX_CANDIDATES = 24  # parts tried to reach the drawn number of kits; more are tried only to reach the smallest number
 
 
 @dataclass(frozen=True)
@@ -42,24 +40,24 @@ class PartDraw:
     family: str
     drawing: Family
     longest: float
-    """[m] of the part's longest side."""
+    """[m] longest side of the part."""
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Mesh files that take the place of procedural parts."""
+    """Mesh files used in place of procedural parts."""
 
     files: dict[str, Path]
-    """By name: the path from the folder that holds them all, so that a plan says nothing of this machine."""
+    """By name: the path relative to their common folder, so that a plan contains no absolute path."""
     unit: str | None = None
-    """The unit of all of them; None: as each file says, else guessed."""
+    """The unit of all files; None: as each file states, else guessed."""
 
     @classmethod
     def of(cls, paths: Iterable[Path], unit: str | None = None) -> Sources:
         """The sources of some paths."""
-        whole = [Path(os.path.abspath(path)) for path in paths]
-        folder = os.path.commonpath([path.parent for path in whole])
-        return cls({path.relative_to(folder).as_posix(): path for path in whole}, unit)
+        absolute = [Path(os.path.abspath(path)) for path in paths]
+        folder = os.path.commonpath([path.parent for path in absolute])
+        return cls({path.relative_to(folder).as_posix(): path for path in absolute}, unit)
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class AssemblyDraw:
     """One attempt at an assembly."""
 
     order: np.ndarray
-    """(n,) where each chosen kit stands: order[0] is the base."""
+    """(n,) int: index of the kit at each place; order[0] is the base."""
     placement: AssemblyPlan
 
 
@@ -89,7 +87,7 @@ def make_plan(preset: Preset, seed: int, sources: Sources | None = None) -> dict
 
 
 def dataset_id(plan: dict[str, Any]) -> str:
-    """The identity of a dataset: a hash of its plan, data version included."""
+    """The id of a dataset: 16 hex digits of the SHA-256 of its plan, which contains the data version."""
     return hashlib.sha256(json_bytes(plan)).hexdigest()[:16]
 
 
@@ -102,7 +100,7 @@ def draw_part(preset: Preset, seed: int, part_id: str, split: str, attempt: int)
 
 
 def draw_longest(preset: Preset, seed: int, part_id: str) -> float:
-    """[m] longest side of a part that is read from a file."""
+    """Longest side [m] of a part that is read from a file."""
     return float(stream(seed, "part", part_id, "longest").uniform(*preset.longest))
 
 
@@ -139,7 +137,10 @@ def _procedural_parts(preset: Preset, seed: int) -> dict[str, Any]:
 
 
 def _parts_from_files(preset: Preset, seed: int, sources: Sources) -> dict[str, Any]:
-    """Files dealt out in a drawn order, split in the preset's proportions; what is left over are spares."""
+    """Files in a random order, divided among the splits in the preset's proportions.
+
+    Each part gets one file, and the files left over as alternatives.
+    """
     names = sorted(sources.files)
     order = [names[i] for i in stream(seed, "sources").permutation(len(names))]
     total = sum(preset.count(split) for split in SPLITS)
@@ -159,36 +160,36 @@ def _parts_from_files(preset: Preset, seed: int, sources: Sources) -> dict[str, 
 
 
 def candidate_order(seed: int, target: str, ids: list[str]) -> list[str]:
-    """The other parts of a split in the order in which they are asked to join a target's assembly."""
+    """The other parts of a split, in the random order in which they are tried as neighbours of a target."""
     others = [other for other in ids if other != target]
     return [others[i] for i in stream(seed, "company", target).permutation(len(others))]
 
 
 def _assemblies(preset: Preset, seed: int, parts: dict[str, Any]) -> dict[str, Any]:
-    """One assembly for each part of a split, which is its target; company from the same split."""
+    """One assembly for each part of a split: the part is its target, its neighbours are of the same split."""
     plan = {}
     for split in SPLITS:
         ids = split_ids(parts, split)
         for target in ids:
             kits = int(stream(seed, "kits", target).integers(preset.kits[0], preset.kits[1] + 1))
-            company = candidate_order(seed, target, ids)[:MAX_CANDIDATES]
-            plan[target] = {"split": split, "target": target, "kits": kits, "company": company}
+            candidates = candidate_order(seed, target, ids)[:MAX_CANDIDATES]
+            plan[target] = {"split": split, "target": target, "kits": kits, "company": candidates}
     return plan
 
 
 def scene_id_of(assembly_id: str) -> str:
-    """The scene of an assembly: test-0007 stands in test-s0007."""
+    """The id of an assembly's scene: test-s0007 for test-0007."""
     split, _, number = assembly_id.rpartition("-")
     return f"{split}-s{number}"
 
 
 def rest_modes(seed: int, scene_id: str, parts: int, attempt: int = 0) -> tuple[str, ...]:
-    """How the parts of a scene come to lie, in the order p0, p1, ...; one attempt at drawing it."""
+    """Rest modes of the parts of a scene, in the order p0, p1, ...; one attempt."""
     return draw_rest_modes(stream(seed, "rest", scene_id, attempt), parts)
 
 
 def _scenes(seed: int, assemblies: dict[str, Any]) -> dict[str, Any]:
-    """One scene for each assembly. An assembly that ends with fewer kits than drawn draws its rest modes anew."""
+    """One scene for each assembly. The rest modes are drawn again where an assembly ends with fewer kits than drawn."""
     scenes = {}
     for assembly_id, row in assemblies.items():
         scene_id = scene_id_of(assembly_id)

@@ -1,4 +1,4 @@
-"""The datasets that can be asked for by name: how many parts, how large, how tightly fitted, how steeply tilted."""
+"""Named dataset configurations: number and size of parts, clearance, tilt, tracks."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from kit1000.errors import InputError, did_you_mean
 from kit1000.tracks import TRACKS
 
 HELD_OUT = ("cam", "connector", "gear", "hook", "pillow_block", "tee")
-"""Families that only the test split has, so that a score on them says what a method does with the unknown."""
+"""Families of the test split only; scores on them measure generalisation to unseen families."""
 
 IDEAL_TRACKS = ("snap-tilt", "place", "place-paper")
-"""Of the preset `paper`: guesses off by a tilt alone, ideal depth."""
+"""Tracks of the preset `paper`: guesses with a tilt error only, ideal depth."""
 
 OUTSIDE_CONFIG = ("name", "seed", "mixture")
 """Fields of a preset that its `config` omits: the plan states name and seed itself, the name implies the mixture."""
@@ -20,46 +20,47 @@ OUTSIDE_CONFIG = ("name", "seed", "mixture")
 
 @dataclass(frozen=True)
 class Preset:
-    """One kind of dataset. Lengths in metres, angles in radians unless named otherwise."""
+    """Configuration of a dataset. Lengths in metres, angles in radians unless the name says otherwise."""
 
     name: str
     train: int
-    """Parts, kits and assemblies for training."""
+    """Number of parts, and so of kits, assemblies and scenes, of the training split."""
     val: int
     test: int
     longest: tuple[float, float] = (0.035, 0.05)
-    """Range of a part's longest side, drawn uniformly."""
+    """[m] range of a part's longest side, drawn uniformly."""
     clearance: float = 2.5e-3
+    """[m] between part and cavity wall."""
     kits: tuple[int, int] = (2, 5)
-    """Fewest and most kits of an assembly."""
+    """Smallest and largest number of kits of an assembly."""
     level_base: bool = False
-    """Whether base plates stand level, as in the paper."""
+    """Whether base plates are level, as in the paper."""
     tilt_deg: tuple[float, float] = (10.0, 45.0)
     """Range of a side plate's tilt against its base."""
     brackets_deg: tuple[float, ...] = ()
-    """Tilts to pick from in place of the range, where brackets come in a few angles."""
+    """Discrete tilts to draw from in place of the range, where brackets come in a few angles."""
     tracks: tuple[str, ...] = tuple(TRACKS)
-    """What is asked of a scene; without a track of the d415 none is recorded."""
+    """Tracks of the queries. Depth images of the d415 are recorded only where a track reads them."""
     curve_scenes: int = 40
-    """Test scenes whose target is asked about at every level of guess error; their queries together give the goal
-    away, so a withheld test split has none."""
+    """Number of test scenes whose target has queries at every level of guess error. These queries together reveal the
+    goal, so a withheld test split has none."""
     mixture: str = "2026"
     """Families and weights of procedural parts, by name in `MIXTURES`. No part of `config`: the plan lists the parts
     drawn, and the mixture of a preset never changes."""
     seed: int = 1000
 
     def count(self, split: str) -> int:
-        """Parts (and assemblies) of a split."""
+        """Number of parts, and so of assemblies, of a split."""
         return {"train": self.train, "val": self.val, "test": self.test}[split]
 
     @property
     def sensors(self) -> tuple[str, ...]:
-        """Which depth images are recorded."""
+        """Sensors whose depth images are recorded."""
         return tuple(dict.fromkeys(("ideal", *(TRACKS[track].sensor for track in self.tracks))))
 
     @property
     def config(self) -> dict[str, Any]:
-        """The preset as plain values, without the fields of OUTSIDE_CONFIG."""
+        """The preset as JSON values, without the fields of OUTSIDE_CONFIG."""
         values = {key: value for key, value in asdict(self).items() if key not in OUTSIDE_CONFIG}
         return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
 
@@ -79,14 +80,14 @@ PRESETS = {
 
 
 def preset(name: str) -> Preset:
-    """The preset of a name; InputError lists the names there are."""
+    """The preset of this name. Raises InputError, which lists the names."""
     if name not in PRESETS:
         raise InputError(f"no preset {name!r}; {did_you_mean(name, PRESETS)}there are {', '.join(PRESETS)}")
     return PRESETS[name]
 
 
 def preset_of(name: str, config: dict[str, Any]) -> Preset:
-    """The preset that a plan was made with, from the plain values that `config` gave."""
+    """The preset of a plan, from its name and `config`."""
     values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in config.items()}
     made = Preset(name, **values)
     return replace(made, mixture=PRESETS[name].mixture) if name in PRESETS else made

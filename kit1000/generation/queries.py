@@ -1,7 +1,7 @@
-"""What is asked about a scene: queries by track, each with its pivot and its guess, and the truth about their draws.
+"""Queries of a scene by track, each with its pivot and its guess, and the ground truth of their random draws.
 
-Every draw has a stream of its own, named by the scene, the part and what is drawn: leaving out a part or a track, or
-another order of them, changes no other query.
+Every draw has its own random stream, keyed by the scene, the part and the track: leaving out a part or a track, or
+changing their order, changes no other query.
 """
 
 from __future__ import annotations
@@ -32,45 +32,45 @@ from kit1000.sim.layout import UPRIGHT
 from kit1000.tracks import CURVES, TRACKS, Track, curve_id, query_id
 from kit1000.values import Slot, View
 
-PAPER_TILT = float(np.radians(15))  # most roll and most pitch of a goal that the paper asks for without a guess
-ANGLE_STEP = np.radians(0.25)  # at which turns about a free axis are tried against PAPER_TILT
+PAPER_TILT = float(np.radians(15))  # largest roll and largest pitch of a goal in the paper's task without a guess
+ANGLE_STEP = np.radians(0.25)  # between the angles about a free axis that are tested against PAPER_TILT
 GUESS_ERRORS = {"ball": draw_ball_error, "tilt": draw_tilt_error}
 
 
 @dataclass(frozen=True, eq=False)
 class PartInScene:
-    """A part of a scene about which may be asked."""
+    """A part of a scene, a candidate for queries."""
 
     index: int
-    """i of p{i}."""
+    """The i of p{i}."""
     rest_mode: str
     world_from_part: Pose
     world_from_kit: Pose
     slot: Slot
-    rejection: str | None
-    """Why the part or its slot is not seen well enough to ask; None when both are."""
+    invisibility: str | None
+    """Why the part or its slot is not visible enough for a query; None when both are."""
 
-    def motion(self, goal: int = 0, turn: float | np.ndarray = 0.0) -> Pose:
-        """goal_from_now of a goal of the slot, turned about the free axis by `turn` (...,) [rad]."""
-        return goal_motion(self.world_from_part, self.world_from_kit, goal_pose(self.slot, goal, turn))
+    def motion(self, goal: int = 0, angle: float | np.ndarray = 0.0) -> Pose:
+        """goal_from_now (...,) of a goal of the slot, rotated about the free axis by `angle` (...,) [rad]."""
+        return goal_motion(self.world_from_part, self.world_from_kit, goal_pose(self.slot, goal, angle))
 
 
 @dataclass(frozen=True, eq=False)
 class GuessDraw:
-    """What is drawn of a guess: a goal, and an error about it."""
+    """The random draws of a guess: a goal, and the guess's error."""
 
     goal: int
     """Index among the goals of the slot."""
     angle: float
-    """[rad] of that goal about the free axis; 0 where there is none."""
+    """[rad] rotation of that goal about the free axis; 0 without one."""
     offset: np.ndarray
-    """(3,) [m] along world axes."""
+    """(3,) [m] position error, along world axes."""
     rotvec: np.ndarray
-    """(3,) [rad] along world axes."""
+    """(3,) [rad] rotation error, along world axes."""
 
     @property
     def row(self) -> Row:
-        """As the truth records it."""
+        """The row of the ground truth."""
         offset, rotvec = self.offset.tolist(), self.rotvec.tolist()
         return {"goal": self.goal, "turn": self.angle, "offset": offset, "rotvec": rotvec}
 
@@ -82,33 +82,34 @@ def scene_queries(
     views: Mapping[str, View],
     labels: np.ndarray,
     parts: Sequence[PartInScene],
-    drawn: int,
+    target: int,
     curves: bool,
 ) -> tuple[list[Row], dict[str, Row]]:
-    """The queries of a scene and, by query id, the truth about them: rows as `kit1000.dataset.schema` has them.
+    """The queries of a scene and, by query id, their ground truth: rows as in `kit1000.dataset.schema`.
 
     Args:
-        scene_id: such as test-s0007, of this split.
-        seed: of the dataset.
-        views: by sensor; a sensor that is not there is not asked about.
+        scene_id: such as test-s0007.
+        split: the split of the scene.
+        seed: the seed of the dataset.
+        views: depth images by sensor; tracks of other sensors get no queries.
         labels: (H, W) uint8 masks, see `kit1000.values.LabelledDepth`.
-        parts: those of the scene.
-        drawn: index of the target that was drawn for the scene.
-        curves: whether the drawn target is asked about at every level of error too.
+        parts: the parts of the scene.
+        target: index of the scene's target.
+        curves: whether the target also gets the queries of the curves, one for each level of guess error.
     """
     if curves and split != "test":
         raise InputError(f"curves: expected a scene of the test split, got {scene_id} of {split}")
     rows: list[Row] = []
     truths: dict[str, Row] = {}
-    seen = [part for part in parts if part.rejection is None]
+    visible = [part for part in parts if part.invisibility is None]
     pivots = {sensor: part_pivots(view, labels) for sensor, view in views.items()}
     for name, track in TRACKS.items():
-        queries = list(_track_queries(scene_id, seed, name, seen, pivots.get(track.sensor, {})))
-        target = _target(seed, scene_id, track.stream, [query.part.index for query in queries], drawn)
+        queries = list(_track_queries(scene_id, seed, name, visible, pivots.get(track.sensor, {})))
+        drawn = _drawn_part(seed, scene_id, track.stream, [query.part.index for query in queries], target)
         for query in queries:
-            rows.append(query.row(query.part.index == target))
+            rows.append(query.row(query.part.index == drawn))
             truths[query.id] = query.truth
-    for query in _curve_queries(scene_id, seed, seen, pivots["ideal"], drawn) if curves else ():
+    for query in _curve_queries(scene_id, seed, visible, pivots["ideal"], target) if curves else ():
         rows.append(query.row(True))
         truths[query.id] = query.truth
     return rows, truths
@@ -116,7 +117,7 @@ def scene_queries(
 
 @dataclass(frozen=True, eq=False)
 class _QueryAndTruth:
-    """A query with what is true of it."""
+    """A query with its ground truth."""
 
     id: str
     track: str
@@ -124,13 +125,13 @@ class _QueryAndTruth:
     part: PartInScene
     pivot: np.ndarray
     goal: Pose
-    """The goal that the guess is drawn around; the design pose where nobody guesses."""
+    """goal_from_now of the goal that the guess is drawn around; of the design pose in tracks without a guess."""
     draw: GuessDraw | None
 
     def row(self, drawn: bool) -> Row:
         guess = self.draw and pose_row(apply_error(self.goal, self.pivot, self.draw.offset, self.draw.rotvec))
-        told = {"id": self.id, "track": self.track, "sensor": self.sensor, "part": self.part.index}
-        return told | {"drawn": drawn, "pivot": self.pivot.tolist(), "guess": guess}
+        row = {"id": self.id, "track": self.track, "sensor": self.sensor, "part": self.part.index}
+        return row | {"drawn": drawn, "pivot": self.pivot.tolist(), "guess": guess}
 
     @property
     def truth(self) -> Row:
@@ -146,44 +147,48 @@ def _upright(part: PartInScene) -> bool:
 
 
 def _nearly_level(part: PartInScene) -> bool:
-    """Lying upright, and some goal needs no more roll and pitch than the paper's candidates have."""
+    """Whether the part is upright and some goal needs no more roll and pitch than the paper's candidates have."""
     angles = np.arange(0, 2 * np.pi, ANGLE_STEP) if part.slot.free_axis is not None else 0.0
     goals = range(len(part.slot.goals))
-    return _upright(part) and any(bool(np.any(_largest_roll_or_pitch(part.motion(i, angles)) <= PAPER_TILT)) for i in goals)
+    return _upright(part) and any(
+        bool(np.any(_largest_roll_or_pitch(part.motion(i, angles)) <= PAPER_TILT)) for i in goals
+    )
 
 
 _ELIGIBLE = {"all": _all, "upright": _upright, "upright with a nearly level goal": _nearly_level}
 
 
 def eligible(track: Track, part: PartInScene) -> bool:
-    """Whether a track asks about a part that is well visible."""
+    """Whether a track has queries about such a part, if it is visible."""
     return _ELIGIBLE[track.parts](part)
 
 
 def _track_queries(
     scene_id: str, seed: int, name: str, parts: Sequence[PartInScene], pivots: Mapping[int, np.ndarray]
 ) -> Iterator[_QueryAndTruth]:
-    """What a track asks about the parts that are seen, where its sensor has a return from them."""
+    """The queries of a track about the visible parts from which its sensor has a return."""
     track = TRACKS[name]
     for part in parts:
         if part.index in pivots and eligible(track, part):
             draw = _draw_guess(scene_id, seed, part, track)
             goal = part.motion() if draw is None else part.motion(draw.goal, draw.angle)
-            yield _QueryAndTruth(query_id(scene_id, part.index, name), name, track.sensor, part, pivots[part.index], goal, draw)
+            yield _QueryAndTruth(
+                query_id(scene_id, part.index, name), name, track.sensor, part, pivots[part.index], goal, draw
+            )
 
 
 def _curve_queries(
-    scene_id: str, seed: int, parts: Sequence[PartInScene], pivots: Mapping[int, np.ndarray], drawn: int
+    scene_id: str, seed: int, parts: Sequence[PartInScene], pivots: Mapping[int, np.ndarray], target: int
 ) -> Iterator[_QueryAndTruth]:
-    """The drawn target's snap query, its goal missed by every level along one direction and about one axis."""
-    for snap in _track_queries(scene_id, seed, "snap", [part for part in parts if part.index == drawn], pivots):
+    """The target's snap query with every level of guess error, along one direction and about one axis."""
+    for snap in _track_queries(scene_id, seed, "snap", [part for part in parts if part.index == target], pivots):
         assert snap.draw is not None
-        rng = stream(seed, "query", scene_id, drawn, CURVES)
+        rng = stream(seed, "query", scene_id, target, CURVES)
         direction, axis = draw_direction(rng), draw_direction(rng)
-        for runs, level, fixed in product(("pos", "rot"), range(LEVELS), FIXED_LEVELS):
-            k, j = (level, fixed) if runs == "pos" else (fixed, level)
+        for varied, level, fixed in product(("pos", "rot"), range(LEVELS), FIXED_LEVELS):
+            k, j = (level, fixed) if varied == "pos" else (fixed, level)
             draw = replace(snap.draw, offset=level_offset(k) * direction, rotvec=level_angle(j) * axis)
-            yield replace(snap, id=curve_id(scene_id, drawn, runs, level, fixed), track=CURVES, draw=draw)
+            yield replace(snap, id=curve_id(scene_id, target, varied, level, fixed), track=CURVES, draw=draw)
 
 
 def _draw_guess(scene_id: str, seed: int, part: PartInScene, track: Track) -> GuessDraw | None:
@@ -193,14 +198,15 @@ def _draw_guess(scene_id: str, seed: int, part: PartInScene, track: Track) -> Gu
     return GuessDraw(*draw_goal(rng, part.slot), *GUESS_ERRORS[track.guess](rng))
 
 
-def _target(seed: int, scene_id: str, draws: str, indices: list[int], drawn: int) -> int | None:
-    """The target drawn for the scene if it is asked about, else the part whose own stream gives the least number."""
-    if drawn in indices:
-        return drawn
+def _drawn_part(seed: int, scene_id: str, draws: str, indices: list[int], target: int) -> int | None:
+    """The part whose query stands for the scene in split `test`: the scene's target if it has a query in the track,
+    else the part whose own stream gives the smallest number; None without queries."""
+    if target in indices:
+        return target
     return min(indices, key=lambda i: stream(seed, "query", scene_id, i, draws, "drawn").random(), default=None)
 
 
 def _largest_roll_or_pitch(goal_from_now: Pose) -> np.ndarray:
-    """(...,) [rad] the larger of |roll| and |pitch|: the turn is by roll about x, pitch about y, then yaw about z."""
+    """The larger of |roll| and |pitch| (...,) [rad]; the rotation is roll about x, then pitch about y, yaw about z."""
     x, y, z = np.moveaxis(goal_from_now.rotation_matrix()[..., 2, :], -1, 0)
     return np.maximum(np.abs(np.arctan2(y, z)), np.abs(np.arctan2(-x, np.hypot(y, z))))

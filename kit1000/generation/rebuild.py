@@ -1,8 +1,8 @@
-"""A scene built again from the plan alone, and what differs from the one on disk.
+"""A scene generated again from the plan alone, compared with the one on disk.
 
-Another processor may differ in last bits, so the two are compared within bounds: depths within 0.1 mm on 99.9 % of
-pixels, poses within 10 micrometres. Pivots are rounded to 0.1 mm, where a last bit may make a whole step: they and the
-guesses, which turn about them, are compared within two steps.
+Another processor may give other last bits, so values are compared within tolerances: depths within 0.1 mm on 99.9 % of
+pixels, poses within 10 micrometres. Pivots are rounded to 0.1 mm, so a last bit may shift them by a whole step: they
+and the guesses, which rotate about them, are compared within two steps.
 """
 
 from __future__ import annotations
@@ -30,79 +30,87 @@ from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Part
 
 DEPTH_TOLERANCE = 1e-4  # [m]
-MATCHING_PIXELS = 0.999  # share of them
-POSE_TOLERANCE = 1e-5  # [m], and as much in a quaternion's entries
-TOLERANCES = {"pivot": 2e-4, "guess": 2e-4, "pixels": 10, "visible": 1e-3, "slot_visible": 1e-3}  # where others
-SIZE_TOLERANCE = 1e-5  # [m] of a mesh's extents
+MATCHING_PIXELS = 0.999  # smallest share of the pixels that agree
+POSE_TOLERANCE = 1e-5  # [m], and the same number for a quaternion's entries
+TOLERANCES = {
+    "pivot": 2e-4,
+    "guess": 2e-4,
+    "pixels": 10,
+    "visible": 1e-3,
+    "slot_visible": 1e-3,
+}  # by key, where not POSE_TOLERANCE
+SIZE_TOLERANCE = 1e-5  # [m] of a mesh's bounds
 
 
 def scene_differences(geometry: Geometry, plan: dict[str, Any], scene_id: str) -> list[str]:
-    """What differs between a scene on disk and the same scene built from the plan, one line each."""
+    """The differences between a scene on disk and the same scene generated from the plan, one line each."""
     preset, row = preset_of(plan["preset"], plan["config"]), plan["scenes"][scene_id]
-    faults: list[str] = []
+    differences: list[str] = []
     try:
         stored = geometry.assembly(row["assembly"])
-        pairs = {m.kit.id: _rebuild_part_and_kit(geometry, plan, preset, m.kit.id, faults) for m in stored.mounts}
+        pairs = {m.kit.id: _rebuild_part_and_kit(geometry, plan, preset, m.kit.id, differences) for m in stored.mounts}
         assembly = _rebuild_assembly(
-            geometry, plan, preset, stored, [pairs[m.kit.id][1] for m in stored.mounts], faults
+            geometry, plan, preset, stored, [pairs[m.kit.id][1] for m in stored.mounts], differences
         )
         parts = {part.id: part for part, _ in pairs.values()}
-        made = make_scene(preset, plan["seed"], row["split"], assembly, parts, row["split"] in SPLITS_WITH_EXTRA_VIEWS)
-        shard = next(name for name, held in geometry.summary["shards"].items() if scene_id in held)
-        path = geometry.root / shard.removesuffix(OBSERVATIONS)
-        faults += observation_differences(
-            made.observation, ObservationFile(f"{path}{OBSERVATIONS}").observation(scene_id)
+        rebuilt = make_scene(
+            preset, plan["seed"], row["split"], assembly, parts, row["split"] in SPLITS_WITH_EXTRA_VIEWS
         )
-        faults += truth_differences(made.truth, TruthFile(f"{path}{TRUTH}").truth(scene_id))
-        if made.extra_views is not None:
-            faults += observation_differences(
-                made.extra_views, ObservationFile(f"{path}{EXTRA_VIEWS}").observation(scene_id)
+        shard = next(name for name, scene_ids in geometry.summary["shards"].items() if scene_id in scene_ids)
+        path = geometry.root / shard.removesuffix(OBSERVATIONS)
+        differences += observation_differences(
+            rebuilt.observation, ObservationFile(f"{path}{OBSERVATIONS}").observation(scene_id)
+        )
+        differences += truth_differences(rebuilt.truth, TruthFile(f"{path}{TRUTH}").truth(scene_id))
+        if rebuilt.extra_views is not None:
+            differences += observation_differences(
+                rebuilt.extra_views, ObservationFile(f"{path}{EXTRA_VIEWS}").observation(scene_id)
             )
     except Kit1000Error as error:
-        faults.append(f"cannot be built again ({error})")
-    return faults
+        differences.append(f"cannot be built again ({error})")
+    return differences
 
 
-def observation_differences(made: Observation, stored: Observation) -> list[str]:
-    """What differs between two records of what was seen."""
-    faults = []
-    if set(made.views) != set(stored.views):
-        return [f"views {sorted(stored.views)}, expected {sorted(made.views)}"]
-    for key, view in made.views.items():
+def observation_differences(rebuilt: Observation, stored: Observation) -> list[str]:
+    """The differences between two observations of a scene, one line each."""
+    differences = []
+    if set(rebuilt.views) != set(stored.views):
+        return [f"views {sorted(stored.views)}, expected {sorted(rebuilt.views)}"]
+    for key, view in rebuilt.views.items():
         other = stored.views[key]
         if view.camera != other.camera:
-            faults.append(f"{key}: another camera")
+            differences.append(f"{key}: another camera")
         elif not _images_match(view.depth, other.depth, DEPTH_TOLERANCE):
-            faults.append(f"{key}: depths differ")
+            differences.append(f"{key}: depths differ")
         if not _poses_match(view.world_from_camera, other.world_from_camera):
-            faults.append(f"{key}: another camera pose")
-    if not _images_match(made.labels, stored.labels):
-        faults.append("masks differ")
-    return faults + _row_differences(
-        "query", {row["id"]: row for row in made.queries}, {r["id"]: r for r in stored.queries}
+            differences.append(f"{key}: another camera pose")
+    if not _images_match(rebuilt.labels, stored.labels):
+        differences.append("masks differ")
+    return differences + _row_differences(
+        "query", {row["id"]: row for row in rebuilt.queries}, {r["id"]: r for r in stored.queries}
     )
 
 
-def truth_differences(made: SceneTruth, stored: SceneTruth) -> list[str]:
-    """What differs between two truths; models are copies of the meshes for viewers, their names are compared."""
-    faults = [] if made.assembly_id == stored.assembly_id else [f"assembly {stored.assembly_id}"]
-    if not _poses_match(made.world_from_assembly, stored.world_from_assembly):
-        faults.append("the assembly stands elsewhere")
-    faults += _row_differences("part", dict(enumerate(made.parts)), dict(enumerate(stored.parts)))
-    faults += _row_differences("truth of", made.queries, stored.queries)
-    if not _images_match(made.seg, stored.seg):
-        faults.append("segmentation differs")
-    if set(made.models) != set(stored.models):
-        faults.append("other models")
-    if not _poses_match(made.goals, stored.goals):
-        faults.append("goals differ")
-    return faults
+def truth_differences(rebuilt: SceneTruth, stored: SceneTruth) -> list[str]:
+    """The differences between two ground truths of a scene, one line each; of the models only names are compared."""
+    differences = [] if rebuilt.assembly_id == stored.assembly_id else [f"assembly {stored.assembly_id}"]
+    if not _poses_match(rebuilt.world_from_assembly, stored.world_from_assembly):
+        differences.append("another pose of the assembly")
+    differences += _row_differences("part", dict(enumerate(rebuilt.parts)), dict(enumerate(stored.parts)))
+    differences += _row_differences("truth of", rebuilt.queries, stored.queries)
+    if not _images_match(rebuilt.seg, stored.seg):
+        differences.append("segmentation differs")
+    if set(rebuilt.models) != set(stored.models):
+        differences.append("other models")
+    if not _poses_match(rebuilt.goals, stored.goals):
+        differences.append("goals differ")
+    return differences
 
 
 def _rebuild_part_and_kit(
-    geometry: Geometry, plan: dict[str, Any], preset: Preset, part_id: str, faults: list[str]
+    geometry: Geometry, plan: dict[str, Any], preset: Preset, part_id: str, differences: list[str]
 ) -> tuple[Part, Kit]:
-    """A part and its kit drawn anew; as stored where the part came from a file."""
+    """A part and its kit, generated again; as stored where the part is from a mesh file."""
     stored = geometry.part(part_id), geometry.kit(part_id)
     if "unit" in plan:
         return stored
@@ -114,50 +122,50 @@ def _rebuild_part_and_kit(
         )
         part, kit = read_part_and_kit(root, part_id)
     if record["redraws"] != row["redraws"]:
-        faults.append(f"part {part_id}: drawn again more often than before")
-    faults += _row_differences("part", {part_id: part_row(part)}, {part_id: part_row(stored[0])})
-    faults += _row_differences("kit", {part_id: kit_row(kit)}, {part_id: kit_row(stored[1])})
-    faults += _mesh_differences(f"part {part_id}", part.mesh, stored[0].mesh)
-    faults += _mesh_differences(f"kit {part_id}", kit.mesh, stored[1].mesh)
+        differences.append(f"part {part_id}: more redraws than before")
+    differences += _row_differences("part", {part_id: part_row(part)}, {part_id: part_row(stored[0])})
+    differences += _row_differences("kit", {part_id: kit_row(kit)}, {part_id: kit_row(stored[1])})
+    differences += _mesh_differences(f"part {part_id}", part.mesh, stored[0].mesh)
+    differences += _mesh_differences(f"kit {part_id}", kit.mesh, stored[1].mesh)
     return part, kit
 
 
 def _rebuild_assembly(
-    geometry: Geometry, plan: dict[str, Any], preset: Preset, stored: Assembly, kits: list[Kit], faults: list[str]
+    geometry: Geometry, plan: dict[str, Any], preset: Preset, stored: Assembly, kits: list[Kit], differences: list[str]
 ) -> Assembly:
-    """The assembly placed anew, at the attempt that passed."""
+    """The assembly, generated again at the attempt that passed."""
     attempt = geometry.assemblies[stored.id]["attempt"]
     draw = draw_assembly_of(preset, plan["seed"], stored.id, len(kits), attempt)
     assembly = build_assembly(stored.id, kits, draw.placement)
-    faults += _row_differences("assembly", {stored.id: assembly_row(assembly)}, {stored.id: assembly_row(stored)})
-    faults += _mesh_differences(f"assembly {stored.id}", assembly.mesh, stored.mesh)
+    differences += _row_differences("assembly", {stored.id: assembly_row(assembly)}, {stored.id: assembly_row(stored)})
+    differences += _mesh_differences(f"assembly {stored.id}", assembly.mesh, stored.mesh)
     return assembly
 
 
-def _mesh_differences(what: str, made: Mesh, stored: Mesh) -> list[str]:
-    apart = float(np.abs(made.bounds - stored.bounds).max())
+def _mesh_differences(what: str, rebuilt: Mesh, stored: Mesh) -> list[str]:
+    apart = float(np.abs(rebuilt.bounds - stored.bounds).max())
     if apart > SIZE_TOLERANCE:
         return [f"{what}: bounds differ by {apart * 1e3:.3f} mm"]
-    if abs(made.volume - stored.volume) > SIZE_TOLERANCE * made.area:
+    if abs(rebuilt.volume - stored.volume) > SIZE_TOLERANCE * rebuilt.area:
         return [f"{what}: volumes differ"]
     return []
 
 
-def _row_differences(what: str, made: Any, stored: Any) -> list[str]:
-    """What differs between rows by key."""
-    if set(made) != set(stored):
-        odd = sorted(map(str, set(made) ^ set(stored)))
-        return [f"{what} {', '.join(odd[:3])}: in one and not in the other"]
-    return [f"{what} {key}: differs" for key in made if not rows_match(made[key], stored[key])]
+def _row_differences(what: str, rebuilt: Any, stored: Any) -> list[str]:
+    """The differences between two sets of rows by key."""
+    if set(rebuilt) != set(stored):
+        unmatched = sorted(map(str, set(rebuilt) ^ set(stored)))
+        return [f"{what} {', '.join(unmatched[:3])}: only in one of the two"]
+    return [f"{what} {key}: differs" for key in rebuilt if not rows_match(rebuilt[key], stored[key])]
 
 
 def rows_match(a: Row, b: Row) -> bool:
-    """Equal rows, numbers within their tolerances."""
+    """Whether two rows are equal, numbers within their tolerances."""
     return set(a) == set(b) and all(_values_match(a[key], b[key], TOLERANCES.get(key, POSE_TOLERANCE)) for key in a)
 
 
 def _values_match(a: Any, b: Any, tolerance: float) -> bool:
-    """Equal JSON values, numbers within a tolerance."""
+    """Whether two JSON values are equal, numbers within a tolerance."""
     if isinstance(a, dict) and isinstance(b, dict):
         return set(a) == set(b) and all(_values_match(a[key], b[key], tolerance) for key in a)
     if isinstance(a, list | tuple) and isinstance(b, list | tuple):
@@ -168,7 +176,7 @@ def _values_match(a: Any, b: Any, tolerance: float) -> bool:
 
 
 def _images_match(a: np.ndarray | None, b: np.ndarray | None, tolerance: float = 0.0) -> bool:
-    """Whether nearly all pixels of two images (H, W) differ by no more than a tolerance."""
+    """Whether MATCHING_PIXELS of the pixels of two images (H, W) differ by no more than a tolerance."""
     if a is None or b is None:
         return a is b
     return a.shape == b.shape and float(np.mean(np.abs(a.astype(float) - b) <= tolerance)) >= MATCHING_PIXELS

@@ -1,7 +1,7 @@
-"""A shard: some scenes of a split made one after another and recorded in MCAP, observations and truth apart.
+"""The job that makes a shard: up to 25 scenes of a split, recorded in MCAP, observations and ground truth apart.
 
-The shard is the unit of work, of download and of resumption; its record says which scenes it holds, what was drawn
-again and why, and the figures of the data card.
+The shard is the unit of work, of download and of resumption. Its record lists its scenes, the reasons of the redraws,
+and the statistics for the data card.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from kit1000.generation.plan import scene_id_of
 from kit1000.generation.presets import Preset
 from kit1000.generation.scenes import make_scene
 
-OBSERVATIONS, TRUTH, EXTRA_VIEWS = ".mcap", ".truth.mcap", ".three.mcap"  # endings of the files of a shard
+OBSERVATIONS, TRUTH, EXTRA_VIEWS = ".mcap", ".truth.mcap", ".three.mcap"  # file name endings
 SPLITS_WITH_EXTRA_VIEWS = ("test",)  # splits that store the camera set `three`
 
 
 @dataclass(frozen=True)
 class ShardJob:
-    """Scenes to be made and recorded together."""
+    """The arguments of a job: scenes to make and record together."""
 
     root: Path
     preset: Preset
@@ -37,11 +37,11 @@ class ShardJob:
     split: str
     number: int
     assemblies: tuple[str, ...]
-    """The assemblies of its scenes, in order."""
+    """Ids of the assemblies of its scenes, in order."""
 
     @property
     def id(self) -> str:
-        """Where it stands in the dataset, without the ending."""
+        """The path in the dataset without the ending, such as test/0000."""
         return f"{self.split}/{self.number:04d}"
 
     def __str__(self) -> str:
@@ -51,7 +51,16 @@ class ShardJob:
 def shard_jobs(
     root: Path, preset: Preset, seed: int, split: str, planned: list[str], usable: set[str]
 ) -> list[ShardJob]:
-    """The shards of a split. What a shard holds depends on the plan alone, less what could not be made."""
+    """The shards of a split. The plan alone decides which scenes share a shard; unusable assemblies are left out.
+
+    Args:
+        root: folder of the dataset.
+        preset: its configuration.
+        seed: its seed.
+        split: train, val or test.
+        planned: ids of all planned assemblies of the split, in order.
+        usable: ids of the assemblies that were made.
+    """
     jobs = []
     for first in range(0, len(planned), SCENES_PER_SHARD):
         chosen = tuple(i for i in planned[first : first + SCENES_PER_SHARD] if i in usable)
@@ -61,21 +70,21 @@ def shard_jobs(
 
 
 def make_shard(job: ShardJob) -> Record:
-    """Do the job, or find it done, and return its record."""
+    """Do the job unless its record exists; returns the record."""
     done = finished_record(job.root, "shards", job.id)
     if done is not None:
         return done
     redraws: Counter[str] = Counter()
     refused: dict[str, str] = {}
-    figures: list[dict[str, Any]] = []
-    held: list[str] = []
+    per_scene: list[dict[str, Any]] = []
+    scene_ids: list[str] = []
     with ExitStack() as stack:
         files = {ending: stack.enter_context(kind(job.root / f"{job.id}{ending}")) for ending, kind in _writers(job)}
         for assembly_id in job.assemblies:
             assembly, parts = read_assembly(job.root, assembly_id)
             try:
                 scene = make_scene(job.preset, job.seed, job.split, assembly, parts, EXTRA_VIEWS in files)
-            except Redraw as refusal:  # no layout shows its target: the scene is missing, the rest is not
+            except Redraw as refusal:  # no layout shows its target: this scene is missing, the others are made
                 refused[scene_id_of(assembly_id)] = refusal.reason
                 continue
             redraws.update(scene.redraws)
@@ -86,8 +95,8 @@ def make_shard(job: ShardJob) -> Record:
             ):
                 if value is not None:
                     files[ending].add(value)
-            figures.append(scene_statistics([scene.truth]))
-            held.append(scene.truth.scene_id)
+            per_scene.append(scene_statistics([scene.truth]))
+            scene_ids.append(scene.truth.scene_id)
     return save_record(
         job.root,
         "shards",
@@ -96,15 +105,15 @@ def make_shard(job: ShardJob) -> Record:
             "id": job.id,
             "split": job.split,
             "files": {f"{job.id}{ending}": file.sha256 for ending, file in files.items() if file.sha256 is not None},
-            "scenes": held,
+            "scenes": scene_ids,
             "redraws": dict(redraws),
             "refused": refused,
-            "statistics": add_up(figures),
+            "statistics": add_up(per_scene),
         },
     )
 
 
 def _writers(job: ShardJob) -> list[tuple[str, Callable[[Path], Any]]]:
-    """The files of a shard: their endings and who writes them."""
+    """The endings of a shard's files, and the class that writes each."""
     extra_views = [(EXTRA_VIEWS, ObservationWriter)] if job.split in SPLITS_WITH_EXTRA_VIEWS else []
     return [(OBSERVATIONS, ObservationWriter), (TRUTH, TruthWriter), *extra_views]

@@ -1,4 +1,4 @@
-"""What a finished dataset says of itself: its tables, `dataset.json`, the data card and the Croissant description."""
+"""The files that describe a finished dataset: tables, `dataset.json`, the data card and the Croissant description."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ class JobRecords:
 
     @property
     def accepted_parts(self) -> list[Record]:
-        """Records of the pairs that came to be."""
+        """Records of the parts and kits that were not refused."""
         return [record for record in self.parts.values() if "refused" not in record]
 
     @property
     def files(self) -> dict[str, str]:
-        """Hashes of all files that jobs wrote, by name."""
+        """SHA-256 of all files that jobs wrote, by name."""
         records = [*self.accepted_parts, *self.assemblies.values(), *self.shards.values()]
         return {name: digest for record in records for name, digest in record["files"].items()}
 
 
 def tables(plan: Mapping[str, Any], records: JobRecords) -> dict[str, dict[str, Row]]:
-    """The rows of parts, kits and assemblies."""
-    kept = {part_id: records.parts[part_id] for part_id in plan["parts"] if "refused" not in records.parts[part_id]}
+    """Rows by id of the tables `parts`, `kits` and `assemblies`."""
+    accepted = {part_id: records.parts[part_id] for part_id in plan["parts"] if "refused" not in records.parts[part_id]}
     common = ("split", "source", "redraws", "measures")
     return {
-        "parts": {i: r["part"] | {key: r[key] for key in common if key in r} for i, r in kept.items()},
-        "kits": {i: r["kit"] | {"split": r["split"]} for i, r in kept.items()},
+        "parts": {i: r["part"] | {key: r[key] for key in common if key in r} for i, r in accepted.items()},
+        "kits": {i: r["kit"] | {"split": r["split"]} for i, r in accepted.items()},
         "assemblies": {
             i: r["assembly"] | {key: r[key] for key in ("split", "target", "redraws")}
             for i, r in records.assemblies.items()
@@ -54,7 +54,10 @@ def tables(plan: Mapping[str, Any], records: JobRecords) -> dict[str, dict[str, 
 
 
 def make_summary(plan: dict[str, Any], records: JobRecords, written: Mapping[str, str]) -> dict[str, Any]:
-    """The contents of `dataset.json` but for the card and the Croissant file; `written` are hashes of further files."""
+    """The contents of `dataset.json`, without the hashes of the data card and of the Croissant file.
+
+    `written`: SHA-256 by name of files that no job wrote, such as the tables.
+    """
     return {
         "format": FORMAT,
         "data_version": DATA_VERSION,
@@ -81,18 +84,18 @@ def make_summary(plan: dict[str, Any], records: JobRecords, written: Mapping[str
 
 
 def description_files(summary: dict[str, Any]) -> dict[str, bytes]:
-    """The files that tell people and tools about the dataset, by name."""
+    """The data card and the Croissant description, as bytes by file name."""
     return {"README.md": card_bytes(summary), "croissant.json": croissant_bytes(summary)}
 
 
 def summary_bytes(summary: Mapping[str, Any]) -> bytes:
-    """`dataset.json` with a checksum of itself, so that a change of any byte of it is found."""
+    """The bytes of `dataset.json`, with a checksum of its other entries."""
     plain = {key: value for key, value in summary.items() if key != "checksum"}
     return json_bytes(plain | {"checksum": hashlib.sha256(json_bytes(plain)).hexdigest()})
 
 
 def refused_files(plan: Mapping[str, Any], records: Mapping[str, Record]) -> dict[str, str]:
-    """Why files became no part, by name."""
+    """The reasons for which mesh files were refused, by file name."""
     dealt = {part_id: row.get("sources", []) for part_id, row in plan["parts"].items()}
     return {
         name: reason
@@ -114,14 +117,14 @@ def _counts(records: JobRecords, split: str) -> dict[str, int]:
 
 
 def _statistics(records: JobRecords, split: str) -> dict[str, Any]:
-    """The figures of the data card: of the scenes, and of the parts and their kits."""
+    """The statistics of a split for the data card: of the scenes, and of the parts and their kits."""
     parts = [record for record in records.accepted_parts if record["split"] == split]
     of_pairs = part_statistics([record["part"] for record in parts], [record["kit"] for record in parts])
     return add_up([*(record["statistics"] for record in _of_split(records.shards, split)), of_pairs])
 
 
 def _count_reasons(redraws: Iterable[Iterable[str] | Mapping[str, int]]) -> dict[str, int]:
-    """How often each reason was given; a job gives a list of them, or their counts."""
+    """Number of redraws by reason; each record has a list of reasons, or their counts."""
     total: Counter[str] = Counter()
     for reasons in redraws:
         total.update(reasons)

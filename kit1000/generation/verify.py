@@ -1,4 +1,4 @@
-"""Is a dataset what it says it is? Every file against its hash, and a sample of scenes built again from the plan."""
+"""Verification of a dataset: every file against its hash, and a sample of scenes generated again from the plan."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import Any
 from tqdm import tqdm
 
 from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.reader import WITHHELD_FILE
 from kit1000.errors import InputError
 from kit1000.files import read_json, sha256
 from kit1000.generation.plan import DATA_VERSION, dataset_id
 from kit1000.generation.rebuild import scene_differences
 from kit1000.generation.summary import summary_bytes
-from kit1000.generation.withhold import SECRET_FILE, secret_fault
+from kit1000.generation.withhold import secret_fault
 from kit1000.rng import stream
 
 INDEX, PLAN = "dataset.json", "plan.json"
@@ -22,20 +23,20 @@ INDEX, PLAN = "dataset.json", "plan.json"
 
 @dataclass(frozen=True)
 class VerifyReport:
-    """What `verify` found."""
+    """The results of `verify`."""
 
     files: int
-    """Files whose hash was checked."""
+    """Number of files whose hash was checked."""
     rebuilt: tuple[str, ...]
-    """Scenes that were built again."""
+    """Ids of the scenes that were generated again."""
     faults: tuple[str, ...]
-    """One line each; none when all is well."""
+    """One line for each fault; empty for an intact dataset."""
     notes: tuple[str, ...] = ()
     """What could not be checked, and why."""
 
 
 def verify(root: Path, sample: int = 0) -> VerifyReport:
-    """Check all files of a dataset and build `sample` of its scenes again. Raises InputError when it is no dataset."""
+    """Check all files of a dataset, and generate `sample` of its scenes again. Raises InputError for another folder."""
     geometry = Geometry(root)
     summary = geometry.summary
     if not _checksum_holds(root, summary):
@@ -45,63 +46,63 @@ def verify(root: Path, sample: int = 0) -> VerifyReport:
     count, faults = len(summary["files"]), _file_faults(root, summary)
     if sample == 0:
         return VerifyReport(count, (), tuple(faults))
-    why = _why_not_rebuilt(root, summary, faults)
-    if why is not None:
-        return VerifyReport(count, (), tuple(faults), (why,))
+    reason = _why_not_rebuilt(root, summary, faults)
+    if reason is not None:
+        return VerifyReport(count, (), tuple(faults), (reason,))
     plan, scenes = read_json(root / PLAN), _sample_scenes(summary, sample)
-    for scene_id in tqdm(scenes, desc="building scenes again", unit="", disable=None):
-        faults += [f"{scene_id}: {said}" for said in scene_differences(geometry, plan, scene_id)]
-    notes = ("parts come from files: they are taken as stored",) if "unit" in plan else ()
+    for scene_id in tqdm(scenes, desc="generating scenes again", unit="", disable=None):
+        faults += [f"{scene_id}: {difference}" for difference in scene_differences(geometry, plan, scene_id)]
+    notes = ("parts are from mesh files: stored parts are used",) if "unit" in plan else ()
     return VerifyReport(count, tuple(scenes), tuple(faults), notes)
 
 
 def _why_not_rebuilt(root: Path, summary: dict[str, Any], faults: list[str]) -> str | None:
-    """Why no scene can be built again; None when it can."""
+    """Why no scene can be generated again; None when it can."""
     if not (root / PLAN).is_file():
-        return "the plan is withheld: scenes can be built again from the whole dataset alone"
+        return "the plan is withheld: scenes can be generated again only from the full dataset"
     if faults:
-        return "nothing built again: files are damaged"
+        return "no scene generated again: files are damaged"
     if summary["data_version"] != DATA_VERSION:
-        return f"nothing built again: made as data version {summary['data_version']}, this kit1000 makes {DATA_VERSION}"
+        return f"no scene generated again: data version {summary['data_version']}, this kit1000 makes {DATA_VERSION}"
     return None
 
 
 def _checksum_holds(root: Path, summary: dict[str, Any]) -> bool:
     try:
         return (root / INDEX).read_bytes() == summary_bytes(summary)
-    except ValueError:  # an infinite number: a changed digit may make one
+    except ValueError:  # an infinite number, as a changed digit can make
         return False
 
 
 def _file_faults(root: Path, summary: dict[str, Any]) -> list[str]:
-    """Files that changed, are missing, or are none of this dataset; what is hidden is of no account."""
+    """Files that are changed, missing, or not listed; hidden files are ignored."""
     faults = []
     for name, digest in tqdm(sorted(summary["files"].items()), desc="files", unit="", disable=None):
         found = sha256(root / name)
         if found != digest:
             faults.append(f"{name}: {'missing or unreadable' if found is None else 'changed since it was written'}")
-    whole = PLAN in summary["files"]
-    listed = {INDEX, *summary["files"], *([SECRET_FILE] if whole else [])}
+    full = PLAN in summary["files"]  # not the public part of a withheld dataset
+    listed = {INDEX, *summary["files"], *([WITHHELD_FILE] if full else [])}
     present = (path.relative_to(root) for path in root.rglob("*") if path.is_file())
-    shown = (path.as_posix() for path in present if not any(step.startswith(".") for step in path.parts))
-    faults += [f"{name}: not a file of this dataset" for name in sorted(shown) if name not in listed]
-    if whole and not faults and dataset_id(read_json(root / PLAN)) != summary["dataset_id"]:
+    not_hidden = (path.as_posix() for path in present if not any(step.startswith(".") for step in path.parts))
+    faults += [f"{name}: not a file of this dataset" for name in sorted(not_hidden) if name not in listed]
+    if full and not faults and dataset_id(read_json(root / PLAN)) != summary["dataset_id"]:
         faults.append(f"{PLAN}: of another dataset")
-    if whole and (root / SECRET_FILE).is_file():
+    if full and (root / WITHHELD_FILE).is_file():
         faults += _secret_faults(root, summary)
     return faults
 
 
 def _secret_faults(root: Path, summary: dict[str, Any]) -> list[str]:
     try:
-        fault = secret_fault(summary, read_json(root / SECRET_FILE))
+        fault = secret_fault(summary, read_json(root / WITHHELD_FILE))
     except InputError as error:
         return [str(error)]
-    return [] if fault is None else [f"{SECRET_FILE}: {fault}"]
+    return [] if fault is None else [f"{WITHHELD_FILE}: {fault}"]
 
 
 def _sample_scenes(summary: dict[str, Any], sample: int) -> list[str]:
-    """Scene ids, the same for the same dataset, spread over all splits."""
-    scenes = sorted(scene_id for held in summary["shards"].values() for scene_id in held)
+    """Random scene ids from all splits, always the same for a dataset."""
+    scenes = sorted(scene_id for scene_ids in summary["shards"].values() for scene_id in scene_ids)
     chosen = stream(0, "verify", summary["dataset_id"]).permutation(len(scenes))[:sample]
     return sorted(scenes[i] for i in chosen)

@@ -1,7 +1,7 @@
-"""Recordings: shards of scenes in MCAP, observations in one file and the truth in another, written and read.
+"""Reading and writing recordings: shards of scenes in MCAP, observations in one file and ground truth in another.
 
-A file is written whole or not at all, holds one scene a chunk, and opens in Foxglove and Lichtblick as it is. Readers
-take only what is asked for, and answer damage of any kind with an InputError, never with other numbers.
+A file is written atomically, has one chunk for each scene, and opens in Foxglove and Lichtblick. Readers read only the
+requested messages, and raise InputError for any damage, as every message has a checksum.
 """
 
 from kit1000.dataset.mcap_io.observations import ObservationFile, ObservationWriter

@@ -1,7 +1,7 @@
-"""Values as messages of the Foxglove schemas, and back: cameras, poses, images, models, and rows as JSON.
+"""Conversion of values to messages of the Foxglove schemas, and back: cameras, poses, images, models, JSON rows.
 
-Foreign orders are turned here and nowhere else: quaternions x y z w, matrices row by row, times in seconds and
-nanoseconds. Positions and rotations are float64 in the messages, so a pose comes back to the bit.
+Only this module converts to the conventions of the messages: quaternions xyzw, matrices row by row, times in seconds
+and nanoseconds. Positions and rotations are float64 in the messages, so a pose read back is equal to the bit.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ ENCODINGS = {"32FC1": np.dtype("<f4"), "mono8": np.dtype("u1"), "mono16": np.dty
 
 @dataclass(frozen=True)
 class Schema:
-    """How the messages of a topic are to be read."""
+    """The schema and encoding of the messages of a topic."""
 
     name: str
     encoding: str
@@ -54,7 +54,7 @@ class Message:
 
 @cache
 def _protobuf(kind: type) -> Schema:
-    """The schema of a protobuf class, with all that it builds on."""
+    """The schema of a protobuf class, with all schemas that it depends on."""
     files = build_file_descriptor_set(kind).SerializeToString(deterministic=True)
     return Schema(kind.DESCRIPTOR.full_name, SchemaEncoding.Protobuf, MessageEncoding.Protobuf, files)  # type: ignore[attr-defined]
 
@@ -69,7 +69,7 @@ def _message(topic: str, value: Any) -> Message:
 
 
 def row_message(topic: str, schema: Schema, row: Any, what: str) -> Message:
-    """A row as JSON; `what` opens the message of a refusal."""
+    """A row as JSON; `what` starts the error message."""
     return Message(topic, schema, json_bytes(row, what))
 
 
@@ -100,7 +100,7 @@ def camera_of(data: memoryview) -> Camera:
 
 
 def frames_message(topic: str, world_from_frames: Mapping[str, Pose], stamp: int) -> Message:
-    """Where frames stand in the world."""
+    """Poses `world_from_frame` by the name of the frame."""
     value = FrameTransforms()
     for frame, pose in world_from_frames.items():
         transform = value.transforms.add(parent_frame_id=WORLD, child_frame_id=frame)
@@ -136,9 +136,9 @@ def poses_of(data: memoryview) -> Pose:
 def models_message(
     topic: str, models: Mapping[str, bytes], world_from_bodies: Mapping[str, Pose], stamp: int
 ) -> Message:
-    """GLB models standing in the world, in place of all that stood there before.
+    """GLB models at poses in the world; they replace all earlier ones.
 
-    A GLB is y up, and the viewer turns it to z up, so the pose of a model is that of its body.
+    A GLB is y up, and the viewer rotates it to z up, so the pose of a model is that of its body.
     """
     value = SceneUpdate()
     _set_time(value.deletions.add(type=SceneEntityDeletion.ALL).timestamp, stamp)
@@ -158,7 +158,7 @@ def models_of(data: memoryview) -> dict[str, bytes]:
 
 
 def image_message(topic: str, image: np.ndarray, encoding: str, frame: str, stamp: int) -> Message:
-    """An image (H, W) of the type that the encoding names."""
+    """An image (H, W) of the encoding's type."""
     height, width = image.shape
     rows = np.ascontiguousarray(image, dtype=ENCODINGS[encoding])
     value = RawImage(
@@ -169,8 +169,8 @@ def image_message(topic: str, image: np.ndarray, encoding: str, frame: str, stam
 
 
 def image_of(data: memoryview) -> np.ndarray:
-    """The image (H, W) of a message: no copy but a window on it, read-only, perhaps not aligned."""
-    fields = {name: _wire(data).get(RawImage.DESCRIPTOR.fields_by_name[name].number) for name in
+    """The image (H, W) of a message: a read-only view of its bytes, possibly unaligned."""
+    fields = {name: _protobuf_fields(data).get(RawImage.DESCRIPTOR.fields_by_name[name].number) for name in
               ("width", "height", "encoding", "data")}  # fmt: skip
     dtype = ENCODINGS[str(fields["encoding"], "utf-8")]  # type: ignore[arg-type]
     image = np.frombuffer(fields["data"], dtype).reshape(fields["height"], fields["width"])  # type: ignore[arg-type]
@@ -178,8 +178,8 @@ def image_of(data: memoryview) -> np.ndarray:
     return image
 
 
-def _wire(data: memoryview) -> dict[int, Any]:
-    """The fields of a protobuf message by number, bytes as windows on it: its own parser would copy an image twice."""
+def _protobuf_fields(data: memoryview) -> dict[int, Any]:
+    """The fields of a protobuf message by number, bytes as views: the parser of protobuf would copy an image twice."""
     fields: dict[int, Any] = {}
     at = 0
     while at < len(data):
@@ -198,7 +198,7 @@ def _wire(data: memoryview) -> dict[int, Any]:
 
 
 def _varint(data: memoryview, at: int) -> tuple[int, int]:
-    """A number of seven bits a byte, least first, and where it ends."""
+    """A variable-length integer (seven bits a byte, lowest first), and the offset of its end."""
     value = shift = 0
     while True:
         byte = data[at]

@@ -1,7 +1,7 @@
-"""Recordings of what was seen: cameras, where they are believed to stand, queries, masks and depth images.
+"""Recordings of observations: cameras with their measured poses, queries, masks and depth images.
 
-A view "ideal" or "d415" belongs to the primary camera, "three/0/ideal" to a camera of a further set. Nothing here tells
-which part lies where, or what was drawn.
+A view "ideal" or "d415" is of the primary camera, "three/0/ideal" of a camera of an extra set. These files contain no
+poses of parts and no random draws.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from kit1000.errors import InputError, checked
 from kit1000.pose import Pose
 from kit1000.values import View
 
-IDEAL = "ideal"  # the sensor whose frame is that of the camera itself
+IDEAL = "ideal"  # the sensor whose frame is the true camera frame
 VIEW_KEY = re.compile(r"((?:[a-z0-9]+/)*)([a-z0-9]+)")  # camera, then sensor
 QUERY_FIELDS = ("drawn", "guess", "id", "part", "pivot", "sensor", "track")
 
@@ -68,59 +68,59 @@ _QUERY = json_schema(
 
 
 class ObservationWriter(ShardWriter):
-    """Writes a file of observations when its `with` block ends well."""
+    """Writes a file of observations when its `with` block ends without an exception."""
 
-    HOLDS = "observations"
+    CONTENTS = "observations"
 
     def add(self, observation: Observation) -> None:
-        """Record a scene after those before. Raises InputError when a value does not fit the format."""
+        """Append a scene. Raises InputError when a value does not fit the format."""
         self.record(observation.scene_id, observation_hash(observation), _messages(observation, self.stamp))
 
 
 class ObservationFile(ShardFile):
     """A file of observations. Arrays come read-only."""
 
-    HOLDS = "observations"
+    CONTENTS = "observations"
 
     def queries(self, scene_id: str) -> list[Row]:
-        """What is asked about a scene, as `kit1000.dataset.schema.Observation` has it."""
+        """The query rows of a scene, see `kit1000.dataset.schema.Observation`."""
         return [row_of(data) for data in self._all(scene_id, "/query")]
 
     def view_keys(self, scene_id: str) -> tuple[str, ...]:
-        """The views of a scene, those of the camera itself before those of other sensors."""
+        """The view keys of a scene, the ideal sensor before the others."""
         return tuple(t.removeprefix("/").removesuffix("/depth") for t in self._topics(scene_id) if t.endswith("/depth"))
 
     def view(self, scene_id: str, key: str = IDEAL) -> View:
-        """A depth image with its camera and where that is believed to stand."""
+        """A depth image with its camera and the measured camera pose."""
         keys = self.view_keys(scene_id)
         if key not in keys:
             raise InputError(f"{self.path}: scene {scene_id} has no view {key!r}; it has {', '.join(keys) or 'none'}")
         camera = _camera(bytes(self._one(scene_id, f"/{key}/camera")))
-        pose = frames_of(self._one(scene_id, "/tf"))[_frame(key)]
+        pose = frames_of(self._one(scene_id, "/tf"))[_frame_id(key)]
         return View(camera, pose, image_of(self._one(scene_id, f"/{key}/depth")))
 
     def labels(self, scene_id: str) -> np.ndarray | None:
-        """(H, W) uint8 masks of the primary camera, as `kit1000.values.LabelledDepth` has them; None where there are none."""
+        """(H, W) uint8 masks of the primary camera, see `kit1000.values.LabelledDepth`; None without masks."""
         masks = self._all(scene_id, "/mask/labels")
         return checked("labels", image_of(masks[0]), ("h", "w"), np.uint8) if masks else None
 
     def observation(self, scene_id: str) -> Observation:
-        """All of a scene."""
+        """The whole observation of a scene."""
         views = {key: self.view(scene_id, key) for key in self.view_keys(scene_id)}
         return Observation(scene_id, views, self.labels(scene_id), tuple(self.queries(scene_id)))
 
     def recomputed_hash(self, scene_id: str) -> str:
-        """The content hash anew, from what is read."""
+        """The content hash, computed from the data read."""
         return observation_hash(self.observation(scene_id))
 
 
 def _messages(observation: Observation, stamp: int) -> Iterator[Message]:
-    """The messages of a scene, small ones first: a reader stops where it has what it wants."""
-    views = {key: observation.views[key] for key in sorted(observation.views, key=_order)}
+    """The messages of a scene, small ones first, so that a reader can stop decompressing early."""
+    views = {key: observation.views[key] for key in sorted(observation.views, key=_sort_key)}
     yield from _camera_messages(views, stamp)
     frames: dict[str, Pose] = {}
     for key, view in views.items():
-        frames[_frame(key)] = view.world_from_camera
+        frames[_frame_id(key)] = view.world_from_camera
     yield frames_message("/tf", frames, stamp)
     for row in observation.queries:
         if sorted(row) != sorted(QUERY_FIELDS):
@@ -128,19 +128,19 @@ def _messages(observation: Observation, stamp: int) -> Iterator[Message]:
         yield row_message("/query", _QUERY, row, f"query {row['id']}")
     if observation.labels is not None:
         labels = checked(f"{observation.scene_id}: labels", observation.labels, ("h", "w"), np.uint8)
-        yield image_message("/mask/labels", labels, "mono8", _frame(IDEAL), stamp)
+        yield image_message("/mask/labels", labels, "mono8", _frame_id(IDEAL), stamp)
     for key, view in views.items():
         check_on_grid(view.depth, f"{observation.scene_id} {key}")
-        yield image_message(f"/{key}/depth", view.depth, "32FC1", _frame(key), stamp)
+        yield image_message(f"/{key}/depth", view.depth, "32FC1", _frame_id(key), stamp)
 
 
 def _camera_messages(views: dict[str, View], stamp: int) -> Iterator[Message]:
-    """A calibration beside every depth image, where viewers look for it, and of the camera under its plain name."""
+    """A calibration for every depth image, where viewers expect it, and one for each camera."""
     for key, view in views.items():
-        prefix, sensor = _parts(key)
+        prefix, sensor = _split_key(key)
         if sensor == IDEAL:
-            yield camera_message(f"/{prefix}camera", view.camera, _frame(key), stamp)
-        yield camera_message(f"/{key}/camera", view.camera, _frame(key), stamp)
+            yield camera_message(f"/{prefix}camera", view.camera, _frame_id(key), stamp)
+        yield camera_message(f"/{key}/camera", view.camera, _frame_id(key), stamp)
 
 
 @lru_cache(maxsize=16)
@@ -148,18 +148,18 @@ def _camera(data: bytes) -> Camera:
     return camera_of(memoryview(data))
 
 
-def _frame(key: str) -> str:
-    """The frame of a view: "camera" of "ideal", else its key; "three/0/camera" of "three/0/ideal"."""
-    prefix, sensor = _parts(key)
+def _frame_id(key: str) -> str:
+    """The frame of a view: "camera" for "ideal", "three/0/camera" for "three/0/ideal", else the view's key."""
+    prefix, sensor = _split_key(key)
     return f"{prefix}camera" if sensor == IDEAL else key
 
 
-def _order(key: str) -> tuple[str, bool, str]:
-    prefix, sensor = _parts(key)
+def _sort_key(key: str) -> tuple[str, bool, str]:
+    prefix, sensor = _split_key(key)
     return prefix, sensor != IDEAL, sensor
 
 
-def _parts(key: str) -> tuple[str, str]:
+def _split_key(key: str) -> tuple[str, str]:
     match = VIEW_KEY.fullmatch(key)
     if match is None or match[2] == "camera":
         raise InputError(f"view {key!r}: expected a name such as ideal, d415 or three/0/ideal")

@@ -1,8 +1,7 @@
-"""Reading a shard: any message of any scene, with no more of the file read and decompressed than that takes.
+"""Reading a shard: any message of any scene, reading and decompressing no more than necessary.
 
-The index at the end of the file is read once. A scene is one chunk, and its messages stand in a known order, so a
-chunk is decompressed from its beginning as far as is needed and goes on from there. Every byte that is handed out
-has passed a checksum.
+The index at the end of the file is read once. A scene is one chunk with its messages in a known order, so a chunk is
+decompressed from its start as far as needed, and continued later. Every message returned has passed a checksum.
 """
 
 from __future__ import annotations
@@ -32,9 +31,9 @@ from kit1000.dataset.mcap_io.writing import RECORD, START, record_checksum
 from kit1000.dataset.tables import FORMAT
 from kit1000.errors import InputError, did_you_mean
 
-MEND = "make or fetch it again"
-RECENT = 3  # chunks kept decompressed, of all files together: 8 MB each with two views, 22 MB with six
-AHEAD = 1 << 16  # [bytes] decompressed beyond what is asked: all small messages of a scene at once
+FIX = "generate or download it again"
+RECENT = 3  # decompressed chunks in memory, of all files together: 8 MB each with two views, 22 MB with six
+AHEAD = 1 << 16  # [bytes] decompressed beyond the request: all small messages of a scene at once
 _RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
 _FOOTER = struct.Struct("<BQQQI8s")  # opcode, length, start of the summary, of its offsets, checksum, magic
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
@@ -42,9 +41,9 @@ _CHUNK = struct.Struct("<BQQQQII4sQ")  # opcode, length, times, size, checksum, 
 
 
 class ShardFile:
-    """A file of scenes, opened when first asked; may be pickled, and copied to other processes and threads."""
+    """A file of scenes, opened on first use; can be pickled, and used in other processes and threads."""
 
-    HOLDS: ClassVar[str]
+    CONTENTS: ClassVar[str]
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
@@ -63,13 +62,13 @@ class ShardFile:
         return self._source.record
 
     def content_hash(self, scene_id: str) -> str:
-        """SHA-256 of what the scene says, as it was written; see `kit1000.dataset.mcap_io.content`."""
+        """The content hash of a scene as written in the file; see `kit1000.dataset.mcap_io.content`."""
         self._check(scene_id)
         return self._source.content[scene_id]
 
     @cached_property
     def _source(self) -> _Source:
-        return _Source(self.path, self.HOLDS)
+        return _Source(self.path, self.CONTENTS)
 
     def _topics(self, scene_id: str) -> list[str]:
         """The topics of a scene's messages, in order."""
@@ -78,15 +77,15 @@ class ShardFile:
 
     def _all(self, scene_id: str, topic: str) -> list[memoryview]:
         """All messages of a scene on a topic."""
-        places = [i for i, found in enumerate(self._topics(scene_id)) if found == topic]
-        with _damage_told(self.path):
+        indices = [i for i, found in enumerate(self._topics(scene_id)) if found == topic]
+        with _damage_as_input_error(self.path):
             chunk = _chunk(self._source, scene_id)
-            return [chunk.message(i) for i in places]
+            return [chunk.message(i) for i in indices]
 
     def _one(self, scene_id: str, topic: str) -> memoryview:
-        """The message of a scene on a topic that has one."""
-        (found,) = self._all(scene_id, topic)
-        return found
+        """The only message of a scene on a topic."""
+        (message,) = self._all(scene_id, topic)
+        return message
 
     def _check(self, scene_id: str) -> None:
         ids = self._source.chunks
@@ -105,49 +104,49 @@ class _Source:
     chunks: dict[str, ChunkIndex]
     topics: dict[int, str]
 
-    def __init__(self, path: Path, holds: str) -> None:
+    def __init__(self, path: Path, contents: str) -> None:
         self.path = path
-        with _damage_told(path):
+        with _damage_as_input_error(path):
             self._descriptor = os.open(path, os.O_RDONLY)
             weakref.finalize(self, os.close, self._descriptor)
-            self._read_index(holds)
+            self._read_index(contents)
 
     def read(self, offset: int, size: int) -> bytes:
         """Bytes of the file, fewer at its end; safe in threads and after a fork."""
         return os.pread(self._descriptor, size, offset)
 
-    def _read_index(self, holds: str) -> None:
+    def _read_index(self, contents: str) -> None:
         summary = self._summary()
         self.topics = {item.id: item.topic for item in map(Channel.read, summary[Opcode.CHANNEL])}
         indices = [MetadataIndex.read(stream) for stream in summary[Opcode.METADATA_INDEX]]
-        ours = [index for index in indices if index.name == RECORD]
-        if not ours:
+        matching = [index for index in indices if index.name == RECORD]
+        if not matching:
             raise InputError(f"{self.path}: no recording of kit1000 (an MCAP file without its record)")
-        records = _records(self.read(ours[0].offset, ours[0].length))
+        records = _records(self.read(matching[0].offset, matching[0].length))
         self.record = Metadata.read(records[Opcode.METADATA][0]).metadata
         if self.record.get("checksum") != record_checksum(self.record):
             raise _damaged(self.path, "its record fails the checksum")
-        for key, wanted in (("format", FORMAT), ("holds", holds)):
-            if self.record[key] != wanted:
-                raise InputError(f"{self.path}: {key} {self.record[key]!r}, expected a file of {wanted!r}")
+        for key, expected in (("format", FORMAT), ("holds", contents)):
+            if self.record[key] != expected:
+                raise InputError(f"{self.path}: {key} {self.record[key]!r}, expected a file of {expected!r}")
         self.content, self.messages = json.loads(self.record["content"]), json.loads(self.record["messages"])
         chunks = sorted(map(ChunkIndex.read, summary[Opcode.CHUNK_INDEX]), key=lambda index: index.message_start_time)
         scenes = [(index.message_start_time - START) // SECOND for index in chunks]
         ids = json.loads(self.record["scenes"])
         if scenes != list(range(len(ids))):
-            raise InputError(f"{self.path}: no longer one scene a chunk: packed anew by another tool; {MEND}")
+            raise InputError(f"{self.path}: not one scene a chunk: rewritten by another tool; {FIX}")
         self.chunks = dict(zip(ids, chunks, strict=True))
 
     def _summary(self) -> dict[int, list[ReadDataStream]]:
-        """The records at the end of the file, by kind, after they have passed their checksum."""
+        """The records at the end of the file by opcode, verified by their checksum."""
         size = os.fstat(self._descriptor).st_size
         if size == 0:
-            raise InputError(f"{self.path}: empty file; {MEND}")
+            raise InputError(f"{self.path}: empty file; {FIX}")
         if self.read(0, len(MAGIC)) != MAGIC:
             raise InputError(f"{self.path}: no MCAP file")
         tail = self.read(max(size - _FOOTER.size, 0), _FOOTER.size)
         if not tail.endswith(MAGIC) or len(tail) < _FOOTER.size:
-            raise InputError(f"{self.path}: cut short: the end of the file is missing; {MEND}")
+            raise InputError(f"{self.path}: truncated: the end of the file is missing; {FIX}")
         start, checksum = _FOOTER.unpack(tail)[2], _FOOTER.unpack(tail)[4]
         end = size - len(MAGIC) - 4
         if not 0 < start < end:
@@ -159,56 +158,56 @@ class _Source:
 
 
 class _Chunk:
-    """The chunk of a scene, decompressed from its beginning as far as was asked for."""
+    """The chunk of a scene, decompressed from its start as far as requested."""
 
     def __init__(self, source: _Source, index: ChunkIndex, messages: list[tuple[str, int]]) -> None:
-        self._source, self._index, self._wanted = source, index, messages
-        self._check_head()
+        self._source, self._index, self._expected = source, index, messages
+        self._check_header()
         self._bytes = np.empty(index.uncompressed_size, np.uint8).data
-        packed = _Part(source, index.chunk_start_offset + _CHUNK.size, index.compressed_size)
+        packed = _ByteRange(source, index.chunk_start_offset + _CHUNK.size, index.compressed_size)
         self._stream = zstandard.ZstdDecompressor().stream_reader(packed)  # type: ignore[arg-type]
-        self._filled = 0  # bytes decompressed
-        self._walked = 0  # bytes whose records are known
-        self._found: list[tuple[int, memoryview]] = []  # channel and data of the messages so far
-        self._sound: set[int] = set()  # which of them have passed their checksum
+        self._decompressed = 0  # number of bytes
+        self._parsed = 0  # number of bytes
+        self._messages: list[tuple[int, memoryview]] = []  # channel and data of the messages parsed so far
+        self._verified: set[int] = set()  # indices of messages that have passed their checksum
         self._lock = threading.Lock()
 
     def message(self, i: int) -> memoryview:
-        """The data of the i-th message, once it has passed its checksum."""
+        """The data of the i-th message, verified by its checksum."""
         with self._lock:
-            while len(self._found) <= i:
-                self._walk()
-            channel, data = self._found[i]
-            if i not in self._sound:
-                if (self._source.topics.get(channel), zlib.crc32(data)) != tuple(self._wanted[i]):
+            while len(self._messages) <= i:
+                self._parse_record()
+            channel, data = self._messages[i]
+            if i not in self._verified:
+                if (self._source.topics.get(channel), zlib.crc32(data)) != tuple(self._expected[i]):
                     raise _damaged(self._source.path, "a message fails its checksum")
-                self._sound.add(i)
+                self._verified.add(i)
             return data
 
-    def _walk(self) -> None:
+    def _parse_record(self) -> None:
         """Read the next record."""
-        start = self._walked + _RECORD_HEAD.size
-        self._fill(start)
-        opcode, length = _RECORD_HEAD.unpack_from(self._bytes, self._walked)
-        self._fill(start + length)
+        start = self._parsed + _RECORD_HEAD.size
+        self._decompress(start)
+        opcode, length = _RECORD_HEAD.unpack_from(self._bytes, self._parsed)
+        self._decompress(start + length)
         if opcode == Opcode.MESSAGE:
             body = self._bytes[start : start + length]
-            self._found.append((_MESSAGE.unpack_from(body)[0], body[_MESSAGE.size :].toreadonly()))
-        self._walked = start + length
+            self._messages.append((_MESSAGE.unpack_from(body)[0], body[_MESSAGE.size :].toreadonly()))
+        self._parsed = start + length
 
-    def _fill(self, end: int) -> None:
+    def _decompress(self, end: int) -> None:
         """Decompress at least up to a byte."""
         if end > len(self._bytes):
             raise _damaged(self._source.path, "a record reaches beyond its chunk")
-        while self._filled < end:
-            ahead = min(max(end, self._filled + AHEAD), len(self._bytes))
-            count = self._stream.readinto(self._bytes[self._filled : ahead])
+        while self._decompressed < end:
+            ahead = min(max(end, self._decompressed + AHEAD), len(self._bytes))
+            count = self._stream.readinto(self._bytes[self._decompressed : ahead])
             if count == 0:
                 raise _damaged(self._source.path, "a chunk ends early")
-            self._filled += count
+            self._decompressed += count
 
-    def _check_head(self) -> None:
-        """Refuse a chunk that is not as the index says."""
+    def _check_header(self) -> None:
+        """Raise InputError when the chunk's header differs from the index."""
         index = self._index
         head = self._source.read(index.chunk_start_offset, _CHUNK.size)
         opcode, length, first, last, size, _, _, compression, packed = _CHUNK.unpack(head)
@@ -222,11 +221,11 @@ class _Chunk:
             index.compression,
             index.compressed_size,
         ):
-            raise _damaged(self._source.path, "a chunk is not where the index says")
+            raise _damaged(self._source.path, "a chunk differs from the index")
 
 
-class _Part:
-    """A stretch of a file that is read from its beginning to its end."""
+class _ByteRange:
+    """A range of bytes of a file, read sequentially."""
 
     def __init__(self, source: _Source, offset: int, size: int) -> None:
         self._source, self._at, self._end = source, offset, offset + size
@@ -245,7 +244,7 @@ def _chunk(source: _Source, scene_id: str) -> _Chunk:
 
 
 def _records(data: bytes) -> dict[int, list[ReadDataStream]]:
-    """The bodies of records by opcode, each ready to be read; kinds that are missing are empty."""
+    """Streams on the bodies of records, by opcode; every known opcode has an entry."""
     found: dict[int, list[ReadDataStream]] = {int(opcode): [] for opcode in Opcode}
     at = 0
     while at < len(data):
@@ -257,12 +256,12 @@ def _records(data: bytes) -> dict[int, list[ReadDataStream]]:
 
 
 def _damaged(path: Path, what: str) -> InputError:
-    return InputError(f"{path}: damaged: {what}; {MEND}")
+    return InputError(f"{path}: damaged: {what}; {FIX}")
 
 
 @contextmanager
-def _damage_told(path: Path) -> Iterator[None]:
-    """Turn whatever damaged bytes raise in the readers of others into an InputError of one line."""
+def _damage_as_input_error(path: Path) -> Iterator[None]:
+    """Convert any exception that damaged bytes raise in libraries to an InputError with one line."""
     try:
         yield
     except InputError:
@@ -272,5 +271,5 @@ def _damage_told(path: Path) -> Iterator[None]:
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     except Exception as error:
-        said = " ".join(str(error).split())
-        raise _damaged(path, f"{type(error).__name__}: {said}" if said else type(error).__name__) from error
+        text = " ".join(str(error).split())
+        raise _damaged(path, f"{type(error).__name__}: {text}" if text else type(error).__name__) from error

@@ -1,4 +1,4 @@
-"""Recordings of what is so: exact numbers; and for viewers models, where they stand and where the target belongs."""
+"""Recordings of ground truth: exact numbers, and for viewers models, their poses and the goals of the target."""
 
 from __future__ import annotations
 
@@ -46,22 +46,22 @@ _TRUTH = json_schema(
 
 
 class TruthWriter(ShardWriter):
-    """Writes a file of truths when its `with` block ends well."""
+    """Writes a file of truths when its `with` block ends without an exception."""
 
-    HOLDS = "truth"
+    CONTENTS = "truth"
 
     def add(self, truth: SceneTruth) -> None:
-        """Record the truth about a scene after those before. Raises InputError when a value does not fit the format."""
+        """Append the truth of a scene. Raises InputError when a value does not fit the format."""
         self.record(truth.scene_id, truth_hash(truth), _messages(truth, self.stamp))
 
 
 class TruthFile(ShardFile):
     """A file of truths. Arrays come read-only."""
 
-    HOLDS = "truth"
+    CONTENTS = "truth"
 
     def truth(self, scene_id: str) -> SceneTruth:
-        """All that is so in a scene."""
+        """The whole ground truth of a scene."""
         row = self.row(scene_id)
         goals = self._all(scene_id, "/goals")
         return SceneTruth(
@@ -76,7 +76,7 @@ class TruthFile(ShardFile):
         )
 
     def row(self, scene_id: str) -> Row:
-        """The numbers of a truth as `truth_row` wrote them: no image and no model is read."""
+        """The row of a truth as written by `truth_row`; no image and no model is read."""
         return row_of(self._one(scene_id, "/truth"))
 
     def models(self, scene_id: str) -> dict[str, bytes]:
@@ -84,16 +84,16 @@ class TruthFile(ShardFile):
         return models_of(self._one(scene_id, "/scene"))
 
     def recomputed_hash(self, scene_id: str) -> str:
-        """The content hash anew, from what is read."""
+        """The content hash, computed from the data read."""
         return truth_hash(self.truth(scene_id))
 
 
 def _messages(truth: SceneTruth, stamp: int) -> Iterator[Message]:
     """The messages of a scene, small ones first."""
     bodies = _bodies(truth)
-    strangers = sorted(set(truth.models) - set(bodies))
-    if strangers:
-        raise InputError(f"{truth.scene_id}: models {', '.join(strangers)}, expected some of {', '.join(bodies)}")
+    unknown = sorted(set(truth.models) - set(bodies))
+    if unknown:
+        raise InputError(f"{truth.scene_id}: models {', '.join(unknown)}, expected some of {', '.join(bodies)}")
     yield row_message("/truth", _TRUTH, truth_row(truth), truth.scene_id)
     yield frames_message("/tf", bodies, stamp)
     if truth.goals is not None:

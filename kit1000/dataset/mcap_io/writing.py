@@ -1,7 +1,7 @@
-"""Writing a shard: scenes as messages, one chunk each, and a record of what the file holds.
+"""Writing a shard: scenes as messages, one chunk each, and a metadata record with the contents of the file.
 
-The bytes depend on nothing but the scenes: times and the name of the library are fixed. The record `kit1000` keeps a
-checksum of every message, so that a reader can trust a part of a chunk without the rest of it.
+The bytes depend only on the scenes: times and library name are fixed. The metadata record `kit1000` has a checksum of
+every message, so that a reader can verify a part of a chunk without the rest of it.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ START = 1_767_225_600 * SECOND  # [ns] 2026-01-01: scene k of a shard is recorde
 
 
 class ShardWriter:
-    """A context manager that writes a file of scenes when its block ends well; of no scenes, none."""
+    """A context manager that writes a file of scenes when its block ends without an exception and has scenes."""
 
-    HOLDS: ClassVar[str]
+    CONTENTS: ClassVar[str]
 
     def __init__(self, path: str | Path) -> None:
-        self.path = Path(path) if isinstance(path, str) else path  # an object store has paths of its own
+        self.path = Path(path) if isinstance(path, str) else path  # an object store has its own path type
         self.sha256: str | None = None
-        """Of the file, once it is written."""
+        """SHA-256 of the file in hex; None until it is written."""
         self._content: dict[str, str] = {}
         self._messages: dict[str, list[tuple[str, int]]] = {}
         self._schemas: dict[str, int] = {}
@@ -65,12 +65,12 @@ class ShardWriter:
         """Write the messages of a scene in their order, as one chunk."""
         if scene_id in self._content:
             raise InputError(f"{self.path}: scene {scene_id} is recorded twice")
-        start, held = self.stamp, list(messages)
-        for k, message in enumerate(held):
+        start, listed = self.stamp, list(messages)
+        for k, message in enumerate(listed):
             self._mcap.add_message(self._channel(message), start + k, message.data, start + k)
         self._mcap.flush()  # ends the chunk
         self._content[scene_id] = content_hash
-        self._messages[scene_id] = [(message.topic, zlib.crc32(message.data)) for message in held]
+        self._messages[scene_id] = [(message.topic, zlib.crc32(message.data)) for message in listed]
 
     def _channel(self, message: Message) -> int:
         schema, topic = message.schema, message.topic
@@ -82,9 +82,9 @@ class ShardWriter:
         return self._channels[topic]
 
     def _record(self) -> dict[str, str]:
-        told = {
+        record = {
             "format": FORMAT,
-            "holds": self.HOLDS,
+            "holds": self.CONTENTS,
             "generator": f"kit1000 {__version__}",
             "licence": LICENCE,
             "length_unit": "m",
@@ -93,10 +93,10 @@ class ShardWriter:
             "content": json_bytes(self._content, "content").decode(),
             "messages": json_bytes(self._messages, "messages").decode(),
         }
-        return told | {"checksum": record_checksum(told)}
+        return record | {"checksum": record_checksum(record)}
 
 
-def record_checksum(told: Mapping[str, str]) -> str:
-    """Of the metadata record without its checksum."""
-    plain = {key: value for key, value in told.items() if key != "checksum"}
+def record_checksum(record: Mapping[str, str]) -> str:
+    """The checksum of a metadata record, without its entry `checksum`."""
+    plain = {key: value for key, value in record.items() if key != "checksum"}
     return hashlib.sha256(json_bytes(plain, RECORD)).hexdigest()
