@@ -21,7 +21,7 @@ from release_kits import MARGIN, VOXEL, release_kit, stretched
 from scipy.spatial import KDTree
 
 from kit1000.errors import Kit1000Error, Redraw
-from kit1000.kits.clearance import walk
+from kit1000.kits.clearance import points_along
 from kit1000.kits.kit import CLEARANCE, KitDesign, Plate, design_kit
 from kit1000.mesh import Mesh, defect_float32, solid_from_mesh
 from kit1000.parts.catalog import FAMILIES
@@ -95,7 +95,7 @@ def compare(part: Part) -> tuple[Row, Row, Row]:
 
 
 def our_row(seconds: float, design: KitDesign) -> Row:
-    mesh, found = design.kit.mesh, design.measured
+    mesh, found = design.kit.mesh, design.measured_clearance
     return Row(seconds, len(mesh.faces), found.smallest, found.largest, defect_float32(mesh) is None)
 
 
@@ -134,7 +134,7 @@ def shadow(part: Manifold, height: float) -> np.ndarray:
 
 def outline(loops: list[np.ndarray]) -> np.ndarray:
     """(n, 2) points along polygons, at most 0.4 mm apart."""
-    return np.concatenate([walk(loop) for loop in loops])
+    return np.concatenate([points_along(loop) for loop in loops])
 
 
 def print_line(name: str, rows: list[Row]) -> None:

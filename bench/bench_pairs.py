@@ -21,8 +21,8 @@ from manifold3d import Manifold
 
 from kit1000.dataset.geometry import Geometry
 from kit1000.kits.acceptance import is_goal, poses_beyond_keyedness, wrong_poses
-from kit1000.kits.kit import LOOSEST
-from kit1000.kits.seating import HOVER, InsertedPart, contact_offset_by_booleans, swept_solid, seating_result
+from kit1000.kits.kit import MAX_EXCESS_CLEARANCE
+from kit1000.kits.seating import HOVER, InsertedPart, contact_offset_by_booleans, seating_result, swept_solid
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import body_count, defect_float32, solid_from_mesh
 from kit1000.pose import Pose
@@ -69,7 +69,7 @@ def main(proof: Proof) -> int:
 
 def _in_bounds(row: dict) -> bool:
     report, asked = row["report"], row["clearance"] * 1e3
-    low, high = asked - SAGITTA * 1e3, asked + LOOSEST * 1e3
+    low, high = asked - SAGITTA * 1e3, asked + MAX_EXCESS_CLEARANCE * 1e3
     return low <= report["clearance_smallest_mm"] and report["clearance_largest_mm"] <= high
 
 
@@ -83,7 +83,9 @@ def _prove(part: Part, kit: Kit, keyedness: float | None, faults: Counter[str], 
         tried["goals"] += 1
         faults["goal that does not seat"] += not _seats(*judge_of(part, goal), kit, goal, goal)
     judge = judge_of(part, design)
-    wrong = [(pose, None) for _, pose in wrong_poses(kit)] + [(pose, keyedness) for pose in poses_beyond_keyedness(kit, keyedness)]
+    wrong = [(pose, None) for _, pose in wrong_poses(kit)] + [
+        (pose, keyedness) for pose in poses_beyond_keyedness(kit, keyedness)
+    ]
     for pose, reach in wrong:
         if not is_goal(pose, kit, reach):
             tried["wrong poses"] += 1

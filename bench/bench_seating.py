@@ -26,8 +26,8 @@ from kit1000.kits.seating import (
     SeatingResult,
     contact_offset,
     contact_offset_by_booleans,
-    swept_solid,
     seating_result,
+    swept_solid,
 )
 from kit1000.mesh import solid_from_mesh
 from kit1000.parts.catalog import FAMILIES
@@ -65,7 +65,9 @@ class Pair:
         return seating_result(contact_offset(self.plug, self.edges, pose), self.plug, pose, self.goal, self.depth)
 
     def judged(self, pose: Pose) -> SeatingResult:
-        return seating_result(contact_offset_by_booleans(self.swept, self.plug, self.plate, pose), self.plug, pose, self.goal, self.depth)
+        return seating_result(
+            contact_offset_by_booleans(self.swept, self.plug, self.plate, pose), self.plug, pose, self.goal, self.depth
+        )
 
     def compared(self, pose: Pose) -> Row:
         """Both verdicts on a pose, timed."""
@@ -77,7 +79,10 @@ class Pair:
 
     def to_limit(self, found: SeatingResult) -> float:
         """[m] how near a verdict is to one of its limits."""
-        return min(abs(abs(found.contact_height) - min(SEATED_LIMIT, self.depth / 3)), abs(abs(found.contact_offset) - SEATED_LIMIT))
+        return min(
+            abs(abs(found.contact_height) - min(SEATED_LIMIT, self.depth / 3)),
+            abs(abs(found.contact_offset) - SEATED_LIMIT),
+        )
 
     def moved(self, error: np.ndarray, share: float) -> Pose:
         """The goal with a share of an error (6,) [m, rad]: shift in the kit frame, turn about the centroid."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.mesh import Mesh, body_count, surface_points
-from kit1000.parts.near_duplicates import TWIN, shape_measures
+from kit1000.parts.near_duplicates import MIN_DIFFERENCE, shape_measures
 
 BINS = 32
 """Of a D2 histogram, over 0 .. D2_RANGE mean distances."""
@@ -97,7 +97,7 @@ def twins(shapes: Sequence[Shape]) -> list[tuple[int, int]]:
     found = []
     for i, one in enumerate(measures):
         later = slice(i + 1, None)
-        alike = (np.abs(measures[later] / one - 1) < TWIN).all(axis=1) & (genus[later] == genus[i])
+        alike = (np.abs(measures[later] / one - 1) < MIN_DIFFERENCE).all(axis=1) & (genus[later] == genus[i])
         alike &= np.abs(d2[later] - d2[i]).sum(axis=1) < D2_SAMPLING
         found += [(i, int(i + 1 + j)) for j in np.flatnonzero(alike)]
     return found

@@ -15,17 +15,17 @@ from numpy.typing import ArrayLike
 
 from kit1000.errors import InputError, Redraw
 from kit1000.kits.assembly import (
-    FOOT,
+    GROUND_GAP,
     AssemblyPlan,
-    Side,
+    SidePlate,
     build_assembly,
     check_assembly,
     draw_assembly,
-    placed,
+    place_kits,
     world_tilts,
 )
-from kit1000.kits.brackets import BITE, RIB, stand
-from kit1000.kits.kit import GAP
+from kit1000.kits.brackets import PLATE_OVERLAP, RIB_WIDTH, support_pieces
+from kit1000.kits.kit import PLATE_GAP
 from kit1000.kits.seating import swept_solid
 from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose
@@ -58,7 +58,7 @@ def block(mount: Mount, shrunk: float = 0.0) -> Manifold:
 def plans(tilts: st.SearchStrategy[float]) -> st.SearchStrategy[AssemblyPlan]:
     """Any base tilt and any sides, also ones that no draw would keep."""
     sides = st.lists(st.integers(0, 3), unique=True, min_size=1, max_size=4).flatmap(
-        lambda directions: st.tuples(*[tilts.map(lambda tilt, d=d: Side(d, tilt)) for d in directions])
+        lambda directions: st.tuples(*[tilts.map(lambda tilt, d=d: SidePlate(d, tilt)) for d in directions])
     )
     return st.builds(AssemblyPlan, st.floats(0, 20 * DEGREE), st.floats(0, 2 * np.pi), sides)
 
@@ -85,7 +85,7 @@ def test_draws_use_the_whole_range() -> None:
 @given(plans(st.floats(0, 45 * DEGREE)))
 @settings(max_examples=50)
 def test_world_tilts_are_those_of_the_mounts(plan: AssemblyPlan) -> None:
-    mounts = placed([sample_kit("foot")] * (1 + len(plan.sides)), plan)
+    mounts = place_kits([sample_kit("foot")] * (1 + len(plan.sides)), plan)
     up = np.array([mount.assembly_from_kit.rotate((0, 0, 1))[2] for mount in mounts])
     np.testing.assert_allclose(np.cos(world_tilts(plan)), up, atol=1e-12)
     assert np.abs(mounts[0].assembly_from_kit.xyz[:2]).max() < 1e-15
@@ -94,28 +94,28 @@ def test_world_tilts_are_those_of_the_mounts(plan: AssemblyPlan) -> None:
 @given(plans(st.one_of(st.just(45 * DEGREE), st.floats(10 * DEGREE, 45 * DEGREE))))
 @settings(max_examples=50)
 def test_plates_never_cut_into_each_other(plan: AssemblyPlan) -> None:
-    mounts = placed([sample_kit("foot")] * (1 + len(plan.sides)), plan)
+    mounts = place_kits([sample_kit("foot")] * (1 + len(plan.sides)), plan)
     blocks = [block(mount) for mount in mounts]
     assert all((a ^ b).is_empty() for a, b in combinations(blocks, 2))
     for side in blocks[1:]:  # the lower edges are the nearest
-        assert abs(blocks[0].min_gap(side, 0.01) - GAP) < 1e-9
-    assert abs(min(solid.bounding_box()[2] for solid in blocks) - FOOT) < 1e-12
+        assert abs(blocks[0].min_gap(side, 0.01) - PLATE_GAP) < 1e-9
+    assert abs(min(solid.bounding_box()[2] for solid in blocks) - GROUND_GAP) < 1e-12
 
 
 @pytest.mark.parametrize("tilt_deg", [10, 30, 45])
 def test_the_gap_opens_upward_by_the_sine_of_the_tilt(tilt_deg: float) -> None:
-    base, side = placed([sample_kit("foot")] * 2, AssemblyPlan(0, 0, (Side(0, tilt_deg * DEGREE),)))
+    base, side = place_kits([sample_kit("foot")] * 2, AssemblyPlan(0, 0, (SidePlate(0, tilt_deg * DEGREE),)))
     half, thickness = base.kit.extent[0] / 2, base.kit.extent[2]
     edges = side.assembly_from_kit.apply([[-half, 0, -thickness], [-half, 0, 0]])[:, 0] - half
-    np.testing.assert_allclose(edges, [GAP, GAP + thickness * np.sin(tilt_deg * DEGREE)], atol=1e-12)
+    np.testing.assert_allclose(edges, [PLATE_GAP, PLATE_GAP + thickness * np.sin(tilt_deg * DEGREE)], atol=1e-12)
 
 
 @given(plans(st.floats(10 * DEGREE, 45 * DEGREE)).filter(lambda plan: world_tilts(plan).max() <= 45 * DEGREE))
 @settings(max_examples=40)
 def test_stand_is_convex_bites_in_and_leaves_cavities_alone(plan: AssemblyPlan) -> None:
-    mounts = placed([sample_kit("foot")] * (1 + len(plan.sides)), plan)
-    pieces = stand(mounts)
-    cores = [block(mount, BITE * (1 + 1e-6)) for mount in mounts]
+    mounts = place_kits([sample_kit("foot")] * (1 + len(plan.sides)), plan)
+    pieces = support_pieces(mounts)
+    cores = [block(mount, PLATE_OVERLAP * (1 + 1e-6)) for mount in mounts]
     for piece in pieces:
         assert abs(piece.hull().volume() - piece.volume()) < 1e-6 * piece.volume()
         assert all((piece ^ core).volume() < 1e-15 for core in cores)
@@ -130,15 +130,15 @@ def test_stand_is_convex_bites_in_and_leaves_cavities_alone(plan: AssemblyPlan) 
 @given(plans(st.floats(10 * DEGREE, 45 * DEGREE)).filter(lambda plan: world_tilts(plan).max() <= 45 * DEGREE))
 @settings(max_examples=40)
 def test_no_wall_is_thinner_than_three_millimetres(plan: AssemblyPlan) -> None:
-    mounts = placed([sample_kit("foot")] * (1 + len(plan.sides)), plan)
-    for piece in stand(mounts):
+    mounts = place_kits([sample_kit("foot")] * (1 + len(plan.sides)), plan)
+    for piece in support_pieces(mounts):
         if piece.bounding_box()[2] > 0:
             continue  # a bracket hangs between plates
         outline = piece.slice(1e-3).to_polygons()[0]
         along = np.roll(outline, -1, axis=0) - outline
         normals = np.stack([-along[:, 1], along[:, 0]], 1) / np.linalg.norm(along, axis=1, keepdims=True)
         thinnest = np.ptp(outline @ normals.T, axis=0).min()
-        assert thinnest > RIB * np.cos(45 * DEGREE) - 1e-9 > 3e-3
+        assert thinnest > RIB_WIDTH * np.cos(45 * DEGREE) - 1e-9 > 3e-3
 
 
 @pytest.mark.parametrize(("seed", "kits"), [(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 5)])
@@ -153,7 +153,7 @@ def test_built_assemblies_pass_their_checks_and_are_the_union(seed: int, kits: i
     plates = [solid_from_mesh(mount.kit.mesh.moved(mount.assembly_from_kit)) for mount in assembly.mounts]
     assert all((plate - whole).volume() < FILM * plate.surface_area() for plate in plates)
     # one by one, because this union is the one thing that the builder trusts
-    union = reduce(lambda a, b: a + b, [*plates, *stand(assembly.mounts)])
+    union = reduce(lambda a, b: a + b, [*plates, *support_pieces(assembly.mounts)])
     assert abs(union.volume() - whole.volume()) < FILM * whole.surface_area()
 
 
@@ -169,7 +169,8 @@ def test_swept_parts_meet_nothing_on_their_way_out(seed: int) -> None:
         swept = swept_solid(sample_part(own).mesh, axis).transform(seats[own].matrix()[:3])
         others = [solid for i, solid in standing.items() if i != own]
         assert all(
-            (swept ^ solid).volume() < FILM * swept.surface_area() for solid in [solid_from_mesh(assembly.mesh), *others]
+            (swept ^ solid).volume() < FILM * swept.surface_area()
+            for solid in [solid_from_mesh(assembly.mesh), *others]
         )
 
 
@@ -247,7 +248,7 @@ def test_cavities_side_by_side_are_caught() -> None:
 
 
 def test_a_plan_takes_as_many_kits_as_it_has_places() -> None:
-    kit, plan = sample_kit("foot"), AssemblyPlan(0, 0, (Side(0, 0.5),))
+    kit, plan = sample_kit("foot"), AssemblyPlan(0, 0, (SidePlate(0, 0.5),))
     with pytest.raises(InputError, match="expected 2 for this plan, got 3"):
         build_assembly("a", [kit] * 3, plan)
     small = replace(kit, extent=kit.extent * (0.5, 1, 1))

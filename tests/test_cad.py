@@ -224,7 +224,7 @@ def test_repeated_and_mirrored_place_copies() -> None:
     pin = cad.at(cad.cylinder(4, 5), x=10)
     assert len(cad.repeated(pin, 5).decompose()) == 5
     assert _box(cad.mirrored(pin, "x"))[0] == pytest.approx(-12)
-    assert _box(cad.turned(pin, "z", 90))[4] == pytest.approx(12)
+    assert _box(cad.rotated(pin, "z", 90))[4] == pytest.approx(12)
 
 
 def test_bolt_circle_of_holes_keeps_its_symmetry_exactly() -> None:

@@ -14,7 +14,7 @@ from manifold3d import CrossSection, Manifold
 
 from kit1000.kits.cavity import Cavity, insertion_depth
 from kit1000.kits.patches import convex_patches
-from kit1000.kits.sweep import STEEP
+from kit1000.kits.sweep import WALL_COSINE
 from kit1000.mesh import mesh_from_solid
 from tests.shapes import (
     box,
@@ -77,7 +77,7 @@ def assert_keeps_clearance(solid: Manifold, cavity: Cavity, clearance: float, z:
     walls = outline_points(opening.to_polygons())
     distance = gaps(walls, shadow)
     assert distance.min() >= clearance - SHORT
-    opened = cavity.probes[-1].opened
+    opened = cavity.probes[-1].removed_walls
     kept = distance if opened.is_empty() else distance[gaps(walls, opened) > 0.1e-3]
     assert kept.max(initial=0) <= clearance + loose
     assert (shadow - opening).area() < CLIPPED
@@ -109,7 +109,7 @@ def test_cavity_of_a_box_is_a_rounded_rectangle(clearance_mm: float, cut: Cut) -
     area = 30e-3 * 20e-3 + 2 * c * (30e-3 + 20e-3) + np.pi * c**2
     assert cavity.solid.slice(6e-3).area() == pytest.approx(area, abs=0.02e-3 * (100e-3 + 2 * np.pi * c))
     assert cavity.undercut_volume == pytest.approx(0, abs=1e-12)
-    assert cavity.opened_walls == 0
+    assert cavity.removed_wall_count == 0
 
 
 def test_cavity_of_a_widening_cone_is_a_cone_of_the_same_slope(cut: Cut) -> None:
@@ -145,8 +145,8 @@ def test_posts_thinner_than_3_mm_are_opened_away(hole_mm: float, posts: int) -> 
     outer = CrossSection.square((60e-3, 60e-3), center=True)
     walls = (outer - cavity.solid.slice(7e-3)).decompose()
     assert len(walls) == 1 + posts
-    assert cavity.opened_walls == 1 - posts
-    assert (cavity.opened_volume > 0) == (posts == 0)
+    assert cavity.removed_wall_count == 1 - posts
+    assert (cavity.removed_wall_volume > 0) == (posts == 0)
 
 
 @pytest.mark.parametrize(("gap_mm", "kept"), [(7.8, False), (8.2, True)])
@@ -157,14 +157,14 @@ def test_walls_between_two_legs_are_kept_from_3_mm(gap_mm: float, kept: bool) ->
     cavity = cavity_of(legs, 11.5e-3)
     middle = np.array([[0.0, 0.0]])
     assert (gaps(middle, cavity.solid.slice(6e-3))[0] > 0) == kept
-    assert cavity.opened_walls == (0 if kept else 1)
+    assert cavity.removed_wall_count == (0 if kept else 1)
 
 
 def test_right_angles_of_walls_stay_sharp_where_another_wall_is_opened() -> None:
     """The wall in the inner corner of the L comes to a point; the post in its hole is too thin and goes."""
     holed = ell() - cylinder(5.6, 99).translate((14, -8, -9))
     cavity = cavity_of(holed, 8e-3)
-    assert cavity.opened_walls == 1
+    assert cavity.removed_wall_count == 1
     corner = np.array([-20 + 12 + 2.5, -14 + 12 + 2.5]) * 1e-3
     inside_wall = corner + 0.03e-3
     assert gaps(inside_wall[None], cavity.solid.slice(6e-3))[0] > 0
@@ -197,7 +197,7 @@ def test_the_cavity_only_widens_upwards(name: str, cut: Cut) -> None:
 def test_patches_sweep_what_their_triangles_sweep(name: str) -> None:
     mesh = mesh_from_solid(standing(SHAPES[name]()))
     top = float(mesh.bounds[1, 2]) + 1e-3
-    assert_same_sweep(mesh.triangles[mesh.normals[:, 2] < -STEEP], top)
+    assert_same_sweep(mesh.triangles[mesh.normals[:, 2] < -WALL_COSINE], top)
 
 
 @given(st.integers(0, 10_000))
@@ -209,7 +209,7 @@ def test_patches_of_any_solid_sweep_what_their_triangles_sweep(seed: int) -> Non
 
 def assert_same_sweep(triangles: np.ndarray, top: float) -> None:
     """Prisms over the patches and over the single triangles fill the same space; joined ones fill a little more."""
-    joined, patches = convex_patches(triangles), convex_patches(triangles, joined=False)
+    joined, patches = convex_patches(triangles), convex_patches(triangles, merge_nearly_convex=False)
     assert len(joined) <= len(patches) <= len(triangles)
     wide, fused, single = (union_of_prisms(pieces, top) for pieces in (joined, patches, list(triangles)))
     surface = sum(np.linalg.norm(np.cross(t[1] - t[0], t[2] - t[0])) for t in triangles) * 1e6 / 2
@@ -230,7 +230,7 @@ def union_of_prisms(pieces: list[np.ndarray], top: float) -> Manifold:
 
 def test_a_lying_cylinder_is_few_patches() -> None:
     mesh = mesh_from_solid(standing(SHAPES["lying cylinder"]()))
-    assert len(convex_patches(mesh.triangles[mesh.normals[:, 2] < -STEEP])) <= 3
+    assert len(convex_patches(mesh.triangles[mesh.normals[:, 2] < -WALL_COSINE])) <= 3
 
 
 def test_depth_is_sixty_percent_but_at_most_20_mm() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold
 
-from kit1000.kits.contact import ConvexEdges, vertical_contact_offset, contact_features, convex_edges
+from kit1000.kits.contact import ConvexEdges, contact_features, convex_edges, vertical_contact_offset
 from kit1000.kits.envelope import lower_envelope
 from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose, random_quaternions

@@ -53,7 +53,7 @@ def peer_shares(body: Mesh) -> list[tuple[np.ndarray, float]]:
 
 @pytest.mark.parametrize("name", SOLIDS)
 def test_shares_agree_with_another_package(name: str) -> None:
-    faces, peers = resting_faces(mesh(name), probable=1e-6), peer_shares(mesh(name))
+    faces, peers = resting_faces(mesh(name), min_probability=1e-6), peer_shares(mesh(name))
     for normal, share in peers:
         ours = sum(face.probability for face in faces if near(face, normal))
         assert ours == pytest.approx(share, abs=2e-3)
@@ -62,7 +62,7 @@ def test_shares_agree_with_another_package(name: str) -> None:
 @given(st.integers(0, 10_000))
 @settings(max_examples=20)
 def test_shares_add_up_to_one(seed: int) -> None:
-    faces = resting_faces(as_part(random_solid(seed)).mesh, probable=0.0)
+    faces = resting_faces(as_part(random_solid(seed)).mesh, min_probability=0.0)
     assert sum(face.probability for face in faces) == pytest.approx(1)
     assert all(a.probability >= b.probability - 1e-6 for a, b in pairwise(faces))
 
@@ -73,7 +73,7 @@ def test_the_part_stands_stably_on_every_face(seed: int) -> None:
     """The centre of mass lies over the convex hull of what touches the table, and the height is that of the part."""
     body = as_part(random_solid(seed)).mesh
     for face in resting_faces(body):
-        vertices = body.moved(face.lying).vertices
+        vertices = body.moved(face.plane_from_part).vertices
         touching = vertices[vertices[:, 2] < vertices[:, 2].min() + 1e-6, :2]
         angles = np.sort(np.arctan2(touching[:, 1], touching[:, 0]))
         widest_gap = np.diff(angles, append=angles[0] + 2 * np.pi).max()
@@ -90,12 +90,12 @@ def test_a_cube_falls_on_each_face_alike() -> None:
 def test_unlikely_faces_are_left_out() -> None:
     tower = as_part(box(6, 7, 60)).mesh
     assert len(resting_faces(tower)) == 4
-    assert len(resting_faces(tower, probable=0.0)) == 6
+    assert len(resting_faces(tower, min_probability=0.0)) == 6
 
 
 def test_a_cylinder_has_two_ends_and_one_side_to_roll_on() -> None:
     body = as_part(cylinder(20, 22)).mesh
-    faces = resting_faces(body, probable=0.0)
+    faces = resting_faces(body, min_probability=0.0)
     assert len(faces) == 3
     side = [face for face in faces if abs(face.normal[2]) < 1e-6]
     assert len(side) == 1
@@ -107,8 +107,8 @@ def test_a_cylinder_has_two_ends_and_one_side_to_roll_on() -> None:
 @pytest.mark.parametrize("seed", [1, 2])
 def test_turned_axes_turn_the_faces_and_nothing_else(name: str, seed: int) -> None:
     body, turn = mesh(name), Pose(random_quaternions(np.random.default_rng(seed), 1)[0], np.zeros(3))
-    turned = resting_faces(body.moved(turn), probable=0.01)
-    before = resting_faces(body, probable=0.01)
+    turned = resting_faces(body.moved(turn), min_probability=0.01)
+    before = resting_faces(body, min_probability=0.01)
     assert len(turned) == len(before)
     for face in before:
         twins = [other for other in turned if near(other, turn.rotate(face.normal))]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kit1000.kits.goals import SAME, Design, find_goals, nearest_turn, same_shadow
+from kit1000.kits.goals import SHADOW_TOLERANCE, Design, find_goals, has_design_shadow, nearest_about_axis
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.symmetry import Symmetry
 from kit1000.values import FreeAxis
@@ -58,7 +58,7 @@ def case(request: pytest.FixtureRequest):
 
 
 def same_pose(a: Pose, b: Pose, axis: FreeAxis | None = None) -> bool:
-    b = b if axis is None else nearest_turn(a, b, axis)
+    b = b if axis is None else nearest_about_axis(a, b, axis)
     return bool(quaternion_angle(a.wxyz, b.wxyz) < 3e-3 and np.linalg.norm(a.xyz - b.xyz) < 0.06e-3)
 
 
@@ -89,7 +89,7 @@ def test_every_goal_leaves_the_shadow_of_the_design_pose(case) -> None:
         for z in place.cavity.depth * np.array([0.12, 0.55, 0.97]):
             here, there = (slice_union(plain.standing(pose), z) for pose in (place.kit_from_part, spun))
             for a, b in ((here, there), (there, here)):
-                assert np.abs(gaps(outline_points(a.to_polygons(), 1e-3), b)).max() < SAME + 0.01e-3
+                assert np.abs(gaps(outline_points(a.to_polygons(), 1e-3), b)).max() < SHADOW_TOLERANCE + 0.01e-3
 
 
 def turned_about(axis: FreeAxis, pose: Pose, angle: float) -> Pose:
@@ -135,7 +135,7 @@ def test_a_hole_too_small_for_a_post_still_tells_turns_apart() -> None:
     """The shadow decides, not the walls that are left: who aims at the wrong hole is wrong."""
     place = seated(ring_plate(7, off=11))
     goals, _ = find_goals(design(place))
-    assert place.cavity.opened_walls == 1
+    assert place.cavity.removed_wall_count == 1
     assert len(goals) == 2  # itself, and turned over about the line through its holes
 
 
@@ -143,7 +143,7 @@ def test_a_hole_too_small_for_a_post_still_tells_turns_apart() -> None:
 def test_shadows_are_the_same_within_50_micrometres(off_mm: float, same: bool) -> None:
     place = seated(ell())
     moved = design(place).standing(Pose.from_translation(np.array([off_mm * MM, 0, 0])) @ place.kit_from_part)
-    assert same_shadow(place.cavity, moved) == same
+    assert has_design_shadow(place.cavity, moved) == same
 
 
 @pytest.mark.parametrize(("step_mm", "same"), [(0.01, True), (0.5, False)])
@@ -151,7 +151,7 @@ def test_a_step_near_the_floor_is_seen(step_mm: float, same: bool) -> None:
     """The shadows agree at the rim but not below: a notch under one end is higher."""
     cavity = cavity_of(box(30, 20, 20) - box(8, 20, 6, (11, 0, 0)), 12e-3)
     twin = box(30, 20, 20) - box(8, 20, 6 + step_mm, (11, 0, 0))
-    assert same_shadow(cavity, standing(twin)) == same
+    assert has_design_shadow(cavity, standing(twin)) == same
 
 
 def test_the_nearest_turn_is_the_nearest() -> None:
@@ -159,7 +159,7 @@ def test_the_nearest_turn_is_the_nearest() -> None:
     rng = np.random.default_rng(2)
     for quaternions in random_quaternions(rng, 20).reshape(10, 2, 4):
         pose, goal = (Pose(q, rng.normal(0, 0.01, 3)) for q in quaternions)
-        best = nearest_turn(pose, goal, axis)
+        best = nearest_about_axis(pose, goal, axis)
         brute = [turned_about(axis, goal, angle) for angle in np.radians(np.arange(0, 360, 1.0))]
         angles = [float(quaternion_angle(pose.wxyz, other.wxyz)) for other in brute]
         found = float(quaternion_angle(pose.wxyz, best.wxyz))

@@ -10,11 +10,11 @@ import pytest
 import trimesh
 
 from kit1000.errors import Redraw
-from kit1000.kits.cavity import PROUD
+from kit1000.kits.cavity import MIN_PROTRUSION
 from kit1000.kits.kit import (
     CLEARANCE,
-    FLOOR,
-    RIM,
+    MIN_FLOOR,
+    MIN_RIM,
     UNIT_PLATE,
     KitDesign,
     Plate,
@@ -90,8 +90,8 @@ def test_the_finished_plate_keeps_the_clearance_it_reports(clearance_mm: float) 
     found = np.concatenate(gap)
     assert clearance_mm * MM - 0.02e-3 <= found.min()
     assert found.max() <= clearance_mm * MM + 0.1e-3
-    assert made.measured.smallest == pytest.approx(found.min(), abs=0.02e-3)
-    assert made.measured.largest == pytest.approx(found.max(), abs=0.02e-3)
+    assert made.measured_clearance.smallest == pytest.approx(found.min(), abs=0.02e-3)
+    assert made.measured_clearance.largest == pytest.approx(found.max(), abs=0.02e-3)
 
 
 def test_the_design_pose_stands_on_the_floor_and_touches_nothing(design: KitDesign) -> None:
@@ -99,8 +99,8 @@ def test_the_design_pose_stands_on_the_floor_and_touches_nothing(design: KitDesi
     part = as_part(ell()).mesh.moved(slot.kit_from_part)
     assert part.bounds[0, 2] == pytest.approx(-slot.depth, abs=1e-9)
     assert (solid_from_mesh(part).translate((0, 0, 2e-6)) ^ solid_from_mesh(design.kit.mesh)).volume() < 1e-15
-    assert part.bounds[1, 2] >= PROUD
-    assert slot.depth + FLOOR <= UNIT_PLATE.thickness + 1e-9
+    assert part.bounds[1, 2] >= MIN_PROTRUSION
+    assert slot.depth + MIN_FLOOR <= UNIT_PLATE.thickness + 1e-9
 
 
 def test_the_report_says_what_was_made(design: KitDesign) -> None:
@@ -147,8 +147,8 @@ def test_a_plate_made_to_measure_is_as_small_as_its_rim_allows() -> None:
     part = as_part(box(160, 90, 40))
     kit = make_kit(part, plate=None)
     shadow = part.mesh.moved(kit.slot.kit_from_part).extents[:2]
-    assert np.allclose(kit.extent[:2], shadow + 2 * (CLEARANCE + RIM), atol=1.01e-3)
-    assert kit.extent[2] == pytest.approx(kit.slot.depth + FLOOR)
+    assert np.allclose(kit.extent[:2], shadow + 2 * (CLEARANCE + MIN_RIM), atol=1.01e-3)
+    assert kit.extent[2] == pytest.approx(kit.slot.depth + MIN_FLOOR)
     assert_printable(part, kit.mesh)
 
 
@@ -172,5 +172,5 @@ def test_kits_of_odd_solids_keep_the_clearance(seed: int) -> None:
     part = as_part(random_solid(seed) + box(24, 22, 12))
     made = design_kit(part)
     assert_printable(part, made.kit.mesh)
-    assert made.measured.smallest >= 2.48e-3
-    assert made.measured.largest <= 2.6e-3
+    assert made.measured_clearance.smallest >= 2.48e-3
+    assert made.measured_clearance.largest <= 2.6e-3

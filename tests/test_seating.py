@@ -12,16 +12,16 @@ from manifold3d import Manifold
 from kit1000.kits.acceptance import rotated_about_centroid
 from kit1000.kits.contact import convex_edges
 from kit1000.kits.seating import (
-    HOVER,
     BISECTION_STEP,
+    HOVER,
     SEATED_LIMIT,
     STRICT_LIMIT,
     InsertedPart,
     SeatingResult,
     contact_offset,
     contact_offset_by_booleans,
-    swept_solid,
     seating_result,
+    swept_solid,
 )
 from kit1000.mesh import mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose

@@ -264,7 +264,7 @@ def read_or_die(path: Path) -> Refusal:
 
 def test_a_file_that_kills_its_reader_is_refused_and_the_rest_go_on() -> None:
     files = [Path("a"), Path("deadly"), Path("b")]
-    outcomes = list(sources._spread(read_or_die, files, workers=2))
+    outcomes = list(sources._read_parallel(read_or_die, files, workers=2))
     assert outcomes == [
         Refusal(Path("a"), "harmless"),
         Refusal(Path("deadly"), "its reader crashed"),

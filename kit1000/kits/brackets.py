@@ -15,20 +15,20 @@ from manifold3d import Manifold
 from kit1000.mesh import Mesh, convex_hull, mesh_from_solid
 from kit1000.values import Mount
 
-BITE = 1e-3  # [m] a piece reaches so far into a plate; the floor under a cavity is 2 mm
-SETBACK = 2e-3  # [m] pieces stay behind the edges of the plates, so that no two faces lie in one plane
-RIB = 6e-3  # [m] along the plate; at 45 degrees 4.2 mm of wall are left
+PLATE_OVERLAP = 1e-3  # [m] a piece reaches so far into a plate; the floor under a cavity is 2 mm
+EDGE_SETBACK = 2e-3  # [m] pieces stay behind the edges of the plates, so that no two faces lie in one plane
+RIB_WIDTH = 6e-3  # [m] along the plate; at 45 degrees 4.2 mm of wall are left
 RIB_PITCH = 24e-3  # [m] at most between ribs: bridges of 18 mm print without support
-HEEL = 6e-3  # [m] what a web takes from the underside of each of the two plates it stands under
+WEB_STRIP = 6e-3  # [m] what a web takes from the underside of each of the two plates it stands under
 OUTWARD = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # (4, 2) the sides of a plate, by direction 0..3
 
 
-def stand_meshes(mounts: Sequence[Mount]) -> list[Mesh]:
+def support_meshes(mounts: Sequence[Mount]) -> list[Mesh]:
     """The convex pieces that carry the plates, in the assembly frame."""
-    return [mesh_from_solid(piece) for piece in stand(mounts)]
+    return [mesh_from_solid(piece) for piece in support_pieces(mounts)]
 
 
-def stand(mounts: Sequence[Mount]) -> list[Manifold]:
+def support_pieces(mounts: Sequence[Mount]) -> list[Manifold]:
     """The convex pieces that carry the plates, the first of which is the base, in the assembly frame."""
     pieces = [rib for mount in mounts for rib in _ribs(mount)]
     for side in mounts[1:]:
@@ -45,63 +45,67 @@ def side_direction(base: Mount, side: Mount) -> int:
 
 def _bracket(base: Mount, side: Mount, direction: int) -> Manifold:
     """The wedge between two plates: the hull of a band inside each of the facing sides."""
-    bands = [_facing_band(base, direction), _facing_band(side, direction + 2)]
+    bands = [_facing_strip(base, direction), _facing_strip(side, direction + 2)]
     return convex_hull(np.concatenate(bands))
 
 
-def _facing_band(mount: Mount, direction: int) -> np.ndarray:
+def _facing_strip(mount: Mount, direction: int) -> np.ndarray:
     """(4, 3): a band BITE inside one side of a plate, clear of its edges; down to below the top of the web."""
     x, y, thickness = mount.kit.extent
     depth, half = (x / 2, y / 2) if direction % 2 == 0 else (y / 2, x / 2)
-    heights = (BITE / 2 - thickness, -SETBACK)
-    corners = [(depth - BITE, v, z) for v in (SETBACK - half, half - SETBACK) for z in heights]
-    return mount.assembly_from_kit.apply(_turned(np.array(corners), direction))
+    heights = (PLATE_OVERLAP / 2 - thickness, -EDGE_SETBACK)
+    corners = [(depth - PLATE_OVERLAP, v, z) for v in (EDGE_SETBACK - half, half - EDGE_SETBACK) for z in heights]
+    return mount.assembly_from_kit.apply(_rotated_to_side(np.array(corners), direction))
 
 
 def _web(base: Mount, side: Mount, direction: int) -> Manifold:
     """The wall under a bracket, as wide as the plates."""
-    return _dropped(np.concatenate([_heel(base, direction), _heel(side, direction + 2)]))
+    return _extended_to_ground(np.concatenate([_web_strip(base, direction), _web_strip(side, direction + 2)]))
 
 
-def _heel(mount: Mount, direction: int) -> np.ndarray:
+def _web_strip(mount: Mount, direction: int) -> np.ndarray:
     """(4, 3): the strip of the underside next to one side of a plate."""
     x, y, _ = mount.kit.extent
     depth, half = (x / 2, y / 2) if direction % 2 == 0 else (y / 2, x / 2)
-    corners = [(u, v, 0.0) for u in (depth - HEEL, depth - BITE) for v in (SETBACK - half, half - SETBACK)]
-    return _under(mount, _turned(np.array(corners), direction)[:, :2])
+    corners = [
+        (u, v, 0.0)
+        for u in (depth - WEB_STRIP, depth - PLATE_OVERLAP)
+        for v in (EDGE_SETBACK - half, half - EDGE_SETBACK)
+    ]
+    return _underside(mount, _rotated_to_side(np.array(corners), direction)[:, :2])
 
 
 def _ribs(mount: Mount) -> list[Manifold]:
     """Walls under a plate along the axis that falls more, and one across their middle."""
-    reach = mount.kit.extent[:2] / 2 - SETBACK
+    reach = mount.kit.extent[:2] / 2 - EDGE_SETBACK
     slopes = np.abs(mount.assembly_from_kit.rotation_matrix()[2, :2])
     along = int(slopes[1] > slopes[0] + 1e-9)
-    count = int(np.ceil((2 * reach[1 - along] - RIB) / RIB_PITCH)) + 1
+    count = int(np.ceil((2 * reach[1 - along] - RIB_WIDTH) / RIB_PITCH)) + 1
     walls = []
-    for middle in np.linspace(RIB / 2 - reach[1 - along], reach[1 - along] - RIB / 2, count):
+    for middle in np.linspace(RIB_WIDTH / 2 - reach[1 - along], reach[1 - along] - RIB_WIDTH / 2, count):
         walls.append((reach[along], middle, along))
     walls.append((reach[1 - along], 0.0, 1 - along))
-    return [_dropped(_under(mount, _strip(*wall))) for wall in walls]
+    return [_extended_to_ground(_underside(mount, _strip(*wall))) for wall in walls]
 
 
 def _strip(reach: float, middle: float, along: int) -> np.ndarray:
     """(4, 2): a strip of width RIB along one axis of a plate."""
-    corners = np.array([(u, middle + v) for u in (-reach, reach) for v in (-RIB / 2, RIB / 2)])
+    corners = np.array([(u, middle + v) for u in (-reach, reach) for v in (-RIB_WIDTH / 2, RIB_WIDTH / 2)])
     return corners[:, ::-1] if along else corners
 
 
-def _under(mount: Mount, points: np.ndarray) -> np.ndarray:
+def _underside(mount: Mount, points: np.ndarray) -> np.ndarray:
     """(n, 3): points (n, 2) of the plate, BITE above its underside, in the assembly frame."""
-    level = np.full(len(points), BITE - mount.kit.extent[2])
+    level = np.full(len(points), PLATE_OVERLAP - mount.kit.extent[2])
     return mount.assembly_from_kit.apply(np.column_stack([points, level]))
 
 
-def _dropped(points: np.ndarray) -> Manifold:
+def _extended_to_ground(points: np.ndarray) -> Manifold:
     """The hull of points (n, 3) and of their shadow on the ground."""
     return convex_hull(np.concatenate([points, points * (1, 1, 0)]))
 
 
-def _turned(points: np.ndarray, direction: int) -> np.ndarray:
+def _rotated_to_side(points: np.ndarray, direction: int) -> np.ndarray:
     """Points (n, 3) given for the side +x, on another side of the plate."""
     (c, s), z = OUTWARD[direction % 4], points[:, 2]
     return np.column_stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1], z])

@@ -1,10 +1,11 @@
-"""The cavity of a part: what it sweeps when it leaves along z, grown sideways by the clearance; exact, not in stairs.
+"""The cavity of a part: what the part sweeps when it leaves along z, grown sideways by the clearance; exact, no stairs.
 
-At height z the swept shadow S(z) is the union of all slices of the part at heights <= z, and the cavity there is S(z)
-grown by a disc. Both together are the Minkowski sum of the part's underside with a level disc, swept up to the rim:
-a union of prisms over level faces and of one hull for each convex patch of sloping ones. So the walls keep their
-distance at every height, slopes stay slopes, and a plate has about a thousand faces. Walls that this leaves too thin
-are opened away. Frame: the part stands on z = 0, insertion face down. All lengths are metres.
+The shadow S(z) is the projection along z, the insertion axis, of all of the part below a height z, and so a section of
+what the part sweeps. The cavity at z is S(z) grown by a disc: the Minkowski sum of the part's underside with a level
+disc, swept up to the rim, is a union of prisms over level faces and of one hull for each convex patch of sloping ones.
+So the walls keep their distance at every height, slopes stay slopes, and a plate has about a thousand faces. Walls that
+are too thin are removed by morphological opening. Frame: the part stands on z = 0, insertion face down. All lengths are
+metres.
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ from itertools import pairwise
 import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold, OpType
 
-from kit1000.kits.sweep import OVER, grown_sweep, shadow_below
+from kit1000.kits.sweep import RIM_OVERSHOOT, grown_sweep, shadow_below
 
-BRINK = 0.02e-3  # [m] "just above" and "just below" a ledge: lower steps are floor, not wall
-STRIDE = 4e-3  # [m] between probed heights where the shadow changes
-SHALLOW = 7e-3  # [m] of seated height: lower parts leave no cavity to speak of
-PROUD = 3e-3  # [m] of a part that stands out of its cavity, to be taken by
-THIN = 3e-3  # [m] walls, fins and posts thinner than this are opened away
-MITER = 2.0  # corners sharper than 60 degrees count as thin
-SPECK = 0.05e-6  # [m^2] smaller pieces of thin wall are rounding, not walls
-LAP = 0.05e-3  # [m] an opening laps over the cavity beside it, so that no film of wall stays between
-NOTHING = 1e-9  # [m^2] area that is rounding error
+LEDGE_OFFSET = 0.02e-3  # [m] of a probe above or below a ledge: lower steps are floor, not wall
+PROBE_SPACING = 4e-3  # [m] at most between probes where the shadow changes
+MIN_SEATED_HEIGHT = 7e-3  # [m] of a seated part: lower ones leave no useful cavity
+MIN_PROTRUSION = 3e-3  # [m] of a part above the rim, for a gripper
+MIN_WALL = 3e-3  # [m] walls, fins and posts thinner than this are removed
+MITER_LIMIT = 2.0  # wall corners sharper than 60 degrees count as thin
+MIN_WALL_AREA = 0.05e-6  # [m^2] smaller pieces of thin wall are rounding errors
+WALL_OVERLAP = 0.05e-3  # [m] a removed wall is cut so much wider, so that no film stays between it and the cavity
+AREA_TOLERANCE = 1e-9  # [m^2] smaller areas are rounding errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +36,9 @@ class Probe:
     z: float
     """[m] above the floor."""
     shadow: CrossSection
-    """S(z)"""
-    opened: CrossSection
-    """Thin walls opened away here and below; empty where there were none."""
+    """S(z), what the part sweeps at this height."""
+    removed_walls: CrossSection
+    """Sections of thin walls removed here or below; empty where there were none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,91 +48,91 @@ class Cavity:
     depth: float
     solid: Manifold
     probes: tuple[Probe, ...]
-    """Heights at which the shadow was looked at, lowest first, the last just below the rim."""
-    opened_walls: int
-    """Thin walls, fins and posts opened away, counted at the rim."""
-    opened_volume: float
-    """[m^3] of wall opened away."""
+    """The cavity at several heights, lowest first, the last just below the rim."""
+    removed_wall_count: int
+    """Number of thin walls, fins and posts removed, counted at the rim."""
+    removed_wall_volume: float
+    """[m^3] of thin walls removed."""
     undercut_volume: float
     """[m^3] below the rim that the part sweeps but does not fill."""
 
     @property
-    def rim(self) -> CrossSection:
-        """The swept shadow at the rim."""
+    def rim_shadow(self) -> CrossSection:
+        """The shadow at the rim."""
         return self.probes[-1].shadow
 
 
 def insertion_depth(height: float) -> float:
-    """Cavity depth [m] for a part of a seated height [m]: 0.6 of it, at most 20 mm, PROUD of it standing out.
+    """Cavity depth [m] for a part of a seated height [m]: 0.6 of it, at most 20 mm, MIN_PROTRUSION left above the rim.
 
-    Parts lower than SHALLOW, which no dataset has, sink by 0.6 of their height whatever stands out.
+    Parts lower than MIN_SEATED_HEIGHT, which no dataset has, sink by 0.6 of their height whatever is left.
     """
-    return min(20e-3, 0.6 * height, height - PROUD if height >= SHALLOW else np.inf)
+    return min(20e-3, 0.6 * height, height - MIN_PROTRUSION if height >= MIN_SEATED_HEIGHT else np.inf)
 
 
 def cut_cavity(
-    standing: Manifold, depth: float, clearance: float, width: tuple[float, float], joined: bool = True
+    standing: Manifold, depth: float, clearance: float, width: tuple[float, float], merge_patches: bool = True
 ) -> Cavity:
-    """The cavity for a solid standing on z = 0 about the origin, in a plate of width (x, y) [m].
+    """The cavity of a depth and clearance [m] for a solid standing on z = 0, in a plate of width (x, y) [m].
 
-    joined: whether nearly convex neighbours may be grown as one, which is faster and up to 0.1 mm wider.
+    merge_patches: whether nearly convex neighbouring faces may be grown as one: faster, and up to 0.1 mm wider.
     """
-    grown, levels = grown_sweep(standing, depth, clearance, joined)
+    grown, levels = grown_sweep(standing, depth, clearance, merge_patches)
     ledges = _ledges(levels, depth)
     shadows = _probe_shadows(standing, ledges)
-    openings, probes = _open_thin_walls(grown, shadows, depth + OVER, width)
-    solid = Manifold.batch_boolean([grown, *openings], OpType.Add) if openings else grown
-    opened = (solid - grown).trim_by_plane((0, 0, -1), -depth).volume() if openings else 0.0
-    walls = sum(piece.area() > SPECK for piece in probes[-1].opened.decompose())
+    thin_walls, probes = _remove_thin_walls(grown, shadows, depth + RIM_OVERSHOOT, width)
+    solid = Manifold.batch_boolean([grown, *thin_walls], OpType.Add) if thin_walls else grown
+    removed_volume = (solid - grown).trim_by_plane((0, 0, -1), -depth).volume() if thin_walls else 0.0
+    removed_count = sum(piece.area() > MIN_WALL_AREA for piece in probes[-1].removed_walls.decompose())
     filled = standing.trim_by_plane((0, 0, -1), -depth).volume()
     undercut = max(_swept_volume(shadows) - filled, 0.0)
-    return Cavity(depth, solid, tuple(probes), walls, opened, undercut)
+    return Cavity(depth, solid, tuple(probes), removed_count, removed_volume, undercut)
 
 
 def _ledges(levels: list[float], depth: float) -> list[float]:
-    """Floor, level faces and rim: between them the shadow changes without a jump."""
-    return [0.0, *(z for z in levels if THIN / 10 < z < depth - THIN / 10), depth]
+    """Heights of floor, level faces and rim: between them the shadow changes continuously."""
+    return [0.0, *(z for z in levels if MIN_WALL / 10 < z < depth - MIN_WALL / 10), depth]
 
 
 def _probe_shadows(standing: Manifold, ledges: list[float]) -> list[tuple[float, CrossSection]]:
-    """(z, S(z)) at both ends of each interval between ledges, and at a stride inside where the shadow changes."""
+    """(z, S(z)) at both ends of each interval between ledges, and at steps inside where the shadow changes."""
     probes = []
     for low, high in pairwise(ledges):
-        ends = [(z, shadow_below(standing, z)) for z in (low + BRINK, high - BRINK)]
+        ends = [(z, shadow_below(standing, z)) for z in (low + LEDGE_OFFSET, high - LEDGE_OFFSET)]
         inner: list[tuple[float, CrossSection]] = []
-        if abs(ends[0][1].area() - ends[1][1].area()) > NOTHING:
-            steps = 2 * int(np.ceil((high - low) / STRIDE))
+        if abs(ends[0][1].area() - ends[1][1].area()) > AREA_TOLERANCE:
+            steps = 2 * int(np.ceil((high - low) / PROBE_SPACING))
             inner = [(z, shadow_below(standing, z)) for z in np.linspace(low, high, steps + 1)[1:-1]]
         probes += [ends[0], *inner, ends[1]]
     return probes
 
 
 def _swept_volume(shadows: list[tuple[float, CrossSection]]) -> float:
-    """[m^3] between floor and rim (trapezoids)."""
+    """[m^3] that the part sweeps between floor and rim (trapezoid rule)."""
     z, areas = np.array([s[0] for s in shadows]), np.array([s[1].area() for s in shadows])
     return float(np.trapezoid(areas, z))
 
 
-def _open_thin_walls(
+def _remove_thin_walls(
     grown: Manifold, shadows: list[tuple[float, CrossSection]], top: float, width: tuple[float, float]
 ) -> tuple[list[Manifold], list[Probe]]:
-    """What to cut besides the grown sweep: each probed height's thin walls, from half-way below up through the rim."""
+    """Thin walls to cut as well, each from half-way to the probe below up to `top` [m]; and the probes."""
     plate = CrossSection.square(width, center=True)
-    openings, probes, opened, below = [], [], CrossSection(), 0.0
+    cuts, probes, removed, below = [], [], CrossSection(), 0.0
     for z, shadow in shadows:
         thin = _thin_walls(plate - grown.slice(z))
         if not thin.is_empty():
-            lapped, floor = thin.offset(LAP, JoinType.Miter, MITER), (below + z) / 2 if probes else 0.0
-            openings.append(lapped.extrude(top - floor).translate((0, 0, floor)))
-            opened = opened + thin
-        probes.append(Probe(z, shadow, opened))
+            widened, floor = thin.offset(WALL_OVERLAP, JoinType.Miter, MITER_LIMIT), (below + z) / 2 if probes else 0.0
+            cuts.append(widened.extrude(top - floor).translate((0, 0, floor)))
+            removed = removed + thin
+        probes.append(Probe(z, shadow, removed))
         below = z
-    return openings, probes
+    return cuts, probes
 
 
 def _thin_walls(walls: CrossSection) -> CrossSection:
-    """The parts of the walls in which no disc of diameter THIN fits; corners down to 60 degrees are not thin."""
-    core = walls.offset(-THIN / 2, JoinType.Miter, MITER)
-    kept = core.offset(THIN / 2 + LAP / 10, JoinType.Miter, MITER)
-    pieces = [piece for piece in (walls - kept).decompose() if piece.area() > SPECK]
+    """The parts of the walls in which no disc of diameter MIN_WALL fits; corners down to 60 degrees are not thin."""
+    core = walls.offset(-MIN_WALL / 2, JoinType.Miter, MITER_LIMIT)
+    kept = core.offset(MIN_WALL / 2 + WALL_OVERLAP / 10, JoinType.Miter, MITER_LIMIT)
+    pieces = [piece for piece in (walls - kept).decompose() if piece.area() > MIN_WALL_AREA]
     return CrossSection.batch_boolean(pieces, OpType.Add) if pieces else CrossSection()

@@ -11,9 +11,9 @@ from kit1000.kits.cavity import Cavity, Probe
 from kit1000.mesh import Mesh, solid_from_mesh
 
 SPACING = 0.5e-3  # [m] between measured points of a wall
-HEIGHTS = 5  # heights measured, spread over the probed ones
-GRAIN = 0.01e-3  # [m] heights are good to this much: on a shallow slope a micron of height is many across
-BESIDE = 0.1e-3  # [m] wall points this near an opened-away wall belong to the opening, not to a kept wall
+HEIGHT_COUNT = 5  # heights measured, spread over the probed ones
+HEIGHT_TOLERANCE = 0.01e-3  # [m] heights are good to this much: on a shallow slope a micron of height is many across
+OPENING_MARGIN = 0.1e-3  # [m] wall points this near an opened-away wall belong to the opening, not to a kept wall
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Clearance:
     largest: float
 
 
-def measured_clearance(plate: Mesh, cavity: Cavity, heights: int = HEIGHTS) -> Clearance:
+def measure_clearance(plate: Mesh, cavity: Cavity, heights: int = HEIGHT_COUNT) -> Clearance:
     """Slice the plate at several heights and measure from its inner walls to the shadow the part has swept there.
 
     plate: in the kit frame (rim at z = 0).
@@ -34,10 +34,14 @@ def measured_clearance(plate: Mesh, cavity: Cavity, heights: int = HEIGHTS) -> C
     nearest, farthest = [np.inf], [0.0]
     for probe in (cavity.probes[i] for i in picks):
         nearest.append(
-            distances(_kept_walls(solid, probe, probe.z + GRAIN - cavity.depth), probe.shadow).min(initial=np.inf)
+            distances(_kept_walls(solid, probe, probe.z + HEIGHT_TOLERANCE - cavity.depth), probe.shadow).min(
+                initial=np.inf
+            )
         )
         farthest.append(
-            distances(_kept_walls(solid, probe, probe.z - GRAIN - cavity.depth), probe.shadow).max(initial=0.0)
+            distances(_kept_walls(solid, probe, probe.z - HEIGHT_TOLERANCE - cavity.depth), probe.shadow).max(
+                initial=0.0
+            )
         )
     return Clearance(float(min(nearest)), float(max(farthest)))
 
@@ -45,12 +49,12 @@ def measured_clearance(plate: Mesh, cavity: Cavity, heights: int = HEIGHTS) -> C
 def _kept_walls(solid: Manifold, probe: Probe, z: float) -> np.ndarray:
     """(n, 2) points on the inner walls of the plate at a height, away from walls that were opened."""
     outer = np.array(solid.bounding_box()[3:5])
-    points = [walk(loop) for loop in solid.slice(z).to_polygons() if (np.abs(loop).max(0) < outer - 1e-6).all()]
+    points = [points_along(loop) for loop in solid.slice(z).to_polygons() if (np.abs(loop).max(0) < outer - 1e-6).all()]
     walls = np.concatenate(points) if points else np.zeros((0, 2))
-    return walls if probe.opened.is_empty() else walls[distances(walls, probe.opened) > BESIDE]
+    return walls if probe.removed_walls.is_empty() else walls[distances(walls, probe.removed_walls) > OPENING_MARGIN]
 
 
-def walk(loop: np.ndarray) -> np.ndarray:
+def points_along(loop: np.ndarray) -> np.ndarray:
     """(n, 2) points along a closed polygon, its corners and every SPACING between them."""
     along = np.roll(loop, -1, axis=0) - loop
     steps = np.maximum(np.ceil(np.hypot(*along.T) / SPACING).astype(int), 1)

@@ -17,13 +17,13 @@ from kit1000.mesh import Mesh, convex_hull, mesh_from_solid, solid_from_mesh
 from kit1000.values import Kit
 
 TOLERANCE = 0.4e-3  # [m] walls recede by at most about so much, of a clearance of 2.5 mm
-MOST_LAYERS = 12  # a round bottom stops here, in steps of one or two millimetres
-BRINK = 1e-6  # [m] layers end so far below a ledge: what float32 makes of its corners belongs above
-LEDGE = 1e-6  # [m^2] smaller level faces are slopes to the layers
-STEP = 20e-6  # [m] ledges closer than this are one
+MAX_LAYERS = 12  # a round bottom stops here, in steps of one or two millimetres
+LEDGE_OFFSET = 1e-6  # [m] layers end so far below a ledge: what float32 makes of its corners belongs above
+MIN_LEDGE_AREA = 1e-6  # [m^2] smaller level faces are slopes to the layers
+LEDGE_SPACING = 20e-6  # [m] ledges closer than this are one
 GRID = 1e-8  # [m] sections snap to a grid of some 4 nm
-SPECK = 1e-8  # [m^2] smaller polygons are dropped: engines refuse such slivers
-MITER = 2.0  # offset corners sharper than 60 degrees are cut off
+MIN_POLYGON_AREA = 1e-8  # [m^2] smaller polygons are dropped: engines refuse such slivers
+MITER_LIMIT = 2.0  # offset corners sharper than 60 degrees are cut off
 
 
 def convex_prisms(kit: Kit, tolerance: float = TOLERANCE) -> list[Mesh]:
@@ -47,17 +47,17 @@ def convex_polygons(section: CrossSection) -> list[np.ndarray]:
         return []
     corners = np.concatenate(contours)
     polygons = {i: list(triangle) for i, triangle in enumerate(triangulate(contours).tolist())}
-    owner = {(a, b): i for i, loop in polygons.items() for a, b in _sides(loop)}
+    owner = {(a, b): i for i, loop in polygons.items() for a, b in _edges(loop)}
     shared = [(a, b) for a, b in owner if a < b and (b, a) in owner]
     shared.sort(key=lambda side: -float(np.linalg.norm(corners[side[0]] - corners[side[1]])))
     for a, b in shared:
         left, right = owner[a, b], owner[b, a]
         merged = _merged(polygons[left], polygons[right], a, b)
-        if left != right and _turns_left(corners, merged, a) and _turns_left(corners, merged, b):
+        if left != right and _is_convex_at(corners, merged, a) and _is_convex_at(corners, merged, b):
             del polygons[right]
             polygons[left] = merged
-            owner.update(dict.fromkeys(_sides(merged), left))
-    return [corners[loop] for loop in polygons.values() if _area(corners[loop]) > SPECK]
+            owner.update(dict.fromkeys(_edges(merged), left))
+    return [corners[loop] for loop in polygons.values() if _area(corners[loop]) > MIN_POLYGON_AREA]
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,26 +68,26 @@ class _Layer:
     high: float
     shadow: CrossSection
     """Where the cavity is open anywhere in the layer."""
-    lost: float
+    lost_volume: float
     """[m^3] of wall under the shadow."""
 
     @property
     def recession(self) -> float:
         """[m] by which the layer's walls stand back, on average."""
         perimeter = sum(np.linalg.norm(np.roll(p, -1, 0) - p, axis=1).sum() for p in self.shadow.to_polygons())
-        return self.lost / (self.high - self.low) / max(perimeter, 1e-9)
+        return self.lost_volume / (self.high - self.low) / max(perimeter, 1e-9)
 
 
 def _layers(cavity: Manifold, floor: float, rim: float, tolerance: float) -> list[_Layer]:
     """From floor to rim, cut at every ledge, then halved where most is lost."""
     heights = [floor, *_ledges(cavity, floor, rim), rim]
     layers = [_layer(cavity, a, b) for a, b in pairwise(heights)]
-    while len(layers) < MOST_LAYERS:
+    while len(layers) < MAX_LAYERS:
         # the mean recession hides how far a slope goes back between upright walls
         coarse = [layer for layer in layers if layer.recession > tolerance / 4]
         if not coarse:
             break
-        worst = max(coarse, key=lambda layer: layer.lost)
+        worst = max(coarse, key=lambda layer: layer.lost_volume)
         middle = (worst.low + worst.high) / 2
         layers.remove(worst)
         layers += [_layer(cavity, worst.low, middle), _layer(cavity, middle, worst.high)]
@@ -106,22 +106,22 @@ def _ledges(cavity: Manifold, floor: float, rim: float) -> list[float]:
     z = mesh.triangles[..., 2]
     edges = mesh.triangles[:, 1:] - mesh.triangles[:, :1]
     areas = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1) / 2
-    level = (np.ptp(z, axis=1) < BRINK) & (z.min(1) > floor + STEP) & (z.min(1) < rim - STEP)
+    level = (np.ptp(z, axis=1) < LEDGE_OFFSET) & (z.min(1) > floor + LEDGE_SPACING) & (z.min(1) < rim - LEDGE_SPACING)
     order = np.argsort(z[level].min(1))
     heights, areas = z[level].min(1)[order], areas[level][order]
-    groups = np.split(np.arange(len(heights)), np.flatnonzero(np.diff(heights) > STEP) + 1)
-    return [float(heights[group[0]]) - BRINK for group in groups if areas[group].sum() > LEDGE]
+    groups = np.split(np.arange(len(heights)), np.flatnonzero(np.diff(heights) > LEDGE_SPACING) + 1)
+    return [float(heights[group[0]]) - LEDGE_OFFSET for group in groups if areas[group].sum() > MIN_LEDGE_AREA]
 
 
 def _outer_outline(shadow: CrossSection, tolerance: float) -> CrossSection:
     """A shadow with few corners: it holds all of the old one and reaches about 2 tolerances [m] beyond at most."""
-    few = [contour[_corners_kept(contour, tolerance)] for contour in shadow.to_polygons()]
+    few = [contour[_simplified_indices(contour, tolerance)] for contour in shadow.to_polygons()]
     outline = CrossSection([contour for contour in few if len(contour) > 2], FillRule.Positive)
     # slots narrower than the tolerance may have collapsed: the shadow itself is always part of the outline
-    return outline.offset(tolerance + GRID, JoinType.Miter, MITER) + shadow
+    return outline.offset(tolerance + GRID, JoinType.Miter, MITER_LIMIT) + shadow
 
 
-def _corners_kept(contour: np.ndarray, tolerance: float) -> np.ndarray:
+def _simplified_indices(contour: np.ndarray, tolerance: float) -> np.ndarray:
     """Indices of corners that hold a closed contour (n, 2) within a tolerance [m] (Douglas and Peucker 1973)."""
     far = int(np.argmax(np.linalg.norm(contour - contour[0], axis=1)))
     closed, kept, spans = np.concatenate([contour, contour[:1]]), {0, far}, [(0, far), (far, len(contour))]
@@ -156,7 +156,7 @@ def _prism(polygon: np.ndarray, low: float, high: float) -> Manifold:
     return convex_hull(np.concatenate(ends))
 
 
-def _sides(loop: list[int]) -> list[tuple[int, int]]:
+def _edges(loop: list[int]) -> list[tuple[int, int]]:
     return list(zip(loop, loop[1:] + loop[:1], strict=True))
 
 
@@ -166,7 +166,7 @@ def _merged(left: list[int], right: list[int], a: int, b: int) -> list[int]:
     return left[i:] + left[:i] + (right[j:] + right[:j])[1:-1]
 
 
-def _turns_left(corners: np.ndarray, loop: list[int], vertex: int) -> bool:
+def _is_convex_at(corners: np.ndarray, loop: list[int], vertex: int) -> bool:
     """Whether a counter-clockwise loop is convex at a vertex."""
     i = loop.index(vertex)
     before, here, after = corners[[loop[i - 1], vertex, loop[(i + 1) % len(loop)]]]

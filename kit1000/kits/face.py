@@ -1,7 +1,7 @@
-"""The face a part is inserted on: its stable resting faces, and which of them tells turns apart best.
+"""The face a part is inserted on: its stable resting faces, and which of them shows a wrong yaw best in the cavity.
 
-A part let go at random rolls over its convex hull until its centre of mass stands above the facet it lies on
-(Goldberg et al. 1999, quasi-static: the share of each resting face is the solid angle that drains into it).
+A part dropped in a random orientation rolls over its convex hull until its centre of mass is above the facet it rests
+on (Goldberg et al. 1999, quasi-static: a face's probability is the solid angle of all orientations that roll to it).
 """
 
 from __future__ import annotations
@@ -17,32 +17,33 @@ from kit1000.mesh import Mesh
 from kit1000.pose import Pose, quaternion_between, quaternion_from_rotvec
 from kit1000.symmetry import Symmetry
 
-PROBABLE = 0.05  # a resting face is one on which the part comes to lie in at least this share of drops
-ROUND = np.radians(12)  # stable facets closer than this are one rolling surface (a tessellated cylinder)
-WRONG_TURN = np.radians(20)  # turns beyond this ought to show in the cavity
-SAME_RELIEF = 0.02  # share of a relief by which a turn that is none may differ on the grid
-TIPPED, LEANING = np.radians(20), 3e-3  # a seated part must not lean so far while rising less than [m]
+MIN_PROBABILITY = 0.05  # share of drops after which the part lies on a face, for it to count as a resting face
+ROLLING_ANGLE = np.radians(12)  # stable facets closer than this are one rolling surface (a tessellated cylinder)
+WRONG_YAW = np.radians(20)  # a yaw error beyond this should collide with the walls
+SAME_RELIEF_SHARE = 0.02  # share of a relief by which two equal reliefs may differ on the grid
+TIP_ANGLE, TIP_RISE = np.radians(20), 3e-3  # a seated part must not tip by this angle while rising less than [m]
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True, eq=False)
 class RestingFace:
-    """A way a part can lie on a plane."""
+    """A face of the convex hull on which a part rests stably on a plane."""
 
     normal: np.ndarray
     """(3,) outward unit normal of the face, in the part frame: it points into the table."""
     probability: float
+    """Share of random drops after which the part rests on it."""
     height: float
-    """[m] of the part above the plane when it lies so."""
+    """[m] of the part above the plane when it rests so."""
 
     @cached_property
-    def lying(self) -> Pose:
-        """plane_from_part: the face turned down by the shortest rotation, about the part's origin."""
+    def plane_from_part(self) -> Pose:
+        """The shortest rotation that turns the face down, about the part's origin."""
         return Pose(quaternion_between(self.normal, DOWN), np.zeros(3))
 
 
-def resting_faces(mesh: Mesh, probable: float = PROBABLE) -> list[RestingFace]:
-    """The faces on which the part lies stably, most probable first.
+def resting_faces(mesh: Mesh, min_probability: float = MIN_PROBABILITY) -> list[RestingFace]:
+    """The faces on which the part rests stably, most probable first.
 
     mesh: closed, with its centre of mass at the origin.
     """
@@ -56,7 +57,7 @@ def resting_faces(mesh: Mesh, probable: float = PROBABLE) -> list[RestingFace]:
         normal = normals[sinks[chosen]]
         along = mesh.vertices @ normal
         faces.append(RestingFace(normal, float(probability[members].sum()), float(along.max() - along.min())))
-    return sorted((f for f in faces if f.probability >= probable), key=lambda f: -round(f.probability, 6))
+    return sorted((f for f in faces if f.probability >= min_probability), key=lambda f: -round(f.probability, 6))
 
 
 def rank_faces(
@@ -64,63 +65,63 @@ def rank_faces(
 ) -> list[int]:
     """Indices of the faces, the best to be inserted on first.
 
-    depths: [m] of the cavity for each face. Faces on which the part would tip over inside its clearance come last;
-    among the others the one whose relief tells the least visible wrong turn apart best. A turn that is a symmetry of
+    depths: [m] of the cavity for each face. Faces on which the part could tip over within its clearance come last; the
+    others are sorted by yaw contrast, how clearly the walls exclude the worst wrong yaw. A yaw that is a symmetry of
     the part is not wrong, so a disc lies on its flat face.
     """
     symmetry = symmetry or Symmetry.none()
     ranks = [
-        (_tips(mesh, face, depth, clearance), -round(_turn_contrast(mesh, face, depth, clearance, symmetry), 9))
+        (_tips_over(mesh, face, depth, clearance), -round(_yaw_contrast(mesh, face, depth, clearance, symmetry), 9))
         for face, depth in zip(faces, depths, strict=True)
     ]
     return sorted(range(len(faces)), key=ranks.__getitem__)
 
 
-def _tips(mesh: Mesh, face: RestingFace, depth: float, clearance: float) -> bool:
-    """Whether a block as narrow as the shadow's narrow side can lean by TIPPED without rising or jamming."""
-    points = mesh.moved(face.lying).vertices
-    width = narrow_side(points[points[:, 2] <= points[:, 2].min() + depth])
-    lean, drop = np.sin(TIPPED), 1 - np.cos(TIPPED)
-    rise = width / 2 * lean + points[:, 2].min() * drop  # of the centre, which stands -min above the floor
-    jams = depth * lean > 2 * clearance + width * drop
-    return bool(rise < min(LEANING, depth / 3) and not jams)
+def _tips_over(mesh: Mesh, face: RestingFace, depth: float, clearance: float) -> bool:
+    """Whether a block as narrow as the part below the rim can tip by TIP_ANGLE without rising or jamming."""
+    points = mesh.moved(face.plane_from_part).vertices
+    width = narrowest_width(points[points[:, 2] <= points[:, 2].min() + depth])
+    sine, versine = np.sin(TIP_ANGLE), 1 - np.cos(TIP_ANGLE)
+    rise = width / 2 * sine + points[:, 2].min() * versine  # of the centroid, which is -min above the floor
+    jams = depth * sine > 2 * clearance + width * versine
+    return bool(rise < min(TIP_RISE, depth / 3) and not jams)
 
 
-def narrow_side(points: np.ndarray) -> float:
-    """[m] least width of the shadow of points (n, 3): across one of the edges of its convex outline."""
+def narrowest_width(points: np.ndarray) -> float:
+    """[m] least width of points (n, 3) projected onto the xy plane: across an edge of their convex hull."""
     outline = points[ConvexHull(points[:, :2]).vertices, :2]
     edges = np.roll(outline, -1, axis=0) - outline
     across = np.stack([-edges[:, 1], edges[:, 0]], 1) / np.linalg.norm(edges, axis=1, keepdims=True)
     return float(np.ptp(outline @ across.T, axis=0).min())
 
 
-def _turn_contrast(mesh: Mesh, face: RestingFace, depth: float, clearance: float, symmetry: Symmetry) -> float:
-    """[m] how far the turned part would sink into the walls, on average: for the wrong turn that shows least.
+def _yaw_contrast(mesh: Mesh, face: RestingFace, depth: float, clearance: float, symmetry: Symmetry) -> float:
+    """[m] mean depth by which the part would cut into the walls at the wrong yaw where it is least.
 
-    The relief is the lower envelope of the lying part below the rim; the walls stand around its relief grown by the
-    clearance, and a part that still rises by LEANING counts as seated. A little of the mean breaks ties.
+    The relief is the lower envelope of the resting part below the rim; the walls stand around the relief grown by the
+    clearance, and a part that rises by less than TIP_RISE counts as seated. 1 % of the mean over all yaws breaks ties.
     """
-    relief, cavity, weights = polar_relief(mesh.moved(face.lying), depth, clearance)
-    turns = relief.shape[1]
-    shifted = relief[:, (np.arange(turns)[:, None] - np.arange(turns)) % turns]  # (rings, turns, turned by)
-    sunk = np.maximum(shifted - cavity[:, :, None] - min(LEANING, depth / 3), 0).sum(1)
-    hidden = weights @ sunk / (weights.sum() * turns)
-    angles = np.arange(turns) * (2 * np.pi / turns)
-    spun = quaternion_from_rotvec(-angles[:, None] * face.normal)  # the face looks down: it turns the other way
-    alike = weights @ np.abs(shifted - relief[:, :, None]).sum(1) < SAME_RELIEF * (weights @ relief.sum(1))
-    wrong = (symmetry.error(spun, np.array([1.0, 0, 0, 0])) > WRONG_TURN) & ~alike
-    return float(hidden[wrong].min() + 0.01 * hidden.mean()) if wrong.any() else np.inf
+    relief, cavity, weights = polar_relief(mesh.moved(face.plane_from_part), depth, clearance)
+    columns = relief.shape[1]
+    rotated = relief[:, (np.arange(columns)[:, None] - np.arange(columns)) % columns]  # (rings, columns, yaws)
+    overlap = np.maximum(rotated - cavity[:, :, None] - min(TIP_RISE, depth / 3), 0).sum(1)
+    mean_overlap = weights @ overlap / (weights.sum() * columns)  # (yaws,)
+    yaws = np.arange(columns) * (2 * np.pi / columns)
+    rotations = quaternion_from_rotvec(-yaws[:, None] * face.normal)  # the normal points down: opposite sense
+    same = weights @ np.abs(rotated - relief[:, :, None]).sum(1) < SAME_RELIEF_SHARE * (weights @ relief.sum(1))
+    wrong = (symmetry.error(rotations, np.array([1.0, 0, 0, 0])) > WRONG_YAW) & ~same
+    return float(mean_overlap[wrong].min() + 0.01 * mean_overlap.mean()) if wrong.any() else np.inf
 
 
 def _rolls_to(vertices: np.ndarray, hull: ConvexHull) -> np.ndarray:
-    """(k,) index of the hull triangle on which a roll that starts on triangle k ends."""
+    """(k,) index of the hull triangle on which the part comes to rest when it starts on triangle k."""
     corners = vertices[hull.simplices]
-    foot = -hull.equations[:, :3] * hull.equations[:, 3:]  # the origin dropped onto each facet's plane
-    opposite = np.stack([_outside(corners, hull.equations[:, :3], foot, k) for k in range(3)], 1)
+    foot = -hull.equations[:, :3] * hull.equations[:, 3:]  # the origin projected onto each facet's plane
+    opposite = np.stack([_beyond_edge(corners, hull.equations[:, :3], foot, k) for k in range(3)], 1)
     worst = opposite.argmax(1)
     rows = np.arange(len(corners))
     following = np.where(opposite[rows, worst] > 1e-9, hull.neighbors[rows, worst], rows)
-    # a roll never climbs: the height of the centre over the plane falls, or stays on the same plane
+    # a roll never climbs: the height of the centroid above the plane falls, or the plane stays the same
     climbs = hull.equations[following, 3] < hull.equations[:, 3] - 1e-9
     following = np.where(climbs, rows, following)
     for _ in range(int(np.ceil(np.log2(len(rows)))) + 1):
@@ -128,8 +129,8 @@ def _rolls_to(vertices: np.ndarray, hull: ConvexHull) -> np.ndarray:
     return following
 
 
-def _outside(corners: np.ndarray, normals: np.ndarray, foot: np.ndarray, k: int) -> np.ndarray:
-    """[m] how far the foot lies beyond the edge opposite corner k."""
+def _beyond_edge(corners: np.ndarray, normals: np.ndarray, foot: np.ndarray, k: int) -> np.ndarray:
+    """(m,) [m] signed distance of the foot beyond the edge opposite corner k."""
     a, b, c = corners[:, (k + 1) % 3], corners[:, (k + 2) % 3], corners[:, k]
     across = np.cross(b - a, normals)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
@@ -138,7 +139,7 @@ def _outside(corners: np.ndarray, normals: np.ndarray, foot: np.ndarray, k: int)
 
 
 def _solid_angles(triangles: np.ndarray) -> np.ndarray:
-    """(k,) [sr] of triangles seen from the origin (Van Oosterom and Strackee 1983, eq. 8)."""
+    """(k,) [sr] solid angles of triangles from the origin (Van Oosterom and Strackee 1983, eq. 8)."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
     dot = lambda x, y: np.einsum("ij,ij->i", x, y)  # noqa: E731
@@ -147,8 +148,8 @@ def _solid_angles(triangles: np.ndarray) -> np.ndarray:
 
 
 def _rolling_groups(normals: np.ndarray) -> list[np.ndarray]:
-    """Stable facets chained by angles below ROUND, as arrays of indices."""
-    close = normals @ normals.T > np.cos(ROUND)
+    """Groups of stable facets, as arrays of indices: neighbours in a group differ by less than ROLLING_ANGLE."""
+    close = normals @ normals.T > np.cos(ROLLING_ANGLE)
     labels = np.arange(len(normals))
     while True:
         merged = np.where(close, labels[None, :], len(normals)).min(1)

@@ -11,8 +11,8 @@ import numpy as np
 from manifold3d import CrossSection, Manifold
 
 from kit1000.errors import Redraw
-from kit1000.kits.cavity import SHALLOW, THIN, Cavity, cut_cavity, insertion_depth
-from kit1000.kits.clearance import Clearance, measured_clearance
+from kit1000.kits.cavity import MIN_SEATED_HEIGHT, MIN_WALL, Cavity, cut_cavity, insertion_depth
+from kit1000.kits.clearance import Clearance, measure_clearance
 from kit1000.kits.face import RestingFace, rank_faces, resting_faces
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.printable_mesh import printable_mesh
@@ -22,11 +22,11 @@ from kit1000.pose import Pose
 from kit1000.values import Kit, Part, Slot
 
 CLEARANCE = 2.5e-3  # [m] the paper's simulation margin
-PITCH = 0.1  # [m] between neighbouring plates of an assembly
-GAP = 1e-3  # [m] between neighbouring plates
-FLOOR = 2e-3  # [m] least material under a cavity
-LOOSEST = 0.1e-3  # [m] that a kept wall may stand farther off than asked
-RIM = 8e-3  # [m] least wall around the cavity of a plate made to measure
+PLATE_PITCH = 0.1  # [m] between neighbouring plates of an assembly
+PLATE_GAP = 1e-3  # [m] between neighbouring plates
+MIN_FLOOR = 2e-3  # [m] least material under a cavity
+MAX_EXCESS_CLEARANCE = 0.1e-3  # [m] that a kept wall may stand farther off than asked
+MIN_RIM = 8e-3  # [m] least wall around the cavity of a plate made to measure
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,9 @@ class Plate:
     """[m]"""
 
 
-UNIT_PLATE = Plate((PITCH - GAP, PITCH - GAP), 22e-3)  # cavity of at most 20 mm over 2 mm of floor
+UNIT_PLATE = Plate(
+    (PLATE_PITCH - PLATE_GAP, PLATE_PITCH - PLATE_GAP), 22e-3
+)  # cavity of at most 20 mm over 2 mm of floor
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,13 +51,16 @@ class KitDesign:
     kit: Kit
     cavity: Cavity
     face: RestingFace
-    measured: Clearance
+    measured_clearance: Clearance
 
     @property
-    def in_bounds(self) -> bool:
+    def clearance_in_bounds(self) -> bool:
         """Whether every kept wall stands as far off as asked: SAGITTA nearer or LOOSEST farther at most."""
         asked = self.kit.slot.clearance
-        return asked - SAGITTA <= self.measured.smallest and self.measured.largest <= asked + LOOSEST
+        return (
+            asked - SAGITTA <= self.measured_clearance.smallest
+            and self.measured_clearance.largest <= asked + MAX_EXCESS_CLEARANCE
+        )
 
     @property
     def report(self) -> dict[str, float | int | bool]:
@@ -63,12 +68,12 @@ class KitDesign:
         slot = self.kit.slot
         return {
             "clearance_asked_mm": slot.clearance * 1e3,
-            "clearance_smallest_mm": self.measured.smallest * 1e3,
-            "clearance_largest_mm": self.measured.largest * 1e3,
+            "clearance_smallest_mm": self.measured_clearance.smallest * 1e3,
+            "clearance_largest_mm": self.measured_clearance.largest * 1e3,
             "depth_mm": slot.depth * 1e3,
             "proud_mm": (self.face.height - slot.depth) * 1e3,
-            "walls_removed": self.cavity.opened_walls,
-            "walls_removed_mm3": self.cavity.opened_volume * 1e9,
+            "walls_removed": self.cavity.removed_wall_count,
+            "walls_removed_mm3": self.cavity.removed_wall_volume * 1e9,
             "undercut_lost_mm3": self.cavity.undercut_volume * 1e9,
             "goals": len(slot.goals),
             "free_axis": slot.free_axis is not None,
@@ -92,9 +97,11 @@ def design_kit(
     """
     face = face or insertion_faces(part, clearance, made_to_measure=plate is None)[0]
     depth = insertion_depth(face.height)
-    standing = _turned_square(part.mesh, face, depth)
+    standing = _aligned_with_plate(part.mesh, face, depth)
     plate = plate or _plate_for(part.mesh.moved(standing), clearance, depth)
-    cavity, mesh, measured = _cut_plate(solid_from_mesh(part.mesh).transform(standing.matrix()[:3]), depth, clearance, plate)
+    cavity, mesh, measured = _cut_plate(
+        solid_from_mesh(part.mesh).transform(standing.matrix()[:3]), depth, clearance, plate
+    )
     kit_from_part = Pose.from_translation(np.array([0, 0, -depth])) @ standing
     goals, free_axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, cavity))
     slot = Slot(part.id, kit_from_part, clearance, depth, goals, free_axis)
@@ -106,11 +113,11 @@ def insertion_faces(part: Part, clearance: float = CLEARANCE, made_to_measure: b
     faces = resting_faces(part.mesh)
     if not faces:
         raise Redraw("no stable resting face")
-    tall = [face for face in faces if face.height >= SHALLOW]
+    tall = [face for face in faces if face.height >= MIN_SEATED_HEIGHT]
     if not tall and made_to_measure:
         tall = faces
     if not tall:
-        raise Redraw(f"no stable face with {SHALLOW * 1e3:g} mm of seated height")
+        raise Redraw(f"no stable face with {MIN_SEATED_HEIGHT * 1e3:g} mm of seated height")
     depths = [insertion_depth(face.height) for face in tall]
     return [tall[i] for i in rank_faces(part.mesh, tall, depths, clearance, part.symmetry)]
 
@@ -119,16 +126,16 @@ def _cut_plate(standing: Manifold, depth: float, clearance: float, plate: Plate)
     """The cavity, the plate and its clearance: fast if that keeps the bounds, face by face if not."""
     for joined in (True, False):
         cavity = cut_cavity(standing, depth, clearance, plate.width, joined)
-        if not _keeps_rim(cavity, plate):
+        if not _fits_plate(cavity, plate):
             raise Redraw("wider than the plate")
         mesh = _plate_mesh(cavity, plate)
-        measured = measured_clearance(mesh, cavity)
-        if measured.largest <= clearance + LOOSEST:
+        measured = measure_clearance(mesh, cavity)
+        if measured.largest <= clearance + MAX_EXCESS_CLEARANCE:
             break
     return cavity, mesh, measured
 
 
-def _turned_square(mesh: Mesh, face: RestingFace, depth: float) -> Pose:
+def _aligned_with_plate(mesh: Mesh, face: RestingFace, depth: float) -> Pose:
     """The lying part, lowest point at z = 0, the least rectangle about its shadow square to the plate, centred."""
     lying = face.plane_from_part
     points = mesh.moved(lying).vertices
@@ -158,15 +165,15 @@ def _rotated(points: np.ndarray, angle: float) -> np.ndarray:
 
 
 def _plate_for(standing: Mesh, clearance: float, depth: float) -> Plate:
-    reach = np.abs(standing.bounds[:, :2]).max(0) + clearance + RIM
+    reach = np.abs(standing.bounds[:, :2]).max(0) + clearance + MIN_RIM
     width = np.ceil(2 * reach * 1e3) / 1e3
-    return Plate((float(width[0]), float(width[1])), depth + FLOOR)
+    return Plate((float(width[0]), float(width[1])), depth + MIN_FLOOR)
 
 
-def _keeps_rim(cavity: Cavity, plate: Plate) -> bool:
+def _fits_plate(cavity: Cavity, plate: Plate) -> bool:
     low_x, low_y, _, high_x, high_y, _ = cavity.solid.bounding_box()
     reach = np.maximum([-low_x, -low_y], [high_x, high_y])
-    return bool((reach <= np.array(plate.width) / 2 - THIN).all())
+    return bool((reach <= np.array(plate.width) / 2 - MIN_WALL).all())
 
 
 def _plate_mesh(cavity: Cavity, plate: Plate) -> Mesh:

@@ -1,7 +1,7 @@
-"""Down-facing faces joined into convex patches: pieces of an underside whose upward sweep is one convex body.
+"""Down-facing faces merged into convex patches: pieces of an underside whose upward sweep is one convex body.
 
-A patch is convex when its shadow is a convex polygon and every corner lies on or above the plane of every face. Its
-sweep is then the hull of its corners here and at the rim, so the cavity of a whole lying cylinder is a single hull.
+A patch is convex when its projection along z is a convex polygon and every corner lies on or above the plane of every
+face. Its sweep is then the hull of its corners at their own height and at the rim: one hull for a lying cylinder.
 """
 
 from __future__ import annotations
@@ -10,61 +10,65 @@ import numpy as np
 
 from kit1000.compiled import compiled
 
-FLAT = 2e-6  # [m] a corner may lie this far below a plane, or
-ACROSS = 0.1e-3  # [m] this far beyond it, measured level: hulls then err by as much, to the open side, and the facets
-# of a round hole join by twos and threes
-NICK = 2e-8  # [m^2] area by which the hull of a shadow may exceed the shadow
+PLANE_TOLERANCE = 2e-6  # [m] a corner may lie this far below the plane of a face, or
+# [m] this far outside it, measured horizontally: hulls then err by as much, to the open side, and two or three facets
+# of a round hole merge
+HORIZONTAL_TOLERANCE = 0.1e-3
+HULL_AREA_TOLERANCE = 2e-8  # [m^2] by which the hull of a projection may exceed the projection
 
 
-def convex_patches(triangles: np.ndarray, joined: bool = True) -> list[np.ndarray]:
-    """Triangles (m, 3, 3) [m] that all look down, as patches: (k, 3) [m] corners each.
+def convex_patches(triangles: np.ndarray, merge_nearly_convex: bool = True) -> list[np.ndarray]:
+    """Patches of downward-facing triangles (m, 3, 3) [m], each as its corners (k, 3) [m].
 
-    joined: allow ACROSS and NICK; otherwise only what is convex to FLAT is one patch.
+    merge_nearly_convex: allow HORIZONTAL_TOLERANCE and HULL_AREA_TOLERANCE; else a patch is convex to PLANE_TOLERANCE.
     """
     if not len(triangles):
         return []
     corners, faces = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     faces = faces.reshape(-1, 3)
-    labels = _grow(corners, faces, _neighbours(faces), *((ACROSS, NICK) if joined else (0.0, NICK * 1e-3)))
+    tolerances = (
+        (HORIZONTAL_TOLERANCE, HULL_AREA_TOLERANCE) if merge_nearly_convex else (0.0, HULL_AREA_TOLERANCE * 1e-3)
+    )
+    labels = _grow(corners, faces, _neighbours(faces), *tolerances)
     order = np.argsort(labels, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
     return [corners[np.unique(faces[group])] for group in groups]
 
 
 def _neighbours(faces: np.ndarray) -> np.ndarray:
-    """(m, 3) index of the face across each edge, -1 at the border."""
+    """(m, 3) index of the face horizontal each edge, -1 at the border."""
     a, b = faces.ravel(), faces[:, [1, 2, 0]].ravel()
     count = faces.max() + 1
     there, back = a * count + b, b * count + a
     order = np.argsort(there)
-    spot = np.clip(np.searchsorted(there[order], back), 0, len(order) - 1)
-    across = order[spot]
-    return np.where(there[across] == back, across // 3, -1).reshape(-1, 3)
+    place = np.clip(np.searchsorted(there[order], back), 0, len(order) - 1)
+    opposite = order[place]
+    return np.where(there[opposite] == back, opposite // 3, -1).reshape(-1, 3)
 
 
 @compiled
-def _grow(corners, faces, neighbours, across, nick):
-    """Greedy: each face not yet taken seeds a patch that takes in neighbours as long as it stays convex."""
+def _grow(corners, faces, neighbours, horizontal, hull_tolerance):
+    """(m,) patch label of each face. Greedy: each unlabelled face seeds a patch that adds neighbours while convex."""
     count = faces.shape[0]
-    normals = np.empty((count, 5))
-    shadows = np.empty(count)
+    planes = np.empty((count, 5))
+    areas = np.empty(count)
     for f in range(count):
         a, b, c = corners[faces[f, 0]], corners[faces[f, 1]], corners[faces[f, 2]]
         n = np.cross(b - a, c - a)
-        shadows[f] = abs(n[2]) / 2
+        areas[f] = abs(n[2]) / 2
         n /= np.sqrt((n**2).sum())
-        normals[f, :3] = -n
-        normals[f, 3] = -(n * a).sum()
-        normals[f, 4] = max(FLAT, across * np.hypot(n[0], n[1]))
+        planes[f, :3] = -n
+        planes[f, 3] = -(n * a).sum()
+        planes[f, 4] = max(PLANE_TOLERANCE, horizontal * np.hypot(n[0], n[1]))
     labels = np.full(count, -1)
     members, points, queue = np.empty(count, np.int64), np.empty(3 * count, np.int64), np.empty(3 * count, np.int64)
     for seed in range(count):
         if labels[seed] >= 0:
             continue
         labels[seed] = seed
-        members[0], sized, area = seed, 1, shadows[seed]
+        members[0], member_count, area = seed, 1, areas[seed]
         points[:3] = faces[seed]
-        held = 3
+        point_count = 3
         queue[:3] = neighbours[seed]
         head, tail = 0, 3
         while head < tail:
@@ -72,18 +76,18 @@ def _grow(corners, faces, neighbours, across, nick):
             head += 1
             if f < 0 or labels[f] >= 0:
                 continue
-            if not _above(corners, points[:held], normals[f]) or not _under(
-                corners, faces[f], normals, members[:sized]
+            if not _above(corners, points[:point_count], planes[f]) or not _under(
+                corners, faces[f], planes, members[:member_count]
             ):
                 continue
-            points[held : held + 3] = faces[f]
-            if _hull_area(corners, points[: held + 3]) > area + shadows[f] + nick:
+            points[point_count : point_count + 3] = faces[f]
+            if _hull_area(corners, points[: point_count + 3]) > area + areas[f] + hull_tolerance:
                 continue
-            held += 3
-            area += shadows[f]
+            point_count += 3
+            area += areas[f]
             labels[f] = seed
-            members[sized] = f
-            sized += 1
+            members[member_count] = f
+            member_count += 1
             for k in range(3):
                 if tail < queue.shape[0]:
                     queue[tail] = neighbours[f, k]
@@ -101,7 +105,7 @@ def _above(corners, points, plane):
 
 @compiled
 def _under(corners, face, planes, members):
-    for m in members:  # noqa: SIM110 (compiled code knows no generators)
+    for m in members:  # noqa: SIM110 (compiled code supports no generators)
         if not _above(corners, face, planes[m]):
             return False
     return True
@@ -109,7 +113,7 @@ def _under(corners, face, planes, members):
 
 @compiled
 def _hull_area(corners, points):
-    """Area of the convex hull of the points' shadows (monotone chain)."""
+    """Area of the convex hull of the points projected along z (monotone chain)."""
     xy = np.empty((points.shape[0], 2))
     for i in range(points.shape[0]):
         xy[i, 0], xy[i, 1] = corners[points[i], 0], corners[points[i], 1]

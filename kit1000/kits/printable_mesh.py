@@ -13,20 +13,20 @@ from manifold3d import Manifold
 from kit1000.errors import Redraw
 from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid
 
-WELD = 2e-6  # [m] edges and ripples smaller than this are simplified away
+SIMPLIFY_TOLERANCE = 2e-6  # [m] edges and ripples smaller than this are simplified away
 GRID = 2.0**-23  # [m] 0.12 um: exact in float32 up to 2 m, and ten times what loaders take for equal
-PART = 2e-6  # [m] vertices that share a place are moved this far towards their own neighbours
-ROUNDS = 5  # each moves twice as far as the one before
+SEPARATION = 2e-6  # [m] vertices that share a place are moved this far towards their own neighbours
+MAX_ROUNDS = 5  # each moves twice as far as the one before
 
 
 def printable_mesh(solid: Manifold, name: str) -> Mesh:
     """A solid as one closed body with vertices on the float32 grid; `name` opens the reason of a refusal."""
-    mesh, fault = _on_grid(mesh_from_solid(solid.as_original().simplify(WELD))), None
-    for round_ in range(ROUNDS):
+    mesh, fault = _on_grid(mesh_from_solid(solid.as_original().simplify(SIMPLIFY_TOLERANCE))), None
+    for round_ in range(MAX_ROUNDS):
         fault = defect_float32(mesh)
         if fault is None:
             return _one_body(mesh.merged(), name)
-        mesh = _on_grid(_parted(mesh, PART * 2**round_))
+        mesh = _on_grid(_separated(mesh, SEPARATION * 2**round_))
     raise Redraw(f"{name} not closed in float32: {fault}")
 
 
@@ -40,7 +40,7 @@ def _on_grid(mesh: Mesh) -> Mesh:
     return Mesh(np.round(mesh.vertices / GRID) * GRID, mesh.faces)
 
 
-def _parted(mesh: Mesh, distance: float) -> Mesh:
+def _separated(mesh: Mesh, distance: float) -> Mesh:
     """The mesh with every vertex that shares its place with another moved towards the mean of its neighbours."""
     _, place, count = np.unique(mesh.vertices, axis=0, return_inverse=True, return_counts=True)
     shared = np.flatnonzero(count[place.ravel()] > 1)

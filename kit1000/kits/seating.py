@@ -1,11 +1,11 @@
 """The seating test: does a predicted pose put the part into its cavity?
 
-The part is held in the predicted orientation, starts HOVER out along the insertion axis as the prediction carries it,
-and moves along that axis to first contact with everything that stands there. It is seated when contact leaves it at
-goal height (within min(3 mm, depth/3) along the slot's axis), when the predicted pose lies within 3 mm of the contact
-pose, and when the slot is the true one. A strict twin asks 1 mm in place of 3. Two independent ways to the contact:
-`contact_raise` (closed form on faces and edges, a millisecond) and `judged_raise` (exact booleans of the part's swept
-solid, bisected), which must agree within JUDGE_STEP. All lengths are metres.
+The part keeps the predicted orientation, starts HOVER out along the carried axis (the insertion axis, rotated with the
+part by the prediction), and moves along it to first contact with everything around, the fixed bodies. It is seated when
+contact leaves it at goal height (within min(3 mm, depth/3) along the slot's axis), when the predicted pose lies within
+3 mm of the contact pose, and when the slot is the true one. The strict test has 1 mm in place of 3. Two independent
+computations of the contact, `contact_offset` (closed form on faces and edges, a millisecond) and
+`contact_offset_by_booleans` (bisection over exact booleans), agree within BISECTION_STEP. All lengths are metres.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from dataclasses import dataclass
 import numpy as np
 from manifold3d import Manifold, Mesh64, OpType
 
-from kit1000.kits.contact import ContactFeatures, ConvexEdges, vertical_contact_offset, contact_features, convex_edges
+from kit1000.kits.contact import ContactFeatures, ConvexEdges, contact_features, convex_edges, vertical_contact_offset
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose, quaternion_between
 
 HOVER = 0.1  # [m] the approach begins so far out (paper, section III-E)
-SEATED_LIMIT = 3e-3  # [m] how far a seated prediction may be from contact, and contact from goal height
-STRICT_LIMIT = 1e-3  # [m] the same for the strict verdict
-BISECTION_STEP = 0.02e-3  # [m] resolution of the bisection; verdicts keep this distance from their limits
-PARALLEL_TOLERANCE = 1e-15  # 1 - cos of an angle (45 nrad) that moves nothing by a nanometre
+SEATED_LIMIT = 3e-3  # [m] of a seated prediction from contact, and of contact from goal height
+STRICT_LIMIT = 1e-3  # [m] the same for the strict test
+BISECTION_STEP = 0.02e-3  # [m] resolution of the bisection; both limits are tightened by it
+PARALLEL_TOLERANCE = 1e-15  # 1 - cos of an angle (45 nrad) that moves no point by a nanometre
 WALL_COSINE = 1e-6  # faces whose unit normal has a smaller -z are walls: what they sweep has no volume
 PRISM_FACES = np.array(
     [(0, 1, 2), (5, 4, 3), (0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2), (2, 5, 3), (2, 3, 0)], dtype=np.int32
@@ -33,7 +33,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class InsertedPart:
-    """A part made ready for contact: its convex edges and the axis it is inserted along."""
+    """A part with its insertion axis, prepared for contact tests."""
 
     edges: ConvexEdges
     axis: np.ndarray
@@ -41,52 +41,55 @@ class InsertedPart:
 
     @staticmethod
     def of(mesh: Mesh, kit_from_part: Pose) -> InsertedPart:
-        """The part as its slot takes it: out of the cavity is +z of the kit."""
+        """The part in its slot: +z of the kit points out of the cavity."""
         return InsertedPart(convex_edges(mesh), kit_from_part.inverse().rotate(UP))
 
 
 @dataclass(frozen=True)
 class SeatingResult:
-    """What the seating test says of one pose."""
+    """Result of the seating test for one pose."""
 
     contact_offset: float
-    """[m] from the predicted pose up to contact along the carried axis; -inf when nothing is below."""
+    """[m] from the predicted pose to contact along the carried axis; -inf when nothing is below."""
     contact_height: float
-    """[m] of the part's frame at contact above its goal, along the slot's axis."""
+    """[m] of the part at contact above its goal, along the slot's axis."""
     seated: bool
     strict: bool
 
     @property
     def penetration(self) -> float:
-        """[m] how far the prediction lies below contact; 0 above it."""
+        """[m] of the predicted pose below contact; 0 above it."""
         return max(self.contact_offset, 0.0)
 
 
-def contact_offset(plug: InsertedPart, standing: ConvexEdges, standing_from_part: Pose, above: ContactFeatures | None = None) -> float:
-    """How far the part must rise along its carried axis to just touch what stands there [m]; closed form.
+def contact_offset(
+    part: InsertedPart, fixed: ConvexEdges, fixed_from_part: Pose, fixed_features: ContactFeatures | None = None
+) -> float:
+    """[m] along the carried axis that takes the part to first contact with the fixed bodies; closed form.
 
-    Negative when it hangs free, -inf when nothing is below it. above: what stands there, seen along its own z, for
-    callers that try many poses: it serves those whose carried axis is z.
+    Negative when it hangs free, -inf when nothing is below it. fixed_features: the contact features of the fixed bodies
+    from +z of their frame; callers that test many poses pass them once, for the poses whose carried axis is z.
     """
-    rotation, axis = standing_from_part.rotation_matrix(), standing_from_part.rotate(plug.axis)
-    if above is not None and axis[2] > 1 - PARALLEL_TOLERANCE:
-        return vertical_contact_offset(contact_features(plug.edges, rotation, standing_from_part.xyz, -1.0), above)
-    path = Pose(quaternion_between(axis, UP), np.zeros(3)).rotation_matrix()
-    moving = contact_features(plug.edges, path @ rotation, path @ standing_from_part.xyz, -1.0)
-    return vertical_contact_offset(moving, contact_features(standing, path, np.zeros(3), 1.0))
+    rotation, axis = fixed_from_part.rotation_matrix(), fixed_from_part.rotate(part.axis)
+    if fixed_features is not None and axis[2] > 1 - PARALLEL_TOLERANCE:
+        moving = contact_features(part.edges, rotation, fixed_from_part.xyz, -1.0)
+        return vertical_contact_offset(moving, fixed_features)
+    axis_to_z = Pose(quaternion_between(axis, UP), np.zeros(3)).rotation_matrix()
+    moving = contact_features(part.edges, axis_to_z @ rotation, axis_to_z @ fixed_from_part.xyz, -1.0)
+    return vertical_contact_offset(moving, contact_features(fixed, axis_to_z, np.zeros(3), 1.0))
 
 
-def contact_offset_by_booleans(swept: Manifold, plug: InsertedPart, standing: Manifold, standing_from_part: Pose) -> float:
-    """The same by exact booleans: the lowest rise at which the swept part is clear of what stands there [m].
+def contact_offset_by_booleans(swept: Manifold, part: InsertedPart, fixed: Manifold, fixed_from_part: Pose) -> float:
+    """The same offset [m] by exact booleans: the smallest at which the swept part is clear of the fixed bodies.
 
-    swept: the part swept out along its axis (`swept_out`), part frame. The swept solid makes "free" monotone in the
-    rise, so bisection is exact; the answer is good to JUDGE_STEP / 2.
+    swept: `swept_solid` of the part along its axis, part frame. With it "free" is monotone in the offset, so bisection
+    is exact; the error is at most BISECTION_STEP / 2.
     """
-    placed = swept.transform(standing_from_part.matrix()[:3])
-    axis = standing_from_part.rotate(plug.axis)
+    placed = swept.transform(fixed_from_part.matrix()[:3])
+    axis = fixed_from_part.rotate(part.axis)
 
-    def free(rise: float) -> bool:
-        return (placed.translate(axis * rise) ^ standing).is_empty()
+    def free(offset: float) -> bool:
+        return (placed.translate(axis * offset) ^ fixed).is_empty()
 
     low, high = -HOVER, HOVER
     if free(low):
@@ -98,36 +101,36 @@ def contact_offset_by_booleans(swept: Manifold, plug: InsertedPart, standing: Ma
 
 
 def swept_solid(mesh: Mesh, axis: np.ndarray, length: float = HOVER) -> Manifold:
-    """The solid a part sweeps when it moves `length` [m] along a unit axis, part frame.
+    """The solid that a part sweeps when it moves `length` [m] along a unit axis, part frame.
 
-    It is the part at both ends of its way and a prism over each face that looks back.
+    It is the union of the part at both ends of the motion and of a prism over each face that points backward.
     """
-    turn = Pose(quaternion_between(axis, UP), np.zeros(3))
-    upright = mesh.moved(turn)
+    axis_to_z = Pose(quaternion_between(axis, UP), np.zeros(3))
+    upright = mesh.moved(axis_to_z)
     ends = [solid_from_mesh(upright), solid_from_mesh(upright).translate((0, 0, length))]
     backs = upright.triangles[upright.normals[:, 2] < -WALL_COSINE]
     swept = Manifold.batch_boolean(ends + [_prism(back, length) for back in backs], OpType.Add)
-    return swept.transform(turn.inverse().matrix()[:3])
+    return swept.transform(axis_to_z.inverse().matrix()[:3])
 
 
 def _prism(triangle: np.ndarray, length: float) -> Manifold:
-    """A triangle (3, 3) [m] that looks down, moved up by a length [m]."""
+    """A downward-facing triangle (3, 3) [m] extruded up by a length [m]."""
     corners = np.concatenate([triangle, triangle + [0, 0, length]])
     return Manifold(Mesh64(corners, PRISM_FACES))
 
 
-def seating_result(rise: float, plug: InsertedPart, slot_from_part: Pose, goal: Pose, depth: float) -> SeatingResult:
-    """The seating verdict for a pose in the kit frame of the true slot, given its rise to contact.
+def seating_result(offset: float, part: InsertedPart, kit_from_part: Pose, goal: Pose, depth: float) -> SeatingResult:
+    """The seating test for a pose in the frame of the true kit, given its offset to contact [m].
 
-    slot_from_part, goal: unbatched poses in the kit frame, whose z is the slot's axis.
+    kit_from_part, goal: unbatched poses in the kit frame, whose z is the slot's axis; depth: [m] of the cavity.
     """
-    if not np.isfinite(rise):
-        return SeatingResult(rise, -np.inf, False, False)
-    contact = slot_from_part.xyz + rise * slot_from_part.rotate(plug.axis)
+    if not np.isfinite(offset):
+        return SeatingResult(offset, -np.inf, False, False)
+    contact = kit_from_part.xyz + offset * kit_from_part.rotate(part.axis)
     height = float(contact[2] - goal.xyz[2])
 
     def passes(limit: float) -> bool:
         deep = min(limit, depth / 3)
-        return bool(abs(height) <= deep - BISECTION_STEP and abs(rise) < limit - BISECTION_STEP)
+        return bool(abs(height) <= deep - BISECTION_STEP and abs(offset) < limit - BISECTION_STEP)
 
-    return SeatingResult(rise, height, passes(SEATED_LIMIT), passes(STRICT_LIMIT))
+    return SeatingResult(offset, height, passes(SEATED_LIMIT), passes(STRICT_LIMIT))

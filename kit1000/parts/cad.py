@@ -40,11 +40,55 @@ from kit1000.parts.sketch import (
 from kit1000.symmetry import Symmetry
 
 __all__ = [
-    "Axis", "CrossSection", "Manifold", "Symmetry", "along", "arc_points", "at", "bolt_circle", "bore", "box",
-    "chance", "circle", "circle_segments", "cone", "cut_slot", "cyclic", "cylinder", "dihedral", "drill", "free",
-    "free_flipped", "gear", "grid", "gusset", "holes", "hull", "hull_2d", "join", "keyway", "mirrored", "ngon",
-    "none", "pick", "pocket", "polygon", "prism", "rectangle", "repeated", "revolved", "ring", "rounded", "sector",
-    "slot", "span", "sphere", "swept", "tube", "turned", "wedge",
+    "Axis",
+    "CrossSection",
+    "Manifold",
+    "Symmetry",
+    "along",
+    "arc_points",
+    "at",
+    "bolt_circle",
+    "bore",
+    "box",
+    "chance",
+    "circle",
+    "circle_segments",
+    "cone",
+    "cut_slot",
+    "cyclic",
+    "cylinder",
+    "dihedral",
+    "drill",
+    "free",
+    "free_flipped",
+    "gear",
+    "grid",
+    "gusset",
+    "holes",
+    "hull",
+    "hull_2d",
+    "join",
+    "keyway",
+    "mirrored",
+    "ngon",
+    "none",
+    "pick",
+    "pocket",
+    "polygon",
+    "prism",
+    "rectangle",
+    "repeated",
+    "revolved",
+    "ring",
+    "rotated",
+    "rounded",
+    "sector",
+    "slot",
+    "span",
+    "sphere",
+    "swept",
+    "tube",
+    "wedge",
 ]  # fmt: skip
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -59,7 +103,7 @@ ROUND_STEPS = 5
 
 # Euler angles that lay a z-up solid along an axis. Seen from the tip of the axis its x stays to the right and, for the
 # four level axes, its y points up.
-_LAID: dict[str, tuple[float, float, float]] = {
+_ALONG_ANGLES_DEG: dict[str, tuple[float, float, float]] = {
     "z": (0, 0, 0),
     "-z": (180, 0, 0),
     "x": (90, 0, 90),
@@ -89,8 +133,8 @@ def prism(
     if max(top, bottom, fillet_top) <= 0:
         return profile.extrude(height)
     contours = profile.simplify(1e-4).to_polygons()
-    bottom = _admitted(contours, min(bottom, 0.45 * height))
-    top = _admitted(contours, min(max(top, fillet_top), 0.45 * height))
+    bottom = _feasible_inset(contours, min(bottom, 0.45 * height))
+    top = _feasible_inset(contours, min(max(top, fillet_top), 0.45 * height))
     layers = [(0.0, bottom), (bottom, 0.0)] if bottom > 0 else [(0.0, 0.0)]
     layers += _top_rim(height, top, round_rim=fillet_top > 0)
     return _lofted([_inset(contours, inset) for _, inset in layers], [z for z, _ in layers])
@@ -183,7 +227,7 @@ def at(solid: Manifold, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Manif
     return solid.translate((x, y, z))
 
 
-def turned(solid: Manifold, axis: Literal["x", "y", "z"], angle_deg: float) -> Manifold:
+def rotated(solid: Manifold, axis: Literal["x", "y", "z"], angle_deg: float) -> Manifold:
     """The solid turned about an axis through the origin, counter-clockwise seen from the axis tip."""
     x, y, z = (angle_deg if name == axis else 0.0 for name in "xyz")
     return solid.rotate((x, y, z))
@@ -191,7 +235,7 @@ def turned(solid: Manifold, axis: Literal["x", "y", "z"], angle_deg: float) -> M
 
 def along(solid: Manifold, axis: Axis) -> Manifold:
     """A z-up solid laid so that its z runs along `axis`; for level axes its y points up (to +z)."""
-    return solid.rotate(_LAID[axis])
+    return solid.rotate(_ALONG_ANGLES_DEG[axis])
 
 
 def mirrored(solid: Manifold, axis: Literal["x", "y", "z"]) -> Manifold:
@@ -202,7 +246,7 @@ def mirrored(solid: Manifold, axis: Literal["x", "y", "z"]) -> Manifold:
 
 def repeated(solid: Manifold, n: int) -> Manifold:
     """n copies evenly about the z axis, joined."""
-    return join(*(turned(solid, "z", 360 * k / n) for k in range(n)))
+    return join(*(rotated(solid, "z", 360 * k / n) for k in range(n)))
 
 
 # --- cutting ----------------------------------------------------------------------------------------------------
@@ -229,7 +273,7 @@ def drill(
     facing = np.degrees(np.arctan2(mouths[:, 1], mouths[:, 0])) if axis in ("z", "-z") else np.zeros(len(mouths))
     turn = 1 if axis == "z" else -1
     tools = [
-        along(turned(tool, "z", turn * angle), axis).translate(mouth.tolist())
+        along(rotated(tool, "z", turn * angle), axis).translate(mouth.tolist())
         for mouth, angle in zip(mouths, facing, strict=True)
     ]
     return Manifold.batch_boolean([solid, *tools], OpType.Subtract)
@@ -311,7 +355,7 @@ def _inset_loop(loop: NDArray, distance: float) -> NDArray:
     return loop + distance * (before + inward) / np.maximum(opening, 0.1)[:, None]
 
 
-def _admitted(contours: list[NDArray], wanted: float) -> float:
+def _feasible_inset(contours: list[NDArray], wanted: float) -> float:
     """The largest of wanted, 0.7 wanted, 0.49 wanted, ... by which the contours can move inwards and stay simple."""
     for size in wanted * 0.7 ** np.arange(6):
         if size > 0.05 and _stays_simple(contours, float(size)):

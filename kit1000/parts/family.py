@@ -16,11 +16,11 @@ from kit1000.mesh import Mesh, defect_float32, mesh_from_solid
 from kit1000.symmetry import Symmetry
 from kit1000.values import Part
 
-Drawn = TypeVar("Drawn", bound="Family")
+Drawing = TypeVar("Drawing", bound="Family")
 
 DENSITY = 1240.0
 """[kg/m^3] PLA, what a desktop printer would make the parts of."""
-LEAST_FILL_THICKNESS = 0.7e-3
+MIN_MEAN_THICKNESS = 0.7e-3
 """[m] volume / (area / 2) of the thinnest part taken: about the mean thickness of its walls. Families keep every
 single wall at 1.5 mm or more themselves; this only catches a drawing that went wrong."""
 MM = 1e-3
@@ -30,7 +30,7 @@ class Family(Protocol):
     """A frozen dataclass of named dimensions in mm (counts and switches may stand beside them)."""
 
     @classmethod
-    def draw(cls: type[Drawn], rng: np.random.Generator) -> Drawn:
+    def draw(cls: type[Drawing], rng: np.random.Generator) -> Drawing:
         """Dimensions of one part; everything random comes from `rng`."""
         ...
 
@@ -56,7 +56,7 @@ def make_part(part_id: str, family_name: str, dims: Family, longest: float | Non
     factor = MM if longest is None else longest / float(drawn.extents.max())
     mesh = Mesh((drawn.vertices - drawn.centroid) * factor, drawn.faces).rounded_float32().merged()
     _require(len(solid.decompose()) == 1, "several bodies")
-    _require(2 * mesh.volume / mesh.area >= LEAST_FILL_THICKNESS, "too thin")
+    _require(2 * mesh.volume / mesh.area >= MIN_MEAN_THICKNESS, "too thin")
     fault = defect_float32(mesh)
     _require(fault is None, f"mesh {fault}")
     return Part(part_id, family_name, mesh, dims.symmetry(), dimensions(dims), DENSITY * mesh.volume)

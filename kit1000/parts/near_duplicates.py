@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 
 from kit1000.mesh import Mesh
 
-TWIN = 0.01  # share by which at least one measure of two different parts differs
+MIN_DIFFERENCE = 0.01  # share by which at least one measure of two different parts differs
 
 
 def shape_measures(mesh: Mesh) -> np.ndarray:
@@ -29,7 +29,7 @@ def shape_measures(mesh: Mesh) -> np.ndarray:
     )
 
 
-def twin_of(measures: np.ndarray, others: np.ndarray) -> int | None:
+def near_duplicate_of(measures: np.ndarray, others: np.ndarray) -> int | None:
     """The first of others (n, 5) that is a twin of a part with the given measures (5,), or None."""
-    alike = (np.abs(others / measures - 1) < TWIN).all(1)
+    alike = (np.abs(others / measures - 1) < MIN_DIFFERENCE).all(1)
     return int(alike.argmax()) if alike.any() else None

@@ -10,7 +10,7 @@ import numpy as np
 
 from kit1000.errors import MeshRefused
 from kit1000.mesh import body_count, defect_float32
-from kit1000.parts.files.sources import POSSIBLE_PART, Outcome, Reading, Refusal
+from kit1000.parts.files.sources import ACCEPTED_SIZE, Outcome, Reading, Refusal
 
 Read = Callable[[Path], Reading]
 """Reads one file as a part, or raises MeshRefused."""
@@ -44,7 +44,7 @@ def _check_reading(reading: Reading, path: Path, name: str) -> None:
     assert bodies == 1, f"{where}: {bodies} bodies, expected 1"
     on_grid = np.array_equal(mesh.vertices, mesh.rounded_float32().vertices)
     assert on_grid, f"{where}: vertices are not on the float32 grid, so that files would hold others"
-    low, high = POSSIBLE_PART
+    low, high = ACCEPTED_SIZE
     longest = float(mesh.extents.max())
     assert low <= longest <= high, f"{where}: longest side {longest:.4g} m, expected {low:g} to {high:g} (metres?)"
     told = bool(reading.unit and reading.unit_reason)

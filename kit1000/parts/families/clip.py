@@ -123,4 +123,4 @@ class Clip:
         corner = cad.rectangle(radius + 1, self.depth + 2).translate(((start + end) / 2, 0))
         corner -= cad.circle(2 * radius).translate((start, 0))
         waste = cad.at(cad.prism(corner, 6 * self.pipe), z=-3 * self.pipe)
-        return clip - cad.at(cad.turned(waste, "x", 90), z=self.depth / 2)
+        return clip - cad.at(cad.rotated(waste, "x", 90), z=self.depth / 2)

@@ -63,11 +63,11 @@ class Elbow:
         flange = cad.at(cad.prism(self._flange(), self.flange_t), z=-self.flange_t)
         elbow += cad.at(cad.along(flange, "-y"), self.radius, -self.leg_a)
         if self.both:
-            far = cad.along(cad.turned(flange, "z", 180), "y")
+            far = cad.along(cad.rotated(flange, "z", 180), "y")
             bend = np.radians(self.bend_deg)
             x = self.radius * np.cos(bend) - self.leg_b * np.sin(bend)
             y = self.radius * np.sin(bend) + self.leg_b * np.cos(bend)
-            elbow += cad.at(cad.turned(far, "z", self.bend_deg), x, y)
+            elbow += cad.at(cad.rotated(far, "z", self.bend_deg), x, y)
         if self.foot:
             elbow += self._foot()
         return elbow - self._swept(self._section(self.bore), self.leg_a + 5, self.leg_b + 5)

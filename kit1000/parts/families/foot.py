@@ -80,7 +80,7 @@ class Foot:
             free = self.length / 2 - 1 - hand * start
             if free > 6:
                 rib = cad.gusset(free, 0.75 * (self.height - self.sole), self.wall)
-                ribs += cad.at(cad.turned(rib, "z", 0 if hand > 0 else 180), start, z=self.sole - 0.01)
+                ribs += cad.at(cad.rotated(rib, "z", 0 if hand > 0 else 180), start, z=self.sole - 0.01)
         return ribs
 
     def _walled(self, sole: cad.Manifold) -> cad.Manifold:

@@ -86,5 +86,5 @@ class FrameCorner:
 def _cycled(solid: cad.Manifold, turns: int) -> cad.Manifold:
     """The solid turned by thirds about the diagonal (1, 1, 1): z to x, x to y, y to z."""
     for _ in range(turns):
-        solid = cad.turned(cad.turned(solid, "z", 90), "y", 90)
+        solid = cad.rotated(cad.rotated(solid, "z", 90), "y", 90)
     return solid

@@ -124,4 +124,4 @@ class Housing:
         ear = cad.hull_2d(cad.rectangle(2, wide).translate((2, 0)), cad.circle(wide).translate((x, 0)))
         ear -= cad.circle(0.45 * wide).translate((x, 0))
         placed = cad.at(cad.prism(ear, self.floor + 1), -self.length / 2, self.lug_shift)
-        return placed if side == 1 else cad.turned(placed, "z", 180)
+        return placed if side == 1 else cad.rotated(placed, "z", 180)

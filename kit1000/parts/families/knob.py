@@ -75,7 +75,7 @@ class Knob:
                 cad.at(cad.box(2, self.across, 0.1), self.across / 2, 0, self.grip_h),
                 cad.at(cad.box(2, self.across, 0.1), self.across / 2, 0, 0.55 * self.grip_h),
             )
-            grip = grip - slope - cad.turned(slope, "z", 180)
+            grip = grip - slope - cad.rotated(slope, "z", 180)
         knob = grip
         if self.hub_h > 0:
             knob += cad.cylinder(self.hub, self.grip_h + self.hub_h, chamfer=0.8)

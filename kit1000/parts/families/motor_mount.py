@@ -107,5 +107,5 @@ class MotorMount:
         if not self.sloped:
             wall = self._drilled_wall(self.length, height)
             return cad.at(cad.along(wall, "x"), x=edge - (self.wall if hand > 0 else 0))
-        rib = cad.turned(cad.gusset(0.85 * self.length, height, self.wall), "z", 90)
+        rib = cad.rotated(cad.gusset(0.85 * self.length, height, self.wall), "z", 90)
         return cad.at(rib, x=edge - hand * self.wall / 2, y=-self.length / 2)

@@ -69,7 +69,7 @@ class ServoHorn:
         if self.tip_boss > 0:
             for length, angle_deg in arms:
                 collar = cad.tube(self.tip, self.hole, self.tip_boss)
-                horn += cad.turned(cad.at(collar, length), "z", angle_deg)
+                horn += cad.rotated(cad.at(collar, length), "z", angle_deg)
         horn = cad.pocket(horn, self._spline(), self.socket, (0, 0, self.hub_h))
         return cad.drill(horn, self.screw)
 

@@ -11,16 +11,16 @@ from manifold3d import Manifold, OpType
 
 from kit1000.errors import MeshRefused
 from kit1000.mesh import Mesh, defect, defect_float32, mesh_from_solid, solid_from_mesh
-from kit1000.parts.files.crossings import crossings, farthest, winding_numbers
+from kit1000.parts.files.crossings import crossings, max_distance, winding_numbers
 from kit1000.parts.files.repair import inverted
 
-MAX_PLAIN_FACES = 5000  # meshes up to this size are kept as they are
+MAX_FACES_UNCHANGED = 5000  # meshes up to this size are kept as they are
 SIMPLIFY_TOLERANCE = 2e-5  # [m] the sagitta to which our own parts are drawn
 SIMPLIFY_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)  # tried in turn: collapses add up to more than was asked
-KEPT_SHARE = 0.9  # of the volume that one body must hold for the others to be dropped
-CROSSING = 1e-6  # [m] surfaces that pass through each other by less are touching
+MIN_BODY_SHARE = 0.9  # of the volume that one body must hold for the others to be dropped
+CROSSING_TOLERANCE = 1e-6  # [m] surfaces that pass through each other by less are touching
 FOLD_TOLERANCES = (2e-5, 5e-5)  # [m] tried in turn to iron out small folds
-PINCH = 2e-6  # [m] how far surfaces that touch along an edge are drawn apart
+SEPARATION = 2e-6  # [m] how far surfaces that touch along an edge are drawn apart
 DEVIATION_POINTS = 20_000  # vertices whose distance is measured after simplifying
 WINDING_POINTS = 400  # places where a mended solid is compared with the winding number of the file's surface
 
@@ -31,9 +31,9 @@ def part_mesh(solid: Manifold, notes: list[str]) -> Mesh:
     Raises:
         MeshRefused: several bodies, a surface that passes through itself, no thickness.
     """
-    solid = _single(_united(solid, notes), notes)
-    solid = _thinned(solid, notes)
-    solid = _uncrossed(solid, notes)
+    solid = _single_body(_united(solid, notes), notes)
+    solid = _simplified(solid, notes)
+    solid = _without_crossings(solid, notes)
     return _rounded(solid, notes)
 
 
@@ -63,7 +63,7 @@ def _share_inside(shell: Manifold, other: Manifold) -> float:
     return (shell ^ other).volume() / max(shell.volume(), 1e-300)
 
 
-def _single(solid: Manifold, notes: list[str]) -> Manifold:
+def _single_body(solid: Manifold, notes: list[str]) -> Manifold:
     """The body that holds nearly all of the volume, with its own voids."""
     shells = solid.decompose()
     bodies = sorted((shell for shell in shells if shell.volume() > 0), key=lambda body: -body.volume())
@@ -73,7 +73,7 @@ def _single(solid: Manifold, notes: list[str]) -> Manifold:
         return solid
     volumes = np.array([body.volume() for body in bodies])
     shares = volumes / volumes.sum()
-    if shares[0] < KEPT_SHARE:
+    if shares[0] < MIN_BODY_SHARE:
         listed = ", ".join(f"{share:.0%}" for share in shares[:4]) + (", ..." if len(shares) > 4 else "")
         raise MeshRefused(f"{len(bodies)} separate bodies ({listed} of the volume)")
     notes.append(f"kept the largest of {len(bodies)} bodies ({shares[0]:.1%} of the volume)")
@@ -82,9 +82,9 @@ def _single(solid: Manifold, notes: list[str]) -> Manifold:
     return Manifold.batch_boolean([bodies[0], *inside], OpType.Subtract) if inside else bodies[0]
 
 
-def _thinned(solid: Manifold, notes: list[str]) -> Manifold:
+def _simplified(solid: Manifold, notes: list[str]) -> Manifold:
     """Fewer faces where there are many, with the deviation measured."""
-    if solid.num_tri() <= MAX_PLAIN_FACES:
+    if solid.num_tri() <= MAX_FACES_UNCHANGED:
         return solid
     for share in SIMPLIFY_SHARES:
         simple = solid.simplify(share * SIMPLIFY_TOLERANCE)
@@ -102,22 +102,22 @@ def _deviation(before: Manifold, after: Manifold, tolerance: float) -> float:
     """[m]: largest distance from vertices (every k-th of very many) of one solid to the other's surface."""
     vertices = mesh_from_solid(before).vertices
     some = vertices[:: max(1, -(-len(vertices) // DEVIATION_POINTS))]
-    return farthest(some, mesh_from_solid(after).triangles, 5 * tolerance)
+    return max_distance(some, mesh_from_solid(after).triangles, 5 * tolerance)
 
 
-def _uncrossed(solid: Manifold, notes: list[str]) -> Manifold:
+def _without_crossings(solid: Manifold, notes: list[str]) -> Manifold:
     """A solid whose surface does not pass through itself, by the gentlest means that works."""
-    points = crossings(mesh_from_solid(solid).triangles, CROSSING)
+    points = crossings(mesh_from_solid(solid).triangles, CROSSING_TOLERANCE)
     if not len(points):
         return solid
     for tolerance in FOLD_TOLERANCES:
         ironed = solid.simplify(tolerance)
-        if _sound(ironed, solid, points):
+        if _is_valid_repair(ironed, solid, points):
             measured = _deviation(solid, ironed, tolerance)
             notes.append(f"ironed out a fold that crossed itself, within {measured * 1e3:.3f} mm")
             return ironed
-    parted = _parted(solid, points)
-    if _sound(parted, solid, points):
+    parted = _split_at_crossings(solid, points)
+    if _is_valid_repair(parted, solid, points):
         notes.append(f"resolved a self-intersection (volume {parted.volume() / solid.volume() - 1:+.2%})")
         return parted
     raise MeshRefused(f"passes through itself at {len(points)} places, near ({_millimetres(points[0])}) mm")
@@ -127,7 +127,7 @@ def _millimetres(point: np.ndarray) -> str:
     return ", ".join(f"{value * 1e3:.2f}" for value in point)
 
 
-def _parted(solid: Manifold, points: np.ndarray) -> Manifold:
+def _split_at_crossings(solid: Manifold, points: np.ndarray) -> Manifold:
     """The union of what a surface bounds inside and outside a box round its crossings.
 
     Inside the box the branches that cross are bodies of their own, which a union joins exactly.
@@ -142,12 +142,12 @@ def _parted(solid: Manifold, points: np.ndarray) -> Manifold:
     return Manifold.batch_boolean([union, *inward], OpType.Subtract) if inward else union
 
 
-def _sound(mended: Manifold, solid: Manifold, points: np.ndarray) -> bool:
+def _is_valid_repair(mended: Manifold, solid: Manifold, points: np.ndarray) -> bool:
     """Whether a mended solid is one body without crossings that fills what the given surface winds round."""
     if mended.is_empty() or sum(shell.volume() > 0 for shell in mended.decompose()) != 1:
         return False
     triangles = mesh_from_solid(mended).triangles
-    if len(crossings(triangles, CROSSING)):
+    if len(crossings(triangles, CROSSING_TOLERANCE)):
         return False
     original = mesh_from_solid(solid).triangles
     low, high = original.reshape(-1, 3).min(0), original.reshape(-1, 3).max(0)
@@ -165,8 +165,8 @@ def _rounded(solid: Manifold, notes: list[str]) -> Mesh:
     mesh = mesh_from_solid(solid)
     fault = defect_float32(mesh)
     if fault is not None and "more than two" in fault:
-        mesh = _unpinched(mesh)
-        notes.append(f"drew apart surfaces that touch along edges, by {PINCH * 1e6:.0f} um")
+        mesh = _separated(mesh)
+        notes.append(f"drew apart surfaces that touch along edges, by {SEPARATION * 1e6:.0f} um")
         fault = defect_float32(mesh)
     if fault is not None:
         mesh = mesh_from_solid(solid.simplify(SIMPLIFY_TOLERANCE / 10))
@@ -178,7 +178,7 @@ def _rounded(solid: Manifold, notes: list[str]) -> Mesh:
     return mesh
 
 
-def _unpinched(mesh: Mesh) -> Mesh:
+def _separated(mesh: Mesh) -> Mesh:
     """The mesh with each vertex that shares its place with another moved inward along its own normal."""
     places = mesh.vertices.astype(np.float32)
     _, inverse, counts = np.unique(places, axis=0, return_inverse=True, return_counts=True)
@@ -187,5 +187,5 @@ def _unpinched(mesh: Mesh) -> Mesh:
     np.add.at(normals, mesh.faces, mesh.normals[:, None])
     lengths = np.linalg.norm(normals[shared], axis=1, keepdims=True)
     moved = np.array(mesh.vertices)
-    moved[shared] -= PINCH * normals[shared] / np.maximum(lengths, 1e-12)
+    moved[shared] -= SEPARATION * normals[shared] / np.maximum(lengths, 1e-12)
     return Mesh(moved, mesh.faces)

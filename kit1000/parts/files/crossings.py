@@ -51,11 +51,11 @@ def crossings(triangles: np.ndarray, tolerance: float) -> np.ndarray:
     for first, second in BoxTree(low, high).overlaps(low, high):
         different = first != second
         first, second = first[different], second[different]
-        points.append(_piercings(triangles, normals, first, second, tolerance))
+        points.append(_edge_crossings(triangles, normals, first, second, tolerance))
     return np.concatenate(points)
 
 
-def _piercings(
+def _edge_crossings(
     triangles: np.ndarray, normals: np.ndarray, face: np.ndarray, other: np.ndarray, tolerance: float
 ) -> np.ndarray:
     """(k, 3): points where the edges of `other` pass through `face`, both index arrays (m,)."""
@@ -85,7 +85,7 @@ def _rim_distance(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray
     return np.min(distances, axis=0) if len(points) else np.empty(0)
 
 
-def farthest(points: np.ndarray, triangles: np.ndarray, reach: float) -> float:
+def max_distance(points: np.ndarray, triangles: np.ndarray, reach: float) -> float:
     """Largest distance from points (n, 3) to a surface (m, 3, 3); `reach` when a point lies farther off."""
     nearest = np.full(len(points), reach)
     tree = BoxTree(triangles.min(1), triangles.max(1))

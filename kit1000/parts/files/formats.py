@@ -34,7 +34,7 @@ UNIT_NAMES |= {"inch": "inch", "foot": "foot", "micron": "micron"}
 
 
 @dataclass(frozen=True, eq=False)
-class Soup:
+class TriangleSoup:
     """Triangles as a file holds them."""
 
     vertices: np.ndarray
@@ -46,7 +46,7 @@ class Soup:
     notes: tuple[str, ...] = ()
 
 
-def read_soup(path: Path) -> Soup:
+def read_triangles(path: Path) -> TriangleSoup:
     """The triangles of a mesh file. Raises MeshRefused with one line when there are none to be had."""
     data = _bytes(path)
     suffix = path.suffix.lower()
@@ -85,14 +85,14 @@ def _check_count(faces: int) -> None:
         raise MeshRefused(f"{faces:,} triangles, more than {MAX_FACES:,}")
 
 
-def _read_stl(data: bytes) -> Soup:
+def _read_stl(data: bytes) -> TriangleSoup:
     declared = int.from_bytes(data[80:STL_HEADER], "little") if len(data) >= STL_HEADER else 0
     expected = STL_HEADER + STL_FACET.itemsize * declared
     if len(data) >= STL_HEADER and len(data) == expected:
         return _binary_stl(data, declared)
     if data[:1024].lstrip()[:5].lower() == b"solid" and b"facet" in data[:8192]:
         return _ascii_stl(data)
-    if b"\0" not in data[:4096] and _is_text(data[:4096]):
+    if b"\0" not in data[:4096] and _is_printable(data[:4096]):
         if data[:1024].lstrip()[:5].lower() == b"solid":
             raise MeshRefused("holds no triangles")
         raise MeshRefused("not a mesh: text file")
@@ -104,13 +104,13 @@ def _read_stl(data: bytes) -> Soup:
     return _binary_stl(data, declared, (f"ignored {len(data) - expected:,} bytes after the last triangle",))
 
 
-def _binary_stl(data: bytes, count: int, notes: tuple[str, ...] = ()) -> Soup:
+def _binary_stl(data: bytes, count: int, notes: tuple[str, ...] = ()) -> TriangleSoup:
     _check_count(count)
     facets = np.frombuffer(data, STL_FACET, count, STL_HEADER)
     return _from_corners(facets["corners"].reshape(-1, 3).astype(np.float64), notes)
 
 
-def _ascii_stl(data: bytes) -> Soup:
+def _ascii_stl(data: bytes) -> TriangleSoup:
     found = STL_VERTEX.findall(data)
     if len(found) % 3:
         raise MeshRefused(f"cut short: {len(found)} corners are no whole number of triangles")
@@ -121,11 +121,11 @@ def _ascii_stl(data: bytes) -> Soup:
     return _from_corners(corners)
 
 
-def _from_corners(corners: np.ndarray, notes: tuple[str, ...] = ()) -> Soup:
-    return Soup(corners, np.arange(len(corners)).reshape(-1, 3), notes=notes)
+def _from_corners(corners: np.ndarray, notes: tuple[str, ...] = ()) -> TriangleSoup:
+    return TriangleSoup(corners, np.arange(len(corners)).reshape(-1, 3), notes=notes)
 
 
-def _is_text(data: bytes) -> bool:
+def _is_printable(data: bytes) -> bool:
     return all(byte >= 32 or byte in b"\t\n\r\f" for byte in data)
 
 
@@ -170,7 +170,7 @@ def _check_archive(data: bytes) -> None:
         raise MeshRefused(f"unpacks to {size / 1e9:.1f} GB, more than {MAX_BYTES / 1e9:.1f} GB")
 
 
-def _read_other(path: Path, suffix: str, data: bytes) -> Soup:
+def _read_other(path: Path, suffix: str, data: bytes) -> TriangleSoup:
     """Read by trimesh. Its readers raise whatever they stumble over, so any exception means a bad file."""
     if suffix in STEP_SUFFIXES and find_spec("cascadio") is None:
         raise MeshRefused("STEP files need an optional reader: pip install cascadio")
@@ -197,7 +197,7 @@ def _as_utf8(data: bytes) -> bytes:
     return data.decode("utf-8", "replace").encode()
 
 
-def _joined(pieces: list, unit: str | None) -> Soup:
+def _joined(pieces: list, unit: str | None) -> TriangleSoup:
     """One soup of all trimesh meshes of a file."""
     if any(np.shape(array)[1:] != (3,) for piece in pieces for array in (piece.vertices, piece.faces)):
         raise MeshRefused("damaged: vertices without three coordinates, or faces without three corners")
@@ -207,4 +207,4 @@ def _joined(pieces: list, unit: str | None) -> Soup:
     faces = np.concatenate([np.asarray(piece.faces, dtype=np.int64) + start for piece, start in shifted])
     if faces.min() < 0 or faces.max() >= len(vertices):
         raise MeshRefused(f"damaged: faces name vertex {faces.max():,} of {len(vertices):,}")
-    return Soup(vertices, faces, unit)
+    return TriangleSoup(vertices, faces, unit)

@@ -10,10 +10,16 @@ import numpy as np
 from manifold3d import Error, Manifold, Mesh64
 
 from kit1000.errors import MeshRefused
-from kit1000.parts.files.seams import closed
-from kit1000.parts.files.topology import longest_side, open_edges, unpaired, without_duplicates, wound
+from kit1000.parts.files.seams import close_surface
+from kit1000.parts.files.topology import (
+    consistently_wound,
+    longest_side,
+    open_edges,
+    unpaired_count,
+    without_duplicates,
+)
 
-FLAT_SHARE = 1e-6  # of the longest side: a soup thinner than this is a sheet
+SHEET_SHARE = 1e-6  # of the longest side: a soup thinner than this is a sheet
 
 
 def closed_solid(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> Manifold:
@@ -22,16 +28,16 @@ def closed_solid(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> M
     Raises:
         MeshRefused: with the reason and its count.
     """
-    faces = without_duplicates(*_welded_exactly(vertices, faces), notes)
+    faces = without_duplicates(*_merged_equal_vertices(vertices, faces), notes)
     vertices, faces = _compact(vertices, faces)
     if not len(faces) or _is_sheet(vertices):
         raise MeshRefused("zero thickness")
     if len(open_edges(faces)):
-        vertices, faces = closed(vertices, faces, notes)
-    faces = wound(vertices, faces, notes)
+        vertices, faces = close_surface(vertices, faces, notes)
+    faces = consistently_wound(vertices, faces, notes)
     solid = Manifold(Mesh64(vertices, faces.astype(np.uint64)))
     if solid.status() != Error.NoError:
-        raise MeshRefused(f"not closed: {unpaired(faces)} edges without a partner ({solid.status().name})")
+        raise MeshRefused(f"not closed: {unpaired_count(faces)} edges without a partner ({solid.status().name})")
     if solid.volume() < 0:
         notes.append("flipped inside out")
         solid = inverted(solid)
@@ -45,7 +51,7 @@ def inverted(solid: Manifold) -> Manifold:
     return Manifold(Mesh64(np.array(raw.vert_properties), flipped))
 
 
-def _welded_exactly(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _merged_equal_vertices(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The vertices, and faces that name one of all equal vertices (the first)."""
     rows = np.ascontiguousarray(vertices + 0.0)  # -0.0 becomes 0.0
     bits = rows.view(np.uint64)
@@ -73,4 +79,4 @@ def _is_sheet(vertices: np.ndarray) -> bool:
     """Whether all vertices lie in one plane, however it is tilted."""
     centred = vertices - vertices.mean(0)
     normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
-    return bool(np.ptp(centred @ normal) <= FLAT_SHARE * longest_side(vertices))
+    return bool(np.ptp(centred @ normal) <= SHEET_SHARE * longest_side(vertices))

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from kit1000.errors import MeshRefused
-from kit1000.parts.files.topology import halfedges, longest_side, open_edges, without_duplicates, wound
+from kit1000.parts.files.topology import consistently_wound, halfedges, longest_side, open_edges, without_duplicates
 
 WELD_SHARES = (1e-7, 1e-6, 1e-5)  # of the longest side; CAD writes one corner in several last digits
 WELD_LIMIT = 1e-5  # [m] no seam wider than this is closed
@@ -24,7 +24,7 @@ TRIANGLE_SHARE = 0.2  # of the surface, for a hole of three edges: no lid but on
 HOLE_FLATNESS = 2e-3  # of the longest side
 
 
-def closed(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
+def close_surface(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
     """Close seams, T-junctions and small holes, the gentlest means first; refuse what stays open."""
     opened = len(open_edges(faces))
     for share in WELD_SHARES:
@@ -34,7 +34,7 @@ def closed(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> tuple[n
     if len(open_edges(faces)) <= STITCH_LIMIT:
         faces = _stitched(vertices, faces, notes)
     if 0 < len(open_edges(faces)) <= STITCH_LIMIT:
-        faces = _filled(vertices, wound(vertices, faces, notes), notes)
+        faces = _filled(vertices, consistently_wound(vertices, faces, notes), notes)
     left = open_edges(faces)
     if len(left):
         was = "" if len(left) == opened else f" ({opened} before repair)"

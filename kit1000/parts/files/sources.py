@@ -20,15 +20,15 @@ import numpy as np
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh
 from kit1000.parts.files.bodies import part_mesh
-from kit1000.parts.files.formats import MESH_SUFFIXES, STEP_SUFFIXES, read_soup
+from kit1000.parts.files.formats import MESH_SUFFIXES, STEP_SUFFIXES, read_triangles
 from kit1000.parts.files.repair import closed_solid
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}  # [m] what a user can ask for
 FILE_UNITS = UNITS | {"foot": 0.3048, "micron": 1e-6}  # [m] what a file can say
-GUESS_ORDER = ("mm", "m", "inch", "cm")  # commonest in machine parts first
-MACHINE_PART = (0.005, 0.5)  # [m] longest side of a plausible machine part, the ground of a guess
-POSSIBLE_PART = (1e-4, 10.0)  # [m] longest side that is not refused
-FAR_AWAY = 100.0  # longest sides from the origin, beyond which float32 would eat the shape
+UNIT_GUESS_ORDER = ("mm", "m", "inch", "cm")  # commonest in machine parts first
+PLAUSIBLE_SIZE = (0.005, 0.5)  # [m] longest side of a plausible machine part, the ground of a guess
+ACCEPTED_SIZE = (1e-4, 10.0)  # [m] longest side that is not refused
+MAX_OFFSET_RATIO = 100.0  # longest sides from the origin, beyond which float32 would eat the shape
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def read_mesh(path: str | Path, unit: str | None = None) -> Reading:
     path = Path(path)
     if unit is not None and unit not in UNITS:
         raise InputError(f"unit {unit!r}: expected one of {', '.join(UNITS)}")
-    soup = read_soup(path)
+    soup = read_triangles(path)
     notes = list(soup.notes)
     used = np.zeros(len(soup.vertices), dtype=bool)
     used[soup.faces] = True
@@ -82,7 +82,7 @@ def read_mesh(path: str | Path, unit: str | None = None) -> Reading:
     chosen, guessed, reason = _unit(longest, asked, soup.unit)
     vertices = soup.vertices * FILE_UNITS[chosen]
     _check_size(longest * FILE_UNITS[chosen], chosen)
-    vertices = _brought_near(vertices, used, notes)
+    vertices = _moved_to_origin(vertices, used, notes)
     mesh = part_mesh(closed_solid(vertices, soup.faces, notes), notes)
     return Reading(path, mesh, chosen, guessed, reason, tuple(notes))
 
@@ -94,7 +94,7 @@ def _check_finite(vertices: np.ndarray) -> None:
 
 
 def _check_size(longest: float, unit: str) -> None:
-    low, high = POSSIBLE_PART
+    low, high = ACCEPTED_SIZE
     if longest == 0:
         raise MeshRefused("zero thickness: all vertices in one place")
     if not low <= longest <= high:
@@ -108,22 +108,22 @@ def _unit(longest: float, asked: str | None, said: str | None) -> tuple[str, boo
         return asked, False, "as asked"
     if said is not None:
         return said, False, "the file says so"
-    low, high = MACHINE_PART
+    low, high = PLAUSIBLE_SIZE
 
     def strangeness(unit: str) -> float:
         size = max(longest * UNITS[unit], 1e-300)
         return max(math.log(low * (1 - 1e-9) / size), math.log(size / (high * (1 + 1e-9))), 0.0)
 
-    unit = min(GUESS_ORDER, key=strangeness)
-    others = [other for other in GUESS_ORDER if other != unit and strangeness(other) == 0]
+    unit = min(UNIT_GUESS_ORDER, key=strangeness)
+    others = [other for other in UNIT_GUESS_ORDER if other != unit and strangeness(other) == 0]
     also = f"; could also be {' or '.join(others)}" if others else ""
     size = f"longest side {longest:.4g} read as {unit} is {longest * UNITS[unit] * 1e3:.4g} mm"
     return unit, True, f"guessed: {size}{also}; override with the unit option (mm, cm, m, inch)"
 
 
-def _brought_near(vertices: np.ndarray, used: np.ndarray, notes: list[str]) -> np.ndarray:
+def _moved_to_origin(vertices: np.ndarray, used: np.ndarray, notes: list[str]) -> np.ndarray:
     low, high = vertices[used].min(0), vertices[used].max(0)
-    if np.abs(low + high).max() / 2 <= FAR_AWAY * (high - low).max():
+    if np.abs(low + high).max() / 2 <= MAX_OFFSET_RATIO * (high - low).max():
         return vertices
     notes.append(f"moved to the origin from {np.linalg.norm(low + high) / 2:.4g} m away")
     return vertices - (low + high) / 2
@@ -140,9 +140,9 @@ def mesh_files(path: str | Path) -> list[Path]:
     """
     path = Path(path)
     if path.is_dir():
-        found = _searched(path)
+        found = _meshes_below(path)
     elif path.suffix.lower() == ".txt" and path.is_file():
-        found = _listed(path)
+        found = _meshes_listed(path)
     elif path.exists():
         return [path]
     else:
@@ -152,14 +152,14 @@ def mesh_files(path: str | Path) -> list[Path]:
     return found
 
 
-def _searched(folder: Path) -> list[Path]:
+def _meshes_below(folder: Path) -> list[Path]:
     """Mesh files below a folder, sorted, without hidden files and folders."""
     files = (file for file in folder.rglob("*") if file.suffix.lower() in MESH_SUFFIXES and file.is_file())
     inner = ((file, file.relative_to(folder).parts) for file in files)
     return sorted(file for file, parts in inner if not any(part.startswith(".") for part in parts))
 
 
-def _listed(listing: Path) -> list[Path]:
+def _meshes_listed(listing: Path) -> list[Path]:
     try:
         lines = [line.strip() for line in listing.read_text(encoding="utf-8").splitlines()]
     except (OSError, UnicodeDecodeError) as error:
@@ -168,7 +168,7 @@ def _listed(listing: Path) -> list[Path]:
     for line in lines:
         if line and not line.startswith("#"):
             entry = listing.parent / line
-            found.extend(_searched(entry) if entry.is_dir() else [entry])
+            found.extend(_meshes_below(entry) if entry.is_dir() else [entry])
     return found
 
 
@@ -180,7 +180,7 @@ def read_all(
         raise InputError(f"unit {unit!r}: expected one of {', '.join(UNITS)}")
     files = [Path(path) for path in paths]
     read = partial(_read_or_refuse, unit=unit)
-    outcomes = list(_spread(read, files, workers) if workers > 1 and len(files) > 1 else map(read, files))
+    outcomes = list(_read_parallel(read, files, workers) if workers > 1 and len(files) > 1 else map(read, files))
     readings = [outcome for outcome in outcomes if isinstance(outcome, Reading)]
     return readings, [outcome for outcome in outcomes if isinstance(outcome, Refusal)]
 
@@ -194,7 +194,7 @@ def _read_or_refuse(path: Path, unit: str | None) -> Outcome:
         return Refusal(path, "needs more memory than there is")
 
 
-def _spread(read: Callable[[Path], Outcome], files: Sequence[Path], workers: int) -> Iterator[Outcome]:
+def _read_parallel(read: Callable[[Path], Outcome], files: Sequence[Path], workers: int) -> Iterator[Outcome]:
     """Outcomes in order from several processes; a file that ends its process is refused, the rest go on."""
     done = 0
     while done < len(files):
@@ -204,11 +204,11 @@ def _spread(read: Callable[[Path], Outcome], files: Sequence[Path], workers: int
                     yield outcome
                     done += 1
             except BrokenProcessPool:  # by one of the files under way, so the next is read alone
-                yield _alone(read, files[done])
+                yield _read_alone(read, files[done])
                 done += 1
 
 
-def _alone(read: Callable[[Path], Outcome], path: Path) -> Outcome:
+def _read_alone(read: Callable[[Path], Outcome], path: Path) -> Outcome:
     with _pool(1) as pool:
         try:
             return pool.submit(read, path).result()

@@ -59,18 +59,18 @@ def longest_side(vertices: np.ndarray) -> float:
     return float(np.ptp(vertices, axis=0).max())
 
 
-def unpaired(faces: np.ndarray) -> int:
+def unpaired_count(faces: np.ndarray) -> int:
     """Number of halfedges without one of the opposite direction."""
     start, end = halfedges(faces)
     _, inverse = np.unique(edge_keys(faces), return_inverse=True)
     return int(np.abs(np.bincount(inverse, weights=np.sign(start - end))).sum())
 
 
-def wound(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
+def consistently_wound(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
     """Faces turned to agree with their neighbours; pieces that had to be mended face outward."""
-    if not unpaired(faces):
+    if not unpaired_count(faces):
         return faces
-    piece, turn = _agreement(faces)
+    piece, turn = _winding_flips(faces)
     turning = np.bincount(piece, weights=turn.astype(np.float64))
     mixed = (turning > 0) & (turning < np.bincount(piece))
     turn &= mixed[piece]
@@ -83,7 +83,7 @@ def wound(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarr
     return result
 
 
-def _agreement(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _winding_flips(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(m,) piece of surface of each face, (m,) bool: whether it must turn to agree with the piece's first.
 
     Each face stands in a graph twice, as it is and turned; an edge of two faces joins the states that agree.

@@ -11,7 +11,7 @@ from manifold3d import Manifold
 from kit1000.kits.contact import convex_edges
 from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import Design, find_goals
-from kit1000.kits.loose_fits import PreparedPart, PreparedKit, fit_in_other_slot, loose_fit, near_goal
+from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_fit_in_other_slot, find_loose_fit, is_near_goal
 from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset, contact_offset_by_booleans, swept_solid
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose, quaternion_angle
@@ -51,10 +51,10 @@ FOREIGN = [
 def test_parts_that_fit_a_foreign_slot_are_found_and_others_are_not(part, host, fits: bool) -> None:
     mesh, kit = as_part(part()).mesh, whole(host())[1]
     well = PreparedKit(kit)
-    pose = fit_in_other_slot(PreparedPart(mesh, resting_faces(mesh)), well)
+    pose = find_fit_in_other_slot(PreparedPart(mesh, resting_faces(mesh)), well)
     assert (pose is not None) == fits
     if pose is not None:
-        assert judged(mesh, kit, pose) <= well.limit
+        assert judged(mesh, kit, pose) <= well.height_limit
         lowest = pose.apply(mesh.vertices)[:, 2].min()
         assert lowest == pytest.approx(-kit.slot.depth, abs=1e-9)
 
@@ -72,12 +72,12 @@ def test_parts_that_fit_a_foreign_slot_are_found_and_others_are_not(part, host, 
 )
 def test_loose_fits_are_found_and_confirmed_by_booleans(solid, loose: bool) -> None:
     mesh, kit = whole(solid())
-    pose = loose_fit(PreparedPart(mesh, resting_faces(mesh)), PreparedKit(kit))
+    pose = find_loose_fit(PreparedPart(mesh, resting_faces(mesh)), PreparedKit(kit))
     assert (pose is not None) == loose
     if pose is not None:
-        assert not near_goal(pose, kit.slot)
+        assert not is_near_goal(pose, kit.slot)
         contact = pose.xyz[2] + judged(mesh, kit, pose)
-        assert np.abs(contact - kit.slot.goals.xyz[:, 2]).min() <= PreparedKit(kit).limit + BISECTION_STEP
+        assert np.abs(contact - kit.slot.goals.xyz[:, 2]).min() <= PreparedKit(kit).height_limit + BISECTION_STEP
 
 
 @pytest.mark.parametrize("solid", [ell, leaning_prism, lambda: ring_plate(20, off=6)])
@@ -86,16 +86,16 @@ def test_chance_finds_no_fit_where_the_search_says_none(solid) -> None:
     mesh, kit = whole(solid())
     well, edges, rng = PreparedKit(kit), convex_edges(kit.mesh), np.random.default_rng(11)
     faces = resting_faces(mesh)
-    assert loose_fit(PreparedPart(mesh, faces), well) is None
+    assert find_loose_fit(PreparedPart(mesh, faces), well) is None
     for number in range(1000):
         face = faces[number % len(faces)]
         turned = Pose.from_rotvec(np.array([0, 0, rng.uniform(0, 2 * np.pi)])) @ face.plane_from_part
         low, high = mesh.moved(turned).bounds
-        room = well.high + 1e-3 - high[:2], well.low - 1e-3 - low[:2]
+        room = well.open_high + 1e-3 - high[:2], well.open_low - 1e-3 - low[:2]
         shift = rng.uniform(np.minimum(*room), np.maximum(*room))
         pose = Pose.from_translation(np.array([*shift, -kit.slot.depth - low[2]])) @ turned
         heights = pose.xyz[2] + contact_offset(InsertedPart.of(mesh, pose), edges, pose) - kit.slot.goals.xyz[:, 2]
-        assert np.abs(heights).min() > well.limit or near_goal(pose, kit.slot)
+        assert np.abs(heights).min() > well.height_limit or is_near_goal(pose, kit.slot)
 
 
 def test_what_the_search_calls_a_fit_does_not_depend_on_the_axes_of_the_part() -> None:
@@ -103,7 +103,7 @@ def test_what_the_search_calls_a_fit_does_not_depend_on_the_axes_of_the_part() -
     turn = Pose.from_rotvec(np.array([0.4, 1.1, -0.3]))
     for solid, fits in ((box(14, 34, 18), True), (box(48, 30, 40), False)):
         mesh = as_part(solid).mesh.moved(turn)
-        assert (fit_in_other_slot(PreparedPart(mesh, resting_faces(mesh)), PreparedKit(kit)) is not None) == fits
+        assert (find_fit_in_other_slot(PreparedPart(mesh, resting_faces(mesh)), PreparedKit(kit)) is not None) == fits
 
 
 def test_near_a_goal_means_10_degrees_and_5_mm() -> None:
@@ -111,7 +111,7 @@ def test_near_a_goal_means_10_degrees_and_5_mm() -> None:
     goal = kit.slot.goals[0]
     for turn_deg, shift_mm, near in ((9, 4, True), (11, 0, False), (0, 5.5, False)):
         turned = Pose.from_rotvec(np.radians(turn_deg) * Z) @ Pose(goal.wxyz, np.zeros(3))
-        assert near_goal(Pose(turned.wxyz, goal.xyz + [shift_mm * 1e-3, 0, 0]), kit.slot) == near
+        assert is_near_goal(Pose(turned.wxyz, goal.xyz + [shift_mm * 1e-3, 0, 0]), kit.slot) == near
 
 
 def test_any_turn_about_a_free_axis_is_near_the_goal() -> None:
@@ -120,7 +120,7 @@ def test_any_turn_about_a_free_axis_is_near_the_goal() -> None:
     slot = Slot("p", goal, 2.5e-3, 8e-3, Pose.stack([goal]), FreeAxis(point, Z))
     for angle in (0.5, 2.0, 3.1):
         spun = Pose(Pose.from_rotvec(angle * Z).wxyz, goal.xyz)
-        assert near_goal(spun, slot)
+        assert is_near_goal(spun, slot)
         assert float(quaternion_angle(spun.wxyz, goal.wxyz)) > 0.4
 
 
@@ -129,4 +129,4 @@ def test_the_well_of_a_box_is_as_deep_and_wide_as_its_slot() -> None:
     well = PreparedKit(kit)
     assert well.heights.min() == pytest.approx(-kit.slot.depth, abs=1e-7)
     assert well.heights.max() == pytest.approx(0, abs=1e-7)
-    assert np.allclose(well.high - well.low, np.array([39, 27]) * 1e-3, atol=1.6e-3)
+    assert np.allclose(well.open_high - well.open_low, np.array([39, 27]) * 1e-3, atol=1.6e-3)

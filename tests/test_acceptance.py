@@ -9,7 +9,7 @@ import pytest
 from manifold3d import CrossSection, Manifold
 
 from kit1000.errors import Redraw
-from kit1000.kits.acceptance import Seat, about_anchor, keyedness, try_pair, wrong_poses
+from kit1000.kits.acceptance import SeatingTest, check_pair, keyedness, rotated_about_centroid, wrong_poses
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.kit import make_kit
 from kit1000.pose import Pose
@@ -31,57 +31,57 @@ def whole(solid: Manifold, symmetry: Symmetry | None = None, clearance: float = 
 
 @pytest.mark.parametrize("family", QUICK)
 def test_drawn_pairs_pass(family: str) -> None:
-    trial = try_pair(sample_part(family), sample_kit(family))
+    trial = check_pair(sample_part(family), sample_kit(family))
     assert trial.keyedness is None or STEP <= trial.keyedness < np.pi
 
 
 def test_a_sound_pair_passes() -> None:
-    trial = try_pair(*whole(ell()))
+    trial = check_pair(*whole(ell()))
     assert trial.keyedness is not None
     assert np.radians(3) < trial.keyedness < np.radians(30)
-    assert not trial.loose
+    assert not trial.has_loose_fit
 
 
 def test_a_washer_is_free_and_not_loose() -> None:
     washer = cylinder(34, 12) - cylinder(16, 40).translate((0, 0, -9))
-    trial = try_pair(*whole(washer, Symmetry.free_flipped(Z)))
+    trial = check_pair(*whole(washer, Symmetry.free_flipped(Z)))
     assert trial.keyedness is None
-    assert not trial.loose
+    assert not trial.has_loose_fit
 
 
 def test_a_plate_told_apart_by_its_hole_alone_is_a_loose_fit() -> None:
     """The hole is too small for a post: half a turn is no goal, yet it seats."""
     part, kit = whole(ring_plate(7, off=9))
     assert len(kit.slot.goals) == 2
-    assert try_pair(part, kit).loose
+    assert check_pair(part, kit).has_loose_fit
 
 
 def test_a_narrow_bar_seats_when_tilted() -> None:
     with pytest.raises(Redraw, match="seats when tilted 20 degrees"):
-        try_pair(*whole(box(40, 4, 12)))
+        check_pair(*whole(box(40, 4, 12)))
 
 
 def test_a_gaping_slot_lets_the_part_seat_off_its_place() -> None:
     part, kit = whole(box(34, 30, 24), clearance=10e-3)
     modest = replace(kit, slot=replace(kit.slot, clearance=2.5e-3))
     with pytest.raises(Redraw, match="seats when moved clearance"):
-        try_pair(part, modest)
+        check_pair(part, modest)
 
 
 def test_a_goal_below_the_floor_lets_a_lifted_part_seat() -> None:
     part, kit = whole(box(34, 30, 24))
     low = Pose.from_translation(np.array([0, 0, -0.8e-3])) @ kit.slot.goals[0]
     with pytest.raises(Redraw, match="seats when lifted 3 mm"):
-        try_pair(part, replace(kit, slot=replace(kit.slot, goals=Pose.stack([low]))))
+        check_pair(part, replace(kit, slot=replace(kit.slot, goals=Pose.stack([low]))))
 
 
 @pytest.mark.parametrize("error", [[0, 0, 2e-3, 0, 0, 0], [5e-3, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.6]])
 def test_a_goal_that_is_none_is_found_out(error: list[float]) -> None:
     part, kit = whole(ell())
     design = kit.slot.goals[0]
-    wrong = about_anchor(Pose.from_translation(np.array(error[:3])) @ design, np.array(error[3:]))
+    wrong = rotated_about_centroid(Pose.from_translation(np.array(error[:3])) @ design, np.array(error[3:]))
     with pytest.raises(Redraw, match="does not seat at a goal"):
-        try_pair(part, replace(kit, slot=replace(kit.slot, goals=Pose.stack([design, wrong]))))
+        check_pair(part, replace(kit, slot=replace(kit.slot, goals=Pose.stack([design, wrong]))))
 
 
 @pytest.mark.parametrize(("x", "y"), [(40, 20), (36, 28), (30, 30)])
@@ -97,7 +97,7 @@ def test_keyedness_of_a_box_is_that_of_a_turning_rectangle(x: float, y: float) -
         beyond = np.maximum(np.abs(turned) - np.array([x, y]) / 2 * 1e-3, 0)
         out = np.maximum(out, np.linalg.norm(beyond, axis=1))
     brute = turns[np.argmax(out > kit.slot.clearance)]
-    found = keyedness(Seat(part.mesh, kit))
+    found = keyedness(SeatingTest(part.mesh, kit))
     assert found is not None
     assert brute - 1e-3 <= found <= brute + STEP + 1e-3
 
@@ -121,13 +121,13 @@ def test_wrong_poses_are_as_wrong_as_they_say() -> None:
 
 
 def test_a_turn_about_the_anchor_leaves_the_centroid_where_it_is() -> None:
-    pose = about_anchor(whole(ell())[1].slot.goals[0], np.array([0.1, -0.2, 0.3]))
+    pose = rotated_about_centroid(whole(ell())[1].slot.goals[0], np.array([0.1, -0.2, 0.3]))
     assert np.allclose(pose.apply(np.zeros(3)), whole(ell())[1].slot.goals[0].xyz)
 
 
 def test_a_kit_made_as_in_a_dataset_passes() -> None:
     part = as_part(box(40, 30, 16) - box(16, 12, 30, (12, 9, -2)), Symmetry.none())
-    assert not try_pair(part, make_kit(part)).loose
+    assert not check_pair(part, make_kit(part)).has_loose_fit
 
 
 def test_a_turn_must_jam_both_ways_round() -> None:
@@ -136,8 +136,10 @@ def test_a_turn_must_jam_both_ways_round() -> None:
     radii = 14 + 6 * angles / (2 * np.pi)
     snail = CrossSection([np.stack([radii * np.cos(angles), radii * np.sin(angles)], 1)])
     part, kit = whole(Manifold.extrude(snail, 20))
-    seat, design = Seat(part.mesh, kit), kit.slot.goals[0]
+    seat, design = SeatingTest(part.mesh, kit), kit.slot.goals[0]
     turns = np.arange(STEP, np.pi, STEP)
-    ways = [next(t for t in turns if not seat.seats(about_anchor(design, s * t * Z), design)) for s in (1, -1)]
+    ways = [
+        next(t for t in turns if not seat.is_seated(rotated_about_centroid(design, s * t * Z), design)) for s in (1, -1)
+    ]
     assert max(ways) > 5 * min(ways)
     assert keyedness(seat) == pytest.approx(max(ways), abs=1e-9)

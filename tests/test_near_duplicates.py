@@ -11,7 +11,7 @@ from mini import corner
 from strategies import vectors
 
 from kit1000.mesh import Mesh, mesh_from_solid
-from kit1000.parts.near_duplicates import TWIN, shape_measures, twin_of
+from kit1000.parts.near_duplicates import MIN_DIFFERENCE, near_duplicate_of, shape_measures
 
 SIDES = st.floats(0.2, 5)
 
@@ -34,7 +34,7 @@ def test_size_place_and_names_of_axes_do_not_count(size: float, shift: np.ndarra
     even = np.linalg.det(np.eye(3)[axes]) > 0
     moved = Mesh(turned, mesh.faces if even else mesh.faces[:, ::-1])
     assert shape_measures(moved) == pytest.approx(shape_measures(mesh), rel=1e-7)
-    assert twin_of(shape_measures(moved), shape_measures(mesh)[None]) == 0
+    assert near_duplicate_of(shape_measures(moved), shape_measures(mesh)[None]) == 0
 
 
 def test_a_solid_with_a_hollow_fills_less_of_its_hull() -> None:
@@ -44,7 +44,7 @@ def test_a_solid_with_a_hollow_fills_less_of_its_hull() -> None:
 
 def test_a_twin_agrees_in_all_measures_and_the_first_is_named() -> None:
     measures = np.array([0.5, 0.6, 0.7, 0.8, 9.0])
-    others = measures * (1 + TWIN * np.array([[1.2, 0, 0, 0, 0], [0.9] * 5, [0] * 5]))
-    assert twin_of(measures, others) == 1
-    assert twin_of(measures, others[:1]) is None
-    assert twin_of(measures, np.zeros((0, 5))) is None
+    others = measures * (1 + MIN_DIFFERENCE * np.array([[1.2, 0, 0, 0, 0], [0.9] * 5, [0] * 5]))
+    assert near_duplicate_of(measures, others) == 1
+    assert near_duplicate_of(measures, others[:1]) is None
+    assert near_duplicate_of(measures, np.zeros((0, 5))) is None
