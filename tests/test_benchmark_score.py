@@ -20,13 +20,20 @@ from benchmark.per_query import PerQuery
 from benchmark.protocol import read_protocol
 from benchmark.queries import ScoredQueries, read_queries
 from benchmark.report import json_text, rounded, table
-from benchmark.score import Scores, score
+from benchmark.score import Scores, read_checked, score
 from benchmark.summary import histogram, risk_coverage, summarise
 from kit1000 import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics import Seatings
 from kit1000.pose import Pose, quaternion_angle
-from kit1000.submission import Submission, read_predictions, read_submission, write_predictions, write_submission
+from kit1000.submission import (
+    Submission,
+    check,
+    read_predictions,
+    read_submission,
+    write_predictions,
+    write_submission,
+)
 from kit1000.tracks import CURVES
 
 PROTOCOL = read_protocol()
@@ -149,6 +156,16 @@ def test_missing_rows_of_a_submission_stay_in_n(perfect: Submission, dataset: Da
     assert tracks["snap"]["position_mm"]["mean"] > 50
     assert tracks["snap"]["seconds"] is None
     assert tracks["snap-tilt"]["coverage"] == 1
+
+
+def test_left_out_queries_are_an_error_of_the_check_and_none_of_the_score(
+    perfect: Submission, dataset: Dataset, tmp_path: Path
+) -> None:
+    kept = [i for i, query_id in enumerate(perfect.predictions.query_ids) if not query_id.endswith("-pos0-rot1")]
+    some = predictions([perfect.predictions.query_ids[i] for i in kept], [perfect.predictions.motions[i] for i in kept])
+    write_submission(tmp_path / "some", manifest(dataset.id, tracks=("snap", CURVES)), some)
+    assert {error.code for error in check(tmp_path / "some", dataset.root).errors} == {"missing-predictions"}
+    assert len(read_checked(tmp_path / "some", dataset.root, "test").predictions) == len(kept)
 
 
 def test_queries_can_be_limited_to_some_scenes(dataset: Dataset) -> None:
