@@ -127,35 +127,35 @@ def line_of(name: str, text: str) -> int | None:
 
 
 def _parsed(text: str, file: str) -> tuple[dict[str, Any], Fault | None]:
-    stray = UNPRINTABLE.search(text)
-    if stray:
-        line, column = text.count("\n", 0, stray.start()) + 1, stray.start() - text.rfind("\n", 0, stray.start())
-        seen = f"byte 0x{ord(stray[0]) & 0xFF:02X}"
-        return {}, Fault(file, line, column, seen, "UTF-8 text", "write the file again", "error", "stray-byte")
+    match = UNPRINTABLE.search(text)
+    if match:
+        line, column = text.count("\n", 0, match.start()) + 1, match.start() - text.rfind("\n", 0, match.start())
+        actual = f"byte 0x{ord(match[0]) & 0xFF:02X}"
+        return {}, Fault(file, line, column, actual, "UTF-8 text", "write the file again", "error", "invalid-byte")
     try:
         return tomllib.loads(text), None
     except (ValueError, RecursionError) as error:  # numbers or nesting out of range included
-        said = " ".join(str(error).split())
-        place = re.search(r" \(at line (\d+), column (\d+)\)", said)
-        at = (int(place[1]), int(place[2])) if place else (None, None)
-        seen = printable(said[: place.start()] if place else said[:200]) or "not TOML"
+        message = " ".join(str(error).split())
+        location = re.search(r" \(at line (\d+), column (\d+)\)", message)
+        line, column = (int(location[1]), int(location[2])) if location else (None, None)
+        reason = printable(message[: location.start()] if location else message[:200]) or "cannot be parsed"
         repair = "write name = value, with text in quotes and lists in brackets"
-        return {}, Fault(file, *at, f"no TOML: {seen}", "TOML", repair, "error", "no-toml")
+        return {}, Fault(file, line, column, f"not TOML: {reason}", "TOML", repair, "error", "not-toml")
 
 
 def _value_faults(values: Mapping[str, Any], text: str, file: str) -> list[Fault]:
     faults = []
     unknown = [name for name in values if name not in FIELD_TYPES]
     for name in unknown:
-        near = get_close_matches(name, [field for field in FIELD_TYPES if field not in values], n=1, cutoff=0.6)
-        repair = f"did you mean {near[0]}?" if near else "delete it"
-        seen = f"{'table' if isinstance(values[name], dict) else 'field'} {quote(name)}"
-        wanted = f"one of {', '.join(FIELD_TYPES)}"
-        faults.append(Fault(file, line_of(name, text), None, seen, wanted, repair, "error", "unknown-field"))
+        similar = get_close_matches(name, [field for field in FIELD_TYPES if field not in values], n=1, cutoff=0.6)
+        repair = f"did you mean {similar[0]}?" if similar else "delete it"
+        actual = f"{'table' if isinstance(values[name], dict) else 'field'} {quote(name)}"
+        expected = f"one of {', '.join(FIELD_TYPES)}"
+        faults.append(Fault(file, line_of(name, text), None, actual, expected, repair, "error", "unknown-field"))
     for name in REQUIRED:
         if name not in values:
-            seen, wanted = f"no field {name}", EXPECTED[name]
-            faults.append(file_error(file, "missing-field", seen, wanted, f"add a line {name} = {EXAMPLES[name]}"))
+            actual, expected = f"no field {name}", EXPECTED[name]
+            faults.append(file_error(file, "missing-field", actual, expected, f"add a line {name} = {EXAMPLES[name]}"))
     for name in FIELD_TYPES:
         fault = _value_fault(name, _plain(values[name]), file, line_of(name, text)) if name in values else None
         faults += [fault] if fault else []
@@ -168,8 +168,8 @@ def _omissions(values: Mapping[str, Any], file: str) -> list[Fault]:
     empty = [name for name in needed if not values.get(name)]
     if not empty or values.get("control"):
         return []
-    seen, wanted = f"{' and '.join(empty)} left empty", "what others need to repeat the numbers"
-    return [Fault(file, None, None, seen, wanted, "fill in", "warning", "left-empty")]
+    actual, expected = f"{' and '.join(empty)} left empty", "what others need to reproduce the scores"
+    return [Fault(file, None, None, actual, expected, "fill in", "warning", "left-empty")]
 
 
 EXPECTED = {
@@ -211,21 +211,21 @@ def _value_fault(name: str, value: Any, file: str = "", line: int | None = None)
     else:
         listed = isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)
         right, repair = listed, 'write a list of texts, such as ["a", "b"]'
-    seen = f"{name} = {quote(list(value) if isinstance(value, tuple) else value)}"
+    actual = f"{name} = {quote(list(value) if isinstance(value, tuple) else value)}"
     if not right:
-        return Fault(file, line, None, seen, expected, repair, "error", "wrong-type")
+        return Fault(file, line, None, actual, expected, repair, "error", "wrong-type")
     wrong = _wrong_value(name, value)
-    return wrong and Fault(file, line, None, seen, expected, wrong[1], "error", wrong[0])
+    return wrong and Fault(file, line, None, actual, expected, wrong[1], "error", wrong[0])
 
 
 def _wrong_value(name: str, value: str | bool | Sequence[str]) -> tuple[str, str] | None:
-    """Name and repair of a value that has the right type."""
+    """Code and repair of a wrong value of the right type; None for a valid value."""
     if isinstance(value, bool):
         return None
     texts = [value] if isinstance(value, str) else list(value)
     short = name in ("method", "label", "paper_row", "dataset_id", "dataset_checksum")
     if any(UNPRINTABLE.search(text) for text in texts):
-        return "stray-byte", "leave out control characters"
+        return "control-character", "delete control characters"
     if any(len(text) > (MAX_NAME if short else MAX_TEXT) for text in texts):
         return "too-long", "shorten it"
     if (short or name == "authors") and any("\n" in text for text in texts):
@@ -235,9 +235,9 @@ def _wrong_value(name: str, value: str | bool | Sequence[str]) -> tuple[str, str
     if name in CHOICES:
         return _choice(texts, CHOICES[name])
     if name == "date" and not _is_day(texts[0]):
-        return "no-date", "write year, month and day, such as 2026-01-31"
+        return "invalid-date", "write year, month and day, such as 2026-01-31"
     if name == "url" and texts[0] and not re.match(r"https?://[^\s/]+\S*\Z", texts[0]):
-        return "no-url", "write the whole address, with https://"
+        return "invalid-url", "write the whole address, with https://"
     return None
 
 
@@ -245,11 +245,11 @@ CHOICES = {"tracks": ALL_TRACKS, "predicts": PREDICTS, "camera_set": CAMERA_SETS
 
 
 def _choice(texts: list[str], known: tuple[str, ...]) -> tuple[str, str] | None:
-    odd = [text for text in texts if text not in known]
-    if odd:
-        near = get_close_matches(odd[0].lower().replace("_", "-"), known, n=1, cutoff=0.5)
-        return "no-choice", f"did you mean {near[0]}?" if near else f"delete {quote(odd[0])}"
-    return ("double", "name each once") if len(set(texts)) < len(texts) else None
+    unknown = [text for text in texts if text not in known]
+    if unknown:
+        similar = get_close_matches(unknown[0].lower().replace("_", "-"), known, n=1, cutoff=0.5)
+        return "unknown-value", f"did you mean {similar[0]}?" if similar else f"delete {quote(unknown[0])}"
+    return ("duplicate-value", "list each once") if len(set(texts)) < len(texts) else None
 
 
 def _is_day(text: str) -> bool:
@@ -261,7 +261,7 @@ def _is_day(text: str) -> bool:
 
 
 def _plain(value: Any) -> Any:
-    """TOML has dates of its own, and lists where we have tuples."""
+    """A TOML value as the manifest has it: dates as text, lists as tuples."""
     if isinstance(value, date) and not isinstance(value, datetime):
         return value.isoformat()
     return tuple(value) if isinstance(value, list) else value
