@@ -1,4 +1,4 @@
-"""Layouts: exact shares of rest modes, exact distances, everything on its half, and draws that leave others alone."""
+"""Layouts: exact shares of rest modes, exact distances, all bodies on their halves, independent draws."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ FAMILIES = ("bracket", "channel", "tee", "cover")
 
 @cache
 def sample_assembly(n: int = 3) -> Assembly:
-    """The kits of the first n families, the base tilted, the others hanging off it."""
+    """The kits of the first n families, the base tilted, the others joined to it."""
     sides = tuple(SidePlate(k, 0.3 + 0.1 * k) for k in range(n - 1))
     return build_assembly("a", [sample_kit(family) for family in FAMILIES[:n]], AssemblyPlan(0.2, 0.7, sides))
 
@@ -57,8 +57,8 @@ def pairs(n: int = 3) -> list[tuple[Part, Slot]]:
 
 
 @cache
-def laid(seed: int, n: int = 3) -> tuple[LayoutDraw, Layout]:
-    """The first layout of a seed that is no redraw."""
+def first_layout(seed: int, n: int = 3) -> tuple[LayoutDraw, Layout]:
+    """The first layout of a seed that is not redrawn."""
     for attempt in range(20):
         rng = stream(seed, attempt)
         draw = draw_layout(rng, draw_rest_modes(rng, n))
@@ -71,7 +71,7 @@ def laid(seed: int, n: int = 3) -> tuple[LayoutDraw, Layout]:
 
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 5])
 def test_each_part_is_upright_with_a_share_of_exactly_six_tenths(n: int) -> None:
-    """The mode changes at multiples of 0.2 of the offset, so middles of fifths integrate over it exactly."""
+    """The mode changes at multiples of 0.2 of the offset, so the midpoints of fifths integrate over it exactly."""
     upright = np.array([[mode == UPRIGHT for mode in systematic_rest_modes((k + 0.5) / 5, n)] for k in range(5)])
     assert upright.mean(0) == pytest.approx(np.full(n, 0.6), abs=1e-12)
     assert (np.abs(upright.sum(1) - 0.6 * n) < 1).all()
@@ -94,21 +94,21 @@ def test_drawn_modes_are_those_of_a_uniform_offset() -> None:
 
 @given(seed=st.integers(0, 2**32), n=st.integers(1, 5))
 @settings(max_examples=40)
-def test_spots_keep_parts_apart_however_they_turn(seed: int, n: int) -> None:
-    spots = draw_layout(stream(seed), (TUMBLED,) * n).drop_points
-    assert ((spots >= DROP_BOUNDS[0]) & (spots <= DROP_BOUNDS[1])).all()
-    assert pdist(spots).min(initial=np.inf) >= 2 * MAX_PART_RADIUS + MIN_GAP
-    assert spots[:, 1].max() + MAX_PART_RADIUS < -MIN_GAP
+def test_drop_points_separate_parts_of_any_rotation(seed: int, n: int) -> None:
+    points = draw_layout(stream(seed), (TUMBLED,) * n).drop_points
+    assert ((points >= DROP_BOUNDS[0]) & (points <= DROP_BOUNDS[1])).all()
+    assert pdist(points).min(initial=np.inf) >= 2 * MAX_PART_RADIUS + MIN_GAP
+    assert points[:, 1].max() + MAX_PART_RADIUS < -MIN_GAP
 
 
-def test_the_same_stream_draws_the_same_and_modes_change_no_number() -> None:
+def test_the_same_stream_draws_the_same_numbers_for_all_modes() -> None:
     once, again = draw_layout(stream(4), (UPRIGHT, TUMBLED)), draw_layout(stream(4), (TUMBLED, TUMBLED))
     assert once.drop_points.tobytes() == again.drop_points.tobytes()
     assert once.tumbled_rotations.tobytes() == again.tumbled_rotations.tobytes()
     assert once.assembly_yaw == again.assembly_yaw
 
 
-def test_unknown_modes_and_too_many_parts_are_refused() -> None:
+def test_unknown_modes_and_too_many_parts_are_rejected() -> None:
     with pytest.raises(ShapeError, match="each upright or tumbled"):
         draw_layout(stream(0), ("lying",))
     with pytest.raises(ShapeError, match="expected up to 5"):
@@ -117,7 +117,7 @@ def test_unknown_modes_and_too_many_parts_are_refused() -> None:
         simulate_layout(sample_assembly(), pairs(), draw_layout(stream(0), (UPRIGHT,)))
 
 
-def test_a_part_larger_than_the_spots_allow_is_refused() -> None:
+def test_a_part_larger_than_the_drop_points_allow_is_rejected() -> None:
     part = as_part(box(60, 60, 60))
     with pytest.raises(InputError, match=r"diagonal of 103\.9 mm"):
         simulate_layout(sample_assembly(), [(part, pairs()[0][1])], draw_layout(stream(0), (UPRIGHT,)))
@@ -125,11 +125,11 @@ def test_a_part_larger_than_the_spots_allow_is_refused() -> None:
 
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=12)
-def test_everything_stands_on_its_half_and_apart(seed: int) -> None:
-    _, layout = laid(seed)
-    shadows = [footprint(part.mesh, pose) for (part, _), pose in zip(pairs(), layout.world_from_parts, strict=True)]
-    sections = [CrossSection([outline], FillRule.NonZero) for outline in shadows]
-    for i, outline in enumerate(shadows):
+def test_all_bodies_are_on_their_halves_and_separate(seed: int) -> None:
+    _, layout = first_layout(seed)
+    outlines = [footprint(part.mesh, pose) for (part, _), pose in zip(pairs(), layout.world_from_parts, strict=True)]
+    sections = [CrossSection([outline], FillRule.NonZero) for outline in outlines]
+    for i, outline in enumerate(outlines):
         assert ((outline >= PARTS_BOUNDS[0]) & (outline <= PARTS_BOUNDS[1])).all()
         grown = sections[i].offset(MIN_GAP * (1 - 1e-3), circular_segments=256)
         assert not any((grown ^ other).area() > 1e-12 for other in sections[:i])
@@ -141,26 +141,26 @@ def test_everything_stands_on_its_half_and_apart(seed: int) -> None:
 
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=12)
-def test_upright_parts_stand_as_they_are_inserted_at_the_drawn_yaw_and_spot(seed: int) -> None:
-    draw, layout = laid(seed)
+def test_upright_parts_rest_as_they_are_inserted_at_the_drawn_yaw_and_point(seed: int) -> None:
+    draw, layout = first_layout(seed)
     for i, (part, slot) in enumerate(pairs()):
         if draw.modes[i] == UPRIGHT:
             world_from_part = layout.world_from_parts[i]
-            wanted = Pose.from_rotvec([0, 0, draw.yaws[i]]) @ slot.kit_from_part
-            assert np.degrees((world_from_part.inverse() @ wanted).angle()) < 1
+            expected = Pose.from_rotvec([0, 0, draw.yaws[i]]) @ slot.kit_from_part
+            assert np.degrees((world_from_part.inverse() @ expected).angle()) < 1
             assert world_from_part.apply(part.mesh.bounds.mean(0))[:2] == pytest.approx(draw.drop_points[i], abs=1.5e-3)
 
 
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=12)
 def test_every_part_touches_the_table(seed: int) -> None:
-    _, layout = laid(seed)
+    _, layout = first_layout(seed)
     for (part, _), pose in zip(pairs(), layout.world_from_parts, strict=True):
         assert abs(pose.apply(part.mesh.vertices)[:, 2].min()) < 1e-6
 
 
 def test_moving_the_kits_moves_no_part() -> None:
-    draw, layout = laid(0)
+    draw, layout = first_layout(0)
     other = simulate_layout(
         sample_assembly(), pairs(), replace(draw, assembly_yaw=1.0, assembly_shift=np.array([0.5, -0.5]))
     )
@@ -168,20 +168,20 @@ def test_moving_the_kits_moves_no_part() -> None:
     assert other.world_from_assembly.xyz.tobytes() != layout.world_from_assembly.xyz.tobytes()
 
 
-def test_turning_one_part_leaves_the_others_where_they_are() -> None:
-    draw, layout = laid(0)
+def test_rotating_one_part_moves_no_other() -> None:
+    draw, layout = first_layout(0)
     i = draw.modes.index(UPRIGHT)
     yaws = draw.yaws.copy()
     yaws[i] += 0.4
     other = simulate_layout(sample_assembly(), pairs(), replace(draw, yaws=yaws))
     assert other.world_from_assembly.xyz.tobytes() == layout.world_from_assembly.xyz.tobytes()
     for k, (a, b) in enumerate(zip(other.world_from_parts, layout.world_from_parts, strict=True)):
-        turned = float((a.inverse() @ b).angle())
-        assert turned == pytest.approx(0.4 if k == i else 0, abs=5e-3)
+        angle = float((a.inverse() @ b).angle())
+        assert angle == pytest.approx(0.4 if k == i else 0, abs=5e-3)
 
 
 def test_a_layout_is_the_same_every_time() -> None:
-    draw, layout = laid(1)
+    draw, layout = first_layout(1)
     again = simulate_layout(sample_assembly(), pairs(), draw)
     for a, b in zip(again.world_from_parts, layout.world_from_parts, strict=True):
         assert (a.xyz.tobytes(), a.wxyz.tobytes()) == (b.xyz.tobytes(), b.wxyz.tobytes())
@@ -189,7 +189,7 @@ def test_a_layout_is_the_same_every_time() -> None:
 
 @given(yaw=st.floats(0, 6.28), shift=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), n=st.integers(1, 4))
 @settings(max_examples=12)
-def test_the_kits_stay_on_their_half_at_every_draw(yaw: float, shift: tuple[float, float], n: int) -> None:
+def test_the_kits_are_on_their_half_for_every_draw(yaw: float, shift: tuple[float, float], n: int) -> None:
     draw = replace(draw_layout(stream(0), ()), assembly_yaw=yaw, assembly_shift=np.array(shift))
     layout = simulate_layout(sample_assembly(n), [], draw)
     vertices = layout.world_from_assembly.apply(sample_assembly(n).mesh.vertices)
@@ -199,8 +199,8 @@ def test_the_kits_stay_on_their_half_at_every_draw(yaw: float, shift: tuple[floa
     assert up.tolist() == [0, 0, 1]
 
 
-def faked(monkeypatch: pytest.MonkeyPatch, moved: Pose, stable: bool = True) -> None:
-    """Settling that carries every part by a motion of the world."""
+def replace_settling(monkeypatch: pytest.MonkeyPatch, moved: Pose, stable: bool = True) -> None:
+    """Replace settling by one that moves every part by `moved` in the world."""
 
     def settle(releases: list) -> list[RestPose]:
         return [RestPose(moved @ release.world_from_part, stable) for release in releases]
@@ -218,30 +218,28 @@ def faked(monkeypatch: pytest.MonkeyPatch, moved: Pose, stable: bool = True) -> 
         (Pose.from_translation([0.3, 0, 0]), True, TUMBLED, "part left its half"),
     ],
 )
-def test_reasons_to_draw_again(
-    monkeypatch: pytest.MonkeyPatch, moved: Pose, stable: bool, mode: str, reason: str
-) -> None:
-    faked(monkeypatch, moved, stable)
+def test_redraw_reasons(monkeypatch: pytest.MonkeyPatch, moved: Pose, stable: bool, mode: str, reason: str) -> None:
+    replace_settling(monkeypatch, moved, stable)
     draw = draw_layout(stream(2), (mode,) * 3)
     with pytest.raises(Redraw, match=f"^{reason}$"):
         simulate_layout(sample_assembly(), pairs(), draw)
 
 
-def test_parts_that_touch_are_drawn_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    faked(monkeypatch, Pose.identity())
+def test_parts_that_touch_are_redrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    replace_settling(monkeypatch, Pose.identity())
     draw = draw_layout(stream(2), (UPRIGHT,) * 3)
-    near = replace(draw, spots=np.array([[0.0, -0.2], [0.1, -0.2], [0.02, -0.2]]))
+    close = replace(draw, drop_points=np.array([[0.0, -0.2], [0.1, -0.2], [0.02, -0.2]]))
     with pytest.raises(Redraw, match=r"^parts touch$"):
-        simulate_layout(sample_assembly(), pairs(), near)
+        simulate_layout(sample_assembly(), pairs(), close)
 
 
 def square(side: float, at: tuple[float, float], yaw: float = 0.0) -> np.ndarray:
     corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * side / 2
-    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    return corners @ turn.T + at
+    rotation = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    return corners @ rotation.T + at
 
 
-def test_distances_of_squares_are_those_of_the_books() -> None:
+def test_distances_of_squares_are_those_in_closed_form() -> None:
     a = square(2, (0, 0))
     assert footprint_distance(a, square(2, (5, 0.5))) == pytest.approx(3)  # edge to edge
     assert footprint_distance(a, square(2, (5, 6))) == pytest.approx(5)  # corner to corner: 3, 4, 5
@@ -277,7 +275,7 @@ def test_the_table_is_a_closed_box_below_zero() -> None:
 
 
 @pytest.mark.slow
-def test_few_layouts_are_drawn_again() -> None:
+def test_few_layouts_are_redrawn() -> None:
     failed = 0
     for k in range(100):
         rng = stream(k)

@@ -1,4 +1,4 @@
-"""Rest poses against statics: z = 0 exactly, the centre of mass over the support; and against statistics."""
+"""Rest poses in static equilibrium: z = 0 exactly, the centre of mass over the support; frequencies of rest faces."""
 
 from __future__ import annotations
 
@@ -35,15 +35,17 @@ def part_of(solid: Manifold) -> Mesh:
     return Mesh(mesh.vertices - mesh.centroid, mesh.faces)
 
 
-def released(mesh: Mesh, wxyz: np.ndarray, height: float = 5e-3, at: tuple[float, float] = (0.0, 0.0)) -> Release:
-    """Let go with the lowest point `height` above the table."""
-    turned = Pose(wxyz, np.zeros(3))
-    lift = height - turned.apply(mesh.vertices)[:, 2].min()
+def dropped_release(
+    mesh: Mesh, wxyz: np.ndarray, height: float = 5e-3, at: tuple[float, float] = (0.0, 0.0)
+) -> Release:
+    """A release with the lowest point `height` above the table."""
+    rotation = Pose(wxyz, np.zeros(3))
+    lift = height - rotation.apply(mesh.vertices)[:, 2].min()
     return Release(mesh, DENSITY * mesh.volume, Pose(wxyz, np.array([*at, lift])))
 
 
 def over_support(mesh: Mesh, rest: RestPose) -> bool:
-    """Whether the centroid stands inside the outline of what lies on the table: by Qhull, in the plane."""
+    """Whether the centroid is above the convex hull of the contact points: by Qhull, in the plane."""
     points = rest.world_from_part.apply(mesh.vertices)
     outline = ConvexHull(points[points[:, 2] < points[:, 2].min() + 2e-6, :2])
     centre = rest.world_from_part.apply(mesh.centroid)[:2]
@@ -51,16 +53,16 @@ def over_support(mesh: Mesh, rest: RestPose) -> bool:
 
 
 def drops(mesh: Mesh, n: int, seed: int = 0) -> list[RestPose]:
-    """From uniform rotations, five at a time and far apart."""
+    """Rest poses after drops from uniform rotations, five at a time and far apart."""
     releases = [
-        released(mesh, wxyz, at=(0.2 * (i % 5), 0.0))
+        dropped_release(mesh, wxyz, at=(0.2 * (i % 5), 0.0))
         for i, wxyz in enumerate(random_quaternions(np.random.default_rng(seed), n))
     ]
     return [rest for k in range(0, n, 5) for rest in settle(releases[k : k + 5])]
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_a_dropped_part_ends_in_static_balance_on_the_table(name: str) -> None:
+def test_a_dropped_part_ends_in_static_equilibrium_on_the_table(name: str) -> None:
     mesh = part_of(SHAPES[name]())
     for rest in drops(mesh, 5):
         assert rest.stable
@@ -70,9 +72,9 @@ def test_a_dropped_part_ends_in_static_balance_on_the_table(name: str) -> None:
 
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=8)
-def test_so_does_any_part_that_stops(seed: int) -> None:
+def test_any_part_at_rest_is_in_static_equilibrium(seed: int) -> None:
     mesh = part_of(random_solid(seed))
-    (rest,) = settle([released(mesh, random_quaternions(np.random.default_rng(seed), 1)[0])])
+    (rest,) = settle([dropped_release(mesh, random_quaternions(np.random.default_rng(seed), 1)[0])])
     if rest.stable:
         assert abs(rest.world_from_part.apply(mesh.vertices)[:, 2].min()) < 1e-6
         assert over_support(mesh, rest)
@@ -86,10 +88,10 @@ def test_settling_twice_gives_the_same_bytes() -> None:
         assert a.world_from_part.xyz.tobytes() == b.world_from_part.xyz.tobytes()
 
 
-def test_the_last_bits_of_a_release_do_not_matter() -> None:
+def test_the_last_bits_of_a_release_pose_have_no_effect() -> None:
     mesh = part_of(ell())
     wxyz = rounded_pose(Pose(random_quaternions(np.random.default_rng(1), 1)[0], np.zeros(3))).wxyz
-    release = released(mesh, wxyz)
+    release = dropped_release(mesh, wxyz)
     pose = release.world_from_part
     # more than last bits, but far less than the grid
     nudged = Release(mesh, release.mass, Pose(pose.wxyz + (1e-10, 0, 0, 0), np.round(pose.xyz, 6) + 1e-10))
@@ -100,18 +102,18 @@ def test_the_last_bits_of_a_release_do_not_matter() -> None:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.0, 4.0])
-def test_a_box_put_down_flat_stays(yaw: float) -> None:
+def test_a_box_released_flat_does_not_move(yaw: float) -> None:
     mesh = part_of(box(40, 30, 20))
-    release = released(mesh, Pose.from_rotvec([0, 0, yaw]).wxyz, height=2e-4, at=(0.1, -0.2))
+    release = dropped_release(mesh, Pose.from_rotvec([0, 0, yaw]).wxyz, height=2e-4, at=(0.1, -0.2))
     (rest,) = settle([release])
     assert rest.stable
     assert rest.world_from_part.xyz == pytest.approx([0.1, -0.2, 0.01], abs=2e-5)
     assert (rest.world_from_part.inverse() @ release.world_from_part).angle() < 1e-3
 
 
-def test_a_part_falls_onto_its_stable_face_never_higher_than_it_was_let_go() -> None:
+def test_a_part_falls_onto_its_stable_face_below_its_release_height() -> None:
     mesh = part_of(box(40, 40, 8))
-    release = released(mesh, Pose.from_rotvec([np.pi / 2 - 0.3, 0, 0]).wxyz)
+    release = dropped_release(mesh, Pose.from_rotvec([np.pi / 2 - 0.3, 0, 0]).wxyz)
     (rest,) = settle([release])
     assert rest.world_from_part.xyz[2] == pytest.approx(0.004, abs=1e-6)
     assert rest.world_from_part.xyz[2] < release.world_from_part.xyz[2]
@@ -119,25 +121,25 @@ def test_a_part_falls_onto_its_stable_face_never_higher_than_it_was_let_go() -> 
 
 def test_parts_that_fall_on_each_other_push_each_other_away() -> None:
     mesh = part_of(box(30, 30, 30))
-    turns = random_quaternions(np.random.default_rng(3), 2)
-    below, above = released(mesh, turns[0]), released(mesh, turns[1], height=0.07, at=(0.012, 0.005))
+    rotations = random_quaternions(np.random.default_rng(3), 2)
+    below, above = dropped_release(mesh, rotations[0]), dropped_release(mesh, rotations[1], 0.07, (0.012, 0.005))
     alone = settle([below])[0].world_from_part.xyz
     assert np.linalg.norm(settle([below, above])[0].world_from_part.xyz - alone) > 1e-3
 
 
 def test_a_part_far_from_others_rests_as_if_alone() -> None:
     mesh = part_of(ell())
-    turns = random_quaternions(np.random.default_rng(5), 2)
-    one, other = released(mesh, turns[0]), released(mesh, turns[1], at=(0.3, 0.0))
+    rotations = random_quaternions(np.random.default_rng(5), 2)
+    one, other = dropped_release(mesh, rotations[0]), dropped_release(mesh, rotations[1], at=(0.3, 0.0))
     apart, alone = settle([one, other])[0].world_from_part, settle([one])[0].world_from_part
-    # how long it lies before all the others lie too may move it by micrometres
+    # the steps until the others are at rest too may move it by micrometres
     assert apart.xyz == pytest.approx(alone.xyz, abs=5e-5)
     assert (apart.inverse() @ alone).angle() < 5e-3
 
 
 def test_a_part_whose_frame_is_off_its_centroid_rests_the_same() -> None:
     mesh = part_of(ell())
-    release = released(mesh, random_quaternions(np.random.default_rng(2), 1)[0])
+    release = dropped_release(mesh, random_quaternions(np.random.default_rng(2), 1)[0])
     offset = np.array([0.016, -0.008, 0.004])
     moved = Mesh(mesh.vertices + offset, mesh.faces)
     shifted = Release(moved, release.mass, release.world_from_part @ Pose.from_translation(-offset))
@@ -146,11 +148,11 @@ def test_a_part_whose_frame_is_off_its_centroid_rests_the_same() -> None:
     assert (rest.world_from_part.inverse() @ other.world_from_part).angle() < 0.02
 
 
-def test_nothing_to_settle_is_settled() -> None:
+def test_no_releases_give_no_rest_poses() -> None:
     assert settle([]) == []
 
 
-def test_the_inertia_of_a_box_is_that_of_the_books() -> None:
+def test_the_inertia_of_a_box_matches_the_closed_form() -> None:
     mesh = mesh_from_solid(standing(box(40, 30, 20)))  # not about its centroid
     a, b, c = 0.04, 0.03, 0.02
     expected = 0.7 / 12 * np.diag([b * b + c * c, a * a + c * c, a * a + b * b])
@@ -165,21 +167,21 @@ def test_the_principal_axes_make_the_inertia_diagonal(seed: int) -> None:
     other = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
     other.density = DENSITY
     assert tensor == pytest.approx(other.moment_inertia, rel=1e-6, abs=1e-12)
-    turn = Pose(principal_axes(tensor), np.zeros(3)).rotation_matrix()
-    turned = turn.T @ tensor @ turn
-    assert np.abs(turned - np.diag(np.diag(turned))).max() < 1e-5 * np.trace(tensor)
+    rotation = Pose(principal_axes(tensor), np.zeros(3)).rotation_matrix()
+    rotated = rotation.T @ tensor @ rotation
+    assert np.abs(rotated - np.diag(np.diag(rotated))).max() < 1e-5 * np.trace(tensor)
 
 
 @given(pose=poses())
-def test_a_pose_on_the_grid_is_near_and_forgets_last_bits(pose: Pose) -> None:
-    snapped = rounded_pose(pose)
-    assert (snapped.inverse() @ pose).angle() < 4 * POSE_GRID
-    assert np.abs(snapped.xyz - pose.xyz).max() <= POSE_GRID / 2 + 1e-12
-    mirrored = rounded_pose(Pose(-pose.wxyz, pose.xyz))
-    assert mirrored.wxyz.tobytes() == snapped.wxyz.tobytes()
+def test_a_rounded_pose_is_near_and_does_not_depend_on_the_sign_of_the_quaternion(pose: Pose) -> None:
+    rounded = rounded_pose(pose)
+    assert (rounded.inverse() @ pose).angle() < 4 * POSE_GRID
+    assert np.abs(rounded.xyz - pose.xyz).max() <= POSE_GRID / 2 + 1e-12
+    negated = rounded_pose(Pose(-pose.wxyz, pose.xyz))
+    assert negated.wxyz.tobytes() == rounded.wxyz.tobytes()
 
 
-def test_a_corner_carries_nothing_and_a_facet_carries_what_stands_over_it() -> None:
+def test_a_facet_is_stable_below_the_centre_of_mass_and_an_edge_never() -> None:
     points = part_of(box(40, 30, 20)).vertices
     assert is_stable_facet(points, DOWN)
     assert not is_stable_facet(points, np.array([0.6, 0.0, -0.8]))  # on an edge
@@ -188,15 +190,15 @@ def test_a_corner_carries_nothing_and_a_facet_carries_what_stands_over_it() -> N
 
 
 @pytest.mark.slow
-def test_a_box_falls_on_its_faces_as_often_as_their_solid_angles_say() -> None:
-    """Physics against the quasi-static rule: within twice the standard error of 400 drops."""
+def test_a_box_falls_on_its_faces_with_the_probabilities_of_the_quasi_static_model() -> None:
+    """Within twice the standard error of 400 drops."""
     mesh = part_of(box(40, 32, 24))
     axes = np.array([np.abs(rest.world_from_part.rotation_matrix()[2]).argmax() for rest in drops(mesh, 400)])
-    counted = np.bincount(axes, minlength=3) / len(axes)
+    observed = np.bincount(axes, minlength=3) / len(axes)
     expected = np.zeros(3)
     for face in resting_faces(mesh):
         expected[np.abs(face.normal).argmax()] += face.probability
-    assert counted == pytest.approx(expected, abs=0.05)
+    assert observed == pytest.approx(expected, abs=0.05)
 
 
 @pytest.mark.slow

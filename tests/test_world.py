@@ -1,4 +1,4 @@
-"""Physics against school formulas, the same bytes twice, and what pybullet would leak or refuse."""
+"""The physics world: closed forms of mechanics, reproducible bytes, pybullet's memory leaks and errors."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def dropped(height: float, steps: int) -> Pose:
         return world.pose(cube)
 
 
-def test_a_body_in_the_air_falls_as_galileo_says() -> None:
+def test_a_body_in_the_air_is_in_free_fall() -> None:
     with World() as world:
         cube = world.add_hull(CUBE, 0.05, MOMENTS, Pose.from_translation([0, 0, 10.0]), linearDamping=0.0)
         world.step(STEP_RATE // 2)
@@ -41,14 +41,14 @@ def test_a_body_in_the_air_falls_as_galileo_says() -> None:
 
 @given(pose=poses())
 @settings(max_examples=10)
-def test_a_pose_comes_back_as_it_was_given(pose: Pose) -> None:
+def test_a_pose_is_read_back_as_it_was_set(pose: Pose) -> None:
     with World() as world:
         back = world.pose(world.add_hull(CUBE, 0.05, MOMENTS, pose))
     assert (back.inverse() @ pose).angle() < 1e-7
     assert back.xyz == pytest.approx(pose.xyz, abs=1e-12)
 
 
-def test_a_cube_lies_within_the_margin_of_the_ground() -> None:
+def test_a_cube_rests_within_the_margin_of_the_ground() -> None:
     with World() as world:
         world.add_ground()
         cube = world.add_hull(CUBE, 0.05, MOMENTS, Pose.from_translation([0, 0, 0.012]))
@@ -56,8 +56,8 @@ def test_a_cube_lies_within_the_margin_of_the_ground() -> None:
         assert abs(world.pose(cube).xyz[2] - 0.01) < 1.2 * MARGIN
 
 
-def test_a_cube_on_a_slope_of_friction_slides_only_beyond_it() -> None:
-    """Friction is that of both surfaces multiplied; a push is replaced by a start at speed: v^2 = 2 mu g s."""
+def test_a_sliding_cube_stops_after_the_distance_of_its_friction() -> None:
+    """The coefficient is the product of those of both surfaces; from an initial speed v: v^2 = 2 mu g s."""
     with World() as world:
         world.add_ground(friction=1.0)
         cube = world.add_hull(CUBE, 0.05, MOMENTS, Pose.from_translation([0, 0, 0.01]), lateralFriction=0.3)
@@ -82,12 +82,12 @@ def test_bodies_that_do_not_meet_do_not_disturb_each_other() -> None:
 
 
 def memory() -> int:
-    """Bytes of main memory this process holds."""
+    """Bytes of main memory that this process uses."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * 4096
 
 
 @pytest.mark.skipif(not Path("/proc/self/statm").is_file(), reason="reads memory use from /proc")
-def test_many_worlds_leave_nothing_behind() -> None:
+def test_many_worlds_leak_no_memory() -> None:
     points = mesh_from_solid(standing(cylinder(30, 10, segments=200))).vertices - [0, 0, 0.005]
 
     def use() -> None:
@@ -100,7 +100,7 @@ def test_many_worlds_leave_nothing_behind() -> None:
     for _ in range(5):
         use()
     before = memory()
-    for _ in range(30):  # each would leave 300 kB behind, if the rows of points were made anew
+    for _ in range(30):  # each would leak 300 kB if the rows of points were allocated anew
         use()
     assert memory() - before < 3e6
 
@@ -116,17 +116,17 @@ def test_a_world_ends_with_its_block_also_after_an_error() -> None:
         fail()
     with pytest.raises(InputError, match="inside its `with` block"):
         world.step()
-    with world:  # and may be opened again, empty
+    with world:  # and can be opened again, empty
         assert world.add_ground() == 0
 
 
-def test_without_pybullet_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pybullet_the_message_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pybullet", None)
     with pytest.raises(InputError, match=r"pip install 'kit1000\[sim\]'"), World():
         pass
 
 
-def test_when_no_further_world_opens_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_reports_that_no_further_world_opens(monkeypatch: pytest.MonkeyPatch) -> None:
     class Full:
         DIRECT = 2
 
@@ -138,21 +138,21 @@ def test_when_no_further_world_opens_it_is_said(monkeypatch: pytest.MonkeyPatch)
         pass
 
 
-def test_points_that_span_nothing_are_refused() -> None:
+def test_points_that_span_no_solid_are_rejected() -> None:
     with pytest.raises(ShapeError, match="span a solid"):
         hull_vertices(CUBE * (1, 1, 0))
     with pytest.raises(ShapeError, match="span a solid"):
         hull_vertices(CUBE[:3])
 
 
-def test_a_hull_keeps_its_corners_and_loses_what_lies_inside() -> None:
+def test_a_hull_keeps_its_vertices_and_drops_interior_points() -> None:
     inside = np.random.default_rng(0).uniform(-0.009, 0.009, (50, 3))
     assert np.array_equal(hull_vertices(np.concatenate([inside, CUBE])), CUBE)
 
 
 @given(seed=st.integers(0, 100))
 @settings(max_examples=3)
-def test_a_round_hull_is_thinned_but_keeps_its_shape(seed: int) -> None:
+def test_a_round_hull_is_simplified_but_keeps_its_shape(seed: int) -> None:
     ball = np.random.default_rng(seed).standard_normal((4000, 3))
     ball *= 0.02 / np.linalg.norm(ball, axis=1, keepdims=True)
     thin = hull_vertices(ball)
@@ -161,7 +161,7 @@ def test_a_round_hull_is_thinned_but_keeps_its_shape(seed: int) -> None:
     assert {tuple(corner) for corner in thin} <= {tuple(corner) for corner in ball}
 
 
-def test_a_block_stands_on_another() -> None:
+def test_a_block_rests_on_another() -> None:
     flat = mesh_from_solid(standing(box(40, 40, 10))).vertices - [0, 0, 0.005]
     with World() as world:
         world.add_ground()

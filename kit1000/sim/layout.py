@@ -1,7 +1,7 @@
-"""Where the kits stand and where the parts lie: drawn without geometry, then worked out with it.
+"""Layouts: the poses of the assembly and of the loose parts, drawn without geometry, then simulated with it.
 
-The table's half y > 0 is for the kits, y < 0 for the parts. A part lies as it was let go: `upright` on the face it is
-inserted with, at any yaw, or `tumbled`, dropped from a uniform rotation (and then perhaps on that same face).
+The table's half y > 0 is for the kits, y < 0 for the parts. A part's rest mode is how it is released: `upright` on its
+insertion face, at a random yaw, or `tumbled`, dropped in a uniform rotation (it may then rest on that same face).
 """
 
 from __future__ import annotations
@@ -22,28 +22,26 @@ from kit1000.sim.settle import Release, RestPose, rounded_pose, settle
 from kit1000.values import Assembly, Part, Slot
 
 UPRIGHT, TUMBLED = "upright", "tumbled"
-PART_UNSTABLE = "part unstable"  # the reason of a layout in which an upright part does not stand
-UPRIGHT_SHARE = 0.6  # of the parts, whatever their number in a scene
+PART_UNSTABLE = "part unstable"  # redraw reason: an upright part does not stay where it was released
+UPRIGHT_SHARE = 0.6  # of the parts, for any number of parts in a scene
 
 _BOX_FACES = np.array(
     [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
      [1, 5, 7], [1, 7, 3]]
 )  # fmt: skip
-TABLE_SIZE = (1.2, 1.6, 0.04)  # [m] along x, along y, thick; the top is z = 0, centred on the origin
-MIN_GAP = 5e-3  # [m] least, in plan, between parts, and to the line between the halves
-KITS_CENTRE = np.array([0.0, 0.20])  # [m] the middle of the assembly, but for a shift
-KITS_RADIUS = 0.19  # [m] the assembly and its shift stay within this of it
-MAX_KITS_SHIFT = 0.05  # [m] most along x and along y
-DROP_BOUNDS = np.array([[-0.12, -0.30], [0.12, -0.06]])  # [m] lowest and highest spot
-PARTS_BOUNDS = np.array([[-0.19, -0.345], [0.19, -MIN_GAP]])  # [m] what the cameras are set up for, of the parts' half
-MAX_PART_RADIUS = (
-    0.0435  # [m] half the diagonal of a cube of 50 mm: no part of that size reaches farther from its middle
-)
+TABLE_SIZE = (1.2, 1.6, 0.04)  # [m] along x, along y, thickness; centred on the origin, its top at z = 0
+MIN_GAP = 5e-3  # [m] horizontal, between parts, and between either half's bodies and the line y = 0
+KITS_CENTRE = np.array([0.0, 0.20])  # [m] of the assembly's bounding box, before its random shift
+KITS_RADIUS = 0.19  # [m] about KITS_CENTRE: contains the shifted assembly
+MAX_KITS_SHIFT = 0.05  # [m] along x and along y
+DROP_BOUNDS = np.array([[-0.12, -0.30], [0.12, -0.06]])  # [m] lowest and highest drop point
+PARTS_BOUNDS = np.array([[-0.19, -0.345], [0.19, -MIN_GAP]])  # [m] the region of the parts that the cameras see
+MAX_PART_RADIUS = 0.0435  # [m] half the diagonal of a cube of 50 mm
 MAX_PARTS = 5
-MAX_TRIES = 10_000  # draws of all spots at once; one in thirty or so keeps five parts apart
-TUMBLED_DROP = 5e-3  # [m] under the lowest point of a tumbled part
-UPRIGHT_DROP = 2e-4  # [m] under an upright part
-MOVED, TIPPED = 1e-3, np.radians(1)  # an upright part that does more did not stand there
+MAX_TRIES = 10_000  # draws of all drop points together; about one in thirty separates five parts
+TUMBLED_DROP = 5e-3  # [m] initial height of the lowest point of a tumbled part
+UPRIGHT_DROP = 2e-4  # [m] initial height of an upright part
+MAX_UPRIGHT_SHIFT, MAX_UPRIGHT_ROTATION = 1e-3, np.radians(1)  # an upright part that moves more is unstable
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,13 +53,13 @@ class LayoutDraw:
     assembly_yaw: float
     """[rad]"""
     assembly_shift: np.ndarray
-    """(2,) in -1..1: of the room that the assembly leaves."""
+    """(2,) in -1..1: fraction of the largest shift that keeps the assembly within KITS_RADIUS."""
     drop_points: np.ndarray
-    """(n, 2) [m] above which the middles of the parts are let go."""
+    """(n, 2) [m]: above them the centres of the parts' boxes are released."""
     yaws: np.ndarray
-    """(n,) [rad] of the parts that stand upright."""
+    """(n,) [rad], used for upright parts."""
     tumbled_rotations: np.ndarray
-    """(n, 4) quaternions world_from_part of the parts that tumble."""
+    """(n, 4) quaternions world_from_part, used for tumbled parts."""
 
     def __post_init__(self) -> None:
         n = len(self.modes)
@@ -72,7 +70,7 @@ class LayoutDraw:
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Where everything stands."""
+    """The poses of the bodies of a scene."""
 
     world_from_assembly: Pose
     world_from_parts: tuple[Pose, ...]
@@ -86,19 +84,19 @@ def table() -> Mesh:
 
 
 def draw_rest_modes(rng: np.random.Generator, n: int) -> tuple[str, ...]:
-    """How each of n parts is let go. Each is upright with UPRIGHT_SHARE; from two parts on at least one is."""
+    """The rest modes of n parts. Each is upright with probability UPRIGHT_SHARE; of two or more at least one is."""
     modes = systematic_rest_modes(rng.random(), n)
-    return tuple(modes[i] for i in rng.permutation(n))  # no pair of parts is tied
+    return tuple(modes[i] for i in rng.permutation(n))  # so that all pairs of parts are alike
 
 
 def systematic_rest_modes(offset: float, n: int) -> tuple[str, ...]:
-    """The systematic sample at an offset of 0..1 (Madow 1949): as many upright as the share says, but for rounding."""
-    passed = np.floor(UPRIGHT_SHARE * np.arange(n + 1) + offset)
-    return tuple(UPRIGHT if step else TUMBLED for step in np.diff(passed))
+    """The systematic sample at an offset of 0..1 (Madow 1949): n UPRIGHT_SHARE are upright, rounded up or down."""
+    counts = np.floor(UPRIGHT_SHARE * np.arange(n + 1) + offset)
+    return tuple(UPRIGHT if step else TUMBLED for step in np.diff(counts))
 
 
 def draw_layout(rng: np.random.Generator, modes: Sequence[str]) -> LayoutDraw:
-    """A layout for parts let go in these modes. What is drawn for one part depends on no other's mode."""
+    """The random numbers of a layout for parts of these rest modes. The numbers do not depend on the modes."""
     unknown = sorted({*modes} - {UPRIGHT, TUMBLED})
     if unknown or len(modes) > MAX_PARTS:
         raise ShapeError(f"modes: expected up to {MAX_PARTS}, each {UPRIGHT} or {TUMBLED}, got {list(modes)}")
@@ -109,46 +107,46 @@ def draw_layout(rng: np.random.Generator, modes: Sequence[str]) -> LayoutDraw:
 
 
 def simulate_layout(assembly: Assembly, parts: Sequence[tuple[Part, Slot]], draw: LayoutDraw) -> Layout:
-    """Stand the assembly where it was drawn and let the parts come to rest.
+    """Place the assembly as drawn, release the parts and let them settle.
 
-    Raises Redraw when a part does not come to rest, an upright one does not stand, one leaves its half, or two come
-    nearer to each other than APART.
+    Raises Redraw when a part does not come to rest, an upright one is unstable, one leaves its half, or two are
+    nearer to each other than MIN_GAP.
     """
     releases = [_release(draw, i, *pair) for i, pair in enumerate(_checked_parts(parts, draw))]
     rests = settle(releases)
     for mode, release, rest in zip(draw.modes, releases, rests, strict=True):
         _check_rest(mode, release, rest)
     poses = tuple(rest.world_from_part for rest in rests)
-    shadows = [footprint(part.mesh, pose) for (part, _), pose in zip(parts, poses, strict=True)]
-    if any((outline < PARTS_BOUNDS[0]).any() or (outline > PARTS_BOUNDS[1]).any() for outline in shadows):
+    footprints = [footprint(part.mesh, pose) for (part, _), pose in zip(parts, poses, strict=True)]
+    if any((outline < PARTS_BOUNDS[0]).any() or (outline > PARTS_BOUNDS[1]).any() for outline in footprints):
         raise Redraw("part left its half")
-    if any(footprint_distance(a, b) < MIN_GAP for a, b in combinations(shadows, 2)):
+    if any(footprint_distance(a, b) < MIN_GAP for a, b in combinations(footprints, 2)):
         raise Redraw("parts touch")
     return Layout(_place_assembly(assembly.mesh, draw), poses)
 
 
 def footprint(mesh: Mesh, world_from_body: Pose) -> np.ndarray:
-    """(n, 2) [m] the convex outline of a body seen from above, counter-clockwise."""
+    """(n, 2) [m]: the convex outline of a body from above, counter-clockwise."""
     points = world_from_body.apply(mesh.vertices)[:, :2]
     return points[ConvexHull(points).vertices]
 
 
 def footprint_distance(a: np.ndarray, b: np.ndarray) -> float:
-    """[m] between two convex outlines (n, 2) and (m, 2), counter-clockwise; 0 where they meet."""
+    """[m] between two convex outlines (n, 2) and (m, 2), counter-clockwise; 0 if they intersect."""
     if max(_separating_gap(a, b), _separating_gap(b, a)) <= 0:
         return 0.0
     return min(_distance_to_edges(a, b), _distance_to_edges(b, a))
 
 
 def _separating_gap(a: np.ndarray, b: np.ndarray) -> float:
-    """[m] the widest gap between the two that an edge of `a` shows; none of either shows one where they overlap."""
+    """[m] the widest gap along the normal of an edge of `a`; where a and b overlap, no edge of either has one."""
     edges = np.roll(a, -1, axis=0) - a
     outward = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1, keepdims=True)
     return float(((b @ outward.T).min(0) - (a * outward).sum(1)).max())
 
 
 def _distance_to_edges(points: np.ndarray, outline: np.ndarray) -> float:
-    """[m] from the nearest of points (n, 2) to the nearest edge."""
+    """[m] from the nearest of points (n, 2) to the nearest edge of an outline (m, 2)."""
     edges = np.roll(outline, -1, axis=0) - outline
     offset = points[:, None] - outline
     share = np.clip((offset * edges).sum(2) / (edges**2).sum(1), 0, 1)
@@ -156,11 +154,11 @@ def _distance_to_edges(points: np.ndarray, outline: np.ndarray) -> float:
 
 
 def _draw_drop_points(rng: np.random.Generator, n: int) -> np.ndarray:
-    """(n, 2) [m] uniform among all sets of spots at which parts cannot meet while they turn."""
+    """(n, 2) [m]: uniform among all sets of points at which parts cannot touch, whatever their rotations."""
     for _ in range(MAX_TRIES):
-        spots = rng.uniform(DROP_BOUNDS[0], DROP_BOUNDS[1], (n, 2))
-        if pdist(spots).min(initial=np.inf) >= 2 * MAX_PART_RADIUS + MIN_GAP:
-            return spots
+        points = rng.uniform(DROP_BOUNDS[0], DROP_BOUNDS[1], (n, 2))
+        if pdist(points).min(initial=np.inf) >= 2 * MAX_PART_RADIUS + MIN_GAP:
+            return points
     raise Redraw("no room for the parts")
 
 
@@ -168,38 +166,38 @@ def _checked_parts(parts: Sequence[tuple[Part, Slot]], draw: LayoutDraw) -> Sequ
     if len(parts) != len(draw.modes):
         raise ShapeError(f"parts: expected {len(draw.modes)} for this draw, got {len(parts)}")
     for part, _ in parts:
-        reach = float(np.linalg.norm(part.mesh.extents)) / 2
-        if reach > MAX_PART_RADIUS:
-            most = f"expected at most {2e3 * MAX_PART_RADIUS:.0f} mm, as of a cube of 50 mm"
-            raise InputError(f"part {part.id}: its box has a diagonal of {2e3 * reach:.1f} mm, {most}")
+        radius = float(np.linalg.norm(part.mesh.extents)) / 2
+        if radius > MAX_PART_RADIUS:
+            expected = f"expected at most {2e3 * MAX_PART_RADIUS:.0f} mm, as of a cube of 50 mm"
+            raise InputError(f"part {part.id}: its box has a diagonal of {2e3 * radius:.1f} mm, {expected}")
     return parts
 
 
 def _release(draw: LayoutDraw, i: int, part: Part, slot: Slot) -> Release:
-    """A part let go with the middle of its box above its spot."""
+    """Release part i with the centre of its box above its drop point."""
     upright = draw.modes[i] == UPRIGHT
     yaw = Pose.from_rotvec([0.0, 0.0, draw.yaws[i]])
-    turned = Pose((yaw @ slot.kit_from_part).wxyz if upright else draw.tumbled_rotations[i], np.zeros(3))
-    middle = turned.rotate(part.mesh.bounds.mean(0))[:2]
-    lift = (UPRIGHT_DROP if upright else TUMBLED_DROP) - turned.rotate(part.mesh.vertices)[:, 2].min()
-    return Release(part.mesh, part.mass, Pose(turned.wxyz, np.array([*draw.drop_points[i] - middle, lift])))
+    rotation = Pose((yaw @ slot.kit_from_part).wxyz if upright else draw.tumbled_rotations[i], np.zeros(3))
+    centre = rotation.rotate(part.mesh.bounds.mean(0))[:2]
+    height = (UPRIGHT_DROP if upright else TUMBLED_DROP) - rotation.rotate(part.mesh.vertices)[:, 2].min()
+    return Release(part.mesh, part.mass, Pose(rotation.wxyz, np.array([*draw.drop_points[i] - centre, height])))
 
 
 def _check_rest(mode: str, release: Release, rest: RestPose) -> None:
     if not rest.stable:
         raise Redraw("part not at rest")
-    turn = release.world_from_part.inverse() @ rest.world_from_part
-    moved = np.linalg.norm(rest.world_from_part.xyz - release.world_from_part.xyz)
-    if mode == UPRIGHT and (moved > MOVED or turn.angle() > TIPPED):
+    motion = release.world_from_part.inverse() @ rest.world_from_part
+    shift = np.linalg.norm(rest.world_from_part.xyz - release.world_from_part.xyz)
+    if mode == UPRIGHT and (shift > MAX_UPRIGHT_SHIFT or motion.angle() > MAX_UPRIGHT_ROTATION):
         raise Redraw(PART_UNSTABLE)
 
 
 def _place_assembly(mesh: Mesh, draw: LayoutDraw) -> Pose:
-    """world_from_assembly: turned about its middle, shifted in the room it leaves, wholly on its half."""
-    middle = mesh.bounds.mean(0)[:2]
-    reach = np.linalg.norm(mesh.vertices[:, :2] - middle, axis=1).max()
-    room = np.clip(KITS_RADIUS - reach, 0, MAX_KITS_SHIFT)
-    x, y = KITS_CENTRE + room * draw.assembly_shift
-    turn = Pose.from_rotvec([0.0, 0.0, draw.assembly_yaw])
-    offset = turn.rotate([*middle, 0.0])
-    return rounded_pose(Pose(turn.wxyz, np.array([x, max(y, reach + 2 * MIN_GAP), 0.0]) - offset))
+    """world_from_assembly: rotated about the centre of its box and shifted, within KITS_RADIUS and on its half."""
+    centre = mesh.bounds.mean(0)[:2]
+    radius = np.linalg.norm(mesh.vertices[:, :2] - centre, axis=1).max()
+    max_shift = np.clip(KITS_RADIUS - radius, 0, MAX_KITS_SHIFT)
+    x, y = KITS_CENTRE + max_shift * draw.assembly_shift
+    yaw = Pose.from_rotvec([0.0, 0.0, draw.assembly_yaw])
+    offset = yaw.rotate([*centre, 0.0])
+    return rounded_pose(Pose(yaw.wxyz, np.array([x, max(y, radius + 2 * MIN_GAP), 0.0]) - offset))

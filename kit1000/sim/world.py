@@ -1,8 +1,8 @@
-"""A world of rigid bodies under gravity: the one owner of a pybullet client.
+"""A physics world of rigid bodies under gravity, by pybullet.
 
-Bodies are convex hulls, which on a plane touch exactly as the solids do, or several of them in one piece. Everything is
-SI; quaternions are wxyz, and pybullet's (x, y, z, w) is met in this file alone. The same calls in the same order give
-the same bytes.
+A body is a convex hull, which on a plane has the contacts of the solid, or a compound of several hulls. Units are SI;
+quaternions are wxyz, and pybullet's (x, y, z, w) occurs in this file only. The same calls in the same order give the
+same bytes.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from kit1000.errors import InputError, ShapeError, checked
 from kit1000.pose import Pose
 
 GRAVITY = 9.81  # [m/s^2] along -z
-STEP_RATE = 240  # [1/s] steps
-MARGIN = 1e-4  # [m] bodies keep so far apart; pybullet's own 1 mm lets a part of some centimetres stand on air
+STEP_RATE = 240  # [1/s]
+MARGIN = 1e-4  # [m] collision margin; with pybullet's default, 1 mm, a part of a few centimetres rests visibly above
 FRICTION = 0.5
-MAX_HULL_VERTICES = 1000  # of a hull; a rounder one is thinned, by some 0.2 % of its radius
-# Written out so that the defaults of another release change nothing, and set in one call: a later call that names only
-# some makes contacts rattle. At pybullet's own residual (1e-7) and contactERP (0.2), which is the share of an overlap
-# that a step takes back, one part in thirty rattles on the spot for ever.
+MAX_HULL_VERTICES = 1000  # a rounder hull is simplified, by some 0.2 % of its radius
+# All listed, so that other defaults in another version of pybullet change nothing, and set in one call: a later call
+# with only some of them makes contacts jitter. At pybullet's default residual (1e-7) and contactERP (0.2, the fraction
+# of an overlap that a step resolves) one part in thirty jitters for ever.
 SOLVER = {
     "fixedTimeStep": 1 / STEP_RATE,
     "numSubSteps": 0,
@@ -39,18 +39,18 @@ SOLVER = {
     "enableConeFriction": 1,
 }
 
-# pybullet (3.2.7) never lets go of the rows of the point lists it is given, so the same rows serve again and again.
+# pybullet (3.2.7) never frees the rows of the point lists it is given, so all calls share these rows.
 _point_rows: list[list[float]] = []
 _point_rows_lock = threading.Lock()
 
 
 class World:
-    """A fresh, empty world for the length of a `with` block; nothing of it outlives the block."""
+    """A physics world that exists during a `with` block, empty at its start."""
 
     def __init__(self) -> None:
         self._bullet: Any = None
         self.client: int | None = None
-        """pybullet's number of the world while the block lasts, for callers who need more of pybullet."""
+        """pybullet's client id during the block, for callers who need more of pybullet."""
 
     def __enter__(self) -> World:
         self._bullet = _pybullet()
@@ -67,7 +67,7 @@ class World:
         self.client = None
 
     def add_ground(self, friction: float = FRICTION) -> int:
-        """The plane z = 0, solid below. Returns the number of the body."""
+        """Add the plane z = 0, solid below. Returns the body id."""
         shape = self._call("createCollisionShape", self._bullet.GEOM_PLANE, planeNormal=[0.0, 0.0, 1.0])
         body = self._call("createMultiBody", 0.0, shape)
         self.change(body, lateralFriction=friction)
@@ -76,46 +76,46 @@ class World:
     def add_hull(
         self, points: np.ndarray, mass: float, inertia: np.ndarray, world_from_body: Pose, **dynamics: float
     ) -> int:
-        """A body in the shape of the convex hull of points, at rest, with its centre of mass at its origin.
+        """Add the convex hull of points as a body, at rest, with its centre of mass at its origin.
 
         Args:
             points: (n, 3) [m] in the frame of the body.
-            mass: [kg]; 0 for a body that never moves.
-            inertia: (3,) [kg m^2] about the axes of the frame, which must be the principal ones.
-            world_from_body: where it starts.
-            dynamics: further settings by the names that pybullet's changeDynamics has for them.
+            mass: [kg]; 0 for a fixed body.
+            inertia: (3,) [kg m^2] about the axes of the frame, which must be the principal axes.
+            world_from_body: initial pose.
+            dynamics: further settings, named as in pybullet's changeDynamics.
 
         Returns:
-            The number of the body.
+            The body id.
         """
         return self._body(self._hull_shape(hull_vertices(points)), mass, inertia, world_from_body, dynamics)
 
     def add_pieces(
         self, pieces: Sequence[np.ndarray], mass: float, inertia: np.ndarray, world_from_body: Pose, **dynamics: float
     ) -> int:
-        """A body in the shape of several convex hulls in one piece; all else is as for `add_hull`.
+        """Add a compound of several convex hulls as one body; all else is as for `add_hull`.
 
         pieces: each (n, 3) [m] in the frame of the body. They may overlap.
         """
-        with tempfile.TemporaryDirectory() as folder:  # pybullet takes a compound of point sets from a file alone
+        with tempfile.TemporaryDirectory() as folder:  # pybullet reads a compound of point sets only from a file
             path = Path(folder, "pieces.obj")
             path.write_text(_obj_text([hull_vertices(piece) for piece in pieces]), encoding="ascii")
             shape = self._call("createCollisionShape", self._bullet.GEOM_MESH, fileName=str(path))
             return self._body(shape, mass, inertia, world_from_body, dynamics)
 
     def change(self, body: int, **dynamics: float) -> None:
-        """Other settings for a body, by the names that pybullet's changeDynamics has for them."""
+        """Change settings of a body, named as in pybullet's changeDynamics."""
         self._call("changeDynamics", body, -1, **dynamics)
 
     def push(self, body: int, force: np.ndarray, torque: np.ndarray) -> None:
-        """Act on a body for the next step: force (3,) [N] at its centre of mass, and torque (3,) [N m], world axes."""
+        """Apply a force (3,) [N] at the centre of mass and a torque (3,) [N m] in the next step, along world axes."""
         at = self._call("getBasePositionAndOrientation", body)[0]
         world = self._bullet.WORLD_FRAME
         self._call("applyExternalForce", body, -1, np.asarray(force).tolist(), at, world)
         self._call("applyExternalTorque", body, -1, np.asarray(torque).tolist(), world)
 
     def step(self, steps: int = 1) -> None:
-        """Let time pass: 1/RATE s a step."""
+        """Advance the simulation by steps of 1/STEP_RATE s."""
         for _ in range(steps):
             self._call("stepSimulation")
 
@@ -125,12 +125,12 @@ class World:
         return Pose(np.roll(xyzw, 1), np.array(xyz))
 
     def speeds(self, body: int) -> tuple[float, float]:
-        """Of the centre of mass [m/s], and of the rotation [rad/s]."""
+        """Speed of the centre of mass [m/s] and angular speed [rad/s]."""
         (vx, vy, vz), (wx, wy, wz) = self._call("getBaseVelocity", body)
         return (vx * vx + vy * vy + vz * vz) ** 0.5, (wx * wx + wy * wy + wz * wz) ** 0.5
 
     def velocity(self, body: int) -> tuple[np.ndarray, np.ndarray]:
-        """(3,) [m/s] of the centre of mass, and (3,) [rad/s] of the rotation, world axes."""
+        """Velocity of the centre of mass (3,) [m/s] and angular velocity (3,) [rad/s], along world axes."""
         linear, angular = self._call("getBaseVelocity", body)
         return np.array(linear), np.array(angular)
 
@@ -154,33 +154,33 @@ class World:
 
     def _call(self, name: str, *args: Any, **settings: Any) -> Any:
         if self.client is None:
-            raise InputError("physics: a World is used inside its `with` block")
+            raise InputError("physics: a World can only be used inside its `with` block")
         return getattr(self._bullet, name)(*args, **settings, physicsClientId=self.client)
 
 
 def hull_vertices(points: np.ndarray) -> np.ndarray:
-    """(k, 3) corners of the convex hull of points (n, 3), in their order; thinned when more than MOST_CORNERS.
+    """(k, 3) vertices of the convex hull of points (n, 3), in their order; at most MAX_HULL_VERTICES.
 
-    Thinned are those that stand out farthest in none of MOST_CORNERS even directions.
+    Of more vertices, only those that are the extreme point in one of MAX_HULL_VERTICES even directions are kept.
     """
     cloud = checked("points", points, ("n", 3))
     try:
-        corners = cloud[np.unique(ConvexHull(cloud).simplices)]
+        vertices = cloud[np.unique(ConvexHull(cloud).simplices)]
     except (QhullError, ValueError):
-        raise ShapeError(f"points: expected some that span a solid, got {len(cloud)} that span none") from None
-    if len(corners) <= MAX_HULL_VERTICES:
-        return corners
-    return corners[np.unique((_even_directions(MAX_HULL_VERTICES) @ corners.T).argmax(1))]
+        raise ShapeError(f"points: expected points that span a solid, got {len(cloud)} that span none") from None
+    if len(vertices) <= MAX_HULL_VERTICES:
+        return vertices
+    return vertices[np.unique((_even_directions(MAX_HULL_VERTICES) @ vertices.T).argmax(1))]
 
 
 def _obj_text(pieces: Sequence[np.ndarray]) -> str:
-    """Point sets as OBJ text, an object each. Faces only name the points, which is all that pybullet reads of them."""
+    """Point sets as OBJ text, one object each. pybullet reads only the points that the faces list."""
     lines, first = [], 1
     for number, points in enumerate(pieces):
         lines.append(f"o piece{number}")
         lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
-        named = [*range(first, first + len(points)), first, first]
-        lines += ["f {} {} {}".format(*named[i : i + 3]) for i in range(0, len(points), 3)]
+        indices = [*range(first, first + len(points)), first, first]
+        lines += ["f {} {} {}".format(*indices[i : i + 3]) for i in range(0, len(points), 3)]
         first += len(points)
     return "\n".join(lines) + "\n"
 
@@ -188,9 +188,9 @@ def _obj_text(pieces: Sequence[np.ndarray]) -> str:
 def _even_directions(n: int) -> np.ndarray:
     """(n, 3) unit vectors spread evenly: the golden spiral (Gonzalez 2010)."""
     heights = (2 * np.arange(n) + 1) / n - 1
-    turns = np.arange(n) * (np.pi * (3 - 5**0.5))
+    angles = np.arange(n) * (np.pi * (3 - 5**0.5))
     radii = np.sqrt(1 - heights**2)
-    return np.column_stack([radii * np.cos(turns), radii * np.sin(turns), heights])
+    return np.column_stack([radii * np.cos(angles), radii * np.sin(angles), heights])
 
 
 def _pybullet() -> Any:
@@ -204,12 +204,12 @@ def _pybullet() -> Any:
 
 @contextmanager
 def _silent_stderr() -> Iterator[None]:
-    """What the process writes to its standard error is dropped: pybullet prints its build date when imported."""
-    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
-    os.dup2(nowhere, 2)
+    """Discard the standard error of the process: pybullet prints its build date when imported."""
+    stderr, null = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(null, 2)
     try:
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nowhere)
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(null)
