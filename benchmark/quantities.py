@@ -154,13 +154,17 @@ PENETRATION = Quantity(
     "penetration_mm", "Penetration", MILLIMETRE, "Depth of the prediction below first contact", "penetration"
 )
 POSITION_PLAIN = Quantity(
-    "position_plain_mm", "Position, plain", MILLIMETRE, "Position error to one fixed goal", "position"
+    "position_plain_mm",
+    "Position, plain",
+    MILLIMETRE,
+    "Position error to one fixed goal, the one that the guess was drawn around",
+    "position",
 )
 ROTATION_PLAIN = Quantity(
     "rotation_plain_deg",
     "Rotation, plain",
     DEGREE,
-    "Rotation error to one fixed goal",
+    "Rotation error to one fixed goal, the one that the guess was drawn around",
     "rotation",
     needs_position=False,
 )

@@ -148,7 +148,7 @@ def test_without_scripts_every_table_is_there(browser: Browser, site: Path) -> N
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_text_stands_out_from_the_page(browser: Browser, site: Path, scheme: Any) -> None:
+def test_text_has_enough_contrast(browser: Browser, site: Path, scheme: Any) -> None:
     context = browser.new_context(color_scheme=scheme)
     page = context.new_page()
     page.goto(f"file://{site}/index.html")

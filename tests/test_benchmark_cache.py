@@ -42,7 +42,7 @@ def never() -> PerQuery:
 
 
 def test_an_entry_is_returned_as_it_was_measured(tmp_path: Path) -> None:
-    cache, made = ResultCache(tmp_path / "kept"), rows()
+    cache, made = ResultCache(tmp_path / "cache"), rows()
     assert cache.rows(key(), lambda: made) is made
     found = cache.rows(key(), never)
     for name, column in made.columns().items():
@@ -54,18 +54,18 @@ def test_scores_from_the_cache_are_fresh_ones_to_the_byte(mini: Path, tmp_path: 
     dataset = Dataset(mini)
     submission = predicted(tmp_path / "truth", dataset, ground_truth)
     fresh = score(submission, dataset)
-    cache = ResultCache(tmp_path / "kept")
+    cache = ResultCache(tmp_path / "cache")
     for _ in range(2):
         assert json_text(score(submission, dataset, cache=cache).summary) == json_text(fresh.summary)
-    assert len(list((tmp_path / "kept").iterdir())) == 1
+    assert len(list((tmp_path / "cache").iterdir())) == 1
 
 
 def test_every_change_changes_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
     nudged = Pose(MOTIONS[1].wxyz, MOTIONS[1].xyz + (0, 0, 1e-12))
-    turned = Pose.from_rotvec((0.1, 0.2, 0.3 + 1e-12), MOTIONS[1].xyz)
+    rotated = Pose.from_rotvec((0.1, 0.2, 0.3 + 1e-12), MOTIONS[1].xyz)
     others = [
         predictions(IDS, (MOTIONS[0], nudged)),
-        predictions(IDS, (MOTIONS[0], turned)),
+        predictions(IDS, (MOTIONS[0], rotated)),
         predictions(IDS, MOTIONS, confidence=0.75),
         predictions((IDS[0], "test-s0002-p0-snap"), MOTIONS),
         predictions(IDS[:1], MOTIONS[:1]),

@@ -45,7 +45,7 @@ def perfect(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Submi
 def test_the_command_writes_the_scores_and_a_row_per_query(
     perfect: Submission, dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["score", perfect.folder, "--data", dataset.root, "--cache", tmp_path / "kept", "--breakdown"]
+    words = ["score", perfect.folder, "--data", dataset.root, "--cache", tmp_path / "cache", "--breakdown"]
     assert main([*map(str, words), "--out", str(tmp_path / "a.json"), "--per-query", str(tmp_path / "a.csv")]) == 0
     out, err = capsys.readouterr()
     assert err == ""
@@ -116,7 +116,7 @@ def test_a_broken_submission_gives_one_line_and_no_traceback(
     folder, rng = tmp_path / "broken", np.random.default_rng(11)
     shutil.copytree(perfect.folder, folder)
     whole = (folder / name).read_bytes()
-    words = ["score", str(folder), "--data", str(dataset.root), "--exact", "never", "--cache", str(tmp_path / "kept")]
+    words = ["score", str(folder), "--data", str(dataset.root), "--exact", "never", "--cache", str(tmp_path / "cache")]
     for data in (mutant for _ in range(2) for mutant in mutants(whole, rng)):
         (folder / name).write_bytes(data)
         status = main(words)

@@ -180,7 +180,7 @@ def test_the_p_value_counts_the_rarer_side(drawn: np.ndarray, p: float) -> None:
     assert bootstrap_p(drawn) == pytest.approx(p)
 
 
-def test_equal_methods_differ_significantly_in_5_of_100_worlds() -> None:
+def test_equal_methods_differ_significantly_in_5_of_100_samples() -> None:
     alarms = 0
     for world in range(400):
         a, b = (scored(rows(position_mm=errors(1000 * world + i))) for i in (1, 2))

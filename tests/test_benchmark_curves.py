@@ -53,16 +53,16 @@ def test_levels_are_those_of_the_dataset() -> None:
 def test_every_row_follows_its_definition_in_any_order(seed: int) -> None:
     position, rotation = drawn_errors(len(IDS))
     order = stream(seed, "order").permutation(len(IDS))
-    kept = order[: stream(seed, "kept").integers(1, len(IDS))]
-    table = curve_table([IDS[i] for i in kept], position[kept], rotation[kept])
-    assert sum(row["n"] for rows in table.values() for row in rows) == len(kept)
+    chosen = order[: stream(seed, "kept").integers(1, len(IDS))]
+    table = curve_table([IDS[i] for i in chosen], position[chosen], rotation[chosen])
+    assert sum(row["n"] for rows in table.values() for row in rows) == len(chosen)
     for curve, varied, errors in (("position", "pos", position), ("rotation", "rot", rotation)):
-        levels_left = {curve_levels(IDS[i]) for i in kept if curve_levels(IDS[i])[0] == varied}
+        levels_left = {curve_levels(IDS[i]) for i in chosen if curve_levels(IDS[i])[0] == varied}
         assert len(table[curve]) == len(levels_left)  # a level without queries has no row
         for row in table[curve]:
             levels, key = (DEG, "fixed_deg") if curve == "position" else (MM, "fixed_mm")
             fixed = int(np.argmin(np.abs(np.array(levels) - row[key])))
-            own = [float(errors[i]) for i in kept if curve_levels(IDS[i]) == (varied, row["level"], fixed)]
+            own = [float(errors[i]) for i in chosen if curve_levels(IDS[i]) == (varied, row["level"], fixed)]
             assert row["n"] == len(own)
             statistics = [row[key] for key in ("mean", "median", "p20", "p80")]
             np.testing.assert_allclose(
@@ -120,8 +120,8 @@ def test_several_methods_share_a_figure_and_the_same_scores_give_the_same_bytes(
 
 
 def test_a_subset_shows_its_number_of_queries() -> None:
-    kept = [query_id for i, query_id in enumerate(IDS) if i % 5]
-    table = curve_table(kept, *drawn_errors(len(kept)))
+    chosen = [query_id for i, query_id in enumerate(IDS) if i % 5]
+    table = curve_table(chosen, *drawn_errors(len(chosen)))
     assert "n = 2 to 3" in texts(figure({"thin": table}))
 
 

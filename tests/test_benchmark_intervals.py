@@ -1,4 +1,4 @@
-"""Intervals: figures known from the literature, a plain twin, and how often they cover a truth that we know."""
+"""Intervals: published numbers, a plain reference implementation, and their coverage of a known mean."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def clustered(rng: np.random.Generator, clusters: int = 60, between: float = 1.0
     ("k", "n", "lo", "hi"),
     [(50, 50, 92.9, 100), (45, 50, 78.6, 95.7), (900, 1000, 88.0, 91.7), (0, 20, 0, 16.1)],
 )
-def test_wilson_gives_the_figures_in_print(k: int, n: int, lo: float, hi: float) -> None:
+def test_wilson_gives_published_numbers(k: int, n: int, lo: float, hi: float) -> None:
     assert tuple(round(100 * end, 1) for end in rate_interval(k, n)) == (lo, hi)
 
 
@@ -49,8 +49,8 @@ def test_impossible_counts_are_refused(k: int, n: int) -> None:
         rate_interval(k, n)
 
 
-def twin(values: np.ndarray, labels: np.ndarray, draws: int, seed: int) -> list[float]:
-    """Means of resamples in plain Python, cluster by cluster; the draws alone are numpy's."""
+def reference_means(values: np.ndarray, labels: np.ndarray, draws: int, seed: int) -> list[float]:
+    """Means of resamples in plain Python, cluster by cluster; only the draws are those of numpy."""
     groups = [values[labels == label].tolist() for label in sorted(set(labels.tolist()))]
     rng, means = stream(seed, "bootstrap"), []
     for _ in range(draws):
@@ -62,11 +62,11 @@ def twin(values: np.ndarray, labels: np.ndarray, draws: int, seed: int) -> list[
 
 @settings(max_examples=30)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30), st.integers(1, 40))
-def test_resampling_equals_a_plain_twin(seed: int, clusters: int, draws: int) -> None:
+def test_resampling_equals_a_plain_implementation(seed: int, clusters: int, draws: int) -> None:
     values, labels = clustered(np.random.default_rng(seed), clusters)
     shuffled = np.random.default_rng(seed).permutation(len(values))
     ours = bootstrap_means(values[shuffled, None], labels[shuffled], draws, seed)
-    np.testing.assert_allclose(ours[:, 0], twin(values, labels, draws, seed), rtol=1e-12)
+    np.testing.assert_allclose(ours[:, 0], reference_means(values, labels, draws, seed), rtol=1e-12)
 
 
 def test_the_ends_are_percentiles_of_the_resamples() -> None:
@@ -85,14 +85,14 @@ def test_clusters_of_one_value_each_are_the_ordinary_bootstrap() -> None:
     assert hi - lo == pytest.approx(2 * 1.96 * deviation, rel=0.05)
 
 
-def test_copies_of_a_value_in_its_cluster_add_no_certainty() -> None:
+def test_copies_of_a_value_in_its_cluster_do_not_narrow_the_interval() -> None:
     values = np.random.default_rng(4).standard_normal(50)
     once = mean_interval(values, np.arange(50))
     assert mean_interval(np.repeat(values, 20), np.repeat(np.arange(50), 20)) == pytest.approx(once)
 
 
-def covered(clusters: int, trials: int, between: float, by_cluster: bool) -> float:
-    """How often the interval holds the true mean, 5."""
+def coverage(clusters: int, trials: int, between: float, by_cluster: bool) -> float:
+    """Share of intervals that contain the true mean, 5."""
     hits = 0
     for trial in range(trials):
         values, labels = clustered(stream(5, trial), clusters, between)
@@ -102,12 +102,12 @@ def covered(clusters: int, trials: int, between: float, by_cluster: bool) -> flo
 
 
 @pytest.mark.parametrize("between", [0.0, 1.0])
-def test_the_interval_covers_the_truth_in_95_of_100_worlds(between: float) -> None:
-    assert covered(100, 800, between, by_cluster=True) == pytest.approx(0.95, abs=0.02)
+def test_the_interval_covers_the_true_mean_in_95_of_100_samples(between: float) -> None:
+    assert coverage(100, 800, between, by_cluster=True) == pytest.approx(0.95, abs=0.02)
 
 
-def test_taking_the_values_of_a_cluster_for_independent_covers_the_truth_too_seldom() -> None:
-    assert covered(100, 300, 1.0, by_cluster=False) < 0.85
+def test_taking_clustered_values_as_independent_covers_the_true_mean_too_rarely() -> None:
+    assert coverage(100, 300, 1.0, by_cluster=False) < 0.85
 
 
 def test_one_seed_gives_one_interval_and_another_seed_nearly_the_same() -> None:
@@ -143,7 +143,7 @@ def test_one_value_is_its_own_interval() -> None:
     assert mean_interval([4.5], ["a"]) == (4.5, 4.5)
 
 
-def test_equal_values_leave_no_room() -> None:
+def test_equal_values_have_an_interval_of_no_width() -> None:
     assert mean_interval(np.full(9, 2.0), [0, 0, 0, 1, 1, 2, 3, 3, 3]) == (2.0, 2.0)
 
 
@@ -167,7 +167,7 @@ def test_bad_input_is_refused_in_a_line(values: list[float], clusters: list[int]
         mean_interval(values, clusters, draws=draws)
 
 
-def test_many_values_take_little_time_and_flat_memory() -> None:
+def test_many_values_take_little_time_and_bounded_memory() -> None:
     rng = np.random.default_rng(12)
     values, labels = rng.exponential(size=100_000), rng.integers(200, size=100_000)
     mean_interval(values[:10], labels[:10])

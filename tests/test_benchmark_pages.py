@@ -41,11 +41,11 @@ class Outline(HTMLParser):
     def __init__(self, text: str) -> None:
         super().__init__()
         self.open: list[str] = []
-        self.seen: list[tuple[str, dict[str, str | None]]] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.seen.append((tag, dict(attrs)))
+        self.tags.append((tag, dict(attrs)))
         if tag not in VOID:
             self.open.append(tag)
 
@@ -70,9 +70,9 @@ def test_there_is_a_page_for_each_method_and_every_tag_is_closed(site: Path) -> 
 def test_links_lead_to_files_and_anchors_of_the_site_and_nothing_external_is_loaded(site: Path) -> None:
     pages = all_pages(site)
     for path, outline in pages.items():
-        ids = [attrs["id"] for _, attrs in outline.seen if "id" in attrs]
+        ids = [attrs["id"] for _, attrs in outline.tags if "id" in attrs]
         assert len(ids) == len(set(ids))
-        for tag, attrs in outline.seen:
+        for tag, attrs in outline.tags:
             target = attrs.get("href") or attrs.get("src")
             if target is None or target == "data:,":
                 continue
@@ -87,9 +87,9 @@ def test_links_lead_to_files_and_anchors_of_the_site_and_nothing_external_is_loa
 
 def test_the_text_of_a_manifest_is_never_markup(site: Path) -> None:
     for outline in all_pages(site).values():
-        assert [attrs.get("src") for tag, attrs in outline.seen if tag == "script"] in (["board.js"], ["../board.js"])
-        assert not [attrs for tag, attrs in outline.seen if tag == "b"]
-        assert not [name for _, attrs in outline.seen for name in attrs if name.startswith("on")]
+        assert [attrs.get("src") for tag, attrs in outline.tags if tag == "script"] in (["board.js"], ["../board.js"])
+        assert not [attrs for tag, attrs in outline.tags if tag == "b"]
+        assert not [name for _, attrs in outline.tags for name in attrs if name.startswith("on")]
     assert "Snaps &lt;b&gt;well&lt;/b&gt; &amp; often" in page(site)
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page(site, "snaps")
 

@@ -35,14 +35,14 @@ def test_the_same_sources_have_the_same_hash_anywhere(tree: tuple[Path, Path]) -
 
 
 def test_a_change_of_any_module_that_scoring_imports_changes_the_hash(tree: tuple[Path, Path]) -> None:
-    seen = {hash_of(tree)}
+    hashes = {hash_of(tree)}
     for path in evaluator_modules(*tree).values():
         path.write_text(path.read_text("utf-8") + "# changed\n", "utf-8")
-        assert hash_of(tree) not in seen, path
-        seen.add(hash_of(tree))
+        assert hash_of(tree) not in hashes, path
+        hashes.add(hash_of(tree))
     protocol = next(tree[0].glob("protocols/*.json"))
     protocol.write_text(protocol.read_text("utf-8").replace("draft", "frozen"), "utf-8")
-    assert hash_of(tree) not in seen
+    assert hash_of(tree) not in hashes
 
 
 def test_a_change_of_pages_charts_and_reports_does_not(tree: tuple[Path, Path]) -> None:

@@ -149,8 +149,10 @@ def test_a_missing_prediction_counts_as_no_motion(seating_results: None) -> None
 
 
 def test_missing_rows_of_a_submission_stay_in_n(perfect: Submission, dataset: Dataset, tmp_path: Path) -> None:
-    kept = [i for i, query_id in enumerate(perfect.predictions.query_ids) if not query_id.endswith("-snap")]
-    some = predictions([perfect.predictions.query_ids[i] for i in kept], [perfect.predictions.motions[i] for i in kept])
+    chosen = [i for i, query_id in enumerate(perfect.predictions.query_ids) if not query_id.endswith("-snap")]
+    some = predictions(
+        [perfect.predictions.query_ids[i] for i in chosen], [perfect.predictions.motions[i] for i in chosen]
+    )
     tracks = score(write_submission(tmp_path / "some", perfect.manifest, some), dataset).summary["tracks"]
     assert (tracks["snap"]["n"], tracks["snap"]["coverage"], tracks["snap"]["seated"]["rate"]) == (1, 0, 0)
     assert tracks["snap"]["position_mm"]["mean"] > 50
@@ -161,11 +163,13 @@ def test_missing_rows_of_a_submission_stay_in_n(perfect: Submission, dataset: Da
 def test_left_out_queries_are_an_error_of_the_check_and_none_of_the_score(
     perfect: Submission, dataset: Dataset, tmp_path: Path
 ) -> None:
-    kept = [i for i, query_id in enumerate(perfect.predictions.query_ids) if not query_id.endswith("-pos0-rot1")]
-    some = predictions([perfect.predictions.query_ids[i] for i in kept], [perfect.predictions.motions[i] for i in kept])
+    chosen = [i for i, query_id in enumerate(perfect.predictions.query_ids) if not query_id.endswith("-pos0-rot1")]
+    some = predictions(
+        [perfect.predictions.query_ids[i] for i in chosen], [perfect.predictions.motions[i] for i in chosen]
+    )
     write_submission(tmp_path / "some", manifest(dataset.id, tracks=("snap", CURVES)), some)
     assert {error.code for error in check(tmp_path / "some", dataset.root).errors} == {"missing-predictions"}
-    assert len(read_checked(tmp_path / "some", dataset.root, "test").predictions) == len(kept)
+    assert len(read_checked(tmp_path / "some", dataset.root, "test").predictions) == len(chosen)
 
 
 def test_queries_can_be_limited_to_some_scenes(dataset: Dataset) -> None:

@@ -100,7 +100,7 @@ def test_other_methods_follow_by_label_and_controls_come_last(submissions: Path)
     assert labels == [*PAPER_LABELS, *others, "A control", "Initial guess, unchanged"]
 
 
-def test_a_submission_stands_in_the_row_that_its_manifest_names(submissions: Path) -> None:
+def test_a_submission_fills_the_row_that_its_manifest_names(submissions: Path) -> None:
     rows = {row.label: row for row in read_table(submissions).rows}
     assert (rows["SnapNet"].submission, rows["SnapNet"].kind) == ("ours", "paper")
     assert rows["TransporterNet"].submission is None
@@ -230,7 +230,7 @@ def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
         read_table(tmp_path / "submisions")
 
 
-def test_markdown_has_as_many_cells_in_every_line_of_a_table(submissions: Path) -> None:
+def test_every_markdown_line_of_a_table_has_as_many_cells(submissions: Path) -> None:
     text = as_markdown(read_table(submissions))
     assert text == as_markdown(read_table(submissions))
     blocks = [block.splitlines() for block in text.split("\n\n") if block.startswith("|")]

@@ -86,7 +86,7 @@ def test_every_link_leads_somewhere(site: Path) -> None:
             assert not parts.fragment or unquote(parts.fragment) in links[place].anchors, f"{page.name}: {target}"
 
 
-def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+def test_nothing_external_is_loaded(site: Path) -> None:
     for page in pages(site):
         for target in Links(page).loaded:
             assert not urlsplit(target).netloc, f"{page.name} loads {target}"
@@ -95,7 +95,7 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
         assert not re.search(r"(@import|url\()\s*[\"']?(https?:)?//", sheet.read_text(encoding="utf-8")), sheet.name
 
 
-def test_tables_and_lists_are_told_apart_from_text(site: Path) -> None:
+def test_tables_and_lists_are_rendered(site: Path) -> None:
     """A line that GitHub takes for a table or a list, and Python's Markdown for text."""
     for page in pages(site):
         stray = re.findall(r"^(?:<p>)?(?:\| |- |\d\. ).*$", page.read_text(encoding="utf-8"), re.MULTILINE)
@@ -122,10 +122,10 @@ def chromium() -> Iterator[Any]:
         browser.close()
 
 
-def test_a_page_opened_from_a_disk_can_be_searched_and_complains_of_nothing(site: Path, chromium: Any) -> None:
+def test_a_page_opened_from_disk_can_be_searched_without_errors(site: Path, chromium: Any) -> None:
     page = chromium.new_page(viewport={"width": 1280, "height": 800})
     complaints: list[str] = []
-    page.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
+    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.goto((site / "index.html").as_uri())
     page.locator(".md-search__input").press_sequentially("penetration")
