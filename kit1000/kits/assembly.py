@@ -1,7 +1,7 @@
-"""Assemblies: kits tilted against each other on brackets and feet, and the checks that one can be used.
+"""Assemblies: kits tilted against each other on brackets and ribs, and the checks that one is usable.
 
-A side plate stands GAP off the base and turns down about its lower inner edge, so that the gap between them
-opens upward and plates never cut into each other. Assembly frame: z up, flat underside at z = 0, origin below
+A side plate is PLATE_GAP away from the base and tilts down about its lower inner edge, so that the gap between them
+widens upward and plates never intersect. Assembly frame: z up, flat underside at z = 0, origin below
 the centre of the base plate's top face. All lengths are metres, all angles radians.
 """
 
@@ -27,18 +27,18 @@ from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Mount, Part
 
-MAX_KITS = 5  # a base and one plate on each of its sides
-MAX_BASE_TILT = np.radians(20)  # most, of the base in the world
-SIDE_TILT_RANGE = (float(np.radians(10)), float(np.radians(45)))  # least and most, of a side plate against the base
-MAX_WORLD_TILT = np.radians(45)  # most, of any plate in the world
-GROUND_GAP = 6e-3  # [m] of the lowest corner of a plate above the ground
-STABILITY_MARGIN = 5e-3  # [m] least, from the centre of mass to the edge of the footprint
-CAVITY_VOLUME_TOLERANCE = 1e-9  # [m^3] of a cavity: rounding leaves films on its walls, up to 0.1 mm^3
+MAX_KITS = 5  # a base and one plate on each of its four sides
+MAX_BASE_TILT = np.radians(20)  # of the base in the world
+SIDE_TILT_RANGE = (float(np.radians(10)), float(np.radians(45)))  # of a side plate against the base
+MAX_WORLD_TILT = np.radians(45)  # of any plate in the world
+GROUND_GAP = 6e-3  # [m] from the ground to the lowest corner of a plate
+STABILITY_MARGIN = 5e-3  # [m] least distance from the centre of mass, seen from above, to the edge of the footprint
+CAVITY_VOLUME_TOLERANCE = 1e-9  # [m^3] rounding leaves films on the walls of a cavity, up to 0.1 mm^3
 
 
 @dataclass(frozen=True)
 class SidePlate:
-    """A plate beside the base."""
+    """Where a plate beside the base stands."""
 
     direction: int
     """0..3: on the base's +x, +y, -x or -y side."""
@@ -48,12 +48,12 @@ class SidePlate:
 
 @dataclass(frozen=True)
 class AssemblyPlan:
-    """How the plates of an assembly stand."""
+    """The placement of the plates of an assembly."""
 
     base_tilt: float
     """[rad] of the base in the world."""
     base_azimuth: float
-    """[rad] from x to y: towards where the base falls."""
+    """[rad] from x towards y: the direction in which the base slopes down."""
     sides: tuple[SidePlate, ...]
 
 
@@ -67,7 +67,7 @@ def draw_assembly(
 ) -> AssemblyPlan:
     """A plan for 1 to 5 kits, drawn again until no slot is tilted more than `max_world_tilt` [rad].
 
-    side_tilt [rad]: least and most of a side plate against the base; brackets [rad]: angles to pick from instead.
+    side_tilt: [rad] range of a side plate against the base; brackets: [rad] angles to pick from instead.
     """
     if not 1 <= kits <= MAX_KITS:
         raise InputError(f"kits: expected 1 to {MAX_KITS} in an assembly, got {kits}")
@@ -87,13 +87,13 @@ def draw_assembly(
 
 def world_tilts(plan: AssemblyPlan) -> np.ndarray:
     """(kits,) [rad] between each slot's axis and the vertical, the base first."""
-    turns = [Pose.from_rotvec(_base_rotvec(plan)) @ Pose.from_rotvec(_side_rotvec(side)) for side in plan.sides]
-    axes = np.array([_z_axis(turn) for turn in (Pose.from_rotvec(_base_rotvec(plan)), *turns)])
+    rotations = [Pose.from_rotvec(_base_rotvec(plan)) @ Pose.from_rotvec(_side_rotvec(side)) for side in plan.sides]
+    axes = np.array([_z_axis(rotation) for rotation in (Pose.from_rotvec(_base_rotvec(plan)), *rotations)])
     return np.arctan2(np.linalg.norm(axes[:, :2], axis=1), axes[:, 2])
 
 
 def build_assembly(assembly_id: str, kits: Sequence[Kit], plan: AssemblyPlan) -> Assembly:
-    """Stand kits on brackets and feet as planned, the first as the base. Raises Redraw when no solid results."""
+    """The assembly of kits on brackets and ribs, the first as the base. Raises Redraw when its mesh is unprintable."""
     mounts = place_kits(kits, plan)
     plates = [solid_from_mesh(mount.kit.mesh).transform(mount.assembly_from_kit.matrix()[:3]) for mount in mounts]
     solid = Manifold.batch_boolean([*plates, *support_pieces(mounts)], OpType.Add)
@@ -101,7 +101,7 @@ def build_assembly(assembly_id: str, kits: Sequence[Kit], plan: AssemblyPlan) ->
 
 
 def place_kits(kits: Sequence[Kit], plan: AssemblyPlan) -> tuple[Mount, ...]:
-    """Each kit where the plan wants it, the lowest corner of all FOOT above the ground."""
+    """The kits placed as planned, the lowest corner of all GROUND_GAP above the ground."""
     if len(kits) != 1 + len(plan.sides):
         raise InputError(f"kits: expected {1 + len(plan.sides)} for this plan, got {len(kits)}")
     if len({tuple(kit.extent) for kit in kits}) > 1:
@@ -117,7 +117,7 @@ def place_kits(kits: Sequence[Kit], plan: AssemblyPlan) -> tuple[Mount, ...]:
 
 
 def check_assembly(assembly: Assembly, parts: Mapping[str, Part]) -> None:
-    """Raise Redraw with a short reason when an assembly cannot be used; `parts` holds each slot's part by id."""
+    """Raise Redraw with a short reason when an assembly is not usable; parts: each slot's part by id."""
     _check_printable(assembly)
     _check_cavities(assembly)
     _check_paths(assembly, parts)
@@ -125,12 +125,12 @@ def check_assembly(assembly: Assembly, parts: Mapping[str, Part]) -> None:
 
 
 def _base_rotvec(plan: AssemblyPlan) -> np.ndarray:
-    """(3,) rotation vector that lowers the base towards its azimuth."""
+    """(3,) [rad] rotation vector that tilts the base down towards its azimuth."""
     return plan.base_tilt * np.array([-np.sin(plan.base_azimuth), np.cos(plan.base_azimuth), 0])
 
 
 def _side_rotvec(side: SidePlate) -> np.ndarray:
-    """(3,) rotation vector that lowers the outer edge of a side plate, in the frame of the base."""
+    """(3,) [rad] rotation vector that tilts the outer edge of a side plate down, in the frame of the base."""
     outward = OUTWARD[side.direction]
     return side.tilt * np.array([-outward[1], outward[0], 0])
 
@@ -139,12 +139,12 @@ def _base_from_side(extent: np.ndarray, side: SidePlate) -> Pose:
     outward = np.array([*OUTWARD[side.direction], 0])
     half = extent[side.direction % 2] / 2
     hinge = outward * (half + PLATE_GAP) - (0, 0, extent[2])
-    turn = Pose.from_rotvec(_side_rotvec(side))
-    return Pose(turn.wxyz, hinge + turn.rotate(outward * half + (0, 0, extent[2])))
+    rotation = Pose.from_rotvec(_side_rotvec(side))
+    return Pose(rotation.wxyz, hinge + rotation.rotate(outward * half + (0, 0, extent[2])))
 
 
 def _z_axis(pose: Pose) -> np.ndarray:
-    """(3,) where +z of the turned frame points."""
+    """(3,) the +z axis of the rotated frame."""
     return pose.rotation_matrix()[:, 2]
 
 
@@ -157,7 +157,7 @@ def _check_printable(assembly: Assembly) -> None:
 
 
 def _check_cavities(assembly: Assembly) -> None:
-    """Every cavity is as open as its kit was made, and THIN of wall stands between any two."""
+    """Every cavity is as open as in its kit, and at least MIN_WALL of wall is between any two."""
     boxes = [_cavity_box(mount) for mount in assembly.mounts]
     if any(a.min_gap(b, 2 * MIN_WALL) < MIN_WALL for a, b in combinations(boxes, 2)):
         raise Redraw("cavities too close")
@@ -180,55 +180,56 @@ def _cavity_box(mount: Mount) -> Manifold:
 
 @dataclass(frozen=True, eq=False)
 class _SeatedPart:
-    """The part of a slot, where it belongs."""
+    """The part of a slot at the design pose."""
 
     part: InsertedPart
-    pose: Pose
-    """assembly_from_part"""
-    reach: float
-    """[m] radius of the ball about the part's origin that holds it."""
+    assembly_from_part: Pose
+    radius: float
+    """[m] of the ball about the part's origin that contains it."""
 
     @property
     def convex_edges(self) -> ConvexEdges:
-        """What the part shows to others, in the assembly frame."""
+        """The part's convex edges in the assembly frame."""
         edges = self.part.edges
-        return ConvexEdges(edges.mesh.moved(self.pose), edges.ends, edges.adjacent)
+        return ConvexEdges(edges.mesh.moved(self.assembly_from_part), edges.ends, edges.adjacent)
 
 
 def _seated(mount: Mount, part: Part) -> _SeatedPart:
     kit_from_part = mount.kit.slot.kit_from_part
-    reach = float(np.linalg.norm(part.mesh.vertices, axis=1).max())
-    return _SeatedPart(InsertedPart.of(part.mesh, kit_from_part), mount.assembly_from_kit @ kit_from_part, reach)
+    radius = float(np.linalg.norm(part.mesh.vertices, axis=1).max())
+    return _SeatedPart(InsertedPart.of(part.mesh, kit_from_part), mount.assembly_from_kit @ kit_from_part, radius)
 
 
 def _check_paths(assembly: Assembly, parts: Mapping[str, Part]) -> None:
-    """Every part reaches its slot along the slot's axis, all other parts being seated."""
+    """Every part reaches its slot along the slot's axis while all other parts are seated."""
     seated = [_seated(mount, parts[mount.kit.slot.part_id]) for mount in assembly.mounts]
-    whole = convex_edges(assembly.mesh)
-    if any(contact_offset(one.part, whole, one.pose) > BISECTION_STEP for one in seated):
+    edges = convex_edges(assembly.mesh)
+    if any(contact_offset(one.part, edges, one.assembly_from_part) > BISECTION_STEP for one in seated):
         raise Redraw("insertion path blocked")
     if any(_blocks(other, one) for one, other in permutations(seated, 2)):
         raise Redraw("insertion path blocked by a seated part")
 
 
 def _blocks(other: _SeatedPart, moving: _SeatedPart) -> bool:
-    """Whether a seated part meets what another sweeps on its way out; their balls answer most questions."""
-    axis = moving.pose.rotate(moving.part.axis)
-    apart = other.pose.xyz - moving.pose.xyz
+    """Whether a seated part blocks the insertion path of another; their bounding balls decide most cases."""
+    axis = moving.assembly_from_part.rotate(moving.part.axis)
+    apart = other.assembly_from_part.xyz - moving.assembly_from_part.xyz
     aside = apart - max(float(apart @ axis), 0.0) * axis
-    if np.linalg.norm(aside) > other.reach + moving.reach:
+    if np.linalg.norm(aside) > other.radius + moving.radius:
         return False
-    return contact_offset(moving.part, other.convex_edges, moving.pose) > 0
+    return contact_offset(moving.part, other.convex_edges, moving.assembly_from_part) > 0
 
 
 def _check_stability(assembly: Assembly, parts: Mapping[str, Part]) -> None:
-    """The centre of mass stands STEADY inside the footprint, whichever of the parts are seated."""
+    """The centre of mass is STABILITY_MARGIN inside the footprint, whichever of the parts are seated."""
     mesh, slots = assembly.mesh, [mount.kit.slot for mount in assembly.mounts]
     poses = [mount.assembly_from_kit @ mount.kit.slot.kit_from_part for mount in assembly.mounts]
     masses = np.array([DENSITY * mesh.volume, *(parts[slot.part_id].mass for slot in slots)])
     centres = np.array([mesh.centroid, *(pose.xyz for pose in poses)])
-    sole = ConvexHull(mesh.vertices[mesh.vertices[:, 2] == 0, :2])
-    inside = -centres[:, :2] @ sole.equations[:, :2].T - sole.equations[:, 2] - STABILITY_MARGIN  # (1 + slots, edges)
+    footprint = ConvexHull(mesh.vertices[mesh.vertices[:, 2] == 0, :2])
+    inside = (
+        -centres[:, :2] @ footprint.equations[:, :2].T - footprint.equations[:, 2] - STABILITY_MARGIN
+    )  # (1 + slots, edges)
     moments = masses[:, None] * inside
     # over each edge the worst load seats exactly the parts that pull towards it
     if (moments[0] + np.minimum(moments[1:], 0).sum(0)).min() < 0:

@@ -1,8 +1,8 @@
-"""What carries the plates of an assembly: wedge brackets between neighbours, ribs and webs down to the ground.
+"""Supports for the plates of an assembly: wedge brackets between neighbours, ribs and webs down to the ground.
 
-Every piece is the convex hull of a few points and overlaps what it holds by BITE, so the union of plates and
-pieces is one body. Ribs run under each plate along its slope and are open below: nothing hangs over that a
-printer cannot bridge. Assembly frame: z up, ground at z = 0. All lengths are metres.
+Every piece is the convex hull of a few points and overlaps its plates by PLATE_OVERLAP, so the union of plates and
+pieces is one body. Ribs run under each plate along its slope, close enough to print without support material.
+Assembly frame: z up, ground at z = 0. All lengths are metres.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from manifold3d import Manifold
 from kit1000.mesh import Mesh, convex_hull, mesh_from_solid
 from kit1000.values import Mount
 
-PLATE_OVERLAP = 1e-3  # [m] a piece reaches so far into a plate; the floor under a cavity is 2 mm
-EDGE_SETBACK = 2e-3  # [m] pieces stay behind the edges of the plates, so that no two faces lie in one plane
-RIB_WIDTH = 6e-3  # [m] along the plate; at 45 degrees 4.2 mm of wall are left
-RIB_PITCH = 24e-3  # [m] at most between ribs: bridges of 18 mm print without support
-WEB_STRIP = 6e-3  # [m] what a web takes from the underside of each of the two plates it stands under
+PLATE_OVERLAP = 1e-3  # [m] by which a piece reaches into a plate; the floor under a cavity is 2 mm
+EDGE_SETBACK = 2e-3  # [m] from pieces to the edges of the plates, so that no two faces are coplanar
+RIB_WIDTH = 6e-3  # [m] along the plate; on a plate tilted by 45 degrees the wall is 4.2 mm thick
+RIB_PITCH = 24e-3  # [m] at most from rib to rib: bridges of 18 mm print without support material
+WEB_STRIP = 6e-3  # [m] width of the strip of a plate's underside that rests on a web
 OUTWARD = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])  # (4, 2) the sides of a plate, by direction 0..3
 
 
 def support_meshes(mounts: Sequence[Mount]) -> list[Mesh]:
-    """The convex pieces that carry the plates, in the assembly frame."""
+    """Meshes of the convex pieces that support the plates, in the assembly frame."""
     return [mesh_from_solid(piece) for piece in support_pieces(mounts)]
 
 
 def support_pieces(mounts: Sequence[Mount]) -> list[Manifold]:
-    """The convex pieces that carry the plates, the first of which is the base, in the assembly frame."""
+    """The convex pieces that support the plates, the first of which is the base, in the assembly frame."""
     pieces = [rib for mount in mounts for rib in _ribs(mount)]
     for side in mounts[1:]:
         direction = side_direction(mounts[0], side)
@@ -38,19 +38,19 @@ def support_pieces(mounts: Sequence[Mount]) -> list[Manifold]:
 
 
 def side_direction(base: Mount, side: Mount) -> int:
-    """On which side of the base a plate hangs: 0..3 for +x, +y, -x, -y of the base."""
+    """The side of the base on which a plate is: 0..3 for +x, +y, -x, -y of the base."""
     offset = (base.assembly_from_kit.inverse() @ side.assembly_from_kit).xyz[:2]
     return int(np.argmax(OUTWARD @ offset))
 
 
 def _bracket(base: Mount, side: Mount, direction: int) -> Manifold:
-    """The wedge between two plates: the hull of a band inside each of the facing sides."""
-    bands = [_facing_strip(base, direction), _facing_strip(side, direction + 2)]
-    return convex_hull(np.concatenate(bands))
+    """The wedge between two plates: the hull of a strip inside each of the facing sides."""
+    strips = [_facing_strip(base, direction), _facing_strip(side, direction + 2)]
+    return convex_hull(np.concatenate(strips))
 
 
 def _facing_strip(mount: Mount, direction: int) -> np.ndarray:
-    """(4, 3): a band BITE inside one side of a plate, clear of its edges; down to below the top of the web."""
+    """(4, 3) [m] a strip PLATE_OVERLAP inside one side of a plate, clear of its edges; it reaches into the web."""
     x, y, thickness = mount.kit.extent
     depth, half = (x / 2, y / 2) if direction % 2 == 0 else (y / 2, x / 2)
     heights = (PLATE_OVERLAP / 2 - thickness, -EDGE_SETBACK)
@@ -64,7 +64,7 @@ def _web(base: Mount, side: Mount, direction: int) -> Manifold:
 
 
 def _web_strip(mount: Mount, direction: int) -> np.ndarray:
-    """(4, 3): the strip of the underside next to one side of a plate."""
+    """(4, 3) [m] the strip of the underside along one side of a plate."""
     x, y, _ = mount.kit.extent
     depth, half = (x / 2, y / 2) if direction % 2 == 0 else (y / 2, x / 2)
     corners = [
@@ -76,36 +76,36 @@ def _web_strip(mount: Mount, direction: int) -> np.ndarray:
 
 
 def _ribs(mount: Mount) -> list[Manifold]:
-    """Walls under a plate along the axis that falls more, and one across their middle."""
+    """Ribs under a plate along its steeper axis, and one across their middle."""
     reach = mount.kit.extent[:2] / 2 - EDGE_SETBACK
     slopes = np.abs(mount.assembly_from_kit.rotation_matrix()[2, :2])
     along = int(slopes[1] > slopes[0] + 1e-9)
     count = int(np.ceil((2 * reach[1 - along] - RIB_WIDTH) / RIB_PITCH)) + 1
-    walls = []
+    strips = []
     for middle in np.linspace(RIB_WIDTH / 2 - reach[1 - along], reach[1 - along] - RIB_WIDTH / 2, count):
-        walls.append((reach[along], middle, along))
-    walls.append((reach[1 - along], 0.0, 1 - along))
-    return [_extended_to_ground(_underside(mount, _strip(*wall))) for wall in walls]
+        strips.append((reach[along], middle, along))
+    strips.append((reach[1 - along], 0.0, 1 - along))
+    return [_extended_to_ground(_underside(mount, _strip(*strip))) for strip in strips]
 
 
 def _strip(reach: float, middle: float, along: int) -> np.ndarray:
-    """(4, 2): a strip of width RIB along one axis of a plate."""
+    """(4, 2) [m] a strip of width RIB_WIDTH along one axis of a plate."""
     corners = np.array([(u, middle + v) for u in (-reach, reach) for v in (-RIB_WIDTH / 2, RIB_WIDTH / 2)])
     return corners[:, ::-1] if along else corners
 
 
 def _underside(mount: Mount, points: np.ndarray) -> np.ndarray:
-    """(n, 3): points (n, 2) of the plate, BITE above its underside, in the assembly frame."""
+    """(n, 3) [m] points (n, 2) of a plate, PLATE_OVERLAP above its underside, in the assembly frame."""
     level = np.full(len(points), PLATE_OVERLAP - mount.kit.extent[2])
     return mount.assembly_from_kit.apply(np.column_stack([points, level]))
 
 
 def _extended_to_ground(points: np.ndarray) -> Manifold:
-    """The hull of points (n, 3) and of their shadow on the ground."""
+    """The hull of points (n, 3) [m] and of their projection onto the ground."""
     return convex_hull(np.concatenate([points, points * (1, 1, 0)]))
 
 
 def _rotated_to_side(points: np.ndarray, direction: int) -> np.ndarray:
-    """Points (n, 3) given for the side +x, on another side of the plate."""
+    """Points (n, 3) of the side +x of a plate rotated to the side `direction`."""
     (c, s), z = OUTWARD[direction % 4], points[:, 2]
     return np.column_stack([c * points[:, 0] - s * points[:, 1], s * points[:, 0] + c * points[:, 1], z])

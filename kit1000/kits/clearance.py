@@ -1,4 +1,4 @@
-"""The clearance of a finished plate, measured on its mesh: level, from the walls to the swept shadow."""
+"""The clearance of a finished plate, measured on its mesh: horizontally, from the walls to the part's shadow."""
 
 from __future__ import annotations
 
@@ -11,43 +11,36 @@ from kit1000.kits.cavity import Cavity, Probe
 from kit1000.mesh import Mesh, solid_from_mesh
 
 SPACING = 0.5e-3  # [m] between measured points of a wall
-HEIGHT_COUNT = 5  # heights measured, spread over the probed ones
-HEIGHT_TOLERANCE = 0.01e-3  # [m] heights are good to this much: on a shallow slope a micron of height is many across
-OPENING_MARGIN = 0.1e-3  # [m] wall points this near an opened-away wall belong to the opening, not to a kept wall
+HEIGHT_COUNT = 5  # heights at which clearance is measured, spread over the probes of the cavity
+HEIGHT_TOLERANCE = (
+    0.01e-3  # [m] error allowed in the height of a wall: on a shallow slope a micron up is many microns across
+)
+OPENING_MARGIN = 0.1e-3  # [m] wall points this near a removed wall belong to its opening, not to a kept wall
 
 
 @dataclass(frozen=True)
 class Clearance:
-    """[m] between the part's swept shadow and the kept walls, over all measured points."""
+    """[m] horizontal distances between the kept walls and the part's shadow, over all measured points."""
 
     smallest: float
     largest: float
 
 
 def measure_clearance(plate: Mesh, cavity: Cavity, heights: int = HEIGHT_COUNT) -> Clearance:
-    """Slice the plate at several heights and measure from its inner walls to the shadow the part has swept there.
-
-    plate: in the kit frame (rim at z = 0).
-    """
+    """The clearance of a plate in the kit frame (rim at z = 0), measured at several heights."""
     solid = solid_from_mesh(plate)
     picks = np.unique(np.linspace(0, len(cavity.probes) - 1, heights).round().astype(int))
     nearest, farthest = [np.inf], [0.0]
     for probe in (cavity.probes[i] for i in picks):
-        nearest.append(
-            distances(_kept_walls(solid, probe, probe.z + HEIGHT_TOLERANCE - cavity.depth), probe.shadow).min(
-                initial=np.inf
-            )
-        )
-        farthest.append(
-            distances(_kept_walls(solid, probe, probe.z - HEIGHT_TOLERANCE - cavity.depth), probe.shadow).max(
-                initial=0.0
-            )
-        )
+        above = _kept_walls(solid, probe, probe.z + HEIGHT_TOLERANCE - cavity.depth)
+        below = _kept_walls(solid, probe, probe.z - HEIGHT_TOLERANCE - cavity.depth)
+        nearest.append(distances(above, probe.shadow).min(initial=np.inf))
+        farthest.append(distances(below, probe.shadow).max(initial=0.0))
     return Clearance(float(min(nearest)), float(max(farthest)))
 
 
 def _kept_walls(solid: Manifold, probe: Probe, z: float) -> np.ndarray:
-    """(n, 2) points on the inner walls of the plate at a height, away from walls that were opened."""
+    """(n, 2) [m] points on the inner walls of the plate at a height, away from removed walls."""
     outer = np.array(solid.bounding_box()[3:5])
     points = [points_along(loop) for loop in solid.slice(z).to_polygons() if (np.abs(loop).max(0) < outer - 1e-6).all()]
     walls = np.concatenate(points) if points else np.zeros((0, 2))
@@ -55,7 +48,7 @@ def _kept_walls(solid: Manifold, probe: Probe, z: float) -> np.ndarray:
 
 
 def points_along(loop: np.ndarray) -> np.ndarray:
-    """(n, 2) points along a closed polygon, its corners and every SPACING between them."""
+    """(n, 2) points along a closed polygon: its corners, and others at most SPACING apart."""
     along = np.roll(loop, -1, axis=0) - loop
     steps = np.maximum(np.ceil(np.hypot(*along.T) / SPACING).astype(int), 1)
     edge = np.repeat(np.arange(len(loop)), steps)
@@ -64,7 +57,7 @@ def points_along(loop: np.ndarray) -> np.ndarray:
 
 
 def distances(points: np.ndarray, shape: CrossSection) -> np.ndarray:
-    """(n,) [m] from points (n, 2) to the outline of a shape; 0 inside it."""
+    """(n,) [m] from points (n, 2) to a shape; 0 inside it."""
     loops = shape.to_polygons()
     if not loops or not len(points):
         return np.full(len(points), np.inf)

@@ -1,8 +1,8 @@
 """A kit as convex pieces that leave its cavity open, for physics engines that take the hull of every mesh.
 
-The plate is cut into level layers, thin where the walls slope. Of each layer only what stands over its whole
-height is kept, so pieces never reach into the cavity: steps and chords all lie on the open side. What is kept is
-triangulated, merged to convex polygons (Hertel and Mehlhorn 1983) and raised to prisms. Kit frame, metres.
+The plate is cut into level layers, thin where the walls slope. Of each layer only what is solid over its whole height
+is kept, so pieces never reach into the cavity: the errors of steps and chords all enlarge it. The kept section is
+triangulated, merged into convex polygons (Hertel and Mehlhorn 1983) and extruded to prisms. Kit frame, metres.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from manifold3d import CrossSection, FillRule, JoinType, Manifold, triangulate
 from kit1000.mesh import Mesh, convex_hull, mesh_from_solid, solid_from_mesh
 from kit1000.values import Kit
 
-TOLERANCE = 0.4e-3  # [m] walls recede by at most about so much, of a clearance of 2.5 mm
-MAX_LAYERS = 12  # a round bottom stops here, in steps of one or two millimetres
-LEDGE_OFFSET = 1e-6  # [m] layers end so far below a ledge: what float32 makes of its corners belongs above
-MIN_LEDGE_AREA = 1e-6  # [m^2] smaller level faces are slopes to the layers
-LEDGE_SPACING = 20e-6  # [m] ledges closer than this are one
+TOLERANCE = 0.4e-3  # [m] by which walls recede at most, roughly; the clearance is 2.5 mm
+MAX_LAYERS = 12  # reached by round bottoms, whose steps are then one or two millimetres high
+LEDGE_OFFSET = 1e-6  # [m] from the top of a layer to the ledge above it: keeps corners rounded to float32 above
+MIN_LEDGE_AREA = 1e-6  # [m^2] smaller level faces count as slopes
+LEDGE_SPACING = 20e-6  # [m] ledges closer than this count as one
 GRID = 1e-8  # [m] sections snap to a grid of some 4 nm
 MIN_POLYGON_AREA = 1e-8  # [m^2] smaller polygons are dropped: engines refuse such slivers
 MITER_LIMIT = 2.0  # offset corners sharper than 60 degrees are cut off
@@ -62,28 +62,28 @@ def convex_polygons(section: CrossSection) -> list[np.ndarray]:
 
 @dataclass(frozen=True, eq=False)
 class _Layer:
-    """A slice of the plate between two heights [m]."""
+    """A layer of the plate between two heights [m]."""
 
     low: float
     high: float
     shadow: CrossSection
-    """Where the cavity is open anywhere in the layer."""
+    """Projection along z of the cavity within the layer."""
     lost_volume: float
-    """[m^3] of wall under the shadow."""
+    """[m^3] of wall inside the shadow, which the pieces leave out."""
 
     @property
     def recession(self) -> float:
-        """[m] by which the layer's walls stand back, on average."""
+        """[m] by which the layer's walls recede on average."""
         perimeter = sum(np.linalg.norm(np.roll(p, -1, 0) - p, axis=1).sum() for p in self.shadow.to_polygons())
         return self.lost_volume / (self.high - self.low) / max(perimeter, 1e-9)
 
 
 def _layers(cavity: Manifold, floor: float, rim: float, tolerance: float) -> list[_Layer]:
-    """From floor to rim, cut at every ledge, then halved where most is lost."""
+    """Layers from floor to rim, cut at every ledge; then the layer that loses most is halved until none loses much."""
     heights = [floor, *_ledges(cavity, floor, rim), rim]
     layers = [_layer(cavity, a, b) for a, b in pairwise(heights)]
     while len(layers) < MAX_LAYERS:
-        # the mean recession hides how far a slope goes back between upright walls
+        # a quarter, because the mean hides how far a slope recedes beside upright walls
         coarse = [layer for layer in layers if layer.recession > tolerance / 4]
         if not coarse:
             break
@@ -114,15 +114,15 @@ def _ledges(cavity: Manifold, floor: float, rim: float) -> list[float]:
 
 
 def _outer_outline(shadow: CrossSection, tolerance: float) -> CrossSection:
-    """A shadow with few corners: it holds all of the old one and reaches about 2 tolerances [m] beyond at most."""
+    """A polygon of few corners that contains a shadow and exceeds it by about 2 tolerances [m] at most."""
     few = [contour[_simplified_indices(contour, tolerance)] for contour in shadow.to_polygons()]
     outline = CrossSection([contour for contour in few if len(contour) > 2], FillRule.Positive)
-    # slots narrower than the tolerance may have collapsed: the shadow itself is always part of the outline
+    # slots narrower than the tolerance may have collapsed, so the shadow itself is added
     return outline.offset(tolerance + GRID, JoinType.Miter, MITER_LIMIT) + shadow
 
 
 def _simplified_indices(contour: np.ndarray, tolerance: float) -> np.ndarray:
-    """Indices of corners that hold a closed contour (n, 2) within a tolerance [m] (Douglas and Peucker 1973)."""
+    """Indices of the corners of a closed contour (n, 2) simplified to a tolerance [m] (Douglas and Peucker 1973)."""
     far = int(np.argmax(np.linalg.norm(contour - contour[0], axis=1)))
     closed, kept, spans = np.concatenate([contour, contour[:1]]), {0, far}, [(0, far), (far, len(contour))]
     while spans:

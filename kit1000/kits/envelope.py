@@ -8,12 +8,12 @@ from scipy.ndimage import maximum_filter
 from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
 
-RELIEF_CELLS = 75  # of a relief's longest side: fine enough to see what turns apart tell, coarse enough for 2 ms
-RELIEF_RINGS, RELIEF_TURNS = 30, 120
+RELIEF_CELLS = 75  # along a relief's longest side: fine enough to distinguish yaws, coarse enough for 2 ms
+RELIEF_RINGS, RELIEF_ANGLES = 30, 120
 
 
 def lower_envelope(mesh: Mesh, cell: float, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """The lowest height of the body over each cell centre, +inf beside it.
+    """The lowest height [m] of a body at each cell centre, +inf beside it.
 
     Returns (heights (nx, ny), corner (2,)): cell (i, j) has its centre at corner + (i, j) * cell.
     """
@@ -24,31 +24,31 @@ def lower_envelope(mesh: Mesh, cell: float, margin: float = 0.0) -> tuple[np.nda
     return _lowest(down, corner[0], corner[1], cell, shape[0], shape[1]), corner
 
 
-def polar_relief(lying: Mesh, depth: float, clearance: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The lower envelope of a lying body, measured down from the rim, on a polar grid about its shadow's middle.
+def polar_relief(resting: Mesh, depth: float, clearance: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The depth of a resting body below the rim of its cavity on a polar grid, centred on the area below the rim.
 
-    lying: the body with its lowest point anywhere; depth [m] of its cavity: the rim lies so far above that point.
-    Returns (relief (rings, turns) [m], the same grown sideways by the clearance, area weight of a ring (rings,) [m^2]).
+    resting: the body, its lowest point at any height; depth: [m] of its cavity: the rim lies so far above that point.
+    Returns (relief (rings, angles) [m], the same grown sideways by the clearance, area of a cell (rings,) [m^2]).
     """
-    cell = lying.extents.max() / RELIEF_CELLS
-    heights, _ = lower_envelope(lying, cell, margin=clearance)
-    sunk = np.maximum(depth - (heights - lying.bounds[0, 2]), 0.0)
-    i, j = np.nonzero(sunk)
+    cell = resting.extents.max() / RELIEF_CELLS
+    heights, _ = lower_envelope(resting, cell, margin=clearance)
+    depths = np.maximum(depth - (heights - resting.bounds[0, 2]), 0.0)
+    i, j = np.nonzero(depths)
     middle = np.array([i.mean(), j.mean()])
     reach = np.hypot(i - middle[0], j - middle[1]).max() + 1
     radii = (np.arange(RELIEF_RINGS) + 0.5) * reach / RELIEF_RINGS
-    turns = np.arange(RELIEF_TURNS) * (2 * np.pi / RELIEF_TURNS)
-    rows = np.rint(middle[0] + radii[:, None] * np.cos(turns)).astype(int)
-    columns = np.rint(middle[1] + radii[:, None] * np.sin(turns)).astype(int)
-    inside = (rows >= 0) & (rows < sunk.shape[0]) & (columns >= 0) & (columns < sunk.shape[1])
-    spots = np.clip(rows, 0, sunk.shape[0] - 1), np.clip(columns, 0, sunk.shape[1] - 1)
-    relief, grown = (np.where(inside, field[spots], 0) for field in (sunk, _grown(sunk, int(clearance / cell))))
+    angles = np.arange(RELIEF_ANGLES) * (2 * np.pi / RELIEF_ANGLES)
+    rows = np.rint(middle[0] + radii[:, None] * np.cos(angles)).astype(int)
+    columns = np.rint(middle[1] + radii[:, None] * np.sin(angles)).astype(int)
+    inside = (rows >= 0) & (rows < depths.shape[0]) & (columns >= 0) & (columns < depths.shape[1])
+    cells = np.clip(rows, 0, depths.shape[0] - 1), np.clip(columns, 0, depths.shape[1] - 1)
+    relief, grown = (np.where(inside, field[cells], 0) for field in (depths, _grown(depths, int(clearance / cell))))
     return relief, grown, radii * (cell**2 * 2 * np.pi * reach / RELIEF_RINGS)
 
 
-def _grown(sunk: np.ndarray, cells: int) -> np.ndarray:
+def _grown(depths: np.ndarray, cells: int) -> np.ndarray:
     across = np.arange(-cells, cells + 1)
-    return maximum_filter(sunk, footprint=np.hypot(*np.meshgrid(across, across)) <= cells + 0.5, mode="constant")
+    return maximum_filter(depths, footprint=np.hypot(*np.meshgrid(across, across)) <= cells + 0.5, mode="constant")
 
 
 @compiled

@@ -1,8 +1,9 @@
-"""The goals of a slot: every pose of the part whose swept shadow below the rim equals that of the design pose.
+"""The goals of a slot: every pose of the part whose shadow S(z) equals that of the design pose at all heights below the
+rim. (The shadow is the projection along the insertion axis of all of the part below a height, see `cavity`.)
 
-Declared symmetries are goals by construction. A numeric search adds what only the seated part decides: turns that the
-shadow cannot tell apart, other faces down that leave the same shadow, and a free axis where every shadow is round.
-Two shadows are equal when neither leaves the other grown by SAME. Frame: kit frame; all lengths are metres.
+Declared symmetries are goals by construction. A numeric search adds goals that follow from the seated part alone: yaws
+that leave the shadow unchanged, other faces down with the same shadow, and a free axis where every shadow is round.
+Two shadows are equal when neither exceeds the other grown by SHADOW_TOLERANCE. Kit frame; all lengths are metres.
 """
 
 from __future__ import annotations
@@ -23,16 +24,16 @@ from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry
 from kit1000.values import FreeAxis
 
-SHADOW_TOLERANCE = 0.05e-3  # [m] shadows that differ by less are one shadow
-ROTATION_ORDERS = tuple(range(36, 1, -1))  # turns tried about the insertion axis: 360 degrees / n
-MAX_RELIEF_DIFFERENCE = 0.15  # share of relief that may differ, on the coarse grid, in a candidate worth an exact test
-ALIGN_RANGE = np.radians(4.5)  # the coarse grid knows a turn to 3 degrees
-SAME_GOAL_ANGLE, SAME_GOAL_SHIFT = np.radians(1.0), 0.2e-3  # goals closer than this are one goal
+SHADOW_TOLERANCE = 0.05e-3  # [m] shadows whose outlines differ by less are equal
+ROTATION_ORDERS = tuple(range(36, 1, -1))  # n of the yaws of 360 degrees / n that are tested
+MAX_RELIEF_DIFFERENCE = 0.15  # share by which the reliefs of a candidate may differ on the coarse grid
+ALIGN_RANGE = np.radians(4.5)  # [rad] of the fine search for a yaw; the coarse grid has steps of 3 degrees
+SAME_GOAL_ANGLE, SAME_GOAL_SHIFT = np.radians(1.0), 0.2e-3  # goals closer than both are one goal
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """What the search starts from: the part, its design pose, its cavity."""
+    """The input of the search: the part, its design pose and its cavity."""
 
     mesh: Mesh
     symmetry: Symmetry
@@ -41,12 +42,12 @@ class Design:
 
     @cached_property
     def relief(self) -> tuple[np.ndarray, np.ndarray]:
-        """The relief of the part in its design pose and the weights of its rings, as `polar_relief` has them."""
+        """Relief of the part in its design pose and area weights of its rings, see `polar_relief`."""
         relief, _, weights = polar_relief(self.mesh.moved(self.kit_from_part), self.cavity.depth)
         return relief, weights
 
     def standing(self, kit_from_part: Pose) -> Manifold:
-        """The part in a pose, raised so that the cavity's floor is z = 0."""
+        """The solid of the part in a pose, shifted so that the cavity's floor is at z = 0."""
         return solid_from_mesh(self.mesh).transform(kit_from_part.matrix()[:3]).translate((0, 0, self.cavity.depth))
 
 
@@ -58,14 +59,14 @@ def find_goals(design: Design) -> tuple[Pose, FreeAxis | None]:
     flips = _flipped_poses(design, known=declared)
     goals: list[Pose] = []
     for pose in [*declared, *flips]:
-        for turned in _rotated_copies(design, pose, order):
-            if not any(_same_goal(turned, goal, axis) for goal in goals):
-                goals.append(turned)
+        for rotated in _rotated_copies(design, pose, order):
+            if not any(_same_goal(rotated, goal, axis) for goal in goals):
+                goals.append(rotated)
     return Pose.stack(goals), axis
 
 
 def has_design_shadow(cavity: Cavity, standing: Manifold) -> bool:
-    """Whether a solid standing on the cavity's floor sweeps the shadow the cavity was made for, at every height."""
+    """Whether a solid on the cavity's floor, z = 0, has the shadow that the cavity was made for, at every height."""
     for probe in _probes(cavity):
         other = shadow_below(standing, probe.z)
         if not (_within_tolerance(probe.shadow, other) and _within_tolerance(other, probe.shadow)):
@@ -74,7 +75,7 @@ def has_design_shadow(cavity: Cavity, standing: Manifold) -> bool:
 
 
 def _probes(cavity: Cavity, most: int = 8) -> list[Probe]:
-    """The heights compared, the rim first: it tells most."""
+    """The probes to compare, the rim first: it differs most often."""
     picks = np.unique(np.linspace(0, len(cavity.probes) - 1, most).round().astype(int))
     return [cavity.probes[i] for i in picks[::-1]]
 
@@ -84,7 +85,7 @@ def _within_tolerance(inner: CrossSection, outer: CrossSection) -> bool:
 
 
 def area_centroid(shadow: CrossSection) -> np.ndarray:
-    """(2,) [m] centre of area."""
+    """(2,) [m] centroid of a shadow."""
     moment, area = np.zeros(2), 0.0
     for loop in shadow.to_polygons():
         a, b = loop, np.roll(loop, -1, axis=0)
@@ -95,7 +96,7 @@ def area_centroid(shadow: CrossSection) -> np.ndarray:
 
 
 def _free_axis(design: Design) -> FreeAxis | None:
-    """The declared free axis, else a vertical one when every contour of every shadow is a circle about one centre."""
+    """The declared free axis, else a vertical one if every contour of every shadow is a circle about one centre."""
     if design.symmetry.axis is not None:
         direction = design.kit_from_part.rotate(design.symmetry.axis)
         return FreeAxis(design.kit_from_part.xyz, direction / np.linalg.norm(direction))
@@ -116,19 +117,19 @@ def _is_circle(loop: np.ndarray, centre: np.ndarray) -> bool:
 
 
 def _rotation_order(design: Design) -> int:
-    """The largest n such that a turn of 360/n degrees about the shadow's centre keeps every shadow."""
+    """The largest n such that a rotation by 360/n degrees about the shadow's centroid leaves every shadow unchanged."""
     relief, weights = design.relief
     for order in ROTATION_ORDERS:
         if _relief_difference(relief, _shifted(relief, relief.shape[1] / order), weights) > MAX_RELIEF_DIFFERENCE:
             continue
-        turned = _rotated_copies(design, design.kit_from_part, order, which=1)[0]
-        if has_design_shadow(design.cavity, design.standing(turned)):
+        rotated = _rotated_copies(design, design.kit_from_part, order, which=1)[0]
+        if has_design_shadow(design.cavity, design.standing(rotated)):
             return order
     return 1
 
 
 def _shifted(relief: np.ndarray, columns: float) -> np.ndarray:
-    """The relief turned by a fraction of columns (linear between neighbours)."""
+    """The relief rotated by a number of columns, not necessarily whole (linear interpolation)."""
     whole, part = int(np.floor(columns)), columns % 1
     return (1 - part) * np.roll(relief, whole, 1) + part * np.roll(relief, whole + 1, 1)
 
@@ -138,29 +139,28 @@ def _relief_difference(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> flo
 
 
 def _rotated_copies(design: Design, pose: Pose, order: int, which: int | None = None) -> list[Pose]:
-    """The pose turned by multiples of 360/order degrees about the vertical through the rim shadow's centre."""
+    """The pose rotated by multiples of 360/order degrees about the vertical through the rim shadow's centroid."""
     centre = np.array([*area_centroid(design.cavity.rim_shadow), 0.0])
-    turns = range(order) if which is None else [which]
-    spun = [Pose.from_rotvec(np.array([0, 0, 2 * np.pi * k / order])) for k in turns]
+    multiples = range(order) if which is None else [which]
+    rotations = [Pose.from_rotvec(np.array([0, 0, 2 * np.pi * k / order])) for k in multiples]
     return [
-        Pose.from_translation(centre) @ turn @ Pose.from_translation(-centre) @ pose if k else pose
-        for k, turn in zip(turns, spun, strict=True)
+        Pose.from_translation(centre) @ rotation @ Pose.from_translation(-centre) @ pose if k else pose
+        for k, rotation in zip(multiples, rotations, strict=True)
     ]
 
 
 def _flipped_poses(design: Design, known: list[Pose]) -> list[Pose]:
-    """Poses with another face down that leave the same shadow (one a face: its turns follow from the turn order)."""
+    """Poses with another face down and the same shadow; one a face, its other yaws follow from the rotation order."""
     relief, weights = design.relief
     found = []
     for face in resting_faces(design.mesh, min_probability=0.0):
         if any(_faces_down(pose, face.normal) for pose in known) or face.height < design.cavity.depth:
             continue
-        lying = design.mesh.moved(face.plane_from_part)
-        other, _, _ = polar_relief(lying, design.cavity.depth)
-        turn, difference = _best_yaw(relief, other, weights)
+        other, _, _ = polar_relief(design.mesh.moved(face.plane_from_part), design.cavity.depth)
+        yaw, difference = _best_yaw(relief, other, weights)
         if difference > MAX_RELIEF_DIFFERENCE:
             continue
-        pose = _aligned(design, face.plane_from_part, turn)
+        pose = _aligned(design, face.plane_from_part, yaw)
         if has_design_shadow(design.cavity, design.standing(pose)):
             found.append(pose)
     return found
@@ -171,43 +171,44 @@ def _faces_down(pose: Pose, normal: np.ndarray) -> bool:
 
 
 def _best_yaw(relief: np.ndarray, other: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
-    """The turn [rad] of `other` that matches `relief` best, and the share of relief that still differs."""
+    """The yaw [rad] of `other` that matches `relief` best, and the share by which they still differ."""
     spectra = np.fft.rfft(relief, axis=1) * np.conj(np.fft.rfft(other, axis=1))
     correlation = weights @ np.fft.irfft(spectra, n=relief.shape[1], axis=1)
     shift = int(correlation.argmax())
     return shift * 2 * np.pi / relief.shape[1], _relief_difference(relief, np.roll(other, shift, 1), weights)
 
 
-def _aligned(design: Design, lying: Pose, turn: float) -> Pose:
-    """The lying pose turned so that its rim shadow overlaps the design's best , centred and seated."""
+def _aligned(design: Design, plane_from_part: Pose, yaw: float) -> Pose:
+    """The part resting on the cavity's floor, centred, at the yaw [rad] nearby where the rim shadows overlap most."""
     rim = design.cavity.rim_shadow
     centre = area_centroid(rim)
 
     def placed(angle: float) -> Pose:
-        spun = Pose.from_rotvec(np.array([0, 0, angle])) @ lying
-        low = spun.apply(design.mesh.vertices)[:, 2].min()
-        seated = Pose.from_translation(np.array([0, 0, -design.cavity.depth - low])) @ spun
+        rotated = Pose.from_rotvec(np.array([0, 0, angle])) @ plane_from_part
+        low = rotated.apply(design.mesh.vertices)[:, 2].min()
+        seated = Pose.from_translation(np.array([0, 0, -design.cavity.depth - low])) @ rotated
         offset = centre - area_centroid(shadow_below(design.standing(seated), design.cavity.depth))
         return Pose.from_translation(np.array([*offset, 0.0])) @ seated
 
-    flat = shadow_below(design.standing(placed(turn)), design.cavity.depth)
+    shadow = shadow_below(design.standing(placed(yaw)), design.cavity.depth)
 
     def overlap(extra: float) -> float:
-        spun = flat.translate(-centre).rotate(np.degrees(extra)).translate(centre)
-        return (spun ^ rim).area()
+        rotated = shadow.translate(-centre).rotate(np.degrees(extra)).translate(centre)
+        return (rotated ^ rim).area()
 
     best = minimize_scalar(
         lambda extra: -overlap(extra), bounds=(-ALIGN_RANGE, ALIGN_RANGE), method="bounded", options={"xatol": 1e-7}
     )
-    return placed(turn + best.x)
+    return placed(yaw + best.x)
 
 
 def _design_rotation(design: Design, rotation: np.ndarray) -> np.ndarray:
+    """(4,) rotation of the design pose after a symmetry rotation (4,) of the part."""
     return (design.kit_from_part @ Pose(rotation, np.zeros(3))).wxyz
 
 
 def _same_goal(a: Pose, b: Pose, axis: FreeAxis | None) -> bool:
-    """Whether two goals are one, up to a turn about the free axis."""
+    """Whether two goals are equal up to a rotation about the free axis."""
     if axis is not None:
         b = nearest_about_axis(a, b, axis)
     close = np.linalg.norm(a.xyz - b.xyz) < SAME_GOAL_SHIFT
@@ -215,7 +216,7 @@ def _same_goal(a: Pose, b: Pose, axis: FreeAxis | None) -> bool:
 
 
 def nearest_about_axis(pose: Pose, goal: Pose, axis: FreeAxis) -> Pose:
-    """The goal turned about the free axis so that its rotation comes nearest to that of the pose (twist)."""
+    """The goal rotated about the free axis to the orientation nearest to that of the pose (twist decomposition)."""
     w, *v = (pose @ goal.inverse()).wxyz
     angle = 2 * np.arctan2(np.dot(v, axis.direction), w)
     about = Pose.from_translation(axis.point) @ Pose.from_rotvec(angle * axis.direction)

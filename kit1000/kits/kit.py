@@ -1,4 +1,4 @@
-"""A kit for a part: choose the face, cut the cavity, find the goals, build the plate, measure what came out.
+"""The kit of a part: choose the insertion face, cut the cavity, find the goals, build the plate, measure its clearance.
 
 Kit frame: centre of the plate's top face, +z out of the cavity. All lengths are metres unless a name says mm.
 """
@@ -24,14 +24,15 @@ from kit1000.values import Kit, Part, Slot
 CLEARANCE = 2.5e-3  # [m] the paper's simulation margin
 PLATE_PITCH = 0.1  # [m] between neighbouring plates of an assembly
 PLATE_GAP = 1e-3  # [m] between neighbouring plates
+PLATE_WIDTH = PLATE_PITCH - PLATE_GAP
 MIN_FLOOR = 2e-3  # [m] least material under a cavity
-MAX_EXCESS_CLEARANCE = 0.1e-3  # [m] that a kept wall may stand farther off than asked
-MIN_RIM = 8e-3  # [m] least wall around the cavity of a plate made to measure
+MAX_EXCESS_CLEARANCE = 0.1e-3  # [m] of a kept wall above the nominal clearance
+MIN_RIM = 8e-3  # [m] least wall around the cavity of a plate fitted to its part
 
 
 @dataclass(frozen=True)
 class Plate:
-    """What a cavity is cut into."""
+    """The plate that a cavity is cut into."""
 
     width: tuple[float, float]
     """[m] along x and y."""
@@ -39,14 +40,12 @@ class Plate:
     """[m]"""
 
 
-UNIT_PLATE = Plate(
-    (PLATE_PITCH - PLATE_GAP, PLATE_PITCH - PLATE_GAP), 22e-3
-)  # cavity of at most 20 mm over 2 mm of floor
+UNIT_PLATE = Plate((PLATE_WIDTH, PLATE_WIDTH), 22e-3)  # a cavity of at most 20 mm and MIN_FLOOR below it
 
 
 @dataclass(frozen=True, eq=False)
 class KitDesign:
-    """A kit and what is worth knowing about it."""
+    """A kit with its cavity, its insertion face and its measured clearance."""
 
     kit: Kit
     cavity: Cavity
@@ -55,16 +54,13 @@ class KitDesign:
 
     @property
     def clearance_in_bounds(self) -> bool:
-        """Whether every kept wall stands as far off as asked: SAGITTA nearer or LOOSEST farther at most."""
-        asked = self.kit.slot.clearance
-        return (
-            asked - SAGITTA <= self.measured_clearance.smallest
-            and self.measured_clearance.largest <= asked + MAX_EXCESS_CLEARANCE
-        )
+        """Whether the clearance is nominal everywhere: SAGITTA less at least, MAX_EXCESS_CLEARANCE more at most."""
+        nominal, measured = self.kit.slot.clearance, self.measured_clearance
+        return nominal - SAGITTA <= measured.smallest and measured.largest <= nominal + MAX_EXCESS_CLEARANCE
 
     @property
     def report(self) -> dict[str, float | int | bool]:
-        """The kit report, in the units people read."""
+        """The properties of the kit for tables and reports, lengths in mm."""
         slot = self.kit.slot
         return {
             "clearance_asked_mm": slot.clearance * 1e3,
@@ -90,31 +86,30 @@ def make_kit(part: Part, clearance: float = CLEARANCE, plate: Plate | None = UNI
 def design_kit(
     part: Part, clearance: float = CLEARANCE, plate: Plate | None = UNIT_PLATE, face: RestingFace | None = None
 ) -> KitDesign:
-    """Design the kit of a part, with a clearance [m], in a given plate or (None) in one made to measure.
+    """The kit of a part with a clearance [m], in a given plate or, with None, in one fitted to the part.
 
-    face: to be inserted on, the best one when None. Raises Redraw with a short reason when the part has no face to be
-    inserted on, or does not fit the plate.
+    face: the insertion face; the best one when None. Raises Redraw with a short reason when the part has no insertion
+    face or does not fit the plate.
     """
-    face = face or insertion_faces(part, clearance, made_to_measure=plate is None)[0]
+    face = face or insertion_faces(part, clearance, fitted_plate=plate is None)[0]
     depth = insertion_depth(face.height)
     standing = _aligned_with_plate(part.mesh, face, depth)
-    plate = plate or _plate_for(part.mesh.moved(standing), clearance, depth)
-    cavity, mesh, measured = _cut_plate(
-        solid_from_mesh(part.mesh).transform(standing.matrix()[:3]), depth, clearance, plate
-    )
+    plate = plate or _fitted_plate(part.mesh.moved(standing), clearance, depth)
+    solid = solid_from_mesh(part.mesh).transform(standing.matrix()[:3])
+    cavity, mesh, measured = _cut_plate(solid, depth, clearance, plate)
     kit_from_part = Pose.from_translation(np.array([0, 0, -depth])) @ standing
     goals, free_axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, cavity))
     slot = Slot(part.id, kit_from_part, clearance, depth, goals, free_axis)
     return KitDesign(Kit(part.id, mesh, slot, np.array([*plate.width, plate.thickness])), cavity, face, measured)
 
 
-def insertion_faces(part: Part, clearance: float = CLEARANCE, made_to_measure: bool = False) -> list[RestingFace]:
-    """The stable faces a part can be inserted on, best first. Own parts may be flatter than those of a dataset."""
+def insertion_faces(part: Part, clearance: float = CLEARANCE, fitted_plate: bool = False) -> list[RestingFace]:
+    """The stable faces that a part can be inserted on, best first. For a fitted plate any seated height is enough."""
     faces = resting_faces(part.mesh)
     if not faces:
         raise Redraw("no stable resting face")
     tall = [face for face in faces if face.height >= MIN_SEATED_HEIGHT]
-    if not tall and made_to_measure:
+    if not tall and fitted_plate:
         tall = faces
     if not tall:
         raise Redraw(f"no stable face with {MIN_SEATED_HEIGHT * 1e3:g} mm of seated height")
@@ -123,9 +118,9 @@ def insertion_faces(part: Part, clearance: float = CLEARANCE, made_to_measure: b
 
 
 def _cut_plate(standing: Manifold, depth: float, clearance: float, plate: Plate) -> tuple[Cavity, Mesh, Clearance]:
-    """The cavity, the plate and its clearance: fast if that keeps the bounds, face by face if not."""
-    for joined in (True, False):
-        cavity = cut_cavity(standing, depth, clearance, plate.width, joined)
+    """The cavity, the plate and its clearance: with merged patches if that keeps the bounds, else without."""
+    for merge_patches in (True, False):
+        cavity = cut_cavity(standing, depth, clearance, plate.width, merge_patches)
         if not _fits_plate(cavity, plate):
             raise Redraw("wider than the plate")
         mesh = _plate_mesh(cavity, plate)
@@ -136,24 +131,24 @@ def _cut_plate(standing: Manifold, depth: float, clearance: float, plate: Plate)
 
 
 def _aligned_with_plate(mesh: Mesh, face: RestingFace, depth: float) -> Pose:
-    """The lying part, lowest point at z = 0, the least rectangle about its shadow square to the plate, centred."""
-    lying = face.plane_from_part
-    points = mesh.moved(lying).vertices
+    """plane_from_part: the part on its face, lowest point at z = 0, the minimum rectangle around its shadow centred and
+    parallel to the plate."""
+    points = mesh.moved(face.plane_from_part).vertices
     outline = _rim_outline(points, depth)
     edges = np.roll(outline, -1, axis=0) - outline
     angles = np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (np.pi / 2), 9))
     sizes = [np.prod(np.ptp(_rotated(outline, -angle), axis=0)) for angle in angles]
-    turn = -angles[int(np.argmin(np.round(sizes, 12)))]
-    if np.diff(np.ptp(_rotated(outline, turn), axis=0))[0] > 1e-9:
-        turn += np.pi / 2  # long side along x
-    square = _rotated(outline, turn)
-    centre = (square.min(0) + square.max(0)) / 2
-    turned = Pose.from_rotvec(np.array([0, 0, turn])) @ lying
-    return Pose.from_translation(np.array([-centre[0], -centre[1], -points[:, 2].min()])) @ turned
+    yaw = -angles[int(np.argmin(np.round(sizes, 12)))]
+    if np.diff(np.ptp(_rotated(outline, yaw), axis=0))[0] > 1e-9:
+        yaw += np.pi / 2  # long side along x
+    aligned = _rotated(outline, yaw)
+    centre = (aligned.min(0) + aligned.max(0)) / 2
+    rotated = Pose.from_rotvec(np.array([0, 0, yaw])) @ face.plane_from_part
+    return Pose.from_translation(np.array([-centre[0], -centre[1], -points[:, 2].min()])) @ rotated
 
 
 def _rim_outline(points: np.ndarray, depth: float) -> np.ndarray:
-    """(n, 2) convex outline of what lies below the rim."""
+    """(n, 2) [m] convex hull, seen from above, of the vertices below the rim."""
     low = points[points[:, 2] <= points[:, 2].min() + depth]
     hull = CrossSection.hull_points(low[:, :2] if len(low) > 2 else points[:, :2])
     return hull.to_polygons()[0]
@@ -164,7 +159,7 @@ def _rotated(points: np.ndarray, angle: float) -> np.ndarray:
     return points @ np.array([[c, s], [-s, c]])
 
 
-def _plate_for(standing: Mesh, clearance: float, depth: float) -> Plate:
+def _fitted_plate(standing: Mesh, clearance: float, depth: float) -> Plate:
     reach = np.abs(standing.bounds[:, :2]).max(0) + clearance + MIN_RIM
     width = np.ceil(2 * reach * 1e3) / 1e3
     return Plate((float(width[0]), float(width[1])), depth + MIN_FLOOR)

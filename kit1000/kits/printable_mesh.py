@@ -1,8 +1,8 @@
-"""The step from an exact solid to a mesh that stays one closed body in every file.
+"""Conversion of an exact solid to a mesh that stays one closed body in every file format.
 
-An exact solid is closed by its indices, but distinct vertices of it may share one place: where two walls touch, or
-where a sliver folds back on itself. A loader that makes equal vertices one then sees edges with four faces. So
-vertices go onto a grid, and those that still share a place where it matters are parted by microns.
+An exact solid is closed by its indices, but different vertices of it may share one position: where two walls touch, or
+where a sliver folds back on itself. A loader that merges equal vertices then sees edges with four faces. So vertices
+are rounded to a grid, and where the mesh would open, those that share a position are moved microns apart.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from manifold3d import Manifold
 from kit1000.errors import Redraw
 from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid
 
-SIMPLIFY_TOLERANCE = 2e-6  # [m] edges and ripples smaller than this are simplified away
-GRID = 2.0**-23  # [m] 0.12 um: exact in float32 up to 2 m, and ten times what loaders take for equal
-SEPARATION = 2e-6  # [m] vertices that share a place are moved this far towards their own neighbours
-MAX_ROUNDS = 5  # each moves twice as far as the one before
+SIMPLIFY_TOLERANCE = 2e-6  # [m] edges and bumps smaller than this are simplified away
+GRID = 2.0**-23  # [m] 0.12 um: exact in float32 up to 2 m, and ten times the distance at which loaders merge vertices
+SEPARATION = 2e-6  # [m] by which vertices that share a position are moved towards their own neighbours
+MAX_ROUNDS = 5  # of separation, each by twice the distance of the one before
 
 
 def printable_mesh(solid: Manifold, name: str) -> Mesh:
-    """A solid as one closed body with vertices on the float32 grid; `name` opens the reason of a refusal."""
+    """The mesh of a solid: one closed body, vertices on GRID. Raises Redraw, its reason beginning with `name`, else."""
     mesh, fault = _on_grid(mesh_from_solid(solid.as_original().simplify(SIMPLIFY_TOLERANCE))), None
     for round_ in range(MAX_ROUNDS):
         fault = defect_float32(mesh)
@@ -41,7 +41,7 @@ def _on_grid(mesh: Mesh) -> Mesh:
 
 
 def _separated(mesh: Mesh, distance: float) -> Mesh:
-    """The mesh with every vertex that shares its place with another moved towards the mean of its neighbours."""
+    """The mesh with every vertex that shares its position with another moved towards the mean of its neighbours."""
     _, place, count = np.unique(mesh.vertices, axis=0, return_inverse=True, return_counts=True)
     shared = np.flatnonzero(count[place.ravel()] > 1)
     vertices = mesh.vertices.copy()
