@@ -20,7 +20,7 @@ from kit1000.errors import MeshRefused
 from kit1000.mesh import Mesh
 from kit1000.parts.files.sources import Reading, read_mesh
 from kit1000.pose import Pose
-from kit1000.sim.render import Frame, render
+from kit1000.sim.render import RenderedImage, render
 from kit1000.sim.sensors import DEPTH_GRID, SENSORS, sense
 from kit1000.testing import check_renderer, check_sensor, check_source
 from kit1000.values import View
@@ -143,29 +143,29 @@ def test_our_renderer_conforms() -> None:
     check_renderer(lambda camera, world_from_camera, bodies: render(camera, world_from_camera, bodies, threads=1))
 
 
-def framed(depth: np.ndarray, ids: np.ndarray, faces: np.ndarray) -> Frame:
+def framed(depth: np.ndarray, ids: np.ndarray, faces: np.ndarray) -> RenderedImage:
     images = np.array(depth, np.float32), np.array(ids, np.int16), np.array(faces, np.int32)
     for image in images:
         image.setflags(write=False)
-    return Frame(*images)
+    return RenderedImage(*images)
 
 
-def by_image(change: Callable[[np.ndarray], np.ndarray]) -> Callable[..., Frame]:
-    def drawn(camera: Camera, world_from_camera: Pose, bodies: list) -> Frame:
+def by_image(change: Callable[[np.ndarray], np.ndarray]) -> Callable[..., RenderedImage]:
+    def drawn(camera: Camera, world_from_camera: Pose, bodies: list) -> RenderedImage:
         frame = render(camera, world_from_camera, bodies, threads=1)
-        return framed(change(frame.depth), change(frame.ids), change(frame.faces))
+        return framed(change(frame.depth), change(frame.body_ids), change(frame.face_ids))
 
     return drawn
 
 
-def by_frame(change: Callable[[Frame, Camera], tuple]) -> Callable[..., Frame]:
-    def drawn(camera: Camera, world_from_camera: Pose, bodies: list) -> Frame:
+def by_frame(change: Callable[[RenderedImage, Camera], tuple]) -> Callable[..., RenderedImage]:
+    def drawn(camera: Camera, world_from_camera: Pose, bodies: list) -> RenderedImage:
         return framed(*change(render(camera, world_from_camera, bodies, threads=1), camera))
 
     return drawn
 
 
-def by_camera(change: Callable[[Camera], Camera]) -> Callable[..., Frame]:
+def by_camera(change: Callable[[Camera], Camera]) -> Callable[..., RenderedImage]:
     return lambda camera, pose, bodies: render(change(camera), pose, bodies, threads=1)
 
 
@@ -173,12 +173,12 @@ def ray_lengths(camera: Camera) -> np.ndarray:
     return np.linalg.norm(camera.unproject(np.ones((camera.height, camera.width))), axis=-1)
 
 
-def last_first(camera: Camera, pose: Pose, bodies: list) -> Frame:
+def last_first(camera: Camera, pose: Pose, bodies: list) -> RenderedImage:
     frame = render(camera, pose, bodies[::-1], threads=1)
-    return framed(frame.depth, np.where(frame.ids > 0, len(bodies) + 1 - frame.ids, 0), frame.faces)
+    return framed(frame.depth, np.where(frame.body_ids > 0, len(bodies) + 1 - frame.body_ids, 0), frame.face_ids)
 
 
-def one_sided(camera: Camera, pose: Pose, bodies: list) -> Frame:
+def one_sided(camera: Camera, pose: Pose, bodies: list) -> RenderedImage:
     eye = pose.xyz
     kept = []
     for mesh, world_from_body in bodies:
@@ -188,7 +188,7 @@ def one_sided(camera: Camera, pose: Pose, bodies: list) -> Frame:
     return render(camera, pose, kept, threads=1)
 
 
-def dropping(camera: Camera, pose: Pose, bodies: list) -> Frame:
+def dropping(camera: Camera, pose: Pose, bodies: list) -> RenderedImage:
     """Without the faces that pass the plane of the camera."""
     kept = []
     for mesh, world_from_body in bodies:
@@ -197,17 +197,17 @@ def dropping(camera: Camera, pose: Pose, bodies: list) -> Frame:
     return render(camera, pose, kept, threads=1)
 
 
-def with_threads(camera: Camera, pose: Pose, bodies: list, threads: int = 1) -> Frame:
+def with_threads(camera: Camera, pose: Pose, bodies: list, threads: int = 1) -> RenderedImage:
     frame = render(camera, pose, bodies, threads=1)
-    return framed(frame.depth * np.float32(1 + 1e-7 * threads), frame.ids, frame.faces)
+    return framed(frame.depth * np.float32(1 + 1e-7 * threads), frame.body_ids, frame.face_ids)
 
 
-def loose(camera: Camera, pose: Pose, bodies: list) -> Frame:
+def loose(camera: Camera, pose: Pose, bodies: list) -> RenderedImage:
     frame = render(camera, pose, bodies, threads=1)
-    return Frame(np.array(frame.depth), frame.ids, frame.faces)
+    return RenderedImage(np.array(frame.depth), frame.body_ids, frame.face_ids)
 
 
-BROKEN_RENDERERS: dict[str, tuple[Callable[..., Frame], str]] = {
+BROKEN_RENDERERS: dict[str, tuple[Callable[..., RenderedImage], str]] = {
     "half a pixel": (
         by_camera(lambda camera: replace(camera, cx=camera.cx - 0.5, cy=camera.cy - 0.5)),
         r"tilted plane are off by up to \d\.\d\d%, as if half a pixel off: pixel \(u, v\) has its centre at \(u, v\)",
@@ -215,20 +215,20 @@ BROKEN_RENDERERS: dict[str, tuple[Callable[..., Frame], str]] = {
     "upside down": (by_image(lambda image: image[::-1]), "as if upside down"),
     "mirrored": (by_image(lambda image: image[:, ::-1]), "as if mirrored, left for right"),
     "along the ray": (
-        by_frame(lambda frame, camera: (frame.depth * ray_lengths(camera), frame.ids, frame.faces)),
+        by_frame(lambda frame, camera: (frame.depth * ray_lengths(camera), frame.body_ids, frame.face_ids)),
         "as if measured along the rays and not along the optical axis",
     ),
-    "millimetres": (by_frame(lambda frame, _: (frame.depth * 1e3, frame.ids, frame.faces)), "as if in millimetres"),
+    "millimetres": (by_frame(lambda frame, _: (frame.depth * 1e3, frame.body_ids, frame.face_ids)), "as if in millimetres"),
     "far is 10": (
-        by_frame(lambda frame, _: (np.where(frame.ids > 0, frame.depth, 10), frame.ids, frame.faces)),
+        by_frame(lambda frame, _: (np.where(frame.body_ids > 0, frame.depth, 10), frame.body_ids, frame.face_ids)),
         "depth is 10 m where nothing is seen, expected 0",
     ),
     "ids from 0": (
-        by_frame(lambda frame, _: (frame.depth, frame.ids - 1, frame.faces)),
+        by_frame(lambda frame, _: (frame.depth, frame.body_ids - 1, frame.face_ids)),
         "depth is 0 or less where a body is seen|pixels of no bodies",
     ),
     "no face": (
-        by_frame(lambda frame, _: (frame.depth, frame.ids, np.where(frame.ids > 0, 0, -1))),
+        by_frame(lambda frame, _: (frame.depth, frame.body_ids, np.where(frame.body_ids > 0, 0, -1))),
         r"at \d+ pixels of body 0 the depth is not that of the face named there",
     ),
     "last wins": (last_first, r"where bodies coincide ids are \[3\], expected the first, 1"),

@@ -71,7 +71,7 @@ class FakeScene:
         self.frame = render(CAMERA, world_from_camera, [(TABLE, Pose.identity()), *placed], threads=1)
         self.views = {
             "ideal": View(CAMERA, world_from_camera, self.frame.depth),
-            "d415": View(CAMERA, world_from_camera @ SHIFTED, self.frame.depth * (self.frame.ids % 3 > 0)),
+            "d415": View(CAMERA, world_from_camera @ SHIFTED, self.frame.depth * (self.frame.body_ids % 3 > 0)),
         }
         rows = [{"part_id": name, "unseen": reason} for name, reason in zip(names, (None, "cut"), strict=True)]
         self.truth = SceneTruth(scene_id, "test-0000", standing, tuple(rows), {}, np.zeros((1, 1), np.uint16))
@@ -200,7 +200,7 @@ def test_poses_through_the_camera_are_those_of_the_world(folder: Path, dataset: 
 
 
 def test_what_is_seen_of_each_object_is_in_its_mask(folder: Path, dataset: FakeDataset) -> None:
-    image, ids = BopImage.read(folder / "test/000001", 0), dataset.scene.frame.ids
+    image, ids = BopImage.read(folder / "test/000001", 0), dataset.scene.frame.body_ids
     for i, body in enumerate((3, 4, 2)):  # in the picture: 1 the table, 2 the assembly, then the parts
         seen = ids == body
         assert not np.any(seen & ~image.visible[i])

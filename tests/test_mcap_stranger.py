@@ -43,14 +43,14 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     world_from_camera = look_at((0.45, 0.05, 0.5), (0, 0, 0))
     frame = render(CAMERA, world_from_camera, scene, threads=1)
     depth = np.round(frame.depth * 8192) / np.float32(8192)
-    labels = np.maximum(frame.ids - 1, 0).astype(np.uint8)
+    labels = np.maximum(frame.body_ids - 1, 0).astype(np.uint8)
     with ObservationWriter(folder / "seen.mcap") as seen:
         seen.add(Observation("test-s0000", {"ideal": View(CAMERA, world_from_camera, depth)}, labels))
     (assembly, world_from_assembly), (part, world_from_part) = scene[1:]
     row = {"part_id": "test-0000", "world_from_part": pose_row(world_from_part)}
     models = {"assemblies/test-0000": glb_bytes({"a": assembly}), "parts/test-0000": glb_bytes({"p": part})}
     with TruthWriter(folder / "truth.mcap") as truth:
-        seg = frame.ids.astype(np.uint16)
+        seg = frame.body_ids.astype(np.uint16)
         truth.add(SceneTruth("test-s0000", "test-0000", world_from_assembly, (row,), {}, seg, models))
     return folder
 

@@ -1,4 +1,4 @@
-"""The renderer against two ray casters by other hands, Embree's and Open3D's, on a real scene at full size."""
+"""The renderer compared with two independent ray casters, Embree's and Open3D's, on a full-size scene."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose, quaternion_from_rotvec
 from kit1000.sim.cameras import CAMERA, draw_primary_pose
-from kit1000.sim.render import Frame, render
+from kit1000.sim.render import RenderedImage, render
 
 Bodies = list[tuple[Mesh, Pose]]
-NEAREST = 1e-6  # [m] least agreement in depth, of the median and of 9999 pixels in 10,000
-OTHERWISE = 1e-4  # share of pixels, away from edges, that may see another body
+DEPTH_TOLERANCE = 1e-6  # [m] of the median, and of 9999 pixels in 10,000
+MAX_DIFFERENT = 1e-4  # fraction of pixels, away from edges, that may see another body
 
 
 @pytest.fixture(scope="module")
 def bodies() -> Bodies:
-    """A table, a tilted assembly of four kits, and their parts beside it: as made, and turned over."""
+    """A table, a tilted assembly of four kits, and their parts beside it: as made, and upside down."""
     kits = [sample_kit(family) for family in QUICK[:4]]
     sides = (SidePlate(0, 0.3), SidePlate(1, 0.5), SidePlate(3, 0.7))
     assembly = build_assembly("a", kits, AssemblyPlan(0.2, 1.0, sides))
     table = mesh_from_solid(box(1200, 1600, 40, (0, 0, -40))).scaled(1e-3)
-    found = [(table, Pose.identity()), (assembly.mesh, Pose.from_rotvec((0, 0, 0.7), (0, 0.2, 0)))]
+    placed = [(table, Pose.identity()), (assembly.mesh, Pose.from_rotvec((0, 0, 0.7), (0, 0.2, 0)))]
     for i, family in enumerate(QUICK[:4]):
-        mesh, turn = sample_part(family).mesh, quaternion_from_rotvec((0, np.pi * (i % 2), 0.9 * i))
-        found.append((mesh, standing(mesh, turn, (0.08 * (i % 2) - 0.04, -0.24 + 0.08 * (i // 2)))))
-    return found
+        mesh, rotation = sample_part(family).mesh, quaternion_from_rotvec((0, np.pi * (i % 2), 0.9 * i))
+        placed.append((mesh, standing(mesh, rotation, (0.08 * (i % 2) - 0.04, -0.24 + 0.08 * (i // 2)))))
+    return placed
 
 
 def standing(mesh: Mesh, wxyz: np.ndarray, place: tuple[float, float]) -> Pose:
-    """The mesh turned and set down on the table."""
-    turned = Pose(wxyz, np.zeros(3))
-    return Pose(wxyz, np.array([*place, -turned.apply(mesh.vertices)[:, 2].min()]))
+    """The pose of the mesh in this rotation, on the table."""
+    rotation = Pose(wxyz, np.zeros(3))
+    return Pose(wxyz, np.array([*place, -rotation.apply(mesh.vertices)[:, 2].min()]))
 
 
 @pytest.fixture(scope="module", params=range(3))
@@ -57,19 +57,19 @@ def rays() -> np.ndarray:
 
 
 def in_camera(bodies: Bodies, view: Pose) -> list[np.ndarray]:
-    """(m, 3, 3) float32 corners of each body's faces, in the camera: there float32 is finest where it matters."""
+    """(m, 3, 3) float32 corners of each body's faces, in the camera frame, where float32 is most accurate."""
     return [(view.inverse() @ pose).apply(mesh.triangles).astype(np.float32) for mesh, pose in bodies]
 
 
 def by_embree(corners: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Depth [m] and body number + 1, 0 where nothing is hit, of the same pixels."""
+    """Depth [m] and body index + 1 of each pixel, 0 where no ray hits."""
     scene = EmbreeScene()
     TriangleMesh(scene, np.concatenate(corners))
     direction = rays().reshape(-1, 3)
     hit = scene.run(np.zeros_like(direction), direction, output=True)
     body_of = np.repeat(np.arange(len(corners)), [len(c) for c in corners])
     ids = np.where(hit["primID"] < 0, 0, body_of[hit["primID"]] + 1)
-    return imaged(np.where(ids > 0, hit["tfar"], 0)), imaged(ids)
+    return as_image(np.where(ids > 0, hit["tfar"], 0)), as_image(ids)
 
 
 def by_open3d(o3d: ModuleType, corners: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
@@ -84,13 +84,13 @@ def by_open3d(o3d: ModuleType, corners: list[np.ndarray]) -> tuple[np.ndarray, n
     return np.where(np.isfinite(depth), depth, 0), np.where(np.isfinite(depth), ids, 0)
 
 
-def imaged(values: np.ndarray) -> np.ndarray:
+def as_image(values: np.ndarray) -> np.ndarray:
     return values.reshape(CAMERA.height, CAMERA.width)
 
 
 @pytest.fixture(scope="module")
 def o3d() -> ModuleType:
-    """Open3D, which links to libusb: the wheel that carries that library is loaded first."""
+    """Open3D, which links to libusb: the wheel with that library is loaded first."""
     ctypes.CDLL(str(libusb_package.get_library_path()), ctypes.RTLD_GLOBAL)
     try:
         import open3d
@@ -99,27 +99,27 @@ def o3d() -> ModuleType:
     return open3d
 
 
-def assert_alike(frame: Frame, depth: np.ndarray, ids: np.ndarray) -> None:
-    """Depth to NEAREST where both see something, bodies alike a pixel away from every edge of either picture."""
-    both = (frame.ids > 0) & (ids > 0)
+def assert_alike(image: RenderedImage, depth: np.ndarray, ids: np.ndarray) -> None:
+    """Depths equal within DEPTH_TOLERANCE where both hit; bodies equal a pixel away from every edge of either image."""
+    both = (image.body_ids > 0) & (ids > 0)
     assert both.mean() > 0.5
-    apart = np.abs(frame.depth[both] - depth[both])
-    assert np.median(apart) < NEAREST
-    assert np.quantile(apart, 0.9999) < NEAREST
-    inner = ~(beside_edge(frame.ids) | beside_edge(ids))
+    difference = np.abs(image.depth[both] - depth[both])
+    assert np.median(difference) < DEPTH_TOLERANCE
+    assert np.quantile(difference, 0.9999) < DEPTH_TOLERANCE
+    inner = ~(beside_edge(image.body_ids) | beside_edge(ids))
     assert inner.mean() > 0.9
-    assert (frame.ids != ids)[inner].mean() < OTHERWISE
+    assert (image.body_ids != ids)[inner].mean() < MAX_DIFFERENT
 
 
 def beside_edge(ids: np.ndarray) -> np.ndarray:
     """(H, W) bool: pixels with another body among their four neighbours."""
-    found = np.zeros(ids.shape, bool)
+    edge = np.zeros(ids.shape, bool)
     down, across = ids[1:] != ids[:-1], ids[:, 1:] != ids[:, :-1]
-    found[1:] |= down
-    found[:-1] |= down
-    found[:, 1:] |= across
-    found[:, :-1] |= across
-    return found
+    edge[1:] |= down
+    edge[:-1] |= down
+    edge[:, 1:] |= across
+    edge[:, :-1] |= across
+    return edge
 
 
 def test_embree_sees_the_same(bodies: Bodies, view: Pose):

@@ -327,7 +327,7 @@ def test_scenes_can_be_rendered_again(root: Path) -> None:
         assert pose is body.world_from_body
         assert mesh.vertices.shape[1] == 3
     frame = render(CAMERA, SEES, bodies, threads=1)
-    assert {1, 2} <= set(np.unique(frame.ids))
+    assert {1, 2} <= set(np.unique(frame.body_ids))
 
 
 def test_what_is_not_there_is_said(root: Path) -> None:

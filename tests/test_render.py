@@ -1,4 +1,4 @@
-"""The renderer against closed forms and against a ray caster of a few lines of numpy."""
+"""The renderer compared with closed forms and with a small ray caster in numpy."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, random_quaternions
 from kit1000.sim.raster import NEAR_PLANE
-from kit1000.sim.render import Frame, render
+from kit1000.sim.render import RenderedImage, render
 
 IDENTITY = Pose.identity()
 SMALL = Camera(width=60, height=44, fx=70.0, fy=66.0, cx=28.3, cy=23.1)
 VGA = Camera(width=640, height=480, fx=600.0, fy=600.0, cx=320.0, cy=240.0)
-EDGE = 2e-3  # [px] coverage is exact in pixels / 4096; nearer to an edge than this either answer is right
+EDGE = 2e-3  # [px] coverage is exact in pixels / 4096; nearer to an edge than this either result is right
 
 
 def mesh(shape: trimesh.Trimesh) -> Mesh:
@@ -80,13 +80,13 @@ def cast(camera: Camera, view: Pose, bodies: list[tuple[Mesh, Pose]]) -> tuple[n
     return depth.reshape(shape), ids.reshape(shape), faces.reshape(shape), near_edge.reshape(shape)
 
 
-def assert_same(a: Frame, b: Frame) -> None:
-    for name in ("depth", "ids", "faces"):
+def assert_same(a: RenderedImage, b: RenderedImage) -> None:
+    for name in ("depth", "body_ids", "face_ids"):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
 
 
 def scene(rng: np.random.Generator, distance: float) -> list[tuple[Mesh, Pose]]:
-    """A box, a ball, a cylinder and a ring about the origin, turned and shifted at will; units of metres."""
+    """A box, a ball, a cylinder and a ring near the point (0, 0, distance), at random poses; in metres."""
     shapes = [
         box(0.5, 0.3, 0.4),
         sphere(0.25, 1),
@@ -97,25 +97,25 @@ def scene(rng: np.random.Generator, distance: float) -> list[tuple[Mesh, Pose]]:
     return list(zip(shapes, Pose(random_quaternions(rng, len(shapes)), places), strict=True))
 
 
-def test_empty_scene_shows_nothing():
-    frame = render(SMALL, IDENTITY, [])
-    assert frame.depth.dtype == np.float32
-    assert frame.ids.dtype == np.int16
-    assert not frame.depth.any()
-    assert not frame.ids.any()
-    assert (frame.faces == -1).all()
+def test_an_empty_scene_renders_no_surface():
+    image = render(SMALL, IDENTITY, [])
+    assert image.depth.dtype == np.float32
+    assert image.body_ids.dtype == np.int16
+    assert not image.depth.any()
+    assert not image.body_ids.any()
+    assert (image.face_ids == -1).all()
 
 
 def test_results_are_read_only():
-    frame = render(SMALL, IDENTITY, [(rectangle(1.0), IDENTITY)])
+    image = render(SMALL, IDENTITY, [(rectangle(1.0), IDENTITY)])
     with pytest.raises(ValueError, match="read-only"):
-        frame.depth[0, 0] = 1
+        image.depth[0, 0] = 1
 
 
-def test_sheet_facing_the_camera_has_one_depth_everywhere():
-    frame = render(VGA, IDENTITY, [(rectangle(0.75, cells=7), IDENTITY)])
-    np.testing.assert_allclose(frame.depth, 0.75, rtol=1e-7)
-    assert (frame.ids == 1).all()
+def test_a_sheet_facing_the_camera_has_one_depth_everywhere():
+    image = render(VGA, IDENTITY, [(rectangle(0.75, cells=7), IDENTITY)])
+    np.testing.assert_allclose(image.depth, 0.75, rtol=1e-7)
+    assert (image.body_ids == 1).all()
 
 
 @settings(max_examples=30)
@@ -123,129 +123,129 @@ def test_sheet_facing_the_camera_has_one_depth_everywhere():
 def test_tilted_plane_matches_its_equation(seed: int):
     rng = np.random.default_rng(seed)
     tilt = Pose.from_rotvec(rng.uniform(-0.7, 0.7, 3), (0, 0, rng.uniform(0.3, 3)))
-    frame = render(SMALL, IDENTITY, [(rectangle(0.0, half=50.0, cells=3), tilt)])
+    image = render(SMALL, IDENTITY, [(rectangle(0.0, half=50.0, cells=3), tilt)])
     normal = tilt.rotate(np.array([0.0, 0.0, 1.0]))
     expected = normal @ tilt.xyz / (rays(SMALL) @ normal)
-    seen = (expected > 0) & (expected < 8)
-    np.testing.assert_allclose(frame.depth[seen], expected[seen], rtol=2e-7)
+    visible = (expected > 0) & (expected < 8)
+    np.testing.assert_allclose(image.depth[visible], expected[visible], rtol=2e-7)
 
 
-def test_pixel_centres_are_whole_numbers():
+def test_pixel_centres_are_at_integers():
     # A sheet whose left edge projects to column 10 exactly, its top edge to row 5: both belong to it.
     camera = Camera(width=32, height=24, fx=16.0, fy=16.0, cx=10.0, cy=5.0)
     corners = np.array([[0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]], float)
     sheet = Mesh(corners, np.array([[0, 1, 2], [0, 2, 3]], np.int32))
-    ids = render(camera, IDENTITY, [(sheet, IDENTITY)]).ids
+    ids = render(camera, IDENTITY, [(sheet, IDENTITY)]).body_ids
     rows, columns = np.nonzero(ids)
     assert (rows.min(), rows.max(), columns.min(), columns.max()) == (5, 20, 10, 25)
     assert ids.sum() == 16 * 16
 
 
 def test_box_front_face_is_at_its_depth():
-    frame = render(VGA, IDENTITY, [(box(0.2, 0.1, 0.3), Pose.from_translation((0, 0, 1.0)))])
+    image = render(VGA, IDENTITY, [(box(0.2, 0.1, 0.3), Pose.from_translation((0, 0, 1.0)))])
     half_width, half_height = 0.1 / 0.85 * 600, 0.05 / 0.85 * 600
     v, u = np.mgrid[:480, :640]
     inside = (abs(u - 320) < half_width - 0.01) & (abs(v - 240) < half_height - 0.01)
     outside = (abs(u - 320) > half_width + 0.01) | (abs(v - 240) > half_height + 0.01)
-    np.testing.assert_allclose(frame.depth[inside], 0.85, atol=1e-5)
-    assert not frame.ids[outside].any()
+    np.testing.assert_allclose(image.depth[inside], 0.85, atol=1e-5)
+    assert not image.body_ids[outside].any()
 
 
 def test_fine_ball_matches_the_sphere_and_its_outline():
     radius, distance = 0.1, 0.5
-    frame = render(VGA, IDENTITY, [(sphere(radius, 6), Pose.from_translation((0, 0, distance)))])
+    image = render(VGA, IDENTITY, [(sphere(radius, 6), Pose.from_translation((0, 0, distance)))])
     ray = rays(VGA)
     along, square = ray[..., 2] * distance, (ray**2).sum(-1)
     root = along**2 - square * (distance**2 - radius**2)
     well_inside = root > 0.02 * radius**2
     expected = (along - np.sqrt(np.where(well_inside, root, 0))) / square
-    assert (frame.ids[root > 1e-3 * radius**2] == 1).all()
-    assert not frame.ids[root < 0].any()
-    # An icosphere of level 6 lies within 0.02 mm of its sphere; on the flank depth departs by more.
-    np.testing.assert_allclose(frame.depth[well_inside], expected[well_inside], atol=2e-4)
-    np.testing.assert_allclose(frame.depth[240, 320], distance - radius, atol=1e-5)
+    assert (image.body_ids[root > 1e-3 * radius**2] == 1).all()
+    assert not image.body_ids[root < 0].any()
+    # An icosphere of level 6 is within 0.02 mm of its sphere; near the outline the depth differs by more.
+    np.testing.assert_allclose(image.depth[well_inside], expected[well_inside], atol=2e-4)
+    np.testing.assert_allclose(image.depth[240, 320], distance - radius, atol=1e-5)
 
 
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 1.0, 3.0]))
 def test_agrees_with_brute_force_rays(seed: int, distance: float):
-    """Also with the camera amid the bodies, where faces cross the near plane and lie behind it."""
+    """Also with the camera among the bodies, where faces cross the near plane or lie behind it."""
     bodies = scene(np.random.default_rng(seed), distance)
-    frame = render(SMALL, IDENTITY, bodies)
+    image = render(SMALL, IDENTITY, bodies)
     depth, ids, faces, near_edge = cast(SMALL, IDENTITY, bodies)
     clear = ~near_edge
     assert clear.mean() > 0.9
-    np.testing.assert_array_equal(frame.ids[clear], ids[clear])
-    np.testing.assert_allclose(frame.depth[clear], depth[clear], rtol=1e-6)
-    np.testing.assert_array_equal(frame.faces[clear], faces[clear])
+    np.testing.assert_array_equal(image.body_ids[clear], ids[clear])
+    np.testing.assert_allclose(image.depth[clear], depth[clear], rtol=1e-6)
+    np.testing.assert_array_equal(image.face_ids[clear], faces[clear])
 
 
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
-def test_no_crack_opens_in_a_closed_surface(seed: int):
-    """From inside a ball every pixel sees it, whatever the grid of edges and however the camera looks."""
+def test_a_closed_surface_has_no_cracks(seed: int):
+    """From inside a ball every pixel sees it, for every subdivision and every camera pose."""
     rng = np.random.default_rng(seed)
     ball = sphere(1.0, int(rng.integers(0, 5)))
     view = Pose(random_quaternions(rng, 1)[0], rng.uniform(-0.5, 0.5, 3))
-    assert render(VGA, view, [(ball, IDENTITY)]).ids.all()
+    assert render(VGA, view, [(ball, IDENTITY)]).body_ids.all()
 
 
 @pytest.mark.parametrize("axis", [(1, 0, 0), (0, 1, 0), (0, 0, 1), (-1, 0, 0), (0, 0, -1)])
-def test_no_crack_opens_where_a_corner_meets_a_pixel_centre(axis: tuple[int, int, int]):
-    """The poles of a ball seen from its middle: all edges of a fan meet in the principal point."""
+def test_no_crack_where_a_vertex_coincides_with_a_pixel_centre(axis: tuple[int, int, int]):
+    """The poles of a ball seen from its centre: all edges of a fan meet in the principal point."""
     ball = mesh(trimesh.creation.uv_sphere(radius=1.0, count=[32, 32]))
     view = look_at((0, 0, 0), axis, up=(0.3, 0.5, 0.7))
-    assert render(VGA, view, [(ball, IDENTITY)]).ids.all()
+    assert render(VGA, view, [(ball, IDENTITY)]).body_ids.all()
 
 
-def test_each_pixel_on_shared_edges_is_seen_once():
-    """Two sheets that meet in a diagonal of pixel centres fill the image, whichever is drawn first."""
+def test_each_pixel_on_a_shared_edge_is_covered_once():
+    """Two sheets that meet along a diagonal of pixel centres fill the image, in either order."""
     camera = Camera(width=16, height=16, fx=8.0, fy=8.0, cx=7.0, cy=7.0)
     corners = np.array([[-2, -2, 1], [2, -2, 1], [2, 2, 1], [-2, 2, 1]], float)
     upper = Mesh(corners, np.array([[0, 1, 2]], np.int32))
     lower = Mesh(corners, np.array([[0, 2, 3]], np.int32))
-    one = render(camera, IDENTITY, [(upper, IDENTITY), (lower, IDENTITY)]).ids
-    other = render(camera, IDENTITY, [(lower, IDENTITY), (upper, IDENTITY)]).ids
+    one = render(camera, IDENTITY, [(upper, IDENTITY), (lower, IDENTITY)]).body_ids
+    other = render(camera, IDENTITY, [(lower, IDENTITY), (upper, IDENTITY)]).body_ids
     assert one.all()
     np.testing.assert_array_equal(one, 3 - other)
 
 
-def test_a_floor_through_the_camera_is_cut_not_dropped():
+def test_a_floor_below_the_camera_is_clipped_and_not_dropped():
     floor = rectangle(0.0, half=40.0)
     view = look_at((0, 0, 0.3), (1, 0, 0.3))  # level, so that the horizon is the middle row
-    frame = render(VGA, view, [(floor, IDENTITY)])
-    assert not frame.ids[:241].any()
-    assert frame.ids[246:].all()
-    np.testing.assert_allclose(frame.depth[300:, 320], 0.3 * 600 / (np.arange(300, 480) - 240), rtol=1e-6)
+    image = render(VGA, view, [(floor, IDENTITY)])
+    assert not image.body_ids[:241].any()
+    assert image.body_ids[246:].all()
+    np.testing.assert_allclose(image.depth[300:, 320], 0.3 * 600 / (np.arange(300, 480) - 240), rtol=1e-6)
 
 
-def test_surfaces_nearer_than_the_near_plane_are_not_seen():
-    frame = render(SMALL, IDENTITY, [(rectangle(0.9 * NEAR_PLANE), IDENTITY), (rectangle(1.1 * NEAR_PLANE), IDENTITY)])
-    assert (frame.ids == 2).all()
+def test_surfaces_nearer_than_the_near_plane_are_invisible():
+    image = render(SMALL, IDENTITY, [(rectangle(0.9 * NEAR_PLANE), IDENTITY), (rectangle(1.1 * NEAR_PLANE), IDENTITY)])
+    assert (image.body_ids == 2).all()
 
 
-def test_the_nearer_body_hides_the_farther():
+def test_the_nearer_body_occludes_the_farther():
     near, far = Pose.from_translation((0, 0, 0.8)), Pose.from_translation((0, 0, 1.5))
-    frame = render(VGA, IDENTITY, [(box(0.5, 0.5, 0.1), far), (box(0.2, 0.2, 0.1), near)])
-    assert frame.ids[240, 320] == 2
-    assert frame.ids[240, 320 + 90] == 1
+    image = render(VGA, IDENTITY, [(box(0.5, 0.5, 0.1), far), (box(0.2, 0.2, 0.1), near)])
+    assert image.body_ids[240, 320] == 2
+    assert image.body_ids[240, 320 + 90] == 1
 
 
-def test_coincident_surfaces_show_the_body_named_first():
+def test_of_coincident_surfaces_the_first_body_is_visible():
     sheet = rectangle(1.0)
-    assert (render(SMALL, IDENTITY, [(sheet, IDENTITY), (sheet, IDENTITY)]).ids == 1).all()
+    assert (render(SMALL, IDENTITY, [(sheet, IDENTITY), (sheet, IDENTITY)]).body_ids == 1).all()
 
 
 @settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1))
-def test_order_of_bodies_does_not_matter(seed: int):
+def test_the_order_of_bodies_changes_no_pixel(seed: int):
     rng = np.random.default_rng(seed)
     bodies = scene(rng, 1.5)
     order = rng.permutation(len(bodies))
-    frame, shuffled = render(SMALL, IDENTITY, bodies), render(SMALL, IDENTITY, [bodies[i] for i in order])
-    np.testing.assert_array_equal(frame.depth, shuffled.depth)
-    np.testing.assert_array_equal(frame.faces, shuffled.faces)
-    np.testing.assert_array_equal(frame.ids, np.concatenate([[0], order + 1])[shuffled.ids])
+    image, shuffled = render(SMALL, IDENTITY, bodies), render(SMALL, IDENTITY, [bodies[i] for i in order])
+    np.testing.assert_array_equal(image.depth, shuffled.depth)
+    np.testing.assert_array_equal(image.face_ids, shuffled.face_ids)
+    np.testing.assert_array_equal(image.body_ids, np.concatenate([[0], order + 1])[shuffled.body_ids])
 
 
 @settings(max_examples=20)
@@ -255,13 +255,13 @@ def test_moving_the_whole_world_changes_nothing(seed: int):
     bodies, move = scene(rng, 1.5), Pose(random_quaternions(rng, 1)[0], rng.uniform(-2, 2, 3))
     still = render(SMALL, IDENTITY, bodies)
     moved = render(SMALL, move, [(shape, move @ pose) for shape, pose in bodies])
-    same = still.faces == moved.faces  # rounding may hand an edge pixel to the neighbour
+    same = still.face_ids == moved.face_ids  # rounding may assign an edge pixel to the neighbour
     assert same.mean() > 0.998
     np.testing.assert_allclose(still.depth[same], moved.depth[same], rtol=1e-6)
 
 
 @pytest.mark.parametrize("threads", [2, 3, 7])
-def test_number_of_threads_changes_no_bit(threads: int):
+def test_the_number_of_threads_changes_no_bit(threads: int):
     ball = sphere(0.3, 6)  # 81920 faces: several chunks
     bodies = [*scene(np.random.default_rng(5), 0.5), (ball, Pose.from_translation((0, 0, 1)))]
     assert_same(render(VGA, IDENTITY, bodies, threads=1), render(VGA, IDENTITY, bodies, threads=threads))
@@ -270,24 +270,24 @@ def test_number_of_threads_changes_no_bit(threads: int):
 def test_faces_without_area_and_faces_edge_on_are_harmless():
     vertices = np.array([[0, 0, 1], [1, 0, 1], [0.5, 0, 1], [0, 0, 2], [0, 0, 3], [0, 1, 1]], float)
     thin = Mesh(vertices, np.array([[0, 1, 2], [0, 3, 4], [0, 0, 1], [0, 3, 5]], np.int32))
-    frame = render(SMALL, IDENTITY, [(thin, IDENTITY), (rectangle(5.0), IDENTITY)])
-    assert np.isfinite(frame.depth).all()
-    assert (frame.depth >= 1).all()
+    image = render(SMALL, IDENTITY, [(thin, IDENTITY), (rectangle(5.0), IDENTITY)])
+    assert np.isfinite(image.depth).all()
+    assert (image.depth >= 1).all()
 
 
-def test_more_bodies_than_ids_are_refused():
+def test_more_bodies_than_ids_are_rejected():
     with pytest.raises(InputError, match="at most 32767"):
         render(SMALL, IDENTITY, [(rectangle(1.0), IDENTITY)] * 32768)
 
 
-def test_works_where_no_folder_can_be_written(tmp_path: Path):
-    """A package folder and a home that refuse writing: compiled in memory, the picture is the same."""
+def test_compiling_works_where_no_folder_is_writable(tmp_path: Path):
+    """With a read-only package folder and home, functions are compiled in memory, with the same result."""
     package = Path(kit1000.__path__[0])
     copy = tmp_path / "site" / "kit1000"
     shutil.copytree(package, copy, ignore=shutil.ignore_patterns("__pycache__"))
-    (copy / "sim" / "__pycache__").write_text("a file where numba wants a folder")
+    (copy / "sim" / "__pycache__").write_text("a file where numba expects a folder")
     blocked = tmp_path / "blocked"
-    blocked.write_text("a file where numba wants a home")
+    blocked.write_text("a file where numba expects a home")
     environment = {**os.environ, "PYTHONPATH": str(copy.parent), "PYTHONDONTWRITEBYTECODE": "1"}
     environment.pop("NUMBA_CACHE_DIR", None)
     environment |= {"HOME": str(blocked), "XDG_CACHE_HOME": str(blocked / "cache")}

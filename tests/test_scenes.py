@@ -33,7 +33,7 @@ from kit1000.sim.cameras import CAMERA, in_view
 from kit1000.sim.layout import UPRIGHT
 from kit1000.sim.render import render
 from kit1000.sim.visibility import MAX_SLOT_ANGLE, MIN_CAVITY_SHARE, MIN_PART_PIXELS, MIN_PART_SHARE, slot_visibility
-from kit1000.testing import distances
+from kit1000.testing import surface_distances
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Assembly, Part, View
 
 SEED, TARGET = 3, "test-0002"
@@ -163,13 +163,13 @@ def test_every_pixel_of_a_part_lies_on_it(play: Play) -> None:
     for i, row in enumerate(play.scene.truth.parts):
         seen = play.points(play.labels == FIRST_PART_LABEL + i)
         assert len(seen) > 0
-        assert distances(pose_of(row["world_from_part"]).inverse().apply(seen), play.part(i).mesh).max() < NEAR
+        assert surface_distances(pose_of(row["world_from_part"]).inverse().apply(seen), play.part(i).mesh).max() < NEAR
 
 
 def test_every_pixel_of_the_kits_lies_on_the_assembly(play: Play) -> None:
     seen = play.points(play.labels == ASSEMBLY_LABEL)
     home = play.scene.truth.world_from_assembly.inverse()
-    assert distances(home.apply(seen), play.assembly.mesh).max() < NEAR
+    assert surface_distances(home.apply(seen), play.assembly.mesh).max() < NEAR
 
 
 def test_all_else_is_the_top_of_the_table_or_nothing(play: Play) -> None:
@@ -198,7 +198,7 @@ def test_pixels_of_a_cavity_lie_inside_it_and_on_its_kit(play: Play) -> None:
         assert (np.abs(points[:, :2]) < mount.kit.extent[:2] / 2).all()
         assert (points[:, 2] < 0).all()
         assert (points[:, 2] > -mount.kit.slot.depth - NEAR).all()
-        assert distances(points, mount.kit.mesh).max() < NEAR
+        assert surface_distances(points, mount.kit.mesh).max() < NEAR
     assert (seg >= FIRST_CAVITY_LABEL).any()
 
 
@@ -297,7 +297,7 @@ def stored_plays(root: Path) -> list[Play]:
 def seen_again(play: Play, i: int) -> dict[str, Any]:
     """How a part and its slot are seen, worked out from the masks, a picture of the part alone, and vectors."""
     row, camera = play.scene.truth.parts[i], play.ideal.world_from_camera
-    alone = render(CAMERA, camera, [(play.part(i).mesh, pose_of(row["world_from_part"]))], threads=1).ids
+    alone = render(CAMERA, camera, [(play.part(i).mesh, pose_of(row["world_from_part"]))], threads=1).body_ids
     pixels = np.count_nonzero(play.labels == FIRST_PART_LABEL + i)
     kit = pose_of(row["world_from_kit"])
     sight = (camera.xyz - kit.xyz) / np.linalg.norm(camera.xyz - kit.xyz)
@@ -345,7 +345,7 @@ def first(times: int, blind: Any, real: Callable[..., Any]) -> Callable[..., Any
 
 
 def test_views_that_fail_are_drawn_again_and_counted(play: Play, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenes, "invisibility_reason", first(2, "slot turned away", scenes.invisibility_reason))
+    monkeypatch.setattr(scenes, "view_redraw_reason", first(2, "slot turned away", scenes.view_redraw_reason))
     again = play.again(tracks=("snap",))
     assert again.redraws[:2] == ("slot turned away", "slot turned away")
     assert again.observation.views["ideal"].world_from_camera.xyz != pytest.approx(play.ideal.world_from_camera.xyz)

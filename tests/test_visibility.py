@@ -1,4 +1,4 @@
-"""What a view shows of parts and cavities, against pictures with room around and areas summed over pixels."""
+"""Visibility of parts and cavities, compared with larger images and with areas summed over pixels."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from kit1000.errors import InputError
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose, random_quaternions
 from kit1000.sim.cameras import CAMERA
-from kit1000.sim.render import Frame, render
+from kit1000.sim.render import RenderedImage, render
 from kit1000.sim.visibility import (
     CAVITY_SAMPLES,
     MAX_SLOT_ANGLE,
@@ -30,7 +30,7 @@ from kit1000.sim.visibility import (
     SlotVisibility,
     cavity_labels,
     cavity_surface,
-    invisibility_reason,
+    view_redraw_reason,
     part_visibility,
     silhouette_pixels,
     slot_visibility,
@@ -51,11 +51,11 @@ def slab(x: float, y: float, z: float) -> Mesh:
     return mesh_from_solid(box(x, y, z))
 
 
-def camera_around(rng: np.random.Generator, target: np.ndarray, steepest: float = 1.2) -> Pose:
+def camera_around(rng: np.random.Generator, target: np.ndarray, max_polar: float = 1.2) -> Pose:
     """A camera 0.6 to 1 m from a target above the horizon."""
-    polar, turn, radius = rng.uniform(0.05, steepest), rng.uniform(0, 2 * np.pi), rng.uniform(0.6, 1)
-    way = np.array([np.sin(polar) * np.cos(turn), np.sin(polar) * np.sin(turn), np.cos(polar)])
-    return look_at(target + radius * way, target)
+    polar, azimuth, radius = rng.uniform(0.05, max_polar), rng.uniform(0, 2 * np.pi), rng.uniform(0.6, 1)
+    direction = np.array([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])
+    return look_at(target + radius * direction, target)
 
 
 def larger(camera: Camera, rim: int) -> Camera:
@@ -67,27 +67,27 @@ def larger(camera: Camera, rim: int) -> Camera:
 
 @settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1))
-def test_a_part_alone_shows_all_of_its_silhouette_to_the_pixel(seed: int):
-    """Also where the image cuts it: then the share is that of an image with room around."""
+def test_a_part_alone_shows_its_whole_silhouette_to_the_pixel(seed: int):
+    """Also where the image truncates it: the share refers to a larger image."""
     rng = np.random.default_rng(seed)
     mesh = sample_part(str(rng.choice(QUICK))).mesh
     pose = Pose(random_quaternions(rng, 1)[0], rng.uniform(-0.2, 0.2, 3))
     view = camera_around(rng, np.zeros(3))
-    frame, roomy = render(CAMERA, view, [(mesh, pose)]), render(larger(CAMERA, 700), view, [(mesh, pose)])
-    seen = part_visibility(frame, 0, CAMERA, view, mesh, pose)
-    whole = np.count_nonzero(roomy.ids)
+    image, larger_image = render(CAMERA, view, [(mesh, pose)]), render(larger(CAMERA, 700), view, [(mesh, pose)])
+    visibility = part_visibility(image, 0, CAMERA, view, mesh, pose)
+    whole = np.count_nonzero(larger_image.body_ids)
     assert silhouette_pixels(CAMERA, view, mesh, pose) == whole
-    assert seen.pixels == np.count_nonzero(frame.ids)
-    assert seen.share == seen.pixels / whole
+    assert visibility.pixels == np.count_nonzero(image.body_ids)
+    assert visibility.share == visibility.pixels / whole
 
 
-def test_a_part_half_behind_a_wall_is_half_seen():
+def test_a_part_half_behind_a_wall_is_half_visible():
     camera, part = Camera(200, 150, 200.0, 200.0, 99.5, 74.5), slab(0.2, 0.2, 0.2)
-    wall, before = slab(1, 1, 0.01), Pose.from_translation((0.5, 0, 0.5))  # hides all that lies right of the middle
-    bodies = [(wall, before), (part, Pose.from_translation((0, 0, 1)))]
-    seen = part_visibility(render(camera, IDENTITY, bodies), 1, camera, IDENTITY, *bodies[1])
-    assert seen.share == 0.5
-    assert seen.pixels == 20 * 40
+    wall, in_front = slab(1, 1, 0.01), Pose.from_translation((0.5, 0, 0.5))  # occludes the right half of the image
+    bodies = [(wall, in_front), (part, Pose.from_translation((0, 0, 1)))]
+    visibility = part_visibility(render(camera, IDENTITY, bodies), 1, camera, IDENTITY, *bodies[1])
+    assert visibility.share == 0.5
+    assert visibility.pixels == 20 * 40
 
 
 def test_a_part_too_far_away_for_a_pixel_has_no_share():
@@ -95,9 +95,9 @@ def test_a_part_too_far_away_for_a_pixel_has_no_share():
     assert part_visibility(render(CAMERA, IDENTITY, [speck]), 0, CAMERA, IDENTITY, *speck) == PartVisibility(0, 0.0)
 
 
-def test_a_part_around_the_camera_is_refused():
+def test_a_part_around_the_camera_is_rejected():
     body = (slab(1, 1, 1), IDENTITY)
-    with pytest.raises(InputError, match="part: expected one wholly before the camera"):
+    with pytest.raises(InputError, match="part: expected one wholly in front of the camera"):
         part_visibility(render(CAMERA, IDENTITY, [body]), 0, CAMERA, IDENTITY, *body)
 
 
@@ -106,32 +106,32 @@ def test_the_angle_of_a_slot_is_its_tilt_from_the_line_of_sight(tilt: float):
     view = look_at((0, 0, 0.8), (0, 0, 0), up=(0, 1, 0))
     pose = Pose.from_rotvec((tilt, 0, 0))
     depth = np.zeros((720, 1280), np.float32)
-    seen = slot_visibility(depth, CAMERA, view, trough(), pose)
-    assert seen.angle == pytest.approx(tilt, abs=1e-12)
-    assert seen.share == 0
+    visibility = slot_visibility(depth, CAMERA, view, trough(), pose)
+    assert visibility.angle == pytest.approx(tilt, abs=1e-12)
+    assert visibility.share == 0
 
 
 def cavity_faces(kit: Kit) -> np.ndarray:
-    """(m,) bool: by plain geometry, all three corners on no common plane of the plate."""
+    """(m,) bool: the faces whose three corners are on no common plane of the plate."""
     x, y, z = np.moveaxis(kit.mesh.triangles, -1, 0)
     half_x, half_y, thickness = kit.extent * (0.5, 0.5, 1)
     planes = (abs(x - half_x), abs(x + half_x), abs(y - half_y), abs(y + half_y), abs(z), abs(z + thickness))
     return ~np.any([(gap < 1e-7).all(1) for gap in planes], axis=0)
 
 
-def on_cavity(frame: Frame, index: int, kit: Kit) -> np.ndarray:
-    """(H, W) bool: the pixels that see the cavity of the kit rendered at place `index`."""
-    on_kit = frame.ids == index + 1
-    return on_kit & cavity_faces(kit)[np.where(on_kit, frame.faces, 0)]
+def on_cavity(image: RenderedImage, index: int, kit: Kit) -> np.ndarray:
+    """(H, W) bool: the pixels of the cavity of the kit that is body `index`."""
+    on_kit = image.body_ids == index + 1
+    return on_kit & cavity_faces(kit)[np.where(on_kit, image.face_ids, 0)]
 
 
-def area_seen(frame: Frame, index: int, camera: Camera, view: Pose, kit: Kit, pose: Pose) -> float:
+def visible_area(image: RenderedImage, index: int, camera: Camera, view: Pose, kit: Kit, pose: Pose) -> float:
     """[m^2] of a kit's cavity, summed over pixels: each covers z^2 / (fx fy |n . r|) of the surface behind it."""
-    on_kit = on_cavity(frame, index, kit)
+    on_kit = on_cavity(image, index, kit)
     v, u = np.nonzero(on_kit)
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))], axis=1)
-    normals = (view.inverse() @ pose).rotate(kit.mesh.normals[frame.faces[on_kit]])
-    z = frame.depth[on_kit].astype(float)
+    normals = (view.inverse() @ pose).rotate(kit.mesh.normals[image.face_ids[on_kit]])
+    z = image.depth[on_kit].astype(float)
     return float((z**2 / (camera.fx * camera.fy * np.abs((normals * rays).sum(1)))).sum())
 
 
@@ -140,13 +140,13 @@ def cavity_area(kit: Kit) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
-def test_the_share_of_a_cavity_is_that_of_the_area_its_pixels_cover():
-    """Kits in many tilts, a part hovering before them, from all around.
+def test_the_visible_share_of_a_cavity_is_the_area_its_pixels_cover():
+    """Kits at many tilts, a part hovering in front of them, from all around.
 
-    The sum is over a finer picture, because walls seen edge on have few pixels of much area each; there the two may
-    differ by what the coarser image cannot tell, but neither way on the whole.
+    The sum is over a finer image, because walls seen edge on have few pixels of much area each; there the two may
+    differ by the resolution of the coarser image, but have the same mean.
     """
-    fine, off = CAMERA.scaled(2), []
+    fine, differences = CAMERA.scaled(2), []
     for seed in range(16):
         rng = np.random.default_rng(seed)
         kit = sample_kit(str(rng.choice(QUICK)))
@@ -154,30 +154,32 @@ def test_the_share_of_a_cavity_is_that_of_the_area_its_pixels_cover():
         view = camera_around(rng, pose.xyz)
         hovering = pose.xyz + rng.uniform((-0.06, -0.06, 0.03), (0.06, 0.06, 0.1))
         bodies = [(sample_part("tee").mesh, Pose(random_quaternions(rng, 1)[0], hovering)), (kit.mesh, pose)]
-        seen = slot_visibility(render(CAMERA, view, bodies).depth, CAMERA, view, kit, pose)
-        summed = area_seen(render(fine, view, bodies), 1, fine, view, kit, pose) / cavity_area(kit)
-        off.append(seen.share - summed)
-    assert np.abs(off).max() < 0.05
-    assert abs(np.mean(off)) < 0.01
+        visibility = slot_visibility(render(CAMERA, view, bodies).depth, CAMERA, view, kit, pose)
+        summed = visible_area(render(fine, view, bodies), 1, fine, view, kit, pose) / cavity_area(kit)
+        differences.append(visibility.share - summed)
+    assert np.abs(differences).max() < 0.05
+    assert abs(np.mean(differences)) < 0.01
 
 
-@pytest.mark.parametrize(("tilt", "turn"), [(0.3, 0.8), (0.6, 0.5), (0.8, 2.2), (1.0, 4.0)])
-def test_from_far_away_a_box_shows_two_walls_and_a_floor_that_its_rim_cuts(tilt: float, turn: float):
-    """At s below the rim the view has gone s tan(tilt) sideways: a strip of the floor and two triangles are hidden."""
+@pytest.mark.parametrize(("tilt", "azimuth"), [(0.3, 0.8), (0.6, 0.5), (0.8, 2.2), (1.0, 4.0)])
+def test_from_far_away_a_box_shows_two_walls_and_the_floor_that_its_rim_leaves_visible(tilt: float, azimuth: float):
+    """At depth s the rim occludes s tan(tilt) sideways: a strip of the floor and two triangles are hidden."""
     (width, breadth, depth), plate = (0.04, 0.03, 0.01), trough().extent
     hole = box(width, breadth, 2 * depth, (0, 0, -depth))
     kit = replace(trough(), mesh=mesh_from_solid(box(*plate, at=(0, 0, -plate[2])) - hole))
-    towards = np.array([np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt)])
+    towards = np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)])
     camera, view = Camera(600, 600, 1e6, 1e6, 299.5, 299.5), look_at(200 * towards, (0, 0, 0))
     along_x, along_y = depth * abs(towards[:2]) / towards[2]
     floor = (width - along_x) * (breadth - along_y)
     walls = depth * (breadth - along_y / 2) + depth * (width - along_x / 2)
-    seen = slot_visibility(render(camera, view, [(kit.mesh, IDENTITY)]).depth, camera, view, kit, IDENTITY)
-    assert seen.angle == pytest.approx(tilt)
-    assert seen.share == pytest.approx((floor + walls) / (width * breadth + 2 * depth * (width + breadth)), abs=0.01)
+    visibility = slot_visibility(render(camera, view, [(kit.mesh, IDENTITY)]).depth, camera, view, kit, IDENTITY)
+    assert visibility.angle == pytest.approx(tilt)
+    assert visibility.share == pytest.approx(
+        (floor + walls) / (width * breadth + 2 * depth * (width + breadth)), abs=0.01
+    )
 
 
-def test_a_cavity_behind_the_image_or_the_camera_is_not_seen():
+def test_a_cavity_outside_the_image_or_behind_the_camera_is_invisible():
     kit, depth = trough(), np.ones((720, 1280), np.float32)
     beside = look_at((0, 0, 0.8), (1, 0, 0.4))
     behind = look_at((0, 0, 0.8), (0, 0, 1.6), up=(0, 1, 0))
@@ -186,7 +188,7 @@ def test_a_cavity_behind_the_image_or_the_camera_is_not_seen():
 
 
 @pytest.mark.parametrize("family", QUICK)
-def test_samples_lie_on_the_cavity_in_equal_shares_of_its_area(family: str):
+def test_samples_are_uniform_over_the_area_of_the_cavity(family: str):
     kit = sample_kit(family)
     points, normals = cavity_surface(kit)
     assert points.shape == normals.shape == (CAVITY_SAMPLES, 3)
@@ -194,7 +196,7 @@ def test_samples_lie_on_the_cavity_in_equal_shares_of_its_area(family: str):
     assert (points[:, 2] <= 0).all()
     triangles, faces = kit.mesh.triangles[cavity_faces(kit)], kit.mesh.normals[cavity_faces(kit)]
     areas = np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1) / 2
-    for towards in (*np.eye(3), *-np.eye(3)):  # first moment of each side of the cavity: area and middle at once
+    for towards in (*np.eye(3), *-np.eye(3)):  # first moment of each side of the cavity: area and centre at once
         weights = areas * np.clip(faces @ towards, 0, None) / areas.sum()
         found = (np.clip(normals @ towards, 0, None)[:, None] * points).mean(0)
         np.testing.assert_allclose(found, weights @ triangles.mean(1), atol=1e-4)
@@ -202,14 +204,14 @@ def test_samples_lie_on_the_cavity_in_equal_shares_of_its_area(family: str):
     assert (plane.min(1) < 1e-9).all()
 
 
-def test_samples_are_made_once_and_are_read_only():
+def test_samples_are_cached_and_read_only():
     kit = trough()
     assert cavity_surface(kit) is cavity_surface(kit)
     with pytest.raises(ValueError, match="read-only"):
         cavity_surface(kit).points[0, 0] = 1
 
 
-def test_a_plate_without_a_cavity_is_refused():
+def test_a_plate_without_a_cavity_is_rejected():
     whole = trough()
     plate = Kit(
         "flat", slab(*whole.extent).moved(Pose.from_translation((0, 0, -whole.extent[2]))), whole.slot, whole.extent
@@ -221,8 +223,8 @@ def test_a_plate_without_a_cavity_is_refused():
 GOOD_PART, GOOD_SLOT = PartVisibility(MIN_PART_PIXELS, MIN_PART_SHARE), SlotVisibility(MAX_SLOT_ANGLE, MIN_CAVITY_SHARE)
 
 
-def test_a_view_at_all_limits_at_once_is_good_enough():
-    assert invisibility_reason(GOOD_PART, GOOD_SLOT) is None
+def test_a_view_at_all_limits_is_good_enough():
+    assert view_redraw_reason(GOOD_PART, GOOD_SLOT) is None
 
 
 @pytest.mark.parametrize(
@@ -235,54 +237,54 @@ def test_a_view_at_all_limits_at_once_is_good_enough():
     ],
 )
 def test_each_limit_has_its_reason(part: PartVisibility, slot: SlotVisibility, reason: str):
-    assert invisibility_reason(part, slot) == reason
+    assert view_redraw_reason(part, slot) == reason
 
 
-def kits_on_show(rng: np.random.Generator) -> tuple[list[Kit], Pose]:
-    """Five kits side by side, each in a tilt of its own."""
+def tilted_kits(rng: np.random.Generator) -> tuple[list[Kit], Pose]:
+    """Five kits side by side, each at its own tilt."""
     kits = [sample_kit(family) for family in QUICK]
-    places = [(x, y, rng.uniform(0, 0.03)) for x, y in ((0, 0), (0.13, 0), (-0.13, 0), (0, 0.13), (0, -0.13))]
-    return kits, Pose.stack([Pose.from_rotvec(rng.uniform(-0.4, 0.4, 3), place) for place in places])
+    positions = [(x, y, rng.uniform(0, 0.03)) for x, y in ((0, 0), (0.13, 0), (-0.13, 0), (0, 0.13), (0, -0.13))]
+    return kits, Pose.stack([Pose.from_rotvec(rng.uniform(-0.4, 0.4, 3), xyz) for xyz in positions])
 
 
 @settings(max_examples=6)
 @given(st.integers(0, 2**32 - 1))
 def test_labels_are_the_pixels_of_cavity_faces(seed: int):
-    """By the faces that the renderer saw; pixels within 1 um of the limit may go either way."""
+    """By the rendered faces; pixels within 1 um of the limit may have either label."""
     rng, camera = np.random.default_rng(seed), CAMERA.scaled(0.4)
-    kits, poses = kits_on_show(rng)
+    kits, poses = tilted_kits(rng)
     view = camera_around(rng, rng.uniform((-0.3, -0.3, 0), (0.3, 0.3, 0)))
-    frame = render(camera, view, [(kit.mesh, pose) for kit, pose in zip(kits, poses, strict=True)])
-    labels = cavity_labels(frame.depth, camera, view, poses, kits)
-    points = view.apply(camera.unproject(frame.depth))
+    image = render(camera, view, [(kit.mesh, pose) for kit, pose in zip(kits, poses, strict=True)])
+    labels = cavity_labels(image.depth, camera, view, poses, kits)
+    points = view.apply(camera.unproject(image.depth))
     for number, (kit, pose) in enumerate(zip(kits, poses, strict=True)):
         in_kit = pose.inverse().apply(points)
         clear = np.abs(in_kit[..., 2] + RIM_MARGIN) > 1e-6
-        expected = on_cavity(frame, number, kit) & (in_kit[..., 2] < -RIM_MARGIN)
+        expected = on_cavity(image, number, kit) & (in_kit[..., 2] < -RIM_MARGIN)
         np.testing.assert_array_equal((labels == number)[clear], expected[clear])
 
 
-def test_a_seated_part_counts_as_in_the_cavity_where_it_is_below_the_rim():
+def test_a_seated_part_has_the_cavity_label_below_the_rim():
     family = "bracket"
     kit, part, view = sample_kit(family), sample_part(family), look_at((0.2, 0, 0.6), (0, 0, 0))
     place = Pose.from_rotvec((0.2, -0.1, 1), (0.05, 0.02, 0.01))
     bodies = [(kit.mesh, place), (part.mesh, place @ kit.slot.kit_from_part)]
-    frame = render(CAMERA, view, bodies)
-    height = (place.inverse() @ view).apply(CAMERA.unproject(frame.depth))[..., 2]
-    labels = cavity_labels(frame.depth, CAMERA, view, [place], [kit])
-    assert (labels[(frame.ids == 2) & (height < -RIM_MARGIN - 1e-6)] == 0).all()
-    assert (labels[(frame.ids == 2) & (height > -RIM_MARGIN + 1e-6)] == -1).all()
+    image = render(CAMERA, view, bodies)
+    height = (place.inverse() @ view).apply(CAMERA.unproject(image.depth))[..., 2]
+    labels = cavity_labels(image.depth, CAMERA, view, [place], [kit])
+    assert (labels[(image.body_ids == 2) & (height < -RIM_MARGIN - 1e-6)] == 0).all()
+    assert (labels[(image.body_ids == 2) & (height > -RIM_MARGIN + 1e-6)] == -1).all()
 
 
-def test_nothing_is_labelled_where_nothing_is_seen_or_on_the_table_below():
+def test_pixels_without_a_return_and_of_the_table_have_no_label():
     kit, view = trough(), look_at((0, 0, 0.6), (0, 0, 0), up=(0, 1, 0))
     assert (cavity_labels(np.zeros((720, 1280), np.float32), CAMERA, view, [IDENTITY], [kit]) == -1).all()
     table = np.full((720, 1280), 0.6 + kit.extent[2] - SIDE_MARGIN / 2, np.float32)  # just above the plate's underside
     assert (cavity_labels(table, CAMERA, view, [IDENTITY], [kit]) == -1).all()
 
 
-def test_a_camera_amid_the_plates_is_no_fault():
-    """A box that reaches behind the camera has no bounds in the image: all of it is looked through."""
+def test_a_camera_inside_a_plate_gives_correct_labels():
+    """A box that extends behind the camera is unbounded in the image: all pixels are tested."""
     kit, view = trough(), Pose.from_rotvec((0, 0.3, 0), (0, 0, -4e-3))
     depth = np.full((720, 1280), 2e-3, np.float32)
     points = view.apply(CAMERA.unproject(depth))
@@ -292,6 +294,6 @@ def test_a_camera_amid_the_plates_is_no_fault():
     np.testing.assert_array_equal(cavity_labels(depth, CAMERA, view, [IDENTITY], [kit]) == 0, inside)
 
 
-def test_poses_and_kits_must_be_as_many():
+def test_there_must_be_as_many_kits_as_poses():
     with pytest.raises(InputError, match="kits: expected one for each of 2 poses, got 1"):
         cavity_labels(np.zeros((720, 1280)), CAMERA, IDENTITY, Pose.identity((2,)), [trough()])

@@ -162,7 +162,7 @@ def silhouette(camera: Camera, mesh: Mesh, camera_from_body: Pose) -> Silhouette
     left, top, right, bottom = _window(camera, camera_from_body.apply(mesh.vertices))
     window = Camera(right - left, bottom - top, camera.fx, camera.fy, camera.cx - left, camera.cy - top)
     frame = render(window, Pose.identity(), [(mesh, camera_from_body)], threads=1)
-    v, u = np.nonzero(frame.ids)
+    v, u = np.nonzero(frame.body_ids)
     depth = np.zeros((camera.height, camera.width))
     within = (u + left >= 0) & (u + left < camera.width) & (v + top >= 0) & (v + top < camera.height)
     depth[v[within] + top, u[within] + left] = frame.depth[v[within], u[within]]

@@ -24,13 +24,13 @@ from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, camera_set, draw_primary_pose, in_view
 from kit1000.sim.layout import PART_UNSTABLE, UPRIGHT, Layout, draw_layout, simulate_layout, table
-from kit1000.sim.render import Frame, render
+from kit1000.sim.render import RenderedImage, render
 from kit1000.sim.sensors import sense
 from kit1000.sim.visibility import (
     PartVisibility,
     SlotVisibility,
     cavity_labels,
-    invisibility_reason,
+    view_redraw_reason,
     part_visibility,
     slot_angle,
     slot_visibility,
@@ -88,12 +88,12 @@ class _LayoutView:
     world_from_kits: tuple[Pose, ...]
     """By part: the pose of its kit."""
     world_from_camera: Pose
-    frame: Frame
+    frame: RenderedImage
     parts: tuple[PartVisibility, ...]
     slots: tuple[SlotVisibility, ...]
 
     def part_invisibility(self, i: int) -> str | None:
-        return invisibility_reason(self.parts[i], self.slots[i])
+        return view_redraw_reason(self.parts[i], self.slots[i])
 
 
 def make_scene(
@@ -106,7 +106,7 @@ def make_scene(
     scene_parts = _scene_parts(preset, seed, split, assembly, parts)
     layout_view, redraws = _draw_layout_and_view(scene_parts)
     views = _sensor_views(scene_parts, "", layout_view.world_from_camera, layout_view.frame)
-    labels = np.maximum(layout_view.frame.ids - 1, 0).astype(np.uint8)  # nothing and table both become 0
+    labels = np.maximum(layout_view.frame.body_ids - 1, 0).astype(np.uint8)  # nothing and table both become 0
     labels.setflags(write=False)
     in_scene = [_part_in_scene(scene_parts, layout_view, i) for i in range(len(scene_parts.parts))]
     curves = has_curves(scene_parts.scene_id, preset.curve_scenes)
@@ -171,7 +171,7 @@ def _view_layout(scene_parts: _SceneParts, modes: tuple[str, ...], layout: Layou
     target, n = scene_parts.target, range(len(scene_parts.parts))
     world_from_kits = tuple(layout.world_from_assembly @ scene_parts.mount(i).assembly_from_kit for i in n)
     first = SlotVisibility(slot_angle(view, world_from_kits[target]), 1.0)  # the cheapest test, before rendering
-    redraw_for(invisibility_reason(PartVisibility(CAMERA.width * CAMERA.height, 1.0), first))
+    redraw_for(view_redraw_reason(PartVisibility(CAMERA.width * CAMERA.height, 1.0), first))
     scene = bodies(scene_parts.assembly, scene_parts.parts, layout)
     if not all(in_view(CAMERA, view, pose.apply(mesh.vertices)) for mesh, pose in scene[1:]):
         raise Redraw("out of view")
@@ -192,7 +192,7 @@ def redraw_for(reason: str | None) -> None:
         raise Redraw(reason)
 
 
-def _sensor_views(scene_parts: _SceneParts, camera_key: str, world_from_camera: Pose, frame: Frame) -> dict[str, View]:
+def _sensor_views(scene_parts: _SceneParts, camera_key: str, world_from_camera: Pose, frame: RenderedImage) -> dict[str, View]:
     """The depth images of all sensors from one camera pose, the noise of each from its own stream."""
     view = View(CAMERA, world_from_camera, frame.depth)
     prefix = f"{camera_key}/" if camera_key else ""
@@ -246,8 +246,8 @@ def _segmentation(scene_parts: _SceneParts, layout_view: _LayoutView) -> np.ndar
     kits = [scene_parts.mount(i).kit for i in by_mount]
     world_from_kits = [layout_view.world_from_kits[i] for i in by_mount]
     cavity = cavity_labels(layout_view.frame.depth, CAMERA, layout_view.world_from_camera, world_from_kits, kits)
-    seg = layout_view.frame.ids.astype(np.uint16)
-    inside = (layout_view.frame.ids == ASSEMBLY_LABEL + 1) & (cavity >= 0)
+    seg = layout_view.frame.body_ids.astype(np.uint16)
+    inside = (layout_view.frame.body_ids == ASSEMBLY_LABEL + 1) & (cavity >= 0)
     seg[inside] = FIRST_CAVITY_LABEL + cavity[inside]
     seg.setflags(write=False)
     return seg

@@ -85,7 +85,7 @@ def shaded_picture(
         frame = render(moved, world_from_camera, plain, threads=1)
         lamps = lighting.place_lamps(plain, ball, key[number::SAMPLES], sky[number::SAMPLES])
         image = np.empty((camera.height, camera.width, 3), np.float32)
-        seen = (frame.depth, frame.ids, frame.faces)
+        seen = (frame.depth, frame.body_ids, frame.face_ids)
         paper = _linear(background)
         lighting.illuminate(
             Intrinsics.of(moved), rotation, eye, seen, scene, lamps, floor, paper, GROUND_SHADOW, colours, image

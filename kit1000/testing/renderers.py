@@ -11,20 +11,20 @@ from manifold3d import Manifold
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
-from kit1000.sim.render import Frame
-from kit1000.testing.depths import as_if, plane, rays
+from kit1000.sim.render import RenderedImage
+from kit1000.testing.depths import likely_cause, plane_depths, rays
 
 Bodies = Sequence[tuple[Mesh, Pose]]
-Render = Callable[[Camera, Pose, Bodies], Frame]
+Render = Callable[[Camera, Pose, Bodies], RenderedImage]
 """Draws bodies, each a mesh and its `world_from_body`, as a camera at `world_from_camera` sees them."""
 
-RELATIVE = 1e-5
+DEPTH_TOLERANCE = 1e-5
 """Most by which a depth may be off, as a share of itself."""
-EDGE = 0.02
+EDGE_TOLERANCE = 0.02
 """[px] Nearer to an edge than this, a pixel may show either side of it."""
 CAMERA = Camera(width=160, height=120, fx=140.0, fy=150.0, cx=75.3, cy=62.4)
-SEEN_FROM = look_at((0.4, -0.7, 0.6), (0.1, 0.0, 0.1))
-STILL = Pose.identity()
+WORLD_FROM_CAMERA = look_at((0.4, -0.7, 0.6), (0.1, 0.0, 0.1))
+IDENTITY = Pose.identity()
 
 
 def check_renderer(render: Render, name: str = "renderer") -> None:
@@ -34,16 +34,16 @@ def check_renderer(render: Render, name: str = "renderer") -> None:
     face are drawn; what is behind the camera is not, and what passes beside it is cut. Where surfaces coincide the body
     named first is seen. Pictures are read-only and the same every time, on any number of `threads` where it takes any.
     """
-    _check_nothing(render, name)
+    _check_empty_view(render, name)
     _check_plane(render, name)
     _check_pixel_centres(render, name)
     _check_ball(render, name)
-    _check_who_is_seen(render, name)
-    _check_cut(render, name)
-    _check_all_laws(render, name)
+    _check_occlusion(render, name)
+    _check_clipping(render, name)
+    _check_intersecting_bodies(render, name)
 
 
-def _sheet(corners: Sequence[Sequence[float]], turned: bool = False) -> Mesh:
+def _rectangle(corners: Sequence[Sequence[float]], turned: bool = False) -> Mesh:
     """A flat square of two faces."""
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     return Mesh(np.array(corners, float), faces[:, ::-1] if turned else faces)
@@ -51,52 +51,52 @@ def _sheet(corners: Sequence[Sequence[float]], turned: bool = False) -> Mesh:
 
 def _square(half: float, turned: bool = False) -> Mesh:
     """A square across the z axis, at z = 0."""
-    return _sheet([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], turned)
+    return _rectangle([(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)], turned)
 
 
-def _check_form(frame: Frame, camera: Camera, name: str) -> None:
-    for what, kind in (("depth", np.float32), ("ids", np.int16), ("faces", np.int32)):
+def _check_format(frame: RenderedImage, camera: Camera, name: str) -> None:
+    for what, kind in (("depth", np.float32), ("body_ids", np.int16), ("face_ids", np.int32)):
         image = getattr(frame, what)
         size = (camera.height, camera.width)
         assert image.shape == size, f"{name}: {what} has shape {image.shape}, expected {size}"
         assert image.dtype == kind, f"{name}: {what} is {image.dtype}, expected {np.dtype(kind)}"
         assert not image.flags.writeable, f"{name}: {what} can be written to"
-    nothing = frame.ids == 0
+    nothing = frame.body_ids == 0
     assert np.isfinite(frame.depth).all(), f"{name}: {int((~np.isfinite(frame.depth)).sum())} depths are not finite"
     full = float(np.abs(frame.depth[nothing]).max(initial=0))
     assert full == 0, f"{name}: depth is {full:.4g} m where nothing is seen, expected 0"
     assert (frame.depth[~nothing] > 0).all(), f"{name}: depth is 0 or less where a body is seen"
-    assert (frame.faces[nothing] == -1).all(), f"{name}: faces is not -1 where nothing is seen"
+    assert (frame.face_ids[nothing] == -1).all(), f"{name}: faces is not -1 where nothing is seen"
 
 
-def _check_nothing(render: Render, name: str) -> None:
+def _check_empty_view(render: Render, name: str) -> None:
     for bodies, said in (([], "of no bodies"), ([(_square(9.0), Pose.from_translation((0, 0, -1)))], "behind it")):
-        frame = render(CAMERA, STILL, bodies)
-        _check_form(frame, CAMERA, name)
-        assert not frame.ids.any(), f"{name}: a camera sees {int((frame.ids > 0).sum())} pixels {said}"
+        frame = render(CAMERA, IDENTITY, bodies)
+        _check_format(frame, CAMERA, name)
+        assert not frame.body_ids.any(), f"{name}: a camera sees {int((frame.body_ids > 0).sum())} pixels {said}"
 
 
 def _check_plane(render: Render, name: str) -> None:
     tilt = Pose.from_rotvec((0.3, -0.2, 0.1), (0.03, -0.05, 0.8))
     normal = tilt.rotate(np.array([0.0, 0.0, 1.0]))
-    known = plane(normal, float(normal @ tilt.xyz))
+    known = plane_depths(normal, float(normal @ tilt.xyz))
     wanted = known(CAMERA)
     for turned in (False, True):
-        frame = render(CAMERA, SEEN_FROM, [(_square(0.9, turned), SEEN_FROM @ tilt)])
-        _check_form(frame, CAMERA, name)
+        frame = render(CAMERA, WORLD_FROM_CAMERA, [(_square(0.9, turned), WORLD_FROM_CAMERA @ tilt)])
+        _check_format(frame, CAMERA, name)
         side = "the back" if turned else "the front"
-        assert frame.ids.all(), f"{name}: {side} of a plane that fills the image is missing in places"
+        assert frame.body_ids.all(), f"{name}: {side} of a plane that fills the image is missing in places"
         off = float(np.abs(frame.depth / wanted - 1).max())
-        hint = as_if(frame.depth, CAMERA, known) if off > RELATIVE else ""
-        assert off <= RELATIVE, f"{name}: depths of a tilted plane are off by up to {off:.2%}{hint}"
+        hint = likely_cause(frame.depth, CAMERA, known) if off > DEPTH_TOLERANCE else ""
+        assert off <= DEPTH_TOLERANCE, f"{name}: depths of a tilted plane are off by up to {off:.2%}{hint}"
 
 
 def _check_pixel_centres(render: Render, name: str) -> None:
     """A sheet that covers columns 9.6 .. 25.4 and rows 5.3 .. 20.6 shows in the pixels whose centres lie inside."""
     camera = Camera(width=32, height=24, fx=16.0, fy=16.0, cx=10.0, cy=5.0)
     left, right, top, bottom = ((edge - c) / 16 for edge, c in ((9.6, 10), (25.4, 10), (5.3, 5), (20.6, 5)))
-    sheet = _sheet([(left, top, 1), (right, top, 1), (right, bottom, 1), (left, bottom, 1)])
-    rows, columns = np.nonzero(render(camera, STILL, [(sheet, STILL)]).ids)
+    sheet = _rectangle([(left, top, 1), (right, top, 1), (right, bottom, 1), (left, bottom, 1)])
+    rows, columns = np.nonzero(render(camera, IDENTITY, [(sheet, IDENTITY)]).body_ids)
     found = (columns.min(), columns.max(), rows.min(), rows.max()) if len(rows) else ()
     whole = found == (10, 25, 6, 20) and len(rows) == 16 * 15
     said = "pixel (u, v) has its centre at (u, v), +x right, +y down"
@@ -108,47 +108,49 @@ def _check_pixel_centres(render: Render, name: str) -> None:
 def _check_ball(render: Render, name: str) -> None:
     radius, middle = 0.2, np.array([0.15, -0.1, 0.9])
     ball = mesh_from_solid(Manifold.sphere(radius, 256))
-    frame = render(CAMERA, SEEN_FROM, [(ball, SEEN_FROM @ Pose.from_translation(middle))])
-    _check_form(frame, CAMERA, name)
+    frame = render(CAMERA, WORLD_FROM_CAMERA, [(ball, WORLD_FROM_CAMERA @ Pose.from_translation(middle))])
+    _check_format(frame, CAMERA, name)
     ray = rays(CAMERA)
     along, square = ray @ middle, (ray**2).sum(-1)
     root = along**2 - square * (middle @ middle - radius**2)
     inside, outside = root > 0.05 * radius**2, root < 0
     wanted = (along - np.sqrt(np.where(inside, root, 0))) / square
-    lacking, beside = int((frame.ids[inside] != 1).sum()), int((frame.ids[outside] != 0).sum())
+    lacking, beside = int((frame.body_ids[inside] != 1).sum()), int((frame.body_ids[outside] != 0).sum())
     assert not lacking, f"{name}: {lacking} pixels of a ball are missing"
     assert not beside, f"{name}: {beside} pixels beside the outline of a ball show it"
     off = float(np.abs(frame.depth - wanted)[inside].max())
     assert off < 2e-3 * radius, f"{name}: depths of a ball are off by up to {off * 1e3:.2f} mm"
-    within = render(CAMERA, SEEN_FROM, [(ball.scaled(3.0), SEEN_FROM)])
-    assert within.ids.all(), f"{name}: {int((within.ids == 0).sum())} pixels see through a ball from inside it"
+    within = render(CAMERA, WORLD_FROM_CAMERA, [(ball.scaled(3.0), WORLD_FROM_CAMERA)])
+    assert within.body_ids.all(), (
+        f"{name}: {int((within.body_ids == 0).sum())} pixels see through a ball from inside it"
+    )
 
 
-def _check_who_is_seen(render: Render, name: str) -> None:
+def _check_occlusion(render: Render, name: str) -> None:
     near, far = Pose.from_translation((0, 0, 0.8)), Pose.from_translation((0, 0, 1.5))
     small, large = _square(0.1), _square(5.0)
     for bodies, first in (([(large, far), (small, near)], 2), ([(small, near), (large, far)], 1)):
-        ids = render(CAMERA, STILL, bodies).ids
+        ids = render(CAMERA, IDENTITY, bodies).body_ids
         seen = ids[62, 75], ids[5, 5]
         assert seen == (first, 3 - first), f"{name}: ids {seen} of a near and a far body, expected {(first, 3 - first)}"
-    ids = render(CAMERA, STILL, [(large, far), (large, far), (large, far)]).ids
+    ids = render(CAMERA, IDENTITY, [(large, far), (large, far), (large, far)]).body_ids
     assert (ids == 1).all(), f"{name}: where bodies coincide ids are {np.unique(ids).tolist()}, expected the first, 1"
 
 
-def _check_cut(render: Render, name: str) -> None:
+def _check_clipping(render: Render, name: str) -> None:
     """A floor that passes below the camera: the horizon is the row of the principal point."""
     level = look_at((0, 0, 0.3), (1, 0, 0.3))
-    frame = render(CAMERA, level, [(_square(2000.0), STILL)])
-    _check_form(frame, CAMERA, name)
+    frame = render(CAMERA, level, [(_square(2000.0), IDENTITY)])
+    _check_format(frame, CAMERA, name)
     below = np.arange(CAMERA.height) - CAMERA.cy
-    assert not frame.ids[below < 0].any(), f"{name}: a floor is seen above the horizon"
-    assert frame.ids[below > 1].all(), f"{name}: a floor that passes below the camera is dropped, expected it cut"
+    assert not frame.body_ids[below < 0].any(), f"{name}: a floor is seen above the horizon"
+    assert frame.body_ids[below > 1].all(), f"{name}: a floor that passes below the camera is dropped, expected it cut"
     rows = below > 1
     off = np.abs(frame.depth[rows] / (0.3 * CAMERA.fy / below[rows, None]) - 1).max()
     assert off <= 1e-4, f"{name}: depths of a floor that passes below the camera are off by up to {off:.2%}"
 
 
-def _check_all_laws(render: Render, name: str) -> None:
+def _check_intersecting_bodies(render: Render, name: str) -> None:
     """A box, a rough ball and a rod through each other: faces, repetition and threads."""
     shapes = (
         Manifold.cube((0.3, 0.2, 0.25), True),
@@ -159,23 +161,23 @@ def _check_all_laws(render: Render, name: str) -> None:
     places = ((0.1, 0.0, 0.1), (0.25, 0.05, 0.15), (0.05, -0.1, 0.1))
     meshes = [mesh_from_solid(shape) for shape in shapes]
     bodies = [(mesh, Pose.from_rotvec(turn, at)) for mesh, turn, at in zip(meshes, turns, places, strict=True)]
-    frame = render(CAMERA, SEEN_FROM, bodies)
-    _check_form(frame, CAMERA, name)
-    missing = {1, 2, 3} - set(np.unique(frame.ids).tolist())
+    frame = render(CAMERA, WORLD_FROM_CAMERA, bodies)
+    _check_format(frame, CAMERA, name)
+    missing = {1, 2, 3} - set(np.unique(frame.body_ids).tolist())
     assert not missing, f"{name}: of three bodies in view, ids {sorted(missing)} are not seen"
     for i, (mesh, pose) in enumerate(bodies):
-        _check_faces(frame, i, (SEEN_FROM.inverse() @ pose).apply(mesh.triangles), name)
-    _check_same(frame, render(CAMERA, SEEN_FROM, bodies), "drawn again", name)
+        _check_faces(frame, i, (WORLD_FROM_CAMERA.inverse() @ pose).apply(mesh.triangles), name)
+    _check_equal(frame, render(CAMERA, WORLD_FROM_CAMERA, bodies), "drawn again", name)
     if "threads" in inspect.signature(render).parameters:
         for threads in (1, 3):
-            again = render(CAMERA, SEEN_FROM, bodies, threads=threads)  # pyright: ignore[reportCallIssue]
-            _check_same(frame, again, f"drawn by {threads} threads", name)
+            again = render(CAMERA, WORLD_FROM_CAMERA, bodies, threads=threads)  # pyright: ignore[reportCallIssue]
+            _check_equal(frame, again, f"drawn by {threads} threads", name)
 
 
-def _check_faces(frame: Frame, body: int, triangles: np.ndarray, name: str) -> None:
+def _check_faces(frame: RenderedImage, body: int, triangles: np.ndarray, name: str) -> None:
     """Each pixel of a body sees the face it names, at the depth of that face's plane. triangles: (m, 3, 3) [m]."""
-    v, u = np.nonzero(frame.ids == body + 1)
-    faces = frame.faces[v, u]
+    v, u = np.nonzero(frame.body_ids == body + 1)
+    faces = frame.face_ids[v, u]
     outside = int(((faces < 0) | (faces >= len(triangles))).sum())
     assert not outside, f"{name}: {outside} pixels name a face that body {body} does not have"
     a, b, c = np.moveaxis(triangles[faces], 1, 0)
@@ -193,11 +195,11 @@ def _check_faces(frame: Frame, body: int, triangles: np.ndarray, name: str) -> N
         side = end - start
         across, down = (pixel - start).T
         distance = (side[:, 0] * down - side[:, 1] * across) / np.linalg.norm(side, axis=1)  # [px]
-        beside = int((turn * distance < -EDGE).sum())
+        beside = int((turn * distance < -EDGE_TOLERANCE).sum())
         assert not beside, f"{name}: {beside} pixels of body {body} lie beside the face that they name"
 
 
-def _check_same(frame: Frame, other: Frame, said: str, name: str) -> None:
-    for what in ("depth", "ids", "faces"):
+def _check_equal(frame: RenderedImage, other: RenderedImage, said: str, name: str) -> None:
+    for what in ("depth", "body_ids", "face_ids"):
         differ = int((getattr(frame, what) != getattr(other, what)).sum())
         assert not differ, f"{name}: {what} differs in {differ} pixels when {said}"
