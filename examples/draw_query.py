@@ -1,7 +1,7 @@
 """python examples/draw_query.py tiny --out query.png
 
 Draws one query into a PNG: heights over the table in grey, the part in orange, the part moved by the user's initial
-guess in blue and by the ground truth in green. Takes 4 s.
+guess in blue and by the ground truth in green. Takes 2 s.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """python examples/own_sensor.py tiny
 
 Defines a depth sensor of your own, checks it, and applies it to a recorded scene. A sensor is a function of the ideal
-view and a random generator. Takes 3 s.
+view and a random generator. Takes 2 s.
 """
 
 from __future__ import annotations

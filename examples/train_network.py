@@ -2,7 +2,7 @@
 
 Trains a small 3D convolutional network that predicts the position error of the user's initial guess from two signed
 distance volumes, one of the part and one of the kit. Prints the mean error left, in training and in validation. Takes
-20 s on two cores; the handful of queries of `tiny` is memorised, not generalised. Needs `pip install 'kit1000[learn]'`.
+10 s on two cores; the handful of queries of `tiny` is memorised, not generalised. Needs `pip install 'kit1000[learn]'`.
 """
 
 from __future__ import annotations
