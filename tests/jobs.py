@@ -1,4 +1,4 @@
-"""Jobs to be run by any engine, as functions of a module: workers find them by their names."""
+"""Jobs for the tests of engines, as functions of a module, so that workers can import them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def square(x: int) -> int:
     return x * x
 
 
-def stumble(x: int) -> int:
+def fail_at_three(x: int) -> int:
     if x == 3:
         raise ValueError("two\nlines")
     if x < 0:
@@ -20,7 +20,7 @@ def stumble(x: int) -> int:
     return x
 
 
-def die(x: int) -> int:
+def kill_own_process(x: int) -> int:
     if x == 3:
         os.kill(os.getpid(), signal.SIGKILL)
     return x

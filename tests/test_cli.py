@@ -160,7 +160,7 @@ def test_an_unforeseen_error_is_one_line_with_its_place_and_another_status(
 def test_a_kit_is_described_in_words(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["kit", str(files / "good.stl"), "--out", str(tmp_path / "out"), "--unit", "mm"]) == 0
     out, err = capsys.readouterr()
-    assert "good.stl: 40.0 x 30.0 x 24.0 mm (as asked)" in out
+    assert "good.stl: 40.0 x 30.0 x 24.0 mm (as given)" in out
     assert "(requested 2.5)" in out
     assert out.endswith(f"files      {tmp_path / 'out'}\n")
     assert err == ""

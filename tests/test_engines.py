@@ -1,4 +1,4 @@
-"""Laws of running jobs: all results, any number of workers, the first error stops the run and says where."""
+"""Tests of engines: all results with any number of workers; the first error stops the run and names the job."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from jobs import die, square, stumble
+from jobs import fail_at_three, kill_own_process, square
 
 from kit1000.engines import JOBS_PER_WORKER, RETRIES, engine, local_engine
 from kit1000.engines.cores import usable_cores
@@ -22,8 +22,8 @@ ROOT = Path(__file__).resolve().parents[1]
 WORKERS = pytest.mark.parametrize("workers", [1, 2])
 
 
-def die_at_first(job: tuple[int, Path]) -> int:
-    """The first two attempts at every fifth job end with their process."""
+def kill_first_attempts(job: tuple[int, Path]) -> int:
+    """The first two attempts at every fifth job kill their process."""
     number, folder = job
     attempts = sorted(folder.glob(f"{number}-*"))
     (folder / f"{number}-{len(attempts)}").touch()
@@ -32,73 +32,76 @@ def die_at_first(job: tuple[int, Path]) -> int:
     return number
 
 
-def nap(_: int) -> int:
+def sleep_and_return_id(_: int) -> int:
     time.sleep(60)
     return os.getpid()
 
 
-def counted(taken: list[int], n: int) -> Iterator[int]:
+def recording_iterator(submitted: list[int], n: int) -> Iterator[int]:
     for i in range(n):
-        taken.append(i)
+        submitted.append(i)
         yield i
 
 
 @WORKERS
 @pytest.mark.parametrize("jobs", [0, 1, 50])
 def test_every_job_has_its_result(workers: int, jobs: int) -> None:
-    with local_engine(workers) as spread:
-        assert sorted(spread(square, range(jobs))) == [x * x for x in range(jobs)]
+    with local_engine(workers) as parallel_map:
+        assert sorted(parallel_map(square, range(jobs))) == [x * x for x in range(jobs)]
 
 
 def test_workers_serve_one_batch_after_another() -> None:
-    with local_engine(2) as spread:
-        assert sorted(spread(square, range(3))) == [0, 1, 4]
-        assert sorted(spread(square, range(3))) == [0, 1, 4]
+    with local_engine(2) as parallel_map:
+        assert sorted(parallel_map(square, range(3))) == [0, 1, 4]
+        assert sorted(parallel_map(square, range(3))) == [0, 1, 4]
 
 
 @WORKERS
 def test_an_unforeseen_error_stops_the_run_and_names_the_job_in_one_line(workers: int) -> None:
-    taken: list[int] = []
-    with pytest.raises(InternalError) as caught, local_engine(workers) as spread:
-        list(spread(stumble, counted(taken, 1000)))
+    submitted: list[int] = []
+    with pytest.raises(InternalError) as caught, local_engine(workers) as parallel_map:
+        list(parallel_map(fail_at_three, recording_iterator(submitted, 1000)))
     assert str(caught.value).startswith("3: ValueError: two lines")
-    assert len(taken) < 100
+    assert len(submitted) < 100
 
 
 @WORKERS
-def test_our_own_errors_come_through_as_they_are(workers: int) -> None:
-    with pytest.raises(InputError, match=r"^disk full$"), local_engine(workers) as spread:
-        list(spread(stumble, [-1]))
+def test_errors_of_the_package_are_raised_unchanged(workers: int) -> None:
+    with pytest.raises(InputError, match=r"^disk full$"), local_engine(workers) as parallel_map:
+        list(parallel_map(fail_at_three, [-1]))
 
 
-def test_few_jobs_are_handed_out_ahead() -> None:
-    taken: list[int] = []
-    with local_engine(2) as spread:
-        next(iter(spread(square, counted(taken, 1000))))
-        assert len(taken) <= 2 * JOBS_PER_WORKER
+def test_few_jobs_are_submitted_ahead() -> None:
+    submitted: list[int] = []
+    with local_engine(2) as parallel_map:
+        next(iter(parallel_map(square, recording_iterator(submitted, 1000))))
+        assert len(submitted) <= 2 * JOBS_PER_WORKER
 
 
-def test_jobs_of_killed_workers_are_done_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with local_engine(2) as spread:
-        assert sorted(spread(die_at_first, [(i, tmp_path) for i in range(6)])) == list(range(6))
-        assert sorted(spread(square, range(3))) == [0, 1, 4]
+def test_jobs_of_killed_workers_are_run_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with local_engine(2) as parallel_map:
+        assert sorted(parallel_map(kill_first_attempts, [(i, tmp_path) for i in range(6)])) == list(range(6))
+        assert sorted(parallel_map(square, range(3))) == [0, 1, 4]
     assert len(list(tmp_path.glob("2-*"))) == RETRIES + 1
-    assert "a worker process died (killed, or out of memory): its jobs are done again\n" in capsys.readouterr().err
+    assert "a worker process died (killed, or out of memory): its jobs are run again\n" in capsys.readouterr().err
 
 
 def test_a_job_that_kills_every_worker_is_named_in_one_line() -> None:
-    with pytest.raises(Kit1000Error) as caught, local_engine(2) as spread:
-        list(spread(die, [3]))
+    with pytest.raises(Kit1000Error) as caught, local_engine(2) as parallel_map:
+        list(parallel_map(kill_own_process, [3]))
     assert str(caught.value).startswith(
         f"a worker process died {RETRIES + 1} times (killed, or out of memory), probably at one of: 3; run"
     )
     assert "\n" not in str(caught.value)
 
 
-def test_results_from_before_a_death_are_kept_and_the_guilty_named_among_others() -> None:
+def test_results_before_a_death_are_kept_and_the_possible_causes_named() -> None:
     results: list[int] = []
-    with pytest.raises(Kit1000Error, match=r"probably at one of: (\d, )?3(, \d+)?; run"), local_engine(2) as spread:
-        results.extend(spread(die, range(20)))
+    with (
+        pytest.raises(Kit1000Error, match=r"probably at one of: (\d, )?3(, \d+)?; run"),
+        local_engine(2) as parallel_map,
+    ):
+        results.extend(parallel_map(kill_own_process, range(20)))
     assert len(set(results)) == len(results)
 
 
@@ -107,15 +110,15 @@ def test_all_cores_are_used_unless_asked_otherwise() -> None:
 
 
 def test_an_engine_is_chosen_by_name() -> None:
-    with engine("local", workers=1) as spread:
-        assert list(spread(square, [3])) == [9]
+    with engine("local", workers=1) as parallel_map:
+        assert list(parallel_map(square, [3])) == [9]
     with pytest.raises(InputError, match=r"--engine: expected local or ray, got 'spark'"):
         engine("spark")
-    with pytest.raises(InputError, match="--address: names a Ray cluster, for --engine ray"):
+    with pytest.raises(InputError, match="--address: is that of a Ray cluster and needs --engine ray"):
         engine("local", address="auto")
 
 
-def test_without_ray_the_way_to_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_ray_the_error_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(InputError, match=r"--engine ray: .*pip install 'kit1000\[ray\]'"), engine("ray"):
         pass
@@ -123,16 +126,16 @@ def test_without_ray_the_way_to_it_is_said(monkeypatch: pytest.MonkeyPatch) -> N
 
 ORPHANS = """
 import sys, test_engines
-from kit1000.engines import local
+from kit1000.engines import local_engine
 if __name__ == "__main__":
-    with local(2) as spread:
-        print(*spread(test_engines.process_id, [sys.argv[1]] * 2), flush=True)
-        list(spread(test_engines.nap, range(8)))
+    with local_engine(2) as parallel_map:
+        print(*parallel_map(test_engines.process_id, [sys.argv[1]] * 2), flush=True)
+        list(parallel_map(test_engines.sleep_and_return_id, range(8)))
 """
 
 
 def process_id(folder: str) -> int:
-    """The number of this process, once there are two of them."""
+    """The id of this process, after a second process has started."""
     (Path(folder) / f"{os.getpid()}.pid").touch()
     deadline = time.monotonic() + 30
     while len(list(Path(folder).glob("*.pid"))) < 2 and time.monotonic() < deadline:
@@ -140,18 +143,18 @@ def process_id(folder: str) -> int:
     return os.getpid()
 
 
-def gone(pid: int) -> bool:
-    """Whether a process has ended; one that only waits to be buried has."""
+def has_ended(pid: int) -> bool:
+    """Whether a process has ended, zombies included."""
     try:
         os.kill(pid, 0)
     except ProcessLookupError:
         return True
-    stat = Path(f"/proc/{pid}/stat")  # where there is one; other systems bury at once
+    stat = Path(f"/proc/{pid}/stat")  # only Linux has it, and there zombies are found
     return stat.exists() and stat.read_text().rsplit(")", 1)[1].split()[0] == "Z"
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_workers_go_with_the_process_that_started_them(how: signal.Signals, tmp_path: Path) -> None:
+@pytest.mark.parametrize("signal_number", [signal.SIGKILL, signal.SIGINT])
+def test_workers_end_with_the_process_that_started_them(signal_number: signal.Signals, tmp_path: Path) -> None:
     script = tmp_path / "orphans.py"
     script.write_text(ORPHANS)
     path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
@@ -167,9 +170,9 @@ def test_workers_go_with_the_process_that_started_them(how: signal.Signals, tmp_
     assert run.stdout is not None
     pids = {int(word) for word in run.stdout.readline().split()}
     assert len(pids) == 2
-    run.send_signal(how)
+    run.send_signal(signal_number)
     run.communicate(timeout=20)
     deadline = time.monotonic() + 10
-    while not all(map(gone, pids)) and time.monotonic() < deadline:
+    while not all(map(has_ended, pids)) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert all(map(gone, pids))
+    assert all(map(has_ended, pids))

@@ -1,4 +1,4 @@
-"""Laws of running jobs on Ray, on a cluster of two nodes: the same bytes, lost work done again, errors name jobs."""
+"""Tests of the Ray engine on a cluster of two nodes: the same bytes, lost jobs run again, errors name jobs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from jobs import die, square, stumble
+from jobs import fail_at_three, kill_own_process, square
 from mini import MINI, contents, corners
 
 from kit1000 import engines, files
@@ -35,7 +35,7 @@ STORE = 100 << 20  # bytes of shared memory a node
 def address() -> Iterator[str]:
     """A cluster of two nodes with one processor each, whose workers find the functions of this file.
 
-    It stands in another folder than the tests, as the nodes of a cluster do.
+    Its working directory is not that of the tests, as on a real cluster.
     """
     from ray.cluster_utils import Cluster
 
@@ -50,14 +50,14 @@ def address() -> Iterator[str]:
     cluster.shutdown()
 
 
-def node() -> str:
+def node_id() -> str:
     import ray
 
     return ray.get_runtime_context().get_node_id()
 
 
-def die_at_first(job: tuple[int, str]) -> int:
-    """The first attempt at every third job ends with its process, killed by the system or by itself."""
+def kill_first_attempts(job: tuple[int, str]) -> int:
+    """The first attempt at every third job kills its process by a signal, or exits."""
     number, folder = job
     attempts = sorted(Path(folder).glob(f"{number}-*"))
     (Path(folder) / f"{number}-{len(attempts)}").touch()
@@ -66,38 +66,38 @@ def die_at_first(job: tuple[int, str]) -> int:
     return number
 
 
-def surroundings(name: str) -> tuple[str, str, str, str]:
-    """Of a worker: node, where it took kit1000 from, what a relative path means, threads."""
+def worker_environment(name: str) -> tuple[str, str, str, str]:
+    """Node, path of kit1000, absolute path of a relative one, and thread limit of a worker."""
     import kit1000
 
     time.sleep(0.3)  # longer than a job takes to reach the other node
-    return node(), str(kit1000.__file__), str(Path(name).resolve()), os.environ["OMP_NUM_THREADS"]
+    return node_id(), str(kit1000.__file__), str(Path(name).resolve()), os.environ["OMP_NUM_THREADS"]
 
 
 def process_id(_: int) -> int:
     return os.getpid()
 
 
-def nap(_: int) -> None:
+def sleep_and_return_id(_: int) -> None:
     time.sleep(60)
 
 
-def located(function: Callable[[Any], Any], job: Any) -> tuple[str, Any]:
-    """A result, and the node that it was made on."""
-    return node(), function(job)
+def with_node(function: Callable[[Any], Any], job: Any) -> tuple[str, Any]:
+    """The id of the node of a job, and its result."""
+    return node_id(), function(job)
 
 
 @contextmanager
-def watched(address: str, seen: list[str]) -> Iterator[ParallelMap]:
-    """The engine, with a note of the node of every result."""
-    with engines.ray_engine(address) as spread:
+def ray_engine_with_nodes(address: str, nodes: list[str]) -> Iterator[ParallelMap]:
+    """The engine; appends the node of every result to a list."""
+    with engines.ray_engine(address) as parallel_map:
 
-        def spread_seen(function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
-            for place, result in spread(partial(located, function), jobs):
-                seen.append(place)
+        def parallel_map_with_nodes(function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:
+            for place, result in parallel_map(partial(with_node, function), jobs):
+                nodes.append(place)
                 yield result
 
-        yield spread_seen
+        yield parallel_map_with_nodes
 
 
 @pytest.mark.parametrize("url", [False, True])
@@ -105,103 +105,103 @@ def test_two_nodes_share_the_work_and_write_the_bytes_of_one_process(url: bool, 
     sources = corners(tmp_path / "files")
     generate(MINI, tmp_path / "alone", workers=1, sources=sources)
     out = files.parse_folder(f"local://{tmp_path}/out") if url else tmp_path / "out"
-    seen: list[str] = []
-    generate(MINI, out, sources=sources, engine=watched(address, seen))
+    nodes: list[str] = []
+    generate(MINI, out, sources=sources, engine=ray_engine_with_nodes(address, nodes))
     assert contents(tmp_path / "out") == contents(tmp_path / "alone")
-    assert len(set(seen)) == 2
+    assert len(set(nodes)) == 2
 
 
-def test_a_node_runs_this_version_where_the_driver_stands(
+def test_a_node_runs_this_version_in_the_drivers_folder(
     address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with engines.ray_engine(address) as spread:
-        nodes, packages, places, threads = zip(*spread(surroundings, ["out"] * 10), strict=True)
+    with engines.ray_engine(address) as parallel_map:
+        nodes, packages, places, threads = zip(*parallel_map(worker_environment, ["out"] * 10), strict=True)
     assert len(set(nodes)) == 2
     assert not any(Path(package).is_relative_to(ROOT) for package in packages)
     assert set(places) == {str(tmp_path / "out")}
     assert set(threads) == {"1"}
 
 
-def test_every_job_has_its_result_and_few_are_handed_out_ahead(address: str) -> None:
-    taken: list[int] = []
+def test_every_job_has_its_result_and_few_are_submitted_ahead(address: str) -> None:
+    submitted: list[int] = []
 
     def jobs() -> Iterator[int]:
         for i in range(200):
-            taken.append(i)
+            submitted.append(i)
             yield i
 
-    with engines.ray_engine(address) as spread:
-        assert list(spread(square, [])) == []
-        results = spread(square, jobs())
+    with engines.ray_engine(address) as parallel_map:
+        assert list(parallel_map(square, [])) == []
+        results = parallel_map(square, jobs())
         first = next(results)
-        assert len(taken) <= 2 * JOBS_PER_WORKER
+        assert len(submitted) <= 2 * JOBS_PER_WORKER
         assert sorted([first, *results]) == [x * x for x in range(200)]
-    with engines.ray_engine(address, workers=1) as spread:
-        taken.clear()
-        next(spread(square, jobs()))
-        assert len(taken) == 1
+    with engines.ray_engine(address, workers=1) as parallel_map:
+        submitted.clear()
+        next(parallel_map(square, jobs()))
+        assert len(submitted) == 1
 
 
-def test_jobs_of_killed_workers_are_done_again(address: str, tmp_path: Path) -> None:
-    with engines.ray_engine(address) as spread:
-        assert sorted(spread(die_at_first, [(i, str(tmp_path)) for i in range(7)])) == list(range(7))
+def test_jobs_of_killed_workers_are_run_again(address: str, tmp_path: Path) -> None:
+    with engines.ray_engine(address) as parallel_map:
+        assert sorted(parallel_map(kill_first_attempts, [(i, str(tmp_path)) for i in range(7)])) == list(range(7))
     assert [len(list(tmp_path.glob(f"{i}-*"))) for i in range(7)] == [2, 1, 1, 2, 1, 1, 2]
 
 
 def test_a_job_that_kills_every_worker_is_named_in_one_line(address: str) -> None:
-    with pytest.raises(Kit1000Error) as caught, engines.ray_engine(address) as spread:
-        list(spread(die, [3]))
+    with pytest.raises(Kit1000Error) as caught, engines.ray_engine(address) as parallel_map:
+        list(parallel_map(kill_own_process, [3]))
     assert str(caught.value).startswith(f"3: its worker died {RETRIES + 1} times (killed, out of memory, or")
     assert "\n" not in str(caught.value)
 
 
 def test_errors_stop_the_run_as_they_do_without_ray(address: str) -> None:
-    with pytest.raises(InternalError) as caught, engines.ray_engine(address) as spread:
-        list(spread(stumble, range(1000)))
+    with pytest.raises(InternalError) as caught, engines.ray_engine(address) as parallel_map:
+        list(parallel_map(fail_at_three, range(1000)))
     assert str(caught.value).startswith("3: ValueError: two lines (")
-    with pytest.raises(InputError, match=r"^disk full$"), engines.ray_engine(address) as spread:
-        list(spread(stumble, [-1]))
+    with pytest.raises(InputError, match=r"^disk full$"), engines.ray_engine(address) as parallel_map:
+        list(parallel_map(fail_at_three, [-1]))
 
 
-def test_what_a_node_lacks_is_said(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_module_missing_on_a_node_is_named(address: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "unheard_of.py").write_text("def job(x): return x")
     monkeypatch.syspath_prepend(str(tmp_path))
     import unheard_of  # pyright: ignore[reportMissingImports]
 
     with (
         pytest.raises(InputError, match=r"^7: No module named 'unheard_of' on a node: install.*$"),
-        engines.ray_engine(address) as spread,
+        engines.ray_engine(address) as parallel_map,
     ):
-        list(spread(unheard_of.job, [7]))
+        list(parallel_map(unheard_of.job, [7]))
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1:1", "nowhere.invalid:6379", "nonsense"])
 def test_an_address_without_a_cluster_is_one_line(address: str) -> None:
-    begun = time.monotonic()
+    started = time.monotonic()
     with pytest.raises(InputError, match=f"^--address {address}: .*$") as caught, engines.ray_engine(address):
         pass
     assert "\n" not in str(caught.value)
-    assert time.monotonic() - begun < 30
+    assert time.monotonic() - started < 30
 
 
 ALONE = """
 import sys, test_ray
 from kit1000 import engines
 if __name__ == "__main__":
-    with engines.ray(workers=2) as spread:
-        print(*{*spread(test_ray.process_id, range(8))}, flush=True)
-        list(spread(test_ray.nap, range(8)))
+    with engines.ray_engine(workers=2) as parallel_map:
+        print(*{*parallel_map(test_ray.process_id, range(8))}, flush=True)
+        list(parallel_map(test_ray.sleep_and_return_id, range(8)))
 """
 
 
-def running(pid: int) -> bool:
+def is_running(pid: int) -> bool:
     stat = Path(f"/proc/{pid}/stat")
     return stat.exists() and stat.read_text().rsplit(")", 1)[1].split()[0] != "Z"
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_a_ray_of_our_own_goes_with_the_process_that_started_it(how: signal.Signals, tmp_path: Path) -> None:
+@pytest.mark.parametrize("signal_number", [signal.SIGKILL, signal.SIGINT])
+def test_a_local_ray_ends_with_the_process_that_started_it(signal_number: signal.Signals, tmp_path: Path) -> None:
     script = tmp_path / "alone.py"
     script.write_text(ALONE)
     path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
@@ -216,21 +216,21 @@ def test_a_ray_of_our_own_goes_with_the_process_that_started_it(how: signal.Sign
     assert run.stdout is not None
     pids = {int(word) for word in run.stdout.readline().split()}
     assert pids
-    run.send_signal(how)
+    run.send_signal(signal_number)
     run.communicate(timeout=60)
     deadline = time.monotonic() + 60
-    while any(map(running, pids)) and time.monotonic() < deadline:
+    while any(map(is_running, pids)) and time.monotonic() < deadline:
         time.sleep(0.1)
-    assert not any(map(running, pids))
+    assert not any(map(is_running, pids))
 
 
-def test_sigterm_still_belongs_to_the_program() -> None:
-    def ours(*_: object) -> None: ...
+def test_the_handler_of_sigterm_is_restored() -> None:
+    def handler(*_: object) -> None: ...
 
-    before = signal.signal(signal.SIGTERM, ours)
+    before = signal.signal(signal.SIGTERM, handler)
     try:
-        with engines.ray_engine(workers=1) as spread:
-            assert signal.getsignal(signal.SIGTERM) is ours
-            assert list(spread(square, [3])) == [9]
+        with engines.ray_engine(workers=1) as parallel_map:
+            assert signal.getsignal(signal.SIGTERM) is handler
+            assert list(parallel_map(square, [3])) == [9]
     finally:
         signal.signal(signal.SIGTERM, before)

@@ -80,7 +80,7 @@ def test_items_are_the_queries_of_a_split_and_track_in_order(data: Dataset) -> N
 
 
 def test_the_index_is_known_without_images(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Dataset, "look", refused)
+    monkeypatch.setattr(Dataset, "labelled_depth", refused)
     items = QueryDataset(data.split("test-all"), "snap", drawing_item)
     assert items[len(items) - 1]["id"].endswith("-snap")
     with pytest.raises(AssertionError, match="an image was opened"):
@@ -320,7 +320,7 @@ def test_cached_volumes_open_no_image(
         items = QueryDataset(train, track, VolumeItem(data, **SMALL, cache=VolumeCache(tmp_path)))
         before = [items[i] for i in range(len(items))]
         with monkeypatch.context() as patch:
-            patch.setattr(Dataset, "look", refused)
+            patch.setattr(Dataset, "labelled_depth", refused)
             assert all(same(items[i], before[i]) for i in range(len(items)))
 
 

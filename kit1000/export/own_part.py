@@ -15,7 +15,7 @@ from kit1000.files import check_writable, clear_partial, write_bytes, write_json
 from kit1000.kits.acceptance import check_pair
 from kit1000.kits.kit import CLEARANCE, KitDesign, design_kit
 from kit1000.parts.family import part_of_mesh
-from kit1000.parts.files.sources import Reading, read_mesh
+from kit1000.parts.files.sources import MeshReading, read_mesh
 from kit1000.values import Part
 
 COLOURS = {"kit": (224, 219, 210), "part": (238, 122, 40)}  # sRGB, those of the pictures
@@ -58,12 +58,12 @@ def make_kit_from_file(
     return report
 
 
-def _part(path: Path, reading: Reading, longest: float | None) -> tuple[Part, float]:
+def _part(path: Path, reading: MeshReading, longest: float | None) -> tuple[Part, float]:
     scale = 1.0 if longest is None else longest / float(reading.mesh.extents.max())
     return part_of_mesh(path.stem, reading.mesh, longest), scale
 
 
-def _report(path: Path, reading: Reading, part: Part, scale: float, design: KitDesign) -> dict[str, Any]:
+def _report(path: Path, reading: MeshReading, part: Part, scale: float, design: KitDesign) -> dict[str, Any]:
     return {
         "part": path.name,
         "unit": reading.unit,
