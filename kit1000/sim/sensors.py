@@ -1,8 +1,9 @@
-"""Depth sensors as pure functions of the ideal view: what a D415 or a structured-light scanner makes of it.
+"""Simulated depth sensors: pure functions from an ideal view to what a D415 or a structured-light scanner measures.
 
-Two eyes side by side, or an eye and a projector, triangulate: disparity = fx * baseline / depth. Errors arise in
-disparity, in the order of the machine: edges grow, windows blend, shadows and grazing surfaces give no return,
-noise, quantisation; then scale, range, and the grid on which depth images are stored. Sources: docs/sensors.md.
+Two imagers side by side, or an imager and a projector, triangulate: disparity = fx * baseline / depth. Errors are
+applied to the disparity, in the order of the real device: edge fattening, blending by the matching window, no return in
+shadows and at grazing angles, noise, quantisation; then depth scale, range, and the grid of stored depths. Sources:
+docs/sensors.md.
 """
 
 from __future__ import annotations
@@ -25,34 +26,34 @@ from kit1000.sim.stereo import (
 )
 from kit1000.values import View
 
-DEPTH_GRID = 2.0**-13  # [m] 0.12 mm: depths on it are exact in float32 and take half the space on disk
+DEPTH_GRID = 2.0**-13  # [m] 0.12 mm: step of stored depths, exact in float32; halves their size on disk
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """The numbers of a sensor; the defaults are those of a perfect one."""
+    """The parameters of a sensor; the defaults are those of an ideal one."""
 
     baseline: float = 0.0
-    """[m] from the eye whose picture it is to the other eye (or the projector), along +x; 0: no triangulation."""
+    """[m] from the imager of the depth image to the other imager (or projector), along +x; 0: no triangulation."""
     convergence: float = math.inf
-    """[m] distance at which both eyes' pictures show the same place; inf: they look in parallel."""
+    """[m] distance at which the optical axes of the two imagers cross; inf: they are parallel."""
     noise_px: float = 0.0
     """RMS noise of the disparity [px]."""
     window_px: int = 1
-    """Side of the matching window [px], odd. Detail is blended over one window; noise has the correlation of two
-    in succession, one in which pixels are described and one in which the descriptions are compared."""
+    """Side of the matching window [px], odd. Detail is blended over one window; noise has the correlation of two in
+    succession, one that describes pixels and one that compares the descriptions."""
     quantisation_px: float = 0.0
-    """Step to which disparity is rounded [px]; 0: none."""
+    """Step to which disparity is rounded [px]; 0: no rounding."""
     fattening_px: float = 0.0
-    """Farthest that a near surface takes over pixels beyond its edge [px]; 0 to this, uniformly."""
+    """Largest extension of a near surface beyond its edge [px]; it is uniform from 0."""
     grazing_deg: tuple[float, float] = (90.0, 90.0)
-    """Angles of incidence at which returns begin to fail and at which none is left."""
+    """Angles of incidence at which the probability of no return begins to rise from 0, and at which it is 1."""
     scale_error: float = 0.0
-    """Depths come out as one plus a number in -this .. this times themselves, uniform, one a picture."""
+    """Half width of the uniform relative error of all depths of an image."""
     position_error: float = 0.0
-    """[m] RMS length of the error of the believed camera position; normal, alike along all axes."""
+    """[m] RMS length of the error of the recorded camera position; normal, isotropic."""
     rotation_error_deg: float = 0.0
-    """RMS angle of the error of the believed camera rotation; rotation vector normal, alike along all axes."""
+    """RMS angle of the error of the recorded camera rotation; rotation vector normal, isotropic."""
     min_depth: float = 0.0
     """[m] smallest depth that gives a return."""
     max_depth: float = math.inf
@@ -75,10 +76,10 @@ SENSORS: dict[str, Sensor] = {
         max_depth=3.0,
     ),
     "photoneo": Sensor(
-        baseline=0.27,  # assumed, for a scanner that works about 0.8 m away, where its eye and projector aim
+        baseline=0.27,  # assumed, for a scanner with a working distance of 0.8 m, where the two axes cross
         convergence=0.8,
-        noise_px=0.04,  # 0.1 mm at 0.8 m: this and the next errors are a tenth of the D415's, as 0.5 mm of 5 mm
-        window_px=3,  # assumed: light smoothing of a measurement that each pixel makes by itself
+        noise_px=0.04,  # 0.1 mm at 0.8 m: this and the next errors are a tenth of the D415's, as 0.5 mm is of 5 mm
+        window_px=3,  # assumed: light smoothing of measurements that are made per pixel
         grazing_deg=(80.0, 89.0),  # assumed
         scale_error=0.0003,
         position_error=0.15e-3,
@@ -90,51 +91,49 @@ SENSORS: dict[str, Sensor] = {
 
 
 def sense(name: str, view: View, rng: np.random.Generator) -> View:
-    """What the sensor called `name` makes of an ideal view, as rendered.
+    """Simulate the sensor `name` on an ideal view, as rendered.
 
-    Returns a view with measured depths, multiples of GRID, and with the camera pose that the sensor believes.
-    The true one is known to the caller. How many numbers are drawn depends on the sensor and the size of the
-    picture alone, never on what is seen.
+    Returns a view with measured depths, multiples of DEPTH_GRID, and with the recorded camera pose, which has the
+    calibration error. The number of random draws depends only on the sensor and the image size, not on the scene.
     """
     if name not in SENSORS:
         raise InputError(f"sensor: there is no {name!r}, expected one of {', '.join(SENSORS)}")
     sensor = SENSORS[name]
     scale = np.float32(1 + sensor.scale_error * rng.uniform(-1, 1))
-    believed = _measured_pose(sensor, view.world_from_camera, rng)
+    recorded_pose = _recorded_pose(sensor, view.world_from_camera, rng)
     depth = scale * (_measured_depth(sensor, view, rng) if sensor.baseline > 0 else view.depth)
     depth[(depth < sensor.min_depth) | (depth > sensor.max_depth)] = 0
-    return View(view.camera, believed, np.rint(depth / np.float32(DEPTH_GRID)) * np.float32(DEPTH_GRID))
+    return View(view.camera, recorded_pose, np.rint(depth / np.float32(DEPTH_GRID)) * np.float32(DEPTH_GRID))
 
 
-def _measured_pose(sensor: Sensor, world_from_camera: Pose, rng: np.random.Generator) -> Pose:
-    """The pose with its calibration error, which is drawn in the frame of the camera."""
-    turn, shift = rng.standard_normal((2, 3)) / math.sqrt(3)
+def _recorded_pose(sensor: Sensor, world_from_camera: Pose, rng: np.random.Generator) -> Pose:
+    """The pose with its calibration error, which is drawn in the camera frame."""
+    rotvec, shift = rng.standard_normal((2, 3)) / math.sqrt(3)
     if sensor.position_error == 0 and sensor.rotation_error_deg == 0:
         return world_from_camera
-    turn *= math.radians(sensor.rotation_error_deg)
-    return world_from_camera @ Pose.from_rotvec(turn, sensor.position_error * shift)
+    rotvec *= math.radians(sensor.rotation_error_deg)
+    return world_from_camera @ Pose.from_rotvec(rotvec, sensor.position_error * shift)
 
 
 def _measured_depth(sensor: Sensor, view: View, rng: np.random.Generator) -> np.ndarray:
-    """Depths (H, W) float32 [m] from noisy disparities; 0 where none is found."""
+    """Depths (H, W) float32 [m] from noisy disparities; 0 for no return."""
     camera, depth = view.camera, view.depth
     gain = camera.fx * sensor.baseline  # [px m] disparity x depth
     half = ((camera.height + 1) // 2, (camera.width + 1) // 2)
-    noise, reach, loss = (_correlated_noise(sensor, shape, rng) for shape in (depth.shape, half, half))
+    noise, extension, loss = (_correlated_noise(sensor, shape, rng) for shape in (depth.shape, half, half))
     true = disparity_from_depth(depth, np.float32(gain))
-    grown = fatten_edges(true, reach, sensor.fattening_px) if sensor.fattening_px > 0 else true
-    lens = (camera.fx, camera.fy, camera.cx, camera.cy)
-    start, gone = np.radians(sensor.grazing_deg)
-    lost = occlusion_mask(grown, gain / sensor.convergence) | grazing_mask(true, lens, loss, start, gone)
+    fattened = fatten_edges(true, extension, sensor.fattening_px) if sensor.fattening_px > 0 else true
+    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
+    start, end = np.radians(sensor.grazing_deg)
+    missing = occlusion_mask(fattened, gain / sensor.convergence) | grazing_mask(true, intrinsics, loss, start, end)
     noise *= np.float32(sensor.noise_px)
-    return depth_from_disparity(
-        blend_windows(grown, sensor.window_px), noise, lost, np.float32(sensor.quantisation_px), np.float32(gain)
-    )
+    blended, step = blend_windows(fattened, sensor.window_px), np.float32(sensor.quantisation_px)
+    return depth_from_disparity(blended, noise, missing, step, np.float32(gain))
 
 
 def _correlated_noise(sensor: Sensor, shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    """A standard normal field with the correlation that two windows in succession leave. float32."""
+    """A standard normal field of this shape, float32, with the correlation of two windows in succession."""
     white = rng.standard_normal(shape, dtype=np.float32)
-    side = np.ones(sensor.window_px) / sensor.window_px
-    power = np.sum(np.convolve(side, side) ** 2)  # variance that is left, along one axis
+    kernel = np.ones(sensor.window_px) / sensor.window_px
+    power = np.sum(np.convolve(kernel, kernel) ** 2)  # remaining variance, along one axis
     return box_blur(box_blur(white, sensor.window_px), sensor.window_px) / np.float32(power)
