@@ -1,4 +1,4 @@
-"""The checks for implementers: our own sensors, renderer and reader pass, and each broken one is told what is wrong."""
+"""Conformance checks: our own sensors, renderer and mesh reader pass, and each broken one fails with its cause."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from mini import written as stl_written
 from kit1000.camera import Camera
 from kit1000.errors import MeshRefused
 from kit1000.mesh import Mesh
-from kit1000.parts.files.sources import Reading, read_mesh
+from kit1000.parts.files.sources import MeshReading, read_mesh
 from kit1000.pose import Pose
 from kit1000.sim.render import RenderedImage, render
 from kit1000.sim.sensors import DEPTH_GRID, SENSORS, sense
@@ -65,7 +65,7 @@ def noise_by_pixel(depth: np.ndarray, rng: Rng) -> np.ndarray:
     return depth
 
 
-def forgetful(depth: np.ndarray, _: Rng) -> np.ndarray:
+def unseeded(depth: np.ndarray, _: Rng) -> np.ndarray:
     return np.where(depth > 0, depth + np.random.default_rng().normal(0, 1e-3, depth.shape), 0)
 
 
@@ -79,12 +79,12 @@ def writing(view: View, rng: Rng) -> View:
     return sense("ideal", view, rng)
 
 
-def forcing(view: View, rng: Rng) -> View:
-    seen = sense("ideal", view, rng)
+def writing_by_force(view: View, rng: Rng) -> View:
+    measured = sense("ideal", view, rng)
     view.depth.setflags(write=True)
     view.depth[300, 400:407] += 0.25
     view.depth.setflags(write=False)
-    return seen
+    return measured
 
 
 def halved(view: View, _: Rng) -> View:
@@ -92,49 +92,55 @@ def halved(view: View, _: Rng) -> View:
 
 
 def writable(view: View, rng: Rng) -> View:
-    seen = sense("ideal", view, rng)
-    object.__setattr__(seen, "depth", np.array(seen.depth))
-    return seen
+    measured = sense("ideal", view, rng)
+    object.__setattr__(measured, "depth", np.array(measured.depth))
+    return measured
 
 
 BROKEN_SENSORS: dict[str, tuple[Callable[[View, Rng], Any], str]] = {
-    "noise in holes": (with_depth(noise_in_holes), r"measures \d+ pixels where nothing is to be seen"),
-    "half a pixel": (with_depth(half_a_pixel), r"pixels show what lies \+0\.50 px across of them"),
+    "noise in holes": (with_depth(noise_in_holes), r"has a depth in \d+ pixels without a surface"),
+    "half a pixel": (with_depth(half_a_pixel), r"pixels show surfaces \+0\.50 px right of them"),
     "upside down": (
         lambda view, _: replace(view, depth=np.where(view.depth > 0, on_grid(view.depth[::-1]), 0)),
-        r"off by \d+\.\d mm in the median, as if upside down",
+        r"median error of \d+\.\d mm; probably the image is upside down",
     ),
-    "along the ray": (along_the_ray, r"in the median, as if measured along the rays and not along the optical axis"),
-    "5 % too far": (with_depth(lambda depth, _: depth * 1.05), r"depths are off by 3\d\.\d mm in the median$"),
-    "beside the grid": (lambda view, _: replace(view, depth=view.depth * 0.999), r"beside the grid of 2\^-13 m"),
+    "along the ray": (along_the_ray, r"; probably depth is measured along the rays, not along the optical axis"),
+    "5 % too far": (with_depth(lambda depth, _: depth * 1.05), r"depths have a median error of 3\d\.\d mm$"),
+    "beside the grid": (lambda view, _: replace(view, depth=view.depth * 0.999), r"not multiples of 2\^-13 m"),
     "below 0": (
         lambda view, _: replace(view, depth=np.where(view.depth > 0, view.depth, -DEPTH_GRID)),
         "smallest depth is -",
     ),
-    "blind": (with_depth(lambda depth, _: depth * 0), r"0% of a surface at 0.4 to 1 m gives a return, expected 50%"),
-    "writes": (writing, r"writes into the view that it is given \(assignment destination is read-only\)"),
-    "forces": (forcing, r"writes into the view that it is given: 7 pixels changed"),
-    "draws by pixel": (with_depth(noise_by_pixel), "how many numbers are drawn depends on what is seen"),
-    "own chance": (with_depth(forgetful), r"two images from one seed differ in \d\d\.\d\d% of their pixels"),
-    "astray": (with_pose(lambda pose: Pose(pose.wxyz, pose.xyz + 0.1)), r"pose is off by 173\.2 mm and 0\.00 degrees$"),
-    "inverted": (with_pose(Pose.inverse), "looks like camera_from_world, expected world_from_camera"),
-    "another camera": (halved, r"gives an image of Camera\(width=640"),
-    "no view": (lambda view, _: on_grid(view.depth), "gives a ndarray, expected a kit1000.values.View"),
-    "writable": (writable, "depths can be written to"),
+    "blind": (
+        with_depth(lambda depth, _: depth * 0),
+        r"0% of the pixels of a surface at 0.4 to 1 m have a depth, expected 50%",
+    ),
+    "writes": (writing, r"modifies its input \(assignment destination is read-only\)"),
+    "forces": (writing_by_force, r"modifies its input: 7 pixels changed"),
+    "draws by pixel": (with_depth(noise_by_pixel), "the number of random draws depends on the image"),
+    "own chance": (with_depth(unseeded), r"two images from one seed differ in \d\d\.\d\d% of their pixels"),
+    "astray": (
+        with_pose(lambda pose: Pose(pose.wxyz, pose.xyz + 0.1)),
+        r"camera pose has an error of 173\.2 mm and 0\.00 degrees$",
+    ),
+    "inverted": (with_pose(Pose.inverse), "probably camera_from_world in place of world_from_camera"),
+    "another camera": (halved, r"returns an image of Camera\(width=640"),
+    "no view": (lambda view, _: on_grid(view.depth), "returns a ndarray, expected a kit1000.values.View"),
+    "writable": (writable, "depths are not read-only"),
 }
 
 
 @pytest.mark.parametrize("fault", BROKEN_SENSORS)
-def test_a_broken_sensor_is_told_what_is_wrong(fault: str) -> None:
-    broken, said = BROKEN_SENSORS[fault]
-    with pytest.raises(AssertionError, match=f"^broken: .*{said}"):
+def test_a_broken_sensor_fails_with_its_cause(fault: str) -> None:
+    broken, message = BROKEN_SENSORS[fault]
+    with pytest.raises(AssertionError, match=f"^broken: .*{message}"):
         check_sensor(broken, "broken")
 
 
-def test_what_a_sensor_may_err_by_can_be_said() -> None:
+def test_the_allowed_errors_of_a_sensor_are_parameters() -> None:
     coarse = with_depth(lambda depth, _: depth * 1.05)
     check_sensor(coarse, depth_error=0.05)
-    with pytest.raises(AssertionError, match="believed pose is off"):
+    with pytest.raises(AssertionError, match="camera pose has an error"):
         check_sensor(partial(sense, "d415"), position_error=1e-4)
 
 
@@ -143,7 +149,7 @@ def test_our_renderer_conforms() -> None:
     check_renderer(lambda camera, world_from_camera, bodies: render(camera, world_from_camera, bodies, threads=1))
 
 
-def framed(depth: np.ndarray, ids: np.ndarray, faces: np.ndarray) -> RenderedImage:
+def rendered(depth: np.ndarray, ids: np.ndarray, faces: np.ndarray) -> RenderedImage:
     images = np.array(depth, np.float32), np.array(ids, np.int16), np.array(faces, np.int32)
     for image in images:
         image.setflags(write=False)
@@ -153,14 +159,14 @@ def framed(depth: np.ndarray, ids: np.ndarray, faces: np.ndarray) -> RenderedIma
 def by_image(change: Callable[[np.ndarray], np.ndarray]) -> Callable[..., RenderedImage]:
     def drawn(camera: Camera, world_from_camera: Pose, bodies: list) -> RenderedImage:
         frame = render(camera, world_from_camera, bodies, threads=1)
-        return framed(change(frame.depth), change(frame.body_ids), change(frame.face_ids))
+        return rendered(change(frame.depth), change(frame.body_ids), change(frame.face_ids))
 
     return drawn
 
 
 def by_frame(change: Callable[[RenderedImage, Camera], tuple]) -> Callable[..., RenderedImage]:
     def drawn(camera: Camera, world_from_camera: Pose, bodies: list) -> RenderedImage:
-        return framed(*change(render(camera, world_from_camera, bodies, threads=1), camera))
+        return rendered(*change(render(camera, world_from_camera, bodies, threads=1), camera))
 
     return drawn
 
@@ -175,7 +181,7 @@ def ray_lengths(camera: Camera) -> np.ndarray:
 
 def last_first(camera: Camera, pose: Pose, bodies: list) -> RenderedImage:
     frame = render(camera, pose, bodies[::-1], threads=1)
-    return framed(frame.depth, np.where(frame.body_ids > 0, len(bodies) + 1 - frame.body_ids, 0), frame.face_ids)
+    return rendered(frame.depth, np.where(frame.body_ids > 0, len(bodies) + 1 - frame.body_ids, 0), frame.face_ids)
 
 
 def one_sided(camera: Camera, pose: Pose, bodies: list) -> RenderedImage:
@@ -199,10 +205,10 @@ def dropping(camera: Camera, pose: Pose, bodies: list) -> RenderedImage:
 
 def with_threads(camera: Camera, pose: Pose, bodies: list, threads: int = 1) -> RenderedImage:
     frame = render(camera, pose, bodies, threads=1)
-    return framed(frame.depth * np.float32(1 + 1e-7 * threads), frame.body_ids, frame.face_ids)
+    return rendered(frame.depth * np.float32(1 + 1e-7 * threads), frame.body_ids, frame.face_ids)
 
 
-def loose(camera: Camera, pose: Pose, bodies: list) -> RenderedImage:
+def writable_depth(camera: Camera, pose: Pose, bodies: list) -> RenderedImage:
     frame = render(camera, pose, bodies, threads=1)
     return RenderedImage(np.array(frame.depth), frame.body_ids, frame.face_ids)
 
@@ -210,39 +216,42 @@ def loose(camera: Camera, pose: Pose, bodies: list) -> RenderedImage:
 BROKEN_RENDERERS: dict[str, tuple[Callable[..., RenderedImage], str]] = {
     "half a pixel": (
         by_camera(lambda camera: replace(camera, cx=camera.cx - 0.5, cy=camera.cy - 0.5)),
-        r"tilted plane are off by up to \d\.\d\d%, as if half a pixel off: pixel \(u, v\) has its centre at \(u, v\)",
+        r"tilted plane have errors of up to \d\.\d\d%; probably the image is half a pixel off",
     ),
-    "upside down": (by_image(lambda image: image[::-1]), "as if upside down"),
-    "mirrored": (by_image(lambda image: image[:, ::-1]), "as if mirrored, left for right"),
+    "upside down": (by_image(lambda image: image[::-1]), "probably the image is upside down"),
+    "mirrored": (by_image(lambda image: image[:, ::-1]), "probably the image is mirrored left to right"),
     "along the ray": (
         by_frame(lambda frame, camera: (frame.depth * ray_lengths(camera), frame.body_ids, frame.face_ids)),
-        "as if measured along the rays and not along the optical axis",
+        "probably depth is measured along the rays",
     ),
-    "millimetres": (by_frame(lambda frame, _: (frame.depth * 1e3, frame.body_ids, frame.face_ids)), "as if in millimetres"),
+    "millimetres": (
+        by_frame(lambda frame, _: (frame.depth * 1e3, frame.body_ids, frame.face_ids)),
+        "probably depth is in millimetres",
+    ),
     "far is 10": (
         by_frame(lambda frame, _: (np.where(frame.body_ids > 0, frame.depth, 10), frame.body_ids, frame.face_ids)),
-        "depth is 10 m where nothing is seen, expected 0",
+        "depth is 10 m where no body is visible, expected 0",
     ),
     "ids from 0": (
         by_frame(lambda frame, _: (frame.depth, frame.body_ids - 1, frame.face_ids)),
-        "depth is 0 or less where a body is seen|pixels of no bodies",
+        "depth is 0 or less where a body is visible|pixels without bodies show a body",
     ),
     "no face": (
         by_frame(lambda frame, _: (frame.depth, frame.body_ids, np.where(frame.body_ids > 0, 0, -1))),
-        r"at \d+ pixels of body 0 the depth is not that of the face named there",
+        r"at \d+ pixels of body 0 the depth differs from the face of their face id",
     ),
-    "last wins": (last_first, r"where bodies coincide ids are \[3\], expected the first, 1"),
-    "one side": (one_sided, "of a plane that fills the image is missing|see through a ball"),
-    "drops": (dropping, "a floor that passes below the camera is dropped, expected it cut"),
-    "threads": (with_threads, r"depth differs in \d+ pixels when drawn by 3 threads"),
-    "writable": (loose, "depth can be written to"),
+    "last wins": (last_first, r"ids of coincident bodies are \[3\], expected the first, 1"),
+    "one side": (one_sided, "of a plane that fills the image is missing|inside a ball show no surface"),
+    "drops": (dropping, "a floor that crosses the plane of the camera is missing, expected clipped"),
+    "threads": (with_threads, r"depth differs in \d+ pixels when rendered by 3 threads"),
+    "writable": (writable_depth, "depth is not read-only"),
 }
 
 
 @pytest.mark.parametrize("fault", BROKEN_RENDERERS)
-def test_a_broken_renderer_is_told_what_is_wrong(fault: str) -> None:
-    broken, said = BROKEN_RENDERERS[fault]
-    with pytest.raises(AssertionError, match=f"^broken: .*({said})"):
+def test_a_broken_renderer_fails_with_its_cause(fault: str) -> None:
+    broken, message = BROKEN_RENDERERS[fault]
+    with pytest.raises(AssertionError, match=f"^broken: .*({message})"):
         check_renderer(broken, "broken")
 
 
@@ -261,68 +270,68 @@ def test_our_reader_conforms(files: list[Path]) -> None:
     check_source(read_mesh, files)
 
 
-def in_millimetres(path: Path) -> Reading:
+def in_millimetres(path: Path) -> MeshReading:
     reading = read_mesh(path)
     return replace(reading, mesh=reading.mesh.scaled(1e3).rounded_float32())
 
 
-def inside_out(path: Path) -> Reading:
+def inside_out(path: Path) -> MeshReading:
     reading = read_mesh(path)
     return replace(reading, mesh=Mesh(reading.mesh.vertices, reading.mesh.faces[:, ::-1]))
 
 
-def holed(path: Path) -> Reading:
+def holed(path: Path) -> MeshReading:
     reading = read_mesh(path)
     return replace(reading, mesh=Mesh(reading.mesh.vertices, reading.mesh.faces[1:]))
 
 
-def trusting(path: Path) -> Reading:
+def other_exception(path: Path) -> MeshReading:
     try:
         return read_mesh(path)
     except MeshRefused:
         raise ValueError("unpack requires\n84 bytes") from None
 
 
-def talkative(path: Path) -> Reading:
+def many_lines(path: Path) -> MeshReading:
     try:
         return read_mesh(path)
     except MeshRefused as refused:
         raise MeshRefused(f"{refused.reason}\nsorry") from None
 
 
-def shaky(path: Path) -> Reading:
+def nondeterministic(path: Path) -> MeshReading:
     reading = read_mesh(path)
     shift = np.random.default_rng().integers(1, 1000, 3) * 2.0**-16
     return replace(reading, mesh=Mesh(reading.mesh.vertices + shift, reading.mesh.faces).rounded_float32())
 
 
-def touching(path: Path) -> Reading:
+def modifying(path: Path) -> MeshReading:
     reading = read_mesh(path)
     path.write_bytes(path.read_bytes() + b"\n")
     return reading
 
 
-BROKEN_SOURCES: dict[str, tuple[Callable[[Path], Any], str]] = {
+BROKEN_READERS: dict[str, tuple[Callable[[Path], Any], str]] = {
     "millimetres": (in_millimetres, r"longest side 40 m, expected 0.0001 to 10 \(metres\?\)"),
     "inside out": (inside_out, "inside out"),
     "holed": (holed, "open edges"),
     "off the grid": (
         lambda path: replace(r := read_mesh(path), mesh=r.mesh.scaled(1 / 3)),
-        "vertices are not on the float32 grid",
+        "vertices are not exact in float32",
     ),
-    "trusting": (trusting, r"ends in ValueError \(unpack requires 84 bytes\), expected MeshRefused"),
-    "talkative": (talkative, r"expected one line"),
-    "shaky": (shaky, "read twice gives two meshes"),
-    "touching": (touching, "was changed by reading it"),
-    "silent": (lambda path: replace(read_mesh(path), unit_reason=""), "does not say in which unit it was read"),
-    "elsewhere": (lambda path: replace(read_mesh(path), path=Path("x.stl")), "the reading names x.stl"),
+    "other_exception": (other_exception, r"raises ValueError \(unpack requires 84 bytes\), expected MeshRefused"),
+    "many_lines": (many_lines, r"expected a reason of one line"),
+    "nondeterministic": (nondeterministic, "gives two different meshes when read twice"),
+    "modifying": (modifying, "is modified by reading it"),
+    "silent": (lambda path: replace(read_mesh(path), unit_reason=""), "has no unit, or no reason for it"),
+    "elsewhere": (lambda path: replace(read_mesh(path), path=Path("x.stl")), "the result has path x.stl"),
     "picky": (lambda path: read_mesh(path.with_name("none.stl")), "is refused: cannot be read"),
     "no reading": (lambda path: SimpleNamespace(mesh=read_mesh(path).mesh), "gives a SimpleNamespace, expected a"),
 }
 
 
-@pytest.mark.parametrize("fault", BROKEN_SOURCES)
-def test_a_broken_source_is_told_what_is_wrong(fault: str, tmp_path: Path) -> None:
-    broken, said = BROKEN_SOURCES[fault]
-    with pytest.raises(AssertionError, match=f"^broken: .*{said}"):
+@pytest.mark.parametrize("fault", BROKEN_READERS)
+def test_a_broken_reader_fails_with_its_cause(fault: str, tmp_path: Path) -> None:
+    broken, message = BROKEN_READERS[fault]
+    with pytest.raises(AssertionError, match=f"^broken: .*{message}"):
         check_source(broken, [stl_written(tmp_path / "corner.stl", corner())], "broken")

@@ -16,7 +16,7 @@ from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
 from kit1000.parts.mixtures import MIXTURES, choose_family
 from kit1000.symmetry import Symmetry
-from kit1000.testing import check_family, check_symmetry, distances
+from kit1000.testing import check_family, check_symmetry, surface_distances
 from kit1000.values import Part
 
 SEEDS = range(3)
@@ -138,4 +138,4 @@ def test_distance_from_a_ball_is_that_from_its_centre() -> None:
     ball = mesh_from_solid(sphere(20)).scaled(1e-3)
     points = np.random.default_rng(0).normal(size=(50, 3)) * 0.02
     expected = np.abs(np.linalg.norm(points, axis=1) - 0.01)
-    assert np.abs(distances(points, ball) - expected).max() < 0.08e-3  # facets
+    assert np.abs(surface_distances(points, ball) - expected).max() < 0.08e-3  # facets

@@ -93,7 +93,7 @@ def test_plain_errors_keep_all_laws_but_that_of_symmetry(name: str) -> None:
         return getattr(pose_errors(predicted, targets), name)
 
     check_metric(plain, name, symmetric=False)
-    with pytest.raises(AssertionError, match="as right as the drawn one"):
+    with pytest.raises(AssertionError, match="equivalent to the drawn one"):
         check_metric(plain, name)
 
 
@@ -120,14 +120,14 @@ def one_axis(predicted: Pose, targets: Targets) -> np.ndarray:
 
 
 BAD: dict[str, tuple[Callable[[Pose, Targets], np.ndarray], str]] = {
-    "nothing": (lambda predicted, targets: np.zeros(len(targets)), "for a prediction some 5 mm"),
+    "nothing": (lambda predicted, targets: np.zeros(len(targets)), "for a prediction about 5 mm"),
     "one number": (lambda predicted, targets: np.zeros(()), "of shape .* expected"),
     "negative": (whole_degrees, "expected 0 or more"),
-    "where it lands": (lambda predicted, targets: np.linalg.norm(predicted.xyz, axis=1), "at the truth"),
-    "relative": (relative, "what else|truth"),
+    "where it lands": (lambda predicted, targets: np.linalg.norm(predicted.xyz, axis=1), "at the ground truth"),
+    "relative": (relative, "other predictions|truth"),
     "overflow": (lambda p, t: np.where(pose_errors(p, t).mssd > 1, np.inf, pose_errors(p, t).mssd), "finite"),
     "one axis": (one_axis, "world"),
-    "first goal": (first_goal, "as right as the drawn one|at the truth|listed"),
+    "first goal": (first_goal, "equivalent to the drawn one|at the ground truth|angles"),
 }
 
 

@@ -1,11 +1,11 @@
-"""Conformance checks for those who extend the package: run them on your own class or function in your own tests.
+"""Conformance checks of extensions: call them on your own class or function in your own tests.
 
-Each check raises AssertionError with one line that says what was broken and by how much.
+A failed check raises AssertionError with one line: the violated rule and the measured value.
 """
 
 from __future__ import annotations
 
-from kit1000.testing.families import check_family, check_symmetry, distances
+from kit1000.testing.families import check_family, check_symmetry, surface_distances
 from kit1000.testing.metrics import check_metric
 from kit1000.testing.predictors import check_predictor, moved_geometry, moved_query, moved_truth
 from kit1000.testing.renderers import check_renderer
@@ -20,8 +20,8 @@ __all__ = [
     "check_sensor",
     "check_source",
     "check_symmetry",
-    "distances",
     "moved_geometry",
     "moved_query",
     "moved_truth",
+    "surface_distances",
 ]

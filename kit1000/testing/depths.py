@@ -1,4 +1,4 @@
-"""Depth images that are known by a formula, and what an image that misses them looks as if it had done."""
+"""Depth images in closed form, and the likely cause of an image that differs from them."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import numpy as np
 
 from kit1000.camera import Camera
 
-Known = Callable[[Camera], np.ndarray]
-"""The depths (H, W) [m] that a camera sees of something; 0 where it sees nothing."""
+DepthFormula = Callable[[Camera], np.ndarray]
+"""Returns the depth image (H, W) [m] of a surface for a camera; 0 where there is none."""
 
 
 def rays(camera: Camera) -> np.ndarray:
-    """(H, W, 3): what each pixel centre looks along, at depth 1."""
+    """(H, W, 3) the ray through each pixel centre, at depth 1."""
     return camera.unproject(np.ones((camera.height, camera.width)))
 
 
-def plane(normal: np.ndarray, distance: float) -> Known:
-    """A plane without end: all points p of the camera frame with normal . p = distance [m]."""
+def plane_depths(normal: np.ndarray, distance: float) -> DepthFormula:
+    """Depths of an infinite plane: all points p of the camera frame with normal . p = distance [m]."""
 
     def depths(camera: Camera) -> np.ndarray:
         facing = rays(camera) @ normal
@@ -28,25 +28,26 @@ def plane(normal: np.ndarray, distance: float) -> Known:
     return depths
 
 
-def misses(found: np.ndarray, wanted: np.ndarray) -> float:
-    """Median distance [m] of depths that are there in both images; infinite where none is."""
-    both = (found > 0) & (wanted > 0)
-    return float(np.median(np.abs(found[both] - wanted[both]))) if both.any() else np.inf
+def median_error(depth: np.ndarray, expected: np.ndarray) -> float:
+    """Median absolute difference [m] where both images have a depth; infinite when there is no such pixel."""
+    both = (depth > 0) & (expected > 0)
+    return float(np.median(np.abs(depth[both] - expected[both]))) if both.any() else np.inf
 
 
-def as_if(found: np.ndarray, camera: Camera, known: Known) -> str:
-    """What an image that should show something known looks like it shows instead; empty where that is not known."""
-    true = known(camera)
-    halves = [replace(camera, cx=camera.cx + u, cy=camera.cy + v) for u in (-0.5, 0, 0.5) for v in (-0.5, 0, 0.5)]
+def likely_cause(depth: np.ndarray, camera: Camera, formula: DepthFormula) -> str:
+    """What a wrong depth image of a known surface looks like, for a message; empty when nothing fits."""
+    true = formula(camera)
+    along_rays = true * np.linalg.norm(rays(camera), axis=-1)
+    shifted = [replace(camera, cx=camera.cx + u, cy=camera.cy + v) for u in (-0.5, 0, 0.5) for v in (-0.5, 0, 0.5)]
     errors = {
-        "upside down": misses(found, true[::-1]),
-        "mirrored, left for right": misses(found, true[:, ::-1]),
-        "turned by half a turn": misses(found, true[::-1, ::-1]),
-        "measured along the rays and not along the optical axis": misses(
-            found, true * np.linalg.norm(rays(camera), axis=-1)
+        "the image is upside down": median_error(depth, true[::-1]),
+        "the image is mirrored left to right": median_error(depth, true[:, ::-1]),
+        "the image is rotated by 180 degrees": median_error(depth, true[::-1, ::-1]),
+        "depth is measured along the rays, not along the optical axis": median_error(depth, along_rays),
+        "depth is in millimetres": median_error(depth, true * 1e3),
+        "the image is half a pixel off, where pixel (u, v) must have its centre at (u, v)": min(
+            median_error(depth, formula(camera)) for camera in shifted
         ),
-        "in millimetres": misses(found, true * 1e3),
-        "half a pixel off: pixel (u, v) has its centre at (u, v)": min(misses(found, known(half)) for half in halves),
     }
-    best = min(errors, key=lambda said: errors[said])
-    return f", as if {best}" if errors[best] < 0.1 * misses(found, true) else ""
+    best = min(errors, key=lambda cause: errors[cause])
+    return f"; probably {best}" if errors[best] < 0.1 * median_error(depth, true) else ""
