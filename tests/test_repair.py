@@ -218,7 +218,7 @@ def test_solids_that_touch_along_an_edge_stay_closed_after_rounding() -> None:
     stairs = BOX + BOX.translate((0.04, 0.02, 0)) + Manifold.cube((0.08, 0.04, 0.01)).translate((-0.02, -0.01, 0.005))
     found, notes = healed(*soup_of(stairs))
     assert found.volume == pytest.approx(stairs.volume(), rel=1e-3)
-    assert notes == ["drew apart surfaces that touch along edges, by 2 um"]
+    assert notes == ["separated surfaces that touch along edges, by 2 um"]
 
 
 def test_a_loop_that_crosses_itself_is_united_exactly() -> None:

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import defect_float32
 from kit1000.parts.files import formats, sources
-from kit1000.parts.files.sources import UNITS, Reading, Refusal, mesh_files, read_all, read_mesh
+from kit1000.parts.files.sources import USER_UNITS, MeshReading, Refusal, mesh_files, read_all, read_mesh
 
 
 def exported(mesh: trimesh.Trimesh, kind: str = "stl") -> bytes:
@@ -172,11 +172,11 @@ def test_a_part_far_from_its_origin_keeps_its_shape(tmp_path: Path) -> None:
 @settings(max_examples=60)
 def test_a_guess_makes_a_machine_part_wherever_a_unit_does(tmp_path_factory, longest: float) -> None:
     path = written(tmp_path_factory.getbasetemp(), "guess.stl", scaled(longest / 40))
-    plausible = [unit for unit, metres in UNITS.items() if 0.0051 < longest * metres < 0.499]
+    plausible = [unit for unit, metres in USER_UNITS.items() if 0.0051 < longest * metres < 0.499]
     readings, refusals = read_all([path])
     for reading in readings:
         assert reading.unit_guessed
-        assert reading.mesh.extents.max() == pytest.approx(longest * UNITS[reading.unit], rel=1e-5)
+        assert reading.mesh.extents.max() == pytest.approx(longest * USER_UNITS[reading.unit], rel=1e-5)
         assert not plausible or 0.005 <= reading.mesh.extents.max() * (1 + 1e-6) <= 0.50001
         assert "override with the unit option (mm, cm, m, inch)" in reading.unit_reason
     assert not (refusals and plausible)
@@ -189,10 +189,10 @@ def test_the_commonest_unit_wins(longest: float, unit: str, tmp_path: Path) -> N
     assert read_mesh(written(tmp_path, "part.stl", scaled(longest / 40))).unit == unit
 
 
-@pytest.mark.parametrize("unit", UNITS)
+@pytest.mark.parametrize("unit", USER_UNITS)
 def test_an_asked_unit_is_used_for_any_size(unit: str, tmp_path: Path) -> None:
     reading = read_mesh(written(tmp_path, "part.stl", scaled(0.02)), unit)
-    assert reading.mesh.extents.max() == pytest.approx(0.8 * UNITS[unit], rel=1e-5)
+    assert reading.mesh.extents.max() == pytest.approx(0.8 * USER_UNITS[unit], rel=1e-5)
     assert (reading.unit, reading.unit_guessed) == (unit, False)
 
 
@@ -277,12 +277,12 @@ def test_real_parts_are_accepted_and_their_measures_kept(real_parts: Path) -> No
         truth = {row["file"]: row for row in csv.DictReader(rows)}
     readings, refusals = read_all(mesh_files(real_parts))
     closed = {name for name, row in truth.items() if row["watertight"] == "True"}
-    accepted: dict[str, Reading] = {reading.path.name: reading for reading in readings}
+    accepted: dict[str, MeshReading] = {reading.path.name: reading for reading in readings}
     assert len(closed & accepted.keys()) >= 0.95 * len(closed)
     assert all(refusal.reason and "\n" not in refusal.reason for refusal in refusals)
     for name in closed & accepted.keys():
-        metres = UNITS[accepted[name].unit]
+        metres = USER_UNITS[accepted[name].unit]
         assert accepted[name].mesh.volume == pytest.approx(float(truth[name]["volume"]) * metres**3, rel=5e-3)
         assert defect_float32(accepted[name].mesh) is None
-    said = [name for name in accepted if truth[name]["units"] in UNITS]
+    said = [name for name in accepted if truth[name]["units"] in USER_UNITS]
     assert np.mean([accepted[name].unit == truth[name]["units"] for name in said]) >= 0.95

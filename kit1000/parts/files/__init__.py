@@ -1,1 +1,1 @@
-"""Mesh files of other people made into parts: read, mended, or refused with one line."""
+"""Mesh files of any origin as parts: read and repaired, or refused with one line."""

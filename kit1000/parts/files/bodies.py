@@ -1,7 +1,7 @@
-"""An exact solid becomes the mesh of one part: bodies united, crossings resolved, needless faces dropped.
+"""Conversion of an exact solid to the mesh of one part: bodies united, self-intersections removed, meshes simplified.
 
-Solids are metres. manifold3d accepts a surface that passes through itself; its volume and every boolean with
-it are then wrong, so crossings are looked for face by face, and what cannot be mended is refused.
+Solids are in metres. manifold3d accepts a surface that passes through itself, but its volume and every boolean with
+it are then wrong. So crossings are searched for face by face, and a surface that cannot be repaired is refused.
 """
 
 from __future__ import annotations
@@ -14,22 +14,28 @@ from kit1000.mesh import Mesh, defect, defect_float32, mesh_from_solid, solid_fr
 from kit1000.parts.files.crossings import crossings, max_distance, winding_numbers
 from kit1000.parts.files.repair import inverted
 
-MAX_FACES_UNCHANGED = 5000  # meshes up to this size are kept as they are
-SIMPLIFY_TOLERANCE = 2e-5  # [m] the sagitta to which our own parts are drawn
-SIMPLIFY_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)  # tried in turn: collapses add up to more than was asked
-MIN_BODY_SHARE = 0.9  # of the volume that one body must hold for the others to be dropped
-CROSSING_TOLERANCE = 1e-6  # [m] surfaces that pass through each other by less are touching
-FOLD_TOLERANCES = (2e-5, 5e-5)  # [m] tried in turn to iron out small folds
-SEPARATION = 2e-6  # [m] how far surfaces that touch along an edge are drawn apart
-DEVIATION_POINTS = 20_000  # vertices whose distance is measured after simplifying
-WINDING_POINTS = 400  # places where a mended solid is compared with the winding number of the file's surface
+MAX_FACES_UNCHANGED = 5000  # meshes up to this size are not simplified
+SIMPLIFY_TOLERANCE = 2e-5  # [m] as large as the sagitta of the procedural parts
+SIMPLIFY_SHARES = (
+    1.0,
+    0.8,
+    0.6,
+    0.4,
+    0.2,
+)  # of the tolerance, tried in this order: collapses add up to a larger deviation
+MIN_BODY_SHARE = 0.9  # of the volume in one body, for the others to be dropped
+CROSSING_TOLERANCE = 1e-6  # [m] surfaces that pass through each other by less count as touching
+FOLD_TOLERANCES = (2e-5, 5e-5)  # [m] tried in this order to remove small folds
+SEPARATION = 2e-6  # [m] by which surfaces that touch along an edge are moved apart
+DEVIATION_POINTS = 20_000  # vertices at which the deviation of a simplified mesh is measured
+WINDING_POINTS = 400  # points at which a repaired solid is compared with the winding number of the original surface
 
 
 def part_mesh(solid: Manifold, notes: list[str]) -> Mesh:
-    """The mesh of the one body a solid holds, closed also on the float32 grid; notes of changes are appended.
+    """The mesh of the one body of a solid, closed also on the float32 grid; a note of each change is appended.
 
     Raises:
-        MeshRefused: several bodies, a surface that passes through itself, no thickness.
+        MeshRefused: several bodies, a surface that passes through itself, or zero thickness.
     """
     solid = _single_body(_united(solid, notes), notes)
     solid = _simplified(solid, notes)
@@ -38,7 +44,7 @@ def part_mesh(solid: Manifold, notes: list[str]) -> Mesh:
 
 
 def _united(solid: Manifold, notes: list[str]) -> Manifold:
-    """The union of all outward shells, less the voids that lie in them."""
+    """The union of all outward shells without the voids inside them."""
     shells = solid.decompose()
     if len(shells) < 2:
         return solid
@@ -64,7 +70,7 @@ def _share_inside(shell: Manifold, other: Manifold) -> float:
 
 
 def _single_body(solid: Manifold, notes: list[str]) -> Manifold:
-    """The body that holds nearly all of the volume, with its own voids."""
+    """The body with nearly all of the volume, and its own voids."""
     shells = solid.decompose()
     bodies = sorted((shell for shell in shells if shell.volume() > 0), key=lambda body: -body.volume())
     if not bodies:
@@ -83,7 +89,7 @@ def _single_body(solid: Manifold, notes: list[str]) -> Manifold:
 
 
 def _simplified(solid: Manifold, notes: list[str]) -> Manifold:
-    """Fewer faces where there are many, with the deviation measured."""
+    """The solid with fewer faces if it has many, within SIMPLIFY_TOLERANCE as measured."""
     if solid.num_tri() <= MAX_FACES_UNCHANGED:
         return solid
     for share in SIMPLIFY_SHARES:
@@ -99,27 +105,27 @@ def _simplified(solid: Manifold, notes: list[str]) -> Manifold:
 
 
 def _deviation(before: Manifold, after: Manifold, tolerance: float) -> float:
-    """[m]: largest distance from vertices (every k-th of very many) of one solid to the other's surface."""
+    """[m] largest distance from the vertices of one solid (every k-th of very many) to the other's surface."""
     vertices = mesh_from_solid(before).vertices
     some = vertices[:: max(1, -(-len(vertices) // DEVIATION_POINTS))]
     return max_distance(some, mesh_from_solid(after).triangles, 5 * tolerance)
 
 
 def _without_crossings(solid: Manifold, notes: list[str]) -> Manifold:
-    """A solid whose surface does not pass through itself, by the gentlest means that works."""
+    """The solid without self-intersections, by the smallest change that works."""
     points = crossings(mesh_from_solid(solid).triangles, CROSSING_TOLERANCE)
     if not len(points):
         return solid
     for tolerance in FOLD_TOLERANCES:
-        ironed = solid.simplify(tolerance)
-        if _is_valid_repair(ironed, solid, points):
-            measured = _deviation(solid, ironed, tolerance)
-            notes.append(f"ironed out a fold that crossed itself, within {measured * 1e3:.3f} mm")
-            return ironed
-    parted = _split_at_crossings(solid, points)
-    if _is_valid_repair(parted, solid, points):
-        notes.append(f"resolved a self-intersection (volume {parted.volume() / solid.volume() - 1:+.2%})")
-        return parted
+        simple = solid.simplify(tolerance)
+        if _is_valid_repair(simple, solid, points):
+            measured = _deviation(solid, simple, tolerance)
+            notes.append(f"removed a self-intersecting fold, within {measured * 1e3:.3f} mm")
+            return simple
+    split = _split_at_crossings(solid, points)
+    if _is_valid_repair(split, solid, points):
+        notes.append(f"resolved a self-intersection (volume {split.volume() / solid.volume() - 1:+.2%})")
+        return split
     raise MeshRefused(f"passes through itself at {len(points)} places, near ({_millimetres(points[0])}) mm")
 
 
@@ -128,9 +134,9 @@ def _millimetres(point: np.ndarray) -> str:
 
 
 def _split_at_crossings(solid: Manifold, points: np.ndarray) -> Manifold:
-    """The union of what a surface bounds inside and outside a box round its crossings.
+    """The union of the solid inside a box around its crossings and of the solid outside.
 
-    Inside the box the branches that cross are bodies of their own, which a union joins exactly.
+    Inside the box the crossing branches are bodies of their own, which a union joins exactly.
     """
     low, high = points.min(0), points.max(0)
     margin = 0.02 * float(np.ptp(mesh_from_solid(solid).vertices, axis=0).max()) + 0.05 * float((high - low).max())
@@ -142,11 +148,11 @@ def _split_at_crossings(solid: Manifold, points: np.ndarray) -> Manifold:
     return Manifold.batch_boolean([union, *inward], OpType.Subtract) if inward else union
 
 
-def _is_valid_repair(mended: Manifold, solid: Manifold, points: np.ndarray) -> bool:
-    """Whether a mended solid is one body without crossings that fills what the given surface winds round."""
-    if mended.is_empty() or sum(shell.volume() > 0 for shell in mended.decompose()) != 1:
+def _is_valid_repair(repaired: Manifold, solid: Manifold, points: np.ndarray) -> bool:
+    """Whether a repaired solid is one body without crossings and fills where the original surface winds around."""
+    if repaired.is_empty() or sum(shell.volume() > 0 for shell in repaired.decompose()) != 1:
         return False
-    triangles = mesh_from_solid(mended).triangles
+    triangles = mesh_from_solid(repaired).triangles
     if len(crossings(triangles, CROSSING_TOLERANCE)):
         return False
     original = mesh_from_solid(solid).triangles
@@ -161,12 +167,12 @@ def _is_valid_repair(mended: Manifold, solid: Manifold, points: np.ndarray) -> b
 
 
 def _rounded(solid: Manifold, notes: list[str]) -> Mesh:
-    """The mesh on the float32 grid, with surfaces that only touch along edges drawn apart."""
+    """The mesh on the float32 grid, with surfaces that touch along edges moved apart."""
     mesh = mesh_from_solid(solid)
     fault = defect_float32(mesh)
     if fault is not None and "more than two" in fault:
         mesh = _separated(mesh)
-        notes.append(f"drew apart surfaces that touch along edges, by {SEPARATION * 1e6:.0f} um")
+        notes.append(f"separated surfaces that touch along edges, by {SEPARATION * 1e6:.0f} um")
         fault = defect_float32(mesh)
     if fault is not None:
         mesh = mesh_from_solid(solid.simplify(SIMPLIFY_TOLERANCE / 10))
@@ -179,9 +185,9 @@ def _rounded(solid: Manifold, notes: list[str]) -> Mesh:
 
 
 def _separated(mesh: Mesh) -> Mesh:
-    """The mesh with each vertex that shares its place with another moved inward along its own normal."""
-    places = mesh.vertices.astype(np.float32)
-    _, inverse, counts = np.unique(places, axis=0, return_inverse=True, return_counts=True)
+    """The mesh with each vertex that shares its position with another moved inward along its own normal."""
+    positions = mesh.vertices.astype(np.float32)
+    _, inverse, counts = np.unique(positions, axis=0, return_inverse=True, return_counts=True)
     shared = np.flatnonzero(counts[inverse.reshape(-1)] > 1)
     normals = np.zeros_like(mesh.vertices)
     np.add.at(normals, mesh.faces, mesh.normals[:, None])

@@ -1,7 +1,7 @@
-"""Where triangles cross and how far surfaces lie apart: boxes in a tree, triangle tests on the near pairs.
+"""Intersections of triangles and distances to surfaces, by a tree of boxes and exact tests on the near pairs.
 
-Arrays of triangles are (n, 3, 3) float64; every length is in the unit of the coordinates. Touching is
-no crossing: an edge must pass through a face by more than a tolerance on both sides, and inside its rim.
+Arrays of triangles are (n, 3, 3) float64; every length is in the unit of the coordinates. Touching does not count as
+crossing: an edge must pass through a face by more than a tolerance on both sides, and inside its boundary.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-QUERY_CHUNK = 16384  # boxes asked at once; bounds the memory of a query
-MORTON_BITS = 20  # bits an axis in the sorting key: cells of a millionth of the whole
+BOXES_PER_QUERY = 16384  # boxes queried at once; bounds the memory
+MORTON_BITS = 20  # bits per axis in the sorting key: cells of a millionth of the extent
 
 
 class BoxTree:
@@ -21,7 +21,7 @@ class BoxTree:
         """low, high: (n, 3) corners of the boxes."""
         self.order = np.argsort(_morton((low + high) / 2), kind="stable")
         size = 1 << max(len(low) - 1, 0).bit_length()
-        lows, highs = np.full((size, 3), np.inf), np.full((size, 3), -np.inf)  # empty leaves meet nothing
+        lows, highs = np.full((size, 3), np.inf), np.full((size, 3), -np.inf)  # empty leaves overlap no box
         lows[: len(low)], highs[: len(low)] = low[self.order], high[self.order]
         self.levels = [(lows, highs)]
         while len(lows) > 1:
@@ -30,8 +30,8 @@ class BoxTree:
 
     def overlaps(self, low: np.ndarray, high: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield (query, box) index arrays (k,) of all overlapping pairs, some queries (m, 3) at a time."""
-        for start in range(0, len(low), QUERY_CHUNK):
-            query = np.arange(start, min(start + QUERY_CHUNK, len(low)))
+        for start in range(0, len(low), BOXES_PER_QUERY):
+            query = np.arange(start, min(start + BOXES_PER_QUERY, len(low)))
             node = np.zeros(len(query), dtype=np.int64)
             for depth, (lows, highs) in enumerate(self.levels):
                 if depth:
@@ -44,7 +44,7 @@ class BoxTree:
 
 
 def crossings(triangles: np.ndarray, tolerance: float) -> np.ndarray:
-    """(k, 3): the points where an edge of one triangle passes through another by more than the tolerance."""
+    """(k, 3) points where an edge of one triangle passes through another by more than the tolerance."""
     low, high = triangles.min(1), triangles.max(1)
     normals = _unit_normals(triangles)
     points = [np.empty((0, 3))]
@@ -58,7 +58,7 @@ def crossings(triangles: np.ndarray, tolerance: float) -> np.ndarray:
 def _edge_crossings(
     triangles: np.ndarray, normals: np.ndarray, face: np.ndarray, other: np.ndarray, tolerance: float
 ) -> np.ndarray:
-    """(k, 3): points where the edges of `other` pass through `face`, both index arrays (m,)."""
+    """(k, 3) points where the edges of `other` pass through `face`, both index arrays (m,)."""
     heights = np.einsum("mkc,mc->mk", triangles[other] - triangles[face, None, 0], normals[face])
     across = (heights.min(1) < -tolerance) & (heights.max(1) > tolerance)
     face, other, heights = face[across], other[across], heights[across]
@@ -69,13 +69,13 @@ def _edge_crossings(
         share = (a[through] / (a[through] - b[through]))[:, None]
         edge = triangles[other[through]]
         point = edge[:, start] + share * (edge[:, end] - edge[:, start])
-        rim = _rim_distance(point, triangles[face[through]], normals[face[through]])
-        found.append(point[rim > tolerance])
+        inset = _inset_distance(point, triangles[face[through]], normals[face[through]])
+        found.append(point[inset > tolerance])
     return np.concatenate(found)
 
 
-def _rim_distance(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """(m,): distance of in-plane points (m, 3) to the nearest side of their triangle, negative outside."""
+def _inset_distance(points: np.ndarray, triangles: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(m,) distance of in-plane points (m, 3) to the nearest side of their triangle, negative outside."""
     distances = []
     for start, end in ((0, 1), (1, 2), (2, 0)):
         side = triangles[:, end] - triangles[:, start]
@@ -95,10 +95,10 @@ def max_distance(points: np.ndarray, triangles: np.ndarray, reach: float) -> flo
 
 
 def _distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(m,): distance of each point (m, 3) to its triangle (m, 3, 3)."""
+    """(m,) distance of each point (m, 3) to its triangle (m, 3, 3)."""
     normals = _unit_normals(triangles)
     height = np.abs(np.einsum("mc,mc->m", points - triangles[:, 0], normals))
-    above = (_rim_distance(points, triangles, normals) >= 0) & normals.any(1)
+    above = (_inset_distance(points, triangles, normals) >= 0) & normals.any(1)
     sides = np.full(len(points), np.inf)
     for start, end in ((0, 1), (1, 2), (2, 0)):
         side = triangles[:, end] - triangles[:, start]
@@ -109,7 +109,7 @@ def _distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def winding_numbers(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(n,): how often the surface winds round each point (van Oosterom and Strackee 1983, eq. 8)."""
+    """(n,) how often the surface winds round each point (van Oosterom and Strackee 1983, eq. 8)."""
     total = np.empty(len(points))
     for i, point in enumerate(points):
         a, b, c = np.moveaxis(triangles - point, 1, 0)
@@ -127,7 +127,7 @@ def _unit_normals(triangles: np.ndarray) -> np.ndarray:
 
 
 def _morton(points: np.ndarray) -> np.ndarray:
-    """(n,) uint64: keys whose order keeps neighbours in space near each other (Morton 1966)."""
+    """(n,) uint64 keys in whose order neighbours in space are near each other (Morton 1966)."""
     span = np.maximum(np.ptp(points, axis=0).max(initial=0.0), 1e-300)
     cells = ((points - points.min(0)) / span * (2**MORTON_BITS - 1)).astype(np.uint64)
     keys = np.zeros(len(points), dtype=np.uint64)

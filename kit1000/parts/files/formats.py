@@ -1,7 +1,7 @@
-"""Mesh files become raw triangles: STL read here, other formats by trimesh, every fault one line.
+"""Reading mesh files as raw triangles: STL here, other formats by trimesh, every fault as one line.
 
-Nothing is healed and no unit converted. A file is never trusted: what its header declares is held against its
-size before memory is taken, so that a damaged or hostile file costs a message and not a machine.
+Nothing is repaired and no unit is converted. A file is never trusted: the counts in its header are compared with its
+size before memory is allocated, so that a damaged or malicious file causes an error message and nothing worse.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from kit1000.errors import MeshRefused
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".3mf", ".glb", ".gltf", ".step", ".stp")
 TEXT_SUFFIXES = (".obj", ".off")
 STEP_SUFFIXES = (".step", ".stp")
-METRE_SUFFIXES = (".glb", ".gltf", *STEP_SUFFIXES)  # glTF says so; the STEP reader converts to it
+METRE_SUFFIXES = (".glb", ".gltf", *STEP_SUFFIXES)  # by the standard for glTF; the STEP reader converts to metres
 MAX_FACES = 5_000_000
 MAX_BYTES = 1_500_000_000  # an ASCII STL of 5 million faces; also the limit of what a 3MF may unpack to
 STL_HEADER = 84  # [bytes] 80 of comment, 4 of count
@@ -35,19 +35,20 @@ UNIT_NAMES |= {"inch": "inch", "foot": "foot", "micron": "micron"}
 
 @dataclass(frozen=True, eq=False)
 class TriangleSoup:
-    """Triangles as a file holds them."""
+    """Triangles as they are stored in a file: no connectivity or orientation is guaranteed."""
 
     vertices: np.ndarray
     """(n, 3) float64, in the unit of the file."""
     faces: np.ndarray
     """(m, 3) int64"""
     unit: str | None = None
-    """What the file says about its unit."""
+    """The unit stated in the file."""
     notes: tuple[str, ...] = ()
+    """Irregularities of the file that were ignored."""
 
 
 def read_triangles(path: Path) -> TriangleSoup:
-    """The triangles of a mesh file. Raises MeshRefused with one line when there are none to be had."""
+    """The triangles of a mesh file. Raises MeshRefused with one line when it has none."""
     data = _bytes(path)
     suffix = path.suffix.lower()
     if suffix == ".stl":
@@ -130,7 +131,7 @@ def _is_printable(data: bytes) -> bool:
 
 
 def _check_declared(suffix: str, data: bytes) -> None:
-    """Refuse a file whose header promises more elements than it has bytes."""
+    """Refuse a file whose header declares more elements than it has bytes."""
     declared = COUNTERS[suffix](data) if suffix in COUNTERS else 0
     if declared > len(data) and suffix != ".gltf":
         raise MeshRefused(f"cut short or damaged: {declared:,} elements declared in {len(data):,} bytes")
@@ -171,7 +172,7 @@ def _check_archive(data: bytes) -> None:
 
 
 def _read_other(path: Path, suffix: str, data: bytes) -> TriangleSoup:
-    """Read by trimesh. Its readers raise whatever they stumble over, so any exception means a bad file."""
+    """Read by trimesh. Its readers raise exceptions of any type for a damaged file, so every one is caught."""
     if suffix in STEP_SUFFIXES and find_spec("cascadio") is None:
         raise MeshRefused("STEP files need an optional reader: pip install cascadio")
     if suffix in TEXT_SUFFIXES:
@@ -183,22 +184,22 @@ def _read_other(path: Path, suffix: str, data: bytes) -> TriangleSoup:
         pieces = [piece for piece in scene.dump() if isinstance(piece, trimesh.Trimesh) and len(piece.faces)]
         unit = scene.units
     except Exception as error:
-        said = "" if isinstance(error, OSError) else " ".join(str(error).split())[:100]
-        raise MeshRefused(f"not readable as {suffix[1:].upper()}: {said or 'damaged'}") from None
+        message = "" if isinstance(error, OSError) else " ".join(str(error).split())[:100]
+        raise MeshRefused(f"not readable as {suffix[1:].upper()}: {message or 'damaged'}") from None
     if not pieces:
         raise MeshRefused("holds no triangles")
     return _joined(pieces, "m" if suffix in METRE_SUFFIXES else UNIT_NAMES.get(unit or ""))
 
 
 def _as_utf8(data: bytes) -> bytes:
-    """The text of a mesh file with whatever is not UTF-8, an author's name in a comment say, replaced."""
+    """The text of a mesh file; bytes that are not UTF-8, as in a comment, are replaced."""
     if b"\0" in data[:4096]:
         raise MeshRefused("not a mesh: binary data, expected text")
     return data.decode("utf-8", "replace").encode()
 
 
 def _joined(pieces: list, unit: str | None) -> TriangleSoup:
-    """One soup of all trimesh meshes of a file."""
+    """All trimesh meshes of a file as one soup."""
     if any(np.shape(array)[1:] != (3,) for piece in pieces for array in (piece.vertices, piece.faces)):
         raise MeshRefused("damaged: vertices without three coordinates, or faces without three corners")
     starts = np.cumsum([0, *(len(piece.vertices) for piece in pieces)])

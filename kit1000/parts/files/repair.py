@@ -1,7 +1,7 @@
-"""A soup of triangles becomes a closed, consistently wound, outward surface, or is refused with one line.
+"""Repair of a triangle soup to a closed, consistently wound, outward surface; or refusal with one line.
 
-In order: equal vertices are made one, faces that collapsed or are said twice dropped, open edges closed where
-that is safe, faces turned to agree with their neighbours. Vertices (n, 3) float64 [m], faces (m, 3) int64.
+In order: equal vertices are merged, collapsed and duplicate faces dropped, open edges closed where that is safe, and
+faces flipped to agree with their neighbours. Vertices (n, 3) float64 [m], faces (m, 3) int64.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ SHEET_SHARE = 1e-6  # of the longest side: a soup thinner than this is a sheet
 
 
 def closed_solid(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> Manifold:
-    """The exact solid that a soup of triangles bounds; notes of what was mended are appended.
+    """The exact solid that a triangle soup bounds; a note of each repair is appended to `notes`.
 
     Raises:
         MeshRefused: with the reason and its count.
@@ -45,14 +45,14 @@ def closed_solid(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> M
 
 
 def inverted(solid: Manifold) -> Manifold:
-    """The same surface wound the other way."""
+    """The same surface with the opposite winding."""
     raw = solid.to_mesh64()
     flipped = np.ascontiguousarray(raw.tri_verts[:, ::-1])
     return Manifold(Mesh64(np.array(raw.vert_properties), flipped))
 
 
 def _merged_equal_vertices(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The vertices, and faces that name one of all equal vertices (the first)."""
+    """The vertices, and faces with the indices of equal vertices replaced by the first of them."""
     rows = np.ascontiguousarray(vertices + 0.0)  # -0.0 becomes 0.0
     bits = rows.view(np.uint64)
     with np.errstate(over="ignore"):
@@ -67,7 +67,7 @@ def _merged_equal_vertices(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.
 
 
 def _compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices that faces use, sorted by place, so that no order of the file reaches the result."""
+    """The vertices that faces use, sorted by position: the result does not depend on the order in the file."""
     used, inverse = np.unique(faces, return_inverse=True)
     order = np.lexsort(vertices[used].T[::-1])
     rank = np.empty(len(order), dtype=np.int64)

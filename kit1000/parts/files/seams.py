@@ -1,6 +1,6 @@
-"""Open surfaces are closed by the gentlest means: seams welded, T-junctions stitched, small holes filled.
+"""Closing of open surfaces, smallest change first: seams welded, T-junctions stitched, small holes filled.
 
-Vertices (n, 3) are float64 [m], faces (m, 3) int64. What no step closes is refused, its open edges counted.
+Vertices (n, 3) are float64 [m], faces (m, 3) int64. A surface that stays open is refused with its number of open edges.
 """
 
 from __future__ import annotations
@@ -14,18 +14,18 @@ from scipy.spatial import KDTree
 from kit1000.errors import MeshRefused
 from kit1000.parts.files.topology import consistently_wound, halfedges, longest_side, open_edges, without_duplicates
 
-WELD_SHARES = (1e-7, 1e-6, 1e-5)  # of the longest side; CAD writes one corner in several last digits
-WELD_LIMIT = 1e-5  # [m] no seam wider than this is closed
+WELD_SHARES = (1e-7, 1e-6, 1e-5)  # of the longest side; CAD exports one corner with different last digits
+WELD_LIMIT = 1e-5  # [m] wider seams are not closed
 STITCH_SHARE = 1e-4  # of the longest side: how far a vertex may lie off the edge that it splits
-STITCH_LIMIT = 20_000  # open edges; a surface that falls apart into more is no closed one with faults
+STITCH_LIMIT = 20_000  # open edges; a surface with more is not nearly closed
 STITCH_PASSES = 4  # a face may be split along each side, and its pieces once more
-HOLE_SHARE = 0.02  # of the surface: a larger hole could be meant, and a lid would make another solid
-TRIANGLE_SHARE = 0.2  # of the surface, for a hole of three edges: no lid but one fits it
+HOLE_SHARE = 0.02  # of the surface; a larger hole may be intended, and a lid would change the solid
+TRIANGLE_SHARE = 0.2  # of the surface, for a hole of three edges, which has only one possible lid
 HOLE_FLATNESS = 2e-3  # of the longest side
 
 
 def close_surface(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Close seams, T-junctions and small holes, the gentlest means first; refuse what stays open."""
+    """Close seams, T-junctions and small holes, in this order; refuse a surface that stays open."""
     opened = len(open_edges(faces))
     for share in WELD_SHARES:
         faces = _welded_seams(vertices, faces, min(share * longest_side(vertices), WELD_LIMIT), notes)
@@ -43,7 +43,7 @@ def close_surface(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> 
 
 
 def _welded_seams(vertices: np.ndarray, faces: np.ndarray, tolerance: float, notes: list[str]) -> np.ndarray:
-    """Make vertices on open edges one when they lie within a tolerance [m] of each other."""
+    """Merge vertices on open edges that lie within a tolerance [m] of each other."""
     start, end = halfedges(faces)
     opened = open_edges(faces)
     rim = np.unique([start[opened], end[opened]])
@@ -61,7 +61,7 @@ def _welded_seams(vertices: np.ndarray, faces: np.ndarray, tolerance: float, not
 
 
 def _stitched(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
-    """Split faces whose open side passes through vertices of other open sides."""
+    """Split faces at vertices of other open edges that lie on their own open edges."""
     before = len(faces)
     for _ in range(STITCH_PASSES):
         splits = _splits(vertices, faces)
@@ -76,7 +76,7 @@ def _stitched(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.n
 
 
 def _splits(vertices: np.ndarray, faces: np.ndarray) -> dict[int, tuple[int, np.ndarray]]:
-    """For each face to split: which side (0, 1, 2), and the vertices on it in order. One side a face."""
+    """For each face to split, the side (0, 1, 2) and the vertices on it in order. One side per face."""
     start, end = halfedges(faces)
     opened = open_edges(faces)
     if not len(opened):
@@ -100,14 +100,14 @@ def _splits(vertices: np.ndarray, faces: np.ndarray) -> dict[int, tuple[int, np.
 
 
 def _fan(face: np.ndarray, side: int, points: np.ndarray) -> np.ndarray:
-    """(k + 1, 3): a face cut from its far corner to k points along one side."""
+    """(k + 1, 3) faces: one face split from its opposite corner to k points along a side."""
     a, b, far = np.roll(face, -side)
     chain = np.concatenate([[a], points, [b]])
     return np.stack([chain[:-1], chain[1:], np.full(len(chain) - 1, far)], axis=1)
 
 
 def _filled(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
-    """Put a lid on holes that are flat and small; leave the others open."""
+    """Close flat, small holes with a lid; leave the others open."""
     corners = vertices[faces]
     crosses = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(crosses, axis=1).sum() / 2
@@ -122,7 +122,7 @@ def _filled(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.nda
 
 
 def _loops(faces: np.ndarray) -> list[np.ndarray]:
-    """Rims of holes as rings of different vertices, against the winding of the faces around."""
+    """Boundary loops of holes, each vertex once, against the winding of the faces around."""
     start, end = halfedges(faces)
     onward: dict[int, list[int]] = {}
     for halfedge in open_edges(faces):
@@ -134,7 +134,7 @@ def _loops(faces: np.ndarray) -> list[np.ndarray]:
             vertex = following.pop()
             if not following:
                 del onward[path[-1]]
-            if vertex in path:  # holes that touch at a vertex come apart there
+            if vertex in path:  # holes that touch at a vertex are separated there
                 first = path.index(vertex)
                 loops.append(np.array(path[first:]))
                 path = path[: first + 1]
@@ -145,7 +145,7 @@ def _loops(faces: np.ndarray) -> list[np.ndarray]:
 
 
 def _lid(vertices: np.ndarray, ring: np.ndarray, largest: float) -> np.ndarray | None:
-    """(k, 3) faces over a ring of vertices when it is flat and its area [m^2] small, else None."""
+    """(k, 3) faces over a loop of vertices if it is flat and its area [m^2] is at most `largest`, else None."""
     points = vertices[ring] - vertices[ring].mean(0)
     across = np.cross(points, np.roll(points, -1, axis=0)).sum(0) / 2  # area vector of the ring
     area = np.linalg.norm(across)

@@ -1,6 +1,6 @@
-"""Mesh files become parts: which files, in which unit, read how, and what was done to them.
+"""Mesh files as parts: finding the files, their units, reading and repair.
 
-Every change is in a reading's notes and every guess says how to override it; a file that cannot be a part is
+Every change is in a reading's notes and every guess states how to override it; a file that cannot be a part is
 refused with one line, and one bad file never stops a run.
 """
 
@@ -23,28 +23,28 @@ from kit1000.parts.files.bodies import part_mesh
 from kit1000.parts.files.formats import MESH_SUFFIXES, STEP_SUFFIXES, read_triangles
 from kit1000.parts.files.repair import closed_solid
 
-UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}  # [m] what a user can ask for
-FILE_UNITS = UNITS | {"foot": 0.3048, "micron": 1e-6}  # [m] what a file can say
-UNIT_GUESS_ORDER = ("mm", "m", "inch", "cm")  # commonest in machine parts first
-PLAUSIBLE_SIZE = (0.005, 0.5)  # [m] longest side of a plausible machine part, the ground of a guess
-ACCEPTED_SIZE = (1e-4, 10.0)  # [m] longest side that is not refused
-MAX_OFFSET_RATIO = 100.0  # longest sides from the origin, beyond which float32 would eat the shape
+USER_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}  # [m] that a user can give
+FILE_UNITS = USER_UNITS | {"foot": 0.3048, "micron": 1e-6}  # [m] that a file can state
+UNIT_GUESS_ORDER = ("mm", "m", "inch", "cm")  # the most frequent in machine parts first
+PLAUSIBLE_SIZE = (0.005, 0.5)  # [m] longest side of a machine part, by which a unit is guessed
+ACCEPTED_SIZE = (1e-4, 10.0)  # [m] longest side of a part that is not refused
+MAX_OFFSET_RATIO = 100.0  # distance from the origin in longest sides; farther away float32 would ruin the shape
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
-    """A part as a file holds it, mended."""
+class MeshReading:
+    """A part read from a file and repaired."""
 
     path: Path
     mesh: Mesh
     """Metres, closed, outward, one body, vertices on the float32 grid."""
     unit: str
-    """The unit that the file's numbers were taken to be in."""
+    """The unit in which the file's coordinates were read."""
     unit_guessed: bool
     unit_reason: str
-    """Why this unit, and how to choose another."""
+    """Why this unit, and how to override a guess."""
     notes: tuple[str, ...]
-    """Everything that was done to the surface; empty for a clean file."""
+    """Every change made to the surface; empty for a clean file."""
 
 
 @dataclass(frozen=True)
@@ -55,36 +55,36 @@ class Refusal:
     reason: str
 
 
-Outcome = Reading | Refusal
+Outcome = MeshReading | Refusal
 
 
-def read_mesh(path: str | Path, unit: str | None = None) -> Reading:
+def read_mesh(path: str | Path, unit: str | None = None) -> MeshReading:
     """Read one mesh file as a part.
 
     Args:
         path: STL, OBJ, PLY, OFF, 3MF, GLB or GLTF; STEP where its optional reader is installed.
-        unit: "mm", "cm", "m" or "inch"; None: as the file says, else guessed from its size.
+        unit: "mm", "cm", "m" or "inch"; None: the one stated in the file, else guessed from its size.
 
     Raises:
         MeshRefused: the file cannot be a part; one line says why.
         InputError: the unit is unknown.
     """
     path = Path(path)
-    if unit is not None and unit not in UNITS:
-        raise InputError(f"unit {unit!r}: expected one of {', '.join(UNITS)}")
+    if unit is not None and unit not in USER_UNITS:
+        raise InputError(f"unit {unit!r}: expected one of {', '.join(USER_UNITS)}")
     soup = read_triangles(path)
     notes = list(soup.notes)
     used = np.zeros(len(soup.vertices), dtype=bool)
     used[soup.faces] = True
     _check_finite(soup.vertices[used])
     longest = float(np.ptp(soup.vertices[used], axis=0).max())
-    asked = None if path.suffix.lower() in STEP_SUFFIXES else unit  # a STEP reader has converted already
-    chosen, guessed, reason = _unit(longest, asked, soup.unit)
+    given = None if path.suffix.lower() in STEP_SUFFIXES else unit  # the STEP reader has converted already
+    chosen, guessed, reason = _unit(longest, given, soup.unit)
     vertices = soup.vertices * FILE_UNITS[chosen]
     _check_size(longest * FILE_UNITS[chosen], chosen)
     vertices = _moved_to_origin(vertices, used, notes)
     mesh = part_mesh(closed_solid(vertices, soup.faces, notes), notes)
-    return Reading(path, mesh, chosen, guessed, reason, tuple(notes))
+    return MeshReading(path, mesh, chosen, guessed, reason, tuple(notes))
 
 
 def _check_finite(vertices: np.ndarray) -> None:
@@ -102,22 +102,22 @@ def _check_size(longest: float, unit: str) -> None:
         raise MeshRefused(f"{size}; expected {low:g} to {high:g} m, give the file's unit")
 
 
-def _unit(longest: float, asked: str | None, said: str | None) -> tuple[str, bool, str]:
-    """(unit, whether guessed, why) for a longest side in the unit of the file."""
-    if asked is not None:
-        return asked, False, "as asked"
-    if said is not None:
-        return said, False, "the file says so"
+def _unit(longest: float, given: str | None, stated: str | None) -> tuple[str, bool, str]:
+    """(unit, whether guessed, reason) for a longest side in the unit of the file."""
+    if given is not None:
+        return given, False, "as given"
+    if stated is not None:
+        return stated, False, "stated in the file"
     low, high = PLAUSIBLE_SIZE
 
-    def strangeness(unit: str) -> float:
-        size = max(longest * UNITS[unit], 1e-300)
+    def implausibility(unit: str) -> float:
+        size = max(longest * USER_UNITS[unit], 1e-300)
         return max(math.log(low * (1 - 1e-9) / size), math.log(size / (high * (1 + 1e-9))), 0.0)
 
-    unit = min(UNIT_GUESS_ORDER, key=strangeness)
-    others = [other for other in UNIT_GUESS_ORDER if other != unit and strangeness(other) == 0]
+    unit = min(UNIT_GUESS_ORDER, key=implausibility)
+    others = [other for other in UNIT_GUESS_ORDER if other != unit and implausibility(other) == 0]
     also = f"; could also be {' or '.join(others)}" if others else ""
-    size = f"longest side {longest:.4g} read as {unit} is {longest * UNITS[unit] * 1e3:.4g} mm"
+    size = f"longest side {longest:.4g} read as {unit} is {longest * USER_UNITS[unit] * 1e3:.4g} mm"
     return unit, True, f"guessed: {size}{also}; override with the unit option (mm, cm, m, inch)"
 
 
@@ -130,13 +130,12 @@ def _moved_to_origin(vertices: np.ndarray, used: np.ndarray, notes: list[str]) -
 
 
 def mesh_files(path: str | Path) -> list[Path]:
-    """The mesh files that a path stands for: a file, a folder (all below, sorted), or a .txt list of paths.
+    """The mesh files of a path: the file itself, all below a folder (sorted), or those of a .txt list of paths.
 
-    Lines of a list are relative to it; blank lines and those beginning with # are skipped; a listed folder is
-    searched too.
+    Paths in a list are relative to it; blank lines and lines beginning with # are skipped; listed folders are searched.
 
     Raises:
-        InputError: nothing there, or a folder or list without a mesh.
+        InputError: the path does not exist, or the folder or list has no mesh.
     """
     path = Path(path)
     if path.is_dir():
@@ -174,14 +173,14 @@ def _meshes_listed(listing: Path) -> list[Path]:
 
 def read_all(
     paths: Iterable[str | Path], unit: str | None = None, workers: int = 1
-) -> tuple[list[Reading], list[Refusal]]:
+) -> tuple[list[MeshReading], list[Refusal]]:
     """Read many files; both lists keep the order of the paths, whatever the number of workers."""
-    if unit is not None and unit not in UNITS:
-        raise InputError(f"unit {unit!r}: expected one of {', '.join(UNITS)}")
+    if unit is not None and unit not in USER_UNITS:
+        raise InputError(f"unit {unit!r}: expected one of {', '.join(USER_UNITS)}")
     files = [Path(path) for path in paths]
     read = partial(_read_or_refuse, unit=unit)
     outcomes = list(_read_parallel(read, files, workers) if workers > 1 and len(files) > 1 else map(read, files))
-    readings = [outcome for outcome in outcomes if isinstance(outcome, Reading)]
+    readings = [outcome for outcome in outcomes if isinstance(outcome, MeshReading)]
     return readings, [outcome for outcome in outcomes if isinstance(outcome, Refusal)]
 
 
@@ -195,7 +194,7 @@ def _read_or_refuse(path: Path, unit: str | None) -> Outcome:
 
 
 def _read_parallel(read: Callable[[Path], Outcome], files: Sequence[Path], workers: int) -> Iterator[Outcome]:
-    """Outcomes in order from several processes; a file that ends its process is refused, the rest go on."""
+    """Outcomes in order from several processes; a file that crashes its process is refused, the others are read."""
     done = 0
     while done < len(files):
         with _pool(min(workers, len(files) - done)) as pool:
@@ -203,7 +202,7 @@ def _read_parallel(read: Callable[[Path], Outcome], files: Sequence[Path], worke
                 for outcome in pool.map(read, files[done:]):
                     yield outcome
                     done += 1
-            except BrokenProcessPool:  # by one of the files under way, so the next is read alone
+            except BrokenProcessPool:  # crashed by one of the files being read, so the next is read alone
                 yield _read_alone(read, files[done])
                 done += 1
 

@@ -1,4 +1,4 @@
-"""What the faces of a mesh share: edges, partners, duplicates, and a winding they agree on.
+"""Topology of a mesh: edges, neighbours, duplicate faces and consistent winding.
 
 Vertices (n, 3) are float64 [m], faces (m, 3) int64 of indices into them. A halfedge is one side of one face.
 """
@@ -18,23 +18,23 @@ def halfedges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def edge_keys(faces: np.ndarray) -> np.ndarray:
-    """(3m,): one number for each side, the same in both directions."""
+    """(3m,) a number for each halfedge, the same for both directions."""
     start, end = halfedges(faces)
     return np.minimum(start, end) * (faces.max() + 1) + np.maximum(start, end)
 
 
 def open_edges(faces: np.ndarray) -> np.ndarray:
-    """(k,): halfedges whose edge an odd number of faces share."""
+    """(k,) halfedges whose edge is shared by an odd number of faces."""
     _, inverse, counts = np.unique(edge_keys(faces), return_inverse=True, return_counts=True)
     return np.flatnonzero(counts[inverse] % 2)
 
 
 def without_duplicates(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
-    """Faces with three corners, each said once; a face and its reverse bound nothing and both go."""
+    """The faces without collapsed ones and duplicates; a face and its reverse enclose nothing and both are dropped."""
     faces = _uncollapsed(faces)
-    turned = faces[np.arange(len(faces))[:, None], (faces.argmin(1)[:, None] + np.arange(3)) % 3]
-    swapped = (turned[:, 1] > turned[:, 2]).astype(np.int64)
-    lowest, low, high = turned[:, 0], turned[:, 1:].min(1), turned[:, 1:].max(1)
+    rotated = faces[np.arange(len(faces))[:, None], (faces.argmin(1)[:, None] + np.arange(3)) % 3]
+    swapped = (rotated[:, 1] > rotated[:, 2]).astype(np.int64)
+    lowest, low, high = rotated[:, 0], rotated[:, 1:].min(1), rotated[:, 1:].max(1)
     order = np.lexsort((swapped, high, low, lowest))
     same = np.ones(len(order), dtype=bool)
     for key in (lowest, low, high):
@@ -46,7 +46,7 @@ def without_duplicates(vertices: np.ndarray, faces: np.ndarray, notes: list[str]
     forward = np.bincount(group, weights=swapped[order] == 0) > 0
     backward = np.bincount(group, weights=swapped[order] == 1) > 0
     keep = ~same & ~(forward & backward)[group]
-    notes.append(f"dropped {len(faces) - int(keep.sum()):,} faces said twice")
+    notes.append(f"dropped {len(faces) - int(keep.sum()):,} duplicate faces")
     return faces[np.sort(order[keep])]
 
 
@@ -56,6 +56,7 @@ def _uncollapsed(faces: np.ndarray) -> np.ndarray:
 
 
 def longest_side(vertices: np.ndarray) -> float:
+    """Of the bounding box."""
     return float(np.ptp(vertices, axis=0).max())
 
 
@@ -67,26 +68,26 @@ def unpaired_count(faces: np.ndarray) -> int:
 
 
 def consistently_wound(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
-    """Faces turned to agree with their neighbours; pieces that had to be mended face outward."""
+    """Faces flipped to agree with their neighbours; connected pieces in which faces were flipped point outward."""
     if not unpaired_count(faces):
         return faces
-    piece, turn = _winding_flips(faces)
-    turning = np.bincount(piece, weights=turn.astype(np.float64))
-    mixed = (turning > 0) & (turning < np.bincount(piece))
-    turn &= mixed[piece]
-    turned = np.where(turn[:, None], faces[:, ::-1], faces)
-    a, b, c = np.moveaxis(vertices[turned] - vertices.mean(0), 1, 0)
+    piece, flip = _winding_flips(faces)
+    flip_counts = np.bincount(piece, weights=flip.astype(np.float64))
+    mixed = (flip_counts > 0) & (flip_counts < np.bincount(piece))
+    flip &= mixed[piece]
+    flipped = np.where(flip[:, None], faces[:, ::-1], faces)
+    a, b, c = np.moveaxis(vertices[flipped] - vertices.mean(0), 1, 0)
     inward = np.bincount(piece, weights=np.einsum("mc,mc->m", a, np.cross(b, c))) < 0
-    result = np.where((turn ^ (mixed & inward)[piece])[:, None], faces[:, ::-1], faces)
+    result = np.where((flip ^ (mixed & inward)[piece])[:, None], faces[:, ::-1], faces)
     if changed := int((result != faces).any(1).sum()):
-        notes.append(f"turned {changed:,} faces to agree with their neighbours")
+        notes.append(f"flipped {changed:,} faces to agree with their neighbours")
     return result
 
 
 def _winding_flips(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(m,) piece of surface of each face, (m,) bool: whether it must turn to agree with the piece's first.
+    """(m,) connected piece of each face, (m,) bool: whether it must be flipped to agree with the piece's first face.
 
-    Each face stands in a graph twice, as it is and turned; an edge of two faces joins the states that agree.
+    Each face is in a graph twice, as it is and flipped; an edge of two faces connects the states that agree.
     """
     count = len(faces)
     start = halfedges(faces)[0]
@@ -94,14 +95,14 @@ def _winding_flips(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(keys, kind="stable")
     _, first, counts = np.unique(keys[order], return_index=True, return_counts=True)
     left, right = order[first[counts == 2]], order[first[counts == 2] + 1]
-    opposed = (start[left] == start[right]).astype(np.int64)  # both run the same way: one must turn
+    opposed = (start[left] == start[right]).astype(np.int64)  # both run the same way: one must be flipped
     left, right = left % count, right % count
     rows = np.concatenate([left, left + count])
     columns = np.concatenate([right + opposed * count, right + (1 - opposed) * count])
     graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(2 * count, 2 * count))
     labels = connected_components(graph, directed=False)[1]
-    as_is, turned = labels[:count], labels[count:]
-    if (as_is == turned).any():
+    as_is, flipped = labels[:count], labels[count:]
+    if (as_is == flipped).any():
         raise MeshRefused("one-sided surface: its faces cannot be wound consistently")
-    _, piece = np.unique(np.minimum(as_is, turned), return_inverse=True)
-    return piece, as_is > turned
+    _, piece = np.unique(np.minimum(as_is, flipped), return_inverse=True)
+    return piece, as_is > flipped
