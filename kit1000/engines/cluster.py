@@ -66,7 +66,7 @@ def _connect(library: Any, address: str | None, workers: int | None) -> None:
         library.init("local", runtime_env=environment, **resources, **quiet_options)
         return
     _check_reachable(address)
-    package = Path(__file__).parents[2]
+    package = Path(__file__).parents[1]
     environment |= {"py_modules": [str(package)], "excludes": ["__pycache__"]}
     try:
         library.init(address, runtime_env=environment, **quiet_options)
