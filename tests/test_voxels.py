@@ -1,4 +1,4 @@
-"""Grids, volumes, their encodings, and reading them between voxels."""
+"""Grids, volumes, their encodings, and interpolation."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ from kit1000.voxels import (
     to_uint8,
 )
 
-TURNED = Pose.from_rotvec((0.3, -0.7, 1.1), (0.2, -0.1, 0.05))
-GRID = Grid((7, 6, 5), 2e-3, TURNED)
+ROTATED = Pose.from_rotvec((0.3, -0.7, 1.1), (0.2, -0.1, 0.05))
+GRID = Grid((7, 6, 5), 2e-3, ROTATED)
 
 
 def any_volume(grid: Grid = GRID, unknown: float = 0.2, seed: int = 0) -> Volume:
@@ -45,28 +45,28 @@ def millimetre_box(x: float, y: float, z: float) -> Mesh:
     return Mesh(mesh.vertices - mesh.bounds.mean(0), mesh.faces)
 
 
-def test_a_voxel_has_its_centre_at_its_index() -> None:
-    np.testing.assert_allclose(GRID.world((1, 2, 3)), TURNED.apply((2e-3, 4e-3, 6e-3)))
+def test_the_centre_of_a_voxel_is_at_its_index() -> None:
+    np.testing.assert_allclose(GRID.world((1, 2, 3)), ROTATED.apply((2e-3, 4e-3, 6e-3)))
     np.testing.assert_array_equal(GRID.centres()[4, 3, 2], GRID.world((4, 3, 2)))
 
 
 @given(pose=poses(), shape=st.tuples(*[st.integers(1, 9)] * 3))
 @settings(max_examples=30)
-def test_a_centred_grid_has_its_middle_at_the_pose(pose: Pose, shape: tuple[int, int, int]) -> None:
+def test_the_centre_of_a_centred_grid_is_at_the_pose(pose: Pose, shape: tuple[int, int, int]) -> None:
     grid = Grid.centred(pose, shape, 1e-3)
     np.testing.assert_allclose(grid.centres().reshape(-1, 3).mean(0), pose.xyz, atol=1e-12)
 
 
-def test_indices_undo_world() -> None:
-    places = np.random.default_rng(1).uniform(-3, 9, (20, 3))
-    np.testing.assert_allclose(GRID.indices(GRID.world(places)), places, atol=1e-10)
+def test_indices_is_the_inverse_of_world() -> None:
+    indices = np.random.default_rng(1).uniform(-3, 9, (20, 3))
+    np.testing.assert_allclose(GRID.indices(GRID.world(indices)), indices, atol=1e-10)
 
 
 def test_grids_are_equal_when_their_voxels_are() -> None:
-    same = Grid((7, 6, 5), 2e-3, TURNED)
+    same = Grid((7, 6, 5), 2e-3, ROTATED)
     assert same == GRID
     assert hash(same) == hash(GRID)
-    assert GRID.moved(TURNED) != GRID
+    assert GRID.moved(ROTATED) != GRID
     assert GRID != "a grid"
 
 
@@ -91,73 +91,74 @@ def test_a_moved_volume_has_its_surface_moved() -> None:
     np.testing.assert_allclose(surface_points(volume.moved(shift)), shift.apply(surface_points(volume)), atol=1e-12)
 
 
-def test_crop_keeps_every_voxel_where_it_stands() -> None:
+def test_cropping_moves_no_voxel() -> None:
     volume = any_volume()
-    part = crop(volume, (2, 1, 1), (3, 4, 2))
-    np.testing.assert_array_equal(part.values, volume.values[2:5, 1:5, 1:3])
-    np.testing.assert_allclose(part.grid.centres(), GRID.centres()[2:5, 1:5, 1:3], atol=1e-14)
+    cropped = crop(volume, (2, 1, 1), (3, 4, 2))
+    np.testing.assert_array_equal(cropped.values, volume.values[2:5, 1:5, 1:3])
+    np.testing.assert_allclose(cropped.grid.centres(), GRID.centres()[2:5, 1:5, 1:3], atol=1e-14)
 
 
 @pytest.mark.parametrize("start", [(-2, -2, -2), (4, -1, 3), (50, 0, 0), (-50, -50, -50)])
-def test_crop_outside_is_unknown(start: tuple[int, int, int]) -> None:
+def test_a_crop_is_unknown_outside_the_volume(start: tuple[int, int, int]) -> None:
     volume = any_volume(unknown=0)
-    part = crop(volume, start, (5, 5, 5))
-    index = np.moveaxis(np.indices(part.grid.shape), 0, -1) + start
+    cropped = crop(volume, start, (5, 5, 5))
+    index = np.moveaxis(np.indices(cropped.grid.shape), 0, -1) + start
     inside = ((index >= 0) & (index < GRID.shape)).all(-1)
-    np.testing.assert_array_equal(part.known, inside)
-    np.testing.assert_array_equal(part.values[inside], volume.values[tuple(index[inside].T)])
+    np.testing.assert_array_equal(cropped.known, inside)
+    np.testing.assert_array_equal(cropped.values[inside], volume.values[tuple(index[inside].T)])
 
 
-def test_resample_onto_its_own_grid_changes_nothing() -> None:
+def test_resampling_on_its_own_grid_changes_nothing() -> None:
     volume = any_volume()
     np.testing.assert_array_equal(resample(volume, GRID).values, volume.values)
 
 
-def test_resample_onto_a_crop_is_the_crop() -> None:
+def test_resampling_on_a_cropped_grid_is_cropping() -> None:
     volume = any_volume()
     np.testing.assert_array_equal(
         resample(volume, GRID.crop((-1, 2, 1), (4, 4, 6))).values, crop(volume, (-1, 2, 1), (4, 4, 6)).values
     )
 
 
-def test_resample_is_the_trilinear_reading_of_scipy() -> None:
+def test_resampling_is_the_trilinear_interpolation_of_scipy() -> None:
     volume = any_volume(unknown=0)
-    target = Grid.centred(Pose(TURNED.wxyz, GRID.world((3, 2.5, 2))) @ Pose.from_rotvec((0.4, 0.2, 0)), (9, 9, 9), 1e-3)
+    world_from_centre = Pose(ROTATED.wxyz, GRID.world((3, 2.5, 2))) @ Pose.from_rotvec((0.4, 0.2, 0))
+    target = Grid.centred(world_from_centre, (9, 9, 9), 1e-3)
     index = np.moveaxis(GRID.indices(target.centres()), -1, 0)
     ours, theirs = resample(volume, target), map_coordinates(volume.values, index, order=1, cval=np.nan)
     assert 0.3 < ours.known.mean() < 1
     np.testing.assert_allclose(ours.values, theirs, atol=2e-6)
 
 
-def test_resample_keeps_what_is_unknown_unknown() -> None:
+def test_resampling_fills_no_unknown_voxel() -> None:
     volume = any_volume(unknown=0.1)
-    half = Grid((13, 11, 9), GRID.voxel_size / 2, TURNED)
+    half = Grid((13, 11, 9), GRID.voxel_size / 2, ROTATED)
     read = resample(volume, half)
     np.testing.assert_array_equal(read.values[::2, ::2, ::2], volume.values)
     pair = (volume.values[:-1] + volume.values[1:]) / 2  # NaN where either is
     np.testing.assert_allclose(read.values[1::2, ::2, ::2], pair, atol=1e-6)
 
 
-def test_resample_does_not_depend_on_threads() -> None:
-    volume = any_volume(Grid((80, 60, 50), 1e-3, TURNED))
+def test_resampling_does_not_depend_on_threads() -> None:
+    volume = any_volume(Grid((80, 60, 50), 1e-3, ROTATED))
     target = Grid.centred(Pose.from_rotvec((1, 0.3, 0.2), volume.grid.world((40, 30, 25))), (70, 70, 70), 0.7e-3)
     one, two = (resample(volume, target, threads=n).values for n in (1, 2))
     assert one.tobytes() == two.tobytes()
 
 
-def test_surface_points_of_a_box_lie_on_the_box() -> None:
-    grid = Grid.centred(TURNED, (30, 30, 30), 1e-3)
-    volume = signed_distance(grid, [(millimetre_box(13.3, 11.1, 9.7), TURNED)])
-    inside = np.abs(TURNED.inverse().apply(surface_points(volume))) * 2e3 - (13.3, 11.1, 9.7)
+def test_surface_points_of_a_box_are_on_the_box() -> None:
+    grid = Grid.centred(ROTATED, (30, 30, 30), 1e-3)
+    volume = signed_distance(grid, [(millimetre_box(13.3, 11.1, 9.7), ROTATED)])
+    inside = np.abs(ROTATED.inverse().apply(surface_points(volume))) * 2e3 - (13.3, 11.1, 9.7)
     assert len(inside) > 500
-    # exact where the line passes a face; beside an edge the distance bends within the voxel
+    # exact on faces; beside an edge the distance is not linear within the voxel
     assert np.abs(inside.max(1)).max() < 0.5
     assert np.median(np.abs(inside.max(1))) < 1e-3
 
 
 def test_surface_points_agree_with_a_plain_search() -> None:
     volume = any_volume(unknown=0.3)
-    found = []
+    crossings = []
     for axis in range(3):
         for index in np.ndindex(*GRID.shape):
             after = tuple(np.add(index, np.eye(3, dtype=int)[axis]))
@@ -165,16 +166,16 @@ def test_surface_points_agree_with_a_plain_search() -> None:
                 continue
             a, b = float(volume.values[index]), float(volume.values[after])
             if (a < 0) != (b < 0) and abs(a - b) <= 1:
-                found.append(np.add(index, np.eye(3)[axis] * a / (a - b)))
-    np.testing.assert_allclose(surface_points(volume), GRID.world(found), atol=1e-9)
+                crossings.append(np.add(index, np.eye(3)[axis] * a / (a - b)))
+    np.testing.assert_allclose(surface_points(volume), GRID.world(crossings), atol=1e-9)
 
 
-def test_no_surface_no_points() -> None:
+def test_without_a_surface_there_are_no_points() -> None:
     assert surface_points(Volume(GRID, np.ones(GRID.shape))).shape == (0, 3)
     assert surface_points(Volume(GRID, np.full(GRID.shape, np.nan))).shape == (0, 3)
 
 
-def test_the_rim_of_what_was_seen_is_no_surface() -> None:
+def test_the_border_of_the_observed_region_is_no_surface() -> None:
     values = np.array([-0.3, 1.0, 0.4, -0.4], np.float32).reshape(4, 1, 1)
     points = surface_points(Volume(Grid((4, 1, 1), 1.0, Pose.identity()), values))
     np.testing.assert_allclose(points, [[2.5, 0, 0]])
@@ -185,41 +186,41 @@ values = st.lists(st.floats(-1, 1, width=32) | st.just(float("nan")), min_size=1
 
 @given(values)
 @settings(max_examples=200)
-def test_a_byte_keeps_sign_unknown_and_a_value(numbers: list[float]) -> None:
+def test_one_byte_preserves_sign_unknown_and_value(numbers: list[float]) -> None:
     volume = Volume(Grid((len(numbers), 1, 1), 1.0, Pose.identity()), np.array(numbers).reshape(-1, 1, 1))
-    back = from_uint8(volume.grid, to_uint8(volume))
-    assert to_uint8(back).tobytes() == to_uint8(volume).tobytes()
-    check_encoding(volume, back, np.where((volume.values < 0) & (volume.values > -1 / 127), 1 / 127, 1 / 254))
+    decoded = from_uint8(volume.grid, to_uint8(volume))
+    assert to_uint8(decoded).tobytes() == to_uint8(volume).tobytes()
+    check_encoding(volume, decoded, np.where((volume.values < 0) & (volume.values > -1 / 127), 1 / 127, 1 / 254))
 
 
 @given(values)
 @settings(max_examples=200)
-def test_two_bytes_keep_sign_unknown_and_a_value(numbers: list[float]) -> None:
+def test_two_bytes_preserve_sign_unknown_and_value(numbers: list[float]) -> None:
     volume = Volume(Grid((len(numbers), 1, 1), 1.0, Pose.identity()), np.array(numbers).reshape(-1, 1, 1))
     check_encoding(volume, from_float16(volume.grid, to_float16(volume)), np.full(volume.values.shape, 2.0**-12))
 
 
-def check_encoding(volume: Volume, back: Volume, allowed: np.ndarray) -> None:
-    np.testing.assert_array_equal(back.known, volume.known)
-    np.testing.assert_array_equal(back.occupied, volume.occupied)
-    error = np.abs(back.values - volume.values)
-    assert np.all(error[volume.known] <= allowed[volume.known] * (1 + 1e-5))
+def check_encoding(volume: Volume, decoded: Volume, max_error: np.ndarray) -> None:
+    np.testing.assert_array_equal(decoded.known, volume.known)
+    np.testing.assert_array_equal(decoded.occupied, volume.occupied)
+    error = np.abs(decoded.values - volume.values)
+    assert np.all(error[volume.known] <= max_error[volume.known] * (1 + 1e-5))
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (((0, 4, 4), 1e-3, TURNED), r"shape: expected 1 voxel or more"),
-        (((4, 4), 1e-3, TURNED), r"shape: expected int64 of shape \(3,\)"),
-        (((4, 4, 4.5), 1e-3, TURNED), r"shape: .*4.5"),
-        (((4000, 4000, 4000), 1e-3, TURNED), r"at most 2\^31"),
-        (((4, 4, 4), 0.0, TURNED), r"voxel_size: expected an edge above 0 m, got 0.0"),
-        (((4, 4, 4), float("nan"), TURNED), r"voxel_size: .*nan"),
+        (((0, 4, 4), 1e-3, ROTATED), r"shape: expected 1 voxel or more"),
+        (((4, 4), 1e-3, ROTATED), r"shape: expected int64 of shape \(3,\)"),
+        (((4, 4, 4.5), 1e-3, ROTATED), r"shape: .*4.5"),
+        (((4000, 4000, 4000), 1e-3, ROTATED), r"at most 2\^31"),
+        (((4, 4, 4), 0.0, ROTATED), r"voxel_size: expected an edge above 0 m, got 0.0"),
+        (((4, 4, 4), float("nan"), ROTATED), r"voxel_size: .*nan"),
         (((4, 4, 4), 1e-3, Pose.identity((2,))), r"world_from_grid: expected one pose"),
         (((4, 4, 4), 1e-3, np.eye(4)), r"world_from_grid: expected one pose"),
     ],
 )
-def test_a_bad_grid_is_refused(arguments: tuple[Any, Any, Any], message: str) -> None:
+def test_an_invalid_grid_is_rejected(arguments: tuple[Any, Any, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Grid(*arguments)
 
@@ -233,12 +234,12 @@ def test_a_bad_grid_is_refused(arguments: tuple[Any, Any, Any], message: str) ->
         (np.full(GRID.shape, "a"), r"got something else"),
     ],
 )
-def test_a_bad_volume_is_refused(array: np.ndarray, message: str) -> None:
+def test_an_invalid_volume_is_rejected(array: np.ndarray, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Volume(GRID, array)
 
 
-def test_other_bad_input_is_refused() -> None:
+def test_other_invalid_input_is_rejected() -> None:
     volume = any_volume()
     with pytest.raises(InputError, match="codes: expected uint8"):
         from_uint8(GRID, np.zeros((2, 2, 2), np.uint8))

@@ -1,4 +1,4 @@
-"""The truncated distance of depth images: against plain numpy, against known planes, and what stays unknown."""
+"""The truncated signed distance of depth images compared with plain numpy and with planes; what remains unknown."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ PART = as_part(ring_plate(14)).mesh
 
 
 def plain(grid: Grid, view: View, mask: np.ndarray | None = None, truncation: float | None = None) -> np.ndarray:
-    """The rules of `tsdf`, written with whole arrays."""
-    reach = 5 * grid.voxel_size if truncation is None else truncation
+    """`tsdf` in plain numpy."""
+    limit = 5 * grid.voxel_size if truncation is None else truncation
     x, y, z = np.moveaxis(view.world_from_camera.inverse().apply(grid.centres()), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         u = np.floor(view.camera.fx * x / z + view.camera.cx + 0.5)
         v = np.floor(view.camera.fy * y / z + view.camera.cy + 0.5)
     inside = (z > 0) & (u >= 0) & (v >= 0) & (u < view.camera.width) & (v < view.camera.height)
     pixel = np.where(inside, v, 0).astype(int), np.where(inside, u, 0).astype(int)
-    seen = np.where(inside, view.depth[pixel], 0)
-    values = np.minimum((seen - z) / reach, 1)
+    depth = np.where(inside, view.depth[pixel], 0)
+    values = np.minimum((depth - z) / limit, 1)
     values[values < -1] = np.nan
     if mask is not None:
-        values = np.where(mask[pixel], values, np.where(z <= seen, 1, np.nan))
-    values[seen == 0] = np.nan
+        values = np.where(mask[pixel], values, np.where(z <= depth, 1, np.nan))
+    values[depth == 0] = np.nan
     return values
 
 
 def differing(a: np.ndarray, b: np.ndarray) -> float:
-    """Share of voxels that differ by more than 1e-5: those whose projection is a tie between two pixels."""
+    """Fraction of voxels that differ by more than 1e-5: those that project midway between two pixels."""
     same = (np.isnan(a) & np.isnan(b)) | (np.abs(a - b) <= 1e-5)
     return float(1 - same.mean())
 
 
 def rough_view(seed: int, world_from_camera: Pose) -> View:
-    """Depths without any order, a fifth of the pixels without return."""
+    """Random depths, a fifth of the pixels without return."""
     rng = np.random.default_rng(seed)
     depth = rng.uniform(0.35, 0.65, (CAMERA.height, CAMERA.width))
     return View(CAMERA, world_from_camera, np.where(rng.random(depth.shape) < 0.2, 0, depth))
@@ -82,12 +82,12 @@ def test_a_grid_around_the_camera_is_unknown_behind_it() -> None:
     view = rough_view(0, Pose.identity())
     grid = Grid.centred(Pose.identity(), (20, 20, 21), 0.03)
     values = tsdf(grid, view).values
-    assert np.isnan(values[:, :, :11]).all()  # the eleventh layer lies in the camera's own plane
+    assert np.isnan(values[:, :, :11]).all()  # the eleventh layer is in the camera plane
     assert differing(values, plain(grid, view)) < 1e-3
     assert np.isnan(tsdf(grid.moved(Pose.from_translation((0, 0, -1))), view).values).all()
 
 
-def test_a_wall_has_zero_at_its_own_depth_to_half_a_voxel() -> None:
+def test_a_wall_has_value_zero_at_its_depth() -> None:
     for depth in (0.5, 0.5007, 0.4991):
         volume = tsdf(AHEAD, level_view(depth))
         z = AHEAD.centres()[..., 2]
@@ -97,8 +97,8 @@ def test_a_wall_has_zero_at_its_own_depth_to_half_a_voxel() -> None:
         np.testing.assert_allclose(surface_points(volume)[:, 2], depth, atol=1e-7)
 
 
-def test_a_pixel_answers_for_its_own_ray() -> None:
-    """One return in an image: it is found on the line through the centre of that pixel, not half a pixel off."""
+def test_a_voxel_belongs_to_the_pixel_of_its_ray() -> None:
+    """One return in an image: its voxels are centred on the ray through the pixel centre, not half a pixel off."""
     depth = np.zeros((101, 101), np.float32)
     depth[30, 70] = 0.5
     fine = Grid.centred(Pose.from_translation(SQUARE.unproject_pixels((70.0, 30.0), 0.5)), (21, 21, 1), 1e-4)
@@ -107,7 +107,7 @@ def test_a_pixel_answers_for_its_own_ray() -> None:
     assert 100 < known.sum() < 170  # a pixel is 1.25 mm wide there, 12.5 voxels
 
 
-def test_a_tilted_wall_lies_within_half_a_voxel() -> None:
+def test_the_surface_of_a_tilted_wall_is_within_half_a_voxel() -> None:
     normal, far = np.array([0.3, -0.2, 0.93]), 0.5
     rays = np.stack(np.meshgrid((np.arange(101) - 50) / 400, (np.arange(101) - 50) / 400), -1)
     depth = far * normal[2] / (rays @ normal[:2] + normal[2])
@@ -120,7 +120,7 @@ def test_a_tilted_wall_lies_within_half_a_voxel() -> None:
 
 @given(move=poses())
 @settings(max_examples=15)
-def test_moving_the_world_moves_nothing(move: Pose) -> None:
+def test_moving_the_world_changes_no_value(move: Pose) -> None:
     view = rough_view(3, look_at((0.2, 0.5, 0.3), (0.01, 0.02, 0.03)))
     grid = Grid.centred(Pose.from_rotvec((0.3, 0.2, 0.1)), (30, 30, 30), 6e-3)
     moved = View(view.camera, move @ view.world_from_camera, view.depth)
@@ -129,7 +129,7 @@ def test_moving_the_world_moves_nothing(move: Pose) -> None:
         assert differing(tsdf(grid, view, use).values, tsdf(grid.moved(move), moved, use).values) < 1e-3
 
 
-def test_what_is_unknown() -> None:
+def test_voxels_without_a_return_outside_the_image_or_occluded_are_unknown() -> None:
     depth = np.full((101, 101), 0.5, np.float32)
     depth[:, :40] = 0
     wide = Grid.centred(Pose.from_translation((0, 0, 0.5)), (81, 3, 41), 2e-3)
@@ -142,7 +142,7 @@ def test_what_is_unknown() -> None:
     assert not np.isnan(values[(u > 39.6) & (u < 100.4) & (z < 0.5099)]).any()
 
 
-def test_beside_the_mask_it_is_free_as_far_as_was_seen() -> None:
+def test_beside_the_mask_voxels_are_free_up_to_the_depth() -> None:
     mask = np.zeros((101, 101), bool)
     mask[:, 50:] = True
     volume = tsdf(AHEAD, level_view(0.5), mask)
@@ -153,16 +153,16 @@ def test_beside_the_mask_it_is_free_as_far_as_was_seen() -> None:
     np.testing.assert_array_equal(volume.values[on], tsdf(AHEAD, level_view(0.5)).values[on])
 
 
-def test_what_is_deep_inside_is_never_seen_as_free() -> None:
+def test_voxels_deep_inside_are_never_free() -> None:
     grid = Grid.centred(Pose.from_rotvec((0.1, 0.2, 0.3)), (60, 60, 60), 1e-3)
     inside = signed_distance(grid, [(PART, Pose.identity())], truncation=5e-3).values < -0.2  # one voxel
-    seen = tsdf(grid, part_view())
+    observed = tsdf(grid, part_view())
     assert inside.sum() > 2000
-    assert not (inside & (seen.values > 0)).any()
-    assert (inside & seen.occupied).sum() > 500
+    assert not (inside & (observed.values > 0)).any()
+    assert (inside & observed.occupied).sum() > 500
 
 
-def test_fusing_is_the_weighted_mean_of_those_that_know() -> None:
+def test_fusion_is_the_weighted_mean_over_known_voxels() -> None:
     rng = np.random.default_rng(5)
     grid = Grid((40, 9, 8), 1e-3, Pose.identity())
     volumes = [
@@ -178,12 +178,12 @@ def test_fusing_is_the_weighted_mean_of_those_that_know() -> None:
     assert fuse([volumes[0]] * 3).values == pytest.approx(volumes[0].values, abs=1e-6, nan_ok=True)
 
 
-def test_more_views_know_more_and_are_still_not_the_truth() -> None:
+def test_more_views_leave_fewer_voxels_unknown_but_not_none() -> None:
     grid = Grid.centred(Pose.identity(), (50, 50, 50), 1e-3)
     above = [tsdf(grid, part_view(eye)) for eye in ((0.15, 0.1, 0.2), (-0.15, 0.1, 0.2), (0.0, -0.2, 0.15))]
-    both, inside = fuse(above), signed_distance(grid, [(PART, Pose.identity())]).occupied
-    np.testing.assert_array_equal(both.known, np.logical_or.reduce([volume.known for volume in above]))
-    assert (inside & ~both.known).sum() > 0.05 * inside.sum()
+    fused, inside = fuse(above), signed_distance(grid, [(PART, Pose.identity())]).occupied
+    np.testing.assert_array_equal(fused.known, np.logical_or.reduce([volume.known for volume in above]))
+    assert (inside & ~fused.known).sum() > 0.05 * inside.sum()
 
 
 def test_threads_change_no_byte() -> None:
@@ -207,17 +207,17 @@ def test_threads_change_no_byte() -> None:
         ({"threads": 1.5}, r"threads: .*got 1.5"),
     ],
 )
-def test_bad_input_is_refused(arguments: dict[str, Any], message: str) -> None:
+def test_invalid_input_is_rejected(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         tsdf(AHEAD, level_view(0.5), **arguments)
 
 
-def test_a_depth_below_zero_is_refused() -> None:
+def test_a_negative_depth_is_rejected() -> None:
     with pytest.raises(InputError, match=r"depth: expected 0 \(no return\) or more, got -0.5"):
         tsdf(AHEAD, level_view(-0.5))
 
 
-def test_fusing_what_does_not_belong_together_is_refused() -> None:
+def test_fusing_volumes_on_different_grids_is_rejected() -> None:
     volume = tsdf(AHEAD, level_view(0.5))
     with pytest.raises(InputError, match="expected at least one to fuse"):
         fuse([])

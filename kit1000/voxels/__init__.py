@@ -1,7 +1,7 @@
-"""Volumes: truncated signed distance on posed grids, from one depth image or from closed meshes.
+"""Volumes: truncated signed distance on posed voxel grids, from one depth image or from closed meshes.
 
-A value is distance / truncation, from -1 to 1: negative inside, positive outside, NaN where nobody knows. Voxel
-(i, j, k) has its centre at `world_from_grid.apply((i, j, k) * voxel)`, as pixels have theirs at whole numbers.
+A value is distance / truncation, from -1 to 1: negative inside, positive outside, NaN unknown. The centre of voxel
+(i, j, k) is at `world_from_grid.apply((i, j, k) * voxel_size)`, as pixel centres are at integers.
 """
 
 from kit1000.voxels.distance import signed_distance

@@ -1,8 +1,8 @@
-"""Volumes in one or two bytes a voxel, with unknown kept apart and the sign never lost.
+"""Encodings of volumes in one or two bytes per voxel, which preserve the sign and unknown voxels.
 
 | encoding | unknown | largest error of a value |
 | --- | --- | --- |
-| uint8 | 0 | 1/254 (half a step); 1/127 just below zero, where rounding to zero would empty a voxel |
+| uint8 | 0 | 1/254 (half a step); 1/127 just below zero, which is never rounded to zero |
 | float16 | NaN | 2^-12 |
 """
 
@@ -15,27 +15,27 @@ from kit1000.compiled import compiled
 from kit1000.errors import checked
 from kit1000.voxels.grid import Grid, Volume
 
-CODE_STEPS = 127  # codes from zero to either end
-ZERO_CODE = 128  # the code of zero; 1 is -1, 255 is 1, 0 is unknown
+CODE_STEPS = 127  # codes from value 0 to value 1
+ZERO_CODE = 128  # the code of value 0; code 1 is -1, 255 is 1, 0 is unknown
 MIN_HALF = np.float32(2**-24)  # the smallest float16 above 0
 
 
 def to_uint8(volume: Volume) -> np.ndarray:
-    """(nx, ny, nz) uint8: 0 unknown, else 128 + 127 x value, rounded; what is inside stays under 128."""
+    """(nx, ny, nz) uint8: 0 unknown, else 128 + 127 x value, rounded; negative values give codes below 128."""
     codes = np.empty(volume.grid.shape, np.uint8)
     _encode(volume.values.reshape(-1), codes.reshape(-1))
     return codes
 
 
 def from_uint8(grid: Grid, codes: ArrayLike) -> Volume:
-    """The volume of codes (nx, ny, nz) uint8, as `to_uint8` makes them."""
+    """The volume of codes (nx, ny, nz) uint8 from `to_uint8`."""
     values = (np.arange(256, dtype=np.float32) - ZERO_CODE) / CODE_STEPS
     values[0] = np.nan
     return Volume.adopt(grid, values[checked("codes", codes, grid.shape, np.uint8)])
 
 
 def to_float16(volume: Volume) -> np.ndarray:
-    """(nx, ny, nz) float16: the values rounded, NaN unknown."""
+    """(nx, ny, nz) float16: the rounded values, NaN unknown."""
     with np.errstate(under="ignore"):
         halves = volume.values.astype(np.float16)
     halves[(halves == 0) & (volume.values < 0)] = -MIN_HALF
@@ -43,7 +43,7 @@ def to_float16(volume: Volume) -> np.ndarray:
 
 
 def from_float16(grid: Grid, halves: ArrayLike) -> Volume:
-    """The volume of values (nx, ny, nz) float16, as `to_float16` makes them."""
+    """The volume of values (nx, ny, nz) float16 from `to_float16`."""
     return Volume(grid, np.asarray(halves))
 
 

@@ -12,20 +12,20 @@ from numpy.typing import ArrayLike
 from kit1000.errors import InputError, ShapeError, checked
 from kit1000.pose import Pose
 
-MAX_VOXELS = 1 << 31  # 8 GiB of float32: beyond it the voxel was most likely given in the wrong unit
-DEFAULT_TRUNCATION = 5.0  # [voxels] where none is asked for: that of the paper
+MAX_VOXELS = 1 << 31  # 8 GiB of float32: with more, the voxel size is probably in the wrong unit
+DEFAULT_TRUNCATION = 5.0  # [voxels] that of the paper
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """A box of cubic voxels, posed in the world."""
+    """A box of cubic voxels at a pose in the world."""
 
     shape: tuple[int, int, int]
-    """Numbers of voxels (nx, ny, nz)."""
+    """Number of voxels (nx, ny, nz)."""
     voxel_size: float
     """[m] between the centres of neighbours."""
     world_from_grid: Pose
-    """The centre of voxel (i, j, k) lies at world_from_grid.apply((i, j, k) * voxel)."""
+    """The centre of voxel (i, j, k) is at world_from_grid.apply((i, j, k) * voxel_size)."""
 
     def __post_init__(self) -> None:
         shape = tuple(checked("shape", self.shape, (3,), np.int64).tolist())
@@ -39,18 +39,18 @@ class Grid:
             raise ShapeError("world_from_grid: expected one pose")
 
     @classmethod
-    def centred(cls, world_from_middle: Pose, shape: tuple[int, int, int], voxel: float) -> Grid:
-        """The grid whose middle, halfway between its first and last voxel, stands at a pose."""
-        grid = cls(shape, voxel, world_from_middle)
+    def centred(cls, world_from_centre: Pose, shape: tuple[int, int, int], voxel_size: float) -> Grid:
+        """The grid whose centre, halfway between its first and last voxel, is at a pose."""
+        grid = cls(shape, voxel_size, world_from_centre)
         first = -(np.array(grid.shape) - 1) / 2 * grid.voxel_size
-        return cls(grid.shape, grid.voxel_size, world_from_middle @ Pose.from_translation(first))
+        return cls(grid.shape, grid.voxel_size, world_from_centre @ Pose.from_translation(first))
 
     def world(self, indices: ArrayLike) -> np.ndarray:
-        """Where (fractional) voxel indices (..., 3) lie. (..., 3) [m], world."""
+        """Points (..., 3) [m] in the world at (fractional) voxel indices (..., 3)."""
         return self.world_from_grid.apply(np.asarray(indices, dtype=np.float64) * self.voxel_size)
 
     def indices(self, points: ArrayLike) -> np.ndarray:
-        """Fractional voxel indices of points (..., 3) [m] of the world. (..., 3), inside the grid or not."""
+        """Fractional voxel indices (..., 3) of points (..., 3) [m] in the world, inside the grid or not."""
         return self.world_from_grid.inverse().apply(points) / self.voxel_size
 
     def centres(self) -> np.ndarray:
@@ -58,16 +58,16 @@ class Grid:
         return self.world(np.moveaxis(np.indices(self.shape), 0, -1))
 
     def crop(self, start: tuple[int, int, int], shape: tuple[int, int, int]) -> Grid:
-        """The grid of `shape` whose voxel (0, 0, 0) is voxel `start` of this one; it may reach outside."""
+        """The grid of `shape` whose voxel (0, 0, 0) is voxel `start` of this one; it may extend outside."""
         first = checked("start", start, (3,), np.int64)
         return Grid(shape, self.voxel_size, self.world_from_grid @ Pose.from_translation(first * self.voxel_size))
 
     def moved(self, pose: Pose) -> Grid:
-        """The grid carried through the world by a pose."""
+        """The grid moved in the world by a pose."""
         return Grid(self.shape, self.voxel_size, pose @ self.world_from_grid)
 
     def __eq__(self, other: object) -> bool:
-        """Whether the voxels are the same ones, to the last bit."""
+        """Whether the grids have the same voxels, bit for bit."""
         return isinstance(other, Grid) and self._key == other._key
 
     def __hash__(self) -> int:
@@ -81,11 +81,11 @@ class Grid:
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """Signed distance / truncation at the voxels of a grid."""
+    """Truncated signed distance at the voxels of a grid."""
 
     grid: Grid
     values: np.ndarray
-    """(nx, ny, nz) float32, read-only: -1 .. 1, negative inside, NaN unknown."""
+    """(nx, ny, nz) float32, read-only: distance / truncation in -1 .. 1, negative inside, NaN unknown."""
 
     def __post_init__(self) -> None:
         try:
@@ -93,18 +93,18 @@ class Volume:
             values = source.astype(np.float32) if source.dtype.kind in "biuf" else None
         except ValueError:
             values = None
-        wanted = f"values: expected float32 of shape {self.grid.shape}, each -1 to 1 or NaN"
+        expected = f"values: expected float32 of shape {self.grid.shape}, each -1 to 1 or NaN"
         if values is None or values.shape != self.grid.shape:
-            raise ShapeError(f"{wanted}, got {np.shape(self.values) if values is not None else 'something else'}")
+            raise ShapeError(f"{expected}, got {np.shape(self.values) if values is not None else 'something else'}")
         beyond = np.abs(values) > 1
         if beyond.any():
             at = tuple(int(i) for i in np.argwhere(beyond)[0])
-            raise ShapeError(f"{wanted}, got {values[at]} at {at}")
+            raise ShapeError(f"{expected}, got {values[at]} at {at}")
         object.__setattr__(self, "values", _read_only(values))
 
     @classmethod
     def adopt(cls, grid: Grid, values: np.ndarray) -> Volume:
-        """A volume around an array (nx, ny, nz) float32 that this package made itself: not copied, not checked."""
+        """A volume with an array (nx, ny, nz) float32 of this package, neither copied nor checked."""
         volume = object.__new__(cls)
         object.__setattr__(volume, "grid", grid)
         object.__setattr__(volume, "values", _read_only(values))
@@ -112,25 +112,25 @@ class Volume:
 
     @property
     def known(self) -> np.ndarray:
-        """(nx, ny, nz) bool: where a distance is known."""
+        """(nx, ny, nz) bool: voxels with a known distance."""
         return ~np.isnan(self.values)
 
     @property
     def occupied(self) -> np.ndarray:
-        """(nx, ny, nz) bool: where it is known to be inside."""
+        """(nx, ny, nz) bool: voxels known to be inside."""
         return self.values < 0
 
     def filled(self, value: float) -> np.ndarray:
-        """(nx, ny, nz) float32, writable: the values, with `value` where nobody knows (for networks)."""
+        """(nx, ny, nz) float32, writable: the values, with `value` for unknown voxels (for networks)."""
         return np.where(np.isnan(self.values), np.float32(value), self.values)
 
     def moved(self, pose: Pose) -> Volume:
-        """The same values on the grid carried through the world by a pose."""
+        """The same values on the grid moved in the world by a pose."""
         return Volume.adopt(self.grid.moved(pose), self.values)
 
 
 def crop(volume: Volume, start: tuple[int, int, int], shape: tuple[int, int, int]) -> Volume:
-    """The box of `shape` voxels that begins at voxel `start`; where it reaches outside, nobody knows."""
+    """The box of `shape` voxels from voxel `start`; unknown where it extends outside the volume."""
     grid = volume.grid.crop(start, shape)
     low = np.array(start, dtype=np.int64)
     first = np.clip(low, 0, volume.grid.shape)
@@ -141,7 +141,7 @@ def crop(volume: Volume, start: tuple[int, int, int], shape: tuple[int, int, int
 
 
 def truncation_voxels(grid: Grid, truncation: float | None) -> float:
-    """A truncation [m] in voxels, after a check; None is TRUNCATION."""
+    """A truncation [m] in voxels, after a check; None gives DEFAULT_TRUNCATION."""
     if truncation is None:
         return DEFAULT_TRUNCATION
     distance = float(checked("truncation", truncation, ()))

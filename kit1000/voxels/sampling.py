@@ -1,4 +1,4 @@
-"""Reading volumes between their voxels: on another grid, and where their surface lies."""
+"""Interpolation of volumes: resampling on another grid, and points on the surface."""
 
 from __future__ import annotations
 
@@ -8,17 +8,15 @@ from kit1000.compiled import compiled
 from kit1000.voxels.grid import Grid, Volume
 from kit1000.voxels.slabs import for_each_slab
 
-SNAP_TOLERANCE = (
-    1e-6  # [voxels] a place this near to a voxel's centre is that voxel: keeps rounding from asking a neighbour
-)
-MAX_STEP = 1.0  # neighbours that differ by more than the truncation stand at the rim of what was seen
+SNAP_TOLERANCE = 1e-6  # [voxels] within which a point counts as a voxel's centre: rounding then needs no neighbour
+MAX_STEP = 1.0  # neighbours whose values differ by more are at the border of the observed region
 
 
 def resample(volume: Volume, grid: Grid, threads: int | None = None) -> Volume:
-    """The volume read at the voxels of another grid, linear along each axis.
+    """The volume at the voxels of another grid, by trilinear interpolation.
 
-    Unknown where any of the voxels that count is unknown or lies outside. Values keep their scale (they are still
-    shares of the truncation they were made with), and nothing is smoothed for a coarser grid.
+    Unknown where any voxel with a positive weight is unknown or outside. Values keep their scale (they are divided by
+    the truncation they were made with), and a coarser grid gets no smoothing.
     """
     source_from_grid = volume.grid.world_from_grid.inverse() @ grid.world_from_grid
     linear = source_from_grid.rotation_matrix() * (grid.voxel_size / volume.grid.voxel_size)
@@ -33,10 +31,10 @@ def resample(volume: Volume, grid: Grid, threads: int | None = None) -> Volume:
 
 
 def surface_points(volume: Volume) -> np.ndarray:
-    """(n, 3) float64 [m], world: where the value passes zero between neighbouring voxels, both known.
+    """(n, 3) float64 [m], world: zero crossings between neighbouring voxels, both known.
 
     Along x first, then y, then z, each in the order of the voxels. Neighbours whose values differ by more than
-    the truncation are left out: there something ends in the image, and no surface was seen.
+    MAX_STEP are omitted: there the observed region ends, and no surface was observed.
     """
     ends = np.zeros(4, np.int64)
     _find_crossings(volume.values, ends, np.empty((0, 3)))
@@ -79,7 +77,7 @@ def _interpolate(start, stop, linear, origin, source, values):
 
 @compiled
 def _find_crossings(values, ends, indices):
-    """Count the crossings along each axis and in all into `ends` (4,), or write them from there on."""
+    """Count the zero crossings per axis and in total in `ends` (4,); write them from there on if `indices` has rows."""
     nx, ny, nz = values.shape
     for i in range(nx):
         for j in range(ny):

@@ -1,7 +1,7 @@
-"""Projective truncated distance: what one depth image says of each voxel, and the mean of several.
+"""Projective truncated signed distance (TSDF) from one depth image, and the fusion of several.
 
-A voxel at depth z, whose pixel saw a surface at depth d, has the value (d - z) / truncation, at most 1. Farther than
-the truncation behind the surface nobody knows; such voxels are never filled as solid.
+A voxel at depth z whose pixel has depth d gets the value (d - z) / truncation, at most 1. More than the truncation
+behind the surface it is unknown; such voxels are never filled as solid.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from kit1000.values import View
 from kit1000.voxels.grid import Grid, Volume, truncation_voxels
 from kit1000.voxels.slabs import for_each_slab
 
-MIN_DEPTH = 1e-6  # [m] voxels at or behind the camera's plane have no pixel
+MIN_DEPTH = 1e-6  # [m] of a voxel in front of the camera; others have no pixel
 
 
 def tsdf(
@@ -27,18 +27,18 @@ def tsdf(
     truncation: float | None = None,
     threads: int | None = None,
 ) -> Volume:
-    """What one depth image says about each voxel of a grid.
+    """The truncated signed distance of the voxels of a grid from one depth image.
 
-    The pixel of a voxel is the one whose centre lies nearest to its projection. Unknown (NaN) are voxels outside
-    the image, behind the camera, on pixels without return, and more than the truncation behind what their pixel saw.
+    The pixel of a voxel is the one whose centre is nearest to its projection. Unknown (NaN) are voxels outside the
+    image, behind the camera, on pixels without return, and more than the truncation behind the depth of their pixel.
 
     Args:
-        grid: where to look.
+        grid: the voxels to compute.
         view: the depth image.
-        mask: the pixels of the thing asked about. (H, W) bool. A pixel outside it that has a return saw past the
-            thing, so the thing is not in front of what it saw: free (1) up to the seen depth, unknown beyond.
+        mask: (H, W) bool, the pixels of the object. The ray of a pixel outside the mask passes the object, so its
+            voxels are free (1) up to the depth of the pixel and unknown beyond.
         truncation: [m] along the optical axis; five voxels by default.
-        threads: how many to use; all cores by default. The result is the same.
+        threads: number of threads; all cores by default. The result does not depend on it.
     """
     reach = truncation_voxels(grid, truncation) * grid.voxel_size
     image = _signed_depth(view, mask)
@@ -53,25 +53,25 @@ def tsdf(
 
 
 def fuse(volumes: Sequence[Volume], weights: Sequence[float] | None = None, threads: int | None = None) -> Volume:
-    """The weighted mean of volumes on one grid, at each voxel over those that know it (Curless and Levoy 1996).
+    """The weighted mean of volumes on one grid, at each voxel over those where it is known (Curless and Levoy 1996).
 
-    It is what several views say together and not the truth: what no view saw stays unknown.
+    It is not the ground truth: voxels that are unknown in every view remain unknown.
     """
     if not volumes:
         raise InputError("volumes: expected at least one to fuse, got none")
     grid = volumes[0].grid
     if any(volume.grid != grid for volume in volumes):
-        raise ShapeError("volumes: expected all on one and the same grid (resample brings them there)")
-    shares = checked("weights", [1.0] * len(volumes) if weights is None else weights, (len(volumes),), np.float32)
-    if (shares <= 0).any():
-        raise InputError(f"weights: expected numbers above 0, got {shares.min()}")
+        raise ShapeError("volumes: expected all on one and the same grid; `resample` puts them on one")
+    factors = checked("weights", [1.0] * len(volumes) if weights is None else weights, (len(volumes),), np.float32)
+    if (factors <= 0).any():
+        raise InputError(f"weights: expected numbers above 0, got {factors.min()}")
     values = np.empty(grid.shape, np.float32)
 
     def average(start: int, stop: int) -> None:
         total = np.zeros((stop - start, *grid.shape[1:]), np.float32)
         weight = np.zeros_like(total)
-        for volume, share in zip(volumes, shares, strict=True):
-            _add_weighted(volume.values[start:stop], share, total, weight)
+        for volume, factor in zip(volumes, factors, strict=True):
+            _add_weighted(volume.values[start:stop], factor, total, weight)
         _divide(total, weight, values[start:stop])
 
     for_each_slab(average, grid.shape, threads)
@@ -79,7 +79,7 @@ def fuse(volumes: Sequence[Volume], weights: Sequence[float] | None = None, thre
 
 
 def _signed_depth(view: View, mask: ArrayLike | None) -> np.ndarray:
-    """(H, W) float32 [m]: the depth; its negative outside the mask, 0 without return."""
+    """(H, W) float32 [m]: the depth, negated outside the mask, 0 without return."""
     if view.depth.size and view.depth.min() < 0:
         raise InputError(f"depth: expected 0 (no return) or more, got {view.depth.min()} m")
     if mask is None:
@@ -91,12 +91,12 @@ def _signed_depth(view: View, mask: ArrayLike | None) -> np.ndarray:
 
 
 def _projection(grid: Grid, view: View) -> np.ndarray:
-    """(3, 4): linear in the voxel index (i, j, k, 1), (u + 1/2) z and (v + 1/2) z [pixels m], and z [m]."""
+    """(3, 4) matrix from the voxel index (i, j, k, 1) to (u + 1/2) z and (v + 1/2) z [pixels m], and z [m]."""
     camera = view.camera
     camera_from_grid = view.world_from_camera.inverse() @ grid.world_from_grid
-    place = np.column_stack([camera_from_grid.rotation_matrix() * grid.voxel_size, camera_from_grid.xyz])
-    lens = np.array([[camera.fx, 0, camera.cx + 0.5], [0, camera.fy, camera.cy + 0.5], [0, 0, 1]])
-    return lens @ place
+    point_from_index = np.column_stack([camera_from_grid.rotation_matrix() * grid.voxel_size, camera_from_grid.xyz])
+    pixel_from_point = np.array([[camera.fx, 0, camera.cx + 0.5], [0, camera.fy, camera.cy + 0.5], [0, 0, 1]])
+    return pixel_from_point @ point_from_index
 
 
 @compiled
@@ -113,7 +113,7 @@ def _fill_slab(start, stop, across, down, forward, image, per_reach, values):
     pixels = image.reshape(-1)
     ny, nz = values.shape[1:]
     steps = np.arange(nz).astype(np.float64)
-    index, seen = np.empty(nz, np.uint32), np.empty(nz, np.float32)
+    index, depths = np.empty(nz, np.uint32), np.empty(nz, np.float32)
     for i in range(start, stop):
         for j in range(ny):
             x = across[0] * i + across[1] * j + across[3]
@@ -128,13 +128,13 @@ def _fill_slab(start, stop, across, down, forward, image, per_reach, values):
             values[i, j, last:] = np.nan
             _find_pixels(steps[first:last], x, y, z, across[2], down[2], forward[2], width, height, index)
             for n in range(last - first):
-                seen[n] = pixels[index[n]]
-            _compare_depths(steps[first:last], z, forward[2], seen, per_reach, values[i, j, first:last])
+                depths[n] = pixels[index[n]]
+            _compare_depths(steps[first:last], z, forward[2], depths, per_reach, values[i, j, first:last])
 
 
 @compiled
 def _find_pixels(steps, x, y, z, x1, y1, z1, width, height, index):
-    """Write which pixel of a (height, width) image, counted along its rows, each voxel of a row falls on."""
+    """Write the flat index of the pixel of each voxel of a row, in a (height, width) image."""
     right, bottom = np.int32(width - 1), np.int32(height - 1)
     for n in range(steps.shape[0]):
         inverse = 1 / (z + z1 * steps[n])
@@ -144,11 +144,11 @@ def _find_pixels(steps, x, y, z, x1, y1, z1, width, height, index):
 
 
 @compiled
-def _compare_depths(steps, z, z1, seen, per_reach, row):
-    """Write the values of a row of voxels, whose pixels have seen these depths."""
+def _compare_depths(steps, z, z1, depths, per_reach, row):
+    """Write the values of a row of voxels from the signed depths of their pixels."""
     one, nan = np.float32(1), np.float32(np.nan)
     for n in range(steps.shape[0]):
-        surface, depth = seen[n], z + z1 * steps[n]
+        surface, depth = depths[n], z + z1 * steps[n]
         value = np.float32((surface - depth) * per_reach)
         inside = nan if value < -one else min(value, one)
         outside = one if depth <= -surface else nan
@@ -169,14 +169,14 @@ def _clip_range(base, slope, first, last):
 
 
 @compiled
-def _add_weighted(values, share, total, weight):
+def _add_weighted(values, factor, total, weight):
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
             for k in range(values.shape[2]):
                 value = values[i, j, k]
                 known = value == value
-                total[i, j, k] += value * share if known else np.float32(0)
-                weight[i, j, k] += share if known else np.float32(0)
+                total[i, j, k] += value * factor if known else np.float32(0)
+                weight[i, j, k] += factor if known else np.float32(0)
 
 
 @compiled
@@ -184,5 +184,5 @@ def _divide(total, weight, values):
     for i in range(values.shape[0]):
         for j in range(values.shape[1]):
             for k in range(values.shape[2]):
-                heard = weight[i, j, k] > 0  # 0 / 0 would be a NaN with other bits than that of np.nan
-                values[i, j, k] = total[i, j, k] / weight[i, j, k] if heard else np.float32(np.nan)
+                known = weight[i, j, k] > 0  # 0 / 0 would be a NaN with other bits than those of np.nan
+                values[i, j, k] = total[i, j, k] / weight[i, j, k] if known else np.float32(np.nan)
