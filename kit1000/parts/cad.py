@@ -1,8 +1,8 @@
-"""The drawing vocabulary of the part families, in MILLIMETRES and degrees (`family.make_part` converts to metres).
+"""CAD functions for drawing part families, in MILLIMETRES and degrees (`family.make_part` converts to metres).
 
-Profiles live in `sketch` and are offered here again, so a family imports this module alone. Solids are
+Profiles are defined in `sketch` and exported here again, so a family imports this module alone. Solids are
 `manifold3d.Manifold`s standing on z = 0 and centred in x and y; combine them with `+`, `-` and `^`. An axis is one of
-x, y, z, -x, -y, -z. A cutting word names the side the tool comes from: `drill(..., axis="z")` drills downwards.
+x, y, z, -x, -y, -z. For cuts it is the side the cutting tool comes from: `drill(..., axis="z")` drills downwards.
 """
 
 from __future__ import annotations
@@ -97,12 +97,12 @@ none, cyclic, dihedral = Symmetry.none, Symmetry.cyclic, Symmetry.dihedral
 free, free_flipped = Symmetry.free, Symmetry.free_flipped
 
 REACH_MM = 200.0
-"""How far a cutting tool extends: further than any part is long."""
+"""Length of a cutting tool: longer than any part."""
 ROUND_STEPS = 5
-"""Facets of a rounded rim: enough to look round, few enough to keep parts light."""
+"""Layers of a rounded rim: enough to look round, and few faces."""
 
-# Euler angles that lay a z-up solid along an axis. Seen from the tip of the axis its x stays to the right and, for the
-# four level axes, its y points up.
+# Euler angles that rotate a z-up solid along an axis. Seen from the tip of the axis its x stays to the right and, for
+# the four level axes, its y points up.
 _ALONG_ANGLES_DEG: dict[str, tuple[float, float, float]] = {
     "z": (0, 0, 0),
     "-z": (180, 0, 0),
@@ -124,9 +124,9 @@ def prism(
     chamfer_bottom: float | None = None,
     fillet_top: float = 0.0,
 ) -> Manifold:
-    """The profile pulled up from z = 0, its rims (those of holes too) chamfered at 45 degrees or the top one rounded.
+    """The profile extruded up from z = 0, its rims (those of holes too) chamfered at 45 degrees or the top one rounded.
 
-    A rim larger than the profile admits (a narrow wall, a tight corner radius) is cut down until it fits.
+    A chamfer too large for the profile (a narrow wall, a tight corner radius) is reduced until it fits.
     """
     top = chamfer if chamfer_top is None else chamfer_top
     bottom = chamfer if chamfer_bottom is None else chamfer_bottom
@@ -141,7 +141,7 @@ def prism(
 
 
 def revolved(points: ArrayLike, sweep_deg: float = 360.0) -> Manifold:
-    """A closed loop of points (n, 2) as (radius, z), turned about the z axis."""
+    """The solid of revolution of a closed loop of points (n, 2) as (radius, z) about the z axis."""
     loop = np.asarray(points, dtype=np.float64)
     return polygon(loop).revolve(circle_segments(float(loop[:, 0].max())), sweep_deg)
 
@@ -152,7 +152,7 @@ def box(x: float, y: float, z: float, chamfer: float = 0.0, radius: float = 0.0)
 
 
 def cylinder(d: float, h: float, chamfer: float = 0.0) -> Manifold:
-    """An upright cylinder, both rims chamfered if asked."""
+    """An upright cylinder, both rims chamfered by `chamfer`."""
     return prism(circle(d), h, chamfer)
 
 
@@ -185,9 +185,9 @@ def gusset(x: float, z: float, thickness: float) -> Manifold:
 
 
 def swept(profile: CrossSection, path: ArrayLike) -> Manifold:
-    """The profile carried along an open path of points (n, 3) without twist, mitred at each point.
+    """The profile swept along an open path of points (n, 3) without twist, mitred at each point.
 
-    The profile's origin runs on the path; bends must be wider than the profile.
+    The profile's origin follows the path; bends must be wider than the profile.
     """
     points = np.asarray(path, dtype=np.float64)
     contours = profile.simplify(1e-4).to_polygons()
@@ -228,18 +228,18 @@ def at(solid: Manifold, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Manif
 
 
 def rotated(solid: Manifold, axis: Literal["x", "y", "z"], angle_deg: float) -> Manifold:
-    """The solid turned about an axis through the origin, counter-clockwise seen from the axis tip."""
+    """The solid rotated about an axis through the origin, counter-clockwise seen from the axis tip."""
     x, y, z = (angle_deg if name == axis else 0.0 for name in "xyz")
     return solid.rotate((x, y, z))
 
 
 def along(solid: Manifold, axis: Axis) -> Manifold:
-    """A z-up solid laid so that its z runs along `axis`; for level axes its y points up (to +z)."""
+    """A z-up solid rotated so that its z points along `axis`; for level axes its y points up (to +z)."""
     return solid.rotate(_ALONG_ANGLES_DEG[axis])
 
 
 def mirrored(solid: Manifold, axis: Literal["x", "y", "z"]) -> Manifold:
-    """The mirror image in the plane through the origin square to `axis`."""
+    """The mirror image in the plane through the origin perpendicular to `axis`."""
     x, y, z = (1.0 if name == axis else 0.0 for name in "xyz")
     return solid.mirror((x, y, z))
 
@@ -263,17 +263,17 @@ def drill(
 ) -> Manifold:
     """Holes of diameter d at one point or several, (3,) or (n, 3) or level points (2,), (n, 2), from the side `axis`.
 
-    The points are the mouths; a through hole (depth None) needs no height. `countersink` is the head diameter of a
-    90 degree sink, `counterbore` is (diameter, depth). The tool clears everything in front of the mouth.
+    The points are the mouths of the holes; a through hole (depth None) needs no height. `countersink` is the head
+    diameter of a 90 degree countersink, `counterbore` is (diameter, depth). All material before the mouth is removed.
     """
     mouths = np.atleast_2d(np.asarray(at, dtype=np.float64))
     if mouths.shape[1] == 2:
         mouths = np.column_stack([mouths, np.zeros(len(mouths))])
     tool = _drill_tool(d, depth, countersink, counterbore)
     facing = np.degrees(np.arctan2(mouths[:, 1], mouths[:, 0])) if axis in ("z", "-z") else np.zeros(len(mouths))
-    turn = 1 if axis == "z" else -1
+    sign = 1 if axis == "z" else -1
     tools = [
-        along(rotated(tool, "z", turn * angle), axis).translate(mouth.tolist())
+        along(rotated(tool, "z", sign * angle), axis).translate(mouth.tolist())
         for mouth, angle in zip(mouths, facing, strict=True)
     ]
     return Manifold.batch_boolean([solid, *tools], OpType.Subtract)
@@ -301,7 +301,7 @@ def cut_slot(
     depth: float | None = None,
     angle_deg: float = 0.0,
 ) -> Manifold:
-    """A stadium-shaped slot, `length` overall, along the profile's x turned by `angle_deg`; through unless `depth`."""
+    """A stadium-shaped slot, `length` overall, along the profile's x rotated by `angle_deg`; through unless `depth`."""
     return pocket(solid, slot(length, width).rotate(angle_deg), depth, at, axis)
 
 
@@ -313,11 +313,11 @@ def keyway(
     return pocket(shaft, seat.rotate(90), depth, (d / 2, 0, start + length / 2), "x")
 
 
-# --- how it is done ---------------------------------------------------------------------------------------------
+# --- implementation ----------------------------------------------------------------------------------------------
 
 
 def _drill_tool(d: float, depth: float | None, countersink: float, counterbore: tuple[float, float] | None) -> Manifold:
-    """The solid to take away for one hole with its mouth at the origin, drilled downwards."""
+    """The solid to subtract for one hole with its mouth at the origin, drilled downwards."""
     below = REACH_MM if depth is None else depth
     tools = [Manifold.cylinder(below + REACH_MM, d / 2, d / 2, circle_segments(d / 2)).translate((0, 0, -below))]
     if countersink > d:
@@ -332,7 +332,7 @@ def _drill_tool(d: float, depth: float | None, countersink: float, counterbore: 
 
 
 def _top_rim(height: float, size: float, round_rim: bool) -> list[tuple[float, float]]:
-    """(z, inset) of the layers that end a prism at the top."""
+    """(z, inset) of the layers at the top of a prism."""
     if size <= 0:
         return [(height, 0.0)]
     if not round_rim:
@@ -342,7 +342,7 @@ def _top_rim(height: float, size: float, round_rim: bool) -> list[tuple[float, f
 
 
 def _inset(contours: list[NDArray], distance: float) -> list[NDArray]:
-    """Each contour (n, 2) with its edges moved into the material by `distance`, corner for corner."""
+    """Each contour (n, 2) with its edges moved into the material by `distance`; corners correspond."""
     return [_inset_loop(loop, distance) for loop in contours]
 
 
@@ -356,7 +356,7 @@ def _inset_loop(loop: NDArray, distance: float) -> NDArray:
 
 
 def _feasible_inset(contours: list[NDArray], wanted: float) -> float:
-    """The largest of wanted, 0.7 wanted, 0.49 wanted, ... by which the contours can move inwards and stay simple."""
+    """The largest of wanted, 0.7 wanted, 0.49 wanted, ... by which the contours can be inset and stay simple."""
     for size in wanted * 0.7 ** np.arange(6):
         if size > 0.05 and _stays_simple(contours, float(size)):
             return float(size)
@@ -364,7 +364,7 @@ def _feasible_inset(contours: list[NDArray], wanted: float) -> float:
 
 
 def _stays_simple(contours: list[NDArray], distance: float) -> bool:
-    """True when no edge flips and no two edges cross on the way in."""
+    """Whether no edge flips and no two edges cross when the contours are inset by a distance."""
     moved = _inset(contours, distance)
     for old, new in zip(contours, moved, strict=True):
         kept = np.einsum("ij,ij->i", np.roll(old, -1, 0) - old, np.roll(new, -1, 0) - new)
@@ -380,7 +380,7 @@ def _signed_area(loop: NDArray) -> float:
 
 
 def _lofted(layers: list[list[NDArray]], heights: list[float]) -> Manifold:
-    """Stack contours with matching corners into a solid."""
+    """A solid through contours with corresponding corners, stacked at heights."""
     rings = [
         np.column_stack([np.vstack(contours), np.full(sum(map(len, contours)), z)])
         for contours, z in zip(layers, heights, strict=True)

@@ -1,6 +1,6 @@
-"""What a family of parts is, and how one of its drawings becomes a `Part`.
+"""The interface of a part family, and the conversion of a drawing to a `Part`.
 
-A family draws in millimetres in whatever place is convenient; a part is in metres about its volume centroid.
+A drawing is in millimetres, in any frame; a part is in metres about its volume centroid.
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ from kit1000.values import Part
 Drawing = TypeVar("Drawing", bound="Family")
 
 DENSITY = 1240.0
-"""[kg/m^3] PLA, what a desktop printer would make the parts of."""
+"""[kg/m^3] of PLA, the usual material of desktop 3D printers."""
 MIN_MEAN_THICKNESS = 0.7e-3
-"""[m] volume / (area / 2) of the thinnest part taken: about the mean thickness of its walls. Families keep every
-single wall at 1.5 mm or more themselves; this only catches a drawing that went wrong."""
+"""[m] least volume / (area / 2) of a part: about the mean thickness of its walls. Families keep each wall at 1.5 mm or
+more themselves; this limit only catches a failed drawing."""
 MM = 1e-3
 
 
 class Family(Protocol):
-    """A frozen dataclass of named dimensions in mm (counts and switches may stand beside them)."""
+    """A frozen dataclass of named dimensions in mm; counts and switches are allowed as well."""
 
     @classmethod
     def draw(cls: type[Drawing], rng: np.random.Generator) -> Drawing:
-        """Dimensions of one part; everything random comes from `rng`."""
+        """Random dimensions of one part, from `rng` alone."""
         ...
 
     def solid(self) -> Manifold:
-        """The part in mm, at any place."""
+        """The part in mm, in any frame."""
         ...
 
     def symmetry(self) -> Symmetry:
-        """All rotations that leave the solid as it is, in the solid's own axes, about its centroid."""
+        """All rotations about the centroid that map the solid onto itself, in the axes of the drawing."""
         ...
 
 
 def make_part(part_id: str, family_name: str, dims: Family, longest: float | None = None) -> Part:
-    """The part of one drawing, scaled uniformly so that the longest side of its box is `longest` [m] (None = as drawn).
+    """The part of a drawing, scaled uniformly to a longest side of its bounding box [m] (None: not scaled).
 
-    Vertices lie on the float32 grid, so the mesh in memory is the mesh in every file. Raises Redraw when the drawing
-    gives no single closed body.
+    Vertices lie on the float32 grid, so the mesh in memory equals the mesh in every file. Raises Redraw if the drawing
+    is no single closed body.
     """
     solid = dims.solid()
     _require(solid.status() == Error.NoError and not solid.is_empty(), "no solid")
@@ -63,14 +63,14 @@ def make_part(part_id: str, family_name: str, dims: Family, longest: float | Non
 
 
 def part_of_mesh(part_id: str, mesh: Mesh, longest: float | None = None) -> Part:
-    """The part of a closed mesh, as large as it is or scaled to a longest side [m]; no symmetry is declared."""
+    """The part of a closed mesh, scaled to a longest side [m] (None: not scaled); no symmetry is declared."""
     scaled = mesh.scaled(1.0 if longest is None else longest / float(mesh.extents.max()))
     centred = Mesh(scaled.vertices - scaled.centroid, scaled.faces).rounded_float32()
     return Part(part_id, "file", centred, Symmetry.none(), {}, DENSITY * centred.volume)
 
 
 def dimensions(dims: Family) -> dict[str, float]:
-    """The named numbers of a drawing, switches as 0 or 1; choices by name are left to the shape."""
+    """The numbers of a drawing by name, switches as 0 or 1; fields of other types are left out."""
     named = {field.name: getattr(dims, field.name) for field in fields(dims)}  # type: ignore[arg-type]
     return {name: float(value) for name, value in named.items() if isinstance(value, int | float)}
 

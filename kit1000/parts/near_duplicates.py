@@ -1,7 +1,7 @@
-"""Near-duplicates: parts whose shapes are the same for every practical purpose.
+"""Near-duplicates: parts of practically the same shape.
 
-Two parts are twins when all of five size-free measures agree within TWIN: share of the box filled, share of the convex
-hull filled, the two ratios of the box's sides, and area over volume^(2/3).
+Two parts are near-duplicates when five scale-invariant measures all differ by less than MIN_DIFFERENCE: share of the
+bounding box filled, share of the convex hull filled, two ratios of the box's sides, and area over volume^(2/3).
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 
 from kit1000.mesh import Mesh
 
-MIN_DIFFERENCE = 0.01  # share by which at least one measure of two different parts differs
+MIN_DIFFERENCE = 0.01  # relative difference of two different parts in at least one measure
 
 
 def shape_measures(mesh: Mesh) -> np.ndarray:
@@ -30,6 +30,6 @@ def shape_measures(mesh: Mesh) -> np.ndarray:
 
 
 def near_duplicate_of(measures: np.ndarray, others: np.ndarray) -> int | None:
-    """The first of others (n, 5) that is a twin of a part with the given measures (5,), or None."""
+    """Index of the first near-duplicate, among others (n, 5), of a part with the given measures (5,); or None."""
     alike = (np.abs(others / measures - 1) < MIN_DIFFERENCE).all(1)
     return int(alike.argmax()) if alike.any() else None

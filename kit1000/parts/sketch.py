@@ -1,4 +1,4 @@
-"""Profiles and draws: the flat half of the drawing vocabulary, in MILLIMETRES and degrees.
+"""Profiles and random choices: the two-dimensional functions for drawing part families, in MILLIMETRES and degrees.
 
 Every profile is a `manifold3d.CrossSection` in the xy plane, centred on the origin unless its docstring says otherwise.
 Combine profiles with `+` (join), `-` (cut) and `^` (common area); place them with `.translate((x, y))`, `.rotate(deg)`.
@@ -15,7 +15,7 @@ from manifold3d import CrossSection, FillRule, JoinType
 from numpy.typing import ArrayLike, NDArray
 
 SAGITTA_MM = 0.013
-"""Largest gap between an arc and its chords as drawn; still below 0.02 mm when a small drawing is scaled up by half."""
+"""Largest distance between an arc and its chords as drawn: below 0.02 mm also when a small drawing is scaled by 1.5."""
 PRESSURE_ANGLE_DEG = 20.0
 """Pressure angle of the involute gears, the usual one of machine design (ISO 53)."""
 
@@ -33,12 +33,12 @@ def pick(rng: np.random.Generator, *choices: Choice) -> Choice:
 
 
 def chance(rng: np.random.Generator, probability: float) -> bool:
-    """True with the given probability."""
+    """True with a given probability."""
     return bool(rng.random() < probability)
 
 
 def circle_segments(radius: float) -> int:
-    """Sides of the polygon that stands for a circle of this radius [mm]: a multiple of 4, at least 12."""
+    """Number of sides of the polygon for a circle of this radius [mm]: a multiple of 4, at least 12."""
     half_angle = np.arccos(1.0 - min(SAGITTA_MM / max(radius, SAGITTA_MM), 1.0))
     return max(12, 4 * int(np.ceil(np.pi / half_angle / 4)))
 
@@ -77,13 +77,13 @@ def slot(length: float, width: float) -> CrossSection:
 
 
 def polygon(points: ArrayLike) -> CrossSection:
-    """The area inside a closed loop of points (n, 2), in either turning sense."""
+    """The area inside a closed loop of points (n, 2), in either orientation."""
     loop = np.asarray(points, dtype=np.float64)
     return CrossSection([loop], FillRule.NonZero)
 
 
 def arc_points(center: Sequence[float], radius: float, start_deg: float, end_deg: float) -> NDArray[np.float64]:
-    """Points (n, 2) on an arc, both ends included; it turns clockwise when end < start."""
+    """Points (n, 2) on an arc, both ends included; clockwise when end < start."""
     sweep = abs(end_deg - start_deg) / 360
     n = max(2, int(np.ceil(circle_segments(radius) * sweep)) + 1)
     angles = np.deg2rad(np.linspace(start_deg, end_deg, n))
@@ -91,12 +91,12 @@ def arc_points(center: Sequence[float], radius: float, start_deg: float, end_deg
 
 
 def sector(d: float, start_deg: float, end_deg: float) -> CrossSection:
-    """A slice of pie of diameter d from start to end, counter-clockwise."""
+    """A circular sector of diameter d from start to end, counter-clockwise."""
     return polygon(np.vstack([[(0.0, 0.0)], arc_points((0, 0), d / 2, start_deg, end_deg)]))
 
 
 def hull_2d(*profiles: CrossSection) -> CrossSection:
-    """The convex hull of the profiles together (a belt around them)."""
+    """The convex hull of the profiles together."""
     return CrossSection.batch_hull(list(profiles))
 
 
@@ -127,13 +127,13 @@ def gear(teeth: int, module_mm: float, flank_points: int = 4) -> CrossSection:
     radii = np.linspace(max(base, root), tip, flank_points)
     inverse_cos = np.arccos(np.clip(base / radii, -1, 1))
     half = np.pi / (2 * teeth) + (np.tan(alpha) - alpha) - (np.tan(inverse_cos) - inverse_cos)
-    half = np.maximum(half, 0.1 / radii)  # a tooth never runs out into a point
+    half = np.maximum(half, 0.1 / radii)  # a tooth never ends in a point
     if root < base:
         radii, half = np.append(root, radii), np.append(half[0], half)
     angles = np.concatenate([-half, half[::-1]])
     reach = np.concatenate([radii, radii[::-1]])
-    turn = np.arange(teeth)[:, None] * 2 * np.pi / teeth + angles
-    loop = np.stack([reach * np.cos(turn), reach * np.sin(turn)], axis=-1)
+    around = np.arange(teeth)[:, None] * 2 * np.pi / teeth + angles
+    loop = np.stack([reach * np.cos(around), reach * np.sin(around)], axis=-1)
     return polygon(loop.reshape(-1, 2))
 
 
@@ -151,8 +151,8 @@ def grid(nx: int, ny: int, pitch_x: float, pitch_y: float) -> list[tuple[float, 
 
 
 def holes(d: float, points: Sequence[tuple[float, float]]) -> CrossSection:
-    """Discs of diameter d at the points, to be cut out of a profile; each is turned to face the origin,
+    """Discs of diameter d at the points, to be cut out of a profile; each is rotated to face the origin,
     so that a bolt circle keeps its symmetry exactly."""
     disc = circle(d)
-    turned = [disc.rotate(float(np.degrees(np.arctan2(y, x)))).translate((x, y)) for x, y in points]
-    return CrossSection.compose(turned) if turned else CrossSection()
+    rotated = [disc.rotate(float(np.degrees(np.arctan2(y, x)))).translate((x, y)) for x, y in points]
+    return CrossSection.compose(rotated) if rotated else CrossSection()

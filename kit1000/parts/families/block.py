@@ -114,7 +114,7 @@ class Block:
         return cad.none()  # the milled corner is the only one, and its three sides differ
 
     def _edged(self) -> Manifold:
-        """The block with its worked edge, as a profile in xz pulled along y."""
+        """The block with its worked edge, as a profile in xz extruded along y."""
         left, right, a, b = -self.x / 2, self.x / 2, self.edge_x, self.edge_z
         top = {
             "plain": [(left, self.z)],

@@ -12,7 +12,7 @@ from kit1000.parts.cad import Manifold, Symmetry
 
 @dataclass(frozen=True)
 class Bushing:
-    """A sleeve about z standing on z = 0; ears and set-screw bosses look to +x."""
+    """A sleeve about z standing on z = 0; ears and set-screw bosses point to +x."""
 
     kind: str
     """turned, clamp, flats or boss"""

@@ -13,7 +13,7 @@ from kit1000.symmetry import Symmetry
 
 @dataclass(frozen=True)
 class Connector:
-    """The flange lies on the xy plane, rows of contacts run along x, the mouth looks up; lengths in mm."""
+    """The flange lies on the xy plane, rows of contacts run along x, the mouth opens up; lengths in mm."""
 
     contacts: str  # "sockets" (bores through a solid body) or "pins" (in a shell, out below)
     columns: int
@@ -37,13 +37,13 @@ class Connector:
         contacts = cad.pick(rng, "sockets", "pins")
         rows, pitch = cad.pick(rng, 2, 3), cad.span(rng, 5.4, 6.6)
         contact = cad.span(rng, 2.6, 3.6) if contacts == "sockets" else cad.span(rng, 2.4, 2.8)
-        turns = cad.chance(rng, 0.3)
-        ears = 2 if turns else cad.pick(rng, 0, 1, 1, 2)
+        two_fold = cad.chance(rng, 0.3)
+        ears = 2 if two_fold else cad.pick(rng, 0, 1, 1, 2)
         margin = cad.span(rng, 3.2, 4.4) + (2 if contacts == "pins" else 0)
         columns = 3 if ears == 2 else cad.pick(rng, 4, 5)
         body = (columns - 1) * pitch + 2 * margin
         latch_w = cad.span(rng, 8, 11)
-        latched = not turns and (ears != 1 or cad.chance(rng, 0.6))
+        latched = not two_fold and (ears != 1 or cad.chance(rng, 0.6))
         return cls(
             contacts=contacts,
             columns=columns,
@@ -60,7 +60,7 @@ class Connector:
             latch_w=latch_w,
             latch_x=cad.pick(rng, 0.0, (body - latch_w) / 2 - 1),
             tail=cad.span(rng, 4, 7) if contacts == "pins" else 0.0,
-            step=0.0 if turns or contacts == "pins" else cad.pick(rng, 0.0, 0.45) * rows * pitch,
+            step=0.0 if two_fold or contacts == "pins" else cad.pick(rng, 0.0, 0.45) * rows * pitch,
         )
 
     def solid(self) -> Manifold:

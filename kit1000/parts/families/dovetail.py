@@ -91,7 +91,7 @@ class Dovetail:
         return jaws - cad.polygon(groove)
 
     def _extruded(self, section: CrossSection, length: float) -> Manifold:
-        """A section drawn as (x, z), pulled along y, its middle at y = 0."""
+        """A section drawn as (x, z), extruded along y, its middle at y = 0."""
         return cad.at(cad.along(cad.prism(section, length), "-y"), y=length / 2)
 
     def _screws(self) -> list[tuple[float, float]]:

@@ -15,7 +15,7 @@ BEND_STEP_DEG = 15.0  # the bend is a chain of straight pieces this long
 
 @dataclass(frozen=True)
 class Elbow:
-    """The bend's axis is z, the first end looks along -y; all lengths in mm."""
+    """The bend's axis is z, the first end points along -y; all lengths in mm."""
 
     duct: str  # "round" or "square" section
     flange: str  # "round", "square" or "oval"

@@ -15,7 +15,7 @@ BOLTS = {"oval": 2, "lobed3": 3, "lobed4": 4, "triangle": 3, "square": 4, "cut":
 
 @dataclass(frozen=True)
 class Flange:
-    """The plate stands on z = 0, the bore runs along z, the first bolt looks to +x (to the corners of a square)."""
+    """The plate stands on z = 0, the bore runs along z, the first bolt is at +x (to the corners of a square)."""
 
     outline: str
     size: float

@@ -1,4 +1,4 @@
-"""Frame corner: three arms square to each other, sockets for square or round tubes or pegs for them."""
+"""Frame corner: three perpendicular arms, sockets for square or round tubes or pegs for them."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ class FrameCorner:
     def solid(self) -> cad.Manifold:
         half = self.across / 2
         bodies, cuts = [], []
-        for turns, length in enumerate((self.arm_z, self.arm_x, self.arm_y)):
+        for times, length in enumerate((self.arm_z, self.arm_x, self.arm_y)):
             body, cut = self._arm(length)
-            bodies.append(_cycled(body, turns))
-            cuts.append(_cycled(cut, turns))
+            bodies.append(_cycled(body, times))
+            cuts.append(_cycled(cut, times))
         if self.corner > 0:
             nick = 2 * self.corner
             cuts.append(cad.at(cad.box(nick, nick, nick), z=-self.corner))
@@ -60,7 +60,7 @@ class FrameCorner:
             return frame
         inner = self.across - 1
         rib = cad.at(cad.gusset(self.rise + 1, self.rise + 1, self.web), inner, half, inner)
-        return frame + cad.join(*(_cycled(rib, turns) for turns in range(3)))
+        return frame + cad.join(*(_cycled(rib, times) for times in range(3)))
 
     def symmetry(self) -> cad.Symmetry:
         even = self.arm_x == self.arm_y == self.arm_z
@@ -83,8 +83,8 @@ class FrameCorner:
         return cad.at(body, half, half), cad.at(cross, half, half)
 
 
-def _cycled(solid: cad.Manifold, turns: int) -> cad.Manifold:
-    """The solid turned by thirds about the diagonal (1, 1, 1): z to x, x to y, y to z."""
-    for _ in range(turns):
+def _cycled(solid: cad.Manifold, times: int) -> cad.Manifold:
+    """The solid rotated by 120 degrees `times` times about the diagonal (1, 1, 1): z to x, x to y, y to z."""
+    for _ in range(times):
         solid = cad.rotated(cad.rotated(solid, "z", 90), "y", 90)
     return solid

@@ -1,7 +1,7 @@
 """Gears: spur gears with a plain bore, sector gears with a hub arm, and racks.
 
 A keyway or lightening holes would spoil the exact symmetry of a full wheel without showing in its outline, so they
-belong to the sector gears, whose outline tells every turn apart.
+belong to the sector gears, whose outline differs at every angle.
 """
 
 from __future__ import annotations

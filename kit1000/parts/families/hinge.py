@@ -88,7 +88,7 @@ class Hinge:
         return cad.join(*pieces)
 
     def _gaps(self) -> list[tuple[float, float]]:
-        """What lies between this leaf's knuckles: room for the other leaf's."""
+        """The gaps between the knuckles of this leaf, for those of the other leaf."""
         edges = [0.0, *(edge for piece in KNUCKLES[self.knuckles] for edge in piece), 1.0]
         pairs = zip(edges[::2], edges[1::2], strict=True)
         # The outer gaps reach past the leaf, so that no skin is left at its ends.

@@ -20,7 +20,7 @@ class Hook:
     bar: float  # width of the bar in the plane of the jaw
     thick: float  # thickness of the bar along z
     shank: float  # from the jaw's centre to the mount
-    wrap_deg: float  # the jaw turns this far, from the shank to the tip
+    wrap_deg: float  # angle of the jaw, from the shank to the tip
     tip: float  # diameter of the rounded tip; 0: cut square
     hole: float  # of the eye or of the screws
     head: float  # eye diameter, width of the wall plate along z, or the second jaw's throat
@@ -70,8 +70,8 @@ class Hook:
         return cad.drill(fork, self.hole, at=(axis, y))
 
     def symmetry(self) -> Symmetry:
-        turns = self.mount == "jaw" and self.head == self.throat
-        return Symmetry.cyclic(2, (0, 0, 1)) if turns else Symmetry.none()
+        two_fold = self.mount == "jaw" and self.head == self.throat
+        return Symmetry.cyclic(2, (0, 0, 1)) if two_fold else Symmetry.none()
 
     def _jaw(self, throat: float) -> CrossSection:
         """The bar's outline: outer arc, tip, inner arc, shank."""
@@ -91,7 +91,7 @@ class Hook:
         return bend + cad.circle(self.tip).translate((middle * np.cos(end), middle * np.sin(end)))
 
     def _second_jaw(self, axis: float) -> CrossSection:
-        """The other end of an S-hook: a jaw turned half round about the middle of the shank."""
+        """The other end of an S-hook: a jaw rotated by 180 degrees about the middle of the shank."""
         own_axis = (self.head + self.bar) / 2
         return self._jaw(self.head).rotate(180).translate((axis + own_axis, self.shank))
 

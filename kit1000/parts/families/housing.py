@@ -40,7 +40,7 @@ class Housing:
         outline = str(rng.choice(["rect", "cut", "step", "round"], p=[0.4, 0.2, 0.2, 0.2]))
         opening = cad.pick(rng, 0.0, cad.span(rng, 8, 14))
         boss = float(rng.choice([0, cad.span(rng, 6.5, 8)], p=[0.25, 0.75]))
-        turns = outline == "rect" and lugs != 1
+        two_fold = outline == "rect" and lugs != 1
         return cls(
             outline=outline,
             length=length,
@@ -57,7 +57,7 @@ class Housing:
             lug_shift=cad.pick(rng, 0.0, 0.25) * width,
             opening=opening,
             ribs=cad.pick(rng, 0, 2) if opening else cad.pick(rng, 0, 1, 2),
-            window=not turns and cad.chance(rng, 0.5),
+            window=not two_fold and cad.chance(rng, 0.5),
         )
 
     def solid(self) -> Manifold:
@@ -80,11 +80,11 @@ class Housing:
         return box
 
     def symmetry(self) -> Symmetry:
-        turns = self.outline == "rect" and self.lugs != 1
-        return Symmetry.cyclic(2, (0, 0, 1)) if turns else Symmetry.none()
+        two_fold = self.outline == "rect" and self.lugs != 1
+        return Symmetry.cyclic(2, (0, 0, 1)) if two_fold else Symmetry.none()
 
     def _outline(self) -> CrossSection:
-        """The outside as seen from above; what is taken away lies at +x +y."""
+        """The outside as seen from above; cut-outs lie at +x +y."""
         sheet = cad.rectangle(self.length, self.width)
         x, y, cut = self.length / 2, self.width / 2, self.notch
         if self.outline == "cut":
@@ -97,7 +97,7 @@ class Housing:
         return cad.rounded(sheet, self.corner)
 
     def _boss_places(self) -> list[tuple[float, float]]:
-        """Centres of the bosses: in the corners that every outline keeps, mirrored when the box turns."""
+        """Centres of the bosses: in the corners that every outline keeps, mirrored when the box has a two-fold axis."""
         x, y = self.length / 2 - 0.55 * self.boss, self.width / 2 - 0.55 * self.boss
         if self.outline == "rect":
             return [(x, y), (-x, y), (x, -y), (-x, -y)]

@@ -109,9 +109,8 @@ class Knob:
         arm = cad.hull_2d(cad.circle(self.lobe).translate((reach, 0)), cad.circle(0.8 * self.lobe))
         hole = cad.circle(0.4 * self.lobe).translate((reach, 0))
         lobe = arm - hole if self.web else arm
-        turns = [lobe.rotate(360 * k / self.lobes) for k in range(self.lobes)]
-        for turn in turns:
-            core += turn
+        for k in range(self.lobes):
+            core += lobe.rotate(360 * k / self.lobes)
         return core
 
     def _turned(self) -> Manifold:

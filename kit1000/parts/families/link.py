@@ -85,7 +85,7 @@ class Link:
         return (self.pitch, self.offset)
 
     def _slab(self, profile: cad.CrossSection, thickness: float) -> cad.Manifold:
-        """The profile pulled up and down from the middle plane."""
+        """The profile extruded up and down from the middle plane."""
         return cad.at(cad.prism(profile, thickness), z=-thickness / 2)
 
     def _web(self, inset: float = 0.0) -> cad.CrossSection:

@@ -97,7 +97,7 @@ class Pulley:
         return wheel
 
     def _hollow(self) -> Manifold:
-        """What is turned out of the web on both sides, and the windows between spokes."""
+        """What is cut out of the web on both sides, and the windows between spokes."""
         inner = min(self._inner, 0.8 * self.d)
         side = (self.width - self.web) / 2
         if side < 0.5 or inner < self.hub + 4:

@@ -99,7 +99,7 @@ class ServoHorn:
         return cad.holes(self.hole, [(float(x), 0.0) for x in stations])
 
     def _spline(self) -> cad.CrossSection:
-        """The toothed socket: points on two circles by turns."""
+        """The toothed socket: points alternating between two circles."""
         angles = np.arange(2 * TEETH) * np.pi / TEETH
         radii = np.where(np.arange(2 * TEETH) % 2, 0.44, 0.5) * self.spline
         return cad.polygon(np.column_stack([radii * np.cos(angles), radii * np.sin(angles)]))

@@ -12,7 +12,7 @@ from kit1000.parts.cad import Manifold, Symmetry
 
 @dataclass(frozen=True)
 class SteppedShaft:
-    """The shaft stands along z: lower journal, collar, upper journal, smaller end. The collar's mark looks to +x."""
+    """The shaft stands along z: lower journal, collar, upper journal, smaller end. The collar's mark is at +x."""
 
     kind: str
     """plain, cut, eccentric or crank"""
@@ -82,7 +82,7 @@ class SteppedShaft:
         return self.lower == self.upper and self.lower_length == self.upper_length and self.end_length == 0
 
     def _journals(self) -> list[tuple[float, float]]:
-        """(r, z) of everything that turns true, z = 0 at the foot."""
+        """(r, z) of everything that is round about the axis, z = 0 at the foot."""
         c, top = self.chamfer, self.lower_length + self.collar_width + self.upper_length
         low, high, end = self.lower / 2, self.upper / 2, self.end / 2
         waist = self.lower_length + 0.5 * self.collar_width

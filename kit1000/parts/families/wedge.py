@@ -12,7 +12,7 @@ from kit1000.parts.cad import CrossSection, Manifold, Symmetry
 
 @dataclass(frozen=True)
 class Wedge:
-    """A profile in the xz plane, the foot on z = 0, pulled along y and centred in it."""
+    """A profile in the xz plane, the foot on z = 0, extruded along y and centred in it."""
 
     kind: str
     """ramp, vee or trapezoid"""
