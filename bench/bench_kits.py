@@ -1,4 +1,4 @@
-"""Our kits beside those of the release's scheme: seconds, faces and clearance, both timed in this run.
+"""Comparison of our kits with those of the scheme of the paper's release: seconds, faces and clearance, both timed in this run.
 
     make bench
 
@@ -61,14 +61,14 @@ def main(parts: int = 12, seed: int = 1) -> None:
     drawn = drawn_parts(seed)
     compare(next(drawn))  # numba compiles on the first
     rows = [compare(next(drawn)) for _ in range(parts)]
-    theirs, same_job, ours = (list(column) for column in zip(*rows, strict=True))
+    release, ours_stretched, ours = (list(column) for column in zip(*rows, strict=True))
     print(f"{parts} parts, seed {seed}; medians, clearance extremes over all")
     print(f"{'':34}{'s/kit':>9}{'longest':>9}{'faces':>9}{'clearance mm':>16}{'closed':>9}")
-    print_line(f"scheme of the release, {MARGIN * 1e3:g} mm", theirs)
-    print_line(f"ours, the same parts, {MARGIN * 1e3:g} mm", same_job)
+    print_line(f"scheme of the release, {MARGIN * 1e3:g} mm", release)
+    print_line(f"ours, the same parts, {MARGIN * 1e3:g} mm", ours_stretched)
     print_line(f"ours, {LONGEST * 1e3:g} mm parts, {CLEARANCE * 1e3:g} mm", ours)
-    ratio = [a.seconds / b.seconds for a, b in zip(theirs, same_job, strict=True)]
-    print(f"seconds, scheme / ours, same part: {np.median(ratio):.1f}x  [{min(ratio):.1f}, {max(ratio):.1f}]")
+    ratio = [a.seconds / b.seconds for a, b in zip(release, ours_stretched, strict=True)]
+    print(f"seconds, release / ours, same part: {np.median(ratio):.1f}x  [{min(ratio):.1f}, {max(ratio):.1f}]")
 
 
 def drawn_parts(seed: int) -> Iterator[Part]:
@@ -88,19 +88,19 @@ def compare(part: Part) -> tuple[Row, Row, Row]:
     """The release's kit, ours for the same stretched part, and ours for the part as drawn."""
     standing = stretched(part.mesh)
     seconds, kit = timed(lambda: release_kit(standing))
-    theirs = Row(seconds, len(kit.faces), *wall_distances(kit, standing), defect_float32(kit) is None)
+    release = Row(seconds, len(kit.faces), *wall_distances(kit, standing), defect_float32(kit) is None)
     stretched_part = standing_part(standing)
-    same_job = timed(lambda: design_kit(stretched_part, MARGIN, BLOCK_PLATE))
-    return theirs, our_row(*same_job), our_row(*timed(lambda: design_kit(part)))
+    ours_stretched = timed(lambda: design_kit(stretched_part, MARGIN, BLOCK_PLATE))
+    return release, our_row(*ours_stretched), our_row(*timed(lambda: design_kit(part)))
 
 
 def our_row(seconds: float, design: KitDesign) -> Row:
-    mesh, found = design.kit.mesh, design.measured_clearance
-    return Row(seconds, len(mesh.faces), found.smallest, found.largest, defect_float32(mesh) is None)
+    mesh, measured = design.kit.mesh, design.measured_clearance
+    return Row(seconds, len(mesh.faces), measured.smallest, measured.largest, defect_float32(mesh) is None)
 
 
 def standing_part(standing: Mesh) -> Part:
-    """A stretched mesh as a part: no symmetry is known of it."""
+    """A stretched mesh as a part without declared symmetry."""
     mesh = Mesh(standing.vertices - standing.centroid, standing.faces)
     return Part("stretched", "stretched", mesh, Symmetry.none(), {}, 1.0)
 
@@ -114,7 +114,7 @@ def timed(make: Callable[[], Made]) -> tuple[float, Made]:
 def wall_distances(kit: Mesh, standing: Mesh) -> tuple[float, float]:
     """Nearest and farthest [m] of the cavity's walls from what the part sweeps, horizontally.
 
-    A step of the floor may be off by a voxel without counting as a wall: the nearest wall is measured from
+    A step of the floor may be wrong by one voxel without counting as a wall: the nearest wall is measured from
     the shadow one voxel lower, the farthest from the shadow one voxel higher.
     """
     part, plate = solid_from_mesh(standing), solid_from_mesh(kit)
@@ -122,13 +122,13 @@ def wall_distances(kit: Mesh, standing: Mesh) -> tuple[float, float]:
     for height in HEIGHTS:
         loops = sorted(plate.slice(height).to_polygons(), key=np.ptp)[:-1]  # the largest is the block
         walls = outline(loops)
-        near.append(KDTree(shadow(part, height - VOXEL)).query(walls)[0].min())
-        far.append(KDTree(shadow(part, height + VOXEL)).query(walls)[0].max())
+        near.append(KDTree(shadow_outline(part, height - VOXEL)).query(walls)[0].min())
+        far.append(KDTree(shadow_outline(part, height + VOXEL)).query(walls)[0].max())
     return float(min(near)), float(max(far))
 
 
-def shadow(part: Manifold, height: float) -> np.ndarray:
-    """(n, 2) points around what a standing part has swept up to a height [m]."""
+def shadow_outline(part: Manifold, height: float) -> np.ndarray:
+    """(n, 2) [m] points on the outline of a standing part's shadow up to a height [m]."""
     return outline(part.trim_by_plane((0, 0, -1), -height).project().to_polygons())
 
 

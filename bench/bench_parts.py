@@ -1,4 +1,4 @@
-"""Our parts beside real ones: are they as holed, as filled and as long, and can a classifier tell them apart?
+"""Comparison of our parts with real ones: through holes, fill, aspect, and whether a classifier can separate them.
 
     make bench-parts PARTS=DIR
     python bench/bench_parts.py DIR --count 1000
@@ -18,7 +18,7 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from descriptors import Shape, d2_distance, d2_noise, describe, twins
+from descriptors import Shape, d2_distance, d2_noise, describe, near_duplicates
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.model_selection import StratifiedKFold, cross_val_score
@@ -34,7 +34,7 @@ from kit1000.parts.mixtures import MIXTURES, choose_family
 from kit1000.rng import stream
 
 MIXTURE = "2026"
-LONGEST = 45e-3  # [m] every shape measure is free of it
+LONGEST = 45e-3  # [m] no shape measure depends on it
 REDRAWS = 20  # tries before a family counts as broken
 DRAWS = 10  # balanced draws of our parts that a classifier's accuracy is averaged over
 FOLDS = 5
@@ -97,7 +97,7 @@ def _drawn(seed: int, index: int) -> Mesh:
 def table(real: Sequence[Shape], ours: Sequence[Shape], seed: int) -> list[Row]:
     """All properties of both sets, with the targets."""
     noise = d2_noise(real, stream(seed, "halves"))
-    gap, told, pairs = d2_distance(ours, real), told_apart(real, ours, seed), len(twins(ours))
+    gap, accuracy, pairs = d2_distance(ours, real), classifier_accuracy(real, ours, seed), len(near_duplicates(ours))
     return [
         _median("triangles", real, ours, lambda shape: shape.triangles, (200, 1500), "{:.0f}"),
         _share("through holes", real, ours, (0.65, 0.85)),
@@ -107,8 +107,8 @@ def table(real: Sequence[Shape], ours: Sequence[Shape], seed: int) -> list[Row]:
         _median("middle / longest side", real, ours, lambda shape: shape.middle),
         _median("area / volume^(2/3)", real, ours, lambda shape: shape.roughness),
         Row("D2 distance", f"{noise:.3f} (halves)", f"{gap:.3f}", f"<= {1.5 * noise:.3f}", gap <= 1.5 * noise),
-        *[Row(f"told apart, {name}", "", f"{rate:.1%}", "<= 75 %", rate <= 0.75) for name, rate in told.items()],
-        Row("near-duplicates", str(len(twins(real))), str(pairs), "0", pairs == 0),
+        *[Row(f"classifier, {name}", "", f"{rate:.1%}", "<= 75 %", rate <= 0.75) for name, rate in accuracy.items()],
+        Row("near-duplicates", str(len(near_duplicates(real))), str(pairs), "0", pairs == 0),
     ]
 
 
@@ -136,7 +136,7 @@ def _share(name: str, real: Sequence[Shape], ours: Sequence[Shape], target: tupl
     return Row(name, f"{shares[0]:.0%}", f"{shares[1]:.0%}", f"{target[0]:.0%} .. {target[1]:.0%}", met)
 
 
-def told_apart(real: Sequence[Shape], ours: Sequence[Shape], seed: int) -> dict[str, float]:
+def classifier_accuracy(real: Sequence[Shape], ours: Sequence[Shape], seed: int) -> dict[str, float]:
     """Cross-validated accuracy of two simple classifiers on as many of ours as there are real ones."""
     models = {
         "logistic": make_pipeline(StandardScaler(), LogisticRegression(C=0.3, max_iter=2000)),

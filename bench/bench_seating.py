@@ -1,8 +1,8 @@
-"""The two ways to the seating verdict side by side: closed form and exact booleans, in the same poses.
+"""Comparison of the two computations of the seating test, closed form and exact booleans, at the same poses.
 
     python bench/bench_seating.py --pairs 12 --poses 40
 
-Half of the poses are guesses up to 10 mm and 25 degrees off, half lie on the brink where the verdict flips.
+Half of the poses have random errors up to 10 mm and 25 degrees, half lie near the limit of being seated.
 """
 
 from __future__ import annotations
@@ -36,69 +36,70 @@ from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.values import Kit, Part
 
-FARTHEST, STEEPEST = 10e-3, np.radians(25)
-BAND = 0.1e-3  # [m] from a limit, within which the two may differ
-BRINK_STEPS = np.array([-2e-2, -2e-3, 2e-3, 2e-2])  # shares of an error, about the share at which the verdict flips
+MAX_SHIFT, MAX_ANGLE = 10e-3, np.radians(25)  # [m], [rad] of a random error
+LIMIT_BAND = 0.1e-3  # [m] from a limit, within which the two results may differ
+LIMIT_STEPS = np.array([-2e-2, -2e-3, 2e-3, 2e-2])  # relative steps of an error about the limit of being seated
 
 
 @dataclass(frozen=True)
 class Row:
-    """One pose judged twice."""
+    """Both results for one pose."""
 
-    closed: SeatingResult
-    judged: SeatingResult
+    closed_form: SeatingResult
+    booleans: SeatingResult
     to_limit: float
     """[m] from the nearest limit"""
-    closed_s: float
-    judged_s: float
+    closed_form_s: float
+    booleans_s: float
 
 
 class Pair:
-    """A part over its kit, ready for both ways."""
+    """A part and its kit, prepared for both computations."""
 
     def __init__(self, part: Part, kit: Kit) -> None:
         self.goal, self.depth = kit.slot.goals[0], kit.slot.depth
-        self.plug, self.edges = InsertedPart.of(part.mesh, self.goal), convex_edges(kit.mesh)
-        self.swept, self.plate = swept_solid(part.mesh, self.plug.axis), solid_from_mesh(kit.mesh)
+        self.part, self.edges = InsertedPart.of(part.mesh, self.goal), convex_edges(kit.mesh)
+        self.swept, self.plate = swept_solid(part.mesh, self.part.axis), solid_from_mesh(kit.mesh)
 
-    def closed(self, pose: Pose) -> SeatingResult:
-        return seating_result(contact_offset(self.plug, self.edges, pose), self.plug, pose, self.goal, self.depth)
+    def closed_form(self, pose: Pose) -> SeatingResult:
+        return seating_result(contact_offset(self.part, self.edges, pose), self.part, pose, self.goal, self.depth)
 
-    def judged(self, pose: Pose) -> SeatingResult:
+    def booleans(self, pose: Pose) -> SeatingResult:
         return seating_result(
-            contact_offset_by_booleans(self.swept, self.plug, self.plate, pose), self.plug, pose, self.goal, self.depth
+            contact_offset_by_booleans(self.swept, self.part, self.plate, pose), self.part, pose, self.goal, self.depth
         )
 
-    def compared(self, pose: Pose) -> Row:
-        """Both verdicts on a pose, timed."""
+    def compare(self, pose: Pose) -> Row:
+        """Both results for a pose, timed."""
         start = time.perf_counter()
-        closed = self.closed(pose)
+        closed_form = self.closed_form(pose)
         between = time.perf_counter()
-        judged = self.judged(pose)
-        return Row(closed, judged, self.to_limit(closed), between - start, time.perf_counter() - between)
+        booleans = self.booleans(pose)
+        end = time.perf_counter()
+        return Row(closed_form, booleans, self.to_limit(closed_form), between - start, end - between)
 
-    def to_limit(self, found: SeatingResult) -> float:
-        """[m] how near a verdict is to one of its limits."""
+    def to_limit(self, result: SeatingResult) -> float:
+        """[m] distance of a result to the nearest of its limits."""
         return min(
-            abs(abs(found.contact_height) - min(SEATED_LIMIT, self.depth / 3)),
-            abs(abs(found.contact_offset) - SEATED_LIMIT),
+            abs(abs(result.contact_height) - min(SEATED_LIMIT, self.depth / 3)),
+            abs(abs(result.contact_offset) - SEATED_LIMIT),
         )
 
     def moved(self, error: np.ndarray, share: float) -> Pose:
-        """The goal with a share of an error (6,) [m, rad]: shift in the kit frame, turn about the centroid."""
+        """The goal with a share of an error (6,) [m, rad]: shift in the kit frame, rotation about the centroid."""
         return Pose.from_translation(share * error[:3]) @ rotated_about_centroid(self.goal, share * error[3:])
 
-    def brink(self, error: np.ndarray) -> float:
-        """The share of an error at which the verdict flips."""
+    def seated_share(self, error: np.ndarray) -> float:
+        """The share of an error at which the part is no longer seated."""
         low, high = 0.0, 1.0
         for _ in range(14):
             middle = (low + high) / 2
-            low, high = (middle, high) if self.closed(self.moved(error, middle)).seated else (low, middle)
+            low, high = (middle, high) if self.closed_form(self.moved(error, middle)).seated else (low, middle)
         return low
 
 
 def main(pairs: int = 12, poses: int = 40, seed: int = 1) -> None:
-    """Compare the verdicts on parts drawn from all families in turn.
+    """Compare both computations on parts drawn from all families in turn.
 
     Args:
         pairs: of part and kit.
@@ -107,8 +108,8 @@ def main(pairs: int = 12, poses: int = 40, seed: int = 1) -> None:
     """
     rows: list[Row] = []
     for number, pair in zip(range(pairs), drawn_pairs(seed), strict=False):
-        pair.compared(pair.goal)  # numba compiles on the first
-        rows += [pair.compared(pose) for pose in drawn_poses(pair, poses, stream(seed, "poses", number))]
+        pair.compare(pair.goal)  # numba compiles on the first
+        rows += [pair.compare(pose) for pose in drawn_poses(pair, poses, stream(seed, "poses", number))]
     report(pairs, rows)
 
 
@@ -124,35 +125,37 @@ def drawn_pairs(seed: int) -> Iterator[Pair]:
 
 
 def drawn_poses(pair: Pair, poses: int, rng: np.random.Generator) -> Iterator[Pose]:
-    """Guesses, and poses on the brink."""
+    """Poses with random errors, and others near the limit of being seated."""
     for number in range(poses):
-        shift, turn = rng.normal(size=(2, 3))
+        shift, axis = rng.normal(size=(2, 3))
         error = np.concatenate(
             [
-                shift / np.linalg.norm(shift) * rng.uniform(0, FARTHEST),
-                turn / np.linalg.norm(turn) * rng.uniform(0, STEEPEST),
+                shift / np.linalg.norm(shift) * rng.uniform(0, MAX_SHIFT),
+                axis / np.linalg.norm(axis) * rng.uniform(0, MAX_ANGLE),
             ]
         )
-        share = 1.0 if number % 2 else pair.brink(error) * (1 + rng.choice(BRINK_STEPS))
+        share = 1.0 if number % 2 else pair.seated_share(error) * (1 + rng.choice(LIMIT_STEPS))
         yield pair.moved(error, share)
 
 
 def report(pairs: int, rows: list[Row]) -> None:
-    """Print what agrees and what it costs."""
-    both = [row for row in rows if np.isfinite([row.closed.contact_offset, row.judged.contact_offset]).all()]
-    differences = np.array([abs(row.closed.contact_offset - row.judged.contact_offset) for row in both])
-    verdicts = np.array([(r.closed.seated, r.closed.strict) != (r.judged.seated, r.judged.strict) for r in rows])
-    near = np.array([row.to_limit < BAND for row in rows])
-    seated = np.mean([row.closed.seated for row in rows])
-    print(
-        f"{pairs} pairs, {len(rows)} poses, {seated:.0%} seated, {near.mean():.1%} within {BAND * 1e3:g} mm of a limit"
-    )
-    print(
-        f"rise: largest difference {differences.max() * 1e6:.1f} um, {(differences > BISECTION_STEP).sum()} above the step"
-    )
-    print(f"verdicts that differ: {verdicts.mean():.2%}, of these outside the band {(verdicts & ~near).sum()}")
-    for name, times in (("closed form", [r.closed_s for r in rows]), ("booleans", [r.judged_s for r in rows])):
+    """Print how well both agree and how long they take."""
+    both = [row for row in rows if np.isfinite([row.closed_form.contact_offset, row.booleans.contact_offset]).all()]
+    differences = np.array([abs(row.closed_form.contact_offset - row.booleans.contact_offset) for row in both])
+    differ = np.array([_flags(row.closed_form) != _flags(row.booleans) for row in rows])
+    near = np.array([row.to_limit < LIMIT_BAND for row in rows])
+    seated = np.mean([row.closed_form.seated for row in rows])
+    print(f"{pairs} pairs, {len(rows)} poses, {seated:.0%} seated")
+    print(f"{near.mean():.1%} of the poses within {LIMIT_BAND * 1e3:g} mm of a limit")
+    above = (differences > BISECTION_STEP).sum()
+    print(f"contact offset: largest difference {differences.max() * 1e6:.1f} um, {above} above the step")
+    print(f"results that differ: {differ.mean():.2%}, of these outside the band {(differ & ~near).sum()}")
+    for name, times in (("closed form", [r.closed_form_s for r in rows]), ("booleans", [r.booleans_s for r in rows])):
         print(f"{name}: {np.median(times) * 1e3:.2f} ms a query, 95 % below {np.quantile(times, 0.95) * 1e3:.2f} ms")
+
+
+def _flags(result: SeatingResult) -> tuple[bool, bool]:
+    return result.seated, result.strict
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What can be said of a part's shape in a few numbers: size-free descriptors of closed meshes.
+"""Scale-invariant shape descriptors of closed meshes.
 
 D2 is the distribution of distances between pairs of surface points (Osada et al., "Shape distributions", 2002).
 """
@@ -26,7 +26,7 @@ D2_SAMPLING = 0.12
 
 @dataclass(frozen=True)
 class Shape:
-    """Descriptors of one part; none depends on its size or place."""
+    """Descriptors of one part; none depends on its size or position."""
 
     triangles: int
     genus: int
@@ -54,7 +54,7 @@ class Shape:
         return np.array([self.fill, self.convexity, self.middle, self.short, self.roughness])
 
     def vector(self) -> np.ndarray:
-        """(6 + BINS,) everything a classifier is shown; the number of triangles tells the exporter, not the shape."""
+        """(6 + BINS,) input of a classifier; without the number of triangles, which depends on the exporter."""
         return np.concatenate([self.measures(), [float(self.genus > 0)], self.d2])
 
 
@@ -81,7 +81,7 @@ def d2_distance(ours: Sequence[Shape], theirs: Sequence[Shape]) -> float:
 
 
 def d2_noise(shapes: Sequence[Shape], rng: np.random.Generator, splits: int = 200) -> float:
-    """Mean D2 distance between two random halves of one set: what chance alone makes."""
+    """Mean D2 distance between two random halves of one set: the level of chance."""
     half = len(shapes) // 2
     gaps = []
     for _ in range(splits):
@@ -90,8 +90,8 @@ def d2_noise(shapes: Sequence[Shape], rng: np.random.Generator, splits: int = 20
     return float(np.mean(gaps))
 
 
-def twins(shapes: Sequence[Shape]) -> list[tuple[int, int]]:
-    """Pairs of near-duplicates: all measures within TWIN, as many holes, and the same distances up to sampling."""
+def near_duplicates(shapes: Sequence[Shape]) -> list[tuple[int, int]]:
+    """Pairs of near-duplicates: all measures within MIN_DIFFERENCE, the same genus, and D2 equal up to sampling."""
     measures = np.array([shape.measures() for shape in shapes])
     genus, d2 = np.array([shape.genus for shape in shapes]), np.array([shape.d2 for shape in shapes])
     found = []

@@ -1,10 +1,10 @@
-"""The kit scheme of the paper's release, told again in plain numpy, to have something to measure ours by.
+"""The kit generation of the paper's release, written again in plain numpy, for comparison with ours.
 
 A pinhole 100 m below the part stands in for an orthographic camera; its depth image fills a voxel grid of
-0.89 mm, in which all that lies above the part's lower surface is solid; copies of that, shifted by every
+0.89 mm, in which everything above the part's lower surface is solid; copies of that, shifted by every
 whole number of voxels from -11 to +12 along x and y, make the cavity; marching cubes cut it out of a block of
-120 mm. Steps, constants and the cavity's offset are the release's. The picture is drawn by our renderer,
-which is faster than the one of the release: its side of the comparison gains from that.
+120 mm. Steps, constants and the cavity's offset are the release's. The depth image is rendered by our
+renderer, which is faster than the one of the release; the comparison favours the release by that.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from kit1000.sim.render import render
 VOXEL = 0.89e-3  # [m]
 TRUNCATION = 5 * VOXEL
 BOX = np.array([80e-3, 80e-3, 50e-3])  # [m] every part is stretched to fill it
-MARGIN = 10e-3  # [m] asked; whole voxels make 9.8 to 10.7 of it
+MARGIN = 10e-3  # [m] nominal; whole voxels make it 9.8 to 10.7 mm
 SHIFTS = range(-11, 13)
 BLOCK = (135, 135, 25)
 PASTED_AT = 12  # voxels; 11 would centre it
-CAVITY_LAYERS = 23  # of 25: two are left as a floor
+CAVITY_LAYERS = 23  # of 25: two remain as a floor
 BLOCK_HEIGHT = 9e-3  # [m] z of the block's middle when the part stands on z = 0
-DISTANCE, FAR = 100.0, 100.05  # [m] from the camera to the part's underside, and to the end of sight
+DISTANCE, FAR = 100.0, 100.05  # [m] from the camera to the part's underside, and the far limit of depth
 CAMERA = Camera(1280, 720, 63e4, 63e4, 640.0, 360.0)
 
 
@@ -60,8 +60,8 @@ def occupancy(standing: Mesh) -> np.ndarray:
     # Looking up with +x upwards in the image: the camera's x runs along +y, its y along -x.
     u = np.rint(CAMERA.fx * y[None, :, None] / ahead + CAMERA.cx).astype(int)
     v = np.rint(-CAMERA.fy * x[:, None, None] / ahead + CAMERA.cy).astype(int)
-    seen = depth_image(standing)[np.broadcast_to(v, np.broadcast_shapes(u.shape, v.shape)), u]
-    signed = np.clip((seen - ahead) / TRUNCATION, -1, 1)
+    depth = depth_image(standing)[np.broadcast_to(v, np.broadcast_shapes(u.shape, v.shape)), u]
+    signed = np.clip((depth - ahead) / TRUNCATION, -1, 1)
     return signed < 0
 
 
