@@ -1,6 +1,6 @@
 """For any bytes, the check returns a report, and the reader a value or an error of one line.
 
-KIT1000_FUZZ_S: for how many seconds files are mutated; 4 by default.
+KIT1000_FUZZ_S: for how many seconds files are mutated; 2 by default.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from kit1000.errors import InputError
 from kit1000.files import json_bytes
 from kit1000.submission import Report, check, read_manifest, read_predictions, write_manifest, write_predictions
 
-SECONDS = float(os.environ.get("KIT1000_FUZZ_S", "4"))
+SECONDS = float(os.environ.get("KIT1000_FUZZ_S", "2"))
 TOKENS = (
     b",", b";", b"\t", b" ", b'"', b'""', b"\n", b"\r\n", b"\r", b"\x00", b"\xff", b"\xef\xbb\xbf", b"#", b"-", b"_",
     b"nan", b"inf", b"1e999", b"-1", b"0,5", b"0.5", b"1_0", b"\xc2\xa0", b"\xd9\xa3", b"\xe2\x88\x92", b"query_id",

@@ -61,7 +61,7 @@ def same(a: Predictions, b: Predictions) -> bool:
 def test_numbers_come_back_bit_for_bit(
     tmp_path_factory: pytest.TempPathFactory, seed: int, xyz: list[float], confidence: float, seconds: float
 ) -> None:
-    path = tmp_path_factory.mktemp("round") / "predictions.csv"
+    path = tmp_path_factory.getbasetemp() / "predictions.csv"
     motions = Pose(random_quaternions(np.random.default_rng(seed), 1), np.array([xyz]))
     written = Predictions(("a",), motions, np.array([confidence]), np.array([seconds]))
     write_predictions(path, written)
@@ -184,7 +184,7 @@ TEXT = st.text(st.characters(exclude_categories=["Cs", "Cc"]) | st.sampled_from(
 def test_a_manifest_comes_back_as_it_was_written(
     tmp_path_factory: pytest.TempPathFactory, description: str, training_data: str, learned: bool
 ) -> None:
-    path = tmp_path_factory.mktemp("manifest") / "manifest.toml"
+    path = tmp_path_factory.getbasetemp() / "manifest.toml"
     manifest = replace(MANIFEST, description=description, training_data=training_data, learned=learned)
     write_manifest(path, manifest)
     assert read_manifest(path) == manifest

@@ -116,8 +116,7 @@ def sample_hull(part_id: str) -> np.ndarray:
 def _with_errors(targets: Targets, motions: Pose, rotvec: np.ndarray, offset: np.ndarray) -> Pose:
     """Motions (n,) followed by rotations (n, 3) [rad] about where they take the anchor, and offsets (n, 3) [m]."""
     target = motions.apply(targets.anchors)
-    rotated = Pose.from_rotvec(rotvec) @ Pose.from_translation(-target) @ motions
-    return Pose.from_translation(target + offset) @ rotated
+    return Pose.from_translation(target + offset) @ Pose.from_rotvec(rotvec) @ Pose.from_translation(-target) @ motions
 
 
 def _errors(metric: Metric, motions: Pose, targets: Targets, name: str) -> np.ndarray:

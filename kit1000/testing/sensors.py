@@ -31,6 +31,7 @@ def check_sensor(
     depth_error: float = 0.01,
     position_error: float = 0.01,
     rotation_error_deg: float = 1.0,
+    camera: Camera = CAMERA,
 ) -> None:
     """Check a depth sensor model on a bowl of four planes with a hole, 0.4 to 1 m away.
 
@@ -44,14 +45,15 @@ def check_sensor(
         depth_error: [m] allowed median error of a depth.
         position_error: [m] allowed error of the camera position, in each of a few draws.
         rotation_error_deg: [degrees] allowed error of the camera rotation.
+        camera: of the test images.
     """
-    view = View(CAMERA, WORLD_FROM_CAMERA, np.where(_hole_mask(CAMERA), 0, _bowl_depths(CAMERA)))
+    view = View(camera, WORLD_FROM_CAMERA, np.where(_hole_mask(camera), 0, _bowl_depths(camera)))
     first, measured = (_run(sense, view, seed, name) for seed in (0, 1))
     for image in (first, measured):
         _check_format(image, view, name)
         _check_depths(image, view, depth_error, name)
         _check_pose(image.world_from_camera, view.world_from_camera, position_error, rotation_error_deg, name)
-    no_surface = View(CAMERA, WORLD_FROM_CAMERA, np.zeros(view.depth.shape))
+    no_surface = View(camera, WORLD_FROM_CAMERA, np.zeros(view.depth.shape))
     _check_format(_run(sense, no_surface, 0, name), no_surface, name)
     _check_draws(sense, [view, no_surface], name)
     again = _run(sense, view, 1, name)
