@@ -1,11 +1,11 @@
-"""The position network beside a plain form of the release's scheme, timed in one run: seconds, ratios, agreement.
+"""The position network against a plain implementation of the release's scheme: seconds, ratios, differences.
 
     .venv/bin/python bench/bench_snap_position.py
     .venv/bin/python bench/bench_snap_position.py --presets small --batches 1 2 4 8
 
-`plain` goes module by module: upsample, join, convolve the whole volume, cut out the middle of the features, slide the
-padded features of the part over it as one grouped convolution. `ours` has the same weights. bfloat16 pays where the
-processor multiplies in it (amx_bf16 or avx512_bf16); elsewhere it is left out unless asked for.
+`plain` runs module by module: upsample, concatenate, convolve the whole volume, crop the features, correlate with the
+padded features of the part as one grouped convolution. `ours` has the same weights. bfloat16 is faster where the CPU
+multiplies in it (amx_bf16 or avx512_bf16); elsewhere it is measured only with --bf16.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import torch.nn.functional as F
 import tyro
 from torch import Tensor
 
-from baselines.layers import correlate, cut
+from baselines.layers import correlate, cropped
 from baselines.snapnet.config import POSITION, PositionConfig
 from baselines.snapnet.position import Encoder, PositionNet, position_loss
 from kit1000.errors import Kit1000Error
@@ -35,42 +35,44 @@ def main(
     bf16: bool | None = None,
     device: str = "cpu",
 ) -> None:
-    """Time answers (batch 1) of each preset, and training steps of the small one.
+    """Time predictions (batch 1) of each preset, and training steps of the small one.
 
     Args:
         presets: which.
         batches: of the training steps.
         repeats: how often each is timed; the fastest counts.
         threads: of torch.
-        bf16: also answer in bfloat16; by default where the processor can.
+        bf16: also predict in bfloat16; by default where the CPU supports it.
         device: cpu or cuda.
     """
     torch.set_num_threads(threads)
     torch.manual_seed(1)
-    able = device != "cpu" or bool(BF16_FLAGS & processor_flags())
-    print(f"{threads} threads; bfloat16 in the processor: {'yes' if able else 'no'}")
+    supported = device != "cpu" or bool(BF16_FLAGS & processor_flags())
+    print(f"{threads} threads; bfloat16 of the CPU: {'yes' if supported else 'no'}")
     for preset in presets:
-        print_answers(preset, repeats, device, able if bf16 is None else bf16)
+        print_predictions(preset, repeats, device, supported if bf16 is None else bf16)
     if "small" in presets:
         print_steps(batches, repeats, device)
 
 
-def print_answers(preset: str, repeats: int, device: str, bf16: bool) -> None:
-    """Print a line each for plain, ours, and ours in bfloat16; the gap is to sums in float64, all less their mean."""
+def print_predictions(preset: str, repeats: int, device: str, bf16: bool) -> None:
+    """Print a line each for plain, ours, and ours in bfloat16; differences are to sums in float64."""
     config = POSITION[preset]
     net = PositionNet(config).to(device).eval()
     part, kit, _ = example(config, 1, device)
-    print(f"{'answer':32}{'wall s':>10}{'ratio':>8}{'work s':>10}{'ratio':>8}{'gap':>10}{'of std':>10}")
+    print(f"{'prediction':32}{'wall s':>10}{'ratio':>8}{'work s':>10}{'ratio':>8}{'diff':>10}{'of std':>10}")
     with torch.inference_mode():
-        features = plain_features(net.part, part), cut(plain_features(net.kit, kit), net.region)
+        features = plain_features(net.part, part), cropped(plain_features(net.kit, kit), net.region)
         exact = correlate(features[0].double(), features[1].double(), config.window)
         took = (1.0, 1.0)
-        for name, answer in (("plain", plain_scores), ("ours", scores_of), ("ours, bfloat16", bf16_scores))[: 2 + bf16]:
-            least, scores = timed(lambda ask=answer: ask(net, part, kit), repeats)
-            took = least if answer is plain_scores else took
-            gap = (scores - scores.mean() - exact + exact.mean()).abs().max()
+        for name, scores_by in (("plain", plain_scores), ("ours", scores_of), ("ours, bfloat16", bf16_scores))[
+            : 2 + bf16
+        ]:
+            least, scores = timed(lambda run=scores_by: run(net, part, kit), repeats)
+            took = least if scores_by is plain_scores else took
+            difference = (scores - scores.mean() - exact + exact.mean()).abs().max()
             columns = "".join(f"{now:10.3f}{then / now:8.1f}" for now, then in zip(least, took, strict=True))
-            print(f"{preset + ', ' + name:32}{columns}{gap:10.1e}{exact.std():10.1e}", flush=True)
+            print(f"{preset + ', ' + name:32}{columns}{difference:10.1e}{exact.std():10.1e}", flush=True)
 
 
 def scores_of(net: PositionNet, part: Tensor, kit: Tensor) -> Tensor:
@@ -103,7 +105,7 @@ def print_steps(batches: tuple[int, ...], repeats: int, device: str) -> None:
 
 
 def plain_scores(net: PositionNet, part: Tensor, kit: Tensor) -> Tensor:
-    """What `net` answers, by the release's scheme: (B, px, py, pz), (B, kx, ky, kz) -> (B, wx, wy, wz)."""
+    """The scores of `net`, by the release's scheme: (B, px, py, pz), (B, kx, ky, kz) -> (B, wx, wy, wz)."""
     batch, window = len(part), net.config.window
     key = F.pad(plain_features(net.kit, kit), (0, 1) * 3)  # the padded query may reach one behind the end
     query = F.pad(plain_features(net.part, part), (0, 1) * 3)  # (B, F, p/2 + 1, ...)
@@ -114,20 +116,20 @@ def plain_scores(net: PositionNet, part: Tensor, kit: Tensor) -> Tensor:
 
 
 def plain_features(net: Encoder, volume: Tensor) -> Tensor:
-    """What the encoder answers, module by module: (B, x, y, z) -> (B, F, x/2, y/2, z/2)."""
+    """The features of the encoder, module by module: (B, x, y, z) -> (B, F, x/2, y/2, z/2)."""
     d1 = F.relu(net.d1(volume[:, None]))
     d2 = F.relu(net.d2(d1))
     d3 = F.relu(net.d3(d2))
     d4 = F.relu(net.d4(d3))
     features = F.relu(net.b(d4))
     for layer, fine in ((net.u1, d4), (net.u2, d3), (net.u3, d2)):
-        joined = torch.cat([fine, F.interpolate(features, scale_factor=2.0)], dim=1)
-        features = F.relu(F.conv3d(joined, layer.weight, layer.bias, padding=1))
+        concatenated = torch.cat([fine, F.interpolate(features, scale_factor=2.0)], dim=1)
+        features = F.relu(F.conv3d(concatenated, layer.weight, layer.bias, padding=1))
     return net.f(features)
 
 
 def example(config: PositionConfig, batch: int, device: str) -> tuple[Tensor, Tensor, Tensor]:
-    """Volumes of noise and offsets within the window."""
+    """Volumes of noise and offsets inside the window."""
     part = torch.rand(batch, *config.part_cells, device=device) * 2 - 1
     kit = torch.rand(batch, *config.kit_cells, device=device) * 2 - 1
     reach = torch.tensor([count // 2 - 1 for count in config.window], device=device) * 2 * config.voxel
@@ -135,7 +137,7 @@ def example(config: PositionConfig, batch: int, device: str) -> tuple[Tensor, Te
 
 
 def timed(make: Callable[[], Tensor], repeats: int) -> tuple[tuple[float, float], Tensor]:
-    """Least wall seconds, least processor seconds (the machine may be busy with other things), and what was made."""
+    """Fewest wall seconds, fewest CPU seconds (which other programs do not lengthen), and the result."""
     made = make()
     walls, works = [], []
     for _ in range(repeats):
@@ -149,9 +151,9 @@ def timed(make: Callable[[], Tensor], repeats: int) -> tuple[tuple[float, float]
 
 
 def processor_flags() -> set[str]:
-    """What the processor can do, as Linux tells; nothing elsewhere."""
-    told = Path("/proc/cpuinfo")
-    lines = told.read_text(encoding="utf-8").splitlines() if told.is_file() else []
+    """The features of the CPU, on Linux; empty elsewhere."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text(encoding="utf-8").splitlines() if cpuinfo.is_file() else []
     return {flag for line in lines if line.startswith("flags") for flag in line.split()}
 
 

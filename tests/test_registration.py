@@ -1,4 +1,4 @@
-"""What registration sees and where it looks, against closed forms, brute force and known poses."""
+"""The parts of registration against closed forms, brute force and known poses: reliefs, cavities, faces, candidates."""
 
 from __future__ import annotations
 
@@ -15,20 +15,29 @@ from sample_kits import sample_kit
 from shapes import Seated, box, ell, gaps, seated
 from strategies import poses
 
-from baselines.completion.planes import Plane, find_planes, frame_on
+from baselines.completion.pixels import IDEAL
+from baselines.completion.planes import Plane, find_planes, plane_frame
 from baselines.registration.cavity import VOXEL, find_cavity, plate_grid
 from baselines.registration.faces import standing_faces
-from baselines.registration.relief import grown, lower_envelope
-from baselines.registration.search import NEIGHBOUR, SHALLOWER, TURN_STEP, Candidate, Lying, Window, distinct
+from baselines.registration.relief import dilated, lower_envelope
+from baselines.registration.search import (
+    DUPLICATE_DISTANCE,
+    SHALLOWER,
+    YAW_STEP,
+    Candidate,
+    OrientedPart,
+    SearchWindow,
+    without_duplicates,
+)
 from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh
 from kit1000.motions import apply_error
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points
 
-HOME = Pose.identity()
-TURNED = Pose.from_rotvec((0.3, -0.7, 1.1), (4e-3, -2e-3, 1e-3))
-LEANING = Pose.from_rotvec((0.5, 0.3, 0.9), (0.2, -0.1, 0.3))
+IDENTITY = Pose.identity()
+ROTATED = Pose.from_rotvec((0.3, -0.7, 1.1), (4e-3, -2e-3, 1e-3))
+TILTED = Pose.from_rotvec((0.5, 0.3, 0.9), (0.2, -0.1, 0.3))
 UP = np.array([0.0, 0.0, 1.0])
 SIZE = np.array([30e-3, 20e-3, 12e-3])
 
@@ -39,14 +48,14 @@ def cuboid(size: np.ndarray = SIZE) -> Mesh:
     return Mesh(mesh.vertices - mesh.bounds.mean(0), mesh.faces)
 
 
-def volume_of(mesh: Mesh, pose: Pose = HOME) -> Volume:
-    """As the method has volumes of parts, about the middle of a body."""
+def volume_of(mesh: Mesh, pose: Pose = IDENTITY) -> Volume:
+    """A volume as the method makes them of parts, about the middle of a body."""
     grid = Grid.centred(Pose.from_translation(pose.xyz), (84, 84, 84), 1e-3)
     return signed_distance(grid, [(mesh, pose)], threads=1)
 
 
 def columns(cell: float, cells: int) -> np.ndarray:
-    """(n, n, 2) [m]: where the columns of an image stand."""
+    """(n, n, 2) [m]: positions of the columns of an image."""
     steps = (np.arange(cells) - (cells - 1) / 2) * cell
     return np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
 
@@ -54,16 +63,16 @@ def columns(cell: float, cells: int) -> np.ndarray:
 # relief
 
 
-@pytest.mark.parametrize("pose", [HOME, TURNED, LEANING], ids=["square", "turned", "leaning"])
-@pytest.mark.parametrize("plane_from_now", [HOME, TURNED.inverse()], ids=["from below", "along another axis"])
-def test_a_box_begins_where_a_ray_enters_it(pose: Pose, plane_from_now: Pose) -> None:
+@pytest.mark.parametrize("pose", [IDENTITY, ROTATED, TILTED], ids=["identity", "rotated", "tilted"])
+@pytest.mark.parametrize("plane_from_now", [IDENTITY, ROTATED.inverse()], ids=["from below", "along another axis"])
+def test_the_envelope_of_a_box_is_where_rays_enter_it(pose: Pose, plane_from_now: Pose) -> None:
     about = plane_from_now @ Pose.from_translation(-pose.xyz)
     envelope = lower_envelope(volume_of(cuboid(), pose), about, 1e-3, 60)
     box_from_plane = pose.inverse() @ about.inverse()
     starts = box_from_plane.apply(np.concatenate([columns(1e-3, 60), np.zeros((60, 60, 1))], axis=-1))
     upward = box_from_plane.rotate(np.array([0.0, 0.0, 1.0]))
     enters, _ = crossed(SIZE, starts, upward)
-    # A face is found exactly; the voxels between which a value is read round off an edge.
+    # Faces are exact; interpolation between voxels rounds edges off.
     deep = np.diff(crossed(SIZE - 2e-3, starts, upward), axis=0)[0] > 0.5e-3
     found = np.isfinite(envelope)
     assert found[deep].all()
@@ -82,43 +91,43 @@ def crossed(size: np.ndarray, starts: np.ndarray, along: np.ndarray) -> tuple[np
     return ends[0].max(-1), ends[1].min(-1)
 
 
-def test_a_ball_is_a_bowl_from_below() -> None:
+def test_the_envelope_of_a_ball_is_a_bowl() -> None:
     ball = trimesh.creation.icosphere(subdivisions=5, radius=0.02)
     volume = volume_of(Mesh(np.array(ball.vertices), np.array(ball.faces, dtype=np.int32)))
     out = np.linalg.norm(columns(1e-3, 60), axis=-1)
-    envelope = lower_envelope(volume, HOME, 1e-3, 60)
+    envelope = lower_envelope(volume, IDENTITY, 1e-3, 60)
     np.testing.assert_allclose(envelope[out < 0.018], -np.sqrt(0.02**2 - out[out < 0.018] ** 2), atol=0.05e-3)
     assert np.isposinf(envelope[out > 0.0202]).all()
 
 
-def lowest_around(image: np.ndarray, reach: float) -> np.ndarray:
-    """The least value within a reach [cells] of each cell, cell by cell."""
+def lowest_around(image: np.ndarray, radius: float) -> np.ndarray:
+    """The minimum within a radius [cells] of each cell, cell by cell."""
     n = len(image)
     low = np.full((n, n), np.inf)
     for i, j in np.ndindex(n, n):
         u, v = np.ogrid[:n, :n]
-        low[i, j] = image[(u - i) ** 2 + (v - j) ** 2 <= reach**2].min()
+        low[i, j] = image[(u - i) ** 2 + (v - j) ** 2 <= radius**2].min()
     return low
 
 
 def spotted(seed: int, n: int = 17) -> np.ndarray:
-    """(n, n) heights at random, nothing in most columns."""
+    """(n, n) random heights, most columns empty."""
     rng = np.random.default_rng(seed)
     return np.where(rng.random((n, n)) < 0.15, rng.uniform(-0.02, 0, (n, n)), np.inf)
 
 
 @given(cells=st.integers(0, 5), seed=st.integers(0, 99))
 @settings(max_examples=20)
-def test_growing_by_whole_cells_is_the_least_value_in_a_disc(cells: int, seed: int) -> None:
+def test_dilation_by_whole_cells_is_the_minimum_in_a_disc(cells: int, seed: int) -> None:
     image = spotted(seed)
-    np.testing.assert_array_equal(grown(image, 0.5e-3, cells * 0.5e-3), lowest_around(image, cells + 0.5))
+    np.testing.assert_array_equal(dilated(image, 0.5e-3, cells * 0.5e-3), lowest_around(image, cells + 0.5))
 
 
 @given(clearance=st.floats(0, 2.5e-3), seed=st.integers(0, 99))
 @settings(max_examples=20)
-def test_growing_reaches_as_far_as_the_clearance_to_within_half_a_cell(clearance: float, seed: int) -> None:
+def test_dilation_reaches_the_clearance_to_within_half_a_cell(clearance: float, seed: int) -> None:
     image, cell = spotted(seed), 0.5e-3
-    bigger = grown(image, cell, clearance)
+    bigger = dilated(image, cell, clearance)
     assert (bigger <= lowest_around(image, clearance / cell - 1e-9)).all()
     assert (bigger >= lowest_around(image, np.sqrt(2) * clearance / cell + 0.5)).all()
 
@@ -128,23 +137,23 @@ def test_growing_reaches_as_far_as_the_clearance_to_within_half_a_cell(clearance
 
 @cache
 def ell_kit() -> Seated:
-    """An L in a kit with straight walls, its part among it."""
+    """An L and its kit, with straight walls."""
     return seated(ell())
 
 
-def on_a_plate(mesh: Mesh, world_from_kit: Pose, side: float = 0.12, nudge: Pose = HOME) -> tuple[Volume, Pose]:
-    """The volume of a plate on the grid that stands square on it, and world_from_plate."""
-    world_from_plate = world_from_kit @ nudge
+def on_a_plate(mesh: Mesh, world_from_kit: Pose, side: float = 0.12, offset: Pose = IDENTITY) -> tuple[Volume, Pose]:
+    """The volume of a plate on the grid aligned with it, and world_from_plate."""
+    world_from_plate = world_from_kit @ offset
     return signed_distance(plate_grid(world_from_plate, side), [(mesh, world_from_kit)], threads=1), world_from_plate
 
 
 def walls_of(mesh: Mesh, height: float, points: np.ndarray) -> np.ndarray:
-    """(n,) [m] across from points (n, 2) to the solid at a height; negative inside it."""
+    """(n,) [m] horizontal distance from points (n, 2) to the solid at a height; negative inside it."""
     return gaps(points, solid_from_mesh(mesh).slice(height))
 
 
-@pytest.mark.parametrize("pose", [HOME, LEANING], ids=["square", "leaning"])
-def test_a_cavity_is_found_where_it_was_cut(pose: Pose) -> None:
+@pytest.mark.parametrize("pose", [IDENTITY, TILTED], ids=["identity", "tilted"])
+def test_a_cavity_is_found_in_its_place_and_shape(pose: Pose) -> None:
     kit = ell_kit().kit()
     volume, world_from_plate = on_a_plate(kit.mesh, pose)
     cavity = find_cavity(volume, world_from_plate, 0.5e-3)
@@ -162,7 +171,7 @@ def test_a_cavity_is_found_where_it_was_cut(pose: Pose) -> None:
 
 def test_points_of_a_cavity_lie_on_its_walls_and_floor() -> None:
     kit = ell_kit().kit()
-    cavity = find_cavity(*on_a_plate(kit.mesh, LEANING), 0.5e-3)
+    cavity = find_cavity(*on_a_plate(kit.mesh, TILTED), 0.5e-3)
     assert cavity is not None
     beside = np.abs(walls_of(kit.mesh, -kit.slot.depth / 2, cavity.points[:, :2]))
     beneath = np.abs(cavity.points[:, 2] + kit.slot.depth)
@@ -173,32 +182,32 @@ def test_points_of_a_cavity_lie_on_its_walls_and_floor() -> None:
 
 
 @pytest.mark.parametrize("family", ["bracket", "tee"])
-def test_a_made_kit_is_as_deep_as_it_was_made(family: str) -> None:
+def test_a_generated_kit_has_its_depth(family: str) -> None:
     kit = sample_kit(family)
-    cavity = find_cavity(*on_a_plate(kit.mesh, LEANING, 0.144), 0.5e-3)
+    cavity = find_cavity(*on_a_plate(kit.mesh, TILTED, 0.144), 0.5e-3)
     assert cavity is not None
     assert cavity.depth == pytest.approx(kit.slot.depth, abs=VOXEL)
     gap = walls_of(kit.mesh, -2e-3, np.argwhere(cavity.region) * VOXEL - (len(cavity.region) - 1) / 2 * VOXEL)
     assert gap.min() > -VOXEL
 
 
-def test_a_bare_plate_holds_no_cavity() -> None:
+def test_a_plate_without_a_cavity_has_none() -> None:
     plate = cuboid(np.array([99e-3, 99e-3, 22e-3]))
-    assert find_cavity(*on_a_plate(plate, HOME, nudge=Pose.from_translation((0, 0, 11e-3))), 0.5e-3) is None
+    assert find_cavity(*on_a_plate(plate, IDENTITY, offset=Pose.from_translation((0, 0, 11e-3))), 0.5e-3) is None
 
 
-def test_what_nobody_saw_of_the_face_is_no_cavity() -> None:
+def test_a_hidden_part_of_the_face_is_no_cavity() -> None:
     plate = cuboid(np.array([99e-3, 99e-3, 22e-3]))
-    volume, world_from_plate = on_a_plate(plate, HOME, nudge=Pose.from_translation((0, 0, 11e-3)))
+    volume, world_from_plate = on_a_plate(plate, IDENTITY, offset=Pose.from_translation((0, 0, 11e-3)))
     values = volume.values.copy()
     values[40:60, 50:80, :26] = np.nan
     assert find_cavity(Volume(volume.grid, values), world_from_plate, 0.5e-3) is None
 
 
-def test_where_nobody_saw_the_floor_the_cavity_is_as_large_and_as_deep() -> None:
+def test_a_cavity_with_a_hidden_floor_is_as_large_and_as_deep() -> None:
     """Everything from 5 mm down is hidden in half of the columns."""
     kit = ell_kit().kit()
-    volume, world_from_plate = on_a_plate(kit.mesh, LEANING)
+    volume, world_from_plate = on_a_plate(kit.mesh, TILTED)
     whole = find_cavity(volume, world_from_plate, 0.5e-3)
     values = volume.values.copy()
     values[:60, :, :20] = np.nan
@@ -207,18 +216,18 @@ def test_where_nobody_saw_the_floor_the_cavity_is_as_large_and_as_deep() -> None
     assert half is not None
     hidden = half.region & (np.arange(len(half.region)) < 60)[:, None]
     assert np.isnan(half.relief[hidden & whole.region]).all()
-    np.testing.assert_allclose(half.free[hidden], -4e-3, atol=VOXEL)  # down to there it was seen to be free
+    np.testing.assert_allclose(half.free[hidden], -4e-3, atol=VOXEL)  # free down to there
     np.testing.assert_array_equal(half.region, whole.region)
     np.testing.assert_array_equal(half.relief[60:], whole.relief[60:])
     assert half.depth == pytest.approx(whole.depth, abs=0.1e-3)
 
 
 def patch(pose: Pose, wide: float, rng: np.random.Generator, spacing: float = 1e-3, noise: float = 0.15e-3):
-    """Points and normals of a square in the xy plane of a pose, a point each square of the spacing."""
+    """Noisy points and normals of a square in the xy plane of a pose, one point a square of the spacing."""
     n = round((wide / spacing) ** 2)
     flat = np.column_stack([rng.uniform(-wide / 2, wide / 2, (n, 2)), rng.normal(0, noise, n)])
-    lean = rng.normal(0, np.radians(1), (n, 2))
-    normals = np.column_stack([lean, np.ones(n)])
+    tilt = rng.normal(0, np.radians(1), (n, 2))
+    normals = np.column_stack([tilt, np.ones(n)])
     return pose.apply(flat), pose.rotate(normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
 
@@ -230,14 +239,14 @@ PLATES = [
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_plates_are_found_and_neither_floors_nor_walls(seed: int) -> None:
+def test_planes_are_plates_and_neither_floors_nor_walls(seed: int) -> None:
     rng = np.random.default_rng(seed)
     wall = Pose.from_rotvec((np.pi / 2, 0, 0), (0.2, 0, 0.1))
     under = PLATES[0] @ Pose.from_translation((0.0, 0.0, -0.02)) @ Pose.from_rotvec((np.pi, 0, 0))
     floors = [PLATES[i] @ Pose.from_translation((0.01, 0.0, -0.01)) for i in (0, 1)]
-    seen = [patch(pose, 0.09, rng) for pose in [*PLATES, wall, under]] + [patch(pose, 0.03, rng) for pose in floors]
-    points, normals = (np.concatenate(both) for both in zip(*seen, strict=True))
-    planes = find_planes(points, normals, 1e-6, 0.5e-3, np.radians(4), rng)
+    patches = [patch(pose, 0.09, rng) for pose in [*PLATES, wall, under]] + [patch(pose, 0.03, rng) for pose in floors]
+    points, normals = (np.concatenate(both) for both in zip(*patches, strict=True))
+    planes = find_planes(points, normals, 1e-6, IDEAL, rng)
     assert len(planes) == len(PLATES)
     for pose in PLATES:
         up = pose.rotate(np.array([0.0, 0.0, 1.0]))
@@ -247,18 +256,20 @@ def test_plates_are_found_and_neither_floors_nor_walls(seed: int) -> None:
         assert plane.area == pytest.approx(0.09**2, rel=0.1)
 
 
-def test_nothing_seen_is_no_plate() -> None:
-    assert find_planes(np.zeros((0, 3)), np.zeros((0, 3)), 1e-6, 0.5e-3, 0.07, np.random.default_rng(0)) == []
+def test_without_points_there_is_no_plate() -> None:
+    assert find_planes(np.zeros((0, 3)), np.zeros((0, 3)), 1e-6, IDEAL, np.random.default_rng(0)) == []
 
 
-@given(lean=st.floats(0, 0.8), azimuth=st.floats(0, 6.3), above=st.tuples(*[st.floats(-0.2, 0.2)] * 3))
-def test_a_frame_stands_on_its_plane_at_the_foot(lean: float, azimuth: float, above: tuple[float, ...]) -> None:
-    normal = np.array([np.sin(lean) * np.cos(azimuth), np.sin(lean) * np.sin(azimuth), np.cos(lean)])
-    plane, place = Plane(normal, np.array([0.1, 0.2, 0.3]), 1.0), np.array(above)
-    frame = frame_on(plane, place)
+@given(tilt=st.floats(0, 0.8), azimuth=st.floats(0, 6.3), above=st.tuples(*[st.floats(-0.2, 0.2)] * 3))
+def test_the_origin_of_a_plane_frame_is_the_projection_of_the_point(
+    tilt: float, azimuth: float, above: tuple[float, ...]
+) -> None:
+    normal = np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), np.cos(tilt)])
+    plane, point = Plane(normal, np.array([0.1, 0.2, 0.3]), 1.0), np.array(above)
+    frame = plane_frame(plane, point)
     np.testing.assert_allclose(frame.rotate(np.array([0.0, 0.0, 1.0])), normal, atol=1e-12)
     assert abs(normal @ (frame.xyz - plane.point)) < 1e-12
-    np.testing.assert_allclose(frame.inverse().apply(place)[:2], 0, atol=1e-12)
+    np.testing.assert_allclose(frame.inverse().apply(point)[:2], 0, atol=1e-12)
 
 
 # faces
@@ -288,10 +299,8 @@ def test_a_box_stands_on_its_six_faces(size: tuple[float, ...], pose: Pose) -> N
 
 @given(pose=poses(), beyond=st.floats(1.2e-3, 5e-3), axis=st.integers(0, 2))
 @settings(max_examples=30)
-def test_a_box_with_its_middle_beyond_an_edge_stands_only_on_what_lies_beneath(
-    pose: Pose, beyond: float, axis: int
-) -> None:
-    """The middle is moved out through one face: of the other sides none lies under it."""
+def test_a_box_with_its_middle_outside_a_face_stands_on_two_faces(pose: Pose, beyond: float, axis: int) -> None:
+    """The middle is moved out through one face: it projects onto this face and its opposite only."""
     middle = np.zeros(3)
     middle[axis] = SIZE[axis] / 2 + beyond
     faces = standing_faces(corner_points(SIZE, pose), pose.apply(middle), np.radians(4))
@@ -301,71 +310,75 @@ def test_a_box_with_its_middle_beyond_an_edge_stands_only_on_what_lies_beneath(
 
 
 def test_the_noisy_surface_of_a_box_still_has_six_faces() -> None:
-    points = surface_points(volume_of(cuboid(), LEANING))
+    points = surface_points(volume_of(cuboid(), TILTED))
     noisy = points + np.random.default_rng(0).normal(0, 0.05e-3, points.shape)
-    faces = standing_faces(noisy, LEANING.xyz, np.radians(8))
-    for normal in axes_of(LEANING):
+    faces = standing_faces(noisy, TILTED.xyz, np.radians(8))
+    for normal in axes_of(TILTED):
         assert max(float(face.normal @ normal) for face in faces) > np.cos(np.radians(3))
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.zeros((3, 3)), np.outer(np.arange(9), [1e-3, 2e-3, 0])])
-def test_what_has_no_extent_has_no_face(points: np.ndarray) -> None:
+def test_points_without_extent_have_no_face(points: np.ndarray) -> None:
     assert standing_faces(points, np.zeros(3), np.radians(4)) == []
 
 
-# turns and places apart
+# rotations and duplicates
 
 
-@given(now=poses(), plate=poses(), guess=poses(), turn=st.floats(0.01, MAX_ANGLE))
+@given(now=poses(), plate=poses(), guess=poses(), angle=st.floats(0.01, MAX_ANGLE))
 @settings(max_examples=40)
-def test_every_turn_near_the_guess_has_one_that_is_looked_at(now: Pose, plate: Pose, guess: Pose, turn: float) -> None:
-    rotations = Lying(volume_of(cuboid()), np.zeros(3), now.rotate(UP)).rotations
-    allowed = Window(np.zeros(3), guess, turn, MAX_OFFSET).allows(rotations, plate)
+def test_every_rotation_near_the_guess_is_near_a_searched_one(
+    now: Pose, plate: Pose, guess: Pose, angle: float
+) -> None:
+    rotations = OrientedPart(volume_of(cuboid()), np.zeros(3), now.rotate(UP)).rotations
+    inside = SearchWindow(np.zeros(3), guess, angle, MAX_OFFSET).rotations_inside(rotations, plate)
 
-    def apart(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         cosines = (np.einsum("aij,bij->ab", a, b) - 1) / 2
         return np.arccos(np.clip(cosines, -1, 1))
 
-    meant = (plate @ guess).rotation_matrix()[None]
-    assert (apart(rotations.rotation_matrix()[allowed], meant) <= turn + TURN_STEP / 2 + 1e-6).all()
+    guessed = (plate @ guess).rotation_matrix()[None]
+    assert (between(rotations.rotation_matrix()[inside], guessed) <= angle + YAW_STEP / 2 + 1e-6).all()
     about = Pose.from_rotvec(np.linspace(0, 2 * np.pi, 500)[:, None] * UP)
     every = (about @ Pose(rotations.wxyz[0], np.zeros(3))).rotation_matrix()
-    near = every[apart(every, meant)[:, 0] < turn - 1e-6]
-    assert (apart(near, rotations.rotation_matrix()[allowed]).min(1, initial=np.pi) <= TURN_STEP / 2 + 1e-6).all()
+    near = every[between(every, guessed)[:, 0] < angle - 1e-6]
+    assert (between(near, rotations.rotation_matrix()[inside]).min(1, initial=np.pi) <= YAW_STEP / 2 + 1e-6).all()
 
 
 @given(now=poses())
 @settings(max_examples=20)
-def test_without_a_guess_there_are_turns_all_around(now: Pose) -> None:
-    """All of them carry the face that looks down to the floor."""
+def test_without_a_guess_all_yaws_are_searched(now: Pose) -> None:
+    """All of them turn the chosen face down."""
     down = now.rotate(UP)
-    rotations = Lying(volume_of(cuboid()), np.zeros(3), down).rotations
-    assert Window(np.zeros(3), None, MAX_ANGLE, MAX_OFFSET).allows(rotations, HOME).all()
+    rotations = OrientedPart(volume_of(cuboid()), np.zeros(3), down).rotations
+    assert SearchWindow(np.zeros(3), None, MAX_ANGLE, MAX_OFFSET).rotations_inside(rotations, IDENTITY).all()
     np.testing.assert_allclose(rotations.rotate(down), np.broadcast_to(-UP, (len(rotations), 3)), atol=1e-9)
     beside = rotations.rotate(now.rotate(np.array([1.0, 0, 0])))
     around = np.sort(np.arctan2(beside[:, 1], beside[:, 0]))
-    np.testing.assert_allclose(np.diff(np.append(around, around[0] + 2 * np.pi)), TURN_STEP, atol=1e-6)
+    np.testing.assert_allclose(np.diff(np.append(around, around[0] + 2 * np.pi)), YAW_STEP, atol=1e-6)
 
 
 @given(seed=st.integers(0, 50), most=st.integers(1, 6))
 @settings(max_examples=30)
-def test_kept_candidates_are_no_neighbours_and_the_others_are(seed: int, most: int) -> None:
+def test_kept_candidates_are_no_duplicates_and_the_others_are(seed: int, most: int) -> None:
     rng = np.random.default_rng(seed)
-    plate = find_cavity(*on_a_plate(ell_kit().kit().mesh, HOME), 0.5e-3)
+    plate = find_cavity(*on_a_plate(ell_kit().kit().mesh, IDENTITY), 0.5e-3)
     assert plate is not None
     cavities = [plate, replace(plate, depth=plate.depth + 4e-3)]
     pivot = np.array([0.3, 0.2, 0.1])
     found = []
     for k in range(25):
-        error = apply_error(HOME, pivot, rng.uniform(-4e-3, 4e-3, 3), rng.normal(0, 0.08, 3))
+        error = apply_error(IDENTITY, pivot, rng.uniform(-4e-3, 4e-3, 3), rng.normal(0, 0.08, 3))
         found.append(Candidate(cavities[rng.integers(2)], error, UP, 0.0, float(k)))
-    kept = distinct(found, pivot, most)
+    kept = without_duplicates(found, pivot, most)
 
     def near(a: Candidate, b: Candidate) -> bool:
         shift = np.linalg.norm(a.plate_from_now.apply(pivot) - b.plate_from_now.apply(pivot))
         cosine = (np.trace(a.plate_from_now.rotation_matrix().T @ b.plate_from_now.rotation_matrix()) - 1) / 2
-        turn = np.arccos(np.clip(cosine, -1, 1))
-        return bool(shift <= NEIGHBOUR and turn < 1.5 * TURN_STEP and abs(a.cavity.depth - b.cavity.depth) <= SHALLOWER)
+        angle = np.arccos(np.clip(cosine, -1, 1))
+        return bool(
+            shift <= DUPLICATE_DISTANCE and angle < 1.5 * YAW_STEP and abs(a.cavity.depth - b.cavity.depth) <= SHALLOWER
+        )
 
     assert kept[0] is found[0]
     assert len(kept) <= most

@@ -1,4 +1,4 @@
-"""The position network: its layers, its correlation, its loss and its answer, against plain forms and closed ones."""
+"""The position network: layers, correlation, loss and predicted offset, against plain code and closed forms."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from baselines import layers
-from baselines.layers import First, Join, correlate, descend
+from baselines.layers import SingleChannelConv, UpsampleConcatConv, correlate, downsampled
 from baselines.snapnet.config import POSITION, PositionConfig
 from baselines.snapnet.position import Encoder, PositionNet, kit_region, position_loss, position_of, target_of
 from bench.bench_snap_position import plain_features, plain_scores
@@ -32,7 +32,7 @@ def toy(config: PositionConfig = TOY, batch: int = 2) -> tuple[PositionNet, Tens
 
 
 def centred(scores: Tensor) -> Tensor:
-    """(B, x, y, z) less the mean of each sample, which a softmax does not see."""
+    """(B, x, y, z) minus the mean of each sample, which a softmax ignores."""
     return scores - scores.mean(dim=(1, 2, 3), keepdim=True)
 
 
@@ -60,7 +60,7 @@ def test_presets_fit(preset: str) -> None:
         kit_region(config), config.part_cells, config.kit_cells, config.window, strict=True
     ):
         assert 0 <= first < last <= kit // 2
-        assert first + window // 2 + part // 4 == kit // 4  # cell w // 2 lays voxel n // 2 on voxel n // 2
+        assert first + window // 2 + part // 4 == kit // 4  # at cell w // 2, voxel n // 2 coincides with voxel n // 2
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -87,12 +87,12 @@ def test_gradients_are_those_of_the_plain_scheme() -> None:
         assert torch.allclose(ours, plain, rtol=1e-8, atol=1e-10)
 
 
-def test_correlation_is_the_sum_that_it_says() -> None:
+def test_correlation_is_its_sum() -> None:
     part, kit, window = torch.randn(2, 3, 2, 3, 4), torch.randn(2, 3, 5, 5, 7), (4, 3, 2)
     ours = correlate(part, kit, window)
-    less = kit - kit.mean(dim=(2, 3, 4), keepdim=True)
+    centred_kit = kit - kit.mean(dim=(2, 3, 4), keepdim=True)
     for b, x, y, z in ((0, 0, 0, 0), (1, 3, 2, 1), (1, 0, 1, 1), (0, 2, 0, 1)):
-        expected = (part[b] * less[b, :, x : x + 2, y : y + 3, z : z + 4]).sum()
+        expected = (part[b] * centred_kit[b, :, x : x + 2, y : y + 3, z : z + 4]).sum()
         assert torch.isclose(ours[b, x, y, z], expected, atol=1e-5)
 
 
@@ -103,7 +103,7 @@ def test_correlation_keeps_small_differences_beside_large_sums() -> None:
 
 
 def test_moving_the_kits_by_two_voxels_moves_the_scores_by_one_cell() -> None:
-    """With all weights random down to the half resolution: coarser cells are left by less than their own width."""
+    """With random weights at half resolution only: a shift of two voxels is less than a coarser cell."""
     net, part, kit = toy(replace(TOY, part_cells=(16, 16, 16), kit_cells=(192, 16, 16), window=(48, 1, 1)), batch=1)
     for layer in (net.kit.b, net.part.b, net.kit.d4, net.part.d4, net.kit.d3, net.part.d3):
         nn.init.zeros_(layer.weight)
@@ -115,33 +115,33 @@ def test_moving_the_kits_by_two_voxels_moves_the_scores_by_one_cell() -> None:
 
 def test_moving_the_kits_by_a_coarsest_cell_moves_all_scores_alike() -> None:
     net, part, kit = toy(replace(TOY, part_cells=(16, 16, 16), kit_cells=(320, 16, 16), window=(48, 1, 1)), batch=1)
-    kit[:, :112] = kit[:, -112:] = 1  # far from the borders nothing tells where they are
+    kit[:, :112] = kit[:, -112:] = 1  # constant near the borders
     still, moved = net(part, kit), net(part, kit.roll(16, dims=1))
     assert (centred(moved[:, 8:]) - centred(still[:, :-8])).abs().max() < 1e-4 * still.std()
 
 
-def test_joining_is_upsampling_then_convolving() -> None:
-    join, fine, coarse = Join(3, 5, 4), torch.randn(2, 3, 6, 4, 8), torch.randn(2, 5, 3, 2, 4)
-    joined = torch.cat([fine, F.interpolate(coarse, scale_factor=2.0)], dim=1)
-    expected = F.conv3d(joined, join.weight, join.bias, padding=1)
-    assert torch.allclose(join(fine, coarse), expected, atol=1e-5)
+def test_the_upsampling_layer_is_upsampling_concatenation_and_convolution() -> None:
+    layer, fine, coarse = UpsampleConcatConv(3, 5, 4), torch.randn(2, 3, 6, 4, 8), torch.randn(2, 5, 3, 2, 4)
+    concatenated = torch.cat([fine, F.interpolate(coarse, scale_factor=2.0)], dim=1)
+    expected = F.conv3d(concatenated, layer.weight, layer.bias, padding=1)
+    assert torch.allclose(layer(fine, coarse), expected, atol=1e-5)
 
 
-def test_first_layer_is_a_convolution() -> None:
-    first, volume = First(4), torch.randn(2, 1, 5, 6, 7)
+def test_the_single_channel_layer_is_a_convolution() -> None:
+    first, volume = SingleChannelConv(4), torch.randn(2, 1, 5, 6, 7)
     assert torch.allclose(first(volume), F.conv3d(volume, first.weight, first.bias, padding=1), atol=1e-5)
 
 
 @pytest.mark.parametrize("rows", [1, 3, 4])
 def test_slabs_change_nothing(monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
-    first, second, volume = First(3), nn.Conv3d(3, 4, 3, stride=2, padding=1), torch.randn(2, 1, 16, 8, 6)
-    whole = descend(first, second, volume)
+    first, second, volume = SingleChannelConv(3), nn.Conv3d(3, 4, 3, stride=2, padding=1), torch.randn(2, 1, 16, 8, 6)
+    whole = downsampled(first, second, volume)
     monkeypatch.setattr(layers, "SLAB", 0)
     monkeypatch.setattr(layers, "SLAB_ROWS", rows)
-    assert torch.allclose(descend(first, second, volume), whole, atol=1e-6)
+    assert torch.allclose(downsampled(first, second, volume), whole, atol=1e-6)
 
 
-def test_a_region_of_features_is_cut_from_all_of_them() -> None:
+def test_a_region_of_features_is_that_of_all_features() -> None:
     encoder, volume = Encoder((2, 3, 4, 5, 6), 3), torch.randn(1, 64, 48, 32)
     every = plain_features(encoder, volume)
     for region in (((0, 32), (0, 24), (0, 16)), ((5, 17), (0, 3), (15, 16)), ((14, 16), (11, 24), (7, 9))):
@@ -157,7 +157,7 @@ def test_a_region_of_features_is_cut_from_all_of_them() -> None:
         ({"window": (0, 8, 8)}, "do not fit"),
     ],
 )
-def test_sizes_that_cannot_be_are_refused(change: dict[str, tuple[int, int, int]], reason: str) -> None:
+def test_impossible_sizes_are_refused(change: dict[str, tuple[int, int, int]], reason: str) -> None:
     with pytest.raises(InputError, match=reason):
         PositionNet(replace(TOY, **change))  # pyright: ignore[reportArgumentType]
 
@@ -171,19 +171,19 @@ def test_volumes_of_other_sizes_are_refused() -> None:
 
 
 @pytest.mark.parametrize("target", ["cell", "spread"])
-def test_loss_of_even_scores_is_the_logarithm_of_the_cells(target: str) -> None:
+def test_the_loss_of_equal_scores_is_the_logarithm_of_the_cells(target: str) -> None:
     config = replace(LOSS, target=target)  # pyright: ignore[reportArgumentType]
     loss = position_loss(torch.zeros(1, *config.window), cells(config, 0.3, -1.2, 0.4), config)
     assert loss.item() == pytest.approx(math.log(6 * 7 * 8), rel=1e-5)
 
 
-def test_loss_is_least_at_the_truth() -> None:
+def test_the_loss_is_smallest_at_the_target() -> None:
     offset = cells(LOSS, 0.25, -1.5, 0.4)
     scores = torch.zeros(1, *LOSS.window, requires_grad=True)
     loss = position_loss(scores, offset, LOSS)
     loss.sum().backward()
     assert scores.grad is not None
-    target = scores.detach().softmax(0) * 0 + 1 / (6 * 7 * 8) - scores.grad  # the gradient is softmax less target
+    target = scores.detach().softmax(0) * 0 + 1 / (6 * 7 * 8) - scores.grad  # the gradient is softmax minus target
     assert target.sum().item() == pytest.approx(1, abs=1e-5)
     assert position_of(target.clamp(min=0).log(), LOSS).numpy() == pytest.approx(offset.numpy(), abs=1e-8)
     best = position_loss(target.clamp(min=1e-30).log(), offset, LOSS)
@@ -194,13 +194,13 @@ def test_loss_is_least_at_the_truth() -> None:
 
 @pytest.mark.parametrize("offset", [(0, 0, 0), (0.5, -0.5, 0.1), (-3, -3, -4), (2, 3, 3), (1.99, 2.6, -3.7)])
 def test_a_spread_target_is_recovered_exactly(offset: tuple[float, float, float]) -> None:
-    place = torch.tensor([offset], dtype=torch.float64)
-    target = target_of(place + torch.tensor([3, 3, 4]), LOSS.window).unflatten(1, LOSS.window)
-    answer = position_of(target.log() + 5, LOSS) / (2 * LOSS.voxel)
-    assert answer.numpy() == pytest.approx(place.numpy(), abs=1e-9)
+    position = torch.tensor([offset], dtype=torch.float64)
+    target = target_of(position + torch.tensor([3, 3, 4]), LOSS.window).unflatten(1, LOSS.window)
+    predicted = position_of(target.log() + 5, LOSS) / (2 * LOSS.voxel)
+    assert predicted.numpy() == pytest.approx(position.numpy(), abs=1e-9)
 
 
-def test_the_best_cell_is_answered_by_its_centre() -> None:
+def test_the_peak_cell_gives_its_centre() -> None:
     config = replace(LOSS, peak="cell")
     scores = torch.zeros(2, *LOSS.window)
     scores[0, 3, 3, 4] = scores[1, 5, 0, 7] = 1
@@ -210,7 +210,7 @@ def test_the_best_cell_is_answered_by_its_centre() -> None:
 
 @pytest.mark.parametrize("target", ["cell", "spread"])
 @pytest.mark.parametrize("offset", [(-3.51, 0, 0), (0, 3.51, 0), (0, 0, 3.51), (0, 9, -9)])
-def test_what_lies_outside_the_window_counts_nothing(target: str, offset: tuple[float, float, float]) -> None:
+def test_an_offset_outside_the_window_has_no_loss(target: str, offset: tuple[float, float, float]) -> None:
     config = replace(LOSS, target=target)  # pyright: ignore[reportArgumentType]
     scores = torch.randn(2, *LOSS.window, requires_grad=True)
     loss = position_loss(scores, cells(LOSS, *offset).repeat(2, 1), config)
@@ -220,13 +220,13 @@ def test_what_lies_outside_the_window_counts_nothing(target: str, offset: tuple[
     assert not scores.grad.any()
 
 
-def test_what_lies_within_half_a_cell_of_the_edge_counts_as_the_edge() -> None:
+def test_an_offset_within_half_a_cell_of_the_edge_counts_as_the_edge() -> None:
     scores = torch.randn(1, *LOSS.window)
     beyond = position_loss(scores, cells(LOSS, 2.4, 0, -4.4), LOSS)
     assert beyond.item() == pytest.approx(-scores.flatten(1).log_softmax(1).view_as(scores)[0, 5, 3, 0].item())
 
 
-def test_distance_weighs_by_the_miss_and_right_answers_not_at_all() -> None:
+def test_the_distance_weight_grows_with_the_error_and_is_0_without_one() -> None:
     config = replace(LOSS, target="cell", weight="distance")
     scores = torch.zeros(1, *LOSS.window)
     scores[0, 3, 3, 4] = 4
@@ -237,7 +237,7 @@ def test_distance_weighs_by_the_miss_and_right_answers_not_at_all() -> None:
     assert position_loss(scores, far, config).item() == pytest.approx(factor * even.item(), rel=1e-5)
 
 
-def test_distance_is_a_constant_to_the_gradient() -> None:
+def test_the_distance_weight_has_no_gradient() -> None:
     config = replace(LOSS, target="cell", weight="distance")
     scores = torch.randn(1, *LOSS.window, requires_grad=True)
     losses = [position_loss(scores, cells(LOSS, 2, 3, -4), each) for each in (config, replace(config, weight="even"))]
@@ -245,34 +245,34 @@ def test_distance_is_a_constant_to_the_gradient() -> None:
     assert torch.allclose(weighted, even * (losses[0] / losses[1]).item(), atol=1e-7)
 
 
-def blobs(config: PositionConfig, places: Tensor) -> tuple[Tensor, Tensor]:
-    """Balls of different radii in the middle of a part, and at offsets (B, 3) in voxels in the kits."""
+def balls(config: PositionConfig, offsets: Tensor) -> tuple[Tensor, Tensor]:
+    """Balls of different radii: in the middle of part volumes, and at offsets (B, 3) [voxels] in kit volumes."""
     volumes = []
-    for sizes, shift in ((config.part_cells, torch.zeros_like(places)), (config.kit_cells, places)):
+    for sizes, shift in ((config.part_cells, torch.zeros_like(offsets)), (config.kit_cells, offsets)):
         axes = [torch.arange(n) - n // 2 for n in sizes]
         grid = torch.stack(torch.meshgrid(*axes, indexing="ij"), dim=-1)[None]  # (1, x, y, z, 3)
-        far = torch.linalg.norm(grid - shift[:, None, None, None], dim=-1)
-        volumes.append(((far - torch.linspace(3, 5, len(places))[:, None, None, None]) / 3).clamp(-1, 1))
+        distance = torch.linalg.norm(grid - shift[:, None, None, None], dim=-1)
+        volumes.append(((distance - torch.linspace(3, 5, len(offsets))[:, None, None, None]) / 3).clamp(-1, 1))
     return volumes[0], volumes[1]
 
 
-def test_one_batch_is_learnt_by_heart() -> None:
+def test_one_batch_is_memorised() -> None:
     config = PositionConfig(1e-3, (16, 16, 16), (32, 32, 32), (8, 8, 8), channels=(4, 8, 8, 8, 8), features=2)
-    places = torch.tensor([[4.0, -2, 5], [-5, 3, 0], [1, 1, -6]])
-    part, kit = blobs(config, places)
+    offsets = torch.tensor([[4.0, -2, 5], [-5, 3, 0], [1, 1, -6]])
+    part, kit = balls(config, offsets)
     net = PositionNet(config)
     adam = torch.optim.Adam(net.parameters(), 3e-3)
     for _ in range(50):
-        loss = position_loss(net(part, kit), places * config.voxel, config).mean()
+        loss = position_loss(net(part, kit), offsets * config.voxel, config).mean()
         adam.zero_grad()
         loss.backward()
         adam.step()
-    miss = torch.linalg.norm(position_of(net(part, kit), config) - places * config.voxel, dim=1)
-    assert miss.max() < 1e-3  # half a cell
+    error = torch.linalg.norm(position_of(net(part, kit), config) - offsets * config.voxel, dim=1)
+    assert error.max() < 1e-3  # half a cell
 
 
-def test_nothing_in_the_network_names_a_device() -> None:
-    """All of it runs on torch's device of shapes alone, where any other device would be refused."""
+def test_the_network_names_no_device() -> None:
+    """It runs on torch's meta device, which refuses tensors of any other."""
     net, part, kit = toy()
     net, part, kit = net.to("meta"), part.to("meta"), kit.to("meta")
     for weight in ("even", "distance"):

@@ -1,4 +1,4 @@
-"""What one image leaves of a part and of kits: bodies whose shape is known, and how table and plates are found."""
+"""Parts and kits completed from one image of known bodies; the height of the table, and the plates."""
 
 from __future__ import annotations
 
@@ -9,96 +9,96 @@ import pytest
 import trimesh
 from scipy.ndimage import distance_transform_edt
 
-from baselines.completion import AROUND, SeenKits, SeenPart
+from baselines.completion import TABLE_MARGIN, ObservedKits, ObservedPart
 from baselines.completion.columns import extruded
-from baselines.completion.kits import HIGH
-from baselines.completion.kits import REACH as KIT_REACH
-from baselines.completion.part import REACH
-from baselines.completion.pixels import IDEAL, spread_points, window
+from baselines.completion.kits import HALF_HEIGHT
+from baselines.completion.kits import HALF_WIDTH as KIT_HALF_WIDTH
+from baselines.completion.part import HALF_WIDTH
+from baselines.completion.pixels import IDEAL, cropped, subpixel_points
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 from kit1000.voxels import signed_distance, tsdf
-from kit1000.voxels.grid import TRUNCATION
+from kit1000.voxels.grid import DEFAULT_TRUNCATION
 
 CAMERA = Camera(width=400, height=300, fx=500.0, fy=500.0, cx=199.5, cy=149.5)
 EYE = look_at((0.3, 0.2, 0.6), (0, 0, 0))
-ABOVE = look_at((0, 0, 0.7), (0, 0, 0), up=(0.0, 1.0, 0.0))
+FROM_ABOVE = look_at((0, 0, 0.7), (0, 0, 0), up=(0.0, 1.0, 0.0))
 PART = 2
 VOXEL = 1e-3
 
 
 def box(*size: float, at: tuple[float, float, float] = (0, 0, 0)) -> Mesh:
-    """Standing with the middle of its foot at a place [m]."""
+    """A box with the centre of its lower face at a point [m]."""
     body = trimesh.creation.box(size)
     return Mesh(body.vertices + np.array(at) + (0, 0, size[2] / 2), body.faces)
 
 
-def seen(*bodies: Mesh, world_from_camera: Pose = EYE, lift: float = 0.0) -> SeenPart:
-    """Bodies that are one part, on a table at a height [m]."""
+def observed_part(*bodies: Mesh, world_from_camera: Pose = EYE, lift: float = 0.0) -> ObservedPart:
+    """Bodies that are one part, on a table at a height [m], observed by a camera."""
     table = box(2, 2, 0.1, at=(0, 0, -0.1))
     up = Pose.from_translation((0, 0, lift))
     image = render(CAMERA, world_from_camera, [(table, up), *((body, up) for body in bodies)], 1)
-    labels = np.where(image.ids > 1, PART, 0).astype(np.uint8)
-    return SeenPart(
+    labels = np.where(image.body_ids > 1, PART, 0).astype(np.uint8)
+    return ObservedPart(
         LabelledDepth(View(CAMERA, world_from_camera, image.depth), labels), PART, np.array([0, 0, 0.01 + lift])
     )
 
 
-def overlap(part: SeenPart, *bodies: Mesh) -> float:
-    """Voxels that are solid in both, over those that are in either."""
+def overlap(part: ObservedPart, *bodies: Mesh) -> float:
+    """Intersection over union of the solid voxels."""
     volume = part.volume(VOXEL)
     truth = signed_distance(volume.grid, [(body, Pose.identity()) for body in bodies], threads=1).values < 0
     return float(((volume.values < 0) & truth).sum() / ((volume.values < 0) | truth).sum())
 
 
-@pytest.mark.parametrize("world_from_camera", [EYE, ABOVE], ids=["aslant", "above"])
-def test_a_box_is_itself(world_from_camera: Pose) -> None:
+@pytest.mark.parametrize("world_from_camera", [EYE, FROM_ABOVE], ids=["oblique", "from above"])
+def test_a_box_is_completed_to_itself(world_from_camera: Pose) -> None:
     body = box(0.03, 0.02, 0.025)
-    part = seen(body, world_from_camera=world_from_camera)
+    part = observed_part(body, world_from_camera=world_from_camera)
     assert overlap(part, body) > 0.9
     volume = part.volume(VOXEL)
     assert volume.grid.shape == (84, 84, 84)
-    assert 84 * VOXEL == 2 * REACH
+    assert 84 * VOXEL == 2 * HALF_WIDTH
     exact = signed_distance(volume.grid, [(body, Pose.identity())], threads=1).values
     near = np.abs(exact) < 0.9
     assert np.abs(volume.values - exact)[near].mean() < 0.15  # of five voxels
     np.testing.assert_allclose(part.middle[:2], 0, atol=1.5e-3)
 
 
-def test_what_hides_under_a_roof_is_solid_as_far_as_it_hides() -> None:
+def test_hidden_space_under_a_roof_is_solid() -> None:
     post, roof = box(0.008, 0.008, 0.02), box(0.03, 0.03, 0.005, at=(0, 0, 0.02))
     block = box(0.03, 0.03, 0.025)
-    above = seen(post, roof, world_from_camera=ABOVE)
-    assert overlap(above, block) > 0.9
-    aslant = seen(post, roof)
-    assert overlap(aslant, post, roof) < overlap(aslant, block) < 0.95  # the near side was seen to be free
-    truth = signed_distance(aslant.volume(VOXEL).grid, [(post, Pose.identity()), (roof, Pose.identity())], threads=1)
-    missed = (truth.values < -0.2) & (aslant.volume(VOXEL).values > 0)
+    from_above = observed_part(post, roof, world_from_camera=FROM_ABOVE)
+    assert overlap(from_above, block) > 0.9
+    oblique = observed_part(post, roof)
+    assert overlap(oblique, post, roof) < overlap(oblique, block) < 0.95  # the near side is observed to be free
+    truth = signed_distance(oblique.volume(VOXEL).grid, [(post, Pose.identity()), (roof, Pose.identity())], threads=1)
+    missed = (truth.values < -0.2) & (oblique.volume(VOXEL).values > 0)
     assert missed.mean() < 1e-4
 
 
 @pytest.mark.parametrize("lift", [0.0, 0.004, -0.003])
-def test_the_table_is_where_the_image_shows_it(lift: float) -> None:
-    part = seen(box(0.03, 0.02, 0.025), lift=lift)
+def test_the_height_of_the_table_is_read_from_the_image(lift: float) -> None:
+    part = observed_part(box(0.03, 0.02, 0.025), lift=lift)
     assert part.table_height() == pytest.approx(lift, abs=1e-4)
     solid = part.volume(VOXEL).values < 0
     heights = part.volume(VOXEL).grid.centres()[solid][:, 2]
     assert heights.min() == pytest.approx(lift, abs=2 * VOXEL)
 
 
-def test_a_window_of_the_image_shows_the_same() -> None:
-    part = seen(box(0.03, 0.02, 0.025))
-    more = int(AROUND * CAMERA.fx / 0.5)
-    rows, columns = (slice(max(index.min() - more, 0), index.max() + more) for index in np.nonzero(part.look.labels))
-    smaller = replace(part, look=window(part.look, (rows, columns)))
-    assert smaller.look.labels.size < part.look.labels.size
+def test_a_cropped_image_gives_the_same_volume() -> None:
+    part = observed_part(box(0.03, 0.02, 0.025))
+    more = int(TABLE_MARGIN * CAMERA.fx / 0.5)
+    rows, columns = (slice(max(index.min() - more, 0), index.max() + more) for index in np.nonzero(part.image.labels))
+    smaller = replace(part, image=cropped(part.image, (rows, columns)))
+    assert smaller.image.labels.size < part.image.labels.size
     np.testing.assert_allclose(smaller.volume(VOXEL).values, part.volume(VOXEL).values, atol=1e-5)
 
 
-def test_distances_to_columns_are_those_of_a_search_through_all_cells() -> None:
+def test_distances_to_columns_are_those_of_an_exact_distance_transform() -> None:
     view = View(CAMERA, EYE, np.zeros((300, 400), np.float32))
     world_from_middle = look_at((0.1, 0, 0.2), (0, 0.05, 0))
     rng, half = np.random.default_rng(0), VOXEL / 2
@@ -114,33 +114,35 @@ def test_distances_to_columns_are_those_of_a_search_through_all_cells() -> None:
         i, j = (int(np.floor(at / half)) + 20 for at in (x, y))
         if 0 <= i < 40 and 0 <= j < 40:
             solid[i, j] |= (heights > -5e-3) & (heights <= z)
-    apart = [np.asarray(distance_transform_edt(cells, (0.5, 0.5, 1))) for cells in (~solid, solid)]
-    wanted = np.where(solid, -1, 1) * np.maximum(np.where(solid, apart[1], apart[0]) - 0.25, 0) / TRUNCATION
+    distances = [np.asarray(distance_transform_edt(cells, (0.5, 0.5, 1))) for cells in (~solid, solid)]
+    wanted = (
+        np.where(solid, -1, 1) * np.maximum(np.where(solid, distances[1], distances[0]) - 0.25, 0) / DEFAULT_TRUNCATION
+    )
     np.testing.assert_array_equal(volume.values, wanted[::2, ::2].clip(-1, 1).astype(np.float32))
     assert 0.05 < (volume.values < 0).mean() < 0.5
 
 
-def test_points_are_spread_over_each_pixel_on_the_plane_it_saw() -> None:
+def test_subpixel_points_lie_evenly_on_the_plane_of_each_pixel() -> None:
     floor = box(2, 2, 0.1, at=(0, 0, -0.1))
     view = View(CAMERA, EYE, render(CAMERA, EYE, [(floor, Pose.identity())], 1).depth)
     mask = np.zeros((300, 400), bool)
     mask[100:103, 200:205] = True
-    points = spread_points(view, mask)
+    points = subpixel_points(view, mask)
     assert points.shape == (3 * 5 * 16, 3)
     assert np.abs(points[:, 2]).max() < 2e-5  # slopes are those between pixels
-    places = CAMERA.project(EYE.inverse().apply(points))
+    uv = CAMERA.project(EYE.inverse().apply(points))
     steps = (np.arange(4) + 0.5) / 4 - 0.5
     wanted = [(u + a, v + b) for v in (100, 101, 102) for u in range(200, 205) for b in steps for a in steps]
-    np.testing.assert_allclose(places, wanted, atol=1e-9)
+    np.testing.assert_allclose(uv, wanted, atol=1e-9)
 
 
-def test_a_part_without_a_return_leaves_nothing() -> None:
-    part = seen(box(0.03, 0.02, 0.025))
-    view = part.look.view
-    blind = View(view.camera, view.world_from_camera, np.where(part.look.labels == PART, 0, view.depth))
-    nothing = replace(part, look=replace(part.look, view=blind))
-    np.testing.assert_array_equal(nothing.middle, part.pivot)
-    assert np.all(nothing.volume(VOXEL).values == 1)
+def test_a_part_without_a_return_gives_an_empty_volume() -> None:
+    part = observed_part(box(0.03, 0.02, 0.025))
+    view = part.image.view
+    without_return = View(view.camera, view.world_from_camera, np.where(part.image.labels == PART, 0, view.depth))
+    empty = replace(part, image=replace(part.image, view=without_return))
+    np.testing.assert_array_equal(empty.middle, part.pivot)
+    assert np.all(empty.volume(VOXEL).values == 1)
 
 
 # kits
@@ -153,30 +155,30 @@ def tray(deep: float, wide: float = 0.03) -> trimesh.Trimesh:
     return trimesh.boolean.difference([plate, hole], engine="manifold")
 
 
-def seen_kits(body: trimesh.Trimesh, world_from_kit: Pose, world_from_camera: Pose) -> SeenKits:
+def observed_kits(body: trimesh.Trimesh, world_from_kit: Pose, world_from_camera: Pose) -> ObservedKits:
     bodies = [(box(2, 2, 0.1, at=(0, 0, -0.2)), Pose.identity()), (Mesh(body.vertices, body.faces), world_from_kit)]
     image = render(CAMERA, world_from_camera, bodies, 1)
-    labels = np.where(image.ids == 2, ASSEMBLY_LABEL, 0).astype(np.uint8)
-    return SeenKits(LabelledDepth(View(CAMERA, world_from_camera, image.depth), labels), IDEAL, "tray")
+    labels = np.where(image.body_ids == 2, ASSEMBLY_LABEL, 0).astype(np.uint8)
+    return ObservedKits(LabelledDepth(View(CAMERA, world_from_camera, image.depth), labels), IDEAL, "tray")
 
 
-LEANING = Pose.from_rotvec((0.35, 0.2, 0.4), (0.01, -0.02, 0.03))
+TILTED = Pose.from_rotvec((0.35, 0.2, 0.4), (0.01, -0.02, 0.03))
 
 
-def test_plates_are_found_as_they_lean() -> None:
-    plates = seen_kits(tray(0.012), LEANING, EYE).plates
-    assert np.degrees(np.arccos(plates[0].normal @ LEANING.rotate((0, 0, 1)))) < 0.2
+def test_a_tilted_plate_is_found() -> None:
+    plates = observed_kits(tray(0.012), TILTED, EYE).plates
+    assert np.degrees(np.arccos(plates[0].normal @ TILTED.rotate((0, 0, 1)))) < 0.2
     assert len(plates) == 1
 
 
-def test_a_cavity_has_steep_walls_and_the_floor_that_was_seen() -> None:
+def test_a_cavity_has_walls_along_the_normal_and_its_observed_floor() -> None:
     deep, body = 0.012, tray(0.012)
-    kits = seen_kits(body, LEANING, look_at((0.1, 0.05, 0.6), (0, 0, 0)))
-    middle = LEANING.apply((0, 0, 0))
+    kits = observed_kits(body, TILTED, look_at((0.1, 0.05, 0.6), (0, 0, 0)))
+    middle = TILTED.apply((0, 0, 0))
     volume = kits.volume(middle, VOXEL)
-    assert volume.grid.shape == tuple(2 * round(r / VOXEL) for r in (KIT_REACH, KIT_REACH, HIGH))
-    exact = signed_distance(volume.grid, [(Mesh(body.vertices, body.faces), LEANING)], threads=1).values
-    places = LEANING.inverse().apply(volume.grid.centres())
+    assert volume.grid.shape == tuple(2 * round(r / VOXEL) for r in (KIT_HALF_WIDTH, KIT_HALF_WIDTH, HALF_HEIGHT))
+    exact = signed_distance(volume.grid, [(Mesh(body.vertices, body.faces), TILTED)], threads=1).values
+    places = TILTED.inverse().apply(volume.grid.centres())
     inside = (
         (np.abs(places[..., :2]) < 0.015 - VOXEL).all(-1) & (places[..., 2] < -VOXEL) & (places[..., 2] > VOXEL - deep)
     )
@@ -188,27 +190,27 @@ def test_a_cavity_has_steep_walls_and_the_floor_that_was_seen() -> None:
     assert np.abs(volume.values - exact)[near].mean() < 0.1  # of five voxels
 
 
-def test_a_wall_that_hides_is_as_steep_as_one_that_shows() -> None:
-    """What an image alone would call unknown behind the rim is solid under the plate and free over the cavity."""
-    body, aslant = tray(0.012), look_at((0.45, 0.0, 0.45), (0, 0, 0))
-    kits = seen_kits(body, Pose.identity(), aslant)
+def test_a_hidden_wall_is_as_steep_as_a_visible_one() -> None:
+    """Space behind the rim, unknown to the image alone, is solid under the plate and free over the cavity."""
+    body, oblique = tray(0.012), look_at((0.45, 0.0, 0.45), (0, 0, 0))
+    kits = observed_kits(body, Pose.identity(), oblique)
     volume = kits.volume(np.zeros(3), VOXEL)
     x, y, z = np.moveaxis(volume.grid.centres(), -1, 0)
     level = (np.abs(y) < 0.01) & (np.abs(z + 0.004) < 0.003)
-    assert (volume.values[level & (x > 0.016) & (x < 0.03)] < 0).all()  # the near wall, which hides
+    assert (volume.values[level & (x > 0.016) & (x < 0.03)] < 0).all()  # the near wall, which is hidden
     assert (volume.values[level & (x < 0.014) & (x > -0.014)] > 0).mean() > 0.98
     hidden = tsdf(volume.grid, kits.view, kits.mask, threads=1).values
     assert (np.isnan(hidden) | (hidden < 0))[level & (x > 0.011) & (x < 0.014)].any()
 
 
-def test_without_a_plate_columns_stand_upright() -> None:
-    kits = seen_kits(trimesh.creation.icosphere(radius=0.012), Pose.identity(), EYE)
+def test_without_a_plate_columns_are_vertical() -> None:
+    kits = observed_kits(trimesh.creation.icosphere(radius=0.012), Pose.identity(), EYE)
     assert kits.plates == []
     volume = kits.volume(np.zeros(3), VOXEL)
     assert volume.grid.world_from_grid.rotate((0, 0, 1)) == pytest.approx((0, 0, 1))
     assert (volume.values < 0).any()
 
 
-def test_far_from_all_kits_there_is_nothing() -> None:
-    kits = seen_kits(tray(0.012), LEANING, EYE)
+def test_far_from_all_kits_the_volume_is_empty() -> None:
+    kits = observed_kits(tray(0.012), TILTED, EYE)
     assert (kits.volume(np.array([0.5, 0.5, 0.0]), VOXEL).values == 1).all()

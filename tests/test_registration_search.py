@@ -1,0 +1,236 @@
+"""The coarse search of registration against brute force, and refinement from near a known pose."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from manifold3d import Manifold
+from shapes import Seated, box, cylinder, ell, seated
+
+from baselines.registration.cavity import Cavity, find_cavity, plate_grid
+from baselines.registration.outline import expected_relief
+from baselines.registration.refine import CELL as SLICE_CELL
+from baselines.registration.refine import Problem, Sweep, refine
+from baselines.registration.relief import dilated
+from baselines.registration.search import (
+    CELL,
+    YAW_STEP,
+    Candidate,
+    KitImage,
+    SearchWindow,
+    best_shifts,
+    coarse_search,
+)
+from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
+from kit1000.motions import apply_error, goal_motion
+from kit1000.pose import Pose
+from kit1000.voxels import Grid, Volume, signed_distance
+
+CLEARANCE = 2.5e-3
+IDENTITY = Pose.identity()
+UP = np.array([0.0, 0.0, 1.0])
+WORLD_FROM_KIT = Pose.from_rotvec((0.4, 0.2, 0.9), (0.3, -0.1, 0.15))
+WORLD_FROM_PART = Pose.from_rotvec((1.2, -0.4, 2.0), (-0.1, 0.2, 0.03))
+
+
+def known_cavity(cavity_relief: np.ndarray, world_from_plate: Pose = IDENTITY, depth: float = 0.01) -> Cavity:
+    """A cavity whose relief is known everywhere."""
+    known = np.ones(cavity_relief.shape, bool)
+    points = np.zeros((0, 3))
+    return Cavity(world_from_plate, cavity_relief, cavity_relief, known, cavity_relief < 0, depth, points)
+
+
+# search
+
+
+def random_cavity(seed: int, hidden: bool = False) -> Cavity:
+    """A small plate with a pit of random heights, part of it hidden or not."""
+    rng = np.random.default_rng(seed)
+    relief = np.zeros((40, 40))
+    relief[10:30, 12:28] = rng.uniform(-0.01, -0.003, (20, 16))
+    cavity = known_cavity(relief, depth=0.01)
+    if not hidden:
+        return cavity
+    partial = relief.copy()
+    partial[12:20, 14:20] = np.nan
+    return replace(cavity, relief=partial)
+
+
+def random_envelope(seed: int, n: int = 20) -> np.ndarray:
+    """(n, n) [m]: a lower envelope of random heights."""
+    rng = np.random.default_rng(seed)
+    heights = np.full((n, n), np.inf)
+    heights[5:14, 4:15] = rng.uniform(-0.02, -0.004, (9, 11))
+    return heights
+
+
+def brute_misfits(cavity: Cavity, kit: KitImage, envelope: np.ndarray) -> np.ndarray:
+    """(size, size): the misfit at every whole shift, cell by cell; cells off the plate do not count."""
+    picks = np.rint((np.arange(kit.cells) - (kit.cells - 1) / 2) * CELL / 1e-3 + (len(cavity.relief) - 1) / 2)
+    relief, trust = (image[np.ix_(picks.astype(int), picks.astype(int))] for image in expected_relief(cavity))
+    cut = np.minimum(dilated(envelope, CELL, CLEARANCE) - envelope.min() - cavity.depth, 0)
+    m, n = len(cut), kit.cells
+    misfits = np.ones((kit.size, kit.size))  # without overlap a part explains nothing
+    for s in range(-m, n + 1):
+        for t in range(-m, n + 1):
+            image = np.zeros((n + 2 * m, n + 2 * m))
+            image[s + m : s + 2 * m, t + m : t + 2 * m] = cut
+            inside = image[m : m + n, m : m + n]
+            misfits[s, t] = (trust * (relief - inside) ** 2).sum() / (trust * relief**2).sum()
+    return misfits
+
+
+@pytest.mark.parametrize(("seed", "hidden"), [(0, False), (1, False), (2, True)])
+def test_the_best_shifts_are_those_of_brute_force(seed: int, hidden: bool) -> None:
+    cavity, envelope = random_cavity(seed, hidden), random_envelope(seed)
+    kit = KitImage.of(cavity)
+    every = brute_misfits(cavity, kit, envelope)
+    anywhere = SearchWindow(np.zeros(3), None, MAX_ANGLE, MAX_OFFSET)
+    found = list(best_shifts(kit, dilated(envelope, CELL, CLEARANCE), cavity, anywhere, np.zeros(3)))
+    assert found[0][1] == pytest.approx(every.min(), abs=1e-9)
+    assert [misfit for _, misfit in found] == sorted(misfit for _, misfit in found)
+    for shift, misfit in found:
+        np.testing.assert_allclose(shift[2], -cavity.depth - envelope.min(), atol=1e-12)  # down on the floor
+        # Cell i of the envelope is on cell i + s of the plate.
+        s, t = np.rint(shift[:2] / CELL + (kit.cells - len(envelope)) / 2).astype(int)
+        np.testing.assert_allclose((np.array([s, t]) - (kit.cells - len(envelope)) / 2) * CELL, shift[:2], atol=1e-12)
+        assert misfit == pytest.approx(every[s, t], abs=1e-9)
+
+
+def test_no_shift_leaves_the_window() -> None:
+    """And the best inside the window is that of brute force there."""
+    cavity, envelope = replace(random_cavity(0), world_from_plate=WORLD_FROM_KIT), random_envelope(0)
+    kit = KitImage.of(cavity)
+    every = brute_misfits(cavity, kit, envelope)
+    z = -cavity.depth - envelope.min()
+    pivot = np.array([3e-3, -2e-3, 1e-3])  # before the shift
+    guessed = WORLD_FROM_KIT.apply(pivot + [0.006, -0.008, z])
+    window = SearchWindow(np.zeros(3), Pose.from_translation(guessed), MAX_ANGLE, 4e-3)
+    found = list(best_shifts(kit, dilated(envelope, CELL, CLEARANCE), cavity, window, pivot))
+    assert found
+    for shift, _ in found:
+        assert np.abs(WORLD_FROM_KIT.apply(pivot + shift) - guessed).max() <= 4e-3 + 1e-12
+    steps = np.arange(kit.size)
+    axis = (np.where(steps > kit.size // 2, steps - kit.size, steps) - (kit.cells - len(envelope)) / 2) * CELL
+    at = np.stack(np.broadcast_arrays(axis[:, None], axis[None], z), axis=-1)
+    inside = (np.abs(WORLD_FROM_KIT.apply(pivot + at) - guessed) <= 4e-3).all(-1)
+    assert found[0][1] == pytest.approx(every[inside].min(), abs=1e-9)
+
+
+# a part and its kit with known poses
+
+
+class Case:
+    """A part and its kit in different places, as exact volumes."""
+
+    def __init__(self, known: Seated) -> None:
+        self.goal = goal_motion(WORLD_FROM_PART, WORLD_FROM_KIT, known.kit_from_part)
+        self.pivot = WORLD_FROM_PART.xyz + [1e-3, -2e-3, 1.5e-3]  # not the centre of the part
+        around = Grid.centred(Pose.from_translation(self.pivot), (84, 84, 84), 1e-3)
+        self.part: Volume = signed_distance(around, [(known.part.mesh, WORLD_FROM_PART)], threads=1)
+        plate = WORLD_FROM_KIT @ Pose.from_rotvec((0, 0, 0.3), (5e-3, -3e-3, 0))
+        grid = plate_grid(plate, 0.144)
+        volume = signed_distance(grid, [(known.kit().mesh, WORLD_FROM_KIT)], threads=1)
+        cavity = find_cavity(volume, plate, 0.5e-3)
+        assert cavity is not None
+        self.cavity = cavity
+        self.down_normal = self.goal.inverse().rotate(-WORLD_FROM_KIT.rotate(UP))
+
+    def candidate(self, goal_from_now: Pose) -> Candidate:
+        return Candidate(
+            self.cavity, self.cavity.world_from_plate.inverse() @ goal_from_now, self.down_normal, 0.0, 0.0
+        )
+
+    def error_of(self, plate_from_now: Pose) -> tuple[float, float]:
+        """[mm] at the pivot and [degrees] from the goal."""
+        error = self.cavity.world_from_plate @ plate_from_now @ self.goal.inverse()
+        goal = self.goal.apply(self.pivot)
+        return float(np.linalg.norm(error.apply(goal) - goal)) * 1e3, float(np.degrees(error.angle()))
+
+
+def keyed() -> Manifold:
+    return box(34, 22, 14) + box(10, 8, 14, (-6, 14, 0)) - box(8, 8, 40, (13, -9, -10))
+
+
+def bar() -> Manifold:
+    return box(44, 14, 12) + box(6, 6, 12, (-17, 8, 0))
+
+
+def lever() -> Manifold:
+    """A narrow web between eyes of two sizes."""
+    eyes = cylinder(18, 12) + cylinder(10, 12).translate((26, 0, 0))
+    return (eyes + box(26, 7, 12, (13, 0, 0))).translate((-10, 0, 0))
+
+
+CASES = {"an L": ell, "a keyed block": keyed, "a bar": bar, "a lever": lever}
+
+
+@cache
+def case(name: str) -> Case:
+    return Case(seated(CASES[name]()))
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("guessed", [True, False])
+def test_the_search_ranks_the_goal_first(name: str, guessed: bool) -> None:
+    """Among all positions and yaws, near a bad guess or without one, with the right face down and the opposite one."""
+    known = case(name)
+    guess = apply_error(known.goal, known.pivot, np.array([20e-3, -15e-3, 10e-3]), np.array([0.1, -0.2, 0.3]))
+    window = SearchWindow(known.pivot, guess if guessed else None, MAX_ANGLE, MAX_OFFSET)
+    found = coarse_search(
+        known.part, WORLD_FROM_PART.xyz, [known.down_normal, -known.down_normal], [known.cavity], CLEARANCE, window
+    )
+    assert [each.misfit for each in found] == sorted(each.misfit for each in found)
+    distance, angle = known.error_of(found[0].plate_from_now)
+    assert distance < 1.5e3 * CELL
+    assert angle <= np.degrees(YAW_STEP)
+    np.testing.assert_array_equal(found[0].down_normal, known.down_normal)
+
+
+def perturbed(known: Case, seed: int) -> Candidate:
+    """1.5 mm and 3 degrees beside the goal."""
+    rng = np.random.default_rng(seed)
+    shift, axis = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
+    return known.candidate(apply_error(known.goal, known.pivot, 1.5e-3 * shift, np.radians(3) * axis))
+
+
+def residuals_at(known: Case, goal_from_now: Pose, clearance: float = CLEARANCE) -> np.ndarray:
+    """(n,) [m] of the points of the cavity, without the tilt."""
+    pose = known.candidate(goal_from_now).plate_from_now
+    rotation = Pose(pose.wxyz, np.zeros(3))
+    sweep = Sweep.from_part(known.part, known.pivot, rotation, known.cavity.depth, clearance)
+    problem = Problem(known.cavity.points, sweep, rotation.rotate(known.down_normal), clearance, 1.0)
+    residuals = problem.residuals(np.concatenate([np.zeros(3), pose.apply(known.pivot)]))
+    np.testing.assert_allclose(residuals[-2:], 0, atol=1e-9)  # the face lies flat
+    return residuals[:-2]
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_at_the_goal_every_point_lies_on_a_wall_or_the_floor(name: str) -> None:
+    distances = np.abs(residuals_at(case(name), case(name).goal))
+    assert np.median(distances) < 0.25 * SLICE_CELL
+    assert np.percentile(distances, 99) < 1.5 * SLICE_CELL
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_refinement_converges_to_the_goal(name: str) -> None:
+    known = case(name)
+    for seed in range(4):
+        pose, rms = refine(known.part, known.pivot, perturbed(known, seed), CLEARANCE, 1.0)
+        distance, angle = known.error_of(pose)
+        assert (distance < 0.3, angle < 0.6) == (True, True), f"{distance:.2f} mm, {angle:.2f} degrees from {seed}"
+        assert rms < SLICE_CELL
+
+
+def test_walls_stand_off_by_the_clearance() -> None:
+    """Without the clearance a part ends in contact with some of the walls."""
+    known = case("a keyed block")
+    ends = [
+        [refine(known.part, known.pivot, perturbed(known, seed), c, 1.0) for seed in range(4)] for c in (0, CLEARANCE)
+    ]
+    touching, clear = (np.mean([known.error_of(pose)[0] for pose, _ in each]) for each in ends)
+    assert clear < 0.5 * touching
+    assert np.mean([rms for _, rms in ends[1]]) < 0.5 * np.mean([rms for _, rms in ends[0]])
