@@ -1,7 +1,7 @@
-"""Which faces of a mesh form one smooth surface, the normals that make it look smooth, the lines around it.
+"""Smooth surface patches of a mesh, their shading normals, and the crease and outline lines of a picture.
 
-Meshes from CAD stand for cylinders, fillets and planes by triangles. Faces that meet at less than a crease
-angle belong to one patch; lines are drawn where two patches meet and around each body.
+CAD meshes approximate cylinders, fillets and planes by triangles. Adjacent faces at less than the crease angle belong
+to one patch; lines are drawn where two patches meet and around each body.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from scipy.sparse.csgraph import connected_components
 from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
 
-CREASE_DEG = 32.0  # coarser cylinders have 12 sides or more (30 degrees), chamfers turn by 45
-PLANE_DEG = 0.5  # faces of one plane, after rounding to float32
-LINE_SHADE = 0.15  # colour of lines, as a share of the colour of the body
+CREASE_DEG = 32.0  # cylinders have 12 sides or more (30 degrees), chamfers have 45 degrees
+PLANE_DEG = 0.5  # largest angle between faces of one plane, after rounding to float32
+LINE_SHADE = 0.15  # colour of lines, as a fraction of the colour of the body
 CREASE_OPACITY, OUTLINE_OPACITY = 0.55, 0.9  # opacity of lines within a body and around it
 
 
@@ -24,8 +24,8 @@ def smooth_patches(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
     Returns:
         patches: (m,) int32, equal for faces of one smooth surface.
-        normals: (m, 3, 3) unit normal at each corner of each face, averaged over its patch. Large planes
-            weigh more than the narrow faces of a fillet, so that planes stay flat.
+        normals: (m, 3, 3) unit normal at each corner of each face, averaged over its patch. Large planes have more
+            weight than the narrow faces of a fillet, so that planes look flat.
     """
     corner = np.unique(mesh.triangles.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
     pairs = _adjacent_faces(corner)
@@ -36,7 +36,7 @@ def smooth_patches(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _adjacent_faces(corner: np.ndarray) -> np.ndarray:
-    """(2, e) faces that share an edge, from the numbers of their corners (m, 3)."""
+    """(2, e) faces that share an edge, from the vertex indices of the faces (m, 3)."""
     start, end = corner.ravel().astype(np.int64), corner[:, [1, 2, 0]].ravel().astype(np.int64)
     key = np.minimum(start, end) * (corner.max(initial=0) + 1) + np.maximum(start, end)
     order = np.argsort(key, kind="stable")
@@ -50,7 +50,7 @@ def _components(m: int, pairs: np.ndarray) -> np.ndarray:
 
 
 def _corner_normals(mesh: Mesh, corner: np.ndarray, patches: np.ndarray, planes: np.ndarray) -> np.ndarray:
-    """(m, 3, 3): mean normal per vertex and patch; faces weigh by area of their plane and corner angle."""
+    """(m, 3, 3): mean normal per vertex and patch; weights are the area of a face's plane and its corner angle."""
     cross = np.cross(mesh.triangles[:, 1] - mesh.triangles[:, 0], mesh.triangles[:, 2] - mesh.triangles[:, 0])
     area = np.bincount(planes, np.linalg.norm(cross, axis=1))[planes]
     weighed = (area[:, None] * _corner_angles(mesh.triangles))[..., None] * mesh.normals[:, None]
@@ -71,23 +71,23 @@ def _corner_angles(triangles: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def draw_lines(depth, ids, faces, first_of, patches, albedo, step, image):
+def draw_lines(depth, body_ids, face_ids, first_face, patches, albedo, step, image):
     """Darken the outlines and creases of a linear `image` (H, W, 3) in place.
 
-    A pixel is on an outline when the surface beside it is of another body or more than `step` [m] nearer or
-    farther. It is on a crease when the pixel above or to the left is of another patch of the same body.
-    `depth`, `ids`, `faces` are of a frame; `first_of` (b,), `patches` (m,), `albedo` (b, 3) of the bodies.
+    A pixel is on an outline when a neighbouring pixel shows another body or a depth step of more than `step` [m]. It is
+    on a crease when the pixel above or to the left is of another patch of the same body. `depth`, `body_ids`,
+    `face_ids` are those of a rendered image; `first_face` (b,), `patches` (m,), `albedo` (b, 3) of the bodies.
     """
     height, width = depth.shape
     for v in range(height):
         for u in range(width):
-            strength, here = 0.0, ids[v, u] - 1
+            strength, here = 0.0, body_ids[v, u] - 1
             owner = here
             for dv, du in ((-1, 0), (0, -1), (1, 0), (0, 1)):
                 y, x = v + dv, u + du
                 if y < 0 or x < 0 or y >= height or x >= width:
                     continue
-                there = ids[y, x] - 1
+                there = body_ids[y, x] - 1
                 if here != there:
                     strength = OUTLINE_OPACITY
                     if there >= 0 and (here < 0 or depth[y, x] < depth[v, u]):
@@ -95,8 +95,8 @@ def draw_lines(depth, ids, faces, first_of, patches, albedo, step, image):
                 elif here >= 0 and _depth_step(depth, v, u, dv, du) > step:
                     strength = OUTLINE_OPACITY
                 elif here >= 0 and dv + du < 0:
-                    first = first_of[here]
-                    if patches[first + faces[v, u]] != patches[first + faces[y, x]]:
+                    first = first_face[here]
+                    if patches[first + face_ids[v, u]] != patches[first + face_ids[y, x]]:
                         strength = max(strength, CREASE_OPACITY)
             if strength > 0:
                 for i in range(3):
@@ -105,7 +105,7 @@ def draw_lines(depth, ids, faces, first_of, patches, albedo, step, image):
 
 @compiled
 def _depth_step(depth, v, u, dv, du):
-    """Depth of the pixel beside (v, u), less that of the plane through (v, u) and the pixel opposite [m]."""
+    """Distance [m] between the depth of the neighbour of (v, u) and the plane through (v, u) and the opposite one."""
     height, width = depth.shape
     y, x = v - dv, u - du
     expected = 1 / depth[v, u]

@@ -1,4 +1,4 @@
-"""Contact sheets of a dataset: what a person looks at before trusting it."""
+"""Contact sheets of a dataset: its parts, kits, assemblies and scenes as pictures for visual inspection."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from kit1000.pictures.shading import KIT, PART, SECONDARY, ColouredBody, shaded_
 from kit1000.pose import Pose
 from kit1000.values import View
 
-SCENE_TILE = (960, 540)  # [px] one picture of a scene
-BORDER = 1.12  # of the window around all bodies, against their extents
-GUESS_TRACK = "snap-tilt"  # the track whose guesses are drawn: every preset has it
+SCENE_TILE = (960, 540)  # [px] of one picture of a scene
+BORDER = 1.12  # size of the window around all bodies, relative to their extents
+GUESS_TRACK = "snap-tilt"  # the track whose guesses are shown: every preset has it
 
 
 def geometry_sheet(geometry: Geometry, what: str, split: str, count: int, ids: Sequence[str] = ()) -> bytes:
-    """A PNG of parts, kits or assemblies: the given ids, or `count` spread evenly over a split."""
+    """A PNG of parts, kits or assemblies: of the given ids, or of `count` ids evenly spaced over a split."""
     rows = getattr(geometry, what)
     chosen = list(ids) or _evenly_chosen(sorted(i for i, row in rows.items() if row["split"] == split), count)
     if not chosen:
@@ -34,8 +34,8 @@ def geometry_sheet(geometry: Geometry, what: str, split: str, count: int, ids: S
 
 
 def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
-    """A PNG of one scene, cut to what stands on the table: what the sensors see and the masks; where the truth is at
-    hand, also the scene, the goals of what is asked, and a guess.
+    """A PNG of one scene, cropped to its bodies: the depth images and the masks; if the split was opened with ground
+    truth, also the scene, the parts of queries at their goals, and at their initial guesses.
     """
     recorded = dataset.recorded_scene(scene_id)
     window = _window(recorded.labels)
@@ -45,13 +45,13 @@ def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
     pictures = [Image.fromarray(tile[window]).resize(SCENE_TILE, Image.Resampling.BICUBIC) for tile in tiles.values()]
     names = list(tiles)
     if recorded.split.truth:
-        drawn = _ground_truth_tiles(recorded, window)
-        pictures, names = [*pictures, *map(Image.fromarray, drawn.values())], [*names, *drawn]
+        shaded = _ground_truth_tiles(recorded, window)
+        pictures, names = [*pictures, *map(Image.fromarray, shaded.values())], [*names, *shaded]
     return contact_sheet_png(pictures, [f"{scene_id}  {name}" for name in names], columns=3)
 
 
 def _window(labels: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns that hold all bodies with a border, in the shape of the image."""
+    """Rows and columns that contain all bodies with a border, at the aspect ratio of the image."""
     v, u = np.nonzero(labels)
     height, width = labels.shape
     share = max(np.ptp(u) / width, np.ptp(v) / height) * BORDER
@@ -62,7 +62,7 @@ def _window(labels: np.ndarray) -> tuple[slice, slice]:
 
 
 def _ground_truth_tiles(recorded: RecordedScene, window: tuple[slice, slice]) -> dict[str, np.ndarray]:
-    """The scene as it stands, with its parts seated, and with them as a person guesses."""
+    """The scene as it is, with the parts of queries at their goals, and at the user's initial guesses."""
     _, (assembly, world_from_assembly), *parts = recorded.bodies()
     kits = ColouredBody(assembly, world_from_assembly, KIT)
     colours = [(PART, *SECONDARY)[i % 7] for i in range(len(parts))]
@@ -74,12 +74,12 @@ def _ground_truth_tiles(recorded: RecordedScene, window: tuple[slice, slice]) ->
             seated[query.part] = ColouredBody(mesh, recorded.truths[query.id].goal_drawn @ pose, colours[query.part])
             guessed[query.part] = ColouredBody(mesh, query.guess @ pose, colours[query.part])
     camera, pose = _tile_camera(recorded.view("ideal"), window)
-    drawn = {"the scene": lying, "the goals of what is asked": seated, "as a person guesses": guessed}
-    return {name: shaded_picture([kits, *bodies], camera, pose) for name, bodies in drawn.items()}
+    tiles = {"scene": lying, "parts at their goals": seated, "parts at the initial guesses": guessed}
+    return {name: shaded_picture([kits, *bodies], camera, pose) for name, bodies in tiles.items()}
 
 
 def _tile_camera(view: View, window: tuple[slice, slice]) -> tuple[Camera, Pose]:
-    """The camera that sees a window of a view, as large as a tile."""
+    """The camera of a window of a view, with the size of a tile."""
     rows, columns = window
     whole, (width, height) = view.camera, SCENE_TILE
     across, down = width / (columns.stop - columns.start), height / (rows.stop - rows.start)

@@ -1,8 +1,8 @@
-"""Light for pictures: a soft key lamp and a sky, both sampled by lamps that cast exact hard shadows.
+"""Lighting of pictures: a soft key light and a sky, both sampled by lamps with hard shadows from shadow maps.
 
-Each lamp is a depth image taken from far away in its direction. Averaged over enough lamps, hard shadows
-become soft ones, corners and cavities darken as they do under a cloudy sky, and bodies touch the ground
-visibly. Colours are linear light, 1 = white.
+A shadow map is a depth image from far away in the direction of its lamp. Averaged over enough lamps, shadows become
+soft, corners and cavities darken as under a cloudy sky, and bodies have contact shadows on the ground. Colours are
+linear, 1 = white.
 """
 
 from __future__ import annotations
@@ -18,38 +18,38 @@ from kit1000.mesh import Mesh
 from kit1000.pose import Pose, quaternion_between
 from kit1000.sim.render import render
 
-MAP_SIZE = 512  # [px] side of a lamp's depth image
-LAMP_DISTANCE = 1000.0  # distance of the lamps, in radii of the scene: rays are parallel to a quarter of a texel
-KEY_SPREAD = 0.16  # sine of the half angle under which the key lamp is seen: soft, but a shadow with a shape
-KEY_COLOUR = (0.62, 0.60, 0.56)  # warm; with the sky, a level surface shows its own colour, a little lighter
+MAP_SIZE = 512  # [px] side of a shadow map
+LAMP_DISTANCE = 1000.0  # in radii of the scene: rays are parallel to a quarter of a texel
+KEY_SPREAD = 0.16  # sine of the half angle of the key light: its shadows are soft but have a shape
+KEY_COLOUR = (0.62, 0.60, 0.56)  # warm; with the sky, a level surface has its own colour, slightly lighter
 SKY_COLOUR = (0.48, 0.50, 0.53)  # cool
-BOUNCE_COLOUR = (0.21, 0.205, 0.20)  # what the ground throws back from below
-GLOSS, SHININESS = 0.07, 24.0  # a satin plastic
-FADE_BORDER = 0.08  # share of the image along its border where the ground turns into the plain background
+BOUNCE_COLOUR = (0.21, 0.205, 0.20)  # light reflected by the ground from below
+GLOSS, SHININESS = 0.07, 24.0  # satin plastic
+FADE_BORDER = 0.08  # fraction of the image along its border in which shadows on the ground fade out
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
 
 class Lamps(NamedTuple):
-    """L lamps and the shadows they cast: first `keys` parts of the key lamp, then parts of the sky."""
+    """L lamps with shadow maps: first `key_count` samples of the key light, then samples of the sky."""
 
     directions: np.ndarray
     """(L, 3) unit vectors from the scene to the lamps."""
     weights: np.ndarray
-    """(L,): a level surface gets 1 from all key lamps together, and 1 from all of the sky."""
+    """(L,): a level surface gets 1 in total from the key light, and 1 from the sky."""
     map_from_world: np.ndarray
-    """(L, 3, 4): column, row [px] and depth [m] of a point (x, y, z, 1) in the image of a lamp."""
+    """(L, 3, 4): from a point (x, y, z, 1) to column, row [px] and depth [m] in a shadow map."""
     shadow_maps: np.ndarray
-    """(L, MAP, MAP) float32 [m] depth from the lamp, 0 where nothing stands."""
+    """(L, MAP_SIZE, MAP_SIZE) float32 [m] depth from the lamp, 0 for no surface."""
     texel: float
-    """[m] width of a pixel of a depth image at the scene."""
+    """[m] width of a pixel of a shadow map at the scene."""
     key_count: int
 
 
 class ShadingScene(NamedTuple):
-    """What the loop over pixels has to know of the bodies; m faces of all bodies, b bodies."""
+    """The b bodies of a picture, with m faces in all, as the loop over pixels needs them."""
 
     first_face: np.ndarray
-    """(b,) number of the first face of each body."""
+    """(b,) index of the first face of each body."""
     corners: np.ndarray
     """(m, 3, 3) [m], world."""
     normals: np.ndarray
@@ -61,7 +61,7 @@ class ShadingScene(NamedTuple):
 
 
 def key_directions(n: int, towards: np.ndarray) -> np.ndarray:
-    """(n, 3) unit vectors spread evenly over the round key lamp in the direction `towards` (3,)."""
+    """(n, 3) unit vectors distributed evenly over the round key light in the direction `towards` (3,)."""
     count = np.arange(n)
     radius, angle = KEY_SPREAD * np.sqrt((count + 0.5) / n), GOLDEN_ANGLE * count
     disc = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)], axis=1)
@@ -69,11 +69,11 @@ def key_directions(n: int, towards: np.ndarray) -> np.ndarray:
 
 
 def sky_directions(n: int) -> np.ndarray:
-    """(n, 3) unit vectors spread evenly over the sky above 6 degrees (a Fibonacci spiral)."""
+    """(n, 3) unit vectors distributed evenly over the sky above 6 degrees (a Fibonacci spiral)."""
     count = np.arange(n)
     z, angle = 0.1 + 0.9 * (count + 0.5) / n, GOLDEN_ANGLE * count
-    flat = np.sqrt(1 - z**2)
-    return np.stack([flat * np.cos(angle), flat * np.sin(angle), z], axis=1)
+    radius = np.sqrt(1 - z**2)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
 
 
 def place_lamps(
@@ -82,20 +82,21 @@ def place_lamps(
     """Lamps in directions key (k, 3) and sky (s, 3) for bodies within `ball`: centre (3,), radius [m]."""
     centre, radius = ball
     texel = 2 * radius / (MAP_SIZE - 4)
-    focal, middle = LAMP_DISTANCE * radius / texel, (MAP_SIZE - 1) / 2
-    camera = Camera(width=MAP_SIZE, height=MAP_SIZE, fx=focal, fy=focal, cx=middle, cy=middle)
-    towards = np.concatenate([key, sky])
-    affine, maps = np.zeros((len(towards), 3, 4)), np.empty((len(towards), MAP_SIZE, MAP_SIZE), np.float32)
-    for k, direction in enumerate(towards):
-        # Each image is rolled differently, so that the steps of their pixels do not fall in line.
+    focal, centre_px = LAMP_DISTANCE * radius / texel, (MAP_SIZE - 1) / 2
+    camera = Camera(width=MAP_SIZE, height=MAP_SIZE, fx=focal, fy=focal, cx=centre_px, cy=centre_px)
+    directions = np.concatenate([key, sky])
+    map_from_world = np.zeros((len(directions), 3, 4))
+    shadow_maps = np.empty((len(directions), MAP_SIZE, MAP_SIZE), np.float32)
+    for k, direction in enumerate(directions):
+        # Each map has another roll, so that their pixel grids are not aligned.
         roll = Pose.from_rotvec((0, 0, GOLDEN_ANGLE * k))
         world_from_lamp = _lamp_pose(centre, centre + LAMP_DISTANCE * radius * direction) @ roll
-        maps[k] = render(camera, world_from_lamp, bodies, threads=1).depth
-        affine[k] = world_from_lamp.inverse().matrix()[:3]
-        affine[k, :2] /= texel
-        affine[k, :2, 3] += middle
+        shadow_maps[k] = render(camera, world_from_lamp, bodies, threads=1).depth
+        map_from_world[k] = world_from_lamp.inverse().matrix()[:3]
+        map_from_world[k, :2] /= texel
+        map_from_world[k, :2, 3] += centre_px
     weights = np.concatenate([np.full(len(key), 1 / key[:, 2].sum()), np.full(len(sky), 1 / sky[:, 2].sum())])
-    return Lamps(towards, weights, affine, maps, texel, len(key))
+    return Lamps(directions, weights, map_from_world, shadow_maps, texel, len(key))
 
 
 def _lamp_pose(target: np.ndarray, eye: np.ndarray) -> Pose:
@@ -104,27 +105,27 @@ def _lamp_pose(target: np.ndarray, eye: np.ndarray) -> Pose:
 
 
 @compiled
-def illuminate(lens, rotation, eye, frame, scene, lamps, ground, paper, shadow, colours, out):
-    """Colour of each pixel into `out` (H, W, 3), linear.
+def illuminate(intrinsics, rotation, eye, image, scene, lamps, ground, background, shadow, colours, out):
+    """Write the linear colour of each pixel to `out` (H, W, 3).
 
-    `rotation` (3, 3) and `eye` (3,) are world_from_camera; `frame` the depth, ids and faces seen; `ground`
-    the height [m] of a floor of the colour `paper` that darkens by up to `shadow`; NaN for none.
-    `colours` (3, 3): key, sky and bounce.
+    `rotation` (3, 3) and `eye` (3,) are world_from_camera; `image` is the depth, body ids and face ids;
+    `ground` is the height [m] of a floor of the colour `background`, which shadows darken by up to `shadow`; NaN for no
+    floor. `colours` (3, 3): of the key light, the sky and the light from below.
     """
-    depth, ids, faces = frame
-    point, normal, flat, view = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    depth, ids, faces = image
+    point, normal, face_normal, view = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
-            p, q = (u - lens.cx) / lens.fx, (v - lens.cy) / lens.fy
+            p, q = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
             for i in range(3):
                 view[i] = rotation[i, 0] * p + rotation[i, 1] * q + rotation[i, 2]
-                out[v, u, i] = paper[i]
+                out[v, u, i] = background[i]
             body = ids[v, u] - 1
             if body >= 0:
                 for i in range(3):
                     point[i] = eye[i] + depth[v, u] * view[i]
-                _set_normals(scene, scene.first_face[body] + faces[v, u], view, point, normal, flat)
-                key, sky, gloss, _, open_sky = _incident_light(lamps, point, normal, flat, view)
+                _set_normals(scene, scene.first_face[body] + faces[v, u], view, point, normal, face_normal)
+                key, sky, gloss, _, open_sky = _incident_light(lamps, point, normal, face_normal, view)
                 below = (0.5 - 0.5 * normal[2]) * (0.4 + 0.6 * sky / max(open_sky, 0.05))
                 for i in range(3):
                     light = key * colours[0, i] + sky * colours[1, i] + below * colours[2, i]
@@ -132,27 +133,28 @@ def illuminate(lens, rotation, eye, frame, scene, lamps, ground, paper, shadow, 
             elif view[2] < 0 and eye[2] > ground:
                 for i in range(3):
                     point[i] = eye[i] + (ground - eye[2]) / view[2] * view[i]
-                    normal[i] = flat[i] = 0.0
-                normal[2] = flat[2] = 1.0
-                key, sky, _, open_key, open_sky = _incident_light(lamps, point, normal, flat, view)
+                    normal[i] = face_normal[i] = 0.0
+                normal[2] = face_normal[2] = 1.0
+                key, sky, _, open_key, open_sky = _incident_light(lamps, point, normal, face_normal, view)
                 for i in range(3):
                     share = (key * colours[0, i] + sky * colours[1, i]) / (
                         open_key * colours[0, i] + open_sky * colours[1, i]
                     )
-                    out[v, u, i] = paper[i] * (1 - shadow * (1 - share) * _fade(lens, u, v))
+                    out[v, u, i] = background[i] * (1 - shadow * (1 - share) * _fade(intrinsics, u, v))
 
 
 @compiled
-def _fade(lens, u, v):
-    """0 at the border of the image, 1 well inside: shadows end softly where the picture does."""
-    border = min(u, v, lens.width - 1 - u, lens.height - 1 - v) / (FADE_BORDER * min(lens.width, lens.height))
+def _fade(intrinsics, u, v):
+    """0 at the border of the image, 1 well inside: shadows fade out towards the border."""
+    width, height = intrinsics.width, intrinsics.height
+    border = min(u, v, width - 1 - u, height - 1 - v) / (FADE_BORDER * min(width, height))
     border = min(max(border, 0.0), 1.0)
     return border * border * (3 - 2 * border)
 
 
 @compiled
-def _set_normals(scene, face, view, point, normal, flat):
-    """Set the shading normal and the face normal at a point of a face, both turned towards the viewer."""
+def _set_normals(scene, face, view, point, normal, face_normal):
+    """Set the shading normal and the face normal at a point of a face, both facing the viewer."""
     corners, normals = scene.corners, scene.normals
     bb, cc, bc, pb, pc, facing = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for i in range(3):
@@ -160,14 +162,14 @@ def _set_normals(scene, face, view, point, normal, flat):
         s, t, w = corners[face, 1, i] - a, corners[face, 2, i] - a, point[i] - a
         bb, cc, bc = bb + s * s, cc + t * t, bc + s * t
         pb, pc = pb + w * s, pc + w * t
-        flat[i] = scene.face_normals[face, i]
-        facing += flat[i] * view[i]
+        face_normal[i] = scene.face_normals[face, i]
+        facing += face_normal[i] * view[i]
     area = max(bb * cc - bc * bc, 1e-300)
     second = min(max((cc * pb - bc * pc) / area, 0.0), 1.0)
     third = min(max((bb * pc - bc * pb) / area, 0.0), 1.0)
     sign, length = (-1.0 if facing > 0 else 1.0), 0.0
     for i in range(3):
-        flat[i] *= sign
+        face_normal[i] *= sign
         mixed = (1 - second - third) * normals[face, 0, i] + second * normals[face, 1, i]
         normal[i] = sign * (mixed + third * normals[face, 2, i])
         length += normal[i] * normal[i]
@@ -176,29 +178,30 @@ def _set_normals(scene, face, view, point, normal, flat):
 
 
 @compiled
-def _incident_light(lamps, point, normal, flat, view):
-    """Light from the key lamp and the sky, the key's reflection, and both lights without any shadow."""
-    towards, weights, affine, maps, texel, keys = lamps
+def _incident_light(lamps, point, normal, face_normal, view):
+    """Key light and sky light at a point, the reflection of the key light, and both lights without shadows."""
+    directions, weights, map_from_world, shadow_maps, texel, key_count = lamps
     key, sky, open_key, open_sky = 0.0, 0.0, 0.0, 0.0
     nx, ny, nz = normal[0], normal[1], normal[2]
-    # A step off the surface keeps a body from shading itself where a depth image is coarse.
+    # An offset from the surface prevents self-shadowing at the resolution of the shadow maps.
     x, y, z = (
-        point[0] + 1.5 * texel * flat[0],
-        point[1] + 1.5 * texel * flat[1],
-        point[2] + 1.5 * texel * flat[2],
+        point[0] + 1.5 * texel * face_normal[0],
+        point[1] + 1.5 * texel * face_normal[1],
+        point[2] + 1.5 * texel * face_normal[2],
     )
-    for k in range(towards.shape[0]):
-        share = weights[k] * (nx * towards[k, 0] + ny * towards[k, 1] + nz * towards[k, 2])
+    for k in range(directions.shape[0]):
+        share = weights[k] * (nx * directions[k, 0] + ny * directions[k, 1] + nz * directions[k, 2])
         if share <= 0:
             continue
-        u = affine[k, 0, 0] * x + affine[k, 0, 1] * y + affine[k, 0, 2] * z + affine[k, 0, 3] + 0.5
-        v = affine[k, 1, 0] * x + affine[k, 1, 1] * y + affine[k, 1, 2] * z + affine[k, 1, 3] + 0.5
+        m = map_from_world[k]
+        u = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3] + 0.5
+        v = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3] + 0.5
         lit = True
         if 0 <= u < MAP_SIZE and 0 <= v < MAP_SIZE:
-            depth = affine[k, 2, 0] * x + affine[k, 2, 1] * y + affine[k, 2, 2] * z + affine[k, 2, 3]
-            nearest = maps[k, int(v), int(u)]
+            depth = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+            nearest = shadow_maps[k, int(v), int(u)]
             lit = nearest == 0 or nearest > depth - 0.5 * texel
-        if k < keys:
+        if k < key_count:
             open_key += share
             if lit:
                 key += share
@@ -208,13 +211,13 @@ def _incident_light(lamps, point, normal, flat, view):
                 sky += share
     gloss = 0.0
     if key > 0:
-        gloss = key / open_key * _gloss(towards[0], normal, view)
+        gloss = key / open_key * _gloss(directions[0], normal, view)
     return key, sky, gloss, open_key, open_sky
 
 
 @compiled
 def _gloss(towards, normal, view):
-    """Share of the light from `towards` that a satin surface throws to the viewer (Blinn 1977)."""
+    """Fraction of the light from direction `towards` that a satin surface reflects to the viewer (Blinn 1977)."""
     length = np.sqrt(view[0] ** 2 + view[1] ** 2 + view[2] ** 2)
     square, cosine = 0.0, 0.0
     for i in range(3):

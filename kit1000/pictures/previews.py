@@ -1,4 +1,4 @@
-"""Pictures of parts, kits and assemblies as PNG bytes: a preview of one kit, contact sheets of a dataset."""
+"""Pictures of parts, kits and assemblies: the preview of one kit, and the tiles of contact sheets."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from kit1000.pictures.shading import KIT, PART, SECONDARY, ColouredBody, contact
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Part
 
-TILE_SIZE = (420, 340)  # [px] one picture of a contact sheet
-PREVIEW_SIZE = (1280, 640)  # [px] a preview
-LIFT_SHARE = 0.45  # of HOVER: the part above its cavity in a preview
-PAIR_SPACING = 1.15  # plates between the two halves of a preview, in plate widths
+TILE_SIZE = (420, 340)  # [px] of a tile of a contact sheet
+PREVIEW_SIZE = (1280, 640)  # [px]
+LIFT_SHARE = 0.45  # of HOVER: height of a part above its cavity
+PAIR_SPACING = 1.15  # between the two kits of a preview, in plate widths
 
 
 def kit_preview(part: Part, kit: Kit) -> bytes:
-    """The part above its cavity, and beside it the part seated."""
-    apart = np.array([kit.extent[0] * PAIR_SPACING, 0, 0])
+    """A PNG of the part above its cavity, and beside it of the seated part."""
+    spacing = np.array([kit.extent[0] * PAIR_SPACING, 0, 0])
     lifted = Pose.from_translation(np.array([0, 0, LIFT_SHARE * HOVER])) @ kit.slot.kit_from_part
-    seated = Pose.from_translation(apart) @ kit.slot.kit_from_part
+    seated = Pose.from_translation(spacing) @ kit.slot.kit_from_part
     return _png(
         _picture(
             [
                 ColouredBody(kit.mesh, Pose.identity(), KIT),
                 ColouredBody(part.mesh, lifted, PART),
-                ColouredBody(kit.mesh, Pose.from_translation(apart), KIT),
+                ColouredBody(kit.mesh, Pose.from_translation(spacing), KIT),
                 ColouredBody(part.mesh, seated, PART),
             ],
             PREVIEW_SIZE,
@@ -38,18 +38,18 @@ def kit_preview(part: Part, kit: Kit) -> bytes:
 
 
 def part_tile(part: Part) -> np.ndarray:
-    """One part as it was drawn, standing on its lowest point."""
+    """A picture of one part in its own frame, on its lowest point. (H, W, 3) uint8 sRGB, like all tiles."""
     return _picture([ColouredBody(part.mesh, Pose.identity(), PART)], TILE_SIZE)
 
 
 def kit_tile(part: Part, kit: Kit) -> np.ndarray:
-    """One kit, its part hovering above."""
+    """A picture of one kit with its part above the cavity."""
     lifted = Pose.from_translation(np.array([0, 0, LIFT_SHARE * HOVER])) @ kit.slot.kit_from_part
     return _picture([ColouredBody(kit.mesh, Pose.identity(), KIT), ColouredBody(part.mesh, lifted, PART)], TILE_SIZE)
 
 
 def assembly_tile(assembly: Assembly, parts: Mapping[str, Part], size: tuple[int, int] = TILE_SIZE) -> np.ndarray:
-    """One assembly with its parts, every other one hovering above its cavity."""
+    """A picture of one assembly with its parts, every other one above its cavity."""
     bodies = [ColouredBody(assembly.mesh, Pose.identity(), KIT)]
     for i, mount in enumerate(assembly.mounts):
         out = Pose.from_translation(np.array([0, 0, (0.0, 0.3)[i % 2] * HOVER]))
@@ -59,13 +59,13 @@ def assembly_tile(assembly: Assembly, parts: Mapping[str, Part], size: tuple[int
 
 
 def contact_sheet_png(tiles: Sequence[np.ndarray | Image.Image], labels: Sequence[str], columns: int = 6) -> bytes:
-    """Tiles with their captions as one PNG."""
+    """A PNG of tiles with their captions."""
     return _png(contact_sheet(tiles, labels, columns))
 
 
 def _picture(bodies: list[ColouredBody], size: tuple[int, int]) -> np.ndarray:
-    camera, eye = framing_camera(bodies, size=size)
-    return shaded_picture(bodies, camera, eye)
+    camera, world_from_camera = framing_camera(bodies, size=size)
+    return shaded_picture(bodies, camera, world_from_camera)
 
 
 def _png(image: np.ndarray | Image.Image) -> bytes:

@@ -1,7 +1,7 @@
-"""Pictures of parts, kits and scenes for people: soft light, crisp edges, a ground that bodies stand on.
+"""Shaded pictures of parts, kits and scenes: soft light, outlines and creases, a ground with shadows.
 
-`framing` finds a camera, `shaded` draws, `contact_sheet` lays out many pictures with captions. Colours are
-8-bit sRGB triples; the palette below is the one of the whole project.
+`framing_camera` finds a camera, `shaded_picture` renders, `contact_sheet` arranges pictures with captions. Colours are
+8-bit sRGB triples; the palette is that of the whole project.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from kit1000.sim.render import render
 Colour = tuple[int, int, int]
 
 KIT: Colour = (224, 219, 210)  # warm light grey: the plates
-PART: Colour = (238, 122, 40)  # orange: the part that matters
+PART: Colour = (238, 122, 40)  # orange: the main part
 BLUE: Colour = (74, 124, 178)
 TEAL: Colour = (62, 152, 146)
 SAND: Colour = (222, 184, 104)
@@ -38,17 +38,17 @@ SLATE: Colour = (112, 122, 136)
 TABLE: Colour = (232, 234, 236)
 PAPER: Colour = (250, 250, 248)  # background
 INK: Colour = (44, 46, 50)  # text
-SECONDARY: tuple[Colour, ...] = (BLUE, TEAL, SAND, PLUM, MOSS, SLATE)  # parts beside the one that matters
+SECONDARY: tuple[Colour, ...] = (BLUE, TEAL, SAND, PLUM, MOSS, SLATE)  # the other parts
 
-PRODUCT_VIEW = (0.75, -1.0, 0.8)  # from the scene to the eye: from the front right, well above
-SAMPLES = 16  # pictures averaged into one, each shifted by part of a pixel and lit by its own share of lamps
-KEY_LAMPS, SKY_LAMPS = 3, 7  # lamps a sample
-OUTLINE_STEP = 0.012  # a step in depth of this many radii of the scene is an outline
-GROUND_SHADOW = 0.75  # how dark a point of the ground gets that no light reaches
+PRODUCT_VIEW = (0.75, -1.0, 0.8)  # from the scene to the camera: from the front right, well above
+SAMPLES = 16  # images averaged into one, each shifted by a fraction of a pixel and with its own subset of lamps
+KEY_LAMPS, SKY_LAMPS = 3, 7  # per sample
+OUTLINE_STEP = 0.012  # smallest depth step with an outline, in radii of the scene
+GROUND_SHADOW = 0.75  # darkening of a ground point that no light reaches
 
 
 class ColouredBody(NamedTuple):
-    """A body in a picture."""
+    """A body of a picture, with its colour."""
 
     mesh: Mesh
     pose: Pose
@@ -63,14 +63,14 @@ def shaded_picture(
     background: Colour = PAPER,
     ground: bool = True,
 ) -> np.ndarray:
-    """Draw bodies in soft light. (H, W, 3) uint8 sRGB.
+    """Render bodies in soft light. (H, W, 3) uint8 sRGB.
 
-    With `ground`, bodies throw a soft shadow on a floor through their lowest point, of the colour of the
-    background; it is not drawn for a camera below it.
+    With `ground`, bodies cast a soft shadow on a floor through their lowest point, in the colour of the background; a
+    camera below the floor does not see it.
     """
     if not bodies:
         return np.full((camera.height, camera.width, 3), background, np.uint8)
-    plain = [(body.mesh, body.pose) for body in bodies]
+    meshes = [(body.mesh, body.pose) for body in bodies]
     scene, patches = _shading_scene(bodies)
     ball = _bounding_ball(scene.corners.reshape(-1, 3))
     floor = float(scene.corners[..., 2].min()) if ground else np.nan
@@ -81,16 +81,14 @@ def shaded_picture(
 
     def sample(number: int) -> np.ndarray:
         shift = (_van_der_corput(number, 2) - 0.5, _van_der_corput(number, 3) - 0.5)
-        moved = replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1])
-        frame = render(moved, world_from_camera, plain, threads=1)
-        lamps = lighting.place_lamps(plain, ball, key[number::SAMPLES], sky[number::SAMPLES])
+        shifted = replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1])
+        rendered = render(shifted, world_from_camera, meshes, threads=1)
+        buffers = (rendered.depth, rendered.body_ids, rendered.face_ids)
+        lamps = lighting.place_lamps(meshes, ball, key[number::SAMPLES], sky[number::SAMPLES])
         image = np.empty((camera.height, camera.width, 3), np.float32)
-        seen = (frame.depth, frame.body_ids, frame.face_ids)
-        paper = _linear(background)
-        lighting.illuminate(
-            Intrinsics.of(moved), rotation, eye, seen, scene, lamps, floor, paper, GROUND_SHADOW, colours, image
-        )
-        draw_lines(*seen, scene.first_face, patches, scene.albedo, OUTLINE_STEP * ball[1], image)
+        viewer, ground_options = (Intrinsics.of(shifted), rotation, eye), (floor, _linear(background), GROUND_SHADOW)
+        lighting.illuminate(*viewer, buffers, scene, lamps, *ground_options, colours, image)
+        draw_lines(*buffers, scene.first_face, patches, scene.albedo, OUTLINE_STEP * ball[1], image)
         return image
 
     total = np.zeros((camera.height, camera.width, 3), np.float32)
@@ -107,22 +105,24 @@ def framing_camera(
     field_deg: float = 20.0,
     margin: float = 0.08,
 ) -> tuple[Camera, Pose]:
-    """A camera that looks at the bodies from `direction` and just holds them all.
+    """A camera that views the bodies from `direction`, as near as possible with all of them in the image.
 
     Args:
         bodies: meshes and their world_from_body; colours are ignored.
-        direction: from the bodies to the eye. (3,), any length.
+        direction: from the bodies to the camera. (3,), any length.
         size: width and height of the image [px].
-        field_deg: the longer side of the image seen from the eye; small for a long lens.
-        margin: free border on each side, as a share of the image.
+        field_deg: field of view along the longer side of the image.
+        margin: free border on each side, as a fraction of the image.
 
     Returns:
         The camera and its world_from_camera.
     """
     if not bodies:
-        raise InputError("framing: expected at least one body")
+        raise InputError("framing_camera: expected at least one body")
     back = checked("direction", direction, (3,))
-    across = 2 * np.tan(np.deg2rad(field_deg) / 2) * np.array(size) / max(size)  # of the image, at 1 m
+    across = (
+        2 * np.tan(np.deg2rad(field_deg) / 2) * np.array(size) / max(size)
+    )  # [m] width and height of the view at 1 m
     camera = Camera(
         width=size[0],
         height=size[1],
@@ -133,15 +133,15 @@ def framing_camera(
     )
     points = np.concatenate([body[1].apply(body[0].vertices) for body in bodies])
     upright = np.linalg.norm(back[:2]) > 1e-3 * abs(back[2])
-    turn = look_at(back, np.zeros(3), up=(0, 0, 1) if upright else (0, 1, 0))
-    x, y, z = turn.inverse().rotate(points).T
+    rotation = look_at(back, np.zeros(3), up=(0, 0, 1) if upright else (0, 1, 0))
+    x, y, z = rotation.inverse().rotate(points).T
     centre, distances = [], []
     for along, slope in zip((x, y), across / 2 * (1 - 2 * margin), strict=True):
-        # A point stays left of the right border when along - centre <= slope (z + distance), and so on.
+        # A point is left of the right border when along - centre <= slope (z + distance), and so on.
         right, left = (along - slope * z).max(), (-along - slope * z).max()
         centre.append((right - left) / 2)
         distances.append((right + left) / (2 * slope))
-    return camera, Pose(turn.wxyz, turn.rotate(np.array((*centre, -max(distances)))))
+    return camera, Pose(rotation.wxyz, rotation.rotate(np.array((*centre, -max(distances)))))
 
 
 def contact_sheet(
@@ -150,7 +150,7 @@ def contact_sheet(
     columns: int = 4,
     background: Colour = PAPER,
 ) -> Image.Image:
-    """Lay pictures out in rows, a caption under each; cells are as large as the largest picture."""
+    """Arrange pictures in rows, a caption under each; cells have the size of the largest picture."""
     if len(images) != len(labels):
         raise InputError(f"contact_sheet: {len(images)} images but {len(labels)} labels")
     if not images:
@@ -174,7 +174,7 @@ def contact_sheet(
 
 
 def _shortened(label: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, width: float) -> str:
-    """The label, its end replaced by dots when it is wider than `width` [px]."""
+    """The label, its end replaced by dots if it is wider than `width` [px]."""
     if font.getlength(label) <= width:
         return label
     while label and font.getlength(label + "...") > width:
@@ -183,32 +183,32 @@ def _shortened(label: str, font: ImageFont.FreeTypeFont | ImageFont.ImageFont, w
 
 
 def _shading_scene(bodies: Sequence[ColouredBody]) -> tuple[lighting.ShadingScene, np.ndarray]:
-    """The bodies as the shading loop needs them, and the smooth patch (m,) of every face, all distinct."""
+    """The bodies as the shading loop needs them, and the smooth patch (m,) of each face, distinct over all bodies."""
     meshes = {id(body.mesh): body.mesh for body in bodies}
     smoothed = {key: smooth_patches(mesh) for key, mesh in meshes.items()}
     corners, normals, flat, patches = [], [], [], []
     first, patch = [0], 0
     for mesh, pose, _ in bodies:
-        own, smooth = smoothed[id(mesh)]
+        own_patches, smooth_normals = smoothed[id(mesh)]
         corners.append(pose.apply(mesh.triangles))
-        normals.append(pose.rotate(smooth))
+        normals.append(pose.rotate(smooth_normals))
         flat.append(pose.rotate(mesh.normals))
-        patches.append(own + patch)
+        patches.append(own_patches + patch)
         first.append(first[-1] + len(mesh.faces))
-        patch += own.max(initial=-1) + 1
+        patch += own_patches.max(initial=-1) + 1
     albedo = np.stack([_linear(body.colour) for body in bodies])
     shape = (np.concatenate(corners), np.concatenate(normals), np.concatenate(flat))
     return lighting.ShadingScene(np.array(first[:-1]), *shape, albedo), np.concatenate(patches)
 
 
 def _bounding_ball(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Centre and radius [m] of a ball about the box of the points (n, 3)."""
+    """Centre and radius [m] of a ball that contains points (n, 3), about the centre of their box."""
     centre = (points.min(0) + points.max(0)) / 2
     return centre, float(np.linalg.norm(points - centre, axis=1).max())
 
 
 def _key_direction(world_from_camera: Pose) -> np.ndarray:
-    """(3,) where the key lamp stands: high above, to the left of the viewer and a little on his side."""
+    """(3,) direction to the key light: high above, to the left of the camera and slightly on its side."""
     right, _, forward = world_from_camera.rotation_matrix().T
     aside = -0.75 * right - 0.25 * forward * (1, 1, 0)
     direction = aside + np.array((0.0, 0.0, 1.15))
@@ -216,7 +216,7 @@ def _key_direction(world_from_camera: Pose) -> np.ndarray:
 
 
 def _van_der_corput(number: int, base: int) -> float:
-    """The number written in `base`, mirrored at the point: fills 0 .. 1 evenly."""
+    """The van der Corput sequence: the digits of the number in `base` after the point; even over 0 .. 1."""
     value, share = 0.0, 1.0 / base
     while number:
         number, digit = divmod(number, base)

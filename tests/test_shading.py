@@ -1,4 +1,4 @@
-"""Pictures for people: everything in the frame, the right colours, shadows and lines where they belong."""
+"""Shaded pictures: all bodies in view, correct colours, shadows and lines; contact sheets."""
 
 from __future__ import annotations
 
@@ -55,7 +55,9 @@ def brightness(image: np.ndarray) -> np.ndarray:
     st.sampled_from([(640, 480), (300, 500), (64, 64)]),
     st.sampled_from([5.0, 20.0, 60.0]),
 )
-def test_framing_holds_every_vertex_and_no_more(seed: int, direction: tuple, size: tuple, field_deg: float):
+def test_the_framing_camera_sees_every_vertex_as_near_as_possible(
+    seed: int, direction: tuple, size: tuple, field_deg: float
+):
     rng = np.random.default_rng(seed)
     poses = Pose(random_quaternions(rng, 3), rng.uniform(-0.2, 0.2, (3, 3)))
     bodies = list(zip((BOX, BALL, CYLINDER), poses, strict=True))
@@ -65,23 +67,23 @@ def test_framing_holds_every_vertex_and_no_more(seed: int, direction: tuple, siz
     low, high = share.min(axis=0), share.max(axis=0)
     assert (low >= 0.1 - 1e-9).all()
     assert (high <= 0.9 + 1e-9).all()
-    # The tighter side is filled from border to border, the other one centred.
+    # The tighter side extends from border to border, the other one is centred.
     assert (high - low).max() == pytest.approx(0.8, abs=1e-6)
     forward = view.rotate(np.array((0.0, 0.0, 1.0)))
     np.testing.assert_allclose(forward, -np.array(direction) / np.linalg.norm(direction), atol=1e-9)
 
 
-def test_framing_needs_a_body():
+def test_the_framing_camera_needs_a_body():
     with pytest.raises(InputError, match="at least one body"):
         framing_camera([])
 
 
-def test_same_picture_twice():
+def test_the_same_bodies_give_the_same_picture():
     bodies = [ColouredBody(BOX, IDENTITY, KIT), ColouredBody(BALL, Pose.from_translation((0.07, 0, 0)), PART)]
     np.testing.assert_array_equal(picture(bodies), picture(bodies))
 
 
-def test_no_bodies_leave_the_background():
+def test_without_bodies_there_is_only_the_background():
     camera, view = framing_camera([(BOX, IDENTITY)], size=SIZE)
     image = shaded_picture([], camera, view)
     assert image.shape == (90, 120, 3)
@@ -96,23 +98,23 @@ def test_background_keeps_its_colour_without_a_ground():
 
 
 @pytest.mark.parametrize("colour", [KIT, PART, *SECONDARY])
-def test_a_level_face_shows_its_own_colour(colour: tuple[int, int, int]):
+def test_a_level_face_has_the_colour_of_its_body(colour: tuple[int, int, int]):
     image = picture([ColouredBody(BOX, IDENTITY, colour)], ABOVE)
     assert np.abs(image[45, 60].astype(int) - colour).max() <= 20
 
 
-def test_bodies_keep_apart_in_colour():
+def test_each_body_has_its_own_colour():
     left, right = Pose.from_translation((-0.04, 0, 0)), Pose.from_translation((0.04, 0, 0))
     image = picture([ColouredBody(BALL, left, PART), ColouredBody(BALL, right, TEAL)], ABOVE).astype(int)
     assert image[45, 40, 0] > image[45, 40, 2] + 60
     assert image[45, 80, 2] > image[45, 80, 0] + 60
 
 
-def test_a_body_throws_a_shadow_on_the_ground_only():
+def test_a_body_casts_a_shadow_on_the_ground_only():
     body = [ColouredBody(BOX, IDENTITY, KIT)]
     with_ground, without = brightness(picture(body, ABOVE)), brightness(picture(body, ABOVE, ground=False))
     free = np.ones(with_ground.shape, bool)
-    free[15:75, 20:100] = False  # away from the box itself, which fills 60 % of the frame
+    free[15:75, 20:100] = False  # away from the box itself, which fills 60 % of the image
     assert (without[free] == np.mean(PAPER)).mean() > 0.98
     assert with_ground[free].min() < np.mean(PAPER) - 20
     assert with_ground[free].max() <= np.ceil(np.mean(PAPER))
@@ -143,11 +145,11 @@ def test_a_view_from_below_draws_no_ground():
 
 
 @pytest.mark.parametrize(("shape", "count"), [(BOX, 6), (BALL, 1), (CYLINDER, 3)])
-def test_number_of_smooth_patches(shape: Mesh, count: int):
+def test_the_number_of_smooth_patches(shape: Mesh, count: int):
     assert len(np.unique(smooth_patches(shape)[0])) == count
 
 
-def test_patches_do_not_depend_on_shared_corners():
+def test_patches_do_not_depend_on_shared_vertices():
     corners = BALL.triangles.reshape(-1, 3)
     soup = Mesh(corners, np.arange(len(corners), dtype=np.int32).reshape(-1, 3))
     patches, normals = smooth_patches(soup)
@@ -173,7 +175,7 @@ def test_lamps_are_unit_vectors_above_the_horizon():
     assert spread.min() >= np.sqrt(1 - lighting.KEY_SPREAD**2) - 1e-12
 
 
-def test_contact_sheet_holds_every_picture_with_a_caption():
+def test_a_contact_sheet_has_every_picture_with_a_caption():
     images = [np.full((30, 100, 3), shade, np.uint8) for shade in (10, 60, 110, 160, 210)]
     sheet = np.array(contact_sheet(images, ["a", "b", "c", "d", "a long caption that cannot fit"], columns=2))
     for shade in (10, 60, 110, 160, 210):
@@ -184,13 +186,13 @@ def test_contact_sheet_holds_every_picture_with_a_caption():
     assert (sheet[:, -2:] == PAPER).all()  # nothing runs over the border
 
 
-def test_contact_sheet_takes_pillow_images_of_several_sizes():
+def test_a_contact_sheet_accepts_pillow_images_of_several_sizes():
     sheet = contact_sheet([Image.new("RGB", (40, 20)), Image.new("RGB", (80, 60))], ["one", "two"], columns=5)
     assert sheet.width > 160
     assert sheet.width < 200
 
 
-def test_contact_sheet_refuses_what_does_not_match():
+def test_a_contact_sheet_needs_as_many_labels_as_images():
     with pytest.raises(InputError, match="1 images but 2 labels"):
         contact_sheet([np.zeros((2, 2, 3), np.uint8)], ["a", "b"])
     with pytest.raises(InputError, match="at least one image"):

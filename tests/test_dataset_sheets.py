@@ -1,4 +1,4 @@
-"""Contact sheets of scenes: what they hold with the truth at hand and without, and that they show the scene."""
+"""Contact sheets of scenes: their pictures with and without ground truth, and that they show the scene."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from kit1000.pictures.dataset_sheets import geometry_sheet, scene_sheet
 from kit1000.pictures.depth_images import depth_picture
 from kit1000.values import FIRST_PART_LABEL
 
-WIDTH, HEIGHT = 320, 180  # [px] smaller pictures than people get: drawing takes time
+WIDTH, HEIGHT = 320, 180  # [px] smaller pictures than usual: rendering takes time
 GAP, CAPTION = 8, 30  # [px] between the pictures of a sheet, and below each, at this width
 
 
@@ -34,7 +34,7 @@ def _small_pictures() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def opened(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same dataset with the answers of its test split withheld."""
+    """The same dataset with the ground truth of its test split withheld."""
     folder = tmp_path_factory.mktemp("published")
     publish(shutil.copytree(mini, folder / "whole"), folder / "open")
     return folder / "open"
@@ -46,10 +46,10 @@ def pixels(png: bytes) -> np.ndarray:
 
 
 def rows_of(image: np.ndarray) -> int:
-    """Rows of pictures in a sheet of three columns; a drawn one may be a pixel higher than asked."""
+    """Rows of pictures in a sheet of three columns; a rendered picture may be one pixel higher than HEIGHT."""
     assert image.shape[1:] == (3 * (WIDTH + GAP) + GAP, 3)
-    rows, more = divmod(image.shape[0] - GAP, HEIGHT + CAPTION + GAP)
-    assert more in (0, rows)
+    rows, remainder = divmod(image.shape[0] - GAP, HEIGHT + CAPTION + GAP)
+    assert remainder in (0, rows)
     return rows
 
 
@@ -65,43 +65,43 @@ def whole_sheet(mini: Path) -> np.ndarray:
     return pixels(scene_sheet(Dataset(mini), "test-s0000"))
 
 
-def test_a_scene_with_its_truth_has_six_pictures(whole_sheet: np.ndarray) -> None:
+def test_a_scene_with_ground_truth_has_six_pictures(whole_sheet: np.ndarray) -> None:
     assert rows_of(whole_sheet) == 2
     pictures = [tile(whole_sheet, i) for i in range(6)]
-    for i, one in enumerate(pictures):
-        assert one.std() > 10  # it shows something
-        assert all(np.abs(one - other).mean() > 0.05 for other in pictures[:i])
+    for i, picture in enumerate(pictures):
+        assert picture.std() > 10  # not uniform
+        assert all(np.abs(picture - other).mean() > 0.05 for other in pictures[:i])
 
 
-def test_a_scene_without_its_truth_has_three_pictures_fewer(opened: Path, whole_sheet: np.ndarray) -> None:
+def test_a_scene_without_ground_truth_has_three_pictures(opened: Path, whole_sheet: np.ndarray) -> None:
     image = pixels(scene_sheet(Dataset(opened), "test-s0000"))
     assert rows_of(image) == 1
     for i in range(3):
         assert np.array_equal(tile(image, i), tile(whole_sheet, i))
 
 
-def drawn_at_once(_: object, camera: Camera, __: object) -> np.ndarray:
-    """In the place of `shaded_picture`, where only the number of pictures counts."""
+def grey_picture(_: object, camera: Camera, __: object) -> np.ndarray:
+    """Replaces `shaded_picture` where only the number of pictures matters."""
     return np.full((camera.height, camera.width, 3), 90, np.uint8)
 
 
-def test_training_scenes_of_an_open_folder_keep_their_truth(opened: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sheets, "shaded_picture", drawn_at_once)
+def test_training_scenes_of_an_open_folder_have_ground_truth(opened: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sheets, "shaded_picture", grey_picture)
     assert rows_of(pixels(scene_sheet(Dataset(opened), "train-s0000"))) == 2
 
 
-def test_without_the_d415_its_picture_is_left_out(
+def test_without_the_d415_its_picture_is_omitted(
     mini: Path, whole_sheet: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sheets.RecordedScene, "sensors", ["ideal"])
-    monkeypatch.setattr(sheets, "shaded_picture", drawn_at_once)
+    monkeypatch.setattr(sheets, "shaded_picture", grey_picture)
     image = pixels(scene_sheet(Dataset(mini), "test-s0000"))
     for i in range(2):  # depth and masks
         assert np.array_equal(tile(image, i), tile(whole_sheet, i))
     assert [int(np.median(tile(image, i))) for i in range(2, 6)] == [90, 90, 90, 250]  # the truth, then paper
 
 
-def test_the_pictures_are_cut_to_all_that_is_masked(mini: Path, whole_sheet: np.ndarray) -> None:
+def test_the_pictures_are_cropped_to_the_masks(mini: Path, whole_sheet: np.ndarray) -> None:
     recorded = Dataset(mini).recorded_scene("test-s0000")
     rows, columns = sheets._window(recorded.labels)
     outside = np.ones(recorded.labels.shape, bool)
@@ -109,19 +109,19 @@ def test_the_pictures_are_cut_to_all_that_is_masked(mini: Path, whole_sheet: np.
     assert not recorded.labels[outside].any()
     tall, wide = rows.stop - rows.start, columns.stop - columns.start
     assert wide / tall == pytest.approx(WIDTH / HEIGHT, rel=0.01)
-    cut = Image.fromarray(depth_picture(recorded.view())[rows, columns])
-    cut = cut.resize((WIDTH, HEIGHT), Image.Resampling.BICUBIC)
-    assert np.array_equal(tile(whole_sheet, 0), np.asarray(cut).astype(int))
+    cropped = Image.fromarray(depth_picture(recorded.view())[rows, columns])
+    cropped = cropped.resize((WIDTH, HEIGHT), Image.Resampling.BICUBIC)
+    assert np.array_equal(tile(whole_sheet, 0), np.asarray(cropped).astype(int))
 
 
 def labels_of(recorded: RecordedScene) -> np.ndarray:
-    """The masks as a picture of the sheet has them. (HEIGHT, WIDTH) uint8."""
+    """The labels in the crop and size of a picture of the sheet. (HEIGHT, WIDTH) uint8."""
     masks = Image.fromarray(recorded.labels[sheets._window(recorded.labels)])
     return np.asarray(masks.resize((WIDTH, HEIGHT), Image.Resampling.NEAREST))
 
 
-def test_drawn_pictures_lie_over_the_measured_ones(mini: Path, whole_sheet: np.ndarray) -> None:
-    """Where the masks show the kits, the drawing shows no table: outlines agree."""
+def test_shaded_pictures_are_aligned_with_the_depth_images(mini: Path, whole_sheet: np.ndarray) -> None:
+    """Where the masks show bodies, the shaded picture shows no table: outlines agree."""
     recorded = Dataset(mini).recorded_scene("test-s0000")
     bodies = labels_of(recorded) > 0
     scene = tile(whole_sheet, 3)
@@ -130,22 +130,22 @@ def test_drawn_pictures_lie_over_the_measured_ones(mini: Path, whole_sheet: np.n
     assert np.mean(background[~bodies]) > 0.6  # but for shadows
 
 
-def test_only_what_is_asked_moves_between_the_drawn_pictures(mini: Path, whole_sheet: np.ndarray) -> None:
+def test_only_parts_of_queries_move_between_the_shaded_pictures(mini: Path, whole_sheet: np.ndarray) -> None:
     lying, seated, guessed = (tile(whole_sheet, i) for i in (3, 4, 5))
     recorded = Dataset(mini).recorded_scene("test-s0000")
-    asked = [query for query in recorded.queries if query.track == "snap-tilt"]
-    assert asked
-    part = labels_of(recorded) == FIRST_PART_LABEL + asked[0].part
-    assert np.mean(np.abs(lying - seated).sum(-1)[part] > 12) > 0.5  # the part has left
-    near = np.abs(seated - guessed).sum(-1) > 12
-    assert 0.001 < near.mean() < 0.1
+    queries = [query for query in recorded.queries if query.track == "snap-tilt"]
+    assert queries
+    part = labels_of(recorded) == FIRST_PART_LABEL + queries[0].part
+    assert np.mean(np.abs(lying - seated).sum(-1)[part] > 12) > 0.5  # the part has moved away
+    changed = np.abs(seated - guessed).sum(-1) > 12
+    assert 0.001 < changed.mean() < 0.1
 
 
-def test_a_sheet_of_no_parts_is_refused(mini: Path) -> None:
+def test_a_sheet_of_no_parts_is_rejected(mini: Path) -> None:
     with pytest.raises(InputError, match="no parts in split 'tets'"):
         geometry_sheet(Geometry(mini), "parts", "tets", 2)
 
 
-def test_a_scene_that_is_not_there_is_answered_with_a_near_one(mini: Path) -> None:
+def test_the_message_about_an_unknown_scene_suggests_a_similar_one(mini: Path) -> None:
     with pytest.raises(InputError, match=r"no scene 'test-s000' among 4; did you mean test-s0000\?"):
         scene_sheet(Dataset(mini), "test-s000")

@@ -1,4 +1,4 @@
-"""Depth images and masks as pictures: holes in ink, near brighter and warmer than far, masks by their label."""
+"""Depth images and masks as pictures: holes in INK, near brighter and warmer than far, masks coloured by label."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 SHAPE = (CAMERA.height, CAMERA.width)
 
 
-def seen(depth: np.ndarray) -> View:
+def view_of(depth: np.ndarray) -> View:
     return View(CAMERA, Pose.identity(), depth)
 
 
@@ -28,7 +28,7 @@ def steps(*distances: float) -> np.ndarray:
 
 
 def hue_of(picture: np.ndarray) -> np.ndarray:
-    """(H, W, 3) colours without their brightness: what share is red, green, blue."""
+    """(H, W, 3) colours without their brightness: the fractions of red, green, blue."""
     return picture / picture.sum(axis=-1, keepdims=True).clip(1)
 
 
@@ -38,22 +38,22 @@ def unlit(colour: tuple[int, int, int]) -> np.ndarray:
 
 @settings(max_examples=30)
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.0, 1.0))
-def test_holes_are_ink_and_nothing_else_fails_about_them(seed: int, share: float) -> None:
+def test_holes_are_ink(seed: int, share: float) -> None:
     rng = np.random.default_rng(seed)
     depth = np.where(rng.random(SHAPE) < share, 0, rng.uniform(0.5, 1.5, SHAPE))
-    look = LabelledDepth(seen(depth), rng.integers(0, 9, SHAPE).astype(np.uint8))
-    for picture in (depth_picture(look.view), mask_picture(look)):
+    image = LabelledDepth(view_of(depth), rng.integers(0, 9, SHAPE).astype(np.uint8))
+    for picture in (depth_picture(image.view), mask_picture(image)):
         assert picture.shape == (*SHAPE, 3)
         assert picture.dtype == np.uint8
         assert (picture[depth == 0] == INK).all()
 
 
-def test_nothing_seen_is_all_ink() -> None:
-    assert (depth_picture(seen(np.zeros(SHAPE))) == INK).all()
+def test_an_image_without_returns_is_all_ink() -> None:
+    assert (depth_picture(view_of(np.zeros(SHAPE))) == INK).all()
 
 
 def test_near_is_brighter_and_warmer_than_far() -> None:
-    picture = depth_picture(seen(steps(0.5, 0.7, 0.9, 1.1))).astype(float)
+    picture = depth_picture(view_of(steps(0.5, 0.7, 0.9, 1.1))).astype(float)
     inside = picture[5:-5, 8::16]  # the middle of each wall, away from the steps
     brightness, warmth = inside.sum(axis=-1), inside[..., 0] - inside[..., 2]
     assert (np.diff(brightness, axis=1) < 0).all()
@@ -61,45 +61,47 @@ def test_near_is_brighter_and_warmer_than_far() -> None:
     assert (warmth[:, 2:] < -40).all()
 
 
-def test_the_ends_and_the_middle_of_the_scale_have_the_colours_named() -> None:
-    hues = hue_of(depth_picture(seen(steps(0.5, 1.0, 1.5, 0.5))).astype(float))[20, 8::16]
+def test_the_ends_and_the_middle_of_the_scale_have_their_colours() -> None:
+    hues = hue_of(depth_picture(view_of(steps(0.5, 1.0, 1.5, 0.5))).astype(float))[20, 8::16]
     for hue, colour in zip(hues, (NEAR_COLOUR, MIDDLE_COLOUR, FAR_COLOUR, NEAR_COLOUR), strict=True):
         np.testing.assert_allclose(hue, unlit(colour), atol=0.01)
 
 
 @settings(max_examples=20)
 @given(factor=st.floats(0.5, 3.0))
-def test_the_scale_follows_the_scene(factor: float) -> None:
-    """A scene twice as far and twice as large has the same picture, but for rounding."""
+def test_the_scale_adapts_to_the_scene(factor: float) -> None:
+    """A scene twice as far and twice as large gives the same picture, but for rounding."""
     v, u = np.indices(SHAPE)
     depth = 0.7 + 0.004 * u + 0.1 * np.sin(v / 7)
-    one, other = (depth_picture(seen(depth * scale)).astype(int) for scale in (1.0, factor))
+    one, other = (depth_picture(view_of(depth * scale)).astype(int) for scale in (1.0, factor))
     assert np.abs(one - other).max() <= 2
 
 
-def test_a_single_depth_is_a_picture_too() -> None:
-    picture = depth_picture(seen(np.full(SHAPE, 0.8)))
+def test_a_constant_depth_gives_one_colour() -> None:
+    picture = depth_picture(view_of(np.full(SHAPE, 0.8)))
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) == 1
     np.testing.assert_allclose(hue_of(picture.astype(float))[0, 0], unlit(NEAR_COLOUR), atol=0.01)
 
 
-def test_a_few_strays_do_not_take_the_scale() -> None:
+def test_a_few_outliers_do_not_change_the_scale() -> None:
     depth = steps(0.8, 0.9)
-    strays = depth.copy()
-    strays[3, 3], strays[40, 60] = 0.01, 60.0
-    one, other = (depth_picture(seen(image)).astype(int) for image in (depth, strays))
+    outliers = depth.copy()
+    outliers[3, 3], outliers[40, 60] = 0.01, 60.0
+    one, other = (depth_picture(view_of(image)).astype(int) for image in (depth, outliers))
     far = np.ones(SHAPE, bool)
-    far[1:6, 1:6] = far[38:43, 58:63] = False  # relief looks at neighbours
+    far[1:6, 1:6] = far[38:43, 58:63] = False  # shading depends on neighbours
     assert np.abs(one - other)[far].max() <= 2
 
 
-def test_relief_is_lit_from_the_upper_left() -> None:
-    """The same slope is bright where it faces the lamp and dark where it turns away."""
+def test_surfaces_are_lit_from_the_upper_left() -> None:
+    """The same slope is bright where it faces the light and dark where it faces away."""
     v, u = np.indices(SHAPE)
-    # Depth grows towards the side that a surface faces: the ground lies farther off the higher it is in the image.
+    # Depth grows towards the side that a surface faces: the ground is farther the higher it is in the image.
     facing = {"left": -u, "right": u, "up": -v, "down": v}
-    views = {side: LabelledDepth(seen(1 + 0.01 * along), np.zeros(SHAPE, np.uint8)) for side, along in facing.items()}
-    lit = {side: int(mask_picture(look)[24, 32].sum()) for side, look in views.items()}
+    views = {
+        side: LabelledDepth(view_of(1 + 0.01 * along), np.zeros(SHAPE, np.uint8)) for side, along in facing.items()
+    }
+    lit = {side: int(mask_picture(image)[24, 32].sum()) for side, image in views.items()}
     assert min(lit["left"], lit["up"]) > 1.2 * max(lit["right"], lit["down"])
 
 
@@ -109,19 +111,19 @@ def test_masks_have_the_colour_of_their_label() -> None:
     colours |= {FIRST_PART_LABEL + i: (PART, *SECONDARY)[i % 7] for i in range(8)}
     for place, label in enumerate(colours):
         labels[:, 6 * place : 6 * place + 6] = label
-    picture = mask_picture(LabelledDepth(seen(np.full(SHAPE, 0.9)), labels)).astype(float)
+    picture = mask_picture(LabelledDepth(view_of(np.full(SHAPE, 0.9)), labels)).astype(float)
     for place, colour in enumerate(colours.values()):
         stripe = picture[:, 6 * place : 6 * place + 6].reshape(-1, 3)
-        assert len(np.unique(stripe, axis=0)) == 1  # flat: nothing but the label decides
+        assert len(np.unique(stripe, axis=0)) == 1  # uniform: the colour depends on the label only
         np.testing.assert_allclose(hue_of(stripe)[0], unlit(colour), atol=0.01)
     first = picture[0, 6 * (FIRST_PART_LABEL + np.arange(8))]
-    assert len(np.unique(first[:7], axis=0)) == 7  # parts of one scene are told apart
-    assert np.array_equal(first[0], first[7])  # the eighth begins again
+    assert len(np.unique(first[:7], axis=0)) == 7  # parts of one scene differ
+    assert np.array_equal(first[0], first[7])  # the eighth has the first colour
 
 
-def test_pictures_leave_the_images_alone() -> None:
+def test_drawing_does_not_modify_the_images() -> None:
     depth = steps(0.5, 1.0)
-    view = seen(depth)
+    view = view_of(depth)
     depth_picture(view)
     mask_picture(LabelledDepth(view, np.ones(SHAPE, np.uint8)))
     assert np.array_equal(view.depth, depth.astype(np.float32))
@@ -129,5 +131,5 @@ def test_pictures_leave_the_images_alone() -> None:
 
 @pytest.mark.parametrize("label", [0, 1, 2, 9, 200, 255])
 def test_every_label_has_a_colour(label: int) -> None:
-    picture = mask_picture(LabelledDepth(seen(np.full(SHAPE, 1.0)), np.full(SHAPE, label, np.uint8)))
+    picture = mask_picture(LabelledDepth(view_of(np.full(SHAPE, 1.0)), np.full(SHAPE, label, np.uint8)))
     assert picture.max() > 20
