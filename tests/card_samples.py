@@ -1,4 +1,4 @@
-"""Summaries of datasets as `dataset.json` holds them, small and made up, for tests of what is told about them."""
+"""Small sample contents of `dataset.json`, for tests of the data card and the Croissant description."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SYMMETRY = {"name": "C2", "rotations": [], "axis": None}
 
 
 def truth(scene_id: str = "test-s0000", tilts: tuple[float, ...] = (0.0, 45.0), off: float = 0.02) -> SceneTruth:
-    """A scene with a part for each tilt [deg], asked about in two tracks with guesses `off` [m] off."""
+    """A scene with a part for each tilt [deg], and queries with guesses that are wrong by `off` [m]."""
     rows = tuple(
         {
             "part_id": f"test-{i:04d}",
@@ -43,7 +43,7 @@ def truth(scene_id: str = "test-s0000", tilts: tuple[float, ...] = (0.0, 45.0), 
 
 
 def tables() -> dict[str, dict[str, Any]]:
-    """Rows of the tables, as far as anybody tells of them."""
+    """Rows of the tables, with the entries that the descriptions use."""
     ids = [f"{split}-{i:04d}" for split in ("train", "val", "test") for i in range(2)]
     part = {"family": "tee", "mass": 0.05, "volume": 2e-5, "symmetry": SYMMETRY}
     kit = {"clearance": 0.0025, "depth": 0.0184, "keyedness": 0.4}
@@ -55,7 +55,7 @@ def tables() -> dict[str, dict[str, Any]]:
 
 
 def summary(folder: Path | None = None) -> dict[str, Any]:
-    """A whole dataset; its tables are written to a folder when one is given."""
+    """The summary of a full dataset; its tables are written to `folder` if given."""
     files = {name: hashlib.sha256(name.encode()).hexdigest() for name in _names()}
     for name, rows in tables().items():
         data = json.dumps(rows).encode()
@@ -89,7 +89,7 @@ PAIRS = ("parts", "kits")
 
 
 def withheld(folder: Path | None = None) -> dict[str, Any]:
-    """The open part of a dataset whose test split is withheld."""
+    """The summary of the public part of a dataset with a withheld test split."""
     whole = summary(folder)
     secret = ("plan.json", "test/0000.truth.mcap")
     files = {i: h for i, h in whole["files"].items() if i not in secret and "/test-" not in i}

@@ -1,4 +1,4 @@
-"""Fixtures of all tests: a dataset to be read, scenes in no time, and the optional folder of real CAD parts."""
+"""Fixtures of all tests: a small dataset, fake scenes, and the optional folder of real CAD parts."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
-from mini import MINI, sketched
+from mini import MINI, fake_scene
 
 from kit1000.generation import shards
 from kit1000.generation.build import generate
@@ -25,16 +25,16 @@ def _folders() -> list[Path]:
 
 @pytest.fixture(scope="session")
 def mini(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """MINI as it is built, of drawn parts and with all its scenes: to be read, never changed."""
+    """The generated dataset MINI, with procedural parts and real scenes; read-only."""
     root = tmp_path_factory.mktemp("mini")
     generate(MINI, root, workers=1)
     return root
 
 
 @pytest.fixture
-def sketches(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Scenes are not made but sketched, in this process."""
-    monkeypatch.setattr(shards, "make_scene", sketched)
+def fake_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Replaces real scenes by fake ones, in this process."""
+    monkeypatch.setattr(shards, "make_scene", fake_scene)
 
 
 @pytest.fixture(scope="session", params=_folders(), ids=lambda folder: folder.name)

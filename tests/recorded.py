@@ -1,4 +1,4 @@
-"""Small scenes to be recorded, with numbers that are hard to keep, and what tests ask of recordings."""
+"""Small sample recordings with numbers that need full precision, and their comparison."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ POSE = Pose.from_rotvec((0.1, -2.0, 0.3), (0.4, -0.0, 1 / 3))
 
 
 def noise(camera: Camera, seed: int) -> np.ndarray:
-    """A depth image on the grid that no compressor makes small."""
+    """An incompressible depth image on the depth grid."""
     steps = np.random.default_rng(seed).integers(0, 1 << 13, (camera.height, camera.width))
     return (steps / 8192).astype(np.float32)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from board_samples import GUESS
-from mini import contents
+from mini import file_hashes
 from PIL import Image
 
 from benchmark.entries import read_entries
@@ -79,7 +79,7 @@ def test_the_pages_show_every_listed_case_small_and_the_same_each_time(
 ) -> None:
     for name in ("once", "again"):
         build(scored, tmp_path / name, mini)
-    assert contents(tmp_path / "once") == contents(tmp_path / "again")
+    assert file_hashes(tmp_path / "once") == file_hashes(tmp_path / "again")
     text = (tmp_path / "once/methods/guess.html").read_text("utf-8")
     (entry,) = read_entries(scored)
     listed = {case["query_id"] for case in entry.scores["tracks"][TRACK]["worst"]}

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 from board_samples import GUESS, METHODS, SNAPS, write_board, write_scored
-from mini import contents
+from mini import file_hashes
 
 from benchmark.pages import build
 from benchmark.pages.board import runtime_class
@@ -126,9 +126,9 @@ def test_the_page_of_a_method_has_all_its_parts(site: Path) -> None:
 
 def test_the_same_scores_give_the_same_bytes(site: Path, tmp_path: Path) -> None:
     build(site.parent / "submissions", tmp_path, None)
-    assert contents(tmp_path) == contents(site)
+    assert file_hashes(tmp_path) == file_hashes(site)
     build(site.parent / "submissions", tmp_path, None)  # over itself
-    assert contents(tmp_path) == contents(site)
+    assert file_hashes(tmp_path) == file_hashes(site)
 
 
 def test_a_single_control_makes_a_board(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Laws of building: the same bytes from any number of workers and after any interruption, and no folder is harmed."""
+"""Tests of generate: the same bytes with any number of workers and after interruptions, other folders unchanged."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from mini import MINI, contents, corners, sketched
+from mini import MINI, fake_scene, file_hashes, l_shape_sources
 
 from kit1000 import files
 from kit1000.dataset.geometry import Geometry
@@ -28,36 +28,36 @@ from kit1000.generation.plan import Sources
 from kit1000.mesh import defect_float32
 
 ROOT = Path(__file__).resolve().parents[1]
-pytestmark = pytest.mark.usefixtures("sketches")
+pytestmark = pytest.mark.usefixtures("fake_scenes")
 
 
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory: pytest.TempPathFactory) -> Sources:
-    return corners(tmp_path_factory.mktemp("files"))
+    return l_shape_sources(tmp_path_factory.mktemp("files"))
 
 
 @pytest.fixture(scope="module")
-def whole(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of files, its scenes sketched, that nothing interrupted."""
+def complete(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of mesh files with fake scenes."""
     root = tmp_path_factory.mktemp("whole")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shards, "make_scene", sketched)
+        patch.setattr(shards, "make_scene", fake_scene)
         generate(MINI, root, workers=1, sources=sources)
     return root
 
 
 def test_two_workers_write_the_same_bytes_as_one(mini: Path, tmp_path: Path) -> None:
-    generate(MINI, tmp_path, workers=2)  # other processes: scenes are made there, not sketched
-    assert contents(tmp_path) == contents(mini)
+    generate(MINI, tmp_path, workers=2)  # the scenes are made in other processes, so they are real
+    assert file_hashes(tmp_path) == file_hashes(mini)
 
 
-def test_a_finished_folder_holds_what_it_says_and_nothing_else(mini: Path, whole: Path) -> None:
-    for root in (mini, whole):
+def test_a_finished_folder_has_exactly_the_listed_files(mini: Path, complete: Path) -> None:
+    for root in (mini, complete):
         listed = json.loads((root / "dataset.json").read_bytes())["files"]
-        assert contents(root) == listed | {"dataset.json": contents(root)["dataset.json"]}
+        assert file_hashes(root) == listed | {"dataset.json": file_hashes(root)["dataset.json"]}
 
 
-def test_what_is_read_back_is_sound(mini: Path) -> None:
+def test_a_dataset_read_back_is_valid(mini: Path) -> None:
     geometry = Geometry(mini)
     sizes = {"train": 2, "val": 1, "test": 1}
     counts = {split: dict.fromkeys(("parts", "assemblies", "scenes"), n) for split, n in sizes.items()}
@@ -71,38 +71,38 @@ def test_what_is_read_back_is_sound(mini: Path) -> None:
             assert defect_float32(mesh) is None
 
 
-def test_a_finished_dataset_is_left_alone(
-    whole: Path, sources: Sources, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+def test_a_finished_dataset_is_not_changed(
+    complete: Path, sources: Sources, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    times = {path: path.stat().st_mtime_ns for path in whole.rglob("*") if path.name != ".lock"}
+    times = {path: path.stat().st_mtime_ns for path in complete.rglob("*") if path.name != ".lock"}
     monkeypatch.setattr(build, "_make_parts_and_kits", None)
-    summary = generate(MINI, whole, workers=1, sources=sources)
-    assert summary == json.loads((whole / "dataset.json").read_bytes())
-    assert capsys.readouterr() == ("", f"{whole} is complete: nothing to do\n")
-    assert times == {path: path.stat().st_mtime_ns for path in whole.rglob("*") if path.name != ".lock"}
+    summary = generate(MINI, complete, workers=1, sources=sources)
+    assert summary == json.loads((complete / "dataset.json").read_bytes())
+    assert capsys.readouterr() == ("", f"{complete} is complete: nothing to do\n")
+    assert times == {path: path.stat().st_mtime_ns for path in complete.rglob("*") if path.name != ".lock"}
 
 
 @pytest.mark.parametrize("name", ["parts/train-0000.glb", "test/0000.three.mcap", "README.md", "dataset.json"])
 @pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(path.read_bytes()[:-9])])
-def test_a_finished_dataset_that_lost_a_file_is_made_whole(
-    name: str, harm: Callable[[Path], None], whole: Path, sources: Sources, tmp_path: Path
+def test_a_finished_dataset_with_a_damaged_file_is_repaired(
+    name: str, harm: Callable[[Path], None], complete: Path, sources: Sources, tmp_path: Path
 ) -> None:
-    root = shutil.copytree(whole, tmp_path / "copy")
+    root = shutil.copytree(complete, tmp_path / "copy")
     harm(root / name)
     generate(MINI, root, workers=1, sources=sources)
-    assert contents(root) == contents(whole)
+    assert file_hashes(root) == file_hashes(complete)
 
 
 class Stop(BaseException):
-    """What no code of ours expects."""
+    """An exception that no code handles."""
 
 
 def test_a_run_stopped_at_any_write_ends_with_the_same_bytes(
-    whole: Path, sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    complete: Path, sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     replace, left = os.replace, 0
 
-    def stopping(source: Path, target: Path) -> None:
+    def failing_replace(source: Path, target: Path) -> None:
         nonlocal left
         left -= 1
         if left < 0:
@@ -110,7 +110,7 @@ def test_a_run_stopped_at_any_write_ends_with_the_same_bytes(
         replace(source, target)
 
     stops = 0
-    monkeypatch.setattr(files.os, "replace", stopping)
+    monkeypatch.setattr(files.os, "replace", failing_replace)
     for allowed in range(100):
         left = allowed
         try:
@@ -120,7 +120,7 @@ def test_a_run_stopped_at_any_write_ends_with_the_same_bytes(
             stops += 1
             assert not (tmp_path / "dataset.json").exists()
     assert stops >= 10
-    assert contents(tmp_path) == contents(whole)
+    assert file_hashes(tmp_path) == file_hashes(complete)
 
 
 def test_the_summary_is_written_last(sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,34 +135,34 @@ def test_the_summary_is_written_last(sources: Sources, tmp_path: Path, monkeypat
 RUN = """
 import os, signal, sys
 from pathlib import Path
-from mini import MINI, corners, sketched
+from mini import MINI, fake_scene, l_shape_sources
 from kit1000 import files
 from kit1000.generation import shards
 from kit1000.generation.build import generate
 
-if sys.argv[5] == "sketched":  # also in the workers, which run these lines too
-    shards.make_scene = sketched
+if sys.argv[5] == "fake":  # also in the workers, which run these lines
+    shards.make_scene = fake_scene
 
 def main(root, folder, workers, allowed):
     replace, count = os.replace, 0
-    def stopping(source, target):
+    def failing_replace(source, target):
         nonlocal count
         count += 1
         if count > allowed:
             os.kill(os.getpid(), signal.SIGKILL)
         replace(source, target)
-    files.os.replace = stopping
-    generate(MINI, Path(root), workers=workers, sources=corners(Path(folder)))
+    files.os.replace = failing_replace
+    generate(MINI, Path(root), workers=workers, sources=l_shape_sources(Path(folder)))
 
 if __name__ == "__main__":
     main(sys.argv[1], sys.argv[2], int(sys.argv[3]), int(sys.argv[4]))
 """
 
 
-def started(
-    folder: Path, root: Path, workers: int, allowed: int, limit: int = resource.RLIM_INFINITY, scenes: str = "sketched"
+def start_run(
+    folder: Path, root: Path, workers: int, allowed: int, limit: int = resource.RLIM_INFINITY, scenes: str = "fake"
 ) -> subprocess.Popen[str]:
-    """A run in a process group of its own, killed between its last allowed write and the rename of the next."""
+    """A run in its own process group, killed between its last allowed write and the rename of the next file."""
     script = folder / "run.py"
     script.write_text(RUN)
     paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
@@ -176,63 +176,63 @@ def started(
     )
 
 
-def test_a_run_killed_between_write_and_rename_ends_with_the_same_bytes(whole: Path, tmp_path: Path) -> None:
+def test_a_run_killed_between_write_and_rename_ends_with_the_same_bytes(complete: Path, tmp_path: Path) -> None:
     root = tmp_path / "out"
     for allowed in (0, 16, 3, 1000):
-        run = started(tmp_path, root, 1, allowed)
+        run = start_run(tmp_path, root, 1, allowed)
         run.communicate(timeout=120)
         if run.returncode:
             assert run.returncode == -signal.SIGKILL
             assert list(root.rglob(f".*{files.PARTIAL}"))
-    assert contents(root) == contents(whole)
+    assert file_hashes(root) == file_hashes(complete)
 
 
 @pytest.fixture(scope="module")
-def real(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of files with its scenes."""
+def complete_real(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of mesh files with real scenes."""
     root = tmp_path_factory.mktemp("real")
     generate(MINI, root, workers=1, sources=sources)
     return root
 
 
 @pytest.mark.slow
-def test_a_group_killed_at_random_moments_ends_with_the_same_bytes(real: Path, tmp_path: Path) -> None:
+def test_a_group_killed_at_random_moments_ends_with_the_same_bytes(complete_real: Path, tmp_path: Path) -> None:
     root, rng = tmp_path / "out", random.Random(0)
     for _ in range(12):
-        run = started(tmp_path, root, 2, 1000, scenes="real")
+        run = start_run(tmp_path, root, 2, 1000, scenes="real")
         try:
             run.communicate(timeout=rng.uniform(0.5, 6))
         except subprocess.TimeoutExpired:
             os.killpg(run.pid, signal.SIGKILL)
             run.communicate()
-    assert started(tmp_path, root, 2, 1000, scenes="real").wait(timeout=120) == 0
-    assert contents(root) == contents(real)
+    assert start_run(tmp_path, root, 2, 1000, scenes="real").wait(timeout=120) == 0
+    assert file_hashes(root) == file_hashes(complete_real)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_a_group_killed_while_it_makes_scenes_ends_with_the_same_bytes(
-    workers: int, real: Path, tmp_path: Path
+    workers: int, complete_real: Path, tmp_path: Path
 ) -> None:
     root, rng = tmp_path / "out", random.Random(workers)
     for _ in range(4):
-        run = started(tmp_path, root, workers, 1000, scenes="real")
+        run = start_run(tmp_path, root, workers, 1000, scenes="real")
         while len(list(root.glob(f"{parts_and_kits.BUILD_FOLDER}/assemblies/*.json"))) < 4 and run.poll() is None:
             time.sleep(0.01)
         time.sleep(rng.uniform(0, 3))
         os.killpg(run.pid, signal.SIGKILL)
         run.communicate()
-    assert started(tmp_path, root, workers, 1000, scenes="real").wait(timeout=120) == 0
-    assert contents(root) == contents(real)
+    assert start_run(tmp_path, root, workers, 1000, scenes="real").wait(timeout=120) == 0
+    assert file_hashes(root) == file_hashes(complete_real)
 
 
-def test_a_disk_that_takes_no_more_is_one_line_and_the_next_run_goes_on(whole: Path, tmp_path: Path) -> None:
+def test_a_full_disk_is_one_line_and_the_next_run_continues(complete: Path, tmp_path: Path) -> None:
     root = tmp_path / "out"
-    run = started(tmp_path, root, 1, 1000, limit=6000)
+    run = start_run(tmp_path, root, 1, 1000, limit=6000)
     assert run.communicate(timeout=120)[1].splitlines()[-1].endswith("File too large")
     assert not (root / "dataset.json").exists()
-    generate(MINI, root, workers=1, sources=corners(tmp_path / "files"))
-    assert contents(root) == contents(whole)
+    generate(MINI, root, workers=1, sources=l_shape_sources(tmp_path / "files"))
+    assert file_hashes(root) == file_hashes(complete)
 
 
 def test_a_full_disk_is_one_line(sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -244,8 +244,8 @@ def test_a_full_disk_is_one_line(sources: Sources, tmp_path: Path, monkeypatch: 
         generate(MINI, tmp_path, workers=1, sources=sources)
 
 
-def begun(root: Path, sources: Sources, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A folder in which everything is made but the tables."""
+def make_unfinished(root: Path, sources: Sources, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Make a folder with everything except the tables."""
 
     def stop(*_: object) -> None:
         raise Stop
@@ -270,37 +270,37 @@ def begun(root: Path, sources: Sources, monkeypatch: pytest.MonkeyPatch) -> None
     ],
 )
 @pytest.mark.parametrize("data", [None, b"", b"null", b"{}\n", b'{"files": {"parts/train-0000.glb": "0"}}'])
-def test_damaged_work_is_done_again(
-    name: str, data: bytes | None, ready: Path, whole: Path, sources: Sources, tmp_path: Path
+def test_damaged_files_are_made_again(
+    name: str, data: bytes | None, unfinished: Path, complete: Path, sources: Sources, tmp_path: Path
 ) -> None:
-    root = shutil.copytree(ready, tmp_path / "copy")
+    root = shutil.copytree(unfinished, tmp_path / "copy")
     half = (root / name).read_bytes()[: (root / name).stat().st_size // 2]
     (root / name).write_bytes(half if data is None else data)
     generate(MINI, root, workers=1, sources=sources)
-    assert contents(root) == contents(whole)
+    assert file_hashes(root) == file_hashes(complete)
 
 
 @pytest.fixture(scope="module")
-def ready(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def unfinished(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("ready")
     with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr(shards, "make_scene", sketched)
-        begun(root, sources, monkeypatch)
+        monkeypatch.setattr(shards, "make_scene", fake_scene)
+        make_unfinished(root, sources, monkeypatch)
     return root
 
 
-def test_strangers_and_leftovers_go_when_a_dataset_is_finished(
-    ready: Path, whole: Path, sources: Sources, tmp_path: Path
+def test_unlisted_and_partial_files_are_deleted_when_a_dataset_is_finished(
+    unfinished: Path, complete: Path, sources: Sources, tmp_path: Path
 ) -> None:
-    root = shutil.copytree(ready, tmp_path / "copy")
+    root = shutil.copytree(unfinished, tmp_path / "copy")
     (root / "parts/train-0009.glb").touch()
     (root / "train/0007.truth.mcap").touch()
     (root / f"kits/.train-0000.glb.99{files.PARTIAL}").touch()
     generate(MINI, root, workers=1, sources=sources)
-    assert contents(root) == contents(whole)
+    assert file_hashes(root) == file_hashes(complete)
 
 
-def test_a_foreign_folder_is_left_as_it_was(sources: Sources, tmp_path: Path) -> None:
+def test_a_folder_with_other_files_is_not_changed(sources: Sources, tmp_path: Path) -> None:
     (tmp_path / "thesis.tex").write_text("ten years")
     with pytest.raises(InputError, match="is not empty and contains no dataset: choose another --out"):
         generate(MINI, tmp_path, workers=1, sources=sources)
@@ -310,13 +310,13 @@ def test_a_foreign_folder_is_left_as_it_was(sources: Sources, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("seed", "named", "said"), [(8, "mini", "seed 7, expected 8"), (7, "maxi", "preset mini, expected maxi")]
 )
-def test_another_plan_is_refused_and_the_dataset_kept(
-    seed: int, named: str, said: str, whole: Path, sources: Sources
+def test_another_plan_is_refused_and_the_dataset_not_changed(
+    seed: int, named: str, said: str, complete: Path, sources: Sources
 ) -> None:
-    before = contents(whole)
+    before = file_hashes(complete)
     with pytest.raises(InputError, match=rf"contains another dataset \({said}\): choose another --out, or delete"):
-        generate(build.replace(MINI, name=named), whole, seed, workers=1, sources=sources)
-    assert contents(whole) == before
+        generate(build.replace(MINI, name=named), complete, seed, workers=1, sources=sources)
+    assert file_hashes(complete) == before
 
 
 def test_a_file_in_place_of_the_folder_is_one_line(tmp_path: Path) -> None:
@@ -334,22 +334,22 @@ def test_a_folder_that_may_not_be_written_is_one_line(tmp_path: Path, monkeypatc
     assert not os.listdir(tmp_path)
 
 
-def test_two_runs_in_one_folder_do_not_meet(sources: Sources, tmp_path: Path) -> None:
+def test_a_second_run_in_one_folder_is_refused(sources: Sources, tmp_path: Path) -> None:
     with locked(tmp_path), pytest.raises(InputError, match="is being written by another process"):
         generate(MINI, tmp_path, workers=1, sources=sources)
 
 
-def test_a_plan_that_was_cut_short_is_one_line(sources: Sources, tmp_path: Path) -> None:
+def test_a_truncated_plan_is_one_line(sources: Sources, tmp_path: Path) -> None:
     (tmp_path / "plan.json").write_text('{"format": ')
     with pytest.raises(InputError, match=r"cannot read .*plan\.json: damaged or no JSON"):
         generate(MINI, tmp_path, workers=1, sources=sources)
 
 
-def test_a_run_killed_before_its_plan_starts_anew(whole: Path, sources: Sources, tmp_path: Path) -> None:
+def test_a_run_killed_before_its_plan_starts_again(complete: Path, sources: Sources, tmp_path: Path) -> None:
     (tmp_path / f".plan.json.1{files.PARTIAL}").write_text("{")
     (tmp_path / ".lock").touch()
     generate(MINI, tmp_path, workers=1, sources=sources)
-    assert contents(tmp_path) == contents(whole)
+    assert file_hashes(tmp_path) == file_hashes(complete)
 
 
 def test_one_process_may_build_two_datasets_in_one_place(sources: Sources, tmp_path: Path) -> None:
@@ -357,10 +357,12 @@ def test_one_process_may_build_two_datasets_in_one_place(sources: Sources, tmp_p
     generate(MINI, tmp_path / "b", 2, workers=1, sources=sources)
     shutil.rmtree(tmp_path / "a")
     generate(MINI, tmp_path / "a", 2, workers=1, sources=sources)
-    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+    assert file_hashes(tmp_path / "a") == file_hashes(tmp_path / "b")
 
 
-def test_company_that_cannot_be_placed_goes(sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_neighbours_that_cannot_be_placed_are_left_out(
+    sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def check(assembly, _):
         if len(assembly.mounts) > 1:
             raise Redraw("too narrow")

@@ -1,4 +1,4 @@
-"""Laws of building behind a URL: the bytes are those on disk, mended in the same way, and no file is missed unseen."""
+"""Tests of generate with a URL: the bytes are those on disk, files are repaired, and missing files are reported."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from mini import MINI, contents, corners
+from mini import MINI, file_hashes, l_shape_sources
 
 from kit1000.engines import ParallelMap
 from kit1000.errors import InputError
@@ -19,41 +19,41 @@ from kit1000.generation.plan import Sources
 
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory: pytest.TempPathFactory) -> Sources:
-    return corners(tmp_path_factory.mktemp("files"))
+    return l_shape_sources(tmp_path_factory.mktemp("files"))
 
 
 @pytest.fixture(scope="module")
 def on_disk(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """The hashes of a dataset on disk."""
+    """The file hashes of a dataset on disk."""
     root = tmp_path_factory.mktemp("disk")
     generate(MINI, root, workers=1, sources=sources)
-    return contents(root)
+    return file_hashes(root)
 
 
 @pytest.fixture(params=["memory", "local"])
 def remote(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
-    """A folder behind a URL: one that knows no folders, as object stores, and one that wants them made."""
+    """A folder behind a URL: without folders, as in object stores, and with folders that must be created."""
     place = parse_folder(f"{request.param}://{tmp_path}/root")
     yield place
     remove_folder(place)
 
 
-def held(root: Path) -> dict[str, str | None]:
-    """The hash of every file below a folder by its name."""
+def hashes(root: Path) -> dict[str, str | None]:
+    """The SHA-256 of every file below a folder, by name."""
     return {str(path)[len(str(root)) + 1 :]: sha256(path) for path in root.rglob("*") if path.is_file()}
 
 
-def test_a_dataset_has_the_bytes_of_one_on_disk_and_is_mended(
+def test_a_dataset_has_the_bytes_of_one_on_disk_and_is_repaired(
     remote: Path, sources: Sources, on_disk: dict[str, str]
 ) -> None:
     summary = generate(MINI, remote, workers=1, sources=sources)
-    assert held(remote) == on_disk
+    assert hashes(remote) == on_disk
     (remote / "parts/train-0000.glb").unlink()
     assert generate(MINI, remote, workers=1, sources=sources) == summary
-    assert held(remote) == on_disk
+    assert hashes(remote) == on_disk
 
 
-def test_a_foreign_folder_and_another_plan_are_refused(sources: Sources, tmp_path: Path) -> None:
+def test_another_folder_and_another_plan_are_refused(sources: Sources, tmp_path: Path) -> None:
     place = parse_folder(f"memory://{tmp_path}/thesis")
     (place / "thesis.tex").write_bytes(b"ten years")
     with pytest.raises(InputError, match="is not empty and contains no dataset: choose another --out"):
@@ -64,13 +64,13 @@ def test_a_foreign_folder_and_another_plan_are_refused(sources: Sources, tmp_pat
 
 
 @contextmanager
-def strayed(place: Path) -> Iterator[ParallelMap]:
-    """An engine whose workers have a disk of their own behind the name of the folder."""
+def other_folder_engine(place: Path) -> Iterator[ParallelMap]:
+    """An engine whose workers write to another folder, as with a disk of their own."""
     yield lambda function, jobs: (function(replace(job, root=place)) for job in jobs)
 
 
-def test_files_that_a_node_wrote_to_a_disk_of_its_own_are_missed(sources: Sources, tmp_path: Path) -> None:
+def test_files_written_to_the_disk_of_a_node_are_reported(sources: Sources, tmp_path: Path) -> None:
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
     with pytest.raises(InputError, match=r"^parts/.*\.glb was written on another machine and is not in .*out: all"):
-        generate(MINI, out, sources=sources, engine=strayed(elsewhere))
+        generate(MINI, out, sources=sources, engine=other_folder_engine(elsewhere))
     assert not (out / "dataset.json").exists()

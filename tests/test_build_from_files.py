@@ -1,4 +1,4 @@
-"""Laws of a dataset made of people's own files: a bad one is refused with a reason, and the rest become parts."""
+"""Tests of generate with mesh files: invalid ones are refused with a reason, and the others become parts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from mini import MINI, corner, corners, written
+from mini import MINI, l_shape, l_shape_sources, write_stl
 
 from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError
@@ -19,30 +19,30 @@ from kit1000.mesh import Mesh
 from kit1000.parts.files.sources import mesh_files
 from kit1000.tracks import SPLITS
 
-pytestmark = pytest.mark.usefixtures("sketches")
+pytestmark = pytest.mark.usefixtures("fake_scenes")
 
 
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory: pytest.TempPathFactory) -> Sources:
-    return corners(tmp_path_factory.mktemp("files"))
+    return l_shape_sources(tmp_path_factory.mktemp("files"))
 
 
-def test_bad_files_are_refused_with_a_reason_and_stop_nothing(
+def test_invalid_files_are_refused_with_a_reason_and_do_not_stop_the_run(
     sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "files"
-    good = [written(folder / path.name, corner(20 + 3 * i)) for i, path in enumerate(sources.files.values())]
-    written(folder / "same.stl", corner(20).scaled(1.3))
-    written(folder / "flat.stl", Mesh(corner().vertices * (1, 1, 1e-4), corner().faces))
-    written(folder / "strange.stl", corner(40))
+    good = [write_stl(folder / path.name, l_shape(20 + 3 * i)) for i, path in enumerate(sources.files.values())]
+    write_stl(folder / "same.stl", l_shape(20).scaled(1.3))
+    write_stl(folder / "flat.stl", Mesh(l_shape().vertices * (1, 1, 1e-4), l_shape().faces))
+    write_stl(folder / "strange.stl", l_shape(40))
     (folder / "empty.stl").touch()
     listed = [*good, *(folder / f"{name}.stl" for name in ("same", "flat", "strange", "empty", "missing"))]
-    known = parts_and_kits.design_kit
+    original = parts_and_kits.design_kit
 
     def design(part, *settings, **others):
         if abs(part.mesh.extents.min() / part.mesh.extents.max() - 30 / 40) < 1e-3:
             raise ZeroDivisionError("nobody thought\nof this")
-        return known(part, *settings, **others)
+        return original(part, *settings, **others)
 
     monkeypatch.setattr(parts_and_kits, "design_kit", design)
     preset = replace(MINI, train=7)
@@ -61,7 +61,7 @@ def test_bad_files_are_refused_with_a_reason_and_stop_nothing(
 
 
 @pytest.mark.slow
-def test_parts_of_others_become_a_dataset_that_passes(real_parts: Path, tmp_path: Path) -> None:
+def test_real_parts_become_a_dataset_that_verifies(real_parts: Path, tmp_path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shards, "make_scene", make_scene)
         preset = replace(MINI, train=6, val=2, test=4, kits=(2, 3))
@@ -71,30 +71,32 @@ def test_parts_of_others_become_a_dataset_that_passes(real_parts: Path, tmp_path
     assert verify(tmp_path / "out", sample=3).faults == ()
 
 
-def deal(seed: int, files: list[Path]) -> dict[str, list[str]]:
-    """The names of the files that each part may be made of."""
+def files_by_part(seed: int, files: list[Path]) -> dict[str, list[str]]:
+    """The names of the files of each part."""
     plan = make_plan(MINI, seed, Sources.of(files))
     return {i: [name for name, _ in row["sources"]] for i, row in plan["parts"].items()}
 
 
-def test_a_spare_takes_the_place_of_a_bad_file(tmp_path: Path) -> None:
+def test_an_alternative_replaces_an_invalid_file(tmp_path: Path) -> None:
     folder = tmp_path / "files"
-    files = [written(folder / f"good{width}.stl", corner(width)) for width in (20, 24, 28, 33)]
+    files = [write_stl(folder / f"good{width}.stl", l_shape(width)) for width in (20, 24, 28, 33)]
     for i in range(4):
         (folder / f"bad{i}.stl").touch()
     files += folder.glob("bad*.stl")
     seed = 0
-    while "bad" not in (dealt := deal(seed, files))["train-0000"][0] or "good" not in dealt["train-0000"][1]:
+    while (
+        "bad" not in (by_part := files_by_part(seed, files))["train-0000"][0] or "good" not in by_part["train-0000"][1]
+    ):
         seed += 1
     generate(MINI, tmp_path / "out", seed, workers=1, sources=Sources.of(files))
     geometry = Geometry(tmp_path / "out")
     used = {i: row["source"] for i, row in geometry.parts.items()}
-    assert used == {i: next(n for n in names if "good" in n) for i, names in dealt.items() if "good" in str(names)}
-    tried = {name for i, names in dealt.items() for name in names[: names.index(used[i]) if i in used else 2]}
+    assert used == {i: next(n for n in names if "good" in n) for i, names in by_part.items() if "good" in str(names)}
+    tried = {name for i, names in by_part.items() for name in names[: names.index(used[i]) if i in used else 2]}
     assert geometry.summary["refused"] == dict.fromkeys(tried, "empty file")
 
 
-def test_no_usable_file_is_one_line_and_leaves_the_folder_free(sources: Sources, tmp_path: Path) -> None:
+def test_no_usable_file_is_one_line_and_the_folder_can_be_used_again(sources: Sources, tmp_path: Path) -> None:
     for name in "abcd":
         (tmp_path / f"{name}.stl").touch()
     with pytest.raises(InputError) as caught:
@@ -104,8 +106,8 @@ def test_no_usable_file_is_one_line_and_leaves_the_folder_free(sources: Sources,
     generate(MINI, tmp_path / "out", workers=1, sources=sources)
 
 
-def test_few_files_leave_splits_empty_and_kits_alone(tmp_path: Path) -> None:
-    summary = generate(MINI, tmp_path / "out", workers=1, sources=corners(tmp_path / "files", (24,)))
+def test_few_files_give_empty_splits_and_single_kits(tmp_path: Path) -> None:
+    summary = generate(MINI, tmp_path / "out", workers=1, sources=l_shape_sources(tmp_path / "files", (24,)))
     assert summary["counts"] == {
         "train": {"parts": 1, "assemblies": 1, "scenes": 1},
         "val": {"parts": 0, "assemblies": 0, "scenes": 0},
@@ -114,7 +116,7 @@ def test_few_files_leave_splits_empty_and_kits_alone(tmp_path: Path) -> None:
     assert len(Geometry(tmp_path / "out").assembly("train-0000").mounts) == 1
 
 
-def test_a_dataset_that_cannot_be_read_says_what_is_there(
+def test_an_unreadable_dataset_is_refused_with_the_reason(
     sources: Sources, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, ready = tmp_path / "whole", tmp_path / "ready"

@@ -1,4 +1,4 @@
-"""Volumes kept on disk: what comes back is what the encodings promise, whatever happens to the files meanwhile."""
+"""Tests of the volume cache: values have the precision of the encoding, and damaged files are made again."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ def some_key(item: str = "test-s0007-p2-snap.kit", **recipe: object) -> Key:
 
 
 def some_volume(seed: int = 0, shape: tuple[int, int, int] = (5, 6, 7)) -> Volume:
-    """Random values, a tenth of them unknown, on a grid whose numbers are hard to keep."""
+    """Random values, a tenth of them unknown, on a grid with numbers that need full precision."""
     rng = np.random.default_rng(seed)
     values = rng.uniform(-1, 1, shape)
     values[rng.random(shape) < 0.1] = np.nan
     return Volume(Grid(shape, 1e-3 / 3, Pose.exp(rng.normal(size=6))), values)
 
 
-def never() -> Volume:
+def must_not_be_called() -> Volume:
     raise AssertionError("made again")
 
 
 @pytest.mark.parametrize("encoding", ["uint8", "float16"])
-def test_a_volume_comes_back_as_the_encoding_keeps_it(tmp_path: Path, encoding: str) -> None:
+def test_a_volume_read_back_has_the_precision_of_its_encoding(tmp_path: Path, encoding: str) -> None:
     cache, volume = VolumeCache(tmp_path, encoding), some_volume()
     to, back = {"uint8": (to_uint8, from_uint8), "float16": (to_float16, from_float16)}[encoding]
     first = cache.volume(some_key(), lambda: volume)
-    again = VolumeCache(tmp_path, encoding).volume(some_key(), never)
+    again = VolumeCache(tmp_path, encoding).volume(some_key(), must_not_be_called)
     wanted = back(volume.grid, to(volume))
     for found in (first, again):
         assert found.grid == volume.grid  # to the last bit
@@ -64,7 +64,7 @@ def test_an_entry_opens_in_numpy_and_costs_a_byte_a_voxel(tmp_path: Path) -> Non
         assert 0 < path.stat().st_size - to(volume).nbytes < 1000
 
 
-def test_different_keys_never_meet(tmp_path: Path) -> None:
+def test_different_keys_have_different_files(tmp_path: Path) -> None:
     caches = [VolumeCache(tmp_path, encoding) for encoding in STEPS]
     keys = [
         some_key(),
@@ -79,17 +79,17 @@ def test_different_keys_never_meet(tmp_path: Path) -> None:
     for seed, key in enumerate(keys):
         caches[0].volume(key, lambda: some_volume(seed))  # noqa: B023
     for seed, key in enumerate(keys):
-        assert caches[0].volume(key, never).grid == some_volume(seed).grid
+        assert caches[0].volume(key, must_not_be_called).grid == some_volume(seed).grid
 
 
-def test_the_order_in_a_recipe_says_nothing(tmp_path: Path) -> None:
+def test_the_order_in_a_recipe_does_not_matter(tmp_path: Path) -> None:
     cache = VolumeCache(tmp_path)
     forward, back = {"a": 1, "b": (2, 3)}, {"b": [2, 3], "a": 1}
     cache.volume(some_key()._replace(recipe=forward), some_volume)
-    assert cache.volume(some_key()._replace(recipe=back), never).grid == some_volume().grid
+    assert cache.volume(some_key()._replace(recipe=back), must_not_be_called).grid == some_volume().grid
 
 
-def test_what_another_version_made_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_entries_of_another_version_are_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cache = VolumeCache(tmp_path)
     cache.volume(some_key(), some_volume)
     monkeypatch.setattr(cache_module, "__version__", "99.0.0")
@@ -97,15 +97,15 @@ def test_what_another_version_made_is_made_again(tmp_path: Path, monkeypatch: py
     assert cache.size().volumes == 2
 
 
-def cut(data: bytes) -> bytes:
+def truncate(data: bytes) -> bytes:
     return data[: len(data) // 2]
 
 
-def flipped(data: bytes) -> bytes:
+def flip_bit(data: bytes) -> bytes:
     return data[:200] + bytes([data[200] ^ 1]) + data[201:]
 
 
-def emptied(data: bytes) -> bytes:
+def empty(data: bytes) -> bytes:
     return b""
 
 
@@ -113,11 +113,11 @@ def short(data: bytes) -> bytes:
     return data[-3:]
 
 
-def foreign(data: bytes) -> bytes:
+def random_bytes(data: bytes) -> bytes:
     return np.random.default_rng(0).bytes(len(data))
 
 
-@pytest.mark.parametrize("damage", [cut, flipped, emptied, short, foreign], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("damage", [truncate, flip_bit, empty, short, random_bytes], ids=lambda f: f.__name__)
 def test_a_damaged_entry_is_made_again(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
     cache = VolumeCache(tmp_path)
     cache.volume(some_key(), some_volume)
@@ -130,7 +130,7 @@ def test_a_damaged_entry_is_made_again(tmp_path: Path, damage: Callable[[bytes],
 
 @given(at=st.integers(-40, 10_000), bit=st.integers(0, 7))  # from -40: the lengths and the checksum at the end
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
-def test_no_flipped_bit_goes_unseen(tmp_path: Path, at: int, bit: int) -> None:
+def test_every_flipped_bit_is_detected(tmp_path: Path, at: int, bit: int) -> None:
     cache = VolumeCache(tmp_path)
     cache.volume(some_key(), some_volume)
     path = cache.path(some_key())
@@ -142,14 +142,14 @@ def test_no_flipped_bit_goes_unseen(tmp_path: Path, at: int, bit: int) -> None:
     assert path.read_bytes() == whole
 
 
-def test_an_entry_under_a_strange_name_is_not_believed(tmp_path: Path) -> None:
+def test_an_entry_under_another_name_is_made_again(tmp_path: Path) -> None:
     cache, other = VolumeCache(tmp_path), some_key("other")
     cache.volume(some_key(), some_volume)
     os.replace(cache.path(some_key()), cache.path(other))
     assert cache.volume(other, lambda: some_volume(1)).grid == some_volume(1).grid
 
 
-def test_codes_are_mapped_and_writing_to_them_leaves_the_file_alone(tmp_path: Path) -> None:
+def test_codes_are_memory_mapped_and_writing_to_them_does_not_change_the_file(tmp_path: Path) -> None:
     cache = VolumeCache(tmp_path)
     entry = cache.entry(some_key(), some_volume)
     assert isinstance(entry, Entry)
@@ -158,11 +158,11 @@ def test_codes_are_mapped_and_writing_to_them_leaves_the_file_alone(tmp_path: Pa
     before = cache.path(some_key()).read_bytes()
     entry.codes[:] = 7
     assert cache.path(some_key()).read_bytes() == before
-    assert np.array_equal(cache.entry(some_key(), never).codes, to_uint8(some_volume()))
+    assert np.array_equal(cache.entry(some_key(), must_not_be_called).codes, to_uint8(some_volume()))
 
 
 def _maps(array: np.ndarray) -> bool:
-    """Whether the memory of an array is that of a file."""
+    """Whether an array is memory-mapped."""
     owner = array
     while isinstance(owner.base, np.ndarray):
         owner = owner.base
@@ -200,12 +200,12 @@ def test_clearing_deletes_volumes_and_nothing_else(tmp_path: Path) -> None:
 
 def test_a_volume_that_cannot_be_made_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(AssertionError, match="made again"):
-        VolumeCache(tmp_path).volume(some_key(), never)
+        VolumeCache(tmp_path).volume(some_key(), must_not_be_called)
     assert list(tmp_path.iterdir()) == []
 
 
 def _fill(root: Path) -> list[bytes]:
-    """What a process reads of thirty volumes, each of which another may be writing."""
+    """Thirty volumes as read by a process while others may write them."""
     cache = VolumeCache(root)
     keys = [some_key(f"item-{i % 10}") for i in range(30)]
     found = [cache.volume(key, lambda: some_volume(int(key.item[5:]))) for key in keys]  # noqa: B023
@@ -225,7 +225,7 @@ def test_a_cache_can_be_sent_to_another_process(tmp_path: Path) -> None:
     assert (cache.root, cache.encoding) == (tmp_path, "float16")
 
 
-def test_what_cannot_be_is_said(tmp_path: Path) -> None:
+def test_invalid_arguments_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="encoding 'int4': expected one of uint8, float16"):
         VolumeCache(tmp_path, "int4")
     with pytest.raises(InputError, match="memory-mapped, so it needs a folder of this machine"):

@@ -1,4 +1,4 @@
-"""The data card: it holds the figures of dataset.json and nothing else, the same bytes for the same summary."""
+"""Tests of the data card: it has the statistics of dataset.json, and the same bytes for the same summary."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def card(of: dict) -> str:
     return card_bytes(of).decode()
 
 
-def test_figures_stand_in_tables_by_split() -> None:
+def test_statistics_are_in_tables_by_split() -> None:
     text = card(summary())
     assert table_below(text, "Tilt of the slot [deg]") == [["", "test"], ["0-5", "2 (50.0 %)"], ["30-45", "2 (50.0 %)"]]
     assert table_below(text, "How parts lie")[1:] == [["tumbled", "2 (50.0 %)"], ["upright", "2 (50.0 %)"]]
@@ -43,7 +43,7 @@ def test_figures_stand_in_tables_by_split() -> None:
     assert table_below(text, "Counts")[1:] == [[split, "2", "2", "2"] for split in ("train", "val", "test")]
 
 
-def test_redraws_are_told_by_reason_the_commonest_first() -> None:
+def test_redraws_are_listed_by_reason_the_most_frequent_first() -> None:
     text = card(summary())
     assert table_below(text, "Parts")[1:] == [["near-duplicate", "11"], ["loose fit", "3"]]
     assert table_below(text, "Scenes")[1:] == [["parts touch", "2"]]
@@ -57,7 +57,7 @@ def test_held_out_families_are_named_where_they_occur() -> None:
     assert "Families in the test split alone: gear, tee.\n" in card(withheld())  # of which no figures are told
 
 
-def test_the_head_is_read_by_machines() -> None:
+def test_the_head_is_valid_metadata() -> None:
     blank, head, _ = card(summary()).split("---\n", 2)
     fields = dict(line.split(": ") for line in head.splitlines())
     assert blank == ""
@@ -74,7 +74,7 @@ def test_every_file_is_explained() -> None:
     assert rows.keys() == FILES.keys()
 
 
-def test_what_is_withheld_is_told_and_gives_nothing_away() -> None:
+def test_a_withheld_split_is_named_and_nothing_is_revealed() -> None:
     text = card(withheld())
     assert "The truth of the split `test`, its meshes and the plan are withheld" in text
     assert "| seed |" not in text
@@ -82,7 +82,7 @@ def test_what_is_withheld_is_told_and_gives_nothing_away() -> None:
     assert "withheld" not in card(summary())
 
 
-def test_a_dataset_without_figures_still_has_a_card() -> None:
+def test_a_dataset_without_statistics_has_a_card() -> None:
     bare = {key: value for key, value in summary().items() if key not in ("statistics", "config", "refused_scenes")}
     text = card(bare | {"statistics": {"train": {}, "val": {}, "test": {}}, "redraws": {}})
     assert "## Figures" not in text
@@ -94,14 +94,14 @@ def test_the_same_summary_gives_the_same_bytes_also_after_json() -> None:
     assert card_bytes(again) == card_bytes(summary())
 
 
-def test_the_citation_names_this_very_dataset() -> None:
+def test_the_citation_names_the_dataset() -> None:
     cited = citation(summary())
     assert "0123456789abcdef" in cited
     assert cited in card(summary())
     assert cited.count("{") == cited.count("}")
 
 
-def test_the_shown_code_uses_what_there_is() -> None:
+def test_the_code_example_uses_existing_names() -> None:
     from kit1000.dataset.reader import Dataset, RecordedScene, Split
 
     names = {node.attr for node in ast.walk(ast.parse(READING_EXAMPLE)) if isinstance(node, ast.Attribute)}

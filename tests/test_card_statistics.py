@@ -1,4 +1,4 @@
-"""Figures of a dataset: whole numbers in bins that miss nothing, the same however the scenes are dealt out."""
+"""Tests of the statistics: integers in bins that cover all values, independent of the distribution of scenes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def leaves(tree: object) -> list[int]:
     return [leaf for value in tree.values() for leaf in leaves(value)] if isinstance(tree, dict) else [tree]  # type: ignore[list-item]
 
 
-def test_a_scene_is_counted_by_hand() -> None:
+def test_the_statistics_of_a_scene_match_a_count_by_hand() -> None:
     found = scene_statistics([truth()])
     assert found["scenes"] == 1
     assert found["parts"] == 2
@@ -43,7 +43,7 @@ def test_a_scene_is_counted_by_hand() -> None:
 
 
 @given(st.lists(st.floats(0, 0.05), max_size=6), st.integers(0, 6))
-def test_figures_do_not_depend_on_how_scenes_are_dealt_out(offs: list[float], cut: int) -> None:
+def test_statistics_do_not_depend_on_the_distribution_of_scenes(offs: list[float], cut: int) -> None:
     scenes = [truth(off=off) for off in offs]
     whole = scene_statistics(scenes)
     assert add_up([scene_statistics(scenes[cut:]), scene_statistics(scenes[:cut])]) == whole
@@ -52,7 +52,7 @@ def test_figures_do_not_depend_on_how_scenes_are_dealt_out(offs: list[float], cu
 
 
 @given(st.lists(TREES, max_size=4).filter(lambda trees: len({*map(shape, trees)}) <= 1))
-def test_sums_hold_every_count(trees: list[dict]) -> None:
+def test_sums_contain_every_count(trees: list[dict]) -> None:
     assert sum(leaves(add_up(trees))) == sum(sum(leaves(tree)) for tree in trees)
 
 
@@ -61,7 +61,7 @@ def shape(tree: object) -> int:
 
 
 @given(st.sampled_from(EDGES), st.floats(0, 100))
-def test_every_number_has_one_bin_that_holds_it(edges: tuple[int, ...], value: float) -> None:
+def test_every_number_has_exactly_one_bin(edges: tuple[int, ...], value: float) -> None:
     name = bin_name(value, edges)
     assert name in bin_names(edges)
     low, _, high = name.partition("-")

@@ -1,4 +1,4 @@
-"""Laws of the command line: results on stdout, one line on stderr and never a traceback, exit status as promised."""
+"""Tests of the command line: results on stdout, errors as one line on stderr, exit status as documented."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mini import MINI, contents, corner, corners, sketched, written
+from mini import MINI, fake_scene, file_hashes, l_shape, l_shape_sources, write_stl
 from PIL import Image
 
 import kit1000
@@ -32,7 +32,7 @@ WIDTHS = (20, 24, 28, 33)
 
 @pytest.fixture(autouse=True)
 def _termination() -> Iterator[None]:
-    """`main` answers SIGTERM for its process; here that is pytest."""
+    """Restore the handler of SIGTERM, which `main` sets."""
     before = signal.getsignal(signal.SIGTERM)
     yield
     signal.signal(signal.SIGTERM, before)
@@ -40,31 +40,31 @@ def _termination() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A finished dataset, its scenes sketched."""
+    """A finished dataset with fake scenes."""
     folder = tmp_path_factory.mktemp("data")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(shards, "make_scene", sketched)
-        generate(MINI, folder / "data", workers=1, sources=corners(folder / "files"))
+        patch.setattr(shards, "make_scene", fake_scene)
+        generate(MINI, folder / "data", workers=1, sources=l_shape_sources(folder / "files"))
     return folder / "data"
 
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What people hand over."""
+    """Valid and invalid mesh files."""
     folder = tmp_path_factory.mktemp("files")
-    mesh = corner()
-    good = written(folder / "good.stl", mesh).read_bytes()
+    mesh = l_shape()
+    good = write_stl(folder / "good.stl", mesh).read_bytes()
     (folder / "empty.stl").touch()
     (folder / "text.stl").write_text("Dear all, please find attached")
     (folder / "nan.stl").write_bytes(good.replace(np.float32(40).tobytes(), np.float32(np.nan).tobytes()))
-    written(folder / "flat.stl", Mesh(mesh.vertices * (1, 1, 1e-4), mesh.faces))
-    written(folder / "open.stl", Mesh(mesh.vertices, mesh.faces[3:]))
+    write_stl(folder / "flat.stl", Mesh(mesh.vertices * (1, 1, 1e-4), mesh.faces))
+    write_stl(folder / "open.stl", Mesh(mesh.vertices, mesh.faces[3:]))
     (folder / "folder.stl").mkdir()
     return folder
 
 
 def command(*arguments: object, **options) -> subprocess.Popen[str]:
-    """The command in a process of its own, at the head of its own group."""
+    """The command in its own process and process group."""
     return subprocess.Popen(
         [sys.executable, "-m", "kit1000", *map(str, arguments)],
         stdout=subprocess.PIPE,
@@ -129,7 +129,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("line", WRONG)
-def test_what_is_wrong_is_said_in_one_line(
+def test_wrong_usage_is_one_line(
     line: str, data: Path, files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     places = {"{tmp}": str(tmp_path), "{data}": str(data), "{files}": str(files)}
@@ -147,7 +147,7 @@ def test_what_is_wrong_is_said_in_one_line(
     assert not any(path.name != ".lock" and path.is_file() for path in tmp_path.rglob("*"))
 
 
-def test_an_unforeseen_error_is_one_line_with_its_place_and_another_status(
+def test_an_internal_error_is_one_line_with_its_source_line_and_another_status(
     files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(own_part, "design_kit", lambda *_, **__: 1 / 0)
@@ -157,7 +157,7 @@ def test_an_unforeseen_error_is_one_line_with_its_place_and_another_status(
     assert err.count("\n") == 1
 
 
-def test_a_kit_is_described_in_words(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_report_of_a_kit_is_printed(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["kit", str(files / "good.stl"), "--out", str(tmp_path / "out"), "--unit", "mm"]) == 0
     out, err = capsys.readouterr()
     assert "good.stl: 40.0 x 30.0 x 24.0 mm (as given)" in out
@@ -166,9 +166,9 @@ def test_a_kit_is_described_in_words(files: Path, tmp_path: Path, capsys: pytest
     assert err == ""
 
 
-@pytest.mark.usefixtures("sketches")
-def test_generate_builds_from_files_and_info_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    corners(tmp_path / "files", (24, 30))
+@pytest.mark.usefixtures("fake_scenes")
+def test_generate_and_info_print_the_same_summary(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    l_shape_sources(tmp_path / "files", (24, 30))
     line = ["generate", "tiny", "--out", f"{tmp_path}/out", "--parts", f"{tmp_path}/files", "--workers", "1"]
     assert main(line) == 0
     built = capsys.readouterr()
@@ -180,9 +180,9 @@ def test_generate_builds_from_files_and_info_says_the_same(tmp_path: Path, capsy
     assert capsys.readouterr() == (built.out, f"{tmp_path}/out is complete: nothing to do\n")
 
 
-@pytest.mark.usefixtures("sketches")
-def test_what_a_run_wrote_is_no_source_of_the_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    corners(tmp_path, (24,))
+@pytest.mark.usefixtures("fake_scenes")
+def test_meshes_written_by_a_run_are_no_sources_of_the_next(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    l_shape_sources(tmp_path, (24,))
     line = ["generate", "tiny", "--out", f"{tmp_path}/out", "--parts", f"{tmp_path}", "--workers", "1"]
     assert main(line) == 0
     assert main(line) == 0
@@ -198,20 +198,20 @@ def test_show_draws_every_kind(what: str, data: Path, tmp_path: Path, capsys: py
         assert image.size[0] > 2 * 400
 
 
-@pytest.mark.usefixtures("sketches")
-def test_a_split_without_parts_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    generate(MINI, tmp_path / "out", workers=1, sources=corners(tmp_path / "files", (24,)))
+@pytest.mark.usefixtures("fake_scenes")
+def test_a_split_without_parts_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    generate(MINI, tmp_path / "out", workers=1, sources=l_shape_sources(tmp_path / "files", (24,)))
     assert main(["show", f"{tmp_path}/out", "--split", "test"]) == 2
     assert capsys.readouterr().err == f"kit1000: {tmp_path}/out: no assemblies in split 'test'\n"
 
 
-def test_a_dataset_begun_is_told_from_none(
+def test_an_unfinished_dataset_is_named_as_such(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    corners(tmp_path / "files", (24,))
+    l_shape_sources(tmp_path / "files", (24,))
     monkeypatch.setattr(build, "_write_summary", interrupt)
     line = ["generate", "tiny", "--out", f"{tmp_path}/out", "--parts", f"{tmp_path}/files", "--workers", "1"]
     assert main(line) == 130
@@ -232,22 +232,22 @@ def wait_for(folder: Path, pattern: str, run: subprocess.Popen[str]) -> None:
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_generate_ends_in_one_line_and_goes_on(how: signal.Signals, tmp_path: Path) -> None:
-    sources, out = corners(tmp_path / "files", WIDTHS), tmp_path / "out"
+def test_an_interrupted_generate_ends_in_one_line_and_can_be_continued(how: signal.Signals, tmp_path: Path) -> None:
+    sources, out = l_shape_sources(tmp_path / "files", WIDTHS), tmp_path / "out"
     line = ["generate", "tiny", "--out", out, "--parts", tmp_path / "files", "--workers", "2"]
     run = command(*line)
     wait_for(out, ".build/parts/*.json", run)
-    os.killpg(run.pid, how) if how == signal.SIGINT else run.send_signal(how)  # a terminal tells the whole group
+    os.killpg(run.pid, how) if how == signal.SIGINT else run.send_signal(how)  # a terminal signals the whole group
     assert run.communicate(timeout=30) == ("", "kit1000: interrupted; run the same command again to continue\n")
     assert run.returncode == 130
     assert not (out / "dataset.json").exists()
     generate(TINY, out, workers=1, sources=sources)
     generate(TINY, tmp_path / "whole", workers=1, sources=sources)
-    assert contents(out) == contents(tmp_path / "whole")
+    assert file_hashes(out) == file_hashes(tmp_path / "whole")
 
 
 def test_an_interrupt_while_workers_start_is_one_line_too(tmp_path: Path) -> None:
-    corners(tmp_path / "files", WIDTHS)
+    l_shape_sources(tmp_path / "files", WIDTHS)
     run = command("generate", "tiny", "--out", tmp_path / "out", "--parts", tmp_path / "files", "--workers", "2")
     wait_for(tmp_path / "out", "plan.json", run)
     time.sleep(0.1)
@@ -268,7 +268,7 @@ def test_an_interrupted_kit_ends_in_one_line(files: Path, tmp_path: Path) -> Non
     assert not (tmp_path / "out").exists()
 
 
-def test_a_reader_that_leaves_is_no_fault(data: Path) -> None:
+def test_a_closed_stdout_is_no_error(data: Path) -> None:
     run = command("info", data)
     assert run.stdout is not None
     run.stdout.close()
@@ -277,7 +277,7 @@ def test_a_reader_that_leaves_is_no_fault(data: Path) -> None:
     assert run.stderr.read() == ""
 
 
-def test_the_version_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     run = command("--version")
     assert run.communicate(timeout=30) == (f"kit1000 {kit1000.__version__}\n", "")
     assert run.returncode == 0
@@ -295,14 +295,14 @@ def test_help_names_every_command_and_option(line: list[str], capsys: pytest.Cap
     assert all(word in out for word in options)
 
 
-def test_asking_for_help_loads_nothing_heavy() -> None:
+def test_help_loads_no_heavy_package() -> None:
     ask = "import kit1000.cli, sys; print(*sys.modules)"
     answer = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True, cwd=ROOT)
     heavy = {"scipy", "numba", "trimesh", "manifold3d", "PIL", "tqdm", "kit1000.mesh", "concurrent.futures.process"}
     assert heavy.isdisjoint(answer.stdout.split())
 
 
-def test_a_summary_reads_the_same_however_it_is_ordered() -> None:
+def test_the_text_of_a_summary_does_not_depend_on_its_order() -> None:
     counts = {split: {"parts": 1, "assemblies": 2, "scenes": 3} for split in ("test", "train", "val")}
     head = {"preset": "p", "dataset_id": "d", "seed": 1, "data_version": "v", "licence": "l"}
     redraws = {"parts": {"b": 1, "a": 1, "c": 2}, "scenes": {}}

@@ -1,4 +1,4 @@
-"""The Croissant description: the reference validator finds neither error nor warning, and its records can be loaded."""
+"""Tests of the Croissant description: the reference validator finds no fault, and its records can be loaded."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def described(of: dict[str, Any]) -> dict[str, Any]:
     return json.loads(croissant_bytes(of))
 
 
-def test_the_validator_has_nothing_to_say(loaded: mlcroissant.Dataset, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_validator_finds_no_fault(loaded: mlcroissant.Dataset, caplog: pytest.LogCaptureFixture) -> None:
     issues = loaded.metadata.ctx.issues
     assert not issues.errors
     assert not issues.warnings
@@ -81,7 +81,7 @@ def test_every_file_is_named_with_its_hash_or_by_a_pattern(of) -> None:
     assert hashes.keys() <= of()["files"].keys()
 
 
-def test_what_is_required_and_what_the_card_says_too() -> None:
+def test_required_properties_and_texts_of_the_card_are_present() -> None:
     text = described(summary())
     required = "@context @type conformsTo name description license url creator datePublished distribution"
     assert all(text.get(key) for key in required.split())
@@ -95,7 +95,7 @@ def test_what_is_required_and_what_the_card_says_too() -> None:
     assert text["rai:dataUseCases"] == list(USES)
 
 
-def test_what_is_withheld_is_told() -> None:
+def test_a_withheld_split_is_named() -> None:
     assert "withheld" in described(withheld())["description"]
     assert "withheld" not in described(summary())["description"]
 

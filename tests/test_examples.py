@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mini import corner, written
+from mini import l_shape, write_stl
 from PIL import Image
 
 from kit1000 import Dataset
@@ -71,7 +71,7 @@ def test_a_network_is_trained(tiny: Path, capsys: pytest.CaptureFixture[str]) ->
 
 
 def test_a_kit_is_made_for_an_stl_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run("kit_for_stl", str(written(tmp_path / "corner.stl", corner())), "--out", str(tmp_path / "kit"))
+    run("kit_for_stl", str(write_stl(tmp_path / "corner.stl", l_shape())), "--out", str(tmp_path / "kit"))
     assert "corner.stl, read in mm: 40 x 30 x 24 mm" in capsys.readouterr().out
     assert {"kit.stl", "part.stl", "preview.png"} <= {path.name for path in (tmp_path / "kit").iterdir()}
 

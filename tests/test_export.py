@@ -1,4 +1,4 @@
-"""Export of assemblies: what other readers find in an STL or a 3MF is the assembly, in millimetres, on z = 0."""
+"""Tests of STL and 3MF export: other readers find the assembly, in millimetres, on z = 0."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def assembly() -> Assembly:
 
 @pytest.fixture
 def source(assembly: Assembly, monkeypatch: pytest.MonkeyPatch) -> Geometry:
-    """The geometry of two assemblies that are one."""
+    """A geometry with the same assembly under two ids."""
     there = SimpleNamespace(
         root="fake",
         assemblies={"train-0000": {"split": "train"}, "test-0000": {"split": "test"}},
@@ -44,7 +44,7 @@ def source(assembly: Assembly, monkeypatch: pytest.MonkeyPatch) -> Geometry:
 
 
 @pytest.mark.parametrize("ending", ["stl", "3mf"])
-def test_what_is_read_is_the_assembly_in_millimetres(ending: str, assembly: Assembly, tmp_path: Path) -> None:
+def test_a_file_read_back_is_the_assembly_in_millimetres(ending: str, assembly: Assembly, tmp_path: Path) -> None:
     path = ASSEMBLY_FORMATS[ending][1](assembly, tmp_path / f"assembly.{ending}")
     seen = trimesh.load_scene(path).to_mesh()
     assert seen.is_watertight
@@ -54,7 +54,7 @@ def test_what_is_read_is_the_assembly_in_millimetres(ending: str, assembly: Asse
 
 
 @pytest.mark.parametrize("ending", ["stl", "3mf"])
-def test_parts_seat_in_what_is_read(ending: str, assembly: Assembly, tmp_path: Path) -> None:
+def test_parts_seat_in_the_assembly_read_back(ending: str, assembly: Assembly, tmp_path: Path) -> None:
     seen = trimesh.load_scene(ASSEMBLY_FORMATS[ending][1](assembly, tmp_path / f"assembly.{ending}")).to_mesh()
     solid = solid_from_mesh(Mesh(seen.vertices, seen.faces))
     for mount in assembly.mounts:
@@ -65,7 +65,7 @@ def test_parts_seat_in_what_is_read(ending: str, assembly: Assembly, tmp_path: P
 
 
 @pytest.mark.parametrize("ending", ["stl", "3mf"])
-def test_our_own_reader_finds_the_same_solid(ending: str, assembly: Assembly, tmp_path: Path) -> None:
+def test_read_mesh_finds_the_same_solid(ending: str, assembly: Assembly, tmp_path: Path) -> None:
     path = ASSEMBLY_FORMATS[ending][1](assembly, tmp_path / f"assembly.{ending}")
     reading = read_mesh(path, None if ending == "3mf" else "mm")
     assert reading.unit == "mm"
@@ -113,7 +113,7 @@ def test_the_same_assembly_gives_the_same_bytes(assembly: Assembly) -> None:
 
 
 @pytest.mark.parametrize("name", ASSEMBLY_FORMATS)
-def test_every_assembly_of_a_split_or_those_asked_for_get_an_entry(name: str, source: Geometry, tmp_path: Path) -> None:
+def test_all_assemblies_of_a_split_or_the_given_ids_are_exported(name: str, source: Geometry, tmp_path: Path) -> None:
     ending = ASSEMBLY_FORMATS[name][0]
     assert export(source, name, tmp_path / "all") == tmp_path / "all"
     export(source, name, tmp_path / "split", split="test")

@@ -1,4 +1,4 @@
-"""BOP export: what a plain reader of the format finds is the scene, with the masks of a brute-force drawing."""
+"""Tests of the BOP export: a simple reader of the format finds the scene, with the masks of a brute-force renderer."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class FakeScene:
 
 
 class FakeDataset:
-    """As much of a dataset as the export reads."""
+    """The parts of a dataset that the export reads."""
 
     root, id, summary = "fake", "0123456789abcdef", {"licence": "CC-BY-4.0"}
 
@@ -110,7 +110,7 @@ def folder(dataset: FakeDataset, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 @dataclass
 class BopImage:
-    """One image, read with numpy and JSON alone, by the letter of the format."""
+    """One image, read with numpy and JSON as the format specifies."""
 
     K: np.ndarray
     depth: np.ndarray
@@ -140,7 +140,7 @@ class BopImage:
         return cls(K, depth, gt, info, [m > 0 for m in masks], [m > 0 for m in visible], w2c)
 
     def points(self, mask: np.ndarray) -> np.ndarray:
-        """(n, 3) [mm] in the camera: what stands behind the pixels of a mask."""
+        """Points (n, 3) [mm] in the camera frame of the pixels of a mask."""
         v, u = np.nonzero(mask & (self.depth > 0))
         rays = np.linalg.solve(self.K, np.stack([u, v, np.ones(len(u))]))
         return (rays * self.depth[v, u]).T
@@ -167,15 +167,15 @@ def read_ply(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def distance_to(vertices: np.ndarray, faces: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(n,) of points to a surface."""
+    """(n,) distances of points to a surface."""
     triangles = np.tile(vertices[faces], (len(points), 1, 1))
     repeated = np.repeat(points, len(faces), axis=0)
     near = trimesh.triangles.closest_point(triangles, repeated)
     return np.linalg.norm(near - repeated, axis=1).reshape(len(points), -1).min(1)
 
 
-def off_model(folder: Path, image: BopImage, i: int, shift: float = 0.0) -> float:
-    """[mm] median distance from the model of what the image shows of object i."""
+def distance_to_model(folder: Path, image: BopImage, i: int, shift: float = 0.0) -> float:
+    """Median distance [mm] between the visible points of object i and its model."""
     vertices, _, faces = read_ply(folder / f"models/obj_{image.gt[i]['obj_id']:06d}.ply")
     seen = image.points(image.visible[i])[::11][:150] + [shift, 0, 0]
     pose = m2c(image.gt[i])
@@ -186,8 +186,8 @@ def test_depth_lands_on_the_models(folder: Path) -> None:
     image = BopImage.read(folder / "test/000001", 0)
     assert len(image.gt) == 3
     for i in range(3):
-        assert off_model(folder, image, i) < 0.2
-        assert off_model(folder, image, i, shift=3.0) > 0.5
+        assert distance_to_model(folder, image, i) < 0.2
+        assert distance_to_model(folder, image, i, shift=3.0) > 0.5
 
 
 def test_poses_through_the_camera_are_those_of_the_world(folder: Path, dataset: FakeDataset) -> None:
@@ -199,7 +199,7 @@ def test_poses_through_the_camera_are_those_of_the_world(folder: Path, dataset: 
         np.testing.assert_allclose(np.linalg.inv(image.w2c) @ m2c(gt), expected, atol=1e-9)
 
 
-def test_what_is_seen_of_each_object_is_in_its_mask(folder: Path, dataset: FakeDataset) -> None:
+def test_the_visible_pixels_of_each_object_are_in_its_mask(folder: Path, dataset: FakeDataset) -> None:
     image, ids = BopImage.read(folder / "test/000001", 0), dataset.scene.frame.body_ids
     for i, body in enumerate((3, 4, 2)):  # in the picture: 1 the table, 2 the assembly, then the parts
         seen = ids == body
@@ -273,7 +273,7 @@ def test_other_readers_read_the_models(folder: Path) -> None:
         np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-5)
 
 
-def test_the_sensor_the_targets_and_what_numbers_mean(folder: Path, dataset: FakeDataset) -> None:
+def test_camera_targets_and_dataset_info(folder: Path, dataset: FakeDataset) -> None:
     camera, info, few, many = (
         json.loads((folder / f"{name}.json").read_text())
         for name in ("camera", "dataset_info", "test_targets_bop19", "test_targets_bop24")
@@ -296,7 +296,7 @@ def test_the_sensor_the_targets_and_what_numbers_mean(folder: Path, dataset: Fak
     assert many == [{"scene_id": 1, "im_id": 0}]
 
 
-def test_depth_is_stored_to_a_twentieth_of_a_millimetre_and_too_far_is_nothing() -> None:
+def test_depth_is_rounded_to_a_tenth_of_a_millimetre_and_too_large_depths_are_zero() -> None:
     depth = np.array([[0.0, 1e-3, 0.80012, 6.5535, 6.56, 9.0]], np.float32)
     np.testing.assert_array_equal(stored_depth(depth), [[0, 10, 8001, 65535, 0, 0]])
     near = np.random.default_rng(0).uniform(0.3, 3, (20, 20)).astype(np.float32)
@@ -314,7 +314,7 @@ def test_an_object_out_of_sight_has_no_box() -> None:
         assert info["bbox_obj"] == info["bbox_visib"] == [-1, -1, -1, -1]
 
 
-def test_distance_runs_along_the_ray() -> None:
+def test_distance_is_along_the_ray() -> None:
     depth = np.full((CAMERA.height, CAMERA.width), 2.0)
     points = CAMERA.unproject(depth)
     np.testing.assert_allclose(distances(CAMERA, depth), np.linalg.norm(points, axis=-1))
@@ -329,7 +329,7 @@ def test_distance_runs_along_the_ray() -> None:
         ({"sensor": "lidar"}, "no sensor 'lidar'; there are ideal, d415"),
     ],
 )
-def test_what_cannot_be_exported_is_one_line(dataset: FakeDataset, asked: dict, said: str, tmp_path: Path) -> None:
+def test_invalid_exports_are_refused_in_one_line(dataset: FakeDataset, asked: dict, said: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"^{said}"):
         export(dataset, "bop", tmp_path / "out", **asked)  # type: ignore[arg-type]
     assert list(tmp_path.iterdir()) == []

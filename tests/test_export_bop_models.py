@@ -1,4 +1,4 @@
-"""Models of a BOP export: numbers that stay, symmetries that hold, diameters and normals in closed form."""
+"""Tests of the models of a BOP export: stable numbers, valid symmetries, diameters and normals in closed form."""
 
 from __future__ import annotations
 
@@ -67,15 +67,15 @@ def test_listed_symmetries_leave_the_model_as_it_is(name: str) -> None:
 
 @given(poses())
 @settings(max_examples=20)
-def test_the_diameter_is_that_of_all_vertices_however_turned(pose: Pose) -> None:
+def test_the_diameter_is_the_largest_vertex_distance_in_any_rotation(pose: Pose) -> None:
     mesh = sample_part("tee").mesh.moved(pose)
     assert diameter(mesh) == pytest.approx(pdist(mesh.vertices).max())
 
 
-def test_normals_of_a_box_lean_outward_alike() -> None:
+def test_vertex_normals_of_a_box_point_along_its_diagonals() -> None:
     box = mesh_from_solid(Manifold.cube((2, 3, 4), center=True))
     np.testing.assert_allclose(vertex_normals(box), np.sign(box.vertices) / np.sqrt(3), atol=1e-12)
 
 
-def test_a_ply_says_its_unit() -> None:
+def test_a_ply_states_its_unit() -> None:
     assert b"comment KIT1000, millimetres\n" in ply_bytes(sample_part("tee").mesh)

@@ -1,4 +1,4 @@
-"""A generated dataset, exported and described: other tools find in it what its own reader says."""
+"""Tests of a generated dataset, exported and described: other tools agree with `Dataset`."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import pytest
 from kit1000.dataset.reader import Dataset
 from kit1000.export import export
 from kit1000.generation.build import generate
-from tests.mini import MINI, corners
+from tests.mini import MINI, l_shape_sources
 from tests.test_card import table_below
-from tests.test_export_bop import BopImage, off_model
+from tests.test_export_bop import BopImage, distance_to_model
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib.*")]
 
@@ -21,19 +21,19 @@ pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationW
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     folder = tmp_path_factory.mktemp("data")
-    generate(MINI, folder / "data", workers=1, sources=corners(folder / "files"))
+    generate(MINI, folder / "data", workers=1, sources=l_shape_sources(folder / "files"))
     return Dataset(folder / "data")
 
 
 @pytest.mark.parametrize("sensor", ["ideal", "d415"])
-def test_recorded_scenes_are_what_bop_says(dataset: Dataset, sensor: str, tmp_path: Path) -> None:
+def test_bop_scenes_match_the_recorded_scenes(dataset: Dataset, sensor: str, tmp_path: Path) -> None:
     export(dataset, "bop", tmp_path / "bop", sensor=sensor)
     for split in ("train", "val", "test"):
         for number, recorded in enumerate(dataset.split(split, truth=True)):
             image = BopImage.read(tmp_path / f"bop/{split}/{number:06d}", 0)
             np.testing.assert_allclose(image.depth / 1e3, recorded.view(sensor).depth, atol=5.1e-5)
             for i, row in enumerate(recorded.truth.parts):
-                assert off_model(tmp_path / "bop", image, i) < {"ideal": 0.2, "d415": 4}[sensor]
+                assert distance_to_model(tmp_path / "bop", image, i) < {"ideal": 0.2, "d415": 4}[sensor]
                 if sensor == "ideal":
                     assert image.info[i]["px_count_visib"] == pytest.approx(row["pixels"], rel=0.05)
                     assert image.info[i]["visib_fract"] == pytest.approx(row["visible"], abs=0.05)
@@ -49,7 +49,7 @@ def test_the_description_of_the_folder_is_valid_and_loads(dataset: Dataset) -> N
     assert scenes == {scene for split in ("train", "val", "test") for scene in dataset.split(split).scene_ids}
 
 
-def test_the_card_counts_what_the_reader_finds(dataset: Dataset) -> None:
+def test_the_card_counts_match_the_reader(dataset: Dataset) -> None:
     card = (dataset.root / "README.md").read_text()
     asked = {row[0]: int(row[-1]) for row in table_below(card, "Queries by track")[1:]}
     everything = [query.track for query in dataset.split("test-all").queries()]

@@ -1,4 +1,4 @@
-"""Laws of writing files: whole or absent, in one line when it fails, one writer a folder."""
+"""Tests of files: atomic writes, errors of one line, one writer for each folder."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_a_write_that_is_stopped_leaves_the_old_file_and_no_other(
     assert os.listdir(tmp_path) == ["a.bin"]
 
 
-def test_what_stands_in_the_way_is_named(tmp_path: Path) -> None:
+def test_an_obstacle_to_writing_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match=r"cannot write .*a.bin: .*; a file exists where a folder is needed"):
         write_bytes(tmp_path / "file/a.bin", b"")
@@ -108,7 +108,7 @@ def test_reading_what_is_no_json_is_one_line(tmp_path: Path) -> None:
         read_json(tmp_path)
 
 
-def test_leftovers_go_and_nothing_else(tmp_path: Path) -> None:
+def test_only_partial_files_are_deleted(tmp_path: Path) -> None:
     keep = [tmp_path / name for name in ("a.glb", f"b{PARTIAL}", ".hidden", "in/c.glb")]
     left = [tmp_path / name for name in (f".a.glb.1{PARTIAL}", f"in/.c.glb.22{PARTIAL}")]
     for path in keep + left:
@@ -125,7 +125,7 @@ def test_leftovers_go_and_nothing_else(tmp_path: Path) -> None:
 
 
 def hold(folder: Path, ready, release) -> None:
-    """Another process that builds in a folder."""
+    """Another process that locks a folder."""
     with locked(folder):
         ready.set()
         release.wait(30)
@@ -145,7 +145,7 @@ def test_a_folder_has_one_writer_and_a_killed_one_frees_it(tmp_path: Path) -> No
         pass
 
 
-def test_a_disk_without_locks_is_not_taken_for_a_busy_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_without_locks_has_an_error_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def flock(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
@@ -154,7 +154,7 @@ def test_a_disk_without_locks_is_not_taken_for_a_busy_one(tmp_path: Path, monkey
         pass
 
 
-def test_a_folder_is_judged_before_it_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_is_checked_before_it_is_created(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     check_writable(tmp_path / "new/er")
     assert not os.listdir(tmp_path)
     (tmp_path / "file").touch()
@@ -184,7 +184,7 @@ def test_a_url_that_cannot_be_reached_is_one_line(url: str, said: str) -> None:
         parse_folder(url)
 
 
-def test_without_the_packages_for_urls_the_way_to_them_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_packages_for_urls_the_error_says_how_to_install_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "upath", None)
     with pytest.raises(InputError, match=r"^memory://a: .*pip install 'kit1000\[ray\]'"):
         parse_folder("memory://a")
@@ -192,7 +192,7 @@ def test_without_the_packages_for_urls_the_way_to_them_is_said(monkeypatch: pyte
 
 @pytest.fixture(params=["memory", "local"])
 def remote(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
-    """A folder behind a URL: one that knows no folders, as object stores, and one that wants them made."""
+    """A folder behind a URL: without folders, as in object stores, and with folders that must be created."""
     place = parse_folder(f"{request.param}://{tmp_path}/root")
     assert is_url(place)
     yield place
@@ -220,7 +220,7 @@ def test_files_behind_a_url_are_written_read_and_removed(remote: Path) -> None:
 
 
 class Refused(Exception):
-    """What a store says in its own way."""
+    """An exception of an object store."""
 
 
 def test_a_store_that_refuses_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:

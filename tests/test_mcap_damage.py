@@ -1,4 +1,4 @@
-"""Values that do not fit and files that are damaged or foreign are answered with one line, never with other numbers."""
+"""Tests of invalid values and of damaged or other files: an error of one line, never other numbers."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_scene_is_recorded_once(tmp_path: Path) -> None:
         write(tmp_path / "a.mcap", [observation(), observation()])
 
 
-def test_models_of_strangers_are_refused(tmp_path: Path) -> None:
+def test_models_of_unknown_bodies_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"models parts/x, expected"):
         write_truth(tmp_path / "t.mcap", [replace(truth(), models={"parts/x": b""})])
 
@@ -76,31 +76,31 @@ def test_unknown_scenes_and_views_are_answered_with_the_known_ones(seen: Path) -
         file.view("test-s0001", "d435")
 
 
-def test_files_of_others_are_told_apart(tmp_path: Path, seen: Path) -> None:
-    def told(name: str, data: bytes, kind: type[ObservationFile] | type[TruthFile] = ObservationFile) -> str:
+def test_other_mcap_files_are_refused(tmp_path: Path, seen: Path) -> None:
+    def error_of(name: str, data: bytes, kind: type[ObservationFile] | type[TruthFile] = ObservationFile) -> str:
         path = tmp_path / name
         path.write_bytes(data)
         with pytest.raises(InputError) as caught:
             kind(path).scene_ids
         return str(caught.value)
 
-    assert "empty file" in told("empty.mcap", b"")
-    assert "no MCAP file" in told("text.mcap", b"a recording, I swear\n" * 9)
-    assert "truncated" in told("short.mcap", seen.read_bytes()[:-100])
-    assert "truncated" in told("magic.mcap", seen.read_bytes()[:8])
-    assert "expected a file of 'truth'" in told("swapped.mcap", seen.read_bytes(), TruthFile)
+    assert "empty file" in error_of("empty.mcap", b"")
+    assert "no MCAP file" in error_of("text.mcap", b"a recording, I swear\n" * 9)
+    assert "truncated" in error_of("short.mcap", seen.read_bytes()[:-100])
+    assert "truncated" in error_of("magic.mcap", seen.read_bytes()[:8])
+    assert "expected a file of 'truth'" in error_of("swapped.mcap", seen.read_bytes(), TruthFile)
     with open(tmp_path / "foreign.mcap", "wb") as file:
         writer = Writer(file)
         writer.start()
         writer.add_message(writer.register_channel("/a", "json", 0), 1, b"{}", 1)
         writer.finish()
-    assert "no recording of kit1000" in told("foreign.mcap", (tmp_path / "foreign.mcap").read_bytes())
+    assert "no recording of kit1000" in error_of("foreign.mcap", (tmp_path / "foreign.mcap").read_bytes())
     for path, message in ((tmp_path / "none.mcap", "no file"), (tmp_path, "Is a directory")):
         with pytest.raises(InputError, match=message):
             ObservationFile(path).scene_ids
 
 
-def test_a_file_packed_anew_by_another_tool_is_told(tmp_path: Path, seen: Path) -> None:
+def test_a_file_rewritten_by_another_tool_is_refused(tmp_path: Path, seen: Path) -> None:
     with open(seen, "rb") as file, open(tmp_path / "anew.mcap", "wb") as out:
         reader, writer, ids = make_reader(file), Writer(out), {}
         writer.start()
@@ -121,7 +121,7 @@ def test_a_file_packed_anew_by_another_tool_is_told(tmp_path: Path, seen: Path) 
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+def intact(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """The bytes of a file of observations and of one of truths."""
     folder = tmp_path_factory.mktemp("sound")
     write(folder / "seen", [observation(k) for k in range(2)])
@@ -130,13 +130,13 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 
 def hashes(path: Path, name: str) -> list[str]:
-    """What the file says, computed from all that is read."""
+    """The content hash of the first scene, computed from all messages."""
     file = ObservationFile(path) if name == "seen" else TruthFile(path)
     return [file.recomputed_hash(scene_id) for scene_id in file.scene_ids]
 
 
-def same_or_told(path: Path, data: bytes, name: str) -> None:
-    """Assert that a file of these bytes says what the sound one does, or is refused in one line."""
+def assert_same_or_refused(path: Path, data: bytes, name: str) -> None:
+    """Assert that a file of these bytes has the same content as the intact one, or is refused in one line."""
     path.write_bytes(data)
     wanted = {"seen": [observation_hash(observation(k)) for k in range(2)], "truth": [truth_hash(truth())]}[name]
     said = None
@@ -152,41 +152,41 @@ DAMAGE = settings(max_examples=150, suppress_health_check=[HealthCheck.function_
 
 @DAMAGE
 @given(st.data(), st.sampled_from(["seen", "truth"]))
-def test_a_shortened_file_is_told(tmp_path: Path, sound: dict[str, bytes], data: st.DataObject, name: str) -> None:
-    cut = data.draw(st.integers(0, len(sound[name]) - 1))
-    (tmp_path / "cut").write_bytes(sound[name][:cut])
+def test_a_truncated_file_is_refused(tmp_path: Path, intact: dict[str, bytes], data: st.DataObject, name: str) -> None:
+    cut = data.draw(st.integers(0, len(intact[name]) - 1))
+    (tmp_path / "cut").write_bytes(intact[name][:cut])
     with pytest.raises(InputError, match=r"empty file|no MCAP file|truncated"):
         hashes(tmp_path / "cut", name)
 
 
 @DAMAGE
 @given(st.data(), st.sampled_from(["seen", "truth"]))
-def test_flipped_bytes_change_nothing_or_are_told(
-    tmp_path: Path, sound: dict[str, bytes], data: st.DataObject, name: str
+def test_flipped_bytes_change_nothing_or_are_detected(
+    tmp_path: Path, intact: dict[str, bytes], data: st.DataObject, name: str
 ) -> None:
-    damaged = bytearray(sound[name])
+    damaged = bytearray(intact[name])
     flips = st.tuples(st.integers(0, len(damaged) - 1), st.integers(1, 255))
     for place, change in data.draw(st.lists(flips, min_size=1, max_size=3)):
         damaged[place] ^= change
-    same_or_told(tmp_path / "flipped", bytes(damaged), name)
+    assert_same_or_refused(tmp_path / "flipped", bytes(damaged), name)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["seen", "truth"])
-def test_no_flipped_byte_goes_unseen(tmp_path: Path, sound: dict[str, bytes], name: str) -> None:
-    for place in range(0, len(sound[name]), 5):
-        damaged = bytearray(sound[name])
+def test_every_flipped_byte_is_detected(tmp_path: Path, intact: dict[str, bytes], name: str) -> None:
+    for place in range(0, len(intact[name]), 5):
+        damaged = bytearray(intact[name])
         damaged[place] ^= 1 << place % 8
-        same_or_told(tmp_path / "flipped", bytes(damaged), name)
+        assert_same_or_refused(tmp_path / "flipped", bytes(damaged), name)
 
 
 @DAMAGE
 @given(st.data())
-def test_a_damaged_index_with_a_right_checksum_is_told(
-    tmp_path: Path, sound: dict[str, bytes], data: st.DataObject
+def test_a_damaged_index_with_a_correct_checksum_is_detected(
+    tmp_path: Path, intact: dict[str, bytes], data: st.DataObject
 ) -> None:
-    damaged = bytearray(sound["seen"])
+    damaged = bytearray(intact["seen"])
     start = struct.unpack_from("<Q", damaged, len(damaged) - 28)[0]
     damaged[data.draw(st.integers(start, len(damaged) - 38))] ^= data.draw(st.integers(1, 255))
     struct.pack_into("<I", damaged, len(damaged) - 12, zlib.crc32(damaged[start:-12]))
-    same_or_told(tmp_path / "forged", bytes(damaged), "seen")
+    assert_same_or_refused(tmp_path / "forged", bytes(damaged), "seen")

@@ -1,4 +1,4 @@
-"""Recordings come back to the bit, are read in part, look right to viewers, and damage is always told."""
+"""Tests of recordings: equal to the bit when read back, read in part, valid for viewers, damage detected."""
 
 from __future__ import annotations
 
@@ -55,8 +55,8 @@ def large(tmp_path: Path) -> Path:
     return write(tmp_path / "large.mcap", [observation(k, BIG) for k in range(5)])
 
 
-def stock(path: Path, *topics: str) -> list[Any]:
-    """Channel, message and value as the stock library reads them, checksums and all."""
+def read_by_mcap(path: Path, *topics: str) -> list[Any]:
+    """Channel, message and value as read by the MCAP library, with checksums."""
     with open(path, "rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
         return [(c, m, v) for _, c, m, v in reader.iter_decoded_messages(topics)]
@@ -72,7 +72,7 @@ def test_observations_come_back_to_the_bit(seen: Path) -> None:
         assert same(file.observation(f"test-s{k:04d}"), observation(k))
 
 
-def test_views_of_further_cameras_come_back_in_order(tmp_path: Path) -> None:
+def test_views_of_extra_cameras_come_back_in_order(tmp_path: Path) -> None:
     file = ObservationFile(write(tmp_path / "seen.three.mcap", [extra_views()]))
     assert file.view_keys("test-s0000")[:3] == ("three/0/ideal", "three/0/d415", "three/1/ideal")
     assert same(file.observation("test-s0000"), extra_views())
@@ -127,14 +127,14 @@ def test_bytes_depend_on_the_scenes_alone(tmp_path: Path, monkeypatch: pytest.Mo
     assert write(tmp_path / "b.mcap", turned).read_bytes() == first.read_bytes()
 
 
-def test_the_writer_tells_the_hash_of_the_file(tmp_path: Path) -> None:
+def test_the_writer_has_the_hash_of_the_file(tmp_path: Path) -> None:
     with ObservationWriter(tmp_path / "a.mcap") as writer:
         writer.add(observation())
         assert not list(tmp_path.iterdir())
     assert writer.sha256 == sha256((tmp_path / "a.mcap").read_bytes()).hexdigest()
 
 
-def test_a_file_is_whole_or_absent(tmp_path: Path) -> None:
+def test_a_file_is_written_completely_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="twice"):
         write(tmp_path / "a.mcap", [observation(), observation()])
     with ObservationWriter(tmp_path / "b.mcap") as writer:
@@ -180,7 +180,7 @@ def test_viewers_find_a_calibration_and_a_frame_for_every_depth_image(tmp_path: 
             beside = topic.removesuffix("depth") + "camera"  # where the 3D panel looks for it
             assert channels[topic].name == "foxglove.RawImage"
             assert channels[beside].name == "foxglove.CameraCalibration"
-            (_, _, image), (_, _, camera), (_, _, frames) = (stock(path, t)[0] for t in (topic, beside, "/tf"))
+            (_, _, image), (_, _, camera), (_, _, frames) = (read_by_mcap(path, t)[0] for t in (topic, beside, "/tf"))
             assert image.frame_id == camera.frame_id
             (transform,) = [t for t in frames.transforms if t.child_frame_id == image.frame_id]
             assert transform.parent_frame_id == "world"
@@ -194,10 +194,10 @@ def test_viewers_find_a_calibration_and_a_frame_for_every_depth_image(tmp_path: 
 
 def test_a_scene_replaces_the_models_of_the_one_before(tmp_path: Path) -> None:
     write_truth(tmp_path / "t.mcap", [truth()])
-    ((_, _, update),) = stock(tmp_path / "t.mcap", "/scene")
+    ((_, _, update),) = read_by_mcap(tmp_path / "t.mcap", "/scene")
     assert [deletion.type for deletion in update.deletions] == [1]  # all
     assert [entity.id for entity in update.entities] == list(truth().models)
-    ((_, _, frames),) = stock(tmp_path / "t.mcap", "/tf")
+    ((_, _, frames),) = read_by_mcap(tmp_path / "t.mcap", "/tf")
     assert [item.child_frame_id for item in frames.transforms] == list(truth().models)
 
 
@@ -217,7 +217,7 @@ def test_schemas_are_complete_and_rows_fit_them(tmp_path: Path, seen: Path) -> N
                 assert {needed for item in files for needed in item.dependency} <= held
 
 
-def test_an_observation_file_names_no_part_and_no_seed(seen: Path) -> None:
+def test_an_observation_file_contains_no_part_id_and_no_seed(seen: Path) -> None:
     with open(seen, "rb") as file:
         reader = make_reader(file)
         (record,) = reader.iter_metadata()
@@ -265,7 +265,7 @@ def test_any_change_of_content_changes_the_hash() -> None:
     assert truth_hash(replace(so, models={})) == truth_hash(so)  # copies for viewers
 
 
-def test_the_content_hash_is_what_it_was() -> None:
+def test_the_content_hash_has_not_changed() -> None:
     turned = Pose(np.array([0.5, 0.5, -0.5, 0.5]), np.array([0.25, -0.0, 1.5]))
     view = View(Camera(3, 2, 4.0, 5.0, 1.0, 0.5), turned, np.arange(6, dtype=np.float32).reshape(2, 3) / 8)
     scene = Observation("test-s0000", {"ideal": view}, np.eye(2, 3, dtype=np.uint8), (query("s", 1, turned),))
@@ -285,7 +285,7 @@ def test_the_content_hash_is_what_it_was() -> None:
 
 @pytest.fixture
 def bytes_read(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The sizes of all reads from files from now on."""
+    """The sizes of all later reads from files."""
     sizes: list[int] = []
     plain = os.pread
 
@@ -317,7 +317,7 @@ def test_the_images_of_a_scene_are_read_once(large: Path, bytes_read: list[int])
     assert whole < 1.3 * large.stat().st_size / 5
 
 
-def test_images_outlive_the_memory_they_were_read_into(large: Path) -> None:
+def test_images_stay_valid_when_their_chunk_leaves_the_cache(large: Path) -> None:
     file = ObservationFile(large)
     depths = {scene_id: file.view(scene_id).depth for scene_id in file.scene_ids}
     reading._chunk.cache_clear()
@@ -325,7 +325,7 @@ def test_images_outlive_the_memory_they_were_read_into(large: Path) -> None:
         assert depths[f"test-s{k:04d}"].tobytes() == observation(k, BIG).views["ideal"].depth.tobytes()
 
 
-def test_a_file_travels_to_other_processes_and_threads(large: Path) -> None:
+def test_a_file_can_be_used_in_other_processes_and_threads(large: Path) -> None:
     file = ObservationFile(large)
     wanted = file.view("test-s0001").depth.tobytes()
     copy = pickle.loads(pickle.dumps(file))

@@ -1,4 +1,4 @@
-"""Laws of near-duplicates: size, place and the naming of axes make no difference, shape does."""
+"""Near-duplicates do not depend on size, position and order of the axes, but on the shape."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from manifold3d import Manifold
-from mini import corner
+from mini import l_shape
 from strategies import vectors
 
 from kit1000.mesh import Mesh, mesh_from_solid
@@ -28,8 +28,10 @@ def test_the_measures_of_a_box_are_known(a: float, b: float, c: float) -> None:
 
 
 @given(st.floats(1e-3, 1e3), vectors(5.0), st.permutations([0, 1, 2]))
-def test_size_place_and_names_of_axes_do_not_count(size: float, shift: np.ndarray, axes: list[int]) -> None:
-    mesh = corner()
+def test_measures_do_not_depend_on_size_position_and_order_of_axes(
+    size: float, shift: np.ndarray, axes: list[int]
+) -> None:
+    mesh = l_shape()
     turned = mesh.vertices[:, axes] * size + shift * size
     even = np.linalg.det(np.eye(3)[axes]) > 0
     moved = Mesh(turned, mesh.faces if even else mesh.faces[:, ::-1])
@@ -38,11 +40,11 @@ def test_size_place_and_names_of_axes_do_not_count(size: float, shift: np.ndarra
 
 
 def test_a_solid_with_a_hollow_fills_less_of_its_hull() -> None:
-    assert shape_measures(corner())[1] < 0.9
+    assert shape_measures(l_shape())[1] < 0.9
     assert shape_measures(box(1, 2, 3))[1] == pytest.approx(1)
 
 
-def test_a_twin_agrees_in_all_measures_and_the_first_is_named() -> None:
+def test_the_first_part_that_agrees_in_all_measures_is_returned() -> None:
     measures = np.array([0.5, 0.6, 0.7, 0.8, 9.0])
     others = measures * (1 + MIN_DIFFERENCE * np.array([[1.2, 0, 0, 0, 0], [0.9] * 5, [0] * 5]))
     assert near_duplicate_of(measures, others) == 1

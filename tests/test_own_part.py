@@ -1,4 +1,4 @@
-"""Laws of a kit for one's own part: the files agree with each other and with the report, and the report comes last."""
+"""Tests of kits for own parts: the files agree with each other and with the report, which is written last."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from mini import contents, corner, written
+from mini import file_hashes, l_shape, write_stl
 from PIL import Image
 
 from kit1000.dataset.mesh_files import read_glb
@@ -30,14 +30,14 @@ EXACT = 1e-5  # [mm] float32 at a tenth of a metre
 
 
 def read(path: Path) -> Mesh:
-    """An STL in its own unit, equal corners merged."""
+    """An STL in its own unit, equal vertices merged."""
     soup = read_triangles(path)
     return Mesh(soup.vertices, soup.faces).merged()
 
 
 @pytest.fixture(scope="module", autouse=True)
 def _picture() -> Iterator[None]:
-    """A quick one: drawing takes longer than all the rest."""
+    """A fake preview: rendering takes longer than everything else."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(previews, "kit_preview", lambda *_: b"picture")
         yield
@@ -46,7 +46,7 @@ def _picture() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("own")
-    make_kit_from_file(written(folder / "corner.stl", corner()), folder / "out")
+    make_kit_from_file(write_stl(folder / "corner.stl", l_shape()), folder / "out")
     return folder / "out"
 
 
@@ -61,7 +61,7 @@ def test_five_files_are_written(out: Path) -> None:
 
 def test_the_preview_shows_the_part_in_its_colour(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(previews, "kit_preview", DRAWN)
-    make_kit_from_file(written(tmp_path / "corner.stl", corner()), tmp_path / "out")
+    make_kit_from_file(write_stl(tmp_path / "corner.stl", l_shape()), tmp_path / "out")
     with Image.open(tmp_path / "out/preview.png") as picture:
         assert picture.size == previews.PREVIEW_SIZE
         pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3).astype(int)
@@ -69,7 +69,7 @@ def test_the_preview_shows_the_part_in_its_colour(tmp_path: Path, monkeypatch: p
     assert 0.02 < orange < 0.5
 
 
-def test_the_part_is_seated_in_the_kit_without_touching_more_than_the_floor(out: Path, report: dict[str, Any]) -> None:
+def test_the_seated_part_touches_only_the_floor(out: Path, report: dict[str, Any]) -> None:
     kit, part = read(out / "kit.stl"), read(out / "part.stl")
     for mesh in (kit, part):
         assert defect_float32(mesh) is None
@@ -84,14 +84,14 @@ def test_files_are_in_millimetres_with_z_up_at_true_size(out: Path, report: dict
     assert sorted(part.extents) == pytest.approx([24, 30, 40], abs=EXACT)
     assert sorted(report["size_mm"]) == [24, 30, 40]
     assert (
-        report["volume_mm3"] == pytest.approx(part.volume, rel=1e-6) == pytest.approx(corner().volume * 1e9, rel=1e-6)
+        report["volume_mm3"] == pytest.approx(part.volume, rel=1e-6) == pytest.approx(l_shape().volume * 1e9, rel=1e-6)
     )
     assert kit.extents == pytest.approx(report["plate_mm"], abs=1e-3)
     assert kit.bounds.sum(0)[:2] == pytest.approx([0, 0], abs=EXACT)
     assert kit.bounds[1, 2] == 0
 
 
-def test_the_gap_is_the_one_asked_for_all_around(out: Path, report: dict[str, Any]) -> None:
+def test_the_clearance_is_the_requested_one_everywhere(out: Path, report: dict[str, Any]) -> None:
     kit, part = solid_from_mesh(read(out / "kit.stl")), solid_from_mesh(read(out / "part.stl"))
     assert 2.48 < report["clearance_smallest_mm"] <= report["clearance_largest_mm"] < 2.6
     for share in (0.1, 0.5, 0.9):
@@ -109,7 +109,7 @@ def test_the_seated_scene_is_the_same_in_metres(out: Path) -> None:
     assert np.allclose(seen.extents[1] * 1e3, np.ptp(np.vstack([m.bounds for m in bodies.values()])[:, 2]) * 1e3)
 
 
-def test_the_report_says_what_was_done(out: Path, report: dict[str, Any]) -> None:
+def test_the_report_states_clearance_repairs_and_scale(out: Path, report: dict[str, Any]) -> None:
     assert (report["part"], report["unit"], report["scale"], report["repairs"]) == ("corner.stl", "mm", 1.0, [])
     assert report["kit_faces"] == len(read_triangles(out / "kit.stl").faces)
     assert report["trial"]["passes"] is True
@@ -117,23 +117,23 @@ def test_the_report_says_what_was_done(out: Path, report: dict[str, Any]) -> Non
 
 
 def test_another_run_over_the_same_folder_replaces_everything(out: Path, tmp_path: Path) -> None:
-    part, folder = written(tmp_path / "corner.stl", corner()), tmp_path / "out"
+    part, folder = write_stl(tmp_path / "corner.stl", l_shape()), tmp_path / "out"
     make_kit_from_file(part, folder, clearance=4e-3)
-    wide = contents(folder)
+    wide = file_hashes(folder)
     (folder / f".kit.stl.77{PARTIAL}").touch()
     (folder / "notes.txt").touch()
     make_kit_from_file(part, folder)
     (folder / "notes.txt").unlink()
-    assert contents(folder) == contents(out)
-    assert {name for name in FILES if wide[name] != contents(out)[name]} == {"kit.stl", "seated.glb", "report.json"}
+    assert file_hashes(folder) == file_hashes(out)
+    assert {name for name in FILES if wide[name] != file_hashes(out)[name]} == {"kit.stl", "seated.glb", "report.json"}
 
 
 @pytest.mark.parametrize("step", range(5))
-def test_an_interrupted_run_leaves_whole_files_and_no_report(
+def test_an_interrupted_run_leaves_complete_files_and_no_report(
     step: int, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, replace, left = tmp_path / "out", os.replace, step
-    part = written(tmp_path / "corner.stl", corner())
+    part = write_stl(tmp_path / "corner.stl", l_shape())
     folder.mkdir()
     (folder / "report.json").write_text("of an earlier run")
 
@@ -148,16 +148,16 @@ def test_an_interrupted_run_leaves_whole_files_and_no_report(
         patch.setattr(os, "replace", stopping)
         with pytest.raises(KeyboardInterrupt):
             make_kit_from_file(part, folder)
-    found = contents(folder)
+    found = file_hashes(folder)
     assert "report.json" not in found
     assert len(found) == step
-    assert found.items() <= contents(out).items()
+    assert found.items() <= file_hashes(out).items()
     make_kit_from_file(part, folder)
-    assert contents(folder) == contents(out)
+    assert file_hashes(folder) == file_hashes(out)
 
 
 def test_nothing_is_written_when_no_kit_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    part = written(tmp_path / "corner.stl", corner())
+    part = write_stl(tmp_path / "corner.stl", l_shape())
     monkeypatch.setattr(own_part, "_files", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         make_kit_from_file(part, tmp_path / "out")
@@ -165,29 +165,29 @@ def test_nothing_is_written_when_no_kit_can_be_made(tmp_path: Path, monkeypatch:
 
 
 @pytest.mark.parametrize(("unit", "size"), [("mm", 1e-3), ("inch", 0.0254), ("m", 1.0)])
-def test_units_are_understood(unit: str, size: float, out: Path, tmp_path: Path) -> None:
-    mesh = corner().scaled(1e-3 / size)  # stl_bytes takes metres and writes thousands of them
-    made = make_kit_from_file(written(tmp_path / "corner.stl", mesh), tmp_path / "out", unit=unit)
+def test_units_are_converted(unit: str, size: float, out: Path, tmp_path: Path) -> None:
+    mesh = l_shape().scaled(1e-3 / size)  # stl_bytes takes metres and writes thousands of them
+    made = make_kit_from_file(write_stl(tmp_path / "corner.stl", mesh), tmp_path / "out", unit=unit)
     assert sorted(made["size_mm"]) == pytest.approx([24, 30, 40], abs=1e-3)
     assert made["unit"] == unit
 
 
 def test_a_part_may_be_scaled_to_fit(tmp_path: Path) -> None:
-    made = make_kit_from_file(written(tmp_path / "corner.stl", corner()), tmp_path / "out", longest=0.06)
+    made = make_kit_from_file(write_stl(tmp_path / "corner.stl", l_shape()), tmp_path / "out", longest=0.06)
     assert sorted(made["size_mm"]) == pytest.approx([36, 45, 60], abs=1e-3)
     assert made["scale"] == pytest.approx(1.5)
     assert sorted(read(tmp_path / "out/part.stl").extents) == pytest.approx([36, 45, 60], abs=1e-3)
 
 
 def test_inverted_normals_are_repaired_and_reported(out: Path, tmp_path: Path) -> None:
-    inside_out = Mesh(corner().vertices, corner().faces[:, ::-1])
-    made = make_kit_from_file(written(tmp_path / "corner.stl", inside_out), tmp_path / "out")
+    inside_out = Mesh(l_shape().vertices, l_shape().faces[:, ::-1])
+    made = make_kit_from_file(write_stl(tmp_path / "corner.stl", inside_out), tmp_path / "out")
     assert made["repairs"]
     assert read(tmp_path / "out/part.stl").volume == pytest.approx(read(out / "part.stl").volume, rel=1e-6)
 
 
 def test_a_refusal_names_the_file_and_the_reason(tmp_path: Path) -> None:
-    flat = written(tmp_path / "flat.stl", Mesh(corner().vertices * (1, 1, 1e-4), corner().faces))
+    flat = write_stl(tmp_path / "flat.stl", Mesh(l_shape().vertices * (1, 1, 1e-4), l_shape().faces))
     with pytest.raises(InputError, match=r"^.*flat\.stl: zero thickness"):
         make_kit_from_file(flat, tmp_path / "out")
     assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""Laws of the plan: a pure function of preset, seed and sources, from which nothing leaks between splits."""
+"""Tests of the plan: a pure function of preset, seed and sources, with disjoint splits."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mini import MINI, corner, corners, written
+from mini import MINI, l_shape, l_shape_sources, write_stl
 
 from kit1000.errors import InputError
 from kit1000.files import json_bytes
@@ -32,14 +32,14 @@ TINY = PRESETS["tiny"]
 MANY = Preset("many", 120, 20, 40)
 
 GOLDEN = "59d8ce3fa9514ccd"
-"""Identity of `tiny` with its own seed. It changes with every draw, so each change is one of the data version:
+"""The id of `tiny` with its own seed. It changes with every draw, so each change is one of the data version:
 2026-11 9a0d8ffcf810edc4 first, data version 0.1.0.
 2026-11 19dfd88941a0089b plan format 2, data version 0.2.0: scenes join, with their rest modes, tracks and curves.
 2026-11 59d8ce3fa9514ccd data version 0.2.1: faces without area hide no edge from the seating test.
 """
 
 
-def test_the_plan_of_tiny_is_the_one_we_know() -> None:
+def test_the_plan_of_tiny_has_not_changed() -> None:
     assert dataset_id(make_plan(TINY, TINY.seed)) == GOLDEN
 
 
@@ -55,14 +55,14 @@ def test_another_seed_is_another_dataset() -> None:
     assert all(one["parts"][i]["longest"] != other["parts"][i]["longest"] for i in one["parts"])
 
 
-def test_every_setting_of_a_preset_is_part_of_the_identity() -> None:
+def test_every_setting_of_a_preset_changes_the_id() -> None:
     changes = {"train": 3, "longest": (0.03, 0.05), "clearance": 3e-3, "kits": (2, 2), "level_base": True}
     changes |= {"tilt_deg": (10.0, 20.0), "name": "other", "tracks": ("snap",), "curve_scenes": 0}
     ids = {dataset_id(make_plan(replace(MINI, **{key: value}), 7)) for key, value in changes.items()}
     assert len(ids | {dataset_id(make_plan(MINI, 7))}) == len(changes) + 1
 
 
-def test_splits_have_the_asked_size_and_share_nothing() -> None:
+def test_splits_have_the_size_of_the_preset_and_share_nothing() -> None:
     plan = make_plan(MANY, 5)
     for table in ("parts", "assemblies"):
         of = {split: {i for i, row in plan[table].items() if row["split"] == split} for split in SPLITS}
@@ -71,7 +71,7 @@ def test_splits_have_the_asked_size_and_share_nothing() -> None:
     assert len(set(drawn)) == len(drawn)
 
 
-def test_company_comes_from_the_same_split_and_is_never_the_target() -> None:
+def test_candidates_are_of_the_same_split_and_never_the_target() -> None:
     plan = make_plan(MANY, 5)
     for row in plan["assemblies"].values():
         assert row["target"] not in row["company"]
@@ -98,7 +98,7 @@ def test_a_preset_comes_back_from_its_plan() -> None:
         assert preset_of(plan["preset"], plan["config"]) == replace(known, train=1, val=1, test=1, seed=1000)
 
 
-def test_held_out_families_are_in_test_alone_and_are_in_test() -> None:
+def test_held_out_families_are_in_the_test_split_only() -> None:
     asked = replace(PRESETS["kit1000"], train=100)
     parts = make_plan(asked, asked.seed)["parts"].values()
     assert not {row["family"] for row in parts if row["split"] != "test"} & set(HELD_OUT)
@@ -108,7 +108,7 @@ def test_held_out_families_are_in_test_alone_and_are_in_test() -> None:
 
 
 @pytest.mark.parametrize("split", ["train", "test"])
-def test_redraws_keep_to_the_families_of_their_split(split: str) -> None:
+def test_redraws_use_the_families_of_their_split(split: str) -> None:
     families = {draw_part(MINI, 7, f"{split}-0000", split, attempt).family for attempt in range(200)}
     assert families <= set(family_weights(MINI, split))
     assert len(families) > 20
@@ -121,7 +121,7 @@ def test_attempts_are_independent_draws() -> None:
 
 
 def test_a_new_family_in_the_catalog_changes_no_plan(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither the plan and its identity nor any redraw: a family is drawn when a mixture weighs it."""
+    """Neither the plan nor its id nor a redraw changes: only families of a mixture are drawn."""
     before = make_plan(MANY, 5)
     redraws = [draw_part(MANY, 5, "test-0000", "test", attempt) for attempt in range(1, 20)]
     monkeypatch.setitem(FAMILIES, "new", Block)
@@ -159,23 +159,23 @@ def test_sizes_are_those_of_the_preset() -> None:
     assert all(0.035 <= row["longest"] <= 0.05 for row in make_plan(MANY, 1)["parts"].values())
 
 
-def test_a_plan_of_files_says_nothing_of_where_they_lie(tmp_path: Path) -> None:
-    here, there = corners(tmp_path / "a"), corners(tmp_path / "b/deeper")
+def test_a_plan_of_files_contains_no_absolute_path(tmp_path: Path) -> None:
+    here, there = l_shape_sources(tmp_path / "a"), l_shape_sources(tmp_path / "b/deeper")
     assert json_bytes(make_plan(MINI, 7, here)) == json_bytes(make_plan(MINI, 7, there))
     backwards = Sources.of(reversed(list(here.files.values())))
     assert make_plan(MINI, 7, backwards) == make_plan(MINI, 7, here)
 
 
 def test_a_plan_of_files_changes_with_their_contents_and_their_unit(tmp_path: Path) -> None:
-    sources = corners(tmp_path)
+    sources = l_shape_sources(tmp_path)
     plan = make_plan(MINI, 7, sources)
     assert dataset_id(make_plan(MINI, 7, replace(sources, unit="inch"))) != dataset_id(plan)
-    written(tmp_path / "corner20.stl", corner(21))
+    write_stl(tmp_path / "corner20.stl", l_shape(21))
     assert dataset_id(make_plan(MINI, 7, sources)) != dataset_id(plan)
 
 
-def test_files_are_dealt_out_once_and_spares_follow(tmp_path: Path) -> None:
-    sources = corners(tmp_path, (20, 22, 24, 26, 28, 30, 32))
+def test_every_file_is_used_once_and_the_rest_are_alternatives(tmp_path: Path) -> None:
+    sources = l_shape_sources(tmp_path, (20, 22, 24, 26, 28, 30, 32))
     rows = make_plan(MINI, 7, sources)["parts"].values()
     dealt = [name for row in rows for name, _ in row["sources"]]
     assert sorted(dealt) == sorted(sources.files)
@@ -185,19 +185,19 @@ def test_files_are_dealt_out_once_and_spares_follow(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("count", range(1, 5))
-def test_few_files_are_shared_out_among_the_splits(count: int, tmp_path: Path) -> None:
-    sources = corners(tmp_path, tuple(range(20, 20 + count)))
+def test_few_files_are_divided_among_the_splits(count: int, tmp_path: Path) -> None:
+    sources = l_shape_sources(tmp_path, tuple(range(20, 20 + count)))
     rows = make_plan(MINI, 7, sources)["parts"].values()
     assert len(rows) == count
     assert any(row["split"] == "train" for row in rows)
 
 
-def test_a_file_that_is_not_there_is_planned_all_the_same(tmp_path: Path) -> None:
+def test_a_missing_file_is_planned_too(tmp_path: Path) -> None:
     plan = make_plan(MINI, 7, Sources.of([tmp_path / "none.stl"]))
     assert [row["sources"] for row in plan["parts"].values()] == [[["none.stl", None]]]
 
 
-def test_a_misspelt_preset_is_answered_with_the_near_one() -> None:
+def test_a_misspelt_preset_is_answered_with_the_closest_one() -> None:
     with pytest.raises(InputError, match="no preset 'tyni'; did you mean tiny\\? there are tiny, small, kit1000"):
         preset("tyni")
     assert all(preset(name).name == name for name in PRESETS)

@@ -1,4 +1,4 @@
-"""Presets: what a plan states gives the preset back, and what is recorded follows from what is asked."""
+"""Tests of presets: a plan gives its preset back, and the sensors follow from the tracks."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_a_plan_on_disk_gives_its_preset_back() -> None:
 
 
 def test_the_mixture_of_a_plan_is_that_of_its_preset(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So that a dataset built again draws from the families that it was drawn from."""
+    """So that a dataset generated again uses the same families."""
     monkeypatch.setitem(PRESETS, "tiny", replace(preset("tiny"), mixture="another"))
     assert preset_of("tiny", preset("tiny").config).mixture == "another"
     assert preset_of("unknown", preset("tiny").config).mixture == "2026"
@@ -55,14 +55,14 @@ def test_the_config_states_everything_but_name_seed_and_mixture() -> None:
 
 @given(st.sets(st.sampled_from(list(TRACKS))))
 def test_sensors_follow_the_tracks(tracks: set[str]) -> None:
-    """The d415 is recorded exactly when it is asked for; the ideal image always."""
+    """The d415 is recorded exactly when a track reads it, the ideal image always."""
     sensors = Preset("any", 1, 1, 1, tracks=tuple(tracks)).sensors
     assert sensors[0] == "ideal"
     assert ("d415" in sensors) == bool(tracks & {"snap-d415", "place-d415"})
     assert len(set(sensors)) == len(sensors) <= 2
 
 
-def test_every_preset_asks_tracks_that_there_are() -> None:
+def test_every_preset_has_known_tracks() -> None:
     for one in PRESETS.values():
         assert set(one.tracks) <= set(TRACKS)
         assert "snap-tilt" in one.tracks  # contact sheets draw its guesses
@@ -81,7 +81,7 @@ def test_every_preset_can_be_built() -> None:
         assert set(HELD_OUT) < set(MIXTURES[one.mixture])
 
 
-def test_an_unknown_preset_is_answered_with_a_near_one() -> None:
+def test_an_unknown_preset_is_answered_with_the_closest_one() -> None:
     with pytest.raises(InputError, match=r"no preset 'pape'; did you mean paper\? there are tiny, small, kit1000"):
         preset("pape")
     with pytest.raises(InputError, match=r"no preset 'zzz'; there are tiny"):

@@ -1,4 +1,4 @@
-"""Queries: who is asked, the pivot and guess each tells, the one that is drawn; and that no draw disturbs another."""
+"""Tests of queries: their parts, pivots and guesses, the drawn one, and the independence of the draws."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from tests.strategies import poses
 
 SCENE = "test-s0007"
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
-SEES = look_at((0.7, -0.1, 0.6), (0, 0, 0))
-BELIEVES = Pose.from_rotvec((0.001, 0.002, -0.001), (1e-3, 0, -1e-3)) @ SEES
+TRUE_CAMERA = look_at((0.7, -0.1, 0.6), (0, 0, 0))
+MEASURED_CAMERA = Pose.from_rotvec((0.001, 0.002, -0.001), (1e-3, 0, -1e-3)) @ TRUE_CAMERA
 PARTS = 5
 
 
 def tilted(angle_deg: float, azimuth: float = 0.7) -> Pose:
-    """World from a kit whose slot leans."""
+    """world_from_kit of a tilted slot."""
     axis = np.array([-np.sin(azimuth), np.cos(azimuth), 0])
     return Pose.from_rotvec(np.radians(angle_deg) * axis, (0.02, 0.2, 0.06))
 
 
 def part(index: int, tilt_deg: float = 30.0, mode: str = UPRIGHT, free: bool = False, goals: int = 1) -> PartInScene:
-    """A part as the layout puts it: upright as in its kit but for yaw, or anyhow."""
+    """A part of a layout: upright with a random yaw, or in a random rotation."""
     rng = np.random.default_rng(100 + index)
     axis = FreeAxis(np.zeros(3), np.array([0.0, 0.0, 1.0])) if free else None
     stacked = Pose(random_quaternions(rng, goals), rng.uniform(-0.02, 0.02, (goals, 3)))
@@ -53,24 +53,24 @@ def part(index: int, tilt_deg: float = 30.0, mode: str = UPRIGHT, free: bool = F
 
 
 @dataclass(frozen=True)
-class Stage:
+class SceneArguments:
     """The arguments of `scene_queries`, with defaults."""
 
     parts: tuple[PartInScene, ...]
     views: dict[str, View]
     labels: np.ndarray
-    drawn: int = 1
+    target: int = 1
     curves: bool = False
     seed: int = 3
     scene_id: str = SCENE
 
     def rows(self) -> list[Row]:
-        return self.asked()[0]
+        return self.queries_and_truths()[0]
 
-    def asked(self) -> tuple[list[Row], dict[str, Row]]:
+    def queries_and_truths(self) -> tuple[list[Row], dict[str, Row]]:
         split = self.scene_id.partition("-")[0]
         parts = self.parts
-        return scene_queries(self.scene_id, split, self.seed, self.views, self.labels, parts, self.drawn, self.curves)
+        return scene_queries(self.scene_id, split, self.seed, self.views, self.labels, parts, self.target, self.curves)
 
     def by_id(self) -> dict[str, Row]:
         return {row["id"]: row for row in self.rows()}
@@ -86,10 +86,10 @@ def images() -> tuple[dict[str, View], np.ndarray]:
     labels[:5] = 1
     depth = rng.uniform(0.7, 0.9, labels.shape)
     noisy = np.where(rng.random(labels.shape) < 0.2, 0, depth + rng.normal(0, 1e-3, labels.shape))
-    return {"ideal": View(CAMERA, SEES, depth), "d415": View(CAMERA, BELIEVES, noisy)}, labels
+    return {"ideal": View(CAMERA, TRUE_CAMERA, depth), "d415": View(CAMERA, MEASURED_CAMERA, noisy)}, labels
 
 
-def stage(**changes: Any) -> Stage:
+def scene_arguments(**changes: Any) -> SceneArguments:
     views, labels = images()
     parts = (
         part(0, 8.0),
@@ -98,18 +98,18 @@ def stage(**changes: Any) -> Stage:
         part(3, 12.0, free=True),
         replace(part(4), invisibility="slot turned away"),
     )
-    return replace(Stage(parts, views, labels), **changes)
+    return replace(SceneArguments(parts, views, labels), **changes)
 
 
-def test_every_track_asks_the_parts_it_is_for() -> None:
-    asked = {(row["track"], row["part"]) for row in stage().rows()}
+def test_every_track_has_queries_about_its_parts() -> None:
+    found = {(row["track"], row["part"]) for row in scene_arguments().rows()}
     expected = {track: [0, 1, 2, 3] for track in ("snap", "snap-tilt", "snap-d415")}
     expected |= {"place": [0, 1, 3], "place-d415": [0, 1, 3], "place-paper": [0, 3]}
-    assert asked == {(track, i) for track, parts in expected.items() for i in parts}
+    assert found == {(track, i) for track, parts in expected.items() for i in parts}
 
 
-def test_rows_say_what_the_format_promises_and_nothing_more() -> None:
-    for row in stage().rows():
+def test_rows_have_the_fields_of_the_format() -> None:
+    for row in scene_arguments().rows():
         assert set(row) == {"id", "track", "sensor", "part", "drawn", "pivot", "guess"}
         assert row["id"] == f"{SCENE}-p{row['part']}-{row['track']}"
         assert row["sensor"] == ("d415" if row["track"].endswith("d415") else "ideal")
@@ -117,20 +117,20 @@ def test_rows_say_what_the_format_promises_and_nothing_more() -> None:
         assert len(row["pivot"]) == 3
 
 
-def test_truths_say_what_was_drawn() -> None:
-    rows, truths = stage(curves=True).asked()
-    asked = stage().parts
+def test_truths_contain_the_draws() -> None:
+    rows, truths = scene_arguments(curves=True).queries_and_truths()
+    parts = scene_arguments().parts
     assert list(truths) == [row["id"] for row in rows]
     for row in rows:
         truth = truths[row["id"]]
         goal, draw = pose_of(truth["goal_drawn"]), truth["draw"]
         assert truth["part"] == row["part"]
-        one = asked[row["part"]]
+        candidate = parts[row["part"]]
         if draw is None:
             assert row["guess"] is None
-            assert same(goal @ one.world_from_part, one.world_from_kit @ one.slot.kit_from_part)
+            assert same(goal @ candidate.world_from_part, candidate.world_from_kit @ candidate.slot.kit_from_part)
         else:
-            assert same(goal, one.motion(draw["goal"], draw["turn"]))
+            assert same(goal, candidate.motion(draw["goal"], draw["turn"]))
             offset, rotvec = np.array(draw["offset"]), np.array(draw["rotvec"])
             assert same(pose_of(row["guess"]), apply_error(goal, np.array(row["pivot"]), offset, rotvec))
 
@@ -141,7 +141,7 @@ def same(a: Pose, b: Pose, tolerance: float = 1e-9) -> bool:
 
 def test_the_goal_lies_inside_the_window_about_the_guess() -> None:
     for seed in range(4):
-        rows, truths = stage(seed=seed, curves=True).asked()
+        rows, truths = scene_arguments(seed=seed, curves=True).queries_and_truths()
         for row in rows:
             if row["guess"] is None:
                 continue
@@ -151,7 +151,7 @@ def test_the_goal_lies_inside_the_window_about_the_guess() -> None:
             assert np.linalg.norm(rotvec) <= MAX_ANGLE + 1e-9
 
 
-def test_the_pivot_is_the_middle_of_what_the_sensor_sees_where_it_believes_to_be() -> None:
+def test_the_pivot_is_the_centre_of_the_visible_points_in_the_measured_camera_pose() -> None:
     views, labels = images()
     for view in views.values():
         for i, pivot in part_pivots(view, labels).items():
@@ -164,49 +164,49 @@ def test_the_pivot_is_the_middle_of_what_the_sensor_sees_where_it_believes_to_be
 
 def test_queries_of_a_sensor_use_its_own_pivot() -> None:
     views, labels = images()
-    for row in stage().rows():
+    for row in scene_arguments().rows():
         assert row["pivot"] == part_pivots(views[row["sensor"]], labels)[row["part"]].tolist()
 
 
-def test_a_part_without_a_return_is_not_asked_about_with_that_sensor() -> None:
+def test_a_part_without_a_return_has_no_query_of_that_sensor() -> None:
     views, labels = images()
     blind = np.where(labels == FIRST_PART_LABEL + 1, 0, views["d415"].depth)
-    less = stage(views=views | {"d415": replace(views["d415"], depth=blind)}).by_id()
-    whole = stage().by_id()
+    less = scene_arguments(views=views | {"d415": replace(views["d415"], depth=blind)}).by_id()
+    whole = scene_arguments().by_id()
     assert set(whole) - set(less) == {f"{SCENE}-p1-snap-d415", f"{SCENE}-p1-place-d415"}
-    assert stage(views={"ideal": views["ideal"]}).by_id().keys() == {i for i in whole if "d415" not in i}
+    assert scene_arguments(views={"ideal": views["ideal"]}).by_id().keys() == {i for i in whole if "d415" not in i}
 
 
-def test_the_noisy_track_asks_the_same_as_the_ideal_one() -> None:
-    rows, truths = stage().asked()
+def test_the_noisy_track_has_the_same_queries_as_the_ideal_one() -> None:
+    rows, truths = scene_arguments().queries_and_truths()
     for row in rows:
         if row["track"] in ("snap-d415", "place-d415"):
             ideal = row["id"].removesuffix("-d415")
             assert truths[row["id"]] == truths[ideal]
-            assert row["drawn"] == stage().by_id()[ideal]["drawn"]
+            assert row["drawn"] == scene_arguments().by_id()[ideal]["drawn"]
 
 
-def test_one_target_a_track_is_drawn_the_scenes_own_where_it_is_asked() -> None:
-    for drawn in range(PARTS):
-        rows = stage(drawn=drawn).rows()
+def test_the_drawn_part_of_a_track_is_the_target_where_it_has_a_query() -> None:
+    for target in range(PARTS):
+        rows = scene_arguments(target=target).rows()
         for track in TRACKS:
             chosen = [row["part"] for row in rows if row["track"] == track and row["drawn"]]
-            asked = [row["part"] for row in rows if row["track"] == track]
+            with_query = [row["part"] for row in rows if row["track"] == track]
             assert len(chosen) == 1
-            assert chosen == [drawn] or drawn not in asked
+            assert chosen == [target] or target not in with_query
 
 
-def test_another_target_is_drawn_evenly_where_the_scenes_own_is_not_asked() -> None:
+def test_another_part_is_drawn_uniformly_where_the_target_has_no_query() -> None:
     views, _ = images()
-    one = stage(drawn=2, views={"ideal": views["ideal"]})
-    rows = [row for seed in range(40) for row in replace(one, seed=seed).rows() if row["track"] == "place"]
+    arguments = scene_arguments(target=2, views={"ideal": views["ideal"]})
+    rows = [row for seed in range(40) for row in replace(arguments, seed=seed).rows() if row["track"] == "place"]
     picked = Counter(row["part"] for row in rows if row["drawn"])
     assert picked.keys() == {0, 1, 3}
     assert min(picked.values()) >= 6
 
 
 def test_a_track_without_any_part_draws_none() -> None:
-    rows = stage(parts=stage().parts[2:3]).rows()
+    rows = scene_arguments(parts=scene_arguments().parts[2:3]).rows()
     assert {row["track"] for row in rows} == {"snap", "snap-tilt", "snap-d415"}
 
 
@@ -226,29 +226,29 @@ def _scipy_angles(pose: Pose) -> np.ndarray:
 
 
 @pytest.mark.parametrize("goals", [1, 6])
-def test_the_paper_asks_for_goals_nearly_level(goals: int) -> None:
+def test_place_paper_has_only_nearly_level_goals(goals: int) -> None:
     for index in range(40):
-        one = part(index, tilt_deg=index * 45 / 39, goals=goals)
-        angles = [_scipy_angles(one.motion(goal))[:2] for goal in range(goals)]
+        candidate = part(index, tilt_deg=index * 45 / 39, goals=goals)
+        angles = [_scipy_angles(candidate.motion(goal))[:2] for goal in range(goals)]
         expected = min(np.abs(pair).max() for pair in angles) <= PAPER_TILT
-        assert eligible(TRACKS["place-paper"], one) == expected
-        assert eligible(TRACKS["place"], one)
-        assert not eligible(TRACKS["place-paper"], replace(one, rest_mode=TUMBLED))
+        assert eligible(TRACKS["place-paper"], candidate) == expected
+        assert eligible(TRACKS["place"], candidate)
+        assert not eligible(TRACKS["place-paper"], replace(candidate, rest_mode=TUMBLED))
 
 
-def test_a_part_that_may_turn_freely_is_level_if_some_turn_is() -> None:
+def test_a_part_with_a_free_axis_is_level_if_some_angle_is() -> None:
     # The motion leans by the tilt t towards an azimuth that the free turn chooses: best half way between roll and
     # pitch, where sin(t) = sqrt(2) sin(pitch), sin(roll) = tan(pitch); the smaller limit is that of pitch and roll 15.
     limit = _steepest_free_tilt()
     assert 20 < limit < 22
     for tilt_deg in (5.0, 16.0, limit - 0.1, limit + 0.1, 30.0):
         for index in range(6):
-            one = part(index, tilt_deg, free=True)
-            assert eligible(TRACKS["place-paper"], one) == (tilt_deg < limit)
+            candidate = part(index, tilt_deg, free=True)
+            assert eligible(TRACKS["place-paper"], candidate) == (tilt_deg < limit)
 
 
 def _steepest_free_tilt() -> float:
-    """[degrees] of the steepest lean that roll and pitch of 15 degrees make together."""
+    """The largest tilt [deg] of a rotation with roll and pitch of 15 degrees."""
     up = Rotation.from_euler("xyz", [15, 15, 0], degrees=True).inv().apply([0, 0, 1])
     return float(np.degrees(np.arctan2(np.linalg.norm(up[:2]), up[2])))
 
@@ -259,10 +259,10 @@ def test_an_upright_part_leans_as_its_slot_does() -> None:
         assert np.degrees(np.arctan2(np.linalg.norm(up[:2]), up[2])) == pytest.approx(tilt_deg, abs=1e-6)
 
 
-def test_every_goal_is_drawn_from_time_to_time() -> None:
+def test_every_goal_is_drawn_sometimes() -> None:
     goals = set()
     for seed in range(30):
-        _, truths = stage(seed=seed, parts=stage().parts[1:2]).asked()
+        _, truths = scene_arguments(seed=seed, parts=scene_arguments().parts[1:2]).queries_and_truths()
         goals.add(truths[f"{SCENE}-p1-snap"]["draw"]["goal"])
     assert goals == {0, 1, 2, 3}
 
@@ -275,12 +275,12 @@ def test_every_goal_is_drawn_from_time_to_time() -> None:
         lambda s: replace(s, views={"ideal": s.views["ideal"]}),
         lambda s: replace(s, curves=True),
         lambda s: replace(s, parts=(*s.parts[:3], replace(s.parts[3], rest_mode=TUMBLED), s.parts[4])),
-        lambda s: replace(s, drawn=2),
+        lambda s: replace(s, target=2),
     ],
     ids=["parts left out", "other order", "sensor left out", "curves", "other rest", "other target"],
 )
-def test_no_query_is_disturbed_by_another(change: Callable[[Stage], Stage]) -> None:
-    before, after = stage().asked(), change(stage()).asked()
+def test_queries_do_not_depend_on_each_other(change: Callable[[SceneArguments], SceneArguments]) -> None:
+    before, after = scene_arguments().queries_and_truths(), change(scene_arguments()).queries_and_truths()
     rows = [{row["id"]: row | {"drawn": None} for row in rows} for rows, _ in (before, after)]
     for query_id in rows[0].keys() & rows[1].keys():
         assert rows[0][query_id] == rows[1][query_id]
@@ -288,29 +288,29 @@ def test_no_query_is_disturbed_by_another(change: Callable[[Stage], Stage]) -> N
 
 
 def test_draws_differ_between_tracks_parts_scenes_and_seeds() -> None:
-    stages = [stage(), stage(seed=4), stage(scene_id="test-s0008")]
-    drawn = [
+    variants = [scene_arguments(), scene_arguments(seed=4), scene_arguments(scene_id="test-s0008")]
+    offsets = [
         tuple(truth["draw"]["offset"])
-        for one in stages
-        for query_id, truth in one.asked()[1].items()
+        for arguments in variants
+        for query_id, truth in arguments.queries_and_truths()[1].items()
         if query_id.endswith(("snap", "snap-tilt"))
     ]
-    assert len({*drawn}) == len(drawn) == 3 * 8
+    assert len({*offsets}) == len(offsets) == 3 * 8
 
 
 def test_guesses_move_with_the_scene() -> None:
     # Moved by whole tenths of a millimetre along the axes, so that pivots round alike; draws are made along world axes.
     moved_from_world = Pose.from_translation((0.0123, -0.0045, 0.0))
-    here = stage(curves=True)
+    here = scene_arguments(curves=True)
     there = replace(
         here,
         parts=tuple(
             replace(
-                one,
-                world_from_part=moved_from_world @ one.world_from_part,
-                world_from_kit=moved_from_world @ one.world_from_kit,
+                candidate,
+                world_from_part=moved_from_world @ candidate.world_from_part,
+                world_from_kit=moved_from_world @ candidate.world_from_kit,
             )
-            for one in here.parts
+            for candidate in here.parts
         ),
         views={
             sensor: replace(view, world_from_camera=moved_from_world @ view.world_from_camera)
@@ -325,8 +325,8 @@ def test_guesses_move_with_the_scene() -> None:
             assert same(pose_of(moved["guess"]), guess)
 
 
-def test_curves_ask_every_level_of_one_error_at_fixed_levels_of_the_other() -> None:
-    rows, truths = stage(curves=True).asked()
+def test_curves_have_every_level_of_one_error_at_fixed_levels_of_the_other() -> None:
+    rows, truths = scene_arguments(curves=True).queries_and_truths()
     curves = {row["id"]: row for row in rows if row["track"] == CURVES}
     assert len(curves) == 2 * LEVELS * len(FIXED_LEVELS) == 48
     assert {curve_levels(query_id) for query_id in curves} == {
@@ -350,12 +350,12 @@ def test_curves_ask_every_level_of_one_error_at_fixed_levels_of_the_other() -> N
 
 
 def test_the_level_without_error_is_the_goal() -> None:
-    rows, truths = stage(curves=True).asked()
+    rows, truths = scene_arguments(curves=True).queries_and_truths()
     guesses = {row["id"]: row["guess"] for row in rows}
     level, turned = guesses[curve_id(SCENE, 1, "rot", 0, 4)], guesses[curve_id(SCENE, 1, "pos", 0, 4)]
     goal = truths[curve_id(SCENE, 1, "rot", 0, 4)]["goal_drawn"]
     assert level["wxyz"] == goal["wxyz"]
-    pivot = np.array(stage().by_id()[f"{SCENE}-p1-snap"]["pivot"])
+    pivot = np.array(scene_arguments().by_id()[f"{SCENE}-p1-snap"]["pivot"])
     assert np.allclose(pose_of(turned).apply(pivot), pose_of(goal).apply(pivot), atol=1e-12)
 
 
@@ -368,7 +368,7 @@ def test_ids_of_curves_are_read_back() -> None:
 
 
 def test_ids_are_unique_and_safe_in_a_spreadsheet() -> None:
-    ids = [row["id"] for row in stage(curves=True).rows()]
+    ids = [row["id"] for row in scene_arguments(curves=True).rows()]
     assert len(set(ids)) == len(ids)
     for query_id in ids:
         assert query_id[0].isalpha()
@@ -380,4 +380,4 @@ def test_ids_are_unique_and_safe_in_a_spreadsheet() -> None:
 def test_curves_belong_to_the_first_test_scenes() -> None:
     assert [has_curves(i, 40) for i in ("test-s0039", "test-s0040", "val-s0001")] == [True, False, False]
     with pytest.raises(InputError, match="curves: expected a scene of the test split, got val-s0001 of val"):
-        stage(scene_id="val-s0001", curves=True).rows()
+        scene_arguments(scene_id="val-s0001", curves=True).rows()

@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 from jobs import fail_at_three, kill_own_process, square
-from mini import MINI, contents, corners
+from mini import MINI, file_hashes, l_shape_sources
 
 from kit1000 import engines, files
 from kit1000.engines import JOBS_PER_WORKER, RETRIES, ParallelMap
@@ -102,12 +102,12 @@ def ray_engine_with_nodes(address: str, nodes: list[str]) -> Iterator[ParallelMa
 
 @pytest.mark.parametrize("url", [False, True])
 def test_two_nodes_share_the_work_and_write_the_bytes_of_one_process(url: bool, address: str, tmp_path: Path) -> None:
-    sources = corners(tmp_path / "files")
+    sources = l_shape_sources(tmp_path / "files")
     generate(MINI, tmp_path / "alone", workers=1, sources=sources)
     out = files.parse_folder(f"local://{tmp_path}/out") if url else tmp_path / "out"
     nodes: list[str] = []
     generate(MINI, out, sources=sources, engine=ray_engine_with_nodes(address, nodes))
-    assert contents(tmp_path / "out") == contents(tmp_path / "alone")
+    assert file_hashes(tmp_path / "out") == file_hashes(tmp_path / "alone")
     assert len(set(nodes)) == 2
 
 

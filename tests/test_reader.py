@@ -1,4 +1,4 @@
-"""The reader: what was written comes back, splits ask what they should, and the truth stays shut unless asked for."""
+"""Tests of the reader: data equal those written, splits have their queries, truth is read on request only."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ MODES = (UPRIGHT, TUMBLED, UPRIGHT)
 
 
 def assembly_of(scene_id: str) -> Assembly:
-    """The same kits for every scene, under its own name."""
+    """The same kits for every scene, under the id of its assembly."""
     plan = AssemblyPlan(0.1, 0.3, (SidePlate(0, 0.4), SidePlate(1, 0.3)))
     return build_assembly(scene_id.replace("-s", "-"), [sample_kit(family) for family in FAMILIES], plan)
 
 
-def written(root: Path) -> Path:
+def write_dataset(root: Path) -> Path:
     """A dataset of a few small scenes."""
     assembly = assembly_of("any-s0")
     for name, scene_ids in SHARDS.items():
@@ -81,7 +81,7 @@ def written(root: Path) -> Path:
 
 
 def view(seed: int) -> View:
-    """Depth on the grid of recordings."""
+    """A depth image whose values are multiples of GRID."""
     steps = np.random.default_rng(seed).integers(5000, 8000, (CAMERA.height, CAMERA.width))
     return View(CAMERA, SEES, steps / 2**13)
 
@@ -98,8 +98,8 @@ def labels_of() -> np.ndarray:
     return labels
 
 
-def asked_of(assembly: Assembly) -> list[PartInScene]:
-    """The parts lie in a row, in the order of the mounts."""
+def parts_in_scene(assembly: Assembly) -> list[PartInScene]:
+    """Parts in a row, in the order of the mounts."""
     lying = [
         Pose(sample_kit(f).slot.kit_from_part.wxyz, np.array([0.1 * i, -0.17, 0.02])) for i, f in enumerate(FAMILIES)
     ]
@@ -113,9 +113,9 @@ STANDS = Pose.from_rotvec((0, 0, 0.2), (0, 0.2, 0))
 
 
 def scene(scene_id: str, assembly: Assembly) -> tuple[Observation, SceneTruth]:
-    """What is recorded of a scene."""
+    """The observation and the truth of a scene."""
     split = scene_id.partition("-")[0]
-    views, labels, parts = views_of(scene_id), labels_of(), asked_of(assembly)
+    views, labels, parts = views_of(scene_id), labels_of(), parts_in_scene(assembly)
     rows, truths = scene_queries(scene_id, split, 1, views, labels, parts, 1, scene_id in CURVED)
     told = tuple(
         {
@@ -144,7 +144,7 @@ CURVED = ("test-s0007", "test-s0039")
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return written(tmp_path_factory.mktemp("dataset"))
+    return write_dataset(tmp_path_factory.mktemp("dataset"))
 
 
 _opened: list[str] = []
@@ -161,7 +161,7 @@ sys.addaudithook(_listen)  # it stays for good, so it is told when to listen
 
 @contextmanager
 def files_opened() -> Iterator[list[str]]:
-    """The names of all files that Python opens inside the block, by whatever means."""
+    """The names of all files that Python opens in the block."""
     global _listening
     _opened.clear()
     _listening = True
@@ -172,7 +172,7 @@ def files_opened() -> Iterator[list[str]]:
 
 
 def read_all(dataset: Dataset, name: str, truth: bool = False) -> int:
-    """Read all that may be read without the truth; returns how many queries there are."""
+    """Read everything that needs no truth; returns the number of queries."""
     count = 0
     for recorded in dataset.split(name, truth=truth):
         assert recorded.view("d415").depth.shape == recorded.view("three/1/ideal").depth.shape == recorded.labels.shape
@@ -183,14 +183,14 @@ def read_all(dataset: Dataset, name: str, truth: bool = False) -> int:
 
 @pytest.mark.parametrize("name", ["train", "val", "test", "test-all", "curves"])
 @pytest.mark.parametrize("truth", [False, True])
-def test_reading_what_was_seen_opens_no_truth(root: Path, name: str, truth: bool) -> None:
+def test_reading_observations_opens_no_truth(root: Path, name: str, truth: bool) -> None:
     with files_opened() as opened:
         assert read_all(Dataset(root), name, truth) > 0
     assert any(path.endswith(".mcap") for path in opened)
     assert not [path for path in opened if path.endswith(SHUT)]
 
 
-def test_reading_the_truth_opens_what_the_hook_listens_for(root: Path) -> None:
+def test_reading_the_truth_opens_truth_files(root: Path) -> None:
     with files_opened() as opened:
         dataset = Dataset(root)
         assert dataset.split("test", truth=True).scene("test-s0007").truths
@@ -210,7 +210,7 @@ def test_the_test_split_can_be_read_where_the_truth_is_missing(root: Path, tmp_p
         split.scene("test-s0007").truth
 
 
-def test_the_truth_must_be_asked_for_by_name(root: Path) -> None:
+def test_the_truth_must_be_requested(root: Path) -> None:
     recorded = Dataset(root).split("train").scene("train-s0000")
     with files_opened() as opened:
         for name in ("truth", "scene", "truths"):
@@ -221,7 +221,7 @@ def test_the_truth_must_be_asked_for_by_name(root: Path) -> None:
     assert not opened
 
 
-def test_splits_hold_their_scenes_in_order(root: Path) -> None:
+def test_splits_have_their_scenes_in_order(root: Path) -> None:
     dataset = Dataset(root)
     assert dataset.split("train").scene_ids == ["train-s0000", "train-s0001"]
     assert dataset.split("test").scene_ids == dataset.split("test-all").scene_ids
@@ -232,7 +232,7 @@ def test_splits_hold_their_scenes_in_order(root: Path) -> None:
     assert dataset.id == "abc123"
 
 
-def test_splits_ask_what_is_theirs(root: Path) -> None:
+def test_splits_have_their_queries(root: Path) -> None:
     dataset = Dataset(root)
     asked = {name: list(dataset.split(name).queries()) for name in ("train", "test", "test-all", "curves")}
     assert len(asked["curves"]) == 48 * len(CURVED)
@@ -254,7 +254,7 @@ def test_queries_of_a_track_come_in_the_order_of_all(root: Path) -> None:
         assert ids == [query.id for query in Dataset(root).split("test-all").queries(track)]
 
 
-def test_queries_say_what_was_written(root: Path) -> None:
+def test_queries_equal_those_written(root: Path) -> None:
     for scene_id in ("test-s0007", "val-s0000"):
         observation, _ = scene(scene_id, assembly_of(scene_id))
         recorded = Dataset(root).split("test-all" if "test" in scene_id else "val").scene(scene_id)
@@ -277,7 +277,7 @@ def test_images_come_back_to_the_bit(root: Path) -> None:
     assert np.array_equal(recorded.view("three/1/ideal").depth, view(31).depth)
 
 
-def test_a_query_looks_with_its_own_sensor_at_its_own_part(root: Path) -> None:
+def test_a_query_reads_the_image_of_its_sensor_and_the_mask_of_its_part(root: Path) -> None:
     for query in Dataset(root).split("test-all").scene("test-s0007").queries:
         assert np.array_equal(query.view.depth, views_of("test-s0007")[query.sensor].depth)
         assert np.array_equal(query.part_mask, labels_of() == FIRST_PART_LABEL + query.part)
@@ -289,7 +289,7 @@ def test_the_queries_of_a_scene_share_their_images(root: Path) -> None:
     assert first.view is second.view
 
 
-def test_truths_say_what_was_written(root: Path) -> None:
+def test_truths_equal_those_written(root: Path) -> None:
     dataset = Dataset(root)
     recorded = dataset.split("curves", truth=True).scene("test-s0007")
     _, truth = scene("test-s0007", assembly_of("test-s0007"))
@@ -330,7 +330,7 @@ def test_scenes_can_be_rendered_again(root: Path) -> None:
     assert {1, 2} <= set(np.unique(frame.body_ids))
 
 
-def test_what_is_not_there_is_said(root: Path) -> None:
+def test_missing_scenes_splits_and_tracks_are_named(root: Path) -> None:
     dataset = Dataset(root)
     with pytest.raises(
         InputError, match=r"no split 'tets'; did you mean test\? there are train, val, test, test-all, curves"
@@ -350,13 +350,13 @@ def test_what_is_not_there_is_said(root: Path) -> None:
         Dataset(root / "test")
 
 
-def test_a_dataset_without_scenes_says_so(tmp_path: Path) -> None:
+def test_a_dataset_without_scenes_is_refused(tmp_path: Path) -> None:
     write_json(tmp_path / "dataset.json", {"format": FORMAT})
     with pytest.raises(InputError, match="split train has no scenes"):
         len(Dataset(tmp_path).split("train"))
 
 
-def test_all_can_be_sent_to_another_process(root: Path) -> None:
+def test_datasets_splits_scenes_and_queries_can_be_pickled(root: Path) -> None:
     split = Dataset(root).split("test", truth=True)
     recorded = split.scene("test-s0007")
     query = recorded.queries[0]

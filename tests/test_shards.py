@@ -1,4 +1,4 @@
-"""Laws of shards: what they hold follows from the plan alone, and a scene that cannot be made costs no other."""
+"""Tests of shards: their scenes follow from the plan alone, and a refused scene affects no other."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mini import MINI, contents, corners, sketched
+from mini import MINI, fake_scene, file_hashes, l_shape_sources
 
 from kit1000.dataset.mcap_io import ObservationFile, TruthFile
 from kit1000.dataset.reader import Dataset
@@ -34,7 +34,7 @@ def planned(count: int) -> list[str]:
 
 
 @given(st.integers(0, 120), st.sets(st.integers(0, 119)))
-def test_shards_hold_every_usable_assembly_once_and_never_too_many(count: int, gone: set[int]) -> None:
+def test_shards_contain_every_usable_assembly_once(count: int, gone: set[int]) -> None:
     usable = {i for k, i in enumerate(planned(count)) if k not in gone}
     jobs = shard_jobs(ROOT, MINI, 7, "train", planned(count), usable)
     assert [i for job in jobs for i in job.assemblies] == sorted(usable)
@@ -42,7 +42,7 @@ def test_shards_hold_every_usable_assembly_once_and_never_too_many(count: int, g
 
 
 @given(st.integers(1, 120), st.sets(st.integers(0, 119)))
-def test_what_cannot_be_made_moves_nothing_to_another_shard(count: int, gone: set[int]) -> None:
+def test_an_unusable_assembly_moves_no_other_to_another_shard(count: int, gone: set[int]) -> None:
     usable = {i for k, i in enumerate(planned(count)) if k not in gone}
     whole = {i: job.id for job in shard_jobs(ROOT, MINI, 7, "train", planned(count), set(planned(count)))
              for i in job.assemblies}  # fmt: skip
@@ -50,27 +50,27 @@ def test_what_cannot_be_made_moves_nothing_to_another_shard(count: int, gone: se
     assert left == {i: whole[i] for i in usable}
 
 
-def refusing(*assembly_ids: str) -> Callable[..., Any]:
-    """Sketches of scenes, but for assemblies that no layout shows."""
+def refusing_scene(*assembly_ids: str) -> Callable[..., Any]:
+    """`fake_scene`, except that some assemblies are refused."""
 
     def make(preset: Any, seed: int, split: str, assembly: Any, parts: Any, extra_views: bool) -> Any:
         if assembly.id in assembly_ids:
             raise Redraw("none of 60 layouts passes, mostly: parts touch")
-        return sketched(preset, seed, split, assembly, parts, extra_views)
+        return fake_scene(preset, seed, split, assembly, parts, extra_views)
 
     return make
 
 
-def built(folder: Path, *refused: str) -> Path:
-    """A dataset, its scenes sketched, some refused."""
+def generated(folder: Path, *refused: str) -> Path:
+    """A dataset with fake scenes, some of them refused."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "make_scene", refusing(*refused))
-        generate(MINI, folder / "data", workers=1, sources=corners(folder / "files"))
+        patch.setattr(module, "make_scene", refusing_scene(*refused))
+        generate(MINI, folder / "data", workers=1, sources=l_shape_sources(folder / "files"))
     return folder / "data"
 
 
-def test_a_scene_that_cannot_be_made_is_told_and_costs_no_other(tmp_path: Path) -> None:
-    root, whole = built(tmp_path / "a", "train-0001"), built(tmp_path / "b")
+def test_a_refused_scene_is_reported_and_the_others_are_made(tmp_path: Path) -> None:
+    root, whole = generated(tmp_path / "a", "train-0001"), generated(tmp_path / "b")
     summary = read_json(root / "dataset.json")
     assert summary["refused_scenes"] == {"train-s0001": "none of 60 layouts passes, mostly: parts touch"}
     assert summary["counts"]["train"] == {"parts": 2, "assemblies": 2, "scenes": 1}
@@ -85,19 +85,19 @@ def test_a_scene_that_cannot_be_made_is_told_and_costs_no_other(tmp_path: Path) 
 
 
 def test_a_shard_without_a_scene_has_no_files(tmp_path: Path) -> None:
-    root = built(tmp_path, "test-0000")
+    root = generated(tmp_path, "test-0000")
     summary = read_json(root / "dataset.json")
-    assert not [name for name in contents(root) if name.startswith("test/")]
+    assert not [name for name in file_hashes(root) if name.startswith("test/")]
     assert list(summary["shards"]) == ["train/0000.mcap", "val/0000.mcap"]
     assert summary["counts"]["test"] == {"parts": 1, "assemblies": 1, "scenes": 0}
     assert verify(root).faults == ()
 
 
-def test_redraws_and_figures_are_those_of_the_scenes(tmp_path: Path) -> None:
-    summary = read_json(built(tmp_path, "val-0000") / "dataset.json")
-    scenes = [i for held in summary["shards"].values() for i in held]
+def test_redraws_and_statistics_are_those_of_the_scenes(tmp_path: Path) -> None:
+    summary = read_json(generated(tmp_path, "val-0000") / "dataset.json")
+    scenes = [i for scene_ids in summary["shards"].values() for i in scene_ids]
     kits = read_json(tmp_path / "data/assemblies.json")
-    sizes = [len(kits[i.replace("-s", "-")]["mounts"]) + MINI.seed % 2 for i in scenes]  # as `sketched` has it
+    sizes = [len(kits[i.replace("-s", "-")]["mounts"]) + MINI.seed % 2 for i in scenes]  # as in `fake_scene`
     assert summary["redraws"]["scenes"] == {"parts touch": sum(sizes)}
     for split in ("train", "val", "test"):
         paths = [tmp_path / "data" / name for name in summary["shards"] if name.startswith(split)]
@@ -106,23 +106,23 @@ def test_redraws_and_figures_are_those_of_the_scenes(tmp_path: Path) -> None:
         assert figures.items() <= summary["statistics"][split].items()
 
 
-def test_the_files_of_a_shard_hold_the_same_scenes(mini: Path) -> None:
-    for shard, held in read_json(mini / "dataset.json")["shards"].items():
+def test_the_files_of_a_shard_have_the_same_scenes(mini: Path) -> None:
+    for shard, scene_ids in read_json(mini / "dataset.json")["shards"].items():
         path = mini / shard
-        assert list(ObservationFile(path).scene_ids) == list(TruthFile(path.with_suffix(TRUTH)).scene_ids) == held
+        assert list(ObservationFile(path).scene_ids) == list(TruthFile(path.with_suffix(TRUTH)).scene_ids) == scene_ids
         extra_views = path.with_suffix(EXTRA_VIEWS)
         assert extra_views.is_file() == shard.startswith("test/")
-        assert not extra_views.is_file() or list(ObservationFile(extra_views).scene_ids) == held
+        assert not extra_views.is_file() or list(ObservationFile(extra_views).scene_ids) == scene_ids
 
 
-def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sketches: None) -> None:
+def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fake_scenes: None) -> None:
     jobs = []
-    known = make_shard
-    monkeypatch.setattr("kit1000.generation.build.make_shard", lambda job: jobs.append(job) or known(job))
+    original = make_shard
+    monkeypatch.setattr("kit1000.generation.build.make_shard", lambda job: jobs.append(job) or original(job))
     monkeypatch.setattr("kit1000.generation.build._write_summary", lambda *_: {})
-    generate(MINI, tmp_path / "data", workers=1, sources=corners(tmp_path / "files"))
+    generate(MINI, tmp_path / "data", workers=1, sources=l_shape_sources(tmp_path / "files"))
     records = [make_shard(job) for job in jobs]
-    monkeypatch.setattr(module, "make_scene", refusing("train-0000", "train-0001", "val-0000", "test-0000"))
+    monkeypatch.setattr(module, "make_scene", refusing_scene("train-0000", "train-0001", "val-0000", "test-0000"))
     assert [make_shard(job) for job in jobs] == records
     assert [str(job) for job in jobs] == ["shard train/0000", "shard val/0000", "shard test/0000"]
     (tmp_path / "data/train/0000.truth.mcap").unlink()
@@ -132,10 +132,10 @@ def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.
     )
 
 
-def test_a_record_lists_its_files_by_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sketches: None) -> None:
+def test_a_record_lists_its_files_by_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fake_scenes: None) -> None:
     monkeypatch.setattr("kit1000.generation.build._write_summary", lambda *_: {})
-    generate(MINI, tmp_path / "data", workers=1, sources=corners(tmp_path / "files"))
-    found = contents(tmp_path / "data")
+    generate(MINI, tmp_path / "data", workers=1, sources=l_shape_sources(tmp_path / "files"))
+    found = file_hashes(tmp_path / "data")
     record = read_json(tmp_path / "data" / BUILD_FOLDER / "shards/test/0000.json")
     assert record["files"] == {
         f"test/0000{ending}": found[f"test/0000{ending}"] for ending in (OBSERVATIONS, TRUTH, EXTRA_VIEWS)

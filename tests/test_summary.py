@@ -1,4 +1,4 @@
-"""Laws of the summary: every number of `dataset.json` is found again in the files that it speaks of."""
+"""Tests of the summary: every number of `dataset.json` agrees with the files that it describes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mini import MINI, contents
+from mini import MINI, file_hashes
 
 from kit1000.dataset.reader import Dataset
 from kit1000.files import json_bytes, read_json
@@ -35,7 +35,7 @@ def summary(mini: Path) -> dict[str, Any]:
 
 
 @given(st.dictionaries(st.text(), JSON, max_size=4))
-def test_a_seal_holds_for_what_is_read_back_and_for_nothing_else(values: dict[str, Any]) -> None:
+def test_the_checksum_matches_the_summary_read_back_only(values: dict[str, Any]) -> None:
     data = summary_bytes(values)
     assert summary_bytes(json.loads(data)) == data
     plain = {key: value for key, value in values.items() if key != "checksum"}
@@ -43,7 +43,7 @@ def test_a_seal_holds_for_what_is_read_back_and_for_nothing_else(values: dict[st
     assert summary_bytes({**json.loads(data), "more": 1}) != data
 
 
-def test_identity_and_configuration_are_those_of_the_plan(mini: Path, summary: dict[str, Any]) -> None:
+def test_id_and_configuration_are_those_of_the_plan(mini: Path, summary: dict[str, Any]) -> None:
     plan = make_plan(MINI, MINI.seed)
     assert read_json(mini / "plan.json") == plan
     assert summary["dataset_id"] == dataset_id(plan)
@@ -66,7 +66,7 @@ def test_redraws_are_those_of_the_tables(mini: Path, summary: dict[str, Any]) ->
     assert all(count > 0 for count in summary["redraws"]["scenes"].values())
 
 
-def test_figures_are_those_of_the_truth_and_the_tables(mini: Path, summary: dict[str, Any]) -> None:
+def test_statistics_are_those_of_the_truth_and_the_tables(mini: Path, summary: dict[str, Any]) -> None:
     tables = [read_json(mini / f"{name}.json") for name in ("parts", "kits")]
     for split in SPLITS:
         parts, kits = ([row for row in table.values() if row["split"] == split] for table in tables)
@@ -74,20 +74,20 @@ def test_figures_are_those_of_the_truth_and_the_tables(mini: Path, summary: dict
         assert summary["statistics"][split] == add_up([scene_statistics(truths), part_statistics(parts, kits)])
 
 
-def test_files_are_all_there_with_their_hashes(mini: Path, summary: dict[str, Any]) -> None:
-    found = contents(mini)
+def test_all_files_exist_with_their_hashes(mini: Path, summary: dict[str, Any]) -> None:
+    found = file_hashes(mini)
     assert summary["files"] == {name: digest for name, digest in found.items() if name != "dataset.json"}
     assert set(summary["shards"]) == {name for name in found if name.count(".") == 1 and name.endswith(".mcap")}
 
 
-def test_card_and_croissant_are_written_from_the_summary_alone(mini: Path, summary: dict[str, Any]) -> None:
+def test_card_and_croissant_depend_on_the_summary_only(mini: Path, summary: dict[str, Any]) -> None:
     told = {key: value for key, value in summary.items() if key != "checksum"}
     told["files"] = {i: digest for i, digest in summary["files"].items() if i not in ("README.md", "croissant.json")}
     assert (mini / "README.md").read_bytes() == card_bytes(told)
     assert (mini / "croissant.json").read_bytes() == croissant_bytes(told)
 
 
-def test_refused_files_are_those_tried_in_vain() -> None:
+def test_refused_files_have_the_reasons_of_their_redraws() -> None:
     plan = {"parts": {"a": {"sources": [["x.stl", "0"], ["y.stl", "1"]]}, "b": {"sources": [["z.stl", "2"]]}, "c": {}}}
     records = {"a": {"redraws": ["empty file"]}, "b": {"redraws": ["too thin"]}, "c": {"redraws": ["loose fit"]}}
     assert refused_files(plan, records) == {"x.stl": "empty file", "z.stl": "too thin"}

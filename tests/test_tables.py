@@ -1,4 +1,4 @@
-"""Laws of the tables: every value of a part, a kit and an assembly comes back to the bit, also through JSON."""
+"""Tests of the tables: parts, kits and assemblies are equal to the bit when read back, also through JSON."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from mini import corner
+from mini import l_shape
 from strategies import directions, pose_batches, poses, vectors
 
 from kit1000.dataset.tables import Row, assembly_of, assembly_row, kit_of, kit_row, part_of, part_row, pose_of, pose_row
@@ -19,7 +19,7 @@ from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Slot
 
-MESH = corner()
+MESH = l_shape()
 POSITIVE = st.floats(1e-6, 1e3)
 SYMMETRIES = st.one_of(
     st.just(Symmetry.none()),
@@ -43,7 +43,7 @@ def through_json(row: Row) -> Row:
 
 
 def assert_same(one: Any, other: Any) -> None:
-    """Equality of every field to the bit, all the way down."""
+    """Whether all fields are equal to the bit, recursively."""
     assert type(one) is type(other)
     if isinstance(one, np.ndarray):
         assert one.dtype == other.dtype
@@ -88,7 +88,7 @@ def test_an_assembly_comes_back_to_the_bit(kit: Kit, first: Pose, second: Pose) 
     assert_same(assembly_of("assembly", through_json(assembly_row(assembly)), MESH, lambda _: kit), assembly)
 
 
-def test_a_row_says_what_its_mesh_measures() -> None:
+def test_a_row_has_the_measures_of_its_mesh() -> None:
     row = part_row(Part("part", "family", MESH, Symmetry.cyclic(2), {}, 1.0))
     assert row["volume"] == MESH.volume
     assert row["extents"] == pytest.approx([0.04, 0.03, 0.024])

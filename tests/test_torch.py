@@ -1,4 +1,4 @@
-"""Items for learning: true to the recording, the same from any worker, on memory of their own."""
+"""Tests of items for learning: equal to the recording, the same from any worker, with memory of their own."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SMALL = {"shape": (24, 20, 16), "voxel_size": 4e-3}
 
 @pytest.fixture(scope="module")
 def data(mini: Path) -> Dataset:
-    """A recorded dataset of four scenes."""
+    """A dataset of four scenes."""
     return Dataset(mini)
 
 
@@ -40,7 +40,7 @@ def train(data: Dataset) -> Split:
 
 
 def drawing_item(query: Query, truth: Truth | None, rng: np.random.Generator) -> Item:
-    """What an augmentation would draw."""
+    """An item with random numbers, as an augmentation draws them."""
     return {"id": query.id, "draw": rng.integers(0, 2**62, 4), "pivot": query.pivot + rng.normal(size=3)}
 
 
@@ -87,7 +87,7 @@ def test_the_index_is_known_without_images(data: Dataset, monkeypatch: pytest.Mo
         QueryDataset(data.split("test-all"), "snap")[0]
 
 
-def test_depth_items_say_what_was_recorded(train: Split) -> None:
+def test_depth_items_equal_the_recording(train: Split) -> None:
     items = QueryDataset(train, "snap-d415")
     for index, item in enumerate(items):
         query, truth = items.query_and_truth(index)
@@ -102,7 +102,7 @@ def test_depth_items_say_what_was_recorded(train: Split) -> None:
             assert torch.equal(item[name], torch.tensor([*pose.wxyz, *pose.xyz], dtype=torch.float32))
 
 
-def test_offset_and_turn_lead_from_the_guess_to_the_goal(train: Split) -> None:
+def test_offset_and_rotvec_lead_from_the_guess_to_the_goal(train: Split) -> None:
     for track in ("snap", "snap-tilt", "snap-d415"):
         items = QueryDataset(train, track)
         for index, item in enumerate(items):
@@ -117,14 +117,14 @@ def test_offset_and_turn_lead_from_the_guess_to_the_goal(train: Split) -> None:
             assert item["rotvec"].norm() <= np.radians(27.5) + 1e-6
 
 
-def test_who_guesses_nothing_says_so_with_nan(train: Split) -> None:
+def test_a_missing_guess_is_nan(train: Split) -> None:
     for item in QueryDataset(train, "place"):
         assert all(item[name].isnan().all() for name in ("guess", "offset", "rotvec"))
         assert item["goal"].isfinite().all()
     assert np.isnan(pose_vector(None)).all()
 
 
-def test_without_the_truth_nothing_is_to_be_learned(data: Dataset) -> None:
+def test_without_the_truth_items_have_no_targets(data: Dataset) -> None:
     assert not {"goal", "offset", "rotvec"} & set(QueryDataset(data.split("train"), "snap")[0])
 
 
@@ -166,7 +166,7 @@ def test_draws_depend_on_seed_epoch_and_index_alone(train: Split) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-def test_workers_that_persist_see_the_epoch_change(train: Split) -> None:
+def test_persistent_workers_see_the_epoch_change(train: Split) -> None:
     items = QueryDataset(train, "snap", drawing_item)
     loader = DataLoader(items, batch_size=None, num_workers=2, persistent_workers=True)
     for epoch in (0, 1, 7):
@@ -195,7 +195,7 @@ def test_tensors_share_memory_with_arrays() -> None:
     assert to_tensors({"id": "a", "n": 3, "t": np.float32(0.5)}) == {"id": "a", "n": 3, "t": torch.tensor(0.5)}
 
 
-def test_a_volume_item_is_not_copied_on_its_way(data: Dataset, train: Split, tmp_path: Path) -> None:
+def test_the_arrays_of_a_volume_item_are_not_copied(data: Dataset, train: Split, tmp_path: Path) -> None:
     made: list[Item] = []
     for make in (VolumeItem(data, **SMALL), VolumeItem(data, **SMALL, cache=VolumeCache(tmp_path), codes=True)):
 
@@ -208,7 +208,7 @@ def test_a_volume_item_is_not_copied_on_its_way(data: Dataset, train: Split, tmp
             assert item[name].data_ptr() == made[-1][name].ctypes.data
 
 
-def test_arrays_of_others_are_copied_without_a_warning() -> None:
+def test_read_only_arrays_are_copied_without_a_warning() -> None:
     array = np.arange(6.0)
     array.setflags(write=False)
     with warnings.catch_warnings():
@@ -220,7 +220,7 @@ def test_arrays_of_others_are_copied_without_a_warning() -> None:
     assert found["turned"].tolist() == [2, 1, 0]
 
 
-def test_what_is_done_to_an_item_no_other_sees(data: Dataset, train: Split, tmp_path: Path) -> None:
+def test_changing_an_item_changes_no_other(data: Dataset, train: Split, tmp_path: Path) -> None:
     cache = VolumeCache(tmp_path)
     for make in (
         depth_item,
@@ -236,8 +236,8 @@ def test_what_is_done_to_an_item_no_other_sees(data: Dataset, train: Split, tmp_
         assert same(items[0], kept)
 
 
-def test_the_goal_lays_the_part_into_the_kit(data: Dataset, train: Split) -> None:
-    """Where the goal is the guess, what is solid in both volumes is nothing, and their surfaces are close."""
+def test_the_goal_aligns_the_part_with_the_kit(data: Dataset, train: Split) -> None:
+    """With the goal as the guess, no voxel is solid in both volumes, and their surfaces are close."""
     items = QueryDataset(train, "snap")
     make = VolumeItem(data, (64, 64, 64), 1.5e-3, source="truth")
     for index in range(len(items)):
@@ -262,7 +262,7 @@ def test_the_guess_carries_the_grid_of_the_part_onto_that_of_the_kit(data: Datas
         assert np.allclose(middles["kit"], query.guess.apply(query.pivot), atol=1e-6)
 
 
-def test_true_volumes_are_those_of_the_meshes_where_they_stand(data: Dataset, train: Split) -> None:
+def test_true_volumes_are_those_of_the_meshes_at_their_poses(data: Dataset, train: Split) -> None:
     make = VolumeItem(data, (48, 48, 48), 2e-3, source="truth")
     for recorded in train:
         for query in recorded.queries:
@@ -276,7 +276,7 @@ def test_true_volumes_are_those_of_the_meshes_where_they_stand(data: Dataset, tr
             assert part.occupied.any()
 
 
-def test_what_is_seen_lies_on_what_is_true(data: Dataset, train: Split) -> None:
+def test_volumes_from_depth_lie_on_true_surfaces(data: Dataset, train: Split) -> None:
     seen, true = VolumeItem(data, (48, 48, 48), 2e-3), VolumeItem(data, (48, 48, 48), 2e-3, source="truth")
     for index in range(len(items := QueryDataset(train, "snap"))):
         query, truth = items.query_and_truth(index)
@@ -287,7 +287,7 @@ def test_what_is_seen_lies_on_what_is_true(data: Dataset, train: Split) -> None:
         assert np.allclose(seen.part(query).grid.world((23.5, 23.5, 23.5)), query.pivot)
 
 
-def test_without_a_guess_the_kits_are_in_the_middle(data: Dataset, train: Split) -> None:
+def test_without_a_guess_the_grid_is_centred_on_the_kits(data: Dataset, train: Split) -> None:
     make = VolumeItem(data, (32, 32, 32), 3e-3, kit_shape=(96, 96, 64))
     for query in train.queries("place"):
         item = make(query, None, np.random.default_rng(0))
@@ -339,7 +339,7 @@ def test_codes_decode_to_the_values_with_unknown_filled(unknown: float) -> None:
         decode_volumes(torch.zeros(3, dtype=torch.int32))
 
 
-def test_what_cannot_be_is_said(data: Dataset, train: Split, tmp_path: Path) -> None:
+def test_invalid_arguments_are_refused(data: Dataset, train: Split, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no track 'snapp' in split train; there are snap"):
         QueryDataset(train, "snapp")
     with pytest.raises(InputError, match="source 'dpeth': expected one of depth, truth"):
@@ -361,7 +361,7 @@ def test_what_cannot_be_is_said(data: Dataset, train: Split, tmp_path: Path) -> 
         blind[len(blind)]
 
 
-def test_without_torch_items_are_made_and_one_line_says_what_to_install() -> None:
+def test_without_torch_items_are_made_and_the_error_says_how_to_install_it() -> None:
     ask = "import sys; sys.modules['torch'] = None; import kit1000.dataset.items\ntry: import kit1000.dataset.torch"
     ask += "\nexcept Exception as error: print(repr(error))"
     answer = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True, cwd=ROOT)

@@ -1,4 +1,4 @@
-"""URDF export: what is written reads back as the same assembly, in convex pieces, with the right mass and inertia."""
+"""Tests of the URDF export: it reads back as the same assembly, in convex pieces, with correct mass and inertia."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def elements(urdf: Path, path: str) -> list[ElementTree.Element]:
 
 
 def pieces(urdf: Path) -> list[Mesh]:
-    """The collision meshes in the frame of the link."""
+    """The collision meshes, in the frame of the link."""
     return [
         read_obj(urdf.parent / mesh.attrib["filename"]).moved(read_pose(collision.findall("origin")[0]))
         for collision in elements(urdf, "link/collision")
@@ -99,7 +99,7 @@ def test_the_pieces_together_are_the_assembly(urdf: Path, assembly: Assembly) ->
     assert union.volume() < sum(piece.volume for piece in pieces(urdf)) < 1.2 * whole.volume()
 
 
-def test_seated_parts_meet_no_piece(urdf: Path, assembly: Assembly) -> None:
+def test_seated_parts_intersect_no_piece(urdf: Path, assembly: Assembly) -> None:
     solids = [solid_from_mesh(piece) for piece in pieces(urdf)]
     for mount in assembly.mounts:
         pose = mount.assembly_from_kit @ mount.kit.slot.kit_from_part
@@ -128,13 +128,13 @@ def test_inertia_of_a_box_in_any_place(pose: Pose) -> None:
 
 
 @given(poses())
-def test_roll_pitch_yaw_turn_back_to_the_same_rotation(pose: Pose) -> None:
+def test_roll_pitch_yaw_give_the_same_rotation(pose: Pose) -> None:
     roll, pitch, yaw = roll_pitch_yaw(pose)
     x, y, z = (Pose.from_rotvec(a * axis) for a, axis in zip((roll, pitch, yaw), np.eye(3), strict=True))
     assert quaternion_angle((z @ y @ x).wxyz, pose.wxyz) < 1e-7
 
 
-def test_an_existing_folder_is_left_alone(assembly: Assembly, tmp_path: Path) -> None:
+def test_an_existing_folder_is_not_changed(assembly: Assembly, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="exists already"):
         write_urdf(assembly, tmp_path)
     assert list(tmp_path.iterdir()) == []
@@ -153,7 +153,7 @@ def test_nothing_is_left_of_an_export_that_fails(
 
 
 def dropped(urdf: Path, start: Pose, halves: np.ndarray, scale: float = 1.0) -> np.ndarray:
-    """(3,) [m] where a box of some half extents comes to rest in Bullet that is let go 35 mm above a pose."""
+    """The rest position (3,) [m] in Bullet of a box with some half extents, released 35 mm above a pose."""
     client = bullet.connect(bullet.DIRECT)
     try:
         bullet.setGravity(0, 0, -9.81 * scale, physicsClientId=client)

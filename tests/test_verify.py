@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mini import MINI, contents, corners
+from mini import MINI, file_hashes, l_shape_sources
 
 from kit1000.cli import main
 from kit1000.dataset.geometry import Geometry
@@ -39,7 +39,7 @@ def copy(mini: Path, tmp_path: Path) -> Path:
 def mesh_file_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset whose parts are from mesh files."""
     folder = tmp_path_factory.mktemp("of_files")
-    generate(MINI, folder / "data", workers=1, sources=corners(folder / "files"))
+    generate(MINI, folder / "data", workers=1, sources=l_shape_sources(folder / "files"))
     return folder / "data"
 
 
@@ -61,11 +61,11 @@ def only_fault(root: Path) -> str:
 def test_an_intact_dataset_passes(mini: Path) -> None:
     report = verify(mini)
     assert report.faults == report.notes == report.rebuilt == ()
-    assert report.files == len(contents(mini)) - 1
+    assert report.files == len(file_hashes(mini)) - 1
 
 
 def test_a_changed_byte_is_found_and_named_in_any_file(copy: Path) -> None:
-    names = sorted(contents(copy))
+    names = sorted(file_hashes(copy))
     assert {"dataset.json", "README.md", "croissant.json", "plan.json", "parts.json", "test/0000.three.mcap"} < set(
         names
     )
@@ -324,7 +324,7 @@ def test_data_of_another_version_is_not_generated_again(copy: Path) -> None:
 
 def test_the_command_prints_the_faults(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(copy), "--sample", "0"]) == 0
-    count = len(contents(copy)) - 1
+    count = len(file_hashes(copy)) - 1
     assert capsys.readouterr().out == f"{count} files checked, 0 scenes generated again (none)\nfaults: none\n"
     flip_bit(copy / "kits.json", 9)
     assert main(["verify", str(copy)]) == 1

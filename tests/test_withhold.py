@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mini import MINI, contents, corners
+from mini import MINI, file_hashes, l_shape_sources
 
 from benchmark.score import read_checked, score
 from kit1000 import Manifest, Prediction, write_submission
@@ -61,10 +61,10 @@ def folders(tmp_path_factory: pytest.TempPathFactory) -> Published:
 
 
 @pytest.fixture
-def quick_dataset(sketches: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
+def quick_dataset(fake_scenes: None, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[str]:
     """Options for a dataset of simple parts with fake scenes."""
     monkeypatch.setitem(PRESETS, "hidden", HIDDEN)
-    corners(tmp_path / "files", (20, 26, 33))
+    l_shape_sources(tmp_path / "files", (20, 26, 33))
     return ["--parts", f"{tmp_path}/files"]
 
 
@@ -152,7 +152,7 @@ def test_no_byte_of_the_public_folder_reveals_the_seed_a_pose_or_a_mesh(folders:
 
 
 def test_the_public_folder_has_neither_plan_nor_truth_nor_test_parts(folders: Published) -> None:
-    names = set(contents(folders.public))
+    names = set(file_hashes(folders.public))
     assert not [name for name in names if "truth" in name and name.startswith("test")]
     assert not names & {"plan.json", WITHHELD_FILE, withhold.BEGUN_FILE}
     assert not [name for name in names if name.startswith(("parts/test", "kits/test", "assemblies/test"))]
@@ -167,7 +167,7 @@ def test_the_public_folder_has_neither_plan_nor_truth_nor_test_parts(folders: Pu
 
 
 def test_public_files_equal_those_of_the_full_folder(folders: Published) -> None:
-    public, full = contents(folders.public), contents(folders.full)
+    public, full = file_hashes(folders.public), file_hashes(folders.full)
     rewritten = {"dataset.json", "README.md", "croissant.json", "parts.json", "kits.json", "assemblies.json"}
     assert {name for name in public if public[name] != full.get(name)} == rewritten
 
@@ -179,7 +179,7 @@ def test_the_commitment_is_that_of_the_withheld_files(folders: Published) -> Non
     number_forms = hashlib.sha256(secret["salt"].encode() + json_bytes(hashes)).hexdigest()
     assert public["withheld"] == {"split": "test", "salted_sha256": number_forms}
     assert len(secret["salt"]) == 64
-    only_in_full = set(contents(folders.full)) - set(contents(folders.public)) - {WITHHELD_FILE}
+    only_in_full = set(file_hashes(folders.full)) - set(file_hashes(folders.public)) - {WITHHELD_FILE}
     assert set(secret["files"]) == only_in_full | {"parts.json", "kits.json", "assemblies.json"}
 
 
@@ -229,14 +229,14 @@ def read_secret(folders: Published) -> dict[str, Any]:
 
 def test_the_same_command_again_changes_nothing(quick_dataset: list[str], tmp_path: Path) -> None:
     folders = publish_by_command(tmp_path, *quick_dataset)
-    before = contents(folders.full), contents(folders.public)
+    before = file_hashes(folders.full), file_hashes(folders.public)
     publish_by_command(tmp_path, *quick_dataset)
-    assert (contents(folders.full), contents(folders.public)) == before
+    assert (file_hashes(folders.full), file_hashes(folders.public)) == before
 
 
 def test_files_of_either_folder_are_no_sources_of_the_next_run(quick_dataset: list[str], tmp_path: Path) -> None:
-    before = contents(publish_by_command(tmp_path, "--parts", f"{tmp_path}").public)
-    assert contents(publish_by_command(tmp_path, "--parts", f"{tmp_path}").public) == before
+    before = file_hashes(publish_by_command(tmp_path, "--parts", f"{tmp_path}").public)
+    assert file_hashes(publish_by_command(tmp_path, "--parts", f"{tmp_path}").public) == before
 
 
 def test_two_datasets_have_different_long_seeds(quick_dataset: list[str], tmp_path: Path) -> None:
@@ -291,8 +291,8 @@ def test_a_seed_that_can_be_guessed_is_refused(tmp_path: Path) -> None:
         withhold.secret_seed(tmp_path, 7)
 
 
-def test_a_folder_made_from_a_guessable_seed_is_refused(sketches: None, tmp_path: Path) -> None:
-    generate(MINI, tmp_path / "full", workers=1, sources=corners(tmp_path / "files"))
+def test_a_folder_made_from_a_guessable_seed_is_refused(fake_scenes: None, tmp_path: Path) -> None:
+    generate(MINI, tmp_path / "full", workers=1, sources=l_shape_sources(tmp_path / "files"))
     with pytest.raises(InputError, match="was made from seed 7, which can be guessed; choose another folder"):
         withhold.secret_seed(tmp_path / "full", None)
 

@@ -1,4 +1,4 @@
-"""A recorded scene is found by its id, and rendered again from its truth: the recorded images to the bit."""
+"""Tests of recorded scenes: found by id, and rendered again from the truth with images equal to the bit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def recorded(mini: Path) -> RecordedScene:
 
 
 def assert_same(found: View, wanted: View) -> None:
-    """To the bit, pose and all."""
+    """Whether two views are equal to the bit, poses included."""
     assert found.camera == wanted.camera
     assert np.array_equal(found.depth, wanted.depth)
     assert np.array_equal(found.world_from_camera.wxyz, wanted.world_from_camera.wxyz)
@@ -39,7 +39,7 @@ def test_a_scene_of_any_split_is_found_by_its_id(mini: Path) -> None:
         assert found.truths.keys() == {query.id for query in found.queries}
 
 
-def test_a_scene_that_is_not_there_is_answered_with_a_near_one(mini: Path) -> None:
+def test_an_unknown_scene_is_answered_with_the_closest_one(mini: Path) -> None:
     with pytest.raises(InputError, match=r"no scene 'tets-s0000' among 4; did you mean test-s0000\?$"):
         Dataset(mini).recorded_scene("tets-s0000")
     with pytest.raises(InputError, match=r"no scene 'nothing' among 4$"):
@@ -47,21 +47,21 @@ def test_a_scene_that_is_not_there_is_answered_with_a_near_one(mini: Path) -> No
 
 
 @pytest.mark.parametrize("scene_id", ["train-s0001", "val-s0000", "test-s0000"])
-def test_the_primary_camera_sees_again_what_was_recorded(mini: Path, scene_id: str) -> None:
+def test_rendering_the_primary_camera_gives_the_recorded_image(mini: Path, scene_id: str) -> None:
     again = Dataset(mini).recorded_scene(scene_id)
     views = again.render("primary")
     assert list(views) == ["primary"]
     assert_same(views["primary"], again.view("ideal"))
 
 
-def test_the_three_cameras_of_the_test_split_see_again_what_was_recorded(recorded: RecordedScene) -> None:
+def test_rendering_the_three_cameras_gives_the_recorded_images(recorded: RecordedScene) -> None:
     views = recorded.render("three")
     assert list(views) == ["three/0", "three/1", "three/2"]
     for key, view in views.items():
         assert_same(view, recorded.view(f"{key}/ideal"))
 
 
-def test_with_the_seed_of_the_dataset_the_noise_comes_again_too(recorded: RecordedScene) -> None:
+def test_the_seed_of_the_dataset_gives_the_recorded_noise(recorded: RecordedScene) -> None:
     assert_same(recorded.render("three", "d415", MINI.seed)["three/2"], recorded.view("three/2/d415"))
 
 
@@ -77,7 +77,7 @@ def test_a_sensor_differs_from_the_ideal_one_and_follows_its_seed(recorded: Reco
     assert np.mean(one.depth[both] != other.depth[both]) > 0.8
 
 
-def test_the_camera_above_sees_both_halves_of_the_table(recorded: RecordedScene) -> None:
+def test_the_top_camera_sees_both_halves_of_the_table(recorded: RecordedScene) -> None:
     (key, view), *others = recorded.render("top").items()
     assert (key, others) == ("top", [])
     assert_same(view, View(CAMERA, camera_set("top")["top"][1], view.depth))
@@ -95,8 +95,8 @@ def test_the_camera_above_sees_both_halves_of_the_table(recorded: RecordedScene)
     assert np.array_equal(grid, np.rint(grid))
 
 
-def test_what_the_top_camera_sees_agrees_with_the_recorded_image(recorded: RecordedScene) -> None:
-    """Points of the kits that the primary camera saw are where the camera above finds them, or below what it finds."""
+def test_the_top_camera_agrees_with_the_recorded_image(recorded: RecordedScene) -> None:
+    """Points of the kits from the primary camera are on the surface seen by the top camera, or below it."""
     seen, above = recorded.view("ideal"), recorded.render("top")["top"]
     kits = seen.world_from_camera.apply(CAMERA.unproject(seen.depth)[recorded.labels == ASSEMBLY_LABEL])
     local = above.world_from_camera.inverse().apply(kits)
@@ -107,7 +107,7 @@ def test_what_the_top_camera_sees_agrees_with_the_recorded_image(recorded: Recor
     assert np.mean(found > local[:, 2] + 2e-3) < 0.03
 
 
-def test_what_cannot_be_rendered_is_said(mini: Path, recorded: RecordedScene) -> None:
+def test_invalid_camera_sets_and_sensors_are_refused(mini: Path, recorded: RecordedScene) -> None:
     with pytest.raises(InputError, match="camera set 'tpo': expected one of primary, three, top"):
         recorded.render("tpo")
     with pytest.raises(InputError, match=f"no 'd435', expected one of {', '.join(SENSORS)}"):
@@ -129,7 +129,7 @@ def test_the_truth_of_one_query_is_that_of_all_and_reads_no_mesh(
         assert np.array_equal(one.anchor, truth.anchor)
 
 
-def test_the_truth_of_what_is_not_asked_or_not_open_is_refused(recorded: RecordedScene, mini: Path) -> None:
+def test_the_truth_of_other_queries_or_without_truth_is_refused(recorded: RecordedScene, mini: Path) -> None:
     with pytest.raises(InputError, match=r"no query 'test-s0000-p9-snap' in test-s0000 of .*; did you mean test-s0000"):
         recorded.truth_of("test-s0000-p9-snap")
     with pytest.raises(InputError, match="the truth was not opened"):

@@ -1,4 +1,4 @@
-"""A stranger with the stock MCAP libraries and the page docs/recordings.md, but without kit1000, sees the scene."""
+"""Tests that docs/recordings.md is enough to read a scene with the MCAP libraries and without kit1000."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return nearest
 
 
-def test_the_page_leads_a_stranger_to_a_point_cloud_that_lies_on_the_scene(recorded: Path, tmp_path: Path) -> None:
+def test_the_code_of_the_page_gives_a_point_cloud_on_the_scene(recorded: Path, tmp_path: Path) -> None:
     *_, script = re.findall(r"^```py\n(.*?)^```", PAGE.read_text("utf-8"), re.M | re.S)
     assert "kit1000" not in script
     command = [sys.executable, "-c", script, str(recorded / "seen.mcap"), str(tmp_path / "cloud.npz")]
@@ -84,7 +84,7 @@ def test_the_page_leads_a_stranger_to_a_point_cloud_that_lies_on_the_scene(recor
         assert apart.max() <= 0.25e-3  # a step of the grid is 0.12 mm
 
 
-def test_a_stranger_finds_the_models_where_the_bodies_are(recorded: Path, tmp_path: Path) -> None:
+def test_models_are_at_the_poses_of_their_bodies(recorded: Path, tmp_path: Path) -> None:
     with open(recorded / "truth.mcap", "rb") as file:
         messages = make_reader(file, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["/scene"])
         (update,) = [value for _, _, _, value in messages]

@@ -1,4 +1,4 @@
-"""Laws of mesh files: what is read is to the bit what was written, in the unit and axes that its readers expect."""
+"""Tests of mesh files: equal to the bit when read back, in the units and axes of their format."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from mini import corner
+from mini import l_shape
 
 from kit1000.dataset.mesh_files import glb_bytes, read_glb, stl_bytes, y_up, z_up
 from kit1000.errors import InputError
@@ -23,7 +23,7 @@ FACES = np.array([[0, 1, 2], [6, 5, 4], [3, 3, 0]], dtype=np.int32)
 
 @given(POINTS)
 @settings(max_examples=50)
-def test_a_glb_holds_every_vertex_and_face_to_the_bit(tmp_path_factory, points: np.ndarray) -> None:
+def test_a_glb_has_every_vertex_and_face_to_the_bit(tmp_path_factory, points: np.ndarray) -> None:
     path = tmp_path_factory.getbasetemp() / "mesh.glb"
     path.write_bytes(glb_bytes({"a b/c": Mesh(points, FACES), "ä": Mesh(points[::-1], FACES[:1])}))
     bodies = read_glb(path)
@@ -34,17 +34,17 @@ def test_a_glb_holds_every_vertex_and_face_to_the_bit(tmp_path_factory, points: 
 
 
 @given(POINTS)
-def test_up_and_up_again_is_nothing(points: np.ndarray) -> None:
+def test_y_up_and_z_up_are_inverse(points: np.ndarray) -> None:
     assert np.array_equal(z_up(y_up(points)), points)
 
 
-def test_up_is_up_and_hands_are_kept() -> None:
+def test_y_up_maps_z_to_y_and_keeps_orientation() -> None:
     assert np.array_equal(y_up(np.eye(3)), [[1, 0, 0], [0, 0, -1], [0, 1, 0]])
     assert np.linalg.det(y_up(np.eye(3))) == pytest.approx(1)
 
 
 def test_other_readers_find_metres_and_y_up_in_a_glb(tmp_path: Path) -> None:
-    mesh = corner().rounded_float32()
+    mesh = l_shape().rounded_float32()
     path = tmp_path / "mesh.glb"
     path.write_bytes(glb_bytes({"part": mesh}, {"part": (255, 0, 0)}))
     seen = trimesh.load_scene(path).to_mesh()
@@ -54,12 +54,12 @@ def test_other_readers_find_metres_and_y_up_in_a_glb(tmp_path: Path) -> None:
 
 
 def test_the_same_bodies_give_the_same_bytes() -> None:
-    assert glb_bytes({"a": corner()}, {"a": (1, 2, 3)}) == glb_bytes({"a": corner()}, {"a": (1, 2, 3)})
-    assert stl_bytes(corner()) == stl_bytes(corner())
+    assert glb_bytes({"a": l_shape()}, {"a": (1, 2, 3)}) == glb_bytes({"a": l_shape()}, {"a": (1, 2, 3)})
+    assert stl_bytes(l_shape()) == stl_bytes(l_shape())
 
 
 def test_an_stl_holds_float32_millimetres_with_z_up(tmp_path: Path) -> None:
-    mesh = corner()
+    mesh = l_shape()
     path = tmp_path / "mesh.stl"
     path.write_bytes(stl_bytes(mesh))
     soup = read_triangles(path)
@@ -71,11 +71,11 @@ def test_an_stl_holds_float32_millimetres_with_z_up(tmp_path: Path) -> None:
 
 
 def test_stl_normals_point_outward() -> None:
-    facets = np.frombuffer(stl_bytes(corner())[84:], np.dtype([("numbers", "<f4", 12), ("attribute", "<u2")]))
-    assert np.allclose(facets["numbers"][:, :3], corner().normals, atol=1e-6)
+    facets = np.frombuffer(stl_bytes(l_shape())[84:], np.dtype([("numbers", "<f4", 12), ("attribute", "<u2")]))
+    assert np.allclose(facets["numbers"][:, :3], l_shape().normals, atol=1e-6)
 
 
-@pytest.mark.parametrize("data", [b"", b"no glb", glb_bytes({"a": corner()})[:-100], glb_bytes({"a": corner()})[:40]])
+@pytest.mark.parametrize("data", [b"", b"no glb", glb_bytes({"a": l_shape()})[:-100], glb_bytes({"a": l_shape()})[:40]])
 def test_a_damaged_glb_is_one_line(data: bytes, tmp_path: Path) -> None:
     path = tmp_path / "mesh.glb"
     path.write_bytes(data)
