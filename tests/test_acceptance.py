@@ -1,4 +1,4 @@
-"""Trials: a sound pair passes, and every rule turns down a pair that was made to break it."""
+"""Acceptance tests: a valid pair passes, and every rule rejects a pair that breaks it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.shapes import Z, as_part, box, cylinder, ell, ring_plate, seated
 STEP = np.radians(1)
 
 
-def whole(solid: Manifold, symmetry: Symmetry | None = None, clearance: float = 2.5e-3) -> tuple[Part, Kit]:
+def pair_of(solid: Manifold, symmetry: Symmetry | None = None, clearance: float = 2.5e-3) -> tuple[Part, Kit]:
     """A part and its kit with all goals, inserted as drawn."""
     place = seated(solid, symmetry, clearance=clearance)
     goals, axis = find_goals(Design(place.part.mesh, place.part.symmetry, place.kit_from_part, place.cavity))
@@ -30,54 +30,54 @@ def whole(solid: Manifold, symmetry: Symmetry | None = None, clearance: float = 
 
 
 @pytest.mark.parametrize("family", QUICK)
-def test_drawn_pairs_pass(family: str) -> None:
-    trial = check_pair(sample_part(family), sample_kit(family))
-    assert trial.keyedness is None or STEP <= trial.keyedness < np.pi
+def test_drawn_pairs_are_accepted(family: str) -> None:
+    check = check_pair(sample_part(family), sample_kit(family))
+    assert check.keyedness is None or STEP <= check.keyedness < np.pi
 
 
-def test_a_sound_pair_passes() -> None:
-    trial = check_pair(*whole(ell()))
-    assert trial.keyedness is not None
-    assert np.radians(3) < trial.keyedness < np.radians(30)
-    assert not trial.has_loose_fit
+def test_a_valid_pair_is_accepted() -> None:
+    check = check_pair(*pair_of(ell()))
+    assert check.keyedness is not None
+    assert np.radians(3) < check.keyedness < np.radians(30)
+    assert not check.has_loose_fit
 
 
-def test_a_washer_is_free_and_not_loose() -> None:
+def test_a_washer_has_a_free_axis_and_no_loose_fit() -> None:
     washer = cylinder(34, 12) - cylinder(16, 40).translate((0, 0, -9))
-    trial = check_pair(*whole(washer, Symmetry.free_flipped(Z)))
-    assert trial.keyedness is None
-    assert not trial.has_loose_fit
+    check = check_pair(*pair_of(washer, Symmetry.free_flipped(Z)))
+    assert check.keyedness is None
+    assert not check.has_loose_fit
 
 
-def test_a_plate_told_apart_by_its_hole_alone_is_a_loose_fit() -> None:
-    """The hole is too small for a post: half a turn is no goal, yet it seats."""
-    part, kit = whole(ring_plate(7, off=9))
+def test_a_plate_with_an_eccentric_hole_alone_has_a_loose_fit() -> None:
+    """The hole is too small for a post: the pose at 180 degrees is no goal, but the part seats."""
+    part, kit = pair_of(ring_plate(7, off=9))
     assert len(kit.slot.goals) == 2
     assert check_pair(part, kit).has_loose_fit
 
 
 def test_a_narrow_bar_seats_when_tilted() -> None:
     with pytest.raises(Redraw, match="seats when tilted 20 degrees"):
-        check_pair(*whole(box(40, 4, 12)))
+        check_pair(*pair_of(box(40, 4, 12)))
 
 
-def test_a_gaping_slot_lets_the_part_seat_off_its_place() -> None:
-    part, kit = whole(box(34, 30, 24), clearance=10e-3)
-    modest = replace(kit, slot=replace(kit.slot, clearance=2.5e-3))
+def test_a_slot_with_too_much_clearance_is_rejected() -> None:
+    part, kit = pair_of(box(34, 30, 24), clearance=10e-3)
+    understated = replace(kit, slot=replace(kit.slot, clearance=2.5e-3))
     with pytest.raises(Redraw, match="seats when moved clearance"):
-        check_pair(part, modest)
+        check_pair(part, understated)
 
 
-def test_a_goal_below_the_floor_lets_a_lifted_part_seat() -> None:
-    part, kit = whole(box(34, 30, 24))
+def test_a_goal_below_the_floor_is_rejected() -> None:
+    part, kit = pair_of(box(34, 30, 24))
     low = Pose.from_translation(np.array([0, 0, -0.8e-3])) @ kit.slot.goals[0]
     with pytest.raises(Redraw, match="seats when lifted 3 mm"):
         check_pair(part, replace(kit, slot=replace(kit.slot, goals=Pose.stack([low]))))
 
 
 @pytest.mark.parametrize("error", [[0, 0, 2e-3, 0, 0, 0], [5e-3, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.6]])
-def test_a_goal_that_is_none_is_found_out(error: list[float]) -> None:
-    part, kit = whole(ell())
+def test_a_wrong_goal_is_rejected(error: list[float]) -> None:
+    part, kit = pair_of(ell())
     design = kit.slot.goals[0]
     wrong = rotated_about_centroid(Pose.from_translation(np.array(error[:3])) @ design, np.array(error[3:]))
     with pytest.raises(Redraw, match="does not seat at a goal"):
@@ -85,61 +85,62 @@ def test_a_goal_that_is_none_is_found_out(error: list[float]) -> None:
 
 
 @pytest.mark.parametrize(("x", "y"), [(40, 20), (36, 28), (30, 30)])
-def test_keyedness_of_a_box_is_that_of_a_turning_rectangle(x: float, y: float) -> None:
+def test_keyedness_of_a_box_is_that_of_a_rotating_rectangle(x: float, y: float) -> None:
     """Its corner leaves the rounded rectangle when it stands farther than the clearance from the rectangle."""
-    part, kit = whole(box(x, y, 20))
+    part, kit = pair_of(box(x, y, 20))
     corners = np.array([[x, y], [-x, y]]) / 2 * 1e-3
-    turns = np.arange(0, np.pi, 1e-4)
-    c, s = np.cos(turns), np.sin(turns)
-    out = np.zeros_like(turns)
+    yaws = np.arange(0, np.pi, 1e-4)
+    c, s = np.cos(yaws), np.sin(yaws)
+    out = np.zeros_like(yaws)
     for px, py in corners:
-        turned = np.stack([c * px - s * py, s * px + c * py], 1)
-        beyond = np.maximum(np.abs(turned) - np.array([x, y]) / 2 * 1e-3, 0)
+        rotated = np.stack([c * px - s * py, s * px + c * py], 1)
+        beyond = np.maximum(np.abs(rotated) - np.array([x, y]) / 2 * 1e-3, 0)
         out = np.maximum(out, np.linalg.norm(beyond, axis=1))
-    brute = turns[np.argmax(out > kit.slot.clearance)]
-    found = keyedness(SeatingTest(part.mesh, kit))
-    assert found is not None
-    assert brute - 1e-3 <= found <= brute + STEP + 1e-3
+    brute = yaws[np.argmax(out > kit.slot.clearance)]
+    measured = keyedness(SeatingTest(part.mesh, kit))
+    assert measured is not None
+    assert brute - 1e-3 <= measured <= brute + STEP + 1e-3
 
 
-def test_wrong_poses_are_as_wrong_as_they_say() -> None:
-    _, kit = whole(ell())
+def test_wrong_poses_have_the_stated_errors() -> None:
+    _, kit = pair_of(ell())
     design = kit.slot.goals[0]
     poses = list(wrong_poses(kit))
     assert len(poses) == 25
     for name, pose in poses:
         off = pose.xyz - design.xyz
-        turn = float((pose @ design.inverse()).angle())
+        angle = float((pose @ design.inverse()).angle())
         if name == "lifted 3 mm":
             assert np.allclose(off, [0, 0, 3e-3])
         elif name.startswith("moved"):
             assert np.hypot(*off[:2]) == pytest.approx(5.5e-3)
-            assert turn < 1e-7
+            assert angle < 1e-7
         else:
             assert np.linalg.norm(off) < 1e-12
-            assert turn == pytest.approx(np.radians(20))
+            assert angle == pytest.approx(np.radians(20))
 
 
-def test_a_turn_about_the_anchor_leaves_the_centroid_where_it_is() -> None:
-    pose = rotated_about_centroid(whole(ell())[1].slot.goals[0], np.array([0.1, -0.2, 0.3]))
-    assert np.allclose(pose.apply(np.zeros(3)), whole(ell())[1].slot.goals[0].xyz)
+def test_rotation_about_the_centroid_keeps_its_position() -> None:
+    pose = rotated_about_centroid(pair_of(ell())[1].slot.goals[0], np.array([0.1, -0.2, 0.3]))
+    assert np.allclose(pose.apply(np.zeros(3)), pair_of(ell())[1].slot.goals[0].xyz)
 
 
-def test_a_kit_made_as_in_a_dataset_passes() -> None:
+def test_a_kit_made_as_in_a_dataset_is_accepted() -> None:
     part = as_part(box(40, 30, 16) - box(16, 12, 30, (12, 9, -2)), Symmetry.none())
     assert not check_pair(part, make_kit(part)).has_loose_fit
 
 
-def test_a_turn_must_jam_both_ways_round() -> None:
-    """A snail cam jams at once when its step turns forward, and hardly when it turns back."""
+def test_keyedness_is_the_yaw_that_jams_in_both_senses() -> None:
+    """A snail cam jams at once when its step rotates forward, and late when it rotates back."""
     angles = np.radians(np.arange(0, 361, 5.0))
     radii = 14 + 6 * angles / (2 * np.pi)
     snail = CrossSection([np.stack([radii * np.cos(angles), radii * np.sin(angles)], 1)])
-    part, kit = whole(Manifold.extrude(snail, 20))
-    seat, design = SeatingTest(part.mesh, kit), kit.slot.goals[0]
-    turns = np.arange(STEP, np.pi, STEP)
-    ways = [
-        next(t for t in turns if not seat.is_seated(rotated_about_centroid(design, s * t * Z), design)) for s in (1, -1)
+    part, kit = pair_of(Manifold.extrude(snail, 20))
+    test, design = SeatingTest(part.mesh, kit), kit.slot.goals[0]
+    yaws = np.arange(STEP, np.pi, STEP)
+    jams = [
+        next(yaw for yaw in yaws if not test.is_seated(rotated_about_centroid(design, sign * yaw * Z), design))
+        for sign in (1, -1)
     ]
-    assert max(ways) > 5 * min(ways)
-    assert keyedness(seat) == pytest.approx(max(ways), abs=1e-9)
+    assert max(jams) > 5 * min(jams)
+    assert keyedness(test) == pytest.approx(max(jams), abs=1e-9)

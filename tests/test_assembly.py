@@ -1,4 +1,4 @@
-"""Assemblies: the plan keeps its bounds, plates never cut into each other, and every fault a check names is caught."""
+"""Assemblies: plans keep their bounds, plates never intersect, and the checks find every fault that they name."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from kit1000.values import Assembly, Mount, Part
 from tests.sample_kits import QUICK, sample_kit, sample_part
 
 DEGREE = np.pi / 180
-FILM = 60e-9  # [m] rounding of the union's vertices moves a surface by no more
+ROUNDING = 60e-9  # [m] rounding of the union's vertices moves a surface by no more
 
 
 def parts() -> dict[str, Part]:
@@ -93,7 +93,7 @@ def test_world_tilts_are_those_of_the_mounts(plan: AssemblyPlan) -> None:
 
 @given(plans(st.one_of(st.just(45 * DEGREE), st.floats(10 * DEGREE, 45 * DEGREE))))
 @settings(max_examples=50)
-def test_plates_never_cut_into_each_other(plan: AssemblyPlan) -> None:
+def test_plates_never_intersect(plan: AssemblyPlan) -> None:
     mounts = place_kits([sample_kit("foot")] * (1 + len(plan.sides)), plan)
     blocks = [block(mount) for mount in mounts]
     assert all((a ^ b).is_empty() for a, b in combinations(blocks, 2))
@@ -112,7 +112,7 @@ def test_the_gap_opens_upward_by_the_sine_of_the_tilt(tilt_deg: float) -> None:
 
 @given(plans(st.floats(10 * DEGREE, 45 * DEGREE)).filter(lambda plan: world_tilts(plan).max() <= 45 * DEGREE))
 @settings(max_examples=40)
-def test_stand_is_convex_bites_in_and_leaves_cavities_alone(plan: AssemblyPlan) -> None:
+def test_supports_are_convex_overlap_the_plates_and_no_cavity(plan: AssemblyPlan) -> None:
     mounts = place_kits([sample_kit("foot")] * (1 + len(plan.sides)), plan)
     pieces = support_pieces(mounts)
     cores = [block(mount, PLATE_OVERLAP * (1 + 1e-6)) for mount in mounts]
@@ -151,10 +151,10 @@ def test_built_assemblies_pass_their_checks_and_are_the_union(seed: int, kits: i
     assert assembly.mesh.bounds[0, 2] == 0
     whole = solid_from_mesh(assembly.mesh)
     plates = [solid_from_mesh(mount.kit.mesh.moved(mount.assembly_from_kit)) for mount in assembly.mounts]
-    assert all((plate - whole).volume() < FILM * plate.surface_area() for plate in plates)
+    assert all((plate - whole).volume() < ROUNDING * plate.surface_area() for plate in plates)
     # one by one, because this union is the one thing that the builder trusts
     union = reduce(lambda a, b: a + b, [*plates, *support_pieces(assembly.mounts)])
-    assert abs(union.volume() - whole.volume()) < FILM * whole.surface_area()
+    assert abs(union.volume() - whole.volume()) < ROUNDING * whole.surface_area()
 
 
 @pytest.mark.parametrize("seed", [4, 5])
@@ -169,7 +169,7 @@ def test_swept_parts_meet_nothing_on_their_way_out(seed: int) -> None:
         swept = swept_solid(sample_part(own).mesh, axis).transform(seats[own].matrix()[:3])
         others = [solid for i, solid in standing.items() if i != own]
         assert all(
-            (swept ^ solid).volume() < FILM * swept.surface_area()
+            (swept ^ solid).volume() < ROUNDING * swept.surface_area()
             for solid in [solid_from_mesh(assembly.mesh), *others]
         )
 
@@ -205,8 +205,8 @@ def test_a_hole_in_a_plate_is_caught() -> None:
 def test_a_bar_over_a_slot_is_caught() -> None:
     assembly = drawn(1, 2)
     posts = [cube_at((0, y, 0.04), (6e-3, 6e-3, 0.1)) for y in (-0.045, 0.045)]
-    gallows = posts[0] + posts[1] + cube_at((0, 0, 0.085), (6e-3, 0.1, 6e-3))
-    over_base = gallows.transform(assembly.mounts[0].assembly_from_kit.matrix()[:3])
+    bar = posts[0] + posts[1] + cube_at((0, 0, 0.085), (6e-3, 0.1, 6e-3))
+    over_base = bar.transform(assembly.mounts[0].assembly_from_kit.matrix()[:3])
     with pytest.raises(Redraw, match=r"insertion path blocked$"):
         check_assembly(with_solid(assembly, over_base), parts())
 
@@ -222,7 +222,7 @@ def test_a_seated_part_in_the_way_is_caught() -> None:
         check_assembly(assembly, {**parts(), side.kit.id: long})
 
 
-def test_what_would_fall_over_is_caught() -> None:
+def test_an_unstable_assembly_is_caught() -> None:
     assembly = drawn(1, 2)
     direction = np.array([*np.sign(assembly.mounts[1].assembly_from_kit.xyz[:2]), 0])
     corner = -direction * 0.2 + (0, 0, assembly.mounts[0].assembly_from_kit.xyz[2] - 0.015)
@@ -247,7 +247,7 @@ def test_cavities_side_by_side_are_caught() -> None:
         check_assembly(replace(assembly, mounts=(base, shifted)), parts())
 
 
-def test_a_plan_takes_as_many_kits_as_it_has_places() -> None:
+def test_a_plan_needs_as_many_kits_as_it_has_plates() -> None:
     kit, plan = sample_kit("foot"), AssemblyPlan(0, 0, (SidePlate(0, 0.5),))
     with pytest.raises(InputError, match="expected 2 for this plan, got 3"):
         build_assembly("a", [kit] * 3, plan)
@@ -262,6 +262,6 @@ def test_an_assembly_has_one_to_five_kits(kits: int) -> None:
         draw_assembly(np.random.default_rng(0), kits)
 
 
-def test_an_unreachable_tilt_is_refused_instead_of_drawn_for_ever() -> None:
+def test_an_unreachable_tilt_is_refused_instead_of_drawn_forever() -> None:
     with pytest.raises(InputError, match=r"max_world_tilt: expected 0\.175 rad or more"):
         draw_assembly(np.random.default_rng(0), 2, max_world_tilt=0.1)

@@ -1,4 +1,4 @@
-"""The cavity is the swept shadow grown by the clearance: at every height, for every clearance, and nothing else."""
+"""The cavity is the shadow grown by the clearance, at every height and for every clearance, and nothing more."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ from tests.shapes import (
     upturned_tee,
 )
 
-SHORT, LONG = 0.02e-3, 0.1e-3  # [m] the clearance may fall short of what was asked by, and exceed it by
-CLIPPED = 1e-9  # [m^2] sections snap to a grid of nanometres
+SHORT, LONG = 0.02e-3, 0.1e-3  # [m] by which the clearance may be below and above its nominal value
+AREA_TOLERANCE = 1e-9  # [m^2] sections snap to a grid of nanometres
 SHAPES: dict[str, Callable[[], Manifold]] = {
     "box": lambda: box(30, 20, 20),
     "ell": lambda: ell(),
@@ -72,7 +72,7 @@ def heights(cavity: Cavity) -> np.ndarray:
 
 
 def assert_keeps_clearance(solid: Manifold, cavity: Cavity, clearance: float, z: float, loose: float = LONG) -> None:
-    """Every wall point is the clearance away from the shadow, but for opened walls, and the shadow is open."""
+    """Every wall point except those of removed walls is at the clearance from the shadow, and the shadow is open."""
     shadow, opening = slice_union(solid, z), cavity.solid.slice(z)
     walls = outline_points(opening.to_polygons())
     distance = gaps(walls, shadow)
@@ -80,7 +80,7 @@ def assert_keeps_clearance(solid: Manifold, cavity: Cavity, clearance: float, z:
     opened = cavity.probes[-1].removed_walls
     kept = distance if opened.is_empty() else distance[gaps(walls, opened) > 0.1e-3]
     assert kept.max(initial=0) <= clearance + loose
-    assert (shadow - opening).area() < CLIPPED
+    assert (shadow - opening).area() < AREA_TOLERANCE
 
 
 @pytest.mark.parametrize("clearance_mm", [0.5, 1.0, 2.5, 10.0])
@@ -94,7 +94,7 @@ def test_walls_keep_the_clearance_at_every_height(name: str, clearance_mm: float
 @given(st.integers(0, 10_000), st.booleans())
 @settings(max_examples=8)
 def test_walls_keep_the_clearance_of_any_solid(seed: int, joined: bool) -> None:
-    """Neighbours grown as one may widen the slot a little more, never narrow it."""
+    """Merged patches may widen the slot a little more, never narrow it."""
     drawn = random_solid(seed)
     depth = insertion_depth(drawn.bounding_box()[5] * 1e-3)
     cavity = cavity_of(drawn, depth, joined=joined)
@@ -124,7 +124,7 @@ def test_cavity_of_a_widening_cone_is_a_cone_of_the_same_slope(cut: Cut) -> None
 def test_a_narrowing_cone_leaves_the_shaft_of_its_foot(cut: Cut) -> None:
     _, cavity = cut("cone upside down")
     areas = [cavity.solid.slice(z).area() for z in heights(cavity)]
-    assert np.ptp(areas) < CLIPPED
+    assert np.ptp(areas) < AREA_TOLERANCE
 
 
 @pytest.mark.parametrize("name", ["cone", "leaning", "lying cylinder"])
@@ -139,7 +139,7 @@ def test_slopes_stay_slopes(name: str, cut: Cut) -> None:
 
 
 @pytest.mark.parametrize(("hole_mm", "posts"), [(7.9, 0), (8.4, 1)])
-def test_posts_thinner_than_3_mm_are_opened_away(hole_mm: float, posts: int) -> None:
+def test_posts_thinner_than_3_mm_are_removed(hole_mm: float, posts: int) -> None:
     """The post in a hole is thinner than the hole by twice the clearance, 5 mm."""
     cavity = cavity_of(ring_plate(hole_mm), 7.2e-3)
     outer = CrossSection.square((60e-3, 60e-3), center=True)
@@ -160,7 +160,7 @@ def test_walls_between_two_legs_are_kept_from_3_mm(gap_mm: float, kept: bool) ->
     assert cavity.removed_wall_count == (0 if kept else 1)
 
 
-def test_right_angles_of_walls_stay_sharp_where_another_wall_is_opened() -> None:
+def test_right_angles_of_walls_stay_sharp_where_another_wall_is_removed() -> None:
     """The wall in the inner corner of the L comes to a point; the post in its hole is too thin and goes."""
     holed = ell() - cylinder(5.6, 99).translate((14, -8, -9))
     cavity = cavity_of(holed, 8e-3)
@@ -171,7 +171,7 @@ def test_right_angles_of_walls_stay_sharp_where_another_wall_is_opened() -> None
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_the_straight_way_out_is_free(name: str, cut: Cut) -> None:
+def test_the_part_leaves_along_z_without_collision(name: str, cut: Cut) -> None:
     solid, cavity = cut(name)
     block = Manifold.cube((0.1, 0.1, cavity.depth + 2e-3), center=True)
     plate = block.translate((0, 0, cavity.depth - (cavity.depth + 2e-3) / 2)) - cavity.solid
@@ -180,7 +180,7 @@ def test_the_straight_way_out_is_free(name: str, cut: Cut) -> None:
         assert (solid.translate((0, 0, 1e-7 + share * cavity.depth)) ^ plate).volume() < 1e-15
 
 
-def test_undercut_of_a_tee_is_what_stands_beside_its_stem(cut: Cut) -> None:
+def test_undercut_of_a_tee_is_the_volume_beside_its_stem(cut: Cut) -> None:
     _, cavity = cut("tee")
     assert cavity.undercut_volume == pytest.approx(20e-3 * 20e-3 * (cavity.depth - 4e-3), rel=0.01)
 
@@ -190,7 +190,7 @@ def test_the_cavity_only_widens_upwards(name: str, cut: Cut) -> None:
     _, cavity = cut(name)
     slices = [cavity.solid.slice(z) for z in np.linspace(1e-5, cavity.depth - 1e-5, 9)]
     for below, above in pairwise(slices):
-        assert (below - above).area() < CLIPPED
+        assert (below - above).area() < AREA_TOLERANCE
 
 
 @pytest.mark.parametrize("name", ["leaning", "lying cylinder", "cone"])

@@ -1,4 +1,4 @@
-"""First contact: the raise that just parts two bodies, by booleans, by grids and by hand."""
+"""First contact of two bodies, compared with booleans, grids and closed forms."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose, random_quaternions
 from tests.shapes import MM, as_part, box, cylinder, random_solid, standing
 
-TURN_OVER = np.diag([1.0, -1.0, -1.0])
-STILL = Pose.identity()
+UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
+IDENTITY = Pose.identity()
 SEEDS = st.integers(0, 10_000)
 
 
@@ -33,36 +33,36 @@ def drawn(seed: int) -> tuple[Mesh, Mesh, Pose]:
     return a, b, Pose(random_quaternions(rng, 1)[0], np.array([*rng.uniform(-6e-3, 6e-3, 2), 0.05]))
 
 
-def raise_of(moving: Mesh, still: Mesh, pose: Pose, base: Pose = STILL) -> float:
+def offset_of(moving: Mesh, fixed: Mesh, pose: Pose, base: Pose = IDENTITY) -> float:
     return vertical_contact_offset(
         contact_features(convex_edges(moving), pose.rotation_matrix(), pose.xyz, -1.0),
-        contact_features(convex_edges(still), base.rotation_matrix(), base.xyz, 1.0),
+        contact_features(convex_edges(fixed), base.rotation_matrix(), base.xyz, 1.0),
     )
 
 
-def overlap(moving: Mesh, still: Mesh, pose: Pose, rise: float) -> float:
+def overlap(moving: Mesh, fixed: Mesh, pose: Pose, offset: float) -> float:
     """[m^3]"""
-    lifted = Pose(pose.wxyz, pose.xyz + [0, 0, rise])
-    return (solid_from_mesh(moving.moved(lifted)) ^ solid_from_mesh(still)).volume()
+    lifted = Pose(pose.wxyz, pose.xyz + [0, 0, offset])
+    return (solid_from_mesh(moving.moved(lifted)) ^ solid_from_mesh(fixed)).volume()
 
 
 @given(SEEDS)
 @settings(max_examples=60)
 def test_just_above_contact_bodies_are_apart_and_just_below_they_are_not(seed: int) -> None:
-    moving, still, pose = drawn(seed)
-    rise = raise_of(moving, still, pose)
-    assert np.isfinite(rise)
-    assert overlap(moving, still, pose, rise + 1e-6) < 1e-18
-    assert overlap(moving, still, pose, rise - 20e-6) > 0
+    moving, fixed, pose = drawn(seed)
+    offset = offset_of(moving, fixed, pose)
+    assert np.isfinite(offset)
+    assert overlap(moving, fixed, pose, offset + 1e-6) < 1e-18
+    assert overlap(moving, fixed, pose, offset - 20e-6) > 0
 
 
 @given(SEEDS)
 @settings(max_examples=25)
-def test_contact_is_the_least_raise_over_a_fine_grid_of_envelopes(seed: int) -> None:
-    """A grid can only miss the highest point: it says no more than the closed form, and nearly as much."""
-    moving, still, pose = drawn(seed)
+def test_contact_agrees_with_a_fine_grid_of_envelopes(seed: int) -> None:
+    """A grid can only miss the highest point: its offset is a little smaller than that of the closed form."""
+    moving, fixed, pose = drawn(seed)
     placed, cell = moving.moved(pose), 0.1e-3
-    upside = Mesh(still.vertices * [1, 1, -1], still.faces[:, ::-1])
+    upside = Mesh(fixed.vertices * [1, 1, -1], fixed.faces[:, ::-1])
     low, corner_a = lower_envelope(placed, cell)
     high, corner_b = lower_envelope(upside, cell)
     shift = (corner_a - corner_b) / cell
@@ -74,7 +74,7 @@ def test_contact_is_the_least_raise_over_a_fine_grid_of_envelopes(seed: int) -> 
     window = padded[high.shape[0] - i :, high.shape[1] - j :][: high.shape[0], : high.shape[1]]
     brute = float((-high - window).max())
     moved = Pose(pose.wxyz, pose.xyz + [*((np.round(shift) - shift) * cell), 0])
-    exact = raise_of(moving, still, moved)
+    exact = offset_of(moving, fixed, moved)
     assert brute <= exact + 1e-9
     assert exact - brute < 0.6e-3  # within a cell the steepest faces of these bodies fall by less
 
@@ -106,29 +106,29 @@ def cross2(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @given(SEEDS)
 @settings(max_examples=30)
-def test_who_moves_does_not_matter(seed: int) -> None:
-    """The upper body let down on the lower one, or the lower one, all turned over, let down on the upper one."""
-    moving, still, pose = drawn(seed)
-    turn = Pose.from_rotation_matrix(TURN_OVER)
-    swapped = raise_of(still, moving, turn, turn @ pose)
-    assert swapped == pytest.approx(raise_of(moving, still, pose), abs=1e-12)
+def test_contact_is_the_same_whichever_body_moves(seed: int) -> None:
+    """The upper body is lowered onto the lower one; or both are turned upside down, and the other body is lowered."""
+    moving, fixed, pose = drawn(seed)
+    flip = Pose.from_rotation_matrix(UPSIDE_DOWN)
+    swapped = offset_of(fixed, moving, flip, flip @ pose)
+    assert swapped == pytest.approx(offset_of(moving, fixed, pose), abs=1e-12)
 
 
 @given(SEEDS)
 @settings(max_examples=30)
 def test_moving_both_or_turning_both_about_the_line_of_motion_changes_nothing(seed: int) -> None:
-    moving, still, pose = drawn(seed)
+    moving, fixed, pose = drawn(seed)
     rng = np.random.default_rng(seed)
     world = Pose.from_translation(rng.normal(0, 0.1, 3)) @ Pose.from_rotvec(np.array([0, 0, rng.uniform(0, 6)]))
-    assert raise_of(moving, still, world @ pose, world) == pytest.approx(raise_of(moving, still, pose), abs=1e-11)
+    assert offset_of(moving, fixed, world @ pose, world) == pytest.approx(offset_of(moving, fixed, pose), abs=1e-11)
 
 
 @given(SEEDS, st.floats(-0.05, 0.05))
 @settings(max_examples=30)
-def test_a_lift_is_taken_off_the_raise(seed: int, lift: float) -> None:
-    moving, still, pose = drawn(seed)
+def test_a_lift_reduces_the_offset_by_as_much(seed: int, lift: float) -> None:
+    moving, fixed, pose = drawn(seed)
     lifted = Pose(pose.wxyz, pose.xyz + [0, 0, lift])
-    assert raise_of(moving, still, lifted) == pytest.approx(raise_of(moving, still, pose) - lift, abs=1e-12)
+    assert offset_of(moving, fixed, lifted) == pytest.approx(offset_of(moving, fixed, pose) - lift, abs=1e-12)
 
 
 def solid(drawing: Manifold) -> Mesh:
@@ -138,39 +138,39 @@ def solid(drawing: Manifold) -> Mesh:
 def test_a_block_over_a_ramp_meets_it_with_its_edge() -> None:
     ramp = Manifold.hull_points(np.array([[x, y, z] for y in (-9, 9) for x, z in ((0, 0), (30, 0), (30, 15))], float))
     pose = Pose.from_translation(np.array([12e-3, 1e-3, 0]))
-    assert raise_of(solid(box(6, 4, 5)), solid(ramp), pose) == pytest.approx((12 + 3) / 2 * MM)
+    assert offset_of(solid(box(6, 4, 5)), solid(ramp), pose) == pytest.approx((12 + 3) / 2 * MM)
 
 
 def test_a_cone_sinks_into_a_hole_until_the_hole_is_as_wide() -> None:
     plate = solid(box(40, 40, 10) - cylinder(12, 99, segments=64).translate((0, 0, -9)))
     tip = solid(cylinder(0.0, 20, top=20, segments=64))  # half a millimetre a millimetre
-    assert raise_of(tip, plate, Pose.identity()) == pytest.approx(10 * MM - 12 * MM)
+    assert offset_of(tip, plate, Pose.identity()) == pytest.approx(10 * MM - 12 * MM)
 
 
 def test_two_crossed_knife_edges_touch_between_their_ends() -> None:
     roof = np.array([[x, y, 0] for x in (-20, 20) for y in (-5, 5)] + [[-20, 0, 5], [20, 0, 5]], float)
     blade = solid(Manifold.hull_points(roof))
-    over = Pose.from_rotvec(np.array([0, 0, 1.0])) @ Pose.from_rotation_matrix(TURN_OVER)
-    assert raise_of(blade, blade, over) == pytest.approx(10 * MM)
+    over = Pose.from_rotvec(np.array([0, 0, 1.0])) @ Pose.from_rotation_matrix(UPSIDE_DOWN)
+    assert offset_of(blade, blade, over) == pytest.approx(10 * MM)
 
 
 def test_past_the_edge_there_is_no_contact() -> None:
     block = solid(box(10, 10, 10))
-    assert raise_of(block, block, Pose.from_translation(np.array([10.01e-3, 0, 0]))) == -np.inf
-    assert raise_of(block, block, Pose.from_translation(np.array([9.99e-3, 0, 0]))) == pytest.approx(10e-3)
+    assert offset_of(block, block, Pose.from_translation(np.array([10.01e-3, 0, 0]))) == -np.inf
+    assert offset_of(block, block, Pose.from_translation(np.array([9.99e-3, 0, 0]))) == pytest.approx(10e-3)
 
 
-def test_hanging_free_is_a_negative_raise() -> None:
+def test_a_body_hanging_free_has_a_negative_offset() -> None:
     block = solid(box(10, 10, 10))
-    assert raise_of(block, block, Pose.from_translation(np.array([0, 0, 17e-3]))) == pytest.approx(-7e-3)
+    assert offset_of(block, block, Pose.from_translation(np.array([0, 0, 17e-3]))) == pytest.approx(-7e-3)
 
 
-def test_ridges_of_a_box_are_its_twelve_edges() -> None:
+def test_a_box_has_twelve_convex_edges() -> None:
     found: ConvexEdges = convex_edges(solid(box(10, 20, 30)))
     assert len(found.ends) == 12
 
 
-def test_inner_edges_of_an_l_are_no_ridges() -> None:
+def test_inner_edges_of_an_l_are_not_convex() -> None:
     found = convex_edges(solid(box(20, 10, 10) + box(10, 10, 20, (-5, 0, 0))))
     inner = [10e-3, 0.0]
     middles = found.mesh.vertices[found.ends].mean(1)

@@ -1,4 +1,4 @@
-"""Kits as convex pieces: convex, disjoint, inside the kit, nearly all of it, and none of them in the cavity."""
+"""Convex pieces of a kit are convex, disjoint and inside the kit, fill nearly all of it and leave the cavity open."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from kit1000.values import Kit
 from tests.sample_kits import sample_kit, sample_part
 
 FAMILIES = ["tee", "cover", "hinge", "stepped_shaft", "clevis"]  # upright walls, ledges, round and sloping bottoms
-MOST_PIECES = 400
-NOTHING = 1e-12  # [m^3]
-FILM = 60e-9  # [m] rounding of the plate's vertices moves its floor by no more
+MAX_PIECES = 400
+VOLUME_TOLERANCE = 1e-12  # [m^3]
+ROUNDING = 60e-9  # [m] rounding of the plate's vertices moves its floor by no more
 
 
 @cache
@@ -35,7 +35,7 @@ def cavity_of(kit: Kit) -> Manifold:
 @pytest.mark.parametrize("family", FAMILIES)
 def test_pieces_are_convex_and_disjoint(family: str) -> None:
     pieces = [solid_from_mesh(piece) for piece in pieces_of(family)]
-    assert len(pieces) <= MOST_PIECES
+    assert len(pieces) <= MAX_PIECES
     assert all(abs(piece.hull().volume() - piece.volume()) < 1e-6 * piece.volume() for piece in pieces)
     neighbours = [(a, b) for a, b in combinations(pieces, 2) if boxes_meet(a, b)]
     assert all((a ^ b).volume() < 1e-15 for a, b in neighbours)
@@ -50,7 +50,7 @@ def boxes_meet(a: Manifold, b: Manifold) -> bool:
 def test_pieces_fill_the_kit_and_nothing_else(family: str) -> None:
     kit = solid_from_mesh(sample_kit(family).mesh)
     pieces = [solid_from_mesh(piece) for piece in pieces_of(family)]
-    assert sum((piece - kit).volume() for piece in pieces) < NOTHING
+    assert sum((piece - kit).volume() for piece in pieces) < VOLUME_TOLERANCE
     assert sum(piece.volume() for piece in pieces) >= 0.97 * kit.volume()
 
 
@@ -69,9 +69,9 @@ def test_the_cavity_stays_open_at_every_height(family: str) -> None:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_a_seated_part_meets_no_piece(family: str) -> None:
+def test_a_seated_part_overlaps_no_piece(family: str) -> None:
     part = solid_from_mesh(sample_part(family).mesh.moved(sample_kit(family).slot.kit_from_part))
-    assert sum((part ^ solid_from_mesh(piece)).volume() for piece in pieces_of(family)) < FILM * part.surface_area()
+    assert sum((part ^ solid_from_mesh(piece)).volume() for piece in pieces_of(family)) < ROUNDING * part.surface_area()
 
 
 def test_a_finer_tolerance_keeps_more_of_the_kit() -> None:

@@ -1,4 +1,4 @@
-"""Resting faces: shares of all drops, compared with another package, and the same wherever the part's axes point."""
+"""Resting faces: probabilities agree with another package and do not depend on the part's axes."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ def near(face: RestingFace, normal: np.ndarray, angle: float = 1e-3) -> bool:
     return float(face.normal @ normal) > np.cos(angle)
 
 
-def peer_shares(body: Mesh) -> list[tuple[np.ndarray, float]]:
+def trimesh_probabilities(body: Mesh) -> list[tuple[np.ndarray, float]]:
     """(down normal in the part's axes, share) by trimesh, same faces joined."""
     hull = trimesh.Trimesh(body.vertices, body.faces, process=False)
     poses, shares = compute_stable_poses(hull, center_mass=np.zeros(3), sigma=0, threshold=0)
     joined: list[tuple[np.ndarray, float]] = []
     for pose, share in zip(poses, shares, strict=True):
         down = -pose[2, :3]
-        twin = [i for i, (normal, _) in enumerate(joined) if normal @ down > 1 - 1e-6]
-        if twin:
-            joined[twin[0]] = (joined[twin[0]][0], joined[twin[0]][1] + share)
+        same = [i for i, (normal, _) in enumerate(joined) if normal @ down > 1 - 1e-6]
+        if same:
+            joined[same[0]] = (joined[same[0]][0], joined[same[0]][1] + share)
         else:
             joined.append((down, share))
     return joined
 
 
 @pytest.mark.parametrize("name", SOLIDS)
-def test_shares_agree_with_another_package(name: str) -> None:
-    faces, peers = resting_faces(mesh(name), min_probability=1e-6), peer_shares(mesh(name))
+def test_probabilities_agree_with_another_package(name: str) -> None:
+    faces, peers = resting_faces(mesh(name), min_probability=1e-6), trimesh_probabilities(mesh(name))
     for normal, share in peers:
         ours = sum(face.probability for face in faces if near(face, normal))
         assert ours == pytest.approx(share, abs=2e-3)
@@ -61,7 +61,7 @@ def test_shares_agree_with_another_package(name: str) -> None:
 
 @given(st.integers(0, 10_000))
 @settings(max_examples=20)
-def test_shares_add_up_to_one(seed: int) -> None:
+def test_probabilities_add_up_to_one(seed: int) -> None:
     faces = resting_faces(as_part(random_solid(seed)).mesh, min_probability=0.0)
     assert sum(face.probability for face in faces) == pytest.approx(1)
     assert all(a.probability >= b.probability - 1e-6 for a, b in pairwise(faces))
@@ -81,7 +81,7 @@ def test_the_part_stands_stably_on_every_face(seed: int) -> None:
         assert face.height == pytest.approx(np.ptp(vertices[:, 2]))
 
 
-def test_a_cube_falls_on_each_face_alike() -> None:
+def test_a_cube_rests_on_each_face_equally_often() -> None:
     faces = resting_faces(as_part(box(20, 20, 20)).mesh)
     assert len(faces) == 6
     assert [face.probability for face in faces] == pytest.approx([1 / 6] * 6)
@@ -105,16 +105,16 @@ def test_a_cylinder_has_two_ends_and_one_side_to_roll_on() -> None:
 
 @pytest.mark.parametrize("name", SOLIDS)
 @pytest.mark.parametrize("seed", [1, 2])
-def test_turned_axes_turn_the_faces_and_nothing_else(name: str, seed: int) -> None:
-    body, turn = mesh(name), Pose(random_quaternions(np.random.default_rng(seed), 1)[0], np.zeros(3))
-    turned = resting_faces(body.moved(turn), min_probability=0.01)
+def test_rotated_axes_rotate_the_faces_and_change_nothing_else(name: str, seed: int) -> None:
+    body, rotation = mesh(name), Pose(random_quaternions(np.random.default_rng(seed), 1)[0], np.zeros(3))
+    rotated = resting_faces(body.moved(rotation), min_probability=0.01)
     before = resting_faces(body, min_probability=0.01)
-    assert len(turned) == len(before)
+    assert len(rotated) == len(before)
     for face in before:
-        twins = [other for other in turned if near(other, turn.rotate(face.normal))]
-        assert len(twins) == 1
-        assert twins[0].probability == pytest.approx(face.probability, abs=1e-6)
-        assert twins[0].height == pytest.approx(face.height)
+        matches = [other for other in rotated if near(other, rotation.rotate(face.normal))]
+        assert len(matches) == 1
+        assert matches[0].probability == pytest.approx(face.probability, abs=1e-6)
+        assert matches[0].height == pytest.approx(face.height)
 
 
 def first_choice(body: Mesh) -> RestingFace:
@@ -122,18 +122,18 @@ def first_choice(body: Mesh) -> RestingFace:
     return faces[rank_faces(body, faces, [insertion_depth(face.height) for face in faces], CLEARANCE)[0]]
 
 
-def test_an_l_is_inserted_where_its_l_shows() -> None:
+def test_an_l_is_inserted_with_its_outline_in_the_plate() -> None:
     assert abs(first_choice(mesh("ell")).normal[2]) == pytest.approx(1)
 
 
-def test_a_plate_is_not_stood_on_its_narrow_edge() -> None:
+def test_a_plate_is_not_inserted_on_its_narrow_edge() -> None:
     """On its edge a 7 mm plate would lean by 20 degrees within its clearance."""
     assert abs(first_choice(as_part(box(40, 26, 7)).mesh).normal[2]) == pytest.approx(1)
 
 
 @pytest.mark.parametrize("name", SOLIDS)
 def test_the_choice_does_not_depend_on_the_axes(name: str) -> None:
-    body, turn = mesh(name), Pose(random_quaternions(np.random.default_rng(4), 1)[0], np.zeros(3))
-    before, after = first_choice(body), first_choice(body.moved(turn))
+    body, rotation = mesh(name), Pose(random_quaternions(np.random.default_rng(4), 1)[0], np.zeros(3))
+    before, after = first_choice(body), first_choice(body.moved(rotation))
     assert after.height == pytest.approx(before.height)
     assert after.probability == pytest.approx(before.probability, abs=1e-6)

@@ -1,4 +1,4 @@
-"""Goals: all poses with the same shadow below the rim, found without being told, and only those."""
+"""Goals are exactly the poses with the same shadow below the rim, also without declared symmetry."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ CASES = {
     "lying cylinder": (lambda: lying_cylinder(20, 34), Symmetry.free_flipped(X), 2, X),
     "plug": (plug, Symmetry.cyclic(4, Z), 1, Z),
 }
-UNTOLD = ["box", "square prism", "hex", "ell", "tee", "eccentric hole"]
+UNDECLARED = ["box", "square prism", "hex", "ell", "tee", "eccentric hole"]
 
 
 def design(place: Seated, symmetry: Symmetry | None = None) -> Design:
@@ -62,7 +62,7 @@ def same_pose(a: Pose, b: Pose, axis: FreeAxis | None = None) -> bool:
     return bool(quaternion_angle(a.wxyz, b.wxyz) < 3e-3 and np.linalg.norm(a.xyz - b.xyz) < 0.06e-3)
 
 
-def test_there_are_as_many_goals_as_the_shape_has(case) -> None:
+def test_the_number_of_goals_is_that_of_the_shape(case) -> None:
     _, place, count, axis, (goals, free) = case
     assert len(goals) == count
     assert same_pose(goals[0], place.kit_from_part)
@@ -80,50 +80,50 @@ def test_declared_symmetries_are_among_the_goals(case) -> None:
         assert any(same_pose(declared, goal, free) for goal in goals)
 
 
-def test_every_goal_leaves_the_shadow_of_the_design_pose(case) -> None:
-    """By plain slices of the moved part: no outline point of one shadow lies off the other's outline."""
+def test_every_goal_has_the_shadow_of_the_design_pose(case) -> None:
+    """By slices of the moved part: every outline point of one shadow lies on the other's outline."""
     _, place, _, _, (goals, free) = case
     plain = design(place)
     for goal in goals:
-        spun = goal if free is None else turned_about(free, goal, 0.7)
+        rotated = goal if free is None else rotated_about(free, goal, 0.7)
         for z in place.cavity.depth * np.array([0.12, 0.55, 0.97]):
-            here, there = (slice_union(plain.standing(pose), z) for pose in (place.kit_from_part, spun))
+            here, there = (slice_union(plain.standing(pose), z) for pose in (place.kit_from_part, rotated))
             for a, b in ((here, there), (there, here)):
                 assert np.abs(gaps(outline_points(a.to_polygons(), 1e-3), b)).max() < SHADOW_TOLERANCE + 0.01e-3
 
 
-def turned_about(axis: FreeAxis, pose: Pose, angle: float) -> Pose:
+def rotated_about(axis: FreeAxis, pose: Pose, angle: float) -> Pose:
     about = Pose.from_translation(axis.point) @ Pose.from_rotvec(angle * axis.direction)
     return about @ Pose.from_translation(-axis.point) @ pose
 
 
-@pytest.mark.parametrize("name", UNTOLD)
-def test_goals_are_found_without_being_told_the_symmetry(name: str) -> None:
+@pytest.mark.parametrize("name", UNDECLARED)
+def test_goals_are_found_without_declared_symmetry(name: str) -> None:
     make, symmetry, count, _ = CASES[name]
-    told, _ = find_goals(design(seated(make(), symmetry)))
+    declared, _ = find_goals(design(seated(make(), symmetry)))
     found, _ = find_goals(design(seated(make())))
     assert len(found) == count
-    assert all(any(same_pose(a, b) for b in told) for a in found)
+    assert all(any(same_pose(a, b) for b in declared) for a in found)
 
 
 @pytest.mark.parametrize("name", ["box", "tee", "standing cylinder", "plug"])
-def test_turned_part_axes_turn_the_goals_and_nothing_else(name: str) -> None:
+def test_rotated_part_axes_rotate_the_goals_and_change_nothing_else(name: str) -> None:
     make, symmetry, _, _ = CASES[name]
     place = seated(make(), symmetry)
-    turn = Pose(random_quaternions(np.random.default_rng(3), 1)[0], np.zeros(3))
+    rotation = Pose(random_quaternions(np.random.default_rng(3), 1)[0], np.zeros(3))
     other = Design(
-        place.part.mesh.moved(turn),
-        symmetry.conjugated(turn.wxyz),
-        place.kit_from_part @ turn.inverse(),
+        place.part.mesh.moved(rotation),
+        symmetry.conjugated(rotation.wxyz),
+        place.kit_from_part @ rotation.inverse(),
         place.cavity,
     )
     (before, axis), (after, _) = find_goals(design(place)), find_goals(other)
     assert len(before) == len(after)
     for goal in after:
-        assert any(same_pose(goal @ turn, known, axis) for known in before)
+        assert any(same_pose(goal @ rotation, known, axis) for known in before)
 
 
-def test_a_round_foot_is_free_though_its_head_is_square() -> None:
+def test_a_round_foot_has_a_free_axis_under_a_square_head() -> None:
     shallow, deep = (seated(plug(), Symmetry.cyclic(4, Z), depth=depth) for depth in (8e-3, 15e-3))
     assert find_goals(design(shallow))[1] is not None
     goals, axis = find_goals(design(deep))
@@ -131,12 +131,12 @@ def test_a_round_foot_is_free_though_its_head_is_square() -> None:
     assert len(goals) == 4
 
 
-def test_a_hole_too_small_for_a_post_still_tells_turns_apart() -> None:
-    """The shadow decides, not the walls that are left: who aims at the wrong hole is wrong."""
+def test_a_hole_too_small_for_a_post_still_distinguishes_goals() -> None:
+    """The shadow decides, not the remaining walls: a pose with the hole on the wrong side is wrong."""
     place = seated(ring_plate(7, off=11))
     goals, _ = find_goals(design(place))
     assert place.cavity.removed_wall_count == 1
-    assert len(goals) == 2  # itself, and turned over about the line through its holes
+    assert len(goals) == 2  # itself, and flipped about the line through its holes
 
 
 @pytest.mark.parametrize(("off_mm", "same"), [(0.03, True), (0.08, False)])
@@ -147,20 +147,20 @@ def test_shadows_are_the_same_within_50_micrometres(off_mm: float, same: bool) -
 
 
 @pytest.mark.parametrize(("step_mm", "same"), [(0.01, True), (0.5, False)])
-def test_a_step_near_the_floor_is_seen(step_mm: float, same: bool) -> None:
+def test_a_step_near_the_floor_changes_the_shadow(step_mm: float, same: bool) -> None:
     """The shadows agree at the rim but not below: a notch under one end is higher."""
     cavity = cavity_of(box(30, 20, 20) - box(8, 20, 6, (11, 0, 0)), 12e-3)
-    twin = box(30, 20, 20) - box(8, 20, 6 + step_mm, (11, 0, 0))
-    assert has_design_shadow(cavity, standing(twin)) == same
+    other = box(30, 20, 20) - box(8, 20, 6 + step_mm, (11, 0, 0))
+    assert has_design_shadow(cavity, standing(other)) == same
 
 
-def test_the_nearest_turn_is_the_nearest() -> None:
+def test_the_nearest_goal_about_the_axis_is_the_nearest_of_many_angles() -> None:
     axis = FreeAxis(np.array([3e-3, 1e-3, 0]), Y)
     rng = np.random.default_rng(2)
     for quaternions in random_quaternions(rng, 20).reshape(10, 2, 4):
         pose, goal = (Pose(q, rng.normal(0, 0.01, 3)) for q in quaternions)
         best = nearest_about_axis(pose, goal, axis)
-        brute = [turned_about(axis, goal, angle) for angle in np.radians(np.arange(0, 360, 1.0))]
+        brute = [rotated_about(axis, goal, angle) for angle in np.radians(np.arange(0, 360, 1.0))]
         angles = [float(quaternion_angle(pose.wxyz, other.wxyz)) for other in brute]
         found = float(quaternion_angle(pose.wxyz, best.wxyz))
         assert found <= min(angles) + 1e-9

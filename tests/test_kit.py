@@ -1,4 +1,4 @@
-"""Kits: closed plates of the promised size, with the clearance they report, the same on every run."""
+"""Kits are closed plates of the specified size with the clearance that they report, the same on every run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from kit1000.values import Part
 from tests.sample_kits import QUICK, sample_kit, sample_part
 from tests.shapes import MM, X, Z, as_part, box, cylinder, ell, gaps, outline_points, random_solid
 
-# draws whose plates once fell open when equal vertices were merged (their walls touched or folded by nanometres)
+# draws whose plates once opened when equal vertices were merged (walls that touched or folded by nanometres)
 ONCE_OPEN = [("wedge", 0), ("cam", 0), ("yoke", 0), ("knob", 2), ("hook", 2), ("flange", 1)]
 
 
@@ -56,7 +56,7 @@ def test_plates_are_closed_bodies_of_the_unit_size(family: str) -> None:
 
 
 @pytest.mark.parametrize(("family", "number"), ONCE_OPEN)
-def test_plates_that_fell_open_no_longer_do(family: str, number: int) -> None:
+def test_plates_that_once_opened_are_closed(family: str, number: int) -> None:
     rng = stream(7, "p", family, number)
     part = make_part(family, family, FAMILIES[family].draw(rng), rng.uniform(35e-3, 50e-3))
     assert_printable(part, make_kit(part).mesh)
@@ -103,7 +103,7 @@ def test_the_design_pose_stands_on_the_floor_and_touches_nothing(design: KitDesi
     assert slot.depth + MIN_FLOOR <= UNIT_PLATE.thickness + 1e-9
 
 
-def test_the_report_says_what_was_made(design: KitDesign) -> None:
+def test_the_report_states_the_properties_of_the_kit(design: KitDesign) -> None:
     report, slot = design.report, design.kit.slot
     assert report["clearance_asked_mm"] == pytest.approx(2.5)
     assert 2.48 <= report["clearance_smallest_mm"] <= report["clearance_largest_mm"] <= 2.6
@@ -117,24 +117,24 @@ def test_the_report_says_what_was_made(design: KitDesign) -> None:
     assert report["kit_faces"] == len(design.kit.mesh.faces)
 
 
-def test_making_it_twice_makes_the_same_bytes() -> None:
+def test_a_kit_made_twice_has_the_same_bytes() -> None:
     a, b = (make_kit(as_part(random_solid(17) + box(30, 24, 14))) for _ in range(2))
     assert np.array_equal(a.mesh.vertices, b.mesh.vertices)
     assert np.array_equal(a.mesh.faces, b.mesh.faces)
     assert np.array_equal(a.slot.goals.wxyz, b.slot.goals.wxyz)
 
 
-def test_turned_part_axes_make_the_same_cavity() -> None:
-    turn = Pose(random_quaternions(np.random.default_rng(1), 1)[0], np.zeros(3))
+def test_rotated_part_axes_give_the_same_cavity() -> None:
+    rotation = Pose(random_quaternions(np.random.default_rng(1), 1)[0], np.zeros(3))
     part = as_part(ell())
-    other = Part("q", "test", part.mesh.moved(turn), Symmetry.none(), {}, part.mass)
+    other = Part("q", "test", part.mesh.moved(rotation), Symmetry.none(), {}, part.mass)
     a, b = design_kit(part), design_kit(other)
     assert a.kit.mesh.volume == pytest.approx(b.kit.mesh.volume, abs=2e-11)
     assert a.kit.slot.depth == pytest.approx(b.kit.slot.depth)
     assert len(a.kit.slot.goals) == len(b.kit.slot.goals)
 
 
-def test_the_shadow_lies_in_the_middle_and_square_to_the_plate() -> None:
+def test_the_shadow_is_centred_and_parallel_to_the_plate() -> None:
     askew = as_part(box(38, 20, 16).rotate((0, 0, 33)), Symmetry.dihedral(2, Z, X))
     slot = design_kit(Part("p", "t", askew.mesh, Symmetry.none(), {}, 0.01)).kit.slot
     placed = askew.mesh.moved(slot.kit_from_part)
@@ -143,7 +143,7 @@ def test_the_shadow_lies_in_the_middle_and_square_to_the_plate() -> None:
     assert placed.extents[0] > placed.extents[1]
 
 
-def test_a_plate_made_to_measure_is_as_small_as_its_rim_allows() -> None:
+def test_a_fitted_plate_is_as_small_as_its_rim_allows() -> None:
     part = as_part(box(160, 90, 40))
     kit = make_kit(part, plate=None)
     shadow = part.mesh.moved(kit.slot.kit_from_part).extents[:2]
@@ -152,7 +152,7 @@ def test_a_plate_made_to_measure_is_as_small_as_its_rim_allows() -> None:
     assert_printable(part, kit.mesh)
 
 
-def test_own_parts_may_be_flat_but_those_of_a_dataset_may_not() -> None:
+def test_a_flat_part_fits_a_fitted_plate_and_no_unit_plate() -> None:
     flat = as_part(cylinder(60, 3))
     assert make_kit(flat, plate=None).slot.depth == pytest.approx(1.8e-3)
     with pytest.raises(Redraw, match="no stable face with 7 mm of seated height"):

@@ -1,4 +1,4 @@
-"""Stray fits: what a wrong slot takes is found, what it refuses is not, and chance finds nothing that was missed."""
+"""Loose fits: the search finds the parts that another slot accepts and no others, and misses no pose."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from kit1000.values import FreeAxis, Kit, Slot
 from tests.shapes import Z, as_part, box, cylinder, ell, leaning_prism, ring_plate, seated, upturned_tee
 
 
-def whole(solid: Manifold, symmetry: Symmetry | None = None) -> tuple[Mesh, Kit]:
+def pair_of(solid: Manifold, symmetry: Symmetry | None = None) -> tuple[Mesh, Kit]:
     """A part inserted as drawn, and its kit with all goals."""
     place = seated(solid, symmetry)
     goals, axis = find_goals(Design(place.part.mesh, place.part.symmetry, place.kit_from_part, place.cavity))
@@ -28,17 +28,17 @@ def whole(solid: Manifold, symmetry: Symmetry | None = None) -> tuple[Mesh, Kit]
     return place.part.mesh, replace(kit, slot=replace(kit.slot, free_axis=axis))
 
 
-def judged(mesh: Mesh, kit: Kit, pose: Pose) -> float:
-    """[m] rise to contact by booleans."""
-    plug = InsertedPart.of(mesh, pose)
-    return contact_offset_by_booleans(swept_solid(mesh, plug.axis), plug, solid_from_mesh(kit.mesh), pose)
+def offset_by_booleans(mesh: Mesh, kit: Kit, pose: Pose) -> float:
+    """[m] contact offset by booleans."""
+    part = InsertedPart.of(mesh, pose)
+    return contact_offset_by_booleans(swept_solid(mesh, part.axis), part, solid_from_mesh(kit.mesh), pose)
 
 
-FOREIGN = [
+OTHER_SLOTS = [
     ("peg in a larger bore", lambda: cylinder(16, 24), lambda: cylinder(22, 22), True),
     ("peg in a bore as large", lambda: cylinder(20, 20), lambda: cylinder(20, 20), True),
     ("peg over a smaller bore", lambda: cylinder(30, 24), lambda: cylinder(20, 22), False),
-    ("small box in a large slot, turned", lambda: box(14, 34, 18), lambda: box(38, 18, 20), True),
+    ("small box in a large slot, rotated", lambda: box(14, 34, 18), lambda: box(38, 18, 20), True),
     ("large box over a small slot", lambda: box(40, 40, 34), lambda: box(34, 22, 20), False),
     ("bar too long for a square slot, but not across", lambda: box(33, 9, 9), lambda: box(26, 26, 20), True),
     ("bar too long even across", lambda: box(48, 9, 30), lambda: box(26, 26, 20), False),
@@ -47,14 +47,16 @@ FOREIGN = [
 ]
 
 
-@pytest.mark.parametrize(("part", "host", "fits"), [case[1:] for case in FOREIGN], ids=[case[0] for case in FOREIGN])
-def test_parts_that_fit_a_foreign_slot_are_found_and_others_are_not(part, host, fits: bool) -> None:
-    mesh, kit = as_part(part()).mesh, whole(host())[1]
-    well = PreparedKit(kit)
-    pose = find_fit_in_other_slot(PreparedPart(mesh, resting_faces(mesh)), well)
-    assert (pose is not None) == fits
+@pytest.mark.parametrize(
+    ("part", "other", "accepted"), [case[1:] for case in OTHER_SLOTS], ids=[case[0] for case in OTHER_SLOTS]
+)
+def test_the_search_finds_parts_that_another_slot_accepts_and_no_others(part, other, accepted: bool) -> None:
+    mesh, kit = as_part(part()).mesh, pair_of(other())[1]
+    prepared = PreparedKit(kit)
+    pose = find_fit_in_other_slot(PreparedPart(mesh, resting_faces(mesh)), prepared)
+    assert (pose is not None) == accepted
     if pose is not None:
-        assert judged(mesh, kit, pose) <= well.height_limit
+        assert offset_by_booleans(mesh, kit, pose) <= prepared.height_limit
         lowest = pose.apply(mesh.vertices)[:, 2].min()
         assert lowest == pytest.approx(-kit.slot.depth, abs=1e-9)
 
@@ -62,8 +64,8 @@ def test_parts_that_fit_a_foreign_slot_are_found_and_others_are_not(part, host, 
 @pytest.mark.parametrize(
     ("solid", "loose"),
     [
-        (lambda: ring_plate(7, off=9), True),  # the hole is too small for a post: half a turn seats
-        (lambda: ring_plate(20, off=6), False),  # here the post tells
+        (lambda: ring_plate(7, off=9), True),  # the hole is too small for a post: the part also seats at 180 degrees
+        (lambda: ring_plate(20, off=6), False),  # here the post prevents it
         (ell, False),
         (leaning_prism, False),
         (lambda: box(34, 22, 14), False),
@@ -71,50 +73,51 @@ def test_parts_that_fit_a_foreign_slot_are_found_and_others_are_not(part, host, 
     ],
 )
 def test_loose_fits_are_found_and_confirmed_by_booleans(solid, loose: bool) -> None:
-    mesh, kit = whole(solid())
+    mesh, kit = pair_of(solid())
     pose = find_loose_fit(PreparedPart(mesh, resting_faces(mesh)), PreparedKit(kit))
     assert (pose is not None) == loose
     if pose is not None:
         assert not is_near_goal(pose, kit.slot)
-        contact = pose.xyz[2] + judged(mesh, kit, pose)
+        contact = pose.xyz[2] + offset_by_booleans(mesh, kit, pose)
         assert np.abs(contact - kit.slot.goals.xyz[:, 2]).min() <= PreparedKit(kit).height_limit + BISECTION_STEP
 
 
 @pytest.mark.parametrize("solid", [ell, leaning_prism, lambda: ring_plate(20, off=6)])
-def test_chance_finds_no_fit_where_the_search_says_none(solid) -> None:
-    """A thousand lying poses inside the slot's reach, most of them hopeless: none may seat off the goals."""
-    mesh, kit = whole(solid())
-    well, edges, rng = PreparedKit(kit), convex_edges(kit.mesh), np.random.default_rng(11)
+def test_random_poses_find_no_loose_fit_where_the_search_finds_none(solid) -> None:
+    """None of a thousand random resting poses over the open area seats away from the goals."""
+    mesh, kit = pair_of(solid())
+    prepared, edges, rng = PreparedKit(kit), convex_edges(kit.mesh), np.random.default_rng(11)
     faces = resting_faces(mesh)
-    assert find_loose_fit(PreparedPart(mesh, faces), well) is None
+    assert find_loose_fit(PreparedPart(mesh, faces), prepared) is None
     for number in range(1000):
         face = faces[number % len(faces)]
-        turned = Pose.from_rotvec(np.array([0, 0, rng.uniform(0, 2 * np.pi)])) @ face.plane_from_part
-        low, high = mesh.moved(turned).bounds
-        room = well.open_high + 1e-3 - high[:2], well.open_low - 1e-3 - low[:2]
+        rotated = Pose.from_rotvec(np.array([0, 0, rng.uniform(0, 2 * np.pi)])) @ face.plane_from_part
+        low, high = mesh.moved(rotated).bounds
+        room = prepared.open_high + 1e-3 - high[:2], prepared.open_low - 1e-3 - low[:2]
         shift = rng.uniform(np.minimum(*room), np.maximum(*room))
-        pose = Pose.from_translation(np.array([*shift, -kit.slot.depth - low[2]])) @ turned
+        pose = Pose.from_translation(np.array([*shift, -kit.slot.depth - low[2]])) @ rotated
         heights = pose.xyz[2] + contact_offset(InsertedPart.of(mesh, pose), edges, pose) - kit.slot.goals.xyz[:, 2]
-        assert np.abs(heights).min() > well.height_limit or is_near_goal(pose, kit.slot)
+        assert np.abs(heights).min() > prepared.height_limit or is_near_goal(pose, kit.slot)
 
 
-def test_what_the_search_calls_a_fit_does_not_depend_on_the_axes_of_the_part() -> None:
-    kit = whole(box(38, 18, 20))[1]
-    turn = Pose.from_rotvec(np.array([0.4, 1.1, -0.3]))
-    for solid, fits in ((box(14, 34, 18), True), (box(48, 30, 40), False)):
-        mesh = as_part(solid).mesh.moved(turn)
-        assert (find_fit_in_other_slot(PreparedPart(mesh, resting_faces(mesh)), PreparedKit(kit)) is not None) == fits
+def test_the_search_does_not_depend_on_the_axes_of_the_part() -> None:
+    kit = pair_of(box(38, 18, 20))[1]
+    rotation = Pose.from_rotvec(np.array([0.4, 1.1, -0.3]))
+    for solid, accepted in ((box(14, 34, 18), True), (box(48, 30, 40), False)):
+        mesh = as_part(solid).mesh.moved(rotation)
+        pose = find_fit_in_other_slot(PreparedPart(mesh, resting_faces(mesh)), PreparedKit(kit))
+        assert (pose is not None) == accepted
 
 
 def test_near_a_goal_means_10_degrees_and_5_mm() -> None:
-    _, kit = whole(ell())
+    _, kit = pair_of(ell())
     goal = kit.slot.goals[0]
     for turn_deg, shift_mm, near in ((9, 4, True), (11, 0, False), (0, 5.5, False)):
-        turned = Pose.from_rotvec(np.radians(turn_deg) * Z) @ Pose(goal.wxyz, np.zeros(3))
-        assert is_near_goal(Pose(turned.wxyz, goal.xyz + [shift_mm * 1e-3, 0, 0]), kit.slot) == near
+        rotated = Pose.from_rotvec(np.radians(turn_deg) * Z) @ Pose(goal.wxyz, np.zeros(3))
+        assert is_near_goal(Pose(rotated.wxyz, goal.xyz + [shift_mm * 1e-3, 0, 0]), kit.slot) == near
 
 
-def test_any_turn_about_a_free_axis_is_near_the_goal() -> None:
+def test_any_rotation_about_a_free_axis_is_near_the_goal() -> None:
     point = np.array([3e-3, 0, 0])
     goal = Pose.from_translation(np.array([3e-3, 0, -5e-3]))
     slot = Slot("p", goal, 2.5e-3, 8e-3, Pose.stack([goal]), FreeAxis(point, Z))
@@ -124,9 +127,9 @@ def test_any_turn_about_a_free_axis_is_near_the_goal() -> None:
         assert float(quaternion_angle(spun.wxyz, goal.wxyz)) > 0.4
 
 
-def test_the_well_of_a_box_is_as_deep_and_wide_as_its_slot() -> None:
-    kit = whole(box(34, 22, 20))[1]
-    well = PreparedKit(kit)
-    assert well.heights.min() == pytest.approx(-kit.slot.depth, abs=1e-7)
-    assert well.heights.max() == pytest.approx(0, abs=1e-7)
-    assert np.allclose(well.open_high - well.open_low, np.array([39, 27]) * 1e-3, atol=1.6e-3)
+def test_the_height_field_of_a_box_is_as_deep_and_wide_as_its_slot() -> None:
+    kit = pair_of(box(34, 22, 20))[1]
+    prepared = PreparedKit(kit)
+    assert prepared.heights.min() == pytest.approx(-kit.slot.depth, abs=1e-7)
+    assert prepared.heights.max() == pytest.approx(0, abs=1e-7)
+    assert np.allclose(prepared.open_high - prepared.open_low, np.array([39, 27]) * 1e-3, atol=1.6e-3)

@@ -1,4 +1,4 @@
-"""The seating verdict: two independent ways to contact agree, and each of its rules says no where it should."""
+"""The seating test: two independent computations of contact agree, and each rule rejects the poses that it should."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from tests.shapes import (
     upturned_tee,
 )
 
-BAND = 0.1e-3  # [m] the two ways may differ in their verdict so near to a limit
+LIMIT_BAND = 0.1e-3  # [m] from a limit, within which the two results may differ
 SHAPES: dict[str, Callable[[], Manifold]] = {
     "box": lambda: box(34, 22, 20),
     "ell": ell,
@@ -55,33 +55,33 @@ NAMES = [*SHAPES, *QUICK]
 
 
 class Pair:
-    """A part over its kit, to be tried in poses of the kit frame."""
+    """A part and its kit, to be tested at poses in the kit frame."""
 
     def __init__(self, part: Part, kit: Kit) -> None:
         self.part, self.goal, self.depth = part, kit.slot.goals[0], kit.slot.depth
         self.kit, self.edges = kit, convex_edges(kit.mesh)
-        self.plug = InsertedPart.of(part.mesh, self.goal)
+        self.inserted = InsertedPart.of(part.mesh, self.goal)
 
-    def rise(self, pose: Pose) -> float:
-        return contact_offset(self.plug, self.edges, pose)
+    def contact_offset(self, pose: Pose) -> float:
+        return contact_offset(self.inserted, self.edges, pose)
 
-    def verdict(self, pose: Pose, rise: float | None = None) -> SeatingResult:
-        rise = self.rise(pose) if rise is None else rise
-        return seating_result(rise, self.plug, pose, self.goal, self.depth)
+    def result(self, pose: Pose, offset: float | None = None) -> SeatingResult:
+        offset = self.contact_offset(pose) if offset is None else offset
+        return seating_result(offset, self.inserted, pose, self.goal, self.depth)
 
     def moved(self, error: np.ndarray, share: float = 1.0) -> Pose:
-        """The goal shifted and turned about the centroid by a share of an error (6,) [m, rad]."""
+        """The goal shifted and rotated about the centroid by a share of an error (6,) [m, rad]."""
         return Pose.from_translation(share * error[:3]) @ rotated_about_centroid(self.goal, share * error[3:])
 
     def lifted(self, height: float) -> Pose:
         return self.moved(np.array([0, 0, height, 0, 0, 0]))
 
-    def brink(self, error: np.ndarray) -> float:
+    def seated_share(self, error: np.ndarray) -> float:
         """The share of an error at which the part is no longer seated."""
         low, high = 0.0, 1.0
         for _ in range(14):
             middle = (low + high) / 2
-            low, high = (middle, high) if self.verdict(self.moved(error, middle)).seated else (low, middle)
+            low, high = (middle, high) if self.result(self.moved(error, middle)).seated else (low, middle)
         return low
 
 
@@ -94,18 +94,18 @@ def pair(name: str) -> Pair:
 
 
 def errors(seed: int, n: int) -> np.ndarray:
-    """(n, 6) shifts of 0 to 10 mm and turns of 0 to 25 degrees, any direction and axis."""
+    """(n, 6) shifts of 0 to 10 mm and rotations of 0 to 25 degrees, in any direction and about any axis."""
     rng = np.random.default_rng(seed)
     ways = rng.normal(size=(n, 2, 3))
     ways /= np.linalg.norm(ways, axis=2, keepdims=True)
     return (ways * rng.uniform(0, [10e-3, np.radians(25)], (n, 2))[..., None]).reshape(n, 6)
 
 
-def sweep_poses(subject: Pair, seed: int) -> list[Pose]:
-    """Errors as they come, others just before and behind the brink, and lifts about the limits."""
+def sample_poses(subject: Pair, seed: int) -> list[Pose]:
+    """Poses with random errors, others just before and beyond the limit of being seated, and lifts near the limits."""
     poses = [subject.moved(error) for error in errors(seed, 3)]
     for error in errors(seed + 1, 3):
-        share = subject.brink(error)
+        share = subject.seated_share(error)
         poses += [subject.moved(error, share * (1 + step)) for step in (-0.02, 0.004)]
     return poses + [subject.lifted(SEATED_LIMIT + step) for step in (-0.15e-3, 0.15e-3)]
 
@@ -113,28 +113,31 @@ def sweep_poses(subject: Pair, seed: int) -> list[Pose]:
 @pytest.mark.parametrize("name", NAMES)
 def test_closed_form_and_booleans_agree(name: str) -> None:
     subject = pair(name)
-    swept, plate = swept_solid(subject.part.mesh, subject.plug.axis), solid_from_mesh(subject.kit.mesh)
-    for pose in sweep_poses(subject, NAMES.index(name)):
-        closed, judged = subject.rise(pose), contact_offset_by_booleans(swept, subject.plug, plate, pose)
-        assert closed == pytest.approx(judged, abs=BISECTION_STEP)
-        ours, theirs = subject.verdict(pose), subject.verdict(pose, judged)
-        if to_limit(ours, subject.depth) > BAND:
+    swept, plate = swept_solid(subject.part.mesh, subject.inserted.axis), solid_from_mesh(subject.kit.mesh)
+    for pose in sample_poses(subject, NAMES.index(name)):
+        closed, by_booleans = (
+            subject.contact_offset(pose),
+            contact_offset_by_booleans(swept, subject.inserted, plate, pose),
+        )
+        assert closed == pytest.approx(by_booleans, abs=BISECTION_STEP)
+        ours, theirs = subject.result(pose), subject.result(pose, by_booleans)
+        if distance_to_limit(ours, subject.depth) > LIMIT_BAND:
             assert (ours.seated, ours.strict) == (theirs.seated, theirs.strict)
 
 
-def to_limit(found: SeatingResult, depth: float) -> float:
-    """[m] how near a verdict is to any of its limits."""
-    gaps = [abs(abs(found.contact_height) - min(limit, depth / 3)) for limit in (SEATED_LIMIT, STRICT_LIMIT)]
-    return min([*gaps, *(abs(abs(found.contact_offset) - limit) for limit in (SEATED_LIMIT, STRICT_LIMIT))])
+def distance_to_limit(result: SeatingResult, depth: float) -> float:
+    """[m] distance of a result to the nearest of its limits."""
+    gaps = [abs(abs(result.contact_height) - min(limit, depth / 3)) for limit in (SEATED_LIMIT, STRICT_LIMIT)]
+    return min([*gaps, *(abs(abs(result.contact_offset) - limit) for limit in (SEATED_LIMIT, STRICT_LIMIT))])
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_goal_is_seated_strictly_and_touches(name: str) -> None:
-    found = pair(name).verdict(pair(name).goal)
-    assert found.strict
-    assert found.seated
-    assert abs(found.contact_offset) < 5e-6
-    assert found.penetration < 5e-6
+    result = pair(name).result(pair(name).goal)
+    assert result.strict
+    assert result.seated
+    assert abs(result.contact_offset) < 5e-6
+    assert result.penetration < 5e-6
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -151,48 +154,48 @@ def test_height_alone_decides_over_a_free_slot(name: str) -> None:
         (-SEATED_LIMIT, False, False),
         (-15e-3, False, False),
     ):
-        found = subject.verdict(subject.lifted(lift))
-        assert (found.seated, found.strict) == (is_seated, is_strict)
-        assert found.contact_offset == pytest.approx(-lift, abs=5e-6)
-        assert found.penetration == pytest.approx(max(-lift, 0), abs=5e-6)
-        assert found.contact_height == pytest.approx(0, abs=5e-6)
+        result = subject.result(subject.lifted(lift))
+        assert (result.seated, result.strict) == (is_seated, is_strict)
+        assert result.contact_offset == pytest.approx(-lift, abs=5e-6)
+        assert result.penetration == pytest.approx(max(-lift, 0), abs=5e-6)
+        assert result.contact_height == pytest.approx(0, abs=5e-6)
 
 
 @pytest.mark.parametrize(("height_mm", "is_seated"), [(1.9, True), (2.1, False), (-1.9, True), (-2.1, False)])
 def test_in_a_shallow_slot_a_third_of_its_depth_is_the_limit(height_mm: float, is_seated: bool) -> None:
     subject = pair("box")
     pose = subject.lifted(height_mm * MM)
-    assert seating_result(0.0, subject.plug, pose, subject.goal, 6e-3).seated == is_seated
-    assert seating_result(0.0, subject.plug, pose, subject.goal, 12e-3).seated
+    assert seating_result(0.0, subject.inserted, pose, subject.goal, 6e-3).seated == is_seated
+    assert seating_result(0.0, subject.inserted, pose, subject.goal, 12e-3).seated
 
 
 def test_strict_is_never_laxer_than_seated() -> None:
     for name in ("box", "leaning", "cone"):
         for error in errors(8, 30):
-            found = pair(name).verdict(pair(name).moved(0.4 * error))
-            assert found.seated or not found.strict
+            result = pair(name).result(pair(name).moved(0.4 * error))
+            assert result.seated or not result.strict
 
 
 def test_a_shift_within_the_clearance_is_seated_and_one_beyond_is_not() -> None:
     for angle in np.arange(0, 2 * np.pi, 0.5):
         way = np.array([np.cos(angle), np.sin(angle), 0, 0, 0, 0])
-        assert pair("box").verdict(pair("box").moved(2.4e-3 * way)).strict
-        beyond = pair("box").verdict(pair("box").moved(3.6e-3 * way))
+        assert pair("box").result(pair("box").moved(2.4e-3 * way)).strict
+        beyond = pair("box").result(pair("box").moved(3.6e-3 * way))
         assert not beyond.seated
         assert beyond.contact_offset == pytest.approx(pair("box").depth, abs=5e-6)
 
 
 def test_beside_the_plate_nothing_is_seated() -> None:
-    found = pair("box").verdict(pair("box").moved(np.array([0.2, 0, 0, 0, 0, 0])))
-    assert found.contact_offset == -np.inf
-    assert not found.seated
-    assert found.penetration == 0.0
+    result = pair("box").result(pair("box").moved(np.array([0.2, 0, 0, 0, 0, 0])))
+    assert result.contact_offset == -np.inf
+    assert not result.seated
+    assert result.penetration == 0.0
 
 
 def test_half_beside_the_plate_the_part_rests_on_its_edge() -> None:
-    found = pair("box").verdict(pair("box").moved(np.array([0.0495, 0, 0, 0, 0, 0])))
-    assert found.contact_offset == pytest.approx(pair("box").depth, abs=5e-6)
-    assert not found.seated
+    result = pair("box").result(pair("box").moved(np.array([0.0495, 0, 0, 0, 0, 0])))
+    assert result.contact_offset == pytest.approx(pair("box").depth, abs=5e-6)
+    assert not result.seated
 
 
 def test_on_the_top_of_a_neighbour_in_its_plane_is_not_seated() -> None:
@@ -201,20 +204,20 @@ def test_on_the_top_of_a_neighbour_in_its_plane_is_not_seated() -> None:
     neighbour = mesh_from_solid(box(0.099, 0.099, 0.022, (0.1, 0, -0.022)))
     both = convex_edges(mesh_from_solid(solid_from_mesh(subject.kit.mesh) + solid_from_mesh(neighbour)))
     pose = subject.moved(np.array([0.1, 0, subject.depth, 0, 0, 0]))
-    rise = contact_offset(subject.plug, both, pose)
-    assert rise == pytest.approx(0, abs=5e-6)
-    assert not seating_result(rise, subject.plug, pose, subject.goal, subject.depth).seated
+    offset = contact_offset(subject.inserted, both, pose)
+    assert offset == pytest.approx(0, abs=5e-6)
+    assert not seating_result(offset, subject.inserted, pose, subject.goal, subject.depth).seated
 
 
-def test_a_pit_deeper_than_the_slot_is_not_seated_in() -> None:
+def test_in_a_pit_deeper_than_the_slot_the_part_is_not_seated() -> None:
     """A neighbour's slot 5 mm deeper takes the part, but below goal height."""
     subject = pair("box")
     pit = box(60, 60, 40, (0, 0, -40)) - box(40, 30, 40, (0, 0, -(subject.depth / MM + 5)))
     around = convex_edges(mesh_from_solid(standing(pit)))
     pose = subject.lifted(-5e-3)
-    rise = contact_offset(subject.plug, around, pose)
-    assert rise == pytest.approx(0, abs=5e-6)
-    assert not seating_result(rise, subject.plug, pose, subject.goal, subject.depth).seated
+    offset = contact_offset(subject.inserted, around, pose)
+    assert offset == pytest.approx(0, abs=5e-6)
+    assert not seating_result(offset, subject.inserted, pose, subject.goal, subject.depth).seated
 
 
 def test_a_tilted_pose_comes_down_along_the_axis_it_carries() -> None:
@@ -223,15 +226,15 @@ def test_a_tilted_pose_comes_down_along_the_axis_it_carries() -> None:
     part = pair("box").part
     pose = Pose.from_rotvec(np.array([0, np.radians(10), 0])) @ Pose.from_translation(np.array([0, 0, 0.03]))
     lowest = pose.apply(part.mesh.vertices)[:, 2].min()
-    rise = contact_offset(InsertedPart(convex_edges(part.mesh), Z), convex_edges(mesh_from_solid(block)), pose)
-    assert rise == pytest.approx(-lowest / np.cos(np.radians(10)), abs=1e-9)
+    offset = contact_offset(InsertedPart(convex_edges(part.mesh), Z), convex_edges(mesh_from_solid(block)), pose)
+    assert offset == pytest.approx(-lowest / np.cos(np.radians(10)), abs=1e-9)
 
 
 @pytest.mark.parametrize("name", ["ell", "tee", "leaning", "bracket"])
-def test_swept_out_is_the_part_at_every_place_of_its_way(name: str) -> None:
-    """It holds the part at the start, under way and at the end, and its shadow is the part's own."""
+def test_the_swept_solid_contains_the_part_at_every_point_of_its_path(name: str) -> None:
+    """It contains the part at the start, on the way and at the end, and its shadow is the part's own."""
     subject = pair(name)
-    axis = subject.plug.axis
+    axis = subject.inserted.axis
     swept, part = swept_solid(subject.part.mesh, axis), solid_from_mesh(subject.part.mesh)
     for share in (0.0, 0.3, 1.0):
         assert (part.translate(axis * HOVER * share) - swept).volume() < 1e-6 * part.volume()
@@ -244,7 +247,7 @@ def test_swept_out_is_the_part_at_every_place_of_its_way(name: str) -> None:
     assert below.bounding_box()[5] < top + 1e-6
 
 
-def test_penetration_is_the_way_up_to_contact() -> None:
-    found = pair("ell").verdict(pair("ell").moved(np.array([8e-3, 0, -4e-3, 0, 0, 0])))
-    assert found.penetration == pytest.approx(found.contact_offset)
-    assert found.penetration == pytest.approx(pair("ell").depth + 4e-3, abs=5e-6)
+def test_penetration_is_the_distance_up_to_contact() -> None:
+    result = pair("ell").result(pair("ell").moved(np.array([8e-3, 0, -4e-3, 0, 0, 0])))
+    assert result.penetration == pytest.approx(result.contact_offset)
+    assert result.penetration == pytest.approx(pair("ell").depth + 4e-3, abs=5e-6)
