@@ -1,4 +1,4 @@
-"""Parts and their kits for tests: made once a session, from families whose kits take a tenth of a second or less."""
+"""Parts and their kits for tests: made once a test run, from families whose kits take a tenth of a second or less."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Small solids whose geometry is known by heart, and slow but plain ways to measure what the package computes.
+"""Small solids of known geometry, and slow but simple reference computations of what the package measures.
 
-Solids are drawn in millimetres, standing on z = 0 about the z axis; `standing` and `as_part` turn them into metres.
+Solids are drawn in millimetres, standing on z = 0 about the z axis; `standing` and `as_part` convert them to metres.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def plug() -> Manifold:
 
 
 def random_solid(seed: int) -> Manifold:
-    """Two to four boxes, cylinders and frusta, turned at random and joined, sometimes drilled; one body on z = 0."""
+    """Two to four boxes, cylinders and frusta, randomly rotated and joined, sometimes drilled; one body on z = 0."""
     rng = np.random.default_rng(seed)
     body = _random_piece(rng)
     for _ in range(rng.integers(1, 4)):
@@ -119,7 +119,7 @@ class Seated:
     cavity: Cavity
 
     def kit(self, goals: Pose | None = None, plate: Plate = UNIT_PLATE, clearance: float = 2.5e-3) -> Kit:
-        """A kit with the given goals, else the design pose alone."""
+        """A kit with the given goals; by default the design pose alone."""
         goals = Pose.stack([self.kit_from_part]) if goals is None else goals
         slot = Slot(self.part.id, self.kit_from_part, clearance, self.cavity.depth, goals)
         return Kit("k", _plate_mesh(self.cavity, plate), slot, np.array([*plate.width, plate.thickness]))

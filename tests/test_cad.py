@@ -1,4 +1,4 @@
-"""The drawing vocabulary against closed forms: volumes, boxes, holes counted by the genus."""
+"""CAD functions compared with closed forms: volumes, bounding boxes, holes counted by the genus."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from kit1000.parts import cad
 ROUND = 4e-3
 """Relative loss of an area or volume when inscribed polygons stand for circles."""
 LENGTHS = st.floats(4.0, 40.0)
-quickly = settings(max_examples=30)
+few_examples = settings(max_examples=30)
 
 
-def _sound(solid: Manifold) -> Manifold:
+def _closed(solid: Manifold) -> Manifold:
     """The solid itself, after making sure that its mesh is closed."""
     assert defect(mesh_from_solid(solid)) is None
     return solid
@@ -54,7 +54,7 @@ def test_rounding_a_concave_corner_adds_its_fillet() -> None:
 
 
 @given(radius=st.floats(0.2, 60.0))
-@quickly
+@few_examples
 def test_circle_is_fine_enough_and_evenly_divided(radius: float) -> None:
     n = cad.circle_segments(radius)
     assert n % 4 == 0
@@ -85,79 +85,79 @@ def test_gear_tooth_is_as_wide_as_its_gap_on_the_pitch_circle() -> None:
 
 
 @given(x=LENGTHS, y=LENGTHS, z=LENGTHS)
-@quickly
+@few_examples
 def test_box_stands_on_the_floor(x: float, y: float, z: float) -> None:
-    block = _sound(cad.box(x, y, z))
+    block = _closed(cad.box(x, y, z))
     assert block.volume() == pytest.approx(x * y * z)
     assert _box(block) == pytest.approx([-x / 2, -y / 2, 0, x / 2, y / 2, z])
 
 
 @given(d=LENGTHS, h=LENGTHS)
-@quickly
-def test_turned_solids_have_the_volume_of_the_formula(d: float, h: float) -> None:
+@few_examples
+def test_solids_of_revolution_have_the_volume_of_the_formula(d: float, h: float) -> None:
     full = np.pi * d**2 / 4 * h
-    assert _sound(cad.cylinder(d, h)).volume() == pytest.approx(full, rel=3 * ROUND)
-    assert _sound(cad.cone(d, 0, h)).volume() == pytest.approx(full / 3, rel=3 * ROUND)
-    assert _sound(cad.tube(d, d / 2, h)).volume() == pytest.approx(0.75 * full, rel=3 * ROUND)
-    assert _sound(cad.revolved([(0, 0), (d / 2, 0), (0, h)])).volume() == pytest.approx(full / 3, rel=3 * ROUND)
+    assert _closed(cad.cylinder(d, h)).volume() == pytest.approx(full, rel=3 * ROUND)
+    assert _closed(cad.cone(d, 0, h)).volume() == pytest.approx(full / 3, rel=3 * ROUND)
+    assert _closed(cad.tube(d, d / 2, h)).volume() == pytest.approx(0.75 * full, rel=3 * ROUND)
+    assert _closed(cad.revolved([(0, 0), (d / 2, 0), (0, h)])).volume() == pytest.approx(full / 3, rel=3 * ROUND)
 
 
 def test_ball_has_the_volume_of_the_formula() -> None:
-    assert _sound(cad.sphere(30)).volume() == pytest.approx(4 / 3 * np.pi * 15**3, rel=0.015)
+    assert _closed(cad.sphere(30)).volume() == pytest.approx(4 / 3 * np.pi * 15**3, rel=0.015)
 
 
-def test_chamfer_of_a_box_takes_what_the_formula_says() -> None:
+def test_chamfer_of_a_box_removes_the_volume_of_the_formula() -> None:
     x, y, z, c = 20.0, 30.0, 10.0, 2.0
     frustum = sum((x - 2 * t) * (y - 2 * t) for t in (0.0, c)) + 4 * (x - c) * (y - c)  # Simpson's rule is exact
-    assert _sound(cad.box(x, y, z, c)).volume() == pytest.approx(x * y * (z - 2 * c) + 2 * c / 6 * frustum)
+    assert _closed(cad.box(x, y, z, c)).volume() == pytest.approx(x * y * (z - 2 * c) + 2 * c / 6 * frustum)
 
 
 def test_chamfer_widens_the_mouth_of_a_hole() -> None:
     plate = cad.rectangle(30, 30) - cad.circle(10)
-    rim = _sound(cad.prism(plate, 8, chamfer_top=1)).slice(8 - 1e-6)
+    rim = _closed(cad.prism(plate, 8, chamfer_top=1)).slice(8 - 1e-6)
     assert rim.area() == pytest.approx(28 * 28 - np.pi * 36, rel=ROUND)
 
 
 def test_chamfer_follows_concave_corners() -> None:
     angle = cad.rectangle(20, 20) - cad.rectangle(20, 20).translate((10, 10))
-    top = _sound(cad.prism(angle, 8, chamfer=1)).slice(8 - 1e-6)
+    top = _closed(cad.prism(angle, 8, chamfer=1)).slice(8 - 1e-6)
     assert top.area() == pytest.approx(2 * 18 * 8 - 8 * 8, rel=1e-3)
 
 
 @given(wanted=st.floats(0.1, 30.0))
-@quickly
-def test_chamfer_too_large_for_the_profile_is_cut_down(wanted: float) -> None:
-    bar = _sound(cad.prism(cad.ring(30, 24) - cad.rectangle(50, 4), 10, chamfer=wanted))
+@few_examples
+def test_a_chamfer_too_large_for_the_profile_is_reduced(wanted: float) -> None:
+    bar = _closed(cad.prism(cad.ring(30, 24) - cad.rectangle(50, 4), 10, chamfer=wanted))
     assert len(bar.decompose()) == 2
     assert _box(bar)[[1, 2, 4, 5]] == pytest.approx([-15, 0, 15, 10], abs=0.02)
 
 
 def test_rounded_top_is_tangent_to_the_side() -> None:
-    dome = _sound(cad.prism(cad.circle(20), 10, fillet_top=3))
+    dome = _closed(cad.prism(cad.circle(20), 10, fillet_top=3))
     assert dome.slice(10 - 1e-6).area() == pytest.approx(np.pi * 49, rel=0.01)
     assert dome.slice(7 - 1e-6).area() == pytest.approx(np.pi * 100, rel=ROUND)
 
 
 @pytest.mark.parametrize(("top", "volume"), [(0, 1000), (8, 1400)])
 def test_wedge_stands_upright_at_its_left(top: float, volume: float) -> None:
-    ramp = _sound(cad.wedge(20, 10, 10, top))
+    ramp = _closed(cad.wedge(20, 10, 10, top))
     assert ramp.volume() == pytest.approx(volume)
     assert ramp.slice(9.999).bounds()[0] == pytest.approx(-10)
 
 
 def test_gusset_fills_the_inner_corner() -> None:
-    rib = _sound(cad.gusset(10, 20, 3))
+    rib = _closed(cad.gusset(10, 20, 3))
     assert rib.volume() == pytest.approx(300)
     assert _box(rib) == pytest.approx([0, -1.5, 0, 10, 1.5, 20])
 
 
 @given(turns=st.lists(st.floats(-0.6, 0.6), min_size=2, max_size=5))
-@quickly
+@few_examples
 def test_sweep_keeps_its_section_along_a_bent_path(turns: list[float]) -> None:
     headings = np.cumsum([0.0, *turns])
     steps = 12 * np.column_stack([np.cos(headings), np.sin(headings), 0.3 * np.ones(len(headings))])
     path = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
-    rod = _sound(cad.swept(cad.circle(3), path))
+    rod = _closed(cad.swept(cad.circle(3), path))
     # Pappus: a mitred sweep of a centred section holds the section's area times the length of the path.
     length = np.linalg.norm(steps, axis=1).sum()
     assert rod.volume() == pytest.approx(cad.circle(3).area() * length, rel=1e-6)
@@ -176,19 +176,19 @@ def test_laid_solid_points_along_its_axis_with_its_y_up(axis: cad.Axis, tip: tup
 
 
 @given(nx=st.integers(1, 4), ny=st.integers(1, 3))
-@quickly
+@few_examples
 def test_each_drilled_hole_adds_one_to_the_genus(nx: int, ny: int) -> None:
-    plate = _sound(cad.drill(cad.box(50, 50, 5), 6, cad.grid(nx, ny, 10, 10)))
+    plate = _closed(cad.drill(cad.box(50, 50, 5), 6, cad.grid(nx, ny, 10, 10)))
     assert plate.genus() == nx * ny
     assert plate.volume() == pytest.approx(12500 - nx * ny * np.pi * 9 * 5, rel=1e-3)
 
 
 @pytest.mark.parametrize("axis", ["x", "-x", "y", "-y", "z", "-z"])
-def test_blind_hole_goes_as_deep_as_asked_from_the_side_asked(axis: cad.Axis) -> None:
+def test_a_blind_hole_has_the_given_depth_from_the_given_side(axis: cad.Axis) -> None:
     sign, row = (-1 if axis[0] == "-" else 1), "xyz".index(axis[-1])
     mouth = np.zeros(3)
     mouth[row] = sign * 10
-    block = _sound(cad.drill(cad.at(cad.box(20, 20, 20), z=-10), 6, mouth, axis, depth=4))
+    block = _closed(cad.drill(cad.at(cad.box(20, 20, 20), z=-10), 6, mouth, axis, depth=4))
     assert block.genus() == 0
     assert block.volume() == pytest.approx(8000 - np.pi * 9 * 4, rel=1e-3)
     centroid = mesh_from_solid(block).centroid
@@ -199,22 +199,22 @@ def test_countersink_and_counterbore_take_their_cones_and_seats() -> None:
     plate = cad.box(30, 30, 10)
     sunk = cad.drill(plate, 4, (0, 0, 10), countersink=8)
     ring_cone = np.pi / 3 * (4**3 - 2**3) - np.pi * 2**2 * 2
-    assert _sound(sunk).volume() == pytest.approx(9000 - np.pi * 4 * 10 - ring_cone, rel=1e-3)
+    assert _closed(sunk).volume() == pytest.approx(9000 - np.pi * 4 * 10 - ring_cone, rel=1e-3)
     seated = cad.drill(plate, 4, (0, 0, 10), counterbore=(8, 3))
-    assert _sound(seated).volume() == pytest.approx(9000 - np.pi * 4 * 10 - np.pi * (16 - 4) * 3, rel=1e-3)
+    assert _closed(seated).volume() == pytest.approx(9000 - np.pi * 4 * 10 - np.pi * (16 - 4) * 3, rel=1e-3)
 
 
-def test_pocket_and_slot_are_milled_from_the_side_asked() -> None:
+def test_pocket_and_slot_are_milled_from_the_given_side() -> None:
     block = cad.box(40, 30, 20)
-    assert _sound(cad.pocket(block, cad.rectangle(20, 10), 8, (0, 0, 20))).volume() == pytest.approx(24000 - 1600)
-    through = _sound(cad.cut_slot(block, 20, 6, (0, 0, 10), "-y"))
+    assert _closed(cad.pocket(block, cad.rectangle(20, 10), 8, (0, 0, 20))).volume() == pytest.approx(24000 - 1600)
+    through = _closed(cad.cut_slot(block, 20, 6, (0, 0, 10), "-y"))
     assert through.genus() == 1
     assert _box(block - through) == pytest.approx([-10, -15, 7, 10, 15, 13], abs=0.01)
 
 
 def test_key_seat_lies_at_its_place_on_the_shaft() -> None:
     shaft = cad.cylinder(20, 40)
-    keyed = _sound(cad.keyway(shaft, 20, 5, 3, start=5, length=20, round_ends=False))
+    keyed = _closed(cad.keyway(shaft, 20, 5, 3, start=5, length=20, round_ends=False))
     full = shaft.slice(20).area()
     assert [keyed.slice(z).area() == pytest.approx(full) for z in (4.9, 5.1, 24.9, 25.1)] == [True, False, False, True]
     assert keyed.slice(15).area() == pytest.approx((shaft.slice(15) - cad.rectangle(6, 5).translate((10, 0))).area())
@@ -232,7 +232,7 @@ def test_bolt_circle_of_holes_keeps_its_symmetry_exactly() -> None:
     assert (plate - plate.rotate(120)).area() < 1e-6
 
 
-def test_hull_spans_what_it_is_given() -> None:
+def test_hull_spans_its_solids() -> None:
     bar = cad.hull(cad.box(2, 2, 2), cad.at(cad.box(2, 2, 2), x=10))
     assert bar.volume() == pytest.approx(12 * 2 * 2)
 

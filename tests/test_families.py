@@ -1,4 +1,4 @@
-"""Every part family keeps its promises, and the conformance check catches those that do not."""
+"""Every part family passes the conformance check, and the check catches faulty families."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Laws of healing: what the order of a file cannot change, what is mended and said, what is refused."""
+"""Repair of meshes: independent of the order in the file, every change is noted, hopeless surfaces are refused."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SHAPES = {
 }
 
 
-def healed(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, list[str]]:
+def repaired(vertices: np.ndarray, faces: np.ndarray) -> tuple[Mesh, list[str]]:
     notes: list[str] = []
     mesh = part_mesh(closed_solid(np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64), notes), notes)
     assert defect_float32(mesh) is None
@@ -40,7 +40,7 @@ def soup_of(*solids: Manifold) -> tuple[np.ndarray, np.ndarray]:
 
 
 def notes_of(*solids: Manifold) -> list[str]:
-    return healed(*soup_of(*solids))[1]
+    return repaired(*soup_of(*solids))[1]
 
 
 def tube_along(centre: Callable[[np.ndarray], np.ndarray], radius: float, span: tuple[float, float], n: int) -> Mesh:
@@ -73,15 +73,15 @@ def eight(t: np.ndarray) -> np.ndarray:
 
 @given(st.sampled_from(sorted(SHAPES)), st.integers(0, 2**32 - 1))
 @settings(max_examples=40)
-def test_no_order_of_the_file_reaches_the_result(name: str, seed: int) -> None:
+def test_the_result_does_not_depend_on_the_order_in_the_file(name: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     indexed = mesh_from_solid(SHAPES[name])
     corners, _ = soup_of(SHAPES[name])
-    wanted, _ = healed(indexed.vertices, indexed.faces)
+    wanted, _ = repaired(indexed.vertices, indexed.faces)
     order = rng.permutation(len(indexed.faces))
     turned = np.stack([np.roll(face, rng.integers(3)) for face in np.arange(len(corners)).reshape(-1, 3)[order]])
     shuffle = rng.permutation(len(corners))
-    found, notes = healed(corners[shuffle], np.argsort(shuffle)[turned])
+    found, notes = repaired(corners[shuffle], np.argsort(shuffle)[turned])
     assert np.array_equal(found.vertices, wanted.vertices)
     assert found.volume == pytest.approx(wanted.volume, rel=1e-12)
     assert notes == []
@@ -89,10 +89,10 @@ def test_no_order_of_the_file_reaches_the_result(name: str, seed: int) -> None:
 
 @given(st.sampled_from(sorted(SHAPES)), st.integers(0, 2**32 - 1))
 @settings(max_examples=40)
-def test_faces_of_any_winding_come_out_outward(name: str, seed: int) -> None:
+def test_faces_of_any_winding_become_outward(name: str, seed: int) -> None:
     mesh = mesh_from_solid(SHAPES[name])
     flip = np.random.default_rng(seed).random(len(mesh.faces)) < 0.5
-    found, _ = healed(mesh.vertices, np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces))
+    found, _ = repaired(mesh.vertices, np.where(flip[:, None], mesh.faces[:, ::-1], mesh.faces))
     assert found.volume == pytest.approx(SHAPES[name].volume(), rel=1e-5)
 
 
@@ -101,14 +101,14 @@ def test_faces_of_any_winding_come_out_outward(name: str, seed: int) -> None:
 def test_seams_of_rounding_noise_are_welded(name: str, seed: int) -> None:
     corners, faces = soup_of(SHAPES[name])
     noise = 1e-9 * np.random.default_rng(seed).uniform(-1, 1, corners.shape)
-    found, notes = healed(corners + noise, faces)
+    found, notes = repaired(corners + noise, faces)
     assert found.volume == pytest.approx(SHAPES[name].volume(), rel=1e-5)
     assert any(note.startswith("welded") for note in notes)
 
 
-def test_an_inside_out_solid_is_turned_and_said() -> None:
+def test_an_inside_out_solid_is_flipped_and_noted() -> None:
     mesh = mesh_from_solid(BOX)
-    found, notes = healed(mesh.vertices, mesh.faces[:, ::-1])
+    found, notes = repaired(mesh.vertices, mesh.faces[:, ::-1])
     assert found.volume == pytest.approx(8e-6)
     assert notes == ["flipped inside out"]
 
@@ -120,24 +120,24 @@ def test_vertices_in_the_middle_of_longer_edges_are_stitched() -> None:
     rim = np.concatenate([rim, 1e-3 * np.array([[20, -10, 5], [20, 0, 5]])])
     fan = np.stack([np.tile([0, 0, 0.005], (8, 1)), rim, np.roll(rim, -1, axis=0)], axis=1)
     all_corners = np.concatenate([np.delete(corners[faces], top, axis=0), fan]).reshape(-1, 3)
-    found, notes = healed(all_corners, np.arange(len(all_corners)).reshape(-1, 3))
+    found, notes = repaired(all_corners, np.arange(len(all_corners)).reshape(-1, 3))
     assert found.volume == pytest.approx(8e-6)
     assert notes == ["stitched 4 T-junctions"]
 
 
-def test_a_small_hole_is_filled_and_a_lid_is_not_invented() -> None:
+def test_a_small_hole_is_filled_and_a_large_one_is_not() -> None:
     corners, faces = soup_of(SHAPES["ball"])
-    _, notes = healed(corners, faces[1:])
+    _, notes = repaired(corners, faces[1:])
     assert notes == ["filled a small hole"]
     upper = corners[faces][..., 2].min(1) > 0.005
     with pytest.raises(MeshRefused, match=r"^not closed: \d+ open edges"):
-        healed(corners, faces[~upper])
+        repaired(corners, faces[~upper])
 
 
-def test_loose_triangles_are_refused_before_any_search() -> None:
+def test_unconnected_triangles_are_refused_before_any_search() -> None:
     corners = np.random.default_rng(0).uniform(0, 0.05, (120_000, 3))
     with pytest.raises(MeshRefused, match=r"^not closed: 120000 open edges$"):
-        healed(corners, np.arange(120_000).reshape(-1, 3))
+        repaired(corners, np.arange(120_000).reshape(-1, 3))
 
 
 def test_holes_that_touch_at_a_vertex_are_filled() -> None:
@@ -145,7 +145,7 @@ def test_holes_that_touch_at_a_vertex_are_filled() -> None:
     apex = corners[faces[0, 0]]
     around = np.flatnonzero((corners[faces] == apex).all(-1).any(-1))
     missing = around[[0, int(len(around) // 2)]]
-    found, _ = healed(corners, np.delete(faces, missing, axis=0))
+    found, _ = repaired(corners, np.delete(faces, missing, axis=0))
     assert found.volume == pytest.approx(SHAPES["ball"].volume(), rel=1e-3)
 
 
@@ -154,12 +154,12 @@ def test_a_sheet_has_no_thickness_however_it_is_tilted(both_sides: bool) -> None
     sheet = 1e-3 * np.array([[0, 0, 0], [30, 0, 3], [30, 20, 3], [0, 20, 0]])
     faces = np.array([[0, 1, 2], [0, 2, 3]])
     with pytest.raises(MeshRefused, match=r"^zero thickness$"):
-        healed(sheet, np.concatenate([faces, faces[:, ::-1]]) if both_sides else faces)
+        repaired(sheet, np.concatenate([faces, faces[:, ::-1]]) if both_sides else faces)
 
 
 def test_a_foil_is_refused_for_its_thickness() -> None:
     with pytest.raises(MeshRefused, match=r"^zero thickness$"):
-        healed(*soup_of(Manifold.cube((0.04, 0.02, 4e-6))))
+        repaired(*soup_of(Manifold.cube((0.04, 0.02, 4e-6))))
 
 
 def test_a_klein_bottle_is_one_sided() -> None:
@@ -173,7 +173,7 @@ def test_a_klein_bottle_is_one_sided() -> None:
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
     vertices = np.random.default_rng(0).uniform(0, 0.05, (n * n, 3))
     with pytest.raises(MeshRefused, match="one-sided"):
-        healed(vertices, faces)
+        repaired(vertices, faces)
 
 
 @given(st.floats(-0.04, 0.04), st.floats(-0.02, 0.02), st.floats(-0.01, 0.01))
@@ -183,40 +183,40 @@ def test_bodies_are_united_when_they_overlap(x: float, y: float, z: float) -> No
     overlap = float(np.prod(np.maximum([0.04, 0.02, 0.01] - np.abs(shift), 0)))
     if overlap < 1e-9:  # touching or apart
         return
-    found, _ = healed(*soup_of(BOX, BOX.translate(shift.tolist())))
+    found, _ = repaired(*soup_of(BOX, BOX.translate(shift.tolist())))
     assert found.volume == pytest.approx(2 * 8e-6 - overlap, rel=1e-5)
 
 
 def test_bodies_that_touch_face_to_face_become_one() -> None:
     for shift in ((0.04, 0.0, 0.0), (0.04, 0.005, 0.003)):  # the first shares its faces, the second not
-        found, notes = healed(*soup_of(BOX, BOX.translate(shift)))
+        found, notes = repaired(*soup_of(BOX, BOX.translate(shift)))
         assert found.volume == pytest.approx(16e-6, rel=1e-5)
         assert notes
 
 
-def test_a_crumb_is_dropped_and_two_parts_are_refused() -> None:
-    crumb = BOX.scale((0.3, 0.3, 0.3)).translate((0.06, 0, 0))
-    found, notes = healed(*soup_of(BOX, crumb))
+def test_a_small_extra_body_is_dropped_and_two_equal_bodies_are_refused() -> None:
+    small = BOX.scale((0.3, 0.3, 0.3)).translate((0.06, 0, 0))
+    found, notes = repaired(*soup_of(BOX, small))
     assert found.volume == pytest.approx(8e-6, rel=1e-5)
     assert notes == ["kept the largest of 2 bodies (97.4% of the volume)"]
     with pytest.raises(MeshRefused, match=r"^2 separate bodies \(50%, 50% of the volume\)$"):
-        healed(*soup_of(BOX, BOX.translate((0.06, 0, 0))))
+        repaired(*soup_of(BOX, BOX.translate((0.06, 0, 0))))
 
 
-def test_a_void_stays_and_a_stray_inverted_body_is_turned() -> None:
+def test_a_void_is_kept_and_a_separate_inverted_body_is_flipped() -> None:
     inner = BOX.scale((0.5, 0.5, 0.5))
-    hollow, notes = healed(*soup_of(BOX - inner))
+    hollow, notes = repaired(*soup_of(BOX - inner))
     assert hollow.volume == pytest.approx(7e-6, rel=1e-5)
     assert notes == []
     corners, faces = soup_of(BOX, BOX.scale((0.4, 0.4, 0.4)).translate((0.06, 0, 0)))
-    beside, notes = healed(corners, np.concatenate([faces[:12], faces[12:, ::-1]]))
+    beside, notes = repaired(corners, np.concatenate([faces[:12], faces[12:, ::-1]]))
     assert beside.volume == pytest.approx(8e-6, rel=1e-5)
     assert notes[0] == "flipped 1 of 2 bodies inside out"
 
 
 def test_solids_that_touch_along_an_edge_stay_closed_after_rounding() -> None:
     stairs = BOX + BOX.translate((0.04, 0.02, 0)) + Manifold.cube((0.08, 0.04, 0.01)).translate((-0.02, -0.01, 0.005))
-    found, notes = healed(*soup_of(stairs))
+    found, notes = repaired(*soup_of(stairs))
     assert found.volume == pytest.approx(stairs.volume(), rel=1e-3)
     assert notes == ["separated surfaces that touch along edges, by 2 um"]
 
@@ -226,8 +226,8 @@ def test_a_loop_that_crosses_itself_is_united_exactly() -> None:
     whole = tube_along(eight, 0.004, (0, 2 * np.pi), 96)
     halves = [tube_along(eight, 0.004, (start, start + np.pi), 49) for start in (0.0, np.pi)]
     expected = (solid_from_mesh(halves[0]) + solid_from_mesh(halves[1])).volume()
-    assert whole.volume > 1.02 * expected  # the middle counts twice until it is mended
-    found, notes = healed(whole.vertices, whole.faces)
+    assert whole.volume > 1.02 * expected  # the crossing counts twice before the repair
+    found, notes = repaired(whole.vertices, whole.faces)
     assert found.volume == pytest.approx(expected, rel=1e-5)
     assert any("self-intersection" in note for note in notes)
 
@@ -237,12 +237,12 @@ def test_a_spike_through_the_far_side_is_refused() -> None:
     vertices = np.array(mesh.vertices)
     vertices[np.argmin(np.linalg.norm(vertices - [0, 0, 0.005], axis=1))] = [3e-4, 2e-4, -0.012]
     with pytest.raises(MeshRefused, match=r"^passes through itself at \d+ places"):
-        healed(vertices, mesh.faces)
+        repaired(vertices, mesh.faces)
 
 
-def test_many_faces_are_thinned_within_the_stated_distance() -> None:
+def test_many_faces_are_simplified_within_the_stated_distance() -> None:
     dense = SHAPES["tube"].refine(16)
-    found, notes = healed(*soup_of(dense))
+    found, notes = repaired(*soup_of(dense))
     assert dense.num_tri() > MAX_FACES_UNCHANGED >= len(found.faces)
     assert notes[0].startswith(f"simplified {dense.num_tri():,} -> ")
     assert max_distance(found.vertices, mesh_from_solid(dense).triangles, 1e-4) <= SIMPLIFY_TOLERANCE
@@ -252,8 +252,8 @@ def test_many_faces_are_thinned_within_the_stated_distance() -> None:
 
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=60)
-def test_surfaces_cross_just_when_solids_overlap_without_one_in_the_other(seed: int) -> None:
-    """Two random tetrahedra, judged by exact booleans."""
+def test_surfaces_cross_exactly_when_solids_overlap_without_containment(seed: int) -> None:
+    """Two random tetrahedra, compared with exact booleans."""
     rng = np.random.default_rng(seed)
     first, second = (Manifold.hull_points(rng.uniform(-1, 1, (4, 3)) + shift) for shift in rng.uniform(0, 0.6, (2, 3)))
     shared = (first ^ second).volume()
@@ -275,7 +275,7 @@ def test_distance_to_a_box_matches_its_closed_form(seed: int) -> None:
     assert max_distance(points, triangles, 1e-3) == pytest.approx(min(expected.max(), 1e-3))
 
 
-def test_winding_numbers_count_the_surfaces_round_a_point() -> None:
+def test_winding_numbers_count_the_surfaces_around_a_point() -> None:
     outer, inner = mesh_from_solid(BOX).triangles, mesh_from_solid(BOX.scale((0.5, 0.5, 0.5))).triangles
     points = np.array([[0, 0, 0], [0.015, 0.001, 0.001], [0.1, 0, 0]])
     assert winding_numbers(points, np.concatenate([outer, inner])) == pytest.approx([2, 1, 0])

@@ -1,4 +1,4 @@
-"""Laws of reading mesh files: formats and units agree, hostile bytes cost a line, a bad file stops no run."""
+"""Reading mesh files: formats and units agree, damaged files are refused with one line, a bad file stops no run."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def scaled(factor: float, suffix: str = "stl") -> bytes:
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_cannot_be_a_part_is_refused_with_one_line(name: str, tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_a_part_is_refused_with_one_line(name: str, tmp_path: Path) -> None:
     data, reason = REFUSED[name]
     with pytest.raises(MeshRefused, match=reason) as caught:
         read_mesh(written(tmp_path, name, data))
@@ -98,7 +98,7 @@ def test_what_cannot_be_a_part_is_refused_with_one_line(name: str, tmp_path: Pat
     st.sampled_from([".stl", ".ply", ".off", ".obj", ".glb"]),
 )
 @settings(max_examples=150)
-def test_a_damaged_byte_never_ends_in_a_traceback(tmp_path_factory, place: int, byte: int, suffix: str) -> None:
+def test_a_damaged_byte_never_raises_another_exception(tmp_path_factory, place: int, byte: int, suffix: str) -> None:
     data = bytearray(STL if suffix == ".stl" else scaled(1, suffix[1:]))
     data[place % len(data)] = byte
     path = written(tmp_path_factory.getbasetemp(), f"damaged{suffix}", bytes(data))
@@ -107,7 +107,7 @@ def test_a_damaged_byte_never_ends_in_a_traceback(tmp_path_factory, place: int, 
     assert all(defect_float32(reading.mesh) is None for reading in outcomes[0])
 
 
-def test_a_declared_count_takes_no_memory(tmp_path: Path) -> None:
+def test_memory_does_not_depend_on_the_declared_count(tmp_path: Path) -> None:
     path = written(tmp_path, "huge.stl", b"\0" * 80 + struct.pack("<I", 4_000_000_000) + b"\0" * 500)
     tracemalloc.start()
     with pytest.raises(MeshRefused, match="4,000,000,000 triangles declared, room for 10"):
@@ -123,7 +123,9 @@ def test_too_many_triangles_are_refused(tmp_path: Path, monkeypatch: pytest.Monk
         read_mesh(written(tmp_path, "box.stl", STL))
 
 
-def test_folders_missing_files_and_closed_doors_are_answered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_folders_missing_files_and_unreadable_files_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "folder.stl").mkdir()
     with pytest.raises(MeshRefused, match="is a folder"):
         read_mesh(tmp_path / "folder.stl")
@@ -151,7 +153,7 @@ def test_every_format_gives_the_same_part(suffix: str, tmp_path: Path) -> None:
     assert (reading.unit, reading.unit_guessed, reading.path) == ("mm", False, path)
 
 
-def test_bytes_after_the_last_triangle_are_ignored_and_said(tmp_path: Path) -> None:
+def test_bytes_after_the_last_triangle_are_ignored_and_noted(tmp_path: Path) -> None:
     reading = read_mesh(written(tmp_path, "box.stl", STL + b"a colour table"))
     assert reading.notes == ("ignored 14 bytes after the last triangle",)
 
@@ -170,7 +172,7 @@ def test_a_part_far_from_its_origin_keeps_its_shape(tmp_path: Path) -> None:
 
 @given(st.floats(1e-2, 1e5))
 @settings(max_examples=60)
-def test_a_guess_makes_a_machine_part_wherever_a_unit_does(tmp_path_factory, longest: float) -> None:
+def test_a_guessed_unit_gives_a_plausible_size_if_any_unit_does(tmp_path_factory, longest: float) -> None:
     path = written(tmp_path_factory.getbasetemp(), "guess.stl", scaled(longest / 40))
     plausible = [unit for unit, metres in USER_UNITS.items() if 0.0051 < longest * metres < 0.499]
     readings, refusals = read_all([path])
@@ -185,18 +187,18 @@ def test_a_guess_makes_a_machine_part_wherever_a_unit_does(tmp_path_factory, lon
 @pytest.mark.parametrize(
     ("longest", "unit"), [(40, "mm"), (490, "mm"), (0.04, "m"), (0.3, "m"), (1.57, "inch"), (4, "inch")]
 )
-def test_the_commonest_unit_wins(longest: float, unit: str, tmp_path: Path) -> None:
+def test_the_most_frequent_plausible_unit_is_guessed(longest: float, unit: str, tmp_path: Path) -> None:
     assert read_mesh(written(tmp_path, "part.stl", scaled(longest / 40))).unit == unit
 
 
 @pytest.mark.parametrize("unit", USER_UNITS)
-def test_an_asked_unit_is_used_for_any_size(unit: str, tmp_path: Path) -> None:
+def test_a_given_unit_is_used_for_any_size(unit: str, tmp_path: Path) -> None:
     reading = read_mesh(written(tmp_path, "part.stl", scaled(0.02)), unit)
     assert reading.mesh.extents.max() == pytest.approx(0.8 * USER_UNITS[unit], rel=1e-5)
     assert (reading.unit, reading.unit_guessed) == (unit, False)
 
 
-def test_a_file_that_says_its_unit_is_believed(tmp_path: Path) -> None:
+def test_a_unit_stated_in_the_file_is_used(tmp_path: Path) -> None:
     glb = read_mesh(written(tmp_path, "part.glb", scaled(1e-4, "glb")))
     assert (glb.unit, glb.unit_guessed) == ("m", False)
     assert glb.mesh.extents.max() == pytest.approx(0.004)
@@ -205,7 +207,7 @@ def test_a_file_that_says_its_unit_is_believed(tmp_path: Path) -> None:
     assert threemf.mesh.extents.max() == pytest.approx(0.0004)
 
 
-def test_an_unknown_unit_is_answered_with_the_known_ones(tmp_path: Path) -> None:
+def test_an_unknown_unit_is_refused_with_the_known_ones(tmp_path: Path) -> None:
     for ask in (lambda path: read_mesh(path, "furlong"), lambda path: read_all([path], "furlong")):
         with pytest.raises(InputError, match="'furlong': expected one of mm, cm, m, inch"):
             ask(written(tmp_path, "box.stl", STL))
@@ -219,7 +221,7 @@ def test_a_folder_is_searched_deeply_in_order(tmp_path: Path) -> None:
     assert found == [abc[1], abc[0], "a.ply", "z.STL"]
 
 
-def test_a_list_names_files_and_folders(tmp_path: Path) -> None:
+def test_a_list_may_contain_files_and_folders(tmp_path: Path) -> None:
     inside = written(tmp_path, "more/b.stl", STL)
     listing = written(tmp_path, "list.txt", b"# mine\n\na.stl\nmore\n")
     assert mesh_files(listing) == [tmp_path / "a.stl", inside]
@@ -228,7 +230,7 @@ def test_a_list_names_files_and_folders(tmp_path: Path) -> None:
     assert refusals == [Refusal(tmp_path / "a.stl", "cannot be read: no such file or directory")]
 
 
-def test_a_single_file_stands_for_itself(tmp_path: Path) -> None:
+def test_a_single_file_is_itself(tmp_path: Path) -> None:
     path = written(tmp_path, "box.stl", STL)
     assert mesh_files(path) == mesh_files(str(path)) == [path]
 
@@ -256,23 +258,23 @@ def test_bad_files_stop_no_run_and_workers_change_nothing(tmp_path: Path) -> Non
 
 
 def read_or_die(path: Path) -> Refusal:
-    """A reader as bad as a segmentation fault."""
-    if path.name == "deadly":
+    """A reader that ends its process, as a segmentation fault does."""
+    if path.name == "crashing":
         os._exit(1)
     return Refusal(path, "harmless")
 
 
-def test_a_file_that_kills_its_reader_is_refused_and_the_rest_go_on() -> None:
-    files = [Path("a"), Path("deadly"), Path("b")]
+def test_a_file_that_crashes_its_reader_is_refused_and_the_others_are_read() -> None:
+    files = [Path("a"), Path("crashing"), Path("b")]
     outcomes = list(sources._read_parallel(read_or_die, files, workers=2))
     assert outcomes == [
         Refusal(Path("a"), "harmless"),
-        Refusal(Path("deadly"), "its reader crashed"),
+        Refusal(Path("crashing"), "its reader crashed"),
         Refusal(Path("b"), "harmless"),
     ]
 
 
-def test_real_parts_are_accepted_and_their_measures_kept(real_parts: Path) -> None:
+def test_real_parts_are_accepted_with_their_volumes(real_parts: Path) -> None:
     with (real_parts / "manifest.csv").open(encoding="utf-8", newline="") as rows:
         truth = {row["file"]: row for row in csv.DictReader(rows)}
     readings, refusals = read_all(mesh_files(real_parts))
@@ -284,5 +286,5 @@ def test_real_parts_are_accepted_and_their_measures_kept(real_parts: Path) -> No
         metres = USER_UNITS[accepted[name].unit]
         assert accepted[name].mesh.volume == pytest.approx(float(truth[name]["volume"]) * metres**3, rel=5e-3)
         assert defect_float32(accepted[name].mesh) is None
-    said = [name for name in accepted if truth[name]["units"] in USER_UNITS]
-    assert np.mean([accepted[name].unit == truth[name]["units"] for name in said]) >= 0.95
+    stated = [name for name in accepted if truth[name]["units"] in USER_UNITS]
+    assert np.mean([accepted[name].unit == truth[name]["units"] for name in stated]) >= 0.95
