@@ -1,7 +1,7 @@
-"""A pinhole camera after the convention of OpenCV: +x right, +y down, +z forward, depth along z.
+"""A pinhole camera in the convention of OpenCV: +x right, +y down, +z forward, depth along z.
 
-Pixel (u, v) has its centre at exactly (u, v), so the image covers -0.5 .. width - 0.5 across and
--0.5 .. height - 0.5 down. Lengths are in m, image quantities in pixels.
+The centre of pixel (u, v) is at exactly (u, v), so the image covers -0.5 .. width - 0.5 across and -0.5 .. height - 0.5
+down. Lengths are in m, image coordinates in pixels.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from kit1000.errors import InputError, ShapeError, checked
 from kit1000.pose import Pose, unit_vector
 
-# A view direction this close [sine of the angle] to `up` leaves the roll of the camera to rounding.
+# With a view direction this close [sine of the angle] to `up`, rounding would determine the roll of the camera.
 UPRIGHT_TOLERANCE = 1e-6
 
 
@@ -23,9 +23,9 @@ class Camera:
     """Intrinsics of a pinhole camera without distortion."""
 
     width: int
-    """Columns of the image."""
+    """Number of columns of the image."""
     height: int
-    """Rows of the image."""
+    """Number of rows of the image."""
     fx: float
     """Focal length across [pixels]."""
     fy: float
@@ -48,11 +48,11 @@ class Camera:
 
     @property
     def K(self) -> np.ndarray:
-        """The intrinsic matrix: (u, v, 1) is in proportion to K (x, y, z). (3, 3) float64."""
+        """The intrinsic matrix: (u, v, 1) is proportional to K (x, y, z). (3, 3) float64."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     def project(self, points_cam: ArrayLike) -> np.ndarray:
-        """Image positions of points, inside the image or not; NaN for points at or behind the camera's plane.
+        """Image coordinates of points, inside the image or not; NaN for points at or behind the camera plane.
 
         Args:
             points_cam: points in the camera frame. (..., 3) [m].
@@ -65,10 +65,10 @@ class Camera:
         return np.stack([self.fx * points[..., 0] / z + self.cx, self.fy * points[..., 1] / z + self.cy], axis=-1)
 
     def unproject(self, depth: ArrayLike) -> np.ndarray:
-        """The point behind each pixel; where the depth is 0 (no return) the point is (0, 0, 0).
+        """The point seen by each pixel; (0, 0, 0) where the depth is 0 (no return).
 
         Args:
-            depth: z of what each pixel sees. (height, width) [m].
+            depth: z of the surface at each pixel. (height, width) [m].
 
         Returns:
             (height, width, 3) float64 [m], in the camera frame.
@@ -78,7 +78,7 @@ class Camera:
         return self.unproject_pixels(np.stack([u, v], axis=-1), z)
 
     def unproject_pixels(self, uv: ArrayLike, depth: ArrayLike) -> np.ndarray:
-        """The points at image positions (..., 2) (u, v) [pixels] and depths (...,) [m]. (..., 3) [m]."""
+        """The points at image coordinates (..., 2) (u, v) [pixels] and depths (...,) [m]. (..., 3) [m]."""
         pixels, z = checked("uv", uv, (..., 2)), checked("depth", depth, (...,))
         if z.ndim > 0 and z.shape != pixels.shape[:-1]:
             raise ShapeError(f"depth: expected one depth or shape {pixels.shape[:-1]}, got shape {z.shape}")
@@ -87,10 +87,10 @@ class Camera:
         return np.stack([x, y, np.broadcast_to(z, x.shape)], axis=-1)
 
     def scaled(self, factor: float) -> Camera:
-        """The same view with `factor` times as many pixels each way, rounded to whole ones.
+        """The same view with `factor` times as many rows and columns, rounded to integers.
 
-        The image keeps its edges, which lie half a pixel outside the outer centres; where rounding changes
-        the aspect, fx and fy differ a little.
+        The image borders, half a pixel outside the outer pixel centres, do not move; where rounding changes the aspect
+        ratio, fx and fy differ slightly.
         """
         if not 0 < factor < np.inf:
             raise InputError(f"factor: expected a number above 0, got {factor}")
@@ -112,10 +112,10 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
     Args:
         eye: position of the camera. (3,) [m], world.
         target: point that projects to the principal point. (3,) [m], world.
-        up: direction that appears upward; refused when it lies along the view. (3,), world.
+        up: direction that is upward in the image; rejected when it is parallel to the line of sight. (3,), world.
 
     Returns:
-        One pose, its axes those of OpenCV.
+        One pose, with the axes of OpenCV.
     """
     position = checked("eye", eye, (3,))
     forward = unit_vector(checked("target", target, (3,)) - position, "target - eye")

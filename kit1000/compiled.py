@@ -1,4 +1,4 @@
-"""Compiling array loops with numba, on machines with and without a folder to keep the result in."""
+"""Compilation of array loops with numba, cached on disk where a cache folder is writable."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numba import njit
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile on the first call and keep the result on disk, or in memory where no folder can be written."""
+    """Compile on the first call and cache the result on disk, or in memory where no folder is writable."""
     options = {"nogil": True, "error_model": "numpy"}
     try:
         return njit(cache=True, **options)(function)

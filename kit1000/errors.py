@@ -1,4 +1,4 @@
-"""The exceptions of the package, the near word for an unknown one, and the check of every array from outside.
+"""The exceptions of the package, suggestions for misspelt words, and the check of array arguments.
 
 A message is one line: what is wrong, where, and what was expected instead.
 """
@@ -16,15 +16,15 @@ from numpy.typing import ArrayLike, DTypeLike
 
 
 class Kit1000Error(Exception):
-    """Base of every exception that this package raises on purpose."""
+    """Base class of the exceptions of this package."""
 
 
 class InputError(Kit1000Error):
-    """Bad input of a user; a command answers with the message and exit status 2."""
+    """Invalid input; a command prints the message and exits with status 2."""
 
 
 class ShapeError(InputError, ValueError):
-    """An array that has the wrong shape, holds the wrong kind of values, or is not finite."""
+    """An array of the wrong shape or type, or with non-finite values."""
 
 
 class MeshRefused(InputError):
@@ -36,7 +36,7 @@ class MeshRefused(InputError):
 
 
 class Redraw(Kit1000Error):
-    """A random draw that geometry rejects; `reason` is short, so that equal reasons can be counted."""
+    """A random draw that is rejected and drawn again; `reason` is short, so that equal reasons can be counted."""
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
@@ -44,24 +44,23 @@ class Redraw(Kit1000Error):
 
 
 class InternalError(Kit1000Error):
-    """A mistake of this package and not of its user, said in one line that helps to find it."""
+    """A bug of this package and not a mistake of its user, described in one line."""
 
 
-def internal_error(doing: str, error: BaseException) -> InternalError:
-    """An unforeseen exception as a Fault: what was being done, what went wrong, in which line of this package."""
+def internal_error(action: str, error: BaseException) -> InternalError:
+    """An unexpected exception as an InternalError: the action, the message, and the line of this package."""
     frames = traceback.extract_tb(error.__traceback__)
     ours = [frame for frame in frames if Path(__file__).parent in Path(frame.filename).parents]
     where = f" ({Path(ours[-1].filename).name}:{ours[-1].lineno})" if ours else ""
-    said = " ".join(str(error).split())
-    return InternalError(
-        f"{doing}: {type(error).__name__}: {said or 'no message'}{where}; please report this fault of kit1000"
-    )
+    message = " ".join(str(error).split())
+    cause = f"{type(error).__name__}: {message or 'no message'}{where}"
+    return InternalError(f"{action}: {cause}; please report this bug of kit1000")
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """What goes into a message about a word that is not known: "did you mean x? ", or nothing where none is alike."""
-    found = get_close_matches(word, list(known), n=1, cutoff=0.5)
-    return f"did you mean {found[0]}? " if found else ""
+    """The hint "did you mean x? " for a message about an unknown word; empty when no known word is similar."""
+    matches = get_close_matches(word, list(known), n=1, cutoff=0.5)
+    return f"did you mean {matches[0]}? " if matches else ""
 
 
 Shape = tuple[int | str | EllipsisType, ...]
@@ -71,17 +70,17 @@ def checked(name: str, array: ArrayLike, shape: Shape, dtype: DTypeLike = np.flo
     """Return a read-only, C-contiguous copy of an array after checking its shape and values.
 
     Args:
-        name: what the caller calls the array; opens every message.
+        name: name of the argument; begins every message.
         array: numbers, nested sequences of numbers, or an array.
-        shape: wanted sizes. An int is exact, a string names a free size (the same string twice means
-            equal sizes), and `...` as the first entry stands for any leading axes: `(..., "n", 3)`.
-        dtype: wanted type. Floats must be finite; integers and bools must survive the cast unchanged.
+        shape: expected sizes. An int is exact, a string names a free size (the same string twice means equal sizes),
+            and `...` as the first entry means any leading axes: `(..., "n", 3)`.
+        dtype: expected type. Floats must be finite; the cast to integers and bools must be exact.
 
     Returns:
-        The copy, of the asked dtype; writing to it raises.
+        The copy, of the expected dtype; writing to it raises.
 
     Raises:
-        ShapeError: states the name, the expected shape and the shape found.
+        ShapeError: states the name, the expected and the actual shape.
     """
     try:
         source = np.asarray(array)
@@ -94,11 +93,11 @@ def checked(name: str, array: ArrayLike, shape: Shape, dtype: DTypeLike = np.flo
     if source.dtype == dtype:
         copy = np.array(source, order="C", copy=True)
     else:
-        with np.errstate(invalid="ignore", over="ignore"):  # a lossy cast is answered below, not by a warning
+        with np.errstate(invalid="ignore", over="ignore"):  # a lossy cast raises below instead of warning
             copy = np.array(source, dtype=dtype, order="C", copy=True)
-    good = np.isfinite(copy) if copy.dtype.kind == "f" else copy == source
-    if not good.all():
-        first = tuple(int(i) for i in np.argwhere(~good)[0])
+    valid = np.isfinite(copy) if copy.dtype.kind == "f" else copy == source
+    if not valid.all():
+        first = tuple(int(i) for i in np.argwhere(~valid)[0])
         why = "which is not finite" if copy.dtype.kind == "f" else f"which is no {copy.dtype.name}"
         raise _shape_error(name, shape, dtype, f"shape {source.shape} with {source[first]} at {first}, {why}")
     copy.setflags(write=False)
@@ -109,22 +108,22 @@ def _shape_error(name: str, shape: Shape, dtype: DTypeLike, got: str) -> ShapeEr
     return ShapeError(f"{name}: expected {np.dtype(dtype).name} of shape {_shape_text(shape)}, got {got}")
 
 
-def _matches(found: tuple[int, ...], shape: Shape) -> bool:
-    """Whether the found sizes match the wanted ones, equal names standing for equal sizes."""
+def _matches(actual: tuple[int, ...], shape: Shape) -> bool:
+    """Whether the actual sizes match the expected ones, where equal names mean equal sizes."""
     trailing = shape
     if shape and shape[0] is Ellipsis:
         trailing = shape[1:]
-        found = found[max(len(found) - len(trailing), 0) :]
-    if len(found) != len(trailing):
+        actual = actual[max(len(actual) - len(trailing), 0) :]
+    if len(actual) != len(trailing):
         return False
     named: dict[str, int] = {}
     return all(
-        named.setdefault(want, size) == size if isinstance(want, str) else want == size
-        for want, size in zip(trailing, found, strict=True)
+        named.setdefault(expected, size) == size if isinstance(expected, str) else expected == size
+        for expected, size in zip(trailing, actual, strict=True)
     )
 
 
 def _shape_text(shape: Shape) -> str:
-    """The shape as a reader writes it: (..., n, 3)."""
+    """The shape as text: (..., n, 3)."""
     sizes = ["..." if size is Ellipsis else str(size) for size in shape]
     return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"

@@ -1,4 +1,4 @@
-"""Initial guesses of a simulated user: how far they are off, as drawn for the tracks and as set for the curves."""
+"""Errors of the simulated user's initial guess: random ones for the tracks, fixed levels for the robustness curves."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from kit1000.errors import InputError
 from kit1000.pose import unit_vector
 from kit1000.values import Slot
 
-MAX_OFFSET = 28e-3  # [m] most along a world axis: as far as the paper's matcher looks around a guess
-MAX_ANGLE = float(np.radians(27.5))  # most: as far as the paper's candidate turns reach
-LEVELS = 8  # of a curve: level k is k/7 of OFFSET and of ANGLE
-FIXED_LEVELS = (1, 4, 7)  # at which one kind of error stays while the other runs through all levels
+MAX_OFFSET = 28e-3  # [m] along each world axis: the search range of the paper's matcher around a guess
+MAX_ANGLE = float(np.radians(27.5))  # the range of the candidate rotations of the paper
+LEVELS = 8  # of a curve: level k is k/7 of MAX_OFFSET and of MAX_ANGLE
+FIXED_LEVELS = (1, 4, 7)  # levels of one kind of error while the other varies over all levels
 
 
 def draw_goal(rng: np.random.Generator, slot: Slot) -> tuple[int, float]:
-    """One of all goals, evenly: its index, and its turn [rad] about the free axis."""
-    goal, turn = rng.integers(len(slot.goals)), rng.uniform(0, 2 * np.pi)
-    return int(goal), float(turn) if slot.free_axis is not None else 0.0
+    """A goal, uniform over all: its index, and its angle [rad] about the free axis (0 without one)."""
+    goal, angle = rng.integers(len(slot.goals)), rng.uniform(0, 2 * np.pi)
+    return int(goal), float(angle) if slot.free_axis is not None else 0.0
 
 
 def draw_direction(rng: np.random.Generator) -> np.ndarray:
@@ -26,12 +26,12 @@ def draw_direction(rng: np.random.Generator) -> np.ndarray:
 
 
 def draw_ball_error(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """An offset (3,) [m], uniform in a cube, and a turn (3,) [rad] by an even angle about any axis."""
+    """An offset (3,) [m], uniform in a cube, and a rotation vector (3,) [rad] of uniform angle about a uniform axis."""
     return _draw_offset(rng), draw_direction(rng) * rng.uniform(0, MAX_ANGLE)
 
 
 def draw_tilt_error(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """The paper's error: the same offset, and a turn that takes the vertical to a direction the shortest way."""
+    """The paper's error: the same offset, and a rotation vector (3,) [rad] that tilts the vertical without twist."""
     offset, azimuth = _draw_offset(rng), rng.uniform(0, 2 * np.pi)
     return offset, np.array([-np.sin(azimuth), np.cos(azimuth), 0.0]) * rng.uniform(0, MAX_ANGLE)
 
@@ -42,7 +42,7 @@ def level_offset(level: int) -> float:
 
 
 def level_angle(level: int) -> float:
-    """Angle [rad] of the turn at a level of a curve: 0, 3.9 ... 27.5 degrees."""
+    """Angle [rad] of the rotation at a level of a curve: 0, 3.9 ... 27.5 degrees."""
     return MAX_ANGLE * _level(level) / (LEVELS - 1)
 
 

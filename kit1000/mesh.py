@@ -1,8 +1,8 @@
-"""Triangle meshes as values: measures, closedness, and the two bridges to exact solids.
+"""Triangle meshes: measures, defects, and conversion to and from exact solids.
 
-Vertices are metres in float64, faces wind counter-clockwise seen from outside. The gate for "this is a solid" is
-manifold3d's status; what leaves the package must also stay closed after float32 rounding and vertex merging, because
-that is what every loader of STL and GLB does to it.
+Vertices are in m, float64; faces are counter-clockwise seen from outside. A mesh is a solid if manifold3d accepts it;
+meshes that are written to files must also be closed after float32 rounding and vertex merging, which loaders of STL and
+GLB do.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from kit1000.errors import MeshRefused, ShapeError, checked
 if TYPE_CHECKING:
     from kit1000.pose import Pose
 
-FLAT_THICKNESS = 1e-5  # [m] a solid thinner than volume/area of 10 um is a sheet, not a part
+FLAT_THICKNESS = 1e-5  # [m] a mesh of smaller mean thickness, 2 volume / area, is a sheet and no solid
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class Mesh:
 
     @cached_property
     def volume(self) -> float:
-        """[m^3], signed: negative when the mesh is inside out (divergence theorem, about the middle of the box)."""
+        """[m^3], signed: negative when the mesh is inside out (divergence theorem, about the centre of the box)."""
         return float(_tetrahedron_volumes(self.triangles, self._box_centre).sum())
 
     @cached_property
@@ -85,7 +85,7 @@ class Mesh:
         return self.bounds.mean(0)
 
     def moved(self, pose: Pose) -> Mesh:
-        """The mesh carried by an unbatched pose."""
+        """The mesh moved by a single pose."""
         return Mesh(pose.apply(self.vertices), self.faces)
 
     def scaled(self, factor: float) -> Mesh:
@@ -93,11 +93,11 @@ class Mesh:
         return Mesh(self.vertices * factor, self.faces)
 
     def rounded_float32(self) -> Mesh:
-        """The mesh with vertices on the float32 grid, so that GLB and STL files hold exactly these numbers."""
+        """The mesh with vertices rounded to float32, so that GLB and STL files contain exactly these numbers."""
         return Mesh(self.vertices.astype(np.float32).astype(np.float64), self.faces)
 
     def merged(self) -> Mesh:
-        """The mesh with equal vertices made one, unused ones dropped and collapsed faces removed."""
+        """The mesh with equal vertices merged, and without unused vertices and collapsed faces."""
         used, corners = np.unique(self.faces, return_inverse=True)
         vertices, inverse = np.unique(self.vertices[used], axis=0, return_inverse=True)
         faces = inverse.ravel()[corners].reshape(-1, 3).astype(np.int32)
@@ -107,7 +107,7 @@ class Mesh:
 
 def inertia(mesh: Mesh, mass: float) -> np.ndarray:
     """(3, 3) [kg m^2] of a uniform solid of a mass [kg] about its centre of mass, along the mesh's axes."""
-    corners = mesh.triangles - mesh.centroid  # each face and the centre span a tetrahedron
+    corners = mesh.triangles - mesh.centroid  # each face spans a tetrahedron with the centre
     weights = np.linalg.det(corners)
     sums = corners.sum(1)
     squares = np.einsum("n,nki,nkj->ij", weights, corners, corners) + np.einsum("n,ni,nj->ij", weights, sums, sums)
@@ -116,7 +116,7 @@ def inertia(mesh: Mesh, mass: float) -> np.ndarray:
 
 
 def solid_from_mesh(mesh: Mesh) -> Manifold:
-    """The exact solid of a closed mesh. Raises MeshRefused with the reason when it is none."""
+    """The exact solid of a closed mesh. Raises MeshRefused with the reason when the mesh bounds no solid."""
     solid = Manifold(Mesh64(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.uint64)))
     if solid.status() != Error.NoError:
         raise MeshRefused(defect(mesh) or f"not a solid: {solid.status().name}")
@@ -126,7 +126,7 @@ def solid_from_mesh(mesh: Mesh) -> Manifold:
 
 
 def mesh_from_solid(solid: Manifold) -> Mesh:
-    """The mesh of an exact solid, vertices in the order the solid keeps them."""
+    """The mesh of an exact solid, vertices in the order of the solid."""
     raw = solid.to_mesh64()
     return Mesh(np.asarray(raw.vert_properties)[:, :3], np.asarray(raw.tri_verts).astype(np.int32))
 
@@ -145,13 +145,13 @@ def convex_hull(points: np.ndarray) -> Manifold:
     solid = Manifold(Mesh64(np.ascontiguousarray(points[corners]), faces.astype(np.uint64)))
     if solid.status() == Error.NoError:
         return solid
-    # Qhull may leave collapsed triangles on a flat face; then the other hull, of few points, is the sound one
-    other: Any = Manifold.hull_points(points[corners] * 1e3)
-    return other.scale((1e-3, 1e-3, 1e-3))
+    # Qhull may leave collapsed triangles on a flat face; then manifold3d's hull, of few points, is valid
+    fallback: Any = Manifold.hull_points(points[corners] * 1e3)
+    return fallback.scale((1e-3, 1e-3, 1e-3))
 
 
 def defect(mesh: Mesh) -> str | None:
-    """What keeps a mesh from bounding a solid, in a few words; None when nothing does."""
+    """Why a mesh bounds no solid, in a few words; None when it does."""
     if not len(mesh.faces):
         return "empty mesh"
     a, b = mesh.faces[:, [0, 1, 2]].ravel().astype(np.int64), mesh.faces[:, [1, 2, 0]].ravel().astype(np.int64)
@@ -180,12 +180,12 @@ def _edge_defect(a: np.ndarray, b: np.ndarray, n: int) -> str:
 
 
 def defect_float32(mesh: Mesh) -> str | None:
-    """`defect` of the mesh as a loader sees it: vertices rounded to float32, equal ones merged."""
+    """`defect` of the mesh as a loader reads it: vertices rounded to float32, equal ones merged."""
     return defect(mesh.rounded_float32().merged())
 
 
 def body_count(mesh: Mesh) -> int:
-    """Number of connected pieces of surface (a hollow body counts two)."""
+    """Number of connected components of the surface (two for a hollow body)."""
     a, b = mesh.faces[:, [0, 1, 2]].ravel(), mesh.faces[:, [1, 2, 0]].ravel()
     used = np.unique(mesh.faces)
     graph = coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(len(mesh.vertices),) * 2)

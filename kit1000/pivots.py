@@ -1,4 +1,4 @@
-"""The pivot of a part: the middle of the extents of its masked depth points, which any method may compute."""
+"""The pivot of a part: the centre of the extents of its masked depth points, which any method may compute."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ import numpy as np
 
 from kit1000.values import FIRST_PART_LABEL, View
 
-PIVOT_DECIMALS = 4  # of a metre: 0.1 mm, about the grid of the depth images
+PIVOT_DECIMALS = 4  # of a metre: 0.1 mm, about the step of depth images
 
 
 def part_pivots(view: View, labels: np.ndarray) -> dict[int, np.ndarray]:
-    """By part index, (3,) [m] world: the middle of the extents of the part's points, to 0.1 mm.
+    """The pivots of parts by part index: (3,) [m] world, the centre of the extents of the part's points, to 0.1 mm.
 
-    The points lie where the view believes they do; a part without a return has no pivot. labels: (H, W) uint8.
+    The points use the recorded pose of the view; a part without a return has no pivot. labels: (H, W) uint8.
     """
     pivots = {}
     for part in range(int(labels.max()) + 1 - FIRST_PART_LABEL):
-        middle = extent_centre(view, labels == FIRST_PART_LABEL + part)
-        if middle is not None:
-            pivots[part] = np.round(middle, PIVOT_DECIMALS)
+        centre = extent_centre(view, labels == FIRST_PART_LABEL + part)
+        if centre is not None:
+            pivots[part] = np.round(centre, PIVOT_DECIMALS)
     return pivots
 
 
 def extent_centre(view: View, mask: np.ndarray) -> np.ndarray | None:
-    """(3,) [m] world: the middle of the extents of the points of a mask (H, W) bool; None without a return."""
+    """(3,) [m] world: the centre of the extents of the points of a mask (H, W) bool; None without a return."""
     pixels = np.flatnonzero(mask)
     pixels = pixels[view.depth.ravel()[pixels] > 0]
     if len(pixels) == 0:

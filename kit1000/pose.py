@@ -1,9 +1,8 @@
 """Rigid poses and rotations: unit quaternions (w, x, y, z) and positions [m], batched over leading axes.
 
-`a_from_b` maps coordinates in b to coordinates in a, so that `a_from_c = a_from_b @ b_from_c`. Angles
-are read by atan2 and the exponential map uses series where the closed form cancels, so results hold to
-rounding from the identity to a half turn. No sum runs through a matrix library: a result never depends
-on how many poses or points were handed over together.
+`a_from_b` maps coordinates in b to coordinates in a, so that `a_from_c = a_from_b @ b_from_c`. Angles are computed by
+atan2, and the exponential map uses series where the closed form cancels, so results are accurate to rounding from 0 to
+180 degrees. No sum uses a matrix library: a result does not depend on the number of poses or points in a batch.
 """
 
 from __future__ import annotations
@@ -18,16 +17,16 @@ from numpy.typing import ArrayLike
 
 from kit1000.errors import InputError, ShapeError, checked
 
-# A product of a few float32 matrices departs from a rotation by less; a scaled or sheared one by more.
+# A product of a few float32 matrices deviates from a rotation by less; a scaled or sheared one by more.
 ROTATION_TOLERANCE = 1e-5
-# The norm of a normalised quaternion is read within this of 1; such ones are left alone, bit for bit.
+# The computed norm of a normalised quaternion is within this of 1; such quaternions are not changed, bit for bit.
 UNIT_TOLERANCE = 4 * np.finfo(np.float64).eps
-# Quaternions and directions of a length beyond this, or under its inverse, are faults of the caller.
+# Quaternions and directions of a greater length, or one under its inverse, are rejected.
 NORM_LIMIT = 1e100
-# Directions this close to opposite [rad] leave no axis to read between them: any perpendicular one will do.
+# Directions this close to opposite [rad] define no rotation axis: any perpendicular one is used.
 OPPOSITE_TOLERANCE = 1e-12
-# Below this angle [rad] the coefficients of the exponential map cancel in closed form; both series there
-# are cut where the next term is under 1e-16 of the first.
+# Below this angle [rad] the closed-form coefficients of the exponential map lose digits by cancellation; both series
+# are truncated where the next term is under 1e-16 of the first.
 SERIES_ANGLE = 0.5
 # (t - sin t) / t^3 = sum over k of (-1)^k t^(2k) / (2k + 3)!
 _EXP_SERIES = (1 / 6, -1 / 120, 1 / 5040, -1 / 362880, 1 / 39916800, -1 / 6227020800, 1 / 1307674368000)
@@ -39,16 +38,16 @@ _LOG_SERIES = (
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Rigid poses `a_from_b`, one or a batch; a point p in b lies at `rotate(p) + xyz` in a.
+    """Rigid poses `a_from_b`, one or a batch; a point p in b is at `rotate(p) + xyz` in a.
 
-    The leading axes of the two arrays broadcast. Quaternions are normalised on making and keep their
-    sign, so q and -q stay apart though they mean the same rotation. Both arrays are read-only copies.
+    The leading axes of the two arrays broadcast. Quaternions are normalised and keep their sign, so q and -q remain
+    different though they are the same rotation. Both arrays are read-only copies.
     """
 
     wxyz: np.ndarray
     """Rotation as a unit quaternion, scalar first. (..., 4) float64."""
     xyz: np.ndarray
-    """Where the origin of b lies in a. (..., 3) float64 [m]."""
+    """Position of the origin of b in a. (..., 3) float64 [m]."""
 
     def __post_init__(self) -> None:
         wxyz = _unit(checked("wxyz", self.wxyz, (..., 4)), "wxyz")
@@ -59,7 +58,7 @@ class Pose:
 
     @classmethod
     def identity(cls, batch_shape: tuple[int, ...] = ()) -> Pose:
-        """The pose that moves nothing, repeated over `batch_shape`."""
+        """The identity, repeated over `batch_shape`."""
         return cls(np.broadcast_to((1.0, 0.0, 0.0, 0.0), (*batch_shape, 4)), np.zeros(3))
 
     @classmethod
@@ -69,20 +68,20 @@ class Pose:
 
     @classmethod
     def from_rotvec(cls, rotvec: ArrayLike, xyz: ArrayLike = (0.0, 0.0, 0.0)) -> Pose:
-        """Turn about the axis `rotvec` by its length. rotvec: (..., 3) [rad], xyz: (..., 3) [m]."""
+        """Rotations about the axis `rotvec` by its length. rotvec: (..., 3) [rad], xyz: (..., 3) [m]."""
         return cls(quaternion_from_rotvec(rotvec), np.asarray(xyz))
 
     @classmethod
     def from_rotation_matrix(cls, matrix: ArrayLike, xyz: ArrayLike = (0.0, 0.0, 0.0)) -> Pose:
-        """From rotation matrices (..., 3, 3) and positions (..., 3) [m]; refuses scale, shear and mirrors."""
+        """From rotation matrices (..., 3, 3) and positions (..., 3) [m]; rejects scale, shear and reflections."""
         return cls(_quaternion_from_matrix(checked("rotation matrix", matrix, (..., 3, 3))), np.asarray(xyz))
 
     @classmethod
     def from_matrix(cls, matrix: ArrayLike) -> Pose:
-        """From homogeneous matrices (..., 4, 4) with positions in m; refuses all but rigid ones."""
+        """From homogeneous matrices (..., 4, 4) with positions in m; rejects all but rigid ones."""
         rows = checked("matrix", matrix, (..., 4, 4))
         if np.any(np.abs(rows[..., 3, :] - (0.0, 0.0, 0.0, 1.0)) > ROTATION_TOLERANCE):
-            raise InputError("matrix: expected the last row 0 0 0 1 (positions stand in the last column)")
+            raise InputError("matrix: expected the last row 0 0 0 1 (positions are in the last column)")
         return cls.from_rotation_matrix(rows[..., :3, :3], rows[..., :3, 3])
 
     @classmethod
@@ -95,7 +94,7 @@ class Pose:
         rho, phi = np.split(checked("twist", twist, (..., 6)), 2, axis=-1)
         angle = np.linalg.norm(phi, axis=-1, keepdims=True)
         closed = np.maximum(angle, SERIES_ANGLE)
-        first = 0.5 * _sinc(angle / 2) ** 2  # (1 - cos t)/t^2, in the form that does not cancel
+        first = 0.5 * _sinc(angle / 2) ** 2  # (1 - cos t)/t^2, without cancellation
         second = np.where(angle < SERIES_ANGLE, _series(_EXP_SERIES, angle), (closed - np.sin(closed)) / closed**3)
         once = np.cross(phi, rho)
         return cls(quaternion_from_rotvec(phi), rho + first * once + second * np.cross(phi, once))
@@ -103,8 +102,8 @@ class Pose:
     def log(self) -> np.ndarray:
         """Inverse of `exp`: the shortest twist. (..., 6) = rho (..., 3) [m], phi (..., 3) [rad], |phi| <= pi.
 
-        The inverse of V is I - [phi]/2 + (1 - t/2 cot t/2)/t^2 [phi]^2: equation 146 of the same paper,
-        the first coefficient of which is written here with the half angle.
+        The inverse of V is I - [phi]/2 + (1 - t/2 cot t/2)/t^2 [phi]^2: equation 146 of the same paper, with its first
+        coefficient in terms of the half angle.
         """
         phi = self.rotvec()
         angle = np.linalg.norm(phi, axis=-1, keepdims=True)
@@ -114,12 +113,12 @@ class Pose:
         once = np.cross(phi, self.xyz)
         return np.concatenate([self.xyz - 0.5 * once + factor * np.cross(phi, once), phi], axis=-1)
 
-    __array_ufunc__ = None  # so that `array @ pose` raises TypeError instead of taking the pose apart
+    __array_ufunc__ = None  # so that `array @ pose` raises TypeError instead of iterating over the pose
 
     def __matmul__(self, other: Pose) -> Pose:
         """Compose: `a_from_c = a_from_b @ b_from_c`; leading axes broadcast."""
         if not isinstance(other, Pose):
-            raise TypeError(f"a pose composes with a pose, not with {type(other).__name__}; points go to apply()")
+            raise TypeError(f"a pose composes with a pose, not with {type(other).__name__}; use apply() for points")
         return Pose(quaternion_multiply(self.wxyz, other.wxyz), self.apply(other.xyz))
 
     def inverse(self) -> Pose:
@@ -130,13 +129,13 @@ class Pose:
     def apply(self, points: ArrayLike) -> np.ndarray:
         """Map points from b to a. points: (..., 3) [m] -> (..., 3) [m].
 
-        Leading axes broadcast: one pose takes any points, n poses take n points, and `poses[:, None]`
-        takes every point to every pose. Points that are not finite pass through as such.
+        Leading axes broadcast: one pose maps any points, n poses map n points one to one, and `poses[:, None]` maps
+        every point by every pose. Non-finite points are allowed.
         """
         return self.rotate(points) + self.xyz
 
     def rotate(self, vectors: ArrayLike) -> np.ndarray:
-        """Turn vectors from b to a, without moving them. (..., 3) -> (..., 3), broadcasting like `apply`."""
+        """Map vectors from b to a: rotation without translation. (..., 3) -> (..., 3), broadcasting like `apply`."""
         array = _trailing("points", vectors, 3)
         _broadcast("points", array, "wxyz", self.wxyz)
         return _rotated(self.rotation_matrix(), array)
@@ -154,11 +153,11 @@ class Pose:
         return matrix
 
     def rotvec(self) -> np.ndarray:
-        """Axis times angle, the short way round. (..., 3) [rad], length at most pi."""
+        """Rotation vectors: axis times angle. (..., 3) [rad], length at most pi."""
         w = self.wxyz[..., :1]
         v = np.where(w < 0, -self.wxyz[..., 1:], self.wxyz[..., 1:])
         sine = np.linalg.norm(v, axis=-1, keepdims=True)
-        # atan2(s, w)/s holds to rounding for every s > 0; where the squares in s vanish it is 1.
+        # atan2(s, w)/s is accurate to rounding for every s > 0; where the squares in s underflow it is 1.
         ratio = np.where(sine == 0, 1.0, np.arctan2(sine, np.abs(w)) / np.where(sine == 0, 1.0, sine))
         return 2 * ratio * v
 
@@ -173,7 +172,7 @@ class Pose:
 
     @classmethod
     def stack(cls, poses: Sequence[Pose]) -> Pose:
-        """Join poses of one batch shape along a new first axis; no poses give the batch of shape (0,)."""
+        """Stack poses of one batch shape along a new first axis; no poses give the batch of shape (0,)."""
         if not poses:
             return cls.identity((0,))
         shapes = {pose.batch_shape for pose in poses}
@@ -194,27 +193,27 @@ class Pose:
         return self.batch_shape[0]
 
     def __bool__(self) -> bool:
-        raise TypeError("a pose is neither true nor false; ask whether there is one with `is None`")
+        raise TypeError("a pose has no truth value; test for a missing one with `is None`")
 
     def __iter__(self) -> Iterator[Pose]:
         return (self[i] for i in range(len(self)))
 
     def __reduce__(self) -> tuple[type[Pose], tuple[np.ndarray, np.ndarray]]:
-        # Pickled arrays come back writable; making the pose anew keeps the promise, and every bit.
+        # Unpickled arrays are writable; constructing the pose again makes them read-only and keeps every bit.
         return Pose, (self.wxyz, self.xyz)
 
 
 def normalized_quaternion(wxyz: ArrayLike, name: str = "quaternion") -> np.ndarray:
-    """Scale quaternions to unit length. (..., 4) -> (..., 4); `name` opens the message of a refusal.
+    """Scale quaternions to unit length. (..., 4) -> (..., 4); `name` begins an error message.
 
-    A quaternion that is unit to rounding already comes back unchanged, so that normalising twice, or
-    reading back what was written, changes no bit.
+    A quaternion that has unit length to rounding is not changed, so that normalising twice, or reading back what was
+    written, changes no bit.
     """
     return np.array(_unit(checked(name, wxyz, (..., 4)), name))
 
 
 def quaternion_multiply(a: ArrayLike, b: ArrayLike) -> np.ndarray:
-    """Hamilton product: first turn by b, then by a. (..., 4), (..., 4) -> (..., 4), broadcasting."""
+    """Hamilton product: rotation by b, then by a. (..., 4), (..., 4) -> (..., 4), broadcasting."""
     left, right = _trailing("a", a, 4), _trailing("b", b, 4)
     batch = _broadcast("a", left, "b", right)
     aw, ax, ay, az = (left[..., i] for i in range(4))
@@ -233,37 +232,37 @@ def quaternion_conjugate(q: ArrayLike) -> np.ndarray:
 
 
 def quaternion_angle(a: ArrayLike, b: ArrayLike) -> np.ndarray:
-    """Geodesic angle between rotations. (..., 4), (..., 4) -> (...,) [rad], 0 .. pi; blind to signs."""
+    """Geodesic angle between rotations. (..., 4), (..., 4) -> (...,) [rad], 0 .. pi; the same for q and -q."""
     return _angle(quaternion_multiply(quaternion_conjugate(a), b))
 
 
 def quaternion_from_rotvec(rotvec: ArrayLike) -> np.ndarray:
-    """Unit quaternions that turn about the axis `rotvec` by its length. (..., 3) [rad] -> (..., 4)."""
+    """Unit quaternions of rotations about the axis `rotvec` by its length. (..., 3) [rad] -> (..., 4)."""
     v = checked("rotvec", rotvec, (..., 3))
     half = np.linalg.norm(v, axis=-1, keepdims=True) / 2
     return np.concatenate([np.cos(half), 0.5 * _sinc(half) * v], axis=-1)
 
 
 def quaternion_between(u: ArrayLike, v: ArrayLike) -> np.ndarray:
-    """The shortest rotation that takes direction u to direction v. (..., 3), (..., 3) -> (..., 4).
+    """The shortest rotation that maps direction u to direction v. (..., 3), (..., 3) -> (..., 4).
 
-    Lengths do not matter. Opposite directions are turned by pi about some perpendicular of u, always
-    the same one for the same u.
+    Lengths have no effect. For opposite directions the rotation is by pi about a perpendicular of u, always the same
+    one for the same u.
     """
     start, end = unit_vector(u, "u"), unit_vector(v, "v")
     batch = _broadcast("u", start, "v", end)
     start, end = np.broadcast_to(start, (*batch, 3)), np.broadcast_to(end, (*batch, 3))
     cosine = np.sum(start * end, axis=-1, keepdims=True)
-    # Beyond a right angle: half a turn about an axis truly perpendicular to u, then the small rest.
+    # Beyond a right angle: a half turn about an axis perpendicular to u, then the remaining small rotation.
     half_turn = np.concatenate([np.zeros_like(cosine), _axis_between(start, end)], axis=-1)
     far = quaternion_multiply(_half_way(-start, end), half_turn)
     return np.where(cosine >= 0, _half_way(start, end), far)
 
 
 def unit_vector(vector: ArrayLike, name: str = "vector") -> np.ndarray:
-    """Scale vectors to unit length. (..., 3) -> (..., 3); `name` opens the message of a refusal.
+    """Scale vectors to unit length. (..., 3) -> (..., 3); `name` begins an error message.
 
-    One that is unit to rounding already comes back unchanged.
+    One that has unit length to rounding is not changed.
     """
     array = checked(name, vector, (..., 3))
     with np.errstate(over="ignore"):
@@ -274,13 +273,13 @@ def unit_vector(vector: ArrayLike, name: str = "vector") -> np.ndarray:
 
 
 def random_quaternions(rng: np.random.Generator, n: int) -> np.ndarray:
-    """Draw n rotations, uniform over all rotations. (n, 4) unit quaternions of either sign."""
+    """Draw n uniformly distributed rotations. (n, 4) unit quaternions of either sign."""
     # Normal deviates have no preferred direction in four dimensions.
     return normalized_quaternion(rng.standard_normal((n, 4)))
 
 
 def _unit(q: np.ndarray, name: str) -> np.ndarray:
-    """Finite quaternions (..., 4) scaled to unit length; the array itself where none needs it."""
+    """Finite quaternions (..., 4) scaled to unit length; the array itself when all have unit length."""
     with np.errstate(over="ignore"):
         norm = np.sqrt(np.sum(q * q, axis=-1, keepdims=True))
     off = np.abs(norm - 1) > UNIT_TOLERANCE
@@ -292,22 +291,22 @@ def _unit(q: np.ndarray, name: str) -> np.ndarray:
 
 
 def _half_way(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Unit quaternions that take unit vector u to unit vector v, for angles up to a right angle or so."""
+    """Unit quaternions that rotate unit vector u to unit vector v, for angles up to about 90 degrees."""
     w = 1 + np.sum(u * v, axis=-1, keepdims=True)
     q = np.concatenate([w, np.cross(u, v)], axis=-1)
-    # A vector near -u gives a quaternion near zero; the caller discards it, so its length is kept off 0.
+    # A vector near -u gives a quaternion near zero; the caller discards it, so its length only must not be 0.
     return q / np.maximum(np.linalg.norm(q, axis=-1, keepdims=True), OPPOSITE_TOLERANCE)
 
 
 def _axis_between(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Unit vectors perpendicular to u, and to v as well as the two unit vectors can tell. (..., 3)."""
+    """Unit vectors perpendicular to u, and to v to rounding. (..., 3)."""
     cross = np.cross(u, v)
     size = np.linalg.norm(cross, axis=-1, keepdims=True)
-    # The coordinate axis farthest from u is a safe partner where u and v have no plane between them.
+    # Where u and v span no plane, the coordinate axis at the largest angle from u replaces v.
     partner = np.eye(3)[np.argmin(np.abs(u), axis=-1)]
     axis = np.where(size < OPPOSITE_TOLERANCE, np.cross(u, partner), cross)
     axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
-    # Rounding of a short product leans towards u; take that part off.
+    # Rounding of a short product has a component along u; subtract it.
     axis = axis - np.sum(axis * u, axis=-1, keepdims=True) * u
     return axis / np.linalg.norm(axis, axis=-1, keepdims=True)
 
@@ -320,7 +319,7 @@ def _quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
     """
     gram = np.sum(matrix[..., :, :, None] * matrix[..., :, None, :], axis=-3)
     if np.any(np.abs(gram - np.eye(3)) > ROTATION_TOLERANCE) or np.any(np.linalg.det(matrix) < 0):
-        raise InputError("rotation matrix: expected a rotation, got one that scales, shears or mirrors")
+        raise InputError("rotation matrix: expected a rotation, got one that scales, shears or reflects")
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(matrix, (-2, -1), (0, 1))
     rows = (
         (1 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
@@ -360,13 +359,13 @@ def _angle(q: np.ndarray) -> np.ndarray:
 
 
 def _sinc(x: np.ndarray) -> np.ndarray:
-    """sin(x)/x, which holds to rounding for every x but 0."""
+    """sin(x)/x, accurate to rounding, 1 at x = 0."""
     safe = np.where(x == 0, 1.0, x)
     return np.where(x == 0, 1.0, np.sin(safe) / safe)
 
 
 def _series(coefficients: tuple[float, ...], angle: np.ndarray) -> np.ndarray:
-    """Power series in the square of the angle, cut off at SERIES_ANGLE. (...,) -> (...,)."""
+    """Power series in the square of the angle, which is clamped to SERIES_ANGLE. (...,) -> (...,)."""
     square = np.minimum(angle, SERIES_ANGLE) ** 2
     total = np.zeros_like(square)
     for coefficient in reversed(coefficients):
@@ -394,7 +393,7 @@ def _broadcast(name: str, array: np.ndarray, other_name: str, other: np.ndarray)
 
 
 def _frozen(array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """An array of our own made read-only, broadcast to the shape by a contiguous copy where it has another."""
+    """A private array made read-only; broadcast to the shape by a contiguous copy if it has another."""
     own = array if array.shape == shape else np.array(np.broadcast_to(array, shape), order="C")
     own.setflags(write=False)
     return own

@@ -1,7 +1,7 @@
-"""Random streams: one generator for each named place that draws, independent of the order of the draws.
+"""Random streams: one generator per key, independent of each other and of the order in which they are used.
 
-A stream is addressed by the root seed of a dataset and a key such as `("part", 17)`. Adding a place,
-leaving one out, or visiting them in another order changes no other stream.
+A stream is addressed by the root seed of a dataset and a key such as `("part", 17)`. Adding or omitting a stream, or
+using streams in another order, changes no other stream.
 """
 
 from __future__ import annotations
@@ -14,33 +14,33 @@ import numpy as np
 
 from kit1000.errors import InputError
 
-# numpy pads the root to four 32-bit words and gives each key one word: larger numbers would spill
-# into the next word and could meet another key.
+# numpy pads the root to four 32-bit words and gives each key one word: larger numbers would extend into the next word
+# and could collide with another key.
 ROOT_LIMIT = 2**128
 KEY_LIMIT = 2**32
 MIN_SECRET_ROOT = 2**64
-"""A root below can be found by trying; from here on it may be a secret, and no draw tells it."""
+"""A smaller root can be found by trial; one from here on can be secret, and no draw reveals it."""
 
 
 def stream(root: int, *key: int | str) -> np.random.Generator:
-    """Return the generator at this address; the same address gives the same numbers everywhere.
+    """The generator at this address; the same address gives the same numbers on every machine.
 
     Args:
-        root: seed of the whole dataset, 0 <= root < 2**128; a secret one from GUESSABLE up.
-        key: path of the stream, each entry an int in 0 .. 2**32 - 1 or a string, which enters by its CRC-32.
+        root: seed of the whole dataset, 0 <= root < 2**128; at least MIN_SECRET_ROOT if it is secret.
+        key: path of the stream, each entry an int in 0 .. 2**32 - 1 or a string, which is replaced by its CRC-32.
 
     Returns:
-        A PCG64 generator at its start. Two calls return two generators with equal numbers to come.
+        A PCG64 generator at its start. Each call returns a new generator with the same numbers.
     """
     words = tuple(_word(entry) for entry in key)
     number = _number("root seed", root, ROOT_LIMIT)
     if number < MIN_SECRET_ROOT:
         seed = np.random.SeedSequence(number, spawn_key=words)
-    else:  # neither SeedSequence nor PCG64 is one-way: from enough published draws a root could be worked out
+    else:  # neither SeedSequence nor PCG64 is one-way: enough published draws could reveal the root
         address = b"".join(word.to_bytes(4, "little") for word in words)
         digest = hashlib.sha256(number.to_bytes(16, "little") + address).digest()
         seed = np.random.SeedSequence(int.from_bytes(digest[:16], "little"))
-    # Named outright, because numpy reserves the right to change what default_rng() makes.
+    # PCG64 is explicit, because numpy may change the generator of default_rng().
     return np.random.Generator(np.random.PCG64(seed))
 
 
@@ -52,7 +52,7 @@ def _word(entry: int | str) -> int:
 
 
 def _number(name: str, value: int, limit: int) -> int:
-    """Return the value as an int in 0 .. limit - 1."""
+    """The value as an int, checked to be in 0 .. limit - 1."""
     try:
         number = index(value)
     except TypeError:

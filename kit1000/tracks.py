@@ -1,4 +1,4 @@
-"""What the benchmark asks, by name: splits, tracks and the ids of queries."""
+"""The tasks of the benchmark: splits, tracks and the ids of queries."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ SPLITS = ("train", "val", "test")
 
 @dataclass(frozen=True)
 class Track:
-    """One kind of query."""
+    """A track of the benchmark: one kind of query."""
 
     name: str
     sensor: Literal["ideal", "d415"]
-    """Which depth image a query is about."""
+    """The depth image of its queries."""
     guess: Literal["ball", "tilt"] | None
     """The rotation error of the user's initial guess: about any axis, or a tilt alone; None: there is no guess."""
     parts: Literal["all", "upright", "upright with a nearly level goal"]
-    """Which of the well visible parts of a scene are asked about."""
+    """The parts of a scene that have a query, among the visible ones."""
     stream: str
-    """Name of the random stream of its draws. Tracks that share it ask the same on another sensor's image."""
+    """Name of the random stream of its draws. Tracks that share it have the same guesses, on different depth images."""
     description: str
     """One sentence for tables and pages."""
 
@@ -82,12 +82,12 @@ TRACKS = {
     )
 }
 CURVES = "curves"
-"""The track of the robustness curves: the queries of snap, with guess errors that are set and not drawn."""
+"""The track of the robustness curves: the queries of snap, with guess errors at fixed levels instead of random ones."""
 ALL_TRACKS = (*TRACKS, CURVES)
 GUESS_TRACKS = (*(name for name, track in TRACKS.items() if track.guess is not None), CURVES)
 """Tracks whose queries come with a guess."""
 PAPER_TRACKS = {"with user input": "snap-tilt", "without user input": "place-paper"}
-"""The tracks that ask what Table I of the paper asks, by the half of the table."""
+"""The tracks that correspond to Table I of the paper, by the half of the table."""
 
 
 def query_id(scene_id: str, part: int, track: str) -> str:
@@ -96,21 +96,21 @@ def query_id(scene_id: str, part: int, track: str) -> str:
 
 
 def has_curves(scene_id: str, scenes: int) -> bool:
-    """Whether the drawn target of a scene is asked about at every level of error too: in the first test scenes."""
+    """Whether the drawn target of a scene has queries of the curves: in the first `scenes` test scenes."""
     split, _, number = scene_id.rpartition("-s")
     return split == "test" and int(number) < scenes
 
 
-def curve_id(scene_id: str, part: int, runs: str, level: int, fixed: int) -> str:
-    """Id of a query of the curves: `runs` is the error ("pos" or "rot") at `level`, the other stays at `fixed`."""
-    stays = {"pos": "rot", "rot": "pos"}[runs]
-    return f"{scene_id.replace('test-', 'curves-', 1)}-p{part}-{runs}{level}-{stays}{fixed}"
+def curve_id(scene_id: str, part: int, varied: str, level: int, fixed: int) -> str:
+    """Id of a query of the curves: the error `varied` ("pos" or "rot") is at `level`, the other one at `fixed`."""
+    other = {"pos": "rot", "rot": "pos"}[varied]
+    return f"{scene_id.replace('test-', 'curves-', 1)}-p{part}-{varied}{level}-{other}{fixed}"
 
 
 def curve_levels(query_id: str) -> tuple[str, int, int]:
-    """Which error runs ("pos" or "rot"), its level, and the level of the one that stays, read from the id."""
+    """From the id of a query of the curves: the varied error ("pos" or "rot"), its level, the level of the other."""
     match = re.fullmatch(r"curves-s\d+-p\d+-(?:pos(\d)-rot(\d)|rot(\d)-pos(\d))", query_id)
     if match is None:
         raise InputError(f"query id {query_id!r}: expected one of the curves, such as curves-s0007-p2-pos3-rot1")
-    runs, groups = ("pos", match.group(1, 2)) if match.group(1) else ("rot", match.group(3, 4))
-    return runs, int(groups[0]), int(groups[1])
+    varied, groups = ("pos", match.group(1, 2)) if match.group(1) else ("rot", match.group(3, 4))
+    return varied, int(groups[0]), int(groups[1])

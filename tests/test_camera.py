@@ -1,4 +1,4 @@
-"""The camera: integer pixel centres, OpenCV axes, and points that return to where they came from."""
+"""The camera: integer pixel centres, OpenCV axes, projection round trips."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def cameras(draw: st.DrawFn) -> Camera:
     return Camera(width, height, draw(focal), draw(focal), cx, cy)
 
 
-def test_the_optical_axis_meets_the_image_at_the_principal_point() -> None:
+def test_the_optical_axis_projects_to_the_principal_point() -> None:
     assert CAMERA.project([0, 0, 2.0]).tolist() == [31.5, 20.25]
 
 
@@ -48,7 +48,7 @@ def test_pixel_centres_are_integers(camera: Camera, z: float) -> None:
 
 @given(cameras(), st.lists(vectors(1.0), min_size=1, max_size=5).map(np.array), st.floats(1.1, 3.0))
 @laws
-def test_points_return_through_the_image(camera: Camera, points: np.ndarray, away: float) -> None:
+def test_unprojecting_a_projection_returns_the_point(camera: Camera, points: np.ndarray, away: float) -> None:
     points = points + np.array([0, 0, away])
     again = camera.unproject_pixels(camera.project(points), points[:, 2])
     assert np.allclose(again, points, rtol=0, atol=ROUNDING * 10)
@@ -62,7 +62,7 @@ def test_project_is_the_intrinsic_matrix(camera: Camera, point: np.ndarray, away
     assert np.allclose(camera.project(point), [u / w, v / w], rtol=0, atol=1e-11)
 
 
-def test_unproject_gives_depth_along_z_and_the_origin_where_nothing_returned() -> None:
+def test_unproject_gives_depth_along_z_and_the_origin_without_return() -> None:
     depth = stream(0).uniform(0.5, 1.5, (48, 64)).astype(np.float32)
     depth[10, 20] = 0
     points = CAMERA.unproject(depth)
@@ -71,13 +71,13 @@ def test_unproject_gives_depth_along_z_and_the_origin_where_nothing_returned() -
     assert points[10, 20].tolist() == [0, 0, 0]
 
 
-def test_points_not_in_front_have_no_image() -> None:
+def test_points_behind_the_camera_project_to_nan() -> None:
     uv = CAMERA.project([[0, 0, 1], [0, 0, 0], [0.1, 0, -1]])
     assert np.isfinite(uv[0]).all()
     assert np.isnan(uv[1:]).all()
 
 
-def test_wrong_shapes_are_refused_by_name() -> None:
+def test_wrong_shapes_are_rejected_by_name() -> None:
     with pytest.raises(ShapeError, match=r"depth: expected .* shape \(48, 64\), got shape \(64, 48\)"):
         CAMERA.unproject(np.ones((64, 48)))
     with pytest.raises(ShapeError, match="points_cam: expected"):
@@ -90,26 +90,28 @@ def test_wrong_shapes_are_refused_by_name() -> None:
     ("change", "name"),
     [({"width": 0}, "width"), ({"height": 2.5}, "height"), ({"fx": 0.0}, "fx"), ({"cy": np.nan}, "cy")],
 )
-def test_impossible_cameras_are_refused_by_name(change: dict[str, float], name: str) -> None:
+def test_invalid_cameras_are_rejected_by_name(change: dict[str, float], name: str) -> None:
     fields = {"width": 4, "height": 4, "fx": 1.0, "fy": 1.0, "cx": 1.5, "cy": 1.5}
     with pytest.raises(InputError, match=f"{name}.*expected"):
         Camera(**(fields | change))  # pyright: ignore[reportArgumentType]
 
 
-def test_cameras_of_equal_numbers_are_equal() -> None:
+def test_cameras_of_equal_intrinsics_are_equal() -> None:
     assert Camera(64, 48, 50, 55, 31.5, 20.25) == CAMERA
 
 
 @given(cameras(), vectors(1.0), st.sampled_from([2.0, 3.0, 0.5, 0.37]))
 @laws
-def test_scaling_keeps_each_point_at_its_share_of_the_image(camera: Camera, point: np.ndarray, factor: float) -> None:
+def test_scaling_keeps_each_point_at_its_relative_position_in_the_image(
+    camera: Camera, point: np.ndarray, factor: float
+) -> None:
     def share(view: Camera) -> np.ndarray:
         return (view.project(point + np.array([0, 0, 2])) + 0.5) / [view.width, view.height]
 
     assert np.allclose(share(camera.scaled(factor)), share(camera), rtol=0, atol=1e-12)
 
 
-def test_doubling_puts_two_centres_either_side_of_one() -> None:
+def test_doubling_splits_a_pixel_symmetrically() -> None:
     double = CAMERA.scaled(2)
     assert (double.width, double.height) == (128, 96)
     point = CAMERA.unproject_pixels([10.0, 10.0], 1.0)
@@ -117,7 +119,7 @@ def test_doubling_puts_two_centres_either_side_of_one() -> None:
 
 
 @pytest.mark.parametrize("factor", [0.0, -1.0, np.inf, np.nan])
-def test_scaling_by_nothing_is_refused(factor: float) -> None:
+def test_scaling_by_an_invalid_factor_is_rejected(factor: float) -> None:
     with pytest.raises(InputError, match="factor: expected"):
         CAMERA.scaled(factor)
 
@@ -161,6 +163,6 @@ def test_look_at_moves_with_the_world(world_from_old: Pose, eye: np.ndarray) -> 
         ([0, 0, 1], [0, 1, 0], [0, 0, 0], "up"),
     ],
 )
-def test_a_view_without_direction_or_upright_is_refused(eye: list, target: list, up: list, name: str) -> None:
+def test_a_view_without_direction_or_up_vector_is_rejected(eye: list, target: list, up: list, name: str) -> None:
     with pytest.raises(InputError, match=f"{name}: expected a direction"):
         look_at(eye, target, up)

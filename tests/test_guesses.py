@@ -1,4 +1,4 @@
-"""Guesses: errors go on and come off, move with the world, have the statistics they are drawn for, reach every goal."""
+"""Initial guesses: applying and reading back errors, equivariance, distributions of the draws, goals and levels."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from tests.strategies import directions, poses, vectors
 
 DRAWS = 2000
 laws = settings(max_examples=40)
-LIKELY = 1e-3  # a fair draw fails a test of its distribution this rarely; the seed is fixed
+MIN_P_VALUE = 1e-3  # of a test of a distribution; the seed is fixed
 
 
 def slot(goals: int = 1, free: bool = False) -> Slot:
@@ -45,24 +45,24 @@ def slot(goals: int = 1, free: bool = False) -> Slot:
 
 @cache
 def errors(draw: Callable) -> tuple[np.ndarray, np.ndarray]:
-    """(DRAWS, 3) offsets and (DRAWS, 3) turns."""
+    """(DRAWS, 3) offsets and (DRAWS, 3) rotation vectors."""
     rng = np.random.default_rng(5)
     offsets, rotvecs = zip(*(draw(rng) for _ in range(DRAWS)), strict=True)
     return np.array(offsets), np.array(rotvecs)
 
 
-def fits(samples: np.ndarray, low: float, high: float) -> bool:
-    """Whether samples look drawn evenly between two numbers (Kolmogorov and Smirnov)."""
-    return stats.kstest(samples, stats.uniform(low, high - low).cdf).pvalue > LIKELY
+def is_uniform(samples: np.ndarray, low: float, high: float) -> bool:
+    """Whether samples are uniform between two numbers (Kolmogorov-Smirnov test)."""
+    return stats.kstest(samples, stats.uniform(low, high - low).cdf).pvalue > MIN_P_VALUE
 
 
-def near(a: Pose, b: Pose, tolerance: float = 1e-12) -> bool:
+def is_close(a: Pose, b: Pose, tolerance: float = 1e-12) -> bool:
     return bool(np.abs(a.xyz - b.xyz).max() < tolerance and quaternion_angle(a.wxyz, b.wxyz) < tolerance)
 
 
 @laws
 @given(poses(), vectors(), vectors(0.05), directions(), st.floats(0, 3))
-def test_an_error_put_on_is_the_error_read_back(
+def test_error_of_reads_back_an_applied_error(
     goal: Pose, pivot: np.ndarray, offset: np.ndarray, axis: np.ndarray, angle: float
 ) -> None:
     found = error_of(apply_error(goal, pivot, offset, angle * axis), goal, pivot)
@@ -72,24 +72,24 @@ def test_an_error_put_on_is_the_error_read_back(
 
 @laws
 @given(poses(), poses(), vectors())
-def test_the_error_read_back_leads_from_any_goal_to_any_guess(goal: Pose, guess: Pose, pivot: np.ndarray) -> None:
-    assert near(apply_error(goal, pivot, *error_of(guess, goal, pivot)), guess, 1e-10)
+def test_applying_the_error_of_a_guess_gives_the_guess(goal: Pose, guess: Pose, pivot: np.ndarray) -> None:
+    assert is_close(apply_error(goal, pivot, *error_of(guess, goal, pivot)), guess, 1e-10)
 
 
 @laws
 @given(poses(), vectors(), vectors(0.05), directions(), st.floats(0, 3))
-def test_a_guess_is_the_product_that_the_documents_state(
+def test_a_guess_is_the_product_in_the_docs(
     goal: Pose, pivot: np.ndarray, offset: np.ndarray, axis: np.ndarray, angle: float
 ) -> None:
     home = goal.apply(pivot)
     turn = Pose.from_rotvec(angle * axis)
     product = Pose.from_translation(home + offset) @ turn @ Pose.from_translation(-home) @ goal
-    assert near(apply_error(goal, pivot, offset, angle * axis), product)
+    assert is_close(apply_error(goal, pivot, offset, angle * axis), product)
 
 
 @laws
 @given(poses(), vectors())
-def test_no_error_gives_the_goal_to_the_bit(goal: Pose, pivot: np.ndarray) -> None:
+def test_a_zero_error_gives_the_goal_bit_for_bit(goal: Pose, pivot: np.ndarray) -> None:
     guess = apply_error(goal, pivot, np.zeros(3), np.zeros(3))
     assert np.array_equal(guess.wxyz, goal.wxyz)
     assert np.array_equal(guess.xyz, goal.xyz)
@@ -100,7 +100,7 @@ def test_no_error_gives_the_goal_to_the_bit(goal: Pose, pivot: np.ndarray) -> No
 def test_a_guess_moves_with_the_world(
     moved_from_world: Pose, goal: Pose, pivot: np.ndarray, offset: np.ndarray, axis: np.ndarray, angle: float
 ) -> None:
-    # Everything moves, the error's directions too: as motions of the moved world, goal and guess are conjugates.
+    # Everything moves, with the directions of the error: in the moved world, goal and guess are conjugates.
     world_from_moved = moved_from_world.inverse()
     guess = apply_error(goal, pivot, offset, angle * axis)
     moved = apply_error(
@@ -109,101 +109,101 @@ def test_a_guess_moves_with_the_world(
         moved_from_world.rotate(offset),
         moved_from_world.rotate(angle * axis),
     )
-    assert near(moved, moved_from_world @ guess @ world_from_moved, 1e-11)
+    assert is_close(moved, moved_from_world @ guess @ world_from_moved, 1e-11)
 
 
 @laws
 @given(poses(), vectors(), vectors(), directions())
-def test_how_far_the_pivot_is_missed_does_not_depend_on_the_turn(
+def test_the_offset_at_the_pivot_does_not_depend_on_the_rotation(
     goal: Pose, pivot: np.ndarray, offset: np.ndarray, rotvec: np.ndarray
 ) -> None:
-    missed = apply_error(goal, pivot, offset, rotvec).apply(pivot) - goal.apply(pivot)
-    assert np.abs(missed - offset).max() < 1e-12
+    pivot_offset = apply_error(goal, pivot, offset, rotvec).apply(pivot) - goal.apply(pivot)
+    assert np.abs(pivot_offset - offset).max() < 1e-12
 
 
 @pytest.mark.parametrize("draw", [draw_ball_error, draw_tilt_error])
-def test_errors_are_even_and_as_large_as_the_paper_has_them(draw: Callable) -> None:
+def test_errors_are_uniform_in_the_ranges_of_the_paper(draw: Callable) -> None:
     offsets, rotvecs = errors(draw)
     angles = np.linalg.norm(rotvecs, axis=1)
     assert np.abs(offsets).max() <= MAX_OFFSET
     assert angles.max() <= MAX_ANGLE
     assert np.mean(np.linalg.norm(offsets, axis=1)) == pytest.approx(26.9e-3, abs=0.5e-3)
     assert np.degrees(angles.mean()) == pytest.approx(13.75, abs=0.5)
-    assert all(fits(column, -MAX_OFFSET, MAX_OFFSET) for column in offsets.T)
-    assert fits(angles, 0, MAX_ANGLE)
+    assert all(is_uniform(column, -MAX_OFFSET, MAX_OFFSET) for column in offsets.T)
+    assert is_uniform(angles, 0, MAX_ANGLE)
 
 
-def test_axes_of_the_ball_are_even_on_the_sphere() -> None:
+def test_axes_of_ball_errors_are_uniform_on_the_sphere() -> None:
     _, rotvecs = errors(draw_ball_error)
     axes = rotvecs / np.linalg.norm(rotvecs, axis=1, keepdims=True)
-    assert all(fits(column, -1, 1) for column in axes.T)  # Archimedes: each coordinate is even
-    assert fits(np.arctan2(axes[:, 1], axes[:, 0]), -np.pi, np.pi)
+    assert all(is_uniform(column, -1, 1) for column in axes.T)  # Archimedes: each coordinate is uniform
+    assert is_uniform(np.arctan2(axes[:, 1], axes[:, 0]), -np.pi, np.pi)
 
 
-def test_axes_of_the_tilt_are_level_and_even_and_without_twist() -> None:
+def test_axes_of_tilt_errors_are_horizontal_and_uniform() -> None:
     _, rotvecs = errors(draw_tilt_error)
     assert not rotvecs[:, 2].any()
-    assert fits(np.arctan2(rotvecs[:, 1], rotvecs[:, 0]), -np.pi, np.pi)
+    assert is_uniform(np.arctan2(rotvecs[:, 1], rotvecs[:, 0]), -np.pi, np.pi)
     up = np.array([0.0, 0.0, 1.0])
-    leaned = Pose.from_rotvec(rotvecs).rotate(up)
-    shortest = np.arctan2(np.linalg.norm(leaned[:, :2], axis=1), leaned[:, 2])
+    tilted = Pose.from_rotvec(rotvecs).rotate(up)
+    shortest = np.arctan2(np.linalg.norm(tilted[:, :2], axis=1), tilted[:, 2])
     assert np.allclose(shortest, np.linalg.norm(rotvecs, axis=1), atol=1e-12)
 
 
-def test_offsets_and_turns_know_nothing_of_each_other() -> None:
+def test_offsets_and_rotations_are_independent() -> None:
     offsets, rotvecs = errors(draw_ball_error)
     correlations = np.corrcoef(np.hstack([offsets, rotvecs]).T) - np.eye(6)
     assert np.abs(correlations).max() < 4 / np.sqrt(DRAWS)
 
 
-def test_every_goal_is_drawn_as_often() -> None:
+def test_every_goal_is_equally_likely() -> None:
     rng = np.random.default_rng(6)
     symmetric = slot(goals=8)
     drawn = [draw_goal(rng, symmetric) for _ in range(DRAWS)]
     counts = np.bincount([goal for goal, _ in drawn], minlength=8)
-    assert stats.chisquare(counts).pvalue > LIKELY
-    assert {turn for _, turn in drawn} == {0.0}
+    assert stats.chisquare(counts).pvalue > MIN_P_VALUE
+    assert {angle for _, angle in drawn} == {0.0}
 
 
-def test_turns_about_a_free_axis_are_even() -> None:
+def test_angles_about_a_free_axis_are_uniform() -> None:
     rng, round_slot = np.random.default_rng(7), slot(free=True)
-    assert fits(np.array([draw_goal(rng, round_slot)[1] for _ in range(DRAWS)]), 0, 2 * np.pi)
+    assert is_uniform(np.array([draw_goal(rng, round_slot)[1] for _ in range(DRAWS)]), 0, 2 * np.pi)
 
 
 @laws
 @given(st.floats(-7, 7))
-def test_a_turned_goal_is_a_turn_of_that_goal_about_the_axis(turn: float) -> None:
+def test_a_goal_at_an_angle_is_that_goal_rotated_about_the_axis(angle: float) -> None:
     round_slot = slot(free=True)
     axis = round_slot.free_axis
     assert axis is not None
-    goal = goal_pose(round_slot, 0, turn)
-    assert near(nearest_about_axis(goal, round_slot.goals[0], axis), goal, 1e-9)  # the search for it finds it
+    goal = goal_pose(round_slot, 0, angle)
+    assert is_close(nearest_about_axis(goal, round_slot.goals[0], axis), goal, 1e-9)  # the search finds it
     line = axis.point + np.outer([-0.1, 0.2], axis.direction)
-    there = round_slot.goals[0].inverse().apply(line)  # points of the part on the axis stay where they are
-    assert np.allclose(goal.apply(there), line, atol=1e-12)
+    part_points = round_slot.goals[0].inverse().apply(line)  # points of the part on the axis do not move
+    assert np.allclose(goal.apply(part_points), line, atol=1e-12)
 
 
-def test_turned_goals_come_in_batches() -> None:
-    turns = np.linspace(0, 6, 7)
-    batch = goal_pose(slot(free=True), 0, turns)
+def test_goal_poses_broadcast_over_angles() -> None:
+    angles = np.linspace(0, 6, 7)
+    batch = goal_pose(slot(free=True), 0, angles)
     assert batch.batch_shape == (7,)
-    assert all(near(batch[i], goal_pose(slot(free=True), 0, turn)) for i, turn in enumerate(turns))
+    assert all(is_close(batch[i], goal_pose(slot(free=True), 0, angle)) for i, angle in enumerate(angles))
 
 
-def test_a_slot_without_an_axis_refuses_a_turn() -> None:
-    with pytest.raises(InputError, match="turn: the slot of p has no free axis"):
+def test_a_slot_without_an_axis_rejects_an_angle() -> None:
+    with pytest.raises(InputError, match="angle: the slot of p has no free axis"):
         goal_pose(slot(), 0, 0.1)
 
 
 @laws
 @given(poses(), poses())
-def test_a_motion_takes_the_part_from_where_it_is_to_its_goal(world_from_part: Pose, world_from_kit: Pose) -> None:
+def test_a_goal_motion_moves_the_part_to_its_goal(world_from_part: Pose, world_from_kit: Pose) -> None:
     kit_from_part = slot().kit_from_part
     goal_from_now = goal_motion(world_from_part, world_from_kit, kit_from_part)
-    assert near(goal_from_now @ world_from_part, world_from_kit @ kit_from_part)
+    assert is_close(goal_from_now @ world_from_part, world_from_kit @ kit_from_part)
 
 
-def test_levels_run_evenly_from_nothing_to_the_most() -> None:
+def test_levels_are_evenly_spaced_from_zero_to_the_maximum() -> None:
     assert [round(1e3 * level_offset(k), 9) for k in range(LEVELS)] == [0, 4, 8, 12, 16, 20, 24, 28]
     assert np.allclose(np.diff([level_angle(k) for k in range(LEVELS)]), np.radians(27.5) / 7)
     assert (level_angle(0), level_angle(LEVELS - 1)) == (0, MAX_ANGLE)
@@ -213,13 +213,13 @@ def test_levels_run_evenly_from_nothing_to_the_most() -> None:
             level_offset(level)
 
 
-def test_directions_are_even_on_the_sphere() -> None:
+def test_directions_are_uniform_on_the_sphere() -> None:
     rng = np.random.default_rng(8)
     drawn = np.array([draw_direction(rng) for _ in range(DRAWS)])
     assert np.allclose(np.linalg.norm(drawn, axis=1), 1)
-    assert all(fits(column, -1, 1) for column in drawn.T)
+    assert all(is_uniform(column, -1, 1) for column in drawn.T)
 
 
-def test_the_row_of_a_draw_is_plain() -> None:
+def test_the_row_of_a_draw_is_plain_json() -> None:
     row = GuessDraw(2, 0.5, np.array([1e-3, 0, 0]), np.array([0, 0, 0.1])).row
     assert row == {"goal": 2, "turn": 0.5, "offset": [1e-3, 0.0, 0.0], "rotvec": [0.0, 0.0, 0.1]}

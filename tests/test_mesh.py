@@ -1,4 +1,4 @@
-"""Meshes are values; their measures obey the physics of solids; every way to be no solid has a name."""
+"""Meshes are values; measures of solids against closed forms and trimesh; every kind of defect is named."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CUBE = mesh_from_solid(standing(box(20, 30, 40)))
 
 
 def other(mesh: Mesh) -> trimesh.Trimesh:
-    """The same mesh in another package."""
+    """The same mesh in trimesh."""
     return trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
 
 
@@ -53,14 +53,16 @@ def test_a_mesh_is_a_value() -> None:
         (np.zeros((4, 3)), np.array([[0, -1, 2]]), "indices run from -1 to 2, expected 0 to 3"),
     ],
 )
-def test_wrong_arrays_are_refused_with_what_was_expected(vertices: np.ndarray, faces: np.ndarray, message: str) -> None:
+def test_wrong_arrays_are_rejected_with_what_was_expected(
+    vertices: np.ndarray, faces: np.ndarray, message: str
+) -> None:
     with pytest.raises(ShapeError, match=message):
         Mesh(vertices, faces)
 
 
 @given(st.integers(0, 10_000), poses())
 @settings(max_examples=20)
-def test_measures_agree_with_another_package_wherever_the_solid_stands(seed: int, pose: Pose) -> None:
+def test_measures_agree_with_trimesh_at_any_pose(seed: int, pose: Pose) -> None:
     mesh = mesh_from_solid(standing(random_solid(seed))).moved(pose)
     peer = other(mesh)
     assert mesh.volume == pytest.approx(peer.volume, rel=1e-6)
@@ -83,7 +85,7 @@ def two_boxes_on_an_edge() -> Mesh:
     return mesh_from_solid(standing(touching)).merged()
 
 
-def test_every_defect_has_its_name() -> None:
+def test_every_defect_is_named() -> None:
     vertices, faces = CUBE.vertices, CUBE.faces
     assert defect(CUBE) is None
     assert defect(Mesh(vertices, faces[:0])) == "empty mesh"
@@ -95,7 +97,7 @@ def test_every_defect_has_its_name() -> None:
     assert "edges shared by more than two faces" in str(defect(two_boxes_on_an_edge()))
 
 
-def test_solids_and_meshes_are_two_forms_of_one_thing() -> None:
+def test_meshes_convert_to_solids_and_back() -> None:
     again = mesh_from_solid(solid_from_mesh(CUBE))
     assert again.volume == pytest.approx(CUBE.volume)
     assert len(again.faces) == 12
@@ -105,8 +107,8 @@ def test_solids_and_meshes_are_two_forms_of_one_thing() -> None:
         solid_from_mesh(Mesh(CUBE.vertices, CUBE.faces[:, ::-1]))
 
 
-def test_defect32_sees_what_a_loader_sees() -> None:
-    """Closed by its indices, yet two vertices are one for everybody who reads the file."""
+def test_defect_float32_checks_the_mesh_as_a_loader_reads_it() -> None:
+    """Closed by its indices, but two vertices are equal after float32 rounding."""
     parted = mesh_from_solid(box(10, 10, 10)).vertices * 1e-3, mesh_from_solid(box(10, 10, 10)).faces
     second = parted[0] + [10e-3, 10e-3 + 1e-12, 0]
     both = Mesh(np.concatenate([parted[0], second]), np.concatenate([parted[1], parted[1] + 8]))
@@ -120,7 +122,7 @@ def test_bodies_are_counted() -> None:
     assert body_count(mesh_from_solid(box(9, 9, 9) - box(3, 3, 3, (0, 0, 3)))) == 2
 
 
-def test_rounding_moves_less_than_a_float32_step_and_is_final() -> None:
+def test_rounding_moves_less_than_a_float32_step_and_is_idempotent() -> None:
     mesh = mesh_from_solid(standing(random_solid(3)))
     rounded = mesh.rounded_float32()
     assert np.array_equal(rounded.vertices, rounded.vertices.astype(np.float32))
@@ -128,7 +130,7 @@ def test_rounding_moves_less_than_a_float32_step_and_is_final() -> None:
     assert np.array_equal(rounded.rounded_float32().vertices, rounded.vertices)
 
 
-def test_merging_drops_doubles_strays_and_collapsed_faces() -> None:
+def test_merging_drops_duplicate_and_unused_vertices_and_collapsed_faces() -> None:
     loose = Mesh(np.concatenate([CUBE.triangles.reshape(-1, 3), [[9, 9, 9]]]), np.arange(36).reshape(12, 3))
     assert "not closed" in str(defect(loose))
     merged = loose.merged()
@@ -148,7 +150,7 @@ def test_surface_points_are_uniform_over_the_area() -> None:
 @given(st.integers(0, 10_000))
 @settings(max_examples=20)
 def test_hulls_are_exact_at_the_size_of_a_part(seed: int) -> None:
-    """In metres the hull of the solids package is off by micrometres: facets and volume tell."""
+    """In metres the hull of manifold3d is off by micrometres: compare facets and volume."""
     points = np.random.default_rng(seed).normal(0, 0.01, (60, 3))
     points = np.concatenate([points, points * [1, 1, 1 + 1e-4]])
     hull = mesh_from_solid(convex_hull(points))
@@ -158,7 +160,7 @@ def test_hulls_are_exact_at_the_size_of_a_part(seed: int) -> None:
 
 
 def test_walls_that_touch_on_an_edge_are_printable() -> None:
-    """Two pits that meet in one upright line leave a plate whose mesh no loader would take as closed."""
+    """Two pits that touch along one vertical line leave a plate whose mesh loaders consider open."""
     pits = box(10, 10, 20, (-5, -5, 4)) + box(10, 10, 20, (5, 5, 4))
     solid = standing(box(40, 40, 12) - pits)
     assert "shared by more than two faces" in str(defect_float32(mesh_from_solid(solid)))
@@ -169,7 +171,7 @@ def test_walls_that_touch_on_an_edge_are_printable() -> None:
     assert np.array_equal(mesh.vertices, mesh.rounded_float32().vertices)
 
 
-def test_splinters_and_films_do_not_open_a_printable_mesh() -> None:
+def test_slivers_and_thin_films_do_not_open_a_printable_mesh() -> None:
     rng = np.random.default_rng(1)
     for _ in range(6):
         solid = box(40, 40, 12)

@@ -1,4 +1,4 @@
-"""Poses obey the laws of rigid motion, to rounding, from the identity to a half turn."""
+"""Laws of rigid motions hold for poses, to rounding, from 0 to 180 degrees."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ laws = settings(max_examples=60)
 
 
 def assert_same(a: Pose, b: Pose, tolerance: float = ROUNDING) -> None:
-    """The poses move every point to the same place, within `tolerance` [rad and m]."""
+    """The poses map every point to the same point, within `tolerance` [rad and m]."""
     assert np.all(quaternion_angle(a.wxyz, b.wxyz) <= tolerance)
     assert np.all(np.abs(a.xyz - b.xyz) <= tolerance)
 
 
 def scipy_rotation(pose: Pose) -> Rotation:
-    """The same rotation in scipy, whose quaternions put the scalar last."""
+    """The same rotation in scipy, whose quaternions have the scalar last."""
     return Rotation.from_quat(np.roll(pose.wxyz, -1, axis=-1))
 
 
-# --- making ---
+# --- construction ---
 
 
 def test_arrays_are_copied_and_read_only() -> None:
@@ -80,13 +80,13 @@ def test_copies_keep_every_bit_and_stay_read_only(again: Callable[[Pose], Pose])
         (np.ones(4), np.array([0, np.inf, 0]), r"xyz: .* not finite"),
     ],
 )
-def test_bad_arrays_are_refused_by_name(wxyz: np.ndarray, xyz: np.ndarray, message: str) -> None:
+def test_bad_arrays_are_rejected_by_name(wxyz: np.ndarray, xyz: np.ndarray, message: str) -> None:
     with pytest.raises(ShapeError, match=message):
         Pose(wxyz, xyz)
 
 
 @pytest.mark.parametrize("q", [[0.0, 0, 0, 0], [1e-200, 0, 0, 0], [1e200, 1e200, 0, 0]])
-def test_a_quaternion_without_direction_is_refused(q: list[float]) -> None:
+def test_a_quaternion_without_direction_is_rejected(q: list[float]) -> None:
     with pytest.raises(InputError, match="wxyz: expected unit quaternions"):
         Pose(np.array(q), np.zeros(3))
 
@@ -109,7 +109,7 @@ def test_composition_is_associative(a: Pose, b: Pose, c: Pose) -> None:
 
 @given(poses())
 @laws
-def test_identity_changes_nothing_and_inverse_undoes(pose: Pose) -> None:
+def test_laws_of_identity_and_inverse(pose: Pose) -> None:
     one = Pose.identity()
     assert_same(one @ pose, pose)
     assert_same(pose @ one, pose)
@@ -119,7 +119,7 @@ def test_identity_changes_nothing_and_inverse_undoes(pose: Pose) -> None:
 
 @given(poses(), poses(), vectors(2.0))
 @laws
-def test_composing_is_applying_one_after_the_other(a: Pose, b: Pose, point: np.ndarray) -> None:
+def test_composition_applies_one_pose_after_the_other(a: Pose, b: Pose, point: np.ndarray) -> None:
     assert np.allclose((a @ b).apply(point), a.apply(b.apply(point)), rtol=0, atol=4 * ROUNDING)
 
 
@@ -138,7 +138,7 @@ def test_rotation_keeps_lengths_and_handedness(pose: Pose, u: np.ndarray, v: np.
     assert np.allclose(np.cross(turned_u, turned_v), pose.rotate(np.cross(u, v)), rtol=0, atol=4 * ROUNDING)
 
 
-def test_a_quarter_turn_about_z_takes_x_to_y() -> None:
+def test_90_degrees_about_z_map_x_to_y() -> None:
     pose = Pose.from_rotvec([0, 0, np.pi / 2], [1, 2, 3])
     assert np.allclose(pose.apply([1, 0, 0]), [1, 3, 3], rtol=0, atol=ROUNDING)
     assert np.allclose(pose.wxyz, [np.sqrt(0.5), 0, 0, np.sqrt(0.5)], rtol=0, atol=ROUNDING)
@@ -172,12 +172,12 @@ def test_exp_agrees_with_its_power_series(rho: np.ndarray, phi: np.ndarray) -> N
     assert np.allclose(Pose.exp(twist).xyz, position_by_power_series(twist), rtol=0, atol=4 * ROUNDING)
 
 
-# --- there and back ---
+# --- round trips ---
 
 
 @given(poses())
 @laws
-def test_pose_returns_through_matrix_rotation_vector_and_twist(pose: Pose) -> None:
+def test_round_trip_through_matrix_rotation_vector_and_twist(pose: Pose) -> None:
     assert_same(Pose.from_matrix(pose.matrix()), pose)
     assert_same(Pose.from_rotation_matrix(pose.rotation_matrix(), pose.xyz), pose)
     assert_same(Pose.from_rotvec(pose.rotvec(), pose.xyz), pose)
@@ -186,9 +186,9 @@ def test_pose_returns_through_matrix_rotation_vector_and_twist(pose: Pose) -> No
 
 @given(vectors(2.0), directions(), st.floats(0, 3.0))
 @laws
-def test_twist_returns_through_exp(rho: np.ndarray, axis: np.ndarray, angle: float) -> None:
+def test_log_is_the_inverse_of_exp(rho: np.ndarray, axis: np.ndarray, angle: float) -> None:
     twist = np.concatenate([rho, axis * angle])
-    # V is singular at a full turn; up to 3 rad its inverse magnifies rounding less than twice.
+    # V is singular at 360 degrees; up to 3 rad its inverse magnifies rounding less than twice.
     assert np.allclose(Pose.exp(twist).log(), twist, rtol=0, atol=10 * ROUNDING)
 
 
@@ -204,11 +204,11 @@ def test_small_angles_keep_their_relative_precision(axis: np.ndarray, angle: flo
 
 @given(directions(), small_angles())
 @laws
-def test_angles_next_to_a_half_turn_keep_their_distance_from_it(axis: np.ndarray, gap: float) -> None:
+def test_angles_near_180_degrees_keep_their_difference_from_it(axis: np.ndarray, gap: float) -> None:
     pose = Pose.from_rotvec(axis * (np.pi - gap))
     assert np.pi - pose.angle() == pytest.approx(gap, abs=ROUNDING)
     assert np.linalg.norm(pose.rotvec()) <= np.pi
-    over = Pose.from_rotvec(axis * (np.pi + gap))  # the short way round is the other way
+    over = Pose.from_rotvec(axis * (np.pi + gap))  # the shortest rotation is about the opposite axis
     assert np.allclose(over.rotvec(), -axis * (np.pi - gap), rtol=0, atol=ROUNDING)
 
 
@@ -221,7 +221,7 @@ def test_vanishing_rotation_vectors_give_the_identity_without_a_warning(size: fl
 
 @given(directions(), st.sampled_from([-1e-9, -1e-12, 0.0, 1e-12, 1e-9]))
 @laws
-def test_exp_and_log_do_not_jump_where_series_and_closed_form_meet(axis: np.ndarray, offset: float) -> None:
+def test_exp_and_log_are_continuous_where_series_and_closed_form_meet(axis: np.ndarray, offset: float) -> None:
     twist = np.concatenate([[1.0, -2.0, 0.5], axis * (0.5 + offset)])
     assert np.allclose(Pose.exp(twist).xyz, position_by_power_series(twist), rtol=0, atol=ROUNDING)
     assert np.allclose(Pose.exp(twist).log(), twist, rtol=0, atol=ROUNDING)
@@ -233,7 +233,7 @@ def test_minus_q_is_the_same_rotation(q: np.ndarray) -> None:
     plus, minus = Pose(q, np.zeros(3)), Pose(-q, np.zeros(3))
     assert np.array_equal(plus.rotation_matrix(), minus.rotation_matrix())
     assert plus.angle() == minus.angle()
-    # At exactly half a turn the axis may point either way.
+    # At exactly 180 degrees the axis may have either sign.
     assert np.allclose(plus.rotvec(), minus.rotvec()) or plus.angle() == pytest.approx(np.pi)
     assert quaternion_angle(q, -q) <= ROUNDING
 
@@ -247,19 +247,19 @@ def test_minus_q_is_the_same_rotation(q: np.ndarray) -> None:
         np.zeros((3, 3)),
     ],
 )
-def test_matrices_that_are_no_rotation_are_refused(matrix: np.ndarray) -> None:
-    with pytest.raises(InputError, match="expected a rotation, got one that scales, shears or mirrors"):
+def test_matrices_that_are_no_rotation_are_rejected(matrix: np.ndarray) -> None:
+    with pytest.raises(InputError, match="expected a rotation, got one that scales, shears or reflects"):
         Pose.from_rotation_matrix(matrix)
 
 
-def test_a_transposed_homogeneous_matrix_is_refused() -> None:
+def test_a_transposed_homogeneous_matrix_is_rejected() -> None:
     with pytest.raises(InputError, match="last row 0 0 0 1"):
         Pose.from_matrix(Pose.from_translation([1, 2, 3]).matrix().T)
 
 
 @given(poses())
 @laws
-def test_float32_matrices_are_taken(pose: Pose) -> None:
+def test_float32_matrices_are_accepted(pose: Pose) -> None:
     assert_same(Pose.from_matrix(pose.matrix().astype(np.float32)), pose, 1e-6)
 
 
@@ -268,7 +268,7 @@ def test_float32_matrices_are_taken(pose: Pose) -> None:
 
 @given(pose_batches(3), pose_batches(3), st.lists(vectors(2.0), min_size=3, max_size=3).map(np.array))
 @settings(max_examples=20)
-def test_a_batch_gives_bit_for_bit_what_its_members_give(a: Pose, b: Pose, points: np.ndarray) -> None:
+def test_a_batch_gives_bit_for_bit_the_results_of_its_members(a: Pose, b: Pose, points: np.ndarray) -> None:
     product, back, moved = a @ b, a.inverse(), a.apply(points)
     for i in range(3):
         assert np.array_equal(product[i].wxyz, (a[i] @ b[i]).wxyz)
@@ -284,7 +284,7 @@ def test_a_batch_gives_bit_for_bit_what_its_members_give(a: Pose, b: Pose, point
 
 
 @given(poses())
-def test_many_points_go_where_each_goes_alone_bit_for_bit(pose: Pose) -> None:
+def test_many_points_give_bit_for_bit_the_results_of_each_alone(pose: Pose) -> None:
     points = np.random.default_rng(0).normal(size=(100, 3))
     assert np.array_equal(pose.apply(points), [pose.apply(point) for point in points])
     assert np.array_equal(pose.apply(points[::2]), pose.apply(points)[::2])
@@ -309,7 +309,7 @@ def test_apply_broadcasts(batch: tuple, points: tuple, result: tuple) -> None:
     assert pose.rotate(np.zeros(points)).shape == result
 
 
-def test_points_that_fit_no_pose_are_refused_by_name() -> None:
+def test_points_that_fit_no_pose_are_rejected_by_name() -> None:
     with pytest.raises(ShapeError, match=r"points: expected shape \(\.\.\., 3\), got \(4, 2\)"):
         Pose.identity().apply(np.zeros((4, 2)))
     with pytest.raises(ShapeError, match=r"points: expected leading axes .* \(5, 4\), got shape \(7, 3\)"):
@@ -317,7 +317,7 @@ def test_points_that_fit_no_pose_are_refused_by_name() -> None:
 
 
 @pytest.mark.parametrize("batch", [(), (4,), (2, 3), (0,)])
-def test_every_reader_keeps_the_batch_shape(batch: tuple[int, ...]) -> None:
+def test_every_accessor_keeps_the_batch_shape(batch: tuple[int, ...]) -> None:
     pose = Pose.identity(batch)
     assert pose.matrix().shape == (*batch, 4, 4)
     assert pose.rotation_matrix().shape == (*batch, 3, 3)
@@ -355,12 +355,12 @@ def test_a_batch_iterates_and_a_single_pose_does_not() -> None:
 
 
 @pytest.mark.parametrize("pose", [Pose.identity(), Pose.identity((0,)), Pose.identity((2,))])
-def test_a_pose_is_neither_true_nor_false(pose: Pose) -> None:
-    with pytest.raises(TypeError, match="neither true nor false; ask whether there is one with `is None`"):
+def test_a_pose_has_no_truth_value(pose: Pose) -> None:
+    with pytest.raises(TypeError, match="has no truth value; test for a missing one with `is None`"):
         bool(pose)
 
 
-def test_stacking_undoes_iterating() -> None:
+def test_stacking_is_the_inverse_of_iterating() -> None:
     batch = Pose(random_quaternions(stream(4), 3), stream(5).normal(size=(3, 3)))
     again = Pose.stack(list(batch))
     assert np.array_equal(again.wxyz, batch.wxyz)
@@ -370,8 +370,8 @@ def test_stacking_undoes_iterating() -> None:
         Pose.stack([Pose.identity(), Pose.identity((2,))])
 
 
-def test_composing_with_anything_but_a_pose_is_refused() -> None:
-    with pytest.raises(TypeError, match=r"not with ndarray; points go to apply\(\)"):
+def test_composing_with_anything_but_a_pose_is_rejected() -> None:
+    with pytest.raises(TypeError, match=r"not with ndarray; use apply\(\) for points"):
         _ = Pose.identity() @ np.eye(4)  # pyright: ignore[reportOperatorIssue]
     with pytest.raises(TypeError):
         _ = np.eye(4) @ Pose.identity((4,))  # pyright: ignore[reportOperatorIssue]

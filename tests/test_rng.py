@@ -1,4 +1,4 @@
-"""Random streams: addresses, independence, and the numbers that published data rests on."""
+"""Random streams: addresses, independence, and golden numbers that published data depends on."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_addresses_that_could_be_confused_differ() -> None:
     assert len({tuple(first(7, *key)) for key in keys}) == len(keys)
 
 
-def test_a_root_beyond_one_word_does_not_reach_into_the_key() -> None:
+def test_a_root_of_several_words_does_not_overlap_the_key() -> None:
     assert first(1 + 5 * 2**32) != first(1, 5)
     assert first(2**127) != first(0)
 
@@ -54,7 +54,7 @@ def test_streams_do_not_depend_on_the_order_or_number_of_calls() -> None:
     assert alone == forward[13]
 
 
-def test_drawing_from_one_stream_moves_no_other() -> None:
+def test_drawing_from_one_stream_changes_no_other() -> None:
     busy, quiet = stream(3, "a"), stream(3, "b")
     busy.random(1000)
     assert quiet.integers(0, 2**64, 4, dtype=np.uint64).tolist() == first(3, "b")
@@ -66,7 +66,7 @@ def test_sibling_streams_are_uncorrelated() -> None:
     assert np.abs(correlation).max() < 5 / np.sqrt(4000)  # five standard deviations over 66 pairs
 
 
-def test_strings_mean_the_same_in_another_process() -> None:
+def test_strings_give_the_same_stream_in_another_process() -> None:
     # Python's own hash of a string changes from run to run; the stream must not.
     code = "from kit1000.rng import stream; print(stream(5, 'scene', 3, 'Schlüssel').integers(0, 2**63))"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
@@ -74,18 +74,18 @@ def test_strings_mean_the_same_in_another_process() -> None:
 
 
 @pytest.mark.parametrize("root", [-1, 2**128, 1.0, "7", None])
-def test_a_bad_root_is_refused_by_name(root: object) -> None:
+def test_a_bad_root_is_rejected_by_name(root: object) -> None:
     with pytest.raises(InputError, match="root seed: expected"):
         stream(root)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("entry", [-1, 2**32, 0.5, None, b"part"])
-def test_a_bad_key_is_refused_by_name(entry: object) -> None:
+def test_a_bad_key_is_rejected_by_name(entry: object) -> None:
     with pytest.raises(InputError, match="stream key: expected"):
         stream(0, "part", entry)  # pyright: ignore[reportArgumentType]
 
 
-def test_numpy_integers_serve_as_keys() -> None:
+def test_numpy_integers_are_valid_keys() -> None:
     assert first(int(np.int64(4)), np.uint8(7)) == first(4, 7)  # pyright: ignore[reportArgumentType]
 
 

@@ -1,4 +1,4 @@
-"""Symmetries are groups, and the closed-form error is what trying every symmetric orientation would give."""
+"""Symmetries are groups; the closed-form error equals the minimum over all symmetric orientations."""
 
 from __future__ import annotations
 
@@ -112,9 +112,9 @@ def test_the_cube_group_is_every_signed_permutation_of_the_axes() -> None:
     assert len({m.tobytes() for m in rounded + 0.0}) == 24
 
 
-def test_dihedral_keeps_a_prism_and_nothing_more() -> None:
+def test_dihedral_is_the_whole_symmetry_of_a_prism() -> None:
     corners = [[np.cos(t), np.sin(t), z] for t in np.arange(5) * 2 * np.pi / 5 for z in (-1, 1)]
-    prism = np.array(corners)  # one corner on +x: half a turn about x keeps it
+    prism = np.array(corners)  # one corner on +x: 180 degrees about x map the prism to itself
     turned = Pose(Symmetry.dihedral(5).rotations[:, None], np.zeros(3)).apply(prism)
     gaps = np.linalg.norm(turned[:, :, None] - prism, axis=-1).min(axis=-1)
     assert gaps.max() < ROUNDING
@@ -133,7 +133,7 @@ def test_dihedral_keeps_a_prism_and_nothing_more() -> None:
         np.zeros((0, 4)),
     ],
 )
-def test_what_is_no_group_is_refused(rotations: np.ndarray) -> None:
+def test_rotations_that_form_no_group_are_rejected(rotations: np.ndarray) -> None:
     with pytest.raises(InputError, match="expected a group of distinct rotations with the identity first"):
         Symmetry(rotations)
 
@@ -141,13 +141,13 @@ def test_what_is_no_group_is_refused(rotations: np.ndarray) -> None:
 @pytest.mark.parametrize(
     "rotations",
     [
-        quaternion_from_rotvec([[0, 0, 0], [0, np.pi / 2, 0]]),  # takes the free axis elsewhere
-        quaternion_from_rotvec([[0, 0, 0], [0.6 * np.pi, 0, 0.8 * np.pi]]),  # so does this, and back again
-        quaternion_from_rotvec([[0, 0, 0], [0, 0, np.pi]]),  # already among the free turns
+        quaternion_from_rotvec([[0, 0, 0], [0, np.pi / 2, 0]]),  # moves the free axis
+        quaternion_from_rotvec([[0, 0, 0], [0.6 * np.pi, 0, 0.8 * np.pi]]),  # likewise, and back again
+        quaternion_from_rotvec([[0, 0, 0], [0, 0, np.pi]]),  # already among the rotations about the axis
         quaternion_from_rotvec([[0, 0, 0], [np.pi, 0, 0], [0, np.pi, 0]]),  # the same flip twice
     ],
 )
-def test_rotations_that_do_not_go_with_a_free_axis_are_refused(rotations: np.ndarray) -> None:
+def test_rotations_incompatible_with_a_free_axis_are_rejected(rotations: np.ndarray) -> None:
     with pytest.raises(InputError, match="expected a group"):
         Symmetry(rotations, np.array([0.0, 0, 1]))
 
@@ -161,7 +161,7 @@ def test_generated_groups_do_not_depend_on_order_or_repeats_of_generators() -> N
     assert Symmetry.generated(np.zeros((0, 4))).name == "none"
 
 
-def test_generated_refuses_groups_beyond_120() -> None:
+def test_generated_rejects_groups_beyond_120() -> None:
     assert Symmetry.generated(quaternion_from_rotvec([[0, 0, 2 * np.pi / 120]])).name == "C120"
     with pytest.raises(InputError, match="up to 120 rotations"):
         Symmetry.generated(quaternion_from_rotvec([[0, 0, 2 * np.pi / 121]]))
@@ -169,7 +169,7 @@ def test_generated_refuses_groups_beyond_120() -> None:
         Symmetry.generated(quaternion_from_rotvec([[0, 0, 1.0]]))
 
 
-def test_bad_words_are_refused_by_name() -> None:
+def test_invalid_arguments_are_rejected_by_name() -> None:
     with pytest.raises(InputError, match="flip: expected a perpendicular of the axis"):
         Symmetry.dihedral(3, [0, 0, 1], [1, 0, 0.1])
     with pytest.raises(InputError, match="axis: expected a direction"):
@@ -181,7 +181,7 @@ def test_bad_words_are_refused_by_name() -> None:
             Symmetry.cyclic(n)  # pyright: ignore[reportArgumentType]
 
 
-def test_module_words_make_the_same_symmetries() -> None:
+def test_module_functions_make_the_same_symmetries() -> None:
     for word in ("none", "cyclic", "dihedral", "free", "free_flipped", "generated", "cube"):
         assert getattr(symmetry, word) == getattr(Symmetry, word)
 
@@ -202,7 +202,7 @@ def test_copies_keep_every_bit_and_stay_read_only(sym: Symmetry, again: Callable
 
 
 @pytest.mark.parametrize("sym", FINITE, ids=lambda sym: sym.name)
-def test_error_of_a_finite_group_is_the_nearest_of_all_its_orientations(sym: Symmetry) -> None:
+def test_error_of_a_finite_group_is_the_minimum_over_its_orientations(sym: Symmetry) -> None:
     estimate, truth = random_quaternions(stream(1), 200), random_quaternions(stream(2), 200)
     orientations = quaternion_multiply(truth[:, None], sym.rotations)
     brute = quaternion_angle(orientations, estimate[:, None]).min(axis=1)
@@ -210,7 +210,7 @@ def test_error_of_a_finite_group_is_the_nearest_of_all_its_orientations(sym: Sym
 
 
 @pytest.mark.parametrize("sym", FREE, ids=lambda sym: sym.name)
-def test_error_about_a_free_axis_is_the_nearest_of_a_fine_grid(sym: Symmetry) -> None:
+def test_error_about_a_free_axis_is_the_minimum_over_a_fine_grid(sym: Symmetry) -> None:
     estimate, truth = random_quaternions(stream(3), 60), random_quaternions(stream(4), 60)
     step = np.deg2rad(0.1)
     assert sym.axis is not None
@@ -219,12 +219,12 @@ def test_error_about_a_free_axis_is_the_nearest_of_a_fine_grid(sym: Symmetry) ->
     brute = quaternion_angle(quaternion_multiply(truth[:, None], group), estimate[:, None]).min(axis=1)
     closed = sym.error(estimate, truth)
     assert np.all(closed <= brute + ROUNDING)  # no member of the grid is nearer
-    assert np.all(brute <= closed + step / 2)  # and the nearest stands half a step away at most
+    assert np.all(brute <= closed + step / 2)  # and the nearest is at most half a step away
 
 
 @pytest.mark.parametrize("sym", FREE, ids=lambda sym: sym.name)
 def test_error_about_a_free_axis_is_the_angle_between_the_axes(sym: Symmetry) -> None:
-    # Another closed form: only where the axis points can differ, up to its two ends with a flip.
+    # Another closed form: only the direction of the axis can differ, up to its sign with a flip.
     estimate, truth = random_quaternions(stream(5), 200), random_quaternions(stream(6), 200)
     assert sym.axis is not None
     a, b = Pose(estimate, np.zeros(3)).rotate(sym.axis), Pose(truth, np.zeros(3)).rotate(sym.axis)
@@ -244,7 +244,7 @@ def test_error_is_zero_at_every_symmetric_orientation(sym: Symmetry, data: st.Da
 @each
 @given(data=st.data(), estimate=quaternions(), truth=quaternions(), world=quaternions())
 @settings(max_examples=15)
-def test_error_ignores_the_world_frame_and_turns_by_a_symmetry(
+def test_error_is_invariant_to_the_world_frame_and_to_symmetries(
     sym: Symmetry, data: st.DataObject, estimate: np.ndarray, truth: np.ndarray, world: np.ndarray
 ) -> None:
     error = sym.error(estimate, truth)
@@ -260,7 +260,7 @@ def test_error_ignores_the_world_frame_and_turns_by_a_symmetry(
 @each
 @given(estimate=quaternions(), truth=quaternions(), third=quaternions())
 @settings(max_examples=15)
-def test_error_is_a_metric_no_larger_than_the_plain_angle(
+def test_error_is_a_metric_at_most_the_geodesic_angle(
     sym: Symmetry, estimate: np.ndarray, truth: np.ndarray, third: np.ndarray
 ) -> None:
     error = sym.error(estimate, truth)
@@ -276,7 +276,7 @@ def test_small_errors_across_a_free_axis_are_exact(truth: np.ndarray, axis: np.n
     small = quaternion_from_rotvec(tilt * across / np.linalg.norm(across))
     estimate = quaternion_multiply(quaternion_multiply(truth, quaternion_from_rotvec(1.3 * axis)), small)
     assert Symmetry.free(axis).error(estimate, truth) == pytest.approx(tilt, abs=ROUNDING)
-    # The far end of the same cylinder is a half turn less the tilt away, for a cone.
+    # The opposite end of the same cylinder is 180 degrees minus the tilt away, for a cone.
     end = quaternion_multiply(estimate, quaternion_from_rotvec(np.pi * across / np.linalg.norm(across)))
     assert np.pi - Symmetry.free(axis).error(end, truth) == pytest.approx(tilt, abs=ROUNDING)
     assert Symmetry.free_flipped(axis).error(end, truth) == pytest.approx(tilt, abs=ROUNDING)
@@ -292,7 +292,7 @@ def test_known_errors_in_degrees() -> None:
     assert np.rad2deg(Symmetry.free([1, 0, 0]).error(turn, one)) == pytest.approx(50)
 
 
-def test_error_broadcasts_and_refuses_wrong_shapes() -> None:
+def test_error_broadcasts_and_rejects_wrong_shapes() -> None:
     sym = Symmetry.cube()
     assert sym.error(np.ones((5, 1, 4)), np.ones((3, 4))).shape == (5, 3)
     assert sym.error(np.ones(4), np.ones(4)).shape == ()
@@ -305,7 +305,7 @@ def test_error_broadcasts_and_refuses_wrong_shapes() -> None:
 
 
 @each
-def test_expanded_lists_members_only_and_leaves_no_gap_over_the_step(sym: Symmetry) -> None:
+def test_expanded_lists_members_with_no_gap_over_the_step(sym: Symmetry) -> None:
     step = np.deg2rad(7)
     listed = sym.expanded(step)
     assert np.all(sym.error(listed, [1, 0, 0, 0]) <= ROUNDING)
@@ -315,7 +315,7 @@ def test_expanded_lists_members_only_and_leaves_no_gap_over_the_step(sym: Symmet
         assert quaternion_angle(listed, member).min() <= step / 2
 
 
-def test_expanded_takes_a_step_that_divides_the_circle_as_it_is() -> None:
+def test_expanded_uses_a_step_that_divides_the_circle_exactly() -> None:
     for count in (1, 3, 7, 36, 720):
         assert len(Symmetry.free().expanded(2 * np.pi / count)) == count
     for step in (0.0, -1.0, np.nan, 7.0):
@@ -326,10 +326,10 @@ def test_expanded_takes_a_step_that_divides_the_circle_as_it_is() -> None:
 @each
 @given(turn=quaternions(), estimate=quaternions(), truth=quaternions())
 @settings(max_examples=10)
-def test_conjugated_is_the_symmetry_of_the_turned_part(
+def test_conjugated_is_the_symmetry_of_the_rotated_part(
     sym: Symmetry, turn: np.ndarray, estimate: np.ndarray, truth: np.ndarray
 ) -> None:
-    # Turning the part by q in its own axes and every pose back by q leaves the scene as it was.
+    # Rotating the part by q in its own axes and every pose back by q changes nothing in the scene.
     turned = sym.conjugated(turn)
     back = quaternion_conjugate(turn)
     error = turned.error(quaternion_multiply(estimate, back), quaternion_multiply(truth, back))

@@ -1,4 +1,4 @@
-"""The nouns are frozen, hold read-only copies, and refuse what they cannot be with expected and actual."""
+"""Values are frozen, hold read-only copies, and reject invalid fields with the expected and the actual value."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ def view(**changes: Any) -> View:
     return View(**{"camera": CAMERA, "world_from_camera": POSE, "depth": np.ones((6, 8), np.float32), **changes})
 
 
-def look(**changes: Any) -> LabelledDepth:
+def image(**changes: Any) -> LabelledDepth:
     return LabelledDepth(**{"view": view(), "labels": np.zeros((6, 8), np.uint8), **changes})
 
 
 def query(**changes: Any) -> Query:
     return Query(**{"id": "q", "scene_id": "s", "track": "snap", "sensor": "ideal", "part": 1, "drawn": True,
-                    "pivot": np.zeros(3), "guess": POSE, "read_image": look, **changes})  # fmt: skip
+                    "pivot": np.zeros(3), "guess": POSE, "read_image": image, **changes})  # fmt: skip
 
 
 def prediction(**changes: Any) -> Prediction:
@@ -81,7 +81,7 @@ def scene(**changes: Any) -> Scene:
     return Scene(**{"id": "s", "bodies": (Body("p", POSE),), **changes})
 
 
-MAKERS: list[Callable[..., Any]] = [part, slot, kit, view, look, query, prediction, truth, free_axis, scene]
+MAKERS: list[Callable[..., Any]] = [part, slot, kit, view, image, query, prediction, truth, free_axis, scene]
 
 
 @pytest.mark.parametrize("make", MAKERS)
@@ -97,7 +97,7 @@ def test_values_are_frozen(make: Callable[..., Any]) -> None:
     [
         (kit, "extent", np.array([0.1, 0.1, 0.022])),
         (view, "depth", np.ones((6, 8), np.float32)),
-        (look, "labels", np.zeros((6, 8), np.uint8)),
+        (image, "labels", np.zeros((6, 8), np.uint8)),
         (query, "pivot", np.zeros(3)),
         (truth, "anchor", np.zeros(3)),
         (free_axis, "point", np.zeros(3)),
@@ -119,8 +119,8 @@ def test_arrays_are_read_only_copies(make: Callable[..., Any], name: str, array:
         (kit, {"extent": np.zeros(2)}, r"extent: expected .*\(3,\), got shape \(2,\)"),
         (kit, {"extent": np.array([0.1, np.inf, 0.1])}, "extent"),
         (view, {"depth": np.ones((8, 6))}, r"depth: expected .*\(6, 8\), got shape \(8, 6\)"),
-        (look, {"labels": np.zeros((6, 7), np.uint8)}, r"labels: expected .*\(6, 8\), got shape \(6, 7\)"),
-        (look, {"labels": np.full((6, 8), 0.5)}, r"labels: expected uint8 .*, which is no uint8"),
+        (image, {"labels": np.zeros((6, 7), np.uint8)}, r"labels: expected .*\(6, 8\), got shape \(6, 7\)"),
+        (image, {"labels": np.full((6, 8), 0.5)}, r"labels: expected uint8 .*, which is no uint8"),
         (query, {"pivot": np.zeros((1, 3))}, r"pivot: expected .*\(3,\), got shape \(1, 3\)"),
         (truth, {"anchor": np.zeros(4)}, r"anchor: expected .*\(3,\), got shape \(4,\)"),
         (free_axis, {"direction": np.array([0, 0, 2.0])}, "direction: expected a unit vector, got length 2"),
@@ -133,7 +133,9 @@ def test_arrays_are_read_only_copies(make: Callable[..., Any], name: str, array:
         (prediction, {"confidence": float("nan")}, "confidence of q: expected 0 to 1, got nan"),
     ],
 )
-def test_refusals_say_expected_and_actual(make: Callable[..., Any], changes: dict[str, Any], message: str) -> None:
+def test_errors_state_the_expected_and_the_actual_value(
+    make: Callable[..., Any], changes: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ShapeError, match=message):
         make(**changes)
 
@@ -147,13 +149,13 @@ def test_dimensions_are_a_read_only_copy() -> None:
         made.dimensions["d"] = 5.0  # pyright: ignore[reportIndexIssue]
 
 
-def test_a_query_reads_its_images_once_and_only_when_looked_at() -> None:
+def test_a_query_reads_its_images_once_and_on_first_use() -> None:
     looks = []
     labels = np.zeros((6, 8), np.uint8)
     labels[1:3], labels[4, 2:5] = ASSEMBLY_LABEL, FIRST_PART_LABEL + 1
 
     def read() -> LabelledDepth:
-        looks.append(look(labels=labels))
+        looks.append(image(labels=labels))
         return looks[-1]
 
     asked = query(part=1, read_image=read)
