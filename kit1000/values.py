@@ -1,7 +1,7 @@
-"""The nouns of kit assembly as frozen values: parts, slots, kits, assemblies, scenes, views, queries, predictions.
+"""The values of kit assembly as frozen dataclasses: part, slot, kit, assembly, scene, view, query, prediction.
 
-SI units (m, rad, kg, s); arrays are float64, read-only and checked when made; quaternions are wxyz; `a_from_b` maps
-coordinates in b to coordinates in a.
+SI units (m, rad, kg, s); arrays are float64, read-only and checked at construction; quaternions are wxyz; `a_from_b`
+maps coordinates in b to coordinates in a.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ FIRST_PART_LABEL = 2
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A rigid machine part. Its frame sits at the volume centroid, which every symmetry fixes; axes as drawn."""
+    """A rigid machine part. The origin of its frame is the volume centroid, fixed by every symmetry; axes as made."""
 
     id: str
     family: str
     mesh: Mesh
     symmetry: Symmetry
     dimensions: Mapping[str, float]
-    """The numbers it was drawn from, in the unit their family names; empty for a part read from a file."""
+    """The parameters of its family, in the unit that the family states; empty for a part from a file."""
     mass: float
     """[kg]"""
 
@@ -43,7 +43,7 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class FreeAxis:
-    """A line about which a seated part may turn by any angle."""
+    """A line about which a seated part may be rotated by any angle."""
 
     point: np.ndarray
     """(3,) [m] in the kit frame."""
@@ -60,19 +60,19 @@ class FreeAxis:
 
 @dataclass(frozen=True, eq=False)
 class Slot:
-    """Where a part goes in a kit."""
+    """The place of a part in a kit: its cavity and its goals."""
 
     part_id: str
     kit_from_part: Pose
-    """The design pose: seated, on the cavity's floor."""
+    """The design pose: seated on the cavity's floor."""
     clearance: float
     """[m] horizontal, between the part's swept shadow and the walls."""
     depth: float
     """[m] from the rim to the cavity's floor."""
     goals: Pose
-    """(n,) kit_from_part poses that are equally right; the design pose comes first."""
+    """(n,) equivalent goal poses kit_from_part; the design pose is the first."""
     free_axis: FreeAxis | None = None
-    """Each goal may be turned about this line by any angle and stays a goal."""
+    """Each goal rotated about this line by any angle is also a goal."""
 
     def __post_init__(self) -> None:
         _positive("clearance", self.clearance)
@@ -97,7 +97,7 @@ class Kit:
 
 @dataclass(frozen=True, eq=False)
 class Mount:
-    """A kit on its bracket."""
+    """A kit on its bracket, with its pose in the assembly."""
 
     kit: Kit
     assembly_from_kit: Pose
@@ -114,7 +114,7 @@ class Assembly:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """Something that stands in a scene: a part or an assembly, by its id."""
+    """A body of a scene: a part or an assembly, by its id."""
 
     id: str
     world_from_body: Pose
@@ -122,7 +122,7 @@ class Body:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Bodies with poses; nothing about what was seen."""
+    """The bodies of a scene with their poses, without any observation."""
 
     id: str
     bodies: tuple[Body, ...]
@@ -131,7 +131,7 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One depth image."""
+    """A depth image with its camera and camera pose."""
 
     camera: Camera
     world_from_camera: Pose
@@ -149,7 +149,7 @@ class LabelledDepth:
 
     view: View
     labels: np.ndarray
-    """(H, W) uint8: 0 nothing or table, ASSEMBLY_LABEL the kits, FIRST_PART_LABEL + i part i."""
+    """(H, W) uint8: 0 background or table, ASSEMBLY_LABEL the kits, FIRST_PART_LABEL + i part i."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "labels", checked("labels", self.labels, self.view.depth.shape, np.uint8))
@@ -157,23 +157,23 @@ class LabelledDepth:
 
 @dataclass(frozen=True, eq=False)
 class Query:
-    """What a method is asked: which part, which region of the kit, and roughly how. Images load when first read."""
+    """One task for a method: a part, the kit region, and perhaps an initial guess. Images are read on first use."""
 
     id: str
     scene_id: str
     track: str
     sensor: str
-    """Which depth image to read: ideal or d415."""
+    """The sensor of its depth image: ideal or d415."""
     part: int
     """Index of the part among those of its scene."""
     drawn: bool
-    """Whether this is the one target that was drawn for the scene."""
+    """Whether its part is the one randomly drawn target of the scene."""
     pivot: np.ndarray
-    """(3,) [m] world: middle of the extents of the part's masked depth points, rounded to 0.1 mm."""
+    """(3,) [m] world: centre of the extents of the part's masked depth points, rounded to 0.1 mm."""
     guess: Pose | None
-    """goal_from_now of a person, turned about the pivot; None when nobody says."""
+    """The user's initial guess of goal_from_now, its rotation error about the pivot; None on tracks without guess."""
     read_image: Callable[[], LabelledDepth]
-    """Reads the images."""
+    """Reads the depth image and its masks."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "pivot", checked("pivot", self.pivot, (3,)))
@@ -201,7 +201,7 @@ class Query:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The motion a method answers with: how the part it sees must move in the world."""
+    """The predicted motion of the part to its goal, in the world."""
 
     query_id: str
     goal_from_now: Pose
@@ -215,7 +215,7 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What a scorer knows about a query."""
+    """The ground truth of a query."""
 
     query_id: str
     assembly_id: str
@@ -224,16 +224,16 @@ class Truth:
     rest_mode: str
     """upright or tumbled"""
     kits: int
-    """How many kits the assembly has."""
+    """Number of kits of the assembly."""
     visible: float
-    """Share of the part's silhouette that the camera sees."""
+    """Visible share of the part's silhouette."""
     anchor: np.ndarray
-    """(3,) [m] world: the part's centroid now."""
+    """(3,) [m] world: the part's centroid at its current pose."""
     world_from_part: Pose
     world_from_kit: Pose
     slot: Slot
     goal_drawn: Pose
-    """goal_from_now of the goal that the guess was drawn around; of the design pose where nobody guesses."""
+    """goal_from_now of the goal from which the guess was drawn; of the design pose on tracks without guess."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "anchor", checked("anchor", self.anchor, (3,)))
