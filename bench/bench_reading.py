@@ -1,9 +1,9 @@
-"""Reading a dataset: scenes, depth images and volumes a second, and whether two workers keep a training step fed.
+"""Speed of reading a dataset: scenes, depth images and volumes per second, and whether two workers feed a training.
 
     python bench/bench_reading.py data/kit1000
 
-Without a folder a tiny dataset is made first. Random order; each scene is asked for anew, as in training. Fed means
-that a loop of steps of 0.2 s waits for its batches less than a twentieth of the time.
+Without a folder a tiny dataset is generated first. Scenes are read in random order, each one from the start, as in
+training. Two workers suffice when a loop of steps of 0.2 s waits for its batches less than 5 % of the time.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from kit1000.errors import Kit1000Error
 from kit1000.values import Query, Truth, View
 
 STEP = 0.2  # [s] of computation for a batch
-SCENES, IMAGES = 200, 100  # [1/s] to reach, of scenes' queries and of depth images
+SCENES, IMAGES = 200, 100  # [1/s] goals for the queries of scenes, and for depth images
 
 
 @dataclass(frozen=True)
@@ -37,32 +37,34 @@ class Reading:
     """Measure how fast a dataset is read."""
 
     data: tyro.conf.Positional[Path | None] = None
-    """Dataset folder; a tiny one is made when absent."""
+    """Dataset folder; a tiny dataset is generated when absent."""
     seconds: float = 3.0
-    """Of each measurement, at least."""
+    """Minimum duration of each measurement."""
     batch: int = 8
     workers: int = 2
     seed: int = 0
-    """Of the order."""
+    """Seed of the random order."""
 
 
-def main(asked: Reading) -> None:
+def main(options: Reading) -> None:
     """Print the table."""
     torch.set_num_threads(1)
-    with measured_dataset(asked.data) as (dataset, spare):
+    with measured_dataset(options.data) as (dataset, temporary_folder):
         split = dataset.split("train", truth=True)
         track = next(query.track for query in split.queries() if query.guess is not None)
         queries = len(list(split.queries(track)))
         print(f"{dataset.root.name}: {len(split)} scenes of train, {queries} queries of {track}")
-        order = np.random.default_rng(asked.seed)
-        _rate("queries of a scene, no image", lambda i: split.scene(i).queries, split.scene_ids, order, asked, SCENES)
+        order = np.random.default_rng(options.seed)
+        _print_rate(
+            "queries of a scene, no image", lambda i: split.scene(i).queries, split.scene_ids, order, options, SCENES
+        )
         first, shard = next(iter(split.shards.items()))
         for sensor in dataset.observation_file(shard).view_keys(first):
-            view = partial(_view, split, sensor)
-            _rate(f"depth image, {sensor}", view, split.scene_ids, order, asked, IMAGES)
-        cache = VolumeCache(spare / "volumes")
+            view = partial(_read_view, split, sensor)
+            _print_rate(f"depth image, {sensor}", view, split.scene_ids, order, options, IMAGES)
+        cache = VolumeCache(temporary_folder / "volumes")
         makers = {
-            "the query alone": _nothing,
+            "the query alone": _id_only,
             "images and masks": depth_item,
             "volumes of 2 x 64^3 from depth": VolumeItem(dataset),
             "the same, true": VolumeItem(dataset, source="truth"),
@@ -71,36 +73,35 @@ def main(asked: Reading) -> None:
         }
         for name, make in makers.items():
             items = QueryDataset(split, track, make)
-            _warm(items)
-            _rate(f"item: {name}", items.__getitem__, list(range(len(items))), order, asked)
+            _warm_up(items)
+            _print_rate(f"item: {name}", items.__getitem__, list(range(len(items))), order, options)
         print(f"cache: {cache.size()}")
         for name, make in makers.items():
-            _feed(name, QueryDataset(split, track, make), asked)
+            _print_waiting(name, QueryDataset(split, track, make), options)
 
 
-def _view(split: Split, key: str, scene_id: str) -> View:
+def _read_view(split: Split, key: str, scene_id: str) -> View:
     return split.dataset.observation_file(split.shards[scene_id]).view(scene_id, key)
 
 
-def _nothing(query: Query, truth: Truth | None, rng: np.random.Generator) -> Item:
+def _id_only(query: Query, truth: Truth | None, rng: np.random.Generator) -> Item:
     return {"id": query.id}
 
 
-def _warm(items: QueryDataset) -> None:
-    """Compile, and fill the cache where there is one."""
+def _warm_up(items: QueryDataset) -> None:
+    """Compile, and fill the cache if there is one."""
     for index in range(len(items)) if getattr(items.make, "cache", None) else [0]:
         items[index]
 
 
-def _rate(
-    name: str, read: Callable[[Any], Any], of: list, order: np.random.Generator, asked: Reading, goal: float = 0
+def _print_rate(
+    name: str, read: Callable[[Any], Any], items: list, order: np.random.Generator, options: Reading, goal: float = 0
 ) -> None:
-    """Print how many a second are read, beside the goal: in one random order again and again, so that nothing that
-    is remembered of the last few helps."""
-    shuffled = [of[i] for i in order.permutation(len(of))]
+    """Print how many items are read per second, and the goal. The random order makes caches of the last few useless."""
+    shuffled = [items[i] for i in order.permutation(len(items))]
     read(shuffled[-1])
     count, started, computed = 0, time.perf_counter(), time.process_time()
-    while time.perf_counter() - started < asked.seconds:
+    while time.perf_counter() - started < options.seconds:
         for one in shuffled:
             read(one)
         count += len(shuffled)
@@ -111,26 +112,28 @@ def _rate(
     )
 
 
-def _feed(name: str, items: QueryDataset, asked: Reading) -> None:
-    """Print which share of its time a loop of steps spends waiting, its first batch apart."""
-    steps = max(int(asked.seconds * 3 / STEP), 10)
-    sampler = torch.utils.data.RandomSampler(items, replacement=True, num_samples=(steps + 1) * asked.batch)
-    loader = DataLoader(items, asked.batch, sampler=sampler, num_workers=asked.workers)
+def _print_waiting(name: str, items: QueryDataset, options: Reading) -> None:
+    """Print the share of time that a loop of training steps waits for batches, without the first batch."""
+    steps = max(int(options.seconds * 3 / STEP), 10)
+    sampler = torch.utils.data.RandomSampler(items, replacement=True, num_samples=(steps + 1) * options.batch)
+    loader = DataLoader(items, options.batch, sampler=sampler, num_workers=options.workers)
     batches = iter(loader)
     next(batches)
     waited, started = 0.0, time.perf_counter()
     for _ in range(steps):
-        begun = time.perf_counter()
+        step_started = time.perf_counter()
         next(batches)
-        waited += time.perf_counter() - begun
+        waited += time.perf_counter() - step_started
         _compute(STEP)
     share = waited / (time.perf_counter() - started)
-    told = "fed" if share < 0.05 else "STARVED"
-    print(f"{asked.workers} workers, {asked.batch} a batch, step {STEP} s: {name:32}{share:7.1%} waiting   {told}")
+    verdict = "sufficient" if share < 0.05 else "TOO SLOW"
+    print(
+        f"{options.workers} workers, {options.batch} a batch, step {STEP} s: {name:32}{share:7.1%} waiting   {verdict}"
+    )
 
 
 def _compute(seconds: float) -> None:
-    """Keep one core busy, as a step on the CPU does."""
+    """Keep one core busy, like a training step on the CPU."""
     matrix, started = torch.eye(64), time.perf_counter()
     while time.perf_counter() - started < seconds:
         matrix = matrix @ matrix

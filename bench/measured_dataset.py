@@ -1,4 +1,4 @@
-"""The dataset that a benchmark measures on: the one asked for, or a tiny one."""
+"""The dataset of a benchmark: the given one, or a tiny one."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from kit1000.generation.presets import preset
 
 @contextmanager
 def measured_dataset(folder: Path | None) -> Iterator[tuple[Dataset, Path]]:
-    """The dataset of a folder, or where there is none a tiny one; and a folder for whatever else, gone afterwards."""
-    with tempfile.TemporaryDirectory() as spare:
+    """The dataset of a folder, a new tiny one when None, and a temporary folder that is deleted afterwards."""
+    with tempfile.TemporaryDirectory() as temporary:
         if folder is None:
-            folder = Path(spare) / "tiny"
+            folder = Path(temporary) / "tiny"
             generate(preset("tiny"), folder, workers=1)
-        yield Dataset(folder), Path(spare)
+        yield Dataset(folder), Path(temporary)

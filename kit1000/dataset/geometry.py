@@ -25,9 +25,9 @@ class Geometry:
         if not (self.root / "dataset.json").is_file():
             raise InputError(f"{self.root}: no dataset ({self._missing()})")
         self.summary: dict[str, Any] = read_json(self.root / "dataset.json")
-        found = self.summary.get("format") if isinstance(self.summary, dict) else None
-        if found != FORMAT:
-            raise InputError(f"{self.root}: dataset.json has format {found!r}, this version reads {FORMAT!r}")
+        version = self.summary.get("format") if isinstance(self.summary, dict) else None
+        if version != FORMAT:
+            raise InputError(f"{self.root}: dataset.json has format {version!r}, this version reads {FORMAT!r}")
         self.part = lru_cache(maxsize=CACHED)(self._part)
         self.kit = lru_cache(maxsize=64)(self._kit)
         self.assembly = lru_cache(maxsize=CACHED)(self._assembly)
@@ -49,7 +49,7 @@ class Geometry:
         return read_json(self.root / "assemblies.json")
 
     def true_geometry(self, truth: Truth) -> TrueGeometry:
-        """The shapes that a query is about and where they stand, without its goals."""
+        """The meshes and poses of a query's part and assembly, without its goals."""
         assembly = self.assembly(truth.assembly_id)
         mount = next(mount for mount in assembly.mounts if mount.kit.id == truth.part_id)
         world_from_assembly = truth.world_from_kit @ mount.assembly_from_kit.inverse()

@@ -163,11 +163,13 @@ def _contents(summary: Mapping[str, Any]) -> Iterator[str]:
     rows = [(split, *(summary["counts"].get(split, {}).get(kind, 0) for kind in kinds)) for split in SPLITS]
     yield "## Counts\n\n" + _table(("split", *kinds), rows)
     occur = summary.get("statistics", {}).get("test", {}).get("family")
-    held = [family for family in summary.get("held_out_families") or () if occur is None or family in occur]
-    if held:
-        yield f"Families in the test split alone: {', '.join(held)}."
-    shown = files_by_pattern(summary) | {name: [name] for name in ALWAYS}
-    rows = [(f"`{pattern}`", len(shown[pattern]), FILES[pattern]) for pattern in FILES if pattern in shown]
+    held_out = [family for family in summary.get("held_out_families") or () if occur is None or family in occur]
+    if held_out:
+        yield f"Families in the test split alone: {', '.join(held_out)}."
+    listed_files = files_by_pattern(summary) | {name: [name] for name in ALWAYS}
+    rows = [
+        (f"`{pattern}`", len(listed_files[pattern]), FILES[pattern]) for pattern in FILES if pattern in listed_files
+    ]
     yield "## Files\n\n" + _table(("path", "files", "holds"), rows)
     if summary.get("withheld"):
         yield WITHHELD.format(**summary["withheld"])

@@ -111,8 +111,8 @@ def _dataset(summary: Mapping[str, Any]) -> Node:
 def _identity(summary: Mapping[str, Any]) -> str:
     """Id and preset of the dataset, what is withheld, and that its URL is only a name."""
     what = f"Dataset {summary['dataset_id']}, preset {summary['preset']}."
-    held = f" {WITHHELD.format(**summary['withheld'])}" if summary.get("withheld") else ""
-    return f"{what}{held} Its address is a name; its files stand beside this one."
+    withheld = f" {WITHHELD.format(**summary['withheld'])}" if summary.get("withheld") else ""
+    return f"{what}{withheld} Its address is a name; its files stand beside this one."
 
 
 def _distribution(summary: Mapping[str, Any]) -> Iterator[Node]:

@@ -112,7 +112,7 @@ def _from_files(job: PartJob) -> Record:
             design, trial = design_accepted_kit(part, job.preset.clearance)
         except (MeshRefused, Redraw) as refusal:
             redraws.append(refusal.reason)
-        except Exception as error:  # a user's mesh may trigger an unforeseen case: it is reported, the run goes on
+        except Exception as error:  # a user's mesh may trigger an unforeseen case: it is reported and the run continues
             redraws.append(str(internal_error("no kit", error)))
         else:
             return _record(job, part, design, trial, redraws) | {"source": name}

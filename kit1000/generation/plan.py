@@ -116,7 +116,7 @@ def draw_assembly_of(preset: Preset, seed: int, assembly_id: str, kits: int, att
 
 
 def family_weights(preset: Preset, split: str) -> dict[str, float]:
-    """The weight of each family that a split draws from: the held-out ones appear in the test split alone."""
+    """Weights of the families of a split; held-out families occur in the test split only."""
     weights = MIXTURES[preset.mixture]
     return {name: weight for name, weight in weights.items() if split == "test" or name not in HELD_OUT}
 
@@ -189,7 +189,7 @@ def rest_modes(seed: int, scene_id: str, parts: int, attempt: int = 0) -> tuple[
 
 
 def _scenes(seed: int, assemblies: dict[str, Any]) -> dict[str, Any]:
-    """One scene for each assembly. The rest modes are drawn again where an assembly ends with fewer kits than drawn."""
+    """One scene for each assembly. The rest modes are redrawn where an assembly ends with fewer kits than drawn."""
     scenes = {}
     for assembly_id, row in assemblies.items():
         scene_id = scene_id_of(assembly_id)

@@ -89,5 +89,5 @@ def preset(name: str) -> Preset:
 def preset_of(name: str, config: dict[str, Any]) -> Preset:
     """The preset of a plan, from its name and `config`."""
     values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in config.items()}
-    made = Preset(name, **values)
-    return replace(made, mixture=PRESETS[name].mixture) if name in PRESETS else made
+    preset = Preset(name, **values)
+    return replace(preset, mixture=PRESETS[name].mixture) if name in PRESETS else preset

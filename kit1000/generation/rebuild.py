@@ -67,7 +67,7 @@ def scene_differences(geometry: Geometry, plan: dict[str, Any], scene_id: str) -
                 rebuilt.extra_views, ObservationFile(f"{path}{EXTRA_VIEWS}").observation(scene_id)
             )
     except Kit1000Error as error:
-        differences.append(f"cannot be built again ({error})")
+        differences.append(f"cannot be generated again ({error})")
     return differences
 
 

@@ -30,10 +30,10 @@ from kit1000.sim.visibility import (
     PartVisibility,
     SlotVisibility,
     cavity_labels,
-    view_redraw_reason,
     part_visibility,
     slot_angle,
     slot_visibility,
+    view_redraw_reason,
 )
 from kit1000.tracks import CURVES, has_curves
 from kit1000.values import ASSEMBLY_LABEL, Assembly, Mount, Part, Slot, View
@@ -192,7 +192,9 @@ def redraw_for(reason: str | None) -> None:
         raise Redraw(reason)
 
 
-def _sensor_views(scene_parts: _SceneParts, camera_key: str, world_from_camera: Pose, frame: RenderedImage) -> dict[str, View]:
+def _sensor_views(
+    scene_parts: _SceneParts, camera_key: str, world_from_camera: Pose, frame: RenderedImage
+) -> dict[str, View]:
     """The depth images of all sensors from one camera pose, the noise of each from its own stream."""
     view = View(CAMERA, world_from_camera, frame.depth)
     prefix = f"{camera_key}/" if camera_key else ""

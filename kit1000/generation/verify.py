@@ -78,9 +78,9 @@ def _file_faults(root: Path, summary: dict[str, Any]) -> list[str]:
     """Files that are changed, missing, or not listed; hidden files are ignored."""
     faults = []
     for name, digest in tqdm(sorted(summary["files"].items()), desc="files", unit="", disable=None):
-        found = sha256(root / name)
-        if found != digest:
-            faults.append(f"{name}: {'missing or unreadable' if found is None else 'changed since it was written'}")
+        actual = sha256(root / name)
+        if actual != digest:
+            faults.append(f"{name}: {'missing or unreadable' if actual is None else 'changed since it was written'}")
     full = PLAN in summary["files"]  # not the public part of a withheld dataset
     listed = {INDEX, *summary["files"], *([WITHHELD_FILE] if full else [])}
     present = (path.relative_to(root) for path in root.rglob("*") if path.is_file())

@@ -77,7 +77,7 @@ class ShardFile:
 
     def _all(self, scene_id: str, topic: str) -> list[memoryview]:
         """All messages of a scene on a topic."""
-        indices = [i for i, found in enumerate(self._topics(scene_id)) if found == topic]
+        indices = [i for i, name in enumerate(self._topics(scene_id)) if name == topic]
         with _damage_as_input_error(self.path):
             chunk = _chunk(self._source, scene_id)
             return [chunk.message(i) for i in indices]
@@ -211,8 +211,8 @@ class _Chunk:
         index = self._index
         head = self._source.read(index.chunk_start_offset, _CHUNK.size)
         opcode, length, first, last, size, _, _, compression, packed = _CHUNK.unpack(head)
-        found = (opcode, length + _RECORD_HEAD.size, first, last, size, compression.decode(), packed)
-        if found != (
+        header = (opcode, length + _RECORD_HEAD.size, first, last, size, compression.decode(), packed)
+        if header != (
             Opcode.CHUNK,
             index.chunk_length,
             index.message_start_time,
@@ -245,14 +245,14 @@ def _chunk(source: _Source, scene_id: str) -> _Chunk:
 
 def _records(data: bytes) -> dict[int, list[ReadDataStream]]:
     """Streams on the bodies of records, by opcode; every known opcode has an entry."""
-    found: dict[int, list[ReadDataStream]] = {int(opcode): [] for opcode in Opcode}
+    records: dict[int, list[ReadDataStream]] = {int(opcode): [] for opcode in Opcode}
     at = 0
     while at < len(data):
         opcode, length = _RECORD_HEAD.unpack_from(data, at)
         start = at + _RECORD_HEAD.size
-        found.setdefault(opcode, []).append(ReadDataStream(io.BytesIO(data[start : start + length])))
+        records.setdefault(opcode, []).append(ReadDataStream(io.BytesIO(data[start : start + length])))
         at = start + length
-    return found
+    return records
 
 
 def _damaged(path: Path, what: str) -> InputError:
