@@ -1,9 +1,9 @@
-"""Our renderer beside two ray casters and pybullet's TinyRenderer: milliseconds for one image, all timed in this run.
+"""Our renderer compared with two ray casters and pybullet's TinyRenderer: milliseconds per image, timed in one run.
 
     make bench
 
-Depth and bodies at 1280 x 720 of a table, an assembly of four kits and four parts, their faces split into
-some 170,000. The ray casters' trees are built before the clock starts, which our renderer has none of.
+Depth and body ids at 1280 x 720 of a table, an assembly of four kits and four parts, subdivided to some 170,000 faces.
+The acceleration structures of the ray casters are built before the timing starts; our renderer has none.
 """
 
 from __future__ import annotations
@@ -37,56 +37,59 @@ from kit1000.values import Kit, Part
 Bodies = list[tuple[Mesh, Pose]]
 Draw = Callable[[], np.ndarray]
 
-FACES = 177_000  # at most; a multi-kit of the release with its objects has so many
-LONGEST = 45e-3  # [m]
-CLIP = (0.1, 10.0)  # [m] nearest and farthest that TinyRenderer draws
+MAX_FACES = 177_000  # as a multi-kit of the release with its objects
+LONGEST = 45e-3  # [m] longest side of a part
+CLIP = (0.1, 10.0)  # [m] near and far plane of TinyRenderer
 
 
 def main(images: int = 20, seed: int = 1) -> None:
     """Time four renderers in turn on the same images.
 
     Args:
-        images: how many, each from a camera drawn anew.
-        seed: of the parts and the cameras.
+        images: number of images, each from a random camera pose.
+        seed: seed of the parts and the cameras.
     """
     bodies, rng = finely_split(scene(seed)), stream(seed, "cameras")
     views = [draw_primary_pose(rng) for _ in range(images)]
     casters = {"embreex": embree(bodies), "open3d": open3d(bodies)}
     with tempfile.TemporaryDirectory() as folder, Tiny(bodies, Path(folder)) as tiny:
-        ways = {
+        renderers = {
             "ours, 2 threads": lambda view: render(CAMERA, view, bodies, threads=2).depth,
             "ours, 1 thread": lambda view: render(CAMERA, view, bodies, threads=1).depth,
             **casters,
             "pybullet TinyRenderer": tiny.depth,
         }
-        times, apart = measured(ways, views)
+        times, differences = time_renderers(renderers, views)
     print(f"{sum(len(mesh.faces) for mesh, _ in bodies)} faces, {CAMERA.width} x {CAMERA.height}, {images} images")
-    print(f"{'':24}{'ms median':>10}{'fastest':>9}{'slowest':>9}{'/ ours':>8}{'depth off, median mm':>22}")
+    print(f"{'':24}{'ms median':>10}{'fastest':>9}{'slowest':>9}{'/ ours':>8}{'depth error, median mm':>24}")
     ours = np.median(times["ours, 2 threads"])
     for name, row in times.items():
         line = f"{name:24}{np.median(row):10.1f}{min(row):9.1f}{max(row):9.1f}{np.median(row) / ours:7.1f}x"
-        print(f"{line}{apart[name] * 1e3:22.5f}")
+        print(f"{line}{differences[name] * 1e3:24.5f}")
 
 
-def measured(ways: dict[str, Callable], views: list[Pose]) -> tuple[dict[str, list[float]], dict[str, float]]:
-    """Milliseconds of each image by each way, and how far [m] its depth is from ours; the first image warms up."""
-    times, apart = {name: [] for name in ways}, {}
+def time_renderers(
+    renderers: dict[str, Callable], views: list[Pose]
+) -> tuple[dict[str, list[float]], dict[str, float]]:
+    """Milliseconds per image of each renderer, and its largest median depth difference [m]; a first image warms up."""
+    times, differences = {name: [] for name in renderers}, {}
     for number, view in enumerate([views[0], *views]):
         reference = render(CAMERA, view, []).depth
-        for name, draw in ways.items():
+        for name, draw in renderers.items():
             start = time.perf_counter()
             depth = draw(view)
             times[name].append(1e3 * (time.perf_counter() - start))
             reference = depth if name == "ours, 2 threads" else reference
             both = (reference > 0) & (depth > 0)
-            apart[name] = max(apart.get(name, 0.0), float(np.median(np.abs(depth - reference)[both])))
+            difference = float(np.median(np.abs(depth - reference)[both]))
+            differences[name] = max(differences.get(name, 0.0), difference)
             if number == 0:
                 times[name].clear()
-    return times, apart
+    return times, differences
 
 
 def scene(seed: int) -> Bodies:
-    """A table, an assembly of four kits that is tilted, and their parts upright on the table."""
+    """A table, a tilted assembly of four kits, and their parts upright on the table."""
     pairs: list[tuple[Part, Kit]] = []
     for number, name in enumerate(FAMILIES):
         try:
@@ -110,14 +113,14 @@ def scene(seed: int) -> Bodies:
 
 
 def finely_split(bodies: Bodies) -> Bodies:
-    """Every face of a body but the table cut into four, that with the widest faces first, as long as FACES allows."""
+    """Subdivide the faces of bodies but the table into four, coarsest bodies first, up to MAX_FACES faces."""
     split = list(bodies)
     while True:
-        room = FACES - sum(len(mesh.faces) for mesh, _ in split)
-        able = [i for i in range(1, len(split)) if 3 * len(split[i][0].faces) <= room]
-        if not able:
+        room = MAX_FACES - sum(len(mesh.faces) for mesh, _ in split)
+        candidates = [i for i in range(1, len(split)) if 3 * len(split[i][0].faces) <= room]
+        if not candidates:
             return split
-        widest = max(able, key=lambda i: split[i][0].area / len(split[i][0].faces))
+        widest = max(candidates, key=lambda i: split[i][0].area / len(split[i][0].faces))
         mesh, pose = split[widest]
         finer = subdivide(mesh.vertices, mesh.faces)
         split[widest] = (Mesh(np.asarray(finer[0]), np.asarray(finer[1])), pose)
@@ -130,7 +133,7 @@ def rays() -> np.ndarray:
 
 
 def in_world(bodies: Bodies) -> np.ndarray:
-    """(m, 3, 3) float32 corners of all faces."""
+    """(m, 3, 3) float32 corners of all faces, world."""
     return np.concatenate([pose.apply(mesh.triangles) for mesh, pose in bodies]).astype(np.float32)
 
 
@@ -170,7 +173,7 @@ def open3d(bodies: Bodies) -> Callable[[Pose], np.ndarray]:
 
 
 class Tiny:
-    """pybullet's software renderer, with the bodies loaded from files; a context that owns its client."""
+    """pybullet's software renderer, with the bodies loaded from files; a context manager of its client."""
 
     def __init__(self, bodies: Bodies, folder: Path) -> None:
         self._client = pybullet.connect(pybullet.DIRECT)
@@ -188,7 +191,7 @@ class Tiny:
             )
 
     def depth(self, view: Pose) -> np.ndarray:
-        """(H, W) [m]; the bodies' numbers are drawn as well."""
+        """(H, W) [m]; the body ids are also rendered."""
         shot = pybullet.getCameraImage(
             CAMERA.width,
             CAMERA.height,
@@ -209,10 +212,10 @@ class Tiny:
 
 
 def projection() -> np.ndarray:
-    """(4, 4) that makes TinyRenderer see what CAMERA sees.
+    """(4, 4) projection matrix with which TinyRenderer has the view of CAMERA.
 
-    Its own principal point, were none asked for, lies at column W/2 and row H/2 - 1 where ours is between the middle
-    pixels: a shift in each direction puts that right.
+    Its default principal point is at column W/2 and row H/2 - 1, ours is between the central pixels: a shift in each
+    direction corrects that.
     """
     width, height, (near, far) = CAMERA.width, CAMERA.height, CLIP
     right, down = CAMERA.cx - width / 2, CAMERA.cy - (height / 2 - 1)

@@ -1,4 +1,4 @@
-"""The pictures of the README and the docs, drawn from the package itself: `make pictures`."""
+"""The pictures of the README and the docs, rendered by the package: `make pictures`."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ from kit1000.values import Assembly, Kit, Part
 
 FOLDER = Path(__file__).parent
 SEED = 1000
-LONGEST = 50e-3  # [m]
+LONGEST = 50e-3  # [m] longest side of a part
 SCENE, SCENE_WIDTH = "test-s0001", 1500  # [px]
-SHOWN = ("gear", "bracket", "lever", "clevis")  # told apart at a glance; the first goes into the base
-HOVER = (0.05, 0.035, 0.06, 0.0)  # [m] of each part above its seat, along its own way in; the last is seated
-FRONT = (1.0, -1.6, 1.5)  # from the assembly to the eye
+HERO_FAMILIES = ("gear", "bracket", "lever", "clevis")  # of distinct shapes; the first is in the base
+HOVER = (0.05, 0.035, 0.06, 0.0)  # [m] of each part above its goal, along the insertion axis; the last is seated
+FRONT = (1.0, -1.6, 1.5)  # from the assembly to the camera
 
 
 def main() -> None:
-    """Draw everything, beside this file."""
+    """Write all pictures to the folder of this file."""
     hero(FOLDER / "hero.png")
     families(FOLDER / "families.png")
     scene(FOLDER / "scene.png")
 
 
 def scene(path: Path) -> None:
-    """What a dataset holds of one scene."""
+    """The contact sheet of one scene of a dataset."""
     with TemporaryDirectory() as folder:
         generate(PRESETS["tiny"], Path(folder))
         sheet = Image.open(BytesIO(scene_sheet(Dataset(folder), SCENE)))
@@ -51,12 +51,12 @@ def scene(path: Path) -> None:
 
 
 def hero(path: Path) -> None:
-    """Parts on their way into the cavities of an angled assembly."""
-    pairs = [next(pairs_of(name)) for name in SHOWN]
+    """Parts above the cavities of an angled assembly."""
+    pairs = [next(pairs_of(name)) for name in HERO_FAMILIES]
     assembly = next(assemblies(pairs))
     bodies = [ColouredBody(assembly.mesh, Pose.identity(), KIT)]
-    for (part, _), mount, rise in zip(pairs, assembly.mounts, HOVER, strict=True):
-        out = Pose.from_translation(np.array([0, 0, rise]))
+    for (part, _), mount, height in zip(pairs, assembly.mounts, HOVER, strict=True):
+        out = Pose.from_translation(np.array([0, 0, height]))
         bodies.append(ColouredBody(part.mesh, mount.assembly_from_kit @ out @ mount.kit.slot.kit_from_part, PART))
     save(picture(bodies, (1600, 900), FRONT), path)
 
@@ -69,15 +69,15 @@ def families(path: Path) -> None:
 
 
 def standing(mesh: Mesh) -> Mesh:
-    """The mesh with its longest side lying along x and its shortest upright."""
+    """The mesh with its longest side along x and its shortest along z."""
     order = np.argsort(-mesh.extents, kind="stable")
-    turn = np.eye(3)[order]
-    turn[2] *= np.linalg.det(turn)
-    return mesh.moved(Pose.from_rotation_matrix(turn))
+    rotation = np.eye(3)[order]
+    rotation[2] *= np.linalg.det(rotation)
+    return mesh.moved(Pose.from_rotation_matrix(rotation))
 
 
 def parts_of(family: str) -> Iterator[Part]:
-    """Parts of a family that geometry accepts."""
+    """Parts of a family, without redraws."""
     for number in range(100):
         try:
             yield make_part(family, family, FAMILIES[family].draw(stream(SEED, family, number)), LONGEST)
@@ -86,7 +86,7 @@ def parts_of(family: str) -> Iterator[Part]:
 
 
 def pairs_of(family: str) -> Iterator[tuple[Part, Kit]]:
-    """Parts of a family with their kits."""
+    """Parts of a family with their kits, without redraws."""
     for part in parts_of(family):
         try:
             yield part, make_kit(part)
@@ -95,7 +95,7 @@ def pairs_of(family: str) -> Iterator[tuple[Part, Kit]]:
 
 
 def assemblies(pairs: list[tuple[Part, Kit]]) -> Iterator[Assembly]:
-    """Assemblies of the kits that can be printed and used."""
+    """Assemblies of the kits that pass all checks."""
     parts = {part.id: part for part, _ in pairs}
     for number in range(100):
         try:
@@ -110,7 +110,7 @@ def assemblies(pairs: list[tuple[Part, Kit]]) -> Iterator[Assembly]:
 def picture(
     bodies: list[ColouredBody], size: tuple[int, int], direction: tuple[float, float, float] | None = None
 ) -> np.ndarray:
-    """(H, W, 3) uint8, the bodies filling it."""
+    """(H, W, 3) uint8: the bodies, as large as fits."""
     view = framing_camera(bodies, size=size) if direction is None else framing_camera(bodies, direction, size=size)
     return shaded_picture(bodies, *view)
 

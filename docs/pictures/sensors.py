@@ -1,11 +1,11 @@
-"""The pictures of docs/sensors.md: noise against distance, and one scene as each sensor sees it."""
+"""The pictures of docs/sensors.md: noise against distance, and one scene as each sensor measures it."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import numpy as np
-from draw import SHOWN, assemblies, pairs_of
+from draw import HERO_FAMILIES, assemblies, pairs_of
 from PIL import Image, ImageDraw, ImageFont
 
 from kit1000.camera import Camera, look_at
@@ -21,22 +21,22 @@ from kit1000.values import View
 FOLDER = Path(__file__).parent
 CAMERA = Camera(1280, 720, 925.0, 925.0, 639.5, 359.5)
 DISTANCES = (0.5, 0.65, 0.8, 1.0, 1.3, 1.6, 2.0, 2.5, 2.9)  # [m]
-BEST_PX, USUAL_PX = 0.032, 0.08  # Intel's words on the RMS error of a D400: at its best, and to be reckoned with
-WIDE, HIGH = 1500, 980  # [px] the plot, halved when saved
+BEST_PX, USUAL_PX = 0.032, 0.08  # Intel's figures for the RMS error of a D400: at its best, and in general
+WIDE, HIGH = 1500, 980  # [px] of the plot, halved when saved
 LEFT, TOP, RIGHT, BOTTOM = 170, 60, WIDE - 60, HIGH - 130
 NEAR, FAR, FINE, COARSE = 0.3, 3.0, 0.01, 20.0  # [m], [mm] ends of the axes
-CROPS = (((230, 250), (650, 510)), ((650, 210), (1070, 470)))  # [px] the parts and the kits
+CROPS = (((230, 250), (650, 510)), ((650, 210), (1070, 470)))  # [px] of the parts and of the kits
 NO_RETURN = (38, 34, 66)
 
 
 def main() -> None:
-    """Draw both, beside this file."""
+    """Write both pictures to the folder of this file."""
     noise_plot().save(FOLDER / "sensor-noise.png", optimize=True)
     scene_crops().save(FOLDER / "sensor-views.png", optimize=True)
 
 
 def noise_plot() -> Image.Image:
-    """RMS depth noise on a wall, measured, over what the formula says. Both axes logarithmic."""
+    """RMS depth noise on a wall, measured and by formula, against distance. Both axes are logarithmic."""
     image = Image.new("RGB", (WIDE, HIGH), PAPER)
     draw, font = ImageDraw.Draw(image), ImageFont.load_default(size=30)
     draw_axes(draw, font)
@@ -62,26 +62,26 @@ def noise_plot() -> Image.Image:
 
 
 def formula_mm(subpixel: float, distance: float, baseline: float) -> float:
-    """RMS depth error [mm] after Intel's tuning paper."""
+    """RMS depth error [mm] by the formula of Intel's tuning paper."""
     return 1e3 * distance**2 * subpixel / (CAMERA.fx * baseline)
 
 
 def measured_mm(name: str, distance: float) -> float:
-    """RMS depth [mm] about its mean, of a wall across the view."""
+    """Standard deviation [mm] of the depth of a wall perpendicular to the view."""
     wall = View(CAMERA, Pose.identity(), np.full((CAMERA.height, CAMERA.width), distance, np.float32))
     depth = sense(name, wall, stream(1, name)).depth[20:-20, 420:-420]
     return 1e3 * float(depth.astype(float).std())
 
 
 def at(distance: float, mm: float) -> tuple[float, float]:
-    """Where a distance [m] and a noise [mm] lie in the plot [px]."""
+    """Position in the plot [px] of a distance [m] and a noise [mm]."""
     across = np.log(distance / NEAR) / np.log(FAR / NEAR)
     up = np.log(mm / FINE) / np.log(COARSE / FINE)
     return LEFT + across * (RIGHT - LEFT), BOTTOM - up * (BOTTOM - TOP)
 
 
 def draw_axes(draw: ImageDraw.ImageDraw, font: ImageFont.FreeTypeFont | ImageFont.ImageFont) -> None:
-    """A grid with its numbers and what they count."""
+    """Draw the grid, its numbers and the axis titles."""
     for z in (0.3, 0.5, 0.8, 1.0, 1.5, 2.0, 3.0):
         x = at(z, FINE)[0]
         draw.line([(x, TOP), (x, BOTTOM)], fill=TABLE, width=2)
@@ -95,16 +95,16 @@ def draw_axes(draw: ImageDraw.ImageDraw, font: ImageFont.FreeTypeFont | ImageFon
 
 
 def scene_crops() -> Image.Image:
-    """The parts and the kits of one scene as each sensor sees them, lit by the normals of the depth image."""
+    """The parts and the kits of one scene as each sensor measures them, shaded by the normals of the depth image."""
     view = scene()
-    lit = {name: relief(sense(name, view, stream(7, name))) for name in SENSORS}
-    tiles = [image[top:bottom, left:right] for (left, top), (right, bottom) in CROPS for image in lit.values()]
-    return contact_sheet(tiles, [*lit] * len(CROPS), columns=len(lit))
+    shaded = {name: shaded_depth(sense(name, view, stream(7, name))) for name in SENSORS}
+    tiles = [image[top:bottom, left:right] for (left, top), (right, bottom) in CROPS for image in shaded.values()]
+    return contact_sheet(tiles, [*shaded] * len(CROPS), columns=len(shaded))
 
 
 def scene() -> View:
-    """An assembly on a table, its parts lying before it."""
-    pairs = [next(pairs_of(name)) for name in SHOWN]
+    """An assembly on a table, its parts in front of it."""
+    pairs = [next(pairs_of(name)) for name in HERO_FAMILIES]
     assembly = next(assemblies(pairs))
     bodies = [(table(), Pose.identity()), (assembly.mesh, Pose.from_translation(np.array([0, 0.2, 0])))]
     for number, (part, kit) in enumerate(pairs):
@@ -121,8 +121,8 @@ def table() -> Mesh:
     return mesh_from_solid(prism(polygon(corners), 0.04).translate((0, 0, -0.04)))
 
 
-def relief(view: View) -> np.ndarray:
-    """(H, W, 3) uint8: surfaces of a depth image lit from the upper left, dark blue where there is no return."""
+def shaded_depth(view: View) -> np.ndarray:
+    """(H, W, 3) uint8: a depth image shaded with light from the upper left, dark blue for no return."""
     points = view.camera.unproject(view.depth)
     across = points[:, 1:] - points[:, :-1]
     down = points[1:] - points[:-1]
