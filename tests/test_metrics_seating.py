@@ -171,7 +171,7 @@ def test_the_exact_test_equals_the_bisection(name: str) -> None:
     inserted = InsertedPart.of(mesh, goal)
     swept = swept_solid(mesh, inserted.axis)
     heights = [limit + step for limit in (SEATED_LIMIT, STRICT_LIMIT) for step in (-45e-6, -5e-6, 35e-6)]
-    poses = [*(raised(goal, height) for height in heights), *(displaced(goal, e) for e in random_errors(1, 3))]
+    poses = [*(raised(goal, height) for height in heights), displaced(goal, random_errors(1, 1)[0])]
     results = results_of(*((truth, pose) for pose in poses), exact="all")
     assert results.exact.all()
     assert not results.disagrees.any()
