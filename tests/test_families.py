@@ -69,7 +69,7 @@ class Given:
     """A family of one part: the solid and symmetry of a test."""
 
     body: Manifold
-    turns: Symmetry
+    declared: Symmetry
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> Given:
@@ -79,7 +79,7 @@ class Given:
         return self.body
 
     def symmetry(self) -> Symmetry:
-        return self.turns
+        return self.declared
 
 
 def _part(solid: Manifold, symmetry: Symmetry) -> Part:
