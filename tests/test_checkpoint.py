@@ -1,4 +1,4 @@
-"""Weights and states: what is written comes back, and whatever is wrong with a file is said in one line."""
+"""Weights and states: what is written is read back to the bit, and any fault of a file gives one line."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from torch import nn
 
 from baselines.training.checkpoint import (
     LARGEST,
-    fill,
-    fill_optimizer,
+    copied_state,
+    load_into,
+    load_into_optimizer,
     load_weights,
     optimizer_tensors,
     read_state,
     save_weights,
-    stored,
     write_state,
 )
 from kit1000.errors import InputError
@@ -37,10 +37,10 @@ def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
     return a.keys() == b.keys() and all(a[name].dtype == b[name].dtype and a[name].equal(b[name]) for name in a)
 
 
-def refusal(path: Path) -> str | None:
-    """What is said of a state that cannot be read, or not into this network."""
+def error_of(path: Path) -> str | None:
+    """The message for a state that cannot be read, or not into this network; None for a good one."""
     try:
-        fill(network(1), read_state(path)[0]["model"], path)
+        load_into(network(1), read_state(path)[0]["model"], path)
     except InputError as error:
         return str(error)
     return None
@@ -51,16 +51,16 @@ def stem(tmp_path: Path) -> Path:
     return tmp_path / "position-0.89"  # not a suffix
 
 
-def test_weights_come_back_to_the_bit_with_what_was_said_of_them(stem: Path) -> None:
+def test_weights_are_read_back_to_the_bit_with_their_info(stem: Path) -> None:
     model, info = network(), {"steps": 7, "metrics": {"position_mm": 1.5}, "name": "größer"}
     save_weights(stem, model, info)
-    tensors, said = load_weights(stem)
-    assert same(tensors, stored(model))
-    assert said == info
+    tensors, read = load_weights(stem)
+    assert same(tensors, copied_state(model))
+    assert read == info
     assert sorted(path.name for path in stem.parent.iterdir()) == [f"{stem.name}.json", f"{stem.name}.safetensors"]
 
 
-def test_half_weights_are_half_as_long_and_come_back_as_float32_within_rounding(stem: Path) -> None:
+def test_half_weights_take_half_the_bytes_and_are_read_as_float32_within_rounding(stem: Path) -> None:
     model = network(width=400)
     save_weights(stem, model, {})
     whole = stem.with_name(stem.name + ".safetensors").stat().st_size
@@ -82,13 +82,13 @@ def test_the_same_weights_give_the_same_bytes(tmp_path: Path) -> None:
 def test_numbers_beyond_float16_are_refused_before_anything_is_written(stem: Path) -> None:
     model = network()
     model.get_parameter("0.weight").data[0, 0] = 1e5
-    with pytest.raises(InputError, match=r"0\.weight holds numbers that are too large for float16"):
+    with pytest.raises(InputError, match=r"0\.weight has numbers too large for float16"):
         save_weights(stem, model, {}, half=True)
     assert not list(stem.parent.iterdir())
 
 
-def test_a_file_that_is_too_long_is_refused(stem: Path) -> None:
-    model = nn.Linear(2048, LARGEST // 4 // 2048, bias=False)  # the tensors alone fill the file; there is a header too
+def test_a_file_that_is_too_large_is_refused(stem: Path) -> None:
+    model = nn.Linear(2048, LARGEST // 4 // 2048, bias=False)  # the tensors alone reach the limit
     with pytest.raises(InputError, match=r"16\.0 MiB of weights, more than the 16 MiB .*half=True halves them"):
         save_weights(stem, model, {})
     assert not list(stem.parent.iterdir())
@@ -100,7 +100,7 @@ def test_shared_weights_are_written_for_each_name(stem: Path) -> None:
     model = nn.Sequential(nn.Linear(4, 4), nn.Linear(4, 4))
     model[1].weight = model[0].weight
     save_weights(stem, model, {})
-    assert same(load_weights(stem)[0], stored(model))
+    assert same(load_weights(stem)[0], copied_state(model))
 
 
 @given(place=st.floats(0, 1, exclude_max=True), flip=st.integers(1, 255))
@@ -114,60 +114,60 @@ def test_any_changed_byte_of_weights_is_noticed(
     data = bytearray(path.read_bytes())
     data[int(place * len(data))] ^= flip
     path.write_bytes(data)
-    with pytest.raises(InputError, match=r"w\.safetensors: damaged, or not the weights that w\.json tells of"):
+    with pytest.raises(InputError, match=r"w\.safetensors: damaged, or not the weights that w\.json describes"):
         load_weights(stem)
 
 
-def test_missing_halves_and_foreign_files_are_named(stem: Path) -> None:
-    words, tensors = (stem.with_name(stem.name + suffix) for suffix in (".json", ".safetensors"))
+def test_missing_and_foreign_files_are_named(stem: Path) -> None:
+    json_path, tensors = (stem.with_name(stem.name + suffix) for suffix in (".json", ".safetensors"))
     with pytest.raises(InputError, match=r"no file .*\.json"):
         load_weights(stem)
     save_weights(stem, network(), {})
     tensors.unlink()
     with pytest.raises(InputError, match=r"no file .*\.safetensors"):
         load_weights(stem)
-    words.write_text('{"steps": 3}')
-    with pytest.raises(InputError, match="tells of no weights"):
+    json_path.write_text('{"steps": 3}')
+    with pytest.raises(InputError, match="describes no weights"):
         load_weights(stem)
-    words.write_text("{")
+    json_path.write_text("{")
     with pytest.raises(InputError, match="damaged or no JSON"):
         load_weights(stem)
 
 
-def test_weights_are_put_into_a_network_of_the_same_kind() -> None:
+def test_weights_are_loaded_into_a_network_in_place() -> None:
     model, other = network(0), network(1)
     memory = other.get_parameter("0.weight").data_ptr()
-    fill(other, stored(model), "here")
-    assert same(stored(other), stored(model))
+    load_into(other, copied_state(model), "here")
+    assert same(copied_state(other), copied_state(model))
     assert other.get_parameter("0.weight").data_ptr() == memory
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
-        ({"0.weight": None}, r"w\.st: holds no 0\.weight, which this network has \(1 such\)"),
-        ({"0.wieght": torch.ones(1)}, r"holds 0\.wieght, which this network has not; did you mean 0\.weight\? \(1"),
+        ({"0.weight": None}, r"w\.st: has no 0\.weight, which this network has \(1 such\)"),
+        ({"0.wieght": torch.ones(1)}, r"has 0\.wieght, which this network has not; did you mean 0\.weight\? \(1"),
         ({"0.weight": torch.ones(4, 3)}, r"0\.weight has the shape \(4, 3\), in this network \(5, 3\)"),
     ],
 )
 def test_tensors_of_another_network_are_refused_and_change_nothing(
-    change: dict[str, torch.Tensor | None], said: str
+    change: dict[str, torch.Tensor | None], message: str
 ) -> None:
     model = network()
-    before = stored(model)
-    changed = {name: value for name, value in (stored(network(1)) | change).items() if value is not None}
-    with pytest.raises(InputError, match=said):
-        fill(model, changed, "w.st")
-    assert same(stored(model), before)
+    before = copied_state(model)
+    changed = {name: value for name, value in (copied_state(network(1)) | change).items() if value is not None}
+    with pytest.raises(InputError, match=message):
+        load_into(model, changed, "w.st")
+    assert same(copied_state(model), before)
 
 
-def test_a_state_comes_back_to_the_bit(tmp_path: Path) -> None:
-    words = {"step": 3, "third": 1 / 3, "nested": {"none": None}}
-    write_state(tmp_path / "s", {"model": stored(network()), "average": {}}, words)
-    parts, said = read_state(tmp_path / "s")
-    assert same(parts["model"], stored(network()))
-    assert parts["average"] == parts["optimizer"] == {}
-    assert said == words
+def test_a_state_is_read_back_to_the_bit(tmp_path: Path) -> None:
+    info = {"step": 3, "third": 1 / 3, "nested": {"none": None}}
+    write_state(tmp_path / "s", {"model": copied_state(network()), "average": {}}, info)
+    groups, read = read_state(tmp_path / "s")
+    assert same(groups["model"], copied_state(network()))
+    assert groups["average"] == groups["optimizer"] == {}
+    assert read == info
 
 
 @given(place=st.floats(0, 1, exclude_max=True), flip=st.integers(1, 255))
@@ -175,39 +175,39 @@ def test_a_state_comes_back_to_the_bit(tmp_path: Path) -> None:
 def test_a_changed_byte_of_a_state_is_noticed_or_harmless(
     tmp_path_factory: pytest.TempPathFactory, place: float, flip: int
 ) -> None:
-    path, words = tmp_path_factory.mktemp("state") / "s", {"step": 3}
-    write_state(path, {"model": stored(network())}, words)
+    path, info = tmp_path_factory.mktemp("state") / "s", {"step": 3}
+    write_state(path, {"model": copied_state(network())}, info)
     data = bytearray(path.read_bytes())
     data[int(place * len(data))] ^= flip
     path.write_bytes(data)
-    if (refused := refusal(path)) is None:
-        parts, said = read_state(path)
-        assert said == words
-        assert all(parts["model"][name].equal(value) for name, value in stored(network()).items())
+    if (error := error_of(path)) is None:
+        groups, read = read_state(path)
+        assert read == info
+        assert all(groups["model"][name].equal(value) for name, value in copied_state(network()).items())
     else:
-        assert str(path) in refused
-        assert "\n" not in refused
+        assert str(path) in error
+        assert "\n" not in error
 
 
 @pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 0.5, 0.99])
 def test_a_state_cut_short_is_damaged(tmp_path: Path, share: float) -> None:
     path = tmp_path / "s"
-    write_state(path, {"model": stored(network())}, {})
+    write_state(path, {"model": copied_state(network())}, {})
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
-    assert "damaged" in str(refusal(path))
+    assert "damaged" in str(error_of(path))
 
 
 def test_missing_and_foreign_states_are_named(tmp_path: Path) -> None:
-    assert refusal(tmp_path / "s") == f"no file {tmp_path / 's'}"
+    assert error_of(tmp_path / "s") == f"no file {tmp_path / 's'}"
     save_weights(tmp_path / "w", network(), {})  # good tensors, but no state
-    assert "no checkpoint of a training run" in str(refusal(tmp_path / "w.safetensors"))
+    assert "no checkpoint of a training run" in str(error_of(tmp_path / "w.safetensors"))
     (tmp_path / "t").write_text(json.dumps({"step": 3}))
-    assert "no checkpoint of a training run" in str(refusal(tmp_path / "t"))
-    assert "cannot read" in str(refusal(tmp_path))
+    assert "no checkpoint of a training run" in str(error_of(tmp_path / "t"))
+    assert "cannot read" in str(error_of(tmp_path))
 
 
-def trained(model: nn.Module, optimizer: torch.optim.Optimizer, steps: int) -> None:
+def take_steps(model: nn.Module, optimizer: torch.optim.Optimizer, steps: int) -> None:
     for step in range(steps):
         x = torch.linspace(-1, 1, 12).view(4, 3) + step
         optimizer.zero_grad()
@@ -215,26 +215,26 @@ def trained(model: nn.Module, optimizer: torch.optim.Optimizer, steps: int) -> N
         optimizer.step()
 
 
-def test_an_optimizer_goes_on_to_the_bit() -> None:
+def test_an_optimizer_resumes_to_the_bit() -> None:
     model = network()
-    model[2].bias.requires_grad_(False)  # some have nothing to remember
+    model[2].bias.requires_grad_(False)  # a parameter without state
     optimizer = torch.optim.AdamW(model.parameters(), 0.1)
-    trained(model, optimizer, 3)
+    take_steps(model, optimizer, 3)
     other = network(1)
-    fill(other, stored(model), "")
+    load_into(other, copied_state(model), "")
     fresh = torch.optim.AdamW(other.parameters(), 0.1)
-    fill_optimizer(other, fresh, optimizer_tensors(model, optimizer), "")
+    load_into_optimizer(other, fresh, optimizer_tensors(model, optimizer), "")
     other[2].bias.requires_grad_(False)
-    trained(model, optimizer, 2)
-    trained(other, fresh, 2)
-    assert same(stored(other), stored(model))
+    take_steps(model, optimizer, 2)
+    take_steps(other, fresh, 2)
+    assert same(copied_state(other), copied_state(model))
     assert same(optimizer_tensors(other, fresh), optimizer_tensors(model, optimizer))
 
 
 @pytest.mark.parametrize("change", [{"exp_avg.9.weight": torch.ones(5, 3)}, {"exp_avg.0.weight": torch.ones(4, 3)}])
-def test_what_an_optimizer_remembers_of_another_network_is_refused(change: dict[str, torch.Tensor]) -> None:
+def test_the_optimizer_state_of_another_network_is_refused(change: dict[str, torch.Tensor]) -> None:
     model = network()
     optimizer = torch.optim.AdamW(model.parameters(), 0.1)
-    trained(model, optimizer, 1)
+    take_steps(model, optimizer, 1)
     with pytest.raises(InputError, match=rf"s: the optimizer's {next(iter(change))} fits no parameter"):
-        fill_optimizer(model, optimizer, optimizer_tensors(model, optimizer) | change, "s")
+        load_into_optimizer(model, optimizer, optimizer_tensors(model, optimizer) | change, "s")

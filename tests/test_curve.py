@@ -1,4 +1,4 @@
-"""The picture of a log: an SVG for any rows, every line inside its frame, few lines of a grid."""
+"""Learning curves: an SVG for any log, every line inside its frame, few grid lines."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ VALUES = st.floats(1e-9, 1e9) | st.floats(-1e6, -1e-9) | st.just(0.0)
 
 
 def log(losses: list[float]) -> list[dict[str, Any]]:
-    """Rows with a measure that is off by the loss."""
+    """Rows with these losses and a measure derived from them."""
     return [
         {"step": 50 * (i + 1), "loss": loss, "measures": {"a<b": {"mean": 2 * loss, "median": loss}}}
         for i, loss in enumerate(losses)
     ]
 
 
-def places(text: str) -> list[tuple[float, float]]:
+def points_of(text: str) -> list[tuple[float, float]]:
     """Points of all lines, by chart."""
     lines = re.findall(r'class="(?:mean|median)" d="M([^"]+)"', text)
     return [(float(x), float(y)) for line in lines for x, y in (point.split() for point in line.split("L"))]
@@ -33,7 +33,7 @@ def places(text: str) -> list[tuple[float, float]]:
 def test_every_log_is_drawn_inside_its_frame(losses: list[float]) -> None:
     text = curve(log(losses))
     ElementTree.fromstring(text)
-    points = places(text)
+    points = points_of(text)
     assert len(points) == 3 * len(losses)
     assert all(LEFT - 0.01 <= x <= WIDTH - RIGHT + 0.01 for x, _ in points)
     assert all(TOP - 0.01 <= y <= HEIGHT - BOTTOM + 0.01 for _, y in points)
@@ -42,11 +42,11 @@ def test_every_log_is_drawn_inside_its_frame(losses: list[float]) -> None:
 
 def test_a_log_without_rows_is_an_empty_chart() -> None:
     ElementTree.fromstring(curve([]))
-    assert places(curve([])) == []
+    assert points_of(curve([])) == []
 
 
-def test_what_spreads_widely_stands_on_a_logarithmic_axis() -> None:
-    (_, first), (_, second), (_, third) = places(curve(log([1.0, 0.1, 0.01])))[:3]
+def test_values_over_orders_of_magnitude_have_a_logarithmic_axis() -> None:
+    (_, first), (_, second), (_, third) = points_of(curve(log([1.0, 0.1, 0.01])))[:3]
     assert third - second == pytest.approx(second - first, abs=0.02)
-    (_, first), (_, second), (_, third) = places(curve(log([1.0, 0.6, 0.2])))[:3]
+    (_, first), (_, second), (_, third) = points_of(curve(log([1.0, 0.6, 0.2])))[:3]
     assert third - second == pytest.approx(second - first, abs=0.02)

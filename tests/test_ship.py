@@ -1,4 +1,4 @@
-"""Weights that travel with the project: written from a run with their story, and the very networks of the methods."""
+"""Shipped weights: copied from a run with its log and commit, and those that the methods load."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from baselines.methods import METHODS, WEIGHTS
-from baselines.networks import NETWORKS
+from baselines.catalog import all_methods, all_networks
+from baselines.methods import WEIGHTS
 from baselines.ship import ship
 from baselines.training import checkpoint
 from baselines.training.checkpoint import LARGEST, load_weights, save_weights
@@ -36,13 +36,13 @@ def test_weights_are_shipped_with_commit_and_log(run: Path, tmp_path: Path) -> N
     stem = ship(run, tmp_path / "weights", "0123abc")
     assert stem == tmp_path / "weights/some-network"
     tensors, info = load_weights(stem)
-    there, _ = load_weights(run / "best")
-    assert all(torch.equal(tensors[name], there[name]) for name in there)
+    best, _ = load_weights(run / "best")
+    assert all(torch.equal(tensors[name], best[name]) for name in best)
     assert info["commit"] == "0123abc"
     assert [row["step"] for row in info["log"]] == [10, 20]
 
 
-def test_what_cannot_be_shipped_is_said(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_and_too_large_weights_are_refused(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"best\.json"):
         ship(tmp_path, tmp_path / "weights", "")
     monkeypatch.setattr("baselines.ship.LARGEST", 10)
@@ -52,9 +52,9 @@ def test_what_cannot_be_shipped_is_said(run: Path, tmp_path: Path, monkeypatch: 
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_shipped_weights_say_where_they_come_from(name: str) -> None:
+def test_shipped_weights_name_their_origin(name: str) -> None:
     _, info = load_weights(WEIGHTS / name)
-    assert name in NETWORKS
+    assert name in all_networks()
     assert (WEIGHTS / f"{name}.safetensors").stat().st_size <= LARGEST
     assert info["about"]["name"] == name
     assert info["about"]["dataset_id"] == read_protocol().dataset["id"]
@@ -64,12 +64,12 @@ def test_shipped_weights_say_where_they_come_from(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_pictures_of_learning_are_those_of_the_logs(name: str) -> None:
+def test_learning_curves_in_the_docs_are_those_of_the_logs(name: str) -> None:
     _, info = load_weights(WEIGHTS / name)
     assert (ROOT / f"docs/pictures/{name}.svg").read_text(encoding="utf-8") == curve(info["log"])
 
 
-def test_every_method_finds_its_weights_and_none_lie_about() -> None:
-    assert {stem for method in METHODS.values() for stem in method.weights.values()} <= set(SHIPPED)
-    assert {path.stem for path in WEIGHTS.iterdir()} == set(SHIPPED) <= set(NETWORKS)
+def test_every_method_has_its_weights_and_none_are_unused() -> None:
+    assert {stem for method in all_methods().values() for stem in method.weights.values()} <= set(SHIPPED)
+    assert {path.stem for path in WEIGHTS.iterdir()} == set(SHIPPED) <= set(all_networks())
     assert checkpoint.LARGEST == 16 * 2**20
