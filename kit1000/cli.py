@@ -43,7 +43,7 @@ class Generate:
     """Generate a dataset. Run the same command again to continue after an interruption."""
 
     preset: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="PRESET")]
-    """tiny, small, kit1000, paper, real-like or study."""
+    """tiny, small, kit1000, paper, real-like, study or completion."""
     out: Annotated[str, tyro.conf.arg(metavar="PATH")]
     """Dataset folder to write; with --engine ray also a URL such as s3://bucket/folder."""
     seed: OptionalInt = None
