@@ -1,4 +1,4 @@
-"""Comparison of our kits with those of the scheme of the paper's release: seconds, faces and clearance, both timed in this run.
+"""Comparison of our kits with the scheme of the paper's release: seconds, faces and clearance, timed in one run.
 
     make bench
 
