@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 from pathlib import Path
 
@@ -25,10 +26,13 @@ def _folders() -> list[Path]:
 
 @pytest.fixture(scope="session")
 def mini(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The generated dataset MINI, with procedural parts and real scenes; read-only."""
-    root = tmp_path_factory.mktemp("mini")
-    generate(MINI, root, workers=1)
-    return root
+    """The generated dataset MINI, with procedural parts and real scenes; read-only, one for all processes of a run."""
+    own = tmp_path_factory.getbasetemp()
+    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+    with open(shared / "mini.lock", "w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        generate(MINI, shared / "mini", workers=1)  # where another process was first, it finds it complete
+    return shared / "mini"
 
 
 @pytest.fixture
