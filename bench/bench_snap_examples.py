@@ -1,11 +1,11 @@
-"""What an example costs before a network sees it: milliseconds of one core, from files and from memory.
+"""CPU milliseconds to make a training example of SnapNet, from files and from memory.
 
     .venv/bin/python bench/bench_snap_examples.py data
     .venv/bin/python bench/bench_snap_examples.py data --preset paper --examples 8
 
-Time is that of the processor, so other programs count little. `first` makes examples with nothing in memory (the files
-themselves may be: the operating system keeps them), `again` the same ones once more. At the end exact volumes stand
-beside the other way to true ones: a volume made once in the body's own frame, resampled for every example.
+CPU time of one core, so other programs count little. `first` makes examples with empty caches (the operating system may
+have cached the files), `again` the same ones once more. At the end exact volumes are compared with another scheme: one
+volume in the body's own frame, resampled for every example.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from typing import TypeVar
 import numpy as np
 import tyro
 
-from baselines.snapnet.config import POSITION, ROTATION, Kind
-from baselines.snapnet.examples import PositionExamples, RotationExamples, Sensor, Situations
+from baselines.snapnet.config import POSITION, ROTATION, Source
+from baselines.snapnet.examples import PositionExamples, QuerySampler, RotationExamples, Sensor
 from baselines.snapnet.volumes import grid_about
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
@@ -30,9 +30,9 @@ from kit1000.rng import stream
 from kit1000.voxels import Grid, resample, signed_distance
 from kit1000.voxels.grid import DEFAULT_TRUNCATION
 
-Made = TypeVar("Made")
+Result = TypeVar("Result")
 
-MADE: tuple[tuple[Kind, Sensor], ...] = (("truth", "ideal"), ("partial", "ideal"), ("partial", "d415"))
+SOURCES: tuple[tuple[Source, Sensor], ...] = (("truth", "ideal"), ("depth", "ideal"), ("depth", "d415"))
 
 
 def main(dataset: tyro.conf.Positional[Path], preset: str = "small", examples: int = 60, resampled: int = 16) -> None:
@@ -41,16 +41,16 @@ def main(dataset: tyro.conf.Positional[Path], preset: str = "small", examples: i
     Args:
         dataset: folder.
         preset: small or paper.
-        examples: how many the mean is of.
-        resampled: of how many parts and assemblies true volumes are resampled.
+        examples: number of examples.
+        resampled: number of parts and assemblies whose volumes are resampled.
     """
     data = Dataset(dataset)
     print(f"{'one example, ' + preset:34}{'first ms':>10}{'again ms':>10}")
-    for kind, sensor in MADE:
-        position = PositionExamples(Situations(data, "train", kind, "ball", sensor), POSITION[preset])
-        print_draws(f"position, {kind}, {sensor}", position.draw, examples)
-        rotation = RotationExamples(Situations(data, "train", kind, "ball", sensor), ROTATION[preset])
-        print_draws(f"rotation, {kind}, {sensor}", rotation.draw, examples)
+    for source, sensor in SOURCES:
+        position = PositionExamples(QuerySampler(data, "train", source, "ball", sensor), POSITION[preset])
+        print_draws(f"position, {source}, {sensor}", position.draw, examples)
+        rotation = RotationExamples(QuerySampler(data, "train", source, "ball", sensor), ROTATION[preset])
+        print_draws(f"rotation, {source}, {sensor}", rotation.draw, examples)
     print(f"peak of this process {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6:.1f} GB")
     if resampled:
         print_resampled(data, preset, resampled)
@@ -64,23 +64,19 @@ def print_draws(name: str, draw: Callable[[np.random.Generator], object], count:
 
 
 def print_resampled(data: Dataset, preset: str, count: int) -> None:
-    """Print what resampling would save, and what it would get wrong."""
-    config, told = POSITION[preset], Situations(data, "train", "truth")
+    """Print the time and the error of resampling."""
+    config, sampler = POSITION[preset], QuerySampler(data, "train", "truth")
     rows: dict[str, list[tuple[float, ...]]] = {"part": [], "kits": []}
     for i in range(count):
-        each = told.draw(stream(1, i))
-        truth = each.looks.truth
-        assert truth is not None
-        assembly = data.geometry.assembly(truth.assembly_id)
-        kit = next(mount.assembly_from_kit for mount in assembly.mounts if mount.kit.id == truth.part_id)
-        here = each.guess.inverse() @ each.world_from_work
-        part = data.geometry.part(truth.part_id).mesh
-        rows["part"].append(compared(grid_about(here, config.part_cells, config.voxel), part, truth.world_from_part))
-        stands = truth.world_from_kit @ kit.inverse()
-        grid = grid_about(each.world_from_work, config.kit_cells, config.voxel)
-        rows["kits"].append(compared(grid, assembly.mesh, stands))
+        sample = sampler.draw(stream(1, i))
+        true = sample.volumes.geometry
+        assert true is not None
+        part_grid = grid_about(sample.guess.inverse() @ sample.world_from_work, config.part_cells, config.voxel)
+        rows["part"].append(compared(part_grid, true.part, true.world_from_part))
+        grid = grid_about(sample.world_from_work, config.kit_cells, config.voxel)
+        rows["kits"].append(compared(grid, true.assembly, true.world_from_assembly))
     print(
-        f"\n{'true volume':12}{'exact ms':>10}{'resampled ms':>14}{'off by (99 %)':>18} voxels, {'signs':>6}, kept MB"
+        f"\n{'true volume':12}{'exact ms':>10}{'resampled ms':>14}{'error (99 %)':>18} voxels, {'signs':>6}, cached MB"
     )
     for name, row in rows.items():
         exact, other, mean, most, signs, size = np.mean(row, axis=0)
@@ -88,8 +84,8 @@ def print_resampled(data: Dataset, preset: str, count: int) -> None:
 
 
 def compared(grid: Grid, mesh: Mesh, world_from_body: Pose) -> tuple[float, float, float, float, float, float]:
-    """Times [ms] of exact and resampled values; how far these are off within the truncation, mean and 99 % [voxels];
-    voxels with the other sign, as a share of those inside; and what would be kept as float16 [MB]."""
+    """Times [ms] of exact and resampled values; the error of the latter within the truncation, mean and 99 % [voxels];
+    voxels with the wrong sign, as a share of those inside; and the cache as float16 [MB]."""
     low, high = mesh.bounds
     shape = np.ceil((high - low) / grid.voxel_size + 2 * DEFAULT_TRUNCATION + 3).astype(int)
     middle = Grid.centred(Pose.from_translation((low + high) / 2), (shape[0], shape[1], shape[2]), grid.voxel_size)
@@ -97,17 +93,17 @@ def compared(grid: Grid, mesh: Mesh, world_from_body: Pose) -> tuple[float, floa
     seconds, exact = timed(lambda: signed_distance(grid, [(mesh, world_from_body)], threads=1).filled(1.0))
     other, read = timed(lambda: resample(own, grid, threads=1).filled(1.0))
     near = np.abs(exact) < 1
-    off = np.abs(exact - read)[near] * DEFAULT_TRUNCATION
+    error = np.abs(exact - read)[near] * DEFAULT_TRUNCATION
     signs = ((exact < 0) != (read < 0)).sum() / max((exact < 0).sum(), 1)
     size = 2 * float(shape.prod()) / 1e6
-    return seconds * 1e3, other * 1e3, float(off.mean()), float(np.quantile(off, 0.99)), float(signs), size
+    return seconds * 1e3, other * 1e3, float(error.mean()), float(np.quantile(error, 0.99)), float(signs), size
 
 
-def timed(make: Callable[[], Made]) -> tuple[float, Made]:
-    """Seconds of the processor, and what was made."""
+def timed(make: Callable[[], Result]) -> tuple[float, Result]:
+    """CPU seconds, and the result."""
     start = time.process_time()
-    made = make()
-    return time.process_time() - start, made
+    result = make()
+    return time.process_time() - start, result
 
 
 if __name__ == "__main__":
