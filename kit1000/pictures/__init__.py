@@ -1,1 +1,1 @@
-"""Pictures for people: depth images, masks, previews of kits and sheets of a dataset."""
+"""Pictures of depth images, masks, parts, kits, assemblies and scenes."""

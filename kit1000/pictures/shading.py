@@ -120,9 +120,7 @@ def framing_camera(
     if not bodies:
         raise InputError("framing_camera: expected at least one body")
     back = checked("direction", direction, (3,))
-    across = (
-        2 * np.tan(np.deg2rad(field_deg) / 2) * np.array(size) / max(size)
-    )  # [m] width and height of the view at 1 m
+    across = 2 * np.tan(np.deg2rad(field_deg) / 2) * np.array(size) / max(size)  # [m] width and height at 1 m
     camera = Camera(
         width=size[0],
         height=size[1],

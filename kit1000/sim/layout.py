@@ -63,8 +63,8 @@ class LayoutDraw:
 
     def __post_init__(self) -> None:
         n = len(self.modes)
-        wanted = {"assembly_shift": (2,), "drop_points": (n, 2), "yaws": (n,), "tumbled_rotations": (n, 4)}
-        for name, shape in wanted.items():
+        shapes = {"assembly_shift": (2,), "drop_points": (n, 2), "yaws": (n,), "tumbled_rotations": (n, 4)}
+        for name, shape in shapes.items():
             object.__setattr__(self, name, checked(name, getattr(self, name), shape))
 
 

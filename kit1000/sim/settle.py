@@ -73,10 +73,7 @@ def settle(releases: Sequence[Release]) -> list[RestPose]:
     with World() as world:
         world.add_ground()
         bodies = [_add_part(world, *pair) for pair in zip(solids, releases, strict=True)]
-        for rolling in (
-            ROLLING_FRICTION,
-            0.0,
-        ):  # a part that only rolling friction holds may roll on in the second pass
+        for rolling in (ROLLING_FRICTION, 0.0):  # the second pass frees parts that only rolling friction holds
             for body in bodies:
                 world.change(body, rollingFriction=rolling, spinningFriction=SPINNING_FRICTION)
             at_rest = _step_until_rest(world, bodies)

@@ -173,7 +173,7 @@ def blend_windows(d, width):
 
 @compiled
 def _add_pairs(here, before, after, total, count):
-    """Add the differences of two opposite neighbours from each pixel of a row where both are small, and their number."""
+    """Add up the differences of opposite neighbours from each pixel of a row, where both are small, and count them."""
     edge = np.float32(EDGE_STEP)
     for u in range(len(here)):
         a, b = before[u] - here[u], after[u] - here[u]

@@ -40,13 +40,13 @@ def tsdf(
         truncation: [m] along the optical axis; five voxels by default.
         threads: number of threads; all cores by default. The result does not depend on it.
     """
-    reach = truncation_voxels(grid, truncation) * grid.voxel_size
+    limit = truncation_voxels(grid, truncation) * grid.voxel_size
     image = _signed_depth(view, mask)
     values = np.empty(grid.shape, np.float32)
     across, down, forward = _projection(grid, view)
 
     def fill(start: int, stop: int) -> None:
-        _fill_slab(start, stop, across, down, forward, image, 1 / reach, values)
+        _fill_slab(start, stop, across, down, forward, image, 1 / limit, values)
 
     for_each_slab(fill, grid.shape, threads)
     return Volume.adopt(grid, values)
