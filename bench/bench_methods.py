@@ -38,7 +38,7 @@ class Methods:
 def main(options: Methods) -> None:
     """Print the table."""
     with measured_dataset(options.data) as (dataset, _):
-                print(f"{dataset.root.name}: seconds per query, mean and largest; the mean relative to that of {METHODS[0]}")
+        print(f"{dataset.root.name}: seconds per query, mean and largest, and the mean relative to {METHODS[0]}")
         for track in TRACKS:
             reference = None
             for name in METHODS:
