@@ -177,8 +177,8 @@ def _sorted(dataset: Dataset, predictions: Iterable[Prediction]) -> list[Predict
     """The last prediction for each query, in the order of the dataset's queries."""
     last = {prediction.query_id: prediction for prediction in predictions}
     query_ids = (query.id for split in splits_of(last) for query in dataset.split(split).queries())
-    place = {query_id: i for i, query_id in enumerate(query_ids)}
-    return sorted(last.values(), key=lambda prediction: place.get(prediction.query_id, len(place)))
+    rank = {query_id: i for i, query_id in enumerate(query_ids)}
+    return sorted(last.values(), key=lambda prediction: rank.get(prediction.query_id, len(rank)))
 
 
 def splits_of(query_ids: Iterable[str]) -> tuple[str, ...]:

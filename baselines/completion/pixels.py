@@ -1,4 +1,4 @@
-"""Cropped depth images, and the points that their pixels stand for."""
+"""Cropped depth images, and the points of their pixels."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def oriented_points(view: View, mask: np.ndarray, window: int) -> tuple[np.ndarr
         window: [px] over which points are averaged for the normals.
 
     Returns:
-        Points (n, 3) [m] and normals (n, 3) in the world, and the area [m^2] that a point stands for.
+        Points (n, 3) [m] and normals (n, 3) in the world, and the area [m^2] that a point represents.
     """
     mask = mask & (view.depth > 0)
     v, u = np.nonzero(mask)

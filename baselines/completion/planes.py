@@ -37,7 +37,7 @@ def find_planes(
     Args:
         points: (n, 3) [m] world.
         normals: (n, 3) unit, world.
-        area: [m^2] that each point stands for.
+        area: [m^2] that each point represents.
         noise: distance and angle of the points of a plane.
         rng: draws the points that give hypotheses.
     """

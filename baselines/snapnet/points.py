@@ -39,14 +39,14 @@ def sample_points(volume: np.ndarray, voxel: float, where: Where, count: int, rn
     if values.ndim != 3:
         raise InputError(f"volume: expected shape (nx, ny, nz), got {values.shape}")
     if where == "inside":
-        places = np.argwhere(values <= 0).astype(np.float64)
+        indices = np.argwhere(values <= 0).astype(np.float64)
     else:
-        places = surface_points(Volume(Grid(values.shape, 1.0, Pose.identity()), values))
-    if len(places) == 0:
+        indices = surface_points(Volume(Grid(values.shape, 1.0, Pose.identity()), values))
+    if len(indices) == 0:
         return np.zeros((count, 3), np.float32)
-    full, rest = divmod(count, len(places))
-    rounds = [rng.permutation(len(places)) for _ in range(full)] + [rng.choice(len(places), rest, replace=False)]
-    return ((places[np.concatenate(rounds)] - np.array(values.shape) // 2) * voxel).astype(np.float32)
+    full, rest = divmod(count, len(indices))
+    rounds = [rng.permutation(len(indices)) for _ in range(full)] + [rng.choice(len(indices), rest, replace=False)]
+    return ((indices[np.concatenate(rounds)] - np.array(values.shape) // 2) * voxel).astype(np.float32)
 
 
 def rotated(points: Tensor, rotations: Tensor) -> Tensor:
@@ -72,8 +72,8 @@ def interpolated(volume: Tensor, points: Tensor, voxel: float) -> Tensor:
         (B, C, P).
     """
     cells = points.new_tensor(volume.shape[1:])
-    places = 2 * (points / voxel + torch.floor(cells / 2)) / (cells - 1) - 1  # -1 and 1 at the outermost voxels
-    grid = places.flip(-1)[:, :, :, None]  # torch counts axes from the last
+    normalised = 2 * (points / voxel + torch.floor(cells / 2)) / (cells - 1) - 1  # -1 and 1 at the outermost voxels
+    grid = normalised.flip(-1)[:, :, :, None]  # torch counts axes from the last
     values = functional.grid_sample(volume[:, None], grid, padding_mode="border", align_corners=True)
     return values[:, 0, :, :, 0]
 

@@ -49,7 +49,7 @@ class Task(Protocol):
 
 
 def train_batches(
-    task: Task, seed: int, batch: int, steps: range, places: range, workers: int, device: torch.device
+    task: Task, seed: int, batch: int, steps: range, indices: range, workers: int, device: torch.device
 ) -> Iterator[Batch]:
     """The batches of some steps, on a device.
 
@@ -58,30 +58,30 @@ def train_batches(
 
     Args:
         batch: examples of a step, over all processes.
-        places: the indices of this process among them.
+        indices: those of this process among them.
         workers: processes that make examples; 0: this one.
     """
-    indices = ([step * batch + i for i in places] for step in steps)
-    return _on_device(_TrainingSet(task, seed, batch), indices, workers, device)
+    batches = ([step * batch + i for i in indices] for step in steps)
+    return _on_device(_TrainingSet(task, seed, batch), batches, workers, device)
 
 
 def validation_batches(
-    task: Task, keys: Sequence[Any], places: range, batch: int, workers: int, device: torch.device
+    task: Task, keys: Sequence[Any], indices: range, batch: int, workers: int, device: torch.device
 ) -> Iterator[Batch]:
     """The validation examples at some indices among the keys, at most `batch` at a time."""
-    indices = [list(places[i : i + batch]) for i in range(0, len(places), batch)]
-    return _on_device(_ValidationSet(task, keys), indices, min(workers, len(indices)), device)
+    batches = [list(indices[i : i + batch]) for i in range(0, len(indices), batch)]
+    return _on_device(_ValidationSet(task, keys), batches, min(workers, len(batches)), device)
 
 
 class _TrainingSet(Dataset):
-    """Training examples, by step x batch + place."""
+    """Training examples, by step x batch + index."""
 
     def __init__(self, task: Task, seed: int, batch: int) -> None:
         self.task, self.seed, self.batch = task, seed, batch
 
     def __getitem__(self, index: int) -> Batch:
-        step, place = divmod(index, self.batch)
-        return to_tensors(self.task.example(stream(self.seed, "train", step, place)))
+        step, i = divmod(index, self.batch)
+        return to_tensors(self.task.example(stream(self.seed, "train", step, i)))
 
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"task": _without_model(self.task)}
@@ -107,9 +107,9 @@ def _without_model(task: Task) -> Task:
     return bare
 
 
-def _on_device(data: Dataset, indices: Iterable[list[int]], workers: int, device: torch.device) -> Iterator[Batch]:
+def _on_device(data: Dataset, batches: Iterable[list[int]], workers: int, device: torch.device) -> Iterator[Batch]:
     gpu = device.type == "cuda"
     prefetch = PREFETCH if workers else None
-    loader = DataLoader(data, batch_sampler=indices, num_workers=workers, prefetch_factor=prefetch, pin_memory=gpu)  # pyright: ignore[reportArgumentType]
+    loader = DataLoader(data, batch_sampler=batches, num_workers=workers, prefetch_factor=prefetch, pin_memory=gpu)  # pyright: ignore[reportArgumentType]
     for batch in loader:
         yield {name: value.to(device, non_blocking=gpu) for name, value in batch.items()}

@@ -143,7 +143,7 @@ def load_into_optimizer(
 ) -> None:
     """Restore an optimizer from `optimizer_tensors`; raises InputError where they are of another network."""
     parameters = dict(model.named_parameters())
-    places = {
+    index_of = {
         parameter: i for i, parameter in enumerate(p for group in optimizer.param_groups for p in group["params"])
     }
     state: dict[int, Tensors] = {}
@@ -151,7 +151,7 @@ def load_into_optimizer(
         kind, _, of = name.partition(".")
         if of not in parameters or value.shape not in ((), parameters[of].shape):
             raise InputError(f"{where}: the optimizer's {name} fits no parameter of this network")
-        state.setdefault(places[parameters[of]], {})[kind] = value.clone()  # an optimizer writes into its state
+        state.setdefault(index_of[parameters[of]], {})[kind] = value.clone()  # an optimizer writes into its state
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
 
 

@@ -44,17 +44,17 @@ def _chart(title: str, lines: Mapping[str, Points]) -> str:
     ticks, log = _ticks(values)
     low, high = (log10(ticks[0]), log10(ticks[-1])) if log else (ticks[0], ticks[-1])
 
-    def place(step: float, value: float) -> tuple[float, float]:
+    def pixel(step: float, value: float) -> tuple[float, float]:
         share = ((log10(value) if log else value) - low) / (high - low)
         return LEFT + (WIDTH - LEFT - RIGHT) * step / last, HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * share
 
     marks = [f'<text class="title" x="{LEFT}" y="18">{escape(title)}</text>']
     for tick in ticks:
-        y = place(0, tick)[1]
+        y = pixel(0, tick)[1]
         marks.append(f'<path class="rule" d="M{LEFT} {y:.2f}H{WIDTH - RIGHT}" style="stroke-width:1"/>')
         marks.append(f'<text class="end" x="{LEFT - 6}" y="{y + 4:.2f}">{tick:.4g}</text>')
     for i, (kind, points) in enumerate(lines.items()):
-        path = "L".join(f"{x:.2f} {y:.2f}" for x, y in (place(*point) for point in points))
+        path = "L".join(f"{x:.2f} {y:.2f}" for x, y in (pixel(*point) for point in points))
         marks.append(f'<path class="{kind}" d="M{path}"/>' if points else "")
         marks.append(f'<text class="end {kind}-name" x="{WIDTH - RIGHT - 60 * i}" y="18">{kind}</text>')
     marks.append(f'<text x="{LEFT}" y="{HEIGHT - 12}">0</text>')

@@ -119,8 +119,8 @@ def _run_steps(run: _Run) -> StopReason:
     config, progress, ranks = run.config, run.progress, run.ranks
     began = time.monotonic() - progress.seconds
     ends = math.inf if config.time_limit_s is None else time.monotonic() + config.time_limit_s
-    steps, places = range(progress.step, config.steps), ranks.share(config.batch)
-    batches = train_batches(run.task, config.seed, config.batch, steps, places, _workers(config, ranks), ranks.device)
+    steps, indices = range(progress.step, config.steps), ranks.share(config.batch)
+    batches = train_batches(run.task, config.seed, config.batch, steps, indices, _workers(config, ranks), ranks.device)
     silent = None if ranks.first else True
     with (
         closing(batches) as batches,  # pyright: ignore[reportArgumentType]

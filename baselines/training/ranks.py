@@ -88,7 +88,7 @@ def _device(device: torch.device | str | None) -> torch.device:
     chosen = torch.device(device or ("cuda" if torch.cuda.is_available() else "cpu"))
     if chosen.type != "cuda" or chosen.index is not None:
         return chosen
-    place = int(os.environ.get("LOCAL_RANK", 0))
-    if place >= torch.cuda.device_count():
-        raise InputError(f"process {place} of this machine has no GPU: it has {torch.cuda.device_count()}")
-    return torch.device("cuda", place)
+    index = int(os.environ.get("LOCAL_RANK", 0))
+    if index >= torch.cuda.device_count():
+        raise InputError(f"process {index} of this machine has no GPU: it has {torch.cuda.device_count()}")
+    return torch.device("cuda", index)
