@@ -1,4 +1,4 @@
-"""ICP: it finds what it can find, it is one method among others to the runner, and what it gets is a closed shell."""
+"""ICP: it converges where the nearest fit is correct, conforms as a method, and its shell of a part is closed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from kit1000.values import Query
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _loaded() -> None:
+def _needs_open3d() -> None:
     try:
         icp._open3d()
     except InputError as error:
@@ -39,7 +39,7 @@ def test_icp_conforms(data: Dataset, queries: list[Query]) -> None:
     check_predictor(Icp(data), queries[:3], name="icp")
 
 
-def test_without_a_guess_there_is_no_answer(data: Dataset) -> None:
+def test_without_a_guess_it_refuses(data: Dataset) -> None:
     query = next(data.split("train").queries("place"))
     with pytest.raises(InputError, match=f"{query.id}: ICP begins at a guess"):
         Icp(data)(query, None)
@@ -50,18 +50,18 @@ def test_far_from_all_kits_the_guess_stays(data: Dataset, queries: list[Query]) 
     assert Icp(data)(replace(queries[0], guess=far), None) == (far, 0.0)
 
 
-def test_answers_stay_within_the_error_of_a_guess(data: Dataset, queries: list[Query]) -> None:
+def test_predictions_stay_within_the_error_of_a_guess(data: Dataset, queries: list[Query]) -> None:
     for query in queries:
         assert query.guess is not None
-        answer, confidence = Icp(data)(query, None)
-        step = answer @ query.guess.inverse()
-        home = query.guess.apply(query.pivot)
-        assert np.linalg.norm(step.apply(home) - home) <= icp.FARTHEST + 1e-6
+        motion, confidence = Icp(data)(query, None)
+        step = motion @ query.guess.inverse()
+        guessed = query.guess.apply(query.pivot)
+        assert np.linalg.norm(step.apply(guessed) - guessed) <= icp.FARTHEST + 1e-6
         assert step.angle() <= icp.MAX_ANGLE + 1e-6
         assert 0 <= confidence <= 1
 
 
-def test_a_shell_hangs_from_what_is_seen_down_to_the_table(queries: list[Query]) -> None:
+def test_a_shell_reaches_from_the_observed_surface_to_the_table(queries: list[Query]) -> None:
     for query in queries:
         shell = shell_of(query)
         height = shell[:, 2].max()
@@ -72,8 +72,8 @@ def test_a_shell_hangs_from_what_is_seen_down_to_the_table(queries: list[Query])
         assert len(walls) > 100
 
 
-def test_a_peg_without_play_finds_its_hole() -> None:
-    """A truncated wedge in a pit of its own shape: here the nearest fit is the right one."""
+def test_a_peg_without_clearance_converges_into_its_pit() -> None:
+    """A truncated wedge in a pit of its own shape: here the nearest fit is the correct one."""
     rng = np.random.default_rng(0)
     pit = _pit(rng.uniform(-0.04, 0.04, (20_000, 2)))
     peg = _pit(rng.uniform(-0.015, 0.015, (4000, 2)))
