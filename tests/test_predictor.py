@@ -152,6 +152,22 @@ def test_a_moved_geometry_is_that_of_the_moved_truth(data: Dataset, queries: lis
     np.testing.assert_allclose(one.world_from_assembly.matrix(), other.world_from_assembly.matrix(), atol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["train", "val", "test", "test-all", "curves"])
+def test_the_truth_and_the_true_geometry_of_a_query_are_those_recorded(data: Dataset, name: str) -> None:
+    for scene in data.split(name, truth=True):
+        assembly, *parts = scene.scene.bodies
+        for query in scene.queries:
+            truth, recorded = data.truth_of(query), scene.truth_of(query.id)
+            assert (truth.query_id, truth.part_id) == (query.id, recorded.part_id)
+            np.testing.assert_array_equal(truth.goal_drawn.matrix(), recorded.goal_drawn.matrix())
+            geometry = data.geometry.true_geometry(truth)
+            poses = (geometry.world_from_part, geometry.world_from_assembly)
+            for pose, body in zip(poses, (parts[query.part], assembly), strict=True):
+                np.testing.assert_allclose(pose.matrix(), body.world_from_body.matrix(), atol=1e-6)
+            assert geometry.part is data.geometry.part(truth.part_id).mesh
+            assert not [field for field in vars(geometry) if "goal" in field or "slot" in field]
+
+
 def test_a_motion_becomes_a_prediction(queries: list[Query]) -> None:
     query = queries[0]
     prediction = to_prediction(query, PredictedMotion(guess_of(query), np.float32(0.25)), 1.5)  # pyright: ignore[reportArgumentType]

@@ -22,7 +22,7 @@ from baselines.registration.faces import standing_faces
 from baselines.registration.relief import dilated, lower_envelope
 from baselines.registration.search import (
     DUPLICATE_DISTANCE,
-    SHALLOWER,
+    DEPTH_TOLERANCE,
     YAW_STEP,
     Candidate,
     OrientedPart,
@@ -377,7 +377,9 @@ def test_kept_candidates_are_no_duplicates_and_the_others_are(seed: int, most: i
         cosine = (np.trace(a.plate_from_now.rotation_matrix().T @ b.plate_from_now.rotation_matrix()) - 1) / 2
         angle = np.arccos(np.clip(cosine, -1, 1))
         return bool(
-            shift <= DUPLICATE_DISTANCE and angle < 1.5 * YAW_STEP and abs(a.cavity.depth - b.cavity.depth) <= SHALLOWER
+            shift <= DUPLICATE_DISTANCE
+            and angle < 1.5 * YAW_STEP
+            and abs(a.cavity.depth - b.cavity.depth) <= DEPTH_TOLERANCE
         )
 
     assert kept[0] is found[0]

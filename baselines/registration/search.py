@@ -22,7 +22,7 @@ YAW_STEP = np.radians(6)
 PEAKS = 3  # positions kept for each yaw
 PEAK_DISTANCE = 5  # cells between them
 DUPLICATE_DISTANCE = 4e-3  # [m] candidates nearer than this, at nearly the same rotation, are refined to the same pose
-SHALLOWER = 1e-3  # [m] by which the observed floor may lie above the hidden one and still be the floor
+DEPTH_TOLERANCE = 1e-3  # [m] by which an observed floor may be shallower than expected and still be the floor
 UPRIGHT = -0.99  # z of a normal that points down at the table
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -146,7 +146,7 @@ def without_duplicates(candidates: Sequence[Candidate], pivot: np.ndarray, most:
 
 
 def _duplicates(a: Candidate, b: Candidate, pivot: np.ndarray) -> bool:
-    if abs(a.cavity.depth - b.cavity.depth) > SHALLOWER:
+    if abs(a.cavity.depth - b.cavity.depth) > DEPTH_TOLERANCE:
         return False
     one, other = (c.cavity.world_from_plate @ c.plate_from_now for c in (a, b))
     if np.linalg.norm(one.apply(pivot) - other.apply(pivot)) > DUPLICATE_DISTANCE:
@@ -160,7 +160,7 @@ def _possible_depths(cavity: Cavity, expected: float, certain: bool) -> list[Cav
     certain: the expected depth is well known, because the part lies as it will be inserted and shows its height.
     """
     hidden = np.isnan(cavity.relief[cavity.region]).any()
-    if not hidden or expected <= cavity.depth + SHALLOWER:
+    if not hidden or expected <= cavity.depth + DEPTH_TOLERANCE:
         return [cavity]
     return [replace(cavity, depth=expected)] if certain else [cavity, replace(cavity, depth=expected)]
 
