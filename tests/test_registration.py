@@ -21,8 +21,8 @@ from baselines.registration.cavity import VOXEL, find_cavity, plate_grid
 from baselines.registration.faces import standing_faces
 from baselines.registration.relief import dilated, lower_envelope
 from baselines.registration.search import (
-    DUPLICATE_DISTANCE,
     DEPTH_TOLERANCE,
+    DUPLICATE_DISTANCE,
     YAW_STEP,
     Candidate,
     OrientedPart,
