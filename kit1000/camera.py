@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from kit1000.errors import InputError, ShapeError, checked
 from kit1000.pose import Pose, unit_vector
+from kit1000.products import length
 
 # With a view direction this close [sine of the angle] to `up`, rounding would determine the roll of the camera.
 UPRIGHT_TOLERANCE = 1e-6
@@ -120,7 +121,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
     position = checked("eye", eye, (3,))
     forward = unit_vector(checked("target", target, (3,)) - position, "target - eye")
     right = np.cross(forward, unit_vector(checked("up", up, (3,)), "up"))
-    if np.linalg.norm(right) < UPRIGHT_TOLERANCE:
+    if length(right) < UPRIGHT_TOLERANCE:
         raise InputError("up: expected a direction off the line of sight, got one along it")
     right = unit_vector(right)
     axes = np.stack([right, np.cross(forward, right), forward], axis=-1)

@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 
 from kit1000.errors import MeshRefused, ShapeError, checked
+from kit1000.products import determinant, matmul
 
 if TYPE_CHECKING:
     from kit1000.pose import Pose
@@ -68,7 +69,7 @@ class Mesh:
         """(3,) [m]: centre of volume."""
         corners = self.triangles - self._box_centre
         volumes = _tetrahedron_volumes(self.triangles, self._box_centre)
-        return self._box_centre + volumes @ corners.sum(1) / 4 / volumes.sum()
+        return self._box_centre + matmul(volumes, corners.sum(1)) / 4 / volumes.sum()
 
     @cached_property
     def bounds(self) -> np.ndarray:
@@ -108,7 +109,7 @@ class Mesh:
 def inertia(mesh: Mesh, mass: float) -> np.ndarray:
     """(3, 3) [kg m^2] of a uniform solid of a mass [kg] about its centre of mass, along the mesh's axes."""
     corners = mesh.triangles - mesh.centroid  # each face spans a tetrahedron with the centre
-    weights = np.linalg.det(corners)
+    weights = determinant(corners)
     sums = corners.sum(1)
     squares = np.einsum("n,nki,nkj->ij", weights, corners, corners) + np.einsum("n,ni,nj->ij", weights, sums, sums)
     second = mass / weights.sum() / 20 * squares

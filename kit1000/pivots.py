@@ -18,7 +18,7 @@ def part_pivots(view: View, labels: np.ndarray) -> dict[int, np.ndarray]:
     for part in range(int(labels.max()) + 1 - FIRST_PART_LABEL):
         centre = extent_centre(view, labels == FIRST_PART_LABEL + part)
         if centre is not None:
-            pivots[part] = np.round(centre, PIVOT_DECIMALS)
+            pivots[part] = np.round(centre, PIVOT_DECIMALS) + 0.0  # never minus zero
     return pivots
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kit1000.errors import InputError, ShapeError, checked
+from kit1000.products import determinant
 
 # A product of a few float32 matrices deviates from a rotation by less; a scaled or sheared one by more.
 ROTATION_TOLERANCE = 1e-5
@@ -318,7 +319,7 @@ def _quaternion_from_matrix(matrix: np.ndarray) -> np.ndarray:
     is q without cancellation (Shepperd, "Quaternion from rotation matrix", 1978).
     """
     gram = np.sum(matrix[..., :, :, None] * matrix[..., :, None, :], axis=-3)
-    if np.any(np.abs(gram - np.eye(3)) > ROTATION_TOLERANCE) or np.any(np.linalg.det(matrix) < 0):
+    if np.any(np.abs(gram - np.eye(3)) > ROTATION_TOLERANCE) or np.any(determinant(matrix) < 0):
         raise InputError("rotation matrix: expected a rotation, got one that scales, shears or reflects")
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = np.moveaxis(matrix, (-2, -1), (0, 1))
     rows = (

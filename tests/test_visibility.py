@@ -30,10 +30,10 @@ from kit1000.sim.visibility import (
     SlotVisibility,
     cavity_labels,
     cavity_surface,
-    view_redraw_reason,
     part_visibility,
     silhouette_pixels,
     slot_visibility,
+    view_redraw_reason,
 )
 from kit1000.values import Kit
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from kit1000.dataset.schema import SceneTruth
 from kit1000.dataset.tables import Row, pose_of
+from kit1000.products import length
 from kit1000.tracks import CURVES
 
 TILT_DEG = (0, 5, 15, 30, 45)
@@ -106,8 +107,8 @@ def _guess_statistics(track: str, draw: Row | None) -> Statistics:
     """The error of a guess at its pivot. The errors of the curves are set, not drawn, and are left out."""
     if draw is None or track == CURVES:
         return {}
-    millimetres = 1e3 * float(np.linalg.norm(draw["offset"]))
-    degrees = float(np.degrees(np.linalg.norm(draw["rotvec"])))
+    millimetres = 1e3 * length(draw["offset"])
+    degrees = float(np.degrees(length(draw["rotvec"])))
     return {
         track: {
             "n": 1,

@@ -18,6 +18,7 @@ from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_loose_fit
 from kit1000.kits.seating import SEATED_LIMIT, InsertedPart, SeatingResult, contact_offset, seating_result
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, quaternion_angle
+from kit1000.products import length
 from kit1000.values import Kit, Part
 
 DIRECTIONS = np.radians(np.arange(0, 360, 30.0))  # in the plate's plane: of shifts and tilt axes
@@ -112,7 +113,7 @@ def is_goal(pose: Pose, kit: Kit, max_angle: float | None = None) -> bool:
     limit = max(ANGLE_STEP, max_angle or 0.0)
     for goal in kit.slot.goals:
         nearest = goal if kit.slot.free_axis is None else nearest_about_axis(pose, goal, kit.slot.free_axis)
-        shift = np.linalg.norm(pose.xyz - nearest.xyz)
+        shift = length(pose.xyz - nearest.xyz)
         if quaternion_angle(pose.wxyz, nearest.wxyz) < limit and shift < SEATED_LIMIT / 3:
             return True
     return False

@@ -25,6 +25,7 @@ from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset
 from kit1000.mesh import body_count, defect_float32, solid_from_mesh
 from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose
+from kit1000.products import length, matmul
 from kit1000.values import Assembly, Kit, Mount, Part
 
 MAX_KITS = 5  # a base and one plate on each of its four sides
@@ -214,8 +215,8 @@ def _blocks(other: _SeatedPart, moving: _SeatedPart) -> bool:
     """Whether a seated part blocks the insertion path of another; their bounding balls decide most cases."""
     axis = moving.assembly_from_part.rotate(moving.part.axis)
     apart = other.assembly_from_part.xyz - moving.assembly_from_part.xyz
-    aside = apart - max(float(apart @ axis), 0.0) * axis
-    if np.linalg.norm(aside) > other.radius + moving.radius:
+    aside = apart - max(float(matmul(apart, axis)), 0.0) * axis
+    if length(aside) > other.radius + moving.radius:
         return False
     return contact_offset(moving.part, other.convex_edges, moving.assembly_from_part) > 0
 
@@ -228,7 +229,7 @@ def _check_stability(assembly: Assembly, parts: Mapping[str, Part]) -> None:
     centres = np.array([mesh.centroid, *(pose.xyz for pose in poses)])
     footprint = ConvexHull(mesh.vertices[mesh.vertices[:, 2] == 0, :2])
     inside = (
-        -centres[:, :2] @ footprint.equations[:, :2].T - footprint.equations[:, 2] - STABILITY_MARGIN
+        matmul(-centres[:, :2], footprint.equations[:, :2].T) - footprint.equations[:, 2] - STABILITY_MARGIN
     )  # (1 + slots, edges)
     moments = masses[:, None] * inside
     # over each edge the worst load seats exactly the parts that pull towards it

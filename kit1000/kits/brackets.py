@@ -13,6 +13,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from kit1000.mesh import Mesh, convex_hull, mesh_from_solid
+from kit1000.products import matmul
 from kit1000.values import Mount
 
 PLATE_OVERLAP = 1e-3  # [m] by which a piece reaches into a plate; the floor under a cavity is 2 mm
@@ -40,7 +41,7 @@ def support_pieces(mounts: Sequence[Mount]) -> list[Manifold]:
 def side_direction(base: Mount, side: Mount) -> int:
     """The side of the base on which a plate is: 0..3 for +x, +y, -x, -y of the base."""
     offset = (base.assembly_from_kit.inverse() @ side.assembly_from_kit).xyz[:2]
-    return int(np.argmax(OUTWARD @ offset))
+    return int(np.argmax(matmul(OUTWARD, offset)))
 
 
 def _bracket(base: Mount, side: Mount, direction: int) -> Manifold:

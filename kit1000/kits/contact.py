@@ -14,6 +14,7 @@ import numpy as np
 
 from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
+from kit1000.products import matmul
 
 WALL_COSINE = 1e-9  # faces whose unit normal has a smaller z are walls: only their edges can touch
 COPLANAR_SINE = 1e-9  # sine of the dihedral angle below which two faces count as coplanar
@@ -68,8 +69,8 @@ def contact_features(body: ConvexEdges, rotation: np.ndarray, translation: np.nd
 
     rotation: (3, 3); translation: (3,) [m].
     """
-    vertices = body.mesh.vertices @ rotation.T + translation
-    facing = side * (body.mesh.normals @ rotation[2])  # (m,) cosine to the direction of view
+    vertices = matmul(body.mesh.vertices, rotation.T) + translation
+    facing = side * (matmul(body.mesh.normals, rotation[2]))  # (m,) cosine to the direction of view
     ends = body.ends[(facing[body.adjacent] > -WALL_COSINE).any(1)]
     return ContactFeatures(
         vertices[np.unique(ends)],

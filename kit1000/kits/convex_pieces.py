@@ -14,6 +14,7 @@ import numpy as np
 from manifold3d import CrossSection, FillRule, JoinType, Manifold, triangulate
 
 from kit1000.mesh import Mesh, convex_hull, mesh_from_solid, solid_from_mesh
+from kit1000.products import length, matmul
 from kit1000.values import Kit
 
 TOLERANCE = 0.4e-3  # [m] by which walls recede at most, roughly; the clearance is 2.5 mm
@@ -49,7 +50,7 @@ def convex_polygons(section: CrossSection) -> list[np.ndarray]:
     polygons = {i: list(triangle) for i, triangle in enumerate(triangulate(contours).tolist())}
     owner = {(a, b): i for i, loop in polygons.items() for a, b in _edges(loop)}
     shared = [(a, b) for a, b in owner if a < b and (b, a) in owner]
-    shared.sort(key=lambda side: -float(np.linalg.norm(corners[side[0]] - corners[side[1]])))
+    shared.sort(key=lambda side: -length(corners[side[0]] - corners[side[1]]))
     for a, b in shared:
         left, right = owner[a, b], owner[b, a]
         merged = _merged(polygons[left], polygons[right], a, b)
@@ -141,14 +142,14 @@ def _simplified_indices(contour: np.ndarray, tolerance: float) -> np.ndarray:
 def _distance(points: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """(n,) [m] from points (n, 2) to the segment from a to b."""
     along = b - a
-    share = np.clip((points - a) @ along / max(float(along @ along), 1e-30), 0, 1)
+    share = np.clip(matmul(points - a, along) / max(float(matmul(along, along)), 1e-30), 0, 1)
     return np.linalg.norm(points - a - share[:, None] * along, axis=1)
 
 
 def _area(polygon: np.ndarray) -> float:
     """[m^2] of a polygon (n, 2), positive when it runs counter-clockwise."""
     x, y = polygon.T
-    return float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) / 2
+    return float(matmul(x, np.roll(y, -1)) - matmul(y, np.roll(x, -1))) / 2
 
 
 def _prism(polygon: np.ndarray, low: float, high: float) -> Manifold:

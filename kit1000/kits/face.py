@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull
 from kit1000.kits.envelope import polar_relief
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, quaternion_between, quaternion_from_rotvec
+from kit1000.products import matmul
 from kit1000.symmetry import Symmetry
 
 MIN_PROBABILITY = 0.05  # share of drops after which the part lies on a face, for it to count as a resting face
@@ -55,7 +56,7 @@ def resting_faces(mesh: Mesh, min_probability: float = MIN_PROBABILITY) -> list[
     for members in _rolling_groups(normals[sinks]):
         chosen = members[np.argmax(np.round(probability[members], 6))]
         normal = normals[sinks[chosen]]
-        along = mesh.vertices @ normal
+        along = matmul(mesh.vertices, normal)
         faces.append(RestingFace(normal, float(probability[members].sum()), float(along.max() - along.min())))
     return sorted((f for f in faces if f.probability >= min_probability), key=lambda f: -round(f.probability, 6))
 
@@ -92,7 +93,7 @@ def narrowest_width(points: np.ndarray) -> float:
     outline = points[ConvexHull(points[:, :2]).vertices, :2]
     edges = np.roll(outline, -1, axis=0) - outline
     across = np.stack([-edges[:, 1], edges[:, 0]], 1) / np.linalg.norm(edges, axis=1, keepdims=True)
-    return float(np.ptp(outline @ across.T, axis=0).min())
+    return float(np.ptp(matmul(outline, across.T), axis=0).min())
 
 
 def _yaw_contrast(mesh: Mesh, face: RestingFace, depth: float, clearance: float, symmetry: Symmetry) -> float:
@@ -105,10 +106,12 @@ def _yaw_contrast(mesh: Mesh, face: RestingFace, depth: float, clearance: float,
     columns = relief.shape[1]
     rotated = relief[:, (np.arange(columns)[:, None] - np.arange(columns)) % columns]  # (rings, columns, yaws)
     overlap = np.maximum(rotated - cavity[:, :, None] - min(TIP_RISE, depth / 3), 0).sum(1)
-    mean_overlap = weights @ overlap / (weights.sum() * columns)  # (yaws,)
+    mean_overlap = matmul(weights, overlap) / (weights.sum() * columns)  # (yaws,)
     yaws = np.arange(columns) * (2 * np.pi / columns)
     rotations = quaternion_from_rotvec(-yaws[:, None] * face.normal)  # the normal points down: opposite sense
-    same = weights @ np.abs(rotated - relief[:, :, None]).sum(1) < SAME_RELIEF_SHARE * (weights @ relief.sum(1))
+    same = matmul(weights, np.abs(rotated - relief[:, :, None]).sum(1)) < SAME_RELIEF_SHARE * matmul(
+        weights, relief.sum(1)
+    )
     wrong = (symmetry.error(rotations, np.array([1.0, 0, 0, 0])) > WRONG_YAW) & ~same
     return float(mean_overlap[wrong].min() + 0.01 * mean_overlap.mean()) if wrong.any() else np.inf
 
@@ -149,7 +152,7 @@ def _solid_angles(triangles: np.ndarray) -> np.ndarray:
 
 def _rolling_groups(normals: np.ndarray) -> list[np.ndarray]:
     """Groups of stable facets, as arrays of indices: neighbours in a group differ by less than ROLLING_ANGLE."""
-    close = normals @ normals.T > np.cos(ROLLING_ANGLE)
+    close = matmul(normals, normals.T) > np.cos(ROLLING_ANGLE)
     labels = np.arange(len(normals))
     while True:
         merged = np.where(close, labels[None, :], len(normals)).min(1)

@@ -21,6 +21,7 @@ from kit1000.kits.face import resting_faces
 from kit1000.kits.sweep import shadow_below
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose, quaternion_angle
+from kit1000.products import length, matmul
 from kit1000.symmetry import Symmetry
 from kit1000.values import FreeAxis
 
@@ -99,7 +100,7 @@ def _free_axis(design: Design) -> FreeAxis | None:
     """The declared free axis, else a vertical one if every contour of every shadow is a circle about one centre."""
     if design.symmetry.axis is not None:
         direction = design.kit_from_part.rotate(design.symmetry.axis)
-        return FreeAxis(design.kit_from_part.xyz, direction / np.linalg.norm(direction))
+        return FreeAxis(design.kit_from_part.xyz, direction / length(direction))
     centre = area_centroid(design.cavity.rim_shadow)
     for probe in design.cavity.probes:
         for loop in probe.shadow.to_polygons():
@@ -135,7 +136,7 @@ def _shifted(relief: np.ndarray, columns: float) -> np.ndarray:
 
 
 def _relief_difference(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> float:
-    return float(weights @ np.abs(a - b).sum(1) / (weights @ (a + b).sum(1) / 2))
+    return float(matmul(weights, np.abs(a - b).sum(1)) / (matmul(weights, (a + b).sum(1)) / 2))
 
 
 def _rotated_copies(design: Design, pose: Pose, order: int, which: int | None = None) -> list[Pose]:
@@ -173,7 +174,7 @@ def _faces_down(pose: Pose, normal: np.ndarray) -> bool:
 def _best_yaw(relief: np.ndarray, other: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
     """The yaw [rad] of `other` that matches `relief` best, and the share by which they still differ."""
     spectra = np.fft.rfft(relief, axis=1) * np.conj(np.fft.rfft(other, axis=1))
-    correlation = weights @ np.fft.irfft(spectra, n=relief.shape[1], axis=1)
+    correlation = matmul(weights, np.fft.irfft(spectra, n=relief.shape[1], axis=1))
     shift = int(correlation.argmax())
     return shift * 2 * np.pi / relief.shape[1], _relief_difference(relief, np.roll(other, shift, 1), weights)
 
@@ -211,13 +212,13 @@ def _same_goal(a: Pose, b: Pose, axis: FreeAxis | None) -> bool:
     """Whether two goals are equal up to a rotation about the free axis."""
     if axis is not None:
         b = nearest_about_axis(a, b, axis)
-    close = np.linalg.norm(a.xyz - b.xyz) < SAME_GOAL_SHIFT
+    close = length(a.xyz - b.xyz) < SAME_GOAL_SHIFT
     return bool(close and quaternion_angle(a.wxyz, b.wxyz) < SAME_GOAL_ANGLE)
 
 
 def nearest_about_axis(pose: Pose, goal: Pose, axis: FreeAxis) -> Pose:
     """The goal rotated about the free axis to the orientation nearest to that of the pose (twist decomposition)."""
     w, *v = (pose @ goal.inverse()).wxyz
-    angle = 2 * np.arctan2(np.dot(v, axis.direction), w)
+    angle = 2 * np.arctan2(matmul(v, axis.direction), w)
     about = Pose.from_translation(axis.point) @ Pose.from_rotvec(angle * axis.direction)
     return about @ Pose.from_translation(-axis.point) @ goal

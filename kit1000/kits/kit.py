@@ -19,6 +19,7 @@ from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose
+from kit1000.products import matmul
 from kit1000.values import Kit, Part, Slot
 
 CLEARANCE = 2.5e-3  # [m] the paper's simulation margin
@@ -156,7 +157,7 @@ def _rim_outline(points: np.ndarray, depth: float) -> np.ndarray:
 
 def _rotated(points: np.ndarray, angle: float) -> np.ndarray:
     c, s = np.cos(angle), np.sin(angle)
-    return points @ np.array([[c, s], [-s, c]])
+    return matmul(points, np.array([[c, s], [-s, c]]))
 
 
 def _fitted_plate(standing: Mesh, clearance: float, depth: float) -> Plate:

@@ -22,6 +22,7 @@ from kit1000.kits.goals import nearest_about_axis
 from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose, quaternion_angle
+from kit1000.products import length, matmul
 from kit1000.values import Kit, Slot
 
 CELL = 0.5e-3  # [m] of the kit's height field
@@ -91,7 +92,7 @@ class _RestingPart(NamedTuple):
     @staticmethod
     def on(mesh: Mesh, face: RestingFace) -> _RestingPart:
         rotation = face.plane_from_part.rotation_matrix()
-        points = _underside_points(Mesh(mesh.vertices @ rotation.T, mesh.faces))
+        points = _underside_points(Mesh(matmul(mesh.vertices, rotation.T), mesh.faces))
         low = float(points[:, 2].min())
         return _RestingPart(rotation, -low, points - [0, 0, low])
 
@@ -130,7 +131,7 @@ def is_near_goal(pose: Pose, slot: Slot, shift: float = NEAR_GOAL_SHIFT) -> bool
     for goal in slot.goals:
         nearest = goal if slot.free_axis is None else nearest_about_axis(pose, goal, slot.free_axis)
         angle = float(quaternion_angle(pose.wxyz, nearest.wxyz))
-        if angle < NEAR_GOAL_ANGLE and np.linalg.norm(pose.xyz - nearest.xyz) < shift:
+        if angle < NEAR_GOAL_ANGLE and length(pose.xyz - nearest.xyz) < shift:
             return True
     return False
 
@@ -148,7 +149,7 @@ def _candidates(
     for batch in range(YAW_BATCHES):
         for yaw, dx, dy in _feasible_shifts(*field, YAWS[batch::YAW_BATCHES]):
             c, s = np.cos(yaw), np.sin(yaw)
-            rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ resting.rotation
+            rotation = matmul(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), resting.rotation)
             middle = np.array([dx, dy, resting.origin_height - depth])
             pose = Pose.from_rotation_matrix(rotation, middle)
             if away_from_goals and is_near_goal(pose, kit.slot, NEAR_GOAL_SHIFT + REFINE_STEP):

@@ -12,6 +12,7 @@ from manifold3d import Manifold
 
 from kit1000.errors import Redraw
 from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid
+from kit1000.products import length
 
 SIMPLIFY_TOLERANCE = 2e-6  # [m] edges and bumps smaller than this are simplified away
 GRID = 2.0**-23  # [m] 0.12 um: exact in float32 up to 2 m, and ten times the distance at which loaders merge vertices
@@ -48,5 +49,5 @@ def _separated(mesh: Mesh, distance: float) -> Mesh:
     for vertex in shared:
         ring = mesh.faces[(mesh.faces == vertex).any(1)]
         towards = mesh.vertices[ring].reshape(-1, 3).mean(0) - mesh.vertices[vertex]
-        vertices[vertex] += distance * towards / max(np.linalg.norm(towards), GRID)
+        vertices[vertex] += distance * towards / max(length(towards), GRID)
     return Mesh(vertices, mesh.faces)

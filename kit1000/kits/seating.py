@@ -18,6 +18,7 @@ from manifold3d import Manifold, Mesh64, OpType
 from kit1000.kits.contact import ContactFeatures, ConvexEdges, contact_features, convex_edges, vertical_contact_offset
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose, quaternion_between
+from kit1000.products import matmul
 
 HOVER = 0.1  # [m] the approach begins so far out (paper, section III-E)
 SEATED_LIMIT = 3e-3  # [m] of a seated prediction from contact, and of contact from goal height
@@ -75,7 +76,7 @@ def contact_offset(
         moving = contact_features(part.edges, rotation, fixed_from_part.xyz, -1.0)
         return vertical_contact_offset(moving, fixed_features)
     axis_to_z = Pose(quaternion_between(axis, UP), np.zeros(3)).rotation_matrix()
-    moving = contact_features(part.edges, axis_to_z @ rotation, axis_to_z @ fixed_from_part.xyz, -1.0)
+    moving = contact_features(part.edges, matmul(axis_to_z, rotation), matmul(axis_to_z, fixed_from_part.xyz), -1.0)
     return vertical_contact_offset(moving, contact_features(fixed, axis_to_z, np.zeros(3), 1.0))
 
 

@@ -37,6 +37,7 @@ from kit1000.parts.sketch import (
     slot,
     span,
 )
+from kit1000.products import length, matmul
 from kit1000.symmetry import Symmetry
 
 __all__ = [
@@ -150,18 +151,18 @@ def swept(profile: CrossSection, path: ArrayLike) -> Manifold:
     steps = np.diff(points, axis=0)
     steps /= np.linalg.norm(steps, axis=1, keepdims=True)
     right = np.cross(steps[0], np.eye(3)[int(np.argmin(np.abs(steps[0])))])
-    right /= np.linalg.norm(right)
+    right /= length(right)
     rings = []
     for index, point in enumerate(points):
         before, after = steps[max(index - 1, 0)], steps[min(index, len(steps) - 1)]
         up = np.cross(before, right)
         plane = before + after  # normal of the mitre plane
-        ring_points = np.vstack(contours) @ np.stack([right, up])  # (n, 3), square to the step before
-        ring_points -= np.outer(ring_points @ plane / (before @ plane), before)
+        ring_points = matmul(np.vstack(contours), np.stack([right, up]))  # (n, 3), square to the step before
+        ring_points -= np.outer(matmul(ring_points, plane) / matmul(before, plane), before)
         rings.append(point + ring_points)
-        right = right - 2 * (plane @ right) / (plane @ plane) * plane  # reflect twice: no twist
-        right = right - 2 * (after @ right) * after
-        right /= np.linalg.norm(right)
+        right = right - 2 * matmul(plane, right) / matmul(plane, plane) * plane  # reflect twice: no twist
+        right = right - 2 * matmul(after, right) * after
+        right /= length(right)
     return _skinned(rings, contours, contours)
 
 
@@ -332,7 +333,7 @@ def _stays_simple(contours: list[NDArray], distance: float) -> bool:
 
 def _signed_area(loop: NDArray) -> float:
     x, y = loop.T
-    return float(0.5 * (x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+    return float(0.5 * (matmul(x, np.roll(y, -1)) - matmul(y, np.roll(x, -1))))
 
 
 def _lofted(layers: list[list[NDArray]], heights: list[float]) -> Manifold:

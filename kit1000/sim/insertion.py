@@ -17,6 +17,7 @@ from kit1000.kits.convex_pieces import convex_prisms
 from kit1000.kits.goals import nearest_about_axis
 from kit1000.kits.seating import HOVER, SEATED_LIMIT
 from kit1000.pose import Pose, quaternion_angle, quaternion_conjugate, quaternion_multiply
+from kit1000.products import length, matmul
 from kit1000.sim.settle import (
     CHECK_INTERVAL,
     REST_CHECKS,
@@ -146,7 +147,7 @@ def _lower_part(world: World, body: int, part: Workpiece, target: Pose, out: np.
         world.push(body, force, _clamp_norm(_torque(part, now, target.wxyz, angular), MAX_TORQUE))
         world.step()
         now = world.pose(body)
-        if (now.xyz - hand) @ out > MAX_LAG:
+        if matmul(now.xyz - hand, out) > MAX_LAG:
             return True
     return False
 
@@ -155,11 +156,11 @@ def _torque(part: Workpiece, now: Pose, wxyz: np.ndarray, angular: np.ndarray) -
     """(3,) [N m] that rotates a part towards an orientation (4,), and damps its angular velocity (3,) [rad/s]."""
     error = Pose(quaternion_multiply(wxyz, quaternion_conjugate(now.wxyz)), np.zeros(3)).rotvec()
     axes = now.rotation_matrix()
-    return axes @ (part.moments * (axes.T @ (NATURAL_FREQUENCY**2 * error - 2 * NATURAL_FREQUENCY * angular)))
+    return matmul(axes, part.moments * matmul(axes.T, NATURAL_FREQUENCY**2 * error - 2 * NATURAL_FREQUENCY * angular))
 
 
 def _clamp_norm(vector: np.ndarray, limit: float) -> np.ndarray:
-    return vector * min(1.0, limit / max(float(np.linalg.norm(vector)), 1e-300))
+    return vector * min(1.0, limit / max(length(vector), 1e-300))
 
 
 def _settle(world: World, body: int) -> bool:

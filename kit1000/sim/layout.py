@@ -18,6 +18,7 @@ from scipy.spatial.distance import pdist
 from kit1000.errors import InputError, Redraw, ShapeError, checked
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, random_quaternions
+from kit1000.products import length, matmul
 from kit1000.sim.settle import Release, RestPose, rounded_pose, settle
 from kit1000.values import Assembly, Part, Slot
 
@@ -142,7 +143,7 @@ def _separating_gap(a: np.ndarray, b: np.ndarray) -> float:
     """[m] the widest gap along the normal of an edge of `a`; where a and b overlap, no edge of either has one."""
     edges = np.roll(a, -1, axis=0) - a
     outward = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1, keepdims=True)
-    return float(((b @ outward.T).min(0) - (a * outward).sum(1)).max())
+    return float((matmul(b, outward.T).min(0) - (a * outward).sum(1)).max())
 
 
 def _distance_to_edges(points: np.ndarray, outline: np.ndarray) -> float:
@@ -166,7 +167,7 @@ def _checked_parts(parts: Sequence[tuple[Part, Slot]], draw: LayoutDraw) -> Sequ
     if len(parts) != len(draw.modes):
         raise ShapeError(f"parts: expected {len(draw.modes)} for this draw, got {len(parts)}")
     for part, _ in parts:
-        radius = float(np.linalg.norm(part.mesh.extents)) / 2
+        radius = length(part.mesh.extents) / 2
         if radius > MAX_PART_RADIUS:
             expected = f"expected at most {2e3 * MAX_PART_RADIUS:.0f} mm, as of a cube of 50 mm"
             raise InputError(f"part {part.id}: its box has a diagonal of {2e3 * radius:.1f} mm, {expected}")
@@ -187,7 +188,7 @@ def _check_rest(mode: str, release: Release, rest: RestPose) -> None:
     if not rest.stable:
         raise Redraw("part not at rest")
     motion = release.world_from_part.inverse() @ rest.world_from_part
-    shift = np.linalg.norm(rest.world_from_part.xyz - release.world_from_part.xyz)
+    shift = length(rest.world_from_part.xyz - release.world_from_part.xyz)
     if mode == UPRIGHT and (shift > MAX_UPRIGHT_SHIFT or motion.angle() > MAX_UPRIGHT_ROTATION):
         raise Redraw(PART_UNSTABLE)
 

@@ -14,6 +14,7 @@ from scipy.spatial import ConvexHull
 
 from kit1000.mesh import Mesh, inertia
 from kit1000.pose import Pose, quaternion_between
+from kit1000.products import determinant, eigenvectors, matmul
 from kit1000.sim.world import STEP_RATE, World
 
 REST_SPEEDS = (1e-3, 0.01)  # [m/s] and [rad/s]: a part below both is at rest
@@ -101,8 +102,8 @@ def principal_axes(tensor: np.ndarray) -> np.ndarray:
     off_diagonal = tensor - np.diag(np.diag(tensor))
     if np.abs(off_diagonal).max() < 1e-6 * np.trace(tensor):
         return np.array([1.0, 0.0, 0.0, 0.0])
-    axes = np.linalg.eigh(tensor)[1]
-    axes[:, 2] *= np.sign(np.linalg.det(axes))
+    axes = eigenvectors(tensor)
+    axes[:, 2] *= np.sign(determinant(axes))
     return rounded_pose(Pose.from_rotation_matrix(axes)).wxyz
 
 
@@ -113,7 +114,7 @@ def rounded_pose(pose: Pose) -> Pose:
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:
-    return np.round(values / POSE_GRID) * POSE_GRID
+    return np.round(values / POSE_GRID) * POSE_GRID + 0.0  # never minus zero, whose sign is that of a last bit
 
 
 def _add_part(world: World, solid: _Solid, release: Release) -> int:
@@ -160,8 +161,8 @@ def is_stable_facet(points: np.ndarray, normal: np.ndarray) -> bool:
     points: (n, 3) [m] about the centre of mass. The support polygon is the hull of the points on the plane; about a
     centre inside it, no two neighbouring vertices are half a turn apart.
     """
-    along = points @ normal
+    along = matmul(points, normal)
     support = points[along >= along.max() - SUPPORT_TOLERANCE]
     across = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
-    angles = np.sort(np.arctan2(support @ np.cross(normal, across), support @ across))
+    angles = np.sort(np.arctan2(matmul(support, np.cross(normal, across)), matmul(support, across)))
     return bool(np.diff(angles, append=angles[0] + 2 * np.pi).max() < np.pi)

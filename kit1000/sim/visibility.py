@@ -17,6 +17,7 @@ from kit1000.compiled import compiled
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
+from kit1000.products import length, matmul
 from kit1000.sim.raster import NEAR_PLANE, Intrinsics
 from kit1000.sim.render import RenderedImage, render
 from kit1000.values import Kit
@@ -32,6 +33,7 @@ PLANE_TOLERANCE = 1e-6  # [m] for coordinates on the float32 grid, compared with
 DEPTH_TOLERANCE = 1e-3  # [m] of a visible sample point behind the depth of its pixel
 MAX_SLOPE = 10e-3  # [m] change of a surface's depth within half a pixel; at 1 m, one seen at 86 degrees
 RIM_MARGIN = 0.3e-3  # [m] of a cavity's pixels below the top face: well over the 0.12 mm step of recorded depths
+ANGLE_DECIMALS = 9  # of a recorded angle [rad]: the last bits of an arctangent differ between processors
 SIDE_MARGIN = 0.5e-3  # [m] of a cavity's pixels inside the plate's other faces
 
 
@@ -99,7 +101,7 @@ def slot_visibility(
 def slot_angle(world_from_camera: Pose, world_from_kit: Pose) -> float:
     """[rad] between a kit's +z and the direction from the centre of its top face to the camera."""
     axis, to_camera = world_from_kit.rotate((0.0, 0.0, 1.0)), world_from_camera.xyz - world_from_kit.xyz
-    return float(np.arctan2(np.linalg.norm(np.cross(axis, to_camera)), axis @ to_camera))
+    return round(float(np.arctan2(length(np.cross(axis, to_camera)), matmul(axis, to_camera))), ANGLE_DECIMALS)
 
 
 def view_redraw_reason(part: PartVisibility, slot: SlotVisibility) -> str | None:

@@ -20,6 +20,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from kit1000.errors import InputError, ShapeError, checked
 from kit1000.pose import Pose
+from kit1000.products import matmul
 
 GRAVITY = 9.81  # [m/s^2] along -z
 STEP_RATE = 240  # [1/s]
@@ -170,7 +171,7 @@ def hull_vertices(points: np.ndarray) -> np.ndarray:
         raise ShapeError(f"points: expected points that span a solid, got {len(cloud)} that span none") from None
     if len(vertices) <= MAX_HULL_VERTICES:
         return vertices
-    return vertices[np.unique((_even_directions(MAX_HULL_VERTICES) @ vertices.T).argmax(1))]
+    return vertices[np.unique((matmul(_even_directions(MAX_HULL_VERTICES), vertices.T)).argmax(1))]
 
 
 def _obj_text(pieces: Sequence[np.ndarray]) -> str:

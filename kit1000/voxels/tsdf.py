@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from kit1000.compiled import compiled
 from kit1000.errors import InputError, ShapeError, checked
+from kit1000.products import matmul
 from kit1000.values import View
 from kit1000.voxels.grid import Grid, Volume, truncation_voxels
 from kit1000.voxels.slabs import for_each_slab
@@ -96,7 +97,7 @@ def _projection(grid: Grid, view: View) -> np.ndarray:
     camera_from_grid = view.world_from_camera.inverse() @ grid.world_from_grid
     point_from_index = np.column_stack([camera_from_grid.rotation_matrix() * grid.voxel_size, camera_from_grid.xyz])
     pixel_from_point = np.array([[camera.fx, 0, camera.cx + 0.5], [0, camera.fy, camera.cy + 0.5], [0, 0, 1]])
-    return pixel_from_point @ point_from_index
+    return matmul(pixel_from_point, point_from_index)
 
 
 @compiled

@@ -18,6 +18,7 @@ from kit1000.parts.files.topology import (
     unpaired_count,
     without_duplicates,
 )
+from kit1000.products import eigenvectors, matmul
 
 SHEET_SHARE = 1e-6  # of the longest side: a soup thinner than this is a sheet
 
@@ -78,5 +79,5 @@ def _compact(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.nd
 def _is_sheet(vertices: np.ndarray) -> bool:
     """Whether all vertices lie in one plane, however it is tilted."""
     centred = vertices - vertices.mean(0)
-    normal = np.linalg.eigh(centred.T @ centred)[1][:, 0]
-    return bool(np.ptp(centred @ normal) <= SHEET_SHARE * longest_side(vertices))
+    normal = eigenvectors(matmul(centred.T, centred))[:, 0]
+    return bool(np.ptp(matmul(centred, normal)) <= SHEET_SHARE * longest_side(vertices))

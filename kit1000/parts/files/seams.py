@@ -13,6 +13,7 @@ from scipy.spatial import KDTree
 
 from kit1000.errors import MeshRefused
 from kit1000.parts.files.topology import consistently_wound, halfedges, longest_side, open_edges, without_duplicates
+from kit1000.products import length, matmul
 
 WELD_SHARES = (1e-7, 1e-6, 1e-5)  # of the longest side; CAD exports one corner with different last digits
 WELD_LIMIT = 1e-5  # [m] wider seams are not closed
@@ -92,7 +93,7 @@ def _splits(vertices: np.ndarray, faces: np.ndarray) -> dict[int, tuple[int, np.
         side, face = divmod(int(halfedge), len(faces))
         candidates = np.setdiff1d(rim[near[i]], faces[face])
         offset, along = vertices[candidates] - a[i], (b[i] - a[i]) / max(lengths[i], 1e-300)
-        position = offset @ along
+        position = matmul(offset, along)
         on_edge = np.linalg.norm(offset - position[:, None] * along, axis=1) <= tolerance
         if on_edge.any() and face not in splits:
             splits[face] = side, candidates[on_edge][np.argsort(position[on_edge])]
@@ -148,13 +149,13 @@ def _lid(vertices: np.ndarray, ring: np.ndarray, largest: float) -> np.ndarray |
     """(k, 3) faces over a loop of vertices if it is flat and its area [m^2] is at most `largest`, else None."""
     points = vertices[ring] - vertices[ring].mean(0)
     across = np.cross(points, np.roll(points, -1, axis=0)).sum(0) / 2  # area vector of the ring
-    area = np.linalg.norm(across)
+    area = length(across)
     if not 0 < area <= largest:
         return None
     normal = across / area
-    if np.abs(points @ normal).max() > HOLE_FLATNESS * longest_side(vertices):
+    if np.abs(matmul(points, normal)).max() > HOLE_FLATNESS * longest_side(vertices):
         return None
     x = np.cross(normal, np.eye(3)[np.abs(normal).argmin()])
-    x /= np.linalg.norm(x)
-    plane = np.ascontiguousarray(np.stack([points @ x, points @ np.cross(normal, x)], axis=1))
+    x /= length(x)
+    plane = np.ascontiguousarray(np.stack([matmul(points, x), matmul(points, np.cross(normal, x))], axis=1))
     return ring[np.asarray(triangulate([plane]), dtype=np.int64)]
