@@ -38,7 +38,7 @@ class Method:
     """Whether it is handed the true geometry; the controls read the ground truth as well."""
     learned: bool = False
     control: bool = False
-    """Whether it is no method but a yardstick, such as the unchanged guess."""
+    """Whether it is a control, such as the unchanged guess, and no method."""
     predicts: Literal["pose", "rotation"] = "pose"
     training_data: str = ""
     """What it learned from."""
