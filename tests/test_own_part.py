@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from manifold3d import Manifold
 from mini import file_hashes, l_shape, write_stl
 from PIL import Image
 
@@ -19,7 +20,8 @@ from kit1000.errors import InputError
 from kit1000.export import own_part
 from kit1000.export.own_part import make_kit_from_file
 from kit1000.files import PARTIAL
-from kit1000.mesh import Mesh, defect_float32, solid_from_mesh
+from kit1000.kits.envelope import RELIEF_CELLS, lower_envelope, polar_relief
+from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parts.files.formats import read_triangles
 from kit1000.parts.files.sources import mesh_files
 from kit1000.pictures import previews
@@ -191,6 +193,32 @@ def test_a_refusal_names_the_file_and_the_reason(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"^.*flat\.stl: zero thickness"):
         make_kit_from_file(flat, tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+THIN = {"blade": (2.3, 181, 21), "needle": (1, 1, 80), "foil": (0.3, 60, 60), "wire": (0.3, 400, 0.3)}  # [mm]
+
+
+@pytest.mark.parametrize("turn", [(0, 0, 0), (31, 22, 17)])
+@pytest.mark.parametrize("name", THIN)
+def test_blades_needles_and_foils_get_kits(name: str, turn: tuple[float, float, float], tmp_path: Path) -> None:
+    body = Manifold.cube(tuple(side * 1e-3 for side in THIN[name]), True).rotate(turn)
+    made = make_kit_from_file(write_stl(tmp_path / "thin.stl", mesh_from_solid(body)), tmp_path / "out", unit="mm")
+    kit, part = (read(tmp_path / "out" / file) for file in ("kit.stl", "part.stl"))
+    assert defect_float32(kit) is None
+    assert defect_float32(part) is None
+    assert made["clearance_smallest_mm"] > 2.48
+    assert (solid_from_mesh(kit) ^ solid_from_mesh(part)).volume() < 2e-7 * part.extents.max() * part.area
+
+
+@pytest.mark.parametrize(("sides", "seen"), [((1e-3, 80e-3), False), ((2e-3, 80e-3), True)])
+def test_a_relief_shows_a_body_narrower_than_its_cells(sides: tuple[float, float], seen: bool) -> None:
+    body = mesh_from_solid(Manifold.cube((*sides, 1e-3), True))
+    heights, _ = lower_envelope(body, sides[1] / RELIEF_CELLS)
+    assert np.isfinite(heights).any() == seen
+    relief, _, weights = polar_relief(body, 0.6e-3)
+    assert set(np.unique(relief.round(9))) == {0.0, 0.6e-3}
+    area = (relief * weights[:, None]).sum() / relief.shape[1] / 0.6e-3
+    assert 0.5 < area / (sides[0] * sides[1]) < 2.1
 
 
 @pytest.mark.slow

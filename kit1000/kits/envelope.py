@@ -17,9 +17,7 @@ def lower_envelope(mesh: Mesh, cell: float, margin: float = 0.0) -> tuple[np.nda
 
     Returns (heights (nx, ny), corner (2,)): cell (i, j) has its centre at corner + (i, j) * cell.
     """
-    low, high = mesh.bounds[:, :2] + np.array([[-margin], [margin]])
-    shape = np.ceil((high - low) / cell).astype(int) + 1
-    corner = (low + high) / 2 - (shape - 1) * cell / 2
+    shape, corner = _grid(mesh, cell, margin)
     down = mesh.triangles[mesh.normals[:, 2] < 0]
     return _lowest(down, corner[0], corner[1], cell, shape[0], shape[1]), corner
 
@@ -33,6 +31,8 @@ def polar_relief(resting: Mesh, depth: float, clearance: float = 0.0) -> tuple[n
     cell = resting.extents.max() / RELIEF_CELLS
     heights, _ = lower_envelope(resting, cell, margin=clearance)
     depths = np.maximum(depth - (heights - resting.bounds[0, 2]), 0.0)
+    if not depths.any():
+        depths = np.maximum(depth - (_edge_heights(resting, cell, margin=clearance) - resting.bounds[0, 2]), 0.0)
     i, j = np.nonzero(depths)
     middle = np.array([i.mean(), j.mean()])
     reach = np.hypot(i - middle[0], j - middle[1]).max() + 1
@@ -44,6 +44,30 @@ def polar_relief(resting: Mesh, depth: float, clearance: float = 0.0) -> tuple[n
     cells = np.clip(rows, 0, depths.shape[0] - 1), np.clip(columns, 0, depths.shape[1] - 1)
     relief, grown = (np.where(inside, field[cells], 0) for field in (depths, _grown(depths, int(clearance / cell))))
     return relief, grown, radii * (cell**2 * 2 * np.pi * reach / RELIEF_RINGS)
+
+
+def _grid(mesh: Mesh, cell: float, margin: float) -> tuple[np.ndarray, np.ndarray]:
+    """Shape (2,) of the grid over a body, and the centre (2,) [m] of its first cell."""
+    low, high = mesh.bounds[:, :2] + np.array([[-margin], [margin]])
+    shape = np.ceil((high - low) / cell).astype(int) + 1
+    return shape, (low + high) / 2 - (shape - 1) * cell / 2
+
+
+def _edge_heights(mesh: Mesh, cell: float, margin: float) -> np.ndarray:
+    """The lowest height [m] of the edges of the underside in each cell, +inf where there are none.
+
+    For blades and needles: a body narrower than a cell may lie between all centres, and then has no envelope.
+    """
+    shape, corner = _grid(mesh, cell, margin)
+    down = mesh.triangles[mesh.normals[:, 2] < 0]
+    start, along = down.reshape(-1, 3), (np.roll(down, -1, axis=1) - down).reshape(-1, 3)
+    steps = 2 * int(np.ceil(np.abs(along[:, :2]).max() / cell)) + 1  # at most half a cell between points
+    share = np.linspace(0, 1, steps + 1)
+    points = (start[:, None] + share[:, None] * along[:, None]).reshape(-1, 3)
+    i, j = np.rint((points[:, :2] - corner) / cell).astype(int).T
+    heights = np.full(shape, np.inf)
+    np.minimum.at(heights, (i, j), points[:, 2])
+    return heights
 
 
 def _grown(depths: np.ndarray, cells: int) -> np.ndarray:
