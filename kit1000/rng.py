@@ -18,8 +18,10 @@ from kit1000.errors import InputError
 # and could collide with another key.
 ROOT_LIMIT = 2**128
 KEY_LIMIT = 2**32
-MIN_SECRET_ROOT = 2**64
-"""A smaller root can be found by trial; one from here on can be secret, and no draw reveals it."""
+HASHED_ROOT = 2**64
+"""From here on no draw reveals the root."""
+MIN_SECRET_ROOT = 2**127
+"""The smallest root that may be secret: a number of 128 bits. Smaller ones could be found by trial."""
 
 
 def stream(root: int, *key: int | str) -> np.random.Generator:
@@ -34,7 +36,7 @@ def stream(root: int, *key: int | str) -> np.random.Generator:
     """
     words = tuple(_word(entry) for entry in key)
     number = _number("root seed", root, ROOT_LIMIT)
-    if number < MIN_SECRET_ROOT:
+    if number < HASHED_ROOT:
         seed = np.random.SeedSequence(number, spawn_key=words)
     else:  # neither SeedSequence nor PCG64 is one-way: enough published draws could reveal the root
         address = b"".join(word.to_bytes(4, "little") for word in words)

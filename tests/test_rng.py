@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import subprocess
 import sys
 
@@ -44,6 +45,19 @@ def test_addresses_that_could_be_confused_differ() -> None:
 def test_a_root_of_several_words_does_not_overlap_the_key() -> None:
     assert first(1 + 5 * 2**32) != first(1, 5)
     assert first(2**127) != first(0)
+
+
+@pytest.mark.parametrize("root", [2**64, 2**100 + 5, 2**127, 2**128 - 1])
+def test_a_long_root_is_hashed_with_its_key(root: int) -> None:
+    digest = hashlib.sha256(root.to_bytes(16, "little") + (17).to_bytes(4, "little")).digest()
+    generator = np.random.PCG64(np.random.SeedSequence(int.from_bytes(digest[:16], "little")))
+    assert first(root, 17) == np.random.Generator(generator).integers(0, 2**64, 4, dtype=np.uint64).tolist()
+
+
+@pytest.mark.parametrize("root", [0, 7, 2**64 - 1])
+def test_a_short_root_is_used_as_it_is(root: int) -> None:
+    generator = np.random.PCG64(np.random.SeedSequence(root, spawn_key=(17,)))
+    assert first(root, 17) == np.random.Generator(generator).integers(0, 2**64, 4, dtype=np.uint64).tolist()
 
 
 def test_streams_do_not_depend_on_the_order_or_number_of_calls() -> None:

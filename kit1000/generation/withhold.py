@@ -17,9 +17,10 @@ from kit1000.dataset.reader import WITHHELD_FILE
 from kit1000.errors import InputError
 from kit1000.files import check_writable, is_url, json_bytes, locked, read_json, sha256, write_bytes, write_json
 from kit1000.generation.summary import description_files, summary_bytes
-from kit1000.rng import MIN_SECRET_ROOT
+from kit1000.rng import MIN_SECRET_ROOT, ROOT_LIMIT
 
 HIDDEN_SPLIT = "test"
+SALT_BYTES = 32  # as long as the hash: a shorter salt could be found by trial, and then a guessed seed tested
 BEGUN_FILE = ".begun.json"  # in the public folder until it is complete: the id of its dataset
 TABLES = ("parts", "kits", "assemblies")
 
@@ -27,18 +28,21 @@ TABLES = ("parts", "kits", "assemblies")
 def secret_seed(full: Path, given: int | None) -> int:
     """The seed of a dataset with a withheld test split: the given one, else that of its plan, else a random one.
 
-    Raises InputError for a seed that can be guessed.
+    Raises InputError for a seed of fewer than 128 bits, which can be guessed.
     """
     plan = full / "plan.json"
     if given is None and not plan.is_file():
-        return secrets.randbits(128) | MIN_SECRET_ROOT
+        return MIN_SECRET_ROOT + secrets.randbelow(ROOT_LIMIT - MIN_SECRET_ROOT)
     seed = read_json(plan)["seed"] if given is None else given
     if seed < MIN_SECRET_ROOT and given is None:
-        raise InputError(f"--withhold: {full} was made from seed {seed}, which can be guessed; choose another folder")
+        raise InputError(
+            f"--withhold: {full} was made from seed {seed}, which can be guessed: it has fewer than 128 bits; "
+            "choose another folder"
+        )
     if seed < MIN_SECRET_ROOT:
         raise InputError(
-            f"--seed: {seed} can be guessed, and with it the withheld ground truth; expected at least 2**64, "
-            "or leave --seed out: a secret one is drawn and kept in the withheld folder"
+            f"--seed: {seed} can be guessed, and with it the withheld ground truth; expected at least 2**127, "
+            "a number of 128 bits, or leave --seed out: a secret one is drawn and kept in the withheld folder"
         )
     return seed
 
@@ -124,7 +128,7 @@ def _secret(full: Path, summary: dict[str, Any], tables: dict[str, Any]) -> dict
         if fault is not None:
             raise InputError(f"{path}: {fault}; restore it, or delete it to publish under another identity")
         return secret
-    salt = secrets.token_hex(32)
+    salt = secrets.token_hex(SALT_BYTES)
     rewritten = description_files(summary)
     withheld = {i: digest for i, digest in summary["files"].items() if i not in rewritten and not _is_public(i, tables)}
     dataset_id = public_id(salt, summary["dataset_id"])
