@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from kit1000.errors import InputError
 from kit1000.files import read_json
 from kit1000.submission.manifest import Manifest, read_manifest
+from kit1000.submission.predictions import FILE as PREDICTIONS
+from kit1000.submission.reading import read_file
 
 SETTING = ("protocol", "status", "metric_versions", "dataset_id", "split")
 """Keys of scores.json that entries must agree in: else their numbers cannot be compared."""
-KEYS = (*SETTING, "evaluator", "commit", "method", "tracks", "breakdown", "curves")
+PROVENANCE = ("evaluator", "commit", "method", "manifest", "predictions_sha256")
+KEYS = (*SETTING, *PROVENANCE, "tracks", "breakdown", "curves")
+SHOWN_DIGITS = 16  # of a SHA-256 in a message
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +40,10 @@ class Entry:
 
 
 def read_entries(submissions: Path) -> tuple[Entry, ...]:
-    """The scored submissions of a folder, by name. Raises InputError when two of them cannot share a table."""
+    """The scored submissions of a folder, by name.
+
+    Raises InputError when scores are not those of the files beside them, or when two entries cannot share a table.
+    """
     entries = tuple(_read(folder) for folder in _folders(submissions) if (folder / "scores.json").is_file())
     _check_setting(entries)
     _check_unique(entries)
@@ -59,7 +68,34 @@ def _read(folder: Path) -> Entry:
     missing = [key for key in KEYS if not isinstance(scores, dict) or key not in scores]
     if missing:
         raise InputError(f"{path}: expected scores of `python -m benchmark score`; there is no {', '.join(missing)}")
-    return Entry(folder.name, folder, read_manifest(folder / "manifest.toml"), scores)
+    entry = Entry(folder.name, folder, read_manifest(folder / "manifest.toml"), scores)
+    _check_files(entry)
+    return entry
+
+
+def _check_files(entry: Entry) -> None:
+    """Refuse scores that were made of another manifest or of other predictions than those beside them."""
+    scored, now = entry.scores["manifest"], json.loads(json.dumps(asdict(entry.manifest)))
+    if not isinstance(scored, dict):
+        raise _other_files(entry, "its manifest is no table")
+    changed = sorted(name for name in scored | now if scored.get(name) != now.get(name))
+    if changed:
+        raise _other_files(entry, f"manifest.toml has another {', '.join(changed)}")
+    if entry.scores["method"] != entry.manifest.method:
+        raise _other_files(entry, "manifest.toml has another method")
+    path = entry.folder / PREDICTIONS
+    data, faults = read_file(path, str(path))
+    if data is None:
+        raise InputError(str(faults[0]))
+    scored, now = entry.scores["predictions_sha256"], hashlib.sha256(data).hexdigest()
+    if scored != now:
+        hashes = f"has SHA-256 {now[:SHOWN_DIGITS]}, the scored one had {str(scored)[:SHOWN_DIGITS]}"
+        raise _other_files(entry, f"{PREDICTIONS} {hashes}")
+
+
+def _other_files(entry: Entry, difference: str) -> InputError:
+    repair = f"`python -m benchmark score {entry.folder} --data DIR` scores what is there"
+    return InputError(f"{entry.folder}: scores.json was made of other files: {difference}; {repair}")
 
 
 def _check_setting(entries: Sequence[Entry]) -> None:

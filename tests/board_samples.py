@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import asdict, replace
 from functools import cache
 from itertools import product
@@ -21,6 +22,7 @@ from kit1000.tracks import CURVES, TRACKS, curve_id
 
 SCENES = 20
 DATASET = "0123456789abcdef"
+PREDICTIONS = b"query_id,qw,qx,qy,qz,x,y,z,confidence,seconds\ntest-s0000-p0-snap,1,0,0,0,0,0,0,0.5,-1\n"
 
 SNAPS = Manifest(
     method="Snaps <b>well</b> & often",
@@ -63,8 +65,9 @@ def write_board(folder: Path, names: tuple[str, ...] = tuple(METHODS)) -> Path:
 def write_scored(
     folder: Path, manifest: Manifest, position_mm: float, rotation_deg: float, seconds: float | None
 ) -> None:
-    """The manifest and the scores of one method."""
+    """The manifest, the scores and a predictions file of one method."""
     write_manifest(folder / "manifest.toml", manifest)
+    (folder / "predictions.csv").write_bytes(PREDICTIONS)
     (folder / "scores.json").write_text(scores(manifest, position_mm, rotation_deg, seconds), encoding="utf-8")
 
 
@@ -98,7 +101,7 @@ def _provenance(manifest: Manifest, protocol: Protocol) -> dict[str, object]:
         "evaluator": "fedcba9876543210",
         "method": manifest.method,
         "manifest": asdict(manifest),
-        "predictions_sha256": "ab" * 32,
+        "predictions_sha256": hashlib.sha256(PREDICTIONS).hexdigest(),
     }
 
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
+from collections.abc import Callable
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -17,7 +20,9 @@ from benchmark.pages import build
 from benchmark.pages.board import runtime_class
 from benchmark.pages.numbers import percent
 from benchmark.quantities import POSITION
+from benchmark.table1 import run as table1
 from kit1000.errors import InputError
+from kit1000.submission.manifest import write_manifest
 from kit1000.tracks import TRACKS
 
 VOID = {"meta", "link", "img", "input", "br"}
@@ -155,6 +160,80 @@ def test_scores_that_cannot_be_compared_share_no_board(tmp_path: Path) -> None:
     edited(tmp_path / "snaps", dataset_id="another")
     with pytest.raises(InputError, match=r"snaps: its scores have dataset_id another, those of guess 0123.*score both"):
         build(tmp_path, tmp_path / "site", None)
+
+
+def tampered_scores(folder: Path) -> str:
+    edited(folder, predictions_sha256="0" * 64)
+    return r"predictions\.csv has SHA-256 [0-9a-f]{16}, the scored one had 0{16}"
+
+
+def tampered_predictions(folder: Path) -> str:
+    path = folder / "predictions.csv"
+    path.write_bytes(path.read_bytes().replace(b"0.5", b"0.6"))
+    return r"predictions\.csv has SHA-256 [^;]*"
+
+
+def changed_manifest(folder: Path) -> str:
+    write_manifest(folder / "manifest.toml", replace(SNAPS, uses_true_geometry=True, label="Other"))
+    return r"manifest\.toml has another label, uses_true_geometry"
+
+
+def copied_scores(folder: Path) -> str:
+    shutil.copy(folder.parent / "guess/scores.json", folder)
+    return r"manifest\.toml has another control, method, tracks"
+
+
+def renamed_scores(folder: Path) -> str:
+    edited(folder, method="Another name")
+    return r"manifest\.toml has another method"
+
+
+def no_manifest_in_scores(folder: Path) -> str:
+    edited(folder, manifest=None)
+    return "its manifest is no table"
+
+
+CHANGES = (
+    tampered_scores,
+    tampered_predictions,
+    changed_manifest,
+    copied_scores,
+    renamed_scores,
+    no_manifest_in_scores,
+)
+
+
+@pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
+def test_scores_of_other_files_are_refused_by_name(change: Callable[[Path], str], tmp_path: Path) -> None:
+    write_board(tmp_path, ("snaps", "guess"))
+    expected = change(tmp_path / "snaps")
+    message = (
+        rf"snaps: scores\.json was made of other files: {expected}; `python -m benchmark score .*snaps --data DIR`"
+    )
+    for command in (lambda: build(tmp_path, tmp_path / "site", None), lambda: table1(tmp_path)):
+        with pytest.raises(InputError, match=message) as refused:
+            command()
+        assert "\n" not in str(refused.value)
+
+
+def test_scores_without_their_predictions_are_refused(tmp_path: Path) -> None:
+    write_board(tmp_path, ("snaps",))
+    (tmp_path / "snaps/predictions.csv").unlink()
+    with pytest.raises(InputError, match=r"snaps/predictions\.csv: does not exist"):
+        build(tmp_path, tmp_path / "site", None)
+    os.mkfifo(tmp_path / "snaps/predictions.csv")  # never opened: reading it would wait for ever
+    with pytest.raises(InputError, match=r"snaps/predictions\.csv: is not a regular file"):
+        table1(tmp_path)
+
+
+def test_one_method_in_two_folders_is_refused_on_the_board_and_in_table_1(tmp_path: Path) -> None:
+    write_board(tmp_path, ("snaps",))
+    write_scored(tmp_path / "twin", replace(SNAPS, label="Another label"), 1.0, 1.0, None)
+    for command in (lambda: build(tmp_path, tmp_path / "site", None), lambda: table1(tmp_path)):
+        with pytest.raises(
+            InputError, match=r"twin: method 'Snaps .*' is that of snaps too; change it in one manifest"
+        ):
+            command()
 
 
 def test_folders_without_scores_are_refused_in_one_line(tmp_path: Path) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import csv
-from dataclasses import replace
+import hashlib
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from board_samples import GUESS, SNAPS
+from board_samples import GUESS, PREDICTIONS, SNAPS
 from sample_submissions import goal_of, made_up, predictions
 
 from benchmark import evaluate as module
@@ -63,7 +64,8 @@ def scored(manifest: Manifest, shift: float) -> Scores:
         "commit": "0" * 40,
         "evaluator": "0" * 16,
         "method": manifest.method,
-        "predictions_sha256": "0" * 64,
+        "manifest": asdict(manifest),
+        "predictions_sha256": hashlib.sha256(PREDICTIONS).hexdigest(),
     }
     return Scores(rows, provenance | summarise(rows, protocol, False))
 
@@ -88,6 +90,7 @@ def test_a_new_quantity_reaches_every_output(tmp_path: Path) -> None:
 
     for name, manifest, scores in (("a", SNAPS, a), ("b", GUESS, b)):
         write_manifest(tmp_path / "s" / name / "manifest.toml", manifest)
+        (tmp_path / "s" / name / "predictions.csv").write_bytes(PREDICTIONS)
         (tmp_path / "s" / name / "scores.json").write_text(json_text(scores.summary), encoding="utf-8")
     build(tmp_path / "s", tmp_path / "site")
     board, page = ((tmp_path / "site" / name).read_text("utf-8") for name in ("index.html", "methods/a.html"))

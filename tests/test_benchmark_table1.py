@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+from dataclasses import asdict
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
 import pytest
+from board_samples import PREDICTIONS
 
 from benchmark.protocol import read_protocol
 from benchmark.table1 import MARK, NOT_YET, PAPER_ROWS, Grid, as_html, as_markdown, grids, read_table, run
@@ -34,7 +37,7 @@ def track(position: float | None, rotation: float, **given: Any) -> dict[str, An
 
 
 def put(folder: Path, name: str, tracks: dict[str, Any], manifest: dict[str, Any] | None = None, **scores: Any) -> None:
-    """Write the manifest and the scores.json of a submission."""
+    """Write the manifest, a predictions file and the scores.json of a submission."""
     defaults: dict[str, Any] = {
         "method": name,
         "authors": ("A. Name",),
@@ -55,8 +58,19 @@ def put(folder: Path, name: str, tracks: dict[str, Any], manifest: dict[str, Any
         "commit": "1" * 40,
     }
     (folder / name).mkdir(parents=True, exist_ok=True)
-    write_manifest(folder / name / "manifest.toml", Manifest(**defaults | (manifest or {})))
-    content = {**setting, "method": name, "tracks": tracks, "breakdown": {}, "curves": None, **scores}
+    described = Manifest(**defaults | (manifest or {}))
+    write_manifest(folder / name / "manifest.toml", described)
+    (folder / name / "predictions.csv").write_bytes(PREDICTIONS)
+    files = {"manifest": asdict(described), "predictions_sha256": hashlib.sha256(PREDICTIONS).hexdigest()}
+    content = {
+        **setting,
+        **files,
+        "method": described.method,
+        "tracks": tracks,
+        "breakdown": {},
+        "curves": None,
+        **scores,
+    }
     (folder / name / "scores.json").write_text(json.dumps(content), encoding="utf-8")
 
 
