@@ -111,7 +111,7 @@ class Grid:
 
 
 def run(submissions: Path, out: Path | None = None) -> None:
-    """Print the table as Markdown, or write it.
+    """Print the tables as Markdown, or write them; a document gets the paper's table alone.
 
     Args:
         submissions: folder with one folder per method.
@@ -124,7 +124,7 @@ def run(submissions: Path, out: Path | None = None) -> None:
     if out.suffix not in (".md", ".json", ".html"):
         raise InputError(f"--out {out}: expected a name that ends in .md, .json or .html")
     texts = {".json": lambda: json_text(asdict(table)), ".html": lambda: as_html(table)}
-    write_bytes(out, texts.get(out.suffix, lambda: _document(out, as_markdown(table)))().encode())
+    write_bytes(out, texts.get(out.suffix, lambda: _document(out, as_markdown(table, tracks=False)))().encode())
 
 
 def read_table(submissions: Path) -> Table:
@@ -179,11 +179,12 @@ def _overview(table: Table) -> Grid:
     """As in the paper: position and rotation with user input, then without."""
     columns = [(half.split()[0], track, error) for half, track in PAPER_TRACKS.items() for error in PLAIN]
     headings = [f"{half}: {error.unit.symbol}{of}" for half, _, error in columns for of in (", paper", "")]
+    shown = [row for row in table.rows if row.kind == "paper" or set(PAPER_TRACKS.values()) & set(row.tracks)]
     rows = [
         [row.label, *(cell for _, track, error in columns for cell in _beside(row, track, error)), row.camera_set or ""]
-        for row in table.rows
+        for row in shown
     ]
-    return _grid("As in the paper", OVERVIEW, ["Method", *headings, "cameras"], rows, table)
+    return _grid("As in the paper", OVERVIEW, ["Method", *headings, "cameras"], rows, shown)
 
 
 def _beside(row: Row, track: str, error: Quantity) -> tuple[str, str]:
@@ -204,12 +205,14 @@ def _detail(table: Table, track: str) -> Grid:
         headings += columns
         for cells, row in zip(rows, table.rows, strict=True):
             cells += [cell(row, track, error) for cell in columns.values()]
-    return _grid(track, TRACKS[track].description, headings, rows, table)
+    return _grid(track, TRACKS[track].description, headings, rows, table.rows)
 
 
-def _grid(title: str, description: str, headings: Sequence[str], rows: Sequence[Sequence[str]], table: Table) -> Grid:
-    controls = tuple(row.kind == "control" for row in table.rows)
-    return Grid(title, description, tuple(headings), tuple(map(tuple, rows)), controls)
+def _grid(
+    title: str, description: str, headings: Sequence[str], cells: Sequence[Sequence[str]], rows: Sequence[Row]
+) -> Grid:
+    controls = tuple(row.kind == "control" for row in rows)
+    return Grid(title, description, tuple(headings), tuple(map(tuple, cells)), controls)
 
 
 def _printed(row: Row, track: str, error: Quantity) -> str:
@@ -255,10 +258,10 @@ def source(table: Table) -> str:
     return f"{protocol}, dataset {setting['dataset_id']}, split {setting['split']}; {versions}."
 
 
-def as_markdown(table: Table) -> str:
-    """The tables with their notes, one line per row."""
+def as_markdown(table: Table, tracks: bool = True) -> str:
+    """The paper's table and, with `tracks`, that of each track, with notes; one line per row."""
     blocks = [source(table)]
-    for grid in grids(table):
+    for grid in grids(table) if tracks else (_overview(table),):
         blocks += [f"### {grid.title}", grid.description]
         rule = ["---", *["---:"] * (len(grid.headings) - 1)]
         lines = (map(_markdown_cell, row) for row in (grid.headings, rule, *grid.rows))
