@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from kit1000.generation.presets import Preset
 
 MAX_LISTED = 20  # refused files in a summary
+PRINTER_BED_MM = 250  # side of the bed of a usual desktop printer
 ABOUT = """KIT1000: parts, kits that fit them, angled assemblies of kits, and depth scenes for learning kit assembly.
 
 `kit1000 COMMAND --help` describes a command, `kit1000 --version` prints the version.
@@ -123,18 +124,33 @@ class MakeKit:
     """Unit of the file; guessed and reported when absent."""
     fit_mm: OptionalFloat = None
     """Scale the part to this longest side; true size when absent."""
+    bodies: Annotated[Literal["union", "largest", "each"] | None, tyro.conf.arg(metavar="{union,largest,each}")] = None
+    """Of several bodies in the file: all as one part (they touch or overlap), the largest, or a kit for each in folders
+    01, 02, ...; when absent, several are refused unless one holds nearly all of the volume."""
 
     def run(self) -> int:
-        """Make the kit, then print its report."""
-        from kit1000.export.own_part import make_kit_from_file
+        """Make the kit, then print its report; returns 1 when a kit is not exact, or of each body not every one is."""
+        from kit1000.export.own_part import InexactKit, make_kit_from_file, make_kits_from_file
 
         for name, value in (("--clearance-mm", self.clearance_mm), ("--fit-mm", self.fit_mm)):
             if value is not None and not 0.05 <= value <= 1000:
                 raise InputError(f"{name}: expected 0.05 to 1000, got {value:g}")
         longest = None if self.fit_mm is None else self.fit_mm * 1e-3
-        report = make_kit_from_file(self.part, self.out, self.clearance_mm * 1e-3, self.unit, longest)
-        print(kit_report_text(report, self.out))
-        return 0
+        options = (self.part, self.out, self.clearance_mm * 1e-3, self.unit, longest)
+        try:
+            if self.bodies != "each":
+                print(kit_report_text(make_kit_from_file(*options, self.bodies), self.out))
+                return 0
+            reports = make_kits_from_file(*options)
+        except InexactKit as refusal:
+            print(f"kit1000: {refusal}", file=sys.stderr)
+            return 1
+        for name, report in reports.items():
+            if isinstance(report, str):
+                print(f"kit1000: {report}", file=sys.stderr)
+            else:
+                print(kit_report_text(report, self.out / name))
+        return 1 if any(isinstance(report, str) for report in reports.values()) else 0
 
 
 @dataclass(frozen=True)
@@ -344,4 +360,6 @@ def kit_report_text(report: dict, out: Path) -> str:
     ]
     if not report["trial"]["passes"]:
         lines.append(f"note       the cavity alone does not determine the pose: the part {report['trial']['why']}")
+    if max(report["plate_mm"][:2]) > PRINTER_BED_MM:
+        lines.append(f"note       the plate is larger than the bed of a usual printer, {PRINTER_BED_MM} mm")
     return "\n".join([*lines, f"files      {out}"])

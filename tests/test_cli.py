@@ -115,6 +115,7 @@ WRONG = {
     "kit {files}/good.stl --out {tmp}/out --clearance-mm 0": "--clearance-mm: expected 0.05 to 1000, got 0",
     "kit {files}/good.stl --out {tmp}/out --clearance-mm nan": "--clearance-mm: expected 0.05 to 1000, got nan",
     "kit {files}/good.stl --out {tmp}/out --fit_mm -4": "--fit-mm: expected 0.05 to 1000, got -4",
+    "kit {files}/good.stl --out {tmp}/out --bodies all": "kit: --bodies all: expected one of union, largest, each",
     "info {tmp}": "{tmp}: no dataset (no dataset.json in it)",
     "info {tmp}/none": "{tmp}/none: no dataset (there is no such folder)",
     "show {tmp}": "{tmp}: no dataset (no dataset.json in it)",
@@ -164,6 +165,38 @@ def test_the_report_of_a_kit_is_printed(files: Path, tmp_path: Path, capsys: pyt
     assert "(requested 2.5)" in out
     assert out.endswith(f"files      {tmp_path / 'out'}\n")
     assert err == ""
+
+
+def test_a_plate_beyond_a_usual_bed_is_noted(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    line = ["kit", str(files / "good.stl"), "--out", str(tmp_path / "out"), "--unit", "mm", "--fit-mm"]
+    assert main([*line, "300"]) == 0
+    note = "note       the plate is larger than the bed of a usual printer, 250 mm\n"
+    assert note in capsys.readouterr().out
+    assert main([*line, "200"]) == 0
+    assert note not in capsys.readouterr().out
+
+
+def test_an_inexact_kit_ends_with_status_1_and_one_line(
+    files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(own_part, "_trial_report", lambda *_: {"passes": False, "why": own_part.NOT_SEATED})
+    assert main(["kit", str(files / "good.stl"), "--out", str(tmp_path / "out"), "--unit", "mm"]) == 1
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert err.startswith(f"kit1000: {files}/good.stl: the part does not seat at a goal of its kit; nothing is written")
+    assert not (tmp_path / "out").exists()
+
+
+def test_each_body_of_a_file_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    one, thin = l_shape(), l_shape().scaled(0.002)
+    vertices = np.concatenate([one.vertices, thin.vertices + 0.1])
+    both = Mesh(vertices, np.concatenate([one.faces, thin.faces + len(one.vertices)]))
+    line = ["kit", str(write_stl(tmp_path / "two.stl", both)), "--out", str(tmp_path / "out"), "--bodies", "each"]
+    assert main(line) == 1
+    out, err = capsys.readouterr()
+    assert out.endswith(f"files      {tmp_path / 'out' / '01'}\n")
+    assert err.startswith(f"kit1000: {tmp_path}/two.stl: body 2 of 2: 0.08 mm long, less than the clearance of 2.5 mm")
+    assert err.count("\n") == 1
 
 
 @pytest.mark.usefixtures("fake_scenes")

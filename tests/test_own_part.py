@@ -5,23 +5,28 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
-from manifold3d import Manifold
+from manifold3d import Manifold, OpType
 from mini import file_hashes, l_shape, write_stl
 from PIL import Image
 
 from kit1000.dataset.mesh_files import read_glb
 from kit1000.errors import InputError
 from kit1000.export import own_part
-from kit1000.export.own_part import make_kit_from_file
+from kit1000.export.own_part import InexactKit, make_kit_from_file, make_kits_from_file
 from kit1000.files import PARTIAL
+from kit1000.kits.clearance import Clearance
 from kit1000.kits.envelope import RELIEF_CELLS, lower_envelope, polar_relief
-from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
+from kit1000.kits.kit import KitDesign, design_kit
+from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid, solid_from_mesh
+from kit1000.parts.family import part_of_mesh
+from kit1000.parts.files import bodies
 from kit1000.parts.files.formats import read_triangles
 from kit1000.parts.files.sources import mesh_files
 from kit1000.pictures import previews
@@ -219,6 +224,139 @@ def test_a_relief_shows_a_body_narrower_than_its_cells(sides: tuple[float, float
     assert set(np.unique(relief.round(9))) == {0.0, 0.6e-3}
     area = (relief * weights[:, None]).sum() / relief.shape[1] / 0.6e-3
     assert 0.5 < area / (sides[0] * sides[1]) < 2.1
+
+
+def stl_of(path: Path, *solids: Manifold) -> Path:
+    """An STL in which each body has its own shell."""
+    return write_stl(path, mesh_from_solid(Manifold.compose(list(solids))))
+
+
+CUBE = Manifold.cube((0.03, 0.03, 0.03))
+STUD = Manifold.cube((0.012, 0.012, 0.02))
+PLATE_OF_FIVE = [
+    Manifold.cube((0.02 + 0.004 * i, 0.02, 0.012)).translate((0.05 * i, 0.0, 0.0)) for i in (2, 0, 4, 1, 3)
+]
+TURN = (31, 22, 17)
+TOGETHER = {
+    "overlapping": [CUBE, CUBE.translate((0.02, 0.01, 0.005))],
+    "touching": [CUBE, CUBE.translate((0.03, 0.0, 0.0))],
+    "standing on": [CUBE, STUD.translate((0.005, 0.01, 0.03))],
+    "touching, turned": [CUBE.rotate(TURN), CUBE.translate((0.03, 0.0, 0.0)).rotate(TURN)],
+    "standing on, turned": [CUBE.rotate(TURN), STUD.translate((0.005, 0.01, 0.03)).rotate(TURN)],
+}
+APART = [CUBE, CUBE.scale((0.8, 0.8, 0.8)).translate((0.04, 0, 0))]
+
+
+@pytest.mark.parametrize("name", TOGETHER)
+def test_bodies_that_touch_or_overlap_are_united(name: str, tmp_path: Path) -> None:
+    whole = Manifold.batch_boolean(TOGETHER[name], OpType.Add)
+    make_kit_from_file(stl_of(tmp_path / "two.stl", *TOGETHER[name]), tmp_path / "out", unit="mm", choice="union")
+    part = read(tmp_path / "out/part.stl")
+    assert body_count(part) == 1
+    assert part.volume == pytest.approx(whole.volume() * 1e9, rel=1e-3)
+    assert defect_float32(part) is None
+
+
+def test_bodies_apart_are_refused_with_the_way_out(tmp_path: Path) -> None:
+    path = stl_of(tmp_path / "two.stl", *APART)
+    several = r"two\.stl: 2 separate bodies \(66%, 34% of the volume\)"
+    with pytest.raises(InputError, match=several + "; choose --bodies union .*, largest, or each"):
+        make_kit_from_file(path, tmp_path / "out")
+    with pytest.raises(InputError, match=several + ", which do not touch.*; choose --bodies largest, or each"):
+        make_kit_from_file(path, tmp_path / "out", choice="union")
+    assert not (tmp_path / "out").exists()
+    made = make_kit_from_file(path, tmp_path / "out", unit="mm", choice="largest")
+    assert made["size_mm"] == pytest.approx([30, 30, 30], abs=1e-3)
+    assert made["repairs"] == ["kept the largest of 2 bodies (66.1% of the volume)"]
+
+
+def test_each_body_of_a_plate_gets_its_kit_largest_first(tmp_path: Path) -> None:
+    path = stl_of(tmp_path / "plate.stl", *PLATE_OF_FIVE)
+    made = make_kits_from_file(path, tmp_path / "out", unit="mm")
+    assert sorted(os.listdir(tmp_path / "out")) == ["01", "02", "03", "04", "05", "report.json"]
+    assert json.loads((tmp_path / "out/report.json").read_bytes()).keys() == made.keys()
+    for i, (name, report) in enumerate(made.items()):
+        assert not isinstance(report, str)
+        assert report["size_mm"] == pytest.approx([36 - 4 * i, 20, 12], abs=1e-3)
+        assert report["repairs"] == [f"body {i + 1} of 5"]
+        assert sorted(os.listdir(tmp_path / "out" / name)) == FILES
+
+
+def test_a_body_without_a_kit_leaves_those_of_the_others(tmp_path: Path) -> None:
+    film = Manifold.cube((0.03, 0.03, 0.00005)).translate((0.1, 0, 0))
+    made = make_kits_from_file(stl_of(tmp_path / "two.stl", CUBE, film), tmp_path / "out", unit="mm")
+    assert isinstance(made["01"], dict)
+    assert "two.stl: body 2 of 2: no kit: 0.05 mm high where it lies, too flat" in str(made["02"])
+    assert sorted(os.listdir(tmp_path / "out")) == ["01", "report.json"]
+
+
+def test_voids_stay_with_their_body(tmp_path: Path) -> None:
+    hollow = CUBE - Manifold.cube((0.01, 0.01, 0.01)).translate((0.01, 0.01, 0.01))
+    path = stl_of(tmp_path / "two.stl", hollow, STUD.translate((0.05, 0, 0)))
+    made = make_kits_from_file(path, tmp_path / "out", unit="mm")
+    volumes = [report["volume_mm3"] for report in made.values() if isinstance(report, dict)]
+    assert volumes == pytest.approx([26000, 2880], rel=1e-5)
+
+
+def test_too_many_bodies_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bodies, "MAX_BODIES", 4)
+    with pytest.raises(InputError, match=r"plate\.stl: 5 separate bodies, more than 4"):
+        make_kits_from_file(stl_of(tmp_path / "plate.stl", *PLATE_OF_FIVE), tmp_path / "out", unit="mm")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("smallest", "trial", "reason"),
+    [
+        (2.479e-3, {"passes": True, "why": ""}, "came out with a clearance of 2.479 mm, expected 2.5 mm; nothing is"),
+        (0.0, {"passes": True, "why": ""}, "came out with a clearance of 0.000 mm"),
+        (2.5e-3, {"passes": False, "why": "does not seat at a goal"}, "the part does not seat at a goal of its kit"),
+    ],
+)
+def test_an_inexact_kit_is_not_written(
+    smallest: float, trial: dict[str, Any], reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def measured(*arguments: Any, **options: Any) -> KitDesign:
+        return replace(design_kit(*arguments, **options), measured_clearance=Clearance(smallest, 2.5e-3))
+
+    monkeypatch.setattr(own_part, "design_kit", measured)
+    monkeypatch.setattr(own_part, "_trial_report", lambda *_: trial)
+    with pytest.raises(InexactKit, match=rf"^.*corner\.stl: .*{reason}"):
+        make_kit_from_file(write_stl(tmp_path / "corner.stl", l_shape()), tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_kits_of_a_metre_are_as_exact_as_small_ones(tmp_path: Path) -> None:
+    beam, slab = Manifold.cube((1.0, 1.5, 0.4), True), Manifold.cube((1.0, 1.5, 0.4), True).rotate((10, 20, 30))
+    made = make_kit_from_file(stl_of(tmp_path / "two.stl", beam, slab), tmp_path / "out", unit="mm")
+    assert 2.48 < made["clearance_smallest_mm"] <= made["clearance_largest_mm"] < 2.6
+    assert defect_float32(read(tmp_path / "out/kit.stl")) is None
+    assert defect_float32(read(tmp_path / "out/part.stl")) is None
+
+
+def test_a_clearance_wider_than_the_part_is_refused(tmp_path: Path) -> None:
+    path = write_stl(tmp_path / "corner.stl", l_shape().scaled(0.01))
+    with pytest.raises(InputError, match=r"0\.4 mm long, less than the clearance of 2\.5 mm; choose a smaller --clear"):
+        make_kit_from_file(path, tmp_path / "out", unit="mm")
+
+
+@pytest.mark.parametrize("width", [1e-9, 2e-8])
+def test_written_meshes_stay_closed_where_rounding_would_open_them(width: float, tmp_path: Path) -> None:
+    """A slit at the origin, where float32 is fine, comes to lie where it is coarse."""
+    slit = Manifold.cube((width, 0.04, 0.02)).translate((1e-9, 0.03, 0.09))
+    cut = Manifold.cube((0.8, 0.1, 0.1)).translate((-1e-3, 0, 0)) - slit
+    part = part_of_mesh("cut", mesh_from_solid(cut))
+    design = design_kit(part, plate=None)
+    seated = part.mesh.moved(design.kit.slot.kit_from_part)
+    assert defect_float32(seated) is not None
+    data = own_part._files(part, design, "cut.stl")
+    (tmp_path / "part.stl").write_bytes(data["part.stl"])
+    (tmp_path / "seated.glb").write_bytes(data["seated.glb"])
+    back = read(tmp_path / "part.stl")
+    assert defect_float32(back) is None
+    assert defect_float32(read_glb(tmp_path / "seated.glb")["part"]) is None
+    assert back.volume == pytest.approx(cut.volume() * 1e9, rel=1e-5)
+    assert np.abs(back.bounds - seated.bounds * 1e3).max() < 0.02
 
 
 @pytest.mark.slow

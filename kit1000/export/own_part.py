@@ -10,20 +10,38 @@ import numpy as np
 
 from kit1000.dataset.mesh_files import glb_bytes, stl_bytes
 from kit1000.dataset.tables import pose_row
-from kit1000.errors import InputError, MeshRefused, Redraw
+from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw
 from kit1000.files import check_writable, clear_partial, write_bytes, write_json
-from kit1000.kits.acceptance import check_pair
+from kit1000.kits.acceptance import NOT_SEATED, check_pair
 from kit1000.kits.kit import CLEARANCE, KitDesign, design_kit
+from kit1000.kits.printable_mesh import SIMPLIFY_TOLERANCE, closed_on_grid
+from kit1000.kits.seating import BISECTION_STEP
+from kit1000.kits.sweep import SAGITTA
+from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
-from kit1000.parts.files.sources import MeshReading, read_mesh
+from kit1000.parts.files.bodies import Choice, SeveralBodies
+from kit1000.parts.files.sources import MeshReading, Refusal, read_bodies, read_mesh
 from kit1000.values import Part
 
 COLOURS = {"kit": (224, 219, 210), "part": (238, 122, 40)}  # sRGB, those of the pictures
+OTHER_CHOICES = {  # what to do about several bodies, by the choice that was refused
+    None: "choose --bodies union (they touch or overlap), largest, or each (a kit for every one)",
+    "union": "choose --bodies largest, or each (a kit for every one)",
+}
 REPORT = "report.json"  # written last: when it exists, the other files are complete and of the same part
 
 
+class InexactKit(Kit1000Error):
+    """A kit that fails its own measurement; it is not written."""
+
+
 def make_kit_from_file(
-    path: Path, out: Path, clearance: float = CLEARANCE, unit: str | None = None, longest: float | None = None
+    path: Path,
+    out: Path,
+    clearance: float = CLEARANCE,
+    unit: str | None = None,
+    longest: float | None = None,
+    choice: Choice | None = None,
 ) -> dict[str, Any]:
     """Make the kit of a mesh file and write it to a folder; returns the report.
 
@@ -33,22 +51,68 @@ def make_kit_from_file(
         clearance: [m] horizontal gap between part and cavity walls.
         unit: unit of the file: mm, cm, m or inch; guessed when None.
         longest: [m] scale the part to this longest side; true size when None.
+        choice: which body of several is the part, as in `read_mesh`.
 
     Raises:
         InputError: the file is no usable part, no kit can be made, or the folder cannot be written.
+        InexactKit: the clearance of the kit is too small, or the part does not seat in it.
     """
     check_writable(out)
     try:
-        reading = read_mesh(path, unit)
+        reading = read_mesh(path, unit, choice)
+    except SeveralBodies as refusal:
+        raise InputError(f"{path}: {refusal.reason}; {OTHER_CHOICES[choice]}") from None
     except MeshRefused as refusal:
         raise InputError(f"{path}: {refusal.reason}") from None
-    part, scale = _part(path, reading, longest)
+    return _make_kit(reading, str(path), out, clearance, longest)
+
+
+def make_kits_from_file(
+    path: Path, out: Path, clearance: float = CLEARANCE, unit: str | None = None, longest: float | None = None
+) -> dict[str, dict[str, Any] | str]:
+    """Make the kit of each body of a mesh file, in folders 01, 02, ... of `out`, the largest body first.
+
+    Returns by folder the report, or why there is no kit and no folder; `report.json` of `out` holds the same, and is
+    written last. Arguments and errors that concern the whole file are those of `make_kit_from_file`.
+    """
+    check_writable(out)
+    try:
+        readings = read_bodies(path, unit)
+    except MeshRefused as refusal:
+        raise InputError(f"{path}: {refusal.reason}") from None
+    with suppress(OSError):  # of an earlier run
+        (out / REPORT).unlink()
+    reports: dict[str, dict[str, Any] | str] = {}
+    for number, reading in enumerate(readings, 1):
+        name = f"{number:02d}"
+        place = f"{path}: body {number} of {len(readings)}"
+        try:
+            if isinstance(reading, Refusal):
+                raise InputError(f"{place}: {reading.reason}")
+            reports[name] = _make_kit(reading, place, out / name, clearance, longest)
+        except (InputError, InexactKit) as refusal:
+            reports[name] = str(refusal)
+    write_json(out / REPORT, reports)
+    return reports
+
+
+def _make_kit(reading: MeshReading, place: str, out: Path, clearance: float, longest: float | None) -> dict[str, Any]:
+    """Make the kit of a part and write it to a folder; returns the report. `place` begins every message."""
+    part, scale = _part(reading, longest)
+    side = float(part.mesh.extents.max())
+    if side < clearance:
+        raise InputError(
+            f"{place}: {side * 1e3:.3g} mm long, less than the clearance of {clearance * 1e3:g} mm; "
+            "choose a smaller --clearance-mm, or another --unit"
+        )
     try:
         design = design_kit(part, clearance, plate=None)
     except Redraw as refusal:
-        raise InputError(f"{path}: no kit: {refusal.reason}") from None
-    report = _report(path, reading, part, scale, design)
-    files = _files(part, design)
+        raise InputError(f"{place}: no kit: {refusal.reason}") from None
+    trial = _trial_report(part, design)
+    _check_exact(design, trial, place)
+    report = _report(reading, part, scale, design, trial)
+    files = _files(part, design, place)
     clear_partial(out, *files, REPORT)
     with suppress(OSError):  # of an earlier run; the next write reports any error
         (out / REPORT).unlink()
@@ -58,14 +122,31 @@ def make_kit_from_file(
     return report
 
 
-def _part(path: Path, reading: MeshReading, longest: float | None) -> tuple[Part, float]:
+def _check_exact(design: KitDesign, trial: dict[str, Any], place: str) -> None:
+    """Raise InexactKit unless the kit has at least the requested clearance and the part seats in it."""
+    slot, smallest = design.kit.slot, design.measured_clearance.smallest
+    if slot.depth / 3 <= BISECTION_STEP:
+        raise InputError(
+            f"{place}: no kit: {design.face.height * 1e3:.3g} mm high where it lies, too flat for a cavity to hold it; "
+            f"expected more than {BISECTION_STEP * 5e3:g} mm, see --fit-mm"
+        )
+    if smallest < slot.clearance - SAGITTA:
+        raise InexactKit(
+            f"{place}: the kit came out with a clearance of {smallest * 1e3:.3f} mm, "
+            f"expected {slot.clearance * 1e3:g} mm; nothing is written, try another --clearance-mm"
+        )
+    if trial["why"] == NOT_SEATED:
+        raise InexactKit(f"{place}: the part {NOT_SEATED} of its kit; nothing is written, try another --clearance-mm")
+
+
+def _part(reading: MeshReading, longest: float | None) -> tuple[Part, float]:
     scale = 1.0 if longest is None else longest / float(reading.mesh.extents.max())
-    return part_of_mesh(path.stem, reading.mesh, longest), scale
+    return part_of_mesh(reading.path.stem, reading.mesh, longest), scale
 
 
-def _report(path: Path, reading: MeshReading, part: Part, scale: float, design: KitDesign) -> dict[str, Any]:
+def _report(reading: MeshReading, part: Part, scale: float, design: KitDesign, trial: dict[str, Any]) -> dict[str, Any]:
     return {
-        "part": path.name,
+        "part": reading.path.name,
         "unit": reading.unit,
         "unit_reason": reading.unit_reason,
         "repairs": list(reading.notes),
@@ -74,7 +155,7 @@ def _report(path: Path, reading: MeshReading, part: Part, scale: float, design: 
         "volume_mm3": part.mesh.volume * 1e9,
         "plate_mm": (design.kit.extent * 1e3).tolist(),
         "kit_from_part": pose_row(design.kit.slot.kit_from_part),
-        "trial": _trial_report(part, design),
+        "trial": trial,
     } | design.report
 
 
@@ -92,14 +173,33 @@ def _trial_report(part: Part, design: KitDesign) -> dict[str, Any]:
     }
 
 
-def _files(part: Part, design: KitDesign) -> dict[str, bytes]:
+def _files(part: Part, design: KitDesign, place: str) -> dict[str, bytes]:
     from kit1000.pictures.previews import kit_preview  # only here: importing it compiles the renderer
 
-    seated = part.mesh.moved(design.kit.slot.kit_from_part)
-    bodies = {"kit": design.kit.mesh, "part": seated}
+    kit = _closed_in_files(design.kit.mesh, f"{place}: the kit")
+    seated = _closed_in_files(part.mesh.moved(design.kit.slot.kit_from_part), f"{place}: the seated part")
     return {
-        "kit.stl": stl_bytes(design.kit.mesh),
+        "kit.stl": stl_bytes(kit),
         "part.stl": stl_bytes(seated),
-        "seated.glb": glb_bytes(bodies, COLOURS),
+        "seated.glb": glb_bytes({"kit": kit, "part": seated}, COLOURS),
         "preview.png": kit_preview(part, design.kit),
     }
+
+
+def _closed_in_files(mesh: Mesh, name: str) -> Mesh:
+    """The mesh, with vertices moved by microns where it would open when files round them and loaders merge them."""
+    if _file_defect(mesh) is None:
+        return mesh
+    grid = 2.0 ** (np.ceil(np.log2(np.abs(mesh.vertices).max() * 1e3)) - 23) * 1e-3  # exact in float32 millimetres
+    closed, fault = closed_on_grid(mesh, grid, _file_defect)
+    if fault is not None:
+        simple = mesh_from_solid(solid_from_mesh(mesh).as_original().simplify(SIMPLIFY_TOLERANCE))
+        closed, fault = closed_on_grid(simple, grid, _file_defect)
+    if fault is not None:
+        raise InexactKit(f"{name} is not closed once rounded to float32: {fault}; nothing is written")
+    return closed
+
+
+def _file_defect(mesh: Mesh) -> str | None:
+    """The defect of a mesh as read from a GLB, in metres, or an STL, in millimetres."""
+    return defect_float32(mesh) or defect_float32(mesh.scaled(1e3))

@@ -25,6 +25,7 @@ DIRECTIONS = np.radians(np.arange(0, 360, 30.0))  # in the plate's plane: of shi
 WRONG_TILT = np.radians(20)
 BEYOND_KEYEDNESS = np.radians(5)  # at a yaw this far beyond the keyedness the part does not seat either
 ANGLE_STEP = np.radians(1)
+NOT_SEATED = "does not seat at a goal"
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ def check_pair(part: Part, kit: Kit) -> PairCheck:
     test, design = SeatingTest(part.mesh, kit), kit.slot.goals[0]
     for goal in kit.slot.goals:
         if not test.result(goal, goal).strict:
-            raise Redraw("does not seat at a goal")
+            raise Redraw(NOT_SEATED)
     for name, pose in wrong_poses(kit):
         if not is_goal(pose, kit) and test.is_seated(pose, design):
             raise Redraw(f"seats when {name}")

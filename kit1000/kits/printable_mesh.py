@@ -7,6 +7,8 @@ are rounded to a grid, and where the mesh would open, those that share a positio
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from manifold3d import Manifold
 
@@ -22,23 +24,29 @@ MAX_ROUNDS = 5  # of separation, each by twice the distance of the one before
 
 def printable_mesh(solid: Manifold, name: str) -> Mesh:
     """The mesh of a solid: one closed body, vertices on GRID. Raises Redraw, its reason beginning with `name`, else."""
-    mesh, fault = _on_grid(mesh_from_solid(solid.as_original().simplify(SIMPLIFY_TOLERANCE))), None
-    for round_ in range(MAX_ROUNDS):
-        fault = defect_float32(mesh)
-        if fault is None:
-            return _one_body(mesh.merged(), name)
-        mesh = _on_grid(_separated(mesh, SEPARATION * 2**round_))
-    raise Redraw(f"{name} not closed in float32: {fault}")
-
-
-def _one_body(mesh: Mesh, name: str) -> Mesh:
+    mesh, fault = closed_on_grid(mesh_from_solid(solid.as_original().simplify(SIMPLIFY_TOLERANCE)), GRID)
+    if fault is not None:
+        raise Redraw(f"{name} not closed in float32: {fault}")
     if body_count(mesh) > 1:
         raise Redraw(f"{name} in several bodies")
     return mesh
 
 
-def _on_grid(mesh: Mesh) -> Mesh:
-    return Mesh(np.round(mesh.vertices / GRID) * GRID, mesh.faces)
+def closed_on_grid(
+    mesh: Mesh, grid: float, defect_of: Callable[[Mesh], str | None] = defect_float32
+) -> tuple[Mesh, str | None]:
+    """A mesh with vertices on a grid [m], moved apart until it is closed, and its remaining defect; None: closed."""
+    mesh, fault = _on_grid(mesh, grid), None
+    for round_ in range(MAX_ROUNDS):
+        fault = defect_of(mesh)
+        if fault is None:
+            return mesh.merged(), None
+        mesh = _on_grid(_separated(mesh, SEPARATION * 2**round_), grid)
+    return mesh, fault
+
+
+def _on_grid(mesh: Mesh, grid: float) -> Mesh:
+    return Mesh(np.round(mesh.vertices / grid) * grid, mesh.faces)
 
 
 def _separated(mesh: Mesh, distance: float) -> Mesh:

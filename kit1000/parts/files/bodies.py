@@ -6,6 +6,8 @@ it are then wrong. So crossings are searched for face by face, and a surface tha
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from manifold3d import Manifold, OpType
 
@@ -28,16 +30,52 @@ CROSSING_TOLERANCE = 1e-6  # [m] surfaces that pass through each other by less c
 FOLD_TOLERANCES = (2e-5, 5e-5)  # [m] tried in this order to remove small folds
 SEPARATION = 2e-6  # [m] by which surfaces that touch along an edge are moved apart
 DEVIATION_POINTS = 20_000  # vertices at which the deviation of a simplified mesh is measured
+GROWTH = 2e-6  # [m] by which vertices are moved outward to join bodies that touch but for rounding
+MAX_BODIES = 100  # of one file that are made parts of their own
+Choice = Literal["union", "largest"]  # which body of several is the part
 WINDING_POINTS = 400  # points at which a repaired solid is compared with the winding number of the original surface
 
 
-def part_mesh(solid: Manifold, notes: list[str]) -> Mesh:
-    """The mesh of the one body of a solid, closed also on the float32 grid; a note of each change is appended.
+class SeveralBodies(MeshRefused):
+    """A mesh of several bodies, none of which holds nearly all of the volume."""
+
+
+def part_mesh(solid: Manifold, notes: list[str], choice: Choice | None = None) -> Mesh:
+    """The mesh of one body of a solid, closed also on the float32 grid; a note of each change is appended.
+
+    choice: of several bodies the union of all, which must touch or overlap, or the largest; with None that with nearly
+    all of the volume.
 
     Raises:
-        MeshRefused: several bodies, a surface that passes through itself, or zero thickness.
+        SeveralBodies: there are several, and by `choice` no single one.
+        MeshRefused: a surface that passes through itself, or zero thickness.
     """
-    solid = _single_body(_united(solid, notes), notes)
+    solid = _united(solid, notes)
+    return _body_mesh(_joined(solid, notes) if choice == "union" else _single_body(solid, notes, choice), notes)
+
+
+def body_meshes(solid: Manifold, notes: list[str]) -> list[tuple[Mesh | MeshRefused, list[str]]]:
+    """The mesh of each body of a solid, or why it has none, with all notes on it; the largest body first.
+
+    Bodies that touch or overlap are one. Raises MeshRefused when there are more than MAX_BODIES.
+    """
+    shells = _united(solid, notes).decompose()
+    bodies = _by_volume([shell for shell in shells if shell.volume() > 0])
+    if not bodies:
+        raise MeshRefused("zero thickness")
+    if len(bodies) > MAX_BODIES:
+        raise MeshRefused(f"{len(bodies):,} separate bodies, more than {MAX_BODIES}")
+    meshes: list[tuple[Mesh | MeshRefused, list[str]]] = []
+    for number, body in enumerate(bodies, 1):
+        own = [*notes, f"body {number} of {len(bodies)}"]
+        try:
+            meshes.append((_body_mesh(_with_voids(body, shells), own), own))
+        except MeshRefused as refused:
+            meshes.append((refused, own))
+    return meshes
+
+
+def _body_mesh(solid: Manifold, notes: list[str]) -> Mesh:
     solid = _simplified(solid, notes)
     solid = _without_crossings(solid, notes)
     return _rounded(solid, notes)
@@ -69,23 +107,70 @@ def _share_inside(shell: Manifold, other: Manifold) -> float:
     return (shell ^ other).volume() / max(shell.volume(), 1e-300)
 
 
-def _single_body(solid: Manifold, notes: list[str]) -> Manifold:
-    """The body with nearly all of the volume, and its own voids."""
+def _single_body(solid: Manifold, notes: list[str], choice: Choice | None = None) -> Manifold:
+    """The body with nearly all of the volume, or the largest by choice, and its own voids."""
     shells = solid.decompose()
     bodies = sorted((shell for shell in shells if shell.volume() > 0), key=lambda body: -body.volume())
     if not bodies:
         raise MeshRefused("zero thickness")
     if len(bodies) == 1:
         return solid
-    volumes = np.array([body.volume() for body in bodies])
-    shares = volumes / volumes.sum()
-    if shares[0] < MIN_BODY_SHARE:
-        listed = ", ".join(f"{share:.0%}" for share in shares[:4]) + (", ..." if len(shares) > 4 else "")
-        raise MeshRefused(f"{len(bodies)} separate bodies ({listed} of the volume)")
+    shares = _volume_shares(bodies)
+    if shares[0] < MIN_BODY_SHARE and choice is None:
+        raise SeveralBodies(_bodies_text(shares))
     notes.append(f"kept the largest of {len(bodies)} bodies ({shares[0]:.1%} of the volume)")
+    return _with_voids((_by_volume(bodies) if choice else bodies)[0], shells)
+
+
+def _joined(solid: Manifold, notes: list[str]) -> Manifold:
+    """The solid as one body; bodies that touch but for rounding are grown to join them."""
+    shells = solid.decompose()
+    bodies = [shell for shell in shells if shell.volume() > 0]
+    if not bodies:
+        raise MeshRefused("zero thickness")
+    if len(bodies) == 1:
+        return solid
+    grown = _united(Manifold.compose([solid_from_mesh(_grown(mesh_from_solid(body))) for body in bodies]), [])
+    if sum(shell.volume() > 0 for shell in grown.decompose()) > 1:
+        apart = _bodies_text(_volume_shares(sorted(bodies, key=lambda body: -body.volume())))
+        raise SeveralBodies(f"{apart}, which do not touch, so that their union is no single part")
+    notes.append(f"joined {len(bodies)} touching bodies, grown by at most {GROWTH * 1e6:g} um")
     voids = [inverted(shell) for shell in shells if shell.volume() < 0]
-    inside = [void for void in voids if _share_inside(void, bodies[0]) > 0.5]
-    return Manifold.batch_boolean([bodies[0], *inside], OpType.Subtract) if inside else bodies[0]
+    return Manifold.batch_boolean([grown, *voids], OpType.Subtract) if voids else grown
+
+
+def _grown(mesh: Mesh) -> Mesh:
+    """The mesh with all vertices moved outward by GROWTH."""
+    corners = mesh.vertices[mesh.faces]
+    normals = np.zeros_like(mesh.vertices)
+    for k in range(3):  # weighted by the angle at the corner, so that it does not depend on the triangulation
+        before, after = corners[:, k - 1] - corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
+        angle = np.arctan2(np.linalg.norm(np.cross(before, after), axis=1), (before * after).sum(1))
+        np.add.at(normals, mesh.faces[:, k], angle[:, None] * mesh.normals)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    return Mesh(mesh.vertices + GROWTH * normals / np.maximum(lengths, 1e-12), mesh.faces)
+
+
+def _by_volume(bodies: list[Manifold]) -> list[Manifold]:
+    """The bodies sorted by volume, largest first; equal ones by the lowest corners of their boxes."""
+    return sorted(bodies, key=lambda body: (-float(f"{body.volume():.5g}"), np.round(body.bounding_box(), 7).tolist()))
+
+
+def _volume_shares(bodies: list[Manifold]) -> np.ndarray:
+    volumes = np.array([body.volume() for body in bodies])
+    return volumes / volumes.sum()
+
+
+def _bodies_text(shares: np.ndarray) -> str:
+    listed = ", ".join(f"{share:.0%}" for share in shares[:4]) + (", ..." if len(shares) > 4 else "")
+    return f"{len(shares)} separate bodies ({listed} of the volume)"
+
+
+def _with_voids(body: Manifold, shells: list[Manifold]) -> Manifold:
+    """A body with those of the voids among the shells that lie inside it."""
+    voids = [inverted(shell) for shell in shells if shell.volume() < 0]
+    inside = [void for void in voids if _share_inside(void, body) > 0.5]
+    return Manifold.batch_boolean([body, *inside], OpType.Subtract) if inside else body
 
 
 def _simplified(solid: Manifold, notes: list[str]) -> Manifold:

@@ -16,10 +16,11 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
+from manifold3d import Manifold
 
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh
-from kit1000.parts.files.bodies import part_mesh
+from kit1000.parts.files.bodies import Choice, body_meshes, part_mesh
 from kit1000.parts.files.formats import MESH_SUFFIXES, STEP_SUFFIXES, read_triangles
 from kit1000.parts.files.repair import closed_solid
 
@@ -58,18 +59,53 @@ class Refusal:
 Outcome = MeshReading | Refusal
 
 
-def read_mesh(path: str | Path, unit: str | None = None) -> MeshReading:
+def read_mesh(path: str | Path, unit: str | None = None, choice: Choice | None = None) -> MeshReading:
     """Read one mesh file as a part.
 
     Args:
         path: STL, OBJ, PLY, OFF, 3MF, GLB or GLTF; STEP where its optional reader is installed.
         unit: "mm", "cm", "m" or "inch"; None: the one stated in the file, else guessed from its size.
+        choice: of several bodies "union": all as one, which must touch or overlap; "largest"; None: that with nearly
+            all of the volume.
 
     Raises:
+        SeveralBodies: there are several bodies, and by `choice` no single one.
         MeshRefused: the file cannot be a part; one line says why.
         InputError: the unit is unknown.
     """
-    path = Path(path)
+    solid = _read_solid(Path(path), unit)
+    mesh = part_mesh(solid.solid, solid.notes, choice)
+    return MeshReading(solid.path, mesh, solid.unit, solid.unit_guessed, solid.unit_reason, tuple(solid.notes))
+
+
+def read_bodies(path: str | Path, unit: str | None = None) -> list[MeshReading | Refusal]:
+    """Read each body of a mesh file as a part, or as the reason why it cannot be one; the largest first.
+
+    Bodies that touch or overlap are one. Raises as `read_mesh` does when the whole file is refused.
+    """
+    solid = _read_solid(Path(path), unit)
+    stated = (solid.unit, solid.unit_guessed, solid.unit_reason)
+    return [
+        MeshReading(solid.path, mesh, *stated, tuple(notes))
+        if isinstance(mesh, Mesh)
+        else Refusal(solid.path, mesh.reason)
+        for mesh, notes in body_meshes(solid.solid, solid.notes)
+    ]
+
+
+@dataclass(frozen=True, eq=False)
+class _SolidReading:
+    """All that a file bounds, in metres, before bodies are told apart; the other fields as in MeshReading."""
+
+    path: Path
+    solid: Manifold
+    unit: str
+    unit_guessed: bool
+    unit_reason: str
+    notes: list[str]
+
+
+def _read_solid(path: Path, unit: str | None) -> _SolidReading:
     if unit is not None and unit not in USER_UNITS:
         raise InputError(f"unit {unit!r}: expected one of {', '.join(USER_UNITS)}")
     soup = read_triangles(path)
@@ -83,8 +119,7 @@ def read_mesh(path: str | Path, unit: str | None = None) -> MeshReading:
     vertices = soup.vertices * FILE_UNITS[chosen]
     _check_size(longest * FILE_UNITS[chosen], chosen)
     vertices = _moved_to_origin(vertices, used, notes)
-    mesh = part_mesh(closed_solid(vertices, soup.faces, notes), notes)
-    return MeshReading(path, mesh, chosen, guessed, reason, tuple(notes))
+    return _SolidReading(path, closed_solid(vertices, soup.faces, notes), chosen, guessed, reason, notes)
 
 
 def _check_finite(vertices: np.ndarray) -> None:
