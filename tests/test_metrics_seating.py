@@ -290,6 +290,27 @@ def test_a_part_in_the_slot_of_its_neighbour_is_not_seated() -> None:
         assert results.seated.tolist() == results.strict.tolist() == [True, False]
 
 
+@pytest.mark.parametrize("side", [(1, 0), (-1, 0), (0, 1), (0, -1)])
+def test_a_part_beside_its_own_plate_at_floor_height_is_not_seated(side: tuple[int, int]) -> None:
+    """On a block as high as the cavity's floor it is at goal height: it passes all but the bounds of its plate."""
+    kit, truth = sample_kit("tee"), replace(truth_of("tee+foot"), assembly_id="beside")
+    goal, outward = truth.slot.goals[0], np.array([*side, 0.0])
+    reach = (sample_part("tee").mesh.moved(goal).vertices @ -outward).max()
+    distance = kit.extent[0] / 2 + reach + 1e-3  # of the part: it clears the plate by 1 mm
+    block = Manifold.cube((0.06, 0.06, 0.02), center=True).translate(
+        (kit.extent[0] / 2 + 0.0305) * outward - [0, 0, kit.slot.depth + 0.01]
+    )
+    both = mesh_from_solid(solid_from_mesh(kit.mesh) + block)
+    beside = {"beside": Assembly("beside", both, (Mount(kit, Pose.identity()),))}
+    predicted = Pose.stack([motion_to(truth, Pose.from_translation(distance * outward) @ goal)])
+    for exact in ("near", "all"):
+        results = seatings(predicted, [truth], SampleGeometry(sample_geometry().parts, beside), exact)
+        assert abs(results.contact_height[0]) < 0.01e-3
+        assert abs(results.contact_offset[0]) < 0.01e-3
+        assert not results.seated[0]
+        assert not results.strict[0]
+
+
 def test_nothing_below_is_not_seated() -> None:
     truth = truth_of("tee+foot")
     away = Pose.from_translation(np.array([0, 5.0, 0])) @ truth.slot.goals[0]

@@ -1,0 +1,112 @@
+"""The numbers that the documents state, as literals, each measured by what it decides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from kit1000.guesses import draw_ball_error, draw_tilt_error, level_angle, level_offset
+from kit1000.kits.seating import HOVER
+from kit1000.pose import Pose
+from kit1000.rng import stream
+from kit1000.sim.cameras import CAMERA
+from kit1000.sim.sensors import sense
+from kit1000.sim.visibility import PartVisibility, SlotVisibility, cavity_labels, view_redraw_reason
+from kit1000.values import View
+from tests.sample_kits import sample_kit
+
+COLUMNS, ROWS = slice(420, -420), slice(20, -20)  # of an image: no border of a sensor, no shadow of the other imager
+
+
+def wall_depths(sensor: str, distance: float, seed: int = 0) -> np.ndarray:
+    """Measured depths [m] of a plane across the optical axis, in the middle of the image."""
+    depth = np.full((CAMERA.height, CAMERA.width), distance, np.float32)
+    return (
+        sense(sensor, View(CAMERA, Pose.identity(), depth), stream(seed, "stated")).depth[ROWS, COLUMNS].astype(float)
+    )
+
+
+@pytest.mark.parametrize(
+    ("sensor", "baseline", "noise_px", "distance"), [("d415", 0.055, 0.08, 0.5), ("photoneo", 0.27, 0.04, 1.2)]
+)
+def test_the_noise_of_disparity_is_the_stated_one(
+    sensor: str, baseline: float, noise_px: float, distance: float
+) -> None:
+    """RMS over a plane; rounding of disparity and depth adds 2 % or less at these distances."""
+    disparities = [CAMERA.fx * baseline / wall_depths(sensor, distance, seed) for seed in range(3)]
+    rms = np.sqrt(np.mean([np.var(disparity) for disparity in disparities]))
+    assert rms == pytest.approx(noise_px, rel=0.1)
+
+
+def test_the_stereo_camera_rounds_disparity_to_a_32nd_of_a_pixel() -> None:
+    depths = np.unique(wall_depths("d415", 2.0))
+    steps = np.diff(np.sort(CAMERA.fx * 0.055 / depths))
+    assert np.median(steps) == pytest.approx(1 / 32, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "distance", "share"),
+    [("d415", 0.29, 0), ("d415", 0.31, 1), ("d415", 2.9, 1), ("d415", 3.1, 0)]
+    + [("photoneo", 0.39, 0), ("photoneo", 0.41, 1), ("photoneo", 1.95, 1), ("photoneo", 2.05, 0)],
+)
+def test_a_sensor_measures_between_the_stated_distances(sensor: str, distance: float, share: float) -> None:
+    depth = wall_depths(sensor, distance)[:, -40:]  # where both imagers see a near wall
+    assert np.mean(depth > 0) == share
+
+
+@pytest.mark.parametrize(("incidence_deg", "least", "most"), [(72, 1, 1), (81, 0.35, 0.65), (88, 0, 0)])
+def test_the_stereo_camera_loses_surfaces_from_75_to_87_degrees(
+    incidence_deg: float, least: float, most: float
+) -> None:
+    """A plane that is tilted about the horizontal axis; in the rows near the middle."""
+    tilt = np.radians(incidence_deg)
+    y = (np.arange(CAMERA.height) - CAMERA.cy) / CAMERA.fy
+    facing = np.cos(tilt) + np.sin(tilt) * y
+    depth = np.where(facing > 1e-3, 0.8 * np.cos(tilt) / np.maximum(facing, 1e-3), 0)
+    view = View(CAMERA, Pose.identity(), np.repeat(depth[:, None], CAMERA.width, 1).astype(np.float32))
+    middle = slice(CAMERA.height // 2 - 4, CAMERA.height // 2 + 4)
+    measured = [sense("d415", view, stream(seed, "stated")).depth[middle, COLUMNS] for seed in range(3)]
+    assert least <= np.mean(np.array(measured) > 0) <= most
+
+
+@pytest.mark.parametrize(
+    ("pixels", "part_share", "angle_deg", "cavity_share", "reason"),
+    [
+        (800, 0.5, 69.9, 0.15, None),
+        (799, 0.5, 69.9, 0.15, "part small in the image"),
+        (800, 0.49, 69.9, 0.15, "part mostly hidden"),
+        (800, 0.5, 70.1, 0.15, "slot turned away"),
+        (800, 0.5, 69.9, 0.149, "cavity mostly hidden"),
+    ],
+)
+def test_views_are_redrawn_beyond_the_stated_limits(
+    pixels: int, part_share: float, angle_deg: float, cavity_share: float, reason: str | None
+) -> None:
+    part, slot = PartVisibility(pixels, part_share), SlotVisibility(float(np.radians(angle_deg)), cavity_share)
+    assert view_redraw_reason(part, slot) == reason
+
+
+@pytest.mark.parametrize(("below_mm", "is_cavity"), [(0.25, False), (0.35, True), (5.0, True)])
+def test_a_cavity_begins_three_tenths_of_a_millimetre_below_the_rim(below_mm: float, is_cavity: bool) -> None:
+    view = Pose.from_rotvec((np.pi, 0, 0), (0, 0, 0.5))  # 0.5 m above the plate, straight down
+    depth = np.full((CAMERA.height, CAMERA.width), 0.5 + below_mm * 1e-3)
+    labels = cavity_labels(depth, CAMERA, view, [Pose.identity()], [sample_kit("tee")])
+    assert (labels[CAMERA.height // 2, CAMERA.width // 2] == 0) == is_cavity
+
+
+@pytest.mark.parametrize("draw", [draw_ball_error, draw_tilt_error])
+def test_guesses_reach_28_mm_and_27_5_degrees(draw) -> None:
+    rng = np.random.default_rng(0)
+    offsets, rotvecs = map(np.array, zip(*(draw(rng) for _ in range(2000)), strict=True))
+    assert 27.9e-3 < np.abs(offsets).max() <= 28e-3
+    assert 27.4 < np.degrees(np.linalg.norm(rotvecs, axis=1).max()) <= 27.5
+
+
+def test_the_last_level_of_a_curve_is_28_mm_and_27_5_degrees() -> None:
+    assert level_offset(7) == pytest.approx(28e-3)
+    assert np.degrees(level_angle(7)) == pytest.approx(27.5)
+    assert level_offset(1) == pytest.approx(4e-3)
+
+
+def test_the_approach_begins_100_mm_out() -> None:
+    assert HOVER == 0.1
