@@ -61,12 +61,14 @@ class Score:
         """Score, write and print."""
         from benchmark.per_query import write_per_query
         from benchmark.report import json_text, score_text
-        from benchmark.score import read_checked, score
+        from benchmark.score import invalid_text, read_checked, score
         from kit1000.dataset.reader import Dataset
         from kit1000.files import write_bytes
 
         workers, cache = _workers(self.workers), _cache(self.cache, self.no_cache)
         submission = read_checked(self.submission, self.data, self.split)
+        if warning := invalid_text(submission):
+            print(f"{PROGRAM}: {warning}", file=sys.stderr)
         scores = score(submission, Dataset(self.data), None, self.split, self.exact, workers, cache)
         write_bytes(self.out or self.submission / "scores.json", json_text(scores.summary).encode())
         if self.per_query is not None:

@@ -26,7 +26,7 @@ from benchmark.score import Scores, score
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import write_bytes
-from kit1000.submission import read_submission
+from kit1000.submission import read_valid_submission
 from kit1000.tracks import CURVES
 
 ALPHA = 0.05  # significance level
@@ -105,7 +105,7 @@ def run(
         cache: of measured rows; none when absent.
     """
     protocol, dataset = read_protocol(), Dataset(data)
-    submissions = [read_submission(folder) for folder in (a, b)]
+    submissions = [read_valid_submission(folder) for folder in (a, b)]
     first, second = (score(each, dataset, protocol, workers=workers, cache=cache) for each in submissions)
     comparison = compare(first, second, tracks, protocol.draws, protocol.seed)
     if out is not None:

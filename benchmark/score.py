@@ -22,7 +22,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import sha256
 from kit1000.metrics.seating import EXACT_BANDS
-from kit1000.submission import Submission, check, read_submission
+from kit1000.submission import Submission, check, read_valid_submission
 from kit1000.submission.predictions import FILE
 from kit1000.tracks import CURVES
 
@@ -38,17 +38,30 @@ class Scores:
 
 
 def read_checked(folder: Path, data: Path, split: str) -> Submission:
-    """Read a submission in which `kit1000 check` finds no error; a query without a prediction is no error.
+    """Read the valid predictions of a submission; `invalid` of the result counts the other rows.
 
-    Raises InputError with the first error: a score of misread numbers would mislead.
+    Raises InputError with the first error of form that `kit1000 check` finds: a score of misread numbers would mislead.
+    A query without a prediction is no error.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no folder of a submission")
-    errors = [error for error in check(folder, data, split).errors if error.code != "missing-predictions"]
+    errors = [error for error in check(folder, data, split).form_errors if error.code != "missing-predictions"]
     for first in errors[:1]:
         more = f" ({len(errors)} errors)" if len(errors) > 1 else ""
         raise InputError(f"{folder}: {first}{more}; `kit1000 check {folder} --data {data}` lists all")
-    return read_submission(folder)
+    submission = read_valid_submission(folder)
+    if submission.invalid.first is not None and not len(submission.predictions):
+        raise InputError(f"{folder}: no row is a valid prediction, the first error is {submission.invalid.first}")
+    return submission
+
+
+def invalid_text(submission: Submission) -> str | None:
+    """One line about the rows that are not scored; None without any."""
+    count, first = submission.invalid.count, submission.invalid.first
+    if first is None:
+        return None
+    rows = "1 row is no valid prediction" if count == 1 else f"{count} rows are no valid predictions"
+    return f"{submission.folder}: {rows}; their queries count as no motion; the first: {first}"
 
 
 def score(

@@ -45,7 +45,7 @@ def main(data: tyro.conf.Positional[Path] = Path("tiny"), out: Path = Path("my-s
         uses_true_geometry=False,
     )
     write_submission(out, manifest, predictions)
-    submission = read_checked(out, data, "test")  # raises InputError where `kit1000 check` finds an error
+    submission = read_checked(out, data, "test")  # raises InputError for a fault of form
     snap = score(submission, dataset).summary["tracks"]["snap"]
     print(f"position {snap['position_mm']['mean']:.1f} mm, rotation {snap['rotation_deg']['mean']:.1f} degrees")
     print(f"seated {snap['seated']['rate']:.0%} of {snap['n']} parts; the submission is in {out}")

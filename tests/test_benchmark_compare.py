@@ -236,7 +236,7 @@ def test_the_command_scores_both_and_writes_what_it_prints(
 ) -> None:
     measured = {"a": rows(position_mm=errors(1, mean=2)), "b": rows(position_mm=errors(2, mean=9))}
     monkeypatch.setattr(module, "Dataset", Path)
-    monkeypatch.setattr(module, "read_submission", lambda folder: SimpleNamespace(name=folder.name))
+    monkeypatch.setattr(module, "read_valid_submission", lambda folder: SimpleNamespace(name=folder.name))
     monkeypatch.setattr(
         module, "score", lambda submission, *_, **__: scored(measured[submission.name], submission.name)
     )

@@ -270,7 +270,7 @@ def queries_and_motions(rng: np.random.Generator, guessed: float = 1.0) -> tuple
 def plausibility_codes(expected: ExpectedQueries, motions: Pose, folder: Path) -> list[str]:
     n = len(motions)
     write_predictions(folder / "p.csv", Predictions(expected.query_ids, motions, np.ones(n), np.ones(n)))
-    rows, _ = read_rows((folder / "p.csv").read_text(), "p.csv")
+    rows, _, _ = read_rows((folder / "p.csv").read_text(), "p.csv")
     assert rows is not None
     return [fault.code for fault in plausibility_faults(rows, expected, rotation_only=False)]
 

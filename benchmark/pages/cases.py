@@ -22,7 +22,7 @@ from kit1000.pictures.depth_images import depth_picture, mask_picture
 from kit1000.pictures.shading import INK
 from kit1000.pose import Pose
 from kit1000.sim.render import render
-from kit1000.submission import read_submission
+from kit1000.submission import read_valid_submission
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, Truth, View
 
 SIZE = (400, 300)  # [px]
@@ -111,7 +111,7 @@ def _cases(dataset: Dataset, entry: Entry, query_ids: Sequence[str]) -> list[Cas
     truths = tuple(truth for _, _, truth in rows)
     tracks = tuple(query.track for _, query, _ in rows)
     queries = ScoredQueries(dataset.geometry, tracks, tuple(recorded.id for recorded, _, _ in rows), truths)
-    motions = align(read_submission(entry.folder).predictions, queries).motions
+    motions = align(read_valid_submission(entry.folder).predictions, queries).motions
     if entry.manifest.predicts == "rotation":
         motions = centred(motions, queries.targets)
     goals = nearest_goal_motions(queries.targets, pose_errors(motions, queries.targets))

@@ -11,11 +11,11 @@ import numpy as np
 
 from kit1000.submission import manifest as manifests
 from kit1000.submission import predictions as prediction_files
-from kit1000.submission.faults import Fault, Report, listed, printable, sorted_faults
+from kit1000.submission.faults import Fault, FaultList, Report, listed, printable, sorted_faults
 from kit1000.submission.manifest import Manifest, line_of, manifest_of
 from kit1000.submission.plausibility import plausibility_faults
 from kit1000.submission.reading import decode_text, file_error, file_warning, read_file
-from kit1000.submission.row_rules import row_faults
+from kit1000.submission.row_rules import ID_PATTERN, duplicate_faults, value_faults
 from kit1000.submission.rows import Rows, read_rows
 from kit1000.tracks import ALL_TRACKS, CURVES
 
@@ -27,7 +27,9 @@ MOST_SUGGESTED = 20  # unknown ids for which similar ones are searched
 
 
 def check(path: str | Path, data: str | Path | None = None, split: str = "test") -> Report:
-    """Find all faults of a submission folder, or of a predictions file alone.
+    """Find the faults of a submission folder, or of a predictions file alone.
+
+    All are counted; the report holds the first thousand errors and warnings.
 
     Args:
         path: the folder with manifest.toml and predictions.csv, or one predictions file.
@@ -38,19 +40,25 @@ def check(path: str | Path, data: str | Path | None = None, split: str = "test")
         InputError: when the dataset cannot be read. The submission may be anything.
     """
     path = Path(path)
-    manifest, rows, faults, row_count = _read_files(path)
+    manifest, rows, form, of_rows = _read_files(path)
     expected = None if data is None else _read_expected(Path(data), split, rows)
     if manifest is not None and expected is not None:
-        faults += _dataset_faults(manifest, expected, path / manifests.FILE)
+        form.add(_dataset_faults(manifest, expected, path / manifests.FILE))
     if rows is not None:
         listed_tracks = None if manifest is None else manifest.tracks
         if expected is None:
-            faults += [*_id_format_faults(rows), *_track_faults(rows, listed_tracks)]
+            form.add([*_id_format_faults(rows), *_track_faults(rows, listed_tracks)])
         else:
-            faults += [*_unknown_id_faults(rows, expected), *_coverage_faults(rows, listed_tracks, expected)]
+            form.add(_unknown_id_faults(rows, expected))
+            form.add(_coverage_faults(rows, listed_tracks, expected))
         rotation_only = manifest is not None and manifest.predicts == "rotation"
-        faults += plausibility_faults(rows, expected, rotation_only)
-    return Report(printable(path), sorted_faults(faults), row_count, expected is not None)
+        form.add(plausibility_faults(rows, expected, rotation_only))
+    form_errors = tuple(fault for fault in form.kept if fault.severity == "error")
+    row_count = 0 if rows is None else len(rows)
+    of_rows.add(form)
+    faults = sorted_faults(of_rows.kept)
+    counts = of_rows.errors, of_rows.warnings
+    return Report(printable(path), faults, row_count, expected is not None, *counts, form_errors)
 
 
 def _read_expected(data: Path, split: str, rows: Rows | None) -> ExpectedQueries:
@@ -59,8 +67,8 @@ def _read_expected(data: Path, split: str, rows: Rows | None) -> ExpectedQueries
     return read_expected_queries(data, split, () if rows is None else rows.query_ids)
 
 
-def _read_files(path: Path) -> tuple[Manifest | None, Rows | None, list[Fault], int]:
-    """The two files as far as they can be read, the faults of their format, and the number of rows."""
+def _read_files(path: Path) -> tuple[Manifest | None, Rows | None, FaultList, FaultList]:
+    """The two files as far as they can be read, the faults of their form, and those of single rows."""
     manifest, faults = None, []
     if _is_folder(path):
         manifest, faults = manifest_of(path / manifests.FILE, manifests.FILE)
@@ -71,17 +79,18 @@ def _read_files(path: Path) -> tuple[Manifest | None, Rows | None, list[Fault], 
     if path.name == manifests.FILE:
         expected = "the folder of a submission, or its predictions file"
         fault = file_error(file, "manifest-only", "is only the manifest", expected, "give the folder that contains it")
-        return None, None, [fault], 0
+        return None, None, FaultList.of([fault]), FaultList()
     data, open_faults = read_file(path, file)
     text, text_faults = (None, []) if data is None else decode_text(data, file)
-    rows, format_faults = (None, []) if text is None else read_rows(text, file)
-    faults += [*open_faults, *text_faults, *format_faults]
+    rows, format_faults, of_rows = (None, [], FaultList()) if text is None else read_rows(text, file)
+    form = FaultList.of([*faults, *open_faults, *text_faults, *format_faults])
     if rows is None:
-        return manifest, None, faults, 0
-    faults += row_faults(rows)
+        return manifest, None, form, of_rows
+    of_rows.add(value_faults(rows))
+    form.add(duplicate_faults(rows))
     if len(rows) == 0:
-        faults.append(file_error(file, "no-rows", "has no readable row", "one row per query", "write the predictions"))
-    return manifest, rows, faults, len(rows)
+        form.add([file_error(file, "no-rows", "has no readable row", "one row per query", "write the predictions")])
+    return manifest, rows, form, of_rows
 
 
 def _is_folder(path: Path) -> bool:
@@ -129,16 +138,18 @@ def _id_format_faults(rows: Rows) -> list[Fault]:
     return [file_warning(rows.file, "unusual-ids", actual, "ids such as test-s0007-p2-snap", repair)]
 
 
-def _unknown_id_faults(rows: Rows, expected: ExpectedQueries) -> list[Fault]:
-    """Ids that the dataset does not have."""
-    faults = []
-    for i, query_id in enumerate(rows.query_ids):
-        if query_id and query_id not in expected.index:
-            closest = expected.closest_id(query_id, fuzzy=len(faults) < MOST_SUGGESTED)
-            other = "delete the row, or check against the dataset of the predictions"
-            repair = f"did you mean {closest}?" if closest else other
-            faults.append(rows.fault(i, "query_id", "unknown-id", "the id of a query of this dataset", repair))
-    return faults
+def _unknown_id_faults(rows: Rows, expected: ExpectedQueries) -> FaultList:
+    """Ids that the dataset does not have; those of no valid format are faults of their rows."""
+    unknown = [i for i, name in enumerate(rows.query_ids) if ID_PATTERN.match(name) and name not in expected.index]
+    suggested = set(unknown[:MOST_SUGGESTED])
+
+    def fault(i: int) -> Fault:
+        closest = expected.closest_id(rows.query_ids[i], fuzzy=i in suggested)
+        other = "delete the row, or check against the dataset of the predictions"
+        repair = f"did you mean {closest}?" if closest else other
+        return rows.fault(i, "query_id", "unknown-id", "the id of a query of this dataset", repair)
+
+    return FaultList.of_rows(unknown, fault)
 
 
 def _track_faults(rows: Rows, listed_tracks: Iterable[str] | None) -> list[Fault]:

@@ -11,7 +11,14 @@ from kit1000.errors import InputError
 from kit1000.submission import manifest as manifests
 from kit1000.submission import predictions as prediction_files
 from kit1000.submission.manifest import Manifest, read_manifest, write_manifest
-from kit1000.submission.predictions import Predictions, read_predictions, write_predictions
+from kit1000.submission.predictions import (
+    NO_INVALID,
+    InvalidRows,
+    Predictions,
+    read_predictions,
+    read_valid_predictions,
+    write_predictions,
+)
 
 if TYPE_CHECKING:
     from kit1000.values import Prediction
@@ -26,6 +33,8 @@ class Submission:
     manifest: Manifest
     predictions: Predictions
     folder: Path
+    invalid: InvalidRows = NO_INVALID
+    """Rows of the file that were left out."""
 
 
 def read_submission(folder: str | Path) -> Submission:
@@ -34,6 +43,14 @@ def read_submission(folder: str | Path) -> Submission:
     manifest = read_manifest(path / manifests.FILE)
     predictions = read_predictions(path / prediction_files.FILE)
     return Submission(path.resolve().name, manifest, predictions, path)
+
+
+def read_valid_submission(folder: str | Path) -> Submission:
+    """Read a submission without its invalid rows. Raises InputError for faults of form alone."""
+    path = Path(folder)
+    manifest = read_manifest(path / manifests.FILE)
+    predictions, invalid = read_valid_predictions(path / prediction_files.FILE)
+    return Submission(path.resolve().name, manifest, predictions, path, invalid)
 
 
 def write_submission(

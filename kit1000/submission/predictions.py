@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import compress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,10 +14,17 @@ import numpy as np
 from kit1000.errors import InputError, ShapeError, checked
 from kit1000.files import write_bytes
 from kit1000.pose import Pose
-from kit1000.submission.faults import first_error, printable, quote
+from kit1000.submission.faults import Fault, FaultList, first_error, printable, quote
 from kit1000.submission.header import HEADER
 from kit1000.submission.reading import decode_text, read_file
-from kit1000.submission.row_rules import ID_PATTERN, LARGEST_POSITION, NOT_MEASURED, row_faults
+from kit1000.submission.row_rules import (
+    ID_PATTERN,
+    LARGEST_POSITION,
+    NOT_MEASURED,
+    duplicate_faults,
+    valid_rows,
+    value_faults,
+)
 from kit1000.submission.rows import read_rows
 
 if TYPE_CHECKING:
@@ -90,18 +98,45 @@ class Predictions:
         return self._rows.get(query_id)
 
 
+@dataclass(frozen=True)
+class InvalidRows:
+    """The rows of a file that are no valid predictions."""
+
+    count: int = 0
+    first: Fault | None = None
+    """The first of their faults; None without any."""
+
+
+NO_INVALID = InvalidRows()
+
+
 def read_predictions(path: str | Path) -> Predictions:
     """Read a predictions file. Raises InputError with its first error, when it has any."""
+    predictions, invalid = read_valid_predictions(path)
+    if invalid.first is not None:
+        raise InputError(f"{invalid.first} (`kit1000 check` lists all faults)")
+    return predictions
+
+
+def read_valid_predictions(path: str | Path) -> tuple[Predictions, InvalidRows]:
+    """Read the valid rows of a predictions file, and count the others.
+
+    Raises InputError with the first error of the file itself: one without a readable header, or with an id twice.
+    """
     file = printable(path)
     data, faults = read_file(Path(path), file)
     text, more = (None, []) if data is None else decode_text(data, file)
-    rows, rest = (None, []) if text is None else read_rows(text, file)
-    error = first_error([*faults, *more, *rest, *(row_faults(rows) if rows is not None else ())])
+    rows, rest, of_rows = (None, [], FaultList()) if text is None else read_rows(text, file)
+    error = first_error([*faults, *more, *rest, *(duplicate_faults(rows).kept if rows is not None else ())])
     if error is not None:
         raise InputError(f"{error} (`kit1000 check` lists all faults)")
     assert rows is not None  # or there would be an error
-    wxyz, xyz, confidence, seconds = np.split(rows.numbers, (4, 7, 8), axis=1)
-    return Predictions(rows.query_ids, Pose(wxyz, xyz), confidence[:, 0], seconds[:, 0])
+    of_rows.add(value_faults(rows))
+    valid = valid_rows(rows)
+    wxyz, xyz, confidence, seconds = np.split(rows.numbers[valid], (4, 7, 8), axis=1)
+    ids = tuple(compress(rows.query_ids, valid.tolist()))
+    invalid = InvalidRows(rows.unreadable + int((~valid).sum()), first_error(of_rows.kept))
+    return Predictions(ids, Pose(wxyz, xyz), confidence[:, 0], seconds[:, 0]), invalid
 
 
 def write_predictions(path: str | Path, predictions: Predictions | Iterable[Prediction]) -> None:

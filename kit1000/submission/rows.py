@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -10,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from kit1000.submission.faults import Fault, quote
+from kit1000.submission.faults import MOST_KEPT, Fault, FaultList, quote
 from kit1000.submission.header import COMMA_NUMBER, HEADER, NUMBER, SEPARATORS, Layout, read_layout, split_fields
 from kit1000.submission.numbers import number_fault
 from kit1000.submission.reading import UNPRINTABLE
@@ -34,6 +35,8 @@ class Rows:
     query_ids: tuple[str, ...]
     numbers: np.ndarray
     """(n, 9) float64: qw qx qy qz, x y z [m], confidence, seconds [s]; NaN where a field is not a number."""
+    unreadable: int = 0
+    """Number of lines that are no complete rows."""
 
     def __len__(self) -> int:
         return len(self.query_ids)
@@ -60,29 +63,32 @@ class Rows:
         return start + 1, text.strip()
 
 
-def read_rows(text: str, file: str) -> tuple[Rows | None, list[Fault]]:
-    """All rows of a predictions file, and all faults of their format; None when the file has no rows."""
+def read_rows(text: str, file: str) -> tuple[Rows | None, list[Fault], FaultList]:
+    """All rows of a predictions file, the faults of its header, and those of its lines; None when it has no rows."""
     lines = text.split("\n")
     layout, faults = read_layout(lines, file)
     if layout is None:
-        return None, faults
+        return None, faults, FaultList()
     faults += _unprintable_faults(lines[: layout.first], 1, file)
     printable = not text.encode("utf-8", "surrogatepass").translate(None, delete=PRINTABLE_BYTES)
-    exact = printable and not layout.decimal_comma and "_" not in "".join(lines[layout.first :])
+    below = sum(len(line) + 1 for line in lines[: layout.first])
+    exact = printable and not layout.decimal_comma and text.find("_", below) < 0
+    of_lines = FaultList()
     row_lines: list[int] = []
     query_ids: list[str] = []
-    numbers: list[float] = []
-    for line_number, fields in _split_rows(lines, layout, file, faults, printable):
+    numbers = array("d")  # a quarter of a list
+    for line_number, fields in _split_rows(lines, layout, file, of_lines, printable):
         row_lines.append(line_number)
         query_ids.append(fields[0].strip())
-        numbers += _parse_numbers(fields[1:], exact, layout.decimal_comma)
+        numbers.extend(_parse_numbers(fields[1:], exact, layout.decimal_comma))
     values = np.array(numbers, dtype=np.float64).reshape(-1, COLUMNS - 1)
-    rows = Rows(file, lines, layout, np.array(row_lines, dtype=np.int64), tuple(query_ids), values)
-    return rows, faults + _number_faults(rows)
+    rows = Rows(file, lines, layout, np.array(row_lines, dtype=np.int64), tuple(query_ids), values, of_lines.errors)
+    of_lines.add(_number_faults(rows))
+    return rows, faults, of_lines
 
 
 def _split_rows(
-    lines: list[str], layout: Layout, file: str, faults: list[Fault], printable: bool
+    lines: list[str], layout: Layout, file: str, faults: FaultList, printable: bool
 ) -> Iterator[tuple[int, list[str]]]:
     """Line number and fields, in the order of HEADER, of all complete rows; the faults of others go to `faults`."""
     separator, width, blank = layout.separator, layout.width, []
@@ -103,7 +109,7 @@ def _split_rows(
             faults.append(_not_a_row(line, number, file))
             continue
         yield number, fields
-    faults += _blank_line_faults(lines, blank, file)
+    faults.add(_blank_line_faults(lines, blank, file))
 
 
 def _line_fault(line: str, number: int, count: int, layout: Layout, file: str) -> Fault | None:
@@ -208,17 +214,20 @@ def _parse_number(text: str, decimal_comma: bool) -> float:
     return float(text) if NUMBER.match(text) else INVALID
 
 
-def _number_faults(rows: Rows) -> list[Fault]:
+def _number_faults(rows: Rows) -> FaultList:
     """Faults of fields that are not finite numbers, which become NaN."""
-    faults = []
-    for row, j in np.argwhere(~np.isfinite(rows.numbers)).tolist():
-        field = HEADER[j + 1]
-        if rows.layout.columns[j + 1] is not None:
-            code, repair = number_fault(rows.cell(row, field)[1])
-            faults.append(rows.fault(row, field, code, "a number", repair))
-        rows.numbers[row, j] = INVALID
+    wrong = ~np.isfinite(rows.numbers)
+    rows.numbers[wrong] = INVALID
     rows.numbers.setflags(write=False)
-    return faults
+    wrong &= [index is not None for index in rows.layout.columns[1:]]
+    first = np.flatnonzero(wrong.any(axis=1))[:MOST_KEPT]
+    cells = [(int(first[i]), HEADER[j + 1]) for i, j in np.argwhere(wrong[first]).tolist()]
+
+    def fault(row: int, field: str) -> Fault:
+        code, repair = number_fault(rows.cell(row, field)[1])
+        return rows.fault(row, field, code, "a number", repair)
+
+    return FaultList([fault(*cell) for cell in cells[:MOST_KEPT]], errors=int(wrong.sum()))
 
 
 def _error(file: str, line: int, column: int, code: str, actual: str, expected: str, repair: str) -> Fault:
