@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.completion.pixels import Noise
-from kit1000.pose import Pose
+from kit1000.pose import Pose, unit_vector
+from kit1000.products import eigenvectors, length, matmul
 
 HYPOTHESES = 400
 SAMPLE = 6000
@@ -15,6 +16,7 @@ STEEPEST = np.cos(np.radians(52))  # no plate is tilted by more than 45 degrees;
 SMALLEST = 500e-6  # [m^2] of a plane that counts as a plate
 PARALLEL = np.cos(np.radians(5))  # between the normals of a plate and the floor of its cavity
 DEEPEST = 25e-3  # [m] of a floor below its plate
+DECIMALS = 9  # of a plane's normal, and of a metre for its point: the grid that ends differences in the last bit
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +50,11 @@ def find_planes(
     points, normals = points[up], normals[up]
     planes: list[Plane] = []
     while len(points) * area > SMALLEST and len(planes) < 8:
-        plane, inliers = _best_plane(points, normals, noise.distance, np.cos(2 * noise.angle), rng)
+        normal, inliers = _best_plane(points, normals, noise.distance, np.cos(2 * noise.angle), rng)
         if inliers.sum() * area < SMALLEST:
             break
-        planes.append(Plane(plane[:3], points[inliers].mean(0), float(inliers.sum() * area)))
+        middle = points[inliers].mean(0).round(DECIMALS)
+        planes.append(Plane(normal, middle, float(inliers.sum() * area)))
         points, normals = points[~inliers], normals[~inliers]
     return [plane for plane in planes if not any(_is_floor(plane, other) for other in planes)]
 
@@ -59,31 +62,32 @@ def find_planes(
 def _best_plane(
     points: np.ndarray, normals: np.ndarray, distance: float, cosine: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(4,) normal and offset of the plane with most inliers, refitted, and (n,) bool of its inliers."""
+    """(3,) normal of the plane with most inliers, refitted, and (n,) bool of its inliers."""
     picks = rng.integers(len(points), size=min(HYPOTHESES, len(points)))
     offsets = np.einsum("ij,ij->i", points[picks], normals[picks])
-    far = np.abs(points @ normals[picks].T - offsets)
-    votes = ((far < 2 * distance) & (normals @ normals[picks].T > cosine)).sum(0)
+    far = np.abs(matmul(points, normals[picks].T) - offsets)
+    votes = ((far < 2 * distance) & (matmul(normals, normals[picks].T) > cosine)).sum(0)
     best = int(votes.argmax())
     normal, offset = normals[picks[best]], offsets[best]
     for reach in (3 * distance, 2 * distance, distance, distance):
-        inliers = (np.abs(points @ normal - offset) < reach) & (normals @ normal > cosine)
+        inliers = (np.abs(matmul(points, normal) - offset) < reach) & (matmul(normals, normal) > cosine)
         if inliers.sum() < 8:
             break
         middle = points[inliers].mean(0)
-        normal = np.linalg.eigh(np.cov((points[inliers] - middle).T))[1][:, 0]
+        centred = points[inliers] - middle
+        normal = unit_vector(eigenvectors(matmul(centred.T, centred))[:, 0].round(DECIMALS))
         normal = normal if normal[2] > 0 else -normal
-        offset = float(middle @ normal)
-    inliers = (np.abs(points @ normal - offset) < 2 * distance) & (normals @ normal > cosine)
-    return np.append(normal, offset), inliers
+        offset = float(matmul(middle, normal))
+    inliers = (np.abs(matmul(points, normal) - offset) < 2 * distance) & (matmul(normals, normal) > cosine)
+    return normal, inliers
 
 
 def _is_floor(plane: Plane, other: Plane) -> bool:
     """Whether a plane is the floor of a cavity in the other."""
-    below = float(other.normal @ (other.point - plane.point))
-    across = np.linalg.norm(plane.point - other.point - other.normal * -below)
+    below = float(matmul(other.normal, other.point - plane.point))
+    across = length(plane.point - other.point - other.normal * -below)
     return bool(
-        plane.normal @ other.normal > PARALLEL
+        matmul(plane.normal, other.normal) > PARALLEL
         and 1.5e-3 < below < DEEPEST
         and plane.area < other.area
         and across < 0.09
@@ -94,6 +98,6 @@ def plane_frame(plane: Plane, point: np.ndarray) -> Pose:
     """world_from_plate: z along the normal, the origin at the projection of a point (3,) [m] onto the plane."""
     z = plane.normal
     x = np.cross([0.0, 1.0, 0.0], z)  # tilted by less than 52 degrees: y of the world is never the normal
-    x /= np.linalg.norm(x)
-    origin = point - z * float(z @ (point - plane.point))
+    x /= length(x)
+    origin = point - z * float(matmul(z, point - plane.point))
     return Pose.from_rotation_matrix(np.stack([x, np.cross(z, x), z], axis=1), origin)

@@ -31,6 +31,8 @@ REFINED, REFINED_WITHOUT_GUESS = 6, 4  # candidates of each plate that are refin
 REFINED_TWICE = 3  # the best of them, with the part's sweep in the refined rotation
 STIFFNESS = 1.0  # of the contact between the part's lower face and the floor
 DEPTH_COST, MOST_DEPTH = 0.5, 1e-3  # cost of a depth that differs from the expected one, per metre, up to so many [m]
+MISFIT_DECIMALS = 9  # of a metre: fits that differ by less are equal
+CONFIDENCE_DECIMALS = 9  # the last digits of an exponential depend on the processor
 DOWN = np.array([0.0, 0.0, -1.0])
 SEATED = {"truth": (5.5e-3, 0.4e-3), "ideal": (6.0e-3, 1.4e-3), "d415": (-6.8e-3, 7.1e-3)}
 """By volumes (truth, or the sensor): the misfit [m] at which half of the predictions are seated, and the spread of the
@@ -71,7 +73,7 @@ class Registration:
         """The best fit; where nothing fits, the guess or no motion, with confidence 0."""
         source = self._source(query, geometry)
         clearances = self.clearances or (self.dataset.summary["config"]["clearance"],)
-        fits = sorted(chain.from_iterable(register(source, query, c) for c in clearances), key=lambda fit: fit.misfit)
+        fits = sorted(chain.from_iterable(register(source, query, c) for c in clearances), key=_rounded_misfit)
         if not fits:
             return PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
         volumes = "truth" if self.uses_true_geometry else query.sensor
@@ -115,7 +117,12 @@ def _refined(
             outline = outline_misfit(part, candidate.cavity, pose, clearance)
             misfit = rms + outline + DEPTH_COST * min(candidate.depth_difference, MOST_DEPTH)
             fits.append(Fit(goal_from_now, misfit, replace(candidate, plate_from_now=pose)))
-    return sorted(fits, key=lambda fit: fit.misfit)
+    return sorted(fits, key=_rounded_misfit)
+
+
+def _rounded_misfit(fit: Fit) -> float:
+    """[m] by which fits are sorted; of equal ones the first candidate is the first."""
+    return round(fit.misfit, MISFIT_DECIMALS)
 
 
 def find_cavities(source: Source, query: Query) -> list[Cavity]:
@@ -133,7 +140,7 @@ def find_cavities(source: Source, query: Query) -> list[Cavity]:
 def confidence(misfit: float, volumes: str) -> float:
     """The share of fits with such a misfit [m] that are seated, for the volumes of SEATED."""
     half, spread = SEATED[volumes]
-    return float(1 / (1 + np.exp((misfit - half) / spread)))
+    return round(float(1 / (1 + np.exp((misfit - half) / spread))), CONFIDENCE_DECIMALS)
 
 
 def _down_normals(source: Source, part: Volume, query: Query, cavities: Sequence[Cavity]) -> list[np.ndarray]:

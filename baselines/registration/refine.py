@@ -2,6 +2,9 @@
 
 Every point of a cavity lies either on a wall, one clearance beside what the part sweeps at its height, or on the
 floor, under the dilated part. The part's sweep is stored as distances in slices, for one rotation.
+
+The steps amplify a difference in the last bit to millimetres where a fit is loose. So they use no BLAS or LAPACK and no
+sine or cosine, whose last bit depends on the processor: small rotations are Rodrigues vectors, which need neither.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from baselines.registration.relief import dilated, lower_envelope
 from baselines.registration.search import Candidate
 from kit1000.compiled import compiled
 from kit1000.pose import Pose
+from kit1000.products import matmul
 from kit1000.voxels import Volume
 
 CELL = 0.625e-3  # [m] of slices
@@ -68,7 +72,7 @@ def refine(
     twist = np.concatenate([np.zeros(3), candidate.plate_from_now.apply(pivot)])
     for scale in SCALES:
         twist = _levenberg(problem, twist, scale)
-    refined = Pose.from_rotvec(twist[:3]) @ rotation
+    refined = Pose(np.append(1.0, twist[:3] / 2), np.zeros(3)) @ rotation
     rms = float(np.sqrt(np.mean(np.minimum(problem.residuals(twist)[:-2] ** 2, MAX_RESIDUAL**2))))
     return Pose(refined.wxyz, twist[3:] - refined.rotate(pivot)), rms
 
@@ -86,7 +90,9 @@ class Problem:
     stiffness: float
 
     def residuals(self, twist: np.ndarray, about: np.ndarray | None = None) -> np.ndarray:
-        """(n + 2,) [m] at a rotation vector and a position of the pivot (6,); the last two are the tilt.
+        """(n + 2,) [m] at a Rodrigues vector and a position of the pivot (6,); the last two are the tilt.
+
+        A Rodrigues vector is the axis times twice the tangent of half the angle: the angle, up to its third power.
 
         about: (6,) at which the floor under each point is looked up; the twist itself by default. A fixed one keeps
         the steps of the floor out of derivatives: floors fix height and tilt, walls position and yaw.
@@ -100,7 +106,7 @@ class Problem:
 
 
 def _levenberg(problem: Problem, twist: np.ndarray, scale: float) -> np.ndarray:
-    """(6,) rotation vector and position of the pivot, after some steps at one scale of the weights."""
+    """(6,) Rodrigues vector and position of the pivot, after some steps at one scale of the weights."""
     damping = 1e-3
     for _ in range(STEPS):
         residuals = problem.residuals(twist)
@@ -114,10 +120,11 @@ def _levenberg(problem: Problem, twist: np.ndarray, scale: float) -> np.ndarray:
             )
         weights = (scale**2 / (scale**2 + residuals**2)) ** 2
         weights[-2:] = 1
-        normal, gradient = (jacobian * weights[:, None]).T @ jacobian, (jacobian * weights[:, None]).T @ residuals
+        weighted = (jacobian * weights[:, None]).T
+        normal, gradient = matmul(weighted, jacobian), matmul(weighted, residuals)
         mean = np.trace(normal[3:, 3:]) / 3 + 1e-9
         for _ in range(4):
-            move = -np.linalg.solve(normal + damping * mean * np.diag(METRIC), gradient)
+            move = -_solved(normal + damping * mean * np.diag(METRIC), gradient)
             if _cost(problem.residuals(twist + move, twist), scale) < cost:
                 twist, damping = twist + move, damping / 3
                 break
@@ -132,6 +139,24 @@ def _levenberg(problem: Problem, twist: np.ndarray, scale: float) -> np.ndarray:
 def _cost(residuals: np.ndarray, scale: float) -> float:
     square = residuals[:-2] ** 2
     return float((square / (scale**2 + square)).sum() + (residuals[-2:] ** 2).sum() / scale**2)
+
+
+@compiled
+def _solved(matrix, right):
+    """(n,) solution for a positive definite matrix (n, n), by Gaussian elimination, which then needs no pivoting."""
+    n = len(right)
+    a, x = matrix.copy(), right.copy()
+    for k in range(n):
+        for i in range(k + 1, n):
+            factor = a[i, k] / a[k, k]
+            for j in range(k, n):
+                a[i, j] -= factor * a[k, j]
+            x[i] -= factor * x[k]
+    for k in range(n - 1, -1, -1):
+        for j in range(k + 1, n):
+            x[k] -= a[k, j] * x[j]
+        x[k] /= a[k, k]
+    return x
 
 
 @compiled
@@ -162,18 +187,14 @@ def _horizontal_distances(heights, layer, cell, distance):
 
 @compiled
 def _rotation(twist):
-    """(3, 3) rotation matrix of the first three numbers."""
-    angle = np.sqrt(twist[0] ** 2 + twist[1] ** 2 + twist[2] ** 2)
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = twist[0] / angle, twist[1] / angle, twist[2] / angle
-    c, s = np.cos(angle), np.sin(angle)
-    t = 1 - c
+    """(3, 3) rotation matrix of the first three numbers, a Rodrigues vector."""
+    x, y, z = twist[0] / 2, twist[1] / 2, twist[2] / 2
+    t = 2 / (1 + x * x + y * y + z * z)
     return np.array(
         [
-            [t * x * x + c, t * x * y - s * z, t * x * z + s * y],
-            [t * x * y + s * z, t * y * y + c, t * y * z - s * x],
-            [t * x * z - s * y, t * y * z + s * x, t * z * z + c],
+            [1 - t * (y * y + z * z), t * (x * y - z), t * (x * z + y)],
+            [t * (x * y + z), 1 - t * (x * x + z * z), t * (y * z - x)],
+            [t * (x * z - y), t * (y * z + x), 1 - t * (x * x + y * y)],
         ]
     )
 

@@ -14,6 +14,7 @@ from baselines.registration.outline import expected_relief
 from baselines.registration.relief import dilated, lower_envelope
 from kit1000.kits.cavity import insertion_depth
 from kit1000.pose import Pose, quaternion_between
+from kit1000.products import length, matmul
 from kit1000.voxels import Volume
 
 CELL = 1.25e-3  # [m] of the images that are compared: half the usual clearance
@@ -25,6 +26,9 @@ DUPLICATE_DISTANCE = 4e-3  # [m] candidates nearer than this, at nearly the same
 DEPTH_TOLERANCE = 1e-3  # [m] by which an observed floor may be shallower than expected and still be the floor
 UPRIGHT = -0.99  # z of a normal that points down at the table
 UP = np.array([0.0, 0.0, 1.0])
+YAW_DECIMALS = 12  # of the quaternions of the yaws: sine and cosine differ between processors in the last bit
+MISFIT_DECIMALS = 9  # candidates whose misfits are equal on this grid are taken in order
+ORDER = 1e-14  # added from cell to cell, in all less than that grid: of equal cells the first is the lowest
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +97,7 @@ def coarse_search(
     occupied = part.grid.world(np.argwhere(part.occupied))
     for down_normal in down_normals:
         oriented = OrientedPart(part, middle, down_normal)
-        expected = insertion_depth(float(np.ptp(occupied @ down_normal)))
+        expected = insertion_depth(float(np.ptp(matmul(occupied, down_normal))))
         for number, whole in enumerate(cavities):
             inside = np.flatnonzero(window.rotations_inside(oriented.rotations, whole.world_from_plate.inverse()))
             for cavity in _possible_depths(whole, expected, down_normal[2] < UPRIGHT) if len(inside) else ():
@@ -118,9 +122,10 @@ class OrientedPart:
     def __init__(self, part: Volume, middle: np.ndarray, down_normal: np.ndarray) -> None:
         self.part = part
         self.middle = middle
-        yaws = np.arange(0, 2 * np.pi, YAW_STEP)
+        half_yaws = np.arange(0, 2 * np.pi, YAW_STEP)[:, None] / 2
+        yaws = Pose((np.cos(half_yaws) * (1, 0, 0, 0) + np.sin(half_yaws) * (0, *UP)).round(YAW_DECIMALS), np.zeros(3))
         face_down = Pose(quaternion_between(down_normal, -UP), np.zeros(3))
-        self.rotations = Pose.from_rotvec(yaws[:, None] * UP) @ face_down
+        self.rotations = yaws @ face_down
         self._envelopes: dict[int, tuple[Pose, np.ndarray]] = {}
 
     def at_yaw(self, yaw: int, clearance: float) -> tuple[Pose, np.ndarray]:
@@ -149,7 +154,7 @@ def _duplicates(a: Candidate, b: Candidate, pivot: np.ndarray) -> bool:
     if abs(a.cavity.depth - b.cavity.depth) > DEPTH_TOLERANCE:
         return False
     one, other = (c.cavity.world_from_plate @ c.plate_from_now for c in (a, b))
-    if np.linalg.norm(one.apply(pivot) - other.apply(pivot)) > DUPLICATE_DISTANCE:
+    if length(one.apply(pivot) - other.apply(pivot)) > DUPLICATE_DISTANCE:
         return False
     return bool((one @ other.inverse()).angle() < 1.5 * YAW_STEP)
 
@@ -203,20 +208,29 @@ def best_shifts(
     """
     lowest = float(envelope.min())
     cut = np.minimum(envelope - lowest - cavity.depth, 0)
-    squares, heights = (_spectrum(image, kit.size).conj() for image in (cut**2, cut))
-    product = kit.trust * squares - 2 * kit.weighted_relief * heights
-    misfit = kit.empty + np.asarray(irfft2(product, (kit.size, kit.size)))
+    squares, heights = (_spectrum(image, kit.size) for image in (cut**2, 2 * cut))
+    product = _correlation(kit.trust, squares) - _correlation(kit.weighted_relief, heights)
+    misfit = (1 + np.asarray(irfft2(product, (kit.size, kit.size))) / kit.empty).round(MISFIT_DECIMALS)
     steps = np.arange(kit.size)
     middle = (kit.cells - len(envelope)) / 2  # the step that puts the middle of one image on that of the other
     axis = (np.where(steps > middle + kit.size / 2, steps - kit.size, steps) - middle) * CELL
     z = -cavity.depth - lowest
     shifts = np.stack(np.broadcast_arrays(axis[:, None], axis[None], z), axis=-1)
     misfit = np.where(window.positions_inside(cavity.world_from_plate, shifts + pivot), misfit, np.inf)
-    low = (misfit == minimum_filter(misfit, 2 * PEAK_DISTANCE + 1, mode="wrap")) & np.isfinite(misfit)
+    ordered = misfit + ORDER * np.arange(misfit.size).reshape(misfit.shape)
+    low = (ordered == minimum_filter(ordered, 2 * PEAK_DISTANCE + 1, mode="wrap")) & np.isfinite(misfit)
     i, j = np.nonzero(low)
-    best = np.argsort(misfit[i, j])[:PEAKS]
+    best = np.argsort(ordered[i, j], kind="stable")[:PEAKS]
     for a, b in zip(i[best], j[best], strict=True):
-        yield shifts[a, b], float(misfit[a, b] / kit.empty)
+        yield shifts[a, b], float(misfit[a, b])
+
+
+def _correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """a times the conjugate of b, complex, by real products: those of numpy are rounded differently with FMA."""
+    (c, d), (e, f) = ((np.real(spectrum), np.imag(spectrum)) for spectrum in (a, b))
+    product = np.empty(a.shape, np.complex128)
+    product.real, product.imag = c * e + d * f, d * e - c * f
+    return product
 
 
 def _spectrum(image: np.ndarray, size: int) -> np.ndarray:

@@ -1,0 +1,92 @@
+"""Registration predicts the same to the last bit whatever kernels the libraries pick for the processor."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from baselines.registration.refine import _rotation, _solved
+from baselines.registration.search import YAW_STEP, OrientedPart, _correlation
+from kit1000.pose import Pose
+from kit1000.voxels import Grid, Volume
+
+ROOT = Path(__file__).resolve().parents[1]
+SEEDS = st.integers(0, 2**32 - 1)
+
+# As on a processor of 2011: the kernels of OpenBLAS, of the C library and of numpy do without AVX and FMA.
+OLD_PROCESSOR = {
+    "OPENBLAS_CORETYPE": "Sandybridge",
+    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX",
+    "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX2 FMA3 AVX512F AVX512_SKX",
+}
+
+# A query with a guess from the image and one without by true volumes: every digit of the predictions.
+CODE = """
+import sys
+from pathlib import Path
+from baselines.registration.method import Registration
+from kit1000.dataset.reader import Dataset
+
+data = Dataset(Path(sys.argv[1]))
+for track, source in (("snap", "depth"), ("place", "truth")):
+    scenes = data.split("train", truth=True)
+    scene, query = next((scene, query) for scene in scenes for query in scene.queries if query.track == track)
+    true = data.geometry.true_geometry(scene.truth_of(query.id)) if source == "truth" else None
+    motion, confidence = Registration(data, source)(query, true)
+    print(query.id, source, motion.wxyz.tolist(), motion.xyz.tolist(), confidence)
+"""
+
+
+def test_predictions_do_not_depend_on_the_processor(mini: Path) -> None:
+    command = [sys.executable, "-W", "ignore", "-c", CODE, str(mini)]
+    old = {**os.environ, **OLD_PROCESSOR}
+    runs = [
+        subprocess.Popen(command, cwd=ROOT, env=env, text=True, stdout=subprocess.PIPE) for env in (os.environ, old)
+    ]
+    outputs = [run.communicate()[0] for run in runs]
+    assert [run.returncode for run in runs] == [0, 0]
+    assert outputs[0].count("\n") == 2
+    assert outputs[0] == outputs[1]
+
+
+@given(SEEDS, st.integers(1, 6), st.sampled_from([1e-6, 1.0, 1e6]))
+def test_elimination_solves_as_lapack_does(seed: int, n: int, scale: float) -> None:
+    rng = np.random.default_rng(seed)
+    half, right = rng.normal(size=(n, n)), rng.normal(size=n)
+    matrix = scale * (half @ half.T + 0.1 * np.eye(n))
+    np.testing.assert_allclose(_solved(matrix, right), np.linalg.solve(matrix, right), rtol=1e-9, atol=1e-9 / scale)
+
+
+def test_a_singular_system_has_no_finite_solution() -> None:
+    assert not np.isfinite(_solved(np.zeros((6, 6)), np.ones(6))).any()
+
+
+@given(SEEDS, st.sampled_from([0.0, 1e-9, 1e-3, 1.0]))
+def test_rodrigues_vectors_are_rotations_and_nearly_rotation_vectors(seed: int, size: float) -> None:
+    vector = size * np.random.default_rng(seed).uniform(-1, 1, 3)
+    rotation = _rotation(np.append(vector, np.zeros(3)))
+    np.testing.assert_allclose(rotation, Pose(np.append(1.0, vector / 2), np.zeros(3)).rotation_matrix(), atol=1e-15)
+    np.testing.assert_allclose(rotation, Pose.from_rotvec(vector).rotation_matrix(), atol=1e-12 + size**3 / 2)
+
+
+@given(SEEDS)
+def test_correlations_multiply_by_the_conjugate(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = (rng.normal(size=(4, 3)) + 1j * rng.normal(size=(4, 3)) for _ in range(2))
+    np.testing.assert_allclose(_correlation(a, b), a * b.conj(), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("down", [(0.0, 0.0, -1.0), (0.6, 0.0, -0.8), (0.0, 0.0, 1.0)])
+def test_yaws_turn_the_lower_face_in_equal_steps(down: tuple[float, float, float]) -> None:
+    grid = Grid.centred(Pose.identity(), (2, 2, 2), 1e-3)
+    oriented = OrientedPart(Volume(grid, np.ones(grid.shape, np.float32)), np.zeros(3), np.array(down))
+    np.testing.assert_allclose(oriented.rotations.rotate(np.array(down)), [(0, 0, -1)] * 60, atol=1e-11)
+    steps = oriented.rotations[1:] @ oriented.rotations[:-1].inverse()
+    np.testing.assert_allclose(steps.rotvec(), [(0, 0, YAW_STEP)] * 59, atol=1e-11)
