@@ -89,18 +89,15 @@ class Rerun:
 
     def run(self) -> int:
         """Predict and compare; 1 where a prediction differs."""
-        from baselines.rerun import DEGREES, MILLIMETRES, rerun
+        from baselines.rerun import rerun
 
         _check_least("first", self.first, 1)
         _check_least("workers", self.workers, 1)
         good = True
         for folder in self.submissions:
             again = rerun(folder, self.data, self.first, self.workers)
-            most = f"at most {again.position_mm.max():.2g} mm and {again.rotation_deg.max():.2g}° from those submitted"
-            others = [query_id for query_id, same in zip(again.query_ids, again.same, strict=True) if not same]
-            note = f"; {len(others)} beyond {MILLIMETRES:g} mm or {DEGREES:g}°, the first {others[0]}" if others else ""
-            print(f"{folder}: {len(again.query_ids)} predictions, {most}{note}", flush=True)
-            good &= not others
+            print(f"{folder}: {again.summary()}", flush=True)
+            good &= bool(again.same.all())
         return 0 if good else 1
 
 

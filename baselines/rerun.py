@@ -15,11 +15,10 @@ from baselines.predict import Job, predict_job, splits_of
 from kit1000.dataset.reader import Dataset
 from kit1000.engines import local_engine
 from kit1000.errors import InputError
-from kit1000.pose import Pose
-from kit1000.submission import read_submission
+from kit1000.submission import Predictions, read_submission
 
 MILLIMETRES, DEGREES = 0.01, 0.01
-"""By which a prediction may differ between machines: sums of float32 depend on their order."""
+"""By which a prediction may differ between processors: sums of float32 in a network depend on their order."""
 
 
 @dataclass(frozen=True)
@@ -31,11 +30,26 @@ class Rerun:
     """(n,) difference in where the pivot goes."""
     rotation_deg: np.ndarray
     """(n,)"""
+    identical: np.ndarray
+    """(n,) bool: motion and confidence are the same to the last digit."""
 
     @property
     def same(self) -> np.ndarray:
         """(n,) bool: within MILLIMETRES and DEGREES."""
         return (self.position_mm <= MILLIMETRES) & (self.rotation_deg <= DEGREES)
+
+    def summary(self) -> str:
+        """One line: the same to the last digit, or the largest difference beside the one that is allowed."""
+        n = len(self.query_ids)
+        if self.identical.all():
+            return f"{n} predictions, the same to the last digit"
+        most = f"at most {self.position_mm.max():.2g} mm and {self.rotation_deg.max():.2g}° from those submitted"
+        line = f"{n} predictions, {int(self.identical.sum())} of them the same to the last digit; {most}"
+        if self.same.all():
+            return f"{line}, within the {MILLIMETRES:g} mm and {DEGREES:g}° allowed for networks"
+        first = self.query_ids[int(np.argmin(self.same))]
+        others = int((~self.same).sum())
+        return f"{line}; {others} beyond the allowed {MILLIMETRES:g} mm or {DEGREES:g}°, the first {first}"
 
 
 def rerun(folder: Path, data: Path, first: int, workers: int | None = None) -> Rerun:
@@ -60,11 +74,13 @@ def rerun(folder: Path, data: Path, first: int, workers: int | None = None) -> R
     with local_engine(workers) as spread:
         predictions = spread(partial(predict_job, dataset.root, name, 0), jobs)
         bar = tqdm(predictions, folder.name, len(jobs), unit="query", disable=None)
-        motions = {prediction.query_id: prediction.goal_from_now for prediction in bar}  # in the order of completion
-    now = Pose.stack([motions[query_id] for query_id in query_ids])
-    submitted = submission.predictions.motions[: len(jobs)]
+        found = {prediction.query_id: prediction for prediction in bar}  # in the order of completion
+    again = Predictions.of([found[query_id] for query_id in query_ids])
+    now, submitted = again.motions, submission.predictions.motions[: len(jobs)]
     shift = np.linalg.norm(now.apply(pivots) - submitted.apply(pivots), axis=-1)
-    return Rerun(query_ids, 1e3 * shift, np.degrees((now.inverse() @ submitted).angle()))
+    identical = (now.wxyz == submitted.wxyz).all(-1) & (now.xyz == submitted.xyz).all(-1)
+    identical &= again.confidence == submission.predictions.confidence[: len(jobs)]
+    return Rerun(query_ids, 1e3 * shift, np.degrees((now.inverse() @ submitted).angle()), identical)
 
 
 def _jobs_and_pivots(dataset: Dataset, query_ids: Sequence[str], folder: Path) -> tuple[list[Job], np.ndarray]:

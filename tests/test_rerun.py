@@ -45,7 +45,7 @@ def test_a_method_predicts_the_same_again(
     assert again.same.all()
     np.testing.assert_allclose(again.position_mm, 0, atol=1e-6)
     assert baselines(["rerun", str(made), "--data", str(mini), "--first", "3", "--workers", "1"]) == 0
-    assert capsys.readouterr().out.startswith(f"{made}: 3 predictions, at most ")
+    assert capsys.readouterr().out == f"{made}: 3 predictions, the same to the last digit\n"
 
 
 def test_a_changed_prediction_is_named(
@@ -59,7 +59,27 @@ def test_a_changed_prediction_is_named(
     np.testing.assert_allclose(again.position_mm, [0, 0, 0.02, 0, 0], atol=1e-6)
     assert again.same.tolist() == [True, True, False, True, True]
     assert baselines(["rerun", str(out), "--data", str(mini), "--first", "5", "--workers", "1"]) == 1
-    assert f"1 beyond 0.01 mm or 0.01°, the first {table.query_ids[2]}" in capsys.readouterr().out
+    assert again.identical.tolist() == [True, True, False, True, True]
+    line = capsys.readouterr().out
+    assert line.startswith(f"{out}: 5 predictions, 4 of them the same to the last digit; at most 0.02 mm and ")
+    assert line.endswith(f"; 1 beyond the allowed 0.01 mm or 0.01°, the first {table.query_ids[2]}\n")
+
+
+@pytest.mark.parametrize("changed", ["position", "confidence"])
+def test_a_difference_within_the_tolerance_is_not_the_same_to_the_last_digit(
+    made: Path, mini: Path, tmp_path: Path, changed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, table = copied(made, tmp_path / "chance"), read_submission(made).predictions
+    if changed == "position":
+        motions = Pose.from_translation((np.arange(len(table)) == 1)[:, None] * (5e-6, 0, 0)) @ table.motions
+        table = replace(table, motions=motions)
+    else:
+        table = replace(table, confidence=np.where(np.arange(len(table)) == 1, 0.123, table.confidence))
+    write_predictions(out / "predictions.csv", table)
+    assert baselines(["rerun", str(out), "--data", str(mini), "--first", "3", "--workers", "1"]) == 0
+    line = capsys.readouterr().out
+    assert line.startswith(f"{out}: 3 predictions, 2 of them the same to the last digit; at most ")
+    assert line.endswith("from those submitted, within the 0.01 mm and 0.01° allowed for networks\n")
 
 
 def test_a_submission_that_cannot_be_rerun_is_bad_input(made: Path, mini: Path, tmp_path: Path) -> None:
