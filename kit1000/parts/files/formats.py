@@ -19,6 +19,7 @@ import numpy as np
 import trimesh
 
 from kit1000.errors import MeshRefused
+from kit1000.parts.files.threemf import read_threemf
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".3mf", ".glb", ".gltf", ".step", ".stp")
 TEXT_SUFFIXES = (".obj", ".off")
@@ -175,6 +176,8 @@ def _read_other(path: Path, suffix: str, data: bytes) -> TriangleSoup:
     """Read by trimesh. Its readers raise exceptions of any type for a damaged file, so every one is caught."""
     if suffix in STEP_SUFFIXES and find_spec("cascadio") is None:
         raise MeshRefused("STEP files need an optional reader: pip install cascadio")
+    if suffix == ".3mf":
+        return _read_3mf(data)
     if suffix in TEXT_SUFFIXES:
         data = _as_utf8(data)
     source = str(path) if suffix == ".gltf" else io.BytesIO(data)
@@ -189,6 +192,20 @@ def _read_other(path: Path, suffix: str, data: bytes) -> TriangleSoup:
     if not pieces:
         raise MeshRefused("holds no triangles")
     return _joined(pieces, "m" if suffix in METRE_SUFFIXES else UNIT_NAMES.get(unit or ""))
+
+
+def _read_3mf(data: bytes) -> TriangleSoup:
+    try:
+        built = read_threemf(data, MAX_FACES)
+    except MeshRefused:
+        raise
+    except Exception as error:  # as above: the archive or the XML may be damaged in any way
+        raise MeshRefused(f"not readable as 3MF: {' '.join(str(error).split())[:100] or 'damaged'}") from None
+    lattice = "a beam lattice, which has no triangles"
+    if not len(built.faces) and built.has_lattice:
+        raise MeshRefused(f"holds {lattice}, and is not supported: export it as a mesh of triangles")
+    notes = (f"ignored {lattice}",) if built.has_lattice else ()
+    return TriangleSoup(built.vertices, built.faces, UNIT_NAMES.get(built.unit), notes)
 
 
 def _as_utf8(data: bytes) -> bytes:
