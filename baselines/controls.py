@@ -1,6 +1,6 @@
 """Controls: methods whose score is known beforehand, to show that the benchmark measures what it claims to.
 
-Three read the goals from the ground truth, one keeps the guess, one draws a motion at random. All draws come from a
+Five read the goals from the ground truth, one keeps the guess, one draws a motion at random. All draws come from a
 stream named by the seed, the control and the query.
 """
 
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from baselines.calibration import calibrated
 from baselines.catalog import Method
 from baselines.points import observed_points
 from kit1000.dataset.reader import Dataset
@@ -19,12 +20,13 @@ from kit1000.motions import apply_error, goal_motion, goal_pose
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.rng import stream
-from kit1000.tracks import GUESS_TRACKS
-from kit1000.values import Query, TrueGeometry
+from kit1000.tracks import GUESS_TRACKS, TRACKS
+from kit1000.values import Query, TrueGeometry, View
 
 CERTAIN, UNCERTAIN = 1.0, 0.5  # confidences
 NOISE = 2e-3  # [m] from the goal, of truth-noise at the anchor
 NOISE_ANGLE = float(np.radians(2))
+D415_TRACKS = tuple(name for name, track in TRACKS.items() if track.sensor == "d415")
 
 METHODS = {
     "truth": Method(
@@ -45,6 +47,24 @@ METHODS = {
         "baselines.controls:NoisyGoal",
         "the goal, missed by exactly 2 mm and 2 degrees",
         label="Ground truth with 2 mm and 2° error",
+        uses_true_geometry=True,
+        control=True,
+    ),
+    "truth-calibration": Method(
+        "baselines.controls:SeenGoal",
+        "the goal as the recorded camera pose and depth scale show it: the error of the calibration alone",
+        options={"by_table": False},
+        label="Ground truth through the recorded calibration",
+        tracks=D415_TRACKS,
+        uses_true_geometry=True,
+        control=True,
+    ),
+    "truth-table": Method(
+        "baselines.controls:SeenGoal",
+        "the same after calibration by the plane and the outline of the table",
+        options={"by_table": True},
+        label="Ground truth through calibration by the table",
+        tracks=D415_TRACKS,
         uses_true_geometry=True,
         control=True,
     ),
@@ -112,6 +132,39 @@ class NoisyGoal:
         truth, rng = self.dataset.truth_of(query), stream(self.seed, "truth-noise", query.id)
         offset, rotvec = NOISE * draw_direction(rng), NOISE_ANGLE * draw_direction(rng)
         return PredictedMotion(apply_error(truth.goal_drawn, truth.anchor, offset, rotvec), CERTAIN)
+
+
+@dataclass(frozen=True)
+class SeenGoal:
+    """The drawn goal, in the world as its depth image shows it.
+
+    The motion takes the part's measured points to their measured goals, both free of noise: what a method predicts that
+    is perfect in the camera frame and trusts camera pose and depth scale. On ideal depth it is the goal.
+    """
+
+    dataset: Dataset
+    by_table: bool
+    """Whether pose and scale are first corrected by the table, see `baselines.calibration`."""
+    uses_true_geometry = True
+
+    def __call__(self, query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
+        """The goal, seen."""
+        true_view = self.dataset.recorded_scene(query.scene_id).view("ideal")
+        view = calibrated(query.view, query.image.labels) if self.by_table else query.view
+        return PredictedMotion(seen_motion(self.dataset.truth_of(query).goal_drawn, true_view, view), CERTAIN)
+
+
+def seen_motion(motion: Pose, true_view: View, view: View) -> Pose:
+    """A motion of the world as it is, carried into the world as another view of the same camera shows it.
+
+    The view shows a point at the recorded pose applied to its camera coordinates times the depth scale. Its scale is
+    the median ratio of the depths of both images.
+    """
+    both = (view.depth > 0) & (true_view.depth > 0)
+    scale = float(np.median(view.depth[both] / true_view.depth[both])) if both.any() else 1.0
+    in_camera = true_view.world_from_camera.inverse() @ motion @ true_view.world_from_camera
+    scaled = Pose(in_camera.wxyz, in_camera.xyz * scale)
+    return view.world_from_camera @ scaled @ view.world_from_camera.inverse()
 
 
 def guess(query: Query, geometry: TrueGeometry | None) -> PredictedMotion:

@@ -13,6 +13,7 @@ import pytest
 from baselines import catalog
 from baselines.__main__ import main
 from baselines.catalog import Method, all_methods, all_networks
+from baselines.controls import SeenGoal, seen_motion
 from baselines.methods import listed, make_predictor, method_of, resolved, source_hash
 from baselines.points import observed_points
 from kit1000.dataset.reader import Dataset
@@ -20,10 +21,11 @@ from kit1000.errors import InputError
 from kit1000.motions import error_of, goal_motion, goal_pose
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
+from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.submission import Manifest
 from kit1000.testing import check_predictor
 from kit1000.tracks import ALL_TRACKS, GUESS_TRACKS
-from kit1000.values import Query, TrueGeometry, Truth
+from kit1000.values import Query, TrueGeometry, Truth, View
 
 ROOT = Path(__file__).resolve().parents[1]
 QueryTruths = list[tuple[Query, Truth]]
@@ -91,6 +93,47 @@ def test_noise_is_two_millimetres_and_two_degrees_at_the_anchor(data: Dataset, q
         goal = truth.goal_drawn.apply(truth.anchor)
         assert np.linalg.norm(motion.apply(truth.anchor) - goal) == pytest.approx(2e-3, abs=1e-12)
         assert (motion @ truth.goal_drawn.inverse()).angle() == pytest.approx(np.radians(2), abs=1e-9)
+
+
+def misses(name: str, data: Dataset, queries: QueryTruths) -> np.ndarray:
+    """(n,) [m] at the anchor, from the drawn goal."""
+    goals = [
+        (truth.goal_drawn.apply(truth.anchor), motion.apply(truth.anchor))
+        for _, truth, motion in predicted(name, data, queries)
+    ]
+    return np.linalg.norm(np.subtract(*np.swapaxes(goals, 0, 1)), axis=1)
+
+
+def test_a_seen_goal_takes_measured_points_to_measured_goals() -> None:
+    rng, depth = np.random.default_rng(0), np.full((CAMERA.height, CAMERA.width), 0.8, np.float32)
+    motion = Pose.from_rotvec(rng.normal(size=3), rng.normal(size=3))
+    true = View(CAMERA, draw_primary_pose(rng), depth)
+    error, scale = Pose.from_rotvec((0.002, 0.001, -0.003), (1e-3, 2e-3, -1e-3)), np.float32(1.0025)
+    view = View(CAMERA, true.world_from_camera @ error, depth * scale)
+    points = rng.normal(size=(20, 3))
+
+    def measured(there: np.ndarray) -> np.ndarray:
+        return view.world_from_camera.apply(float(scale) * true.world_from_camera.inverse().apply(there))
+
+    carried = seen_motion(motion, true, view)
+    np.testing.assert_allclose(carried.apply(measured(points)), measured(motion.apply(points)), atol=1e-6)
+    same = seen_motion(motion, true, true)
+    np.testing.assert_allclose(same.apply(points), motion.apply(points), atol=1e-12)
+
+
+def test_the_table_corrects_what_the_recorded_calibration_misses(data: Dataset, queries: QueryTruths) -> None:
+    recorded, corrected = (misses(name, data, queries) for name in ("truth-calibration", "truth-table"))
+    assert 0.5e-3 < recorded.mean() < 6e-3
+    assert corrected.mean() < 0.6 * recorded.mean()
+
+
+def test_on_ideal_depth_a_seen_goal_is_the_goal(data: Dataset, queries: QueryTruths) -> None:
+    asked = [(query, truth) for query, truth in queries if query.track == "snap"]
+    for by_table, most in ((False, 1e-9), (True, 3e-4)):
+        for query, truth in asked:
+            motion = SeenGoal(data, by_table)(query, None).goal_from_now
+            assert np.linalg.norm(motion.apply(truth.anchor) - truth.goal_drawn.apply(truth.anchor)) < most
+            assert (motion @ truth.goal_drawn.inverse()).angle() < most
 
 
 def test_the_guess_is_the_guess(data: Dataset, queries: QueryTruths) -> None:

@@ -1,0 +1,225 @@
+"""Calibration by the table: an ideal view stays, a wrong pose or scale is found as far as the table shows it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import trimesh
+
+from baselines.calibration import (
+    EDGE_REACH,
+    SPREADS,
+    calibrated,
+    flattened,
+    table_edges,
+    table_plane,
+)
+from kit1000.camera import look_at
+from kit1000.errors import ShapeError
+from kit1000.mesh import Mesh
+from kit1000.pose import Pose
+from kit1000.rng import stream
+from kit1000.sim.cameras import CAMERA
+from kit1000.sim.layout import table
+from kit1000.sim.render import render
+from kit1000.sim.sensors import sense
+from kit1000.values import LabelledDepth, View
+
+CORNER = look_at((0.45, -0.25, 0.55), (-0.2, 0.25, 0.02))  # sees the edges at x = -0.6 m and at y = 0.8 m
+MIDDLE = look_at((0.25, 0.03, 0.6), (0.0, 0.03, 0.02))  # sees no edge
+OUTSIDE = look_at((0.75, 0.1, 0.35), (0.0, 0.03, 0.02))  # above the floor beside the table: sees the side at x = 0.6 m
+FAR_X, FAR_Y = 1, 2  # indices of those edges
+
+
+def rendered(pose: Pose) -> LabelledDepth:
+    """The table with a block on it."""
+    block = trimesh.creation.box(extents=(0.2, 0.15, 0.1))
+    body = Mesh(np.array(block.vertices), np.array(block.faces, dtype=np.int32))
+    image = render(CAMERA, pose, [(table(), Pose.identity()), (body, Pose.from_translation((-0.05, 0.1, 0.05)))])
+    return LabelledDepth(View(CAMERA, pose, image.depth), (image.body_ids == 2).astype(np.uint8))
+
+
+@pytest.fixture(scope="module")
+def corner() -> LabelledDepth:
+    return rendered(CORNER)
+
+
+@pytest.fixture(scope="module")
+def middle() -> LabelledDepth:
+    return rendered(MIDDLE)
+
+
+def disturbed(view: View, error: Pose, scale: float = 1.0) -> View:
+    """The view as a camera records it whose pose, in its own frame, and depth scale are wrong."""
+    return View(view.camera, view.world_from_camera @ error, view.depth * np.float32(scale))
+
+
+def spots(view: View, mask: np.ndarray) -> np.ndarray:
+    """(n, 3) [m] world: where a view shows the pixels of a mask."""
+    return view.world_from_camera.apply(view.camera.unproject(view.depth)[mask])
+
+
+def errors(view: View, true: View) -> tuple[np.ndarray, np.ndarray]:
+    """The camera's error along world axes: (3,) [mm] and rotation vector (3,) [degrees]."""
+    error = true.world_from_camera.inverse() @ view.world_from_camera
+    position, rotvec = true.world_from_camera.rotate(np.stack([error.xyz, error.rotvec()]))
+    return 1e3 * position, np.degrees(rotvec)
+
+
+@pytest.mark.parametrize("pose", [CORNER, MIDDLE, OUTSIDE], ids=["corner", "middle", "outside"])
+def test_an_ideal_image_stays_as_it_is(pose: Pose) -> None:
+    image = rendered(pose)
+    seen = image.view.depth > 0
+    moved = spots(calibrated(image.view, image.labels), seen) - spots(image.view, seen)
+    assert np.linalg.norm(moved, axis=1).max() < 1e-4
+
+
+def test_the_plane_gives_height_roll_and_pitch_and_leaves_the_rest(middle: LabelledDepth) -> None:
+    error = Pose.from_rotvec(np.radians((0.1, -0.12, 0.08)), (1e-3, -0.5e-3, 0.8e-3))
+    wrong = disturbed(middle.view, error, 1.002)
+    right = calibrated(wrong, middle.labels)
+    table_pixels = (middle.labels == 0) & (middle.view.depth > 0)
+    assert np.abs(spots(wrong, table_pixels)[:, 2]).max() > 1e-3
+    assert np.abs(spots(right, table_pixels)[:, 2]).max() < 1e-4
+    (_, before), (_, after) = errors(wrong, middle.view), errors(right, middle.view)
+    assert np.abs(after[:2]).max() < 5e-3
+    assert after[2] == pytest.approx(before[2], abs=5e-3)  # yaw is not seen
+    np.testing.assert_allclose(right.world_from_camera.xyz[:2], wrong.world_from_camera.xyz[:2], atol=1e-5)
+
+
+def test_height_and_scale_share_an_error_by_their_spreads(middle: LabelledDepth) -> None:
+    """The plane knows their product alone: the likelier of the two is corrected more."""
+    wrong = disturbed(middle.view, Pose.identity(), 1.002)
+    right = calibrated(wrong, middle.labels)
+    height = middle.view.world_from_camera.xyz[2]
+    by_scale, by_height = (height * SPREADS[6]) ** 2, SPREADS[3] ** 2
+    seen = middle.view.depth > 0
+    scale = float(np.median(right.depth[seen] / middle.view.depth[seen]))
+    left = 0.002 * by_height / (by_scale + by_height)
+    assert scale - 1 == pytest.approx(left, abs=5e-5)
+    assert errors(right, middle.view)[0][2] == pytest.approx(1e3 * height * left, abs=0.05)
+
+
+def test_a_corner_gives_yaw_and_position(corner: LabelledDepth) -> None:
+    wrong = disturbed(corner.view, Pose.from_rotvec(np.radians((0.1, 0.15, -0.1)), (1e-3, -1e-3, 0.5e-3)))
+    plane, both = (calibrated(wrong, corner.labels, outline=outline) for outline in (False, True))
+    (_, tilted), (_, turned), (position, rotation) = (errors(view, corner.view) for view in (wrong, plane, both))
+    assert np.abs(tilted).max() > 0.1
+    assert np.abs(turned[:2]).max() < 5e-3 < 0.05 < abs(turned[2])
+    assert np.abs(rotation).max() < 0.01
+    assert np.linalg.norm(position) < 0.6 * np.linalg.norm(errors(plane, corner.view)[0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_noise_of_a_d415_hides_neither_plane_nor_outline(corner: LabelledDepth, seed: int) -> None:
+    wrong = sense("d415", corner.view, stream(seed, "noise"))
+    right = calibrated(wrong, corner.labels)
+    _, rotation = errors(right, corner.view)
+    assert np.abs(rotation).max() < 0.015
+    seen = (wrong.depth > 0) & (corner.labels == 0)
+    on_table = flattened(right, corner.labels)
+    apart = np.linalg.norm(spots(on_table, seen) - spots(corner.view, seen), axis=1)
+    assert np.sqrt(np.mean(apart**2)) < 1e-3
+
+
+def test_the_edges_in_view_are_found_to_a_fraction_of_a_pixel(corner: LabelledDepth, middle: LabelledDepth) -> None:
+    edges = table_edges(corner.view, corner.labels)
+    assert [edge.index for edge in edges] == [FAR_X, FAR_Y]
+    for edge in edges:
+        points = CORNER.inverse().apply(
+            [(-0.6, y, 0) for y in np.linspace(-0.5, 0.8, 200)]
+            if edge.index == FAR_X
+            else [(x, 0.8, 0) for x in np.linspace(-0.6, 0.6, 200)]
+        )
+        across, along = CAMERA.project(points).T if not edge.columns else CAMERA.project(points).T[::-1]
+        order = np.argsort(along)
+        off = np.interp(edge.lines, along[order], across[order]) - edge.places
+        assert np.abs(off).max() < 0.51
+        assert abs(off.mean()) < 0.05
+    assert not table_edges(middle.view, middle.labels)
+
+
+def test_dropouts_at_an_edge_do_not_move_it(corner: LabelledDepth) -> None:
+    depth, rng = corner.view.depth.copy(), np.random.default_rng(0)
+    edge = table_edges(corner.view, corner.labels)[0]
+    assert edge.columns
+    for first in rng.choice(edge.lines[:-8:8], 40, replace=False):
+        place = round(float(edge.places[np.searchsorted(edge.lines, first)]))
+        depth[place - EDGE_REACH : place + rng.integers(2, 9), first : first + 8] = 0
+    holed = replace(corner.view, depth=depth)
+    moved = calibrated(holed, corner.labels).world_from_camera.xyz - CORNER.xyz
+    assert np.abs(moved).max() < 3e-4
+
+
+def test_an_edge_seen_from_outside_is_not_used() -> None:
+    """There the side of the table continues below the edge."""
+    image = rendered(OUTSIDE)
+    assert 0 not in [edge.index for edge in table_edges(image.view, image.labels)]
+
+
+def test_a_body_in_front_of_an_edge_hides_that_piece(corner: LabelledDepth) -> None:
+    labels = corner.labels.copy()
+    labels[:, 300:900] = 1
+    whole, part = table_edges(corner.view, corner.labels)[0], table_edges(corner.view, labels)[0]
+    assert whole.index == part.index
+    assert set(part.lines) < set(whole.lines)
+    assert not {*range(300, 900)} & {*part.lines.tolist()}
+
+
+def test_the_plane_moves_with_a_level_motion_of_the_world_and_the_outline_does_not(corner: LabelledDepth) -> None:
+    """The table stays: a world that is shifted is a camera that is shifted the other way."""
+    wrong = disturbed(corner.view, Pose.from_rotvec(np.radians((0.1, 0.1, 0.1)), (1e-3, 0, 0)))
+    motion = Pose.from_rotvec((0, 0, np.radians(0.1)), (1e-3, 1e-3, 0))
+    moved = replace(wrong, world_from_camera=motion @ wrong.world_from_camera)
+    alone = calibrated(wrong, corner.labels, outline=False).world_from_camera
+    there = calibrated(moved, corner.labels, outline=False).world_from_camera
+    difference = (motion @ alone).inverse() @ there
+    assert np.linalg.norm(difference.xyz) < 1e-7
+    assert difference.angle() < 1e-7
+    here = calibrated(moved, corner.labels).world_from_camera
+    assert ((motion @ alone).inverse() @ here).angle() > np.radians(0.04)
+    assert abs(errors(replace(wrong, world_from_camera=here), corner.view)[1][2]) < 0.01
+
+
+def test_flat_puts_the_table_on_its_plane_and_nothing_else(corner: LabelledDepth) -> None:
+    measured = sense("d415", corner.view, stream(0, "noise"))
+    plain, flat = (calibrated(measured, corner.labels, flat=flat) for flat in (False, True))
+    table_pixels = (corner.labels == 0) & (flat.depth > 0)
+    off = np.abs(spots(flat, table_pixels)[:, 2]) > 1e-6
+    assert off.mean() < 1e-3  # of pixels on the edge
+    np.testing.assert_array_equal(flat.depth[corner.labels > 0], plain.depth[corner.labels > 0])
+    assert table_pixels.sum() > ((corner.labels == 0) & (measured.depth > 0)).sum()
+    beyond = np.mean((corner.view.depth == 0) & (flat.depth > 0))
+    assert beyond < 1e-3  # nothing stays nothing, but for pixels on the edge
+
+
+def test_the_measured_plane_is_the_table(corner: LabelledDepth) -> None:
+    plane = table_plane(corner.view, corner.labels)
+    assert plane is not None
+    np.testing.assert_allclose(CORNER.rotate(plane.normal), (0, 0, 1), atol=5e-5)
+    assert plane.height == pytest.approx(CORNER.xyz[2], abs=5e-5)
+
+
+def test_without_a_table_the_view_stays(corner: LabelledDepth) -> None:
+    view = corner.view
+    assert calibrated(view, np.ones_like(corner.labels)) is view
+    empty = replace(view, depth=np.zeros_like(view.depth))
+    assert calibrated(empty, corner.labels) is empty
+    lifted = replace(view, world_from_camera=Pose.from_translation((0, 0, 0.1)) @ CORNER)
+    assert calibrated(lifted, corner.labels) is lifted  # no pixel within reach of z = 0
+
+
+def test_masks_of_another_size_are_refused(corner: LabelledDepth) -> None:
+    with pytest.raises(ShapeError, match="labels"):
+        calibrated(corner.view, corner.labels[1:])
+
+
+def test_two_runs_agree_to_the_bit_and_the_input_stays(corner: LabelledDepth) -> None:
+    measured = sense("d415", corner.view, stream(1, "noise"))
+    before = measured.depth.tobytes()
+    one, two = (calibrated(measured, corner.labels) for _ in range(2))
+    assert one.depth.tobytes() == two.depth.tobytes()
+    assert one.world_from_camera.xyz.tobytes() == two.world_from_camera.xyz.tobytes()
+    assert measured.depth.tobytes() == before
