@@ -68,7 +68,7 @@ def _read(folder: Path) -> Entry:
     missing = [key for key in KEYS if not isinstance(scores, dict) or key not in scores]
     if missing:
         raise InputError(f"{path}: expected scores of `python -m benchmark score`; there is no {', '.join(missing)}")
-    entry = Entry(folder.name, folder, read_manifest(folder / "manifest.toml"), scores)
+    entry = Entry(folder.name, folder, read_manifest(folder / "manifest.toml", folder), scores)
     _check_files(entry)
     return entry
 
@@ -84,7 +84,7 @@ def _check_files(entry: Entry) -> None:
     if entry.scores["method"] != entry.manifest.method:
         raise _other_files(entry, "manifest.toml has another method")
     path = entry.folder / PREDICTIONS
-    data, faults = read_file(path, str(path))
+    data, faults = read_file(path, str(path), entry.folder)
     if data is None:
         raise InputError(str(faults[0]))
     scored, now = entry.scores["predictions_sha256"], hashlib.sha256(data).hexdigest()

@@ -147,10 +147,10 @@ def test_any_path_is_diagnosed(tmp_path: Path) -> None:
 def test_a_file_without_read_permission_is_diagnosed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = submitted(tmp_path / "mine")
 
-    def refuse(path: Path) -> bytes:
+    def refuse(path: Path, *_: object) -> int:
         raise PermissionError(13, "Permission denied", str(path))
 
-    monkeypatch.setattr(Path, "read_bytes", refuse)
+    monkeypatch.setattr(os, "open", refuse)
     assert [fault.code for fault in check(folder).faults] == ["no-permission", "no-permission"]
 
 

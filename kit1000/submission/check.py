@@ -69,9 +69,10 @@ def _read_expected(data: Path, split: str, rows: Rows | None) -> ExpectedQueries
 
 def _read_files(path: Path) -> tuple[Manifest | None, Rows | None, FaultList, FaultList]:
     """The two files as far as they can be read, the faults of their form, and those of single rows."""
-    manifest, faults = None, []
+    manifest, faults, inside = None, [], None
     if _is_folder(path):
-        manifest, faults = manifest_of(path / manifests.FILE, manifests.FILE)
+        inside = path
+        manifest, faults = manifest_of(path / manifests.FILE, manifests.FILE, path)
         path = path / prediction_files.FILE
         file = prediction_files.FILE
     else:
@@ -80,7 +81,7 @@ def _read_files(path: Path) -> tuple[Manifest | None, Rows | None, FaultList, Fa
         expected = "the folder of a submission, or its predictions file"
         fault = file_error(file, "manifest-only", "is only the manifest", expected, "give the folder that contains it")
         return None, None, FaultList.of([fault]), FaultList()
-    data, open_faults = read_file(path, file)
+    data, open_faults = read_file(path, file, inside)
     text, text_faults = (None, []) if data is None else decode_text(data, file)
     rows, format_faults, of_rows = (None, [], FaultList()) if text is None else read_rows(text, file)
     form = FaultList.of([*faults, *open_faults, *text_faults, *format_faults])
@@ -103,7 +104,7 @@ def _is_folder(path: Path) -> bool:
 def _dataset_faults(manifest: Manifest, expected: ExpectedQueries, path: Path) -> list[Fault]:
     """Differences between the dataset of the manifest and the given one."""
     faults: list[Fault] = []
-    text = path.read_text("utf-8", "replace")
+    text = (read_file(path, manifests.FILE, path.parent)[0] or b"").decode("utf-8", "replace")
 
     def add(code: str, field: str, actual: str, expectation: str, repair: str, error: bool = True) -> None:
         severity = "error" if error else "warning"

@@ -15,7 +15,6 @@ from kit1000.submission.predictions import (
     NO_INVALID,
     InvalidRows,
     Predictions,
-    read_predictions,
     read_valid_predictions,
     write_predictions,
 )
@@ -39,17 +38,17 @@ class Submission:
 
 def read_submission(folder: str | Path) -> Submission:
     """Read a submission. Raises InputError with its first error, when it has any."""
-    path = Path(folder)
-    manifest = read_manifest(path / manifests.FILE)
-    predictions = read_predictions(path / prediction_files.FILE)
-    return Submission(path.resolve().name, manifest, predictions, path)
+    submission = read_valid_submission(folder)
+    if submission.invalid.first is not None:
+        raise InputError(f"{submission.invalid.first} (`kit1000 check` lists all faults)")
+    return submission
 
 
 def read_valid_submission(folder: str | Path) -> Submission:
     """Read a submission without its invalid rows. Raises InputError for faults of form alone."""
     path = Path(folder)
-    manifest = read_manifest(path / manifests.FILE)
-    predictions, invalid = read_valid_predictions(path / prediction_files.FILE)
+    manifest = read_manifest(path / manifests.FILE, path)
+    predictions, invalid = read_valid_predictions(path / prediction_files.FILE, path)
     return Submission(path.resolve().name, manifest, predictions, path, invalid)
 
 

@@ -88,9 +88,14 @@ FIELD_TYPES = get_type_hints(Manifest)
 REQUIRED = tuple(field.name for field in fields(Manifest) if field.default is MISSING)
 
 
-def read_manifest(path: str | Path) -> Manifest:
-    """Read a manifest. Raises InputError, with the first fault, when there is one."""
-    manifest, faults = manifest_of(Path(path), printable(path))
+def read_manifest(path: str | Path, inside: Path | None = None) -> Manifest:
+    """Read a manifest. Raises InputError, with the first fault, when there is one.
+
+    Args:
+        path: of the file.
+        inside: the folder that a link must not lead out of; any link is followed when absent.
+    """
+    manifest, faults = manifest_of(Path(path), printable(path), inside)
     error = first_error(faults)
     if error is not None:
         raise InputError(f"{error} (`kit1000 check` lists all faults)")
@@ -104,9 +109,9 @@ def write_manifest(path: str | Path, manifest: Manifest) -> None:
     write_bytes(Path(path), "\n".join([*lines, ""]).encode())
 
 
-def manifest_of(path: Path, file: str) -> tuple[Manifest | None, list[Fault]]:
+def manifest_of(path: Path, file: str, inside: Path | None = None) -> tuple[Manifest | None, list[Fault]]:
     """A manifest and its faults; `file` is its name in messages. The manifest is None when there are errors."""
-    data, faults = read_file(path, file)
+    data, faults = read_file(path, file, inside)
     text, more = (None, []) if data is None else decode_text(data, file)
     faults += more
     if text is None:

@@ -118,13 +118,13 @@ def read_predictions(path: str | Path) -> Predictions:
     return predictions
 
 
-def read_valid_predictions(path: str | Path) -> tuple[Predictions, InvalidRows]:
-    """Read the valid rows of a predictions file, and count the others.
+def read_valid_predictions(path: str | Path, inside: Path | None = None) -> tuple[Predictions, InvalidRows]:
+    """Read the valid rows of a predictions file, and count the others; a link must not lead out of `inside`.
 
     Raises InputError with the first error of the file itself: one without a readable header, or with an id twice.
     """
     file = printable(path)
-    data, faults = read_file(Path(path), file)
+    data, faults = read_file(Path(path), file, inside)
     text, more = (None, []) if data is None else decode_text(data, file)
     rows, rest, of_rows = (None, [], FaultList()) if text is None else read_rows(text, file)
     error = first_error([*faults, *more, *rest, *(duplicate_faults(rows).kept if rows is not None else ())])

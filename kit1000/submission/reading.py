@@ -50,22 +50,60 @@ def file_warning(file: str, code: str, actual: str, expected: str, repair: str) 
     return Fault(file, None, None, actual, expected, repair, "warning", code)
 
 
-def read_file(path: Path, file: str) -> tuple[bytes | None, list[Fault]]:
-    """The bytes of a file, or None and the reason; `file` is its name in messages."""
+def read_file(path: Path, file: str, inside: Path | None = None) -> tuple[bytes | None, list[Fault]]:
+    """The bytes of a regular file, or None and the reason.
+
+    Args:
+        path: of the file.
+        file: its name in messages.
+        inside: the folder that a link must not lead out of; then nothing outside is opened, nor looked for.
+    """
     try:
-        status = os.stat(path)
-        if stat.S_ISDIR(status.st_mode):
-            return None, [file_error(file, "folder", "is a folder", "a file", "replace the folder with the file")]
-        if not stat.S_ISREG(status.st_mode):
-            repair = "copy its content into a file"
-            return None, [file_error(file, "not-a-file", "is not a regular file", "a regular file", repair)]
-        if status.st_size > LARGEST_FILE:
-            size, most = status.st_size >> 20, LARGEST_FILE >> 20
-            repair = "write one row per query of the dataset and nothing else"
-            return None, [file_error(file, "file-too-large", f"has {size} MiB", f"at most {most} MiB", repair)]
-        return path.read_bytes(), []
+        target = path
+        if inside is not None:
+            target, folder = _resolved(path), _resolved(inside)
+            if not target.is_relative_to(folder):
+                actual, expected = "is a symbolic link that leads out of the folder", "a file in the folder"
+                return None, [file_error(file, "foreign-link", actual, expected, "replace the link with the file")]
+        fault = _kind_fault(os.stat(target), file)
+        return (None, [fault]) if fault else _read_regular(target, file, follow=inside is None)
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path
         return None, [_open_fault(path, file, error)]
+
+
+def _resolved(path: Path) -> Path:
+    """The path without links."""
+    try:
+        return path.resolve()
+    except RuntimeError as error:  # as Python before 3.13 reports a loop
+        raise OSError(errno.ELOOP, "a loop of links") from error
+
+
+def _read_regular(path: Path, file: str, follow: bool) -> tuple[bytes | None, list[Fault]]:
+    """The bytes of a file, which is looked at again once it is open; without waiting for the other end of a pipe."""
+    opened = os.open(path, os.O_RDONLY | os.O_NONBLOCK | (0 if follow else os.O_NOFOLLOW))
+    try:
+        fault = _kind_fault(os.fstat(opened), file)
+        if fault:
+            return None, [fault]
+        with open(opened, "rb", closefd=False) as stream:
+            return stream.read(LARGEST_FILE + 1), []
+    finally:
+        os.close(opened)
+
+
+def _kind_fault(status: os.stat_result, file: str) -> Fault | None:
+    """Why a file is not read although it is there."""
+    if stat.S_ISDIR(status.st_mode):
+        return file_error(file, "folder", "is a folder", "a file", "replace the folder with the file")
+    if not stat.S_ISREG(status.st_mode):
+        repair = "copy its content into a file"
+        return file_error(file, "not-a-file", "is not a regular file", "a regular file", repair)
+    if status.st_size > LARGEST_FILE:
+        size, most = status.st_size >> 20, LARGEST_FILE >> 20
+        repair = "write one row per query of the dataset and nothing else"
+        return file_error(file, "file-too-large", f"has {size} MiB", f"at most {most} MiB", repair)
+    return None
 
 
 def _open_fault(path: Path, file: str, error: OSError | ValueError) -> Fault:
