@@ -24,7 +24,7 @@ LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --unive
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install browser dataset test test-slow lint site table1 bench bench-parts portable pictures lock clean
+.PHONY: help install browser dataset test test-slow lint site table1 bench bench-parts portable mutants pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -76,6 +76,9 @@ bench-parts: $(DEV) ## compare our parts with real ones: make bench-parts PARTS=
 
 portable: $(DEV) ## generate tiny and small as on another processor, and compare every byte
 	$(BIN)/python bench/portable.py tiny small
+
+mutants: $(DEV) ## change lines one at a time in a copy: do the tests notice? About 15 minutes
+	$(BIN)/python bench/mutants.py
 
 pictures: $(DEV) ## draw the pictures of the README and the docs
 	$(BIN)/python docs/pictures/draw.py
