@@ -33,6 +33,7 @@ MARGIN = 2  # cells of STEP px about every body: there its fattened edge may cov
 PLANE_REACH = 25e-3  # [m] from the recorded plane, of the pixels that enter
 LEAST_PIXELS = 500  # of the plane; with fewer the view stays as it is
 PLANE_ROUNDS = 5  # of reweighting
+RECORDED_WEIGHT = 0.3  # of the recorded plane, in pixels: noise of a pixel over spread of the plane, squared, at 0.8 m
 PLANE_SPREADS = np.array([1e-4, 1e-4, 5e-5])  # of the fitted plane: normal [rad], normal [rad], height [m]
 
 EDGE_REACH = 10  # [px] on either side of where an edge is expected
@@ -97,7 +98,8 @@ def calibrated(view: View, labels: np.ndarray, flat: bool = False, outline: bool
 def table_plane(view: View, labels: np.ndarray) -> Plane | None:
     """The plane of the table's pixels; None where there are too few.
 
-    Fitted in inverse depth, where noise is the same for all pixels, with Tukey's weights.
+    Fitted in inverse depth, where noise is the same for all pixels, with Tukey's weights; what a narrow strip of table
+    leaves open stays as recorded.
     """
     bodies = labels[::STEP, ::STEP] > 0
     depth = view.depth[::STEP, ::STEP].astype(float)
@@ -106,12 +108,14 @@ def table_plane(view: View, labels: np.ndarray) -> Plane | None:
     axis, height = view.world_from_camera.inverse().rotate((0.0, 0.0, 1.0)), view.world_from_camera.xyz[2]
     near = np.abs(z * matmul(rays, axis) + height) < PLANE_REACH
     rays, inverse = rays[near], 1 / z[near]
-    if len(rays) < LEAST_PIXELS:
+    if len(rays) < LEAST_PIXELS or height < PLANE_REACH:
         return None
-    weights, coefficients = np.ones(len(rays)), np.zeros(3)
+    recorded = -axis / height
+    weights, coefficients = np.ones(len(rays)), recorded
     for _ in range(PLANE_ROUNDS):
         weighted = rays * weights[:, None]
-        coefficients = _solution(matmul(weighted.T, rays), matmul(weighted.T, inverse))
+        normal = matmul(weighted.T, rays) + RECORDED_WEIGHT * np.eye(3)
+        coefficients = recorded + _solution(normal, matmul(weighted.T, inverse - matmul(rays, recorded)))
         residuals = inverse - matmul(rays, coefficients)
         spread = 1.4826 * np.median(np.abs(residuals)) + 1e-9
         weights = np.square(np.clip(1 - np.square(residuals / (4.685 * spread)), 0, None))

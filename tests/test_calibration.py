@@ -211,6 +211,21 @@ def test_without_a_table_the_view_stays(corner: LabelledDepth) -> None:
     assert calibrated(lifted, corner.labels) is lifted  # no pixel within reach of z = 0
 
 
+def test_a_narrow_strip_of_table_does_no_harm(corner: LabelledDepth) -> None:
+    """It says nothing of the tilt about itself."""
+    labels = np.ones_like(corner.labels)
+    labels[400:450] = 0
+    for seed in range(3):
+        wrong = sense("d415", corner.view, stream(seed, "noise"))
+        before, after = (errors(view, corner.view)[1] for view in (wrong, calibrated(wrong, labels)))
+        assert np.linalg.norm(after) < np.linalg.norm(before) + 0.02
+
+
+def test_a_camera_below_the_table_stays(corner: LabelledDepth) -> None:
+    below = replace(corner.view, world_from_camera=Pose.from_rotvec((np.pi, 0, 0)) @ CORNER)
+    assert calibrated(below, corner.labels) is below
+
+
 def test_masks_of_another_size_are_refused(corner: LabelledDepth) -> None:
     with pytest.raises(ShapeError, match="labels"):
         calibrated(corner.view, corner.labels[1:])
