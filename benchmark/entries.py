@@ -18,7 +18,7 @@ from kit1000.submission.reading import read_file
 SETTING = ("protocol", "status", "metric_versions", "dataset_id", "split")
 """Keys of scores.json that entries must agree in: else their numbers cannot be compared."""
 PROVENANCE = ("evaluator", "commit", "method", "manifest", "predictions_sha256")
-KEYS = (*SETTING, *PROVENANCE, "tracks", "breakdown", "curves")
+KEYS = (*SETTING, *PROVENANCE, "tracks", "breakdown", "curves", "curve_scenes")
 SHOWN_DIGITS = 16  # of a SHA-256 in a message
 
 

@@ -46,7 +46,8 @@ class Protocol:
     histograms: Mapping[str, tuple[float, ...]]
     """Lower ends of the bins of position_mm and rotation_deg; the last bin is open."""
     curves: Mapping[str, Any]
-    """The split and track of the robustness curves, their levels and the percentiles of their band."""
+    """The split and track of the robustness curves, their levels and the percentiles of their band. They are of the
+    `first_scenes` alone where nothing beyond is predicted."""
     risk_points: int
     """Number of points of a risk-coverage curve."""
     listed: int

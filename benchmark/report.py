@@ -63,7 +63,8 @@ def score_text(summary: Mapping[str, Any], with_breakdown: bool = False) -> str:
         ]
     if summary["curves"] is not None:
         n = sum(row["n"] for rows in summary["curves"].values() for row in rows)
-        lines += ["", f"curves: {n} queries, see scores.json and `python -m benchmark curves`"]
+        scenes = f"about the first {summary['curve_scenes']} scenes"
+        lines += ["", f"curves: {n} queries {scenes}, see scores.json and `python -m benchmark curves`"]
     for track, groups in summary["breakdown"].items() if with_breakdown else ():
         shown = quantities.shown_in("breakdown")
         headings = ["", "", "n", *(quantity.heading for quantity in shown)]

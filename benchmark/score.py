@@ -106,7 +106,7 @@ def _queries(
 ) -> ScoredQueries:
     """The queries of the tracks in a split, and those of the curves when it is the protocol's own split.
 
-    Slow methods may leave whole scenes out of the curves: only scenes with a predicted query count there.
+    The curves are of all their scenes, or of the first ones alone where nothing beyond is predicted: methods are slow.
     """
     parts: list[ScoredQueries] = []
     config = dataset.summary["config"]
@@ -114,13 +114,17 @@ def _queries(
     if known:
         parts.append(read_queries(dataset, split, known))
     if CURVES in tracks and split == protocol.splits[0] and config["curve_scenes"]:
-        curves, ids = read_queries(dataset, protocol.curves["split"], [CURVES]), set(predicted)
-        pairs = zip(curves.scene_ids, curves.query_ids, strict=True)
-        scenes = {scene_id for scene_id, query_id in pairs if query_id in ids}
-        parts.append(curves.of_scenes(scenes) if scenes else curves)
+        curves = read_queries(dataset, protocol.curves["split"], [CURVES])
+        parts.append(_curve_queries(curves, protocol.curves["first_scenes"], predicted))
     if not parts:
         raise InputError(f"{dataset.root}: split {split} has no query of {', '.join(tracks) or 'no track'}")
     return concatenate(*parts)
+
+
+def _curve_queries(curves: ScoredQueries, first_scenes: int, predicted: Collection[str]) -> ScoredQueries:
+    """The queries of the first scenes if all predicted ones are among them; else those of all scenes."""
+    first = curves.of_scenes(set(sorted(set(curves.scene_ids))[:first_scenes]))
+    return first if set(predicted).intersection(curves.query_ids) <= set(first.query_ids) else curves
 
 
 def _check_options(

@@ -24,13 +24,17 @@ Row = dict[str, Any]
 
 
 def summarise(rows: PerQuery, protocol: Protocol, rotation_only: bool) -> Row:
-    """`tracks`, `breakdown` and `curves` of scores.json; `rotation_only`: the method predicts no positions."""
+    """`tracks`, `breakdown`, `curves` and `curve_scenes` of scores.json.
+
+    `rotation_only`: the method predicts no positions.
+    """
     rows = _numbered(rows)
     tracks = {track: rows.of_track(track) for track in rows.tracks if track != CURVES}
     return {
         "tracks": {track: track_summary(own, protocol, rotation_only) for track, own in tracks.items()},
         "breakdown": {track: breakdown(own, protocol, rotation_only) for track, own in tracks.items()},
         "curves": _curves(rows.of_track(CURVES)),
+        "curve_scenes": len(np.unique(rows.of_track(CURVES).scene_id)) or None,
     }
 
 

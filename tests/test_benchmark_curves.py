@@ -13,12 +13,16 @@ import pytest
 from board_samples import LEARNED, SNAPS, curve_ids, write_scored
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sample_submissions import made_up
 
 from benchmark.curve_charts import COLUMNS, figure, write_curves
 from benchmark.curves import CURVES, curve_table
+from benchmark.protocol import read_protocol
+from benchmark.score import _curve_queries
 from kit1000.errors import InputError, ShapeError
 from kit1000.guesses import FIXED_LEVELS, LEVELS
 from kit1000.rng import stream
+from kit1000.tracks import CURVES as TRACK
 from kit1000.tracks import curve_levels
 
 IDS = curve_ids(3)
@@ -138,3 +142,28 @@ def test_scores_that_cannot_be_drawn_are_refused_in_one_line(tmp_path: Path) -> 
         write_curves([tmp_path / "other.json"], tmp_path)
     with pytest.raises(InputError, match="no file"):
         write_curves([tmp_path / "nowhere"], tmp_path)
+
+
+def test_curves_are_of_the_first_scenes_or_of_all_never_of_those_that_are_answered() -> None:
+    queries = made_up(12, TRACK)  # a scene each
+    ids = queries.query_ids
+    for predicted, scenes in (
+        ([], 4),
+        (ids[:4], 4),
+        (ids[2:3], 4),  # the others of the first count as no motion
+        (ids[:5], 12),
+        (ids[11:], 12),
+        (ids, 12),
+        (["another-id"], 4),
+    ):
+        chosen = _curve_queries(queries, 4, predicted)
+        assert chosen.query_ids == ids[:scenes]
+
+
+def test_the_protocol_states_the_first_scenes_and_the_scores_the_number_of_scenes() -> None:
+    assert read_protocol().curves["first_scenes"] == 10
+    for path in sorted((Path(__file__).parents[1] / "submissions").glob("*/scores.json")):
+        stored = json.loads(path.read_text("utf-8"))
+        rows = [row for rows in (stored["curves"] or {}).values() for row in rows]
+        assert {row["n"] for row in rows} == ({stored["curve_scenes"]} if rows else set())
+        assert stored["curve_scenes"] in (10, 40, None)

@@ -69,6 +69,7 @@ def put(folder: Path, name: str, tracks: dict[str, Any], manifest: dict[str, Any
         "tracks": tracks,
         "breakdown": {},
         "curves": None,
+        "curve_scenes": None,
         **scores,
     }
     (folder / name / "scores.json").write_text(json.dumps(content), encoding="utf-8")

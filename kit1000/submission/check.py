@@ -199,7 +199,9 @@ def _predicted_scenes(
         return queries, []
     scenes = len({expected.scene_part(i) for i in queries})
     actual = f"track {CURVES}: {len(predicted_parts)} of {scenes} scenes have predictions"
-    repair = "no change needed: the curves use these scenes and state their number"
+    repair = (
+        "no change needed for the first scenes of the protocol alone; else all are scored, a missing row as no motion"
+    )
     return kept, [file_warning(file, "partial-curves", actual, "all scenes, or some of them completely", repair)]
 
 
