@@ -120,7 +120,7 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ),
         ("2 * np.arctan2(matmul(v, axis.direction), w)", "np.arctan2(matmul(v, axis.direction), w)"),
     ),
-    ("kit1000/kits/acceptance.py", "acceptance"): (
+    ("kit1000/kits/acceptance.py", "stated_numbers acceptance"): (
         ("WRONG_TILT = np.radians(20)", "WRONG_TILT = np.radians(22)"),
         ("test.result(goal, goal).strict", "test.result(goal, goal).seated"),
         ("for s in (1, -1)):", "for s in (1,)):"),
@@ -134,7 +134,7 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ("gain / sensor.convergence", "0.0"),
         ("max_depth=3.0", "max_depth=4.0"),
     ),
-    ("kit1000/sim/stereo.py", "sensors"): (
+    ("kit1000/sim/stereo.py", "stated_numbers sensors"): (
         ("np.rint(value / step) * step", "np.floor(value / step) * step"),
         ("EDGE_STEP = 1.0", "EDGE_STEP = 1.5"),
         ("(math.acos(cosines[u]) - start) / (end - start)", "(math.acos(cosines[u]) - start) / end"),

@@ -146,6 +146,12 @@ def test_shadows_are_the_same_within_50_micrometres(off_mm: float, same: bool) -
     assert has_design_shadow(place.cavity, moved) == same
 
 
+@pytest.mark.parametrize(("wider_mm", "same"), [(0.0, True), (1.0, False), (-1.0, False)])
+def test_a_larger_and_a_smaller_shadow_are_others(wider_mm: float, same: bool) -> None:
+    cavity = cavity_of(box(30, 20, 20), 12e-3)
+    assert has_design_shadow(cavity, standing(box(30 + wider_mm, 20 + wider_mm, 20))) == same
+
+
 @pytest.mark.parametrize(("step_mm", "same"), [(0.01, True), (0.5, False)])
 def test_a_step_near_the_floor_changes_the_shadow(step_mm: float, same: bool) -> None:
     """The shadows agree at the rim but not below: a notch under one end is higher."""

@@ -6,14 +6,17 @@ import numpy as np
 import pytest
 
 from kit1000.guesses import draw_ball_error, draw_tilt_error, level_angle, level_offset
-from kit1000.kits.seating import HOVER
+from kit1000.kits.acceptance import is_goal
+from kit1000.kits.contact import convex_edges
+from kit1000.kits.seating import HOVER, InsertedPart, seating_result
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA
 from kit1000.sim.sensors import sense
+from kit1000.sim.stereo import blend_windows
 from kit1000.sim.visibility import PartVisibility, SlotVisibility, cavity_labels, view_redraw_reason
 from kit1000.values import View
-from tests.sample_kits import sample_kit
+from tests.sample_kits import sample_kit, sample_part
 
 COLUMNS, ROWS = slice(420, -420), slice(20, -20)  # of an image: no border of a sensor, no shadow of the other imager
 
@@ -106,6 +109,40 @@ def test_the_last_level_of_a_curve_is_28_mm_and_27_5_degrees() -> None:
     assert level_offset(7) == pytest.approx(28e-3)
     assert np.degrees(level_angle(7)) == pytest.approx(27.5)
     assert level_offset(1) == pytest.approx(4e-3)
+
+
+@pytest.mark.parametrize(
+    ("off_mm", "seated", "strict"), [(0.95, True, True), (1.01, True, False), (2.95, True, False), (3.01, False, False)]
+)
+@pytest.mark.parametrize("sign", [1, -1])
+def test_seated_is_within_3_mm_and_strict_within_1_mm(off_mm: float, seated: bool, strict: bool, sign: int) -> None:
+    """Of goal height where the part touches at once; of contact where it touches at goal height."""
+    part = InsertedPart(convex_edges(sample_part("tee").mesh), np.array([0.0, 0.0, 1.0]))
+    off, goal = sign * off_mm * 1e-3, Pose.identity()
+    raised = Pose.from_translation((0, 0, off))
+    for offset, pose in ((0.0, raised), (-off, raised)):
+        result = seating_result(offset, part, pose, goal, 20e-3)
+        assert (result.seated, result.strict) == (seated, strict)
+
+
+@pytest.mark.parametrize(("off_mm", "same"), [(0.9, True), (1.1, False)])
+def test_a_pose_within_1_mm_of_a_goal_is_that_goal(off_mm: float, same: bool) -> None:
+    kit = sample_kit("tee")
+    assert is_goal(Pose.from_translation((off_mm * 1e-3, 0, 0)) @ kit.slot.goals[0], kit) == same
+
+
+@pytest.mark.parametrize(("step_px", "blended"), [(0.9, True), (1.1, False)])
+def test_matching_windows_blend_steps_up_to_one_pixel(step_px: float, blended: bool) -> None:
+    disparity = np.where(np.arange(42) < 20, 50.0, 50.0 + step_px).astype(np.float32) * np.ones((22, 1), np.float32)
+    changed = np.abs(blend_windows(disparity, 7) - disparity) > 1e-3
+    assert changed[10].any() == blended
+
+
+def test_the_axes_of_the_scanner_cross_at_800_mm() -> None:
+    """There both imagers see the same columns; parallel ones would lose 312 of 1280."""
+    depth = np.full((CAMERA.height, CAMERA.width), 0.8, np.float32)
+    measured = sense("photoneo", View(CAMERA, Pose.identity(), depth), stream(0, "stated")).depth
+    assert np.mean(measured > 0) > 0.99
 
 
 def test_the_approach_begins_100_mm_out() -> None:
