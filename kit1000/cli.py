@@ -343,7 +343,20 @@ def summary_text(summary: dict) -> str:
     lines += refused[:MAX_LISTED]
     if len(refused) > MAX_LISTED:
         lines.append(f"  {len(refused) - MAX_LISTED} more refused: dataset.json lists them")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_files_taken(summary)])
+
+
+def _files_taken(summary: dict) -> list[str]:
+    """The last line of a summary: of how many mesh files parts were made, and why not of the others."""
+    if not summary["refused"]:
+        return []
+    from kit1000.parts.files.refusals import refusal_counts
+
+    taken = sum(count["parts"] for count in summary["counts"].values())
+    tried = taken + len(summary["refused"])
+    return [
+        f"  {taken} of {tried} mesh files taken as parts; the others: {refusal_counts(summary['refused'].values())}"
+    ]
 
 
 def kit_report_text(report: dict, out: Path) -> str:

@@ -346,4 +346,5 @@ def test_the_text_of_a_summary_does_not_depend_on_its_order() -> None:
     assert "redraws of scenes: none" in text
     assert "refused x.stl: empty file" in text
     assert "refused val-s0000: no room" in text
+    assert text.endswith("\n  3 of 4 mesh files taken as parts; the others: 1x empty file")
     assert "(seed withheld, " in cli.summary_text(head | {"counts": counts, "redraws": {}, "seed": None} | refused)

@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import defect_float32
 from kit1000.parts.files import formats, sources
+from kit1000.parts.files.refusals import refusal_counts
 from kit1000.parts.files.sources import USER_UNITS, MeshReading, Refusal, mesh_files, read_all, read_mesh
 
 
@@ -53,7 +54,7 @@ REFUSED = {  # name -> (bytes, what the reason begins with)
     "none.stl": (b"\0" * 84, r"holds no triangles$"),
     "none_text.stl": (b"solid nothing\nendsolid nothing\n", r"holds no triangles$"),
     "nan.stl": (NAN, r"NaN or infinite vertices: \d+ of 36$"),
-    "open.stl": (OPEN, r"not closed: \d+ open edges"),
+    "open.stl": (OPEN, r"not closed: 4 open edges in one hole of 40 mm; export a solid, or close it in a mesh editor$"),
     "two.stl": (TWO, r"2 separate bodies \(50%, 50% of the volume\)$"),
     "points.obj": (b"v 0 0 0\nv 1 0 0\nv 0 1 0\n", r"holds no triangles$"),
     "point.obj": (POINT, r"zero thickness"),
@@ -306,6 +307,47 @@ def test_a_given_unit_is_used_for_any_size(unit: str, tmp_path: Path) -> None:
     reading = read_mesh(written(tmp_path, "part.stl", scaled(0.02)), unit)
     assert reading.mesh.extents.max() == pytest.approx(0.8 * USER_UNITS[unit], rel=1e-5)
     assert (reading.unit, reading.unit_guessed) == (unit, False)
+
+
+@pytest.mark.parametrize(
+    ("longest", "unit", "way_out"),
+    [
+        (40, "m", "as --unit mm it would be 40 mm"),
+        (0.04, "mm", "as --unit m it would be 40 mm"),
+        (900, "m", "and no --unit makes it plausible: scale the file"),
+    ],
+)
+def test_a_size_out_of_range_is_refused_with_the_unit_that_would_do(
+    longest: float, unit: str, way_out: str, tmp_path: Path
+) -> None:
+    with pytest.raises(MeshRefused, match=f"when read in {unit}; expected 0.0001 to 10 m, {way_out}$"):
+        read_mesh(written(tmp_path, "part.stl", scaled(longest / 40)), unit)
+
+
+def test_several_holes_are_counted_and_the_widest_measured(tmp_path: Path) -> None:
+    box = trimesh.creation.box((40, 20, 10))
+    ends = np.abs(box.face_normals[:, 1]) > 0.9
+    tube = exported(trimesh.Trimesh(box.vertices, box.faces[~ends], process=False))
+    with pytest.raises(MeshRefused, match="not closed: 8 open edges in 2 holes, the widest 40 mm; export a solid"):
+        read_mesh(written(tmp_path, "tube.stl", tube))
+
+
+def test_refusals_are_counted_by_kind() -> None:
+    reasons = [
+        "empty file",
+        "not closed: 4 open edges in one hole of 20 mm; export a solid",
+        "not closed: 8 open edges",
+        "2 separate bodies (50%, 50% of the volume)",
+        "13 separate bodies (9%, ... of the volume)",
+        "near-duplicate of bracket-2.stl",
+        "near-duplicate of lever.stl",
+        "not closed: 14 open edges",
+        "longest side 40 m when read in m; expected 0.0001 to 10 m",
+        "12 triangles, more than 11",
+    ]
+    counted = "3x not closed, 2x near-duplicate, 2x separate bodies, 1x empty file, 1x longest side m, 1x triangles"
+    assert refusal_counts(reasons) == counted
+    assert refusal_counts([]) == ""
 
 
 def test_a_unit_stated_in_the_file_is_used(tmp_path: Path) -> None:

@@ -39,8 +39,22 @@ def close_surface(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> 
     left = open_edges(faces)
     if len(left):
         was = "" if len(left) == opened else f" ({opened} before repair)"
-        raise MeshRefused(f"not closed: {len(left)} open edges{was}")
+        raise MeshRefused(f"not closed: {len(left)} open edges{was}{_holes_text(vertices, faces, left)}")
     return vertices, faces
+
+
+def _holes_text(vertices: np.ndarray, faces: np.ndarray, opened: np.ndarray) -> str:
+    """The number of holes among open edges, the width of the widest, and what to do about them."""
+    start, end = halfedges(faces)
+    rim, places = np.unique([start[opened], end[opened]], return_inverse=True)
+    edges = places.reshape(2, -1)
+    graph = coo_array((np.ones(len(opened), dtype=np.int8), tuple(edges)), shape=(len(rim), len(rim)))
+    count, labels = connected_components(graph, directed=False)
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    np.minimum.at(low, labels, vertices[rim])
+    np.maximum.at(high, labels, vertices[rim])
+    holes = f"in {count:,} holes, the widest" if count > 1 else "in one hole of"
+    return f" {holes} {(high - low).max() * 1e3:.4g} mm; export a solid, or close it in a mesh editor"
 
 
 def _welded_seams(vertices: np.ndarray, faces: np.ndarray, tolerance: float, notes: list[str]) -> np.ndarray:

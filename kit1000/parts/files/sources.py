@@ -134,7 +134,16 @@ def _check_size(longest: float, unit: str) -> None:
         raise MeshRefused("zero thickness: all vertices in one place")
     if not low <= longest <= high:
         size = f"longest side {longest:.4g} m when read in {unit}"
-        raise MeshRefused(f"{size}; expected {low:g} to {high:g} m, give the file's unit")
+        raise MeshRefused(f"{size}; expected {low:g} to {high:g} m, {_better_unit(longest / FILE_UNITS[unit])}")
+
+
+def _better_unit(longest: float) -> str:
+    """What to do about a longest side, in the unit of the file, that is too large or too small for a part."""
+    low, high = PLAUSIBLE_SIZE
+    for unit in UNIT_GUESS_ORDER:
+        if low <= longest * USER_UNITS[unit] <= high:
+            return f"as --unit {unit} it would be {longest * USER_UNITS[unit] * 1e3:.4g} mm"
+    return "and no --unit makes it plausible: scale the file"
 
 
 def _unit(longest: float, given: str | None, stated: str | None) -> tuple[str, bool, str]:
