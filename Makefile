@@ -50,9 +50,10 @@ lint: $(DEV) ## ruff and pyright
 	$(BIN)/ruff check .
 	$(BIN)/pyright
 
-site: $(DEV) ## documentation, API reference and leaderboard, under site/; with pictures of cases if DATA is there
+site: $(DEV) ## documentation, API reference and leaderboard, under site/; with DATA rescored, with pictures of cases
+	$(if $(wildcard $(DATA)/dataset.json),$(BIN)/python -m benchmark rescore $(SCORED) --data "$(DATA)" --workers $(or $(WORKERS),2))
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir "$(SITE)"
-	$(BIN)/python -m benchmark pages --submissions "$(SUBMISSIONS)" --out "$(SITE)/board" $(if $(wildcard $(DATA)/dataset.json),--data "$(DATA)")
+	$(BIN)/python -m benchmark pages --submissions "$(SUBMISSIONS)" --out "$(SITE)/board" $(if $(wildcard $(DATA)/dataset.json),--data "$(DATA)" --rescored)
 
 table1: $(DEV) ## Table I beside our scores; with DATA they are scored again, RERUN=50 answers 50 queries again too
 	$(if $(wildcard $(DATA)/dataset.json),$(BIN)/python -m benchmark rescore $(SCORED) --data "$(DATA)" --workers $(or $(WORKERS),2))

@@ -174,12 +174,16 @@ class Pages:
     """Folder for the pages."""
     data: Optional = None
     """Dataset folder, with ground truth: pictures of single predictions are drawn too."""
+    rescored: Flag = False
+    """State on every page that `rescore` has reproduced the scores with --data; else that they are as submitted."""
 
     def run(self) -> int:
         """Build, then print the folder."""
         from benchmark.pages import build
 
-        build(self.submissions, self.out, self.data)
+        if self.rescored and self.data is None:
+            raise InputError("--rescored: expected --data too, the dataset of `python -m benchmark rescore`")
+        build(self.submissions, self.out, self.data, self.rescored)
         print(self.out)
         return 0
 

@@ -73,6 +73,7 @@ WRONG = {
     "curves {tmp} --out {tmp}/out": "",
     "compare {sub} --data {data}": "compare: B missing",
     "compare {sub} {sub} --data {data} --no-cache --tracks snp": "",
+    "pages --submissions {tmp} --rescored": "--rescored: expected --data too",
     "pages --submissions {tmp} --out {tmp}/out": "{tmp}: no scored submission",
 }
 

@@ -106,6 +106,14 @@ def test_every_page_names_protocol_metrics_dataset_evaluator_and_licence(site: P
             assert name in text, (path.name, name)
 
 
+def test_every_page_says_whether_its_scores_are_rescored(site: Path, tmp_path: Path) -> None:
+    build(site.parent / "submissions", tmp_path, None, rescored=True)
+    for path in all_pages(site):
+        submitted, rescored = path.read_text("utf-8"), (tmp_path / path.relative_to(site)).read_text("utf-8")
+        assert "<dt>Scores</dt><dd>scores as submitted</dd>" in submitted
+        assert rescored == submitted.replace("scores as submitted", "rescored with this dataset")
+
+
 def test_the_board_shows_what_scores_json_holds(site: Path) -> None:
     scores = json.loads((site.parent / "submissions/snaps/scores.json").read_text("utf-8"))
     text = page(site)

@@ -24,17 +24,18 @@ from kit1000.files import write_bytes
 TEMPLATES = Path(__file__).parent / "templates"
 
 
-def build(submissions: Path, out: Path, data: Path | None = None) -> None:
+def build(submissions: Path, out: Path, data: Path | None = None, rescored: bool = False) -> None:
     """Write the pages of all scored submissions of a folder.
 
     Args:
         submissions: a folder with a folder for each method, `manifest.toml` and `scores.json` in it.
         out: where the pages go; made where it is missing.
         data: the dataset of the scores, with ground truth, to draw single queries; without it they are only listed.
+        rescored: whether `benchmark.rescore` has reproduced the scores with this dataset; stated on every page.
     """
     board = read_board(submissions)
     dataset = None if data is None else Dataset(data)
-    pages = _environment(board)
+    pages = _environment(board, rescored)
     write_bytes(out / "style.css", ((TEMPLATES / "style.css").read_text("utf-8") + charts.STYLE).encode())
     write_bytes(out / "board.js", (TEMPLATES / "board.js").read_bytes())
     for entry in board.entries:
@@ -44,7 +45,7 @@ def build(submissions: Path, out: Path, data: Path | None = None) -> None:
     _write(out / "index.html", pages, "index.html", _index(board))
 
 
-def _environment(board: Board) -> jinja2.Environment:
+def _environment(board: Board, rescored: bool) -> jinja2.Environment:
     pages = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=True,  # manifests are text of other people
@@ -52,7 +53,7 @@ def _environment(board: Board) -> jinja2.Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    pages.globals |= {"board": board, "setting": board.setting, "data_licence": LICENCE}
+    pages.globals |= {"board": board, "setting": board.setting, "data_licence": LICENCE, "rescored": rescored}
     return pages
 
 
