@@ -12,6 +12,8 @@ SITE    = site
 SUBMISSIONS = submissions
 SCORED  = $(patsubst %/scores.json,%,$(wildcard $(SUBMISSIONS)/*/scores.json))
 RERUN   =
+PAGES   = $(BIN)/python -m benchmark pages --submissions "$(SUBMISSIONS)" --out "$(SITE)/board"
+RESCORE = $(BIN)/python -m benchmark rescore $(SCORED) --data "$(DATA)" --workers $(or $(WORKERS),2)
 UPGRADE =
 
 # A stamp is touched last of all and removed first of all, so an install that was cut short is never taken for done.
@@ -51,12 +53,11 @@ lint: $(DEV) ## ruff and pyright
 	$(BIN)/pyright
 
 site: $(DEV) ## documentation, API reference and leaderboard, under site/; with DATA rescored, with pictures of cases
-	$(if $(wildcard $(DATA)/dataset.json),$(BIN)/python -m benchmark rescore $(SCORED) --data "$(DATA)" --workers $(or $(WORKERS),2))
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet --site-dir "$(SITE)"
-	$(BIN)/python -m benchmark pages --submissions "$(SUBMISSIONS)" --out "$(SITE)/board" $(if $(wildcard $(DATA)/dataset.json),--data "$(DATA)" --rescored)
+	$(if $(wildcard $(DATA)/dataset.json),$(PAGES) --data "$(DATA)" $$($(RESCORE) >&2 && echo --rescored),$(PAGES))
 
 table1: $(DEV) ## Table I beside our scores; with DATA they are scored again, RERUN=50 answers 50 queries again too
-	$(if $(wildcard $(DATA)/dataset.json),$(BIN)/python -m benchmark rescore $(SCORED) --data "$(DATA)" --workers $(or $(WORKERS),2))
+	$(if $(wildcard $(DATA)/dataset.json),$(RESCORE))
 	$(if $(RERUN),$(BIN)/python -m baselines rerun $(SCORED) --data "$(DATA)" --first $(RERUN) $(if $(WORKERS),--workers $(WORKERS)))
 	$(BIN)/python -m benchmark table1 --submissions "$(SUBMISSIONS)"
 
