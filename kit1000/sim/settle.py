@@ -110,7 +110,8 @@ def principal_axes(tensor: np.ndarray) -> np.ndarray:
 def rounded_pose(pose: Pose) -> Pose:
     """The pose rounded to POSE_GRID, its first non-zero quaternion component positive: removes last-bit differences."""
     wxyz = _rounded(pose.wxyz)
-    return Pose(wxyz * np.sign(wxyz[np.flatnonzero(wxyz)[0]]), _rounded(pose.xyz))
+    sign = np.sign(wxyz[np.flatnonzero(wxyz)[0]])
+    return Pose(wxyz * sign + 0.0, _rounded(pose.xyz))
 
 
 def _rounded(values: np.ndarray) -> np.ndarray:
