@@ -9,6 +9,7 @@ from kit1000.guesses import draw_ball_error, draw_tilt_error, level_angle, level
 from kit1000.kits.acceptance import is_goal
 from kit1000.kits.contact import convex_edges
 from kit1000.kits.seating import HOVER, InsertedPart, seating_result
+from kit1000.metrics.exact_seating import ContactInterval
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA
@@ -147,3 +148,9 @@ def test_the_axes_of_the_scanner_cross_at_800_mm() -> None:
 
 def test_the_approach_begins_100_mm_out() -> None:
     assert HOVER == 0.1
+
+
+def test_contact_in_a_shallow_cavity_comes_within_a_third_of_its_depth() -> None:
+    """Of 6 mm: 2 mm, and not the 3 mm of deep cavities; less the 0.02 mm of the bisection."""
+    interval = ContactInterval.of(3e-3, 6e-3, 1.0, 0.0)
+    assert (interval.low, interval.high) == pytest.approx((-1.98e-3, 1.98e-3))

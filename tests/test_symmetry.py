@@ -318,6 +318,7 @@ def test_expanded_lists_members_with_no_gap_over_the_step(sym: Symmetry) -> None
 def test_expanded_uses_a_step_that_divides_the_circle_exactly() -> None:
     for count in (1, 3, 7, 36, 720):
         assert len(Symmetry.free().expanded(2 * np.pi / count)) == count
+    assert len(Symmetry.free().expanded(np.radians(360 / 83))) == 83  # whose quotient rounds to a little over 83
     for step in (0.0, -1.0, np.nan, 7.0):
         with pytest.raises(InputError, match="step: expected an angle"):
             Symmetry.free().expanded(step)
