@@ -67,7 +67,7 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ("goals.inverse().rotate(UP)", "poses.inverse().rotate(UP)"),
         ("(closed.seated, closed.strict) != (final.seated, final.strict)", "closed.seated != final.seated"),
     ),
-    ("kit1000/metrics/exact_seating.py", "metrics_seating"): (
+    ("kit1000/metrics/exact_seating.py", "metrics_seating stated_numbers"): (
         ("path = (HOVER + along.max() - along.min()) * axis", "path = HOVER / 2 * axis"),
         ("at_most(interval.high) and not at_most(interval.low)", "at_most(interval.high)"),
         ("min(limit, depth / 3) - BISECTION_STEP", "limit - BISECTION_STEP"),
