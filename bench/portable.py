@@ -10,11 +10,12 @@ import argparse
 import os
 import subprocess
 import sys
-from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from numpy._core._multiarray_umath import __cpu_dispatch__  # pyright: ignore[reportAttributeAccessIssue]
+
+from kit1000.files import sha256
 
 OLD_PROCESSOR = {
     "OPENBLAS_CORETYPE": "Sandybridge",
@@ -28,7 +29,7 @@ def generate(preset: str, out: Path, environment: dict[str, str]) -> dict[str, s
     command = [sys.executable, "-W", "ignore", "-m", "kit1000", "generate", preset, "--out", str(out)]
     subprocess.run(command, env=os.environ | environment, check=True, stdout=subprocess.DEVNULL)
     files = (path for path in out.rglob("*") if path.is_file() and path.name != ".lock")
-    return {path.relative_to(out).as_posix(): sha256(path.read_bytes()).hexdigest() for path in files}
+    return {path.relative_to(out).as_posix(): str(sha256(path)) for path in files}
 
 
 def compare(preset: str) -> int:

@@ -14,18 +14,12 @@ from hypothesis import strategies as st
 
 from baselines.registration.refine import _rotation, _solved
 from baselines.registration.search import YAW_STEP, OrientedPart, _correlation
+from bench.portable import OLD_PROCESSOR
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume
 
 ROOT = Path(__file__).resolve().parents[1]
 SEEDS = st.integers(0, 2**32 - 1)
-
-# As on a processor of 2011: the kernels of OpenBLAS, of the C library and of numpy do without AVX and FMA.
-OLD_PROCESSOR = {
-    "OPENBLAS_CORETYPE": "Sandybridge",
-    "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX",
-    "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX2 FMA3 AVX512F AVX512_SKX",
-}
 
 # A query with a guess from the image and one without by true volumes: every digit of the predictions.
 CODE = """
