@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import binary_dilation
 
+from baselines.elimination import solve_positive
 from kit1000.camera import Camera
 from kit1000.errors import checked
 from kit1000.pose import Pose
@@ -115,7 +116,7 @@ def table_plane(view: View, labels: np.ndarray) -> Plane | None:
     for _ in range(PLANE_ROUNDS):
         weighted = rays * weights[:, None]
         normal = matmul(weighted.T, rays) + RECORDED_WEIGHT * np.eye(3)
-        coefficients = recorded + _solution(normal, matmul(weighted.T, inverse - matmul(rays, recorded)))
+        coefficients = recorded + solve_positive(normal, matmul(weighted.T, inverse - matmul(rays, recorded)))
         residuals = inverse - matmul(rays, coefficients)
         spread = 1.4826 * np.median(np.abs(residuals)) + 1e-9
         weights = np.square(np.clip(1 - np.square(residuals / (4.685 * spread)), 0, None))
@@ -164,18 +165,8 @@ def _solved(view: View, plane: Plane, edges: list[Edge]) -> np.ndarray:
     for _ in range(ROUNDS):
         here = residuals(start)
         slopes = np.stack([(residuals(start + step) - here) / 1e-3 for step in 1e-3 * np.eye(len(start))], axis=-1)
-        start = start - _solution(matmul(slopes.T, slopes), matmul(slopes.T, here))
+        start = start - solve_positive(matmul(slopes.T, slopes), matmul(slopes.T, here))
     return start * SPREADS
-
-
-def _solution(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """x (n,) of matrix (n, n) x = right (n,), the matrix positive definite: Gauss's elimination needs no pivots."""
-    rows = np.concatenate([matrix, right[:, None]], axis=1)
-    for i in range(len(rows)):
-        rows[i] /= rows[i, i]
-        others = np.arange(len(rows)) != i
-        rows[others] -= rows[others, i : i + 1] * rows[i]
-    return rows[:, -1]
 
 
 def _rays(camera: Camera, uv: np.ndarray) -> np.ndarray:
@@ -273,7 +264,8 @@ def _without_dropouts(places: np.ndarray, beyond: np.ndarray) -> np.ndarray:
         if kept.sum() < LEAST_EDGE:
             return kept
         line = matmul(
-            terms, _solution(matmul(terms[kept].T, terms[kept]) + 1e-6 * np.eye(2), matmul(terms[kept].T, beyond[kept]))
+            terms,
+            solve_positive(matmul(terms[kept].T, terms[kept]) + 1e-6 * np.eye(2), matmul(terms[kept].T, beyond[kept])),
         )
         reach = max(reach / 1.6, EDGE_TOLERANCE)
     return np.abs(beyond - line) < reach

@@ -49,6 +49,7 @@ FENCES = {
         "kit1000.kits",
         "kit1000.metrics",
         "kit1000.pictures",
+        "baselines.elimination",
         "baselines.registration",
         "baselines.completion",
         "baselines.snapnet",

@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baselines.registration.refine import _rotation, _solved
+from baselines.elimination import solve_positive
+from baselines.registration.refine import _rotation
 from baselines.registration.search import YAW_STEP, OrientedPart, _correlation
 from bench.portable import OLD_PROCESSOR
 from kit1000.pose import Pose
@@ -55,11 +56,13 @@ def test_elimination_solves_as_lapack_does(seed: int, n: int, scale: float) -> N
     rng = np.random.default_rng(seed)
     half, right = rng.normal(size=(n, n)), rng.normal(size=n)
     matrix = scale * (half @ half.T + 0.1 * np.eye(n))
-    np.testing.assert_allclose(_solved(matrix, right), np.linalg.solve(matrix, right), rtol=1e-9, atol=1e-9 / scale)
+    np.testing.assert_allclose(
+        solve_positive(matrix, right), np.linalg.solve(matrix, right), rtol=1e-9, atol=1e-9 / scale
+    )
 
 
 def test_a_singular_system_has_no_finite_solution() -> None:
-    assert not np.isfinite(_solved(np.zeros((6, 6)), np.ones(6))).any()
+    assert not np.isfinite(solve_positive(np.zeros((6, 6)), np.ones(6))).any()
 
 
 @given(SEEDS, st.sampled_from([0.0, 1e-9, 1e-3, 1.0]))

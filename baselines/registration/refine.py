@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from baselines.elimination import solve_positive
 from baselines.registration.relief import dilated, lower_envelope
 from baselines.registration.search import Candidate
 from kit1000.compiled import compiled
@@ -124,7 +125,7 @@ def _levenberg(problem: Problem, twist: np.ndarray, scale: float) -> np.ndarray:
         normal, gradient = matmul(weighted, jacobian), matmul(weighted, residuals)
         mean = np.trace(normal[3:, 3:]) / 3 + 1e-9
         for _ in range(4):
-            move = -_solved(normal + damping * mean * np.diag(METRIC), gradient)
+            move = -solve_positive(normal + damping * mean * np.diag(METRIC), gradient)
             if _cost(problem.residuals(twist + move, twist), scale) < cost:
                 twist, damping = twist + move, damping / 3
                 break
@@ -139,24 +140,6 @@ def _levenberg(problem: Problem, twist: np.ndarray, scale: float) -> np.ndarray:
 def _cost(residuals: np.ndarray, scale: float) -> float:
     square = residuals[:-2] ** 2
     return float((square / (scale**2 + square)).sum() + (residuals[-2:] ** 2).sum() / scale**2)
-
-
-@compiled
-def _solved(matrix, right):
-    """(n,) solution for a positive definite matrix (n, n), by Gaussian elimination, which then needs no pivoting."""
-    n = len(right)
-    a, x = matrix.copy(), right.copy()
-    for k in range(n):
-        for i in range(k + 1, n):
-            factor = a[i, k] / a[k, k]
-            for j in range(k, n):
-                a[i, j] -= factor * a[k, j]
-            x[i] -= factor * x[k]
-    for k in range(n - 1, -1, -1):
-        for j in range(k + 1, n):
-            x[k] -= a[k, j] * x[j]
-        x[k] /= a[k, k]
-    return x
 
 
 @compiled
