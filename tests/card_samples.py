@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from kit1000.dataset.schema import SceneTruth
-from kit1000.dataset.tables import pose_row
+from kit1000.dataset.tables import FORMAT, pose_row
 from kit1000.generation.card_statistics import add_up, part_statistics, scene_statistics
 from kit1000.pose import Pose
 
@@ -67,7 +67,7 @@ def summary(folder: Path | None = None) -> dict[str, Any]:
         part_statistics(*(tables()[k].values() for k in PAIRS)),
     ]
     return {
-        "format": "kit1000/1",
+        "format": FORMAT,
         "data_version": "0.2.1",
         "dataset_id": "0123456789abcdef",
         "licence": "CC-BY-4.0",

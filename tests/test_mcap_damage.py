@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from kit1000.dataset.mcap_io import ObservationFile, TruthFile
+from kit1000.dataset.mcap_io import ObservationFile, TruthFile, writing
 from kit1000.dataset.mcap_io.content import observation_hash, truth_hash
 from kit1000.dataset.schema import Observation
 from kit1000.errors import InputError
@@ -76,7 +76,7 @@ def test_unknown_scenes_and_views_are_answered_with_the_known_ones(seen: Path) -
         file.view("test-s0001", "d435")
 
 
-def test_other_mcap_files_are_refused(tmp_path: Path, seen: Path) -> None:
+def test_other_mcap_files_are_refused(tmp_path: Path, seen: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def error_of(name: str, data: bytes, kind: type[ObservationFile] | type[TruthFile] = ObservationFile) -> str:
         path = tmp_path / name
         path.write_bytes(data)
@@ -89,6 +89,12 @@ def test_other_mcap_files_are_refused(tmp_path: Path, seen: Path) -> None:
     assert "truncated" in error_of("short.mcap", seen.read_bytes()[:-100])
     assert "truncated" in error_of("magic.mcap", seen.read_bytes()[:8])
     assert "expected a file of 'truth'" in error_of("swapped.mcap", seen.read_bytes(), TruthFile)
+    with monkeypatch.context() as patch:
+        patch.setattr(writing, "FORMAT", "kit1000/1")
+        older = write(tmp_path / "older.mcap", [observation()])
+    assert "older.mcap has format 'kit1000/1', this version reads 'kit1000/2'" in error_of(
+        older.name, older.read_bytes()
+    )
     with open(tmp_path / "foreign.mcap", "wb") as file:
         writer = Writer(file)
         writer.start()

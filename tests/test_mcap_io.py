@@ -166,7 +166,7 @@ def chunk_messages(path: Path, k: int) -> list[str]:
 
 
 def test_small_messages_come_first(seen: Path) -> None:
-    cameras, rest = ["/camera", "/ideal/camera", "/d415/camera"], ["/mask/labels", "/ideal/depth", "/d415/depth"]
+    cameras, rest = ["/ideal/camera", "/d415/camera"], ["/ideal/labels", "/ideal/depth", "/d415/depth"]
     assert chunk_messages(seen, 1) == [*cameras, "/tf", *["/query"] * 3, *rest]
 
 
@@ -175,11 +175,15 @@ def test_viewers_find_a_calibration_and_a_frame_for_every_depth_image(tmp_path: 
         with open(path, "rb") as file:
             channels = {c.topic: s for s, c, _ in make_reader(file).iter_messages() if s is not None}
         depths = [topic for topic in channels if topic.endswith("/depth")]
+        calibrations = [topic for topic, schema in channels.items() if schema.name == "foxglove.CameraCalibration"]
         assert depths
+        assert len(calibrations) == len({read_by_mcap(path, topic)[0][2].frame_id for topic in calibrations})
         for topic in depths:
-            beside = topic.removesuffix("depth") + "camera"  # where the 3D panel looks for it
+            beside = topic.removesuffix("depth") + "camera"  # where viewers look for it
             assert channels[topic].name == "foxglove.RawImage"
             assert channels[beside].name == "foxglove.CameraCalibration"
+            prefix = topic.removesuffix("depth")
+            assert [name for name in calibrations if name.startswith(prefix)] == [beside]
             (_, _, image), (_, _, camera), (_, _, frames) = (read_by_mcap(path, t)[0] for t in (topic, beside, "/tf"))
             assert image.frame_id == camera.frame_id
             (transform,) = [t for t in frames.transforms if t.child_frame_id == image.frame_id]

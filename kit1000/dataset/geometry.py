@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from kit1000.dataset.mesh_files import read_glb
-from kit1000.dataset.tables import FORMAT, Row, assembly_of, kit_of, part_of, slot_of
+from kit1000.dataset.tables import Row, assembly_of, check_format, kit_of, part_of, slot_of
 from kit1000.errors import InputError
 from kit1000.files import read_json
 from kit1000.mesh import Mesh
@@ -26,8 +26,7 @@ class Geometry:
             raise InputError(f"{self.root}: no dataset ({self._missing()})")
         self.summary: dict[str, Any] = read_json(self.root / "dataset.json")
         version = self.summary.get("format") if isinstance(self.summary, dict) else None
-        if version != FORMAT:
-            raise InputError(f"{self.root}: dataset.json has format {version!r}, this version reads {FORMAT!r}")
+        check_format(version, f"{self.root}: dataset.json")
         self.part = lru_cache(maxsize=CACHED)(self._part)
         self.kit = lru_cache(maxsize=64)(self._kit)
         self.assembly = lru_cache(maxsize=CACHED)(self._assembly)

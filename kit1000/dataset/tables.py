@@ -11,14 +11,24 @@ from typing import Any
 
 import numpy as np
 
+from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Slot
 
-FORMAT = "kit1000/1"  # of the dataset folder
+FORMAT = "kit1000/2"  # of the dataset folder and its recordings
 
 Row = dict[str, Any]
+
+
+def check_format(found: Any, what: str) -> None:
+    """Raise InputError for a file `what` in another format than FORMAT, such as one of an older version."""
+    if found != FORMAT:
+        raise InputError(
+            f"{what} has format {found!r}, this version reads {FORMAT!r}; generate or download the dataset again, "
+            "or install the version of kit1000 that made it"
+        )
 
 
 def part_row(part: Part) -> Row:

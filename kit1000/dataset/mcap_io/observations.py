@@ -35,6 +35,7 @@ from kit1000.pose import Pose
 from kit1000.values import View
 
 IDEAL = "ideal"  # the sensor whose frame is the true camera frame
+LABELS = f"/{IDEAL}/labels"  # beside the calibration of their frame: viewers match an image with it by topic
 VIEW_KEY = re.compile(r"((?:[a-z0-9]+/)*)([a-z0-9]+)")  # camera, then sensor
 QUERY_FIELDS = ("drawn", "guess", "id", "part", "pivot", "sensor", "track")
 
@@ -101,7 +102,7 @@ class ObservationFile(ShardFile):
 
     def labels(self, scene_id: str) -> np.ndarray | None:
         """(H, W) uint8 masks of the primary camera, see `kit1000.values.LabelledDepth`; None without masks."""
-        masks = self._all(scene_id, "/mask/labels")
+        masks = self._all(scene_id, LABELS)
         return checked("labels", image_of(masks[0]), ("h", "w"), np.uint8) if masks else None
 
     def observation(self, scene_id: str) -> Observation:
@@ -128,18 +129,15 @@ def _messages(observation: Observation, stamp: int) -> Iterator[Message]:
         yield row_message("/query", _QUERY, row, f"query {row['id']}")
     if observation.labels is not None:
         labels = checked(f"{observation.scene_id}: labels", observation.labels, ("h", "w"), np.uint8)
-        yield image_message("/mask/labels", labels, "mono8", _frame_id(IDEAL), stamp)
+        yield image_message(LABELS, labels, "mono8", _frame_id(IDEAL), stamp)
     for key, view in views.items():
         check_on_grid(view.depth, f"{observation.scene_id} {key}")
         yield image_message(f"/{key}/depth", view.depth, "32FC1", _frame_id(key), stamp)
 
 
 def _camera_messages(views: dict[str, View], stamp: int) -> Iterator[Message]:
-    """A calibration for every depth image, where viewers expect it, and one for each camera."""
+    """A calibration for every frame, beside its images: viewers look for it there, and object to two of one frame."""
     for key, view in views.items():
-        prefix, sensor = _split_key(key)
-        if sensor == IDEAL:
-            yield camera_message(f"/{prefix}camera", view.camera, _frame_id(key), stamp)
         yield camera_message(f"/{key}/camera", view.camera, _frame_id(key), stamp)
 
 

@@ -28,7 +28,7 @@ from mcap.writer import MCAP0_MAGIC as MAGIC
 
 from kit1000.dataset.mcap_io.messages import SECOND
 from kit1000.dataset.mcap_io.writing import RECORD, START, record_checksum
-from kit1000.dataset.tables import FORMAT
+from kit1000.dataset.tables import check_format
 from kit1000.errors import InputError, did_you_mean
 
 FIX = "generate or download it again"
@@ -126,9 +126,9 @@ class _Source:
         self.record = Metadata.read(records[Opcode.METADATA][0]).metadata
         if self.record.get("checksum") != record_checksum(self.record):
             raise _damaged(self.path, "its record fails the checksum")
-        for key, expected in (("format", FORMAT), ("holds", contents)):
-            if self.record[key] != expected:
-                raise InputError(f"{self.path}: {key} {self.record[key]!r}, expected a file of {expected!r}")
+        check_format(self.record.get("format"), str(self.path))
+        if self.record["holds"] != contents:
+            raise InputError(f"{self.path}: holds {self.record['holds']!r}, expected a file of {contents!r}")
         self.content, self.messages = json.loads(self.record["content"]), json.loads(self.record["messages"])
         chunks = sorted(map(ChunkIndex.read, summary[Opcode.CHUNK_INDEX]), key=lambda index: index.message_start_time)
         scenes = [(index.message_start_time - START) // SECOND for index in chunks]
