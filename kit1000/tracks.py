@@ -22,6 +22,8 @@ class Track:
     """The rotation error of the user's initial guess: about any axis, or a tilt alone; None: there is no guess."""
     parts: Literal["all", "upright", "upright with a nearly level goal"]
     """The parts of a scene that have a query, among the visible ones."""
+    crowded_scenes: bool
+    """Whether it asks in crowded scenes too."""
     stream: str
     """Name of the random stream of its draws. Tracks that share it have the same guesses, on different depth images."""
     description: str
@@ -36,6 +38,7 @@ TRACKS = {
             sensor="ideal",
             guess="ball",
             parts="all",
+            crowded_scenes=True,
             stream="snap",
             description="With an initial guess: up to 28 mm off along each axis and up to 27.5° about any axis.",
         ),
@@ -44,6 +47,7 @@ TRACKS = {
             sensor="ideal",
             guess="tilt",
             parts="all",
+            crowded_scenes=False,
             stream="snap-tilt",
             description="As snap, but the guess is rotated by a tilt alone: the guesses of the paper's release.",
         ),
@@ -52,6 +56,7 @@ TRACKS = {
             sensor="ideal",
             guess=None,
             parts="upright",
+            crowded_scenes=True,
             stream="place",
             description="Without a guess: parts lie upright at any yaw, slots are tilted by up to 45°.",
         ),
@@ -60,6 +65,7 @@ TRACKS = {
             sensor="ideal",
             guess=None,
             parts="upright with a nearly level goal",
+            crowded_scenes=False,
             stream="place-paper",
             description="Without a guess, as in the paper: only goals with roll and pitch within ± 15°.",
         ),
@@ -68,6 +74,7 @@ TRACKS = {
             sensor="d415",
             guess="ball",
             parts="all",
+            crowded_scenes=True,
             stream="snap",
             description="As snap, from a depth image with the noise of a RealSense D415.",
         ),
@@ -76,6 +83,7 @@ TRACKS = {
             sensor="d415",
             guess=None,
             parts="upright",
+            crowded_scenes=True,
             stream="place",
             description="As place, from a depth image with the noise of a RealSense D415.",
         ),

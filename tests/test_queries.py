@@ -23,7 +23,7 @@ from kit1000.motions import apply_error, error_of
 from kit1000.pivots import part_pivots
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.sim.layout import TUMBLED, UPRIGHT
-from kit1000.tracks import CURVES, TRACKS, curve_id, curve_levels, has_curves
+from kit1000.tracks import CURVES, PAPER_TRACKS, TRACKS, curve_id, curve_levels, has_curves
 from kit1000.values import FIRST_PART_LABEL, FreeAxis, Slot, View
 from tests.strategies import poses
 
@@ -32,6 +32,7 @@ CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 TRUE_CAMERA = look_at((0.7, -0.1, 0.6), (0, 0, 0))
 MEASURED_CAMERA = Pose.from_rotvec((0.001, 0.002, -0.001), (1e-3, 0, -1e-3)) @ TRUE_CAMERA
 PARTS = 5
+PAPER = {"snap-tilt", "place-paper"}
 
 
 def tilted(angle_deg: float, azimuth: float = 0.7) -> Pose:
@@ -61,6 +62,7 @@ class SceneArguments:
     labels: np.ndarray
     target: int = 1
     curves: bool = False
+    crowded: bool = False
     seed: int = 3
     scene_id: str = SCENE
 
@@ -69,8 +71,9 @@ class SceneArguments:
 
     def queries_and_truths(self) -> tuple[list[Row], dict[str, Row]]:
         split = self.scene_id.partition("-")[0]
-        parts = self.parts
-        return scene_queries(self.scene_id, split, self.seed, self.views, self.labels, parts, self.target, self.curves)
+        images = self.views, self.labels
+        options = {"curves": self.curves, "crowded": self.crowded}
+        return scene_queries(self.scene_id, split, self.seed, *images, self.parts, self.target, **options)
 
     def by_id(self) -> dict[str, Row]:
         return {row["id"]: row for row in self.rows()}
@@ -106,6 +109,13 @@ def test_every_track_has_queries_about_its_parts() -> None:
     expected = {track: [0, 1, 2, 3] for track in ("snap", "snap-tilt", "snap-d415")}
     expected |= {"place": [0, 1, 3], "place-d415": [0, 1, 3], "place-paper": [0, 3]}
     assert found == {(track, i) for track, parts in expected.items() for i in parts}
+
+
+def test_the_tracks_of_the_paper_ask_nothing_in_a_crowded_scene() -> None:
+    asked, crowded = scene_arguments(curves=True).by_id(), scene_arguments(curves=True, crowded=True).by_id()
+    assert {row["track"] for row in asked.values()} - {row["track"] for row in crowded.values()} == PAPER
+    assert crowded == {i: row for i, row in asked.items() if row["track"] not in PAPER}
+    assert {*PAPER_TRACKS.values()} == PAPER
 
 
 def test_rows_have_the_fields_of_the_format() -> None:

@@ -116,7 +116,7 @@ def scene(scene_id: str, assembly: Assembly) -> tuple[Observation, SceneTruth]:
     """The observation and the truth of a scene."""
     split = scene_id.partition("-")[0]
     views, labels, parts = views_of(scene_id), labels_of(), parts_in_scene(assembly)
-    rows, truths = scene_queries(scene_id, split, 1, views, labels, parts, 1, scene_id in CURVED)
+    rows, truths = scene_queries(scene_id, split, 1, views, labels, parts, 1, curves=scene_id in CURVED, crowded=False)
     told = tuple(
         {
             "part_id": FAMILIES[part.index],

@@ -83,7 +83,9 @@ def scene_queries(
     labels: np.ndarray,
     parts: Sequence[PartInScene],
     target: int,
+    *,
     curves: bool,
+    crowded: bool,
 ) -> tuple[list[Row], dict[str, Row]]:
     """The queries of a scene and, by query id, their ground truth: rows as in `kit1000.dataset.schema`.
 
@@ -96,6 +98,7 @@ def scene_queries(
         parts: the parts of the scene.
         target: index of the scene's target.
         curves: whether the target also gets the queries of the curves, one for each level of guess error.
+        crowded: whether the scene is crowded; tracks without `crowded_scenes` get no queries about it then.
     """
     if curves and split != "test":
         raise InputError(f"curves: expected a scene of the test split, got {scene_id} of {split}")
@@ -103,7 +106,8 @@ def scene_queries(
     truths: dict[str, Row] = {}
     visible = [part for part in parts if part.invisibility is None]
     pivots = {sensor: part_pivots(view, labels) for sensor, view in views.items()}
-    for name, track in TRACKS.items():
+    asking = {name: track for name, track in TRACKS.items() if track.crowded_scenes or not crowded}
+    for name, track in asking.items():
         queries = list(_track_queries(scene_id, seed, name, visible, pivots.get(track.sensor, {})))
         drawn = _drawn_part(seed, scene_id, track.stream, [query.part.index for query in queries], target)
         for query in queries:

@@ -110,7 +110,9 @@ def make_scene(
     labels.setflags(write=False)
     in_scene = [_part_in_scene(scene_parts, layout_view, i) for i in range(len(scene_parts.parts))]
     curves = has_curves(scene_parts.scene_id, preset.curve_scenes)
-    rows, truths = scene_queries(scene_parts.scene_id, split, seed, views, labels, in_scene, scene_parts.target, curves)
+    rows, truths = scene_queries(
+        scene_parts.scene_id, split, seed, views, labels, in_scene, scene_parts.target, curves=curves, crowded=False
+    )
     rows = [row for row in rows if row["track"] in (*preset.tracks, CURVES)]
     truths = {row["id"]: truths[row["id"]] for row in rows}
     truth = SceneTruth(
