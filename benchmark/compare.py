@@ -1,6 +1,6 @@
 """The comparison of two methods: paired over the queries that both predict, with intervals and p values.
 
-Both have the same queries, so the difference is taken query by query and its mean resampled by assembly, as in
+Both have the same queries, so the difference is taken query by query and its mean resampled by assembly and part, as in
 `intervals`. The two-sided p value comes from the same resamples: with c of B on the rarer side of zero, zeros counted
 on both, it is 2 (c + 1) / (B + 1), at most 1; so it is below 0.05 where the interval excludes zero. A rate, such as
 seated, is one bit per query: its p value is that of McNemar's exact test, from the queries that only one method passes.
@@ -162,7 +162,7 @@ def _differences(a: PerQuery, b: PerQuery, draws: int, seed: int) -> dict[str, D
     pairs = {quantity: _pair(a, b, quantity) for quantity in shown}
     known = {quantity: pair for quantity, pair in pairs.items() if np.isfinite(pair).all()}
     columns = np.stack([first - second for first, second in known.values()], axis=1)
-    resampled = bootstrap_means(columns, a.assembly_id, draws, seed)
+    resampled = bootstrap_means(columns, a.clusterings, draws, seed)
     differences: dict[str, Difference | None] = dict.fromkeys(quantity.key for quantity in shown)
     for i, (quantity, pair) in enumerate(known.items()):
         differences[quantity.key] = _difference(quantity, pair, resampled[:, i])

@@ -70,6 +70,7 @@ def evaluate(
         track=np.array(queries.tracks),
         scene_id=np.array(queries.scene_ids),
         assembly_id=np.array([truth.assembly_id for truth in queries.truths]),
+        part_id=np.array([truth.part_id for truth in queries.truths]),
         covered=predictions.covered,
         quantities=measured,
         confidence=predictions.confidence,

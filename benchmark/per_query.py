@@ -26,7 +26,9 @@ class PerQuery:
     scene_id: np.ndarray
     """str"""
     assembly_id: np.ndarray
-    """str: queries about one assembly are resampled together."""
+    """str"""
+    part_id: np.ndarray
+    """str"""
     covered: np.ndarray
     """bool: whether there is a prediction; without one, the zero motion is measured."""
     quantities: Mapping[str, np.ndarray]
@@ -83,6 +85,11 @@ class PerQuery:
     def of_track(self, track: str) -> PerQuery:
         """The rows of a track."""
         return self[self.track == track]
+
+    @property
+    def clusterings(self) -> tuple[np.ndarray, np.ndarray]:
+        """Queries about one assembly are resampled together, and so are queries about one part."""
+        return self.assembly_id, self.part_id
 
     @property
     def tracks(self) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ from benchmark.quantities import Quantity
 from kit1000.tracks import CURVES
 
 Row = dict[str, Any]
+Clusterings = Sequence[np.ndarray]
 
 
 def summarise(rows: PerQuery, protocol: Protocol, rotation_only: bool) -> Row:
@@ -45,8 +46,9 @@ def _curves(rows: PerQuery) -> Row | None:
 
 
 def _numbered(rows: PerQuery) -> PerQuery:
-    """The same rows with numbers for assemblies: they are resampled faster than names, with the same result."""
-    return replace(rows, assembly_id=np.unique(rows.assembly_id, return_inverse=True)[1])
+    """The same rows with numbers for assemblies and parts: resampled faster than names, with the same result."""
+    assemblies, parts = (np.unique(ids, return_inverse=True)[1] for ids in rows.clusterings)
+    return replace(rows, assembly_id=assemblies, part_id=parts)
 
 
 def track_summary(rows: PerQuery, protocol: Protocol, rotation_only: bool) -> Row:
@@ -56,7 +58,7 @@ def track_summary(rows: PerQuery, protocol: Protocol, rotation_only: bool) -> Ro
     return {
         "n": len(rows),
         "coverage": float(rows.covered.mean()),
-        **estimates(quantities.QUANTITIES, columns, rows.assembly_id, protocol, rotation_only),
+        **estimates(quantities.QUANTITIES, columns, rows.clusterings, protocol, rotation_only),
         "loose_fits": None if rotation_only else int((rows.quantities[quantities.SEATED.key] & far).sum()),
         "exact_tests": int(rows.exact_test.sum()),
         "exact_disagreements": int(rows.exact_disagreement.sum()),
@@ -76,7 +78,7 @@ def breakdown(rows: PerQuery, protocol: Protocol, rotation_only: bool) -> Row:
 
 def _group(rows: PerQuery, protocol: Protocol, rotation_only: bool) -> Row:
     shown = quantities.shown_in("breakdown")
-    return {"n": len(rows)} | estimates(shown, rows.quantities, rows.assembly_id, protocol, rotation_only)
+    return {"n": len(rows)} | estimates(shown, rows.quantities, rows.clusterings, protocol, rotation_only)
 
 
 def beyond(rows: PerQuery, protocol: Protocol) -> np.ndarray:
@@ -89,7 +91,7 @@ def beyond(rows: PerQuery, protocol: Protocol) -> np.ndarray:
 def estimates(
     of: Iterable[Quantity],
     columns: Mapping[str, np.ndarray],
-    assemblies: np.ndarray,
+    clusterings: Clusterings,
     protocol: Protocol,
     rotation_only: bool,
 ) -> dict[str, Row | None]:
@@ -98,45 +100,44 @@ def estimates(
     Args:
         of: the quantities.
         columns: their values (n,), by key.
-        assemblies: (n,) labels; queries of equal labels are resampled together.
+        clusterings: each (n,) labels; queries of equal labels are resampled together.
         protocol: for the bootstrap.
         rotation_only: whether the method predicts no positions.
     """
     of = tuple(of)
     rates = {
-        each.key: None if rotation_only and each.needs_position else _rate(columns[each.key])
+        each.key: None if rotation_only and each.needs_position else _rate(columns[each.key], clusterings)
         for each in of
         if each.rate
     }
-    return means({each.key: columns[each.key] for each in of if not each.rate}, assemblies, protocol) | rates
+    return means({each.key: columns[each.key] for each in of if not each.rate}, clusterings, protocol) | rates
 
 
-def means(columns: Mapping[str, np.ndarray], assemblies: np.ndarray, protocol: Protocol) -> dict[str, Row | None]:
+def means(columns: Mapping[str, np.ndarray], clusterings: Clusterings, protocol: Protocol) -> dict[str, Row | None]:
     """Mean, median and interval of columns (n,), over the rows where they were measured; None where nothing was."""
     complete = [name for name, column in columns.items() if np.isfinite(column).all()]
     found: dict[str, Row | None] = dict.fromkeys(columns)
     if complete:  # the same draws serve all of them
         stacked = np.stack([columns[name] for name in complete], axis=1)
-        found |= zip(complete, _mean_rows(stacked, assemblies, protocol), strict=True)
+        found |= zip(complete, _mean_rows(stacked, clusterings, protocol), strict=True)
     for name, column in columns.items():
         known = np.isfinite(column)
         if name not in complete and known.any():
-            (found[name],) = _mean_rows(column[known, None], assemblies[known], protocol)
+            (found[name],) = _mean_rows(column[known, None], [labels[known] for labels in clusterings], protocol)
     return found
 
 
-def _mean_rows(columns: np.ndarray, assemblies: np.ndarray, protocol: Protocol) -> list[Row]:
-    """Mean, median and interval of each of m columns (n, m); assemblies: (n,)."""
-    drawn = bootstrap_means(columns, assemblies, protocol.draws, protocol.seed)
+def _mean_rows(columns: np.ndarray, clusterings: Clusterings, protocol: Protocol) -> list[Row]:
+    """Mean, median and interval of each of m columns (n, m)."""
+    drawn = bootstrap_means(columns, clusterings, protocol.draws, protocol.seed)
     ends, medians = np.quantile(drawn, ENDS, axis=0), np.median(columns, axis=0)
     numbers = zip(columns.mean(axis=0).tolist(), medians.tolist(), ends.T.tolist(), strict=True)
     return [{"mean": mean, "median": median, "ci95": ci95} for mean, median, ci95 in numbers]
 
 
-def _rate(passed: np.ndarray) -> Row:
+def _rate(passed: np.ndarray, clusterings: Clusterings) -> Row:
     """The share of True in (n,) bool, with its interval."""
-    count, n = int(passed.sum()), len(passed)
-    return {"rate": count / n, "ci95": list(rate_interval(count, n))}
+    return {"rate": int(passed.sum()) / len(passed), "ci95": list(rate_interval(passed, clusterings))}
 
 
 def histogram(values: np.ndarray, edges: Sequence[float]) -> Row | None:

@@ -64,8 +64,8 @@ NOTES = (
     "Mean and median are of errors to the nearest goal, the one of smallest MSSD: a rotation by a symmetry of the part "
     "is no error. Plain errors are to one fixed goal: the one that the guess was drawn around or, without a guess, the "
     "design pose.",
-    "[lo, hi] is the 95 % interval of the mean, from a bootstrap over assemblies. A missing prediction counts as no "
-    "motion.",
+    "[lo, hi] is the 95 % interval of the mean, from a bootstrap over assemblies and parts. A missing prediction "
+    "counts as no motion.",
     "Methods with true volumes or true geometry read the ground truth: they show what is possible with perfect "
     "perception. Controls are reference points and no methods.",
 )

@@ -137,6 +137,7 @@ def _rows(
         track=np.array([track for _, track in ids]),
         scene_id=np.array([f"test-s{i % SCENES:04}" for i in k]),
         assembly_id=np.array([f"test-{i % SCENES:04}" for i in k]),
+        part_id=np.array([f"test-{i % SCENES:04}-p{i % 3}" for i in k]),
         covered=k % 17 > 0,
         quantities=measured,
         exact_test=np.zeros(n, bool),

@@ -10,5 +10,5 @@ from benchmark.intervals import ENDS, bootstrap_means
 
 def mean_interval(values: ArrayLike, clusters: ArrayLike, **bootstrap: int) -> tuple[float, float]:
     """95 % interval (lo, hi) of the mean of values (n,); clusters: (n,) labels; bootstrap: draws and seed."""
-    lo, hi = np.quantile(bootstrap_means(np.asarray(values, float)[:, None], clusters, **bootstrap), ENDS)
+    lo, hi = np.quantile(bootstrap_means(np.asarray(values, float)[:, None], [clusters], **bootstrap), ENDS)
     return float(lo), float(hi)

@@ -33,7 +33,9 @@ def key(given: Predictions | None = None, id: str = "abc", checksum: str | None 
 def rows(n: int = 3) -> PerQuery:
     names = {*PerQuery.__dataclass_fields__, *(quantity.key for quantity in quantities.per_query())}
     numbers = {name: np.arange(n) / 7 for name in names}
-    texts = {name: np.array([f"{name}{i}" for i in range(n)]) for name in ("query_id", "track", "assembly_id")}
+    texts = {
+        name: np.array([f"{name}{i}" for i in range(n)]) for name in ("query_id", "track", "assembly_id", "part_id")
+    }
     return PerQuery.of_columns(numbers | texts | {"seated": np.arange(n) > 1})
 
 

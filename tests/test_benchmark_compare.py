@@ -21,12 +21,12 @@ from benchmark.report import json_text
 from benchmark.score import Scores
 from kit1000.errors import InputError
 
-TEXT = ("query_id", "track", "scene_id", "assembly_id", "rest_mode", "symmetry")
+TEXT = ("query_id", "track", "scene_id", "assembly_id", "part_id", "rest_mode", "symmetry")
 BITS = ("covered", "seated", "seated_strict", "exact_test", "exact_disagreement", "held_out")
 
 
 def rows(n: int = 100, track: str = "snap", **columns: Any) -> PerQuery:
-    """Rows of n queries, two per assembly, all predicted; columns that are not given are 0, False or a dash."""
+    """Rows of n queries, all predicted, two per assembly; columns that are not given are 0, False or a dash."""
     number = np.arange(n)
     names = {*PerQuery.__dataclass_fields__, *(quantity.key for quantity in quantities.per_query())}
     made: dict[str, Any] = {name: np.zeros(n) for name in names}
@@ -35,6 +35,7 @@ def rows(n: int = 100, track: str = "snap", **columns: Any) -> PerQuery:
         "query_id": np.array([f"test-s{i:04d}-p0-{track}" for i in number]),
         "track": np.full(n, track),
         "assembly_id": np.array([f"a{i // 2}" for i in number]),
+        "part_id": np.array([f"p{i}" for i in number]),
         "covered": np.ones(n, bool),
         "kits": np.full(n, 2),
     }
