@@ -65,6 +65,7 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ('"near": 0.1e-3', '"near": 0.01e-3'),
         ("xyz + (offset if np.isfinite(offset) else 0.0) * axis", "xyz"),
         ("goals.inverse().rotate(UP)", "poses.inverse().rotate(UP)"),
+        ("if not is_rotation_seated(trial.kit_from_part, trial.goal):", "if False:"),
         ("(closed.seated, closed.strict) != (final.seated, final.strict)", "closed.seated != final.seated"),
     ),
     ("kit1000/metrics/exact_seating.py", "metrics_seating stated_numbers"): (
@@ -99,6 +100,8 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ("abs(height) <= deep - BISECTION_STEP", "height <= deep - BISECTION_STEP"),
         ("deep = min(limit, depth / 3)", "deep = limit"),
         ("HOVER = 0.1 ", "HOVER = 0.05 "),
+        ("ROTATION_LIMIT = np.radians(10)", "ROTATION_LIMIT = np.radians(11)"),
+        ("near and passes(STRICT_LIMIT)", "passes(STRICT_LIMIT)"),
     ),
     ("kit1000/kits/contact.py", "contact"): (
         ("facing[body.adjacent] > -WALL_COSINE).any(1)", "facing[body.adjacent] > -WALL_COSINE).all(1)"),

@@ -122,7 +122,7 @@ SEATED = Quantity(
     "seated",
     "Seated",
     PERCENT,
-    "Share of predictions that pass the seating test: the part goes into its slot",
+    "Share of predictions that pass the seating test: the part goes into its slot, within 10° of its goal",
     "seated",
     HEADLINE,
     decimals=1,

@@ -139,7 +139,7 @@ def test_keyedness_is_the_yaw_that_jams_in_both_senses() -> None:
     test, design = SeatingTest(part.mesh, kit), kit.slot.goals[0]
     yaws = np.arange(STEP, np.pi, STEP)
     jams = [
-        next(yaw for yaw in yaws if not test.is_seated(rotated_about_centroid(design, sign * yaw * Z), design))
+        next(yaw for yaw in yaws if not test.fits(rotated_about_centroid(design, sign * yaw * Z), design))
         for sign in (1, -1)
     ]
     assert max(jams) > 5 * min(jams)

@@ -147,6 +147,14 @@ def test_a_round_part_is_seated_at_any_angle() -> None:
     assert results.strict.all()
 
 
+@pytest.mark.parametrize(("tilt", "is_seated"), [(9.9, True), (10.1, False)])
+def test_a_jammed_part_is_seated_up_to_10_degrees_from_its_goal(tilt: float, is_seated: bool) -> None:
+    truth, spun = truth_of("round"), Pose.from_rotvec(np.array([0, 0, 2.0]))
+    pose = rotated_about_centroid(spun @ truth.slot.goals[0], np.radians([tilt, 0, 0]))
+    pose = Pose.from_translation(results_of((truth, pose)).contact_offset[0] * pose.rotate(UP)) @ pose
+    assert all(results_of((truth, pose), exact=mode).seated[0] == is_seated for mode in ("near", "all", "never"))
+
+
 @pytest.mark.parametrize("name", QUICK)
 def test_results_equal_those_of_single_trials(name: str) -> None:
     """Of a kit alone, in its own frame: the test that the generation of kits runs."""
@@ -326,7 +334,7 @@ def test_the_bounds_of_the_plate_hold_at_contact(x: float, offset: float, over: 
     ("seated", "strict", "differs"), [(True, True, False), (True, False, True), (False, False, True)]
 )
 def test_the_tests_disagree_when_either_result_differs(seated: bool, strict: bool, differs: bool) -> None:
-    closed, final = SeatingResult(0.0, 0.0, True, True), SeatingResult(0.0, 0.0, seated, strict)
+    closed, final = SeatingResult(0.0, 0.0, True, True, True), SeatingResult(0.0, 0.0, True, seated, strict)
     assert _to_seatings([_TestResult(closed, final, True)]).disagrees.tolist() == [differs]
 
 

@@ -126,6 +126,16 @@ def test_seated_is_within_3_mm_and_strict_within_1_mm(off_mm: float, seated: boo
         assert (result.seated, result.strict) == (seated, strict)
 
 
+@pytest.mark.parametrize(("angle_deg", "seated"), [(9.95, True), (-9.95, True), (10.05, False), (-10.05, False)])
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 0, 1), (0.6, 0, 0.8)])
+def test_seated_and_strict_are_within_10_degrees(axis: tuple[float, ...], angle_deg: float, seated: bool) -> None:
+    """Of the goal, about whatever axis; contact is where it should be."""
+    part = InsertedPart(convex_edges(sample_part("tee").mesh), np.array([0.0, 0.0, 1.0]))
+    pose = Pose.from_rotvec(np.radians(angle_deg) * np.array(axis))
+    result = seating_result(0.0, part, pose, Pose.identity(), 20e-3)
+    assert (result.fits, result.seated, result.strict) == (True, seated, seated)
+
+
 @pytest.mark.parametrize(("off_mm", "same"), [(0.9, True), (1.1, False)])
 def test_a_pose_within_1_mm_of_a_goal_is_that_goal(off_mm: float, same: bool) -> None:
     kit = sample_kit("tee")

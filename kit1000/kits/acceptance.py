@@ -1,6 +1,7 @@
 """Acceptance tests of a part and its kit: the part seats at every goal and at no pose that is clearly wrong.
 
-All of them use the closed-form seating test of `seating`. A pair that fails is drawn again; the reason is counted.
+All of them use the closed-form contact of `seating`, at whatever rotation: what matters is where the part goes in, not
+whether a score would count it. A pair that fails is drawn again; the reason is counted.
 """
 
 from __future__ import annotations
@@ -53,9 +54,9 @@ class SeatingTest:
         offset = contact_offset(part, self.kit_edges, pose, self.kit_features)
         return seating_result(offset, part, pose, goal, self.slot.depth)
 
-    def is_seated(self, pose: Pose, goal: Pose) -> bool:
-        """Whether a pose meant for a goal is seated."""
-        return self.result(pose, goal).seated
+    def fits(self, pose: Pose, goal: Pose) -> bool:
+        """Whether contact alone seats a pose meant for a goal, at whatever rotation."""
+        return self.result(pose, goal).fits
 
 
 def check_pair(part: Part, kit: Kit) -> PairCheck:
@@ -68,11 +69,11 @@ def check_pair(part: Part, kit: Kit) -> PairCheck:
         if not test.result(goal, goal).strict:
             raise Redraw(NOT_SEATED)
     for name, pose in wrong_poses(kit):
-        if not is_goal(pose, kit) and test.is_seated(pose, design):
+        if not is_goal(pose, kit) and test.fits(pose, design):
             raise Redraw(f"seats when {name}")
     yaw = keyedness(test)
     for pose in poses_beyond_keyedness(kit, yaw):
-        if not is_goal(pose, kit, yaw) and test.is_seated(pose, design):
+        if not is_goal(pose, kit, yaw) and test.fits(pose, design):
             raise Redraw("seats when turned past its keyedness")
     loose = find_loose_fit(PreparedPart(part.mesh, resting_faces(part.mesh)), PreparedKit(kit)) is not None
     return PairCheck(yaw, loose)
@@ -98,7 +99,7 @@ def keyedness(test: SeatingTest) -> float | None:
     """[rad] the smallest yaw from the design pose at which the part seats in neither sense of rotation."""
     design = test.slot.goals[0]
     for yaw in np.arange(ANGLE_STEP, np.pi, ANGLE_STEP):
-        if not any(test.is_seated(rotated_about_centroid(design, np.array([0, 0, s * yaw])), design) for s in (1, -1)):
+        if not any(test.fits(rotated_about_centroid(design, np.array([0, 0, s * yaw])), design) for s in (1, -1)):
             return float(yaw)
     return None
 

@@ -3,9 +3,11 @@
 The part keeps the predicted orientation, starts HOVER out along the carried axis (the insertion axis, rotated with the
 part by the prediction), and moves along it to first contact with everything around, the fixed bodies. It is seated when
 contact leaves it at goal height (within min(3 mm, depth/3) along the slot's axis), when the predicted pose lies within
-3 mm of the contact pose, and when the slot is the true one. The strict test has 1 mm in place of 3. Two independent
-computations of the contact, `contact_offset` (closed form on faces and edges, a millisecond) and
-`contact_offset_by_booleans` (bisection over exact booleans), agree within BISECTION_STEP. All lengths are metres.
+3 mm of the contact pose, when it is rotated by at most 10 degrees from its goal, and when the slot is the true one. The
+strict test has 1 mm in place of 3. The motion to contact does not rotate the part, so its rotation is the predicted
+one; without that limit, jammed parts 17 degrees off would count. Two independent computations of the contact,
+`contact_offset` (closed form on faces and edges, a millisecond) and `contact_offset_by_booleans` (bisection over exact
+booleans), agree within BISECTION_STEP. All lengths are metres.
 """
 
 from __future__ import annotations
@@ -17,12 +19,13 @@ from manifold3d import Manifold, Mesh64, OpType
 
 from kit1000.kits.contact import ContactFeatures, ConvexEdges, contact_features, convex_edges, vertical_contact_offset
 from kit1000.mesh import Mesh, solid_from_mesh
-from kit1000.pose import Pose, quaternion_between
+from kit1000.pose import Pose, quaternion_angle, quaternion_between
 from kit1000.products import matmul
 
 HOVER = 0.1  # [m] the approach begins so far out (paper, section III-E)
 SEATED_LIMIT = 3e-3  # [m] of a seated prediction from contact, and of contact from goal height
 STRICT_LIMIT = 1e-3  # [m] the same for the strict test
+ROTATION_LIMIT = np.radians(10)  # [rad] of a seated prediction from its goal, in both tests
 BISECTION_STEP = 0.02e-3  # [m] resolution of the bisection; both limits are tightened by it
 PARALLEL_TOLERANCE = 1e-15  # 1 - cos of an angle (45 nrad) that moves no point by a nanometre
 WALL_COSINE = 1e-6  # faces whose unit normal has a smaller -z are walls: what they sweep has no volume
@@ -54,6 +57,8 @@ class SeatingResult:
     """[m] from the predicted pose to contact along the carried axis; -inf when nothing is below."""
     contact_height: float
     """[m] of the part at contact above its goal, along the slot's axis."""
+    fits: bool
+    """Whether contact alone passes the test, at whatever rotation."""
     seated: bool
     strict: bool
 
@@ -126,7 +131,7 @@ def seating_result(offset: float, part: InsertedPart, kit_from_part: Pose, goal:
     kit_from_part, goal: unbatched poses in the kit frame, whose z is the slot's axis; depth: [m] of the cavity.
     """
     if not np.isfinite(offset):
-        return SeatingResult(offset, -np.inf, False, False)
+        return SeatingResult(offset, -np.inf, False, False, False)
     contact = kit_from_part.xyz + offset * kit_from_part.rotate(part.axis)
     height = float(contact[2] - goal.xyz[2])
 
@@ -134,4 +139,10 @@ def seating_result(offset: float, part: InsertedPart, kit_from_part: Pose, goal:
         deep = min(limit, depth / 3)
         return bool(abs(height) <= deep - BISECTION_STEP and abs(offset) < limit - BISECTION_STEP)
 
-    return SeatingResult(offset, height, passes(SEATED_LIMIT), passes(STRICT_LIMIT))
+    fits, near = passes(SEATED_LIMIT), is_rotation_seated(kit_from_part, goal)
+    return SeatingResult(offset, height, fits, fits and near, near and passes(STRICT_LIMIT))
+
+
+def is_rotation_seated(pose: Pose, goal: Pose) -> bool:
+    """Whether a pose is rotated by at most ROTATION_LIMIT from its goal; both in one frame."""
+    return bool(quaternion_angle(pose.wxyz, goal.wxyz) <= ROTATION_LIMIT)

@@ -13,7 +13,7 @@ METRIC_VERSIONS: dict[str, int] = {
     "position": 1,
     "rotation": 1,
     "mssd": 1,
-    "seated": 1,
+    "seated": 2,
     "penetration": 1,
     "occupancy_iou": 1,
     "chamfer": 1,

@@ -26,6 +26,7 @@ from kit1000.kits.seating import (
     InsertedPart,
     SeatingResult,
     contact_offset,
+    is_rotation_seated,
     seating_result,
 )
 from kit1000.mesh import Mesh, solid_from_mesh
@@ -57,9 +58,10 @@ class Seatings:
     """Results of the seating test for n predictions, one row a query; read-only."""
 
     seated: np.ndarray
-    """(n,) bool: in the true slot, contact within min(3 mm, depth/3) of goal height, prediction within 3 mm of it."""
+    """(n,) bool: in the true slot, contact within min(3 mm, depth/3) of goal height, prediction within 3 mm of it and
+    rotated by at most 10 degrees from the nearest goal."""
     strict: np.ndarray
-    """(n,) bool: the same with 1 mm in place of 3."""
+    """(n,) bool: the same with 1 mm in place of 3 mm."""
     penetration: np.ndarray
     """(n,) [m] how far the predicted pose lies below contact; 0 above it."""
     contact_offset: np.ndarray
@@ -227,8 +229,10 @@ class _AssemblyTester:
         closed = seating_result(offset, part, trial.kit_from_part, trial.goal, depth)
         xyz, axis = trial.kit_from_part.xyz, trial.kit_from_part.rotate(trial.axis)
         if not _is_over_plate(xyz, axis, offset, self.job.kits[part_id].extent):
-            closed = SeatingResult(offset, closed.contact_height, False, False)
+            closed = SeatingResult(offset, closed.contact_height, closed.fits, False, False)
             return _TestResult(closed, closed, False)
+        if not is_rotation_seated(trial.kit_from_part, trial.goal):
+            return _TestResult(closed, closed, False)  # no contact would seat it
         height, limits = xyz[2] - trial.goal.xyz[2], (SEATED_LIMIT, STRICT_LIMIT)
         intervals = [ContactInterval.of(limit, depth, axis[2], height) for limit in limits]
         band = EXACT_BANDS[self.job.exact]
@@ -237,7 +241,7 @@ class _AssemblyTester:
         swept = self._swept_volume(part_id, trial.axis)
         is_collision_free = cache(partial(swept.is_collision_free, self.solid, trial.assembly_from_part))
         passed = (contact_in_interval(interval, offset, band, is_collision_free) for interval in intervals)
-        return _TestResult(closed, SeatingResult(offset, closed.contact_height, *passed), True)
+        return _TestResult(closed, SeatingResult(offset, closed.contact_height, closed.fits, *passed), True)
 
     def _swept_volume(self, part_id: str, axis: np.ndarray) -> SweptVolume:
         key = part_id, (np.round(axis, AXIS_DECIMALS) + 0.0).tobytes()
