@@ -12,6 +12,7 @@ MAX_OFFSET = 28e-3  # [m] along each world axis: the search range of the paper's
 MAX_ANGLE = float(np.radians(27.5))  # the range of the candidate rotations of the paper
 LEVELS = 8  # of a curve: level k is k/7 of MAX_OFFSET and of MAX_ANGLE
 FIXED_LEVELS = (1, 4, 7)  # levels of one kind of error while the other varies over all levels
+DECIMALS = 12  # of directions and rotation vectors: their last bits come from libm and depend on the processor
 
 
 def draw_goal(rng: np.random.Generator, slot: Slot) -> tuple[int, float]:
@@ -21,8 +22,8 @@ def draw_goal(rng: np.random.Generator, slot: Slot) -> tuple[int, float]:
 
 
 def draw_direction(rng: np.random.Generator) -> np.ndarray:
-    """(3,) unit vector, uniform on the sphere."""
-    return unit_vector(rng.standard_normal(3))
+    """(3,) unit vector, uniform on the sphere, rounded to DECIMALS."""
+    return np.round(unit_vector(rng.standard_normal(3)), DECIMALS)
 
 
 def draw_ball_error(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
@@ -33,7 +34,8 @@ def draw_ball_error(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 def draw_tilt_error(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """The paper's error: the same offset, and a rotation vector (3,) [rad] that tilts the vertical without twist."""
     offset, azimuth = _draw_offset(rng), rng.uniform(0, 2 * np.pi)
-    return offset, np.array([-np.sin(azimuth), np.cos(azimuth), 0.0]) * rng.uniform(0, MAX_ANGLE)
+    axis = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    return offset, np.round(axis, DECIMALS) * rng.uniform(0, MAX_ANGLE)
 
 
 def level_offset(level: int) -> float:

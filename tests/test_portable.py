@@ -7,9 +7,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 from mini import file_hashes
 
 from bench.portable import OLD_PROCESSOR
+from kit1000.guesses import draw_direction, draw_tilt_error
+from tests.test_settle import SHAPES, drops, part_of
 
 ROOT = Path(__file__).resolve().parents[1]
 GENERATE_MINI = """
@@ -21,9 +24,37 @@ generate(MINI, Path(sys.argv[1]), workers=1)
 """
 
 
-def test_an_older_processor_writes_the_same_bytes(mini: Path, tmp_path: Path) -> None:
+def on_an_older_processor(code: str, *arguments: str) -> str:
+    """What Python code prints there."""
     paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
     environment = os.environ | OLD_PROCESSOR | {"PYTHONPATH": paths}
-    command = [sys.executable, "-W", "ignore", "-c", GENERATE_MINI, str(tmp_path / "mini")]
-    subprocess.run(command, env=environment, check=True, capture_output=True)
+    command = [sys.executable, "-W", "ignore", "-c", code, *arguments]
+    return subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout
+
+
+def test_an_older_processor_writes_the_same_bytes(mini: Path, tmp_path: Path) -> None:
+    on_an_older_processor(GENERATE_MINI, str(tmp_path / "mini"))
     assert file_hashes(tmp_path / "mini") == file_hashes(mini)
+
+
+def roller_poses() -> str:
+    """The rest poses of rollers, which amplify differences most: without rounding, two of three would differ."""
+    poses = [rest.world_from_part for rest in drops(part_of(SHAPES["roller"]()), 15)]
+    return " ".join(pose.wxyz.tobytes().hex() + pose.xyz.tobytes().hex() for pose in poses)
+
+
+def test_parts_settle_alike_on_an_older_processor() -> None:
+    code = "from tests.test_portable import roller_poses; print(roller_poses())"
+    assert on_an_older_processor(code).split() == roller_poses().split()
+
+
+def drawn_errors() -> str:
+    """Errors of guesses: sine and cosine differ in the last bit of one number in 1,400."""
+    rng = np.random.default_rng(0)
+    rows = [np.concatenate([draw_direction(rng), *draw_tilt_error(rng)]) for _ in range(5000)]
+    return np.stack(rows).tobytes().hex()
+
+
+def test_guesses_are_drawn_alike_on_an_older_processor() -> None:
+    code = "from tests.test_portable import drawn_errors; print(drawn_errors())"
+    assert on_an_older_processor(code).strip() == drawn_errors()
