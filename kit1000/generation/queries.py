@@ -34,6 +34,7 @@ from kit1000.values import Slot, View
 
 PAPER_TILT = float(np.radians(15))  # largest roll and largest pitch of a goal in the paper's task without a guess
 ANGLE_STEP = np.radians(0.25)  # between the angles about a free axis that are tested against PAPER_TILT
+POSE_DECIMALS = 12  # of goals and guesses: the last bits of sine and cosine differ between processors
 GUESS_ERRORS = {"ball": draw_ball_error, "tilt": draw_tilt_error}
 
 
@@ -133,13 +134,18 @@ class _QueryAndTruth:
     draw: GuessDraw | None
 
     def row(self, drawn: bool) -> Row:
-        guess = self.draw and pose_row(apply_error(self.goal, self.pivot, self.draw.offset, self.draw.rotvec))
+        guess = self.draw and _rounded_row(apply_error(self.goal, self.pivot, self.draw.offset, self.draw.rotvec))
         row = {"id": self.id, "track": self.track, "sensor": self.sensor, "part": self.part.index}
         return row | {"drawn": drawn, "pivot": self.pivot.tolist(), "guess": guess}
 
     @property
     def truth(self) -> Row:
-        return {"part": self.part.index, "goal_drawn": pose_row(self.goal), "draw": self.draw and self.draw.row}
+        return {"part": self.part.index, "goal_drawn": _rounded_row(self.goal), "draw": self.draw and self.draw.row}
+
+
+def _rounded_row(pose: Pose) -> Row:
+    """The row of a pose rounded to POSE_DECIMALS."""
+    return pose_row(Pose(np.round(pose.wxyz, POSE_DECIMALS), np.round(pose.xyz, POSE_DECIMALS)))
 
 
 def _all(_: PartInScene) -> bool:

@@ -40,6 +40,8 @@ RING_POLAR_ANGLE = float(np.radians(40))
 RING_AZIMUTHS_DEG = (90.0, 210.0, 330.0)  # one over the kits, two over the parts
 TOP_HEIGHT = 0.65
 
+POSITION_DECIMALS = 9  # [m] of a camera: the last bits of sine and cosine differ between processors
+
 CAMERA_SETS = ("primary", "three", "top")
 
 
@@ -77,7 +79,8 @@ def in_view(camera: Camera, world_from_camera: Pose, points: ArrayLike, margin_p
 def _orbit_pose(radius: float, polar: float, azimuth: float, target: ArrayLike = PRIMARY_TARGET) -> Pose:
     """A camera at spherical coordinates about the target [m, rad], looking at it, +z upward in its image."""
     across, up = radius * np.sin(polar), radius * np.cos(polar)
-    return look_at(np.asarray(target) + (across * np.cos(azimuth), across * np.sin(azimuth), up), target)
+    offset = np.round((across * np.cos(azimuth), across * np.sin(azimuth), up), POSITION_DECIMALS)
+    return look_at(np.asarray(target) + offset, target)
 
 
 def _ring_poses() -> list[Pose]:

@@ -192,7 +192,7 @@ def hull_vertices(points: np.ndarray) -> np.ndarray:
 
 
 def _rounded(values: Sequence[float]) -> list[float]:
-    return [round(value, STATE_DECIMALS) + 0.0 for value in values]  # never minus zero, whose sign is that of a last bit
+    return [round(value, STATE_DECIMALS) + 0.0 for value in values]  # never minus zero: its sign is that of a last bit
 
 
 def _obj_text(pieces: Sequence[np.ndarray]) -> str:
