@@ -170,12 +170,12 @@ class Info:
 
 @dataclass(frozen=True)
 class Show:
-    """Draw parts, kits or assemblies of a dataset, or one of its scenes, as a PNG."""
+    """Draw parts, kits or assemblies of a dataset, or one of its scenes, as a PNG or as an MCAP for 3D viewers."""
 
     data: Folder
     """Dataset folder."""
     out: Path = Path("sheet.png")
-    """PNG file to write."""
+    """PNG file to write; with --scene also FILE.mcap."""
     what: Literal["parts", "kits", "assemblies"] = "assemblies"
     """What to draw."""
     count: int = 24
@@ -186,21 +186,35 @@ class Show:
     """Ids of the items, in place of evenly spaced ones."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
     """Id of a scene to draw in place of items: depth, masks, meshes and goals."""
+    truth: Flag = False
+    """In an MCAP: with models, goals and seated parts."""
+    predictions: OptionalPath = None
+    """In an MCAP: predictions.csv whose answers to the scene are shown, coloured by their errors."""
+    track: str = "snap"
+    """In an MCAP: track of the queries, with their pivots and guesses."""
 
     def run(self) -> int:
-        """Draw the PNG and print its path."""
+        """Draw the picture and print its path."""
         from kit1000.dataset.geometry import Geometry
         from kit1000.dataset.reader import Dataset
+        from kit1000.export.recording import write_scene_recording
         from kit1000.files import write_bytes
         from kit1000.pictures.dataset_sheets import geometry_sheet, scene_sheet
 
         if self.count < 1:
             raise InputError(f"--count: expected 1 or more, got {self.count}")
-        if self.scene is not None:
+        recording = self.out.suffix == ".mcap"
+        if recording and self.scene is None:
+            raise InputError(f"--out {self.out}: a recording shows one scene; add --scene ID")
+        if not recording and (self.truth or self.predictions is not None):
+            raise InputError(f"--out {self.out}: --truth and --predictions are for a recording; name a file .mcap")
+        if self.scene is None:
+            write_bytes(self.out, geometry_sheet(Geometry(self.data), self.what, self.split, self.count, self.ids))
+        elif recording:
+            options = (self.truth, self.predictions, self.track)
+            write_scene_recording(Dataset(self.data), self.scene, self.out, *options)
+        else:
             write_bytes(self.out, scene_sheet(Dataset(self.data), self.scene))
-            print(self.out)
-            return 0
-        write_bytes(self.out, geometry_sheet(Geometry(self.data), self.what, self.split, self.count, self.ids))
         print(self.out)
         return 0
 

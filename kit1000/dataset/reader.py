@@ -98,8 +98,8 @@ class Dataset:
             )
         return Split(self, name, truth)
 
-    def recorded_scene(self, scene_id: str) -> RecordedScene:
-        """A scene of any split with all its queries, and with its truth where this folder has it."""
+    def recorded_scene(self, scene_id: str, truth: bool | None = None) -> RecordedScene:
+        """A scene of any split with all its queries, with its truth or without; None: where this folder has it."""
         folder = scene_id.partition("-")[0]
         shard = self.shards(folder).get(scene_id)
         if shard is None:
@@ -107,7 +107,8 @@ class Dataset:
             raise InputError(
                 f"{self.root}: no scene {scene_id!r} among {len(known)}; {did_you_mean(scene_id, known)}".rstrip("; ")
             )
-        truth = (self.root / f"{shard}.truth.mcap").is_file()
+        if truth is None:
+            truth = (self.root / f"{shard}.truth.mcap").is_file()
         return self.split("test-all" if folder == "test" else folder, truth).scene(scene_id)
 
     def truth_of(self, query: Query) -> Truth:

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
 from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
@@ -25,12 +27,21 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from kit1000.camera import Camera
 from kit1000.dataset.mcap_io.content import json_bytes
+from kit1000.errors import checked
 from kit1000.pose import Pose
 
 WORLD = "world"
 SECOND = 1_000_000_000  # [ns]
 GLB = "model/gltf-binary"
-ENCODINGS = {"32FC1": np.dtype("<f4"), "mono8": np.dtype("u1"), "mono16": np.dtype("<u2")}
+COORDINATES = ("x", "y", "z")  # fields of a point
+CHANNELS = ("red", "green", "blue", "alpha")
+CAPTION_SIZE = 14.0  # [px] on the screen
+ENCODINGS = {
+    "32FC1": np.dtype("<f4"),
+    "mono8": np.dtype("u1"),
+    "mono16": np.dtype("<u2"),
+    "rgb8": np.dtype("u1"),  # (H, W, 3)
+}
 
 
 @dataclass(frozen=True)
@@ -157,9 +168,48 @@ def models_of(data: memoryview) -> dict[str, bytes]:
     return {entity.id: entity.models[0].data for entity in SceneUpdate.FromString(bytes(data)).entities}
 
 
+def points_message(
+    topic: str, points: np.ndarray, colours: np.ndarray, frame: str, stamp: int, values: Mapping[str, np.ndarray] = {}
+) -> Message:
+    """A cloud of points (n, 3) [m] in float32, with colours (n, 3) uint8 sRGB, and further named values (n,).
+
+    Raises ShapeError for arrays of other shapes.
+    """
+    n = len(checked("points", points, ("n", 3), np.float64))
+    kinds = [(name, "<f4") for name in COORDINATES] + [(name, "u1") for name in CHANNELS]
+    rows = np.zeros(n, kinds + [(name, "<f4") for name in values])
+    for name, column in zip(COORDINATES, points.T, strict=True):
+        rows[name] = column
+    for name, column in zip(CHANNELS, checked("colours", colours, (n, 3), np.uint8).T, strict=False):
+        rows[name] = column
+    rows["alpha"] = 255
+    for name, column in values.items():
+        rows[name] = checked(name, column, (n,))
+    value = PointCloud(frame_id=frame, point_stride=rows.itemsize, data=rows.tobytes())
+    _set_time(value.timestamp, stamp)
+    value.pose.orientation.w = 1.0
+    for name, (dtype, offset, *_) in (rows.dtype.fields or {}).items():
+        kind = PackedElementField.UINT8 if dtype == np.uint8 else PackedElementField.FLOAT32
+        value.fields.add(name=name, offset=offset, type=kind)
+    return _message(topic, value)
+
+
+def captions_message(topic: str, captions: Mapping[str, tuple[str, np.ndarray]], stamp: int) -> Message:
+    """Texts that face the viewer, each at a position (3,) [m] in the world, by name."""
+    value = SceneUpdate()
+    for name, (text, position) in captions.items():
+        entity = value.entities.add(frame_id=WORLD, id=name)
+        _set_time(entity.timestamp, stamp)
+        caption = entity.texts.add(text=text, billboard=True, scale_invariant=True, font_size=CAPTION_SIZE)
+        _set_vector(caption.pose.position, position)
+        caption.pose.orientation.w = 1.0
+        caption.color.r = caption.color.g = caption.color.b = caption.color.a = 1.0
+    return _message(topic, value)
+
+
 def image_message(topic: str, image: np.ndarray, encoding: str, frame: str, stamp: int) -> Message:
-    """An image (H, W) of the encoding's type."""
-    height, width = image.shape
+    """An image (H, W), in rgb8 (H, W, 3), of the encoding's type."""
+    height, width = image.shape[:2]
     rows = np.ascontiguousarray(image, dtype=ENCODINGS[encoding])
     value = RawImage(
         frame_id=frame, width=width, height=height, encoding=encoding, step=rows.strides[0], data=rows.tobytes()

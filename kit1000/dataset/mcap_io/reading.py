@@ -66,6 +66,11 @@ class ShardFile:
         self._check(scene_id)
         return self._source.content[scene_id]
 
+    def stamp(self, scene_id: str) -> int:
+        """The time of a scene [ns]: whole seconds."""
+        self._check(scene_id)
+        return self._source.chunks[scene_id].message_start_time
+
     @cached_property
     def _source(self) -> _Source:
         return _Source(self.path, self.CONTENTS)

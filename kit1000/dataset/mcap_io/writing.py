@@ -34,6 +34,8 @@ class ShardWriter:
     """A context manager that writes a file of scenes when its block ends without an exception and has scenes."""
 
     CONTENTS: ClassVar[str]
+    MESSAGE_STEP: ClassVar[int] = 1
+    """[ns] between the messages of a scene."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path) if isinstance(path, str) else path  # an object store has its own path type
@@ -67,7 +69,8 @@ class ShardWriter:
             raise InputError(f"{self.path}: scene {scene_id} is recorded twice")
         start, listed = self.stamp, list(messages)
         for k, message in enumerate(listed):
-            self._mcap.add_message(self._channel(message), start + k, message.data, start + k)
+            time = start + k * self.MESSAGE_STEP
+            self._mcap.add_message(self._channel(message), time, message.data, time)
         self._mcap.flush()  # ends the chunk
         self._content[scene_id] = content_hash
         self._messages[scene_id] = [(message.topic, zlib.crc32(message.data)) for message in listed]
