@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -90,10 +90,10 @@ class Generate:
 
     def _publish(self, chosen: Preset, out: Path, full: Path) -> dict[str, Any]:
         """Generate the full dataset in one folder and its public part in --out; returns the summary of the latter."""
-        from kit1000.generation.withhold import check_separate, publish, secret_seed
+        from kit1000.generation.withhold import check_separate, publish, secret_seed, withheld_preset
 
         check_separate(out, full)
-        self._generate(replace(chosen, curve_scenes=0), full, secret_seed(full, self.seed))
+        self._generate(withheld_preset(chosen), full, secret_seed(full, self.seed))
         return publish(full, out)
 
     def _sources(self, dataset: Path) -> Sources | None:

@@ -1,4 +1,8 @@
-"""The tasks of the benchmark: splits, tracks and the ids of queries."""
+"""The tasks of the benchmark: splits, tracks and the ids of queries.
+
+Every track draws for itself, by its name: goals, errors of the guesses and the drawn query. Two guesses with the same
+error about two pivots would give the goal away.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +28,6 @@ class Track:
     """The parts of a scene that have a query, among the visible ones."""
     crowded_scenes: bool
     """Whether it asks in crowded scenes too."""
-    stream: str
-    """Name of the random stream of its draws. Tracks that share it have the same guesses, on different depth images."""
     description: str
     """One sentence for tables and pages."""
 
@@ -39,7 +41,6 @@ TRACKS = {
             guess="ball",
             parts="all",
             crowded_scenes=True,
-            stream="snap",
             description="With an initial guess: up to 28 mm off along each axis and up to 27.5° about any axis.",
         ),
         Track(
@@ -48,8 +49,7 @@ TRACKS = {
             guess="tilt",
             parts="all",
             crowded_scenes=False,
-            stream="snap-tilt",
-            description="As snap, but the guess is rotated by a tilt alone: the guesses of the paper's release.",
+            description="As snap, but the guess is rotated by a tilt alone, as in the release of the paper.",
         ),
         Track(
             "place",
@@ -57,7 +57,6 @@ TRACKS = {
             guess=None,
             parts="upright",
             crowded_scenes=True,
-            stream="place",
             description="Without a guess: parts lie upright at any yaw, slots are tilted by up to 45°.",
         ),
         Track(
@@ -66,7 +65,6 @@ TRACKS = {
             guess=None,
             parts="upright with a nearly level goal",
             crowded_scenes=False,
-            stream="place-paper",
             description="Without a guess, as in the paper: only goals with roll and pitch within ± 15°.",
         ),
         Track(
@@ -75,7 +73,6 @@ TRACKS = {
             guess="ball",
             parts="all",
             crowded_scenes=True,
-            stream="snap",
             description="As snap, from a depth image with the noise of a RealSense D415.",
         ),
         Track(
@@ -84,18 +81,18 @@ TRACKS = {
             guess=None,
             parts="upright",
             crowded_scenes=True,
-            stream="place",
             description="As place, from a depth image with the noise of a RealSense D415.",
         ),
     )
 }
 CURVES = "curves"
-"""The track of the robustness curves: the queries of snap, with guess errors at fixed levels instead of random ones."""
+"""The track of the robustness curves: as snap, with guess errors at fixed levels instead of random ones."""
 ALL_TRACKS = (*TRACKS, CURVES)
 GUESS_TRACKS = (*(name for name, track in TRACKS.items() if track.guess is not None), CURVES)
 """Tracks whose queries come with a guess."""
 PAPER_TRACKS = {"with user input": "snap-tilt", "without user input": "place-paper"}
-"""The tracks that correspond to Table I of the paper, by the half of the table."""
+"""The tracks that stand for Table I of the paper, by the half of the table. The guesses of snap-tilt are those of the
+paper's release, rotated by a tilt alone; by its text they are rotated about any axis."""
 
 
 def query_id(scene_id: str, part: int, track: str) -> str:

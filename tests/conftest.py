@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
-from mini import MINI, fake_scene
+from mini import HIDDEN, HIDDEN_SEED, MINI, Published, fake_scene, publish_by_command
 
 from kit1000.generation import shards
 from kit1000.generation.build import generate
+from kit1000.generation.presets import PRESETS
 
 settings.register_profile("kit1000", deadline=None)  # a busy machine may take its time
 settings.load_profile("kit1000")
@@ -33,6 +34,17 @@ def mini(tmp_path_factory: pytest.TempPathFactory) -> Path:
         fcntl.flock(lock, fcntl.LOCK_EX)
         generate(MINI, shared / "mini", workers=1)  # where another process was first, it finds it complete
     return shared / "mini"
+
+
+@pytest.fixture(scope="session")
+def withheld(tmp_path_factory: pytest.TempPathFactory) -> Published:
+    """The generated dataset HIDDEN with a withheld test split; read-only, one for all processes of a run."""
+    own = tmp_path_factory.getbasetemp()
+    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+    with open(shared / "withheld.lock", "w") as lock, pytest.MonkeyPatch.context() as patch:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        patch.setitem(PRESETS, "hidden", HIDDEN)
+        return publish_by_command(shared / "withheld", "--seed", str(HIDDEN_SEED))
 
 
 @pytest.fixture

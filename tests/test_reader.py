@@ -27,7 +27,7 @@ from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.sim.layout import TUMBLED, UPRIGHT, table
 from kit1000.sim.render import render
-from kit1000.tracks import TRACKS
+from kit1000.tracks import ALL_TRACKS, TRACKS
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Assembly, View
 from tests.sample_kits import QUICK, sample_kit, sample_part
 
@@ -114,9 +114,9 @@ STANDS = Pose.from_rotvec((0, 0, 0.2), (0, 0.2, 0))
 
 def scene(scene_id: str, assembly: Assembly) -> tuple[Observation, SceneTruth]:
     """The observation and the truth of a scene."""
-    split = scene_id.partition("-")[0]
     views, labels, parts = views_of(scene_id), labels_of(), parts_in_scene(assembly)
-    rows, truths = scene_queries(scene_id, split, 1, views, labels, parts, 1, curves=scene_id in CURVED, crowded=False)
+    tracks = ALL_TRACKS if scene_id in CURVED else tuple(TRACKS)
+    rows, truths = scene_queries(scene_id, 1, tracks, views, labels, parts, 1)
     told = tuple(
         {
             "part_id": FAMILIES[part.index],

@@ -2,6 +2,10 @@
 
 The public folder has everything of training and validation, and only the observations of the test split. Its
 `dataset.json` commits to the withheld files by a salted hash; salt and seed stay in the full folder.
+
+Every test scene is asked about in one track, and published with the depth images of that track's sensor alone. Guesses
+about one part from several tracks would narrow its goal down; a guess shows a track without guesses which slot to take;
+and an image without noise answers for a noisy one.
 """
 
 from __future__ import annotations
@@ -10,12 +14,18 @@ import hashlib
 import os
 import secrets
 import shutil
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter
 from kit1000.dataset.reader import WITHHELD_FILE
+from kit1000.dataset.schema import Observation
 from kit1000.errors import InputError
 from kit1000.files import check_writable, is_url, json_bytes, locked, read_json, sha256, write_bytes, write_json
+from kit1000.generation.presets import Preset
+from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS
 from kit1000.generation.summary import description_files, summary_bytes
 from kit1000.rng import MIN_SECRET_ROOT, ROOT_LIMIT
 
@@ -45,6 +55,11 @@ def secret_seed(full: Path, given: int | None) -> int:
             "a number of 128 bits, or leave --seed out: a secret one is drawn and kept in the withheld folder"
         )
     return seed
+
+
+def withheld_preset(preset: Preset) -> Preset:
+    """The preset of a dataset with a withheld test split: one track a scene, and no curves."""
+    return replace(preset, curve_scenes=0, one_track=True)
 
 
 def check_separate(public_folder: Path, full: Path) -> None:
@@ -80,6 +95,7 @@ def publish(full: Path, public_folder: Path) -> dict[str, Any]:
         files = {name: digest for name, digest in summary["files"].items() if _is_public(name, tables)}
         for name, digest in files.items():
             _link_or_copy(full / name, public_folder / name, digest)
+        files |= _publish_recordings(full, public_folder, summary["shards"])
         for name, rows in tables.items():
             public_rows = {i: row for i, row in rows.items() if row["split"] != HIDDEN_SPLIT}
             files[f"{name}.json"] = write_json(public_folder / f"{name}.json", public_rows)
@@ -112,11 +128,36 @@ def secret_fault(summary: dict[str, Any], secret: dict[str, Any]) -> str | None:
 
 
 def _is_public(name: str, tables: dict[str, Any]) -> bool:
-    """Whether a file is published unchanged; tables, data card and Croissant file are written for the public folder."""
+    """Whether a file is published unchanged; tables, test recordings, data card and Croissant file are written for the
+    public folder."""
     folder, _, rest = name.partition("/")
     if folder in TABLES:
         return tables[folder][Path(rest).stem]["split"] != HIDDEN_SPLIT
-    return folder in ("train", "val") or (folder == HIDDEN_SPLIT and not rest.endswith(".truth.mcap"))
+    return folder in ("train", "val")
+
+
+def _publish_recordings(full: Path, public_folder: Path, shards: Iterable[str]) -> dict[str, str]:
+    """Write the observations of the hidden split for the public folder; returns the SHA-256 of each file."""
+    files = {}
+    for name in (name for name in shards if name.startswith(f"{HIDDEN_SPLIT}/")):
+        primary = ObservationFile(full / name)
+        sensors = {i: {row["sensor"] for row in primary.queries(i)} for i in primary.scene_ids}
+        for path in (name, name.removesuffix(OBSERVATIONS) + EXTRA_VIEWS):
+            if not (full / path).is_file():
+                continue
+            recording = ObservationFile(full / path)
+            with ObservationWriter(public_folder / path) as writer:
+                for scene_id in recording.scene_ids:
+                    writer.add(_with_sensors(recording.observation(scene_id), sensors[scene_id]))
+            assert writer.sha256 is not None, "a shard has a scene"
+            files[path] = writer.sha256
+    return files
+
+
+def _with_sensors(observation: Observation, sensors: set[str]) -> Observation:
+    """An observation without the views of other sensors."""
+    views = {key: view for key, view in observation.views.items() if key.rpartition("/")[2] in sensors}
+    return replace(observation, views=views)
 
 
 def _secret(full: Path, summary: dict[str, Any], tables: dict[str, Any]) -> dict[str, Any]:
