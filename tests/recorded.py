@@ -50,7 +50,9 @@ def truth(k: int = 0, pose: Pose = POSE) -> SceneTruth:
     queries = {f"{scene_id}-p0-snap": {"part": 0, "goal_drawn": pose_row(pose), "draw": drawn}}
     seg = (noise(CAMERA, k) * 60000).astype(np.uint16)
     models = {"assemblies/test-0007": b"glTF" * 50, "parts/test-0007": bytes(range(256))}
-    return SceneTruth(scene_id, "test-0007", pose, (part,), queries, seg, models, Pose.stack([pose, POSE]))
+    return SceneTruth(
+        scene_id, "test-0007", pose, (part,), queries, seg, models, Pose.stack([pose, POSE]), crowded=k % 2 == 1
+    )
 
 
 def write(path: Path, scenes: list[Observation]) -> Path:

@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import CrossSection, FillRule
-from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 from kit1000.errors import InputError, Redraw, ShapeError
@@ -19,6 +18,8 @@ from kit1000.mesh import Mesh, defect, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim import layout as module
+from kit1000.sim.crowding import GAPS, draw_crowding
+from kit1000.sim.footprints import footprint
 from kit1000.sim.layout import (
     DROP_BOUNDS,
     KITS_RADIUS,
@@ -31,13 +32,11 @@ from kit1000.sim.layout import (
     LayoutDraw,
     draw_layout,
     draw_rest_modes,
-    footprint,
-    footprint_distance,
     simulate_layout,
     systematic_rest_modes,
     table,
 )
-from kit1000.sim.settle import RestPose
+from kit1000.sim.settle import POSE_GRID, RestPose
 from kit1000.values import Assembly, Part, Slot
 from tests.sample_kits import sample_kit, sample_part
 from tests.shapes import as_part, box
@@ -159,6 +158,33 @@ def test_every_part_touches_the_table(seed: int) -> None:
         assert abs(pose.apply(part.mesh.vertices)[:, 2].min()) < 1e-6
 
 
+@given(seed=st.integers(0, 1000))
+@settings(max_examples=12)
+def test_parts_are_pushed_together_as_they_came_to_rest(seed: int) -> None:
+    draw, apart = first_layout(seed)
+    together = simulate_layout(sample_assembly(), pairs(), replace(draw, crowding=draw_crowding(stream(seed), 3)))
+    outlines = []
+    for (part, _), pose, before in zip(pairs(), together.world_from_parts, apart.world_from_parts, strict=True):
+        assert pose.wxyz == pytest.approx(before.wxyz, abs=1.1 * POSE_GRID)
+        assert pose.xyz[2] == pytest.approx(before.xyz[2], abs=1e-12)
+        outlines.append(footprint(part.mesh, pose))
+        assert ((outlines[-1] >= PARTS_BOUNDS[0] - 1e-6) & (outlines[-1] <= PARTS_BOUNDS[1] + 1e-6)).all()
+    sections = [CrossSection([outline], FillRule.NonZero) for outline in outlines]
+    for i, section in enumerate(sections):
+        others = [other for k, other in enumerate(sections) if k != i]
+        assert not any((section ^ other).area() > 0 for other in others)
+        near = section.offset(GAPS[1] + 1e-4, circular_segments=256)
+        assert any((near ^ other).area() > 0 for other in others)
+
+
+def test_a_crowded_draw_is_the_uncrowded_one_and_more() -> None:
+    one, other = (draw_layout(stream(4), (UPRIGHT, TUMBLED), crowded) for crowded in (False, True))
+    assert one.crowding is None
+    assert other.crowding is not None
+    assert other.drop_points.tobytes() == one.drop_points.tobytes()
+    assert other.assembly_yaw == one.assembly_yaw
+
+
 def test_moving_the_kits_moves_no_part() -> None:
     draw, layout = first_layout(0)
     other = simulate_layout(
@@ -231,39 +257,6 @@ def test_parts_that_touch_are_redrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     close = replace(draw, drop_points=np.array([[0.0, -0.2], [0.1, -0.2], [0.02, -0.2]]))
     with pytest.raises(Redraw, match=r"^parts touch$"):
         simulate_layout(sample_assembly(), pairs(), close)
-
-
-def square(side: float, at: tuple[float, float], yaw: float = 0.0) -> np.ndarray:
-    corners = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * side / 2
-    rotation = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
-    return corners @ rotation.T + at
-
-
-def test_distances_of_squares_are_those_in_closed_form() -> None:
-    a = square(2, (0, 0))
-    assert footprint_distance(a, square(2, (5, 0.5))) == pytest.approx(3)  # edge to edge
-    assert footprint_distance(a, square(2, (5, 6))) == pytest.approx(5)  # corner to corner: 3, 4, 5
-    assert footprint_distance(a, square(2, (4, 0), np.pi / 4)) == pytest.approx(3 - 2**0.5)  # corner to edge
-    assert footprint_distance(a, square(2, (1.5, 1.5))) == 0
-    assert footprint_distance(a, square(0.5, (0, 0))) == 0  # one within the other
-
-
-@given(seed=st.integers(0, 10_000))
-@settings(max_examples=20)
-def test_distances_agree_with_dense_points(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    outlines = []
-    for k in range(2):
-        points = rng.uniform(-1, 1, (8, 2)) + (rng.uniform(0, 4) * k, rng.uniform(-1, 1) * k)
-        outlines.append(points[ConvexHull(points).vertices])
-    a, b = outlines
-    share = np.linspace(0, 1, 100)[:, None, None]
-    dense = [(o + share * (np.roll(o, -1, axis=0) - o)).reshape(-1, 2) for o in (a, b)]
-    nearest = min(np.linalg.norm(dense[1] - point, axis=1).min() for point in dense[0])
-    overlap = (CrossSection([a], FillRule.NonZero) ^ CrossSection([b], FillRule.NonZero)).area()
-    expected = 0.0 if overlap > 1e-9 else nearest
-    assert footprint_distance(a, b) == pytest.approx(expected, abs=0.03)
-    assert footprint_distance(a, b) == pytest.approx(footprint_distance(b, a), abs=1e-12)
 
 
 def test_the_table_is_a_closed_box_below_zero() -> None:

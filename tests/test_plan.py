@@ -31,11 +31,12 @@ from kit1000.tracks import SPLITS
 TINY = PRESETS["tiny"]
 MANY = Preset("many", 120, 20, 40)
 
-GOLDEN = "ed427edf8e9c12d1"
+GOLDEN = "27edc51f00da1a8b"
 """The id of `tiny` with its own seed. It changes with every draw, so each change is one of the data version:
 2026-11 9a0d8ffcf810edc4 first, data version 0.1.0.
 2026-11 19dfd88941a0089b plan format 2, data version 0.2.0: scenes join, with their rest modes, tracks and curves.
-2026-11 ed427edf8e9c12d1 data version 0.2.1: faces without area hide no edge from the seating test.
+2026-11 59d8ce3fa9514ccd data version 0.2.1: faces without area hide no edge from the seating test.
+2026-11 27edc51f00da1a8b a third of the scenes is crowded; a withheld scene has one track.
 """
 
 
@@ -90,6 +91,16 @@ def test_every_assembly_has_its_scene_and_most_parts_lie_upright() -> None:
         assert UPRIGHT in row["rest"]
     lying = [mode for row in plan["scenes"].values() for mode in row["rest"]]
     assert abs(lying.count(UPRIGHT) / len(lying) - UPRIGHT_SHARE) < 0.03
+
+
+def test_a_third_of_the_scenes_with_two_parts_or_more_is_crowded() -> None:
+    plan = make_plan(replace(MANY, train=2000, kits=(1, 3)), 5)
+    several, single = [], []
+    for row in plan["scenes"].values():
+        (several if plan["assemblies"][row["assembly"]]["kits"] > 1 else single).append(row["crowded"])
+    assert np.mean(several) == pytest.approx(1 / 3, abs=0.04)
+    assert single
+    assert not any(single)
 
 
 def test_a_preset_comes_back_from_its_plan() -> None:

@@ -78,6 +78,7 @@ def test_every_preset_can_be_built() -> None:
         assert 0 <= one.tilt_deg[0] <= one.tilt_deg[1] < 90
         assert all(one.tilt_deg[0] <= tilt <= one.tilt_deg[1] for tilt in one.brackets_deg)
         assert one.clearance > 0
+        assert 0 <= one.crowded <= 1
         assert set(HELD_OUT) < set(MIXTURES[one.mixture])
 
 

@@ -272,7 +272,7 @@ def test_goals_for_viewers_are_those_of_the_target(sample: SceneSample) -> None:
 
 
 def test_exactly_the_visible_parts_have_queries(sample: SceneSample, mini: Path) -> None:
-    for scene in (sample, *stored_plays(mini)):
+    for scene in (sample, replace(sample, scene=sample.again(crowded=1.0)), *stored_plays(mini)):
         rows = scene.scene.truth.parts
         asked = {row["part"] for row in scene.scene.observation.queries}
         assert asked == {i for i, row in enumerate(rows) if row["unseen"] is None}
@@ -325,6 +325,14 @@ def test_some_upright_part_has_a_query_without_a_guess(sample: SceneSample) -> N
     places = {row["part"] for row in sample.scene.observation.queries if row["track"] == "place"}
     assert places
     assert {sample.scene.truth.parts[i]["rest_mode"] for i in places} == {UPRIGHT}
+
+
+def test_the_tracks_of_the_paper_ask_only_where_parts_are_apart(sample: SceneSample) -> None:
+    apart, crowded = sample.again(crowded=0.0), sample.again(crowded=1.0)
+    asked = [{row["track"] for row in made.observation.queries} for made in (apart, crowded)]
+    assert (apart.truth.crowded, crowded.truth.crowded) == (False, True)
+    assert {"snap-tilt"} <= asked[0] - asked[1] <= {"snap-tilt", "place-paper"}
+    assert "curves" in asked[1]
 
 
 def test_all_bodies_are_in_view(sample: SceneSample) -> None:
@@ -381,8 +389,8 @@ def test_a_scene_without_a_valid_layout_is_refused_with_the_reason(
 def test_a_view_has_its_own_random_stream(sample: SceneSample, monkeypatch: pytest.MonkeyPatch) -> None:
     original = scenes.draw_primary_pose
     poses = []
-    monkeypatch.setattr(scenes, "draw_primary_pose", lambda rng: poses.append(original(rng)) or poses[-1])
-    made = sample.again(tracks=("snap",))
+    monkeypatch.setattr(scenes, "draw_primary_pose", lambda rng, _: poses.append(original(rng)) or poses[-1])
+    made = sample.again(tracks=("snap",), crowded=0.0)
     k = len(poses) - 1
     assert k < MAX_VIEWS
     alone = original(stream(SEED, "view", made.observation.scene_id, 0, k))

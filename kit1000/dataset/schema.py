@@ -51,3 +51,5 @@ class SceneTruth:
     """GLB files by body, for viewers: "assemblies/<id>", "parts/<id>"."""
     goals: Pose | None = None
     """(n,) world_from_part of every goal of the scene's target, for viewers."""
+    crowded: bool = False
+    """Whether the parts are pushed together."""

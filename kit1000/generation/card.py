@@ -28,7 +28,7 @@ COLLECTION = (
 )
 LIMITS = (
     "Simulated depth only, without colour; the sensor `d415` is a model of one, not a recording.",
-    "Parts are rigid and of one size class, and lie on the table without touching one another.",
+    "Parts are rigid and of one size class, and lie on the table: none lies on another or leans on one.",
     "Every cavity lets its part out straight along one axis; press fits, threads and snap fits do not occur.",
     "Which scenes are kept is decided by what the camera sees of the drawn target; the redraws below count the rest.",
     "Another processor may differ in the last bits of geometry and depth; `kit1000 verify` compares within 0.1 mm.",
@@ -94,6 +94,7 @@ print(next(iter(truth)).truth.parts[0]["family"])"""
 HISTOGRAMS = (
     ("Kits in an assembly", "kits", "scenes", None),
     ("How parts lie", "rest_mode", "parts", None),
+    ("Parts of a scene", "crowding", "scenes", None),
     ("Tilt of the slot [deg]", "tilt_deg", "parts", card_statistics.TILT_DEG),
     ("Share of the part that is seen [%]", "visible_percent", "parts", card_statistics.VISIBLE_PERCENT),
     ("Pixels of the part", "pixels", "parts", card_statistics.PIXELS),

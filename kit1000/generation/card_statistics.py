@@ -28,6 +28,7 @@ GUESS_MM = (0, 10, 20, 30, 40, 50)
 GUESS_DEG = (0, 5, 10, 15, 20, 25)
 KEYEDNESS_DEG = (0, 5, 10, 15, 20, 30, 45, 90)
 FREE_AXIS = "any turn seats"  # bin name of the keyedness of a slot with a free axis
+CROWDED, UNCROWDED = "pushed together", "apart"  # bin names of scenes by how near their parts are to each other
 
 Statistics = dict[str, Any]
 
@@ -86,6 +87,7 @@ def _one_scene(truth: SceneTruth) -> Statistics:
     parts = truth.parts
     return {
         "scenes": 1,
+        "crowding": {CROWDED if truth.crowded else UNCROWDED: 1},
         "parts": len(parts),
         "kits": {str(len(parts)): 1},
         "family": _counts(row["family"] for row in parts),

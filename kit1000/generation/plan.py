@@ -82,7 +82,7 @@ def make_plan(preset: Preset, seed: int, sources: Sources | None = None) -> dict
         "held_out_families": sorted(HELD_OUT),
         "parts": parts,
         "assemblies": (assemblies := _assemblies(preset, seed, parts)),
-        "scenes": _scenes(seed, assemblies),
+        "scenes": _scenes(preset, seed, assemblies),
     }
 
 
@@ -188,13 +188,19 @@ def rest_modes(seed: int, scene_id: str, parts: int, attempt: int = 0) -> tuple[
     return draw_rest_modes(stream(seed, "rest", scene_id, attempt), parts)
 
 
-def _scenes(seed: int, assemblies: dict[str, Any]) -> dict[str, Any]:
+def is_crowded(preset: Preset, seed: int, scene_id: str, parts: int) -> bool:
+    """Whether the parts of a scene are pushed together; never a single one."""
+    return parts > 1 and bool(stream(seed, "crowded", scene_id).random() < preset.crowded)
+
+
+def _scenes(preset: Preset, seed: int, assemblies: dict[str, Any]) -> dict[str, Any]:
     """One scene for each assembly. The rest modes are redrawn where an assembly ends with fewer kits than drawn."""
     scenes = {}
     for assembly_id, row in assemblies.items():
         scene_id = scene_id_of(assembly_id)
         rest = list(rest_modes(seed, scene_id, row["kits"]))
-        scenes[scene_id] = {"split": row["split"], "assembly": assembly_id, "rest": rest}
+        crowded = is_crowded(preset, seed, scene_id, row["kits"])
+        scenes[scene_id] = {"split": row["split"], "assembly": assembly_id, "rest": rest, "crowded": crowded}
     return scenes
 
 

@@ -44,6 +44,8 @@ class Preset:
     curve_scenes: int = 40
     """Number of test scenes whose target has queries at every level of guess error. These queries together reveal the
     goal, so a withheld test split has none."""
+    crowded: float = 1 / 3
+    """Share of the scenes whose parts are pushed together, where an assembly has two or more."""
     one_track: bool = False
     """Whether every test scene has the queries of a single track, as a withheld test split needs: from several queries
     about a scene more could be learned than each is meant to tell."""
@@ -74,7 +76,7 @@ PRESETS = {
         Preset("tiny", 8, 2, 6),
         Preset("small", 60, 12, 24),
         Preset("kit1000", 1000, 100, 200),
-        Preset("paper", 1000, 100, 200, longest=(0.05, 0.05), level_base=True, tracks=IDEAL_TRACKS),
+        Preset("paper", 1000, 100, 200, longest=(0.05, 0.05), level_base=True, tracks=IDEAL_TRACKS, crowded=0.0),
         Preset("real-like", 400, 50, 100, clearance=10e-3, kits=(1, 4)),
         Preset("study", 40, 8, 24, kits=(2, 3), tilt_deg=(10.0, 30.0), brackets_deg=(10.0, 20.0, 30.0)),
         Preset("completion", 2000, 100, 100, seed=2000),

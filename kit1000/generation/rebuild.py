@@ -96,6 +96,8 @@ def truth_differences(rebuilt: SceneTruth, stored: SceneTruth) -> list[str]:
     differences = [] if rebuilt.assembly_id == stored.assembly_id else [f"assembly {stored.assembly_id}"]
     if not _poses_match(rebuilt.world_from_assembly, stored.world_from_assembly):
         differences.append("another pose of the assembly")
+    if rebuilt.crowded != stored.crowded:
+        differences.append("crowded" if stored.crowded else "not crowded")
     differences += _row_differences("part", dict(enumerate(rebuilt.parts)), dict(enumerate(stored.parts)))
     differences += _row_differences("truth of", rebuilt.queries, stored.queries)
     if not _images_match(rebuilt.seg, stored.seg):

@@ -16,7 +16,7 @@ from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.dataset.schema import Observation, SceneTruth
 from kit1000.dataset.tables import Row, pose_row
 from kit1000.errors import Redraw
-from kit1000.generation.plan import rest_modes, scene_id_of
+from kit1000.generation.plan import is_crowded, rest_modes, scene_id_of
 from kit1000.generation.presets import Preset
 from kit1000.generation.queries import PartInScene, asking_tracks, scene_queries
 from kit1000.mesh import Mesh
@@ -63,6 +63,7 @@ class _SceneParts:
     split: str
     seed: int
     sensors: tuple[str, ...]
+    crowded: bool
     assembly: Assembly
     parts: tuple[Part, ...]
     mounts: tuple[int, ...]
@@ -110,7 +111,9 @@ def make_scene(
     labels.setflags(write=False)
     in_scene = [_part_in_scene(scene_parts, layout_view, i) for i in range(len(scene_parts.parts))]
     alone = preset.one_track and split == "test"
-    tracks = asking_tracks(scene_parts.scene_id, seed, preset.tracks, in_scene, crowded=False, alone=alone)
+    tracks = asking_tracks(
+        scene_parts.scene_id, seed, preset.tracks, in_scene, crowded=scene_parts.crowded, alone=alone
+    )
     curves = (CURVES,) if has_curves(scene_parts.scene_id, preset.curve_scenes) else ()
     rows, truths = scene_queries(
         scene_parts.scene_id, seed, (*tracks, *curves), views, labels, in_scene, scene_parts.target
@@ -124,6 +127,7 @@ def make_scene(
         _segmentation(scene_parts, layout_view),
         _models(scene_parts),
         layout_view.world_from_kits[scene_parts.target] @ scene_parts.slot(scene_parts.target).goals,
+        scene_parts.crowded,
     )
     observation = Observation(scene_parts.scene_id, views, labels, tuple(rows))
     return GeneratedScene(
@@ -141,7 +145,8 @@ def _scene_parts(preset: Preset, seed: int, split: str, assembly: Assembly, part
     scene_id = scene_id_of(assembly.id)
     mounts = tuple(stream(seed, "order", scene_id).permutation(len(assembly.mounts)).tolist())
     order = tuple(parts[assembly.mounts[k].kit.slot.part_id] for k in mounts)
-    return _SceneParts(scene_id, split, seed, preset.sensors, assembly, order, mounts)
+    crowded = is_crowded(preset, seed, scene_id, len(order))
+    return _SceneParts(scene_id, split, seed, preset.sensors, crowded, assembly, order, mounts)
 
 
 def _draw_layout_and_view(scene_parts: _SceneParts) -> tuple[_LayoutView, list[str]]:
@@ -151,14 +156,16 @@ def _draw_layout_and_view(scene_parts: _SceneParts) -> tuple[_LayoutView, list[s
     for attempt in range(MAX_LAYOUTS):
         # A part that topples from its insertion face does so at every yaw, so the rest modes are redrawn too.
         modes = rest_modes(scene_parts.seed, scene_parts.scene_id, len(scene_parts.parts), redraws.count(PART_UNSTABLE))
-        draw = draw_layout(stream(scene_parts.seed, "layout", scene_parts.scene_id, attempt), modes)
+        rng = stream(scene_parts.seed, "layout", scene_parts.scene_id, attempt)
+        draw = draw_layout(rng, modes, scene_parts.crowded)
         try:
             layout = simulate_layout(scene_parts.assembly, list(zip(scene_parts.parts, slots, strict=True)), draw)
         except Redraw as refusal:
             redraws.append(refusal.reason)
             continue
         for k in range(MAX_VIEWS):
-            view = draw_primary_pose(stream(scene_parts.seed, "view", scene_parts.scene_id, attempt, k))
+            rng = stream(scene_parts.seed, "view", scene_parts.scene_id, attempt, k)
+            view = draw_primary_pose(rng, scene_parts.crowded)
             try:
                 return _view_layout(scene_parts, modes, layout, view), redraws
             except Redraw as refusal:

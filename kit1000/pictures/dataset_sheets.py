@@ -19,7 +19,7 @@ from kit1000.values import View
 
 SCENE_TILE = (960, 540)  # [px] of one picture of a scene
 BORDER = 1.12  # size of the window around all bodies, relative to their extents
-GUESS_TRACK = "snap-tilt"  # the track whose guesses are shown: every preset has it
+GUESS_TRACKS = ("snap-tilt", "snap")  # the guesses of the first that has queries about the scene are shown
 
 
 def geometry_sheet(geometry: Geometry, what: str, split: str, count: int, ids: Sequence[str] = ()) -> bytes:
@@ -68,8 +68,10 @@ def _ground_truth_tiles(recorded: RecordedScene, window: tuple[slice, slice]) ->
     colours = [(PART, *SECONDARY)[i % 7] for i in range(len(parts))]
     lying = [ColouredBody(mesh, pose, colour) for (mesh, pose), colour in zip(parts, colours, strict=True)]
     seated, guessed = list(lying), list(lying)
+    present = {query.track for query in recorded.queries}
+    shown = next((track for track in GUESS_TRACKS if track in present), None)
     for query in recorded.queries:
-        if query.track == GUESS_TRACK and query.guess is not None:
+        if query.track == shown and query.guess is not None:
             mesh, pose = parts[query.part]
             seated[query.part] = ColouredBody(mesh, recorded.truths[query.id].goal_drawn @ pose, colours[query.part])
             guessed[query.part] = ColouredBody(mesh, query.guess @ pose, colours[query.part])

@@ -28,6 +28,7 @@ PRIMARY_TARGET = (0.0, 0.03, 0.02)  # between the halves, nearer the assembly, w
 # within the largest azimuth one image holds both halves: 99 of 100 layouts are wholly in view.
 PRIMARY_RADIUS = (0.6, 1.0)
 PRIMARY_POLAR_ANGLE = (float(np.radians(28)), float(np.radians(60)))
+CROWDED_POLAR_ANGLE = (float(np.radians(45)), PRIMARY_POLAR_ANGLE[1])  # from above, no part hides another
 MAX_PRIMARY_AZIMUTH = float(np.radians(30))  # to either side of the x axis
 
 # The fixed cameras look at the centre of the workspace from the shortest distance at which all of it is in view, at
@@ -45,9 +46,10 @@ POSITION_DECIMALS = 9  # [m] of a camera: the last bits of sine and cosine diffe
 CAMERA_SETS = ("primary", "three", "top")
 
 
-def draw_primary_pose(rng: np.random.Generator) -> Pose:
+def draw_primary_pose(rng: np.random.Generator, crowded: bool = False) -> Pose:
     """The pose of the primary camera: on the +x or the -x side, uniform in radius, polar angle and azimuth."""
-    radius, polar = rng.uniform(*PRIMARY_RADIUS), rng.uniform(*PRIMARY_POLAR_ANGLE)
+    polar_angle = CROWDED_POLAR_ANGLE if crowded else PRIMARY_POLAR_ANGLE
+    radius, polar = rng.uniform(*PRIMARY_RADIUS), rng.uniform(*polar_angle)
     azimuth = rng.uniform(-MAX_PRIMARY_AZIMUTH, MAX_PRIMARY_AZIMUTH)
     return _orbit_pose(radius, polar, azimuth + np.pi * rng.integers(2))
 

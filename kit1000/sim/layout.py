@@ -1,7 +1,8 @@
 """Layouts: the poses of the assembly and of the loose parts, drawn without geometry, then simulated with it.
 
 The table's half y > 0 is for the kits, y < 0 for the parts. A part's rest mode is how it is released: `upright` on its
-insertion face, at a random yaw, or `tumbled`, dropped in a uniform rotation (it may then rest on that same face).
+insertion face, at a random yaw, or `tumbled`, dropped in a uniform rotation (it may then rest on that same face). They
+come to rest apart from each other; in a crowded scene they are then pushed together (`kit1000.sim.crowding`).
 """
 
 from __future__ import annotations
@@ -12,13 +13,14 @@ from functools import cache
 from itertools import combinations
 
 import numpy as np
-from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 
 from kit1000.errors import InputError, Redraw, ShapeError, checked
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, random_quaternions
-from kit1000.products import length, matmul
+from kit1000.products import length
+from kit1000.sim.crowding import Crowding, draw_crowding, pushed_together
+from kit1000.sim.footprints import footprint, footprint_distance
 from kit1000.sim.settle import Release, RestPose, rounded_pose, settle
 from kit1000.values import Assembly, Part, Slot
 
@@ -31,7 +33,7 @@ _BOX_FACES = np.array(
      [1, 5, 7], [1, 7, 3]]
 )  # fmt: skip
 TABLE_SIZE = (1.2, 1.6, 0.04)  # [m] along x, along y, thickness; centred on the origin, its top at z = 0
-MIN_GAP = 5e-3  # [m] horizontal, between parts, and between either half's bodies and the line y = 0
+MIN_GAP = 5e-3  # [m] horizontal, between parts that are apart, and between either half's bodies and the line y = 0
 KITS_CENTRE = np.array([0.0, 0.20])  # [m] of the assembly's bounding box, before its random shift
 KITS_RADIUS = 0.19  # [m] about KITS_CENTRE: contains the shifted assembly
 MAX_KITS_SHIFT = 0.05  # [m] along x and along y
@@ -61,6 +63,8 @@ class LayoutDraw:
     """(n,) [rad], used for upright parts."""
     tumbled_rotations: np.ndarray
     """(n, 4) quaternions world_from_part, used for tumbled parts."""
+    crowding: Crowding | None = None
+    """How the parts are pushed together; None: they stay apart."""
 
     def __post_init__(self) -> None:
         n = len(self.modes)
@@ -96,22 +100,24 @@ def systematic_rest_modes(offset: float, n: int) -> tuple[str, ...]:
     return tuple(UPRIGHT if step else TUMBLED for step in np.diff(counts))
 
 
-def draw_layout(rng: np.random.Generator, modes: Sequence[str]) -> LayoutDraw:
-    """The random numbers of a layout for parts of these rest modes. The numbers do not depend on the modes."""
+def draw_layout(rng: np.random.Generator, modes: Sequence[str], crowded: bool = False) -> LayoutDraw:
+    """The random numbers of a layout for parts of these rest modes. The numbers do not depend on the modes; those of a
+    crowded layout are those of an uncrowded one and further ones."""
     unknown = sorted({*modes} - {UPRIGHT, TUMBLED})
     if unknown or len(modes) > MAX_PARTS:
         raise ShapeError(f"modes: expected up to {MAX_PARTS}, each {UPRIGHT} or {TUMBLED}, got {list(modes)}")
     n = len(modes)
     yaw, shift = float(rng.uniform(0, 2 * np.pi)), rng.uniform(-1, 1, 2)
     yaws, tumbles = rng.uniform(0, 2 * np.pi, n), random_quaternions(rng, n)
-    return LayoutDraw(tuple(modes), yaw, shift, _draw_drop_points(rng, n), yaws, tumbles)
+    drop_points = _draw_drop_points(rng, n)
+    return LayoutDraw(tuple(modes), yaw, shift, drop_points, yaws, tumbles, draw_crowding(rng, n) if crowded else None)
 
 
 def simulate_layout(assembly: Assembly, parts: Sequence[tuple[Part, Slot]], draw: LayoutDraw) -> Layout:
-    """Place the assembly as drawn, release the parts and let them settle.
+    """Place the assembly as drawn, release the parts, let them settle, and push them together if drawn so.
 
-    Raises Redraw when a part does not come to rest, an upright one is unstable, one leaves its half, or two are
-    nearer to each other than MIN_GAP.
+    Raises Redraw when a part does not come to rest, an upright one is unstable, one leaves its half, or two come to
+    rest nearer to each other than MIN_GAP.
     """
     releases = [_release(draw, i, *pair) for i, pair in enumerate(_checked_parts(parts, draw))]
     rests = settle(releases)
@@ -123,35 +129,12 @@ def simulate_layout(assembly: Assembly, parts: Sequence[tuple[Part, Slot]], draw
         raise Redraw("part left its half")
     if any(footprint_distance(a, b) < MIN_GAP for a, b in combinations(footprints, 2)):
         raise Redraw("parts touch")
+    if draw.crowding is not None:
+        shifts = pushed_together(footprints, draw.crowding, PARTS_BOUNDS)
+        poses = tuple(
+            rounded_pose(Pose(pose.wxyz, pose.xyz + (*shift, 0.0))) for pose, shift in zip(poses, shifts, strict=True)
+        )
     return Layout(_place_assembly(assembly.mesh, draw), poses)
-
-
-def footprint(mesh: Mesh, world_from_body: Pose) -> np.ndarray:
-    """(n, 2) [m]: the convex outline of a body from above, counter-clockwise."""
-    points = world_from_body.apply(mesh.vertices)[:, :2]
-    return points[ConvexHull(points).vertices]
-
-
-def footprint_distance(a: np.ndarray, b: np.ndarray) -> float:
-    """[m] between two convex outlines (n, 2) and (m, 2), counter-clockwise; 0 if they intersect."""
-    if max(_separating_gap(a, b), _separating_gap(b, a)) <= 0:
-        return 0.0
-    return min(_distance_to_edges(a, b), _distance_to_edges(b, a))
-
-
-def _separating_gap(a: np.ndarray, b: np.ndarray) -> float:
-    """[m] the widest gap along the normal of an edge of `a`; where a and b overlap, no edge of either has one."""
-    edges = np.roll(a, -1, axis=0) - a
-    outward = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1, keepdims=True)
-    return float((matmul(b, outward.T).min(0) - (a * outward).sum(1)).max())
-
-
-def _distance_to_edges(points: np.ndarray, outline: np.ndarray) -> float:
-    """[m] from the nearest of points (n, 2) to the nearest edge of an outline (m, 2)."""
-    edges = np.roll(outline, -1, axis=0) - outline
-    offset = points[:, None] - outline
-    share = np.clip((offset * edges).sum(2) / (edges**2).sum(1), 0, 1)
-    return float(np.linalg.norm(offset - share[..., None] * edges, axis=2).min())
 
 
 def _draw_drop_points(rng: np.random.Generator, n: int) -> np.ndarray:

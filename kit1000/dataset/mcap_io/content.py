@@ -51,6 +51,7 @@ def truth_row(truth: SceneTruth) -> Row:
         "scene_id": truth.scene_id,
         "assembly_id": truth.assembly_id,
         "world_from_assembly": pose_row(truth.world_from_assembly),
+        "crowded": truth.crowded,
         "parts": list(truth.parts),
         "queries": dict(truth.queries),
     }

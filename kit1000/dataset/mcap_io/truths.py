@@ -33,11 +33,12 @@ _TRUTH = json_schema(
     {
         "type": "object",
         "description": "What is so in a scene. Lengths in m, angles in rad, quaternions scalar first.",
-        "required": ["assembly_id", "parts", "queries", "scene_id", "world_from_assembly"],
+        "required": ["assembly_id", "crowded", "parts", "queries", "scene_id", "world_from_assembly"],
         "properties": {
             "scene_id": {"type": "string"},
             "assembly_id": {"type": "string"},
             "world_from_assembly": POSE_SCHEMA,
+            "crowded": {"type": "boolean", "description": "whether the parts are pushed together"},
             "parts": {"type": "array", "items": {"type": "object"}, "description": "p0, p1, ..."},
             "queries": {"type": "object", "additionalProperties": {"type": "object"}, "description": "by query id"},
         },
@@ -73,6 +74,7 @@ class TruthFile(ShardFile):
             seg=checked("seg", image_of(self._one(scene_id, "/seg")), ("h", "w"), np.uint16),
             models=self.models(scene_id),
             goals=poses_of(goals[0]) if goals else None,
+            crowded=row["crowded"],
         )
 
     def row(self, scene_id: str) -> Row:
