@@ -60,6 +60,8 @@ NOTES = (
     "The paper's numbers are those of its Table I. It does not name their statistic; its code prints mean and median.",
     "The paper's millimetres may be voxels: the evaluation in its release prints the position error in voxels of "
     "0.89 mm, labelled mm. If so, 3.9 are 3.5 mm.",
+    "The guesses of snap-tilt are those of the paper's release, rotated by a tilt alone; by its text they are rotated "
+    "about any axis.",
     "Parts, kits and views differ from the paper's, so its numbers and ours are not directly comparable.",
     "Mean and median are of errors to the nearest goal, the one of smallest MSSD: a rotation by a symmetry of the part "
     "is no error. Plain errors are to one fixed goal: the one that the guess was drawn around or, without a guess, the "

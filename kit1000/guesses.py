@@ -32,7 +32,10 @@ def draw_ball_error(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 
 
 def draw_tilt_error(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """The paper's error: the same offset, and a rotation vector (3,) [rad] that tilts the vertical without twist."""
+    """The same offset, and a rotation vector (3,) [rad] that tilts the vertical without twist.
+
+    The release of the paper draws such rotations; its text has rotations about any axis.
+    """
     offset, azimuth = _draw_offset(rng), rng.uniform(0, 2 * np.pi)
     axis = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     return offset, np.round(axis, DECIMALS) * rng.uniform(0, MAX_ANGLE)

@@ -59,6 +59,7 @@ PAPER = (
 )
 WITHHELD = (
     "The truth of the split `{split}`, its meshes and the plan are withheld: answers are scored by their keepers. "
+    "Each of its scenes has the queries of one track and the images of that track's sensor. "
     "`dataset.json` commits to what is withheld by a salted hash."
 )
 FILES = {

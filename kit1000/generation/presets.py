@@ -12,7 +12,7 @@ HELD_OUT = ("cam", "connector", "gear", "hook", "pillow_block", "tee")
 """Families of the test split only; scores on them measure generalisation to unseen families."""
 
 IDEAL_TRACKS = ("snap-tilt", "place", "place-paper")
-"""Tracks of the preset `paper`: guesses with a tilt error only, ideal depth."""
+"""Tracks of the preset `paper`: guesses with a tilt error only, as in the release of the paper, ideal depth."""
 
 OUTSIDE_CONFIG = ("name", "seed", "mixture")
 """Fields of a preset that its `config` omits: the plan states name and seed itself, the name implies the mixture."""
