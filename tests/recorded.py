@@ -34,7 +34,9 @@ def observation(k: int = 0, camera: Camera = CAMERA, pose: Pose = POSE) -> Obser
     scene_id = f"test-s{k:04d}"
     views = {"d415": View(camera, POSE, noise(camera, k)), "ideal": View(camera, pose, noise(camera, k + 100))}
     labels = (noise(camera, k) * 5).astype(np.uint8)
-    return Observation(scene_id, views, labels, tuple(query(scene_id, part) for part in range(3)))
+    return Observation(
+        scene_id, views, labels, tuple(query(scene_id, part) for part in range(3)), b"\x89PNG" + bytes([k])
+    )
 
 
 def extra_views(k: int = 0) -> Observation:
@@ -51,7 +53,7 @@ def truth(k: int = 0, pose: Pose = POSE) -> SceneTruth:
     seg = (noise(CAMERA, k) * 60000).astype(np.uint16)
     models = {"assemblies/test-0007": b"glTF" * 50, "parts/test-0007": bytes(range(256))}
     return SceneTruth(
-        scene_id, "test-0007", pose, (part,), queries, seg, models, Pose.stack([pose, POSE]), crowded=k % 2 == 1
+        scene_id, "test-0007", pose, (part,), queries, seg, models, Pose.stack([pose, POSE]), k % 2 == 1, b"\x89PNG"
     )
 
 
@@ -84,4 +86,5 @@ def same(a: Observation, b: Observation) -> bool:
         and view.depth.tobytes() == b.views[key].depth.tobytes()
         for key, view in a.views.items()
     )
-    return masks and rows and views and a.scene_id == b.scene_id and set(a.views) == set(b.views)
+    ids = a.scene_id == b.scene_id and a.preview == b.preview
+    return masks and rows and views and ids and set(a.views) == set(b.views)

@@ -166,8 +166,11 @@ def chunk_messages(path: Path, k: int) -> list[str]:
 
 
 def test_small_messages_come_first(seen: Path) -> None:
-    cameras, rest = ["/ideal/camera", "/d415/camera"], ["/ideal/labels", "/ideal/depth", "/d415/depth"]
-    assert chunk_messages(seen, 1) == [*cameras, "/tf", *["/query"] * 3, *rest]
+    cameras, rest = (
+        ["/ideal/camera", "/d415/camera", "/preview/camera"],
+        ["/ideal/labels", "/ideal/depth", "/d415/depth"],
+    )
+    assert chunk_messages(seen, 1) == [*cameras, "/tf", *["/query"] * 3, "/preview", *rest]
 
 
 def test_viewers_find_a_calibration_and_a_frame_for_every_depth_image(tmp_path: Path, seen: Path) -> None:
@@ -194,6 +197,23 @@ def test_viewers_find_a_calibration_and_a_frame_for_every_depth_image(tmp_path: 
             assert np.reshape(camera.K, (3, 3)).tolist() == CAMERA.K.tolist()
             assert np.reshape(camera.P, (3, 4))[:, :3].tolist() == CAMERA.K.tolist()
             assert (list(camera.R), list(camera.D)) == (np.eye(3).ravel().tolist(), [])
+
+
+def test_previews_are_pictures_in_a_frame_of_their_own(tmp_path: Path, seen: Path) -> None:
+    write_truth(tmp_path / "t.mcap", [truth()])
+    for path, topic, png in (
+        (seen, "/preview", observation().preview),
+        (tmp_path / "t.mcap", "/preview/goals", truth().preview),
+    ):
+        (_, _, value), *_ = read_by_mcap(path, topic)
+        assert (value.format, value.frame_id, value.data) == ("png", "preview", png)
+        assert value.timestamp.seconds == 1_767_225_600
+    (_, _, camera), *_ = read_by_mcap(seen, "/preview/camera")
+    assert (camera.frame_id, camera.width, camera.height) == ("preview", CAMERA.width // 2, CAMERA.height // 2)
+    (_, _, frames), *_ = read_by_mcap(seen, "/tf")
+    poses = {item.child_frame_id: str(item.translation) + str(item.rotation) for item in frames.transforms}
+    assert poses["preview"] == poses["camera"]
+    assert TruthFile(tmp_path / "t.mcap").truth("test-s0000").preview == truth().preview
 
 
 def test_a_scene_replaces_the_models_of_the_one_before(tmp_path: Path) -> None:
@@ -266,7 +286,8 @@ def test_any_change_of_content_changes_the_hash() -> None:
     truths = [so, replace(so, goals=None), replace(so, seg=so.seg + 1), replace(so, parts=()), replace(so, queries={})]
     assert len({observation_hash(item) for item in scenes}) == len(scenes)
     assert len({truth_hash(item) for item in truths}) == len(truths)
-    assert truth_hash(replace(so, models={})) == truth_hash(so)  # copies for viewers
+    assert truth_hash(replace(so, models={}, preview=None)) == truth_hash(so)  # copies for viewers
+    assert observation_hash(replace(scene, preview=b"another")) == observation_hash(scene)
 
 
 def test_the_content_hash_has_not_changed() -> None:

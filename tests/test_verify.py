@@ -22,7 +22,12 @@ from kit1000.errors import InputError
 from kit1000.files import json_bytes, read_json
 from kit1000.generation import rebuild
 from kit1000.generation.build import generate
-from kit1000.generation.rebuild import observation_differences, scene_differences, truth_differences
+from kit1000.generation.rebuild import (
+    observation_differences,
+    preview_differences,
+    scene_differences,
+    truth_differences,
+)
 from kit1000.generation.summary import summary_bytes
 from kit1000.generation.verify import verify
 from kit1000.pose import Pose
@@ -198,6 +203,15 @@ def test_a_depth_changed_with_all_its_hashes_is_found(mesh_file_dataset: Path, t
     assert is_intact(root)
     faults = scene_differences(Geometry(root), read_json(root / "plan.json"), "val-s0000")
     assert faults == ["d415: depths differ"]
+
+
+def test_another_preview_is_named(mini: Path, recorded: tuple[Observation, SceneTruth]) -> None:
+    seen, truth = recorded
+    mesh = Geometry(mini).part(truth.assembly_id).mesh
+    assert preview_differences(seen, truth, mesh) == []
+    swapped = replace(seen, preview=truth.preview), replace(truth, preview=seen.preview)
+    assert preview_differences(*swapped, mesh) == ["preview differs", "preview of the goals differs"]
+    assert preview_differences(replace(seen, preview=None), truth, mesh) == ["preview differs"]
 
 
 def test_a_goal_changed_with_all_its_hashes_is_found(copy: Path) -> None:

@@ -16,6 +16,7 @@ from kit1000.values import View
 
 LICENCE = "CC-BY-4.0"
 SCENES_PER_SHARD = 25  # a shard is the unit of work and of download: about 20 MB, about ten seconds
+PREVIEW_STEP = 2  # a preview has a pixel for as many columns and rows of the depth image
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +30,8 @@ class Observation:
     """(H, W) uint8 masks of the primary camera, see `kit1000.values.LabelledDepth`."""
     queries: tuple[Row, ...] = ()
     """Rows {"id", "track", "sensor", "part", "drawn", "pivot": [3], "guess": pose or null}."""
+    preview: bytes | None = None
+    """A small PNG for viewers, drawn from the rest of the observation; see `kit1000.pictures.scene_preview`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,3 +56,5 @@ class SceneTruth:
     """(n,) world_from_part of every goal of the scene's target, for viewers."""
     crowded: bool = False
     """Whether the parts are pushed together."""
+    preview: bytes | None = None
+    """A small PNG for viewers: the preview of the observation, with the target at its goals."""

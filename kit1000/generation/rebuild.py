@@ -26,6 +26,7 @@ from kit1000.generation.scenes import make_scene
 from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS, SPLITS_WITH_EXTRA_VIEWS, TRUTH
 from kit1000.kits.assembly import build_assembly
 from kit1000.mesh import Mesh
+from kit1000.pictures.scene_preview import same_picture, with_previews
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Part
 
@@ -58,10 +59,11 @@ def scene_differences(geometry: Geometry, plan: dict[str, Any], scene_id: str) -
         )
         shard = next(name for name, scene_ids in geometry.summary["shards"].items() if scene_id in scene_ids)
         path = geometry.root / shard.removesuffix(OBSERVATIONS)
-        differences += observation_differences(
-            rebuilt.observation, ObservationFile(f"{path}{OBSERVATIONS}").observation(scene_id)
-        )
-        differences += truth_differences(rebuilt.truth, TruthFile(f"{path}{TRUTH}").truth(scene_id))
+        seen = ObservationFile(f"{path}{OBSERVATIONS}").observation(scene_id)
+        truth = TruthFile(f"{path}{TRUTH}").truth(scene_id)
+        differences += observation_differences(rebuilt.observation, seen)
+        differences += truth_differences(rebuilt.truth, truth)
+        differences += preview_differences(seen, truth, parts[assembly.id].mesh)
         if rebuilt.extra_views is not None:
             differences += observation_differences(
                 rebuilt.extra_views, ObservationFile(f"{path}{EXTRA_VIEWS}").observation(scene_id)
@@ -107,6 +109,17 @@ def truth_differences(rebuilt: SceneTruth, stored: SceneTruth) -> list[str]:
     if not _poses_match(rebuilt.goals, stored.goals):
         differences.append("goals differ")
     return differences
+
+
+def preview_differences(seen: Observation, truth: SceneTruth, mesh: Mesh) -> list[str]:
+    """The previews that differ from those drawn again from what is stored; `mesh` is that of the target."""
+    drawn = with_previews(seen, truth, mesh)
+    names = ("preview differs", "preview of the goals differs")
+    return [
+        name
+        for name, again, stored in zip(names, drawn, (seen, truth), strict=True)
+        if not same_picture(again.preview, stored.preview)
+    ]
 
 
 def _rebuild_part_and_kit(

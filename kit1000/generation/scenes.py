@@ -20,6 +20,7 @@ from kit1000.generation.plan import is_crowded, rest_modes, scene_id_of
 from kit1000.generation.presets import Preset
 from kit1000.generation.queries import PartInScene, asking_tracks, scene_queries
 from kit1000.mesh import Mesh
+from kit1000.pictures.scene_preview import with_previews
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, camera_set, draw_primary_pose, in_view
@@ -130,6 +131,7 @@ def make_scene(
         scene_parts.crowded,
     )
     observation = Observation(scene_parts.scene_id, views, labels, tuple(rows))
+    observation, truth = with_previews(observation, truth, scene_parts.parts[scene_parts.target].mesh)
     return GeneratedScene(
         observation, truth, _extra_views(scene_parts, layout_view.layout) if extra_views else None, tuple(redraws)
     )

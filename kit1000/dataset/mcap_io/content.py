@@ -29,7 +29,7 @@ def json_bytes(value: Any, what: str) -> bytes:
 
 
 def observation_hash(observation: Observation) -> str:
-    """The content hash of an observation, in hex."""
+    """The content hash of an observation, in hex, without the preview, which follows from the rest."""
     views = {key: {"camera": _camera_row(view.camera), "world_from_camera": pose_row(view.world_from_camera)}
              for key, view in observation.views.items()}  # fmt: skip
     record = {"scene_id": observation.scene_id, "views": views, "queries": list(observation.queries)}
@@ -40,7 +40,7 @@ def observation_hash(observation: Observation) -> str:
 
 
 def truth_hash(truth: SceneTruth) -> str:
-    """The content hash of a truth, in hex, without the models, which are copies for viewers."""
+    """The content hash of a truth, in hex, without models and preview, which are for viewers."""
     goals = None if truth.goals is None else [pose_row(goal) for goal in truth.goals]
     return _hash(truth_row(truth) | {"goals": goals}, {"seg": truth.seg}, truth.scene_id)
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.CameraCalibration_pb2 import CameraCalibration
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
 from foxglove_schemas_protobuf.PointCloud_pb2 import PointCloud
@@ -32,6 +33,7 @@ from kit1000.pose import Pose
 
 WORLD = "world"
 SECOND = 1_000_000_000  # [ns]
+PREVIEW_FRAME = "preview"
 GLB = "model/gltf-binary"
 COORDINATES = ("x", "y", "z")  # fields of a point
 CHANNELS = ("red", "green", "blue", "alpha")
@@ -226,6 +228,18 @@ def image_of(data: memoryview) -> np.ndarray:
     image = np.frombuffer(fields["data"], dtype).reshape(fields["height"], fields["width"])  # type: ignore[arg-type]
     image.setflags(write=False)
     return image
+
+
+def preview_message(topic: str, png: bytes, stamp: int) -> Message:
+    """A picture, in a frame of its own: it has fewer pixels than the depth images."""
+    value = CompressedImage(frame_id=PREVIEW_FRAME, format="png", data=png)
+    _set_time(value.timestamp, stamp)
+    return _message(topic, value)
+
+
+def preview_of(data: memoryview) -> bytes:
+    """The PNG of a picture."""
+    return CompressedImage.FromString(bytes(data)).data
 
 
 def _protobuf_fields(data: memoryview) -> dict[int, Any]:

@@ -15,6 +15,7 @@ import numpy as np
 from kit1000.camera import Camera
 from kit1000.dataset.mcap_io.content import check_on_grid, observation_hash
 from kit1000.dataset.mcap_io.messages import (
+    PREVIEW_FRAME,
     Message,
     camera_message,
     camera_of,
@@ -23,19 +24,21 @@ from kit1000.dataset.mcap_io.messages import (
     image_message,
     image_of,
     json_schema,
+    preview_message,
+    preview_of,
     row_message,
     row_of,
 )
 from kit1000.dataset.mcap_io.reading import ShardFile
 from kit1000.dataset.mcap_io.writing import ShardWriter
-from kit1000.dataset.schema import Observation
+from kit1000.dataset.schema import PREVIEW_STEP, Observation
 from kit1000.dataset.tables import Row
 from kit1000.errors import InputError, checked
-from kit1000.pose import Pose
 from kit1000.values import View
 
 IDEAL = "ideal"  # the sensor whose frame is the true camera frame
 LABELS = f"/{IDEAL}/labels"  # beside the calibration of their frame: viewers match an image with it by topic
+PREVIEW = "/preview"
 VIEW_KEY = re.compile(r"((?:[a-z0-9]+/)*)([a-z0-9]+)")  # camera, then sensor
 QUERY_FIELDS = ("drawn", "guess", "id", "part", "pivot", "sensor", "track")
 
@@ -105,10 +108,16 @@ class ObservationFile(ShardFile):
         masks = self._all(scene_id, LABELS)
         return checked("labels", image_of(masks[0]), ("h", "w"), np.uint8) if masks else None
 
+    def preview(self, scene_id: str) -> bytes | None:
+        """A small PNG of the scene; None without one."""
+        previews = self._all(scene_id, PREVIEW)
+        return preview_of(previews[0]) if previews else None
+
     def observation(self, scene_id: str) -> Observation:
         """The whole observation of a scene."""
         views = {key: self.view(scene_id, key) for key in self.view_keys(scene_id)}
-        return Observation(scene_id, views, self.labels(scene_id), tuple(self.queries(scene_id)))
+        queries = tuple(self.queries(scene_id))
+        return Observation(scene_id, views, self.labels(scene_id), queries, self.preview(scene_id))
 
     def recomputed_hash(self, scene_id: str) -> str:
         """The content hash, computed from the data read."""
@@ -118,27 +127,27 @@ class ObservationFile(ShardFile):
 def _messages(observation: Observation, stamp: int) -> Iterator[Message]:
     """The messages of a scene, small ones first, so that a reader can stop decompressing early."""
     views = {key: observation.views[key] for key in sorted(observation.views, key=_sort_key)}
-    yield from _camera_messages(views, stamp)
-    frames: dict[str, Pose] = {}
+    # A calibration for every frame, beside its images: viewers look for it there, and object to two of one frame.
     for key, view in views.items():
-        frames[_frame_id(key)] = view.world_from_camera
+        yield camera_message(f"/{key}/camera", view.camera, _frame_id(key), stamp)
+    frames = {_frame_id(key): view.world_from_camera for key, view in views.items()}
+    if observation.preview is not None:
+        view = next(iter(views.values()))
+        yield camera_message(f"{PREVIEW}/camera", view.camera.scaled(1 / PREVIEW_STEP), PREVIEW_FRAME, stamp)
+        frames[PREVIEW_FRAME] = view.world_from_camera
     yield frames_message("/tf", frames, stamp)
     for row in observation.queries:
         if sorted(row) != sorted(QUERY_FIELDS):
             raise InputError(f"query {row.get('id')}: fields {sorted(row)}, expected {sorted(QUERY_FIELDS)}")
         yield row_message("/query", _QUERY, row, f"query {row['id']}")
+    if observation.preview is not None:
+        yield preview_message(PREVIEW, observation.preview, stamp)
     if observation.labels is not None:
         labels = checked(f"{observation.scene_id}: labels", observation.labels, ("h", "w"), np.uint8)
         yield image_message(LABELS, labels, "mono8", _frame_id(IDEAL), stamp)
     for key, view in views.items():
         check_on_grid(view.depth, f"{observation.scene_id} {key}")
         yield image_message(f"/{key}/depth", view.depth, "32FC1", _frame_id(key), stamp)
-
-
-def _camera_messages(views: dict[str, View], stamp: int) -> Iterator[Message]:
-    """A calibration for every frame, beside its images: viewers look for it there, and object to two of one frame."""
-    for key, view in views.items():
-        yield camera_message(f"/{key}/camera", view.camera, _frame_id(key), stamp)
 
 
 @lru_cache(maxsize=16)

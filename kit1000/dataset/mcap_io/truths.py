@@ -17,6 +17,8 @@ from kit1000.dataset.mcap_io.messages import (
     models_of,
     poses_message,
     poses_of,
+    preview_message,
+    preview_of,
     row_message,
     row_of,
 )
@@ -28,6 +30,7 @@ from kit1000.dataset.tables import Row, pose_of
 from kit1000.errors import InputError, checked
 from kit1000.pose import Pose
 
+PREVIEW = "/preview/goals"  # beside the preview of the observations, when a viewer opens both files
 _TRUTH = json_schema(
     "kit1000.SceneTruth",
     {
@@ -64,7 +67,7 @@ class TruthFile(ShardFile):
     def truth(self, scene_id: str) -> SceneTruth:
         """The whole ground truth of a scene."""
         row = self.row(scene_id)
-        goals = self._all(scene_id, "/goals")
+        goals, previews = self._all(scene_id, "/goals"), self._all(scene_id, PREVIEW)
         return SceneTruth(
             scene_id=row["scene_id"],
             assembly_id=row["assembly_id"],
@@ -75,6 +78,7 @@ class TruthFile(ShardFile):
             models=self.models(scene_id),
             goals=poses_of(goals[0]) if goals else None,
             crowded=row["crowded"],
+            preview=preview_of(previews[0]) if previews else None,
         )
 
     def row(self, scene_id: str) -> Row:
@@ -100,6 +104,8 @@ def _messages(truth: SceneTruth, stamp: int) -> Iterator[Message]:
     yield frames_message("/tf", bodies, stamp)
     if truth.goals is not None:
         yield poses_message("/goals", truth.goals, stamp)
+    if truth.preview is not None:
+        yield preview_message(PREVIEW, truth.preview, stamp)
     seg = checked(f"{truth.scene_id}: seg", truth.seg, ("h", "w"), np.uint16)
     yield models_message("/scene", truth.models, bodies, stamp)
     yield image_message("/seg", seg, "mono16", "camera", stamp)

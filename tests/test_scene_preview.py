@@ -1,0 +1,245 @@
+"""Tests of the previews of recorded scenes: what they are drawn from, and that anybody can draw them again."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from kit1000.camera import Camera
+from kit1000.dataset.mcap_io import ObservationFile
+from kit1000.dataset.reader import Dataset
+from kit1000.dataset.schema import Observation, SceneTruth
+from kit1000.errors import InputError
+from kit1000.mesh import Mesh, mesh_from_solid
+from kit1000.pictures.relief import BOUNCE_SHARE, KEY_LIGHT, KEY_SHARE, SKY, SKY_SHARE, line_cover, relief_light
+from kit1000.pictures.scene_preview import (
+    MARK,
+    NOTHING,
+    TABLE,
+    png_bytes,
+    same_picture,
+    scene_picture,
+    with_goals,
+    with_previews,
+)
+from kit1000.pose import Pose
+from kit1000.sim.render import render
+from kit1000.values import View
+from tests.shapes import box, standing
+
+CAMERA = Camera(128, 72, 92.5, 92.5, 63.5, 35.5)
+LARGEST = 60_000  # [bytes]
+
+
+@pytest.fixture(scope="module")
+def recorded(mini: Path) -> list[tuple[Observation, SceneTruth, Mesh]]:
+    """All scenes of the small dataset, each with its truth and the mesh of its target."""
+    dataset = Dataset(mini)
+    scenes = [scene for split in ("train", "val", "test-all") for scene in dataset.split(split, truth=True)]
+    return [
+        (
+            dataset.observation_file(scene.shard).observation(scene.id),
+            scene.truth,
+            dataset.geometry.part(scene.truth.assembly_id).mesh,
+        )
+        for scene in scenes
+    ]
+
+
+def plane(normal: np.ndarray, distance: float = 0.7) -> View:
+    """An image of the plane through (0, 0, distance) with a normal (3,) in the camera frame."""
+    v, u = np.indices((CAMERA.height, CAMERA.width))
+    rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
+    depth = np.round(distance * normal[2] / (rays @ normal) * 8192) / 8192
+    return View(CAMERA, Pose.identity(), depth.astype(np.float32))
+
+
+def unit(*vector: float) -> np.ndarray:
+    return np.array(vector) / np.linalg.norm(vector)
+
+
+def decoded(png: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(png)))
+
+
+# What it is drawn from
+
+
+def test_the_preview_follows_from_the_observation_file_alone(mini: Path, tmp_path: Path) -> None:
+    for path in sorted(mini.glob("*/[0-9][0-9][0-9][0-9].mcap")):
+        alone = tmp_path / path.name
+        alone.write_bytes(path.read_bytes())
+        file = ObservationFile(alone)
+        for scene_id in file.scene_ids:
+            observation = replace(file.observation(scene_id), preview=None)
+            assert png_bytes(scene_picture(observation)) == file.preview(scene_id)
+
+
+def test_only_depth_masks_and_which_parts_are_drawn_matter(recorded: list) -> None:
+    for observation, _, _ in recorded:
+        ideal = observation.views["ideal"]
+        rows = [
+            {"part": row["part"], "drawn": row["drawn"], "pivot": [9.0, 9.0, 9.0], "id": "x", "guess": None}
+            for row in observation.queries
+        ]
+        other = Observation(
+            "elsewhere", {"ideal": replace(ideal, world_from_camera=Pose.identity())}, observation.labels
+        )
+        assert np.array_equal(scene_picture(replace(other, queries=tuple(rows[::-1]))), decoded(observation.preview))
+
+
+def test_the_preview_of_the_truth_follows_from_goals_and_mesh(recorded: list) -> None:
+    for observation, truth, mesh in recorded:
+        bare = with_previews(replace(observation, preview=None), replace(truth, preview=None), mesh)
+        assert (bare[0].preview, bare[1].preview) == (observation.preview, truth.preview)
+
+
+def test_an_observation_file_has_no_preview_of_the_goals(recorded: list, mini: Path) -> None:
+    for observation, truth, _ in recorded:
+        assert not same_picture(observation.preview, truth.preview)
+    previews = [truth.preview for _, truth, _ in recorded]
+    for path in mini.glob("*/[0-9][0-9][0-9][0-9].mcap"):
+        file = ObservationFile(path)
+        assert {file.preview(scene_id) for scene_id in file.scene_ids}.isdisjoint(previews)
+
+
+def test_extra_views_have_no_preview(mini: Path) -> None:
+    file = ObservationFile(mini / "test/0000.three.mcap")
+    assert [file.preview(scene_id) for scene_id in file.scene_ids] == [None] * len(file.scene_ids)
+
+
+def test_a_preview_is_a_small_png(recorded: list) -> None:
+    for observation, truth, _ in recorded:
+        for png in (observation.preview, truth.preview):
+            assert len(png) <= LARGEST
+            assert decoded(png).shape == (360, 640, 3)
+
+
+# What it shows
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.3, 0.0), (-0.3, 0.2), (0.0, -0.6), (0.5, 0.5)])
+@pytest.mark.parametrize("label", [0, 1, 4])
+def test_an_open_plane_has_the_light_of_its_normal(tilt: tuple[float, float], label: int) -> None:
+    normal = unit(*tilt, -1.0)
+    view = plane(normal)
+    light = relief_light(CAMERA, view.depth, np.full(view.depth.shape, label, np.uint8))
+    key, sky = max(normal @ KEY_LIGHT, 0), 0.5 + 0.5 * (normal @ SKY)
+    expected = KEY_SHARE * key + SKY_SHARE * sky + BOUNCE_SHARE
+    np.testing.assert_allclose(light[2:-2, 2:-2], expected, atol=0.03 if label else 1e-3)
+
+
+def test_a_body_darkens_the_table_beside_it() -> None:
+    view = plane(unit(0.0, 0.0, -1.0))
+    depth, labels = view.depth.copy(), np.zeros(view.depth.shape, np.uint8)
+    depth[24:48, 40:80] -= np.float32(512 / 8192)
+    labels[24:48, 40:80] = 2
+    light, bare = relief_light(CAMERA, depth, labels), relief_light(CAMERA, view.depth, np.zeros_like(labels))
+    below, above = light[25, 30], light[10, 30]  # the light comes from the upper left
+    assert below < 0.75 * bare[25, 30]
+    assert above > below
+    np.testing.assert_allclose(light[:, 60:], bare[:, 60:], rtol=1e-12)  # far away nothing changes
+
+
+def test_lines_separate_labels_and_steps_but_cross_no_plane() -> None:
+    view = plane(unit(0.4, 0.3, -1.0))
+    ones = np.ones(view.depth.shape, np.uint8)
+    assert not line_cover(view.depth, ones).any()
+    parts = ones.copy()
+    parts[:, 64:] = 2
+    assert line_cover(view.depth, parts)[2:-2, 31:33].all()
+    step = view.depth.copy()
+    step[:, 64:] -= np.float32(0.05)
+    assert line_cover(step, ones)[2:-2, 31:33].any(1).all()
+
+
+def test_surfaces_and_holes_have_their_colours() -> None:
+    view = plane(unit(0.0, -0.3, -1.0))
+    depth = np.where(np.arange(CAMERA.height)[:, None] < 20, np.float32(0), view.depth)
+    picture = scene_picture(Observation("s", {"ideal": replace(view, depth=depth)}, np.zeros(depth.shape, np.uint8)))
+    assert (picture[:10] == NOTHING).all()
+    assert len(np.unique(picture[12:].reshape(-1, 3), axis=0)) == 1
+    shares = picture[20, 20] / np.array(TABLE)
+    assert np.ptp(shares) < 0.02
+
+
+def test_exactly_the_parts_of_drawn_queries_are_marked() -> None:
+    labels = np.zeros((72, 128), np.uint8)
+    labels[20:40, 20:40], labels[20:40, 80:100] = 2, 3
+    scene = Observation("s", {"ideal": plane(unit(0.0, 0.0, -1.0))}, labels)
+    for drawn in ((), (0,), (1,), (0, 1)):
+        rows = tuple({"part": part, "drawn": part in drawn} for part in (0, 1, 1))
+        white = (scene_picture(replace(scene, queries=rows)) == MARK).all(2)
+        assert [part for part, half in enumerate((white[:, :32], white[:, 32:])) if half.any()] == list(drawn)
+
+
+def test_goals_change_the_picture_only_where_the_part_would_be() -> None:
+    mesh = mesh_from_solid(standing(box(40, 30, 20)))
+    view = View(CAMERA, Pose.identity(), plane(unit(0.0, 0.0, -1.0)).depth)
+    plain = np.full((36, 64, 3), 90, np.uint8)
+    goals = Pose.stack([Pose.from_translation([x, 0.0, 0.6]) for x in (-0.1, 0.1)])
+    drawn = with_goals(plain, view, mesh, goals, 0)
+    shown = render(CAMERA, view.world_from_camera, [(mesh, goals[0]), (mesh, goals[1])], threads=1).body_ids > 0
+    cells = shown.reshape(36, 2, 64, 2)
+    changed = (drawn != plain).any(2)
+    assert changed[cells.any((1, 3))].all()
+    v, u = np.nonzero(changed)
+    at = np.argwhere(cells.any((1, 3)))
+    assert all(np.abs(at - (y, x)).max(1).min() <= 2 for y, x in zip(v, u, strict=True))
+    far = Pose.stack([Pose.from_translation([9.0, 0.0, 0.6]), Pose.from_translation([0.0, 0.0, -1.0])])
+    assert np.array_equal(with_goals(plain, view, mesh, far, 0), plain)
+
+
+# Any image, the same bytes
+
+
+@pytest.mark.parametrize("size", [(2, 2), (3, 5), (24, 32), (37, 61)])
+def test_any_image_has_a_picture(size: tuple[int, int]) -> None:
+    draw = np.random.default_rng(size[0])
+    camera = Camera(size[1], size[0], 30.0, 31.0, 15.0, 11.0)
+    labels = draw.integers(0, 256, size).astype(np.uint8)
+    rows = tuple({"part": part, "drawn": True} for part in (0, 100, 253))
+    for depth in (np.zeros(size), np.ones(size), draw.integers(0, 8192, size) / 8192):
+        view = View(camera, Pose.identity(), depth.astype(np.float32))
+        picture = scene_picture(Observation("s", {"d415": view}, labels, rows))
+        assert picture.shape == (size[0] // 2, size[1] // 2, 3)
+        assert np.array_equal(decoded(png_bytes(picture)), picture)
+
+
+def test_masks_are_needed() -> None:
+    with pytest.raises(InputError, match="test-s0000: a preview needs masks"):
+        scene_picture(Observation("test-s0000", {"ideal": plane(unit(0.0, 0.0, -1.0))}))
+
+
+def test_pixels_are_compared_and_not_their_compression() -> None:
+    picture = np.arange(36, dtype=np.uint8).reshape(3, 4, 3)
+    buffer = io.BytesIO()
+    Image.fromarray(picture).save(buffer, "PNG", compress_level=0)
+    assert buffer.getvalue() != png_bytes(picture)
+    assert same_picture(buffer.getvalue(), png_bytes(picture))
+    assert not same_picture(png_bytes(picture), png_bytes(picture + 1))
+    assert not same_picture(png_bytes(picture), png_bytes(picture[:2]))
+    assert same_picture(None, None)
+    assert not same_picture(None, png_bytes(picture))
+
+
+def test_the_pixels_are_the_same_on_every_processor() -> None:
+    """A body with a hollow, a hole in the image, and steps of the depth grid: the pixels as first drawn."""
+    view = plane(unit(0.1, -0.5, -1.0))
+    depth, labels = view.depth.copy(), np.zeros(view.depth.shape, np.uint8)
+    depth[20:50, 30:70] -= np.float32(400 / 8192)
+    labels[20:50, 30:70] = 1
+    depth[30:40, 45:60] += np.float32(200 / 8192)
+    depth[10:25, 90:110] -= np.float32(300 / 8192)
+    labels[10:25, 90:110] = 3
+    depth[60:, :20] = 0
+    picture = scene_picture(
+        Observation("s", {"ideal": replace(view, depth=depth)}, labels, ({"part": 1, "drawn": True},))
+    )
+    assert sha256(picture.tobytes()).hexdigest()[:16] == "a062eef093927756"
