@@ -4,18 +4,24 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from manifold3d import Manifold
 from mini import MINI, l_shape, l_shape_sources, write_stl
 
 from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.mesh_files import read_glb
 from kit1000.errors import InputError
 from kit1000.generation import parts_and_kits, shards
 from kit1000.generation.build import generate
-from kit1000.generation.plan import Sources, make_plan
+from kit1000.generation.parts_and_kits import PartJob, make_part_and_kit
+from kit1000.generation.plan import Sources, draw_longest, make_plan
 from kit1000.generation.scenes import make_scene
 from kit1000.generation.verify import verify
-from kit1000.mesh import Mesh
+from kit1000.mesh import Mesh, defect_float32, mesh_from_solid
+from kit1000.parts.family import part_of_mesh
 from kit1000.parts.files.sources import mesh_files
 from kit1000.tracks import SPLITS
 
@@ -37,14 +43,14 @@ def test_invalid_files_are_refused_with_a_reason_and_do_not_stop_the_run(
     write_stl(folder / "strange.stl", l_shape(40))
     (folder / "empty.stl").touch()
     listed = [*good, *(folder / f"{name}.stl" for name in ("same", "flat", "strange", "empty", "missing"))]
-    original = parts_and_kits.design_kit
+    original = parts_and_kits.accepted_kit
 
-    def design(part, *settings, **others):
+    def accepted(part, clearance):
         if abs(part.mesh.extents.min() / part.mesh.extents.max() - 30 / 40) < 1e-3:
             raise ZeroDivisionError("nobody thought\nof this")
-        return original(part, *settings, **others)
+        return original(part, clearance)
 
-    monkeypatch.setattr(parts_and_kits, "design_kit", design)
+    monkeypatch.setattr(parts_and_kits, "accepted_kit", accepted)
     preset = replace(MINI, train=7)
     summary = generate(preset, tmp_path / "out", workers=1, sources=Sources.of(listed))
     refused = summary["refused"]
@@ -69,6 +75,38 @@ def test_real_parts_become_a_dataset_that_verifies(real_parts: Path, tmp_path: P
     assert [summary["counts"][split]["scenes"] for split in SPLITS] == [6, 2, 4]
     assert summary["refused_scenes"] == {}
     assert verify(tmp_path / "out", sample=3).faults == ()
+
+
+def part_job(folder: Path, name: str, body: Manifold, **drawn: tuple[float, float]) -> PartJob:
+    path = write_stl(folder / f"{name}.stl", mesh_from_solid(body.scale((1e-3, 1e-3, 1e-3))))
+    preset = replace(MINI, longest=(0.035, 0.05))
+    return PartJob(folder / "out", replace(preset, **drawn), 0, "train-0000", "train", ((path.name, path),))
+
+
+def test_a_part_refused_at_the_size_drawn_is_tried_at_the_largest(tmp_path: Path) -> None:
+    """A bar of 50 x 22 x 7.6 mm is high enough from 47 mm on."""
+    bar = Manifold.cube((50, 22, 7.6))
+    made = make_part_and_kit(part_job(tmp_path, "bar", bar))
+    assert draw_longest(replace(MINI, longest=(0.035, 0.05)), 0, "train-0000") < 0.046
+    assert read_glb(tmp_path / "out/parts/train-0000.glb")["train-0000"].extents.max() == pytest.approx(0.05, abs=1e-6)
+    assert made["redraws"] == []
+    low = make_part_and_kit(part_job(tmp_path / "low", "bar", bar, longest=(0.035, 0.046)))
+    assert low["refused"]
+    assert len(low["redraws"]) == 1
+
+
+def test_a_part_that_scaling_would_open_is_closed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A slit at the origin, where float32 is fine, comes to lie where it is coarse."""
+    cut = Manifold.cube((40, 22, 18)) - Manifold.cube((1e-7, 9, 5)).translate((1e-7, 8, 13))
+    mesh = mesh_from_solid(cut.scale((1e-3, 1e-3, 1e-3)))
+    assert defect_float32(part_of_mesh("cut", mesh, 0.04).mesh) is not None
+    monkeypatch.setattr(parts_and_kits, "read_mesh", lambda *_: SimpleNamespace(mesh=mesh))
+    job = part_job(tmp_path, "cut", cut, longest=(0.04, 0.04))
+    closed = parts_and_kits._part_of_size(job, mesh, 0.04)
+    assert defect_float32(closed.mesh) is None
+    assert np.abs(closed.mesh.bounds - part_of_mesh("cut", mesh, 0.04).mesh.bounds).max() < 1e-5
+    monkeypatch.setattr(parts_and_kits, "closed_on_grid", lambda mesh, _: (mesh, "3 open edges"))
+    assert make_part_and_kit(job)["redraws"] == ["opens when files round it to float32: 3 open edges"]
 
 
 def files_by_part(seed: int, files: list[Path]) -> dict[str, list[str]]:
@@ -101,7 +139,7 @@ def test_no_usable_file_is_one_line_and_the_folder_can_be_used_again(sources: So
         (tmp_path / f"{name}.stl").touch()
     with pytest.raises(InputError) as caught:
         generate(MINI, tmp_path / "out", workers=1, sources=Sources.of(sorted(tmp_path.glob("*.stl"))))
-    assert str(caught.value).startswith("none of 4 mesh files can be a part (")
+    assert str(caught.value).startswith("none of 4 mesh files can be a part: 4x empty file (")
     assert str(caught.value).endswith(".stl: empty file; and 1 more)")
     generate(MINI, tmp_path / "out", workers=1, sources=sources)
 

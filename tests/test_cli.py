@@ -94,7 +94,7 @@ WRONG = {
     "generate tyni --out {tmp}/out": "no preset 'tyni'; did you mean tiny? there are tiny, small, kit1000, paper",
     "generate tiny --out {tmp}/out --parts {tmp}/none": "{tmp}/none: does not exist; expected a mesh file, a folder",
     "generate tiny --out {tmp}/out --parts {tmp}": "{tmp}: no mesh files inside; looked for .stl .obj",
-    "generate tiny --out {tmp}/out --parts {files}/empty.stl": "none of 1 mesh files can be a part (empty.stl: empty",
+    "generate tiny --out {tmp}/out --parts {files}/empty.stl": "none of 1 mesh files can be a part: 1x empty file (",
     "generate tiny --out {tmp}/out --unit mm": "--unit: is the unit of the meshes of --parts, which is absent",
     "generate tiny --out {tmp}/out --withhold {tmp}/out": "--withhold: expected a folder outside --out {tmp}/out",
     "generate tiny --out {tmp}/out --withhold {tmp}/w --seed 7": "--seed: 7 can be guessed, and with it the withheld",

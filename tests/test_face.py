@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 import pytest
@@ -13,7 +13,14 @@ from manifold3d import Manifold
 from trimesh.poses import compute_stable_poses
 
 from kit1000.kits.cavity import insertion_depth
-from kit1000.kits.face import RestingFace, rank_faces, resting_faces
+from kit1000.kits.face import (
+    SAME_PROBABILITY,
+    RestingFace,
+    _tips_over,
+    distinct_faces,
+    rank_faces,
+    resting_faces,
+)
 from kit1000.kits.kit import CLEARANCE
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, random_quaternions
@@ -117,6 +124,34 @@ def test_rotated_axes_rotate_the_faces_and_change_nothing_else(name: str, seed: 
         assert matches[0].height == pytest.approx(face.height)
 
 
+@pytest.mark.parametrize(("sides", "height"), [(19, 1.0), *product([20, 24, 96], [0.2, 1.0, 30.0])])
+def test_every_prism_rests_somewhere(sides: int, height: float) -> None:
+    """The facets of a prism of many sides are all unlikely, yet it rolls to rest on them."""
+    faces = resting_faces(as_part(prism(sides, 10, 10 * height)).mesh)
+    flat = [face for face in faces if abs(face.normal[2]) > 0.5]
+    assert not any(face.rolls for face in flat)
+    assert all(face.rolls for face in faces if abs(face.normal[2]) < 0.5)
+    assert sum(face.probability for face in faces) > 0.9
+    assert len(faces) - len(flat) == 1
+
+
+def test_facets_of_a_slight_bend_do_not_roll() -> None:
+    bent = Manifold.hull_points(np.array([[-20, -9, 1], [20, -9, 1], [-20, 9, 1], [20, 9, 1], [0, -9, 0], [0, 9, 0.0]]))
+    body = as_part(bent + box(40, 18, 12, (0, 0, 1))).mesh
+    assert not any(face.rolls for face in resting_faces(body))
+
+
+def test_congruent_faces_and_mirror_images_are_tried_once() -> None:
+    cube = as_part(box(20, 20, 20)).mesh
+    assert len(distinct_faces(cube, resting_faces(cube))) == 1
+    slab = as_part(box(30, 24, 20)).mesh
+    assert len(distinct_faces(slab, resting_faces(slab))) == 3
+    ell_faces = distinct_faces(mesh("ell"), resting_faces(mesh("ell")))
+    assert sum(abs(face.normal[2]) > 0.5 for face in ell_faces) == 1  # from above it is the mirror image of below
+    pocket = as_part(box(30, 24, 20) - box(8, 6, 5, (4, 3, 15))).mesh
+    assert len(distinct_faces(pocket, resting_faces(pocket))) == 6
+
+
 def first_choice(body: Mesh) -> RestingFace:
     faces = resting_faces(body)
     return faces[rank_faces(body, faces, [insertion_depth(face.height) for face in faces], CLEARANCE)[0]]
@@ -129,6 +164,28 @@ def test_an_l_is_inserted_with_its_outline_in_the_plate() -> None:
 def test_a_plate_is_not_inserted_on_its_narrow_edge() -> None:
     """On its edge a 7 mm plate would lean by 20 degrees within its clearance."""
     assert abs(first_choice(as_part(box(40, 26, 7)).mesh).normal[2]) == pytest.approx(1)
+
+
+def test_the_likeliest_face_comes_first_and_rolling_ones_after_flat_ones() -> None:
+    for body in (as_part(box(40, 30, 12) + box(9, 30, 20, (-15.5, 0, 0))).mesh, as_part(cylinder(20, 22)).mesh):
+        faces = resting_faces(body)
+        order = rank_faces(body, faces, [insertion_depth(face.height) for face in faces], CLEARANCE)
+        ranked = [
+            faces[i] for i in order if not _tips_over(body, faces[i], insertion_depth(faces[i].height), CLEARANCE)
+        ]
+        assert [face.rolls for face in ranked] == sorted(face.rolls for face in ranked)
+        flat = [face.probability for face in ranked if not face.rolls]
+        assert all(a >= (1 - SAME_PROBABILITY) * b for a, b in pairwise(flat))
+
+
+def test_contrast_decides_between_faces_as_likely() -> None:
+    """A block with a corner cut away below: upside down the cut is above the rim, where it tells nothing."""
+    body = as_part(box(40, 30, 20) - box(20, 15, 7, (10, 7.5, 0))).mesh
+    faces = resting_faces(body)
+    down = [face for face in faces if abs(face.normal[2]) > 0.99]
+    a, b = sorted(down, key=lambda face: -face.probability)
+    assert b.probability >= (1 - SAME_PROBABILITY) * a.probability
+    assert first_choice(body).normal[2] == pytest.approx(-1)
 
 
 @pytest.mark.parametrize("name", SOLIDS)

@@ -21,9 +21,11 @@ from kit1000.errors import InputError
 from kit1000.export import own_part
 from kit1000.export.own_part import InexactKit, make_kit_from_file, make_kits_from_file
 from kit1000.files import PARTIAL
+from kit1000.kits.acceptance import NOT_SEATED, PairCheck
+from kit1000.kits.choice import Attempt, attempts
 from kit1000.kits.clearance import Clearance
 from kit1000.kits.envelope import RELIEF_CELLS, lower_envelope, polar_relief
-from kit1000.kits.kit import KitDesign, design_kit
+from kit1000.kits.kit import design_kit, insertion_faces
 from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
 from kit1000.parts.files import bodies
@@ -125,7 +127,7 @@ def test_the_report_states_clearance_repairs_and_scale(out: Path, report: dict[s
 
 def test_another_run_over_the_same_folder_replaces_everything(out: Path, tmp_path: Path) -> None:
     part, folder = write_stl(tmp_path / "corner.stl", l_shape()), tmp_path / "out"
-    make_kit_from_file(part, folder, clearance=4e-3)
+    make_kit_from_file(part, folder, clearance=2e-3)
     wide = file_hashes(folder)
     (folder / f".kit.stl.77{PARTIAL}").touch()
     (folder / "notes.txt").touch()
@@ -306,24 +308,50 @@ def test_too_many_bodies_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize(
-    ("smallest", "trial", "reason"),
+    ("smallest", "refusal", "reason"),
     [
-        (2.479e-3, {"passes": True, "why": ""}, "came out with a clearance of 2.479 mm, expected 2.5 mm; nothing is"),
-        (0.0, {"passes": True, "why": ""}, "came out with a clearance of 0.000 mm"),
-        (2.5e-3, {"passes": False, "why": "does not seat at a goal"}, "the part does not seat at a goal of its kit"),
+        (2.479e-3, None, "came out with a clearance of 2.479 mm, expected 2.5 mm; nothing is"),
+        (0.0, None, "came out with a clearance of 0.000 mm"),
+        (2.5e-3, NOT_SEATED, "the part does not seat at a goal of its kit"),
     ],
 )
 def test_an_inexact_kit_is_not_written(
-    smallest: float, trial: dict[str, Any], reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    smallest: float, refusal: str | None, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def measured(*arguments: Any, **options: Any) -> KitDesign:
-        return replace(design_kit(*arguments, **options), measured_clearance=Clearance(smallest, 2.5e-3))
+    def inexact(*arguments: Any) -> Iterator[Attempt]:
+        design = replace(design_kit(*arguments), measured_clearance=Clearance(smallest, 2.5e-3))
+        yield from [Attempt(design, PairCheck(0.1, False), refusal)] * 2
 
-    monkeypatch.setattr(own_part, "design_kit", measured)
-    monkeypatch.setattr(own_part, "_trial_report", lambda *_: trial)
+    monkeypatch.setattr(own_part, "attempts", inexact)
     with pytest.raises(InexactKit, match=rf"^.*corner\.stl: .*{reason}"):
         make_kit_from_file(write_stl(tmp_path / "corner.stl", l_shape()), tmp_path / "out")
     assert not (tmp_path / "out").exists()
+
+
+def test_the_face_is_the_first_that_passes_the_trials_else_the_first_with_an_exact_kit(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def tried(refusals: list[str | None]) -> float:
+        def with_refusals(*arguments: Any) -> Iterator[Attempt]:
+            for attempt, refusal in zip(attempts(*arguments), refusals, strict=False):
+                yield replace(attempt, refusal=refusal)
+
+        monkeypatch.setattr(own_part, "attempts", with_refusals)
+        made = make_kit_from_file(write_stl(tmp_path / "corner.stl", l_shape()), tmp_path / "out")
+        return made["face_probability"]
+
+    first, second, third = (face.probability for face in insertion_faces(part_of_mesh("ell", l_shape()))[:3])
+    assert tried([None]) == pytest.approx(first)
+    assert tried(["tilted", None]) == pytest.approx(second)
+    assert tried([NOT_SEATED, "tilted", "tilted"]) == pytest.approx(second)
+    assert tried([NOT_SEATED, "tilted", None]) == pytest.approx(third)
+    assert tried(["tilted", "tilted", "tilted"]) == pytest.approx(first)
+
+
+def test_an_own_plate_lies_flat_though_it_is_low(tmp_path: Path) -> None:
+    plate = Manifold.cube((0.06, 0.04, 0.004)) - Manifold.cube((0.02, 0.02, 0.01), True)
+    made = make_kit_from_file(stl_of(tmp_path / "plate.stl", plate), tmp_path / "out", unit="mm")
+    assert made["depth_mm"] == pytest.approx(0.6 * 4, abs=1e-3)
 
 
 def test_kits_of_a_metre_are_as_exact_as_small_ones(tmp_path: Path) -> None:

@@ -12,8 +12,9 @@ from kit1000.dataset.mesh_files import glb_bytes, stl_bytes
 from kit1000.dataset.tables import pose_row
 from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw
 from kit1000.files import check_writable, clear_partial, write_bytes, write_json
-from kit1000.kits.acceptance import NOT_SEATED, check_pair
-from kit1000.kits.kit import CLEARANCE, KitDesign, design_kit
+from kit1000.kits.acceptance import NOT_SEATED
+from kit1000.kits.choice import Attempt, attempts
+from kit1000.kits.kit import CLEARANCE, KitDesign
 from kit1000.kits.printable_mesh import SIMPLIFY_TOLERANCE, closed_on_grid
 from kit1000.kits.seating import BISECTION_STEP
 from kit1000.kits.sweep import SAGITTA
@@ -105,12 +106,7 @@ def _make_kit(reading: MeshReading, place: str, out: Path, clearance: float, lon
             f"{place}: {side * 1e3:.3g} mm long, less than the clearance of {clearance * 1e3:g} mm; "
             "choose a smaller --clearance-mm, or another --unit"
         )
-    try:
-        design = design_kit(part, clearance, plate=None)
-    except Redraw as refusal:
-        raise InputError(f"{place}: no kit: {refusal.reason}") from None
-    trial = _trial_report(part, design)
-    _check_exact(design, trial, place)
+    design, trial = _best_kit(part, clearance, place)
     report = _report(reading, part, scale, design, trial)
     files = _files(part, design, place)
     clear_partial(out, *files, REPORT)
@@ -122,21 +118,48 @@ def _make_kit(reading: MeshReading, place: str, out: Path, clearance: float, lon
     return report
 
 
-def _check_exact(design: KitDesign, trial: dict[str, Any], place: str) -> None:
-    """Raise InexactKit unless the kit has at least the requested clearance and the part seats in it."""
+def _best_kit(part: Part, clearance: float, place: str) -> tuple[KitDesign, dict[str, Any]]:
+    """The kit on the first face that passes all trials, as in a dataset, else on the first that has an exact kit.
+
+    Returns it with the report of its trials, which are only reported, as not every user's part can pass them. Raises
+    InputError when there is no kit, and InexactKit when none is exact.
+    """
+    kits: list[tuple[KitDesign, dict[str, Any]]] = []
+    faults: list[Kit1000Error | None] = []
+    reason = ""
+    try:
+        for attempt in attempts(part, clearance, None):
+            if attempt.design is None:
+                reason = reason or attempt.refusal
+                continue
+            kits.append((attempt.design, _trial_report(attempt)))
+            faults.append(_fault_of(attempt.design, attempt.refusal, place))
+            if attempt.refusal is None and faults[-1] is None:
+                return kits[-1]
+    except Redraw as refusal:
+        reason = refusal.reason
+    for kit, fault in zip(kits, faults, strict=True):
+        if fault is None:
+            return kit
+    raise next((fault for fault in faults if fault is not None), InputError(f"{place}: no kit: {reason}"))
+
+
+def _fault_of(design: KitDesign, refusal: str | None, place: str) -> Kit1000Error | None:
+    """What keeps a kit from being written: less than the requested clearance, or a part that does not seat in it."""
     slot, smallest = design.kit.slot, design.measured_clearance.smallest
     if slot.depth / 3 <= BISECTION_STEP:
-        raise InputError(
+        return InputError(
             f"{place}: no kit: {design.face.height * 1e3:.3g} mm high where it lies, too flat for a cavity to hold it; "
             f"expected more than {BISECTION_STEP * 5e3:g} mm, see --fit-mm"
         )
     if smallest < slot.clearance - SAGITTA:
-        raise InexactKit(
+        return InexactKit(
             f"{place}: the kit came out with a clearance of {smallest * 1e3:.3f} mm, "
             f"expected {slot.clearance * 1e3:g} mm; nothing is written, try another --clearance-mm"
         )
-    if trial["why"] == NOT_SEATED:
-        raise InexactKit(f"{place}: the part {NOT_SEATED} of its kit; nothing is written, try another --clearance-mm")
+    if refusal == NOT_SEATED:
+        return InexactKit(f"{place}: the part {NOT_SEATED} of its kit; nothing is written, try another --clearance-mm")
+    return None
 
 
 def _part(reading: MeshReading, longest: float | None) -> tuple[Part, float]:
@@ -159,18 +182,14 @@ def _report(reading: MeshReading, part: Part, scale: float, design: KitDesign, t
     } | design.report
 
 
-def _trial_report(part: Part, design: KitDesign) -> dict[str, Any]:
-    """The result of the seating trials. It is only reported, as not every user's part can pass them."""
-    try:
-        trial = check_pair(part, design.kit)
-    except Redraw as refusal:
-        return {"passes": False, "why": refusal.reason}
-    keyed = None if trial.keyedness is None else float(np.degrees(trial.keyedness))
-    return {
-        "passes": not trial.has_loose_fit,
-        "why": "fits in another pose too" if trial.has_loose_fit else "",
-        "keyedness_deg": keyed,
-    }
+def _trial_report(attempt: Attempt) -> dict[str, Any]:
+    """The result of the trials of a kit."""
+    report: dict[str, Any] = {"passes": attempt.refusal is None, "why": attempt.refusal or ""}
+    if attempt.trial is None:
+        return report
+    keyed = None if attempt.trial.keyedness is None else float(np.degrees(attempt.trial.keyedness))
+    why = "fits in another pose too" if attempt.trial.has_loose_fit else ""
+    return report | {"why": why, "keyedness_deg": keyed}
 
 
 def _files(part: Part, design: KitDesign, place: str) -> dict[str, bytes]:

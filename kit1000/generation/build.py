@@ -34,6 +34,7 @@ from kit1000.generation.plan import Sources, candidate_order, make_plan, split_i
 from kit1000.generation.presets import Preset
 from kit1000.generation.shards import make_shard, shard_jobs
 from kit1000.generation.summary import JobRecords, description_files, make_summary, refused_files, summary_bytes, tables
+from kit1000.parts.files.refusals import refusal_counts
 from kit1000.parts.near_duplicates import near_duplicate_of
 from kit1000.tracks import SPLITS
 
@@ -154,9 +155,11 @@ def _no_usable_file(root: Path, plan: dict[str, Any], records: dict[str, Record]
     """The message that no mesh file became a part. Deletes the plan, so that the folder can be used again."""
     remove_folder(root / BUILD_FOLDER)
     (root / "plan.json").unlink(missing_ok=True)
-    reasons = [f"{name}: {reason}" for name, reason in refused_files(plan, records).items()]
+    refused = refused_files(plan, records)
+    reasons = [f"{name}: {reason}" for name, reason in refused.items()]
     more = f"; and {len(reasons) - 3} more" if len(reasons) > 3 else ""
-    return f"none of {len(reasons)} mesh files can be a part ({'; '.join(reasons[:3])}{more})"
+    counts = refusal_counts(refused.values())
+    return f"none of {len(reasons)} mesh files can be a part: {counts} ({'; '.join(reasons[:3])}{more})"
 
 
 def _make_assemblies(

@@ -6,7 +6,8 @@ the job is done. It also holds the reasons of the rejected attempts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +17,17 @@ from kit1000.errors import InputError, MeshRefused, Redraw, internal_error
 from kit1000.files import read_json, sha256, write_bytes, write_json
 from kit1000.generation.plan import draw_longest, draw_part
 from kit1000.generation.presets import Preset
-from kit1000.kits.acceptance import PairCheck, check_pair
-from kit1000.kits.kit import KitDesign, design_kit, insertion_faces
-from kit1000.kits.loose_fits import PreparedKit, accepts_most_parts
+from kit1000.kits.acceptance import PairCheck
+from kit1000.kits.choice import accepted_kit
+from kit1000.kits.kit import KitDesign
+from kit1000.kits.printable_mesh import GRID, closed_on_grid
+from kit1000.mesh import Mesh, defect_float32
 from kit1000.parts.family import make_part, part_of_mesh
 from kit1000.parts.files.sources import read_mesh
 from kit1000.parts.near_duplicates import shape_measures
 from kit1000.values import Part
 
 MAX_ATTEMPTS = 200  # draws of one part before the run fails
-MAX_FACES = 2  # best insertion faces tried before the part is redrawn
 BUILD_FOLDER = ".build"  # folder of records while a dataset is generated
 
 
@@ -96,7 +98,7 @@ def _from_draws(job: PartJob) -> Record:
         draw = draw_part(job.preset, job.seed, job.part_id, job.split, len(redraws))
         try:
             part = make_part(job.part_id, draw.family, draw.drawing, draw.longest)
-            return _record(job, part, *design_accepted_kit(part, job.preset.clearance), redraws)
+            return _record(job, part, *accepted_kit(part, job.preset.clearance), redraws)
         except Redraw as refusal:
             redraws.append(refusal.reason)
     raise Redraw(f"part {job.part_id}: none of {MAX_ATTEMPTS} draws gave a part that passes ({redraws[-1]})")
@@ -108,8 +110,7 @@ def _from_files(job: PartJob) -> Record:
     while len(redraws) < len(job.sources):
         name, path = job.sources[len(redraws)]
         try:
-            part = _read_part(job, path)
-            design, trial = design_accepted_kit(part, job.preset.clearance)
+            part, design, trial = _part_and_kit_of_file(job, path)
         except (MeshRefused, Redraw) as refusal:
             redraws.append(refusal.reason)
         except Exception as error:  # a user's mesh may trigger an unforeseen case: it is reported and the run continues
@@ -119,31 +120,32 @@ def _from_files(job: PartJob) -> Record:
     return {"id": job.part_id, "split": job.split, "files": {}, "redraws": redraws, "refused": True}
 
 
-def _read_part(job: PartJob, path: Path) -> Part:
-    longest = draw_longest(job.preset, job.seed, job.part_id)
-    return part_of_mesh(job.part_id, read_mesh(path, job.unit).mesh, longest)
+def _part_and_kit_of_file(job: PartJob, path: Path) -> tuple[Part, KitDesign, PairCheck]:
+    """The part of a mesh file with its kit, at the size drawn or, where that is refused, at the preset's largest.
 
-
-def design_accepted_kit(part: Part, clearance: float) -> tuple[KitDesign, PairCheck]:
-    """The kit of a part on the first of its best insertion faces that passes all trials, and their result.
-
-    Raises Redraw with the reason of the best face. A loose fit is also a reason.
+    In a larger part the clearance is smaller beside it, and a plate is higher. Raises MeshRefused when the file is no
+    solid, and Redraw with the reason at the size drawn.
     """
-    first: Redraw | None = None
-    for face in insertion_faces(part, clearance)[:MAX_FACES]:
-        try:
-            design = design_kit(part, clearance, face=face)
-            if not design.clearance_in_bounds:
-                raise Redraw("clearance out of bounds")
-            if accepts_most_parts(PreparedKit(design.kit)):
-                raise Redraw("slot takes nearly any part")  # every assembly with it would have one kit
-            trial = check_pair(part, design.kit)
-            if not trial.has_loose_fit:
-                return design, trial
-            first = first or Redraw("loose fit")
-        except Redraw as refusal:
-            first = first or refusal
-    raise first or Redraw("no stable resting face")
+    mesh = read_mesh(path, job.unit).mesh
+    try:
+        part = _part_of_size(job, mesh, draw_longest(job.preset, job.seed, job.part_id))
+        return part, *accepted_kit(part, job.preset.clearance)
+    except Redraw as refusal:
+        with suppress(Redraw):
+            part = _part_of_size(job, mesh, job.preset.longest[1])
+            return part, *accepted_kit(part, job.preset.clearance)
+        raise refusal from None
+
+
+def _part_of_size(job: PartJob, mesh: Mesh, longest: float) -> Part:
+    """The part of a mesh scaled to a longest side [m], closed as files hold it. Raises MeshRefused when it opens."""
+    part = part_of_mesh(job.part_id, mesh, longest)
+    if defect_float32(part.mesh) is None:
+        return part
+    closed, fault = closed_on_grid(part.mesh, GRID)
+    if fault is not None:
+        raise MeshRefused(f"opens when files round it to float32: {fault}")
+    return replace(part, mesh=closed)
 
 
 def _record(job: PartJob, part: Part, design: KitDesign, trial: PairCheck, redraws: list[str]) -> Record:

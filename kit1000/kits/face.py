@@ -1,7 +1,8 @@
-"""The face a part is inserted on: its stable resting faces, and which of them shows a wrong yaw best in the cavity.
+"""The face a part is inserted on: its stable resting faces, in the order in which an engineer would try them.
 
 A part dropped in a random orientation rolls over its convex hull until its centre of mass is above the facet it rests
 on (Goldberg et al. 1999, quasi-static: a face's probability is the solid angle of all orientations that roll to it).
+The face that a part rests on most often is the one to lay it on, so plates and gears lie flat.
 """
 
 from __future__ import annotations
@@ -20,6 +21,11 @@ from kit1000.symmetry import Symmetry
 
 MIN_PROBABILITY = 0.05  # share of drops after which the part lies on a face, for it to count as a resting face
 ROLLING_ANGLE = np.radians(12)  # stable facets closer than this are one rolling surface (a tessellated cylinder)
+# Unlikely facets closer than this are one rolling surface too: a regular prism none of whose faces reaches
+# MIN_PROBABILITY has 19 sides or more, 18.95 degrees apart.
+UNLIKELY_ROLLING_ANGLE = np.radians(19)
+SAME_PROBABILITY = 0.1  # share below the most likely face at which a face counts as equally likely
+SAME_SHAPE = 2e-6  # [m] by which the vertices of congruent views may differ
 WRONG_YAW = np.radians(20)  # a yaw error beyond this should collide with the walls
 SAME_RELIEF_SHARE = 0.02  # share of a relief by which two equal reliefs may differ on the grid
 TIP_ANGLE, TIP_RISE = np.radians(20), 3e-3  # a seated part must not tip by this angle while rising less than [m]
@@ -36,6 +42,8 @@ class RestingFace:
     """Share of random drops after which the part rests on it."""
     height: float
     """[m] of the part above the plane when it rests so."""
+    rolls: bool = False
+    """Whether it is a rolling surface: stable facets of which neighbours are close, but not all."""
 
     @cached_property
     def plane_from_part(self) -> Pose:
@@ -51,31 +59,73 @@ def resting_faces(mesh: Mesh, min_probability: float = MIN_PROBABILITY) -> list[
     hull = ConvexHull(mesh.vertices)
     normals, share = hull.equations[:, :3], _solid_angles(mesh.vertices[hull.simplices]) / (4 * np.pi)
     sinks, owner = np.unique(_rolls_to(mesh.vertices, hull), return_inverse=True)
-    probability = np.bincount(owner, weights=share)
-    faces = []
-    for members in _rolling_groups(normals[sinks]):
-        chosen = members[np.argmax(np.round(probability[members], 6))]
-        normal = normals[sinks[chosen]]
-        along = matmul(mesh.vertices, normal)
-        faces.append(RestingFace(normal, float(probability[members].sum()), float(along.max() - along.min())))
+    normals, probability = normals[sinks], np.bincount(owner, weights=share)
+    groups = _rolling_groups(normals, np.arange(len(sinks)), ROLLING_ANGLE)
+    likely = [group for group in groups if probability[group].sum() >= min_probability]
+    if len(likely) < len(groups):
+        rest = np.setdiff1d(np.arange(len(sinks)), np.concatenate([np.zeros(0, dtype=int), *likely]))
+        likely += _rolling_groups(normals, rest, UNLIKELY_ROLLING_ANGLE)
+    faces = [_face(mesh, normals[group], probability[group]) for group in likely]
     return sorted((f for f in faces if f.probability >= min_probability), key=lambda f: -round(f.probability, 6))
+
+
+def _face(mesh: Mesh, normals: np.ndarray, probability: np.ndarray) -> RestingFace:
+    """The face of a group of stable facets: their most probable one stands for all."""
+    normal = normals[np.argmax(np.round(probability, 6))]
+    along = matmul(mesh.vertices, normal)
+    rolls = bool(matmul(normals, normals.T).min() < np.cos(ROLLING_ANGLE))
+    return RestingFace(normal, float(probability.sum()), float(along.max() - along.min()), rolls)
 
 
 def rank_faces(
     mesh: Mesh, faces: list[RestingFace], depths: list[float], clearance: float, symmetry: Symmetry | None = None
 ) -> list[int]:
-    """Indices of the faces, the best to be inserted on first.
+    """Indices of the faces, the first to be tried for insertion first.
 
-    depths: [m] of the cavity for each face. Faces on which the part could tip over within its clearance come last; the
-    others are sorted by yaw contrast, how clearly the walls exclude the worst wrong yaw. A yaw that is a symmetry of
-    the part is not wrong, so a disc lies on its flat face.
+    depths: [m] of the cavity for each face. Faces on which the part could tip over within its clearance come last, and
+    before them those on which it rolls; the others in the order of their probability. Of faces equally likely, to
+    SAME_PROBABILITY, that with the highest yaw contrast is first: how clearly the walls exclude the worst wrong yaw. A
+    yaw that is a symmetry of the part is not wrong.
     """
     symmetry = symmetry or Symmetry.none()
-    ranks = [
-        (_tips_over(mesh, face, depth, clearance), -round(_yaw_contrast(mesh, face, depth, clearance, symmetry), 9))
-        for face, depth in zip(faces, depths, strict=True)
+    awkward = [
+        (_tips_over(mesh, face, depth, clearance), face.rolls) for face, depth in zip(faces, depths, strict=True)
     ]
-    return sorted(range(len(faces)), key=ranks.__getitem__)
+    order: list[int] = []
+    for kind in sorted(set(awkward)):
+        left = sorted(
+            (i for i in range(len(faces)) if awkward[i] == kind), key=lambda i: -round(faces[i].probability, 6)
+        )
+        while left:
+            least = (1 - SAME_PROBABILITY) * faces[left[0]].probability
+            equal = [i for i in left if faces[i].probability >= least]
+            left = left[len(equal) :]
+            if len(equal) > 1:
+                contrast = {i: _yaw_contrast(mesh, faces[i], depths[i], clearance, symmetry) for i in equal}
+                equal.sort(key=lambda i: -round(contrast[i], 9))
+            order += equal
+    return order
+
+
+def distinct_faces(mesh: Mesh, faces: list[RestingFace]) -> list[RestingFace]:
+    """The faces without those on which the part looks as on an earlier one or its mirror image: the kits would too."""
+    found: list[tuple[RestingFace, np.ndarray]] = []
+    for face in faces:
+        view = _view(mesh, face)
+        if not any(np.abs(view - other).max() < SAME_SHAPE for _, other in found):
+            found.append((face, view))
+    return [face for face, _ in found]
+
+
+def _view(mesh: Mesh, face: RestingFace) -> np.ndarray:
+    """(3, n) [m] sorted measures of the vertices that no rotation about the face's normal changes, and no mirror.
+
+    Height, distance from the vertical axis through the centroid, and their sum, which ties the two to each other.
+    """
+    height = matmul(mesh.vertices, face.normal)
+    offset = mesh.vertices - height[:, None] * face.normal
+    across = np.sqrt(np.einsum("ij,ij->i", offset, offset))
+    return np.sort([height, across, height + across], axis=1)
 
 
 def _tips_over(mesh: Mesh, face: RestingFace, depth: float, clearance: float) -> bool:
@@ -150,12 +200,12 @@ def _solid_angles(triangles: np.ndarray) -> np.ndarray:
     return 2 * np.arctan2(numerator, la * lb * lc + dot(a, b) * lc + dot(b, c) * la + dot(c, a) * lb)
 
 
-def _rolling_groups(normals: np.ndarray) -> list[np.ndarray]:
-    """Groups of stable facets, as arrays of indices: neighbours in a group differ by less than ROLLING_ANGLE."""
-    close = matmul(normals, normals.T) > np.cos(ROLLING_ANGLE)
-    labels = np.arange(len(normals))
+def _rolling_groups(normals: np.ndarray, facets: np.ndarray, angle: float) -> list[np.ndarray]:
+    """Groups of some stable facets, as arrays of indices: neighbours in a group differ by less than an angle [rad]."""
+    close = matmul(normals[facets], normals[facets].T) > np.cos(angle)
+    labels = np.arange(len(facets))
     while True:
-        merged = np.where(close, labels[None, :], len(normals)).min(1)
+        merged = np.where(close, labels[None, :], len(facets)).min(1, initial=len(facets))
         if np.array_equal(merged, labels):
-            return [np.flatnonzero(labels == label) for label in np.unique(labels)]
+            return [facets[labels == label] for label in np.unique(labels)]
         labels = merged

@@ -13,7 +13,7 @@ from manifold3d import CrossSection, Manifold
 from kit1000.errors import Redraw
 from kit1000.kits.cavity import MIN_SEATED_HEIGHT, MIN_WALL, Cavity, cut_cavity, insertion_depth
 from kit1000.kits.clearance import Clearance, measure_clearance
-from kit1000.kits.face import RestingFace, rank_faces, resting_faces
+from kit1000.kits.face import RestingFace, distinct_faces, rank_faces, resting_faces
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.kits.sweep import SAGITTA
@@ -80,7 +80,7 @@ class KitDesign:
 
 
 def make_kit(part: Part, clearance: float = CLEARANCE, plate: Plate | None = UNIT_PLATE) -> Kit:
-    """The kit of a part on its best face; see `design_kit`."""
+    """The kit of a part on the first of its insertion faces, without trials; see `design_kit`."""
     return design_kit(part, clearance, plate).kit
 
 
@@ -89,8 +89,8 @@ def design_kit(
 ) -> KitDesign:
     """The kit of a part with a clearance [m], in a given plate or, with None, in one fitted to the part.
 
-    face: the insertion face; the best one when None. Raises Redraw with a short reason when the part has no insertion
-    face or does not fit the plate.
+    face: the insertion face; the first of `insertion_faces` when None. Raises Redraw with a short reason when the part
+    has no insertion face or does not fit the plate.
     """
     face = face or insertion_faces(part, clearance, fitted_plate=plate is None)[0]
     depth = insertion_depth(face.height)
@@ -105,15 +105,17 @@ def design_kit(
 
 
 def insertion_faces(part: Part, clearance: float = CLEARANCE, fitted_plate: bool = False) -> list[RestingFace]:
-    """The stable faces that a part can be inserted on, best first. For a fitted plate any seated height is enough."""
+    """The stable faces that a part can be inserted on, the first to be tried first; of congruent ones the first alone.
+
+    For a fitted plate any seated height is enough. Raises Redraw with a short reason when there is no such face.
+    """
     faces = resting_faces(part.mesh)
     if not faces:
         raise Redraw("no stable resting face")
-    tall = [face for face in faces if face.height >= MIN_SEATED_HEIGHT]
-    if not tall and fitted_plate:
-        tall = faces
+    tall = faces if fitted_plate else [face for face in faces if face.height >= MIN_SEATED_HEIGHT]
     if not tall:
         raise Redraw(f"no stable face with {MIN_SEATED_HEIGHT * 1e3:g} mm of seated height")
+    tall = distinct_faces(part.mesh, tall)
     depths = [insertion_depth(face.height) for face in tall]
     return [tall[i] for i in rank_faces(part.mesh, tall, depths, clearance, part.symmetry)]
 

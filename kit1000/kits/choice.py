@@ -1,0 +1,69 @@
+"""The choice of a kit for a part: the first of its insertion faces whose kit passes all trials.
+
+A face passes when its kit tells rotations apart: the part seats at its goals, at no wrong pose, and there is no loose
+fit. That bounds the keyedness: a rotation of NEAR_GOAL_ANGLE that still seats would be a loose fit, unless it is near
+another goal, as for a free axis or a gear with many teeth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from kit1000.errors import Redraw
+from kit1000.kits.acceptance import PairCheck, check_pair
+from kit1000.kits.kit import CLEARANCE, UNIT_PLATE, KitDesign, Plate, design_kit, insertion_faces
+from kit1000.kits.loose_fits import PreparedKit, accepts_most_parts
+from kit1000.values import Part
+
+
+@dataclass(frozen=True, eq=False)
+class Attempt:
+    """The kit of a part on one of its faces."""
+
+    design: KitDesign | None
+    """None when there is no kit."""
+    trial: PairCheck | None
+    """None when a trial fails."""
+    refusal: str | None
+    """Why the kit is refused; None when it passes all trials."""
+
+
+def accepted_kit(part: Part, clearance: float = CLEARANCE) -> tuple[KitDesign, PairCheck]:
+    """The kit of a part on the first insertion face that passes all trials, in a plate of datasets; and their result.
+
+    Raises Redraw with the reason of the first face when none passes.
+    """
+    refusals = []
+    for attempt in attempts(part, clearance, UNIT_PLATE):
+        if attempt.design is not None and attempt.trial is not None and attempt.refusal is None:
+            return attempt.design, attempt.trial
+        refusals.append(attempt.refusal)
+    raise Redraw(refusals[0])
+
+
+def attempts(part: Part, clearance: float, plate: Plate | None) -> Iterator[Attempt]:
+    """The kit on each insertion face in turn, designed and tried when asked for.
+
+    plate: None for one fitted to the part. Raises Redraw when there is no insertion face.
+    """
+    for face in insertion_faces(part, clearance, fitted_plate=plate is None):
+        design = trial = refusal = None
+        try:
+            design = design_kit(part, clearance, plate, face)
+            if plate is not None:
+                _check_for_dataset(design)
+            trial = check_pair(part, design.kit)
+            if trial.has_loose_fit:
+                raise Redraw("loose fit")
+        except Redraw as error:
+            refusal = error.reason
+        yield Attempt(design, trial, refusal)
+
+
+def _check_for_dataset(design: KitDesign) -> None:
+    """Raise Redraw for a kit that is no good for a dataset, though a user may want it for a part of their own."""
+    if not design.clearance_in_bounds:
+        raise Redraw("clearance out of bounds")
+    if accepts_most_parts(PreparedKit(design.kit)):
+        raise Redraw("slot takes nearly any part")  # every assembly with it would have one kit
