@@ -129,6 +129,15 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ("for s in (1, -1)):", "for s in (1,)):"),
         ("shift < SEATED_LIMIT / 3", "shift < SEATED_LIMIT"),
     ),
+    ("kit1000/kits/descent.py", "descent"): (
+        ("MOST_TILT = np.radians(5)", "MOST_TILT = np.radians(9)"),
+        ("-xx * s + xy * c", "xx * s + xy * c"),
+    ),
+    ("kit1000/kits/loose_fits.py", "descent loose_fits"): (
+        ("    for sign in (1.0, -1.0):\n", "    for sign in (1.0,):\n"),
+        ("TURNED_SHARE = 1.0001", "TURNED_SHARE = 1.2"),
+        ("angle < most_angle and", "angle < most_angle or"),
+    ),
     ("kit1000/sim/sensors.py", "stated_numbers sensors"): (
         ("noise_px=0.08", "noise_px=0.11"),
         ("noise_px=0.04", "noise_px=0.055"),

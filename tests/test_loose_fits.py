@@ -67,7 +67,7 @@ def test_the_search_finds_parts_that_another_slot_accepts_and_no_others(part, ot
         (lambda: ring_plate(7, off=9), True),  # the hole is too small for a post: the part also seats at 180 degrees
         (lambda: ring_plate(20, off=6), False),  # here the post prevents it
         (ell, False),
-        (leaning_prism, False),
+        (leaning_prism, True),  # so small that it turns by more than 10 degrees within the clearance
         (lambda: box(34, 22, 14), False),
         (lambda: box(34, 22, 14) - box(9, 9, 14, (16, 10, 7.5)), True),  # a corner cut above the middle of the depth
     ],
@@ -82,7 +82,7 @@ def test_loose_fits_are_found_and_confirmed_by_booleans(solid, loose: bool) -> N
         assert np.abs(contact - kit.slot.goals.xyz[:, 2]).min() <= PreparedKit(kit).height_limit + BISECTION_STEP
 
 
-@pytest.mark.parametrize("solid", [ell, leaning_prism, lambda: ring_plate(20, off=6)])
+@pytest.mark.parametrize("solid", [ell, lambda: box(34, 22, 14), lambda: ring_plate(20, off=6)])
 def test_random_poses_find_no_loose_fit_where_the_search_finds_none(solid) -> None:
     """None of a thousand random resting poses over the open area seats away from the goals."""
     mesh, kit = pair_of(solid())
@@ -115,6 +115,21 @@ def test_near_a_goal_means_10_degrees_and_5_mm() -> None:
     for turn_deg, shift_mm, near in ((9, 4, True), (11, 0, False), (0, 5.5, False)):
         rotated = Pose.from_rotvec(np.radians(turn_deg) * Z) @ Pose(goal.wxyz, np.zeros(3))
         assert is_near_goal(Pose(rotated.wxyz, goal.xyz + [shift_mm * 1e-3, 0, 0]), kit.slot) == near
+
+
+@pytest.mark.parametrize(
+    ("clearance_mm", "angle_deg", "shift_mm"), [(1, 10, 5), (2.5, 10, 5), (5, 12, 10), (10, 24, 20)]
+)
+def test_in_wide_slots_poses_farther_off_are_near_a_goal(
+    clearance_mm: float, angle_deg: float, shift_mm: float
+) -> None:
+    goal = Pose.from_translation(np.array([0, 0, -5e-3]))
+    slot = Slot("p", goal, clearance_mm * 1e-3, 8e-3, Pose.stack([goal]), None)
+    for share in (0.99, 1.01):
+        assert is_near_goal(Pose(Pose.from_rotvec(np.radians(share * angle_deg) * Z).wxyz, goal.xyz), slot) == (
+            share < 1
+        )
+        assert is_near_goal(Pose.from_translation([share * shift_mm * 1e-3, 0, -5e-3]), slot) == (share < 1)
 
 
 def test_any_rotation_about_a_free_axis_is_near_the_goal() -> None:

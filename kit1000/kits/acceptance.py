@@ -15,7 +15,7 @@ from kit1000.errors import Redraw
 from kit1000.kits.contact import ConvexEdges, contact_features, convex_edges
 from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import nearest_about_axis
-from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_loose_fit
+from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_loose_fit, turns_freely
 from kit1000.kits.seating import SEATED_LIMIT, InsertedPart, SeatingResult, contact_offset, seating_result
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, quaternion_angle
@@ -96,7 +96,9 @@ def rotated_about_centroid(pose: Pose, rotvec: np.ndarray) -> Pose:
 
 
 def keyedness(test: SeatingTest) -> float | None:
-    """[rad] the smallest yaw from the design pose at which the part seats in neither sense of rotation."""
+    """[rad] the smallest yaw from the design pose at which the part seats in neither sense; None if there is none."""
+    if turns_freely(test.slot):
+        return None
     design = test.slot.goals[0]
     for yaw in np.arange(ANGLE_STEP, np.pi, ANGLE_STEP):
         if not any(test.fits(rotated_about_centroid(design, np.array([0, 0, s * yaw])), design) for s in (1, -1)):

@@ -3,12 +3,14 @@
 The part, resting on each of its stable faces in turn, is moved over the kit's height field at all shifts and yaws
 (rotations about the insertion axis). The field is the minimum over neighbouring cells, so that the grid misses no fit;
 candidates are confirmed by exact contact. In the part's own slot the search finds loose fits, in the slot of a
-neighbour it finds parts that would seat in the wrong place. All lengths are metres.
+neighbour it finds parts that would seat in the wrong place. Loose fits just beyond the limits about the goals, between
+the yaws of the grid, are found by `descent`. All lengths are metres.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +18,7 @@ from manifold3d import Manifold
 
 from kit1000.compiled import compiled
 from kit1000.kits.contact import ContactFeatures, ConvexEdges, contact_features, convex_edges, vertical_contact_offset
+from kit1000.kits.descent import HeightField, LoweredPart, lowered_fit
 from kit1000.kits.envelope import lower_envelope
 from kit1000.kits.face import RestingFace
 from kit1000.kits.goals import nearest_about_axis
@@ -26,11 +29,18 @@ from kit1000.products import length, matmul
 from kit1000.values import Kit, Slot
 
 CELL = 0.5e-3  # [m] of the kit's height field
+FINE_CELL = 0.2e-3  # [m] of the field for the search just beyond the limits
 UNDERSIDE_CELL = 1.0e-3  # [m] between the points that stand for the part's underside
 SHIFT_STEP = 1.0e-3  # [m] between shifts: twice the reach of the minimum over neighbouring cells
 YAWS = np.radians(np.arange(0, 360, 5.0))
 YAW_BATCHES = 4  # yaws are searched a quarter at a time, widely spaced, so that an easy fit is found early
 NEAR_GOAL_ANGLE, NEAR_GOAL_SHIFT = np.radians(10), 5e-3  # a pose nearer than both to a goal is no other pose
+# The same in wide slots, for each metre of clearance: 24 degrees and 20 mm at 10 mm. A part 42 mm long turns by about
+# 7 degrees in a slot with 2.5 mm (2.5 mm / 21 mm), one 70 mm long by 16 degrees with 10 mm: the limits are half more.
+ANGLE_PER_CLEARANCE, SHIFT_PER_CLEARANCE = np.radians(2400), 2.0
+TURNED_SHARE = 1.0001  # of the limit: yaw from a goal at which the search just beyond it begins
+TURNED_RANGE = np.radians(6)  # a part that seats at a greater yaw also seats at a smaller one, or is found by the grid
+BESIDE = 1e-3  # [m] of shift beyond the clearance: a part does not turn about its origin
 TRAY_SIDES = np.array([36e-3, 29e-3])  # [m] of a block: most parts, seen along the insertion axis, are no larger
 REFINE_STEP = 0.5e-3  # [m] between the shifts tested exactly about a candidate of the grid
 REFINED_SHIFTS = REFINE_STEP * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
@@ -42,12 +52,16 @@ class PreparedKit:
     def __init__(self, kit: Kit) -> None:
         self.slot = kit.slot
         self.features = contact_features(convex_edges(kit.mesh), np.eye(3), np.zeros(3), 1.0)
-        upside_down = Mesh(kit.mesh.vertices * [1, 1, -1], kit.mesh.faces[:, ::-1])
-        heights, self.origin = lower_envelope(upside_down, CELL)
-        self.heights = _minimum_filtered(np.where(np.isfinite(heights), -heights, 0.0)).astype(np.float32)
+        self.mesh, field = kit.mesh, HeightField.of(kit.mesh, CELL)
+        self.origin, self.heights = field.origin, _minimum_filtered(field.heights).astype(np.float32)
         open_cells = np.argwhere(self.heights < -kit.slot.depth / 2)
         self.open_low = self.origin + open_cells.min(0) * CELL
         self.open_high = self.origin + open_cells.max(0) * CELL
+
+    @cached_property
+    def fine_field(self) -> HeightField:
+        """Its height field for the search just beyond the limits."""
+        return HeightField.of(self.mesh, FINE_CELL)
 
     @property
     def height_limit(self) -> float:
@@ -106,6 +120,35 @@ def find_loose_fit(part: PreparedPart, kit: PreparedKit) -> Pose | None:
         for candidate in _candidates(part.edges, resting, kit, away_from_goals=True):
             if np.abs(candidate.xyz[2] + candidate.contact_offset - goals).min() <= limit - BISECTION_STEP:
                 return candidate.pose
+    return _fit_beyond_goal(part, kit)
+
+
+def _fit_beyond_goal(part: PreparedPart, kit: PreparedKit) -> Pose | None:
+    """A pose in which the part seats, turned by little more than the limit from the design pose and tilted a little.
+
+    The other goals have the same shadow as the design pose, so the part goes in about each of them alike.
+    """
+    slot, design = kit.slot, kit.slot.goals[0]
+    if turns_freely(slot):
+        return None
+    goals, limit = slot.goals.xyz[:, 2], kit.height_limit - BISECTION_STEP
+    lowered = LoweredPart.of(part.edges, design.rotation_matrix(), slot.depth)
+    shift = np.array([0.0, slot.clearance + BESIDE, slot.clearance + BESIDE])
+    turned = TURNED_SHARE * near_goal_limits(slot.clearance)[0]
+    for sign in (1.0, -1.0):
+        yaws = np.sort([sign * turned, sign * (turned + TURNED_RANGE)])
+        middle = np.array([0.0, *design.xyz[:2]])
+        pose = lowered_fit(
+            lowered,
+            kit.fine_field,
+            kit.features,
+            start=middle + [sign * turned, 0.0, 0.0],
+            reach=middle + np.stack([-shift, shift]) + np.array([[yaws[0], 0, 0], [yaws[1], 0, 0]]),
+            top=float(design.xyz[2]) + limit,
+            accepts=lambda height: bool(np.abs(height - goals).min() <= limit),
+        )
+        if pose is not None and not is_near_goal(pose, slot):
+            return pose
     return None
 
 
@@ -126,12 +169,26 @@ def accepts_most_parts(kit: PreparedKit) -> bool:
     return find_fit_in_other_slot(PreparedPart(block, [face]), kit) is not None
 
 
-def is_near_goal(pose: Pose, slot: Slot, shift: float = NEAR_GOAL_SHIFT) -> bool:
-    """Whether a pose is within 10 degrees and 5 mm (or another shift [m]) of a goal, up to the free axis."""
+def turns_freely(slot: Slot) -> bool:
+    """Whether a part is at a goal at every yaw: its free axis is the insertion axis."""
+    return slot.free_axis is not None and bool(abs(slot.free_axis.direction[2]) > 0.5)
+
+
+def near_goal_limits(clearance: float) -> tuple[float, float]:
+    """The angle [rad] and the shift [m] up to which a pose is near a goal: 10 degrees and 5 mm, more in wide slots.
+
+    clearance: [m] of the slot.
+    """
+    return max(NEAR_GOAL_ANGLE, ANGLE_PER_CLEARANCE * clearance), max(NEAR_GOAL_SHIFT, SHIFT_PER_CLEARANCE * clearance)
+
+
+def is_near_goal(pose: Pose, slot: Slot, margin: float = 0.0) -> bool:
+    """Whether a pose is within both limits of a goal, that of shift widened by a margin [m], up to the free axis."""
+    most_angle, most_shift = near_goal_limits(slot.clearance)
     for goal in slot.goals:
         nearest = goal if slot.free_axis is None else nearest_about_axis(pose, goal, slot.free_axis)
         angle = float(quaternion_angle(pose.wxyz, nearest.wxyz))
-        if angle < NEAR_GOAL_ANGLE and length(pose.xyz - nearest.xyz) < shift:
+        if angle < most_angle and length(pose.xyz - nearest.xyz) < most_shift + margin:
             return True
     return False
 
@@ -152,7 +209,7 @@ def _candidates(
             rotation = matmul(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), resting.rotation)
             middle = np.array([dx, dy, resting.origin_height - depth])
             pose = Pose.from_rotation_matrix(rotation, middle)
-            if away_from_goals and is_near_goal(pose, kit.slot, NEAR_GOAL_SHIFT + REFINE_STEP):
+            if away_from_goals and is_near_goal(pose, kit.slot, REFINE_STEP):
                 continue
             moving = contact_features(edges, rotation, np.zeros(3), -1.0)
             for shift in REFINED_SHIFTS:
