@@ -6,6 +6,7 @@ import numpy as np
 
 from kit1000.errors import InputError
 from kit1000.pose import unit_vector
+from kit1000.trigonometry import cosine, sine
 from kit1000.values import Slot
 
 MAX_OFFSET = 28e-3  # [m] along each world axis: the search range of the paper's matcher around a guess
@@ -37,7 +38,7 @@ def draw_tilt_error(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     The release of the paper draws such rotations; its text has rotations about any axis.
     """
     offset, azimuth = _draw_offset(rng), rng.uniform(0, 2 * np.pi)
-    axis = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
+    axis = np.array([-sine(azimuth), cosine(azimuth), 0.0])
     return offset, np.round(axis, DECIMALS) * rng.uniform(0, MAX_ANGLE)
 
 

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 
 from kit1000.errors import InputError, ShapeError, checked
 from kit1000.products import determinant
+from kit1000.trigonometry import cosine, sine
 
 # A product of a few float32 matrices deviates from a rotation by less; a scaled or sheared one by more.
 ROTATION_TOLERANCE = 1e-5
@@ -96,7 +97,7 @@ class Pose:
         angle = np.linalg.norm(phi, axis=-1, keepdims=True)
         closed = np.maximum(angle, SERIES_ANGLE)
         first = 0.5 * _sinc(angle / 2) ** 2  # (1 - cos t)/t^2, without cancellation
-        second = np.where(angle < SERIES_ANGLE, _series(_EXP_SERIES, angle), (closed - np.sin(closed)) / closed**3)
+        second = np.where(angle < SERIES_ANGLE, _series(_EXP_SERIES, angle), (closed - sine(closed)) / closed**3)
         once = np.cross(phi, rho)
         return cls(quaternion_from_rotvec(phi), rho + first * once + second * np.cross(phi, once))
 
@@ -109,7 +110,7 @@ class Pose:
         phi = self.rotvec()
         angle = np.linalg.norm(phi, axis=-1, keepdims=True)
         half = np.maximum(angle, SERIES_ANGLE) / 2
-        closed = (1 - half * np.cos(half) / np.sin(half)) / (4 * half**2)
+        closed = (1 - half * cosine(half) / sine(half)) / (4 * half**2)
         factor = np.where(angle < SERIES_ANGLE, _series(_LOG_SERIES, angle), closed)
         once = np.cross(phi, self.xyz)
         return np.concatenate([self.xyz - 0.5 * once + factor * np.cross(phi, once), phi], axis=-1)
@@ -241,7 +242,7 @@ def quaternion_from_rotvec(rotvec: ArrayLike) -> np.ndarray:
     """Unit quaternions of rotations about the axis `rotvec` by its length. (..., 3) [rad] -> (..., 4)."""
     v = checked("rotvec", rotvec, (..., 3))
     half = np.linalg.norm(v, axis=-1, keepdims=True) / 2
-    return np.concatenate([np.cos(half), 0.5 * _sinc(half) * v], axis=-1)
+    return np.concatenate([cosine(half), 0.5 * _sinc(half) * v], axis=-1)
 
 
 def quaternion_between(u: ArrayLike, v: ArrayLike) -> np.ndarray:
@@ -362,7 +363,7 @@ def _angle(q: np.ndarray) -> np.ndarray:
 def _sinc(x: np.ndarray) -> np.ndarray:
     """sin(x)/x, accurate to rounding, 1 at x = 0."""
     safe = np.where(x == 0, 1.0, x)
-    return np.where(x == 0, 1.0, np.sin(safe) / safe)
+    return np.where(x == 0, 1.0, sine(safe) / safe)
 
 
 def _series(coefficients: tuple[float, ...], angle: np.ndarray) -> np.ndarray:

@@ -20,6 +20,7 @@ from kit1000.pose import (
     quaternion_multiply,
     unit_vector,
 )
+from kit1000.trigonometry import cosine, sine
 
 # Rotations nearer than this [rad] are the same element of a group. Distinct elements differ by at least 3 degrees;
 # rounding in a chain of 120 products is eight orders of magnitude below.
@@ -197,7 +198,7 @@ def _rotation_steps(n: int, axis: ArrayLike) -> np.ndarray:
     """n rotations in equal steps about an axis (3,), the identity first. (n, 4)."""
     unit = checked("axis", unit_vector(axis, "axis"), (3,))
     half = np.arange(n) * (np.pi / n)
-    return np.concatenate([np.cos(half)[:, None], np.sin(half)[:, None] * unit], axis=-1)
+    return np.concatenate([cosine(half)[:, None], sine(half)[:, None] * unit], axis=-1)
 
 
 def _half_turn(flip: ArrayLike, axis: ArrayLike) -> np.ndarray:

@@ -20,6 +20,7 @@ from kit1000.kits.seating import SEATED_LIMIT, InsertedPart, SeatingResult, cont
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.products import length
+from kit1000.trigonometry import cosine, sine
 from kit1000.values import Kit, Part
 
 DIRECTIONS = np.radians(np.arange(0, 360, 30.0))  # in the plate's plane: of shifts and tilt axes
@@ -85,7 +86,7 @@ def wrong_poses(kit: Kit) -> Iterator[tuple[str, Pose]]:
     shift = kit.slot.clearance + SEATED_LIMIT
     yield "lifted 3 mm", Pose.from_translation(np.array([0, 0, SEATED_LIMIT])) @ design
     for angle in DIRECTIONS:
-        direction = np.array([np.cos(angle), np.sin(angle), 0.0])
+        direction = np.array([cosine(angle), sine(angle), 0.0])
         yield "moved clearance + 3 mm across", Pose.from_translation(shift * direction) @ design
         yield "tilted 20 degrees", rotated_about_centroid(design, WRONG_TILT * direction)
 

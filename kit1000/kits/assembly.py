@@ -26,6 +26,7 @@ from kit1000.mesh import body_count, defect_float32, solid_from_mesh
 from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose
 from kit1000.products import length, matmul
+from kit1000.trigonometry import cosine, sine
 from kit1000.values import Assembly, Kit, Mount, Part
 
 MAX_KITS = 5  # a base and one plate on each of its four sides
@@ -127,7 +128,7 @@ def check_assembly(assembly: Assembly, parts: Mapping[str, Part]) -> None:
 
 def _base_rotvec(plan: AssemblyPlan) -> np.ndarray:
     """(3,) [rad] rotation vector that tilts the base down towards its azimuth."""
-    return plan.base_tilt * np.array([-np.sin(plan.base_azimuth), np.cos(plan.base_azimuth), 0])
+    return plan.base_tilt * np.array([-sine(plan.base_azimuth), cosine(plan.base_azimuth), 0])
 
 
 def _side_rotvec(side: SidePlate) -> np.ndarray:

@@ -7,6 +7,7 @@ from scipy.ndimage import maximum_filter
 
 from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
+from kit1000.trigonometry import cosine, sine
 
 RELIEF_CELLS = 75  # along a relief's longest side: fine enough to distinguish yaws, coarse enough for 2 ms
 RELIEF_RINGS, RELIEF_ANGLES = 30, 120
@@ -38,8 +39,8 @@ def polar_relief(resting: Mesh, depth: float, clearance: float = 0.0) -> tuple[n
     reach = np.hypot(i - middle[0], j - middle[1]).max() + 1
     radii = (np.arange(RELIEF_RINGS) + 0.5) * reach / RELIEF_RINGS
     angles = np.arange(RELIEF_ANGLES) * (2 * np.pi / RELIEF_ANGLES)
-    rows = np.rint(middle[0] + radii[:, None] * np.cos(angles)).astype(int)
-    columns = np.rint(middle[1] + radii[:, None] * np.sin(angles)).astype(int)
+    rows = np.rint(middle[0] + radii[:, None] * cosine(angles)).astype(int)
+    columns = np.rint(middle[1] + radii[:, None] * sine(angles)).astype(int)
     inside = (rows >= 0) & (rows < depths.shape[0]) & (columns >= 0) & (columns < depths.shape[1])
     cells = np.clip(rows, 0, depths.shape[0] - 1), np.clip(columns, 0, depths.shape[1] - 1)
     relief, grown = (np.where(inside, field[cells], 0) for field in (depths, _grown(depths, int(clearance / cell))))

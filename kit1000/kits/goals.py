@@ -23,6 +23,7 @@ from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.products import length, matmul
 from kit1000.symmetry import Symmetry
+from kit1000.trigonometry import cosine
 from kit1000.values import FreeAxis
 
 SHADOW_TOLERANCE = 0.05e-3  # [m] shadows whose outlines differ by less are equal
@@ -168,7 +169,7 @@ def _flipped_poses(design: Design, known: list[Pose]) -> list[Pose]:
 
 
 def _faces_down(pose: Pose, normal: np.ndarray) -> bool:
-    return bool(pose.rotate(normal)[2] < -np.cos(SAME_GOAL_ANGLE))
+    return bool(pose.rotate(normal)[2] < -cosine(SAME_GOAL_ANGLE))
 
 
 def _best_yaw(relief: np.ndarray, other: np.ndarray, weights: np.ndarray) -> tuple[float, float]:

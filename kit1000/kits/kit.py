@@ -20,6 +20,7 @@ from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.products import matmul
+from kit1000.trigonometry import cosine, sine
 from kit1000.values import Kit, Part, Slot
 
 CLEARANCE = 2.5e-3  # [m] the paper's simulation margin
@@ -158,7 +159,7 @@ def _rim_outline(points: np.ndarray, depth: float) -> np.ndarray:
 
 
 def _rotated(points: np.ndarray, angle: float) -> np.ndarray:
-    c, s = np.cos(angle), np.sin(angle)
+    c, s = cosine(angle), sine(angle)
     return matmul(points, np.array([[c, s], [-s, c]]))
 
 

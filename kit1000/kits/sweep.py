@@ -15,6 +15,7 @@ from manifold3d import CrossSection, FillRule, Manifold, OpType
 from kit1000.errors import Redraw
 from kit1000.kits.patches import convex_patches
 from kit1000.mesh import convex_hull, mesh_from_solid
+from kit1000.trigonometry import cosine, sine
 
 SAGITTA = 0.02e-3  # [m] width of the band that the chords of the disc stay within
 DISC_OVERSIZE = 0.4 * SAGITTA  # the disc's corners lie this far outside the clearance, its chords 0.6 SAGITTA inside
@@ -31,7 +32,7 @@ def disc_polygon(clearance: float) -> np.ndarray:
     radius = clearance + DISC_OVERSIZE
     corners = int(np.ceil(np.pi / np.arccos(1 - min(SAGITTA / radius, 0.5)) / 2)) * 2
     angles = np.arange(corners) * (2 * np.pi / corners)
-    return radius * np.stack([np.cos(angles), np.sin(angles)], 1)
+    return radius * np.stack([cosine(angles), sine(angles)], 1)
 
 
 def shadow_below(standing: Manifold, z: float) -> CrossSection:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from kit1000.parts.sketch import (
     arc_points,
+    bearing,
     bolt_circle,
     bore,
     chance,
@@ -39,13 +40,14 @@ from kit1000.parts.sketch import (
 )
 from kit1000.products import length, matmul
 from kit1000.symmetry import Symmetry
+from kit1000.trigonometry import cosine, sine
 
 __all__ = [
-    "Axis", "CrossSection", "Manifold", "Symmetry", "along", "arc_points", "at", "bolt_circle", "bore", "box", "chance",
-    "circle", "circle_segments", "cone", "cut_slot", "cyclic", "cylinder", "dihedral", "drill", "free", "free_flipped",
-    "gear", "grid", "gusset", "holes", "hull", "hull_2d", "join", "keyway", "mirrored", "ngon", "none", "pick",
-    "pocket", "polygon", "prism", "rectangle", "repeated", "revolved", "ring", "rotated", "rounded", "sector", "slot",
-    "span", "sphere", "swept", "tube", "wedge",
+    "Axis", "CrossSection", "Manifold", "Symmetry", "along", "arc_points", "at", "bearing", "bolt_circle", "bore",
+    "box", "chance", "circle", "circle_segments", "cone", "cut_slot", "cyclic", "cylinder", "dihedral", "drill",
+    "free", "free_flipped", "gear", "grid", "gusset", "holes", "hull", "hull_2d", "join", "keyway", "mirrored",
+    "ngon", "none", "pick", "pocket", "polygon", "prism", "rectangle", "repeated", "revolved", "ring", "rotated",
+    "rounded", "sector", "slot", "span", "sphere", "swept", "tube", "wedge",
 ]  # fmt: skip
 
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
@@ -126,7 +128,7 @@ def cone(d_bottom: float, d_top: float, h: float) -> Manifold:
 def sphere(d: float) -> Manifold:
     """A ball of diameter d about the origin, a true solid of revolution about z."""
     latitudes = np.deg2rad(np.linspace(-90, 90, circle_segments(d / 2) // 4 + 1))
-    half = d / 2 * np.column_stack([np.maximum(np.cos(latitudes), 0), np.sin(latitudes)])
+    half = d / 2 * np.column_stack([np.maximum(cosine(latitudes), 0), sine(latitudes)])
     return revolved(half)
 
 
@@ -227,7 +229,7 @@ def drill(
     if mouths.shape[1] == 2:
         mouths = np.column_stack([mouths, np.zeros(len(mouths))])
     tool = _drill_tool(d, depth, countersink, counterbore)
-    facing = np.degrees(np.arctan2(mouths[:, 1], mouths[:, 0])) if axis in ("z", "-z") else np.zeros(len(mouths))
+    facing = [bearing(x, y) if axis in ("z", "-z") else 0.0 for x, y, _ in mouths]
     sign = 1 if axis == "z" else -1
     tools = [
         along(rotated(tool, "z", sign * angle), axis).translate(mouth.tolist())
@@ -295,7 +297,7 @@ def _top_rim(height: float, size: float, round_rim: bool) -> list[tuple[float, f
     if not round_rim:
         return [(height - size, 0.0), (height, size)]
     angles = np.linspace(0, np.pi / 2, ROUND_STEPS)
-    return [(float(height - size + size * np.sin(a)), float(size * (1 - np.cos(a)))) for a in angles]
+    return [(float(height - size + size * sine(a)), float(size * (1 - cosine(a)))) for a in angles]
 
 
 def _inset(contours: list[NDArray], distance: float) -> list[NDArray]:

@@ -14,8 +14,11 @@ import numpy as np
 from manifold3d import CrossSection, FillRule, JoinType
 from numpy.typing import ArrayLike, NDArray
 
+from kit1000.trigonometry import cosine, sine, tangent
+
 SAGITTA_MM = 0.013
 """Largest distance between an arc and its chords as drawn: below 0.02 mm also when a small drawing is scaled by 1.5."""
+BEARING_DECIMALS = 9  # [deg]
 PRESSURE_ANGLE_DEG = 20.0
 """Pressure angle of the involute gears, the usual one of machine design (ISO 53)."""
 
@@ -65,9 +68,9 @@ def rectangle(x: float, y: float, radius: float = 0.0) -> CrossSection:
 
 def ngon(n: int, across_flats: float) -> CrossSection:
     """A regular n-gon with one flat facing +x."""
-    corner_radius = across_flats / 2 / np.cos(np.pi / n)
+    corner_radius = across_flats / 2 / cosine(np.pi / n)
     angles = (np.arange(n) - 0.5) * 2 * np.pi / n
-    return polygon(corner_radius * np.column_stack([np.cos(angles), np.sin(angles)]))
+    return polygon(corner_radius * np.column_stack([cosine(angles), sine(angles)]))
 
 
 def slot(length: float, width: float) -> CrossSection:
@@ -87,7 +90,7 @@ def arc_points(center: Sequence[float], radius: float, start_deg: float, end_deg
     sweep = abs(end_deg - start_deg) / 360
     n = max(2, int(np.ceil(circle_segments(radius) * sweep)) + 1)
     angles = np.deg2rad(np.linspace(start_deg, end_deg, n))
-    return np.asarray(center, dtype=np.float64) + radius * np.column_stack([np.cos(angles), np.sin(angles)])
+    return np.asarray(center, dtype=np.float64) + radius * np.column_stack([cosine(angles), sine(angles)])
 
 
 def sector(d: float, start_deg: float, end_deg: float) -> CrossSection:
@@ -123,24 +126,29 @@ def bore(d: float, key_width: float = 0.0, key_depth: float = 0.0, flat: float =
 def gear(teeth: int, module_mm: float, flank_points: int = 4) -> CrossSection:
     """A spur gear: pitch diameter teeth * module, involute flanks, the middle of one tooth on +x."""
     pitch, alpha = teeth * module_mm / 2, np.deg2rad(PRESSURE_ANGLE_DEG)
-    base, tip, root = pitch * np.cos(alpha), pitch + module_mm, pitch - 1.25 * module_mm
+    base, tip, root = pitch * cosine(alpha), pitch + module_mm, pitch - 1.25 * module_mm
     radii = np.linspace(max(base, root), tip, flank_points)
     inverse_cos = np.arccos(np.clip(base / radii, -1, 1))
-    half = np.pi / (2 * teeth) + (np.tan(alpha) - alpha) - (np.tan(inverse_cos) - inverse_cos)
+    half = np.pi / (2 * teeth) + (tangent(alpha) - alpha) - (tangent(inverse_cos) - inverse_cos)
     half = np.maximum(half, 0.1 / radii)  # a tooth never ends in a point
     if root < base:
         radii, half = np.append(root, radii), np.append(half[0], half)
     angles = np.concatenate([-half, half[::-1]])
     reach = np.concatenate([radii, radii[::-1]])
     around = np.arange(teeth)[:, None] * 2 * np.pi / teeth + angles
-    loop = np.stack([reach * np.cos(around), reach * np.sin(around)], axis=-1)
+    loop = np.stack([reach * cosine(around), reach * sine(around)], axis=-1)
     return polygon(loop.reshape(-1, 2))
+
+
+def bearing(x: float, y: float) -> float:
+    """[deg] from +x to a point, rounded: the last bits of an arctangent differ between processors."""
+    return round(float(np.degrees(np.arctan2(y, x))), BEARING_DECIMALS)
 
 
 def bolt_circle(d: float, n: int, start_deg: float = 0.0) -> list[tuple[float, float]]:
     """n points evenly on a circle of diameter d, the first at `start_deg`."""
     angles = np.deg2rad(start_deg) + np.arange(n) * 2 * np.pi / n
-    return [(float(d / 2 * np.cos(a)), float(d / 2 * np.sin(a))) for a in angles]
+    return [(float(d / 2 * cosine(a)), float(d / 2 * sine(a))) for a in angles]
 
 
 def grid(nx: int, ny: int, pitch_x: float, pitch_y: float) -> list[tuple[float, float]]:
@@ -154,5 +162,5 @@ def holes(d: float, points: Sequence[tuple[float, float]]) -> CrossSection:
     """Discs of diameter d at the points, to be cut out of a profile; each is rotated to face the origin,
     so that a bolt circle keeps its symmetry exactly."""
     disc = circle(d)
-    rotated = [disc.rotate(float(np.degrees(np.arctan2(y, x)))).translate((x, y)) for x, y in points]
+    rotated = [disc.rotate(bearing(x, y)).translate((x, y)) for x, y in points]
     return CrossSection.compose(rotated) if rotated else CrossSection()

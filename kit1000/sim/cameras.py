@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError, checked
 from kit1000.pose import Pose
+from kit1000.trigonometry import cosine, sine
 
 # Image size and focal length of the paper's release (there 925.27 px), those of its real camera. The principal point
 # is the image centre.
@@ -80,8 +81,8 @@ def in_view(camera: Camera, world_from_camera: Pose, points: ArrayLike, margin_p
 
 def _orbit_pose(radius: float, polar: float, azimuth: float, target: ArrayLike = PRIMARY_TARGET) -> Pose:
     """A camera at spherical coordinates about the target [m, rad], looking at it, +z upward in its image."""
-    across, up = radius * np.sin(polar), radius * np.cos(polar)
-    offset = np.round((across * np.cos(azimuth), across * np.sin(azimuth), up), POSITION_DECIMALS)
+    across, up = radius * sine(polar), radius * cosine(polar)
+    offset = np.round((across * cosine(azimuth), across * sine(azimuth), up), POSITION_DECIMALS)
     return look_at(np.asarray(target) + offset, target)
 
 

@@ -21,6 +21,7 @@ from scipy.spatial import ConvexHull, QhullError
 from kit1000.errors import InputError, ShapeError, checked
 from kit1000.pose import Pose
 from kit1000.products import matmul
+from kit1000.trigonometry import cosine, sine
 
 GRAVITY = 9.81  # [m/s^2] along -z
 STEP_RATE = 240  # [1/s]
@@ -212,7 +213,7 @@ def _even_directions(n: int) -> np.ndarray:
     heights = (2 * np.arange(n) + 1) / n - 1
     angles = np.arange(n) * (np.pi * (3 - 5**0.5))
     radii = np.sqrt(1 - heights**2)
-    return np.column_stack([radii * np.cos(angles), radii * np.sin(angles), heights])
+    return np.column_stack([radii * cosine(angles), radii * sine(angles), heights])
 
 
 def _pybullet() -> Any:

@@ -9,6 +9,7 @@ from manifold3d import CrossSection, Manifold
 
 from kit1000.parts import cad
 from kit1000.symmetry import Symmetry
+from kit1000.trigonometry import cosine, sine
 
 LOBES = {"oval": 2, "trefoil": 3}  # forms that repeat around the shaft
 
@@ -81,7 +82,7 @@ class Cam:
         if self.form == "snail":  # the radius falls evenly over one turn
             turn = np.linspace(0, 1, 97)
             radius, angle = tip - self.lift * turn, 2 * np.pi * turn
-            return cad.polygon(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1))
+            return cad.polygon(np.stack([radius * cosine(angle), radius * sine(angle)], axis=1))
         if self.form == "sector":
             wedge = cad.sector(2 * tip, -self.sector_deg / 2, self.sector_deg / 2)
             return cad.rounded(wedge + cad.circle(1.3 * self.hub), 2.0)
@@ -106,4 +107,4 @@ class Cam:
         else:
             reach, start, spread = self.circle / 2 + self.hub / 4 + 2, 180, 55.0
         angles = start + spread * (np.arange(self.holes) - (self.holes - 1) / 2)
-        return [(float(reach * np.cos(a)), float(reach * np.sin(a))) for a in np.radians(angles)]
+        return [(float(reach * cosine(a)), float(reach * sine(a))) for a in np.radians(angles)]

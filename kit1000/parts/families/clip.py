@@ -9,6 +9,7 @@ from manifold3d import CrossSection, Manifold
 
 from kit1000.parts import cad
 from kit1000.symmetry import Symmetry
+from kit1000.trigonometry import cosine, sine
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ class Clip:
             angle = np.radians(90 + side * half)
             middle = self.pipe / 2 + self.strip / 2
             lip = cad.circle(1.5 * self.strip)
-            jaw += lip.translate(((middle + 0.3) * np.cos(angle), (middle + 0.3) * np.sin(angle)))
+            jaw += lip.translate(((middle + 0.3) * cosine(angle), (middle + 0.3) * sine(angle)))
         return jaw + self._feet(below + 1 - self.foot_t, below + 1) + self._pillar(below)
 
     def _arches(self, width: float, depth: float) -> CrossSection:

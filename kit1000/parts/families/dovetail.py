@@ -9,6 +9,7 @@ from manifold3d import CrossSection, Manifold
 
 from kit1000.parts import cad
 from kit1000.symmetry import Symmetry
+from kit1000.trigonometry import tangent
 
 
 @dataclass(frozen=True)
@@ -79,7 +80,7 @@ class Dovetail:
     def _section(self) -> CrossSection:
         """The dovetail seen along -y, sunk 1 mm into the base; x across, y up."""
         low, high = self.base_t - 1, self.base_t + self.rise
-        spread = self.rise / np.tan(np.radians(self.flank_deg))
+        spread = self.rise / tangent(np.radians(self.flank_deg))
         narrow, wide = self.neck / 2, self.neck / 2 + spread
         if not self.female:
             right = [(narrow, low), (narrow, self.base_t), (wide, high)]
@@ -100,6 +101,6 @@ class Dovetail:
         row = [(0.0, y - self.stop / 2) for _, y in cad.grid(1, self.holes, 0, pitch)]
         if self.female:
             return row
-        clear = self.offset - self.neck / 2 - self.rise / np.tan(np.radians(self.flank_deg))
+        clear = self.offset - self.neck / 2 - self.rise / tangent(np.radians(self.flank_deg))
         x = float(clear - self.base / 2) / 2
         return [(side * x, y) for side in ((1,) if self.offset or self.cut else (1, -1)) for _, y in row]

@@ -9,6 +9,7 @@ from manifold3d import CrossSection, Manifold
 
 from kit1000.parts import cad
 from kit1000.symmetry import Symmetry
+from kit1000.trigonometry import cosine, sine
 
 BEND_STEP_DEG = 15.0  # the bend is a chain of straight pieces this long
 
@@ -65,8 +66,8 @@ class Elbow:
         if self.both:
             far = cad.along(cad.rotated(flange, "z", 180), "y")
             bend = np.radians(self.bend_deg)
-            x = self.radius * np.cos(bend) - self.leg_b * np.sin(bend)
-            y = self.radius * np.sin(bend) + self.leg_b * np.cos(bend)
+            x = self.radius * cosine(bend) - self.leg_b * sine(bend)
+            y = self.radius * sine(bend) + self.leg_b * cosine(bend)
             elbow += cad.at(cad.rotated(far, "z", self.bend_deg), x, y)
         if self.foot:
             elbow += self._foot()
@@ -76,7 +77,7 @@ class Elbow:
         if self.foot or not self.both or self.leg_a != self.leg_b:
             return Symmetry.none()
         half = np.radians(self.bend_deg / 2)
-        return Symmetry.cyclic(2, (float(np.cos(half)), float(np.sin(half)), 0))
+        return Symmetry.cyclic(2, (float(cosine(half)), float(sine(half)), 0))
 
     def _section(self, across: float) -> CrossSection:
         return cad.circle(across) if self.duct == "round" else cad.rectangle(across, across, across / 6)
@@ -96,8 +97,8 @@ class Elbow:
             ahead = np.where(level == 0, -leg_a, 0.0)
             ahead += np.where(level == last, leg_b, 0.0)
             out = self.radius + points[:, 0]
-            x = out * np.cos(angle) - ahead * np.sin(angle)
-            y = out * np.sin(angle) + ahead * np.cos(angle)
+            x = out * cosine(angle) - ahead * sine(angle)
+            y = out * sine(angle) + ahead * cosine(angle)
             return np.stack([x, y, -points[:, 1]], axis=1)
 
         return section.extrude(last, last - 1).warp_batch(bent)

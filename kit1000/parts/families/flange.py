@@ -88,7 +88,7 @@ class Flange:
         n = BOLTS[self.outline]
         points = cad.bolt_circle(self.size, n, 45 if self.outline in ("square", "cut", "tongue") else 0)
         lug = cad.circle(self.bolt + 2 * self.rim)
-        lugs = [lug.rotate(np.degrees(np.arctan2(y, x))).translate((x, y)) for x, y in points]
+        lugs = [lug.rotate(cad.bearing(x, y)).translate((x, y)) for x, y in points]
         middle = cad.circle(self.hub + 3)
         outer = self.size + self.bolt + 2 * self.rim
         if self.outline in ("oval", "triangle"):

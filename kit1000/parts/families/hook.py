@@ -9,6 +9,7 @@ from manifold3d import CrossSection, Manifold
 
 from kit1000.parts import cad
 from kit1000.symmetry import Symmetry
+from kit1000.trigonometry import cosine, sine
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class Hook:
             return bend
         end = np.radians(-self.wrap_deg)
         middle = (inner + outer) / 2
-        return bend + cad.circle(self.tip).translate((middle * np.cos(end), middle * np.sin(end)))
+        return bend + cad.circle(self.tip).translate((middle * cosine(end), middle * sine(end)))
 
     def _second_jaw(self, axis: float) -> CrossSection:
         """The other end of an S-hook: a jaw rotated by 180 degrees about the middle of the shank."""

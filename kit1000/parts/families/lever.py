@@ -9,6 +9,7 @@ from manifold3d import CrossSection, Manifold
 
 from kit1000.parts import cad
 from kit1000.symmetry import Symmetry
+from kit1000.trigonometry import cosine, sine
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,7 @@ class Lever:
         if self.flush or not balanced:
             return Symmetry.none()
         axis = np.radians(self._axis_deg())
-        return Symmetry.cyclic(2, (float(np.cos(axis)), float(np.sin(axis)), 0))
+        return Symmetry.cyclic(2, (float(cosine(axis)), float(sine(axis)), 0))
 
     def _axis_deg(self) -> float:
         """Direction of the line that halves the lever."""
@@ -83,7 +84,7 @@ class Lever:
     def _ends(self) -> list[tuple[tuple[float, float], float]]:
         """Centre (x, y) and direction [deg] of each end."""
         bend = np.radians(self.bend_deg)
-        turn = (float(self.arm_b * np.cos(bend)), float(self.arm_b * np.sin(bend)))
+        turn = (float(self.arm_b * cosine(bend)), float(self.arm_b * sine(bend)))
         if self.kind == "bell":
             return [((self.arm_a, 0.0), 0.0), (turn, self.bend_deg)]
         if self.kind == "dogleg":

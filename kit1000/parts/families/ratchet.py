@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kit1000.parts import cad
+from kit1000.trigonometry import cosine, sine
 
 
 @dataclass(frozen=True)
@@ -60,7 +61,7 @@ class Ratchet:
         tips, roots = steps + np.deg2rad(0.94 * self.pitch_deg), steps
         angles = np.column_stack([roots, tips]).ravel()
         radii = np.tile([self.radius - self.tooth, self.radius], self.teeth)
-        return np.column_stack([radii * np.cos(angles), radii * np.sin(angles)])
+        return np.column_stack([radii * cosine(angles), radii * sine(angles)])
 
     def _wheel(self) -> cad.CrossSection:
         return cad.polygon(self._saw(0))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.parts import cad
+from kit1000.trigonometry import cosine, sine
 
 LENGTHS = {
     "single": (1.0, 0.0, 0.0, 0.0),
@@ -102,4 +103,4 @@ class ServoHorn:
         """The toothed socket: points alternating between two circles."""
         angles = np.arange(2 * TEETH) * np.pi / TEETH
         radii = np.where(np.arange(2 * TEETH) % 2, 0.44, 0.5) * self.spline
-        return cad.polygon(np.column_stack([radii * np.cos(angles), radii * np.sin(angles)]))
+        return cad.polygon(np.column_stack([radii * cosine(angles), radii * sine(angles)]))
