@@ -362,8 +362,7 @@ def _angle(q: np.ndarray) -> np.ndarray:
 
 def _sinc(x: np.ndarray) -> np.ndarray:
     """sin(x)/x, accurate to rounding, 1 at x = 0."""
-    safe = np.where(x == 0, 1.0, x)
-    return np.where(x == 0, 1.0, sine(safe) / safe)
+    return np.where(x == 0, 1.0, sine(x) / np.where(x == 0, 1.0, x))
 
 
 def _series(coefficients: tuple[float, ...], angle: np.ndarray) -> np.ndarray:

@@ -138,7 +138,7 @@ def test_no_wall_is_thinner_than_three_millimetres(plan: AssemblyPlan) -> None:
         along = np.roll(outline, -1, axis=0) - outline
         normals = np.stack([-along[:, 1], along[:, 0]], 1) / np.linalg.norm(along, axis=1, keepdims=True)
         thinnest = np.ptp(outline @ normals.T, axis=0).min()
-        assert thinnest > RIB_WIDTH * np.cos(45 * DEGREE) - 1e-9 > 3e-3
+        assert thinnest > RIB_WIDTH * np.cos(45 * DEGREE) - 1e-8 > 3e-3  # sections are rounded
 
 
 @pytest.mark.parametrize(("seed", "kits"), [(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 5)])

@@ -25,7 +25,20 @@ PYTHON_FOLDERS = (*PACKAGES, "bench", "examples", "tests", "docs")
 
 # A module imports from rows above and from further left in its own; inside one entry no circles are the rule.
 LAYERS = (
-    ("errors", "compiled", "rng", "products", "pose", "symmetry", "mesh", "camera", "values", "files", "engines"),
+    (
+        "errors",
+        "compiled",
+        "rng",
+        "products",
+        "trigonometry",
+        "pose",
+        "symmetry",
+        "mesh",
+        "camera",
+        "values",
+        "files",
+        "engines",
+    ),
     ("parts", "kits", "voxels"),
     ("motions", "metrics"),
     ("sim",),

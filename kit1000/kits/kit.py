@@ -29,6 +29,7 @@ PLATE_GAP = 1e-3  # [m] between neighbouring plates
 PLATE_WIDTH = PLATE_PITCH - PLATE_GAP
 MIN_FLOOR = 2e-3  # [m] least material under a cavity
 MAX_EXCESS_CLEARANCE = 0.1e-3  # [m] of a kept wall above the nominal clearance
+PROBABILITY_DECIMALS = 9  # the last bits of an arctangent differ between processors
 MIN_RIM = 8e-3  # [m] least wall around the cavity of a plate fitted to its part
 
 
@@ -75,7 +76,7 @@ class KitDesign:
             "undercut_lost_mm3": self.cavity.undercut_volume * 1e9,
             "goals": len(slot.goals),
             "free_axis": slot.free_axis is not None,
-            "face_probability": self.face.probability,
+            "face_probability": round(self.face.probability, PROBABILITY_DECIMALS),
             "kit_faces": len(self.kit.mesh.faces),
         }
 

@@ -6,6 +6,8 @@ face. Its sweep is then the hull of its corners at their own height and at the r
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from kit1000.compiled import compiled
@@ -48,42 +50,41 @@ def _neighbours(faces: np.ndarray) -> np.ndarray:
 
 @compiled
 def _grow(corners, faces, neighbours, horizontal, hull_tolerance):
-    """(m,) patch label of each face. Greedy: each unlabelled face seeds a patch that adds neighbours while convex."""
+    """(m,) patch label of each face. Greedy: each unlabelled face seeds a patch that adds neighbours while convex.
+
+    corners: in lexical order, so that a list of indices in order is sorted for the hull. Loops over numbers alone, as
+    array expressions would take ten times as long to compile.
+    """
     count = faces.shape[0]
-    planes = np.empty((count, 5))
-    areas = np.empty(count)
+    planes, areas = np.empty((count, 5)), np.empty(count)
     for f in range(count):
-        a, b, c = corners[faces[f, 0]], corners[faces[f, 1]], corners[faces[f, 2]]
-        n = np.cross(b - a, c - a)
-        areas[f] = abs(n[2]) / 2
-        n /= np.sqrt((n**2).sum())
-        planes[f, :3] = -n
-        planes[f, 3] = -(n * a).sum()
-        planes[f, 4] = max(PLANE_TOLERANCE, horizontal * np.hypot(n[0], n[1]))
-    labels = np.full(count, -1)
-    members, points, queue = np.empty(count, np.int64), np.empty(3 * count, np.int64), np.empty(3 * count, np.int64)
+        areas[f] = _set_plane(corners, faces[f, 0], faces[f, 1], faces[f, 2], horizontal, planes, f)
+    labels = np.empty(count, np.int64)
+    for f in range(count):
+        labels[f] = -1
+    members, queue = np.empty(count, np.int64), np.empty(3 * count, np.int64)
+    points, longer = np.empty(3 * count, np.int64), np.empty(3 * count, np.int64)
+    chain = np.empty(3 * count, np.int64)
     for seed in range(count):
         if labels[seed] >= 0:
             continue
         labels[seed] = seed
         members[0], member_count, area = seed, 1, areas[seed]
-        points[:3] = faces[seed]
-        point_count = 3
-        queue[:3] = neighbours[seed]
+        point_count = _insert(faces, seed, points, 0, points)
         head, tail = 0, 3
+        for k in range(3):
+            queue[k] = neighbours[seed, k]
         while head < tail:
             f = queue[head]
             head += 1
             if f < 0 or labels[f] >= 0:
                 continue
-            if not _above(corners, points[:point_count], planes[f]) or not _under(
-                corners, faces[f], planes, members[:member_count]
-            ):
+            if not _fits(corners, faces, planes, f, points, point_count, members, member_count):
                 continue
-            points[point_count : point_count + 3] = faces[f]
-            if _hull_area(corners, points[: point_count + 3]) > area + areas[f] + hull_tolerance:
+            longer_count = _insert(faces, f, points, point_count, longer)
+            if _hull_area(corners, longer, longer_count, chain) > area + areas[f] + hull_tolerance:
                 continue
-            point_count += 3
+            points, longer, point_count = longer, points, longer_count
             area += areas[f]
             labels[f] = seed
             members[member_count] = f
@@ -96,46 +97,76 @@ def _grow(corners, faces, neighbours, horizontal, hull_tolerance):
 
 
 @compiled
-def _above(corners, points, plane):
-    for p in points:
-        if corners[p, 0] * plane[0] + corners[p, 1] * plane[1] + corners[p, 2] * plane[2] < plane[3] - plane[4]:
+def _set_plane(corners, i, j, k, horizontal, planes, at):
+    """Store the plane of triangle i, j, k: upward unit normal, height along it, tolerance; returns its area in xy."""
+    x, y, z = corners[i, 0], corners[i, 1], corners[i, 2]
+    p, q, r = corners[j, 0] - x, corners[j, 1] - y, corners[j, 2] - z
+    s, t, w = corners[k, 0] - x, corners[k, 1] - y, corners[k, 2] - z
+    nx, ny, nz = q * w - r * t, r * s - p * w, p * t - q * s
+    norm = math.sqrt(nx * nx + ny * ny + nz * nz)
+    planes[at, 0], planes[at, 1], planes[at, 2] = -nx / norm, -ny / norm, -nz / norm
+    planes[at, 3] = -(nx / norm * x + ny / norm * y + nz / norm * z)
+    planes[at, 4] = max(PLANE_TOLERANCE, horizontal * math.hypot(nx / norm, ny / norm))
+    return abs(nz) / 2
+
+
+@compiled
+def _insert(faces, f, points, count, longer):
+    """Write to `longer` the sorted list of points with the corners of face f, each once; returns its length."""
+    for i in range(count):
+        longer[i] = points[i]
+    for k in range(3):
+        corner, place = faces[f, k], count
+        while place > 0 and longer[place - 1] > corner:
+            place -= 1
+        if place > 0 and longer[place - 1] == corner:
+            continue
+        for i in range(count, place, -1):
+            longer[i] = longer[i - 1]
+        longer[place] = corner
+        count += 1
+    return count
+
+
+@compiled
+def _fits(corners, faces, planes, f, points, point_count, members, member_count):
+    """Whether all points are above the plane of face f, and its corners above the planes of all members."""
+    for i in range(point_count):
+        if _is_below(corners, points[i], planes, f):
             return False
+    for i in range(member_count):
+        for k in range(3):
+            if _is_below(corners, faces[f, k], planes, members[i]):
+                return False
     return True
 
 
 @compiled
-def _under(corners, face, planes, members):
-    for m in members:  # noqa: SIM110 (compiled code supports no generators)
-        if not _above(corners, face, planes[m]):
-            return False
-    return True
+def _is_below(corners, p, planes, f):
+    height = corners[p, 0] * planes[f, 0] + corners[p, 1] * planes[f, 1] + corners[p, 2] * planes[f, 2]
+    return height < planes[f, 3] - planes[f, 4]
 
 
 @compiled
-def _hull_area(corners, points):
-    """Area of the convex hull of the points projected along z (monotone chain)."""
-    xy = np.empty((points.shape[0], 2))
-    for i in range(points.shape[0]):
-        xy[i, 0], xy[i, 1] = corners[points[i], 0], corners[points[i], 1]
-    xy = xy[np.argsort(xy[:, 1], kind="mergesort")]
-    xy = xy[np.argsort(xy[:, 0], kind="mergesort")]
+def _hull_area(corners, points, count, chain):
+    """Area of the convex hull of points in lexical order, projected along z (monotone chain)."""
     area = 0.0
     for side in range(2):
-        chain = np.empty((xy.shape[0], 2))
         n = 0
-        for i in range(xy.shape[0]):
-            p = xy[i] if side == 0 else xy[xy.shape[0] - 1 - i]
-            while (
-                n > 1
-                and (
-                    (chain[n - 1, 0] - chain[n - 2, 0]) * (p[1] - chain[n - 2, 1])
-                    - (chain[n - 1, 1] - chain[n - 2, 1]) * (p[0] - chain[n - 2, 0])
-                )
-                <= 0
-            ):
+        for i in range(count):
+            p = points[i] if side == 0 else points[count - 1 - i]
+            while n > 1 and _turn(corners, chain[n - 2], chain[n - 1], p) <= 0:
                 n -= 1
             chain[n] = p
             n += 1
         for i in range(n - 1):
-            area += chain[i, 0] * chain[i + 1, 1] - chain[i + 1, 0] * chain[i, 1]
+            a, b = chain[i], chain[i + 1]
+            area += corners[a, 0] * corners[b, 1] - corners[a, 1] * corners[b, 0]
     return abs(area) / 2
+
+
+@compiled
+def _turn(corners, a, b, p):
+    """Positive for a left turn at b from a to p, seen from above."""
+    ahead = (corners[b, 0] - corners[a, 0]) * (corners[p, 1] - corners[a, 1])
+    return ahead - (corners[b, 1] - corners[a, 1]) * (corners[p, 0] - corners[a, 0])
