@@ -13,6 +13,7 @@ import numpy as np
 
 from kit1000.errors import Redraw, checked
 from kit1000.sim.footprints import centroid, footprint_distance
+from kit1000.trigonometry import cosine, sine
 
 TOUCHING = 1e-4  # [m] between footprints that touch: well over the micrometre to which poses are rounded
 GAPS = (-2.5e-3, 10e-3)  # [m] uniform, and TOUCHING where smaller: a fifth of the parts touch
@@ -75,7 +76,7 @@ def _slide(placed: list[np.ndarray], neighbour: int, outline: np.ndarray, direct
     A slide as long as the distance that is left never passes an obstacle.
     """
     gaps = [gap if k == neighbour else TOUCHING for k in range(len(placed))]
-    middle, away = centroid(placed[neighbour]), np.array([np.cos(direction), np.sin(direction)])
+    middle, away = centroid(placed[neighbour]), np.array([cosine(direction), sine(direction)])
     reach = _radius(outline) + max(_radius(other - middle) for other in placed) + max(gaps)
     for _ in range(MAX_SLIDES):
         at = middle + reach * away
