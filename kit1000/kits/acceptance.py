@@ -27,6 +27,7 @@ DIRECTIONS = np.radians(np.arange(0, 360, 30.0))  # in the plate's plane: of shi
 WRONG_TILT = np.radians(20)
 BEYOND_KEYEDNESS = np.radians(5)  # at a yaw this far beyond the keyedness the part does not seat either
 ANGLE_STEP = np.radians(1)
+ANY_FACE = 0.01  # least probability of a face on which a part might be put in: more than it is laid on
 NOT_SEATED = "does not seat at a goal"
 
 
@@ -76,7 +77,7 @@ def check_pair(part: Part, kit: Kit) -> PairCheck:
     for pose in poses_beyond_keyedness(kit, yaw):
         if not is_goal(pose, kit, yaw) and test.fits(pose, design):
             raise Redraw("seats when turned past its keyedness")
-    loose = find_loose_fit(PreparedPart(part.mesh, resting_faces(part.mesh)), PreparedKit(kit)) is not None
+    loose = find_loose_fit(PreparedPart(part.mesh, resting_faces(part.mesh, ANY_FACE)), PreparedKit(kit)) is not None
     return PairCheck(yaw, loose)
 
 

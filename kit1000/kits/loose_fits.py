@@ -42,6 +42,7 @@ TURNED_SHARE = 1.0001  # of the limit: yaw from a goal at which the search just 
 TURNED_RANGE = np.radians(6)  # a part that seats at a greater yaw also seats at a smaller one, or is found by the grid
 BESIDE = 1e-3  # [m] of shift beyond the clearance: a part does not turn about its origin
 TRAY_SIDES = np.array([36e-3, 29e-3])  # [m] of a block: most parts, seen along the insertion axis, are no larger
+MOST_LIFT = 0.45  # of the depth: the lowest points of a part must be in the cavity
 REFINE_STEP = 0.5e-3  # [m] between the shifts tested exactly about a candidate of the grid
 REFINED_SHIFTS = REFINE_STEP * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
 
@@ -117,7 +118,9 @@ def find_loose_fit(part: PreparedPart, kit: PreparedKit) -> Pose | None:
     for resting in part.resting:
         if np.abs(goals - (resting.origin_height - kit.slot.depth) - limit / 2).min() > 1.5 * limit:
             continue
-        for candidate in _candidates(part.edges, resting, kit, away_from_goals=True):
+        lift = float(goals.max()) + limit - (resting.origin_height - kit.slot.depth)  # it may hang above the floor
+        lift = min(max(lift, limit), MOST_LIFT * kit.slot.depth)
+        for candidate in _candidates(part.edges, resting, kit, lift, away_from_goals=True):
             if np.abs(candidate.xyz[2] + candidate.contact_offset - goals).min() <= limit - BISECTION_STEP:
                 return candidate.pose
     return _fit_beyond_goal(part, kit)
@@ -155,7 +158,7 @@ def _fit_beyond_goal(part: PreparedPart, kit: PreparedKit) -> Pose | None:
 def find_fit_in_other_slot(part: PreparedPart, kit: PreparedKit) -> Pose | None:
     """A kit_from_part pose in which a part rests on the floor of a slot made for another part, or None."""
     for resting in part.resting:
-        for candidate in _candidates(part.edges, resting, kit):
+        for candidate in _candidates(part.edges, resting, kit, kit.height_limit):
             if candidate.contact_offset <= kit.height_limit - BISECTION_STEP:
                 return candidate.pose
     return None
@@ -194,15 +197,16 @@ def is_near_goal(pose: Pose, slot: Slot, margin: float = 0.0) -> bool:
 
 
 def _candidates(
-    edges: ConvexEdges, resting: _RestingPart, kit: PreparedKit, away_from_goals: bool = False
+    edges: ConvexEdges, resting: _RestingPart, kit: PreparedKit, lift: float, away_from_goals: bool = False
 ) -> Iterator[Candidate]:
     """Poses of a part on one face that the height field allows, its lowest point on the cavity's floor, and shifts of
     them by REFINE_STEP.
 
+    lift: [m] above the floor at which the height field must be clear.
     away_from_goals: leave out those of which a shift may be near a goal.
     """
     depth, points = kit.slot.depth, resting.underside[resting.underside[:, 2] < kit.slot.depth]
-    field = (points, kit.heights, *kit.origin, *kit.open_low, *kit.open_high, depth, kit.height_limit)
+    field = (points, kit.heights, *kit.origin, *kit.open_low, *kit.open_high, depth, lift)
     for batch in range(YAW_BATCHES):
         for yaw, dx, dy in _feasible_shifts(*field, YAWS[batch::YAW_BATCHES]):
             c, s = np.cos(yaw), np.sin(yaw)
