@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from kit1000.generation.presets import PRESETS
 from kit1000.generation.withhold import withheld_preset
 from kit1000.guesses import MAX_ANGLE, MAX_OFFSET, draw_ball_error, draw_tilt_error
 from kit1000.motions import apply_error, error_of
+from kit1000.pictures.scene_preview import png_bytes, same_picture, scene_picture
 from kit1000.pose import Pose, random_quaternions
 from kit1000.tracks import CURVES, TRACKS, curve_levels
 from kit1000.values import Query
@@ -134,6 +135,12 @@ def test_a_recording_holds_nothing_but_its_observations(withheld: Published, tmp
             for scene_id in file.scene_ids:
                 writer.add(file.observation(scene_id))
         assert (tmp_path / path.name).read_bytes() == path.read_bytes()
+
+
+def test_a_preview_is_drawn_from_the_images_that_are_shown(withheld: Published) -> None:
+    file = Dataset(withheld.public).observation_file("test/0000")
+    for observation in map(file.observation, file.scene_ids):
+        assert same_picture(png_bytes(scene_picture(replace(observation, preview=None))), observation.preview)
 
 
 def test_a_withheld_dataset_has_no_curves() -> None:

@@ -27,6 +27,7 @@ from kit1000.files import check_writable, is_url, json_bytes, locked, read_json,
 from kit1000.generation.presets import Preset
 from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS
 from kit1000.generation.summary import description_files, summary_bytes
+from kit1000.pictures.scene_preview import png_bytes, scene_picture
 from kit1000.rng import MIN_SECRET_ROOT, ROOT_LIMIT
 
 HIDDEN_SPLIT = "test"
@@ -155,9 +156,10 @@ def _publish_recordings(full: Path, public_folder: Path, shards: Iterable[str]) 
 
 
 def _with_sensors(observation: Observation, sensors: set[str]) -> Observation:
-    """An observation without the views of other sensors."""
+    """An observation without the views of other sensors, its preview drawn from the rest."""
     views = {key: view for key, view in observation.views.items() if key.rpartition("/")[2] in sensors}
-    return replace(observation, views=views)
+    seen = replace(observation, views=views, preview=None)
+    return seen if observation.preview is None else replace(seen, preview=png_bytes(scene_picture(seen)))
 
 
 def _secret(full: Path, summary: dict[str, Any], tables: dict[str, Any]) -> dict[str, Any]:
