@@ -45,10 +45,10 @@ def test_invalid_files_are_refused_with_a_reason_and_do_not_stop_the_run(
     listed = [*good, *(folder / f"{name}.stl" for name in ("same", "flat", "strange", "empty", "missing"))]
     original = parts_and_kits.accepted_kit
 
-    def accepted(part, clearance):
+    def accepted(part, *of_preset):
         if abs(part.mesh.extents.min() / part.mesh.extents.max() - 30 / 40) < 1e-3:
             raise ZeroDivisionError("nobody thought\nof this")
-        return original(part, clearance)
+        return original(part, *of_preset)
 
     monkeypatch.setattr(parts_and_kits, "accepted_kit", accepted)
     preset = replace(MINI, train=7)

@@ -161,3 +161,12 @@ def test_the_image_ends_half_a_pixel_outside_the_outer_pixel_centres():
     assert in_view(camera, Pose.identity(), [(-0.5, -0.5, 1), (7.5, 5.5, 1)])
     assert not in_view(camera, Pose.identity(), [(7.6, 0, 1)])
     assert not in_view(camera, Pose.identity(), [(0, 0, -1)])
+
+
+@pytest.mark.parametrize("name", ["three", "top"])
+def test_cameras_of_a_larger_scene_see_it_as_those_of_the_usual_one(name: str) -> None:
+    for (camera, usual), (_, larger) in zip(
+        camera_set(name).values(), camera_set(name, scale=1.4).values(), strict=True
+    ):
+        pixels = [camera.project(pose.inverse().apply(size * CORNERS)) for pose, size in ((usual, 1.0), (larger, 1.4))]
+        np.testing.assert_allclose(pixels[0], pixels[1], atol=1e-6)

@@ -107,6 +107,14 @@ def test_the_same_stream_draws_the_same_numbers_for_all_modes() -> None:
     assert once.assembly_yaw == again.assembly_yaw
 
 
+def test_a_layout_of_another_scale_is_the_same_draw_with_other_lengths() -> None:
+    one, other = (draw_layout(stream(4), (UPRIGHT, TUMBLED), scale=scale) for scale in (1.0, 1.4))
+    assert other.drop_points == pytest.approx(1.4 * one.drop_points)
+    assert other.yaws.tobytes() == one.yaws.tobytes()
+    part = as_part(box(60, 60, 60))
+    simulate_layout(sample_assembly(), [(part, pairs()[0][1])], draw_layout(stream(0), (UPRIGHT,), scale=1.4))
+
+
 def test_unknown_modes_and_too_many_parts_are_rejected() -> None:
     with pytest.raises(ShapeError, match="each upright or tumbled"):
         draw_layout(stream(0), ("lying",))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from kit1000.errors import InputError
 from kit1000.generation.plan import make_plan
 from kit1000.generation.presets import HELD_OUT, IDEAL_TRACKS, PRESETS, Preset, preset, preset_of
+from kit1000.kits.cavity import MIN_WALL
 from kit1000.parts.mixtures import MIXTURES
 from kit1000.tracks import SPLITS, TRACKS
 
@@ -74,6 +75,9 @@ def test_every_preset_can_be_built() -> None:
     for one in PRESETS.values():
         assert min(one.count(split) for split in SPLITS) >= 1
         assert 0 < one.longest[0] <= one.longest[1] <= 0.1
+        assert one.longest[1] / 2 < one.max_part_radius
+        assert one.plate >= one.longest[1] + 2 * (one.clearance + MIN_WALL)
+        assert one.frames >= 1
         assert 1 <= one.kits[0] <= one.kits[1]
         assert 0 <= one.tilt_deg[0] <= one.tilt_deg[1] < 90
         assert all(one.tilt_deg[0] <= tilt <= one.tilt_deg[1] for tilt in one.brackets_deg)

@@ -389,7 +389,7 @@ def test_a_scene_without_a_valid_layout_is_refused_with_the_reason(
 def test_a_view_has_its_own_random_stream(sample: SceneSample, monkeypatch: pytest.MonkeyPatch) -> None:
     original = scenes.draw_primary_pose
     poses = []
-    monkeypatch.setattr(scenes, "draw_primary_pose", lambda rng, _: poses.append(original(rng)) or poses[-1])
+    monkeypatch.setattr(scenes, "draw_primary_pose", lambda rng, *_: poses.append(original(rng)) or poses[-1])
     made = sample.again(tracks=("snap",), crowded=0.0)
     k = len(poses) - 1
     assert k < MAX_VIEWS

@@ -274,10 +274,12 @@ class RecordedScene:
             seed: of the sensor's noise.
         """
         primary, bodies = self.view("ideal").world_from_camera, self.bodies()
-        views = {}
-        for key, (camera, pose) in cameras.camera_set(camera_set, primary).items():
+        config, views = self._dataset.summary["config"], {}
+        for key, (camera, pose) in cameras.camera_set(camera_set, primary, config["scale"]).items():
             exact = View(camera, pose, render(camera, pose, bodies).depth)
-            views[key or camera_set] = sense(sensor, exact, stream(seed, "noise", self.id, key, sensor))
+            views[key or camera_set] = sense(
+                sensor, exact, stream(seed, "noise", self.id, key, sensor), config["frames"]
+            )
         return views
 
     @property

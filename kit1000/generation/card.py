@@ -184,6 +184,8 @@ def _preset_rows(config: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         yield "longest side of a part", f"{low:g} to {high:g} mm" if high > low else f"{low:g} mm"
     if "clearance" in config:
         yield "clearance", f"{1e3 * config['clearance']:g} mm"
+    if config.get("frames", 1) > 1:
+        yield "depth image of the d415", f"median of {config['frames']} frames"
     if "kits" in config:
         yield "kits in an assembly", "{} to {}".format(*config["kits"])
     if "tilt_deg" in config:

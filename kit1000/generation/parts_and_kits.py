@@ -19,12 +19,13 @@ from kit1000.generation.plan import draw_longest, draw_part
 from kit1000.generation.presets import Preset
 from kit1000.kits.acceptance import PairCheck
 from kit1000.kits.choice import accepted_kit
-from kit1000.kits.kit import KitDesign
+from kit1000.kits.kit import UNIT_PLATE, KitDesign, Plate
 from kit1000.kits.printable_mesh import GRID, closed_on_grid
 from kit1000.mesh import Mesh, defect_float32
 from kit1000.parts.family import make_part, part_of_mesh
 from kit1000.parts.files.sources import read_mesh
 from kit1000.parts.near_duplicates import shape_measures
+from kit1000.products import length
 from kit1000.values import Part
 
 MAX_ATTEMPTS = 200  # draws of one part before the run fails
@@ -98,7 +99,7 @@ def _from_draws(job: PartJob) -> Record:
         draw = draw_part(job.preset, job.seed, job.part_id, job.split, len(redraws))
         try:
             part = make_part(job.part_id, draw.family, draw.drawing, draw.longest)
-            return _record(job, part, *accepted_kit(part, job.preset.clearance), redraws)
+            return _record(job, part, *_accepted_kit(job, part), redraws)
         except Redraw as refusal:
             redraws.append(refusal.reason)
     raise Redraw(f"part {job.part_id}: none of {MAX_ATTEMPTS} draws gave a part that passes ({redraws[-1]})")
@@ -129,12 +130,20 @@ def _part_and_kit_of_file(job: PartJob, path: Path) -> tuple[Part, KitDesign, Pa
     mesh = read_mesh(path, job.unit).mesh
     try:
         part = _part_of_size(job, mesh, draw_longest(job.preset, job.seed, job.part_id))
-        return part, *accepted_kit(part, job.preset.clearance)
+        return part, *_accepted_kit(job, part)
     except Redraw as refusal:
         with suppress(Redraw):
             part = _part_of_size(job, mesh, job.preset.longest[1])
-            return part, *accepted_kit(part, job.preset.clearance)
+            return part, *_accepted_kit(job, part)
         raise refusal from None
+
+
+def _accepted_kit(job: PartJob, part: Part) -> tuple[KitDesign, PairCheck]:
+    """The kit of a part in a plate of the preset. Raises Redraw when none passes, or for a bulky part."""
+    if length(part.mesh.extents) / 2 > job.preset.max_part_radius:
+        raise Redraw("too bulky for the table")
+    plate = Plate((job.preset.plate, job.preset.plate), UNIT_PLATE.thickness)
+    return accepted_kit(part, job.preset.clearance, plate)
 
 
 def _part_of_size(job: PartJob, mesh: Mesh, longest: float) -> Part:

@@ -6,6 +6,8 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from kit1000.errors import InputError, did_you_mean
+from kit1000.kits.kit import PLATE_WIDTH
+from kit1000.sim.layout import MAX_PART_RADIUS
 from kit1000.tracks import TRACKS
 
 HELD_OUT = ("cam", "connector", "gear", "hook", "pillow_block", "tee")
@@ -13,6 +15,8 @@ HELD_OUT = ("cam", "connector", "gear", "hook", "pillow_block", "tee")
 
 IDEAL_TRACKS = ("snap-tilt", "place", "place-paper")
 """Tracks of the preset `paper`: guesses with a tilt error only, as in the release of the paper, ideal depth."""
+
+REAL_PLATE = 0.119  # [m] of `real-like`: a part of 80 mm, its clearance and a wall at both sides
 
 OUTSIDE_CONFIG = ("name", "seed", "mixture")
 """Fields of a preset that its `config` omits: the plan states name and seed itself, the name implies the mixture."""
@@ -31,6 +35,8 @@ class Preset:
     """[m] range of a part's longest side, drawn uniformly."""
     clearance: float = 2.5e-3
     """[m] between part and cavity wall."""
+    plate: float = PLATE_WIDTH
+    """[m] side of the square plates."""
     kits: tuple[int, int] = (2, 5)
     """Smallest and largest number of kits of an assembly."""
     level_base: bool = False
@@ -44,6 +50,10 @@ class Preset:
     curve_scenes: int = 40
     """Number of test scenes whose target has queries at every level of guess error. These queries together reveal the
     goal, so a withheld test split has none."""
+    scale: float = 1.0
+    """Of both halves of the table and of the cameras' distances, where parts or plates are larger."""
+    frames: int = 1
+    """Number of frames of which a depth image of the d415 is the median."""
     crowded: float = 1 / 3
     """Share of the scenes whose parts are pushed together, where an assembly has two or more."""
     one_track: bool = False
@@ -57,6 +67,11 @@ class Preset:
     def count(self, split: str) -> int:
         """Number of parts, and so of assemblies, of a split."""
         return {"train": self.train, "val": self.val, "test": self.test}[split]
+
+    @property
+    def max_part_radius(self) -> float:
+        """[m] half the diagonal of a part's box, at most."""
+        return self.scale * MAX_PART_RADIUS
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -77,7 +92,18 @@ PRESETS = {
         Preset("small", 60, 12, 24),
         Preset("kit1000", 1000, 100, 200),
         Preset("paper", 1000, 100, 200, longest=(0.05, 0.05), level_base=True, tracks=IDEAL_TRACKS, crowded=0.0),
-        Preset("real-like", 400, 50, 100, clearance=10e-3, kits=(1, 4)),
+        Preset(
+            "real-like",
+            400,
+            50,
+            100,
+            longest=(0.06, 0.08),
+            clearance=10e-3,
+            plate=REAL_PLATE,
+            kits=(1, 4),
+            scale=1.4,
+            frames=50,
+        ),
         Preset("study", 40, 8, 24, kits=(2, 3), tilt_deg=(10.0, 30.0), brackets_deg=(10.0, 20.0, 30.0)),
         Preset("completion", 2000, 100, 100, seed=2000),
     )

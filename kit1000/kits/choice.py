@@ -29,13 +29,13 @@ class Attempt:
     """Why the kit is refused; None when it passes all trials."""
 
 
-def accepted_kit(part: Part, clearance: float = CLEARANCE) -> tuple[KitDesign, PairCheck]:
+def accepted_kit(part: Part, clearance: float = CLEARANCE, plate: Plate = UNIT_PLATE) -> tuple[KitDesign, PairCheck]:
     """The kit of a part on the first insertion face that passes all trials, in a plate of datasets; and their result.
 
     Raises Redraw with the reason of the first face when none passes.
     """
     refusals = []
-    for attempt in attempts(part, clearance, UNIT_PLATE):
+    for attempt in attempts(part, clearance, plate):
         if attempt.design is not None and attempt.trial is not None and attempt.refusal is None:
             return attempt.design, attempt.trial
         refusals.append(attempt.refusal)

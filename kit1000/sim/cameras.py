@@ -47,28 +47,31 @@ POSITION_DECIMALS = 9  # [m] of a camera: the last bits of sine and cosine diffe
 CAMERA_SETS = ("primary", "three", "top")
 
 
-def draw_primary_pose(rng: np.random.Generator, crowded: bool = False) -> Pose:
-    """The pose of the primary camera: on the +x or the -x side, uniform in radius, polar angle and azimuth."""
+def draw_primary_pose(rng: np.random.Generator, crowded: bool = False, scale: float = 1.0) -> Pose:
+    """The pose of the primary camera: on the +x or the -x side, uniform in radius, polar angle and azimuth.
+
+    scale: of the table's halves, and so of the camera's target and distance.
+    """
     polar_angle = CROWDED_POLAR_ANGLE if crowded else PRIMARY_POLAR_ANGLE
     radius, polar = rng.uniform(*PRIMARY_RADIUS), rng.uniform(*polar_angle)
     azimuth = rng.uniform(-MAX_PRIMARY_AZIMUTH, MAX_PRIMARY_AZIMUTH)
-    return _orbit_pose(radius, polar, azimuth + np.pi * rng.integers(2))
+    return _orbit_pose(scale * radius, polar, azimuth + np.pi * rng.integers(2), scale * np.asarray(PRIMARY_TARGET))
 
 
-def camera_set(name: str, primary: Pose | None = None) -> dict[str, tuple[Camera, Pose]]:
+def camera_set(name: str, primary: Pose | None = None, scale: float = 1.0) -> dict[str, tuple[Camera, Pose]]:
     """The cameras of a set and their poses, by the prefix of their images in a recording.
 
     primary: the camera at the pose `primary`, key "". three: around the table, for height maps, keys "three/0" to
-    "three/2". top: vertically above the table, key "top".
+    "three/2". top: vertically above the table, key "top". scale: of the distances of the last two.
     """
     if name == "primary":
         if primary is None:
             raise InputError("camera set 'primary': expected the pose of the scene's primary camera, got none")
         return {"": (CAMERA, primary)}
     if name == "three":
-        return {f"three/{i}": (CAMERA, pose) for i, pose in enumerate(_ring_poses())}
+        return {f"three/{i}": (CAMERA, pose) for i, pose in enumerate(_ring_poses(scale))}
     if name == "top":
-        return {"top": (CAMERA, _top_pose())}
+        return {"top": (CAMERA, _top_pose(scale))}
     raise InputError(f"camera set {name!r}: expected one of {', '.join(CAMERA_SETS)}")
 
 
@@ -86,13 +89,15 @@ def _orbit_pose(radius: float, polar: float, azimuth: float, target: ArrayLike =
     return look_at(np.asarray(target) + offset, target)
 
 
-def _ring_poses() -> list[Pose]:
+def _ring_poses(scale: float) -> list[Pose]:
+    centre = scale * np.asarray(WORKSPACE_CENTRE)
     return [
-        _orbit_pose(RING_RADIUS, RING_POLAR_ANGLE, float(np.radians(azimuth)), WORKSPACE_CENTRE)
+        _orbit_pose(scale * RING_RADIUS, RING_POLAR_ANGLE, float(np.radians(azimuth)), centre)
         for azimuth in RING_AZIMUTHS_DEG
     ]
 
 
-def _top_pose() -> Pose:
+def _top_pose(scale: float) -> Pose:
     """The camera above the table: image rows run along x, as for a camera on the +x side, columns along y."""
-    return look_at(np.asarray(WORKSPACE_CENTRE) + (0, 0, TOP_HEIGHT), WORKSPACE_CENTRE, up=(-1.0, 0.0, 0.0))
+    centre = scale * np.asarray(WORKSPACE_CENTRE)
+    return look_at(centre + (0, 0, scale * TOP_HEIGHT), centre, up=(-1.0, 0.0, 0.0))

@@ -63,6 +63,8 @@ class LayoutDraw:
     """(n,) [rad], used for upright parts."""
     tumbled_rotations: np.ndarray
     """(n, 4) quaternions world_from_part, used for tumbled parts."""
+    scale: float = 1.0
+    """Of both halves of the table; the lengths at the head of this module are those at 1."""
     crowding: Crowding | None = None
     """How the parts are pushed together; None: they stay apart."""
 
@@ -100,7 +102,9 @@ def systematic_rest_modes(offset: float, n: int) -> tuple[str, ...]:
     return tuple(UPRIGHT if step else TUMBLED for step in np.diff(counts))
 
 
-def draw_layout(rng: np.random.Generator, modes: Sequence[str], crowded: bool = False) -> LayoutDraw:
+def draw_layout(
+    rng: np.random.Generator, modes: Sequence[str], crowded: bool = False, scale: float = 1.0
+) -> LayoutDraw:
     """The random numbers of a layout for parts of these rest modes. The numbers do not depend on the modes; those of a
     crowded layout are those of an uncrowded one and further ones."""
     unknown = sorted({*modes} - {UPRIGHT, TUMBLED})
@@ -109,8 +113,9 @@ def draw_layout(rng: np.random.Generator, modes: Sequence[str], crowded: bool = 
     n = len(modes)
     yaw, shift = float(rng.uniform(0, 2 * np.pi)), rng.uniform(-1, 1, 2)
     yaws, tumbles = rng.uniform(0, 2 * np.pi, n), random_quaternions(rng, n)
-    drop_points = _draw_drop_points(rng, n)
-    return LayoutDraw(tuple(modes), yaw, shift, drop_points, yaws, tumbles, draw_crowding(rng, n) if crowded else None)
+    drop_points = scale * _draw_drop_points(rng, n)
+    crowding = draw_crowding(rng, n) if crowded else None
+    return LayoutDraw(tuple(modes), yaw, shift, drop_points, yaws, tumbles, scale, crowding)
 
 
 def simulate_layout(assembly: Assembly, parts: Sequence[tuple[Part, Slot]], draw: LayoutDraw) -> Layout:
@@ -125,12 +130,13 @@ def simulate_layout(assembly: Assembly, parts: Sequence[tuple[Part, Slot]], draw
         _check_rest(mode, release, rest)
     poses = tuple(rest.world_from_part for rest in rests)
     footprints = [footprint(part.mesh, pose) for (part, _), pose in zip(parts, poses, strict=True)]
-    if any((outline < PARTS_BOUNDS[0]).any() or (outline > PARTS_BOUNDS[1]).any() for outline in footprints):
+    low, high = draw.scale * PARTS_BOUNDS
+    if any((outline < low).any() or (outline > high).any() for outline in footprints):
         raise Redraw("part left its half")
     if any(footprint_distance(a, b) < MIN_GAP for a, b in combinations(footprints, 2)):
         raise Redraw("parts touch")
     if draw.crowding is not None:
-        shifts = pushed_together(footprints, draw.crowding, PARTS_BOUNDS)
+        shifts = pushed_together(footprints, draw.crowding, draw.scale * PARTS_BOUNDS)
         poses = tuple(
             rounded_pose(Pose(pose.wxyz, pose.xyz + (*shift, 0.0))) for pose, shift in zip(poses, shifts, strict=True)
         )
@@ -151,8 +157,9 @@ def _checked_parts(parts: Sequence[tuple[Part, Slot]], draw: LayoutDraw) -> Sequ
         raise ShapeError(f"parts: expected {len(draw.modes)} for this draw, got {len(parts)}")
     for part, _ in parts:
         radius = length(part.mesh.extents) / 2
-        if radius > MAX_PART_RADIUS:
-            expected = f"expected at most {2e3 * MAX_PART_RADIUS:.0f} mm, as of a cube of 50 mm"
+        if radius > draw.scale * MAX_PART_RADIUS:
+            expected = f"expected at most {2e3 * draw.scale * MAX_PART_RADIUS:.0f} mm, as of a cube of"
+            expected += f" {50 * draw.scale:.0f} mm"
             raise InputError(f"part {part.id}: its box has a diagonal of {2e3 * radius:.1f} mm, {expected}")
     return parts
 
@@ -180,8 +187,8 @@ def _place_assembly(mesh: Mesh, draw: LayoutDraw) -> Pose:
     """world_from_assembly: rotated about the centre of its box and shifted, within KITS_RADIUS and on its half."""
     centre = mesh.bounds.mean(0)[:2]
     radius = np.linalg.norm(mesh.vertices[:, :2] - centre, axis=1).max()
-    max_shift = np.clip(KITS_RADIUS - radius, 0, MAX_KITS_SHIFT)
-    x, y = KITS_CENTRE + max_shift * draw.assembly_shift
+    max_shift = np.clip(draw.scale * KITS_RADIUS - radius, 0, draw.scale * MAX_KITS_SHIFT)
+    x, y = draw.scale * KITS_CENTRE + max_shift * draw.assembly_shift
     yaw = Pose.from_rotvec([0.0, 0.0, draw.assembly_yaw])
     offset = yaw.rotate([*centre, 0.0])
     return rounded_pose(Pose(yaw.wxyz, np.array([x, max(y, radius + 2 * MIN_GAP), 0.0]) - offset))
