@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 from kit1000.camera import Camera
 from kit1000.dataset.mcap_io import ObservationWriter, TruthWriter
@@ -30,13 +32,19 @@ def query(scene_id: str, part: int, guess: Pose | None = POSE) -> Row:
     return told | {"pivot": [0.1, 1 / 3, -0.0], "guess": None if guess is None else pose_row(guess)}
 
 
+def preview(k: int, camera: Camera) -> bytes:
+    """A PNG with half the columns and rows of the camera, red growing to the right and green downward."""
+    v, u = np.indices((camera.height // 2, camera.width // 2)) % 256
+    png = io.BytesIO()
+    Image.fromarray(np.stack([u, v, np.full_like(u, k)], axis=-1).astype(np.uint8)).save(png, "PNG")
+    return png.getvalue()
+
+
 def observation(k: int = 0, camera: Camera = CAMERA, pose: Pose = POSE) -> Observation:
     scene_id = f"test-s{k:04d}"
     views = {"d415": View(camera, POSE, noise(camera, k)), "ideal": View(camera, pose, noise(camera, k + 100))}
     labels = (noise(camera, k) * 5).astype(np.uint8)
-    return Observation(
-        scene_id, views, labels, tuple(query(scene_id, part) for part in range(3)), b"\x89PNG" + bytes([k])
-    )
+    return Observation(scene_id, views, labels, tuple(query(scene_id, part) for part in range(3)), preview(k, camera))
 
 
 def extra_views(k: int = 0) -> Observation:

@@ -35,6 +35,7 @@ from tests.recorded import (
     POSE,
     extra_views,
     observation,
+    preview,
     query,
     same,
     same_pose,
@@ -170,7 +171,7 @@ def test_small_messages_come_first(seen: Path) -> None:
         ["/ideal/camera", "/d415/camera", "/preview/camera"],
         ["/ideal/labels", "/ideal/depth", "/d415/depth"],
     )
-    assert chunk_messages(seen, 1) == [*cameras, "/tf", *["/query"] * 3, "/preview", *rest]
+    assert chunk_messages(seen, 1) == [*cameras, "/tf", *["/query"] * 3, "/preview", "/preview/points", *rest]
 
 
 def test_viewers_find_a_calibration_and_a_frame_for_every_depth_image(tmp_path: Path, seen: Path) -> None:
@@ -214,6 +215,34 @@ def test_previews_are_pictures_in_a_frame_of_their_own(tmp_path: Path, seen: Pat
     poses = {item.child_frame_id: str(item.translation) + str(item.rotation) for item in frames.transforms}
     assert poses["preview"] == poses["camera"]
     assert TruthFile(tmp_path / "t.mcap").truth("test-s0000").preview == truth().preview
+
+
+def test_points_of_a_preview_are_some_of_its_pixels_at_their_depth(seen: Path) -> None:
+    (_, _, cloud), *_ = read_by_mcap(seen, "/preview/points")
+    rows = np.frombuffer(cloud.data, [("xyz", "<f4", 3), ("rgba", "u1", 4)])
+    assert (cloud.frame_id, [field.name for field in cloud.fields]) == (
+        "preview",
+        [*"xyz", "red", "green", "blue", "alpha"],
+    )
+    scene = observation()
+    depth, half = scene.views["ideal"].depth[::2, ::2], CAMERA.scaled(0.5)
+    assert scene.labels is not None
+    u, v = rows["rgba"][:, 0].astype(int), rows["rgba"][:, 1].astype(int)  # the colours tell the pixel
+    assert np.array_equal(rows["xyz"][:, 2], np.rint(depth[v, u] * 1024) / 1024)
+    found = half.project(rows["xyz"][rows["xyz"][:, 2] > 0.1].astype(float))
+    assert np.abs(found - np.stack([u, v], axis=-1)[rows["xyz"][:, 2] > 0.1]).max() < 0.5
+    expected = np.zeros(depth.shape, bool)
+    expected[::2, ::2] = scene.labels[::4, ::4] > 0
+    expected[::4, ::4] = True
+    assert set(zip(v.tolist(), u.tolist(), strict=True)) == {
+        tuple(at) for at in np.argwhere(expected & (depth > 0)).tolist()
+    }
+
+
+@pytest.mark.parametrize("wrong", [b"no picture", preview(0, Camera(8, 8, 5.0, 5.0, 3.5, 3.5))])
+def test_a_preview_has_to_be_a_png_of_half_the_size(tmp_path: Path, wrong: bytes) -> None:
+    with pytest.raises(InputError, match=r"test-s0000: its preview is no PNG of \(16, 12\) pixels"):
+        write(tmp_path / "a.mcap", [replace(observation(), preview=wrong)])
 
 
 def test_a_scene_replaces_the_models_of_the_one_before(tmp_path: Path) -> None:

@@ -6,11 +6,13 @@ poses of parts and no random draws.
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterator
 from functools import lru_cache
 
 import numpy as np
+from PIL import Image
 
 from kit1000.camera import Camera
 from kit1000.dataset.mcap_io.content import check_on_grid, observation_hash
@@ -24,6 +26,7 @@ from kit1000.dataset.mcap_io.messages import (
     image_message,
     image_of,
     json_schema,
+    points_message,
     preview_message,
     preview_of,
     row_message,
@@ -39,6 +42,8 @@ from kit1000.values import View
 IDEAL = "ideal"  # the sensor whose frame is the true camera frame
 LABELS = f"/{IDEAL}/labels"  # beside the calibration of their frame: viewers match an image with it by topic
 PREVIEW = "/preview"
+BODY_STEP, TABLE_STEP = 2, 4  # [px of the preview] between its points: 15,000 of them
+POINT_GRID = 2.0**-10  # [m] of their coordinates, for compression
 VIEW_KEY = re.compile(r"((?:[a-z0-9]+/)*)([a-z0-9]+)")  # camera, then sensor
 QUERY_FIELDS = ("drawn", "guess", "id", "part", "pivot", "sensor", "track")
 
@@ -142,12 +147,32 @@ def _messages(observation: Observation, stamp: int) -> Iterator[Message]:
         yield row_message("/query", _QUERY, row, f"query {row['id']}")
     if observation.preview is not None:
         yield preview_message(PREVIEW, observation.preview, stamp)
+        yield _preview_points(observation, next(iter(views.values())), observation.preview, stamp)
     if observation.labels is not None:
         labels = checked(f"{observation.scene_id}: labels", observation.labels, ("h", "w"), np.uint8)
         yield image_message(LABELS, labels, "mono8", _frame_id(IDEAL), stamp)
     for key, view in views.items():
         check_on_grid(view.depth, f"{observation.scene_id} {key}")
         yield image_message(f"/{key}/depth", view.depth, "32FC1", _frame_id(key), stamp)
+
+
+def _preview_points(observation: Observation, view: View, preview: bytes, stamp: int) -> Message:
+    """Some pixels of the preview as points in its frame, denser on bodies: viewers show them in 3D at once."""
+    seen = view.depth[::PREVIEW_STEP, ::PREVIEW_STEP] > 0
+    kept = np.zeros_like(seen)
+    if observation.labels is not None:
+        bodies = observation.labels[::PREVIEW_STEP, ::PREVIEW_STEP] > 0
+        kept[::BODY_STEP, ::BODY_STEP] = bodies[::BODY_STEP, ::BODY_STEP]
+    kept[::TABLE_STEP, ::TABLE_STEP] = True
+    v, u = np.nonzero(kept & seen)
+    pixels = np.stack([u, v], axis=-1) * PREVIEW_STEP
+    points = view.camera.unproject_pixels(pixels, view.depth[pixels[:, 1], pixels[:, 0]])
+    points = np.rint(points / POINT_GRID) * POINT_GRID
+    try:
+        colours = np.asarray(Image.open(io.BytesIO(preview)).convert("RGB"))[v, u]
+    except (OSError, IndexError) as error:
+        raise InputError(f"{observation.scene_id}: its preview is no PNG of {seen.shape[::-1]} pixels") from error
+    return points_message(f"{PREVIEW}/points", points, colours, PREVIEW_FRAME, stamp)
 
 
 @lru_cache(maxsize=16)
