@@ -15,18 +15,22 @@ RERUN   =
 PAGES   = $(BIN)/python -m benchmark pages --submissions "$(SUBMISSIONS)" --out "$(SITE)/board"
 RESCORE = $(BIN)/python -m benchmark rescore $(SCORED) --data "$(DATA)" --workers $(or $(WORKERS),2)
 UPGRADE =
+BOP     =
 
 # A stamp is touched last of all and removed first of all, so an install that was cut short is never taken for done.
 RUN  = $(VENV)/.installed-run
 DEV  = $(VENV)/.installed-dev
 TORCH = torch==2.13.0 # outside the lock: the same version is another build on another machine
 PIP  = $(BIN)/python -m pip --disable-pip-version-check --quiet
+VIEWERS = .viewers
+RERUN_VIEWER = $(VIEWERS)/bin/rerun
+RERUN_SDK = rerun-sdk==0.41.0 # outside the lock, in an environment of its own: it is large and brings pyarrow along
 LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --universal --python-version 3.10 \
        --generate-hashes --quiet $(if $(UPGRADE),--upgrade) --custom-compile-command "make lock"
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install browser dataset test test-slow lint site table1 bench bench-parts portable mutants pictures lock clean
+.PHONY: help install browser dataset test test-slow lint site table1 bench bench-parts portable mutants viewers slicer pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -82,6 +86,15 @@ portable: $(DEV) ## generate tiny and small as on another processor, and compare
 mutants: $(DEV) ## change lines one at a time in a copy: do the tests notice? About 15 minutes
 	$(BIN)/python bench/mutants.py
 
+viewers: $(DEV) $(RERUN_VIEWER) ## open recordings of DATA, else of tiny, in Rerun, and take screenshots to look at
+	@$(call debian,command -v xvfb-run,xvfb xauth libxkbcommon-x11-0 libxcursor1 libxi6 libxrandr2)
+	@$(call debian,ls /usr/share/vulkan/icd.d/lvp_icd*,mesa-vulkan-drivers)
+	$(BIN)/python bench/viewers.py $(RERUN_VIEWER) --out $(VIEWERS)/out --data "$(DATA)"
+
+slicer: $(DEV) ## give kits and assemblies of DATA, else of tiny, to PrusaSlicer; BOP=DIR also scenes to BOP's toolkit
+	@$(call debian,command -v prusa-slicer,prusa-slicer)
+	$(BIN)/python bench/slicer.py --out $(VIEWERS)/out --data "$(DATA)" $(if $(BOP),--bop "$(BOP)")
+
 pictures: $(DEV) ## draw the pictures of the README and the docs
 	$(BIN)/python docs/pictures/draw.py
 	$(BIN)/python docs/pictures/sensors.py
@@ -92,7 +105,7 @@ lock: $(DEV) ## pin in requirements/ what pyproject.toml asks for; UPGRADE=1 ren
 	$(LOCK) --output-file requirements/dev.txt --extra dev --constraint requirements/run.txt
 
 clean: ## remove the environment and all caches, never data
-	rm -rf $(VENV) build dist site .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) $(VIEWERS) build dist site .pytest_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -not -path './data/*' -prune -exec rm -rf {} +
 
 # The environment. Without a stamp it is made from nothing; with one, pyproject.toml or a lock has changed since, and
@@ -110,6 +123,11 @@ $(DEV): $(RUN) requirements/dev.txt
 	@$(PIP) install --require-hashes -r requirements/dev.txt
 	@$(PIP) install $(TORCH)
 	@touch $(DEV)
+
+$(RERUN_VIEWER): $(RUN)
+	@echo "installing Rerun into $(VIEWERS)" >&2
+	@rm -rf $(VIEWERS)/bin && $(BIN)/python -m venv $(VIEWERS)
+	@$(VIEWERS)/bin/python -m pip --disable-pip-version-check --quiet install $(RERUN_SDK)
 
 # Takes the first interpreter that is new enough and can make an environment, and makes it.
 PYTHONS = $(if $(PYTHON),$(PYTHON),python3 python3.13 python3.12 python3.11 python3.10 python)
@@ -135,4 +153,10 @@ define chromium
 	for name in chromium chromium-browser google-chrome; do ! command -v $$name >/dev/null || exit 0; done; \
 	command -v apt-get >/dev/null && { $(SUDO) apt-get update && $(SUDO) apt-get install -y chromium; } >/dev/null 2>&1 || \
 	    echo "no Chromium here: tests of the pages will be skipped (Debian: apt-get install chromium)" >&2
+endef
+
+# Installs packages of Debian or Ubuntu where a test fails: $(call debian,TEST,PACKAGES)
+define debian
+	$(1) >/dev/null 2>&1 || { $(SUDO) apt-get update && $(SUDO) apt-get install -y --no-install-recommends $(2); } \
+	    >/dev/null 2>&1 || { echo "missing here, and could not be installed: $(2)" >&2; exit 1; }
 endef
