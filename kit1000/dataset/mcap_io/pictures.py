@@ -10,10 +10,9 @@ from kit1000.dataset.mcap_io.writing import ShardWriter
 
 
 class PictureWriter(ShardWriter):
-    """Writes the messages of one scene, all at one time: at any time, a viewer shows all of them."""
+    """Writes the messages of one scene."""
 
     CONTENTS = "pictures"
-    MESSAGE_STEP = 0
 
     def __init__(self, path: str | Path, stamp: int) -> None:
         super().__init__(path)

@@ -34,8 +34,6 @@ class ShardWriter:
     """A context manager that writes a file of scenes when its block ends without an exception and has scenes."""
 
     CONTENTS: ClassVar[str]
-    MESSAGE_STEP: ClassVar[int] = 1
-    """[ns] between the messages of a scene."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path) if isinstance(path, str) else path  # an object store has its own path type
@@ -64,12 +62,14 @@ class ShardWriter:
         return START + len(self._content) * SECOND
 
     def record(self, scene_id: str, content_hash: str, messages: Iterable[Message]) -> None:
-        """Write the messages of a scene in their order, as one chunk."""
+        """Write the messages of a scene in their order, as one chunk.
+
+        All have one time: a viewer then shows all of them, with the calibrations and frames that they need.
+        """
         if scene_id in self._content:
             raise InputError(f"{self.path}: scene {scene_id} is recorded twice")
-        start, listed = self.stamp, list(messages)
-        for k, message in enumerate(listed):
-            time = start + k * self.MESSAGE_STEP
+        time, listed = self.stamp, list(messages)
+        for message in listed:
             self._mcap.add_message(self._channel(message), time, message.data, time)
         self._mcap.flush()  # ends the chunk
         self._content[scene_id] = content_hash
