@@ -171,7 +171,7 @@ def test_small_messages_come_first(seen: Path) -> None:
         ["/ideal/camera", "/d415/camera", "/preview/camera"],
         ["/ideal/labels", "/ideal/depth", "/d415/depth"],
     )
-    assert chunk_messages(seen, 1) == [*cameras, "/tf", *["/query"] * 3, "/preview", "/preview/points", *rest]
+    assert chunk_messages(seen, 1) == [*cameras, "/tf", *["/query"] * 3, "/preview", "/points", *rest]
 
 
 def test_viewers_find_a_calibration_and_a_frame_for_every_depth_image(tmp_path: Path, seen: Path) -> None:
@@ -218,7 +218,7 @@ def test_previews_are_pictures_in_a_frame_of_their_own(tmp_path: Path, seen: Pat
 
 
 def test_points_of_a_preview_are_some_of_its_pixels_at_their_depth(seen: Path) -> None:
-    (_, _, cloud), *_ = read_by_mcap(seen, "/preview/points")
+    (_, _, cloud), *_ = read_by_mcap(seen, "/points")
     rows = np.frombuffer(cloud.data, [("xyz", "<f4", 3), ("rgba", "u1", 4)])
     assert (cloud.frame_id, [field.name for field in cloud.fields]) == (
         "preview",

@@ -42,6 +42,7 @@ from kit1000.values import View
 IDEAL = "ideal"  # the sensor whose frame is the true camera frame
 LABELS = f"/{IDEAL}/labels"  # beside the calibration of their frame: viewers match an image with it by topic
 PREVIEW = "/preview"
+POINTS = "/points"  # not below the preview: Rerun would draw them over it
 BODY_STEP, TABLE_STEP = 2, 4  # [px of the preview] between its points: 15,000 of them
 POINT_GRID = 2.0**-10  # [m] of their coordinates, for compression
 VIEW_KEY = re.compile(r"((?:[a-z0-9]+/)*)([a-z0-9]+)")  # camera, then sensor
@@ -172,7 +173,7 @@ def _preview_points(observation: Observation, view: View, preview: bytes, stamp:
         colours = np.asarray(Image.open(io.BytesIO(preview)).convert("RGB"))[v, u]
     except (OSError, IndexError) as error:
         raise InputError(f"{observation.scene_id}: its preview is no PNG of {seen.shape[::-1]} pixels") from error
-    return points_message(f"{PREVIEW}/points", points, colours, PREVIEW_FRAME, stamp)
+    return points_message(POINTS, points, colours, PREVIEW_FRAME, stamp)
 
 
 @lru_cache(maxsize=16)
