@@ -80,6 +80,36 @@ def test_hidden_space_under_a_roof_is_solid() -> None:
     assert missed.mean() < 1e-4
 
 
+ROOF = (box(0.02, 0.02, 0.03), box(0.045, 0.03, 0.006, at=(0.01, 0, 0.03)))
+
+
+@pytest.mark.parametrize("bodies", [(box(0.03, 0.02, 0.025),), ROOF], ids=["a box", "a roof"])
+@pytest.mark.parametrize("world_from_camera", [EYE, FROM_ABOVE], ids=["oblique", "from above"])
+def test_the_true_part_lies_between_what_is_certain_and_what_is_possible(
+    bodies: tuple[Mesh, ...], world_from_camera: Pose
+) -> None:
+    part = observed_part(*bodies, world_from_camera=world_from_camera)
+    filled, sure, possible = part.evidence(VOXEL)
+    np.testing.assert_array_equal(filled.values, part.volume(VOXEL).values)
+    truth = signed_distance(filled.grid, [(body, Pose.identity()) for body in bodies], threads=1).values
+    edge = VOXEL / (DEFAULT_TRUNCATION * VOXEL)  # pixels and voxels are decided by their centres
+    assert (truth[sure.values < 0] < edge).all()
+    assert (possible.values[truth < -edge] < 0).all()
+    assert ((sure.values < 0) <= (possible.values < 0)).all()
+    assert ((filled.values < 0) <= (possible.values < 0)).all()
+    assert (sure.values < 0).sum() > 300
+
+
+def test_free_space_is_measured_to_the_nearest_possible_voxel() -> None:
+    """Up to the truncation, also beside the silhouette, where the image shows only that a ray passes."""
+    part = observed_part(box(0.03, 0.02, 0.025), world_from_camera=FROM_ABOVE)
+    possible = part.evidence(VOXEL).possible
+    exact = np.asarray(distance_transform_edt(possible.values >= 0)) * VOXEL
+    within = (possible.values > 0) & (exact < 4e-3)
+    found = possible.values[within] * DEFAULT_TRUNCATION * VOXEL
+    np.testing.assert_allclose(found, exact[within], atol=1.2 * VOXEL)
+
+
 @pytest.mark.parametrize("lift", [0.0, 0.004, -0.003])
 def test_the_height_of_the_table_is_read_from_the_image(lift: float) -> None:
     part = observed_part(box(0.03, 0.02, 0.025), lift=lift)

@@ -135,7 +135,7 @@ def test_true_volumes_need_the_true_geometry(data: Dataset, snaps: QueryTruths) 
 
 
 def test_an_unknown_source_is_refused(data: Dataset) -> None:
-    with pytest.raises(InputError, match="source 'guess': expected one of depth, truth"):
+    with pytest.raises(InputError, match="source 'guess': expected one of depth, columns, truth"):
         Registration(data, "guess")
 
 

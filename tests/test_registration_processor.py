@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from baselines.elimination import solve_positive
-from baselines.registration.refine import _rotation
 from baselines.registration.search import YAW_STEP, OrientedPart, _correlation
+from baselines.registration.sweep import rotation_matrix
 from bench.portable import OLD_PROCESSOR
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume
@@ -22,7 +22,7 @@ from kit1000.voxels import Grid, Volume
 ROOT = Path(__file__).resolve().parents[1]
 SEEDS = st.integers(0, 2**32 - 1)
 
-# A query with a guess from the image and one without by true volumes: every digit of the predictions.
+# Queries with a guess from the image and one without by true volumes: every digit of the predictions.
 CODE = """
 import sys
 from pathlib import Path
@@ -30,7 +30,7 @@ from baselines.registration.method import Registration
 from kit1000.dataset.reader import Dataset
 
 data = Dataset(Path(sys.argv[1]))
-for track, source in (("snap", "depth"), ("place", "truth")):
+for track, source in (("snap", "depth"), ("snap", "columns"), ("place", "truth")):
     scenes = data.split("train", truth=True)
     scene, query = next((scene, query) for scene in scenes for query in scene.queries if query.track == track)
     true = data.geometry.true_geometry(scene.truth_of(query.id)) if source == "truth" else None
@@ -47,7 +47,7 @@ def test_predictions_do_not_depend_on_the_processor(mini: Path) -> None:
     ]
     outputs = [run.communicate()[0] for run in runs]
     assert [run.returncode for run in runs] == [0, 0]
-    assert outputs[0].count("\n") == 2
+    assert outputs[0].count("\n") == 3
     assert outputs[0] == outputs[1]
 
 
@@ -68,7 +68,7 @@ def test_a_singular_system_has_no_finite_solution() -> None:
 @given(SEEDS, st.sampled_from([0.0, 1e-9, 1e-3, 1.0]))
 def test_rodrigues_vectors_are_rotations_and_nearly_rotation_vectors(seed: int, size: float) -> None:
     vector = size * np.random.default_rng(seed).uniform(-1, 1, 3)
-    rotation = _rotation(np.append(vector, np.zeros(3)))
+    rotation = rotation_matrix(np.append(vector, np.zeros(3)))
     np.testing.assert_allclose(rotation, Pose(np.append(1.0, vector / 2), np.zeros(3)).rotation_matrix(), atol=1e-15)
     np.testing.assert_allclose(rotation, Pose.from_rotvec(vector).rotation_matrix(), atol=1e-12 + size**3 / 2)
 

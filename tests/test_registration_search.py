@@ -3,45 +3,37 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
-from manifold3d import Manifold
-from shapes import Seated, box, cylinder, ell, seated
+from registration_cases import (
+    CASES,
+    CLEARANCE,
+    WORLD_FROM_KIT,
+    WORLD_FROM_PART,
+    Case,
+    case,
+    known_cavity,
+    perturbed,
+)
 
-from baselines.registration.cavity import Cavity, find_cavity, plate_grid
+from baselines.registration.cavity import Cavity
 from baselines.registration.outline import expected_relief
-from baselines.registration.refine import CELL as SLICE_CELL
-from baselines.registration.refine import Problem, Sweep, refine
+from baselines.registration.refine import Problem, refine
 from baselines.registration.relief import dilated
 from baselines.registration.search import (
     CELL,
     YAW_STEP,
-    Candidate,
     KitImage,
     SearchWindow,
     best_shifts,
     coarse_search,
 )
+from baselines.registration.sweep import CELL as SLICE_CELL
+from baselines.registration.sweep import Sweep
 from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
-from kit1000.motions import apply_error, goal_motion
+from kit1000.motions import apply_error
 from kit1000.pose import Pose
-from kit1000.voxels import Grid, Volume, signed_distance
-
-CLEARANCE = 2.5e-3
-IDENTITY = Pose.identity()
-UP = np.array([0.0, 0.0, 1.0])
-WORLD_FROM_KIT = Pose.from_rotvec((0.4, 0.2, 0.9), (0.3, -0.1, 0.15))
-WORLD_FROM_PART = Pose.from_rotvec((1.2, -0.4, 2.0), (-0.1, 0.2, 0.03))
-
-
-def known_cavity(cavity_relief: np.ndarray, world_from_plate: Pose = IDENTITY, depth: float = 0.01) -> Cavity:
-    """A cavity whose relief is known everywhere."""
-    known = np.ones(cavity_relief.shape, bool)
-    points = np.zeros((0, 3))
-    return Cavity(world_from_plate, cavity_relief, cavity_relief, known, cavity_relief < 0, depth, points)
-
 
 # search
 
@@ -120,59 +112,6 @@ def test_no_shift_leaves_the_window() -> None:
     assert found[0][1] == pytest.approx(every[inside].min(), abs=1e-9)
 
 
-# a part and its kit with known poses
-
-
-class Case:
-    """A part and its kit in different places, as exact volumes."""
-
-    def __init__(self, known: Seated) -> None:
-        self.goal = goal_motion(WORLD_FROM_PART, WORLD_FROM_KIT, known.kit_from_part)
-        self.pivot = WORLD_FROM_PART.xyz + [1e-3, -2e-3, 1.5e-3]  # not the centre of the part
-        around = Grid.centred(Pose.from_translation(self.pivot), (84, 84, 84), 1e-3)
-        self.part: Volume = signed_distance(around, [(known.part.mesh, WORLD_FROM_PART)], threads=1)
-        plate = WORLD_FROM_KIT @ Pose.from_rotvec((0, 0, 0.3), (5e-3, -3e-3, 0))
-        grid = plate_grid(plate, 0.144)
-        volume = signed_distance(grid, [(known.kit().mesh, WORLD_FROM_KIT)], threads=1)
-        cavity = find_cavity(volume, plate, 0.5e-3)
-        assert cavity is not None
-        self.cavity = cavity
-        self.down_normal = self.goal.inverse().rotate(-WORLD_FROM_KIT.rotate(UP))
-
-    def candidate(self, goal_from_now: Pose) -> Candidate:
-        return Candidate(
-            self.cavity, self.cavity.world_from_plate.inverse() @ goal_from_now, self.down_normal, 0.0, 0.0
-        )
-
-    def error_of(self, plate_from_now: Pose) -> tuple[float, float]:
-        """[mm] at the pivot and [degrees] from the goal."""
-        error = self.cavity.world_from_plate @ plate_from_now @ self.goal.inverse()
-        goal = self.goal.apply(self.pivot)
-        return float(np.linalg.norm(error.apply(goal) - goal)) * 1e3, float(np.degrees(error.angle()))
-
-
-def keyed() -> Manifold:
-    return box(34, 22, 14) + box(10, 8, 14, (-6, 14, 0)) - box(8, 8, 40, (13, -9, -10))
-
-
-def bar() -> Manifold:
-    return box(44, 14, 12) + box(6, 6, 12, (-17, 8, 0))
-
-
-def lever() -> Manifold:
-    """A narrow web between eyes of two sizes."""
-    eyes = cylinder(18, 12) + cylinder(10, 12).translate((26, 0, 0))
-    return (eyes + box(26, 7, 12, (13, 0, 0))).translate((-10, 0, 0))
-
-
-CASES = {"an L": ell, "a keyed block": keyed, "a bar": bar, "a lever": lever}
-
-
-@cache
-def case(name: str) -> Case:
-    return Case(seated(CASES[name]()))
-
-
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("guessed", [True, False])
 def test_the_search_ranks_the_goal_first(name: str, guessed: bool) -> None:
@@ -188,13 +127,6 @@ def test_the_search_ranks_the_goal_first(name: str, guessed: bool) -> None:
     assert distance < 1.5e3 * CELL
     assert angle <= np.degrees(YAW_STEP)
     np.testing.assert_array_equal(found[0].down_normal, known.down_normal)
-
-
-def perturbed(known: Case, seed: int) -> Candidate:
-    """1.5 mm and 3 degrees beside the goal."""
-    rng = np.random.default_rng(seed)
-    shift, axis = (v / np.linalg.norm(v) for v in rng.standard_normal((2, 3)))
-    return known.candidate(apply_error(known.goal, known.pivot, 1.5e-3 * shift, np.radians(3) * axis))
 
 
 def residuals_at(known: Case, goal_from_now: Pose, clearance: float = CLEARANCE) -> np.ndarray:

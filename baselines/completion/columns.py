@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.ndimage import find_objects, label
 
@@ -13,6 +15,10 @@ from kit1000.voxels import Grid, Volume, tsdf
 from kit1000.voxels.grid import DEFAULT_TRUNCATION
 
 CELLS = 2 * int(DEFAULT_TRUNCATION)  # half a voxel wide, in a truncation
+STEP = (2, 2, 1)  # cells from voxel to voxel
+
+
+SURE = 1.5e-3  # [m] behind an observed surface that is surely solid: no wall of a part is thinner than 2 mm
 
 
 def extruded(
@@ -40,14 +46,62 @@ def extruded(
     Returns:
         A volume about the middle without unknown voxels.
     """
-    side, height = (2 * round(half / voxel) for half in half_sizes)
-    fine = Grid.centred(world_from_middle, (2 * side, 2 * side, 2 * height), voxel / 2)
-    observed = tsdf(fine, view, mask, threads=1).values[..., ::2]
-    heights = (np.arange(0, 2 * height, 2) - (height - 0.5)) * voxel / 2
-    top = _top(fine, world_from_middle.inverse(), points)
-    solid = (heights <= top[..., None]) & (heights > floor) & ~(observed > 0)
-    values = _distances(_largest(solid) if largest_only else solid, observed[::2, ::2])
-    return Volume.adopt(Grid((side, side, height), voxel, fine.world_from_grid), values)
+    return ObservedColumns.of(view, mask, points, world_from_middle, half_sizes, floor, voxel).filled(largest_only)
+
+
+@dataclass(frozen=True, eq=False)
+class ObservedColumns:
+    """What one depth image shows of an object, in cells that are half a voxel wide and a voxel high."""
+
+    grid: Grid
+    """Of the volumes: every second cell along x and y."""
+    distance: np.ndarray
+    """(2 nx, 2 ny, nz) observed distance, in truncations of half a voxel; positive is free, NaN unknown."""
+    below_top: np.ndarray
+    """(2 nx, 2 ny, nz) bool: not above the highest point of the column."""
+    above_floor: np.ndarray
+    """(nz,) bool"""
+
+    @classmethod
+    def of(
+        cls,
+        view: View,
+        mask: np.ndarray,
+        points: np.ndarray,
+        world_from_middle: Pose,
+        half_sizes: tuple[float, float],
+        floor: float,
+        voxel: float,
+    ) -> ObservedColumns:
+        """The arguments are those of `extruded`."""
+        side, height = (2 * round(half / voxel) for half in half_sizes)
+        fine = Grid.centred(world_from_middle, (2 * side, 2 * side, 2 * height), voxel / 2)
+        observed = tsdf(fine, view, mask, threads=1).values[..., ::2]
+        heights = (np.arange(0, 2 * height, 2) - (height - 0.5)) * voxel / 2
+        top = _top(fine, world_from_middle.inverse(), points)
+        grid = Grid((side, side, height), voxel, fine.world_from_grid)
+        return cls(grid, observed, heights <= top[..., None], heights > floor)
+
+    def filled(self, largest_only: bool) -> Volume:
+        """Signed distances to the columns below the points, except for free space."""
+        solid = self.below_top & self.above_floor & ~(self.distance > 0)
+        return self._volume(_largest(solid) if largest_only else solid, self.distance)
+
+    def surely_solid(self) -> Volume:
+        """Signed distances to what lies at most SURE behind an observed surface."""
+        behind = -SURE / (DEFAULT_TRUNCATION * self.grid.voxel_size / 2)
+        return self._volume((self.distance <= 0) & (self.distance > behind) & self.above_floor, self._near())
+
+    def possible(self) -> Volume:
+        """Signed distances to all that is not surely free: what the image does not show to be, above the floor."""
+        return self._volume(~(self.distance > 0) & self.above_floor, self._near())
+
+    def _near(self) -> np.ndarray:
+        """The observed distance within its truncation; beyond, it limits no other."""
+        return np.where(np.abs(self.distance) < 1, self.distance, np.float32(np.nan))
+
+    def _volume(self, solid: np.ndarray, distance: np.ndarray) -> Volume:
+        return Volume.adopt(self.grid, _distances(solid, distance[::2, ::2]))
 
 
 def _top(grid: Grid, middle_from_world: Pose, points: np.ndarray) -> np.ndarray:
@@ -85,22 +139,27 @@ def _distances(solid: np.ndarray, observed: np.ndarray) -> np.ndarray:
     Returns:
         (nx, ny, nz) float32, of every second cell.
     """
-    outside, inside = _squares(solid), _squares(~solid)
-    inner = solid[::2, ::2]
-    distance = np.maximum(np.sqrt(np.where(inner, inside, outside)) - 0.25, 0) / DEFAULT_TRUNCATION
     near = _box(solid)
-    distance[near] = np.fmin(distance[near], np.abs(observed[near]) / 2)  # its truncation is half as long
-    return np.where(inner, -distance, distance).clip(-1, 1).astype(np.float32)
+    fine = tuple(slice(side.start * step, side.stop * step) for side, step in zip(near, STEP, strict=True))
+    outside, inside = _squares(solid[fine]), _squares(~solid[fine])
+    inner = solid[fine][::2, ::2]
+    distance = np.maximum(np.sqrt(np.where(inner, inside, outside)) - 0.25, 0) / DEFAULT_TRUNCATION
+    distance = np.fmin(distance, np.abs(observed[near]) / 2)  # its truncation is half as long
+    values = np.ones(observed.shape, np.float32)
+    values[near] = np.where(inner, -distance, distance).clip(-1, 1)
+    return values
 
 
 def _box(solid: np.ndarray) -> tuple[slice, ...]:
     """The box of every second cell outside of which no cell has the solid within a truncation."""
     boxes = find_objects(solid.astype(np.uint8))
     if not boxes:
-        return (slice(0),) * 3
-    reach, step = (CELLS + 1, CELLS + 1, CELLS // 2 + 1), (2, 2, 1)
-    sides = zip(boxes[0], reach, step, strict=True)
-    return tuple(slice(max(-((r - side.start) // s), 0), (side.stop - 1 + r) // s + 1) for side, r, s in sides)
+        return (slice(0, 0),) * 3
+    reach = (CELLS + 1, CELLS + 1, CELLS // 2 + 1)
+    sides = zip(boxes[0], reach, STEP, solid.shape, strict=True)
+    return tuple(
+        slice(max(-((r - side.start) // s), 0), min((side.stop - 1 + r) // s + 1, n // s)) for side, r, s, n in sides
+    )
 
 
 @compiled

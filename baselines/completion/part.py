@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
-from baselines.completion.columns import extruded
+from baselines.completion.columns import ObservedColumns
 from baselines.completion.pixels import subpixel_points
 from kit1000.pose import Pose
 from kit1000.values import LabelledDepth
@@ -16,6 +17,20 @@ from kit1000.voxels import Volume
 HALF_WIDTH = 0.042  # [m] from the middle of a volume to its sides: it holds a part of 50 mm in any orientation
 TABLE_MARGIN = 0.06  # [m] around a part: the pixels from which the height of the table is read
 OUTLIERS = 0.02  # share of a part's points that is cut off at either end of each axis
+
+
+class PartEvidence(NamedTuple):
+    """A part of which one image shows one side: three solids.
+
+    The true part contains what is surely solid and lies within what is possible; the filled one is a guess between.
+    """
+
+    filled: Volume
+    """Solid below the observed points down to the table, except for free space."""
+    surely_solid: Volume
+    """Just behind the observed surface."""
+    possible: Volume
+    """All but what is surely free: observed to be, outside the silhouette, or below the table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +52,18 @@ class ObservedPart:
         Returns:
             A volume along the axes of the world about the middle, HALF_WIDTH to every side; no voxel is unknown.
         """
+        return self._columns(voxel).filled(largest_only=True)
+
+    def evidence(self, voxel: float) -> PartEvidence:
+        """What is certain about the part and what is not, each on the grid of `volume`."""
+        columns = self._columns(voxel)
+        return PartEvidence(columns.filled(largest_only=True), columns.surely_solid(), columns.possible())
+
+    def _columns(self, voxel: float) -> ObservedColumns:
         upright = Pose.from_translation(self.middle)
         floor = self.table_height() - self.middle[2]
         half_sizes = (HALF_WIDTH, HALF_WIDTH)
-        return extruded(self.image.view, self._mask, self._points, upright, half_sizes, floor, voxel, largest_only=True)
+        return ObservedColumns.of(self.image.view, self._mask, self._points, upright, half_sizes, floor, voxel)
 
     def table_height(self) -> float:
         """[m] of the table around the part in this image: a sensor's scale and pose are a little off."""

@@ -2,7 +2,9 @@
 
 Read it in the order of the method: `sources` (volumes), `baselines.completion.planes` (plates), `cavity` (the cavity of
 a plate), `faces` (those the part can stand on), `relief` (its lower envelope, dilated by the clearance), `search` (all
-yaws and positions), `refine` (the last millimetre) and `method`, which joins them.
+yaws and positions) and `hypotheses`, which joins them. Then either `columns`, which believes a filled part (`sweep`,
+`descent`, `refine`), or `certain`, which asks only what the image makes certain (`contradictions`, `intervals`).
+`method` is the predictor.
 """
 
 from baselines.catalog import Method
@@ -10,15 +12,21 @@ from baselines.catalog import Method
 METHODS = {
     "registration": Method(
         "baselines.registration.method:Registration",
-        "search over yaws and positions, then refinement, of height images of part and kits, from the depth image",
+        "height images of part and kits are searched and refined by what the depth image makes certain",
         label="Registration, from depth",
         options={"source": "depth"},
+    ),
+    "registration-columns": Method(
+        "baselines.registration.method:Registration",
+        "registration from the depth image, the part taken to be solid below what is observed",
+        label="Registration, filled columns",
+        options={"source": "columns"},
     ),
     "registration-any-clearance": Method(
         "baselines.registration.method:Registration",
         "registration from the depth image without the clearance: 1, 2.5, 5 and 10 mm are tried",
         label="Registration, clearance unknown",
-        options={"source": "depth", "clearances": (1e-3, 2.5e-3, 5e-3, 10e-3)},
+        options={"source": "columns", "clearances": (1e-3, 2.5e-3, 5e-3, 10e-3)},
     ),
     "registration-gtvol": Method(
         "baselines.registration.method:Registration",

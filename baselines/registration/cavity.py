@@ -16,6 +16,7 @@ ABOVE, BELOW = 4e-3, 24e-3  # [m] extent of the volume from the plate's face; no
 CUT = 1.5e-3  # [m] below the plate's face, where a cavity begins, unless the noise is larger
 RIM = 1e-3  # [m] below the rim, where points are left out: the plate's face is near them too
 UNDER = 1e-3  # [m] below the floor, beyond which points are of another face: the plate's lower face is 2 mm away
+JUMP = 0.5  # of the truncated distance from one voxel down to the next: 2.5 mm where a level surface gives 1 mm
 SPECK = 12e-6  # [m^2] a smaller hole is noise
 
 
@@ -37,6 +38,10 @@ class Cavity:
     """[m] of the floor."""
     points: np.ndarray
     """(k, 3) [m] plate frame: on the walls and the floor."""
+    certain_relief: np.ndarray
+    """(n, n) [m] as `relief`, without surfaces that are only assumed behind a rim."""
+    certain_free: np.ndarray
+    """(n, n) [m] as `free`, beside the certain relief."""
 
 
 def plate_grid(world_from_plate: Pose, side: float) -> Grid:
@@ -54,6 +59,7 @@ def find_cavity(volume: Volume, world_from_plate: Pose, noise: float) -> Cavity 
     """
     cut = max(CUT, 1.25 * noise)
     relief, free = heights_from_above(volume)
+    certain = heights_from_above(volume, across_jumps=False)
     face = np.abs(relief) < cut
     region = _enclosed(~(relief > -cut), free < -cut)
     bottom = relief[region & (relief < -cut)]
@@ -61,7 +67,7 @@ def find_cavity(volume: Volume, world_from_plate: Pose, noise: float) -> Cavity 
         return None
     depth = -float(np.percentile(bottom, 3))
     points = world_from_plate.inverse().apply(surface_points(volume))
-    i, j = _cells(points, len(relief))
+    i, j = cells_at(points, len(relief))
     heights = points[:, 2]
     inside = (
         np.asarray(binary_dilation(region), bool)[i, j]
@@ -71,7 +77,7 @@ def find_cavity(volume: Volume, world_from_plate: Pose, noise: float) -> Cavity 
     points = points[inside]
     if np.isnan(relief[region]).any():  # the upper edge of a hidden wall is visible
         points = np.concatenate([points, _edges(face, region)])
-    return Cavity(world_from_plate, relief, free, face | region, region, depth, points)
+    return Cavity(world_from_plate, relief, free, face | region, region, depth, points, *certain)
 
 
 def _enclosed(holes: np.ndarray, deep: np.ndarray) -> np.ndarray:
@@ -96,21 +102,25 @@ def _edges(face: np.ndarray, region: np.ndarray) -> np.ndarray:
     return np.column_stack([flat, np.full(len(flat), -RIM)])
 
 
-def _cells(points: np.ndarray, n: int) -> np.ndarray:
+def cells_at(points: np.ndarray, n: int) -> np.ndarray:
     """(2, k) indices of the cells of points (k, 3) [m] in the plate frame, clipped to the image."""
     return np.clip(np.rint(points[:, :2] / VOXEL + (n - 1) / 2).astype(int), 0, n - 1).T
 
 
-def heights_from_above(volume: Volume) -> tuple[np.ndarray, np.ndarray]:
+def heights_from_above(volume: Volume, across_jumps: bool = True) -> tuple[np.ndarray, np.ndarray]:
     """(nx, ny) [m], twice: height over the plate of the surface from above, NaN where it is unknown, and the height
-    down to which the column is free."""
+    down to which the column is free.
+
+    across_jumps: whether a jump of the distance below the plate's face, from free to behind a surface, is a surface. It
+    is none: behind a near rim the image shows the rim and then the cavity, and nothing of what lies under the rim.
+    """
     heights = np.empty((2, *volume.grid.shape[:2]))
-    _descend(volume.values, VOXEL, BELOW, heights[0], heights[1])
+    _descend(volume.values, VOXEL, BELOW, across_jumps, heights[0], heights[1])
     return heights[0], heights[1]
 
 
 @compiled
-def _descend(values, voxel, below, heights, free):
+def _descend(values, voxel, below, across_jumps, heights, free):
     nx, ny, nz = values.shape
     for i in range(nx):
         for j in range(ny):
@@ -123,4 +133,6 @@ def _descend(values, voxel, below, heights, free):
                 if value < 0:
                     above = values[i, j, k + 1] if k + 1 < nz else 1.0
                     heights[i, j] = free[i, j] = (k + value / (value - above)) * voxel - below
+                    if not across_jumps and above - value > JUMP and heights[i, j] < -CUT:
+                        heights[i, j], free[i, j] = np.nan, (k + 1) * voxel - below
                     break

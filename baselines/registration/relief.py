@@ -7,6 +7,8 @@ Images are square, [m], cell (i, j) at ((i, j) - (n - 1) / 2) * cell in the plan
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from scipy.ndimage import minimum_filter
 
@@ -17,8 +19,12 @@ from kit1000.voxels import Volume
 RADIUS = 0.06  # [m] larger than any part, from its middle
 
 
-def lower_envelope(volume: Volume, plane_from_now: Pose, cell: float, cells: int) -> np.ndarray:
+def lower_envelope(
+    volume: Volume, plane_from_now: Pose, cell: float, cells: int, start: np.ndarray | None = None
+) -> np.ndarray:
     """(n, n) [m]: the lowest height of a solid in each column; +inf where there is none.
+
+    start: (n, n) [m] heights from which on the solid is searched, with nothing where they are +inf; all by default.
 
     plane_from_now takes the solid into the frame of the image. The surface is found by sphere tracing in the volume of
     truncated distances, then linearly between the last two samples.
@@ -27,20 +33,40 @@ def lower_envelope(volume: Volume, plane_from_now: Pose, cell: float, cells: int
     linear = grid_from_plane.rotation_matrix() / volume.grid.voxel_size
     origin = grid_from_plane.xyz / volume.grid.voxel_size
     heights = np.empty((cells, cells))
-    _march(volume.values, linear, origin, cell, RADIUS, volume.grid.voxel_size, heights)
+    first = np.full((cells, cells), -RADIUS) if start is None else np.maximum(start, -RADIUS)
+    low, high = _bounds(volume, plane_from_now)
+    at = (np.arange(cells) - (cells - 1) / 2) * cell
+    first[(at < low[0]) | (at > high[0])] = np.inf
+    first[:, (at < low[1]) | (at > high[1])] = np.inf
+    _march(volume.values, linear, origin, cell, first, min(RADIUS, high[2]), volume.grid.voxel_size, heights)
     return heights
+
+
+def _bounds(volume: Volume, plane_from_now: Pose) -> tuple[np.ndarray, np.ndarray]:
+    """(3,) [m] twice, in the plane's frame: the corners of a box that holds a solid; empty where there is none."""
+    solid = volume.values < 0
+    sides = [np.flatnonzero(solid.any(axes)) for axes in ((1, 2), (0, 2), (0, 1))]
+    if len(sides[0]) == 0:
+        return np.full(3, np.inf), np.full(3, -np.inf)
+    ends = [(side[0] - 1.0, side[-1] + 1.0) for side in sides]  # the surface lies less than a voxel from the solid
+    corners = plane_from_now.apply(volume.grid.world(np.array(list(product(*ends)))))
+    return corners.min(0), corners.max(0)
 
 
 def dilated(envelope: np.ndarray, cell: float, clearance: float) -> np.ndarray:
     """(n, n) [m]: the lower envelope of a part dilated at every height by a disc with the clearance as its radius."""
+    return minimum_filter(envelope, footprint=disc(cell, clearance), mode="constant", cval=np.inf)
+
+
+def disc(cell: float, clearance: float) -> np.ndarray:
+    """(m, m) bool: the cells of a disc with the clearance [m] as its radius."""
     radius = int(np.floor(clearance / cell + 0.5))
     u, v = np.mgrid[-radius : radius + 1, -radius : radius + 1]
-    disc = u * u + v * v <= (clearance / cell + 0.5) ** 2
-    return minimum_filter(envelope, footprint=disc, mode="constant", cval=np.inf)
+    return u * u + v * v <= (clearance / cell + 0.5) ** 2
 
 
 @compiled
-def _march(values, linear, origin, cell, radius, voxel, heights):
+def _march(values, linear, origin, cell, first, radius, voxel, heights):
     n = heights.shape[0]
     dx, dy, dz = linear[0, 2], linear[1, 2], linear[2, 2]
     truncation = 5.0 * voxel
@@ -50,10 +76,10 @@ def _march(values, linear, origin, cell, radius, voxel, heights):
             x0 = linear[0, 0] * u + linear[0, 1] * v + origin[0]
             y0 = linear[1, 0] * u + linear[1, 1] * v + origin[1]
             z0 = linear[2, 0] * u + linear[2, 1] * v + origin[2]
-            height, before, low = np.inf, 1.0, -radius
-            w = -radius
+            height, before, low = np.inf, 1.0, first[i, j]
+            w = first[i, j]
             while w <= radius:
-                value = _read(values, x0 + dx * w, y0 + dy * w, z0 + dz * w)
+                value = read_value(values, x0 + dx * w, y0 + dy * w, z0 + dz * w)
                 if value < 0:
                     height = low + (w - low) * before / (before - value) if before > value else w
                     break
@@ -63,7 +89,7 @@ def _march(values, linear, origin, cell, radius, voxel, heights):
 
 
 @compiled
-def _read(values, x, y, z):
+def read_value(values, x, y, z):
     """The value at a point, linear between voxels; 1 outside and where it is unknown."""
     nx, ny, nz = values.shape
     if not (0 <= x < nx - 1 and 0 <= y < ny - 1 and 0 <= z < nz - 1):

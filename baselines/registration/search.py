@@ -14,7 +14,7 @@ from baselines.registration.outline import expected_relief
 from baselines.registration.relief import dilated, lower_envelope
 from kit1000.kits.cavity import insertion_depth
 from kit1000.pose import Pose, quaternion_between
-from kit1000.products import length, matmul
+from kit1000.products import matmul
 from kit1000.voxels import Volume
 
 CELL = 1.25e-3  # [m] of the images that are compared: half the usual clearance
@@ -142,21 +142,25 @@ def without_duplicates(candidates: Sequence[Candidate], pivot: np.ndarray, most:
     Of every plate, because misfits of cavities that are hidden to different degrees cannot be compared; the residuals
     after refinement can.
     """
+    if not candidates:
+        return []
+    poses = Pose.stack([c.cavity.world_from_plate @ c.plate_from_now for c in candidates])
+    pivots, depths = poses.apply(pivot), np.array([c.cavity.depth for c in candidates])
+    plates = np.array([id(c.cavity.world_from_plate) for c in candidates])
+    left = np.ones(len(candidates), bool)
     kept: list[Candidate] = []
-    for candidate in candidates:
-        same_plate = [other for other in kept if other.cavity.world_from_plate is candidate.cavity.world_from_plate]
-        if len(same_plate) < most and not any(_duplicates(candidate, other, pivot) for other in same_plate):
-            kept.append(candidate)
+    while left.any():
+        n = int(np.argmax(left))
+        kept.append(candidates[n])
+        same = plates == plates[n]
+        near = same & left & (np.abs(depths - depths[n]) <= DEPTH_TOLERANCE)
+        near[near] = np.linalg.norm(pivots[near] - pivots[n], axis=-1) <= DUPLICATE_DISTANCE
+        near[near] = (poses[near] @ poses[n].inverse()).angle() < 1.5 * YAW_STEP
+        left &= ~near
+        left[n] = False
+        if sum(other.cavity.world_from_plate is candidates[n].cavity.world_from_plate for other in kept) == most:
+            left &= ~same
     return kept
-
-
-def _duplicates(a: Candidate, b: Candidate, pivot: np.ndarray) -> bool:
-    if abs(a.cavity.depth - b.cavity.depth) > DEPTH_TOLERANCE:
-        return False
-    one, other = (c.cavity.world_from_plate @ c.plate_from_now for c in (a, b))
-    if length(one.apply(pivot) - other.apply(pivot)) > DUPLICATE_DISTANCE:
-        return False
-    return bool((one @ other.inverse()).angle() < 1.5 * YAW_STEP)
 
 
 def _possible_depths(cavity: Cavity, expected: float, certain: bool) -> list[Cavity]:

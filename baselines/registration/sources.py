@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from baselines.completion import ObservedPart
-from baselines.completion.part import HALF_WIDTH
+from baselines.completion.part import HALF_WIDTH, PartEvidence
 from baselines.completion.pixels import IDEAL, SENSOR, Noise, noise_of, oriented_points
 from kit1000.compiled import compiled
 from kit1000.pose import Pose
@@ -21,6 +21,7 @@ SIDE = 2 * round(HALF_WIDTH / VOXEL)  # voxels
 COARSE = 2e-3  # [m] voxels of the volume in which planes are searched
 EXACT = Noise(0.5e-3, float(np.radians(1.5)), 1)
 EDGE = 5e-3  # [m] a step in depth larger than noise
+SEEN_POINTS = 1500
 GAP = 20  # [px] the widest that is closed
 
 
@@ -111,6 +112,19 @@ class DepthSource:
     def part(self) -> Volume:
         """The part from its observed points down to the table, except for free space."""
         return self._part.volume(VOXEL)
+
+    @cached_property
+    def evidence(self) -> PartEvidence:
+        """What is certain about the part."""
+        return self._part.evidence(VOXEL)
+
+    def part_points(self) -> np.ndarray:
+        """(n, 3) [m] world: about SEEN_POINTS points of the part, one a pixel."""
+        v, u = np.nonzero(self.query.part_mask & (self.view.depth > 0))
+        step = max(1, len(v) // SEEN_POINTS)
+        v, u = v[::step], u[::step]
+        points = self.view.camera.unproject_pixels(np.stack([u, v], -1), self.view.depth[v, u])
+        return self.view.world_from_camera.apply(points)
 
     def oriented_points(self, box: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, float]:
         """Points of the image on the kits, with normals from their neighbours."""

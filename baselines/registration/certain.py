@@ -1,0 +1,69 @@
+"""Registration by what is certain: contradictions choose among the candidates, intervals refine the chosen ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from baselines.registration.contradictions import Contradictions, KitHeights, contradictions
+from baselines.registration.descent import SCALES
+from baselines.registration.fits import STIFFNESS, Fit, ranked
+from baselines.registration.hypotheses import find_candidates, within_guess_error
+from baselines.registration.intervals import refine_within
+from baselines.registration.outline import outline_misfit
+from baselines.registration.search import Candidate, without_duplicates
+from baselines.registration.sources import DepthSource
+from kit1000.values import Query
+
+DISTINCT, DISTINCT_WITHOUT_GUESS = 24, 16  # candidates of each plate among which contradictions choose
+REFINED, REFINED_WITHOUT_GUESS = 4, 6  # candidates of all plates that are refined
+PASSES = (SCALES[:3], SCALES[2:])  # [m] of the refinement; the second with the part's sweeps in the refined rotation
+OUTSIDE_WEIGHT, OUTLINE_WEIGHT = 2.0, 0.25  # of the distance from intervals and of the outline in the misfit
+CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
+
+
+def register_certain(source: DepthSource, query: Query, clearance: float) -> list[Fit]:
+    """The fits of a part in the cavities it may belong to, the best first. clearance: [m]."""
+    search = _Search(source, query, clearance)
+    guessed = query.guess is not None
+    found = find_candidates(source, source.evidence.filled, query, clearance)
+    distinct = without_duplicates(found, source.middle, DISTINCT if guessed else DISTINCT_WITHOUT_GUESS)
+    best = search.least_contradictory(distinct)[: REFINED if guessed else REFINED_WITHOUT_GUESS]
+    fits = [search.refined(candidate) for candidate in best]
+    return ranked(fit for fit in fits if within_guess_error(fit.goal_from_now, query))
+
+
+class _Search:
+    """The evidence about a part and its kits, at a clearance [m]."""
+
+    def __init__(self, source: DepthSource, query: Query, clearance: float) -> None:
+        self.source = source
+        self.clearance = clearance
+        self.seen = source.part_points()
+        self._kits: dict[int, KitHeights] = {}
+
+    def least_contradictory(self, candidates: Sequence[Candidate]) -> list[Candidate]:
+        """The candidates, those first that the image contradicts least."""
+        return sorted(candidates, key=lambda candidate: round(self._contradictions(candidate).choice, CHOICE_DECIMALS))
+
+    def refined(self, candidate: Candidate) -> Fit:
+        """The fit of a candidate."""
+        outside = filled = np.inf
+        for scales in PASSES:
+            evidence, middle = self.source.evidence, self.source.middle
+            pose, outside, filled = refine_within(evidence, middle, candidate, self.clearance, STIFFNESS, scales)
+            candidate = replace(candidate, plate_from_now=pose)
+        outline = outline_misfit(
+            self.source.evidence.filled, candidate.cavity, candidate.plate_from_now, self.clearance
+        )
+        contradicted = self._contradictions(candidate).score
+        misfit = OUTSIDE_WEIGHT * outside + filled + OUTLINE_WEIGHT * outline + contradicted
+        return Fit(candidate.cavity.world_from_plate @ candidate.plate_from_now, misfit, candidate)
+
+    def _contradictions(self, candidate: Candidate) -> Contradictions:
+        key = id(candidate.cavity)
+        if key not in self._kits:
+            self._kits[key] = KitHeights.of(candidate.cavity, self.clearance)
+        return contradictions(self.source.evidence, self.seen, self._kits[key], candidate.plate_from_now)

@@ -1,0 +1,172 @@
+"""Refinement against what is certain of the part: residuals are distances from intervals, not from a guess.
+
+The true part contains what is surely solid and lies within what is possible. So of every point of the cavity the
+distance from the part's wall or floor is known to lie in an interval, and where that contains the clearance the point
+says nothing. The filled part is a weak prior beside it, which decides where nothing is certain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.ndimage import maximum_filter, minimum_filter
+
+from baselines.completion.part import PartEvidence
+from baselines.registration.cavity import Cavity, cells_at
+from baselines.registration.descent import LEVER, SCALES, descend, pose_at, tilt_of
+from baselines.registration.refine import clipped_rms
+from baselines.registration.search import Candidate
+from baselines.registration.sweep import (
+    CELL,
+    LAYER,
+    Sweep,
+    distance_at,
+    envelope_about,
+    floors_under,
+    in_sweep,
+    rotation_matrix,
+)
+from kit1000.compiled import compiled
+from kit1000.pose import Pose
+
+MOST_POINTS = 1500  # of a cavity
+PRIOR = 0.1  # weight of the filled part beside what is certain
+HOLD = 0.5  # weight of the coarse height where no floor is observed, beside a point of the cavity
+SEEN_FLOOR = 0.05  # share of a cavity's points on a level floor from which on its depth is observed
+LEVEL = 1e-3  # [m] within which a floor is level, and at the cavity's depth
+START = 2e-3  # [m] below the filled part, from where on the surely solid one is searched: it lies within
+BASE = 2e-3  # [m] below the filled part, where slices begin: the possible part may reach lower
+
+
+class Intervals(NamedTuple):
+    """A refined pose and what is left of its residuals."""
+
+    plate_from_now: Pose
+    outside: float
+    """[m] RMS of the distances from the intervals."""
+    filled: float
+    """[m] RMS of the residuals of the filled part."""
+
+
+def refine_within(
+    evidence: PartEvidence,
+    pivot: np.ndarray,
+    candidate: Candidate,
+    clearance: float,
+    stiffness: float,
+    scales: Sequence[float] = SCALES,
+) -> Intervals:
+    """The best plate_from_now near a candidate. stiffness: see `refine`; scales: see `descend`."""
+    cavity, rotation = candidate.cavity, Pose(candidate.plate_from_now.wxyz, np.zeros(3))
+    start = candidate.plate_from_now.apply(pivot)
+    problem = IntervalProblem(
+        points=np.ascontiguousarray(cavity.points[:: -(-len(cavity.points) // MOST_POINTS) or 1]),
+        sweeps=sweeps_of(evidence, pivot, rotation, cavity.depth, clearance),
+        down_normal=rotation.rotate(candidate.down_normal),
+        clearance=clearance,
+        stiffness=stiffness,
+        height=float(start[2]),
+        hold=0.0 if floor_is_seen(cavity) else HOLD,
+    )
+    twist = descend(problem, np.concatenate([np.zeros(3), start]), scales)
+    outside, filled = problem.distances(twist)
+    return Intervals(pose_at(twist, rotation, pivot), clipped_rms(outside), clipped_rms(filled))
+
+
+def floor_is_seen(cavity: Cavity) -> bool:
+    """Whether enough of the cavity's points lie on a level floor at its depth."""
+    relief = np.where(cavity.region, cavity.certain_relief, np.nan)
+    filled = np.where(np.isnan(relief), 0.0, relief)
+    level = np.asarray(maximum_filter(filled, 3)) - np.asarray(minimum_filter(filled, 3)) < LEVEL
+    floor = level & (np.abs(filled + cavity.depth) < LEVEL)
+    i, j = cells_at(cavity.points, len(relief))
+    return bool(floor[i, j].mean() >= SEEN_FLOOR) if len(cavity.points) else False
+
+
+def sweeps_of(
+    evidence: PartEvidence, pivot: np.ndarray, rotation: Pose, depth: float, clearance: float
+) -> tuple[Sweep, Sweep, Sweep]:
+    """The sweeps of the filled, the surely solid and the possible part, in the same slices."""
+    filled, possible = (envelope_about(part, pivot, rotation) for part in (evidence.filled, evidence.possible))
+    sure = envelope_about(evidence.surely_solid, pivot, rotation, filled - START)
+    base = float(filled.min()) - BASE
+    sweeps = (
+        Sweep.from_envelope(envelope, rotation, base, depth + BASE, clearance)
+        for envelope in (filled, np.maximum(sure, filled), np.minimum(possible, filled))
+    )
+    first, second, third = sweeps
+    return first, second, third
+
+
+@dataclass(frozen=True, eq=False)
+class IntervalProblem:
+    """The least-squares problem; its priors are the tilt of the lower face and, where it is held, the height."""
+
+    points: np.ndarray
+    """(n, 3) [m] plate frame: of the cavity."""
+    sweeps: tuple[Sweep, Sweep, Sweep]
+    """Of the filled, the surely solid and the possible part."""
+    down_normal: np.ndarray
+    """(3,) plate frame: normal of the lower face in the rotation of the sweeps."""
+    clearance: float
+    stiffness: float
+    height: float
+    """[m] of the pivot, by the coarse search."""
+    hold: float
+    """How firmly the height is held."""
+
+    @property
+    def priors(self) -> int:
+        """Tilt and height."""
+        return 3
+
+    def residuals(self, twist: np.ndarray, about: np.ndarray | None = None) -> np.ndarray:
+        """(2 n + 3,) [m] at a twist (6,), the floors looked up at another."""
+        outside, filled = self.distances(twist, about)
+        root = np.sqrt(len(outside))
+        tilt = self.stiffness * root * LEVER * tilt_of(self.down_normal, twist)
+        held = self.hold * root * (twist[5] - self.height)
+        return np.concatenate([outside, PRIOR * filled, tilt, [held]])
+
+    def distances(self, twist: np.ndarray, about: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """(n,) [m] of each point from its interval, and (n,) from the filled part."""
+        at = twist if about is None else about
+        floors = [floors_under(self.points, at, sweep.floor) for sweep in self.sweeps]
+        fields = [sweep.distance for sweep in self.sweeps]
+        outside, filled = np.empty(len(self.points)), np.empty(len(self.points))
+        lowest = self.sweeps[0].lowest
+        _distances(self.points, twist, *fields, *floors, lowest, self.clearance, outside, filled)
+        return outside, filled
+
+
+@compiled
+def _distances(points, twist, filled, sure, possible, f0, f1, f2, lowest, clearance, outside, from_filled):
+    """Fill the signed distances (n,) of points from their intervals and from the filled part.
+
+    f0, f1, f2: (n,) the floors of the filled, the surely solid and the possible part.
+    """
+    layers, n, _ = filled.shape
+    r = rotation_matrix(twist)
+    for p in range(len(points)):
+        x, y, z = in_sweep(points[p], twist, r)
+        u = min(max(x / CELL + (n - 1) / 2, 0.0), n - 1.001)
+        v = min(max(y / CELL + (n - 1) / 2, 0.0), n - 1.001)
+        w = min(max((z - lowest) / LAYER, 0.0), layers - 1.001)
+        wall = distance_at(filled, u, v, w) - clearance
+        from_filled[p] = _nearer(wall, f0[p] - z)
+        walls = _outside(distance_at(possible, u, v, w) - clearance, distance_at(sure, u, v, w) - clearance)
+        outside[p] = _nearer(walls, _outside(f2[p] - z, f1[p] - z))
+
+
+@compiled
+def _nearer(a, b):
+    return a if abs(a) < abs(b) else b
+
+
+@compiled
+def _outside(low, high):
+    """Signed distance of 0 from the interval of two numbers: positive below it, negative above it."""
+    return max(min(low, high), 0.0) + min(max(low, high), 0.0)

@@ -1,0 +1,136 @@
+"""What a part sweeps on its way out of a cavity, as distances in slices, for one rotation."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from baselines.registration.relief import dilated, lower_envelope
+from kit1000.compiled import compiled
+from kit1000.pose import Pose
+from kit1000.voxels import Volume
+
+CELL = 0.625e-3  # [m] of slices
+WIDE = 144  # cells: 90 mm
+LAYER = 1e-3  # [m] between slices
+REACH = 12  # cells (7.5 mm) up to which distances are computed
+ABOVE = 3e-3  # [m] of slices beyond the depth of the cavity: the part may be refined upwards
+NO_FLOOR = 0.1  # [m] where the part has no lower envelope: above everything
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """What a part sweeps on its way up, in one rotation, from its lowest point on; its pivot is the origin."""
+
+    rotation: Pose
+    """plate_from_now, a rotation alone."""
+    distance: np.ndarray
+    """(layers, n, n) float32 [m]: horizontal distance from each cell to the sweep at the layer's height; 0 inside."""
+    floor: np.ndarray
+    """(n, n) float32 [m]: lower envelope of the dilated part; 0.1 where there is none."""
+    lowest: float
+    """[m] of the sweep, relative to the pivot."""
+
+    @classmethod
+    def from_part(cls, part: Volume, pivot: np.ndarray, rotation: Pose, depth: float, clearance: float) -> Sweep:
+        """The sweep of a part in a rotation, up to a little more than `depth` [m] above its lowest point."""
+        envelope = envelope_about(part, pivot, rotation)
+        lowest = float(envelope.min())
+        return cls.from_envelope(envelope, rotation, lowest, depth, clearance)
+
+    @classmethod
+    def from_envelope(
+        cls, envelope: np.ndarray, rotation: Pose, lowest: float, depth: float, clearance: float
+    ) -> Sweep:
+        """The sweep above a lower envelope (WIDE, WIDE) [m], in slices from `lowest` to a little above `depth` [m]."""
+        layers = int(np.ceil((depth + ABOVE) / LAYER)) + 1
+        distance = np.empty((layers, WIDE, WIDE), np.float32)
+        _horizontal_distances(envelope - lowest, LAYER, CELL, distance)
+        floor = dilated(envelope, CELL, clearance)
+        return cls(rotation, distance, np.where(np.isfinite(floor), floor, NO_FLOOR).astype(np.float32), lowest)
+
+
+def envelope_about(part: Volume, pivot: np.ndarray, rotation: Pose, start: np.ndarray | None = None) -> np.ndarray:
+    """(WIDE, WIDE) [m]: the lower envelope of a part in a rotation, its pivot (3,) [m] the origin.
+
+    start: see `lower_envelope`.
+    """
+    return lower_envelope(part, rotation @ Pose.from_translation(-pivot), CELL, WIDE, start)
+
+
+@compiled
+def _horizontal_distances(heights, layer, cell, distance):
+    """Fill distance (layers, n, n): from each cell to the nearest whose envelope is at or below the layer.
+
+    Exact up to REACH cells, and REACH beyond. Half a cell less: the edge runs between a cell inside and the next.
+    """
+    layers, n, _ = distance.shape
+    along, least = np.empty((n, n)), np.empty(n)
+    for k in range(layers):
+        for i in range(n):
+            gap = np.inf
+            for j in range(n):
+                gap = 0.0 if heights[i, j] <= k * layer + 1e-9 else gap + 1
+                along[i, j] = gap
+            gap = np.inf
+            for j in range(n - 1, -1, -1):
+                gap = 0.0 if heights[i, j] <= k * layer + 1e-9 else gap + 1
+                along[i, j] = min(along[i, j], gap)
+        for i in range(n):
+            for j in range(n):
+                least[j] = REACH * REACH
+            for other in range(max(i - REACH, 0), min(i + REACH + 1, n)):
+                for j in range(n):  # innermost: neighbours in memory
+                    least[j] = min(least[j], along[other, j] ** 2 + (other - i) ** 2)
+            for j in range(n):
+                distance[k, i, j] = max(np.sqrt(least[j]) - 0.5, 0.0) * cell
+
+
+@compiled
+def rotation_matrix(twist):
+    """(3, 3) rotation matrix of the first three numbers, a Rodrigues vector."""
+    x, y, z = twist[0] / 2, twist[1] / 2, twist[2] / 2
+    t = 2 / (1 + x * x + y * y + z * z)
+    return np.array(
+        [
+            [1 - t * (y * y + z * z), t * (x * y - z), t * (x * z + y)],
+            [t * (x * y + z), 1 - t * (x * x + z * z), t * (y * z - x)],
+            [t * (x * z - y), t * (y * z + x), 1 - t * (x * x + y * y)],
+        ]
+    )
+
+
+@compiled
+def in_sweep(point, twist, r):
+    """The point in the frame of the sweep."""
+    dx, dy, dz = point[0] - twist[3], point[1] - twist[4], point[2] - twist[5]
+    x = r[0, 0] * dx + r[1, 0] * dy + r[2, 0] * dz
+    y = r[0, 1] * dx + r[1, 1] * dy + r[2, 1] * dz
+    z = r[0, 2] * dx + r[1, 2] * dy + r[2, 2] * dz
+    return x, y, z
+
+
+@compiled
+def floors_under(points, twist, floor):
+    """(n,) [m]: the floor at the cell of each point."""
+    n = floor.shape[0]
+    r = rotation_matrix(twist)
+    out = np.empty(len(points))
+    for p in range(len(points)):
+        x, y, _ = in_sweep(points[p], twist, r)
+        u, v = x / CELL + (n - 1) / 2, y / CELL + (n - 1) / 2
+        out[p] = floor[int(min(max(u + 0.5, 0.0), n - 1.0)), int(min(max(v + 0.5, 0.0), n - 1.0))]
+    return out
+
+
+@compiled
+def distance_at(distance, u, v, w):
+    """A distance (layers, n, n) at cell (u, v) of layer w, linear between them."""
+    i, j, k = int(u), int(v), int(w)
+    a, b, c = u - i, v - j, w - k
+    below = (1 - a) * ((1 - b) * distance[k, i, j] + b * distance[k, i, j + 1])
+    below += a * ((1 - b) * distance[k, i + 1, j] + b * distance[k, i + 1, j + 1])
+    above = (1 - a) * ((1 - b) * distance[k + 1, i, j] + b * distance[k + 1, i, j + 1])
+    above += a * ((1 - b) * distance[k + 1, i + 1, j] + b * distance[k + 1, i + 1, j + 1])
+    return (1 - c) * below + c * above
