@@ -19,7 +19,8 @@ from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.submission import Predictions, write_predictions
 from kit1000.values import Prediction
 
-SIZE = (1600, 1000)  # [px] of a screenshot
+SIZE = (1280, 800)  # [points] of the window, whose screenshots have twice as many pixels
+SCREEN = (6000, 4000)  # [px]: the pointer stands in its middle, beside the window
 COLOURED = re.compile(r"\x1b\[[0-9;]*m")
 BAD = re.compile(r"\b(ERROR|PANIC|panicked)\b")
 ROW = re.compile(r"^(\w+) +\d+ +\d+ +(/\S+) +(.*)$", re.MULTILINE)  # of a check: status, id, chunks, topic, issues
@@ -46,7 +47,7 @@ def check_fault(rerun: Path, path: Path, environment: dict[str, str]) -> str | N
 
 def convert_fault(rerun: Path, path: Path, out: Path, environment: dict[str, str]) -> str | None:
     """What goes wrong when Rerun converts a recording to its own format, or None."""
-    command = [rerun, "mcap", "convert", path, "--output", out, "--application-id", path.stem]
+    command = [rerun, "mcap", "convert", path, "--output", out, "--application-id", "kit1000"]
     status, text = run(command, environment)
     text = COLOURED.sub("", text)
     if status:
@@ -59,9 +60,9 @@ def convert_fault(rerun: Path, path: Path, out: Path, environment: dict[str, str
 def screenshot_fault(rerun: Path, path: Path, picture: Path, environment: dict[str, str]) -> str | None:
     """The first error line of the viewer, or None; its window is saved as a picture."""
     picture.unlink(missing_ok=True)
-    width, height = SIZE
-    screen = ["xvfb-run", "--auto-servernum", "--server-args", f"-screen 0 {width}x{height}x24"]
-    viewer = [rerun, path, "--screenshot-to", picture, "--window-size", f"{width}x{height}", "--port", "auto"]
+    window, area = (f"{width}x{height}" for width, height in (SIZE, SCREEN))
+    screen = ["xvfb-run", "--auto-servernum", "--server-args", f"-screen 0 {area}x24"]
+    viewer = [rerun, path, "--screenshot-to", picture, "--window-size", window, "--port", "auto"]
     status, text = run([*screen, *viewer], environment)
     bad = [line for line in COLOURED.sub("", text).splitlines() if BAD.search(line)]
     if bad or status:
@@ -71,9 +72,10 @@ def screenshot_fault(rerun: Path, path: Path, picture: Path, environment: dict[s
 
 def guesses(scene: RecordedScene, path: Path) -> tuple[Path, str]:
     """Predictions that leave the guesses of a track as they are, and the track."""
-    track = next(query.track for query in scene.queries if query.guess is not None)
-    asked = [(query.id, query.guess) for query in scene.queries if query.track == track]
-    write_predictions(path, Predictions.of(Prediction(name, guess, 1.0, 0.0) for name, guess in asked if guess))
+    guessed = [(query, query.guess) for query in scene.queries if query.guess is not None]
+    track = guessed[0][0].track
+    rows = [Prediction(query.id, guess, 1.0, 0.0) for query, guess in guessed if query.track == track]
+    write_predictions(path, Predictions.of(rows))
     return path, track
 
 
@@ -81,7 +83,8 @@ def recordings(dataset: Dataset, out: Path) -> tuple[list[Path], list[Path]]:
     """Recordings of the first test shard, those made for looking included; and those to take a screenshot of."""
     shard = next(iter(dataset.shards("test").values()))
     recorded = sorted(dataset.root.glob(f"{shard}*.mcap"))
-    scene = next(scene for scene in dataset.split("test-all", truth=True) if any(q.guess for q in scene.queries))
+    scenes = iter(dataset.split("test-all", truth=True))
+    scene = next(scene for scene in scenes if any(query.guess is not None for query in scene.queries))
     seen, answers = out / "show.mcap", out / "show-answers.mcap"
     predictions, track = guesses(scene, out / "guesses.csv")
     show = ("show", dataset.root, "--scene", scene.id, "--track", track, "--out")
