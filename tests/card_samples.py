@@ -68,7 +68,7 @@ def summary(folder: Path | None = None) -> dict[str, Any]:
     ]
     return {
         "format": FORMAT,
-        "data_version": "0.2.1",
+        "data_version": "1.0.0",
         "dataset_id": "0123456789abcdef",
         "licence": "CC-BY-4.0",
         "preset": "tiny",

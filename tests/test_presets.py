@@ -31,13 +31,6 @@ def test_a_plan_on_disk_gives_its_preset_back() -> None:
     assert replace(preset_of(plan["preset"], plan["config"]), seed=plan["seed"]) == replace(preset("tiny"), seed=5)
 
 
-def test_the_mixture_of_a_plan_is_that_of_its_preset(monkeypatch: pytest.MonkeyPatch) -> None:
-    """So that a dataset generated again uses the same families."""
-    monkeypatch.setitem(PRESETS, "tiny", replace(preset("tiny"), mixture="another"))
-    assert preset_of("tiny", preset("tiny").config).mixture == "another"
-    assert preset_of("unknown", preset("tiny").config).mixture == "2026"
-
-
 @given(
     st.sets(st.sampled_from(list(TRACKS)), min_size=1),
     st.tuples(st.integers(1, 2), st.integers(2, 5)),
@@ -49,8 +42,8 @@ def test_any_preset_comes_back(tracks: set[str], kits: tuple[int, int], brackets
     assert preset_of("any", json.loads(json.dumps(asked.config))) == asked
 
 
-def test_the_config_states_everything_but_name_seed_and_mixture() -> None:
-    assert {*preset("tiny").config, "name", "seed", "mixture"} == {field.name for field in fields(Preset)}
+def test_the_config_states_everything_but_name_and_seed() -> None:
+    assert {*preset("tiny").config, "name", "seed"} == {field.name for field in fields(Preset)}
     assert json.loads(json.dumps(preset("study").config)) == preset("study").config
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from kit1000.errors import InputError, did_you_mean
@@ -18,8 +18,8 @@ IDEAL_TRACKS = ("snap-tilt", "place", "place-paper")
 
 REAL_PLATE = 0.119  # [m] of `real-like`: a part of 80 mm, its clearance and a wall at both sides
 
-OUTSIDE_CONFIG = ("name", "seed", "mixture")
-"""Fields of a preset that its `config` omits: the plan states name and seed itself, the name implies the mixture."""
+OUTSIDE_CONFIG = ("name", "seed")
+"""Fields of a preset that its `config` omits: the plan states them itself."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,7 @@ class Preset:
     """Whether every test scene has the queries of a single track, as a withheld test split needs: from several queries
     about a scene more could be learned than each is meant to tell."""
     mixture: str = "2026"
-    """Families and weights of procedural parts, by name in `MIXTURES`. No part of `config`: the plan lists the parts
-    drawn, and the mixture of a preset never changes."""
+    """Families and weights of procedural parts, by name in `MIXTURES`."""
     seed: int = 1000
 
     def count(self, split: str) -> int:
@@ -119,6 +118,4 @@ def preset(name: str) -> Preset:
 
 def preset_of(name: str, config: dict[str, Any]) -> Preset:
     """The preset of a plan, from its name and `config`."""
-    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in config.items()}
-    preset = Preset(name, **values)
-    return replace(preset, mixture=PRESETS[name].mixture) if name in PRESETS else preset
+    return Preset(name, **{key: tuple(value) if isinstance(value, list) else value for key, value in config.items()})
