@@ -30,7 +30,7 @@ FORMAT = "kit1000-plan/2"
 DATA_VERSION = "1.0.0"
 """Increased whenever the same plan gives other data."""
 MAX_SOURCE_FILES = 10  # of one part: the next file is tried when one cannot be a part
-MAX_CANDIDATES = 24  # parts tried to reach the drawn number of kits; more are tried only to reach the smallest number
+MAX_CANDIDATES = 48  # parts tried to reach the drawn number of kits; more are tried only to reach the smallest number
 
 
 @dataclass(frozen=True)
