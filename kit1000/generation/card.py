@@ -38,8 +38,8 @@ LIMITS = (
 BIASES = (
     "Part families are mixed so that shape statistics resemble those of real CAD parts; slim bars, and parts whose "
     "cavity would accept them in a wrong pose, are drawn again and so are rarer than in machines.",
-    "Cameras look down at 28 to 60 degrees from the vertical (crowded scenes: 45 to 60), from 0.6 to 1 m away, times the "
-    "scale of the preset; other views occur in the camera set `three` alone.",
+    "Cameras look down at 28 to 60 degrees from the vertical (crowded scenes: 45 to 60), from 0.6 to 1 m away, times "
+    "the scale of the preset; other views occur in the camera set `three` alone.",
 )
 USES = (
     "Training and scoring methods that predict the motion which seats an unseen part in its kit.",
