@@ -24,11 +24,13 @@ from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.mesh_files import y_up
 from kit1000.dataset.reader import WITHHELD_FILE, Dataset
 from kit1000.errors import InputError
+from kit1000.export.recording import write_scene_recording
 from kit1000.files import json_bytes, read_json
 from kit1000.generation import build, withhold
 from kit1000.generation.plan import dataset_id
 from kit1000.generation.presets import PRESETS
 from kit1000.generation.verify import verify
+from kit1000.pictures.dataset_sheets import scene_sheet
 from kit1000.submission import check
 
 RUN = 12  # consecutive vertices: more than the corners that all plates have
@@ -175,6 +177,25 @@ def test_the_public_folder_can_be_read_without_the_test_truth(folders: Published
         next(iter(public.split("test", truth=True))).truth
     with pytest.raises(InputError, match="made without curves; a dataset with withheld truth has none"):
         len(public.split("curves"))
+
+
+def test_a_scene_of_one_sensor_is_read_by_it(folders: Published, tmp_path: Path) -> None:
+    public, full = Dataset(folders.public), Dataset(folders.full)
+    for scene in public.split("test-all"):
+        (sensor,) = scene.sensors
+        whole = full.recorded_scene(scene.id)
+        assert np.array_equal(scene.view().depth, whole.view(sensor).depth)
+        assert np.array_equal(scene.labels, whole.labels)
+        assert scene.labelled_depth() is scene.labelled_depth(sensor) is scene.queries[0].image
+        assert np.array_equal(public.observation_file(scene.shard).view(scene.id).depth, scene.view().depth)
+        assert scene_sheet(public, scene.id).startswith(b"\x89PNG")
+        assert write_scene_recording(public, scene.id, tmp_path / "scene.mcap").is_file()
+        with pytest.raises(InputError, match="the truth was not opened"):
+            scene.render("top")
+        other = next(iter({"ideal", "d415"} - {sensor}))
+        with pytest.raises(InputError, match=f"scene {scene.id} has no view '{other}'; it has {sensor}$"):
+            scene.view(other)
+    assert {scene.sensors[0] for scene in public.split("test-all")} == {"ideal", "d415"}
 
 
 def test_both_folders_verify_and_the_public_one_notes_the_withheld_plan(folders: Published) -> None:

@@ -212,15 +212,16 @@ class RecordedScene:
         """The queries of the split about this scene. Images are read when first used."""
         return tuple(map(self._query, self._query_rows.values()))
 
-    def view(self, key: str = "ideal") -> View:
-        """A depth image: ideal or d415 of the primary camera, three/0/ideal ... of an extra camera set."""
-        if "/" not in key:
+    def view(self, key: str | None = None) -> View:
+        """A depth image: ideal or d415 of the primary camera, three/0/ideal ... of an extra camera set; None: the first
+        of `sensors`."""
+        if key is None or "/" not in key:
             return self.labelled_depth(key).view
         return self._dataset.observation_file(self.shard, key.partition("/")[0]).view(self.id, key)
 
     @property
     def sensors(self) -> list[str]:
-        """Sensors of the depth images of the primary camera."""
+        """Sensors of the depth images of the primary camera: ideal first, where the scene has it."""
         return list(self._dataset.observation_file(self.shard).view_keys(self.id))
 
     @property
@@ -228,9 +229,9 @@ class RecordedScene:
         """(H, W) uint8 masks of the primary camera, see `kit1000.values.LabelledDepth`."""
         return self.labelled_depth().labels
 
-    def labelled_depth(self, sensor: str = "ideal") -> LabelledDepth:
-        """The depth image of a sensor with its masks."""
-        return self._dataset.labelled_depth(self.shard, self.id, sensor)
+    def labelled_depth(self, sensor: str | None = None) -> LabelledDepth:
+        """The depth image of a sensor with its masks; None: of the first of `sensors`."""
+        return self._dataset.labelled_depth(self.shard, self.id, sensor or next(iter(self.sensors), "ideal"))
 
     @cached_property
     def truth(self) -> SceneTruth:
@@ -273,7 +274,7 @@ class RecordedScene:
             sensor: any of `kit1000.sim.sensors.SENSORS`.
             seed: of the sensor's noise.
         """
-        primary, bodies = self.view("ideal").world_from_camera, self.bodies()
+        bodies, primary = self.bodies(), self.view().world_from_camera
         config, views = self._dataset.summary["config"], {}
         for key, (camera, pose) in cameras.camera_set(camera_set, primary, config["scale"]).items():
             exact = View(camera, pose, render(camera, pose, bodies).depth)

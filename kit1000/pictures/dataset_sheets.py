@@ -39,9 +39,9 @@ def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
     """
     recorded = dataset.recorded_scene(scene_id)
     window = _window(recorded.labels)
-    tiles = {"ideal depth": depth_picture(recorded.view("ideal")), "masks": mask_picture(recorded.labelled_depth())}
-    if "d415" in recorded.sensors:
-        tiles["d415 depth"] = depth_picture(recorded.view("d415"))
+    first, *others = recorded.sensors
+    tiles = {f"{first} depth": depth_picture(recorded.view(first)), "masks": mask_picture(recorded.labelled_depth())}
+    tiles |= {f"{sensor} depth": depth_picture(recorded.view(sensor)) for sensor in others}
     pictures = [Image.fromarray(tile[window]).resize(SCENE_TILE, Image.Resampling.BICUBIC) for tile in tiles.values()]
     names = list(tiles)
     if recorded.split.truth:
@@ -75,7 +75,7 @@ def _ground_truth_tiles(recorded: RecordedScene, window: tuple[slice, slice]) ->
             mesh, pose = parts[query.part]
             seated[query.part] = ColouredBody(mesh, recorded.truths[query.id].goal_drawn @ pose, colours[query.part])
             guessed[query.part] = ColouredBody(mesh, query.guess @ pose, colours[query.part])
-    camera, pose = _tile_camera(recorded.view("ideal"), window)
+    camera, pose = _tile_camera(recorded.view(), window)
     tiles = {"scene": lying, "parts at their goals": seated, "parts at the initial guesses": guessed}
     return {name: shaded_picture([kits, *bodies], camera, pose) for name, bodies in tiles.items()}
 

@@ -100,9 +100,10 @@ class ObservationFile(ShardFile):
         """The view keys of a scene, the ideal sensor before the others."""
         return tuple(t.removeprefix("/").removesuffix("/depth") for t in self._topics(scene_id) if t.endswith("/depth"))
 
-    def view(self, scene_id: str, key: str = IDEAL) -> View:
-        """A depth image with its camera and the measured camera pose."""
+    def view(self, scene_id: str, key: str | None = None) -> View:
+        """A depth image with its camera and the measured camera pose; None: the first of `view_keys`."""
         keys = self.view_keys(scene_id)
+        key = key or next(iter(keys), IDEAL)
         if key not in keys:
             raise InputError(f"{self.path}: scene {scene_id} has no view {key!r}; it has {', '.join(keys) or 'none'}")
         camera = _camera(bytes(self._one(scene_id, f"/{key}/camera")))
