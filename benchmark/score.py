@@ -41,11 +41,10 @@ def read_checked(folder: Path, data: Path, split: str) -> Submission:
     """Read the valid predictions of a submission; `invalid` of the result counts the other rows.
 
     Raises InputError with the first error of form that `kit1000 check` finds: a score of misread numbers would mislead.
-    A query without a prediction is no error.
     """
     if not folder.is_dir():
         raise InputError(f"{folder}: no folder of a submission")
-    errors = [error for error in check(folder, data, split).form_errors if error.code != "missing-predictions"]
+    errors = check(folder, data, split).form_errors
     for first in errors[:1]:
         more = f" ({len(errors)} errors)" if len(errors) > 1 else ""
         raise InputError(f"{folder}: {first}{more}; `kit1000 check {folder} --data {data}` lists all")

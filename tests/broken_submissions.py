@@ -230,12 +230,12 @@ BROKEN_MANIFESTS: dict[str, tuple[str | bytes, str, int | None, str]] = {
     "two paper rows": (MANIFEST + 'paper_row = ["a", "b"]\n', "wrong-type", 16, "the key of a row of Table I"),
     "paper row in two lines": (MANIFEST + 'paper_row = "a\\nb"\n', "two-lines", 16, "in one line"),
     "control": (field("method", '"a\\u0007"'), "control-character", 1, "control characters"),
+}  # fmt: skip
+MANIFEST_WARNINGS = {
     "claimed": (
         field("tracks", '["snap", "place", "curves"]'), "empty-track", None, "curves is listed in manifest.toml",
     ),
-}  # fmt: skip
-MANIFEST_WARNINGS = {
     "not claimed": (SNAP_ONLY, "unlisted-track", None, "1 rows of track place, which manifest.toml does not list"),
     "left empty": (field("hardware", '""'), "left-empty", None, "hardware left empty"),
     "learned from what": (field("learned", "true"), "left-empty", None, "training_data left empty"),
-}
+}  # fmt: skip

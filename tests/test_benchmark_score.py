@@ -160,7 +160,7 @@ def test_missing_rows_of_a_submission_stay_in_n(perfect: Submission, dataset: Da
     assert tracks["snap-tilt"]["coverage"] == 1
 
 
-def test_left_out_queries_are_an_error_of_the_check_and_none_of_the_score(
+def test_left_out_queries_are_told_by_the_check_and_stop_no_score(
     perfect: Submission, dataset: Dataset, tmp_path: Path
 ) -> None:
     chosen = [i for i, query_id in enumerate(perfect.predictions.query_ids) if not query_id.endswith("-pos0-rot1")]
