@@ -1,4 +1,4 @@
-"""Groups of queries that share a property: rest mode, tilt, number of kits, family, visible share, symmetry."""
+"""Groups of queries that share a property: rest mode, tilt, kits, crowding, family, visible share, symmetry."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ TITLES = {
     "rest_mode": "Rest mode of the part",
     "tilt": "Tilt of the slot, °",
     "kits": "Kits in the assembly",
+    "parts": "Parts of the scene",
     "family": "Family of the part in training",
     "visible": "Visible share of the part",
     "symmetry": "Goals of the slot",
@@ -28,6 +29,7 @@ def groups(rows: PerQuery, protocol: Protocol) -> dict[str, dict[str, np.ndarray
         "rest_mode": rows.rest_mode,
         "tilt": binned(rows.tilt_deg, protocol.breakdown["tilt_deg"]),
         "kits": rows.kits.astype(str),
+        "parts": np.where(rows.crowded, "pushed together", "apart"),
         "family": np.where(rows.held_out, "held out", "seen"),
         "visible": binned(rows.visible, protocol.breakdown["visible"]),
         "symmetry": rows.symmetry,

@@ -137,6 +137,7 @@ def _properties(queries: ScoredQueries) -> dict[str, np.ndarray]:
         "rest_mode": np.array([truth.rest_mode for truth in truths]),
         "tilt_deg": _tilt_deg(truths),
         "kits": np.array([truth.kits for truth in truths]),
+        "crowded": np.array([truth.crowded for truth in truths]),
         "held_out": np.array([truth.family in held_out for truth in truths]),
         "visible": np.array([truth.visible for truth in truths]),
         "symmetry": np.array([symmetry_of(truth.slot) for truth in truths]),

@@ -45,6 +45,8 @@ class PerQuery:
     """Angle between the axis of the slot, z of the kit, and z of the world."""
     kits: np.ndarray
     """int: number of kits in the assembly."""
+    crowded: np.ndarray
+    """bool: whether the parts of the scene are pushed together."""
     held_out: np.ndarray
     """bool: whether the part's family is in no training scene."""
     visible: np.ndarray

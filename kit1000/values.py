@@ -234,6 +234,8 @@ class Truth:
     slot: Slot
     goal_drawn: Pose
     """goal_from_now of the goal from which the guess was drawn; of the design pose on tracks without guess."""
+    crowded: bool = False
+    """Whether the parts of the scene are pushed together."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "anchor", checked("anchor", self.anchor, (3,)))

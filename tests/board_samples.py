@@ -146,6 +146,7 @@ def _rows(
         rest_mode=np.where(k % 5 < 3, "upright", "tumbled"),
         tilt_deg=(k * 7.0) % 44,
         kits=2 + k % 4,
+        crowded=k % 3 == 0,
         held_out=k % 4 == 0,
         visible=0.5 + (k % 10) / 20,
         symmetry=np.array(["one goal", "several goals", "free axis"])[k % 3],

@@ -114,4 +114,5 @@ def _made_up_truth(i: int, track: str, rng: np.random.Generator) -> Truth:
         world_from_kit=world_from_kit,
         slot=slot,
         goal_drawn=goal_motion(now, world_from_kit, slot.goals[0]),
+        crowded=i % 6 == 0,
     )

@@ -22,7 +22,7 @@ from benchmark.score import Scores
 from kit1000.errors import InputError
 
 TEXT = ("query_id", "track", "scene_id", "assembly_id", "part_id", "rest_mode", "symmetry")
-BITS = ("covered", "seated", "seated_strict", "exact_test", "exact_disagreement", "held_out")
+BITS = ("covered", "seated", "seated_strict", "exact_test", "exact_disagreement", "crowded", "held_out")
 
 
 def rows(n: int = 100, track: str = "snap", **columns: Any) -> PerQuery:
