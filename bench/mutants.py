@@ -169,7 +169,8 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
     ("kit1000/generation/queries.py", "queries"): (
         ("PAPER_TILT = float(np.radians(15))", "PAPER_TILT = float(np.radians(20))"),
         ("return np.maximum(np.abs(np.arctan2(y, z))", "return np.minimum(np.abs(np.arctan2(y, z))"),
-        ("if part.invisibility is None]", "]"),
+        ("if part.invisibility is None]\n    pivots", "]\n    pivots"),
+        ("if part.invisibility is None]\n    able", "]\n    able"),
     ),
     ("kit1000/motions.py", "guesses"): (
         ("arm_change = rotation.rotate(arm) - arm", "arm_change = rotation.rotate(arm)"),
@@ -183,10 +184,12 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
             "rng.integers(len(slot.goals)), rng.uniform(0, 6)",
         ),
     ),
-    ("kit1000/pivots.py", "queries"): (
-        ("(points.min(0) + points.max(0)) / 2", "points.mean(0)"),
+    ("kit1000/pivots.py", "pivots"): (
+        ("(ordered[first] + ordered[last]) / 2", "points.mean(0)"),
         ("PIVOT_DECIMALS = 4", "PIVOT_DECIMALS = 3"),
-        ("view.depth.ravel()[pixels] > 0", "view.depth.ravel()[pixels] >= 0"),
+        ("LEFT_OUT = 10 ", "LEFT_OUT = 5 "),
+        ("EROSION = 3 ", "EROSION = 2 "),
+        ("_eroded(mask) & (view.depth[box] > 0)", "_eroded(mask) & (view.depth[box] >= 0)"),
     ),
 }
 MUTANTS = tuple(Mutant(file, *change, tests) for (file, tests), changes in CHANGES.items() for change in changes)

@@ -16,9 +16,8 @@ from mcap.reader import make_reader
 
 from bench.foreign import Report, dataset_of, kit1000, run, tail
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.pose import Pose
 from kit1000.submission import Predictions, write_predictions
-from kit1000.values import Prediction, Query
+from kit1000.values import Prediction
 
 SIZE = (1280, 800)  # [points] of the window, whose screenshots have twice as many pixels
 SCREEN = (6000, 4000)  # [px]: the pointer stands in its middle, beside the window
@@ -71,15 +70,11 @@ def screenshot_fault(rerun: Path, path: Path, picture: Path, environment: dict[s
     return None if picture.is_file() else f"no screenshot: {tail(text)}"
 
 
-def guessed(scene: RecordedScene) -> list[tuple[Query, Pose]]:
-    """The queries of a scene that have a guess, with it."""
-    return [(query, query.guess) for query in scene.queries if query.guess is not None]
-
-
 def guesses(scene: RecordedScene, path: Path) -> tuple[Path, str]:
     """Predictions that leave the guesses of a track as they are, and the track."""
-    track = guessed(scene)[0][0].track
-    rows = [Prediction(query.id, guess, 1.0, 0.0) for query, guess in guessed(scene) if query.track == track]
+    guessed = [(query, query.guess) for query in scene.queries if query.guess is not None]
+    track = guessed[0][0].track
+    rows = [Prediction(query.id, guess, 1.0, 0.0) for query, guess in guessed if query.track == track]
     write_predictions(path, Predictions.of(rows))
     return path, track
 
@@ -88,7 +83,8 @@ def recordings(dataset: Dataset, out: Path) -> tuple[list[Path], list[Path]]:
     """Recordings of the first test shard, those made for looking included; and those to take a screenshot of."""
     shard = next(iter(dataset.shards("test").values()))
     recorded = sorted(dataset.root.glob(f"{shard}*.mcap"))
-    scene = max(dataset.split("test-all", truth=True), key=lambda scene: len(guessed(scene)))
+    scenes = iter(dataset.split("test-all", truth=True))
+    scene = next(scene for scene in scenes if any(query.guess is not None for query in scene.queries))
     seen, answers = out / "show.mcap", out / "show-answers.mcap"
     predictions, track = guesses(scene, out / "guesses.csv")
     show = ("show", dataset.root, "--scene", scene.id, "--track", track, "--out")

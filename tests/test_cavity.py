@@ -160,6 +160,19 @@ def test_walls_between_two_legs_are_kept_from_3_mm(gap_mm: float, kept: bool) ->
     assert cavity.removed_wall_count == (0 if kept else 1)
 
 
+def test_a_wall_that_gets_too_thin_is_removed_from_there_on_alone() -> None:
+    """Between two legs it is 7 mm thick up to a ledge at 4 mm, and above it, where they come nearer, 2.8 mm."""
+    feet = box(8, 24, 4, (10, 0, 0)) + box(8, 24, 4, (-10, 0, 0))
+    legs = box(10.1, 24, 8.1, (8.95, 0, 3.9)) + box(10.1, 24, 8.1, (-8.95, 0, 3.9))
+    cavity = cavity_of(feet + legs + box(36, 24, 8, (0, 0, 11.9)), 11.5e-3)
+    middle = np.array([[0.0, 0.0]])
+    free = [gaps(middle, cavity.solid.slice(z))[0] for z in (1e-3, 3.8e-3, 4.2e-3, 11e-3)]
+    assert free[:2] == pytest.approx([3.5e-3] * 2, abs=LONG)
+    assert max(free[2:]) < 0
+    assert cavity.removed_wall_count == 1
+    assert cavity.removed_wall_volume == pytest.approx(2.8e-3 * 24e-3 * 7.5e-3, rel=0.2)
+
+
 def test_right_angles_of_walls_stay_sharp_where_another_wall_is_removed() -> None:
     """The wall in the inner corner of the L comes to a point; the post in its hole is too thin and goes."""
     holed = ell() - cylinder(5.6, 99).translate((14, -8, -9))
