@@ -24,7 +24,11 @@ from kit1000.export import own_part
 from kit1000.generation import build, shards
 from kit1000.generation.build import generate
 from kit1000.generation.presets import preset
+from kit1000.kits.acceptance import NOT_SEATED
+from kit1000.kits.choice import Attempt
+from kit1000.kits.kit import design_kit
 from kit1000.mesh import Mesh
+from kit1000.parts.family import part_of_mesh
 
 ROOT = Path(__file__).resolve().parents[1]
 WIDTHS = (20, 24, 28, 33)
@@ -151,7 +155,7 @@ def test_wrong_usage_is_one_line(
 def test_an_internal_error_is_one_line_with_its_source_line_and_another_status(
     files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(own_part, "design_kit", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr(own_part, "attempts", lambda *_: 1 / 0)
     assert main(["kit", str(files / "good.stl"), "--out", str(tmp_path)]) == 3
     err = capsys.readouterr().err
     assert err.startswith("kit1000: kit: ZeroDivisionError: division by zero (own_part.py:")
@@ -179,7 +183,8 @@ def test_a_plate_beyond_a_usual_bed_is_noted(files: Path, tmp_path: Path, capsys
 def test_an_inexact_kit_ends_with_status_1_and_one_line(
     files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(own_part, "_trial_report", lambda *_: {"passes": False, "why": own_part.NOT_SEATED})
+    refused = Attempt(design_kit(part_of_mesh("good", l_shape())), None, NOT_SEATED)
+    monkeypatch.setattr(own_part, "attempts", lambda *_: [refused])
     assert main(["kit", str(files / "good.stl"), "--out", str(tmp_path / "out"), "--unit", "mm"]) == 1
     out, err = capsys.readouterr()
     assert (out, err.count("\n")) == ("", 1)
