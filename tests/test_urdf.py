@@ -175,7 +175,7 @@ def dropped(urdf: Path, start: Pose, halves: np.ndarray, scale: float = 1.0) -> 
 @pytest.fixture(scope="module")
 def block(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Pose, np.ndarray, float]:
     """A level kit for a block as URDF; the seated pose, the block's half extents and the depth of its cavity."""
-    part = as_part(Manifold.cube((40, 28, 30), center=True), Symmetry.dihedral(2))
+    part = as_part(Manifold.cube((40, 30, 28), center=True), Symmetry.dihedral(2))  # lies on its largest face
     kit = make_kit(part, clearance=CLEARANCE)
     assembly = build_assembly("block", [kit], AssemblyPlan(0.0, 0.0, ()))
     urdf = write_urdf(assembly, tmp_path_factory.mktemp("block") / "assembly")
@@ -200,5 +200,5 @@ def test_a_peg_wider_than_the_cavity_stays_on_the_rim(block: tuple[Path, Pose, n
 def test_the_margin_is_bullets_own_and_shrinks_with_the_scale(block: tuple[Path, Pose, np.ndarray, float]) -> None:
     urdf, seated, halves, depth = block
     tight = halves + [CLEARANCE - 1e-3, CLEARANCE - 1e-3, 0]  # a gap no wider than the margin
-    assert dropped(urdf, seated, tight)[2] - seated.xyz[2] > depth - MARGIN
+    assert dropped(urdf, seated, tight)[2] - seated.xyz[2] > depth / 3  # it jams
     assert dropped(urdf, seated, tight, scale=10)[2] - seated.xyz[2] == pytest.approx(MARGIN / 10, abs=1e-4)
