@@ -219,7 +219,7 @@ def comparison_text(comparison: Comparison) -> str:
         lines += ["", *_track_lines(track, compared)]
     lines += [
         "",
-        f"A - B [95 % interval], paired; {comparison.draws} resamples of whole assemblies and parts, seed {comparison.seed};",
+        f"A - B [95 % interval], paired; {comparison.draws} resamples of assemblies and parts, seed {comparison.seed};",
         "two-sided p from the resamples, of rates from McNemar's exact test. Not corrected for multiple comparisons.",
     ]
     return "\n".join(lines)
