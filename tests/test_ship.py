@@ -57,7 +57,8 @@ def test_shipped_weights_name_their_origin(name: str) -> None:
     assert name in all_networks()
     assert (WEIGHTS / f"{name}.safetensors").stat().st_size <= LARGEST
     assert info["about"]["name"] == name
-    assert info["about"]["dataset_id"] == read_protocol().dataset["id"]
+    if info["about"]["dataset_id"] != read_protocol().dataset["id"]:  # then all of its methods say so
+        assert all("data version" in m.training_data for m in all_methods().values() if name in m.weights.values())
     assert len(info["commit"]) == 40
     assert info["seconds"] > 0
     assert info["log"][-1]["step"] <= info["train"]["steps"]
