@@ -118,4 +118,5 @@ def preset(name: str) -> Preset:
 
 def preset_of(name: str, config: dict[str, Any]) -> Preset:
     """The preset of a plan, from its name and `config`."""
-    return Preset(name, **{key: tuple(value) if isinstance(value, list) else value for key, value in config.items()})
+    values: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in config.items()}
+    return Preset(name, **values)
