@@ -65,7 +65,7 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ('"near": 0.1e-3', '"near": 0.01e-3'),
         ("xyz + (offset if np.isfinite(offset) else 0.0) * axis", "xyz"),
         ("goals.inverse().rotate(UP)", "poses.inverse().rotate(UP)"),
-        ("if not is_rotation_seated(trial.kit_from_part, trial.goal):", "if False:"),
+        ("if not is_rotation_seated(trial.kit_from_part, trial.goal, trial.truth.slot.clearance):", "if False:"),
         ("(closed.seated, closed.strict) != (final.seated, final.strict)", "closed.seated != final.seated"),
     ),
     ("kit1000/metrics/exact_seating.py", "metrics_seating stated_numbers"): (

@@ -100,7 +100,7 @@ class TrialSlot:
         kit_from_assembly = assembly_from_kit.inverse()
         release, rest = kit_from_assembly @ trial.release_pose, kit_from_assembly @ trial.rest_pose
         return {
-            "seating": _seating_row(seating_result(offset, part, pose, goal, kit.slot.depth)),
+            "seating": _seating_row(seating_result(offset, part, pose, goal, kit.slot.depth, kit.slot.clearance)),
             "released": _outcome_row(classify_outcome(kit, release, release)) | {"held_up": trial.blocked},
             "physics": _outcome_row(classify_outcome(kit, release, rest)) | {"still": trial.at_rest},
         }

@@ -8,7 +8,7 @@ import pytest
 from kit1000.guesses import draw_ball_error, draw_tilt_error, level_angle, level_offset
 from kit1000.kits.acceptance import is_goal
 from kit1000.kits.contact import convex_edges
-from kit1000.kits.seating import HOVER, InsertedPart, seating_result
+from kit1000.kits.seating import HOVER, InsertedPart, is_rotation_seated, seating_result
 from kit1000.metrics.exact_seating import ContactInterval
 from kit1000.pose import Pose
 from kit1000.rng import stream
@@ -134,6 +134,37 @@ def test_seated_and_strict_are_within_10_degrees(axis: tuple[float, ...], angle_
     pose = Pose.from_rotvec(np.radians(angle_deg) * np.array(axis))
     result = seating_result(0.0, part, pose, Pose.identity(), 20e-3)
     assert (result.fits, result.seated, result.strict) == (True, seated, seated)
+
+
+@pytest.mark.parametrize("clearance_mm", [0.1, 2.5, 4.1])
+@pytest.mark.parametrize(("angle_deg", "seated"), [(9.999, True), (10.001, False)])
+@pytest.mark.parametrize("axis", [(1, 0, 0), (0, 0, 1), (0.6, 0, 0.8)])
+def test_up_to_4_mm_of_clearance_the_limit_stays_10_degrees(
+    axis: tuple[float, ...], angle_deg: float, seated: bool, clearance_mm: float
+) -> None:
+    pose = Pose.from_rotvec(np.radians(angle_deg) * np.array(axis))
+    assert is_rotation_seated(pose, Pose.identity(), clearance_mm * 1e-3) is seated
+
+
+@pytest.mark.parametrize(
+    ("axis", "angle_deg", "seated"),
+    [
+        ((0, 0, 1), 23.9, True),
+        ((0, 0, -1), 23.9, True),
+        ((0, 0, 1), 24.1, False),
+        ((1, 0, 0), 9.9, True),
+        ((1, 0, 0), 10.1, False),
+        ((0.28, 0, 0.96), 23.9, True),
+        ((0.6, 0, 0.8), 20.0, False),
+    ],
+)
+def test_at_10_mm_of_clearance_a_part_may_turn_by_24_degrees_and_tilt_by_10(
+    axis: tuple[float, ...], angle_deg: float, seated: bool
+) -> None:
+    """About the slot's axis, whatever the rotation of the goal."""
+    goal = Pose.from_rotvec((0.3, -1.2, 2.0))
+    pose = Pose.from_rotvec(np.radians(angle_deg) * np.array(axis)) @ goal
+    assert is_rotation_seated(pose, goal, 10e-3) is seated
 
 
 @pytest.mark.parametrize(("off_mm", "same"), [(0.9, True), (1.1, False)])

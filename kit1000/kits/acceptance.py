@@ -54,7 +54,7 @@ class SeatingTest:
         """The result for a pose meant for a goal: +z of the kit at the goal is the part's insertion axis."""
         part = InsertedPart(self.part_edges, goal.inverse().rotate(np.array([0.0, 0.0, 1.0])))
         offset = contact_offset(part, self.kit_edges, pose, self.kit_features)
-        return seating_result(offset, part, pose, goal, self.slot.depth)
+        return seating_result(offset, part, pose, goal, self.slot.depth, self.slot.clearance)
 
     def fits(self, pose: Pose, goal: Pose) -> bool:
         """Whether contact alone seats a pose meant for a goal, at whatever rotation."""

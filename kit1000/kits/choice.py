@@ -1,7 +1,7 @@
 """The choice of a kit for a part: the first of its insertion faces whose kit passes all trials.
 
 A face passes when its kit tells rotations apart: the part seats at its goals, at no wrong pose, and there is no loose
-fit. That bounds the keyedness: a rotation of NEAR_GOAL_ANGLE that still seats would be a loose fit, unless it is near
+fit. That bounds the keyedness: a rotation by `rotation_limit` that still seats would be a loose fit, unless it is near
 another goal, as for a free axis or a gear with many teeth.
 """
 

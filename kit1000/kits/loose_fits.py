@@ -22,7 +22,7 @@ from kit1000.kits.descent import HeightField, LoweredPart, lowered_fit
 from kit1000.kits.envelope import lower_envelope
 from kit1000.kits.face import RestingFace
 from kit1000.kits.goals import nearest_about_axis
-from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT
+from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT, rotation_limit
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.products import length, matmul
@@ -34,10 +34,8 @@ UNDERSIDE_CELL = 1.0e-3  # [m] between the points that stand for the part's unde
 SHIFT_STEP = 1.0e-3  # [m] between shifts: twice the reach of the minimum over neighbouring cells
 YAWS = np.radians(np.arange(0, 360, 5.0))
 YAW_BATCHES = 4  # yaws are searched a quarter at a time, widely spaced, so that an easy fit is found early
-NEAR_GOAL_ANGLE, NEAR_GOAL_SHIFT = np.radians(10), 5e-3  # a pose nearer than both to a goal is no other pose
-# The same in wide slots, for each metre of clearance: 24 degrees and 20 mm at 10 mm. A part 42 mm long turns by about
-# 7 degrees in a slot with 2.5 mm (2.5 mm / 21 mm), one 70 mm long by 16 degrees with 10 mm: the limits are half more.
-ANGLE_PER_CLEARANCE, SHIFT_PER_CLEARANCE = np.radians(2400), 2.0
+# A pose nearer to a goal than this and than `rotation_limit` is no other pose; the same for each metre of clearance.
+NEAR_GOAL_SHIFT, SHIFT_PER_CLEARANCE = 5e-3, 2.0
 TURNED_SHARE = 1.0001  # of the limit: yaw from a goal at which the search just beyond it begins
 TURNED_RANGE = np.radians(6)  # a part that seats at a greater yaw also seats at a smaller one, or is found by the grid
 BESIDE = 1e-3  # [m] of shift beyond the clearance: a part does not turn about its origin
@@ -182,7 +180,7 @@ def near_goal_limits(clearance: float) -> tuple[float, float]:
 
     clearance: [m] of the slot.
     """
-    return max(NEAR_GOAL_ANGLE, ANGLE_PER_CLEARANCE * clearance), max(NEAR_GOAL_SHIFT, SHIFT_PER_CLEARANCE * clearance)
+    return rotation_limit(clearance), max(NEAR_GOAL_SHIFT, SHIFT_PER_CLEARANCE * clearance)
 
 
 def is_near_goal(pose: Pose, slot: Slot, margin: float = 0.0) -> bool:

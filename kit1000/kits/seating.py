@@ -3,11 +3,12 @@
 The part keeps the predicted orientation, starts HOVER out along the carried axis (the insertion axis, rotated with the
 part by the prediction), and moves along it to first contact with everything around, the fixed bodies. It is seated when
 contact leaves it at goal height (within min(3 mm, depth/3) along the slot's axis), when the predicted pose lies within
-3 mm of the contact pose, when it is rotated by at most 10 degrees from its goal, and when the slot is the true one. The
-strict test has 1 mm in place of 3. The motion to contact does not rotate the part, so its rotation is the predicted
-one; without that limit, jammed parts 17 degrees off would count. Two independent computations of the contact,
-`contact_offset` (closed form on faces and edges, a millisecond) and `contact_offset_by_booleans` (bisection over exact
-booleans), agree within BISECTION_STEP. All lengths are metres.
+3 mm of the contact pose, when it is rotated by at most 10 degrees from its goal, and when the slot is the true one. In
+a slot with more than 4.2 mm of clearance a part that lies on the floor can turn farther: there `rotation_limit` is the
+limit of the rotation, and 10 degrees that of the tilt. The strict test has 1 mm in place of 3. The motion to contact
+does not rotate the part, so its rotation is the predicted one; without that limit, jammed parts 17 degrees off would
+count. Two independent computations of the contact, `contact_offset` (closed form on faces and edges, a millisecond) and
+`contact_offset_by_booleans` (bisection over exact booleans), agree within BISECTION_STEP. All lengths are metres.
 """
 
 from __future__ import annotations
@@ -19,13 +20,16 @@ from manifold3d import Manifold, Mesh64, OpType
 
 from kit1000.kits.contact import ContactFeatures, ConvexEdges, contact_features, convex_edges, vertical_contact_offset
 from kit1000.mesh import Mesh, solid_from_mesh
-from kit1000.pose import Pose, quaternion_angle, quaternion_between
+from kit1000.pose import Pose, quaternion_angle, quaternion_between, quaternion_conjugate, quaternion_multiply
 from kit1000.products import matmul
 
 HOVER = 0.1  # [m] the approach begins so far out (paper, section III-E)
 SEATED_LIMIT = 3e-3  # [m] of a seated prediction from contact, and of contact from goal height
 STRICT_LIMIT = 1e-3  # [m] the same for the strict test
 ROTATION_LIMIT = np.radians(10)  # [rad] of a seated prediction from its goal, in both tests
+# The same in wide slots, for each metre of clearance: 24 degrees at 10 mm. A part 42 mm long turns by about 7 degrees
+# in a slot with 2.5 mm (2.5 mm / 21 mm), one 70 mm long by 16 degrees with 10 mm: the limits are half more.
+ROTATION_PER_CLEARANCE = np.radians(2400)
 BISECTION_STEP = 0.02e-3  # [m] resolution of the bisection; both limits are tightened by it
 PARALLEL_TOLERANCE = 1e-15  # 1 - cos of an angle (45 nrad) that moves no point by a nanometre
 WALL_COSINE = 1e-6  # faces whose unit normal has a smaller -z are walls: what they sweep has no volume
@@ -125,10 +129,12 @@ def _prism(triangle: np.ndarray, length: float) -> Manifold:
     return Manifold(Mesh64(corners, PRISM_FACES))
 
 
-def seating_result(offset: float, part: InsertedPart, kit_from_part: Pose, goal: Pose, depth: float) -> SeatingResult:
+def seating_result(
+    offset: float, part: InsertedPart, kit_from_part: Pose, goal: Pose, depth: float, clearance: float = 0.0
+) -> SeatingResult:
     """The seating test for a pose in the frame of the true kit, given its offset to contact [m].
 
-    kit_from_part, goal: unbatched poses in the kit frame, whose z is the slot's axis; depth: [m] of the cavity.
+    kit_from_part, goal: unbatched poses in the kit frame, whose z is the slot's axis; depth, clearance: [m] of it.
     """
     if not np.isfinite(offset):
         return SeatingResult(offset, -np.inf, False, False, False)
@@ -139,10 +145,24 @@ def seating_result(offset: float, part: InsertedPart, kit_from_part: Pose, goal:
         deep = min(limit, depth / 3)
         return bool(abs(height) <= deep - BISECTION_STEP and abs(offset) < limit - BISECTION_STEP)
 
-    fits, near = passes(SEATED_LIMIT), is_rotation_seated(kit_from_part, goal)
+    fits, near = passes(SEATED_LIMIT), is_rotation_seated(kit_from_part, goal, clearance)
     return SeatingResult(offset, height, fits, fits and near, near and passes(STRICT_LIMIT))
 
 
-def is_rotation_seated(pose: Pose, goal: Pose) -> bool:
-    """Whether a pose is rotated by at most ROTATION_LIMIT from its goal; both in one frame."""
-    return bool(quaternion_angle(pose.wxyz, goal.wxyz) <= ROTATION_LIMIT)
+def rotation_limit(clearance: float) -> float:
+    """[rad] the largest rotation of a seated prediction from its goal in a slot with a clearance [m]."""
+    return float(max(ROTATION_LIMIT, ROTATION_PER_CLEARANCE * clearance))
+
+
+def is_rotation_seated(pose: Pose, goal: Pose, clearance: float = 0.0) -> bool:
+    """Whether the rotation of a pose from its goal, both in the kit frame, is one of a seated part.
+
+    It is where the rotation is at most ROTATION_LIMIT; in a slot with a wide clearance [m] also where it is at most
+    `rotation_limit` and tilts the part by at most ROTATION_LIMIT.
+    """
+    angle = quaternion_angle(pose.wxyz, goal.wxyz)
+    if angle <= ROTATION_LIMIT:
+        return True
+    w, x, y, z = quaternion_multiply(pose.wxyz, quaternion_conjugate(goal.wxyz))
+    tilt = 2 * np.arctan2(np.hypot(x, y), np.hypot(w, z))  # between the two directions of the part's axis
+    return bool(angle <= rotation_limit(clearance) and tilt <= ROTATION_LIMIT)

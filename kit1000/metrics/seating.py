@@ -59,7 +59,7 @@ class Seatings:
 
     seated: np.ndarray
     """(n,) bool: in the true slot, contact within min(3 mm, depth/3) of goal height, prediction within 3 mm of it and
-    rotated by at most 10 degrees from the nearest goal."""
+    rotated by at most 10 degrees from the nearest goal, or 2.4 degrees for each mm of clearance where that is more."""
     strict: np.ndarray
     """(n,) bool: the same with 1 mm in place of 3 mm."""
     penetration: np.ndarray
@@ -226,12 +226,12 @@ class _AssemblyTester:
         part_id, depth = trial.truth.part_id, trial.truth.slot.depth
         part = InsertedPart(self.part_edges[part_id], trial.axis)
         offset = contact_offset(part, self.edges, trial.assembly_from_part)
-        closed = seating_result(offset, part, trial.kit_from_part, trial.goal, depth)
+        closed = seating_result(offset, part, trial.kit_from_part, trial.goal, depth, trial.truth.slot.clearance)
         xyz, axis = trial.kit_from_part.xyz, trial.kit_from_part.rotate(trial.axis)
         if not _is_over_plate(xyz, axis, offset, self.job.kits[part_id].extent):
             closed = SeatingResult(offset, closed.contact_height, closed.fits, False, False)
             return _TestResult(closed, closed, False)
-        if not is_rotation_seated(trial.kit_from_part, trial.goal):
+        if not is_rotation_seated(trial.kit_from_part, trial.goal, trial.truth.slot.clearance):
             return _TestResult(closed, closed, False)  # no contact would seat it
         height, limits = xyz[2] - trial.goal.xyz[2], (SEATED_LIMIT, STRICT_LIMIT)
         intervals = [ContactInterval.of(limit, depth, axis[2], height) for limit in limits]

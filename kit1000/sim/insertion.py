@@ -15,7 +15,7 @@ import numpy as np
 from kit1000.kits.brackets import support_meshes
 from kit1000.kits.convex_pieces import convex_prisms
 from kit1000.kits.goals import nearest_about_axis
-from kit1000.kits.seating import HOVER, SEATED_LIMIT
+from kit1000.kits.seating import HOVER, SEATED_LIMIT, rotation_limit
 from kit1000.pose import Pose, quaternion_angle, quaternion_conjugate, quaternion_multiply
 from kit1000.products import length, matmul
 from kit1000.sim.settle import (
@@ -36,7 +36,6 @@ MAX_LAG = 5e-3  # [m] of the part behind the hand, at which the hand is blocked
 CATCH_UP_STEPS = 24  # steps that the hand waits at the end of its path
 MAX_REST_TIME = 1.5  # [s] that a part may take to come to rest
 TIPPED_ANGLE = np.radians(20)  # a part that rotates farther after its release has tipped
-SEATED_ANGLE = np.radians(10)  # largest angle of a seated part from a goal
 OFFSET_TOLERANCE = 1e-3  # [m] lateral, of a seated part, beyond the diagonal of its clearance
 OUTCOMES = ("seated", "jammed", "slid", "askew", "tipped", "left")
 UP = np.array([0.0, 0.0, 1.0])
@@ -181,7 +180,7 @@ def classify_outcome(kit: Kit, kit_from_release: Pose, kit_from_rest: Pose) -> I
     limits = (
         min(SEATED_LIMIT, kit.slot.depth / 3),
         kit.slot.clearance * 2**0.5 + OFFSET_TOLERANCE,
-        float(SEATED_ANGLE),
+        rotation_limit(kit.slot.clearance),
     )
     errors = min((_errors(kit, kit_from_rest, goal) for goal in kit.slot.goals), key=lambda e: _excess(e, limits))
     outcome = "seated" if _excess(errors, limits) <= 1 else _failure_kind(kit, kit_from_rest, errors, limits, rotation)
