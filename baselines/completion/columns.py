@@ -16,37 +16,7 @@ from kit1000.voxels.grid import DEFAULT_TRUNCATION
 
 CELLS = 2 * int(DEFAULT_TRUNCATION)  # half a voxel wide, in a truncation
 STEP = (2, 2, 1)  # cells from voxel to voxel
-
-
 SURE = 1.5e-3  # [m] behind an observed surface that is surely solid: no wall of a part is thinner than 2 mm
-
-
-def extruded(
-    view: View,
-    mask: np.ndarray,
-    points: np.ndarray,
-    world_from_middle: Pose,
-    half_sizes: tuple[float, float],
-    floor: float,
-    voxel: float,
-    largest_only: bool = False,
-) -> Volume:
-    """Signed distances to a solid that fills the columns below points, except where the image shows free space.
-
-    Args:
-        view: the depth image.
-        mask: (H, W) bool, the pixels of the object.
-        points: (n, 3) [m] world, on the object; dense, as a column without one is free.
-        world_from_middle: the middle of the volume; columns run along its z axis.
-        half_sizes: [m] from the middle to the sides, and to top and bottom.
-        floor: [m] along z from the middle: the lower end of columns.
-        voxel: [m] edge.
-        largest_only: whether only the largest connected piece of the solid is kept; the others are outliers.
-
-    Returns:
-        A volume about the middle without unknown voxels.
-    """
-    return ObservedColumns.of(view, mask, points, world_from_middle, half_sizes, floor, voxel).filled(largest_only)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +43,17 @@ class ObservedColumns:
         floor: float,
         voxel: float,
     ) -> ObservedColumns:
-        """The arguments are those of `extruded`."""
+        """What an image shows in the columns about a middle.
+
+        Args:
+            view: the depth image.
+            mask: (H, W) bool, the pixels of the object.
+            points: (n, 3) [m] world, on the object; dense, as a column without one is free.
+            world_from_middle: the middle of the volumes; columns run along its z axis.
+            half_sizes: [m] from the middle to the sides, and to top and bottom.
+            floor: [m] along z from the middle: the lower end of columns.
+            voxel: [m] edge.
+        """
         side, height = (2 * round(half / voxel) for half in half_sizes)
         fine = Grid.centred(world_from_middle, (2 * side, 2 * side, 2 * height), voxel / 2)
         observed = tsdf(fine, view, mask, threads=1).values[..., ::2]
@@ -83,7 +63,10 @@ class ObservedColumns:
         return cls(grid, observed, heights <= top[..., None], heights > floor)
 
     def filled(self, largest_only: bool) -> Volume:
-        """Signed distances to the columns below the points, except for free space."""
+        """Signed distances to the columns below the points, except for free space; no voxel is unknown.
+
+        largest_only: whether only the largest connected piece is kept; the others are outliers.
+        """
         solid = self.below_top & self.above_floor & ~(self.distance > 0)
         return self._volume(_largest(solid) if largest_only else solid, self.distance)
 

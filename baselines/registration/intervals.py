@@ -20,13 +20,13 @@ from baselines.registration.descent import LEVER, SCALES, descend, pose_at, tilt
 from baselines.registration.refine import clipped_rms
 from baselines.registration.search import Candidate
 from baselines.registration.sweep import (
-    CELL,
-    LAYER,
     Sweep,
+    cell_at,
     distance_at,
     envelope_about,
     floors_under,
     in_sweep,
+    nearer,
     rotation_matrix,
 )
 from kit1000.compiled import compiled
@@ -148,22 +148,14 @@ def _distances(points, twist, filled, sure, possible, f0, f1, f2, lowest, cleara
 
     f0, f1, f2: (n,) the floors of the filled, the surely solid and the possible part.
     """
-    layers, n, _ = filled.shape
     r = rotation_matrix(twist)
     for p in range(len(points)):
         x, y, z = in_sweep(points[p], twist, r)
-        u = min(max(x / CELL + (n - 1) / 2, 0.0), n - 1.001)
-        v = min(max(y / CELL + (n - 1) / 2, 0.0), n - 1.001)
-        w = min(max((z - lowest) / LAYER, 0.0), layers - 1.001)
+        u, v, w = cell_at(x, y, z - lowest, filled.shape)
         wall = distance_at(filled, u, v, w) - clearance
-        from_filled[p] = _nearer(wall, f0[p] - z)
+        from_filled[p] = nearer(wall, f0[p] - z)
         walls = _outside(distance_at(possible, u, v, w) - clearance, distance_at(sure, u, v, w) - clearance)
-        outside[p] = _nearer(walls, _outside(f2[p] - z, f1[p] - z))
-
-
-@compiled
-def _nearer(a, b):
-    return a if abs(a) < abs(b) else b
+        outside[p] = nearer(walls, _outside(f2[p] - z, f1[p] - z))
 
 
 @compiled

@@ -12,7 +12,7 @@ import numpy as np
 
 from baselines.registration.descent import LEVER, descend, pose_at, tilt_of
 from baselines.registration.search import Candidate
-from baselines.registration.sweep import CELL, LAYER, Sweep, distance_at, floors_under, in_sweep, rotation_matrix
+from baselines.registration.sweep import Sweep, cell_at, distance_at, floors_under, in_sweep, nearer, rotation_matrix
 from kit1000.compiled import compiled
 from kit1000.pose import Pose
 from kit1000.voxels import Volume
@@ -74,15 +74,10 @@ class Problem:
 @compiled
 def _residuals(points, twist, distance, floors, lowest, clearance):
     """(n,) [m]: signed distance of each point from the wall or the floor, whichever is nearer."""
-    layers, n, _ = distance.shape
     r = rotation_matrix(twist)
     out = np.empty(len(points))
     for p in range(len(points)):
         x, y, z = in_sweep(points[p], twist, r)
-        u = min(max(x / CELL + (n - 1) / 2, 0.0), n - 1.001)
-        v = min(max(y / CELL + (n - 1) / 2, 0.0), n - 1.001)
-        w = min(max((z - lowest) / LAYER, 0.0), layers - 1.001)
-        wall = distance_at(distance, u, v, w) - clearance
-        under = floors[p] - z
-        out[p] = wall if abs(wall) < abs(under) else under
+        u, v, w = cell_at(x, y, z - lowest, distance.shape)
+        out[p] = nearer(distance_at(distance, u, v, w) - clearance, floors[p] - z)
     return out

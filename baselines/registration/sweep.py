@@ -125,6 +125,21 @@ def floors_under(points, twist, floor):
 
 
 @compiled
+def cell_at(x, y, above, shape):
+    """Cell (u, v) and layer w [not whole] of a point in the frame of a sweep, `above` [m] its lowest point; clipped."""
+    layers, n, _ = shape
+    u = min(max(x / CELL + (n - 1) / 2, 0.0), n - 1.001)
+    v = min(max(y / CELL + (n - 1) / 2, 0.0), n - 1.001)
+    return u, v, min(max(above / LAYER, 0.0), layers - 1.001)
+
+
+@compiled
+def nearer(a, b):
+    """Of two signed distances, that of the nearer surface; the second where both are as near."""
+    return a if abs(a) < abs(b) else b
+
+
+@compiled
 def distance_at(distance, u, v, w):
     """A distance (layers, n, n) at cell (u, v) of layer w, linear between them."""
     i, j, k = int(u), int(v), int(w)

@@ -341,5 +341,5 @@ class RecordedScene:
             world_from_kit=self._world_from_kits[row["part"]],
             slot=geometry.slot(part["part_id"]),
             goal_drawn=pose_of(row["goal_drawn"]),
-            crowded=truth_row.get("crowded", False),  # not in datasets before 1.0.0, which have no crowded scenes
+            crowded=truth_row["crowded"],
         )

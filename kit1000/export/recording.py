@@ -29,7 +29,7 @@ from kit1000.errors import InputError, did_you_mean
 from kit1000.mesh import Mesh
 from kit1000.metrics import PoseErrors, Targets, nearest_goal_motions, pose_errors
 from kit1000.pictures.depth_images import mask_picture
-from kit1000.pictures.shading import KIT, PART, SECONDARY, Colour
+from kit1000.pictures.shading import KIT, Colour, part_colour
 from kit1000.pose import Pose
 from kit1000.submission import Predictions, read_predictions
 from kit1000.tracks import TRACKS
@@ -84,12 +84,7 @@ def write_scene_recording(
     return path
 
 
-def part_colour(part: int) -> Colour:
-    """The colour of a part of a scene, as in its masks."""
-    return (PART, *SECONDARY)[part % 7]
-
-
-def surface_points(mesh: Mesh, count: int = SURFACE_POINTS) -> np.ndarray:
+def spread_points(mesh: Mesh, count: int = SURFACE_POINTS) -> np.ndarray:
     """(count, 3) [m] points spread evenly over the surface of a mesh: a low-discrepancy sequence over its triangles."""
     corners = mesh.triangles
     edges = corners[:, 1:] - corners[:, :1]
@@ -186,7 +181,7 @@ def _goals(
     ]
     errors = pose_errors(Pose.stack(moved), targets)
     nearest = nearest_goal_motions(targets, errors)
-    surfaces = [t.world_from_part.apply(surface_points(geometry.part(t.part_id).mesh)) for t in truths]
+    surfaces = [t.world_from_part.apply(spread_points(geometry.part(t.part_id).mesh)) for t in truths]
     seated = [motion.apply(points) for motion, points in zip(nearest, surfaces, strict=True)]
     yield poses_message("/goals", targets.goals @ targets.world_from_part[targets.query_of_goal], stamp)
     points = np.concatenate(seated)

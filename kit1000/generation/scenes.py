@@ -63,10 +63,8 @@ class _SceneParts:
     scene_id: str
     split: str
     seed: int
-    sensors: tuple[str, ...]
+    preset: Preset
     crowded: bool
-    scale: float
-    frames: int
     assembly: Assembly
     parts: tuple[Part, ...]
     mounts: tuple[int, ...]
@@ -150,9 +148,7 @@ def _scene_parts(preset: Preset, seed: int, split: str, assembly: Assembly, part
     mounts = tuple(stream(seed, "order", scene_id).permutation(len(assembly.mounts)).tolist())
     order = tuple(parts[assembly.mounts[k].kit.slot.part_id] for k in mounts)
     crowded = is_crowded(preset, seed, scene_id, len(order))
-    return _SceneParts(
-        scene_id, split, seed, preset.sensors, crowded, preset.scale, preset.frames, assembly, order, mounts
-    )
+    return _SceneParts(scene_id, split, seed, preset, crowded, assembly, order, mounts)
 
 
 def _draw_layout_and_view(scene_parts: _SceneParts) -> tuple[_LayoutView, list[str]]:
@@ -163,7 +159,7 @@ def _draw_layout_and_view(scene_parts: _SceneParts) -> tuple[_LayoutView, list[s
         # A part that topples from its insertion face does so at every yaw, so the rest modes are redrawn too.
         modes = rest_modes(scene_parts.seed, scene_parts.scene_id, len(scene_parts.parts), redraws.count(PART_UNSTABLE))
         rng = stream(scene_parts.seed, "layout", scene_parts.scene_id, attempt)
-        draw = draw_layout(rng, modes, scene_parts.crowded, scene_parts.scale)
+        draw = draw_layout(rng, modes, scene_parts.crowded, scene_parts.preset.scale)
         try:
             layout = simulate_layout(scene_parts.assembly, list(zip(scene_parts.parts, slots, strict=True)), draw)
         except Redraw as refusal:
@@ -171,7 +167,7 @@ def _draw_layout_and_view(scene_parts: _SceneParts) -> tuple[_LayoutView, list[s
             continue
         for k in range(MAX_VIEWS):
             rng = stream(scene_parts.seed, "view", scene_parts.scene_id, attempt, k)
-            view = draw_primary_pose(rng, scene_parts.crowded, scene_parts.scale)
+            view = draw_primary_pose(rng, scene_parts.crowded, scene_parts.preset.scale)
             try:
                 return _view_layout(scene_parts, modes, layout, view), redraws
             except Redraw as refusal:
@@ -218,16 +214,16 @@ def _sensor_views(
             sensor,
             view,
             stream(scene_parts.seed, "noise", scene_parts.scene_id, camera_key, sensor),
-            scene_parts.frames,
+            scene_parts.preset.frames,
         )
-        for sensor in scene_parts.sensors
+        for sensor in scene_parts.preset.sensors
     }
 
 
 def _extra_views(scene_parts: _SceneParts, layout: Layout) -> Observation:
     scene = bodies(scene_parts.assembly, scene_parts.parts, layout)
     views: dict[str, View] = {}
-    for key, (camera, pose) in camera_set("three", scale=scene_parts.scale).items():
+    for key, (camera, pose) in camera_set("three", scale=scene_parts.preset.scale).items():
         views |= _sensor_views(scene_parts, key, pose, render(camera, pose, scene, threads=1))
     return Observation(scene_parts.scene_id, views)
 

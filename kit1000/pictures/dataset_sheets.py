@@ -13,7 +13,7 @@ from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.pictures.depth_images import depth_picture, mask_picture
 from kit1000.pictures.previews import assembly_tile, contact_sheet_png, kit_tile, part_tile
-from kit1000.pictures.shading import KIT, PART, SECONDARY, ColouredBody, shaded_picture
+from kit1000.pictures.shading import KIT, ColouredBody, part_colour, shaded_picture
 from kit1000.pose import Pose
 from kit1000.values import View
 
@@ -65,7 +65,7 @@ def _ground_truth_tiles(recorded: RecordedScene, window: tuple[slice, slice]) ->
     """The scene as it is, with the parts of queries at their goals, and at the user's initial guesses."""
     _, (assembly, world_from_assembly), *parts = recorded.bodies()
     kits = ColouredBody(assembly, world_from_assembly, KIT)
-    colours = [(PART, *SECONDARY)[i % 7] for i in range(len(parts))]
+    colours = [part_colour(i) for i in range(len(parts))]
     lying = [ColouredBody(mesh, pose, colour) for (mesh, pose), colour in zip(parts, colours, strict=True)]
     seated, guessed = list(lying), list(lying)
     present = {query.track for query in recorded.queries}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kit1000.pictures.shading import INK, KIT, PART, SECONDARY, TABLE, Colour
+from kit1000.pictures.shading import INK, KIT, TABLE, Colour, part_colour
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 NEAR_COLOUR: Colour = (250, 214, 120)
@@ -33,7 +33,7 @@ def mask_picture(image: LabelledDepth) -> np.ndarray:
     colours = np.full((256, 3), TABLE, float)
     colours[ASSEMBLY_LABEL] = np.array(KIT) * 0.8
     for i in range(256 - FIRST_PART_LABEL):
-        colours[FIRST_PART_LABEL + i] = (PART, *SECONDARY)[i % 7]
+        colours[FIRST_PART_LABEL + i] = part_colour(i)
     picture = colours[image.labels] * _relief_shading(image.view)[..., None]
     return np.where((image.view.depth > 0)[..., None], np.clip(picture, 0, 255), INK).astype(np.uint8)
 

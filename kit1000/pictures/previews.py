@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from kit1000.kits.seating import HOVER
-from kit1000.pictures.shading import KIT, PART, SECONDARY, ColouredBody, contact_sheet, framing_camera, shaded_picture
+from kit1000.pictures.shading import KIT, PART, ColouredBody, contact_sheet, framing_camera, part_colour, shaded_picture
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Part
 
@@ -54,7 +54,7 @@ def assembly_tile(assembly: Assembly, parts: Mapping[str, Part], size: tuple[int
     for i, mount in enumerate(assembly.mounts):
         out = Pose.from_translation(np.array([0, 0, (0.0, 0.3)[i % 2] * HOVER]))
         pose = mount.assembly_from_kit @ out @ mount.kit.slot.kit_from_part
-        bodies.append(ColouredBody(parts[mount.kit.slot.part_id].mesh, pose, (PART, *SECONDARY)[i % 7]))
+        bodies.append(ColouredBody(parts[mount.kit.slot.part_id].mesh, pose, part_colour(i)))
     return _picture(bodies, size)
 
 

@@ -20,7 +20,7 @@ from kit1000.dataset.schema import Observation, SceneTruth
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pictures.relief import CELL, line_cover, relief_light
-from kit1000.pictures.shading import KIT, PART, SECONDARY, Colour
+from kit1000.pictures.shading import KIT, Colour, part_colour
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import FIRST_PART_LABEL, View
@@ -102,11 +102,6 @@ def png_bytes(picture: np.ndarray) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
     )
-
-
-def part_colour(part: int) -> Colour:
-    """The colour of the part of this index."""
-    return (PART, *SECONDARY)[part % (1 + len(SECONDARY))]
 
 
 def _primary_view(observation: Observation) -> View:

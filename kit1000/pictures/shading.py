@@ -47,6 +47,11 @@ OUTLINE_STEP = 0.012  # smallest depth step with an outline, in radii of the sce
 GROUND_SHADOW = 0.75  # darkening of a ground point that no light reaches
 
 
+def part_colour(part: int) -> Colour:
+    """The colour of the part of this index in a scene."""
+    return (PART, *SECONDARY)[part % (1 + len(SECONDARY))]
+
+
 class ColouredBody(NamedTuple):
     """A body of a picture, with its colour."""
 
