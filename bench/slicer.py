@@ -19,9 +19,9 @@ import numpy as np
 
 from bench.foreign import Report, dataset_of, kit1000, run, tail
 from kit1000.dataset.geometry import Geometry
-from kit1000.dataset.mesh_files import y_up
 from kit1000.dataset.tables import pose_of
 from kit1000.files import read_json
+from kit1000.mesh import y_up
 
 BED = 1000  # [mm] side and height: larger than any assembly
 KITS = 4

@@ -190,8 +190,8 @@ class Show:
     """In an MCAP: with models, goals and seated parts."""
     predictions: OptionalPath = None
     """In an MCAP: predictions.csv whose answers to the scene are shown, coloured by their errors."""
-    track: str = "snap"
-    """In an MCAP: track of the queries, with their pivots and guesses."""
+    track: str | None = None
+    """In an MCAP: track of the queries, with their pivots and guesses; the first that asks in the scene when absent."""
 
     def run(self) -> int:
         """Draw the picture and print its path."""

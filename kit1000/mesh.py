@@ -202,6 +202,16 @@ def surface_points(mesh: Mesh, n: int, rng: np.random.Generator) -> np.ndarray:
     return (1 - root) * corners[:, 0] + root * (1 - along) * corners[:, 1] + root * along * corners[:, 2]
 
 
+def y_up(points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) with z up as points (n, 3) with y up, as in glTF."""
+    return points[:, [0, 2, 1]] * np.array([1, 1, -1])
+
+
+def z_up(points: np.ndarray) -> np.ndarray:
+    """Points (n, 3) with y up, as in glTF, as points (n, 3) with z up."""
+    return points[:, [0, 2, 1]] * np.array([1, -1, 1])
+
+
 def _cross_products(triangles: np.ndarray) -> np.ndarray:
     return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from mini import l_shape
 
-from kit1000.dataset.mesh_files import glb_bytes, read_glb, stl_bytes, y_up, z_up
+from kit1000.dataset.mesh_files import glb_bytes, read_glb, stl_bytes
 from kit1000.errors import InputError
-from kit1000.mesh import Mesh, defect_float32
+from kit1000.mesh import Mesh, defect_float32, y_up, z_up
 from kit1000.parts.files.formats import read_triangles
 
 POINTS = arrays(np.float64, (7, 3), elements=st.floats(-1, 1, width=32))
@@ -41,6 +41,14 @@ def test_y_up_and_z_up_are_inverse(points: np.ndarray) -> None:
 def test_y_up_maps_z_to_y_and_keeps_orientation() -> None:
     assert np.array_equal(y_up(np.eye(3)), [[1, 0, 0], [0, 0, -1], [0, 1, 0]])
     assert np.linalg.det(y_up(np.eye(3))) == pytest.approx(1)
+
+
+def test_a_glb_handed_to_us_comes_in_z_up_like_an_stl(tmp_path: Path) -> None:
+    mesh = l_shape()
+    (tmp_path / "part.glb").write_bytes(glb_bytes({"part": mesh}))
+    (tmp_path / "part.stl").write_bytes(stl_bytes(mesh))
+    glb, stl = (read_triangles(tmp_path / f"part{suffix}") for suffix in (".glb", ".stl"))
+    assert np.allclose(glb.vertices[glb.faces] * 1e3, stl.vertices[stl.faces], atol=1e-4)
 
 
 def test_other_readers_find_metres_and_y_up_in_a_glb(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
+from mini import Published
 from shapes import box as box_solid
 
 from kit1000.cli import main
@@ -238,3 +239,13 @@ def test_the_command_prints_the_file_that_it_wrote(
     assert main(["show", str(mini), "--scene", SCENE, "--out", str(path)]) == 0
     assert capsys.readouterr().out == f"{path}\n"
     assert path.read_bytes() == plain.read_bytes()
+
+
+def test_the_track_is_by_default_the_first_that_asks_in_the_scene(withheld: Published, tmp_path: Path) -> None:
+    dataset = Dataset(withheld.public)
+    for scene_id in dataset.split("test").scene_ids:
+        (track,) = {query.track for query in dataset.recorded_scene(scene_id, truth=False).queries}
+        path = write_scene_recording(dataset, scene_id, tmp_path / f"{scene_id}.mcap")
+        named = write_scene_recording(dataset, scene_id, tmp_path / "named.mcap", track=track)
+        assert path.read_bytes() == named.read_bytes()
+        assert messages(path)["/pivots"]

@@ -21,7 +21,6 @@ from mini import HIDDEN, Published, file_hashes, l_shape_sources, publish_by_com
 from benchmark.score import read_checked, score
 from kit1000 import Manifest, Prediction, write_submission
 from kit1000.dataset.geometry import Geometry
-from kit1000.dataset.mesh_files import y_up
 from kit1000.dataset.reader import WITHHELD_FILE, Dataset
 from kit1000.errors import InputError
 from kit1000.export.recording import write_scene_recording
@@ -30,6 +29,7 @@ from kit1000.generation import build, withhold
 from kit1000.generation.plan import dataset_id
 from kit1000.generation.presets import PRESETS
 from kit1000.generation.verify import verify
+from kit1000.mesh import y_up
 from kit1000.pictures.dataset_sheets import scene_sheet
 from kit1000.submission import check
 

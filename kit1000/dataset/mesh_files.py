@@ -16,7 +16,7 @@ from trimesh.visual.material import PBRMaterial
 from trimesh.visual.texture import TextureVisuals
 
 from kit1000.errors import InputError
-from kit1000.mesh import Mesh
+from kit1000.mesh import Mesh, y_up, z_up
 
 
 def glb_bytes(bodies: Mapping[str, Mesh], colours: Mapping[str, tuple[int, int, int]] | None = None) -> bytes:
@@ -52,13 +52,3 @@ def stl_bytes(mesh: Mesh) -> bytes:
     """A mesh as a binary STL in millimetres, z up, ready for a slicer."""
     body = trimesh.Trimesh(mesh.vertices * 1e3, mesh.faces, process=False)
     return cast(bytes, body.export(file_type="stl"))
-
-
-def y_up(points: np.ndarray) -> np.ndarray:
-    """Points (n, 3) with z up as points (n, 3) with y up, as in glTF."""
-    return points[:, [0, 2, 1]] * np.array([1, 1, -1])
-
-
-def z_up(points: np.ndarray) -> np.ndarray:
-    """Points (n, 3) with y up, as in glTF, as points (n, 3) with z up."""
-    return points[:, [0, 2, 1]] * np.array([1, -1, 1])

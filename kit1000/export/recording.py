@@ -53,7 +53,7 @@ def write_scene_recording(
     path: Path,
     truth: bool = False,
     predictions: Path | None = None,
-    track: str = "snap",
+    track: str | None = None,
 ) -> Path:
     """Write the recording of a scene, replacing an existing file; returns the path.
 
@@ -63,16 +63,18 @@ def write_scene_recording(
         path: an .mcap file.
         truth: with models, goals and seated parts.
         predictions: a predictions file whose answers to the scene are shown, coloured by their errors; needs the truth.
-        track: whose queries give the pivots, guesses, goals and answers.
+        track: whose queries give the pivots, guesses, goals and answers; by default the first that asks in the scene.
 
     Raises:
         InputError: no such scene or track, the truth is withheld, or no answer is about the scene.
     """
-    if track not in TRACKS:
+    if track is not None and track not in TRACKS:
         raise InputError(f"no track {track!r}; {did_you_mean(track, TRACKS)}there are {', '.join(TRACKS)}")
     if predictions is not None and not truth:
         raise InputError(f"{predictions}: its errors are measured against the truth; add --truth")
     scene = dataset.recorded_scene(scene_id, truth)
+    if track is None:
+        track = next((name for name in TRACKS if any(query.track == name for query in scene.queries)), "snap")
     queries = [query for query in scene.queries if query.track == track]
     answers = None if predictions is None else _answers(predictions, scene, track)
     stamp = dataset.observation_file(scene.shard).stamp(scene_id)

@@ -10,7 +10,7 @@ import io
 import json
 import re
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -19,12 +19,14 @@ import numpy as np
 import trimesh
 
 from kit1000.errors import MeshRefused
+from kit1000.mesh import z_up
 from kit1000.parts.files.threemf import read_threemf
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".3mf", ".glb", ".gltf", ".step", ".stp")
 TEXT_SUFFIXES = (".obj", ".off")
 STEP_SUFFIXES = (".step", ".stp")
-METRE_SUFFIXES = (".glb", ".gltf", *STEP_SUFFIXES)  # by the standard for glTF; the STEP reader converts to metres
+GLTF_SUFFIXES = (".glb", ".gltf")  # y up by the standard; all others are taken as they are
+METRE_SUFFIXES = (*GLTF_SUFFIXES, *STEP_SUFFIXES)  # by the standard for glTF; the STEP reader converts to metres
 MAX_FACES = 5_000_000
 MAX_BYTES = 1_500_000_000  # an ASCII STL of 5 million faces; also the limit of what a 3MF may unpack to
 STL_HEADER = 84  # [bytes] 80 of comment, 4 of count
@@ -181,7 +183,7 @@ def _read_other(path: Path, suffix: str, data: bytes) -> TriangleSoup:
     if suffix in TEXT_SUFFIXES:
         data = _as_utf8(data)
     source = str(path) if suffix == ".gltf" else io.BytesIO(data)
-    options: dict[str, Any] = {"skip_materials": True} if suffix in (".obj", ".glb", ".gltf") else {}
+    options: dict[str, Any] = {"skip_materials": True} if suffix in (".obj", *GLTF_SUFFIXES) else {}
     try:
         scene = trimesh.load_scene(source, file_type=suffix[1:], process=False, **options)
         pieces = [piece for piece in scene.dump() if isinstance(piece, trimesh.Trimesh) and len(piece.faces)]
@@ -191,7 +193,8 @@ def _read_other(path: Path, suffix: str, data: bytes) -> TriangleSoup:
         raise MeshRefused(f"not readable as {suffix[1:].upper()}: {message or 'damaged'}") from None
     if not pieces:
         raise MeshRefused("holds no triangles")
-    return _joined(pieces, "m" if suffix in METRE_SUFFIXES else UNIT_NAMES.get(unit or ""))
+    soup = _joined(pieces, "m" if suffix in METRE_SUFFIXES else UNIT_NAMES.get(unit or ""))
+    return replace(soup, vertices=z_up(soup.vertices)) if suffix in GLTF_SUFFIXES else soup
 
 
 def _read_3mf(data: bytes) -> TriangleSoup:
