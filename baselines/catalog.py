@@ -14,6 +14,7 @@ from baselines.training.config import TrainConfig
 from kit1000.tracks import ALL_TRACKS
 
 FOLDERS = (
+    "baselines.completion",
     "baselines.controls",
     "baselines.icp",
     "baselines.registration",

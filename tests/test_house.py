@@ -55,7 +55,11 @@ FENCES = {
         "baselines.completion",
         "baselines.snapnet",
     ),
-    "kit1000.generation": ("kit1000.generation", "kit1000.cli"),  # and tests, benches and the pictures of the docs
+    "kit1000.generation": (
+        "kit1000.generation",
+        "kit1000.cli",
+        "baselines.completion.drawn_parts",
+    ),  # and tests, benches and the pictures of the docs
     "open3d": ("baselines.icp",),
     "libusb_package": ("baselines.icp",),
     "jinja2": ("benchmark.pages",),

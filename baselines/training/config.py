@@ -19,8 +19,10 @@ class TrainConfig:
     steps: int = 20_000
     batch: int = 8
     """Examples of a step, over all processes together."""
+    optimizer: Literal["adam", "muon"] = "adam"
+    """muon: orthogonalised momentum for the hidden layers, Adam for all else, see `baselines.training.muon`."""
     learning_rate: float = 1e-3
-    """Of Adam, at its peak."""
+    """Of the optimiser, at its peak."""
     warmup: int = 0
     """Steps over which the learning rate rises linearly from 0."""
     decay: Literal["none", "linear", "cosine"] = "cosine"
@@ -31,8 +33,8 @@ class TrainConfig:
     """Largest norm of the gradient."""
     ema_decay: float | None = None
     """Of an exponential moving average of the weights, such as 0.999; the average is then validated and kept."""
-    mixed_precision: Literal["auto", "off"] = "auto"
-    """auto: half precision on a GPU, bfloat16 where it has it."""
+    mixed_precision: Literal["auto", "bfloat16", "off"] = "auto"
+    """auto: half precision on a GPU, bfloat16 where it has it; bfloat16: on a CPU too."""
     seed: int = 0
     validate_every: int = 200
     """Steps."""

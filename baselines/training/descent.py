@@ -1,4 +1,4 @@
-"""Optimiser steps: Adam, half precision, a moving average of the weights, several processes."""
+"""Optimiser steps: Adam or Muon, half precision, a moving average of the weights, several processes."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from torch.nn.parallel import DistributedDataParallel
 from baselines.training.batches import Batch, Task
 from baselines.training.checkpoint import Tensors, load_into, load_into_optimizer, optimizer_tensors
 from baselines.training.config import TrainConfig
+from baselines.training.muon import Muon
 from baselines.training.ranks import Ranks
 from kit1000.errors import InputError
 from kit1000.rng import stream
@@ -32,7 +33,7 @@ class Descent:
         self.loss_sum = torch.zeros((), dtype=torch.float64, device=ranks.device)
         """Over the steps since it was reset; on the device, so that no step waits for a transfer."""
         self._half = _half(config, ranks.device)
-        self._optimizer = _adam(self.model, config)
+        self._optimizer = {"adam": _adam, "muon": _muon}[config.optimizer](self.model, config)
         self._scaler = torch.amp.GradScaler(enabled=self._half == torch.float16)  # pyright: ignore[reportPrivateImportUsage]
         self._average = {} if config.ema_decay is None else _copied(self.model)
         self._parallel: torch.nn.Module | None = None
@@ -135,8 +136,28 @@ def _adam(model: torch.nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
     return torch.optim.AdamW([group for group in groups if group["params"]], config.learning_rate)
 
 
+def _muon(model: torch.nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
+    """Muon for the weights of hidden layers; Adam for vectors and for the layers that a network names its ENDS."""
+    ends = tuple(f"{name}." for name in getattr(model, "ENDS", ()))
+    groups: dict[tuple[bool, bool], list[torch.nn.Parameter]] = {}
+    for name, parameter in model.named_parameters():
+        if parameter.requires_grad:
+            groups.setdefault((parameter.ndim > 1 and not name.startswith(ends), parameter.ndim > 1), []).append(
+                parameter
+            )
+    return Muon(
+        [
+            {"params": parameters, "orthogonal": hidden, "weight_decay": config.weight_decay if weights else 0.0}
+            for (hidden, weights), parameters in groups.items()
+        ],
+        config.learning_rate,
+    )
+
+
 def _half(config: TrainConfig, device: torch.device) -> torch.dtype | None:
-    """The half-precision type of a GPU; None on a CPU."""
+    """The half-precision type; None for float32."""
+    if config.mixed_precision == "bfloat16":
+        return torch.bfloat16
     if config.mixed_precision == "off" or device.type != "cuda":
         return None
     return torch.bfloat16 if torch.cuda.get_device_capability(device) >= BF16_SINCE else torch.float16

@@ -101,7 +101,11 @@ def sense(name: str, view: View, rng: np.random.Generator, frames: int = 1) -> V
     """
     if name not in SENSORS:
         raise InputError(f"sensor: there is no {name!r}, expected one of {', '.join(SENSORS)}")
-    sensor = _of_frames(SENSORS[name], frames)
+    return measured(_of_frames(SENSORS[name], frames), view, rng)
+
+
+def measured(sensor: Sensor, view: View, rng: np.random.Generator) -> View:
+    """What one frame of a sensor measures of an ideal view, as by `sense`."""
     scale = np.float32(1 + sensor.scale_error * rng.uniform(-1, 1))
     recorded_pose = _recorded_pose(sensor, view.world_from_camera, rng)
     depth = scale * (_measured_depth(sensor, view, rng) if sensor.baseline > 0 else view.depth)
