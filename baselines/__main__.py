@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 
@@ -59,18 +59,22 @@ class Predict:
     """Only the first N queries."""
     seed: int = 0
     """Of all draws of the method."""
+    masks: Literal["given", "predicted"] = "given"
+    """Those of the dataset, or such as segmentation of the depth image finds."""
 
     def run(self) -> int:
         """Predict, then print what was written."""
+        from baselines.methods import PREDICTED_MASKS
         from baselines.predict import RunConfig, predict
 
         for name, value, least in (("workers", self.workers, 1), ("limit", self.limit, 1), ("seed", self.seed, 0)):
             _check_least(name, value, least)
-        config = RunConfig(self.name, self.split, self.tracks or None, self.seed, self.limit)
+        name = self.name if self.masks == "given" else self.name + PREDICTED_MASKS
+        config = RunConfig(name, self.split, self.tracks or None, self.seed, self.limit)
         submission = predict(config, self.data, self.out, self.workers)
         seconds = submission.predictions.seconds.mean()
         tracks = ", ".join(submission.manifest.tracks)
-        print(f"{self.out}: {len(submission.predictions)} predictions of {self.name} ({tracks}), {seconds:.3g} s each")
+        print(f"{self.out}: {len(submission.predictions)} predictions of {name} ({tracks}), {seconds:.3g} s each")
         return 0
 
 

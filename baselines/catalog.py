@@ -41,6 +41,8 @@ class Method:
     control: bool = False
     """Whether it is a control, such as the unchanged guess, and no method."""
     predicts: Literal["pose", "rotation"] = "pose"
+    masks: Literal["given", "predicted"] = "given"
+    """Those of the dataset, or such as `baselines.segmentation` finds in the depth image."""
     training_data: str = ""
     """What it learned from."""
     weights: Mapping[str, str] = field(default_factory=dict)

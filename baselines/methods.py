@@ -4,25 +4,34 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+from dataclasses import replace
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from baselines.catalog import Method, all_methods
+from baselines.segmentation.queries import OnPredictedMasks
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.predictor import Predictor
 from kit1000.tracks import ALL_TRACKS
 
 WEIGHTS = Path(__file__).parent / "weights"
+SEGMENTATION = Path(__file__).parent / "segmentation"
 ATTRIBUTES = ("tracks", "uses_true_geometry", "learned", "predicts", "training_data", "label", "paper_row")
 """What is read from a method of your own."""
+PREDICTED_MASKS = "+predicted-masks"  # after the name of a method: it is run without the masks of the dataset
 
 
 def method_of(name: str) -> Method:
-    """A method of the catalog, or one of your own by `module:Object`, described by its ATTRIBUTES."""
+    """A method of the catalog, or one of your own by `module:Object`, described by its ATTRIBUTES.
+
+    With PREDICTED_MASKS after its name it reads predicted masks.
+    """
     methods = all_methods()
+    if name.endswith(PREDICTED_MASKS):
+        return _on_predicted_masks(method_of(name.removesuffix(PREDICTED_MASKS)))
     if name in methods:
         return methods[name]
     if ":" not in name:
@@ -38,12 +47,21 @@ def method_of(name: str) -> Method:
 
 def make_predictor(method: Method, dataset: Dataset, seed: int) -> Predictor:
     """The predictor of a method, ready to be called. seed: of all its draws."""
-    target: Any = resolved(method.make)
-    if not isinstance(target, type):
-        return target
-    takes_seed = "seed" in inspect.signature(target).parameters
-    weights = {name: WEIGHTS / stem for name, stem in method.weights.items()}
-    return target(dataset, **method.options, **weights, **({"seed": seed} if takes_seed else {}))
+    predictor: Any = resolved(method.make)
+    if isinstance(predictor, type):
+        takes_seed = "seed" in inspect.signature(predictor).parameters
+        weights = {name: WEIGHTS / stem for name, stem in method.weights.items()}
+        predictor = predictor(dataset, **method.options, **weights, **({"seed": seed} if takes_seed else {}))
+    given = method.masks == "given"
+    return predictor if given else OnPredictedMasks(predictor, dataset.summary["config"]["scale"])
+
+
+def _on_predicted_masks(method: Method) -> Method:
+    """A method that reads predicted masks; raises InputError where masks are no input of it."""
+    if method.uses_true_geometry or method.control:
+        raise InputError(f"--masks predicted: {method.make} reads the truth or is a control; use --masks given")
+    label = f"{method.label}, predicted masks" if method.label else ""
+    return replace(method, masks="predicted", label=label, description=f"{method.description}; masks from depth alone")
 
 
 def resolved(target: str) -> Any:
@@ -66,6 +84,7 @@ def source_hash(method: Method) -> str:
     package = spec.name if spec.submodule_search_locations else spec.parent
     origin = Path(spec.origin)
     files = [origin] if package in ("", __package__) else sorted(origin.parent.rglob("*.py"))
+    files += sorted(SEGMENTATION.glob("*.py")) if method.masks == "predicted" else []
     files += [WEIGHTS / f"{stem}.safetensors" for stem in method.weights.values()]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 

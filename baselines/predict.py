@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from baselines.catalog import Method
 from baselines.journal import Journal
-from baselines.methods import make_predictor, method_of, source_hash
+from baselines.methods import PREDICTED_MASKS, make_predictor, method_of, source_hash
 from kit1000.dataset.reader import Dataset
 from kit1000.engines import local_engine
 from kit1000.engines.cores import usable_cores
@@ -41,7 +41,7 @@ class RunConfig:
     """What a run predicts. With the dataset and the method's own files it determines every prediction."""
 
     name: str
-    """Of a method: one of the catalog, or module:Object."""
+    """Of a method: one of the catalog, or module:Object; with PREDICTED_MASKS behind it, without given masks."""
     splits: tuple[str, ...] = ("test",)
     tracks: tuple[str, ...] | None = None
     """None: all tracks of the method."""
@@ -201,6 +201,7 @@ def _manifest(config: RunConfig, method: Method, dataset: Dataset, tracks: set[s
         learned=method.learned,
         uses_true_geometry=method.uses_true_geometry,
         control=method.control,
+        masks=method.masks,
         paper_row=method.paper_row,
         training_data=method.training_data,
     )
@@ -220,7 +221,9 @@ def _in_order(tracks: set[str]) -> tuple[str, ...]:
 
 def _command(config: RunConfig, dataset: Dataset, out: Path) -> str:
     """The command that repeats a run, with the folders of a checkout."""
-    words = ["python", "-m", "baselines", "predict", config.name, "--split", *config.splits]
+    name = config.name.removesuffix(PREDICTED_MASKS)
+    words = ["python", "-m", "baselines", "predict", name, "--split", *config.splits]
+    words += ["--masks", "predicted"] if name != config.name else []
     words += ["--tracks", *config.tracks] if config.tracks else []
     words += ["--seed", str(config.seed)] if config.seed else []
     words += ["--limit", str(config.limit)] if config.limit is not None else []

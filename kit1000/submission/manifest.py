@@ -25,6 +25,7 @@ else:
 
 FILE = "manifest.toml"
 PREDICTS = ("pose", "rotation")
+MASKS = ("given", "predicted")
 MAX_NAME = 80  # characters of a name or label, so that it fits into a table
 MAX_TEXT = 2000  # characters of any other field
 DAY = re.compile(r"\d{4}-\d{2}-\d{2}\Z", re.ASCII)
@@ -65,6 +66,8 @@ class Manifest:
     """The computer on which the seconds were measured."""
     camera_set: str = "primary"
     """The cameras it reads: primary, three or top."""
+    masks: str = "given"
+    """The masks it reads: those of the dataset, given, or predicted from depth."""
     reproduce: str = ""
     """The command that makes these predictions."""
     dataset_checksum: str = ""
@@ -192,6 +195,7 @@ EXPECTED = {
     "control": "true or false",
     "paper_row": f"the key of a row of Table I, of at most {MAX_NAME} characters, in one line, or nothing",
     "camera_set": f"one of {', '.join(CAMERA_SETS)}",
+    "masks": " or ".join(MASKS),
 }
 EXAMPLES = {
     "method": '"my method"',
@@ -246,7 +250,7 @@ def _wrong_value(name: str, value: str | bool | Sequence[str]) -> tuple[str, str
     return None
 
 
-CHOICES = {"tracks": ALL_TRACKS, "predicts": PREDICTS, "camera_set": CAMERA_SETS}
+CHOICES = {"tracks": ALL_TRACKS, "predicts": PREDICTS, "camera_set": CAMERA_SETS, "masks": MASKS}
 
 
 def _choice(texts: list[str], known: tuple[str, ...]) -> tuple[str, str] | None:

@@ -1,0 +1,179 @@
+"""Segmentation from depth alone: laws of outlines and merging, scenes whose parts touch, images that show nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import label
+
+from baselines.catalog import all_methods
+from baselines.methods import PREDICTED_MASKS, method_of, source_hash
+from baselines.predict import RunConfig, predict
+from baselines.segmentation.bodies import world_points
+from baselines.segmentation.instances import segmented
+from baselines.segmentation.merging import area_of, best_pairs, gap_between, outline_of
+from baselines.segmentation.pieces import connected
+from baselines.segmentation.queries import with_predicted_masks
+from kit1000.camera import Camera, look_at
+from kit1000.dataset.reader import Dataset
+from kit1000.errors import InputError
+from kit1000.mesh import Mesh
+from kit1000.metrics.segmentation import matched_masks, mean_iou
+from kit1000.pose import Pose
+from kit1000.sim.footprints import footprint_distance
+from kit1000.sim.layout import table
+from kit1000.sim.render import render
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
+
+CAMERA = Camera(480, 360, 460.0, 460.0, 239.5, 179.5)
+EYE = look_at((0.45, -0.1, 0.5), (0.0, -0.05, 0.02))
+BOX = table().vertices / (1.2, 1.6, 0.04) + (0, 0, 1)  # 1 m wide, on z = 0
+
+
+def box(x: float, y: float, size: tuple[float, float, float]) -> tuple[Mesh, Pose]:
+    return Mesh(BOX * size, table().faces), Pose.from_translation([x, y, 0.0])
+
+
+def scene(*bodies: tuple[Mesh, Pose]) -> LabelledDepth:
+    """The first body is a kit, the others are parts."""
+    image = render(CAMERA, EYE, [(table(), Pose.identity()), *bodies])
+    labels = np.maximum(image.body_ids - 1, 0).astype(np.uint8)  # the table is the first body
+    return LabelledDepth(View(CAMERA, EYE, image.depth), labels)
+
+
+KIT = box(0.0, 0.09, (0.15, 0.12, 0.05))
+
+
+def test_boxes_that_touch_are_told_apart_and_one_box_is_one() -> None:
+    low, high = box(0.0, -0.10, (0.03, 0.04, 0.02)), box(-0.0351, -0.105, (0.04, 0.06, 0.045))
+    side = box(0.005, -0.1451, (0.03, 0.05, 0.03))
+    for parts in ((low,), (high,), (low, high), (low, side), (low, high, side)):
+        image = scene(KIT, *parts)
+        found = segmented(image.view)
+        assert mean_iou(found, image.labels) > 0.97, len(parts)
+        assert found.max() == image.labels.max()
+
+
+def test_a_part_in_two_pieces_behind_another_is_one() -> None:
+    """A bar lies behind a post, which hides its middle."""
+    image = scene(KIT, box(-0.02, -0.12, (0.02, 0.06, 0.02)), box(0.03, -0.12, (0.012, 0.012, 0.05)))
+    assert mean_iou(segmented(image.view), image.labels) > 0.97
+
+
+def test_a_mirrored_image_has_mirrored_masks(mini: Path) -> None:
+    mirror = np.diag([-1.0, 1.0, 1.0])
+    for scene_ in list(Dataset(mini).split("test"))[:3]:
+        view = scene_.view()
+        c, pose = view.camera, view.world_from_camera
+        camera = Camera(c.width, c.height, c.fx, c.fy, c.width - 1 - c.cx, c.cy)
+        turned = Pose.from_rotation_matrix(mirror @ pose.rotation_matrix() @ mirror, mirror @ pose.xyz)
+        mirrored = segmented(View(camera, turned, view.depth[:, ::-1].copy()))[:, ::-1]
+        assert matched_masks(mirrored, segmented(view)).iou.min() > 0.95
+
+
+def test_masks_do_not_depend_on_where_along_the_table_the_world_begins(mini: Path) -> None:
+    view = next(iter(Dataset(mini).split("test"))).view()
+    moved = View(view.camera, Pose.from_translation([0.2, 0.0, 0.0]) @ view.world_from_camera, view.depth)
+    assert (segmented(moved) == segmented(view)).mean() > 0.9999
+
+
+def test_instances_are_counted_in_the_order_of_their_first_pixels(mini: Path) -> None:
+    for scene_ in list(Dataset(mini).split("train"))[:3]:
+        labels = segmented(scene_.view())
+        firsts = [np.argmax(labels == number) for number in range(FIRST_PART_LABEL, int(labels.max()) + 1)]
+        assert firsts == sorted(firsts)
+        assert (labels[world_points(scene_.view())[..., 1] < 0] != ASSEMBLY_LABEL).all()
+
+
+def test_scenes_are_segmented_as_well_as_stated(mini: Path) -> None:
+    scenes = [*Dataset(mini).split("train"), *Dataset(mini).split("test")][:8]
+    for sensor, least in (("ideal", 0.95), ("d415", 0.55)):
+        images = [scene_.labelled_depth(sensor) for scene_ in scenes if sensor in scene_.sensors]
+        assert np.mean([mean_iou(segmented(image.view, sensor), image.labels) for image in images]) > least
+
+
+@pytest.mark.parametrize("sensor", ["ideal", "d415"])
+def test_images_that_show_nothing_have_no_instance(sensor: str) -> None:
+    noise = np.random.default_rng(0).uniform(0, 2, (360, 480)).astype(np.float32)
+    empty = render(CAMERA, EYE, [(table(), Pose.identity())]).depth
+    for depth in (np.zeros((360, 480), np.float32), empty, np.full((360, 480), 1e-6, np.float32), noise):
+        labels = segmented(View(CAMERA, EYE, depth), sensor)
+        assert labels.dtype == np.uint8
+        assert labels.shape == depth.shape
+        assert depth is not empty or not labels.any()
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_outlines_that_lie_apart_have_a_gap_no_longer_than_their_distance(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    a, b = (outline_of(rng.normal(rng.uniform(-3, 3, 2), 1, (int(rng.integers(3, 12)), 2))) for _ in range(2))
+    gap, distance = gap_between(a, b), footprint_distance(a, b)
+    assert gap == gap_between(b, a)
+    assert (gap <= 0) == (distance == 0)
+    assert max(gap, 0) <= distance + 1e-12
+    both = outline_of(np.concatenate([a, b]))
+    assert area_of(both) >= max(area_of(a), area_of(b)) - 1e-12
+    assert gap_between(both, a) < 0
+    assert area_of(outline_of(np.zeros((3, 2)))) > 0
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=25, deadline=None)
+def test_components_without_any_step_are_those_of_scipy(seed: int) -> None:
+    mask = np.random.default_rng(seed).random((9, 12)) < 0.6
+    everywhere = [np.ones((8, 12), bool), np.ones((9, 11), bool)]
+    expected, count = label(mask)  # type: ignore[misc]
+    assert np.array_equal(connected(mask, everywhere), expected)
+    assert len(np.unique(connected(mask, [~edge for edge in everywhere]))) == mask.sum() + (not mask.all())
+    assert count == expected.max()
+
+
+@given(st.lists(st.integers(-3, 3), min_size=6, max_size=6))
+def test_the_pairs_that_merge_are_each_others_best(scores: list[int]) -> None:
+    pairs = [(i, j) for i in range(4) for j in range(i + 1, 4)]
+    chosen = best_pairs(pairs, np.array(scores, float))
+    labels = [label_ for pair in chosen for label_ in pair]
+    assert len(labels) == len(set(labels))
+    for pair in chosen:
+        rivals = [score for other, score in zip(pairs, scores, strict=True) if {*other} & {*pair}]
+        assert scores[pairs.index(pair)] == max(rivals) > 0
+    assert bool(chosen) == (max(scores) > 0)
+
+
+def test_a_query_gets_its_part_by_the_pivot_and_never_reads_the_masks(mini: Path) -> None:
+    queries = [query for query in Dataset(mini).split("test").queries() if query.sensor == "ideal"][:6]
+    for query in queries:
+        predicted = with_predicted_masks(query)
+        assert (predicted.part_mask & query.part_mask).sum() > 0.8 * (predicted.part_mask | query.part_mask).sum()
+        assert (predicted.kit_region & query.kit_region).sum() > 0.95 * query.kit_region.sum()
+        nothing = LabelledDepth(query.view, np.zeros_like(query.image.labels))
+        blind = replace(query, part=3 - query.part, read_image=lambda nothing=nothing: nothing)
+        assert np.array_equal(with_predicted_masks(blind).part_mask, predicted.part_mask)
+
+
+def test_a_part_that_is_not_found_is_looked_for_at_the_pivot(mini: Path) -> None:
+    query = next(Dataset(mini).split("test").queries())
+    kits = query.image.labels
+    view = query.view
+    depth = np.where(kits > ASSEMBLY_LABEL, 0, view.depth).astype(np.float32)
+    hidden = LabelledDepth(View(view.camera, view.world_from_camera, depth), np.zeros_like(kits))
+    predicted = with_predicted_masks(replace(query, read_image=lambda: hidden))
+    assert predicted.part_mask.sum() <= 21 * 21
+
+
+def test_a_run_on_predicted_masks_says_so_and_is_another_method(mini: Path, tmp_path: Path) -> None:
+    name = "registration" + PREDICTED_MASKS
+    manifest = predict(RunConfig(name, ("test",), ("snap",), limit=1), mini, tmp_path / "out", 1).manifest
+    assert (manifest.method, manifest.masks) == (name, "predicted")
+    assert "predict registration --split test --masks predicted" in manifest.reproduce
+    assert predict(RunConfig("guess", ("test",), ("snap",)), mini, tmp_path / "guess", 1).manifest.masks == "given"
+    assert source_hash(method_of(name)) != source_hash(all_methods()["registration"])
+    for refused in ("truth", "registration-gtvol"):
+        with pytest.raises(InputError, match="--masks given"):
+            method_of(refused + PREDICTED_MASKS)
