@@ -18,6 +18,7 @@ import numpy as np
 
 from baselines.catalog import Method
 from baselines.points import observed_points
+from baselines.restoration import restored_query
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
@@ -57,19 +58,20 @@ class Icp:
         """The motion that ICP converges to; confidence: the share of the shell that then has a partner."""
         if query.guess is None:
             raise InputError(f"{query.id}: ICP begins at a guess, and there is none")
-        guessed = query.guess.apply(query.pivot)
+        query, guess = restored_query(query), query.guess
+        guessed = guess.apply(query.pivot)
         world_from_middle = Pose(query.view.world_from_camera.wxyz, guessed)
-        shell = _in_middle_frame(world_from_middle, query.guess.apply(shell_of(query)))
+        shell = _in_middle_frame(world_from_middle, guess.apply(shell_of(query)))
         kits = _in_middle_frame(world_from_middle, observed_points(query, query.kit_region))
         reach = np.linalg.norm(shell, axis=1).max() + FARTHEST
         kits = kits[np.linalg.norm(kits, axis=1) < reach]
         if len(kits) < FEWEST:
-            return PredictedMotion(query.guess, 0.0)
+            return PredictedMotion(guess, 0.0)
         kits = kits[:: -(-len(kits) // MOST_KITS)]
         step, fitness = fitted(shell, kits, _in_middle_frame(world_from_middle, query.view.world_from_camera.xyz))
         if np.linalg.norm(step.xyz) > FARTHEST or step.angle() > MAX_ANGLE:
-            return PredictedMotion(query.guess, 0.0)
-        return PredictedMotion(world_from_middle @ step @ world_from_middle.inverse() @ query.guess, fitness)
+            return PredictedMotion(guess, 0.0)
+        return PredictedMotion(world_from_middle @ step @ world_from_middle.inverse() @ guess, fitness)
 
 
 def _in_middle_frame(world_from_middle: Pose, points: np.ndarray) -> np.ndarray:

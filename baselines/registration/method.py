@@ -11,6 +11,7 @@ from baselines.registration.certain import register_certain
 from baselines.registration.columns import register_columns
 from baselines.registration.fits import Fit, ranked
 from baselines.registration.sources import DepthSource, TrueSource
+from baselines.restoration import restored_query
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
@@ -61,6 +62,7 @@ class Registration:
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits at all clearances, the best first."""
         clearances = self.clearances or (self.dataset.summary["config"]["clearance"],)
+        query = query if self.source == "truth" else restored_query(query)
         if self.source == "depth":
             source = DepthSource(query)
             return ranked(chain.from_iterable(register_certain(source, query, c) for c in clearances))

@@ -10,8 +10,7 @@ import numpy as np
 
 from baselines.completion import ObservedPart
 from baselines.completion.part import HALF_WIDTH, PartEvidence
-from baselines.completion.pixels import IDEAL, SENSOR, Noise, noise_of, oriented_points
-from kit1000.compiled import compiled
+from baselines.completion.pixels import Noise, noise_of, oriented_points
 from kit1000.pose import Pose
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry, View
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points, tsdf
@@ -20,9 +19,7 @@ VOXEL = 1e-3  # [m] of the part's volume
 SIDE = 2 * round(HALF_WIDTH / VOXEL)  # voxels
 COARSE = 2e-3  # [m] voxels of the volume in which planes are searched
 EXACT = Noise(0.5e-3, float(np.radians(1.5)), 1)
-EDGE = 5e-3  # [m] a step in depth larger than noise
 SEEN_POINTS = 1500
-GAP = 20  # [px] the widest that is closed
 
 
 class Source(Protocol):
@@ -97,17 +94,10 @@ class DepthSource:
         """Of the image."""
         return noise_of(self.query.sensor)
 
-    @cached_property
+    @property
     def view(self) -> View:
-        """The image; a noisy one is smoothed within part and kits, but not across edges, and its gaps are closed."""
-        view = self.query.view
-        if self.noise is IDEAL:
-            return view
-        depth = view.depth.copy()
-        for mask in (self.query.part_mask, self.query.kit_region):
-            _close_gaps(depth, mask)
-            _smooth(depth, mask & (depth > 0))
-        return View(view.camera, view.world_from_camera, depth)
+        """The image."""
+        return self.query.view
 
     def part(self) -> Volume:
         """The part from its observed points down to the table, except for free space."""
@@ -145,55 +135,6 @@ class DepthSource:
     def _part(self) -> ObservedPart:
         image = LabelledDepth(self.view, self.query.image.labels)
         return ObservedPart(image, FIRST_PART_LABEL + self.query.part, self.query.pivot)
-
-
-def _close_gaps(depth: np.ndarray, mask: np.ndarray) -> None:
-    """Give masked pixels without return, in gaps of at most GAP along a row, the farther depth of the two sides.
-
-    Such gaps are shadows of the sensor's projector or its second camera: they belong to the farther surface.
-    """
-    v, u = np.nonzero(mask)
-    if len(v) == 0:
-        return
-    box = np.s_[v.min() : v.max() + 1, u.min() : u.max() + 1]
-    here, inside = depth[box], mask[box]
-    known = inside & (here > 0)
-    columns = np.arange(here.shape[1])
-    left = np.maximum.accumulate(np.where(known, columns, -GAP - 1), axis=1)
-    right = np.minimum.accumulate(np.where(known, columns, len(columns) + GAP)[:, ::-1], axis=1)[:, ::-1]
-    sides = [np.where(np.abs(side - columns) <= GAP, side, -1) for side in (left, right)]
-    rows = np.arange(here.shape[0])[:, None]
-    farther = np.maximum(*(np.where(side >= 0, here[rows, side], 0) for side in sides))
-    here[inside & ~known] = farther[inside & ~known]
-
-
-def _smooth(depth: np.ndarray, mask: np.ndarray) -> None:
-    """Replace the depths (H, W) [m] of a mask by the means of the neighbouring depths within EDGE of each."""
-    v, u = np.nonzero(mask)
-    if len(v) == 0:
-        return
-    reach = SENSOR.window // 2
-    box = np.s_[max(v.min() - reach, 0) : v.max() + reach + 1, max(u.min() - reach, 0) : u.max() + reach + 1]
-    smoothed = np.empty_like(depth[box])
-    _means(depth[box], mask[box], reach, EDGE, smoothed)
-    depth[box] = smoothed
-
-
-@compiled
-def _means(depth, inside, reach, edge, smoothed):
-    height, width = depth.shape
-    for v in range(height):
-        for u in range(width):
-            smoothed[v, u] = depth[v, u]
-            if not inside[v, u]:
-                continue
-            total, count = 0.0, 0
-            for y in range(max(v - reach, 0), min(v + reach + 1, height)):
-                for x in range(max(u - reach, 0), min(u + reach + 1, width)):
-                    if inside[y, x] and abs(depth[y, x] - depth[v, u]) < edge:
-                        total += depth[y, x]
-                        count += 1
-            smoothed[v, u] = total / count
 
 
 def _part_grid(middle: np.ndarray) -> Grid:

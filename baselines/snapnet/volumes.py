@@ -18,6 +18,7 @@ from scipy.ndimage import find_objects
 
 from baselines.completion import TABLE_MARGIN, ObservedKits, ObservedPart
 from baselines.completion.pixels import cropped, noise_of
+from baselines.restoration import restored
 from baselines.snapnet.config import Cells, PositionConfig, RotationConfig, Source
 from baselines.snapnet.points import sample_points
 from kit1000.errors import InputError
@@ -69,7 +70,9 @@ class ImageCache:
 
     def _of(self, query: Query) -> ImageCrops:
         key = (query.scene_id, query.sensor)
-        return _cached(self._crops, key, SCENES, lambda: image_crops(self._read_image(query), query))
+        return _cached(
+            self._crops, key, SCENES, lambda: image_crops(restored(self._read_image(query), query.sensor), query)
+        )
 
 
 @dataclass(frozen=True, eq=False)
