@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import inspect
 from dataclasses import replace
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from baselines.catalog import Method, all_methods
 from baselines.segmentation.queries import OnPredictedMasks
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
-from kit1000.predictor import Predictor
+from kit1000.predictor import Predictor, resolved
 from kit1000.tracks import ALL_TRACKS
 
 WEIGHTS = Path(__file__).parent / "weights"
@@ -62,18 +61,6 @@ def _on_predicted_masks(method: Method) -> Method:
         raise InputError(f"--masks predicted: {method.make} reads the truth or is a control; use --masks given")
     label = f"{method.label}, predicted masks" if method.label else ""
     return replace(method, masks="predicted", label=label, description=f"{method.description}; masks from depth alone")
-
-
-def resolved(target: str) -> Any:
-    """The object that `module:Object` names; raises InputError where there is none that can be called."""
-    module, _, name = target.partition(":")
-    try:
-        value = getattr(import_module(module), name, None)
-    except ImportError as error:
-        raise InputError(f"{target}: {' '.join(str(error).split())}") from error
-    if not callable(value):
-        raise InputError(f"{target}: {module} has no {name or 'object'} that can be called")
-    return value
 
 
 def source_hash(method: Method) -> str:

@@ -9,11 +9,11 @@ from typing import Any
 import torch
 
 from baselines.catalog import all_networks
-from baselines.methods import resolved
 from baselines.training.config import TrainConfig
 from baselines.training.loop import TrainingResult, train
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
+from kit1000.predictor import resolved
 
 
 def train_network(name: str, data: Path, out: Path, preset: str, changes: dict[str, Any]) -> TrainingResult:

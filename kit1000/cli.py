@@ -16,20 +16,21 @@ import tyro
 
 from kit1000 import __version__
 from kit1000.errors import InputError
+from kit1000.summaries import kit_report_text, summary_text
 from kit1000.usage import run
 
 if TYPE_CHECKING:
     from kit1000.generation.plan import Sources
     from kit1000.generation.presets import Preset
 
-MAX_LISTED = 20  # refused files in a summary
-PRINTER_BED_MM = 250  # side of the bed of a usual desktop printer
 ABOUT = """KIT1000: parts, kits that fit them, angled assemblies of kits, and depth scenes for learning kit assembly.
 
 `kit1000 COMMAND --help` describes a command, `kit1000 --version` prints the version.
 
 Results go to stdout, progress and error messages to stderr. Exit status: 0 success, 1 a check found faults,
 2 wrong usage or invalid input, 3 a bug of kit1000, 130 interrupted."""
+
+SNAP = "baselines.registration.proposals:ProposingRegistration"  # by name: the wheel is without the baselines
 
 OptionalInt = Annotated[int | None, tyro.conf.arg(metavar="N")]
 OptionalFloat = Annotated[float | None, tyro.conf.arg(metavar="X")]
@@ -316,6 +317,38 @@ class Check:
         return 0 if report.good else 1
 
 
+@dataclass(frozen=True)
+class Edit:
+    """Open a page in which you drag the parts of a scene onto their cavities; prints its address. Ctrl-C ends it."""
+
+    data: Folder
+    """Dataset folder."""
+    scene: Annotated[str, tyro.conf.arg(metavar="ID")]
+    """Id of the scene, such as test-s0003."""
+    out: Path = Path("edits")
+    """Submission folder for the confirmed parts and the log; the same command again continues."""
+    sensor: Literal["ideal", "d415"] = "ideal"
+    """Sensor of the depth image."""
+    snap: Annotated[str, tyro.conf.arg(metavar="module:Object")] = SNAP
+    """Method that proposes where parts fit: a predictor of your own, or none."""
+    port: OptionalInt = None
+    """Port of the page; a free one when absent."""
+    truth: Flag = False
+    """Show true shapes; the page and every line of the log say so."""
+
+    def run(self) -> int:
+        """Serve the page until Ctrl-C."""
+        try:
+            from kit1000.editor.serve import Options
+            from kit1000.editor.serve import run as serve
+        except ModuleNotFoundError as error:
+            if error.name != "viser":
+                raise
+            raise InputError("edit: needs viser: pip install 'kit1000[edit]'") from None
+        serve(Options(self.data, self.scene, self.out, self.sensor, self.snap, self.port, self.truth))
+        return 0
+
+
 COMMANDS = {
     "generate": Generate,
     "kit": MakeKit,
@@ -324,6 +357,7 @@ COMMANDS = {
     "verify": Verify,
     "export": Export,
     "check": Check,
+    "edit": Edit,
     "insertions": Insertions,
 }
 
@@ -335,58 +369,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"kit1000 {__version__}")
         return 0
     return run("kit1000", COMMANDS, ABOUT, arguments)
-
-
-def summary_text(summary: dict) -> str:
-    """The contents of a dataset.json as text."""
-    seed = "withheld" if summary["seed"] is None else summary["seed"]
-    lines = [
-        f"{summary['preset']}  {summary['dataset_id']}"
-        f"  (seed {seed}, data {summary['data_version']}, {summary['licence']})"
-    ]
-    for split in ("train", "val", "test"):
-        n = summary["counts"][split]
-        lines.append(
-            f"  {split:6s} {n['parts']:5d} parts and kits, {n['assemblies']:5d} assemblies, {n['scenes']:5d} scenes"
-        )
-    for kind, reasons in sorted(summary["redraws"].items()):
-        ranked = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
-        lines.append(f"  redraws of {kind}: {', '.join(f'{n}x {reason}' for reason, n in ranked) or 'none'}")
-    refused = sorted((summary["refused"] | summary["refused_scenes"]).items())
-    refused = [f"  refused {name}: {reason}" for name, reason in refused]
-    lines += refused[:MAX_LISTED]
-    if len(refused) > MAX_LISTED:
-        lines.append(f"  {len(refused) - MAX_LISTED} more refused: dataset.json lists them")
-    return "\n".join([*lines, *_files_taken(summary)])
-
-
-def _files_taken(summary: dict) -> list[str]:
-    """The last line of a summary: of how many mesh files parts were made, and why not of the others."""
-    if not summary["refused"]:
-        return []
-    from kit1000.parts.files.refusals import refusal_counts
-
-    taken = sum(count["parts"] for count in summary["counts"].values())
-    tried = taken + len(summary["refused"])
-    return [
-        f"  {taken} of {tried} mesh files taken as parts; the others: {refusal_counts(summary['refused'].values())}"
-    ]
-
-
-def kit_report_text(report: dict, out: Path) -> str:
-    """The report of a kit as text."""
-    size, plate = (" x ".join(f"{side:.1f}" for side in report[key]) for key in ("size_mm", "plate_mm"))
-    lines = [
-        f"part       {report['part']}: {size} mm ({report['unit_reason']})",
-        *(f"           {note}" for note in report["repairs"]),
-        f"plate      {plate} mm, cavity {report['depth_mm']:.1f} mm deep, part protrudes {report['proud_mm']:.1f} mm",
-        f"clearance  {report['clearance_smallest_mm']:.3f} to {report['clearance_largest_mm']:.3f} mm"
-        f" (requested {report['clearance_asked_mm']:g})",
-        f"walls      {report['walls_removed']} too thin to print, removed ({report['walls_removed_mm3']:.0f} mm3);"
-        f" undercuts {report['undercut_lost_mm3']:.0f} mm3",
-    ]
-    if not report["trial"]["passes"]:
-        lines.append(f"note       the cavity alone does not determine the pose: the part {report['trial']['why']}")
-    if max(report["plate_mm"][:2]) > PRINTER_BED_MM:
-        lines.append(f"note       the plate is larger than the bed of a usual printer, {PRINTER_BED_MM} mm")
-    return "\n".join([*lines, f"files      {out}"])

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any, NamedTuple, Protocol
 
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.values import Prediction, Query, TrueGeometry
@@ -24,6 +27,35 @@ class Predictor(Protocol):
     def __call__(self, query: Query, geometry: TrueGeometry | None, /) -> PredictedMotion:
         """Predict from this query alone. The geometry is None unless the method sets `uses_true_geometry`."""
         ...
+
+
+class Proposer(Protocol):
+    """What a method may offer beside its prediction: all fits of a part, for a person to choose among."""
+
+    def propose(self, query: Query, geometry: TrueGeometry | None, /) -> Sequence[PredictedMotion]:
+        """All fits, the best first, none where nothing fits; the first is what the predictor returns.
+
+        A confidence is calibrated: of fits with 0.8, about 80 % are seated.
+        """
+        ...
+
+
+def resolved(target: str) -> Any:
+    """The object that `module:Object` names; raises InputError where there is none that can be called."""
+    module, _, name = target.partition(":")
+    try:
+        value = getattr(import_module(module), name, None)
+    except (ImportError, ValueError) as error:
+        raise InputError(f"{target}: {' '.join(str(error).split())}") from error
+    if not callable(value):
+        raise InputError(f"{target}: {module} has no {name or 'object'} that can be called")
+    return value
+
+
+def predictor_of(target: str, dataset: Dataset) -> Predictor:
+    """The predictor that `module:Object` names: a function as it is, or a class, called with the dataset."""
+    value = resolved(target)
+    return value(dataset) if isinstance(value, type) else value
 
 
 def to_prediction(query: Query, predicted: PredictedMotion, seconds: float) -> Prediction:

@@ -14,13 +14,13 @@ from baselines import catalog
 from baselines.__main__ import main
 from baselines.catalog import Method, all_methods, all_networks
 from baselines.controls import SeenGoal, seen_motion
-from baselines.methods import listed, make_predictor, method_of, resolved, source_hash
+from baselines.methods import listed, make_predictor, method_of, source_hash
 from baselines.points import observed_points
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.motions import error_of, goal_motion, goal_pose
 from kit1000.pose import Pose
-from kit1000.predictor import PredictedMotion
+from kit1000.predictor import PredictedMotion, resolved
 from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.submission import Manifest
 from kit1000.testing import check_predictor

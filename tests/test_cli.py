@@ -18,7 +18,6 @@ from mini import MINI, fake_scene, file_hashes, l_shape, l_shape_sources, write_
 from PIL import Image
 
 import kit1000
-from kit1000 import cli
 from kit1000.cli import COMMANDS, main
 from kit1000.export import own_part
 from kit1000.generation import build, shards
@@ -29,6 +28,7 @@ from kit1000.kits.choice import Attempt
 from kit1000.kits.kit import design_kit
 from kit1000.mesh import Mesh
 from kit1000.parts.family import part_of_mesh
+from kit1000.summaries import summary_text
 
 ROOT = Path(__file__).resolve().parents[1]
 WIDTHS = (20, 24, 28, 33)
@@ -345,11 +345,11 @@ def test_the_text_of_a_summary_does_not_depend_on_its_order() -> None:
     head = {"preset": "p", "dataset_id": "d", "seed": 1, "data_version": "v", "licence": "l"}
     redraws = {"parts": {"b": 1, "a": 1, "c": 2}, "scenes": {}}
     refused = {"refused": {"x.stl": "empty file"}, "refused_scenes": {"val-s0000": "no room"}}
-    text = cli.summary_text(head | {"counts": counts, "redraws": redraws} | refused)
+    text = summary_text(head | {"counts": counts, "redraws": redraws} | refused)
     assert [line.split()[0] for line in text.splitlines()[1:4]] == ["train", "val", "test"]
     assert "redraws of parts: 2x c, 1x a, 1x b" in text
     assert "redraws of scenes: none" in text
     assert "refused x.stl: empty file" in text
     assert "refused val-s0000: no room" in text
     assert text.endswith("\n  3 of 4 mesh files taken as parts; the others: 1x empty file")
-    assert "(seed withheld, " in cli.summary_text(head | {"counts": counts, "redraws": {}, "seed": None} | refused)
+    assert "(seed withheld, " in summary_text(head | {"counts": counts, "redraws": {}, "seed": None} | refused)

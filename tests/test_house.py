@@ -33,7 +33,7 @@ LAYERS = (
     ("guesses", "tracks", "pivots", "dataset", "predictor", "submission"),
     ("pictures", "export", "generation", "insertion_study"),
     ("planner", "editor", "testing"),
-    ("usage", "cli", "", "__main__"),  # "" is the package itself, which hands out names of all the others
+    ("summaries", "usage", "cli", "", "__main__"),  # "" is the package itself, which hands out names of all the others
     ("benchmark",),
     ("baselines",),
 )

@@ -9,7 +9,7 @@ import pytest
 
 from baselines.__main__ import main
 from baselines.catalog import all_networks
-from baselines.methods import resolved
+from kit1000.predictor import resolved
 
 NETWORKS = all_networks()
 

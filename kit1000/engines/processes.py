@@ -57,7 +57,7 @@ class _Pool:
 
     def _start(self) -> ProcessPoolExecutor:
         spawn = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(self.count, mp_context=spawn, initializer=_start_worker)
+        return ProcessPoolExecutor(self.count, mp_context=spawn, initializer=start_worker)
 
     def submit(self, function: Callable[[Any], Any], job: Any) -> Future[Any]:
         """Submit a job. Its future raises BrokenProcessPool when a worker died, also before this call."""
@@ -132,7 +132,7 @@ def _sigint_blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _start_worker() -> None:
+def start_worker() -> None:
     """Set up a worker: one thread, set before the imports that read it, and an end when its parent is gone."""
     for name, value in ONE_THREAD_ENV.items():
         os.environ.setdefault(name, value)

@@ -1,0 +1,265 @@
+"""The page, by viser: the only module that knows it. See `stage` for what it does and `controller` for why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import viser
+from numpy.typing import ArrayLike
+
+from kit1000.editor import texts
+from kit1000.editor.controller import Controller
+from kit1000.editor.dragging import NAMES, Modifier
+from kit1000.editor.keys import KEYS, help_text
+from kit1000.editor.pointing import Eye
+from kit1000.editor.stage import Colour
+from kit1000.mesh import Mesh
+from kit1000.pose import Pose
+from kit1000.sim.layout import TABLE_SIZE
+
+FOV = float(np.radians(45))  # of the browser's camera, as in the paper
+HISTORY_ROWS = 8
+PLACES = ("head", "parts", "fit", "note")
+BUTTONS = (
+    ("Fit", {"Take": "take", "Next": "next", "Snap all": "take-all"}),
+    ("Part", {"Confirm": "confirm", "Confirm all": "confirm-all"}),
+    ("History", {"Undo": "undo", "Redo": "redo", "Put all back": "reset-all"}),
+    ("Look", {"Camera": "view-camera", "Top": "view-top", "Plate": "view-slot", "Kits": "hide-kits"}),
+)
+GIZMO = "/gizmo"
+
+
+class ViserStage:
+    """The verbs of `stage.Stage`, and the events for a controller."""
+
+    def __init__(self, server: viser.ViserServer) -> None:
+        self.server = server
+        self._meshes: dict[str, Any] = {}
+        self._labels: dict[str, Any] = {}
+        self._texts: dict[str, Any] = {}
+        self._rows: list[Any] = []
+        self._history: tuple[tuple[str, ...], int] | None = None
+        self._controller: Controller | None = None
+        self._acting: int | None = None
+        self._clients: list[int] = []
+        self._dress()
+
+    def listen(self, controller: Controller) -> None:
+        """Send the events of the page to a controller."""
+        self._controller = controller
+        for name, handle in self._meshes.items():
+            if name.startswith("/part/"):
+                self._listen_to_part(handle, int(name.rpartition("/")[2]))
+        self.server.on_client_connect(self._joined)
+        self.server.on_client_disconnect(self._left)
+
+    # The verbs of a stage.
+
+    def show(self, name: str, mesh: Mesh, colour: Colour, opacity: float | None) -> None:
+        """Add a mesh."""
+        self._meshes[name] = self.server.scene.add_mesh_simple(
+            name,
+            mesh.vertices.astype(np.float32),
+            mesh.faces.astype(np.uint32),
+            color=colour,
+            opacity=opacity,
+            flat_shading=True,
+            side="double",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def move(self, name: str, motion: Pose) -> None:
+        """Move a mesh."""
+        handle = self._meshes[name]
+        handle.wxyz, handle.position = motion.wxyz, motion.xyz
+
+    def look(self, name: str, colour: Colour | None = None, visible: bool | None = None) -> None:
+        """Change what a mesh looks like."""
+        handle = self._meshes[name]
+        if colour is not None and tuple(handle.color) != colour:
+            handle.color = colour
+        if visible is not None and handle.visible != visible:
+            handle.visible = visible
+
+    def label(self, name: str, text: str, point: ArrayLike) -> None:
+        """Write a label."""
+        label = self._labels.get(name)
+        if label is None:
+            label = self.server.scene.add_label(f"/label{name}", text, anchor="bottom-center")
+            self._labels[name] = label
+        if text and label.text != text:
+            label.text = text
+        label.position = np.asarray(point, float)
+        if label.visible != bool(text):
+            label.visible = bool(text)
+
+    def say(self, place: str, text: str) -> None:
+        """Write into the panel."""
+        handle = self._texts[place]
+        if handle.content != text:
+            handle.content = text
+
+    def progress(self, share: float) -> None:
+        """Move the progress bar, which goes when all is done."""
+        self._progress.value = 100 * share
+        self._progress.visible = share < 1
+
+    def history(self, names: Sequence[str], done: int) -> None:
+        """List the latest operations as buttons."""
+        state = (tuple(names), done)
+        if state == self._history:
+            return
+        self._history = state
+        for row in self._rows:
+            row.remove()
+        first = max(0, min(done - HISTORY_ROWS // 2, len(names) - HISTORY_ROWS))
+        with self._history_folder:
+            self._rows = [self._history_row("0 · as recorded", 0, done)] if first == 0 else []
+            for count in range(first + 1, min(first + HISTORY_ROWS, len(names)) + 1):
+                self._rows.append(self._history_row(f"{count} · {names[count - 1]}", count, done))
+
+    def gizmo(self, pose: Pose | None) -> None:
+        """Show the gizmo, or hide it."""
+        if pose is not None and not self._dragging_gizmo:
+            self._gizmo.wxyz, self._gizmo.position = pose.wxyz, pose.xyz
+        if self._gizmo.visible != (pose is not None):
+            self._gizmo.visible = pose is not None
+
+    def look_from(self, eye: ArrayLike, target: ArrayLike) -> None:
+        """Put the camera of every tab, and of those to come."""
+        camera = self.server.initial_camera
+        camera.position, camera.look_at = np.asarray(eye, float), np.asarray(target, float)
+        for client in self.server.get_clients().values():
+            client.camera.position, client.camera.look_at = np.asarray(eye, float), np.asarray(target, float)
+
+    def flush(self) -> None:
+        """Send all this now."""
+        self.server.flush()
+
+    # The page itself.
+
+    def _dress(self) -> None:
+        server, gui = self.server, self.server.gui
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        gui.main_panel.dock_right()
+        server.initial_camera.fov, server.initial_camera.near, server.initial_camera.far = FOV, 0.02, 10.0
+        server.initial_camera.up = (0.0, 0.0, 1.0)
+        width, depth, thickness = TABLE_SIZE
+        server.scene.add_box(
+            "/table",
+            texts.TABLE_COLOUR,
+            (width, depth, thickness),
+            position=(0, 0, -thickness / 2 - 5e-4),
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        self._texts["head"] = gui.add_markdown("")
+        self._progress = gui.add_progress_bar(0.0, animated=False)
+        for place in PLACES[1:]:
+            self._texts[place] = gui.add_markdown("")
+        for label, verbs in BUTTONS:
+            group = gui.add_button_group(label, tuple(verbs))
+            group.on_click(partial(self._group_clicked, verbs))
+        self._lets_go = gui.add_checkbox("Letting go near the ghost takes it", True)
+        self._lets_go.on_update(self._lets_go_changed)
+        self._history_folder = gui.add_folder("History", expand_by_default=False)
+        with gui.add_folder("Help"):
+            gui.add_markdown(help_text())
+        self._gizmo = server.scene.add_transform_controls(GIZMO, scale=0.06, visible=False, depth_test=False)
+        self._gizmo.on_update(self._gizmo_moved)
+        self._dragging_gizmo = False
+        for key in KEYS:
+            label = key.help or key.verb.replace("-", " ")
+            command = gui.add_command(label, hotkey=key.key, modifier=key.modifier)  # type: ignore[arg-type]
+            command.on_trigger(partial(self._key_pressed, key.verb))
+
+    def _listen_to_part(self, handle: Any, part: int) -> None:
+        for modifier in NAMES:
+            handle.on_drag("left", modifier=modifier)(partial(self._dragged, part, modifier))
+        handle.on_click(partial(self._clicked, part))
+
+    def _history_row(self, text: str, count: int, done: int) -> Any:
+        button = self.server.gui.add_button(text, color="blue" if count == done else "gray")
+        button.on_click(partial(self._history_clicked, count))
+        return button
+
+    # Events. They are coroutines without an await: viser runs these in order, one after another.
+
+    async def _joined(self, client: viser.ClientHandle) -> None:
+        self._clients.append(client.client_id)
+        self._choose_actor()
+        if client.client_id != self._acting:
+            client.add_notification(
+                "This tab only watches", "Another tab of this page is in charge.", auto_close_seconds=8
+            )
+
+    async def _left(self, client: viser.ClientHandle) -> None:
+        if client.client_id in self._clients:
+            self._clients.remove(client.client_id)
+        self._choose_actor()
+
+    def _choose_actor(self) -> None:
+        """The tab that came first acts; the others watch."""
+        self._acting = self._clients[0] if self._clients else None
+
+    def _acts(self, event: Any) -> Controller | None:
+        """The controller, where an event comes from the tab in charge."""
+        return self._controller if event.client_id == self._acting else None
+
+    async def _dragged(self, part: int, modifier: Modifier, event: Any) -> None:
+        controller = self._acts(event)
+        if controller is None:
+            return
+        if event.phase == "start":
+            point = np.array(event.start_position, float)
+            controller.grab(part, _eye(event.client), _screen(event.start_screen_pos), point, modifier)
+        if event.phase != "start":
+            controller.drag(_screen(event.end_screen_pos))
+        if event.phase == "end":
+            controller.release()
+
+    async def _clicked(self, part: int, event: Any) -> None:
+        if (controller := self._acts(event)) is not None:
+            controller.select(part)
+
+    async def _gizmo_moved(self, event: Any) -> None:
+        controller = self._acts(event)
+        if controller is None or controller.space.selected is None:
+            return
+        part = controller.space.selected
+        handle = Pose(np.array(event.target.wxyz), np.array(event.target.position))
+        motion = handle @ Pose.from_translation(-controller.space.scene.pivot(part))
+        self._dragging_gizmo = event.phase != "end"
+        if event.phase == "end":
+            controller.place(part, motion)
+        else:
+            controller.preview(part, motion)
+
+    async def _key_pressed(self, verb: str, event: Any) -> None:
+        if (controller := self._acts(event)) is not None:
+            controller.command(verb, _eye(event.client))
+
+    async def _group_clicked(self, verbs: dict[str, str], event: Any) -> None:
+        if (controller := self._acts(event)) is not None:
+            controller.command(verbs[event.target.value], _eye(event.client))
+
+    async def _history_clicked(self, count: int, event: Any) -> None:
+        if (controller := self._acts(event)) is not None:
+            controller.return_to(count)
+
+    async def _lets_go_changed(self, event: Any) -> None:
+        if (controller := self._acts(event)) is not None:
+            controller.lets_go = bool(event.target.value)
+
+
+def _eye(client: viser.ClientHandle) -> Eye:
+    camera = client.camera
+    return Eye(Pose(camera.wxyz, camera.position), float(camera.fov), float(camera.aspect))
+
+
+def _screen(position: Any) -> tuple[float, float]:
+    return float(position[0]), float(position[1])

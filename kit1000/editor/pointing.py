@@ -1,0 +1,110 @@
+"""What is under the cursor: the seen kits and the table rendered once from the browser's camera, then looked up.
+
+A lookup is one pixel of that image. The image is kept while the camera stands still.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from kit1000.camera import Camera
+from kit1000.editor.plates import TABLE, Plate, plate_at
+from kit1000.mesh import Mesh
+from kit1000.pose import Pose
+from kit1000.sim.layout import table
+from kit1000.sim.render import RenderedImage, render
+from kit1000.trigonometry import tangent
+
+HEIGHT = 360  # [px] of the rendered image: a pixel is about 2 mm of the scene
+
+
+class Eye(NamedTuple):
+    """The browser's camera."""
+
+    world_from_camera: Pose
+    fov: float
+    """[rad] from the top of the picture to its bottom."""
+    aspect: float
+    """Width over height."""
+
+    def same_as(self, other: Eye) -> bool:
+        """Whether both see the same picture, bit for bit."""
+        one, two = self.world_from_camera, other.world_from_camera
+        pose = one.wxyz.tobytes() + one.xyz.tobytes() == two.wxyz.tobytes() + two.xyz.tobytes()
+        return pose and self[1:] == other[1:]
+
+    def camera(self) -> Camera:
+        """The camera of the rendered image."""
+        width = max(1, round(HEIGHT * self.aspect))
+        focal = HEIGHT / 2 / float(tangent(self.fov / 2))
+        return Camera(width, HEIGHT, focal, focal, (width - 1) / 2, (HEIGHT - 1) / 2)
+
+    def screen(self, point: np.ndarray) -> tuple[float, float]:
+        """Where a point (3,) [m] world is on the screen: 0 to 1 from the left, and from the top."""
+        camera = self.camera()
+        u, v = camera.project(self.world_from_camera.inverse().apply(point)).tolist()
+        return (u + 0.5) / camera.width, (v + 0.5) / camera.height
+
+    def ray(self, screen: tuple[float, float]) -> np.ndarray:
+        """(3,) the direction, in the world, to a place on the screen (0 to 1 from the left, and from the top)."""
+        camera = self.camera()
+        uv = np.array([screen[0] * camera.width - 0.5, screen[1] * camera.height - 0.5])
+        return self.world_from_camera.rotate(camera.unproject_pixels(uv, np.array(1.0)))
+
+
+class Support(NamedTuple):
+    """A place where a part may stand."""
+
+    point: np.ndarray
+    """(3,) [m] world, on the plate's plane."""
+    plate: Plate
+    """A plate of the kits, or the table."""
+
+
+@dataclass
+class Pointing:
+    """Looks up what is under the cursor."""
+
+    kits: Mesh
+    plates: list[Plate]
+    _eye: Eye | None = None
+    _image: RenderedImage | None = None
+
+    def support(self, eye: Eye, screen: tuple[float, float]) -> Support | None:
+        """Where a part under the cursor would stand; None off the table or on a part of the kits that is no plate.
+
+        screen: 0 to 1 from the left, and from the top.
+        """
+        image, camera = self._rendered(eye), eye.camera()
+        u, v = round(screen[0] * camera.width - 0.5), round(screen[1] * camera.height - 0.5)
+        if not (0 <= u < camera.width and 0 <= v < camera.height) or image.body_ids[v, u] == 0:
+            return None
+        origin, direction = eye.world_from_camera.xyz, eye.ray(screen)
+        seen = origin + direction * float(image.depth[v, u])
+        plate = plate_at(self.plates, seen) if image.body_ids[v, u] == 1 else TABLE
+        crossing = None if plate is None else plate.crossing(origin, direction)
+        return None if plate is None or crossing is None else Support(crossing, plate)
+
+    def below(self, point: np.ndarray) -> Plate:
+        """The plate that a part at a point (3,) [m] stands on or over; the table where there is none."""
+        over = [plate for plate in self.plates if float(plate.height(point)) > -REACH and _is_over(plate, point)]
+        return max(over, key=lambda plate: float(plate.point[2]), default=TABLE)
+
+    def _rendered(self, eye: Eye) -> RenderedImage:
+        if self._image is None or self._eye is None or not eye.same_as(self._eye):
+            bodies = [(self.kits, Pose.identity()), (table(), Pose.identity())]
+            self._eye, self._image = eye, render(eye.camera(), eye.world_from_camera, bodies, threads=1)
+        return self._image
+
+
+REACH = 30e-3  # [m] below a plate, where a part in its cavity still counts as over it
+
+
+def _is_over(plate: Plate, point: np.ndarray) -> bool:
+    """Whether a point (3,) [m] is on a plate, or above it by less than 0.2 m."""
+    height = float(plate.height(point))
+    across = point - plate.point - height * plate.normal
+    return height < 0.2 and float(np.square(across).sum()) < plate.radius**2

@@ -1,0 +1,190 @@
+"""What a session leaves: an event log that can be replayed, and a submission with the confirmed parts.
+
+Every operation is a line of events.jsonl, flushed to the disk before the page answers. The same command again reads
+them back: a crash, a reload or a closed laptop loses nothing. A line that was cut off is dropped.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from kit1000.dataset.reader import Dataset
+from kit1000.dataset.tables import pose_of, pose_row
+from kit1000.editor.session import PartEdit, Session
+from kit1000.errors import InputError
+from kit1000.submission import Manifest, Predictions, read_submission, write_submission
+from kit1000.submission import manifest as manifests
+from kit1000.submission.row_rules import NOT_MEASURED
+from kit1000.tracks import TRACKS
+from kit1000.values import Prediction, Query
+
+FILE = "events.jsonl"
+METHOD = "edit"
+MILLISECOND = 3  # decimals of a time
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a log is about; the same for all events of a scene."""
+
+    dataset_id: str
+    scene: str
+    sensor: str
+    truth: bool
+    """Whether the page shows true shapes."""
+    snap: str
+    """The method that snaps."""
+    interface: str
+
+    def key(self) -> tuple[str, str]:
+        """Events with the same belong to one session."""
+        return self.scene, self.sensor
+
+
+class EventLog:
+    """The events of all scenes edited into one folder."""
+
+    def __init__(self, folder: Path, header: Header, clock: Callable[[], float] = time.time) -> None:
+        """Open or begin the log. Raises InputError where the folder holds events of another dataset or kind."""
+        self.path, self.header, self._clock = folder / FILE, header, clock
+        self.rows = [row for row in _rows(self.path) if (row["scene"], row["sensor"]) == header.key()]
+        for row in _rows(self.path):
+            for name in ("dataset_id", "truth"):
+                if row[name] != getattr(header, name):
+                    text = f"{name} {row[name]}, not {getattr(header, name)}; choose another --out"
+                    raise InputError(f"{self.path}: holds events of {text}")
+        _drop_cut_line(self.path)
+
+    def restored(self, parts: tuple[int, ...]) -> Session:
+        """The session as the log has it."""
+        session = Session.begin(parts)
+        for row in self.rows:
+            session = _applied(session, row)
+        return session
+
+    def add(self, event: str, **values: Any) -> None:
+        """Write an event."""
+        row = {"time": round(self._clock(), MILLISECOND), "event": event, **self.header.__dict__, **values}
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with open(self.path, "a", encoding="utf-8") as file:
+            file.write(json.dumps(row, sort_keys=True, allow_nan=False) + "\n")
+            file.flush()
+            os.fsync(file.fileno())
+
+    def did(self, session: Session) -> None:
+        """Write the latest operation of a session."""
+        operation = session.done[-1]
+        edits = {str(part): _edit_row(change.after) for part, change in operation.changes.items()}
+        self.add("do", name=operation.name, edits=edits)
+
+
+def write_predictions_of(
+    folder: Path, dataset: Dataset, header: Header, queries: Mapping[str, Query], session: Session
+) -> int:
+    """Write the confirmed parts of a scene into the submission in a folder, beside those of other scenes.
+
+    queries: by id, those that the edits answer. Returns the number of predictions of this scene.
+    """
+    own = [
+        Prediction(query.id, edit.goal_from_now, edit.confidence, NOT_MEASURED)
+        for query in queries.values()
+        if (edit := session.edits.get(query.part)) is not None and edit.confirmed
+    ]
+    others = _other_predictions(folder, queries)
+    if not own and not others:
+        for name in (manifests.FILE, "predictions.csv"):
+            (folder / name).unlink(missing_ok=True)
+        return 0
+    predictions = sorted([*others, *own], key=lambda prediction: prediction.query_id)
+    tracks = {query_id.split("-", 3)[3] for query_id in (each.query_id for each in predictions)}
+    write_submission(folder, _manifest(dataset, header, tracks), Predictions.of(predictions))
+    return len(own)
+
+
+def answered_queries(queries: Iterable[Query], sensor: str) -> dict[str, Query]:
+    """The queries about a scene that an edit answers: `snap`, the hand in place of the recorded guess, and `place`."""
+    suffix = "" if sensor == "ideal" else f"-{sensor}"
+    tracks = (f"snap{suffix}", f"place{suffix}")
+    return {query.id: query for query in queries if query.track in tracks}
+
+
+def _manifest(dataset: Dataset, header: Header, tracks: set[str]) -> Manifest:
+    snap = "without snapping" if header.snap == "none" else f"snapped by {header.snap}"
+    shown = " True shapes were shown." if header.truth else ""
+    return Manifest(
+        method=METHOD,
+        label="Scene editing" if header.interface == "scene" else "Hand control",
+        authors=("The person at the page",),
+        description=f"Parts placed in the page of kit1000 edit ({header.interface}), {snap}.{shown}",
+        date=date.today().isoformat(),
+        dataset_id=dataset.id,
+        dataset_checksum=dataset.summary["checksum"],
+        tracks=tuple(track for track in TRACKS if track in tracks),
+        learned=False,
+        uses_true_geometry=header.truth,
+    )
+
+
+def _other_predictions(folder: Path, own: Mapping[str, Query]) -> list[Prediction]:
+    """What the folder holds about other queries."""
+    if not (folder / manifests.FILE).is_file():
+        return []
+    submission = read_submission(folder)
+    if submission.manifest.method != METHOD:
+        raise InputError(f"{folder}: holds predictions of {submission.manifest.method}; choose another --out")
+    table = submission.predictions
+    rows = zip(table.query_ids, table.motions, table.confidence.tolist(), table.seconds.tolist(), strict=True)
+    return [Prediction(*row) for row in rows if row[0] not in own]
+
+
+def _applied(session: Session, row: Mapping[str, Any]) -> Session:
+    event = row["event"]
+    if event == "do":
+        return session.did(row["name"], {int(part): _edit_of(edit) for part, edit in row["edits"].items()})
+    if event == "undo":
+        return session.undo()
+    if event == "redo":
+        return session.redo()
+    return session.returned(row["count"]) if event == "return" else session
+
+
+def _edit_row(edit: PartEdit) -> dict[str, Any]:
+    flags = {name: getattr(edit, name) for name in ("snapped", "confidence", "turned", "confirmed")}
+    return {"goal_from_now": pose_row(edit.goal_from_now), **flags}
+
+
+def _edit_of(row: Mapping[str, Any]) -> PartEdit:
+    flags = {name: row[name] for name in ("snapped", "confidence", "turned", "confirmed")}
+    return PartEdit(pose_of(row["goal_from_now"]), **flags)
+
+
+def _rows(path: Path) -> list[dict[str, Any]]:
+    """The events of a file; raises InputError for a damaged line that is not the last."""
+    if not path.is_file():
+        return []
+    rows = []
+    for number, line in enumerate(path.read_bytes().splitlines(keepends=True), start=1):
+        try:
+            rows.append(json.loads(line))
+        except ValueError as error:
+            if line.endswith(b"\n"):
+                raise InputError(f"{path}:{number}: no JSON ({error}); mend or remove the line") from None
+    return rows
+
+
+def _drop_cut_line(path: Path) -> None:
+    """Remove a last line without its end, which a crash has left."""
+    if not path.is_file():
+        return
+    data = path.read_bytes()
+    whole = data[: data.rfind(b"\n") + 1]
+    if whole != data:
+        with open(path, "rb+") as file:
+            file.truncate(len(whole))

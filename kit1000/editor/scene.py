@@ -1,0 +1,114 @@
+"""The scene that is edited: what may be shown of it, seen or true, and what the hand needs to know about its parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from kit1000.dataset.reader import Dataset, RecordedScene
+from kit1000.editor.plates import Plate, find_plates
+from kit1000.editor.report import Contact, Contacts, TrueContacts, solid_points
+from kit1000.editor.seen import STRIDE, SeenScene, seen_scene
+from kit1000.editor.worker import scene_queries
+from kit1000.mesh import Mesh
+from kit1000.pose import Pose
+from kit1000.values import ASSEMBLY_LABEL, Query, View
+
+
+@dataclass(frozen=True, eq=False)
+class EditedScene:
+    """A recorded scene, open for editing."""
+
+    dataset: Dataset
+    recorded: RecordedScene
+    sensor: str
+    truth: bool
+    """Whether true shapes are shown; without, no file with truth is opened."""
+
+    @classmethod
+    def open(cls, dataset: Dataset, scene_id: str, sensor: str, truth: bool) -> EditedScene:
+        """A scene of the dataset's own list; raises InputError where there is none, or no part of it can be edited."""
+        scene = cls(dataset, dataset.recorded_scene(scene_id, truth), sensor, truth)
+        assert scene.queries
+        return scene
+
+    @cached_property
+    def queries(self) -> dict[int, Query]:
+        """A query without a guess for each part that can be edited, by index."""
+        return scene_queries(self.dataset, self.recorded.id, self.sensor, self.truth)
+
+    @property
+    def parts(self) -> tuple[int, ...]:
+        """Indices of the parts that can be edited."""
+        return tuple(self.meshes)
+
+    @property
+    def view(self) -> View:
+        """The depth image."""
+        return self.recorded.view(self.sensor)
+
+    @cached_property
+    def meshes(self) -> dict[int, Mesh]:
+        """[m] world: the parts where they lie."""
+        if not self.truth:
+            return {part: seen.mesh for part, seen in self._seen.parts.items()}
+        _, _, *parts = self.recorded.bodies()
+        return {part: _placed(*parts[part]) for part in self.queries}
+
+    @cached_property
+    def kits(self) -> Mesh:
+        """[m] world."""
+        return _placed(*self.recorded.bodies()[1]) if self.truth else self._seen.kits
+
+    @cached_property
+    def others(self) -> Mesh:
+        """[m] world: the parts that cannot be edited, as seen."""
+        return self._seen.others
+
+    @cached_property
+    def plates(self) -> list[Plate]:
+        """As seen, the largest first."""
+        view, noisy = self.view, self.sensor != "ideal"
+        mask = (self.recorded.labelled_depth(self.sensor).labels == ASSEMBLY_LABEL) & (view.depth > 0)
+        distance = float(np.median(view.depth[mask])) if mask.any() else 1.0
+        pixel = STRIDE * distance / view.camera.fx
+        return find_plates(self._seen.kits, pixel * pixel, noisy)
+
+    @cached_property
+    def clouds(self) -> dict[int, np.ndarray]:
+        """(n, 3) [m] points that bound each part where it lies."""
+        return {part: mesh.vertices[ConvexHull(mesh.vertices).vertices] for part, mesh in self.meshes.items()}
+
+    def pivot(self, part: int) -> np.ndarray:
+        """(3,) [m] world: the middle of what is seen of a part where it lies."""
+        return self.queries[part].pivot
+
+    def contact(self, part: int, motion: Pose, plate: Plate) -> Contact:
+        """How a part meets the kits where a motion puts it."""
+        if self.truth:
+            return self._true_contacts.of(self.meshes[part], motion, plate)
+        return self._contacts.of(self._solid_points[part], motion, plate)
+
+    @cached_property
+    def _seen(self) -> SeenScene:
+        pivots = {part: query.pivot for part, query in self.queries.items()}
+        return seen_scene(self.recorded.labelled_depth(self.sensor), pivots, self.sensor != "ideal")
+
+    @cached_property
+    def _solid_points(self) -> dict[int, np.ndarray]:
+        return {part: solid_points(seen.mesh) for part, seen in self._seen.parts.items()}
+
+    @cached_property
+    def _contacts(self) -> Contacts:
+        return Contacts(self._seen.kits)
+
+    @cached_property
+    def _true_contacts(self) -> TrueContacts:
+        return TrueContacts(self.kits)
+
+
+def _placed(mesh: Mesh, world_from_body: Pose) -> Mesh:
+    return Mesh(world_from_body.apply(mesh.vertices), mesh.faces)

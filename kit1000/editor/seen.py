@@ -1,0 +1,119 @@
+"""Meshes of what one depth image shows of parts and kits: the observed surface, and a skirt below it.
+
+A part is closed by a skirt from the border of its observed surface straight down to the table, as a solid column of
+which only the top is known. Nothing else is assumed: what the camera did not see has a hole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import find_objects, median_filter
+
+from kit1000.mesh import Mesh
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
+
+STEEPEST = 12.0  # longest edge of a triangle, in widths of a pixel: a longer one bridges a step in depth
+STRIDE = 2  # pixels of a mesh's grid: a browser draws a quarter of the triangles
+MEDIAN = 5  # [px] of the filter that a noisy image needs
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPart:
+    """A part as one image shows it, where it lies."""
+
+    index: int
+    mesh: Mesh
+    """[m] world: observed surface and skirt."""
+    pivot: np.ndarray
+    """(3,) [m] world: the middle of what is observed, about which the hand turns it."""
+
+
+@dataclass(frozen=True, eq=False)
+class SeenScene:
+    """The parts and the kits as one image shows them."""
+
+    parts: dict[int, SeenPart]
+    kits: Mesh
+    """[m] world."""
+    others: Mesh
+    """[m] world: the parts that too little is seen of."""
+
+
+def seen_scene(image: LabelledDepth, pivots: dict[int, np.ndarray], noisy: bool) -> SeenScene:
+    """What an image shows.
+
+    Args:
+        image: depth and masks.
+        pivots: (3,) [m] world, of the parts that can be edited, by index.
+        noisy: whether the sensor has noise that must be smoothed to be looked at.
+    """
+    parts = {}
+    for index, pivot in pivots.items():
+        mask = image.labels == FIRST_PART_LABEL + index
+        surface = seen_surface(image.view, mask, noisy, STRIDE)
+        if len(surface.faces):
+            parts[index] = SeenPart(index, with_skirt(surface), pivot)
+    kits = seen_surface(image.view, image.labels == ASSEMBLY_LABEL, noisy, STRIDE)
+    known = [0, ASSEMBLY_LABEL, *(FIRST_PART_LABEL + index for index in pivots)]
+    others = seen_surface(image.view, ~np.isin(image.labels, known), noisy, STRIDE)
+    return SeenScene(parts, kits, with_skirt(others))
+
+
+def seen_surface(view: View, mask: np.ndarray, noisy: bool = False, stride: int = 1) -> Mesh:
+    """The surface through the points of a mask (H, W) bool: two triangles between four neighbours, none across steps.
+
+    [m] world. stride: [px] between neighbours.
+    """
+    found = find_objects(mask.astype(np.uint8))
+    if not found:
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    box = found[0]
+    depth = np.where(mask[box], view.depth[box], 0)
+    depth = _smoothed(depth)[::stride, ::stride] if noisy else depth[::stride, ::stride]
+    v, u = (np.arange(side.start, side.stop, stride) for side in box)
+    grid = np.stack(np.meshgrid(u, v), axis=-1)
+    points = view.world_from_camera.apply(view.camera.unproject_pixels(grid, depth))
+    faces = _faces(points, depth, stride / view.camera.fx)
+    used = np.unique(faces)
+    renumbered = np.zeros(depth.size, np.int32)
+    renumbered[used] = np.arange(len(used))
+    return Mesh(points.reshape(-1, 3)[used], renumbered[faces])
+
+
+def with_skirt(surface: Mesh, floor: float = 0.0) -> Mesh:
+    """A surface, a wall from its border straight down to a floor [m], and its shadow on the floor as the underside."""
+    border = _border(surface.faces)
+    n = len(surface.vertices)
+    below = surface.vertices * (1, 1, 0) + (0, 0, floor)
+    a, b = border.T
+    walls = np.concatenate([np.stack([b, a, a + n], axis=-1), np.stack([b, a + n, b + n], axis=-1)])
+    underside = surface.faces[:, ::-1] + n
+    return Mesh(np.concatenate([surface.vertices, below]), np.concatenate([surface.faces, walls, underside]))
+
+
+def _smoothed(depth: np.ndarray) -> np.ndarray:
+    """Depths (h, w) [m] by the median of their neighbours, where those are observed too."""
+    smooth = median_filter(depth, MEDIAN)
+    return np.where((depth > 0) & (smooth > 0), smooth, 0)
+
+
+def _faces(points: np.ndarray, depth: np.ndarray, pixel: float) -> np.ndarray:
+    """(m, 3) triangles between neighbours of a grid (h, w, 3) [m]; pixel: width of a cell at a depth of 1 m."""
+    height, width = depth.shape
+    index = np.arange(height * width, dtype=np.int32).reshape(height, width)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, :-1], index[1:, 1:]
+    faces = np.concatenate([np.stack([a, c, b], -1).reshape(-1, 3), np.stack([b, c, d], -1).reshape(-1, 3)])
+    corners, z = points.reshape(-1, 3)[faces], depth.reshape(-1)[faces]
+    edges = np.square(corners - np.roll(corners, 1, axis=1)).sum(-1).max(-1)
+    kept = (z > 0).all(-1) & (edges < np.square(STEEPEST * pixel * z.max(-1)))
+    return faces[kept]
+
+
+def _border(faces: np.ndarray) -> np.ndarray:
+    """(k, 2) the edges that only one of the faces (m, 3) has, in its direction."""
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
+    most = int(edges.max(initial=0)) + 1
+    there, back = edges[:, 0] * most + edges[:, 1], edges[:, 1] * most + edges[:, 0]
+    return edges[~np.isin(there, back)].astype(np.int32)

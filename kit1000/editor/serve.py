@@ -1,0 +1,167 @@
+"""Serves the page to this machine alone, and runs an editing session from the first line to Ctrl-C.
+
+viser names no allowed origins: any web page that the person has open could connect, read the scene and act. The
+handshake therefore demands the Origin of this page, before anything is sent. No name of a file or module ever comes
+from the browser.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import socket
+import threading
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import viser
+import websockets.asyncio.server as websocket_server
+
+from kit1000.dataset.reader import Dataset
+from kit1000.editor.controller import Controller
+from kit1000.editor.page import ViserStage
+from kit1000.editor.records import EventLog, Header
+from kit1000.editor.scene import EditedScene
+from kit1000.editor.worker import Method, Worker
+from kit1000.errors import InputError, InternalError
+from kit1000.files import check_writable, locked
+
+HOST = "127.0.0.1"
+PORTS = range(8080, 8100)  # tried in order, where none is asked for
+NO_SNAP = "none"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What to edit, and how."""
+
+    data: Path
+    scene: str
+    out: Path
+    """Submission folder, which gets the confirmed parts and the log of events."""
+    sensor: str = "ideal"
+    snap: str = NO_SNAP
+    """`module:Object`, or none."""
+    port: int | None = None
+    truth: bool = False
+    interface: str = "scene"
+
+
+@contextlib.contextmanager
+def editing(options: Options) -> Iterator[tuple[Controller, str]]:
+    """A page while the block runs: its controller and its address."""
+    check_writable(options.out)
+    dataset = Dataset(options.data)
+    scene = EditedScene.open(dataset, options.scene, options.sensor, options.truth)
+    method = Method(options.snap, dataset.root, options.scene, options.sensor, options.truth)
+    if options.snap != NO_SNAP:
+        method.check()
+    header = Header(dataset.id, options.scene, options.sensor, options.truth, options.snap, options.interface)
+    with locked(options.out):
+        log = EventLog(options.out, header)
+        with serving(options.port) as (server, address):
+            asker = _Later()
+            stage = ViserStage(server)
+            stage.say("head", head_text(header))
+            controller = Controller(scene, stage, log, None if options.snap == NO_SNAP else asker)
+            stage.listen(controller)
+            log.add("open")
+            worker = None if options.snap == NO_SNAP else Worker(method, scene.parts, controller.received)
+            asker.worker = worker
+            try:
+                yield controller, address
+            finally:
+                if worker is not None:
+                    worker.close()
+                log.add("close")
+
+
+def run(options: Options) -> None:
+    """Serve the page until Ctrl-C."""
+    with editing(options) as (controller, address):
+        print(f"{address}  (Ctrl-C ends; everything is saved in {options.out})", flush=True)
+        with contextlib.suppress(KeyboardInterrupt):
+            threading.Event().wait()
+        confirmed = sum(edit.confirmed for edit in controller.space.session.edits.values())
+        print(f"{options.out}: {confirmed} of {len(controller.space.session.edits)} parts confirmed")
+
+
+@contextlib.contextmanager
+def serving(port: int | None) -> Iterator[tuple[viser.ViserServer, str]]:
+    """A server for this machine alone, and its address. port: None for a free one."""
+    chosen = _free_port() if port is None else port
+    if not 0 < chosen < 1 << 16:
+        raise InputError(f"--port: expected 1 to 65535, got {chosen}")
+    os.environ.pop("_VISER_PORT_OVERRIDE", None)
+    with _guarded(chosen) as calls, contextlib.redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=HOST, port=chosen, label="kit1000 edit", verbose=False)
+    try:
+        if not calls:
+            raise InternalError("viser no longer serves by websockets.asyncio.server.serve: its origins are unchecked")
+        if server.get_port() != chosen:
+            raise InputError(f"--port {chosen}: is taken by another program; choose another, or leave --port out")
+        server.request_share_url = _refuse_to_share  # a client could ask for a public tunnel
+        yield server, f"http://{HOST}:{chosen}"
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):  # viser reports it
+            server.stop()
+
+
+def head_text(header: Header) -> str:
+    """The top of the panel."""
+    shown = "**TRUE SHAPES ARE SHOWN**" if header.truth else f"as the {header.sensor} camera saw it"
+    snap = "nothing snaps" if header.snap == NO_SNAP else f"snaps by {header.snap.rpartition(':')[2]}"
+    return f"**{header.scene}** · {shown} · {snap}"
+
+
+class _Later:
+    """Asks the worker, which starts after the page is shown."""
+
+    worker: Worker | None = None
+
+    def ask(self, part: int, guess: Any) -> None:
+        """Ask for the answer to a guess."""
+        if self.worker is not None:
+            self.worker.ask(part, guess)
+
+    def prefer(self, part: int) -> None:
+        """The part in the hand."""
+        if self.worker is not None:
+            self.worker.prefer(part)
+
+
+@contextlib.contextmanager
+def _guarded(port: int) -> Iterator[list[int]]:
+    """While the server is made, its handshake demands the Origin of this page; yields a list with the calls."""
+    serve, calls = websocket_server.serve, []
+    origins = [f"http://{name}:{port}" for name in (HOST, "localhost")]
+
+    def guarded(*args: Any, **options: Any) -> Any:
+        calls.append(port)
+        return serve(*args, **{**options, "origins": origins, "process_response": _unframed})
+
+    with mock.patch.object(websocket_server, "serve", guarded):
+        yield calls
+
+
+def _unframed(connection: Any, request: Any, response: Any) -> None:
+    """No other page may show this one in a frame, and click through it."""
+    response.headers["X-Frame-Options"] = "DENY"
+    response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
+
+
+def _refuse_to_share(verbose: bool = True) -> None:
+    """No public address is ever made."""
+
+
+def _free_port() -> int:
+    """The first port of PORTS that nothing listens on, or any."""
+    for port in (*PORTS, 0):
+        with socket.socket() as probe, contextlib.suppress(OSError):
+            probe.bind((HOST, port))
+            return probe.getsockname()[1]
+    raise InputError("no port is free")

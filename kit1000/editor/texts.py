@@ -1,0 +1,85 @@
+"""What the page says, as functions of values; numbers in millimetres, degrees and percent."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from kit1000.editor.proposals import PartProposals, Proposal
+from kit1000.editor.session import LIKELY, SURE, PartEdit, part_name
+from kit1000.editor.stage import Colour
+
+KIT_COLOUR: Colour = (205, 201, 194)
+OTHER_COLOUR: Colour = (170, 172, 176)
+TABLE_COLOUR: Colour = (236, 238, 240)
+GHOST_OPACITY = 0.45
+SURE_COLOUR: Colour = (34, 150, 76)
+LIKELY_COLOUR: Colour = (232, 160, 24)
+UNSURE_COLOUR: Colour = (120, 124, 130)
+MARKS = {"free": "○", "snapped": "◆", "unsure": "◇", "confirmed": "✔"}
+MEANINGS = {"free": "free", "snapped": "snapped", "unsure": "snapped, not sure", "confirmed": "confirmed"}
+LONGEST = 300  # characters of a message from elsewhere
+
+BEGIN = "Drag a part onto its cavity, or press its number."
+WAITING = "*Asking the method about this place …*"
+ON_TABLE = "It is on the table."
+CHOOSE = "Choose a part first: drag it, click it, or press its number."
+NOTHING_TO_SNAP = "No further part has a likely fit that no other part takes."
+NOTHING_TO_CONFIRM = "Nothing to confirm: drag a part onto a plate first."
+
+
+def confidence_colour(confidence: float) -> Colour:
+    """Green from SURE, amber from LIKELY, grey below."""
+    if confidence >= SURE:
+        return SURE_COLOUR
+    return LIKELY_COLOUR if confidence >= LIKELY else UNSURE_COLOUR
+
+
+def confidence_text(confidence: float) -> str:
+    """A number and a word, so that nothing is told by colour alone."""
+    word = "sure" if confidence >= SURE else "likely" if confidence >= LIKELY else "not sure"
+    return f"{100 * confidence:.0f} % {word}"
+
+
+def part_label(part: int, edit: PartEdit, selected: bool) -> str:
+    """The label over a part."""
+    return f"{'▸ ' if selected else ''}{part + 1} {MARKS[edit.state]}"
+
+
+def parts_table(edits: Mapping[int, PartEdit], selected: int | None) -> str:
+    """The state of each part, in Markdown."""
+    rows = []
+    for part, edit in edits.items():
+        name = f"**{part_name(part)}**" if part == selected else part_name(part)
+        sure = f", {100 * edit.confidence:.0f} %" if edit.snapped else ""
+        rows.append(f"| {MARKS[edit.state]} | {name} | {MEANINGS[edit.state]}{sure} |")
+    return "| | | |\n| --- | --- | --- |\n" + "\n".join(rows)
+
+
+def part_line(part: int, edit: PartEdit) -> str:
+    """The part in the hand and its state."""
+    taken = f", at a fit that is {confidence_text(edit.confidence)}" if edit.snapped else ""
+    return f"**{part_name(part).capitalize()}**: {MEANINGS[edit.state]}{taken}"
+
+
+def ghost_line(ghost: Proposal, index: int, count: int, shift: tuple[float, float] | None) -> str:
+    """The fit that is shown, the `index`-th of `count`. shift: [m], [rad] from the hand to it."""
+    moved = "" if shift is None else f", {shift[0] * 1e3:.0f} mm and {np.degrees(shift[1]):.0f}° from the hand"
+    return f"Ghost {index + 1} of {count}: **{confidence_text(ghost.confidence)}**{moved}"
+
+
+def no_fit(proposals: PartProposals, over_kits: bool, waits: bool) -> str:
+    """Why no ghost is shown."""
+    if proposals.failure:
+        return f"No fit: {plain(proposals.failure)}"
+    if not over_kits:
+        return "No fit: the part is not over a plate."
+    if waits or proposals.found is None:
+        return "No fit yet: the method is still at work."
+    return "No fit within 28 mm: move the part nearer to its cavity, turn it, or tip it over."
+
+
+def plain(text: str) -> str:
+    """A text without what Markdown or HTML would read."""
+    return "".join(character for character in text if character not in "<>`*_[]|#\\")[:LONGEST]

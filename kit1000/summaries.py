@@ -1,0 +1,63 @@
+"""The contents of a dataset.json and the report of a kit as text for the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+MAX_LISTED = 20  # refused files in a summary
+PRINTER_BED_MM = 250  # side of the bed of a usual desktop printer
+
+
+def summary_text(summary: dict) -> str:
+    """The contents of a dataset.json as text."""
+    seed = "withheld" if summary["seed"] is None else summary["seed"]
+    lines = [
+        f"{summary['preset']}  {summary['dataset_id']}"
+        f"  (seed {seed}, data {summary['data_version']}, {summary['licence']})"
+    ]
+    for split in ("train", "val", "test"):
+        n = summary["counts"][split]
+        lines.append(
+            f"  {split:6s} {n['parts']:5d} parts and kits, {n['assemblies']:5d} assemblies, {n['scenes']:5d} scenes"
+        )
+    for kind, reasons in sorted(summary["redraws"].items()):
+        ranked = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
+        lines.append(f"  redraws of {kind}: {', '.join(f'{n}x {reason}' for reason, n in ranked) or 'none'}")
+    refused = sorted((summary["refused"] | summary["refused_scenes"]).items())
+    refused = [f"  refused {name}: {reason}" for name, reason in refused]
+    lines += refused[:MAX_LISTED]
+    if len(refused) > MAX_LISTED:
+        lines.append(f"  {len(refused) - MAX_LISTED} more refused: dataset.json lists them")
+    return "\n".join([*lines, *_files_taken(summary)])
+
+
+def _files_taken(summary: dict) -> list[str]:
+    """The last line of a summary: of how many mesh files parts were made, and why not of the others."""
+    if not summary["refused"]:
+        return []
+    from kit1000.parts.files.refusals import refusal_counts
+
+    taken = sum(count["parts"] for count in summary["counts"].values())
+    tried = taken + len(summary["refused"])
+    return [
+        f"  {taken} of {tried} mesh files taken as parts; the others: {refusal_counts(summary['refused'].values())}"
+    ]
+
+
+def kit_report_text(report: dict, out: Path) -> str:
+    """The report of a kit as text."""
+    size, plate = (" x ".join(f"{side:.1f}" for side in report[key]) for key in ("size_mm", "plate_mm"))
+    lines = [
+        f"part       {report['part']}: {size} mm ({report['unit_reason']})",
+        *(f"           {note}" for note in report["repairs"]),
+        f"plate      {plate} mm, cavity {report['depth_mm']:.1f} mm deep, part protrudes {report['proud_mm']:.1f} mm",
+        f"clearance  {report['clearance_smallest_mm']:.3f} to {report['clearance_largest_mm']:.3f} mm"
+        f" (requested {report['clearance_asked_mm']:g})",
+        f"walls      {report['walls_removed']} too thin to print, removed ({report['walls_removed_mm3']:.0f} mm3);"
+        f" undercuts {report['undercut_lost_mm3']:.0f} mm3",
+    ]
+    if not report["trial"]["passes"]:
+        lines.append(f"note       the cavity alone does not determine the pose: the part {report['trial']['why']}")
+    if max(report["plate_mm"][:2]) > PRINTER_BED_MM:
+        lines.append(f"note       the plate is larger than the bed of a usual printer, {PRINTER_BED_MM} mm")
+    return "\n".join([*lines, f"files      {out}"])

@@ -1,0 +1,304 @@
+"""The editor without a browser: a fake page drags parts of a recorded scene from depth to a submission."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from editing import EYE, answered, desk, dragged, found, goal, header_of, scene_of
+
+from kit1000.cli import main
+from kit1000.dataset.reader import Dataset
+from kit1000.editor.display import ghost_node, part_node
+from kit1000.editor.keys import KEYS, help_text
+from kit1000.editor.plates import TABLE
+from kit1000.editor.proposals import Proposal, distinct
+from kit1000.editor.records import FILE, EventLog
+from kit1000.editor.scene import EditedScene
+from kit1000.editor.session import Session
+from kit1000.editor.texts import LIKELY_COLOUR, SURE_COLOUR, UNSURE_COLOUR, confidence_colour, plain
+from kit1000.editor.worker import Job, Method, Result, prepared, proposals_of
+from kit1000.errors import InputError
+from kit1000.pose import Pose
+from kit1000.predictor import PredictedMotion
+from kit1000.submission import read_submission
+from kit1000.values import Query, TrueGeometry
+
+NEAR = Pose.from_rotvec((0.0, 0.0, 0.1), (0.004, -0.003, 0.0))
+
+
+def off(motion: Pose, pivot: np.ndarray, yaw: float, shift: tuple[float, float, float]) -> Pose:
+    """A motion with an error about the image of the pivot."""
+    image = motion.apply(pivot)
+    about = Pose.from_translation(image) @ Pose.from_rotvec((0, 0, yaw), shift) @ Pose.from_translation(-image)
+    return about @ motion
+
+
+def same_pose(one: Pose, other: Pose) -> bool:
+    return one.wxyz.tobytes() + one.xyz.tobytes() == other.wxyz.tobytes() + other.xyz.tobytes()
+
+
+@pytest.fixture(params=["ideal", "d415"])
+def scene(mini: Path, request: pytest.FixtureRequest) -> EditedScene:
+    return scene_of(mini, request.param)
+
+
+def test_a_part_is_dragged_snapped_confirmed_and_checked(scene: EditedScene, mini: Path, tmp_path: Path) -> None:
+    """From depth alone to a submission without a fault, scored as perfect since the fit is the goal."""
+    table = desk(scene, tmp_path)
+    part = scene.parts[0]
+    true = goal(scene, part)
+    found(table, part, (true, 0.93))
+    dragged(table, part, true.apply(scene.pivot(part)) + (0.006, 0.004, 0.0))
+    space = table.controller.space
+    assert space.plate_of(part) is not TABLE
+    assert ghost_node(part) not in table.stage.hidden
+    assert table.stage.colours[ghost_node(part)] == SURE_COLOUR
+    assert "93 % sure" in table.stage.texts["fit"]
+    assert [asked[0] for asked in table.asker.asked] == [part]
+    table.controller.command("take")
+    table.controller.command("confirm")
+    assert space.session.edits[part].state == "confirmed"
+    assert same_pose(table.stage.poses[part_node(part)], true)
+    assert main(["check", str(tmp_path), "--data", str(mini)]) == 0
+    rows = read_submission(tmp_path).predictions
+    mine = [rows.row(query_id) for query_id in rows.query_ids if f"-p{part}-" in query_id]
+    assert mine
+    assert all(same_pose(rows.motions[row], true) for row in mine if row is not None)
+
+
+def test_a_slid_part_stands_on_the_plate_under_the_cursor(scene: EditedScene, tmp_path: Path) -> None:
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    plate = scene.plates[0]
+    dragged(table, part, plate.point)
+    motion = table.controller.space.current[part].goal_from_now
+    assert abs(float(plate.height(motion.apply(scene.clouds[part])).min())) < 1e-9
+    up = motion.rotate((0.0, 0.0, 1.0))
+    assert np.degrees(np.arccos(min(1.0, float(up @ plate.normal)))) < 1e-4
+    assert not table.controller.space.session.edits[part].turned
+
+
+def test_one_gesture_is_one_operation_and_undone_bit_for_bit(scene: EditedScene, tmp_path: Path) -> None:
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    controller, begin = table.controller, Session.begin(scene.parts)
+    dragged(table, part, scene.plates[0].point, steps=7)
+    dragged(table, part, scene.plates[0].point + (0.01, 0.0, 0.03), "shift")
+    dragged(table, part, scene.plates[0].point + (0.02, 0.0, 0.0), "cmd/ctrl")
+    dragged(table, part, scene.plates[0].point + (0.0, 0.01, 0.0), "alt")
+    for verb in ("turn-left", "turn-right-fine", "tip-away", "tip-aside", "level", "raise", "lower", "reset"):
+        controller.command(verb, EYE)
+    count = len(controller.space.session.done)
+    assert count == 4 + 8
+    last = controller.space.session
+    for _ in range(count):
+        controller.command("undo")
+    assert all(edit.same_as(begin.edits[p]) for p, edit in controller.space.session.edits.items())
+    assert table.stage.rows[1] == 0
+    controller.return_to(count)
+    assert all(edit.same_as(last.edits[p]) for p, edit in controller.space.session.edits.items())
+
+
+def test_closing_and_opening_again_loses_nothing(scene: EditedScene, tmp_path: Path) -> None:
+    """Also when the last line was cut off by a crash; undone operations can still be redone."""
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    dragged(table, part, scene.plates[0].point)
+    table.controller.command("turn-left")
+    table.controller.command("raise")
+    table.controller.command("undo")
+    before = table.controller.space.session
+    with open(tmp_path / FILE, "a", encoding="utf-8") as file:
+        file.write('{"event": "do", "na')
+    again = desk(scene, tmp_path).controller.space.session
+    assert [operation.name for operation in again.done] == [operation.name for operation in before.done]
+    assert len(again.undone) == 1
+    for session, other in ((again, before), (again.redo(), before.redo())):
+        assert all(edit.same_as(other.edits[p]) for p, edit in session.edits.items())
+    table.controller.command("redo")  # the cut line is gone: what follows is readable
+    assert [json.loads(line)["event"] for line in (tmp_path / FILE).read_text().splitlines()][-2:] == ["undo", "redo"]
+
+
+def test_letting_go_near_a_fit_takes_it_unless_that_is_switched_off(scene: EditedScene, tmp_path: Path) -> None:
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    point = scene.plates[0].point
+    dragged(table, part, point)
+    found(table, part, (table.controller.space.current[part].goal_from_now, 0.7))
+    for lets_go, state in ((False, "free"), (True, "snapped")):
+        table.controller.lets_go = lets_go
+        dragged(table, part, np.array([0.0, -0.2, 0.0]))
+        dragged(table, part, point)
+        assert table.controller.space.session.edits[part].state == state
+
+
+def test_a_turned_part_gets_the_answer_to_its_own_pose_and_a_moved_one_any_rotation(
+    scene: EditedScene, tmp_path: Path
+) -> None:
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    space, pivot = table.controller.space, scene.pivot(part)
+    dragged(table, part, scene.plates[0].point)
+    hand = space.current[part].goal_from_now
+    aside, along = off(hand, pivot, 1.5, (0.005, 0.0, 0.0)), off(hand, pivot, 0.2, (0.0, 0.005, 0.0))
+    found(table, part, (aside, 0.9), (along, 0.6), (off(hand, pivot, 0.0, (0.05, 0.0, 0.0)), 0.99))
+    assert [fit.confidence for fit in space.fits(part)] == [0.9, 0.6]  # one is out of reach
+    table.controller.command("turn-left")
+    assert [fit.confidence for fit in space.fits(part)] == [0.6, 0.9]
+    turned = space.session.edits[part].goal_from_now
+    answered(table, part, turned, (off(turned, pivot, 0.1, (0.0, 0.0, 0.004)), 0.3))
+    assert [fit.confidence for fit in space.fits(part)] == [0.3, 0.6, 0.9]
+    answered(table, part, hand, (hand, 1.0))  # too late: the hand has moved on
+    assert [fit.confidence for fit in space.fits(part)] == [0.3, 0.6, 0.9]
+    ghost = space.ghost(part)
+    table.controller.command("next")
+    assert space.ghost(part) is not ghost
+
+
+def test_snap_all_takes_likely_fits_and_no_cavity_twice(mini: Path, tmp_path: Path) -> None:
+    scene = max((scene_of(mini, "ideal", split=split) for split in ("train", "val")), key=lambda one: len(one.parts))
+    table = desk(scene, tmp_path)
+    goals = {part: goal(scene, part) for part in scene.parts}
+    for part in scene.parts:
+        first = scene.parts[0]
+        stolen = Pose.from_translation(goals[first].apply(scene.pivot(first)) - scene.pivot(part))
+        found(table, part, (stolen if part != first else goals[first], 0.8 - 0.1 * part), (goals[part], 0.1))
+    table.controller.command("take-all")
+    states = [edit.state for edit in table.controller.space.session.edits.values()]
+    assert states == ["snapped", *["free"] * (len(scene.parts) - 1)]
+    assert len(table.controller.space.session.done) == 1
+    table.controller.command("confirm-all")
+    assert table.controller.space.session.edits[scene.parts[0]].confirmed
+
+
+def test_without_a_method_nothing_snaps_and_a_pose_by_hand_can_be_confirmed(scene: EditedScene, tmp_path: Path) -> None:
+    table, part = desk(scene, tmp_path, snaps=False), scene.parts[0]
+    dragged(table, part, scene.plates[0].point)
+    table.controller.command("take")
+    table.controller.command("confirm")
+    assert table.controller.space.session.edits[part].state == "confirmed"
+    rows = read_submission(tmp_path).predictions
+    assert set(rows.confidence.tolist()) == {0.0}
+    table.controller.command("undo")
+    assert not (tmp_path / "manifest.toml").exists()
+
+
+def test_a_part_on_the_table_cannot_be_confirmed(scene: EditedScene, tmp_path: Path) -> None:
+    table = desk(scene, tmp_path)
+    table.controller.command(f"select-{scene.parts[0] + 1}")
+    table.controller.command("confirm")
+    assert "drag a part" in table.stage.texts["note"]
+    assert not any(edit.confirmed for edit in table.controller.space.session.edits.values())
+
+
+def test_every_key_does_something_or_says_why_not(scene: EditedScene, tmp_path: Path) -> None:
+    table = desk(scene, tmp_path)
+    for key in KEYS:
+        table.controller.command("deselect")
+        table.controller.command(key.verb, EYE)
+        table.controller.command(f"select-{scene.parts[0] + 1}")
+        table.controller.command(key.verb, EYE)
+    assert all(key.help in help_text() for key in KEYS)
+    used = [(key.key, key.modifier) for key in KEYS]
+    assert len(set(used)) == len(used)
+    assert not {key.key for key in KEYS if key.modifier is None} & set("WASDQE")
+
+
+def test_a_blind_session_opens_no_file_with_truth(mini: Path, tmp_path: Path) -> None:
+    opened: list[str] = []
+    watching = [True]
+
+    def hook(event: str, arguments: tuple[Any, ...]) -> None:
+        if watching[0] and event == "open" and isinstance(arguments[0], str):
+            opened.append(arguments[0])
+
+    sys.addaudithook(hook)  # for the life of this process
+    dataset = Dataset(mini)
+    scene_id = dataset.split("test").scene_ids[0]
+    scene = EditedScene.open(dataset, scene_id, "ideal", truth=False)
+    table = desk(scene, tmp_path)
+    dragged(table, scene.parts[0], scene.plates[0].point)
+    table.controller.command("confirm")
+    method = Method("test_editor_controller:keep", mini, scene_id, "ideal", False)
+    proposals_of(prepared(method), Job(scene.parts[0], NEAR))
+    watching[0] = False
+    inside = {Path(name).name for name in opened if str(mini) in name}
+    assert any(name.endswith(".mcap") for name in inside)
+    assert inside <= {"dataset.json", "0000.mcap"}
+
+
+def keep(query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
+    """A method of one's own: the guess as it is."""
+    assert geometry is None
+    assert query.guess is not None
+    return PredictedMotion(query.guess, 0.25)
+
+
+class Fussy:
+    """A method that wants the truth."""
+
+    uses_true_geometry = True
+
+    def __init__(self, dataset: Dataset) -> None:
+        self.dataset = dataset
+
+    def propose(self, query: Query, geometry: TrueGeometry) -> list[PredictedMotion]:
+        assert geometry.part.vertices.shape[1] == 3
+        return [PredictedMotion(Pose.identity(), 0.5)]
+
+
+def test_any_predictor_snaps_by_the_protocol_alone(mini: Path) -> None:
+    scene = scene_of(mini)
+    method = Method("test_editor_controller:keep", mini, scene.recorded.id, "ideal", False)
+    method.check()
+    answer = proposals_of(prepared(method), Job(scene.parts[0], NEAR))
+    assert same_pose(answer[0].goal_from_now, NEAR)
+    assert (answer[0].confidence, answer[0].answer) == (0.25, True)
+    assert proposals_of(prepared(method), Job(scene.parts[0], None)) == []  # it needs a guess
+
+
+def test_true_geometry_is_for_sessions_that_show_it(mini: Path) -> None:
+    scene_id = scene_of(mini).recorded.id
+    with pytest.raises(InputError, match="--truth"):
+        prepared(Method("test_editor_controller:Fussy", mini, scene_id, "ideal", False))
+    made = prepared(Method("test_editor_controller:Fussy", mini, scene_id, "ideal", True))
+    assert proposals_of(made, Job(next(iter(made.queries)), None))[0].confidence == 0.5
+
+
+@pytest.mark.parametrize("snap", ["nothing", "no.such:Thing", ":x", "math:", "..x:y"])
+def test_a_method_that_is_none_is_refused(snap: str, mini: Path) -> None:
+    with pytest.raises(InputError, match="--snap"):
+        Method(snap, mini, "test-s0000", "ideal", False).check()
+
+
+def test_a_session_with_true_shapes_says_so_everywhere(mini: Path, tmp_path: Path) -> None:
+    scene = scene_of(mini, truth=True)
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    table.controller.place(part, goal(scene, part))
+    assert "True shapes: stands on the kit." in table.stage.texts["fit"]
+    table.controller.command("confirm")
+    assert all(json.loads(line)["truth"] for line in (tmp_path / FILE).read_text().splitlines())
+    manifest = read_submission(tmp_path).manifest
+    assert manifest.uses_true_geometry
+    assert "True shapes were shown" in manifest.description
+    with pytest.raises(InputError, match="choose another --out"):
+        EventLog(tmp_path, header_of(scene_of(mini)))
+
+
+def test_failures_of_a_method_are_said_without_markup(scene: EditedScene, tmp_path: Path) -> None:
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    dragged(table, part, scene.plates[0].point)
+    table.controller.received(Result(Job(part, None), [], "no <b>luck</b> [x](y)"))
+    assert "no bluck/b x(y)" in table.stage.texts["fit"]
+    assert plain("<script>`a`|#") == "scripta"
+
+
+def test_colour_follows_confidence_in_three_steps() -> None:
+    steps = [confidence_colour(share) for share in (0.0, 0.499, 0.5, 0.799, 0.8, 1.0)]
+    assert steps == [UNSURE_COLOUR] * 2 + [LIKELY_COLOUR] * 2 + [SURE_COLOUR] * 2
+
+
+def test_fits_that_nobody_can_tell_apart_are_one() -> None:
+    pivot = np.array([0.1, 0.2, 0.0])
+    fits = [Proposal(Pose.from_translation((x, 0.0, 0.0)), 0.5) for x in (0.0, 0.0009, 0.0011, 0.01)]
+    assert distinct(fits, pivot) == [fits[0], fits[2], fits[3]]

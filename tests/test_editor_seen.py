@@ -1,0 +1,188 @@
+"""Seen meshes, plates, lookups and gestures, against closed form: a tilted plate with a cavity, rendered."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kit1000.camera import Camera, look_at
+from kit1000.editor import gestures
+from kit1000.editor.plates import TABLE, Plate, find_plates
+from kit1000.editor.pointing import Eye, Pointing
+from kit1000.editor.report import Contacts, solid_points
+from kit1000.editor.seen import seen_surface, with_skirt
+from kit1000.mesh import Mesh, mesh_from_solid
+from kit1000.parts.cad import polygon, prism
+from kit1000.pose import Pose, quaternion_between
+from kit1000.sim.layout import table
+from kit1000.sim.render import render
+from kit1000.values import View
+
+CAMERA = Camera(640, 360, 460.0, 460.0, 319.5, 179.5)
+VIEW_POSE = look_at((0.05, -0.5, 0.6), (0.0, 0.0, 0.03))
+TILT = np.radians(20)
+WORLD_FROM_PLATE = Pose.from_rotvec((TILT, 0.0, 0.0), (0.0, 0.05, 0.06))  # z = 0 is the plate's face
+DEPTH = 12e-3
+EYE = Eye(look_at((0.0, -0.7, 0.5), (0.0, 0.0, 0.0)), float(np.radians(45)), 1.5)
+
+
+def square(half: float) -> list[tuple[float, float]]:
+    return [(-half, -half), (half, -half), (half, half), (-half, half)]
+
+
+@cache
+def kit() -> Mesh:
+    """A plate of 100 mm with a cavity of 40 mm, its face at z = 0. [m]"""
+    solid = prism(polygon(square(50.0)), 18.0).translate((0, 0, -18)) - prism(polygon(square(20.0)), 12.0).translate(
+        (0, 0, -12)
+    )
+    return mesh_from_solid(solid).scaled(1e-3)
+
+
+@cache
+def block() -> Mesh:
+    """30 x 30 x 20 mm, standing on z = 0. [m]"""
+    return mesh_from_solid(prism(polygon(square(15.0)), 20.0)).scaled(1e-3)
+
+
+@cache
+def seen() -> tuple[View, Mesh, Mesh]:
+    """An image of the kit and of the block on the table, and what is seen of each."""
+    bodies = [
+        (kit(), WORLD_FROM_PLATE),
+        (block(), Pose.from_translation((0.0, -0.15, 0.0))),
+        (table(), Pose.identity()),
+    ]
+    image = render(CAMERA, VIEW_POSE, bodies)
+    view = View(CAMERA, VIEW_POSE, image.depth)
+    return view, seen_surface(view, image.body_ids == 1), with_skirt(seen_surface(view, image.body_ids == 2))
+
+
+def test_seen_points_are_on_the_true_surface() -> None:
+    _, kits, part = seen()
+    top = part.vertices[: len(part.vertices) // 2] - (0.0, -0.15, 0.0)
+    assert np.abs(np.abs(top).max(0) - (0.015, 0.015, 0.02)).max() < 2e-3
+    height = WORLD_FROM_PLATE.inverse().apply(kits.vertices)[:, 2]
+    assert height.max() < 1e-5  # nothing above the face
+
+
+def test_no_triangle_bridges_a_step_in_depth() -> None:
+    depth = np.full((60, 80), 1.0, np.float32)
+    depth[:, 40:] = 1.3
+    camera = Camera(80, 60, 100.0, 100.0, 39.5, 29.5)
+    surface = seen_surface(View(camera, Pose.identity(), depth), np.ones(depth.shape, bool))
+    assert np.unique(surface.triangles[..., 2].round(6)).tolist() == [1.0, 1.3]
+    assert (np.ptp(surface.triangles[..., 2], axis=1) < 1e-6).all()
+    assert len(surface.faces) == 2 * 59 * (39 + 39)
+
+
+def test_nothing_seen_is_an_empty_mesh() -> None:
+    view = View(CAMERA, VIEW_POSE, np.zeros((360, 640), np.float32))
+    for mask in (np.zeros((360, 640), bool), np.ones((360, 640), bool)):
+        assert len(seen_surface(view, mask).faces) == 0
+
+
+def test_a_skirt_closes_a_part_down_to_the_table() -> None:
+    part = seen()[2]
+    edges = np.concatenate([part.faces[:, [0, 1]], part.faces[:, [1, 2]], part.faces[:, [2, 0]]])
+    directed = {tuple(edge) for edge in edges.tolist()}
+    assert len(directed) == len(edges)
+    assert directed == {(b, a) for a, b in directed}  # watertight
+    assert part.vertices[:, 2].min() == 0.0
+
+
+def test_the_plate_is_found_where_it_is_and_its_floor_is_not_one() -> None:
+    plates = find_plates(seen()[1], 1.3e-6, noisy=False)
+    assert len(plates) == 1
+    normal = WORLD_FROM_PLATE.rotate((0.0, 0.0, 1.0))
+    assert np.degrees(np.arccos(min(1.0, float(plates[0].normal @ normal)))) < 0.1
+    assert abs(float(plates[0].height(WORLD_FROM_PLATE.xyz))) < 1e-4
+
+
+@pytest.mark.parametrize(("x", "y", "plate"), [(0.035, 0.0, True), (0.0, 0.0, True), (0.0, -0.16, False)])
+def test_a_lookup_meets_the_plane_of_what_is_under_the_cursor(x: float, y: float, plate: bool) -> None:
+    """Also over the cavity: the part slides over it."""
+    plates = find_plates(seen()[1], 1.3e-6, noisy=False)
+    pointing = Pointing(seen()[1], plates)
+    point = WORLD_FROM_PLATE.apply((x, y, 0.0)) if plate else np.array([x, y, 0.0])
+    support = pointing.support(EYE, EYE.screen(point))
+    assert support is not None
+    assert support.plate is (plates[0] if plate else TABLE)
+    assert np.abs(support.point - point).max() < 3e-4
+    assert pointing.below(point + 0.01) is support.plate
+
+
+def test_off_the_table_there_is_nothing_to_stand_on() -> None:
+    pointing = Pointing(seen()[1], [])
+    assert pointing.support(EYE, (0.5, 0.0)) is None
+    assert pointing.support(EYE, (-3.0, 0.5)) is None
+
+
+@given(st.floats(0, 1), st.floats(0, 1))
+def test_a_place_on_the_screen_and_its_ray_agree(x: float, y: float) -> None:
+    point = EYE.world_from_camera.xyz + 0.7 * EYE.ray((x, y))
+    assert np.allclose(EYE.screen(point), (x, y), atol=1e-9)
+
+
+angles = st.floats(-3, 3)
+
+
+def tilted(a: float, b: float) -> Plate:
+    normal = Pose.from_rotvec((a / 5, b / 5, 0.0)).rotate((0.0, 0.0, 1.0))
+    return Plate(normal, np.array([0.02, 0.1, 0.05]), 0.07)
+
+
+@given(angles, angles, angles, angles, angles)
+def test_a_slid_part_touches_the_surface_and_keeps_its_rotation_to_it(
+    a: float, b: float, c: float, d: float, yaw: float
+) -> None:
+    cloud, pivot, old, new = block().vertices, np.array([0.0, 0.0, 0.01]), tilted(a, b), tilted(c, d)
+    motion = Pose.from_rotvec((0.3, yaw, 0.1), (0.01, 0.02, 0.03))
+    moved = gestures.slid(motion, cloud, pivot, old, new, new.point)
+    assert abs(float(new.height(moved.apply(cloud)).min())) < 1e-12
+    off = moved.apply(pivot) - new.point
+    assert np.abs(off - (off @ new.normal) * new.normal).max() < 1e-12  # the pivot is over the point
+    relative = Pose(quaternion_between(old.normal, new.normal), np.zeros(3)) @ motion
+    assert float((relative.inverse() @ moved).angle()) < 1e-9
+
+
+@given(angles, angles)
+def test_turning_there_and_back_is_nothing(angle: float, yaw: float) -> None:
+    pivot, axis = np.array([0.1, 0.0, 0.02]), np.array([0.0, 0.6, 0.8])
+    motion = Pose.from_rotvec((0.0, 0.1, yaw), (0.1, 0.2, 0.3))
+    back = gestures.rotated(gestures.rotated(motion, pivot, axis, angle), pivot, axis, -angle)
+    assert gestures.distance(back, motion, pivot)[0] < 1e-12
+    assert gestures.distance(gestures.rotated(motion, pivot, axis, angle), motion, pivot)[0] < 1e-12
+
+
+def test_levelling_stands_a_tilted_part_on_its_nearest_side() -> None:
+    motion = Pose.from_rotvec((np.radians(70), 0.0, 0.0), (0.0, 0.0, 0.2))
+    level = gestures.levelled(motion, block().vertices, np.array([0.0, 0.0, 0.01]), TABLE)
+    points = level.apply(block().vertices)
+    assert np.degrees(float((level.inverse() @ Pose.from_rotvec((np.pi / 2, 0, 0))).angle())) < 1e-6
+    assert abs(points[:, 2].min()) < 1e-12
+    assert abs(points[:, 2].max() - 0.03) < 1e-9  # 30 mm high on its side
+
+
+@pytest.mark.parametrize("height", [0.004, 0.0, -0.006])
+def test_contact_as_seen_is_the_height_over_the_plate(height: float) -> None:
+    """Beside the cavity; in the cavity it is 12 mm lower."""
+    kits, part = seen()[1], seen()[2]
+    plate = find_plates(kits, 1.3e-6, noisy=False)[0]
+    contacts, points = Contacts(kits), solid_points(part)
+    for shift, depth in ((0.036, 0.0), (0.0, DEPTH)):
+        now = Pose.from_translation((0.0, 0.15, 0.0))  # to the origin
+        motion = WORLD_FROM_PLATE @ Pose.from_translation((shift, 0.0, height - depth)) @ now
+        contact = contacts.of(points, motion, plate)
+        assert abs(contact.overlap + height) < 1.2e-3, (shift, contact)
+
+
+def test_far_from_the_kits_nothing_is_known_of_contact() -> None:
+    plate = find_plates(seen()[1], 1.3e-6, noisy=False)[0]
+    contact = Contacts(seen()[1]).of(solid_points(seen()[2]), Pose.from_translation((0.4, 0.0, 0.0)), plate)
+    assert np.isnan(contact.overlap)
+    assert "nothing" in contact.text()

@@ -1,0 +1,111 @@
+"""The server talks to its own page alone: every refusal, and what it serves."""
+
+from __future__ import annotations
+
+import asyncio
+import http.client
+import socket
+from collections.abc import Iterator
+from unittest import mock
+
+import pytest
+import viser
+import websockets.asyncio.server
+from websockets.asyncio.client import connect
+from websockets.exceptions import InvalidStatus
+
+from kit1000.editor.serve import HOST, serving
+from kit1000.errors import InputError, InternalError
+
+PROTOCOL = f"viser-v{viser.__version__}"
+
+
+@pytest.fixture(scope="module")
+def server() -> Iterator[viser.ViserServer]:
+    with serving(None) as (served, _):
+        yield served
+
+
+def shake(port: int, origin: str | None) -> int:
+    """HTTP status of a handshake: 101 where it is accepted."""
+
+    async def go() -> int:
+        try:
+            async with connect(f"ws://{HOST}:{port}", origin=origin, subprotocols=[PROTOCOL], proxy=None):  # type: ignore[arg-type, list-item]
+                return 101
+        except InvalidStatus as refused:
+            return refused.response.status_code
+
+    return asyncio.run(go())
+
+
+def get(port: int, path: str) -> http.client.HTTPResponse:
+    connection = http.client.HTTPConnection(HOST, port, timeout=10)
+    connection.putrequest("GET", path, skip_host=False)
+    connection.endheaders()
+    return connection.getresponse()
+
+
+@pytest.mark.parametrize("name", [HOST, "localhost"])
+def test_the_own_page_is_accepted(server: viser.ViserServer, name: str) -> None:
+    assert shake(server.get_port(), f"http://{name}:{server.get_port()}") == 101
+
+
+@pytest.mark.parametrize(
+    "origin",
+    [None, "null", "https://example.org", "http://{host}:{other}", "http://{host}", "http://{host}.example.org:{port}"],
+)
+def test_any_other_origin_is_refused_before_anything_is_sent(server: viser.ViserServer, origin: str | None) -> None:
+    port = server.get_port()
+    named = origin and origin.format(host=HOST, port=port, other=port + 1)
+    assert shake(port, named) == 403
+
+
+def test_only_loopback_is_bound(server: viser.ViserServer) -> None:
+    assert server.get_host() == HOST
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.connect(("192.0.2.1", 9))  # sends nothing; tells the address of the outer interface
+        outer = probe.getsockname()[0]
+    if outer == HOST:
+        pytest.skip("no other interface on this machine")
+    with pytest.raises(OSError, match="refused"):
+        socket.create_connection((outer, server.get_port()), timeout=5)
+
+
+@pytest.mark.parametrize("path", ["/../pyproject.toml", "/%2e%2e/%2e%2e/etc/passwd", "/..%5c..%5cx", "/nothing.html"])
+def test_no_path_leads_out_of_the_page(server: viser.ViserServer, path: str) -> None:
+    assert get(server.get_port(), path).status == 404
+
+
+def test_no_other_page_may_frame_this_one(server: viser.ViserServer) -> None:
+    answer = get(server.get_port(), "/")
+    assert answer.status == 200
+    assert answer.headers["X-Frame-Options"] == "DENY"
+    assert "frame-ancestors 'none'" in answer.headers["Content-Security-Policy"]
+
+
+def test_no_public_address_is_made(server: viser.ViserServer) -> None:
+    with mock.patch.object(viser._viser, "ViserTunnel", side_effect=AssertionError("a tunnel was opened")):
+        assert server.request_share_url() is None
+
+
+def test_a_taken_port_is_refused(server: viser.ViserServer) -> None:
+    with pytest.raises(InputError, match="is taken"), serving(server.get_port()):
+        pass
+
+
+@pytest.mark.parametrize("port", [0, -1, 65536])
+def test_a_port_is_a_port(port: int) -> None:
+    with pytest.raises(InputError, match="1 to 65535"), serving(port):
+        pass
+
+
+def test_a_server_whose_guard_is_gone_does_not_serve(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after an upgrade of viser that serves in another way."""
+    from viser.infra import _infra
+
+    elsewhere = mock.Mock(wraps=_infra.websockets)
+    elsewhere.asyncio.server.serve = websockets.asyncio.server.serve
+    monkeypatch.setattr(_infra, "websockets", elsewhere)
+    with pytest.raises(InternalError, match="unchecked"), serving(None):
+        pass
