@@ -93,8 +93,8 @@ PRESETS = {
         Preset("paper", 1000, 100, 200, longest=(0.05, 0.05), level_base=True, tracks=IDEAL_TRACKS, crowded=0.0),
         Preset(
             "real-like",
-            60,
             20,
+            10,
             100,
             longest=(0.06, 0.08),
             clearance=10e-3,
