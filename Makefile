@@ -98,6 +98,7 @@ slicer: $(DEV) ## give kits and assemblies of DATA, else of tiny, to PrusaSlicer
 pictures: $(DEV) ## draw the pictures of the README and the docs
 	$(BIN)/python docs/pictures/draw.py
 	$(BIN)/python docs/pictures/sensors.py
+	$(BIN)/python docs/pictures/robot.py
 
 lock: $(DEV) ## pin in requirements/ what pyproject.toml asks for; UPGRADE=1 renews all versions
 	$(PIP) install uv

@@ -295,6 +295,32 @@ class Insertions:
 
 
 @dataclass(frozen=True)
+class Run:
+    """Let a simulated robot pick the parts of scenes and insert them as predicted; prints what became of each part."""
+
+    data: Folder
+    """Dataset folder, with ground truth."""
+    predictions: Path
+    """Submission folder or predictions file; predictions of one track."""
+    scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    """One scene, such as test-s0003; every scene with a prediction when absent."""
+    track: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Track whose predictions are carried out, where the file has several."""
+    out: OptionalPath = None
+    """Folder for outcomes.json and a trace of each scene."""
+    seed: int = 0
+    """Seed of the path planner."""
+
+    def run(self) -> int:
+        """Run the robot and print the outcomes; returns 1 when a part is not seated."""
+        from kit1000.planner.runs import format_runs, run_predictions
+
+        runs = run_predictions(self.data, self.predictions, self.scene, self.track, self.out, self.seed)
+        print(format_runs(runs))
+        return 0 if all(part.outcome == "seated" for run in runs for part in run.parts) else 1
+
+
+@dataclass(frozen=True)
 class Check:
     """List every fault of a submission, with line, column, value, expected value and fix."""
 
@@ -359,6 +385,7 @@ COMMANDS = {
     "check": Check,
     "edit": Edit,
     "insertions": Insertions,
+    "run": Run,
 }
 
 

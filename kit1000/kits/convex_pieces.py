@@ -19,6 +19,7 @@ from kit1000.values import Kit
 
 TOLERANCE = 0.4e-3  # [m] by which walls recede at most, roughly; the clearance is 2.5 mm
 MAX_LAYERS = 12  # reached by round bottoms, whose steps are then one or two millimetres high
+MAX_PART_LAYERS = 24  # of a part, which is higher than its cavity
 LEDGE_OFFSET = 1e-6  # [m] from the top of a layer to the ledge above it: keeps corners rounded to float32 above
 MIN_LEDGE_AREA = 1e-6  # [m^2] smaller level faces count as slopes
 LEDGE_SPACING = 20e-6  # [m] ledges closer than this count as one
@@ -39,6 +40,21 @@ def convex_prisms(kit: Kit, tolerance: float = TOLERANCE) -> list[Mesh]:
         kept = plate - _outer_outline(layer.shadow, tolerance / 2)
         pieces += [_prism(polygon, layer.low, layer.high) for polygon in convex_polygons(kept)]
     return [mesh_from_solid(piece) for piece in pieces]
+
+
+def enclosing_prisms(mesh: Mesh, tolerance: float = TOLERANCE, fine_height: float = np.inf) -> list[np.ndarray]:
+    """Corners (n, 3) [m] of convex prisms along z that contain a closed mesh and exceed it by about `tolerance` [m].
+
+    Unlike a general convex decomposition they take milliseconds; a slope of the mesh is a stair, whose steps are coarse
+    from `fine_height` [m] above the lowest point on.
+    """
+    solid = solid_from_mesh(mesh)
+    low, high = map(float, mesh.bounds[:, 2])
+    return [
+        np.concatenate([np.column_stack([polygon, np.full(len(polygon), z)]) for z in (layer.low, layer.high)])
+        for layer in _layers(solid, low, high, tolerance, MAX_PART_LAYERS, 2 * LEDGE_OFFSET, low + fine_height)
+        for polygon in convex_polygons(_outer_outline(layer.shadow, tolerance / 2))
+    ]
 
 
 def convex_polygons(section: CrossSection) -> list[np.ndarray]:
@@ -79,24 +95,40 @@ class _Layer:
         return self.lost_volume / (self.high - self.low) / max(perimeter, 1e-9)
 
 
-def _layers(cavity: Manifold, floor: float, rim: float, tolerance: float) -> list[_Layer]:
-    """Layers from floor to rim, cut at every ledge; then the layer that loses most is halved until none loses much."""
+def _layers(
+    cavity: Manifold,
+    floor: float,
+    rim: float,
+    tolerance: float,
+    most: int = MAX_LAYERS,
+    inset: float = 0.0,
+    fine_below: float = np.inf,
+) -> list[_Layer]:
+    """Layers from floor to rim, cut at every ledge; then the layer that loses most is halved until none loses much.
+
+    Args:
+        cavity: the solid to cut, between the heights floor and rim [m].
+        tolerance: [m] of recession.
+        most: number of layers up to which they are halved.
+        inset: [m] at the bottom of every layer that does not count for its shadow: the tops of what stands below it.
+        fine_below: [m] height from which on layers are not halved.
+    """
     heights = [floor, *_ledges(cavity, floor, rim), rim]
-    layers = [_layer(cavity, a, b) for a, b in pairwise(heights)]
-    while len(layers) < MAX_LAYERS:
+    layers = [_layer(cavity, a, b, inset) for a, b in pairwise(heights)]
+    while len(layers) < most:
         # a quarter, because the mean hides how far a slope recedes beside upright walls
-        coarse = [layer for layer in layers if layer.recession > tolerance / 4]
+        coarse = [layer for layer in layers if layer.low < fine_below and layer.recession > tolerance / 4]
         if not coarse:
             break
         worst = max(coarse, key=lambda layer: layer.lost_volume)
         middle = (worst.low + worst.high) / 2
         layers.remove(worst)
-        layers += [_layer(cavity, worst.low, middle), _layer(cavity, middle, worst.high)]
+        layers += [_layer(cavity, worst.low, middle, inset), _layer(cavity, middle, worst.high, inset)]
     return layers
 
 
-def _layer(cavity: Manifold, low: float, high: float) -> _Layer:
-    open_ = cavity.trim_by_plane((0, 0, 1), low).trim_by_plane((0, 0, -1), -high)
+def _layer(cavity: Manifold, low: float, high: float, inset: float) -> _Layer:
+    open_ = cavity.trim_by_plane((0, 0, 1), low + inset).trim_by_plane((0, 0, -1), -high)
     shadow = CrossSection(open_.project().to_polygons(), FillRule.Positive)
     return _Layer(low, high, shadow, shadow.area() * (high - low) - open_.volume())
 

@@ -74,6 +74,11 @@ class World:
         self._call("disconnect")
         self.client = None
 
+    @property
+    def engine(self) -> Any:
+        """The module pybullet, for callers who need more of it with `client`."""
+        return self._bullet
+
     def add_ground(self, friction: float = FRICTION) -> int:
         """Add the plane z = 0, solid below. Returns the body id."""
         shape = self._call("createCollisionShape", self._bullet.GEOM_PLANE, planeNormal=[0.0, 0.0, 1.0])

@@ -1,0 +1,1 @@
+"""A simulated robot that carries out predicted motions: a UR5e with a suction cup picks parts and inserts them."""
