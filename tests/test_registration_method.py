@@ -160,7 +160,7 @@ NOTHING_OBSERVED: dict[str, Callable[[Query], Query]] = {
 
 
 @pytest.mark.parametrize("what", NOTHING_OBSERVED)
-@pytest.mark.parametrize("sensor", ["ideal", "d415"])  # an image that is noisy is smoothed first
+@pytest.mark.parametrize("sensor", ["ideal", "d415"])  # a noisy image is restored first
 def test_where_nothing_is_observed_the_guess_stays_with_confidence_0(
     what: str, sensor: str, snaps: QueryTruths, data: Dataset
 ) -> None:
