@@ -11,16 +11,20 @@ from baselines.registration.contradictions import Contradictions, KitHeights, co
 from baselines.registration.descent import SCALES
 from baselines.registration.fits import STIFFNESS, Fit, ranked
 from baselines.registration.hypotheses import find_candidates, within_guess_error
-from baselines.registration.intervals import refine_within
+from baselines.registration.intervals import Intervals, refine_within
 from baselines.registration.outline import outline_misfit
 from baselines.registration.search import Candidate, without_duplicates
 from baselines.registration.sources import DepthSource
+from kit1000.products import length
 from kit1000.values import Query
 
 DISTINCT, DISTINCT_WITHOUT_GUESS = 24, 16  # candidates of each plate among which contradictions choose
 REFINED, REFINED_WITHOUT_GUESS = 4, 6  # candidates of all plates that are refined
 PASSES = (SCALES[:3], SCALES[2:])  # [m] of the refinement; the second with the part's sweeps in the refined rotation
 OUTSIDE_WEIGHT, OUTLINE_WEIGHT = 2.0, 0.25  # of the distance from intervals and of the outline in the misfit
+COARSE_WEIGHT = 1e-3  # [m] of the coarse misfit beside contradictions: over unseen cells nothing contradicts
+SPARE = 3  # further candidates that are refined once in place of those that end in an earlier one's pose
+SAME_DISTANCE, SAME_ANGLE = 1e-3, np.radians(3)  # [m], [rad] within which two refined poses are one
 CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
 
 
@@ -28,10 +32,10 @@ def register_certain(source: DepthSource, query: Query, clearance: float) -> lis
     """The fits of a part in the cavities it may belong to, the best first. clearance: [m]."""
     search = _Search(source, query, clearance)
     guessed = query.guess is not None
-    found = find_candidates(source, source.evidence.filled, query, clearance)
+    found = find_candidates(source, source.evidence.filled, query, clearance, unseen_faces=True)
     distinct = without_duplicates(found, source.middle, DISTINCT if guessed else DISTINCT_WITHOUT_GUESS)
-    best = search.least_contradictory(distinct)[: REFINED if guessed else REFINED_WITHOUT_GUESS]
-    fits = [search.refined(candidate) for candidate in best]
+    best = search.apart(search.least_contradictory(distinct), REFINED if guessed else REFINED_WITHOUT_GUESS)
+    fits = [search.fitted(candidate) for candidate in best]
     return ranked(fit for fit in fits if within_guess_error(fit.goal_from_now, query))
 
 
@@ -39,22 +43,30 @@ class _Search:
     """The evidence about a part and its kits, at a clearance [m]."""
 
     def __init__(self, source: DepthSource, query: Query, clearance: float) -> None:
-        self.source = source
+        self.source, self.query = source, query
         self.clearance = clearance
         self.seen = source.part_points()
         self._kits: dict[int, KitHeights] = {}
 
     def least_contradictory(self, candidates: Sequence[Candidate]) -> list[Candidate]:
         """The candidates, those first that the image contradicts least."""
-        return sorted(candidates, key=lambda candidate: round(self._contradictions(candidate).choice, CHOICE_DECIMALS))
+        return sorted(candidates, key=lambda candidate: round(self._choice(candidate), CHOICE_DECIMALS))
 
-    def refined(self, candidate: Candidate) -> Fit:
-        """The fit of a candidate."""
-        outside = filled = np.inf
-        for scales in PASSES:
-            evidence, middle = self.source.evidence, self.source.middle
-            pose, outside, filled = refine_within(evidence, middle, candidate, self.clearance, STIFFNESS, scales)
-            candidate = replace(candidate, plate_from_now=pose)
+    def apart(self, candidates: Sequence[Candidate], most: int) -> list[Candidate]:
+        """The first `most` candidates after the first pass; none ends in an earlier one's pose or too far from the guess."""
+        kept: list[Candidate] = []
+        for candidate in candidates[: most + SPARE]:
+            moved, _ = self._refined(candidate, PASSES[0])
+            new = not any(_same(moved, other, self.source.middle) for other in kept)
+            if new and within_guess_error(moved.cavity.world_from_plate @ moved.plate_from_now, self.query):
+                kept.append(moved)
+            if len(kept) == most:
+                break
+        return kept
+
+    def fitted(self, candidate: Candidate) -> Fit:
+        """The fit of a candidate after the first pass."""
+        candidate, (_, outside, filled) = self._refined(candidate, PASSES[1])
         outline = outline_misfit(
             self.source.evidence.filled, candidate.cavity, candidate.plate_from_now, self.clearance
         )
@@ -62,8 +74,26 @@ class _Search:
         misfit = OUTSIDE_WEIGHT * outside + filled + OUTLINE_WEIGHT * outline + contradicted
         return Fit(candidate.cavity.world_from_plate @ candidate.plate_from_now, misfit, candidate)
 
+    def _choice(self, candidate: Candidate) -> float:
+        """[m] by which candidates are chosen."""
+        return self._contradictions(candidate).choice + COARSE_WEIGHT * candidate.misfit
+
+    def _refined(self, candidate: Candidate, scales: Sequence[float]) -> tuple[Candidate, Intervals]:
+        """A candidate after one pass, with what is left of its residuals."""
+        evidence, middle = self.source.evidence, self.source.middle
+        intervals = refine_within(evidence, middle, candidate, self.clearance, STIFFNESS, scales)
+        return replace(candidate, plate_from_now=intervals.plate_from_now), intervals
+
     def _contradictions(self, candidate: Candidate) -> Contradictions:
         key = id(candidate.cavity)
         if key not in self._kits:
             self._kits[key] = KitHeights.of(candidate.cavity, self.clearance)
         return contradictions(self.source.evidence, self.seen, self._kits[key], candidate.plate_from_now)
+
+
+def _same(a: Candidate, b: Candidate, middle: np.ndarray) -> bool:
+    """Whether two refined candidates are one pose in one cavity. middle: (3,) [m] of the part now."""
+    if a.cavity.world_from_plate is not b.cavity.world_from_plate:
+        return False
+    near = length(a.plate_from_now.apply(middle) - b.plate_from_now.apply(middle)) < SAME_DISTANCE
+    return bool(near and (a.plate_from_now @ b.plate_from_now.inverse()).angle() < SAME_ANGLE)

@@ -13,24 +13,36 @@ from baselines.registration.search import Candidate, SearchWindow, coarse_search
 from baselines.registration.sources import Source
 from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.pose import Pose
+from kit1000.products import matmul
 from kit1000.rng import stream
 from kit1000.values import Query
 from kit1000.voxels import Volume, surface_points
 
 SLACK_OFFSET, SLACK_ANGLE = 1.5e-3, np.radians(2.5)  # [m], [rad] searched beyond the largest error of a guess
 SIDE = 0.144  # [m] of a plate's relief: the range of a guess and half a part's width on either side
+NEAR_GUESS = np.cos(np.radians(15))  # between the guess and a face that explains its tilt
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
-def find_candidates(source: Source, part: Volume, query: Query, clearance: float) -> list[Candidate]:
-    """All candidates for a part, the best first; none where no part or no cavity is observed. clearance: [m]."""
+def find_candidates(
+    source: Source, part: Volume, query: Query, clearance: float, unseen_faces: bool = False
+) -> list[Candidate]:
+    """All candidates for a part, the best first; none where no part or no cavity is observed.
+
+    Args:
+        source: of the kits and of the middle of the part.
+        part: as it lies now.
+        query: its guess, if any, bounds the search.
+        clearance: [m]
+        unseen_faces: whether the part may stand on a face that its volume does not have.
+    """
     if not part.occupied.any():
         return []
     cavities = find_cavities(source, query)
     if not cavities:
         return []
     window = SearchWindow(query.pivot, query.guess, MAX_ANGLE + SLACK_ANGLE, MAX_OFFSET + SLACK_OFFSET)
-    down_normals = _down_normals(source, part, query, cavities)
+    down_normals = _down_normals(source, part, query, cavities, unseen_faces)
     return coarse_search(part, source.middle, down_normals, cavities, clearance, window)
 
 
@@ -46,7 +58,9 @@ def find_cavities(source: Source, query: Query) -> list[Cavity]:
     return [cavity for cavity in cavities if cavity is not None]
 
 
-def _down_normals(source: Source, part: Volume, query: Query, cavities: Sequence[Cavity]) -> list[np.ndarray]:
+def _down_normals(
+    source: Source, part: Volume, query: Query, cavities: Sequence[Cavity], unseen_faces: bool
+) -> list[np.ndarray]:
     """Normals (3,) of the faces that may go onto a cavity's floor; without a guess the part lies as it is inserted."""
     if query.guess is None:
         return [DOWN]
@@ -56,7 +70,11 @@ def _down_normals(source: Source, part: Volume, query: Query, cavities: Sequence
     angle = source.noise.angle
     cone = MAX_ANGLE + SLACK_ANGLE + angle
     faces = standing_faces(surface_points(part), middle, angle, np.array(guessed), cone)
-    return [face.normal for face in faces] or guessed  # where no such face is observed, the guess gives the direction
+    normals = [face.normal for face in faces]
+    if normals and not unseen_faces:
+        return normals
+    unseen = [down for down in guessed if not any(matmul(down, normal) > NEAR_GUESS for normal in normals)]
+    return normals + unseen  # the face may be one that the image does not show: then the guess gives the direction
 
 
 def within_guess_error(goal_from_now: Pose, query: Query) -> bool:

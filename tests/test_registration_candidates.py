@@ -1,0 +1,91 @@
+"""Which candidates registration refines: distinct ones, and in directions that the image does not show."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from registration_cases import CASES, CLEARANCE, Case, case, perturbed
+
+from baselines.completion.part import PartEvidence
+from baselines.completion.pixels import IDEAL
+from baselines.registration.certain import COARSE_WEIGHT, SAME_ANGLE, SAME_DISTANCE, _same, _Search
+from baselines.registration.hypotheses import NEAR_GUESS, _down_normals
+from kit1000.motions import apply_error
+from kit1000.pose import Pose
+from kit1000.voxels import surface_points
+
+
+def search_for(known: Case) -> _Search:
+    """The search with evidence that leaves nothing unknown."""
+    told = PartEvidence(known.part, known.part, known.part)
+    seen = surface_points(known.part)[::20]
+    source: Any = SimpleNamespace(evidence=told, middle=known.pivot, part_points=lambda: seen)
+    return _Search(source, SimpleNamespace(guess=None, pivot=known.pivot), CLEARANCE)  # type: ignore[arg-type]
+
+
+def test_candidates_that_end_in_one_pose_are_refined_further_only_once() -> None:
+    known = case("a keyed block")
+    turned = known.candidate(apply_error(known.goal, known.pivot, np.zeros(3), np.array([0, 0, np.pi])))
+    near = [perturbed(known, seed) for seed in range(3)]
+    kept = search_for(known).apart([*near, turned], 2)
+    assert len(kept) == 2
+    position, angle = known.error_of(kept[0].plate_from_now)
+    assert position < 0.3
+    assert angle < 1
+    assert known.error_of(kept[1].plate_from_now)[1] > 20
+    assert len(search_for(known).apart(near, 3)) == 1
+    assert search_for(known).apart([], 3) == []
+
+
+def test_poses_are_one_within_a_millimetre_and_three_degrees_in_one_plate() -> None:
+    known = case("a bar")
+    here = known.candidate(known.goal)
+
+    def moved(shift: float, angle: float) -> bool:
+        error = apply_error(known.goal, known.pivot, np.array([0, shift, 0]), np.array([0, 0, angle]))
+        there = known.candidate(error)
+        assert _same(here, there, known.pivot) == _same(there, here, known.pivot)
+        return _same(here, there, known.pivot)
+
+    assert moved(0.0, 0.0)
+    assert moved(0.9 * SAME_DISTANCE, 0.9 * SAME_ANGLE)
+    assert not moved(1.1 * SAME_DISTANCE, 0.0)
+    assert not moved(0.0, 1.1 * SAME_ANGLE)
+    elsewhere = replace(here, cavity=replace(here.cavity, world_from_plate=Pose(*_parts(here.cavity.world_from_plate))))
+    assert not _same(here, elsewhere, known.pivot)
+
+
+def _parts(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
+    return pose.wxyz, pose.xyz
+
+
+def test_of_candidates_that_contradict_equally_the_better_coarse_match_is_first() -> None:
+    known = case("an L")
+    good = replace(known.candidate(known.goal), misfit=0.1)
+    poor = replace(good, misfit=0.6)
+    assert search_for(known).least_contradictory([poor, good]) == [good, poor]
+    assert COARSE_WEIGHT < 2e-3  # a contradiction of 2 mm outweighs any coarse match
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("tilt", [5, 25])
+def test_where_no_face_explains_the_guess_its_own_direction_is_tried(name: str, tilt: int) -> None:
+    known = case(name)
+    guess = apply_error(
+        known.goal, known.pivot, np.zeros(3), known.cavity.world_from_plate.rotate((np.radians(tilt), 0, 0))
+    )
+    query: Any = SimpleNamespace(guess=guess)
+    source: Any = SimpleNamespace(noise=IDEAL)
+    normals = _down_normals(source, known.part, query, [known.cavity], unseen_faces=True)
+    guessed = guess.inverse().rotate(known.cavity.world_from_plate.rotate((0.0, 0.0, -1.0)))
+    cosines = [float(guessed @ normal) for normal in normals]
+    assert max(cosines) > NEAR_GUESS
+    explained = max((c for c in cosines if c < 1 - 1e-12), default=-1.0) > NEAR_GUESS
+    assert (max(cosines) > 1 - 1e-12) == (not explained)
+    seen = _down_normals(source, known.part, query, [known.cavity], unseen_faces=False)
+    assert len(seen) == len(normals) - (not explained)
+    assert max(float(known.down_normal @ normal) for normal in normals) > np.cos(np.radians(4))  # its face, as ever
