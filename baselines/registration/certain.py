@@ -53,7 +53,7 @@ class _Search:
         return sorted(candidates, key=lambda candidate: round(self._choice(candidate), CHOICE_DECIMALS))
 
     def apart(self, candidates: Sequence[Candidate], most: int) -> list[Candidate]:
-        """The first `most` candidates after the first pass; none ends in an earlier one's pose or too far from the guess."""
+        """The first `most` candidates after the first pass, in different poses and as near to the guess as a goal."""
         kept: list[Candidate] = []
         for candidate in candidates[: most + SPARE]:
             moved, _ = self._refined(candidate, PASSES[0])
