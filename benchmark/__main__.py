@@ -165,6 +165,31 @@ class Table1:
 
 
 @dataclass(frozen=True)
+class Table2:
+    """Let the robot carry submissions out, and print the shares of parts seated beside Table II of the paper."""
+
+    submissions: Several
+    """Submission folders or predictions files, a row each; the true motions are a row anyway."""
+    data: Folder
+    """Dataset folder, with ground truth."""
+    track: Annotated[str, tyro.conf.arg(metavar="NAME")] = "snap-d415"
+    """Track whose queries are carried out."""
+    components: Optional = None
+    """JSON file with the measures of segmentation and completion."""
+    scenes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    """Number of scenes, the first ones; all when absent."""
+    out: Optional = None
+    """JSON file for the numbers."""
+
+    def run(self) -> int:
+        """Print the table."""
+        from benchmark.table2 import run as table2
+
+        print(table2(self.data, self.submissions, self.track, self.components, self.scenes, self.out))
+        return 0
+
+
+@dataclass(frozen=True)
 class Pages:
     """Build the leaderboard as static pages."""
 
@@ -203,7 +228,15 @@ def _workers(count: int) -> int:
     return count
 
 
-COMMANDS = {"score": Score, "rescore": Rescore, "curves": Curves, "compare": Compare, "table1": Table1, "pages": Pages}
+COMMANDS = {
+    "score": Score,
+    "rescore": Rescore,
+    "curves": Curves,
+    "compare": Compare,
+    "table1": Table1,
+    "table2": Table2,
+    "pages": Pages,
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

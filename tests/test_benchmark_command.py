@@ -60,7 +60,7 @@ def test_the_command_writes_the_scores_and_a_row_per_query(
 
 
 WRONG = {
-    "": "no command; there are score, rescore, curves, compare, table1, pages (see python -m benchmark --help)",
+    "": "no command; there are score, rescore, curves, compare, table1, table2, pages (see python -m benchmark --help)",
     "scor": "no command 'scor'; did you mean score?",
     "score": "score: SUBMISSION and --data missing",
     "score {sub}": "score: --data missing",

@@ -1,0 +1,246 @@
+"""Table II: what a whole system reaches, from the image to the part in its slot, stage by stage.
+
+A row of the chain is a submission: which stages of it read the truth is its own business, and its label says so. The
+robot carries out its predictions (`kit1000.planner`), and the seating test judges the same predictions. Components,
+such as segmentation and completion, are measured where they are made; their numbers come as JSON files.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from benchmark.intervals import rate_interval
+from benchmark.report import json_text
+from kit1000.dataset.reader import Dataset
+from kit1000.errors import InputError
+from kit1000.files import read_json, write_bytes
+from kit1000.metrics import Targets, pose_errors, seatings
+from kit1000.planner.execute import NO_SEAL, NOT_FROM_ABOVE, OUTCOMES, SEATED, PartRun, SceneRun, run_scene
+from kit1000.pose import Pose
+from kit1000.submission.predictions import FILE, read_predictions
+from kit1000.tracks import TRACKS
+from kit1000.values import Query, Truth
+
+TRUTH = "truth"  # label of the row with the true motions
+COMPONENT_KEYS = {"component", "label", "measure", "value", "interval", "n"}
+
+PAPER = (  # Table II of "Scene Editing as Teleoperation", arXiv 2110.04450, and its user study
+    ("segmentation, mean IoU", "69.1 %", "a missed part counts 0; the mean over objects of 23 scenes"),
+    ("part completion, IoU", "92.4 %", "of free space: a box inflated by 4.5 mm scores 93 %"),
+    ("part completion, Chamfer distance", "6.3 mm", "of points inside the shapes; two equal shapes score 4.9 mm"),
+    ("kit completion, IoU", "99.1 %", "of free space: a kit without any cavity scores 99.4 %"),
+    ("kit completion, Chamfer distance", "8.0 mm", "of points inside the shapes; two equal shapes score 7 to 9 mm"),
+    ("snapping, position", "7.2 mm", "called average; the script prints the median, over 53 parts"),
+    ("snapping, rotation", "6.0°", "likewise; symmetries are ignored"),
+    ("parts seated", "62 %", "from a draft: people at a real robot, ten kits each"),
+)
+"""What the paper prints, and what is to be said about it."""
+
+
+@dataclass(frozen=True)
+class ChainRow:
+    """A row of the chain: n queries of one track, carried out by the robot and judged by the seating test."""
+
+    label: str
+    n: int
+    possible: int
+    """Of them those whose part, moved truly, lies right side up and has a spot for a cup."""
+    seated: float
+    """Share of the possible ones that the robot seats."""
+    interval: tuple[float, float]
+    """95 % of it."""
+    tested: float
+    """Share of the possible ones that the seating test passes."""
+    agreement: dict[str, int]
+    """Of the parts that were picked: both, robot alone, test alone, neither."""
+    position_mm: float | None
+    """Median error of all predictions."""
+    rotation_deg: float | None
+    seconds: float | None
+    """[s] median time of the robot a picked part."""
+    outcomes: dict[str, int]
+    """Number of queries by outcome."""
+
+
+@dataclass(frozen=True)
+class _Case:
+    """A query with its truth, and what became of its prediction."""
+
+    query: Query
+    truth: Truth
+    motion: Pose
+    run: PartRun
+
+
+def chain(
+    root: str | Path,
+    submissions: Mapping[str, str | Path],
+    track: str,
+    split: str = "test",
+    scenes: int | None = None,
+    seed: int = 0,
+) -> list[ChainRow]:
+    """The rows of the chain, the true motions first, then one for each submission.
+
+    Args:
+        root: dataset folder with ground truth.
+        submissions: submission folders or predictions files by label.
+        track: whose queries; their sensor is that by which the robot grasps.
+        split: of the queries.
+        scenes: number of scenes, the first ones; all when None.
+        seed: of the path planner.
+    """
+    if track not in TRACKS:
+        raise InputError(f"--track {track}: there are {', '.join(TRACKS)}")
+    dataset = Dataset(root)
+    queries = list(dataset.split(split).queries(track))
+    ids = list(dict.fromkeys(query.scene_id for query in queries))[:scenes]
+    queries = [query for query in queries if query.scene_id in set(ids)]
+    if not queries:
+        raise InputError(f"{root}: no query of track {track} in split {split}")
+    truths = {query.id: dataset.truth_of(query) for query in queries}
+    motions = {TRUTH: {query.id: truths[query.id].goal_drawn for query in queries}}
+    for label, path in submissions.items():
+        motions[label] = _motions_of(Path(path), queries)
+    possible: set[str] = set()
+    rows = []
+    for label, predicted in motions.items():
+        cases = _execute(dataset, queries, truths, predicted, TRACKS[track].sensor, seed)
+        if label == TRUTH:
+            possible = {case.query.id for case in cases if case.run.outcome not in (NO_SEAL, NOT_FROM_ABOVE)}
+        rows.append(_row(dataset, label, cases, possible))
+    return rows
+
+
+def _motions_of(path: Path, queries: Sequence[Query]) -> dict[str, Pose]:
+    """The predicted motions of queries by id; without a prediction the part stays."""
+    predictions = read_predictions(path / FILE if path.is_dir() else path)
+    rows = {query.id: predictions.row(query.id) for query in queries}
+    if all(row is None for row in rows.values()):
+        raise InputError(f"{path}: no prediction for any of {len(rows)} queries, such as {queries[0].id}")
+    return {i: Pose.identity() if row is None else predictions.motions[row] for i, row in rows.items()}
+
+
+def _execute(
+    dataset: Dataset,
+    queries: Sequence[Query],
+    truths: Mapping[str, Truth],
+    motions: Mapping[str, Pose],
+    sensor: str,
+    seed: int,
+) -> list[_Case]:
+    """Let the robot carry out all motions, scene by scene."""
+    cases = []
+    for scene_id in dict.fromkeys(query.scene_id for query in queries):
+        own = {query.part: query for query in queries if query.scene_id == scene_id}
+        scene = dataset.recorded_scene(scene_id, truth=True)
+        run: SceneRun = run_scene(scene, {part: motions[query.id] for part, query in own.items()}, sensor, seed)
+        for part in run.parts:
+            query = own[part.part]
+            cases.append(_Case(query, truths[query.id], motions[query.id], part))
+    return cases
+
+
+def _row(dataset: Dataset, label: str, cases: Sequence[_Case], possible: set[str]) -> ChainRow:
+    truths, motions = [case.truth for case in cases], Pose.stack([case.motion for case in cases])
+    tested = seatings(motions, truths, dataset.geometry).seated
+    errors = pose_errors(motions, Targets.of(truths, lambda part_id: _hull(dataset, part_id)))
+    seated = np.array([case.run.outcome == SEATED for case in cases])
+    among = np.array([case.query.id in possible for case in cases])
+    clusters = [case.truth.assembly_id for case in cases if case.query.id in possible]
+    picked = [(bool(s), bool(t)) for s, t, case in zip(seated, tested, cases, strict=True) if case.run.physics]
+    counts = Counter(picked)
+    outcomes = Counter(case.run.outcome for case in cases)
+    seconds = [case.run.seconds for case in cases if case.run.physics]
+    return ChainRow(
+        label,
+        len(cases),
+        int(among.sum()),
+        float(seated[among].mean()) if among.any() else 0.0,
+        rate_interval(seated[among], [clusters]),
+        float(tested[among].mean()) if among.any() else 0.0,
+        {
+            "both": counts[True, True],
+            "robot alone": counts[True, False],
+            "test alone": counts[False, True],
+            "neither": counts[False, False],
+        },
+        float(np.median(errors.position) * 1e3),
+        float(np.degrees(np.median(errors.rotation))),
+        float(np.median(seconds)) if seconds else None,
+        {outcome: outcomes[outcome] for outcome in OUTCOMES},
+    )
+
+
+def _hull(dataset: Dataset, part_id: str) -> np.ndarray:
+    vertices = dataset.geometry.part(part_id).mesh.vertices
+    return vertices[ConvexHull(vertices).vertices]
+
+
+def read_components(path: Path) -> list[dict[str, Any]]:
+    """The rows of a file of component measures: a JSON list of objects with the keys COMPONENT_KEYS."""
+    rows = read_json(path)
+    if not isinstance(rows, list) or any(not isinstance(row, dict) or set(row) != COMPONENT_KEYS for row in rows):
+        keys = ", ".join(sorted(COMPONENT_KEYS))
+        raise InputError(f"{path}: expected a JSON list of objects with the keys {keys}")
+    return rows
+
+
+def markdown(rows: Sequence[ChainRow], components: Sequence[Mapping[str, Any]], title: str) -> str:
+    """The table as Markdown: the chain, outcomes, components, and the paper's numbers with what is wrong with them."""
+    lines = [title, "", "| chain | n | possible | seated by the robot | by the test | mm | ° | s a part |"]
+    lines.append("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |")
+    for row in rows:
+        low, high = row.interval
+        share = f"{100 * row.seated:.1f} % [{100 * low:.0f}, {100 * high:.0f}]"
+        cells = [row.label, row.n, row.possible, share, f"{100 * row.tested:.1f} %", _number(row.position_mm, 2)]
+        lines.append(_line([*cells, _number(row.rotation_deg, 1), _number(row.seconds, 0)]))
+    lines += ["", _line(["outcomes", *OUTCOMES]), _line(["---", *["---:"] * len(OUTCOMES)])]
+    lines += [_line([row.label, *row.outcomes.values()]) for row in rows]
+    agreement = list(rows[0].agreement)
+    lines += ["", _line(["robot and test, picked parts", *agreement]), _line(["---", *["---:"] * len(agreement)])]
+    lines += [_line([row.label, *row.agreement.values()]) for row in rows]
+    if components:
+        lines += ["", "| component | method | measure | value | 95 % | n |", "| --- | --- | --- | ---: | ---: | ---: |"]
+        for part in components:
+            ends = " to ".join(f"{end:g}" for end in part["interval"])
+            keys = ("component", "label", "measure", "value")
+            lines.append(_line([*(part[key] for key in keys), ends, part["n"]]))
+    lines += ["", "| the paper | printed | to be said about it |", "| --- | ---: | --- |", *map(_line, PAPER)]
+    return "\n".join(lines)
+
+
+def _line(cells: Sequence[Any]) -> str:
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def run(
+    data: Path,
+    submissions: Sequence[Path],
+    track: str,
+    components: Path | None,
+    scenes: int | None,
+    out: Path | None,
+) -> str:
+    """The table of a dataset and submissions as Markdown, and as JSON in a file `out` if given."""
+    labelled = {path.name if path.is_dir() else path.stem: path for path in submissions}
+    if len(labelled) < len(submissions) or TRUTH in labelled:
+        raise InputError("submissions: expected names of their own, and none called truth, which is there anyway")
+    rows = chain(data, labelled, track, scenes=scenes)
+    parts = [] if components is None else read_components(components)
+    if out is not None:
+        write_bytes(out, json_text({"track": track, "chain": list(map(asdict, rows)), "components": parts}).encode())
+    dataset = Dataset(data)
+    title = f"Preset {dataset.summary['preset']}, dataset {dataset.id}, track {track}, split test."
+    return markdown(rows, parts, title)
