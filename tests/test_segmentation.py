@@ -15,9 +15,10 @@ from baselines.catalog import all_methods
 from baselines.methods import PREDICTED_MASKS, method_of, source_hash
 from baselines.predict import RunConfig, predict
 from baselines.segmentation.bodies import world_points
+from baselines.segmentation.fit import logistic
 from baselines.segmentation.instances import segmented
 from baselines.segmentation.merging import area_of, best_pairs, gap_between, outline_of
-from baselines.segmentation.pieces import connected
+from baselines.segmentation.pieces import MOST_PIECES, SCALES, connected, find_pieces
 from baselines.segmentation.queries import with_predicted_masks
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.reader import Dataset
@@ -121,6 +122,32 @@ def test_outlines_that_lie_apart_have_a_gap_no_longer_than_their_distance(seed: 
     assert area_of(both) >= max(area_of(a), area_of(b)) - 1e-12
     assert gap_between(both, a) < 0
     assert area_of(outline_of(np.zeros((3, 2)))) > 0
+
+
+def test_of_very_many_pieces_the_largest_are_kept_in_their_order() -> None:
+    depth = np.ones((30, 60))
+    depth[:, ::2] = 2.0  # every column is a piece of its own
+    mask = np.ones(depth.shape, bool)
+    mask[15, :30] = False  # which halves half of them
+    labels, joined = find_pieces(depth, mask, SCALES["ideal"])
+    assert labels.max() == 90
+    assert (np.unique(labels[mask]) == np.arange(1, 91)).all()
+    assert not joined[1].any()
+    rows = np.repeat(np.arange(3 * MOST_PIECES)[:, None], 13, axis=1)
+    many, _ = find_pieces(1.0 + rows % 2, rows >= 0, SCALES["ideal"])
+    assert many.max() == MOST_PIECES
+    assert (np.diff(many[many > 0]) >= 0).all()
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=10, deadline=None)
+def test_logistic_regression_finds_the_weights_that_made_the_data(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    features = np.column_stack([np.ones(6000), rng.normal(2.0, 3.0, 6000), rng.normal(0.0, 0.1, 6000)])
+    made_by = np.array([0.5, -0.4, 8.0])
+    chances = 1 / (1 + np.exp(-(features * made_by).sum(1)))
+    found = logistic(features, rng.random(6000) < chances, np.ones(6000))
+    assert (np.abs(found - made_by) < 0.3 * np.abs(made_by) + 0.15).all()
 
 
 @given(st.integers(0, 2**32 - 1))
