@@ -17,8 +17,10 @@ FOLDERS = (
     "baselines.completion",
     "baselines.controls",
     "baselines.icp",
+    "baselines.kitnet",
     "baselines.registration",
     "baselines.snapnet",
+    "baselines.transporter",
 )
 """Packages or modules with a table METHODS (name -> Method) and, where they learn, NETWORKS (name -> Network)."""
 
@@ -47,6 +49,8 @@ class Method:
     """What it learned from."""
     weights: Mapping[str, str] = field(default_factory=dict)
     """Further arguments of the class: names of files in baselines/weights, passed as paths without suffix."""
+    camera_set: str = "primary"
+    """The cameras that it reads, see `kit1000.sim.cameras.camera_set`."""
     label: str = ""
     """Short name in tables; the method's name when empty."""
     paper_row: str = ""

@@ -18,7 +18,10 @@ from kit1000.tracks import ALL_TRACKS
 
 WEIGHTS = Path(__file__).parent / "weights"
 SEGMENTATION = Path(__file__).parent / "segmentation"
-ATTRIBUTES = ("tracks", "uses_true_geometry", "learned", "predicts", "training_data", "label", "paper_row")
+ATTRIBUTES = (
+    *("tracks", "uses_true_geometry", "learned", "predicts"),
+    *("training_data", "camera_set", "label", "paper_row"),
+)
 """What is read from a method of your own."""
 PREDICTED_MASKS = "+predicted-masks"  # after the name of a method: it is run without the masks of the dataset
 

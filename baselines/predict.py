@@ -204,6 +204,7 @@ def _manifest(config: RunConfig, method: Method, dataset: Dataset, tracks: set[s
         masks=method.masks,
         paper_row=method.paper_row,
         training_data=method.training_data,
+        camera_set=method.camera_set,
     )
 
 

@@ -53,6 +53,8 @@ FENCES = {
         "baselines.elimination",
         "baselines.registration",
         "baselines.completion",
+        "baselines.heights",
+        "baselines.kitnet.views",
         "baselines.snapnet",
     ),
     "kit1000.generation": (

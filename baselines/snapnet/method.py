@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
 
+from baselines.loading import ready
 from baselines.snapnet.candidates import CandidateSet, candidates
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.position import PositionNet, position_of
 from baselines.snapnet.rotation import RotationNet, rotation_of
 from baselines.snapnet.volumes import QueryVolumes
-from baselines.training.checkpoint import load_into, load_weights
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import InputError
 from kit1000.motions import apply_error
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
@@ -53,8 +51,8 @@ class SnapNet:
         self.source: Source = source
         self.peak: Literal["candidate", "mean"] = peak
         self.passes = passes
-        self.position: PositionNet = _ready(position, PositionConfig, PositionNet)
-        self.rotation: RotationNet = _ready(rotation, RotationConfig, RotationNet)
+        self.position: PositionNet = ready(position, PositionConfig, PositionNet)
+        self.rotation: RotationNet = ready(rotation, RotationConfig, RotationNet)
 
     @property
     def uses_true_geometry(self) -> bool:
@@ -100,25 +98,6 @@ class SnapNet:
         logits = self.rotation(inputs["part_points"], inputs["kit_points"], rotations, inputs.get("kit_volume")).float()
         wxyz = rotation_of(logits, rotations, self.peak)[0].double().cpu().numpy()
         return Pose(wxyz, np.zeros(3)).rotvec(), float(logits.softmax(1).amax())
-
-
-def _ready(net: Any, config: type, make: type) -> Any:
-    """A network in evaluation mode; read from its weights where a path is given."""
-    if not isinstance(net, Path):
-        return net.eval()
-    return _loaded(net, config, make).to("cuda" if torch.cuda.is_available() else "cpu").eval()
-
-
-def _loaded(stem: Path, config: type, make: type) -> Any:
-    """A network with the config and the tensors of its weights."""
-    tensors, info = load_weights(stem)
-    values = info.get("about", {}).get("network", {})
-    differing = set(values) ^ {field.name for field in fields(config)}
-    if differing:
-        raise InputError(f"{stem}.json: no config of a {make.__name__}: it differs in {', '.join(sorted(differing))}")
-    net = make(config(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}))
-    load_into(net, tensors, stem)
-    return net
 
 
 def _batch(values: np.ndarray, net: torch.nn.Module) -> torch.Tensor:

@@ -1,0 +1,115 @@
+"""Training and validation examples of KitNet: two views and the rotations that are correct between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from baselines.completion.planes import Plane
+from baselines.heights.draws import GoalQuery, QueryDraws
+from baselines.heights.maps import HeightMap
+from baselines.heights.shell import shell_points
+from baselines.kitnet.config import KitNetConfig
+from baselines.kitnet.views import CavityView, cavity_image, cavity_view, part_image
+from kit1000.pose import Pose
+from kit1000.rng import stream
+
+MOST_GOALS = 64  # of an example
+NEAR = float(np.radians(30))  # from a goal, within which a part without a guess begins: the range of the method
+BAND = 0.05  # width of the wiped band, as a share of a view
+PARTS = 4096  # whose shells are kept in memory: 0.1 MB each
+Example = dict[str, np.ndarray]
+
+
+@dataclass
+class KitNetExamples:
+    """Examples of one split.
+
+    `part`, `cavity` (P, P) float32 views; `goals` (MOST_GOALS, 4) float32 quaternions, `weights` (MOST_GOALS,) float32
+    1 for a goal and 0 for a row without one.
+    """
+
+    draws: QueryDraws
+    config: KitNetConfig
+
+    def __post_init__(self) -> None:
+        self._cavities: dict[tuple[str, int], CavityView | None] = {}
+        self._points = lru_cache(PARTS)(self._points_of)
+
+    def __reduce__(self) -> tuple[type[KitNetExamples], tuple[QueryDraws, KitNetConfig]]:
+        return KitNetExamples, (self.draws, self.config)
+
+    def draw(self, rng: np.random.Generator) -> Example:
+        """A training example, turned, shifted and with pixels wiped at random: with a guess, or upright without one."""
+        sample = self.draws.draw(rng, "ball" if rng.random() < 0.5 else "place")
+        example = self._of(sample, rng, rng.uniform(-1, 1, (2, 2)) * self.config.shift)
+        return example | {name: wiped(example[name], self.config.zeroed, rng) for name in ("part", "cavity")}
+
+    def keys(self, count: int) -> Sequence[str]:
+        """Ids of validation queries: of snap and of place by turns."""
+        each = (self.draws.keys(track, -(-count // 2)) for track in ("snap", "place"))
+        return [key for pair in zip(*each, strict=False) for key in pair][:count]
+
+    def stored(self, key: str) -> Example:
+        """The example of a stored query with its guess; without one the part begins at a yaw that depends on the id."""
+        return self._of(self.draws.stored(key), stream(0, "kitnet", key), np.zeros((2, 2)))
+
+    def _of(self, sample: GoalQuery, rng: np.random.Generator, shifts: np.ndarray) -> Example:
+        config = self.config
+        cavity, cavity_yaw = self._cavity(sample), rng.uniform(0, 2 * np.pi)
+        image = np.zeros((config.pixels, config.pixels), np.float32)
+        view_from_world = Pose.from_rotvec((0.0, 0.0, cavity_yaw))
+        if cavity is not None:
+            image = cavity_image(cavity, cavity_yaw, shifts[1], config.pixels, config.pixel)
+            view_from_world = view_from_world @ rotation_of(cavity.world_from_view).inverse()
+        goals = view_from_world @ rotation_of(sample.goals)
+        if sample.guess is None:
+            upright = np.hypot(goals.wxyz[:, 0], goals.wxyz[:, 3])  # 1 for a yaw alone
+            w, _, _, z = goals.wxyz[rng.choice(np.flatnonzero(upright > upright.max() - 0.01))]
+            yaw = 2 * np.arctan2(z, w) - rng.uniform(-NEAR, NEAR)
+            part_from_world = Pose.from_rotvec((0.0, 0.0, yaw))
+        else:
+            part_from_world = view_from_world @ rotation_of(sample.guess)
+        points = self._points(sample.query.scene_id, sample.query.part, sample.guess is not None)
+        part = part_image(part_from_world.rotate(points), shifts[0], config.pixels, config.pixel)
+        turns = (goals @ part_from_world.inverse()).wxyz[:MOST_GOALS]
+        padded, weights = np.zeros((MOST_GOALS, 4), np.float32), np.zeros(MOST_GOALS, np.float32)
+        padded[: len(turns)], weights[: len(turns)] = turns, 1
+        return {"part": part, "cavity": image, "goals": padded, "weights": weights}
+
+    def _cavity(self, sample: GoalQuery) -> CavityView | None:
+        """The cavity of the true slot: in training it is known, in use it is chosen."""
+        key, world_from_kit = (sample.query.scene_id, sample.query.part), sample.truth.world_from_kit
+        if key not in self._cavities:
+            plane = Plane(world_from_kit.rotate((0.0, 0.0, 1.0)), world_from_kit.xyz, 0.0)
+            self._cavities[key] = cavity_view(sample.heights.kits, plane)
+        return self._cavities[key]
+
+    def _points_of(self, scene_id: str, part: int, turned: bool) -> np.ndarray:
+        return points_of(self.draws.heights.of(scene_id).parts[part], turned)
+
+
+def points_of(part: HeightMap, turned: bool) -> np.ndarray:
+    """(n, 3) [m] world: what a view of a part is made of; turned about the vertical alone it needs no shell."""
+    points = part.points()
+    if turned:
+        return shell_points(part)
+    return np.concatenate([points, points[:1] * (1.0, 1.0, 0.0)])  # one point on the table: heights count from there
+
+
+def rotation_of(pose: Pose) -> Pose:
+    """A pose without its shift."""
+    return Pose(pose.wxyz, np.zeros_like(pose.xyz))
+
+
+def wiped(view: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
+    """A view with a share of its pixels and one straight band set to 0, as in the release."""
+    pixels = len(view)
+    middle, angle = rng.uniform(0, pixels, 2), rng.uniform(0, np.pi)
+    i, j = np.indices(view.shape)
+    across = (i - middle[0]) * np.cos(angle) + (j - middle[1]) * np.sin(angle)
+    keep = (rng.random(view.shape) >= share) & (np.abs(across) > BAND * pixels / 2)
+    return np.where(keep, view, np.float32(0))

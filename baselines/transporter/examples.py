@@ -1,0 +1,169 @@
+"""Training and validation examples of TransporterNet: maps, and the cells, heights and tilts of the goals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from baselines.heights.draws import TRACK_OF, GoalQuery, Guesses, QueryDraws
+from baselines.heights.shell import shell_points
+from baselines.transporter.config import YAW_STEP, YAWS, TransporterConfig
+from baselines.transporter.inputs import Start, guess_window, kit_maps, part_maps, start_of
+from baselines.transporter.lattice import lattice_of, spread_cells, tilt_and_yaw
+from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
+from kit1000.pose import Pose
+from kit1000.values import Query
+
+GUESSED_YAWS = int(np.ceil(MAX_ANGLE / YAW_STEP))
+"""Yaws to either side of a guess that its window holds."""
+GUESS_YAWS = np.arange(-GUESSED_YAWS, GUESSED_YAWS + 1) % YAWS
+MOST_CELLS = 512  # of the goals of an example
+MOST_GOALS = 64  # that validation compares with
+PARTS = 4096  # whose shells are kept in memory: 0.1 MB each
+SLACK = 1e-3  # [m, rad] by which a goal may lie beyond the window of a guess
+Example = dict[str, np.ndarray]
+
+
+class Goals(NamedTuple):
+    """The goals of a query in a work frame; m of them."""
+
+    xyz: np.ndarray
+    """(m, 3) [m] of the pivot."""
+    tilts: np.ndarray
+    """(m, 2) [rad]"""
+    yaws: np.ndarray
+    """(m,) [rad] from -pi to pi, after the rotation of the start."""
+
+
+def goals_of(sample: GoalQuery, start: Start) -> Goals:
+    """The goals of a query; with a guess those in its window."""
+    motions = start.work_from_world @ sample.goals
+    rotations = Pose(motions.wxyz, np.zeros_like(motions.xyz)) @ start.work_from_part.inverse()
+    tilts, yaws = tilt_and_yaw(rotations)
+    xyz, kept = motions.apply(sample.query.pivot), np.arange(len(yaws))
+    if sample.guess is not None:
+        guessed = sample.guess.apply(sample.query.pivot)
+        offsets = np.abs(sample.goals.apply(sample.query.pivot) - guessed).max(-1)
+        angles = rotations.angle()
+        kept = np.flatnonzero((offsets <= MAX_OFFSET + SLACK) & (angles <= MAX_ANGLE + SLACK))
+        kept = kept if len(kept) else np.array([int(angles.argmin())])
+    return Goals(xyz[kept], tilts[kept], yaws[kept])
+
+
+@dataclass
+class TransporterExamples:
+    """Examples of one split.
+
+    `kits` (3, n, n), `part` (3, c, c) float32 maps; `yaws` (Y,) int64 the yaws that are scored; `window` (m, m) bool
+    the points that are; `base` (m, m) float32 [m] mean heights about them; `cells` (MOST_CELLS, 3) int64 layer and
+    point of the goals' cells, `shares` (MOST_CELLS,) float32 their shares; `point` (2,) int64 the point nearest to one
+    goal, `layers` (2,) int64 those about its yaw, `height` () float32 [m] and `tilt` (2,) float32 [rad] of it.
+    """
+
+    draws: QueryDraws
+    config: TransporterConfig
+
+    def __post_init__(self) -> None:
+        self._shell = lru_cache(PARTS)(self._shell_of)
+
+    def __reduce__(self) -> tuple[type[TransporterExamples], tuple[QueryDraws, TransporterConfig]]:
+        return TransporterExamples, (self.draws, self.config)
+
+    def draw(self, rng: np.random.Generator, guesses: Guesses) -> Example:
+        """A training example in a work frame of any yaw; without a guess the part is turned by any yaw too."""
+        sample = self.draws.draw(rng, guesses)
+        start = start_of(sample.heights, sample.query.pivot, sample.guess, rng.uniform(0, 2 * np.pi))
+        if not start.guessed:
+            start = Start(start.work_from_world, Pose.from_rotvec((0, 0, rng.uniform(0, 2 * np.pi))), False)
+        goals = goals_of(sample, start)
+        goal = int(rng.integers(len(goals.yaws)))
+        return self.maps(sample, start) | self._targets(goals, goal, start, rng)
+
+    def keys(self, guesses: Guesses, count: int) -> Sequence[str]:
+        """Ids of validation queries."""
+        return self.draws.keys(TRACK_OF[guesses], count)
+
+    def stored(self, key: str) -> Example:
+        """The maps of a stored query along the axes of the world, the `yaws` to search, and MOST_GOALS of its goals.
+
+        `xyz` (MOST_GOALS, 3) float32 [m], `wxyz` (MOST_GOALS, 4) float32: of the pivot, and after the start's rotation.
+        """
+        sample = self.draws.stored(key)
+        start = start_of(sample.heights, sample.query.pivot, sample.guess)
+        motions = start.work_from_world @ sample.goals
+        rotations = Pose(motions.wxyz, np.zeros_like(motions.xyz)) @ start.work_from_part.inverse()
+        chosen = np.arange(MOST_GOALS) * len(motions) // MOST_GOALS
+        return self.maps(sample, start) | {
+            "yaws": searched_yaws(sample.query),
+            "xyz": motions.apply(sample.query.pivot)[chosen].astype(np.float32),
+            "wxyz": rotations.wxyz[chosen].astype(np.float32),
+        }
+
+    def maps(self, sample: GoalQuery, start: Start) -> Example:
+        """`kits`, `part`, `window` and `base`, the mean heights about the points of the lattice."""
+        kits, base = kit_maps(sample.heights.kits, start, self.config)
+        shell = self._shell(sample.query.scene_id, sample.query.part) - sample.query.pivot
+        points = start.points(self.config)
+        window = guess_window(start, self.config) if start.guessed else np.ones((points, points), bool)
+        return {"kits": kits, "part": part_maps(shell, start, self.config), "window": window, "base": base}
+
+    def _targets(self, goals: Goals, goal: int, start: Start, rng: np.random.Generator) -> Example:
+        config, points = self.config, start.points(self.config)
+        lattice = lattice_of(goals.xyz[:, :2], points, config.pixel)
+        about = int(np.floor(goals.yaws[goal] / YAW_STEP))
+        about = min(max(about, -GUESSED_YAWS), GUESSED_YAWS - 1) if start.guessed else about
+        yaws = _scored_yaws(about, start.guessed, config.yaws, rng)
+        cells, shares = _cells_of(lattice, goals.yaws, yaws, points, config.spread)
+        point = np.clip(np.rint(lattice[goal]).astype(np.int64), config.margin, points - 1 - config.margin)
+        layers = [int(np.flatnonzero(yaws == (about + k) % YAWS)[0]) for k in (0, 1)]
+        return {
+            "yaws": yaws,
+            "cells": cells,
+            "shares": shares,
+            "point": point,
+            "layers": np.array(layers),
+            "height": np.asarray(goals.xyz[goal, 2], np.float32),
+            "tilt": goals.tilts[goal].astype(np.float32),
+        }
+
+    def _shell_of(self, scene_id: str, part: int) -> np.ndarray:
+        return shell_points(self.draws.heights.of(scene_id).parts[part])
+
+
+def searched_yaws(query: Query) -> np.ndarray:
+    """(Y,) int64 yaws to search for a query: all without a guess, else those that its track leaves.
+
+    A guess of snap-tilt is wrong by a tilt alone, so one yaw is left, as in the release.
+    """
+    if query.guess is None:
+        return np.arange(YAWS)
+    return np.zeros(1, np.int64) if query.track == "snap-tilt" else GUESS_YAWS
+
+
+def _scored_yaws(about: int, guessed: bool, count: int, rng: np.random.Generator) -> np.ndarray:
+    """(Y,) int64 yaws of a training step: with a guess those of its window, else the correct ones and others."""
+    if guessed:
+        return GUESS_YAWS
+    correct = np.array([about, about + 1]) % YAWS
+    others = rng.permutation(np.setdiff1d(np.arange(YAWS), correct))[: count - 2]
+    return np.sort(np.concatenate([correct, others]))
+
+
+def _cells_of(
+    lattice: np.ndarray, goal_yaws: np.ndarray, yaws: np.ndarray, points: int, spread: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """The cells of goals that are scored, as layer and point, and their shares; padded to MOST_CELLS."""
+    found = [spread_cells(point, yaw, spread) for point, yaw in zip(lattice, goal_yaws, strict=True)]
+    cells, shares = np.concatenate([cells for cells, _ in found]), np.concatenate([shares for _, shares in found])
+    layer = np.full(YAWS, -1)
+    layer[yaws] = np.arange(len(yaws))
+    cells[:, 0] = layer[cells[:, 0]]
+    scored = (cells[:, 0] >= 0) & (cells[:, 1:] >= 0).all(1) & (cells[:, 1:] < points).all(1) & (shares > 0)
+    cells, shares = cells[scored][:MOST_CELLS], shares[scored][:MOST_CELLS]
+    padded, weights = np.zeros((MOST_CELLS, 3), np.int64), np.zeros(MOST_CELLS, np.float32)
+    padded[: len(cells)], weights[: len(cells)] = cells, shares / max(shares.sum(), 1e-9)
+    return padded, weights

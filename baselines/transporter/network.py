@@ -1,0 +1,132 @@
+"""The networks of TransporterNet: features of the kits, correlated with features of the part at each yaw.
+
+B batch; n pixels across the map of the kits, k across the kernel of the part, m points across the lattice of scores; Y
+yaws. Of the FEATURES channels the first SCORED score positions and yaws; the others give height and tilt, 8 each.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from scipy.fft import next_fast_len
+from torch import Tensor, nn
+
+from baselines.transporter.config import YAW_STEP, TransporterConfig
+from baselines.transporter.fcn import FCN
+
+SCORED = 3
+SCALARS, PER_SCALAR = 3, 8  # height, tilt about x, tilt about y
+FEATURES = SCORED + SCALARS * PER_SCALAR
+KIT_CHANNELS = PART_CHANNELS = 3
+HIDDEN = 32  # of the small networks that turn a correlation into a height or a tilt
+UNITS = (10e-3, 0.175, 0.175)
+"""[m, rad, rad] in which heights and tilts are predicted; in metres and radians heights would not count in the loss."""
+
+
+class TransporterNet(nn.Module):
+    """A network for the kits, one for the part, and three small ones for height and tilt."""
+
+    def __init__(self, config: TransporterConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.kits = FCN(KIT_CHANNELS, config.width, FEATURES, config.skips, config.calm)
+        self.part = FCN(PART_CHANNELS, config.width, FEATURES, config.skips, config.calm)
+        self.scalars = nn.ModuleList(_regressor() for _ in range(SCALARS))
+
+    def kit_features(self, kits: Tensor, padded: bool) -> Tensor:
+        """(B, KIT_CHANNELS, n, n) -> (B, FEATURES, n, n), or with half a kernel of zeros around it."""
+        features = normalised(self.kits(packed(kits)).float())
+        return F.pad(features, (self.config.part // 2,) * 4) if padded else features
+
+    def kernels(self, part: Tensor, yaws: Tensor) -> Tensor:
+        """(B, PART_CHANNELS, c, c), (B, Y) -> (B, Y, FEATURES, k, k): the part is turned, then seen by its network."""
+        turned = turned_crops(part, yaws * YAW_STEP, self.config.part)
+        features = normalised(self.part(packed(turned.flatten(0, 1))).float())
+        return features.unflatten(0, turned.shape[:2])
+
+    def scores(self, kit_features: Tensor, kernels: Tensor) -> Tensor:
+        """(B, F, n, n) and (B, Y, F, k, k) -> (B, Y, m, m) logits, m = n - k + 1."""
+        return correlate(kit_features[:, :SCORED], kernels[:, :, :SCORED])
+
+    def height_and_tilt(self, kit_features: Tensor, kernels: Tensor, first: Tensor, points: int) -> Tensor:
+        """Height and tilt at some points of the lattice.
+
+        Args:
+            kit_features: (B, F, n, n)
+            kernels: (B, Y, F, k, k)
+            first: (B, 2) int64 the first point of a square of the lattice.
+            points: across that square.
+
+        Returns:
+            (B, SCALARS, Y, points, points) in UNITS.
+        """
+        size = kernels.shape[-1] + points - 1
+        found = []
+        for features, own, (row, column) in zip(kit_features, kernels, first.tolist(), strict=True):
+            patch = features[None, SCORED:, row : row + size, column : column + size]
+            weights = own[:, SCORED:].unflatten(1, (SCALARS, PER_SCALAR)).transpose(0, 1)
+            sums = F.conv2d(patch, weights.flatten(0, 1), groups=SCALARS)[0].unflatten(0, (SCALARS, -1))
+            found.append(sums / own.shape[-1])
+        sums = torch.stack(found)
+        each = [net(sums[:, i, ..., None])[..., 0] for i, net in enumerate(self.scalars)]
+        return torch.stack(each, 1).float()
+
+
+def normalised(features: Tensor) -> Tensor:
+    """(B, FEATURES, h, w) features of mean square 1, those for scores and those for scalars apart.
+
+    Scores are products of the features of two networks: without a bound both grow, and training diverges.
+    """
+    groups = features.split((SCORED, FEATURES - SCORED), 1)
+    return torch.cat([group * group.square().mean((1, 2, 3), True).add(1e-6).rsqrt() for group in groups], 1)
+
+
+def packed(images: Tensor) -> Tensor:
+    """Images (B, C, h, w) with the channels of a pixel side by side in memory, where convolutions are faster for it.
+
+    That is in half precision. In float32 on a CPU PyTorch 2.13 then writes beyond its gradients: the heap is corrupt.
+    """
+    half = torch.is_autocast_enabled(images.device.type)
+    return images.contiguous(memory_format=torch.channels_last if half else torch.contiguous_format)
+
+
+def _regressor() -> nn.Sequential:
+    return nn.Sequential(nn.Linear(1, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, 1))
+
+
+def turned_crops(part: Tensor, yaws: Tensor, pixels: int) -> Tensor:
+    """The middle of maps of a part after rotations about their middle.
+
+    Args:
+        part: (B, C, c, c); the axes of a map are x and y.
+        yaws: (B, Y) [rad]
+        pixels: of the crops; c is about sqrt(2) times as many.
+
+    Returns:
+        (B, Y, C, pixels, pixels), bilinear between pixels and 0 outside the map.
+    """
+    across = part.shape[-1]
+    steps = (torch.arange(pixels, device=part.device, dtype=part.dtype) + 0.5 - pixels / 2) * (2 / across)
+    x, y = torch.meshgrid(steps, steps, indexing="ij")
+    c, s = yaws.to(part.dtype).cos()[..., None, None], yaws.to(part.dtype).sin()[..., None, None]
+    grid = torch.stack([c * y - s * x, c * x + s * y], -1)  # columns, then rows: y, then x of the unturned map
+    repeated = part[:, None].expand(-1, yaws.shape[1], -1, -1, -1).flatten(0, 1)
+    crops = F.grid_sample(repeated, grid.flatten(0, 1), mode="bilinear", align_corners=False)
+    return crops.unflatten(0, yaws.shape)
+
+
+def correlate(kits: Tensor, kernels: Tensor) -> Tensor:
+    """Cross-correlation by Fourier transforms, divided by the kernel's width so that new networks give calm scores.
+
+    Args:
+        kits: (B, C, n, n)
+        kernels: (B, Y, C, k, k)
+
+    Returns:
+        (B, Y, m, m), m = n - k + 1: at (a, b) the sum over C, i, j of kernel[i, j] kits[a + i, b + j], over k.
+    """
+    points = kits.shape[-1] - kernels.shape[-1] + 1
+    size = next_fast_len(kits.shape[-1], real=True)
+    product = torch.fft.rfft2(kernels, s=(size, size)).conj() * torch.fft.rfft2(kits, s=(size, size))[:, None]
+    sums = torch.fft.irfft2(product.sum(2), s=(size, size))
+    return sums[..., :points, :points] / kernels.shape[-1]
