@@ -174,6 +174,8 @@ class Table2:
     """Dataset folder, with ground truth."""
     track: Annotated[str, tyro.conf.arg(metavar="NAME")] = "snap-d415"
     """Track whose queries are carried out."""
+    split: Split = "test"
+    """Split of the queries; test-all has every part of a test scene."""
     components: Optional = None
     """JSON file with the measures of segmentation and completion."""
     scenes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
@@ -185,7 +187,7 @@ class Table2:
         """Print the table."""
         from benchmark.table2 import run as table2
 
-        print(table2(self.data, self.submissions, self.track, self.components, self.scenes, self.out))
+        print(table2(self.data, self.submissions, self.track, self.split, self.components, self.scenes, self.out))
         return 0
 
 

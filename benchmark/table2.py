@@ -229,6 +229,7 @@ def run(
     data: Path,
     submissions: Sequence[Path],
     track: str,
+    split: str,
     components: Path | None,
     scenes: int | None,
     out: Path | None,
@@ -237,10 +238,13 @@ def run(
     labelled = {path.name if path.is_dir() else path.stem: path for path in submissions}
     if len(labelled) < len(submissions) or TRUTH in labelled:
         raise InputError("submissions: expected names of their own, and none called truth, which is there anyway")
-    rows = chain(data, labelled, track, scenes=scenes)
+    rows = chain(data, labelled, track, split, scenes)
     parts = [] if components is None else read_components(components)
     if out is not None:
-        write_bytes(out, json_text({"track": track, "chain": list(map(asdict, rows)), "components": parts}).encode())
+        write_bytes(
+            out,
+            json_text({"track": track, "split": split, "chain": list(map(asdict, rows)), "components": parts}).encode(),
+        )
     dataset = Dataset(data)
-    title = f"Preset {dataset.summary['preset']}, dataset {dataset.id}, track {track}, split test."
+    title = f"Preset {dataset.summary['preset']}, dataset {dataset.id}, track {track}, split {split}."
     return markdown(rows, parts, title)
