@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial import ConvexHull
+from tqdm import tqdm
 
 from benchmark.intervals import rate_interval
 from benchmark.report import json_text
@@ -112,7 +113,7 @@ def chain(
     possible: set[str] = set()
     rows = []
     for label, predicted in motions.items():
-        cases = _execute(dataset, queries, truths, predicted, TRACKS[track].sensor, seed)
+        cases = _execute(dataset, label, queries, truths, predicted, TRACKS[track].sensor, seed)
         if label == TRUTH:
             possible = {case.query.id for case in cases if case.run.outcome not in (NO_SEAL, NOT_FROM_ABOVE)}
         rows.append(_row(dataset, label, cases, possible))
@@ -130,15 +131,16 @@ def _motions_of(path: Path, queries: Sequence[Query]) -> dict[str, Pose]:
 
 def _execute(
     dataset: Dataset,
+    label: str,
     queries: Sequence[Query],
     truths: Mapping[str, Truth],
     motions: Mapping[str, Pose],
     sensor: str,
     seed: int,
 ) -> list[_Case]:
-    """Let the robot carry out all motions, scene by scene."""
+    """Let the robot carry out all motions of a row, scene by scene."""
     cases = []
-    for scene_id in dict.fromkeys(query.scene_id for query in queries):
+    for scene_id in tqdm(dict.fromkeys(query.scene_id for query in queries), desc=label, unit="", disable=None):
         own = {query.part: query for query in queries if query.scene_id == scene_id}
         scene = dataset.recorded_scene(scene_id, truth=True)
         run: SceneRun = run_scene(scene, {part: motions[query.id] for part, query in own.items()}, sensor, seed)
