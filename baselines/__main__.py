@@ -150,13 +150,15 @@ class Ship:
     """Folder that `train` wrote."""
     commit: str
     """Of the code that trained them: `git rev-parse HEAD`."""
+    half: bool = False
+    """Store them as float16: half the size, rounded by up to 1 in 2048."""
 
     def run(self) -> int:
         """Copy, then print where to."""
         from baselines.methods import WEIGHTS
         from baselines.ship import ship
 
-        print(ship(self.run_folder, WEIGHTS, self.commit))
+        print(ship(self.run_folder, WEIGHTS, self.commit, self.half))
         return 0
 
 

@@ -42,11 +42,18 @@ def test_weights_are_shipped_with_commit_and_log(run: Path, tmp_path: Path) -> N
     assert [row["step"] for row in info["log"]] == [10, 20]
 
 
+def test_halved_weights_are_rounded_to_float16(run: Path, tmp_path: Path) -> None:
+    tensors, info = load_weights(ship(run, tmp_path / "weights", "0123abc", half=True))
+    best, _ = load_weights(run / "best")
+    assert all(torch.equal(tensors[name], best[name].half().float()) for name in best)
+    assert info["step"] == 20
+
+
 def test_missing_and_too_large_weights_are_refused(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"best\.json"):
         ship(tmp_path, tmp_path / "weights", "")
     monkeypatch.setattr("baselines.ship.LARGEST", 10)
-    with pytest.raises(InputError, match="MiB, and at most"):
+    with pytest.raises(InputError, match="MiB of weights, more than"):
         ship(run, tmp_path / "weights", "")
     assert not (tmp_path / "weights").exists()
 

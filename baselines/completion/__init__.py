@@ -12,7 +12,7 @@ from baselines.training.config import TrainConfig
 __all__ = ["TABLE_MARGIN", "ObservedKits", "ObservedPart"]
 
 SMALL = TrainConfig(
-    steps=6800,
+    steps=5600,
     batch=16,
     optimizer="muon",
     learning_rate=5e-3,

@@ -16,6 +16,7 @@ from kit1000.voxels.grid import DEFAULT_TRUNCATION
 
 CELLS = 2 * int(DEFAULT_TRUNCATION)  # half a voxel wide, in a truncation
 STEP = (2, 2, 1)  # cells from voxel to voxel
+SKIN = 0.5e-3  # [m] behind an observed surface that is solid, whatever a network says
 SURE = 1.5e-3  # [m] behind an observed surface that is surely solid: no wall of a part is thinner than 2 mm
 
 
@@ -25,6 +26,8 @@ class ObservedColumns:
 
     grid: Grid
     """Of the volumes: every second cell along x and y."""
+    fine: Grid
+    """Of half a voxel: its every second layer has the cells."""
     distance: np.ndarray
     """(2 nx, 2 ny, nz) observed distance, in truncations of half a voxel; positive is free, NaN unknown."""
     below_top: np.ndarray
@@ -60,7 +63,7 @@ class ObservedColumns:
         heights = (np.arange(0, 2 * height, 2) - (height - 0.5)) * voxel / 2
         top = _top(fine, world_from_middle.inverse(), points)
         grid = Grid((side, side, height), voxel, fine.world_from_grid)
-        return cls(grid, observed, heights <= top[..., None], heights > floor)
+        return cls(grid, fine, observed, heights <= top[..., None], heights > floor)
 
     def filled(self, largest_only: bool) -> Volume:
         """Signed distances to the columns below the points, except for free space; no voxel is unknown.
@@ -69,6 +72,18 @@ class ObservedColumns:
         """
         solid = self.below_top & self.above_floor & ~(self.distance > 0)
         return self._volume(_largest(solid) if largest_only else solid, self.distance)
+
+    def completed(self, likely: np.ndarray, exact: bool) -> Volume:
+        """Signed distances to the cells (2 nx, 2 ny, nz) bool that are likely filled, above the floor.
+
+        exact: whether the observed distance is; then what it shows to be free is, and its surfaces are those of the
+        solid.
+        """
+        if not exact:
+            return self._volume(_largest(likely & self.above_floor), np.full_like(self.distance, np.nan))
+        thin = (self.distance <= 0) & (self.distance > -SKIN / (DEFAULT_TRUNCATION * self.grid.voxel_size / 2))
+        solid = (likely | thin) & ~(self.distance > 0) & self.above_floor
+        return self._volume(_largest(solid), self._near())
 
     def surely_solid(self) -> Volume:
         """Signed distances to what lies at most SURE behind an observed surface."""

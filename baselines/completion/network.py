@@ -68,7 +68,8 @@ class CompletionNet(nn.Module):
         Returns:
             (B, nx / 2, ny / 2, 4 nz), packed.
         """
-        evidence = network_input(codes, camera)
+        half = torch.is_autocast_enabled(codes.device.type)
+        evidence = network_input(codes, camera, torch.bfloat16 if half else torch.float32)
         features = self.stem(evidence)
         kept = []
         for blocks, coarser in zip(self.down, self.coarser, strict=False):
@@ -102,18 +103,18 @@ def _blocks(width: int, count: int) -> nn.Sequential:
     return nn.Sequential(*(ResidualBlock(width) for _ in range(count)))
 
 
-def network_input(codes: Tensor, camera: Tensor) -> Tensor:
+def network_input(codes: Tensor, camera: Tensor, dtype: torch.dtype = torch.float32) -> Tensor:
     """(B, C, x, y) of evidence, channels last: the layers, x, |y|, and polar angle and distance of the camera.
 
     Of y only the magnitude: mirrored evidence is then nothing but a mirrored image.
     """
-    layers = codes.to(torch.bfloat16).permute(0, 3, 1, 2) * (1 / CODE)
+    layers = codes.to(dtype).permute(0, 3, 1, 2) * (1 / CODE)
     batch, _, nx, ny = layers.shape
     x = torch.linspace(-1, 1, nx, device=layers.device).view(1, 1, nx, 1).expand(batch, 1, nx, ny)
     y = torch.linspace(-1, 1, ny, device=layers.device).abs().view(1, 1, 1, ny).expand(batch, 1, nx, ny)
     middle = torch.tensor([MIDDLE_POLAR, MIDDLE_DISTANCE], device=layers.device)
     place = (4 * (camera - middle)).view(batch, 2, 1, 1).expand(batch, 2, nx, ny)
-    return torch.cat([layers, torch.cat([x, y, place], 1).to(layers.dtype)], 1)
+    return torch.cat([layers, torch.cat([x, y, place], 1).to(dtype)], 1)
 
 
 def completion_loss(logits: Tensor, codes: Tensor, solid: Tensor) -> Tensor:

@@ -52,14 +52,15 @@ class ObservedPart:
         Returns:
             A volume along the axes of the world about the middle, HALF_WIDTH to every side; no voxel is unknown.
         """
-        return self._columns(voxel).filled(largest_only=True)
+        return self.columns(voxel).filled(largest_only=True)
 
     def evidence(self, voxel: float) -> PartEvidence:
         """What is certain about the part and what is not, each on the grid of `volume`."""
-        columns = self._columns(voxel)
+        columns = self.columns(voxel)
         return PartEvidence(columns.filled(largest_only=True), columns.surely_solid(), columns.possible())
 
-    def _columns(self, voxel: float) -> ObservedColumns:
+    def columns(self, voxel: float) -> ObservedColumns:
+        """What the image shows, in cells of half a voxel [m]."""
         upright = Pose.from_translation(self.middle)
         floor = self.table_height() - self.middle[2]
         half_sizes = (HALF_WIDTH, HALF_WIDTH)

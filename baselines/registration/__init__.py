@@ -16,6 +16,15 @@ METHODS = {
         label="Registration, from depth",
         options={"source": "depth"},
     ),
+    "registration-completed": Method(
+        "baselines.registration.method:Registration",
+        "registration from the depth image, the part completed by a network",
+        label="Registration, completed part",
+        options={"source": "depth"},
+        learned=True,
+        training_data="20,000 fresh parts of the families of split train, rendered from both sensors",
+        weights={"completion": "completion"},
+    ),
     "registration-columns": Method(
         "baselines.registration.method:Registration",
         "registration from the depth image, the part taken to be solid below what is observed",

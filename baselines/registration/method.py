@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from baselines.calibration import calibrated
 from baselines.registration.certain import register_certain
 from baselines.registration.columns import register_columns
 from baselines.registration.fits import Fit, ranked
@@ -16,7 +20,10 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
-from kit1000.values import Query, TrueGeometry
+from kit1000.values import LabelledDepth, Query, TrueGeometry
+
+if TYPE_CHECKING:
+    from baselines.completion.completed import PartCompleter
 
 SOURCES = ("depth", "columns", "truth")
 CONFIDENCE_DECIMALS = 9  # the last digits of an exponential depend on the processor
@@ -42,10 +49,21 @@ class Registration:
     the table; truth: the true geometry."""
     clearances: tuple[float, ...] = ()
     """[m] to try, of which the best fit counts; by default the one that the dataset states."""
+    completion: Path | None = None
+    """Stem of the weights of a network that completes the part; None fills columns."""
 
     def __post_init__(self) -> None:
         if self.source not in SOURCES:
             raise InputError(f"source {self.source!r}: expected one of {', '.join(SOURCES)}")
+
+    @cached_property
+    def completer(self) -> PartCompleter | None:
+        """The network that completes parts."""
+        if self.completion is None:
+            return None
+        from baselines.completion.completed import PartCompleter
+
+        return PartCompleter(self.completion)
 
     @property
     def uses_true_geometry(self) -> bool:
@@ -62,12 +80,19 @@ class Registration:
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits at all clearances, the best first."""
         clearances = self.clearances or (self.dataset.summary["config"]["clearance"],)
-        query = query if self.source == "truth" else restored_query(query)
+        asked, query = query, query if self.source == "truth" else restored_query(query)
         if self.source == "depth":
-            source = DepthSource(query)
+            source = DepthSource(query, self.completer, None if self.completer is None else calibrated_image(asked))
             return ranked(chain.from_iterable(register_certain(source, query, c) for c in clearances))
         filled = DepthSource(query) if self.source == "columns" else _true_source(query, geometry)
         return ranked(chain.from_iterable(register_columns(filled, query, c) for c in clearances))
+
+
+def calibrated_image(query: Query) -> LabelledDepth | None:
+    """The image of a noisy sensor, calibrated by the table; None of an ideal one."""
+    if query.sensor == "ideal":
+        return None
+    return LabelledDepth(calibrated(query.view, query.image.labels), query.image.labels)
 
 
 def _true_source(query: Query, geometry: TrueGeometry | None) -> TrueSource:

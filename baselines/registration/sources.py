@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -14,6 +14,9 @@ from baselines.completion.pixels import Noise, noise_of, oriented_points
 from kit1000.pose import Pose
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry, View
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points, tsdf
+
+if TYPE_CHECKING:
+    from baselines.completion.completed import CompletedPart, PartCompleter
 
 VOXEL = 1e-3  # [m] of the part's volume
 SIDE = 2 * round(HALF_WIDTH / VOXEL)  # voxels
@@ -88,6 +91,10 @@ class DepthSource:
     """Volumes from one depth image and the masks of the part and of the kits."""
 
     query: Query
+    completer: PartCompleter | None = None
+    """The network that completes the part; None fills columns."""
+    measured: LabelledDepth | None = None
+    """The calibrated image of a noisy sensor before its edges were restored, which the network reads."""
 
     @property
     def noise(self) -> Noise:
@@ -132,9 +139,14 @@ class DepthSource:
         return self._part.middle
 
     @cached_property
-    def _part(self) -> ObservedPart:
+    def _part(self) -> ObservedPart | CompletedPart:
         image = LabelledDepth(self.view, self.query.image.labels)
-        return ObservedPart(image, FIRST_PART_LABEL + self.query.part, self.query.pivot)
+        part = ObservedPart(image, FIRST_PART_LABEL + self.query.part, self.query.pivot)
+        if self.completer is None:
+            return part
+        from baselines.completion.completed import CompletedPart
+
+        return CompletedPart(part, self.completer, self.measured)
 
 
 def _part_grid(middle: np.ndarray) -> Grid:

@@ -43,8 +43,15 @@ def save_weights(
     Raises:
         InputError: a larger file, or a number beyond the range of float16.
     """
+    save_tensors(stem, copied_state(model), info, half, largest)
+
+
+def save_tensors(
+    stem: Path, tensors: Tensors, info: Mapping[str, Any], half: bool = False, largest: int | None = LARGEST
+) -> None:
+    """As `save_weights`, of the tensors of a network by name."""
     path = _with_suffix(stem, ".safetensors")
-    data = save({name: _halved(path, name, value) if half else value for name, value in copied_state(model).items()})
+    data = save({name: _halved(path, name, value) if half else value for name, value in tensors.items()})
     if largest is not None and len(data) > largest:
         size = f"{len(data) / 2**20:.1f} MiB of weights, more than the {largest / 2**20:.3g} MiB a file may have"
         raise InputError(f"{path}: {size}" + ("" if half else "; half=True halves them"))

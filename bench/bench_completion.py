@@ -1,0 +1,171 @@
+"""How well parts are completed from one image: by columns, and by the network.
+
+    python bench/bench_completion.py data/kit1000 --split test
+
+IoU of the occupied voxels of 1 mm, of all and of the hidden ones; surface Chamfer distance; of the network also the
+expected calibration error of its probabilities in the cells that are not seen, and its seconds on one core. The image
+of the d415 is calibrated by the table first.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import tyro
+from measured_dataset import measured_dataset
+
+from baselines.calibration import calibrated
+from baselines.completion import ObservedPart
+from baselines.completion.completed import CompletedPart, PartCompleter
+from baselines.completion.frame import CODE, framed
+from baselines.completion.occupancy import filled_share
+from baselines.methods import WEIGHTS
+from kit1000.dataset.reader import Dataset, RecordedScene
+from kit1000.errors import Kit1000Error
+from kit1000.generation.presets import HELD_OUT
+from kit1000.metrics.volumes import occupancy_iou, surface_chamfer
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, Truth
+from kit1000.voxels import Volume, signed_distance
+
+VOXEL = 1e-3  # [m]
+BINS = 10  # of probability, for the calibration error
+
+
+@dataclass(frozen=True)
+class Completion:
+    """Measure the completion of parts."""
+
+    data: tyro.conf.Positional[Path | None] = None
+    """Dataset folder; without one a tiny dataset is generated."""
+    split: str = "test"
+    weights: Path = WEIGHTS / "completion"
+    """Stem of the network's weights."""
+    parts: int = 200
+    """Most parts, spread evenly over the split; one of each scene."""
+    csv: Path | None = None
+    """File for one row per part."""
+
+
+class Measured(NamedTuple):
+    """A part, completed."""
+
+    query: Query
+    truth: Truth
+    columns: tuple[float, float, float]
+    """IoU of all and of the hidden voxels, and Chamfer distance [m]."""
+    network: tuple[float, float, float]
+    seconds: float
+    counts: np.ndarray
+    """(3, BINS) by the probability of hidden cells: their number, the sums of probability and of filled share."""
+
+
+GROUPS: dict[str, Callable[[Truth], bool]] = {
+    "all": lambda truth: True,
+    "upright": lambda truth: truth.rest_mode == "upright",
+    "tumbled": lambda truth: truth.rest_mode == "tumbled",
+    "crowded": lambda truth: truth.crowded,
+    "known families": lambda truth: truth.family not in HELD_OUT,
+    "held-out families": lambda truth: truth.family in HELD_OUT,
+}
+
+
+def main(options: Completion) -> None:
+    """Print a table for each sensor."""
+    torch.set_num_threads(1)
+    completer = PartCompleter(options.weights)
+    with measured_dataset(options.data) as (dataset, _):
+        for sensor in ("ideal", "d415"):
+            found = list(_measured(dataset, options, completer, sensor))
+            if not found:
+                continue
+            print(f"{dataset.root.name}, {options.split}, {sensor}: IoU / IoU hidden / Chamfer mm")
+            print(f"  {'':18} {'n':>4}  {'columns':21}  {'network':21}  {'ECE':6}")
+            for name, belongs in GROUPS.items():
+                _print_group(name, [row for row in found if belongs(row.truth)])
+            seconds = np.array([row.seconds for row in found])
+            print(f"  seconds of the network: mean {seconds.mean():.3f}, median {np.median(seconds):.3f}")
+            if options.csv is not None:
+                _write(options.csv.with_stem(f"{options.csv.stem}-{sensor}"), found)
+
+
+def _print_group(name: str, rows: list[Measured]) -> None:
+    if not rows:
+        return
+    texts = []
+    for method in ("columns", "network"):
+        values = np.array([getattr(row, method) for row in rows])
+        texts.append(f"{values[:, 0].mean():.3f} / {values[:, 1].mean():.3f} / {1e3 * np.mean(values[:, 2]):.2f}")
+    error = calibration_error(np.sum([row.counts for row in rows], axis=0))
+    spread = np.std([row.network[0] - row.columns[0] for row in rows]) / np.sqrt(len(rows))
+    print(f"  {name:18} {len(rows):4}  {texts[0]:21}  {texts[1]:21}  {error:.4f}  (gain +- {1.96 * spread:.3f})")
+
+
+def _measured(dataset: Dataset, options: Completion, completer: PartCompleter, sensor: str) -> Iterator[Measured]:
+    split = dataset.split(options.split, truth=True)
+    ids = split.scene_ids
+    chosen = [ids[i * len(ids) // min(options.parts, len(ids))] for i in range(min(options.parts, len(ids)))]
+    for scene in map(split.scene, chosen):
+        query = next((query for query in scene.queries if query.drawn and query.sensor == sensor), None)
+        if query is not None:
+            yield _measure(scene, query, completer, dataset)
+
+
+def _measure(scene: RecordedScene, query: Query, completer: PartCompleter, dataset: Dataset) -> Measured:
+    truth, image = scene.truth_of(query.id), query.image
+    if query.sensor != "ideal":
+        image = LabelledDepth(calibrated(image.view, image.labels), image.labels)
+    observed = ObservedPart(image, FIRST_PART_LABEL + query.part, query.pivot)
+    start = time.process_time()
+    completed = CompletedPart(observed, completer, None if query.sensor == "ideal" else image)
+    logits = completed.logits
+    seconds = time.process_time() - start
+    mesh = dataset.geometry.part(truth.part_id).mesh
+    columns, network = observed.volume(VOXEL), completed.volume(VOXEL)
+    exact = signed_distance(columns.grid, [(mesh, truth.world_from_part)], threads=1)
+    hidden = np.isnan(observed.columns(VOXEL).distance[::2, ::2])
+    counts = np.zeros((3, BINS))
+    part = framed(image, observed.label, observed.table_height())
+    if logits is not None and part is not None:
+        cells = part.codes == -CODE
+        share = filled_share(mesh, truth.world_from_part, logits.grid)
+        counts = bin_counts(logits.probability[cells], share[cells])
+    scores = [_scores(volume, exact, hidden) for volume in (columns, network)]
+    return Measured(query, truth, scores[0], scores[1], seconds, counts)
+
+
+def _scores(volume: Volume, exact: Volume, hidden: np.ndarray) -> tuple[float, float, float]:
+    masked = [np.where(hidden, one.values, np.float32(np.nan)) for one in (volume, exact)]
+    return occupancy_iou(volume, exact), occupancy_iou(*masked), surface_chamfer(volume, exact)
+
+
+def bin_counts(probability: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """(3, BINS): by probability, the number of cells and the sums of their probabilities and filled shares (n,)."""
+    bins = np.minimum((probability * BINS).astype(int), BINS - 1)
+    return np.stack([np.bincount(bins, weights, BINS) for weights in (np.ones(len(bins)), probability, share)])
+
+
+def calibration_error(counts: np.ndarray) -> float:
+    """The expected calibration error of (3, BINS) counts: the mean distance of probability and filled share."""
+    return float(np.abs(counts[1] - counts[2]).sum() / max(counts[0].sum(), 1))
+
+
+def _write(path: Path, rows: list[Measured]) -> None:
+    lines = ["query,family,rest_mode,crowded,columns_iou,network_iou,columns_mm,network_mm"]
+    for row in rows:
+        numbers = [row.columns[0], row.network[0], 1e3 * row.columns[2], 1e3 * row.network[2]]
+        names = [row.query.id, row.truth.family, row.truth.rest_mode, str(int(row.truth.crowded))]
+        lines.append(",".join([*names, *(f"{number:.4f}" for number in numbers)]))
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Completion))
+    except Kit1000Error as error:
+        raise SystemExit(f"bench_completion: {error}") from error
