@@ -101,7 +101,7 @@ def test_turns_bring_a_line_near_a_reference_within_the_limits(start: np.ndarray
     assert near is not None
     assert (np.abs(near) <= JOINT_LIMITS).all()
     assert np.abs(np.remainder(near - line + np.pi, 2 * np.pi) - np.pi).max() < 1e-9
-    free = np.abs(reference[3:]) < 3  # where limits do not matter, half a turn at most is left
+    free = np.abs(reference[3:]) < 2.5  # where limits do not matter, half a turn at most is left
     assert (np.abs(near[0] - reference)[3:][free] <= np.pi + 1e-9).all()
 
 
