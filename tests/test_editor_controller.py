@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +12,14 @@ import numpy as np
 import pytest
 from editing import EYE, answered, desk, dragged, found, goal, header_of, scene_of
 
-from kit1000.cli import main
+from baselines.methods import make_predictor, method_of
+from kit1000.camera import look_at
+from kit1000.cli import SNAP, main
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.display import ghost_node, part_node
 from kit1000.editor.keys import KEYS, help_text
 from kit1000.editor.plates import TABLE
+from kit1000.editor.pointing import Eye
 from kit1000.editor.proposals import Proposal, distinct
 from kit1000.editor.records import FILE, EventLog
 from kit1000.editor.scene import EditedScene
@@ -127,7 +131,7 @@ def test_letting_go_near_a_fit_takes_it_unless_that_is_switched_off(scene: Edite
     dragged(table, part, point)
     found(table, part, (table.controller.space.current[part].goal_from_now, 0.7))
     for lets_go, state in ((False, "free"), (True, "snapped")):
-        table.controller.lets_go = lets_go
+        table.controller.take_by_letting_go(lets_go)
         dragged(table, part, np.array([0.0, -0.2, 0.0]))
         dragged(table, part, point)
         assert table.controller.space.session.edits[part].state == state
@@ -183,12 +187,39 @@ def test_without_a_method_nothing_snaps_and_a_pose_by_hand_can_be_confirmed(scen
     assert not (tmp_path / "manifest.toml").exists()
 
 
+def test_the_gizmo_carries_a_part_and_is_one_operation(scene: EditedScene, tmp_path: Path) -> None:
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    table.controller.carry(Pose.identity(), done=True)  # nothing is selected
+    table.controller.select(part)
+    table.controller.command("gizmo")
+    assert table.stage.gizmo_pose is not None
+    assert np.allclose(table.stage.gizmo_pose.xyz, scene.pivot(part))
+    for k in range(4):
+        pose = Pose.from_rotvec((0.0, 0.1 * k, 0.0), scene.pivot(part) + (0.0, 0.0, 0.01 * k))
+        table.controller.carry(pose, done=k == 3)
+    motion = table.controller.space.session.edits[part].goal_from_now
+    assert np.allclose(motion.apply(scene.pivot(part)), scene.pivot(part) + (0.0, 0.0, 0.03))
+    assert [operation.name for operation in table.controller.space.session.done] == ["gizmo"]
+    table.controller.command("deselect")
+    assert table.stage.gizmo_pose is None
+
+
 def test_a_part_on_the_table_cannot_be_confirmed(scene: EditedScene, tmp_path: Path) -> None:
     table = desk(scene, tmp_path)
     table.controller.command(f"select-{scene.parts[0] + 1}")
     table.controller.command("confirm")
     assert "drag a part" in table.stage.texts["note"]
     assert not any(edit.confirmed for edit in table.controller.space.session.edits.values())
+
+
+def test_every_view_shows_the_scene_in_a_square_window(scene: EditedScene, tmp_path: Path) -> None:
+    table = desk(scene, tmp_path)
+    middle, radius = scene.extent
+    for verb in ("view-camera", "view-top"):
+        table.controller.command(verb)
+        eye = Eye(look_at(table.stage.looks[-1], middle), EYE.fov, 1.0)
+        for offset in np.concatenate([np.eye(3), -np.eye(3)]) * radius:
+            assert max(abs(side - 0.5) for side in eye.screen(middle + offset)) < 0.5, verb
 
 
 def test_every_key_does_something_or_says_why_not(scene: EditedScene, tmp_path: Path) -> None:
@@ -263,6 +294,18 @@ def test_true_geometry_is_for_sessions_that_show_it(mini: Path) -> None:
         prepared(Method("test_editor_controller:Fussy", mini, scene_id, "ideal", False))
     made = prepared(Method("test_editor_controller:Fussy", mini, scene_id, "ideal", True))
     assert proposals_of(made, Job(next(iter(made.queries)), None))[0].confidence == 0.5
+
+
+def test_the_page_gives_the_answer_of_the_method(mini: Path) -> None:
+    """The same guess by way of the page and of `baselines predict`."""
+    scene = scene_of(mini)
+    part = scene.parts[0]
+    guess = off(goal(scene, part), scene.pivot(part), 0.2, (0.01, -0.006, 0.004))
+    through_page = proposals_of(prepared(Method(SNAP, mini, scene.recorded.id, "ideal", False)), Job(part, guess))[0]
+    predictor = make_predictor(method_of("registration"), scene.dataset, 0)
+    predicted = predictor(replace(scene.queries[part], guess=guess), None)
+    assert np.abs(through_page.goal_from_now.matrix() - predicted.goal_from_now.matrix()).max() < 1e-6
+    assert abs(through_page.confidence - predicted.confidence) < 1e-6
 
 
 @pytest.mark.parametrize("snap", ["nothing", "no.such:Thing", ":x", "math:", "..x:y"])

@@ -4,8 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import http.client
+import json
+import re
+import signal
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from unittest import mock
 
 import pytest
@@ -14,6 +20,7 @@ import websockets.asyncio.server
 from websockets.asyncio.client import connect
 from websockets.exceptions import InvalidStatus
 
+from kit1000.dataset.reader import Dataset
 from kit1000.editor.serve import HOST, serving
 from kit1000.errors import InputError, InternalError
 
@@ -92,6 +99,23 @@ def test_no_public_address_is_made(server: viser.ViserServer) -> None:
 def test_a_taken_port_is_refused(server: viser.ViserServer) -> None:
     with pytest.raises(InputError, match="is taken"), serving(server.get_port()):
         pass
+
+
+def test_the_command_prints_one_address_and_ctrl_c_ends_it(mini: Path, tmp_path: Path) -> None:
+    scene_id = Dataset(mini).split("test").scene_ids[0]
+    words = [sys.executable, "-m", "kit1000", "edit", str(mini), "--scene", scene_id, "--snap", "none"]
+    with subprocess.Popen([*words, "--out", str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as page:
+        assert page.stdout is not None
+        first = page.stdout.readline().decode()
+        port = int(re.match(rf"http://{HOST}:(\d+) ", first)[1])  # type: ignore[index]
+        assert get(port, "/").status == 200
+        page.send_signal(signal.SIGINT)
+        rest, errors = page.communicate(timeout=60)
+    assert page.returncode == 0
+    assert errors == b""
+    assert rest.decode() == f"{tmp_path}: 0 of 1 parts confirmed\n"
+    events = [json.loads(line)["event"] for line in (tmp_path / "events.jsonl").read_text().splitlines()]
+    assert events == ["open", "close"]
 
 
 @pytest.mark.parametrize("port", [0, -1, 65536])

@@ -128,10 +128,22 @@ class Controller:
             self._do(name, {drag.part: edit})
 
     @exclusive
-    def preview(self, part: int, motion: Pose) -> None:
-        """A part on its way, by the gizmo."""
-        self.space.current[part] = self.space.session.edits[part].moved(motion, True)
-        self.display.moved(part)
+    def carry(self, gizmo: Pose, done: bool) -> None:
+        """The gizmo at the selected part moves, world_from_gizmo; done: it was let go, which is one operation."""
+        part = self.space.selected
+        if part is None:
+            return
+        motion = gizmo @ Pose.from_translation(-self.space.scene.pivot(part))
+        if done:
+            self.place(part, motion)
+        else:
+            self.space.current[part] = self.space.session.edits[part].moved(motion, True)
+            self.display.moved(part)
+
+    @exclusive
+    def take_by_letting_go(self, takes: bool) -> None:
+        """Whether letting go near a fit takes it."""
+        self.lets_go = takes
 
     @exclusive
     def place(self, part: int, motion: Pose, name: str = "gizmo") -> None:

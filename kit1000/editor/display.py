@@ -8,12 +8,13 @@ from kit1000.editor import texts
 from kit1000.editor.stage import Stage
 from kit1000.editor.workspace import Workspace
 from kit1000.pictures.scene_preview import part_colour
-from kit1000.pose import Pose
+from kit1000.pose import Pose, unit_vector
 
 KITS, OTHERS, NUMBER = "/kits", "/others", "/number"
-OVER_PART, OVER_GHOST = np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, 0.035])  # [m] of their labels
-MIDDLE = np.array([0.0, 0.0, 0.05])  # [m] of what the camera looks at
-TOP_VIEW, SLOT_VIEW = np.array([0.0, -0.02, 0.9]), 0.3  # [m] from there
+OVER_PART, OVER_GHOST = np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, 0.05])  # [m] of their labels
+AWAY = 2.6  # radii of the scene: from there a square window shows all of it at 45 degrees
+STRAIGHT_DOWN = np.array([0.0, -0.02, 1.0])  # not quite: the view keeps its upward direction
+SLOT_VIEW = 0.3  # [m] from a plate
 
 
 class Display:
@@ -59,10 +60,12 @@ class Display:
     def look(self, name: str) -> None:
         """Put the camera: camera, top, or slot for the plate under the selected part."""
         space = self.workspace
+        middle, radius = space.scene.extent
         if name == "camera":
-            self.stage.look_from(space.scene.view.world_from_camera.xyz, MIDDLE)
+            towards = space.scene.view.world_from_camera.xyz - middle
+            self.stage.look_from(middle + AWAY * radius * unit_vector(towards), middle)
         elif name == "top":
-            self.stage.look_from(MIDDLE + TOP_VIEW, MIDDLE)
+            self.stage.look_from(middle + AWAY * radius * STRAIGHT_DOWN, middle)
         elif space.selected is not None:
             image = space.current[space.selected].goal_from_now.apply(space.scene.pivot(space.selected))
             away = SLOT_VIEW * space.plate_of(space.selected).normal

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -16,6 +16,7 @@ from kit1000.editor.dragging import NAMES, Modifier
 from kit1000.editor.keys import KEYS, help_text
 from kit1000.editor.pointing import Eye
 from kit1000.editor.stage import Colour
+from kit1000.errors import Kit1000Error
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim.layout import TABLE_SIZE
@@ -144,7 +145,7 @@ class ViserStage:
 
     def _dress(self) -> None:
         server, gui = self.server, self.server.gui
-        gui.configure_theme(show_logo=False, show_share_button=False, control_width="medium")
+        gui.configure_theme(show_logo=False, show_share_button=False, control_width="small")
         gui.main_panel.dock_right()
         server.initial_camera.fov, server.initial_camera.near, server.initial_camera.far = FOV, 0.02, 10.0
         server.initial_camera.up = (0.0, 0.0, 1.0)
@@ -206,57 +207,49 @@ class ViserStage:
         """The tab that came first acts; the others watch."""
         self._acting = self._clients[0] if self._clients else None
 
-    def _acts(self, event: Any) -> Controller | None:
-        """The controller, where an event comes from the tab in charge."""
-        return self._controller if event.client_id == self._acting else None
+    def _call(self, event: Any, action: Callable[[Controller], None]) -> None:
+        """Do something where the event comes from the tab in charge; what goes wrong is said on the page."""
+        if self._controller is None or event.client_id != self._acting:
+            return
+        try:
+            action(self._controller)
+        except Kit1000Error as error:
+            self.say("note", f"**{texts.plain(str(error))}**")
+            self.flush()
 
     async def _dragged(self, part: int, modifier: Modifier, event: Any) -> None:
-        controller = self._acts(event)
-        if controller is None:
-            return
+        start, end = _screen(event.start_screen_pos), _screen(event.end_screen_pos)
         if event.phase == "start":
-            point = np.array(event.start_position, float)
-            controller.grab(part, _eye(event.client), _screen(event.start_screen_pos), point, modifier)
-        if event.phase != "start":
-            controller.drag(_screen(event.end_screen_pos))
+            grabbed = np.array(event.start_position, float)
+            self._call(event, lambda editor: editor.grab(part, eye_of(event.client), start, grabbed, modifier))
+        else:
+            self._call(event, lambda editor: editor.drag(end))
         if event.phase == "end":
-            controller.release()
+            self._call(event, lambda editor: editor.release())
 
     async def _clicked(self, part: int, event: Any) -> None:
-        if (controller := self._acts(event)) is not None:
-            controller.select(part)
+        self._call(event, lambda editor: editor.select(part))
 
     async def _gizmo_moved(self, event: Any) -> None:
-        controller = self._acts(event)
-        if controller is None or controller.space.selected is None:
-            return
-        part = controller.space.selected
         handle = Pose(np.array(event.target.wxyz), np.array(event.target.position))
-        motion = handle @ Pose.from_translation(-controller.space.scene.pivot(part))
         self._dragging_gizmo = event.phase != "end"
-        if event.phase == "end":
-            controller.place(part, motion)
-        else:
-            controller.preview(part, motion)
+        self._call(event, lambda editor: editor.carry(handle, done=event.phase == "end"))
 
     async def _key_pressed(self, verb: str, event: Any) -> None:
-        if (controller := self._acts(event)) is not None:
-            controller.command(verb, _eye(event.client))
+        self._call(event, lambda editor: editor.command(verb, eye_of(event.client)))
 
     async def _group_clicked(self, verbs: dict[str, str], event: Any) -> None:
-        if (controller := self._acts(event)) is not None:
-            controller.command(verbs[event.target.value], _eye(event.client))
+        self._call(event, lambda editor: editor.command(verbs[event.target.value], eye_of(event.client)))
 
     async def _history_clicked(self, count: int, event: Any) -> None:
-        if (controller := self._acts(event)) is not None:
-            controller.return_to(count)
+        self._call(event, lambda editor: editor.return_to(count))
 
     async def _lets_go_changed(self, event: Any) -> None:
-        if (controller := self._acts(event)) is not None:
-            controller.lets_go = bool(event.target.value)
+        self._call(event, lambda editor: editor.take_by_letting_go(bool(event.target.value)))
 
 
-def _eye(client: viser.ClientHandle) -> Eye:
+def eye_of(client: viser.ClientHandle) -> Eye:
+    """The camera of a tab."""
     camera = client.camera
     return Eye(Pose(camera.wxyz, camera.position), float(camera.fov), float(camera.aspect))
 

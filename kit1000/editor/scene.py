@@ -82,6 +82,13 @@ class EditedScene:
         """(n, 3) [m] points that bound each part where it lies."""
         return {part: mesh.vertices[ConvexHull(mesh.vertices).vertices] for part, mesh in self.meshes.items()}
 
+    @cached_property
+    def extent(self) -> tuple[np.ndarray, float]:
+        """(3,) [m] the middle of kits and parts, and the radius [m] about it that holds them."""
+        points = np.concatenate([self.kits.vertices, *(mesh.vertices for mesh in self.meshes.values())])
+        middle = (points.min(0) + points.max(0)) / 2
+        return middle, float(np.sqrt(np.square(points - middle).sum(-1).max()))
+
     def pivot(self, part: int) -> np.ndarray:
         """(3,) [m] world: the middle of what is seen of a part where it lies."""
         return self.queries[part].pivot
