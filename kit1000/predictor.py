@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NamedTuple, Protocol
@@ -53,9 +54,14 @@ def resolved(target: str) -> Any:
 
 
 def predictor_of(target: str, dataset: Dataset) -> Predictor:
-    """The predictor that `module:Object` names: a function as it is, or a class, called with the dataset."""
+    """The predictor that `module:Object` names: a function as it is, or a class, called with the dataset.
+
+    A class that takes a seed gets 0.
+    """
     value = resolved(target)
-    return value(dataset) if isinstance(value, type) else value
+    if not isinstance(value, type):
+        return value
+    return value(dataset, **({"seed": 0} if "seed" in inspect.signature(value).parameters else {}))
 
 
 def to_prediction(query: Query, predicted: PredictedMotion, seconds: float) -> Prediction:
