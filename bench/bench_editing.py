@@ -172,7 +172,7 @@ def _time(controller: Controller, part: int, hand: Pose, times: tuple[list[float
 
 def _row(motions: Pose, truths: list[Truth], dataset: Dataset) -> str:
     """Errors and the seated share with its Wilson interval, as text."""
-    errors = pose_errors(motions, Targets.of(truths, dataset.geometry))
+    errors = pose_errors(motions, Targets.of(truths, lambda part_id: dataset.geometry.part(part_id).mesh.vertices))
     seated = seatings(motions, truths, dataset.geometry).seated
     position, rotation = 1e3 * errors.position, np.degrees(errors.rotation)
     low, high = wilson_interval(float(seated.mean()), len(seated))

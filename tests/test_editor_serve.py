@@ -128,7 +128,7 @@ def test_a_server_whose_guard_is_gone_does_not_serve(monkeypatch: pytest.MonkeyP
     """As after an upgrade of viser that serves in another way."""
     from viser.infra import _infra
 
-    elsewhere = mock.Mock(wraps=_infra.websockets)
+    elsewhere = mock.Mock(wraps=websockets)
     elsewhere.asyncio.server.serve = websockets.asyncio.server.serve
     monkeypatch.setattr(_infra, "websockets", elsewhere)
     with pytest.raises(InternalError, match="unchecked"), serving(None):
