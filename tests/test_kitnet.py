@@ -131,6 +131,7 @@ def test_examples_begin_within_the_range_of_the_method(mini: Path, tmp_path: Pat
         assert 2 * np.degrees(np.arccos(np.abs(goals[:, 0]).clip(max=1))).min() < 30 + 7.6
 
 
+@pytest.mark.slow
 def test_one_batch_is_learned(mini: Path, tmp_path: Path) -> None:
     torch.manual_seed(0)
     dataset = Dataset(mini)

@@ -15,7 +15,7 @@ from baselines.completion.part import PartEvidence
 from baselines.registration.cavity import BELOW, VOXEL, find_cavity
 from baselines.registration.contradictions import MOST, TOLERANCE, KitHeights, contradictions
 from baselines.registration.intervals import IntervalProblem, _outside, floor_is_seen, refine_within, sweeps_of
-from baselines.registration.refine import refine
+from baselines.registration.refine import MAX_RESIDUAL, clipped_rms, refine
 from baselines.registration.sweep import CELL, envelope_about
 from kit1000.pose import Pose
 from kit1000.voxels import Volume, surface_points
@@ -240,3 +240,8 @@ def test_where_no_floor_is_seen_the_height_is_held() -> None:
     held, _, _ = refine_within(untold(known.part), known.pivot, candidate, CLEARANCE, 1.0)
     start = candidate.plate_from_now.apply(known.pivot)[2]
     assert abs(held.apply(known.pivot)[2] - start) < 0.5e-3
+
+
+def test_the_misfit_of_no_residuals_is_the_worst_and_a_number() -> None:
+    assert clipped_rms(np.empty(0)) == MAX_RESIDUAL
+    assert clipped_rms(np.full(7, 10 * MAX_RESIDUAL)) == pytest.approx(MAX_RESIDUAL, rel=1e-12)

@@ -223,6 +223,7 @@ def test_predictions_stay_in_the_window_of_the_guess(seed: int) -> None:
     assert there == pytest.approx(guess.apply(pivot) + 0.01)
 
 
+@pytest.mark.slow
 def test_one_batch_is_learned(mini: Path, tmp_path: Path) -> None:
     """The cell of the goal, its height and its tilt, in a query without and one with a guess."""
     torch.manual_seed(0)

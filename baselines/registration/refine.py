@@ -41,7 +41,9 @@ def sampled(points: np.ndarray) -> np.ndarray:
 
 
 def clipped_rms(residuals: np.ndarray) -> float:
-    """[m] root mean square of residuals (n,), each at most MAX_RESIDUAL."""
+    """[m] root mean square of residuals (n,), each at most MAX_RESIDUAL; that where there are none: nothing fits."""
+    if len(residuals) == 0:
+        return MAX_RESIDUAL
     return float(np.sqrt(np.mean(np.minimum(residuals**2, MAX_RESIDUAL**2))))
 
 

@@ -66,7 +66,7 @@ class TransporterNet(nn.Module):
             patch = features[None, SCORED:, row : row + size, column : column + size]
             weights = own[:, SCORED:].unflatten(1, (SCALARS, PER_SCALAR)).transpose(0, 1)
             sums = F.conv2d(patch, weights.flatten(0, 1), groups=SCALARS)[0].unflatten(0, (SCALARS, -1))
-            found.append(sums / own.shape[-1])
+            found.append(sums / (PER_SCALAR * own.shape[-1] ** 2))  # about -1 to 1: larger sums saturate what follows
         sums = torch.stack(found)
         each = [net(sums[:, i, ..., None])[..., 0] for i, net in enumerate(self.scalars)]
         return torch.stack(each, 1).float()
@@ -91,7 +91,9 @@ def packed(images: Tensor) -> Tensor:
 
 
 def _regressor() -> nn.Sequential:
-    return nn.Sequential(nn.Linear(1, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, HIDDEN), nn.ReLU(), nn.Linear(HIDDEN, 1))
+    return nn.Sequential(
+        nn.Linear(1, HIDDEN), nn.LeakyReLU(0.1), nn.Linear(HIDDEN, HIDDEN), nn.LeakyReLU(0.1), nn.Linear(HIDDEN, 1)
+    )
 
 
 def turned_crops(part: Tensor, yaws: Tensor, pixels: int) -> Tensor:
