@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from unittest import mock
 
@@ -104,13 +105,21 @@ def test_a_taken_port_is_refused(server: viser.ViserServer) -> None:
 def test_the_command_prints_one_address_and_ctrl_c_ends_it(mini: Path, tmp_path: Path) -> None:
     scene_id = Dataset(mini).split("test").scene_ids[0]
     words = [sys.executable, "-m", "kit1000", "edit", str(mini), "--scene", scene_id, "--snap", "none"]
-    with subprocess.Popen([*words, "--out", str(tmp_path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as page:
+    page = subprocess.Popen(
+        [*words, "--out", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # tests run in the background ignore Ctrl-C
+    )
+    try:
         assert page.stdout is not None
         first = page.stdout.readline().decode()
         port = int(re.match(rf"http://{HOST}:(\d+) ", first)[1])  # type: ignore[index]
         assert get(port, "/").status == 200
         page.send_signal(signal.SIGINT)
         rest, errors = page.communicate(timeout=60)
+    finally:
+        page.kill()
     assert page.returncode == 0
     assert errors == b""
     assert rest.decode() == f"{tmp_path}: 0 of 1 parts confirmed\n"

@@ -12,6 +12,7 @@ import pytest
 
 from baselines.completion import ObservedKits, ObservedPart
 from baselines.completion.pixels import noise_of
+from baselines.restoration import restored_query
 from baselines.snapnet import volumes as volumes_module
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.examples import (
@@ -204,7 +205,7 @@ def test_volumes_are_the_same_in_a_moved_world_along_moved_axes(data: Dataset, s
 @pytest.mark.parametrize("sensor", ["ideal", "d415"])
 def test_cropped_images_give_the_volumes_of_the_whole_image(data: Dataset, sensor: Sensor) -> None:
     sample = sampler(data, "depth", sensor=sensor).draw(stream(6))
-    query, work = sample.volumes.query, sample.world_from_work
+    query, work = restored_query(sample.volumes.query), sample.world_from_work
     assert query.sensor == sensor
     grid = grid_about(sample.guess.inverse() @ work, CELLS, VOXEL)
     observed = ObservedPart(query.image, FIRST_PART_LABEL + query.part, query.pivot)
