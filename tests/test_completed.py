@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
 from baselines.completion import ObservedPart
-from baselines.completion.completed import SEEN_FREE, CompletedPart, FillLogits, PartCompleter, loaded
+from baselines.completion.completed import SEEN_FREE, CompletedPart, FillLogits, PartCompleter
 from baselines.completion.frame import CODE, SHAPE, FramedPart, framed, grid_at
 from baselines.completion.network import CompletionConfig, CompletionNet
 from baselines.completion.occupancy import filled_share
@@ -133,10 +133,10 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
     net = network()
     save_weights(tmp_path / "none", net, {"about": {"network": {"cells": 3}}})
     with pytest.raises(InputError, match="no config of a CompletionNet"):
-        loaded(tmp_path / "none")
+        PartCompleter(tmp_path / "none")
     values = {"widths": [8, 8, 8, 8], "blocks": 2, "parts": 1, "parts_seed": 0}
     save_weights(tmp_path / "deep", net, {"about": {"network": values}})
     with pytest.raises(InputError, match="which this network has"):
-        loaded(tmp_path / "deep")
+        PartCompleter(tmp_path / "deep")
     save_weights(tmp_path / "good", net, {"about": {"network": values | {"blocks": 1}}})
-    assert torch.equal(loaded(tmp_path / "good").head.weight, net.head.weight)
+    assert torch.equal(PartCompleter(tmp_path / "good").net.head.weight, net.head.weight)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -13,9 +13,8 @@ from baselines.completion.columns import ObservedColumns
 from baselines.completion.frame import CODE, FramedPart, framed, packed, unpacked
 from baselines.completion.network import CompletionConfig, CompletionNet
 from baselines.completion.part import ObservedPart, PartEvidence
-from baselines.training.checkpoint import load_into, load_weights
+from baselines.loading import ready
 from kit1000.compiled import compiled
-from kit1000.errors import InputError
 from kit1000.values import LabelledDepth
 from kit1000.voxels import Grid, Volume
 
@@ -53,7 +52,8 @@ class PartCompleter:
 
     def __init__(self, weights: Path | CompletionNet) -> None:
         """weights: stem of the files, or the network itself."""
-        self.net = weights.eval() if isinstance(weights, CompletionNet) else loaded(weights)
+        net = ready(weights, CompletionConfig, CompletionNet).to("cpu")  # on which the last digits are known
+        self.net = net.to(memory_format=torch.channels_last)
 
     def __call__(self, part: FramedPart) -> FillLogits:
         """The mean of the logits of the evidence and of its mirror image; cells that are seen free are not filled."""
@@ -111,18 +111,6 @@ class CompletedPart:
             return columns.filled(largest_only=True)
         likely = self.logits.at(columns.fine, (1, 1, 2)) > 0
         return columns.completed(likely, exact=self.raw is None)
-
-
-def loaded(stem: Path) -> CompletionNet:
-    """The network of a pair of files, on the CPU; InputError where they hold no such network."""
-    tensors, info = load_weights(stem)
-    values = info.get("about", {}).get("network", {})
-    differing = set(values) ^ {field.name for field in fields(CompletionConfig)}
-    if differing:
-        raise InputError(f"{stem}.json: no config of a CompletionNet: it differs in {', '.join(sorted(differing))}")
-    net = CompletionNet(CompletionConfig(**values | {"widths": tuple(values["widths"])}))
-    load_into(net, tensors, stem)
-    return net.to(memory_format=torch.channels_last).eval()  # pyright: ignore[reportCallIssue]
 
 
 @compiled
