@@ -123,6 +123,10 @@ class Train:
     """Examples of a step."""
     seed: Count = None
     """Of the initial weights and all draws."""
+    learning_rate: Annotated[float | None, tyro.conf.arg(metavar="X")] = None
+    """At its peak."""
+    start: Path | None = None
+    """Weights to start from, a .safetensors file of the same network; new ones by default."""
     workers: Count = None
     """Processes that make examples."""
     threads: Count = None
@@ -134,9 +138,9 @@ class Train:
         """Train, then print how it ended."""
         from baselines.networks import train_network
 
-        fields = ("steps", "batch", "seed", "workers", "threads", "time_limit_s")
+        fields = ("steps", "batch", "seed", "learning_rate", "workers", "threads", "time_limit_s")
         changes = {name: value for name in fields if (value := getattr(self, name)) is not None}
-        result = train_network(self.name, self.data, self.out, self.preset, changes)
+        result = train_network(self.name, self.data, self.out, self.preset, changes, self.start)
         best = ", ".join(f"{name} median {values['median']:.3g}" for name, values in result.measures.items())
         print(f"{self.out}: step {result.step} ({result.stopped_by}), {result.seconds:.0f} s; best: {best or 'none'}")
         return 0

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 from baselines.catalog import all_networks
+from baselines.training.checkpoint import load_into, load_weights
 from baselines.training.config import TrainConfig
 from baselines.training.loop import TrainingResult, train
 from kit1000.dataset.reader import Dataset
@@ -16,7 +17,9 @@ from kit1000.errors import InputError, did_you_mean
 from kit1000.predictor import resolved
 
 
-def train_network(name: str, data: Path, out: Path, preset: str, changes: dict[str, Any]) -> TrainingResult:
+def train_network(
+    name: str, data: Path, out: Path, preset: str, changes: dict[str, Any], start: Path | None = None
+) -> TrainingResult:
     """Train a network on the training split of a dataset, or resume its run.
 
     Args:
@@ -25,6 +28,10 @@ def train_network(name: str, data: Path, out: Path, preset: str, changes: dict[s
         out: folder of the run.
         preset: of the network, such as small or paper.
         changes: values of fields of the training config that replace those of the preset.
+        start: weights of this network to start from, NAME.safetensors beside its NAME.json; None: new ones.
+
+    Raises:
+        InputError: no such network or preset, an invalid value, or weights of another network.
     """
     networks = all_networks()
     if name not in networks:
@@ -38,4 +45,7 @@ def train_network(name: str, data: Path, out: Path, preset: str, changes: dict[s
     torch.manual_seed(training.seed)  # of the initial weights
     task, config = resolved(network.make_task)(dataset, preset, **network.options)
     about = {"name": name, "preset": preset, "network": asdict(config), "dataset_id": dataset.id}
+    if start is not None:
+        tensors, about["start"] = load_weights(start.with_suffix(""))
+        load_into(task.model, tensors, start)
     return train(task, training, out, about)

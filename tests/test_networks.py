@@ -6,9 +6,12 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 
 from baselines.__main__ import main
 from baselines.catalog import all_networks
+from baselines.methods import WEIGHTS
+from baselines.training.checkpoint import load_weights
 from kit1000.predictor import resolved
 
 NETWORKS = all_networks()
@@ -46,3 +49,19 @@ def test_an_unknown_name_lists_the_networks(tmp_path: Path, capsys: pytest.Captu
     assert "no network 'snapnet-position'" in message
     assert all(name in message for name in NETWORKS)
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.slow
+def test_a_network_starts_from_given_weights_and_says_so(
+    mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    start = WEIGHTS / "snapnet-gtvol-position.safetensors"
+    given, info = load_weights(start.with_suffix(""))
+    still = [*command("snapnet-gtvol-position", mini, tmp_path, 1), "--start", str(start), "--learning-rate", "1e-12"]
+    assert main(still) == 0
+    trained, described = load_weights(tmp_path / "best")
+    assert described["about"]["start"] == info
+    moved = [name for name, value in given.items() if value.is_floating_point() and "running" not in name]
+    assert all(torch.allclose(trained[name], given[name], atol=1e-3, rtol=1e-3) for name in moved)
+    assert main([*command("snapnet-gtvol-rotation", mini, tmp_path / "other", 1), "--start", str(start)]) == 2
+    assert "snapnet-gtvol-position.safetensors: has no " in capsys.readouterr().err
