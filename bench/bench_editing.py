@@ -22,7 +22,7 @@ import tyro
 
 from benchmark.intervals import wilson_interval
 from kit1000.camera import look_at
-from kit1000.cli import SNAP
+from kit1000.cli.scenes import SNAP
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
 from kit1000.editor.pointing import Eye

@@ -14,7 +14,8 @@ from editing import EYE, answered, desk, dragged, found, goal, header_of, scene_
 
 from baselines.methods import make_predictor, method_of
 from kit1000.camera import look_at
-from kit1000.cli import SNAP, main
+from kit1000.cli import main
+from kit1000.cli.scenes import SNAP
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.display import ghost_node, part_node
 from kit1000.editor.keys import KEYS, help_text

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from kit1000 import __version__
+from kit1000.cli.options import Flag, Folder, OptionalFloat, OptionalInt, OptionalPath, Unit
+from kit1000.cli.scenes import Edit, Insertions, Run
 from kit1000.errors import InputError
 from kit1000.summaries import kit_report_text, summary_text
 from kit1000.usage import run
@@ -29,15 +31,6 @@ ABOUT = """KIT1000: parts, kits that fit them, angled assemblies of kits, and de
 
 Results go to stdout, progress and error messages to stderr. Exit status: 0 success, 1 a check found faults,
 2 wrong usage or invalid input, 3 a bug of kit1000, 130 interrupted."""
-
-SNAP = "baselines.registration.proposals:ProposingRegistration"  # by name: the wheel is without the baselines
-
-OptionalInt = Annotated[int | None, tyro.conf.arg(metavar="N")]
-OptionalFloat = Annotated[float | None, tyro.conf.arg(metavar="X")]
-OptionalPath = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
-Unit = Annotated[Literal["mm", "cm", "m", "inch"] | None, tyro.conf.arg(metavar="{mm,cm,m,inch}")]
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
-Folder = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATA")]
 
 
 @dataclass(frozen=True)
@@ -272,55 +265,6 @@ class Export:
 
 
 @dataclass(frozen=True)
-class Insertions:
-    """Insert parts into their slots with a simulated compliant gripper, and compare physics with the seating test."""
-
-    data: Folder
-    """Dataset folder."""
-    out: Path
-    """Folder for insertions.json, and for the convex pieces of the parts, which later runs use again."""
-    sample: int = 16
-    """Number of slots with a true pose and eight wrong ones."""
-    true_only: int = 32
-    """Number of further slots with a true pose only."""
-    seed: int = 0
-    """Seed of the sample and of the pose errors."""
-
-    def run(self) -> int:
-        """Run the study and print its tables."""
-        from kit1000.insertion_study import format_report, study
-
-        print(format_report(study(self.data, self.out, self.sample, self.true_only, self.seed)))
-        return 0
-
-
-@dataclass(frozen=True)
-class Run:
-    """Let a simulated robot pick the parts of scenes and insert them as predicted; prints what became of each part."""
-
-    data: Folder
-    """Dataset folder, with ground truth."""
-    predictions: Path
-    """Submission folder or predictions file; predictions of one track."""
-    scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
-    """One scene, such as test-s0003; every scene with a prediction when absent."""
-    track: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """Track whose predictions are carried out, where the file has several."""
-    out: OptionalPath = None
-    """Folder for outcomes.json and a trace of each scene."""
-    seed: int = 0
-    """Seed of the path planner."""
-
-    def run(self) -> int:
-        """Run the robot and print the outcomes; returns 1 when a part is not seated."""
-        from kit1000.planner.runs import format_runs, run_predictions
-
-        runs = run_predictions(self.data, self.predictions, self.scene, self.track, self.out, self.seed)
-        print(format_runs(runs))
-        return 0 if all(part.outcome == "seated" for run in runs for part in run.parts) else 1
-
-
-@dataclass(frozen=True)
 class Check:
     """List every fault of a submission, with line, column, value, expected value and fix."""
 
@@ -341,38 +285,6 @@ class Check:
         report = check(self.submission, self.data, self.split)
         print(json_bytes(report.as_json()).decode() if self.json else report, end="" if self.json else "\n")
         return 0 if report.good else 1
-
-
-@dataclass(frozen=True)
-class Edit:
-    """Open a page in which you drag the parts of a scene onto their cavities; prints its address. Ctrl-C ends it."""
-
-    data: Folder
-    """Dataset folder."""
-    scene: Annotated[str, tyro.conf.arg(metavar="ID")]
-    """Id of the scene, such as test-s0003."""
-    out: Path = Path("edits")
-    """Submission folder for the confirmed parts and the log; the same command again continues."""
-    sensor: Literal["ideal", "d415"] = "ideal"
-    """Sensor of the depth image."""
-    snap: Annotated[str, tyro.conf.arg(metavar="module:Object")] = SNAP
-    """Method that proposes where parts fit: a predictor of your own, or none."""
-    port: OptionalInt = None
-    """Port of the page; a free one when absent."""
-    truth: Flag = False
-    """Show true shapes; the page and every line of the log say so."""
-
-    def run(self) -> int:
-        """Serve the page until Ctrl-C."""
-        try:
-            from kit1000.editor.serve import Options
-            from kit1000.editor.serve import run as serve
-        except ModuleNotFoundError as error:
-            if error.name != "viser":
-                raise
-            raise InputError("edit: needs viser: pip install 'kit1000[edit]'") from None
-        serve(Options(self.data, self.scene, self.out, self.sensor, self.snap, self.port, self.truth))
-        return 0
 
 
 COMMANDS = {

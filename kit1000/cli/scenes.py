@@ -1,0 +1,95 @@
+"""Commands about single scenes: what physics, the robot and people do in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from kit1000.cli.options import Flag, Folder, OptionalInt, OptionalPath
+from kit1000.errors import InputError
+
+SNAP = "baselines.registration.proposals:ProposingRegistration"  # by name: the wheel is without the baselines
+
+
+@dataclass(frozen=True)
+class Insertions:
+    """Insert parts into their slots with a simulated compliant gripper, and compare physics with the seating test."""
+
+    data: Folder
+    """Dataset folder."""
+    out: Path
+    """Folder for insertions.json, and for the convex pieces of the parts, which later runs use again."""
+    sample: int = 16
+    """Number of slots with a true pose and eight wrong ones."""
+    true_only: int = 32
+    """Number of further slots with a true pose only."""
+    seed: int = 0
+    """Seed of the sample and of the pose errors."""
+
+    def run(self) -> int:
+        """Run the study and print its tables."""
+        from kit1000.insertion_study import format_report, study
+
+        print(format_report(study(self.data, self.out, self.sample, self.true_only, self.seed)))
+        return 0
+
+
+@dataclass(frozen=True)
+class Run:
+    """Let a simulated robot pick the parts of scenes and insert them as predicted; prints what became of each part."""
+
+    data: Folder
+    """Dataset folder, with ground truth."""
+    predictions: Path
+    """Submission folder or predictions file; predictions of one track."""
+    scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    """One scene, such as test-s0003; every scene with a prediction when absent."""
+    track: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Track whose predictions are carried out, where the file has several."""
+    out: OptionalPath = None
+    """Folder for outcomes.json and a trace of each scene."""
+    seed: int = 0
+    """Seed of the path planner."""
+
+    def run(self) -> int:
+        """Run the robot and print the outcomes; returns 1 when a part is not seated."""
+        from kit1000.planner.runs import format_runs, run_predictions
+
+        runs = run_predictions(self.data, self.predictions, self.scene, self.track, self.out, self.seed)
+        print(format_runs(runs))
+        return 0 if all(part.outcome == "seated" for run in runs for part in run.parts) else 1
+
+
+@dataclass(frozen=True)
+class Edit:
+    """Open a page in which you drag the parts of a scene onto their cavities; prints its address. Ctrl-C ends it."""
+
+    data: Folder
+    """Dataset folder."""
+    scene: Annotated[str, tyro.conf.arg(metavar="ID")]
+    """Id of the scene, such as test-s0003."""
+    out: Path = Path("edits")
+    """Submission folder for the confirmed parts and the log; the same command again continues."""
+    sensor: Literal["ideal", "d415"] = "ideal"
+    """Sensor of the depth image."""
+    snap: Annotated[str, tyro.conf.arg(metavar="module:Object")] = SNAP
+    """Method that proposes where parts fit: a predictor of your own, or none."""
+    port: OptionalInt = None
+    """Port of the page; a free one when absent."""
+    truth: Flag = False
+    """Show true shapes; the page and every line of the log say so."""
+
+    def run(self) -> int:
+        """Serve the page until Ctrl-C."""
+        try:
+            from kit1000.editor.serve import Options
+            from kit1000.editor.serve import run as serve
+        except ModuleNotFoundError as error:
+            if error.name != "viser":
+                raise
+            raise InputError("edit: needs viser: pip install 'kit1000[edit]'") from None
+        serve(Options(self.data, self.scene, self.out, self.sensor, self.snap, self.port, self.truth))
+        return 0
