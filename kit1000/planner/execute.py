@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -105,10 +105,10 @@ class Bench:
         self.world_from_base = Pose.from_translation(BASE)
         self.inserted: set[int] = set()
 
-    @cached_property
+    @property
     def plates(self) -> list[Obstacle]:
         """The convex bodies of the assembly, in its frame."""
-        return assembly_obstacles(self.assembly)
+        return _plates(self.assembly)
 
     def mount(self, part: int) -> Mount:
         """The kit in which a part belongs."""
@@ -116,9 +116,7 @@ class Bench:
 
     def pieces(self, part: int, world_from_part: Pose, tolerance: float, fine_height: float) -> list[np.ndarray]:
         """Convex pieces (n, 3) [m] of a part in its frame, prisms along the vertical at a pose."""
-        turn = Pose(world_from_part.wxyz, np.zeros(3))
-        prisms = enclosing_prisms(self.parts[part].mesh.moved(turn), tolerance, fine_height)
-        return [turn.inverse().apply(prism) for prism in prisms]
+        return _pieces(self.parts[part], tuple(world_from_part.wxyz), tolerance, fine_height)
 
     def fill(self, cell: Cell) -> None:
         """Add the kits and the parts to a robot's cell."""
@@ -163,6 +161,19 @@ class Bench:
         return [body for body in [*self.plates, *seated] if _meets_box(body, low, high)]
 
 
+@lru_cache(maxsize=256)
+def _plates(assembly: Assembly) -> list[Obstacle]:
+    """Kept, as the pieces are: other motions in the same scene meet the same bodies."""
+    return assembly_obstacles(assembly)
+
+
+@lru_cache(maxsize=1024)
+def _pieces(part: Part, wxyz: tuple[float, ...], tolerance: float, fine_height: float) -> list[np.ndarray]:
+    turn = Pose(np.array(wxyz), np.zeros(3))
+    prisms = enclosing_prisms(part.mesh.moved(turn), tolerance, fine_height)
+    return [turn.inverse().apply(prism) for prism in prisms]
+
+
 def _meets_box(body: Obstacle, low: np.ndarray, high: np.ndarray) -> bool:
     points = body.world_from_body.apply(body.vertices)
     return bool((points.min(0) <= high).all() and (points.max(0) >= low).all())
@@ -184,7 +195,6 @@ def run_scene(scene: RecordedScene, motions: Mapping[int, Pose], sensor: str = "
     """
     bench = Bench(scene, sensor)
     with Cell(bench.world_from_base) as cell:
-        bench.fill(cell)
         return _Robot(bench, cell, seed).run(motions)
 
 
@@ -193,6 +203,8 @@ class _Robot:
 
     def __init__(self, bench: Bench, cell: Cell, seed: int) -> None:
         self.bench, self.cell, self.seed = bench, cell, seed
+        self.filled = False
+        """Whether kits and parts are in the cell: not before a part is held by a cup, for most of the work is there."""
         self.joints, self.now = HOME, 0.0
         self.events: list[Event] = []
         self.order: list[int] = []
@@ -236,6 +248,9 @@ class _Robot:
                 motion,
                 frozenset(part_name(i) for i in range(len(bench.parts)) if i != part),
             )
+            if not self.filled:
+                bench.fill(self.cell)
+                self.filled = True
             self.cell.cup = grasp.cup
             found = plan(self.cell, self.joints, task, stream(self.seed, "plan", bench.scene_id, part, tried))
             if isinstance(found, Plan):
