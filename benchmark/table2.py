@@ -68,6 +68,8 @@ class ChainRow:
     """[s] median time of the robot a picked part."""
     outcomes: dict[str, int]
     """Number of queries by outcome."""
+    queries: list[dict[str, Any]]
+    """Of each query its id, outcome and detail, what the seating test says, and the errors [mm], [degrees]."""
 
 
 @dataclass(frozen=True)
@@ -178,6 +180,17 @@ def _row(dataset: Dataset, label: str, cases: Sequence[_Case], possible: set[str
         float(np.degrees(np.median(errors.rotation))),
         float(np.median(seconds)) if seconds else None,
         {outcome: outcomes[outcome] for outcome in OUTCOMES},
+        [
+            {
+                "query": case.query.id,
+                "outcome": case.run.outcome,
+                "detail": case.run.detail,
+                "by_the_test": bool(passed),
+                "position_mm": round(float(position) * 1e3, 3),
+                "rotation_deg": round(float(np.degrees(rotation)), 3),
+            }
+            for case, passed, position, rotation in zip(cases, tested, errors.position, errors.rotation, strict=True)
+        ],
     )
 
 
