@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 import tyro
+from components import add_components
 from measured_dataset import measured_dataset
 
 from baselines.calibration import calibrated
@@ -50,6 +51,8 @@ class Completion:
     """Most parts, spread evenly over the split; one of each scene."""
     csv: Path | None = None
     """File for one row per part."""
+    components: Path | None = None
+    """JSON file for Table II, to which the means are added."""
 
 
 class Measured(NamedTuple):
@@ -92,6 +95,8 @@ def main(options: Completion) -> None:
             print(f"  seconds of the network: mean {seconds.mean():.3f}, median {np.median(seconds):.3f}")
             if options.csv is not None:
                 _write(options.csv.with_stem(f"{options.csv.stem}-{sensor}"), found)
+            if options.components is not None:
+                _add(options.components, sensor, found)
 
 
 def _print_group(name: str, rows: list[Measured]) -> None:
@@ -104,6 +109,19 @@ def _print_group(name: str, rows: list[Measured]) -> None:
     error = calibration_error(np.sum([row.counts for row in rows], axis=0))
     spread = np.std([row.network[0] - row.columns[0] for row in rows]) / np.sqrt(len(rows))
     print(f"  {name:18} {len(rows):4}  {texts[0]:21}  {texts[1]:21}  {error:.4f}  (gain +- {1.96 * spread:.3f})")
+
+
+def _add(path: Path, sensor: str, rows: list[Measured]) -> None:
+    measures = {
+        f"{method}: {measure}": [scale * getattr(row, method)[i] for row in rows]
+        for method in ("columns", "network")
+        for i, scale, measure in (
+            (0, 1, "IoU"),
+            (1, 1, "IoU of hidden space"),
+            (2, 1e3, "surface Chamfer distance, mm"),
+        )
+    }
+    add_components(path, f"part completion, {sensor}", measures, [row.truth.assembly_id for row in rows])
 
 
 def _measured(dataset: Dataset, options: Completion, completer: PartCompleter, sensor: str) -> Iterator[Measured]:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from kit1000.errors import InputError
+from kit1000.files import user_cache
 from kit1000.usage import run
 
 if TYPE_CHECKING:
@@ -217,11 +218,11 @@ class Pages:
 
 def _cache(folder: Path | None, none: bool) -> ResultCache | None:
     """The cache of results; None without one."""
-    from benchmark.cache import ResultCache, user_folder
+    from benchmark.cache import ResultCache
 
     if none and folder is not None:
         raise InputError("--cache and --no-cache: give one of them")
-    return None if none else ResultCache(folder or user_folder())
+    return None if none else ResultCache(folder or user_cache("scores"))
 
 
 def _workers(count: int) -> int:

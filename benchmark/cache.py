@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 import sys
 import zipfile
 import zlib
@@ -22,11 +21,6 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import json_bytes, write_bytes
 from kit1000.submission import Predictions
-
-
-def user_folder() -> Path:
-    """The default folder of the cache: below $XDG_CACHE_HOME, or ~/.cache."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "kit1000" / "scores"
 
 
 def cache_key(

@@ -46,6 +46,11 @@ def parse_folder(name: str) -> Path:
     return cast(Path, place)
 
 
+def user_cache(name: str) -> Path:
+    """The folder of that name for what may be deleted at any time: below $XDG_CACHE_HOME, or ~/.cache."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "kit1000" / name
+
+
 def is_url(path: Path) -> bool:
     """Whether a folder or file is behind a URL."""
     return not isinstance(path, Path)

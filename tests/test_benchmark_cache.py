@@ -12,7 +12,7 @@ from sample_submissions import ground_truth, predicted, predictions
 
 from benchmark import cache as module
 from benchmark import quantities
-from benchmark.cache import ResultCache, cache_key, user_folder
+from benchmark.cache import ResultCache, cache_key
 from benchmark.per_query import PerQuery
 from benchmark.report import json_text
 from benchmark.score import score
@@ -108,8 +108,3 @@ def test_a_result_that_cannot_be_cached_is_returned(tmp_path: Path, capsys: pyte
     made = rows()
     assert ResultCache(tmp_path / "file").rows(key(), lambda: made) is made
     assert capsys.readouterr().err.startswith("note: the result is not cached: cannot write")
-
-
-def test_the_default_folder_is_the_users_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert user_folder() == tmp_path / "kit1000/scores"

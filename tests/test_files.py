@@ -29,6 +29,7 @@ from kit1000.files import (
     read_json,
     remove_folder,
     sha256,
+    user_cache,
     write_bytes,
     write_json,
 )
@@ -234,3 +235,11 @@ def test_a_store_that_refuses_is_one_line(monkeypatch: pytest.MonkeyPatch) -> No
         check_writable(place)
     with pytest.raises(InputError, match=r"^cannot write memory://bucket/data/a: Refused: no credentials$"):
         write_bytes(place / "a", b"")
+
+
+def test_the_cache_is_the_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert user_cache("scores") == tmp_path / "kit1000/scores"
+    monkeypatch.setenv("XDG_CACHE_HOME", "")  # as good as none, by the XDG specification
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert user_cache("scores") == tmp_path / ".cache/kit1000/scores"

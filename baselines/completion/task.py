@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -19,6 +17,7 @@ from baselines.completion.network import COMPLETION, CompletionConfig, Completio
 from baselines.completion.views import DrawnViews, Example, example_of
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.files import user_cache
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth
 
 VALIDATION_SCENES = 50  # spread evenly over the validation split; each with ideal depth and with the d415's
@@ -100,12 +99,6 @@ def _wrong(filled: Tensor, solid: Tensor) -> Tensor:
 def completion_task(dataset: Dataset, preset: str) -> tuple[CompletionTask, CompletionConfig]:
     """The task with new weights, and the config of its network."""
     config = COMPLETION[preset]
-    parts = DrawnParts(config.parts_seed, config.parts, cache_folder())
+    parts = DrawnParts(config.parts_seed, config.parts, user_cache("drawn-parts"))
     model = CompletionNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     return CompletionTask(DrawnViews(parts), dataset, "val", model), config
-
-
-def cache_folder() -> Path:
-    """Where drawn parts are kept: may be deleted at any time."""
-    root = os.environ.get("XDG_CACHE_HOME")
-    return (Path(root) if root else Path.home() / ".cache") / "kit1000" / "drawn-parts"
