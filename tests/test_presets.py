@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from kit1000.errors import InputError
 from kit1000.generation.plan import make_plan
-from kit1000.generation.presets import HELD_OUT, IDEAL_TRACKS, PRESETS, Preset, preset, preset_of
+from kit1000.generation.presets import HELD_OUT, IDEAL_TRACKS, LATER_FIELDS, PRESETS, Preset, preset, preset_of
 from kit1000.kits.cavity import MIN_WALL
 from kit1000.parts.mixtures import MIXTURES
 from kit1000.tracks import SPLITS, TRACKS
@@ -42,8 +42,9 @@ def test_any_preset_comes_back(tracks: set[str], kits: tuple[int, int], brackets
     assert preset_of("any", json.loads(json.dumps(asked.config))) == asked
 
 
-def test_the_config_states_everything_but_name_and_seed() -> None:
-    assert {*preset("tiny").config, "name", "seed"} == {field.name for field in fields(Preset)}
+def test_the_config_states_everything_but_name_seed_and_later_fields_at_their_default() -> None:
+    assert {*preset("tiny").config, "name", "seed", *LATER_FIELDS} == {field.name for field in fields(Preset)}
+    assert {*preset("study").config, "name", "seed"} == {field.name for field in fields(Preset)}
     assert json.loads(json.dumps(preset("study").config)) == preset("study").config
 
 

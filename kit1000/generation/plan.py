@@ -23,7 +23,7 @@ from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import Family, dimensions
 from kit1000.parts.mixtures import MIXTURES, choose_family
 from kit1000.rng import stream
-from kit1000.sim.layout import draw_rest_modes
+from kit1000.sim.layout import UPRIGHT, draw_rest_modes
 from kit1000.tracks import SPLITS
 
 FORMAT = "kit1000-plan/2"
@@ -183,8 +183,10 @@ def scene_id_of(assembly_id: str) -> str:
     return f"{split}-s{number}"
 
 
-def rest_modes(seed: int, scene_id: str, parts: int, attempt: int = 0) -> tuple[str, ...]:
+def rest_modes(preset: Preset, seed: int, scene_id: str, parts: int, attempt: int = 0) -> tuple[str, ...]:
     """Rest modes of the parts of a scene, in the order p0, p1, ...; one attempt."""
+    if preset.all_upright and attempt == 0:  # then as elsewhere: some part topples
+        return (UPRIGHT,) * parts
     return draw_rest_modes(stream(seed, "rest", scene_id, attempt), parts)
 
 
@@ -198,7 +200,7 @@ def _scenes(preset: Preset, seed: int, assemblies: dict[str, Any]) -> dict[str, 
     scenes = {}
     for assembly_id, row in assemblies.items():
         scene_id = scene_id_of(assembly_id)
-        rest = list(rest_modes(seed, scene_id, row["kits"]))
+        rest = list(rest_modes(preset, seed, scene_id, row["kits"]))
         crowded = is_crowded(preset, seed, scene_id, row["kits"])
         scenes[scene_id] = {"split": row["split"], "assembly": assembly_id, "rest": rest, "crowded": crowded}
     return scenes

@@ -21,6 +21,9 @@ REAL_PLATE = 0.119  # [m] of `real-like`: a part of 80 mm, its clearance and a w
 OUTSIDE_CONFIG = ("name", "seed")
 """Fields of a preset that its `config` omits: the plan states them itself."""
 
+LATER_FIELDS = ("all_upright",)
+"""Fields that its `config` omits at their default: they came after datasets whose bytes must stay."""
+
 
 @dataclass(frozen=True)
 class Preset:
@@ -59,6 +62,8 @@ class Preset:
     one_track: bool = False
     """Whether every test scene has the queries of a single track, as a withheld test split needs: from several queries
     about a scene more could be learned than each is meant to tell."""
+    all_upright: bool = False
+    """Whether every part lies on its insertion side, so that a robot that does not turn parts over can take it."""
     mixture: str = "2026"
     """Families and weights of procedural parts, by name in `MIXTURES`."""
     seed: int = 1000
@@ -79,8 +84,9 @@ class Preset:
 
     @property
     def config(self) -> dict[str, Any]:
-        """The preset as JSON values, without the fields of OUTSIDE_CONFIG."""
-        values = {key: value for key, value in asdict(self).items() if key not in OUTSIDE_CONFIG}
+        """The preset as JSON values, without the fields of OUTSIDE_CONFIG, and of LATER_FIELDS at their default."""
+        left_out = {*OUTSIDE_CONFIG, *(key for key in LATER_FIELDS if not getattr(self, key))}
+        values = {key: value for key, value in asdict(self).items() if key not in left_out}
         return {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
 
 
@@ -103,7 +109,19 @@ PRESETS = {
             scale=1.4,
             frames=50,
         ),
-        Preset("study", 40, 8, 24, kits=(2, 3), tilt_deg=(10.0, 30.0), brackets_deg=(10.0, 20.0, 30.0)),
+        Preset(
+            "study",
+            2,
+            2,
+            80,
+            longest=(0.045, 0.05),
+            kits=(2, 3),
+            tilt_deg=(10.0, 30.0),
+            brackets_deg=(10.0, 20.0, 30.0),
+            curve_scenes=0,
+            crowded=0.0,
+            all_upright=True,
+        ),
         Preset("completion", 2000, 100, 100, seed=2000),
     )
 }

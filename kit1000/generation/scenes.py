@@ -157,7 +157,8 @@ def _draw_layout_and_view(scene_parts: _SceneParts) -> tuple[_LayoutView, list[s
     slots = [scene_parts.slot(i) for i in range(len(scene_parts.parts))]
     for attempt in range(MAX_LAYOUTS):
         # A part that topples from its insertion face does so at every yaw, so the rest modes are redrawn too.
-        modes = rest_modes(scene_parts.seed, scene_parts.scene_id, len(scene_parts.parts), redraws.count(PART_UNSTABLE))
+        n, topplings = len(scene_parts.parts), redraws.count(PART_UNSTABLE)
+        modes = rest_modes(scene_parts.preset, scene_parts.seed, scene_parts.scene_id, n, topplings)
         rng = stream(scene_parts.seed, "layout", scene_parts.scene_id, attempt)
         draw = draw_layout(rng, modes, scene_parts.crowded, scene_parts.preset.scale)
         try:

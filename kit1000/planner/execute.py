@@ -7,7 +7,8 @@ comes to rest. Parts that others block are tried again after these.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
@@ -193,12 +194,19 @@ def run_scene(scene: RecordedScene, motions: Mapping[int, Pose], sensor: str = "
         sensor: of the depth image by which the robot grasps.
         seed: of the trees of the path planner.
     """
+    with robot_at(scene, sensor, seed) as robot:
+        return robot.run(motions)
+
+
+@contextmanager
+def robot_at(scene: RecordedScene, sensor: str = "ideal", seed: int = 0) -> Iterator[Robot]:
+    """A robot before a scene, for motions that come one after another; arguments as those of `run_scene`."""
     bench = Bench(scene, sensor)
     with Cell(bench.world_from_base) as cell:
-        return _Robot(bench, cell, seed).run(motions)
+        yield Robot(bench, cell, seed)
 
 
-class _Robot:
+class Robot:
     """The robot at work in one scene."""
 
     def __init__(self, bench: Bench, cell: Cell, seed: int) -> None:
@@ -210,7 +218,10 @@ class _Robot:
         self.order: list[int] = []
 
     def run(self, motions: Mapping[int, Pose]) -> SceneRun:
-        """Carry out all motions; a part whose way is blocked is tried again after another has been moved."""
+        """Carry out motions of parts not moved before, goal_from_now by part index; the events are those of all calls.
+
+        A part whose way is blocked is tried again after another has been moved.
+        """
         runs: dict[int, PartRun] = {}
         waiting = sorted(motions)
         while waiting:
