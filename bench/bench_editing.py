@@ -127,7 +127,7 @@ def _edited(
     scene = EditedScene.open(dataset, scene_id, sensor, truth=False)
     method = Method(SNAP, dataset.root, scene_id, sensor, truth=False)
     script = Script(method)
-    log = EventLog(out, Header(dataset.id, scene_id, sensor, False, SNAP, "script"))
+    log = EventLog(out, Header(dataset.id, scene_id, sensor, False, SNAP, "scene"))
     controller = Controller(scene, Blank(), log, script)  # type: ignore[arg-type]
     script.controller = controller
     recorded = dataset.recorded_scene(scene_id, truth=True)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,6 +14,7 @@ from numpy.typing import ArrayLike
 from kit1000.camera import look_at
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
+from kit1000.editor.keys import Interface
 from kit1000.editor.pointing import Eye
 from kit1000.editor.proposals import Proposal
 from kit1000.editor.records import EventLog, Header
@@ -40,12 +42,18 @@ class FakeStage:
     gizmo_pose: Pose | None = None
     looks: list[np.ndarray] = field(default_factory=list)
     flushes: int = 0
+    points: dict[str, np.ndarray] = field(default_factory=dict)
+    events: list[dict[str, Any]] = field(default_factory=list)
 
     def show(self, name: str, mesh: Mesh, colour: Colour, opacity: float | None, /) -> None:
         self.meshes[name], self.colours[name] = mesh, colour
 
+    def dots(self, name: str, points: np.ndarray, colours: np.ndarray, /) -> None:
+        assert points.shape == colours.shape
+        self.points[name], self.colours[name] = points, (0, 0, 0)
+
     def move(self, name: str, motion: Pose, /) -> None:
-        assert name in self.meshes
+        assert name in self.meshes or name in self.points
         self.poses[name] = motion
 
     def look(self, name: str, /, colour: Colour | None = None, visible: bool | None = None) -> None:
@@ -106,13 +114,13 @@ class Desk:
     log: EventLog
 
 
-def header_of(scene: EditedScene, snap: str = "a:b") -> Header:
-    return Header(scene.dataset.id, scene.recorded.id, scene.sensor, scene.truth, snap, "scene")
+def header_of(scene: EditedScene, snap: str = "a:b", interface: Interface = "scene") -> Header:
+    return Header(scene.dataset.id, scene.recorded.id, scene.sensor, scene.truth, snap, interface)
 
 
-def desk(scene: EditedScene, out: Path, snaps: bool = True) -> Desk:
+def desk(scene: EditedScene, out: Path, snaps: bool = True, interface: Interface = "scene") -> Desk:
     stage, asker = FakeStage(), FakeAsker()
-    log = EventLog(out, header_of(scene))
+    log = EventLog(out, header_of(scene, interface=interface), sink=stage.events.append)
     return Desk(Controller(scene, stage, log, asker if snaps else None), stage, asker, log)
 
 
@@ -134,12 +142,12 @@ def answered(desk: Desk, part: int, guess: Pose, *fits: tuple[Pose, float]) -> N
     desk.controller.received(Result(Job(part, guess), [Proposal(*fit, answer=True) for fit in fits]))
 
 
-def dragged(desk: Desk, part: int, point: np.ndarray, modifier: str | None = None, steps: int = 3) -> None:
-    """Drag a part so that its pivot goes about to a point (3,) [m]."""
+def dragged(desk: Desk, body: int, point: np.ndarray, modifier: str | None = None, steps: int = 3) -> None:
+    """Drag a part or a cup so that its pivot goes about to a point (3,) [m]."""
     space = desk.controller.space
-    grabbed = space.current[part].goal_from_now.apply(space.scene.pivot(part))
+    grabbed = space.current[body].goal_from_now.apply(space.pivot(body))
     start, end = EYE.screen(grabbed), EYE.screen(point)
-    desk.controller.grab(part, EYE, start, grabbed, modifier)  # type: ignore[arg-type]
+    desk.controller.grab(body, EYE, start, grabbed, modifier)  # type: ignore[arg-type]
     for k in range(1, steps + 1):
         share = k / steps
         desk.controller.drag((start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1])))

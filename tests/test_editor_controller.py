@@ -17,7 +17,7 @@ from kit1000.camera import look_at
 from kit1000.cli import main
 from kit1000.cli.scenes import SNAP
 from kit1000.dataset.reader import Dataset
-from kit1000.editor.display import ghost_node, part_node
+from kit1000.editor.display import body_node, ghost_node
 from kit1000.editor.keys import KEYS, help_text
 from kit1000.editor.plates import TABLE
 from kit1000.editor.pointing import Eye
@@ -68,7 +68,7 @@ def test_a_part_is_dragged_snapped_confirmed_and_checked(scene: EditedScene, min
     table.controller.command("take")
     table.controller.command("confirm")
     assert space.session.edits[part].state == "confirmed"
-    assert same_pose(table.stage.poses[part_node(part)], true)
+    assert same_pose(table.stage.poses[body_node(part)], true)
     assert main(["check", str(tmp_path), "--data", str(mini)]) == 0
     rows = read_submission(tmp_path).predictions
     mine = [rows.row(query_id) for query_id in rows.query_ids if f"-p{part}-" in query_id]
@@ -230,7 +230,7 @@ def test_every_key_does_something_or_says_why_not(scene: EditedScene, tmp_path: 
         table.controller.command(key.verb, EYE)
         table.controller.command(f"select-{scene.parts[0] + 1}")
         table.controller.command(key.verb, EYE)
-    assert all(key.help in help_text() for key in KEYS)
+    assert all(key.help in help_text("scene") for key in KEYS)
     used = [(key.key, key.modifier) for key in KEYS]
     assert len(set(used)) == len(used)
     assert not {key.key for key in KEYS if key.modifier is None} & set("WASDQE")

@@ -54,7 +54,7 @@ class History(RuleBasedStateMachine):
 
     @rule(parts=st.sets(st.sampled_from(PARTS)))
     def confirm(self, parts: set[int]) -> None:
-        self.adopt(self.session.confirmed(tuple(sorted(parts))))
+        self.adopt(self.session.did("confirm", {part: self.session.edits[part].confirm() for part in parts}))
 
     @rule()
     def undo(self) -> None:
@@ -85,7 +85,7 @@ TestHistory = History.TestCase
 
 def test_moving_by_hand_takes_back_snap_and_confirmation() -> None:
     snapped = UNTOUCHED.taken(Pose.from_translation((0.1, 0, 0)), 0.9)
-    confirmed = Session({0: snapped}).confirmed((0,)).edits[0]
+    confirmed = snapped.confirm()
     assert confirmed.state == "confirmed"
     moved = confirmed.moved(Pose.identity())
     assert (moved.state, moved.confidence) == ("free", 0.0)

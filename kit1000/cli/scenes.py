@@ -77,6 +77,8 @@ class Edit:
     """Sensor of the depth image."""
     snap: Annotated[str, tyro.conf.arg(metavar="module:Object")] = SNAP
     """Method that proposes where parts fit: a predictor of your own, or none."""
+    interface: Literal["scene", "hand", "hand-bare"] = "scene"
+    """What you move: parts, or the robot's suction cup, one part at a time; bare: by gizmo, and nothing snaps."""
     port: OptionalInt = None
     """Port of the page; a free one when absent."""
     truth: Flag = False
@@ -91,5 +93,5 @@ class Edit:
             if error.name != "viser":
                 raise
             raise InputError("edit: needs viser: pip install 'kit1000[edit]'") from None
-        serve(Options(self.data, self.scene, self.out, self.sensor, self.snap, self.port, self.truth))
+        serve(Options(self.data, self.scene, self.out, self.sensor, self.snap, self.port, self.truth, self.interface))
         return 0

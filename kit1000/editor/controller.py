@@ -6,7 +6,7 @@ It knows no browser. Its methods may be called from any thread: they run one aft
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import wraps
 from typing import Any, Protocol, TypeVar, cast
 
@@ -15,18 +15,21 @@ import numpy as np
 from kit1000.editor import gestures, texts
 from kit1000.editor.display import Display
 from kit1000.editor.dragging import NAMES, Drag, Modifier, screen_axes
-from kit1000.editor.keys import FINE_TURN_DEG, STEP_MM, TURN_DEG
+from kit1000.editor.hand import BareHandWorkspace, HandWorkspace
+from kit1000.editor.keys import FINE_TURN_DEG, STEP_MM, TURN_DEG, Interface, verbs_of
 from kit1000.editor.pointing import Eye
-from kit1000.editor.proposals import Proposal, same_motion, takes_by_letting_go
+from kit1000.editor.proposals import same_motion, takes_by_letting_go
 from kit1000.editor.records import EventLog, answered_queries, write_predictions_of
 from kit1000.editor.scene import EditedScene
-from kit1000.editor.session import LIKELY, UNTOUCHED, PartEdit, part_name
+from kit1000.editor.session import PartEdit
 from kit1000.editor.stage import Stage
 from kit1000.editor.worker import Result
-from kit1000.editor.workspace import Workspace
+from kit1000.editor.workspace import Step, Workspace
 from kit1000.pose import Pose
 
-APART = 25e-3  # [m] between the pivots of two parts in different cavities
+INTERFACES: Mapping[Interface, type[Workspace]] = {
+    each.interface: each for each in (Workspace, HandWorkspace, BareHandWorkspace)
+}
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
@@ -59,10 +62,11 @@ class Controller:
     """The editor of one scene."""
 
     def __init__(self, scene: EditedScene, stage: Stage, log: EventLog, asker: Asker | None) -> None:
-        """Show the scene as the log has it. asker: who answers guesses; None: nothing snaps."""
+        """Show the scene as the log has it, by the log's interface. asker: who answers guesses; None: nothing snaps."""
         self.lock = threading.RLock()
         self.stage, self.log, self.asker = stage, log, asker
-        self.space = Workspace(scene, log.restored(scene.parts), asker is not None)
+        self.space = INTERFACES[log.header.interface](scene, asker is not None)
+        self.space.adopt(log.restored(self.space.edited))
         self.display = Display(stage, self.space)
         self.lets_go = True
         """Whether letting go near a fit takes it."""
@@ -74,45 +78,48 @@ class Controller:
     # Events of the page.
 
     @exclusive
-    def select(self, part: int | None) -> None:
-        """Take a part into the hand, or none."""
-        if part is not None and part not in self.space.current:
+    def select(self, body: int | None) -> None:
+        """Take a part or a cup into the hand, or none."""
+        if body is not None and body not in self.space.bodies:
             return
-        self.space.choose(part)
+        self.space.choose(body)
+        part = None if body is None else self.space.carried(body)
         if part is not None and self.asker is not None:
             self.asker.prefer(part)
         self.display.update()
 
     @exclusive
     def grab(
-        self, part: int, eye: Eye, screen: tuple[float, float], point: np.ndarray, modifier: Modifier = None
+        self, body: int, eye: Eye, screen: tuple[float, float], point: np.ndarray, modifier: Modifier = None
     ) -> None:
-        """A drag of a part begins.
+        """A drag of a part or a cup begins.
 
         Args:
-            part: its index.
+            body: its index.
             eye: the browser's camera.
             screen: where the pointer is, 0 to 1 from the left, and from the top.
-            point: (3,) [m] world, of the part under the pointer.
+            point: (3,) [m] world, of the body under the pointer.
             modifier: the key that is held.
         """
         space = self.space
-        if part not in space.current:
+        if body not in space.bodies:
             return
-        space.choose(part)
-        scene = space.scene
-        before, plate = space.session.edits[part], space.plate_of(part)
-        self._drag = Drag(part, before, scene.clouds[part], scene.pivot(part), eye, screen, point, plate, modifier)
-        space.pointing.support(eye, screen)  # renders once, so that each step is a lookup
+        space.choose(body)
+        if not space.assists:
+            self.display.update()
+            return
+        before, plate, surface = space.session.edits[body], space.plate_of(body), space.surface(body)
+        self._drag = Drag(body, before, space.cloud(body), space.pivot(body), eye, screen, point, plate, modifier)
+        surface.support(eye, screen)  # renders once, so that each step is a lookup
 
     @exclusive
     def drag(self, screen: tuple[float, float]) -> None:
         """The pointer moves."""
         drag = self._drag
-        motion = drag and drag.motion(self.space.pointing, screen)
+        motion = drag and drag.motion(self.space.surface(drag.body), screen)
         if drag is not None and motion is not None:
-            self.space.current[drag.part] = drag.before.moved(motion, drag.turns)
-            self.display.moved(drag.part)
+            self.space.current[drag.body] = drag.before.moved(motion, drag.turns)
+            self.display.moved(drag.body)
 
     @exclusive
     def release(self) -> None:
@@ -120,25 +127,24 @@ class Controller:
         drag, self._drag = self._drag, None
         if drag is None:
             return
-        edit, name = self.space.current[drag.part], NAMES[drag.modifier]
-        ghost = self.space.ghost(drag.part)
+        edit, name = self.space.current[drag.body], NAMES[drag.modifier]
+        ghost = self.space.ghost(drag.body)
         if edit is not drag.before and self.lets_go and ghost and takes_by_letting_go(ghost, edit, drag.pivot):
-            self._do(f"{name} and snap", {drag.part: edit.taken(ghost.goal_from_now, ghost.confidence)})
-        else:
-            self._do(name, {drag.part: edit})
+            edit, name = edit.taken(ghost.goal_from_now, ghost.confidence), f"{name} and snap"
+        self._do(self.space.moved(name, drag.body, edit))
 
     @exclusive
     def carry(self, gizmo: Pose, done: bool) -> None:
-        """The gizmo at the selected part moves, world_from_gizmo; done: it was let go, which is one operation."""
-        part = self.space.selected
-        if part is None:
+        """The gizmo at the selected body moves, world_from_gizmo; done: it was let go, which is one operation."""
+        body = self.space.selected
+        if body is None:
             return
-        motion = gizmo @ Pose.from_translation(-self.space.scene.pivot(part))
+        motion = gizmo @ Pose.from_translation(-self.space.pivot(body))
         if done:
-            self.place(part, motion)
+            self.place(body, motion)
         else:
-            self.space.current[part] = self.space.session.edits[part].moved(motion, True)
-            self.display.moved(part)
+            self.space.current[body] = self.space.session.edits[body].moved(motion, True)
+            self.display.moved(body)
 
     @exclusive
     def take_by_letting_go(self, takes: bool) -> None:
@@ -146,18 +152,22 @@ class Controller:
         self.lets_go = takes
 
     @exclusive
-    def place(self, part: int, motion: Pose, name: str = "gizmo") -> None:
-        """A part put into any pose: by the gizmo, or by a script."""
-        if part in self.space.current:
-            self.space.choose(part)
-            self._do(name, {part: self.space.session.edits[part].moved(motion, True)})
+    def place(self, body: int, motion: Pose, name: str = "gizmo") -> None:
+        """A part or a cup put into any pose: by the gizmo, by a script, or because a robot has left it there."""
+        space = self.space
+        if body in space.session.edits:
+            if body in space.bodies:
+                space.choose(body)
+            self._do(space.moved(name, body, space.session.edits[body].moved(motion, True)))
 
     @exclusive
     def command(self, verb: str, eye: Eye | None = None) -> None:
         """A key or a button. eye: the browser's camera, for what depends on it."""
         space = self.space
+        if verb not in verbs_of(space.interface):
+            return
         if verb.startswith("select-"):
-            self.select(int(verb.removeprefix("select-")) - 1)
+            self._number(int(verb.removeprefix("select-")) - 1)
         elif verb.startswith("view-"):
             self.display.look(verb.removeprefix("view-"))
         elif verb == "deselect":
@@ -168,15 +178,15 @@ class Controller:
         elif verb in ("undo", "redo"):
             self._step(verb)
         elif verb == "take-all":
-            self._take_all()
+            self._do_or_say(space.snapped_all(), texts.NOTHING_TO_SNAP)
         elif verb == "confirm-all":
-            self._confirm([part for part, edit in space.session.edits.items() if edit.snapped])
+            self._confirm(*(part for part, edit in space.session.edits.items() if edit.snapped))
         elif verb == "reset-all":
-            self._do("put all back", dict.fromkeys(space.session.edits, UNTOUCHED))
+            self._do(Step("put all back", space.put_back(space.edited)))
         elif space.selected is None:
-            self.display.note(texts.CHOOSE)
+            self.display.note(texts.CHOOSE[space.interface])
         else:
-            self._part_command(verb, space.selected, eye)
+            self._body_command(verb, space.selected, eye)
 
     @exclusive
     def return_to(self, count: int) -> None:
@@ -189,104 +199,93 @@ class Controller:
     def received(self, result: Result) -> None:
         """What the worker has found."""
         part, space = result.job.part, self.space
-        proposals = space.proposals[part]
+        proposals, carrier = space.proposals[part], space.carrier(part)
         proposals.failure = result.failure
         if result.job.guess is None:
             proposals.found = result.proposals
-        elif same_motion(result.job.guess, space.session.edits[part].goal_from_now):
+        elif carrier is not None and same_motion(result.job.guess, space.part_edit(carrier).goal_from_now):
             proposals.answers, proposals.guess = result.proposals, result.job.guess
-        if part == space.selected:
+        if carrier is not None and carrier == space.selected:
             space.fit_index = 0
         if self._drag is None:
             self.display.update()
 
     # What follows from them.
 
-    def _part_command(self, verb: str, part: int, eye: Eye | None) -> None:
+    def _number(self, part: int) -> None:
+        if part not in self.space.scene.parts:
+            return
+        body, step = self.space.pointed_at(part)
+        self.space.choose(body)
+        self._do(step)
+        self.select(body)
+
+    def _body_command(self, verb: str, body: int, eye: Eye | None) -> None:
+        space = self.space
         if verb == "gizmo":
-            self.space.shows_gizmo = not self.space.shows_gizmo
+            space.shows_gizmo = not space.shows_gizmo
             self.display.update()
         elif verb == "confirm":
-            self._confirm([part])
+            self._confirm(body)
         elif verb == "reset":
-            self._do("put back", {part: UNTOUCHED})
+            self._do(Step("put back", space.put_back([body])))
         elif verb == "next":
-            self._next(part)
+            self._next(body)
         elif verb == "take":
-            self._take(part)
+            self._take(body)
         else:
-            self._do(*self._moved_by_key(verb, part, eye))
+            name, edit = self._moved_by_key(verb, body, eye)
+            self._do(space.moved(name, body, edit))
 
-    def _moved_by_key(self, verb: str, part: int, eye: Eye | None) -> tuple[str, dict[int, PartEdit]]:
-        """The operation of a key that moves a part."""
-        scene, edit, plate = self.space.scene, self.space.session.edits[part], self.space.plate_of(part)
-        motion, pivot, cloud = edit.goal_from_now, scene.pivot(part), scene.clouds[part]
+    def _moved_by_key(self, verb: str, body: int, eye: Eye | None) -> tuple[str, PartEdit]:
+        """The name of what a key does that moves a body, and the body's edit."""
+        space, plate = self.space, self.space.plate_of(body)
+        edit, pivot, cloud = space.session.edits[body], space.pivot(body), space.cloud(body)
+        motion = edit.goal_from_now
         if verb in ("raise", "lower"):
             step = STEP_MM * 1e-3 * (1 if verb == "raise" else -1)
-            return verb, {part: edit.moved(gestures.shifted(motion, step * plate.normal))}
+            return verb, edit.moved(gestures.shifted(motion, step * plate.normal))
         if verb.startswith("turn-"):
             angle = np.radians(FINE_TURN_DEG if verb.endswith("fine") else TURN_DEG)
             turned = gestures.rotated(motion, pivot, plate.normal, angle if "left" in verb else -angle)
-            return "turn", {part: edit.moved(turned, True)}
+            return "turn", edit.moved(turned, True)
         if verb == "level":
-            return "stand level", {part: edit.moved(gestures.levelled(motion, cloud, pivot, plate), True)}
+            return "stand level", edit.moved(gestures.levelled(motion, cloud, pivot, plate), True)
         axis = screen_axes(eye, plate)[0 if verb == "tip-away" else 1]
         tipped = gestures.rotated(motion, pivot, axis, -np.pi / 2)
-        return "tip over", {part: edit.moved(gestures.stood(tipped, cloud, plate), True)}
+        return "tip over", edit.moved(gestures.stood(tipped, cloud, plate), True)
 
-    def _take(self, part: int) -> None:
-        ghost = self.space.ghost(part)
+    def _take(self, body: int) -> None:
+        ghost = self.space.ghost(body)
         if ghost is None:
-            self.display.note(self.display.no_fit(part))
+            self.display.note(self.display.no_fit(body))
             return
-        name = f"snap {part_name(part)} ({100 * ghost.confidence:.0f} %)"
-        edit = self.space.session.edits[part]
-        self._do(name, {part: edit.taken(ghost.goal_from_now, ghost.confidence)})
+        name = f"snap {self.space.name(body)} ({100 * ghost.confidence:.0f} %)"
+        edit = self.space.session.edits[body]
+        self._do(self.space.moved(name, body, edit.taken(ghost.goal_from_now, ghost.confidence)))
 
-    def _next(self, part: int) -> None:
-        ghost = self.space.ghost(part)
+    def _next(self, body: int) -> None:
+        ghost, part = self.space.ghost(body), self.space.carried(body)
         if ghost is None:
-            self.display.note(self.display.no_fit(part))
+            self.display.note(self.display.no_fit(body))
             return
         self.log.add("refuse", part=part, confidence=ghost.confidence)
         self.space.fit_index += 1
         self.display.update()
 
-    def _take_all(self) -> None:
-        """Snap every part that has not: onto the fit near the hand, or the surest; no two into one cavity."""
-        scene, edits = self.space.scene, self.space.session.edits
-        taken = [edit.goal_from_now.apply(scene.pivot(part)) for part, edit in edits.items() if edit.snapped]
-        likely = {part: fit for part in edits if (fit := self._likely(part)) is not None}
-        changes: dict[int, PartEdit] = {}
-        for part, fit in sorted(likely.items(), key=lambda item: -item[1].confidence):
-            place = fit.goal_from_now.apply(scene.pivot(part))
-            if all(float(np.abs(place - other).max()) > APART for other in taken):
-                taken.append(place)
-                changes[part] = edits[part].taken(fit.goal_from_now, fit.confidence)
-        if changes:
-            self._do("snap " + ", ".join(part_name(part) for part in sorted(changes)), changes)
+    def _confirm(self, *bodies: int) -> None:
+        step = self.space.confirmed(bodies)
+        self._do_or_say(step, texts.NOTHING_TO_CONFIRM[self.space.interface])
+
+    def _do_or_say(self, step: Step | None, otherwise: str) -> None:
+        """Do a step, or say why there is none."""
+        if step is None:
+            self.display.note(otherwise)
         else:
-            self.display.note(texts.NOTHING_TO_SNAP)
+            self._do(step)
 
-    def _likely(self, part: int) -> Proposal | None:
-        """The fit that needs no second look: near the hand, or the surest; None below LIKELY, or of a snapped part."""
-        edit = self.space.session.edits[part]
-        fit = self.space.ghost(part) if self.space.over_kits(part) else self.space.proposals[part].best()
-        return fit if fit is not None and not edit.snapped and fit.confidence >= LIKELY else None
-
-    def _confirm(self, parts: Sequence[int]) -> None:
-        ready = tuple(part for part in parts if self.space.over_kits(part))
-        if not ready:
-            self.display.note(texts.NOTHING_TO_CONFIRM)
-            return
-        session = self.space.session.confirmed(ready)
-        if session is not self.space.session:
-            self.space.session = session
-            self.log.did(session)
-        self._adopt()
-
-    def _do(self, name: str, edits: Mapping[int, PartEdit]) -> None:
-        session = self.space.session.did(name, edits)
+    def _do(self, step: Step) -> None:
+        session = self.space.session.did(step.name, step.edits)
         if session is not self.space.session:
             self.space.session, self.space.fit_index = session, 0
             self.log.did(session)
@@ -301,11 +300,14 @@ class Controller:
             self._adopt()
 
     def _adopt(self) -> None:
-        """Show and save the session; ask the method about the part in the hand."""
+        """Show and save the session; ask the method about the body in the hand."""
         space, header = self.space, self.log.header
-        space.current = dict(space.session.edits)
+        space.adopt(space.session)
         answered = answered_queries(space.scene.recorded.queries, header.sensor)
         write_predictions_of(self.log.path.parent, space.scene.dataset, header, answered, space.session)
-        if space.selected is not None and self.asker is not None and space.waits(space.selected):
-            self.asker.ask(space.selected, space.session.edits[space.selected].goal_from_now)
+        body = space.selected
+        if body is not None and self.asker is not None and space.waits(body):
+            part = space.carried(body)
+            assert part is not None
+            self.asker.ask(part, space.part_edit(body).goal_from_now)
         self.display.update()

@@ -1,20 +1,25 @@
-"""Shows a workspace on a stage: parts, ghost, labels, panel."""
+"""Shows a workspace on a stage: parts or points, cups, ghost, labels, panel."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from kit1000.editor import texts
-from kit1000.editor.stage import Stage
+from kit1000.editor.hand import NAMES, PICK, PLACE, HandWorkspace, cup_mesh
+from kit1000.editor.stage import Colour, Stage
 from kit1000.editor.workspace import Workspace
-from kit1000.pictures.scene_preview import part_colour
+from kit1000.mesh import Mesh
+from kit1000.pictures.shading import part_colour
 from kit1000.pose import Pose, unit_vector
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 
 KITS, OTHERS, NUMBER = "/kits", "/others", "/number"
 OVER_PART, OVER_GHOST = np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, 0.05])  # [m] of their labels
+UP_THE_CUP = np.array([0.0, 0.0, 0.07])  # [m] of its label, from the lip where it hangs
 AWAY = 2.6  # radii of the scene: from there a square window shows all of it at 45 degrees
 STRAIGHT_DOWN = np.array([0.0, -0.02, 1.0])  # not quite: the view keeps its upward direction
 SLOT_VIEW = 0.3  # [m] from a plate
+CUP_COLOURS: dict[int, Colour] = {PICK: (70, 175, 60), PLACE: (240, 200, 30)}
 
 
 class Display:
@@ -23,31 +28,50 @@ class Display:
     def __init__(self, stage: Stage, workspace: Workspace) -> None:
         self.stage, self.workspace = stage, workspace
         scene = workspace.scene
-        stage.show(KITS, scene.kits, texts.KIT_COLOUR, None)
-        if len(scene.others.faces):
-            stage.show(OTHERS, scene.others, texts.OTHER_COLOUR, None)
-        for part, mesh in scene.meshes.items():
-            stage.show(part_node(part), mesh, part_colour(part), None)
-            stage.show(ghost_node(part), mesh, texts.confidence_colour(0), texts.GHOST_OPACITY)
-            stage.look(ghost_node(part), visible=False)
+        if isinstance(workspace, HandWorkspace) and not scene.truth:
+            self._add_points()
+        else:
+            stage.show(KITS, scene.kits, texts.KIT_COLOUR, None)
+            if len(scene.others.faces):
+                stage.show(OTHERS, scene.others, texts.OTHER_COLOUR, None)
+            for part, mesh in scene.meshes.items():
+                stage.show(body_node(part), mesh, part_colour(part), None)
+        if isinstance(workspace, HandWorkspace):
+            for cup in NAMES:
+                pose, mesh = workspace.rest(cup), cup_mesh()
+                placed = Mesh(pose.apply(mesh.vertices), mesh.faces)
+                stage.show(body_node(cup), placed, CUP_COLOURS[cup], None)
+                stage.show(ghost_node(cup), placed, texts.confidence_colour(0), texts.GHOST_OPACITY)
+        else:
+            for part, mesh in scene.meshes.items():
+                stage.show(ghost_node(part), mesh, texts.confidence_colour(0), texts.GHOST_OPACITY)
+        for body in workspace.bodies:
+            stage.look(ghost_node(body), visible=False)
 
-    def moved(self, part: int) -> None:
-        """A part in a drag: its pose and its ghost, nothing else."""
-        self.stage.move(part_node(part), self.workspace.current[part].goal_from_now)
+    def moved(self, body: int) -> None:
+        """A body in a drag: its pose and its ghost, nothing else."""
+        self.stage.move(body_node(body), self.workspace.current[body].goal_from_now)
         self._ghost()
 
     def update(self) -> None:
         """Everything."""
         space = self.workspace
-        for part, edit in space.current.items():
-            self.stage.move(part_node(part), edit.goal_from_now)
+        for body, edit in space.current.items():
+            self.stage.move(body_node(body), edit.goal_from_now)
+        in_hand = None if space.selected is None else space.carried(space.selected)
+        for part in space.scene.parts:
+            edit = space.current[part]
             top = edit.goal_from_now.apply(space.scene.pivot(part)) + OVER_PART
-            self.stage.label(f"/name/{part}", texts.part_label(part, edit, part == space.selected), top)
+            self.stage.label(f"/name/{part}", texts.part_label(part, edit, part == in_hand), top)
+        for cup in set(space.bodies) & NAMES.keys():
+            top = space.current[cup].goal_from_now.apply(space.pivot(cup) + UP_THE_CUP)
+            self.stage.label(f"/name/{cup}", texts.cup_label(cup == PICK, cup == space.selected), top)
         self._ghost()
         self.stage.look(KITS, visible=not space.kits_hidden)
         self.stage.progress(space.known_share())
         self.stage.say("note", "")
-        self.stage.say("parts", texts.parts_table(space.session.edits, space.selected))
+        edits = {part: space.session.edits[part] for part in space.scene.parts}
+        self.stage.say("parts", texts.parts_table(edits, in_hand))
         self.stage.say("fit", self._fit_text())
         names = [operation.name for operation in (*space.session.done, *reversed(space.session.undone))]
         self.stage.history(names, len(space.session.done))
@@ -58,7 +82,7 @@ class Display:
         self.stage.say("note", text)
 
     def look(self, name: str) -> None:
-        """Put the camera: camera, top, or slot for the plate under the selected part."""
+        """Put the camera: camera, top, or slot for the plate under the selected body."""
         space = self.workspace
         middle, radius = space.scene.extent
         if name == "camera":
@@ -67,65 +91,92 @@ class Display:
         elif name == "top":
             self.stage.look_from(middle + AWAY * radius * STRAIGHT_DOWN, middle)
         elif space.selected is not None:
-            image = space.current[space.selected].goal_from_now.apply(space.scene.pivot(space.selected))
+            image = space.current[space.selected].goal_from_now.apply(space.pivot(space.selected))
             away = SLOT_VIEW * space.plate_of(space.selected).normal
             self.stage.look_from(image + away + (0, -0.01, 0), image)
 
+    def _add_points(self) -> None:
+        """The image as points, one cloud for each part that can be moved."""
+        scene, others = self.workspace.scene, []
+        for label, (points, colours) in scene.points.items():
+            part = label - FIRST_PART_LABEL
+            if label == ASSEMBLY_LABEL:
+                self.stage.dots(KITS, points, colours)
+            elif part in scene.parts:
+                self.stage.dots(body_node(part), points, colours)
+            else:
+                others.append((points, np.full_like(colours, texts.OTHER_COLOUR)))
+        if others:
+            self.stage.dots(OTHERS, *map(np.concatenate, zip(*others, strict=True)))
+
     def _ghost(self) -> None:
-        """The ghost of the selected part alone, with its number."""
+        """The ghost of the selected body alone, with its number."""
         space = self.workspace
         shown = None if space.selected is None else space.ghost(space.selected)
-        for part in space.scene.parts:
-            if part != space.selected or shown is None:
-                self.stage.look(ghost_node(part), visible=False)
+        for body in space.bodies:
+            if body != space.selected or shown is None:
+                self.stage.look(ghost_node(body), visible=False)
         if shown is None or space.selected is None:
             self.stage.label(NUMBER, "", np.zeros(3))
             return
         self.stage.move(ghost_node(space.selected), shown.goal_from_now)
         self.stage.look(ghost_node(space.selected), texts.confidence_colour(shown.confidence), True)
-        top = shown.goal_from_now.apply(space.scene.pivot(space.selected)) + OVER_GHOST
+        top = shown.goal_from_now.apply(space.pivot(space.selected)) + OVER_GHOST
         self.stage.label(NUMBER, texts.confidence_text(shown.confidence), top)
 
     def _gizmo(self) -> None:
-        space, part = self.workspace, self.workspace.selected
-        if part is None or not space.shows_gizmo:
+        space, body = self.workspace, self.workspace.selected
+        if body is None or not space.shows_gizmo:
             self.stage.gizmo(None)
         else:
-            motion = space.current[part].goal_from_now
-            self.stage.gizmo(Pose(motion.wxyz, motion.apply(space.scene.pivot(part))))
+            motion = space.current[body].goal_from_now
+            self.stage.gizmo(Pose(motion.wxyz, motion.apply(space.pivot(body))))
 
     def _fit_text(self) -> str:
-        space, part = self.workspace, self.workspace.selected
+        space, body = self.workspace, self.workspace.selected
+        if body is None:
+            return texts.BEGIN[space.interface]
+        part = space.carried(body)
         if part is None:
-            return texts.BEGIN
-        lines = [texts.part_line(part, space.current[part])]
-        fits, ghost = space.fits(part), space.ghost(part)
+            return texts.PICK_FIRST if body == PLACE else self._pick_text()
+        lines = [texts.part_line(part, space.part_edit(body))]
+        fits, ghost = space.fits(body), space.ghost(body)
         if ghost is not None:
-            lines.append(texts.ghost_line(ghost, space.fit_index % len(fits), len(fits), space.shift_to_ghost(part)))
-        elif space.over_kits(part) and not space.current[part].snapped and space.snaps:
-            lines.append(self.no_fit(part))
-        if space.waits(part):
+            lines.append(texts.ghost_line(ghost, space.fit_index % len(fits), len(fits), space.shift_to_ghost(body)))
+        elif space.over_kits(body) and not space.current[body].snapped and space.snaps:
+            lines.append(self.no_fit(body))
+        if space.waits(body):
             lines.append(texts.WAITING)
-        return "\n\n".join([*lines, self._contact_line(part)])
+        if not space.assists:
+            return "\n\n".join(lines)
+        return "\n\n".join([*lines, self._contact_line(body, part)])
 
-    def no_fit(self, part: int) -> str:
-        """Why a part has no ghost."""
-        space = self.workspace
-        return texts.no_fit(space.proposals[part], space.over_kits(part), space.waits(part))
+    def _pick_text(self) -> str:
+        """Of the picking cup in the hand."""
+        part = self.workspace.carried(PLACE)
+        return texts.NOTHING_PICKED if part is None else texts.picked(part)
 
-    def _contact_line(self, part: int) -> str:
+    def no_fit(self, body: int) -> str:
+        """Why a body has no ghost."""
         space = self.workspace
-        if not space.over_kits(part):
-            return texts.ON_TABLE
-        contact = space.scene.contact(part, space.current[part].goal_from_now, space.plate_of(part))
+        part = space.carried(body)
+        if part is None:
+            return texts.PICK_FIRST
+        return texts.no_fit(space.proposals[part], space.over_kits(body), space.waits(body))
+
+    def _contact_line(self, body: int, part: int) -> str:
+        space = self.workspace
+        if not space.over_kits(body):
+            return texts.ON_TABLE if part == body else texts.NOT_OVER_PLATE
+        contact = space.scene.contact(part, space.part_edit(body).goal_from_now, space.plate_of(body))
         return f"{'True shapes' if space.scene.truth else 'As seen'}: {contact.text()}."
 
 
-def part_node(part: int) -> str:
-    """Name of a part on the page."""
-    return f"/part/{part}"
+def body_node(body: int) -> str:
+    """Name of a part or a cup on the page."""
+    return f"/body/{body}"
 
 
-def ghost_node(part: int) -> str:
-    """Name of a part's ghost on the page."""
-    return f"/ghost/{part}"
+def ghost_node(body: int) -> str:
+    """Name of a body's ghost on the page."""
+    return f"/ghost/{body}"

@@ -1,4 +1,4 @@
-"""A drag of a part as a function of where the pointer is: slide, lift, turn or tilt, by the modifier that is held."""
+"""A drag of a body as a function of where the pointer is: slide, lift, turn or tilt, by the modifier that is held."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from kit1000.editor import gestures
 from kit1000.editor.plates import Plate
-from kit1000.editor.pointing import Eye, Pointing
+from kit1000.editor.pointing import Eye, Surface
 from kit1000.editor.session import PartEdit
 from kit1000.pose import Pose, quaternion_between
 from kit1000.products import length, matmul
@@ -28,32 +28,32 @@ GATHER = 0.12  # heights of the screen
 class Drag:
     """A drag in progress."""
 
-    part: int
+    body: int
     before: PartEdit
     cloud: np.ndarray
-    """(n, 3) [m] that bounds the part where it lies."""
+    """(n, 3) [m] that bounds the body where it lies."""
     pivot: np.ndarray
-    """(3,) [m] of the part where it lies."""
+    """(3,) [m] of the body where it lies."""
     eye: Eye
     start: tuple[float, float]
     """On the screen."""
     grabbed: np.ndarray
-    """(3,) [m] world: the point of the part under the pointer."""
+    """(3,) [m] world: the point of the body under the pointer."""
     plate: Plate
     """On which it stood."""
     modifier: Modifier
 
     @property
     def turns(self) -> bool:
-        """Whether it rotates the part."""
+        """Whether it rotates the body."""
         return self.modifier in ("cmd/ctrl", "alt")
 
-    def motion(self, pointing: Pointing, screen: tuple[float, float]) -> Pose | None:
+    def motion(self, surface: Surface, screen: tuple[float, float]) -> Pose | None:
         """goal_from_now with the pointer at a place on the screen; None where there is nothing to stand on."""
         before = self.before.goal_from_now
         across, down = (screen[0] - self.start[0]) * self.eye.aspect, screen[1] - self.start[1]
         if self.modifier is None:
-            return self._slid(pointing, screen)
+            return self._slid(surface, screen)
         if self.modifier == "cmd/ctrl":
             return gestures.rotated(before, self.pivot, self.plate.normal, across * TURN_PER_HEIGHT)
         if self.modifier == "alt":
@@ -64,11 +64,11 @@ class Drag:
         height = 2 * distance * float(tangent(self.eye.fov / 2))  # [m] of what the screen shows there
         return gestures.shifted(before, -down * height * self.plate.normal)
 
-    def _slid(self, pointing: Pointing, screen: tuple[float, float]) -> Pose | None:
+    def _slid(self, surface: Surface, screen: tuple[float, float]) -> Pose | None:
         """The point of the surface below the grabbed one comes under the pointer.
 
-        It begins some way from it, as the part has a height; that is made up for over the first GATHER of the drag, so
-        that the part neither jumps nor ends up beside the place that is pointed at.
+        It begins some way from it, as the body has a height; that is made up for over the first GATHER of the drag, so
+        that the body neither jumps nor ends up beside the place that is pointed at.
         """
         before, plate = self.before.goal_from_now, self.plate
         below, foot = plate.projected(self.grabbed), plate.projected(before.apply(self.pivot))
@@ -76,7 +76,7 @@ class Drag:
         across, down = (screen[0] - self.start[0]) * self.eye.aspect, screen[1] - self.start[1]
         left = max(0.0, 1 - float(np.hypot(across, down)) / GATHER)
         target = (screen[0] + left * (x - self.start[0]), screen[1] + left * (y - self.start[1]))
-        support = pointing.support(self.eye, target)
+        support = surface.support(self.eye, target)
         if support is None:
             return None
         turn = Pose(quaternion_between(plate.normal, support.plate.normal), np.zeros(3))

@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 
 from kit1000.editor import texts
 from kit1000.editor.controller import Controller
+from kit1000.editor.display import body_node
 from kit1000.editor.dragging import NAMES, Modifier
-from kit1000.editor.keys import KEYS, help_text
+from kit1000.editor.keys import Interface, buttons_of, help_text, keys_of, verbs_of
 from kit1000.editor.pointing import Eye
 from kit1000.editor.stage import Colour
 from kit1000.errors import Kit1000Error
@@ -24,21 +25,17 @@ from kit1000.sim.layout import TABLE_SIZE
 FOV = float(np.radians(45))  # of the browser's camera, as in the paper
 HISTORY_ROWS = 8
 PLACES = ("head", "parts", "fit", "note")
-BUTTONS = (
-    ("Fit", {"Take": "take", "Next": "next", "Snap all": "take-all"}),
-    ("Part", {"Confirm": "confirm", "Confirm all": "confirm-all"}),
-    ("History", {"Undo": "undo", "Redo": "redo", "Put all back": "reset-all"}),
-    ("Look", {"Camera": "view-camera", "Top": "view-top", "Plate": "view-slot", "Kits": "hide-kits"}),
-)
+POINT_SIZE = 1.6e-3  # [m]: neighbours just touch
 GIZMO = "/gizmo"
 
 
 class ViserStage:
     """The verbs of `stage.Stage`, and the events for a controller."""
 
-    def __init__(self, server: viser.ViserServer) -> None:
+    def __init__(self, server: viser.ViserServer, interface: Interface) -> None:
         self.server = server
-        self._meshes: dict[str, Any] = {}
+        self.interface: Interface = interface
+        self._nodes: dict[str, Any] = {}
         self._labels: dict[str, Any] = {}
         self._texts: dict[str, Any] = {}
         self._rows: list[Any] = []
@@ -51,9 +48,8 @@ class ViserStage:
     def listen(self, controller: Controller) -> None:
         """Send the events of the page to a controller."""
         self._controller = controller
-        for name, handle in self._meshes.items():
-            if name.startswith("/part/"):
-                self._listen_to_part(handle, int(name.rpartition("/")[2]))
+        for body in controller.space.bodies:
+            self._listen_to(body, controller.space.assists)
         self.server.on_client_connect(self._joined)
         self.server.on_client_disconnect(self._left)
 
@@ -61,7 +57,7 @@ class ViserStage:
 
     def show(self, name: str, mesh: Mesh, colour: Colour, opacity: float | None) -> None:
         """Add a mesh."""
-        self._meshes[name] = self.server.scene.add_mesh_simple(
+        self._nodes[name] = self.server.scene.add_mesh_simple(
             name,
             mesh.vertices.astype(np.float32),
             mesh.faces.astype(np.uint32),
@@ -73,14 +69,26 @@ class ViserStage:
             receive_shadow=False,
         )
 
+    def dots(self, name: str, points: np.ndarray, colours: np.ndarray) -> None:
+        """Add points."""
+        self._nodes[name] = self.server.scene.add_point_cloud(
+            name,
+            points.astype(np.float32),
+            colours,
+            point_size=POINT_SIZE,
+            point_shape="circle",
+            precision="float32",
+            point_shading="flat",
+        )
+
     def move(self, name: str, motion: Pose) -> None:
-        """Move a mesh."""
-        handle = self._meshes[name]
+        """Move a mesh or points."""
+        handle = self._nodes[name]
         handle.wxyz, handle.position = motion.wxyz, motion.xyz
 
     def look(self, name: str, colour: Colour | None = None, visible: bool | None = None) -> None:
-        """Change what a mesh looks like."""
-        handle = self._meshes[name]
+        """Change what a mesh looks like; hide or show it, or points."""
+        handle = self._nodes[name]
         if colour is not None and tuple(handle.color) != colour:
             handle.color = colour
         if visible is not None and handle.visible != visible:
@@ -162,26 +170,27 @@ class ViserStage:
         self._progress = gui.add_progress_bar(0.0, animated=False)
         for place in PLACES[1:]:
             self._texts[place] = gui.add_markdown("")
-        for label, verbs in BUTTONS:
+        for label, verbs in buttons_of(self.interface).items():
             group = gui.add_button_group(label, tuple(verbs))
             group.on_click(partial(self._group_clicked, verbs))
-        self._lets_go = gui.add_checkbox("Letting go near the ghost takes it", True)
-        self._lets_go.on_update(self._lets_go_changed)
+        if "take" in verbs_of(self.interface):
+            gui.add_checkbox("Letting go near the ghost takes it", True).on_update(self._lets_go_changed)
         self._history_folder = gui.add_folder("History", expand_by_default=False)
         with gui.add_folder("Help"):
-            gui.add_markdown(help_text())
+            gui.add_markdown(help_text(self.interface))
         self._gizmo = server.scene.add_transform_controls(GIZMO, scale=0.06, visible=False, depth_test=False)
         self._gizmo.on_update(self._gizmo_moved)
         self._dragging_gizmo = False
-        for key in KEYS:
+        for key in keys_of(self.interface):
             label = key.help or key.verb.replace("-", " ")
             command = gui.add_command(label, hotkey=key.key, modifier=key.modifier)  # type: ignore[arg-type]
             command.on_trigger(partial(self._key_pressed, key.verb))
 
-    def _listen_to_part(self, handle: Any, part: int) -> None:
-        for modifier in NAMES:
-            handle.on_drag("left", modifier=modifier)(partial(self._dragged, part, modifier))
-        handle.on_click(partial(self._clicked, part))
+    def _listen_to(self, body: int, drags: bool) -> None:
+        handle = self._nodes[body_node(body)]
+        for modifier in NAMES if drags else ():
+            handle.on_drag("left", modifier=modifier)(partial(self._dragged, body, modifier))
+        handle.on_click(partial(self._clicked, body))
 
     def _history_row(self, text: str, count: int, done: int) -> Any:
         button = self.server.gui.add_button(text, color="blue" if count == done else "gray")
@@ -217,18 +226,18 @@ class ViserStage:
             self.say("note", f"**{texts.plain(str(error))}**")
             self.flush()
 
-    async def _dragged(self, part: int, modifier: Modifier, event: Any) -> None:
+    async def _dragged(self, body: int, modifier: Modifier, event: Any) -> None:
         start, end = _screen(event.start_screen_pos), _screen(event.end_screen_pos)
         if event.phase == "start":
             grabbed = np.array(event.start_position, float)
-            self._call(event, lambda editor: editor.grab(part, eye_of(event.client), start, grabbed, modifier))
+            self._call(event, lambda editor: editor.grab(body, eye_of(event.client), start, grabbed, modifier))
         else:
             self._call(event, lambda editor: editor.drag(end))
         if event.phase == "end":
             self._call(event, lambda editor: editor.release())
 
-    async def _clicked(self, part: int, event: Any) -> None:
-        self._call(event, lambda editor: editor.select(part))
+    async def _clicked(self, body: int, event: Any) -> None:
+        self._call(event, lambda editor: editor.select(body))
 
     async def _gizmo_moved(self, event: Any) -> None:
         handle = Pose(np.array(event.target.wxyz), np.array(event.target.position))

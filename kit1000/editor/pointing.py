@@ -1,12 +1,12 @@
-"""What is under the cursor: the seen kits and the table rendered once from the browser's camera, then looked up.
+"""What is under the cursor: seen surfaces and the table rendered once from the browser's camera, then looked up.
 
 A lookup is one pixel of that image. The image is kept while the camera stands still.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from kit1000.sim.render import RenderedImage, render
 from kit1000.trigonometry import tangent
 
 HEIGHT = 360  # [px] of the rendered image: a pixel is about 2 mm of the scene
+REACH = 30e-3  # [m] below a plate, where a part in its cavity still counts as over it
 
 
 class Eye(NamedTuple):
@@ -64,43 +65,78 @@ class Support(NamedTuple):
     """A plate of the kits, or the table."""
 
 
-@dataclass
-class Pointing:
-    """Looks up what is under the cursor."""
+class Surface(Protocol):
+    """On which a body is put down."""
 
-    kits: Mesh
-    plates: list[Plate]
-    _eye: Eye | None = None
-    _image: RenderedImage | None = None
+    def support(self, eye: Eye, screen: tuple[float, float]) -> Support | None:
+        """Where a body under the cursor would stand; None where it cannot.
+
+        screen: 0 to 1 from the left, and from the top.
+        """
+        ...
+
+    def below(self, point: np.ndarray) -> Plate:
+        """The plane that a body at a point (3,) [m] stands on or over."""
+        ...
+
+
+class SurfaceImage:
+    """Meshes and the table as an eye sees them."""
+
+    def __init__(self, bodies: Sequence[tuple[Mesh, Pose]]) -> None:
+        """bodies: meshes [m], each with its pose in the world."""
+        self._bodies = [*bodies, (table(), Pose.identity())]
+        self._eye: Eye | None = None
+        self._image: RenderedImage | None = None
+
+    def body(self, eye: Eye, screen: tuple[float, float]) -> int | None:
+        """Index of the body at a place on the screen, that of the table the last; None where there is none."""
+        pixel = self._pixel(eye, screen)
+        found = 0 if pixel is None else int(self._rendered(eye).body_ids[pixel])
+        return found - 1 if found else None
+
+    def seen(self, eye: Eye, screen: tuple[float, float]) -> np.ndarray | None:
+        """(3,) [m] the point of the surface at a place on the screen; None where there is none."""
+        pixel = self._pixel(eye, screen)
+        if pixel is None or self.body(eye, screen) is None:
+            return None
+        return eye.world_from_camera.xyz + eye.ray(screen) * float(self._rendered(eye).depth[pixel])
+
+    def _pixel(self, eye: Eye, screen: tuple[float, float]) -> tuple[int, int] | None:
+        camera = eye.camera()
+        u, v = round(screen[0] * camera.width - 0.5), round(screen[1] * camera.height - 0.5)
+        return (v, u) if 0 <= u < camera.width and 0 <= v < camera.height else None
+
+    def _rendered(self, eye: Eye) -> RenderedImage:
+        if self._image is None or self._eye is None or not eye.same_as(self._eye):
+            self._eye = eye
+            self._image = render(eye.camera(), eye.world_from_camera, self._bodies, threads=1)
+        return self._image
+
+
+class Pointing:
+    """The plates of the kits and the table, on which parts are put."""
+
+    def __init__(self, kits: Mesh, plates: list[Plate]) -> None:
+        """kits: [m] world."""
+        self.plates, self._image = plates, SurfaceImage([(kits, Pose.identity())])
 
     def support(self, eye: Eye, screen: tuple[float, float]) -> Support | None:
         """Where a part under the cursor would stand; None off the table or on a part of the kits that is no plate.
 
         screen: 0 to 1 from the left, and from the top.
         """
-        image, camera = self._rendered(eye), eye.camera()
-        u, v = round(screen[0] * camera.width - 0.5), round(screen[1] * camera.height - 0.5)
-        if not (0 <= u < camera.width and 0 <= v < camera.height) or image.body_ids[v, u] == 0:
+        seen = self._image.seen(eye, screen)
+        if seen is None:
             return None
-        origin, direction = eye.world_from_camera.xyz, eye.ray(screen)
-        seen = origin + direction * float(image.depth[v, u])
-        plate = plate_at(self.plates, seen) if image.body_ids[v, u] == 1 else TABLE
-        crossing = None if plate is None else plate.crossing(origin, direction)
+        plate = plate_at(self.plates, seen) if self._image.body(eye, screen) == 0 else TABLE
+        crossing = None if plate is None else plate.crossing(eye.world_from_camera.xyz, eye.ray(screen))
         return None if plate is None or crossing is None else Support(crossing, plate)
 
     def below(self, point: np.ndarray) -> Plate:
         """The plate that a part at a point (3,) [m] stands on or over; the table where there is none."""
         over = [plate for plate in self.plates if float(plate.height(point)) > -REACH and _is_over(plate, point)]
         return max(over, key=lambda plate: float(plate.point[2]), default=TABLE)
-
-    def _rendered(self, eye: Eye) -> RenderedImage:
-        if self._image is None or self._eye is None or not eye.same_as(self._eye):
-            bodies = [(self.kits, Pose.identity()), (table(), Pose.identity())]
-            self._eye, self._image = eye, render(eye.camera(), eye.world_from_camera, bodies, threads=1)
-        return self._image
-
-
-REACH = 30e-3  # [m] below a plate, where a part in its cavity still counts as over it
 
 
 def _is_over(plate: Plate, point: np.ndarray) -> bool:

@@ -17,6 +17,7 @@ from typing import Any
 
 from kit1000.dataset.reader import Dataset
 from kit1000.dataset.tables import pose_of, pose_row
+from kit1000.editor.keys import Interface
 from kit1000.editor.session import PartEdit, Session
 from kit1000.errors import InputError
 from kit1000.submission import Manifest, Predictions, read_submission, write_submission
@@ -27,6 +28,13 @@ from kit1000.values import Prediction, Query
 
 FILE = "events.jsonl"
 METHOD = "edit"
+Sink = Callable[[dict[str, Any]], None]
+"""Takes an event."""
+LABELS: Mapping[Interface, str] = {
+    "scene": "Scene editing",
+    "hand": "Hand control",
+    "hand-bare": "Hand control, bare",
+}
 MILLISECOND = 3  # decimals of a time
 
 
@@ -41,7 +49,7 @@ class Header:
     """Whether the page shows true shapes."""
     snap: str
     """The method that snaps."""
-    interface: str
+    interface: Interface
 
     def key(self) -> tuple[str, str]:
         """Events with the same belong to one session."""
@@ -51,20 +59,25 @@ class Header:
 class EventLog:
     """The events of all scenes edited into one folder."""
 
-    def __init__(self, folder: Path, header: Header, clock: Callable[[], float] = time.time) -> None:
-        """Open or begin the log. Raises InputError where the folder holds events of another dataset or kind."""
-        self.path, self.header, self._clock = folder / FILE, header, clock
+    def __init__(
+        self, folder: Path, header: Header, clock: Callable[[], float] = time.time, sink: Sink | None = None
+    ) -> None:
+        """Open or begin the log. Raises InputError where the folder holds events of another dataset or kind.
+
+        clock: [s]. sink: called with each event that is added, after it is written.
+        """
+        self.path, self.header, self._clock, self._sink = folder / FILE, header, clock, sink
         self.rows = [row for row in _rows(self.path) if (row["scene"], row["sensor"]) == header.key()]
         for row in _rows(self.path):
-            for name in ("dataset_id", "truth"):
+            for name in ("dataset_id", "truth", "interface"):
                 if row[name] != getattr(header, name):
                     text = f"{name} {row[name]}, not {getattr(header, name)}; choose another --out"
                     raise InputError(f"{self.path}: holds events of {text}")
         _drop_cut_line(self.path)
 
-    def restored(self, parts: tuple[int, ...]) -> Session:
-        """The session as the log has it."""
-        session = Session.begin(parts)
+    def restored(self, edited: tuple[int, ...]) -> Session:
+        """The session as the log has it. edited: what it has edits of."""
+        session = Session.begin(edited)
         for row in self.rows:
             session = _applied(session, row)
         return session
@@ -77,6 +90,8 @@ class EventLog:
             file.write(json.dumps(row, sort_keys=True, allow_nan=False) + "\n")
             file.flush()
             os.fsync(file.fileno())
+        if self._sink is not None:
+            self._sink(row)
 
     def did(self, session: Session) -> None:
         """Write the latest operation of a session."""
@@ -120,7 +135,7 @@ def _manifest(dataset: Dataset, header: Header, tracks: set[str]) -> Manifest:
     shown = " True shapes were shown." if header.truth else ""
     return Manifest(
         method=METHOD,
-        label="Scene editing" if header.interface == "scene" else "Hand control",
+        label=LABELS[header.interface],
         authors=("The person at the page",),
         description=f"Parts placed in the page of kit1000 edit ({header.interface}), {snap}.{shown}",
         date=date.today().isoformat(),

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.editor.plates import Plate
+from kit1000.editor.seen import observed
 from kit1000.kits.contact import convex_edges
 from kit1000.kits.seating import InsertedPart, contact_offset
 from kit1000.mesh import Mesh
@@ -94,10 +95,9 @@ class TrueContacts:
 def solid_points(part: Mesh, floor: float = 0.0) -> np.ndarray:
     """(n, 3) [m] points all over a seen part: the vertices of its surface, shadow and skirt.
 
-    part: as `seen.with_skirt` makes it, of which the second half of the vertices lies on the floor [m].
+    part: as `seen.with_skirt` makes it, down to the floor [m].
     """
-    half = len(part.vertices) // 2
-    top = part.vertices[:half]
+    top = observed(part)
     steps = np.arange(floor, float(top[:, 2].max(initial=floor)), SKIRT_STEP)
     columns = np.repeat(top[:, None], len(steps), axis=1)
     columns[..., 2] = np.minimum(steps, columns[..., 2])

@@ -11,7 +11,7 @@ from scipy.spatial import ConvexHull
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.editor.plates import Plate, find_plates
 from kit1000.editor.report import Contact, Contacts, TrueContacts, solid_points
-from kit1000.editor.seen import STRIDE, SeenScene, seen_scene
+from kit1000.editor.seen import STRIDE, ColouredPoints, SeenScene, coloured_points, observed, seen_scene
 from kit1000.editor.worker import scene_queries
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
@@ -54,7 +54,7 @@ class EditedScene:
     def meshes(self) -> dict[int, Mesh]:
         """[m] world: the parts where they lie."""
         if not self.truth:
-            return {part: seen.mesh for part, seen in self._seen.parts.items()}
+            return dict(self._seen.parts)
         _, _, *parts = self.recorded.bodies()
         return {part: _placed(*parts[part]) for part in self.queries}
 
@@ -83,6 +83,16 @@ class EditedScene:
         return {part: mesh.vertices[ConvexHull(mesh.vertices).vertices] for part, mesh in self.meshes.items()}
 
     @cached_property
+    def tops(self) -> dict[int, np.ndarray]:
+        """(n, 3) [m] world: the points of each part that the image shows."""
+        return {part: observed(mesh) for part, mesh in self._seen.parts.items()}
+
+    @cached_property
+    def points(self) -> dict[int, ColouredPoints]:
+        """The image as points, by label of its masks."""
+        return coloured_points(self.recorded.labelled_depth(self.sensor))
+
+    @cached_property
     def extent(self) -> tuple[np.ndarray, float]:
         """(3,) [m] the middle of kits and parts, and the radius [m] about it that holds them."""
         points = np.concatenate([self.kits.vertices, *(mesh.vertices for mesh in self.meshes.values())])
@@ -101,12 +111,11 @@ class EditedScene:
 
     @cached_property
     def _seen(self) -> SeenScene:
-        pivots = {part: query.pivot for part, query in self.queries.items()}
-        return seen_scene(self.recorded.labelled_depth(self.sensor), pivots, self.sensor != "ideal")
+        return seen_scene(self.recorded.labelled_depth(self.sensor), self.queries, self.sensor != "ideal")
 
     @cached_property
     def _solid_points(self) -> dict[int, np.ndarray]:
-        return {part: solid_points(seen.mesh) for part, seen in self._seen.parts.items()}
+        return {part: solid_points(mesh) for part, mesh in self._seen.parts.items()}
 
     @cached_property
     def _contacts(self) -> Contacts:

@@ -1,4 +1,4 @@
-"""Meshes of what one depth image shows of parts and kits: the observed surface, and a skirt below it.
+"""What one depth image shows of parts and kits, as meshes and as points: the observed surface, and a skirt below it.
 
 A part is closed by a skirt from the border of its observed surface straight down to the table, as a solid column of
 which only the top is known. Nothing else is assumed: what the camera did not see has a hole.
@@ -6,12 +6,16 @@ which only the top is known. Nothing else is assumed: what the camera did not se
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import find_objects, median_filter
 
 from kit1000.mesh import Mesh
+from kit1000.pictures.relief import CELL, relief_light
+from kit1000.pictures.shading import KIT, part_colour
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 STEEPEST = 12.0  # longest edge of a triangle, in widths of a pixel: a longer one bridges a step in depth
@@ -19,44 +23,43 @@ STRIDE = 2  # pixels of a mesh's grid: a browser draws a quarter of the triangle
 MEDIAN = 5  # [px] of the filter that a noisy image needs
 
 
-@dataclass(frozen=True, eq=False)
-class SeenPart:
-    """A part as one image shows it, where it lies."""
+class ColouredPoints(NamedTuple):
+    """Points as a viewer draws them."""
 
-    index: int
-    mesh: Mesh
-    """[m] world: observed surface and skirt."""
-    pivot: np.ndarray
-    """(3,) [m] world: the middle of what is observed, about which the hand turns it."""
+    points: np.ndarray
+    """(n, 3) [m] world."""
+    colours: np.ndarray
+    """(n, 3) uint8"""
 
 
 @dataclass(frozen=True, eq=False)
 class SeenScene:
     """The parts and the kits as one image shows them."""
 
-    parts: dict[int, SeenPart]
+    parts: dict[int, Mesh]
+    """[m] world: the observed surface of each part with its skirt, where it lies; by index."""
     kits: Mesh
     """[m] world."""
     others: Mesh
     """[m] world: the parts that too little is seen of."""
 
 
-def seen_scene(image: LabelledDepth, pivots: dict[int, np.ndarray], noisy: bool) -> SeenScene:
+def seen_scene(image: LabelledDepth, editable: Collection[int], noisy: bool) -> SeenScene:
     """What an image shows.
 
     Args:
         image: depth and masks.
-        pivots: (3,) [m] world, of the parts that can be edited, by index.
+        editable: indices of the parts that can be edited.
         noisy: whether the sensor has noise that must be smoothed to be looked at.
     """
     parts = {}
-    for index, pivot in pivots.items():
+    for index in editable:
         mask = image.labels == FIRST_PART_LABEL + index
         surface = seen_surface(image.view, mask, noisy, STRIDE)
         if len(surface.faces):
-            parts[index] = SeenPart(index, with_skirt(surface), pivot)
+            parts[index] = with_skirt(surface)
     kits = seen_surface(image.view, image.labels == ASSEMBLY_LABEL, noisy, STRIDE)
-    known = [0, ASSEMBLY_LABEL, *(FIRST_PART_LABEL + index for index in pivots)]
+    known = [0, ASSEMBLY_LABEL, *(FIRST_PART_LABEL + index for index in editable)]
     others = seen_surface(image.view, ~np.isin(image.labels, known), noisy, STRIDE)
     return SeenScene(parts, kits, with_skirt(others))
 
@@ -91,6 +94,28 @@ def with_skirt(surface: Mesh, floor: float = 0.0) -> Mesh:
     walls = np.concatenate([np.stack([b, a, a + n], axis=-1), np.stack([b, a + n, b + n], axis=-1)])
     underside = surface.faces[:, ::-1] + n
     return Mesh(np.concatenate([surface.vertices, below]), np.concatenate([surface.faces, walls, underside]))
+
+
+def observed(part: Mesh) -> np.ndarray:
+    """(n, 3) [m] the observed points of a surface to which `with_skirt` has given a skirt."""
+    return part.vertices[: len(part.vertices) // 2]
+
+
+def coloured_points(image: LabelledDepth) -> dict[int, ColouredPoints]:
+    """An image as points in soft light, one for each CELL x CELL pixels, by label of the masks; without the table."""
+    view, labels = image.view, image.labels
+    light = relief_light(view.camera, view.depth, labels)
+    rows, columns = (CELL * np.arange(size) for size in light.shape)
+    depth, kinds = view.depth[np.ix_(rows, columns)], labels[np.ix_(rows, columns)]
+    grid = np.stack(np.meshgrid(columns, rows), axis=-1)
+    points = view.world_from_camera.apply(view.camera.unproject_pixels(grid, depth))
+    clouds = {}
+    for label in np.unique(kinds[kinds > 0]).tolist():
+        mask = (kinds == label) & (depth > 0)
+        bright = np.sqrt(np.clip(light[mask], 0, 1))[:, None]  # light is linear, a colour its square root
+        colour = KIT if label == ASSEMBLY_LABEL else part_colour(label - FIRST_PART_LABEL)
+        clouds[label] = ColouredPoints(points[mask], (bright * colour).astype(np.uint8))
+    return clouds
 
 
 def _smoothed(depth: np.ndarray) -> np.ndarray:

@@ -23,8 +23,9 @@ import websockets.asyncio.server as websocket_server
 
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
+from kit1000.editor.keys import Interface
 from kit1000.editor.page import ViserStage
-from kit1000.editor.records import EventLog, Header
+from kit1000.editor.records import EventLog, Header, Sink
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.worker import Method, Worker
 from kit1000.errors import InputError, InternalError
@@ -48,12 +49,15 @@ class Options:
     """`module:Object`, or none."""
     port: int | None = None
     truth: bool = False
-    interface: str = "scene"
+    interface: Interface = "scene"
 
 
 @contextlib.contextmanager
-def editing(options: Options) -> Iterator[tuple[Controller, str]]:
-    """A page while the block runs: its controller and its address."""
+def editing(options: Options, sink: Sink | None = None) -> Iterator[tuple[Controller, str]]:
+    """A page while the block runs: its controller and its address.
+
+    sink: called with each event as the log has it, after it is written.
+    """
     check_writable(options.out)
     dataset = Dataset(options.data)
     scene = EditedScene.open(dataset, options.scene, options.sensor, options.truth)
@@ -62,10 +66,10 @@ def editing(options: Options) -> Iterator[tuple[Controller, str]]:
         method.check()
     header = Header(dataset.id, options.scene, options.sensor, options.truth, options.snap, options.interface)
     with locked(options.out):
-        log = EventLog(options.out, header)
+        log = EventLog(options.out, header, sink=sink)
         with serving(options.port) as (server, address):
             asker = _Later()
-            stage = ViserStage(server)
+            stage = ViserStage(server, options.interface)
             stage.say("head", head_text(header))
             controller = Controller(scene, stage, log, None if options.snap == NO_SNAP else asker)
             stage.listen(controller)
@@ -86,8 +90,9 @@ def run(options: Options) -> None:
         print(f"{address}  (Ctrl-C ends; everything is saved in {options.out})", flush=True)
         with contextlib.suppress(KeyboardInterrupt):
             threading.Event().wait()
-        confirmed = sum(edit.confirmed for edit in controller.space.session.edits.values())
-        print(f"{options.out}: {confirmed} of {len(controller.space.session.edits)} parts confirmed")
+        space = controller.space
+        confirmed = sum(space.session.edits[part].confirmed for part in space.scene.parts)
+        print(f"{options.out}: {confirmed} of {len(space.scene.parts)} parts confirmed")
 
 
 @contextlib.contextmanager
@@ -114,7 +119,8 @@ def serving(port: int | None) -> Iterator[tuple[viser.ViserServer, str]]:
 def head_text(header: Header) -> str:
     """The top of the panel."""
     shown = "**TRUE SHAPES ARE SHOWN**" if header.truth else f"as the {header.sensor} camera saw it"
-    snap = "nothing snaps" if header.snap == NO_SNAP else f"snaps by {header.snap.rpartition(':')[2]}"
+    bare = header.interface == "hand-bare"
+    snap = "nothing snaps" if bare or header.snap == NO_SNAP else f"snaps by {header.snap.rpartition(':')[2]}"
     return f"**{header.scene}** · {shown} · {snap}"
 
 

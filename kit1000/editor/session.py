@@ -53,6 +53,10 @@ class PartEdit:
         """Snapped onto a fit."""
         return PartEdit(goal_from_now, True, confidence, self.turned)
 
+    def confirm(self) -> PartEdit:
+        """Confirmed where it stands."""
+        return replace(self, confirmed=True)
+
     def same_as(self, other: PartEdit) -> bool:
         """Whether both are equal, bit for bit."""
         return self._content() == other._content()
@@ -132,11 +136,6 @@ class Session:
         while len(session.done) < count and session.undone:
             session = session.redo()
         return session
-
-    def confirmed(self, parts: tuple[int, ...]) -> Session:
-        """With these parts confirmed where they stand."""
-        edits = {part: replace(self.edits[part], confirmed=True) for part in parts}
-        return self.did("confirm " + ", ".join(map(part_name, parts)), edits)
 
     def _with(self, operation: Operation, after: bool) -> dict[int, PartEdit]:
         side = {part: change.after if after else change.before for part, change in operation.changes.items()}

@@ -1,10 +1,11 @@
-"""What the editor asks of a page: ten verbs. `page` answers them with viser; tests answer them with a list."""
+"""What the editor asks of a page: eleven verbs. `page` answers them with viser; tests answer them with a list."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Protocol
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from kit1000.mesh import Mesh
@@ -20,12 +21,16 @@ class Stage(Protocol):
         """Add a mesh [m] of the world, at rest; None: opaque."""
         ...
 
+    def dots(self, name: str, points: np.ndarray, colours: np.ndarray, /) -> None:
+        """Add points (n, 3) [m] of the world, at rest, in colours (n, 3) uint8."""
+        ...
+
     def move(self, name: str, motion: Pose, /) -> None:
-        """Move a mesh by a motion of the world from where it was added."""
+        """Move a mesh or points by a motion of the world from where they were added."""
         ...
 
     def look(self, name: str, /, colour: Colour | None = None, visible: bool | None = None) -> None:
-        """Change the colour of a mesh, or hide it."""
+        """Change the colour of a mesh; hide or show a mesh or points."""
         ...
 
     def label(self, name: str, text: str, point: ArrayLike, /) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from kit1000.editor.keys import Interface
 from kit1000.editor.proposals import PartProposals, Proposal
 from kit1000.editor.session import LIKELY, SURE, PartEdit, part_name
 from kit1000.editor.stage import Colour
@@ -21,12 +22,29 @@ MARKS = {"free": "○", "snapped": "◆", "unsure": "◇", "confirmed": "✔"}
 MEANINGS = {"free": "free", "snapped": "snapped", "unsure": "snapped, not sure", "confirmed": "confirmed"}
 LONGEST = 300  # characters of a message from elsewhere
 
-BEGIN = "Drag a part onto its cavity, or press its number."
+CUPS_BEGIN = "Press a part's number, or drag the green cup onto a part."
+BEGIN: Mapping[Interface, str] = {
+    "scene": "Drag a part onto its cavity, or press its number.",
+    "hand": CUPS_BEGIN,
+    "hand-bare": "Click the green cup and put it on a part.",
+}
+PICK_FIRST = "**Yellow cup**: it carries nothing. First put the green cup on a part."
+NOTHING_PICKED = "**Green cup**: it touches no part."
 WAITING = "*Asking the method about this place …*"
 ON_TABLE = "It is on the table."
-CHOOSE = "Choose a part first: drag it, click it, or press its number."
+NOT_OVER_PLATE = "The yellow cup is not yet over a plate."
+CHOOSE: Mapping[Interface, str] = {
+    "scene": "Choose a part first: drag it, click it, or press its number.",
+    "hand": CUPS_BEGIN,
+    "hand-bare": "Click a cup first.",
+}
 NOTHING_TO_SNAP = "No further part has a likely fit that no other part takes."
-NOTHING_TO_CONFIRM = "Nothing to confirm: drag a part onto a plate first."
+NOTHING_TO_CARRY = "Nothing to carry: the green cup must touch a part, and the yellow cup be over a plate."
+NOTHING_TO_CONFIRM: Mapping[Interface, str] = {
+    "scene": "Nothing to confirm: drag a part onto a plate first.",
+    "hand": NOTHING_TO_CARRY,
+    "hand-bare": NOTHING_TO_CARRY,
+}
 
 
 def confidence_colour(confidence: float) -> Colour:
@@ -45,6 +63,16 @@ def confidence_text(confidence: float) -> str:
 def part_label(part: int, edit: PartEdit, selected: bool) -> str:
     """The label over a part."""
     return f"{'▸ ' if selected else ''}{part + 1} {MARKS[edit.state]}"
+
+
+def cup_label(picks: bool, selected: bool) -> str:
+    """The label over a cup."""
+    return ("▸ " if selected else "") + ("pick" if picks else "place")
+
+
+def picked(part: int) -> str:
+    """The picking cup in the hand, on a part."""
+    return f"**Green cup**: on {part_name(part)}. Now move the yellow cup."
 
 
 def parts_table(edits: Mapping[int, PartEdit], selected: int | None) -> str:

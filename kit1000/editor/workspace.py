@@ -1,77 +1,183 @@
-"""What the editor knows at a moment: the session, the part in the hand, and where it may snap."""
+"""What the editor knows at a moment: the session, what is in the hand, and where it may snap.
+
+A *body* is what the hand moves: here each part, by its index; under hand control (`hand`) two suction cups.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
 
 from kit1000.editor import gestures
-from kit1000.editor.plates import TABLE, Plate
-from kit1000.editor.pointing import Pointing
+from kit1000.editor.keys import Interface
+from kit1000.editor.plates import Plate
+from kit1000.editor.pointing import Pointing, Surface
 from kit1000.editor.proposals import PartProposals, Proposal, same_motion
 from kit1000.editor.scene import EditedScene
-from kit1000.editor.session import PartEdit, Session
+from kit1000.editor.session import LIKELY, UNTOUCHED, PartEdit, Session, part_name
+
+APART = 25e-3  # [m] between the pivots of two parts in different cavities
 
 
-@dataclass
+class Step(NamedTuple):
+    """An operation that is proposed: its name for the history, and the edits that it makes."""
+
+    name: str
+    edits: Mapping[int, PartEdit]
+
+
 class Workspace:
-    """The state of an editor; only the controller changes it."""
+    """The state of an editor in which the hand moves the parts themselves; only the controller changes it."""
 
-    scene: EditedScene
-    session: Session
-    snaps: bool
-    """Whether a method proposes fits."""
-    pointing: Pointing = field(init=False)
-    proposals: dict[int, PartProposals] = field(init=False)
-    current: dict[int, PartEdit] = field(init=False)
-    """The edits, with the part in a drag where it is now."""
-    selected: int | None = None
-    fit_index: int = 0
-    """Of the fit that is shown, among those near the hand."""
-    shows_gizmo: bool = False
-    kits_hidden: bool = False
+    interface: Interface = "scene"
+    assists = True
+    """Whether the page helps the hand: drags slide over surfaces, keys align, contact is told."""
 
-    def __post_init__(self) -> None:
-        self.pointing = Pointing(self.scene.kits, self.scene.plates)
-        self.proposals = {part: PartProposals(self.scene.pivot(part)) for part in self.scene.parts}
+    def __init__(self, scene: EditedScene, snaps: bool) -> None:
+        """Nothing has moved. snaps: whether a method proposes fits."""
+        self.scene, self.snaps = scene, snaps
+        self.session = Session.begin(self.edited)
         self.current = dict(self.session.edits)
+        """The edits, with the body in a drag where it is now."""
+        self.pointing = Pointing(scene.kits, scene.plates)
+        self.proposals = {part: PartProposals(scene.pivot(part)) for part in scene.parts}
+        self.selected: int | None = None
+        """The body in the hand."""
+        self.fit_index = 0
+        """Of the fit that is shown, among those near the hand."""
+        self.shows_gizmo = False
+        self.kits_hidden = False
 
-    def choose(self, part: int | None) -> None:
-        """Take a part into the hand, or none."""
-        if part != self.selected:
-            self.selected, self.fit_index = part, 0
+    @property
+    def bodies(self) -> tuple[int, ...]:
+        """What the hand moves."""
+        return self.scene.parts
 
-    def plate_of(self, part: int) -> Plate:
-        """The plate that a part is on; the table where it is on none."""
-        return self.pointing.below(self.current[part].goal_from_now.apply(self.scene.pivot(part)))
+    @property
+    def edited(self) -> tuple[int, ...]:
+        """What the session has edits of."""
+        return self.scene.parts
 
-    def over_kits(self, part: int) -> bool:
-        """Whether a part is over a plate."""
-        return self.plate_of(part) is not TABLE
+    def name(self, body: int) -> str:
+        """What the page calls a body."""
+        return part_name(body)
 
-    def fits(self, part: int) -> list[Proposal]:
-        """The fits within reach of a part that is over a plate, the best first; none of one that has snapped."""
-        if self.current[part].snapped or not self.over_kits(part):
+    def pivot(self, body: int) -> np.ndarray:
+        """(3,) [m] world: about which a body turns, where it lies."""
+        return self.scene.pivot(body)
+
+    def cloud(self, body: int) -> np.ndarray:
+        """(n, 3) [m] world: bounds what must stand on a surface, where the body lies."""
+        return self.scene.clouds[body]
+
+    def surface(self, body: int) -> Surface:
+        """On which a body is put down."""
+        del body
+        return self.pointing
+
+    def carried(self, body: int) -> int | None:
+        """The part that moves with a body; None where there is none."""
+        return body
+
+    def carrier(self, part: int) -> int | None:
+        """The body that a part moves with; None where there is none."""
+        return part
+
+    def part_edit(self, body: int) -> PartEdit:
+        """What the body, where it is now, does to its part."""
+        return self.current[body]
+
+    def adopt(self, session: Session) -> None:
+        """Take over a session."""
+        self.session, self.current = session, dict(session.edits)
+
+    def choose(self, body: int | None) -> None:
+        """Take a body into the hand, or none."""
+        if body != self.selected:
+            self.selected, self.fit_index = body, 0
+
+    def plate_of(self, body: int) -> Plate:
+        """The plate that a body is on; the table where it is on none."""
+        return self.surface(body).below(self.current[body].goal_from_now.apply(self.pivot(body)))
+
+    def over_kits(self, body: int) -> bool:
+        """Whether a body is over a plate."""
+        return self.plate_of(body) in self.scene.plates
+
+    # Where the hand may snap to.
+
+    def fits(self, body: int) -> list[Proposal]:
+        """Motions of a body over a plate to the fits within reach, the best first; none of one that has snapped."""
+        part = self.carried(body)
+        if part is None or not self.snaps or self.current[body].snapped or not self.over_kits(body):
             return []
-        return self.proposals[part].near(self.current[part])
+        return [self._as_moved(body, fit) for fit in self.proposals[part].near(self.part_edit(body))]
 
-    def ghost(self, part: int) -> Proposal | None:
+    def ghost(self, body: int) -> Proposal | None:
         """The fit that is shown."""
-        fits = self.fits(part)
+        fits = self.fits(body)
         return fits[self.fit_index % len(fits)] if fits else None
 
-    def shift_to_ghost(self, part: int) -> tuple[float, float] | None:
+    def shift_to_ghost(self, body: int) -> tuple[float, float] | None:
         """[m], [rad] from the hand to the fit that is shown."""
-        ghost, pivot = self.ghost(part), self.scene.pivot(part)
-        return ghost and gestures.distance(ghost.goal_from_now, self.current[part].goal_from_now, pivot)
+        ghost = self.ghost(body)
+        return ghost and gestures.distance(ghost.goal_from_now, self.current[body].goal_from_now, self.pivot(body))
 
-    def waits(self, part: int) -> bool:
-        """Whether the method's answer to where a part is is still to come."""
-        edit, guess = self.session.edits[part], self.proposals[part].guess
-        if not self.snaps or edit.snapped or not self.over_kits(part):
+    def waits(self, body: int) -> bool:
+        """Whether the method's answer to where a body is is still to come."""
+        part = self.carried(body)
+        if part is None or not self.snaps or self.current[body].snapped or not self.over_kits(body):
             return False
-        return guess is None or not same_motion(guess, edit.goal_from_now)
+        guess = self.proposals[part].guess
+        return guess is None or not same_motion(guess, self.part_edit(body).goal_from_now)
 
     def known_share(self) -> float:
         """Share of the parts whose fits are known without a guess."""
         known = [proposals.found is not None for proposals in self.proposals.values()]
         return sum(known) / max(len(known), 1) if self.snaps else 1.0
+
+    # What keys and buttons would do.
+
+    def pointed_at(self, part: int) -> tuple[int, Step]:
+        """Of a part's number: the body to take into the hand, and what that changes."""
+        return part, Step("", {})
+
+    def moved(self, name: str, body: int, edit: PartEdit) -> Step:
+        """A body moved by hand, or snapped."""
+        return Step(name, {body: edit})
+
+    def snapped_all(self) -> Step | None:
+        """Every part that has not snapped: onto the fit near the hand, or the surest; no two into one cavity."""
+        scene, edits = self.scene, self.session.edits
+        taken = [edit.goal_from_now.apply(scene.pivot(part)) for part, edit in edits.items() if edit.snapped]
+        likely = {part: fit for part in edits if (fit := self._likely(part)) is not None}
+        changes: dict[int, PartEdit] = {}
+        for part, fit in sorted(likely.items(), key=lambda item: -item[1].confidence):
+            place = fit.goal_from_now.apply(scene.pivot(part))
+            if all(float(np.abs(place - other).max()) > APART for other in taken):
+                taken.append(place)
+                changes[part] = edits[part].taken(fit.goal_from_now, fit.confidence)
+        return Step("snap " + ", ".join(part_name(part) for part in sorted(changes)), changes) if changes else None
+
+    def confirmed(self, bodies: Sequence[int]) -> Step | None:
+        """Those of the bodies that are over a plate; None where none is."""
+        ready = [body for body in bodies if self.over_kits(body)]
+        edits = {part: self.session.edits[part].confirm() for part in ready}
+        return Step("confirm " + ", ".join(map(part_name, ready)), edits) if ready else None
+
+    def put_back(self, bodies: Sequence[int]) -> dict[int, PartEdit]:
+        """The bodies where they were at first."""
+        return dict.fromkeys(bodies, UNTOUCHED)
+
+    def _as_moved(self, body: int, fit: Proposal) -> Proposal:
+        """A fit of a part as a motion of the body that carries it."""
+        del body
+        return fit
+
+    def _likely(self, part: int) -> Proposal | None:
+        """The fit that needs no second look: near the hand, or the surest; None below LIKELY, or of a snapped part."""
+        edit = self.session.edits[part]
+        fit = self.ghost(part) if self.over_kits(part) else self.proposals[part].best()
+        return fit if fit is not None and not edit.snapped and fit.confidence >= LIKELY else None

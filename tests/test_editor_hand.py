@@ -1,0 +1,252 @@
+"""Hand control without a browser: two cups carry a part, by the page's help or bare, from points to a submission."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from editing import EYE, Desk, answered, desk, dragged, found, goal, header_of, scene_of
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kit1000.cli import main
+from kit1000.editor.display import KITS, body_node, ghost_node
+from kit1000.editor.hand import PICK, PLACE, HandWorkspace
+from kit1000.editor.keys import help_text, keys_of, shown, verbs_of
+from kit1000.editor.plates import TABLE
+from kit1000.editor.records import EventLog
+from kit1000.editor.scene import EditedScene
+from kit1000.editor.session import UNTOUCHED, Session
+from kit1000.errors import InputError
+from kit1000.pose import Pose
+from kit1000.submission import read_submission
+
+numbers = st.floats(-1, 1, allow_subnormal=False)
+vectors = st.tuples(numbers, numbers, numbers).map(np.array)
+
+
+@pytest.fixture(params=["ideal", "d415"])
+def scene(mini: Path, request: pytest.FixtureRequest) -> EditedScene:
+    return scene_of(mini, request.param)
+
+
+def hand(scene: EditedScene, out: Path, bare: bool = False) -> tuple[Desk, HandWorkspace]:
+    table = desk(scene, out, interface="hand-bare" if bare else "hand")
+    space = table.controller.space
+    assert isinstance(space, HandWorkspace)
+    return table, space
+
+
+def world_from_cup(space: HandWorkspace, cup: int) -> Pose:
+    return space.current[cup].goal_from_now @ space.rest(cup)
+
+
+def choose(table: Desk, part: int) -> None:
+    """Press a part's number."""
+    table.controller.command(f"select-{part + 1}", EYE)
+
+
+def apart(one: Pose, other: Pose) -> float:
+    return float(np.abs(one.matrix() - other.matrix()).max())
+
+
+@settings(max_examples=25)
+@given(turn=vectors, shift=vectors, pick_turn=vectors, pick_shift=vectors)
+def test_a_part_moves_as_the_cup_does_from_pick_to_place(
+    mini: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    turn: np.ndarray,
+    shift: np.ndarray,
+    pick_turn: np.ndarray,
+    pick_shift: np.ndarray,
+) -> None:
+    scene = scene_of(mini)
+    table, space = hand(scene, tmp_path_factory.mktemp("hand"))
+    part, top = scene.parts[0], scene.tops[scene.parts[0]][0]
+    for cup, rotvec, point in (
+        (PICK, pick_turn, top + 1e-3 * pick_shift),
+        (PLACE, turn, scene.plates[0].point + 0.02 * shift + (0.0, 0.0, 0.04)),
+    ):
+        target = Pose.from_rotvec(rotvec, point) @ Pose(space.rest(cup).wxyz, np.zeros(3))
+        table.controller.place(cup, target @ space.rest(cup).inverse())
+    expected = world_from_cup(space, PLACE) @ world_from_cup(space, PICK).inverse()
+    table.controller.command("confirm")
+    edit = space.session.edits[part]
+    assert edit.confirmed
+    assert apart(edit.goal_from_now, expected) < 1e-12
+    assert all(space.session.edits[cup].same_as(UNTOUCHED) for cup in (PICK, PLACE))
+
+
+def test_a_part_is_picked_placed_snapped_and_checked(scene: EditedScene, mini: Path, tmp_path: Path) -> None:
+    """From points alone to a submission without a fault; the method is asked about the part, not about the cup."""
+    table, space = hand(scene, tmp_path)
+    part = scene.parts[0]
+    true, pivot = goal(scene, part), scene.pivot(part)
+    found(table, part, (true, 0.93))
+    choose(table, part)
+    lip = world_from_cup(space, PICK).xyz
+    assert np.square(scene.tops[part] - lip).sum(1).min() == 0
+    assert space.carried(PLACE) == part
+    assert table.stage.poses[body_node(part)].xyz.tolist() == [0, 0, 0]
+    foot = scene.plates[0].projected(true.apply(pivot) + lip - pivot)
+    dragged(table, PLACE, foot + (0.004, 0.003, 0.0))
+    plate = space.plate_of(PLACE)
+    assert plate is not TABLE
+    carried = space.part_edit(PLACE).goal_from_now
+    assert abs(float(plate.height(carried.apply(scene.clouds[part])).min())) < 1e-9
+    assert ghost_node(PLACE) not in table.stage.hidden
+    assert "93 % sure" in table.stage.texts["fit"]
+    assert table.asker.asked[-1][0] == part
+    answered(table, part, table.asker.asked[-1][1], (true, 0.95))
+    assert space.ghost(PLACE) is not None
+    assert not space.waits(PLACE)
+    table.controller.command("take")
+    assert space.session.edits[PLACE].snapped
+    assert not space.session.edits[part].confirmed  # nothing moves before it is confirmed
+    table.controller.command("confirm")
+    assert space.session.edits[part].state == "confirmed"
+    assert space.session.edits[part].confidence == 0.95
+    assert apart(space.session.edits[part].goal_from_now, true) < 1e-12
+    assert main(["check", str(tmp_path), "--data", str(mini)]) == 0
+    rows = read_submission(tmp_path)
+    assert rows.manifest.label == "Hand control"
+    assert apart(rows.predictions.motions[0], true) < 1e-9
+
+
+def test_a_part_that_was_carried_is_carried_on_from_where_it_is(scene: EditedScene, tmp_path: Path) -> None:
+    table, space = hand(scene, tmp_path)
+    part, plate = scene.parts[0], scene.plates[0]
+    for _ in range(2):
+        choose(table, part)
+        dragged(table, PLACE, plate.point)
+        assert space.over_kits(PLACE)
+        table.controller.command("turn-left")
+        before = space.session.edits[part].goal_from_now
+        step = world_from_cup(space, PLACE) @ world_from_cup(space, PICK).inverse()
+        table.controller.command("confirm")
+        assert apart(space.session.edits[part].goal_from_now, step @ before) < 1e-12
+    assert table.stage.poses[body_node(part)] is space.session.edits[part].goal_from_now
+
+
+def test_all_undone_is_the_beginning_and_closing_loses_nothing(scene: EditedScene, tmp_path: Path) -> None:
+    table, space = hand(scene, tmp_path)
+    controller, part = table.controller, scene.parts[0]
+    choose(table, part)
+    dragged(table, PICK, scene.pivot(part))
+    dragged(table, PLACE, scene.plates[0].point)
+    for verb in ("turn-left", "raise", "level", "tip-away"):
+        controller.command(verb, EYE)
+    controller.command("confirm")
+    choose(table, part)
+    last = space.session
+    again, other = hand(scene, tmp_path)
+    assert all(edit.same_as(last.edits[body]) for body, edit in other.session.edits.items())
+    assert other.carried(PLACE) == space.carried(PLACE)
+    for _ in last.done:
+        again.controller.command("undo")
+    begin = Session.begin(space.edited)
+    assert all(edit.same_as(begin.edits[body]) for body, edit in other.session.edits.items())
+    assert other.carried(PLACE) is None
+    again.controller.return_to(len(last.done))
+    assert all(edit.same_as(last.edits[body]) for body, edit in other.session.edits.items())
+
+
+def test_the_green_cup_stands_upright_on_what_is_under_the_cursor(scene: EditedScene, tmp_path: Path) -> None:
+    table, space = hand(scene, tmp_path)
+    part = scene.parts[0]
+    top = min(scene.tops[part], key=lambda point: float(np.square(point - scene.tops[part].mean(0)).sum()))
+    dragged(table, PICK, np.array([0.3, -0.3, 0.0]))
+    assert space.carried(PLACE) is None
+    assert world_from_cup(space, PICK).xyz[2] == pytest.approx(0, abs=2e-3)
+    dragged(table, PICK, top)
+    cup = world_from_cup(space, PICK)
+    assert cup.rotate((0.0, 0.0, 1.0)).tolist() == pytest.approx([0, 0, -1], abs=1e-12)
+    assert np.square(scene.tops[part] - cup.xyz).sum(1).min() < 0.006**2
+    assert space.carried(PLACE) == part
+
+
+def test_moving_the_green_cup_takes_back_the_snap(scene: EditedScene, tmp_path: Path) -> None:
+    table, space = hand(scene, tmp_path)
+    part = scene.parts[0]
+    choose(table, part)
+    dragged(table, PLACE, scene.plates[0].point)
+    found(table, part, (space.part_edit(PLACE).goal_from_now, 0.9))
+    table.controller.command("take")
+    assert space.session.edits[PLACE].snapped
+    place = world_from_cup(space, PLACE)
+    table.controller.select(PICK)
+    table.controller.command("turn-left")
+    assert not space.session.edits[PLACE].snapped
+    assert apart(world_from_cup(space, PLACE), place) == 0
+    assert len(space.session.done[-1].changes) == 2  # one operation, undone at once
+
+
+def test_nothing_is_carried_without_a_part_and_a_plate(scene: EditedScene, tmp_path: Path) -> None:
+    table, space = hand(scene, tmp_path)
+    choose(table, scene.parts[0])
+    table.controller.command("confirm")
+    assert "Nothing to carry" in table.stage.texts["note"]
+    table.controller.command("reset-all")
+    dragged(table, PLACE, scene.plates[0].point)
+    assert "carries nothing" in table.stage.texts["fit"]
+    table.controller.command("confirm")
+    assert "Nothing to carry" in table.stage.texts["note"]
+    table.controller.command("take")
+    assert "First put the green cup on a part" in table.stage.texts["note"]
+    assert not any(edit.confirmed for edit in space.session.edits.values())
+
+
+def test_points_are_shown_and_no_shape(scene: EditedScene, tmp_path: Path) -> None:
+    table, space = hand(scene, tmp_path)
+    assert {KITS, *map(body_node, scene.parts)} <= table.stage.points.keys()
+    assert table.stage.meshes.keys() == {node(cup) for node in (body_node, ghost_node) for cup in space.bodies}
+    low, high = (getattr(scene.meshes[scene.parts[0]].vertices, side)(0) for side in ("min", "max"))
+    points = table.stage.points[body_node(scene.parts[0])]
+    assert (points > low - 5e-3).all()
+    assert (points < high + 5e-3).all()
+
+
+def test_bare_hand_control_moves_cups_by_the_gizmo_alone(scene: EditedScene, tmp_path: Path) -> None:
+    table, space = hand(scene, tmp_path, bare=True)
+    part, controller = scene.parts[0], table.controller
+    found(table, part, (goal(scene, part), 0.99))
+    for verb in ("select-1", "turn-left", "level", "take", "take-all"):
+        controller.command(verb, EYE)
+    dragged(table, PICK, scene.pivot(part))
+    assert space.session.done == ()
+    assert (space.selected, space.carried(PLACE)) == (PICK, None)
+    for cup, point in ((PICK, scene.tops[part][0]), (PLACE, scene.plates[0].point)):
+        controller.select(cup)
+        assert table.stage.gizmo_pose is not None
+        controller.carry(Pose.from_translation(point), done=False)
+        controller.carry(Pose.from_translation(point), done=True)
+    assert table.stage.hidden >= {ghost_node(cup) for cup in space.bodies}
+    assert table.asker.asked == []
+    assert "seen" not in table.stage.texts["fit"]
+    controller.command("confirm")
+    assert space.session.edits[part].confirmed
+    assert read_submission(tmp_path).manifest.label == "Hand control, bare"
+
+
+@pytest.mark.parametrize("interface", ["scene", "hand", "hand-bare"])
+def test_help_names_every_key_that_the_interface_has(interface: str) -> None:
+    text = help_text(interface)  # type: ignore[arg-type]
+    for key in keys_of("scene"):
+        kept = key.verb in verbs_of(interface)  # type: ignore[arg-type]
+        assert (f"**{shown(key)}** |" in text) == (kept and bool(key.help)), key
+
+
+def test_a_folder_holds_one_interface(scene: EditedScene, tmp_path: Path) -> None:
+    table, _ = hand(scene, tmp_path)
+    choose(table, scene.parts[0])
+    with pytest.raises(InputError, match=r"interface hand, not scene; choose another --out"):
+        EventLog(tmp_path, header_of(scene))
+
+
+def test_a_sink_gets_each_event_as_the_log_has_it(scene: EditedScene, tmp_path: Path) -> None:
+    table, _ = hand(scene, tmp_path)
+    choose(table, scene.parts[0])
+    table.controller.command("undo")
+    assert table.stage.events == EventLog(tmp_path, header_of(scene, interface="hand")).rows
+    assert [event["event"] for event in table.stage.events] == ["do", "undo"]
