@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, find_objects
 
-from baselines.calibration import calibrated
+from baselines.calibration import calibrated, flattened
 from kit1000.sim.sensors import SENSORS, Sensor
 from kit1000.sim.stereo import EDGE_STEP
 from kit1000.values import LabelledDepth, Query, View
@@ -35,9 +35,19 @@ def restored_query(query: Query) -> Query:
 
 def restored(image: LabelledDepth, sensor: str) -> LabelledDepth:
     """The image as the sensor should have measured it, as far as its table and its masks tell; the labels stay."""
+    return restored_edges(calibrated_image(image, sensor), sensor)
+
+
+def calibrated_image(image: LabelledDepth, sensor: str) -> LabelledDepth:
+    """The image of a noisy sensor, calibrated by the table; the same image where the sensor is ideal."""
+    return image if sensor == "ideal" else LabelledDepth(calibrated(image.view, image.labels), image.labels)
+
+
+def restored_edges(image: LabelledDepth, sensor: str) -> LabelledDepth:
+    """A calibrated image with its table on its plane and the edges where they should be; the same one if ideal."""
     if sensor == "ideal":
         return image
-    view = calibrated(image.view, image.labels, flat=True)
+    view = flattened(image.view, image.labels)
     depth, ground = view.depth.copy(), _ground_inverse_depth(view)
     for label, box in enumerate(find_objects(image.labels), start=1):
         if box is not None:

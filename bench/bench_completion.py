@@ -21,17 +21,17 @@ import tyro
 from components import add_components
 from measured_dataset import measured_dataset
 
-from baselines.calibration import calibrated
 from baselines.completion import ObservedPart
 from baselines.completion.completed import CompletedPart, PartCompleter
 from baselines.completion.frame import CODE, framed
 from baselines.completion.occupancy import filled_share
 from baselines.methods import WEIGHTS
+from baselines.restoration import calibrated_image
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import Kit1000Error
 from kit1000.generation.presets import HELD_OUT
 from kit1000.metrics.volumes import occupancy_iou, surface_chamfer
-from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, Truth
+from kit1000.values import FIRST_PART_LABEL, Query, Truth
 from kit1000.voxels import Volume, signed_distance
 
 VOXEL = 1e-3  # [m]
@@ -135,9 +135,7 @@ def _measured(dataset: Dataset, options: Completion, completer: PartCompleter, s
 
 
 def _measure(scene: RecordedScene, query: Query, completer: PartCompleter, dataset: Dataset) -> Measured:
-    truth, image = scene.truth_of(query.id), query.image
-    if query.sensor != "ideal":
-        image = LabelledDepth(calibrated(image.view, image.labels), image.labels)
+    truth, image = scene.truth_of(query.id), calibrated_image(query.image, query.sensor)
     observed = ObservedPart(image, FIRST_PART_LABEL + query.part, query.pivot)
     start = time.process_time()
     completed = CompletedPart(observed, completer, None if query.sensor == "ideal" else image)

@@ -142,15 +142,15 @@ def test_the_envelope_from_a_start_is_the_envelope_above_it() -> None:
     """Also where the start is inside the solid; where it is infinite there is nothing."""
     known = case("a keyed block")
     rotation = Pose(known.candidate(known.goal).plate_from_now.wxyz, np.zeros(3))
-    whole = envelope_about(known.part, known.pivot, rotation)
+    whole = envelope_about(known.part, known.pivot, rotation, CLEARANCE)
     assert np.isfinite(whole).sum() > 500
-    below = envelope_about(known.part, known.pivot, rotation, whole - 1.3e-3)
+    below = envelope_about(known.part, known.pivot, rotation, CLEARANCE, whole - 1.3e-3)
     solid = np.isfinite(whole)
     differences = np.abs(below[solid] - whole[solid])
     assert (differences < CELL).mean() > 0.99  # except where a ray grazes a wall
     np.testing.assert_array_equal(np.isinf(below), np.isinf(whole))
-    assert np.isinf(envelope_about(known.part, known.pivot, rotation, np.full(whole.shape, np.inf))).all()
-    within = envelope_about(known.part, known.pivot, rotation, whole + 2e-3)
+    assert np.isinf(envelope_about(known.part, known.pivot, rotation, CLEARANCE, np.full(whole.shape, np.inf))).all()
+    within = envelope_about(known.part, known.pivot, rotation, CLEARANCE, whole + 2e-3)
     assert (within[np.isfinite(within)] >= whole[np.isfinite(within)]).all()
 
 

@@ -78,7 +78,7 @@ def brute_misfits(cavity: Cavity, kit: KitImage, envelope: np.ndarray) -> np.nda
 @pytest.mark.parametrize(("seed", "hidden"), [(0, False), (1, False), (2, True)])
 def test_the_best_shifts_are_those_of_brute_force(seed: int, hidden: bool) -> None:
     cavity, envelope = random_cavity(seed, hidden), random_envelope(seed)
-    kit = KitImage.of(cavity)
+    kit = KitImage.of(cavity, 72)
     every = brute_misfits(cavity, kit, envelope)
     anywhere = SearchWindow(np.zeros(3), None, MAX_ANGLE, MAX_OFFSET)
     found = list(best_shifts(kit, dilated(envelope, CELL, CLEARANCE), cavity, anywhere, np.zeros(3)))
@@ -95,7 +95,7 @@ def test_the_best_shifts_are_those_of_brute_force(seed: int, hidden: bool) -> No
 def test_no_shift_leaves_the_window() -> None:
     """And the best inside the window is that of brute force there."""
     cavity, envelope = replace(random_cavity(0), world_from_plate=WORLD_FROM_KIT), random_envelope(0)
-    kit = KitImage.of(cavity)
+    kit = KitImage.of(cavity, 72)
     every = brute_misfits(cavity, kit, envelope)
     z = -cavity.depth - envelope.min()
     pivot = np.array([3e-3, -2e-3, 1e-3])  # before the shift

@@ -82,7 +82,7 @@ class CompletedPart:
 
     @cached_property
     def logits(self) -> FillLogits | None:
-        """On the grid of the network; None where no pixel has a return."""
+        """On the grid of the network; None where no pixel has a return, or the part is larger than that grid."""
         image = self.raw or self.observed.image
         part = framed(image, self.observed.label, self.observed.table_height())
         return None if part is None else self.completer(part)

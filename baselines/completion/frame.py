@@ -38,7 +38,7 @@ class FramedPart:
 
 
 def framed(image: LabelledDepth, label: int, table_height: float = 0.0, flat: bool = True) -> FramedPart | None:
-    """The evidence about a part; None where no pixel of it has a return.
+    """The evidence about a part; None where no pixel of it has a return, and where it is larger than the grid.
 
     Args:
         image: the depth image with its masks.
@@ -64,16 +64,18 @@ def grid_at(x: float, y: float, yaw: float) -> Grid:
 
 
 def _grid(view: View, mask: np.ndarray) -> Grid | None:
-    """The grid of the pixels (H, W) of a part, in a world whose table is at height 0."""
+    """The grid of the pixels (H, W) of a part, in a world whose table is at height 0; None where it holds no part."""
     v, u = np.nonzero(mask & (view.depth > 0))
     if len(v) == 0:
         return None
     points = view.world_from_camera.apply(view.camera.unproject_pixels(np.stack([u, v], -1), view.depth[v, u]))
     away = points.mean(0)[:2] - view.world_from_camera.xyz[:2]
     yaw = float(np.arctan2(away[1], away[0]))
-    turned = Pose.from_rotvec((0.0, 0.0, -yaw)).apply(points)[:, :2]
+    turned = Pose.from_rotvec((0.0, 0.0, -yaw)).apply(points)
     low, high = np.percentile(turned, [100 * OUTLIERS, 100 * (1 - OUTLIERS)], axis=0)
-    x, y, _ = Pose.from_rotvec((0.0, 0.0, yaw)).apply((*((low + high) / 2), 0.0))
+    if (high - (*low[:2], 0.0) > CELL * np.array(SHAPE)).any():
+        return None
+    x, y, _ = Pose.from_rotvec((0.0, 0.0, yaw)).apply((*((low + high) / 2)[:2], 0.0))
     return grid_at(float(x), float(y), yaw)
 
 

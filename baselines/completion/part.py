@@ -14,7 +14,8 @@ from kit1000.pose import Pose
 from kit1000.values import LabelledDepth
 from kit1000.voxels import Volume
 
-HALF_WIDTH = 0.042  # [m] from the middle of a volume to its sides: it holds a part of 50 mm in any orientation
+HALF_WIDTH = 0.042  # [m] least from the middle of a volume to its sides: it holds a part of 50 mm in any orientation
+AROUND = 1.5e-3  # [m] around a larger part, to the sides of its volume
 TABLE_MARGIN = 0.06  # [m] around a part: the pixels from which the height of the table is read
 OUTLIERS = 0.02  # share of a part's points that is cut off at either end of each axis
 
@@ -50,7 +51,7 @@ class ObservedPart:
             voxel: [m] edge.
 
         Returns:
-            A volume along the axes of the world about the middle, HALF_WIDTH to every side; no voxel is unknown.
+            A volume along the axes of the world about the middle, `half_width` to every side; no voxel is unknown.
         """
         return self.columns(voxel).filled(largest_only=True)
 
@@ -63,7 +64,7 @@ class ObservedPart:
         """What the image shows, in cells of half a voxel [m]."""
         upright = Pose.from_translation(self.middle)
         floor = self.table_height() - self.middle[2]
-        half_sizes = (HALF_WIDTH, HALF_WIDTH)
+        half_sizes = (self.half_width, self.half_width)
         return ObservedColumns.of(self.image.view, self._mask, self._points, upright, half_sizes, floor, voxel)
 
     def table_height(self) -> float:
@@ -90,6 +91,14 @@ class ObservedPart:
             return self.pivot
         low, high = np.percentile(self._points, [100 * OUTLIERS, 100 * (1 - OUTLIERS)], axis=0)
         return (low + high) / 2
+
+    @cached_property
+    def half_width(self) -> float:
+        """[m] from the middle of a volume to its sides: HALF_WIDTH, unless the part is seen to reach farther."""
+        if len(self._points) == 0:
+            return HALF_WIDTH
+        away = np.sqrt(np.square(self._points - self.middle).sum(-1))
+        return max(HALF_WIDTH, float(np.percentile(away, 100 * (1 - OUTLIERS))) + AROUND)
 
     @cached_property
     def _mask(self) -> np.ndarray:

@@ -10,15 +10,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from baselines.calibration import calibrated
 from baselines.completion.drawn_parts import DrawnParts
 from baselines.completion.frame import CODE, framed
 from baselines.completion.network import COMPLETION, CompletionConfig, CompletionNet, completion_loss
 from baselines.completion.views import DrawnViews, Example, example_of
+from baselines.restoration import calibrated_image
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import user_cache
-from kit1000.values import FIRST_PART_LABEL, LabelledDepth
+from kit1000.values import FIRST_PART_LABEL
 
 VALIDATION_SCENES = 50  # spread evenly over the validation split; each with ideal depth and with the d415's
 
@@ -64,9 +64,7 @@ class CompletionTask:
 
     def _example(self, key: Key) -> Example:
         scene = self.dataset.split(self.split, truth=True).scene(key.scene_id)
-        image = scene.labelled_depth(key.sensor)
-        if key.sensor != "ideal":
-            image = LabelledDepth(calibrated(image.view, image.labels), image.labels)
+        image = calibrated_image(scene.labelled_depth(key.sensor), key.sensor)
         mesh, pose = scene.bodies()[2 + key.part]
         part = framed(image, FIRST_PART_LABEL + key.part)
         if part is None:

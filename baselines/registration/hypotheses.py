@@ -19,7 +19,7 @@ from kit1000.values import Query
 from kit1000.voxels import Volume, surface_points
 
 SLACK_OFFSET, SLACK_ANGLE = 1.5e-3, np.radians(2.5)  # [m], [rad] searched beyond the largest error of a guess
-SIDE = 0.144  # [m] of a plate's relief: the range of a guess and half a part's width on either side
+SIDE = 0.144  # [m] of a plate's relief, at least: the range of a guess and half a part's width on either side
 NEAR_GUESS = np.cos(np.radians(15))  # between the guess and a face that explains its tilt
 DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -38,7 +38,7 @@ def find_candidates(
     """
     if not part.occupied.any():
         return []
-    cavities = find_cavities(source, query)
+    cavities = find_cavities(source, query, plate_side(part, source.middle, clearance))
     if not cavities:
         return []
     window = SearchWindow(query.pivot, query.guess, MAX_ANGLE + SLACK_ANGLE, MAX_OFFSET + SLACK_OFFSET)
@@ -46,15 +46,28 @@ def find_candidates(
     return coarse_search(part, source.middle, down_normals, cavities, clearance, window)
 
 
-def find_cavities(source: Source, query: Query) -> list[Cavity]:
-    """The cavities of all plates near the guess; of all plates where there is no guess."""
+def plate_side(part: Volume, middle: np.ndarray, clearance: float) -> float:
+    """[m] across a plate's relief that holds the cavity of a part wherever a guess may put it.
+
+    Args:
+        part: as it lies now.
+        middle: (3,) [m] world, of the part.
+        clearance: [m]
+    """
+    away = part.grid.world(np.argwhere(part.occupied)) - middle
+    radius = np.sqrt(np.square(away).sum(-1).max())
+    return max(SIDE, 2 * float(MAX_OFFSET + SLACK_OFFSET + radius + clearance))
+
+
+def find_cavities(source: Source, query: Query, side: float = SIDE) -> list[Cavity]:
+    """The cavities of all plates near the guess; of all plates where there is no guess. side: [m] of their reliefs."""
     guessed = None if query.guess is None else query.guess.apply(query.pivot)
-    box = None if guessed is None else guessed + np.array([[-SIDE / 2], [SIDE / 2]])
+    box = None if guessed is None else guessed + np.array([[-side / 2], [side / 2]])
     points, normals, area = source.oriented_points(box)
     planes = find_planes(points, normals, area, source.noise, stream(0, "registration", query.id))
     frames = [plane_frame(plane, plane.point if guessed is None else guessed) for plane in planes]
     noise = source.noise.distance
-    cavities = [find_cavity(source.plate(plate_grid(frame, SIDE)), frame, noise) for frame in frames]
+    cavities = [find_cavity(source.plate(plate_grid(frame, side)), frame, noise) for frame in frames]
     return [cavity for cavity in cavities if cavity is not None]
 
 

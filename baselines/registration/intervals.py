@@ -90,8 +90,10 @@ def sweeps_of(
     evidence: PartEvidence, pivot: np.ndarray, rotation: Pose, depth: float, clearance: float
 ) -> tuple[Sweep, Sweep, Sweep]:
     """The sweeps of the filled, the surely solid and the possible part, in the same slices."""
-    filled, possible = (envelope_about(part, pivot, rotation) for part in (evidence.filled, evidence.possible))
-    sure = envelope_about(evidence.surely_solid, pivot, rotation, filled - START)
+    filled, possible = (
+        envelope_about(part, pivot, rotation, clearance) for part in (evidence.filled, evidence.possible)
+    )
+    sure = envelope_about(evidence.surely_solid, pivot, rotation, clearance, filled - START)
     base = float(filled.min()) - BASE
     sweeps = (
         Sweep.from_envelope(envelope, rotation, base, depth + BASE, clearance)

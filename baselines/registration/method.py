@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from baselines.calibration import calibrated
 from baselines.registration.certain import register_certain
 from baselines.registration.columns import register_columns
 from baselines.registration.fits import Fit, ranked
 from baselines.registration.sources import DepthSource, TrueSource
-from baselines.restoration import restored_query
+from baselines.restoration import calibrated_image, restored_edges, restored_query
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
-from kit1000.values import LabelledDepth, Query, TrueGeometry
+from kit1000.values import Query, TrueGeometry
 
 if TYPE_CHECKING:
     from baselines.completion.completed import PartCompleter
@@ -80,19 +79,15 @@ class Registration:
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits at all clearances, the best first."""
         clearances = self.clearances or (self.dataset.summary["config"]["clearance"],)
-        asked, query = query, query if self.source == "truth" else restored_query(query)
         if self.source == "depth":
-            source = DepthSource(query, self.completer, None if self.completer is None else calibrated_image(asked))
+            measured = calibrated_image(query.image, query.sensor)
+            query = replace(query, read_image=lambda: restored_edges(measured, query.sensor))
+            source = DepthSource(query, self.completer, None if query.sensor == "ideal" else measured)
             return ranked(chain.from_iterable(register_certain(source, query, c) for c in clearances))
+        if self.source == "columns":
+            query = restored_query(query)
         filled = DepthSource(query) if self.source == "columns" else _true_source(query, geometry)
         return ranked(chain.from_iterable(register_columns(filled, query, c) for c in clearances))
-
-
-def calibrated_image(query: Query) -> LabelledDepth | None:
-    """The image of a noisy sensor, calibrated by the table; None of an ideal one."""
-    if query.sensor == "ideal":
-        return None
-    return LabelledDepth(calibrated(query.view, query.image.labels), query.image.labels)
 
 
 def _true_source(query: Query, geometry: TrueGeometry | None) -> TrueSource:

@@ -16,7 +16,14 @@ from kit1000.compiled import compiled
 from kit1000.pose import Pose
 from kit1000.voxels import Volume
 
-RADIUS = 0.06  # [m] larger than any part, from its middle
+RADIUS = 0.06  # [m] below the middle of an image, where a search for the surface begins at the latest
+MARGIN = 3e-3  # [m] least about the volume of a part, of its images
+
+
+def image_cells(part: Volume, clearance: float, cell: float) -> int:
+    """Cells across an image that holds a part, dilated by the clearance, in any rotation about its volume's middle."""
+    half = max(part.grid.shape) * part.grid.voxel_size / 2 + max(MARGIN, clearance)
+    return 2 * round(half / cell)
 
 
 def lower_envelope(
@@ -33,12 +40,13 @@ def lower_envelope(
     linear = grid_from_plane.rotation_matrix() / volume.grid.voxel_size
     origin = grid_from_plane.xyz / volume.grid.voxel_size
     heights = np.empty((cells, cells))
-    first = np.full((cells, cells), -RADIUS) if start is None else np.maximum(start, -RADIUS)
     low, high = _bounds(volume, plane_from_now)
+    lowest = min(-RADIUS, low[2])
+    first = np.full((cells, cells), lowest) if start is None else np.maximum(start, lowest)
     at = (np.arange(cells) - (cells - 1) / 2) * cell
     first[(at < low[0]) | (at > high[0])] = np.inf
     first[:, (at < low[1]) | (at > high[1])] = np.inf
-    _march(volume.values, linear, origin, cell, first, min(RADIUS, high[2]), volume.grid.voxel_size, heights)
+    _march(volume.values, linear, origin, cell, first, high[2], volume.grid.voxel_size, heights)
     return heights
 
 

@@ -11,14 +11,13 @@ from scipy.ndimage import minimum_filter
 
 from baselines.registration.cavity import VOXEL, Cavity
 from baselines.registration.outline import expected_relief
-from baselines.registration.relief import dilated, lower_envelope
+from baselines.registration.relief import dilated, image_cells, lower_envelope
 from kit1000.kits.cavity import insertion_depth
 from kit1000.pose import Pose, quaternion_between
 from kit1000.products import matmul
 from kit1000.voxels import Volume
 
 CELL = 1.25e-3  # [m] of the images that are compared: half the usual clearance
-WIDE = 72  # cells of the part's image: 90 mm hold any part of 50 mm at any yaw
 YAW_STEP = np.radians(6)
 PEAKS = 3  # positions kept for each yaw
 PEAK_DISTANCE = 5  # cells between them
@@ -103,7 +102,7 @@ def coarse_search(
             for cavity in _possible_depths(whole, expected, down_normal[2] < UPRIGHT) if len(inside) else ():
                 key = (number, cavity.depth)
                 if key not in kits:
-                    kits[key] = KitImage.of(cavity)
+                    kits[key] = KitImage.of(cavity, image_cells(part, clearance, CELL))
                 for yaw in inside.tolist():
                     about, envelope = oriented.at_yaw(yaw, clearance)
                     if np.isfinite(envelope).any():
@@ -132,7 +131,8 @@ class OrientedPart:
         """The rotation about the part's middle at a yaw, by its index, and the dilated envelope (n, n) [m]."""
         if yaw not in self._envelopes:
             about = self.rotations[yaw] @ Pose.from_translation(-self.middle)
-            self._envelopes[yaw] = (about, dilated(lower_envelope(self.part, about, CELL, WIDE), CELL, clearance))
+            envelope = lower_envelope(self.part, about, CELL, image_cells(self.part, clearance, CELL))
+            self._envelopes[yaw] = (about, dilated(envelope, CELL, clearance))
         return self._envelopes[yaw]
 
 
@@ -189,10 +189,10 @@ class KitImage:
     """Sum of squared heights without a part."""
 
     @classmethod
-    def of(cls, cavity: Cavity) -> KitImage:
-        """Sampled at the nearest cells, enough for a search."""
+    def of(cls, cavity: Cavity, part_cells: int) -> KitImage:
+        """Sampled at the nearest cells, enough for a search. part_cells: across the images of the part."""
         cells = int(len(cavity.relief) * VOXEL / CELL)
-        size = int(next_fast_len(max(cells, WIDE), real=True) or cells)
+        size = int(next_fast_len(max(cells, part_cells), real=True) or cells)
         at = np.rint((np.arange(cells) - (cells - 1) / 2) * CELL / VOXEL + (len(cavity.relief) - 1) / 2).astype(int)
         relief, trust = (image[np.ix_(at, at)] for image in expected_relief(cavity))
         return cls(

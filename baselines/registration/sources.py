@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from baselines.completion import ObservedPart
-from baselines.completion.part import HALF_WIDTH, PartEvidence
+from baselines.completion.part import AROUND, HALF_WIDTH, PartEvidence
 from baselines.completion.pixels import Noise, noise_of, oriented_points
 from kit1000.pose import Pose
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry, View
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from baselines.completion.completed import CompletedPart, PartCompleter
 
 VOXEL = 1e-3  # [m] of the part's volume
-SIDE = 2 * round(HALF_WIDTH / VOXEL)  # voxels
 COARSE = 2e-3  # [m] voxels of the volume in which planes are searched
 EXACT = Noise(0.5e-3, float(np.radians(1.5)), 1)
 SEEN_POINTS = 1500
@@ -61,13 +60,20 @@ class TrueSource:
     @property
     def middle(self) -> np.ndarray:
         """(3,) [m] world: of the part's extents; the pivot of a noisy image may be centimetres off."""
-        corners = self.geometry.world_from_part.apply(self.geometry.part.vertices)
-        return (corners.min(0) + corners.max(0)) / 2
+        low, high = self._corners.min(0), self._corners.max(0)
+        return (low + high) / 2
 
     def part(self) -> Volume:
         """The part, exact."""
-        true = self.geometry
-        return signed_distance(_part_grid(self.middle), [(true.part, true.world_from_part)], threads=1)
+        radius = np.sqrt(np.square(self._corners - self.middle).sum(-1).max())
+        side = 2 * round(max(HALF_WIDTH, float(radius) + AROUND) / VOXEL)
+        grid = Grid.centred(Pose.from_translation(self.middle), (side, side, side), VOXEL)
+        return signed_distance(grid, [(self.geometry.part, self.geometry.world_from_part)], threads=1)
+
+    @cached_property
+    def _corners(self) -> np.ndarray:
+        """(n, 3) [m] world: of the part."""
+        return self.geometry.world_from_part.apply(self.geometry.part.vertices)
 
     def oriented_points(self, box: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, float]:
         """Zero crossings of a coarse volume, with its gradients."""
@@ -147,10 +153,6 @@ class DepthSource:
         from baselines.completion.completed import CompletedPart
 
         return CompletedPart(part, self.completer, self.measured)
-
-
-def _part_grid(middle: np.ndarray) -> Grid:
-    return Grid.centred(Pose.from_translation(middle), (SIDE, SIDE, SIDE), VOXEL)
 
 
 def _gradients(volume: Volume, points: np.ndarray) -> np.ndarray:

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.registration.relief import dilated, lower_envelope
+from baselines.registration.relief import dilated, image_cells, lower_envelope
 from kit1000.compiled import compiled
 from kit1000.pose import Pose
 from kit1000.voxels import Volume
 
 CELL = 0.625e-3  # [m] of slices
-WIDE = 144  # cells: 90 mm
 LAYER = 1e-3  # [m] between slices
-REACH = 12  # cells (7.5 mm) up to which distances are computed
+REACH = 12  # cells (7.5 mm) up to which distances are computed, at least
+BEYOND = 2e-3  # [m] from the clearance up to where a distance is computed: the residuals are clipped there
 ABOVE = 3e-3  # [m] of slices beyond the depth of the cavity: the part may be refined upwards
 NO_FLOOR = 0.1  # [m] where the part has no lower envelope: above everything
 
@@ -35,7 +35,7 @@ class Sweep:
     @classmethod
     def from_part(cls, part: Volume, pivot: np.ndarray, rotation: Pose, depth: float, clearance: float) -> Sweep:
         """The sweep of a part in a rotation, up to a little more than `depth` [m] above its lowest point."""
-        envelope = envelope_about(part, pivot, rotation)
+        envelope = envelope_about(part, pivot, rotation, clearance)
         lowest = float(envelope.min())
         return cls.from_envelope(envelope, rotation, lowest, depth, clearance)
 
@@ -43,27 +43,36 @@ class Sweep:
     def from_envelope(
         cls, envelope: np.ndarray, rotation: Pose, lowest: float, depth: float, clearance: float
     ) -> Sweep:
-        """The sweep above a lower envelope (WIDE, WIDE) [m], in slices from `lowest` to a little above `depth` [m]."""
+        """The sweep above a lower envelope (n, n) [m], in slices from `lowest` to a little above `depth` [m]."""
         layers = int(np.ceil((depth + ABOVE) / LAYER)) + 1
-        distance = np.empty((layers, WIDE, WIDE), np.float32)
-        _horizontal_distances(envelope - lowest, LAYER, CELL, distance)
+        distance = np.empty((layers, *envelope.shape), np.float32)
+        reach = max(REACH, int(np.ceil((clearance + BEYOND) / CELL)))
+        _horizontal_distances(envelope - lowest, LAYER, CELL, reach, distance)
         floor = dilated(envelope, CELL, clearance)
         return cls(rotation, distance, np.where(np.isfinite(floor), floor, NO_FLOOR).astype(np.float32), lowest)
 
 
-def envelope_about(part: Volume, pivot: np.ndarray, rotation: Pose, start: np.ndarray | None = None) -> np.ndarray:
-    """(WIDE, WIDE) [m]: the lower envelope of a part in a rotation, its pivot (3,) [m] the origin.
+def envelope_about(
+    part: Volume, pivot: np.ndarray, rotation: Pose, clearance: float, start: np.ndarray | None = None
+) -> np.ndarray:
+    """(n, n) [m]: the lower envelope of a part in a rotation, its pivot (3,) [m] the origin.
 
-    start: see `lower_envelope`.
+    Args:
+        part: its pivot is about in the middle of the volume.
+        pivot: of the part.
+        rotation: of the part.
+        clearance: [m] by which the image is wider than the part.
+        start: see `lower_envelope`.
     """
-    return lower_envelope(part, rotation @ Pose.from_translation(-pivot), CELL, WIDE, start)
+    cells = image_cells(part, clearance, CELL)
+    return lower_envelope(part, rotation @ Pose.from_translation(-pivot), CELL, cells, start)
 
 
 @compiled
-def _horizontal_distances(heights, layer, cell, distance):
+def _horizontal_distances(heights, layer, cell, reach, distance):
     """Fill distance (layers, n, n): from each cell to the nearest whose envelope is at or below the layer.
 
-    Exact up to REACH cells, and REACH beyond. Half a cell less: the edge runs between a cell inside and the next.
+    Exact up to `reach` cells, and that beyond. Half a cell less: the edge runs between a cell inside and the next.
     """
     layers, n, _ = distance.shape
     along, least = np.empty((n, n)), np.empty(n)
@@ -79,8 +88,8 @@ def _horizontal_distances(heights, layer, cell, distance):
                 along[i, j] = min(along[i, j], gap)
         for i in range(n):
             for j in range(n):
-                least[j] = REACH * REACH
-            for other in range(max(i - REACH, 0), min(i + REACH + 1, n)):
+                least[j] = reach * reach
+            for other in range(max(i - reach, 0), min(i + reach + 1, n)):
                 for j in range(n):  # innermost: neighbours in memory
                     least[j] = min(least[j], along[other, j] ** 2 + (other - i) ** 2)
             for j in range(n):

@@ -1,0 +1,126 @@
+"""Parts, clearances and plates of any size: the images and volumes of registration are as large as they need to be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.ndimage import distance_transform_edt
+
+from baselines.completion import ObservedPart
+from baselines.completion.completed import CompletedPart, FillLogits, PartCompleter
+from baselines.completion.frame import FramedPart, framed
+from baselines.completion.part import HALF_WIDTH
+from baselines.registration.hypotheses import SIDE, SLACK_OFFSET, plate_side
+from baselines.registration.relief import MARGIN, image_cells
+from baselines.registration.sweep import BEYOND, CELL, LAYER, REACH, Sweep, envelope_about
+from kit1000.camera import Camera, look_at
+from kit1000.guesses import MAX_OFFSET
+from kit1000.mesh import mesh_from_solid
+from kit1000.pose import Pose, random_quaternions
+from kit1000.sim.render import render
+from kit1000.values import LabelledDepth, View
+from kit1000.voxels import Grid, Volume, signed_distance
+from tests.shapes import MM, box
+
+CAMERA = Camera(width=400, height=300, fx=420.0, fy=420.0, cx=199.5, cy=149.5)
+EYE = look_at((0.35, 0.1, 0.6), (0, 0, 0))
+PART, VOXEL = 2, 1e-3
+
+
+class Unasked(PartCompleter):
+    """A network that must not be asked."""
+
+    def __init__(self) -> None: ...
+
+    def __call__(self, part: FramedPart) -> FillLogits:
+        raise AssertionError
+
+
+def seen(length: float) -> LabelledDepth:
+    """A bar of some length [mm] on a table, 40 mm wide and 30 mm high."""
+    solids = box(900, 900, 20, (0, 0, -20)), box(length, 40, 30)
+    table, bar = (mesh_from_solid(solid).scaled(MM) for solid in solids)
+    image = render(CAMERA, EYE, [(table, Pose.identity()), (bar, Pose.identity())], 1)
+    return LabelledDepth(View(CAMERA, EYE, image.depth), np.where(image.body_ids > 1, PART, 0).astype(np.uint8))
+
+
+def cuboid(sides: tuple[float, float, float]) -> Volume:
+    """A solid box with sides [m] in a volume that just holds it in any orientation."""
+    n = int(np.ceil(np.sqrt(np.square(sides).sum()) / VOXEL)) + 4
+    grid = Grid.centred(Pose.identity(), (n, n, n), VOXEL)
+    x, y, z = (1e3 * side for side in sides)
+    mesh = mesh_from_solid(box(x, y, z, (0, 0, -z / 2))).scaled(MM)
+    return signed_distance(grid, [(mesh, Pose.identity())], threads=1)
+
+
+@pytest.mark.parametrize("length", [40, 60, 110])
+def test_the_volume_of_an_observed_part_holds_it(length: float) -> None:
+    part = ObservedPart(seen(length), PART, np.array([0, 0, 0.015]))
+    volume = part.volume(VOXEL)
+    exact = signed_distance(
+        volume.grid, [(mesh_from_solid(box(length, 40, 30)).scaled(MM), Pose.identity())], threads=1
+    )
+    both, either = ((volume.values < 0) & (exact.values < 0)).sum(), ((volume.values < 0) | (exact.values < 0)).sum()
+    assert both * VOXEL**3 > 0.85 * (length * 40 * 30 * 1e-9)
+    assert both / either > 0.85
+    assert (part.half_width == HALF_WIDTH) == (length <= 60)  # small parts have the same volume
+
+
+def test_a_part_larger_than_the_grid_of_the_network_is_filled_by_columns() -> None:
+    assert framed(seen(110), PART) is None
+    assert framed(seen(60), PART) is not None
+    part = ObservedPart(seen(110), PART, np.array([0, 0, 0.015]))
+    completed = CompletedPart(part, Unasked())
+    np.testing.assert_array_equal(completed.volume(VOXEL).values, part.volume(VOXEL).values)
+
+
+@settings(max_examples=8, deadline=None)
+@given(st.floats(0.02, 0.1), st.floats(0, 12e-3), st.integers(0, 99))
+def test_an_image_holds_the_part_and_its_clearance_in_any_rotation(longest: float, clearance: float, seed: int) -> None:
+    part = cuboid((longest, 0.02, 0.015))
+    rotation = Pose(random_quaternions(np.random.default_rng(seed), 1)[0], np.zeros(3))
+    sweep = Sweep.from_part(part, np.zeros(3), rotation, 5e-3, clearance)
+    cells = image_cells(part, clearance, CELL)
+    assert sweep.floor.shape == (cells, cells)
+    inside = np.isfinite(envelope_about(part, np.zeros(3), rotation, clearance))
+    edge = int(min(clearance, 10e-3) / CELL)
+    assert inside.any()
+    assert not inside[:edge].any()
+    assert not inside[-edge - 1 :].any()
+    assert not inside[:, :edge].any()
+    assert not inside[:, -edge - 1 :].any()
+
+
+@pytest.mark.parametrize("clearance", [1e-3, 2.5e-3, 10e-3])
+def test_distances_from_a_sweep_are_exact_beyond_the_clearance(clearance: float) -> None:
+    part = cuboid((0.03, 0.02, 0.01))
+    sweep = Sweep.from_part(part, np.zeros(3), Pose.identity(), 5e-3, clearance)
+    envelope = envelope_about(part, np.zeros(3), Pose.identity(), clearance)
+    for layer in (0, 3):
+        solid = envelope - envelope.min() <= layer * LAYER + 1e-9
+        exact = np.maximum(np.asarray(distance_transform_edt(~solid)) - 0.5, 0) * CELL
+        reach = max(REACH * CELL, clearance + BEYOND)
+        near = exact < reach - CELL
+        np.testing.assert_allclose(sweep.distance[layer][near], exact[near], atol=1e-6)
+        assert sweep.distance[layer].max() >= clearance + BEYOND - CELL
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.floats(0.02, 0.12), st.floats(1e-3, 10e-3), st.floats(-1, 1), st.floats(-1, 1))
+def test_a_plates_relief_holds_the_cavity_wherever_a_guess_is(
+    length: float, clearance: float, x: float, y: float
+) -> None:
+    part = cuboid((length, 0.02, 0.015))
+    side = plate_side(part, np.zeros(3), clearance)
+    corner = np.array([length / 2 + clearance, 0.01 + clearance])
+    farthest = np.abs(np.array([x, y])) * (MAX_OFFSET + SLACK_OFFSET) + corner
+    assert side >= SIDE
+    assert (farthest <= side / 2 + VOXEL).all()
+
+
+def test_small_parts_have_the_images_of_their_volumes_and_a_margin() -> None:
+    part = cuboid((0.03, 0.02, 0.01))
+    half = max(part.grid.shape) * VOXEL / 2
+    assert image_cells(part, MARGIN / 2, CELL) == image_cells(part, MARGIN, CELL) == 2 * round((half + MARGIN) / CELL)
