@@ -10,10 +10,10 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from benchmark.charts import HUES, Axis, Line, line_chart, rounded_up, standalone
 from benchmark.curves import CURVES, Curve, Table
 from kit1000.errors import InputError
 from kit1000.files import read_json, write_bytes
+from kit1000.pictures.charts import HUES, Axis, Line, line_chart, rounded_up, standalone
 
 LINE_HUES = (0, 3, 1)  # of the fixed errors: the largest is red and dotted, as in the paper
 MAX_BANDS = 4  # of one chart: more overlap beyond recognition, then lines are drawn without

@@ -12,7 +12,7 @@ import pytest
 from benchmark import provenance
 from benchmark.provenance import BENCHMARK, LIBRARY, evaluator, evaluator_modules
 
-NOT_SCORING = ("pages/board.py", "charts.py", "curve_charts.py", "compare.py", "table1.py", "report.py", "__main__.py")
+NOT_SCORING = ("pages/board.py", "curve_charts.py", "compare.py", "table1.py", "report.py", "__main__.py")
 
 
 @pytest.fixture

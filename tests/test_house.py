@@ -32,7 +32,7 @@ LAYERS = (
     ("sim",),
     ("guesses", "tracks", "pivots", "dataset", "predictor", "submission"),
     ("pictures", "export", "generation", "insertion_study"),
-    ("planner", "editor", "testing"),
+    ("planner", "editor", "study", "testing"),
     ("summaries", "usage", "cli", "", "__main__"),  # "" is the package itself, which hands out names of all the others
     ("benchmark",),
     ("baselines",),

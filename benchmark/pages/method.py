@@ -10,13 +10,13 @@ from markupsafe import Markup
 
 from benchmark import quantities
 from benchmark.breakdown import TITLES, group_order
-from benchmark.charts import Axis, Dot, Line, dot_plot, histogram, line_chart, rounded_up
 from benchmark.curve_charts import panel
 from benchmark.curves import CURVES
 from benchmark.entries import Entry
 from benchmark.pages import numbers
 from benchmark.pages.numbers import Cell, mean_cell, median_cell, scale_end
 from benchmark.quantities import Quantity
+from kit1000.pictures.charts import Axis, Dot, Line, dot_plot, histogram, line_chart, rounded_up
 from kit1000.tracks import TRACKS
 
 BINNED = ("tilt", "visible")  # properties whose groups are bins

@@ -8,8 +8,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from benchmark.charts import Dot, interval_mark, rounded_up
 from benchmark.quantities import Quantity
+from kit1000.pictures.charts import Dot, interval_mark, rounded_up
 
 NO_VALUE = "–"  # where nothing was measured
 

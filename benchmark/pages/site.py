@@ -8,7 +8,7 @@ from typing import Any
 import jinja2
 from markupsafe import Markup
 
-from benchmark import charts, quantities
+from benchmark import quantities
 from benchmark.curve_charts import compared
 from benchmark.curves import CURVES
 from benchmark.entries import Entry
@@ -20,6 +20,7 @@ from benchmark.table1 import as_html, table_of
 from kit1000.dataset.reader import Dataset
 from kit1000.dataset.schema import LICENCE
 from kit1000.files import write_bytes
+from kit1000.pictures import charts
 
 TEMPLATES = Path(__file__).parent / "templates"
 

@@ -16,7 +16,7 @@ import tyro
 
 from kit1000 import __version__
 from kit1000.cli.options import Flag, Folder, OptionalFloat, OptionalInt, OptionalPath, Unit
-from kit1000.cli.scenes import Edit, Insertions, Run
+from kit1000.cli.scenes import Edit, Insertions, Run, Study
 from kit1000.errors import InputError
 from kit1000.summaries import kit_report_text, summary_text
 from kit1000.usage import run
@@ -298,6 +298,7 @@ COMMANDS = {
     "edit": Edit,
     "insertions": Insertions,
     "run": Run,
+    "study": Study,
 }
 
 

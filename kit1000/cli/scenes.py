@@ -95,3 +95,36 @@ class Edit:
             raise InputError("edit: needs viser: pip install 'kit1000[edit]'") from None
         serve(Options(self.data, self.scene, self.out, self.sensor, self.snap, self.port, self.truth, self.interface))
         return 0
+
+
+@dataclass(frozen=True)
+class Study:
+    """Plan a user study, rehearse it with simulated operators, or report; one folder holds all records."""
+
+    data: Folder
+    """Dataset folder, with ground truth; the preset study is made for this."""
+    out: Path = Path("study")
+    """Folder of the study; the same command again continues."""
+    people: OptionalInt = None
+    """Number of participants, a multiple of 4; 12 when absent. Without other options: plan, and print all orders."""
+    conditions: tuple[str, ...] = ()
+    """Two or four of scene-snap, scene, hand-snap, hand, hand-bare; scene-snap and hand when absent."""
+    sensor: Literal["ideal", "d415"] = "ideal"
+    """Sensor of the depth images."""
+    snap: Annotated[str, tyro.conf.arg(metavar="module:Object")] = SNAP
+    """Method of the conditions that snap."""
+    seed: int = 0
+    """Of tasks and orders."""
+    simulate: Annotated[str | None, tyro.conf.arg(metavar="OPERATOR")] = None
+    """Let exact, paper, fitts or careless sit in for all participants. Tests the machine; says nothing about people."""
+    judge: Literal["robot", "test"] = "robot"
+    """Who judges simulated uploads: the robot, or the seating test, which takes no time."""
+    report: Flag = False
+    """Write report.html and report.json of the people, or of the operator of --simulate."""
+
+    def run(self) -> int:
+        """Do what is asked; prints orders, an address or the path of a report."""
+        from kit1000.study.command import Request, run
+
+        run(Request(**{name: getattr(self, name) for name in Request.__dataclass_fields__}))
+        return 0

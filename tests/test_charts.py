@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from benchmark.charts import (
+from kit1000.pictures.charts import (
     GAP,
     HEIGHT,
     LEFT,

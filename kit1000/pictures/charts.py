@@ -117,14 +117,14 @@ def line_chart(
     """
     names = [line for line in lines if len(lines) > 1]
     frame = _Frame(x, y, LEFT, WIDTH - RIGHT, HEIGHT - BOTTOM)
-    marks = [_heading(title, note), frame.grid(), frame.across([(tick, _number(tick)) for tick in x.ticks])]
+    marks = [heading(title, note), frame.grid(), frame.across([(tick, number(tick)) for tick in x.ticks])]
     if identity:
         end = min(x.end, y.end)
         marks.append(f'<path class="identity" d="{frame.path([0, end], [0, end])}"/>')
     marks += [_band(frame, line) for line in lines if len(line.low)]  # all below all lines
     marks += [_stroke(frame, line) for line in lines if len(line.x)]
     legend, height = _legend(names)
-    return _svg(title, description, HEIGHT + height, [*marks, legend])
+    return svg(title, description, HEIGHT + height, [*marks, legend])
 
 
 def histogram(title: str, description: str, edges: Sequence[float | None], counts: Sequence[int], label: str) -> str:
@@ -136,14 +136,14 @@ def histogram(title: str, description: str, edges: Sequence[float | None], count
     for i, count in enumerate(counts):
         (left, top), (right, bottom) = frame.at(i + 0.08, count), frame.at(i + 0.92, 0)
         tooltip = f"<title>{escape(f'{_between(edges[i], edges[i + 1])}: {count}')}</title>"
-        place = f'x="{_p(left)}" y="{_p(top)}" width="{_p(right - left)}" height="{_p(bottom - top)}"'
+        place = f'x="{px(left)}" y="{px(top)}" width="{px(right - left)}" height="{px(bottom - top)}"'
         bars.append(f'<rect class="fill-0" {place}>{tooltip}</rect>')
     every = ceil(len(counts) / 6) or 1
-    ticks = [(float(i), _number(edge)) for i, edge in enumerate(edges) if edge is not None and i % every == 0]
+    ticks = [(float(i), number(edge)) for i, edge in enumerate(edges) if edge is not None and i % every == 0]
     if edges[-1] is None:
         ticks = [tick for tick in ticks if len(counts) - tick[0] > 0.8 * every] + [(float(len(counts)), "∞")]
-    return _svg(
-        title, description, HEIGHT, [_heading(title, f"n = {sum(counts)}"), frame.grid(), *bars, frame.across(ticks)]
+    return svg(
+        title, description, HEIGHT, [heading(title, f"n = {sum(counts)}"), frame.grid(), *bars, frame.across(ticks)]
     )
 
 
@@ -151,15 +151,15 @@ def dot_plot(title: str, description: str, dots: Sequence[Dot], axis: Axis) -> s
     """Means with their intervals under one another: names at the left, notes at the right."""
     bottom = TOP + DOT_ROW * len(dots)
     frame = _Frame(axis, None, NAMES, WIDTH - NOTES, bottom)
-    marks = [_heading(title, "")]
-    marks += [f'<path class="rule" d="M{_p(frame.at(tick, 0)[0])} {TOP}V{bottom}"/>' for tick in axis.ticks]
+    marks = [heading(title, "")]
+    marks += [f'<path class="rule" d="M{px(frame.at(tick, 0)[0])} {TOP}V{bottom}"/>' for tick in axis.ticks]
     for i, dot in enumerate(dots):
         level = TOP + DOT_ROW * (i + 0.5)
-        marks.append(_text(NAMES - 10, level + 4, _cut(dot.name, int((NAMES - 12) / LETTER)), "end"))
+        marks.append(written(NAMES - 10, level + 4, cut(dot.name, int((NAMES - 12) / LETTER)), "end"))
         marks.append(_interval(dot, level, lambda value: frame.at(value, 0)[0], axis.end))
-        marks.append(_text(WIDTH - 4, level + 4, dot.note, "soft end"))
-    marks.append(frame.across([(tick, _number(tick)) for tick in axis.ticks]))
-    return _svg(title, description, bottom + BOTTOM, marks)
+        marks.append(written(WIDTH - 4, level + 4, dot.note, "soft end"))
+    marks.append(frame.across([(tick, number(tick)) for tick in axis.ticks]))
+    return svg(title, description, bottom + BOTTOM, marks)
 
 
 def interval_mark(dot: Dot, end: float) -> str:
@@ -168,7 +168,7 @@ def interval_mark(dot: Dot, end: float) -> str:
     drawn = _interval(dot, height / 2, lambda value: 4 + (width - 8) * Axis("", end).fraction(value), end)
     head = f'<svg class="chart mark" role="img" viewBox="0 0 {width} {height}" width="{width}" height="{height}">'
     return (
-        f'{head}<title>{escape(dot.name)}</title><path class="rule" d="M4 {_p(height / 2)}H{width - 4}"/>{drawn}</svg>'
+        f'{head}<title>{escape(dot.name)}</title><path class="rule" d="M4 {px(height / 2)}H{width - 4}"/>{drawn}</svg>'
     )
 
 
@@ -206,7 +206,7 @@ class _Frame:
     def path(self, x: Sequence[float], y: Sequence[float]) -> str:
         """A chain of straight lines as path data."""
         places = [self.at(*pair) for pair in zip(x, y, strict=True)]
-        return "M" + "L".join(f"{_p(u)} {_p(v)}" for u, v in places)
+        return "M" + "L".join(f"{px(u)} {px(v)}" for u, v in places)
 
     def grid(self) -> str:
         """Horizontal grid lines with their numbers, and the label of the y axis."""
@@ -214,23 +214,23 @@ class _Frame:
         marks = []
         for tick in self.y.ticks:
             level = self.at(0, tick)[1]
-            marks.append(f'<path class="rule" d="M{_p(self.left)} {_p(level)}H{_p(self.right)}"/>')
-            marks.append(_text(self.left - 7, level + 4, _number(tick), "soft end"))
+            marks.append(f'<path class="rule" d="M{px(self.left)} {px(level)}H{px(self.right)}"/>')
+            marks.append(written(self.left - 7, level + 4, number(tick), "soft end"))
         middle = (TOP + self.bottom) / 2
         return "".join(
-            [*marks, _text(11, middle, self.y.label, "soft middle", f' transform="rotate(-90 11 {_p(middle)})"')]
+            [*marks, written(11, middle, self.y.label, "soft middle", f' transform="rotate(-90 11 {px(middle)})"')]
         )
 
     def across(self, ticks: Sequence[tuple[float, str]]) -> str:
         """The x axis with texts at some positions, and its label."""
-        marks = [f'<path class="axis" d="M{_p(self.left)} {_p(self.bottom)}H{_p(self.right)}"/>']
+        marks = [f'<path class="axis" d="M{px(self.left)} {px(self.bottom)}H{px(self.right)}"/>']
         for place, text in ticks:
             u = self.at(place, 0)[0]
             marks.append(
-                f'<path class="axis" d="M{_p(u)} {_p(self.bottom)}v4"/>'
-                + _text(u, self.bottom + 17, text, "soft middle")
+                f'<path class="axis" d="M{px(u)} {px(self.bottom)}v4"/>'
+                + written(u, self.bottom + 17, text, "soft middle")
             )
-        return "".join([*marks, _text((self.left + self.right) / 2, self.bottom + 36, self.x.label, "soft middle")])
+        return "".join([*marks, written((self.left + self.right) / 2, self.bottom + 36, self.x.label, "soft middle")])
 
 
 def _band(frame: _Frame, line: Line) -> str:
@@ -245,7 +245,7 @@ def _stroke(frame: _Frame, line: Line) -> str:
     for x, y in zip(line.x, line.y, strict=True):
         u, v = frame.at(x, y)
         tooltip = f"<title>{escape(f'{line.name}: {x:.3g}, {y:.3g}')}</title>"
-        marks.append(f'<circle class="fill-{line.hue % HUES}" cx="{_p(u)}" cy="{_p(v)}" r="2.6">{tooltip}</circle>')
+        marks.append(f'<circle class="fill-{line.hue % HUES}" cx="{px(u)}" cy="{px(v)}" r="2.6">{tooltip}</circle>')
     return "".join(marks)
 
 
@@ -258,13 +258,13 @@ def _legend(lines: Sequence[Line]) -> tuple[str, int]:
     """Names of the lines below a chart, as many in a row as fit, and the height that they take [px]."""
     marks, u, row = [], float(LEFT), 0
     for line in lines:
-        name = _cut(line.name, MAX_NAME)
+        name = cut(line.name, MAX_NAME)
         width = 30 + LETTER * len(name) + 14
         if u > LEFT and u + width > WIDTH:
             u, row = float(LEFT), row + 1
         level = HEIGHT + LEGEND_ROW * row + 6
-        marks.append(f'<path class="line stroke-{line.hue % HUES}"{_dashes(line)} d="M{_p(u)} {level}h22"/>')
-        marks.append(_text(u + 29, level + 4, name))
+        marks.append(f'<path class="line stroke-{line.hue % HUES}"{_dashes(line)} d="M{px(u)} {level}h22"/>')
+        marks.append(written(u + 29, level + 4, name))
         u += width
     return "".join(marks), LEGEND_ROW * (row + 1) if lines else 0
 
@@ -275,47 +275,51 @@ def _interval(dot: Dot, level: float, position: Callable[[float], float], end: f
         return ""
     if dot.value > end * (1 + 1e-9):
         tip = position(end)
-        return f'<path class="whisker stroke-0" d="M{_p(tip - 5)} {_p(level - 4)}l5 4l-5 4"/>'
+        return f'<path class="whisker stroke-0" d="M{px(tip - 5)} {px(level - 4)}l5 4l-5 4"/>'
     whisker = ""
     if dot.low is not None and dot.high is not None:
         low, high = position(dot.low), position(dot.high)
-        ends = f"M{_p(low)} {_p(level - 3)}v6M{_p(high)} {_p(level - 3)}v6"
-        whisker = f'<path class="whisker stroke-0" d="M{_p(low)} {_p(level)}H{_p(high)}{ends}"/>'
-    return f'{whisker}<circle class="fill-0" cx="{_p(position(dot.value))}" cy="{_p(level)}" r="3.5"/>'
+        ends = f"M{px(low)} {px(level - 3)}v6M{px(high)} {px(level - 3)}v6"
+        whisker = f'<path class="whisker stroke-0" d="M{px(low)} {px(level)}H{px(high)}{ends}"/>'
+    return f'{whisker}<circle class="fill-0" cx="{px(position(dot.value))}" cy="{px(level)}" r="3.5"/>'
 
 
-def _heading(title: str, note: str) -> str:
-    return _text(4, 16, title, "title") + (_text(WIDTH - RIGHT, 16, note, "soft end") if note else "")
+def heading(title: str, note: str) -> str:
+    """The title of a chart, and a note at the upper right."""
+    return written(4, 16, title, "title") + (written(WIDTH - RIGHT, 16, note, "soft end") if note else "")
 
 
-def _text(x: float, y: float, text: str, kind: str = "", more: str = "") -> str:
+def written(x: float, y: float, text: str, kind: str = "", more: str = "") -> str:
+    """A text at a place [px]; kind: classes of STYLE."""
     named = f' class="{kind}"' if kind else ""
-    return f'<text{named} x="{_p(x)}" y="{_p(y)}"{more}>{escape(text)}</text>'
+    return f'<text{named} x="{px(x)}" y="{px(y)}"{more}>{escape(text)}</text>'
 
 
-def _svg(title: str, description: str, height: int, marks: Sequence[str]) -> str:
+def svg(title: str, description: str, height: int, marks: Sequence[str]) -> str:
+    """A chart of a height [px]; a screen reader reads title and description."""
     head = f'<svg class="chart" role="img" viewBox="0 0 {WIDTH} {height}">'
     return f"{head}<title>{escape(title)}</title><desc>{escape(description)}</desc>{''.join(marks)}</svg>"
 
 
 def _height(chart: str) -> int:
-    """The height of a chart that `_svg` wrote [px]."""
+    """The height of a chart that `svg` wrote [px]."""
     return int(chart.split('viewBox="', 1)[1].split('"', 1)[0].split()[3])
 
 
 def _between(low: float | None, high: float | None) -> str:
-    return f"{_number(low or 0.0)} and more" if high is None else f"{_number(low or 0.0)} to {_number(high)}"
+    return f"{number(low or 0.0)} and more" if high is None else f"{number(low or 0.0)} to {number(high)}"
 
 
-def _cut(text: str, letters: int) -> str:
+def cut(text: str, letters: int) -> str:
     """The text, its end replaced by dots when it is longer."""
     return text if len(text) <= letters else text[: letters - 1].rstrip() + "…"
 
 
-def _number(value: float) -> str:
+def number(value: float) -> str:
+    """A number as text, to six digits."""
     return f"{value:.6g}"
 
 
-def _p(value: float) -> str:
+def px(value: float) -> str:
     """A coordinate in a picture, to a hundredth of a pixel."""
     return f"{round(value, 2) + 0.0:.6g}"

@@ -1,0 +1,89 @@
+"""Raw NASA-TLX (Hart and Staveland 1988; unweighted, Hart 2006), without preset values; consent; the closing question.
+
+The questions and the ends of the scales are those of the paper form, a work of the United States government. Six scales
+of 21 steps, 0 to 100 by 5. Low is good on each: performance runs from perfect to failure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from kit1000.errors import InputError, did_you_mean
+
+STEP, HIGHEST = 5, 100
+VALUES = tuple(range(0, HIGHEST + 1, STEP))
+UNSET = "–"
+"""The first entry of a list of values: a slider would start somewhere, and so suggest an answer."""
+CONSENT_VERSION = "2026-11"
+CONSENT = """\
+**What happens.** You tell a simulated robot where parts go, with different ways of doing so, in short tasks against a
+clock. After each way you rate its load on six scales. It takes about 40 minutes. You may stop at any time, without a
+reason.
+
+**What is recorded.** Your participant number, what you do on this page with its times, your ratings. No name, no
+picture, no sound, no address. It stays in a folder on this computer; the person in charge can delete it on request, by
+the number.
+
+**What it is for.** To compare ways of telling a robot where parts go. You are not tested: the page is."""
+PREFERENCE = "Which way would you rather use again?"
+
+
+@dataclass(frozen=True)
+class Scale:
+    """One scale of the questionnaire."""
+
+    name: str
+    title: str
+    question: str
+    low: str
+    high: str
+
+
+SCALES = (
+    Scale("mental", "Mental demand", "How mentally demanding was the task?", "Very low", "Very high"),
+    Scale("physical", "Physical demand", "How physically demanding was the task?", "Very low", "Very high"),
+    Scale("temporal", "Temporal demand", "How hurried or rushed was the pace of the task?", "Very low", "Very high"),
+    Scale(
+        "performance",
+        "Performance",
+        "How successful were you in accomplishing what you were asked to do?",
+        "Perfect",
+        "Failure",
+    ),
+    Scale(
+        "effort",
+        "Effort",
+        "How hard did you have to work to accomplish your level of performance?",
+        "Very low",
+        "Very high",
+    ),
+    Scale(
+        "frustration",
+        "Frustration",
+        "How insecure, discouraged, irritated, stressed, and annoyed were you?",
+        "Very low",
+        "Very high",
+    ),
+)
+NAMES = tuple(scale.name for scale in SCALES)
+
+
+def checked_ratings(ratings: Mapping[str, Any], where: str = "ratings") -> dict[str, int]:
+    """The six ratings, each 0 to 100 by 5; raises InputError for one that is missing or is no such number."""
+    for name in ratings:
+        if name not in NAMES:
+            raise InputError(f"{where}: no scale {name!r}; {did_you_mean(name, NAMES)}there are {', '.join(NAMES)}")
+    missing = [name for name in NAMES if name not in ratings]
+    if missing:
+        raise InputError(f"{where}: {', '.join(missing)} not rated; a missing rating is never filled in")
+    for name, value in ratings.items():
+        if isinstance(value, bool) or not isinstance(value, int) or value not in VALUES:
+            raise InputError(f"{where}: {name}: expected 0 to {HIGHEST} in steps of {STEP}, got {value!r}")
+    return {name: ratings[name] for name in NAMES}
+
+
+def raw_load(ratings: Mapping[str, int]) -> float:
+    """0 to 100: the mean of the six scales, unweighted."""
+    return sum(checked_ratings(ratings).values()) / len(NAMES)

@@ -1,0 +1,136 @@
+"""Laws of the study's statistics: hand-worked examples, brute force, and effects that were planted."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from kit1000.errors import InputError
+from kit1000.study.statistics import (
+    bca_interval,
+    compare,
+    crossover,
+    holm,
+    p_value,
+    rank_biserial,
+    t_test,
+    wilcoxon_test,
+)
+
+DIFFERENCES = st.lists(st.integers(-20, 20), min_size=3, max_size=7)
+
+
+def share_found(studies: int, n: int, effect: float, seed: int) -> float:
+    """Share of simulated studies with p < .05."""
+    rng = np.random.default_rng(seed)
+    return float(np.mean([p_value(rng.normal(effect, 1, n)) < 0.05 for _ in range(studies)]))
+
+
+def test_a_planted_effect_is_found_and_a_null_is_not() -> None:
+    """d_z = 1 and n = 10 have a power of 80.3 %; 100 studies have standard errors of 4.0 and 2.2 points."""
+    assert 0.80 - 0.12 < share_found(100, 10, 1.0, 1) < 0.80 + 0.12
+    assert share_found(100, 10, 0.0, 2) < 0.05 + 0.066
+
+
+@pytest.mark.slow
+def test_power_and_level_are_nominal() -> None:
+    """1000 studies of ten people each, twice."""
+    assert 0.75 < share_found(1000, 10, 1.0, 3) < 0.85
+    assert 0.04 < share_found(2000, 10, 0.0, 4) < 0.06
+
+
+def test_t_and_d_z_of_a_hand_worked_example() -> None:
+    """Differences 1, 2, 3: mean 2, standard deviation 1, t = 2 sqrt(3) with two degrees of freedom."""
+    found = compare([1.0, 2.0, 3.0])
+    t = 2 * np.sqrt(3)
+    assert found.d_z == pytest.approx(2.0)
+    assert found.t_p == pytest.approx(1 - t / np.sqrt(2 + t * t))  # the closed form for two degrees of freedom
+    assert found.wilcoxon_p == pytest.approx(2 / 8)
+    assert found.rank_biserial == 1
+
+
+@settings(max_examples=10, deadline=None)
+@given(DIFFERENCES)
+def test_wilcoxon_is_the_share_of_sign_patterns(values: list[int]) -> None:
+    """Brute force over all signs, with ties and zeros."""
+    differences = np.array(values, float)
+    if not differences.any():
+        assert wilcoxon_test(differences) == 1
+        return
+    ranks = stats.rankdata(np.abs(differences))
+    zeros = ranks[differences == 0].sum() / 2
+    sums = np.array(
+        [
+            sum(r for r, d, s in zip(ranks, differences, signs, strict=True) if d != 0 and s > 0) + zeros
+            for signs in product((-1, 1), repeat=len(ranks))
+        ]
+    )
+    seen = ranks[differences > 0].sum() + zeros
+    middle = ranks.sum() / 2
+    expected = np.mean(np.abs(sums - middle) >= abs(seen - middle) - 1e-9)
+    assert wilcoxon_test(differences) == pytest.approx(expected)
+
+
+@given(DIFFERENCES)
+def test_tests_do_not_care_which_condition_is_subtracted(values: list[int]) -> None:
+    differences = np.array(values, float)
+    assert t_test(differences) == pytest.approx(t_test(-differences))
+    assert rank_biserial(differences) == pytest.approx(-rank_biserial(-differences)) if differences.any() else True
+
+
+def test_the_interval_moves_and_grows_with_the_differences() -> None:
+    values = np.random.default_rng(0).normal(2, 3, 12)
+    low, high = bca_interval(values)
+    assert low < values.mean() < high
+    np.testing.assert_allclose(bca_interval(10 * values + 5), (10 * low + 5, 10 * high + 5))
+    t_low, t_high = stats.t.interval(0.95, 11, values.mean(), stats.sem(values))
+    assert abs(low - t_low) < 0.25 * (t_high - t_low)
+    assert abs(high - t_high) < 0.25 * (t_high - t_low)
+    assert bca_interval(values) == (low, high)  # the same bytes twice
+
+
+def test_people_who_all_differ_by_the_same_break_nothing() -> None:
+    none, all_two = compare([0.0, 0.0, 0.0]), compare([2.0, 2.0, 2.0, 2.0])
+    assert (none.p, none.low, none.high, none.d_z) == (1, 0, 0, None)
+    assert (all_two.test, all_two.p, all_two.low, all_two.high) == ("Wilcoxon", 2 / 16, 2, 2)
+
+
+def test_holm_of_a_hand_worked_example() -> None:
+    assert holm([0.01, 0.04, 0.03, 0.5]) == pytest.approx([0.04, 0.09, 0.09, 0.5])
+    assert holm([]) == []
+
+
+@given(st.lists(st.floats(0, 1), max_size=8))
+def test_holm_keeps_the_order_and_lies_between_p_and_bonferroni(values: list[float]) -> None:
+    adjusted = holm(values)
+    for p, q in zip(values, adjusted, strict=True):
+        assert p <= q <= min(1.0, len(values) * p) + 1e-12
+    assert [q for _, q in sorted(zip(values, adjusted, strict=True))] == sorted(adjusted)
+
+
+def test_carry_over_and_period_are_told_apart() -> None:
+    """What is put in comes out: a period adds to whatever comes second, a carry-over to one group."""
+    rng = np.random.default_rng(5)
+    early = np.arange(40) % 2 == 0
+    person = rng.normal(0, 1, 40)
+    first, second = person + 3 + rng.normal(0, 0.1, 40), person + rng.normal(0, 0.1, 40)
+    period = crossover(first + np.where(early, 0, 2), second + np.where(early, 2, 0), list(early))
+    assert period is not None
+    assert period.period == pytest.approx(2, abs=0.1)
+    assert period.period_p < 1e-6 < 0.01 < period.carry_over_p
+    carried = crossover(first, second + np.where(early, 6, 0), list(early))
+    assert carried is not None
+    assert carried.carry_over_p < 1e-6
+    assert carried.carry_over == pytest.approx(6, abs=1.5)
+    assert crossover([1, 2, 3], [1, 2, 3], [True, True, False]) is None
+
+
+@pytest.mark.parametrize("values", [[1.0, 2.0], [1.0, np.nan, 2.0], [[1.0, 2.0, 3.0]], ["a", "b", "c"]])
+def test_what_is_no_comparison_is_refused(values: list[float]) -> None:
+    with pytest.raises(InputError, match="differences"):
+        compare(values)
