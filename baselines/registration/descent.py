@@ -33,11 +33,15 @@ class LeastSquares(Protocol):
         """How many of the last residuals are no observations: their weight is always 1."""
         ...
 
-    def residuals(self, twist: np.ndarray, about: np.ndarray | None = None) -> np.ndarray:
+    def floors_at(self, twist: np.ndarray) -> np.ndarray:
+        """(m, n) [m]: the floor under each point at a twist, of each sweep."""
+        ...
+
+    def residuals(self, twist: np.ndarray, floors: np.ndarray | None = None) -> np.ndarray:
         """(n + priors,) [m] at a twist.
 
-        about: (6,) at which the floor under each point is looked up; the twist itself by default. A fixed one keeps
-        the steps of the floor out of derivatives: floors fix height and tilt, walls position and yaw.
+        floors: those at some twist; at this one by default. Fixed ones keep the steps of the floor out of derivatives:
+        floors fix height and tilt, walls position and yaw.
         """
         ...
 
@@ -65,15 +69,15 @@ def _levenberg(problem: LeastSquares, twist: np.ndarray, scale: float) -> np.nda
     """(6,) Rodrigues vector and position of the pivot, after some steps at one scale of the weights."""
     damping = 1e-3
     for _ in range(STEPS):
-        residuals = problem.residuals(twist)
+        floors = problem.floors_at(twist)
+        residuals = problem.residuals(twist, floors)
         cost = _cost(residuals, problem.priors, scale)
         jacobian = np.empty((len(residuals), 6))
         for k in range(6):
             step = np.zeros(6)
             step[k] = DIFFERENCES[k]
-            jacobian[:, k] = (problem.residuals(twist + step, twist) - problem.residuals(twist - step, twist)) / (
-                2 * DIFFERENCES[k]
-            )
+            ahead, behind = (problem.residuals(twist + way, floors) for way in (step, -step))
+            jacobian[:, k] = (ahead - behind) / (2 * DIFFERENCES[k])
         weights = (scale**2 / (scale**2 + residuals**2)) ** 2
         weights[-problem.priors :] = 1
         weighted = (jacobian * weights[:, None]).T
@@ -81,7 +85,7 @@ def _levenberg(problem: LeastSquares, twist: np.ndarray, scale: float) -> np.nda
         mean = np.trace(normal[3:, 3:]) / 3 + 1e-9
         for _ in range(4):
             move = -solve_positive(normal + damping * mean * np.diag(METRIC), gradient)
-            if _cost(problem.residuals(twist + move, twist), problem.priors, scale) < cost:
+            if _cost(problem.residuals(twist + move, floors), problem.priors, scale) < cost:
                 twist, damping = twist + move, damping / 3
                 break
             damping *= 5

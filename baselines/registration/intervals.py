@@ -125,18 +125,21 @@ class IntervalProblem:
         """Tilt and height."""
         return 3
 
-    def residuals(self, twist: np.ndarray, about: np.ndarray | None = None) -> np.ndarray:
-        """(2 n + 3,) [m] at a twist (6,), the floors looked up at another."""
-        outside, filled = self.distances(twist, about)
+    def floors_at(self, twist: np.ndarray) -> np.ndarray:
+        """(3, n) [m]: of the filled, the surely solid and the possible part."""
+        return np.stack([floors_under(self.points, twist, sweep.floor) for sweep in self.sweeps])
+
+    def residuals(self, twist: np.ndarray, floors: np.ndarray | None = None) -> np.ndarray:
+        """(2 n + 3,) [m] at a twist (6,)."""
+        outside, filled = self.distances(twist, floors)
         root = np.sqrt(len(outside))
         tilt = self.stiffness * root * LEVER * tilt_of(self.down_normal, twist)
         held = self.hold * root * (twist[5] - self.height)
         return np.concatenate([outside, PRIOR * filled, tilt, [held]])
 
-    def distances(self, twist: np.ndarray, about: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def distances(self, twist: np.ndarray, floors: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """(n,) [m] of each point from its interval, and (n,) from the filled part."""
-        at = twist if about is None else about
-        floors = [floors_under(self.points, at, sweep.floor) for sweep in self.sweeps]
+        floors = self.floors_at(twist) if floors is None else floors
         fields = [sweep.distance for sweep in self.sweeps]
         outside, filled = np.empty(len(self.points)), np.empty(len(self.points))
         lowest = self.sweeps[0].lowest

@@ -64,11 +64,14 @@ class Problem:
         """The last two residuals are the tilt."""
         return 2
 
-    def residuals(self, twist: np.ndarray, about: np.ndarray | None = None) -> np.ndarray:
-        """(n + 2,) [m] at a twist (6,), the floors looked up at another."""
-        sweep = self.sweep
-        floors = floors_under(self.points, twist if about is None else about, sweep.floor)
-        distances = _residuals(self.points, twist, sweep.distance, floors, sweep.lowest, self.clearance)
+    def floors_at(self, twist: np.ndarray) -> np.ndarray:
+        """(1, n) [m]"""
+        return floors_under(self.points, twist, self.sweep.floor)[None]
+
+    def residuals(self, twist: np.ndarray, floors: np.ndarray | None = None) -> np.ndarray:
+        """(n + 2,) [m] at a twist (6,)."""
+        sweep, (floor,) = self.sweep, self.floors_at(twist) if floors is None else floors
+        distances = _residuals(self.points, twist, sweep.distance, floor, sweep.lowest, self.clearance)
         tilt = tilt_of(self.down_normal, twist)
         return np.append(distances, self.stiffness * np.sqrt(len(distances)) * LEVER * tilt)
 

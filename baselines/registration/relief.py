@@ -7,6 +7,7 @@ Images are square, [m], cell (i, j) at ((i, j) - (n - 1) / 2) * cell in the plan
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import product
 
 import numpy as np
@@ -52,13 +53,22 @@ def lower_envelope(
 
 def _bounds(volume: Volume, plane_from_now: Pose) -> tuple[np.ndarray, np.ndarray]:
     """(3,) [m] twice, in the plane's frame: the corners of a box that holds a solid; empty where there is none."""
+    box = _box(volume)
+    if box is None:
+        return np.full(3, np.inf), np.full(3, -np.inf)
+    corners = plane_from_now.apply(box)
+    return corners.min(0), corners.max(0)
+
+
+@lru_cache(maxsize=4)  # the volumes of a part, each asked for its envelopes many times
+def _box(volume: Volume) -> np.ndarray | None:
+    """(8, 3) [m] world: the corners of a box, along the axes of its grid, about a solid; None where there is none."""
     solid = volume.values < 0
     sides = [np.flatnonzero(solid.any(axes)) for axes in ((1, 2), (0, 2), (0, 1))]
     if len(sides[0]) == 0:
-        return np.full(3, np.inf), np.full(3, -np.inf)
+        return None
     ends = [(side[0] - 1.0, side[-1] + 1.0) for side in sides]  # the surface lies less than a voxel from the solid
-    corners = plane_from_now.apply(volume.grid.world(np.array(list(product(*ends)))))
-    return corners.min(0), corners.max(0)
+    return volume.grid.world(np.array(list(product(*ends))))
 
 
 def dilated(envelope: np.ndarray, cell: float, clearance: float) -> np.ndarray:

@@ -45,9 +45,12 @@ class Sweep:
     ) -> Sweep:
         """The sweep above a lower envelope (n, n) [m], in slices from `lowest` to a little above `depth` [m]."""
         layers = int(np.ceil((depth + ABOVE) / LAYER)) + 1
-        distance = np.empty((layers, *envelope.shape), np.float32)
         reach = max(REACH, int(np.ceil((clearance + BEYOND) / CELL)))
-        _horizontal_distances(envelope - lowest, LAYER, CELL, reach, distance)
+        distance = np.full((layers, *envelope.shape), (reach - 0.5) * CELL, np.float32)
+        rows, columns = (_near(np.any(np.isfinite(envelope), axis=axis), reach) for axis in (1, 0))
+        near = np.empty((layers, rows.stop - rows.start, columns.stop - columns.start), np.float32)
+        _horizontal_distances(envelope[rows, columns] - lowest, LAYER, CELL, reach, near)
+        distance[:, rows, columns] = near
         floor = dilated(envelope, CELL, clearance)
         return cls(rotation, distance, np.where(np.isfinite(floor), floor, NO_FLOOR).astype(np.float32), lowest)
 
@@ -68,16 +71,22 @@ def envelope_about(
     return lower_envelope(part, rotation @ Pose.from_translation(-pivot), CELL, cells, start)
 
 
+def _near(filled: np.ndarray, reach: int) -> slice:
+    """The cells of a row (n,) bool that are within a reach of filled ones."""
+    at = np.flatnonzero(filled)
+    return slice(max(at[0] - reach, 0), min(at[-1] + reach + 1, len(filled))) if len(at) else slice(0, 0)
+
+
 @compiled
 def _horizontal_distances(heights, layer, cell, reach, distance):
-    """Fill distance (layers, n, n): from each cell to the nearest whose envelope is at or below the layer.
+    """Fill distance (layers, m, n): from each cell to the nearest whose envelope is at or below the layer.
 
     Exact up to `reach` cells, and that beyond. Half a cell less: the edge runs between a cell inside and the next.
     """
-    layers, n, _ = distance.shape
-    along, least = np.empty((n, n)), np.empty(n)
+    layers, m, n = distance.shape
+    along, least = np.empty((m, n)), np.empty(n)
     for k in range(layers):
-        for i in range(n):
+        for i in range(m):
             gap = np.inf
             for j in range(n):
                 gap = 0.0 if heights[i, j] <= k * layer + 1e-9 else gap + 1
@@ -86,10 +95,10 @@ def _horizontal_distances(heights, layer, cell, reach, distance):
             for j in range(n - 1, -1, -1):
                 gap = 0.0 if heights[i, j] <= k * layer + 1e-9 else gap + 1
                 along[i, j] = min(along[i, j], gap)
-        for i in range(n):
+        for i in range(m):
             for j in range(n):
                 least[j] = reach * reach
-            for other in range(max(i - reach, 0), min(i + reach + 1, n)):
+            for other in range(max(i - reach, 0), min(i + reach + 1, m)):
                 for j in range(n):  # innermost: neighbours in memory
                     least[j] = min(least[j], along[other, j] ** 2 + (other - i) ** 2)
             for j in range(n):
