@@ -77,7 +77,14 @@ def write_participant(
     """Records of one participant."""
     rng = np.random.default_rng((seed, number))
     consent: dict[str, Any] = {"consent": {"version": "x", "time": 1.0}} if operator == PERSON else {}
-    write_record(participant_folder(study, operator, number) / PARTICIPANT_FILE, plan.id, number, operator, **consent)
+    write_record(
+        participant_folder(study, operator, number) / PARTICIPANT_FILE,
+        plan.id,
+        number,
+        operator,
+        judge="robot",
+        **consent,
+    )
     for session in plan.sessions(number):
         second = session.condition.name != plan.conditions[0]
         for task in range(1, len(SIZES) + 1):

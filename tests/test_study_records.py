@@ -106,6 +106,7 @@ HOSTILE = [
     (edited("ratings.json", ratings=None), "six numbers"),
     (edited("closing.json", preferred="hand-bare"), "preferred: expected one of"),
     (without("participant.json", "consent"), "no consent"),
+    (edited("participant.json", judge="me"), "judge: expected robot or test"),
     (copied("people/p001", "people/p0001"), "there twice"),
     (copied("people/p001", "people/p009"), "participants 1 to 4"),
     (copied("people/p001", "people/anna"), "no folder of a participant"),
@@ -154,7 +155,7 @@ def test_a_report_is_about_one_kind(study: tuple[Path, StudyPlan]) -> None:
     with pytest.raises(InputError, match="several simulated operators"):
         chosen_operator(folder, None)
     shutil.rmtree(folder / "simulated")
-    with pytest.raises(InputError, match="let somebody take part"):
+    with pytest.raises(InputError, match="--participant 1"):
         chosen_operator(folder, None)
 
 
@@ -208,6 +209,18 @@ def test_every_title_of_a_simulated_report_says_so(tmp_path: Path) -> None:
     assert numbers["ratings"] == []
     assert not numbers["balanced"]  # four conditions need sixteen people
     assert plan.people == 4
+
+
+def test_outcomes_of_two_judges_are_never_mixed(study: tuple[Path, StudyPlan]) -> None:
+    folder, _ = study
+    edited("participant.json", judge="test")(folder)
+    with pytest.raises(InputError, match="two judges"):
+        write_report(folder)
+    for path in folder.rglob("participant.json"):
+        path.write_text(json.dumps(json.loads(path.read_text()) | {"judge": "test"}))
+    text = write_report(folder).read_text()
+    assert "by the robot" not in text
+    assert "no robot was at work" in text
 
 
 def test_who_has_not_finished_is_left_out_and_named(study: tuple[Path, StudyPlan]) -> None:

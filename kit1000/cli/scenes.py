@@ -99,7 +99,7 @@ class Edit:
 
 @dataclass(frozen=True)
 class Study:
-    """Plan a user study, rehearse it with simulated operators, or report; one folder holds all records."""
+    """Plan a user study, let a participant sit in, rehearse it with simulated operators, or report."""
 
     data: Folder
     """Dataset folder, with ground truth; the preset study is made for this."""
@@ -115,6 +115,10 @@ class Study:
     """Method of the conditions that snap."""
     seed: int = 0
     """Of tasks and orders."""
+    participant: OptionalInt = None
+    """Number of the participant who sits in now, from 1; prints the address of the page."""
+    port: OptionalInt = None
+    """Port of that page; a free one when absent."""
     simulate: Annotated[str | None, tyro.conf.arg(metavar="OPERATOR")] = None
     """Let exact, paper, fitts or careless sit in for all participants. Tests the machine; says nothing about people."""
     judge: Literal["robot", "test"] = "robot"

@@ -53,10 +53,12 @@ class Options:
 
 
 @contextlib.contextmanager
-def editing(options: Options, sink: Sink | None = None) -> Iterator[tuple[Controller, str]]:
+def editing(
+    options: Options, sink: Sink | None = None, header: Header | None = None
+) -> Iterator[tuple[Controller, str]]:
     """A page while the block runs: its controller and its address.
 
-    sink: called with each event as the log has it, after it is written.
+    sink: called with each event as the log has it, after it is written. header: of the log, where it says more.
     """
     check_writable(options.out)
     dataset = Dataset(options.data)
@@ -64,7 +66,7 @@ def editing(options: Options, sink: Sink | None = None) -> Iterator[tuple[Contro
     method = Method(options.snap, dataset.root, options.scene, options.sensor, options.truth)
     if options.snap != NO_SNAP:
         method.check()
-    header = Header(dataset.id, options.scene, options.sensor, options.truth, options.snap, options.interface)
+    header = header or Header(dataset.id, options.scene, options.sensor, options.truth, options.snap, options.interface)
     with locked(options.out):
         log = EventLog(options.out, header, sink=sink)
         with serving(options.port) as (server, address):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from kit1000.errors import InputError
 from kit1000.study.conditions import CONDITIONS
+from kit1000.study.execution import ROBOT
 from kit1000.study.plan import MAIN_OUTCOME, StudyPlan
 from kit1000.study.questionnaire import SCALES, raw_load
 from kit1000.study.records import Operator, Participant, TrialRecord
@@ -61,6 +62,11 @@ OUTCOMES = (
     Outcome("uploads", "Uploads", "a task", _mean("uploads"), 0),
     Outcome("refused", "Refused snaps", "a task", _mean("refused"), 0),
 )
+JUDGED_BY_TEST = (
+    replace(OUTCOMES[0], label="Success, by the seating test"),
+    *(outcome for outcome in OUTCOMES[1:] if outcome.name != "success_by_test"),
+)
+"""The same where no robot was at work."""
 RATED = tuple((scale.name, scale.title, "0 to 100") for scale in SCALES)
 LOAD = ("load", "Mean of the six", "0 to 100")
 Table = Mapping[str, Mapping[int, float]]
@@ -123,8 +129,12 @@ def analyse(plan: StudyPlan, operator: Operator, participants: Sequence[Particip
     ]
     if len(complete) < FEWEST:
         raise InputError(f"{len(complete)} participants have done all tasks; a report needs {FEWEST} or more")
+    judges = {person.judge for person in participants}
+    if len(judges) > 1:
+        raise InputError(f"judged by {' and '.join(sorted(judges))}: outcomes of two judges are never mixed")
     contrasts = contrasts_of(plan.conditions)
-    tables = [(_head(each), _table(plan, complete, each.of)) for each in OUTCOMES]
+    outcomes = OUTCOMES if judges == {ROBOT} else JUDGED_BY_TEST
+    tables = [(_head(each), _table(plan, complete, each.of)) for each in outcomes]
     return {
         "format": "kit1000-study-report/1",
         "study": plan.id,
@@ -133,6 +143,7 @@ def analyse(plan: StudyPlan, operator: Operator, participants: Sequence[Particip
         "conditions": list(plan.conditions),
         "sensor": plan.sensor,
         "snap": plan.snap,
+        "judge": judges.pop(),
         "planned": plan.people,
         "n": len(complete),
         "balanced": len(complete) % (len(plan.conditions) ** 2) == 0 and len(complete) == plan.people,
@@ -143,7 +154,7 @@ def analyse(plan: StudyPlan, operator: Operator, participants: Sequence[Particip
         "outcomes": [_row(head, table, contrasts, seed) for head, table in tables],
         "ratings": _ratings(plan, complete, contrasts, seed),
         "preferred": _preferred(plan, complete),
-        "order": _order(plan, complete),
+        "order": _order(plan, complete, outcomes),
         "learning": _learning(plan, complete, seed),
         "robot_and_test_agree": _agreement(complete),
     }
@@ -233,10 +244,10 @@ def _preferred(plan: StudyPlan, people: Iterable[Participant]) -> dict[str, int]
     return {condition: answers.count(condition) for condition in plan.conditions} if answers else {}
 
 
-def _order(plan: StudyPlan, people: Sequence[Participant]) -> list[dict[str, Any]]:
+def _order(plan: StudyPlan, people: Sequence[Participant], outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Of the first outcomes: means by position; carry-over and period of two conditions."""
     rows = []
-    for outcome in OUTCOMES[:3]:
+    for outcome in outcomes[:3]:
         by_position = [
             [value for person in people if (value := outcome.of(_at_position(plan, person, position))) is not None]
             for position in range(1, len(plan.conditions) + 1)

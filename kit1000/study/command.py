@@ -1,4 +1,4 @@
-"""The command `kit1000 study`: plans, simulations and reports over one folder."""
+"""The command `kit1000 study`: plans, sittings, simulations and reports over one folder."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ class Request:
     sensor: str = "ideal"
     snap: str = "none"
     seed: int = 0
+    participant: int | None = None
+    port: int | None = None
     simulate: str | None = None
     judge: str = ROBOT
     report: bool = False
@@ -36,6 +38,8 @@ class Request:
 
 def run(request: Request) -> None:
     """Do it, and print where it went."""
+    if request.participant is not None and (request.simulate is not None or request.report):
+        raise InputError("--participant: is a sitting of a person; leave out --simulate and --report")
     if request.simulate is not None:
         operator_of(request.simulate)
     if request.report and request.people is None:
@@ -46,12 +50,25 @@ def run(request: Request) -> None:
         plan, dataset = _plan(request), Dataset(request.data)
         if dataset.id != plan.dataset_id:
             raise InputError(f"{request.data}: is dataset {dataset.id}; the study was planned on {plan.dataset_id}")
-        if request.simulate is not None:
+        if request.participant is not None:
+            _sit(request, plan, dataset)
+        elif request.simulate is not None:
             print(simulate(request.out, plan, dataset, request.simulate, request.judge))
         else:
             print(orders_text(plan))
     if request.report:
         print(write_report(request.out, request.simulate))
+
+
+def _sit(request: Request, plan: StudyPlan, dataset: Dataset) -> None:
+    assert request.participant is not None
+    try:
+        from kit1000.study.sitting import sit
+    except ModuleNotFoundError as error:
+        if error.name != "viser":
+            raise
+        raise InputError("study: a sitting needs viser: pip install 'kit1000[edit]'") from None
+    sit(request.out, plan, dataset, request.participant, request.port)
 
 
 def _plan(request: Request) -> StudyPlan:

@@ -7,6 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from kit1000.errors import InputError
+from kit1000.study.execution import JUDGES
 from kit1000.study.plan import Session, StudyPlan
 from kit1000.study.records import (
     CLOSING_FILE,
@@ -44,7 +45,7 @@ def chosen_operator(study: Path, simulated: str | None) -> Operator:
         found = [operator for operator in found if operator == Operator(SIMULATED, simulated)]
     if not found:
         what = "records" if simulated is None else f"records of the simulated operator {simulated}"
-        raise InputError(f"{study}: no {what}; let somebody take part first, such as --simulate fitts")
+        raise InputError(f"{study}: no {what}; let people sit in (--participant 1) or simulate (--simulate fitts)")
     if len(found) > 1 and found[0] != PERSON:
         names = ", ".join(operator.name for operator in found)
         raise InputError(f"{study}: holds several simulated operators ({names}); name one: --report --simulate NAME")
@@ -80,6 +81,8 @@ def _read_participant(path: Path, plan: StudyPlan, operator: Operator, number: i
     row = read_record(participant_file, plan.id, operator, number)
     if operator.kind == HUMAN and not isinstance(row.get("consent"), dict):
         raise InputError(f"{participant_file}: no consent; the records of this participant must not be used")
+    if row.get("judge") not in JUDGES:
+        raise InputError(f"{participant_file}: judge: expected {' or '.join(JUDGES)}, got {row.get('judge')!r}")
     sessions = {(each.position, each.condition.name): each for each in plan.sessions(number)}
     trials, ratings = [], {}
     for folder in sorted(each for each in path.iterdir() if each.is_dir()):
@@ -95,7 +98,7 @@ def _read_participant(path: Path, plan: StudyPlan, operator: Operator, number: i
         preferred = read_record(closing, plan.id, operator, number).get("preferred")
         if preferred is not None and preferred not in plan.conditions:
             raise InputError(f"{closing}: preferred: expected one of {', '.join(plan.conditions)}, got {preferred!r}")
-    return Participant(number, operator, tuple(trials), ratings, preferred)
+    return Participant(number, operator, row["judge"], tuple(trials), ratings, preferred)
 
 
 def _read_trials(folder: Path, plan: StudyPlan, operator: Operator, number: int, session: Session) -> list[TrialRecord]:

@@ -95,8 +95,6 @@ class TrialRecord:
     """[s] that the person was in charge."""
     execution_s: float
     """[s] of the robot."""
-    waiting_s: float = 0.0
-    """[s] of the specification in which an answer of the method was still to come."""
     uploads: int = 0
     undos: int = 0
     refused: int = 0
@@ -118,6 +116,8 @@ class Participant:
 
     number: int
     operator: Operator
+    judge: str
+    """Who said what became of the parts: robot, or test."""
     trials: tuple[TrialRecord, ...]
     ratings: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
     """Six ratings by condition."""
@@ -227,7 +227,6 @@ TRIAL_FIELDS: Fields = {
     "parts": ("a list of results", lambda value: isinstance(value, list)),
     "specification_s": ("seconds from 0", _number(0)),
     "execution_s": ("seconds from 0", _number(0)),
-    "waiting_s": ("seconds from 0", _number(0)),
     "uploads": ("a whole number from 0", _whole(0)),
     "undos": ("a whole number from 0", _whole(0)),
     "refused": ("a whole number from 0", _whole(0)),

@@ -14,6 +14,7 @@ from kit1000.files import write_bytes, write_json
 from kit1000.pictures.charts import STYLE as CHART_STYLE
 from kit1000.study.analysis import analyse
 from kit1000.study.conditions import CONDITIONS
+from kit1000.study.execution import NOMINAL_S, ROBOT
 from kit1000.study.plan import MAIN_OUTCOME, read_plan
 from kit1000.study.plots import Column, Difference, difference_plot, outcome_plot, people_plot
 from kit1000.study.reading import chosen_operator, read_participants
@@ -96,9 +97,8 @@ def _result(numbers: Mapping[str, Any]) -> str:
                 f"[{_signed(contrast['low'])}, {_signed(contrast['high'])}], {_p_text(contrast['p'])} "
                 f"({contrast['test']}): {verdict}.</li>"
             )
-    return (
-        f"<p>The main outcome, named before any data: share of parts that the robot seats.</p><ul>{''.join(lines)}</ul>"
-    )
+    judge = "the robot seats" if numbers["judge"] == ROBOT else "pass the seating test (no robot was at work)"
+    return f"<p>Main outcome, named before any data: the share of parts that {judge}.</p><ul>{''.join(lines)}</ul>"
 
 
 def _plots(numbers: Mapping[str, Any], who: str) -> str:
@@ -228,7 +228,9 @@ def _facts(numbers: Mapping[str, Any]) -> str:
         "All orders are balanced." if numbers["balanced"] else "The orders are not all balanced: people are missing.",
         f"Tasks with a part that time did not suffice for: {late}.",
         f"Sittings that were broken off and went on: {numbers['interruptions']}.",
-        f"Robot and seating test agree on {agree['agree']} of {agree['parts']} uploaded parts.",
+        f"Robot and seating test agree on {agree['agree']} of {agree['parts']} uploaded parts."
+        if numbers["judge"] == ROBOT
+        else f"No robot was at work: the seating test judged {agree['parts']} parts, at {NOMINAL_S:.0f} s each.",
         f"Tasks: {escape(tasks)}.",
     ]
     return "<ul>" + "".join(f"<li>{item}</li>" for item in items) + "</ul>"

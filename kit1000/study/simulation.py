@@ -21,6 +21,7 @@ from kit1000.editor.records import EventLog
 from kit1000.editor.session import PartEdit
 from kit1000.editor.session import Session as Edits
 from kit1000.editor.worker import Job, Method, prepared, proposals_of
+from kit1000.errors import InputError
 from kit1000.kits.seating import UP
 from kit1000.metrics import seatings
 from kit1000.pose import Pose
@@ -37,11 +38,12 @@ from kit1000.study.records import (
     Operator,
     TrialRecord,
     participant_folder,
+    read_record,
     trial_folder,
     write_record,
     write_trial,
 )
-from kit1000.study.tasks import SIZES, Task, part_truths, true_motion
+from kit1000.study.tasks import Task, part_truths, true_motion
 from kit1000.values import Truth
 
 RATINGS_NOTE = "none: load is a matter of people"
@@ -68,10 +70,16 @@ def simulate(study: Path, plan: StudyPlan, dataset: Dataset, name: str, judge: s
     """
     operator = Operator(SIMULATED, operator_of(name).name)
     numbers = range(1, plan.people + 1)
-    jobs = [(number, each, i + 1) for number in numbers for each in plan.sessions(number) for i in range(len(SIZES))]
+    jobs = [
+        (number, each, i + 1) for number in numbers for each in plan.sessions(number) for i in range(len(each.tasks))
+    ]
     for number in numbers:
         path = participant_folder(study, operator, number) / PARTICIPANT_FILE
-        if not path.is_file():
+        if path.is_file():
+            known = read_record(path, plan.id, operator, number).get("judge")
+            if known != judge:
+                raise InputError(f"--judge {judge}: {path} was judged by the {known}; choose another --out")
+        else:
             values = {"kit1000": __version__, "judge": judge, "ratings": RATINGS_NOTE}
             write_record(path, plan.id, number, operator, **values)
     for number, session, task in tqdm(jobs, desc=f"simulated {name}", unit=" tasks", disable=None):
