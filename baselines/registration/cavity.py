@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation, label
+from scipy.ndimage import binary_dilation, binary_propagation, label
 
 from kit1000.compiled import compiled
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume, surface_points
+from kit1000.voxels.grid import DEFAULT_TRUNCATION
 
 VOXEL = 1e-3  # [m] of the volumes of plates
 ABOVE, BELOW = 4e-3, 24e-3  # [m] extent of the volume from the plate's face; no cavity is deeper than 20 mm
@@ -76,7 +77,9 @@ def find_cavity(volume: Volume, world_from_plate: Pose, noise: float) -> Cavity 
     )
     points = points[inside]
     if np.isnan(relief[region]).any():  # the upper edge of a hidden wall is visible
-        points = np.concatenate([points, _edges(face, region)])
+        seen = face & _seen_face(volume, cut)  # the far rim is that of the relief
+        beyond = np.asarray(binary_propagation(region, mask=region | (face & ~seen)), bool)
+        points = np.concatenate([points, _edges(seen, beyond)])
     return Cavity(world_from_plate, relief, free, face | region, region, depth, points, *certain)
 
 
@@ -87,6 +90,14 @@ def _enclosed(holes: np.ndarray, deep: np.ndarray) -> np.ndarray:
     sizes = np.bincount(names.ravel(), deep.ravel(), count + 1) * VOXEL**2
     enclosed = np.flatnonzero((sizes > SPECK) & ~np.isin(np.arange(count + 1), rims))
     return np.isin(names, enclosed[enclosed > 0])
+
+
+def _seen_face(volume: Volume, cut: float) -> np.ndarray:
+    """(n, n) bool: cells whose centre on the plate's face is seen there.
+
+    Not by the relief: behind a near rim a ray passes over the rim and comes down to `cut` only farther on.
+    """
+    return np.abs(volume.values[:, :, round(BELOW / VOXEL)]) < cut / (DEFAULT_TRUNCATION * VOXEL)
 
 
 def _edges(face: np.ndarray, region: np.ndarray) -> np.ndarray:
