@@ -47,6 +47,16 @@ def test_the_error_is_the_angle_to_the_nearest_goal() -> None:
     assert rotation_loss(own, wxyz, weights).numpy() == pytest.approx(np.sin(angles / 2) ** 2)
 
 
+def test_the_loss_of_small_angles_is_exact_in_half_precision_too() -> None:
+    """Training computes in bfloat16, whose steps near 1 are 7 degrees of rotation."""
+    angles = torch.tensor([0.01, 0.05, 0.1, 0.3])
+    predicted = torch.stack([(angles / 2).cos(), (angles / 2).sin(), *torch.zeros(2, 4)], 1)
+    goals, weights = torch.tensor([1.0, 0, 0, 0]).expand(4, 1, 4), torch.ones(4, 1)
+    with torch.autocast("cpu", torch.bfloat16):
+        assert torch.allclose(rotation_error(predicted, goals, weights), angles, atol=1e-4)
+        assert torch.allclose(rotation_loss(predicted, goals, weights), (angles / 2).sin() ** 2, atol=1e-6)
+
+
 def plate_with_hollow(tilt: float) -> tuple[HeightMap, Plane]:
     """A plate about x = 0, y = 0.2, tilted about x, with a hollow 30 x 16 mm wide and 12 mm deep."""
     x, y = np.meshgrid(np.arange(-0.21, 0.21, 1e-3) + 5e-4, np.arange(0, 0.42, 1e-3) + 5e-4, indexing="ij")
