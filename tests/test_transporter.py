@@ -26,7 +26,16 @@ from baselines.transporter.lattice import (
     tilt_and_yaw,
 )
 from baselines.transporter.method import Transporter, motion_to, within_window
-from baselines.transporter.network import FEATURES, TransporterNet, correlate, turned_crops
+from baselines.transporter.network import (
+    FEATURES,
+    PER_SCALAR,
+    SCALARS,
+    SCORED,
+    TransporterNet,
+    correlate,
+    turned_crops,
+    with_slopes,
+)
 from baselines.transporter.search import search
 from baselines.transporter.task import transporter_loss
 from kit1000.dataset.reader import Dataset
@@ -35,7 +44,7 @@ from kit1000.pose import Pose, random_quaternions
 from kit1000.rng import stream
 from kit1000.testing import check_predictor
 
-TINY = TransporterConfig(4e-3, 88, 40, 16, 4, True, True, 4, True, 1, "mean")
+TINY = TransporterConfig(4e-3, 88, 40, 16, 4, True, True, True, 4, True, 1, "mean")
 ANGLES = st.floats(-3.1, 3.1)
 
 
@@ -80,6 +89,32 @@ def test_correlation_is_the_sum_of_products_at_each_shift() -> None:
     kits, kernels = torch.randn(2, 3, 20, 20, generator=rng), torch.randn(2, 4, 3, 8, 8, generator=rng)
     plain = torch.stack([torch.conv2d(kits[i : i + 1], kernels[i])[0] for i in range(2)]) / 8
     assert torch.allclose(correlate(kits, kernels), plain, atol=1e-4)
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_heights_and_tilts_come_from_mean_products_at_each_point(half: bool) -> None:
+    """Also where the networks run in bfloat16: there PyTorch's convolutions of groups are wrong on a CPU."""
+    rng = torch.Generator().manual_seed(0)
+    net = TransporterNet(TINY)
+    kits, kernels = torch.randn(1, FEATURES, 20, 20, generator=rng), torch.randn(1, 2, FEATURES, 16, 16, generator=rng)
+    with torch.no_grad(), torch.autocast("cpu", torch.bfloat16, enabled=half):
+        found = net.height_and_tilt(kits, kernels, torch.tensor([[1, 2]]), 3)
+    assert found.shape == (1, SCALARS, 2, 3, 3)
+    for scalar, yaw, a, b in ((0, 0, 0, 0), (1, 1, 2, 0), (2, 0, 1, 2)):
+        own = slice(SCORED + scalar * PER_SCALAR, SCORED + (scalar + 1) * PER_SCALAR)
+        patch = kits[0, own, 1 + a : 17 + a, 2 + b : 18 + b]
+        wanted = net.scalars[scalar]((patch * kernels[0, yaw, own]).mean((1, 2)))
+        assert float(found[0, scalar, yaw, a, b]) == pytest.approx(wanted.item(), abs=1e-5)
+
+
+def test_a_plane_has_its_slopes_where_it_is_seen() -> None:
+    i, j = torch.meshgrid(torch.arange(9.0), torch.arange(9.0), indexing="ij")
+    seen = (i < 6).float()
+    height = (0.3 * i - 0.2 * j) * 2e-3 * seen
+    slopes = with_slopes(torch.stack([height / 0.05, seen])[None], {0: 0.05}, 1, 2e-3)[0, 2:]
+    assert torch.allclose(slopes[:, 1:5, 1:-1], torch.tensor([0.3, -0.2])[:, None, None].expand(2, 4, 7), atol=1e-5)
+    assert (slopes[0, 5:] == 0).all()
+    assert (slopes[:, 6:] == 0).all()
 
 
 def test_a_quarter_turn_of_a_part_is_exact() -> None:

@@ -28,6 +28,8 @@ class TransporterConfig:
     """Whether features of the encoder are added to those of the decoder; not in the paper."""
     calm: bool = False
     """Whether the last layer of each block starts at zero, so that training begins with shallow networks."""
+    slopes: bool = False
+    """Whether the slopes of heights are inputs too; not in the paper."""
     yaws: int = YAWS
     """Of the part in a training step without a guess: the correct ones and others at random."""
     spread: bool = False
@@ -39,6 +41,6 @@ class TransporterConfig:
 
 
 TRANSPORTER = {
-    "small": TransporterConfig(3e-3, 120, 56, 24, 8, True, True, 8, True, 2, "mean"),
+    "small": TransporterConfig(3e-3, 120, 56, 24, 8, True, True, True, 8, True, 2, "mean"),
     "paper": TransporterConfig(1.094e-3, 640, 176, 96, 64),
 }

@@ -6,6 +6,8 @@ yaws. Of the FEATURES channels the first SCORED score positions and yaws; the ot
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 import torch.nn.functional as F
 from scipy.fft import next_fast_len
@@ -13,11 +15,17 @@ from torch import Tensor, nn
 
 from baselines.transporter.config import YAW_STEP, TransporterConfig
 from baselines.transporter.fcn import FCN
+from baselines.transporter.inputs import KIT_SCALE, PART_SCALE
 
 SCORED = 3
 SCALARS, PER_SCALAR = 3, 8  # height, tilt about x, tilt about y
 FEATURES = SCORED + SCALARS * PER_SCALAR
-KIT_CHANNELS = PART_CHANNELS = 3
+KIT_HEIGHTS, PART_HEIGHTS = {0: KIT_SCALE}, {0: PART_SCALE, 1: PART_SCALE}
+"""Channels of the maps that are heights, and the heights [m] that they show as 1."""
+KIT_SEEN, PART_SEEN = 1, 2  # channels that tell whether there is a height
+MAP_CHANNELS = 3  # of either map
+SEEN = 0.99  # of such a channel: less where it is interpolated, at the outline
+STEEPEST = 1.0  # slope: steeper ones are edges and count as this much
 HIDDEN = 32  # of the small networks that turn a correlation into a height or a tilt
 UNITS = (10e-3, 0.175, 0.175)
 """[m, rad, rad] in which heights and tilts are predicted; in metres and radians heights would not count in the loss."""
@@ -29,20 +37,24 @@ class TransporterNet(nn.Module):
     def __init__(self, config: TransporterConfig) -> None:
         super().__init__()
         self.config = config
-        self.kits = FCN(KIT_CHANNELS, config.width, FEATURES, config.skips, config.calm)
-        self.part = FCN(PART_CHANNELS, config.width, FEATURES, config.skips, config.calm)
+        kits, part = (MAP_CHANNELS + 2 * len(heights) * config.slopes for heights in (KIT_HEIGHTS, PART_HEIGHTS))
+        self.kits = FCN(kits, config.width, FEATURES, config.skips, config.calm)
+        self.part = FCN(part, config.width, FEATURES, config.skips, config.calm)
         self.scalars = nn.ModuleList(_regressor() for _ in range(SCALARS))
 
     def kit_features(self, kits: Tensor, padded: bool) -> Tensor:
-        """(B, KIT_CHANNELS, n, n) -> (B, FEATURES, n, n), or with half a kernel of zeros around it."""
+        """(B, MAP_CHANNELS, n, n) -> (B, FEATURES, n, n), or with half a kernel of zeros around it."""
+        if self.config.slopes:
+            kits = with_slopes(kits, KIT_HEIGHTS, KIT_SEEN, self.config.pixel)
         features = normalised(self.kits(packed(kits)).float())
         return F.pad(features, (self.config.part // 2,) * 4) if padded else features
 
     def kernels(self, part: Tensor, yaws: Tensor) -> Tensor:
-        """(B, PART_CHANNELS, c, c), (B, Y) -> (B, Y, FEATURES, k, k): the part is turned, then seen by its network."""
-        turned = turned_crops(part, yaws * YAW_STEP, self.config.part)
-        features = normalised(self.part(packed(turned.flatten(0, 1))).float())
-        return features.unflatten(0, turned.shape[:2])
+        """(B, MAP_CHANNELS, c, c), (B, Y) -> (B, Y, FEATURES, k, k): the part is turned, then seen by its network."""
+        turned = turned_crops(part, yaws * YAW_STEP, self.config.part).flatten(0, 1)
+        if self.config.slopes:
+            turned = with_slopes(turned, PART_HEIGHTS, PART_SEEN, self.config.pixel)
+        return normalised(self.part(packed(turned)).float()).unflatten(0, yaws.shape)
 
     def scores(self, kit_features: Tensor, kernels: Tensor) -> Tensor:
         """(B, F, n, n) and (B, Y, F, k, k) -> (B, Y, m, m) logits, m = n - k + 1."""
@@ -60,16 +72,44 @@ class TransporterNet(nn.Module):
         Returns:
             (B, SCALARS, Y, points, points) in UNITS.
         """
-        size = kernels.shape[-1] + points - 1
-        found = []
-        for features, own, (row, column) in zip(kit_features, kernels, first.tolist(), strict=True):
-            patch = features[None, SCORED:, row : row + size, column : column + size]
-            weights = own[:, SCORED:].unflatten(1, (SCALARS, PER_SCALAR)).transpose(0, 1)
-            sums = F.conv2d(patch, weights.flatten(0, 1), groups=SCALARS)[0].unflatten(0, (SCALARS, -1))
-            found.append(sums / (PER_SCALAR * own.shape[-1] ** 2))  # about -1 to 1: larger sums saturate what follows
-        sums = torch.stack(found)
-        each = [net(sums[:, i, ..., None])[..., 0] for i, net in enumerate(self.scalars)]
-        return torch.stack(each, 1).float()
+        across = kernels.shape[-1]
+        size, read = across + points - 1, []
+        with torch.autocast(kernels.device.type, enabled=False):  # groups of bfloat16 are summed wrongly, PyTorch 2.13
+            for features, own, (row, column) in zip(kit_features, kernels[:, :, SCORED:], first.tolist(), strict=True):
+                patch = features[None, SCORED:, row : row + size, column : column + size]
+                weights = own.transpose(0, 1).flatten(0, 1)[:, None]  # of channel c at yaw y: c Y + y
+                products = F.conv2d(patch, weights, groups=patch.shape[1])[0] / across**2
+                read.append(products.unflatten(0, (SCALARS, PER_SCALAR, -1)))
+            means = torch.stack(read, 1)  # (SCALARS, B, PER_SCALAR, Y, points, points)
+            each = [net(of.movedim(1, -1))[..., 0] for net, of in zip(self.scalars, means, strict=True)]
+        return torch.stack(each, 1)
+
+
+def with_slopes(maps: Tensor, heights: Mapping[int, float], seen: int, pixel: float) -> Tensor:
+    """Maps and the slopes of their heights along both axes; tilts are hard to learn from heights in half precision.
+
+    Args:
+        maps: (B, C, h, w).
+        heights: channels, and the heights [m] that they show as 1.
+        seen: channel that is 1 where there is a height.
+        pixel: [m]
+
+    Returns:
+        (B, C + 2 len(heights), h, w): central differences, up to STEEPEST, and 0 beside what is not seen.
+    """
+    middle = slice(1, -1)
+    known = F.pad(maps[:, seen] > SEEN, (1, 1, 1, 1))
+    slopes = []
+    for channel, scale in heights.items():
+        height = F.pad(maps[:, channel], (1, 1, 1, 1)) * (scale / (2 * pixel))
+        for ahead, behind in (
+            ((slice(2, None), middle), (slice(-2), middle)),
+            ((middle, slice(2, None)), (middle, slice(-2))),
+        ):
+            both = known[(..., *ahead)] & known[(..., *behind)]
+            rise = height[(..., *ahead)] - height[(..., *behind)]
+            slopes.append(torch.where(both, rise, 0).clamp(-STEEPEST, STEEPEST))
+    return torch.cat([maps, torch.stack(slopes, 1)], 1)
 
 
 def normalised(features: Tensor) -> Tensor:
@@ -92,7 +132,11 @@ def packed(images: Tensor) -> Tensor:
 
 def _regressor() -> nn.Sequential:
     return nn.Sequential(
-        nn.Linear(1, HIDDEN), nn.LeakyReLU(0.1), nn.Linear(HIDDEN, HIDDEN), nn.LeakyReLU(0.1), nn.Linear(HIDDEN, 1)
+        nn.Linear(PER_SCALAR, HIDDEN),
+        nn.LeakyReLU(0.1),
+        nn.Linear(HIDDEN, HIDDEN),
+        nn.LeakyReLU(0.1),
+        nn.Linear(HIDDEN, 1),
     )
 
 
