@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from baselines.snapnet.candidates import angles_between, candidates, error_floor, nearest_candidate, super_fibonacci
+from baselines.snapnet.candidates import (
+    COARSE,
+    MOST_NEAR,
+    NEAR,
+    angles_between,
+    candidates,
+    coarse_candidates,
+    error_floor,
+    near_candidates,
+    nearest_candidate,
+    super_fibonacci,
+)
 from kit1000.errors import InputError
 from kit1000.guesses import MAX_ANGLE
 from kit1000.pose import Pose, quaternion_angle, quaternion_from_rotvec, unit_vector
@@ -44,6 +55,25 @@ def test_candidates_around_a_guess_lie_in_its_ball_and_include_the_identity(name
 def test_with_each_rotation_comes_its_inverse(name):
     rotations = candidates(name)
     assert angles_between(rotations, rotations.inverse()).min(1).max() < 1e-7
+
+
+@pytest.mark.parametrize("name", ["ball", "tilt"])
+def test_from_coarse_to_fine_every_candidate_can_be_found(name):
+    coarse = coarse_candidates(name)
+    assert len(coarse) == COARSE
+    steps = angles_between(candidates(name), coarse)
+    assert steps.min(1).max() < NEAR  # each is near a coarse one
+    assert smallest_angle(coarse) > np.radians(5)
+
+
+@pytest.mark.parametrize("name", ["ball", "tilt"])
+def test_near_candidates_are_within_their_angle_and_include_the_nearest(name):
+    for rotation in (Pose.identity(), candidates(name)[int(stream(0, name).integers(391))]):
+        near = near_candidates(name, rotation)
+        angles = (rotation.inverse() @ near).angle()
+        assert 1 < len(near) <= MOST_NEAR
+        assert angles.max() <= NEAR
+        assert angles.min() < 1e-6
 
 
 def test_ball_is_a_body_centred_lattice():

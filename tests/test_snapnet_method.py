@@ -15,9 +15,11 @@ from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.method import SnapNet
 from baselines.snapnet.position import PositionNet
 from baselines.snapnet.rotation import RotationNet
+from baselines.snapnet.volumes import QueryVolumes
 from baselines.training.checkpoint import save_weights
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.pose import Pose
 from kit1000.testing import check_predictor
 
 POSITION = PositionConfig(4e-3, (16, 16, 16), (32, 32, 32), (9, 9, 9), (2, 2, 4, 4, 4), features=2)
@@ -52,6 +54,28 @@ def test_a_second_pass_starts_from_the_first_prediction(data: Dataset) -> None:
     assert not np.allclose(second.goal_from_now.matrix(), first.matrix())
 
 
+def test_without_a_guess_the_best_start_is_corrected(data: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if it were the guess, but among the rotations near it; the start with the highest score is taken."""
+    method = untrained(data, "depth")
+    query = next(data.split("train").queries("place"))
+    middle = QueryVolumes(query, "depth").initial_guess()
+    starts = [Pose.from_translation(shift) @ middle for shift in np.eye(3) * 0.01]
+    monkeypatch.setattr("baselines.snapnet.method.likely_starts", lambda *_: starts)
+    volumes = QueryVolumes(query, "depth")
+    with torch.inference_mode():
+        corrected = [method._corrected(volumes, start, near=True) for start in starts]
+        best = max(corrected, key=lambda each: each.score)
+        expected = method._corrected(volumes, best.motion, near=True)
+    predicted = method(query)
+    np.testing.assert_allclose(predicted.goal_from_now.matrix(), expected.motion.matrix(), atol=1e-6)
+    assert 0 < predicted.confidence <= expected.confidence
+
+
+def test_the_whole_search_conforms_without_a_guess(data: Dataset) -> None:
+    queries = list(data.split("train").queries("place"))[:1]
+    check_predictor(untrained(data, "depth"), queries, moves=False)
+
+
 def test_weights_are_read_back_with_their_config(data: Dataset, tmp_path: Path) -> None:
     method = untrained(data, "depth")
     for name, net in (("position", method.position), ("rotation", method.rotation)):
@@ -70,6 +94,6 @@ def test_weights_of_the_other_network_are_refused(data: Dataset, tmp_path: Path)
         SnapNet(data, "depth", tmp_path / "rotation", tmp_path / "rotation")
 
 
-@pytest.mark.parametrize("name", ["snapnet-gtvol", "snapnet-partialvol"])
+@pytest.mark.parametrize("name", ["snapnet", "snapnet-gtvol", "snapnet-partialvol"])
 def test_shipped_weights_fit_their_networks(data: Dataset, name: str) -> None:
     assert isinstance(make_predictor(all_methods()[name], data, 0), SnapNet)

@@ -3,8 +3,44 @@
 After Devgon et al., "Kit-Net" (CASE 2021, arXiv 2107.05789), as a baseline of "Scene Editing as Teleoperation".
 """
 
-from baselines.catalog import Network
+from dataclasses import replace
+
+from baselines.catalog import Method, Network
 from baselines.training.config import TrainConfig
+
+KITNET = Method(
+    "baselines.kitnet.method:KitNetMethod",
+    "KitNet, small preset: from 12 yaws, the best overlap with a cavity; rotations alone",
+    options={"position": "none"},
+    tracks=("place", "place-paper"),
+    learned=True,
+    predicts="rotation",
+    training_data="split train of kit1000, data version 1.0.0",
+    camera_set="three",
+    weights={"network": "kitnet"},
+    label="KitNet",
+    paper_row="kitnet",
+)
+METHODS = {
+    "kitnet": KITNET,
+    "kitnet-centroid": replace(
+        KITNET,
+        description="KitNet, and the centroid of the part over that of the cavity",
+        options={"position": "centroid"},
+        predicts="pose",
+        label="KitNet, centroids",
+        paper_row="",
+    ),
+    "kitnet-guess": replace(
+        KITNET,
+        description="KitNet from the guess, and the centroid of the part over that of the nearest cavity",
+        options={"position": "centroid"},
+        tracks=("snap", "snap-tilt", "curves"),
+        predicts="pose",
+        label="KitNet from the guess, centroids",
+        paper_row="",
+    ),
+}
 
 TRAINING = {
     "small": TrainConfig(

@@ -7,13 +7,13 @@ from dataclasses import replace
 
 from baselines.catalog import Method, Network
 from baselines.training.config import TrainConfig
-from kit1000.tracks import GUESS_TRACKS
+from kit1000.tracks import ALL_TRACKS
 
 GTVOL = Method(
     "baselines.snapnet.method:SnapNet",
     "SnapNet, small preset, from true volumes",
     options={"source": "truth"},
-    tracks=GUESS_TRACKS,
+    tracks=ALL_TRACKS,
     uses_true_geometry=True,
     learned=True,
     training_data="split train of kit1000, data version 0.2.1",
@@ -30,6 +30,14 @@ PARTIALVOL = replace(
     label="SnapNet, partial volumes",
     paper_row="snapnet-partialvol",
 )
+COMPLETED = replace(
+    PARTIALVOL,
+    description="SnapNet, small preset, coarse to fine, from one image; a network completes parts, columns the kits",
+    options={**PARTIALVOL.options, "search": "coarse to fine"},
+    weights={**PARTIALVOL.weights, "completion": "completion"},
+    label="SnapNet",
+    paper_row="snapnet",
+)
 
 
 def _with_mean(method: Method) -> Method:
@@ -45,6 +53,7 @@ def _with_mean(method: Method) -> Method:
 GTVOL_MEAN = _with_mean(GTVOL)
 
 METHODS = {
+    "snapnet": COMPLETED,
     "snapnet-gtvol": GTVOL,
     "snapnet-gtvol-mean": GTVOL_MEAN,
     "snapnet-gtvol-2pass": replace(

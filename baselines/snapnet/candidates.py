@@ -22,6 +22,8 @@ CandidateSet = Literal["ball", "tilt", "place", "place-paper"]
 COUNT = 391  # of the paper: 1 + 5 rings of 78
 RINGS, ON_RING = 5, 78  # the release: int(0.48 / 0.08) - 1, and the whole steps of 0.08 rad in a circle
 TILT = 0.48  # [rad] of the outermost ring, 27.5 degrees
+COARSE = 49  # of them, in a search from coarse to fine: some 8 degrees apart
+NEAR, MOST_NEAR = float(np.radians(12)), 41  # [rad] about a rotation, and how many candidates there are scored
 BALL_REACH = 0.94  # of 27.5 degrees: the outermost candidates; this has the least mean error floor for uniform angles
 PLACE_TILT = float(np.radians(45))  # largest tilt of a cavity
 PLACE_SPIRAL = 4096  # rotations of the spiral before those of more tilt are left out
@@ -57,6 +59,29 @@ def candidates(name: CandidateSet) -> Pose:
     if name not in _MAKERS:
         raise InputError(f"candidates: {did_you_mean(name, _MAKERS)}expected one of {', '.join(_MAKERS)}, got {name!r}")
     return Pose(_MAKERS[name](), np.zeros(3))
+
+
+@cache
+def coarse_candidates(name: CandidateSet) -> Pose:
+    """COARSE rotations of a set, far apart."""
+    return _far_apart(candidates(name), Pose.identity(), COARSE)
+
+
+def near_candidates(name: CandidateSet, rotation: Pose) -> Pose:
+    """Those of a set within NEAR of a rotation; of more than MOST_NEAR as many far apart."""
+    offered = candidates(name)
+    near = offered[np.flatnonzero((rotation.inverse() @ offered).angle() <= NEAR)]
+    return near if len(near) <= MOST_NEAR else _far_apart(near, rotation, MOST_NEAR)
+
+
+def _far_apart(rotations: Pose, first: Pose, count: int) -> Pose:
+    """The rotation nearest to `first`, then always the one farthest from all chosen. (n,) -> (count,)."""
+    wxyz, chosen = rotations.wxyz, []
+    nearest = np.zeros(len(wxyz))  # cosine of half the angle to the nearest chosen one
+    for _ in range(count):
+        chosen.append(int(nearest.argmin() if chosen else np.abs((wxyz * first.wxyz).sum(1)).argmax()))
+        nearest = np.maximum(nearest, np.abs((wxyz * wxyz[chosen[-1]]).sum(1)))
+    return rotations[np.array(chosen)]
 
 
 def nearest_candidate(candidates: Pose, correct: Pose, axis: np.ndarray | None = None) -> tuple[int, np.ndarray]:

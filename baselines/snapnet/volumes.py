@@ -17,6 +17,7 @@ import numpy as np
 from scipy.ndimage import find_objects
 
 from baselines.completion import TABLE_MARGIN, ObservedKits, ObservedPart
+from baselines.completion.completed import CompletedPart, PartCompleter
 from baselines.completion.pixels import cropped, noise_of
 from baselines.restoration import restored
 from baselines.snapnet.config import Cells, PositionConfig, RotationConfig, Source
@@ -46,14 +47,23 @@ class ImageCrops(NamedTuple):
 class ImageCache:
     """Cropped depth images, and volumes of parts made of them, kept in memory; when pickled, they stay behind."""
 
-    def __init__(self, read_image: Callable[[Query], LabelledDepth] = methodcaller("read_image")) -> None:
-        """Nothing is read yet. read_image: how the image of a query is read."""
-        self._read_image = read_image
+    def __init__(
+        self,
+        read_image: Callable[[Query], LabelledDepth] = methodcaller("read_image"),
+        completer: PartCompleter | None = None,
+    ) -> None:
+        """Nothing is read yet.
+
+        Args:
+            read_image: how the image of a query is read.
+            completer: the network that completes parts; None fills columns.
+        """
+        self._read_image, self._completer = read_image, completer
         self._crops: dict[tuple[str, str], ImageCrops] = {}
         self._parts: dict[tuple[str, str, int, float], Volume | None] = {}
 
-    def __reduce__(self) -> tuple[type[ImageCache], tuple[()]]:
-        return ImageCache, ()
+    def __reduce__(self) -> tuple[type[ImageCache], tuple[Callable[[Query], LabelledDepth], PartCompleter | None]]:
+        return ImageCache, (self._read_image, self._completer)
 
     def kits(self, query: Query) -> ObservedKits | None:
         """The observed kits of a query; None where its image shows none."""
@@ -64,7 +74,7 @@ class ImageCache:
 
         def make() -> Volume | None:
             image = self._of(query).parts.get(query.part)
-            return None if image is None else _part_volume(image, query, voxel)
+            return None if image is None else _part_volume(image, query, voxel, self._completer)
 
         return _cached(self._parts, (query.scene_id, query.sensor, query.part, voxel), PARTS, make)
 
@@ -210,9 +220,10 @@ def _with_margin(box: tuple[slice, slice], image: LabelledDepth, label: int) -> 
     return rows, columns
 
 
-def _part_volume(image: LabelledDepth, query: Query, voxel: float) -> Volume:
+def _part_volume(image: LabelledDepth, query: Query, voxel: float, completer: PartCompleter | None) -> Volume:
     """The volume of an observed part, cropped to what is not free."""
-    volume = ObservedPart(image, FIRST_PART_LABEL + query.part, query.pivot).volume(voxel)
+    observed = ObservedPart(image, FIRST_PART_LABEL + query.part, query.pivot)
+    volume = observed.volume(voxel) if completer is None else CompletedPart(observed, completer).volume(voxel)
     boxes = find_objects((volume.values < 1).astype(np.uint8))
     if not boxes:
         return volume
