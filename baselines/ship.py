@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from baselines.training.checkpoint import LARGEST, load_weights, save_tensors
 from baselines.training.loop import BEST, LOG
@@ -31,3 +33,14 @@ def ship(run: Path, weights: Path, commit: str, half: bool = False) -> Path:
     described = info | {"commit": commit, "log": [json.loads(row) for row in rows]}
     save_tensors(target, tensors, described, half, LARGEST)
     return target
+
+
+def whole_log(info: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The rows of shipped weights' log, after those of the weights that they started from; steps and seconds go on."""
+    start = info["about"].get("start")
+    if start is None:
+        return list(info["log"])
+    earlier = whole_log(start)
+    last = earlier[-1]
+    own = [{**row, **{key: row[key] + last[key] for key in ("step", "seconds")}} for row in info["log"]]
+    return earlier + own

@@ -10,7 +10,7 @@ import torch
 
 from baselines.catalog import all_methods, all_networks
 from baselines.methods import WEIGHTS
-from baselines.ship import ship
+from baselines.ship import ship, whole_log
 from baselines.training import checkpoint
 from baselines.training.checkpoint import LARGEST, load_weights, save_weights
 from baselines.training.curve import curve
@@ -40,6 +40,20 @@ def test_weights_are_shipped_with_commit_and_log(run: Path, tmp_path: Path) -> N
     assert all(torch.equal(tensors[name], best[name]) for name in best)
     assert info["commit"] == "0123abc"
     assert [row["step"] for row in info["log"]] == [10, 20]
+
+
+def test_the_log_of_weights_that_started_from_others_goes_on() -> None:
+    first = {"about": {}, "log": [{"step": 5, "seconds": 1.0, "loss": 3.0}, {"step": 9, "seconds": 2.0, "loss": 2.0}]}
+    second = {"about": {"start": first}, "log": [{"step": 4, "seconds": 0.5, "loss": 1.0}]}
+    third = {"about": {"start": second}, "log": [{"step": 1, "seconds": 0.5, "loss": 0.5}]}
+    rows = whole_log(third)
+    assert [(row["step"], row["seconds"], row["loss"]) for row in rows] == [
+        (5, 1.0, 3.0),
+        (9, 2.0, 2.0),
+        (13, 2.5, 1.0),
+        (14, 3.0, 0.5),
+    ]
+    assert whole_log(first) == first["log"]
 
 
 def test_halved_weights_are_rounded_to_float16(run: Path, tmp_path: Path) -> None:
@@ -74,7 +88,7 @@ def test_shipped_weights_name_their_origin(name: str) -> None:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_learning_curves_in_the_docs_are_those_of_the_logs(name: str) -> None:
     _, info = load_weights(WEIGHTS / name)
-    assert (ROOT / f"docs/pictures/{name}.svg").read_text(encoding="utf-8") == curve(info["log"])
+    assert (ROOT / f"docs/pictures/{name}.svg").read_text(encoding="utf-8") == curve(whole_log(info))
 
 
 def test_every_method_has_its_weights_and_none_are_unused() -> None:
