@@ -10,7 +10,7 @@ import contextlib
 import platform
 import queue
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ from kit1000.study.records import (
     PERSON,
     RATINGS_FILE,
     TRIAL_FILE,
+    PartResult,
     TrialRecord,
     condition_folder,
     participant_folder,
@@ -74,12 +75,12 @@ def sit(
     for session in sessions:
         folder = condition_folder(study, PERSON, number, session.position, session.condition.name)
         if not (folder / PRACTICE_FILE).is_file():
-            _Task(sitting, session, PRACTICE).run()
+            TaskPage(sitting, session, PRACTICE).run()
             write_record(folder / PRACTICE_FILE, plan.id, number, PERSON)
         for task in range(1, len(session.tasks) + 1):
             path = trial_folder(study, PERSON, number, session.position, session.condition.name, task)
             if not (path / TRIAL_FILE).is_file():
-                write_trial(path, _Task(sitting, session, task).run())
+                write_trial(path, TaskPage(sitting, session, task).run())
         if not (folder / RATINGS_FILE).is_file():
             with serving(chosen) as (server, _):
                 ratings = ask_ratings(server, session.condition.label)
@@ -109,7 +110,7 @@ def _close(sitting: Sitting) -> None:
 
 
 @dataclass
-class _Task:
+class TaskPage:
     """One task at the page."""
 
     sitting: Sitting
@@ -148,13 +149,13 @@ class _Task:
         earlier = EventLog(self.folder, self.header).rows
         with (
             judging(self.sitting.judge, scene, plan.sensor, plan.seed) as judge,
-            editing(options, self._seen, self.header) as (controller, _),
+            editing(options, self.seen, self.header) as (controller, _),
         ):
-            self._resume(earlier, judge)
+            self.resume(earlier, judge)
             server: Any = controller.stage.server  # type: ignore[attr-defined]
             panel = TaskPanel(server, self._title(), self.session.condition.one_part_an_upload, self.requests.put)
             self._work(controller, judge, panel, len(truths))
-        return self._record(measured(self.sitting.dataset, truths, self.motions, self.outcomes), earlier)
+        return self.record(measured(self.sitting.dataset, truths, self.motions, self.outcomes), earlier)
 
     def _work(self, controller: Controller, judge: Judge, panel: TaskPanel, parts: int) -> None:
         panel.wait_for_somebody()
@@ -206,7 +207,7 @@ class _Task:
         self.outcomes |= {part: each.outcome for part, each in carried.items()}
         self.uploads += 1
 
-    def _resume(self, rows: list[dict[str, Any]], judge: Judge) -> None:
+    def resume(self, rows: Sequence[Mapping[str, Any]], judge: Judge) -> None:
         """Take up what an interrupted sitting has left: uploads are carried out again, the clock goes on."""
         for row in rows:
             self._count(row["event"])
@@ -215,7 +216,7 @@ class _Task:
             if "specification_s" in row:
                 self.clock.specification = float(row["specification_s"])
 
-    def _seen(self, row: dict[str, Any]) -> None:
+    def seen(self, row: Mapping[str, Any]) -> None:
         """An event of the page. With a hand, the part that it has carried is an upload."""
         self._count(row["event"])
         carried = row["event"] == "do" and any(edit.get("confirmed") for edit in row["edits"].values())
@@ -236,7 +237,8 @@ class _Task:
         what = f"Task {self.index} of {len(self.session.tasks)}" if self.index else "Practice: seat one part"
         return f"{what} · {self.session.condition.label}"
 
-    def _record(self, parts: dict[int, Any], earlier: list[dict[str, Any]]) -> TrialRecord:
+    def record(self, parts: Mapping[int, PartResult], earlier: Sequence[Mapping[str, Any]]) -> TrialRecord:
+        """The record of the task. parts: what became of them. earlier: events of sittings that were broken off."""
         return TrialRecord(
             study=self.sitting.plan.id,
             participant=self.sitting.number,

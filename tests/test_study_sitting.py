@@ -1,0 +1,82 @@
+"""A sitting that was broken off goes on: with its uploads, its outcomes and its clock, and the record counts it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+
+pytest.importorskip("viser")
+
+from studies import plan_of
+
+from kit1000.dataset.reader import Dataset
+from kit1000.dataset.tables import pose_row
+from kit1000.pose import Pose
+from kit1000.study.execution import Carried
+from kit1000.study.records import PERSON, PartResult
+from kit1000.study.sitting import FINISH, UPLOAD, Sitting, TaskPage
+
+MOTION = Pose.from_translation((0.01, 0.02, 0.03))
+
+
+class Judge:
+    """Seats everything in ten seconds, and remembers what."""
+
+    def __init__(self) -> None:
+        self.asked: list[dict[int, Pose]] = []
+
+    def carry_out(self, motions: Mapping[int, Pose]) -> dict[int, Carried]:
+        self.asked.append(dict(motions))
+        return {part: Carried("seated", 10.0) for part in motions}
+
+
+def page_of(tmp_path: Path, condition: int = 0, index: int = 1) -> TaskPage:
+    plan = plan_of()
+    session = next(each for each in plan.sessions(1) if each.condition.name == plan.conditions[condition])
+    return TaskPage(Sitting(tmp_path, plan, cast(Dataset, None), 1, 8080), session, index)
+
+
+def test_what_was_done_before_a_crash_is_taken_up(tmp_path: Path) -> None:
+    page, judge = page_of(tmp_path), Judge()
+    rows: list[dict[str, Any]] = [
+        {"event": "open"},
+        {"event": "undo"},
+        {"event": "upload", "motions": {"1": pose_row(MOTION)}, "specification_s": 12.5, "execution_s": 0.0},
+        {"event": "executed", "outcomes": {"1": "seated"}, "specification_s": 12.5, "execution_s": 10.0},
+        {"event": "refuse"},
+        {"event": "clock", "specification_s": 31.25, "execution_s": 10.0},
+        {"event": "close"},
+    ]
+    page.resume(rows, judge)
+    [asked] = judge.asked
+    assert list(asked) == [1]
+    assert asked[1].wxyz.tobytes() + asked[1].xyz.tobytes() == MOTION.wxyz.tobytes() + MOTION.xyz.tobytes()
+    assert page.outcomes == {1: "seated"}
+    assert (page.clock.specified, page.clock.execution, page.clock.reading) == (31.25, 10.0, 41.25)
+    record = page.record({i: PartResult(i, "seated", True, 1.0, 1.0) for i in range(2)}, rows)
+    assert (record.uploads, record.undos, record.refused, record.interruptions) == (1, 1, 1, 1)
+    assert record.operator == PERSON
+    assert not record.out_of_time  # there was time left: the participant ended the task
+
+
+def test_time_that_ran_out_is_on_record(tmp_path: Path) -> None:
+    page = page_of(tmp_path)
+    page.clock.specification = 120.0
+    record = page.record({i: PartResult(i, "not uploaded", False, None, None) for i in range(2)}, [])
+    assert record.out_of_time
+    assert record.interruptions == record.uploads == 0
+
+
+def test_a_part_that_a_hand_has_carried_is_an_upload_by_itself(tmp_path: Path) -> None:
+    carried = {"event": "do", "edits": {"0": {"confirmed": True}, "-2": {"confirmed": False}}}
+    moved = {"event": "do", "edits": {"-2": {"confirmed": False}}}
+    scene, hand = page_of(tmp_path, 0), page_of(tmp_path, 1)
+    for page in (scene, hand):
+        page.seen(moved)
+        assert page.requests.empty()
+        page.seen(carried)
+    assert scene.requests.empty()
+    assert hand.requests.get_nowait() == UPLOAD != FINISH
