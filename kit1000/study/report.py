@@ -213,7 +213,8 @@ def _order(numbers: Mapping[str, Any]) -> str:
         _table(head, body)
         + "<p class='soft'>Carry-over: sum over both conditions of those who met the first one first, minus that of "
         "the others. Period: the second minus the first, whichever condition it was. Neither has much power.</p>"
-        + _table(["Second task of a size minus the first", "s", "95 %", ""], learned)
+        + _table(["Specification, second task of a size minus the first", "s", "95 %", ""], learned)
+        + "<p class='soft'>The tasks of a set come in a fixed order: this is learning and a difference of scenes.</p>"
     )
 
 

@@ -90,7 +90,7 @@ def wilcoxon_test(values: np.ndarray, seed: int = 0) -> float:
     if not np.any(values):
         return 1.0
     rng = stream(seed, "study-signs")
-    method = stats.PermutationMethod(n_resamples=EXACT - 1, rng=rng)
+    method = stats.PermutationMethod(n_resamples=EXACT, rng=rng)
     return float(stats.wilcoxon(values, zero_method="zsplit", method=method)[1])  # type: ignore[arg-type]
 
 
