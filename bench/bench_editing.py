@@ -28,7 +28,7 @@ from kit1000.editor.controller import Controller
 from kit1000.editor.pointing import Eye
 from kit1000.editor.records import EventLog, Header
 from kit1000.editor.scene import EditedScene
-from kit1000.editor.worker import Job, Method, Result, prepared, proposals_of
+from kit1000.editor.worker import AtOnce, Method, prepared
 from kit1000.errors import Kit1000Error
 from kit1000.guesses import draw_direction
 from kit1000.metrics import Targets, pose_errors, seatings
@@ -62,23 +62,6 @@ class Blank:
 
     def __getattr__(self, verb: str) -> object:
         return lambda *arguments, **options: None
-
-
-@dataclass
-class Script:
-    """Answers guesses at once, in this process."""
-
-    method: Method
-    controller: Controller | None = None
-
-    def ask(self, part: int, guess: Pose) -> None:
-        """Answer a guess."""
-        assert self.controller is not None
-        job = Job(part, guess)
-        self.controller.received(Result(job, proposals_of(prepared(self.method), job)))
-
-    def prefer(self, part: int) -> None:
-        """The part in the hand."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,10 +109,10 @@ def _edited(
     """All parts of a scene, one after another."""
     scene = EditedScene.open(dataset, scene_id, sensor, truth=False)
     method = Method(SNAP, dataset.root, scene_id, sensor, truth=False)
-    script = Script(method)
+    asker = AtOnce(method)
     log = EventLog(out, Header(dataset.id, scene_id, sensor, False, SNAP, "scene"))
-    controller = Controller(scene, Blank(), log, script)  # type: ignore[arg-type]
-    script.controller = controller
+    controller = Controller(scene, Blank(), log, asker)  # type: ignore[arg-type]
+    asker.done = controller.received
     recorded = dataset.recorded_scene(scene_id, truth=True)
     track = "snap" if sensor == "ideal" else f"snap-{sensor}"
     for query in recorded.queries:

@@ -40,7 +40,7 @@ class FakeStage:
     share: float = 0.0
     rows: tuple[tuple[str, ...], int] = ((), 0)
     gizmo_pose: Pose | None = None
-    looks: list[np.ndarray] = field(default_factory=list)
+    looks: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
     flushes: int = 0
     points: dict[str, np.ndarray] = field(default_factory=dict)
     events: list[dict[str, Any]] = field(default_factory=list)
@@ -77,7 +77,7 @@ class FakeStage:
         self.gizmo_pose = pose
 
     def look_from(self, eye: ArrayLike, target: ArrayLike, /) -> None:
-        self.looks.append(np.asarray(eye))
+        self.looks.append((np.asarray(eye), np.asarray(target)))
 
     def flush(self) -> None:
         self.flushes += 1

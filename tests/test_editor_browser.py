@@ -1,4 +1,4 @@
-"""The editing page in a real browser: a part dragged, snapped and confirmed by pointer and keys; a second tab.
+"""The editing page in a real browser: a part dragged, snapped and confirmed by pointer and keys; cups; a second tab.
 
 Software WebGL draws about a frame a second, so the window is small and everything waits for conditions.
 """
@@ -17,6 +17,7 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
+from kit1000.editor.hand import PLACE, HandWorkspace
 from kit1000.editor.page import ViserStage, eye_of
 from kit1000.editor.pointing import Eye
 from kit1000.editor.serve import Options, editing
@@ -30,6 +31,8 @@ WINDOW = {"width": 800, "height": 500}
 PATIENCE_S = float(os.environ.get("KIT1000_PATIENCE_S", "60"))
 NOT_OURS = ("THREE.", "GPU stall", "GL Driver Message")  # warnings of the libraries inside viser
 SCROLLING = "Unable to preventDefault inside passive event listener"  # by viser's camera control, at a wheel or touch
+
+GRIP = (0.0, 0.0, -0.03)  # [m] on a cup, up its tube
 
 pytestmark = pytest.mark.slow
 
@@ -62,14 +65,21 @@ def session(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tu
         yield opened
 
 
+@pytest.fixture
+def carrying(mini: Path, tmp_path: Path) -> Iterator[tuple[Controller, str]]:
+    """A session by hand control with that method, and its address."""
+    scene_id = Dataset(mini).split("test").scene_ids[0]
+    with editing(Options(mini, scene_id, tmp_path, snap="test_editor_browser:near", interface="hand")) as opened:
+        yield opened
+
+
 @pytest.fixture(scope="module")
-def visit(browser: Browser, session: tuple[Controller, str]) -> Iterator[Callable[[], Page]]:
-    """Opens the page; nothing may be asked of another host, and no error may be written to the console."""
+def visit(browser: Browser) -> Iterator[Callable[[str], Page]]:
+    """Opens a page; nothing may be asked of another host, and no error may be written to the console."""
     complaints: list[str] = []
-    address = session[1]
     context = browser.new_context(viewport=WINDOW, device_scale_factor=0.5)  # type: ignore[arg-type]
 
-    def opened() -> Page:
+    def opened(address: str) -> Page:
         page = context.new_page()
         page.on("console", lambda one: _complain(complaints, one.type, one.text))
         page.on("pageerror", lambda error: complaints.append(str(error)))
@@ -124,14 +134,14 @@ def ready(controller: Controller, page: Page) -> None:
     assert isinstance(stage, ViserStage)
     wait(lambda: len(stage.server.get_clients()) > 0, page)
     page.evaluate("document.querySelectorAll('.mantine-Notification-closeButton').forEach(one => one.click())")
-    middle, _ = controller.space.scene.extent
-    wait(lambda: float(np.abs(np.subtract(eye(controller).screen(middle), 0.5)).max()) < 0.01, page)
+    bounds = controller.space.scene.bounds
+    wait(lambda: 0.43 < max(np.abs(np.subtract(eye(controller).screen(p), 0.5)).max() for p in bounds) < 0.46, page)
 
 
 def test_a_part_is_edited_from_start_to_a_confirmed_file(
-    session: tuple[Controller, str], visit: Callable[[], Page]
+    session: tuple[Controller, str], visit: Callable[[str], Page]
 ) -> None:
-    controller, page = session[0], visit()
+    controller, page = session[0], visit(session[1])
     ready(controller, page)
     renderer = "document.createElement('canvas').getContext('webgl').getParameter(0x1F01)"
     assert page.evaluate(renderer)
@@ -161,18 +171,43 @@ def test_a_part_is_edited_from_start_to_a_confirmed_file(
     page.close()
 
 
+def test_a_part_is_carried_by_two_cups(carrying: tuple[Controller, str], visit: Callable[[str], Page]) -> None:
+    controller, page = carrying[0], visit(carrying[1])
+    ready(controller, page)
+    space, part = controller.space, controller.space.scene.parts[0]
+    assert isinstance(space, HandWorkspace)
+    page.get_by_text("drag the green cup onto a part").first.wait_for(timeout=1000 * PATIENCE_S)
+    page.keyboard.press(str(part + 1))
+    wait(lambda: space.carried(PLACE) == part, page)
+    page.mouse.move(*on_page(controller, page, space.rest(PLACE).apply(GRIP)))
+    page.mouse.down()
+    page.mouse.move(*on_page(controller, page, space.scene.plates[0].point), steps=4)
+    wait(lambda: space.over_kits(PLACE), page)
+    page.mouse.up()
+    wait(lambda: space.ghost(PLACE) is not None, page)  # the method has answered where the part would be
+    page.keyboard.press("Space")
+    wait(lambda: space.session.edits[PLACE].snapped, page)
+    expected = space.part_edit(PLACE).goal_from_now
+    page.keyboard.press("Enter")
+    wait(lambda: space.session.edits[part].confirmed, page)
+    assert space.session.edits[part].goal_from_now.xyz.tolist() == expected.xyz.tolist()
+    wait(lambda: (controller.log.path.parent / "manifest.toml").is_file(), page)
+    assert len(read_submission(controller.log.path.parent).predictions) >= 1
+    page.close()
+
+
 def test_a_reload_shows_the_same_and_a_second_tab_only_watches(
-    session: tuple[Controller, str], visit: Callable[[], Page]
+    session: tuple[Controller, str], visit: Callable[[str], Page]
 ) -> None:
     controller = session[0]
     part, plate = controller.space.scene.parts[0], controller.space.scene.plates[0]
     controller.place(part, Pose.from_translation(plate.point - controller.space.scene.pivot(part)))
     controller.command("confirm")
-    page = visit()
+    page = visit(session[1])
     ready(controller, page)
     page.get_by_text("confirmed").first.wait_for(timeout=1000 * PATIENCE_S)
     count = len(controller.space.session.done)
-    second = visit()
+    second = visit(session[1])
     second.get_by_text("only watches").first.wait_for(timeout=1000 * PATIENCE_S)
     second.keyboard.press("Control+z")
     page.bring_to_front()

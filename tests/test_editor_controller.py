@@ -17,8 +17,10 @@ from kit1000.camera import look_at
 from kit1000.cli import main
 from kit1000.cli.scenes import SNAP
 from kit1000.dataset.reader import Dataset
-from kit1000.editor.display import body_node, ghost_node
-from kit1000.editor.keys import KEYS, help_text
+from kit1000.editor.display import FIELD, body_node, ghost_node
+from kit1000.editor.hand import PLACE
+from kit1000.editor.help import help_text
+from kit1000.editor.keys import KEYS
 from kit1000.editor.plates import TABLE
 from kit1000.editor.pointing import Eye
 from kit1000.editor.proposals import Proposal, distinct
@@ -213,14 +215,14 @@ def test_a_part_on_the_table_cannot_be_confirmed(scene: EditedScene, tmp_path: P
     assert not any(edit.confirmed for edit in table.controller.space.session.edits.values())
 
 
-def test_every_view_shows_the_scene_in_a_square_window(scene: EditedScene, tmp_path: Path) -> None:
+@pytest.mark.parametrize("aspect", [0.6, 1.0, 2.2])
+def test_every_view_fills_the_window_with_the_scene(scene: EditedScene, tmp_path: Path, aspect: float) -> None:
     table = desk(scene, tmp_path)
-    middle, radius = scene.extent
     for verb in ("view-camera", "view-top"):
-        table.controller.command(verb)
-        eye = Eye(look_at(table.stage.looks[-1], middle), EYE.fov, 1.0)
-        for offset in np.concatenate([np.eye(3), -np.eye(3)]) * radius:
-            assert max(abs(side - 0.5) for side in eye.screen(middle + offset)) < 0.5, verb
+        table.controller.command(verb, EYE._replace(aspect=aspect))
+        eye = Eye(look_at(*table.stage.looks[-1]), FIELD, aspect)
+        away = np.abs(np.array([eye.screen(point) for point in scene.bounds]) - 0.5)
+        assert 0.43 < away.max() < 0.46, verb
 
 
 def test_every_key_does_something_or_says_why_not(scene: EditedScene, tmp_path: Path) -> None:
@@ -248,9 +250,12 @@ def test_a_blind_session_opens_no_file_with_truth(mini: Path, tmp_path: Path) ->
     dataset = Dataset(mini)
     scene_id = dataset.split("test").scene_ids[0]
     scene = EditedScene.open(dataset, scene_id, "ideal", truth=False)
-    table = desk(scene, tmp_path)
-    dragged(table, scene.parts[0], scene.plates[0].point)
-    table.controller.command("confirm")
+    for interface, body in (("scene", scene.parts[0]), ("hand", PLACE)):
+        table = desk(scene, tmp_path / interface, interface=interface)  # type: ignore[arg-type]
+        table.controller.command(f"select-{scene.parts[0] + 1}")
+        dragged(table, body, scene.plates[0].point)
+        table.controller.command("confirm")
+        assert table.controller.space.session.edits[scene.parts[0]].confirmed
     method = Method("test_editor_controller:keep", mini, scene_id, "ideal", False)
     proposals_of(prepared(method), Job(scene.parts[0], NEAR))
     watching[0] = False

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from kit1000.cli import main
 from kit1000.editor.display import KITS, body_node, ghost_node
 from kit1000.editor.hand import PICK, PLACE, HandWorkspace
-from kit1000.editor.keys import help_text, keys_of, shown, verbs_of
+from kit1000.editor.help import help_text, shown
+from kit1000.editor.keys import keys_of, verbs_of
 from kit1000.editor.plates import TABLE
 from kit1000.editor.records import EventLog
 from kit1000.editor.scene import EditedScene

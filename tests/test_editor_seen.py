@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from kit1000.camera import Camera, look_at
 from kit1000.editor import gestures
+from kit1000.editor.contact import Cavities
 from kit1000.editor.plates import TABLE, Plate, find_plates
 from kit1000.editor.pointing import Eye, Pointing
-from kit1000.editor.report import Contacts, solid_points
-from kit1000.editor.seen import seen_surface, with_skirt
+from kit1000.editor.seen import observed, seen_surface, with_skirt
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.parts.cad import polygon, prism
 from kit1000.pose import Pose, quaternion_between
@@ -168,21 +168,14 @@ def test_levelling_stands_a_tilted_part_on_its_nearest_side() -> None:
     assert abs(points[:, 2].max() - 0.03) < 1e-9  # 30 mm high on its side
 
 
-@pytest.mark.parametrize("height", [0.004, 0.0, -0.006])
-def test_contact_as_seen_is_the_height_over_the_plate(height: float) -> None:
-    """Beside the cavity; in the cavity it is 12 mm lower."""
-    kits, part = seen()[1], seen()[2]
-    plate = find_plates(kits, 1.3e-6, noisy=False)[0]
-    contacts, points = Contacts(kits), solid_points(part)
-    for shift, depth in ((0.036, 0.0), (0.0, DEPTH)):
-        now = Pose.from_translation((0.0, 0.15, 0.0))  # to the origin
-        motion = WORLD_FROM_PLATE @ Pose.from_translation((shift, 0.0, height - depth)) @ now
-        contact = contacts.of(points, motion, plate)
-        assert abs(contact.overlap + height) < 1.2e-3, (shift, contact)
-
-
-def test_far_from_the_kits_nothing_is_known_of_contact() -> None:
+@pytest.mark.parametrize(("shift", "share"), [(0.0, 0.0), (0.0125, 0.25), (0.02, 0.5), (0.038, 1.0), (0.4, 1.0)])
+@pytest.mark.parametrize("height", [0.01, -0.006])
+def test_the_share_beside_the_cavity_is_that_of_the_shifted_square(shift: float, share: float, height: float) -> None:
+    """A square of 30 mm over a cavity of 40 mm, however high: the cavity reaches 20 mm from its middle."""
     plate = find_plates(seen()[1], 1.3e-6, noisy=False)[0]
-    contact = Contacts(seen()[1]).of(solid_points(seen()[2]), Pose.from_translation((0.4, 0.0, 0.0)), plate)
-    assert np.isnan(contact.overlap)
-    assert "nothing" in contact.text()
+    to_origin = Pose.from_translation((0.0, 0.15, 0.0))
+    motion = WORLD_FROM_PLATE @ Pose.from_translation((shift, 0.0, height)) @ to_origin
+    cavities, points = Cavities(seen()[1], noisy=False), observed(seen()[2])
+    assert cavities.share_beside(points, motion, plate) == pytest.approx(share, abs=0.07)
+    text = cavities.text(points, motion, plate)
+    assert ("all of it is over a cavity" in text) == (shift == 0)

@@ -105,8 +105,8 @@ class Controller:
         if body not in space.bodies:
             return
         space.choose(body)
+        self.display.update()
         if not space.assists:
-            self.display.update()
             return
         before, plate, surface = space.session.edits[body], space.plate_of(body), space.surface(body)
         self._drag = Drag(body, before, space.cloud(body), space.pivot(body), eye, screen, point, plate, modifier)
@@ -164,12 +164,14 @@ class Controller:
     def command(self, verb: str, eye: Eye | None = None) -> None:
         """A key or a button. eye: the browser's camera, for what depends on it."""
         space = self.space
-        if verb not in verbs_of(space.interface):
+        if verb not in verbs_of(space.interface, space.snaps):
             return
         if verb.startswith("select-"):
             self._number(int(verb.removeprefix("select-")) - 1)
+        elif verb == "view-slot" and space.selected is None:
+            self.display.note(texts.CHOOSE[space.interface])
         elif verb.startswith("view-"):
-            self.display.look(verb.removeprefix("view-"))
+            self.display.look(verb.removeprefix("view-"), *(() if eye is None else (eye.aspect,)))
         elif verb == "deselect":
             self.select(None)
         elif verb == "hide-kits":

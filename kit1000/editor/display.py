@@ -9,14 +9,17 @@ from kit1000.editor.hand import NAMES, PICK, PLACE, HandWorkspace, cup_mesh
 from kit1000.editor.stage import Colour, Stage
 from kit1000.editor.workspace import Workspace
 from kit1000.mesh import Mesh
-from kit1000.pictures.shading import part_colour
-from kit1000.pose import Pose, unit_vector
+from kit1000.pictures.shading import framing_camera, part_colour
+from kit1000.pose import Pose
+from kit1000.trigonometry import tangent
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 
 KITS, OTHERS, NUMBER = "/kits", "/others", "/number"
 OVER_PART, OVER_GHOST = np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, 0.05])  # [m] of their labels
 UP_THE_CUP = np.array([0.0, 0.0, 0.07])  # [m] of its label, from the lip where it hangs
-AWAY = 2.6  # radii of the scene: from there a square window shows all of it at 45 degrees
+FIELD = float(np.radians(45))  # of view from the top of the window to its bottom, as in the paper
+NARROW = 0.9  # width over height of a window that is not yet known: that of a small screen beside the panel
+BORDER = 0.06  # of the window around the scene
 STRAIGHT_DOWN = np.array([0.0, -0.02, 1.0])  # not quite: the view keeps its upward direction
 SLOT_VIEW = 0.3  # [m] from a plate
 CUP_COLOURS: dict[int, Colour] = {PICK: (70, 175, 60), PLACE: (240, 200, 30)}
@@ -49,8 +52,9 @@ class Display:
             stage.look(ghost_node(body), visible=False)
 
     def moved(self, body: int) -> None:
-        """A body in a drag: its pose and its ghost, nothing else."""
+        """A body in a drag: its pose, its label and its ghost, nothing else."""
         self.stage.move(body_node(body), self.workspace.current[body].goal_from_now)
+        self._label(body)
         self._ghost()
 
     def update(self) -> None:
@@ -58,20 +62,15 @@ class Display:
         space = self.workspace
         for body, edit in space.current.items():
             self.stage.move(body_node(body), edit.goal_from_now)
-        in_hand = None if space.selected is None else space.carried(space.selected)
-        for part in space.scene.parts:
-            edit = space.current[part]
-            top = edit.goal_from_now.apply(space.scene.pivot(part)) + OVER_PART
-            self.stage.label(f"/name/{part}", texts.part_label(part, edit, part == in_hand), top)
-        for cup in set(space.bodies) & NAMES.keys():
-            top = space.current[cup].goal_from_now.apply(space.pivot(cup) + UP_THE_CUP)
-            self.stage.label(f"/name/{cup}", texts.cup_label(cup == PICK, cup == space.selected), top)
+            self._label(body)
         self._ghost()
         self.stage.look(KITS, visible=not space.kits_hidden)
-        self.stage.progress(space.known_share())
+        sought = space.sought()
+        self.stage.progress(1 - len(sought) / max(len(space.scene.parts), 1))
         self.stage.say("note", "")
         edits = {part: space.session.edits[part] for part in space.scene.parts}
-        self.stage.say("parts", texts.parts_table(edits, in_hand))
+        in_hand = self._part_in_hand()
+        self.stage.say("parts", texts.parts_table(edits, in_hand, sought))
         self.stage.say("fit", self._fit_text())
         names = [operation.name for operation in (*space.session.done, *reversed(space.session.undone))]
         self.stage.history(names, len(space.session.done))
@@ -81,19 +80,32 @@ class Display:
         """A line that stays until the next event."""
         self.stage.say("note", text)
 
-    def look(self, name: str) -> None:
-        """Put the camera: camera, top, or slot for the plate under the selected body."""
+    def look(self, name: str, aspect: float = NARROW) -> None:
+        """Put the camera: camera, top, or slot for the plate under the selected body. aspect: of the window."""
         space = self.workspace
-        middle, radius = space.scene.extent
-        if name == "camera":
-            towards = space.scene.view.world_from_camera.xyz - middle
-            self.stage.look_from(middle + AWAY * radius * unit_vector(towards), middle)
-        elif name == "top":
-            self.stage.look_from(middle + AWAY * radius * STRAIGHT_DOWN, middle)
+        if name in ("camera", "top"):
+            middle = space.scene.bounds.mean(0)
+            towards = space.scene.view.world_from_camera.xyz - middle if name == "camera" else STRAIGHT_DOWN
+            self.stage.look_from(*framed(space.scene.bounds, towards, aspect))
         elif space.selected is not None:
             image = space.current[space.selected].goal_from_now.apply(space.pivot(space.selected))
             away = SLOT_VIEW * space.plate_of(space.selected).normal
             self.stage.look_from(image + away + (0, -0.01, 0), image)
+
+    def _part_in_hand(self) -> int | None:
+        space = self.workspace
+        return None if space.selected is None else space.carried(space.selected)
+
+    def _label(self, body: int) -> None:
+        """The label over a part or a cup."""
+        space = self.workspace
+        motion, pivot = space.current[body].goal_from_now, space.pivot(body)
+        if body in NAMES:
+            text, top = texts.cup_label(body == PICK, body == space.selected), motion.apply(pivot + UP_THE_CUP)
+        else:
+            text = texts.part_label(body, space.current[body], body == self._part_in_hand())
+            top = motion.apply(pivot) + OVER_PART
+        self.stage.label(f"/name/{body}", text, top)
 
     def _add_points(self) -> None:
         """The image as points, one cloud for each part that can be moved."""
@@ -134,8 +146,9 @@ class Display:
 
     def _fit_text(self) -> str:
         space, body = self.workspace, self.workspace.selected
+        done = all(space.session.edits[part].confirmed for part in space.scene.parts)
         if body is None:
-            return texts.BEGIN[space.interface]
+            return texts.ALL_DONE if done else texts.BEGIN[space.interface]
         part = space.carried(body)
         if part is None:
             return texts.PICK_FIRST if body == PLACE else self._pick_text()
@@ -147,9 +160,13 @@ class Display:
             lines.append(self.no_fit(body))
         if space.waits(body):
             lines.append(texts.WAITING)
-        if not space.assists:
-            return "\n\n".join(lines)
-        return "\n\n".join([*lines, self._contact_line(body, part)])
+        if space.assists:
+            lines.append(self._contact_line(body, part))
+        if done:
+            lines.append(texts.ALL_DONE)
+        elif ghost is None and space.over_kits(body) and not space.current[body].confirmed:
+            lines.append(texts.CONFIRM[space.interface])
+        return "\n\n".join(lines)
 
     def _pick_text(self) -> str:
         """Of the picking cup in the hand."""
@@ -168,8 +185,20 @@ class Display:
         space = self.workspace
         if not space.over_kits(body):
             return texts.ON_TABLE if part == body else texts.NOT_OVER_PLATE
-        contact = space.scene.contact(part, space.part_edit(body).goal_from_now, space.plate_of(body))
-        return f"{'True shapes' if space.scene.truth else 'As seen'}: {contact.text()}."
+        return space.scene.contact(part, space.part_edit(body).goal_from_now, space.plate_of(body))
+
+
+def framed(points: np.ndarray, direction: np.ndarray, aspect: float) -> tuple[np.ndarray, np.ndarray]:
+    """(3,), (3,) [m]: where to look from, and at what, so that points (n, 3) [m] fill a window.
+
+    direction: (3,) from them to the eye, any length. aspect: of the window, width over height.
+    """
+    size = (max(1, round(1000 * aspect)), 1000)
+    field = 2 * float(np.arctan(tangent(FIELD / 2) * max(aspect, 1.0)))
+    cloud = Mesh(points, np.zeros((0, 3), np.int32))
+    _, pose = framing_camera([(cloud, Pose.identity())], direction, size, float(np.degrees(field)), BORDER)
+    ahead = pose.inverse().apply(points)[:, 2].mean()
+    return pose.xyz, pose.apply(np.array([0.0, 0.0, ahead]))
 
 
 def body_node(body: int) -> str:

@@ -1,4 +1,4 @@
-"""The keys, buttons and help of the page: tables, by interface, from which the page is made.
+"""The keys and buttons of the page: tables, from which the page and its help are made.
 
 W A S D Q E and the arrows are left out: they fly viser's camera.
 """
@@ -57,8 +57,9 @@ BUTTONS: Mapping[str, Mapping[str, str]] = {
     "Fit": {"Take": "take", "Next": "next", "Snap all": "take-all"},
     "Part": {"Confirm": "confirm", "Confirm all": "confirm-all"},
     "History": {"Undo": "undo", "Redo": "redo", "Put all back": "reset-all"},
-    "Look": {"Camera": "view-camera", "Top": "view-top", "Plate": "view-slot", "Kits": "hide-kits"},
+    "Look": {"Camera": "view-camera", "Top": "view-top", "Plate": "view-slot", "Hide kits": "hide-kits"},
 }
+SNAPPING = {"take", "next", "take-all"}
 ONE_AT_A_TIME = {"take-all", "confirm-all"}
 BARE = {"confirm", "undo", "redo", "reset-all", "view-top", "view-slot", "view-camera", "hide-kits", "deselect"}
 """What is left of them in bare hand control."""
@@ -70,98 +71,36 @@ HAND_HELP = {
     "deselect": "choose no cup",
 }
 
-NAMES = {"space": "Space", "enter": "Enter", "escape": "Esc"}
-LOOK = ("drag elsewhere", "look around; wheel: nearer")
-DRAGS: Mapping[Interface, tuple[tuple[str, str], ...]] = {
-    "scene": (
-        ("drag a part", "slide it over table and plates"),
-        ("Ctrl + drag", "turn it"),
-        ("Shift + drag", "raise or lower it"),
-        ("Alt + drag", "tilt it"),
-        LOOK,
-        ("**1 … 9**", "choose a part"),
-    ),
-    "hand": (
-        ("drag a cup", "slide it over parts (green), plates (yellow)"),
-        ("Ctrl + drag", "turn it"),
-        ("Shift + drag", "raise or lower it"),
-        ("Alt + drag", "tilt it"),
-        LOOK,
-        ("**1 … 9**", "put the green cup on a part"),
-    ),
-    "hand-bare": (
-        ("click a cup", "choose it"),
-        ("drag its arrows", "move it"),
-        ("drag its arcs", "turn it"),
-        LOOK,
-    ),
-}
-STEPS: Mapping[Interface, tuple[str, ...]] = {
-    "scene": (
-        "**1.** Drag a part onto its cavity, roughly.",
-        "**2.** A ghost shows where it fits, and how sure that is: green is sure, amber likely, grey not sure. "
-        "**Space** takes it, **C** shows another. No ghost? Turn the part with **Z** and **X**, or tip it over with "
-        "**Y**.",
-        "**3.** **Enter** confirms. Everything is saved at once; **Ctrl+Z** undoes.",
-    ),
-    "hand": (
-        "You move the robot's suction cup, not the parts: green is where it picks a part, yellow where it lets it go.",
-        "**1.** Press a part's number, or drag the green cup onto a part.",
-        "**2.** Drag the yellow cup onto the part's cavity. The part keeps its place at the cup: as the fins of the "
-        "two cups differ, so the part turns. **Z** and **X** turn the cup.",
-        "**3.** A ghost of the cup shows where the part would fit: green is sure, amber likely, grey not sure. "
-        "**Space** takes it, **C** shows another.",
-        "**4.** **Enter** carries the part. Then comes the next one.",
-    ),
-    "hand-bare": (
-        "You move the robot's suction cup, not the parts: green is where it picks a part, yellow where it lets it go.",
-        "**1.** Click the green cup and put its tip onto the top of a part, by the arrows.",
-        "**2.** Click the yellow cup; put it and turn it so that the part, hanging from it, is in its cavity. The part "
-        "keeps its place at the cup: as the fins of the two cups differ, so the part turns.",
-        "**3.** **Enter** carries the part. Then comes the next one.",
-    ),
-}
-
 
 @cache
-def keys_of(interface: Interface) -> tuple[Key, ...]:
-    """The keys of an interface, with their help."""
-    keys = tuple(key for key in KEYS if _has(interface, key.verb))
+def keys_of(interface: Interface, snaps: bool = True) -> tuple[Key, ...]:
+    """The keys of an interface, with their help. snaps: whether a method proposes fits."""
+    keys = tuple(key for key in KEYS if _has(interface, snaps, key.verb))
     if interface == "scene":
         return keys
     return tuple(key._replace(help=HAND_HELP.get(key.verb, key.help)) for key in keys)
 
 
 @cache
-def buttons_of(interface: Interface) -> dict[str, dict[str, str]]:
+def buttons_of(interface: Interface, snaps: bool = True) -> dict[str, dict[str, str]]:
     """The verbs of the buttons of an interface by their text, in named groups."""
     groups = {
-        name: {text: verb for text, verb in verbs.items() if _has(interface, verb)} for name, verbs in BUTTONS.items()
+        name: {text: verb for text, verb in verbs.items() if _has(interface, snaps, verb)}
+        for name, verbs in BUTTONS.items()
     }
     return {name: verbs for name, verbs in groups.items() if verbs}
 
 
 @cache
-def verbs_of(interface: Interface) -> frozenset[str]:
+def verbs_of(interface: Interface, snaps: bool = True) -> frozenset[str]:
     """What can be commanded."""
-    buttons = (verb for verbs in buttons_of(interface).values() for verb in verbs.values())
-    return frozenset((*(key.verb for key in keys_of(interface)), *buttons))
+    buttons = (verb for verbs in buttons_of(interface, snaps).values() for verb in verbs.values())
+    return frozenset((*(key.verb for key in keys_of(interface, snaps)), *buttons))
 
 
-def help_text(interface: Interface) -> str:
-    """The help on the page, in Markdown."""
-    rows = [f"| {what} | {does} |" for what, does in DRAGS[interface]]
-    rows += [f"| **{shown(key)}** | {key.help} |" for key in keys_of(interface) if key.help]
-    return "\n\n".join(STEPS[interface]) + "\n\n| | |\n| --- | --- |\n" + "\n".join(rows)
-
-
-def shown(key: Key) -> str:
-    """A key as it is printed: Ctrl+Z."""
-    name = NAMES.get(key.key, key.key)
-    return {"shift": "Shift+", "cmd/ctrl": "Ctrl+", None: ""}[key.modifier] + name
-
-
-def _has(interface: Interface, verb: str) -> bool:
+def _has(interface: Interface, snaps: bool, verb: str) -> bool:
+    if not snaps and verb in SNAPPING:
+        return False
     if interface == "hand-bare":
         return verb in BARE
     return interface == "scene" or verb not in ONE_AT_A_TIME

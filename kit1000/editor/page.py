@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 
 from kit1000.editor import texts
 from kit1000.editor.controller import Controller
-from kit1000.editor.display import body_node
+from kit1000.editor.display import FIELD, NARROW, body_node
 from kit1000.editor.dragging import NAMES, Modifier
-from kit1000.editor.keys import Interface, buttons_of, help_text, keys_of, verbs_of
+from kit1000.editor.help import help_text
+from kit1000.editor.keys import Interface, buttons_of, keys_of, verbs_of
 from kit1000.editor.pointing import Eye
 from kit1000.editor.stage import Colour
 from kit1000.errors import Kit1000Error
@@ -22,9 +23,11 @@ from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim.layout import TABLE_SIZE
 
-FOV = float(np.radians(45))  # of the browser's camera, as in the paper
 HISTORY_ROWS = 8
 PLACES = ("head", "parts", "fit", "note")
+SKY, SUN = 1.2, 1.9  # lights, by which cavities stand out without shadows
+SUN_AT = (-0.6, -0.5, 1.0)
+SAME_SHAPE = 0.02  # of two windows, in width over height
 POINT_SIZE = 1.6e-3  # [m]: neighbours just touch
 GIZMO = "/gizmo"
 
@@ -32,16 +35,19 @@ GIZMO = "/gizmo"
 class ViserStage:
     """The verbs of `stage.Stage`, and the events for a controller."""
 
-    def __init__(self, server: viser.ViserServer, interface: Interface) -> None:
+    def __init__(self, server: viser.ViserServer, interface: Interface, snaps: bool) -> None:
+        """A page for an interface. snaps: whether a method proposes fits."""
         self.server = server
-        self.interface: Interface = interface
+        self._wanted = interface, snaps
         self._nodes: dict[str, Any] = {}
         self._labels: dict[str, Any] = {}
         self._texts: dict[str, Any] = {}
         self._rows: list[Any] = []
+        self._counts: list[int] = []
         self._history: tuple[tuple[str, ...], int] | None = None
         self._controller: Controller | None = None
         self._acting: int | None = None
+        self._aspect = NARROW
         self._clients: list[int] = []
         self._dress()
 
@@ -123,13 +129,15 @@ class ViserStage:
         if state == self._history:
             return
         self._history = state
-        for row in self._rows:
-            row.remove()
         first = max(0, min(done - HISTORY_ROWS // 2, len(names) - HISTORY_ROWS))
-        with self._history_folder:
-            self._rows = [self._history_row("0 · as recorded", 0, done)] if first == 0 else []
-            for count in range(first + 1, min(first + HISTORY_ROWS, len(names)) + 1):
-                self._rows.append(self._history_row(f"{count} · {names[count - 1]}", count, done))
+        counts = range(0 if first == 0 else first + 1, min(first + HISTORY_ROWS, len(names)) + 1)
+        self._counts = list(counts)
+        for row, button in enumerate(self._rows):
+            button.visible = row < len(counts)
+            if button.visible:
+                count = counts[row]
+                button.label = f"{count} · {names[count - 1] if count else 'as recorded'}"
+                button.color = "blue" if count == done else "gray"
 
     def gizmo(self, pose: Pose | None) -> None:
         """Show the gizmo, or hide it."""
@@ -155,8 +163,12 @@ class ViserStage:
         server, gui = self.server, self.server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width="small")
         gui.main_panel.dock_right()
-        server.initial_camera.fov, server.initial_camera.near, server.initial_camera.far = FOV, 0.02, 10.0
+        server.initial_camera.fov, server.initial_camera.near, server.initial_camera.far = FIELD, 0.02, 10.0
         server.initial_camera.up = (0.0, 0.0, 1.0)
+        server.scene.configure_default_lights(enabled=False)
+        server.scene.configure_environment_map(None)
+        server.scene.add_light_ambient("/light/sky", intensity=SKY)
+        server.scene.add_light_directional("/light/sun", intensity=SUN, position=SUN_AT)
         width, depth, thickness = TABLE_SIZE
         server.scene.add_box(
             "/table",
@@ -170,18 +182,21 @@ class ViserStage:
         self._progress = gui.add_progress_bar(0.0, animated=False)
         for place in PLACES[1:]:
             self._texts[place] = gui.add_markdown("")
-        for label, verbs in buttons_of(self.interface).items():
+        for label, verbs in buttons_of(*self._wanted).items():
             group = gui.add_button_group(label, tuple(verbs))
             group.on_click(partial(self._group_clicked, verbs))
-        if "take" in verbs_of(self.interface):
+        if "take" in verbs_of(*self._wanted):
             gui.add_checkbox("Letting go near the ghost takes it", True).on_update(self._lets_go_changed)
-        self._history_folder = gui.add_folder("History", expand_by_default=False)
+        with gui.add_folder("History", expand_by_default=False):
+            self._rows = [gui.add_button("", visible=False) for _ in range(HISTORY_ROWS + 1)]
+        for row, button in enumerate(self._rows):
+            button.on_click(partial(self._history_clicked, row))
         with gui.add_folder("Help"):
-            gui.add_markdown(help_text(self.interface))
+            gui.add_markdown(help_text(*self._wanted))
         self._gizmo = server.scene.add_transform_controls(GIZMO, scale=0.06, visible=False, depth_test=False)
         self._gizmo.on_update(self._gizmo_moved)
         self._dragging_gizmo = False
-        for key in keys_of(self.interface):
+        for key in keys_of(*self._wanted):
             label = key.help or key.verb.replace("-", " ")
             command = gui.add_command(label, hotkey=key.key, modifier=key.modifier)  # type: ignore[arg-type]
             command.on_trigger(partial(self._key_pressed, key.verb))
@@ -192,16 +207,12 @@ class ViserStage:
             handle.on_drag("left", modifier=modifier)(partial(self._dragged, body, modifier))
         handle.on_click(partial(self._clicked, body))
 
-    def _history_row(self, text: str, count: int, done: int) -> Any:
-        button = self.server.gui.add_button(text, color="blue" if count == done else "gray")
-        button.on_click(partial(self._history_clicked, count))
-        return button
-
     # Events. They are coroutines without an await: viser runs these in order, one after another.
 
     async def _joined(self, client: viser.ClientHandle) -> None:
         self._clients.append(client.client_id)
         self._choose_actor()
+        client.camera.on_update(self._framed)
         if client.client_id != self._acting:
             client.add_notification(
                 "This tab only watches", "Another tab of this page is in charge.", auto_close_seconds=8
@@ -211,6 +222,15 @@ class ViserStage:
         if client.client_id in self._clients:
             self._clients.remove(client.client_id)
         self._choose_actor()
+
+    async def _framed(self, camera: viser.CameraHandle) -> None:
+        """Show the whole scene again when the window's shape becomes known, or changes before anything is done."""
+        controller, client = self._controller, camera.client
+        if controller is None or client.client_id != self._acting or abs(camera.aspect / self._aspect - 1) < SAME_SHAPE:
+            return
+        self._aspect = camera.aspect
+        if not controller.space.session.done:
+            controller.command("view-camera", eye_of(client))
 
     def _choose_actor(self) -> None:
         """The tab that came first acts; the others watch."""
@@ -250,7 +270,8 @@ class ViserStage:
     async def _group_clicked(self, verbs: dict[str, str], event: Any) -> None:
         self._call(event, lambda editor: editor.command(verbs[event.target.value], eye_of(event.client)))
 
-    async def _history_clicked(self, count: int, event: Any) -> None:
+    async def _history_clicked(self, row: int, event: Any) -> None:
+        count = self._counts[row]
         self._call(event, lambda editor: editor.return_to(count))
 
     async def _lets_go_changed(self, event: Any) -> None:

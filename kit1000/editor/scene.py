@@ -9,8 +9,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from kit1000.dataset.reader import Dataset, RecordedScene
+from kit1000.editor.contact import Cavities, TrueContacts
 from kit1000.editor.plates import Plate, find_plates
-from kit1000.editor.report import Contact, Contacts, TrueContacts, solid_points
 from kit1000.editor.seen import STRIDE, ColouredPoints, SeenScene, coloured_points, observed, seen_scene
 from kit1000.editor.worker import scene_queries
 from kit1000.mesh import Mesh
@@ -93,36 +93,31 @@ class EditedScene:
         return coloured_points(self.recorded.labelled_depth(self.sensor))
 
     @cached_property
-    def extent(self) -> tuple[np.ndarray, float]:
-        """(3,) [m] the middle of kits and parts, and the radius [m] about it that holds them."""
+    def bounds(self) -> np.ndarray:
+        """(n, 3) [m] world: points that bound kits and parts."""
         points = np.concatenate([self.kits.vertices, *(mesh.vertices for mesh in self.meshes.values())])
-        middle = (points.min(0) + points.max(0)) / 2
-        return middle, float(np.sqrt(np.square(points - middle).sum(-1).max()))
+        return points[ConvexHull(points).vertices]
 
     def pivot(self, part: int) -> np.ndarray:
         """(3,) [m] world: the middle of what is seen of a part where it lies."""
         return self.queries[part].pivot
 
-    def contact(self, part: int, motion: Pose, plate: Plate) -> Contact:
-        """How a part meets the kits where a motion puts it."""
+    def contact(self, part: int, motion: Pose, plate: Plate) -> str:
+        """How a part lies on a plate where a motion puts it, for the page."""
         if self.truth:
-            return self._true_contacts.of(self.meshes[part], motion, plate)
-        return self._contacts.of(self._solid_points[part], motion, plate)
+            return self._contacts.text(self.meshes[part], motion, plate)
+        return self._cavities.text(self.tops[part], motion, plate)
 
     @cached_property
     def _seen(self) -> SeenScene:
         return seen_scene(self.recorded.labelled_depth(self.sensor), self.queries, self.sensor != "ideal")
 
     @cached_property
-    def _solid_points(self) -> dict[int, np.ndarray]:
-        return {part: solid_points(mesh) for part, mesh in self._seen.parts.items()}
+    def _cavities(self) -> Cavities:
+        return Cavities(self._seen.kits, self.sensor != "ideal")
 
     @cached_property
-    def _contacts(self) -> Contacts:
-        return Contacts(self._seen.kits)
-
-    @cached_property
-    def _true_contacts(self) -> TrueContacts:
+    def _contacts(self) -> TrueContacts:
         return TrueContacts(self.kits)
 
 

@@ -71,7 +71,7 @@ def editing(
         log = EventLog(options.out, header, sink=sink)
         with serving(options.port) as (server, address):
             asker = _Later()
-            stage = ViserStage(server, options.interface)
+            stage = ViserStage(server, options.interface, options.snap != NO_SNAP)
             stage.say("head", head_text(header))
             controller = Controller(scene, stage, log, None if options.snap == NO_SNAP else asker)
             stage.listen(controller)

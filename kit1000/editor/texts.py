@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -28,6 +28,13 @@ BEGIN: Mapping[Interface, str] = {
     "hand": CUPS_BEGIN,
     "hand-bare": "Click the green cup and put it on a part.",
 }
+TAKE = "**Space** takes it."
+CONFIRM: Mapping[Interface, str] = {
+    "scene": "**Enter** confirms it.",
+    "hand": "**Enter** carries it.",
+    "hand-bare": "**Enter** carries it.",
+}
+ALL_DONE = "**All parts are confirmed, and everything is saved.** You may close the page, or change what you like."
 PICK_FIRST = "**Yellow cup**: it carries nothing. First put the green cup on a part."
 NOTHING_PICKED = "**Green cup**: it touches no part."
 WAITING = "*Asking the method about this place …*"
@@ -75,13 +82,14 @@ def picked(part: int) -> str:
     return f"**Green cup**: on {part_name(part)}. Now move the yellow cup."
 
 
-def parts_table(edits: Mapping[int, PartEdit], selected: int | None) -> str:
-    """The state of each part, in Markdown."""
+def parts_table(edits: Mapping[int, PartEdit], selected: int | None, sought: Collection[int]) -> str:
+    """The state of each part, in Markdown. sought: the parts for which the method still looks for fits."""
     rows = []
     for part, edit in edits.items():
         name = f"**{part_name(part)}**" if part == selected else part_name(part)
         sure = f", {100 * edit.confidence:.0f} %" if edit.snapped else ""
-        rows.append(f"| {MARKS[edit.state]} | {name} | {MEANINGS[edit.state]}{sure} |")
+        seeks = " · fits sought …" if part in sought else ""
+        rows.append(f"| {MARKS[edit.state]} | {name} | {MEANINGS[edit.state]}{sure}{seeks} |")
     return "| | | |\n| --- | --- | --- |\n" + "\n".join(rows)
 
 
@@ -94,7 +102,7 @@ def part_line(part: int, edit: PartEdit) -> str:
 def ghost_line(ghost: Proposal, index: int, count: int, shift: tuple[float, float] | None) -> str:
     """The fit that is shown, the `index`-th of `count`. shift: [m], [rad] from the hand to it."""
     moved = "" if shift is None else f", {shift[0] * 1e3:.0f} mm and {np.degrees(shift[1]):.0f}° from the hand"
-    return f"Ghost {index + 1} of {count}: **{confidence_text(ghost.confidence)}**{moved}"
+    return f"Ghost {index + 1} of {count}: **{confidence_text(ghost.confidence)}**{moved}. {TAKE}"
 
 
 def no_fit(proposals: PartProposals, over_kits: bool, waits: bool) -> str:

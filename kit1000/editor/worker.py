@@ -141,6 +141,24 @@ class Worker:
             return Job(self._first.pop(0), None)
 
 
+class AtOnce:
+    """Answers in this process before the question returns: for scripts."""
+
+    def __init__(self, method: Method) -> None:
+        self._method = method
+        self.done: Callable[[Result], None] | None = None
+        """Called with each result."""
+
+    def ask(self, part: int, guess: Pose | None) -> None:
+        """Answer a guess, or find all fits without one."""
+        job = Job(part, guess)
+        if self.done is not None:
+            self.done(Result(job, proposals_of(prepared(self._method), job)))
+
+    def prefer(self, part: int) -> None:
+        """The part in the hand: nothing waits for it."""
+
+
 def scene_queries(dataset: Dataset, scene_id: str, sensor: str, truth: bool) -> dict[int, Query]:
     """A query for each part of a scene that can be edited, without the recorded guess: that is not the hand's."""
     scene = dataset.recorded_scene(scene_id, truth)

@@ -133,10 +133,9 @@ class Workspace:
         guess = self.proposals[part].guess
         return guess is None or not same_motion(guess, self.part_edit(body).goal_from_now)
 
-    def known_share(self) -> float:
-        """Share of the parts whose fits are known without a guess."""
-        known = [proposals.found is not None for proposals in self.proposals.values()]
-        return sum(known) / max(len(known), 1) if self.snaps else 1.0
+    def sought(self) -> list[int]:
+        """The parts for which the method still looks for fits."""
+        return [part for part, each in self.proposals.items() if self.snaps and each.found is None and not each.failure]
 
     # What keys and buttons would do.
 
