@@ -24,7 +24,7 @@ def search_for(known: Case) -> _Search:
     told = PartEvidence(known.part, known.part, known.part)
     seen = surface_points(known.part)[::20]
     source: Any = SimpleNamespace(evidence=told, middle=known.pivot, part_points=lambda: seen)
-    return _Search(source, SimpleNamespace(guess=None, pivot=known.pivot), CLEARANCE)  # type: ignore[arg-type]
+    return _Search(source, SimpleNamespace(guess=None, pivot=known.pivot, sensor="ideal"), CLEARANCE)  # type: ignore[arg-type]
 
 
 def test_candidates_that_end_in_one_pose_are_refined_further_only_once() -> None:

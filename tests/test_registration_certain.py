@@ -161,7 +161,7 @@ def problem_at(known: Case, evidence: PartEvidence, hold: float = 0.0) -> tuple[
     sweeps = sweeps_of(evidence, known.pivot, rotation, known.cavity.depth, CLEARANCE)
     middle = pose.apply(known.pivot)
     normal = rotation.rotate(known.down_normal)
-    problem = IntervalProblem(known.cavity.points, sweeps, normal, CLEARANCE, 1.0, float(middle[2]), hold)
+    problem = IntervalProblem(known.cavity.points, sweeps, normal, CLEARANCE, 1.0, 0.1, float(middle[2]), hold)
     return problem, np.concatenate([np.zeros(3), middle])
 
 
@@ -200,7 +200,9 @@ def test_less_certainty_never_puts_a_point_farther_outside(name: str) -> None:
 def test_with_certain_volumes_refinement_converges_to_the_goal(name: str) -> None:
     known = case(name)
     for seed in range(2):
-        pose, outside, filled = refine_within(told(known.part), known.pivot, perturbed(known, seed), CLEARANCE, 1.0)
+        pose, outside, filled = refine_within(
+            told(known.part), known.pivot, perturbed(known, seed), CLEARANCE, 1.0, 0.1
+        )
         distance, angle = known.error_of(pose)
         assert (distance < 0.3, angle < 0.6) == (True, True), f"{distance:.2f} mm, {angle:.2f} degrees from {seed}"
         assert max(outside, filled) < CELL
@@ -217,7 +219,7 @@ def test_false_material_moves_the_fit_less_where_it_is_known_to_be_uncertain(nam
     filled = Volume(known.part.grid, grown)
     believed, _ = refine(filled, known.pivot, candidate, CLEARANCE, 1.0)
     evidence = PartEvidence(filled, known.part, filled)
-    within = refine_within(evidence, known.pivot, candidate, CLEARANCE, 1.0).plate_from_now
+    within = refine_within(evidence, known.pivot, candidate, CLEARANCE, 1.0, 0.1).plate_from_now
     assert known.error_of(within)[0] < 0.7 * known.error_of(believed)[0]
 
 
@@ -237,7 +239,7 @@ def test_where_no_floor_is_seen_the_height_is_held() -> None:
     n = known.cavity.relief.shape
     hidden = replace(known.cavity, points=walls, certain_relief=np.full(n, np.nan))
     candidate = replace(known.candidate(known.goal), cavity=hidden)
-    held, _, _ = refine_within(untold(known.part), known.pivot, candidate, CLEARANCE, 1.0)
+    held, _, _ = refine_within(untold(known.part), known.pivot, candidate, CLEARANCE, 1.0, 0.1)
     start = candidate.plate_from_now.apply(known.pivot)[2]
     assert abs(held.apply(known.pivot)[2] - start) < 0.5e-3
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,12 +21,25 @@ from kit1000.values import Query
 
 DISTINCT, DISTINCT_WITHOUT_GUESS = 24, 16  # candidates of each plate among which contradictions choose
 REFINED, REFINED_WITHOUT_GUESS = 4, 6  # candidates of all plates that are refined
-PASSES = (SCALES[:3], SCALES[2:])  # [m] of the refinement; the second with the part's sweeps in the refined rotation
 OUTSIDE_WEIGHT, OUTLINE_WEIGHT = 2.0, 0.25  # of the distance from intervals and of the outline in the misfit
 COARSE_WEIGHT = 1e-3  # [m] of the coarse misfit beside contradictions: over unseen cells nothing contradicts
 SPARE = 3  # further candidates that are refined once in place of those that end in an earlier one's pose
 SAME_DISTANCE, SAME_ANGLE = 1e-3, np.radians(3)  # [m], [rad] within which two refined poses are one
 CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
+
+
+class Refinement(NamedTuple):
+    """How candidates are refined, as the noise of the sensor allows."""
+
+    passes: tuple[Sequence[float], Sequence[float]]
+    """[m] scales of the weights; the second pass with the part's sweeps in the refined rotation."""
+    prior: float
+    """Weight of the filled part beside what is certain."""
+
+
+EXACT = Refinement((SCALES[:3], SCALES[2:]), 0.1)
+NOISY = {"d415": Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 0.3)}
+"""By sensor. Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls."""
 
 
 def register_certain(source: DepthSource, query: Query, clearance: float) -> list[Fit]:
@@ -45,6 +59,7 @@ class _Search:
     def __init__(self, source: DepthSource, query: Query, clearance: float) -> None:
         self.source, self.query = source, query
         self.clearance = clearance
+        self.refinement = NOISY.get(query.sensor, EXACT)
         self.seen = source.part_points()
         self._kits: dict[int, KitHeights] = {}
 
@@ -56,7 +71,7 @@ class _Search:
         """The first `most` candidates after the first pass, in different poses and as near to the guess as a goal."""
         kept: list[Candidate] = []
         for candidate in candidates[: most + SPARE]:
-            moved, _ = self._refined(candidate, PASSES[0])
+            moved, _ = self._refined(candidate, self.refinement.passes[0])
             new = not any(_same(moved, other, self.source.middle) for other in kept)
             if new and within_guess_error(moved.cavity.world_from_plate @ moved.plate_from_now, self.query):
                 kept.append(moved)
@@ -66,7 +81,7 @@ class _Search:
 
     def fitted(self, candidate: Candidate) -> Fit:
         """The fit of a candidate after the first pass."""
-        candidate, (_, outside, filled) = self._refined(candidate, PASSES[1])
+        candidate, (_, outside, filled) = self._refined(candidate, self.refinement.passes[1])
         outline = outline_misfit(
             self.source.evidence.filled, candidate.cavity, candidate.plate_from_now, self.clearance
         )
@@ -81,7 +96,8 @@ class _Search:
     def _refined(self, candidate: Candidate, scales: Sequence[float]) -> tuple[Candidate, Intervals]:
         """A candidate after one pass, with what is left of its residuals."""
         evidence, middle = self.source.evidence, self.source.middle
-        intervals = refine_within(evidence, middle, candidate, self.clearance, STIFFNESS, scales)
+        prior = self.refinement.prior
+        intervals = refine_within(evidence, middle, candidate, self.clearance, STIFFNESS, prior, scales)
         return replace(candidate, plate_from_now=intervals.plate_from_now), intervals
 
     def _contradictions(self, candidate: Candidate) -> Contradictions:

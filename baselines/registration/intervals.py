@@ -33,7 +33,6 @@ from kit1000.compiled import compiled
 from kit1000.pose import Pose
 
 MOST_POINTS = 1500  # of a cavity
-PRIOR = 0.1  # weight of the filled part beside what is certain
 HOLD = 0.5  # weight of the coarse height where no floor is observed, beside a point of the cavity
 SEEN_FLOOR = 0.05  # share of a cavity's points on a level floor from which on its depth is observed
 LEVEL = 1e-3  # [m] within which a floor is level, and at the cavity's depth
@@ -57,9 +56,20 @@ def refine_within(
     candidate: Candidate,
     clearance: float,
     stiffness: float,
+    prior: float,
     scales: Sequence[float] = SCALES,
 ) -> Intervals:
-    """The best plate_from_now near a candidate. stiffness: see `refine`; scales: see `descend`."""
+    """The best plate_from_now near a candidate.
+
+    Args:
+        evidence: of the part.
+        pivot: (3,) [m] world, of the part.
+        candidate: where it starts.
+        clearance: [m]
+        stiffness: see `refine`.
+        prior: weight of the filled part beside what is certain.
+        scales: see `descend`.
+    """
     cavity, rotation = candidate.cavity, Pose(candidate.plate_from_now.wxyz, np.zeros(3))
     start = candidate.plate_from_now.apply(pivot)
     problem = IntervalProblem(
@@ -68,6 +78,7 @@ def refine_within(
         down_normal=rotation.rotate(candidate.down_normal),
         clearance=clearance,
         stiffness=stiffness,
+        prior=prior,
         height=float(start[2]),
         hold=0.0 if floor_is_seen(cavity) else HOLD,
     )
@@ -115,6 +126,8 @@ class IntervalProblem:
     """(3,) plate frame: normal of the lower face in the rotation of the sweeps."""
     clearance: float
     stiffness: float
+    prior: float
+    """Weight of the filled part beside what is certain."""
     height: float
     """[m] of the pivot, by the coarse search."""
     hold: float
@@ -135,7 +148,7 @@ class IntervalProblem:
         root = np.sqrt(len(outside))
         tilt = self.stiffness * root * LEVER * tilt_of(self.down_normal, twist)
         held = self.hold * root * (twist[5] - self.height)
-        return np.concatenate([outside, PRIOR * filled, tilt, [held]])
+        return np.concatenate([outside, self.prior * filled, tilt, [held]])
 
     def distances(self, twist: np.ndarray, floors: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """(n,) [m] of each point from its interval, and (n,) from the filled part."""
