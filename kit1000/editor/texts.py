@@ -39,7 +39,7 @@ PICK_FIRST = "**Yellow cup**: it carries nothing. First put the green cup on a p
 NOTHING_PICKED = "**Green cup**: it touches no part."
 WAITING = "*Asking the method about this place …*"
 ON_TABLE = "It is on the table."
-NOT_OVER_PLATE = "The yellow cup is not yet over a plate."
+NOT_OVER_PLATE = "Now move the yellow cup over the cavity of the part."
 CHOOSE: Mapping[Interface, str] = {
     "scene": "Choose a part first: drag it, click it, or press its number.",
     "hand": CUPS_BEGIN,
