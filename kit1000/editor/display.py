@@ -16,6 +16,7 @@ from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 
 KITS, OTHERS, NUMBER = "/kits", "/others", "/number"
 OVER_PART, OVER_GHOST = np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, 0.05])  # [m] of their labels
+OVER_CUP = np.array([0.0, 0.0, 0.13])  # [m] of the number of a cup's ghost, above the cup's own label
 UP_THE_CUP = np.array([0.0, 0.0, 0.07])  # [m] of its label, from the lip where it hangs
 FIELD = float(np.radians(45))  # of view from the top of the window to its bottom, as in the paper
 NARROW = 0.9  # width over height of a window that is not yet known: that of a small screen beside the panel
@@ -133,7 +134,8 @@ class Display:
             return
         self.stage.move(ghost_node(space.selected), shown.goal_from_now)
         self.stage.look(ghost_node(space.selected), texts.confidence_colour(shown.confidence), True)
-        top = shown.goal_from_now.apply(space.pivot(space.selected)) + OVER_GHOST
+        over = OVER_CUP if space.selected in NAMES else OVER_GHOST
+        top = shown.goal_from_now.apply(space.pivot(space.selected)) + over
         self.stage.label(NUMBER, texts.confidence_text(shown.confidence), top)
 
     def _gizmo(self) -> None:
