@@ -12,11 +12,18 @@ from studies import FITTS, plan_of, trial_of, write_participant, write_study
 
 from kit1000.cli import main
 from kit1000.errors import InputError
+from kit1000.study import statistics
 from kit1000.study.conditions import CROSSED
 from kit1000.study.plan import StudyPlan
 from kit1000.study.reading import chosen_operator, operators_of, read_participants
 from kit1000.study.records import PERSON, Operator, read_trial, trial_folder, write_trial
 from kit1000.study.report import write_report
+
+
+@pytest.fixture(autouse=True)
+def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Intervals have tests of their own."""
+    monkeypatch.setattr(statistics, "RESAMPLES", 200)
 
 
 @pytest.fixture

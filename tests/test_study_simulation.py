@@ -66,19 +66,20 @@ def test_hands_scatter_as_wide_as_their_target() -> None:
     errors = {}
     for condition, width in (("scene", 5e-3), ("scene-snap", 20e-3)):
         someone = hand("fitts", condition)
-        puts = [someone.put(replace(AIM, others=())) for _ in range(400)]
+        puts = [someone.put(replace(AIM, others=())) for _ in range(150)]
         errors[condition] = np.array([error_of(put.motion, AIM.goal, AIM.pivot)[0] for put in puts])
-        assert errors[condition][:, 0].std() == pytest.approx(width / 4.133, rel=0.11)
-        assert errors[condition][:, 1].std() > 1.2 * errors[condition][:, 0].std()  # the view is slanted
+        assert errors[condition][:, 0].std() == pytest.approx(width / 4.133, rel=0.18)
+        assert errors[condition][:, 1].std() > 1.05 * errors[condition][:, 0].std()  # the view is slanted
         assert np.abs(errors[condition][:, 2]).max() < 1e-12  # on the plate
 
 
 def test_the_careless_lapse_twice_as_often() -> None:
     people = {name: hand(name) for name in OPERATORS}
-    rates = {name: np.mean([someone.put(AIM).lapse for _ in range(500)]) for name, someone in people.items()}
+    puts = {"exact": 20, "paper": 20, "fitts": 300, "careless": 300}
+    rates = {name: np.mean([people[name].put(AIM).lapse for _ in range(n)]) for name, n in puts.items()}
     assert rates["exact"] == rates["paper"] == 0
-    assert rates["fitts"] == pytest.approx(0.05, abs=0.029)  # three standard errors
-    assert rates["careless"] == pytest.approx(0.10, abs=0.04)
+    assert rates["fitts"] == pytest.approx(0.05, abs=0.038)  # three standard errors
+    assert rates["careless"] == pytest.approx(0.10, abs=0.052)
 
 
 def test_what_is_right_is_always_taken() -> None:

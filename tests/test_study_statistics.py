@@ -32,9 +32,9 @@ def share_found(studies: int, n: int, effect: float, seed: int) -> float:
 
 
 def test_a_planted_effect_is_found_and_a_null_is_not() -> None:
-    """d_z = 1 and n = 10 have a power of 80.3 %; 100 studies have standard errors of 4.0 and 2.2 points."""
-    assert 0.80 - 0.12 < share_found(100, 10, 1.0, 1) < 0.80 + 0.12
-    assert share_found(100, 10, 0.0, 2) < 0.05 + 0.066
+    """d_z = 1 and n = 10 have a power of 80.3 %; 60 studies have standard errors of 5.1 and 2.8 points."""
+    assert 0.80 - 0.15 < share_found(60, 10, 1.0, 1) < 0.80 + 0.15
+    assert share_found(60, 10, 0.0, 2) < 0.05 + 0.084
 
 
 @pytest.mark.slow
