@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from typing import Any
 
@@ -23,9 +24,16 @@ def current() -> dict[str, Any]:
     return json.loads((FOLDER / f"{CURRENT}.json").read_text("utf-8"))
 
 
-def test_the_current_protocol_is_a_draft_until_it_is_frozen() -> None:
+FROZEN = {"kit1000-2026": "bd34e5e025f0aa0aeaea2d0e955da20bbad1cad6eabb47ddac58e8eaee8d0c11"}
+"""SHA-256 of the files of frozen protocols."""
+
+
+def test_frozen_protocols_never_change() -> None:
     assert read_protocol().name == CURRENT
-    assert read_protocol().status == "draft"
+    for path in FOLDER.glob("*.json"):
+        frozen = read_protocol(path.stem).status == "frozen"
+        assert frozen == (path.stem in FROZEN)
+        assert not frozen or hashlib.sha256(path.read_bytes()).hexdigest() == FROZEN[path.stem], path.name
 
 
 def test_tracks_are_those_of_the_dataset() -> None:

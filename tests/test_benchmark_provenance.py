@@ -41,7 +41,7 @@ def test_a_change_of_any_module_that_scoring_imports_changes_the_hash(tree: tupl
         assert hash_of(tree) not in hashes, path
         hashes.add(hash_of(tree))
     protocol = next(tree[0].glob("protocols/*.json"))
-    protocol.write_text(protocol.read_text("utf-8").replace("draft", "frozen"), "utf-8")
+    protocol.write_text(protocol.read_text("utf-8").replace("frozen", "draft"), "utf-8")
     assert hash_of(tree) not in hashes
 
 
