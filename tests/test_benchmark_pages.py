@@ -102,7 +102,15 @@ def test_the_text_of_a_manifest_is_never_markup(site: Path) -> None:
 def test_every_page_names_protocol_metrics_dataset_evaluator_and_licence(site: Path) -> None:
     for path in all_pages(site):
         text = path.read_text("utf-8")
-        for name in ("kit1000-2026", "frozen", "mssd@v1", "0123456789abcdef", "fedcba9876543210", "2026-0", "CC-BY-4.0"):
+        for name in (
+            "kit1000-2026",
+            "frozen",
+            "mssd@v1",
+            "0123456789abcdef",
+            "fedcba9876543210",
+            "2026-0",
+            "CC-BY-4.0",
+        ):
             assert name in text, (path.name, name)
 
 

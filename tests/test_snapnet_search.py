@@ -69,7 +69,7 @@ class Shapes:
         return self._solid(work, self.goal, cells, voxel)
 
     def _solid(self, middle: Pose, motion: Pose, cells: Cells, voxel: float) -> np.ndarray:
-        world = grid_about(middle, cells, voxel).world_from_grid.apply(np.stack(np.indices(cells), -1) * voxel)
+        world = grid_about(middle, cells, voxel).world_from_grid.apply(np.moveaxis(np.indices(cells), 0, -1) * voxel)
         x, y, z = np.moveaxis(motion.inverse().apply(world) - PIVOT, -1, 0)
         inside = (np.abs(x) < 0.022) & (np.abs(y) < 0.016) & (np.abs(z) < 0.012) & ((x < -0.008) | (y < -0.004))
         return np.where(inside, -1, 1).astype(np.float32)

@@ -73,7 +73,7 @@ class Cavities:
             near = np.square(points[:, :2]).sum(1) < plate.radius**2
             face = np.zeros((SIDE, SIDE), bool)
             face[_cells(points[near & (np.abs(points[:, 2]) < self._reach)])] = True
-            inner = binary_erosion(face)  # a cell at the rim of the cavity counts as cavity
+            inner = np.asarray(binary_erosion(face), bool)  # a cell at the rim of the cavity counts as cavity
             self._grids[id(plate)] = PlateGrid(plate_from_world, _outlined(inner) & ~inner)
         return self._grids[id(plate)]
 
