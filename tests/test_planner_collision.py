@@ -42,7 +42,7 @@ def test_the_distance_of_segments_is_that_of_their_nearest_points(a, b, c, d) ->
     p, q = (ends[0] + share * (ends[1] - ends[0]) for ends in (first, second))
     brute = np.linalg.norm(p[:, None] - q, axis=-1).min()
     found = segment_distance(first, second)
-    assert found <= brute + 1e-9
+    assert found <= brute + 1e-8  # nearly parallel segments lose half of the digits
     steps = (np.linalg.norm(first[1] - first[0]) + np.linalg.norm(second[1] - second[0])) / 59
     assert found >= brute - steps
 
