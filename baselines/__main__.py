@@ -159,7 +159,7 @@ class Ship:
 
     def run(self) -> int:
         """Copy, then print where to."""
-        from baselines.methods import WEIGHTS
+        from baselines.catalog import WEIGHTS
         from baselines.ship import ship
 
         print(ship(self.run_folder, WEIGHTS, self.commit, self.half))

@@ -8,11 +8,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
+from pathlib import Path
 from typing import Any, Literal
 
 from baselines.training.config import TrainConfig
 from kit1000.tracks import ALL_TRACKS
 
+WEIGHTS = Path(__file__).parent / "weights"
+"""Of the trained networks."""
 FOLDERS = (
     "baselines.completion",
     "baselines.controls",
@@ -67,6 +70,8 @@ class Network:
     """How it is trained, by preset."""
     options: Mapping[str, Any] = field(default_factory=dict)
     """Further arguments of the function."""
+    weights: Mapping[str, str] = field(default_factory=dict)
+    """Further arguments: weights of other networks that make its examples, as of `Method`."""
 
 
 def all_methods() -> dict[str, Method]:

@@ -9,14 +9,13 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from baselines.catalog import Method, all_methods
+from baselines.catalog import WEIGHTS, Method, all_methods
 from baselines.segmentation.queries import OnPredictedMasks
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.predictor import Predictor, resolved
 from kit1000.tracks import ALL_TRACKS
 
-WEIGHTS = Path(__file__).parent / "weights"
 SEGMENTATION = Path(__file__).parent / "segmentation"
 ATTRIBUTES = (
     *("tracks", "uses_true_geometry", "learned", "predicts"),

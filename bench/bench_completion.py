@@ -21,11 +21,11 @@ import tyro
 from components import add_components
 from measured_dataset import measured_dataset
 
+from baselines.catalog import WEIGHTS
 from baselines.completion import ObservedPart
 from baselines.completion.completed import CompletedPart, PartCompleter
 from baselines.completion.frame import CODE, framed
 from baselines.completion.occupancy import filled_share
-from baselines.methods import WEIGHTS
 from baselines.restoration import calibrated_image
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import Kit1000Error

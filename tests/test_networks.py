@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from baselines.__main__ import main
-from baselines.catalog import all_networks
-from baselines.methods import WEIGHTS
+from baselines.catalog import WEIGHTS, all_networks
 from baselines.training.checkpoint import load_weights
 from kit1000.predictor import resolved
 

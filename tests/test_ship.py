@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from baselines.catalog import all_methods, all_networks
-from baselines.methods import WEIGHTS
+from baselines.catalog import WEIGHTS, all_methods, all_networks
 from baselines.ship import ship, whole_log
 from baselines.training import checkpoint
 from baselines.training.checkpoint import LARGEST, load_weights, save_weights

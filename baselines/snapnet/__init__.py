@@ -81,4 +81,6 @@ NETWORKS = {
     "snapnet-gtvol-rotation": Network(ROTATION_TASK, ROTATION_TRAINING, {"source": "truth"}),
     "snapnet-partialvol-position": Network(POSITION_TASK, POSITION_TRAINING, {"source": "depth"}),
     "snapnet-partialvol-rotation": Network(ROTATION_TASK, ROTATION_TRAINING, {"source": "depth"}),
+    "snapnet-position": Network(POSITION_TASK, POSITION_TRAINING, {"source": "depth"}, {"completion": "completion"}),
+    "snapnet-rotation": Network(ROTATION_TASK, ROTATION_TRAINING, {"source": "depth"}, {"completion": "completion"}),
 }

@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from baselines.completion.completed import PartCompleter
 from baselines.snapnet.candidates import candidates, nearest_candidate
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.volumes import SCENES, ImageCache, QueryVolumes
@@ -72,7 +73,13 @@ class QuerySampler:
     """
 
     def __init__(
-        self, dataset: Dataset, split: str, source: Source, guesses: Guesses = "ball", sensor: Sensor = "ideal"
+        self,
+        dataset: Dataset,
+        split: str,
+        source: Source,
+        guesses: Guesses = "ball",
+        sensor: Sensor = "ideal",
+        completer: PartCompleter | None = None,
     ) -> None:
         """Nothing is read yet.
 
@@ -82,6 +89,7 @@ class QuerySampler:
             source: of the volumes.
             guesses: the kind of guess errors; place: upright parts without a guess.
             sensor: of depth images and pivots.
+            completer: the network that completes parts of depth images; None fills columns.
 
         Raises:
             InputError: unknown guesses, or no track with these guesses and this sensor.
@@ -96,11 +104,21 @@ class QuerySampler:
         if self.track not in TRACKS:
             raise InputError(f"sensor {sensor!r}: no track {self.track}; there are {', '.join(TRACKS)}")
         self._split = dataset.split(split, truth=True)
-        self._images = ImageCache()
+        self._images = ImageCache(completer=completer)
+        self._completer = completer
         self._queries: Callable[[str], tuple[tuple[Query, Truth], ...]] = lru_cache(SCENES)(self._read)
 
-    def __reduce__(self) -> tuple[type[QuerySampler], tuple[Dataset, str, Source, Guesses, Sensor]]:
-        return QuerySampler, (self.dataset, self.split, self.source, self.guesses, self.sensor)
+    def __reduce__(
+        self,
+    ) -> tuple[type[QuerySampler], tuple[object, ...]]:
+        return QuerySampler, (
+            self.dataset,
+            self.split,
+            self.source,
+            self.guesses,
+            self.sensor,
+            self._completer,
+        )
 
     def draw(self, rng: np.random.Generator) -> QuerySample:
         """A part of a scene, every scene with the same probability, with a fresh guess.

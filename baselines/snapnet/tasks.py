@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Generic, TypeVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from baselines.completion.completed import PartCompleter
 from baselines.snapnet.config import POSITION, ROTATION, PositionConfig, RotationConfig, Source
 from baselines.snapnet.examples import Example, Guesses, PositionExamples, QuerySampler, RotationExamples
 from baselines.snapnet.position import PositionNet, position_loss, position_of
@@ -85,22 +87,34 @@ class RotationTask(QueryTask[RotationExamples]):
 
 
 def position_task(
-    dataset: Dataset, preset: str, source: Source, guesses: Guesses = "ball"
+    dataset: Dataset, preset: str, source: Source, guesses: Guesses = "ball", completion: Path | None = None
 ) -> tuple[PositionTask, PositionConfig]:
-    """The task of a position network with new weights, and its config."""
+    """The task of a position network with new weights, and its config.
+
+    completion: stem of the weights of the network that completes parts of depth images; None fills columns.
+    """
     config = POSITION[preset]
     training, validation = (
-        PositionExamples(QuerySampler(dataset, split, source, guesses), config) for split in ("train", "val")
+        PositionExamples(sampler, config) for sampler in _samplers(dataset, source, guesses, completion)
     )
     return PositionTask(training, validation, VALIDATION_QUERIES["position"], PositionNet(config)), config
 
 
 def rotation_task(
-    dataset: Dataset, preset: str, source: Source, guesses: Guesses = "ball"
+    dataset: Dataset, preset: str, source: Source, guesses: Guesses = "ball", completion: Path | None = None
 ) -> tuple[RotationTask, RotationConfig]:
-    """The task of a rotation network with new weights, and its config."""
+    """The task of a rotation network with new weights, and its config; `completion` as for `position_task`."""
     config = ROTATION[preset]
     training, validation = (
-        RotationExamples(QuerySampler(dataset, split, source, guesses), config) for split in ("train", "val")
+        RotationExamples(sampler, config) for sampler in _samplers(dataset, source, guesses, completion)
     )
     return RotationTask(training, validation, VALIDATION_QUERIES["rotation"], RotationNet(config)), config
+
+
+def _samplers(
+    dataset: Dataset, source: Source, guesses: Guesses, completion: Path | None
+) -> tuple[QuerySampler, QuerySampler]:
+    """Queries for training and for validation."""
+    completer = None if completion is None else PartCompleter(completion)
+    train, val = (QuerySampler(dataset, split, source, guesses, completer=completer) for split in ("train", "val"))
+    return train, val

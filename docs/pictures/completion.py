@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from baselines.catalog import WEIGHTS
 from baselines.completion import ObservedPart
 from baselines.completion.completed import PartCompleter
 from baselines.completion.frame import CODE, SHAPE, FramedPart, framed
 from baselines.completion.occupancy import filled_share
-from baselines.methods import WEIGHTS
 from kit1000.dataset.reader import Dataset
 from kit1000.values import FIRST_PART_LABEL, Query, Truth
 from kit1000.voxels import resample
