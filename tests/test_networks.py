@@ -43,9 +43,9 @@ def test_a_network_is_trained_from_the_command_line_and_resumes(
 
 
 def test_an_unknown_name_lists_the_networks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(command("snapnet-position", tmp_path, tmp_path / "run", 1)) == 2
+    assert main(command("snapnet-places", tmp_path, tmp_path / "run", 1)) == 2
     message = capsys.readouterr().err
-    assert "no network 'snapnet-position'" in message
+    assert "no network 'snapnet-places'" in message
     assert all(name in message for name in NETWORKS)
     assert not (tmp_path / "run").exists()
 

@@ -33,7 +33,7 @@ from baselines.transporter.network import (
     SCORED,
     TransporterNet,
     correlate,
-    turned_crops,
+    rotated_crops,
     with_slopes,
 )
 from baselines.transporter.search import search
@@ -119,7 +119,7 @@ def test_a_plane_has_its_slopes_where_it_is_seen() -> None:
 
 def test_a_quarter_turn_of_a_part_is_exact() -> None:
     part = torch.rand(1, 2, 24, 24, generator=torch.Generator().manual_seed(0))
-    turned = turned_crops(part, torch.tensor([[0.0, np.pi / 2, np.pi]]), 16)[0]
+    turned = rotated_crops(part, torch.tensor([[0.0, np.pi / 2, np.pi]]), 16)[0]
     middle = part[0, :, 4:-4, 4:-4]
     assert torch.allclose(turned[0], middle, atol=1e-5)
     assert torch.allclose(turned[1], torch.rot90(middle, 1, (1, 2)), atol=1e-5)  # x goes to y

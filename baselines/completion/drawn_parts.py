@@ -102,8 +102,8 @@ def _mesh(seed: int, index: int, attempt: int, rng: np.random.Generator) -> Mesh
     mesh = _drawing(seed, (index, attempt, 0), longest)
     if joined:
         other = _drawing(seed, (index, attempt, 1), longest * float(rng.uniform(0.5, 1)))
-        turn = 0.25 * np.pi * rng.integers(8)
-        mesh = _union(mesh, other, turn, rng.uniform(-0.4, 0.4, 3) * mesh.extents)
+        yaw = 0.25 * np.pi * rng.integers(8)
+        mesh = _union(mesh, other, yaw, rng.uniform(-0.4, 0.4, 3) * mesh.extents)
     if stretched:
         factors = STRETCH ** rng.uniform(-0.5, 0.5, 3)
         mesh = Mesh(mesh.vertices * factors, mesh.faces)
@@ -122,9 +122,9 @@ def _drawing(seed: int, key: Sequence[int], longest: float) -> Mesh:
     return make_part("drawn", family, drawing, longest).mesh
 
 
-def _union(mesh: Mesh, other: Mesh, turn: float, shift: np.ndarray) -> Mesh:
-    """The union of two meshes, the other turned about a vertical [rad] and shifted (3,) [m]; one body."""
-    moved = solid_from_mesh(other).rotate((0.0, 0.0, float(np.degrees(turn)))).translate(tuple(shift.tolist()))
+def _union(mesh: Mesh, other: Mesh, yaw: float, shift: np.ndarray) -> Mesh:
+    """The union of two meshes, the other rotated about a vertical [rad] and shifted (3,) [m]; one body."""
+    moved = solid_from_mesh(other).rotate((0.0, 0.0, float(np.degrees(yaw)))).translate(tuple(shift.tolist()))
     pieces = (solid_from_mesh(mesh) + moved).decompose()
     return mesh_from_solid(max(pieces, key=lambda piece: piece.volume()))
 

@@ -71,8 +71,8 @@ def _grid(view: View, mask: np.ndarray) -> Grid | None:
     points = view.world_from_camera.apply(view.camera.unproject_pixels(np.stack([u, v], -1), view.depth[v, u]))
     away = points.mean(0)[:2] - view.world_from_camera.xyz[:2]
     yaw = float(np.arctan2(away[1], away[0]))
-    turned = Pose.from_rotvec((0.0, 0.0, -yaw)).apply(points)
-    low, high = np.percentile(turned, [100 * OUTLIERS, 100 * (1 - OUTLIERS)], axis=0)
+    rotated = Pose.from_rotvec((0.0, 0.0, -yaw)).apply(points)
+    low, high = np.percentile(rotated, [100 * OUTLIERS, 100 * (1 - OUTLIERS)], axis=0)
     if (high - (*low[:2], 0.0) > CELL * np.array(SHAPE)).any():
         return None
     x, y, _ = Pose.from_rotvec((0.0, 0.0, yaw)).apply((*((low + high) / 2)[:2], 0.0))

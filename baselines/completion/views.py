@@ -74,10 +74,10 @@ class DrawnViews:
 def resting_pose(part: DrawnPart, face: int, yaw: float) -> Pose:
     """world_from_part of a part on one of its faces, at a yaw [rad], above the origin of the table."""
     level = Pose(quaternion_between(part.down[face], DOWN), np.zeros(3))
-    turned = Pose.from_rotvec((0.0, 0.0, yaw)) @ level
-    points = turned.apply(part.mesh.vertices)
+    rotated = Pose.from_rotvec((0.0, 0.0, yaw)) @ level
+    points = rotated.apply(part.mesh.vertices)
     low, high = points.min(0), points.max(0)
-    return Pose(turned.wxyz, np.array([*-(low + high)[:2] / 2, -low[2]]))
+    return Pose(rotated.wxyz, np.array([*-(low + high)[:2] / 2, -low[2]]))
 
 
 def beside(outline: np.ndarray, mesh: Mesh, pose: Pose, direction: float, gap: float) -> Pose:

@@ -22,7 +22,7 @@ Guesses = Literal["ball", "tilt", "place"]
 TRACK_OF: dict[str, str] = {"ball": "snap", "tilt": "snap-tilt", "place": "place"}
 """The track with such guesses."""
 DRAW_ERROR = {"ball": draw_ball_error, "tilt": draw_tilt_error}
-TURNS = 24  # goals that stand for a free axis
+AXIS_ANGLES = 24  # goals that stand for a free axis
 TRIES = 1000  # scenes drawn in a row without a query before the split counts as empty
 
 
@@ -36,7 +36,7 @@ class GoalQuery:
     """goal_from_now"""
     heights: SceneHeights
     goals: Pose
-    """(m,) goal_from_now; TURNS of each goal stand for a free axis."""
+    """(m,) goal_from_now; AXIS_ANGLES of each goal stand for a free axis."""
 
 
 class QueryDraws:
@@ -108,11 +108,11 @@ class QueryDraws:
 
 
 def goal_motions(truth: Truth) -> Pose:
-    """(m,) goal_from_now: all goals of a slot, each at TURNS angles about a free axis."""
+    """(m,) goal_from_now: all goals of a slot, each at AXIS_ANGLES angles about a free axis."""
     slot = truth.slot
     goals = slot.goals
     if slot.free_axis is not None:
-        angles = np.arange(TURNS) * 2 * np.pi / TURNS
-        turned = [goal_pose(slot, i, angles) for i in range(len(goals))]
-        goals = Pose(np.concatenate([pose.wxyz for pose in turned]), np.concatenate([pose.xyz for pose in turned]))
+        angles = np.arange(AXIS_ANGLES) * 2 * np.pi / AXIS_ANGLES
+        rotated = [goal_pose(slot, i, angles) for i in range(len(goals))]
+        goals = Pose(np.concatenate([pose.wxyz for pose in rotated]), np.concatenate([pose.xyz for pose in rotated]))
     return goal_motion(truth.world_from_part, truth.world_from_kit, goals)

@@ -12,7 +12,7 @@ WALL_STEP = 2e-3  # [m] between points of a wall, from top to bottom
 def shell_points(part: HeightMap) -> np.ndarray:
     """(n, 3) float64 [m] world: the points of a part's map, their projection on the table, and walls at its outline.
 
-    What is hidden below the surface counts as solid. Without it a part that a guess turns over would be open.
+    What is hidden below the surface counts as solid. Without it a part that a guess flips over would be open.
     """
     top = part.points()
     seen = np.pad(part.heights > UNSEEN, 1)

@@ -1,4 +1,4 @@
-"""KitNet: a network that turns a part into its slot, from one depth view of each.
+"""KitNet: a network that rotates a part into its slot, from one depth view of each.
 
 After Devgon et al., "Kit-Net" (CASE 2021, arXiv 2107.05789), as a baseline of "Scene Editing as Teleoperation".
 """
@@ -55,6 +55,4 @@ TRAINING = {
     ),
     "paper": TrainConfig(steps=100_000, batch=12, learning_rate=2e-3, decay="none", validate_every=1000),
 }
-TASK = "baselines.kitnet.task:kitnet_task"
-
 NETWORKS = {"kitnet": Network("baselines.kitnet.task:kitnet_task", TRAINING)}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class KitNetConfig:
-    """The network that turns a part into its slot, from one depth view of each."""
+    """The network that rotates a part into its slot, from one depth view of each."""
 
     pixels: int
     """Of both square views."""

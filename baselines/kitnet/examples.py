@@ -43,13 +43,13 @@ class KitNetExamples:
         return KitNetExamples, (self.draws, self.config)
 
     def draw(self, rng: np.random.Generator) -> Example:
-        """A training example, turned, shifted and with pixels wiped at random: with a guess, or upright without one."""
+        """A training example, rotated, shifted, with pixels wiped at random: with a guess, or upright without one."""
         sample = self.draws.draw(rng, "ball" if rng.random() < 0.5 else "place")
         example = self._of(sample, rng, rng.uniform(-1, 1, (2, 2)) * self.config.shift)
         return example | {name: wiped(example[name], self.config.zeroed, rng) for name in ("part", "cavity")}
 
     def keys(self, count: int) -> Sequence[str]:
-        """Ids of validation queries: of snap and of place by turns."""
+        """Ids of validation queries: of snap and of place alternately."""
         each = (self.draws.keys(track, -(-count // 2)) for track in ("snap", "place"))
         return [key for pair in zip(*each, strict=False) for key in pair][:count]
 
@@ -75,9 +75,9 @@ class KitNetExamples:
             part_from_world = view_from_world @ rotation_of(sample.guess)
         points = self._points(sample.query.scene_id, sample.query.part, sample.guess is not None)
         part = part_image(part_from_world.rotate(points), shifts[0], config.pixels, config.pixel)
-        turns = (goals @ part_from_world.inverse()).wxyz[:MOST_GOALS]
+        rotations = (goals @ part_from_world.inverse()).wxyz[:MOST_GOALS]
         padded, weights = np.zeros((MOST_GOALS, 4), np.float32), np.zeros(MOST_GOALS, np.float32)
-        padded[: len(turns)], weights[: len(turns)] = turns, 1
+        padded[: len(rotations)], weights[: len(rotations)] = rotations, 1
         return {"part": part, "cavity": image, "goals": padded, "weights": weights}
 
     def _cavity(self, sample: GoalQuery) -> CavityView | None:
@@ -88,14 +88,14 @@ class KitNetExamples:
             self._cavities[key] = cavity_view(sample.heights.kits, plane)
         return self._cavities[key]
 
-    def _points_of(self, scene_id: str, part: int, turned: bool) -> np.ndarray:
-        return points_of(self.draws.heights.of(scene_id).parts[part], turned)
+    def _points_of(self, scene_id: str, part: int, any_axis: bool) -> np.ndarray:
+        return points_of(self.draws.heights.of(scene_id).parts[part], any_axis)
 
 
-def points_of(part: HeightMap, turned: bool) -> np.ndarray:
-    """(n, 3) [m] world: what a view of a part is made of; turned about the vertical alone it needs no shell."""
+def points_of(part: HeightMap, any_axis: bool) -> np.ndarray:
+    """(n, 3) [m] world: what a view of a part is made of; rotated about the vertical alone it needs no shell."""
     points = part.points()
-    if turned:
+    if any_axis:
         return shell_points(part)
     return np.concatenate([points, points[:1] * (1.0, 1.0, 0.0)])  # one point on the table: heights count from there
 

@@ -38,7 +38,7 @@ class Seat:
 
 
 class KitNetMethod:
-    """Turns the part into a cavity: with a guess the nearest one, else the one whose outline it then covers best."""
+    """Rotates the part into a cavity: with a guess the nearest one, else the one whose outline it then covers best."""
 
     def __init__(
         self,
@@ -54,9 +54,9 @@ class KitNetMethod:
             dataset: of the queries.
             network: trained with a guess for tracks with one, without for the others.
             position: centroid: the centroid of the part over that of the cavity, its lowest point on the floor; none:
-                the part turns about its pivot and stays, for a method that predicts rotations alone.
+                the part rotates about its pivot and stays, for a method that predicts rotations alone.
             starts: without a guess, from how many yaws of the part around the circle it begins; the best overlap wins.
-            passes: how often the network turns the part and looks again: the controller of the method. 0: never.
+            passes: how often the network rotates the part and looks again: the controller of the method. 0: never.
         """
         self.network: KitNet = ready(network, KitNetConfig, KitNet)
         self.position, self.starts, self.passes = position, starts, passes
@@ -82,29 +82,29 @@ class KitNetMethod:
         return PredictedMotion(motion, float(np.clip(best.overlap, 0, 1)))
 
     def _seats(self, query: Query, points: np.ndarray, cavities: list[CavityView]) -> list[Seat]:
-        """The part in each cavity, turned as the network says."""
+        """The part in each cavity, rotated as the network says."""
         starts = self.starts if query.guess is None else 1
         yaws = [Pose.from_rotvec((0.0, 0.0, 2 * np.pi * k / starts)) for k in range(starts)]
-        turned = [(cavity, yaw @ _first_turn(query, cavity)) for cavity in cavities for yaw in yaws]
+        rotated = [(cavity, yaw @ _first_rotation(query, cavity)) for cavity in cavities for yaw in yaws]
         for _ in range(self.passes):
-            turned = self._turned_further(points, turned)
-        return [seat(cavity, turn, points, query.pivot) for cavity, turn in turned]
+            rotated = self._rotated_further(points, rotated)
+        return [seat(cavity, rotation, points, query.pivot) for cavity, rotation in rotated]
 
-    def _turned_further(
-        self, points: np.ndarray, turned: list[tuple[CavityView, Pose]]
+    def _rotated_further(
+        self, points: np.ndarray, rotated: list[tuple[CavityView, Pose]]
     ) -> list[tuple[CavityView, Pose]]:
         """The rotations of the part for each cavity, after the network's own."""
         config, still = self.network.config, np.zeros(2)
         size = config.pixels, config.pixel
-        parts = np.stack([part_image(turn.rotate(points), still, *size) for _, turn in turned])
-        images = np.stack([cavity_image(cavity, 0.0, still, *size) for cavity, _ in turned])
+        parts = np.stack([part_image(rotation.rotate(points), still, *size) for _, rotation in rotated])
+        images = np.stack([cavity_image(cavity, 0.0, still, *size) for cavity, _ in rotated])
         device = next(self.network.parameters()).device
         quaternions = self.network(*(torch.as_tensor(maps, device=device) for maps in (parts, images)))
         wxyz = quaternions.double().cpu().numpy()
-        return [(cavity, Pose(q, np.zeros(3)) @ turn) for (cavity, turn), q in zip(turned, wxyz, strict=True)]
+        return [(cavity, Pose(q, np.zeros(3)) @ rotation) for (cavity, rotation), q in zip(rotated, wxyz, strict=True)]
 
 
-def _first_turn(query: Query, cavity: CavityView) -> Pose:
+def _first_rotation(query: Query, cavity: CavityView) -> Pose:
     """The first rotation of the part in its view: by the guess, seen along the plate's normal, or none."""
     if query.guess is None:
         return Pose.identity()
@@ -130,13 +130,13 @@ def seat(cavity: CavityView, view_from_part: Pose, points: np.ndarray, pivot: np
     rotation = rotation_of(cavity.world_from_view) @ view_from_part
     if not len(points):
         return Seat(rotation, pivot, 0.0)
-    turned = view_from_part.rotate(points)
-    low, high = extent(turned)
+    rotated = view_from_part.rotate(points)
+    low, high = extent(rotated)
     middle = (low + high) / 2
-    _, _, seen = envelopes(turned - middle, CAVITY, CELL)
+    _, _, seen = envelopes(rotated - middle, CAVITY, CELL)
     centres = cell_centres(CAVITY, CELL)
     centroid = centres[seen].mean(0) if seen.any() else np.zeros(2)
-    _, _, there = envelopes(turned - middle + (*(cavity.centroid - centroid), 0.0), CAVITY, CELL)
+    _, _, there = envelopes(rotated - middle + (*(cavity.centroid - centroid), 0.0), CAVITY, CELL)
     hollow = cavity.depths > 0
     overlap = (there & hollow).sum() / max((there | hollow).sum(), 1)
     target = (*(cavity.centroid - centroid - middle[:2]), -cavity.floor - low[2])

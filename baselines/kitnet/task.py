@@ -22,7 +22,7 @@ Batch = dict[str, Tensor]
 
 @dataclass
 class KitNetTask:
-    """Turn a part into its slot. Validation examples are never trained on, as they are in the release."""
+    """Rotate a part into its slot. Validation examples are never trained on, as they are in the release."""
 
     training: KitNetExamples
     validation: KitNetExamples

@@ -92,11 +92,11 @@ def _follow(depths, starts, normal, levels, heights, corner, cell):
 
 
 def cavity_image(cavity: CavityView, yaw: float, shift: np.ndarray, pixels: int, pixel: float) -> np.ndarray:
-    """(pixels, pixels) float32: a cavity, turned by a yaw [rad] about its middle and shifted by (2,) [m]."""
-    return _turned(HeightMap(-np.array(CAVITY) * CELL / 2, CELL, cavity.depths), yaw, shift, pixels, pixel)
+    """(pixels, pixels) float32: a cavity, rotated by a yaw [rad] about its middle and shifted by (2,) [m]."""
+    return _rotated(HeightMap(-np.array(CAVITY) * CELL / 2, CELL, cavity.depths), yaw, shift, pixels, pixel)
 
 
-def _turned(image: HeightMap, yaw: float, shift: np.ndarray, pixels: int, pixel: float) -> np.ndarray:
+def _rotated(image: HeightMap, yaw: float, shift: np.ndarray, pixels: int, pixel: float) -> np.ndarray:
     xy = cell_centres((pixels, pixels), pixel) - shift
     c, s = np.cos(yaw), np.sin(yaw)
     there = np.stack([c * xy[..., 0] + s * xy[..., 1], c * xy[..., 1] - s * xy[..., 0]], -1)

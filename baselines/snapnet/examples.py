@@ -108,17 +108,8 @@ class QuerySampler:
         self._completer = completer
         self._queries: Callable[[str], tuple[tuple[Query, Truth], ...]] = lru_cache(SCENES)(self._read)
 
-    def __reduce__(
-        self,
-    ) -> tuple[type[QuerySampler], tuple[object, ...]]:
-        return QuerySampler, (
-            self.dataset,
-            self.split,
-            self.source,
-            self.guesses,
-            self.sensor,
-            self._completer,
-        )
+    def __reduce__(self) -> tuple[type[QuerySampler], tuple[object, ...]]:
+        return QuerySampler, (self.dataset, self.split, self.source, self.guesses, self.sensor, self._completer)
 
     def draw(self, rng: np.random.Generator) -> QuerySample:
         """A part of a scene, every scene with the same probability, with a fresh guess.

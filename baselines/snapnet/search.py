@@ -1,6 +1,6 @@
 """Where a part without a guess may belong: the position network over all kits, with the part at yaws all around.
 
-The network was trained in the window of a guess, for parts that a guess has turned by up to 27.5 degrees. Its features
+The network was trained in the window of a guess, for parts that a guess has rotated by up to 27.5 degrees. Its features
 are those of convolutions, so they serve a window over all kits as well; yaws 30 degrees apart keep the part within the
 range of its training.
 """
@@ -34,8 +34,8 @@ def likely_starts(net: PositionNet, volumes: QueryVolumes, count: int) -> list[P
     middle = volumes.initial_guess().apply(pivot) + (0, 0, RISE)
     work, device = Pose.from_translation(middle), next(net.parameters()).device
     cells, window = wide_window(config)
-    turns = [Pose.from_rotvec((0, 0, 2 * np.pi * k / YAWS)) for k in range(YAWS)]
-    there = [Pose(turn.wxyz, middle - turn.apply(pivot)) for turn in turns]
+    yaws = [Pose.from_rotvec((0, 0, 2 * np.pi * k / YAWS)) for k in range(YAWS)]
+    there = [Pose(yaw.wxyz, middle - yaw.apply(pivot)) for yaw in yaws]
     parts = np.stack([volumes.part_volume(guess, work, config.part_cells, config.voxel) for guess in there])
     kit = volumes.kit_volume(work, cells, config.voxel)[None]
     features = net.part(torch.as_tensor(parts, device=device)), net.kit(torch.as_tensor(kit, device=device))

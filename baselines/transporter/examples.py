@@ -12,7 +12,7 @@ import numpy as np
 from baselines.heights.draws import TRACK_OF, GoalQuery, Guesses, QueryDraws
 from baselines.heights.shell import shell_points
 from baselines.transporter.config import YAW_STEP, YAWS, TransporterConfig
-from baselines.transporter.inputs import Start, guess_window, kit_maps, part_maps, start_of
+from baselines.transporter.inputs import Start, search_inputs, start_of
 from baselines.transporter.lattice import lattice_of, spread_cells, tilt_and_yaw
 from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.pose import Pose
@@ -74,7 +74,7 @@ class TransporterExamples:
         return TransporterExamples, (self.draws, self.config)
 
     def draw(self, rng: np.random.Generator, guesses: Guesses) -> Example:
-        """A training example in a work frame of any yaw; without a guess the part is turned by any yaw too."""
+        """A training example in a work frame of any yaw; without a guess the part is rotated by any yaw too."""
         sample = self.draws.draw(rng, guesses)
         start = start_of(sample.heights, sample.query.pivot, sample.guess, rng.uniform(0, 2 * np.pi))
         if not start.guessed:
@@ -104,12 +104,9 @@ class TransporterExamples:
         }
 
     def maps(self, sample: GoalQuery, start: Start) -> Example:
-        """`kits`, `part`, `window` and `base`, the mean heights about the points of the lattice."""
-        kits, base = kit_maps(sample.heights.kits, start, self.config)
+        """The inputs of the network, see `search_inputs`."""
         shell = self._shell(sample.query.scene_id, sample.query.part) - sample.query.pivot
-        points = start.points(self.config)
-        window = guess_window(start, self.config) if start.guessed else np.ones((points, points), bool)
-        return {"kits": kits, "part": part_maps(shell, start, self.config), "window": window, "base": base}
+        return search_inputs(sample.heights.kits, shell, start, self.config)
 
     def _targets(self, goals: Goals, goal: int, start: Start, rng: np.random.Generator) -> Example:
         config, points = self.config, start.points(self.config)

@@ -1,6 +1,6 @@
 """The inputs of TransporterNet: maps of the kits and of the part, along the axes of a work frame.
 
-A work frame is the world's, shifted level and turned about the vertical. With a guess its origin is the guessed
+A work frame is the world's, shifted level and rotated about the vertical. With a guess its origin is the guessed
 position of the pivot and the part is first rotated by the guess; without one it is the middle of the observed kits and
 the part is as it lies. From there the networks search.
 """
@@ -22,7 +22,7 @@ from kit1000.pose import Pose
 KIT_SCALE, PART_SCALE, DETAIL_SCALE = 50e-3, 20e-3, 10e-3  # [m] that maps show as 1
 DETAIL = 50e-3  # [m] across the neighbourhood whose mean height is taken off for the channel of details
 BASE = 20e-3  # [m] across the square about a position whose mean height the height of the part is counted from
-CANVAS = 1.5  # times a kernel: across the map of the part, so that its corners stay filled when it is turned
+CANVAS = 1.5  # times a kernel: across the map of the part, so that its corners stay filled when it is rotated
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,23 @@ def start_of(heights: SceneHeights, pivot: np.ndarray, guess: Pose | None, yaw: 
     """The start of a query in a work frame of some yaw [rad]; pivot: (3,) [m] of the part."""
     origin = heights.middle if guess is None else guess.apply(pivot)[:2]
     work_from_world = Pose.from_rotvec((0, 0, -yaw)) @ Pose.from_translation((-origin[0], -origin[1], 0.0))
-    turned = Pose.identity() if guess is None else work_from_world @ guess
-    return Start(work_from_world, Pose(turned.wxyz, np.zeros(3)), guess is not None)
+    rotated = Pose.identity() if guess is None else work_from_world @ guess
+    return Start(work_from_world, Pose(rotated.wxyz, np.zeros(3)), guess is not None)
+
+
+def search_inputs(kits: HeightMap, shell: np.ndarray, start: Start, config: TransporterConfig) -> dict[str, np.ndarray]:
+    """What a search reads: `kits` and `base` of `kit_maps`, `part` of `part_maps`, `window` (m, m) bool points.
+
+    Args:
+        kits: heights of the kits.
+        shell: (n, 3) [m] points of the part along the axes of the world, about its pivot.
+        start: where the search begins.
+        config: of the network.
+    """
+    maps, base = kit_maps(kits, start, config)
+    points = start.points(config)
+    window = guess_window(start, config) if start.guessed else np.ones((points, points), bool)
+    return {"kits": maps, "part": part_maps(shell, start, config), "window": window, "base": base}
 
 
 def kit_maps(kits: HeightMap, start: Start, config: TransporterConfig) -> tuple[np.ndarray, np.ndarray]:

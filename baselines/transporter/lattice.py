@@ -4,9 +4,9 @@ The map of the kits has an even number of pixels n, the kernel of the part k. Sc
 pixels: lattice point a of m is the position (a - (m - 1) / 2) * pixel along an axis of the map, whose origin is its
 middle. A part whose pivot is there covers whole pixels, so nothing is shifted by half a pixel.
 
-A rotation is split into a yaw and a tilt: `rotation = tilt . yaw`. The yaw is what the part is turned by on the map;
+A rotation is split into a yaw and a tilt: `rotation = tilt . yaw`. The yaw is what the part is rotated by on the map;
 the tilt is the rotation vector (x, y, 0) that remains. Unlike Euler angles the split has no preferred axis, so a scene
-that is turned turns the tilt and nothing else, and it fails for a part upside down alone.
+that is rotated rotates the tilt and nothing else, and it fails for a part upside down alone.
 """
 
 from __future__ import annotations
@@ -80,12 +80,12 @@ def peak_of(probability: np.ndarray, yaws: np.ndarray, mean: bool) -> tuple[tupl
     layer, *point = (int(i) for i in np.unravel_index(int(probability.argmax()), probability.shape))
     if not mean:
         return (layer, point[0], point[1]), float(yaws[layer] * YAW_STEP), np.array(point, float)
-    turns = (yaws - yaws[layer] + YAWS // 2) % YAWS - YAWS // 2
-    near = np.flatnonzero(np.abs(turns) <= 1)
+    steps = (yaws - yaws[layer] + YAWS // 2) % YAWS - YAWS // 2
+    near = np.flatnonzero(np.abs(steps) <= 1)
     box = tuple(slice(max(i - 1, 0), i + 2) for i in point)
     weights = probability[near][:, box[0], box[1]].astype(float)
     weights /= weights.sum()
     rows, columns = np.arange(probability.shape[1])[box[0]], np.arange(probability.shape[2])[box[1]]
-    yaw = (yaws[layer] + float((weights.sum((1, 2)) * turns[near]).sum())) * YAW_STEP
+    yaw = (yaws[layer] + float((weights.sum((1, 2)) * steps[near]).sum())) * YAW_STEP
     lattice = np.array([(weights.sum((0, 2)) * rows).sum(), (weights.sum((0, 1)) * columns).sum()])
     return (layer, point[0], point[1]), float(yaw), lattice

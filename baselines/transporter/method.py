@@ -12,7 +12,7 @@ from baselines.heights.shell import shell_points
 from baselines.loading import ready
 from baselines.transporter.config import TransporterConfig
 from baselines.transporter.examples import searched_yaws
-from baselines.transporter.inputs import guess_window, kit_maps, part_maps, start_of
+from baselines.transporter.inputs import search_inputs, start_of
 from baselines.transporter.lattice import rotation_from
 from baselines.transporter.network import TransporterNet
 from baselines.transporter.search import search
@@ -36,13 +36,11 @@ class Transporter:
         """The motion to the best cell; confidence: the probability of that cell and those around it."""
         heights, config = self._heights.of(query), self.network.config
         start = start_of(heights, query.pivot, query.guess)
-        kits, base = kit_maps(heights.kits, start, config)
-        part = part_maps(shell_points(heights.parts[query.part]) - query.pivot, start, config)
-        points = start.points(config)
-        window = guess_window(start, config) if start.guessed else np.ones((points, points), bool)
+        shell = shell_points(heights.parts[query.part]) - query.pivot
+        inputs = search_inputs(heights.kits, shell, start, config)
         device = next(self.network.parameters()).device
-        maps = torch.as_tensor(kits, device=device), torch.as_tensor(part, device=device)
-        found = search(self.network, *maps, searched_yaws(query), window, base)
+        kits, part = (torch.as_tensor(inputs[name], device=device) for name in ("kits", "part"))
+        found = search(self.network, kits, part, searched_yaws(query), inputs["window"], inputs["base"])
         rotation = rotation_from(found.tilt, found.yaw) @ start.work_from_part
         target = start.work_from_world.inverse().apply(found.xyz)
         if query.guess is not None:
@@ -58,10 +56,10 @@ def motion_to(rotation: Pose, pivot: np.ndarray, target: np.ndarray) -> Pose:
 def within_window(rotation: Pose, target: np.ndarray, guess: Pose, pivot: np.ndarray) -> tuple[Pose, np.ndarray]:
     """A rotation and a target (3,) [m] of the pivot, moved into the window of a guess: its largest errors.
 
-    A rotation farther off is turned back towards the guess, about the same axis.
+    A rotation farther off is rotated back towards the guess, about the same axis.
     """
     guessed = guess.apply(pivot)
     start = Pose(guess.wxyz, np.zeros(3))
-    turn = (rotation @ start.inverse()).rotvec()
-    turn = turn * min(1.0, MAX_ANGLE / max(float(np.linalg.norm(turn)), 1e-12))
-    return Pose.from_rotvec(turn) @ start, np.clip(target, guessed - MAX_OFFSET, guessed + MAX_OFFSET)
+    rotvec = (rotation @ start.inverse()).rotvec()
+    rotvec = rotvec * min(1.0, MAX_ANGLE / max(float(np.linalg.norm(rotvec)), 1e-12))
+    return Pose.from_rotvec(rotvec) @ start, np.clip(target, guessed - MAX_OFFSET, guessed + MAX_OFFSET)

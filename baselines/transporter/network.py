@@ -50,11 +50,11 @@ class TransporterNet(nn.Module):
         return F.pad(features, (self.config.part // 2,) * 4) if padded else features
 
     def kernels(self, part: Tensor, yaws: Tensor) -> Tensor:
-        """(B, MAP_CHANNELS, c, c), (B, Y) -> (B, Y, FEATURES, k, k): the part is turned, then seen by its network."""
-        turned = turned_crops(part, yaws * YAW_STEP, self.config.part).flatten(0, 1)
+        """(B, MAP_CHANNELS, c, c), (B, Y) -> (B, Y, FEATURES, k, k): the part is rotated, then seen by its network."""
+        rotated = rotated_crops(part, yaws * YAW_STEP, self.config.part).flatten(0, 1)
         if self.config.slopes:
-            turned = with_slopes(turned, PART_HEIGHTS, PART_SEEN, self.config.pixel)
-        return normalised(self.part(packed(turned)).float()).unflatten(0, yaws.shape)
+            rotated = with_slopes(rotated, PART_HEIGHTS, PART_SEEN, self.config.pixel)
+        return normalised(self.part(packed(rotated)).float()).unflatten(0, yaws.shape)
 
     def scores(self, kit_features: Tensor, kernels: Tensor) -> Tensor:
         """(B, F, n, n) and (B, Y, F, k, k) -> (B, Y, m, m) logits, m = n - k + 1."""
@@ -140,7 +140,7 @@ def _regressor() -> nn.Sequential:
     )
 
 
-def turned_crops(part: Tensor, yaws: Tensor, pixels: int) -> Tensor:
+def rotated_crops(part: Tensor, yaws: Tensor, pixels: int) -> Tensor:
     """The middle of maps of a part after rotations about their middle.
 
     Args:
