@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmark.intervals import TAIL, bootstrap_means
+from benchmark.intervals import ENDS, bootstrap_means
 from benchmark.report import json_text
 from benchmark.table2 import read_components
 from kit1000.files import write_bytes
@@ -34,7 +34,7 @@ def add_components(
             "label": label,
             "measure": measure,
             "value": round(float(np.mean(values)), digits),
-            "interval": [round(float(end), digits) for end in np.quantile(draws, (TAIL, 1 - TAIL))],
+            "interval": [round(float(end), digits) for end in np.quantile(draws, ENDS)],
             "n": len(values),
         }
         same = ("component", "label", "measure")

@@ -24,6 +24,7 @@ from kit1000.errors import InputError
 from kit1000.files import read_json, write_bytes
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.planner.execute import NO_SEAL, NOT_FROM_ABOVE, OUTCOMES, SEATED, PartRun, SceneRun, run_scene
+from kit1000.planner.runs import outcome_counts
 from kit1000.pose import Pose
 from kit1000.submission.predictions import FILE, read_predictions
 from kit1000.tracks import TRACKS
@@ -161,7 +162,6 @@ def _row(dataset: Dataset, label: str, cases: Sequence[_Case], possible: set[str
     clusters = [case.truth.assembly_id for case in cases if case.query.id in possible]
     picked = [(bool(s), bool(t)) for s, t, case in zip(seated, tested, cases, strict=True) if case.run.physics]
     counts = Counter(picked)
-    outcomes = Counter(case.run.outcome for case in cases)
     seconds = [case.run.seconds for case in cases if case.run.physics]
     return ChainRow(
         label,
@@ -179,7 +179,7 @@ def _row(dataset: Dataset, label: str, cases: Sequence[_Case], possible: set[str
         float(np.median(errors.position) * 1e3),
         float(np.degrees(np.median(errors.rotation))),
         float(np.median(seconds)) if seconds else None,
-        {outcome: outcomes[outcome] for outcome in OUTCOMES},
+        outcome_counts(case.run for case in cases),
         [
             {
                 "query": case.query.id,

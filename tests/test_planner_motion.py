@@ -16,13 +16,13 @@ from kit1000.planner.motion import (
     MOVE_ACCELERATION,
     MOVE_SPACING,
     MOVE_SPEED,
+    arrival_times,
     find_path,
     line_joints,
     line_leg,
     line_poses,
     move_joints,
     move_legs,
-    times,
     turned_near,
 )
 from kit1000.planner.robot import HOME, JOINT_LIMITS, JOINT_SPEED, tool_pose
@@ -37,7 +37,7 @@ def test_a_trapezoid_keeps_speed_and_acceleration_and_takes_as_long_as_the_close
     distance: float, speed: float, acceleration: float
 ) -> None:
     at = np.linspace(0, distance, 400)
-    t = times(at, distance, speed, acceleration)
+    t = arrival_times(at, distance, speed, acceleration)
     assert t[0] == 0
     if distance >= speed**2 / acceleration:
         assert t[-1] == pytest.approx(distance / speed + speed / acceleration)
@@ -52,12 +52,12 @@ def test_a_trapezoid_keeps_speed_and_acceleration_and_takes_as_long_as_the_close
 @given(st.floats(1e-3, 5.0), st.floats(0.05, 2.0))
 def test_a_trapezoid_is_the_same_backwards(distance: float, speed: float) -> None:
     at = np.linspace(0, distance, 51)
-    t = times(at, distance, speed, 0.3)
-    assert t[-1] - t[::-1] == pytest.approx(times(distance - at[::-1], distance, speed, 0.3), abs=1e-9)
+    t = arrival_times(at, distance, speed, 0.3)
+    assert t[-1] - t[::-1] == pytest.approx(arrival_times(distance - at[::-1], distance, speed, 0.3), abs=1e-9)
 
 
 def test_a_line_of_100_mm_at_the_paper_s_speed_takes_two_seconds() -> None:
-    assert times(np.array([0.1]), 0.1, LINE_SPEED, LINE_ACCELERATION)[0] == pytest.approx(2.0)
+    assert arrival_times(np.array([0.1]), 0.1, LINE_SPEED, LINE_ACCELERATION)[0] == pytest.approx(2.0)
 
 
 def test_a_line_is_straight_and_keeps_its_orientation_and_its_branch() -> None:

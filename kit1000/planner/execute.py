@@ -19,9 +19,9 @@ from kit1000.dataset.reader import RecordedScene
 from kit1000.kits.convex_pieces import enclosing_prisms
 from kit1000.kits.seating import HOVER, UP
 from kit1000.planner.collision import Cell
-from kit1000.planner.grasp import SEEN_FLATNESS, find_grasps, is_held, touch
-from kit1000.planner.motion import LINE_ACCELERATION, LINE_SPEED, Leg, times
-from kit1000.planner.planning import APPROACH, KITS, Plan, Task, plan
+from kit1000.planner.grasp import SEEN_FLATNESS, Grasp, find_grasps, is_held, touch
+from kit1000.planner.motion import LINE_ACCELERATION, LINE_SPEED, Leg, arrival_times
+from kit1000.planner.planning import APPROACH, COLLISION, KITS, UNREACHABLE, Plan, Refusal, Task, plan
 from kit1000.planner.robot import HOME
 from kit1000.pose import Pose
 from kit1000.rng import stream
@@ -29,8 +29,8 @@ from kit1000.sim.insertion import InsertionTrial, Obstacle, Workpiece, assembly_
 from kit1000.sim.world import GRAVITY
 from kit1000.values import Assembly, LabelledDepth, Mount, Part
 
-SEATED, NOT_FROM_ABOVE, NO_SEAL, UNREACHABLE = "seated", "not graspable from above", "no seal", "unreachable"
-COLLISION, JAMMED, TIPPED, NOT_SEATED = "collision", "jammed", "tipped", "not seated"
+SEATED, NOT_FROM_ABOVE, NO_SEAL = "seated", "not graspable from above", "no seal"
+JAMMED, TIPPED, NOT_SEATED = "jammed", "tipped", "not seated"
 OUTCOMES = (SEATED, NOT_FROM_ABOVE, NO_SEAL, UNREACHABLE, COLLISION, JAMMED, TIPPED, NOT_SEATED)
 # [m] of the robot's base in the world. From there all picks and 99 % of the places are in reach, whatever the scale of
 # the table (kinematics alone, 120 random poses each, slots tilted by up to 45 degrees).
@@ -118,6 +118,15 @@ class Bench:
     def pieces(self, part: int, world_from_part: Pose, tolerance: float, fine_height: float) -> list[np.ndarray]:
         """Convex pieces (n, 3) [m] of a part in its frame, prisms along the vertical at a pose."""
         return _pieces(self.parts[part], tuple(world_from_part.wxyz), tolerance, fine_height)
+
+    def grasps(self, part: int) -> list[Grasp]:
+        """Where a cup seems to seal on a part, best first."""
+        return find_grasps(self.image, part, self.flatness)
+
+    def seal_height(self, part: int, grasp: Grasp) -> float | None:
+        """The height [m] at which the cup of a grasp seals on a part and carries it; None where it does not."""
+        height = touch(self.parts[part].mesh, self.poses[part], grasp)
+        return height if is_held(grasp, self.parts[part].mass * GRAVITY) else None
 
     def fill(self, cell: Cell) -> None:
         """Add the kits and the parts to a robot's cell."""
@@ -227,7 +236,7 @@ class Robot:
         while waiting:
             moved = len(self.order)
             runs |= {part: self._run_part(part, motions[part]) for part in waiting}
-            waiting = [part for part in waiting if runs[part].outcome == COLLISION and not runs[part].physics]
+            waiting = [part for part in waiting if runs[part].outcome == COLLISION]
             if len(self.order) == moved:
                 break
         return SceneRun(
@@ -243,27 +252,14 @@ class Robot:
         if up[2] < np.cos(MAX_TURN):
             turn = np.degrees(np.arctan2(np.hypot(up[0], up[1]), up[2]))
             return PartRun(part, NOT_FROM_ABOVE, f"at the goal its upper side would be turned by {turn:.0f} degrees")
-        bench, pose = self.bench, self.bench.poses[part]
-        grasps = find_grasps(bench.image, part, bench.flatness)
         tried, seconds, refusals = 0, 0.0, []
-        for grasp in grasps:
+        for grasp in self.bench.grasps(part):
             tried += 1
-            height = touch(bench.parts[part].mesh, pose, grasp)
-            if height is None or not is_held(grasp, bench.parts[part].mass * GRAVITY):
+            height = self.bench.seal_height(part, grasp)
+            if height is None:
                 seconds += 2 * _line_seconds(APPROACH) + GRIP_SECONDS
                 continue
-            task = Task(
-                part_name(part),
-                np.array([*grasp.point[:2], height]),
-                pose,
-                motion,
-                frozenset(part_name(i) for i in range(len(bench.parts)) if i != part),
-            )
-            if not self.filled:
-                bench.fill(self.cell)
-                self.filled = True
-            self.cell.cup = grasp.cup
-            found = plan(self.cell, self.joints, task, stream(self.seed, "plan", bench.scene_id, part, tried))
+            found = self._plan(part, motion, grasp, height, tried)
             if isinstance(found, Plan):
                 return self._carry_out(part, motion, found, tried, seconds)
             refusals.append(found)
@@ -273,6 +269,21 @@ class Robot:
             return PartRun(part, refusals[0].outcome, refusals[0].detail, seconds, tried)
         why = "no flat, level spot is seen" if tried == 0 else f"no cup holds at any of {tried} spots"
         return PartRun(part, NO_SEAL, why, seconds, tried)
+
+    def _plan(self, part: int, motion: Pose, grasp: Grasp, height: float, number: int) -> Plan | Refusal:
+        """A way for a grasp whose cup seals at a height [m]. number: of the grasp, for the stream of the planner."""
+        if not self.filled:
+            self.bench.fill(self.cell)
+            self.filled = True
+        self.cell.cup = grasp.cup
+        task = Task(
+            part_name(part),
+            np.array([*grasp.point[:2], height]),
+            self.bench.poses[part],
+            motion,
+            frozenset(part_name(i) for i in range(len(self.bench.parts)) if i != part),
+        )
+        return plan(self.cell, self.joints, task, stream(self.seed, "plan", self.bench.scene_id, part, number))
 
     def _carry_out(self, part: int, motion: Pose, found: Plan, tried: int, seconds: float) -> PartRun:
         before = self.now
@@ -301,7 +312,7 @@ class Robot:
 
 def _line_seconds(distance: float) -> float:
     """[s] that a straight line takes."""
-    return float(times(np.array([distance]), distance, LINE_SPEED, LINE_ACCELERATION)[0])
+    return float(arrival_times(np.array([distance]), distance, LINE_SPEED, LINE_ACCELERATION)[0])
 
 
 def _outcome_of(physics: Mapping[str, Any]) -> tuple[str, str]:

@@ -148,7 +148,7 @@ def _shortened(path: np.ndarray, is_free: IsFree, rng: np.random.Generator) -> n
 def line_leg(name: str, joints: np.ndarray, distance: float) -> Leg:
     """A line of evenly spaced joints (n, 6) over a distance [m]."""
     share = np.linspace(0, 1, len(joints))
-    return Leg(name, joints, times(share * distance, distance, LINE_SPEED, LINE_ACCELERATION))
+    return Leg(name, joints, arrival_times(share * distance, distance, LINE_SPEED, LINE_ACCELERATION))
 
 
 def move_legs(name: str, corners: np.ndarray) -> list[Leg]:
@@ -158,11 +158,11 @@ def move_legs(name: str, corners: np.ndarray) -> list[Leg]:
         joints = move_joints(start, end)
         farthest = float(np.abs(end - start).max())
         share = np.linspace(0, 1, len(joints))
-        legs.append(Leg(name, joints, times(share * farthest, farthest, MOVE_SPEED, MOVE_ACCELERATION)))
+        legs.append(Leg(name, joints, arrival_times(share * farthest, farthest, MOVE_SPEED, MOVE_ACCELERATION)))
     return legs
 
 
-def times(travelled: np.ndarray, distance: float, speed: float, acceleration: float) -> np.ndarray:
+def arrival_times(travelled: np.ndarray, distance: float, speed: float, acceleration: float) -> np.ndarray:
     """[s] (n,) at which distances `travelled` (n,) are reached on a way from rest to rest, in a trapezoid of speed.
 
     A way too short for the full speed has a triangle. All lengths in one unit.

@@ -1,13 +1,16 @@
 """Plans of a pick and a place: where the hand turns, which branch the arm takes, and the way in between.
 
-A tool position leaves one turn about the cup's axis and eight branches open, at pick and at place. The pairs are tried
-in the order of how far the joints move; lines that some pair needs are tested once.
+A tool position leaves one turn about the cup's axis and eight branches open, at pick and at place. Pairs of lines,
+to the part and to the slot, are tried in the order of how far the joints move; each line is tested once.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,6 +35,7 @@ TOUCHING = 2  # samples at the end of the way down at which the cup may touch th
 DIRECT_TRIES = 48  # pairs whose joint moves are tried straight
 TREE_TRIES = 3  # pairs that are tried with trees afterwards
 KITS = "the kits"
+UNREACHABLE, COLLISION = "unreachable", "collision"
 DOWN = Pose.from_rotvec((np.pi, 0.0, 0.0))  # the tool's z axis points down
 
 
@@ -68,58 +72,66 @@ class Refusal:
     """Why there is no plan."""
 
     outcome: str
-    """unreachable or collision"""
+    """UNREACHABLE or COLLISION"""
     detail: str
 
 
 @dataclass(eq=False)
 class _Lines:
-    """The straight lines of a task by yaw: joints (8, n, 6) each, and what the tests of them found."""
+    """The straight lines to the part, or to the slot, for all turns of the hand."""
 
-    pick: list[np.ndarray]
-    place: list[np.ndarray]
-    found: dict[tuple[str, int, int], Contact | None] = field(default_factory=dict)
+    joints: list[np.ndarray]
+    """(8, n, 6) [rad] by yaw, as of `line_joints`."""
+    contact: Callable[[np.ndarray, Held], Contact | None]
+    """Tests the joints (n, 6) of one branch."""
+    found: dict[tuple[int, int], Contact | None] = field(default_factory=dict)
+    """What the tests gave, by yaw and branch."""
+
+    def blocked_by(self, yaw: int, branch: int, held: Held) -> str | None:
+        """What blocks a line, or None; each line is tested once."""
+        if (yaw, branch) not in self.found:
+            self.found[yaw, branch] = self.contact(self.joints[yaw][branch], held)
+        contact = self.found[yaw, branch]
+        return None if contact is None else contact.what
+
+
+class _Pair(NamedTuple):
+    """Lines to the part and to the slot that the arm can follow one after the other: joints (n, 6) [rad] each."""
+
+    held: Held
+    reach: np.ndarray
+    carry: np.ndarray
 
 
 def plan(cell: Cell, start: np.ndarray, task: Task, rng: np.random.Generator) -> Plan | Refusal:
     """The plan of a task from joints `start` (6,), or why there is none. The part must be an obstacle of the cell."""
     picks = _pick_poses(task.touch)
     places = task.goal_from_now @ picks
-    lines = _Lines(
+    to_part = _Lines(
         [_line(cell, pick, APPROACH * UP) for pick in picks],
-        [_line(cell, place, HOVER * task.goal_from_now.rotate(UP)) for place in places],
+        lambda joints, held: _pick_contact(cell, joints, task, held),
     )
-    for lines_of, what in ((lines.pick, "the part"), (lines.place, "the slot")):
-        if not any(is_reachable(joints).any() for joints in lines_of):
-            return Refusal("unreachable", f"no joints reach {what}")
-    tool_from_part = [pick.inverse() @ task.world_from_part for pick in picks]
-    blocked: list[str] = []
-    ready = []
-    for yaw, pick, place in _ranked_pairs(lines, start):
-        held = Held(task.name, tool_from_part[yaw])
-        what = _line_contact(cell, lines, task, held, yaw, pick, place)
-        if what is not None:
-            blocked.append(what)
-            continue
-        reach = turned_near(lines.pick[yaw][pick], start)
-        carry = None if reach is None else turned_near(lines.place[yaw][place], reach[0])
-        if reach is None or carry is None:
-            continue
-        ready.append((held, reach, carry))
-        if len(ready) == DIRECT_TRIES:
-            break
-    for held, reach, carry in ready:
-        corners = [np.stack([start, reach[0]]), np.stack([reach[0], carry[0]])]
-        what = _moves_contact(cell, task, held, corners)
+    to_slot = _Lines(
+        [_line(cell, place, HOVER * task.goal_from_now.rotate(UP)) for place in places],
+        lambda joints, held: _place_contact(cell, joints, task, held),
+    )
+    for lines, what in ((to_part, "the part"), (to_slot, "the slot")):
+        if not any(is_reachable(joints).any() for joints in lines.joints):
+            return Refusal(UNREACHABLE, f"no joints reach {what}")
+    held = [Held(task.name, pick.inverse() @ task.world_from_part) for pick in picks]
+    pairs, blocked = _free_pairs(to_part, to_slot, held, start)
+    for pair in pairs:
+        corners = [np.stack([start, pair.reach[0]]), np.stack([pair.reach[0], pair.carry[0]])]
+        what = _moves_contact(cell, task, pair.held, corners)
         if what is None:
-            return _to_plan(corners, reach, carry, held)
+            return _to_plan(corners, pair)
         blocked.append(what)
-    for held, reach, carry in ready[:TREE_TRIES]:
-        found = _find_moves(cell, task, held, start, reach, carry, rng)
+    for pair in pairs[:TREE_TRIES]:
+        found = _find_moves(cell, task, pair, start, rng)
         if found is not None:
-            return _to_plan(found, reach, carry, held)
+            return _to_plan(found, pair)
     what = max(sorted(set(blocked)), key=blocked.count) if blocked else "the limits of its joints"
-    return Refusal("collision", f"every way is blocked, mostly by {what}")
+    return Refusal(COLLISION, f"every way is blocked, mostly by {what}")
 
 
 def _pick_poses(touch: np.ndarray) -> Pose:
@@ -134,11 +146,30 @@ def _line(cell: Cell, world_from_tool: Pose, offset: np.ndarray) -> np.ndarray:
     return line_joints(cell.world_from_base.inverse() @ line_poses(start, world_from_tool))
 
 
-def _ranked_pairs(lines: _Lines, start: np.ndarray) -> list[tuple[int, int, int]]:
-    """(yaw, branch at pick, branch at place) of reachable lines, those that move the joints least first."""
+def _free_pairs(to_part: _Lines, to_slot: _Lines, held: list[Held], start: np.ndarray) -> tuple[list[_Pair], list[str]]:
+    """The first DIRECT_TRIES pairs of lines that are free, and what blocks the others. held: by yaw."""
+    pairs: list[_Pair] = []
+    blocked = []
+    for yaw, pick, place in _ranked_branches(to_part, to_slot, start):
+        what = to_part.blocked_by(yaw, pick, held[yaw]) or to_slot.blocked_by(yaw, place, held[yaw])
+        if what is not None:
+            blocked.append(what)
+            continue
+        reach = turned_near(to_part.joints[yaw][pick], start)
+        carry = None if reach is None else turned_near(to_slot.joints[yaw][place], reach[0])
+        if reach is None or carry is None:
+            continue
+        pairs.append(_Pair(held[yaw], reach, carry))
+        if len(pairs) == DIRECT_TRIES:
+            break
+    return pairs, blocked
+
+
+def _ranked_branches(to_part: _Lines, to_slot: _Lines, start: np.ndarray) -> list[tuple[int, int, int]]:
+    """(yaw, branch to the part, branch to the slot) of reachable lines, those that move the joints least first."""
     ranked = []
     for yaw in range(YAWS):
-        picks, places = lines.pick[yaw], lines.place[yaw]
+        picks, places = to_part.joints[yaw], to_slot.joints[yaw]
         branches = np.flatnonzero(is_reachable(picks)), np.flatnonzero(is_reachable(places))
         for pick, place in product(*map(np.ndarray.tolist, branches)):
             move = _turn(places[place, 0] - picks[pick, 0]) + 0.5 * _turn(picks[pick, 0] - start)
@@ -149,19 +180,6 @@ def _ranked_pairs(lines: _Lines, start: np.ndarray) -> list[tuple[int, int, int]
 def _turn(change: np.ndarray) -> float:
     """[rad] the largest change of a joint (6,), by the shorter way round."""
     return float(np.abs(change - 2 * np.pi * np.rint(change / (2 * np.pi))).max())
-
-
-def _line_contact(cell: Cell, lines: _Lines, task: Task, held: Held, yaw: int, pick: int, place: int) -> str | None:
-    """What blocks the straight lines of a pair; each line is tested once."""
-    for kind, branch in (("pick", pick), ("place", place)):
-        key = (kind, yaw, branch)
-        if key not in lines.found:
-            test = _pick_contact if kind == "pick" else _place_contact
-            lines.found[key] = test(cell, getattr(lines, kind)[yaw][branch], task, held)
-        found = lines.found[key]
-        if found is not None:
-            return found.what
-    return None
 
 
 def _pick_contact(cell: Cell, joints: np.ndarray, task: Task, held: Held) -> Contact | None:
@@ -189,44 +207,36 @@ def _moves_contact(cell: Cell, task: Task, held: Held, corners: list[np.ndarray]
 
 
 def _find_moves(
-    cell: Cell,
-    task: Task,
-    held: Held,
-    start: np.ndarray,
-    reach: np.ndarray,
-    carry: np.ndarray,
-    rng: np.random.Generator,
+    cell: Cell, task: Task, pair: _Pair, start: np.ndarray, rng: np.random.Generator
 ) -> list[np.ndarray] | None:
     """Corners of both joint moves, found by trees; None where one is not found."""
-    empty = find_path(start, reach[0], lambda joints: cell.contact(joints) is None, rng)
+    above, hover = pair.reach[0], pair.carry[0]
+    empty = find_path(start, above, lambda joints: cell.contact(joints) is None, rng)
     if empty is None:
         return None
     with _in_hand(cell, task):
-        laden = find_path(reach[0], carry[0], lambda joints: cell.contact(joints, held) is None, rng)
+        laden = find_path(above, hover, lambda joints: cell.contact(joints, pair.held) is None, rng)
     return None if laden is None else [empty, laden]
 
 
-class _in_hand:
+@contextmanager
+def _in_hand(cell: Cell, task: Task) -> Iterator[None]:
     """Takes a part out of the scene, where the hand has it, during a `with` block."""
-
-    def __init__(self, cell: Cell, task: Task) -> None:
-        self.cell, self.task = cell, task
-
-    def __enter__(self) -> None:
-        self.cell.move(self.task.name, None)
-
-    def __exit__(self, *_: object) -> None:
-        self.cell.move(self.task.name, self.task.world_from_part)
+    cell.move(task.name, None)
+    try:
+        yield
+    finally:
+        cell.move(task.name, task.world_from_part)
 
 
-def _to_plan(corners: list[np.ndarray], reach: np.ndarray, carry: np.ndarray, held: Held) -> Plan:
+def _to_plan(corners: list[np.ndarray], pair: _Pair) -> Plan:
     return Plan(
-        [*move_legs("reach", corners[0]), line_leg("lower", reach, APPROACH)],
+        [*move_legs("reach", corners[0]), line_leg("lower", pair.reach, APPROACH)],
         [
-            line_leg("lift", reach[::-1], APPROACH),
+            line_leg("lift", pair.reach[::-1], APPROACH),
             *move_legs("carry", corners[1]),
-            line_leg("insert", carry, HOVER),
+            line_leg("insert", pair.carry, HOVER),
         ],
-        [line_leg("leave", carry[::-1], HOVER)],
-        held.tool_from_part,
+        [line_leg("leave", pair.carry[::-1], HOVER)],
+        pair.held.tool_from_part,
     )

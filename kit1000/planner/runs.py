@@ -13,7 +13,7 @@ from tqdm import tqdm
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import write_bytes, write_json
-from kit1000.planner.execute import OUTCOMES, PartRun, SceneRun, run_scene
+from kit1000.planner.execute import OUTCOMES, SEATED, PartRun, SceneRun, run_scene
 from kit1000.planner.trace import trace_bytes
 from kit1000.pose import Pose
 from kit1000.submission.predictions import FILE, Predictions, read_predictions
@@ -89,18 +89,12 @@ def report(runs: Sequence[SceneRun], dataset_id: str, track: str, seed: int) -> 
         "dataset_id": dataset_id,
         "track": track,
         "seed": seed,
-        "counts": counts(part for run in runs for part in run.parts),
-        "scenes": {
-            run.scene_id: {"order": list(run.order), "parts": [_part_row(part) for part in run.parts]} for run in runs
-        },
+        "counts": outcome_counts(part for run in runs for part in run.parts),
+        "scenes": {run.scene_id: {"order": list(run.order), "parts": list(map(asdict, run.parts))} for run in runs},
     }
 
 
-def _part_row(part: PartRun) -> dict[str, Any]:
-    return asdict(part) | {"physics": dict(part.physics)}
-
-
-def counts(parts: Iterable[PartRun]) -> dict[str, int]:
+def outcome_counts(parts: Iterable[PartRun]) -> dict[str, int]:
     """Number of parts by outcome, in the order of OUTCOMES."""
     found = Counter(part.outcome for part in parts)
     return {outcome: found[outcome] for outcome in OUTCOMES}
@@ -114,7 +108,7 @@ def format_runs(runs: Sequence[SceneRun]) -> str:
         for run in runs
         for part in run.parts
     ]
-    found = counts(part for run in runs for part in run.parts)
+    found = outcome_counts(part for run in runs for part in run.parts)
     total = sum(found.values())
-    lines.append(f"{found['seated']} of {total} seated; " + ", ".join(f"{n} {name}" for name, n in found.items() if n))
+    lines.append(f"{found[SEATED]} of {total} seated; " + ", ".join(f"{n} {name}" for name, n in found.items() if n))
     return "\n".join(lines)
