@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from studies import FITTS
 
+from kit1000.cli import main
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
@@ -22,8 +23,6 @@ from kit1000.study.conditions import CONDITIONS
 from kit1000.study.operators import OPERATORS, Aim, Hand, difficulty, drag, operator_of, point
 from kit1000.study.plan import StudyPlan, read_plan, write_plan
 from kit1000.study.reading import read_participants
-from kit1000.study.report import write_report
-from kit1000.study.simulation import simulate
 from kit1000.study.tasks import SIZES, Task, Tasks, choose_tasks
 from kit1000.values import Query, TrueGeometry
 
@@ -131,17 +130,23 @@ def files_of(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in found}
 
 
-def test_a_simulated_study_is_whole(mini: Path, small_plan: StudyPlan, tmp_path: Path) -> None:
-    """What is done stays; what an interruption took away comes again, to the last byte."""
+def test_a_simulated_study_is_whole(
+    mini: Path, small_plan: StudyPlan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the command. What is done stays; what an interruption took away comes again, to the last byte."""
     write_plan(tmp_path, small_plan)
-    folder = simulate(tmp_path, small_plan, Dataset(mini), "fitts", judge="test")
+    arguments = ["study", str(mini), "--out", str(tmp_path), "--simulate", "fitts", "--judge", "test"]
+    assert main([*arguments, "--report"]) == 0
+    folder = tmp_path / "simulated/fitts"
+    assert capsys.readouterr().out.splitlines() == [str(folder), str(folder / "report.html")]
+    assert "SIMULATED" in (folder / "report.html").read_text()
     whole, trials = files_of(tmp_path), sorted(folder.rglob("trial.json"))
     stamp = trials[0].stat().st_mtime_ns
     for path in trials[2::3]:
         path.unlink()
     with open(trials[2].parent / "events.jsonl", "ab") as log:
         log.write(b'{"cut": ')
-    simulate(tmp_path, small_plan, Dataset(mini), "fitts", judge="test")
+    assert main(arguments) == 0
     assert files_of(tmp_path) == whole
     assert trials[0].stat().st_mtime_ns == stamp
     people = read_participants(tmp_path, read_plan(tmp_path), FITTS)
@@ -155,7 +160,19 @@ def test_a_simulated_study_is_whole(mini: Path, small_plan: StudyPlan, tmp_path:
     rows = [json.loads(line) for name, text in whole.items() if name.endswith("jsonl") for line in text.splitlines()]
     assert {row["operator"] for row in rows} == {"simulated fitts"}
     assert {row["participant"] for row in rows} == {1, 2, 3, 4}
-    assert "SIMULATED" in write_report(tmp_path).read_text()
+    assert main([*arguments[:-1], "robot"]) == 2
+    assert "go on with --judge test, or choose another --out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "option", ["--people 8", "--conditions scene hand", "--sensor d415", "--snap none", "--seed 0"], ids=str.split
+)
+def test_an_option_that_contradicts_the_plan_is_refused(
+    mini: Path, small_plan: StudyPlan, tmp_path: Path, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_plan(tmp_path, small_plan)
+    assert main(["study", str(mini), "--out", str(tmp_path), *option.split()]) == 2
+    assert f"{option}: {tmp_path} is planned otherwise" in capsys.readouterr().err
 
 
 def test_tasks_are_those_that_the_robot_manages(mini: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -10,12 +12,15 @@ import pytest
 
 pytest.importorskip("viser")
 
-from studies import plan_of
+from studies import plan_of, write_participant
 
+from kit1000.cli import main
 from kit1000.dataset.reader import Dataset
 from kit1000.dataset.tables import pose_row
 from kit1000.pose import Pose
+from kit1000.study import sitting
 from kit1000.study.execution import Carried
+from kit1000.study.plan import write_plan
 from kit1000.study.records import PERSON, PartResult
 from kit1000.study.sitting import FINISH, UPLOAD, Sitting, TaskPage
 
@@ -60,6 +65,24 @@ def test_what_was_done_before_a_crash_is_taken_up(tmp_path: Path) -> None:
     assert (record.uploads, record.undos, record.refused, record.interruptions) == (1, 1, 1, 1)
     assert record.operator == PERSON
     assert not record.out_of_time  # there was time left: the participant ended the task
+
+
+def test_the_command_names_who_judges_a_sitting(
+    mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """And a participant who was judged otherwise before is refused."""
+    plan = replace(plan_of(), dataset_id=Dataset(mini).id)
+    write_plan(tmp_path, plan)
+    write_participant(tmp_path, plan, PERSON, 1)  # judged by the robot
+    monkeypatch.setattr(sitting, "serving", lambda _: nullcontext((None, "http://127.0.0.1:8080")))
+    monkeypatch.setattr(sitting, "say_goodbye", lambda _: None)
+    arguments = ["study", str(mini), "--out", str(tmp_path), "--participant", "1"]
+    for folder in (tmp_path / "people/p001").glob("*-*"):
+        (folder / sitting.PRACTICE_FILE).touch()
+    assert main(arguments) == 0
+    assert "complete" in capsys.readouterr().out
+    assert main([*arguments, "--judge", "test"]) == 2
+    assert "was judged by the robot; go on with --judge robot" in capsys.readouterr().err
 
 
 def test_time_that_ran_out_is_on_record(tmp_path: Path) -> None:

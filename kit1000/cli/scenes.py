@@ -9,9 +9,8 @@ from typing import Annotated, Literal
 import tyro
 
 from kit1000.cli.options import Flag, Folder, OptionalInt, OptionalPath
+from kit1000.editor import SNAP
 from kit1000.errors import InputError
-
-SNAP = "baselines.registration.proposals:ProposingRegistration"  # by name: the wheel is without the baselines
 
 
 @dataclass(frozen=True)
@@ -109,12 +108,12 @@ class Study:
     """Number of participants, a multiple of 4; 12 when absent. Without other options: plan, and print all orders."""
     conditions: tuple[str, ...] = ()
     """Two or four of scene-snap, scene, hand-snap, hand, hand-bare; scene-snap and hand when absent."""
-    sensor: Literal["ideal", "d415"] = "ideal"
-    """Sensor of the depth images."""
-    snap: Annotated[str, tyro.conf.arg(metavar="module:Object")] = SNAP
-    """Method of the conditions that snap."""
-    seed: int = 0
-    """Of tasks and orders."""
+    sensor: Annotated[Literal["ideal", "d415"] | None, tyro.conf.arg(metavar="{ideal,d415}")] = None
+    """Sensor of the depth images; ideal when absent."""
+    snap: Annotated[str | None, tyro.conf.arg(metavar="module:Object")] = None
+    """Method of the conditions that snap; registration when absent."""
+    seed: OptionalInt = None
+    """Of tasks and orders; 0 when absent."""
     participant: OptionalInt = None
     """Number of the participant who sits in now, from 1; prints the address of the page."""
     port: OptionalInt = None
@@ -122,9 +121,9 @@ class Study:
     simulate: Annotated[str | None, tyro.conf.arg(metavar="OPERATOR")] = None
     """Let exact, paper, fitts or careless sit in for all participants. Tests the machine; says nothing about people."""
     judge: Literal["robot", "test"] = "robot"
-    """Who judges simulated uploads: the robot, or the seating test, which takes no time."""
+    """Who judges uploads, the same for a whole study: the robot, or the seating test, which takes no time."""
     report: Flag = False
-    """Write report.html and report.json of the people, or of the operator of --simulate."""
+    """Write report.html and report.json of the people, or of the operator of --simulate when all have sat."""
 
     def run(self) -> int:
         """Do what is asked; prints orders, an address or the path of a report."""

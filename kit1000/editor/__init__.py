@@ -6,3 +6,6 @@ Read it in this order: `session` (edits and their history), `seen` and `plates` 
 cups in place of parts), `controller`, which takes the events, and `page` with `serve`: viser, and nothing else knows
 it.
 """
+
+SNAP = "baselines.registration.proposals:ProposingRegistration"
+"""The method that snaps where none is named; by name, as the wheel is without the baselines."""

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from kit1000.errors import InputError
+from kit1000.planner.execute import SEATED
 from kit1000.study.conditions import CONDITIONS
 from kit1000.study.execution import ROBOT
 from kit1000.study.plan import MAIN_OUTCOME, StudyPlan
@@ -62,6 +63,7 @@ OUTCOMES = (
     Outcome("uploads", "Uploads", "a task", _mean("uploads"), 0),
     Outcome("refused", "Refused snaps", "a task", _mean("refused"), 0),
 )
+PLOTTED = 3  # outcomes, the first ones, that have plots and order checks
 JUDGED_BY_TEST = (
     replace(OUTCOMES[0], label="Success, by the seating test"),
     *(outcome for outcome in OUTCOMES[1:] if outcome.name != "success_by_test"),
@@ -121,19 +123,21 @@ def contrasts_of(conditions: Sequence[str]) -> list[Contrast]:
 
 def analyse(plan: StudyPlan, operator: Operator, participants: Sequence[Participant], seed: int = 0) -> dict[str, Any]:
     """All numbers of a report, as JSON values. seed: of the resampling."""
-    complete = [person for person in participants if _is_complete(plan, person)]
+    tasks = sum(map(len, plan.tasks.sets))
+    complete = [person for person in participants if len(person.trials) == tasks]
     left_out = [
-        {"participant": person.number, "why": f"{len(person.trials)} of {_task_count(plan)} tasks done"}
+        {"participant": person.number, "why": f"{len(person.trials)} of {tasks} tasks done"}
         for person in participants
-        if person not in complete
+        if len(person.trials) < tasks
     ]
     if len(complete) < FEWEST:
         raise InputError(f"{len(complete)} participants have done all tasks; a report needs {FEWEST} or more")
     judges = {person.judge for person in participants}
     if len(judges) > 1:
         raise InputError(f"judged by {' and '.join(sorted(judges))}: outcomes of two judges are never mixed")
+    [judge] = judges
     contrasts = contrasts_of(plan.conditions)
-    outcomes = OUTCOMES if judges == {ROBOT} else JUDGED_BY_TEST
+    outcomes = OUTCOMES if judge == ROBOT else JUDGED_BY_TEST
     tables = [(_head(each), _table(plan, complete, each.of)) for each in outcomes]
     return {
         "format": "kit1000-study-report/1",
@@ -143,7 +147,7 @@ def analyse(plan: StudyPlan, operator: Operator, participants: Sequence[Particip
         "conditions": list(plan.conditions),
         "sensor": plan.sensor,
         "snap": plan.snap,
-        "judge": judges.pop(),
+        "judge": judge,
         "planned": plan.people,
         "n": len(complete),
         "balanced": len(complete) % (len(plan.conditions) ** 2) == 0 and len(complete) == plan.people,
@@ -158,14 +162,6 @@ def analyse(plan: StudyPlan, operator: Operator, participants: Sequence[Particip
         "learning": _learning(plan, complete, seed),
         "robot_and_test_agree": _agreement(complete),
     }
-
-
-def _is_complete(plan: StudyPlan, person: Participant) -> bool:
-    return len(person.trials) == _task_count(plan)
-
-
-def _task_count(plan: StudyPlan) -> int:
-    return sum(map(len, plan.tasks.sets))
 
 
 def _trials(person: Participant, condition: str) -> list[TrialRecord]:
@@ -247,7 +243,7 @@ def _preferred(plan: StudyPlan, people: Iterable[Participant]) -> dict[str, int]
 def _order(plan: StudyPlan, people: Sequence[Participant], outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Of the first outcomes: means by position; carry-over and period of two conditions."""
     rows = []
-    for outcome in outcomes[:3]:
+    for outcome in outcomes[:PLOTTED]:
         by_position = [
             [value for person in people if (value := outcome.of(_at_position(plan, person, position))) is not None]
             for position in range(1, len(plan.conditions) + 1)
@@ -301,5 +297,5 @@ def _agreement(people: Iterable[Participant]) -> dict[str, int]:
     parts = [
         part for person in people for trial in person.trials for part in trial.parts if part.position_mm is not None
     ]
-    same = sum((part.outcome == "seated") == part.seated_by_test for part in parts)
+    same = sum((part.outcome == SEATED) == part.seated_by_test for part in parts)
     return {"parts": len(parts), "agree": same}

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from kit1000.dataset.reader import Dataset
+from kit1000.editor import SNAP
 from kit1000.errors import InputError
 from kit1000.files import check_writable, locked
 from kit1000.study.conditions import DEFAULT
@@ -15,7 +18,14 @@ from kit1000.study.plan import FILE, StudyPlan, make_plan, orders_text, read_pla
 from kit1000.study.report import write_report
 from kit1000.study.simulation import simulate
 
-PEOPLE = 12  # of a plan for which no number is given
+DEFAULTS: Mapping[str, Any] = {
+    "people": 12,
+    "conditions": DEFAULT,
+    "sensor": "ideal",
+    "snap": SNAP,
+    "seed": 0,
+}
+"""Of a plan, where an option is absent."""
 
 
 @dataclass(frozen=True)
@@ -26,9 +36,9 @@ class Request:
     out: Path
     people: int | None = None
     conditions: tuple[str, ...] = ()
-    sensor: str = "ideal"
-    snap: str = "none"
-    seed: int = 0
+    sensor: str | None = None
+    snap: str | None = None
+    seed: int | None = None
     participant: int | None = None
     port: int | None = None
     simulate: str | None = None
@@ -40,11 +50,11 @@ def run(request: Request) -> None:
     """Do it, and print where it went."""
     if request.participant is not None and (request.simulate is not None or request.report):
         raise InputError("--participant: is a sitting of a person; leave out --simulate and --report")
+    if request.report and request.simulate is None:
+        print(write_report(request.out))
+        return
     if request.simulate is not None:
         operator_of(request.simulate)
-    if request.report and request.people is None:
-        print(write_report(request.out, request.simulate))
-        return
     check_writable(request.out)
     with locked(request.out):
         plan, dataset = _plan(request), Dataset(request.data)
@@ -68,20 +78,19 @@ def _sit(request: Request, plan: StudyPlan, dataset: Dataset) -> None:
         if error.name != "viser":
             raise
         raise InputError("study: a sitting needs viser: pip install 'kit1000[edit]'") from None
-    sit(request.out, plan, dataset, request.participant, request.port)
+    sit(request.out, plan, dataset, request.participant, request.port, request.judge)
 
 
 def _plan(request: Request) -> StudyPlan:
     """The plan of the folder, made first where there is none; an option that it contradicts is refused."""
+    asked = {name: value for name in DEFAULTS if (value := getattr(request, name)) not in (None, ())}
     if not (request.out / FILE).is_file():
-        chosen = (request.people or PEOPLE, request.conditions or DEFAULT, request.sensor, request.snap, request.seed)
-        plan = make_plan(Dataset(request.data), *chosen)
+        plan = make_plan(Dataset(request.data), **{**DEFAULTS, **asked})
         write_plan(request.out, plan)
         return plan
     plan = read_plan(request.out)
-    asked = {"people": request.people, "conditions": request.conditions}
     for name, value in asked.items():
-        if value and value != getattr(plan, name):
+        if value != getattr(plan, name):
             shown = " ".join(value) if isinstance(value, tuple) else value
             raise InputError(f"--{name} {shown}: {request.out} is planned otherwise; choose another --out")
     return plan

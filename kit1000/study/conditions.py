@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from kit1000.editor.keys import Interface
 from kit1000.errors import InputError, did_you_mean
 
 
@@ -17,7 +18,7 @@ class Condition:
     """For people who read a report."""
     short: str
     """The same for the margin of a plot."""
-    interface: str
+    interface: Interface
     """scene: parts are dragged; hand: two suction cups are, one part an upload; hand-bare: without aids."""
     snaps: bool
 

@@ -32,7 +32,7 @@ def header_of(plan: StudyPlan, operator: Operator, participant: int, session: Se
         plan.sensor,
         False,
         plan.snap if condition.snaps else "none",
-        condition.interface,  # pyright: ignore[reportArgumentType]
+        condition.interface,
         plan.id,
         participant,
         operator.kind if operator.kind == operator.name else f"{operator.kind} {operator.name}",

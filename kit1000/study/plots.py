@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from math import ceil, floor
 
 from kit1000.pictures.charts import (
     BOTTOM,
@@ -29,10 +30,11 @@ from kit1000.pictures.charts import (
     tick_step,
     written,
 )
+from kit1000.planner.execute import SEATED
 
 ROW, BAR = 30, 16  # [px] height of a row of differences or of parts, and of its bar
 NAMES = 128  # [px] beside rows
-COLUMN_TEXT = 2 * LEFT  # [px] for the name of a column
+ROUNDING = 1e-9  # of a number of steps
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ def difference_plot(title: str, description: str, label: str, rows: Sequence[Dif
     """Differences with their intervals about zero, one under the other."""
     low, high = min([0.0, *(row.low for row in rows)]), max([0.0, *(row.high for row in rows)])
     step = tick_step(max(high - low, 1e-9))
-    first, last = _floor(low, step), -_floor(-high, step)
+    first, last = floor(low / step + ROUNDING), ceil(high / step - ROUNDING)
     left, right, bottom = NAMES + 6, WIDTH - RIGHT - 6, TOP + ROW * len(rows)
 
     def at(value: float) -> float:
@@ -102,11 +104,7 @@ def difference_plot(title: str, description: str, label: str, rows: Sequence[Dif
         )
     for i, row in enumerate(rows):
         level = TOP + ROW * (i + 0.5)
-        lines = _two_lines(row.name, NAMES)
-        marks += [
-            written(NAMES - 4, level + 4 + 13 * (k - (len(lines) - 1) / 2), words, "end")
-            for k, words in enumerate(lines)
-        ]
+        marks += _row_name(level, row.name)
         ends = f"M{px(at(row.low))} {px(level - 4)}v8M{px(at(row.high))} {px(level - 4)}v8"
         words = f"{row.name}: {number(round(row.mean, 2))} [{number(round(row.low, 2))}, {number(round(row.high, 2))}]"
         marks.append(
@@ -119,21 +117,17 @@ def difference_plot(title: str, description: str, label: str, rows: Sequence[Dif
 
 
 def outcome_plot(title: str, description: str, rows: Mapping[str, Mapping[str, int]]) -> str:
-    """A bar for each condition: its parts by what became of them, in the order in which they are most frequent."""
+    """A bar for each condition: its parts by what became of them, seated ones first, then by frequency."""
     counts: dict[str, int] = {}
     for outcomes in rows.values():
         for outcome, count in outcomes.items():
             counts[outcome] = counts.get(outcome, 0) + count
-    names = sorted(counts, key=lambda name: (name != "seated", -counts[name]))
+    names = sorted(counts, key=lambda name: (name != SEATED, -counts[name]))
     left, right, bottom = NAMES + 6, WIDTH - RIGHT, TOP + ROW * len(rows)
     marks = [heading(title, f"{sum(counts.values())} parts")]
     for i, (condition, outcomes) in enumerate(rows.items()):
         level, total, u = TOP + ROW * (i + 0.5), sum(outcomes.values()), float(left)
-        lines = _two_lines(condition, NAMES)
-        marks += [
-            written(NAMES - 4, level + 4 + 13 * (k - (len(lines) - 1) / 2), words, "end")
-            for k, words in enumerate(lines)
-        ]
+        marks += _row_name(level, condition)
         for name in names:
             width = (right - left) * outcomes.get(name, 0) / max(total, 1)
             if width:
@@ -174,6 +168,14 @@ def _mean_mark(axis: Axis, bottom: float, u: float, column: Column) -> str:
     return f'{mark}<circle class="fill-{hue}" cx="{px(u)}" cy="{px(level)}" r="5">{words}</circle>'
 
 
+def _row_name(level: float, name: str) -> list[str]:
+    """The name beside a row, about a height [px]."""
+    lines = _two_lines(name, NAMES)
+    return [
+        written(NAMES - 4, level + 4 + 13 * (k - (len(lines) - 1) / 2), words, "end") for k, words in enumerate(lines)
+    ]
+
+
 def _two_lines(words: str, width: float) -> list[str]:
     """Words in one or two lines of a width [px], the second cut where it is too long."""
     letters = int(width / LETTER)
@@ -197,7 +199,3 @@ def _legend(names: Sequence[str], top: float) -> tuple[str, int]:
         marks.append(written(u + 17, level + 10, name))
         u += width
     return "".join(marks), LEGEND_ROW * (row + 1)
-
-
-def _floor(value: float, step: float) -> int:
-    return int(value // step) if value % step else round(value / step)

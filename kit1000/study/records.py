@@ -21,6 +21,7 @@ from typing import Any
 
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import write_json
+from kit1000.planner.execute import SEATED
 from kit1000.study.questionnaire import checked_ratings
 
 HUMAN, SIMULATED = "human", "simulated"
@@ -50,11 +51,6 @@ class Operator:
     def folder(self, study: Path) -> Path:
         """Where the records of such operators lie."""
         return study / PEOPLE_FOLDER if self.kind == HUMAN else study / SIMULATED_FOLDER / self.name
-
-    @property
-    def heading(self) -> str:
-        """What every title begins with."""
-        return "" if self.kind == HUMAN else f"SIMULATED ({self.name}), not people: "
 
 
 PERSON = Operator(HUMAN, HUMAN)
@@ -107,7 +103,7 @@ class TrialRecord:
     @property
     def seated(self) -> int:
         """Parts that the robot has seated."""
-        return sum(part.outcome == "seated" for part in self.parts)
+        return sum(part.outcome == SEATED for part in self.parts)
 
 
 @dataclass(frozen=True)
@@ -169,6 +165,15 @@ def read_record(path: Path, study_id: str, operator: Operator, participant: int)
         if row.get(name) != expected or isinstance(row.get(name), bool):
             raise InputError(f"{path}: {name}: expected {expected!r}, got {row.get(name)!r}; is the file a copy?")
     return {key: value for key, value in row.items() if key not in ("format", "study", "participant", "operator")}
+
+
+def check_judge(path: Path, study_id: str, operator: Operator, participant: int, judge: str) -> None:
+    """Raise InputError where the participant of a record was judged otherwise: one has one judge."""
+    known = read_record(path, study_id, operator, participant).get("judge")
+    if known != judge:
+        raise InputError(
+            f"--judge {judge}: {path} was judged by the {known}; go on with --judge {known}, or choose another --out"
+        )
 
 
 def read_trial(path: Path, study_id: str, operator: Operator, participant: int) -> TrialRecord:

@@ -12,7 +12,7 @@ from typing import Any
 
 from kit1000.files import write_bytes, write_json
 from kit1000.pictures.charts import STYLE as CHART_STYLE
-from kit1000.study.analysis import analyse
+from kit1000.study.analysis import PLOTTED, analyse
 from kit1000.study.conditions import CONDITIONS
 from kit1000.study.execution import NOMINAL_S, ROBOT
 from kit1000.study.plan import MAIN_OUTCOME, read_plan
@@ -102,7 +102,7 @@ def _result(numbers: Mapping[str, Any]) -> str:
 
 
 def _plots(numbers: Mapping[str, Any], who: str) -> str:
-    charts = [_people_chart(numbers, row, who) for row in numbers["outcomes"][:3]]
+    charts = [_people_chart(numbers, row, who) for row in numbers["outcomes"][:PLOTTED]]
     parts = {CONDITIONS[name].short: counts for name, counts in numbers["parts"].items()}
     charts.append(outcome_plot(_titled(who, "What became of the parts"), "Parts by condition and outcome.", parts))
     return _figures(charts)
@@ -120,7 +120,7 @@ def _people_chart(numbers: Mapping[str, Any], row: Mapping[str, Any], who: str) 
 
 def _difference_plots(numbers: Mapping[str, Any], who: str) -> str:
     charts = []
-    for row in numbers["outcomes"][:3]:
+    for row in numbers["outcomes"][:PLOTTED]:
         rows = [
             Difference(contrast["short"], contrast["mean"], contrast["low"], contrast["high"])
             for contrast in row["contrasts"]

@@ -21,7 +21,6 @@ from kit1000.editor.records import EventLog
 from kit1000.editor.session import PartEdit
 from kit1000.editor.session import Session as Edits
 from kit1000.editor.worker import Job, Method, prepared, proposals_of
-from kit1000.errors import InputError
 from kit1000.kits.seating import UP
 from kit1000.metrics import seatings
 from kit1000.pose import Pose
@@ -37,8 +36,8 @@ from kit1000.study.records import (
     TRIAL_FILE,
     Operator,
     TrialRecord,
+    check_judge,
     participant_folder,
-    read_record,
     trial_folder,
     write_record,
     write_trial,
@@ -76,9 +75,7 @@ def simulate(study: Path, plan: StudyPlan, dataset: Dataset, name: str, judge: s
     for number in numbers:
         path = participant_folder(study, operator, number) / PARTICIPANT_FILE
         if path.is_file():
-            known = read_record(path, plan.id, operator, number).get("judge")
-            if known != judge:
-                raise InputError(f"--judge {judge}: {path} was judged by the {known}; choose another --out")
+            check_judge(path, plan.id, operator, number, judge)
         else:
             values = {"kit1000": __version__, "judge": judge, "ratings": RATINGS_NOTE}
             write_record(path, plan.id, number, operator, **values)

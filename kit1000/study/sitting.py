@@ -21,6 +21,7 @@ from kit1000.dataset.tables import pose_of, pose_row
 from kit1000.editor.controller import Controller
 from kit1000.editor.records import EventLog
 from kit1000.editor.serve import Options, editing, serving
+from kit1000.planner.execute import SEATED
 from kit1000.pose import Pose
 from kit1000.study.clock import TaskClock
 from kit1000.study.execution import DECIMALS, ROBOT, Judge, judging, measured
@@ -36,6 +37,7 @@ from kit1000.study.records import (
     TRIAL_FILE,
     PartResult,
     TrialRecord,
+    check_judge,
     condition_folder,
     participant_folder,
     trial_folder,
@@ -91,6 +93,7 @@ def sit(
 def _consent(sitting: Sitting) -> None:
     path = participant_folder(sitting.study, PERSON, sitting.number) / PARTICIPANT_FILE
     if path.is_file():
+        check_judge(path, sitting.plan.id, PERSON, sitting.number, sitting.judge)
         return
     with serving(sitting.port) as (server, _):
         ask_consent(server)
@@ -166,7 +169,7 @@ class TaskPage:
                     return
                 if request == UPLOAD:
                     self._upload(controller, judge, panel)
-                if len(self.motions) == parts or (not self.index and "seated" in self.outcomes.values()):
+                if len(self.motions) == parts or (not self.index and SEATED in self.outcomes.values()):
                     return
         finally:
             self.clock.stop()
