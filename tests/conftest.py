@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,14 @@ def _folders() -> list[Path]:
     beside = Path(__file__).resolve().parents[2] / "shared/parts/real"
     folder = Path(os.environ.get("KIT1000_REAL_PARTS") or beside)
     return [folder] if (folder / "manifest.csv").is_file() else []
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_sync() -> Iterator[None]:
+    """Files are not forced onto the disk: no test pulls the plug, and thousands of small files would wait for it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda _: None)
+        yield
 
 
 @pytest.fixture(scope="session")
