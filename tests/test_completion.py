@@ -11,6 +11,7 @@ from scipy.ndimage import distance_transform_edt
 
 from baselines.completion import TABLE_MARGIN, ObservedKits, ObservedPart
 from baselines.completion.columns import ObservedColumns
+from baselines.completion.fusion import MaskedView
 from baselines.completion.kits import HALF_HEIGHT
 from baselines.completion.kits import HALF_WIDTH as KIT_HALF_WIDTH
 from baselines.completion.part import HALF_WIDTH
@@ -136,7 +137,9 @@ def test_distances_to_columns_are_those_of_an_exact_distance_transform() -> None
     dense = points[:, 0] > 0  # and columns here and there on the other side
     points = points[dense | (np.arange(4000) < 60)]
     points_in_world = world_from_middle.apply(points)
-    columns = ObservedColumns.of(view, view.depth > 0, points_in_world, world_from_middle, (0.01, 0.008), -5e-3, VOXEL)
+    columns = ObservedColumns.of(
+        [MaskedView(view, view.depth > 0)], points_in_world, world_from_middle, (0.01, 0.008), -5e-3, VOXEL
+    )
     volume = columns.filled(largest_only=False)
     solid = np.zeros((40, 40, 16), bool)
     heights = (np.arange(16) + 0.25) * VOXEL - 8e-3  # every second of the half voxels

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import find_objects, label
 
+from baselines.completion.fusion import MaskedView, observed_distance
 from baselines.completion.pixels import transformed
 from kit1000.compiled import compiled
 from kit1000.pose import Pose
-from kit1000.values import View
-from kit1000.voxels import Grid, Volume, tsdf
+from kit1000.voxels import Grid, Volume
 from kit1000.voxels.grid import DEFAULT_TRUNCATION
 
 CELLS = 2 * int(DEFAULT_TRUNCATION)  # half a voxel wide, in a truncation
@@ -22,7 +23,7 @@ SURE = 1.5e-3  # [m] behind an observed surface that is surely solid: no wall of
 
 @dataclass(frozen=True, eq=False)
 class ObservedColumns:
-    """What one depth image shows of an object, in cells that are half a voxel wide and a voxel high."""
+    """What depth images show of an object, in cells that are half a voxel wide and a voxel high."""
 
     grid: Grid
     """Of the volumes: every second cell along x and y."""
@@ -38,19 +39,17 @@ class ObservedColumns:
     @classmethod
     def of(
         cls,
-        view: View,
-        mask: np.ndarray,
+        images: Sequence[MaskedView],
         points: np.ndarray,
         world_from_middle: Pose,
         half_sizes: tuple[float, float],
         floor: float,
         voxel: float,
     ) -> ObservedColumns:
-        """What an image shows in the columns about a middle.
+        """What one image or several show in the columns about a middle.
 
         Args:
-            view: the depth image.
-            mask: (H, W) bool, the pixels of the object.
+            images: of the object.
             points: (n, 3) [m] world, on the object; dense, as a column without one is free.
             world_from_middle: the middle of the volumes; columns run along its z axis.
             half_sizes: [m] from the middle to the sides, and to top and bottom.
@@ -59,7 +58,7 @@ class ObservedColumns:
         """
         side, height = (2 * round(half / voxel) for half in half_sizes)
         fine = Grid.centred(world_from_middle, (2 * side, 2 * side, 2 * height), voxel / 2)
-        observed = tsdf(fine, view, mask, threads=1).values[..., ::2]
+        observed = observed_distance(fine, images).values[..., ::2]
         heights = (np.arange(0, 2 * height, 2) - (height - 0.5)) * voxel / 2
         top = _top(fine, world_from_middle.inverse(), points)
         grid = Grid((side, side, height), voxel, fine.world_from_grid)

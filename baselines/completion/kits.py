@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from baselines.completion.columns import ObservedColumns
+from baselines.completion.fusion import MaskedView
 from baselines.completion.pixels import Noise, cropped, oriented_points, subpixel_points
 from baselines.completion.planes import Plane, find_planes, plane_frame
 from kit1000.pose import Pose
@@ -63,7 +64,7 @@ class ObservedKits:
         near = self._cropped_about(middle)
         mask = near.labels == ASSEMBLY_LABEL
         points, half_sizes = subpixel_points(near.view, mask), (HALF_WIDTH, HALF_HEIGHT)
-        columns = ObservedColumns.of(near.view, mask, points, along, half_sizes, -HALF_HEIGHT, voxel)
+        columns = ObservedColumns.of([MaskedView(near.view, mask)], points, along, half_sizes, -HALF_HEIGHT, voxel)
         return columns.filled(largest_only=False)
 
     def _cropped_about(self, middle: np.ndarray) -> LabelledDepth:

@@ -1,4 +1,4 @@
-"""A part from one depth image: solid down to the table, except where the image shows free space."""
+"""A part from one depth image, or from several: solid down to the table, except where the image shows free space."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.completion.columns import ObservedColumns
+from baselines.completion.fusion import MaskedView
 from baselines.completion.pixels import subpixel_points
 from kit1000.pose import Pose
 from kit1000.values import LabelledDepth
@@ -21,7 +22,7 @@ OUTLIERS = 0.02  # share of a part's points that is cut off at either end of eac
 
 
 class PartEvidence(NamedTuple):
-    """A part of which one image shows one side: three solids.
+    """A part of which images show some sides: three solids.
 
     The true part contains what is surely solid and lies within what is possible; the filled one is a guess between.
     """
@@ -43,6 +44,8 @@ class ObservedPart:
     """Of the part, in the masks."""
     pivot: np.ndarray
     """(3,) [m] world: about where the part lies."""
+    others: tuple[LabelledDepth, ...] = ()
+    """Images of further cameras, with the same labels."""
 
     def volume(self, voxel: float) -> Volume:
         """Signed distances to the part: solid below its observed points down to the table, except for free space.
@@ -65,7 +68,7 @@ class ObservedPart:
         upright = Pose.from_translation(self.middle)
         floor = self.table_height() - self.middle[2]
         half_sizes = (self.half_width, self.half_width)
-        return ObservedColumns.of(self.image.view, self._mask, self._points, upright, half_sizes, floor, voxel)
+        return ObservedColumns.of(self._images, self._points, upright, half_sizes, floor, voxel)
 
     def table_height(self) -> float:
         """[m] of the table around the part in this image: a sensor's scale and pose are a little off."""
@@ -101,9 +104,9 @@ class ObservedPart:
         return max(HALF_WIDTH, float(np.percentile(away, 100 * (1 - OUTLIERS))) + AROUND)
 
     @cached_property
-    def _mask(self) -> np.ndarray:
-        return self.image.labels == self.label
+    def _images(self) -> list[MaskedView]:
+        return [MaskedView.of(image, self.label) for image in (self.image, *self.others)]
 
     @cached_property
     def _points(self) -> np.ndarray:
-        return subpixel_points(self.image.view, self._mask)
+        return np.concatenate([subpixel_points(image.view, image.mask) for image in self._images])

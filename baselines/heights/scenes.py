@@ -19,7 +19,7 @@ from scipy.ndimage import distance_transform_edt
 from baselines.completion.pixels import transformed
 from baselines.heights.maps import UNSEEN, HeightMap
 from kit1000.compiled import compiled
-from kit1000.dataset.reader import Dataset
+from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.files import write_bytes
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, View
 
@@ -59,7 +59,7 @@ class RecordedHeights:
 
     def _read(self, scene_id: str) -> np.ndarray:
         scene = self.dataset.recorded_scene(scene_id, truth=False)
-        return _table(scene.view(f"three/{i}/ideal") for i in range(CAMERAS))
+        return _table(three_views(scene))
 
 
 class RenderedHeights:
@@ -90,6 +90,11 @@ class RenderedHeights:
         return heights
 
 
+def three_views(scene: RecordedScene) -> list[View]:
+    """The images of the three cameras; raises InputError where a scene was recorded without them."""
+    return [scene.view(f"three/{i}/ideal") for i in range(CAMERAS)]
+
+
 def _table(views: Iterable[View]) -> np.ndarray:
     """CELLS float32 [m]: the map of the table, as some cameras see it."""
     table = np.full(CELLS, UNSEEN, np.float32)
@@ -109,7 +114,7 @@ def _scene_heights(table: np.ndarray, image: LabelledDepth, pivots: Mapping[int,
     kits = HeightMap(CORNER + (0, KITS * CELL), CELL, table[:, KITS:])
     observed = np.argwhere(kits.heights > LOWEST)
     span = observed.min(0) + observed.max(0) + 1 if len(observed) else np.array(kits.heights.shape)
-    labels = _part_labels(image)
+    labels = part_labels(image)
     parts = {i: _part_map(table, labels, i, pivot) for i, pivot in pivots.items()}
     return SceneHeights(kits, kits.corner + span * CELL / 2, parts)
 
@@ -134,7 +139,7 @@ def _raise_cells(table, depth, intrinsics, rotation, shift, corner, cell):
                     table[i, j] = max(table[i, j], max(height, 0.0))
 
 
-def _part_labels(image: LabelledDepth) -> np.ndarray:
+def part_labels(image: LabelledDepth) -> np.ndarray:
     """CELLS int64: the label of the part that the primary camera sees in a cell of the table; 0 where it sees none."""
     mask = (image.labels >= FIRST_PART_LABEL) & (image.view.depth > 0)
     v, u = np.nonzero(mask)

@@ -25,6 +25,14 @@ METHODS = {
         training_data="20,000 fresh parts of the families of split train, rendered from both sensors",
         weights={"completion": "completion"},
     ),
+    "registration-three": Method(
+        "baselines.registration.method:Registration",
+        "registration from four depth images: the query's and those of three cameras around the table",
+        label="Registration, four cameras",
+        options={"source": "depth", "cameras": "three"},
+        tracks=("snap", "snap-tilt", "place", "place-paper"),
+        camera_set="three",
+    ),
     "registration-columns": Method(
         "baselines.registration.method:Registration",
         "registration from the depth image, the part taken to be solid below what is observed",

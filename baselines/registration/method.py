@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from baselines.heights.labels import LabelledViews
 from baselines.registration.certain import register_certain
 from baselines.registration.columns import register_columns
 from baselines.registration.fits import Fit, ranked
@@ -50,10 +51,19 @@ class Registration:
     """[m] to try, of which the best fit counts; by default the one that the dataset states."""
     completion: Path | None = None
     """Stem of the weights of a network that completes the part; None fills columns."""
+    cameras: Literal["primary", "three"] = "primary"
+    """three: further images beside the query's own, which source `depth` reads."""
 
     def __post_init__(self) -> None:
         if self.source not in SOURCES:
             raise InputError(f"source {self.source!r}: expected one of {', '.join(SOURCES)}")
+        if self.cameras == "three" and self.source != "depth":
+            raise InputError(f"cameras 'three': source depth alone reads them, got source {self.source!r}")
+
+    @cached_property
+    def views(self) -> LabelledViews:
+        """The images of the three cameras."""
+        return LabelledViews(self.dataset)
 
     @cached_property
     def completer(self) -> PartCompleter | None:
@@ -82,7 +92,8 @@ class Registration:
         if self.source == "depth":
             measured = calibrated_image(query.image, query.sensor)
             query = replace(query, read_image=lambda: restored_edges(measured, query.sensor))
-            source = DepthSource(query, self.completer, None if query.sensor == "ideal" else measured)
+            others = () if self.cameras == "primary" else self.views.of(query)
+            source = DepthSource(query, self.completer, None if query.sensor == "ideal" else measured, others)
             return ranked(chain.from_iterable(register_certain(source, query, c) for c in clearances))
         if self.source == "columns":
             query = restored_query(query)

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from baselines.completion import ObservedPart
+from baselines.completion.fusion import MaskedView, observed_distance
 from baselines.completion.part import AROUND, HALF_WIDTH, PartEvidence
 from baselines.completion.pixels import Noise, noise_of, oriented_points
 from kit1000.pose import Pose
-from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry, View
-from kit1000.voxels import Grid, Volume, signed_distance, surface_points, tsdf
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry, View
+from kit1000.voxels import Grid, Volume, signed_distance, surface_points
 
 if TYPE_CHECKING:
     from baselines.completion.completed import CompletedPart, PartCompleter
@@ -94,23 +95,20 @@ class TrueSource:
 
 @dataclass(frozen=True, eq=False)
 class DepthSource:
-    """Volumes from one depth image and the masks of the part and of the kits."""
+    """Volumes from one depth image, or several, and the masks of the part and of the kits."""
 
     query: Query
     completer: PartCompleter | None = None
     """The network that completes the part; None fills columns."""
     measured: LabelledDepth | None = None
     """The calibrated image of a noisy sensor before its edges were restored, which the network reads."""
+    others: tuple[LabelledDepth, ...] = ()
+    """Images of further cameras, with the labels of the query's."""
 
     @property
     def noise(self) -> Noise:
         """Of the image."""
         return noise_of(self.query.sensor)
-
-    @property
-    def view(self) -> View:
-        """The image."""
-        return self.query.view
 
     def part(self) -> Volume:
         """The part from its observed points down to the table, except for free space."""
@@ -123,21 +121,21 @@ class DepthSource:
 
     def part_points(self) -> np.ndarray:
         """(n, 3) [m] world: about SEEN_POINTS points of the part, one a pixel."""
-        v, u = np.nonzero(self.query.part_mask & (self.view.depth > 0))
-        step = max(1, len(v) // SEEN_POINTS)
-        v, u = v[::step], u[::step]
-        points = self.view.camera.unproject_pixels(np.stack([u, v], -1), self.view.depth[v, u])
-        return self.view.world_from_camera.apply(points)
+        images = self._images(FIRST_PART_LABEL + self.query.part)
+        points = np.concatenate([_pixel_points(view, mask) for view, mask in images])
+        return points[:: max(1, len(points) // SEEN_POINTS)]
 
     def oriented_points(self, box: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, float]:
         """Points of the image on the kits, with normals from their neighbours."""
-        points, normals, area = oriented_points(self.view, self.query.kit_region, self.noise.window)
+        images = self._images(ASSEMBLY_LABEL)
+        found = [oriented_points(view, mask, self.noise.window) for view, mask in images]
+        points, normals = (np.concatenate([each[k] for each in found]) for k in (0, 1))
         inside = np.ones(len(points), bool) if box is None else ((points >= box[0]) & (points <= box[1])).all(1)
-        return points[inside], normals[inside], area
+        return points[inside], normals[inside], float(np.mean([area for *_, area in found])) / len(images)
 
     def plate(self, grid: Grid) -> Volume:
         """The observed kits."""
-        return tsdf(grid, self.view, self.query.kit_region, threads=1)
+        return observed_distance(grid, self._images(ASSEMBLY_LABEL))
 
     @property
     def middle(self) -> np.ndarray:
@@ -146,13 +144,22 @@ class DepthSource:
 
     @cached_property
     def _part(self) -> ObservedPart | CompletedPart:
-        image = LabelledDepth(self.view, self.query.image.labels)
-        part = ObservedPart(image, FIRST_PART_LABEL + self.query.part, self.query.pivot)
+        label = FIRST_PART_LABEL + self.query.part
+        part = ObservedPart(self.query.image, label, self.query.pivot, self.others)
         if self.completer is None:
             return part
         from baselines.completion.completed import CompletedPart
 
         return CompletedPart(part, self.completer, self.measured)
+
+    def _images(self, label: int) -> list[MaskedView]:
+        return [MaskedView.of(image, label) for image in (self.query.image, *self.others)]
+
+
+def _pixel_points(view: View, mask: np.ndarray) -> np.ndarray:
+    """(n, 3) [m] world: of the pixels of a mask (H, W), row by row."""
+    v, u = np.nonzero(mask & (view.depth > 0))
+    return view.world_from_camera.apply(view.camera.unproject_pixels(np.stack([u, v], -1), view.depth[v, u]))
 
 
 def _gradients(volume: Volume, points: np.ndarray) -> np.ndarray:
