@@ -116,6 +116,24 @@ def test_a_lookup_meets_the_plane_of_what_is_under_the_cursor(x: float, y: float
     assert pointing.below(point + 0.01) is support.plate
 
 
+def test_a_hole_in_what_is_seen_of_a_plate_is_not_the_table_below_it() -> None:
+    """A camera does not see all of a cavity: without a lid a part would fall through the hole while it is dragged."""
+    _, kits, _ = seen()
+    plates = find_plates(kits, 1.3e-6, noisy=False)
+    local = WORLD_FROM_PLATE.inverse().apply(kits.triangles.mean(1))
+    holed = Mesh(kits.vertices, kits.faces[(np.abs(local[:, :2]) > 0.02).any(1)])  # nothing seen of the cavity
+    pointing = Pointing(holed, plates)
+    for x, y in ((0.0, 0.0), (0.015, -0.015), (-0.015, 0.015)):
+        point = WORLD_FROM_PLATE.apply((x, y, 0.0))
+        support = pointing.support(EYE, EYE.screen(point))
+        assert support is not None
+        assert support.plate is plates[0]
+        assert np.abs(support.point - point).max() < 3e-4
+    beside = pointing.support(EYE, EYE.screen(WORLD_FROM_PLATE.apply((0.055, 0.0, 0.0))))
+    assert beside is not None
+    assert beside.plate is not plates[0]
+
+
 def test_off_the_table_there_is_nothing_to_stand_on() -> None:
     pointing = Pointing(seen()[1], [])
     assert pointing.support(EYE, (0.5, 0.0)) is None

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from kit1000.mesh import Mesh
 from kit1000.pose import unit_vector
@@ -35,6 +36,8 @@ class Plate:
     """(3,) [m] world: the middle of its observed points."""
     radius: float
     """[m] from the middle to the farthest of them."""
+    corners: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    """(k, 3) [m] world, in its plane: the convex outline of these points; none of the table."""
 
     def height(self, points: np.ndarray) -> np.ndarray:
         """(...,) [m] of points (..., 3) above its plane."""
@@ -50,6 +53,11 @@ class Plate:
         across = points - self.point - height[..., None] * self.normal
         near = np.square(across).sum(-1) < (self.radius + MARGIN) ** 2
         return near & (height < ABOVE) & (height > -DEEPEST)
+
+    def lid(self) -> Mesh:
+        """[m] world: its outline as a surface, without its cavity and without holes where nothing was seen."""
+        fan = np.arange(1, len(self.corners) - 1, dtype=np.int32)
+        return Mesh(self.corners, np.stack([np.zeros_like(fan), fan, fan + 1], axis=-1))
 
     def crossing(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray | None:
         """(3,) [m] where a ray meets its plane from above; None where it does not."""
@@ -115,8 +123,11 @@ def _fitted(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _plate(points: np.ndarray) -> Plate:
+    """The plate with these observed points (n, 3) [m]."""
     normal, middle = _fitted(points)
-    return Plate(normal, middle, float(np.sqrt(np.square(points - middle).sum(-1).max())))
+    flat = points - matmul(points - middle, normal)[:, None] * normal
+    outline = ConvexHull(flat[:, :2]).vertices  # as seen from above: no plate is steep
+    return Plate(normal, middle, float(np.sqrt(np.square(points - middle).sum(-1).max())), flat[outline])
 
 
 def _is_floor(plate: Plate, other: Plate) -> bool:

@@ -118,18 +118,16 @@ class Pointing:
     """The plates of the kits and the table, on which parts are put."""
 
     def __init__(self, kits: Mesh, plates: list[Plate]) -> None:
-        """kits: [m] world."""
-        self.plates, self._image = plates, SurfaceImage([(kits, Pose.identity())])
+        """kits: [m] world, as seen: where their cavities have holes, the plates' lids are met."""
+        self.plates = plates
+        self._image = SurfaceImage([(mesh, Pose.identity()) for mesh in (kits, *(plate.lid() for plate in plates))])
 
     def support(self, eye: Eye, screen: tuple[float, float]) -> Support | None:
         """Where a part under the cursor would stand; None off the table or on a part of the kits that is no plate.
 
         screen: 0 to 1 from the left, and from the top.
         """
-        seen = self._image.seen(eye, screen)
-        if seen is None:
-            return None
-        plate = plate_at(self.plates, seen) if self._image.body(eye, screen) == 0 else TABLE
+        plate = self._plate(eye, screen)
         crossing = None if plate is None else plate.crossing(eye.world_from_camera.xyz, eye.ray(screen))
         return None if plate is None or crossing is None else Support(crossing, plate)
 
@@ -137,6 +135,13 @@ class Pointing:
         """The plate that a part at a point (3,) [m] stands on or over; the table where there is none."""
         over = [plate for plate in self.plates if float(plate.height(point)) > -REACH and _is_over(plate, point)]
         return max(over, key=lambda plate: float(plate.point[2]), default=TABLE)
+
+    def _plate(self, eye: Eye, screen: tuple[float, float]) -> Plate | None:
+        """The plate or the table at a place on the screen."""
+        body, seen = self._image.body(eye, screen), self._image.seen(eye, screen)
+        if body is None or seen is None:
+            return None
+        return plate_at(self.plates, seen) if body == 0 else (*self.plates, TABLE)[body - 1]
 
 
 def _is_over(plate: Plate, point: np.ndarray) -> bool:
