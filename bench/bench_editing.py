@@ -112,7 +112,7 @@ def _edited(
     asker = AtOnce(method)
     log = EventLog(out, Header(dataset.id, scene_id, sensor, False, SNAP, "scene"))
     controller = Controller(scene, Blank(), log, asker)  # type: ignore[arg-type]
-    asker.done = controller.received
+    asker.start(controller.received)
     recorded = dataset.recorded_scene(scene_id, truth=True)
     track = "snap" if sensor == "ideal" else f"snap-{sensor}"
     for query in recorded.queries:

@@ -119,7 +119,7 @@ def main(data: Path) -> None:
         log = EventLog(Path(folder), Header(dataset.id, SCENE, "ideal", False, SNAP, "scene"))
         asker = AtOnce(Method(SNAP, dataset.root, SCENE, "ideal", truth=False))
         editor = Controller(scene, film, log, asker)  # type: ignore[arg-type]
-        asker.done = editor.received
+        asker.start(editor.received)
         for part in scene.parts:
             asker.ask(part, None)
         _edit(editor, film, dataset)

@@ -43,7 +43,7 @@ class Cavities:
         """kits: [m] world, as seen. noisy: whether the sensor has noise."""
         self._points = np.concatenate([kits.vertices, kits.triangles.mean(1)])
         self._reach = NOISY if noisy else EXACT
-        self._grids: dict[int, PlateGrid] = {}
+        self._grids: dict[Plate, PlateGrid] = {}
 
     def share_beside(self, points: np.ndarray, motion: Pose, plate: Plate) -> float:
         """Share of a part that is not over a cavity of a plate, 0 to 1.
@@ -66,7 +66,7 @@ class Cavities:
         return f"As seen, {100 * share:.0f} % of it is not over a cavity."
 
     def _grid(self, plate: Plate) -> PlateGrid:
-        if id(plate) not in self._grids:
+        if plate not in self._grids:
             world_from_plate = Pose(quaternion_between(UP, plate.normal), plate.point)
             plate_from_world = world_from_plate.inverse()
             points = plate_from_world.apply(self._points)
@@ -74,8 +74,8 @@ class Cavities:
             face = np.zeros((SIDE, SIDE), bool)
             face[_cells(points[near & (np.abs(points[:, 2]) < self._reach)])] = True
             inner = np.asarray(binary_erosion(face), bool)  # a cell at the rim of the cavity counts as cavity
-            self._grids[id(plate)] = PlateGrid(plate_from_world, _outlined(inner) & ~inner)
-        return self._grids[id(plate)]
+            self._grids[plate] = PlateGrid(plate_from_world, _outlined(inner) & ~inner)
+        return self._grids[plate]
 
 
 class TrueContacts:

@@ -18,8 +18,9 @@ from kit1000.editor.dragging import NAMES, Drag, Modifier, screen_axes
 from kit1000.editor.hand import BareHandWorkspace, HandWorkspace
 from kit1000.editor.keys import FINE_TURN_DEG, STEP_MM, TURN_DEG, Interface, verbs_of
 from kit1000.editor.pointing import Eye
-from kit1000.editor.proposals import same_motion, takes_by_letting_go
-from kit1000.editor.records import EventLog, answered_queries, write_predictions_of
+from kit1000.editor.proposals import takes_by_letting_go
+from kit1000.editor.queries import answered_queries
+from kit1000.editor.records import EventLog, write_predictions_of
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.session import PartEdit
 from kit1000.editor.stage import Stage
@@ -205,7 +206,7 @@ class Controller:
         proposals.failure = result.failure
         if result.job.guess is None:
             proposals.found = result.proposals
-        elif carrier is not None and same_motion(result.job.guess, space.part_edit(carrier).goal_from_now):
+        elif carrier is not None and gestures.same_motion(result.job.guess, space.part_edit(carrier).goal_from_now):
             proposals.answers, proposals.guess = result.proposals, result.job.guess
         if carrier is not None and carrier == space.selected:
             space.fit_index = 0

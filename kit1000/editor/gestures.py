@@ -61,6 +61,11 @@ def distance(one: Pose, other: Pose, pivot: np.ndarray) -> tuple[float, float]:
     return float(np.sqrt(matmul(apart, apart))), float((one @ other.inverse()).angle())
 
 
+def same_motion(one: Pose, other: Pose) -> bool:
+    """Whether two motions are equal, bit for bit."""
+    return one.wxyz.tobytes() + one.xyz.tobytes() == other.wxyz.tobytes() + other.xyz.tobytes()
+
+
 def _about(rotation: Pose, pivot: np.ndarray, image: np.ndarray) -> Pose:
     """The motion with a rotation that takes the pivot to its image (3,) [m]."""
     return Pose(rotation.wxyz, image - rotation.rotate(pivot))

@@ -11,6 +11,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from kit1000.camera import Camera
+from kit1000.editor.gestures import same_motion
 from kit1000.editor.plates import TABLE, Plate, plate_at
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
@@ -33,9 +34,7 @@ class Eye(NamedTuple):
 
     def same_as(self, other: Eye) -> bool:
         """Whether both see the same picture, bit for bit."""
-        one, two = self.world_from_camera, other.world_from_camera
-        pose = one.wxyz.tobytes() + one.xyz.tobytes() == two.wxyz.tobytes() + two.xyz.tobytes()
-        return pose and self[1:] == other[1:]
+        return same_motion(self.world_from_camera, other.world_from_camera) and self[1:] == other[1:]
 
     def camera(self) -> Camera:
         """The camera of the rendered image."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kit1000.editor.gestures import distance
+from kit1000.editor.gestures import distance, same_motion
 from kit1000.editor.session import PartEdit
 from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.pose import Pose
@@ -77,11 +77,6 @@ def takes_by_letting_go(proposal: Proposal, edit: PartEdit, pivot: np.ndarray) -
     """Whether the hand has let go so near to a fit that it means it. pivot: (3,) [m]."""
     shift, angle = distance(proposal.goal_from_now, edit.goal_from_now, pivot)
     return shift <= LET_GO_POSITION and angle <= LET_GO_ANGLE
-
-
-def same_motion(one: Pose, other: Pose) -> bool:
-    """Whether two motions are equal, bit for bit."""
-    return one.wxyz.tobytes() + one.xyz.tobytes() == other.wxyz.tobytes() + other.xyz.tobytes()
 
 
 def _within_reach(proposal: Proposal, hand: Pose, pivot: np.ndarray) -> bool:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
@@ -67,8 +67,9 @@ class EventLog:
         clock: [s]. sink: called with each event that is added, after it is written.
         """
         self.path, self.header, self._clock, self._sink = folder / FILE, header, clock, sink
-        self.rows = [row for row in _rows(self.path) if (row["scene"], row["sensor"]) == header.key()]
-        for row in _rows(self.path):
+        rows = _rows(self.path)
+        self.rows = [row for row in rows if (row["scene"], row["sensor"]) == header.key()]
+        for row in rows:
             for name in ("dataset_id", "truth", "interface"):
                 if row[name] != getattr(header, name):
                     text = f"{name} {row[name]}, not {getattr(header, name)}; choose another --out"
@@ -118,19 +119,13 @@ def write_predictions_of(
             (folder / name).unlink(missing_ok=True)
         return 0
     predictions = sorted([*others, *own], key=lambda prediction: prediction.query_id)
-    tracks = {query_id.split("-", 3)[3] for query_id in (each.query_id for each in predictions)}
+    ids = [prediction.query_id for prediction in predictions]
+    tracks = tuple(track for track in TRACKS if any(query_id.endswith(f"-{track}") for query_id in ids))
     write_submission(folder, _manifest(dataset, header, tracks), Predictions.of(predictions))
     return len(own)
 
 
-def answered_queries(queries: Iterable[Query], sensor: str) -> dict[str, Query]:
-    """The queries about a scene that an edit answers: `snap`, the hand in place of the recorded guess, and `place`."""
-    suffix = "" if sensor == "ideal" else f"-{sensor}"
-    tracks = (f"snap{suffix}", f"place{suffix}")
-    return {query.id: query for query in queries if query.track in tracks}
-
-
-def _manifest(dataset: Dataset, header: Header, tracks: set[str]) -> Manifest:
+def _manifest(dataset: Dataset, header: Header, tracks: tuple[str, ...]) -> Manifest:
     snap = "without snapping" if header.snap == "none" else f"snapped by {header.snap}"
     shown = " True shapes were shown." if header.truth else ""
     return Manifest(
@@ -141,7 +136,7 @@ def _manifest(dataset: Dataset, header: Header, tracks: set[str]) -> Manifest:
         date=date.today().isoformat(),
         dataset_id=dataset.id,
         dataset_checksum=dataset.summary["checksum"],
-        tracks=tuple(track for track in TRACKS if track in tracks),
+        tracks=tracks,
         learned=False,
         uses_true_geometry=header.truth,
     )

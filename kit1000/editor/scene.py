@@ -11,8 +11,8 @@ from scipy.spatial import ConvexHull
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.editor.contact import Cavities, TrueContacts
 from kit1000.editor.plates import Plate, find_plates
+from kit1000.editor.queries import editable_queries
 from kit1000.editor.seen import STRIDE, ColouredPoints, SeenScene, coloured_points, observed, seen_scene
-from kit1000.editor.worker import scene_queries
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, Query, View
@@ -27,18 +27,14 @@ class EditedScene:
     sensor: str
     truth: bool
     """Whether true shapes are shown; without, no file with truth is opened."""
+    queries: dict[int, Query]
+    """A query without a guess for each part that can be edited, by index."""
 
     @classmethod
     def open(cls, dataset: Dataset, scene_id: str, sensor: str, truth: bool) -> EditedScene:
         """A scene of the dataset's own list; raises InputError where there is none, or no part of it can be edited."""
-        scene = cls(dataset, dataset.recorded_scene(scene_id, truth), sensor, truth)
-        assert scene.queries
-        return scene
-
-    @cached_property
-    def queries(self) -> dict[int, Query]:
-        """A query without a guess for each part that can be edited, by index."""
-        return scene_queries(self.dataset, self.recorded.id, self.sensor, self.truth)
+        recorded = dataset.recorded_scene(scene_id, truth)
+        return cls(dataset, recorded, sensor, truth, editable_queries(recorded, sensor))
 
     @property
     def parts(self) -> tuple[int, ...]:

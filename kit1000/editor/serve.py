@@ -70,15 +70,15 @@ def editing(
     with locked(options.out):
         log = EventLog(options.out, header, sink=sink)
         with serving(options.port) as (server, address):
-            asker = _Later()
-            stage = ViserStage(server, options.interface, options.snap != NO_SNAP)
+            worker = None if options.snap == NO_SNAP else Worker(method, scene.parts)
+            stage = ViserStage(server, options.interface, worker is not None)
             stage.say("head", head_text(header))
-            controller = Controller(scene, stage, log, None if options.snap == NO_SNAP else asker)
+            controller = Controller(scene, stage, log, worker)
             stage.listen(controller)
             log.add("open")
-            worker = None if options.snap == NO_SNAP else Worker(method, scene.parts, controller.received)
-            asker.worker = worker
             try:
+                if worker is not None:
+                    worker.start(controller.received)
                 yield controller, address
             finally:
                 if worker is not None:
@@ -124,22 +124,6 @@ def head_text(header: Header) -> str:
     bare = header.interface == "hand-bare"
     snap = "nothing snaps" if bare or header.snap == NO_SNAP else f"snaps by {header.snap.rpartition(':')[2]}"
     return f"**{header.scene}** · {shown} · {snap}"
-
-
-class _Later:
-    """Asks the worker, which starts after the page is shown."""
-
-    worker: Worker | None = None
-
-    def ask(self, part: int, guess: Any) -> None:
-        """Ask for the answer to a guess."""
-        if self.worker is not None:
-            self.worker.ask(part, guess)
-
-    def prefer(self, part: int) -> None:
-        """The part in the hand."""
-        if self.worker is not None:
-            self.worker.prefer(part)
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
+from kit1000.editor.gestures import same_motion
 from kit1000.errors import InputError, checked
 from kit1000.pose import Pose
 
@@ -59,11 +60,10 @@ class PartEdit:
 
     def same_as(self, other: PartEdit) -> bool:
         """Whether both are equal, bit for bit."""
-        return self._content() == other._content()
+        return same_motion(self.goal_from_now, other.goal_from_now) and self._said() == other._said()
 
-    def _content(self) -> tuple[object, ...]:
-        pose = self.goal_from_now.wxyz.tobytes() + self.goal_from_now.xyz.tobytes()
-        return pose, self.snapped, self.confidence, self.turned, self.confirmed
+    def _said(self) -> tuple[object, ...]:
+        return self.snapped, self.confidence, self.turned, self.confirmed
 
 
 UNTOUCHED = PartEdit(Pose.identity())

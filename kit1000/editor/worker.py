@@ -10,7 +10,7 @@ import multiprocessing
 import signal
 import threading
 from collections.abc import Callable, Iterable
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.proposals import Proposal
+from kit1000.editor.queries import editable_queries
 from kit1000.engines.processes import start_worker
 from kit1000.errors import InputError, Kit1000Error
 from kit1000.pose import Pose
@@ -71,21 +72,17 @@ class Result(NamedTuple):
 class Worker:
     """Runs jobs one after another in one process, and hands each result on from a thread of its own."""
 
-    def __init__(self, method: Method, parts: Iterable[int], done: Callable[[Result], None]) -> None:
-        """Start with the jobs without a guess.
-
-        Args:
-            method: what runs.
-            parts: indices, in order.
-            done: called with each result.
-        """
-        self._method, self._done = method, done
+    def __init__(self, method: Method, parts: Iterable[int]) -> None:
+        """Jobs wait until it is started. parts: indices, in the order in which fits are sought without a guess."""
+        self._method = method
         self._first: list[int] = list(parts)
         self._guesses: dict[int, Pose] = {}
         self._changed, self._stopping = threading.Condition(), False
-        self._executor = self._start()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self._thread.start()
+        self._executor = _one_process()
+
+    def start(self, done: Callable[[Result], None]) -> None:
+        """Begin with the jobs. done: called with each result."""
+        threading.Thread(target=self._run, args=(done,), daemon=True).start()
 
     def ask(self, part: int, guess: Pose) -> None:
         """Ask for the answer to a guess; an earlier one about the part that still waits is forgotten."""
@@ -108,26 +105,17 @@ class Worker:
             process.terminate()
         self._executor.shutdown(wait=False, cancel_futures=True)
 
-    def _start(self) -> ProcessPoolExecutor:
-        spawn = multiprocessing.get_context("spawn")
-        return ProcessPoolExecutor(1, mp_context=spawn, initializer=_prepare, initargs=(self._method,))
-
-    def _run(self) -> None:
+    def _run(self, done: Callable[[Result], None]) -> None:
         while (job := self._next()) is not None:
             try:
-                result = self._submitted(job).result()
+                result = self._executor.submit(_propose, self._method, job).result()
             except BrokenProcessPool:
-                if self._stopping:
-                    return
-                self._executor = self._start()
+                self._executor = _one_process()
                 result = Result(job, [], "the method's process died")
             except Exception as error:
                 result = Result(job, [], _line(error))
             if not self._stopping:
-                self._done(result)
-
-    def _submitted(self, job: Job) -> Future[Result]:
-        return self._executor.submit(_propose, self._method, job)
+                done(result)
 
     def _next(self) -> Job | None:
         """The next job, waited for; None at the end."""
@@ -146,41 +134,33 @@ class AtOnce:
 
     def __init__(self, method: Method) -> None:
         self._method = method
-        self.done: Callable[[Result], None] | None = None
-        """Called with each result."""
+        self._done: Callable[[Result], None] | None = None
+
+    def start(self, done: Callable[[Result], None]) -> None:
+        """Answer from now on. done: called with each result."""
+        self._done = done
 
     def ask(self, part: int, guess: Pose | None) -> None:
         """Answer a guess, or find all fits without one."""
         job = Job(part, guess)
-        if self.done is not None:
-            self.done(Result(job, proposals_of(prepared(self._method), job)))
+        if self._done is not None:
+            self._done(Result(job, proposals_of(prepared(self._method), job)))
 
     def prefer(self, part: int) -> None:
         """The part in the hand: nothing waits for it."""
 
 
-def scene_queries(dataset: Dataset, scene_id: str, sensor: str, truth: bool) -> dict[int, Query]:
-    """A query for each part of a scene that can be edited, without the recorded guess: that is not the hand's."""
-    scene = dataset.recorded_scene(scene_id, truth)
-    track = "snap" if sensor == "ideal" else f"snap-{sensor}"
-    queries = {query.part: query for query in scene.queries if query.track == track}
-    if not queries:
-        raise InputError(f"{scene_id}: no part of it can be edited from the {sensor} depth image")
-    return {part: with_guess(query, None) for part, query in sorted(queries.items())}
+def _one_process() -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_begin)
 
 
-def with_guess(query: Query, guess: Pose | None) -> Query:
-    """The query with the hand's pose as the guess, or with none."""
-    return replace(query, guess=guess)
-
-
-def _prepare(method: Method) -> None:
+def _begin() -> None:
     start_worker()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which ends this process
 
 
 def _propose(method: Method, job: Job) -> Result:
-    """All fits of a part; an error becomes a line for the page."""
+    """Answer a job; an error becomes a line for the page."""
     try:
         return Result(job, proposals_of(prepared(method), job))
     except Exception as error:
@@ -194,24 +174,26 @@ class Prepared:
     dataset: Dataset
     queries: dict[int, Query]
     predictor: Any
-    truth: bool
+    uses_truth: bool
+    """Whether the predictor gets the true geometry."""
 
 
 @lru_cache(maxsize=1)
 def prepared(method: Method) -> Prepared:
     """Made once in each process."""
     dataset = Dataset(method.root)
-    queries = scene_queries(dataset, method.scene_id, method.sensor, method.truth)
+    queries = editable_queries(dataset.recorded_scene(method.scene_id, method.truth), method.sensor)
     predictor = predictor_of(method.snap, dataset)
-    if getattr(predictor, "uses_true_geometry", False) and not method.truth:
+    uses_truth = bool(getattr(predictor, "uses_true_geometry", False))
+    if uses_truth and not method.truth:
         raise InputError(f"--snap {method.snap}: needs the true geometry, which only --truth shows")
-    return Prepared(dataset, queries, predictor, bool(getattr(predictor, "uses_true_geometry", False)))
+    return Prepared(dataset, queries, predictor, uses_truth)
 
 
 def proposals_of(made: Prepared, job: Job) -> list[Proposal]:
     """All fits of a part; of a method that proposes none, its prediction, where the hand gives it a guess."""
-    query, predictor = with_guess(made.queries[job.part], job.guess), made.predictor
-    geometry = made.dataset.geometry.true_geometry(made.dataset.truth_of(query)) if made.truth else None
+    query, predictor = replace(made.queries[job.part], guess=job.guess), made.predictor
+    geometry = made.dataset.geometry.true_geometry(made.dataset.truth_of(query)) if made.uses_truth else None
     if hasattr(predictor, "propose"):
         motions = list(predictor.propose(query, geometry))
     else:

@@ -14,7 +14,7 @@ from kit1000.editor import gestures
 from kit1000.editor.keys import Interface
 from kit1000.editor.plates import Plate
 from kit1000.editor.pointing import Pointing, Surface
-from kit1000.editor.proposals import PartProposals, Proposal, same_motion
+from kit1000.editor.proposals import PartProposals, Proposal
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.session import LIKELY, UNTOUCHED, PartEdit, Session, part_name
 
@@ -131,7 +131,7 @@ class Workspace:
         if part is None or not self.snaps or self.current[body].snapped or not self.over_kits(body):
             return False
         guess = self.proposals[part].guess
-        return guess is None or not same_motion(guess, self.part_edit(body).goal_from_now)
+        return guess is None or not gestures.same_motion(guess, self.part_edit(body).goal_from_now)
 
     def sought(self) -> list[int]:
         """The parts for which the method still looks for fits."""

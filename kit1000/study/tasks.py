@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.editor.worker import scene_queries
+from kit1000.editor.queries import editable_queries
 from kit1000.errors import InputError
 from kit1000.kits.seating import UP
 from kit1000.motions import goal_motion
@@ -89,8 +89,7 @@ def robot_manages(scene: RecordedScene, sensor: str, seed: int) -> bool:
 
 def part_truths(scene: RecordedScene, sensor: str) -> dict[int, Truth]:
     """The truth about each part that can be edited, by index."""
-    queries = scene_queries(scene.split.dataset, scene.id, sensor, truth=True)
-    return {part: scene.truth_of(query.id) for part, query in queries.items()}
+    return {part: scene.truth_of(query.id) for part, query in editable_queries(scene, sensor).items()}
 
 
 def true_motion(truth: Truth) -> Pose:
