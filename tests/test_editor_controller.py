@@ -190,6 +190,37 @@ def test_without_a_method_nothing_snaps_and_a_pose_by_hand_can_be_confirmed(scen
     assert not (tmp_path / "manifest.toml").exists()
 
 
+def test_a_part_that_is_taken_into_the_hand_again_is_asked_about(scene: EditedScene, tmp_path: Path) -> None:
+    """As after a restart: else the page would say for ever that it asks."""
+    first, part = desk(scene, tmp_path), scene.parts[0]
+    dragged(first, part, scene.plates[0].point)
+    table = desk(scene, tmp_path)
+    assert table.asker.asked == []
+    table.controller.select(part)
+    hand = table.controller.space.session.edits[part].goal_from_now
+    assert [(part, same_pose(guess, hand)) for part, guess in table.asker.asked] == [(part, True)]
+    assert table.controller.space.waits(part)
+    answered(table, part, hand, (hand, 0.9))
+    table.controller.select(None)
+    table.controller.select(part)
+    assert len(table.asker.asked) == 1  # the answer is known
+
+
+def test_fits_that_are_found_in_the_middle_of_a_drag_are_shown_at_once(scene: EditedScene, tmp_path: Path) -> None:
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    grabbed, point = scene.pivot(part), scene.plates[0].point
+    table.controller.grab(part, EYE, EYE.screen(grabbed), grabbed)
+    table.controller.drag(EYE.screen(point))
+    assert ghost_node(part) in table.stage.hidden
+    share, hand = table.stage.share, table.controller.space.current[part].goal_from_now
+    found(table, part, (hand, 0.7))
+    assert ghost_node(part) not in table.stage.hidden
+    assert table.stage.share > share
+    table.controller.drag(EYE.screen(point + (0.1, 0.0, 0.0)))
+    table.controller.release()
+    assert len(table.controller.space.session.done) == 1
+
+
 def test_the_gizmo_carries_a_part_and_is_one_operation(scene: EditedScene, tmp_path: Path) -> None:
     table, part = desk(scene, tmp_path), scene.parts[0]
     table.controller.carry(Pose.identity(), done=True)  # nothing is selected

@@ -87,6 +87,7 @@ class Controller:
         part = None if body is None else self.space.carried(body)
         if part is not None and self.asker is not None:
             self.asker.prefer(part)
+        self._ask()
         self.display.update()
 
     @exclusive
@@ -169,9 +170,7 @@ class Controller:
             return
         if verb.startswith("select-"):
             self._number(int(verb.removeprefix("select-")) - 1)
-        elif verb == "view-slot" and space.selected is None:
-            self.display.note(texts.CHOOSE[space.interface])
-        elif verb.startswith("view-"):
+        elif verb in ("view-camera", "view-top"):
             self.display.look(verb.removeprefix("view-"), *(() if eye is None else (eye.aspect,)))
         elif verb == "deselect":
             self.select(None)
@@ -201,17 +200,18 @@ class Controller:
     @exclusive
     def received(self, result: Result) -> None:
         """What the worker has found."""
-        part, space = result.job.part, self.space
+        (part, guess), space = result.job, self.space
         proposals, carrier = space.proposals[part], space.carrier(part)
-        proposals.failure = result.failure
-        if result.job.guess is None:
+        if guess is None:
             proposals.found = result.proposals
-        elif carrier is not None and gestures.same_motion(result.job.guess, space.part_edit(carrier).goal_from_now):
-            proposals.answers, proposals.guess = result.proposals, result.job.guess
+        elif carrier is not None and gestures.same_motion(guess, space.part_edit(carrier).goal_from_now):
+            proposals.answers, proposals.guess = result.proposals, guess
+        else:
+            return  # the hand has moved on
+        proposals.failure = result.failure
         if carrier is not None and carrier == space.selected:
             space.fit_index = 0
-        if self._drag is None:
-            self.display.update()
+        self.display.update()
 
     # What follows from them.
 
@@ -219,13 +219,15 @@ class Controller:
         if part not in self.space.scene.parts:
             return
         body, step = self.space.pointed_at(part)
-        self.space.choose(body)
-        self._do(step)
+        if step.edits:
+            self._do(step)
         self.select(body)
 
     def _body_command(self, verb: str, body: int, eye: Eye | None) -> None:
         space = self.space
-        if verb == "gizmo":
+        if verb == "view-slot":
+            self.display.look("slot")
+        elif verb == "gizmo":
             space.shows_gizmo = not space.shows_gizmo
             self.display.update()
         elif verb == "confirm":
@@ -268,11 +270,11 @@ class Controller:
         self._do(self.space.moved(name, body, edit.taken(ghost.goal_from_now, ghost.confidence)))
 
     def _next(self, body: int) -> None:
-        ghost, part = self.space.ghost(body), self.space.carried(body)
+        ghost = self.space.ghost(body)
         if ghost is None:
             self.display.note(self.display.no_fit(body))
             return
-        self.log.add("refuse", part=part, confidence=ghost.confidence)
+        self.log.add("refuse", part=self.space.carried(body), confidence=ghost.confidence)
         self.space.fit_index += 1
         self.display.update()
 
@@ -303,14 +305,17 @@ class Controller:
             self._adopt()
 
     def _adopt(self) -> None:
-        """Show and save the session; ask the method about the body in the hand."""
+        """Save and show the session, and go on from it."""
         space, header = self.space, self.log.header
         space.adopt(space.session)
         answered = answered_queries(space.scene.recorded.queries, header.sensor)
         write_predictions_of(self.log.path.parent, space.scene.dataset, header, answered, space.session)
-        body = space.selected
-        if body is not None and self.asker is not None and space.waits(body):
-            part = space.carried(body)
-            assert part is not None
-            self.asker.ask(part, space.part_edit(body).goal_from_now)
+        self._ask()
         self.display.update()
+
+    def _ask(self) -> None:
+        """Ask the method about the body in the hand, where its answer is still to come."""
+        body, space = self.space.selected, self.space
+        part = None if body is None else space.carried(body)
+        if body is not None and part is not None and self.asker is not None and space.waits(body):
+            self.asker.ask(part, space.part_edit(body).goal_from_now)

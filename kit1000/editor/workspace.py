@@ -135,7 +135,7 @@ class Workspace:
 
     def sought(self) -> list[int]:
         """The parts for which the method still looks for fits."""
-        return [part for part, each in self.proposals.items() if self.snaps and each.found is None and not each.failure]
+        return [part for part, each in self.proposals.items() if self.snaps and each.found is None]
 
     # What keys and buttons would do.
 
