@@ -233,7 +233,7 @@ def test_the_gizmo_carries_a_part_and_is_one_operation(scene: EditedScene, tmp_p
         table.controller.carry(pose, done=k == 3)
     motion = table.controller.space.session.edits[part].goal_from_now
     assert np.allclose(motion.apply(scene.pivot(part)), scene.pivot(part) + (0.0, 0.0, 0.03))
-    assert [operation.name for operation in table.controller.space.session.done] == ["gizmo"]
+    assert [operation.name for operation in table.controller.space.session.done] == [f"part {part + 1}: gizmo"]
     table.controller.command("deselect")
     assert table.stage.gizmo_pose is None
 
@@ -254,6 +254,57 @@ def test_every_view_fills_the_window_with_the_scene(scene: EditedScene, tmp_path
         eye = Eye(look_at(*table.stage.looks[-1]), FIELD, aspect)
         away = np.abs(np.array([eye.screen(point) for point in scene.bounds]) - 0.5)
         assert 0.43 < away.max() < 0.46, verb
+
+
+def test_what_cannot_be_done_is_said(scene: EditedScene, tmp_path: Path) -> None:
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    for verb, said in (
+        ("undo", "Nothing to undo"),
+        ("redo", "Nothing to redo"),
+        ("select-9", "no part 9"),
+        ("take-all", "still looking"),
+        ("confirm", "Choose a part"),
+    ):
+        table.controller.command(verb)
+        assert said in table.stage.texts["note"], verb
+    for each in scene.parts:
+        found(table, each)
+    table.controller.command("take-all")
+    assert "No further part" in table.stage.texts["note"]
+    table.controller.select(part)
+    assert table.stage.texts["note"] == ""
+
+
+def test_a_drag_tells_at_each_step_what_it_has_come_to(scene: EditedScene, tmp_path: Path) -> None:
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    grabbed, point = scene.pivot(part), scene.plates[0].point
+    found(table, part, (Pose.from_translation(point - grabbed), 0.9))
+    table.controller.grab(part, EYE, EYE.screen(grabbed), grabbed)
+    assert "on the table" in table.stage.texts["fit"]
+    table.controller.drag(EYE.screen(point))
+    assert "90 % sure" in table.stage.texts["fit"]
+    assert table.stage.labels[f"/name/{part}"].endswith("90 % sure")
+    table.controller.drag(EYE.screen(grabbed))
+    table.controller.release()
+    assert "sure" not in table.stage.labels[f"/name/{part}"]
+
+
+def test_an_operation_that_cannot_be_written_is_not_done(
+    scene: EditedScene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    dragged(table, part, scene.plates[0].point)
+    before = table.controller.space.session
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(table.log, "add", full)
+        for verb in ("turn-left", "undo"):
+            with pytest.raises(OSError, match="No space"):
+                table.controller.command(verb)
+            assert table.controller.space.session is before
 
 
 def test_every_key_does_something_or_says_why_not(scene: EditedScene, tmp_path: Path) -> None:

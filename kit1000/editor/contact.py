@@ -6,6 +6,7 @@ the part is laid over it. Of true shapes contact is computed in closed form.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -81,14 +82,15 @@ class Cavities:
 class TrueContacts:
     """Measures contact of true shapes, in closed form."""
 
-    def __init__(self, kits: Mesh) -> None:
-        """kits: [m] world."""
+    def __init__(self, kits: Mesh, parts: Mapping[int, Mesh]) -> None:
+        """kits: [m] world. parts: [m] where they lie, by index."""
         self._fixed = convex_edges(kits)
+        self._parts = {part: convex_edges(mesh) for part, mesh in parts.items()}
 
-    def text(self, part: Mesh, motion: Pose, plate: Plate) -> str:
-        """How a part, a mesh [m] where it lies, meets the kits where a motion puts it; for the page."""
+    def text(self, part: int, motion: Pose, plate: Plate) -> str:
+        """How a part meets the kits where a motion puts it; for the page."""
         axis = motion.inverse().rotate(plate.normal)
-        offset = float(contact_offset(InsertedPart(convex_edges(part), axis), self._fixed, motion))
+        offset = float(contact_offset(InsertedPart(self._parts[part], axis), self._fixed, motion))
         if not np.isfinite(offset):
             return "True shapes: nothing of the kits is below it."
         if offset > TOUCHES:

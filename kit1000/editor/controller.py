@@ -133,7 +133,7 @@ class Controller:
         ghost = self.space.ghost(drag.body)
         if edit is not drag.before and self.lets_go and ghost and takes_by_letting_go(ghost, edit, drag.pivot):
             edit, name = edit.taken(ghost.goal_from_now, ghost.confidence), f"{name} and snap"
-        self._do(self.space.moved(name, drag.body, edit))
+        self._move(name, drag.body, edit)
 
     @exclusive
     def carry(self, gizmo: Pose, done: bool) -> None:
@@ -160,7 +160,7 @@ class Controller:
         if body in space.session.edits:
             if body in space.bodies:
                 space.choose(body)
-            self._do(space.moved(name, body, space.session.edits[body].moved(motion, True)))
+            self._move(name, body, space.session.edits[body].moved(motion, True))
 
     @exclusive
     def command(self, verb: str, eye: Eye | None = None) -> None:
@@ -180,7 +180,7 @@ class Controller:
         elif verb in ("undo", "redo"):
             self._step(verb)
         elif verb == "take-all":
-            self._do_or_say(space.snapped_all(), texts.NOTHING_TO_SNAP)
+            self._do_or_say(space.snapped_all(), texts.NOTHING_TO_SNAP_YET if space.sought() else texts.NOTHING_TO_SNAP)
         elif verb == "confirm-all":
             self._confirm(*(part for part, edit in space.session.edits.items() if edit.snapped))
         elif verb == "reset-all":
@@ -193,8 +193,8 @@ class Controller:
     @exclusive
     def return_to(self, count: int) -> None:
         """Undo or redo until `count` operations are done."""
-        self.space.session = self.space.session.returned(count)
         self.log.add("return", count=count)
+        self.space.session = self.space.session.returned(count)
         self._adopt()
 
     @exclusive
@@ -217,6 +217,7 @@ class Controller:
 
     def _number(self, part: int) -> None:
         if part not in self.space.scene.parts:
+            self.display.note(texts.no_part(part))
             return
         body, step = self.space.pointed_at(part)
         if step.edits:
@@ -233,14 +234,14 @@ class Controller:
         elif verb == "confirm":
             self._confirm(body)
         elif verb == "reset":
-            self._do(Step("put back", space.put_back([body])))
+            self._do(Step(f"{space.name(body)}: put back", space.put_back([body])))
         elif verb == "next":
             self._next(body)
         elif verb == "take":
             self._take(body)
         else:
             name, edit = self._moved_by_key(verb, body, eye)
-            self._do(space.moved(name, body, edit))
+            self._move(name, body, edit)
 
     def _moved_by_key(self, verb: str, body: int, eye: Eye | None) -> tuple[str, PartEdit]:
         """The name of what a key does that moves a body, and the body's edit."""
@@ -265,9 +266,8 @@ class Controller:
         if ghost is None:
             self.display.note(self.display.no_fit(body))
             return
-        name = f"snap {self.space.name(body)} ({100 * ghost.confidence:.0f} %)"
-        edit = self.space.session.edits[body]
-        self._do(self.space.moved(name, body, edit.taken(ghost.goal_from_now, ghost.confidence)))
+        edit = self.space.session.edits[body].taken(ghost.goal_from_now, ghost.confidence)
+        self._move(f"snap ({100 * ghost.confidence:.0f} %)", body, edit)
 
     def _next(self, body: int) -> None:
         ghost = self.space.ghost(body)
@@ -289,20 +289,26 @@ class Controller:
         else:
             self._do(step)
 
+    def _move(self, name: str, body: int, edit: PartEdit) -> None:
+        """A body moved by hand, or snapped, under its name in the history."""
+        self._do(self.space.moved(f"{self.space.name(body)}: {name}", body, edit))
+
     def _do(self, step: Step) -> None:
         session = self.space.session.did(step.name, step.edits)
         if session is not self.space.session:
-            self.space.session, self.space.fit_index = session, 0
             self.log.did(session)
+            self.space.session, self.space.fit_index = session, 0
         self._adopt()
 
     def _step(self, verb: str) -> None:
         session = self.space.session
         stepped = session.undo() if verb == "undo" else session.redo()
-        if stepped is not session:
-            self.space.session = stepped
-            self.log.add(verb)
-            self._adopt()
+        if stepped is session:
+            self.display.note(f"Nothing to {verb}.")
+            return
+        self.log.add(verb)
+        self.space.session = stepped
+        self._adopt()
 
     def _adopt(self) -> None:
         """Save and show the session, and go on from it."""

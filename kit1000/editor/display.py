@@ -14,9 +14,8 @@ from kit1000.pose import Pose
 from kit1000.trigonometry import tangent
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 
-KITS, OTHERS, NUMBER = "/kits", "/others", "/number"
-OVER_PART, OVER_GHOST = np.array([0.0, 0.0, 0.02]), np.array([0.0, 0.0, 0.05])  # [m] of their labels
-OVER_CUP = np.array([0.0, 0.0, 0.13])  # [m] of the number of a cup's ghost, above the cup's own label
+KITS, OTHERS = "/kits", "/others"
+OVER_PART = np.array([0.0, 0.0, 0.02])  # [m] of its label
 UP_THE_CUP = np.array([0.0, 0.0, 0.07])  # [m] of its label, from the lip where it hangs
 FIELD = float(np.radians(45))  # of view from the top of the window to its bottom, as in the paper
 NARROW = 0.9  # width over height of a window that is not yet known: that of a small screen beside the panel
@@ -53,10 +52,11 @@ class Display:
             stage.look(ghost_node(body), visible=False)
 
     def moved(self, body: int) -> None:
-        """A body in a drag: its pose, its label and its ghost, nothing else."""
+        """A body in a drag: its pose, its label, its ghost and what there is to say of it, nothing else."""
         self.stage.move(body_node(body), self.workspace.current[body].goal_from_now)
         self._label(body)
         self._ghost()
+        self.stage.say("fit", self._fit_text())
 
     def update(self) -> None:
         """Everything."""
@@ -71,7 +71,7 @@ class Display:
         self.stage.say("note", "")
         edits = {part: space.session.edits[part] for part in space.scene.parts}
         in_hand = self._part_in_hand()
-        self.stage.say("parts", texts.parts_table(edits, in_hand, sought))
+        self.stage.say("parts", texts.parts_list(edits, in_hand, sought))
         self.stage.say("fit", self._fit_text())
         names = [operation.name for operation in (*space.session.done, *reversed(space.session.undone))]
         self.stage.history(names, len(space.session.done))
@@ -98,7 +98,7 @@ class Display:
         return None if space.selected is None else space.carried(space.selected)
 
     def _label(self, body: int) -> None:
-        """The label over a part or a cup."""
+        """The label over a part or a cup, with the number of its ghost."""
         space = self.workspace
         motion, pivot = space.current[body].goal_from_now, space.pivot(body)
         if body in NAMES:
@@ -106,7 +106,9 @@ class Display:
         else:
             text = texts.part_label(body, space.current[body], body == self._part_in_hand())
             top = motion.apply(pivot) + OVER_PART
-        self.stage.label(f"/name/{body}", text, top)
+        ghost = space.ghost(body) if body == space.selected else None
+        number = "" if ghost is None else f" · {texts.confidence_text(ghost.confidence)}"
+        self.stage.label(f"/name/{body}", text + number, top)
 
     def _add_points(self) -> None:
         """The image as points, one cloud for each part that can be moved."""
@@ -123,20 +125,15 @@ class Display:
             self.stage.dots(OTHERS, *map(np.concatenate, zip(*others, strict=True)))
 
     def _ghost(self) -> None:
-        """The ghost of the selected body alone, with its number."""
+        """The ghost of the selected body alone."""
         space = self.workspace
         shown = None if space.selected is None else space.ghost(space.selected)
         for body in space.bodies:
             if body != space.selected or shown is None:
                 self.stage.look(ghost_node(body), visible=False)
-        if shown is None or space.selected is None:
-            self.stage.label(NUMBER, "", np.zeros(3))
-            return
-        self.stage.move(ghost_node(space.selected), shown.goal_from_now)
-        self.stage.look(ghost_node(space.selected), texts.confidence_colour(shown.confidence), True)
-        over = OVER_CUP if space.selected in NAMES else OVER_GHOST
-        top = shown.goal_from_now.apply(space.pivot(space.selected)) + over
-        self.stage.label(NUMBER, texts.confidence_text(shown.confidence), top)
+        if shown is not None and space.selected is not None:
+            self.stage.move(ghost_node(space.selected), shown.goal_from_now)
+            self.stage.look(ghost_node(space.selected), texts.confidence_colour(shown.confidence), True)
 
     def _gizmo(self) -> None:
         space, body = self.workspace, self.workspace.selected
@@ -147,6 +144,7 @@ class Display:
             self.stage.gizmo(Pose(motion.wxyz, motion.apply(space.pivot(body))))
 
     def _fit_text(self) -> str:
+        """The part in the hand, where it may snap, how it lies, and what can be done next."""
         space, body = self.workspace, self.workspace.selected
         done = all(space.session.edits[part].confirmed for part in space.scene.parts)
         if body is None:
@@ -154,21 +152,26 @@ class Display:
         part = space.carried(body)
         if part is None:
             return texts.PICK_FIRST if body == PLACE else self._pick_text()
-        lines = [texts.part_line(part, space.part_edit(body))]
-        fits, ghost = space.fits(body), space.ghost(body)
-        if ghost is not None:
-            lines.append(texts.ghost_line(ghost, space.fit_index % len(fits), len(fits), space.shift_to_ghost(body)))
-        elif space.over_kits(body) and not space.current[body].snapped and space.snaps:
-            lines.append(self.no_fit(body))
-        if space.waits(body):
-            lines.append(texts.WAITING)
+        lines = [texts.part_line(part, space.part_edit(body)), self._snap_text(body)]
         if space.assists:
             lines.append(self._contact_line(body, part))
         if done:
             lines.append(texts.ALL_DONE)
-        elif ghost is None and space.over_kits(body) and not space.current[body].confirmed:
+        elif space.current[body].confirmed:
+            lines.append(texts.GO_ON)
+        elif space.over_kits(body) and not space.waits(body) and space.ghost(body) is None:
             lines.append(texts.CONFIRM[space.interface])
-        return "\n\n".join(lines)
+        return "\n\n".join(filter(None, lines))
+
+    def _snap_text(self, body: int) -> str:
+        """The ghost, or why there is none over a plate; nothing of a part that has snapped."""
+        space, fits = self.workspace, self.workspace.fits(body)
+        if fits:
+            index = space.fit_index % len(fits)
+            line = texts.ghost_line(fits[index], index, len(fits), space.shift_to(body, fits[index]))
+            return f"{line} {texts.WAITING}" if space.waits(body) else line
+        free = space.snaps and not space.current[body].snapped
+        return self.no_fit(body) if free and space.over_kits(body) else ""
 
     def _pick_text(self) -> str:
         """Of the picking cup in the hand."""

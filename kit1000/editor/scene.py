@@ -101,7 +101,7 @@ class EditedScene:
     def contact(self, part: int, motion: Pose, plate: Plate) -> str:
         """How a part lies on a plate where a motion puts it, for the page."""
         if self.truth:
-            return self._contacts.text(self.meshes[part], motion, plate)
+            return self._contacts.text(part, motion, plate)
         return self._cavities.text(self.tops[part], motion, plate)
 
     @cached_property
@@ -114,7 +114,7 @@ class EditedScene:
 
     @cached_property
     def _contacts(self) -> TrueContacts:
-        return TrueContacts(self.kits)
+        return TrueContacts(self.kits, self.meshes)
 
 
 def _placed(mesh: Mesh, world_from_body: Pose) -> Mesh:

@@ -37,14 +37,16 @@ CONFIRM: Mapping[Interface, str] = {
 ALL_DONE = "**All parts are confirmed, and everything is saved.** You may close the page, or change what you like."
 PICK_FIRST = "**Yellow cup**: it carries nothing. First put the green cup on a part."
 NOTHING_PICKED = "**Green cup**: it touches no part."
+GO_ON = "Now another part."
 WAITING = "*Asking the method about this place …*"
-ON_TABLE = "It is on the table."
+ON_TABLE = "It is on the table: drag it onto its cavity."
 NOT_OVER_PLATE = "Now move the yellow cup over the cavity of the part."
 CHOOSE: Mapping[Interface, str] = {
     "scene": "Choose a part first: drag it, click it, or press its number.",
     "hand": CUPS_BEGIN,
     "hand-bare": "Click a cup first.",
 }
+NOTHING_TO_SNAP_YET = "No likely fit yet: the method is still looking for fits."
 NOTHING_TO_SNAP = "No further part has a likely fit that no other part takes."
 NOTHING_TO_CARRY = "Nothing to carry: the green cup must touch a part, and the yellow cup be over a plate."
 NOTHING_TO_CONFIRM: Mapping[Interface, str] = {
@@ -52,6 +54,11 @@ NOTHING_TO_CONFIRM: Mapping[Interface, str] = {
     "hand": NOTHING_TO_CARRY,
     "hand-bare": NOTHING_TO_CARRY,
 }
+
+
+def no_part(part: int) -> str:
+    """A number that is no part's, or that of one which cannot be edited."""
+    return f"There is no {part_name(part)} to move: too little of it was seen, or the scene has fewer parts."
 
 
 def confidence_colour(confidence: float) -> Colour:
@@ -82,15 +89,15 @@ def picked(part: int) -> str:
     return f"**Green cup**: on {part_name(part)}. Now move the yellow cup."
 
 
-def parts_table(edits: Mapping[int, PartEdit], selected: int | None, sought: Collection[int]) -> str:
+def parts_list(edits: Mapping[int, PartEdit], selected: int | None, sought: Collection[int]) -> str:
     """The state of each part, in Markdown. sought: the parts for which the method still looks for fits."""
     rows = []
     for part, edit in edits.items():
         name = f"**{part_name(part)}**" if part == selected else part_name(part)
         sure = f", {100 * edit.confidence:.0f} %" if edit.snapped else ""
-        seeks = " · fits sought …" if part in sought else ""
-        rows.append(f"| {MARKS[edit.state]} | {name} | {MEANINGS[edit.state]}{sure}{seeks} |")
-    return "| | | |\n| --- | --- | --- |\n" + "\n".join(rows)
+        seeks = " · looking for fits …" if part in sought else ""
+        rows.append(f"{MARKS[edit.state]} {name}: {MEANINGS[edit.state]}{sure}{seeks}")
+    return "  \n".join(rows)  # two spaces end a line in Markdown; a table would change its columns with every word
 
 
 def part_line(part: int, edit: PartEdit) -> str:
@@ -99,10 +106,10 @@ def part_line(part: int, edit: PartEdit) -> str:
     return f"**{part_name(part).capitalize()}**: {MEANINGS[edit.state]}{taken}"
 
 
-def ghost_line(ghost: Proposal, index: int, count: int, shift: tuple[float, float] | None) -> str:
+def ghost_line(ghost: Proposal, index: int, count: int, shift: tuple[float, float]) -> str:
     """The fit that is shown, the `index`-th of `count`. shift: [m], [rad] from the hand to it."""
-    moved = "" if shift is None else f", {shift[0] * 1e3:.0f} mm and {np.degrees(shift[1]):.0f}° from the hand"
-    return f"Ghost {index + 1} of {count}: **{confidence_text(ghost.confidence)}**{moved}. {TAKE}"
+    moved = f"{shift[0] * 1e3:.0f} mm and {np.degrees(shift[1]):.0f}° from the hand"
+    return f"Ghost {index + 1} of {count}: **{confidence_text(ghost.confidence)}**, {moved}. {TAKE}"
 
 
 def no_fit(proposals: PartProposals, over_kits: bool, waits: bool) -> str:

@@ -120,10 +120,9 @@ class Workspace:
         fits = self.fits(body)
         return fits[self.fit_index % len(fits)] if fits else None
 
-    def shift_to_ghost(self, body: int) -> tuple[float, float] | None:
-        """[m], [rad] from the hand to the fit that is shown."""
-        ghost = self.ghost(body)
-        return ghost and gestures.distance(ghost.goal_from_now, self.current[body].goal_from_now, self.pivot(body))
+    def shift_to(self, body: int, fit: Proposal) -> tuple[float, float]:
+        """[m], [rad] from the hand to a fit."""
+        return gestures.distance(fit.goal_from_now, self.current[body].goal_from_now, self.pivot(body))
 
     def waits(self, body: int) -> bool:
         """Whether the method's answer to where a body is is still to come."""
