@@ -213,5 +213,5 @@ def test_a_reload_shows_the_same_and_a_second_tab_only_watches(
     page.bring_to_front()
     page.keyboard.press("x")  # the positive control: of the two keys this one counts
     wait(lambda: len(controller.space.session.done) != count, page)
-    assert controller.space.session.done[-1].name == "turn"
+    assert controller.space.session.done[-1].name == f"part {part + 1}: turn"
     assert len(controller.space.session.done) == count + 1

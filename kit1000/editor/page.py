@@ -23,13 +23,14 @@ from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim.layout import TABLE_SIZE
 
-HISTORY_ROWS = 8
+HISTORY_ROWS = 9
 PLACES = ("head", "parts", "fit", "note")
 SKY, SUN = 1.2, 1.9  # lights, by which cavities stand out without shadows
 SUN_AT = (-0.6, -0.5, 1.0)
 SAME_SHAPE = 0.02  # of two windows, in width over height
 POINT_SIZE = 1.6e-3  # [m]: neighbours just touch
 GIZMO = "/gizmo"
+WATCHES = "Another tab of this page is in charge. When that is closed, this one is."
 
 
 class ViserStage:
@@ -43,12 +44,14 @@ class ViserStage:
         self._labels: dict[str, Any] = {}
         self._texts: dict[str, Any] = {}
         self._rows: list[Any] = []
-        self._counts: list[int] = []
+        self._counts = range(0)
         self._history: tuple[tuple[str, ...], int] | None = None
         self._controller: Controller | None = None
         self._acting: int | None = None
         self._aspect = NARROW
         self._clients: list[int] = []
+        self._notices: dict[int, Any] = {}
+        """Of the tabs that only watch."""
         self._dress()
 
     def listen(self, controller: Controller) -> None:
@@ -129,14 +132,14 @@ class ViserStage:
         if state == self._history:
             return
         self._history = state
-        first = max(0, min(done - HISTORY_ROWS // 2, len(names) - HISTORY_ROWS))
-        counts = range(0 if first == 0 else first + 1, min(first + HISTORY_ROWS, len(names)) + 1)
-        self._counts = list(counts)
+        states = ("as recorded", *names)
+        first = max(0, min(done - HISTORY_ROWS // 2, len(states) - HISTORY_ROWS))
+        self._counts = range(first, min(first + HISTORY_ROWS, len(states)))
         for row, button in enumerate(self._rows):
-            button.visible = row < len(counts)
+            button.visible = row < len(self._counts)
             if button.visible:
-                count = counts[row]
-                button.label = f"{count} · {names[count - 1] if count else 'as recorded'}"
+                count = self._counts[row]
+                button.label = f"{count} · {states[count]}"
                 button.color = "blue" if count == done else "gray"
 
     def gizmo(self, pose: Pose | None) -> None:
@@ -188,7 +191,7 @@ class ViserStage:
         if "take" in verbs_of(*self._wanted):
             gui.add_checkbox("Letting go near the ghost takes it", True).on_update(self._lets_go_changed)
         with gui.add_folder("History", expand_by_default=False):
-            self._rows = [gui.add_button("", visible=False) for _ in range(HISTORY_ROWS + 1)]
+            self._rows = [gui.add_button("", visible=False) for _ in range(HISTORY_ROWS)]
         for row, button in enumerate(self._rows):
             button.on_click(partial(self._history_clicked, row))
         with gui.add_folder("Help"):
@@ -214,13 +217,12 @@ class ViserStage:
         self._choose_actor()
         client.camera.on_update(self._framed)
         if client.client_id != self._acting:
-            client.add_notification(
-                "This tab only watches", "Another tab of this page is in charge.", auto_close_seconds=8
-            )
+            self._notices[client.client_id] = client.add_notification("This tab only watches", WATCHES)
 
     async def _left(self, client: viser.ClientHandle) -> None:
         if client.client_id in self._clients:
             self._clients.remove(client.client_id)
+        self._notices.pop(client.client_id, None)
         self._choose_actor()
 
     async def _framed(self, camera: viser.CameraHandle) -> None:
@@ -235,6 +237,9 @@ class ViserStage:
     def _choose_actor(self) -> None:
         """The tab that came first acts; the others watch."""
         self._acting = self._clients[0] if self._clients else None
+        notice = None if self._acting is None else self._notices.pop(self._acting, None)
+        if notice is not None:
+            notice.remove()
 
     def _call(self, event: Any, action: Callable[[Controller], None]) -> None:
         """Do something where the event comes from the tab in charge; what goes wrong is said on the page."""
@@ -242,7 +247,7 @@ class ViserStage:
             return
         try:
             action(self._controller)
-        except Kit1000Error as error:
+        except (Kit1000Error, OSError) as error:  # such as a full disk: what is not written is not done
             self.say("note", f"**{texts.plain(str(error))}**")
             self.flush()
 
@@ -260,9 +265,10 @@ class ViserStage:
         self._call(event, lambda editor: editor.select(body))
 
     async def _gizmo_moved(self, event: Any) -> None:
-        handle = Pose(np.array(event.target.wxyz), np.array(event.target.position))
-        self._dragging_gizmo = event.phase != "end"
-        self._call(event, lambda editor: editor.carry(handle, done=event.phase == "end"))
+        handle, done = Pose(np.array(event.target.wxyz), np.array(event.target.position)), event.phase == "end"
+        if event.client_id == self._acting:
+            self._dragging_gizmo = not done
+        self._call(event, lambda editor: editor.carry(handle, done))
 
     async def _key_pressed(self, verb: str, event: Any) -> None:
         self._call(event, lambda editor: editor.command(verb, eye_of(event.client)))
