@@ -132,6 +132,13 @@ def goal(scene: EditedScene, part: int) -> Pose:
     return recorded.truth_of(query.id).goal_drawn
 
 
+def off(motion: Pose, pivot: np.ndarray, yaw: float, shift: tuple[float, float, float]) -> Pose:
+    """A motion with an error about the image of the pivot."""
+    image = motion.apply(pivot)
+    about = Pose.from_translation(image) @ Pose.from_rotvec((0, 0, yaw), shift) @ Pose.from_translation(-image)
+    return about @ motion
+
+
 def found(desk: Desk, part: int, *fits: tuple[Pose, float]) -> None:
     """The worker has found these fits without a guess."""
     desk.controller.received(Result(Job(part, None), [Proposal(*fit) for fit in fits]))

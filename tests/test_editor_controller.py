@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import json
-import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from editing import EYE, answered, desk, dragged, found, goal, header_of, scene_of
+from editing import EYE, answered, desk, dragged, found, goal, header_of, off, scene_of
 
-from baselines.methods import make_predictor, method_of
 from kit1000.camera import look_at
 from kit1000.cli import main
-from kit1000.cli.scenes import SNAP
-from kit1000.dataset.reader import Dataset
 from kit1000.editor.display import FIELD, body_node, ghost_node
-from kit1000.editor.hand import PLACE
+from kit1000.editor.gestures import same_motion
 from kit1000.editor.help import help_text
 from kit1000.editor.keys import KEYS
 from kit1000.editor.plates import TABLE
@@ -28,25 +23,10 @@ from kit1000.editor.records import FILE, EventLog
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.session import Session
 from kit1000.editor.texts import LIKELY_COLOUR, SURE_COLOUR, UNSURE_COLOUR, confidence_colour, plain
-from kit1000.editor.worker import Job, Method, Result, prepared, proposals_of
+from kit1000.editor.worker import Job, Result
 from kit1000.errors import InputError
 from kit1000.pose import Pose
-from kit1000.predictor import PredictedMotion
 from kit1000.submission import read_submission
-from kit1000.values import Query, TrueGeometry
-
-NEAR = Pose.from_rotvec((0.0, 0.0, 0.1), (0.004, -0.003, 0.0))
-
-
-def off(motion: Pose, pivot: np.ndarray, yaw: float, shift: tuple[float, float, float]) -> Pose:
-    """A motion with an error about the image of the pivot."""
-    image = motion.apply(pivot)
-    about = Pose.from_translation(image) @ Pose.from_rotvec((0, 0, yaw), shift) @ Pose.from_translation(-image)
-    return about @ motion
-
-
-def same_pose(one: Pose, other: Pose) -> bool:
-    return one.wxyz.tobytes() + one.xyz.tobytes() == other.wxyz.tobytes() + other.xyz.tobytes()
 
 
 @pytest.fixture(params=["ideal", "d415"])
@@ -70,12 +50,12 @@ def test_a_part_is_dragged_snapped_confirmed_and_checked(scene: EditedScene, min
     table.controller.command("take")
     table.controller.command("confirm")
     assert space.session.edits[part].state == "confirmed"
-    assert same_pose(table.stage.poses[body_node(part)], true)
+    assert same_motion(table.stage.poses[body_node(part)], true)
     assert main(["check", str(tmp_path), "--data", str(mini)]) == 0
     rows = read_submission(tmp_path).predictions
     mine = [rows.row(query_id) for query_id in rows.query_ids if f"-p{part}-" in query_id]
     assert mine
-    assert all(same_pose(rows.motions[row], true) for row in mine if row is not None)
+    assert all(same_motion(rows.motions[row], true) for row in mine if row is not None)
 
 
 def test_a_slid_part_stands_on_the_plate_under_the_cursor(scene: EditedScene, tmp_path: Path) -> None:
@@ -198,7 +178,7 @@ def test_a_part_that_is_taken_into_the_hand_again_is_asked_about(scene: EditedSc
     assert table.asker.asked == []
     table.controller.select(part)
     hand = table.controller.space.session.edits[part].goal_from_now
-    assert [(part, same_pose(guess, hand)) for part, guess in table.asker.asked] == [(part, True)]
+    assert [(part, same_motion(guess, hand)) for part, guess in table.asker.asked] == [(part, True)]
     assert table.controller.space.waits(part)
     answered(table, part, hand, (hand, 0.9))
     table.controller.select(None)
@@ -318,88 +298,6 @@ def test_every_key_does_something_or_says_why_not(scene: EditedScene, tmp_path: 
     used = [(key.key, key.modifier) for key in KEYS]
     assert len(set(used)) == len(used)
     assert not {key.key for key in KEYS if key.modifier is None} & set("WASDQE")
-
-
-def test_a_blind_session_opens_no_file_with_truth(mini: Path, tmp_path: Path) -> None:
-    opened: list[str] = []
-    watching = [True]
-
-    def hook(event: str, arguments: tuple[Any, ...]) -> None:
-        if watching[0] and event == "open" and isinstance(arguments[0], str):
-            opened.append(arguments[0])
-
-    sys.addaudithook(hook)  # for the life of this process
-    dataset = Dataset(mini)
-    scene_id = dataset.split("test").scene_ids[0]
-    scene = EditedScene.open(dataset, scene_id, "ideal", truth=False)
-    for interface, body in (("scene", scene.parts[0]), ("hand", PLACE)):
-        table = desk(scene, tmp_path / interface, interface=interface)  # type: ignore[arg-type]
-        table.controller.command(f"select-{scene.parts[0] + 1}")
-        dragged(table, body, scene.plates[0].point)
-        table.controller.command("confirm")
-        assert table.controller.space.session.edits[scene.parts[0]].confirmed
-    method = Method("test_editor_controller:keep", mini, scene_id, "ideal", False)
-    proposals_of(prepared(method), Job(scene.parts[0], NEAR))
-    watching[0] = False
-    inside = {Path(name).name for name in opened if str(mini) in name}
-    assert any(name.endswith(".mcap") for name in inside)
-    assert inside <= {"dataset.json", "0000.mcap"}
-
-
-def keep(query: Query, geometry: TrueGeometry | None) -> PredictedMotion:
-    """A method of one's own: the guess as it is."""
-    assert geometry is None
-    assert query.guess is not None
-    return PredictedMotion(query.guess, 0.25)
-
-
-class Fussy:
-    """A method that wants the truth."""
-
-    uses_true_geometry = True
-
-    def __init__(self, dataset: Dataset) -> None:
-        self.dataset = dataset
-
-    def propose(self, query: Query, geometry: TrueGeometry) -> list[PredictedMotion]:
-        assert geometry.part.vertices.shape[1] == 3
-        return [PredictedMotion(Pose.identity(), 0.5)]
-
-
-def test_any_predictor_snaps_by_the_protocol_alone(mini: Path) -> None:
-    scene = scene_of(mini)
-    method = Method("test_editor_controller:keep", mini, scene.recorded.id, "ideal", False)
-    method.check()
-    answer = proposals_of(prepared(method), Job(scene.parts[0], NEAR))
-    assert same_pose(answer[0].goal_from_now, NEAR)
-    assert (answer[0].confidence, answer[0].answer) == (0.25, True)
-    assert proposals_of(prepared(method), Job(scene.parts[0], None)) == []  # it needs a guess
-
-
-def test_true_geometry_is_for_sessions_that_show_it(mini: Path) -> None:
-    scene_id = scene_of(mini).recorded.id
-    with pytest.raises(InputError, match="--truth"):
-        prepared(Method("test_editor_controller:Fussy", mini, scene_id, "ideal", False))
-    made = prepared(Method("test_editor_controller:Fussy", mini, scene_id, "ideal", True))
-    assert proposals_of(made, Job(next(iter(made.queries)), None))[0].confidence == 0.5
-
-
-def test_the_page_gives_the_answer_of_the_method(mini: Path) -> None:
-    """The same guess by way of the page and of `baselines predict`."""
-    scene = scene_of(mini)
-    part = scene.parts[0]
-    guess = off(goal(scene, part), scene.pivot(part), 0.2, (0.01, -0.006, 0.004))
-    through_page = proposals_of(prepared(Method(SNAP, mini, scene.recorded.id, "ideal", False)), Job(part, guess))[0]
-    predictor = make_predictor(method_of("registration"), scene.dataset, 0)
-    predicted = predictor(replace(scene.queries[part], guess=guess), None)
-    assert np.abs(through_page.goal_from_now.matrix() - predicted.goal_from_now.matrix()).max() < 1e-6
-    assert abs(through_page.confidence - predicted.confidence) < 1e-6
-
-
-@pytest.mark.parametrize("snap", ["nothing", "no.such:Thing", ":x", "math:", "..x:y"])
-def test_a_method_that_is_none_is_refused(snap: str, mini: Path) -> None:
-    with pytest.raises(InputError, match="--snap"):
-        Method(snap, mini, "test-s0000", "ideal", False).check()
 
 
 def test_a_session_with_true_shapes_says_so_everywhere(mini: Path, tmp_path: Path) -> None:
