@@ -14,6 +14,7 @@ from components import add_components
 
 from baselines.segmentation.instances import segmented
 from kit1000.dataset.reader import Dataset
+from kit1000.errors import Kit1000Error
 from kit1000.metrics.segmentation import matched_masks
 
 
@@ -61,4 +62,7 @@ def main(
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    try:
+        tyro.cli(main)
+    except Kit1000Error as error:
+        raise SystemExit(f"bench_segmentation: {error}") from error

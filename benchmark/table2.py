@@ -7,7 +7,6 @@ such as segmentation and completion, are measured where they are made; their num
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -160,8 +159,7 @@ def _row(dataset: Dataset, label: str, cases: Sequence[_Case], possible: set[str
     seated = np.array([case.run.outcome == SEATED for case in cases])
     among = np.array([case.query.id in possible for case in cases])
     clusters = [case.truth.assembly_id for case in cases if case.query.id in possible]
-    picked = [(bool(s), bool(t)) for s, t, case in zip(seated, tested, cases, strict=True) if case.run.physics]
-    counts = Counter(picked)
+    picked = np.array([bool(case.run.physics) for case in cases])
     seconds = [case.run.seconds for case in cases if case.run.physics]
     return ChainRow(
         label,
@@ -170,12 +168,7 @@ def _row(dataset: Dataset, label: str, cases: Sequence[_Case], possible: set[str
         float(seated[among].mean()) if among.any() else 0.0,
         rate_interval(seated[among], [clusters]),
         float(tested[among].mean()) if among.any() else 0.0,
-        {
-            "both": counts[True, True],
-            "robot alone": counts[True, False],
-            "test alone": counts[False, True],
-            "neither": counts[False, False],
-        },
+        _agreement(seated[picked], tested[picked]),
         float(np.median(errors.position) * 1e3),
         float(np.degrees(np.median(errors.rotation))),
         float(np.median(seconds)) if seconds else None,
@@ -192,6 +185,12 @@ def _row(dataset: Dataset, label: str, cases: Sequence[_Case], possible: set[str
             for case, passed, position, rotation in zip(cases, tested, errors.position, errors.rotation, strict=True)
         ],
     )
+
+
+def _agreement(seated: np.ndarray, tested: np.ndarray) -> dict[str, int]:
+    """How often robot and test, (n,) bool each, say seated."""
+    counts = {"both": seated & tested, "robot alone": seated & ~tested, "test alone": ~seated & tested}
+    return {name: int(which.sum()) for name, which in (counts | {"neither": ~seated & ~tested}).items()}
 
 
 def _hull(dataset: Dataset, part_id: str) -> np.ndarray:

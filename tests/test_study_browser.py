@@ -76,34 +76,37 @@ class Person:
         self.page.get_by_text("Finish task").first.wait_for(timeout=1000 * PATIENCE_S)
         return self.opened[-1]
 
-    def drag(self, controller: Controller, body: int) -> None:
-        """Drag a part or a cup onto the largest plate."""
+    def drag(self, controller: Controller, body: int, plate: int) -> None:
+        """Drag a part or a cup onto a plate, 0 being the largest."""
         space = controller.space
-        start = space.current[body].goal_from_now.apply(space.pivot(body))
+        start, before = space.current[body].goal_from_now.apply(space.pivot(body)), len(space.session.done)
         self.page.mouse.move(*on_page(controller, self.page, start))
         self.page.mouse.down()
-        self.page.mouse.move(*on_page(controller, self.page, space.scene.plates[0].point), steps=4)
+        self.page.mouse.move(*on_page(controller, self.page, space.scene.plates[plate].point), steps=4)
         wait(lambda: space.over_kits(body), self.page)
         self.page.mouse.up()
-        wait(lambda: len(space.session.done) > 0, self.page)
+        wait(lambda: len(space.session.done) > before, self.page)
 
 
 def use_scene(person: Person) -> None:
-    """A part is dragged, confirmed and uploaded."""
+    """Each part is dragged and confirmed, then all are uploaded."""
     controller = person.task()
-    person.drag(controller, controller.space.scene.parts[0])
-    person.page.keyboard.press("Enter")
-    wait(lambda: controller.space.session.edits[controller.space.scene.parts[0]].confirmed, person.page)
+    for i, part in enumerate(controller.space.scene.parts):
+        person.drag(controller, part, i)
+        person.page.keyboard.press("Enter")
+        wait(lambda: controller.space.session.edits[part].confirmed, person.page)  # noqa: B023
     person.press("Upload")
 
 
 def use_hand(person: Person) -> None:
-    """A part is picked by its number and carried; that is an upload by itself."""
+    """Each part is picked by its number and carried; that is an upload by itself."""
     controller = person.task()
-    person.page.keyboard.press("1")
-    wait(lambda: controller.space.carried(PLACE) is not None, person.page)
-    person.drag(controller, PLACE)
-    person.page.keyboard.press("Enter")
+    for i, part in enumerate(controller.space.scene.parts):
+        person.page.keyboard.press(str(part + 1))
+        wait(lambda: controller.space.carried(PLACE) is not None, person.page)
+        person.drag(controller, PLACE, i)
+        person.page.keyboard.press("Enter")
+        wait(lambda: controller.space.session.edits[part].confirmed, person.page)  # noqa: B023
 
 
 def test_a_sitting_from_consent_to_the_last_question(

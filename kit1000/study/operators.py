@@ -9,7 +9,7 @@ between people are assumptions.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,7 +26,6 @@ POINT_START, POINT_SLOPE = -0.107, 0.223  # [s], [s/bit] to point with a mouse
 DRAG_START, DRAG_SLOPE = 0.135, 0.249  # [s], [s/bit] to drag with it
 DECIDE_START, DECIDE_SLOPE = 1.9, 0.021  # [s], [s/degree] to decide on a rotation
 SCATTER = 4.133  # width of a target over the standard deviation of where a movement ends
-PIXEL = 1.04e-3  # [m] of the scene, at a distance of 0.9 m on a page 720 pixels high
 VIEW_SLOPE = 45.0  # [degrees] of the page's view to the table
 GRAB_WIDTH = 30e-3  # [m] of a part, as a target of the pointer
 CUP_WIDTH = 10e-3  # [m] of a spot for a cup
@@ -41,7 +40,7 @@ PAPER_SCENE, PAPER_HAND = 20.0, 31.0  # [s] a part in a draft of the paper
 
 
 @dataclass(frozen=True)
-class Operator:
+class OperatorModel:
     """A model of a person."""
 
     name: str
@@ -56,15 +55,15 @@ class Operator:
 OPERATORS = {
     operator.name: operator
     for operator in (
-        Operator("exact", False, 0.0),
-        Operator("paper", False, 0.0, error_ball=True),
-        Operator("fitts", True, 1.0),
-        Operator("careless", True, 2.0),
+        OperatorModel("exact", False, 0.0),
+        OperatorModel("paper", False, 0.0, error_ball=True),
+        OperatorModel("fitts", True, 1.0),
+        OperatorModel("careless", True, 2.0),
     )
 }
 
 
-def operator_of(name: str) -> Operator:
+def operator_of(name: str) -> OperatorModel:
     """The operator of this name."""
     if name not in OPERATORS:
         raise InputError(f"--simulate {name}: {did_you_mean(name, OPERATORS)}there are {', '.join(OPERATORS)}")
@@ -114,11 +113,11 @@ class Put:
 class Hand:
     """An operator as one person, at work in one condition."""
 
-    operator: Operator
+    operator: OperatorModel
     condition: Condition
-    pace: float = 1.0
+    pace: float
     """By which this person's times are multiplied."""
-    rng: np.random.Generator = field(default_factory=np.random.default_rng)
+    rng: np.random.Generator
 
     def put(self, aim: Aim) -> Put:
         """Put a part where it seems to belong."""
@@ -170,9 +169,9 @@ class Hand:
 
     def _offset(self, aim: Aim) -> np.ndarray:
         """(3,) [m] by which the hand misses: on the plate, stretched by the view's slant; off it by gizmo alone."""
-        sigma = max(self._width, PIXEL) / SCATTER
+        sigma = self._width / SCATTER
         across, along = _axes_of(aim.normal)
-        slant = 1 / max(float(sine(np.radians(VIEW_SLOPE))), 0.1)
+        slant = 1 / float(sine(np.radians(VIEW_SLOPE)))
         offset = sigma * (self.rng.standard_normal() * across + slant * self.rng.standard_normal() * along)
         if self.condition.interface == "hand-bare":
             offset = offset + sigma * slant * self.rng.standard_normal() * aim.normal

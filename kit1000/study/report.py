@@ -188,11 +188,12 @@ def _contrasts(rows: Iterable[Mapping[str, Any]]) -> str:
 
 
 def _order(numbers: Mapping[str, Any]) -> str:
-    head = ["", *(f"{i}. condition" for i in range(1, len(numbers["conditions"]) + 1)), "carry-over", "period"]
+    crossed = any(row.get("crossover") for row in numbers["order"])
+    head = ["", *(f"{i}. condition" for i in range(1, len(numbers["conditions"]) + 1))]
+    head += ["carry-over", "period"] if crossed else []
     body = []
     for row in numbers["order"]:
-        found = row.get("crossover")
-        cells = ["–", "–"]
+        found, cells = row.get("crossover"), []
         if found:
             cells = [
                 f"{_signed(found['carry_over'])} ({_p_text(found['carry_over_p'])})",
@@ -209,10 +210,13 @@ def _order(numbers: Mapping[str, Any]) -> str:
         ]
         for row in numbers["learning"]
     ]
+    words = (
+        "<p class='soft'>Carry-over: sum over both conditions of those who met the first one first, minus that of "
+        "the others. Period: the second minus the first, whichever condition it was. Neither has much power.</p>"
+    )
     return (
         _table(head, body)
-        + "<p class='soft'>Carry-over: sum over both conditions of those who met the first one first, minus that of "
-        "the others. Period: the second minus the first, whichever condition it was. Neither has much power.</p>"
+        + (words if crossed else "")
         + _table(["Specification, second task of a size minus the first", "s", "95 %", ""], learned)
         + "<p class='soft'>The tasks of a set come in a fixed order: this is learning and a difference of scenes.</p>"
     )
