@@ -43,7 +43,7 @@ METHODS = {
         "baselines.registration.method:Registration",
         "registration from the depth image without the clearance: 1, 2.5, 5 and 10 mm are tried",
         label="Registration, clearance unknown",
-        options={"source": "columns", "clearances": (1e-3, 2.5e-3, 5e-3, 10e-3)},
+        options={"source": "depth", "clearances": (1e-3, 2.5e-3, 5e-3, 10e-3)},
     ),
     "registration-gtvol": Method(
         "baselines.registration.method:Registration",

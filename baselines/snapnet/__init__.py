@@ -16,7 +16,7 @@ GTVOL = Method(
     tracks=ALL_TRACKS,
     uses_true_geometry=True,
     learned=True,
-    training_data="split train of kit1000, data version 0.2.1",
+    training_data="split train of kit1000, data versions 0.2.1 and 1.0.0",
     weights={"position": "snapnet-gtvol-position", "rotation": "snapnet-gtvol-rotation"},
     label="SnapNet, true volumes",
     paper_row="snapnet-gtvol",
@@ -34,36 +34,28 @@ COMPLETED = replace(
     PARTIALVOL,
     description="SnapNet, small preset, coarse to fine, from one image; a network completes parts, columns the kits",
     options={**PARTIALVOL.options, "search": "coarse to fine"},
-    weights={**PARTIALVOL.weights, "completion": "completion"},
+    weights={"position": "snapnet-position", "rotation": "snapnet-rotation", "completion": "completion"},
     label="SnapNet",
     paper_row="snapnet",
 )
 
 
-def _with_mean(method: Method) -> Method:
+def _with_second_pass(method: Method) -> Method:
     return replace(
         method,
-        description=f"{method.description}; mean of the rotations around the best candidate",
-        options={**method.options, "peak": "mean"},
-        label=f"{method.label}, mean rotation",
+        description=f"{method.description}; mean of the rotations around the best candidate, two passes",
+        options={**method.options, "peak": "mean", "passes": 2},
+        label=f"{method.label}, 2 passes",
         paper_row="",
     )
 
 
-GTVOL_MEAN = _with_mean(GTVOL)
-
 METHODS = {
     "snapnet": COMPLETED,
+    "snapnet-2pass": _with_second_pass(COMPLETED),
     "snapnet-gtvol": GTVOL,
-    "snapnet-gtvol-mean": GTVOL_MEAN,
-    "snapnet-gtvol-2pass": replace(
-        GTVOL_MEAN,
-        description=f"{GTVOL_MEAN.description}; a second pass starts from the first prediction",
-        options={**GTVOL_MEAN.options, "passes": 2},
-        label=f"{GTVOL.label}, 2 passes",
-    ),
+    "snapnet-gtvol-2pass": _with_second_pass(GTVOL),
     "snapnet-partialvol": PARTIALVOL,
-    "snapnet-partialvol-mean": _with_mean(PARTIALVOL),
 }
 
 POSITION_TRAINING = {
