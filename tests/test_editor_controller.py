@@ -48,6 +48,8 @@ def test_a_part_is_dragged_snapped_confirmed_and_checked(scene: EditedScene, min
     assert "93 % sure" in table.stage.texts["fit"]
     assert [asked[0] for asked in table.asker.asked] == [part]
     table.controller.command("take")
+    table.controller.command("take")
+    assert "at a fit already" in table.stage.texts["note"]
     table.controller.command("confirm")
     assert space.session.edits[part].state == "confirmed"
     assert same_motion(table.stage.poses[body_node(part)], true)
@@ -244,6 +246,7 @@ def test_what_cannot_be_done_is_said(scene: EditedScene, tmp_path: Path) -> None
         ("select-9", "no part 9"),
         ("take-all", "still looking"),
         ("confirm", "Choose a part"),
+        ("view-slot", "Choose a part"),
     ):
         table.controller.command(verb)
         assert said in table.stage.texts["note"], verb

@@ -15,7 +15,8 @@ from kit1000.trigonometry import tangent
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 
 KITS, OTHERS = "/kits", "/others"
-OVER_PART = np.array([0.0, 0.0, 0.02])  # [m] of its label
+OVER_PART = np.array([0.0, 0.0, 0.02])  # [m] of its label, as seen from aside
+BEYOND_PART = np.array([0.0, 0.035, 0.0])  # [m] of the same, as seen from above: it must not cover the part
 UP_THE_CUP = np.array([0.0, 0.0, 0.07])  # [m] of its label, from the lip where it hangs
 FIELD = float(np.radians(45))  # of view from the top of the window to its bottom, as in the paper
 NARROW = 0.9  # width over height of a window that is not yet known: that of a small screen beside the panel
@@ -30,6 +31,7 @@ class Display:
 
     def __init__(self, stage: Stage, workspace: Workspace) -> None:
         self.stage, self.workspace = stage, workspace
+        self._label_offset = OVER_PART
         scene = workspace.scene
         if isinstance(workspace, HandWorkspace) and not scene.truth:
             self._add_points()
@@ -84,6 +86,7 @@ class Display:
     def look(self, name: str, aspect: float = NARROW) -> None:
         """Put the camera: camera, top, or slot for the plate under the selected body. aspect: of the window."""
         space = self.workspace
+        self._label_offset = OVER_PART if name == "camera" else BEYOND_PART
         if name in ("camera", "top"):
             middle = space.scene.bounds.mean(0)
             towards = space.scene.view.world_from_camera.xyz - middle if name == "camera" else STRAIGHT_DOWN
@@ -92,6 +95,8 @@ class Display:
             image = space.current[space.selected].goal_from_now.apply(space.pivot(space.selected))
             away = SLOT_VIEW * space.plate_of(space.selected).normal
             self.stage.look_from(image + away + (0, -0.01, 0), image)
+        for body in space.current:
+            self._label(body)
 
     def _part_in_hand(self) -> int | None:
         space = self.workspace
@@ -105,7 +110,7 @@ class Display:
             text, top = texts.cup_label(body == PICK, body == space.selected), motion.apply(pivot + UP_THE_CUP)
         else:
             text = texts.part_label(body, space.current[body], body == self._part_in_hand())
-            top = motion.apply(pivot) + OVER_PART
+            top = motion.apply(pivot) + self._label_offset
         ghost = space.ghost(body) if body == space.selected else None
         number = "" if ghost is None else f" · {texts.confidence_text(ghost.confidence)}"
         self.stage.label(f"/name/{body}", text + number, top)
@@ -184,6 +189,8 @@ class Display:
         part = space.carried(body)
         if part is None:
             return texts.PICK_FIRST
+        if space.current[body].snapped:
+            return texts.SNAPPED_ALREADY
         return texts.no_fit(space.proposals[part], space.over_kits(body), space.waits(body))
 
     def _contact_line(self, body: int, part: int) -> str:

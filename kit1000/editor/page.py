@@ -189,7 +189,8 @@ class ViserStage:
             group = gui.add_button_group(label, tuple(verbs))
             group.on_click(partial(self._group_clicked, verbs))
         if "take" in verbs_of(*self._wanted):
-            gui.add_checkbox("Letting go near the ghost takes it", True).on_update(self._lets_go_changed)
+            button = gui.add_button(texts.letting_go(True), color="gray")  # a checkbox would keep the space key
+            button.on_click(self._letting_go_clicked)
         with gui.add_folder("History", expand_by_default=False):
             self._rows = [gui.add_button("", visible=False) for _ in range(HISTORY_ROWS)]
         for row, button in enumerate(self._rows):
@@ -280,8 +281,12 @@ class ViserStage:
         count = self._counts[row]
         self._call(event, lambda editor: editor.return_to(count))
 
-    async def _lets_go_changed(self, event: Any) -> None:
-        self._call(event, lambda editor: editor.take_by_letting_go(bool(event.target.value)))
+    async def _letting_go_clicked(self, event: Any) -> None:
+        def change(editor: Controller) -> None:
+            editor.take_by_letting_go(not editor.lets_go)
+            event.target.label = texts.letting_go(editor.lets_go)
+
+        self._call(event, change)
 
 
 def eye_of(client: viser.ClientHandle) -> Eye:

@@ -37,6 +37,7 @@ CONFIRM: Mapping[Interface, str] = {
 ALL_DONE = "**All parts are confirmed, and everything is saved.** You may close the page, or change what you like."
 PICK_FIRST = "**Yellow cup**: it carries nothing. First put the green cup on a part."
 NOTHING_PICKED = "**Green cup**: it touches no part."
+SNAPPED_ALREADY = "It stands at a fit already; move it to see others."
 GO_ON = "Now another part."
 WAITING = "*Asking the method about this place …*"
 ON_TABLE = "It is on the table: drag it onto its cavity."
@@ -72,6 +73,11 @@ def confidence_text(confidence: float) -> str:
     """A number and a word, so that nothing is told by colour alone."""
     word = "sure" if confidence >= SURE else "likely" if confidence >= LIKELY else "not sure"
     return f"{100 * confidence:.0f} % {word}"
+
+
+def letting_go(takes: bool) -> str:
+    """The button that says, and changes, what letting go near a fit does."""
+    return f"Letting go near a ghost: {'takes it' if takes else 'stays'}"
 
 
 def part_label(part: int, edit: PartEdit, selected: bool) -> str:
