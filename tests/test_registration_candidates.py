@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
 from registration_cases import CASES, CLEARANCE, Case, case, perturbed
 
 from baselines.completion.part import PartEvidence
 from baselines.completion.pixels import IDEAL
 from baselines.registration.certain import COARSE_WEIGHT, SAME_ANGLE, SAME_DISTANCE, _same, _Search
-from baselines.registration.hypotheses import NEAR_GUESS, _down_normals
+from baselines.registration.faces import squared
+from baselines.registration.hypotheses import DOWN, LIES, NEAR_GUESS, SLACK_ANGLE, _faces_down
+from kit1000.guesses import MAX_ANGLE
 from kit1000.motions import apply_error
 from kit1000.pose import Pose
 from kit1000.voxels import surface_points
@@ -71,6 +75,13 @@ def test_of_candidates_that_contradict_equally_the_better_coarse_match_is_first(
     assert COARSE_WEIGHT < 2e-3  # a contradiction of 2 mm outweighs any coarse match
 
 
+def faces_down(known: Case, guess: Pose, thorough: bool = True) -> list[np.ndarray]:
+    """The normals of the faces that may go into the known cavity."""
+    query, source = SimpleNamespace(guess=guess), SimpleNamespace(noise=IDEAL)
+    groups = _faces_down(source, known.part, query, [known.cavity], thorough)  # type: ignore[arg-type]
+    return [normal for normals, cavities in groups if cavities for normal in normals]
+
+
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("tilt", [5, 25])
 def test_where_no_face_explains_the_guess_its_own_direction_is_tried(name: str, tilt: int) -> None:
@@ -78,14 +89,29 @@ def test_where_no_face_explains_the_guess_its_own_direction_is_tried(name: str, 
     guess = apply_error(
         known.goal, known.pivot, np.zeros(3), known.cavity.world_from_plate.rotate((np.radians(tilt), 0, 0))
     )
-    query: Any = SimpleNamespace(guess=guess)
-    source: Any = SimpleNamespace(noise=IDEAL)
-    normals = _down_normals(source, known.part, query, [known.cavity], unseen_faces=True)
+    normals = faces_down(known, guess)
     guessed = guess.inverse().rotate(known.cavity.world_from_plate.rotate((0.0, 0.0, -1.0)))
-    cosines = [float(guessed @ normal) for normal in normals]
-    assert max(cosines) > NEAR_GUESS
-    explained = max((c for c in cosines if c < 1 - 1e-12), default=-1.0) > NEAR_GUESS
-    assert (max(cosines) > 1 - 1e-12) == (not explained)
-    seen = _down_normals(source, known.part, query, [known.cavity], unseen_faces=False)
-    assert len(seen) == len(normals) - (not explained)
-    assert max(float(known.down_normal @ normal) for normal in normals) > np.cos(np.radians(4))  # its face, as ever
+    own = [guessed, squared(guessed, MAX_ANGLE)]
+    others = [normal for normal in normals if all(np.abs(normal - each).max() > 1e-12 for each in own)]
+    explained = max((float(guessed @ normal) for normal in others), default=-1.0) > NEAR_GUESS
+    assert (max(float(guessed @ normal) for normal in normals) > 1 - 1e-12) == (not explained)
+    seen = faces_down(known, guess, thorough=False)
+    for tried in (normals, seen):
+        assert max(float(known.down_normal @ normal) for normal in tried) > np.cos(np.radians(4))  # its face, as ever
+
+
+@given(tilt_deg=st.floats(0, 180), turn=st.floats(-3, 3), yaw=st.floats(-3, 3))
+@settings(max_examples=20, deadline=None)
+def test_a_part_goes_in_on_the_face_on_which_it_lies_where_the_guess_allows_that(
+    tilt_deg: float, turn: float, yaw: float
+) -> None:
+    known = case("an L")
+    tilted = Pose.from_rotvec(np.radians(tilt_deg) * np.array([np.cos(turn), np.sin(turn), 0]))
+    guess = known.cavity.world_from_plate @ Pose.from_rotvec((0, 0, yaw)) @ tilted
+    normals = faces_down(known, guess)
+    assume(abs(tilt_deg - np.degrees(np.arccos(LIES))) > 1e-6)
+    lies = tilt_deg < np.degrees(np.arccos(LIES))
+    assert (len(normals) == 1 and np.array_equal(normals[0], DOWN)) == lies
+    for normal in normals:
+        angle = np.degrees(np.arccos(np.clip(tilted.rotate(normal) @ DOWN, -1, 1)))
+        assert angle < np.degrees(MAX_ANGLE + SLACK_ANGLE + IDEAL.angle) + 1e-6

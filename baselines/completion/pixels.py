@@ -24,10 +24,12 @@ class Noise(NamedTuple):
     """[rad] between the facets of a face."""
     window: int
     """[px] over which normals are averaged."""
+    square: float = 0.0
+    """[rad] from upright or level, within which a face of a part is taken to be so."""
 
 
 IDEAL = Noise(0.5e-3, float(np.radians(4)), 3)
-SENSOR = Noise(2e-3, float(np.radians(8)), 7)
+SENSOR = Noise(2e-3, float(np.radians(8)), 7, float(np.radians(6)))
 
 
 def noise_of(sensor: str) -> Noise:

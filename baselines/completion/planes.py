@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+from scipy.spatial import ConvexHull, QhullError
 
 from baselines.completion.pixels import Noise
 from kit1000.pose import Pose, unit_vector
@@ -16,6 +19,7 @@ STEEPEST = np.cos(np.radians(52))  # no plate is tilted by more than 45 degrees;
 SMALLEST = 500e-6  # [m^2] of a plane that counts as a plate
 PARALLEL = np.cos(np.radians(5))  # between the normals of a plate and the floor of its cavity
 DEEPEST = 25e-3  # [m] of a floor below its plate
+LEVEL = 1e-3  # [m] above a plate's face, up to which a point is not above it
 DECIMALS = 9  # of a plane's normal, and of a metre for its point: the grid that ends differences in the last bit
 
 
@@ -57,6 +61,35 @@ def find_planes(
         planes.append(Plane(normal, middle, float(inliers.sum() * area)))
         points, normals = points[~inliers], normals[~inliers]
     return [plane for plane in planes if not any(_is_floor(plane, other) for other in planes)]
+
+
+def without_nested(planes: Sequence[Plane], points: np.ndarray, normals: np.ndarray, noise: Noise) -> list[Plane]:
+    """The planes (largest first) without those that lie mostly within the outline of a larger one and below it.
+
+    Slanted rims and walls of a cavity look like plates where depth is noisy. Arguments as of `find_planes`.
+    """
+    kept: list[Plane] = []
+    outlines: list[np.ndarray] = []
+    for plane in planes:
+        far = np.abs(matmul(points - plane.point, plane.normal))
+        own = points[(far < 2 * noise.distance) & (matmul(normals, plane.normal) > np.cos(2 * noise.angle))]
+        if any(map(partial(_mostly_within, own), kept, outlines)):
+            continue
+        try:
+            outline = ConvexHull(plane_frame(plane, plane.point).inverse().apply(own)[:, :2]).equations
+        except QhullError:  # points on a line are within nothing and hold nothing
+            outline = np.array([[0.0, 0.0, 1.0]])
+        kept.append(plane)
+        outlines.append(outline)
+    return kept
+
+
+def _mostly_within(points: np.ndarray, plane: Plane, outline: np.ndarray) -> bool:
+    """Whether most of points (n, 3) [m] lie below a plane's face and within its outline (m, 3), lines ax + by + c."""
+    local = plane_frame(plane, plane.point).inverse().apply(points)
+    across = (matmul(local[:, :2], outline[:, :2].T) + outline[:, 2]).max(-1)
+    within = (across < 0) & (local[:, 2] < LEVEL) & (local[:, 2] > -DEEPEST)
+    return bool(2 * within.sum() > len(points))
 
 
 def _best_plane(

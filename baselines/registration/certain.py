@@ -38,15 +38,16 @@ class Refinement(NamedTuple):
 
 
 EXACT = Refinement((SCALES[:3], SCALES[2:]), 0.1)
-NOISY = {"d415": Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 0.3)}
-"""By sensor. Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls."""
+NOISY = {"d415": Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 1.0)}
+"""By sensor. Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls, and what is
+surely solid or free is hardly surer than what is filled."""
 
 
 def register_certain(source: DepthSource, query: Query, clearance: float) -> list[Fit]:
     """The fits of a part in the cavities it may belong to, the best first. clearance: [m]."""
     search = _Search(source, query, clearance)
     guessed = query.guess is not None
-    found = find_candidates(source, source.evidence.filled, query, clearance, unseen_faces=True)
+    found = find_candidates(source, source.evidence.filled, query, clearance, thorough=True)
     distinct = without_duplicates(found, source.middle, DISTINCT if guessed else DISTINCT_WITHOUT_GUESS)
     best = search.apart(search.least_contradictory(distinct), REFINED if guessed else REFINED_WITHOUT_GUESS)
     fits = [search.fitted(candidate) for candidate in best]

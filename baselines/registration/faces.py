@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
@@ -12,6 +14,7 @@ from kit1000.products import length, matmul
 OVERHANG = 1e-3  # [m] by which the middle of a part may lie outside the outline of a face it stands on
 SMALLEST = 4e-6  # [m^2] of a face
 MOST = 24  # faces that are tried
+PAIRED = 5  # first normals of a list of which pairs give a third direction
 AREA_DECIMALS = 12  # of a square metre: facets of equal area are taken in the order of the hull
 
 
@@ -65,6 +68,38 @@ def standing_faces(
         if area > SMALLEST and _stands(corners[members].reshape(-1, 3), normal, middle):
             faces.append(Face(normal, area))
     return sorted(faces, key=lambda face: -face.area)
+
+
+def squared(normal: np.ndarray, angle: float) -> np.ndarray:
+    """A face's normal (3,), put upright or level where it is so within an angle [rad].
+
+    A part lies on a flat side, and most sides of machine parts are parallel to it or at right angles.
+    """
+    if abs(normal[2]) > np.cos(angle):
+        return np.array([0.0, 0.0, np.sign(normal[2])])
+    if abs(normal[2]) < np.sin(angle):
+        level = normal * (1.0, 1.0, 0.0)
+        return level / length(level)
+    return normal
+
+
+def right_angled(normals: Sequence[np.ndarray], angle: float) -> list[np.ndarray]:
+    """Normals (3,), their opposites, and the directions at right angles to two of the first that are so themselves.
+
+    Machine parts are mostly right-angled: sides that an image does not show are like that to those that it shows. Of
+    directions less than two angles [rad] apart the first is kept.
+    """
+    first = list(normals)
+    across = [
+        np.cross(a, b) / length(np.cross(a, b))
+        for a, b in combinations(first[:PAIRED], 2)
+        if abs(matmul(a, b)) < np.sin(angle)
+    ]
+    kept: list[np.ndarray] = []
+    for normal in [*first, *(-normal for normal in first), *across, *(-normal for normal in across)]:
+        if not any(matmul(normal, other) > np.cos(2 * angle) for other in kept):
+            kept.append(normal)
+    return kept
 
 
 def _stands(corners: np.ndarray, normal: np.ndarray, middle: np.ndarray) -> bool:

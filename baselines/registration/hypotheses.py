@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 
 import numpy as np
 
-from baselines.completion.planes import find_planes, plane_frame
+from baselines.completion.planes import find_planes, plane_frame, without_nested
 from baselines.registration.cavity import Cavity, find_cavity, plate_grid
-from baselines.registration.faces import standing_faces
+from baselines.registration.faces import right_angled, squared, standing_faces
 from baselines.registration.search import Candidate, SearchWindow, coarse_search
 from baselines.registration.sources import Source
 from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
@@ -21,11 +22,12 @@ from kit1000.voxels import Volume, surface_points
 SLACK_OFFSET, SLACK_ANGLE = 1.5e-3, np.radians(2.5)  # [m], [rad] searched beyond the largest error of a guess
 SIDE = 0.144  # [m] of a plate's relief, at least: the range of a guess and half a part's width on either side
 NEAR_GUESS = np.cos(np.radians(15))  # between the guess and a face that explains its tilt
+LIES = np.cos(MAX_ANGLE + SLACK_ANGLE)  # between the guess and the face on which the part lies, where it allows that
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
 def find_candidates(
-    source: Source, part: Volume, query: Query, clearance: float, unseen_faces: bool = False
+    source: Source, part: Volume, query: Query, clearance: float, thorough: bool = False
 ) -> list[Candidate]:
     """All candidates for a part, the best first; none where no part or no cavity is observed.
 
@@ -34,16 +36,17 @@ def find_candidates(
         part: as it lies now.
         query: its guess, if any, bounds the search.
         clearance: [m]
-        unseen_faces: whether the part may stand on a face that its volume does not have.
+        thorough: whether the face on which the part lies is preferred, faces that the volume does not have are tried,
+            and planes within larger ones are no plates.
     """
     if not part.occupied.any():
         return []
-    cavities = find_cavities(source, query, plate_side(part, source.middle, clearance))
-    if not cavities:
-        return []
+    cavities = find_cavities(source, query, plate_side(part, source.middle, clearance), nested=not thorough)
     window = SearchWindow(query.pivot, query.guess, MAX_ANGLE + SLACK_ANGLE, MAX_OFFSET + SLACK_OFFSET)
-    down_normals = _down_normals(source, part, query, cavities, unseen_faces)
-    return coarse_search(part, source.middle, down_normals, cavities, clearance, window)
+    found: list[Candidate] = []
+    for normals, alike in _faces_down(source, part, query, cavities, thorough):
+        found += coarse_search(part, source.middle, normals, alike, clearance, window)
+    return sorted(found, key=lambda candidate: candidate.misfit)
 
 
 def plate_side(part: Volume, middle: np.ndarray, clearance: float) -> float:
@@ -59,35 +62,70 @@ def plate_side(part: Volume, middle: np.ndarray, clearance: float) -> float:
     return max(SIDE, 2 * float(MAX_OFFSET + SLACK_OFFSET + radius + clearance))
 
 
-def find_cavities(source: Source, query: Query, side: float = SIDE) -> list[Cavity]:
-    """The cavities of all plates near the guess; of all plates where there is no guess. side: [m] of their reliefs."""
+def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool = True) -> list[Cavity]:
+    """The cavities of all plates near the guess; of all plates where there is no guess.
+
+    Args:
+        source: of the kits.
+        query: its guess.
+        side: [m] of the reliefs of plates.
+        nested: whether a plane within a larger one may be a plate.
+    """
     guessed = None if query.guess is None else query.guess.apply(query.pivot)
     box = None if guessed is None else guessed + np.array([[-side / 2], [side / 2]])
     points, normals, area = source.oriented_points(box)
     planes = find_planes(points, normals, area, source.noise, stream(0, "registration", query.id))
+    if not nested:
+        planes = without_nested(planes, points, normals, source.noise)
     frames = [plane_frame(plane, plane.point if guessed is None else guessed) for plane in planes]
     noise = source.noise.distance
     cavities = [find_cavity(source.plate(plate_grid(frame, side)), frame, noise) for frame in frames]
     return [cavity for cavity in cavities if cavity is not None]
 
 
-def _down_normals(
-    source: Source, part: Volume, query: Query, cavities: Sequence[Cavity], unseen_faces: bool
-) -> list[np.ndarray]:
-    """Normals (3,) of the faces that may go onto a cavity's floor; without a guess the part lies as it is inserted."""
+def _faces_down(
+    source: Source, part: Volume, query: Query, cavities: Sequence[Cavity], thorough: bool
+) -> list[tuple[list[np.ndarray], list[Cavity]]]:
+    """Normals (3,) of the faces that may go onto a cavity's floor, with the cavities that they may go into.
+
+    Without a guess the part lies as it is inserted. With one, a thorough search inserts it on the face on which it
+    lies, wherever the guess allows that: seldom does a part stand on two faces less than the error of a guess apart.
+    """
     if query.guess is None:
-        return [DOWN]
+        return [([DOWN], list(cavities))]
     back = query.guess.inverse()
     guessed = [back.rotate(cavity.world_from_plate.rotate(DOWN)) for cavity in cavities]
-    middle = part.grid.world(np.argwhere(part.occupied)).mean(0)
-    angle = source.noise.angle
+    if not thorough:
+        return [(_standing(source, part, guessed) or guessed, list(cavities))]
+    lies = [bool(matmul(down, DOWN) > LIES) for down in guessed]
+    upright = [cavity for cavity, down in zip(cavities, lies, strict=True) if down]
+    others = [cavity for cavity, down in zip(cavities, lies, strict=True) if not down]
+    return [([DOWN], upright), (_turned(source, part, list(compress(guessed, np.logical_not(lies)))), others)]
+
+
+def _standing(source: Source, part: Volume, guessed: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Normals (3,) of the faces of a volume on which it stands, near one of the guessed directions (3,)."""
+    middle, angle = part.grid.world(np.argwhere(part.occupied)).mean(0), source.noise.angle
     cone = MAX_ANGLE + SLACK_ANGLE + angle
-    faces = standing_faces(surface_points(part), middle, angle, np.array(guessed), cone)
-    normals = [face.normal for face in faces]
-    if normals and not unseen_faces:
-        return normals
-    unseen = [down for down in guessed if not any(matmul(down, normal) > NEAR_GUESS for normal in normals)]
-    return normals + unseen  # the face may be one that the image does not show: then the guess gives the direction
+    return [face.normal for face in standing_faces(surface_points(part), middle, angle, np.array(guessed), cone)]
+
+
+def _turned(source: Source, part: Volume, guessed: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Normals (3,) of the faces on which a part that does not lie as it is inserted may be, near a guessed direction.
+
+    Faces on which its volume stands, those that right angles add to them, and the guessed directions (3,) that none of
+    them is near to, as they are and put upright or level.
+    """
+    if not guessed:
+        return []
+    middle, angle = part.grid.world(np.argwhere(part.occupied)).mean(0), source.noise.angle
+    faces = standing_faces(surface_points(part), middle, angle)
+    normals = right_angled([DOWN, -DOWN, *(squared(face.normal, source.noise.square) for face in faces)], angle)
+    least = np.cos(MAX_ANGLE + SLACK_ANGLE + angle)
+    near = [normal for normal in normals if max(matmul(down, normal) for down in guessed) > least]
+    unseen = [down for down in guessed if not any(matmul(down, normal) > NEAR_GUESS for normal in near)]
+    level = [squared(down, MAX_ANGLE) for down in unseen]
+    return near + level + [down for down, put in zip(unseen, level, strict=True) if put is not down]
 
 
 def within_guess_error(goal_from_now: Pose, query: Query) -> bool:
