@@ -32,8 +32,7 @@ PARTIALVOL = replace(
 )
 COMPLETED = replace(
     PARTIALVOL,
-    description="SnapNet, small preset, coarse to fine, from one image; a network completes parts, columns the kits",
-    options={**PARTIALVOL.options, "search": "coarse to fine"},
+    description="SnapNet, small preset, from one depth image; a network completes parts, columns fill the kits",
     weights={"position": "snapnet-position", "rotation": "snapnet-rotation", "completion": "completion"},
     label="SnapNet",
     paper_row="snapnet",

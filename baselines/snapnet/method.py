@@ -54,7 +54,7 @@ class SnapNet:
         peak: Literal["candidate", "mean"] = "candidate",
         passes: int = 1,
         completion: Path | None = None,
-        search: Literal["all", "coarse to fine"] = "all",
+        search: Literal["coarse to fine", "all"] = "coarse to fine",
     ) -> None:
         """Networks as they are, or read from the stems of their weights and put on a GPU where there is one.
 
@@ -65,15 +65,15 @@ class SnapNet:
             rotation: network.
             peak: the best candidate rotation, as in the paper, or the mean of those around it, weighted by probability.
             passes: how often the networks run; each further pass starts from the prediction before.
-            search: all candidates around a guess, or first some far apart and then those near the best of them, which
-                is four times as fast.
+            search: of the candidates around a guess first some far apart and then those near the best of them, or all,
+                as in the paper, which takes three times as long.
             completion: stem of the weights of the network that completes parts of depth images; None fills columns.
         """
         self.dataset = dataset
         self.source: Source = source
         self.peak: Literal["candidate", "mean"] = peak
         self.passes = passes
-        self.search: Literal["all", "coarse to fine"] = search
+        self.search: Literal["coarse to fine", "all"] = search
         self.completer: PartCompleter | None = None if completion is None else PartCompleter(completion)
         self.position: PositionNet = ready(position, PositionConfig, PositionNet)
         self.rotation: RotationNet = ready(rotation, RotationConfig, RotationNet)
@@ -113,13 +113,11 @@ class SnapNet:
         arrays = volumes.rotation_inputs(guess, work, self.rotation.config, stream(0, "snapnet", query.id))
         inputs = {key: _batch(values, self.rotation) for key, values in arrays.items()}
         name: CandidateSet = "tilt" if query.track == "snap-tilt" else "ball"
-        if near:
-            found = self._rotation(inputs, near_candidates(name, Pose.identity()))
-        elif self.search == "all":
+        if self.search == "all" and not near:
             found = self._rotation(inputs, candidates(name))
         else:
-            coarse = self._rotation(inputs, coarse_candidates(name))
-            found = self._rotation(inputs, near_candidates(name, coarse.motion))
+            middle = Pose.identity() if near else self._rotation(inputs, coarse_candidates(name)).motion
+            found = self._rotation(inputs, near_candidates(name, middle))
         motion = apply_error(guess, query.pivot, offset, found.motion.rotvec())
         return Correction(motion, position_confidence * found.confidence, found.score)
 
