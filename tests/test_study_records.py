@@ -227,6 +227,7 @@ def test_outcomes_of_two_judges_are_never_mixed(study: tuple[Path, StudyPlan]) -
         path.write_text(json.dumps(json.loads(path.read_text()) | {"judge": "test"}))
     text = write_report(folder).read_text()
     assert "by the robot" not in text
+    assert "the robot has seated it" not in text
     assert "no robot was at work" in text
 
 

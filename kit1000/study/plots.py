@@ -68,7 +68,7 @@ def people_plot(title: str, description: str, label: str, columns: Sequence[Colu
     bottom, count = HEIGHT - BOTTOM, len(columns)
     places = [LEFT + (WIDTH - LEFT - RIGHT) * (i + 0.5) / count for i in range(count)]
     marks = [heading(title, f"n = {max(len(column.values) for column in columns)}"), _grid(axis, bottom)]
-    people = sorted({person for column in columns for person in column.values})
+    people = dict.fromkeys(person for column in columns for person in column.values)
     for person in people:
         known = [
             (u, column.values[person]) for u, column in zip(places, columns, strict=True) if person in column.values

@@ -46,6 +46,7 @@ def page(numbers: Mapping[str, Any]) -> str:
     """The page of a report."""
     simulated = numbers["operator"]["kind"] == SIMULATED
     who = f"SIMULATED ({numbers['operator']['name']})" if simulated else ""
+    success = "the robot has seated it" if numbers["judge"] == ROBOT else "its motion passes the seating test"
     sections = [
         _banner(numbers) if simulated else "",
         _section(who, "Result", _result(numbers)),
@@ -54,7 +55,7 @@ def page(numbers: Mapping[str, Any]) -> str:
         _section(who, "Load", _load(numbers, who)),
         _section(who, "Order and learning", _order(numbers)),
         _section(who, "Who and what", _facts(numbers)),
-        _section(who, "Method", METHOD.format(resamples=RESAMPLES, alpha=ALPHA)),
+        _section(who, "Method", METHOD.format(resamples=RESAMPLES, alpha=ALPHA, success=success)),
     ]
     title = f"{who}: user study" if who else "User study"
     return (
@@ -126,7 +127,7 @@ def _difference_plots(numbers: Mapping[str, Any], who: str) -> str:
             for contrast in row["contrasts"]
             if "p" in contrast
         ]
-        if rows:
+        if any(row.low or row.high for row in rows):  # else nobody has any difference
             words = f"{row['label']}: mean differences with 95 % intervals."
             charts.append(difference_plot(_titled(who, f"{row['label']}: difference"), words, row["unit"], rows))
     return _figures(charts)

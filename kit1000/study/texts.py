@@ -24,7 +24,7 @@ METHOD = """\
 <p>Within subjects: every participant meets every condition, on different tasks. Orders follow a Williams square
 crossed with the sets of tasks and are fixed by the participant's number. In a task of n kits an upload may start while
 the clock reads under n minutes; specification is the time in which the participant is in charge, execution that of the
-simulated robot. A part counts as a success when the robot has seated it.</p>
+simulated robot. A part counts as a success when {success}.</p>
 <p>Each comparison is a difference a person, tested against zero: by t, or by Wilcoxon's signed ranks where Shapiro and
 Wilk's test finds the differences not normal (α = {alpha}). Intervals: 95 % BCa, {resamples} resamples over people. d_z
 is the mean difference over its standard deviation. All outcomes but the main one are secondary and not adjusted, except
