@@ -7,11 +7,14 @@ from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
+from unittest.mock import MagicMock
 
+import numpy as np
 import pytest
 
 pytest.importorskip("viser")
 
+from editing import desk, dragged, goal, scene_of
 from studies import plan_of, write_participant
 
 from kit1000.cli import main
@@ -20,6 +23,7 @@ from kit1000.dataset.tables import pose_row
 from kit1000.pose import Pose
 from kit1000.study import sitting
 from kit1000.study.execution import Carried
+from kit1000.study.pages import TaskPanel
 from kit1000.study.plan import write_plan
 from kit1000.study.records import PERSON, PartResult
 from kit1000.study.sitting import FINISH, UPLOAD, Sitting, TaskPage
@@ -83,6 +87,34 @@ def test_the_command_names_who_judges_a_sitting(
     assert "complete" in capsys.readouterr().out
     assert main([*arguments, "--judge", "test"]) == 2
     assert "was judged by the robot; go on with --judge robot" in capsys.readouterr().err
+
+
+def test_while_the_robot_works_clock_and_hand_stand_still(mini: Path, tmp_path: Path) -> None:
+    """Of two parts one is uploaded; what the participant does meanwhile counts for nothing."""
+    scene = scene_of(mini)
+    table, part = desk(scene, tmp_path), scene.parts[0]
+    controller, page, true = table.controller, page_of(tmp_path), goal(scene, part)
+    controller.place(part, true)
+    controller.command("confirm")
+    before = controller.space.session
+
+    class BusyJudge(Judge):
+        def carry_out(self, motions: Mapping[int, Pose]) -> dict[int, Carried]:
+            controller.place(part, MOTION)
+            dragged(table, part, np.zeros(3))
+            for verb in ("undo", "reset-all", "turn-left"):
+                controller.command(verb)
+            controller.return_to(0)
+            assert "robot is at work" in table.stage.texts["note"]
+            return super().carry_out(motions)
+
+    page.clock.start()
+    page._upload(controller, BusyJudge(), cast(TaskPanel, MagicMock()))
+    assert page.outcomes == {part: "seated"}
+    assert controller.space.session is before
+    assert controller.space.current[part].goal_from_now is before.edits[part].goal_from_now
+    controller.command("undo")
+    assert controller.space.session is not before
 
 
 def test_time_that_ran_out_is_on_record(tmp_path: Path) -> None:

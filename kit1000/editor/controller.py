@@ -71,6 +71,8 @@ class Controller:
         self.display = Display(stage, self.space)
         self.lets_go = True
         """Whether letting go near a fit takes it."""
+        self.held = False
+        """Whether nothing can be moved, as while a robot carries parts out."""
         self._drag: Drag | None = None
         self.display.look("camera")
         self._adopt()
@@ -104,7 +106,7 @@ class Controller:
             modifier: the key that is held.
         """
         space = self.space
-        if body not in space.bodies:
+        if body not in space.bodies or self._is_held():
             return
         space.choose(body)
         self.display.update()
@@ -193,6 +195,8 @@ class Controller:
     @exclusive
     def return_to(self, count: int) -> None:
         """Undo or redo until `count` operations are done."""
+        if self._is_held():
+            return
         self.log.add("return", count=count)
         self.space.session = self.space.session.returned(count)
         self._adopt()
@@ -294,6 +298,8 @@ class Controller:
         self._do(self.space.moved(f"{self.space.name(body)}: {name}", body, edit))
 
     def _do(self, step: Step) -> None:
+        if self._is_held():
+            return
         session = self.space.session.did(step.name, step.edits)
         if session is not self.space.session:
             self.log.did(session)
@@ -301,6 +307,8 @@ class Controller:
         self._adopt()
 
     def _step(self, verb: str) -> None:
+        if self._is_held():
+            return
         session = self.space.session
         stepped = session.undo() if verb == "undo" else session.redo()
         if stepped is session:
@@ -309,6 +317,14 @@ class Controller:
         self.log.add(verb)
         self.space.session = stepped
         self._adopt()
+
+    def _is_held(self) -> bool:
+        """Whether nothing can be moved; then all is shown where it was, and the page says so."""
+        if self.held:
+            self.space.adopt(self.space.session)
+            self.display.update()
+            self.display.note(texts.HELD)
+        return self.held
 
     def _adopt(self) -> None:
         """Save and show the session, and go on from it."""

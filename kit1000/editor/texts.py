@@ -47,6 +47,7 @@ CHOOSE: Mapping[Interface, str] = {
     "hand": CUPS_BEGIN,
     "hand-bare": "Click a cup first.",
 }
+HELD = "The robot is at work: nothing can be moved until it has finished."
 NOTHING_TO_SNAP_YET = "No likely fit yet: the method is still looking for fits."
 NOTHING_TO_SNAP = "No further part has a likely fit that no other part takes."
 NOTHING_TO_CARRY = "Nothing to carry: the green cup must touch a part, and the yellow cup be over a plate."

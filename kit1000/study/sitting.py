@@ -191,6 +191,7 @@ class TaskPage:
                 part for part in controller.space.scene.parts if edits[part].confirmed and part not in self.motions
             ]
             motions = {part: edits[part].goal_from_now for part in parts}
+            controller.held = bool(motions)  # the clock stands still: so does the hand
         if not motions:
             panel.note("Nothing to upload: confirm a part first.")
             return
@@ -201,6 +202,7 @@ class TaskPage:
         self._carry_out(judge, motions)
         controller.log.add("executed", outcomes={str(i): self.outcomes[i] for i in motions}, **self._reading())
         panel.note("")
+        controller.held = False
         self.clock.start()
 
     def _carry_out(self, judge: Judge, motions: dict[int, Pose]) -> None:
