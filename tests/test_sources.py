@@ -236,7 +236,7 @@ def test_refusals_are_counted_by_kind() -> None:
         "longest side 40 m when read in m; expected 0.0001 to 10 m",
         "12 triangles, more than 11",
     ]
-    counted = "3x not closed, 2x near-duplicate, 2x separate bodies, 1x empty file, 1x longest side m, 1x triangles"
+    counted = "3x not closed, 2x near-duplicate, 2x separate bodies, 1x empty file, 1x longest side N m, 1x triangles"
     assert refusal_counts(reasons) == counted
     assert refusal_counts([]) == ""
 
