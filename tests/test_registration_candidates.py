@@ -17,6 +17,7 @@ from baselines.completion.pixels import IDEAL
 from baselines.registration.certain import COARSE_WEIGHT, SAME_ANGLE, SAME_DISTANCE, _same, _Search
 from baselines.registration.faces import squared
 from baselines.registration.hypotheses import DOWN, LIES, NEAR_GUESS, SLACK_ANGLE, _faces_down
+from baselines.registration.method import SEATED, confidence
 from kit1000.guesses import MAX_ANGLE
 from kit1000.motions import apply_error
 from kit1000.pose import Pose
@@ -27,7 +28,7 @@ def search_for(known: Case) -> _Search:
     """The search with evidence that leaves nothing unknown."""
     told = PartEvidence(known.part, known.part, known.part)
     seen = surface_points(known.part)[::20]
-    source: Any = SimpleNamespace(evidence=told, middle=known.pivot, part_points=lambda: seen)
+    source: Any = SimpleNamespace(evidence=told, middle=known.pivot, completer=None, part_points=lambda: seen)
     return _Search(source, SimpleNamespace(guess=None, pivot=known.pivot, sensor="ideal"), CLEARANCE)  # type: ignore[arg-type]
 
 
@@ -61,6 +62,24 @@ def test_poses_are_one_within_a_millimetre_and_three_degrees_in_one_plate() -> N
     assert not moved(0.0, 1.1 * SAME_ANGLE)
     elsewhere = replace(here, cavity=replace(here.cavity, world_from_plate=Pose(*_parts(here.cavity.world_from_plate))))
     assert not _same(here, elsewhere, known.pivot)
+
+
+@given(doubts=st.lists(st.floats(0, 0.05), min_size=2, max_size=2), kind=st.sampled_from(sorted(SEATED)))
+def test_the_more_doubt_the_less_confidence(doubts: list[float], kind: tuple[str, str]) -> None:
+    low, high = (confidence(doubt, *kind) for doubt in sorted(doubts))
+    assert 1 >= low >= high >= 0
+
+
+def test_a_fit_beside_the_goal_has_more_doubt() -> None:
+    known = case("a keyed block")
+    seated, turned = (
+        search_for(known).fitted(
+            known.candidate(apply_error(known.goal, known.pivot, np.zeros(3), np.array([0, 0, a])))
+        )
+        for a in (0.0, np.pi)
+    )
+    assert seated.doubt == seated.misfit  # ideal depth: one sum tells both
+    assert turned.doubt > seated.doubt + 0.5e-3
 
 
 def _parts(pose: Pose) -> tuple[np.ndarray, np.ndarray]:

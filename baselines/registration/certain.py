@@ -21,26 +21,51 @@ from kit1000.values import Query
 
 DISTINCT, DISTINCT_WITHOUT_GUESS = 24, 16  # candidates of each plate among which contradictions choose
 REFINED, REFINED_WITHOUT_GUESS = 4, 6  # candidates of all plates that are refined
-OUTSIDE_WEIGHT, OUTLINE_WEIGHT = 2.0, 0.25  # of the distance from intervals and of the outline in the misfit
 COARSE_WEIGHT = 1e-3  # [m] of the coarse misfit beside contradictions: over unseen cells nothing contradicts
 SPARE = 3  # further candidates that are refined once in place of those that end in an earlier one's pose
 SAME_DISTANCE, SAME_ANGLE = 1e-3, np.radians(3)  # [m], [rad] within which two refined poses are one
 CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
 
 
+class Residuals(NamedTuple):
+    """What is left of the residuals of a fit, [m], or their weights in a sum."""
+
+    outside: float
+    """RMS of the distances from the intervals."""
+    filled: float
+    """RMS of the residuals of the filled part."""
+    outline: float
+    """See `outline_misfit`."""
+    contradicted: float
+    """See `Contradictions.score`."""
+    coarse: float
+    """COARSE_WEIGHT times the misfit of the coarse search."""
+
+    def weighted(self, weights: Residuals) -> float:
+        """[m] the sum."""
+        return sum(weight * residual for weight, residual in zip(weights, self, strict=True))
+
+
+MISFIT = Residuals(2.0, 1.0, 0.25, 1.0, 0.0)  # weights of the sum by which the best fit is chosen
+
+
 class Refinement(NamedTuple):
-    """How candidates are refined, as the noise of the sensor allows."""
+    """How candidates are refined and judged, as the noise of the sensor allows."""
 
     passes: tuple[Sequence[float], Sequence[float]]
     """[m] scales of the weights; the second pass with the part's sweeps in the refined rotation."""
     prior: float
     """Weight of the filled part beside what is certain."""
+    completed_prior: float
+    """The same of a part that a network completed."""
+    doubt: Residuals
+    """Weights in the doubt: how sure a fit is tells another sum than which of the fits is the best."""
 
 
-EXACT = Refinement((SCALES[:3], SCALES[2:]), 0.1)
-NOISY = {"d415": Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 1.0)}
+EXACT = Refinement((SCALES[:3], SCALES[2:]), 0.1, 0.1, MISFIT)
+NOISY = {"d415": Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 0.3, 1.0, Residuals(0.0, 1.0, 1.0, 1.0, 5.0))}
 """By sensor. Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls, and what is
-surely solid or free is hardly surer than what is filled."""
+surely solid or free is hardly surer than what a network fills."""
 
 
 def register_certain(source: DepthSource, query: Query, clearance: float) -> list[Fit]:
@@ -61,6 +86,7 @@ class _Search:
         self.source, self.query = source, query
         self.clearance = clearance
         self.refinement = NOISY.get(query.sensor, EXACT)
+        self.prior = self.refinement.prior if source.completer is None else self.refinement.completed_prior
         self.seen = source.part_points()
         self._kits: dict[int, KitHeights] = {}
 
@@ -86,9 +112,10 @@ class _Search:
         outline = outline_misfit(
             self.source.evidence.filled, candidate.cavity, candidate.plate_from_now, self.clearance
         )
-        contradicted = self._contradictions(candidate).score
-        misfit = OUTSIDE_WEIGHT * outside + filled + OUTLINE_WEIGHT * outline + contradicted
-        return Fit(candidate.cavity.world_from_plate @ candidate.plate_from_now, misfit, candidate)
+        contradicted, coarse = self._contradictions(candidate).score, COARSE_WEIGHT * candidate.misfit
+        left = Residuals(outside, filled, outline, contradicted, coarse)
+        goal_from_now = candidate.cavity.world_from_plate @ candidate.plate_from_now
+        return Fit(goal_from_now, left.weighted(MISFIT), left.weighted(self.refinement.doubt), candidate)
 
     def _choice(self, candidate: Candidate) -> float:
         """[m] by which candidates are chosen."""
@@ -97,8 +124,7 @@ class _Search:
     def _refined(self, candidate: Candidate, scales: Sequence[float]) -> tuple[Candidate, Intervals]:
         """A candidate after one pass, with what is left of its residuals."""
         evidence, middle = self.source.evidence, self.source.middle
-        prior = self.refinement.prior
-        intervals = refine_within(evidence, middle, candidate, self.clearance, STIFFNESS, prior, scales)
+        intervals = refine_within(evidence, middle, candidate, self.clearance, STIFFNESS, self.prior, scales)
         return replace(candidate, plate_from_now=intervals.plate_from_now), intervals
 
     def _contradictions(self, candidate: Candidate) -> Contradictions:

@@ -43,5 +43,5 @@ def _refined(
         if within_guess_error(goal_from_now, query):
             outline = outline_misfit(part, candidate.cavity, pose, clearance)
             misfit = rms + outline + DEPTH_COST * min(candidate.depth_difference, MOST_DEPTH)
-            fits.append(Fit(goal_from_now, misfit, replace(candidate, plate_from_now=pose)))
+            fits.append(Fit(goal_from_now, misfit, misfit, replace(candidate, plate_from_now=pose)))
     return ranked(fits)

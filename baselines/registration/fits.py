@@ -19,6 +19,8 @@ class Fit:
     goal_from_now: Pose
     misfit: float
     """[m] the least is the best; which residuals it adds up is the method's."""
+    doubt: float
+    """[m] the less, the likelier is it to be seated; may weigh the same residuals differently."""
     candidate: Candidate
     """In the refined pose, for a second refinement."""
 

@@ -13,6 +13,6 @@ class ProposingRegistration(Registration):
     def propose(self, query: Query, geometry: TrueGeometry | None = None) -> list[PredictedMotion]:
         """All fits, the best first."""
         return [
-            PredictedMotion(fit.goal_from_now, confidence(fit.misfit, self.source, query.sensor))
+            PredictedMotion(fit.goal_from_now, confidence(fit.doubt, self.source, query.sensor))
             for fit in self.fits(query, geometry)
         ]
