@@ -122,18 +122,17 @@ def main(data: Path) -> None:
         asker.start(editor.received)
         for part in scene.parts:
             asker.ask(part, None)
-        _edit(editor, film, dataset)
+        _edit(editor, film)
     film.frames[0].save(
         OUT, save_all=True, append_images=film.frames[1:], duration=film.milliseconds, loop=0, quality=QUALITY, method=6
     )
 
 
-def _edit(editor: Controller, film: Film, dataset: Dataset) -> None:
+def _edit(editor: Controller, film: Film) -> None:
     """The first part by hand, the others at once."""
     scene = editor.space.scene
     part = scene.parts[0]
-    truth = dataset.recorded_scene(SCENE, truth=True)
-    goal = next(truth.truth_of(q.id).goal_drawn for q in truth.queries if q.part == part and q.track == "snap")
+    goal = goal_of(scene, part)
     film.take("Parts and kits, as one depth image shows them", 2500)
     grabbed = scene.pivot(part)
     plate = editor.space.pointing.below(goal.apply(grabbed))
@@ -155,6 +154,12 @@ def _edit(editor: Controller, film: Film, dataset: Dataset) -> None:
     film.take("Shift+Space snaps all parts that are likely", 2500)
     editor.command("confirm-all")
     film.take("Shift+Enter confirms them: predictions.csv is written", 3500)
+
+
+def goal_of(scene: EditedScene, part: int) -> Pose:
+    """goal_from_now of a part: what a person sees, and the page does not know."""
+    truth = scene.dataset.recorded_scene(scene.recorded.id, truth=True)
+    return next(truth.truth_of(q.id).goal_drawn for q in truth.queries if q.part == part and q.track == "snap")
 
 
 def _worded(label: str) -> str:

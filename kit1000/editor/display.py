@@ -15,7 +15,7 @@ from kit1000.trigonometry import tangent
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 
 KITS, OTHERS = "/kits", "/others"
-OVER_PART = np.array([0.0, 0.0, 0.02])  # [m] of its label, as seen from aside
+OVER_PART = np.array([0.0, 0.0, 0.035])  # [m] of its label, as seen from aside
 BEYOND_PART = np.array([0.0, 0.035, 0.0])  # [m] of the same, as seen from above: it must not cover the part
 UP_THE_CUP = np.array([0.0, 0.0, 0.07])  # [m] of its label, from the lip where it hangs
 FIELD = float(np.radians(45))  # of view from the top of the window to its bottom, as in the paper
