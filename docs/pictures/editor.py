@@ -8,9 +8,10 @@ Whatever the hand does goes through the editor as on the page; of the goals it k
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -50,6 +51,19 @@ class Body(NamedTuple):
     visible: bool
 
 
+class Recording(Protocol):
+    """A stage that records."""
+
+    eye: Eye
+
+    def take(self, caption: str, milliseconds: int, pointer: tuple[float, float] | None = None) -> None:
+        """Take a frame. pointer: on the screen, 0 to 1 from the left, and from the top."""
+        ...
+
+
+Recorder = TypeVar("Recorder", bound=Recording)
+
+
 class Film:
     """The verbs of a stage that a picture needs; the others do nothing."""
 
@@ -82,7 +96,7 @@ class Film:
         return lambda *arguments, **options: None
 
     def take(self, caption: str, milliseconds: int, pointer: tuple[float, float] | None = None) -> None:
-        """Take a frame. pointer: on the screen, 0 to 1 from the left, and from the top."""
+        """Take a frame."""
         visible = [body for body in self.bodies.values() if body.visible]
         solid = [body for body in visible if body.opacity == 1]
         picture = self._rendered(solid)
@@ -111,10 +125,18 @@ class Film:
 
 def main(data: Path) -> None:
     """Edit the scene, and write the film."""
+    film = recorded(data, Film)
+    film.frames[0].save(
+        OUT, save_all=True, append_images=film.frames[1:], duration=film.milliseconds, loop=0, quality=QUALITY, method=6
+    )
+
+
+def recorded(data: Path, make: Callable[[Eye], Recorder]) -> Recorder:
+    """What records an edit of the scene, made for an eye, after the edit."""
     dataset = Dataset(data)
     scene = EditedScene.open(dataset, SCENE, "ideal", truth=False)
     eye, target = framed(scene.bounds, scene.view.world_from_camera.xyz - scene.bounds.mean(0), WIDTH / HEIGHT)
-    film = Film(Eye(look_at(eye, target), FIELD, WIDTH / HEIGHT))
+    film = make(Eye(look_at(eye, target), FIELD, WIDTH / HEIGHT))
     with TemporaryDirectory() as folder:
         log = EventLog(Path(folder), Header(dataset.id, SCENE, "ideal", False, SNAP, "scene"))
         asker = AtOnce(Method(SNAP, dataset.root, SCENE, "ideal", truth=False))
@@ -123,12 +145,10 @@ def main(data: Path) -> None:
         for part in scene.parts:
             asker.ask(part, None)
         _edit(editor, film)
-    film.frames[0].save(
-        OUT, save_all=True, append_images=film.frames[1:], duration=film.milliseconds, loop=0, quality=QUALITY, method=6
-    )
+    return film
 
 
-def _edit(editor: Controller, film: Film) -> None:
+def _edit(editor: Controller, film: Recording) -> None:
     """The first part by hand, the others at once."""
     scene = editor.space.scene
     part = scene.parts[0]
