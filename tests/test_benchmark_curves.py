@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import runpy
 from pathlib import Path
 from statistics import fmean, median
 from xml.etree import ElementTree
@@ -25,6 +26,7 @@ from kit1000.rng import stream
 from kit1000.tracks import CURVES as TRACK
 from kit1000.tracks import curve_levels
 
+ROOT = Path(__file__).parents[1]
 IDS = curve_ids(3)
 MM = [0, 4, 8, 12, 16, 20, 24, 28]
 DEG = [27.5 * level / 7 for level in range(8)]
@@ -162,8 +164,14 @@ def test_curves_are_of_the_first_scenes_or_of_all_never_of_those_that_are_answer
 
 def test_the_protocol_states_the_first_scenes_and_the_scores_the_number_of_scenes() -> None:
     assert read_protocol().curves["first_scenes"] == 10
-    for path in sorted((Path(__file__).parents[1] / "submissions").glob("*/scores.json")):
+    for path in sorted((ROOT / "submissions").glob("*/scores.json")):
         stored = json.loads(path.read_text("utf-8"))
         rows = [row for rows in (stored["curves"] or {}).values() for row in rows]
         assert {row["n"] for row in rows} == ({stored["curve_scenes"]} if rows else set())
         assert stored["curve_scenes"] in (10, 40, None)
+
+
+def test_the_picture_of_the_readme_is_that_of_the_scores() -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "pictures" / "curves.py"))
+    drawn = script["picture"](script["scored_curves"](ROOT / "submissions"))
+    assert (ROOT / "docs" / "pictures" / "curves.svg").read_text(encoding="utf-8") == drawn
