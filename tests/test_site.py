@@ -55,8 +55,9 @@ class Links(HTMLParser):
 
 
 def pages(site: Path) -> list[Path]:
-    """Every page but 404.html, whose links only a server can resolve."""
-    return sorted(page for page in site.rglob("*.html") if page.name != "404.html")
+    """Every page but 404.html, whose links only a server can resolve, and pictures, which are programs of viser."""
+    pictures = site / "pictures"
+    return sorted(page for page in site.rglob("*.html") if page.name != "404.html" and page.parent != pictures)
 
 
 def entries(nav: Any) -> Iterator[str]:
