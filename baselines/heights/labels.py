@@ -11,8 +11,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from baselines.completion.pixels import transformed
-from baselines.heights.scenes import CELL, CORNER, KITS, LOWEST, RECENT, part_labels, three_views
+from baselines.heights.scenes import CELL, KITS, LOWEST, RECENT, cell_below, part_labels, three_views
 from kit1000.compiled import compiled
 from kit1000.dataset.reader import Dataset
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, Query, View
@@ -57,12 +56,9 @@ def labelled(view: View, table: np.ndarray) -> LabelledDepth:
 
 @compiled
 def _label(depth, intrinsics, rotation, shift, table, labels):
-    fx, fy, cx, cy = intrinsics
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
-            z = depth[v, u]
-            if z > 0:
-                x, y, height = transformed(rotation, shift, (u - cx) / fx * z, (v - cy) / fy * z, z)
-                i, j = int(np.floor((x - CORNER[0]) / CELL)), int(np.floor((y - CORNER[1]) / CELL))
+            if depth[v, u] > 0:
+                i, j, height = cell_below(u, v, depth[v, u], intrinsics, rotation, shift)
                 if height > LOWEST and 0 <= i < table.shape[0] and 0 <= j < table.shape[1]:
                     labels[v, u] = table[i, j]

@@ -123,18 +123,23 @@ def _raise(table: np.ndarray, view: View) -> None:
     """Raise the cells of the map of the table to the points of a view."""
     camera, pose = view.camera, view.world_from_camera
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
-    _raise_cells(table, view.depth, intrinsics, pose.rotation_matrix(), pose.xyz, CORNER, CELL)
+    _raise_cells(table, view.depth, intrinsics, pose.rotation_matrix(), pose.xyz)
 
 
 @compiled
-def _raise_cells(table, depth, intrinsics, rotation, shift, corner, cell):
+def cell_below(u, v, z, intrinsics, rotation, shift):
+    """The cell of the map of the table below the point of a pixel at depth z, and the point's height [m]."""
     fx, fy, cx, cy = intrinsics
+    x, y, height = transformed(rotation, shift, (u - cx) / fx * z, (v - cy) / fy * z, z)
+    return int(np.floor((x - CORNER[0]) / CELL)), int(np.floor((y - CORNER[1]) / CELL)), height
+
+
+@compiled
+def _raise_cells(table, depth, intrinsics, rotation, shift):
     for v in range(depth.shape[0]):
         for u in range(depth.shape[1]):
-            z = depth[v, u]
-            if z > 0:
-                x, y, height = transformed(rotation, shift, (u - cx) / fx * z, (v - cy) / fy * z, z)
-                i, j = int(np.floor((x - corner[0]) / cell)), int(np.floor((y - corner[1]) / cell))
+            if depth[v, u] > 0:
+                i, j, height = cell_below(u, v, depth[v, u], intrinsics, rotation, shift)
                 if 0 <= i < table.shape[0] and 0 <= j < table.shape[1]:
                     table[i, j] = max(table[i, j], max(height, 0.0))
 

@@ -121,21 +121,20 @@ class DepthSource:
 
     def part_points(self) -> np.ndarray:
         """(n, 3) [m] world: about SEEN_POINTS points of the part, one a pixel."""
-        images = self._images(FIRST_PART_LABEL + self.query.part)
+        images = self._images_of(FIRST_PART_LABEL + self.query.part)
         points = np.concatenate([_pixel_points(view, mask) for view, mask in images])
         return points[:: max(1, len(points) // SEEN_POINTS)]
 
     def oriented_points(self, box: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, float]:
         """Points of the image on the kits, with normals from their neighbours."""
-        images = self._images(ASSEMBLY_LABEL)
-        found = [oriented_points(view, mask, self.noise.window) for view, mask in images]
+        found = [oriented_points(view, mask, self.noise.window) for view, mask in self._kits]
         points, normals = (np.concatenate([each[k] for each in found]) for k in (0, 1))
         inside = np.ones(len(points), bool) if box is None else ((points >= box[0]) & (points <= box[1])).all(1)
-        return points[inside], normals[inside], float(np.mean([area for *_, area in found])) / len(images)
+        return points[inside], normals[inside], float(np.mean([area for *_, area in found])) / len(found)
 
     def plate(self, grid: Grid) -> Volume:
         """The observed kits."""
-        return observed_distance(grid, self._images(ASSEMBLY_LABEL))
+        return observed_distance(grid, self._kits)
 
     @property
     def middle(self) -> np.ndarray:
@@ -152,7 +151,12 @@ class DepthSource:
 
         return CompletedPart(part, self.completer, self.measured)
 
-    def _images(self, label: int) -> list[MaskedView]:
+    @cached_property
+    def _kits(self) -> list[MaskedView]:
+        """The kits, of which a volume is asked for every plate."""
+        return self._images_of(ASSEMBLY_LABEL)
+
+    def _images_of(self, label: int) -> list[MaskedView]:
         return [MaskedView.of(image, label) for image in (self.query.image, *self.others)]
 
 
