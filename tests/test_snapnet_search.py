@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.snapnet.config import POSITION, Cells
+from baselines.snapnet.config import POSITION, Cells, Source
 from baselines.snapnet.position import COARSEST, PositionNet
 from baselines.snapnet.search import APART, REACH, RISE, YAWS, best_cells, likely_starts, wide_window
 from baselines.snapnet.volumes import grid_about
@@ -56,8 +56,8 @@ class Pooled(torch.nn.Module):
 class Shapes:
     """Volumes of an L and of the same L at a goal: kits that are solid where the part belongs."""
 
-    def __init__(self, goal: Pose) -> None:
-        self.goal, self.query = goal, SimpleNamespace(pivot=PIVOT)
+    def __init__(self, goal: Pose, source: Source) -> None:
+        self.goal, self.source, self.query = goal, source, SimpleNamespace(pivot=PIVOT)
 
     def initial_guess(self) -> Pose:
         return Pose.from_translation(np.array([0.05, 0.31, 0.03]) - PIVOT)
@@ -75,13 +75,14 @@ class Shapes:
         return np.where(inside, -1, 1).astype(np.float32)
 
 
+@pytest.mark.parametrize("source", ["truth", "depth"])
 @pytest.mark.parametrize("yaw", [0, 4])
-def test_a_shape_is_found_where_it_belongs(yaw: int) -> None:
+def test_a_shape_is_found_where_it_belongs(yaw: int, source: Source) -> None:
     turn, place = Pose.from_rotvec((0, 0, 2 * np.pi * yaw / YAWS)), np.array([0.12, 0.26, 0.03 + RISE - 0.01])
     goal = Pose(turn.wxyz, place - turn.rotate(PIVOT))
     net: Any = PositionNet(CONFIG)
     net.part = net.kit = Pooled()
     with torch.inference_mode():
-        first, *_ = likely_starts(net, Shapes(goal), 2)  # pyright: ignore[reportArgumentType]
+        first, *_ = likely_starts(net, Shapes(goal, source), 2)  # pyright: ignore[reportArgumentType]
     assert float((first.inverse() @ goal).angle()) < 1e-6
     assert np.abs(first.apply(PIVOT) - place).max() <= 2 * CONFIG.voxel
