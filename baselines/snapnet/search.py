@@ -2,7 +2,7 @@
 
 The network was trained in the window of a guess, for parts that a guess has rotated by up to 27.5 degrees. Its features
 are those of convolutions, so they serve a window over all kits as well; yaws 30 degrees apart keep the part within the
-range of its training. Scores at different cavities were never compared in training, and in one depth image a wide cavity
+range of its training. Scores at different cavities were never compared in training, and in one image a wide cavity
 scores high at every yaw: half of a cell's mean over the yaws is therefore taken off there.
 """
 
