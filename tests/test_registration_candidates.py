@@ -11,17 +11,27 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from registration_cases import CASES, CLEARANCE, Case, case, perturbed
+from shapes import box, standing
 
 from baselines.completion.part import PartEvidence
 from baselines.completion.pixels import IDEAL
-from baselines.registration.certain import COARSE_WEIGHT, SAME_ANGLE, SAME_DISTANCE, _same, _Search
-from baselines.registration.faces import squared
+from baselines.registration.certain import (
+    COARSE_WEIGHT,
+    SAME_ANGLE,
+    SAME_DISTANCE,
+    UNSEEN_CHOICE,
+    UNSEEN_MISFIT,
+    _same,
+    _Search,
+)
+from baselines.registration.faces import squared, standing_faces
 from baselines.registration.hypotheses import DOWN, LIES, NEAR_GUESS, SLACK_ANGLE, _faces_down
 from baselines.registration.method import SEATED, confidence
 from kit1000.guesses import MAX_ANGLE
+from kit1000.mesh import mesh_from_solid
 from kit1000.motions import apply_error
 from kit1000.pose import Pose
-from kit1000.voxels import surface_points
+from kit1000.voxels import Grid, signed_distance, surface_points
 
 
 def search_for(known: Case) -> _Search:
@@ -94,11 +104,22 @@ def test_of_candidates_that_contradict_equally_the_better_coarse_match_is_first(
     assert COARSE_WEIGHT < 2e-3  # a contradiction of 2 mm outweighs any coarse match
 
 
+def test_a_face_that_the_part_does_not_show_must_fit_better_than_one_that_it_shows() -> None:
+    known = case("a keyed block")
+    shown = known.candidate(known.goal)
+    hidden = replace(shown, seen=False)
+    search = search_for(known)
+    assert search.least_contradictory([hidden, shown]) == [shown, hidden]
+    worse = replace(shown, misfit=2 * UNSEEN_CHOICE / COARSE_WEIGHT)
+    assert search.least_contradictory([worse, hidden]) == [hidden, worse]
+    assert search.fitted(hidden).misfit == pytest.approx(search.fitted(shown).misfit + UNSEEN_MISFIT, abs=1e-12)
+
+
 def faces_down(known: Case, guess: Pose, thorough: bool = True) -> list[np.ndarray]:
     """The normals of the faces that may go into the known cavity."""
     query, source = SimpleNamespace(guess=guess), SimpleNamespace(noise=IDEAL)
     groups = _faces_down(source, known.part, query, [known.cavity], thorough)  # type: ignore[arg-type]
-    return [normal for normals, cavities in groups if cavities for normal in normals]
+    return [normal for faces in groups if faces.cavities for normal in faces.normals]
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -117,6 +138,35 @@ def test_where_no_face_explains_the_guess_its_own_direction_is_tried(name: str, 
     seen = faces_down(known, guess, thorough=False)
     for tried in (normals, seen):
         assert max(float(known.down_normal @ normal) for normal in tried) > np.cos(np.radians(4))  # its face, as ever
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_faces_are_seen_where_the_volume_has_them(name: str) -> None:
+    known = case(name)
+    guess = apply_error(known.goal, known.pivot, np.zeros(3), known.cavity.world_from_plate.rotate((0.4, 0, 0)))
+    source: Any = SimpleNamespace(noise=IDEAL)
+    query: Any = SimpleNamespace(guess=guess)
+    middle = known.part.grid.world(np.argwhere(known.part.occupied)).mean(0)
+    has = [face.normal for face in standing_faces(surface_points(known.part), middle, IDEAL.angle)]
+    for faces in _faces_down(source, known.part, query, [known.cavity], True):
+        for normal in faces.normals if faces.cavities else []:
+            near = max(float(normal @ face) for face in has)
+            assert faces.seen == (near > np.cos(IDEAL.angle))
+
+
+@pytest.mark.parametrize("slope_deg", [5.5, 7.0])
+def test_a_top_that_is_nearly_level_is_tried_as_it_is(slope_deg: float) -> None:
+    tilted = Pose.from_rotvec((np.radians(slope_deg), 0, 0))
+    wedge = box(36, 24, 12).trim_by_plane((0, np.sin(np.radians(slope_deg)), -np.cos(np.radians(slope_deg))), -8)
+    grid = Grid.centred(Pose.identity(), (84, 84, 84), 1e-3)
+    part = signed_distance(grid, [(mesh_from_solid(standing(wedge)), Pose.identity())], threads=1)
+    top = tilted.rotate((0.0, 0.0, 1.0))
+    cavity: Any = SimpleNamespace(world_from_plate=Pose.identity())
+    guess = Pose.from_rotvec((np.pi - np.radians(slope_deg), 0, 0))
+    query: Any = SimpleNamespace(guess=guess)
+    source: Any = SimpleNamespace(noise=IDEAL)
+    tried = [n for faces in _faces_down(source, part, query, [cavity], True) if faces.seen for n in faces.normals]
+    assert max(float(top @ normal) for normal in tried) > np.cos(np.radians(1))
 
 
 @given(tilt_deg=st.floats(0, 180), turn=st.floats(-3, 3), yaw=st.floats(-3, 3))

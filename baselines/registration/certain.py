@@ -22,6 +22,7 @@ from kit1000.values import Query
 DISTINCT, DISTINCT_WITHOUT_GUESS = 24, 16  # candidates of each plate among which contradictions choose
 REFINED, REFINED_WITHOUT_GUESS = 4, 6  # candidates of all plates that are refined
 COARSE_WEIGHT = 1e-3  # [m] of the coarse misfit beside contradictions: over unseen cells nothing contradicts
+UNSEEN_CHOICE, UNSEEN_MISFIT = 0.3e-3, 0.4e-3  # [m] added for a face that the part's volume does not have
 SPARE = 3  # further candidates that are refined once in place of those that end in an earlier one's pose
 SAME_DISTANCE, SAME_ANGLE = 1e-3, np.radians(3)  # [m], [rad] within which two refined poses are one
 CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
@@ -40,13 +41,15 @@ class Residuals(NamedTuple):
     """See `Contradictions.score`."""
     coarse: float
     """COARSE_WEIGHT times the misfit of the coarse search."""
+    unseen: float
+    """UNSEEN_MISFIT for a face that the part's volume does not have."""
 
     def weighted(self, weights: Residuals) -> float:
         """[m] the sum."""
         return sum(weight * residual for weight, residual in zip(weights, self, strict=True))
 
 
-MISFIT = Residuals(2.0, 1.0, 0.25, 1.0, 0.0)  # weights of the sum by which the best fit is chosen
+MISFIT = Residuals(2.0, 1.0, 0.25, 1.0, 0.0, 1.0)  # weights of the sum by which the best fit is chosen
 
 
 class Refinement(NamedTuple):
@@ -63,7 +66,7 @@ class Refinement(NamedTuple):
 
 
 EXACT = Refinement((SCALES[:3], SCALES[2:]), 0.1, 0.1, MISFIT)
-NOISY = {"d415": Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 0.3, 1.0, Residuals(0.0, 1.0, 1.0, 1.0, 5.0))}
+NOISY = {"d415": Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 0.3, 1.0, Residuals(0.0, 1.0, 1.0, 1.0, 5.0, 1.0))}
 """By sensor. Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls, and what is
 surely solid or free is hardly surer than what a network fills."""
 
@@ -113,13 +116,15 @@ class _Search:
             self.source.evidence.filled, candidate.cavity, candidate.plate_from_now, self.clearance
         )
         contradicted, coarse = self._contradictions(candidate).score, COARSE_WEIGHT * candidate.misfit
-        left = Residuals(outside, filled, outline, contradicted, coarse)
+        unseen = 0.0 if candidate.seen else UNSEEN_MISFIT
+        left = Residuals(outside, filled, outline, contradicted, coarse, unseen)
         goal_from_now = candidate.cavity.world_from_plate @ candidate.plate_from_now
         return Fit(goal_from_now, left.weighted(MISFIT), left.weighted(self.refinement.doubt), candidate)
 
     def _choice(self, candidate: Candidate) -> float:
         """[m] by which candidates are chosen."""
-        return self._contradictions(candidate).choice + COARSE_WEIGHT * candidate.misfit
+        unseen = 0.0 if candidate.seen else UNSEEN_CHOICE
+        return self._contradictions(candidate).choice + COARSE_WEIGHT * candidate.misfit + unseen
 
     def _refined(self, candidate: Candidate, scales: Sequence[float]) -> tuple[Candidate, Intervals]:
         """A candidate after one pass, with what is left of its residuals."""

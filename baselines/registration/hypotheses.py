@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import compress
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +25,19 @@ SLACK_OFFSET, SLACK_ANGLE = 1.5e-3, np.radians(2.5)  # [m], [rad] searched beyon
 SIDE = 0.144  # [m] of a plate's relief, at least: the range of a guess and half a part's width on either side
 NEAR_GUESS = np.cos(np.radians(15))  # between the guess and a face that explains its tilt
 LIES = np.cos(MAX_ANGLE + SLACK_ANGLE)  # between the guess and the face on which the part lies, where it allows that
+LARGE = 1e-4  # [m^2] of a face that is tried beside a direction nearly its own
 DOWN = np.array([0.0, 0.0, -1.0])
+
+
+class Faces(NamedTuple):
+    """Faces that may go onto a cavity's floor, and where."""
+
+    normals: list[np.ndarray]
+    """(3,) unit, world, each, the part as it lies now."""
+    cavities: list[Cavity]
+    """That they may go into."""
+    seen: bool
+    """Whether the volume of the part has these faces."""
 
 
 def find_candidates(
@@ -44,8 +58,9 @@ def find_candidates(
     cavities = find_cavities(source, query, plate_side(part, source.middle, clearance), nested=not thorough)
     window = SearchWindow(query.pivot, query.guess, MAX_ANGLE + SLACK_ANGLE, MAX_OFFSET + SLACK_OFFSET)
     found: list[Candidate] = []
-    for normals, alike in _faces_down(source, part, query, cavities, thorough):
-        found += coarse_search(part, source.middle, normals, alike, clearance, window)
+    for faces in _faces_down(source, part, query, cavities, thorough):
+        candidates = coarse_search(part, source.middle, faces.normals, faces.cavities, clearance, window)
+        found += [replace(candidate, seen=faces.seen) for candidate in candidates]
     return sorted(found, key=lambda candidate: candidate.misfit)
 
 
@@ -83,24 +98,23 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
     return [cavity for cavity in cavities if cavity is not None]
 
 
-def _faces_down(
-    source: Source, part: Volume, query: Query, cavities: Sequence[Cavity], thorough: bool
-) -> list[tuple[list[np.ndarray], list[Cavity]]]:
-    """Normals (3,) of the faces that may go onto a cavity's floor, with the cavities that they may go into.
+def _faces_down(source: Source, part: Volume, query: Query, cavities: Sequence[Cavity], thorough: bool) -> list[Faces]:
+    """The faces that may go onto a cavity's floor.
 
     Without a guess the part lies as it is inserted. With one, a thorough search inserts it on the face on which it
     lies, wherever the guess allows that: seldom does a part stand on two faces less than the error of a guess apart.
     """
     if query.guess is None:
-        return [([DOWN], list(cavities))]
+        return [Faces([DOWN], list(cavities), True)]
     back = query.guess.inverse()
     guessed = [back.rotate(cavity.world_from_plate.rotate(DOWN)) for cavity in cavities]
     if not thorough:
-        return [(_standing(source, part, guessed) or guessed, list(cavities))]
+        return [Faces(_standing(source, part, guessed) or guessed, list(cavities), True)]
     lies = [bool(matmul(down, DOWN) > LIES) for down in guessed]
     upright = [cavity for cavity, down in zip(cavities, lies, strict=True) if down]
     others = [cavity for cavity, down in zip(cavities, lies, strict=True) if not down]
-    return [([DOWN], upright), (_turned(source, part, list(compress(guessed, np.logical_not(lies)))), others)]
+    seen, unseen = _turned(source, part, list(compress(guessed, np.logical_not(lies))))
+    return [Faces([DOWN], upright, True), Faces(seen, others, True), Faces(unseen, others, False)]
 
 
 def _standing(source: Source, part: Volume, guessed: Sequence[np.ndarray]) -> list[np.ndarray]:
@@ -110,22 +124,30 @@ def _standing(source: Source, part: Volume, guessed: Sequence[np.ndarray]) -> li
     return [face.normal for face in standing_faces(surface_points(part), middle, angle, np.array(guessed), cone)]
 
 
-def _turned(source: Source, part: Volume, guessed: Sequence[np.ndarray]) -> list[np.ndarray]:
+def _turned(source: Source, part: Volume, guessed: Sequence[np.ndarray]) -> tuple[list[np.ndarray], list[np.ndarray]]:
     """Normals (3,) of the faces on which a part that does not lie as it is inserted may be, near a guessed direction.
 
-    Faces on which its volume stands, those that right angles add to them, and the guessed directions (3,) that none of
-    them is near to, as they are and put upright or level.
+    First those of faces on which its volume stands. Then those that right angles add to them, and the guessed
+    directions (3,) that none of them is near to, as they are and put upright or level.
     """
     if not guessed:
-        return []
+        return [], []
     middle, angle = part.grid.world(np.argwhere(part.occupied)).mean(0), source.noise.angle
     faces = standing_faces(surface_points(part), middle, angle)
     normals = right_angled([DOWN, -DOWN, *(squared(face.normal, source.noise.square) for face in faces)], angle)
-    least = np.cos(MAX_ANGLE + SLACK_ANGLE + angle)
-    near = [normal for normal in normals if max(matmul(down, normal) for down in guessed) > least]
-    unseen = [down for down in guessed if not any(matmul(down, normal) > NEAR_GUESS for normal in near)]
-    level = [squared(down, MAX_ANGLE) for down in unseen]
-    return near + level + [down for down, put in zip(unseen, level, strict=True) if put is not down]
+    large = [face.normal for face in faces if face.area >= LARGE]
+    normals += [normal for normal in large if not _any_near(normals, normal, np.cos(angle))]
+    near = [normal for normal in normals if _any_near(guessed, normal, np.cos(MAX_ANGLE + SLACK_ANGLE + angle))]
+    shown = [_any_near([face.normal for face in faces], normal, np.cos(angle)) for normal in near]
+    free = [down for down in guessed if not _any_near(near, down, NEAR_GUESS)]
+    level = [squared(down, MAX_ANGLE) for down in free]
+    free = [down for down, put in zip(free, level, strict=True) if put is not down]
+    return list(compress(near, shown)), [*compress(near, np.logical_not(shown)), *level, *free]
+
+
+def _any_near(normals: Sequence[np.ndarray], normal: np.ndarray, least: float) -> bool:
+    """Whether the cosine between any of some unit vectors (3,) and another is more than the least."""
+    return any(matmul(other, normal) > least for other in normals)
 
 
 def within_guess_error(goal_from_now: Pose, query: Query) -> bool:

@@ -43,6 +43,8 @@ class Candidate:
     """[m] between the cavity's depth and the depth that a kit for this part has."""
     misfit: float
     """Squared difference of the reliefs over that of an empty plate: 0 fits, 1 explains nothing."""
+    seen: bool = True
+    """Whether the volume of the part has the face that goes onto the cavity's floor."""
 
 
 @dataclass(frozen=True, eq=False)
