@@ -2,9 +2,9 @@
 
     python bench/bench_completion.py data/kit1000 --split test
 
-IoU of the occupied voxels of 1 mm, of all and of the hidden ones; surface Chamfer distance; of the network also the
-expected calibration error of its probabilities in the cells that are not seen, and its seconds on one core. The image
-of the d415 is calibrated by the table first.
+IoU of the occupied voxels of 1 mm and surface Chamfer distance, of all space, of hidden and of seen space; of the
+network also the expected calibration error of its probabilities in the cells that are not seen, and its seconds on one
+core. The image of the d415 is calibrated by the table first.
 """
 
 from __future__ import annotations
@@ -13,11 +13,12 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
 import tyro
+from completion_scores import Scores, completion_scores, component_measures
 from components import add_components
 from measured_dataset import measured_dataset
 
@@ -30,9 +31,8 @@ from baselines.restoration import calibrated_image
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import Kit1000Error
 from kit1000.generation.presets import HELD_OUT
-from kit1000.metrics.volumes import occupancy_iou, surface_chamfer
 from kit1000.values import FIRST_PART_LABEL, Query, Truth
-from kit1000.voxels import Volume, signed_distance
+from kit1000.voxels import signed_distance
 
 VOXEL = 1e-3  # [m]
 BINS = 10  # of probability, for the calibration error
@@ -45,6 +45,8 @@ class Completion:
     data: tyro.conf.Positional[Path | None] = None
     """Dataset folder; without one a tiny dataset is generated."""
     split: str = "test"
+    sensor: Literal["ideal", "d415"] | None = None
+    """One sensor; both when absent."""
     weights: Path = WEIGHTS / "completion"
     """Stem of the network's weights."""
     parts: int = 200
@@ -60,9 +62,8 @@ class Measured(NamedTuple):
 
     query: Query
     truth: Truth
-    columns: tuple[float, float, float]
-    """IoU of all and of the hidden voxels, and Chamfer distance [m]."""
-    network: tuple[float, float, float]
+    columns: Scores
+    network: Scores
     seconds: float
     counts: np.ndarray
     """(3, BINS) by the probability of hidden cells: their number, the sums of probability and of filled share."""
@@ -83,12 +84,12 @@ def main(options: Completion) -> None:
     torch.set_num_threads(1)
     completer = PartCompleter(options.weights)
     with measured_dataset(options.data) as (dataset, _):
-        for sensor in ("ideal", "d415"):
+        for sensor in (options.sensor,) if options.sensor else ("ideal", "d415"):
             found = list(_measured(dataset, options, completer, sensor))
             if not found:
                 continue
-            print(f"{dataset.root.name}, {options.split}, {sensor}: IoU / IoU hidden / Chamfer mm")
-            print(f"  {'':18} {'n':>4}  {'columns':21}  {'network':21}  {'ECE':6}")
+            print(f"{dataset.root.name}, {options.split}, {sensor}: IoU / hidden / seen, Chamfer mm / hidden / seen")
+            print(f"  {'':18} {'n':>4}  {'columns':39}  {'network':39}  {'ECE':6}")
             for name, belongs in GROUPS.items():
                 _print_group(name, [row for row in found if belongs(row.truth)])
             seconds = np.array([row.seconds for row in found])
@@ -104,24 +105,18 @@ def _print_group(name: str, rows: list[Measured]) -> None:
         return
     texts = []
     for method in ("columns", "network"):
-        values = np.array([getattr(row, method) for row in rows])
-        texts.append(f"{values[:, 0].mean():.3f} / {values[:, 1].mean():.3f} / {1e3 * np.mean(values[:, 2]):.2f}")
+        iou, chamfer = np.array([getattr(row, method) for row in rows]).mean(0).T
+        words = [*(f"{share:.3f}" for share in iou), *(f"{1e3 * distance:.2f}" for distance in chamfer)]
+        texts.append(" / ".join(words))
     error = calibration_error(np.sum([row.counts for row in rows], axis=0))
-    spread = np.std([row.network[0] - row.columns[0] for row in rows]) / np.sqrt(len(rows))
-    print(f"  {name:18} {len(rows):4}  {texts[0]:21}  {texts[1]:21}  {error:.4f}  (gain +- {1.96 * spread:.3f})")
+    spread = np.std([row.network.all.iou - row.columns.all.iou for row in rows]) / np.sqrt(len(rows))
+    print(f"  {name:18} {len(rows):4}  {texts[0]:39}  {texts[1]:39}  {error:.4f}  (gain +- {1.96 * spread:.3f})")
 
 
 def _add(path: Path, sensor: str, rows: list[Measured]) -> None:
-    measures = {
-        f"{method}: {measure}": [scale * getattr(row, method)[i] for row in rows]
-        for method in ("columns", "network")
-        for i, scale, measure in (
-            (0, 1, "IoU"),
-            (1, 1, "IoU of hidden space"),
-            (2, 1e3, "surface Chamfer distance, mm"),
-        )
-    }
-    add_components(path, f"part completion, {sensor}", measures, [row.truth.assembly_id for row in rows])
+    methods = {method: [getattr(row, method) for row in rows] for method in ("columns", "network")}
+    clusters = [row.truth.assembly_id for row in rows]
+    add_components(path, f"part completion, {sensor}", component_measures(methods), clusters)
 
 
 def _measured(dataset: Dataset, options: Completion, completer: PartCompleter, sensor: str) -> Iterator[Measured]:
@@ -151,13 +146,8 @@ def _measure(scene: RecordedScene, query: Query, completer: PartCompleter, datas
         cells = part.codes == -CODE
         share = filled_share(mesh, truth.world_from_part, logits.grid)
         counts = bin_counts(logits.probability[cells], share[cells])
-    scores = [_scores(volume, exact, hidden) for volume in (columns, network)]
+    scores = [completion_scores(volume, exact, hidden) for volume in (columns, network)]
     return Measured(query, truth, scores[0], scores[1], seconds, counts)
-
-
-def _scores(volume: Volume, exact: Volume, hidden: np.ndarray) -> tuple[float, float, float]:
-    masked = [np.where(hidden, one.values, np.float32(np.nan)) for one in (volume, exact)]
-    return occupancy_iou(volume, exact), occupancy_iou(*masked), surface_chamfer(volume, exact)
 
 
 def bin_counts(probability: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -174,7 +164,8 @@ def calibration_error(counts: np.ndarray) -> float:
 def _write(path: Path, rows: list[Measured]) -> None:
     lines = ["query,family,rest_mode,crowded,columns_iou,network_iou,columns_mm,network_mm"]
     for row in rows:
-        numbers = [row.columns[0], row.network[0], 1e3 * row.columns[2], 1e3 * row.network[2]]
+        spaces = row.columns.all, row.network.all
+        numbers = [*(space.iou for space in spaces), *(1e3 * space.chamfer for space in spaces)]
         names = [row.query.id, row.truth.family, row.truth.rest_mode, str(int(row.truth.crowded))]
         lines.append(",".join([*names, *(f"{number:.4f}" for number in numbers)]))
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")

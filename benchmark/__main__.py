@@ -179,6 +179,8 @@ class Table2:
     """Split of the queries; test-all has every part of a test scene."""
     components: Optional = None
     """JSON file with the measures of segmentation and completion."""
+    masks: Annotated[str | None, tyro.conf.arg(metavar="MODULE:FUNCTION")] = None
+    """By which the robot finds the parts in rows that state predicted masks; by the recorded masks when absent."""
     scenes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Number of scenes, the first ones; all when absent."""
     out: Optional = None
@@ -188,7 +190,8 @@ class Table2:
         """Print the table."""
         from benchmark.table2 import run as table2
 
-        print(table2(self.data, self.submissions, self.track, self.split, self.components, self.scenes, self.out))
+        options = (self.track, self.split, self.components, self.scenes, self.out, self.masks)
+        print(table2(self.data, self.submissions, *options))
         return 0
 
 

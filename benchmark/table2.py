@@ -1,13 +1,14 @@
 """Table II: what a whole system reaches, from the image to the part in its slot, stage by stage.
 
 A row of the chain is a submission: which stages of it read the truth is its own business, and its label says so. The
-robot carries out its predictions (`kit1000.planner`), and the seating test judges the same predictions. Components,
-such as segmentation and completion, are measured where they are made; their numbers come as JSON files.
+robot carries out its predictions (`kit1000.planner`), and the seating test judges the same predictions. Where a
+submission finds its masks, the robot can find the part by these too. Components, such as segmentation and completion,
+are measured where they are made; their numbers come as JSON files.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -16,19 +17,25 @@ import numpy as np
 from scipy.spatial import ConvexHull
 from tqdm import tqdm
 
+from benchmark.failures import KINDS, SEATS, failure_kinds
 from benchmark.intervals import rate_interval
 from benchmark.report import json_text
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import read_json, write_bytes
-from kit1000.metrics import Targets, pose_errors, seatings
+from kit1000.metrics import Targets, pose_errors
 from kit1000.planner.execute import NO_SEAL, NOT_FROM_ABOVE, OUTCOMES, SEATED, PartRun, SceneRun, run_scene
 from kit1000.planner.runs import outcome_counts
 from kit1000.pose import Pose
+from kit1000.predictor import resolved
+from kit1000.submission.manifest import FILE as MANIFEST
+from kit1000.submission.manifest import read_manifest
 from kit1000.submission.predictions import FILE, read_predictions
 from kit1000.tracks import TRACKS
 from kit1000.values import Query, Truth
 
+MaskFinder = Callable[[Query, float], Query]
+"""Called with a query and the scale of the dataset's scenes: the query with masks from its image alone."""
 TRUTH = "truth"  # label of the row with the true motions
 COMPONENT_KEYS = {"component", "label", "measure", "value", "interval", "n"}
 
@@ -68,8 +75,13 @@ class ChainRow:
     """[s] median time of the robot a picked part."""
     outcomes: dict[str, int]
     """Number of queries by outcome."""
+    failures: dict[str, int]
+    """Number of the possible ones that the robot does not seat, by what is wrong with the motion (`failure_kinds`)."""
+    against: dict[str, int]
+    """Number of the possible ones that the row before seats and this does not, lost, and the reverse, won."""
     queries: list[dict[str, Any]]
-    """Of each query its id, outcome and detail, what the seating test says, and the errors [mm], [degrees]."""
+    """Of each query its id, outcome and detail, what is wrong with the motion (nothing where the seating test passes
+    it), and the errors [mm], [degrees]."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +101,7 @@ def chain(
     split: str = "test",
     scenes: int | None = None,
     seed: int = 0,
+    find_masks: MaskFinder | None = None,
 ) -> list[ChainRow]:
     """The rows of the chain, the true motions first, then one for each submission.
 
@@ -99,6 +112,8 @@ def chain(
         split: of the queries.
         scenes: number of scenes, the first ones; all when None.
         seed: of the path planner.
+        find_masks: by which the robot finds the part in rows of submissions that state predicted masks; None: by the
+            recorded masks, as in all others.
     """
     if track not in TRACKS:
         raise InputError(f"--track {track}: there are {', '.join(TRACKS)}")
@@ -113,12 +128,16 @@ def chain(
     for label, path in submissions.items():
         motions[label] = _motions_of(Path(path), queries)
     possible: set[str] = set()
+    before: set[str] = set()
     rows = []
     for label, predicted in motions.items():
-        cases = _execute(dataset, label, queries, truths, predicted, TRACKS[track].sensor, seed)
+        find = find_masks if label != TRUTH and _states_predicted_masks(Path(submissions[label])) else None
+        cases = _execute(dataset, label, queries, truths, predicted, TRACKS[track].sensor, seed, find)
         if label == TRUTH:
             possible = {case.query.id for case in cases if case.run.outcome not in (NO_SEAL, NOT_FROM_ABOVE)}
-        rows.append(_row(dataset, label, cases, possible))
+            before = possible
+        rows.append(_row(dataset, label, cases, possible, before))
+        before = {case.query.id for case in cases if case.run.outcome == SEATED}
     return rows
 
 
@@ -131,6 +150,10 @@ def _motions_of(path: Path, queries: Sequence[Query]) -> dict[str, Pose]:
     return {i: Pose.identity() if row is None else predictions.motions[row] for i, row in rows.items()}
 
 
+def _states_predicted_masks(path: Path) -> bool:
+    return path.is_dir() and read_manifest(path / MANIFEST, path).masks == "predicted"
+
+
 def _execute(
     dataset: Dataset,
     label: str,
@@ -139,25 +162,32 @@ def _execute(
     motions: Mapping[str, Pose],
     sensor: str,
     seed: int,
+    find: MaskFinder | None,
 ) -> list[_Case]:
     """Let the robot carry out all motions of a row, scene by scene."""
     cases = []
     for scene_id in tqdm(dict.fromkeys(query.scene_id for query in queries), desc=label, unit="", disable=None):
         own = {query.part: query for query in queries if query.scene_id == scene_id}
         scene = dataset.recorded_scene(scene_id, truth=True)
-        run: SceneRun = run_scene(scene, {part: motions[query.id] for part, query in own.items()}, sensor, seed)
+        scale = dataset.summary["config"]["scale"]
+        images = None if find is None else {part: find(query, scale).image for part, query in own.items()}
+        moves = {part: motions[query.id] for part, query in own.items()}
+        run: SceneRun = run_scene(scene, moves, sensor, seed, images)
         for part in run.parts:
             query = own[part.part]
             cases.append(_Case(query, truths[query.id], motions[query.id], part))
     return cases
 
 
-def _row(dataset: Dataset, label: str, cases: Sequence[_Case], possible: set[str]) -> ChainRow:
+def _row(dataset: Dataset, label: str, cases: Sequence[_Case], possible: set[str], before: set[str]) -> ChainRow:
     truths, motions = [case.truth for case in cases], Pose.stack([case.motion for case in cases])
-    tested = seatings(motions, truths, dataset.geometry).seated
-    errors = pose_errors(motions, Targets.of(truths, lambda part_id: _hull(dataset, part_id)))
+    targets = Targets.of(truths, lambda part_id: _hull(dataset, part_id))
+    errors = pose_errors(motions, targets)
+    kinds = np.array(failure_kinds(motions, truths, targets, dataset.geometry))
+    tested = kinds == SEATS
     seated = np.array([case.run.outcome == SEATED for case in cases])
     among = np.array([case.query.id in possible for case in cases])
+    earlier = np.array([case.query.id in before for case in cases])
     clusters = [case.truth.assembly_id for case in cases if case.query.id in possible]
     picked = np.array([bool(case.run.physics) for case in cases])
     seconds = [case.run.seconds for case in cases if case.run.physics]
@@ -173,16 +203,18 @@ def _row(dataset: Dataset, label: str, cases: Sequence[_Case], possible: set[str
         float(np.degrees(np.median(errors.rotation))),
         float(np.median(seconds)) if seconds else None,
         outcome_counts(case.run for case in cases),
+        {kind: int((kinds[among & ~seated] == kind).sum()) for kind in KINDS},
+        {"lost": int((earlier & ~seated)[among].sum()), "won": int((seated & ~earlier)[among].sum())},
         [
             {
                 "query": case.query.id,
                 "outcome": case.run.outcome,
                 "detail": case.run.detail,
-                "by_the_test": bool(passed),
+                "motion": str(kind),
                 "position_mm": round(float(position) * 1e3, 3),
                 "rotation_deg": round(float(np.degrees(rotation)), 3),
             }
-            for case, passed, position, rotation in zip(cases, tested, errors.position, errors.rotation, strict=True)
+            for case, kind, position, rotation in zip(cases, kinds, errors.position, errors.rotation, strict=True)
         ],
     )
 
@@ -218,9 +250,13 @@ def markdown(rows: Sequence[ChainRow], components: Sequence[Mapping[str, Any]], 
         lines.append(_line([*cells, _number(row.rotation_deg, 1), _number(row.seconds, 0)]))
     lines += ["", _line(["outcomes", *OUTCOMES]), _line(["---", *["---:"] * len(OUTCOMES)])]
     lines += [_line([row.label, *row.outcomes.values()]) for row in rows]
-    agreement = list(rows[0].agreement)
-    lines += ["", _line(["robot and test, picked parts", *agreement]), _line(["---", *["---:"] * len(agreement)])]
-    lines += [_line([row.label, *row.agreement.values()]) for row in rows]
+    for title, counted in (
+        ("robot and test, picked parts", [row.agreement for row in rows]),
+        ("not seated, by what is wrong with the motion", [row.failures for row in rows]),
+        ("against the row before", [row.against for row in rows]),
+    ):
+        lines += ["", _line([title, *counted[0]]), _line(["---", *["---:"] * len(counted[0])])]
+        lines += [_line([row.label, *counts.values()]) for row, counts in zip(rows, counted, strict=True)]
     if components:
         lines += ["", "| component | method | measure | value | 95 % | n |", "| --- | --- | --- | ---: | ---: | ---: |"]
         for part in components:
@@ -247,12 +283,13 @@ def run(
     components: Path | None,
     scenes: int | None,
     out: Path | None,
+    masks: str | None = None,
 ) -> str:
     """The table of a dataset and submissions as Markdown, and as JSON in a file `out` if given."""
     labelled = {path.name if path.is_dir() else path.stem: path for path in submissions}
     if len(labelled) < len(submissions) or TRUTH in labelled:
         raise InputError("submissions: expected names of their own, and none called truth, which is there anyway")
-    rows = chain(data, labelled, track, split, scenes)
+    rows = chain(data, labelled, track, split, scenes, find_masks=None if masks is None else resolved(masks))
     parts = [] if components is None else read_components(components)
     if out is not None:
         write_bytes(

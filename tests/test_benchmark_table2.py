@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +17,9 @@ from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.planner.execute import NO_SEAL, OUTCOMES, PartRun, SceneRun
 from kit1000.pose import Pose
+from kit1000.submission import Manifest, write_submission
 from kit1000.submission.predictions import write_predictions
-from kit1000.values import Prediction
+from kit1000.values import LabelledDepth, Prediction
 
 SPLIT = "train"
 FAR = Pose.from_translation([0.0, 0.0, 0.02])
@@ -26,7 +29,9 @@ FAR = Pose.from_translation([0.0, 0.0, 0.02])
 def robot(monkeypatch: pytest.MonkeyPatch) -> None:
     """In place of the robot: it seats what is moved truly, never finds a seal in the first scene, and else jams."""
 
-    def run_scene(scene: RecordedScene, motions: Mapping[int, Pose], sensor: str, seed: int) -> SceneRun:
+    def run_scene(
+        scene: RecordedScene, motions: Mapping[int, Pose], sensor: str, seed: int, images: object
+    ) -> SceneRun:
         true = {query.part: scene.truth_of(query.id).goal_drawn for query in scene.queries if query.track == "snap"}
         runs = []
         for part, motion in motions.items():
@@ -66,6 +71,9 @@ def test_the_rows_share_what_is_possible_and_their_counts_add_up(mini: Path, shi
     assert (truth.seated, truth.tested, truth.agreement["both"]) == (1.0, 1.0, len(possible))
     assert (raised.seated, raised.tested, raised.agreement["neither"]) == (0.0, 0.0, len(possible))
     assert truth.position_mm == pytest.approx(0, abs=1e-6)
+    assert sum(truth.failures.values()) == truth.against["lost"] == raised.against["won"] == 0
+    assert sum(raised.failures.values()) == raised.against["lost"] == len(possible)
+    assert raised.failures["nothing"] == 0
     assert raised.position_mm == pytest.approx(20.0)
     assert raised.rotation_deg == pytest.approx(0, abs=1e-6)
 
@@ -75,6 +83,40 @@ def test_fewer_scenes_are_the_first_ones(mini: Path, shifted: Path, robot: None)
     first = next(iter(Dataset(mini).split(SPLIT))).id
     assert row.n == sum(query.scene_id == first for query in Dataset(mini).split(SPLIT).queries("snap"))
     assert row.possible == 0
+
+
+def test_the_robot_finds_parts_by_predicted_masks_where_the_manifest_states_them(
+    mini: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    seen: list[tuple[str, Mapping[int, LabelledDepth] | None]] = []
+
+    def run_scene(scene: RecordedScene, motions: Mapping[int, Pose], sensor: str, seed: int, images: Any) -> SceneRun:
+        seen.append((scene.id, images))
+        return SceneRun(scene.id, tuple(PartRun(part, NO_SEAL, "") for part in motions), (), (), Pose.identity())
+
+    monkeypatch.setattr(table2, "run_scene", run_scene)
+    dataset = Dataset(mini)
+    queries = list(dataset.split(SPLIT).queries("snap"))
+    rows = [Prediction(query.id, dataset.truth_of(query).goal_drawn, 0.5, 1.0) for query in queries]
+    stated = Manifest(
+        method="mine",
+        authors=("us",),
+        description="true motions",
+        date="2026-01-01",
+        dataset_id=dataset.id,
+        tracks=("snap",),
+        learned=False,
+        uses_true_geometry=False,
+    )
+    for masks in ("given", "predicted"):
+        write_submission(tmp_path / masks, replace(stated, masks=masks), rows)
+    folders = {masks: tmp_path / masks for masks in ("given", "predicted")}
+    found = []
+    table2.chain(mini, folders, "snap", SPLIT, 1, find_masks=lambda query, scale: found.append(scale) or query)
+    assert [images is None for _, images in seen] == [True, True, False]
+    own = [query for query in queries if query.scene_id == seen[-1][0]]
+    assert set(seen[-1][1] or ()) == {query.part for query in own}
+    assert found == [dataset.summary["config"]["scale"]] * len(own)
 
 
 def test_predictions_of_other_queries_and_unknown_tracks_are_refused(mini: Path, tmp_path: Path, robot: None) -> None:

@@ -29,6 +29,8 @@ class ObservedKits:
     noise: Noise
     name: str
     """Of the image: names the stream of its random draws."""
+    half_width: float = HALF_WIDTH
+    """[m] from the middle of a volume to its sides."""
 
     @property
     def view(self) -> View:
@@ -57,23 +59,26 @@ class ObservedKits:
             voxel: [m] edge.
 
         Returns:
-            A volume about the middle, its z axis the normal, of HALF_WIDTH and HALF_HEIGHT; no voxel is unknown.
+            A volume about the middle, its z axis the normal, of `half_width` and HALF_HEIGHT; no voxel is unknown.
         """
+        return self.columns(middle, voxel).filled(largest_only=False)
+
+    def columns(self, middle: np.ndarray, voxel: float) -> ObservedColumns:
+        """What the image shows around a point, for `volume`."""
         nearest = min(self.plates, key=lambda plate: float(np.linalg.norm(plate.point - middle)), default=UPRIGHT)
         along = Pose(plane_frame(nearest, middle).wxyz, middle)
         near = self._cropped_about(middle)
         mask = near.labels == ASSEMBLY_LABEL
-        points, half_sizes = subpixel_points(near.view, mask), (HALF_WIDTH, HALF_HEIGHT)
-        columns = ObservedColumns.of([MaskedView(near.view, mask)], points, along, half_sizes, -HALF_HEIGHT, voxel)
-        return columns.filled(largest_only=False)
+        points, half_sizes = subpixel_points(near.view, mask), (self.half_width, HALF_HEIGHT)
+        return ObservedColumns.of([MaskedView(near.view, mask)], points, along, half_sizes, -HALF_HEIGHT, voxel)
 
     def _cropped_about(self, middle: np.ndarray) -> LabelledDepth:
         """The image, cropped to what shows the volume around a point."""
         camera, (height, width) = self.view.camera, self.view.depth.shape
         point = self.view.world_from_camera.inverse().apply(middle)
         u, v = np.rint(camera.project(point)).astype(int)
-        radius = np.hypot(np.sqrt(2) * HALF_WIDTH, HALF_HEIGHT)
-        reach = int(np.ceil(radius * camera.fx / max(point[2] - HALF_WIDTH, HALF_WIDTH)))
+        radius = np.hypot(np.sqrt(2) * self.half_width, HALF_HEIGHT)
+        reach = int(np.ceil(radius * camera.fx / max(point[2] - self.half_width, self.half_width)))
         rows, columns = (
             slice(*np.clip((i - reach, i + reach), (0, 1), (n - 1, n)).tolist()) for i, n in ((v, height), (u, width))
         )

@@ -93,11 +93,12 @@ class SceneRun:
 class Bench:
     """A scene before the robot: its bodies and where the parts are now."""
 
-    def __init__(self, scene: RecordedScene, sensor: str) -> None:
+    def __init__(self, scene: RecordedScene, sensor: str, images: Mapping[int, LabelledDepth] | None = None) -> None:
         geometry = scene.split.dataset.geometry
         assembly, *parts = scene.scene.bodies
         self.scene_id = scene.id
         self.image: LabelledDepth = scene.labelled_depth(sensor)
+        self.images = images or {}
         self.flatness = SEEN_FLATNESS[sensor]
         self.assembly: Assembly = geometry.assembly(assembly.id)
         self.world_from_assembly = assembly.world_from_body
@@ -121,7 +122,7 @@ class Bench:
 
     def grasps(self, part: int) -> list[Grasp]:
         """Where a cup seems to seal on a part, best first."""
-        return find_grasps(self.image, part, self.flatness)
+        return find_grasps(self.images.get(part, self.image), part, self.flatness)
 
     def seal_height(self, part: int, grasp: Grasp) -> float | None:
         """The height [m] at which the cup of a grasp seals on a part and carries it; None where it does not."""
@@ -194,7 +195,13 @@ def part_name(part: int) -> str:
     return f"part {part}"
 
 
-def run_scene(scene: RecordedScene, motions: Mapping[int, Pose], sensor: str = "ideal", seed: int = 0) -> SceneRun:
+def run_scene(
+    scene: RecordedScene,
+    motions: Mapping[int, Pose],
+    sensor: str = "ideal",
+    seed: int = 0,
+    images: Mapping[int, LabelledDepth] | None = None,
+) -> SceneRun:
     """Carry out motions in a scene, which must have been opened with its truth.
 
     Args:
@@ -202,15 +209,18 @@ def run_scene(scene: RecordedScene, motions: Mapping[int, Pose], sensor: str = "
         motions: goal_from_now by part index; parts without one are left alone.
         sensor: of the depth image by which the robot grasps.
         seed: of the trees of the path planner.
+        images: by part index, the image with other masks in which the robot finds the part; the recorded one elsewhere.
     """
-    with robot_at(scene, sensor, seed) as robot:
+    with robot_at(scene, sensor, seed, images) as robot:
         return robot.run(motions)
 
 
 @contextmanager
-def robot_at(scene: RecordedScene, sensor: str = "ideal", seed: int = 0) -> Iterator[Robot]:
+def robot_at(
+    scene: RecordedScene, sensor: str = "ideal", seed: int = 0, images: Mapping[int, LabelledDepth] | None = None
+) -> Iterator[Robot]:
     """A robot before a scene, for motions that come one after another; arguments as those of `run_scene`."""
-    bench = Bench(scene, sensor)
+    bench = Bench(scene, sensor, images)
     with Cell(bench.world_from_base) as cell:
         yield Robot(bench, cell, seed)
 
