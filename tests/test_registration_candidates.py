@@ -17,14 +17,12 @@ from baselines.completion.part import PartEvidence
 from baselines.completion.pixels import IDEAL
 from baselines.registration.certain import (
     COARSE_WEIGHT,
-    SAME_ANGLE,
-    SAME_DISTANCE,
     UNSEEN_CHOICE,
     UNSEEN_MISFIT,
-    _same,
     _Search,
 )
 from baselines.registration.faces import squared, standing_faces
+from baselines.registration.fits import LARGEST_LEAD, SAME_ANGLE, SAME_DISTANCE, lead, ranked, same_pose
 from baselines.registration.hypotheses import DOWN, LIES, NEAR_GUESS, SLACK_ANGLE, _faces_down
 from baselines.registration.method import SEATED, confidence
 from kit1000.guesses import MAX_ANGLE
@@ -56,22 +54,29 @@ def test_candidates_that_end_in_one_pose_are_refined_further_only_once() -> None
     assert search_for(known).apart([], 3) == []
 
 
-def test_poses_are_one_within_a_millimetre_and_three_degrees_in_one_plate() -> None:
+def test_poses_are_one_within_a_millimetre_and_three_degrees() -> None:
     known = case("a bar")
-    here = known.candidate(known.goal)
 
     def moved(shift: float, angle: float) -> bool:
-        error = apply_error(known.goal, known.pivot, np.array([0, shift, 0]), np.array([0, 0, angle]))
-        there = known.candidate(error)
-        assert _same(here, there, known.pivot) == _same(there, here, known.pivot)
-        return _same(here, there, known.pivot)
+        there = apply_error(known.goal, known.pivot, np.array([0, shift, 0]), np.array([0, 0, angle]))
+        assert same_pose(known.goal, there, known.pivot) == same_pose(there, known.goal, known.pivot)
+        return same_pose(known.goal, there, known.pivot)
 
     assert moved(0.0, 0.0)
     assert moved(0.9 * SAME_DISTANCE, 0.9 * SAME_ANGLE)
     assert not moved(1.1 * SAME_DISTANCE, 0.0)
     assert not moved(0.0, 1.1 * SAME_ANGLE)
-    elsewhere = replace(here, cavity=replace(here.cavity, world_from_plate=Pose(*_parts(here.cavity.world_from_plate))))
-    assert not _same(here, elsewhere, known.pivot)
+
+
+def test_a_fit_leads_by_the_misfit_of_the_next_in_another_pose() -> None:
+    known = case("an L")
+    seated = search_for(known).fitted(known.candidate(known.goal))
+    beside = apply_error(known.goal, known.pivot, np.array([0.5 * SAME_DISTANCE, 0, 0]), np.zeros(3))
+    turned = apply_error(known.goal, known.pivot, np.zeros(3), np.array([0, 0, np.pi]))
+    twin = replace(seated, misfit=seated.misfit + 1e-4, goal_from_now=beside)
+    rival = replace(seated, misfit=seated.misfit + 7e-4, goal_from_now=turned)
+    assert lead([seated], known.pivot) == lead([seated, twin], known.pivot) == LARGEST_LEAD
+    assert lead(ranked([rival, twin, seated]), known.pivot) == pytest.approx(7e-4)
 
 
 @given(doubts=st.lists(st.floats(0, 0.05), min_size=2, max_size=2), kind=st.sampled_from(sorted(SEATED)))
@@ -90,10 +95,6 @@ def test_a_fit_beside_the_goal_has_more_doubt() -> None:
     )
     assert seated.doubt == seated.misfit  # ideal depth: one sum tells both
     assert turned.doubt > seated.doubt + 0.5e-3
-
-
-def _parts(pose: Pose) -> tuple[np.ndarray, np.ndarray]:
-    return pose.wxyz, pose.xyz
 
 
 def test_of_candidates_that_contradict_equally_the_better_coarse_match_is_first() -> None:

@@ -6,17 +6,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import numpy as np
-
 from baselines.registration.contradictions import Contradictions, KitHeights, contradictions
 from baselines.registration.descent import SCALES
-from baselines.registration.fits import STIFFNESS, Fit, ranked
+from baselines.registration.fits import STIFFNESS, Fit, ranked, same_pose
 from baselines.registration.hypotheses import find_candidates, within_guess_error
 from baselines.registration.intervals import Intervals, refine_within
 from baselines.registration.outline import outline_misfit
 from baselines.registration.search import Candidate, without_duplicates
 from baselines.registration.sources import DepthSource
-from kit1000.products import length
+from kit1000.pose import Pose
 from kit1000.values import Query
 
 DISTINCT, DISTINCT_WITHOUT_GUESS = 24, 16  # candidates of each plate among which contradictions choose
@@ -24,7 +22,6 @@ REFINED, REFINED_WITHOUT_GUESS = 4, 6  # candidates of all plates that are refin
 COARSE_WEIGHT = 1e-3  # [m] of the coarse misfit beside contradictions: over unseen cells nothing contradicts
 UNSEEN_CHOICE, UNSEEN_MISFIT = 0.3e-3, 0.4e-3  # [m] added for a face that the part's volume does not have
 SPARE = 3  # further candidates that are refined once in place of those that end in an earlier one's pose
-SAME_DISTANCE, SAME_ANGLE = 1e-3, np.radians(3)  # [m], [rad] within which two refined poses are one
 CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
 
 
@@ -100,11 +97,14 @@ class _Search:
     def apart(self, candidates: Sequence[Candidate], most: int) -> list[Candidate]:
         """The first `most` candidates after the first pass, in different poses and as near to the guess as a goal."""
         kept: list[Candidate] = []
+        goals: list[Pose] = []
         for candidate in candidates[: most + SPARE]:
             moved, _ = self._refined(candidate, self.refinement.passes[0])
-            new = not any(_same(moved, other, self.source.middle) for other in kept)
-            if new and within_guess_error(moved.cavity.world_from_plate @ moved.plate_from_now, self.query):
+            goal_from_now = moved.cavity.world_from_plate @ moved.plate_from_now
+            new = not any(same_pose(goal_from_now, other, self.source.middle) for other in goals)
+            if new and within_guess_error(goal_from_now, self.query):
                 kept.append(moved)
+                goals.append(goal_from_now)
             if len(kept) == most:
                 break
         return kept
@@ -137,11 +137,3 @@ class _Search:
         if key not in self._kits:
             self._kits[key] = KitHeights.of(candidate.cavity, self.clearance)
         return contradictions(self.source.evidence, self.seen, self._kits[key], candidate.plate_from_now)
-
-
-def _same(a: Candidate, b: Candidate, middle: np.ndarray) -> bool:
-    """Whether two refined candidates are one pose in one cavity. middle: (3,) [m] of the part now."""
-    if a.cavity.world_from_plate is not b.cavity.world_from_plate:
-        return False
-    near = length(a.plate_from_now.apply(middle) - b.plate_from_now.apply(middle)) < SAME_DISTANCE
-    return bool(near and (a.plate_from_now @ b.plate_from_now.inverse()).angle() < SAME_ANGLE)

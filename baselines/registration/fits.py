@@ -1,15 +1,20 @@
-"""Fits: refined candidates and their rank."""
+"""Fits: refined candidates, their rank, and how far the best one is ahead."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from baselines.registration.search import Candidate
 from kit1000.pose import Pose
+from kit1000.products import length
 
 STIFFNESS = 1.0  # of the contact between the part's lower face and the floor
 MISFIT_DECIMALS = 9  # of a metre: fits that differ by less are equal
+SAME_DISTANCE, SAME_ANGLE = 1e-3, np.radians(3)  # [m], [rad] within which two poses are one
+LARGEST_LEAD = 5e-3  # [m]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,3 +33,19 @@ class Fit:
 def ranked(fits: Iterable[Fit]) -> list[Fit]:
     """The fits, the best first; of equal ones the first stays the first."""
     return sorted(fits, key=lambda fit: round(fit.misfit, MISFIT_DECIMALS))
+
+
+def same_pose(a: Pose, b: Pose, point: np.ndarray) -> bool:
+    """Whether two motions move a point (3,) [m] to one place and differ little in rotation."""
+    near = length(a.apply(point) - b.apply(point)) < SAME_DISTANCE
+    return bool(near and (a @ b.inverse()).angle() < SAME_ANGLE)
+
+
+def lead(fits: Sequence[Fit], point: np.ndarray) -> float:
+    """[m] by which the misfit of the first of ranked fits is less than that of the next in another pose.
+
+    LARGEST_LEAD at most, and where there is no other. point: (3,) [m] of the part now.
+    """
+    best = fits[0]
+    others = [fit.misfit for fit in fits[1:] if not same_pose(fit.goal_from_now, best.goal_from_now, point)]
+    return min(min(others, default=np.inf) - best.misfit, LARGEST_LEAD)

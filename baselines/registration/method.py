@@ -13,7 +13,7 @@ import numpy as np
 from baselines.heights.labels import LabelledViews
 from baselines.registration.certain import register_certain
 from baselines.registration.columns import register_columns
-from baselines.registration.fits import Fit, ranked
+from baselines.registration.fits import Fit, lead, ranked
 from baselines.registration.sources import DepthSource, TrueSource
 from baselines.restoration import calibrated_image, restored_edges, restored_query
 from kit1000.dataset.reader import Dataset
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from baselines.completion.completed import PartCompleter
 
 SOURCES = ("depth", "columns", "truth")
+LEAD_SHARE = 0.5  # of the lead of a fit, taken off its doubt: another pose may fit as well
 CONFIDENCE_DECIMALS = 9  # the last digits of an exponential depend on the processor
 SEATED = {
     ("depth", "ideal"): (4.0e-3, 0.4e-3),
@@ -84,7 +85,10 @@ class Registration:
         fits = self.fits(query, geometry)
         if not fits:
             return PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
-        return PredictedMotion(fits[0].goal_from_now, confidence(fits[0].doubt, self.source, query.sensor))
+        doubt = fits[0].doubt
+        if self.source == "depth":
+            doubt -= LEAD_SHARE * lead(fits, query.pivot)
+        return PredictedMotion(fits[0].goal_from_now, confidence(doubt, self.source, query.sensor))
 
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits at all clearances, the best first."""
