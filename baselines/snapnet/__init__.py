@@ -26,7 +26,6 @@ PARTIALVOL = replace(
     description="SnapNet, small preset, from one depth image; space hidden behind what it shows is filled in columns",
     options={"source": "depth"},
     uses_true_geometry=False,
-    training_data="split train of kit1000, data version 0.2.1",
     weights={"position": "snapnet-partialvol-position", "rotation": "snapnet-partialvol-rotation"},
     label="SnapNet, partial volumes",
     paper_row="snapnet-partialvol",
@@ -34,7 +33,6 @@ PARTIALVOL = replace(
 COMPLETED = replace(
     PARTIALVOL,
     description="SnapNet, small preset, from one depth image; a network completes parts, columns fill the kits",
-    training_data=GTVOL.training_data,
     weights={"position": "snapnet-position", "rotation": "snapnet-rotation", "completion": "completion"},
     label="SnapNet",
     paper_row="snapnet",
