@@ -180,9 +180,9 @@ def _plates(assembly: Assembly) -> list[Obstacle]:
 
 @lru_cache(maxsize=1024)
 def _pieces(part: Part, wxyz: tuple[float, ...], tolerance: float, fine_height: float) -> list[np.ndarray]:
-    turn = Pose(np.array(wxyz), np.zeros(3))
-    prisms = enclosing_prisms(part.mesh.moved(turn), tolerance, fine_height)
-    return [turn.inverse().apply(prism) for prism in prisms]
+    rotation = Pose(np.array(wxyz), np.zeros(3))
+    prisms = enclosing_prisms(part.mesh.moved(rotation), tolerance, fine_height)
+    return [rotation.inverse().apply(prism) for prism in prisms]
 
 
 def _meets_box(body: Obstacle, low: np.ndarray, high: np.ndarray) -> bool:
@@ -260,8 +260,8 @@ class Robot:
     def _run_part(self, part: int, motion: Pose) -> PartRun:
         up = motion.rotate(UP)
         if up[2] < np.cos(MAX_TURN):
-            turn = np.degrees(np.arctan2(np.hypot(up[0], up[1]), up[2]))
-            return PartRun(part, NOT_FROM_ABOVE, f"at the goal its upper side would be turned by {turn:.0f} degrees")
+            tilt = np.degrees(np.arctan2(np.hypot(up[0], up[1]), up[2]))
+            return PartRun(part, NOT_FROM_ABOVE, f"at the goal its upper side would be tilted by {tilt:.0f} degrees")
         tried, seconds, refusals = 0, 0.0, []
         for grasp in self.bench.grasps(part):
             tried += 1

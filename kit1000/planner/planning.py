@@ -1,6 +1,6 @@
-"""Plans of a pick and a place: where the hand turns, which branch the arm takes, and the way in between.
+"""Plans of a pick and a place: the yaw of the hand, which branch the arm takes, and the way in between.
 
-A tool position leaves one turn about the cup's axis and eight branches open, at pick and at place. Pairs of lines,
+A tool position leaves one rotation about the cup's axis and eight branches open, at pick and at place. Pairs of lines,
 to the part and to the slot, are tried in the order of how far the joints move; each line is tested once.
 """
 
@@ -29,7 +29,7 @@ from kit1000.planner.motion import (
 )
 from kit1000.pose import Pose
 
-YAWS = 12  # turns of the hand that are tried
+YAWS = 12  # of the hand that are tried
 APPROACH = 0.1  # [m] above the part, where the straight way down begins
 TOUCHING = 2  # samples at the end of the way down at which the cup may touch the part
 DIRECT_TRIES = 48  # pairs whose joint moves are tried straight
@@ -78,7 +78,7 @@ class Refusal:
 
 @dataclass(eq=False)
 class _Lines:
-    """The straight lines to the part, or to the slot, for all turns of the hand."""
+    """The straight lines to the part, or to the slot, for all yaws of the hand."""
 
     joints: list[np.ndarray]
     """(8, n, 6) [rad] by yaw, as of `line_joints`."""
@@ -136,8 +136,8 @@ def plan(cell: Cell, start: np.ndarray, task: Task, rng: np.random.Generator) ->
 
 def _pick_poses(touch: np.ndarray) -> Pose:
     """(YAWS,) world_from_tool with the cup on a point (3,) [m], pointing down."""
-    turns = Pose.from_rotvec(np.outer(2 * np.pi * np.arange(YAWS) / YAWS, UP)) @ DOWN
-    return Pose(turns.wxyz, touch)
+    rotations = Pose.from_rotvec(np.outer(2 * np.pi * np.arange(YAWS) / YAWS, UP)) @ DOWN
+    return Pose(rotations.wxyz, touch)
 
 
 def _line(cell: Cell, world_from_tool: Pose, offset: np.ndarray) -> np.ndarray:
