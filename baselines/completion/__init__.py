@@ -26,11 +26,32 @@ SMALL = TrainConfig(
     workers=1,
     threads=1,
 )
+KITS = TrainConfig(
+    steps=700,
+    batch=16,
+    optimizer="muon",
+    learning_rate=5e-3,
+    warmup=50,
+    decay="linear",
+    weight_decay=0.05,
+    ema_decay=0.995,
+    mixed_precision="bfloat16",
+    validate_every=350,
+    checkpoint_every=50,
+    workers=0,
+    threads=1,
+)
 NETWORKS = {
     "completion": Network(
         "baselines.completion.task:completion_task",
         {
             "small": SMALL,
         },
-    )
+    ),
+    "kit-completion": Network(
+        "baselines.completion.kit_task:kit_completion_task",
+        {
+            "small": KITS,
+        },
+    ),
 }

@@ -64,12 +64,15 @@ class ObservedColumns:
         grid = Grid((side, side, height), voxel, fine.world_from_grid)
         return cls(grid, fine, observed, heights <= top[..., None], heights > floor)
 
-    def filled(self, largest_only: bool) -> Volume:
+    def filled(self, largest_only: bool, more: np.ndarray | None = None) -> Volume:
         """Signed distances to the columns below the points, except for free space; no voxel is unknown.
 
-        largest_only: whether only the largest connected piece is kept; the others are outliers.
+        Args:
+            largest_only: whether only the largest connected piece is kept; the others are outliers.
+            more: (2 nx, 2 ny, nz) bool, cells that are filled too where they are not seen free.
         """
-        solid = self.below_top & self.above_floor & ~(self.distance > 0)
+        below = self.below_top if more is None else self.below_top | more
+        solid = below & self.above_floor & ~(self.distance > 0)
         return self._volume(_largest(solid) if largest_only else solid, self.distance)
 
     def completed(self, likely: np.ndarray, exact: bool) -> Volume:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from baselines.calibration import flattened
-from baselines.completion.pixels import cropped
+from baselines.completion.pixels import cropped, pixel_points
 from kit1000.camera import Camera
 from kit1000.pose import Pose
 from kit1000.values import LabelledDepth, View
@@ -65,10 +65,9 @@ def grid_at(x: float, y: float, yaw: float) -> Grid:
 
 def _grid(view: View, mask: np.ndarray) -> Grid | None:
     """The grid of the pixels (H, W) of a part, in a world whose table is at height 0; None where it holds no part."""
-    v, u = np.nonzero(mask & (view.depth > 0))
-    if len(v) == 0:
+    points = pixel_points(view, mask)
+    if len(points) == 0:
         return None
-    points = view.world_from_camera.apply(view.camera.unproject_pixels(np.stack([u, v], -1), view.depth[v, u]))
     away = points.mean(0)[:2] - view.world_from_camera.xyz[:2]
     yaw = float(np.arctan2(away[1], away[0]))
     rotated = Pose.from_rotvec((0.0, 0.0, -yaw)).apply(points)

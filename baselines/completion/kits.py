@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,10 +12,14 @@ from baselines.completion.columns import ObservedColumns
 from baselines.completion.fusion import MaskedView
 from baselines.completion.pixels import Noise, cropped, oriented_points, subpixel_points
 from baselines.completion.planes import Plane, find_planes, plane_frame
+from baselines.completion.relief import seen_relief
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 from kit1000.voxels import Volume
+
+if TYPE_CHECKING:
+    from baselines.completion.completed_kits import CompletedRelief, ReliefCompleter
 
 HALF_WIDTH = 0.045  # [m] from the middle of a volume to its sides: no part of 50 mm is wider
 HALF_HEIGHT = 0.03  # [m] to its top and bottom: no cavity is deeper, and nothing higher touches a part
@@ -31,6 +36,8 @@ class ObservedKits:
     """Of the image: names the stream of its random draws."""
     half_width: float = HALF_WIDTH
     """[m] from the middle of a volume to its sides."""
+    completer: ReliefCompleter | None = None
+    """The network that completes what no pixel shows; None leaves it free where no point of a column was observed."""
 
     @property
     def view(self) -> View:
@@ -52,7 +59,7 @@ class ObservedKits:
         """Signed distances to the kits around a point: solid below what was observed, along the nearest plate's normal.
 
         A cavity is what its part sweeps along that normal, so its walls run along it. Where no point of its floor was
-        observed it has no floor.
+        observed it has no floor, unless the network completes it.
 
         Args:
             middle: (3,) [m] world.
@@ -61,16 +68,28 @@ class ObservedKits:
         Returns:
             A volume about the middle, its z axis the normal, of `half_width` and HALF_HEIGHT; no voxel is unknown.
         """
-        return self.columns(middle, voxel).filled(largest_only=False)
+        columns, relief = self.columns(middle, voxel), self.relief(middle)
+        return columns.filled(largest_only=False, more=None if relief is None else relief.filled(columns.fine))
+
+    def relief(self, middle: np.ndarray) -> CompletedRelief | None:
+        """The relief of the plate nearest to a point (3,) [m] of the world, about its foot; None without network."""
+        plate = self._nearest(middle)
+        if self.completer is None or plate is None:
+            return None
+        return self.completer(seen_relief(self._cropped_about(middle), plate, middle, self.noise))
 
     def columns(self, middle: np.ndarray, voxel: float) -> ObservedColumns:
         """What the image shows around a point, for `volume`."""
-        nearest = min(self.plates, key=lambda plate: float(np.linalg.norm(plate.point - middle)), default=UPRIGHT)
+        nearest = self._nearest(middle) or UPRIGHT
         along = Pose(plane_frame(nearest, middle).wxyz, middle)
         near = self._cropped_about(middle)
         mask = near.labels == ASSEMBLY_LABEL
         points, half_sizes = subpixel_points(near.view, mask), (self.half_width, HALF_HEIGHT)
         return ObservedColumns.of([MaskedView(near.view, mask)], points, along, half_sizes, -HALF_HEIGHT, voxel)
+
+    def _nearest(self, middle: np.ndarray) -> Plane | None:
+        """The plate nearest to a point (3,) [m]."""
+        return min(self.plates, key=lambda plate: float(np.linalg.norm(plate.point - middle)), default=None)
 
     def _cropped_about(self, middle: np.ndarray) -> LabelledDepth:
         """The image, cropped to what shows the volume around a point."""

@@ -6,6 +6,7 @@ batch, C channels; features are (B, C, x, y), channels last in memory.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -40,23 +41,44 @@ COMPLETION = {
 }
 
 
-class CompletionNet(nn.Module):
-    """A U-Net of residual blocks: evidence about a part to the logit of each cell being filled."""
+class UNet(nn.Module):
+    """A U-Net of residual blocks."""
 
     ENDS = ("stem", "head")
     """Layers that are no hidden ones, for the optimiser."""
 
-    def __init__(self, config: CompletionConfig) -> None:
+    def __init__(self, inputs: int, outputs: int, widths: Sequence[int], blocks: int) -> None:
+        """Channels of its input, of its output and at each resolution; residual blocks at each, on each way."""
         super().__init__()
-        self.config = config
-        widths, layers = config.widths, PACK * PACK * SHAPE[2]
-        self.stem = nn.Conv2d(layers + EXTRA, widths[0], 3, padding=1)
-        self.down = nn.ModuleList(_blocks(width, config.blocks) for width in widths)
+        self.stem = nn.Conv2d(inputs, widths[0], 3, padding=1)
+        self.down = nn.ModuleList(_blocks(width, blocks) for width in widths)
         pairs = list(pairwise(widths))
         self.coarser = nn.ModuleList(nn.Conv2d(fine, coarse, 2, stride=2) for fine, coarse in pairs)
         self.finer = nn.ModuleList(nn.ConvTranspose2d(coarse, fine, 2, stride=2) for fine, coarse in reversed(pairs))
-        self.up = nn.ModuleList(_blocks(width, config.blocks) for width in reversed(widths[:-1]))
-        self.head = nn.Conv2d(widths[0] + layers + EXTRA, layers, 1)
+        self.up = nn.ModuleList(_blocks(width, blocks) for width in reversed(widths[:-1]))
+        self.head = nn.Conv2d(widths[0] + inputs, outputs, 1)
+
+    def image(self, evidence: Tensor) -> Tensor:
+        """(B, inputs, x, y) -> (B, outputs, x, y)."""
+        features = self.stem(evidence)
+        kept = []
+        for blocks, coarser in zip(self.down, self.coarser, strict=False):
+            features = blocks(features)
+            kept.append(features)
+            features = coarser(features)
+        features = self.down[-1](features)
+        for finer, blocks in zip(self.finer, self.up, strict=True):
+            features = blocks(finer(features) + kept.pop())
+        return self.head(torch.cat([features, evidence.to(features.dtype)], 1))
+
+
+class CompletionNet(UNet):
+    """Evidence about a part to the logit of each cell being filled."""
+
+    def __init__(self, config: CompletionConfig) -> None:
+        layers = PACK * PACK * SHAPE[2]
+        super().__init__(layers + EXTRA, layers, config.widths, config.blocks)
+        self.config = config
 
     def forward(self, codes: Tensor, camera: Tensor) -> Tensor:
         """Logits of the cells.
@@ -70,16 +92,7 @@ class CompletionNet(nn.Module):
         """
         half = torch.is_autocast_enabled(codes.device.type)
         evidence = network_input(codes, camera, torch.bfloat16 if half else torch.float32)
-        features = self.stem(evidence)
-        kept = []
-        for blocks, coarser in zip(self.down, self.coarser, strict=False):
-            features = blocks(features)
-            kept.append(features)
-            features = coarser(features)
-        features = self.down[-1](features)
-        for finer, blocks in zip(self.finer, self.up, strict=True):
-            features = blocks(finer(features) + kept.pop())
-        return self.head(torch.cat([features, evidence.to(features.dtype)], 1)).permute(0, 2, 3, 1)
+        return self.image(evidence).permute(0, 2, 3, 1)
 
 
 class ResidualBlock(nn.Module):

@@ -45,6 +45,12 @@ def cropped(image: LabelledDepth, box: tuple[slice, slice]) -> LabelledDepth:
     return LabelledDepth(View(shifted, image.view.world_from_camera, depth), image.labels[box])
 
 
+def pixel_points(view: View, mask: np.ndarray) -> np.ndarray:
+    """(n, 3) [m] world: of the pixels of a mask (H, W) bool that have a return, row by row."""
+    v, u = np.nonzero(mask & (view.depth > 0))
+    return view.world_from_camera.apply(view.camera.unproject_pixels(np.stack([u, v], -1), view.depth[v, u]))
+
+
 def subpixel_points(view: View, mask: np.ndarray) -> np.ndarray:
     """(n, 3) [m] world: points spread evenly over the pixels of a mask (H, W), on the local plane of each pixel.
 
@@ -52,7 +58,7 @@ def subpixel_points(view: View, mask: np.ndarray) -> np.ndarray:
     """
     mask, camera = mask & (view.depth > 0), view.camera
     v, u = np.nonzero(mask)
-    across, down = (_slope(view.depth, mask, axis)[v, u] for axis in (1, 0))
+    across, down = (depth_slopes(view.depth, mask, axis)[v, u] for axis in (1, 0))
     points = np.empty((len(v), SUBPIXELS * SUBPIXELS, 3))
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
     camera_pose = view.world_from_camera
@@ -119,8 +125,8 @@ def oriented_points(view: View, mask: np.ndarray, window: int) -> tuple[np.ndarr
     return points, rotated, float(np.median(area[good])) * STRIDE**2
 
 
-def _slope(depth: np.ndarray, mask: np.ndarray, axis: int) -> np.ndarray:
-    """(H, W) [m/px]: slope of the depth at each pixel, to the nearer of its two neighbours in the mask."""
+def depth_slopes(depth: np.ndarray, mask: np.ndarray, axis: int) -> np.ndarray:
+    """(H, W) [m/px]: slope of the depth (H, W) [m] at each pixel along an axis, to the nearer neighbour in the mask."""
     ahead = np.roll(depth, -1, axis) - depth
     behind = depth - np.roll(depth, 1, axis)
     ahead = np.where(np.roll(mask, -1, axis), ahead, np.inf)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from baselines.completion.pixels import transformed
+from baselines.completion.pixels import pixel_points, transformed
 from baselines.heights.maps import UNSEEN, HeightMap
 from kit1000.compiled import compiled
 from kit1000.dataset.reader import Dataset, RecordedScene
@@ -147,9 +147,7 @@ def _raise_cells(table, depth, intrinsics, rotation, shift):
 def part_labels(image: LabelledDepth) -> np.ndarray:
     """CELLS int64: the label of the part that the primary camera sees in a cell of the table; 0 where it sees none."""
     mask = (image.labels >= FIRST_PART_LABEL) & (image.view.depth > 0)
-    v, u = np.nonzero(mask)
-    view = image.view
-    points = view.world_from_camera.apply(view.camera.unproject_pixels(np.stack([u, v], -1), view.depth[v, u]))
+    points = pixel_points(image.view, mask)
     index = np.floor((points[:, :2] - CORNER) / CELL).astype(np.int64)
     inside = ((index >= 0) & (index < CELLS)).all(-1)
     labels = np.zeros(CELLS, np.int64)

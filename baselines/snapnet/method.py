@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from baselines.completion.completed import PartCompleter
+from baselines.completion.completed_kits import ReliefCompleter
 from baselines.loading import ready
 from baselines.snapnet.candidates import CandidateSet, candidates, coarse_candidates, near_candidates
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
@@ -54,6 +55,7 @@ class SnapNet:
         peak: Literal["candidate", "mean"] = "candidate",
         passes: int = 1,
         completion: Path | None = None,
+        kit_completion: Path | None = None,
         search: Literal["coarse to fine", "all"] = "coarse to fine",
     ) -> None:
         """Networks as they are, or read from the stems of their weights and put on a GPU where there is one.
@@ -68,6 +70,7 @@ class SnapNet:
             search: of the candidates around a guess first some far apart and then those near the best of them, or all,
                 as in the paper, which takes three times as long.
             completion: stem of the weights of the network that completes parts of depth images; None fills columns.
+            kit_completion: of the network that completes kits; None leaves free what no pixel shows.
         """
         self.dataset = dataset
         self.source: Source = source
@@ -75,6 +78,7 @@ class SnapNet:
         self.passes = passes
         self.search: Literal["coarse to fine", "all"] = search
         self.completer: PartCompleter | None = None if completion is None else PartCompleter(completion)
+        self.kit_completer = None if kit_completion is None else ReliefCompleter(kit_completion)
         self.position: PositionNet = ready(position, PositionConfig, PositionNet)
         self.rotation: RotationNet = ready(rotation, RotationConfig, RotationNet)
 
@@ -86,7 +90,8 @@ class SnapNet:
     @torch.inference_mode()
     def __call__(self, query: Query, geometry: TrueGeometry | None = None) -> PredictedMotion:
         """The guess, or where there is none the best start, after all passes."""
-        volumes = QueryVolumes(query, self.source, geometry, ImageCache(attrgetter("image"), self.completer))
+        cache = ImageCache(attrgetter("image"), self.completer, self.kit_completer)
+        volumes = QueryVolumes(query, self.source, geometry, cache)
         motion, share = (query.guess, 1.0) if query.guess is not None else self._best_start(volumes)
         confidence = 0.0
         for _ in range(self.passes):

@@ -18,6 +18,7 @@ from scipy.ndimage import find_objects
 
 from baselines.completion import TABLE_MARGIN, ObservedKits, ObservedPart
 from baselines.completion.completed import CompletedPart, PartCompleter
+from baselines.completion.completed_kits import ReliefCompleter
 from baselines.completion.pixels import cropped, noise_of
 from baselines.restoration import restored
 from baselines.snapnet.config import Cells, PositionConfig, RotationConfig, Source
@@ -51,19 +52,21 @@ class ImageCache:
         self,
         read_image: Callable[[Query], LabelledDepth] = methodcaller("read_image"),
         completer: PartCompleter | None = None,
+        kit_completer: ReliefCompleter | None = None,
     ) -> None:
         """Nothing is read yet.
 
         Args:
             read_image: how the image of a query is read.
             completer: the network that completes parts; None fills columns.
+            kit_completer: the network that completes kits, see `ObservedKits`.
         """
-        self._read_image, self._completer = read_image, completer
+        self._read_image, self._completer, self._kit_completer = read_image, completer, kit_completer
         self._crops: dict[tuple[str, str], ImageCrops] = {}
         self._parts: dict[tuple[str, str, int, float], Volume | None] = {}
 
-    def __reduce__(self) -> tuple[type[ImageCache], tuple[Callable[[Query], LabelledDepth], PartCompleter | None]]:
-        return ImageCache, (self._read_image, self._completer)
+    def __reduce__(self) -> tuple[type[ImageCache], tuple[object, ...]]:
+        return ImageCache, (self._read_image, self._completer, self._kit_completer)
 
     def kits(self, query: Query) -> ObservedKits | None:
         """The observed kits of a query; None where its image shows none."""
@@ -80,9 +83,11 @@ class ImageCache:
 
     def _of(self, query: Query) -> ImageCrops:
         key = (query.scene_id, query.sensor)
-        return _cached(
-            self._crops, key, SCENES, lambda: image_crops(restored(self._read_image(query), query.sensor), query)
-        )
+
+        def make() -> ImageCrops:
+            return image_crops(restored(self._read_image(query), query.sensor), query, self._kit_completer)
+
+        return _cached(self._crops, key, SCENES, make)
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,12 +206,12 @@ def grid_about(world_from_middle: Pose, cells: Cells, voxel: float) -> Grid:
     return Grid(cells, voxel, world_from_middle @ Pose.from_translation(first))
 
 
-def image_crops(image: LabelledDepth, query: Query) -> ImageCrops:
-    """The crops of a query's image that volumes are made of."""
+def image_crops(image: LabelledDepth, query: Query, completer: ReliefCompleter | None = None) -> ImageCrops:
+    """The crops of a query's image that volumes are made of; completer: of kits, see `ObservedKits`."""
     kits, parts = None, {}
     for label, box in enumerate(find_objects(image.labels), start=1):
         if box is not None and label == ASSEMBLY_LABEL:
-            kits = ObservedKits(cropped(image, box), noise_of(query.sensor), query.scene_id)
+            kits = ObservedKits(cropped(image, box), noise_of(query.sensor), query.scene_id, completer=completer)
         elif box is not None:
             parts[label - FIRST_PART_LABEL] = cropped(image, _with_margin(box, image, label))
     return ImageCrops(kits, parts)
