@@ -21,19 +21,16 @@ from measured_dataset import measured_dataset
 
 from baselines.catalog import WEIGHTS
 from baselines.completion import ObservedKits
-from baselines.completion.columns import ObservedColumns
-from baselines.completion.completed_kits import ReliefCompleter
-from baselines.completion.fusion import MaskedView
+from baselines.completion.completed_kits import ReliefCompleter, filled_by_columns
 from baselines.completion.kit_views import on_plate
-from baselines.completion.pixels import noise_of, subpixel_points
-from baselines.completion.relief import CELL, CELLS, DEEPEST, SeenRelief, true_depths
+from baselines.completion.pixels import noise_of
+from baselines.completion.relief import true_depths
 from baselines.restoration import restored
 from benchmark.intervals import ENDS, bootstrap_means
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import Kit1000Error
 from kit1000.pose import Pose
 from kit1000.products import length
-from kit1000.values import ASSEMBLY_LABEL, LabelledDepth
 
 FOUND_ANGLE, FOUND_DISTANCE = np.radians(5), 3e-3  # [rad], [m] between the true face of a plate and the one found
 HIDDEN_CELLS = 10  # least of a plate that counts
@@ -118,7 +115,7 @@ def _measured(
         if hidden.sum() < HIDDEN_CELLS:
             yield None
             continue
-        found = relief.shown.least.clip(0), column_depths(kits.image, relief.shown), relief.depths
+        found = relief.shown.least.clip(0), filled_by_columns(image, relief.shown).depths, relief.depths
         errors = tuple(float(np.abs(depths - truth)[hidden].mean()) for depths in found)
         seen = float(np.median(np.abs(relief.depths - truth)[plate & relief.shown.seen]))
         yield Measured(body.id, errors, seen, float(hidden.sum() / plate.sum()), seconds)
@@ -129,18 +126,6 @@ def _is_face(world_from_plate: Pose, world_from_kit: Pose) -> bool:
     kit_from_plate = world_from_kit.inverse() @ world_from_plate
     cosine = kit_from_plate.rotate((0.0, 0.0, 1.0))[2]
     return bool(cosine > np.cos(FOUND_ANGLE) and length(kit_from_plate.xyz) < FOUND_DISTANCE)
-
-
-def column_depths(image: LabelledDepth, relief: SeenRelief) -> np.ndarray:
-    """(CELLS, CELLS) [mm]: depths of the columns that `ObservedKits` fills without network; DEEPEST where none is."""
-    mask = image.labels == ASSEMBLY_LABEL
-    half, deep = CELL * CELLS / 2, 1e-3 * DEEPEST
-    images, points = [MaskedView(image.view, mask)], subpixel_points(image.view, mask)
-    columns = ObservedColumns.of(images, points, relief.world_from_plate, (half, deep), -deep, CELL)
-    solid = columns.below_top & columns.above_floor & ~(columns.distance > 0)
-    top = np.where(solid.any(-1), solid.shape[-1] - solid[..., ::-1].argmax(-1), 0)  # layers below the surface
-    depth = np.clip(DEEPEST + 0.25 - top, 0, DEEPEST)  # the middle of the lowest layer lies 0.25 mm above DEEPEST
-    return depth.reshape(CELLS, 2, CELLS, 2).mean((1, 3))
 
 
 if __name__ == "__main__":

@@ -8,9 +8,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from baselines.completion.columns import ObservedColumns
+from baselines.completion.fusion import MaskedView
 from baselines.completion.kit_network import KitCompletionConfig, KitCompletionNet, likely_depths
+from baselines.completion.pixels import subpixel_points
 from baselines.completion.relief import CELL, CELLS, DEEPEST, SeenRelief
 from baselines.loading import ready
+from kit1000.values import ASSEMBLY_LABEL, LabelledDepth
 from kit1000.voxels import Grid
 
 DEPTH_STEP = 0.01  # [mm] to which depths are rounded: sums of float32 depend on the processor
@@ -64,3 +68,15 @@ class ReliefCompleter:
         rounded = (np.rint(likely / DEPTH_STEP) * DEPTH_STEP).astype(np.float32)
         hidden = np.maximum(rounded, relief.least)
         return CompletedRelief(relief, np.where(relief.seen, relief.least, hidden))
+
+
+def filled_by_columns(image: LabelledDepth, shown: SeenRelief) -> CompletedRelief:
+    """The relief as `ObservedKits` fills it without the network: DEEPEST in a cell without an observed point."""
+    mask = image.labels == ASSEMBLY_LABEL
+    half, deep = CELL * CELLS / 2, 1e-3 * DEEPEST
+    images, points = [MaskedView(image.view, mask)], subpixel_points(image.view, mask)
+    columns = ObservedColumns.of(images, points, shown.world_from_plate, (half, deep), -deep, CELL)
+    solid = columns.below_top & columns.above_floor & ~(columns.distance > 0)
+    layers = np.where(solid.any(-1), solid.shape[-1] - solid[..., ::-1].argmax(-1), 0)  # up to the surface
+    depth = np.clip(DEEPEST + 0.25 - layers, 0, DEEPEST)  # the middle of the lowest lies 0.25 mm above DEEPEST
+    return CompletedRelief(shown, depth.reshape(CELLS, 2, CELLS, 2).mean((1, 3)).astype(np.float32))

@@ -28,9 +28,9 @@ class KitCompletionConfig:
     """Channels at each resolution, from 40 x 40 pixels, each half the one before."""
     blocks: int = 1
     """Residual blocks at each resolution, on the way down and on the way up."""
-    views: int = 2400
+    views: int = 3000
     """Fresh views that the training examples show, mirrored or not."""
-    views_seed: int = 2027
+    views_seed: int = 2028
     """Of these views."""
 
 
