@@ -21,7 +21,6 @@ from bench.foreign import Report, dataset_of, kit1000, run, tail
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.tables import pose_of
 from kit1000.files import read_json
-from kit1000.mesh import y_up
 
 BED = 1000  # [mm] side and height: larger than any assembly
 KITS = 4
@@ -69,8 +68,7 @@ def printed(geometry: Geometry, scratch: Path) -> Iterator[tuple[Path, np.ndarra
     for name in names[:: -(-len(names) // KITS)]:
         kit1000("kit", geometry.root / "parts" / f"{name}.glb", "--unit", "m", "--out", scratch / name)
         report = read_json(scratch / name / "report.json")
-        as_in_file = y_up(geometry.part(name).mesh.vertices)
-        seated = pose_of(report["kit_from_part"]).apply(as_in_file)
+        seated = pose_of(report["kit_from_part"]).apply(geometry.part(name).mesh.vertices)
         yield scratch / name / "part.stl", 1e3 * np.ptp(seated, axis=0)
         yield scratch / name / "kit.stl", np.array(report["plate_mm"])
 
