@@ -11,9 +11,9 @@ import numpy as np
 from baselines.completion import ObservedPart
 from baselines.completion.fusion import MaskedView, observed_distance
 from baselines.completion.part import AROUND, HALF_WIDTH, PartEvidence
-from baselines.completion.pixels import Noise, noise_of, oriented_points
+from baselines.completion.pixels import Noise, noise_of, oriented_points, pixel_points
 from kit1000.pose import Pose
-from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry, View
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ class DepthSource:
     def part_points(self) -> np.ndarray:
         """(n, 3) [m] world: about SEEN_POINTS points of the part, one a pixel."""
         images = self._images_of(FIRST_PART_LABEL + self.query.part)
-        points = np.concatenate([_pixel_points(view, mask) for view, mask in images])
+        points = np.concatenate([pixel_points(view, mask) for view, mask in images])
         return points[:: max(1, len(points) // SEEN_POINTS)]
 
     def oriented_points(self, box: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, float]:
@@ -158,12 +158,6 @@ class DepthSource:
 
     def _images_of(self, label: int) -> list[MaskedView]:
         return [MaskedView.of(image, label) for image in (self.query.image, *self.others)]
-
-
-def _pixel_points(view: View, mask: np.ndarray) -> np.ndarray:
-    """(n, 3) [m] world: of the pixels of a mask (H, W), row by row."""
-    v, u = np.nonzero(mask & (view.depth > 0))
-    return view.world_from_camera.apply(view.camera.unproject_pixels(np.stack([u, v], -1), view.depth[v, u]))
 
 
 def _gradients(volume: Volume, points: np.ndarray) -> np.ndarray:
