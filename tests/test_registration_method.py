@@ -168,6 +168,13 @@ def test_where_nothing_is_observed_the_guess_stays_with_confidence_0(
     assert Registration(data)(query) == (query.guess, 0.0)
 
 
+@pytest.mark.parametrize("source", ["columns", "truth"])
+def test_where_no_plate_is_near_the_guess_it_stays(source: str, snaps: QueryTruths, data: Dataset) -> None:
+    known, truth = snaps[0]
+    query = NOTHING_OBSERVED["a guess far away"](known)
+    assert Registration(data, source)(query, data.geometry.true_geometry(truth)) == (query.guess, 0.0)
+
+
 @pytest.mark.parametrize("what", ["no part", "no kits", "no depth"])
 def test_without_a_guess_nothing_observed_is_no_motion(what: str, snaps: QueryTruths, data: Dataset) -> None:
     motion, confidence = Registration(data)(replace(NOTHING_OBSERVED[what](snaps[0][0]), guess=None))

@@ -56,6 +56,8 @@ def find_candidates(
     if not part.occupied.any():
         return []
     cavities = find_cavities(source, query, plate_side(part, source.middle, clearance), nested=not thorough)
+    if not cavities:
+        return []
     window = SearchWindow(query.pivot, query.guess, MAX_ANGLE + SLACK_ANGLE, MAX_OFFSET + SLACK_OFFSET)
     found: list[Candidate] = []
     for faces in _faces_down(source, part, query, cavities, thorough):
