@@ -9,7 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from baselines.registration.cavity import VOXEL
+from baselines.registration.hypotheses import WIDER, find_cavities
 from baselines.registration.method import Registration
+from baselines.registration.sources import TrueSource
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics import Targets, pose_errors
@@ -173,6 +176,19 @@ def test_where_no_plate_is_near_the_guess_it_stays(source: str, snaps: QueryTrut
     known, truth = snaps[0]
     query = NOTHING_OBSERVED["a guess far away"](known)
     assert Registration(data, source)(query, data.geometry.true_geometry(truth)) == (query.guess, 0.0)
+
+
+def test_a_cavity_that_the_border_cuts_is_found_in_a_wider_relief(snaps: QueryTruths, data: Dataset) -> None:
+    known, truth = snaps[0]
+    query = replace(known, guess=truth.goal_drawn)
+    source = TrueSource(data.geometry.true_geometry(truth))
+    whole = min(find_cavities(source, query), key=lambda cavity: cavity.depth)
+    cells = np.argwhere(whole.region) - (len(whole.region) - 1) / 2
+    cut = 1.8 * VOXEL * float(np.abs(cells).max())  # nine tenths of what holds it
+    found = min(find_cavities(source, query, cut), key=lambda cavity: cavity.depth)
+    assert len(found.region) == round(WIDER * cut / VOXEL)
+    assert found.depth == pytest.approx(whole.depth, abs=0.1e-3)
+    assert found.region.sum() == pytest.approx(whole.region.sum(), rel=0.01)
 
 
 @pytest.mark.parametrize("what", ["no part", "no kits", "no depth"])

@@ -23,6 +23,7 @@ from kit1000.voxels import Volume, surface_points
 
 SLACK_OFFSET, SLACK_ANGLE = 1.5e-3, np.radians(2.5)  # [m], [rad] searched beyond the largest error of a guess
 SIDE = 0.144  # [m] of a plate's relief, at least: the range of a guess and half a part's width on either side
+WIDER = 1.4  # times that, where the border cuts all cavities: a guess may be off by its largest error along two axes
 NEAR_GUESS = np.cos(np.radians(15))  # between the guess and a face that explains its tilt
 LIES = np.cos(MAX_ANGLE + SLACK_ANGLE)  # between the guess and the face on which the part lies, where it allows that
 LARGE = 1e-4  # [m^2] of a face that is tried beside a direction nearly its own
@@ -85,7 +86,7 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
     Args:
         source: of the kits.
         query: its guess.
-        side: [m] of the reliefs of plates.
+        side: [m] of the reliefs of plates; WIDER where they hold no cavity.
         nested: whether a plane within a larger one may be a plate.
     """
     guessed = None if query.guess is None else query.guess.apply(query.pivot)
@@ -96,8 +97,12 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
         planes = without_nested(planes, points, normals, source.noise)
     frames = [plane_frame(plane, plane.point if guessed is None else guessed) for plane in planes]
     noise = source.noise.distance
-    cavities = [find_cavity(source.plate(plate_grid(frame, side)), frame, noise) for frame in frames]
-    return [cavity for cavity in cavities if cavity is not None]
+    for wide in (side, WIDER * side):
+        cavities = [find_cavity(source.plate(plate_grid(frame, wide)), frame, noise) for frame in frames]
+        found = [cavity for cavity in cavities if cavity is not None]
+        if found:
+            return found
+    return []
 
 
 def _faces_down(source: Source, part: Volume, query: Query, cavities: Sequence[Cavity], thorough: bool) -> list[Faces]:
