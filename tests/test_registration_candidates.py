@@ -75,8 +75,9 @@ def test_a_fit_leads_by_the_misfit_of_the_next_in_another_pose() -> None:
     turned = apply_error(known.goal, known.pivot, np.zeros(3), np.array([0, 0, np.pi]))
     twin = replace(seated, misfit=seated.misfit + 1e-4, goal_from_now=beside)
     rival = replace(seated, misfit=seated.misfit + 7e-4, goal_from_now=turned)
-    assert lead([seated], known.pivot) == lead([seated, twin], known.pivot) == LARGEST_LEAD
-    assert lead(ranked([rival, twin, seated]), known.pivot) == pytest.approx(7e-4)
+    assert lead(seated, [seated], known.pivot) == lead(seated, [seated, twin], known.pivot) == LARGEST_LEAD
+    fits = ranked([rival, twin, seated])
+    assert [lead(fit, fits, known.pivot) for fit in fits] == pytest.approx([7e-4, 6e-4, -7e-4])
 
 
 @given(doubts=st.lists(st.floats(0, 0.05), min_size=2, max_size=2), kind=st.sampled_from(sorted(SEATED)))

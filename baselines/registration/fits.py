@@ -41,11 +41,10 @@ def same_pose(a: Pose, b: Pose, point: np.ndarray) -> bool:
     return bool(near and (a @ b.inverse()).angle() < SAME_ANGLE)
 
 
-def lead(fits: Sequence[Fit], point: np.ndarray) -> float:
-    """[m] by which the misfit of the first of ranked fits is less than that of the next in another pose.
+def lead(fit: Fit, fits: Sequence[Fit], point: np.ndarray) -> float:
+    """[m] by which the misfit of a fit is less than the least of those in other poses; negative if it is more.
 
     LARGEST_LEAD at most, and where there is no other. point: (3,) [m] of the part now.
     """
-    best = fits[0]
-    others = [fit.misfit for fit in fits[1:] if not same_pose(fit.goal_from_now, best.goal_from_now, point)]
-    return min(min(others, default=np.inf) - best.misfit, LARGEST_LEAD)
+    others = [other.misfit for other in fits if not same_pose(other.goal_from_now, fit.goal_from_now, point)]
+    return min(min(others, default=np.inf) - fit.misfit, LARGEST_LEAD)

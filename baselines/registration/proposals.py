@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from baselines.registration.method import Registration, confidence
+from baselines.registration.method import Registration
 from kit1000.predictor import PredictedMotion
 from kit1000.values import Query, TrueGeometry
 
@@ -12,7 +12,4 @@ class ProposingRegistration(Registration):
 
     def propose(self, query: Query, geometry: TrueGeometry | None = None) -> list[PredictedMotion]:
         """All fits, the best first."""
-        return [
-            PredictedMotion(fit.goal_from_now, confidence(fit.doubt, self.source, query.sensor))
-            for fit in self.fits(query, geometry)
-        ]
+        return self.motions(query, geometry)
