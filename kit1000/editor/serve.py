@@ -89,8 +89,8 @@ def editing(
 def run(options: Options) -> None:
     """Serve the page until Ctrl-C."""
     with editing(options) as (controller, address):
-        print(f"{address}  (Ctrl-C ends; everything is saved in {options.out})", flush=True)
         with contextlib.suppress(KeyboardInterrupt):
+            print(f"{address}  (Ctrl-C ends; everything is saved in {options.out})", flush=True)
             threading.Event().wait()
         space = controller.space
         confirmed = sum(space.session.edits[part].confirmed for part in space.scene.parts)

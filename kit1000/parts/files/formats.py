@@ -111,7 +111,9 @@ def _read_stl(data: bytes) -> TriangleSoup:
 def _binary_stl(data: bytes, count: int, notes: tuple[str, ...] = ()) -> TriangleSoup:
     _check_count(count)
     facets = np.frombuffer(data, STL_FACET, count, STL_HEADER)
-    return _from_corners(facets["corners"].reshape(-1, 3).astype(np.float64), notes)
+    with np.errstate(invalid="ignore"):  # a signalling NaN; corners that are no numbers are refused later
+        corners = facets["corners"].reshape(-1, 3).astype(np.float64)
+    return _from_corners(corners, notes)
 
 
 def _ascii_stl(data: bytes) -> TriangleSoup:
