@@ -71,9 +71,13 @@ class ObservedColumns:
             largest_only: whether only the largest connected piece is kept; the others are outliers.
             more: (2 nx, 2 ny, nz) bool, cells that are filled too where they are not seen free.
         """
-        below = self.below_top if more is None else self.below_top | more
-        solid = below & self.above_floor & ~(self.distance > 0)
+        solid = self.filled_cells(more)
         return self._volume(_largest(solid) if largest_only else solid, self.distance)
+
+    def filled_cells(self, more: np.ndarray | None = None) -> np.ndarray:
+        """(2 nx, 2 ny, nz) bool: the cells below the points, except for free space; more: see `filled`."""
+        below = self.below_top if more is None else self.below_top | more
+        return below & self.above_floor & ~(self.distance > 0)
 
     def completed(self, likely: np.ndarray, exact: bool) -> Volume:
         """Signed distances to the cells (2 nx, 2 ny, nz) bool that are likely filled, above the floor.

@@ -75,8 +75,7 @@ def filled_by_columns(image: LabelledDepth, shown: SeenRelief) -> CompletedRelie
     mask = image.labels == ASSEMBLY_LABEL
     half, deep = CELL * CELLS / 2, 1e-3 * DEEPEST
     images, points = [MaskedView(image.view, mask)], subpixel_points(image.view, mask)
-    columns = ObservedColumns.of(images, points, shown.world_from_plate, (half, deep), -deep, CELL)
-    solid = columns.below_top & columns.above_floor & ~(columns.distance > 0)
+    solid = ObservedColumns.of(images, points, shown.world_from_plate, (half, deep), -deep, CELL).filled_cells()
     layers = np.where(solid.any(-1), solid.shape[-1] - solid[..., ::-1].argmax(-1), 0)  # up to the surface
     depth = np.clip(DEEPEST + 0.25 - layers, 0, DEEPEST)  # the middle of the lowest lies 0.25 mm above DEEPEST
     return CompletedRelief(shown, depth.reshape(CELLS, 2, CELLS, 2).mean((1, 3)).astype(np.float32))

@@ -20,6 +20,7 @@ from baselines.completion.kit_network import (
 from baselines.completion.kit_views import Example, KitViews, example_of, mirrored, plane_of
 from baselines.completion.pixels import noise_of
 from baselines.completion.relief import seen_relief
+from baselines.completion.validation import drawn_targets
 from baselines.restoration import restored
 from kit1000.dataset.reader import Dataset
 
@@ -55,11 +56,8 @@ class KitCompletionTask:
 
     def validation_keys(self) -> Sequence[Key]:
         """The kits of the drawn targets of VALIDATION_SCENES scenes, by both sensors where the dataset has both."""
-        scenes = list(self.dataset.split(self.split))
-        chosen = scenes[:: max(len(scenes) // VALIDATION_SCENES, 1)][:VALIDATION_SCENES]
-        sensors = [name for name in ("ideal", "d415") if name in chosen[0].sensors]
-        drawn = [(scene.id, next(query.id for query in scene.queries if query.drawn)) for scene in chosen]
-        keys = [Key(*ids, sensor) for sensor in sensors for ids in drawn]
+        targets = drawn_targets(self.dataset, self.split, VALIDATION_SCENES)
+        keys = [Key(query.scene_id, query.id, sensor) for query, sensor in targets]
         self.kept = {key: self.kept.get(key) or self._example(key) for key in keys}
         return keys
 

@@ -13,6 +13,7 @@ from torch import Tensor
 from baselines.completion.drawn_parts import DrawnParts
 from baselines.completion.frame import CODE, framed
 from baselines.completion.network import COMPLETION, CompletionConfig, CompletionNet, completion_loss
+from baselines.completion.validation import drawn_targets
 from baselines.completion.views import DrawnViews, Example, example_of
 from baselines.restoration import calibrated_image
 from kit1000.dataset.reader import Dataset
@@ -50,11 +51,8 @@ class CompletionTask:
 
     def validation_keys(self) -> Sequence[Key]:
         """The drawn targets of VALIDATION_SCENES scenes, by both sensors where the dataset has both."""
-        scenes = list(self.dataset.split(self.split))
-        chosen = scenes[:: max(len(scenes) // VALIDATION_SCENES, 1)][:VALIDATION_SCENES]
-        sensors = [name for name in ("ideal", "d415") if name in chosen[0].sensors]
-        drawn = [(scene, next(query for query in scene.queries if query.drawn)) for scene in chosen]
-        keys = [Key(scene.id, query.part, sensor) for sensor in sensors for scene, query in drawn]
+        targets = drawn_targets(self.dataset, self.split, VALIDATION_SCENES)
+        keys = [Key(query.scene_id, query.part, sensor) for query, sensor in targets]
         self.kept = {key: self.kept.get(key) or self._example(key) for key in keys}
         return keys
 

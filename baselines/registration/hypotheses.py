@@ -63,7 +63,7 @@ def find_candidates(
     found: list[Candidate] = []
     for faces in _faces_down(source, part, query, cavities, thorough):
         candidates = coarse_search(part, source.middle, faces.normals, faces.cavities, clearance, window)
-        found += [replace(candidate, seen=faces.seen) for candidate in candidates]
+        found += candidates if faces.seen else [replace(candidate, seen=False) for candidate in candidates]
     return sorted(found, key=lambda candidate: candidate.misfit)
 
 
