@@ -17,6 +17,9 @@ from baselines.completion.part import PartEvidence
 from baselines.completion.pixels import IDEAL
 from baselines.registration.certain import (
     COARSE_WEIGHT,
+    EXACT,
+    FURTHER_MISFIT,
+    MOST_TRIED,
     UNSEEN_CHOICE,
     UNSEEN_MISFIT,
     _Search,
@@ -32,26 +35,40 @@ from kit1000.pose import Pose
 from kit1000.voxels import Grid, signed_distance, surface_points
 
 
-def search_for(known: Case) -> _Search:
+def search_for(known: Case, further: bool = True) -> _Search:
     """The search with evidence that leaves nothing unknown."""
     told = PartEvidence(known.part, known.part, known.part)
     seen = surface_points(known.part)[::20]
     source: Any = SimpleNamespace(evidence=told, middle=known.pivot, completer=None, part_points=lambda: seen)
-    return _Search(source, SimpleNamespace(guess=None, pivot=known.pivot, sensor="ideal"), CLEARANCE)  # type: ignore[arg-type]
+    return _Search(source, SimpleNamespace(guess=None, pivot=known.pivot, sensor="ideal"), CLEARANCE, further)  # type: ignore[arg-type]
 
 
 def test_candidates_that_end_in_one_pose_are_refined_further_only_once() -> None:
     known = case("a keyed block")
     turned = known.candidate(apply_error(known.goal, known.pivot, np.zeros(3), np.array([0, 0, np.pi])))
     near = [perturbed(known, seed) for seed in range(3)]
-    kept = search_for(known).apart([*near, turned], 2)
+    kept = search_for(known).fits([*near, turned], 2)
     assert len(kept) == 2
-    position, angle = known.error_of(kept[0].plate_from_now)
+    position, angle = known.error_of(kept[0].candidate.plate_from_now)
     assert position < 0.3
     assert angle < 1
-    assert known.error_of(kept[1].plate_from_now)[1] > 20
-    assert len(search_for(known).apart(near, 3)) == 1
-    assert search_for(known).apart([], 3) == []
+    assert known.error_of(kept[1].candidate.plate_from_now)[1] > 20
+    assert len(search_for(known).fits(near, 3)) == 1
+    assert search_for(known).fits([], 3) == []
+
+
+def test_further_candidates_are_refined_only_while_the_best_fit_is_doubtful() -> None:
+    known = case("a keyed block")
+    right = known.candidate(known.goal)
+    turned = known.candidate(apply_error(known.goal, known.pivot, np.zeros(3), np.array([0, 0, np.pi])))
+    alone = search_for(known).fitted(turned).misfit
+    assert search_for(known).fitted(right).misfit < EXACT.doubtful < alone
+    doubtful = search_for(known).fits([turned, right], 1)
+    assert [known.error_of(fit.candidate.plate_from_now)[1] < 1 for fit in doubtful] == [False, True]
+    assert doubtful[1].misfit == pytest.approx(search_for(known).fits([right], 1)[0].misfit + FURTHER_MISFIT, abs=1e-12)
+    assert len(search_for(known).fits([right, turned], 1)) == 1  # sure already
+    assert len(search_for(known, further=False).fits([turned, right], 1)) == 1
+    assert len(search_for(known).fits([turned] * MOST_TRIED + [right], 1)) == 1  # one too many
 
 
 def test_poses_are_one_within_a_millimetre_and_three_degrees() -> None:

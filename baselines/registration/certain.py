@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import numpy as np
+
 from baselines.registration.contradictions import Contradictions, KitHeights, contradictions
 from baselines.registration.descent import SCALES
 from baselines.registration.fits import STIFFNESS, Fit, ranked, same_pose
@@ -21,6 +23,8 @@ DISTINCT, DISTINCT_WITHOUT_GUESS = 24, 16  # candidates of each plate among whic
 REFINED, REFINED_WITHOUT_GUESS = 4, 6  # candidates of all plates that are refined
 COARSE_WEIGHT = 1e-3  # [m] of the coarse misfit beside contradictions: over unseen cells nothing contradicts
 UNSEEN_CHOICE, UNSEEN_MISFIT = 0.3e-3, 0.4e-3  # [m] added for a face that the part's volume does not have
+MOST_TRIED = 40  # candidates that are refined while no fit is good
+FURTHER_MISFIT = 0.4e-3  # [m] added for those beyond the first: the image contradicts them more
 SPARE = 3  # further candidates that are refined once in place of those that end in an earlier one's pose
 CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
 
@@ -54,6 +58,8 @@ class Refinement(NamedTuple):
 
     passes: tuple[Sequence[float], Sequence[float]]
     """[m] scales of the weights; the second pass with the part's sweeps in the refined rotation."""
+    doubtful: float
+    """[m] of misfit: while the best fit has more, further candidates are refined."""
     prior: float
     """Weight of the filled part beside what is certain."""
     completed_prior: float
@@ -62,29 +68,37 @@ class Refinement(NamedTuple):
     """Weights in the doubt: how sure a fit is tells another sum than which of the fits is the best."""
 
 
-EXACT = Refinement((SCALES[:3], SCALES[2:]), 0.1, 0.1, MISFIT)
-NOISY = {"d415": Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 0.3, 1.0, Residuals(0.0, 1.0, 1.0, 1.0, 5.0, 1.0))}
+EXACT = Refinement((SCALES[:3], SCALES[2:]), 2.6e-3, 0.1, 0.1, MISFIT)
+NOISY = {
+    "d415": Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 4e-3, 0.3, 1.0, Residuals(0.0, 1.0, 1.0, 1.0, 5.0, 1.0)),
+}
 """By sensor. Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls, and what is
 surely solid or free is hardly surer than what a network fills."""
 
 
-def register_certain(source: DepthSource, query: Query, clearance: float) -> list[Fit]:
-    """The fits of a part in the cavities it may belong to, the best first. clearance: [m]."""
-    search = _Search(source, query, clearance)
+def register_certain(source: DepthSource, query: Query, clearance: float, further: bool = True) -> list[Fit]:
+    """The fits of a part in the cavities it may belong to, the best first.
+
+    Args:
+        source: of part and kits.
+        query: its guess, if any, bounds the search.
+        clearance: [m]
+        further: whether further candidates are refined while the best fit is doubtful.
+    """
+    search = _Search(source, query, clearance, further)
     guessed = query.guess is not None
     found = find_candidates(source, source.evidence.filled, query, clearance, thorough=True)
     distinct = without_duplicates(found, source.middle, DISTINCT if guessed else DISTINCT_WITHOUT_GUESS)
-    best = search.apart(search.least_contradictory(distinct), REFINED if guessed else REFINED_WITHOUT_GUESS)
-    fits = [search.fitted(candidate) for candidate in best]
+    fits = search.fits(search.least_contradictory(distinct), REFINED if guessed else REFINED_WITHOUT_GUESS)
     return ranked(fit for fit in fits if within_guess_error(fit.goal_from_now, query))
 
 
 class _Search:
     """The evidence about a part and its kits, at a clearance [m]."""
 
-    def __init__(self, source: DepthSource, query: Query, clearance: float) -> None:
+    def __init__(self, source: DepthSource, query: Query, clearance: float, further: bool) -> None:
         self.source, self.query = source, query
-        self.clearance = clearance
+        self.clearance, self.further = clearance, further
         self.refinement = NOISY.get(query.sensor, EXACT)
         self.prior = self.refinement.prior if source.completer is None else self.refinement.completed_prior
         self.seen = source.part_points()
@@ -94,32 +108,42 @@ class _Search:
         """The candidates, those first that the image contradicts least."""
         return sorted(candidates, key=lambda candidate: round(self._choice(candidate), CHOICE_DECIMALS))
 
-    def apart(self, candidates: Sequence[Candidate], most: int) -> list[Candidate]:
-        """The first `most` candidates after the first pass, in different poses and as near to the guess as a goal."""
-        kept: list[Candidate] = []
+    def fits(self, candidates: Sequence[Candidate], most: int) -> list[Fit]:
+        """The fits of the first `most` candidates in different poses; of further ones while the best is doubtful."""
+        fits: list[Fit] = []
         goals: list[Pose] = []
-        for candidate in candidates[: most + SPARE]:
-            moved, _ = self._refined(candidate, self.refinement.passes[0])
-            goal_from_now = moved.cavity.world_from_plate @ moved.plate_from_now
-            new = not any(same_pose(goal_from_now, other, self.source.middle) for other in goals)
-            if new and within_guess_error(goal_from_now, self.query):
-                kept.append(moved)
-                goals.append(goal_from_now)
-            if len(kept) == most:
+        for number, candidate in enumerate(candidates[: MOST_TRIED if self.further else most + SPARE]):
+            further = len(goals) >= most or number >= most + SPARE
+            best = min((fit.misfit for fit in fits), default=np.inf)
+            if further and (best <= self.refinement.doubtful or not self.further):
                 break
-        return kept
+            moved, left = self._refined(candidate, self.refinement.passes[0])
+            goal_from_now = moved.cavity.world_from_plate @ moved.plate_from_now
+            known = any(same_pose(goal_from_now, other, self.source.middle) for other in goals)
+            if known or not within_guess_error(goal_from_now, self.query):
+                continue
+            goals.append(goal_from_now)
+            if not further:
+                fits.append(self.fitted(moved))
+            elif self._residuals(moved, left).weighted(MISFIT) < best:
+                fit = self.fitted(moved)
+                fits.append(replace(fit, misfit=fit.misfit + FURTHER_MISFIT))
+        return fits
 
     def fitted(self, candidate: Candidate) -> Fit:
         """The fit of a candidate after the first pass."""
-        candidate, (_, outside, filled) = self._refined(candidate, self.refinement.passes[1])
-        outline = outline_misfit(
-            self.source.evidence.filled, candidate.cavity, candidate.plate_from_now, self.clearance
-        )
-        contradicted, coarse = self._contradictions(candidate).score, COARSE_WEIGHT * candidate.misfit
-        unseen = 0.0 if candidate.seen else UNSEEN_MISFIT
-        left = Residuals(outside, filled, outline, contradicted, coarse, unseen)
+        candidate, intervals = self._refined(candidate, self.refinement.passes[1])
+        filled, pose = self.source.evidence.filled, candidate.plate_from_now
+        outline = outline_misfit(filled, candidate.cavity, pose, self.clearance)
+        left = self._residuals(candidate, intervals)._replace(outline=outline)
         goal_from_now = candidate.cavity.world_from_plate @ candidate.plate_from_now
         return Fit(goal_from_now, left.weighted(MISFIT), left.weighted(self.refinement.doubt), candidate)
+
+    def _residuals(self, candidate: Candidate, intervals: Intervals) -> Residuals:
+        """Those of a refined candidate, without the outline's."""
+        contradicted, coarse = self._contradictions(candidate).score, COARSE_WEIGHT * candidate.misfit
+        unseen = 0.0 if candidate.seen else UNSEEN_MISFIT
+        return Residuals(intervals.outside, intervals.filled, 0.0, contradicted, coarse, unseen)
 
     def _choice(self, candidate: Candidate) -> float:
         """[m] by which candidates are chosen."""

@@ -104,7 +104,8 @@ class Registration:
             query = replace(query, read_image=lambda: restored_edges(measured, query.sensor))
             others = () if self.cameras == "primary" else self.views.of(query)
             source = DepthSource(query, self.completer, None if query.sensor == "ideal" else measured, others)
-            return ranked(chain.from_iterable(register_certain(source, query, c) for c in clearances))
+            further = len(clearances) == 1  # at a wrong clearance every fit is doubtful
+            return ranked(chain.from_iterable(register_certain(source, query, c, further) for c in clearances))
         if self.source == "columns":
             query = restored_query(query)
         filled = DepthSource(query) if self.source == "columns" else _true_source(query, geometry)
