@@ -28,6 +28,7 @@ from baselines.registration.faces import squared, standing_faces
 from baselines.registration.fits import LARGEST_LEAD, SAME_ANGLE, SAME_DISTANCE, lead, ranked, same_pose
 from baselines.registration.hypotheses import DOWN, LIES, NEAR_GUESS, SLACK_ANGLE, _faces_down
 from baselines.registration.method import SEATED, confidence
+from baselines.registration.search import UPRIGHT, tilted
 from kit1000.guesses import MAX_ANGLE
 from kit1000.mesh import mesh_from_solid
 from kit1000.motions import apply_error
@@ -69,6 +70,38 @@ def test_further_candidates_are_refined_only_while_the_best_fit_is_doubtful() ->
     assert len(search_for(known).fits([right, turned], 1)) == 1  # sure already
     assert len(search_for(known, further=False).fits([turned, right], 1)) == 1
     assert len(search_for(known).fits([turned] * MOST_TRIED + [right], 1)) == 1  # one too many
+
+
+def test_a_tilted_candidate_has_another_face_down_and_the_same_middle() -> None:
+    known = case("a keyed block")
+    angle = np.radians(8)
+    candidate = known.candidate(known.goal)
+    found = tilted(candidate, known.pivot, angle)
+    assert len(found) == 4
+    for other in found:
+        down = other.plate_from_now.rotate(other.down_normal)
+        np.testing.assert_allclose(down, [0, 0, -1], atol=1e-12)
+        assert np.arccos(other.down_normal @ candidate.down_normal) == pytest.approx(angle)
+        np.testing.assert_allclose(
+            other.plate_from_now.apply(known.pivot), candidate.plate_from_now.apply(known.pivot), atol=1e-12
+        )
+    between = found[0].plate_from_now @ found[1].plate_from_now.inverse()
+    assert between.angle() == pytest.approx(2 * angle)
+    assert tilted(candidate, known.pivot, 0.0) == []
+
+
+def test_a_doubtful_fit_on_an_unseen_face_is_tilted_until_it_fits() -> None:
+    """Contact with the floor holds a fit to the face that is assumed to lie there, here 8 degrees off."""
+    known = case("a keyed block")
+    right = known.candidate(known.goal)
+    wrong = tilted(right, known.pivot, EXACT.tilt)[0]
+    assert wrong.down_normal[2] > UPRIGHT
+    (alone,) = search_for(known, further=False).fits([wrong], 1)
+    assert alone.misfit > EXACT.doubtful
+    best = ranked(search_for(known).fits([wrong], 1))[0]
+    position, angle = known.error_of(best.candidate.plate_from_now)
+    assert position < 0.3
+    assert angle < 1
 
 
 def test_poses_are_one_within_a_millimetre_and_three_degrees() -> None:

@@ -14,7 +14,7 @@ from baselines.registration.fits import STIFFNESS, Fit, ranked, same_pose
 from baselines.registration.hypotheses import find_candidates, within_guess_error
 from baselines.registration.intervals import Intervals, refine_within
 from baselines.registration.outline import outline_misfit
-from baselines.registration.search import Candidate, without_duplicates
+from baselines.registration.search import UPRIGHT, Candidate, tilted, without_duplicates
 from baselines.registration.sources import DepthSource
 from kit1000.pose import Pose
 from kit1000.values import Query
@@ -60,6 +60,8 @@ class Refinement(NamedTuple):
     """[m] scales of the weights; the second pass with the part's sweeps in the refined rotation."""
     doubtful: float
     """[m] of misfit: while the best fit has more, further candidates are refined."""
+    tilt: float
+    """[rad] by which the best fit is then tilted and refined again, where the part does not lie as it is inserted."""
     prior: float
     """Weight of the filled part beside what is certain."""
     completed_prior: float
@@ -68,9 +70,9 @@ class Refinement(NamedTuple):
     """Weights in the doubt: how sure a fit is tells another sum than which of the fits is the best."""
 
 
-EXACT = Refinement((SCALES[:3], SCALES[2:]), 2.6e-3, 0.1, 0.1, MISFIT)
+EXACT = Refinement((SCALES[:3], SCALES[2:]), 2.6e-3, float(np.radians(8)), 0.1, 0.1, MISFIT)
 NOISY = {
-    "d415": Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 4e-3, 0.3, 1.0, Residuals(0.0, 1.0, 1.0, 1.0, 5.0, 1.0)),
+    "d415": Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 4e-3, 0.0, 0.3, 1.0, Residuals(0.0, 1.0, 1.0, 1.0, 5.0, 1.0)),
 }
 """By sensor. Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls, and what is
 surely solid or free is hardly surer than what a network fills."""
@@ -112,23 +114,37 @@ class _Search:
         """The fits of the first `most` candidates in different poses; of further ones while the best is doubtful."""
         fits: list[Fit] = []
         goals: list[Pose] = []
-        for number, candidate in enumerate(candidates[: MOST_TRIED if self.further else most + SPARE]):
+        for number, candidate in enumerate(candidates[:MOST_TRIED]):
             further = len(goals) >= most or number >= most + SPARE
-            best = min((fit.misfit for fit in fits), default=np.inf)
-            if further and (best <= self.refinement.doubtful or not self.further):
+            if further and not self._doubtful(fits):
                 break
-            moved, left = self._refined(candidate, self.refinement.passes[0])
-            goal_from_now = moved.cavity.world_from_plate @ moved.plate_from_now
-            known = any(same_pose(goal_from_now, other, self.source.middle) for other in goals)
-            if known or not within_guess_error(goal_from_now, self.query):
-                continue
-            goals.append(goal_from_now)
-            if not further:
-                fits.append(self.fitted(moved))
-            elif self._residuals(moved, left).weighted(MISFIT) < best:
-                fit = self.fitted(moved)
-                fits.append(replace(fit, misfit=fit.misfit + FURTHER_MISFIT))
+            self._add_fit(candidate, fits, goals, further)
+        if fits and self._doubtful(fits):
+            best, middle = ranked(fits)[0].candidate, self.source.middle
+            for candidate in tilted(best, middle, self.refinement.tilt) if best.down_normal[2] > UPRIGHT else ():
+                self._add_fit(candidate, fits, goals, further=True)
         return fits
+
+    def _doubtful(self, fits: Sequence[Fit]) -> bool:
+        """Whether a better fit than these is sought."""
+        return self.further and min((fit.misfit for fit in fits), default=np.inf) > self.refinement.doubtful
+
+    def _add_fit(self, candidate: Candidate, fits: list[Fit], goals: list[Pose], further: bool) -> None:
+        """Add the fit of a candidate, unless its first pass ends in an earlier goal or farther from the guess than any.
+
+        further: whether it is one beyond the first, which is not fitted where its first pass is worse than a fit.
+        """
+        moved, left = self._refined(candidate, self.refinement.passes[0])
+        goal_from_now = moved.cavity.world_from_plate @ moved.plate_from_now
+        known = any(same_pose(goal_from_now, other, self.source.middle) for other in goals)
+        if known or not within_guess_error(goal_from_now, self.query):
+            return
+        goals.append(goal_from_now)
+        if not further:
+            fits.append(self.fitted(moved))
+        elif all(self._residuals(moved, left).weighted(MISFIT) < fit.misfit for fit in fits):
+            fit = self.fitted(moved)
+            fits.append(replace(fit, misfit=fit.misfit + FURTHER_MISFIT))
 
     def fitted(self, candidate: Candidate) -> Fit:
         """The fit of a candidate after the first pass."""

@@ -13,6 +13,7 @@ from baselines.registration.cavity import VOXEL, Cavity
 from baselines.registration.outline import expected_relief
 from baselines.registration.relief import dilated, image_cells, lower_envelope
 from kit1000.kits.cavity import insertion_depth
+from kit1000.motions import apply_error
 from kit1000.pose import Pose, quaternion_between
 from kit1000.products import matmul
 from kit1000.voxels import Volume
@@ -45,6 +46,16 @@ class Candidate:
     """Squared difference of the reliefs over that of an empty plate: 0 fits, 1 explains nothing."""
     seen: bool = True
     """Whether the volume of the part has the face that goes onto the cavity's floor."""
+
+
+def tilted(candidate: Candidate, middle: np.ndarray, angle: float) -> list[Candidate]:
+    """A candidate tilted to either side about both axes of the plate by an angle [rad]; none where that is 0.
+
+    Another face then goes onto the floor, which may be one that no image shows. middle: (3,) [m] world, of the part.
+    """
+    tilts = ((angle, 0, 0), (-angle, 0, 0), (0, angle, 0), (0, -angle, 0)) if angle else ()
+    poses = [apply_error(candidate.plate_from_now, middle, np.zeros(3), np.array(tilt)) for tilt in tilts]
+    return [replace(candidate, plate_from_now=pose, down_normal=pose.inverse().rotate(-UP)) for pose in poses]
 
 
 @dataclass(frozen=True, eq=False)
