@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,13 +19,14 @@ from baselines.completion.completed import SEEN_FREE, CompletedPart, FillLogits,
 from baselines.completion.frame import CODE, SHAPE, FramedPart, framed, grid_at
 from baselines.completion.network import CompletionConfig, CompletionNet
 from baselines.completion.occupancy import filled_share
+from baselines.registration.sources import DepthSource
 from baselines.training.checkpoint import save_weights
 from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.sim.render import render
-from kit1000.values import LabelledDepth, View
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 from kit1000.voxels import Grid, signed_distance
 from tests.shapes import MM, box
 
@@ -106,6 +109,14 @@ def test_a_known_part_is_completed_to_itself_where_columns_fill_what_is_not_ther
     evidence = completed.evidence(VOXEL)
     np.testing.assert_array_equal(evidence.filled.values, volume.values)
     np.testing.assert_array_equal(evidence.possible.values, part.evidence(VOXEL).possible.values)
+
+
+def test_the_height_of_a_completed_part_is_what_is_seen_of_it() -> None:
+    part = observed(table_tee())
+    query: Any = SimpleNamespace(image=part.image, part=PART - FIRST_PART_LABEL, pivot=part.pivot, sensor="ideal")
+    assert DepthSource(query, Oracle(table_tee())).height == pytest.approx(30e-3, abs=2e-4)
+    assert DepthSource(query).height is None  # as high as its filled columns
+    assert DepthSource(query, Oracle(table_tee()), part.image).height is None  # noisy
 
 
 @pytest.mark.parametrize("seed", range(2))

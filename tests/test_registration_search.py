@@ -23,6 +23,7 @@ from baselines.registration.refine import Problem, refine
 from baselines.registration.relief import dilated
 from baselines.registration.search import (
     CELL,
+    UP,
     YAW_STEP,
     KitImage,
     SearchWindow,
@@ -32,8 +33,12 @@ from baselines.registration.search import (
 from baselines.registration.sweep import CELL as SLICE_CELL
 from baselines.registration.sweep import Sweep
 from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
+from kit1000.kits.cavity import insertion_depth
+from kit1000.mesh import mesh_from_solid
 from kit1000.motions import apply_error
 from kit1000.pose import Pose
+from kit1000.voxels import Grid, signed_distance
+from tests.shapes import box
 
 # search
 
@@ -127,6 +132,23 @@ def test_the_search_ranks_the_goal_first(name: str, guessed: bool) -> None:
     assert distance < 1.5e3 * CELL
     assert angle <= np.degrees(YAW_STEP)
     np.testing.assert_array_equal(found[0].down_normal, known.down_normal)
+
+
+def test_a_hidden_floor_is_sought_as_deep_as_the_known_height_of_the_part_tells() -> None:
+    known = case("a bar")
+    relief = np.where(known.cavity.region, np.nan, known.cavity.relief)
+    hidden = replace(known.cavity, relief=relief, depth=3e-3)
+    window = SearchWindow(np.zeros(3), None, 0.0, 0.0)
+    around = Grid.centred(Pose.identity(), (84, 84, 84), 1e-3)
+    upright = signed_distance(around, [(mesh_from_solid(box(44, 14, 20)).scaled(1e-3), Pose.identity())], threads=1)
+
+    def depths(height: float | None) -> set[float]:
+        found = coarse_search(upright, np.zeros(3), [-UP], [hidden], CLEARANCE, window, height)
+        return {each.cavity.depth for each in found}
+
+    assert depths(30e-3) == {insertion_depth(30e-3)}
+    (by_volume,) = depths(None)
+    assert by_volume == pytest.approx(insertion_depth(20e-3), abs=0.7e-3)
 
 
 def residuals_at(known: Case, goal_from_now: Pose, clearance: float = CLEARANCE) -> np.ndarray:

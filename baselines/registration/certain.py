@@ -89,7 +89,7 @@ def register_certain(source: DepthSource, query: Query, clearance: float, furthe
     """
     search = _Search(source, query, clearance, further)
     guessed = query.guess is not None
-    found = find_candidates(source, source.evidence.filled, query, clearance, thorough=True)
+    found = find_candidates(source, source.evidence.filled, query, clearance, thorough=True, height=source.height)
     distinct = without_duplicates(found, source.middle, DISTINCT if guessed else DISTINCT_WITHOUT_GUESS)
     fits = search.fits(search.least_contradictory(distinct), REFINED if guessed else REFINED_WITHOUT_GUESS)
     return ranked(fit for fit in fits if within_guess_error(fit.goal_from_now, query))

@@ -42,7 +42,12 @@ class Faces(NamedTuple):
 
 
 def find_candidates(
-    source: Source, part: Volume, query: Query, clearance: float, thorough: bool = False
+    source: Source,
+    part: Volume,
+    query: Query,
+    clearance: float,
+    thorough: bool = False,
+    height: float | None = None,
 ) -> list[Candidate]:
     """All candidates for a part, the best first; none where no part or no cavity is observed.
 
@@ -53,6 +58,7 @@ def find_candidates(
         clearance: [m]
         thorough: whether the face on which the part lies is preferred, faces that the volume does not have are tried,
             and planes within larger ones are no plates.
+        height: see `coarse_search`.
     """
     if not part.occupied.any():
         return []
@@ -62,7 +68,7 @@ def find_candidates(
     window = SearchWindow(query.pivot, query.guess, MAX_ANGLE + SLACK_ANGLE, MAX_OFFSET + SLACK_OFFSET)
     found: list[Candidate] = []
     for faces in _faces_down(source, part, query, cavities, thorough):
-        candidates = coarse_search(part, source.middle, faces.normals, faces.cavities, clearance, window)
+        candidates = coarse_search(part, source.middle, faces.normals, faces.cavities, clearance, window, height)
         found += candidates if faces.seen else [replace(candidate, seen=False) for candidate in candidates]
     return sorted(found, key=lambda candidate: candidate.misfit)
 

@@ -93,6 +93,7 @@ def coarse_search(
     cavities: Sequence[Cavity],
     clearance: float,
     window: SearchWindow,
+    height: float | None = None,
 ) -> list[Candidate]:
     """All candidates, the best first: any of the part's faces down in any of the cavities, within the window.
 
@@ -103,16 +104,19 @@ def coarse_search(
         cavities: of all plates.
         clearance: [m]
         window: about the guess.
+        height: [m] of the part as it lies, where that is known; by default that of its volume.
     """
     candidates: list[Candidate] = []
     kits: dict[tuple[int, float], KitImage] = {}
     occupied = part.grid.world(np.argwhere(part.occupied))
     for down_normal in down_normals:
         oriented = OrientedPart(part, middle, down_normal)
-        expected = insertion_depth(float(np.ptp(matmul(occupied, down_normal))))
+        upright = bool(down_normal[2] < UPRIGHT)
+        tall = height if upright and height is not None else float(np.ptp(matmul(occupied, down_normal)))
+        expected = insertion_depth(tall)
         for number, whole in enumerate(cavities):
             inside = np.flatnonzero(window.rotations_inside(oriented.rotations, whole.world_from_plate.inverse()))
-            for cavity in _possible_depths(whole, expected, down_normal[2] < UPRIGHT) if len(inside) else ():
+            for cavity in _possible_depths(whole, expected, upright) if len(inside) else ():
                 key = (number, cavity.depth)
                 if key not in kits:
                     kits[key] = KitImage.of(cavity, image_cells(part, clearance, CELL))

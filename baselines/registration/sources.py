@@ -125,6 +125,17 @@ class DepthSource:
         points = np.concatenate([pixel_points(view, mask) for view, mask in images])
         return points[:: max(1, len(points) // SEEN_POINTS)]
 
+    @property
+    def height(self) -> float | None:
+        """[m] of a part that a network completed, as it lies in an exact image, for its highest point is seen.
+
+        None where the filled part has that height too, and where the image is noisy.
+        """
+        if self.completer is None or self.measured is not None:
+            return None
+        heights = self.part_points()[:, 2]
+        return float(heights.max()) if len(heights) else None
+
     def oriented_points(self, box: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, float]:
         """Points of the image on the kits, with normals from their neighbours."""
         found = [oriented_points(view, mask, self.noise.window) for view, mask in self._kits]
