@@ -62,7 +62,7 @@ def test_a_changed_prediction_is_named(
     assert again.identical.tolist() == [True, True, False, True, True]
     line = capsys.readouterr().out
     assert line.startswith(f"{out}: 5 predictions, 4 of them the same to the last digit; at most 0.02 mm and ")
-    assert line.endswith(f"; 1 beyond the allowed 0.01 mm or 0.01°, the first {table.query_ids[2]}\n")
+    assert line.endswith(f"; 1 beyond the allowed 0.01 mm or 0.05°, the first {table.query_ids[2]}\n")
 
 
 @pytest.mark.parametrize("changed", ["position", "confidence"])
@@ -79,7 +79,7 @@ def test_a_difference_within_the_tolerance_is_not_the_same_to_the_last_digit(
     assert baselines(["rerun", str(out), "--data", str(mini), "--first", "3", "--workers", "1"]) == 0
     line = capsys.readouterr().out
     assert line.startswith(f"{out}: 3 predictions, 2 of them the same to the last digit; at most ")
-    assert line.endswith("from those submitted, within the 0.01 mm and 0.01° allowed for networks\n")
+    assert line.endswith("from those submitted, within the 0.01 mm and 0.05° allowed for networks\n")
 
 
 def test_a_submission_that_cannot_be_rerun_is_bad_input(made: Path, mini: Path, tmp_path: Path) -> None:
