@@ -40,7 +40,7 @@ def search_for(known: Case, further: bool = True) -> _Search:
     """The search with evidence that leaves nothing unknown."""
     told = PartEvidence(known.part, known.part, known.part)
     seen = surface_points(known.part)[::20]
-    source: Any = SimpleNamespace(evidence=told, middle=known.pivot, completer=None, part_points=lambda: seen)
+    source: Any = SimpleNamespace(evidence=told, middle=known.pivot, completer=None, part_points=seen)
     return _Search(source, SimpleNamespace(guess=None, pivot=known.pivot, sensor="ideal"), CLEARANCE, further)  # type: ignore[arg-type]
 
 

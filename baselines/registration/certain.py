@@ -103,7 +103,7 @@ class _Search:
         self.clearance, self.further = clearance, further
         self.refinement = NOISY.get(query.sensor, EXACT)
         self.prior = self.refinement.prior if source.completer is None else self.refinement.completed_prior
-        self.seen = source.part_points()
+        self.seen = source.part_points
         self._kits: dict[int, KitHeights] = {}
 
     def least_contradictory(self, candidates: Sequence[Candidate]) -> list[Candidate]:

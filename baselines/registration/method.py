@@ -83,18 +83,22 @@ class Registration:
 
     def __call__(self, query: Query, geometry: TrueGeometry | None = None) -> PredictedMotion:
         """The best fit; where nothing fits, the guess or no motion, with confidence 0."""
-        motions = self.motions(query, geometry)
-        return motions[0] if motions else PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
+        fits = self.fits(query, geometry)
+        if not fits:
+            return PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
+        return self._motion(fits[0], fits, query)
 
     def motions(self, query: Query, geometry: TrueGeometry | None = None) -> list[PredictedMotion]:
         """All fits, the best first, each with its confidence."""
         fits = self.fits(query, geometry)
-        leads = [lead(fit, fits, query.pivot) if self.source == "depth" else 0.0 for fit in fits]
-        doubts = [fit.doubt - LEAD_SHARE * ahead for fit, ahead in zip(fits, leads, strict=True)]
-        return [
-            PredictedMotion(fit.goal_from_now, confidence(doubt, self.source, query.sensor))
-            for fit, doubt in zip(fits, doubts, strict=True)
-        ]
+        return [self._motion(fit, fits, query) for fit in fits]
+
+    def _motion(self, fit: Fit, fits: list[Fit], query: Query) -> PredictedMotion:
+        """One of the fits, with its confidence."""
+        doubt = fit.doubt
+        if self.source == "depth":
+            doubt -= LEAD_SHARE * lead(fit, fits, query.pivot)
+        return PredictedMotion(fit.goal_from_now, confidence(doubt, self.source, query.sensor))
 
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits at all clearances, the best first."""

@@ -119,6 +119,7 @@ class DepthSource:
         """What is certain about the part."""
         return self._part.evidence(VOXEL)
 
+    @cached_property
     def part_points(self) -> np.ndarray:
         """(n, 3) [m] world: about SEEN_POINTS points of the part, one a pixel."""
         images = self._images_of(FIRST_PART_LABEL + self.query.part)
@@ -133,7 +134,7 @@ class DepthSource:
         """
         if self.completer is None or self.measured is not None:
             return None
-        heights = self.part_points()[:, 2]
+        heights = self.part_points[:, 2]
         return float(heights.max()) if len(heights) else None
 
     def oriented_points(self, box: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, float]:

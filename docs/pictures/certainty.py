@@ -53,7 +53,7 @@ def draw(dataset: Dataset, query: Query, fit: Fit) -> tuple[np.ndarray, float]:
     source, clearance = DepthSource(query), dataset.summary["config"]["clearance"]
     cavity, pose = fit.candidate.cavity, fit.candidate.plate_from_now
     kit = KitHeights.of(cavity, clearance)
-    evidence, seen = source.evidence, source.part_points()
+    evidence, seen = source.evidence, source.part_points
     across = cavity.world_from_plate.inverse().rotate(source.middle - query.image.view.world_from_camera.xyz)
     slice_grid = _slice(pose.apply(source.middle), across)
     points = slice_grid.world(np.argwhere(np.ones(slice_grid.shape, bool))).reshape(*slice_grid.shape[::2], 3)
