@@ -22,6 +22,7 @@ FOLDERS = (
     "baselines.icp",
     "baselines.kitnet",
     "baselines.registration",
+    "baselines.restoration",
     "baselines.snapnet",
     "baselines.transporter",
 )

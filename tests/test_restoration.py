@@ -9,7 +9,8 @@ import pytest
 import trimesh
 from scipy.ndimage import binary_erosion
 
-from baselines.restoration import GAP, restored, restored_query
+from baselines.restoration import restored, restored_query
+from baselines.restoration.edges import GAP
 from kit1000.camera import look_at
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose

@@ -11,8 +11,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from baselines.completion.network import UNet
 from baselines.completion.relief import DEEPEST
+from baselines.unet import UNet
 
 PACK = 2  # cells along x and along y that are channels of one pixel of the network
 MAPS, EXTRA = 3, 2  # channels: of a cell; of the camera

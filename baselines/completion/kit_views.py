@@ -7,11 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from baselines.calibration import CALIBRATED
 from baselines.completion.frame import pixel_box
 from baselines.completion.pixels import noise_of
 from baselines.completion.planes import Plane
 from baselines.completion.relief import CELL, CELLS, SeenRelief, away_frame, relief_grid, seen_relief, true_depths
-from baselines.completion.views import CALIBRATED
 from baselines.restoration import restored_edges
 from kit1000.dataset.geometry import Geometry
 from kit1000.pose import Pose

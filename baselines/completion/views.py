@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from baselines.calibration import CALIBRATED
 from baselines.completion.drawn_parts import DrawnPart, DrawnParts
 from baselines.completion.frame import SHAPE, FramedPart, framed, grid_at, packed, pixel_box
 from baselines.completion.occupancy import filled_share
@@ -16,7 +17,7 @@ from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.sim.footprints import footprint
 from kit1000.sim.layout import DROP_BOUNDS, UPRIGHT_SHARE, table
 from kit1000.sim.render import render
-from kit1000.sim.sensors import SENSORS, measured
+from kit1000.sim.sensors import measured
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 
 D415_SHARE = 0.35  # of the examples: measured by the d415, the others ideal
@@ -26,8 +27,6 @@ GAP = 10e-3  # [m] the largest to a neighbour
 LEAST_PIXELS = 150  # of the part
 BORDER = 24  # [px] around what is needed: the sensor's noise and fattened edges reach so far
 MAX_DRAWS = 50  # views of an example
-CALIBRATED = replace(SENSORS["d415"], scale_error=3e-4, position_error=3e-4, rotation_error_deg=0.02)
-"""The d415 after `baselines.calibration` by the table: what is left of its errors of pose and scale."""
 DOWN = np.array([0.0, 0.0, -1.0])
 
 Example = dict[str, np.ndarray]

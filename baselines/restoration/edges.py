@@ -1,4 +1,4 @@
-"""What every method reads of a noisy depth image: calibrated by its table, and its edges where the sensor moved them.
+"""Restoration by rules: an image calibrated by its table, and its edges where the sensor moved them.
 
 Nothing is learned and no truth is read: the table is part of the specification of every scene, and what the sensor does
 to edges is part of its own (docs/sensors.md). An ideal image stays as it is.
@@ -11,6 +11,7 @@ to edges is part of its own (docs/sensors.md). An ideal image stays as it is.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -47,17 +48,30 @@ def restored_edges(image: LabelledDepth, sensor: str) -> LabelledDepth:
     """A calibrated image with its table on its plane and the edges where they should be; the same one if ideal."""
     if sensor == "ideal":
         return image
+    closed = closed_gaps(image)
+    depth, ground = closed.view.depth.copy(), ground_inverse_depth(closed.view)
+    for box, mask in _bodies(image.labels):
+        _cut_back(depth[box], mask, ground[box], closed.view.camera.fx, SENSORS[sensor])
+    return LabelledDepth(replace(closed.view, depth=depth), image.labels)
+
+
+def closed_gaps(image: LabelledDepth) -> LabelledDepth:
+    """A calibrated image with its table on its plane, and narrow shadows on bodies filled from beside."""
     view = flattened(image.view, image.labels)
-    depth, ground = view.depth.copy(), _ground_inverse_depth(view)
-    for label, box in enumerate(find_objects(image.labels), start=1):
+    depth = view.depth.copy()
+    for box, mask in _bodies(image.labels):
+        close_gaps(depth[box], mask)
+    return LabelledDepth(replace(view, depth=depth), image.labels)
+
+
+def _bodies(labels: np.ndarray) -> Iterator[tuple[tuple[slice, slice], np.ndarray]]:
+    """The box (rows, columns) of each body in masks (H, W) uint8, and its mask (bool) in it."""
+    for label, box in enumerate(find_objects(labels), start=1):
         if box is not None:
-            mask = image.labels[box] == label
-            _close_gaps(depth[box], mask)
-            _cut_back(depth[box], mask, ground[box], view.camera.fx, SENSORS[sensor])
-    return LabelledDepth(View(view.camera, view.world_from_camera, depth), image.labels)
+            yield box, labels[box] == label
 
 
-def _ground_inverse_depth(view: View) -> np.ndarray:
+def ground_inverse_depth(view: View) -> np.ndarray:
     """(H, W) [1/m]: the inverse depth of the plane z = 0 at each pixel; where it is not seen, hardly above 0."""
     down = -view.world_from_camera.inverse().rotate((0.0, 0.0, 1.0))
     height, camera = max(float(view.world_from_camera.xyz[2]), 1e-3), view.camera
@@ -67,7 +81,7 @@ def _ground_inverse_depth(view: View) -> np.ndarray:
     return np.maximum(across + along[:, None] + down[2], 1e-6) / height
 
 
-def _close_gaps(depth: np.ndarray, mask: np.ndarray) -> None:
+def close_gaps(depth: np.ndarray, mask: np.ndarray) -> None:
     """Give masked pixels without return, in gaps of at most GAP along a row, the farther depth of the two sides.
 
     Such gaps are shadows of the sensor's projector or its second camera: they belong to the farther surface.

@@ -1,0 +1,78 @@
+"""Restoration by the network: each pixel of a body shows the likelier of two surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.ndimage import binary_opening, find_objects
+
+from baselines.calibration import flattened
+from baselines.loading import ready
+from baselines.restoration.disparity import (
+    Box,
+    Evidence,
+    cropped_evidence,
+    depths,
+    evidence,
+    padded_box,
+    unlabelled_evidence,
+)
+from baselines.restoration.edges import closed_gaps
+from baselines.restoration.network import SIDE, RestorationConfig, RestorationNet
+from kit1000.sim.sensors import SENSORS
+from kit1000.values import LabelledDepth, View
+
+HEIGHT = 4e-3  # [m] along the ray, in front of the table, from which on something is a body
+BORDER = 32  # [px] about bodies
+DISPARITY_STEP = 1 / 512  # [px] to which disparities are rounded: sums of float32 depend on the processor
+
+
+class Restorer:
+    """The network with its weights."""
+
+    def __init__(self, weights: Path | RestorationNet) -> None:
+        """weights: stem of the files, or the network itself."""
+        net = ready(weights, RestorationConfig, RestorationNet).to("cpu")  # on which the last digits are known
+        self.net = net.to(memory_format=torch.channels_last)
+
+    def __call__(self, image: LabelledDepth, sensor: str, labels: Sequence[int]) -> LabelledDepth:
+        """A calibrated image with its table on its plane, and the bodies of some labels where they likely are.
+
+        Bodies of other labels stay as they were measured, but for their narrow shadows.
+        """
+        closed, read = closed_gaps(image), evidence(image, sensor)
+        depth = closed.view.depth.copy()
+        boxes = find_objects(image.labels)
+        for label in labels:
+            box = boxes[label - 1] if label <= len(boxes) else None
+            if box is not None:
+                wide = padded_box(*box, SIDE, closed.view.camera)
+                found = depths(self._likeliest(read, wide), closed.view, wide, sensor)
+                depth[wide] = np.where(image.labels[wide] == label, found, depth[wide])
+        return LabelledDepth(replace(closed.view, depth=depth), image.labels)
+
+    def without_masks(self, view: View, sensor: str) -> View:
+        """A calibrated view with bodies and the table about them where they likely are; farther off only the table."""
+        read = unlabelled_evidence(view, sensor)
+        depth = flattened(view, np.zeros(view.depth.shape, np.uint8)).depth.copy()
+        high = (read["disparity"] * view.depth**2 > HEIGHT * view.camera.fx * SENSORS[sensor].baseline) & read[
+            "returned"
+        ]
+        rows, columns = (np.flatnonzero(binary_opening(high, np.ones((3, 3))).any(axis)) for axis in (1, 0))
+        if len(rows):
+            around = (slice(max(line[0] - BORDER, 0), line[-1] + BORDER + 1) for line in (rows, columns))
+            wide = padded_box(*around, SIDE, view.camera)
+            depth[wide] = depths(self._likeliest(read, wide), view, wide, sensor)
+        return replace(view, depth=depth)
+
+    def _likeliest(self, read: Evidence, box: Box) -> np.ndarray:
+        """(h, w) [px] the likeliest disparities in a box of the image, rounded."""
+        cut = cropped_evidence(read, box)
+        batch = [torch.from_numpy(cut[name])[None] for name in ("disparity", "returned", "labels", "slope")]
+        with torch.inference_mode():
+            likeliest = self.net(*batch).likeliest()[0].numpy().astype(np.float64)
+        return np.rint(likeliest / DISPARITY_STEP) * DISPARITY_STEP

@@ -1,0 +1,65 @@
+"""The U-Net of residual blocks that completes parts and kits and restores depth.
+
+B batch, C channels; features are (B, C, x, y), channels last in memory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+
+class UNet(nn.Module):
+    """A U-Net of residual blocks."""
+
+    ENDS = ("stem", "head")
+    """Layers that are no hidden ones, for the optimiser."""
+
+    def __init__(self, inputs: int, outputs: int, widths: Sequence[int], blocks: int) -> None:
+        """Channels of its input, of its output and at each resolution; residual blocks at each, on each way."""
+        super().__init__()
+        self.stem = nn.Conv2d(inputs, widths[0], 3, padding=1)
+        self.down = nn.ModuleList(_blocks(width, blocks) for width in widths)
+        pairs = list(pairwise(widths))
+        self.coarser = nn.ModuleList(nn.Conv2d(fine, coarse, 2, stride=2) for fine, coarse in pairs)
+        self.finer = nn.ModuleList(nn.ConvTranspose2d(coarse, fine, 2, stride=2) for fine, coarse in reversed(pairs))
+        self.up = nn.ModuleList(_blocks(width, blocks) for width in reversed(widths[:-1]))
+        self.head = nn.Conv2d(widths[0] + inputs, outputs, 1)
+
+    def image(self, evidence: Tensor) -> Tensor:
+        """(B, inputs, x, y) -> (B, outputs, x, y)."""
+        features = self.stem(evidence)
+        kept = []
+        for blocks, coarser in zip(self.down, self.coarser, strict=False):
+            features = blocks(features)
+            kept.append(features)
+            features = coarser(features)
+        features = self.down[-1](features)
+        for finer, blocks in zip(self.finer, self.up, strict=True):
+            features = blocks(finer(features) + kept.pop())
+        return self.head(torch.cat([features, evidence.to(features.dtype)], 1))
+
+
+class ResidualBlock(nn.Module):
+    """Two convolutions with batch normalisation, added to their input."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.first = nn.Conv2d(width, width, 3, padding=1, bias=False)
+        self.first_norm = nn.BatchNorm2d(width)
+        self.second = nn.Conv2d(width, width, 3, padding=1, bias=False)
+        self.second_norm = nn.BatchNorm2d(width)
+        nn.init.zeros_(self.second_norm.weight)  # at first each block is the identity
+
+    def forward(self, input: Tensor) -> Tensor:
+        """(B, C, x, y) -> (B, C, x, y)."""
+        inner = F.relu(self.first_norm(self.first(F.relu(input))))
+        return input + self.second_norm(self.second(inner))
+
+
+def _blocks(width: int, count: int) -> nn.Sequential:
+    return nn.Sequential(*(ResidualBlock(width) for _ in range(count)))
