@@ -18,12 +18,12 @@ METHODS = {
     ),
     "registration-completed": Method(
         "baselines.registration.method:Registration",
-        "registration from the depth image, the part completed by a network",
+        "registration from the depth image, the part completed by a network, noisy images restored by another one",
         label="Registration, completed part",
         options={"source": "depth"},
         learned=True,
-        training_data="20,000 fresh parts of the families of split train, rendered from both sensors",
-        weights={"completion": "completion"},
+        training_data="20,000 fresh parts of the families of split train, from both sensors; split train of kit1000",
+        weights={"completion": "completion", "restoration": "restoration"},
     ),
     "registration-three": Method(
         "baselines.registration.method:Registration",

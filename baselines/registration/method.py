@@ -20,10 +20,11 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
-from kit1000.values import Query, TrueGeometry
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
 
 if TYPE_CHECKING:
     from baselines.completion.completed import PartCompleter
+    from baselines.restoration.learned import Restorer
 
 SOURCES = ("depth", "columns", "truth")
 LEAD_SHARE = 0.5  # of the lead of a fit, taken off its doubt: another pose may fit as well
@@ -31,14 +32,16 @@ CONFIDENCE_DECIMALS = 9  # the last digits of an exponential depend on the proce
 SEATED = {
     ("depth", "ideal"): (3.5e-3, 0.7e-3),
     ("depth", "d415"): (10.2e-3, 6.5e-3),
+    ("depth", "restored"): (14.1e-3, 7.0e-3),
     ("columns", "ideal"): (6.0e-3, 1.4e-3),
     ("columns", "d415"): (-6.8e-3, 7.1e-3),
     ("truth", "ideal"): (5.5e-3, 0.4e-3),
     ("truth", "d415"): (5.5e-3, 0.4e-3),
 }
-"""By source and sensor: the doubt [m] at which half of the predictions are seated, and the spread of the logistic
-curve, fitted to the validation split; those of depth to 210 snaps of parts that are turned over (train) and 100 places
-(val) on ideal images, to 73 snaps and 47 places (val, parts completed) on d415."""
+"""By source and kind of image: the doubt [m] at which half of the predictions are seated, and the spread of the
+logistic curve, fitted to the validation split. Those of depth: to 210 snaps of parts that are turned over (train) and
+100 places on ideal images, to 73 snaps and 47 places on d415, and to 70 of each on images of the d415 that a network
+restored, both with completed parts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +56,8 @@ class Registration:
     """[m] to try, of which the best fit counts; by default the one that the dataset states."""
     completion: Path | None = None
     """Stem of the weights of a network that completes the part; None fills columns."""
+    restoration: Path | None = None
+    """Stem of the weights of a network that restores noisy images; None restores by rules."""
     cameras: Literal["primary", "three"] = "primary"
     """three: further images beside the query's own, which source `depth` reads."""
 
@@ -76,6 +81,15 @@ class Registration:
 
         return PartCompleter(self.completion)
 
+    @cached_property
+    def restorer(self) -> Restorer | None:
+        """The network that restores images."""
+        if self.restoration is None:
+            return None
+        from baselines.restoration.learned import Restorer
+
+        return Restorer(self.restoration)
+
     @property
     def uses_true_geometry(self) -> bool:
         """Whether it needs the true geometry."""
@@ -98,22 +112,33 @@ class Registration:
         doubt = fit.doubt
         if self.source == "depth":
             doubt -= LEAD_SHARE * lead(fit, fits, query.pivot)
-        return PredictedMotion(fit.goal_from_now, confidence(doubt, self.source, query.sensor))
+        return PredictedMotion(fit.goal_from_now, confidence(doubt, self.source, self._kind(query)))
+
+    def _kind(self, query: Query) -> str:
+        """The kind of an image: its sensor, or restored where a network restores it."""
+        return query.sensor if self.restorer is None or query.sensor == "ideal" else "restored"
 
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits at all clearances, the best first."""
         clearances = self.clearances or (self.dataset.summary["config"]["clearance"],)
         if self.source == "depth":
-            measured = calibrated_image(query.image, query.sensor)
-            query = replace(query, read_image=lambda: restored_edges(measured, query.sensor))
+            measured, kind = calibrated_image(query.image, query.sensor), self._kind(query)
+            query = replace(query, read_image=lambda: self._restored(measured, query))
             others = () if self.cameras == "primary" else self.views.of(query)
-            source = DepthSource(query, self.completer, None if query.sensor == "ideal" else measured, others)
+            raw = None if kind == "ideal" else measured
+            source = DepthSource(query, self.completer, raw, others, restored=kind == "restored")
             further = len(clearances) == 1  # at a wrong clearance every fit is doubtful
             return ranked(chain.from_iterable(register_certain(source, query, c, further) for c in clearances))
         if self.source == "columns":
             query = restored_query(query)
         filled = DepthSource(query) if self.source == "columns" else _true_source(query, geometry)
         return ranked(chain.from_iterable(register_columns(filled, query, c) for c in clearances))
+
+    def _restored(self, measured: LabelledDepth, query: Query) -> LabelledDepth:
+        """The calibrated image of a query, its edges where they are."""
+        if self.restorer is None or self._kind(query) != "restored":
+            return restored_edges(measured, query.sensor)
+        return self.restorer(measured, query.sensor, (ASSEMBLY_LABEL, FIRST_PART_LABEL + query.part))
 
 
 def _true_source(query: Query, geometry: TrueGeometry | None) -> TrueSource:
@@ -122,7 +147,7 @@ def _true_source(query: Query, geometry: TrueGeometry | None) -> TrueSource:
     return TrueSource(geometry)
 
 
-def confidence(doubt: float, source: str, sensor: str) -> float:
-    """The share of fits with such a doubt [m] that are seated, for the source and sensor of SEATED."""
-    half, spread = SEATED[source, sensor]
+def confidence(doubt: float, source: str, kind: str) -> float:
+    """The share of fits with such a doubt [m] that are seated, for the source and kind of image of SEATED."""
+    half, spread = SEATED[source, kind]
     return round(float(1 / (1 + np.exp((doubt - half) / spread))), CONFIDENCE_DECIMALS)

@@ -11,7 +11,7 @@ import numpy as np
 from baselines.completion import ObservedPart
 from baselines.completion.fusion import MaskedView, observed_distance
 from baselines.completion.part import AROUND, HALF_WIDTH, PartEvidence
-from baselines.completion.pixels import Noise, noise_of, oriented_points, pixel_points
+from baselines.completion.pixels import RESTORED, Noise, noise_of, oriented_points, pixel_points
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points
@@ -104,11 +104,13 @@ class DepthSource:
     """The calibrated image of a noisy sensor before its edges were restored, which the network reads."""
     others: tuple[LabelledDepth, ...] = ()
     """Images of further cameras, with the labels of the query's."""
+    restored: bool = False
+    """Whether a network restored the image of a noisy sensor."""
 
     @property
     def noise(self) -> Noise:
         """Of the image."""
-        return noise_of(self.query.sensor)
+        return RESTORED if self.restored else noise_of(self.query.sensor)
 
     def part(self) -> Volume:
         """The part from its observed points down to the table, except for free space."""

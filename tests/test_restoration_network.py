@@ -1,0 +1,175 @@
+"""The network that restores noisy depth: what it reads and learns from, its mixture, and what its weights mend."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from baselines.calibration import CALIBRATED
+from baselines.catalog import WEIGHTS
+from baselines.restoration.disparity import above_table, depths, evidence, padded_box
+from baselines.restoration.edges import closed_gaps, restored_edges
+from baselines.restoration.learned import DISPARITY_STEP, Restorer
+from baselines.restoration.network import SIDE, Mixture, RestorationConfig, RestorationNet
+from baselines.restoration.task import beside_jumps, restoration_task
+from baselines.restoration.views import CROPS, recorded_example
+from baselines.training.checkpoint import save_weights
+from kit1000.dataset.reader import Dataset
+from kit1000.errors import InputError
+from kit1000.rng import stream
+from kit1000.sim.cameras import CAMERA
+from kit1000.sim.sensors import measured
+from kit1000.values import ASSEMBLY_LABEL, LabelledDepth
+
+TINY = RestorationConfig(widths=(8, 8, 8, 8))
+D415 = "d415"
+
+
+@pytest.fixture(scope="module")
+def exact(mini: Path) -> LabelledDepth:
+    """The exact image of a scene."""
+    return next(iter(Dataset(mini).split("val"))).labelled_depth("ideal")
+
+
+@pytest.fixture(scope="module")
+def noisy(exact: LabelledDepth) -> LabelledDepth:
+    """The same, by the calibrated d415."""
+    return LabelledDepth(measured(CALIBRATED, exact.view, stream(0, "noisy")), exact.labels)
+
+
+def untrained(bias: float = 0.0) -> RestorationNet:
+    torch.manual_seed(0)
+    net = RestorationNet(TINY)
+    torch.nn.init.constant_(net.head.bias, bias)
+    return net
+
+
+def test_an_exact_image_shows_the_truth_and_depths_come_back(exact: LabelledDepth) -> None:
+    read, bodies = evidence(exact, D415), exact.labels > 0
+    truth = above_table(exact.view.depth, exact.view, D415)
+    np.testing.assert_allclose(read["disparity"][bodies], truth[bodies], atol=1e-5)
+    assert not read["disparity"][~bodies].any()
+    whole = slice(0, CAMERA.height), slice(0, CAMERA.width)
+    back = depths(read["disparity"].astype(float), exact.view, whole, D415)
+    np.testing.assert_allclose(back[bodies], exact.view.depth[bodies], atol=1e-6)
+
+
+def test_the_slope_is_that_of_the_table(exact: LabelledDepth) -> None:
+    seen = exact.view.depth > 0
+    inverse = CAMERA.fx * CALIBRATED.baseline / np.where(seen, exact.view.depth, 1.0)
+    table = seen & (exact.labels == 0)
+    for axis, slope in ((1, evidence(exact, D415)["slope"][0]), (0, evidence(exact, D415)["slope"][1])):
+        both = table & np.roll(table, -1, axis)
+        step = (np.roll(inverse, -1, axis) - inverse)[both]
+        assert np.median(step) == pytest.approx(slope, abs=1e-3)
+
+
+def test_where_nothing_returned_is_known(noisy: LabelledDepth) -> None:
+    read, lost = evidence(noisy, D415), (noisy.labels > 0) & (noisy.view.depth == 0)
+    assert lost.any()
+    np.testing.assert_array_equal(read["returned"], ~lost)
+    assert np.isfinite(read["disparity"]).all()
+
+
+@given(st.integers(0, 1200), st.integers(1, 1280), st.integers(0, 700), st.integers(1, 720))
+def test_padded_boxes_hold_theirs_within_the_image(left: int, width: int, top: int, height: int) -> None:
+    columns, rows = slice(left, min(left + width, CAMERA.width)), slice(top, min(top + height, CAMERA.height))
+    for padded, span, size in zip(padded_box(rows, columns, SIDE, CAMERA), (rows, columns), (720, 1280), strict=True):
+        assert 0 <= padded.start <= span.start
+        assert span.stop <= padded.stop <= size
+        assert (padded.stop - padded.start) % SIDE == 0
+
+
+def test_a_mixture_is_a_density_and_its_likeliest_is_never_between() -> None:
+    values = torch.tensor([[-1.0, 2.0]]).view(1, 2, 1, 1)
+    share = torch.log(torch.tensor([[0.4, 0.6]])).view(1, 2, 1, 1)
+    mixture = Mixture(values, torch.tensor([[0.05, 0.2]]).view(1, 2, 1, 1), share)
+    at = torch.linspace(-8, 8, 160_001)
+    density = torch.exp(mixture.log_likelihood(at.view(1, 1, -1)))
+    assert float(torch.trapezoid(density[0, 0], at)) == pytest.approx(1, abs=1e-3)
+    assert float(mixture.likeliest()) == 2.0
+    assert float(mixture._replace(log_share=share.flip(1)).likeliest()) == -1.0
+
+
+def test_without_training_the_measured_image_stays(noisy: LabelledDepth) -> None:
+    labels = np.unique(noisy.labels[noisy.labels > 0]).tolist()
+    same, closed = Restorer(untrained())(noisy, D415, labels).view, closed_gaps(noisy).view
+    gain = CAMERA.fx * CALIBRATED.baseline
+    step = np.abs(gain / np.maximum(same.depth, 0.1) - gain / np.maximum(closed.depth, 0.1))
+    seen = closed.depth > 0
+    assert step[seen].max() < 0.6 * DISPARITY_STEP + 1e-3
+    assert same.world_from_camera == closed.world_from_camera
+
+
+def test_only_the_labels_asked_for_change(noisy: LabelledDepth) -> None:
+    there, closed = Restorer(untrained(0.5))(noisy, D415, [ASSEMBLY_LABEL]).view.depth, closed_gaps(noisy).view.depth
+    kits = noisy.labels == ASSEMBLY_LABEL
+    np.testing.assert_array_equal(there[~kits], closed[~kits])
+    assert (there[kits] != closed[kits]).mean() > 0.99
+    nothing = LabelledDepth(noisy.view, np.zeros_like(noisy.labels))
+    assert Restorer(untrained())(nothing, D415, [ASSEMBLY_LABEL]).view.depth.shape == noisy.view.depth.shape
+
+
+def test_fresh_views_are_the_same_whoever_makes_them(mini: Path) -> None:
+    task, config = restoration_task(Dataset(mini), "small")
+    again, _ = restoration_task(Dataset(mini), "small")
+    for index in (0, CROPS - 1, 3 * CROPS):
+        crop, same = task.training[index], again.training[index]
+        assert all(np.array_equal(crop[name], same[name]) for name in crop)
+        wrong = np.abs(crop["disparity"] - crop["truth"])[crop["labels"] > 0]
+        assert 0.01 < np.median(wrong) < 0.2
+    assert len(task.training) == CROPS * config.views
+    with pytest.raises(IndexError):
+        task.training[len(task.training)]
+
+
+def test_the_truth_measures_zero_and_is_the_likeliest(mini: Path) -> None:
+    task, _ = restoration_task(Dataset(mini), "small")
+    keys = task.validation_keys()
+    assert task.validation_keys() == keys
+    batch = {name: torch.from_numpy(value)[None] for name, value in task.validation_example(keys[0]).items()}
+    assert 0 < float(beside_jumps(batch["truth"]).float().mean()) < 0.7
+    two, spread = torch.stack([batch["truth"]] * 2, 1), torch.full((1, 2, *batch["truth"].shape[1:]), 0.02)
+    share = torch.full_like(spread, np.log(0.5))
+    task.model.forward = lambda *_: Mixture(two, spread, share)  # type: ignore[method-assign]
+    assert all(float(value) == 0 for value in task.measure(batch).values())
+    truth = float(task.loss(batch))
+    task.model.forward = lambda *_: Mixture(two + 0.05, spread, share)  # type: ignore[method-assign]
+    assert truth == pytest.approx(float(np.log(0.04)), abs=1e-3)
+    assert float(task.loss(batch)) == pytest.approx(truth + 2.5, abs=1e-3)
+
+
+def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
+    save_weights(tmp_path / "part", untrained(), {"about": {"network": {"widths": [8, 8, 8, 8], "parts": 3}}})
+    with pytest.raises(InputError, match="no config of a RestorationNet"):
+        Restorer(tmp_path / "part")
+
+
+def test_the_network_mends_what_rules_leave(mini: Path) -> None:
+    """Beside edges of the kits of recorded images, and elsewhere on them."""
+    dataset, restorer, errors = Dataset(mini), Restorer(WEIGHTS / "restoration"), []
+    for scene_id in dataset.split("val").scene_ids:
+        image, example = recorded_example(dataset, "val", scene_id)
+        beside = beside_jumps(torch.from_numpy(example["truth"])[None])[0].numpy()
+        for found in (restored_edges(image, D415), restorer(image, D415, [ASSEMBLY_LABEL])):
+            wrong = np.abs(above_table(found.view.depth, image.view, D415) - example["truth"])
+            kits = (image.labels == ASSEMBLY_LABEL) & (found.view.depth > 0)
+            errors.append((wrong[kits & beside].mean(), wrong[kits & ~beside].mean()))
+    rules, network = np.mean(errors[::2], axis=0), np.mean(errors[1::2], axis=0)
+    assert network[0] < 0.75 * rules[0]
+    assert network[1] < 0.75 * rules[1]
+
+
+def test_two_runs_agree_to_the_bit_and_the_input_stays(noisy: LabelledDepth) -> None:
+    restorer, before = Restorer(WEIGHTS / "restoration"), noisy.view.depth.tobytes()
+    one, two = (restorer(noisy, D415, [ASSEMBLY_LABEL]).view.depth.tobytes() for _ in range(2))
+    assert one == two
+    assert noisy.view.depth.tobytes() == before
+    calm = restorer(LabelledDepth(replace(noisy.view), noisy.labels.copy()), D415, [ASSEMBLY_LABEL])
+    assert calm.view.depth.tobytes() == one
