@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import Any
 
 from baselines.catalog import WEIGHTS, Method, all_methods
-from baselines.segmentation.queries import OnPredictedMasks
+from baselines.segmentation.queries import MASKS_WEIGHTS, OnPredictedMasks
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.predictor import Predictor, resolved
 from kit1000.tracks import ALL_TRACKS
 
-SEGMENTATION = Path(__file__).parent / "segmentation"
+SEGMENTATION = [Path(__file__).parent / name for name in ("restoration", "segmentation")]
+MASKS_TRAINING = "split train of kit1000, for the masks of noisy images"
 ATTRIBUTES = (
     *("tracks", "uses_true_geometry", "learned", "predicts"),
     *("training_data", "camera_set", "label", "paper_row"),
@@ -62,7 +63,9 @@ def _on_predicted_masks(method: Method) -> Method:
     if method.uses_true_geometry or method.control:
         raise InputError(f"--masks predicted: {method.make} reads the truth or is a control; use --masks given")
     label = f"{method.label}, predicted masks" if method.label else ""
-    return replace(method, masks="predicted", label=label, description=f"{method.description}; masks from depth alone")
+    description = f"{method.description}; masks from depth alone, which a network restores where it is noisy"
+    seen = "; ".join(dict.fromkeys(filter(None, (method.training_data, MASKS_TRAINING))))
+    return replace(method, masks="predicted", label=label, description=description, learned=True, training_data=seen)
 
 
 def source_hash(method: Method) -> str:
@@ -73,8 +76,10 @@ def source_hash(method: Method) -> str:
     package = spec.name if spec.submodule_search_locations else spec.parent
     origin = Path(spec.origin)
     files = [origin] if package in ("", __package__) else sorted(origin.parent.rglob("*.py"))
-    files += sorted(SEGMENTATION.glob("*.py")) if method.masks == "predicted" else []
-    files += [WEIGHTS / f"{stem}.safetensors" for stem in method.weights.values()]
+    predicted = method.masks == "predicted"
+    files += [file for folder in SEGMENTATION for file in sorted(folder.glob("*.py")) if predicted]
+    stems = [*method.weights.values(), *([MASKS_WEIGHTS] if predicted else [])]
+    files += [WEIGHTS / f"{stem}.safetensors" for stem in stems]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 
 

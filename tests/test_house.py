@@ -51,6 +51,7 @@ FENCES = {
         "kit1000.metrics",
         "kit1000.pictures",
         "baselines.elimination",
+        "baselines.segmentation",
         "baselines.registration",
         "baselines.completion",
         "baselines.heights",

@@ -11,15 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import label
 
-from baselines.catalog import all_methods
+from baselines.catalog import WEIGHTS, all_methods
 from baselines.methods import PREDICTED_MASKS, method_of, source_hash
 from baselines.predict import RunConfig, predict
+from baselines.restoration.learned import Restorer
 from baselines.segmentation.bodies import world_points
 from baselines.segmentation.fit import logistic
 from baselines.segmentation.instances import segmented
 from baselines.segmentation.merging import area_of, best_pairs, gap_between, outline_of
 from baselines.segmentation.pieces import MOST_PIECES, SCALES, connected, find_pieces
-from baselines.segmentation.queries import with_predicted_masks
+from baselines.segmentation.queries import MASKS_WEIGHTS, with_predicted_masks
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
@@ -96,6 +97,29 @@ def test_scenes_are_segmented_as_well_as_stated(mini: Path) -> None:
     for sensor, least in (("ideal", 0.95), ("d415", 0.55)):
         images = [scene_.labelled_depth(sensor) for scene_ in scenes if sensor in scene_.sensors]
         assert np.mean([mean_iou(segmented(image.view, sensor), image.labels) for image in images]) > least
+
+
+def test_restored_images_are_segmented_better(mini: Path) -> None:
+    restorer, scores = Restorer(WEIGHTS / MASKS_WEIGHTS), []
+    for scene_ in [*Dataset(mini).split("train"), *Dataset(mini).split("test")][:8]:
+        if "d415" in scene_.sensors:
+            image = scene_.labelled_depth("d415")
+            both = (segmented(image.view, "d415"), segmented(image.view, "d415", restorer=restorer))
+            scores.append([mean_iou(found, image.labels) for found in both])
+    plain, restored = np.mean(scores, axis=0)
+    assert restored > plain + 0.03
+
+
+def test_a_gap_is_the_largest_distance_from_the_line_of_an_edge() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        a, b = (outline_of(rng.normal(size=(9, 2)) + shift) for shift in (0, rng.normal(scale=3, size=2)))
+        distances = []
+        for one, other in ((a, b), (b, a)):
+            edges = np.roll(one, -1, axis=0) - one
+            right = np.column_stack([edges[:, 1], -edges[:, 0]]) / np.linalg.norm(edges, axis=1)[:, None]
+            distances += [((other - corner) @ normal).min() for corner, normal in zip(one, right, strict=True)]
+        assert gap_between(a, b) == pytest.approx(max(distances), abs=1e-12)
 
 
 @pytest.mark.parametrize("sensor", ["ideal", "d415"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_propagation, uniform_filter
@@ -10,9 +10,13 @@ from scipy.ndimage import binary_propagation, uniform_filter
 from baselines.calibration import calibrated
 from kit1000.values import View
 
+if TYPE_CHECKING:
+    from baselines.restoration.learned import Restorer
+
 LEAST_HEIGHT = 3e-4  # [m] above the table that is no part of it, in an ideal image: its grid is 0.12 mm
 SURE_HEIGHT = 6e-3  # [m] the same in a noisy image,
-NOISY_HEIGHT = 2e-3  # [m] and beside such pixels: three times the noise of the table
+NOISY_HEIGHT = 2e-3  # [m] and beside such pixels: three times the noise of the table,
+RESTORED_HEIGHT = 1e-3  # [m] or less where a network restored the image
 RECORDED_HEIGHT = 8e-3  # [m] the same before calibration
 SHADOW = 40  # [px] the widest gap along a row that is the shadow of a near edge
 WINDOW, SHARE = 11, 0.6  # [px] around a pixel, and the share of body in it: fattened edges are bumpy, parts are not
@@ -29,22 +33,30 @@ class Bodies(NamedTuple):
     """(H, W) bool"""
     parts: np.ndarray
     """(H, W) bool"""
+    kind: str
+    """ideal, d415, or restored: of the view."""
 
 
-def find_bodies(view: View, sensor: str) -> Bodies:
-    """The bodies on the kits' half (y > 0) and the parts' half of the table."""
+def find_bodies(view: View, sensor: str, restorer: Restorer | None = None) -> Bodies:
+    """The bodies on the kits' half (y > 0) and the parts' half of the table.
+
+    restorer: a network that restores noisy images without masks; None looks at them as they are.
+    """
     noisy = sensor != "ideal"
     if noisy:
-        view = without_shadows(calibrated(view, (world_points(view)[..., 2] > RECORDED_HEIGHT).astype(np.uint8)))
+        view = calibrated(view, (world_points(view)[..., 2] > RECORDED_HEIGHT).astype(np.uint8))
+        view = without_shadows(view) if restorer is None else restorer.without_masks(view, sensor)
     points = world_points(view)
     height, seen = points[..., 2], view.depth > 0
     body = seen & (height > LEAST_HEIGHT)
     if noisy:
-        sure = seen & (height > SURE_HEIGHT)
-        body = np.asarray(binary_propagation(sure, mask=seen & (height > NOISY_HEIGHT)), bool)
-        body = uniform_filter(body.astype(float), WINDOW) > SHARE
+        least = NOISY_HEIGHT if restorer is None else RESTORED_HEIGHT
+        body = np.asarray(binary_propagation(seen & (height > SURE_HEIGHT), mask=seen & (height > least)), bool)
+        if restorer is None:
+            body = uniform_filter(body.astype(float), WINDOW) > SHARE
     far_half = points[..., 1] > 0
-    return Bodies(view, points, body & far_half, body & ~far_half)
+    kind = sensor if restorer is None or not noisy else "restored"
+    return Bodies(view, points, body & far_half, body & ~far_half, kind)
 
 
 def world_points(view: View) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,25 +14,28 @@ from kit1000.dataset.reader import Dataset
 from kit1000.products import matmul
 from kit1000.values import FIRST_PART_LABEL
 
+if TYPE_CHECKING:
+    from baselines.restoration.learned import Restorer
+
 WHOLE = 300  # [px] from which on a piece counts in full
 RIDGE = 1.0  # penalty on the square of weights, each in units of its feature's spread
 ROUNDS = 30  # of Newton
 
 
-def fitted(data: Path, sensor: str, scenes: int) -> np.ndarray:
+def fitted(data: Path, sensor: str, scenes: int, restorer: Restorer | None = None) -> np.ndarray:
     """(f,) weights of the FEATURES, from the first scenes of the training split."""
     split = Dataset(data).split("train")
     rows: list[tuple[np.ndarray, bool, float]] = []
     for scene_id in split.scene_ids[:scenes]:
         image = split.scene(scene_id).labelled_depth(sensor)
-        bodies = find_bodies(image.view, sensor)
-        labels, joined, points, box = pieces_of(bodies, sensor)
+        bodies = find_bodies(image.view, sensor, restorer)
+        labels, joined, points, box = pieces_of(bodies)
         if labels.max() == 0:
             continue
         counts = np.zeros((int(labels.max()) + 1, 256))
         np.add.at(counts, (labels.ravel(), image.labels[box].ravel()), 1)
         counts[:, :FIRST_PART_LABEL] = 0
-        _add_pairs(rows, Pieces.of(labels, joined, points, LOW[sensor], 1.0), counts.argmax(1))
+        _add_pairs(rows, Pieces.of(labels, joined, points, LOW[bodies.kind], 1.0), counts.argmax(1))
     features, same, weights = (np.array(column, float) for column in zip(*rows, strict=True))
     return logistic(features, same, weights)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from baselines.segmentation.bodies import Bodies, find_bodies
@@ -10,41 +12,46 @@ from baselines.segmentation.pieces import SCALES, find_pieces
 from kit1000.products import matmul
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, View
 
-LEAST_PART = 60  # [px] fewer are noise, or a corner of a part that another hides
+if TYPE_CHECKING:
+    from baselines.restoration.learned import Restorer
+
+LEAST_PART = {"ideal": 60, "restored": 150, "d415": 60}  # [px] fewer are noise, or a corner of a hidden part
 MOST_PARTS = 253  # labels of 8 bits hold no more
 WEIGHTS = {
     "ideal": np.array([8.33, -0.12, -0.17, -0.07, -0.81, -4.10, -2.31, -1.16, 6.01, 5.46, 1.96, -0.57, 6.68]),
+    "restored": np.array([0.50, -0.01, -0.06, -0.42, -0.05, 0.22, -0.59, -0.46, 11.16, 6.78, 0.26, 0.56, -0.63]),
     "d415": np.array([2.73, -0.09, 0.03, -0.22, 0.08, 0.55, 0.32, -2.09, 6.02, 3.73, 0.45, -0.34, -5.13]),
 }
-"""Of the features of a pair of pieces, by sensor: fitted to the training split by `baselines.segmentation.fit`."""
+"""Of the features of a pair, by kind of image: fitted to the training split by `baselines.segmentation.fit`."""
 
 
-def segmented(view: View, sensor: str = "ideal", scale: float = 1.0) -> np.ndarray:
+def segmented(view: View, sensor: str = "ideal", scale: float = 1.0, restorer: Restorer | None = None) -> np.ndarray:
     """(H, W) uint8: ASSEMBLY_LABEL on the kits, FIRST_PART_LABEL and up on the parts, in the order of first pixels.
 
     Args:
         view: as recorded.
         sensor: of its noise: ideal or d415.
         scale: of the scene, as the dataset's configuration states it.
+        restorer: a network that restores noisy images without masks; None looks at them as they are.
     """
-    bodies = find_bodies(view, sensor)
+    bodies = find_bodies(view, sensor, restorer)
     labels = np.where(bodies.kits, ASSEMBLY_LABEL, 0).astype(np.uint8)
-    pieces, joined, points, box = pieces_of(bodies, sensor)
+    pieces, joined, points, box = pieces_of(bodies)
     if pieces.max() == 0:
         return labels
-    weights = WEIGHTS[sensor][:, None]
-    home = merged(Pieces.of(pieces, joined, points, LOW[sensor], scale), lambda rows: matmul(rows, weights)[:, 0])
+    weights = WEIGHTS[bodies.kind][:, None]
+    home = merged(Pieces.of(pieces, joined, points, LOW[bodies.kind], scale), lambda rows: matmul(rows, weights)[:, 0])
     instances = np.array([0, *(home[label] for label in range(1, int(pieces.max()) + 1))])[pieces]
     number = 0
     for label in dict.fromkeys(instances.ravel().tolist()):
         mask = instances == label
-        if label > 0 and mask.sum() >= LEAST_PART and number < MOST_PARTS:
+        if label > 0 and mask.sum() >= LEAST_PART[bodies.kind] and number < MOST_PARTS:
             labels[box][mask] = FIRST_PART_LABEL + number
             number += 1
     return labels
 
 
-def pieces_of(bodies: Bodies, sensor: str) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, tuple[slice, slice]]:
+def pieces_of(bodies: Bodies) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, tuple[slice, slice]]:
     """The pieces of the parts: labels and joined neighbours as of `find_pieces`, points (h, w, 3) [m], and the box of
     rows and columns to which all are cropped."""
     rows, columns = np.nonzero(bodies.parts.any(1))[0], np.nonzero(bodies.parts.any(0))[0]
@@ -52,5 +59,5 @@ def pieces_of(bodies: Bodies, sensor: str) -> tuple[np.ndarray, list[np.ndarray]
         return np.zeros((1, 1), int), [], np.zeros((1, 1, 3)), np.s_[0:1, 0:1]
     box = np.s_[max(rows[0] - 1, 0) : rows[-1] + 2, max(columns[0] - 1, 0) : columns[-1] + 2]
     depth = bodies.view.depth[box].astype(float)
-    labels, joined = find_pieces(depth, bodies.parts[box], SCALES[sensor])
+    labels, joined = find_pieces(depth, bodies.parts[box], SCALES[bodies.kind])
     return labels, joined, bodies.points[box], box

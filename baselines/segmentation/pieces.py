@@ -25,7 +25,11 @@ class Scale(NamedTuple):
     """[m] by which a crease is deeper than the mean of both sides."""
 
 
-SCALES = {"ideal": Scale(1.5e-3, 2, 0.35e-3), "d415": Scale(4e-3, 5, 2.5e-3)}
+SCALES = {
+    "ideal": Scale(1.5e-3, 2, 0.35e-3),
+    "restored": Scale(2e-3, 3, 1e-3),
+    "d415": Scale(4e-3, 5, 2.5e-3),
+}
 
 
 def find_pieces(depth: np.ndarray, mask: np.ndarray, scale: Scale) -> tuple[np.ndarray, list[np.ndarray]]:

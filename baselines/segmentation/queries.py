@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from baselines.catalog import WEIGHTS
 from baselines.segmentation.instances import segmented
 from kit1000.pivots import part_pivots
 from kit1000.predictor import PredictedMotion, Predictor
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
 
+if TYPE_CHECKING:
+    from baselines.restoration.learned import Restorer
+
+MASKS_WEIGHTS = "restoration-unmasked"
+"""Of the network that restores noisy images before they are segmented."""
 WINDOW = 10  # [px] around the pivot: the part where no instance is found
 
 
@@ -29,7 +37,7 @@ class OnPredictedMasks:
 
 def with_predicted_masks(query: Query, scale: float = 1.0) -> Query:
     """The query with masks from its depth image alone. Its pivot says which instance is the part: the nearest one."""
-    labels = segmented(query.view, query.sensor, scale).copy()
+    labels = segmented(query.view, query.sensor, scale, None if query.sensor == "ideal" else _restorer()).copy()
     own = FIRST_PART_LABEL + query.part
     pivots = part_pivots(query.view, labels)
     if pivots:
@@ -42,6 +50,14 @@ def with_predicted_masks(query: Query, scale: float = 1.0) -> Query:
         labels[_around_pivot(query)] = own
     image = LabelledDepth(query.view, labels)
     return replace(query, read_image=lambda: image)
+
+
+@lru_cache(maxsize=1)
+def _restorer() -> Restorer:
+    """The network that restores noisy images without masks."""
+    from baselines.restoration.learned import Restorer
+
+    return Restorer(WEIGHTS / MASKS_WEIGHTS)
 
 
 def _around_pivot(query: Query) -> np.ndarray:
