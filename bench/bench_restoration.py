@@ -46,16 +46,14 @@ class Restoration:
     """Most scenes, spread evenly over the split."""
 
 
-class Measured(NamedTuple):
-    """A scene, restored."""
+class Errors(NamedTuple):
+    """The errors in a place of a scene."""
 
     assembly_id: str
-    errors: np.ndarray
-    """(PLACES, WAYS) [mm] means."""
-    far: np.ndarray
-    """(PLACES, WAYS) shares of pixels that are FAR off."""
-    seconds: float
-    """Of the network."""
+    means: list[float]
+    """[mm] by WAYS."""
+    far: list[float]
+    """Shares of pixels that are FAR off, by WAYS."""
 
 
 def main(options: Restoration) -> None:
@@ -66,20 +64,23 @@ def main(options: Restoration) -> None:
         split = dataset.split(options.split, truth=True)
         ids = split.scene_ids
         count = min(options.scenes, len(ids))
-        rows = [_measured(split.scene(ids[i * len(ids) // count]), restorer) for i in range(count)]
-        clusters = [row.assembly_id for row in rows]
+        measured = [_measured(split.scene(ids[i * len(ids) // count]), restorer) for i in range(count)]
         print(f"{dataset.root.name}, {options.split}: {count} scenes")
-        for k, place in enumerate(PLACES):
-            errors = np.array([row.errors[k] for row in rows])
-            low, high = np.quantile(bootstrap_means(errors, [clusters]), ENDS, axis=0)
-            for j, way in enumerate(WAYS):
-                mean, far = errors[:, j].mean(), 100 * np.mean([row.far[k, j] for row in rows])
-                interval = f"[{low[j]:.2f}, {high[j]:.2f}]"
-                print(f"  {place:20} {way:10} {mean:5.2f} {interval} mm; {far:4.1f} % beyond {FAR:g} mm")
-        print(f"  seconds of the network: median {np.median([row.seconds for row in rows]):.2f}")
+        for place in PLACES:
+            _print(place, [errors[place] for errors, _ in measured if place in errors])
+        print(f"  seconds of the network: median {np.median([seconds for _, seconds in measured]):.2f}")
 
 
-def _measured(scene: RecordedScene, restorer: Restorer) -> Measured:
+def _print(place: str, rows: list[Errors]) -> None:
+    means, far = (np.array([row[k] for row in rows]) for k in (1, 2))
+    low, high = np.quantile(bootstrap_means(means, [[row.assembly_id for row in rows]]), ENDS, axis=0)
+    for k, way in enumerate(WAYS):
+        interval = f"{means[:, k].mean():5.2f} [{low[k]:.2f}, {high[k]:.2f}] mm"
+        print(f"  {place:20} {way:10} {interval}; {100 * far[:, k].mean():4.1f} % beyond {FAR:g} mm")
+
+
+def _measured(scene: RecordedScene, restorer: Restorer) -> tuple[dict[str, Errors], float]:
+    """The errors in those of the PLACES that a scene has, and the seconds of the network."""
     image = calibrated_image(scene.labelled_depth(SENSOR), SENSOR)
     truth = scene.labelled_depth("ideal").view.depth
     labels = np.unique(image.labels[image.labels > 0]).tolist()
@@ -90,11 +91,18 @@ def _measured(scene: RecordedScene, restorer: Restorer) -> Measured:
     known = np.all([depth > 0 for depth in ways], axis=0)
     beside = beside_jumps(torch.from_numpy(example_of(image, truth)["truth"])[None])[0].numpy()
     bodies = (image.labels == ASSEMBLY_LABEL, image.labels >= FIRST_PART_LABEL)
-    places = [known & body & where for body in bodies for where in (beside, ~beside)]
-    wrong = [1e3 * np.abs(depth - truth) for depth in ways]
-    errors = np.array([[each[place].mean() for each in wrong] for place in places])
-    far = np.array([[(each[place] > FAR).mean() for each in wrong] for place in places])
-    return Measured(scene.scene.bodies[0].id, errors, far, seconds)
+    masks = [known & body & where for body in bodies for where in (beside, ~beside)]
+    wrong, assembly_id = [1e3 * np.abs(depth - truth) for depth in ways], scene.scene.bodies[0].id
+    errors = {
+        place: Errors(assembly_id, [float(each[mask].mean()) for each in wrong], [_far(each[mask]) for each in wrong])
+        for place, mask in zip(PLACES, masks, strict=True)
+        if mask.any()
+    }
+    return errors, seconds
+
+
+def _far(wrong: np.ndarray) -> float:
+    return float((wrong > FAR).mean())
 
 
 if __name__ == "__main__":

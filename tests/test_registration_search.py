@@ -97,6 +97,13 @@ def test_the_best_shifts_are_those_of_brute_force(seed: int, hidden: bool) -> No
         assert misfit == pytest.approx(every[s, t], abs=1e-9)
 
 
+def test_a_cavity_between_two_cells_has_no_shift() -> None:
+    cavity, envelope = random_cavity(0), random_envelope(0)
+    flat = replace(KitImage.of(cavity, 72), empty=0.0)
+    anywhere = SearchWindow(np.zeros(3), None, MAX_ANGLE, MAX_OFFSET)
+    assert not list(best_shifts(flat, dilated(envelope, CELL, CLEARANCE), cavity, anywhere, np.zeros(3)))
+
+
 def test_no_shift_leaves_the_window() -> None:
     """And the best inside the window is that of brute force there."""
     cavity, envelope = replace(random_cavity(0), world_from_plate=WORLD_FROM_KIT), random_envelope(0)

@@ -47,6 +47,7 @@ def noisy(exact: LabelledDepth) -> LabelledDepth:
 def untrained(bias: float = 0.0) -> RestorationNet:
     torch.manual_seed(0)
     net = RestorationNet(TINY)
+    assert net.head.bias is not None
     torch.nn.init.constant_(net.head.bias, bias)
     return net
 

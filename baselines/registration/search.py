@@ -227,6 +227,8 @@ def best_shifts(
     The misfit at a shift t is the sum over all cells x of trust(x) (relief(x) - cut(x - t))^2, over that without a
     part. Multiplied out it takes two correlations.
     """
+    if kit.empty == 0:  # a cavity between two cells
+        return
     lowest = float(envelope.min())
     cut = np.minimum(envelope - lowest - cavity.depth, 0)
     squares, heights = (_spectrum(image, kit.size) for image in (cut**2, 2 * cut))

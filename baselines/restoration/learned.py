@@ -50,7 +50,7 @@ class Restorer:
         for label in labels:
             box = boxes[label - 1] if label <= len(boxes) else None
             if box is not None:
-                wide = padded_box(*box, SIDE, closed.view.camera)
+                wide = padded_box(box[0], box[1], SIDE, closed.view.camera)
                 found = depths(self._likeliest(read, wide), closed.view, wide, sensor)
                 depth[wide] = np.where(image.labels[wide] == label, found, depth[wide])
         return LabelledDepth(replace(closed.view, depth=depth), image.labels)
@@ -64,8 +64,8 @@ class Restorer:
         ]
         rows, columns = (np.flatnonzero(binary_opening(high, np.ones((3, 3))).any(axis)) for axis in (1, 0))
         if len(rows):
-            around = (slice(max(line[0] - BORDER, 0), line[-1] + BORDER + 1) for line in (rows, columns))
-            wide = padded_box(*around, SIDE, view.camera)
+            tall, broad = (slice(max(line[0] - BORDER, 0), line[-1] + BORDER + 1) for line in (rows, columns))
+            wide = padded_box(tall, broad, SIDE, view.camera)
             depth[wide] = depths(self._likeliest(read, wide), view, wide, sensor)
         return replace(view, depth=depth)
 
