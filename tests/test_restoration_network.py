@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from baselines.calibration import CALIBRATED
 from baselines.catalog import WEIGHTS
 from baselines.registration.method import Registration
-from baselines.restoration.disparity import above_table, depths, evidence, padded_box
+from baselines.restoration.disparity import Evidence, above_table, depths, evidence, padded_box
 from baselines.restoration.edges import closed_gaps, restored_edges
 from baselines.restoration.learned import DISPARITY_STEP, Restorer
 from baselines.restoration.network import SIDE, Mixture, RestorationConfig, RestorationNet
@@ -52,8 +52,12 @@ def untrained(bias: float = 0.0) -> RestorationNet:
     return net
 
 
+def read_of(image: LabelledDepth) -> Evidence:
+    return evidence(image, closed_gaps(image).view, D415)
+
+
 def test_an_exact_image_shows_the_truth_and_depths_come_back(exact: LabelledDepth) -> None:
-    read, bodies = evidence(exact, D415), exact.labels > 0
+    read, bodies = read_of(exact), exact.labels > 0
     truth = above_table(exact.view.depth, exact.view, D415)
     np.testing.assert_allclose(read["disparity"][bodies], truth[bodies], atol=1e-5)
     assert np.abs(read["disparity"][~bodies]).max() < 1e-4  # depths are float32
@@ -66,14 +70,14 @@ def test_the_slope_is_that_of_the_table(exact: LabelledDepth) -> None:
     seen = exact.view.depth > 0
     inverse = CAMERA.fx * CALIBRATED.baseline / np.where(seen, exact.view.depth, 1.0)
     table = seen & (exact.labels == 0)
-    for axis, slope in ((1, evidence(exact, D415)["slope"][0]), (0, evidence(exact, D415)["slope"][1])):
+    for axis, slope in ((1, read_of(exact)["slope"][0]), (0, read_of(exact)["slope"][1])):
         both = table & np.roll(table, -1, axis)
         step = (np.roll(inverse, -1, axis) - inverse)[both]
         assert np.median(step) == pytest.approx(slope, abs=1e-3)
 
 
 def test_where_nothing_returned_is_known(noisy: LabelledDepth) -> None:
-    read, lost = evidence(noisy, D415), (noisy.labels > 0) & (noisy.view.depth == 0)
+    read, lost = read_of(noisy), (noisy.labels > 0) & (noisy.view.depth == 0)
     assert lost.any()
     np.testing.assert_array_equal(read["returned"], ~lost)
     assert np.isfinite(read["disparity"]).all()

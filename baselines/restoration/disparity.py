@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from baselines.restoration.edges import close_gaps, closed_gaps, ground_inverse_depth
+from baselines.restoration.edges import close_gaps, ground_inverse_depth
 from kit1000.camera import Camera
 from kit1000.sim.sensors import SENSORS
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
@@ -15,12 +15,14 @@ Evidence = dict[str, np.ndarray]
 Box = tuple[slice, slice]
 
 
-def evidence(image: LabelledDepth, sensor: str) -> Evidence:
-    """What the network reads of a calibrated image: see `RestorationNet.forward`; (H, W) arrays and `slope` (2,)."""
-    view, bodies = closed_gaps(image).view, image.labels > 0
+def evidence(image: LabelledDepth, closed: View, sensor: str) -> Evidence:
+    """What the network reads of a calibrated image: see `RestorationNet.forward`; (H, W) arrays and `slope` (2,).
+
+    closed: its view as of `closed_gaps`.
+    """
     kinds = np.select([image.labels == ASSEMBLY_LABEL, image.labels >= FIRST_PART_LABEL], [1, 2], 0)
-    returned = ~bodies | (image.view.depth > 0)
-    return _evidence(view, returned, kinds, sensor)
+    returned = (image.labels == 0) | (image.view.depth > 0)
+    return _evidence(closed, returned, kinds, sensor)
 
 
 def unlabelled_evidence(view: View, sensor: str) -> Evidence:

@@ -44,24 +44,23 @@ class Restorer:
 
         Bodies of other labels stay as they were measured, but for their narrow shadows.
         """
-        closed, read = closed_gaps(image), evidence(image, sensor)
-        depth = closed.view.depth.copy()
+        closed = closed_gaps(image).view
+        read, depth = evidence(image, closed, sensor), closed.depth.copy()
         boxes = find_objects(image.labels)
         for label in labels:
             box = boxes[label - 1] if label <= len(boxes) else None
             if box is not None:
-                wide = padded_box(box[0], box[1], SIDE, closed.view.camera)
-                found = depths(self._likeliest(read, wide), closed.view, wide, sensor)
+                wide = padded_box(box[0], box[1], SIDE, closed.camera)
+                found = depths(self._likeliest(read, wide), closed, wide, sensor)
                 depth[wide] = np.where(image.labels[wide] == label, found, depth[wide])
-        return LabelledDepth(replace(closed.view, depth=depth), image.labels)
+        return LabelledDepth(replace(closed, depth=depth), image.labels)
 
     def without_masks(self, view: View, sensor: str) -> View:
         """A calibrated view with bodies and the table about them where they likely are; farther off only the table."""
         read = unlabelled_evidence(view, sensor)
         depth = flattened(view, np.zeros(view.depth.shape, np.uint8)).depth.copy()
-        high = (read["disparity"] * view.depth**2 > HEIGHT * view.camera.fx * SENSORS[sensor].baseline) & read[
-            "returned"
-        ]
+        in_front = read["disparity"] * view.depth**2 / (view.camera.fx * SENSORS[sensor].baseline)  # [m] of the table
+        high = (in_front > HEIGHT) & read["returned"]
         rows, columns = (np.flatnonzero(binary_opening(high, np.ones((3, 3))).any(axis)) for axis in (1, 0))
         if len(rows):
             tall, broad = (slice(max(line[0] - BORDER, 0), line[-1] + BORDER + 1) for line in (rows, columns))

@@ -10,7 +10,7 @@ from scipy.ndimage import maximum_filter
 
 from baselines.calibration import CALIBRATED
 from baselines.restoration.disparity import Box, above_table, cropped_evidence, evidence, unlabelled_evidence
-from baselines.restoration.edges import calibrated_image
+from baselines.restoration.edges import calibrated_image, closed_gaps
 from kit1000.dataset.reader import Dataset
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, draw_primary_pose
@@ -88,8 +88,9 @@ def example_of(image: LabelledDepth, depth: np.ndarray, labelled: bool = True) -
     counts = image.labels > 0
     if not labelled:
         counts = maximum_filter(counts, 2 * AROUND + 1)
-    read = evidence(image, SENSOR) if labelled else unlabelled_evidence(image.view, SENSOR)
-    return read | {"truth": above_table(depth, image.view, SENSOR), "counts": counts}
+    view = image.view
+    read = evidence(image, closed_gaps(image).view, SENSOR) if labelled else unlabelled_evidence(view, SENSOR)
+    return read | {"truth": above_table(depth, view, SENSOR), "counts": counts}
 
 
 def box_about(row: int, column: int) -> Box:
