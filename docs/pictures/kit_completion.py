@@ -39,7 +39,7 @@ def main(data: Path) -> None:
     shown = [found[min(int(share * len(found)), len(found) - 1)] for share in CASES]
     for error, name, _ in shown:
         print(f"{name}: {error:.2f} mm")
-    levels = np.rint(255 * _joined([_joined(row, axis=1) for _, _, row in shown], axis=0)).astype(np.uint8)
+    levels = np.rint(255 * joined([joined(row, axis=1) for _, _, row in shown], axis=0)).astype(np.uint8)
     picture = Image.fromarray(levels)
     picture.resize((ZOOM * picture.width, ZOOM * picture.height), Image.Resampling.NEAREST).save(OUT, optimize=True)
 
@@ -62,7 +62,7 @@ def _grey(depths: np.ndarray) -> np.ndarray:
     return LIGHTEST * (1 - np.clip(depths, 0, DEEPEST) / DEEPEST)
 
 
-def _joined(pictures: list[np.ndarray], axis: int) -> np.ndarray:
+def joined(pictures: list[np.ndarray], axis: int) -> np.ndarray:
     """Pictures (h, w) side by side (axis 1) or below each other, with gaps."""
     gap = np.full((pictures[0].shape[0], GAP) if axis else (GAP, pictures[0].shape[1]), PAPER)
     return np.concatenate([piece for picture in pictures for piece in (picture, gap)][:-1], axis=axis)
