@@ -133,14 +133,20 @@ def table_edges(view: View, labels: np.ndarray) -> list[Edge]:
 
 def flattened(view: View, labels: np.ndarray) -> View:
     """The view with the depths of the table's plane at all pixels of the table, with a return or without."""
-    v, u = np.nonzero(labels == 0)
-    rays = _rays(view.camera, np.stack([u, v], axis=-1))
-    ground = _ground(view.world_from_camera, rays)
-    depth = view.world_from_camera.inverse().apply(ground)[:, 2]
-    on = (np.abs(ground[:, :2]) <= np.array(TABLE_SIZE[:2]) / 2).all(axis=1)
-    flat = view.depth.copy()
-    flat[v[on], u[on]] = depth[on]
-    return View(view.camera, view.world_from_camera, flat)
+    depth, on = _table_top(view)
+    return replace(view, depth=np.where((labels == 0) & on, depth.astype(view.depth.dtype), view.depth))
+
+
+def _table_top(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W) [m] depths of the plane z = 0, 0 where it is not in front; (H, W) bool: pixels that look at the table."""
+    camera, pose = view.camera, view.world_from_camera
+    across = (np.arange(camera.width) - camera.cx) / camera.fx
+    along = (np.arange(camera.height) - camera.cy) / camera.fy
+    x, y, z = (axis[0] * across + (axis[1] * along + axis[2])[:, None] for axis in pose.rotation_matrix())
+    depth = np.divide(pose.xyz[2], -z, out=np.zeros_like(z), where=z < 0)  # of rays of depth 1
+    ground = ((pose.xyz[0], x, HALF_SIZES[0]), (pose.xyz[1], y, HALF_SIZES[2]))
+    within = [np.abs(start + direction * depth) <= half for start, direction, half in ground]
+    return depth, (z < 0) & within[0] & within[1]
 
 
 def _corrected(view: View, unknowns: np.ndarray) -> View:

@@ -3,7 +3,7 @@
     python bench/bench_kit_relief.py data/kit1000 --split test
 
 Mean absolute error of the depth of the hidden cells of every plate that is found, in mm, 0 to 22 below the plate's
-face. The image of the d415 is calibrated by the table and its edges are restored first.
+face. The image of the d415 is calibrated by the table and restored by a network first.
 """
 
 from __future__ import annotations
@@ -23,14 +23,16 @@ from baselines.catalog import WEIGHTS
 from baselines.completion import ObservedKits
 from baselines.completion.completed_kits import ReliefCompleter, filled_by_columns
 from baselines.completion.kit_views import on_plate
-from baselines.completion.pixels import noise_of
+from baselines.completion.pixels import IDEAL, RESTORED
 from baselines.completion.relief import true_depths
-from baselines.restoration import restored
+from baselines.restoration import calibrated_image
+from baselines.restoration.learned import Restorer
 from benchmark.intervals import ENDS, bootstrap_means
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import Kit1000Error
 from kit1000.pose import Pose
 from kit1000.products import length
+from kit1000.values import ASSEMBLY_LABEL
 
 FOUND_ANGLE, FOUND_DISTANCE = np.radians(5), 3e-3  # [rad], [m] between the true face of a plate and the one found
 HIDDEN_CELLS = 10  # least of a plate that counts
@@ -46,6 +48,8 @@ class KitRelief:
     split: str = "test"
     weights: Path = WEIGHTS / "kit-completion"
     """Stem of the network's weights."""
+    restoration: Path = WEIGHTS / "restoration"
+    """Stem of those of the network that restores images of the d415."""
     scenes: int = 200
     """Most scenes, spread evenly over the split."""
     sensors: tuple[str, ...] = ("ideal", "d415")
@@ -67,14 +71,14 @@ class Measured(NamedTuple):
 def main(options: KitRelief) -> None:
     """Print a table for each sensor."""
     torch.set_num_threads(1)
-    completer = ReliefCompleter(options.weights)
+    completer, restorer = ReliefCompleter(options.weights), Restorer(options.restoration)
     with measured_dataset(options.data) as (dataset, _):
         for sensor in options.sensors:
             split = dataset.split(options.split, truth=True)
             ids = split.scene_ids
             count = min(options.scenes, len(ids))
             scenes = [split.scene(ids[i * len(ids) // count]) for i in range(count)]
-            measured = [row for scene in scenes for row in _measured(dataset, scene, sensor, completer)]
+            measured = [row for scene in scenes for row in _measured(dataset, scene, sensor, completer, restorer)]
             rows = [row for row in measured if row is not None]
             print(f"{dataset.root.name}, {options.split}, {sensor}: {len(rows)} of {len(measured)} plates")
             _print(rows)
@@ -94,11 +98,13 @@ def _print(rows: list[Measured]) -> None:
 
 
 def _measured(
-    dataset: Dataset, scene: RecordedScene, sensor: str, completer: ReliefCompleter
+    dataset: Dataset, scene: RecordedScene, sensor: str, completer: ReliefCompleter, restorer: Restorer
 ) -> Iterator[Measured | None]:
     """Each plate of a scene; None where it is not found or hardly a cell of it is hidden."""
-    image = restored(scene.labelled_depth(sensor), sensor)
-    kits = ObservedKits(image, noise_of(sensor), scene.id, completer=completer)
+    image, noise = calibrated_image(scene.labelled_depth(sensor), sensor), IDEAL
+    if sensor != "ideal":
+        image, noise = restorer(image, sensor, (ASSEMBLY_LABEL,)), RESTORED
+    kits = ObservedKits(image, noise, scene.id, completer=completer)
     body = scene.scene.bodies[0]
     assembly, world_from_assembly = dataset.geometry.assembly(body.id), body.world_from_body
     for mount in assembly.mounts:

@@ -12,6 +12,7 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from baselines.catalog import WEIGHTS
 from baselines.completion import ObservedKits
 from baselines.completion.completed_kits import CompletedRelief, ReliefCompleter
 from baselines.completion.kit_network import KitCompletionConfig, KitCompletionNet, kit_loss, likely_depths
@@ -186,8 +187,8 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
 
 
 def test_fresh_views_are_the_same_whoever_makes_them_and_truth_is_below_what_is_seen_free(mini: Path) -> None:
-    task, config = kit_completion_task(Dataset(mini), "small")
-    again, _ = kit_completion_task(Dataset(mini), "small")
+    task, config = kit_completion_task(Dataset(mini), "small", WEIGHTS / "restoration")
+    again, _ = kit_completion_task(Dataset(mini), "small", WEIGHTS / "restoration")
     draws = [stream(config.views_seed, "kit-completion", index).random() for index in range(40)]
     for index in (int(np.argmin(draws)), int(np.argmax(draws))):  # by the d415, and ideal
         view, same = task.training[index], again.training[index]
@@ -195,7 +196,7 @@ def test_fresh_views_are_the_same_whoever_makes_them_and_truth_is_below_what_is_
         twice = mirrored(mirrored(view))
         assert all(np.array_equal(view[name], twice[name]) for name in view)
         wrong = np.abs(view["least"] - view["depth"])[view["seen"] & view["plate"]]
-        assert 0.1 < np.median(wrong) < 1.5 if draws[index] < D415_SHARE else np.median(wrong) < 0.1
+        assert 0.3 < wrong.mean() < 2 if draws[index] < D415_SHARE else np.median(wrong) < 0.2
         assert (view["least"] < view["depth"] + 2)[view["plate"]].mean() > 0.9
     assert len(task.training) == config.views
     with pytest.raises(IndexError):
@@ -203,7 +204,7 @@ def test_fresh_views_are_the_same_whoever_makes_them_and_truth_is_below_what_is_
 
 
 def test_the_measure_is_zero_for_the_truth_and_validation_examples_are_kept(mini: Path) -> None:
-    task, _ = kit_completion_task(Dataset(mini), "small")
+    task, _ = kit_completion_task(Dataset(mini), "small", WEIGHTS / "restoration")
     keys = task.validation_keys()
     assert {key.sensor for key in keys} == {"ideal", "d415"}
     example = task.validation_example(keys[0])

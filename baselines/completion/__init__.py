@@ -27,17 +27,17 @@ SMALL = TrainConfig(
     threads=1,
 )
 KITS = TrainConfig(
-    steps=700,
+    steps=3000,
     batch=16,
     optimizer="muon",
     learning_rate=5e-3,
-    warmup=50,
+    warmup=100,
     decay="linear",
     weight_decay=0.05,
-    ema_decay=0.995,
+    ema_decay=0.997,
     mixed_precision="bfloat16",
-    validate_every=350,
-    checkpoint_every=50,
+    validate_every=500,
+    checkpoint_every=100,
     workers=0,
     threads=1,
 )
@@ -53,5 +53,6 @@ NETWORKS = {
         {
             "small": KITS,
         },
+        weights={"restoration": "restoration"},
     ),
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -18,11 +19,13 @@ from baselines.completion.kit_network import (
     likely_depths,
 )
 from baselines.completion.kit_views import Example, KitViews, example_of, mirrored, plane_of
-from baselines.completion.pixels import noise_of
+from baselines.completion.pixels import IDEAL, RESTORED
 from baselines.completion.relief import seen_relief
 from baselines.completion.validation import drawn_targets
-from baselines.restoration import restored
+from baselines.restoration import calibrated_image
+from baselines.restoration.learned import Restorer
 from kit1000.dataset.reader import Dataset
+from kit1000.values import ASSEMBLY_LABEL
 
 VALIDATION_SCENES = 20  # spread evenly over the validation split; each with ideal depth and with the d415's
 BESIDE = 0.2  # weight of a cell beside the plate
@@ -62,7 +65,7 @@ class KitCompletionTask:
         return keys
 
     def validation_example(self, key: Key) -> Example:
-        """The kit as its image shows it; that of the d415 is calibrated by the table and its edges are restored."""
+        """The kit as its image shows it; that of the d415 is calibrated by the table and restored."""
         return self.kept.get(key) or self._example(key)
 
     def _example(self, key: Key) -> Example:
@@ -71,8 +74,10 @@ class KitCompletionTask:
         assembly = self.dataset.geometry.assembly(truth.assembly_id)
         mount = next(mount for mount in assembly.mounts if mount.kit.id == truth.part_id)
         pose = truth.world_from_kit
-        image = restored(scene.labelled_depth(key.sensor), key.sensor)
-        relief = seen_relief(image, plane_of(pose), pose.xyz, noise_of(key.sensor))
+        image, noise = calibrated_image(scene.labelled_depth(key.sensor), key.sensor), IDEAL
+        if key.sensor != "ideal":
+            image, noise = self.training.restorer(image, key.sensor, (ASSEMBLY_LABEL,)), RESTORED
+        relief = seen_relief(image, plane_of(pose), pose.xyz, noise)
         return example_of(relief, assembly, pose @ mount.assembly_from_kit.inverse(), mount)
 
     def loss(self, batch: Batch) -> Tensor:
@@ -90,10 +95,16 @@ class KitCompletionTask:
         return {"hidden_mm": wrong / hidden.sum((1, 2)).clamp(min=1)}
 
 
-def kit_completion_task(dataset: Dataset, preset: str) -> tuple[KitCompletionTask, KitCompletionConfig]:
-    """The task with new weights, and the config of its network."""
+def kit_completion_task(
+    dataset: Dataset, preset: str, restoration: Path
+) -> tuple[KitCompletionTask, KitCompletionConfig]:
+    """The task with new weights, and the config of its network.
+
+    restoration: stem of the weights of the network that restores images of the d415.
+    """
     config = KIT_COMPLETION[preset]
     model = KitCompletionNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     ids = sorted(id for id, row in dataset.geometry.assemblies.items() if row["split"] == "train")
-    views = KitViews(dataset.geometry, ids, config.views_seed, config.views)
+    restorer = Restorer(restoration)
+    views = KitViews(dataset.geometry, ids, config.views_seed, config.views, config.drawn_kits, restorer)
     return KitCompletionTask(views, dataset, "val", model), config

@@ -1,19 +1,22 @@
-"""Training examples of kit completion: fresh views of the assemblies of the train split."""
+"""Training examples of kit completion: fresh views of assemblies of the train split, most of them with a fresh kit."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from baselines.calibration import CALIBRATED
+from baselines.completion.drawn_kits import drawn_kit, with_kit
 from baselines.completion.frame import pixel_box
-from baselines.completion.pixels import noise_of
+from baselines.completion.pixels import IDEAL, RESTORED
 from baselines.completion.planes import Plane
 from baselines.completion.relief import CELL, CELLS, SeenRelief, away_frame, relief_grid, seen_relief, true_depths
-from baselines.restoration import restored_edges
+from baselines.restoration.learned import Restorer
 from kit1000.dataset.geometry import Geometry
+from kit1000.errors import Redraw
 from kit1000.pose import Pose
 from kit1000.products import length, matmul
 from kit1000.rng import stream
@@ -21,9 +24,10 @@ from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.sim.layout import KITS_CENTRE, MAX_KITS_SHIFT, table
 from kit1000.sim.render import render
 from kit1000.sim.sensors import measured
-from kit1000.values import ASSEMBLY_LABEL, Assembly, LabelledDepth, Mount, View
+from kit1000.values import ASSEMBLY_LABEL, Assembly, Kit, LabelledDepth, Mount, View
 
 D415_SHARE = 0.25  # of the views: measured by the d415, the others ideal
+DRAWN_SHARE = 0.75  # of the views: with a fresh kit in place of the one that is shown
 LEAST_COSINE = 0.25  # of the polar angle of a camera: of flatter plates hardly anything is seen
 JITTER = 12e-3  # [m] most along x and y, of the middle of a relief from that of its plate
 PLANE_ERRORS = {"ideal": (1e-3, 3e-5), "d415": (6e-3, 3e-4)}
@@ -43,7 +47,12 @@ class KitViews:
     """Ids of those that are shown."""
     seed: int
     count: int
+    drawn: int
+    """Fresh kits of that seed, which most of the views show; 0 for those of the assemblies alone."""
+    restorer: Restorer
+    """Of the images of the d415."""
     _kept: dict[int, Example] = field(default_factory=dict, repr=False, compare=False)
+    _kits: dict[int, Kit] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:
         return self.count
@@ -58,15 +67,30 @@ class KitViews:
     def _view(self, rng: np.random.Generator) -> Example:
         """A view of a plate, its assembly anywhere on the kits' half of the table, at any yaw."""
         sensor = "d415" if rng.random() < D415_SHARE else "ideal"
-        assembly = self.geometry.assembly(self.assemblies[int(rng.integers(len(self.assemblies)))])
-        mount = assembly.mounts[rng.integers(len(assembly.mounts))]
+        assembly, mount = self._shown(rng)
         shift = KITS_CENTRE + rng.uniform(-MAX_KITS_SHIFT, MAX_KITS_SHIFT, 2)
         world_from_assembly = Pose.from_rotvec((0.0, 0.0, rng.uniform(0, 2 * np.pi)), (*shift, 0.0))
         plane, middle = _near(world_from_assembly @ mount.assembly_from_kit, sensor, rng)
         camera, noise = _camera_before(plane, middle, rng), rng if sensor == "d415" else None
         image = _image(assembly, world_from_assembly, plane, middle, camera, noise)
-        relief = seen_relief(image, plane, middle, noise_of(sensor))
+        if sensor == "d415":
+            image = self.restorer(image, sensor, (ASSEMBLY_LABEL,))
+        relief = seen_relief(image, plane, middle, IDEAL if sensor == "ideal" else RESTORED)
         return example_of(relief, assembly, world_from_assembly, mount)
+
+    def _shown(self, rng: np.random.Generator) -> tuple[Assembly, Mount]:
+        """An assembly, and which of its mounts is shown."""
+        assembly = self.geometry.assembly(self.assemblies[int(rng.integers(len(self.assemblies)))])
+        number = int(rng.integers(len(assembly.mounts)))
+        if self.drawn and rng.random() < DRAWN_SHARE:
+            with suppress(Redraw):
+                assembly = with_kit(assembly, number, self._kit(int(rng.integers(self.drawn))))
+        return assembly, assembly.mounts[number]
+
+    def _kit(self, index: int) -> Kit:
+        if index not in self._kits:
+            self._kits[index] = drawn_kit(self.seed, index)
+        return self._kits[index]
 
 
 def example_of(relief: SeenRelief, assembly: Assembly, world_from_assembly: Pose, mount: Mount) -> Example:
@@ -122,7 +146,7 @@ def _image(
 ) -> LabelledDepth:
     """The depth image of an assembly on the table, as much of it as shows a relief about a middle.
 
-    noise: of the calibrated d415, whose edges are then restored; None for ideal depth.
+    noise: of the calibrated d415; None for ideal depth.
     """
     around = relief_grid(away_frame(plane, middle, world_from_camera.xyz))
     rows, columns = pixel_box(around, CAMERA, world_from_camera, BORDER)
@@ -133,6 +157,4 @@ def _image(
     rendered = render(camera, world_from_camera, bodies, threads=1)
     labels = np.where(rendered.body_ids == 2, ASSEMBLY_LABEL, 0).astype(np.uint8)
     view = View(camera, world_from_camera, rendered.depth)
-    if noise is None:
-        return LabelledDepth(view, labels)
-    return restored_edges(LabelledDepth(measured(CALIBRATED, view, noise), labels), "d415")
+    return LabelledDepth(view if noise is None else measured(CALIBRATED, view, noise), labels)

@@ -14,7 +14,7 @@ from baselines.registration.fits import STIFFNESS, Fit, ranked, same_pose
 from baselines.registration.hypotheses import find_candidates, within_guess_error
 from baselines.registration.intervals import Intervals, refine_within
 from baselines.registration.outline import outline_misfit
-from baselines.registration.search import UPRIGHT, Candidate, tilted, without_duplicates
+from baselines.registration.search import Candidate, lies_on, tilted, without_duplicates
 from baselines.registration.sources import DepthSource
 from kit1000.pose import Pose
 from kit1000.values import Query
@@ -89,7 +89,7 @@ def register_certain(source: DepthSource, query: Query, clearance: float, furthe
     """
     search = _Search(source, query, clearance, further)
     guessed = query.guess is not None
-    found = find_candidates(source, source.evidence.filled, query, clearance, thorough=True, height=source.height)
+    found = find_candidates(source, source.evidence.filled, query, clearance, thorough=True)
     distinct = without_duplicates(found, source.middle, DISTINCT if guessed else DISTINCT_WITHOUT_GUESS)
     fits = search.fits(search.least_contradictory(distinct), REFINED if guessed else REFINED_WITHOUT_GUESS)
     return ranked(fit for fit in fits if within_guess_error(fit.goal_from_now, query))
@@ -121,7 +121,7 @@ class _Search:
             self._add_fit(candidate, fits, goals, further)
         if fits and self._doubtful(fits):
             best, middle = ranked(fits)[0].candidate, self.source.middle
-            for candidate in tilted(best, middle, self.refinement.tilt) if best.down_normal[2] > UPRIGHT else ():
+            for candidate in () if lies_on(best.down_normal) else tilted(best, middle, self.refinement.tilt):
                 self._add_fit(candidate, fits, goals, further=True)
         return fits
 

@@ -47,18 +47,16 @@ def find_candidates(
     query: Query,
     clearance: float,
     thorough: bool = False,
-    height: float | None = None,
 ) -> list[Candidate]:
     """All candidates for a part, the best first; none where no part or no cavity is observed.
 
     Args:
-        source: of the kits and of the middle of the part.
+        source: of the kits, and of the middle and the height of the part.
         part: as it lies now.
         query: its guess, if any, bounds the search.
         clearance: [m]
         thorough: whether the face on which the part lies is preferred, faces that the volume does not have are tried,
             and planes within larger ones are no plates.
-        height: see `coarse_search`.
     """
     if not part.occupied.any():
         return []
@@ -68,7 +66,7 @@ def find_candidates(
     window = SearchWindow(query.pivot, query.guess, MAX_ANGLE + SLACK_ANGLE, MAX_OFFSET + SLACK_OFFSET)
     found: list[Candidate] = []
     for faces in _faces_down(source, part, query, cavities, thorough):
-        candidates = coarse_search(part, source.middle, faces.normals, faces.cavities, clearance, window, height)
+        candidates = coarse_search(part, source.middle, faces.normals, faces.cavities, clearance, window, source.height)
         found += candidates if faces.seen else [replace(candidate, seen=False) for candidate in candidates]
     return sorted(found, key=lambda candidate: candidate.misfit)
 

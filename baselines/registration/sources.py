@@ -38,6 +38,11 @@ class Source(Protocol):
         """(3,) [m] world: about the middle of the part."""
         ...
 
+    @property
+    def height(self) -> float | None:
+        """[m] of the part as it lies, where that is known better than by its volume."""
+        ...
+
     def part(self) -> Volume:
         """The part as it lies now."""
         ...
@@ -63,6 +68,11 @@ class TrueSource:
         """(3,) [m] world: of the part's extents; the pivot of a noisy image may be centimetres off."""
         low, high = self._corners.min(0), self._corners.max(0)
         return (low + high) / 2
+
+    @property
+    def height(self) -> float | None:
+        """None: the volume is exact."""
+        return None
 
     def part(self) -> Volume:
         """The part, exact."""

@@ -96,7 +96,11 @@ def world_tilts(plan: AssemblyPlan) -> np.ndarray:
 
 def build_assembly(assembly_id: str, kits: Sequence[Kit], plan: AssemblyPlan) -> Assembly:
     """The assembly of kits on brackets and ribs, the first as the base. Raises Redraw when its mesh is unprintable."""
-    mounts = place_kits(kits, plan)
+    return join_mounts(assembly_id, place_kits(kits, plan))
+
+
+def join_mounts(assembly_id: str, mounts: tuple[Mount, ...]) -> Assembly:
+    """The assembly of placed kits, the first as the base. Raises Redraw when its mesh is unprintable."""
     plates = [solid_from_mesh(mount.kit.mesh).transform(mount.assembly_from_kit.matrix()[:3]) for mount in mounts]
     solid = Manifold.batch_boolean([*plates, *support_pieces(mounts)], OpType.Add)
     return Assembly(assembly_id, printable_mesh(solid, "assembly"), mounts)
