@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from baselines.catalog import WEIGHTS
 from baselines.completion import ObservedKits
 from baselines.completion.completed_kits import CompletedRelief, ReliefCompleter
+from baselines.completion.drawn_kits import drawn_kit, with_kit
 from baselines.completion.kit_network import KitCompletionConfig, KitCompletionNet, kit_loss, likely_depths
 from baselines.completion.kit_task import kit_completion_task
 from baselines.completion.kit_views import D415_SHARE, mirrored
@@ -25,6 +26,7 @@ from baselines.training.checkpoint import save_weights
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
@@ -216,3 +218,16 @@ def test_the_measure_is_zero_for_the_truth_and_validation_examples_are_kept(mini
     truth = float(task.loss(batch))
     task.model.forward = lambda *_: 0 * share  # type: ignore[method-assign]
     assert truth < 0.1 * float(task.loss(batch))
+
+
+def test_fresh_kits_are_the_same_whoever_makes_them_and_change_one_plate_alone() -> None:
+    kits = [drawn_kit(5, index) for index in range(3)]
+    assembly = build_assembly("a", kits[:2], AssemblyPlan(0.1, 0.4, (SidePlate(1, 0.3),)))
+    for kit, again in zip(kits, (drawn_kit(5, index) for index in range(3)), strict=True):
+        assert np.array_equal(kit.mesh.vertices, again.mesh.vertices)
+        assert np.ptp(kit.mesh.vertices, axis=0) == pytest.approx(kit.extent, abs=1e-6)
+    for number in range(2):
+        changed, old = with_kit(assembly, number, kits[2]), assembly.mounts[number].kit
+        assert [mount.kit is kits[2] for mount in changed.mounts] == [k == number for k in range(2)]
+        cut = old.mesh.volume - kits[2].mesh.volume  # its own cavity is all that changes
+        assert assembly.mesh.volume - changed.mesh.volume == pytest.approx(cut, abs=2e-9)

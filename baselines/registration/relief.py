@@ -7,11 +7,10 @@ Images are square, [m], cell (i, j) at ((i, j) - (n - 1) / 2) * cell in the plan
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, reduce
 from itertools import product
 
 import numpy as np
-from scipy.ndimage import minimum_filter
 
 from kit1000.compiled import compiled
 from kit1000.pose import Pose
@@ -73,7 +72,14 @@ def _box(volume: Volume) -> np.ndarray | None:
 
 def dilated(envelope: np.ndarray, cell: float, clearance: float) -> np.ndarray:
     """(n, n) [m]: the lower envelope of a part dilated at every height by a disc with the clearance as its radius."""
-    return minimum_filter(envelope, footprint=disc(cell, clearance), mode="constant", cval=np.inf)
+    halves = disc(cell, clearance).sum(1) // 2  # cells to either side, in each row of the disc
+    n, radius = len(envelope), len(halves) // 2
+    wide = np.pad(envelope, radius, constant_values=np.inf)
+    along = [wide[:, radius : radius + n]]  # the least within so many cells along the second axis
+    for half in range(1, radius + 1):
+        sides = (wide[:, start : start + n] for start in (radius - half, radius + half))
+        along.append(reduce(np.minimum, sides, along[-1]))
+    return reduce(np.minimum, (along[half][row : row + n] for row, half in enumerate(halves.tolist())))
 
 
 def disc(cell: float, clearance: float) -> np.ndarray:
