@@ -21,9 +21,9 @@ from baselines.completion.kit_network import (
 from baselines.completion.kit_views import Example, KitViews, example_of, mirrored, plane_of
 from baselines.completion.pixels import IDEAL, RESTORED
 from baselines.completion.relief import seen_relief
-from baselines.completion.validation import drawn_targets
 from baselines.restoration import calibrated_image
 from baselines.restoration.learned import Restorer
+from baselines.training.validation import drawn_targets
 from kit1000.dataset.reader import Dataset
 from kit1000.values import ASSEMBLY_LABEL
 

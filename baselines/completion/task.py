@@ -13,9 +13,9 @@ from torch import Tensor
 from baselines.completion.drawn_parts import DrawnParts
 from baselines.completion.frame import CODE, framed
 from baselines.completion.network import COMPLETION, CompletionConfig, CompletionNet, completion_loss
-from baselines.completion.validation import drawn_targets
 from baselines.completion.views import DrawnViews, Example, example_of
 from baselines.restoration import calibrated_image
+from baselines.training.validation import drawn_targets
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import user_cache

@@ -11,11 +11,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from baselines.completion.validation import drawn_targets
 from baselines.restoration.disparity import cropped_evidence
 from baselines.restoration.edges import JUMP
 from baselines.restoration.network import RESTORATION, Mixture, RestorationConfig, RestorationNet
 from baselines.restoration.views import Example, SceneViews, box_about, recorded_example
+from baselines.training.validation import drawn_targets
 from kit1000.dataset.reader import Dataset
 
 VALIDATION_SCENES = 30  # spread evenly over the validation split

@@ -1,4 +1,4 @@
-"""Which targets measure the networks that complete parts and kits, while they are trained."""
+"""Which targets measure the networks of perception, while they are trained."""
 
 from __future__ import annotations
 
