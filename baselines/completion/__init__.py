@@ -4,6 +4,8 @@
 `frame` (its grid), `drawn_parts`, `views` and `occupancy` (its examples), `network`, and `task` (its training).
 """
 
+from dataclasses import replace
+
 from baselines.catalog import Network
 from baselines.completion.kits import ObservedKits
 from baselines.completion.part import TABLE_MARGIN, ObservedPart
@@ -27,10 +29,10 @@ SMALL = TrainConfig(
     threads=1,
 )
 KITS = TrainConfig(
-    steps=3000,
+    steps=2500,
     batch=16,
     optimizer="muon",
-    learning_rate=5e-3,
+    learning_rate=3e-3,
     warmup=100,
     decay="linear",
     weight_decay=0.05,
@@ -52,6 +54,7 @@ NETWORKS = {
         "baselines.completion.kit_task:kit_completion_task",
         {
             "small": KITS,
+            "pretraining": replace(KITS, steps=3000, learning_rate=5e-3),
         },
         weights={"restoration": "restoration"},
     ),

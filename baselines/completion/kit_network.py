@@ -28,17 +28,21 @@ class KitCompletionConfig:
     """Channels at each resolution, from 40 x 40 pixels, each half the one before."""
     blocks: int = 1
     """Residual blocks at each resolution, on the way down and on the way up."""
-    views: int = 12_000
+    views: int = 10_000
     """Fresh views that the training examples show, mirrored or not."""
-    drawn_kits: int = 3000
-    """Kits cut for fresh parts, which most of the views show; the others show those of the train split."""
-    views_seed: int = 2032
+    drawn_share: float = 0.25
+    """Of the views: with a kit cut for a fresh part in place of one of the train split."""
+    drawn_kits: int = 600
+    """Such kits."""
+    views_seed: int = 2033
     """Of views and kits."""
 
 
 KIT_COMPLETION = {
     "small": KitCompletionConfig(),
+    "pretraining": KitCompletionConfig(views=12_000, drawn_share=0.75, drawn_kits=3000, views_seed=2032),
 }
+"""Pretraining, of whose weights `small` starts, sees more kinds of kits than those of datasets."""
 
 
 class KitCompletionNet(UNet):

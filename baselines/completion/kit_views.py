@@ -1,4 +1,4 @@
-"""Training examples of kit completion: fresh views of assemblies of the train split, most of them with a fresh kit."""
+"""Training examples of kit completion: fresh views of assemblies of the train split, some of them with a fresh kit."""
 
 from __future__ import annotations
 
@@ -27,7 +27,6 @@ from kit1000.sim.sensors import measured
 from kit1000.values import ASSEMBLY_LABEL, Assembly, Kit, LabelledDepth, Mount, View
 
 D415_SHARE = 0.25  # of the views: measured by the d415, the others ideal
-DRAWN_SHARE = 0.75  # of the views: with a fresh kit in place of the one that is shown
 LEAST_COSINE = 0.25  # of the polar angle of a camera: of flatter plates hardly anything is seen
 JITTER = 12e-3  # [m] most along x and y, of the middle of a relief from that of its plate
 PLANE_ERRORS = {"ideal": (1e-3, 3e-5), "d415": (6e-3, 3e-4)}
@@ -48,7 +47,9 @@ class KitViews:
     seed: int
     count: int
     drawn: int
-    """Fresh kits of that seed, which most of the views show; 0 for those of the assemblies alone."""
+    """Fresh kits of that seed."""
+    drawn_share: float
+    """Of the views: with one of these in place of the kit that is shown."""
     restorer: Restorer
     """Of the images of the d415."""
     _kept: dict[int, Example] = field(default_factory=dict, repr=False, compare=False)
@@ -82,7 +83,7 @@ class KitViews:
         """An assembly, and which of its mounts is shown."""
         assembly = self.geometry.assembly(self.assemblies[int(rng.integers(len(self.assemblies)))])
         number = int(rng.integers(len(assembly.mounts)))
-        if self.drawn and rng.random() < DRAWN_SHARE:
+        if rng.random() < self.drawn_share:
             with suppress(Redraw):
                 assembly = with_kit(assembly, number, self._kit(int(rng.integers(self.drawn))))
         return assembly, assembly.mounts[number]
