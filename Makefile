@@ -70,8 +70,8 @@ table1: $(DEV) ## Table I beside our scores; with DATA they are scored again, RE
 
 table2: $(DEV) ## Table II of DATA (PRESET=real-like), rows under ROWS: each stage replaced by truth, carried out by the robot
 	$(ROW) registration-gtvol --out "$(ROWS)/true-shapes"
-	$(ROW) registration --out "$(ROWS)/masks-given"
-	$(ROW) registration --masks predicted --out "$(ROWS)/masks-found"
+	$(ROW) registration-completed --out "$(ROWS)/masks-given"
+	$(ROW) registration-completed --masks predicted --out "$(ROWS)/masks-found"
 	$(ROW) guess --out "$(ROWS)/guess"
 	$(BIN)/python bench/bench_segmentation.py "$(DATA)" $(MEASURE)
 	$(BIN)/python bench/bench_completion.py "$(DATA)" $(MEASURE)
