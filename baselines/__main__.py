@@ -116,7 +116,7 @@ class Train:
     out: Path
     """Folder of this run: checkpoint, log, best weights."""
     preset: str = "small"
-    """small for two cores of a CPU, paper in the sizes of the paper for a GPU; pretraining makes weights to start from."""
+    """small for two cores of a CPU, paper in the paper's sizes for a GPU; pretraining makes weights to start from."""
     steps: Count = None
     """Of training; the preset's own by default, like the next two."""
     batch: Count = None
