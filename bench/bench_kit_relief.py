@@ -23,7 +23,7 @@ from baselines.catalog import WEIGHTS
 from baselines.completion import ObservedKits
 from baselines.completion.completed_kits import ReliefCompleter, filled_by_columns
 from baselines.completion.kit_views import on_plate
-from baselines.completion.pixels import IDEAL, RESTORED
+from baselines.completion.pixels import noise_of
 from baselines.completion.relief import true_depths
 from baselines.restoration import calibrated_image
 from baselines.restoration.learned import Restorer
@@ -101,10 +101,8 @@ def _measured(
     dataset: Dataset, scene: RecordedScene, sensor: str, completer: ReliefCompleter, restorer: Restorer
 ) -> Iterator[Measured | None]:
     """Each plate of a scene; None where it is not found or hardly a cell of it is hidden."""
-    image, noise = calibrated_image(scene.labelled_depth(sensor), sensor), IDEAL
-    if sensor != "ideal":
-        image, noise = restorer(image, sensor, (ASSEMBLY_LABEL,)), RESTORED
-    kits = ObservedKits(image, noise, scene.id, completer=completer)
+    image = restorer(calibrated_image(scene.labelled_depth(sensor), sensor), sensor, (ASSEMBLY_LABEL,))
+    kits = ObservedKits(image, noise_of(sensor, restored=True), scene.id, completer=completer)
     body = scene.scene.bodies[0]
     assembly, world_from_assembly = dataset.geometry.assembly(body.id), body.world_from_body
     for mount in assembly.mounts:

@@ -19,7 +19,7 @@ from baselines.completion.kit_network import (
     likely_depths,
 )
 from baselines.completion.kit_views import Example, KitViews, example_of, mirrored, plane_of
-from baselines.completion.pixels import IDEAL, RESTORED
+from baselines.completion.pixels import noise_of
 from baselines.completion.relief import seen_relief
 from baselines.restoration import calibrated_image
 from baselines.restoration.learned import Restorer
@@ -74,10 +74,9 @@ class KitCompletionTask:
         assembly = self.dataset.geometry.assembly(truth.assembly_id)
         mount = next(mount for mount in assembly.mounts if mount.kit.id == truth.part_id)
         pose = truth.world_from_kit
-        image, noise = calibrated_image(scene.labelled_depth(key.sensor), key.sensor), IDEAL
-        if key.sensor != "ideal":
-            image, noise = self.training.restorer(image, key.sensor, (ASSEMBLY_LABEL,)), RESTORED
-        relief = seen_relief(image, plane_of(pose), pose.xyz, noise)
+        image = calibrated_image(scene.labelled_depth(key.sensor), key.sensor)
+        restored = self.training.restorer(image, key.sensor, (ASSEMBLY_LABEL,))
+        relief = seen_relief(restored, plane_of(pose), pose.xyz, noise_of(key.sensor, restored=True))
         return example_of(relief, assembly, pose @ mount.assembly_from_kit.inverse(), mount)
 
     def loss(self, batch: Batch) -> Tensor:

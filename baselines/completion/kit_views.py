@@ -11,7 +11,7 @@ import numpy as np
 from baselines.calibration import CALIBRATED
 from baselines.completion.drawn_kits import drawn_kit, with_kit
 from baselines.completion.frame import pixel_box
-from baselines.completion.pixels import IDEAL, RESTORED
+from baselines.completion.pixels import noise_of
 from baselines.completion.planes import Plane
 from baselines.completion.relief import CELL, CELLS, SeenRelief, away_frame, relief_grid, seen_relief, true_depths
 from baselines.restoration.learned import Restorer
@@ -74,9 +74,8 @@ class KitViews:
         plane, middle = _near(world_from_assembly @ mount.assembly_from_kit, sensor, rng)
         camera, noise = _camera_before(plane, middle, rng), rng if sensor == "d415" else None
         image = _image(assembly, world_from_assembly, plane, middle, camera, noise)
-        if sensor == "d415":
-            image = self.restorer(image, sensor, (ASSEMBLY_LABEL,))
-        relief = seen_relief(image, plane, middle, IDEAL if sensor == "ideal" else RESTORED)
+        restored = self.restorer(image, sensor, (ASSEMBLY_LABEL,))
+        relief = seen_relief(restored, plane, middle, noise_of(sensor, restored=True))
         return example_of(relief, assembly, world_from_assembly, mount)
 
     def _shown(self, rng: np.random.Generator) -> tuple[Assembly, Mount]:

@@ -34,9 +34,11 @@ RESTORED = Noise(1.2e-3, float(np.radians(6)), 5, float(np.radians(6)))
 """Of an image of SENSOR that a network restored."""
 
 
-def noise_of(sensor: str) -> Noise:
-    """The noise of the images of a sensor."""
-    return IDEAL if sensor == "ideal" else SENSOR
+def noise_of(sensor: str, restored: bool = False) -> Noise:
+    """The noise of the images of a sensor, as they are or restored by a network."""
+    if sensor == "ideal":
+        return IDEAL
+    return RESTORED if restored else SENSOR
 
 
 def cropped(image: LabelledDepth, box: tuple[slice, slice]) -> LabelledDepth:

@@ -136,7 +136,7 @@ class Registration:
 
     def _restored(self, measured: LabelledDepth, query: Query) -> LabelledDepth:
         """The calibrated image of a query, its edges where they are."""
-        if self.restorer is None or self._kind(query) != "restored":
+        if self.restorer is None:
             return restored_edges(measured, query.sensor)
         return self.restorer(measured, query.sensor, (ASSEMBLY_LABEL, FIRST_PART_LABEL + query.part))
 

@@ -11,7 +11,7 @@ import numpy as np
 from baselines.completion import ObservedPart
 from baselines.completion.fusion import MaskedView, observed_distance
 from baselines.completion.part import AROUND, HALF_WIDTH, PartEvidence
-from baselines.completion.pixels import RESTORED, Noise, noise_of, oriented_points, pixel_points
+from baselines.completion.pixels import Noise, noise_of, oriented_points, pixel_points
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points
@@ -120,7 +120,7 @@ class DepthSource:
     @property
     def noise(self) -> Noise:
         """Of the image."""
-        return RESTORED if self.restored else noise_of(self.query.sensor)
+        return noise_of(self.query.sensor, self.restored)
 
     def part(self) -> Volume:
         """The part from its observed points down to the table, except for free space."""

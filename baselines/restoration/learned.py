@@ -42,8 +42,10 @@ class Restorer:
     def __call__(self, image: LabelledDepth, sensor: str, labels: Sequence[int]) -> LabelledDepth:
         """A calibrated image with its table on its plane, and the bodies of some labels where they likely are.
 
-        Bodies of other labels stay as they were measured, but for their narrow shadows.
+        Bodies of other labels stay as they were measured, but for their narrow shadows; ideal depth stays as it is.
         """
+        if sensor == "ideal":
+            return image
         closed = closed_gaps(image).view
         read, depth = evidence(image, closed, sensor), closed.depth.copy()
         boxes = find_objects(image.labels)
