@@ -23,6 +23,7 @@ FOLDERS = (
     "baselines.kitnet",
     "baselines.registration",
     "baselines.restoration",
+    "baselines.segmentation",
     "baselines.snapnet",
     "baselines.transporter",
 )

@@ -55,14 +55,19 @@ class SceneViews:
 
     def _crops(self, rng: np.random.Generator) -> list[Example]:
         """Crops of a scene as the calibrated d415 sees it from a new place."""
-        scene = self.dataset.split("train", truth=True).scene(self.scenes[int(rng.integers(len(self.scenes)))])
-        pose = draw_primary_pose(rng, crowded=bool(rng.random() < CROWDED_SHARE))
-        frame = render(CAMERA, pose, scene.bodies(), threads=1)
-        labels = np.where(frame.body_ids > 1, frame.body_ids - 2 + ASSEMBLY_LABEL, 0).astype(np.uint8)
-        view = measured(CALIBRATED, View(CAMERA, pose, frame.depth), rng)
-        whole = example_of(LabelledDepth(view, labels), frame.depth, self.labelled)
-        places = [_body_pixel(labels, KITS_SHARE[self.labelled], rng) for _ in range(CROPS)]
+        image, depth = fresh_image(self.dataset, self.scenes, rng)
+        whole = example_of(image, depth, self.labelled)
+        places = [body_pixel(image.labels, KITS_SHARE[self.labelled], rng) for _ in range(CROPS)]
         return [cropped_evidence(whole, box_about(*place)) for place in places]
+
+
+def fresh_image(dataset: Dataset, scenes: Sequence[str], rng: np.random.Generator) -> tuple[LabelledDepth, np.ndarray]:
+    """One of some scenes of the train split as the calibrated d415 sees it from a new place; (H, W) [m] true depths."""
+    scene = dataset.split("train", truth=True).scene(scenes[int(rng.integers(len(scenes)))])
+    pose = draw_primary_pose(rng, crowded=bool(rng.random() < CROWDED_SHARE))
+    frame = render(CAMERA, pose, scene.bodies(), threads=1)
+    labels = np.where(frame.body_ids > 1, frame.body_ids - 2 + ASSEMBLY_LABEL, 0).astype(np.uint8)
+    return LabelledDepth(measured(CALIBRATED, View(CAMERA, pose, frame.depth), rng), labels), frame.depth
 
 
 def recorded_example(
@@ -101,7 +106,7 @@ def box_about(row: int, column: int) -> Box:
     return slice(top, top + SIDE), slice(left, left + SIDE)
 
 
-def _body_pixel(labels: np.ndarray, kits_share: float, rng: np.random.Generator) -> tuple[int, int]:
+def body_pixel(labels: np.ndarray, kits_share: float, rng: np.random.Generator) -> tuple[int, int]:
     """Row and column of a random pixel of the kits, or of a part."""
     kits = rng.random() < kits_share
     there = labels == ASSEMBLY_LABEL if kits else labels >= FIRST_PART_LABEL

@@ -35,6 +35,8 @@ class Bodies(NamedTuple):
     """(H, W) bool"""
     kind: str
     """ideal, d415, or restored: of the view."""
+    measured: View
+    """The image before edges were restored or shadows closed, calibrated where the sensor is noisy."""
 
 
 def find_bodies(view: View, sensor: str, restorer: Restorer | None = None) -> Bodies:
@@ -43,9 +45,10 @@ def find_bodies(view: View, sensor: str, restorer: Restorer | None = None) -> Bo
     restorer: a network that restores noisy images without masks; None looks at them as they are.
     """
     noisy = sensor != "ideal"
+    measured = view
     if noisy:
-        view = calibrated(view, (world_points(view)[..., 2] > RECORDED_HEIGHT).astype(np.uint8))
-        view = without_shadows(view) if restorer is None else restorer.without_masks(view, sensor)
+        measured = calibrated(view, (world_points(view)[..., 2] > RECORDED_HEIGHT).astype(np.uint8))
+        view = without_shadows(measured) if restorer is None else restorer.without_masks(measured, sensor)
     points = world_points(view)
     height, seen = points[..., 2], view.depth > 0
     body = seen & (height > LEAST_HEIGHT)
@@ -56,7 +59,7 @@ def find_bodies(view: View, sensor: str, restorer: Restorer | None = None) -> Bo
             body = uniform_filter(body.astype(float), WINDOW) > SHARE
     far_half = points[..., 1] > 0
     kind = sensor if restorer is None or not noisy else "restored"
-    return Bodies(view, points, body & far_half, body & ~far_half, kind)
+    return Bodies(view, points, body & far_half, body & ~far_half, kind, measured)
 
 
 def world_points(view: View) -> np.ndarray:

@@ -1,0 +1,96 @@
+"""Training examples of the network of centres: crops of fresh views of the scenes of the train split."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from baselines.restoration.disparity import Evidence, cropped_evidence
+from baselines.restoration.learned import Restorer
+from baselines.restoration.views import SENSOR, body_pixel, box_about, fresh_image
+from baselines.segmentation.bodies import Bodies, find_bodies
+from kit1000.dataset.reader import Dataset
+from kit1000.rng import stream
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
+
+CROPS = 8  # of a view
+KITS_SHARE = 0.05  # of the crops: about a pixel of the kits
+
+Example = dict[str, np.ndarray]
+
+
+@dataclass(frozen=True)
+class PartViews:
+    """Crops of the first views of a seed; those of a view are made when one is first asked for, and kept (1.5 MB)."""
+
+    dataset: Dataset
+    scenes: Sequence[str]
+    """Ids of those that are shown, all of the train split."""
+    seed: int
+    count: int
+    """Of views."""
+    restorer: Restorer
+    """Of images without masks."""
+    _kept: dict[int, list[Example]] = field(default_factory=dict, repr=False, compare=False)
+
+    def __len__(self) -> int:
+        return self.count * CROPS
+
+    def __getitem__(self, index: int) -> Example:
+        if not 0 <= index < len(self):
+            raise IndexError(index)
+        view, crop = divmod(index, CROPS)
+        if view not in self._kept:
+            self._kept[view] = self._crops(stream(self.seed, "segmentation", view))
+        return self._kept[view][crop]
+
+    def _crops(self, rng: np.random.Generator) -> list[Example]:
+        """Crops of a scene as the calibrated d415 sees it from a new place."""
+        image, _ = fresh_image(self.dataset, self.scenes, rng)
+        whole = _example(image.labels, image.view, self.restorer.without_masks(image.view, SENSOR))
+        return [cropped_evidence(whole, box_about(*body_pixel(image.labels, KITS_SHARE, rng))) for _ in range(CROPS)]
+
+
+def recorded_example(image: LabelledDepth, restorer: Restorer) -> Example:
+    """Evidence and truth of a recorded image, calibrated without masks."""
+    bodies = find_bodies(image.view, SENSOR, restorer)
+    return _example(image.labels, bodies.measured, bodies.view)
+
+
+def evidence_of(bodies: Bodies) -> Evidence:
+    """What the network reads of the bodies of an image: see `CentresNet.forward`; (H, W) arrays and `up` (3,)."""
+    return _evidence(bodies.measured, bodies.view)
+
+
+def _evidence(measured: View, restored: View) -> Evidence:
+    return {
+        "measured": _heights(measured),
+        "restored": _heights(restored),
+        "returned": measured.depth > 0,
+        "up": measured.world_from_camera.inverse().rotate((0.0, 0.0, 1.0)).astype(np.float32),
+    }
+
+
+def _heights(view: View) -> np.ndarray:
+    """(H, W) float32 [px] heights above the table, as long as they would be in the image; 0 without surface."""
+    camera, pose = view.camera, view.world_from_camera
+    x, y, z = pose.rotation_matrix()[2]
+    across = (np.arange(camera.width) - camera.cx) / camera.fx * x
+    down = (np.arange(camera.height) - camera.cy) / camera.fy * y
+    seen = view.depth > 0
+    height = pose.xyz[2] / np.where(seen, view.depth, 1.0) + across + down[:, None] + z
+    return np.where(seen, camera.fx * height, 0.0).astype(np.float32)
+
+
+def _example(labels: np.ndarray, measured: View, restored: View) -> Example:
+    """The evidence, and the truth by masks (H, W): `part` bool, `across` and `down` float32 [px], 0 beside parts."""
+    part = labels >= FIRST_PART_LABEL
+    truth: Example = {"part": part}
+    sizes = np.maximum(np.bincount(labels.ravel()), 1)
+    for name, places in (("across", np.arange(labels.shape[1])), ("down", np.arange(labels.shape[0])[:, None])):
+        here = np.broadcast_to(places, labels.shape)
+        means = np.bincount(labels.ravel(), here.ravel().astype(float)) / sizes
+        truth[name] = np.where(part, means[labels] - here, 0.0).astype(np.float32)
+    return _evidence(measured, restored) | truth
