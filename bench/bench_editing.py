@@ -2,6 +2,7 @@
 
     python bench/bench_editing.py data/kit1000 --scenes 30
     python bench/bench_editing.py data/kit1000 --scenes 30 --sensor d415
+    python bench/bench_editing.py data/kit1000 --snap baselines.registration.proposals:CompletingRegistration
 
 The hand puts each part up to 20 mm and 15 degrees off its goal, takes the fit that the page shows, and confirms. The
 method alone corrects the recorded guesses about the same parts, up to 28 mm along each axis and 27.5 degrees off. The
@@ -53,6 +54,8 @@ class Editing:
     """The first so many scenes of the split."""
     split: Literal["test", "val"] = "test"
     sensor: Literal["ideal", "d415"] = "ideal"
+    snap: str = SNAP
+    """Method that proposes, `module:Object`."""
     out: Path | None = None
     """Submission folder; a temporary one when absent."""
 
@@ -81,7 +84,7 @@ def main(options: Editing) -> None:
     with tempfile.TemporaryDirectory() as temporary:
         out, times = options.out or Path(temporary), ([], [])
         scene_ids = dataset.split(options.split).scene_ids[: options.scenes]
-        edited = [each for scene_id in scene_ids for each in _edited(dataset, scene_id, options.sensor, out, times)]
+        edited = [each for scene_id in scene_ids for each in _edited(dataset, scene_id, options, out, times)]
     print(f"{dataset.root.name} {options.split} {options.sensor}: {len(scene_ids)} scenes, {len(edited)} parts")
     print(f"  {'':14} {'position mm':>12} {'median':>7} {'rotation':>9} {'median':>7} {'seated':>7}   95 %")
     truths = [each.truth for each in edited]
@@ -104,13 +107,14 @@ def main(options: Editing) -> None:
 
 
 def _edited(
-    dataset: Dataset, scene_id: str, sensor: str, out: Path, times: tuple[list[float], list[float]]
+    dataset: Dataset, scene_id: str, options: Editing, out: Path, times: tuple[list[float], list[float]]
 ) -> Iterator[Edited]:
     """All parts of a scene, one after another."""
+    sensor = options.sensor
     scene = EditedScene.open(dataset, scene_id, sensor, truth=False)
-    method = Method(SNAP, dataset.root, scene_id, sensor, truth=False)
+    method = Method(options.snap, dataset.root, scene_id, sensor, truth=False)
     asker = AtOnce(method)
-    log = EventLog(out, Header(dataset.id, scene_id, sensor, False, SNAP, "scene"))
+    log = EventLog(out, Header(dataset.id, scene_id, sensor, False, options.snap, "scene"))
     controller = Controller(scene, Blank(), log, asker)  # type: ignore[arg-type]
     asker.start(controller.received)
     recorded = dataset.recorded_scene(scene_id, truth=True)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from baselines.catalog import WEIGHTS
 from baselines.registration.method import Registration
+from kit1000.dataset.reader import Dataset
 from kit1000.predictor import PredictedMotion
 from kit1000.values import Query, TrueGeometry
 
@@ -13,3 +15,10 @@ class ProposingRegistration(Registration):
     def propose(self, query: Query, geometry: TrueGeometry | None = None) -> list[PredictedMotion]:
         """All fits, the best first."""
         return self.motions(query, geometry)
+
+
+class CompletingRegistration(ProposingRegistration):
+    """The same with networks that complete the part and restore noisy images, as `registration-completed`."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        super().__init__(dataset, completion=WEIGHTS / "completion", restoration=WEIGHTS / "restoration")

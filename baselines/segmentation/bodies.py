@@ -57,9 +57,14 @@ def find_bodies(view: View, sensor: str, restorer: Restorer | None = None) -> Bo
         body = np.asarray(binary_propagation(seen & (height > SURE_HEIGHT), mask=seen & (height > least)), bool)
         if restorer is None:
             body = uniform_filter(body.astype(float), WINDOW) > SHARE
-    far_half = points[..., 1] > 0
+    far_half = on_far_half(points)
     kind = sensor if restorer is None or not noisy else "restored"
     return Bodies(view, points, body & far_half, body & ~far_half, kind, measured)
+
+
+def on_far_half(points: np.ndarray) -> np.ndarray:
+    """(...) bool: which points (..., 3) [m] of the world are on the kits' half of the table."""
+    return points[..., 1] > 0
 
 
 def world_points(view: View) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.ndimage import find_objects
 
 from baselines.segmentation.bodies import Bodies, find_bodies
 from baselines.segmentation.merging import LOW, Pieces, merged
@@ -14,6 +15,7 @@ from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, View
 
 if TYPE_CHECKING:
     from baselines.restoration.learned import Restorer
+    from baselines.segmentation.learned import PartFinder
 
 LEAST_PART = {"ideal": 60, "restored": 150, "d415": 60}  # [px] fewer are noise, or a corner of a hidden part
 MOST_PARTS = 253  # labels of 8 bits hold no more
@@ -26,7 +28,13 @@ WEIGHTS = {
 """Of the features of a pair, by kind of image: fitted to the training split by `baselines.segmentation.fit`."""
 
 
-def segmented(view: View, sensor: str = "ideal", scale: float = 1.0, restorer: Restorer | None = None) -> np.ndarray:
+def segmented(
+    view: View,
+    sensor: str = "ideal",
+    scale: float = 1.0,
+    restorer: Restorer | None = None,
+    finder: PartFinder | None = None,
+) -> np.ndarray:
     """(H, W) uint8: ASSEMBLY_LABEL on the kits, FIRST_PART_LABEL and up on the parts, in the order of first pixels.
 
     Args:
@@ -34,22 +42,31 @@ def segmented(view: View, sensor: str = "ideal", scale: float = 1.0, restorer: R
         sensor: of its noise: ideal or d415.
         scale: of the scene, as the dataset's configuration states it.
         restorer: a network that restores noisy images without masks; None looks at them as they are.
+        finder: a network that tells parts apart in restored images; None merges pieces, as in ideal ones.
     """
     bodies = find_bodies(view, sensor, restorer)
     labels = np.where(bodies.kits, ASSEMBLY_LABEL, 0).astype(np.uint8)
-    pieces, joined, points, box = pieces_of(bodies)
-    if pieces.max() == 0:
-        return labels
-    weights = WEIGHTS[bodies.kind][:, None]
-    home = merged(Pieces.of(pieces, joined, points, LOW[bodies.kind], scale), lambda rows: matmul(rows, weights)[:, 0])
-    instances = np.array([0, *(home[label] for label in range(1, int(pieces.max()) + 1))])[pieces]
-    number = 0
-    for label in dict.fromkeys(instances.ravel().tolist()):
-        mask = instances == label
-        if label > 0 and mask.sum() >= LEAST_PART[bodies.kind] and number < MOST_PARTS:
+    parts = finder(bodies) if finder is not None and bodies.kind == "restored" else _merged_pieces(bodies, scale)
+    boxes, number = find_objects(parts), 0
+    for part in dict.fromkeys(parts[parts > 0].tolist()):
+        box = boxes[part - 1]
+        mask = parts[box] == part
+        if mask.sum() >= LEAST_PART[bodies.kind] and number < MOST_PARTS:
             labels[box][mask] = FIRST_PART_LABEL + number
             number += 1
     return labels
+
+
+def _merged_pieces(bodies: Bodies, scale: float) -> np.ndarray:
+    """(H, W) int: from 1 on the pixels of each part, 0 elsewhere."""
+    parts = np.zeros(bodies.parts.shape, int)
+    pieces, joined, points, box = pieces_of(bodies)
+    if pieces.max() > 0:
+        weights = WEIGHTS[bodies.kind][:, None]
+        described = Pieces.of(pieces, joined, points, LOW[bodies.kind], scale)
+        home = merged(described, lambda rows: matmul(rows, weights)[:, 0])
+        parts[box] = np.array([0, *(home[label] for label in range(1, int(pieces.max()) + 1))])[pieces]
+    return parts
 
 
 def pieces_of(bodies: Bodies) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, tuple[slice, slice]]:

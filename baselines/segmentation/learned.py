@@ -1,0 +1,49 @@
+"""Parts by the network: the pixels of one part vote for one place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from baselines.loading import ready
+from baselines.restoration.disparity import cropped_evidence, padded_box
+from baselines.segmentation.bodies import Bodies, on_far_half
+from baselines.segmentation.network import SIDE, CentresConfig, CentresNet
+from baselines.segmentation.views import evidence_of
+from baselines.segmentation.votes import gathered
+
+BORDER = 16  # [px] about the parts
+OFFSET_STEP = 1 / 8  # [px] to which votes are rounded: sums of float32 depend on the processor
+LOGIT_STEP = 1 / 64  # the same of the logits
+
+
+class PartFinder:
+    """The network with its weights."""
+
+    def __init__(self, weights: Path | CentresNet) -> None:
+        """weights: stem of the files, or the network itself."""
+        net = ready(weights, CentresConfig, CentresNet).to("cpu")  # on which the last digits are known
+        self.net = net.to(memory_format=torch.channels_last)
+
+    def __call__(self, bodies: Bodies) -> np.ndarray:
+        """(H, W) int: from 1 on the pixels of each part of an image, 0 elsewhere."""
+        labels = np.zeros(bodies.parts.shape, int)
+        rows, columns = (np.flatnonzero(bodies.parts.any(axis)) for axis in (1, 0))
+        if len(rows) == 0:
+            return labels
+        tall, broad = (slice(max(line[0] - BORDER, 0), line[-1] + BORDER + 1) for line in (rows, columns))
+        box = padded_box(tall, broad, SIDE, bodies.view.camera)
+        offset, part = self._votes(bodies, box)
+        labels[box] = gathered(np.indices(part.shape) + offset[::-1], part & ~on_far_half(bodies.points[box]))
+        return labels
+
+    def _votes(self, bodies: Bodies, box: tuple[slice, slice]) -> tuple[np.ndarray, np.ndarray]:
+        """(2, h, w) [px] across and down, rounded; (h, w) bool: pixels that show a part."""
+        cut = cropped_evidence(evidence_of(bodies), box)
+        batch = [torch.from_numpy(cut[name])[None] for name in ("measured", "restored", "returned", "up")]
+        with torch.inference_mode():
+            votes = self.net(*batch)
+        offset = np.rint(votes.offset[0].numpy().astype(float) / OFFSET_STEP) * OFFSET_STEP
+        return offset, np.rint(votes.part[0].numpy() / LOGIT_STEP) > 0
