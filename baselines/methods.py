@@ -78,7 +78,7 @@ def source_hash(method: Method) -> str:
     files = [origin] if package in ("", __package__) else sorted(origin.parent.rglob("*.py"))
     predicted = method.masks == "predicted"
     files += [file for folder in SEGMENTATION for file in sorted(folder.glob("*.py")) if predicted]
-    stems = [*method.weights.values(), *([MASKS_WEIGHTS] if predicted else [])]
+    stems = [*method.weights.values(), *(MASKS_WEIGHTS if predicted else ())]
     files += [WEIGHTS / f"{stem}.safetensors" for stem in stems]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
 

@@ -7,15 +7,14 @@ from __future__ import annotations
 
 from pathlib import Path
 from time import process_time
+from typing import Literal
 
 import numpy as np
 import tyro
 from components import add_components
 
-from baselines.catalog import WEIGHTS
-from baselines.restoration.learned import Restorer
 from baselines.segmentation.instances import segmented
-from baselines.segmentation.queries import MASKS_WEIGHTS
+from baselines.segmentation.queries import mask_networks
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
 from kit1000.metrics.segmentation import matched_masks
@@ -26,7 +25,7 @@ def main(
     split: str = "test",
     sensor: str = "ideal",
     limit: int | None = None,
-    weights: Path | None = WEIGHTS / MASKS_WEIGHTS,
+    networks: Literal["both", "restoration", "none"] = "both",
     components: Path | None = None,
 ) -> None:
     """Segment the scenes, then print a line for all, for those whose parts lie apart and for crowded ones.
@@ -36,18 +35,19 @@ def main(
         split: of its scenes.
         sensor: ideal or d415.
         limit: only the first so many scenes.
-        weights: stem of those of the network that restores noisy images; None leaves them as they are.
+        networks: for noisy images: one restores them and another one tells parts apart, the first alone, or none.
         components: JSON file for Table II, to which the mean is added.
     """
     dataset = Dataset(data)
     assemblies = []
     scenes, scale = dataset.split(split, truth=True), dataset.summary["config"]["scale"]
-    rows, restorer = [], None if weights is None or sensor == "ideal" else Restorer(weights)
+    rows, chosen = [], {"both": 2, "restoration": 1, "none": 0}[networks] if sensor != "ideal" else 0
+    used = mask_networks()[:chosen] if chosen else ()
     for scene_id in scenes.scene_ids[:limit]:
         scene = scenes.scene(scene_id)
         image = scene.labelled_depth(sensor)
         start = process_time()
-        found = segmented(image.view, sensor, scale, restorer)
+        found = segmented(image.view, sensor, scale, *used)
         seconds = process_time() - start
         iou = matched_masks(found, image.labels).iou
         assemblies.append(scene.scene.bodies[0].id)

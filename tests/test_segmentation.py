@@ -100,7 +100,7 @@ def test_scenes_are_segmented_as_well_as_stated(mini: Path) -> None:
 
 
 def test_restored_images_are_segmented_better(mini: Path) -> None:
-    restorer, scores = Restorer(WEIGHTS / MASKS_WEIGHTS), []
+    restorer, scores = Restorer(WEIGHTS / MASKS_WEIGHTS[0]), []
     for scene_ in [*Dataset(mini).split("train"), *Dataset(mini).split("test")][:8]:
         if "d415" in scene_.sensors:
             image = scene_.labelled_depth("d415")

@@ -35,11 +35,11 @@ class PartFinder:
             return labels
         tall, broad = (slice(max(line[0] - BORDER, 0), line[-1] + BORDER + 1) for line in (rows, columns))
         box = padded_box(tall, broad, SIDE, bodies.view.camera)
-        offset, part = self._votes(bodies, box)
+        offset, part = self.votes(bodies, box)
         labels[box] = gathered(np.indices(part.shape) + offset[::-1], part & ~on_far_half(bodies.points[box]))
         return labels
 
-    def _votes(self, bodies: Bodies, box: tuple[slice, slice]) -> tuple[np.ndarray, np.ndarray]:
+    def votes(self, bodies: Bodies, box: tuple[slice, slice]) -> tuple[np.ndarray, np.ndarray]:
         """(2, h, w) [px] across and down, rounded; (h, w) bool: pixels that show a part."""
         cut = cropped_evidence(evidence_of(bodies), box)
         batch = [torch.from_numpy(cut[name])[None] for name in ("measured", "restored", "returned", "up")]

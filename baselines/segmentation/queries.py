@@ -16,9 +16,10 @@ from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
 
 if TYPE_CHECKING:
     from baselines.restoration.learned import Restorer
+    from baselines.segmentation.learned import PartFinder
 
-MASKS_WEIGHTS = "restoration-unmasked"
-"""Of the network that restores noisy images before they are segmented."""
+MASKS_WEIGHTS = ("restoration-unmasked", "segmentation")
+"""Of the network that restores noisy images, and of that which tells parts apart in them."""
 WINDOW = 10  # [px] around the pivot: the part where no instance is found
 
 
@@ -37,7 +38,8 @@ class OnPredictedMasks:
 
 def with_predicted_masks(query: Query, scale: float = 1.0) -> Query:
     """The query with masks from its depth image alone. Its pivot says which instance is the part: the nearest one."""
-    labels = segmented(query.view, query.sensor, scale, None if query.sensor == "ideal" else _restorer()).copy()
+    networks = () if query.sensor == "ideal" else mask_networks()
+    labels = segmented(query.view, query.sensor, scale, *networks).copy()
     own = FIRST_PART_LABEL + query.part
     pivots = part_pivots(query.view, labels)
     if pivots:
@@ -53,11 +55,13 @@ def with_predicted_masks(query: Query, scale: float = 1.0) -> Query:
 
 
 @lru_cache(maxsize=1)
-def _restorer() -> Restorer:
-    """The network that restores noisy images without masks."""
+def mask_networks() -> tuple[Restorer, PartFinder]:
+    """The networks of MASKS_WEIGHTS."""
     from baselines.restoration.learned import Restorer
+    from baselines.segmentation.learned import PartFinder
 
-    return Restorer(WEIGHTS / MASKS_WEIGHTS)
+    restoration, parts = MASKS_WEIGHTS
+    return Restorer(WEIGHTS / restoration), PartFinder(WEIGHTS / parts)
 
 
 def _around_pivot(query: Query) -> np.ndarray:
