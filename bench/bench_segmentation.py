@@ -41,13 +41,14 @@ def main(
     dataset = Dataset(data)
     assemblies = []
     scenes, scale = dataset.split(split, truth=True), dataset.summary["config"]["scale"]
-    rows, chosen = [], {"both": 2, "restoration": 1, "none": 0}[networks] if sensor != "ideal" else 0
-    used = mask_networks()[:chosen] if chosen else ()
+    rows: list[tuple[float, ...]] = []
+    restorer, finder = (None, None) if networks == "none" or sensor == "ideal" else mask_networks()
+    finder = finder if networks == "both" else None
     for scene_id in scenes.scene_ids[:limit]:
         scene = scenes.scene(scene_id)
         image = scene.labelled_depth(sensor)
         start = process_time()
-        found = segmented(image.view, sensor, scale, *used)
+        found = segmented(image.view, sensor, scale, restorer, finder)
         seconds = process_time() - start
         iou = matched_masks(found, image.labels).iou
         assemblies.append(scene.scene.bodies[0].id)

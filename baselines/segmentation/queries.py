@@ -38,8 +38,8 @@ class OnPredictedMasks:
 
 def with_predicted_masks(query: Query, scale: float = 1.0) -> Query:
     """The query with masks from its depth image alone. Its pivot says which instance is the part: the nearest one."""
-    networks = () if query.sensor == "ideal" else mask_networks()
-    labels = segmented(query.view, query.sensor, scale, *networks).copy()
+    restorer, finder = (None, None) if query.sensor == "ideal" else mask_networks()
+    labels = segmented(query.view, query.sensor, scale, restorer, finder).copy()
     own = FIRST_PART_LABEL + query.part
     pivots = part_pivots(query.view, labels)
     if pivots:

@@ -25,7 +25,7 @@ from kit1000.values import FIRST_PART_LABEL
 
 OUT = Path(__file__).with_name("segmentation.png")
 SCENES, CASES = 40, (0.9, 0.5, 0.1)  # of which images are segmented, and the quantiles of their IoU that are shown
-SIZE = (200, 300)  # [px] rows and columns about the parts
+SIZE = (208, 304)  # [px] rows and columns about the parts, multiples of 16
 HIGHEST = 60.0  # [px] of height that is white
 FARTHEST = 40.0  # [px] of a vote that has full colour
 GAP = 2  # [px] of white about each picture
