@@ -25,7 +25,7 @@ from measured_dataset import measured_dataset
 from baselines.catalog import WEIGHTS
 from baselines.completion import ObservedPart
 from baselines.completion.completed import CompletedPart, PartCompleter
-from baselines.completion.frame import CODE, framed
+from baselines.completion.frame import CODE
 from baselines.completion.occupancy import filled_share
 from baselines.restoration import calibrated_image
 from kit1000.dataset.reader import Dataset, RecordedScene
@@ -141,9 +141,8 @@ def _measure(scene: RecordedScene, query: Query, completer: PartCompleter, datas
     exact = signed_distance(columns.grid, [(mesh, truth.world_from_part)], threads=1)
     hidden = np.isnan(observed.columns(VOXEL).distance[::2, ::2])
     counts = np.zeros((3, BINS))
-    part = framed(image, observed.label, observed.table_height())
-    if logits is not None and part is not None:
-        cells = part.codes == -CODE
+    if logits is not None and completed.framed is not None:
+        cells = completed.framed.codes == -CODE
         share = filled_share(mesh, truth.world_from_part, logits.grid)
         counts = bin_counts(logits.probability[cells], share[cells])
     scores = [completion_scores(volume, exact, hidden) for volume in (columns, network)]

@@ -9,7 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baselines.completion.frame import CELL, CODE, SHAPE, framed, grid_at, packed, pixel_box, unpacked
+from baselines.completion.frame import (
+    CELL,
+    CODE,
+    SHAPE,
+    TYPICAL,
+    framed,
+    grid_at,
+    packed,
+    pixel_box,
+    scale_of,
+    unpacked,
+)
 from baselines.completion.pixels import cropped
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh, mesh_from_solid
@@ -86,6 +97,35 @@ def test_what_a_neighbour_hides_is_unknown_and_a_table_without_return_is_free() 
     blind = framed(LabelledDepth(replace(image.view, depth=dropped), image.labels), PART)
     assert blind is not None
     assert (np.abs(blind.codes.astype(int) - free.codes) > 2).mean() < 1e-3
+
+
+@settings(max_examples=5, deadline=None)
+@given(st.floats(1.2, 2.5), st.floats(0.0, 0.02))
+def test_a_larger_scene_gives_the_same_evidence_at_its_scale(scale: float, table: float) -> None:
+    image = image_of(Pose.identity())
+    eye = Pose(EYE.wxyz, scale * EYE.xyz + (0, 0, table))
+    larger = LabelledDepth(View(CAMERA, eye, scale * image.view.depth), image.labels)
+    here, there = framed(image, PART), framed(larger, PART, table, scale=scale)
+    assert here is not None
+    assert there is not None
+    assert (np.abs(here.codes.astype(int) - there.codes) > 1).mean() < 1e-3
+    np.testing.assert_allclose(there.camera, here.camera, rtol=1e-5)
+    np.testing.assert_allclose(there.grid.centres(), scale * here.grid.centres() + (0, 0, table), atol=1e-6)
+
+
+def test_only_a_part_larger_than_those_learned_from_is_shrunk_and_then_to_their_size() -> None:
+    image = image_of(Pose.identity())
+    assert scale_of(image, PART) == 1.0
+    assert scale_of(image, NEIGHBOUR) == 1.0  # which is not there
+    sizes = []
+    for factor in (2.0, 3.0):
+        pose = Pose(EYE.wxyz, factor * EYE.xyz)
+        larger = LabelledDepth(View(CAMERA, pose, factor * image.view.depth), image.labels)
+        sizes.append(factor / scale_of(larger, PART))
+        assert framed(larger, PART, scale=scale_of(larger, PART)) is not None
+    assert sizes[0] == pytest.approx(sizes[1], rel=1e-4)
+    low, high = part_mesh().bounds
+    assert sizes[0] * np.ptp([low, high], axis=0).max() == pytest.approx(TYPICAL, rel=0.15)
 
 
 def test_a_mirrored_scene_gives_mirrored_evidence() -> None:

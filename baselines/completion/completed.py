@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from baselines.completion.columns import ObservedColumns
-from baselines.completion.frame import CODE, FramedPart, framed, packed, unpacked
+from baselines.completion.frame import CODE, FramedPart, framed, packed, scale_of, unpacked
 from baselines.completion.network import CompletionConfig, CompletionNet
 from baselines.completion.part import ObservedPart, PartEvidence
 from baselines.loading import ready
@@ -82,11 +82,15 @@ class CompletedPart:
         return self.observed.middle
 
     @cached_property
+    def framed(self) -> FramedPart | None:
+        """What the network reads; None where no pixel has a return."""
+        image, label, height = self.raw or self.observed.image, self.observed.label, self.observed.table_height()
+        return framed(image, label, height, scale=scale_of(image, label, height))
+
+    @cached_property
     def logits(self) -> FillLogits | None:
-        """On the grid of the network; None where no pixel has a return, or the part is larger than that grid."""
-        image = self.raw or self.observed.image
-        part = framed(image, self.observed.label, self.observed.table_height())
-        return None if part is None else self.completer(part)
+        """On the grid of the network; None where no pixel has a return."""
+        return None if self.framed is None else self.completer(self.framed)
 
     def probability(self, voxel: float) -> Volume:
         """1 - 2 p at each voxel of `ObservedPart.volume`, p the probability of it being filled: negative where likely.

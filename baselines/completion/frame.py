@@ -1,12 +1,14 @@
 """The frame in which a network completes a part: a grid on the table that always looks away from the camera.
 
 Its x axis points away from the camera along the table, its z axis up from the table, and its middle lies below the
-middle of what is seen of the part. So the scene may stand anywhere, at any yaw, and the evidence is the same.
+middle of what is seen of the part. So the scene may stand anywhere, at any yaw, and the evidence is the same. A part
+larger than those that the network learned from is shown to it at their size, with its scene.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +26,8 @@ TRUNCATION = 5e-3  # [m]
 CODE = 127  # of a distance of one truncation; unknown cells have the code -CODE
 PACK = 2  # cells along x and along y that are channels of one pixel of the network
 OUTLIERS = 0.02  # share of the seen points that is cut off at either end of each axis
+LARGEST = np.array([64e-3, 64e-3, 52e-3])  # [m] seen extents of parts of 50 mm, of which the network learns
+TYPICAL = 43e-3  # [m] the median of the longest of these extents
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +41,9 @@ class FramedPart:
     """(2,) float32: polar angle [rad] and distance [m] of the camera from the foot of the middle."""
 
 
-def framed(image: LabelledDepth, label: int, table_height: float = 0.0, flat: bool = True) -> FramedPart | None:
+def framed(
+    image: LabelledDepth, label: int, table_height: float = 0.0, flat: bool = True, scale: float = 1.0
+) -> FramedPart | None:
     """The evidence about a part; None where no pixel of it has a return, and where it is larger than the grid.
 
     Args:
@@ -45,9 +51,9 @@ def framed(image: LabelledDepth, label: int, table_height: float = 0.0, flat: bo
         label: of the part.
         table_height: [m] of the table in this image.
         flat: put the pixels of the table on its plane, as `baselines.calibration.flattened`; of no use to ideal depth.
+        scale: by which the scene is shrunk, so that a larger part looks as if it were of the size of those learned.
     """
-    pose = image.view.world_from_camera
-    lowered = View(image.view.camera, Pose(pose.wxyz, pose.xyz - (0.0, 0.0, table_height)), image.view.depth)
+    lowered = _shrunk(image.view, table_height, scale)
     grid = _grid(lowered, image.labels == label)
     if grid is None:
         return None
@@ -55,7 +61,18 @@ def framed(image: LabelledDepth, label: int, table_height: float = 0.0, flat: bo
     view = flattened(crop.view, crop.labels) if flat else crop.view
     values = tsdf(grid, view, crop.labels == label, TRUNCATION, threads=1).values
     codes = np.rint(CODE * np.where(np.isnan(values), np.float32(-1), values)).astype(np.int8)
-    return FramedPart(grid.moved(Pose.from_translation((0.0, 0.0, table_height))), codes, _camera(lowered, grid))
+    return FramedPart(_enlarged(grid, table_height, scale), codes, _camera(lowered, grid))
+
+
+def scale_of(image: LabelledDepth, label: int, table_height: float = 0.0) -> float:
+    """By which the scene of a part is shrunk: 1 unless it is seen to be LARGEST or more, then to a TYPICAL part.
+
+    The arguments are those of `framed`.
+    """
+    extents = _extents(_shrunk(image.view, table_height, 1.0), image.labels == label)
+    if extents is None or (extents.sizes <= LARGEST).all():
+        return 1.0
+    return float(extents.sizes.max()) / TYPICAL
 
 
 def grid_at(x: float, y: float, yaw: float) -> Grid:
@@ -63,8 +80,33 @@ def grid_at(x: float, y: float, yaw: float) -> Grid:
     return Grid.centred(Pose.from_rotvec((0.0, 0.0, yaw), (x, y, CELL * SHAPE[2] / 2)), SHAPE, CELL)
 
 
-def _grid(view: View, mask: np.ndarray) -> Grid | None:
-    """The grid of the pixels (H, W) of a part, in a world whose table is at height 0; None where it holds no part."""
+def _shrunk(view: View, table_height: float, scale: float) -> View:
+    """A view of the scene on a table at height 0, all lengths divided by a scale."""
+    pose = view.world_from_camera
+    foot = (pose.xyz - (0.0, 0.0, table_height)) / scale
+    return View(view.camera, Pose(pose.wxyz, foot), view.depth / np.float32(scale))
+
+
+def _enlarged(grid: Grid, table_height: float, scale: float) -> Grid:
+    """A grid in the scene of a `_shrunk` view, in the scene as it is."""
+    pose = grid.world_from_grid
+    foot = scale * pose.xyz + (0.0, 0.0, table_height)
+    return replace(grid, world_from_grid=Pose(pose.wxyz, foot), voxel_size=scale * grid.voxel_size)
+
+
+class _Extents(NamedTuple):
+    """Of what is seen of a part, without the OUTLIERS, in a world whose table is at height 0."""
+
+    yaw: float
+    """[rad] of the direction away from the camera."""
+    middle: np.ndarray
+    """(3,) [m] of the box in that direction."""
+    sizes: np.ndarray
+    """(3,) [m] away, across, and up from the table."""
+
+
+def _extents(view: View, mask: np.ndarray) -> _Extents | None:
+    """Of the pixels (H, W) of a part; None where there is none."""
     points = pixel_points(view, mask)
     if len(points) == 0:
         return None
@@ -72,10 +114,16 @@ def _grid(view: View, mask: np.ndarray) -> Grid | None:
     yaw = float(np.arctan2(away[1], away[0]))
     rotated = Pose.from_rotvec((0.0, 0.0, -yaw)).apply(points)
     low, high = np.percentile(rotated, [100 * OUTLIERS, 100 * (1 - OUTLIERS)], axis=0)
-    if (high - (*low[:2], 0.0) > CELL * np.array(SHAPE)).any():
+    return _Extents(yaw, (low + high) / 2, high - (*low[:2], 0.0))
+
+
+def _grid(view: View, mask: np.ndarray) -> Grid | None:
+    """The grid of the pixels (H, W) of a part, in a world whose table is at height 0; None where it holds no part."""
+    extents = _extents(view, mask)
+    if extents is None or (extents.sizes > CELL * np.array(SHAPE)).any():
         return None
-    x, y, _ = Pose.from_rotvec((0.0, 0.0, yaw)).apply((*((low + high) / 2)[:2], 0.0))
-    return grid_at(float(x), float(y), yaw)
+    x, y, _ = Pose.from_rotvec((0.0, 0.0, extents.yaw)).apply((*extents.middle[:2], 0.0))
+    return grid_at(float(x), float(y), extents.yaw)
 
 
 def _cropped_to(grid: Grid, image: LabelledDepth) -> LabelledDepth:
