@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from baselines.registration.cavity import VOXEL
-from baselines.registration.hypotheses import WIDER, find_cavities
+from baselines.registration.cavity import VOXEL, find_cavity, plate_grid
+from baselines.registration.hypotheses import SIDE, WIDER, find_cavities
 from baselines.registration.method import Registration
 from baselines.registration.sources import TrueSource
 from kit1000.dataset.reader import Dataset
@@ -21,6 +21,7 @@ from kit1000.predictor import PredictedMotion
 from kit1000.testing import check_predictor, moved_query, moved_truth
 from kit1000.testing.predictors import WORLD_MOTION
 from kit1000.values import LabelledDepth, Query, TrueGeometry, Truth
+from kit1000.voxels import Grid, Volume
 
 
 @pytest.fixture(scope="module")
@@ -189,6 +190,34 @@ def test_a_cavity_that_the_border_cuts_is_found_in_a_wider_relief(snaps: QueryTr
     assert len(found.region) == round(WIDER * cut / VOXEL)
     assert found.depth == pytest.approx(whole.depth, abs=0.1e-3)
     assert found.region.sum() == pytest.approx(whole.region.sum(), rel=0.01)
+
+
+@dataclass(frozen=True, eq=False)
+class FurrowedSource(TrueSource):
+    """Kits with a furrow from the origin of a plate outwards, 2.2 mm deep and 6 mm wide, as noise may bend a rim."""
+
+    world_from_plate: Pose = field(default_factory=Pose.identity)
+
+    def plate(self, grid: Grid) -> Volume:
+        """The kits, exact but for the furrow."""
+        volume = super().plate(grid)
+        x, y, z = np.moveaxis(self.world_from_plate.inverse().apply(grid.centres()), -1, 0)
+        furrow = (np.abs(x) < 3e-3) & (y > 0) & (z > -2.2e-3)
+        return Volume(grid, np.where(furrow, np.maximum(volume.values, np.float32(0.2)), volume.values))
+
+
+def test_a_cavity_that_runs_out_over_its_rim_is_found_by_a_deeper_cut(snaps: QueryTruths, data: Dataset) -> None:
+    known, truth = snaps[0]
+    query = replace(known, guess=truth.goal_drawn)
+    geometry = data.geometry.true_geometry(truth)
+    whole = min(find_cavities(TrueSource(geometry), query), key=lambda cavity: cavity.depth)
+    source = FurrowedSource(geometry, world_from_plate=whole.world_from_plate)
+    frame, noise = whole.world_from_plate, source.noise.distance
+    furrowed = source.plate(plate_grid(frame, WIDER * SIDE))
+    assert find_cavity(furrowed, frame, noise) is None
+    found = min(find_cavities(source, query), key=lambda cavity: cavity.depth)
+    assert found.depth == pytest.approx(whole.depth, abs=0.1e-3)
+    assert found.region.sum() == pytest.approx(whole.region.sum(), rel=0.1)
 
 
 @pytest.mark.parametrize("what", ["no part", "no kits", "no depth"])

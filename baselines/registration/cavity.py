@@ -53,12 +53,16 @@ def plate_grid(world_from_plate: Pose, side: float) -> Grid:
     return Grid((n, n, layers), VOXEL, world_from_plate @ first)
 
 
-def find_cavity(volume: Volume, world_from_plate: Pose, noise: float) -> Cavity | None:
+def find_cavity(volume: Volume, world_from_plate: Pose, noise: float, deeper: float = 1.0) -> Cavity | None:
     """The cavity in the volume of a plate on its `plate_grid`; None where there is none.
 
-    noise: [m] largest distance of points on the plate's face from its plane.
+    Args:
+        volume: of the plate.
+        world_from_plate: see `Cavity`.
+        noise: [m] largest distance of points on the plate's face from its plane.
+        deeper: by which the depth of the cut is multiplied, where the face is farther from its plane than noise says.
     """
-    cut = max(CUT, 1.25 * noise)
+    cut = deeper * max(CUT, 1.25 * noise)
     relief, free = heights_from_above(volume)
     certain = heights_from_above(volume, across_jumps=False)
     face = np.abs(relief) < cut

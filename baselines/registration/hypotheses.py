@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.completion.planes import find_planes, plane_frame, without_nested
-from baselines.registration.cavity import Cavity, find_cavity, plate_grid
+from baselines.registration.cavity import VOXEL, Cavity, find_cavity, plate_grid
 from baselines.registration.faces import right_angled, squared, standing_faces
 from baselines.registration.search import Candidate, SearchWindow, coarse_search
 from baselines.registration.sources import Source
@@ -24,6 +24,8 @@ from kit1000.voxels import Volume, surface_points
 SLACK_OFFSET, SLACK_ANGLE = 1.5e-3, np.radians(2.5)  # [m], [rad] searched beyond the largest error of a guess
 SIDE = 0.144  # [m] of a plate's relief, at least: the range of a guess and half a part's width on either side
 WIDER = 1.4  # times that, where the border cuts all cavities: a guess may be off by its largest error along two axes
+DEEPER = 2.0  # times as deep a cut, where all cavities then seem to run out over a rim: noise may bend a plate's face
+LEAST_REGION = 1e-4  # [m^2] a smaller hole is none that holds a part
 NEAR_GUESS = np.cos(np.radians(15))  # between the guess and a face that explains its tilt
 LIES = np.cos(MAX_ANGLE + SLACK_ANGLE)  # between the guess and the face on which the part lies, where it allows that
 LARGE = 1e-4  # [m^2] of a face that is tried beside a direction nearly its own
@@ -90,7 +92,7 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
     Args:
         source: of the kits.
         query: its guess.
-        side: [m] of the reliefs of plates; WIDER where they hold no cavity.
+        side: [m] of the reliefs of plates; WIDER where they hold no cavity, and then cut DEEPER.
         nested: whether a plane within a larger one may be a plate.
     """
     guessed = None if query.guess is None else query.guess.apply(query.pivot)
@@ -101,12 +103,14 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
         planes = without_nested(planes, points, normals, source.noise)
     frames = [plane_frame(plane, plane.point if guessed is None else guessed) for plane in planes]
     noise = source.noise.distance
-    for wide in (side, WIDER * side):
-        cavities = [find_cavity(source.plate(plate_grid(frame, wide)), frame, noise) for frame in frames]
+    small: list[Cavity] = []
+    for wide, deeper in ((side, 1.0), (WIDER * side, 1.0), (WIDER * side, DEEPER)):
+        cavities = [find_cavity(source.plate(plate_grid(frame, wide)), frame, noise, deeper) for frame in frames]
         found = [cavity for cavity in cavities if cavity is not None]
-        if found:
+        if any(np.count_nonzero(cavity.region) * VOXEL**2 > LEAST_REGION for cavity in found):
             return found
-    return []
+        small = small or found
+    return small
 
 
 def _faces_down(source: Source, part: Volume, query: Query, cavities: Sequence[Cavity], thorough: bool) -> list[Faces]:
