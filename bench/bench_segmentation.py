@@ -63,7 +63,8 @@ def main(
             f"{mean[5]:.2f} s (most {table[chosen, 5].max():.2f})"
         )
     if components is not None:
-        measure = "connected pieces: mean IoU of a scene"
+        method = "pieces of surfaces" if finder is None else "votes of pixels"
+        measure = f"{method}: mean IoU of a scene"
         add_components(components, f"segmentation, {sensor}", {measure: table[:, 1].tolist()}, assemblies)
 
 
