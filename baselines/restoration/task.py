@@ -112,5 +112,8 @@ def restoration_task(dataset: Dataset, preset: str, labelled: bool = True) -> tu
     """The task with new weights, and the config of its network. labelled: whether it reads masks."""
     config = replace(RESTORATION[preset], labelled=labelled)
     model = RestorationNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    views = SceneViews(dataset, dataset.split("train").scene_ids, config.views_seed, config.views, config.labelled)
+    scenes = dataset.split("train").scene_ids
+    views = SceneViews(
+        dataset=dataset, scenes=scenes, seed=config.views_seed, count=config.views, labelled=config.labelled
+    )
     return RestorationTask(views, dataset, "val", model), config

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from scipy.ndimage import maximum_filter
@@ -28,18 +30,18 @@ AROUND = 12  # [px] about bodies, where without masks the table counts too
 Example = dict[str, np.ndarray]
 
 
-@dataclass(frozen=True)
-class SceneViews:
-    """Crops of the first views of a seed; those of a view are made when one is first asked for, and kept (1.2 MB)."""
+@dataclass(frozen=True, kw_only=True)
+class ViewCrops(ABC):
+    """Crops of the first views of a seed; those of a view are made when one is first asked for, and kept (1.5 MB)."""
 
+    STREAM: ClassVar[str]
+    """Name of the random numbers."""
     dataset: Dataset
     scenes: Sequence[str]
     """Ids of those that are shown, all of the train split."""
     seed: int
     count: int
     """Of views."""
-    labelled: bool = True
-    """Whether their masks are known."""
     _kept: dict[int, list[Example]] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -50,11 +52,24 @@ class SceneViews:
             raise IndexError(index)
         view, crop = divmod(index, CROPS)
         if view not in self._kept:
-            self._kept[view] = self._crops(stream(self.seed, "restoration", view))
+            self._kept[view] = self.crops(stream(self.seed, self.STREAM, view))
         return self._kept[view][crop]
 
-    def _crops(self, rng: np.random.Generator) -> list[Example]:
-        """Crops of a scene as the calibrated d415 sees it from a new place."""
+    @abstractmethod
+    def crops(self, rng: np.random.Generator) -> list[Example]:
+        """CROPS crops of a scene as the calibrated d415 sees it from a new place."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneViews(ViewCrops):
+    """Of measured and true disparities."""
+
+    STREAM = "restoration"
+    labelled: bool = True
+    """Whether their masks are known."""
+
+    def crops(self, rng: np.random.Generator) -> list[Example]:
+        """About pixels of the kits and of parts."""
         image, depth = fresh_image(self.dataset, self.scenes, rng)
         whole = example_of(image, depth, self.labelled)
         places = [body_pixel(image.labels, KITS_SHARE[self.labelled], rng) for _ in range(CROPS)]

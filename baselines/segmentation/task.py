@@ -100,5 +100,6 @@ def centres_task(dataset: Dataset, preset: str, restoration: Path) -> tuple[Cent
     config = CENTRES[preset]
     model = CentresNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     scenes = dataset.split("train").scene_ids
-    views = PartViews(dataset, scenes, config.views_seed, config.views, Restorer(restoration))
+    restorer = Restorer(restoration)
+    views = PartViews(dataset=dataset, scenes=scenes, seed=config.views_seed, count=config.views, restorer=restorer)
     return CentresTask(views, dataset, "val", model), config

@@ -2,52 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from baselines.restoration.disparity import Evidence, cropped_evidence
 from baselines.restoration.learned import Restorer
-from baselines.restoration.views import SENSOR, body_pixel, box_about, fresh_image
+from baselines.restoration.views import CROPS, SENSOR, Example, ViewCrops, body_pixel, box_about, fresh_image
 from baselines.segmentation.bodies import Bodies, find_bodies
-from kit1000.dataset.reader import Dataset
-from kit1000.rng import stream
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 
-CROPS = 8  # of a view
 KITS_SHARE = 0.05  # of the crops: about a pixel of the kits
 
-Example = dict[str, np.ndarray]
 
+@dataclass(frozen=True, kw_only=True)
+class PartViews(ViewCrops):
+    """Of heights, with the middles of parts."""
 
-@dataclass(frozen=True)
-class PartViews:
-    """Crops of the first views of a seed; those of a view are made when one is first asked for, and kept (1.5 MB)."""
-
-    dataset: Dataset
-    scenes: Sequence[str]
-    """Ids of those that are shown, all of the train split."""
-    seed: int
-    count: int
-    """Of views."""
+    STREAM = "segmentation"
     restorer: Restorer
     """Of images without masks."""
-    _kept: dict[int, list[Example]] = field(default_factory=dict, repr=False, compare=False)
 
-    def __len__(self) -> int:
-        return self.count * CROPS
-
-    def __getitem__(self, index: int) -> Example:
-        if not 0 <= index < len(self):
-            raise IndexError(index)
-        view, crop = divmod(index, CROPS)
-        if view not in self._kept:
-            self._kept[view] = self._crops(stream(self.seed, "segmentation", view))
-        return self._kept[view][crop]
-
-    def _crops(self, rng: np.random.Generator) -> list[Example]:
-        """Crops of a scene as the calibrated d415 sees it from a new place."""
+    def crops(self, rng: np.random.Generator) -> list[Example]:
+        """About pixels of parts, and some of the kits."""
         image, _ = fresh_image(self.dataset, self.scenes, rng)
         whole = _example(image.labels, image.view, self.restorer.without_masks(image.view, SENSOR))
         return [cropped_evidence(whole, box_about(*body_pixel(image.labels, KITS_SHARE, rng))) for _ in range(CROPS)]
