@@ -9,40 +9,12 @@ from dataclasses import replace
 from baselines.catalog import Network
 from baselines.completion.kits import ObservedKits
 from baselines.completion.part import TABLE_MARGIN, ObservedPart
-from baselines.training.config import TrainConfig
+from baselines.training.config import UNET_TRAINING
 
 __all__ = ["TABLE_MARGIN", "ObservedKits", "ObservedPart"]
 
-SMALL = TrainConfig(
-    steps=5600,
-    batch=16,
-    optimizer="muon",
-    learning_rate=5e-3,
-    warmup=100,
-    decay="linear",
-    weight_decay=0.05,
-    ema_decay=0.998,
-    mixed_precision="bfloat16",
-    validate_every=500,
-    checkpoint_every=250,
-    workers=1,
-    threads=1,
-)
-KITS = TrainConfig(
-    steps=2500,
-    batch=16,
-    optimizer="muon",
-    learning_rate=3e-3,
-    warmup=100,
-    decay="linear",
-    weight_decay=0.05,
-    ema_decay=0.997,
-    mixed_precision="bfloat16",
-    validate_every=500,
-    checkpoint_every=100,
-    workers=0,
-    threads=1,
-)
+SMALL = replace(UNET_TRAINING, steps=5600, ema_decay=0.998, checkpoint_every=250, workers=1)
+KITS = replace(UNET_TRAINING, steps=2500, learning_rate=3e-3)
 NETWORKS = {
     "completion": Network(
         "baselines.completion.task:completion_task",

@@ -4,28 +4,15 @@
 `disparity` (what it reads), `views` (its examples), `network`, `task` (its training) and `learned` (its use).
 """
 
+from dataclasses import replace
+
 from baselines.catalog import Network
 from baselines.restoration.edges import calibrated_image, restored, restored_edges, restored_query
-from baselines.training.config import TrainConfig
+from baselines.training.config import UNET_TRAINING
 
 __all__ = ["calibrated_image", "restored", "restored_edges", "restored_query"]
 
-SMALL = TrainConfig(
-    steps=3500,
-    batch=16,
-    optimizer="muon",
-    learning_rate=5e-3,
-    warmup=100,
-    decay="linear",
-    weight_decay=0.05,
-    clip=1.0,
-    ema_decay=0.997,
-    mixed_precision="bfloat16",
-    validate_every=500,
-    checkpoint_every=100,
-    workers=0,
-    threads=1,
-)
+SMALL = replace(UNET_TRAINING, clip=1.0)
 NETWORKS = {
     "restoration": Network(
         "baselines.restoration.task:restoration_task",

@@ -10,29 +10,16 @@ each pixel votes for the middle of its part: `network`, `views` (its examples), 
 votes to parts) and `learned` (its use).
 """
 
+from dataclasses import replace
+
 from baselines.catalog import Network
-from baselines.training.config import TrainConfig
+from baselines.training.config import UNET_TRAINING
 
 NETWORKS = {
     "segmentation": Network(
         "baselines.segmentation.task:centres_task",
         {
-            "small": TrainConfig(
-                steps=3500,
-                batch=16,
-                optimizer="muon",
-                learning_rate=5e-3,
-                warmup=100,
-                decay="linear",
-                weight_decay=0.05,
-                clip=1.0,
-                ema_decay=0.997,
-                mixed_precision="bfloat16",
-                validate_every=500,
-                checkpoint_every=100,
-                workers=0,
-                threads=1,
-            ),
+            "small": replace(UNET_TRAINING, clip=1.0),
         },
         weights={"restoration": "restoration-unmasked"},
     ),

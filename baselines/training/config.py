@@ -71,3 +71,21 @@ class TrainConfig:
 def _at_least(name: str, value: float | None, least: int) -> None:
     if value is not None and not value >= least:
         raise InputError(f"{name}: expected {least} or more, got {value}")
+
+
+UNET_TRAINING = TrainConfig(
+    steps=3500,
+    batch=16,
+    optimizer="muon",
+    learning_rate=5e-3,
+    warmup=100,
+    decay="linear",
+    weight_decay=0.05,
+    ema_decay=0.997,
+    mixed_precision="bfloat16",
+    validate_every=500,
+    checkpoint_every=100,
+    workers=0,
+    threads=1,
+)
+"""Of the networks made of `baselines.unet`, but for what each of them says."""
