@@ -18,16 +18,17 @@ from baselines.completion import ObservedPart
 from baselines.completion.completed import SEEN_FREE, CompletedPart, FillLogits, PartCompleter
 from baselines.completion.frame import CODE, SHAPE, FramedPart, framed, grid_at
 from baselines.completion.network import CompletionConfig, CompletionNet
-from baselines.completion.occupancy import filled_share
 from baselines.registration.sources import DepthSource
 from baselines.training.checkpoint import save_weights
 from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, mesh_from_solid
+from kit1000.metrics.volumes import occupancy_iou
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 from kit1000.voxels import Grid, signed_distance
+from tests.completion_cases import Oracle
 from tests.shapes import MM, box
 
 CAMERA = Camera(width=400, height=300, fx=500.0, fy=500.0, cx=199.5, cy=149.5)
@@ -46,21 +47,6 @@ def observed(mesh: Mesh) -> ObservedPart:
     image = render(CAMERA, EYE, [(table, Pose.identity()), (mesh, Pose.identity())], 1)
     labels = np.where(image.body_ids > 1, PART, 0).astype(np.uint8)
     return ObservedPart(LabelledDepth(View(CAMERA, EYE, image.depth), labels), PART, np.array([0, 0, 0.02]))
-
-
-class Oracle(PartCompleter):
-    """Knows the part."""
-
-    def __init__(self, mesh: Mesh) -> None:
-        self.mesh = mesh
-
-    def __call__(self, part: FramedPart) -> FillLogits:
-        share = filled_share(self.mesh, Pose.identity(), part.grid)
-        return FillLogits(part.grid, (20 * (share - 0.5)).astype(np.float32))
-
-
-def iou(volume: np.ndarray, exact: np.ndarray) -> float:
-    return float(((volume < 0) & (exact < 0)).sum() / ((volume < 0) | (exact < 0)).sum())
 
 
 def network(seed: int = 0) -> CompletionNet:
@@ -100,12 +86,12 @@ def test_a_known_part_is_completed_to_itself_where_columns_fill_what_is_not_ther
     completed = CompletedPart(part, Oracle(mesh))
     volume = completed.volume(VOXEL)
     exact = signed_distance(volume.grid, [(mesh, Pose.identity())], threads=1).values
-    assert iou(part.volume(VOXEL).values, exact) < 0.8
-    assert iou(volume.values, exact) > 0.93
+    assert occupancy_iou(part.volume(VOXEL).values, exact) < 0.8
+    assert occupancy_iou(volume.values, exact) > 0.93
     assert volume.grid == part.volume(VOXEL).grid
     probability = completed.probability(VOXEL)
     assert probability.grid == volume.grid
-    assert iou(probability.values, exact) > 0.9
+    assert occupancy_iou(probability.values, exact) > 0.9
     evidence = completed.evidence(VOXEL)
     np.testing.assert_array_equal(evidence.filled.values, volume.values)
     np.testing.assert_array_equal(evidence.possible.values, part.evidence(VOXEL).possible.values)

@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
 from baselines.completion import ObservedPart
-from baselines.completion.completed import CompletedPart, FillLogits, PartCompleter
-from baselines.completion.frame import FramedPart, framed
-from baselines.completion.occupancy import filled_share
+from baselines.completion.completed import CompletedPart
+from baselines.completion.frame import framed
 from baselines.completion.part import HALF_WIDTH
 from baselines.registration.hypotheses import SIDE, SLACK_OFFSET, plate_side
 from baselines.registration.relief import MARGIN, image_cells
@@ -19,26 +18,17 @@ from baselines.registration.sweep import BEYOND, CELL, LAYER, REACH, Sweep, enve
 from kit1000.camera import Camera, look_at
 from kit1000.guesses import MAX_OFFSET
 from kit1000.mesh import Mesh, mesh_from_solid
+from kit1000.metrics.volumes import occupancy_iou
 from kit1000.pose import Pose, random_quaternions
 from kit1000.sim.render import render
 from kit1000.values import LabelledDepth, View
 from kit1000.voxels import Grid, Volume, signed_distance
+from tests.completion_cases import Oracle
 from tests.shapes import MM, box
 
 CAMERA = Camera(width=400, height=300, fx=420.0, fy=420.0, cx=199.5, cy=149.5)
 EYE = look_at((0.35, 0.1, 0.6), (0, 0, 0))
 PART, VOXEL = 2, 1e-3
-
-
-class Oracle(PartCompleter):
-    """Knows the part that stands at the origin."""
-
-    def __init__(self, mesh: Mesh) -> None:
-        self.mesh = mesh
-
-    def __call__(self, part: FramedPart) -> FillLogits:
-        share = filled_share(self.mesh, Pose.identity(), part.grid)
-        return FillLogits(part.grid, (20 * (share - 0.5)).astype(np.float32))
 
 
 def seen(length: float) -> LabelledDepth:
@@ -62,12 +52,6 @@ def cuboid(sides: tuple[float, float, float]) -> Volume:
     return signed_distance(grid, [(mesh, Pose.identity())], threads=1)
 
 
-def iou(volume: Volume, exact: Volume) -> float:
-    """Of the solids."""
-    a, b = volume.values < 0, exact.values < 0
-    return float((a & b).sum() / (a | b).sum())
-
-
 @pytest.mark.parametrize("length", [40, 60, 110])
 def test_the_volume_of_an_observed_part_holds_it(length: float) -> None:
     part = ObservedPart(seen(length), PART, np.array([0, 0, 0.015]))
@@ -77,7 +61,7 @@ def test_the_volume_of_an_observed_part_holds_it(length: float) -> None:
     )
     both = ((volume.values < 0) & (exact.values < 0)).sum()
     assert both * VOXEL**3 > 0.85 * (length * 40 * 30 * 1e-9)
-    assert iou(volume, exact) > 0.85
+    assert occupancy_iou(volume, exact) > 0.85
     assert (part.half_width == HALF_WIDTH) == (length <= 60)  # small parts have the same volume
 
 
@@ -91,8 +75,8 @@ def test_a_part_larger_than_the_grid_of_the_network_is_completed_in_larger_cells
     assert completed.logits.grid.voxel_size > 2e-3
     filled, found = part.volume(VOXEL), completed.volume(VOXEL)
     exact = signed_distance(filled.grid, [(table, Pose.identity())], threads=1)
-    assert iou(filled, exact) < 0.7
-    assert iou(found, exact) > 0.85
+    assert occupancy_iou(filled, exact) < 0.7
+    assert occupancy_iou(found, exact) > 0.85
 
 
 @settings(max_examples=8, deadline=None)

@@ -104,12 +104,14 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
     frames = [plane_frame(plane, plane.point if guessed is None else guessed) for plane in planes]
     noise = source.noise.distance
     small: list[Cavity] = []
-    for wide, deeper in ((side, 1.0), (WIDER * side, 1.0), (WIDER * side, DEEPER)):
-        cavities = [find_cavity(source.plate(plate_grid(frame, wide)), frame, noise, deeper) for frame in frames]
-        found = [cavity for cavity in cavities if cavity is not None]
-        if any(np.count_nonzero(cavity.region) * VOXEL**2 > LEAST_REGION for cavity in found):
-            return found
-        small = small or found
+    for wide, cuts in ((side, (1.0,)), (WIDER * side, (1.0, DEEPER))):
+        volumes = [source.plate(plate_grid(frame, wide)) for frame in frames]
+        for deeper in cuts:
+            cavities = [find_cavity(*plate, noise, deeper) for plate in zip(volumes, frames, strict=True)]
+            found = [cavity for cavity in cavities if cavity is not None]
+            if any(np.count_nonzero(cavity.region) * VOXEL**2 > LEAST_REGION for cavity in found):
+                return found
+            small = small or found
     return small
 
 

@@ -63,8 +63,10 @@ def _grey(depths: np.ndarray) -> np.ndarray:
 
 
 def joined(pictures: list[np.ndarray], axis: int) -> np.ndarray:
-    """Pictures (h, w) side by side (axis 1) or below each other, with gaps."""
-    gap = np.full((pictures[0].shape[0], GAP) if axis else (GAP, pictures[0].shape[1]), PAPER)
+    """Pictures (h, w), or (h, w, 3), side by side (axis 1) or below each other, with gaps."""
+    shape = list(pictures[0].shape)
+    shape[axis] = GAP
+    gap = np.full(shape, PAPER)
     return np.concatenate([piece for picture in pictures for piece in (picture, gap)][:-1], axis=axis)
 
 

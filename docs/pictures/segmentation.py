@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from kit_completion import joined
 from PIL import Image
 
 from baselines.restoration.views import SENSOR
@@ -28,7 +29,6 @@ SCENES, CASES = 40, (0.9, 0.5, 0.1)  # of which images are segmented, and the qu
 SIZE = (208, 304)  # [px] rows and columns about the parts, multiples of 16
 HIGHEST = 60.0  # [px] of height that is white
 FARTHEST = 40.0  # [px] of a vote that has full colour
-GAP = 2  # [px] of white about each picture
 COLOURS = np.array(
     [
         [0.1, 0.1, 0.12],
@@ -52,10 +52,7 @@ def main(data: Path) -> None:
     shown = [found[min(int(share * len(found)), len(found) - 1)] for share in CASES]
     for iou, name, _ in shown:
         print(f"{name}: {100 * iou:.1f} %")
-    framed = [
-        [np.pad(each, ((GAP, GAP), (GAP, GAP), (0, 0)), constant_values=1.0) for each in row] for *_, row in shown
-    ]
-    levels = np.rint(255 * np.concatenate([np.concatenate(row, axis=1) for row in framed])).astype(np.uint8)
+    levels = np.rint(255 * joined([joined(row, axis=1) for *_, row in shown], axis=0)).astype(np.uint8)
     Image.fromarray(levels).save(OUT, optimize=True)
 
 
