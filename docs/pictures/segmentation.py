@@ -62,11 +62,12 @@ def _case(scene: RecordedScene) -> Case:
     rules, network = (segmented(image.view, SENSOR, 1.0, restorer, each) for each in (None, finder))
     bodies = find_bodies(image.view, SENSOR, restorer)
     rows, columns = np.nonzero(image.labels >= FIRST_PART_LABEL)
-    box = tuple(
+    tall, broad = (
         slice(start, start + size)
         for at, size, most in zip((rows, columns), SIZE, image.labels.shape, strict=True)
         for start in [int(np.clip((at.min() + at.max() - size) // 2, 0, most - size))]
     )
+    box = tall, broad
     heights = np.clip(evidence_of(bodies)["restored"][box] / HIGHEST, 0, 1)
     offset, part = finder.votes(bodies, box)
     vote = np.stack([offset[0], np.zeros_like(offset[0]), offset[1]], axis=-1) / FARTHEST
