@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.registration.cavity import VOXEL, find_cavity, plate_grid
-from baselines.registration.hypotheses import SIDE, WIDER, find_cavities
+from baselines.registration.cavity import VOXEL, Cavity, find_cavity, plate_grid
+from baselines.registration.hypotheses import DEEPER, LEAST_REGION, SIDE, WIDER, find_cavities
 from baselines.registration.method import Registration
-from baselines.registration.sources import TrueSource
+from baselines.registration.sources import EXACT, TrueSource
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.mesh import Mesh
 from kit1000.metrics import Targets, pose_errors
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
@@ -29,6 +30,7 @@ def data(mini: Path) -> Dataset:
     return Dataset(mini)
 
 
+BESIDE = Pose.from_translation((0.5, 0.0, 0.0))
 QueryTruths = list[tuple[Query, Truth]]
 
 
@@ -197,12 +199,14 @@ class FurrowedSource(TrueSource):
     """Kits with a furrow from the origin of a plate outwards, 2.2 mm deep and 6 mm wide, as noise may bend a rim."""
 
     world_from_plate: Pose = field(default_factory=Pose.identity)
+    width: float = 6e-3
+    depth: float = 2.2e-3
 
     def plate(self, grid: Grid) -> Volume:
         """The kits, exact but for the furrow."""
         volume = super().plate(grid)
         x, y, z = np.moveaxis(self.world_from_plate.inverse().apply(grid.centres()), -1, 0)
-        furrow = (np.abs(x) < 3e-3) & (y > 0) & (z > -2.2e-3)
+        furrow = (np.abs(x) < self.width / 2) & (y > 0) & (z > -self.depth)
         return Volume(grid, np.where(furrow, np.maximum(volume.values, np.float32(0.2)), volume.values))
 
 
@@ -217,6 +221,46 @@ def test_a_cavity_that_runs_out_over_its_rim_is_found_by_a_deeper_cut(snaps: Que
     assert find_cavity(furrowed, frame, noise) is None
     found = min(find_cavities(source, query), key=lambda cavity: cavity.depth)
     assert found.depth == pytest.approx(whole.depth, abs=0.1e-3)
+    assert found.region.sum() == pytest.approx(whole.region.sum(), rel=0.1)
+
+
+@pytest.mark.parametrize("bent", [False, True])
+def test_where_rims_may_be_bent_each_plate_is_cut_deeper_by_itself(
+    bent: bool, snaps: QueryTruths, data: Dataset
+) -> None:
+    known, truth = snaps[0]
+    query, geometry = replace(known, guess=None), twins(data.geometry.true_geometry(truth))
+    whole = [cavity for cavity in find_cavities(TrueSource(geometry), query) if is_large(cavity)]
+    assert len(whole) == 2
+    frame = whole[0].world_from_plate
+    source = FurrowedSource(geometry, EXACT._replace(bent=bent), frame)
+    found = [cavity for cavity in find_cavities(source, query) if is_large(cavity)]
+    assert len(found) == 1 + bent
+    for cavity in found:
+        assert cavity.region.sum() == pytest.approx(whole[0].region.sum(), rel=0.1)
+
+
+def twins(geometry: TrueGeometry) -> TrueGeometry:
+    """The same with a second assembly half a metre from the first."""
+    first = geometry.assembly
+    second = first.moved(geometry.world_from_assembly.inverse() @ BESIDE @ geometry.world_from_assembly)
+    faces = np.concatenate([first.faces, second.faces + len(first.vertices)])
+    return replace(geometry, assembly=Mesh(np.concatenate([first.vertices, second.vertices]), faces))
+
+
+def is_large(cavity: Cavity) -> bool:
+    return cavity.region.sum() * VOXEL**2 > LEAST_REGION
+
+
+def test_cracks_are_closed_in_deeper_cuts(snaps: QueryTruths, data: Dataset) -> None:
+    known, truth = snaps[0]
+    query, geometry = replace(known, guess=truth.goal_drawn), data.geometry.true_geometry(truth)
+    whole = min(find_cavities(TrueSource(geometry), query), key=lambda cavity: cavity.depth)
+    source = FurrowedSource(geometry, world_from_plate=whole.world_from_plate, width=2.2e-3, depth=6e-3)
+    plate = source.plate(plate_grid(whole.world_from_plate, SIDE))
+    assert find_cavity(plate, whole.world_from_plate, source.noise.distance) is None
+    found = find_cavity(plate, whole.world_from_plate, source.noise.distance, DEEPER[0])
+    assert found is not None
     assert found.region.sum() == pytest.approx(whole.region.sum(), rel=0.1)
 
 

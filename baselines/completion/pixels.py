@@ -26,11 +26,13 @@ class Noise(NamedTuple):
     """[px] over which normals are averaged."""
     square: float = 0.0
     """[rad] from upright or level, within which a face of a part is taken to be so."""
+    bent: bool = False
+    """Whether rims may be farther off than `distance`."""
 
 
 IDEAL = Noise(0.5e-3, float(np.radians(4)), 3)
 SENSOR = Noise(2e-3, float(np.radians(8)), 7, float(np.radians(6)))
-RESTORED = Noise(1.2e-3, float(np.radians(6)), 5, float(np.radians(6)))
+RESTORED = Noise(1.2e-3, float(np.radians(6)), 5, float(np.radians(6)), bent=True)
 """Of an image of SENSOR that a network restored."""
 
 

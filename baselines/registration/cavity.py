@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation, binary_propagation, label
+from scipy.ndimage import binary_dilation, binary_opening, binary_propagation, label
 
 from kit1000.compiled import compiled
 from kit1000.pose import Pose
@@ -19,6 +19,7 @@ RIM = 1e-3  # [m] below the rim, where points are left out: the plate's face is 
 UNDER = 1e-3  # [m] below the floor, beyond which points are of another face: the plate's lower face is 2 mm away
 JUMP = 0.5  # of the truncated distance from one voxel down to the next: 2.5 mm where a level surface gives 1 mm
 SPECK = 12e-6  # [m^2] a smaller hole is noise
+CRACK = 3  # cells across a hole in a deeper cut, which must be wider: noise opens cracks to the outside
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,13 +61,17 @@ def find_cavity(volume: Volume, world_from_plate: Pose, noise: float, deeper: fl
         volume: of the plate.
         world_from_plate: see `Cavity`.
         noise: [m] largest distance of points on the plate's face from its plane.
-        deeper: by which the depth of the cut is multiplied, where the face is farther from its plane than noise says.
+        deeper: by which the depth of the cut is multiplied, where the face is farther from its plane than noise says;
+            there cracks are closed as well.
     """
     cut = deeper * max(CUT, 1.25 * noise)
     relief, free = heights_from_above(volume)
     certain = heights_from_above(volume, across_jumps=False)
     face = np.abs(relief) < cut
-    region = _enclosed(~(relief > -cut), free < -cut)
+    holes = ~(relief > -cut)
+    if deeper > 1:
+        holes = np.asarray(binary_opening(holes, np.ones((CRACK, CRACK))), bool)
+    region = _enclosed(holes, free < -cut)
     bottom = relief[region & (relief < -cut)]
     if len(bottom) * VOXEL**2 < SPECK:
         return None

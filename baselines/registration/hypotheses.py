@@ -24,7 +24,7 @@ from kit1000.voxels import Volume, surface_points
 SLACK_OFFSET, SLACK_ANGLE = 1.5e-3, np.radians(2.5)  # [m], [rad] searched beyond the largest error of a guess
 SIDE = 0.144  # [m] of a plate's relief, at least: the range of a guess and half a part's width on either side
 WIDER = 1.4  # times that, where the border cuts all cavities: a guess may be off by its largest error along two axes
-DEEPER = 2.0  # times as deep a cut, where all cavities then seem to run out over a rim: noise may bend a plate's face
+DEEPER = (2.0, 3.0)  # times as deep a cut, where a cavity then seems to run out over a rim: noise may bend it
 LEAST_REGION = 1e-4  # [m^2] a smaller hole is none that holds a part
 NEAR_GUESS = np.cos(np.radians(15))  # between the guess and a face that explains its tilt
 LIES = np.cos(MAX_ANGLE + SLACK_ANGLE)  # between the guess and the face on which the part lies, where it allows that
@@ -92,7 +92,8 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
     Args:
         source: of the kits.
         query: its guess.
-        side: [m] of the reliefs of plates; WIDER where they hold no cavity, and then cut DEEPER.
+        side: [m] of the reliefs of plates; WIDER where they hold no cavity. A plate without one is then cut DEEPER, and
+            at once where rims may be bent.
         nested: whether a plane within a larger one may be a plate.
     """
     guessed = None if query.guess is None else query.guess.apply(query.pivot)
@@ -102,17 +103,29 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
     if not nested:
         planes = without_nested(planes, points, normals, source.noise)
     frames = [plane_frame(plane, plane.point if guessed is None else guessed) for plane in planes]
-    noise = source.noise.distance
-    small: list[Cavity] = []
-    for wide, cuts in ((side, (1.0,)), (WIDER * side, (1.0, DEEPER))):
-        volumes = [source.plate(plate_grid(frame, wide)) for frame in frames]
-        for deeper in cuts:
-            cavities = [find_cavity(*plate, noise, deeper) for plate in zip(volumes, frames, strict=True)]
-            found = [cavity for cavity in cavities if cavity is not None]
-            if any(np.count_nonzero(cavity.region) * VOXEL**2 > LEAST_REGION for cavity in found):
-                return found
-            small = small or found
+    noise, small = source.noise, list[Cavity]()
+    for wide in (side, WIDER * side):
+        cuts = (1.0, *DEEPER) if noise.bent or wide > side else (1.0,)
+        found = [_cavity(source.plate(plate_grid(frame, wide)), frame, noise.distance, cuts) for frame in frames]
+        if any(map(_holds_a_part, found)):
+            return [cavity for cavity in found if cavity is not None]
+        small = small or [cavity for cavity in found if cavity is not None]
     return small
+
+
+def _cavity(volume: Volume, world_from_plate: Pose, noise: float, cuts: Sequence[float]) -> Cavity | None:
+    """The first cavity that holds a part, by deeper and deeper cuts; where none does, the first."""
+    first = None
+    for deeper in cuts:
+        cavity = find_cavity(volume, world_from_plate, noise, deeper)
+        if _holds_a_part(cavity):
+            return cavity
+        first = first or cavity
+    return first
+
+
+def _holds_a_part(cavity: Cavity | None) -> bool:
+    return cavity is not None and np.count_nonzero(cavity.region) * VOXEL**2 > LEAST_REGION
 
 
 def _faces_down(source: Source, part: Volume, query: Query, cavities: Sequence[Cavity], thorough: bool) -> list[Faces]:
