@@ -10,13 +10,22 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.ndimage import find_objects
 
 from baselines.calibration import CALIBRATED
 from baselines.catalog import WEIGHTS
 from baselines.registration.method import Registration
-from baselines.restoration.disparity import Evidence, above_table, depths, evidence, padded_box
+from baselines.restoration.disparity import (
+    Evidence,
+    above_table,
+    cropped_evidence,
+    depths,
+    evidence,
+    padded_box,
+    shifted_box,
+)
 from baselines.restoration.edges import closed_gaps, restored_edges
-from baselines.restoration.learned import DISPARITY_STEP, Restorer
+from baselines.restoration.learned import DISPARITY_STEP, STARTS, Restorer
 from baselines.restoration.network import SIDE, Mixture, RestorationConfig, RestorationNet
 from baselines.restoration.task import beside_jumps, restoration_task
 from baselines.restoration.views import CROPS, recorded_example
@@ -90,6 +99,44 @@ def test_padded_boxes_hold_theirs_within_the_image(left: int, width: int, top: i
         assert 0 <= padded.start <= span.start
         assert span.stop <= padded.stop <= size
         assert (padded.stop - padded.start) % SIDE == 0
+
+
+@given(st.integers(0, 1200), st.integers(1, 1280), st.integers(0, 700), st.integers(1, 720), st.sampled_from(STARTS))
+def test_shifted_boxes_hold_theirs_and_begin_elsewhere(
+    left: int, width: int, top: int, height: int, start: tuple[int, int]
+) -> None:
+    columns, rows = slice(left, min(left + width, CAMERA.width)), slice(top, min(top + height, CAMERA.height))
+    box = padded_box(rows, columns, SIDE, CAMERA)
+    shifted = shifted_box(box, start, SIDE, CAMERA)
+    for wide, span, before, size in zip(shifted, box, start, (CAMERA.height, CAMERA.width), strict=True):
+        assert 0 <= wide.start <= span.start
+        assert span.stop <= wide.stop <= size
+        assert (wide.stop - wide.start) % SIDE == 0
+        if before <= span.start and span.start - before + span.stop - span.start + SIDE <= size:
+            assert span.start - wide.start == before
+
+
+def test_a_pixel_is_where_the_second_of_three_images_shows_it(noisy: LabelledDepth) -> None:
+    torch.manual_seed(1)
+    net = untrained()
+    torch.nn.init.normal_(net.head.weight, std=0.1)  # so that it depends on where an image begins
+    found = Restorer(net)(noisy, D415, [ASSEMBLY_LABEL]).view
+    rows, columns = find_objects(noisy.labels)[ASSEMBLY_LABEL - 1]
+    box, shown = padded_box(rows, columns, SIDE, CAMERA), []
+    for start in STARTS:
+        wide = shifted_box(box, start, SIDE, CAMERA)
+        cut = cropped_evidence(read_of(noisy), wide)
+        with torch.inference_mode():
+            read = (torch.from_numpy(cut[name])[None] for name in ("disparity", "returned", "labels", "slope"))
+            likeliest = net.eval()(*read).likeliest()[0].numpy()
+        whole = np.zeros(noisy.labels.shape)
+        whole[wide] = likeliest
+        shown.append(whole)
+    kits = noisy.labels == ASSEMBLY_LABEL
+    low, middle, high = np.sort([image[kits] for image in shown], axis=0)
+    assert (high - low).max() > 0.1
+    back = above_table(found.depth, closed_gaps(noisy).view, D415)[kits]
+    np.testing.assert_allclose(back, middle, atol=DISPARITY_STEP)
 
 
 def test_a_mixture_is_a_density_and_its_likeliest_is_never_between() -> None:

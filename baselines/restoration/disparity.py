@@ -69,6 +69,22 @@ def padded_box(rows: slice, columns: slice, side: int, camera: Camera) -> Box:
     return _stretched(rows, side, camera.height), _stretched(columns, side, camera.width)
 
 
+def shifted_box(box: Box, start: tuple[int, int], side: int, camera: Camera) -> Box:
+    """A box of `side` px more in height and width that holds another one, beginning some px (at most that) before it.
+
+    Nearer to it where the image begins or ends sooner; as large as the image where that is smaller.
+    """
+    sizes = (camera.height, camera.width)
+    down, right = (_begun(at, before, side, size) for at, before, size in zip(box, start, sizes, strict=True))
+    return down, right
+
+
+def _begun(span: slice, before: int, side: int, size: int) -> slice:
+    length = min(span.stop - span.start + side, size // side * side)
+    start = min(max(span.start - before, 0, span.stop - length), size - length)
+    return slice(start, start + length)
+
+
 def _stretched(span: slice, side: int, size: int) -> slice:
     """A span that holds another one, a multiple of `side` long, within 0 to `size`."""
     length = min(-(-(span.stop - span.start) // side) * side, size // side * side)

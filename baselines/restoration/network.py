@@ -40,7 +40,13 @@ class RestorationConfig:
 
 
 RESTORATION = {
-    "small": RestorationConfig(),
+    "small": RestorationConfig(views=6000, views_seed=2041),
+    "pretraining": RestorationConfig(),
+    "second-pretraining": RestorationConfig(views=3000, views_seed=2035),
+}
+"""Each starts from the weights of the one before: pretraining, second-pretraining, small."""
+UNMASKED = {
+    "small": RestorationConfig(labelled=False),
 }
 
 

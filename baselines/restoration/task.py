@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +13,7 @@ from torch import Tensor
 
 from baselines.restoration.disparity import cropped_evidence
 from baselines.restoration.edges import JUMP
-from baselines.restoration.network import RESTORATION, Mixture, RestorationConfig, RestorationNet
+from baselines.restoration.network import RESTORATION, UNMASKED, Mixture, RestorationConfig, RestorationNet
 from baselines.restoration.views import Example, SceneViews, box_about, recorded_example
 from baselines.training.validation import drawn_targets
 from kit1000.dataset.reader import Dataset
@@ -110,7 +110,7 @@ def _mean(values: Tensor, where: Tensor) -> Tensor:
 
 def restoration_task(dataset: Dataset, preset: str, labelled: bool = True) -> tuple[RestorationTask, RestorationConfig]:
     """The task with new weights, and the config of its network. labelled: whether it reads masks."""
-    config = replace(RESTORATION[preset], labelled=labelled)
+    config = (RESTORATION if labelled else UNMASKED)[preset]
     model = RestorationNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     scenes = dataset.split("train").scene_ids
     views = SceneViews(
