@@ -17,9 +17,8 @@ NETWORKS = {
     "restoration": Network(
         "baselines.restoration.task:restoration_task",
         {
-            "small": replace(SMALL, steps=7000, learning_rate=2e-3, seed=2),
+            "small": replace(SMALL, steps=5000, learning_rate=3e-3, seed=1),
             "pretraining": SMALL,
-            "second-pretraining": replace(SMALL, steps=5000, learning_rate=3e-3, seed=1),
         },
     ),
     "restoration-unmasked": Network(

@@ -40,11 +40,10 @@ class RestorationConfig:
 
 
 RESTORATION = {
-    "small": RestorationConfig(views=6000, views_seed=2041),
+    "small": RestorationConfig(views=3000, views_seed=2035),
     "pretraining": RestorationConfig(),
-    "second-pretraining": RestorationConfig(views=3000, views_seed=2035),
 }
-"""Each starts from the weights of the one before: pretraining, second-pretraining, small."""
+"""`small` starts from the weights of `pretraining`."""
 UNMASKED = {
     "small": RestorationConfig(labelled=False),
 }
