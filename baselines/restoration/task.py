@@ -2,76 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from baselines.restoration.disparity import cropped_evidence
+from baselines.restoration.crop_task import CropTask, Recorded
 from baselines.restoration.edges import JUMP
 from baselines.restoration.network import RESTORATION, UNMASKED, Mixture, RestorationConfig, RestorationNet
-from baselines.restoration.views import Example, SceneViews, box_about, recorded_example
-from baselines.training.validation import drawn_targets
+from baselines.restoration.views import SceneViews, recorded_example
 from kit1000.dataset.reader import Dataset
 
-VALIDATION_SCENES = 30  # spread evenly over the validation split
 REACH = 7  # [px] from a jump of the truth, where a pixel counts as beside an edge
 FAR = 1.0  # [px] of disparity: a pixel that far from the truth shows another surface
 
 Batch = dict[str, Tensor]
 
 
-class Key(NamedTuple):
-    """A validation example: a crop about the pivot of a plate."""
-
-    scene_id: str
-    row: int
-    column: int
-
-
 @dataclass
-class RestorationTask:
-    """Restore a crop of one image."""
+class RestorationTask(CropTask[SceneViews]):
+    """Restore a crop of one image, calibrated by the table."""
 
-    training: SceneViews
-    dataset: Dataset
-    split: str
     model: RestorationNet
-    kept: dict[Key, Example] = field(default_factory=dict)
-    """The validation examples, once they are made: an image takes longer to read than to restore."""
 
-    def example(self, rng: np.random.Generator) -> Example:
-        """One of the crops of fresh views."""
-        return self.training[int(rng.integers(len(self.training)))]
-
-    def validation_keys(self) -> Sequence[Key]:
-        """Crops about the slots of the drawn targets of VALIDATION_SCENES scenes; without masks, about the parts."""
-        if not self.kept:
-            scenes = [query.scene_id for query, sensor in drawn_targets(self.dataset, self.split, VALIDATION_SCENES)]
-            for scene_id in dict.fromkeys(scenes):
-                self._keep(scene_id)
-        return list(self.kept)
-
-    def validation_example(self, key: Key) -> Example:
-        """The crop as the d415 recorded it, calibrated by the table."""
-        if key not in self.kept:
-            self._keep(key.scene_id)
-        return self.kept[key]
-
-    def _keep(self, scene_id: str) -> None:
-        """Make the example of a scene."""
-        labelled = self.training.labelled
+    def recorded(self, scene_id: str) -> Recorded:
+        """About the slot of the drawn target; without masks, about the part."""
         scene = self.dataset.split(self.split, truth=True).scene(scene_id)
         target = next(query for query in scene.queries if query.drawn)
-        image, whole = recorded_example(self.dataset, self.split, scene_id, labelled)
-        place = scene.truth_of(target.id).world_from_kit.xyz if labelled else target.pivot
-        at = image.view.camera.project(image.view.world_from_camera.inverse().apply(place))
-        column, row = np.rint(at).astype(int).tolist()
-        self.kept[Key(scene_id, row, column)] = cropped_evidence(whole, box_about(row, column))
+        image, whole = recorded_example(self.dataset, self.split, scene_id, self.training.labelled)
+        slot = scene.truth_of(target.id).world_from_kit.xyz
+        return Recorded(image.view, slot if self.training.labelled else target.pivot, whole)
 
     def loss(self, batch: Batch) -> Tensor:
         """() mean over the pixels that count of the negative logarithm of the likelihood of the truth."""

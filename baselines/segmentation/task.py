@@ -2,72 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from baselines.restoration.disparity import cropped_evidence
+from baselines.restoration.crop_task import CropTask, Recorded
 from baselines.restoration.learned import Restorer
-from baselines.restoration.views import SENSOR, box_about
+from baselines.restoration.views import SENSOR
 from baselines.segmentation.network import CENTRES, OFFSET_UNIT, CentresConfig, CentresNet, Votes
-from baselines.segmentation.views import Example, PartViews, recorded_example
-from baselines.training.validation import drawn_targets
+from baselines.segmentation.views import PartViews, recorded_example
 from kit1000.dataset.reader import Dataset
-
-VALIDATION_SCENES = 30  # spread evenly over the validation split
 
 Batch = dict[str, Tensor]
 
 
-class Key(NamedTuple):
-    """A validation example: a crop about the pivot of a part."""
-
-    scene_id: str
-    row: int
-    column: int
-
-
 @dataclass
-class CentresTask:
+class CentresTask(CropTask[PartViews]):
     """Find the middles of the parts in a crop of one image."""
 
-    training: PartViews
-    dataset: Dataset
-    split: str
     model: CentresNet
-    kept: dict[Key, Example] = field(default_factory=dict)
-    """The validation examples, once they are made."""
 
-    def example(self, rng: np.random.Generator) -> Example:
-        """One of the crops of fresh views."""
-        return self.training[int(rng.integers(len(self.training)))]
-
-    def validation_keys(self) -> Sequence[Key]:
-        """Crops about the drawn parts of VALIDATION_SCENES scenes."""
-        if not self.kept:
-            for query, sensor in drawn_targets(self.dataset, self.split, VALIDATION_SCENES):
-                if sensor == SENSOR:
-                    self._keep(query.scene_id, query.pivot)
-        return list(self.kept)
-
-    def validation_example(self, key: Key) -> Example:
-        """The crop as the d415 recorded it."""
-        self.validation_keys()
-        return self.kept[key]
-
-    def _keep(self, scene_id: str, pivot: np.ndarray) -> None:
-        """Make the example of a scene."""
-        image = self.dataset.split(self.split).scene(scene_id).labelled_depth(SENSOR)
-        at = image.view.camera.project(image.view.world_from_camera.inverse().apply(pivot))
-        column, row = np.rint(at).astype(int).tolist()
-        whole = recorded_example(image, self.training.restorer)
-        self.kept[Key(scene_id, row, column)] = cropped_evidence(whole, box_about(row, column))
+    def recorded(self, scene_id: str) -> Recorded:
+        """About the drawn part."""
+        scene = self.dataset.split(self.split).scene(scene_id)
+        pivot = next(query for query in scene.queries if query.drawn).pivot
+        image = scene.labelled_depth(SENSOR)
+        return Recorded(image.view, pivot, recorded_example(image, self.training.restorer))
 
     def loss(self, batch: Batch) -> Tensor:
         """() cross entropy of showing a part, and the mean error of the votes of parts in units of OFFSET_UNIT."""
