@@ -1,7 +1,8 @@
 """What methods read of a noisy depth image: calibrated by its table, its shadows closed, its edges where they are.
 
 `edges` does so by rules, without learning. A network learned it from fresh views of the scenes of the train split: read
-`disparity` (what it reads), `views` (its examples), `network`, `task` (its training) and `learned` (its use).
+`disparity` (what it reads), `views` (its examples), `network`, `crop_task` and `task` (its training), `learned` (its
+use).
 """
 
 from dataclasses import replace
