@@ -3,7 +3,7 @@
 The C library and numpy pick other instructions on other processors, and one sine in 1,400 then differs in its last bit.
 That is enough to change a mesh, because booleans of solids with parallel faces depend on last bits. Whatever reaches a
 file, or decides anything during generation, is therefore computed here, by sums and products of numpy alone. They
-are those of fdlibm (Sun Microsystems 1993), within one unit in the last place.
+are those of fdlibm (Sun Microsystems 1993), within one unit in the last place up to half a turn, and within two beyond.
 """
 
 from __future__ import annotations
