@@ -240,6 +240,34 @@ def test_where_rims_may_be_bent_each_plate_is_cut_deeper_by_itself(
         assert cavity.region.sum() == pytest.approx(whole[0].region.sum(), rel=0.1)
 
 
+@dataclass(frozen=True, eq=False)
+class PittedSource(TrueSource):
+    """Kits of which one plate has a pit of 8 mm x 8 mm in place of its cavity."""
+
+    world_from_plate: Pose = field(default_factory=Pose.identity)
+
+    def plate(self, grid: Grid) -> Volume:
+        """The kits, exact but for that plate."""
+        volume = super().plate(grid)
+        x, y, z = np.moveaxis(self.world_from_plate.inverse().apply(grid.centres()), -1, 0)
+        wide = np.maximum(np.abs(x), np.abs(y))
+        filled = np.where((wide < 40e-3) & (np.abs(z) < 20e-3), z / (5 * grid.voxel_size), volume.values)
+        pitted = np.where((wide < 4e-3) & (z > -5e-3), np.maximum(filled, 0.2), filled)
+        return Volume(grid, np.clip(pitted, -1, 1).astype(np.float32))
+
+
+@pytest.mark.parametrize("bent", [False, True])
+def test_where_rims_may_be_bent_small_holes_are_left_out_beside_a_cavity(
+    bent: bool, snaps: QueryTruths, data: Dataset
+) -> None:
+    known, truth = snaps[0]
+    query, geometry = replace(known, guess=None), twins(data.geometry.true_geometry(truth))
+    plates = [cavity.world_from_plate for cavity in find_cavities(TrueSource(geometry), query)]
+    found = find_cavities(PittedSource(geometry, EXACT._replace(bent=bent), plates[0]), query)
+    assert [is_large(cavity) for cavity in found].count(True) == 1
+    assert [is_large(cavity) for cavity in found].count(False) == (not bent)
+
+
 def twins(geometry: TrueGeometry) -> TrueGeometry:
     """The same with a second assembly half a metre from the first."""
     first = geometry.assembly

@@ -93,7 +93,7 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
         source: of the kits.
         query: its guess.
         side: [m] of the reliefs of plates; WIDER where they hold no cavity. A plate without one is then cut DEEPER, and
-            at once where rims may be bent.
+            at once where rims may be bent; there holes that hold no part are left out beside one that does.
         nested: whether a plane within a larger one may be a plate.
     """
     guessed = None if query.guess is None else query.guess.apply(query.pivot)
@@ -107,9 +107,11 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
     for wide in (side, WIDER * side):
         cuts = (1.0, *DEEPER) if noise.bent or wide > side else (1.0,)
         found = [_cavity(source.plate(plate_grid(frame, wide)), frame, noise.distance, cuts) for frame in frames]
-        if any(map(_holds_a_part, found)):
-            return [cavity for cavity in found if cavity is not None]
-        small = small or [cavity for cavity in found if cavity is not None]
+        cavities = [cavity for cavity in found if cavity is not None]
+        large = [cavity for cavity in cavities if _holds_a_part(cavity)]
+        if large:
+            return large if noise.bent else cavities
+        small = small or cavities
     return small
 
 
@@ -125,6 +127,7 @@ def _cavity(volume: Volume, world_from_plate: Pose, noise: float, cuts: Sequence
 
 
 def _holds_a_part(cavity: Cavity | None) -> bool:
+    """Whether there is a cavity, and its region is larger than LEAST_REGION."""
     return cavity is not None and np.count_nonzero(cavity.region) * VOXEL**2 > LEAST_REGION
 
 
