@@ -66,7 +66,6 @@ def find_cavity(volume: Volume, world_from_plate: Pose, noise: float, deeper: fl
     """
     cut = deeper * max(CUT, 1.25 * noise)
     relief, free = heights_from_above(volume)
-    certain = heights_from_above(volume, across_jumps=False)
     face = np.abs(relief) < cut
     holes = ~(relief > -cut)
     if deeper > 1:
@@ -89,6 +88,7 @@ def find_cavity(volume: Volume, world_from_plate: Pose, noise: float, deeper: fl
         seen = face & _seen_face(volume, cut)  # the far rim is that of the relief
         beyond = np.asarray(binary_propagation(region, mask=region | (face & ~seen)), bool)
         points = np.concatenate([points, _edges(seen, beyond)])
+    certain = heights_from_above(volume, across_jumps=False)
     return Cavity(world_from_plate, relief, free, face | region, region, depth, points, *certain)
 
 
