@@ -224,12 +224,23 @@ def test_a_cavity_that_runs_out_over_its_rim_is_found_by_a_deeper_cut(snaps: Que
     assert found.region.sum() == pytest.approx(whole.region.sum(), rel=0.1)
 
 
+@pytest.fixture(scope="module")
+def twin_plates(snaps: QueryTruths, data: Dataset) -> tuple[Query, TrueGeometry]:
+    """A query without a guess, and its scene with a second assembly half a metre from the first."""
+    known, truth = snaps[0]
+    geometry = data.geometry.true_geometry(truth)
+    first = geometry.assembly
+    second = first.moved(geometry.world_from_assembly.inverse() @ BESIDE @ geometry.world_from_assembly)
+    faces = np.concatenate([first.faces, second.faces + len(first.vertices)])
+    both = Mesh(np.concatenate([first.vertices, second.vertices]), faces)
+    return replace(known, guess=None), replace(geometry, assembly=both)
+
+
 @pytest.mark.parametrize("bent", [False, True])
 def test_where_rims_may_be_bent_each_plate_is_cut_deeper_by_itself(
-    bent: bool, snaps: QueryTruths, data: Dataset
+    bent: bool, twin_plates: tuple[Query, TrueGeometry]
 ) -> None:
-    known, truth = snaps[0]
-    query, geometry = replace(known, guess=None), twins(data.geometry.true_geometry(truth))
+    query, geometry = twin_plates
     whole = [cavity for cavity in find_cavities(TrueSource(geometry), query) if is_large(cavity)]
     assert len(whole) == 2
     frame = whole[0].world_from_plate
@@ -258,22 +269,13 @@ class PittedSource(TrueSource):
 
 @pytest.mark.parametrize("bent", [False, True])
 def test_where_rims_may_be_bent_small_holes_are_left_out_beside_a_cavity(
-    bent: bool, snaps: QueryTruths, data: Dataset
+    bent: bool, twin_plates: tuple[Query, TrueGeometry]
 ) -> None:
-    known, truth = snaps[0]
-    query, geometry = replace(known, guess=None), twins(data.geometry.true_geometry(truth))
+    query, geometry = twin_plates
     plates = [cavity.world_from_plate for cavity in find_cavities(TrueSource(geometry), query)]
     found = find_cavities(PittedSource(geometry, EXACT._replace(bent=bent), plates[0]), query)
     assert [is_large(cavity) for cavity in found].count(True) == 1
     assert [is_large(cavity) for cavity in found].count(False) == (not bent)
-
-
-def twins(geometry: TrueGeometry) -> TrueGeometry:
-    """The same with a second assembly half a metre from the first."""
-    first = geometry.assembly
-    second = first.moved(geometry.world_from_assembly.inverse() @ BESIDE @ geometry.world_from_assembly)
-    faces = np.concatenate([first.faces, second.faces + len(first.vertices)])
-    return replace(geometry, assembly=Mesh(np.concatenate([first.vertices, second.vertices]), faces))
 
 
 def is_large(cavity: Cavity) -> bool:
