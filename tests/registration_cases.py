@@ -10,6 +10,7 @@ from shapes import Seated, box, cylinder, ell, seated
 
 from baselines.registration.cavity import Cavity, find_cavity, plate_grid
 from baselines.registration.search import Candidate
+from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.motions import apply_error, goal_motion
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume, signed_distance
@@ -18,6 +19,26 @@ CLEARANCE = 2.5e-3
 UP = np.array([0.0, 0.0, 1.0])
 WORLD_FROM_KIT = Pose.from_rotvec((0.4, 0.2, 0.9), (0.3, -0.1, 0.15))
 WORLD_FROM_PART = Pose.from_rotvec((1.2, -0.4, 2.0), (-0.1, 0.2, 0.03))
+SIZE = np.array([30e-3, 20e-3, 12e-3])  # [m] of a cuboid
+
+
+def cuboid(size: np.ndarray = SIZE) -> Mesh:
+    """[m], about the origin."""
+    mesh = mesh_from_solid(box(*size))
+    return Mesh(mesh.vertices - mesh.bounds.mean(0), mesh.faces)
+
+
+def volume_of(mesh: Mesh, pose: Pose | None = None) -> Volume:
+    """A volume as the method makes them of parts, about the middle of a body."""
+    pose = Pose.identity() if pose is None else pose
+    grid = Grid.centred(Pose.from_translation(pose.xyz), (84, 84, 84), 1e-3)
+    return signed_distance(grid, [(mesh, pose)], threads=1)
+
+
+def columns(cell: float, cells: int) -> np.ndarray:
+    """(n, n, 2) [m]: positions of the columns of an image."""
+    steps = (np.arange(cells) - (cells - 1) / 2) * cell
+    return np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
 
 
 def known_cavity(relief: np.ndarray, world_from_plate: Pose | None = None, depth: float = 0.01) -> Cavity:

@@ -1,4 +1,4 @@
-"""The parts of registration against closed forms, brute force and known poses: reliefs, cavities, faces, candidates."""
+"""The parts of registration against closed forms, brute force and known poses: cavities, faces, candidates."""
 
 from __future__ import annotations
 
@@ -8,18 +8,17 @@ from itertools import product
 
 import numpy as np
 import pytest
-import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from registration_cases import SIZE, columns, cuboid, volume_of
 from sample_kits import sample_kit
-from shapes import Seated, box, ell, gaps, seated
+from shapes import Seated, ell, gaps, seated
 from strategies import poses
 
 from baselines.completion.pixels import IDEAL
 from baselines.completion.planes import Plane, find_planes, plane_frame
 from baselines.registration.cavity import VOXEL, find_cavity, plate_grid
 from baselines.registration.faces import standing_faces
-from baselines.registration.relief import dilated, lower_envelope
 from baselines.registration.search import (
     DEPTH_TOLERANCE,
     DUPLICATE_DISTANCE,
@@ -30,106 +29,14 @@ from baselines.registration.search import (
     without_duplicates,
 )
 from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
-from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh
+from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.motions import apply_error
 from kit1000.pose import Pose
-from kit1000.voxels import Grid, Volume, signed_distance, surface_points
+from kit1000.voxels import Volume, signed_distance, surface_points
 
 IDENTITY = Pose.identity()
-ROTATED = Pose.from_rotvec((0.3, -0.7, 1.1), (4e-3, -2e-3, 1e-3))
 TILTED = Pose.from_rotvec((0.5, 0.3, 0.9), (0.2, -0.1, 0.3))
 UP = np.array([0.0, 0.0, 1.0])
-SIZE = np.array([30e-3, 20e-3, 12e-3])
-
-
-def cuboid(size: np.ndarray = SIZE) -> Mesh:
-    """[m], about the origin."""
-    mesh = mesh_from_solid(box(*size))
-    return Mesh(mesh.vertices - mesh.bounds.mean(0), mesh.faces)
-
-
-def volume_of(mesh: Mesh, pose: Pose = IDENTITY) -> Volume:
-    """A volume as the method makes them of parts, about the middle of a body."""
-    grid = Grid.centred(Pose.from_translation(pose.xyz), (84, 84, 84), 1e-3)
-    return signed_distance(grid, [(mesh, pose)], threads=1)
-
-
-def columns(cell: float, cells: int) -> np.ndarray:
-    """(n, n, 2) [m]: positions of the columns of an image."""
-    steps = (np.arange(cells) - (cells - 1) / 2) * cell
-    return np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
-
-
-# relief
-
-
-@pytest.mark.parametrize("pose", [IDENTITY, ROTATED, TILTED], ids=["identity", "rotated", "tilted"])
-@pytest.mark.parametrize("plane_from_now", [IDENTITY, ROTATED.inverse()], ids=["from below", "along another axis"])
-def test_the_envelope_of_a_box_is_where_rays_enter_it(pose: Pose, plane_from_now: Pose) -> None:
-    about = plane_from_now @ Pose.from_translation(-pose.xyz)
-    envelope = lower_envelope(volume_of(cuboid(), pose), about, 1e-3, 60)
-    box_from_plane = pose.inverse() @ about.inverse()
-    starts = box_from_plane.apply(np.concatenate([columns(1e-3, 60), np.zeros((60, 60, 1))], axis=-1))
-    upward = box_from_plane.rotate(np.array([0.0, 0.0, 1.0]))
-    enters, _ = crossed(SIZE, starts, upward)
-    # Faces are exact; interpolation between voxels rounds edges off.
-    deep = np.diff(crossed(SIZE - 2e-3, starts, upward), axis=0)[0] > 0.5e-3
-    found = np.isfinite(envelope)
-    assert found[deep].all()
-    assert not found[np.diff(crossed(SIZE + 1e-3, starts, upward), axis=0)[0] < 0].any()
-    assert np.median(np.abs(envelope - enters)[deep]) < 0.01e-3
-    assert np.abs(envelope - enters)[deep].max() < 1e-3
-
-
-def crossed(size: np.ndarray, starts: np.ndarray, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where rays from starts (..., 3) enter a box and leave it: after the last entry, before the first exit of three.
-
-    A ray that misses leaves before it enters.
-    """
-    along = np.where(np.abs(along) < 1e-12, 1e-12, along)
-    ends = np.sort(np.stack([(-size / 2 - starts) / along, (size / 2 - starts) / along]), axis=0)
-    return ends[0].max(-1), ends[1].min(-1)
-
-
-def test_the_envelope_of_a_ball_is_a_bowl() -> None:
-    ball = trimesh.creation.icosphere(subdivisions=5, radius=0.02)
-    volume = volume_of(Mesh(np.array(ball.vertices), np.array(ball.faces, dtype=np.int32)))
-    out = np.linalg.norm(columns(1e-3, 60), axis=-1)
-    envelope = lower_envelope(volume, IDENTITY, 1e-3, 60)
-    np.testing.assert_allclose(envelope[out < 0.018], -np.sqrt(0.02**2 - out[out < 0.018] ** 2), atol=0.05e-3)
-    assert np.isposinf(envelope[out > 0.0202]).all()
-
-
-def lowest_around(image: np.ndarray, radius: float) -> np.ndarray:
-    """The minimum within a radius [cells] of each cell, cell by cell."""
-    n = len(image)
-    low = np.full((n, n), np.inf)
-    for i, j in np.ndindex(n, n):
-        u, v = np.ogrid[:n, :n]
-        low[i, j] = image[(u - i) ** 2 + (v - j) ** 2 <= radius**2].min()
-    return low
-
-
-def spotted(seed: int, n: int = 17) -> np.ndarray:
-    """(n, n) random heights, most columns empty."""
-    rng = np.random.default_rng(seed)
-    return np.where(rng.random((n, n)) < 0.15, rng.uniform(-0.02, 0, (n, n)), np.inf)
-
-
-@given(cells=st.integers(0, 5), seed=st.integers(0, 99))
-@settings(max_examples=20)
-def test_dilation_by_whole_cells_is_the_minimum_in_a_disc(cells: int, seed: int) -> None:
-    image = spotted(seed)
-    np.testing.assert_array_equal(dilated(image, 0.5e-3, cells * 0.5e-3), lowest_around(image, cells + 0.5))
-
-
-@given(clearance=st.floats(0, 2.5e-3), seed=st.integers(0, 99))
-@settings(max_examples=20)
-def test_dilation_reaches_the_clearance_to_within_half_a_cell(clearance: float, seed: int) -> None:
-    image, cell = spotted(seed), 0.5e-3
-    bigger = dilated(image, cell, clearance)
-    assert (bigger <= lowest_around(image, clearance / cell - 1e-9)).all()
-    assert (bigger >= lowest_around(image, np.sqrt(2) * clearance / cell + 0.5)).all()
 
 
 # plates and cavities

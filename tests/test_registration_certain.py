@@ -15,7 +15,7 @@ from baselines.completion.part import PartEvidence
 from baselines.registration.cavity import BELOW, VOXEL, find_cavity
 from baselines.registration.contradictions import MOST, TOLERANCE, KitHeights, contradictions
 from baselines.registration.intervals import IntervalProblem, _outside, floor_is_seen, refine_within, sweeps_of
-from baselines.registration.refine import MAX_RESIDUAL, clipped_rms, refine
+from baselines.registration.refine import MAX_RESIDUAL, Problem, clipped_rms, refine
 from baselines.registration.sweep import CELL, envelope_about
 from kit1000.pose import Pose
 from kit1000.voxels import Volume, surface_points
@@ -165,11 +165,30 @@ def problem_at(known: Case, evidence: PartEvidence, hold: float = 0.0) -> tuple[
     return problem, np.concatenate([np.zeros(3), middle])
 
 
+def distances_at(problem: IntervalProblem, twist: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n,) [m] twice at one twist (6,): from the intervals, from the filled part."""
+    (outside,), (filled,) = problem.distances(twist[None], problem.floors_at(twist))
+    return outside, filled
+
+
+@given(seed=st.integers(0, 1000))
+def test_residuals_at_many_twists_are_those_at_each(seed: int) -> None:
+    """Bit for bit, with the floors of one of them."""
+    known = case("an L")
+    problem, twist = problem_at(known, told(known.part), hold=0.5)
+    whole = Problem(problem.points, problem.sweeps[0], problem.down_normal, CLEARANCE, 1.0)
+    twists = twist + np.random.default_rng(seed).normal(size=(5, 6)) * 2e-3
+    for either in (problem, whole):
+        floors = either.floors_at(twists[0])
+        alone = np.concatenate([either.residuals(each[None], floors) for each in twists])
+        np.testing.assert_array_equal(either.residuals(twists, floors), alone)
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_where_nothing_is_unknown_intervals_are_distances(name: str) -> None:
     problem, twist = problem_at(case(name), told(case(name).part))
     for offset in (np.zeros(6), np.array([0.02, 0, -0.03, 1e-3, -2e-3, 1e-3])):
-        outside, filled = problem.distances(twist + offset)
+        outside, filled = distances_at(problem, twist + offset)
         differences = np.abs(outside - filled)  # surfaces are traced from different heights
         assert differences.max() < 2 * CELL
         assert differences.mean() < 0.01e-3
@@ -178,7 +197,7 @@ def test_where_nothing_is_unknown_intervals_are_distances(name: str) -> None:
 @pytest.mark.parametrize("name", CASES)
 def test_where_nothing_is_certain_no_point_is_outside(name: str) -> None:
     problem, twist = problem_at(case(name), untold(case(name).part))
-    outside, filled = problem.distances(twist + np.array([0, 0, 0, 3e-3, 0, 0]))
+    outside, filled = distances_at(problem, twist + np.array([0, 0, 0, 3e-3, 0, 0]))
     np.testing.assert_array_equal(outside, 0)
     assert np.abs(filled).max() > 1e-3
 
@@ -193,7 +212,7 @@ def test_less_certainty_never_puts_a_point_farther_outside(name: str) -> None:
     (sure, twist), (unsure, _) = (problem_at(known, evidence) for evidence in (told(known.part), wider))
     for offset in (0, 1e-3, -2e-3):
         at = twist + np.array([0, 0, 0, offset, -offset, offset])
-        assert (np.abs(unsure.distances(at)[0]) <= np.abs(sure.distances(at)[0]) + 1e-9).all()
+        assert (np.abs(distances_at(unsure, at)[0]) <= np.abs(distances_at(sure, at)[0]) + 1e-9).all()
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -164,7 +164,8 @@ def residuals_at(known: Case, goal_from_now: Pose, clearance: float = CLEARANCE)
     rotation = Pose(pose.wxyz, np.zeros(3))
     sweep = Sweep.from_part(known.part, known.pivot, rotation, known.cavity.depth, clearance)
     problem = Problem(known.cavity.points, sweep, rotation.rotate(known.down_normal), clearance, 1.0)
-    residuals = problem.residuals(np.concatenate([np.zeros(3), pose.apply(known.pivot)]))
+    twist = np.concatenate([np.zeros(3), pose.apply(known.pivot)])
+    (residuals,) = problem.residuals(twist[None], problem.floors_at(twist))
     np.testing.assert_allclose(residuals[-2:], 0, atol=1e-9)  # the face lies flat
     return residuals[:-2]
 

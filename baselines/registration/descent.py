@@ -19,6 +19,7 @@ SCALES = (4e-3, 2e-3, 1e-3, 0.5e-3)  # [m] of the Geman-McClure weights, from fa
 STEPS = 6  # of Levenberg-Marquardt at each scale
 LEVER = 0.02  # [m] a tilt moves the edge of a part by about its angle times this
 DIFFERENCES = np.array([1e-3, 1e-3, 1e-3, 5e-5, 5e-5, 5e-5])  # [rad, m] of the numerical derivatives
+NEIGHBOURS = np.concatenate([np.zeros((1, 6)), np.diag(DIFFERENCES), -np.diag(DIFFERENCES)])  # of a twist, and itself
 METRIC = np.array([LEVER, LEVER, LEVER, 1, 1, 1]) ** 2
 
 
@@ -37,11 +38,11 @@ class LeastSquares(Protocol):
         """(m, n) [m]: the floor under each point at a twist, of each sweep."""
         ...
 
-    def residuals(self, twist: np.ndarray, floors: np.ndarray | None = None) -> np.ndarray:
-        """(n + priors,) [m] at a twist.
+    def residuals(self, twists: np.ndarray, floors: np.ndarray) -> np.ndarray:
+        """(m, n + priors) [m] at twists (m, 6).
 
-        floors: those at some twist; at this one by default. Fixed ones keep the steps of the floor out of derivatives:
-        floors fix height and tilt, walls position and yaw.
+        floors: those at one twist. That all share them keeps the steps of the floor out of derivatives: floors fix
+        height and tilt, walls position and yaw.
         """
         ...
 
@@ -53,10 +54,10 @@ def descend(problem: LeastSquares, twist: np.ndarray, scales: Sequence[float] = 
     return twist
 
 
-def tilt_of(normal: np.ndarray, twist: np.ndarray) -> np.ndarray:
-    """(2,) horizontal part of a normal (3,), after the small rotation of a twist (6,)."""
-    (x, y, z), (a, b, c) = normal, twist[:3]
-    return np.array([x + b * z - c * y, y + c * x - a * z])
+def tilt_of(normal: np.ndarray, twists: np.ndarray) -> np.ndarray:
+    """(m, 2) horizontal part of a normal (3,), after the small rotations of twists (m, 6)."""
+    (x, y, z), (a, b, c) = normal, twists[:, :3].T
+    return np.stack([x + b * z - c * y, y + c * x - a * z], axis=1)
 
 
 def pose_at(twist: np.ndarray, rotation: Pose, pivot: np.ndarray) -> Pose:
@@ -70,14 +71,9 @@ def _levenberg(problem: LeastSquares, twist: np.ndarray, scale: float) -> np.nda
     damping = 1e-3
     for _ in range(STEPS):
         floors = problem.floors_at(twist)
-        residuals = problem.residuals(twist, floors)
+        residuals, *beside = problem.residuals(twist + NEIGHBOURS, floors)
         cost = _cost(residuals, problem.priors, scale)
-        jacobian = np.empty((len(residuals), 6))
-        for k in range(6):
-            step = np.zeros(6)
-            step[k] = DIFFERENCES[k]
-            ahead, behind = (problem.residuals(twist + way, floors) for way in (step, -step))
-            jacobian[:, k] = (ahead - behind) / (2 * DIFFERENCES[k])
+        jacobian = (np.stack(beside[:6], axis=1) - np.stack(beside[6:], axis=1)) / (2 * DIFFERENCES)
         weights = (scale**2 / (scale**2 + residuals**2)) ** 2
         weights[-problem.priors :] = 1
         weighted = (jacobian * weights[:, None]).T
@@ -85,7 +81,7 @@ def _levenberg(problem: LeastSquares, twist: np.ndarray, scale: float) -> np.nda
         mean = np.trace(normal[3:, 3:]) / 3 + 1e-9
         for _ in range(4):
             move = -solve_positive(normal + damping * mean * np.diag(METRIC), gradient)
-            if _cost(problem.residuals(twist + move, floors), problem.priors, scale) < cost:
+            if _cost(problem.residuals((twist + move)[None], floors)[0], problem.priors, scale) < cost:
                 twist, damping = twist + move, damping / 3
                 break
             damping *= 5

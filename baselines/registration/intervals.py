@@ -27,7 +27,7 @@ from baselines.registration.sweep import (
     floors_under,
     in_sweep,
     nearer,
-    rotation_matrix,
+    rotation_matrices,
 )
 from kit1000.compiled import compiled
 from kit1000.pose import Pose
@@ -83,7 +83,7 @@ def refine_within(
         hold=0.0 if floor_is_seen(cavity) else HOLD,
     )
     twist = descend(problem, np.concatenate([np.zeros(3), start]), scales)
-    outside, filled = problem.distances(twist)
+    (outside,), (filled,) = problem.distances(twist[None], problem.floors_at(twist))
     return Intervals(pose_at(twist, rotation, pivot), clipped_rms(outside), clipped_rms(filled))
 
 
@@ -142,38 +142,38 @@ class IntervalProblem:
         """(3, n) [m]: of the filled, the surely solid and the possible part."""
         return np.stack([floors_under(self.points, twist, sweep.floor) for sweep in self.sweeps])
 
-    def residuals(self, twist: np.ndarray, floors: np.ndarray | None = None) -> np.ndarray:
-        """(2 n + 3,) [m] at a twist (6,)."""
-        outside, filled = self.distances(twist, floors)
-        root = np.sqrt(len(outside))
-        tilt = self.stiffness * root * LEVER * tilt_of(self.down_normal, twist)
-        held = self.hold * root * (twist[5] - self.height)
-        return np.concatenate([outside, self.prior * filled, tilt, [held]])
+    def residuals(self, twists: np.ndarray, floors: np.ndarray) -> np.ndarray:
+        """(m, 2 n + 3) [m] at twists (m, 6); floors (3, n) [m] of `floors_at`."""
+        outside, filled = self.distances(twists, floors)
+        root = np.sqrt(len(self.points))
+        tilt = self.stiffness * root * LEVER * tilt_of(self.down_normal, twists)
+        held = self.hold * root * (twists[:, 5:] - self.height)
+        return np.concatenate([outside, self.prior * filled, tilt, held], axis=1)
 
-    def distances(self, twist: np.ndarray, floors: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-        """(n,) [m] of each point from its interval, and (n,) from the filled part."""
-        floors = self.floors_at(twist) if floors is None else floors
+    def distances(self, twists: np.ndarray, floors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(m, n) [m] of each point from its interval, and (m, n) from the filled part."""
         fields = [sweep.distance for sweep in self.sweeps]
-        outside, filled = np.empty(len(self.points)), np.empty(len(self.points))
+        outside, filled = np.empty((2, len(twists), len(self.points)))
         lowest = self.sweeps[0].lowest
-        _distances(self.points, twist, *fields, *floors, lowest, self.clearance, outside, filled)
+        _distances(self.points, twists, *fields, *floors, lowest, self.clearance, outside, filled)
         return outside, filled
 
 
 @compiled
-def _distances(points, twist, filled, sure, possible, f0, f1, f2, lowest, clearance, outside, from_filled):
-    """Fill the signed distances (n,) of points from their intervals and from the filled part.
+def _distances(points, twists, filled, sure, possible, f0, f1, f2, lowest, clearance, outside, from_filled):
+    """Fill the signed distances (m, n) of points from their intervals and from the filled part, at twists (m, 6).
 
     f0, f1, f2: (n,) the floors of the filled, the surely solid and the possible part.
     """
-    r = rotation_matrix(twist)
+    r = rotation_matrices(twists)
     for p in range(len(points)):
-        x, y, z = in_sweep(points[p], twist, r)
-        u, v, w = cell_at(x, y, z - lowest, filled.shape)
-        wall = distance_at(filled, u, v, w) - clearance
-        from_filled[p] = nearer(wall, f0[p] - z)
-        walls = _outside(distance_at(possible, u, v, w) - clearance, distance_at(sure, u, v, w) - clearance)
-        outside[p] = nearer(walls, _outside(f2[p] - z, f1[p] - z))
+        for t in range(len(twists)):  # innermost: twists nearby read the same cells
+            x, y, z = in_sweep(points[p], twists[t], r[t])
+            u, v, w = cell_at(x, y, z - lowest, filled.shape)
+            wall = distance_at(filled, u, v, w) - clearance
+            from_filled[t, p] = nearer(wall, f0[p] - z)
+            walls = _outside(distance_at(possible, u, v, w) - clearance, distance_at(sure, u, v, w) - clearance)
+            outside[t, p] = nearer(walls, _outside(f2[p] - z, f1[p] - z))
 
 
 @compiled

@@ -12,7 +12,7 @@ import numpy as np
 
 from baselines.registration.descent import LEVER, descend, pose_at, tilt_of
 from baselines.registration.search import Candidate
-from baselines.registration.sweep import Sweep, cell_at, distance_at, floors_under, in_sweep, nearer, rotation_matrix
+from baselines.registration.sweep import Sweep, cell_at, distance_at, floors_under, in_sweep, nearer, rotation_matrices
 from kit1000.compiled import compiled
 from kit1000.pose import Pose
 from kit1000.voxels import Volume
@@ -32,7 +32,8 @@ def refine(
     sweep = Sweep.from_part(part, pivot, rotation, cavity.depth, clearance)
     problem = Problem(sampled(cavity.points), sweep, rotation.rotate(candidate.down_normal), clearance, stiffness)
     twist = descend(problem, np.concatenate([np.zeros(3), candidate.plate_from_now.apply(pivot)]))
-    return pose_at(twist, rotation, pivot), clipped_rms(problem.residuals(twist)[: -problem.priors])
+    left = problem.residuals(twist[None], problem.floors_at(twist))[0, : -problem.priors]
+    return pose_at(twist, rotation, pivot), clipped_rms(left)
 
 
 def sampled(points: np.ndarray) -> np.ndarray:
@@ -68,21 +69,22 @@ class Problem:
         """(1, n) [m]"""
         return floors_under(self.points, twist, self.sweep.floor)[None]
 
-    def residuals(self, twist: np.ndarray, floors: np.ndarray | None = None) -> np.ndarray:
-        """(n + 2,) [m] at a twist (6,)."""
-        sweep, (floor,) = self.sweep, self.floors_at(twist) if floors is None else floors
-        distances = _residuals(self.points, twist, sweep.distance, floor, sweep.lowest, self.clearance)
-        tilt = tilt_of(self.down_normal, twist)
-        return np.append(distances, self.stiffness * np.sqrt(len(distances)) * LEVER * tilt)
+    def residuals(self, twists: np.ndarray, floors: np.ndarray) -> np.ndarray:
+        """(m, n + 2) [m] at twists (m, 6); floors (1, n) [m] of `floors_at`."""
+        sweep, (floor,) = self.sweep, floors
+        distances = _distances(self.points, twists, sweep.distance, floor, sweep.lowest, self.clearance)
+        tilt = tilt_of(self.down_normal, twists)
+        return np.concatenate([distances, self.stiffness * np.sqrt(len(self.points)) * LEVER * tilt], axis=1)
 
 
 @compiled
-def _residuals(points, twist, distance, floors, lowest, clearance):
-    """(n,) [m]: signed distance of each point from the wall or the floor, whichever is nearer."""
-    r = rotation_matrix(twist)
-    out = np.empty(len(points))
+def _distances(points, twists, distance, floors, lowest, clearance):
+    """(m, n) [m]: signed distance of each point from the wall or the floor, whichever is nearer, at twists (m, 6)."""
+    r = rotation_matrices(twists)
+    out = np.empty((len(twists), len(points)))
     for p in range(len(points)):
-        x, y, z = in_sweep(points[p], twist, r)
-        u, v, w = cell_at(x, y, z - lowest, distance.shape)
-        out[p] = nearer(distance_at(distance, u, v, w) - clearance, floors[p] - z)
+        for t in range(len(twists)):  # innermost: twists nearby read the same cells
+            x, y, z = in_sweep(points[p], twists[t], r[t])
+            u, v, w = cell_at(x, y, z - lowest, distance.shape)
+            out[t, p] = nearer(distance_at(distance, u, v, w) - clearance, floors[p] - z)
     return out

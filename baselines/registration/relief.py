@@ -17,6 +17,7 @@ from kit1000.pose import Pose
 from kit1000.voxels import Volume
 
 RADIUS = 0.06  # [m] below the middle of an image, where a search for the surface begins at the latest
+ROUNDING = 1e-6  # [voxels] about boxes, by which the ends of rays may be off
 MARGIN = 3e-3  # [m] least about the volume of a part, of its images
 
 
@@ -39,35 +40,32 @@ def lower_envelope(
     grid_from_plane = volume.grid.world_from_grid.inverse() @ plane_from_now.inverse()
     linear = grid_from_plane.rotation_matrix() / volume.grid.voxel_size
     origin = grid_from_plane.xyz / volume.grid.voxel_size
-    heights = np.empty((cells, cells))
-    low, high = _bounds(volume, plane_from_now)
-    lowest = min(-RADIUS, low[2])
+    heights = np.full((cells, cells), np.inf)
+    solid, near = _boxes(volume)
+    if solid is None or near is None:
+        return heights
+    corners = plane_from_now.apply(volume.grid.world(np.array(list(product(*solid.T)))))
+    lowest = min(-RADIUS, corners[:, 2].min())
     first = np.full((cells, cells), lowest) if start is None else np.maximum(start, lowest)
-    at = (np.arange(cells) - (cells - 1) / 2) * cell
-    first[(at < low[0]) | (at > high[0])] = np.inf
-    first[:, (at < low[1]) | (at > high[1])] = np.inf
-    _march(volume.values, linear, origin, cell, first, high[2], volume.grid.voxel_size, heights)
+    _march(volume.values, linear, origin, cell, first, solid, near, volume.grid.voxel_size, heights)
     return heights
 
 
-def _bounds(volume: Volume, plane_from_now: Pose) -> tuple[np.ndarray, np.ndarray]:
-    """(3,) [m] twice, in the plane's frame: the corners of a box that holds a solid; empty where there is none."""
-    box = _box(volume)
-    if box is None:
-        return np.full(3, np.inf), np.full(3, -np.inf)
-    corners = plane_from_now.apply(box)
-    return corners.min(0), corners.max(0)
-
-
 @lru_cache(maxsize=4)  # the volumes of a part, each asked for its envelopes many times
-def _box(volume: Volume) -> np.ndarray | None:
-    """(8, 3) [m] world: the corners of a box, along the axes of its grid, about a solid; None where there is none."""
-    solid = volume.values < 0
-    sides = [np.flatnonzero(solid.any(axes)) for axes in ((1, 2), (0, 2), (0, 1))]
+def _boxes(volume: Volume) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """(2, 3) [voxels], twice: the corners of the boxes outside which no value is negative, and outside which all are 1.
+
+    None where none is.
+    """
+    return _box(volume.values < 0), _box(volume.values != 1)
+
+
+def _box(voxels: np.ndarray) -> np.ndarray | None:
+    """(2, 3) [voxels]: the corners of the box in which voxels (nx, ny, nz) bool are read, linear between voxels."""
+    sides = [np.flatnonzero(voxels.any(axes)) for axes in ((1, 2), (0, 2), (0, 1))]
     if len(sides[0]) == 0:
         return None
-    ends = [(side[0] - 1.0, side[-1] + 1.0) for side in sides]  # the surface lies less than a voxel from the solid
-    return volume.grid.world(np.array(list(product(*ends))))
+    return np.array([[side[0] - 1.0 for side in sides], [side[-1] + 1.0 for side in sides]])
 
 
 def dilated(envelope: np.ndarray, cell: float, clearance: float) -> np.ndarray:
@@ -90,19 +88,32 @@ def disc(cell: float, clearance: float) -> np.ndarray:
 
 
 @compiled
-def _march(values, linear, origin, cell, first, radius, voxel, heights):
+def _march(values, linear, origin, cell, first, solid, near, voxel, heights):
+    """Fill heights (n, n) [m], +inf as they come, by sphere tracing upwards from `first` (n, n) [m].
+
+    solid, near: of `_boxes`. Before a ray enters `near` it reads nothing but 1, so its steps are known.
+    """
     n = heights.shape[0]
     dx, dy, dz = linear[0, 2], linear[1, 2], linear[2, 2]
     truncation = 5.0 * voxel
+    ray = np.empty(3)
     for i in range(n):
         for j in range(n):
             u, v = (i - (n - 1) / 2) * cell, (j - (n - 1) / 2) * cell
             x0 = linear[0, 0] * u + linear[0, 1] * v + origin[0]
             y0 = linear[1, 0] * u + linear[1, 1] * v + origin[1]
             z0 = linear[2, 0] * u + linear[2, 1] * v + origin[2]
+            ray[0], ray[1], ray[2] = x0, y0, z0
+            enters, leaves = _through(solid, ray, linear)
+            if enters > leaves:
+                continue
+            enters, _ = _through(near, ray, linear)
             height, before, low = np.inf, 1.0, first[i, j]
             w = first[i, j]
-            while w <= radius:
+            while w < enters:
+                low = w
+                w += truncation
+            while w <= leaves:
                 value = read_value(values, x0 + dx * w, y0 + dy * w, z0 + dz * w)
                 if value < 0:
                     height = low + (w - low) * before / (before - value) if before > value else w
@@ -110,6 +121,24 @@ def _march(values, linear, origin, cell, first, radius, voxel, heights):
                 before, low = value, w
                 w += max(value * truncation, 0.25 * voxel)
             heights[i, j] = height
+
+
+@compiled
+def _through(box, ray, linear):
+    """The heights [m] at which an upright ray enters and leaves a box (2, 3) [voxels]; leaving first where it misses.
+
+    ray: (3,) [voxels] where it is at height 0.
+    """
+    enters, leaves = -np.inf, np.inf
+    for axis in range(3):
+        slope = linear[axis, 2]
+        low, high = box[0, axis] - ROUNDING - ray[axis], box[1, axis] + ROUNDING - ray[axis]
+        if slope != 0:
+            a, b = low / slope, high / slope
+            enters, leaves = max(enters, min(a, b)), min(leaves, max(a, b))
+        elif low > 0 or high < 0:
+            return np.inf, -np.inf
+    return enters, leaves
 
 
 @compiled

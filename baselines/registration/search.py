@@ -131,7 +131,7 @@ def coarse_search(
                         for shift, misfit in best_shifts(
                             kits[key], envelope, cavity, window, about.apply(window.pivot)
                         ):
-                            pose = Pose.from_translation(shift) @ about
+                            pose = Pose(about.wxyz, about.xyz + shift)
                             difference = abs(cavity.depth - expected)
                             candidates.append(Candidate(cavity, pose, down_normal, difference, misfit))
     return sorted(candidates, key=lambda candidate: candidate.misfit)
@@ -166,7 +166,11 @@ def without_duplicates(candidates: Sequence[Candidate], pivot: np.ndarray, most:
     """
     if not candidates:
         return []
-    poses = Pose.stack([c.cavity.world_from_plate @ c.plate_from_now for c in candidates])
+    frames = (
+        Pose.stack([c.cavity.world_from_plate for c in candidates]),
+        Pose.stack([c.plate_from_now for c in candidates]),
+    )
+    poses = frames[0] @ frames[1]
     pivots, depths = poses.apply(pivot), np.array([c.cavity.depth for c in candidates])
     plates = np.array([id(c.cavity.world_from_plate) for c in candidates])
     left = np.ones(len(candidates), bool)
@@ -243,14 +247,15 @@ def best_shifts(
     middle = (kit.cells - len(envelope)) / 2  # the step that puts the middle of one image on that of the other
     axis = (np.where(steps > middle + kit.size / 2, steps - kit.size, steps) - middle) * CELL
     z = -cavity.depth - lowest
-    shifts = np.stack(np.broadcast_arrays(axis[:, None], axis[None], z), axis=-1)
-    misfit = np.where(window.positions_inside(cavity.world_from_plate, shifts + pivot), misfit, np.inf)
+    if window.guess is not None:
+        shifts = np.stack(np.broadcast_arrays(axis[:, None], axis[None], z), axis=-1)
+        misfit = np.where(window.positions_inside(cavity.world_from_plate, shifts + pivot), misfit, np.inf)
     ordered = misfit + ORDER * np.arange(misfit.size).reshape(misfit.shape)
     low = (ordered == minimum_filter(ordered, 2 * PEAK_DISTANCE + 1, mode="wrap")) & np.isfinite(misfit)
     i, j = np.nonzero(low)
     best = np.argsort(ordered[i, j], kind="stable")[:PEAKS]
     for a, b in zip(i[best], j[best], strict=True):
-        yield shifts[a, b], float(misfit[a, b])
+        yield np.array([axis[a], axis[b], z]), float(misfit[a, b])
 
 
 def _correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -84,23 +84,23 @@ def _horizontal_distances(heights, layer, cell, reach, distance):
     Exact up to `reach` cells, and that beyond. Half a cell less: the edge runs between a cell inside and the next.
     """
     layers, m, n = distance.shape
-    along, least = np.empty((m, n)), np.empty(n)
+    along, least = np.empty((m, n), np.int32), np.empty(n, np.int32)  # squares of whole cells: integers are exact
     for k in range(layers):
         for i in range(m):
-            gap = np.inf
+            gap = reach
             for j in range(n):
-                gap = 0.0 if heights[i, j] <= k * layer + 1e-9 else gap + 1
+                gap = 0 if heights[i, j] <= k * layer + 1e-9 else min(gap + 1, reach)
                 along[i, j] = gap
-            gap = np.inf
+            gap = reach
             for j in range(n - 1, -1, -1):
-                gap = 0.0 if heights[i, j] <= k * layer + 1e-9 else gap + 1
-                along[i, j] = min(along[i, j], gap)
+                gap = 0 if heights[i, j] <= k * layer + 1e-9 else min(gap + 1, reach)
+                along[i, j] = min(along[i, j], gap) ** 2
         for i in range(m):
-            for j in range(n):
-                least[j] = reach * reach
+            least[:] = reach**2
             for other in range(max(i - reach, 0), min(i + reach + 1, m)):
+                across = np.int32((other - i) ** 2)
                 for j in range(n):  # innermost: neighbours in memory
-                    least[j] = min(least[j], along[other, j] ** 2 + (other - i) ** 2)
+                    least[j] = min(least[j], along[other, j] + across)
             for j in range(n):
                 distance[k, i, j] = max(np.sqrt(least[j]) - 0.5, 0.0) * cell
 
@@ -117,6 +117,15 @@ def rotation_matrix(twist):
             [t * (x * z - y), t * (y * z + x), 1 - t * (x * x + y * y)],
         ]
     )
+
+
+@compiled
+def rotation_matrices(twists):
+    """(m, 3, 3) those of twists (m, 6)."""
+    matrices = np.empty((len(twists), 3, 3))
+    for t in range(len(twists)):
+        matrices[t] = rotation_matrix(twists[t])
+    return matrices
 
 
 @compiled
