@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from baselines.completion.pixels import Noise
+from kit1000.compiled import compiled
 from kit1000.pose import Pose, unit_vector
 from kit1000.products import eigenvectors, length, matmul
 
@@ -98,9 +99,7 @@ def _best_plane(
     """(3,) normal of the plane with most inliers, refitted, and (n,) bool of its inliers."""
     picks = rng.integers(len(points), size=min(HYPOTHESES, len(points)))
     offsets = np.einsum("ij,ij->i", points[picks], normals[picks])
-    far = np.abs(matmul(points, normals[picks].T) - offsets)
-    votes = ((far < 2 * distance) & (matmul(normals, normals[picks].T) > cosine)).sum(0)
-    best = int(votes.argmax())
+    best = int(_inliers(points, normals, normals[picks], offsets, 2 * distance, cosine).argmax())
     normal, offset = normals[picks[best]], offsets[best]
     for reach in (3 * distance, 2 * distance, distance, distance):
         inliers = (np.abs(matmul(points, normal) - offset) < reach) & (matmul(normals, normal) > cosine)
@@ -113,6 +112,23 @@ def _best_plane(
         offset = float(matmul(middle, normal))
     inliers = (np.abs(matmul(points, normal) - offset) < 2 * distance) & (matmul(normals, normal) > cosine)
     return normal, inliers
+
+
+@compiled
+def _inliers(points, normals, plane_normals, offsets, distance, cosine):
+    """(m,) how many of points (n, 3) lie within a distance [m] of each plane and face its way.
+
+    The planes are those of plane_normals (m, 3) and offsets (m,) [m] along them.
+    """
+    counts = np.zeros(len(offsets), np.int64)
+    for p in range(len(points)):
+        for h in range(len(offsets)):
+            along, facing = -offsets[h], 0.0
+            for axis in range(3):
+                along += points[p, axis] * plane_normals[h, axis]
+                facing += normals[p, axis] * plane_normals[h, axis]
+            counts[h] += abs(along) < distance and facing > cosine
+    return counts
 
 
 def _is_floor(plane: Plane, other: Plane) -> bool:

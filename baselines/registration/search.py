@@ -12,6 +12,7 @@ from scipy.ndimage import minimum_filter
 from baselines.registration.cavity import VOXEL, Cavity
 from baselines.registration.outline import expected_relief
 from baselines.registration.relief import dilated, image_cells, lower_envelope
+from kit1000.compiled import compiled
 from kit1000.kits.cavity import insertion_depth
 from kit1000.motions import apply_error
 from kit1000.pose import Pose, quaternion_between
@@ -241,7 +242,8 @@ def best_shifts(
     lowest = float(envelope.min())
     cut = np.minimum(envelope - lowest - cavity.depth, 0)
     squares, heights = (_spectrum(image, kit.size) for image in (cut**2, 2 * cut))
-    product = _correlation(kit.trust, squares) - _correlation(kit.weighted_relief, heights)
+    product = np.empty_like(squares)
+    _correlate(kit.trust, squares, kit.weighted_relief, heights, product)
     misfit = (1 + np.asarray(irfft2(product, (kit.size, kit.size))) / kit.empty).round(MISFIT_DECIMALS)
     steps = np.arange(kit.size)
     middle = (kit.cells - len(envelope)) / 2  # the step that puts the middle of one image on that of the other
@@ -258,12 +260,18 @@ def best_shifts(
         yield np.array([axis[a], axis[b], z]), float(misfit[a, b])
 
 
-def _correlation(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """a times the conjugate of b, complex, by real products: those of numpy are rounded differently with FMA."""
-    (c, d), (e, f) = ((np.real(spectrum), np.imag(spectrum)) for spectrum in (a, b))
-    product = np.empty(a.shape, np.complex128)
-    product.real, product.imag = c * e + d * f, d * e - c * f
-    return product
+@compiled
+def _correlate(a, b, c, d, product):
+    """Fill a spectrum (m, n) complex with a times the conjugate of b, less c times that of d.
+
+    By real products: those of numpy are rounded differently on processors with FMA.
+    """
+    for i in range(a.shape[0]):
+        for j in range(a.shape[1]):
+            s, t, u, v = a[i, j], b[i, j], c[i, j], d[i, j]
+            real = (s.real * t.real + s.imag * t.imag) - (u.real * v.real + u.imag * v.imag)
+            imag = (s.imag * t.real - s.real * t.imag) - (u.imag * v.real - u.real * v.imag)
+            product[i, j] = complex(real, imag)
 
 
 def _spectrum(image: np.ndarray, size: int) -> np.ndarray:
