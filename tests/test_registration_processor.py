@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from baselines.elimination import solve_positive
-from baselines.registration.search import YAW_STEP, OrientedPart, _correlation
+from baselines.registration.search import YAW_STEP, OrientedPart, _correlate
 from baselines.registration.sweep import rotation_matrix
 from bench.portable import OLD_PROCESSOR
 from kit1000.pose import Pose
@@ -76,8 +76,10 @@ def test_rodrigues_vectors_are_rotations_and_nearly_rotation_vectors(seed: int, 
 @given(SEEDS)
 def test_correlations_multiply_by_the_conjugate(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    a, b = (rng.normal(size=(4, 3)) + 1j * rng.normal(size=(4, 3)) for _ in range(2))
-    np.testing.assert_allclose(_correlation(a, b), a * b.conj(), rtol=1e-12, atol=1e-12)
+    a, b, c, d = rng.normal(size=(4, 4, 3)) + 1j * rng.normal(size=(4, 4, 3))
+    product = np.empty_like(a)
+    _correlate(a, b, c, d, product)
+    np.testing.assert_allclose(product, a * b.conj() - c * d.conj(), rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("down", [(0.0, 0.0, -1.0), (0.6, 0.0, -0.8), (0.0, 0.0, 1.0)])
