@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from manifold3d import CrossSection, Manifold
 
@@ -208,22 +208,25 @@ def test_the_cavity_only_widens_upwards(name: str, cut: Cut) -> None:
 
 @pytest.mark.parametrize("name", ["leaning", "lying cylinder", "cone"])
 def test_patches_sweep_what_their_triangles_sweep(name: str) -> None:
-    mesh = mesh_from_solid(standing(SHAPES[name]()))
-    top = float(mesh.bounds[1, 2]) + 1e-3
-    assert_same_sweep(mesh.triangles[mesh.normals[:, 2] < -WALL_COSINE], top)
+    assert_same_sweep(downward(name))
 
 
 @given(st.integers(0, 10_000))
+@example(3857)  # where joined patches are one more
 @settings(max_examples=8)
 def test_patches_of_any_solid_sweep_what_their_triangles_sweep(seed: int) -> None:
     mesh = mesh_from_solid(standing(random_solid(seed)))
-    assert_same_sweep(mesh.triangles[mesh.normals[:, 2] < -0.02], float(mesh.bounds[1, 2]) + 1e-3)
+    assert_same_sweep(mesh.triangles[mesh.normals[:, 2] < -0.02])
 
 
-def assert_same_sweep(triangles: np.ndarray, top: float) -> None:
-    """Prisms over the patches and over the single triangles fill the same space; joined ones fill a little more."""
+def assert_same_sweep(triangles: np.ndarray) -> None:
+    """Prisms over the patches and over the single triangles fill the same space; joined ones fill a little more.
+
+    Patches grow greedily, so that a wider tolerance need not leave fewer: one solid of some hundreds has one more.
+    """
     joined, patches = convex_patches(triangles), convex_patches(triangles, merge_nearly_convex=False)
-    assert len(joined) <= len(patches) <= len(triangles)
+    assert max(len(joined), len(patches)) <= len(triangles)
+    top = float(triangles[..., 2].max()) + 1e-3
     wide, fused, single = (union_of_prisms(pieces, top) for pieces in (joined, patches, list(triangles)))
     surface = sum(np.linalg.norm(np.cross(t[1] - t[0], t[2] - t[0])) for t in triangles) * 1e6 / 2
     assert (single - fused).volume() < 5e-3 * surface  # [mm^3] hulls may err by 3 um, to the open side
@@ -241,9 +244,18 @@ def union_of_prisms(pieces: list[np.ndarray], top: float) -> Manifold:
     return sum(prisms[1:], prisms[0])
 
 
+def downward(name: str) -> np.ndarray:
+    mesh = mesh_from_solid(standing(SHAPES[name]()))
+    return mesh.triangles[mesh.normals[:, 2] < -WALL_COSINE]
+
+
 def test_a_lying_cylinder_is_few_patches() -> None:
-    mesh = mesh_from_solid(standing(SHAPES["lying cylinder"]()))
-    assert len(convex_patches(mesh.triangles[mesh.normals[:, 2] < -WALL_COSINE])) <= 3
+    assert len(convex_patches(downward("lying cylinder"))) <= 3
+
+
+def test_nearly_convex_patches_of_a_cone_join() -> None:
+    triangles = downward("cone")
+    assert len(convex_patches(triangles)) < 0.6 * len(convex_patches(triangles, merge_nearly_convex=False))
 
 
 def test_depth_is_sixty_percent_but_at_most_20_mm() -> None:
