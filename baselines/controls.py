@@ -61,7 +61,7 @@ METHODS = {
     ),
     "truth-table": Method(
         "baselines.controls:SeenGoal",
-        "the same after calibration by the plane and the outline of the table",
+        "the same after calibration by the table: its plane, its outline and the band that one imager does not see",
         options={"by_table": True},
         label="Ground truth through calibration by the table",
         tracks=D415_TRACKS,

@@ -14,6 +14,7 @@ from baselines.completion.frame import pixel_box
 from baselines.completion.pixels import noise_of
 from baselines.completion.planes import Plane
 from baselines.completion.relief import CELL, CELLS, SeenRelief, away_frame, relief_grid, seen_relief, true_depths
+from baselines.completion.views import OVERLAP
 from baselines.restoration.learned import Restorer
 from kit1000.dataset.geometry import Geometry
 from kit1000.errors import Redraw
@@ -32,7 +33,6 @@ JITTER = 12e-3  # [m] most along x and y, of the middle of a relief from that of
 PLANE_ERRORS = {"ideal": (1e-3, 3e-5), "d415": (6e-3, 3e-4)}
 """Standard deviations [rad], [m] of the planes: about those of `find_planes`."""
 BORDER = 12  # [px] around what is needed: the sensor's noise and fattened edges reach so far
-OVERLAP = 96  # [px] more to the left: there the d415's second imager sees nothing, up to its disparity at 0.53 m
 
 Example = dict[str, np.ndarray]
 

@@ -26,6 +26,7 @@ MOST_NEIGHBOURS = 3
 GAP = 10e-3  # [m] the largest to a neighbour
 LEAST_PIXELS = 150  # of the part
 BORDER = 24  # [px] around what is needed: the sensor's noise and fattened edges reach so far
+OVERLAP = 96  # [px] more to the left: there the d415's second imager sees nothing, up to its disparity at 0.53 m
 MAX_DRAWS = 50  # views of an example
 DOWN = np.array([0.0, 0.0, -1.0])
 
@@ -38,10 +39,12 @@ class DrawnViews:
     """Examples from fresh parts; nothing but the generator decides which."""
 
     parts: DrawnParts
+    d415_share: float = D415_SHARE
+    """Of the examples that are measured by the d415."""
 
     def example(self, rng: np.random.Generator) -> Example:
         """Evidence and truth of a view, see `example_of`."""
-        noisy, neighboured = rng.random() < D415_SHARE, rng.random() < NEIGHBOURED_SHARE
+        noisy, neighboured = rng.random() < self.d415_share, rng.random() < NEIGHBOURED_SHARE
         for _ in range(MAX_DRAWS):
             bodies = self._bodies(rng, int(rng.integers(1, MOST_NEIGHBOURS + 1)) if neighboured else 0)
             image = _image(bodies, draw_primary_pose(rng, neighboured), rng if noisy else None)
@@ -106,6 +109,7 @@ def _image(bodies: list[Body], world_from_camera: Pose, noise: np.random.Generat
         Pose.from_translation((-20 * around.voxel_size, -20 * around.voxel_size, 0.0))
     )
     rows, columns = pixel_box(wide, CAMERA, world_from_camera, BORDER)
+    columns = slice(columns.start - (0 if noise is None else OVERLAP), columns.stop)
     size = columns.stop - columns.start, rows.stop - rows.start
     camera = replace(CAMERA, width=size[0], height=size[1], cx=CAMERA.cx - columns.start, cy=CAMERA.cy - rows.start)
     frame = render(camera, world_from_camera, [(table(), Pose.identity()), *bodies], threads=1)

@@ -56,6 +56,8 @@ class Registration:
     """[m] to try, of which the best fit counts; by default the one that the dataset states."""
     completion: Path | None = None
     """Stem of the weights of a network that completes the part; None fills columns."""
+    noisy_completion: Path | None = None
+    """The same of one that learned from noisy images alone, which it reads; None: `completion` reads them too."""
     restoration: Path | None = None
     """Stem of the weights of a network that restores noisy images; None restores by rules."""
     cameras: Literal["primary", "three"] = "primary"
@@ -73,15 +75,6 @@ class Registration:
         return LabelledViews(self.dataset)
 
     @cached_property
-    def completer(self) -> PartCompleter | None:
-        """The network that completes parts."""
-        if self.completion is None:
-            return None
-        from baselines.completion.completed import PartCompleter
-
-        return PartCompleter(self.completion)
-
-    @cached_property
     def restorer(self) -> Restorer | None:
         """The network that restores images."""
         if self.restoration is None:
@@ -89,6 +82,21 @@ class Registration:
         from baselines.restoration.learned import Restorer
 
         return Restorer(self.restoration)
+
+    def completer(self, sensor: str) -> PartCompleter | None:
+        """The network that completes parts in the images of a sensor."""
+        noisy = sensor != "ideal" and self.noisy_completion is not None
+        return self._completers[self.noisy_completion if noisy else self.completion]
+
+    @cached_property
+    def _completers(self) -> dict[Path | None, PartCompleter | None]:
+        """By the stem of its weights."""
+        stems = {stem for stem in (self.completion, self.noisy_completion) if stem is not None}
+        if not stems:
+            return {None: None}
+        from baselines.completion.completed import PartCompleter
+
+        return {None: None} | {stem: PartCompleter(stem) for stem in stems}
 
     @property
     def uses_true_geometry(self) -> bool:
@@ -126,7 +134,7 @@ class Registration:
             query = replace(query, read_image=lambda: self._restored(measured, query))
             others = () if self.cameras == "primary" else self.views.of(query)
             raw = None if kind == "ideal" else measured
-            source = DepthSource(query, self.completer, raw, others, restored=kind == "restored")
+            source = DepthSource(query, self.completer(query.sensor), raw, others, restored=kind == "restored")
             further = len(clearances) == 1  # at a wrong clearance every fit is doubtful
             return ranked(chain.from_iterable(register_certain(source, query, c, further) for c in clearances))
         if self.source == "columns":

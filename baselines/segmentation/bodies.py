@@ -47,7 +47,8 @@ def find_bodies(view: View, sensor: str, restorer: Restorer | None = None) -> Bo
     noisy = sensor != "ideal"
     measured = view
     if noisy:
-        measured = calibrated(view, (world_points(view)[..., 2] > RECORDED_HEIGHT).astype(np.uint8))
+        above = (view.depth > 0) & (world_points(view)[..., 2] > RECORDED_HEIGHT)
+        measured = calibrated(view, above.astype(np.uint8))
         view = without_shadows(measured) if restorer is None else restorer.without_masks(measured, sensor)
     points = world_points(view)
     height, seen = points[..., 2], view.depth > 0
