@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from baselines.completion.drawn_parts import DrawnParts
-from baselines.completion.frame import CODE, framed
+from baselines.completion.frame import CODE, framed, scale_of
 from baselines.completion.network import COMPLETION, CompletionConfig, CompletionNet, completion_loss
 from baselines.completion.views import D415_SHARE, DrawnViews, Example, example_of
 from baselines.restoration import calibrated_image
@@ -65,7 +65,8 @@ class CompletionTask:
         scene = self.dataset.split(self.split, truth=True).scene(key.scene_id)
         image = calibrated_image(scene.labelled_depth(key.sensor), key.sensor)
         mesh, pose = scene.bodies()[2 + key.part]
-        part = framed(image, FIRST_PART_LABEL + key.part)
+        label = FIRST_PART_LABEL + key.part
+        part = framed(image, label, scale=scale_of(image, label))
         if part is None:
             raise InputError(f"{key.scene_id}: the image shows no pixel of part {key.part}")
         return example_of(part, mesh, pose)
