@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from baselines.heights.labels import LabelledViews
+from baselines.registration.assignment import assigned
 from baselines.registration.certain import register_certain
 from baselines.registration.columns import register_columns
 from baselines.registration.fits import Fit, lead, ranked
@@ -18,6 +20,7 @@ from baselines.registration.sources import DepthSource, TrueSource
 from baselines.restoration import calibrated_image, restored_edges, restored_query
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.pivots import part_pivots
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
@@ -128,25 +131,45 @@ class Registration:
 
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits at all clearances, the best first."""
-        clearances = self.clearances or (self.dataset.summary["config"]["clearance"],)
         if self.source == "depth":
-            measured, kind = calibrated_image(query.image, query.sensor), self._kind(query)
-            query = replace(query, read_image=lambda: self._restored(measured, query))
-            others = () if self.cameras == "primary" else self.views.of(query)
-            raw = None if kind == "ideal" else measured
-            source = DepthSource(query, self.completer(query.sensor), raw, others, restored=kind == "restored")
-            further = len(clearances) == 1  # at a wrong clearance every fit is doubtful
-            return ranked(chain.from_iterable(register_certain(source, query, c, further) for c in clearances))
+            measured = calibrated_image(query.image, query.sensor)
+            fits = self._certain_fits(query, measured)
+            if query.guess is not None or self.clearances:
+                return fits
+            others = (self._certain_fits(other, measured) for other in _other_parts(query))
+            return assigned(fits, others, self._kind(query))
         if self.source == "columns":
             query = restored_query(query)
         filled = DepthSource(query) if self.source == "columns" else _true_source(query, geometry)
-        return ranked(chain.from_iterable(register_columns(filled, query, c) for c in clearances))
+        return ranked(chain.from_iterable(register_columns(filled, query, c) for c in self._clearances))
+
+    @property
+    def _clearances(self) -> tuple[float, ...]:
+        """[m] to try."""
+        return self.clearances or (self.dataset.summary["config"]["clearance"],)
+
+    def _certain_fits(self, query: Query, measured: LabelledDepth) -> list[Fit]:
+        """All fits by what the image makes certain. measured: the calibrated image."""
+        kind = self._kind(query)
+        query = replace(query, read_image=lambda: self._restored(measured, query))
+        others = () if self.cameras == "primary" else self.views.of(query)
+        raw = None if kind == "ideal" else measured
+        source = DepthSource(query, self.completer(query.sensor), raw, others, restored=kind == "restored")
+        further = len(self._clearances) == 1  # at a wrong clearance every fit is doubtful
+        return ranked(chain.from_iterable(register_certain(source, query, c, further) for c in self._clearances))
 
     def _restored(self, measured: LabelledDepth, query: Query) -> LabelledDepth:
         """The calibrated image of a query, its edges where they are."""
         if self.restorer is None:
             return restored_edges(measured, query.sensor)
         return self.restorer(measured, query.sensor, (ASSEMBLY_LABEL, FIRST_PART_LABEL + query.part))
+
+
+def _other_parts(query: Query) -> Iterator[Query]:
+    """The query about each other part of its image."""
+    for part, pivot in part_pivots(query.view, query.image.labels).items():
+        if part != query.part:
+            yield replace(query, part=part, pivot=pivot)
 
 
 def _true_source(query: Query, geometry: TrueGeometry | None) -> TrueSource:
