@@ -34,6 +34,7 @@ from kit1000.generation.presets import HELD_OUT
 from kit1000.values import FIRST_PART_LABEL, Query, Truth
 from kit1000.voxels import signed_distance
 
+SHIPPED = {"ideal": WEIGHTS / "completion", "d415": WEIGHTS / "completion-d415"}
 VOXEL = 1e-3  # [m]
 BINS = 10  # of probability, for the calibration error
 
@@ -47,8 +48,8 @@ class Completion:
     split: str = "test"
     sensor: Literal["ideal", "d415"] | None = None
     """One sensor; both when absent."""
-    weights: Path = WEIGHTS / "completion"
-    """Stem of the network's weights."""
+    weights: Path | None = None
+    """Stem of the network's weights; those of the sensor when absent."""
     parts: int = 200
     """Most parts, spread evenly over the split; one of each scene."""
     csv: Path | None = None
@@ -82,9 +83,9 @@ GROUPS: dict[str, Callable[[Truth], bool]] = {
 def main(options: Completion) -> None:
     """Print a table for each sensor."""
     torch.set_num_threads(1)
-    completer = PartCompleter(options.weights)
     with measured_dataset(options.data) as (dataset, _):
         for sensor in (options.sensor,) if options.sensor else ("ideal", "d415"):
+            completer = PartCompleter(options.weights or SHIPPED[sensor])
             found = list(_measured(dataset, options, completer, sensor))
             if not found:
                 continue

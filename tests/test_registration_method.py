@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from baselines.methods import make_predictor, method_of
 from baselines.registration.cavity import VOXEL, Cavity, find_cavity, plate_grid
 from baselines.registration.hypotheses import DEEPER, LEAST_REGION, SIDE, WIDER, find_cavities
 from baselines.registration.method import Registration
@@ -138,6 +139,19 @@ def test_true_volumes_need_the_true_geometry(data: Dataset, snaps: QueryTruths) 
     assert not Registration(data).uses_true_geometry
     with pytest.raises(InputError, match=f"{snaps[0][0].id}: registration from true volumes needs the true geometry"):
         method(snaps[0][0], None)
+
+
+def test_noisy_images_are_completed_by_a_network_of_their_own(data: Dataset) -> None:
+    method = make_predictor(method_of("registration-completed"), data, 0)
+    assert isinstance(method, Registration)
+    exact, noisy = (method.completer(sensor) for sensor in ("ideal", "d415"))
+    assert exact is not None
+    assert noisy is not None
+    assert noisy is not exact
+    assert method.completer("d415") is noisy
+    of_both = Registration(data, completion=method.completion)
+    assert of_both.completer("d415") is of_both.completer("ideal") is not None
+    assert Registration(data).completer("d415") is None
 
 
 def test_an_unknown_source_is_refused(data: Dataset) -> None:

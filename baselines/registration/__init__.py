@@ -4,7 +4,8 @@ Read it in the order of the method: `sources` (volumes), `baselines.completion.p
 a plate), `faces` (those the part can stand on), `relief` (its lower envelope, dilated by the clearance), `search` (all
 yaws and positions) and `hypotheses`, which joins them. Then either `columns`, which believes a filled part (`sweep`,
 `descent`, `refine`), or `certain`, which asks only what the image makes certain (`contradictions`, `intervals`).
-`method` is the predictor.
+Without a guess `assignment` asks the other parts of the scene where two plates fit about as well. `method` is the
+predictor.
 """
 
 from baselines.catalog import Method
@@ -22,8 +23,12 @@ METHODS = {
         label="Registration, completed part",
         options={"source": "depth"},
         learned=True,
-        training_data="20,000 fresh parts of the families of split train, from both sensors; split train of kit1000",
-        weights={"completion": "completion", "restoration": "restoration"},
+        training_data="40,000 fresh parts of the families of split train, from both sensors; split train of kit1000",
+        weights={
+            "completion": "completion",
+            "noisy_completion": "completion-d415",
+            "restoration": "restoration",
+        },
     ),
     "registration-three": Method(
         "baselines.registration.method:Registration",

@@ -21,7 +21,7 @@ DOUBTFUL = 1e-3  # [m] of misfit: while a fit in another plate has less than so 
 APART = 0.03  # [m] between the middles of cavities in different plates
 RIGHT = {
     "ideal": (2.95e-3, 0.29e-3),
-    "d415": (4.0e-3, 0.6e-3),
+    "d415": (4.6e-3, 1.1e-3),
     "restored": (3.9e-3, 0.6e-3),
 }
 """By kind of image: the misfit [m] at which a plate is as likely the right one as not, and the spread of the logistic

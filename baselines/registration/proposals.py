@@ -21,4 +21,9 @@ class CompletingRegistration(ProposingRegistration):
     """The same with networks that complete the part and restore noisy images, as `registration-completed`."""
 
     def __init__(self, dataset: Dataset) -> None:
-        super().__init__(dataset, completion=WEIGHTS / "completion", restoration=WEIGHTS / "restoration")
+        super().__init__(
+            dataset,
+            completion=WEIGHTS / "completion",
+            noisy_completion=WEIGHTS / "completion-d415",
+            restoration=WEIGHTS / "restoration",
+        )
