@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -88,18 +88,8 @@ class Registration:
 
     def completer(self, sensor: str) -> PartCompleter | None:
         """The network that completes parts in the images of a sensor."""
-        noisy = sensor != "ideal" and self.noisy_completion is not None
-        return self._completers[self.noisy_completion if noisy else self.completion]
-
-    @cached_property
-    def _completers(self) -> dict[Path | None, PartCompleter | None]:
-        """By the stem of its weights."""
-        stems = {stem for stem in (self.completion, self.noisy_completion) if stem is not None}
-        if not stems:
-            return {None: None}
-        from baselines.completion.completed import PartCompleter
-
-        return {None: None} | {stem: PartCompleter(stem) for stem in stems}
+        stem = self.completion if sensor == "ideal" else self.noisy_completion or self.completion
+        return None if stem is None else _completer(stem)
 
     @property
     def uses_true_geometry(self) -> bool:
@@ -163,6 +153,14 @@ class Registration:
         if self.restorer is None:
             return restored_edges(measured, query.sensor)
         return self.restorer(measured, query.sensor, (ASSEMBLY_LABEL, FIRST_PART_LABEL + query.part))
+
+
+@lru_cache(maxsize=2)  # for exact and for noisy images
+def _completer(stem: Path) -> PartCompleter:
+    """The network with the weights of a stem, loaded when an image asks for it."""
+    from baselines.completion.completed import PartCompleter
+
+    return PartCompleter(stem)
 
 
 def _other_parts(query: Query) -> Iterator[Query]:
