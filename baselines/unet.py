@@ -6,11 +6,16 @@ B batch, C channels; features are (B, C, x, y), channels last in memory.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import deepcopy
 from itertools import pairwise
+from typing import TypeVar
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+Net = TypeVar("Net", bound="UNet")
 
 
 class UNet(nn.Module):
@@ -57,8 +62,20 @@ class ResidualBlock(nn.Module):
 
     def forward(self, input: Tensor) -> Tensor:
         """(B, C, x, y) -> (B, C, x, y)."""
-        inner = F.relu(self.first_norm(self.first(F.relu(input))))
+        inner = F.relu(self.first_norm(self.first(F.relu(input))), inplace=True)
         return input + self.second_norm(self.second(inner))
+
+
+def folded(net: Net) -> Net:
+    """A copy of a network in evaluation mode with its batch normalisation folded into its convolutions: faster."""
+    copy = deepcopy(net).eval()
+    for block in copy.modules():
+        if isinstance(block, ResidualBlock):
+            for name in ("first", "second"):
+                convolution, norm = getattr(block, name), getattr(block, f"{name}_norm")
+                setattr(block, name, fuse_conv_bn_eval(convolution, norm))
+                setattr(block, f"{name}_norm", nn.Identity())
+    return copy
 
 
 def _blocks(width: int, count: int) -> nn.Sequential:

@@ -62,7 +62,10 @@ def find_candidates(
     """
     if not part.occupied.any():
         return []
-    cavities = find_cavities(source, query, plate_side(part, source.middle, clearance), nested=not thorough)
+    side = plate_side(part, source.middle, clearance)
+    if side not in source.cavities:
+        source.cavities[side] = find_cavities(source, query, side, nested=not thorough)
+    cavities = source.cavities[side]
     if not cavities:
         return []
     window = SearchWindow(query.pivot, query.guess, MAX_ANGLE + SLACK_ANGLE, MAX_OFFSET + SLACK_OFFSET)

@@ -16,14 +16,15 @@ from baselines.registration.assignment import assigned
 from baselines.registration.certain import register_certain
 from baselines.registration.columns import register_columns
 from baselines.registration.fits import Fit, lead, ranked
+from baselines.registration.shared_image import SharedImage
 from baselines.registration.sources import DepthSource, TrueSource
-from baselines.restoration import calibrated_image, restored_edges, restored_query
+from baselines.restoration import restored_query
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pivots import part_pivots
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
-from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
+from kit1000.values import FIRST_PART_LABEL, Query, TrueGeometry
 
 if TYPE_CHECKING:
     from baselines.completion.completed import PartCompleter
@@ -122,11 +123,11 @@ class Registration:
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits at all clearances, the best first."""
         if self.source == "depth":
-            measured = calibrated_image(query.image, query.sensor)
-            fits = self._certain_fits(query, measured)
+            image = SharedImage(query.image, query.sensor, self.restorer)
+            fits = self._certain_fits(query, image)
             if query.guess is not None or self.clearances:
                 return fits
-            others = (self._certain_fits(other, measured) for other in _other_parts(query))
+            others = (self._certain_fits(other, image) for other in _other_parts(query))
             return assigned(fits, others, self._kind(query))
         if self.source == "columns":
             query = restored_query(query)
@@ -138,21 +139,20 @@ class Registration:
         """[m] to try."""
         return self.clearances or (self.dataset.summary["config"]["clearance"],)
 
-    def _certain_fits(self, query: Query, measured: LabelledDepth) -> list[Fit]:
-        """All fits by what the image makes certain. measured: the calibrated image."""
+    def _certain_fits(self, query: Query, image: SharedImage) -> list[Fit]:
+        """All fits by what the image makes certain."""
         kind = self._kind(query)
-        query = replace(query, read_image=lambda: self._restored(measured, query))
-        others = () if self.cameras == "primary" else self.views.of(query)
-        raw = None if kind == "ideal" else measured
-        source = DepthSource(query, self.completer(query.sensor), raw, others, restored=kind == "restored")
+        query = replace(query, read_image=lambda: image.restored(FIRST_PART_LABEL + query.part))
+        source = DepthSource(
+            query,
+            self.completer(query.sensor),
+            measured=None if kind == "ideal" else image.measured,
+            others=() if self.cameras == "primary" else self.views.of(query),
+            restored=kind == "restored",
+            cavities=image.cavities,
+        )
         further = len(self._clearances) == 1  # at a wrong clearance every fit is doubtful
         return ranked(chain.from_iterable(register_certain(source, query, c, further) for c in self._clearances))
-
-    def _restored(self, measured: LabelledDepth, query: Query) -> LabelledDepth:
-        """The calibrated image of a query, its edges where they are."""
-        if self.restorer is None:
-            return restored_edges(measured, query.sensor)
-        return self.restorer(measured, query.sensor, (ASSEMBLY_LABEL, FIRST_PART_LABEL + query.part))
 
 
 @lru_cache(maxsize=2)  # for exact and for noisy images

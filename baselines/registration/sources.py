@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Protocol
 
@@ -12,6 +12,7 @@ from baselines.completion import ObservedPart
 from baselines.completion.fusion import MaskedView, observed_distance
 from baselines.completion.part import AROUND, HALF_WIDTH, PartEvidence
 from baselines.completion.pixels import Noise, noise_of, oriented_points, pixel_points
+from baselines.registration.cavity import Cavity
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points
@@ -43,6 +44,11 @@ class Source(Protocol):
         """[m] of the part as it lies, where that is known better than by its volume."""
         ...
 
+    @property
+    def cavities(self) -> dict[float, list[Cavity]]:
+        """Those found so far in the kits, by the side [m] of their reliefs; a search adds to them."""
+        ...
+
     def part(self) -> Volume:
         """The part as it lies now."""
         ...
@@ -62,6 +68,7 @@ class TrueSource:
 
     geometry: TrueGeometry
     noise: Noise = EXACT
+    cavities: dict[float, list[Cavity]] = field(default_factory=dict, kw_only=True)
 
     @property
     def middle(self) -> np.ndarray:
@@ -116,6 +123,8 @@ class DepthSource:
     """Images of further cameras, with the labels of the query's."""
     restored: bool = False
     """Whether a network restored the image of a noisy sensor."""
+    cavities: dict[float, list[Cavity]] = field(default_factory=dict, kw_only=True)
+    """See `Source.cavities`; shared by the parts of an image."""
 
     @property
     def noise(self) -> Noise:

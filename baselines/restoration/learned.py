@@ -24,11 +24,12 @@ from baselines.restoration.disparity import (
 )
 from baselines.restoration.edges import closed_gaps
 from baselines.restoration.network import SIDE, RestorationConfig, RestorationNet
+from baselines.unet import folded
 from kit1000.sim.sensors import SENSORS
 from kit1000.values import LabelledDepth, View
 
 HEIGHT = 4e-3  # [m] along the ray, in front of the table, from which on something is a body
-BORDER = 32  # [px] about bodies
+BORDER = 16  # [px] about bodies
 DISPARITY_STEP = 1 / 512  # [px] to which disparities are rounded: sums of float32 depend on the processor
 STARTS = ((16, 16), (11, 7), (8, 13))  # [px] above and left of a box, where images of it begin; odd in number
 
@@ -38,7 +39,7 @@ class Restorer:
 
     def __init__(self, weights: Path | RestorationNet) -> None:
         """weights: stem of the files, or the network itself."""
-        net = ready(weights, RestorationConfig, RestorationNet).to("cpu")  # on which the last digits are known
+        net = folded(ready(weights, RestorationConfig, RestorationNet)).to("cpu")  # on which the last digits are known
         self.net = net.to(memory_format=torch.channels_last)
 
     def __call__(self, image: LabelledDepth, sensor: str, labels: Sequence[int]) -> LabelledDepth:
@@ -64,8 +65,8 @@ class Restorer:
         read = unlabelled_evidence(view, sensor)
         depth = flattened(view, np.zeros(view.depth.shape, np.uint8)).depth.copy()
         in_front = read["disparity"] * view.depth**2 / (view.camera.fx * SENSORS[sensor].baseline)  # [m] of the table
-        high = (in_front > HEIGHT) & read["returned"]
-        rows, columns = (np.flatnonzero(binary_opening(high, np.ones((3, 3))).any(axis)) for axis in (1, 0))
+        high = np.asarray(binary_opening((in_front > HEIGHT) & read["returned"], np.ones((3, 3))), bool)
+        rows, columns = (np.flatnonzero(high.any(axis)) for axis in (1, 0))
         if len(rows):
             tall, broad = (slice(max(line[0] - BORDER, 0), line[-1] + BORDER + 1) for line in (rows, columns))
             wide = padded_box(tall, broad, SIDE, view.camera)

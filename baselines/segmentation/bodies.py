@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.ndimage import binary_propagation, uniform_filter
+from scipy.ndimage import label, uniform_filter
 
 from baselines.calibration import calibrated
 from kit1000.values import View
@@ -55,7 +55,8 @@ def find_bodies(view: View, sensor: str, restorer: Restorer | None = None) -> Bo
     body = seen & (height > LEAST_HEIGHT)
     if noisy:
         least = NOISY_HEIGHT if restorer is None else RESTORED_HEIGHT
-        body = np.asarray(binary_propagation(seen & (height > SURE_HEIGHT), mask=seen & (height > least)), bool)
+        regions = np.asarray(label(seen & (height > least))[0])  # type: ignore[index]
+        body = np.isin(regions, np.unique(regions[seen & (height > SURE_HEIGHT)]))
         if restorer is None:
             body = uniform_filter(body.astype(float), WINDOW) > SHARE
     far_half = on_far_half(points)

@@ -13,6 +13,7 @@ from baselines.segmentation.bodies import Bodies, on_far_half
 from baselines.segmentation.network import SIDE, CentresConfig, CentresNet
 from baselines.segmentation.views import evidence_of
 from baselines.segmentation.votes import gathered
+from baselines.unet import folded
 
 BORDER = 16  # [px] about the parts
 OFFSET_STEP = 1 / 8  # [px] to which votes are rounded: sums of float32 depend on the processor
@@ -24,7 +25,7 @@ class PartFinder:
 
     def __init__(self, weights: Path | CentresNet) -> None:
         """weights: stem of the files, or the network itself."""
-        net = ready(weights, CentresConfig, CentresNet).to("cpu")  # on which the last digits are known
+        net = folded(ready(weights, CentresConfig, CentresNet)).to("cpu")  # on which the last digits are known
         self.net = net.to(memory_format=torch.channels_last)
 
     def __call__(self, bodies: Bodies) -> np.ndarray:

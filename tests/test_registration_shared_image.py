@@ -1,0 +1,75 @@
+"""What the parts of an image share is what each of them would find alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import baselines.registration.hypotheses as hypotheses
+from baselines.catalog import WEIGHTS
+from baselines.registration.cavity import Cavity
+from baselines.registration.method import Registration
+from baselines.registration.shared_image import SharedImage
+from baselines.restoration.learned import Restorer
+from kit1000.dataset.reader import Dataset
+from kit1000.pivots import part_pivots
+from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, Query
+
+
+def query_of(mini: Path, track: str) -> Query:
+    """The first of a track, its part's mask cut into those of two parts, left and right."""
+    query = next(query for split in ("train", "val", "test") for query in Dataset(mini).split(split).queries(track))
+    labels = query.image.labels.copy()
+    rows, columns = np.nonzero(query.part_mask)
+    right = columns > np.median(columns)
+    labels[rows[right], columns[right]] = labels.max() + 1
+    image = LabelledDepth(query.image.view, labels)
+    return replace(query, read_image=lambda: image)
+
+
+def same(image: LabelledDepth, other: LabelledDepth, labels: tuple[int, ...]) -> bool:
+    """Whether two images agree to the bit in the pixels of some labels."""
+    where = np.isin(image.labels, labels)
+    return image.view.depth[where].tobytes() == other.view.depth[where].tobytes()
+
+
+@pytest.mark.parametrize("network", [False, True])
+def test_each_part_reads_the_image_that_it_would_read_alone(mini: Path, network: bool) -> None:
+    query = query_of(mini, "place-d415")
+    restorer = Restorer(WEIGHTS / "restoration") if network else None
+    shared = SharedImage(query.image, query.sensor, restorer)
+    first, *others = np.setdiff1d(query.image.labels, [0, ASSEMBLY_LABEL]).tolist()
+    before = query.image.view.depth.tobytes()
+    for label in (first, *others):
+        alone = SharedImage(query.image, query.sensor, restorer).restored(label)
+        assert same(shared.restored(label), alone, (0, ASSEMBLY_LABEL, label))
+        if network:
+            assert not same(alone, shared.measured, (label,))
+    assert query.image.view.depth.tobytes() == before
+
+
+@pytest.mark.parametrize("track", ["place", "place-d415"])
+def test_cavities_are_found_once_and_the_fits_stay(mini: Path, track: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    query = query_of(mini, track)
+    method = Registration(Dataset(mini))
+    parts = part_pivots(query.view, query.image.labels).items()
+    queries = [replace(query, part=part, pivot=pivot) for part, pivot in parts]
+    alone = [method._certain_fits(each, SharedImage(each.image, each.sensor)) for each in queries]
+    searches: list[float] = []
+    search = hypotheses.find_cavities
+
+    def counted(source: hypotheses.Source, of: Query, side: float, nested: bool) -> list[Cavity]:
+        searches.append(side)
+        return search(source, of, side, nested)
+
+    monkeypatch.setattr(hypotheses, "find_cavities", counted)
+    image = SharedImage(query.image, query.sensor)
+    together = [method._certain_fits(each, image) for each in queries]
+    assert len(queries) == 2
+    assert len(searches) == len(set(searches)) == 1
+    for one, other in zip(alone, together, strict=True):
+        assert [fit.misfit for fit in one] == [fit.misfit for fit in other]
+        assert [fit.goal_from_now.xyz.tolist() for fit in one] == [fit.goal_from_now.xyz.tolist() for fit in other]
