@@ -245,8 +245,9 @@ def test_flat_puts_the_table_on_its_plane_and_nothing_else(corner: LabelledDepth
 def test_the_measured_plane_is_the_table(corner: LabelledDepth) -> None:
     plane = table_plane(corner.view, corner.labels)
     assert plane is not None
-    np.testing.assert_allclose(CORNER.rotate(plane.normal), (0, 0, 1), atol=5e-5)
-    assert plane.height == pytest.approx(CORNER.xyz[2], abs=5e-5)
+    inverse_height = np.linalg.norm(plane.coefficients)
+    np.testing.assert_allclose(CORNER.rotate(-plane.coefficients / inverse_height), (0, 0, 1), atol=5e-5)
+    assert 1 / inverse_height == pytest.approx(CORNER.xyz[2], abs=5e-5)
 
 
 def test_without_a_table_the_view_stays(corner: LabelledDepth) -> None:

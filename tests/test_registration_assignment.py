@@ -104,7 +104,7 @@ def test_a_place_asks_about_the_other_parts_of_its_image_and_a_snap_does_not(
 ) -> None:
     asked: list[tuple[int, int]] = []
 
-    def fits(self: Registration, query: Query, image: object) -> list[Fit]:
+    def fits(self: Registration, query: Query, image: object, thorough: bool = True) -> list[Fit]:
         asked.append((query.part, int(query.image.labels[query.part_mask].max(initial=0))))
         return [fit(0.0, HALF - 0.1 * query.part * SPREAD), fit(0.1, HALF)]
 

@@ -10,7 +10,7 @@ from scipy.ndimage import binary_dilation
 from baselines.calibration.table_top import rays
 from baselines.elimination import solve_positive
 from kit1000.pose import Pose
-from kit1000.products import eigenvectors, length, matmul
+from kit1000.products import eigenvectors, matmul
 from kit1000.values import View
 
 STEP = 6  # [px] between pixels that enter the plane
@@ -33,16 +33,6 @@ class Plane:
     """(3, 3) unit columns, along which the errors of the coefficients are independent."""
     spreads: np.ndarray
     """(3,) [1/m] standard deviations along them."""
-
-    @property
-    def normal(self) -> np.ndarray:
-        """(3,) unit vector, up."""
-        return -self.coefficients / length(self.coefficients)
-
-    @property
-    def height(self) -> float:
-        """[m] of the camera above it."""
-        return 1 / length(self.coefficients)
 
 
 def plane_coefficients(pose: Pose) -> np.ndarray:

@@ -127,7 +127,7 @@ class Registration:
             fits = self._certain_fits(query, image)
             if query.guess is not None or self.clearances:
                 return fits
-            others = (self._certain_fits(other, image) for other in _other_parts(query))
+            others = (self._certain_fits(other, image, thorough=False) for other in _other_parts(query))
             return assigned(fits, others, self._kind(query))
         if self.source == "columns":
             query = restored_query(query)
@@ -139,8 +139,8 @@ class Registration:
         """[m] to try."""
         return self.clearances or (self.dataset.summary["config"]["clearance"],)
 
-    def _certain_fits(self, query: Query, image: SharedImage) -> list[Fit]:
-        """All fits by what the image makes certain."""
+    def _certain_fits(self, query: Query, image: SharedImage, thorough: bool = True) -> list[Fit]:
+        """All fits by what the image makes certain. thorough: further candidates are refined while none fits well."""
         kind = self._kind(query)
         query = replace(query, read_image=lambda: image.restored(FIRST_PART_LABEL + query.part))
         source = DepthSource(
@@ -151,7 +151,7 @@ class Registration:
             restored=kind == "restored",
             cavities=image.cavities,
         )
-        further = len(self._clearances) == 1  # at a wrong clearance every fit is doubtful
+        further = thorough and len(self._clearances) == 1  # at a wrong clearance every fit is doubtful
         return ranked(chain.from_iterable(register_certain(source, query, c, further) for c in self._clearances))
 
 
