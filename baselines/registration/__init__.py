@@ -4,8 +4,8 @@ Read it in the order of the method: `sources` (volumes), `baselines.completion.p
 a plate), `faces` (those the part can stand on), `relief` (its lower envelope, dilated by the clearance), `search` (all
 yaws and positions) and `hypotheses`, which joins them. Then either `columns`, which believes a filled part (`sweep`,
 `descent`, `refine`), or `certain`, which asks only what the image makes certain (`contradictions`, `intervals`).
-Without a guess `assignment` asks the other parts of the scene where two plates fit about as well. `method` is the
-predictor.
+Without a guess `assignment` asks the other parts of the scene where two plates fit about as well; they share what was
+found in the image (`shared_image`). `method` is the predictor.
 """
 
 from baselines.catalog import Method

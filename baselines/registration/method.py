@@ -36,7 +36,7 @@ CONFIDENCE_DECIMALS = 9  # the last digits of an exponential depend on the proce
 SEATED = {
     ("depth", "ideal"): (3.5e-3, 0.7e-3),
     ("depth", "d415"): (10.2e-3, 6.5e-3),
-    ("depth", "restored"): (15.9e-3, 6.8e-3),
+    ("depth", "restored"): (14.6e-3, 5.4e-3),
     ("columns", "ideal"): (6.0e-3, 1.4e-3),
     ("columns", "d415"): (-6.8e-3, 7.1e-3),
     ("truth", "ideal"): (5.5e-3, 0.4e-3),
