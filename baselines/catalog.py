@@ -86,6 +86,11 @@ def all_networks() -> dict[str, Network]:
     return _merged("NETWORKS")
 
 
+def weight_paths(weights: Mapping[str, str]) -> dict[str, Path]:
+    """The further arguments of a class or a task: the paths of `weights` of `Method` or `Network`."""
+    return {argument: WEIGHTS / stem for argument, stem in weights.items()}
+
+
 def _merged(table: str) -> dict[str, Any]:
     merged: dict[str, Any] = {}
     for folder in FOLDERS:

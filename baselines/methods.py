@@ -9,7 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from baselines.catalog import WEIGHTS, Method, all_methods
+from baselines.catalog import WEIGHTS, Method, all_methods, weight_paths
 from baselines.segmentation.queries import MASKS_WEIGHTS, OnPredictedMasks
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
@@ -52,7 +52,7 @@ def make_predictor(method: Method, dataset: Dataset, seed: int) -> Predictor:
     predictor: Any = resolved(method.make)
     if isinstance(predictor, type):
         takes_seed = "seed" in inspect.signature(predictor).parameters
-        weights = {name: WEIGHTS / stem for name, stem in method.weights.items()}
+        weights = weight_paths(method.weights)
         predictor = predictor(dataset, **method.options, **weights, **({"seed": seed} if takes_seed else {}))
     given = method.masks == "given"
     return predictor if given else OnPredictedMasks(predictor, dataset.summary["config"]["scale"])

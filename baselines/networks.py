@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from baselines.catalog import WEIGHTS, all_networks
+from baselines.catalog import all_networks, weight_paths
 from baselines.training.checkpoint import load_into, load_weights
 from baselines.training.config import TrainConfig
 from baselines.training.loop import TrainingResult, train
@@ -43,8 +43,7 @@ def train_network(
     training = TrainConfig(**{**asdict(network.training[preset]), **changes})
     dataset = Dataset(data)
     torch.manual_seed(training.seed)  # of the initial weights
-    weights = {argument: WEIGHTS / stem for argument, stem in network.weights.items()}
-    task, config = resolved(network.make_task)(dataset, preset, **network.options, **weights)
+    task, config = resolved(network.make_task)(dataset, preset, **network.options, **weight_paths(network.weights))
     about = {"name": name, "preset": preset, "network": asdict(config), "dataset_id": dataset.id}
     if start is not None:
         tensors, about["start"] = load_weights(start.with_suffix(""))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from baselines.catalog import WEIGHTS
+from typing import Any
+
+from baselines.catalog import weight_paths
+from baselines.registration import METHODS
 from baselines.registration.method import Registration
 from kit1000.dataset.reader import Dataset
 from kit1000.predictor import PredictedMotion
@@ -21,9 +24,5 @@ class CompletingRegistration(ProposingRegistration):
     """The same with networks that complete the part and restore noisy images, as `registration-completed`."""
 
     def __init__(self, dataset: Dataset) -> None:
-        super().__init__(
-            dataset,
-            completion=WEIGHTS / "completion",
-            noisy_completion=WEIGHTS / "completion-d415",
-            restoration=WEIGHTS / "restoration",
-        )
+        weights: dict[str, Any] = weight_paths(METHODS["registration-completed"].weights)
+        super().__init__(dataset, **weights)

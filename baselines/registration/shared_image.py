@@ -24,9 +24,9 @@ class SharedImage:
     sensor: str
     restorer: Restorer | None = None
     """The network that restores noisy images; None restores by rules."""
-    cavities: dict[float, list[Cavity]] = field(default_factory=dict)
+    cavities: dict[float, list[Cavity]] = field(default_factory=dict, init=False)
     """See `Source.cavities`."""
-    _kits: View | None = None
+    _kits: View | None = field(default=None, init=False)
     """With restored kits, once any part was asked for."""
 
     @cached_property
