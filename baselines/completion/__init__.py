@@ -19,7 +19,8 @@ NETWORKS = {
     "completion": Network(
         "baselines.completion.task:completion_task",
         {
-            "small": SMALL,
+            "small": replace(SMALL, steps=6500, learning_rate=3e-3),
+            "pretraining": SMALL,
         },
     ),
     "completion-d415": Network(

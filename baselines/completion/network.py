@@ -33,11 +33,15 @@ class CompletionConfig:
     """Fresh parts that the training examples show."""
     parts_seed: int = 2026
     """Of these parts."""
+    d415_share: float = 0.35
+    """Of the training examples: measured by the d415, the others ideal."""
 
 
 COMPLETION = {
-    "small": CompletionConfig(),
+    "small": CompletionConfig(parts_seed=2027, d415_share=0.0),
+    "pretraining": CompletionConfig(),
 }
+"""`small` starts from the weights of `pretraining`."""
 
 
 class CompletionNet(UNet):

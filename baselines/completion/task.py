@@ -13,7 +13,7 @@ from torch import Tensor
 from baselines.completion.drawn_parts import DrawnParts
 from baselines.completion.frame import CODE, framed, scale_of
 from baselines.completion.network import COMPLETION, CompletionConfig, CompletionNet, completion_loss
-from baselines.completion.views import D415_SHARE, DrawnViews, Example, example_of
+from baselines.completion.views import DrawnViews, Example, example_of
 from baselines.restoration import calibrated_image
 from baselines.training.validation import drawn_targets
 from kit1000.dataset.reader import Dataset
@@ -50,9 +50,10 @@ class CompletionTask:
         return self.training.example(rng)
 
     def validation_keys(self) -> Sequence[Key]:
-        """The drawn targets of VALIDATION_SCENES scenes, by both sensors or, if all examples are, by the d415 alone."""
+        """The drawn targets of VALIDATION_SCENES scenes, by the sensors of the training examples."""
         targets = drawn_targets(self.dataset, self.split, VALIDATION_SCENES)
-        sensors = ("ideal", "d415") if self.training.d415_share < 1 else ("d415",)
+        share = self.training.d415_share
+        sensors = [name for name, of_all in (("ideal", 1 - share), ("d415", share)) if of_all > 0]
         keys = [Key(query.scene_id, query.part, sensor) for query, sensor in targets if sensor in sensors]
         self.kept = {key: self.kept.get(key) or self._example(key) for key in keys}
         return keys
@@ -94,18 +95,15 @@ def _wrong(filled: Tensor, solid: Tensor) -> Tensor:
     return 1 - (filled & solid).sum(1) / (filled | solid).sum(1).clamp(min=1)
 
 
-def completion_task(
-    dataset: Dataset, preset: str, d415_share: float = D415_SHARE, **changes: Any
-) -> tuple[CompletionTask, CompletionConfig]:
+def completion_task(dataset: Dataset, preset: str, **changes: Any) -> tuple[CompletionTask, CompletionConfig]:
     """The task with new weights, and the config of its network.
 
     Args:
         dataset: whose split val is validated on.
         preset: of the network.
-        d415_share: of the examples that are measured by the d415.
         changes: of the config.
     """
     config = replace(COMPLETION[preset], **changes)
     parts = DrawnParts(config.parts_seed, config.parts, user_cache("drawn-parts"))
     model = CompletionNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    return CompletionTask(DrawnViews(parts, d415_share), dataset, "val", model), config
+    return CompletionTask(DrawnViews(parts, config.d415_share), dataset, "val", model), config

@@ -20,7 +20,6 @@ from kit1000.sim.render import render
 from kit1000.sim.sensors import measured
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 
-D415_SHARE = 0.35  # of the examples: measured by the d415, the others ideal
 NEIGHBOURED_SHARE = 0.2  # of the examples: with neighbours that may hide some of the part
 MOST_NEIGHBOURS = 3
 GAP = 10e-3  # [m] the largest to a neighbour
@@ -39,7 +38,7 @@ class DrawnViews:
     """Examples from fresh parts; nothing but the generator decides which."""
 
     parts: DrawnParts
-    d415_share: float = D415_SHARE
+    d415_share: float
     """Of the examples that are measured by the d415."""
 
     def example(self, rng: np.random.Generator) -> Example:

@@ -37,8 +37,10 @@ class CentresConfig:
 
 
 CENTRES = {
-    "small": CentresConfig(),
+    "small": CentresConfig(views=2500, views_seed=2034),
+    "pretraining": CentresConfig(),
 }
+"""`small` starts from the weights of `pretraining`."""
 
 
 class Votes(NamedTuple):
