@@ -154,15 +154,16 @@ class Ship:
     """Folder that `train` wrote."""
     commit: str
     """Of the code that trained them: `git rev-parse HEAD`."""
-    half: bool = False
-    """Store them as float16: half the size, rounded by up to 1 in 2048."""
+    precision: Literal["float32", "float16", "int8"] = "float32"
+    """In which they are stored: float16 is half as large, rounded by up to 1 in 2048; int8 a quarter, rounded to 127ths
+    of the largest number of each row."""
 
     def run(self) -> int:
         """Copy, then print where to."""
         from baselines.catalog import WEIGHTS
         from baselines.ship import ship
 
-        print(ship(self.run_folder, WEIGHTS, self.commit, self.half))
+        print(ship(self.run_folder, WEIGHTS, self.commit, self.precision))
         return 0
 
 

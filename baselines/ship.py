@@ -9,16 +9,17 @@ from typing import Any
 
 from baselines.training.checkpoint import LARGEST, load_weights, save_tensors
 from baselines.training.loop import BEST, LOG
+from baselines.training.precision import Precision
 
 
-def ship(run: Path, weights: Path, commit: str, half: bool = False) -> Path:
+def ship(run: Path, weights: Path, commit: str, precision: Precision = "float32") -> Path:
     """Copy the best weights of a run, with the rows of its log, from which the learning curve can be drawn.
 
     Args:
         run: folder that `train` wrote.
         weights: folder for them.
         commit: of the code that trained them.
-        half: store them as float16, for a network too large otherwise.
+        precision: in which they are stored.
 
     Returns:
         The stem of both files, which have the network's name.
@@ -31,7 +32,7 @@ def ship(run: Path, weights: Path, commit: str, half: bool = False) -> Path:
     rows = (run / LOG).read_text(encoding="utf-8").splitlines()
     target = weights / info["about"]["name"]
     described = info | {"commit": commit, "log": [json.loads(row) for row in rows]}
-    save_tensors(target, tensors, described, half, LARGEST)
+    save_tensors(target, tensors, described, precision, LARGEST)
     return target
 
 

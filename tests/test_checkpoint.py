@@ -19,6 +19,7 @@ from baselines.training.checkpoint import (
     load_weights,
     optimizer_tensors,
     read_state,
+    save_tensors,
     save_weights,
     write_state,
 )
@@ -64,12 +65,47 @@ def test_half_weights_take_half_the_bytes_and_are_read_as_float32_within_roundin
     model = network(width=400)
     save_weights(stem, model, {})
     whole = stem.with_name(stem.name + ".safetensors").stat().st_size
-    save_weights(stem, model, {}, half=True)
+    save_weights(stem, model, {}, precision="float16")
     assert stem.with_name(stem.name + ".safetensors").stat().st_size < 0.6 * whole
     tensors, _ = load_weights(stem)
     for name, value in model.state_dict().items():
         assert tensors[name].dtype == value.dtype
         torch.testing.assert_close(tensors[name], value, rtol=2**-11, atol=2**-25)
+
+
+def test_int8_weights_take_a_quarter_of_the_bytes_and_are_read_within_half_a_127th_of_their_row(stem: Path) -> None:
+    model = network(width=400)
+    model.get_parameter("0.weight").data[3] = 0  # a row without numbers has a scale too
+    save_weights(stem, model, {})
+    path = stem.with_name(stem.name + ".safetensors")
+    whole = path.stat().st_size
+    save_weights(stem, model, {}, precision="int8")
+    assert path.stat().st_size < 0.35 * whole
+    tensors, _ = load_weights(stem)
+    load_into(model, tensors, stem)
+    for name, value in network(width=400).state_dict().items():
+        row = value.abs().flatten(1).amax(1).view(-1, *[1] * (value.ndim - 1)) if value.ndim > 1 else 0 * value
+        if name == "0.weight":
+            value[3] = 0
+        assert tensors[name].dtype == value.dtype
+        assert ((tensors[name] - value).abs() <= row * (0.5001 / 127)).all()
+
+
+def test_int8_weights_stored_again_are_the_same(stem: Path) -> None:
+    save_weights(stem, network(width=40), {}, precision="int8")
+    tensors, _ = load_weights(stem)
+    save_tensors(stem, tensors, {}, precision="int8")
+    again, _ = load_weights(stem)
+    for name, value in tensors.items():
+        torch.testing.assert_close(again[name], value, rtol=1e-6, atol=0)
+
+
+def test_numbers_that_are_not_finite_are_refused_as_int8(stem: Path) -> None:
+    model = network()
+    model.get_parameter("0.weight").data[0, 0] = torch.inf
+    with pytest.raises(InputError, match=r"0\.weight has numbers that are not finite"):
+        save_weights(stem, model, {}, precision="int8")
+    assert not list(stem.parent.iterdir())
 
 
 def test_the_same_weights_give_the_same_bytes(tmp_path: Path) -> None:
@@ -83,16 +119,16 @@ def test_numbers_beyond_float16_are_refused_before_anything_is_written(stem: Pat
     model = network()
     model.get_parameter("0.weight").data[0, 0] = 1e5
     with pytest.raises(InputError, match=r"0\.weight has numbers too large for float16"):
-        save_weights(stem, model, {}, half=True)
+        save_weights(stem, model, {}, precision="float16")
     assert not list(stem.parent.iterdir())
 
 
 def test_a_file_that_is_too_large_is_refused(stem: Path) -> None:
     model = nn.Linear(2048, LARGEST // 4 // 2048, bias=False)  # the tensors alone reach the limit
-    with pytest.raises(InputError, match=r"16\.0 MiB of weights, more than the 16 MiB .*half=True halves them"):
+    with pytest.raises(InputError, match=r"16\.0 MiB of weights, more than the 16 MiB .*=.float16. halves them"):
         save_weights(stem, model, {})
     assert not list(stem.parent.iterdir())
-    save_weights(stem, model, {}, half=True)
+    save_weights(stem, model, {}, precision="float16")
     save_weights(stem, model, {}, largest=None)
 
 

@@ -56,7 +56,7 @@ def test_the_log_of_weights_that_started_from_others_goes_on() -> None:
 
 
 def test_halved_weights_are_rounded_to_float16(run: Path, tmp_path: Path) -> None:
-    tensors, info = load_weights(ship(run, tmp_path / "weights", "0123abc", half=True))
+    tensors, info = load_weights(ship(run, tmp_path / "weights", "0123abc", precision="float16"))
     best, _ = load_weights(run / "best")
     assert all(torch.equal(tensors[name], best[name].half().float()) for name in best)
     assert info["step"] == 20

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from baselines.training.precision import Precision, restored, stored
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import read_json, write_bytes, write_json
 
@@ -30,31 +31,42 @@ Tensors = dict[str, torch.Tensor]
 
 
 def save_weights(
-    stem: Path, model: torch.nn.Module, info: Mapping[str, Any], half: bool = False, largest: int | None = LARGEST
+    stem: Path,
+    model: torch.nn.Module,
+    info: Mapping[str, Any],
+    precision: Precision = "float32",
+    largest: int | None = LARGEST,
 ) -> None:
     """Write the tensors of a network and the information about them; the JSON is written last.
 
     Args:
         stem: path without suffix: stem.safetensors and stem.json are written.
         info: as JSON has it; "sha256" is added.
-        half: as float16: half the size, rounded by up to 1 in 2048.
+        precision: of the numbers in the file.
         largest: [bytes] limit for the file of tensors; None: no limit.
 
     Raises:
-        InputError: a larger file, or a number beyond the range of float16.
+        InputError: a larger file, or a number beyond the range of the precision.
     """
-    save_tensors(stem, copied_state(model), info, half, largest)
+    save_tensors(stem, copied_state(model), info, precision, largest)
 
 
 def save_tensors(
-    stem: Path, tensors: Tensors, info: Mapping[str, Any], half: bool = False, largest: int | None = LARGEST
+    stem: Path,
+    tensors: Tensors,
+    info: Mapping[str, Any],
+    precision: Precision = "float32",
+    largest: int | None = LARGEST,
 ) -> None:
     """As `save_weights`, of the tensors of a network by name."""
     path = _with_suffix(stem, ".safetensors")
-    data = save({name: _halved(path, name, value) if half else value for name, value in tensors.items()})
+    try:
+        data = save(stored(tensors, precision))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
     if largest is not None and len(data) > largest:
         size = f"{len(data) / 2**20:.1f} MiB of weights, more than the {largest / 2**20:.3g} MiB a file may have"
-        raise InputError(f"{path}: {size}" + ("" if half else "; half=True halves them"))
+        raise InputError(f"{path}: {size}" + ("; precision='float16' halves them" if precision == "float32" else ""))
     write_json(_with_suffix(stem, ".json"), {**info, "sha256": write_bytes(path, data)})
 
 
@@ -71,8 +83,7 @@ def load_weights(stem: Path) -> tuple[Tensors, dict[str, Any]]:
     data = _read(path)
     if hashlib.sha256(data).hexdigest() != info.pop("sha256"):
         raise InputError(f"{path}: damaged, or not the weights that {json_path.name} describes")
-    tensors = _loaded(path, data)
-    return {name: value.float() if value.is_floating_point() else value for name, value in tensors.items()}, info
+    return restored(_loaded(path, data)), info
 
 
 def load_into(model: torch.nn.Module, tensors: Mapping[str, torch.Tensor], where: str | Path) -> None:
@@ -170,15 +181,6 @@ def _with_suffix(stem: Path, suffix: str) -> Path:
 def _copied(tensor: torch.Tensor) -> torch.Tensor:
     """A copy on the CPU in memory of its own: safetensors refuses shared memory."""
     return tensor.detach().to("cpu", copy=True).contiguous()
-
-
-def _halved(path: Path, name: str, tensor: torch.Tensor) -> torch.Tensor:
-    if not tensor.is_floating_point():
-        return tensor
-    half = tensor.half()
-    if (half.isinf() & tensor.isfinite()).any():
-        raise InputError(f"{path}: {name} has numbers too large for float16")
-    return half
 
 
 def _check_names(own: Mapping[str, Any], given: Mapping[str, Any], where: str | Path) -> None:
