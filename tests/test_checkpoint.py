@@ -74,21 +74,19 @@ def test_half_weights_take_half_the_bytes_and_are_read_as_float32_within_roundin
 
 
 def test_int8_weights_take_a_quarter_of_the_bytes_and_are_read_within_half_a_127th_of_their_row(stem: Path) -> None:
-    model = network(width=400)
-    model.get_parameter("0.weight").data[3] = 0  # a row without numbers has a scale too
+    model = nn.Linear(200, 100)
+    model.weight.data[3] = 0  # a row without numbers has a scale too
     save_weights(stem, model, {})
     path = stem.with_name(stem.name + ".safetensors")
     whole = path.stat().st_size
     save_weights(stem, model, {}, precision="int8")
-    assert path.stat().st_size < 0.35 * whole
+    assert path.stat().st_size < 0.3 * whole
     tensors, _ = load_weights(stem)
+    row = model.weight.detach().abs().amax(1, keepdim=True)
+    assert ((tensors["weight"] - model.weight).abs() <= row * (0.5001 / 127)).all()
+    assert tensors["bias"].equal(model.bias)
+    assert {value.dtype for value in tensors.values()} == {torch.float32}
     load_into(model, tensors, stem)
-    for name, value in network(width=400).state_dict().items():
-        row = value.abs().flatten(1).amax(1).view(-1, *[1] * (value.ndim - 1)) if value.ndim > 1 else 0 * value
-        if name == "0.weight":
-            value[3] = 0
-        assert tensors[name].dtype == value.dtype
-        assert ((tensors[name] - value).abs() <= row * (0.5001 / 127)).all()
 
 
 def test_int8_weights_stored_again_are_the_same(stem: Path) -> None:
