@@ -16,6 +16,7 @@ from baselines.calibration import CALIBRATED
 from baselines.catalog import WEIGHTS
 from baselines.registration.method import Registration
 from baselines.restoration.disparity import (
+    STARTS,
     Evidence,
     above_table,
     cropped_evidence,
@@ -25,7 +26,7 @@ from baselines.restoration.disparity import (
     shifted_box,
 )
 from baselines.restoration.edges import closed_gaps, restored_edges
-from baselines.restoration.learned import DISPARITY_STEP, STARTS, Restorer
+from baselines.restoration.learned import DISPARITY_STEP, Restorer
 from baselines.restoration.network import SIDE, Mixture, RestorationConfig, RestorationNet
 from baselines.restoration.task import beside_jumps, restoration_task
 from baselines.restoration.views import CROPS, recorded_example

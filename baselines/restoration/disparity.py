@@ -14,6 +14,8 @@ from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 Evidence = dict[str, np.ndarray]
 Box = tuple[slice, slice]
 
+STARTS = ((16, 16), (11, 7), (8, 13))  # [px] above and left of a box, where images of it begin; odd in number
+
 
 def evidence(image: LabelledDepth, closed: View, sensor: str) -> Evidence:
     """What the network reads of a calibrated image: see `RestorationNet.forward`; (H, W) arrays and `slope` (2,).
@@ -67,6 +69,16 @@ def cropped_evidence(evidence: Evidence, box: Box) -> Evidence:
 def padded_box(rows: slice, columns: slice, side: int, camera: Camera) -> Box:
     """A box about another one within the image, its sides multiples of a number of pixels."""
     return _stretched(rows, side, camera.height), _stretched(columns, side, camera.width)
+
+
+def shifted_boxes(box: Box, side: int, camera: Camera) -> list[tuple[Box, Box]]:
+    """Boxes that hold another one and begin STARTS before it, and where it is in each of them."""
+    boxes = [shifted_box(box, start, side, camera) for start in STARTS]
+    return [(wide, (_within(box[0], wide[0]), _within(box[1], wide[1]))) for wide in boxes]
+
+
+def _within(span: slice, wide: slice) -> slice:
+    return slice(span.start - wide.start, span.stop - wide.start)
 
 
 def shifted_box(box: Box, start: tuple[int, int], side: int, camera: Camera) -> Box:

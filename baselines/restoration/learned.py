@@ -19,7 +19,7 @@ from baselines.restoration.disparity import (
     depths,
     evidence,
     padded_box,
-    shifted_box,
+    shifted_boxes,
     unlabelled_evidence,
 )
 from baselines.restoration.edges import closed_gaps
@@ -31,7 +31,6 @@ from kit1000.values import LabelledDepth, View
 HEIGHT = 4e-3  # [m] along the ray, in front of the table, from which on something is a body
 BORDER = 16  # [px] about bodies
 DISPARITY_STEP = 1 / 512  # [px] to which disparities are rounded: sums of float32 depend on the processor
-STARTS = ((16, 16), (11, 7), (8, 13))  # [px] above and left of a box, where images of it begin; odd in number
 
 
 class Restorer:
@@ -78,12 +77,8 @@ class Restorer:
 
         The network is coarse inside: where an image begins, to SIDE px, changes what it says beside edges.
         """
-        found = []
-        for start in STARTS:
-            wide = shifted_box(box, start, SIDE, view.camera)
-            inside = tuple(slice(at.start - to.start, at.stop - to.start) for at, to in zip(box, wide, strict=True))
-            found.append(self._likeliest(read, wide)[inside])
-        return np.median(found, axis=0)
+        boxes = shifted_boxes(box, SIDE, view.camera)
+        return np.median([self._likeliest(read, wide)[inside] for wide, inside in boxes], axis=0)
 
     def _likeliest(self, read: Evidence, box: Box) -> np.ndarray:
         """(h, w) [px] the likeliest disparities in a box of the image, rounded."""

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from baselines.loading import ready
-from baselines.restoration.disparity import cropped_evidence, padded_box
+from baselines.restoration.disparity import Evidence, cropped_evidence, padded_box, shifted_boxes
 from baselines.segmentation.bodies import Bodies, on_far_half
 from baselines.segmentation.network import SIDE, CentresConfig, CentresNet
 from baselines.segmentation.views import evidence_of
@@ -41,10 +41,19 @@ class PartFinder:
         return labels
 
     def votes(self, bodies: Bodies, box: tuple[slice, slice]) -> tuple[np.ndarray, np.ndarray]:
-        """(2, h, w) [px] across and down, rounded; (h, w) bool: pixels that show a part."""
-        cut = cropped_evidence(evidence_of(bodies), box)
+        """(2, h, w) [px] across and down; (h, w) bool: pixels that show a part.
+
+        Each is the median by images that begin at several pixels, as of `baselines.restoration.learned.Restorer`.
+        """
+        evidence, boxes = evidence_of(bodies), shifted_boxes(box, SIDE, bodies.view.camera)
+        votes = np.median([self._votes(evidence, wide)[(slice(None), *inside)] for wide, inside in boxes], axis=0)
+        return votes[:2], votes[2] > 0
+
+    def _votes(self, evidence: Evidence, box: tuple[slice, slice]) -> np.ndarray:
+        """(3, h, w) offsets [px] across and down, and logits of showing a part; rounded."""
+        cut = cropped_evidence(evidence, box)
         batch = [torch.from_numpy(cut[name])[None] for name in ("measured", "restored", "returned", "up")]
         with torch.inference_mode():
             votes = self.net(*batch)
         offset = np.rint(votes.offset[0].numpy().astype(float) / OFFSET_STEP) * OFFSET_STEP
-        return offset, np.rint(votes.part[0].numpy() / LOGIT_STEP) > 0
+        return np.concatenate([offset, np.rint(votes.part.numpy() / LOGIT_STEP)])
