@@ -72,7 +72,7 @@ def test_an_example_depends_on_its_generator_alone_and_its_truth_fits_its_eviden
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(drawn_parts, "SHARD", 4)
-    views = DrawnViews(DrawnParts(SEED, 8, tmp_path))
+    views = DrawnViews(DrawnParts(SEED, 8, tmp_path), d415_share=0.35)
     for i in range(6):
         example, again = (views.example(stream(1, i)) for _ in range(2))
         for name, value in example.items():
