@@ -131,7 +131,7 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
     save_weights(tmp_path / "none", net, {"about": {"network": {"cells": 3}}})
     with pytest.raises(InputError, match="no config of a CompletionNet"):
         PartCompleter(tmp_path / "none")
-    values = {"widths": [8, 8, 8, 8], "blocks": 2, "parts": 1, "parts_seed": 0}
+    values = {"widths": [8, 8, 8, 8], "blocks": 2, "parts": 1, "parts_seed": 0, "d415_share": 0.0}
     save_weights(tmp_path / "deep", net, {"about": {"network": values}})
     with pytest.raises(InputError, match="which this network has"):
         PartCompleter(tmp_path / "deep")
