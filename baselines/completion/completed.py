@@ -19,7 +19,7 @@ from kit1000.values import LabelledDepth
 from kit1000.voxels import Grid, Volume
 
 TEMPERATURE = 1.35  # by which logits are divided, so that probabilities are shares; fitted to the split val
-LIKELY = -0.4  # logit above which a cell is taken as solid, p = 0.4: there the IoU is largest on the split val
+LIKELY, LIKELY_NOISY = 0.2, -0.4  # logits above which a cell is taken as solid: there the IoU is largest (split val)
 LOGIT_STEP = 1 / 64  # to which logits are rounded: sums of float32 depend on the processor
 SEEN_FREE = -12.0  # logit of cells that are seen free
 
@@ -103,7 +103,10 @@ class CompletedPart:
         return Volume.adopt(grid, -np.tanh(self.logits.at(grid, (1, 1, 1)) / 2))
 
     def volume(self, voxel: float) -> Volume:
-        """Signed distances to the part: solid where the logit is above LIKELY, on the grid of `ObservedPart`."""
+        """Signed distances to the part, on the grid of `ObservedPart`.
+
+        Solid where the logit is above LIKELY, in noisy images above LIKELY_NOISY.
+        """
         return self._filled(self.observed.columns(voxel))
 
     def evidence(self, voxel: float) -> PartEvidence:
@@ -114,7 +117,7 @@ class CompletedPart:
     def _filled(self, columns: ObservedColumns) -> Volume:
         if self.logits is None:
             return columns.filled(largest_only=True)
-        likely = self.logits.at(columns.fine, (1, 1, 2)) > LIKELY
+        likely = self.logits.at(columns.fine, (1, 1, 2)) > (LIKELY if self.raw is None else LIKELY_NOISY)
         return columns.completed(likely, exact=self.raw is None)
 
 
