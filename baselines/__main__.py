@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from baselines.training.precision import Precision
 from kit1000.errors import InputError
 from kit1000.usage import run
 
@@ -154,7 +155,7 @@ class Ship:
     """Folder that `train` wrote."""
     commit: str
     """Of the code that trained them: `git rev-parse HEAD`."""
-    precision: Literal["float32", "float16", "int8"] = "float32"
+    precision: Precision = "float32"
     """In which they are stored: float16 is half as large, rounded by up to 1 in 2048; int8 a quarter, rounded to 127ths
     of the largest number of each row."""
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -87,6 +89,12 @@ def test_int8_weights_take_a_quarter_of_the_bytes_and_are_read_within_half_a_127
     assert tensors["bias"].equal(model.bias)
     assert {value.dtype for value in tensors.values()} == {torch.float32}
     load_into(model, tensors, stem)
+
+
+def test_without_pytorch_one_line_says_what_to_install() -> None:
+    code = "import sys; sys.modules['torch'] = None; import baselines.training.checkpoint"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stderr.strip().endswith("the networks need PyTorch and safetensors: pip install 'kit1000[learn]'")
 
 
 def test_int8_weights_stored_again_are_the_same(stem: Path) -> None:

@@ -106,7 +106,7 @@ def test_the_height_of_a_completed_part_is_what_is_seen_of_it() -> None:
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_what_is_seen_stays_as_it_was_seen_whatever_a_network_says(seed: int) -> None:
+def test_what_is_seen_stays_as_it_was_seen_whatever_a_network_fills_behind_it(seed: int) -> None:
     part, net = observed(table_tee()), network(seed)
     torch.nn.init.constant_(net.head.bias, 1.0)  # pyright: ignore[reportArgumentType] (most of what is hidden is filled)
     columns, volume = part.columns(VOXEL), CompletedPart(part, PartCompleter(net)).volume(VOXEL)

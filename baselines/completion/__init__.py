@@ -28,7 +28,7 @@ NETWORKS = {
         {
             "small": replace(SMALL, steps=4000, learning_rate=2e-3, seed=2),
         },
-        {"d415_share": 1.0, "parts_seed": 2027},
+        {"d415_share": 1.0},
     ),
     "kit-completion": Network(
         "baselines.completion.kit_task:kit_completion_task",

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from baselines.loading import ready
-from baselines.restoration.disparity import Evidence, cropped_evidence, padded_box, shifted_boxes
+from baselines.restoration.disparity import Box, Evidence, cropped_evidence, padded_box, shifted_boxes
 from baselines.segmentation.bodies import Bodies, on_far_half
 from baselines.segmentation.network import SIDE, CentresConfig, CentresNet
 from baselines.segmentation.views import evidence_of
@@ -40,7 +40,7 @@ class PartFinder:
         labels[box] = gathered(np.indices(part.shape) + offset[::-1], part & ~on_far_half(bodies.points[box]))
         return labels
 
-    def votes(self, bodies: Bodies, box: tuple[slice, slice]) -> tuple[np.ndarray, np.ndarray]:
+    def votes(self, bodies: Bodies, box: Box) -> tuple[np.ndarray, np.ndarray]:
         """(2, h, w) [px] across and down; (h, w) bool: pixels that show a part.
 
         Each is the median by images that begin at several pixels, as of `baselines.restoration.learned.Restorer`.
@@ -49,7 +49,7 @@ class PartFinder:
         votes = np.median([self._votes(evidence, wide)[(slice(None), *inside)] for wide, inside in boxes], axis=0)
         return votes[:2], votes[2] > 0
 
-    def _votes(self, evidence: Evidence, box: tuple[slice, slice]) -> np.ndarray:
+    def _votes(self, evidence: Evidence, box: Box) -> np.ndarray:
         """(3, h, w) offsets [px] across and down, and logits of showing a part; rounded."""
         cut = cropped_evidence(evidence, box)
         batch = [torch.from_numpy(cut[name])[None] for name in ("measured", "restored", "returned", "up")]

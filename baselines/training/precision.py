@@ -1,13 +1,19 @@
-"""How the numbers of weights are stored: as float32, as float16, or as int8 with a scale for each row of a matrix."""
+"""How the numbers of weights are stored: as float32, as float16, or as int8 with a scale for each row of a matrix.
+
+It imports no PyTorch, so that the command line can name the precisions without loading it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
-
-import torch
+from typing import TYPE_CHECKING, Literal
 
 from kit1000.errors import InputError
+
+if TYPE_CHECKING:
+    import torch
+
+    Tensors = dict[str, torch.Tensor]
 
 Precision = Literal["float32", "float16", "int8"]
 """float16: half the size, rounded by up to 1 in 2048; int8: a quarter, tensors of two or more axes rounded to 127ths of
@@ -15,8 +21,6 @@ the largest number of their row, the first axis."""
 SCALE = ".int8-scale"  # suffix of the name of the scales of a tensor
 MOST = 127  # of int8
 LEAST = 1e-30  # the largest number of a row, where it is smaller
-
-Tensors = dict[str, torch.Tensor]
 
 
 def stored(tensors: Mapping[str, torch.Tensor], precision: Precision) -> Tensors:
@@ -27,7 +31,7 @@ def stored(tensors: Mapping[str, torch.Tensor], precision: Precision) -> Tensors
             scale = value.abs().flatten(1).amax(1).clamp(min=LEAST) / MOST
             if not scale.isfinite().all():
                 raise InputError(f"{name} has numbers that are not finite")
-            written[name] = (value / _column(scale, value)).round().to(torch.int8)
+            written[name] = (value / _column(scale, value)).round().char()
             written[name + SCALE] = scale
         else:
             written[name] = _halved(name, value) if precision == "float16" else value
