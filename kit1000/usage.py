@@ -7,7 +7,6 @@ usage or invalid input, 3 a bug of the package, 130 interrupted.
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import types
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,6 +16,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 import tyro
 
 from kit1000.errors import InternalError, Kit1000Error, did_you_mean, internal_error
+from kit1000.signals import terminated_as_interrupted
 
 USAGE_ERROR, INTERNAL_ERROR = 2, 3  # exit status: wrong usage or invalid input, bug of the package
 INTERRUPTED = 130  # exit status of a command stopped by Ctrl-C, as in shells
@@ -37,10 +37,10 @@ def run(program: str, commands: Mapping[str, type], about: str, arguments: Seque
     error = usage_error(words, commands, program)
     if error:
         return _print_error(program, error, USAGE_ERROR)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends workers and releases locks as Ctrl-C does
     command = tyro.extras.subcommand_cli_from_dict(dict(commands), prog=program, description=about, args=words)
     try:
-        status = command.run()
+        with terminated_as_interrupted():  # ends workers and releases locks as Ctrl-C does
+            status = command.run()
         sys.stdout.flush()
         return status
     except Kit1000Error as error:

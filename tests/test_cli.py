@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
@@ -32,14 +31,6 @@ from kit1000.summaries import summary_text
 
 ROOT = Path(__file__).resolve().parents[1]
 WIDTHS = (20, 24, 28, 33)
-
-
-@pytest.fixture(autouse=True)
-def _termination() -> Iterator[None]:
-    """Restore the handler of SIGTERM, which `main` sets."""
-    before = signal.getsignal(signal.SIGTERM)
-    yield
-    signal.signal(signal.SIGTERM, before)
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import logging
 import os
-import signal
 import socket
 import sys
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -22,6 +20,7 @@ from typing import Any
 from kit1000.engines.cores import usable_cores
 from kit1000.engines.jobs import JOBS_PER_WORKER, ONE_THREAD_ENV, RETRIES, ParallelMap, run_job
 from kit1000.errors import InputError, Kit1000Error, internal_error
+from kit1000.signals import keeping_sigterm
 
 CONNECT_TIMEOUT_S = 5.0  # of a cluster; Ray itself tries for minutes
 OBJECT_STORE_BYTES = 100 << 20  # shared memory of a local Ray: it holds small results, Ray's minimum is 75 MiB
@@ -37,7 +36,7 @@ def ray_engine(address: str | None = None, workers: int | None = None) -> Iterat
         workers: number of jobs that run at once; None: as many as there are processors.
     """
     library = _library()
-    with _keeping_sigterm():
+    with keeping_sigterm():  # Ray replaces it; an ended run still cleans up
         _connect(library, address, workers)
     try:
         yield partial(_map, library, workers if address else None)
@@ -137,16 +136,3 @@ def _node_error(library: Any, job: Any, cause: BaseException) -> Kit1000Error:
 
 def _first_line(error: BaseException) -> str:
     return next((line.strip() for line in str(error).splitlines() if line.strip()), type(error).__name__)
-
-
-@contextmanager
-def _keeping_sigterm() -> Iterator[None]:
-    """Restore the handler of SIGTERM, which Ray replaces, so that an ended run still cleans up."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
