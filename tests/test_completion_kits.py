@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-import trimesh
+from completion_cases import DEEP, WIDE, KnownPlate, plate_image, tray
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from baselines.catalog import WEIGHTS
 from baselines.completion import ObservedKits
-from baselines.completion.completed_kits import CompletedRelief, ReliefCompleter
+from baselines.completion.completed_kits import ReliefCompleter
 from baselines.completion.drawn_kits import drawn_kit, with_kit
 from baselines.completion.kit_network import KitCompletionConfig, KitCompletionNet, kit_loss, likely_depths
 from baselines.completion.kit_task import kit_completion_task
@@ -23,61 +23,25 @@ from baselines.completion.pixels import IDEAL
 from baselines.completion.planes import Plane
 from baselines.completion.relief import CELL, CELLS, DEEPEST, HIGHEST, SeenRelief, seen_relief, true_depths
 from baselines.training.checkpoint import save_weights
-from kit1000.camera import Camera, look_at
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
-from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
-from kit1000.sim.render import render
-from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 from kit1000.voxels import signed_distance
 
-CAMERA = Camera(width=400, height=300, fx=500.0, fy=500.0, cx=199.5, cy=149.5)
-EYE = look_at((0.4, 0.1, 0.45), (0, 0, 0))
-DEEP, WIDE, VOXEL = 12e-3, 30e-3, 1e-3
+VOXEL = 1e-3
 SMALL = KitCompletionConfig(widths=(8, 8, 8, 8))
-
-
-def tray() -> Mesh:
-    """A plate with a square cavity, its face at z = 0."""
-    plate = trimesh.creation.box((0.099, 0.099, 0.022)).apply_translation((0, 0, -0.011))
-    body = trimesh.boolean.difference([plate, trimesh.creation.box((WIDE, WIDE, 2 * DEEP))], engine="manifold")
-    return Mesh(body.vertices, body.faces)
-
-
-def image_of(moved: Pose) -> LabelledDepth:
-    """The plate seen by the camera, the whole scene moved in the world."""
-    bodies = [(Mesh(*_table()), moved), (tray(), moved)]
-    image = render(CAMERA, moved @ EYE, bodies, 1)
-    labels = np.where(image.body_ids == 2, ASSEMBLY_LABEL, 0).astype(np.uint8)
-    return LabelledDepth(View(CAMERA, moved @ EYE, image.depth), labels)
-
-
-def _table() -> tuple[np.ndarray, np.ndarray]:
-    box = trimesh.creation.box((2, 2, 0.1)).apply_translation((0, 0, -0.2))
-    return np.array(box.vertices), np.array(box.faces)
 
 
 def relief_of(moved: Pose, middle: tuple[float, float, float] = (0.004, -0.003, 0.01)) -> SeenRelief:
     plate = Plane(moved.rotate((0.0, 0.0, 1.0)), moved.xyz, 0.0)
-    return seen_relief(image_of(moved), plate, moved.apply(middle), IDEAL)
+    return seen_relief(plate_image(moved), plate, moved.apply(middle), IDEAL)
 
 
 @pytest.fixture(scope="module")
 def seen() -> SeenRelief:
     return relief_of(Pose.identity())
-
-
-class Oracle(ReliefCompleter):
-    """Knows the plate."""
-
-    def __init__(self, world_from_kit: Pose) -> None:
-        self.world_from_kit = world_from_kit
-
-    def __call__(self, relief: SeenRelief) -> CompletedRelief:
-        return CompletedRelief(relief, true_depths(tray(), self.world_from_kit, relief.world_from_plate))
 
 
 def network() -> KitCompletionNet:
@@ -116,9 +80,9 @@ def test_a_network_changes_no_seen_cell_and_fills_nothing_that_is_seen_free(seen
 
 
 def test_a_known_relief_fills_the_volume_where_columns_have_no_floor() -> None:
-    kits = ObservedKits(image_of(Pose.identity()), IDEAL, "tray")
+    kits = ObservedKits(plate_image(Pose.identity()), IDEAL, "tray")
     exact, solids = None, []
-    for completer in (None, Oracle(Pose.identity())):
+    for completer in (None, KnownPlate(Pose.identity())):
         volume = replace(kits, completer=completer).volume(np.zeros(3), VOXEL)
         exact = signed_distance(volume.grid, [(tray(), Pose.identity())], threads=1).values < 0
         places = volume.grid.centres()
@@ -156,7 +120,7 @@ def test_seen_cells_and_layers_seen_free_do_not_count_in_the_loss() -> None:
 
 @pytest.mark.parametrize("blind", ["no return", "another label", "from below"])
 def test_an_image_that_shows_nothing_of_a_plate_leaves_all_hidden(blind: str) -> None:
-    image, plate = image_of(Pose.identity()), Plane(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0)
+    image, plate = plate_image(Pose.identity()), Plane(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0)
     if blind == "no return":
         image = replace(image, view=replace(image.view, depth=np.zeros_like(image.view.depth)))
     elif blind == "another label":
@@ -174,7 +138,7 @@ def test_an_image_that_shows_nothing_of_a_plate_leaves_all_hidden(blind: str) ->
 
 
 def test_a_camera_on_the_normal_has_a_frame_too() -> None:
-    view = image_of(Pose.identity())
+    view = plate_image(Pose.identity())
     below = view.view.world_from_camera.xyz * (1, 1, 0)
     relief = seen_relief(view, Plane(np.array([0.0, 0.0, 1.0]), np.zeros(3), 0.0), below, IDEAL)
     assert relief.camera[0] == pytest.approx(0, abs=1e-6)

@@ -12,7 +12,7 @@ from editing import EYE, answered, desk, dragged, found, goal, header_of, off, s
 
 from kit1000.camera import look_at
 from kit1000.cli import main
-from kit1000.editor.display import FIELD, body_node, ghost_node
+from kit1000.editor.display import FIELD, HIDDEN_KITS, KITS, body_node, ghost_node
 from kit1000.editor.gestures import same_motion
 from kit1000.editor.help import help_text
 from kit1000.editor.keys import KEYS
@@ -23,8 +23,9 @@ from kit1000.editor.records import FILE, EventLog
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.session import Session
 from kit1000.editor.texts import LIKELY_COLOUR, SURE_COLOUR, UNSURE_COLOUR, confidence_colour, plain
-from kit1000.editor.worker import Job, Result
+from kit1000.editor.worker import Completion, Job, Result
 from kit1000.errors import InputError
+from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.submission import read_submission
 
@@ -323,6 +324,31 @@ def test_failures_of_a_method_are_said_without_markup(scene: EditedScene, tmp_pa
     table.controller.received(Result(Job(part, None), [], "no <b>luck</b> [x](y)"))
     assert "no bluck/b x(y)" in table.stage.texts["fit"]
     assert plain("<script>`a`|#") == "scripta"
+
+
+def test_completed_kits_are_shown_beside_the_seen_ones_and_hidden_with_them(scene: EditedScene, tmp_path: Path) -> None:
+    table, mesh = desk(scene, tmp_path / "out"), Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
+    table.controller.command("hide-kits")
+    table.controller.completed(Completion(mesh))
+    assert table.stage.meshes[HIDDEN_KITS] is mesh
+    assert table.stage.colours[HIDDEN_KITS] != table.stage.colours[KITS]
+    assert {KITS, HIDDEN_KITS} <= table.stage.hidden
+    table.controller.command("hide-kits")
+    assert not {KITS, HIDDEN_KITS} & table.stage.hidden
+
+
+def test_where_no_kits_are_completed_the_page_is_as_before(scene: EditedScene, mini: Path, tmp_path: Path) -> None:
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
+    nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
+    blind, true = (desk(each, tmp_path / name) for each, name in ((scene, "a"), (scene_of(mini, truth=True), "b")))
+    hand = desk(scene, tmp_path / "c", interface="hand")
+    for table, completion in ((blind, Completion(None)), (blind, Completion(nothing)), (true, Completion(mesh))):
+        table.controller.completed(completion)
+        assert HIDDEN_KITS not in table.stage.meshes
+    hand.controller.completed(Completion(mesh))
+    assert HIDDEN_KITS not in hand.stage.meshes
+    blind.controller.completed(Completion(None, "no [weights](x)"))
+    assert blind.stage.texts["note"] == "What the image hides of the kits is not shown: no weights(x)"
 
 
 def test_colour_follows_confidence_in_three_steps() -> None:

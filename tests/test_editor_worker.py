@@ -21,8 +21,19 @@ from kit1000.editor import worker
 from kit1000.editor.gestures import same_motion
 from kit1000.editor.hand import PLACE
 from kit1000.editor.scene import EditedScene
-from kit1000.editor.worker import Job, Method, Result, Worker, prepared, proposals_of
+from kit1000.editor.worker import (
+    Completion,
+    Job,
+    Method,
+    Prepared,
+    Result,
+    Worker,
+    completion_of,
+    prepared,
+    proposals_of,
+)
 from kit1000.errors import InputError
+from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.values import Query, TrueGeometry
@@ -36,12 +47,12 @@ class Pool:
 
     _processes: dict[int, Any] | None = None
 
-    def submit(self, call: Any, method: Method, job: Job) -> Future[Result]:
-        future: Future[Result] = Future()
-        if job.part == 3:
+    def submit(self, call: Any, method: Method, *jobs: Job) -> Future[Any]:
+        future: Future[Any] = Future()
+        if not jobs or jobs[0].part == 3:
             future.set_exception(BrokenProcessPool())
         else:
-            future.set_result(Result(job, []))
+            future.set_result(Result(jobs[0], []))
         return future
 
     def shutdown(self, wait: bool, cancel_futures: bool) -> None:
@@ -53,11 +64,13 @@ def test_what_the_hand_asks_comes_first_then_the_part_in_the_hand(monkeypatch: p
     """Also what is asked before the work begins; of several guesses about a part the last alone."""
     monkeypatch.setattr(worker, "_one_process", Pool)
     results: Queue[Result] = Queue()
+    completions: Queue[Completion] = Queue()
     work = Worker(METHOD, (0, 1, 2, 3, 4))
     work.prefer(2)
     work.ask(1, Pose.identity())
     work.ask(1, NEAR)
-    work.start(results.put)
+    work.start(results.put, completions.put)
+    assert completions.get(timeout=30) == Completion(None, "the method's process died")  # and the others are answered
     order = [results.get(timeout=30) for _ in range(6)]
     assert [result.job.part for result in order] == [1, 2, 0, 1, 3, 4]
     assert order[0].job.guess is NEAR
@@ -68,6 +81,7 @@ def test_what_the_hand_asks_comes_first_then_the_part_in_the_hand(monkeypatch: p
     work.close()
     work.ask(0, NEAR)
     assert results.empty()
+    assert completions.empty()
 
 
 def test_a_blind_session_opens_no_file_with_truth(mini: Path, tmp_path: Path) -> None:
@@ -114,6 +128,23 @@ class Fussy:
     def propose(self, query: Query, geometry: TrueGeometry) -> list[PredictedMotion]:
         assert geometry.part.vertices.shape[1] == 3
         return [PredictedMotion(Pose.identity(), 0.5)]
+
+
+class Completing:
+    """A method that completes kits."""
+
+    def completed_kits(self, query: Query) -> Mesh:
+        assert query.guess is None
+        return Mesh(query.pivot + np.eye(3), np.array([[0, 1, 2]], np.int32))
+
+
+def test_a_method_completes_the_kits_of_the_scene_or_does_not(mini: Path) -> None:
+    scene = scene_of(mini)
+    made = Prepared(scene.dataset, scene.queries, Completing(), False)
+    kits = completion_of(made).kits
+    assert kits is not None
+    assert np.array_equal(kits.vertices, scene.queries[min(scene.queries)].pivot + np.eye(3))
+    assert completion_of(replace(made, predictor=keep)) == Completion(None)
 
 
 def test_any_predictor_snaps_by_the_protocol_alone(mini: Path) -> None:

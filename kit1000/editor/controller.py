@@ -24,7 +24,7 @@ from kit1000.editor.records import EventLog, write_predictions_of
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.session import PartEdit
 from kit1000.editor.stage import Stage
-from kit1000.editor.worker import Result
+from kit1000.editor.worker import Completion, Result
 from kit1000.editor.workspace import Step, Workspace
 from kit1000.pose import Pose
 
@@ -216,6 +216,14 @@ class Controller:
         if carrier is not None and carrier == space.selected:
             space.fit_index = 0
         self.display.update()
+
+    @exclusive
+    def completed(self, completion: Completion) -> None:
+        """What the worker has completed of the kits."""
+        if completion.kits is not None:
+            self.display.complete_kits(completion.kits)
+        elif completion.failure:
+            self.display.note(texts.not_completed(completion.failure))
 
     # What follows from them.
 

@@ -14,7 +14,7 @@ from kit1000.pose import Pose
 from kit1000.trigonometry import tangent
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 
-KITS, OTHERS = "/kits", "/others"
+KITS, HIDDEN_KITS, OTHERS = "/kits", "/hidden-kits", "/others"
 OVER_PART = np.array([0.0, 0.0, 0.035])  # [m] of its label, as seen from aside
 BEYOND_PART = np.array([0.0, 0.035, 0.0])  # [m] of the same, as seen from above: it must not cover the part
 UP_THE_CUP = np.array([0.0, 0.0, 0.07])  # [m] of its label, from the lip where it hangs
@@ -32,8 +32,12 @@ class Display:
     def __init__(self, stage: Stage, workspace: Workspace) -> None:
         self.stage, self.workspace = stage, workspace
         self._label_offset = OVER_PART
+        self._shows_hidden = False
         scene = workspace.scene
-        if isinstance(workspace, HandWorkspace) and not scene.truth:
+        by_hand = isinstance(workspace, HandWorkspace)
+        self.completes = not (by_hand or scene.truth)
+        """Whether it shows what the image hides of the kits: points are what the camera saw, true shapes are whole."""
+        if by_hand and not scene.truth:
             self._add_points()
         else:
             stage.show(KITS, scene.kits, texts.KIT_COLOUR, None)
@@ -41,7 +45,7 @@ class Display:
                 stage.show(OTHERS, scene.others, texts.OTHER_COLOUR, None)
             for part, mesh in scene.meshes.items():
                 stage.show(body_node(part), mesh, part_colour(part), None)
-        if isinstance(workspace, HandWorkspace):
+        if by_hand:
             for cup in NAMES:
                 pose, mesh = workspace.rest(cup), cup_mesh()
                 placed = Mesh(pose.apply(mesh.vertices), mesh.faces)
@@ -52,6 +56,13 @@ class Display:
                 stage.show(ghost_node(part), mesh, texts.confidence_colour(0), texts.GHOST_OPACITY)
         for body in workspace.bodies:
             stage.look(ghost_node(body), visible=False)
+
+    def complete_kits(self, hidden: Mesh) -> None:
+        """Show what the image hides of the kits, as the method completes it [m] world, in a colour of its own."""
+        if self.completes and len(hidden.faces):
+            self.stage.show(HIDDEN_KITS, hidden, texts.HIDDEN_COLOUR, None)
+            self._shows_hidden = True
+            self.update()
 
     def moved(self, body: int) -> None:
         """A body in a drag: its pose, its label, its ghost and what there is to say of it, nothing else."""
@@ -68,6 +79,8 @@ class Display:
             self._label(body)
         self._ghost()
         self.stage.look(KITS, visible=not space.kits_hidden)
+        if self._shows_hidden:
+            self.stage.look(HIDDEN_KITS, visible=not space.kits_hidden)
         sought = space.sought()
         self.stage.progress(1 - len(sought) / max(len(space.scene.parts), 1))
         self.stage.say("note", "")

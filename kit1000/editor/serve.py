@@ -78,7 +78,7 @@ def editing(
             log.add("open")
             try:
                 if worker is not None:
-                    worker.start(controller.received)
+                    worker.start(controller.received, controller.completed if controller.display.completes else None)
                 yield controller, address
             finally:
                 if worker is not None:

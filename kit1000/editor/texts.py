@@ -12,6 +12,7 @@ from kit1000.editor.session import LIKELY, SURE, PartEdit, part_name
 from kit1000.editor.stage import Colour
 
 KIT_COLOUR: Colour = (205, 201, 194)
+HIDDEN_COLOUR: Colour = (224, 214, 190)
 OTHER_COLOUR: Colour = (170, 172, 176)
 TABLE_COLOUR: Colour = (236, 238, 240)
 GHOST_OPACITY = 0.45
@@ -128,6 +129,11 @@ def no_fit(proposals: PartProposals, over_kits: bool, waits: bool) -> str:
     if waits or proposals.found is None:
         return "No fit yet: the method is still at work."
     return "No fit within 28 mm: move the part nearer to its cavity, turn it, or tip it over."
+
+
+def not_completed(failure: str) -> str:
+    """Why what the image hides of the kits is not shown."""
+    return f"What the image hides of the kits is not shown: {plain(failure)}"
 
 
 def plain(text: str) -> str:

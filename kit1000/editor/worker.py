@@ -13,19 +13,22 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.proposals import Proposal
 from kit1000.editor.queries import editable_queries
 from kit1000.engines.processes import start_worker
 from kit1000.errors import InputError, Kit1000Error
+from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.predictor import predictor_of, to_prediction
 from kit1000.values import Query
+
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,15 @@ class Result(NamedTuple):
     """Why there are none."""
 
 
+class Completion(NamedTuple):
+    """What the image hides of the kits, as the method completes it."""
+
+    kits: Mesh | None
+    """[m] world; None where the method completes no kits."""
+    failure: str = ""
+    """Why there is none, where there should be."""
+
+
 class Worker:
     """Runs jobs one after another in one process, and hands each result on from a thread of its own."""
 
@@ -80,9 +92,9 @@ class Worker:
         self._changed, self._stopping = threading.Condition(), False
         self._executor = _one_process()
 
-    def start(self, done: Callable[[Result], None]) -> None:
-        """Begin with the jobs. done: called with each result."""
-        threading.Thread(target=self._run, args=(done,), daemon=True).start()
+    def start(self, done: Callable[[Result], None], completed: Callable[[Completion], None] | None = None) -> None:
+        """Begin with the jobs. done: called with each result; completed: once before, with the completed kits."""
+        threading.Thread(target=self._run, args=(done, completed), daemon=True).start()
 
     def ask(self, part: int, guess: Pose) -> None:
         """Ask for the answer to a guess; an earlier one about the part that still waits is forgotten."""
@@ -105,17 +117,25 @@ class Worker:
             process.terminate()
         self._executor.shutdown(wait=False, cancel_futures=True)
 
-    def _run(self, done: Callable[[Result], None]) -> None:
+    def _run(self, done: Callable[[Result], None], completed: Callable[[Completion], None] | None) -> None:
+        if completed is not None:
+            completion = self._answer(_complete, lambda failure: Completion(None, failure))
+            if not self._stopping:
+                completed(completion)
         while (job := self._next()) is not None:
-            try:
-                result = self._executor.submit(_propose, self._method, job).result()
-            except BrokenProcessPool:
-                self._executor = _one_process()
-                result = Result(job, [], "the method's process died")
-            except Exception as error:
-                result = Result(job, [], _line(error))
+            result = self._answer(_propose, partial(Result, job, []), job)
             if not self._stopping:
                 done(result)
+
+    def _answer(self, call: Callable[..., Answer], failed: Callable[[str], Answer], *job: Job) -> Answer:
+        """The answer of the method's process, or what `failed` makes of the reason why there is none."""
+        try:
+            return self._executor.submit(call, self._method, *job).result()
+        except BrokenProcessPool:
+            self._executor = _one_process()
+            return failed("the method's process died")
+        except Exception as error:
+            return failed(_line(error))
 
     def _next(self) -> Job | None:
         """The next job, waited for; None at the end."""
@@ -167,6 +187,14 @@ def _propose(method: Method, job: Job) -> Result:
         return Result(job, [], _line(error))
 
 
+def _complete(method: Method) -> Completion:
+    """The completed kits; an error becomes a line for the page."""
+    try:
+        return completion_of(prepared(method))
+    except Exception as error:
+        return Completion(None, _line(error))
+
+
 @dataclass(frozen=True, eq=False)
 class Prepared:
     """A method, made, and the queries about a scene."""
@@ -200,6 +228,13 @@ def proposals_of(made: Prepared, job: Job) -> list[Proposal]:
         motions = [] if job.guess is None else [predictor(query, geometry)]
     predictions = (to_prediction(query, motion, 0.0) for motion in motions)
     return [Proposal(each.goal_from_now, each.confidence, job.guess is not None) for each in predictions]
+
+
+def completion_of(made: Prepared) -> Completion:
+    """The kits as the method completes them, by its `completed_kits`, if it has that."""
+    if not hasattr(made.predictor, "completed_kits"):
+        return Completion(None)
+    return Completion(made.predictor.completed_kits(next(iter(made.queries.values()))))
 
 
 def _line(error: BaseException) -> str:
