@@ -37,6 +37,13 @@ COMPLETED = replace(
     label="SnapNet",
     paper_row="snapnet",
 )
+KITS = replace(
+    COMPLETED,
+    description="SnapNet, small preset, from one depth image; networks complete parts and kits",
+    weights={**COMPLETED.weights, "rotation": "snapnet-kits-rotation", "kit_completion": "kit-completion"},
+    label="SnapNet, completed kits",
+    paper_row="",
+)
 
 
 def _with_second_pass(method: Method) -> Method:
@@ -52,6 +59,7 @@ def _with_second_pass(method: Method) -> Method:
 METHODS = {
     "snapnet": COMPLETED,
     "snapnet-2pass": _with_second_pass(COMPLETED),
+    "snapnet-kits": KITS,
     "snapnet-gtvol": GTVOL,
     "snapnet-gtvol-2pass": _with_second_pass(GTVOL),
     "snapnet-partialvol": PARTIALVOL,
@@ -62,7 +70,7 @@ POSITION_TRAINING = {
     "paper": TrainConfig(steps=20_000, batch=4, learning_rate=1e-4, decay="none"),
 }
 ROTATION_TRAINING = {
-    "small": TrainConfig(steps=3_000, batch=2, learning_rate=1e-3, warmup=200, ema_decay=0.999, validate_every=500),
+    "small": TrainConfig(steps=3_000, batch=2, learning_rate=1e-3, warmup=200, ema_decay=0.999, validate_every=1000),
     "paper": TrainConfig(steps=150_000, batch=1, learning_rate=1e-4, decay="none", validate_every=500),
 }
 POSITION_TASK, ROTATION_TASK = "baselines.snapnet.tasks:position_task", "baselines.snapnet.tasks:rotation_task"
@@ -74,4 +82,10 @@ NETWORKS = {
     "snapnet-partialvol-rotation": Network(ROTATION_TASK, ROTATION_TRAINING, {"source": "depth"}),
     "snapnet-position": Network(POSITION_TASK, POSITION_TRAINING, {"source": "depth"}, {"completion": "completion"}),
     "snapnet-rotation": Network(ROTATION_TASK, ROTATION_TRAINING, {"source": "depth"}, {"completion": "completion"}),
+    "snapnet-kits-rotation": Network(
+        ROTATION_TASK,
+        ROTATION_TRAINING,
+        {"source": "depth"},
+        {"completion": "completion", "kit_completion": "kit-completion"},
+    ),
 }

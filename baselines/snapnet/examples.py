@@ -14,6 +14,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from baselines.completion.completed import PartCompleter
+from baselines.completion.completed_kits import ReliefCompleter
 from baselines.snapnet.candidates import candidates, nearest_candidate
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.volumes import SCENES, ImageCache, QueryVolumes
@@ -80,6 +81,7 @@ class QuerySampler:
         guesses: Guesses = "ball",
         sensor: Sensor = "ideal",
         completer: PartCompleter | None = None,
+        kit_completer: ReliefCompleter | None = None,
     ) -> None:
         """Nothing is read yet.
 
@@ -90,6 +92,7 @@ class QuerySampler:
             guesses: the kind of guess errors; place: upright parts without a guess.
             sensor: of depth images and pivots.
             completer: the network that completes parts of depth images; None fills columns.
+            kit_completer: the network that completes kits, see `ObservedKits`.
 
         Raises:
             InputError: unknown guesses, or no track with these guesses and this sensor.
@@ -104,12 +107,13 @@ class QuerySampler:
         if self.track not in TRACKS:
             raise InputError(f"sensor {sensor!r}: no track {self.track}; there are {', '.join(TRACKS)}")
         self._split = dataset.split(split, truth=True)
-        self._images = ImageCache(completer=completer)
-        self._completer = completer
+        self._images = ImageCache(completer=completer, kit_completer=kit_completer)
+        self._completer, self._kit_completer = completer, kit_completer
         self._queries: Callable[[str], tuple[tuple[Query, Truth], ...]] = lru_cache(SCENES)(self._read)
 
     def __reduce__(self) -> tuple[type[QuerySampler], tuple[object, ...]]:
-        return QuerySampler, (self.dataset, self.split, self.source, self.guesses, self.sensor, self._completer)
+        networks = (self._completer, self._kit_completer)
+        return QuerySampler, (self.dataset, self.split, self.source, self.guesses, self.sensor, *networks)
 
     def draw(self, rng: np.random.Generator) -> QuerySample:
         """A part of a scene, every scene with the same probability, with a fresh guess.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -12,13 +12,14 @@ import torch
 from torch import Tensor
 
 from baselines.completion.completed import PartCompleter
+from baselines.completion.completed_kits import ReliefCompleter
 from baselines.snapnet.config import POSITION, ROTATION, PositionConfig, RotationConfig, Source
 from baselines.snapnet.examples import Example, Guesses, PositionExamples, QuerySampler, RotationExamples
 from baselines.snapnet.position import PositionNet, position_loss, position_of
 from baselines.snapnet.rotation import RotationNet, rotation_loss
 from kit1000.dataset.reader import Dataset
 
-VALIDATION_QUERIES = {"position": 100, "rotation": 48}  # spread evenly over the validation split
+VALIDATION_QUERIES = {"position": 100, "rotation": 96}  # spread evenly over the validation split
 
 Batch = dict[str, Tensor]
 Examples = TypeVar("Examples", PositionExamples, RotationExamples)
@@ -101,20 +102,28 @@ def position_task(
 
 
 def rotation_task(
-    dataset: Dataset, preset: str, source: Source, guesses: Guesses = "ball", completion: Path | None = None
+    dataset: Dataset,
+    preset: str,
+    source: Source,
+    guesses: Guesses = "ball",
+    completion: Path | None = None,
+    kit_completion: Path | None = None,
 ) -> tuple[RotationTask, RotationConfig]:
-    """The task of a rotation network with new weights, and its config; `completion` as for `position_task`."""
+    """The task of a rotation network with new weights, and its config; `completion` as for `position_task`.
+
+    kit_completion: of the network that completes kits; None leaves free what no pixel shows.
+    """
     config = ROTATION[preset]
-    training, validation = (
-        RotationExamples(sampler, config) for sampler in _samplers(dataset, source, guesses, completion)
-    )
+    samplers = _samplers(dataset, source, guesses, completion, kit_completion)
+    training, validation = (RotationExamples(sampler, config) for sampler in samplers)
     return RotationTask(training, validation, VALIDATION_QUERIES["rotation"], RotationNet(config)), config
 
 
 def _samplers(
-    dataset: Dataset, source: Source, guesses: Guesses, completion: Path | None
-) -> tuple[QuerySampler, QuerySampler]:
+    dataset: Dataset, source: Source, guesses: Guesses, completion: Path | None, kit_completion: Path | None = None
+) -> Iterator[QuerySampler]:
     """Queries for training and for validation."""
     completer = None if completion is None else PartCompleter(completion)
-    train, val = (QuerySampler(dataset, split, source, guesses, completer=completer) for split in ("train", "val"))
-    return train, val
+    kit_completer = None if kit_completion is None else ReliefCompleter(kit_completion)
+    for split in ("train", "val"):
+        yield QuerySampler(dataset, split, source, guesses, completer=completer, kit_completer=kit_completer)
