@@ -1,7 +1,7 @@
 """Do other processors write the same bytes? Generates presets twice and compares every file: `make portable`.
 
-The second run lets OpenBLAS, glibc and numpy choose what they would on a processor of 2011, without AVX2 and FMA. The
-exit status is 1 when a file differs.
+The second run lets OpenBLAS, glibc, numpy and PyTorch choose what they would on a processor of 2011, without AVX2 and
+FMA. The exit status is 1 when a file differs.
 """
 
 from __future__ import annotations
@@ -21,6 +21,8 @@ OLD_PROCESSOR = {
     "OPENBLAS_CORETYPE": "Sandybridge",
     "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-AVX",
     "NPY_DISABLE_CPU_FEATURES": " ".join(__cpu_dispatch__),
+    "ONEDNN_MAX_CPU_ISA": "SSE41",
+    "ATEN_CPU_CAPABILITY": "default",
 }
 
 

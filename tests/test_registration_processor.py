@@ -38,17 +38,55 @@ for track, source in (("snap", "depth"), ("snap", "columns"), ("place", "truth")
     print(query.id, source, motion.wxyz.tolist(), motion.xyz.tolist(), confidence)
 """
 
+# A query of a noisy image with networks, and the rounded disparities of the one that restores it, of images of noise.
+NETWORKS = """
+import sys
+from hashlib import sha256
+from pathlib import Path
+import numpy as np
+from baselines.methods import WEIGHTS, make_predictor, method_of
+from baselines.restoration.learned import Restorer
+from kit1000.dataset.reader import Dataset
 
-def test_predictions_do_not_depend_on_the_processor(mini: Path) -> None:
-    command = [sys.executable, "-W", "ignore", "-c", CODE, str(mini)]
+restorer, shape = Restorer(WEIGHTS / "restoration"), (160, 192)
+for seed in range(40):
+    rng = np.random.default_rng(seed)
+    evidence = {
+        "disparity": rng.normal(2, 2, shape).astype(np.float32),
+        "returned": rng.random(shape) < 0.9,
+        "labels": rng.integers(0, 3, shape, np.uint8),
+        "slope": rng.normal(0, 0.02, 2).astype(np.float32),
+    }
+    print(sha256(restorer._likeliest(evidence, (slice(0, shape[0]), slice(0, shape[1]))).tobytes()).hexdigest())
+data = Dataset(Path(sys.argv[1]))
+query = next(query for query in data.split("train").queries() if query.track == "snap-d415")
+motion, confidence = make_predictor(method_of("registration-completed"), data, 0)(query)
+print(query.id, motion.wxyz.tolist(), motion.xyz.tolist(), confidence)
+"""
+
+
+def printed(code: str, mini: Path) -> tuple[str, str]:
+    """What a program prints on this processor and on an old one."""
+    command = [sys.executable, "-W", "ignore", "-c", code, str(mini)]
     old = {**os.environ, **OLD_PROCESSOR}
     runs = [
         subprocess.Popen(command, cwd=ROOT, env=env, text=True, stdout=subprocess.PIPE) for env in (os.environ, old)
     ]
-    outputs = [run.communicate()[0] for run in runs]
+    here, there = (run.communicate()[0] for run in runs)
     assert [run.returncode for run in runs] == [0, 0]
-    assert outputs[0].count("\n") == 3
-    assert outputs[0] == outputs[1]
+    return here, there
+
+
+def test_predictions_do_not_depend_on_the_processor(mini: Path) -> None:
+    here, there = printed(CODE, mini)
+    assert here.count("\n") == 3
+    assert here == there
+
+
+def test_predictions_by_networks_do_not_depend_on_the_processor(mini: Path) -> None:
+    here, there = printed(NETWORKS, mini)
+    assert here.count("\n") == 41
+    assert here == there
 
 
 @given(SEEDS, st.integers(1, 6), st.sampled_from([1e-6, 1.0, 1e6]))

@@ -1,4 +1,4 @@
-"""The network of completion and restoration: folded normalisation changes nothing but the time it takes."""
+"""The network of completion and restoration: folded norms and bands of rows change nothing but the time they take."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from baselines.unet import UNet, folded
+from baselines.unet import BandedConv2d, UNet, folded, in_float64
 
 
 def random_net(blocks: int) -> UNet:
@@ -47,3 +47,23 @@ def test_a_network_in_training_is_folded_as_in_evaluation() -> None:
         found = folded(net.train()).image(image)
     assert net.training
     torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("rows", [1, 3, 4, 5, 16])
+def test_bands_of_rows_are_the_whole_convolution(rows: int) -> None:
+    torch.manual_seed(rows)
+    whole = nn.Conv2d(3, 5, 3, padding=1).double()
+    image = torch.randn(2, 3, rows, 7, dtype=torch.float64)
+    torch.testing.assert_close(BandedConv2d(whole)(image), whole(image), rtol=0, atol=1e-12)
+
+
+def test_a_network_in_float64_says_the_same_with_more_digits() -> None:
+    net, image = random_net(2), torch.randn(2, 3, 16, 24)
+    exact = in_float64(net)
+    with torch.inference_mode():
+        expected, found = net.image(image), exact.image(image.double())
+        torch.testing.assert_close(found, net.double().image(image.double()), rtol=0, atol=1e-9)
+    assert found.dtype == torch.float64
+    torch.testing.assert_close(found.float(), expected, rtol=1e-4, atol=1e-4)
+    assert any(isinstance(module, BandedConv2d) for module in exact.modules())
+    assert not any(isinstance(module, nn.Conv2d) and module.kernel_size == (3, 3) for module in exact.modules())

@@ -24,22 +24,29 @@ from baselines.restoration.disparity import (
 )
 from baselines.restoration.edges import closed_gaps
 from baselines.restoration.network import SIDE, RestorationConfig, RestorationNet
-from baselines.unet import folded
+from baselines.unet import folded, in_float64
 from kit1000.sim.sensors import SENSORS
 from kit1000.values import LabelledDepth, View
 
 HEIGHT = 4e-3  # [m] along the ray, in front of the table, from which on something is a body
 BORDER = 16  # [px] about bodies
-DISPARITY_STEP = 1 / 512  # [px] to which disparities are rounded: sums of float32 depend on the processor
+DISPARITY_STEP = 1 / 512  # [px] to which disparities are rounded: the last digits of sums depend on the processor
 
 
 class Restorer:
     """The network with its weights."""
 
     def __init__(self, weights: Path | RestorationNet) -> None:
-        """weights: stem of the files, or the network itself."""
+        """weights: stem of the files, or the network itself.
+
+        With masks it calculates in float64: of 399 predictions from images restored in float32 a quarter depended on
+        the processor, by up to 2 mm, for about one pixel in 200,000 was rounded otherwise. Without masks only masks
+        come of it.
+        """
         net = folded(ready(weights, RestorationConfig, RestorationNet)).to("cpu")  # on which the last digits are known
-        self.net = net.to(memory_format=torch.channels_last)
+        exact = net.config.labelled
+        self.net = in_float64(net) if exact else net.to(memory_format=torch.channels_last)
+        self.precision = torch.float64 if exact else torch.float32
 
     def __call__(self, image: LabelledDepth, sensor: str, labels: Sequence[int]) -> LabelledDepth:
         """A calibrated image with its table on its plane, and the bodies of some labels where they likely are.
@@ -83,7 +90,8 @@ class Restorer:
     def _likeliest(self, read: Evidence, box: Box) -> np.ndarray:
         """(h, w) [px] the likeliest disparities in a box of the image, rounded."""
         cut = cropped_evidence(read, box)
-        batch = [torch.from_numpy(cut[name])[None] for name in ("disparity", "returned", "labels", "slope")]
+        disparity, slope = (torch.from_numpy(cut[name])[None].to(self.precision) for name in ("disparity", "slope"))
+        returned, labels = (torch.from_numpy(cut[name])[None] for name in ("returned", "labels"))
         with torch.inference_mode():
-            likeliest = self.net(*batch).likeliest()[0].numpy().astype(np.float64)
+            likeliest = self.net(disparity, returned, labels, slope).likeliest()[0].numpy().astype(np.float64)
         return np.rint(likeliest / DISPARITY_STEP) * DISPARITY_STEP
