@@ -24,10 +24,10 @@ from baselines.registration.certain import (
     UNSEEN_MISFIT,
     _Search,
 )
+from baselines.registration.confidence import CURVES, confidence
 from baselines.registration.faces import squared, standing_faces
 from baselines.registration.fits import LARGEST_LEAD, SAME_ANGLE, SAME_DISTANCE, lead, ranked, same_pose
 from baselines.registration.hypotheses import DOWN, LIES, NEAR_GUESS, SLACK_ANGLE, _faces_down
-from baselines.registration.method import SEATED, confidence
 from baselines.registration.search import UPRIGHT, tilted
 from kit1000.guesses import MAX_ANGLE
 from kit1000.mesh import mesh_from_solid
@@ -39,8 +39,8 @@ from kit1000.voxels import Grid, signed_distance, surface_points
 def search_for(known: Case, further: bool = True) -> _Search:
     """The search with evidence that leaves nothing unknown."""
     told = PartEvidence(known.part, known.part, known.part)
-    seen = surface_points(known.part)[::20]
-    source: Any = SimpleNamespace(evidence=told, middle=known.pivot, completer=None, part_points=seen)
+    shown = {"part_points": surface_points(known.part)[::20], "hidden_outline": 0.0}
+    source: Any = SimpleNamespace(evidence=told, middle=known.pivot, completer=None, restored=False, **shown)
     return _Search(source, SimpleNamespace(guess=None, pivot=known.pivot, sensor="ideal"), CLEARANCE, further)  # type: ignore[arg-type]
 
 
@@ -131,10 +131,16 @@ def test_a_fit_leads_by_the_misfit_of_the_next_in_another_pose() -> None:
     assert [lead(fit, fits, known.pivot) for fit in fits] == pytest.approx([7e-4, 6e-4, -7e-4])
 
 
-@given(doubts=st.lists(st.floats(0, 0.05), min_size=2, max_size=2), kind=st.sampled_from(sorted(SEATED)))
-def test_the_more_doubt_the_less_confidence(doubts: list[float], kind: tuple[str, str]) -> None:
-    low, high = (confidence(doubt, *kind) for doubt in sorted(doubts))
-    assert 1 >= low >= high >= 0
+LENGTHS = st.lists(st.floats(0, 0.05), min_size=2, max_size=2)
+
+
+@given(doubts=LENGTHS, leads=LENGTHS, kind=st.sampled_from(sorted(CURVES)))
+def test_the_more_doubt_and_the_less_lead_the_less_confidence(
+    doubts: list[float], leads: list[float], kind: tuple[str, str]
+) -> None:
+    low, high = sorted(doubts)
+    less, more = sorted(leads)
+    assert 1 >= confidence(low, more, *kind) >= confidence(high, more, *kind) >= confidence(high, less, *kind) >= 0
 
 
 def test_a_fit_beside_the_goal_has_more_doubt() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import binary_erosion, label
 from scipy.spatial import Delaunay, QhullError
+from trimesh.util import append_faces
 
 from baselines.completion.completed_kits import CompletedRelief
 from baselines.completion.kits import ObservedKits
@@ -20,10 +21,8 @@ def hidden_surfaces(kits: ObservedKits) -> Mesh:
     """The completed surface of hidden cells of all observed plates; empty without network. [m] world."""
     reliefs = [kits.relief(plate.point) for plate in kits.plates]
     surfaces = [hidden_surface(relief) for relief in reliefs if relief is not None]
-    vertices = [np.zeros((0, 3)), *(surface.vertices for surface in surfaces)]
-    first = np.cumsum([len(points) for points in vertices[:-1]])
-    faces = [surface.faces + start for surface, start in zip(surfaces, first, strict=True)]
-    return Mesh(np.concatenate(vertices), np.concatenate([np.zeros((0, 3), np.int32), *faces]).astype(np.int32))
+    vertices, faces = append_faces([part.vertices for part in surfaces], [part.faces for part in surfaces])
+    return Mesh(vertices, faces.astype(np.int32))
 
 
 def hidden_surface(relief: CompletedRelief) -> Mesh:

@@ -5,7 +5,8 @@ a plate), `faces` (those the part can stand on), `relief` (its lower envelope, d
 yaws and positions) and `hypotheses`, which joins them. Then either `columns`, which believes a filled part (`sweep`,
 `descent`, `refine`), or `certain`, which asks only what the image makes certain (`contradictions`, `intervals`).
 Without a guess `assignment` asks the other parts of the scene where two plates fit about as well; they share what was
-found in the image (`shared_image`). `method` is the predictor.
+found in the image (`shared_image`). How likely the best fit is seated says `confidence`, by the residuals left, the
+next best fit and how much of the part is hidden (`hidden_outline`). `method` is the predictor.
 """
 
 from baselines.catalog import Method

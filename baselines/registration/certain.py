@@ -68,14 +68,17 @@ class Refinement(NamedTuple):
     """The same of a part that a network completed."""
     doubt: Residuals
     """Weights in the doubt: how sure a fit is tells another sum than which of the fits is the best."""
+    hidden: float
+    """[m] added to the doubt of a part whose whole outline is hidden, in proportion to the hidden share."""
 
 
-EXACT = Refinement((SCALES[:3], SCALES[2:]), 2.6e-3, float(np.radians(8)), 0.1, 0.1, MISFIT)
-NOISY = {
-    "d415": Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 4e-3, 0.0, 0.3, 1.0, Residuals(0.0, 1.0, 1.0, 1.0, 5.0, 1.0)),
-}
-"""By sensor. Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls, and what is
-surely solid or free is hardly surer than what a network fills."""
+EXACT = Refinement((SCALES[:3], SCALES[2:]), 2.6e-3, float(np.radians(8)), 0.1, 0.1, MISFIT, 0.0)
+D415 = Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 4e-3, 0.0, 0.3, 1.0, Residuals(0.0, 1.0, 1.0, 1.0, 5.0, 1.0), 0.0)
+"""Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls, and what is surely solid or
+free is hardly surer than what a network fills."""
+RESTORED = D415._replace(doubt=Residuals(0.0, 1.0, 0.0, 0.3, 0.0, 0.0), hidden=1e-3)
+REFINEMENTS = {"ideal": EXACT, "d415": D415, "restored": RESTORED}
+"""By kind of image: its sensor, or restored where a network restored it."""
 
 
 def register_certain(source: DepthSource, query: Query, clearance: float, further: bool = True) -> list[Fit]:
@@ -101,7 +104,7 @@ class _Search:
     def __init__(self, source: DepthSource, query: Query, clearance: float, further: bool) -> None:
         self.source, self.query = source, query
         self.clearance, self.further = clearance, further
-        self.refinement = NOISY.get(query.sensor, EXACT)
+        self.refinement = REFINEMENTS["restored" if source.restored else query.sensor]
         self.prior = self.refinement.prior if source.completer is None else self.refinement.completed_prior
         self.seen = source.part_points
         self._kits: dict[int, KitHeights] = {}
@@ -153,7 +156,8 @@ class _Search:
         outline = outline_misfit(filled, candidate.cavity, pose, self.clearance)
         left = self._residuals(candidate, intervals)._replace(outline=outline)
         goal_from_now = candidate.cavity.world_from_plate @ candidate.plate_from_now
-        return Fit(goal_from_now, left.weighted(MISFIT), left.weighted(self.refinement.doubt), candidate)
+        doubt = left.weighted(self.refinement.doubt) + self.refinement.hidden * self.source.hidden_outline
+        return Fit(goal_from_now, left.weighted(MISFIT), doubt, candidate)
 
     def _residuals(self, candidate: Candidate, intervals: Intervals) -> Residuals:
         """Those of a refined candidate, without the outline's."""

@@ -9,12 +9,11 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-import numpy as np
-
 from baselines.heights.labels import LabelledViews
 from baselines.registration.assignment import assigned
 from baselines.registration.certain import register_certain
 from baselines.registration.columns import register_columns
+from baselines.registration.confidence import confidence
 from baselines.registration.fits import Fit, lead, ranked
 from baselines.registration.shared_image import SharedImage
 from baselines.registration.sources import DepthSource, TrueSource
@@ -31,21 +30,6 @@ if TYPE_CHECKING:
     from baselines.restoration.learned import Restorer
 
 SOURCES = ("depth", "columns", "truth")
-LEAD_SHARE = 0.5  # of the lead of a fit, taken off its doubt: another pose may fit as well
-CONFIDENCE_DECIMALS = 9  # the last digits of an exponential depend on the processor
-SEATED = {
-    ("depth", "ideal"): (3.5e-3, 0.7e-3),
-    ("depth", "d415"): (10.2e-3, 6.5e-3),
-    ("depth", "restored"): (14.6e-3, 5.4e-3),
-    ("columns", "ideal"): (6.0e-3, 1.4e-3),
-    ("columns", "d415"): (-6.8e-3, 7.1e-3),
-    ("truth", "ideal"): (5.5e-3, 0.4e-3),
-    ("truth", "d415"): (5.5e-3, 0.4e-3),
-}
-"""By source and kind of image: the doubt [m] at which half of the predictions are seated, and the spread of the
-logistic curve, fitted to the validation split. Those of depth: to 210 snaps of parts that are turned over (train) and
-100 places on ideal images, to 73 snaps and 47 places on d415, both with completed parts, and to the 424 queries of
-val on images of the d415 that a network restored."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,10 +95,8 @@ class Registration:
 
     def _motion(self, fit: Fit, fits: list[Fit], query: Query) -> PredictedMotion:
         """One of the fits, with its confidence."""
-        doubt = fit.doubt
-        if self.source == "depth":
-            doubt -= LEAD_SHARE * lead(fit, fits, query.pivot)
-        return PredictedMotion(fit.goal_from_now, confidence(doubt, self.source, self._kind(query)))
+        ahead = lead(fit, fits, query.pivot)
+        return PredictedMotion(fit.goal_from_now, confidence(fit.doubt, ahead, self.source, self._kind(query)))
 
     def _kind(self, query: Query) -> str:
         """The kind of an image: its sensor, or restored where a network restores it."""
@@ -174,9 +156,3 @@ def _true_source(query: Query, geometry: TrueGeometry | None) -> TrueSource:
     if geometry is None:
         raise InputError(f"{query.id}: registration from true volumes needs the true geometry")
     return TrueSource(geometry)
-
-
-def confidence(doubt: float, source: str, kind: str) -> float:
-    """The share of fits with such a doubt [m] that are seated, for the source and kind of image of SEATED."""
-    half, spread = SEATED[source, kind]
-    return round(float(1 / (1 + np.exp((doubt - half) / spread))), CONFIDENCE_DECIMALS)

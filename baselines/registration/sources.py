@@ -13,6 +13,7 @@ from baselines.completion.fusion import MaskedView, observed_distance
 from baselines.completion.part import AROUND, HALF_WIDTH, PartEvidence
 from baselines.completion.pixels import Noise, noise_of, oriented_points, pixel_points
 from baselines.registration.cavity import Cavity
+from baselines.registration.hidden_outline import hidden_outline
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points
@@ -146,6 +147,11 @@ class DepthSource:
         images = self._images_of(FIRST_PART_LABEL + self.query.part)
         points = np.concatenate([pixel_points(view, mask) for view, mask in images])
         return points[:: max(1, len(points) // SEEN_POINTS)]
+
+    @cached_property
+    def hidden_outline(self) -> float:
+        """See `hidden_outline`, of the part in the query's image as it was measured."""
+        return hidden_outline(self.measured or self.query.image, FIRST_PART_LABEL + self.query.part)
 
     @property
     def height(self) -> float | None:
