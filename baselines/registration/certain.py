@@ -156,7 +156,9 @@ class _Search:
         outline = outline_misfit(filled, candidate.cavity, pose, self.clearance)
         left = self._residuals(candidate, intervals)._replace(outline=outline)
         goal_from_now = candidate.cavity.world_from_plate @ candidate.plate_from_now
-        doubt = left.weighted(self.refinement.doubt) + self.refinement.hidden * self.source.hidden_outline
+        doubt = left.weighted(self.refinement.doubt)
+        if self.refinement.hidden:
+            doubt += self.refinement.hidden * self.source.hidden_outline
         return Fit(goal_from_now, left.weighted(MISFIT), doubt, candidate)
 
     def _residuals(self, candidate: Candidate, intervals: Intervals) -> Residuals:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import binary_dilation, maximum_filter
+from scipy.ndimage import maximum_filter
 
 from kit1000.values import LabelledDepth
 
@@ -18,8 +18,7 @@ def hidden_outline(image: LabelledDepth, label: int) -> float:
         label: of the body, from 1 on. 0.0 where no pixel has it.
     """
     body, depth = image.labels == label, image.view.depth
-    square = np.ones((2 * WIDTH + 1, 2 * WIDTH + 1), bool)
-    ring = binary_dilation(body, square) & ~body
-    inside = maximum_filter(np.where(body, depth, 0.0), footprint=square)  # the farthest pixel beside; 0 has no return
+    ring = maximum_filter(body, 2 * WIDTH + 1) & ~body
+    inside = maximum_filter(np.where(body, depth, 0.0), 2 * WIDTH + 1)  # the farthest pixel beside; 0 has no return
     nearer = ring & (image.labels > 0) & (depth > 0) & (depth < inside)
     return float(np.count_nonzero(nearer) / max(np.count_nonzero(ring), 1))
