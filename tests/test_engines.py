@@ -171,7 +171,7 @@ def test_workers_end_with_the_process_that_started_them(signal_number: signal.Si
     pids = {int(word) for word in run.stdout.readline().split()}
     assert len(pids) == 2
     run.send_signal(signal_number)
-    run.communicate(timeout=60)  # a busy computer takes ten seconds to end three processes
+    run.communicate(timeout=20)
     deadline = time.monotonic() + 10
     while not all(map(has_ended, pids)) and time.monotonic() < deadline:
         time.sleep(0.05)
