@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from baselines.catalog import WEIGHTS
 from baselines.completion import ObservedKits
 from baselines.completion.completed_kits import ReliefCompleter
-from baselines.completion.drawn_kits import drawn_kit, with_kit
+from baselines.completion.drawn_kits import STRETCH, drawn_kit, stretched, with_kit
 from baselines.completion.kit_network import KitCompletionConfig, KitCompletionNet, kit_loss, likely_depths
 from baselines.completion.kit_task import kit_completion_task
 from baselines.completion.kit_views import D415_SHARE, mirrored
@@ -26,8 +26,10 @@ from baselines.training.checkpoint import save_weights
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
+from kit1000.mesh import defect_float32
 from kit1000.pose import Pose
 from kit1000.rng import stream
+from kit1000.values import Kit
 from kit1000.voxels import signed_distance
 
 VOXEL = 1e-3
@@ -195,3 +197,24 @@ def test_fresh_kits_are_the_same_whoever_makes_them_and_change_one_plate_alone()
         assert [mount.kit is kits[2] for mount in changed.mounts] == [k == number for k in range(2)]
         cut = old.mesh.volume - kits[2].mesh.volume  # its own cavity is all that changes
         assert assembly.mesh.volume - changed.mesh.volume == pytest.approx(cut, abs=2e-9)
+
+
+@pytest.fixture(scope="module")
+def kit() -> Kit:
+    return drawn_kit(5, 0)
+
+
+@settings(max_examples=20, deadline=None)
+@given(factors=st.tuples(*(st.floats(*map(float, bounds)) for bounds in STRETCH)))
+def test_a_stretched_kit_is_printable_and_its_cavity_is_as_much_larger(kit: Kit, factors: tuple[float, ...]) -> None:
+    changed = stretched(kit, np.array(factors))
+    assert defect_float32(changed.mesh) is None
+    sizes = [np.ptp(one.mesh.vertices, axis=0) for one in (kit, changed)]
+    assert sizes[1] == pytest.approx(sizes[0] * (*factors[:2], 1.0), abs=1e-9)
+    cavities = [np.prod(size) - one.mesh.volume for size, one in zip(sizes, (kit, changed), strict=True)]
+    assert cavities[1] == pytest.approx(cavities[0] * np.prod(factors), rel=1e-6)
+
+
+def test_a_cavity_is_not_stretched_through_its_plate(kit: Kit) -> None:
+    with pytest.raises(InputError, match="underside"):
+        stretched(kit, np.array([1.0, 1.0, 4.0]))

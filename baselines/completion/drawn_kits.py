@@ -1,9 +1,11 @@
 """Fresh kits to learn completion from: a plate of an assembly of the train split gives way to one cut for a fresh part.
 
-Kit i of a seed is the same whoever makes it.
+Kit i of a seed is the same whoever makes it. Stretched, it shows the network yet another cavity.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,12 +15,16 @@ from kit1000.kits.assembly import join_mounts
 from kit1000.kits.cavity import MIN_SEATED_HEIGHT
 from kit1000.kits.face import RestingFace
 from kit1000.kits.kit import design_kit
+from kit1000.mesh import Mesh
 from kit1000.parts.family import part_of_mesh
 from kit1000.products import matmul
 from kit1000.rng import stream
 from kit1000.values import Assembly, Kit, Mount
 
 MAX_DRAWS = 50  # of one kit
+STRETCH = np.array([(0.75, 1.1), (0.75, 1.1), (0.7, 1.05)])
+"""Range of `stretched`'s factors in x, y and z: a cavity of 20 mm keeps 1 mm of floor, and gaps between plates stay."""
+UNDERSIDE = 1e-6  # [m] above it, vertices are the cavity's or the face's
 
 
 def drawn_kit(seed: int, index: int) -> Kit:
@@ -40,6 +46,20 @@ def with_kit(assembly: Assembly, number: int, kit: Kit) -> Assembly:
     mounts = list(assembly.mounts)
     mounts[number] = Mount(kit, mounts[number].assembly_from_kit)
     return join_mounts(assembly.id, tuple(mounts))
+
+
+def stretched(kit: Kit, factors: np.ndarray) -> Kit:
+    """The kit with its plate stretched along x and y, and along z its cavity alone: the plate keeps its thickness.
+
+    factors: (3,), those of x, y and z; the cavity must stay above the plate's underside.
+    """
+    thickness = kit.extent[2]
+    cavity = kit.mesh.vertices[:, 2] > -thickness + UNDERSIDE
+    vertices = kit.mesh.vertices * (*factors[:2], 1.0)
+    vertices[cavity, 2] *= factors[2]
+    if vertices[cavity, 2].min(initial=0.0) <= -thickness + UNDERSIDE:
+        raise InputError(f"factors: {factors[2]} along z stretches the cavity through the plate's underside")
+    return replace(kit, mesh=Mesh(vertices, kit.mesh.faces), extent=kit.extent * (*factors[:2], 1.0))
 
 
 def _insertion_face(part: DrawnPart, rng: np.random.Generator) -> RestingFace:

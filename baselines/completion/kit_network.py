@@ -28,21 +28,29 @@ class KitCompletionConfig:
     """Channels at each resolution, from 40 x 40 pixels, each half the one before."""
     blocks: int = 1
     """Residual blocks at each resolution, on the way down and on the way up."""
-    views: int = 10_000
+    views: int = 14_000
     """Fresh views that the training examples show, mirrored or not."""
-    drawn_share: float = 0.25
+    drawn_share: float = 0.5
     """Of the views: with a kit cut for a fresh part in place of one of the train split."""
-    drawn_kits: int = 600
+    drawn_kits: int = 3000
     """Such kits."""
-    views_seed: int = 2033
+    stretched_share: float = 0.75
+    """Of the views: with that kit stretched."""
+    views_seed: int = 2034
     """Of views and kits."""
 
 
 KIT_COMPLETION = {
     "small": KitCompletionConfig(),
-    "pretraining": KitCompletionConfig(views=12_000, drawn_share=0.75, drawn_kits=3000, views_seed=2032),
+    "pretraining": KitCompletionConfig(
+        views=12_000, drawn_share=0.75, drawn_kits=3000, stretched_share=0.0, views_seed=2032
+    ),
+    "dataset-kits": KitCompletionConfig(
+        views=10_000, drawn_share=0.25, drawn_kits=600, stretched_share=0.0, views_seed=2033
+    ),
 }
-"""Pretraining, of whose weights `small` starts, sees more kinds of kits than those of datasets."""
+"""Three runs, each from the weights of the one before: pretraining sees more kinds of kits than those of datasets,
+`dataset-kits` mostly theirs, and `small` fresh and stretched ones of both."""
 
 
 class KitCompletionNet(UNet):

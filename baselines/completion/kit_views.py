@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from baselines.calibration import CALIBRATED
-from baselines.completion.drawn_kits import drawn_kit, with_kit
+from baselines.completion.drawn_kits import STRETCH, drawn_kit, stretched, with_kit
 from baselines.completion.frame import pixel_box
 from baselines.completion.pixels import noise_of
 from baselines.completion.planes import Plane
@@ -50,6 +50,8 @@ class KitViews:
     """Fresh kits of that seed."""
     drawn_share: float
     """Of the views: with one of these in place of the kit that is shown."""
+    stretched_share: float
+    """Of the views: with the kit that is shown stretched."""
     restorer: Restorer
     """Of the images of the d415."""
     _kept: dict[int, Example] = field(default_factory=dict, repr=False, compare=False)
@@ -82,9 +84,14 @@ class KitViews:
         """An assembly, and which of its mounts is shown."""
         assembly = self.geometry.assembly(self.assemblies[int(rng.integers(len(self.assemblies)))])
         number = int(rng.integers(len(assembly.mounts)))
+        kit = assembly.mounts[number].kit
         if rng.random() < self.drawn_share:
+            kit = self._kit(int(rng.integers(self.drawn)))
+        if self.stretched_share and rng.random() < self.stretched_share:
+            kit = stretched(kit, rng.uniform(*STRETCH.T))
+        if kit is not assembly.mounts[number].kit:
             with suppress(Redraw):
-                assembly = with_kit(assembly, number, self._kit(int(rng.integers(self.drawn))))
+                assembly = with_kit(assembly, number, kit)
         return assembly, assembly.mounts[number]
 
     def _kit(self, index: int) -> Kit:
