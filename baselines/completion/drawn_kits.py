@@ -51,7 +51,8 @@ def with_kit(assembly: Assembly, number: int, kit: Kit) -> Assembly:
 def stretched(kit: Kit, factors: np.ndarray) -> Kit:
     """The kit with its plate stretched along x and y, and along z its cavity alone: the plate keeps its thickness.
 
-    factors: (3,), those of x, y and z; the cavity must stay above the plate's underside.
+    Its slot is still that of the part before. factors: (3,), those of x, y and z. Raises InputError when the cavity
+    would reach the plate's underside.
     """
     thickness = kit.extent[2]
     cavity = kit.mesh.vertices[:, 2] > -thickness + UNDERSIDE

@@ -22,7 +22,7 @@ DEPTH_UNIT = 10.0  # [mm] of a depth of 1 in the input
 
 @dataclass(frozen=True)
 class KitCompletionConfig:
-    """Sizes of the network."""
+    """Sizes of the network, and what its examples show."""
 
     widths: tuple[int, ...] = (32, 48, 72, 96)
     """Channels at each resolution, from 40 x 40 pixels, each half the one before."""
