@@ -117,7 +117,7 @@ class Train:
     out: Path
     """Folder of this run: checkpoint, log, best weights."""
     preset: str = "small"
-    """small for two cores of a CPU, paper in the paper's sizes for a GPU; pretraining makes weights to start from."""
+    """small for two cores, paper in the paper's sizes for a GPU; pretraining, then pretraining-2: to start from."""
     steps: Count = None
     """Of training; the preset's own by default, like the next two."""
     batch: Count = None

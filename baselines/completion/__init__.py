@@ -35,7 +35,7 @@ NETWORKS = {
         {
             "small": replace(KITS, steps=4000),
             "pretraining": replace(KITS, learning_rate=5e-3),
-            "dataset-kits": replace(KITS, steps=2500),
+            "pretraining-2": replace(KITS, steps=2500),
         },
         weights={"restoration": "restoration"},
     ),

@@ -45,12 +45,12 @@ KIT_COMPLETION = {
     "pretraining": KitCompletionConfig(
         views=12_000, drawn_share=0.75, drawn_kits=3000, stretched_share=0.0, views_seed=2032
     ),
-    "dataset-kits": KitCompletionConfig(
+    "pretraining-2": KitCompletionConfig(
         views=10_000, drawn_share=0.25, drawn_kits=600, stretched_share=0.0, views_seed=2033
     ),
 }
-"""Three runs, each from the weights of the one before: pretraining sees more kinds of kits than those of datasets,
-`dataset-kits` mostly theirs, and `small` fresh and stretched ones of both."""
+"""Three runs, each from the weights of the one before: `pretraining` sees more kinds of kits than those of datasets,
+`pretraining-2` mostly theirs, and `small`, the last, fresh and stretched ones of both."""
 
 
 class KitCompletionNet(UNet):
