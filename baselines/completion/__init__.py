@@ -14,7 +14,7 @@ from baselines.training.config import UNET_TRAINING
 __all__ = ["TABLE_MARGIN", "ObservedKits", "ObservedPart"]
 
 SMALL = replace(UNET_TRAINING, steps=5600, ema_decay=0.998, checkpoint_every=250, workers=1)
-KITS = replace(UNET_TRAINING, steps=3000, learning_rate=3e-3)
+KITS = replace(UNET_TRAINING, learning_rate=3e-3)
 NETWORKS = {
     "completion": Network(
         "baselines.completion.task:completion_task",
@@ -34,7 +34,7 @@ NETWORKS = {
         "baselines.completion.kit_task:kit_completion_task",
         {
             "small": replace(KITS, steps=4000),
-            "pretraining": replace(KITS, learning_rate=5e-3),
+            "pretraining": replace(KITS, steps=3000, learning_rate=5e-3),
             "pretraining-2": replace(KITS, steps=2500),
         },
         weights={"restoration": "restoration"},

@@ -54,11 +54,11 @@ def stretched(kit: Kit, factors: np.ndarray) -> Kit:
     Its slot is still that of the part before. factors: (3,), those of x, y and z. Raises InputError when the cavity
     would reach the plate's underside.
     """
-    thickness = kit.extent[2]
-    cavity = kit.mesh.vertices[:, 2] > -thickness + UNDERSIDE
+    lowest = UNDERSIDE - kit.extent[2]
+    above = kit.mesh.vertices[:, 2] > lowest
     vertices = kit.mesh.vertices * (*factors[:2], 1.0)
-    vertices[cavity, 2] *= factors[2]
-    if vertices[cavity, 2].min(initial=0.0) <= -thickness + UNDERSIDE:
+    vertices[above, 2] *= factors[2]
+    if vertices[above, 2].min() <= lowest:
         raise InputError(f"factors: {factors[2]} along z stretches the cavity through the plate's underside")
     return replace(kit, mesh=Mesh(vertices, kit.mesh.faces), extent=kit.extent * (*factors[:2], 1.0))
 

@@ -104,6 +104,14 @@ def kit_completion_task(
     config = KIT_COMPLETION[preset]
     model = KitCompletionNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     ids = sorted(id for id, row in dataset.geometry.assemblies.items() if row["split"] == "train")
-    drawn = config.drawn_kits, config.drawn_share, config.stretched_share
-    views = KitViews(dataset.geometry, ids, config.views_seed, config.views, *drawn, Restorer(restoration))
+    views = KitViews(
+        dataset.geometry,
+        ids,
+        seed=config.views_seed,
+        count=config.views,
+        drawn=config.drawn_kits,
+        drawn_share=config.drawn_share,
+        stretched_share=config.stretched_share,
+        restorer=Restorer(restoration),
+    )
     return KitCompletionTask(views, dataset, "val", model), config

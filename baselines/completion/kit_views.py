@@ -87,7 +87,7 @@ class KitViews:
         kit = assembly.mounts[number].kit
         if rng.random() < self.drawn_share:
             kit = self._kit(int(rng.integers(self.drawn)))
-        if self.stretched_share and rng.random() < self.stretched_share:
+        if self.stretched_share and rng.random() < self.stretched_share:  # at 0 no draw, so earlier views stay
             kit = stretched(kit, rng.uniform(*STRETCH.T))
         if kit is not assembly.mounts[number].kit:
             with suppress(Redraw):
