@@ -10,9 +10,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from baselines.training.precision import Precision
+from kit1000.cli.command_line import run
 from kit1000.errors import InputError
-from kit1000.usage import run
+from kit1000.perception.networks.precision import Precision
 
 PROGRAM = "python -m baselines"
 ABOUT = """The reference methods of KIT1000: each reads a dataset and writes a submission.
@@ -34,7 +34,7 @@ class List:
     def run(self) -> int:
         """Print a line for each method."""
         from baselines.catalog import all_methods
-        from baselines.methods import listed
+        from kit1000.prediction.making import listed
 
         print("\n".join(listed(name, method) for name, method in all_methods().items()))
         return 0
@@ -65,17 +65,14 @@ class Predict:
 
     def run(self) -> int:
         """Predict, then print what was written."""
-        from baselines.methods import PREDICTED_MASKS
-        from baselines.predict import RunConfig, predict
+        from baselines.catalog import METHOD_TABLES
+        from kit1000.prediction.predict import RunConfig, predict_and_describe
 
         for name, value, least in (("workers", self.workers, 1), ("limit", self.limit, 1), ("seed", self.seed, 0)):
             _check_least(name, value, least)
-        name = self.name if self.masks == "given" else self.name + PREDICTED_MASKS
-        config = RunConfig(name, self.split, self.tracks or None, self.seed, self.limit)
-        submission = predict(config, self.data, self.out, self.workers)
-        seconds = submission.predictions.seconds.mean()
-        tracks = ", ".join(submission.manifest.tracks)
-        print(f"{self.out}: {len(submission.predictions)} predictions of {name} ({tracks}), {seconds:.3g} s each")
+        tracks = self.tracks or None
+        config = RunConfig.of(self.name, self.masks, self.split, tracks, self.seed, self.limit, METHOD_TABLES)
+        print(predict_and_describe(config, self.data, self.out, self.workers))
         return 0
 
 
@@ -94,7 +91,7 @@ class Rerun:
 
     def run(self) -> int:
         """Predict and compare; 1 where a prediction differs."""
-        from baselines.rerun import rerun
+        from baselines.running.rerun import rerun
 
         _check_least("first", self.first, 1)
         _check_least("workers", self.workers, 1)
@@ -137,7 +134,7 @@ class Train:
 
     def run(self) -> int:
         """Train, then print how it ended."""
-        from baselines.networks import train_network
+        from baselines.running.train import train_network
 
         fields = ("steps", "batch", "seed", "learning_rate", "workers", "threads", "time_limit_s")
         changes = {name: value for name in fields if (value := getattr(self, name)) is not None}
@@ -161,10 +158,10 @@ class Ship:
 
     def run(self) -> int:
         """Copy, then print where to."""
-        from baselines.catalog import WEIGHTS
-        from baselines.ship import ship
+        from baselines.catalog import weights_folder
+        from baselines.training.shipping import ship
 
-        print(ship(self.run_folder, WEIGHTS, self.commit, self.precision))
+        print(ship(self.run_folder, weights_folder, self.commit, self.precision))
         return 0
 
 

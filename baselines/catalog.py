@@ -1,4 +1,4 @@
-"""Which reference methods and networks there are: each method folder declares its own, in tables METHODS and NETWORKS.
+"""Which reference methods and networks there are: each folder declares its own, in tables METHODS and NETWORKS.
 
 A new method is a folder and a line of FOLDERS. Tables name code as `module:Object`, so reading them loads no network.
 """
@@ -7,59 +7,37 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from importlib import import_module
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from baselines.training.config import TrainConfig
-from kit1000.tracks import ALL_TRACKS
+from kit1000.prediction import catalog, making
+from kit1000.prediction.catalog import Method, merged
+from kit1000.prediction.predict import RunConfig
+from kit1000.weights import WEIGHTS as LIBRARY_WEIGHTS
 
 WEIGHTS = Path(__file__).parent / "weights"
-"""Of the trained networks."""
-FOLDERS = (
-    "baselines.completion",
+"""Folder of the networks of the baselines."""
+METHOD_TABLES = (
     "baselines.controls",
     "baselines.icp",
     "baselines.kitnet",
-    "baselines.registration",
-    "baselines.restoration",
-    "baselines.segmentation",
+    *catalog.TABLES,
     "baselines.snapnet",
     "baselines.transporter",
 )
-"""Packages or modules with a table METHODS (name -> Method) and, where they learn, NETWORKS (name -> Network)."""
-
-
-@dataclass(frozen=True)
-class Method:
-    """A method before it is made."""
-
-    make: str
-    """`module:Object`: a predictor as it is, or a class, called with dataset, options, and a seed if it takes one."""
-    description: str
-    """One line."""
-    options: Mapping[str, Any] = field(default_factory=dict)
-    """Further arguments of the class."""
-    tracks: tuple[str, ...] = ALL_TRACKS
-    """Those it predicts for; a method that corrects a guess needs one of GUESS_TRACKS."""
-    uses_true_geometry: bool = False
-    """Whether it is handed the true geometry; the controls read the ground truth as well."""
-    learned: bool = False
-    control: bool = False
-    """Whether it is a control, such as the unchanged guess, and no method."""
-    predicts: Literal["pose", "rotation"] = "pose"
-    masks: Literal["given", "predicted"] = "given"
-    """Those of the dataset, or such as `baselines.segmentation` finds in the depth image."""
-    training_data: str = ""
-    """What it learned from."""
-    weights: Mapping[str, str] = field(default_factory=dict)
-    """Further arguments of the class: names of files in baselines/weights, passed as paths without suffix."""
-    camera_set: str = "primary"
-    """The cameras that it reads, see `kit1000.sim.cameras.camera_set`."""
-    label: str = ""
-    """Short name in tables; the method's name when empty."""
-    paper_row: str = ""
-    """Key of the row of the paper's Table I that it reproduces, see `benchmark.table1`; none when empty."""
+"""Packages or modules with a table METHODS (name -> Method)."""
+NETWORK_TABLES = (
+    "baselines.training.tasks.part_completion",
+    "baselines.training.tasks.kit_completion",
+    "baselines.kitnet",
+    "baselines.training.tasks.restoration",
+    "baselines.training.tasks.segmentation",
+    "baselines.snapnet",
+    "baselines.transporter",
+)
+"""Packages with a table NETWORKS (name -> Network)."""
 
 
 @dataclass(frozen=True)
@@ -77,25 +55,30 @@ class Network:
 
 
 def all_methods() -> dict[str, Method]:
-    """The methods of all folders by name, in the order of FOLDERS."""
-    return _merged("METHODS")
+    """The methods of all tables by name, in the order of METHOD_TABLES."""
+    return catalog.all_methods(METHOD_TABLES)
 
 
 def all_networks() -> dict[str, Network]:
-    """The networks of all folders by name, in the order of FOLDERS."""
-    return _merged("NETWORKS")
+    """The networks of all tables by name, in the order of NETWORK_TABLES."""
+    return merged("NETWORKS", NETWORK_TABLES)
 
 
 def weight_paths(weights: Mapping[str, str]) -> dict[str, Path]:
-    """The further arguments of a class or a task: the paths of `weights` of `Method` or `Network`."""
-    return {argument: WEIGHTS / stem for argument, stem in weights.items()}
+    """Paths of weights by argument, without suffix, from their names: those of the baselines, or of the library."""
+    return {argument: weights_folder(name) / name for argument, name in weights.items()}
 
 
-def _merged(table: str) -> dict[str, Any]:
-    merged: dict[str, Any] = {}
-    for folder in FOLDERS:
-        entries: Mapping[str, Any] = getattr(import_module(folder), table, {})
-        twice = sorted(set(entries) & set(merged))
-        assert not twice, f"{folder}.{table}: {twice[0]} is declared twice"
-        merged |= entries
-    return merged
+def weights_folder(name: str) -> Path:
+    """The folder of the weights of a network: the library's for what the library loads, else that of the baselines."""
+    ours = {path.stem for path in LIBRARY_WEIGHTS.glob("*.json")}
+    return LIBRARY_WEIGHTS if name in ours else WEIGHTS
+
+
+def method_of(name: str) -> Method:
+    """A method of the tables, or one of your own: see `kit1000.prediction.making.method_of`."""
+    return making.method_of(name, METHOD_TABLES)
+
+
+run_config = partial(RunConfig, tables=METHOD_TABLES)
+"""What a run predicts, by a method of our tables or of your own."""

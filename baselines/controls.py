@@ -10,17 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from baselines.calibration import calibrated
-from baselines.catalog import Method
-from baselines.points import observed_points
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.guesses import draw_ball_error, draw_direction, draw_goal
-from kit1000.motions import apply_error, goal_motion, goal_pose
+from kit1000.perception.calibration import calibrated
+from kit1000.perception.observed.query_points import observed_points
 from kit1000.pose import Pose
+from kit1000.prediction.catalog import Method
 from kit1000.predictor import PredictedMotion
+from kit1000.queries.guesses import draw_ball_error, draw_direction, draw_goal
+from kit1000.queries.motions import apply_error, goal_motion, goal_pose
+from kit1000.queries.tracks import GUESS_TRACKS, TRACKS
 from kit1000.rng import stream
-from kit1000.tracks import GUESS_TRACKS, TRACKS
 from kit1000.values import Query, TrueGeometry, View
 
 CERTAIN, UNCERTAIN = 1.0, 0.5  # confidences
@@ -144,7 +144,7 @@ class SeenGoal:
 
     dataset: Dataset
     by_table: bool
-    """Whether pose and scale are first corrected by the table, see `baselines.calibration`."""
+    """Whether pose and scale are first corrected by the table, see `kit1000.perception.calibration`."""
     uses_true_geometry = True
 
     def __call__(self, query: Query, geometry: TrueGeometry | None) -> PredictedMotion:

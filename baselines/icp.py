@@ -16,15 +16,15 @@ from typing import Any
 
 import numpy as np
 
-from baselines.catalog import Method
-from baselines.points import observed_points
-from baselines.restoration import restored_query
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
+from kit1000.perception.observed.query_points import observed_points
+from kit1000.perception.restoration import restored_query
 from kit1000.pose import Pose, unit_vector
+from kit1000.prediction.catalog import Method
 from kit1000.predictor import PredictedMotion
-from kit1000.tracks import GUESS_TRACKS
+from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
+from kit1000.queries.tracks import GUESS_TRACKS
 from kit1000.values import Query, TrueGeometry
 
 REACHES = (20e-3, 10e-3, 5e-3)  # [m] largest distance between partners: from the error of a guess to the clearance

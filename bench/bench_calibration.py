@@ -17,10 +17,10 @@ import numpy as np
 import tyro
 from measured_dataset import measured_dataset
 
-from baselines.calibration import BLIND_BAND, BORDERS, OUTLINE, calibrated
-from baselines.calibration.borders import Border
 from kit1000.dataset.reader import RecordedScene
 from kit1000.errors import Kit1000Error
+from kit1000.perception.calibration import BLIND_BAND, BORDERS, OUTLINE, calibrated
+from kit1000.perception.calibration.borders import Border
 from kit1000.values import View
 
 WAYS: dict[str, Sequence[Border] | None] = {

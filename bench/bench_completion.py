@@ -22,20 +22,19 @@ from completion_scores import Scores, completion_scores, component_measures
 from components import add_components
 from measured_dataset import measured_dataset
 
-from baselines.catalog import weight_paths
-from baselines.completion import ObservedPart
-from baselines.completion.completed import CompletedPart, PartCompleter
-from baselines.completion.frame import CODE
-from baselines.completion.occupancy import filled_share
-from baselines.registration import METHODS
-from baselines.restoration import calibrated_image
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import Kit1000Error
 from kit1000.generation.presets import HELD_OUT
+from kit1000.perception.completion.parts.completed import CompletedPart, PartCompleter
+from kit1000.perception.completion.parts.frame import CODE
+from kit1000.perception.observed.occupancy import filled_share
+from kit1000.perception.observed.parts import ObservedPart
+from kit1000.perception.restoration import calibrated_image
+from kit1000.registration import METHODS
 from kit1000.values import FIRST_PART_LABEL, Query, Truth
 from kit1000.voxels import signed_distance
 
-WEIGHTS = weight_paths(METHODS["registration-completed"].weights)
+WEIGHTS = METHODS["registration-completed"].weights
 SHIPPED = {"ideal": WEIGHTS["completion"], "d415": WEIGHTS["noisy_completion"]}
 VOXEL = 1e-3  # [m]
 BINS = 10  # of probability, for the calibration error

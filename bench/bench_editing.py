@@ -2,7 +2,7 @@
 
     python bench/bench_editing.py data/kit1000 --scenes 30
     python bench/bench_editing.py data/kit1000 --scenes 30 --sensor d415
-    python bench/bench_editing.py data/kit1000 --snap baselines.registration.proposals:CompletingRegistration
+    python bench/bench_editing.py data/kit1000 --snap kit1000.registration.proposals:CompletingRegistration
 
 The hand puts each part up to 20 mm and 15 degrees off its goal, takes the fit that the page shows, and confirms. The
 method alone corrects the recorded guesses about the same parts, up to 28 mm along each axis and 27.5 degrees off. The
@@ -31,10 +31,10 @@ from kit1000.editor.records import EventLog, Header
 from kit1000.editor.scene import EditedScene
 from kit1000.editor.worker import AtOnce, Method, prepared
 from kit1000.errors import Kit1000Error
-from kit1000.guesses import draw_direction
 from kit1000.metrics import Targets, pose_errors, seatings
-from kit1000.motions import apply_error
 from kit1000.pose import Pose
+from kit1000.queries.guesses import draw_direction
+from kit1000.queries.motions import apply_error
 from kit1000.rng import stream
 from kit1000.values import Query, Truth
 

@@ -17,11 +17,11 @@ import tyro
 from completion_scores import Scores, completion_scores, component_measures
 from components import add_components
 
-from baselines.completion.kits import ObservedKits
-from baselines.completion.pixels import noise_of
-from baselines.restoration import restored
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
+from kit1000.perception.observed.kits import ObservedKits
+from kit1000.perception.observed.pixels import noise_of
+from kit1000.perception.restoration import restored
 from kit1000.values import Query, Truth
 from kit1000.voxels import Volume, signed_distance
 from kit1000.voxels.grid import DEFAULT_TRUNCATION

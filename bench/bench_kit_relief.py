@@ -19,20 +19,20 @@ import torch
 import tyro
 from measured_dataset import measured_dataset
 
-from baselines.catalog import WEIGHTS
-from baselines.completion import ObservedKits
-from baselines.completion.completed_kits import ReliefCompleter, filled_by_columns
-from baselines.completion.kit_views import on_plate
-from baselines.completion.pixels import noise_of
-from baselines.completion.relief import true_depths
-from baselines.restoration import calibrated_image
-from baselines.restoration.learned import Restorer
+from baselines.training.tasks.kit_completion.views import on_plate
 from benchmark.intervals import ENDS, bootstrap_means
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import Kit1000Error
+from kit1000.numerics.linear_algebra import length
+from kit1000.perception.completion.kits.completed import ReliefCompleter, filled_by_columns
+from kit1000.perception.observed.kits import ObservedKits
+from kit1000.perception.observed.pixels import noise_of
+from kit1000.perception.observed.relief import true_depths
+from kit1000.perception.restoration import calibrated_image
+from kit1000.perception.restoration.restorer import Restorer
 from kit1000.pose import Pose
-from kit1000.products import length
 from kit1000.values import ASSEMBLY_LABEL
+from kit1000.weights import WEIGHTS
 
 FOUND_ANGLE, FOUND_DISTANCE = np.radians(5), 3e-3  # [rad], [m] between the true face of a plate and the one found
 HIDDEN_CELLS = 10  # least of a plate that counts

@@ -24,7 +24,6 @@ import numpy as np
 import tyro
 from scipy.optimize import minimize
 
-from kit1000.compiled import compiled
 from kit1000.dataset.geometry import Geometry
 from kit1000.kits.contact import contact_features, convex_edges, vertical_contact_offset
 from kit1000.kits.envelope import lower_envelope
@@ -33,6 +32,7 @@ from kit1000.kits.goals import nearest_about_axis
 from kit1000.kits.loose_fits import near_goal_limits
 from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT, UP, InsertedPart, contact_offset
 from kit1000.mesh import Mesh, surface_points
+from kit1000.numerics.compiled import compiled
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.values import Kit, Part
 

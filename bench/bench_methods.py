@@ -17,9 +17,10 @@ import numpy as np
 import tyro
 from measured_dataset import measured_dataset
 
-from baselines.methods import make_predictor, method_of
+from baselines.catalog import method_of
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
+from kit1000.prediction.making import make_predictor
 
 METHODS = ("icp", "registration", "registration-gtvol")
 TRACKS = ("snap", "snap-d415", "place")

@@ -18,15 +18,15 @@ import torch
 import tyro
 from measured_dataset import measured_dataset
 
-from baselines.catalog import WEIGHTS
-from baselines.restoration.edges import calibrated_image, closed_gaps, restored_edges
-from baselines.restoration.learned import Restorer
-from baselines.restoration.task import beside_jumps
-from baselines.restoration.views import SENSOR, example_of
+from baselines.training.tasks.restoration.task import beside_jumps
+from baselines.training.tasks.restoration.views import SENSOR, example_of
 from benchmark.intervals import ENDS, bootstrap_means
 from kit1000.dataset.reader import RecordedScene
 from kit1000.errors import Kit1000Error
+from kit1000.perception.restoration.restorer import Restorer
+from kit1000.perception.restoration.rules import calibrated_image, closed_gaps, restored_edges
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
+from kit1000.weights import WEIGHTS
 
 WAYS = ("calibrated", "rules", "network")
 PLACES = ("kits, beside edges", "kits, elsewhere", "parts, beside edges", "parts, elsewhere")

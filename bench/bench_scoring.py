@@ -21,8 +21,8 @@ from scipy.spatial import ConvexHull
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
 from kit1000.metrics import Targets, pose_errors, seatings
-from kit1000.motions import goal_motion, goal_pose
 from kit1000.pose import Pose
+from kit1000.queries.motions import goal_motion, goal_pose
 from kit1000.values import Truth
 
 STEPS = 315  # angles about a free axis: ceil(pi / 0.01)

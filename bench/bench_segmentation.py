@@ -1,4 +1,4 @@
-"""Mean IoU of the instance masks that `baselines.segmentation` finds, over the scenes of a split.
+"""Mean IoU of the instance masks that `kit1000.perception.segmentation` finds, over the scenes of a split.
 
 python bench/bench_segmentation.py data/kit1000 --split test --sensor ideal
 """
@@ -13,11 +13,11 @@ import numpy as np
 import tyro
 from components import add_components
 
-from baselines.segmentation.instances import segmented
-from baselines.segmentation.queries import mask_networks
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
 from kit1000.metrics.segmentation import matched_masks
+from kit1000.perception.segmentation.instances import segmented
+from kit1000.perception.segmentation.predicted_masks import mask_networks
 
 
 def main(

@@ -19,8 +19,8 @@ import torch.nn.functional as F
 import tyro
 from torch import Tensor
 
-from baselines.layers import correlate, cropped
 from baselines.snapnet.config import POSITION, PositionConfig
+from baselines.snapnet.convolutions import correlate, cropped
 from baselines.snapnet.position import Encoder, PositionNet, position_loss
 from kit1000.errors import Kit1000Error
 

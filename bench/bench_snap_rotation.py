@@ -25,7 +25,7 @@ from baselines.snapnet.config import ROTATION, RotationConfig
 from baselines.snapnet.points import rotated
 from baselines.snapnet.rotation import COUNTS, RADII, RotationNet, rotation_loss
 from baselines.snapnet.set_abstraction import MLP, Dense, SetAbstraction, squared_distances
-from baselines.training.checkpoint import load_into, load_weights
+from kit1000.perception.networks.weight_files import load_into, load_weights
 from kit1000.rng import stream
 
 Made = TypeVar("Made")

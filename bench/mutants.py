@@ -129,7 +129,7 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ("for s in (1, -1)):", "for s in (1,)):"),
         ("shift < SEATED_LIMIT / 3", "shift < SEATED_LIMIT"),
     ),
-    ("kit1000/kits/descent.py", "descent"): (
+    ("kit1000/kits/insertion_search.py", "descent"): (
         ("MOST_TILT = np.radians(5)", "MOST_TILT = np.radians(9)"),
         ("-xx * s + xy * c", "xx * s + xy * c"),
     ),
@@ -172,11 +172,11 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ("if part.invisibility is None]\n    pivots", "]\n    pivots"),
         ("if part.invisibility is None]\n    able", "]\n    able"),
     ),
-    ("kit1000/motions.py", "guesses"): (
+    ("kit1000/queries/motions.py", "guesses"): (
         ("arm_change = rotation.rotate(arm) - arm", "arm_change = rotation.rotate(arm)"),
         ("guess.apply(pivot) - goal_from_now.apply(pivot)", "guess.xyz - goal_from_now.xyz"),
     ),
-    ("kit1000/guesses.py", "stated_numbers guesses"): (
+    ("kit1000/queries/guesses.py", "stated_numbers guesses"): (
         ("MAX_OFFSET = 28e-3", "MAX_OFFSET = 30e-3"),
         ("MAX_ANGLE = float(np.radians(27.5))", "MAX_ANGLE = float(np.radians(30))"),
         (
@@ -184,7 +184,7 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
             "rng.integers(len(slot.goals)), rng.uniform(0, 6)",
         ),
     ),
-    ("kit1000/pivots.py", "pivots"): (
+    ("kit1000/queries/pivots.py", "pivots"): (
         ("(ordered[first] + ordered[last]) / 2", "points.mean(0)"),
         ("PIVOT_DECIMALS = 4", "PIVOT_DECIMALS = 3"),
         ("LEFT_OUT = 10 ", "LEFT_OUT = 5 "),

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from kit1000.cli.command_line import run
 from kit1000.errors import InputError
 from kit1000.files import user_cache
-from kit1000.usage import run
 
 if TYPE_CHECKING:
     from benchmark.cache import ResultCache

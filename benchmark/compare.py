@@ -26,8 +26,8 @@ from benchmark.score import Scores, score
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import write_bytes
+from kit1000.queries.tracks import CURVES
 from kit1000.submission import read_valid_submission
-from kit1000.tracks import CURVES
 
 ALPHA = 0.05  # significance level
 SAME = ("dataset_id", "protocol", "split")  # keys of scores.json that must agree: else the queries differ

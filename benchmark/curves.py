@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from benchmark.quantities import POSITION, ROTATION, Quantity, Unit
 from kit1000.errors import ShapeError
-from kit1000.guesses import LEVELS, level_angle, level_offset
-from kit1000.tracks import curve_levels
+from kit1000.queries.guesses import LEVELS, level_angle, level_offset
+from kit1000.queries.tracks import curve_levels
 
 BAND = (20, 80)  # percentiles about each line, as in the paper
 

@@ -11,8 +11,8 @@ from benchmark.per_query import PerQuery
 from benchmark.queries import ScoredQueries
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.pose import Pose
+from kit1000.queries.tracks import CURVES
 from kit1000.submission import Predictions
-from kit1000.tracks import CURVES
 from kit1000.values import Slot, Truth
 
 MM = 1e3  # millimetres in a metre

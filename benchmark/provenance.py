@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import subprocess
 from functools import cache
 from pathlib import Path
 
 import kit1000
+from kit1000.prediction.imported_sources import imported_modules
 
 BENCHMARK = Path(__file__).parent
 LIBRARY = Path(kit1000.__file__).parent
@@ -39,46 +39,7 @@ def evaluator_modules(benchmark: Path = BENCHMARK, library: Path = LIBRARY) -> d
 
     Imports inside functions count too; those for type checkers alone do not.
     """
-    roots = {"benchmark": benchmark, "kit1000": library}
-    found: dict[str, Path] = {}
-    waiting = [ENTRY]
-    while waiting:
-        module = waiting.pop()
-        path = None if module in found else _file_of(module, roots)
-        if path is not None:
-            found[module] = path
-            waiting += _imported_names(path.read_bytes())
-            waiting += filter(None, [module.rpartition(".")[0]])  # a package runs before its modules
-    return found
-
-
-def _file_of(module: str, roots: dict[str, Path]) -> Path | None:
-    """The file of a module; None where it is in neither package, or no module but a name inside one."""
-    package, *rest = module.split(".")
-    if package not in roots:
-        return None
-    place = roots[package].joinpath(*rest)
-    return next((path for path in (place / "__init__.py", place.with_suffix(".py")) if path.is_file()), None)
-
-
-@cache
-def _imported_names(source: bytes) -> frozenset[str]:
-    """The names that a source imports: modules, and `module.name` for each name from one."""
-    names: set[str] = set()
-    waiting: list[ast.AST] = [ast.parse(source)]
-    while waiting:
-        node = waiting.pop()
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-        elif isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-            waiting += node.orelse
-        else:  # no expression imports: blocks of statements are enough
-            for block in ("body", "orelse", "finalbody", "handlers", "cases"):
-                inner = getattr(node, block, [])
-                waiting += inner if isinstance(inner, list) else []
-    return frozenset(names)
+    return imported_modules([ENTRY], {"benchmark": benchmark, "kit1000": library})
 
 
 @cache

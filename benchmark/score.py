@@ -22,9 +22,9 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import sha256
 from kit1000.metrics.seating import EXACT_BANDS
+from kit1000.queries.tracks import CURVES
 from kit1000.submission import Submission, check, read_valid_submission
 from kit1000.submission.predictions import FILE
-from kit1000.tracks import CURVES
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from benchmark.intervals import ENDS, bootstrap_means, rate_interval
 from benchmark.per_query import PerQuery
 from benchmark.protocol import Protocol
 from benchmark.quantities import Quantity
-from kit1000.tracks import CURVES
+from kit1000.queries.tracks import CURVES
 
 Row = dict[str, Any]
 Clusterings = Sequence[np.ndarray]

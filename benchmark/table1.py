@@ -18,7 +18,7 @@ from benchmark.quantities import POSITION, POSITION_PLAIN, ROTATION, ROTATION_PL
 from benchmark.report import json_text
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import write_bytes
-from kit1000.tracks import PAPER_TRACKS, TRACKS
+from kit1000.queries.tracks import PAPER_TRACKS, TRACKS
 
 MARK = "<!-- table1 -->"  # before and after the table in a document
 NOT_YET = "not yet"  # where no submission is scored

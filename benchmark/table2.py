@@ -28,10 +28,10 @@ from kit1000.planner.execute import NO_SEAL, NOT_FROM_ABOVE, OUTCOMES, SEATED, P
 from kit1000.planner.runs import outcome_counts
 from kit1000.pose import Pose
 from kit1000.predictor import resolved
+from kit1000.queries.tracks import TRACKS
 from kit1000.submission.manifest import FILE as MANIFEST
 from kit1000.submission.manifest import read_manifest
 from kit1000.submission.predictions import FILE, read_predictions
-from kit1000.tracks import TRACKS
 from kit1000.values import Query, Truth
 
 MaskFinder = Callable[[Query, float], Query]

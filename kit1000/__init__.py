@@ -8,6 +8,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from kit1000.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from kit1000.camera import Camera, look_at
     from kit1000.dataset.cache import VolumeCache
@@ -39,8 +41,6 @@ if TYPE_CHECKING:
         Truth,
         View,
     )
-
-__version__ = "0.1.0"
 
 __all__ = [
     "Assembly",

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kit1000.errors import InputError, ShapeError, checked
+from kit1000.numerics.linear_algebra import length
 from kit1000.pose import Pose, unit_vector
-from kit1000.products import length
 
 # With a view direction this close [sine of the angle] to `up`, rounding would determine the roll of the camera.
 UPRIGHT_TOLERANCE = 1e-6

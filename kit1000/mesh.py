@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 
 from kit1000.errors import MeshRefused, ShapeError, checked
-from kit1000.products import determinant, matmul
+from kit1000.numerics.linear_algebra import determinant, matmul
 
 if TYPE_CHECKING:
     from kit1000.pose import Pose

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kit1000.errors import InputError, ShapeError, checked
-from kit1000.products import determinant
-from kit1000.trigonometry import cosine, sine
+from kit1000.numerics.linear_algebra import determinant
+from kit1000.numerics.trigonometry import cosine, sine
 
 # A product of a few float32 matrices deviates from a rotation by less; a scaled or sheared one by more.
 ROTATION_TOLERANCE = 1e-5

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kit1000.errors import InputError, checked
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.pose import (
     Pose,
     normalized_quaternion,
@@ -20,7 +21,6 @@ from kit1000.pose import (
     quaternion_multiply,
     unit_vector,
 )
-from kit1000.trigonometry import cosine, sine
 
 # Rotations nearer than this [rad] are the same element of a group. Distinct elements differ by at least 3 degrees;
 # rounding in a chain of 120 products is eight orders of magnitude below.

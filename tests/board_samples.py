@@ -15,10 +15,10 @@ from benchmark.per_query import PerQuery
 from benchmark.protocol import Protocol, read_protocol
 from benchmark.report import json_text
 from benchmark.summary import summarise
-from kit1000.guesses import FIXED_LEVELS, LEVELS
+from kit1000.queries.guesses import FIXED_LEVELS, LEVELS
+from kit1000.queries.tracks import CURVES, TRACKS, curve_id
 from kit1000.rng import stream
 from kit1000.submission.manifest import Manifest, write_manifest
-from kit1000.tracks import CURVES, TRACKS, curve_id
 
 SCENES = 20
 DATASET = "0123456789abcdef"

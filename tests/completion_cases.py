@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from baselines.completion.completed import FillLogits, PartCompleter
-from baselines.completion.completed_kits import CompletedRelief, ReliefCompleter
-from baselines.completion.frame import FramedPart
-from baselines.completion.occupancy import filled_share
-from baselines.completion.relief import SeenRelief, true_depths
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh
+from kit1000.perception.completion.kits.completed import CompletedRelief, ReliefCompleter
+from kit1000.perception.completion.parts.completed import FillLogits, PartCompleter
+from kit1000.perception.completion.parts.frame import FramedPart
+from kit1000.perception.observed.occupancy import filled_share
+from kit1000.perception.observed.relief import SeenRelief, true_depths
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View

@@ -8,11 +8,11 @@ import numpy as np
 from manifold3d import Manifold
 from shapes import Seated, box, cylinder, ell, seated
 
-from baselines.registration.cavity import Cavity, find_cavity, plate_grid
-from baselines.registration.search import Candidate
 from kit1000.mesh import Mesh, mesh_from_solid
-from kit1000.motions import apply_error, goal_motion
 from kit1000.pose import Pose
+from kit1000.queries.motions import apply_error, goal_motion
+from kit1000.registration.geometry.observed_cavity import Cavity, find_cavity, plate_grid
+from kit1000.registration.search.correlation import Candidate
 from kit1000.voxels import Grid, Volume, signed_distance
 
 CLEARANCE = 2.5e-3

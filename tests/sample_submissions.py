@@ -12,11 +12,11 @@ import numpy as np
 from benchmark.queries import ScoredQueries
 from kit1000 import Dataset
 from kit1000.mesh import Mesh, mesh_from_solid
-from kit1000.motions import goal_motion, goal_pose
 from kit1000.parts.cad import polygon, prism
 from kit1000.pose import Pose
+from kit1000.queries.motions import goal_motion, goal_pose
+from kit1000.queries.tracks import CURVES, TRACKS
 from kit1000.submission import Manifest, Predictions, Submission, write_submission
-from kit1000.tracks import CURVES, TRACKS
 from kit1000.values import FreeAxis, Query, Slot, Truth
 
 Predictor = Callable[[Query, Truth], Pose]

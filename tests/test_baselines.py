@@ -12,19 +12,20 @@ import pytest
 
 from baselines import catalog
 from baselines.__main__ import main
-from baselines.catalog import Method, all_methods, all_networks
+from baselines.catalog import all_methods, all_networks, method_of
 from baselines.controls import SeenGoal, seen_motion
-from baselines.methods import listed, make_predictor, method_of, source_hash
-from baselines.points import observed_points
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.motions import error_of, goal_motion, goal_pose
+from kit1000.perception.observed.query_points import observed_points
 from kit1000.pose import Pose
+from kit1000.prediction.catalog import Method
+from kit1000.prediction.making import listed, make_predictor, source_hash
 from kit1000.predictor import PredictedMotion, resolved
+from kit1000.queries.motions import error_of, goal_motion, goal_pose
+from kit1000.queries.tracks import ALL_TRACKS, GUESS_TRACKS
 from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.submission import Manifest
 from kit1000.testing import check_predictor
-from kit1000.tracks import ALL_TRACKS, GUESS_TRACKS
 from kit1000.values import Query, TrueGeometry, Truth, View
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -204,7 +205,7 @@ def test_a_method_of_ones_own_is_made_from_its_module(data: Dataset) -> None:
     assert (predictor.dataset, predictor.seed) == (data, 3)
     assert make_predictor(method_of("baselines.controls:guess"), data, 0) is resolved("baselines.controls:guess")
     assert method_of("baselines.controls:NoisyGoal").uses_true_geometry
-    assert not method_of("baselines.registration.method:Registration").uses_true_geometry  # its instances have it
+    assert not method_of("kit1000.registration.method:Registration").uses_true_geometry  # its instances have it
 
 
 @pytest.mark.parametrize(
@@ -260,9 +261,10 @@ from pathlib import Path
 
 import torch
 
-from baselines.catalog import Method, Network
-from baselines.training.checkpoint import load_weights
+from baselines.catalog import Network
+from kit1000.perception.networks.weight_files import load_weights
 from baselines.training.config import TrainConfig
+from kit1000.prediction.catalog import Method
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 
@@ -311,11 +313,12 @@ def height_task(dataset, preset, split):
 def test_a_learned_method_is_a_folder_and_a_line(
     mini: Path, data: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It is listed, trained by its name and preset, and makes predictions, with nothing but a line of FOLDERS."""
+    """It is listed, trained by its name and preset, and makes predictions, with nothing but a line of the tables."""
     (tmp_path / "toy_method").mkdir()
     (tmp_path / "toy_method/__init__.py").write_text(TOY)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(catalog, "FOLDERS", (*catalog.FOLDERS, "toy_method"))
+    monkeypatch.setattr(catalog, "METHOD_TABLES", (*catalog.METHOD_TABLES, "toy_method"))
+    monkeypatch.setattr(catalog, "NETWORK_TABLES", (*catalog.NETWORK_TABLES, "toy_method"))
     assert list(all_methods()) == [*METHODS, "toy"]
     assert list(all_networks())[-1] == "toy-height"
     query = next(data.split("train").queries())
@@ -330,6 +333,6 @@ def test_a_learned_method_is_a_folder_and_a_line(
 
 
 def test_a_name_declared_twice_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(catalog, "FOLDERS", (*catalog.FOLDERS, "baselines.icp"))
-    with pytest.raises(AssertionError, match=r"baselines\.icp\.METHODS: icp is declared twice"):
+    monkeypatch.setattr(catalog, "METHOD_TABLES", (*catalog.METHOD_TABLES, "baselines.icp"))
+    with pytest.raises(InputError, match=r"baselines\.icp\.METHODS: icp is declared twice"):
         all_methods()

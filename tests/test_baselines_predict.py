@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines import predict as runner
 from baselines.__main__ import main
-from baselines.catalog import all_methods
-from baselines.journal import Journal
-from baselines.predict import RunConfig, predict
+from baselines.catalog import all_methods, run_config
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, InternalError
 from kit1000.pose import Pose
+from kit1000.prediction import predict as runner
+from kit1000.prediction.journal import Journal
+from kit1000.prediction.predict import predict
 from kit1000.predictor import PredictedMotion
+from kit1000.queries.tracks import ALL_TRACKS, TRACKS
 from kit1000.submission import Submission, check, read_submission
-from kit1000.tracks import ALL_TRACKS, TRACKS
 from kit1000.values import Prediction, Query, TrueGeometry
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -83,7 +83,7 @@ def query_ids_of(mini: Path, split: str) -> list[str]:
 
 
 def test_there_is_a_prediction_for_every_query_in_the_order_of_the_split(mini: Path, tmp_path: Path) -> None:
-    submission = predict(RunConfig("chance"), mini, tmp_path / "chance", 1)
+    submission = predict(run_config("chance"), mini, tmp_path / "chance", 1)
     assert list(submission.predictions.query_ids) == query_ids_of(mini, "test")
     assert submission.manifest.tracks == tuple(
         track for track in TRACKS if any(i.endswith(f"-{track}") for i in submission.predictions.query_ids)
@@ -94,20 +94,20 @@ def test_there_is_a_prediction_for_every_query_in_the_order_of_the_split(mini: P
 
 
 def test_what_is_written_passes_the_check(mini: Path, tmp_path: Path) -> None:
-    predict(RunConfig("guess", ("test", "curves")), mini, tmp_path / "guess", 1)
+    predict(run_config("guess", ("test", "curves")), mini, tmp_path / "guess", 1)
     report = check(tmp_path / "guess", mini)
     assert not [fault for fault in report.faults if fault.severity == "error"]
 
 
 def test_one_process_and_two_give_the_same(mini: Path, tmp_path: Path) -> None:
-    one, two = (predict(RunConfig("truth-noise", seed=5), mini, tmp_path / str(n), n) for n in (1, 2))
+    one, two = (predict(run_config("truth-noise", seed=5), mini, tmp_path / str(n), n) for n in (1, 2))
     assert rows(one) == rows(two)
 
 
 def test_tracks_and_splits_added_one_by_one_are_what_one_run_gives(mini: Path, tmp_path: Path) -> None:
-    whole = predict(RunConfig("guess", ("val", "test", "curves")), mini, tmp_path / "whole", 1)
+    whole = predict(run_config("guess", ("val", "test", "curves")), mini, tmp_path / "whole", 1)
     for split, tracks in (("curves", None), ("test", ("snap-d415",)), ("val", None), ("test", ("snap-tilt", "snap"))):
-        step = predict(RunConfig("guess", (split,), tracks), mini, tmp_path / "steps", 1)
+        step = predict(run_config("guess", (split,), tracks), mini, tmp_path / "steps", 1)
     assert rows(step) == rows(whole)
     assert step.manifest.tracks == whole.manifest.tracks == ("snap", "snap-tilt", "snap-d415", "curves")
     assert step.manifest.reproduce.count("python -m baselines predict guess") == 4
@@ -115,17 +115,17 @@ def test_tracks_and_splits_added_one_by_one_are_what_one_run_gives(mini: Path, t
 
 
 def test_queries_of_test_appear_once_beside_test_all(mini: Path, tmp_path: Path) -> None:
-    both = predict(RunConfig("guess", ("test", "test-all")), mini, tmp_path / "both", 1)
+    both = predict(run_config("guess", ("test", "test-all")), mini, tmp_path / "both", 1)
     assert len(set(both.predictions.query_ids)) == len(both.predictions)
-    assert rows(both) == rows(predict(RunConfig("guess", ("test-all",)), mini, tmp_path / "all", 1))
+    assert rows(both) == rows(predict(run_config("guess", ("test-all",)), mini, tmp_path / "all", 1))
 
 
 def test_a_second_run_replaces_predictions_and_keeps_what_people_wrote(mini: Path, tmp_path: Path) -> None:
     out = tmp_path / "chance"
-    zero = predict(RunConfig("chance", tracks=("snap",)), mini, out, 1)
+    zero = predict(run_config("chance", tracks=("snap",)), mini, out, 1)
     text = (out / "manifest.toml").read_text()
     (out / "manifest.toml").write_text(text.replace("The KIT1000 authors", "Ada Example"))
-    one = predict(RunConfig("chance", tracks=("snap",), seed=1), mini, out, 1)
+    one = predict(run_config("chance", tracks=("snap",), seed=1), mini, out, 1)
     assert one.predictions.query_ids == zero.predictions.query_ids
     assert rows(one) != rows(zero)
     assert one.manifest.authors == ("Ada Example",)
@@ -133,24 +133,24 @@ def test_a_second_run_replaces_predictions_and_keeps_what_people_wrote(mini: Pat
 
 def test_another_method_or_dataset_is_not_mixed_in(mini: Path, tmp_path: Path) -> None:
     out = tmp_path / "mine"
-    predict(RunConfig("guess", limit=1), mini, out, 1)
+    predict(run_config("guess", limit=1), mini, out, 1)
     with pytest.raises(InputError, match="holds predictions of method guess, not chance; choose another --out"):
-        predict(RunConfig("chance"), mini, out, 1)
+        predict(run_config("chance"), mini, out, 1)
     manifest = (out / "manifest.toml").read_text()
     (out / "manifest.toml").write_text(manifest.replace(Dataset(mini).id, "0123456789abcdef"))
     with pytest.raises(InputError, match=r"holds predictions of dataset 0123456789abcdef"):
-        predict(RunConfig("guess"), mini, out, 1)
+        predict(run_config("guess"), mini, out, 1)
     (tmp_path / "full").mkdir()
     (tmp_path / "full/notes.txt").touch()
     with pytest.raises(InputError, match=r"full"):
-        predict(RunConfig("guess"), mini, tmp_path / "full", 1)
+        predict(run_config("guess"), mini, tmp_path / "full", 1)
 
 
 def test_only_a_method_that_uses_true_geometry_gets_it(mini: Path, tmp_path: Path) -> None:
-    blind = predict(RunConfig(named(peeking)), mini, tmp_path / "blind", 1)
+    blind = predict(run_config(named(peeking)), mini, tmp_path / "blind", 1)
     assert not blind.predictions.confidence.any()
     assert not blind.manifest.uses_true_geometry
-    informed = predict(RunConfig(named(UsesGeometry)), mini, tmp_path / "informed", 1)
+    informed = predict(run_config(named(UsesGeometry)), mini, tmp_path / "informed", 1)
     assert informed.predictions.confidence.all()
     assert informed.manifest.uses_true_geometry
     assert informed.manifest.tracks == ("snap",)
@@ -158,14 +158,14 @@ def test_only_a_method_that_uses_true_geometry_gets_it(mini: Path, tmp_path: Pat
 
 def test_other_methods_open_no_file_of_the_truth(mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Dataset, "truth_file", lambda *_: pytest.fail("the truth was opened"))
-    predict(RunConfig("guess"), mini, tmp_path / "guess", 1)
+    predict(run_config("guess"), mini, tmp_path / "guess", 1)
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_run_that_fails_names_the_query_and_resumes(
     workers: int, mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config, out = RunConfig(named(stopping)), tmp_path / "mine"
+    config, out = run_config(named(stopping)), tmp_path / "mine"
     last = query_ids_of(mini, "test")[-1]
     monkeypatch.setenv(STOP, last)
     with pytest.raises(InternalError, match=rf"^{last}: RuntimeError: out of luck \(test_baselines_predict.py:\d+\)$"):
@@ -197,13 +197,13 @@ def test_a_killed_run_resumes(mini: Path, tmp_path: Path) -> None:
     process.wait()
     with open(journal, "a") as file:
         file.write('["half a li')  # as if it had been killed while writing
-    whole = predict(RunConfig(named(slow)), mini, out, 1)
+    whole = predict(run_config(named(slow)), mini, out, 1)
     assert list(whole.predictions.query_ids) == query_ids_of(mini, "test")
 
 
 def test_an_error_of_a_method_names_the_query(mini: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=rf"^{query_ids_of(mini, 'test')[0]}: no part in sight$"):
-        predict(RunConfig(named(refusing)), mini, tmp_path / "mine", 1)
+        predict(run_config(named(refusing)), mini, tmp_path / "mine", 1)
 
 
 def test_an_unfinished_run_with_other_settings_is_not_resumed(
@@ -212,18 +212,18 @@ def test_an_unfinished_run_with_other_settings_is_not_resumed(
     out = tmp_path / "mine"
     monkeypatch.setenv(STOP, query_ids_of(mini, "test")[1])
     with pytest.raises(InternalError):
-        predict(RunConfig(named(stopping)), mini, out, 1)
+        predict(run_config(named(stopping)), mini, out, 1)
     monkeypatch.delenv(STOP)
     for config, difference in (
-        (RunConfig(named(stopping), seed=1), "seed 0, now 1"),
-        (RunConfig(named(stopping), ("val",)), r"splits \['test'\], now \['val'\]"),
-        (RunConfig("guess"), "method 'test_baselines_predict:stopping', now 'guess'"),
+        (run_config(named(stopping), seed=1), "seed 0, now 1"),
+        (run_config(named(stopping), ("val",)), r"splits \['test'\], now \['val'\]"),
+        (run_config("guess"), "method 'test_baselines_predict:stopping', now 'guess'"),
     ):
         with pytest.raises(InputError, match=f"mine.journal: an unfinished run with {difference}; finish that one, or"):
             predict(config, mini, out, 1)
     monkeypatch.setattr(runner, "source_hash", lambda _: "changed")
     with pytest.raises(InputError, match="an unfinished run with source"):
-        predict(RunConfig(named(stopping)), mini, out, 1)
+        predict(run_config(named(stopping)), mini, out, 1)
 
 
 def test_a_journal_returns_every_bit_and_is_locked_by_one_run(tmp_path: Path) -> None:
@@ -253,16 +253,16 @@ def test_a_journal_returns_every_bit_and_is_locked_by_one_run(tmp_path: Path) ->
     ("config", "message"),
     [
         (
-            RunConfig("guess", tracks=("place",)),
+            run_config("guess", tracks=("place",)),
             "--tracks place: the tracks of guess are snap, snap-tilt, snap-d415, curves",
         ),
-        (RunConfig("truth", tracks=("snapp",)), "--tracks snapp: did you mean snap[?] the tracks of truth are"),
-        (RunConfig("guess", ("tests",)), "no split 'tests'; did you mean test"),
-        (RunConfig("guess", ("test", "curves"), ("snap",)), "split curves has no query in snap"),
-        (RunConfig("guess", ()), "--split: expected at least one"),
+        (run_config("truth", tracks=("snapp",)), "--tracks snapp: did you mean snap[?] the tracks of truth are"),
+        (run_config("guess", ("tests",)), "no split 'tests'; did you mean test"),
+        (run_config("guess", ("test", "curves"), ("snap",)), "split curves has no query in snap"),
+        (run_config("guess", ()), "--split: expected at least one"),
     ],
 )
-def test_a_run_without_queries_is_refused(config: RunConfig, message: str, mini: Path, tmp_path: Path) -> None:
+def test_a_run_without_queries_is_refused(config: runner.RunConfig, message: str, mini: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=message):
         predict(config, mini, tmp_path / "out", 1)
     assert not list(tmp_path.iterdir())

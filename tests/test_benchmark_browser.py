@@ -13,7 +13,7 @@ from board_samples import SNAPS, write_board
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from benchmark.pages import build
-from kit1000.tracks import TRACKS
+from kit1000.queries.tracks import TRACKS
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 WIDTHS = (390, 1280)

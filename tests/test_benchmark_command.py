@@ -16,8 +16,8 @@ from sample_submissions import ground_truth, predicted
 
 from benchmark.__main__ import main
 from kit1000 import Dataset
+from kit1000.queries.tracks import CURVES
 from kit1000.submission import Submission, read_submission
-from kit1000.tracks import CURVES
 
 MINI_TRACKS = ("snap", "snap-tilt", "snap-d415")  # of the one test scene of MINI
 

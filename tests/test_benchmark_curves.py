@@ -21,10 +21,10 @@ from benchmark.curves import CURVES, curve_table
 from benchmark.protocol import read_protocol
 from benchmark.score import _curve_queries
 from kit1000.errors import InputError, ShapeError
-from kit1000.guesses import FIXED_LEVELS, LEVELS
+from kit1000.queries.guesses import FIXED_LEVELS, LEVELS
+from kit1000.queries.tracks import CURVES as TRACK
+from kit1000.queries.tracks import curve_levels
 from kit1000.rng import stream
-from kit1000.tracks import CURVES as TRACK
-from kit1000.tracks import curve_levels
 
 ROOT = Path(__file__).parents[1]
 IDS = curve_ids(3)

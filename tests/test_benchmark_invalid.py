@@ -16,8 +16,8 @@ from benchmark.rescore import rescore
 from benchmark.score import read_checked, score
 from kit1000 import Dataset
 from kit1000.errors import InputError
+from kit1000.queries.tracks import CURVES
 from kit1000.submission import HEADER, Submission, check, read_submission, write_manifest
-from kit1000.tracks import CURVES
 
 INVALID = {  # by description: the field, its value, and the code of the fault
     "not a number": ("qw", "nan", "nan"),

@@ -22,8 +22,8 @@ from benchmark.pages.numbers import percent
 from benchmark.quantities import POSITION
 from benchmark.table1 import run as table1
 from kit1000.errors import InputError
+from kit1000.queries.tracks import TRACKS
 from kit1000.submission.manifest import write_manifest
-from kit1000.tracks import TRACKS
 
 VOID = {"meta", "link", "img", "input", "br"}
 

@@ -15,9 +15,9 @@ from kit1000.dataset.reader import SPLIT_QUERIES
 from kit1000.errors import InputError
 from kit1000.generation.plan import dataset_id, make_plan
 from kit1000.generation.presets import PRESETS
-from kit1000.guesses import FIXED_LEVELS, LEVELS, MAX_ANGLE, MAX_OFFSET
 from kit1000.metrics import METRIC_VERSIONS
-from kit1000.tracks import TRACKS
+from kit1000.queries.guesses import FIXED_LEVELS, LEVELS, MAX_ANGLE, MAX_OFFSET
+from kit1000.queries.tracks import TRACKS
 
 
 def current() -> dict[str, Any]:

@@ -26,6 +26,7 @@ from kit1000 import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics import Seatings
 from kit1000.pose import Pose, quaternion_angle
+from kit1000.queries.tracks import CURVES
 from kit1000.submission import (
     Submission,
     check,
@@ -34,7 +35,6 @@ from kit1000.submission import (
     write_predictions,
     write_submission,
 )
-from kit1000.tracks import CURVES
 
 PROTOCOL = read_protocol()
 ERRORS = ("position_mm", "rotation_deg", "mssd_mm", "position_plain_mm", "rotation_plain_deg")

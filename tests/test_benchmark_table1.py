@@ -15,8 +15,8 @@ from board_samples import PREDICTIONS
 from benchmark.protocol import read_protocol
 from benchmark.table1 import MARK, NOT_YET, PAPER_ROWS, Grid, as_html, as_markdown, grids, read_table, run
 from kit1000.errors import InputError
+from kit1000.queries.tracks import PAPER_TRACKS, TRACKS
 from kit1000.submission.manifest import Manifest, write_manifest
-from kit1000.tracks import PAPER_TRACKS, TRACKS
 
 ROOT = Path(__file__).resolve().parents[1]
 DATASET = "91f0221d05e7d974"

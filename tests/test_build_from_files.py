@@ -23,7 +23,7 @@ from kit1000.generation.verify import verify
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid
 from kit1000.parts.family import part_of_mesh
 from kit1000.parts.files.sources import mesh_files
-from kit1000.tracks import SPLITS
+from kit1000.queries.tracks import SPLITS
 
 pytestmark = pytest.mark.usefixtures("fake_scenes")
 

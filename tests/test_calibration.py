@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 
-from baselines.calibration import BLIND_BAND, OUTLINE, calibrated, flattened
-from baselines.calibration.borders import REACH, seen_borders
-from baselines.calibration.camera import D415, SPREADS
-from baselines.calibration.plane import table_plane
 from kit1000.camera import look_at
 from kit1000.errors import ShapeError
 from kit1000.mesh import Mesh
+from kit1000.perception.calibration import BLIND_BAND, OUTLINE, calibrated, flattened
+from kit1000.perception.calibration.borders import REACH, seen_borders
+from kit1000.perception.calibration.camera import D415, SPREADS
+from kit1000.perception.calibration.plane import table_plane
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA

@@ -18,13 +18,13 @@ from kit1000.cli import main
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
+from kit1000.queries.tracks import CURVES
 from kit1000.submission import Manifest, Predictions, Report, check, write_predictions, write_submission
 from kit1000.submission.check import _coverage_faults
 from kit1000.submission.expected_queries import ExpectedQueries
 from kit1000.submission.faults import Fault
 from kit1000.submission.plausibility import plausibility_faults
 from kit1000.submission.rows import read_rows
-from kit1000.tracks import CURVES
 from kit1000.values import Prediction
 
 DOCUMENT = Path(__file__).resolve().parents[1] / "docs/submission.md"

@@ -13,19 +13,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
 
-from baselines.training.checkpoint import (
+from baselines.training.checkpoint import load_into_optimizer, optimizer_tensors, read_state, write_state
+from kit1000.errors import InputError
+from kit1000.perception.networks.weight_files import (
     LARGEST,
     copied_state,
     load_into,
-    load_into_optimizer,
     load_weights,
-    optimizer_tensors,
-    read_state,
     save_tensors,
     save_weights,
-    write_state,
 )
-from kit1000.errors import InputError
 
 
 def network(seed: int = 0, width: int = 5) -> nn.Sequential:

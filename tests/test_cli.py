@@ -18,6 +18,7 @@ from PIL import Image
 
 import kit1000
 from kit1000.cli import COMMANDS, main
+from kit1000.cli.summaries import summary_text
 from kit1000.export import own_part
 from kit1000.generation import build, shards
 from kit1000.generation.build import generate
@@ -27,7 +28,6 @@ from kit1000.kits.choice import Attempt
 from kit1000.kits.kit import design_kit
 from kit1000.mesh import Mesh
 from kit1000.parts.family import part_of_mesh
-from kit1000.summaries import summary_text
 
 ROOT = Path(__file__).resolve().parents[1]
 WIDTHS = (20, 24, 28, 33)

@@ -14,17 +14,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
 
-from baselines.completion import ObservedPart
-from baselines.completion.completed import SEEN_FREE, CompletedPart, FillLogits, PartCompleter
-from baselines.completion.frame import CODE, SHAPE, FramedPart, framed, grid_at
-from baselines.completion.network import CompletionConfig, CompletionNet
-from baselines.registration.sources import DepthSource
-from baselines.training.checkpoint import save_weights
 from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.metrics.volumes import occupancy_iou
+from kit1000.perception.completion.parts.completed import SEEN_FREE, CompletedPart, FillLogits, PartCompleter
+from kit1000.perception.completion.parts.frame import CODE, SHAPE, FramedPart, framed, grid_at
+from kit1000.perception.completion.parts.network import CompletionConfig, CompletionNet
+from kit1000.perception.networks.weight_files import save_weights
+from kit1000.perception.observed.parts import ObservedPart
 from kit1000.pose import Pose
+from kit1000.registration.inputs.sources import DepthSource
 from kit1000.sim.render import render
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 from kit1000.voxels import Grid, signed_distance

@@ -9,15 +9,14 @@ import pytest
 import trimesh
 from scipy.ndimage import distance_transform_edt
 
-from baselines.completion import TABLE_MARGIN, ObservedKits, ObservedPart
-from baselines.completion.columns import ObservedColumns
-from baselines.completion.fusion import MaskedView
-from baselines.completion.kits import HALF_HEIGHT
-from baselines.completion.kits import HALF_WIDTH as KIT_HALF_WIDTH
-from baselines.completion.part import HALF_WIDTH
-from baselines.completion.pixels import IDEAL, cropped, subpixel_points
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import Mesh
+from kit1000.perception.observed.filled_columns import ObservedColumns
+from kit1000.perception.observed.fusion import MaskedView
+from kit1000.perception.observed.kits import HALF_HEIGHT, ObservedKits
+from kit1000.perception.observed.kits import HALF_WIDTH as KIT_HALF_WIDTH
+from kit1000.perception.observed.parts import HALF_WIDTH, TABLE_MARGIN, ObservedPart
+from kit1000.perception.observed.pixels import IDEAL, cropped, subpixel_points
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View

@@ -9,7 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baselines.completion.frame import (
+from kit1000.camera import Camera, look_at
+from kit1000.mesh import Mesh, mesh_from_solid
+from kit1000.perception.completion.parts.frame import (
     CELL,
     CODE,
     SHAPE,
@@ -21,9 +23,7 @@ from baselines.completion.frame import (
     scale_of,
     unpacked,
 )
-from baselines.completion.pixels import cropped
-from kit1000.camera import Camera, look_at
-from kit1000.mesh import Mesh, mesh_from_solid
+from kit1000.perception.observed.pixels import cropped
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import LabelledDepth, View

@@ -9,16 +9,16 @@ import pytest
 from completion_cases import DEEP, WIDE, KnownPlate, plate_image
 from scipy.spatial import KDTree
 
-from baselines.completion import ObservedKits
-from baselines.completion.completed_kits import CompletedRelief
-from baselines.completion.hidden_surface import hidden_surface, hidden_surfaces
-from baselines.completion.pixels import IDEAL
-from baselines.completion.planes import Plane
-from baselines.completion.relief import CELL, DEEPEST, SeenRelief, seen_relief
-from baselines.registration.proposals import CompletingRegistration
 from kit1000.dataset.reader import Dataset
 from kit1000.mesh import Mesh, surface_points
+from kit1000.perception.completion.kits.completed import CompletedRelief
+from kit1000.perception.completion.kits.hidden_surface import hidden_surface, hidden_surfaces
+from kit1000.perception.observed.kits import ObservedKits
+from kit1000.perception.observed.pixels import IDEAL
+from kit1000.perception.observed.plates import Plane
+from kit1000.perception.observed.relief import CELL, DEEPEST, SeenRelief, seen_relief
 from kit1000.pose import Pose
+from kit1000.registration.proposals import CompletingRegistration
 from kit1000.rng import stream
 from kit1000.values import Query
 

@@ -12,25 +12,25 @@ from completion_cases import DEEP, WIDE, KnownPlate, plate_image, tray
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baselines.catalog import WEIGHTS
-from baselines.completion import ObservedKits
-from baselines.completion.completed_kits import ReliefCompleter
-from baselines.completion.drawn_kits import STRETCH, drawn_kit, stretched, with_kit
-from baselines.completion.kit_network import KitCompletionConfig, KitCompletionNet, kit_loss, likely_depths
-from baselines.completion.kit_task import kit_completion_task
-from baselines.completion.kit_views import D415_SHARE, mirrored
-from baselines.completion.pixels import IDEAL
-from baselines.completion.planes import Plane
-from baselines.completion.relief import CELL, CELLS, DEEPEST, HIGHEST, SeenRelief, seen_relief, true_depths
-from baselines.training.checkpoint import save_weights
+from baselines.training.tasks.kit_completion.sampled_kits import STRETCH, drawn_kit, stretched, with_kit
+from baselines.training.tasks.kit_completion.task import kit_completion_task
+from baselines.training.tasks.kit_completion.views import D415_SHARE, mirrored
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import defect_float32
+from kit1000.perception.completion.kits.completed import ReliefCompleter
+from kit1000.perception.completion.kits.network import KitCompletionConfig, KitCompletionNet, kit_loss, likely_depths
+from kit1000.perception.networks.weight_files import save_weights
+from kit1000.perception.observed.kits import ObservedKits
+from kit1000.perception.observed.pixels import IDEAL
+from kit1000.perception.observed.plates import Plane
+from kit1000.perception.observed.relief import CELL, CELLS, DEEPEST, HIGHEST, SeenRelief, seen_relief, true_depths
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.values import Kit
 from kit1000.voxels import signed_distance
+from kit1000.weights import WEIGHTS
 
 VOXEL = 1e-3
 SMALL = KitCompletionConfig(widths=(8, 8, 8, 8))

@@ -6,8 +6,14 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from baselines.completion.frame import CODE
-from baselines.completion.network import JACCARD, CompletionConfig, CompletionNet, completion_loss, network_input
+from kit1000.perception.completion.parts.frame import CODE
+from kit1000.perception.completion.parts.network import (
+    JACCARD,
+    CompletionConfig,
+    CompletionNet,
+    completion_loss,
+    network_input,
+)
 
 SIZES = (2, 8, 8, 16)
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import torch
 
-from baselines.completion import frame
-from baselines.completion.drawn_parts import DrawnParts
-from baselines.completion.frame import CODE
-from baselines.completion.task import CompletionTask, completion_task
-from baselines.completion.views import DrawnViews
+from baselines.training.tasks.part_completion.sampled_parts import DrawnParts
+from baselines.training.tasks.part_completion.task import CompletionTask, completion_task
+from baselines.training.tasks.part_completion.views import DrawnViews
 from kit1000.dataset.reader import Dataset
+from kit1000.perception.completion.parts import frame
+from kit1000.perception.completion.parts.frame import CODE
 from kit1000.rng import stream
 
 SEED = 7

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from editing import desk, dragged, goal, off, scene_of
 
-from baselines.methods import make_predictor, method_of
+from baselines.catalog import method_of
 from kit1000.cli.scenes import SNAP
 from kit1000.dataset.reader import Dataset
 from kit1000.editor import worker
@@ -35,6 +35,7 @@ from kit1000.editor.worker import (
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
+from kit1000.prediction.making import make_predictor
 from kit1000.predictor import PredictedMotion
 from kit1000.values import Query, TrueGeometry
 

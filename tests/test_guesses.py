@@ -13,7 +13,9 @@ from scipy import stats
 
 from kit1000.errors import InputError
 from kit1000.generation.queries import GuessDraw
-from kit1000.guesses import (
+from kit1000.kits.goals import nearest_about_axis
+from kit1000.pose import Pose, quaternion_angle, random_quaternions
+from kit1000.queries.guesses import (
     FIXED_LEVELS,
     LEVELS,
     MAX_ANGLE,
@@ -25,9 +27,7 @@ from kit1000.guesses import (
     level_angle,
     level_offset,
 )
-from kit1000.kits.goals import nearest_about_axis
-from kit1000.motions import apply_error, error_of, goal_motion, goal_pose
-from kit1000.pose import Pose, quaternion_angle, random_quaternions
+from kit1000.queries.motions import apply_error, error_of, goal_motion, goal_pose
 from kit1000.values import FreeAxis, Slot
 from tests.strategies import directions, poses, vectors
 

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 import kit1000.metrics as metrics
 from kit1000.errors import InputError, ShapeError
 from kit1000.metrics import METRIC_VERSIONS, PoseErrors, Targets, nearest_goal_motions, pose_errors
-from kit1000.motions import goal_motion, goal_pose
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
+from kit1000.queries.motions import goal_motion, goal_pose
 from kit1000.testing import check_metric
 from kit1000.values import FreeAxis, Slot, Truth
 from tests.strategies import directions, poses, vectors

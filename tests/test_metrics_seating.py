@@ -30,8 +30,8 @@ from kit1000.mesh import Mesh, defect, mesh_from_solid, solid_from_mesh
 from kit1000.metrics import Seatings, seatings
 from kit1000.metrics.exact_seating import ContactInterval, SweptVolume, contact_in_interval
 from kit1000.metrics.seating import _is_over_plate, _TestResult, _to_seatings
-from kit1000.motions import goal_motion
 from kit1000.pose import Pose, random_quaternions
+from kit1000.queries.motions import goal_motion
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Truth
 from tests.sample_kits import QUICK, sample_kit, sample_part
 from tests.shapes import cylinder, leaning_prism, lying_cylinder, random_solid, seated, upturned_tee

@@ -10,7 +10,7 @@ import torch
 
 from baselines.__main__ import main
 from baselines.catalog import WEIGHTS, all_networks
-from baselines.training.checkpoint import load_weights
+from kit1000.perception.networks.weight_files import load_weights
 from kit1000.predictor import resolved
 
 NETWORKS = all_networks()

@@ -8,8 +8,8 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baselines.completion.occupancy import filled_share
 from kit1000.mesh import Mesh, mesh_from_solid
+from kit1000.perception.observed.occupancy import filled_share
 from kit1000.pose import Pose, random_quaternions
 from kit1000.voxels import Grid
 from tests.shapes import MM, box, ell, ring_plate

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from kit1000.camera import Camera, look_at
-from kit1000.pivots import part_pivots
 from kit1000.pose import Pose
+from kit1000.queries.pivots import part_pivots
 from kit1000.sim.sensors import sense
 from kit1000.values import FIRST_PART_LABEL, View
 

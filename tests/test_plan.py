@@ -25,8 +25,8 @@ from kit1000.generation.presets import HELD_OUT, PRESETS, Preset, preset, preset
 from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.families.block import Block
 from kit1000.parts.mixtures import MIXTURES
+from kit1000.queries.tracks import SPLITS
 from kit1000.sim.layout import UPRIGHT, UPRIGHT_SHARE
-from kit1000.tracks import SPLITS
 
 TINY = PRESETS["tiny"]
 MANY = Preset("many", 120, 20, 40)

@@ -11,7 +11,7 @@ import numpy as np
 from mini import file_hashes
 
 from bench.portable import OLD_PROCESSOR
-from kit1000.guesses import draw_direction, draw_tilt_error
+from kit1000.queries.guesses import draw_direction, draw_tilt_error
 from tests.test_settle import SHAPES, drops, part_of
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -14,7 +14,7 @@ from kit1000.generation.plan import make_plan
 from kit1000.generation.presets import HELD_OUT, IDEAL_TRACKS, LATER_FIELDS, PRESETS, Preset, preset, preset_of
 from kit1000.kits.cavity import MIN_WALL
 from kit1000.parts.mixtures import MIXTURES
-from kit1000.tracks import SPLITS, TRACKS
+from kit1000.queries.tracks import SPLITS, TRACKS
 
 
 @pytest.mark.parametrize("name", PRESETS)

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from kit1000.products import determinant, eigenvectors, length, matmul
+from kit1000.numerics.linear_algebra import determinant, eigenvectors, length, matmul
 
 ROOT = Path(__file__).resolve().parents[1]
 GENERATING = ("parts", "kits", "sim", "generation", "voxels")  # and the base modules, which have one file each

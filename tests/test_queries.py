@@ -20,12 +20,12 @@ from kit1000.generation.queries import (
     _largest_roll_or_pitch,
     eligible,
 )
-from kit1000.guesses import FIXED_LEVELS, LEVELS, MAX_ANGLE, MAX_OFFSET, level_angle, level_offset
-from kit1000.motions import apply_error, error_of
-from kit1000.pivots import part_pivots
 from kit1000.pose import Pose, quaternion_angle
+from kit1000.queries.guesses import FIXED_LEVELS, LEVELS, MAX_ANGLE, MAX_OFFSET, level_angle, level_offset
+from kit1000.queries.motions import apply_error, error_of
+from kit1000.queries.pivots import part_pivots
+from kit1000.queries.tracks import CURVES, PAPER_TRACKS, TRACKS, curve_id, curve_levels, has_curves
 from kit1000.sim.layout import TUMBLED
-from kit1000.tracks import CURVES, PAPER_TRACKS, TRACKS, curve_id, curve_levels, has_curves
 from kit1000.values import FIRST_PART_LABEL
 from tests.strategies import poses
 

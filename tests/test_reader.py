@@ -25,9 +25,9 @@ from kit1000.files import write_bytes, write_json
 from kit1000.generation.queries import PartInScene, scene_queries
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.pose import Pose, quaternion_angle
+from kit1000.queries.tracks import ALL_TRACKS, TRACKS
 from kit1000.sim.layout import TUMBLED, UPRIGHT, table
 from kit1000.sim.render import render
-from kit1000.tracks import ALL_TRACKS, TRACKS
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Assembly, View
 from tests.sample_kits import QUICK, sample_kit, sample_part
 

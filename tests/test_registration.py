@@ -15,11 +15,15 @@ from sample_kits import sample_kit
 from shapes import Seated, ell, gaps, seated
 from strategies import poses
 
-from baselines.completion.pixels import IDEAL
-from baselines.completion.planes import Plane, find_planes, plane_frame
-from baselines.registration.cavity import VOXEL, find_cavity, plate_grid
-from baselines.registration.faces import standing_faces
-from baselines.registration.search import (
+from kit1000.mesh import Mesh, solid_from_mesh
+from kit1000.perception.observed.pixels import IDEAL
+from kit1000.perception.observed.plates import Plane, find_planes, plane_frame
+from kit1000.pose import Pose
+from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
+from kit1000.queries.motions import apply_error
+from kit1000.registration.geometry.faces import standing_faces
+from kit1000.registration.geometry.observed_cavity import VOXEL, find_cavity, plate_grid
+from kit1000.registration.search.correlation import (
     DEPTH_TOLERANCE,
     DUPLICATE_DISTANCE,
     YAW_STEP,
@@ -28,10 +32,6 @@ from baselines.registration.search import (
     SearchWindow,
     without_duplicates,
 )
-from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
-from kit1000.mesh import Mesh, solid_from_mesh
-from kit1000.motions import apply_error
-from kit1000.pose import Pose
 from kit1000.voxels import Volume, signed_distance, surface_points
 
 IDENTITY = Pose.identity()

@@ -14,12 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from baselines.registration.assignment import APART, DOUBTFUL, RIGHT, assigned, least_misfits, plate_posterior
-from baselines.registration.cavity import Cavity
-from baselines.registration.fits import Fit, ranked
-from baselines.registration.method import Registration
 from kit1000.dataset.reader import Dataset
 from kit1000.pose import Pose
+from kit1000.registration.choice.assignment import APART, DOUBTFUL, RIGHT, assigned, least_misfits, plate_posterior
+from kit1000.registration.choice.fits import Fit, ranked
+from kit1000.registration.geometry.observed_cavity import Cavity
+from kit1000.registration.method import Registration
 from kit1000.sim.layout import UPRIGHT_SHARE
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Query
 

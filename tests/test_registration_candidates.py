@@ -13,9 +13,15 @@ from hypothesis import strategies as st
 from registration_cases import CASES, CLEARANCE, Case, case, perturbed
 from shapes import box, standing
 
-from baselines.completion.part import PartEvidence
-from baselines.completion.pixels import IDEAL
-from baselines.registration.certain import (
+from kit1000.mesh import mesh_from_solid
+from kit1000.perception.observed.parts import PartEvidence
+from kit1000.perception.observed.pixels import IDEAL
+from kit1000.pose import Pose
+from kit1000.queries.guesses import MAX_ANGLE
+from kit1000.queries.motions import apply_error
+from kit1000.registration.choice.confidence import CURVES, confidence
+from kit1000.registration.choice.fits import LARGEST_LEAD, SAME_ANGLE, SAME_DISTANCE, lead, ranked, same_pose
+from kit1000.registration.choice.from_evidence import (
     COARSE_WEIGHT,
     EXACT,
     FURTHER_MISFIT,
@@ -24,15 +30,9 @@ from baselines.registration.certain import (
     UNSEEN_MISFIT,
     _Search,
 )
-from baselines.registration.confidence import CURVES, confidence
-from baselines.registration.faces import squared, standing_faces
-from baselines.registration.fits import LARGEST_LEAD, SAME_ANGLE, SAME_DISTANCE, lead, ranked, same_pose
-from baselines.registration.hypotheses import DOWN, LIES, NEAR_GUESS, SLACK_ANGLE, _faces_down
-from baselines.registration.search import UPRIGHT, tilted
-from kit1000.guesses import MAX_ANGLE
-from kit1000.mesh import mesh_from_solid
-from kit1000.motions import apply_error
-from kit1000.pose import Pose
+from kit1000.registration.geometry.faces import squared, standing_faces
+from kit1000.registration.search.candidates import DOWN, LIES, NEAR_GUESS, SLACK_ANGLE, _faces_down
+from kit1000.registration.search.correlation import UPRIGHT, tilted
 from kit1000.voxels import Grid, signed_distance, surface_points
 
 

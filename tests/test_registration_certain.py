@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from registration_cases import CASES, CLEARANCE, Case, case, known_cavity, perturbed
 from scipy.ndimage import distance_transform_edt
 
-from baselines.completion.part import PartEvidence
-from baselines.registration.cavity import BELOW, VOXEL, find_cavity
-from baselines.registration.contradictions import MOST, TOLERANCE, KitHeights, contradictions
-from baselines.registration.intervals import IntervalProblem, _outside, floor_is_seen, refine_within, sweeps_of
-from baselines.registration.refine import MAX_RESIDUAL, Problem, clipped_rms, refine
-from baselines.registration.sweep import CELL, envelope_about
+from kit1000.perception.observed.parts import PartEvidence
 from kit1000.pose import Pose
+from kit1000.registration.geometry.observed_cavity import BELOW, VOXEL, find_cavity
+from kit1000.registration.geometry.swept_slices import CELL, envelope_about
+from kit1000.registration.refinement.intervals import IntervalProblem, _outside, floor_is_seen, refine_within, sweeps_of
+from kit1000.registration.refinement.walls import MAX_RESIDUAL, Problem, clipped_rms, refine
+from kit1000.registration.search.contradictions import MOST, TOLERANCE, KitHeights, contradictions
 from kit1000.voxels import Volume, surface_points
 
 NUMBERS = st.floats(-1, 1)

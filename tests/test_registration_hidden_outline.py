@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baselines.registration.hidden_outline import WIDTH, hidden_outline
 from kit1000.camera import Camera
 from kit1000.pose import Pose
+from kit1000.registration.inputs.hidden_outline import WIDTH, hidden_outline
 from kit1000.values import LabelledDepth, View
 
 TABLE, PART, OTHER = 0, 2, 3

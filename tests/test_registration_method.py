@@ -9,17 +9,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.methods import make_predictor, method_of
-from baselines.registration.cavity import VOXEL, Cavity, find_cavity, plate_grid
-from baselines.registration.hypotheses import DEEPER, LEAST_REGION, SIDE, WIDER, find_cavities
-from baselines.registration.method import Registration
-from baselines.registration.sources import EXACT, TrueSource
+from baselines.catalog import method_of
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.metrics import Targets, pose_errors
 from kit1000.pose import Pose
+from kit1000.prediction.making import make_predictor
 from kit1000.predictor import PredictedMotion
+from kit1000.registration.geometry.observed_cavity import VOXEL, Cavity, find_cavity, plate_grid
+from kit1000.registration.inputs.sources import EXACT, TrueSource
+from kit1000.registration.method import Registration
+from kit1000.registration.search.candidates import DEEPER, LEAST_REGION, SIDE, WIDER, find_cavities
 from kit1000.testing import check_predictor, moved_query, moved_truth
 from kit1000.testing.predictors import WORLD_MOTION
 from kit1000.values import LabelledDepth, Query, TrueGeometry, Truth

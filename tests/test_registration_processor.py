@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from baselines.elimination import solve_positive
-from baselines.registration.search import YAW_STEP, OrientedPart, _correlate
-from baselines.registration.sweep import rotation_matrix
 from bench.portable import OLD_PROCESSOR
+from kit1000.numerics.elimination import solve_positive
 from kit1000.pose import Pose
+from kit1000.registration.geometry.swept_slices import rotation_matrix
+from kit1000.registration.search.correlation import YAW_STEP, OrientedPart, _correlate
 from kit1000.voxels import Grid, Volume
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -26,7 +26,7 @@ SEEDS = st.integers(0, 2**32 - 1)
 CODE = """
 import sys
 from pathlib import Path
-from baselines.registration.method import Registration
+from kit1000.registration.method import Registration
 from kit1000.dataset.reader import Dataset
 
 data = Dataset(Path(sys.argv[1]))
@@ -44,8 +44,10 @@ import sys
 from hashlib import sha256
 from pathlib import Path
 import numpy as np
-from baselines.methods import WEIGHTS, make_predictor, method_of
-from baselines.restoration.learned import Restorer
+from baselines.catalog import method_of
+from kit1000.prediction.making import make_predictor
+from kit1000.weights import WEIGHTS
+from kit1000.perception.restoration.restorer import Restorer
 from kit1000.dataset.reader import Dataset
 
 restorer, shape = Restorer(WEIGHTS / "restoration"), (160, 192)

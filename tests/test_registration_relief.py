@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from registration_cases import SIZE, columns, cuboid, volume_of
 from strategies import poses, quaternions
 
-from baselines.registration.relief import RADIUS, dilated, lower_envelope, read_value
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
+from kit1000.registration.geometry.height_images import RADIUS, dilated, lower_envelope, read_value
 from kit1000.voxels import Grid, signed_distance
 
 IDENTITY = Pose.identity()

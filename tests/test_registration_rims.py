@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from baselines.registration.cavity import CUT, RIM, VOXEL, _seen_face, find_cavity, plate_grid
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import mesh_from_solid
 from kit1000.pose import Pose
+from kit1000.registration.geometry.observed_cavity import CUT, RIM, VOXEL, _seen_face, find_cavity, plate_grid
 from kit1000.sim.render import render
 from kit1000.values import View
 from kit1000.voxels import Volume, tsdf

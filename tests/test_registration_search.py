@@ -17,11 +17,18 @@ from registration_cases import (
     perturbed,
 )
 
-from baselines.registration.cavity import Cavity
-from baselines.registration.outline import expected_relief
-from baselines.registration.refine import Problem, refine
-from baselines.registration.relief import dilated
-from baselines.registration.search import (
+from kit1000.kits.cavity import insertion_depth
+from kit1000.mesh import mesh_from_solid
+from kit1000.pose import Pose
+from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
+from kit1000.queries.motions import apply_error
+from kit1000.registration.geometry.expected_relief import expected_relief
+from kit1000.registration.geometry.height_images import dilated
+from kit1000.registration.geometry.observed_cavity import Cavity
+from kit1000.registration.geometry.swept_slices import CELL as SLICE_CELL
+from kit1000.registration.geometry.swept_slices import Sweep
+from kit1000.registration.refinement.walls import Problem, refine
+from kit1000.registration.search.correlation import (
     CELL,
     UP,
     YAW_STEP,
@@ -30,13 +37,6 @@ from baselines.registration.search import (
     best_shifts,
     coarse_search,
 )
-from baselines.registration.sweep import CELL as SLICE_CELL
-from baselines.registration.sweep import Sweep
-from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
-from kit1000.kits.cavity import insertion_depth
-from kit1000.mesh import mesh_from_solid
-from kit1000.motions import apply_error
-from kit1000.pose import Pose
 from kit1000.voxels import Grid, signed_distance
 from tests.shapes import box
 

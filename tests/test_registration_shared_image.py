@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import baselines.registration.hypotheses as hypotheses
-from baselines.catalog import WEIGHTS
-from baselines.registration.cavity import Cavity
-from baselines.registration.method import Registration
-from baselines.registration.shared_image import SharedImage
-from baselines.restoration.learned import Restorer
+import kit1000.registration.search.candidates as hypotheses
 from kit1000.dataset.reader import Dataset
-from kit1000.pivots import part_pivots
+from kit1000.perception.restoration.restorer import Restorer
+from kit1000.queries.pivots import part_pivots
+from kit1000.registration.geometry.observed_cavity import Cavity
+from kit1000.registration.inputs.shared_image import SharedImage
+from kit1000.registration.method import Registration
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, Query
+from kit1000.weights import WEIGHTS
 
 
 def query_of(mini: Path, track: str) -> Query:

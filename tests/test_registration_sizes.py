@@ -8,18 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import distance_transform_edt
 
-from baselines.completion import ObservedPart
-from baselines.completion.completed import CompletedPart
-from baselines.completion.frame import framed
-from baselines.completion.part import HALF_WIDTH
-from baselines.registration.hypotheses import SIDE, SLACK_OFFSET, plate_side
-from baselines.registration.relief import MARGIN, image_cells
-from baselines.registration.sweep import BEYOND, CELL, LAYER, REACH, Sweep, envelope_about
 from kit1000.camera import Camera, look_at
-from kit1000.guesses import MAX_OFFSET
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.metrics.volumes import occupancy_iou
+from kit1000.perception.completion.parts.completed import CompletedPart
+from kit1000.perception.completion.parts.frame import framed
+from kit1000.perception.observed.parts import HALF_WIDTH, ObservedPart
 from kit1000.pose import Pose, random_quaternions
+from kit1000.queries.guesses import MAX_OFFSET
+from kit1000.registration.geometry.height_images import MARGIN, image_cells
+from kit1000.registration.geometry.swept_slices import BEYOND, CELL, LAYER, REACH, Sweep, envelope_about
+from kit1000.registration.search.candidates import SIDE, SLACK_OFFSET, plate_side
 from kit1000.sim.render import render
 from kit1000.values import LabelledDepth, View
 from kit1000.voxels import Grid, Volume, signed_distance

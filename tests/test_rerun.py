@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from baselines.__main__ import main as baselines
-from baselines.predict import RunConfig, predict
-from baselines.rerun import rerun
+from baselines.catalog import run_config
+from baselines.running.rerun import rerun
 from benchmark.__main__ import main as benchmark
 from benchmark.rescore import rescore
 from kit1000.errors import InputError
 from kit1000.pose import Pose
+from kit1000.prediction.predict import predict
 from kit1000.submission import read_submission, write_predictions
 
 
@@ -23,7 +24,7 @@ from kit1000.submission import read_submission, write_predictions
 def made(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Predictions of a method that draws, also for the curves."""
     out = tmp_path_factory.mktemp("made") / "chance"
-    predict(RunConfig("chance", ("test", "curves")), mini, out, 1)
+    predict(run_config("chance", ("test", "curves")), mini, out, 1)
     assert benchmark(["score", str(out), "--data", str(mini), "--no-cache"]) == 0
     return out
 

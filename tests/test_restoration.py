@@ -9,10 +9,10 @@ import pytest
 import trimesh
 from scipy.ndimage import binary_erosion
 
-from baselines.restoration import restored, restored_query
-from baselines.restoration.edges import GAP
 from kit1000.camera import look_at
 from kit1000.mesh import Mesh
+from kit1000.perception.restoration import restored, restored_query
+from kit1000.perception.restoration.rules import GAP
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA

@@ -12,10 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import find_objects
 
-from baselines.calibration import CALIBRATED
-from baselines.catalog import WEIGHTS
-from baselines.registration.method import Registration
-from baselines.restoration.disparity import (
+from baselines.training.tasks.restoration.task import beside_jumps, restoration_task
+from baselines.training.tasks.restoration.views import CROPS, recorded_example
+from kit1000.dataset.reader import Dataset
+from kit1000.errors import InputError
+from kit1000.perception.calibration import CALIBRATED
+from kit1000.perception.networks.weight_files import save_weights
+from kit1000.perception.restoration.disparity import (
     STARTS,
     Evidence,
     above_table,
@@ -25,18 +28,15 @@ from baselines.restoration.disparity import (
     padded_box,
     shifted_box,
 )
-from baselines.restoration.edges import closed_gaps, restored_edges
-from baselines.restoration.learned import DISPARITY_STEP, Restorer
-from baselines.restoration.network import SIDE, Mixture, RestorationConfig, RestorationNet
-from baselines.restoration.task import beside_jumps, restoration_task
-from baselines.restoration.views import CROPS, recorded_example
-from baselines.training.checkpoint import save_weights
-from kit1000.dataset.reader import Dataset
-from kit1000.errors import InputError
+from kit1000.perception.restoration.network import SIDE, Mixture, RestorationConfig, RestorationNet
+from kit1000.perception.restoration.restorer import DISPARITY_STEP, Restorer
+from kit1000.perception.restoration.rules import closed_gaps, restored_edges
+from kit1000.registration.method import Registration
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA
 from kit1000.sim.sensors import measured
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth
+from kit1000.weights import WEIGHTS
 
 TINY = RestorationConfig(widths=(8, 8, 8, 8))
 D415 = "d415"

@@ -17,7 +17,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.dataset.schema import Observation, SceneTruth
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, mesh_from_solid
-from kit1000.pictures.relief import BOUNCE_SHARE, KEY_LIGHT, KEY_SHARE, SKY, SKY_SHARE, line_cover, relief_light
+from kit1000.pictures.depth_shading import BOUNCE_SHARE, KEY_LIGHT, KEY_SHARE, SKY, SKY_SHARE, line_cover, relief_light
 from kit1000.pictures.scene_preview import (
     MARK,
     NOTHING,

@@ -11,26 +11,27 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import label
 
-from baselines.catalog import WEIGHTS, all_methods
-from baselines.methods import PREDICTED_MASKS, method_of, source_hash
-from baselines.predict import RunConfig, predict
-from baselines.restoration.learned import Restorer
-from baselines.segmentation.bodies import world_points
-from baselines.segmentation.fit import logistic
-from baselines.segmentation.instances import segmented
-from baselines.segmentation.merging import area_of, best_pairs, gap_between, outline_of
-from baselines.segmentation.pieces import MOST_PIECES, SCALES, connected, find_pieces
-from baselines.segmentation.queries import MASKS_WEIGHTS, with_predicted_masks
+from baselines.catalog import all_methods, method_of, run_config
+from baselines.training.tasks.segmentation.fit import logistic
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.metrics.segmentation import matched_masks, mean_iou
+from kit1000.perception.restoration.restorer import Restorer
+from kit1000.perception.segmentation.bodies import world_points
+from kit1000.perception.segmentation.instances import segmented
+from kit1000.perception.segmentation.merging import area_of, best_pairs, gap_between, outline_of
+from kit1000.perception.segmentation.pieces import MOST_PIECES, SCALES, connected, find_pieces
+from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS, with_predicted_masks
 from kit1000.pose import Pose
+from kit1000.prediction.making import PREDICTED_MASKS, source_hash
+from kit1000.prediction.predict import predict
 from kit1000.sim.footprints import footprint_distance
 from kit1000.sim.layout import table
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
+from kit1000.weights import WEIGHTS
 
 CAMERA = Camera(480, 360, 460.0, 460.0, 239.5, 179.5)
 EYE = look_at((0.45, -0.1, 0.5), (0.0, -0.05, 0.02))
@@ -220,10 +221,10 @@ def test_a_part_that_is_not_found_is_looked_for_at_the_pivot(mini: Path) -> None
 
 def test_a_run_on_predicted_masks_says_so_and_is_another_method(mini: Path, tmp_path: Path) -> None:
     name = "registration" + PREDICTED_MASKS
-    manifest = predict(RunConfig(name, ("test",), ("snap",), limit=1), mini, tmp_path / "out", 1).manifest
+    manifest = predict(run_config(name, ("test",), ("snap",), limit=1), mini, tmp_path / "out", 1).manifest
     assert (manifest.method, manifest.masks) == (name, "predicted")
     assert "predict registration --split test --masks predicted" in manifest.reproduce
-    assert predict(RunConfig("guess", ("test",), ("snap",)), mini, tmp_path / "guess", 1).manifest.masks == "given"
+    assert predict(run_config("guess", ("test",), ("snap",)), mini, tmp_path / "guess", 1).manifest.masks == "given"
     assert source_hash(method_of(name)) != source_hash(all_methods()["registration"])
     for refused in ("truth", "registration-gtvol"):
         with pytest.raises(InputError, match="--masks given"):

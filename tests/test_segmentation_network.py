@@ -11,22 +11,23 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baselines.catalog import WEIGHTS
-from baselines.restoration.learned import Restorer
-from baselines.segmentation.bodies import find_bodies
-from baselines.segmentation.instances import segmented
-from baselines.segmentation.learned import PartFinder
-from baselines.segmentation.network import CentresConfig, CentresNet, Votes
-from baselines.segmentation.queries import MASKS_WEIGHTS
-from baselines.segmentation.task import CentresTask, centres_task
-from baselines.segmentation.views import CROPS, evidence_of
-from baselines.segmentation.votes import APART, gathered
-from baselines.training.checkpoint import save_weights
+from baselines.training.tasks.segmentation.task import CentresTask, centres_task
+from baselines.training.tasks.segmentation.views import CROPS
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics.segmentation import mean_iou
+from kit1000.perception.networks.weight_files import save_weights
+from kit1000.perception.restoration.restorer import Restorer
+from kit1000.perception.segmentation.bodies import find_bodies
+from kit1000.perception.segmentation.evidence import evidence_of
+from kit1000.perception.segmentation.instances import segmented
+from kit1000.perception.segmentation.network import CentresConfig, CentresNet, Votes
+from kit1000.perception.segmentation.part_finder import PartFinder
+from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS
+from kit1000.perception.segmentation.votes import APART, gathered
 from kit1000.pose import Pose
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth
+from kit1000.weights import WEIGHTS
 
 D415 = "d415"
 UNMASKED, FINDER = (WEIGHTS / stem for stem in MASKS_WEIGHTS)

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from baselines.completion import ObservedPart
-from baselines.completion.fusion import MaskedView, observed_distance
-from baselines.heights.labels import LabelledViews, labelled, table_labels
-from baselines.registration.method import Registration
 from kit1000.camera import Camera, look_at
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.mesh import mesh_from_solid
+from kit1000.perception.heights.labelled_views import LabelledViews, labelled, table_labels
+from kit1000.perception.observed.fusion import MaskedView, observed_distance
+from kit1000.perception.observed.parts import ObservedPart
 from kit1000.pose import Pose
+from kit1000.registration.method import Registration
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, View
 from kit1000.voxels import Grid, signed_distance, tsdf

@@ -8,16 +8,17 @@ from pathlib import Path
 import pytest
 import torch
 
-from baselines.catalog import WEIGHTS, all_methods, all_networks
-from baselines.ship import ship, whole_log
-from baselines.training import checkpoint
-from baselines.training.checkpoint import LARGEST, load_weights, save_weights
+from baselines.catalog import WEIGHTS, all_methods, all_networks, weights_folder
 from baselines.training.curve import curve
+from baselines.training.shipping import ship, whole_log
 from benchmark.protocol import read_protocol
 from kit1000.errors import InputError
+from kit1000.perception.networks.weight_files import LARGEST, load_weights, save_weights
+from kit1000.weights import WEIGHTS as LIBRARY_WEIGHTS
 
 ROOT = Path(__file__).resolve().parents[1]
-SHIPPED = sorted({path.stem for path in WEIGHTS.glob("*.json")})
+FOLDERS = (WEIGHTS, LIBRARY_WEIGHTS)
+SHIPPED = sorted({path.stem for folder in FOLDERS for path in folder.glob("*.json")})
 
 
 @pytest.fixture
@@ -32,7 +33,7 @@ def run(tmp_path: Path) -> Path:
 
 
 def test_weights_are_shipped_with_commit_and_log(run: Path, tmp_path: Path) -> None:
-    stem = ship(run, tmp_path / "weights", "0123abc")
+    stem = ship(run, lambda _: tmp_path / "weights", "0123abc")
     assert stem == tmp_path / "weights/some-network"
     tensors, info = load_weights(stem)
     best, _ = load_weights(run / "best")
@@ -56,7 +57,7 @@ def test_the_log_of_weights_that_started_from_others_goes_on() -> None:
 
 
 def test_halved_weights_are_rounded_to_float16(run: Path, tmp_path: Path) -> None:
-    tensors, info = load_weights(ship(run, tmp_path / "weights", "0123abc", precision="float16"))
+    tensors, info = load_weights(ship(run, lambda _: tmp_path / "weights", "0123abc", precision="float16"))
     best, _ = load_weights(run / "best")
     assert all(torch.equal(tensors[name], best[name].half().float()) for name in best)
     assert info["step"] == 20
@@ -64,21 +65,22 @@ def test_halved_weights_are_rounded_to_float16(run: Path, tmp_path: Path) -> Non
 
 def test_missing_and_too_large_weights_are_refused(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"best\.json"):
-        ship(tmp_path, tmp_path / "weights", "")
-    monkeypatch.setattr("baselines.ship.LARGEST", 10)
+        ship(tmp_path, lambda _: tmp_path / "weights", "")
+    monkeypatch.setattr("baselines.training.shipping.LARGEST", 10)
     with pytest.raises(InputError, match="MiB of weights, more than"):
-        ship(run, tmp_path / "weights", "")
+        ship(run, lambda _: tmp_path / "weights", "")
     assert not (tmp_path / "weights").exists()
 
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_weights_name_their_origin(name: str) -> None:
-    _, info = load_weights(WEIGHTS / name)
+    _, info = load_weights(weights_folder(name) / name)
     assert name in all_networks()
-    assert (WEIGHTS / f"{name}.safetensors").stat().st_size <= LARGEST
+    assert (weights_folder(name) / f"{name}.safetensors").stat().st_size <= LARGEST
     assert info["about"]["name"] == name
     if info["about"]["dataset_id"] != read_protocol().dataset["id"]:  # then all of its methods say so
-        assert all("data version" in m.training_data for m in all_methods().values() if name in m.weights.values())
+        users = [m for m in all_methods().values() if weights_folder(name) / name in m.weights.values()]
+        assert all("data version" in method.training_data for method in users)
     assert len(info["commit"]) == 40
     assert info["seconds"] > 0
     assert info["log"][-1]["step"] <= info["train"]["steps"]
@@ -86,11 +88,13 @@ def test_shipped_weights_name_their_origin(name: str) -> None:
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_learning_curves_in_the_docs_are_those_of_the_logs(name: str) -> None:
-    _, info = load_weights(WEIGHTS / name)
+    _, info = load_weights(weights_folder(name) / name)
     assert (ROOT / f"docs/pictures/{name}.svg").read_text(encoding="utf-8") == curve(whole_log(info))
 
 
 def test_every_method_has_its_weights_and_none_are_unused() -> None:
-    assert {stem for method in all_methods().values() for stem in method.weights.values()} <= set(SHIPPED)
-    assert {path.stem for path in WEIGHTS.iterdir()} == set(SHIPPED) <= set(all_networks())
-    assert checkpoint.LARGEST == 16 * 2**20
+    assert {path.name for method in all_methods().values() for path in method.weights.values()} <= set(SHIPPED)
+    assert all(path.parent == weights_folder(path.name) for m in all_methods().values() for path in m.weights.values())
+    files = {path.stem for folder in FOLDERS for path in folder.glob("*.safetensors")}
+    assert files == set(SHIPPED) <= set(all_networks())
+    assert LARGEST == 16 * 2**20

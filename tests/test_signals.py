@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import pytest
 
-from kit1000.signals import keeping_sigterm, terminated_as_interrupted
-from kit1000.usage import INTERRUPTED, run
+from kit1000.cli.command_line import INTERRUPTED, run
+from kit1000.engines.interrupts import keeping_sigterm, terminated_as_interrupted
 
 
 @pytest.fixture(autouse=True)

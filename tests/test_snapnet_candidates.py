@@ -18,8 +18,8 @@ from baselines.snapnet.candidates import (
     super_fibonacci,
 )
 from kit1000.errors import InputError
-from kit1000.guesses import MAX_ANGLE
 from kit1000.pose import Pose, quaternion_angle, quaternion_from_rotvec, unit_vector
+from kit1000.queries.guesses import MAX_ANGLE
 from kit1000.rng import stream
 
 COUNTS = {"ball": 391, "tilt": 391, "place": 600, "place-paper": 286}

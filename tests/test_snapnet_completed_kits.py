@@ -8,12 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from baselines.catalog import WEIGHTS, all_methods, all_networks
-from baselines.completion.completed_kits import ReliefCompleter
+from baselines.catalog import all_methods, all_networks
 from baselines.snapnet.config import PositionConfig, RotationConfig
 from baselines.snapnet.examples import PositionExamples, QuerySampler, RotationExamples
 from kit1000.dataset.reader import Dataset
+from kit1000.perception.completion.kits.completed import ReliefCompleter
 from kit1000.rng import stream
+from kit1000.weights import WEIGHTS
 
 VOXEL, CELLS = 2e-3, (40, 44, 48)
 POSITION = PositionConfig(VOXEL, (32, 32, 32), CELLS, (8, 8, 8))

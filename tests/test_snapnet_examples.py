@@ -10,9 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.completion import ObservedKits, ObservedPart
-from baselines.completion.pixels import noise_of
-from baselines.restoration import restored_query
 from baselines.snapnet import volumes as volumes_module
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.examples import (
@@ -30,10 +27,14 @@ from baselines.snapnet.examples import (
 from baselines.snapnet.volumes import QueryVolumes, grid_about, image_crops
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.guesses import MAX_OFFSET
 from kit1000.metrics import Targets, pose_errors
-from kit1000.motions import apply_error, goal_motion
+from kit1000.perception.observed.kits import ObservedKits
+from kit1000.perception.observed.parts import ObservedPart
+from kit1000.perception.observed.pixels import noise_of
+from kit1000.perception.restoration import restored_query
 from kit1000.pose import Pose, quaternion_angle
+from kit1000.queries.guesses import MAX_OFFSET
+from kit1000.queries.motions import apply_error, goal_motion
 from kit1000.rng import stream
 from kit1000.testing import moved_geometry, moved_query, moved_truth
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, FreeAxis

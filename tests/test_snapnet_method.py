@@ -10,16 +10,16 @@ import pytest
 import torch
 
 from baselines.catalog import all_methods
-from baselines.methods import make_predictor
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.method import SnapNet
 from baselines.snapnet.position import PositionNet
 from baselines.snapnet.rotation import RotationNet
 from baselines.snapnet.volumes import QueryVolumes
-from baselines.training.checkpoint import save_weights
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.perception.networks.weight_files import save_weights
 from kit1000.pose import Pose
+from kit1000.prediction.making import make_predictor
 from kit1000.testing import check_predictor
 
 POSITION = PositionConfig(4e-3, (16, 16, 16), (32, 32, 32), (9, 9, 9), (2, 2, 4, 4, 4), features=2)

@@ -10,9 +10,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from baselines import layers
-from baselines.layers import SingleChannelConv, UpsampleConcatConv, correlate, downsampled
+from baselines.snapnet import convolutions
 from baselines.snapnet.config import POSITION, PositionConfig
+from baselines.snapnet.convolutions import SingleChannelConv, UpsampleConcatConv, correlate, downsampled
 from baselines.snapnet.position import Encoder, PositionNet, kit_region, position_loss, position_of, target_of
 from bench.bench_snap_position import plain_features, plain_scores
 from kit1000.errors import InputError
@@ -136,8 +136,8 @@ def test_the_single_channel_layer_is_a_convolution() -> None:
 def test_slabs_change_nothing(monkeypatch: pytest.MonkeyPatch, rows: int) -> None:
     first, second, volume = SingleChannelConv(3), nn.Conv3d(3, 4, 3, stride=2, padding=1), torch.randn(2, 1, 16, 8, 6)
     whole = downsampled(first, second, volume)
-    monkeypatch.setattr(layers, "SLAB", 0)
-    monkeypatch.setattr(layers, "SLAB_ROWS", rows)
+    monkeypatch.setattr(convolutions, "SLAB", 0)
+    monkeypatch.setattr(convolutions, "SLAB_ROWS", rows)
     assert torch.allclose(downsampled(first, second, volume), whole, atol=1e-6)
 
 

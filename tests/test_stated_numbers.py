@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from kit1000.guesses import draw_ball_error, draw_tilt_error, level_angle, level_offset
 from kit1000.kits.acceptance import is_goal
 from kit1000.kits.contact import convex_edges
 from kit1000.kits.seating import HOVER, InsertedPart, is_rotation_seated, seating_result
 from kit1000.metrics.exact_seating import ContactInterval
 from kit1000.pose import Pose
+from kit1000.queries.guesses import draw_ball_error, draw_tilt_error, level_angle, level_offset
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA
 from kit1000.sim.sensors import sense

@@ -15,10 +15,10 @@ from studies import FITTS
 from kit1000.cli import main
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
-from kit1000.motions import error_of
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
+from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
+from kit1000.queries.motions import error_of
 from kit1000.study.conditions import CONDITIONS
 from kit1000.study.operators import OPERATORS, Aim, Hand, difficulty, drag, operator_of, point
 from kit1000.study.plan import StudyPlan, read_plan, write_plan

@@ -20,7 +20,7 @@ from kit1000.generation.card_statistics import add_up, part_statistics, scene_st
 from kit1000.generation.croissant import croissant_bytes
 from kit1000.generation.plan import DATA_VERSION, dataset_id, make_plan
 from kit1000.generation.summary import refused_files, summary_bytes
-from kit1000.tracks import SPLITS
+from kit1000.queries.tracks import SPLITS
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),

@@ -19,8 +19,8 @@ from kit1000.dataset.items import Item, pose_vector
 from kit1000.dataset.reader import Dataset, Split
 from kit1000.dataset.torch import QueryDataset, VolumeItem, decode_volumes, depth_item, to_tensors
 from kit1000.errors import InputError
-from kit1000.motions import apply_error
 from kit1000.pose import Pose
+from kit1000.queries.motions import apply_error
 from kit1000.values import Query, Truth
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points, to_float16, to_uint8
 

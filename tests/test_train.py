@@ -23,10 +23,11 @@ from torch import nn
 
 from baselines.training import loop
 from baselines.training.batches import _TrainingSet, train_batches
-from baselines.training.checkpoint import copied_state, load_into, load_weights, read_state
+from baselines.training.checkpoint import read_state
 from baselines.training.loop import Batch, TrainConfig, train
 from kit1000.errors import InputError
 from kit1000.files import locked
+from kit1000.perception.networks.weight_files import copied_state, load_into, load_weights
 from kit1000.rng import stream
 
 CPU = torch.device("cpu")

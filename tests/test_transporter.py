@@ -10,9 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.utils.data import default_collate
 
-from baselines.heights.draws import QueryDraws
-from baselines.heights.maps import HeightMap
-from baselines.heights.scenes import RenderedHeights, SceneHeights
+from baselines.training.tasks.goal_draws import QueryDraws
 from baselines.transporter.config import TRANSPORTER, YAW_STEP, YAWS, TransporterConfig
 from baselines.transporter.examples import GUESS_YAWS, TransporterExamples, goals_of
 from baselines.transporter.fcn import FCN, Block
@@ -39,8 +37,10 @@ from baselines.transporter.network import (
 from baselines.transporter.search import search
 from baselines.transporter.task import transporter_loss
 from kit1000.dataset.reader import Dataset
-from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
+from kit1000.perception.heights.maps import HeightMap
+from kit1000.perception.heights.scenes import RenderedHeights, SceneHeights
 from kit1000.pose import Pose, random_quaternions
+from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.rng import stream
 from kit1000.testing import check_predictor
 

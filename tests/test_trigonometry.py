@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from kit1000.trigonometry import LARGEST_ANGLE, cosine, sine, tangent
+from kit1000.numerics.trigonometry import LARGEST_ANGLE, cosine, sine, tangent
 
 GENERATING = Path(__file__).resolve().parents[1] / "kit1000"
 SEARCHING = {"descent.py", "face.py", "loose_fits.py"}  # their angles are rounded, or only decide far from a limit

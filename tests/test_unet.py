@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import nn
 
-from baselines.unet import BandedConv2d, UNet, folded, in_float64
+from kit1000.perception.networks.unet import BandedConv2d, UNet, folded, in_float64
 
 
 def random_net(blocks: int) -> UNet:

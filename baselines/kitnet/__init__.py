@@ -5,8 +5,9 @@ After Devgon et al., "Kit-Net" (CASE 2021, arXiv 2107.05789), as a baseline of "
 
 from dataclasses import replace
 
-from baselines.catalog import Method, Network
+from baselines.catalog import Network, weight_paths
 from baselines.training.config import TrainConfig
+from kit1000.prediction.catalog import Method
 
 KITNET = Method(
     "baselines.kitnet.method:KitNetMethod",
@@ -17,7 +18,7 @@ KITNET = Method(
     predicts="rotation",
     training_data="split train of kit1000, data version 1.0.0",
     camera_set="three",
-    weights={"network": "kitnet"},
+    weights=weight_paths({"network": "kitnet"}),
     label="KitNet",
     paper_row="kitnet",
 )

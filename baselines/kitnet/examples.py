@@ -8,12 +8,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from baselines.completion.planes import Plane
-from baselines.heights.draws import GoalQuery, QueryDraws
-from baselines.heights.maps import HeightMap
-from baselines.heights.shell import shell_points
 from baselines.kitnet.config import KitNetConfig
 from baselines.kitnet.views import CavityView, cavity_image, cavity_view, part_image
+from baselines.training.tasks.goal_draws import GoalQuery, QueryDraws
+from kit1000.perception.heights.maps import HeightMap
+from kit1000.perception.heights.shell import shell_points
+from kit1000.perception.observed.plates import Plane
 from kit1000.pose import Pose
 from kit1000.rng import stream
 

@@ -9,17 +9,17 @@ from typing import Literal
 import numpy as np
 import torch
 
-from baselines.completion import ObservedKits
-from baselines.completion.pixels import noise_of
-from baselines.heights.maps import cell_centres, envelopes, extent
-from baselines.heights.scenes import RecordedHeights, SceneHeights
 from baselines.kitnet.config import KitNetConfig
 from baselines.kitnet.examples import points_of, rotation_of
 from baselines.kitnet.network import KitNet
 from baselines.kitnet.views import CAVITY, CELL, CavityView, cavity_image, cavity_view, part_image
-from baselines.loading import ready
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.perception.heights.maps import cell_centres, envelopes, extent
+from kit1000.perception.heights.scenes import RecordedHeights, SceneHeights
+from kit1000.perception.networks.loading import ready
+from kit1000.perception.observed.kits import ObservedKits
+from kit1000.perception.observed.pixels import noise_of
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.values import Query, TrueGeometry

@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from baselines.heights.draws import QueryDraws
-from baselines.heights.scenes import RenderedHeights
 from baselines.kitnet.config import KITNET, KitNetConfig
 from baselines.kitnet.examples import Example, KitNetExamples
 from baselines.kitnet.network import KitNet, rotation_error, rotation_loss
+from baselines.training.tasks.goal_draws import QueryDraws
 from kit1000.dataset.reader import Dataset
+from kit1000.perception.heights.scenes import RenderedHeights
 
 VALIDATION_QUERIES = 100  # spread evenly over the validation split
 Batch = dict[str, Tensor]

@@ -5,9 +5,10 @@ After "Scene Editing as Teleoperation" (IROS 2022, arXiv 2110.04450).
 
 from dataclasses import replace
 
-from baselines.catalog import Method, Network
+from baselines.catalog import Network, weight_paths
 from baselines.training.config import TrainConfig
-from kit1000.tracks import ALL_TRACKS
+from kit1000.prediction.catalog import Method
+from kit1000.queries.tracks import ALL_TRACKS
 
 GTVOL = Method(
     "baselines.snapnet.method:SnapNet",
@@ -17,7 +18,7 @@ GTVOL = Method(
     uses_true_geometry=True,
     learned=True,
     training_data="split train of kit1000, data versions 0.2.1 and 1.0.0",
-    weights={"position": "snapnet-gtvol-position", "rotation": "snapnet-gtvol-rotation"},
+    weights=weight_paths({"position": "snapnet-gtvol-position", "rotation": "snapnet-gtvol-rotation"}),
     label="SnapNet, true volumes",
     paper_row="snapnet-gtvol",
 )
@@ -26,21 +27,24 @@ PARTIALVOL = replace(
     description="SnapNet, small preset, from one depth image; space hidden behind what it shows is filled in columns",
     options={"source": "depth"},
     uses_true_geometry=False,
-    weights={"position": "snapnet-partialvol-position", "rotation": "snapnet-partialvol-rotation"},
+    weights=weight_paths({"position": "snapnet-partialvol-position", "rotation": "snapnet-partialvol-rotation"}),
     label="SnapNet, partial volumes",
     paper_row="snapnet-partialvol",
 )
 COMPLETED = replace(
     PARTIALVOL,
     description="SnapNet, small preset, from one depth image; a network completes parts, columns fill the kits",
-    weights={"position": "snapnet-position", "rotation": "snapnet-rotation", "completion": "completion"},
+    weights=weight_paths({"position": "snapnet-position", "rotation": "snapnet-rotation", "completion": "completion"}),
     label="SnapNet",
     paper_row="snapnet",
 )
 KITS = replace(
     COMPLETED,
     description="SnapNet, small preset, from one depth image; networks complete parts and kits",
-    weights={**COMPLETED.weights, "rotation": "snapnet-kits-rotation", "kit_completion": "kit-completion"},
+    weights={
+        **COMPLETED.weights,
+        **weight_paths({"rotation": "snapnet-kits-rotation", "kit_completion": "kit-completion"}),
+    },
     label="SnapNet, completed kits",
     paper_row="",
 )

@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 
 from kit1000.errors import InputError, did_you_mean
-from kit1000.guesses import MAX_ANGLE, draw_ball_error, draw_tilt_error
 from kit1000.pose import Pose, quaternion_from_rotvec, quaternion_multiply
+from kit1000.queries.guesses import MAX_ANGLE, draw_ball_error, draw_tilt_error
 from kit1000.rng import stream
 
 CandidateSet = Literal["ball", "tilt", "place", "place-paper"]

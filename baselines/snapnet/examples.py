@@ -13,19 +13,19 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from baselines.completion.completed import PartCompleter
-from baselines.completion.completed_kits import ReliefCompleter
 from baselines.snapnet.candidates import candidates, nearest_candidate
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.volumes import SCENES, ImageCache, QueryVolumes
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
-from kit1000.guesses import draw_ball_error, draw_goal, draw_tilt_error
 from kit1000.kits.goals import nearest_about_axis
-from kit1000.motions import apply_error, goal_motion, goal_pose
+from kit1000.perception.completion.kits.completed import ReliefCompleter
+from kit1000.perception.completion.parts.completed import PartCompleter
 from kit1000.pose import Pose, unit_vector
+from kit1000.queries.guesses import draw_ball_error, draw_goal, draw_tilt_error
+from kit1000.queries.motions import apply_error, goal_motion, goal_pose
+from kit1000.queries.tracks import TRACKS
 from kit1000.rng import stream
-from kit1000.tracks import TRACKS
 from kit1000.values import FreeAxis, Query, Truth
 
 Guesses = Literal["ball", "tilt", "place"]

@@ -13,9 +13,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 
-from baselines.completion.completed import PartCompleter
-from baselines.completion.completed_kits import ReliefCompleter
-from baselines.loading import ready
 from baselines.snapnet.candidates import CandidateSet, candidates, coarse_candidates, near_candidates
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.position import PositionNet, position_of
@@ -23,9 +20,12 @@ from baselines.snapnet.rotation import RotationNet, rotation_of
 from baselines.snapnet.search import likely_starts
 from baselines.snapnet.volumes import ImageCache, QueryVolumes
 from kit1000.dataset.reader import Dataset
-from kit1000.motions import apply_error
+from kit1000.perception.completion.kits.completed import ReliefCompleter
+from kit1000.perception.completion.parts.completed import PartCompleter
+from kit1000.perception.networks.loading import ready
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
+from kit1000.queries.motions import apply_error
 from kit1000.rng import stream
 from kit1000.values import Query, TrueGeometry
 

@@ -10,7 +10,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from baselines.layers import (
+from baselines.snapnet.config import Cells, PositionConfig
+from baselines.snapnet.convolutions import (
     Region,
     SingleChannelConv,
     UpsampleConcatConv,
@@ -21,7 +22,6 @@ from baselines.layers import (
     finer,
     relative,
 )
-from baselines.snapnet.config import Cells, PositionConfig
 from kit1000.errors import InputError
 
 COARSEST = 16

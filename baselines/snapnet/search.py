@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from baselines.layers import correlate
 from baselines.snapnet.config import Cells, PositionConfig
+from baselines.snapnet.convolutions import correlate
 from baselines.snapnet.position import COARSEST, PositionNet
 from baselines.snapnet.volumes import QueryVolumes
 from kit1000.pose import Pose

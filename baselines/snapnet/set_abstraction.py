@@ -17,7 +17,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from kit1000.compiled import compiled
+from kit1000.numerics.compiled import compiled
 
 
 class Dense(nn.Module):

@@ -11,13 +11,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from baselines.completion.completed import PartCompleter
-from baselines.completion.completed_kits import ReliefCompleter
 from baselines.snapnet.config import POSITION, ROTATION, PositionConfig, RotationConfig, Source
 from baselines.snapnet.examples import Example, Guesses, PositionExamples, QuerySampler, RotationExamples
 from baselines.snapnet.position import PositionNet, position_loss, position_of
 from baselines.snapnet.rotation import RotationNet, rotation_loss
 from kit1000.dataset.reader import Dataset
+from kit1000.perception.completion.kits.completed import ReliefCompleter
+from kit1000.perception.completion.parts.completed import PartCompleter
 
 VALIDATION_QUERIES = {"position": 100, "rotation": 96}  # spread evenly over the validation split
 

@@ -16,17 +16,18 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from scipy.ndimage import find_objects
 
-from baselines.completion import TABLE_MARGIN, ObservedKits, ObservedPart
-from baselines.completion.completed import CompletedPart, PartCompleter
-from baselines.completion.completed_kits import ReliefCompleter
-from baselines.completion.pixels import cropped, noise_of
-from baselines.restoration import restored
 from baselines.snapnet.config import Cells, PositionConfig, RotationConfig, Source
 from baselines.snapnet.points import sample_points
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
-from kit1000.pivots import extent_centre
+from kit1000.perception.completion.kits.completed import ReliefCompleter
+from kit1000.perception.completion.parts.completed import CompletedPart, PartCompleter
+from kit1000.perception.observed.kits import ObservedKits
+from kit1000.perception.observed.parts import TABLE_MARGIN, ObservedPart
+from kit1000.perception.observed.pixels import cropped, noise_of
+from kit1000.perception.restoration import restored
 from kit1000.pose import Pose
+from kit1000.queries.pivots import extent_centre
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
 from kit1000.voxels import Grid, Volume, crop, resample, signed_distance, tsdf
 

@@ -88,4 +88,4 @@ UNET_TRAINING = TrainConfig(
     workers=0,
     threads=1,
 )
-"""Of the networks made of `baselines.unet`, but for what each of them says."""
+"""Of the networks made of `kit1000.perception.networks.unet`, but for what each of them says."""

@@ -11,11 +11,12 @@ import torch
 from torch.nn.parallel import DistributedDataParallel
 
 from baselines.training.batches import Batch, Task
-from baselines.training.checkpoint import Tensors, load_into, load_into_optimizer, optimizer_tensors
+from baselines.training.checkpoint import load_into_optimizer, optimizer_tensors
 from baselines.training.config import TrainConfig
 from baselines.training.muon import Muon
 from baselines.training.ranks import Ranks
 from kit1000.errors import InputError
+from kit1000.perception.networks.weight_files import Tensors, load_into
 from kit1000.rng import stream
 
 EMA_WARMUP = 10  # steps: at first the decay is only (1 + step) / (10 + step), as in TensorFlow

@@ -21,7 +21,7 @@ import torch
 from tqdm import tqdm
 
 from baselines.training.batches import Batch, Task, train_batches, validation_batches
-from baselines.training.checkpoint import read_state, save_weights, write_state
+from baselines.training.checkpoint import read_state, write_state
 from baselines.training.config import FREE, TrainConfig
 from baselines.training.curve import curve
 from baselines.training.descent import Descent
@@ -30,6 +30,7 @@ from baselines.training.ranks import Ranks, joined, processes_here
 from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError
 from kit1000.files import clear_partial, locked, read_json, write_bytes, write_json
+from kit1000.perception.networks.weight_files import save_weights
 
 __all__ = ["Batch", "Task", "TrainConfig", "TrainingResult", "train"]
 

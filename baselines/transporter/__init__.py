@@ -4,9 +4,10 @@ After Zeng et al., "Transporter Networks" (CoRL 2020, arXiv 2010.14406), as a ba
 Teleoperation".
 """
 
-from baselines.catalog import Method, Network
+from baselines.catalog import Network, weight_paths
 from baselines.training.config import TrainConfig
-from kit1000.tracks import ALL_TRACKS, TRACKS
+from kit1000.prediction.catalog import Method
+from kit1000.queries.tracks import ALL_TRACKS, TRACKS
 
 METHODS = {
     "transporter": Method(
@@ -16,7 +17,7 @@ METHODS = {
         learned=True,
         training_data="split train of kit1000, data version 1.0.0",
         camera_set="three",
-        weights={"network": "transporter"},
+        weights=weight_paths({"network": "transporter"}),
         label="TransporterNet",
         paper_row="transporternet",
     ),

@@ -9,13 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.heights.draws import TRACK_OF, GoalQuery, Guesses, QueryDraws
-from baselines.heights.shell import shell_points
+from baselines.training.tasks.goal_draws import TRACK_OF, GoalQuery, Guesses, QueryDraws
 from baselines.transporter.config import YAW_STEP, YAWS, TransporterConfig
 from baselines.transporter.inputs import Start, search_inputs, start_of
 from baselines.transporter.lattice import lattice_of, spread_cells, tilt_and_yaw
-from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
+from kit1000.perception.heights.shell import shell_points
 from kit1000.pose import Pose
+from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.values import Query
 
 GUESSED_YAWS = int(np.ceil(MAX_ANGLE / YAW_STEP))

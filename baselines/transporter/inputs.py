@@ -13,11 +13,11 @@ from math import ceil
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from baselines.heights.maps import UNSEEN, HeightMap, cell_centres, envelopes
-from baselines.heights.scenes import SceneHeights
 from baselines.transporter.config import TransporterConfig
-from kit1000.guesses import MAX_OFFSET
+from kit1000.perception.heights.maps import UNSEEN, HeightMap, cell_centres, envelopes
+from kit1000.perception.heights.scenes import SceneHeights
 from kit1000.pose import Pose
+from kit1000.queries.guesses import MAX_OFFSET
 
 KIT_SCALE, PART_SCALE, DETAIL_SCALE = 50e-3, 20e-3, 10e-3  # [m] that maps show as 1
 DETAIL = 50e-3  # [m] across the neighbourhood whose mean height is taken off for the channel of details

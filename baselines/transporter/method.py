@@ -7,9 +7,6 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from baselines.heights.scenes import RecordedHeights
-from baselines.heights.shell import shell_points
-from baselines.loading import ready
 from baselines.transporter.config import TransporterConfig
 from baselines.transporter.examples import searched_yaws
 from baselines.transporter.inputs import search_inputs, start_of
@@ -17,9 +14,12 @@ from baselines.transporter.lattice import rotation_from
 from baselines.transporter.network import TransporterNet
 from baselines.transporter.search import search
 from kit1000.dataset.reader import Dataset
-from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
+from kit1000.perception.heights.scenes import RecordedHeights
+from kit1000.perception.heights.shell import shell_points
+from kit1000.perception.networks.loading import ready
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
+from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.values import Query, TrueGeometry
 
 

@@ -10,14 +10,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from baselines.heights.draws import Guesses, QueryDraws
-from baselines.heights.scenes import RenderedHeights
+from baselines.training.tasks.goal_draws import Guesses, QueryDraws
 from baselines.transporter.config import TRANSPORTER, TransporterConfig
 from baselines.transporter.examples import Example, TransporterExamples
 from baselines.transporter.lattice import rotation_from
 from baselines.transporter.network import UNITS, TransporterNet
 from baselines.transporter.search import search
 from kit1000.dataset.reader import Dataset
+from kit1000.perception.heights.scenes import RenderedHeights
 from kit1000.pose import Pose
 
 VALIDATION_PAIRS = 24  # a query without a guess and one with, spread evenly over the validation split

@@ -12,7 +12,7 @@ from benchmark.entries import Entry, read_entries, unscored
 from benchmark.pages import numbers
 from benchmark.pages.numbers import Cell, mean_cell, median_cell, scale_end
 from kit1000.errors import InputError
-from kit1000.tracks import TRACKS
+from kit1000.queries.tracks import TRACKS
 
 FAST, SLOW = 1.0, 10.0  # [s] per query: between the classes of runtime
 RUNTIMES = {"fast": "up to 1 s", "medium": "1 to 10 s", "slow": "over 10 s", "unknown": "not measured"}

@@ -17,7 +17,7 @@ from benchmark.pages import numbers
 from benchmark.pages.numbers import Cell, mean_cell, median_cell, scale_end
 from benchmark.quantities import Quantity
 from kit1000.pictures.charts import Axis, Dot, Line, dot_plot, histogram, line_chart, rounded_up
-from kit1000.tracks import TRACKS
+from kit1000.queries.tracks import TRACKS
 
 BINNED = ("tilt", "visible")  # properties whose groups are bins
 CASE_TITLES = {"worst": "Largest errors", "middle": "Errors nearest to the median"}

@@ -14,14 +14,14 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from baselines.registration.cavity import VOXEL, Cavity, cells_at
-from baselines.registration.contradictions import INSIDE, TOLERANCE, KitHeights, contradictions
-from baselines.registration.fits import Fit
-from baselines.registration.method import Registration
-from baselines.registration.sources import DepthSource
 from kit1000.dataset.reader import Dataset
 from kit1000.pictures.shading import contact_sheet
 from kit1000.pose import Pose, unit_vector
+from kit1000.registration.choice.fits import Fit
+from kit1000.registration.geometry.observed_cavity import VOXEL, Cavity, cells_at
+from kit1000.registration.inputs.sources import DepthSource
+from kit1000.registration.method import Registration
+from kit1000.registration.search.contradictions import INSIDE, TOLERANCE, KitHeights, contradictions
 from kit1000.values import Query
 from kit1000.voxels import Grid, Volume, resample
 

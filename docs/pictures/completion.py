@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from baselines.catalog import WEIGHTS
-from baselines.completion import ObservedPart
-from baselines.completion.completed import PartCompleter
-from baselines.completion.frame import CODE, SHAPE, FramedPart, framed
-from baselines.completion.occupancy import filled_share
 from kit1000.dataset.reader import Dataset
+from kit1000.perception.completion.parts.completed import PartCompleter
+from kit1000.perception.completion.parts.frame import CODE, SHAPE, FramedPart, framed
+from kit1000.perception.observed.occupancy import filled_share
+from kit1000.perception.observed.parts import ObservedPart
 from kit1000.values import FIRST_PART_LABEL, Query, Truth
 from kit1000.voxels import resample
+from kit1000.weights import WEIGHTS
 
 OUT = Path(__file__).with_suffix(".png")
 PARTS, CASES = 60, (0.9, 0.5, 0.05)  # drawn targets, and the quantiles of their IoU that are shown

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from baselines.catalog import WEIGHTS
-from baselines.completion import ObservedKits
-from baselines.completion.completed_kits import ReliefCompleter, filled_by_columns
-from baselines.completion.pixels import IDEAL
-from baselines.completion.relief import DEEPEST, true_depths
 from kit1000.dataset.reader import Dataset, RecordedScene
+from kit1000.perception.completion.kits.completed import ReliefCompleter, filled_by_columns
+from kit1000.perception.observed.kits import ObservedKits
+from kit1000.perception.observed.pixels import IDEAL
+from kit1000.perception.observed.relief import DEEPEST, true_depths
+from kit1000.weights import WEIGHTS
 
 OUT = Path(__file__).with_name("kit-completion.png")
 SCENES, CASES = 20, (0.1, 0.5, 0.95)  # whose first plates are drawn, and the quantiles of their error that are shown

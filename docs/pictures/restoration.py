@@ -16,14 +16,14 @@ import torch
 from kit_completion import joined
 from PIL import Image
 
-from baselines.catalog import WEIGHTS
-from baselines.restoration.edges import calibrated_image, closed_gaps, restored_edges
-from baselines.restoration.learned import Restorer
-from baselines.restoration.task import beside_jumps
-from baselines.restoration.views import SENSOR, box_about, example_of
+from baselines.training.tasks.restoration.task import beside_jumps
+from baselines.training.tasks.restoration.views import SENSOR, box_about, example_of
 from kit1000.dataset.reader import Dataset, RecordedScene, Split
+from kit1000.perception.restoration.restorer import Restorer
+from kit1000.perception.restoration.rules import calibrated_image, closed_gaps, restored_edges
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, View
+from kit1000.weights import WEIGHTS
 
 OUT = Path(__file__).with_name("restoration.png")
 SCENES, CASES = 30, (0.1, 0.5, 0.9)  # of which slots are drawn, and the quantiles of their error that are shown

@@ -15,13 +15,13 @@ import numpy as np
 from kit_completion import joined
 from PIL import Image
 
-from baselines.restoration.views import SENSOR
-from baselines.segmentation.bodies import find_bodies
-from baselines.segmentation.instances import segmented
-from baselines.segmentation.queries import mask_networks
-from baselines.segmentation.views import evidence_of
+from baselines.training.tasks.restoration.views import SENSOR
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.metrics.segmentation import matched_masks
+from kit1000.perception.segmentation.bodies import find_bodies
+from kit1000.perception.segmentation.evidence import evidence_of
+from kit1000.perception.segmentation.instances import segmented
+from kit1000.perception.segmentation.predicted_masks import mask_networks
 from kit1000.values import FIRST_PART_LABEL
 
 OUT = Path(__file__).with_name("segmentation.png")

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from kit1000 import __version__
+from kit1000.cli.command_line import run
 from kit1000.cli.options import Flag, Folder, OptionalFloat, OptionalInt, OptionalPath, Unit
-from kit1000.cli.scenes import Edit, Insertions, Run, Study
+from kit1000.cli.scenes import Edit, Insertions, Predict, Run, Study
+from kit1000.cli.summaries import kit_report_text, summary_text
 from kit1000.errors import InputError
-from kit1000.summaries import kit_report_text, summary_text
-from kit1000.usage import run
+from kit1000.version import __version__
 
 if TYPE_CHECKING:
     from kit1000.generation.plan import Sources
@@ -296,6 +296,7 @@ COMMANDS = {
     "export": Export,
     "check": Check,
     "edit": Edit,
+    "predict": Predict,
     "insertions": Insertions,
     "run": Run,
     "study": Study,

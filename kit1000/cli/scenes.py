@@ -37,6 +37,41 @@ class Insertions:
 
 
 @dataclass(frozen=True)
+class Predict:
+    """Run a method on the queries of a dataset; the same command again resumes an interrupted run."""
+
+    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="METHOD")]
+    """A method of the catalog, such as registration-completed, or module:Object of your own."""
+    data: Folder
+    """Dataset folder."""
+    out: Path
+    """Submission folder; predictions are added to a submission of the same method and dataset."""
+    split: tuple[str, ...] = ("test",)
+    """One or several of test, curves, val, test-all, train."""
+    tracks: tuple[str, ...] = ()
+    """Tracks to predict for; all tracks of the method when absent."""
+    workers: OptionalInt = None
+    """Number of processes; one per core when absent. The predictions do not depend on it."""
+    limit: OptionalInt = None
+    """Number of queries, from the first on; all when absent."""
+    seed: int = 0
+    """Seed of all draws of the method."""
+    masks: Literal["given", "predicted"] = "given"
+    """Masks that the method reads: those of the dataset, or those that segmentation finds in the depth image."""
+
+    def run(self) -> int:
+        """Predict, then print what was written."""
+        from kit1000.prediction.predict import RunConfig, predict_and_describe
+
+        for name, value, least in (("workers", self.workers, 1), ("limit", self.limit, 1), ("seed", self.seed, 0)):
+            if value is not None and value < least:
+                raise InputError(f"--{name}: expected {least} or more, got {value}")
+        config = RunConfig.of(self.name, self.masks, self.split, self.tracks or None, self.seed, self.limit)
+        print(predict_and_describe(config, self.data, self.out, self.workers))
+        return 0
+
+
+@dataclass(frozen=True)
 class Run:
     """Let a simulated robot pick the parts of scenes and insert them as predicted; prints what became of each part."""
 
@@ -74,8 +109,8 @@ class Edit:
     """Submission folder for the confirmed parts and the log; the same command again continues."""
     sensor: Literal["ideal", "d415"] = "ideal"
     """Sensor of the depth image."""
-    snap: Annotated[str, tyro.conf.arg(metavar="module:Object")] = SNAP
-    """Method that proposes where parts fit: a predictor of your own, or none."""
+    snap: Annotated[str, tyro.conf.arg(metavar="METHOD")] = SNAP
+    """Method that proposes where parts fit: one of the catalog, module:Object of your own, or none."""
     interface: Literal["scene", "hand", "hand-bare"] = "scene"
     """What you move: parts, or the robot's suction cup, one part at a time; bare: by gizmo, and nothing snaps."""
     port: OptionalInt = None
@@ -110,7 +145,7 @@ class Study:
     """Two or four of scene-snap, scene, hand-snap, hand, hand-bare; scene-snap and hand when absent."""
     sensor: Annotated[Literal["ideal", "d415"] | None, tyro.conf.arg(metavar="{ideal,d415}")] = None
     """Sensor of the depth images; ideal when absent."""
-    snap: Annotated[str | None, tyro.conf.arg(metavar="module:Object")] = None
+    snap: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
     """Method of the conditions that snap; registration when absent."""
     seed: OptionalInt = None
     """Of tasks and orders; 0 when absent."""

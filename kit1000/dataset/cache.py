@@ -21,10 +21,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from kit1000 import __version__
 from kit1000.dataset.tables import pose_of, pose_row
 from kit1000.errors import InputError
 from kit1000.files import is_url, json_bytes, parse_folder, write_bytes
+from kit1000.version import __version__
 from kit1000.voxels import Grid, Volume, from_float16, from_uint8, to_float16, to_uint8
 
 ENCODINGS: dict[str, tuple[Callable[[Volume], np.ndarray], Callable[[Grid, np.ndarray], Volume]]] = {

@@ -15,9 +15,9 @@ import numpy as np
 from kit1000.dataset.cache import Entry, Key, VolumeCache
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.motions import error_of
-from kit1000.pivots import extent_centre
 from kit1000.pose import Pose
+from kit1000.queries.motions import error_of
+from kit1000.queries.pivots import extent_centre
 from kit1000.values import Query, Truth
 from kit1000.voxels import Grid, Volume, signed_distance, tsdf
 from kit1000.voxels.grid import DEFAULT_TRUNCATION
@@ -52,7 +52,7 @@ def query_item(query: Query, truth: Truth | None) -> Item:
 
     `id` text; `pivot` (3,) float32 [m]; `guess` (7,) float32. With the truth: `goal` (7,) float32, and the correction
     from the guess to the goal, along world axes: `offset` (3,) float32 [m] of the pivot, `rotvec` (3,) float32 [rad];
-    `kit1000.motions.apply_error(guess, pivot, offset, rotvec)` is the goal.
+    `kit1000.queries.motions.apply_error(guess, pivot, offset, rotvec)` is the goal.
     """
     item: Item = {"id": query.id, "pivot": query.pivot.astype(np.float32), "guess": pose_vector(query.guess)}
     if truth is None:

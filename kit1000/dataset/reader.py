@@ -21,12 +21,12 @@ from kit1000.errors import InputError, did_you_mean
 from kit1000.files import read_json
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
+from kit1000.queries.tracks import CURVES, TRACKS, has_curves
 from kit1000.rng import stream
 from kit1000.sim import cameras
 from kit1000.sim.layout import table
 from kit1000.sim.render import render
 from kit1000.sim.sensors import sense
-from kit1000.tracks import CURVES, TRACKS, has_curves
 from kit1000.values import Body, LabelledDepth, Query, Scene, Truth, View
 
 MAX_OPEN_FILES = 128  # open at once: all shards of the largest split, with their truth

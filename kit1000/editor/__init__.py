@@ -7,5 +7,5 @@ with two cups in place of parts), `controller`, which takes the events, and `pag
 knows it.
 """
 
-SNAP = "baselines.registration.proposals:ProposingRegistration"
-"""The method that snaps where none is named; by name, as the wheel is without the baselines."""
+SNAP = "registration"
+"""The method of the catalog that snaps where none is named."""

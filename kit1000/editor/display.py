@@ -9,9 +9,9 @@ from kit1000.editor.hand import NAMES, PICK, PLACE, HandWorkspace, cup_mesh
 from kit1000.editor.stage import Colour, Stage
 from kit1000.editor.workspace import Workspace
 from kit1000.mesh import Mesh
+from kit1000.numerics.trigonometry import tangent
 from kit1000.pictures.shading import framing_camera, part_colour
 from kit1000.pose import Pose
-from kit1000.trigonometry import tangent
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 
 KITS, HIDDEN_KITS, OTHERS = "/kits", "/hidden-kits", "/others"

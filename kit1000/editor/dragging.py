@@ -11,9 +11,9 @@ from kit1000.editor import gestures
 from kit1000.editor.plates import Plate
 from kit1000.editor.pointing import Eye, Surface
 from kit1000.editor.session import PartEdit
+from kit1000.numerics.linear_algebra import length, matmul
+from kit1000.numerics.trigonometry import tangent
 from kit1000.pose import Pose, quaternion_between
-from kit1000.products import length, matmul
-from kit1000.trigonometry import tangent
 
 Modifier = Literal["shift", "cmd/ctrl", "alt"] | None
 NAMES: dict[Modifier, str] = {None: "move", "shift": "lift", "cmd/ctrl": "turn", "alt": "tilt"}

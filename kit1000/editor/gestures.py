@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 
 from kit1000.editor.plates import Plate
+from kit1000.numerics.linear_algebra import matmul
 from kit1000.pose import Pose, quaternion_between
-from kit1000.products import matmul
 
 
 def slid(motion: Pose, cloud: np.ndarray, pivot: np.ndarray, old: Plate, new: Plate, point: np.ndarray) -> Pose:

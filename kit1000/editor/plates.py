@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from kit1000.mesh import Mesh
+from kit1000.numerics.linear_algebra import eigenvectors, length, matmul
 from kit1000.pose import unit_vector
-from kit1000.products import eigenvectors, length, matmul
 
 SAMPLE = 4000  # points that are enough
 SEEDS = 96  # places at which a plane is tried

@@ -14,10 +14,10 @@ from kit1000.camera import Camera
 from kit1000.editor.gestures import same_motion
 from kit1000.editor.plates import TABLE, Plate, plate_at
 from kit1000.mesh import Mesh
+from kit1000.numerics.trigonometry import tangent
 from kit1000.pose import Pose
 from kit1000.sim.layout import table
 from kit1000.sim.render import RenderedImage, render
-from kit1000.trigonometry import tangent
 
 HEIGHT = 360  # [px] of the rendered image: a pixel is about 2 mm of the scene
 REACH = 30e-3  # [m] below a plate, where a part in its cavity still counts as over it

@@ -9,8 +9,8 @@ import numpy as np
 
 from kit1000.editor.gestures import distance, same_motion
 from kit1000.editor.session import PartEdit
-from kit1000.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.pose import Pose
+from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 
 SAME_POSITION, SAME_ANGLE = 1e-3, float(np.radians(1.5))  # [m], [rad] of two fits that a person cannot tell apart
 LET_GO_POSITION, LET_GO_ANGLE = 5e-3, float(np.radians(5))  # [m], [rad] from a fit: letting go there takes it

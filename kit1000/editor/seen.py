@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import find_objects, median_filter
 
 from kit1000.mesh import Mesh
-from kit1000.pictures.relief import CELL, relief_light
+from kit1000.pictures.depth_shading import CELL, relief_light
 from kit1000.pictures.shading import KIT, part_colour
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 

@@ -25,7 +25,8 @@ from kit1000.engines.processes import start_worker
 from kit1000.errors import InputError, Kit1000Error
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
-from kit1000.predictor import predictor_of, to_prediction
+from kit1000.prediction.making import make_predictor, method_of
+from kit1000.predictor import to_prediction
 from kit1000.values import Query
 
 Answer = TypeVar("Answer")
@@ -36,7 +37,7 @@ class Method:
     """What the worker runs, on which scene."""
 
     snap: str
-    """`module:Object`"""
+    """A method of the catalog, or `module:Object`."""
     root: Path
     """Of the dataset."""
     scene_id: str
@@ -45,14 +46,17 @@ class Method:
     """Whether true geometry may be read."""
 
     def check(self) -> None:
-        """Raise InputError where there is no such module. It is imported by the worker: that takes seconds."""
-        module, colon, name = self.snap.partition(":")
+        """Raise InputError where there is no such method or module. The worker imports it: that takes seconds."""
+        if ":" not in self.snap:
+            method_of(self.snap)
+            return
+        module, _, name = self.snap.partition(":")
         try:
-            found = bool(colon and name) and find_spec(module) is not None
+            found = bool(name) and find_spec(module) is not None
         except (ImportError, ValueError):
             found = False
         if not found:
-            raise InputError(f"--snap {self.snap}: expected module:Object that Python can import, or none")
+            raise InputError(f"--snap {self.snap}: expected a method of the catalog, module:Object, or none")
 
 
 class Job(NamedTuple):
@@ -211,7 +215,7 @@ def prepared(method: Method) -> Prepared:
     """Made once in each process."""
     dataset = Dataset(method.root)
     queries = editable_queries(dataset.recorded_scene(method.scene_id, method.truth), method.sensor)
-    predictor = predictor_of(method.snap, dataset)
+    predictor = make_predictor(method_of(method.snap), dataset, 0)
     uses_truth = bool(getattr(predictor, "uses_true_geometry", False))
     if uses_truth and not method.truth:
         raise InputError(f"--snap {method.snap}: needs the true geometry, which only --truth shows")

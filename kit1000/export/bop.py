@@ -23,9 +23,9 @@ from kit1000.export.folder import new_folder
 from kit1000.files import json_bytes
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
+from kit1000.queries.tracks import SPLITS
 from kit1000.sim.render import render
 from kit1000.symmetry import Symmetry
-from kit1000.tracks import SPLITS
 
 if TYPE_CHECKING:
     from kit1000.dataset.reader import Dataset, RecordedScene

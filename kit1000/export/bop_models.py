@@ -15,8 +15,8 @@ from scipy.spatial.distance import pdist
 from kit1000.dataset.geometry import Geometry
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
+from kit1000.queries.tracks import SPLITS
 from kit1000.symmetry import Symmetry
-from kit1000.tracks import SPLITS
 
 MM = 1e3  # per metre
 PART, ASSEMBLY = "part", "assembly"

@@ -31,8 +31,8 @@ from kit1000.metrics import PoseErrors, Targets, nearest_goal_motions, pose_erro
 from kit1000.pictures.depth_images import mask_picture
 from kit1000.pictures.shading import KIT, Colour, part_colour
 from kit1000.pose import Pose
+from kit1000.queries.tracks import TRACKS
 from kit1000.submission import Predictions, read_predictions
-from kit1000.tracks import TRACKS
 from kit1000.values import Query
 
 if TYPE_CHECKING:

@@ -36,7 +36,7 @@ from kit1000.generation.shards import make_shard, shard_jobs
 from kit1000.generation.summary import JobRecords, description_files, make_summary, refused_files, summary_bytes, tables
 from kit1000.parts.files.refusals import refusal_counts
 from kit1000.parts.near_duplicates import near_duplicate_of
-from kit1000.tracks import SPLITS
+from kit1000.queries.tracks import SPLITS
 
 
 def generate(

@@ -12,7 +12,7 @@ from typing import Any
 
 from kit1000.generation import card_statistics
 from kit1000.generation.card_statistics import add_up, part_statistics, scene_statistics
-from kit1000.tracks import SPLITS
+from kit1000.queries.tracks import SPLITS
 
 __all__ = ["add_up", "card_bytes", "part_statistics", "scene_statistics"]
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from kit1000.dataset.schema import SceneTruth
 from kit1000.dataset.tables import Row, pose_of
-from kit1000.products import length
-from kit1000.tracks import CURVES
+from kit1000.numerics.linear_algebra import length
+from kit1000.queries.tracks import CURVES
 
 TILT_DEG = (0, 5, 15, 30, 45)
 VISIBLE_PERCENT = (0, 50, 60, 70, 80, 90, 100)

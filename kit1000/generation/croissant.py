@@ -25,7 +25,7 @@ from kit1000.generation.card import (
     files_by_pattern,
     title,
 )
-from kit1000.tracks import SPLITS
+from kit1000.queries.tracks import SPLITS
 
 PUBLISHED = "2026-11-21"  # date of the current data version: a constant, so that the bytes do not depend on the day
 CONFORMS = ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"]

@@ -22,9 +22,9 @@ from kit1000.kits.assembly import AssemblyPlan, draw_assembly
 from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import Family, dimensions
 from kit1000.parts.mixtures import MIXTURES, choose_family
+from kit1000.queries.tracks import SPLITS
 from kit1000.rng import stream
 from kit1000.sim.layout import UPRIGHT, draw_rest_modes
-from kit1000.tracks import SPLITS
 
 FORMAT = "kit1000-plan/2"
 DATA_VERSION = "1.0.0"

@@ -7,8 +7,8 @@ from typing import Any
 
 from kit1000.errors import InputError, did_you_mean
 from kit1000.kits.kit import PLATE_WIDTH
+from kit1000.queries.tracks import TRACKS
 from kit1000.sim.layout import MAX_PART_RADIUS
-from kit1000.tracks import TRACKS
 
 HELD_OUT = ("cam", "connector", "gear", "hook", "pillow_block", "tee")
 """Families of the test split only; scores on them measure generalisation to unseen families."""

@@ -14,7 +14,8 @@ import numpy as np
 
 from kit1000.dataset.tables import Row, pose_row
 from kit1000.errors import InputError
-from kit1000.guesses import (
+from kit1000.pose import Pose
+from kit1000.queries.guesses import (
     FIXED_LEVELS,
     LEVELS,
     draw_ball_error,
@@ -24,12 +25,11 @@ from kit1000.guesses import (
     level_angle,
     level_offset,
 )
-from kit1000.motions import apply_error, goal_motion, goal_pose
-from kit1000.pivots import part_pivots
-from kit1000.pose import Pose
+from kit1000.queries.motions import apply_error, goal_motion, goal_pose
+from kit1000.queries.pivots import part_pivots
+from kit1000.queries.tracks import CURVES, TRACKS, Track, curve_id, query_id
 from kit1000.rng import stream
 from kit1000.sim.layout import UPRIGHT
-from kit1000.tracks import CURVES, TRACKS, Track, curve_id, query_id
 from kit1000.values import Slot, View
 
 PAPER_TILT = float(np.radians(15))  # largest roll and largest pitch of a goal in the paper's task without a guess

@@ -22,6 +22,7 @@ from kit1000.generation.queries import PartInScene, asking_tracks, scene_queries
 from kit1000.mesh import Mesh
 from kit1000.pictures.scene_preview import with_previews
 from kit1000.pose import Pose
+from kit1000.queries.tracks import CURVES, has_curves
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, camera_set, draw_primary_pose, in_view
 from kit1000.sim.layout import PART_UNSTABLE, UPRIGHT, Layout, draw_layout, simulate_layout, table
@@ -36,7 +37,6 @@ from kit1000.sim.visibility import (
     slot_visibility,
     view_redraw_reason,
 )
-from kit1000.tracks import CURVES, has_curves
 from kit1000.values import ASSEMBLY_LABEL, Assembly, Mount, Part, Slot, View
 
 MAX_LAYOUTS = 60  # layouts of one scene before it is refused

@@ -16,7 +16,7 @@ from kit1000.generation.card_statistics import add_up, part_statistics
 from kit1000.generation.croissant import croissant_bytes
 from kit1000.generation.parts_and_kits import Record
 from kit1000.generation.plan import DATA_VERSION, dataset_id
-from kit1000.tracks import SPLITS
+from kit1000.queries.tracks import SPLITS
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,9 +18,9 @@ from kit1000.kits.goals import nearest_about_axis
 from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_loose_fit, turns_freely
 from kit1000.kits.seating import SEATED_LIMIT, InsertedPart, SeatingResult, contact_offset, seating_result
 from kit1000.mesh import Mesh
+from kit1000.numerics.linear_algebra import length
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.pose import Pose, quaternion_angle
-from kit1000.products import length
-from kit1000.trigonometry import cosine, sine
 from kit1000.values import Kit, Part
 
 DIRECTIONS = np.radians(np.arange(0, 360, 30.0))  # in the plate's plane: of shifts and tilt axes

@@ -23,10 +23,10 @@ from kit1000.kits.kit import PLATE_GAP
 from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset
 from kit1000.mesh import body_count, defect_float32, solid_from_mesh
+from kit1000.numerics.linear_algebra import length, matmul
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose
-from kit1000.products import length, matmul
-from kit1000.trigonometry import cosine, sine
 from kit1000.values import Assembly, Kit, Mount, Part
 
 MAX_KITS = 5  # a base and one plate on each of its four sides

@@ -13,7 +13,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from kit1000.mesh import Mesh, convex_hull, mesh_from_solid
-from kit1000.products import matmul
+from kit1000.numerics.linear_algebra import matmul
 from kit1000.values import Mount
 
 PLATE_OVERLAP = 1e-3  # [m] by which a piece reaches into a plate; the floor under a cavity is 2 mm

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
-from kit1000.products import matmul
+from kit1000.numerics.compiled import compiled
+from kit1000.numerics.linear_algebra import matmul
 
 WALL_COSINE = 1e-9  # faces whose unit normal has a smaller z are walls: only their edges can touch
 COPLANAR_SINE = 1e-9  # sine of the dihedral angle below which two faces count as coplanar

@@ -14,7 +14,7 @@ import numpy as np
 from manifold3d import CrossSection, FillRule, JoinType, Manifold, triangulate
 
 from kit1000.mesh import Mesh, convex_hull, mesh_from_solid, solid_from_mesh
-from kit1000.products import length, matmul
+from kit1000.numerics.linear_algebra import length, matmul
 from kit1000.values import Kit
 
 TOLERANCE = 0.4e-3  # [m] by which walls recede at most, roughly; the clearance is 2.5 mm

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
-from kit1000.trigonometry import cosine, sine
+from kit1000.numerics.compiled import compiled
+from kit1000.numerics.trigonometry import cosine, sine
 
 RELIEF_CELLS = 75  # along a relief's longest side: fine enough to distinguish yaws, coarse enough for 2 ms
 RELIEF_RINGS, RELIEF_ANGLES = 30, 120

@@ -15,8 +15,8 @@ from scipy.spatial import ConvexHull
 
 from kit1000.kits.envelope import polar_relief
 from kit1000.mesh import Mesh
+from kit1000.numerics.linear_algebra import matmul
 from kit1000.pose import Pose, quaternion_between, quaternion_from_rotvec
-from kit1000.products import matmul
 from kit1000.symmetry import Symmetry
 
 MIN_PROBABILITY = 0.05  # share of drops after which the part lies on a face, for it to count as a resting face

@@ -20,10 +20,10 @@ from kit1000.kits.envelope import polar_relief
 from kit1000.kits.face import resting_faces
 from kit1000.kits.sweep import shadow_below
 from kit1000.mesh import Mesh, solid_from_mesh
+from kit1000.numerics.linear_algebra import length, matmul
+from kit1000.numerics.trigonometry import cosine
 from kit1000.pose import Pose, quaternion_angle
-from kit1000.products import length, matmul
 from kit1000.symmetry import Symmetry
-from kit1000.trigonometry import cosine
 from kit1000.values import FreeAxis
 
 SHADOW_TOLERANCE = 0.05e-3  # [m] shadows whose outlines differ by less are equal

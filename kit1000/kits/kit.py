@@ -18,9 +18,9 @@ from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh, solid_from_mesh
+from kit1000.numerics.linear_algebra import matmul
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.pose import Pose
-from kit1000.products import matmul
-from kit1000.trigonometry import cosine, sine
 from kit1000.values import Kit, Part, Slot
 
 CLEARANCE = 2.5e-3  # [m] the paper's simulation margin

@@ -16,16 +16,16 @@ from typing import NamedTuple
 import numpy as np
 from manifold3d import Manifold
 
-from kit1000.compiled import compiled
 from kit1000.kits.contact import ContactFeatures, ConvexEdges, contact_features, convex_edges, vertical_contact_offset
-from kit1000.kits.descent import HeightField, LoweredPart, lowered_fit
 from kit1000.kits.envelope import lower_envelope
 from kit1000.kits.face import RestingFace
 from kit1000.kits.goals import nearest_about_axis
+from kit1000.kits.insertion_search import HeightField, LoweredPart, lowered_fit
 from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT, rotation_limit
 from kit1000.mesh import Mesh, mesh_from_solid
+from kit1000.numerics.compiled import compiled
+from kit1000.numerics.linear_algebra import length, matmul
 from kit1000.pose import Pose, quaternion_angle
-from kit1000.products import length, matmul
 from kit1000.values import Kit, Slot
 
 CELL = 0.5e-3  # [m] of the kit's height field

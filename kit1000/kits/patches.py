@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from kit1000.compiled import compiled
+from kit1000.numerics.compiled import compiled
 
 PLANE_TOLERANCE = 2e-6  # [m] a corner may lie this far below the plane of a face, or
 # [m] this far outside it, measured horizontally: hulls then err by as much, to the open side, and two or three facets

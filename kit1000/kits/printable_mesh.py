@@ -14,7 +14,7 @@ from manifold3d import Manifold
 
 from kit1000.errors import Redraw
 from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid
-from kit1000.products import length
+from kit1000.numerics.linear_algebra import length
 
 SIMPLIFY_TOLERANCE = 2e-6  # [m] edges and bumps smaller than this are simplified away
 GRID = 2.0**-23  # [m] 0.12 um: exact in float32 up to 2 m, and ten times the distance at which loaders merge vertices

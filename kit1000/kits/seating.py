@@ -20,8 +20,8 @@ from manifold3d import Manifold, Mesh64, OpType
 
 from kit1000.kits.contact import ContactFeatures, ConvexEdges, contact_features, convex_edges, vertical_contact_offset
 from kit1000.mesh import Mesh, solid_from_mesh
+from kit1000.numerics.linear_algebra import matmul
 from kit1000.pose import Pose, quaternion_angle, quaternion_between, quaternion_conjugate, quaternion_multiply
-from kit1000.products import matmul
 
 HOVER = 0.1  # [m] the approach begins so far out (paper, section III-E)
 SEATED_LIMIT = 3e-3  # [m] of a seated prediction from contact, and of contact from goal height

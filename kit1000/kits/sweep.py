@@ -15,7 +15,7 @@ from manifold3d import CrossSection, FillRule, Manifold, OpType
 from kit1000.errors import Redraw
 from kit1000.kits.patches import convex_patches
 from kit1000.mesh import convex_hull, mesh_from_solid
-from kit1000.trigonometry import cosine, sine
+from kit1000.numerics.trigonometry import cosine, sine
 
 SAGITTA = 0.02e-3  # [m] width of the band that the chords of the disc stay within
 DISC_OVERSIZE = 0.4 * SAGITTA  # the disc's corners lie this far outside the clearance, its chords 0.6 SAGITTA inside

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kit1000.compiled import compiled
+from kit1000.numerics.compiled import compiled
 
 ANGLE_SAMPLES = 24  # equally spaced angles that are evaluated, the twist angle first
 ANGLE_STEP = 2 * np.pi / ANGLE_SAMPLES

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.errors import ShapeError, checked
-from kit1000.motions import goal_motion
 from kit1000.pose import Pose, unit_vector
+from kit1000.queries.motions import goal_motion
 from kit1000.values import Truth
 
 NO_AXIS = np.full(3, np.nan)

@@ -16,6 +16,8 @@ import numpy as np
 from manifold3d import CrossSection, Error, FillRule, Manifold, Mesh64, OpType, triangulate
 from numpy.typing import ArrayLike, NDArray
 
+from kit1000.numerics.linear_algebra import length, matmul
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.parts.sketch import (
     arc_points,
     bearing,
@@ -38,9 +40,7 @@ from kit1000.parts.sketch import (
     slot,
     span,
 )
-from kit1000.products import length, matmul
 from kit1000.symmetry import Symmetry
-from kit1000.trigonometry import cosine, sine
 
 __all__ = [
     "Axis", "CrossSection", "Manifold", "Symmetry", "along", "arc_points", "at", "bearing", "bolt_circle", "bore",

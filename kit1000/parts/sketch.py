@@ -14,7 +14,7 @@ import numpy as np
 from manifold3d import CrossSection, FillRule, JoinType
 from numpy.typing import ArrayLike, NDArray
 
-from kit1000.trigonometry import cosine, sine, tangent
+from kit1000.numerics.trigonometry import cosine, sine, tangent
 
 SAGITTA_MM = 0.013
 """Largest distance between an arc and its chords as drawn: below 0.02 mm also when a small drawing is scaled by 1.5."""

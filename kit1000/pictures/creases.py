@@ -10,8 +10,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
+from kit1000.numerics.compiled import compiled
 
 CREASE_DEG = 32.0  # cylinders have 12 sides or more (30 degrees), chamfers have 45 degrees
 PLANE_DEG = 0.5  # largest angle between faces of one plane, after rounding to float32

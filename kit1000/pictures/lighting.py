@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from kit1000.camera import Camera, look_at
-from kit1000.compiled import compiled
 from kit1000.mesh import Mesh
+from kit1000.numerics.compiled import compiled
 from kit1000.pose import Pose, quaternion_between
 from kit1000.sim.render import render
 

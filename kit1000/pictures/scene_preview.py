@@ -15,11 +15,11 @@ import numpy as np
 from PIL import Image
 
 from kit1000.camera import Camera
-from kit1000.compiled import compiled
 from kit1000.dataset.schema import Observation, SceneTruth
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
-from kit1000.pictures.relief import CELL, line_cover, relief_light
+from kit1000.numerics.compiled import compiled
+from kit1000.pictures.depth_shading import CELL, line_cover, relief_light
 from kit1000.pictures.shading import KIT, Colour, part_colour
 from kit1000.pose import Pose
 from kit1000.sim.render import render

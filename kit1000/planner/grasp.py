@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.mesh import Mesh
+from kit1000.numerics.linear_algebra import matmul
+from kit1000.numerics.trigonometry import cosine, sine, tangent
 from kit1000.planner.robot import CUPS
 from kit1000.pose import Pose
-from kit1000.products import matmul
-from kit1000.trigonometry import cosine, sine, tangent
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth
 
 SUCTION = 70e3  # [Pa] below the air's pressure

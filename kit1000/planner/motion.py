@@ -13,9 +13,9 @@ from itertools import pairwise
 
 import numpy as np
 
+from kit1000.numerics.linear_algebra import length
 from kit1000.planner.robot import JOINT_LIMITS, inverse, within_limits
 from kit1000.pose import Pose
-from kit1000.products import length
 
 LINE_SPEED, LINE_ACCELERATION = 0.1, 0.1  # [m/s], [m/s^2]
 MOVE_SPEED, MOVE_ACCELERATION = 0.3, 0.3  # [rad/s], [rad/s^2] of the joint that moves farthest

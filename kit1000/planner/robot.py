@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.pose import Pose
-from kit1000.trigonometry import cosine, sine
 
 D = np.array([0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996])  # [m]
 A = np.array([0.0, -0.425, -0.3922, 0.0, 0.0, 0.0])  # [m]

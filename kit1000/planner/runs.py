@@ -16,8 +16,8 @@ from kit1000.files import write_bytes, write_json
 from kit1000.planner.execute import OUTCOMES, SEATED, PartRun, SceneRun, run_scene
 from kit1000.planner.trace import trace_bytes
 from kit1000.pose import Pose
+from kit1000.queries.tracks import TRACKS
 from kit1000.submission.predictions import FILE, Predictions, read_predictions
-from kit1000.tracks import TRACKS
 
 OUTCOMES_FILE = "outcomes.json"
 

@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError, checked
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.pose import Pose
-from kit1000.trigonometry import cosine, sine
 
 # Image size and focal length of the paper's release (there 925.27 px), those of its real camera. The principal point
 # is the image centre.

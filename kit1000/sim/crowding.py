@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.errors import Redraw, checked
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.sim.footprints import centroid, footprint_distance
-from kit1000.trigonometry import cosine, sine
 
 TOUCHING = 1e-4  # [m] between footprints that touch: well over the micrometre to which poses are rounded
 GAPS = (-2.5e-3, 10e-3)  # [m] uniform, and TOUCHING where smaller: a fifth of the parts touch

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from kit1000.mesh import Mesh
+from kit1000.numerics.linear_algebra import matmul
 from kit1000.pose import Pose
-from kit1000.products import matmul
 
 
 def footprint(mesh: Mesh, world_from_body: Pose) -> np.ndarray:

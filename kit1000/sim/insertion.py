@@ -16,8 +16,8 @@ from kit1000.kits.brackets import support_meshes
 from kit1000.kits.convex_pieces import convex_prisms
 from kit1000.kits.goals import nearest_about_axis
 from kit1000.kits.seating import HOVER, SEATED_LIMIT, rotation_limit
+from kit1000.numerics.linear_algebra import length, matmul
 from kit1000.pose import Pose, quaternion_angle, quaternion_conjugate, quaternion_multiply
-from kit1000.products import length, matmul
 from kit1000.sim.settle import (
     CHECK_INTERVAL,
     REST_CHECKS,

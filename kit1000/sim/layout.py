@@ -17,8 +17,8 @@ from scipy.spatial.distance import pdist
 
 from kit1000.errors import InputError, Redraw, ShapeError, checked
 from kit1000.mesh import Mesh
+from kit1000.numerics.linear_algebra import length
 from kit1000.pose import Pose, random_quaternions
-from kit1000.products import length
 from kit1000.sim.crowding import Crowding, draw_crowding, pushed_together
 from kit1000.sim.footprints import footprint, footprint_distance
 from kit1000.sim.settle import Release, RestPose, rounded_pose, settle

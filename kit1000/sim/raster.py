@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kit1000.camera import Camera
-from kit1000.compiled import compiled
+from kit1000.numerics.compiled import compiled
 
 NEAR_PLANE = 1e-3  # [m] nearer surfaces are clipped, which keeps the division by depth finite
 SUBPIXEL_BITS = 12  # 1/4096 pixel: 500 times finer than is visible in an image, and products below are under 2^62

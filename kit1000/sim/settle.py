@@ -13,8 +13,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from kit1000.mesh import Mesh, inertia
+from kit1000.numerics.linear_algebra import determinant, eigenvectors, matmul
 from kit1000.pose import Pose, quaternion_between
-from kit1000.products import determinant, eigenvectors, matmul
 from kit1000.sim.world import STEP_RATE, World
 
 REST_SPEEDS = (1e-3, 0.01)  # [m/s] and [rad/s]: a part below both is at rest

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from kit1000.compiled import compiled
+from kit1000.numerics.compiled import compiled
 
 # [px] of disparity. Matching windows blend smaller steps; at larger ones the nearer surface takes the whole window.
 # Also the tolerance within which two imagers see the same point.

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from kit1000.camera import Camera
-from kit1000.compiled import compiled
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
+from kit1000.numerics.compiled import compiled
+from kit1000.numerics.linear_algebra import length, matmul
 from kit1000.pose import Pose
-from kit1000.products import length, matmul
 from kit1000.sim.raster import NEAR_PLANE, Intrinsics
 from kit1000.sim.render import RenderedImage, render
 from kit1000.values import Kit

@@ -19,9 +19,9 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from kit1000.errors import InputError, ShapeError, checked
+from kit1000.numerics.linear_algebra import matmul
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.pose import Pose
-from kit1000.products import matmul
-from kit1000.trigonometry import cosine, sine
 
 GRAVITY = 9.81  # [m/s^2] along -z
 STEP_RATE = 240  # [1/s]

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.errors import InputError, did_you_mean
-from kit1000.guesses import draw_ball_error
-from kit1000.motions import apply_error
+from kit1000.numerics.linear_algebra import length, matmul
+from kit1000.numerics.trigonometry import sine
 from kit1000.pose import Pose, unit_vector
-from kit1000.products import length, matmul
+from kit1000.queries.guesses import draw_ball_error
+from kit1000.queries.motions import apply_error
 from kit1000.study.conditions import Condition
-from kit1000.trigonometry import sine
 
 KEY, HOME, MENTAL, BUTTON = 0.28, 0.40, 1.35, 0.1  # [s]
 POINT_START, POINT_SLOPE = -0.107, 0.223  # [s], [s/bit] to point with a mouse

@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from kit1000 import __version__
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.editor.proposals import PartProposals, Proposal
 from kit1000.editor.records import EventLog
@@ -44,6 +43,7 @@ from kit1000.study.records import (
 )
 from kit1000.study.tasks import Task, part_truths, true_motion
 from kit1000.values import Truth
+from kit1000.version import __version__
 
 RATINGS_NOTE = "none: load is a matter of people"
 

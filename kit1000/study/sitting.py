@@ -15,7 +15,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from kit1000 import __version__
 from kit1000.dataset.reader import Dataset
 from kit1000.dataset.tables import pose_of, pose_row
 from kit1000.editor.controller import Controller
@@ -45,6 +44,7 @@ from kit1000.study.records import (
     write_trial,
 )
 from kit1000.study.tasks import part_truths
+from kit1000.version import __version__
 
 PRACTICE = 0
 PRACTICE_FILE = "practised.json"

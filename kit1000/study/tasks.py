@@ -14,9 +14,9 @@ from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.editor.queries import editable_queries
 from kit1000.errors import InputError
 from kit1000.kits.seating import UP
-from kit1000.motions import goal_motion
 from kit1000.planner.execute import MAX_TURN, SEATED, Bench, run_scene
 from kit1000.pose import Pose
+from kit1000.queries.motions import goal_motion
 from kit1000.rng import stream
 from kit1000.values import Truth
 

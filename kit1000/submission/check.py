@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from kit1000.queries.tracks import ALL_TRACKS, CURVES
 from kit1000.submission import manifest as manifests
 from kit1000.submission import predictions as prediction_files
 from kit1000.submission.faults import Fault, FaultList, Report, listed, printable, sorted_faults
@@ -17,7 +18,6 @@ from kit1000.submission.plausibility import plausibility_faults
 from kit1000.submission.reading import decode_text, file_error, file_warning, read_file
 from kit1000.submission.row_rules import ID_PATTERN, duplicate_faults, value_faults
 from kit1000.submission.rows import Rows, read_rows
-from kit1000.tracks import ALL_TRACKS, CURVES
 
 if TYPE_CHECKING:
     from kit1000.submission.expected_queries import ExpectedQueries

@@ -14,7 +14,7 @@ import numpy as np
 from kit1000.dataset.reader import SPLIT_QUERIES, Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.pose import Pose
-from kit1000.tracks import CURVES
+from kit1000.queries.tracks import CURVES
 from kit1000.values import Query
 
 SPLITS = tuple(name for name in SPLIT_QUERIES if name != CURVES)

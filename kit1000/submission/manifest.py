@@ -13,10 +13,10 @@ from typing import Any, get_type_hints
 
 from kit1000.errors import InputError
 from kit1000.files import write_bytes
+from kit1000.queries.tracks import ALL_TRACKS
 from kit1000.sim.cameras import CAMERA_SETS
 from kit1000.submission.faults import Fault, first_error, printable, quote
 from kit1000.submission.reading import UNPRINTABLE, decode_text, file_error, read_file
-from kit1000.tracks import ALL_TRACKS
 
 if sys.version_info >= (3, 11):
     import tomllib

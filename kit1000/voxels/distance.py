@@ -13,9 +13,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kit1000.compiled import compiled
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh, defect
+from kit1000.numerics.compiled import compiled
 from kit1000.pose import Pose
 from kit1000.voxels.grid import Grid, Volume, truncation_voxels
 from kit1000.voxels.slabs import for_each_slab

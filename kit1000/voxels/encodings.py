@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kit1000.compiled import compiled
 from kit1000.errors import checked
+from kit1000.numerics.compiled import compiled
 from kit1000.voxels.grid import Grid, Volume
 
 CODE_STEPS = 127  # codes from value 0 to value 1

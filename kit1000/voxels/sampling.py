@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kit1000.compiled import compiled
+from kit1000.numerics.compiled import compiled
 from kit1000.voxels.grid import Grid, Volume
 from kit1000.voxels.slabs import for_each_slab
 

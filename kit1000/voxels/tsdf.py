@@ -11,9 +11,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kit1000.compiled import compiled
 from kit1000.errors import InputError, ShapeError, checked
-from kit1000.products import matmul
+from kit1000.numerics.compiled import compiled
+from kit1000.numerics.linear_algebra import matmul
 from kit1000.values import View
 from kit1000.voxels.grid import Grid, Volume, truncation_voxels
 from kit1000.voxels.slabs import for_each_slab

@@ -17,13 +17,13 @@ from typing import ClassVar
 
 from mcap.writer import CompressionType, Writer
 
-from kit1000 import __version__
 from kit1000.dataset.mcap_io.content import json_bytes
 from kit1000.dataset.mcap_io.messages import SECOND, Message
 from kit1000.dataset.schema import LICENCE
 from kit1000.dataset.tables import FORMAT
 from kit1000.errors import InputError
 from kit1000.files import write_bytes
+from kit1000.version import __version__
 
 LIBRARY = "kit1000"  # without a version: it would change the bytes
 RECORD = "kit1000"  # name of the metadata record

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from manifold3d import CrossSection, Manifold
 
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.parts import cad
 from kit1000.symmetry import Symmetry
-from kit1000.trigonometry import cosine, sine
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.parts import cad
-from kit1000.trigonometry import cosine, sine
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.parts import cad
-from kit1000.trigonometry import cosine, sine
 
 LENGTHS = {
     "single": (1.0, 0.0, 0.0, 0.0),

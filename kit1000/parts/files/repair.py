@@ -10,6 +10,7 @@ import numpy as np
 from manifold3d import Error, Manifold, Mesh64
 
 from kit1000.errors import MeshRefused
+from kit1000.numerics.linear_algebra import eigenvectors, matmul
 from kit1000.parts.files.seams import close_surface
 from kit1000.parts.files.topology import (
     consistently_wound,
@@ -18,7 +19,6 @@ from kit1000.parts.files.topology import (
     unpaired_count,
     without_duplicates,
 )
-from kit1000.products import eigenvectors, matmul
 
 SHEET_SHARE = 1e-6  # of the longest side: a soup thinner than this is a sheet
 

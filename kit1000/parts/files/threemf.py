@@ -15,7 +15,7 @@ import numpy as np
 from lxml import etree  # pyright: ignore[reportAttributeAccessIssue] (a compiled module)
 
 from kit1000.errors import MeshRefused
-from kit1000.products import matmul
+from kit1000.numerics.linear_algebra import matmul
 
 MAX_DEPTH = 32  # of components inside components
 DEFAULT_UNIT = "millimeter"

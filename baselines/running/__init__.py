@@ -1,0 +1,1 @@
+"""Training networks by name, and predicting submissions again."""

@@ -1,0 +1,48 @@
+"""Copying trained weights to where methods look for them, with how they were trained."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from baselines.training.loop import BEST, LOG
+from kit1000.perception.networks.precision import Precision
+from kit1000.perception.networks.weight_files import LARGEST, load_weights, save_tensors
+
+
+def ship(run: Path, weights_folder: Callable[[str], Path], commit: str, precision: Precision = "float32") -> Path:
+    """Copy the best weights of a run, with the rows of its log, from which the learning curve can be drawn.
+
+    Args:
+        run: folder that `train` wrote.
+        weights_folder: folder for the weights of a network, by its name.
+        commit: of the code that trained them.
+        precision: in which they are stored.
+
+    Returns:
+        The stem of both files, which have the network's name.
+
+    Raises:
+        InputError: no weights, damaged ones, or ones too large to be shipped.
+    """
+    stem = run / BEST
+    tensors, info = load_weights(stem)
+    rows = (run / LOG).read_text(encoding="utf-8").splitlines()
+    name = info["about"]["name"]
+    target = weights_folder(name) / name
+    described = info | {"commit": commit, "log": [json.loads(row) for row in rows]}
+    save_tensors(target, tensors, described, precision, LARGEST)
+    return target
+
+
+def whole_log(info: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """The rows of shipped weights' log, after those of the weights that they started from; steps and seconds go on."""
+    start = info["about"].get("start")
+    if start is None:
+        return list(info["log"])
+    earlier = whole_log(start)
+    last = earlier[-1]
+    own = [{**row, **{key: row[key] + last[key] for key in ("step", "seconds")}} for row in info["log"]]
+    return earlier + own

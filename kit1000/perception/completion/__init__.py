@@ -1,0 +1,1 @@
+"""Networks that complete what a depth image hides: of the part (`parts`), and of the kits (`kits`)."""

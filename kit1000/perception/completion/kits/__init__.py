@@ -1,0 +1,1 @@
+"""The network that completes what an image hides of the kits."""

@@ -1,0 +1,1 @@
+"""The network that completes a part from one depth image."""

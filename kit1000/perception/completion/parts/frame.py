@@ -1,0 +1,166 @@
+"""The frame in which a network completes a part: a grid on the table that always looks away from the camera.
+
+Its x axis points away from the camera along the table, its z axis up from the table, and its middle lies below the
+middle of what is seen of the part. So the scene may stand anywhere, at any yaw, and the evidence is the same. A part
+larger than those that the network learned from is shown to it at their size, with its scene.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from kit1000.camera import Camera
+from kit1000.perception.calibration import flattened
+from kit1000.perception.observed.pixels import cropped, pixel_points
+from kit1000.pose import Pose
+from kit1000.values import LabelledDepth, View
+from kit1000.voxels import Grid, tsdf
+
+CELL = 1e-3  # [m]
+SHAPE = (80, 80, 52)
+"""Cells: they hold a part of 50 mm in any resting pose, and what its outline leaves open of its middle."""
+TRUNCATION = 5e-3  # [m]
+CODE = 127  # of a distance of one truncation; unknown cells have the code -CODE
+PACK = 2  # cells along x and along y that are channels of one pixel of the network
+OUTLIERS = 0.02  # share of the seen points that is cut off at either end of each axis
+LARGEST = np.array([64e-3, 64e-3, 52e-3])  # [m] seen extents of parts of 50 mm, of which the network learns
+TYPICAL = 43e-3  # [m] the median of the longest of these extents
+
+
+@dataclass(frozen=True, eq=False)
+class FramedPart:
+    """What one image shows of a part, in the frame of the network."""
+
+    grid: Grid
+    codes: np.ndarray
+    """SHAPE int8: CODE times the projective distance in truncations, positive is free; unknown cells -CODE."""
+    camera: np.ndarray
+    """(2,) float32: polar angle [rad] and distance [m] of the camera from the foot of the middle."""
+
+
+def framed(
+    image: LabelledDepth, label: int, table_height: float = 0.0, flat: bool = True, scale: float = 1.0
+) -> FramedPart | None:
+    """The evidence about a part; None where no pixel of it has a return, and where it is larger than the grid.
+
+    Args:
+        image: the depth image with its masks.
+        label: of the part.
+        table_height: [m] of the table in this image.
+        flat: put the pixels of the table on its plane, see `perception.calibration.flattened`; ideal depth needs none.
+        scale: by which the scene is shrunk, so that a larger part looks as if it were of the size of those learned.
+    """
+    lowered = _shrunk(image.view, table_height, scale)
+    grid = _grid(lowered, image.labels == label)
+    if grid is None:
+        return None
+    crop = _cropped_to(grid, LabelledDepth(lowered, image.labels))
+    view = flattened(crop.view, crop.labels) if flat else crop.view
+    values = tsdf(grid, view, crop.labels == label, TRUNCATION, threads=1).values
+    codes = np.rint(CODE * np.where(np.isnan(values), np.float32(-1), values)).astype(np.int8)
+    return FramedPart(_enlarged(grid, table_height, scale), codes, _camera(lowered, grid))
+
+
+def scale_of(image: LabelledDepth, label: int, table_height: float = 0.0) -> float:
+    """By which the scene of a part is shrunk: 1 unless it is seen to be LARGEST or more, then to a TYPICAL part.
+
+    The arguments are those of `framed`.
+    """
+    extents = _extents(_shrunk(image.view, table_height, 1.0), image.labels == label)
+    if extents is None or (extents.sizes <= LARGEST).all():
+        return 1.0
+    return float(extents.sizes.max()) / TYPICAL
+
+
+def grid_at(x: float, y: float, yaw: float) -> Grid:
+    """The grid on the table, its middle above a point [m], its x axis at a yaw [rad]."""
+    return Grid.centred(Pose.from_rotvec((0.0, 0.0, yaw), (x, y, CELL * SHAPE[2] / 2)), SHAPE, CELL)
+
+
+def _shrunk(view: View, table_height: float, scale: float) -> View:
+    """A view of the scene on a table at height 0, all lengths divided by a scale."""
+    pose = view.world_from_camera
+    foot = (pose.xyz - (0.0, 0.0, table_height)) / scale
+    return View(view.camera, Pose(pose.wxyz, foot), view.depth / np.float32(scale))
+
+
+def _enlarged(grid: Grid, table_height: float, scale: float) -> Grid:
+    """A grid in the scene of a `_shrunk` view, in the scene as it is."""
+    pose = grid.world_from_grid
+    foot = scale * pose.xyz + (0.0, 0.0, table_height)
+    return replace(grid, world_from_grid=Pose(pose.wxyz, foot), voxel_size=scale * grid.voxel_size)
+
+
+class _Extents(NamedTuple):
+    """Of what is seen of a part, without the OUTLIERS, in a world whose table is at height 0."""
+
+    yaw: float
+    """[rad] of the direction away from the camera."""
+    middle: np.ndarray
+    """(3,) [m] of the box in that direction."""
+    sizes: np.ndarray
+    """(3,) [m] away, across, and up from the table."""
+
+
+def _extents(view: View, mask: np.ndarray) -> _Extents | None:
+    """Of the pixels (H, W) of a part; None where there is none."""
+    points = pixel_points(view, mask)
+    if len(points) == 0:
+        return None
+    away = points.mean(0)[:2] - view.world_from_camera.xyz[:2]
+    yaw = float(np.arctan2(away[1], away[0]))
+    rotated = Pose.from_rotvec((0.0, 0.0, -yaw)).apply(points)
+    low, high = np.percentile(rotated, [100 * OUTLIERS, 100 * (1 - OUTLIERS)], axis=0)
+    return _Extents(yaw, (low + high) / 2, high - (*low[:2], 0.0))
+
+
+def _grid(view: View, mask: np.ndarray) -> Grid | None:
+    """The grid of the pixels (H, W) of a part, in a world whose table is at height 0; None where it holds no part."""
+    extents = _extents(view, mask)
+    if extents is None or (extents.sizes > CELL * np.array(SHAPE)).any():
+        return None
+    x, y, _ = Pose.from_rotvec((0.0, 0.0, extents.yaw)).apply((*extents.middle[:2], 0.0))
+    return grid_at(float(x), float(y), extents.yaw)
+
+
+def _cropped_to(grid: Grid, image: LabelledDepth) -> LabelledDepth:
+    """The image, cropped to the pixels that a grid projects to."""
+    return cropped(image, pixel_box(grid, image.view.camera, image.view.world_from_camera))
+
+
+def packed(volume: np.ndarray) -> np.ndarray:
+    """(nx, ny, nz) -> (nx / 2, ny / 2, 4 nz): the layers of PACK x PACK cells side by side."""
+    nx, ny, nz = volume.shape
+    cells = volume.reshape(nx // PACK, PACK, ny // PACK, PACK, nz)
+    return np.ascontiguousarray(cells.transpose(0, 2, 1, 3, 4)).reshape(nx // PACK, ny // PACK, PACK * PACK * nz)
+
+
+def unpacked(image: np.ndarray) -> np.ndarray:
+    """(x, y, 4 nz) -> (2 x, 2 y, nz), the inverse of `packed`."""
+    x, y, layers = image.shape
+    nz = layers // (PACK * PACK)
+    cells = image.reshape(x, y, PACK, PACK, nz).transpose(0, 2, 1, 3, 4)
+    return np.ascontiguousarray(cells).reshape(PACK * x, PACK * y, nz)
+
+
+def pixel_box(grid: Grid, camera: Camera, world_from_camera: Pose, border: int = 1) -> tuple[slice, slice]:
+    """The rows and the columns of an image that a grid projects to, and a border [px] around them; at least one each.
+
+    All of the image where a corner of the grid is behind the camera.
+    """
+    corners = grid.world(np.stack(np.meshgrid(*([-0.5, n - 0.5] for n in grid.shape), indexing="ij"), -1))
+    uv = camera.project(world_from_camera.inverse().apply(corners.reshape(-1, 3)))
+    size = np.array([camera.width, camera.height])
+    low, high = (uv.min(0) - border, uv.max(0) + border + 1) if not np.isnan(uv).any() else (0 * size, size)
+    (u0, v0), (u1, v1) = np.clip(np.floor(low), 0, size - 1).astype(int), np.clip(np.ceil(high), 1, size).astype(int)
+    return slice(v0, v1), slice(u0, u1)
+
+
+def _camera(view: View, grid: Grid) -> np.ndarray:
+    foot = grid.world((np.array(SHAPE) - 1) / 2) * (1, 1, 0)
+    towards = view.world_from_camera.xyz - foot
+    distance = np.sqrt((towards**2).sum())
+    return np.array([np.arccos(towards[2] / distance), distance], np.float32)

@@ -1,0 +1,64 @@
+"""The images of the three cameras with labels, which only the image of the primary camera has.
+
+A pixel that shows a point above the table is of the kits on their half of the table; on the other half it is of the
+part whose pixels in the primary image are nearest, seen from above.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt
+
+from kit1000.dataset.reader import Dataset
+from kit1000.numerics.compiled import compiled
+from kit1000.perception.heights.scenes import CELL, KITS, LOWEST, RECENT, cell_below, part_labels, three_views
+from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, Query, View
+
+REACH = 30e-3  # [m] level, from the pixels that the primary camera sees of a part to its others: it sees half or more
+
+
+class LabelledViews:
+    """The labelled images of the three cameras, of queries of a dataset."""
+
+    def __init__(self, dataset: Dataset) -> None:
+        """Nothing is read yet."""
+        self.dataset = dataset
+        self._views = lru_cache(RECENT)(self._read)
+
+    def of(self, query: Query) -> tuple[LabelledDepth, ...]:
+        """Of the query's scene; raises InputError where it was recorded without the three cameras."""
+        labels = table_labels(query.image)
+        return tuple(labelled(view, labels) for view in self._views(query.scene_id))
+
+    def _read(self, scene_id: str) -> list[View]:
+        return three_views(self.dataset.recorded_scene(scene_id, truth=False))
+
+
+def table_labels(image: LabelledDepth) -> np.ndarray:
+    """(nx, ny) uint8: the label of what stands on each cell of the table, by the image of the primary camera."""
+    labels = part_labels(image)
+    away, nearest = distance_transform_edt(labels == 0, return_indices=True)  # type: ignore[misc]
+    spread = np.where(away * CELL <= REACH, labels[tuple(nearest)], 0).astype(np.uint8)
+    spread[:, KITS:] = ASSEMBLY_LABEL
+    return spread
+
+
+def labelled(view: View, table: np.ndarray) -> LabelledDepth:
+    """An image with the labels (nx, ny) of the cells of the table below its points; 0 on the table and beside it."""
+    camera, pose = view.camera, view.world_from_camera
+    intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+    labels = np.zeros(view.depth.shape, np.uint8)
+    _label(view.depth, intrinsics, pose.rotation_matrix(), pose.xyz, table, labels)
+    return LabelledDepth(view, labels)
+
+
+@compiled
+def _label(depth, intrinsics, rotation, shift, table, labels):
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            if depth[v, u] > 0:
+                i, j, height = cell_below(u, v, depth[v, u], intrinsics, rotation, shift)
+                if height > LOWEST and 0 <= i < table.shape[0] and 0 <= j < table.shape[1]:
+                    labels[v, u] = table[i, j]

@@ -1,0 +1,1 @@
+"""What depth images show of parts and kits, in metres: points, plates, filled columns, reliefs, volumes."""

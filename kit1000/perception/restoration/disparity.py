@@ -1,0 +1,104 @@
+"""Images as the restoring network has them: disparities [px] from that of the table's plane."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from kit1000.camera import Camera
+from kit1000.perception.restoration.rules import close_gaps, ground_inverse_depth
+from kit1000.sim.sensors import SENSORS
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
+
+Evidence = dict[str, np.ndarray]
+Box = tuple[slice, slice]
+
+STARTS = ((16, 16), (11, 7), (8, 13))  # [px] above and left of a box, where images of it begin; odd in number
+
+
+def evidence(image: LabelledDepth, closed: View, sensor: str) -> Evidence:
+    """What the network reads of a calibrated image: see `RestorationNet.forward`; (H, W) arrays and `slope` (2,).
+
+    closed: its view as of `closed_gaps`.
+    """
+    kinds = np.select([image.labels == ASSEMBLY_LABEL, image.labels >= FIRST_PART_LABEL], [1, 2], 0)
+    returned = (image.labels == 0) | (image.view.depth > 0)
+    return _evidence(closed, returned, kinds, sensor)
+
+
+def unlabelled_evidence(view: View, sensor: str) -> Evidence:
+    """The same of a calibrated view without masks: `labels` is 0 everywhere."""
+    depth, everywhere = view.depth.copy(), np.ones(view.depth.shape, bool)
+    close_gaps(depth, everywhere)
+    return _evidence(replace(view, depth=depth), view.depth > 0, np.zeros(depth.shape), sensor)
+
+
+def _evidence(view: View, returned: np.ndarray, kinds: np.ndarray, sensor: str) -> Evidence:
+    disparity = above_table(view.depth, view, sensor)
+    slope = view.camera.fx * SENSORS[sensor].baseline * ground_slope(view)
+    return {"disparity": disparity, "returned": returned, "labels": kinds.astype(np.uint8), "slope": slope}
+
+
+def above_table(depth: np.ndarray, calibrated: View, sensor: str) -> np.ndarray:
+    """(H, W) float32 [px]: disparities of depths (H, W) [m] in the image of a calibrated view; 0 without surface."""
+    seen = depth > 0
+    above = 1 / np.where(seen, depth, 1.0) - ground_inverse_depth(calibrated)
+    return np.where(seen, calibrated.camera.fx * SENSORS[sensor].baseline * above, 0.0).astype(np.float32)
+
+
+def depths(disparity: np.ndarray, view: View, box: Box, sensor: str) -> np.ndarray:
+    """[m] float32: the depths of disparities in a box of a calibrated view."""
+    gain = view.camera.fx * SENSORS[sensor].baseline
+    inverse = ground_inverse_depth(view)[box] + disparity / gain
+    return (1 / np.maximum(inverse, 1e-3)).astype(np.float32)
+
+
+def ground_slope(view: View) -> np.ndarray:
+    """(2,) float32 [1/(m px)]: of the inverse depth of the table's plane, along a row and along a column."""
+    down = -view.world_from_camera.inverse().rotate((0.0, 0.0, 1.0))
+    camera, height = view.camera, max(float(view.world_from_camera.xyz[2]), 1e-3)
+    return np.array([down[0] / camera.fx, down[1] / camera.fy], np.float32) / np.float32(height)
+
+
+def cropped_evidence(evidence: Evidence, box: Box) -> Evidence:
+    """The evidence in a box of the image."""
+    return {name: value if value.ndim == 1 else np.ascontiguousarray(value[box]) for name, value in evidence.items()}
+
+
+def padded_box(rows: slice, columns: slice, side: int, camera: Camera) -> Box:
+    """A box about another one within the image, its sides multiples of a number of pixels."""
+    return _stretched(rows, side, camera.height), _stretched(columns, side, camera.width)
+
+
+def shifted_boxes(box: Box, side: int, camera: Camera) -> list[tuple[Box, Box]]:
+    """Boxes that hold another one and begin STARTS before it, and where it is in each of them."""
+    boxes = [shifted_box(box, start, side, camera) for start in STARTS]
+    return [(wide, (_within(box[0], wide[0]), _within(box[1], wide[1]))) for wide in boxes]
+
+
+def _within(span: slice, wide: slice) -> slice:
+    return slice(span.start - wide.start, span.stop - wide.start)
+
+
+def shifted_box(box: Box, start: tuple[int, int], side: int, camera: Camera) -> Box:
+    """A box of `side` px more in height and width that holds another one, beginning some px (at most that) before it.
+
+    Nearer to it where the image begins or ends sooner; as large as the image where that is smaller.
+    """
+    sizes = (camera.height, camera.width)
+    down, right = (_begun(at, before, side, size) for at, before, size in zip(box, start, sizes, strict=True))
+    return down, right
+
+
+def _begun(span: slice, before: int, side: int, size: int) -> slice:
+    length = min(span.stop - span.start + side, size // side * side)
+    start = min(max(span.start - before, 0, span.stop - length), size - length)
+    return slice(start, start + length)
+
+
+def _stretched(span: slice, side: int, size: int) -> slice:
+    """A span that holds another one, a multiple of `side` long, within 0 to `size`."""
+    length = min(-(-(span.stop - span.start) // side) * side, size // side * side)
+    start = min(max((span.start + span.stop - length) // 2, 0), size - length)
+    return slice(start, start + length)

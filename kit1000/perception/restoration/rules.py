@@ -1,0 +1,124 @@
+"""Restoration by rules: an image calibrated by its table, and its edges where the sensor moved them.
+
+Nothing is learned and no truth is read: the table is part of the specification of every scene, and what the sensor does
+to edges is part of its own (docs/sensors.md). An ideal image stays as it is.
+
+1. Camera pose and depth scale are corrected by the table, whose pixels are put on its plane (`perception.calibration`).
+2. Pixels of a body without a return are shadows of the second imager: they take the farther depth of their row.
+3. A near surface that was fattened over a far one is cut back by about the mean extension. The far surface is continued
+   parallel to the table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt, find_objects
+
+from kit1000.perception.calibration import calibrated, flattened
+from kit1000.sim.sensors import SENSORS, Sensor
+from kit1000.sim.stereo import EDGE_STEP
+from kit1000.values import LabelledDepth, Query, View
+
+GAP = 20  # [px] the widest that is closed
+EXTENSION = 0.55  # of the largest extension of an edge: there the rims of cavities have the least bias, on train
+JUMP = 0.8 * EDGE_STEP  # [px] of disparity between neighbours, less than fattened edges have, as there is noise
+
+
+def restored_query(query: Query) -> Query:
+    """The query with its image restored when it is read; the same query where the sensor is ideal."""
+    if query.sensor == "ideal":
+        return query
+    return replace(query, read_image=lambda: restored(query.image, query.sensor))
+
+
+def restored(image: LabelledDepth, sensor: str) -> LabelledDepth:
+    """The image as the sensor should have measured it, as far as its table and its masks tell; the labels stay."""
+    return restored_edges(calibrated_image(image, sensor), sensor)
+
+
+def calibrated_image(image: LabelledDepth, sensor: str) -> LabelledDepth:
+    """The image of a noisy sensor, calibrated by the table; the same image where the sensor is ideal."""
+    return image if sensor == "ideal" else LabelledDepth(calibrated(image.view, image.labels), image.labels)
+
+
+def restored_edges(image: LabelledDepth, sensor: str) -> LabelledDepth:
+    """A calibrated image with its table on its plane and the edges where they should be; the same one if ideal."""
+    if sensor == "ideal":
+        return image
+    closed = closed_gaps(image)
+    depth, ground = closed.view.depth.copy(), ground_inverse_depth(closed.view)
+    for box, mask in _bodies(image.labels):
+        _cut_back(depth[box], mask, ground[box], closed.view.camera.fx, SENSORS[sensor])
+    return LabelledDepth(replace(closed.view, depth=depth), image.labels)
+
+
+def closed_gaps(image: LabelledDepth) -> LabelledDepth:
+    """A calibrated image with its table on its plane, and narrow shadows on bodies filled from beside."""
+    view = flattened(image.view, image.labels)
+    depth = view.depth.copy()
+    for box, mask in _bodies(image.labels):
+        close_gaps(depth[box], mask)
+    return LabelledDepth(replace(view, depth=depth), image.labels)
+
+
+def _bodies(labels: np.ndarray) -> Iterator[tuple[tuple[slice, slice], np.ndarray]]:
+    """The box (rows, columns) of each body in masks (H, W) uint8, and its mask (bool) in it."""
+    for label, box in enumerate(find_objects(labels), start=1):
+        if box is not None:
+            yield box, labels[box] == label
+
+
+def ground_inverse_depth(view: View) -> np.ndarray:
+    """(H, W) [1/m]: the inverse depth of the plane z = 0 at each pixel; where it is not seen, hardly above 0."""
+    down = -view.world_from_camera.inverse().rotate((0.0, 0.0, 1.0))
+    height, camera = max(float(view.world_from_camera.xyz[2]), 1e-3), view.camera
+    u, v = np.arange(camera.width), np.arange(camera.height)
+    across = (u - camera.cx) / camera.fx * down[0]
+    along = (v - camera.cy) / camera.fy * down[1]
+    return np.maximum(across + along[:, None] + down[2], 1e-6) / height
+
+
+def close_gaps(depth: np.ndarray, mask: np.ndarray) -> None:
+    """Give masked pixels without return, in gaps of at most GAP along a row, the farther depth of the two sides.
+
+    Such gaps are shadows of the sensor's projector or its second camera: they belong to the farther surface.
+    """
+    known = mask & (depth > 0)
+    columns = np.arange(depth.shape[1])
+    left = np.maximum.accumulate(np.where(known, columns, -GAP - 1), axis=1)
+    right = np.minimum.accumulate(np.where(known, columns, len(columns) + GAP)[:, ::-1], axis=1)[:, ::-1]
+    sides = [np.where(np.abs(side - columns) <= GAP, side, -1) for side in (left, right)]
+    rows = np.arange(len(depth))[:, None]
+    farther = np.maximum(*(np.where(side >= 0, depth[rows, side], 0) for side in sides))
+    depth[mask & ~known] = farther[mask & ~known]
+
+
+def _cut_back(depth: np.ndarray, mask: np.ndarray, ground: np.ndarray, fx: float, sensor: Sensor) -> None:
+    """Give the pixels of near surfaces beside a jump of the masked depths (H, W) the far surface there.
+
+    ground: (H, W) [1/m] inverse depth of the table's plane, to which the far surface is continued in parallel.
+    """
+    mask = mask & (depth > 0)
+    disparity = fx * sensor.baseline / np.where(mask, depth, 1.0)
+    far = _beside_jumps(disparity, mask)
+    if not far.any():
+        return
+    distance, nearest = distance_transform_edt(~far, return_indices=True)  # type: ignore[misc]
+    at = (nearest[0].astype(int), nearest[1].astype(int))
+    continued = depth[at] * ground[at] / ground
+    in_front = disparity - fx * sensor.baseline / continued > JUMP / 2
+    cut = mask & (distance <= EXTENSION * sensor.fattening_px) & in_front
+    depth[cut] = continued[cut]
+
+
+def _beside_jumps(disparity: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """(H, W) bool: masked pixels with a neighbour in their row or column that is nearer by a jump."""
+    far = np.zeros(mask.shape, bool)
+    for before, after in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        both, rise = mask[before] & mask[after], disparity[after] - disparity[before]
+        far[before] |= both & (rise > JUMP)
+        far[after] |= both & (rise < -JUMP)
+    return far

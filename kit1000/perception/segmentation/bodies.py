@@ -1,0 +1,90 @@
+"""What stands on the table: the pixels above its plane, apart for the kits' half and the parts' half."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.ndimage import label, uniform_filter
+
+from kit1000.perception.calibration import calibrated
+from kit1000.values import View
+
+if TYPE_CHECKING:
+    from kit1000.perception.restoration.restorer import Restorer
+
+LEAST_HEIGHT = 3e-4  # [m] above the table that is no part of it, in an ideal image: its grid is 0.12 mm
+SURE_HEIGHT = 6e-3  # [m] the same in a noisy image,
+NOISY_HEIGHT = 2e-3  # [m] and beside such pixels: three times the noise of the table,
+RESTORED_HEIGHT = 1e-3  # [m] or less where a network restored the image
+RECORDED_HEIGHT = 8e-3  # [m] the same before calibration
+SHADOW = 40  # [px] the widest gap along a row that is the shadow of a near edge
+WINDOW, SHARE = 11, 0.6  # [px] around a pixel, and the share of body in it: fattened edges are bumpy, parts are not
+
+
+class Bodies(NamedTuple):
+    """The bodies of an image."""
+
+    view: View
+    """The image they were found in: calibrated and with shadows closed where the sensor is noisy."""
+    points: np.ndarray
+    """(H, W, 3) [m] world: of every pixel; of one without a return, the camera's position."""
+    kits: np.ndarray
+    """(H, W) bool"""
+    parts: np.ndarray
+    """(H, W) bool"""
+    kind: str
+    """ideal, d415, or restored: of the view."""
+    measured: View
+    """The image before edges were restored or shadows closed, calibrated where the sensor is noisy."""
+
+
+def find_bodies(view: View, sensor: str, restorer: Restorer | None = None) -> Bodies:
+    """The bodies on the kits' half (y > 0) and the parts' half of the table.
+
+    restorer: a network that restores noisy images without masks; None looks at them as they are.
+    """
+    noisy = sensor != "ideal"
+    measured = view
+    if noisy:
+        above = (view.depth > 0) & (world_points(view)[..., 2] > RECORDED_HEIGHT)
+        measured = calibrated(view, above.astype(np.uint8))
+        view = without_shadows(measured) if restorer is None else restorer.without_masks(measured, sensor)
+    points = world_points(view)
+    height, seen = points[..., 2], view.depth > 0
+    body = seen & (height > LEAST_HEIGHT)
+    if noisy:
+        least = NOISY_HEIGHT if restorer is None else RESTORED_HEIGHT
+        regions = np.asarray(label(seen & (height > least))[0])  # type: ignore[index]
+        body = np.isin(regions, np.unique(regions[seen & (height > SURE_HEIGHT)]))
+        if restorer is None:
+            body = uniform_filter(body.astype(float), WINDOW) > SHARE
+    far_half = on_far_half(points)
+    kind = sensor if restorer is None or not noisy else "restored"
+    return Bodies(view, points, body & far_half, body & ~far_half, kind, measured)
+
+
+def on_far_half(points: np.ndarray) -> np.ndarray:
+    """(...) bool: which points (..., 3) [m] of the world are on the kits' half of the table."""
+    return points[..., 1] > 0
+
+
+def world_points(view: View) -> np.ndarray:
+    """(H, W, 3) [m] world: the points of all pixels; the camera's position where there is no return."""
+    camera, pose = view.camera, view.world_from_camera
+    rotation, depth = pose.rotation_matrix(), view.depth.astype(float)
+    right = (np.arange(camera.width) - camera.cx) / camera.fx
+    down = (np.arange(camera.height) - camera.cy)[:, None] / camera.fy
+    rows = zip(pose.xyz, rotation, strict=True)
+    return np.stack([x + depth * (a * right + b * down + c) for x, (a, b, c) in rows], axis=-1)
+
+
+def without_shadows(view: View) -> View:
+    """The view with gaps of up to SHADOW on either side closed along rows by the farther of the two depths."""
+    depth, known = view.depth, view.depth > 0
+    columns, rows = np.arange(depth.shape[1]), np.arange(depth.shape[0])[:, None]
+    left = np.maximum.accumulate(np.where(known, columns, -SHADOW - 1), axis=1)
+    right = np.minimum.accumulate(np.where(known, columns, len(columns) + SHADOW)[:, ::-1], axis=1)[:, ::-1]
+    near = [np.where(np.abs(columns - side) <= SHADOW, side, -1) for side in (left, right)]
+    farther = np.maximum(*(np.where(side >= 0, depth[rows, side], 0) for side in near))
+    return View(view.camera, view.world_from_camera, np.where(known, depth, farther))

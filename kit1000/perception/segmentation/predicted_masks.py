@@ -1,0 +1,72 @@
+"""Queries with predicted masks in place of the given ones: what a method scores that has depth alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kit1000.perception.segmentation.instances import segmented
+from kit1000.predictor import PredictedMotion, Predictor
+from kit1000.queries.pivots import part_pivots
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
+from kit1000.weights import WEIGHTS
+
+if TYPE_CHECKING:
+    from kit1000.perception.restoration.restorer import Restorer
+    from kit1000.perception.segmentation.part_finder import PartFinder
+
+MASKS_WEIGHTS = ("restoration-unmasked", "segmentation")
+"""Of the network that restores noisy images, and of that which tells parts apart in them."""
+WINDOW = 10  # [px] around the pivot: the part where no instance is found
+
+
+@dataclass(frozen=True, eq=False)
+class OnPredictedMasks:
+    """A method whose queries get predicted masks."""
+
+    predictor: Predictor
+    scale: float = 1.0
+    """Of the dataset's scenes."""
+
+    def __call__(self, query: Query, geometry: TrueGeometry | None, /) -> PredictedMotion:
+        """What the method predicts; segmentation is part of the method."""
+        return self.predictor(with_predicted_masks(query, self.scale), geometry)
+
+
+def with_predicted_masks(query: Query, scale: float = 1.0) -> Query:
+    """The query with masks from its depth image alone. Its pivot says which instance is the part: the nearest one."""
+    restorer, finder = (None, None) if query.sensor == "ideal" else mask_networks()
+    labels = segmented(query.view, query.sensor, scale, restorer, finder).copy()
+    own = FIRST_PART_LABEL + query.part
+    pivots = part_pivots(query.view, labels)
+    if pivots:
+        distances = {part: float(np.sqrt(((pivot - query.pivot) ** 2).sum())) for part, pivot in pivots.items()}
+        found = FIRST_PART_LABEL + min(distances, key=lambda part: distances[part])
+        swap = np.arange(256, dtype=np.uint8)
+        swap[[own, found]] = found, own
+        labels = swap[labels]
+    else:
+        labels[_around_pivot(query)] = own
+    image = LabelledDepth(query.view, labels)
+    return replace(query, read_image=lambda: image)
+
+
+@lru_cache(maxsize=1)
+def mask_networks() -> tuple[Restorer, PartFinder]:
+    """The networks of MASKS_WEIGHTS."""
+    from kit1000.perception.restoration.restorer import Restorer
+    from kit1000.perception.segmentation.part_finder import PartFinder
+
+    restoration, parts = MASKS_WEIGHTS
+    return Restorer(WEIGHTS / restoration), PartFinder(WEIGHTS / parts)
+
+
+def _around_pivot(query: Query) -> np.ndarray:
+    """(H, W) bool: the pixels about the pivot's place in the image that have a return."""
+    camera, view = query.view.camera, query.view
+    u, v = camera.project(view.world_from_camera.inverse().apply(query.pivot))
+    rows, columns = np.ogrid[: camera.height, : camera.width]
+    return (np.abs(rows - v) <= WINDOW) & (np.abs(columns - u) <= WINDOW) & (view.depth > 0)

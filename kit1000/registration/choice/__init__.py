@@ -1,0 +1,1 @@
+"""The choice among refined fits, and how confident it is."""

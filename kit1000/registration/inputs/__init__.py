@@ -1,0 +1,1 @@
+"""What registration reads of a query: volumes of the part and the kits, from depth or from truth."""

@@ -1,0 +1,51 @@
+"""The depth image of a query as its parts share it: calibrated, its kits restored and its cavities found but once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kit1000.perception.restoration import calibrated_image, restored_edges
+from kit1000.registration.geometry.observed_cavity import Cavity
+from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
+
+if TYPE_CHECKING:
+    from kit1000.perception.restoration.restorer import Restorer
+
+
+@dataclass(eq=False)
+class SharedImage:
+    """An image and what was found in it for one part, which the next part need not find again."""
+
+    recorded: LabelledDepth
+    sensor: str
+    restorer: Restorer | None = None
+    """The network that restores noisy images; None restores by rules."""
+    cavities: dict[float, list[Cavity]] = field(default_factory=dict, init=False)
+    """See `Source.cavities`."""
+    _kits: View | None = field(default=None, init=False)
+    """With restored kits, once any part was asked for."""
+
+    @cached_property
+    def measured(self) -> LabelledDepth:
+        """Calibrated by the table."""
+        return calibrated_image(self.recorded, self.sensor)
+
+    def restored(self, label: int) -> LabelledDepth:
+        """Calibrated, the edges of the kits and of the part of a label where they are."""
+        if self.restorer is None:
+            return self._by_rules
+        if self._kits is None:
+            image = self.restorer(self.measured, self.sensor, (ASSEMBLY_LABEL, label))
+            self._kits = image.view
+            return image
+        image = self.restorer(self.measured, self.sensor, (label,))
+        depth = np.where(image.labels == ASSEMBLY_LABEL, self._kits.depth, image.view.depth)
+        return replace(image, view=replace(image.view, depth=depth))
+
+    @cached_property
+    def _by_rules(self) -> LabelledDepth:
+        return restored_edges(self.measured, self.sensor)

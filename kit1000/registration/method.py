@@ -1,0 +1,158 @@
+"""The method from end to end: a source of volumes, registration in it, and the confidence in the best fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from kit1000.dataset.reader import Dataset
+from kit1000.errors import InputError
+from kit1000.perception.heights.labelled_views import LabelledViews
+from kit1000.perception.restoration import restored_query
+from kit1000.pose import Pose
+from kit1000.predictor import PredictedMotion
+from kit1000.queries.pivots import part_pivots
+from kit1000.registration.choice.assignment import assigned
+from kit1000.registration.choice.confidence import confidence
+from kit1000.registration.choice.fits import Fit, lead, ranked
+from kit1000.registration.choice.from_evidence import register_certain
+from kit1000.registration.choice.from_filled_part import register_columns
+from kit1000.registration.inputs.shared_image import SharedImage
+from kit1000.registration.inputs.sources import DepthSource, TrueSource
+from kit1000.values import FIRST_PART_LABEL, Query, TrueGeometry
+
+if TYPE_CHECKING:
+    from kit1000.perception.completion.parts.completed import PartCompleter
+    from kit1000.perception.restoration.restorer import Restorer
+
+SOURCES = ("depth", "columns", "truth")
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Predicts by registration: compares the cavity that the part would cut with those in the plates."""
+
+    dataset: Dataset
+    source: str = "depth"
+    """depth: the query's image and masks, by what they make certain; columns: the same, with the part filled down to
+    the table; truth: the true geometry."""
+    clearances: tuple[float, ...] = ()
+    """[m] to try, of which the best fit counts; by default the one that the dataset states."""
+    completion: Path | None = None
+    """Stem of the weights of a network that completes the part; None fills columns."""
+    noisy_completion: Path | None = None
+    """The same of one that learned from noisy images alone, which it reads; None: `completion` reads them too."""
+    restoration: Path | None = None
+    """Stem of the weights of a network that restores noisy images; None restores by rules."""
+    cameras: Literal["primary", "three"] = "primary"
+    """three: further images beside the query's own, which source `depth` reads."""
+
+    def __post_init__(self) -> None:
+        if self.source not in SOURCES:
+            raise InputError(f"source {self.source!r}: expected one of {', '.join(SOURCES)}")
+        if self.cameras == "three" and self.source != "depth":
+            raise InputError(f"cameras 'three': source depth alone reads them, got source {self.source!r}")
+
+    @cached_property
+    def views(self) -> LabelledViews:
+        """The images of the three cameras."""
+        return LabelledViews(self.dataset)
+
+    @cached_property
+    def restorer(self) -> Restorer | None:
+        """The network that restores images."""
+        if self.restoration is None:
+            return None
+        from kit1000.perception.restoration.restorer import Restorer
+
+        return Restorer(self.restoration)
+
+    def completer(self, sensor: str) -> PartCompleter | None:
+        """The network that completes parts in the images of a sensor."""
+        stem = self.completion if sensor == "ideal" else self.noisy_completion or self.completion
+        return None if stem is None else _completer(stem)
+
+    @property
+    def uses_true_geometry(self) -> bool:
+        """Whether it needs the true geometry."""
+        return self.source == "truth"
+
+    def __call__(self, query: Query, geometry: TrueGeometry | None = None) -> PredictedMotion:
+        """The best fit; where nothing fits, the guess or no motion, with confidence 0."""
+        fits = self.fits(query, geometry)
+        if not fits:
+            return PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
+        return self._motion(fits[0], fits, query)
+
+    def motions(self, query: Query, geometry: TrueGeometry | None = None) -> list[PredictedMotion]:
+        """All fits, the best first, each with its confidence."""
+        fits = self.fits(query, geometry)
+        return [self._motion(fit, fits, query) for fit in fits]
+
+    def _motion(self, fit: Fit, fits: list[Fit], query: Query) -> PredictedMotion:
+        """One of the fits, with its confidence."""
+        ahead = lead(fit, fits, query.pivot)
+        return PredictedMotion(fit.goal_from_now, confidence(fit.doubt, ahead, self.source, self._kind(query)))
+
+    def _kind(self, query: Query) -> str:
+        """The kind of an image: its sensor, or restored where a network restores it."""
+        return query.sensor if self.restorer is None or query.sensor == "ideal" else "restored"
+
+    def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
+        """All fits at all clearances, the best first."""
+        if self.source == "depth":
+            image = SharedImage(query.image, query.sensor, self.restorer)
+            fits = self._certain_fits(query, image)
+            if query.guess is not None or self.clearances:
+                return fits
+            others = (self._certain_fits(other, image, thorough=False) for other in _other_parts(query))
+            return assigned(fits, others, self._kind(query))
+        if self.source == "columns":
+            query = restored_query(query)
+        filled = DepthSource(query) if self.source == "columns" else _true_source(query, geometry)
+        return ranked(chain.from_iterable(register_columns(filled, query, c) for c in self._clearances))
+
+    @property
+    def _clearances(self) -> tuple[float, ...]:
+        """[m] to try."""
+        return self.clearances or (self.dataset.summary["config"]["clearance"],)
+
+    def _certain_fits(self, query: Query, image: SharedImage, thorough: bool = True) -> list[Fit]:
+        """All fits by what the image makes certain. thorough: further candidates are refined while none fits well."""
+        kind = self._kind(query)
+        query = replace(query, read_image=lambda: image.restored(FIRST_PART_LABEL + query.part))
+        source = DepthSource(
+            query,
+            self.completer(query.sensor),
+            measured=None if kind == "ideal" else image.measured,
+            others=() if self.cameras == "primary" else self.views.of(query),
+            restored=kind == "restored",
+            cavities=image.cavities,
+        )
+        further = thorough and len(self._clearances) == 1  # at a wrong clearance every fit is doubtful
+        return ranked(chain.from_iterable(register_certain(source, query, c, further) for c in self._clearances))
+
+
+@lru_cache(maxsize=2)  # for exact and for noisy images
+def _completer(stem: Path) -> PartCompleter:
+    """The network with the weights of a stem, loaded when an image asks for it."""
+    from kit1000.perception.completion.parts.completed import PartCompleter
+
+    return PartCompleter(stem)
+
+
+def _other_parts(query: Query) -> Iterator[Query]:
+    """The query about each other part of its image."""
+    for part, pivot in part_pivots(query.view, query.image.labels).items():
+        if part != query.part:
+            yield replace(query, part=part, pivot=pivot)
+
+
+def _true_source(query: Query, geometry: TrueGeometry | None) -> TrueSource:
+    if geometry is None:
+        raise InputError(f"{query.id}: registration from true volumes needs the true geometry")
+    return TrueSource(geometry)

@@ -1,0 +1,1 @@
+"""The refinement of a candidate to a fit, by Levenberg-Marquardt steps."""

@@ -1,0 +1,1 @@
+"""The search over all yaws and positions, and the candidates that it leaves."""
