@@ -77,7 +77,7 @@ table2: $(DEV) ## Table II of DATA (PRESET=real-like), rows under ROWS: each sta
 	$(BIN)/python bench/bench_completion.py "$(DATA)" $(MEASURE)
 	$(BIN)/python bench/bench_kit_completion.py "$(DATA)" $(MEASURE)
 	$(BIN)/python -m benchmark table2 $(addprefix "$(ROWS)"/,true-shapes masks-given masks-found guess) --data "$(DATA)" \
-	    --masks kit1000.perception.segmentation.predicted_masks:with_predicted_masks --components "$(ROWS)/components.json" --out "$(ROWS)/table2.json"
+	    --masks predicted --components "$(ROWS)/components.json" --out "$(ROWS)/table2.json"
 
 bench: $(DEV) ## each speed beside a reference measured in the same run: kits to methods
 	$(BIN)/python bench/bench_kits.py

@@ -179,8 +179,8 @@ class Table2:
     """Split of the queries; test-all has every part of a test scene."""
     components: Optional = None
     """JSON file with the measures of segmentation and completion."""
-    masks: Annotated[str | None, tyro.conf.arg(metavar="MODULE:FUNCTION")] = None
-    """By which the robot finds the parts in rows that state predicted masks; by the recorded masks when absent."""
+    masks: Literal["given", "predicted"] = "given"
+    """Masks by which the robot finds the parts in rows that state predicted masks: the recorded ones, or predicted."""
     scenes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Number of scenes, the first ones; all when absent."""
     out: Optional = None

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -34,6 +34,7 @@ from kit1000.submission.manifest import read_manifest
 from kit1000.submission.predictions import FILE, read_predictions
 from kit1000.values import Query, Truth
 
+PREDICTED_MASKS = "kit1000.perception.segmentation.predicted_masks:with_predicted_masks"  # by name: it loads networks
 MaskFinder = Callable[[Query, float], Query]
 """Called with a query and the scale of the dataset's scenes: the query with masks from its image alone."""
 TRUTH = "truth"  # label of the row with the true motions
@@ -283,13 +284,14 @@ def run(
     components: Path | None,
     scenes: int | None,
     out: Path | None,
-    masks: str | None = None,
+    masks: Literal["given", "predicted"] = "given",
 ) -> str:
     """The table of a dataset and submissions as Markdown, and as JSON in a file `out` if given."""
     labelled = {path.name if path.is_dir() else path.stem: path for path in submissions}
     if len(labelled) < len(submissions) or TRUTH in labelled:
         raise InputError("submissions: expected names of their own, and none called truth, which is there anyway")
-    rows = chain(data, labelled, track, split, scenes, find_masks=None if masks is None else resolved(masks))
+    find_masks = resolved(PREDICTED_MASKS) if masks == "predicted" else None
+    rows = chain(data, labelled, track, split, scenes, find_masks=find_masks)
     parts = [] if components is None else read_components(components)
     if out is not None:
         write_bytes(

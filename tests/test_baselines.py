@@ -19,6 +19,7 @@ from kit1000.errors import InputError
 from kit1000.perception.observed.query_points import observed_points
 from kit1000.pose import Pose
 from kit1000.prediction.catalog import Method
+from kit1000.prediction.imported_sources import imported_modules
 from kit1000.prediction.making import listed, make_predictor, source_hash
 from kit1000.predictor import PredictedMotion, resolved
 from kit1000.queries.motions import error_of, goal_motion, goal_pose
@@ -223,19 +224,36 @@ def test_an_unknown_method_gives_one_line(name: str, message: str) -> None:
         method_of(name)
 
 
-def test_the_source_of_a_method_is_its_module_or_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_source_of_a_method_is_all_that_it_imports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "lone_method.py").write_text("def predict(): ...\n")
+    (tmp_path / "beside_method.py").write_text("")
     (tmp_path / "wide_method").mkdir()
     (tmp_path / "wide_method/__init__.py").write_text("")
-    (tmp_path / "wide_method/method.py").write_text("def predict(): ...\n")
+    (tmp_path / "wide_method/method.py").write_text(
+        "import beside_method\n\n\ndef predict():\n    from wide_method import deep\n"
+    )
     (tmp_path / "wide_method/deep.py").write_text("")
+    (tmp_path / "wide_method/unused.py").write_text("")
     lone, wide = (Method(f"{name}:predict", "") for name in ("lone_method", "wide_method.method"))
     before = source_hash(lone), source_hash(wide)
+    (tmp_path / "wide_method/unused.py").write_text("x = 1\n")
     assert before == (source_hash(lone), source_hash(wide))
-    (tmp_path / "wide_method/deep.py").write_text("x = 1\n")
-    assert source_hash(lone) == before[0]
-    assert source_hash(wide) != before[1]
+    for imported in ("wide_method/deep.py", "beside_method.py"):
+        earlier = source_hash(wide)
+        (tmp_path / imported).write_text("x = 1\n")
+        assert source_hash(lone) == before[0]
+        assert source_hash(wide) != earlier
+
+
+def test_the_source_of_registration_covers_perception_and_predicted_masks() -> None:
+    entry = METHODS["registration"].make.partition(":")[0]
+    found = imported_modules([entry], {"kit1000": ROOT / "kit1000"})
+    assert {"kit1000.registration.search.correlation", "kit1000.perception.restoration.restorer"} <= set(found)
+    assert source_hash(METHODS["registration"]) != source_hash(method_of("registration+predicted-masks"))
+
+
+def test_the_source_covers_every_package_that_a_method_imports() -> None:
     of_baselines = [source_hash(METHODS[name]) for name in ("icp", "guess", "registration", "snapnet-gtvol")]
     assert len(set(of_baselines)) == len(of_baselines)  # none is the hash of all baselines
 

@@ -31,7 +31,7 @@ LAYERS = (
     ("queries.motions", "metrics"),
     ("sim",),
     ("queries", "dataset", "predictor", "submission"),
-    ("perception", "registration", "prediction"),
+    ("perception", "prediction.catalog", "registration", "prediction"),
     ("pictures", "export", "generation", "insertion_study"),
     ("planner", "editor", "study", "testing"),
     ("cli", "", "__main__"),  # "" is the package itself, which hands out names of all the others
@@ -138,7 +138,7 @@ def layer(module: str) -> int:
     """The place of a module, lowest first."""
     package, _, inside = module.partition(".")
     name = inside.partition(".")[0] if package == "kit1000" else package
-    name = inside if inside in ORDER else name  # a module apart from the rest of its package
+    name = inside if package == "kit1000" and inside in ORDER else name  # a module apart from the rest of its package
     assert name in ORDER, f"{module} stands in no layer: give it a place in LAYERS"
     return ORDER[name]
 
@@ -176,15 +176,29 @@ def test_the_applications_never_import_each_other() -> None:
         assert not [target for target in imports(path) if target.partition(".")[0] in others], module
 
 
+def test_a_method_never_imports_another_method() -> None:
+    """They stand on the perception of the library."""
+    methods = ("baselines.icp", "baselines.kitnet", "baselines.snapnet", "baselines.transporter")
+    methods += ("baselines.controls", "kit1000.registration")
+    crossing = [
+        f"{module} imports {target}"
+        for module, path in modules().items()
+        for own in filter(lambda own: inside(module, (own,)), methods)
+        for target in sorted(imports(path))
+        if inside(target, tuple(set(methods) - {own}))
+    ]
+    assert not crossing
+
+
 def test_metrics_are_pure() -> None:
     """They know values, shapes and motions, and nothing of folders, recordings or simulation."""
-    pure = (*LAYERS[0], *LAYERS[1], "kits", "voxels", "motions", "metrics")
+    pure = (*LAYERS[0], *LAYERS[1], "kits", "voxels", "metrics")
     outside = [
         f"{module} imports {target}"
         for module, path in modules().items()
         if inside(module, ("kit1000.metrics",))
         for target in sorted(filter(ours, imports(path)))
-        if target.split(".")[1] not in pure
+        if target.split(".")[1] not in pure and target != "kit1000.queries.motions"
     ]
     assert not outside
 
@@ -242,7 +256,8 @@ def test_every_declared_package_is_used() -> None:
 
 
 def test_files_are_short() -> None:
-    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in python_files()}
+    sources = [path for path in python_files() if not path.is_relative_to(ROOT / "tests")]
+    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in sources}
     assert not {dotted(path): n for path, n in lengths.items() if n > LONGEST_FILE}
 
 

@@ -42,7 +42,7 @@ class Predict:
 
     name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="METHOD")]
     """A method of the catalog, such as registration-completed, or module:Object of your own."""
-    data: Folder
+    data: Path
     """Dataset folder."""
     out: Path
     """Submission folder; predictions are added to a submission of the same method and dataset."""

@@ -10,7 +10,6 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-import kit1000
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.perception.segmentation import predicted_masks
@@ -21,6 +20,8 @@ from kit1000.predictor import Predictor, resolved
 from kit1000.queries.tracks import ALL_TRACKS
 from kit1000.weights import WEIGHTS
 
+LIBRARY = Path(__file__).parents[1]
+"""Folder of the package `kit1000`."""
 MASKS_TRAINING = "split train of kit1000, for the masks of noisy images"
 ATTRIBUTES = (
     *("tracks", "uses_true_geometry", "learned", "predicts"),
@@ -80,7 +81,7 @@ def source_hash(method: Method) -> str:
     folder = _source_folder(entries[0])
     beside = {path.stem: path for path in folder.glob("*.py")}
     beside |= {path.parent.name: path.parent for path in folder.glob("*/__init__.py")}
-    roots = beside | {"kit1000": Path(kit1000.__file__).parent}
+    roots = beside | {"kit1000": LIBRARY}
     stems = [*method.weights.values(), *(WEIGHTS / name for name in MASKS_WEIGHTS if method.masks == "predicted")]
     files = imported_modules(entries, roots)
     files |= {stem.name: stem.with_name(f"{stem.name}.safetensors") for stem in stems}
