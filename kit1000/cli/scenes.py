@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -11,6 +13,12 @@ import tyro
 from kit1000.cli.options import Flag, Folder, OptionalInt, OptionalPath
 from kit1000.editor import SNAP
 from kit1000.errors import InputError
+
+
+def find_own_modules() -> None:
+    """Let `module:Object` name modules of the current folder too, as `python -m` does."""
+    if (here := os.getcwd()) not in sys.path:
+        sys.path.append(here)
 
 
 @dataclass(frozen=True)
@@ -66,6 +74,7 @@ class Predict:
         for name, value, least in (("workers", self.workers, 1), ("limit", self.limit, 1), ("seed", self.seed, 0)):
             if value is not None and value < least:
                 raise InputError(f"--{name}: expected {least} or more, got {value}")
+        find_own_modules()
         config = RunConfig.of(self.name, self.masks, self.split, self.tracks or None, self.seed, self.limit)
         print(predict_and_describe(config, self.data, self.out, self.workers))
         return 0
@@ -127,6 +136,7 @@ class Edit:
             if error.name != "viser":
                 raise
             raise InputError("edit: needs viser: pip install 'kit1000[edit]'") from None
+        find_own_modules()
         serve(Options(self.data, self.scene, self.out, self.sensor, self.snap, self.port, self.truth, self.interface))
         return 0
 
@@ -164,5 +174,6 @@ class Study:
         """Do what is asked; prints orders, an address or the path of a report."""
         from kit1000.study.command import Request, run
 
+        find_own_modules()
         run(Request(**{name: getattr(self, name) for name in Request.__dataclass_fields__}))
         return 0

@@ -1,0 +1,91 @@
+"""The wheel alone, outside the checkout, does the whole job: generates, predicts, runs the robot, opens the page."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Callable
+from pathlib import Path
+from urllib.request import urlopen
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An empty folder beside an environment `env` with the wheel and what it depends on, and without the checkout."""
+    place = tmp_path_factory.mktemp("wheel")
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(place / "dist")]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(place / "env")], check=True)
+    site = next((place / "env/lib").glob("python*/site-packages"))
+    (site / "dependencies.pth").write_text(sysconfig.get_paths()["purelib"] + "\n")  # its own .pth files are not read
+    wheel = next((place / "dist").glob("*.whl"))
+    install = [sys.executable, "-m", "pip", "--python", str(place / "env"), "install", "--no-deps", "--quiet"]
+    subprocess.run([*install, "--no-index", "--ignore-installed", str(wheel)], check=True)
+    (place / "empty").mkdir()
+    return place / "empty"
+
+
+@pytest.fixture(scope="module")
+def kit1000(folder: Path) -> Command:
+    """Runs the installed command in the empty folder; returns what it printed."""
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        done = subprocess.run([folder.parent / "env/bin/kit1000", *words], cwd=folder, capture_output=True, text=True)
+        assert done.returncode in (0, 1), done.stderr
+        return done
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def tiny(folder: Path, kit1000: Command) -> Path:
+    assert kit1000("generate", "tiny", "--out", "tiny").returncode == 0
+    return folder / "tiny"
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("tiny")
+def test_the_wheel_predicts_by_networks_and_lets_the_robot_run(kit1000: Command) -> None:
+    predict = ("predict", "registration-completed", "--data", "tiny", "--tracks", "snap", "--out", "mine")
+    assert "predictions of registration-completed (snap)" in kit1000(*predict).stdout
+    assert "0 errors" in kit1000("check", "mine", "--data", "tiny").stdout
+    masks = (
+        "predict",
+        "registration",
+        "--data",
+        "tiny",
+        "--tracks",
+        "snap-d415",
+        "--masks",
+        "predicted",
+        "--limit",
+        "1",
+    )
+    assert "1 predictions" in kit1000(*masks, "--out", "found").stdout
+    assert " seated" in kit1000("run", "tiny", "--predictions", "mine", "--scene", "test-s0000").stdout
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("tiny")
+@pytest.mark.parametrize("snap", [(), ("--snap", "registration-completed")])
+def test_the_wheel_opens_the_page(folder: Path, snap: tuple[str, ...]) -> None:
+    words = [folder.parent / "env/bin/kit1000", "edit", "tiny", "--scene", "test-s0000", *snap]
+    with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as page:
+        try:
+            assert page.stdout is not None
+            address = page.stdout.readline().split()[0]
+            assert urlopen(address, timeout=30).status == 200
+        finally:
+            page.terminate()
+
+
+def test_the_wheel_holds_neither_baselines_nor_benchmark() -> None:
+    """Their names are taken by other published packages; nothing in the library mentions the modules of either."""
+    sources = (path.read_text(encoding="utf-8") for path in (ROOT / "kit1000").rglob("*.py"))
+    assert not [text for text in sources if "import baselines" in text or "from baselines" in text]
