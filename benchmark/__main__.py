@@ -88,13 +88,15 @@ class Rescore:
     """Dataset folder, with ground truth."""
     workers: int = 1
     """Processes, one submission each."""
+    refresh: Flag = False
+    """Where the scores are the same, write the scores.json anew: it then names the code of today."""
 
     def run(self) -> int:
         """Score and compare."""
         from benchmark.rescore import rescore
 
         same = True
-        for folder, differences in rescore(self.submissions, self.data, _workers(self.workers)):
+        for folder, differences in rescore(self.submissions, self.data, _workers(self.workers), self.refresh):
             result = f"{len(differences)} values differ; {differences[0]}" if differences else "the same scores"
             print(f"{folder}: {result}", flush=True)
             same &= not differences

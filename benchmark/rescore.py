@@ -12,35 +12,42 @@ from benchmark.report import json_text
 from benchmark.score import read_checked, score
 from kit1000.dataset.reader import Dataset
 from kit1000.engines import local_engine
-from kit1000.files import read_json
+from kit1000.files import read_json, write_bytes
 
 CODE_KEYS = ("commit", "evaluator")
 """Keys of scores.json about the code that made it; they are not compared: another commit may give the same numbers."""
 
 
-def rescore(folders: Sequence[Path], data: Path, workers: int = 1) -> Iterator[tuple[Path, list[str]]]:
+def rescore(
+    folders: Sequence[Path], data: Path, workers: int = 1, refresh: bool = False
+) -> Iterator[tuple[Path, list[str]]]:
     """Score submissions again, without any cache, and compare to the last digit.
 
     Args:
         folders: of the submissions, each with predictions.csv and scores.json.
         data: dataset folder, with its truth.
         workers: processes; each scores one submission at a time.
+        refresh: write the new scores.json where the scores are the same: it then names the code of today.
 
     Yields:
         Each folder when it is done, with a line for each value that differs, such as
         `tracks.snap.position_mm.mean: 1.82 before, 1.83 now`.
     """
     with local_engine(min(workers, len(folders))) as spread:
-        yield from spread(partial(_rescore, data), folders)
+        yield from spread(partial(_rescore, data, refresh), folders)
 
 
-def _rescore(data: Path, folder: Path) -> tuple[Path, list[str]]:
+def _rescore(data: Path, refresh: bool, folder: Path) -> tuple[Path, list[str]]:
     before: dict[str, Any] = read_json(folder / "scores.json")
     split, exact = before.get("split", "test"), before.get("exact", "near")
     submission = read_checked(folder, data, split)
     summary = score(submission, _dataset(data), None, split, exact).summary
-    now = json.loads(json_text(summary))
-    return folder, [line for line in _differences(before, now, "") if line.partition(":")[0] not in CODE_KEYS]
+    text = json_text(summary)
+    found = _differences(before, json.loads(text), "")
+    differences = [line for line in found if line.partition(":")[0] not in CODE_KEYS]
+    if refresh and not differences:
+        write_bytes(folder / "scores.json", text.encode())
+    return folder, differences
 
 
 @lru_cache(maxsize=1)

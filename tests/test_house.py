@@ -25,7 +25,7 @@ PYTHON_FOLDERS = (*PACKAGES, "bench", "examples", "tests", "docs")
 
 # A module imports from rows above and from further left in its own; inside one entry no circles are the rule.
 LAYERS = (
-    ("errors", "version", "rng", "numerics", "weights"),
+    ("errors", "version", "interrupts", "rng", "numerics", "weights"),
     ("pose", "symmetry", "mesh", "camera", "values", "files", "engines"),
     ("parts", "kits", "voxels"),
     ("queries.motions", "metrics"),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import pytest
 
 from kit1000.cli.command_line import INTERRUPTED, run
-from kit1000.engines.interrupts import keeping_sigterm, terminated_as_interrupted
+from kit1000.interrupts import keeping_sigterm, terminated_as_interrupted
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,11 @@ from hypothesis import strategies as st
 from kit1000.numerics.trigonometry import LARGEST_ANGLE, cosine, sine, tangent
 
 GENERATING = Path(__file__).resolve().parents[1] / "kit1000"
-SEARCHING = {"insertion_search.py", "face.py", "loose_fits.py"}  # their angles are rounded, or only decide far from a limit
+SEARCHING = {
+    "insertion_search.py",
+    "face.py",
+    "loose_fits.py",
+}  # their angles are rounded, or only decide far from a limit
 ANGLES = st.floats(-LARGEST_ANGLE, LARGEST_ANGLE)
 
 

@@ -22,6 +22,7 @@ from kit1000.perception.networks.weight_files import Tensors, copied, loaded, re
 GROUPS = ("model", "average", "optimizer")
 """Of a state's tensors: each is a prefix of their names."""
 
+
 def write_state(path: Path, groups: Mapping[str, Mapping[str, torch.Tensor]], info: Mapping[str, Any]) -> None:
     """Write the state of a run as one file, with a checksum over tensors and JSON.
 

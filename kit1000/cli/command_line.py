@@ -15,8 +15,8 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import tyro
 
-from kit1000.engines.interrupts import terminated_as_interrupted
 from kit1000.errors import InternalError, Kit1000Error, did_you_mean, internal_error
+from kit1000.interrupts import terminated_as_interrupted
 
 USAGE_ERROR, INTERNAL_ERROR = 2, 3  # exit status: wrong usage or invalid input, bug of the package
 INTERRUPTED = 130  # exit status of a command stopped by Ctrl-C, as in shells

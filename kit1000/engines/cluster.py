@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Any
 
 from kit1000.engines.cores import usable_cores
-from kit1000.engines.interrupts import keeping_sigterm
 from kit1000.engines.jobs import JOBS_PER_WORKER, ONE_THREAD_ENV, RETRIES, ParallelMap, run_job
 from kit1000.errors import InputError, Kit1000Error, internal_error
+from kit1000.interrupts import keeping_sigterm
 
 CONNECT_TIMEOUT_S = 5.0  # of a cluster; Ray itself tries for minutes
 OBJECT_STORE_BYTES = 100 << 20  # shared memory of a local Ray: it holds small results, Ray's minimum is 75 MiB

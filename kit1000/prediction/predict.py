@@ -53,7 +53,6 @@ class RunConfig:
     tables: tuple[str, ...] = TABLES
     """Packages that list the methods, see `kit1000.prediction.catalog`."""
 
-
     @classmethod
     def of(
         cls,
