@@ -89,7 +89,7 @@ def test_int8_weights_take_a_quarter_of_the_bytes_and_are_read_within_half_a_127
 
 
 def test_without_pytorch_one_line_says_what_to_install() -> None:
-    code = "import sys; sys.modules['torch'] = None; import baselines.training.checkpoint"
+    code = "import sys; sys.modules['torch'] = None; import kit1000.perception.networks.weight_files"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stderr.strip().endswith("the networks need PyTorch and safetensors: pip install 'kit1000[learn]'")
 
