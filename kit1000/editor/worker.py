@@ -48,7 +48,10 @@ class Method:
     def check(self) -> None:
         """Raise InputError where there is no such method or module. The worker imports it: that takes seconds."""
         if ":" not in self.snap:
-            method_of(self.snap)
+            try:
+                method_of(self.snap)
+            except InputError as error:
+                raise InputError(f"--snap {self.snap}: {error}, or none") from None
             return
         module, _, name = self.snap.partition(":")
         try:
