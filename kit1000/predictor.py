@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, NamedTuple, Protocol
 
-from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.values import Prediction, Query, TrueGeometry
@@ -51,17 +49,6 @@ def resolved(target: str) -> Any:
     if not callable(value):
         raise InputError(f"{target}: {module} has no {name or 'object'} that can be called")
     return value
-
-
-def predictor_of(target: str, dataset: Dataset) -> Predictor:
-    """The predictor that `module:Object` names: a function as it is, or a class, called with the dataset.
-
-    A class that takes a seed gets 0.
-    """
-    value = resolved(target)
-    if not isinstance(value, type):
-        return value
-    return value(dataset, **({"seed": 0} if "seed" in inspect.signature(value).parameters else {}))
 
 
 def to_prediction(query: Query, predicted: PredictedMotion, seconds: float) -> Prediction:
