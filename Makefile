@@ -73,41 +73,41 @@ table2: $(DEV) ## Table II of DATA (PRESET=real-like), rows under ROWS: each sta
 	$(ROW) registration-completed --out "$(ROWS)/masks-given"
 	$(ROW) registration-completed --masks predicted --out "$(ROWS)/masks-found"
 	$(ROW) guess --out "$(ROWS)/guess"
-	$(BIN)/python bench/bench_segmentation.py "$(DATA)" $(MEASURE)
-	$(BIN)/python bench/bench_completion.py "$(DATA)" $(MEASURE)
-	$(BIN)/python bench/bench_kit_completion.py "$(DATA)" $(MEASURE)
+	$(BIN)/python bench/quality/segmentation.py "$(DATA)" $(MEASURE)
+	$(BIN)/python bench/quality/completion.py "$(DATA)" $(MEASURE)
+	$(BIN)/python bench/quality/kit_completion.py "$(DATA)" $(MEASURE)
 	$(BIN)/python -m benchmark table2 $(addprefix "$(ROWS)"/,true-shapes masks-given masks-found guess) --data "$(DATA)" \
 	    --masks predicted --components "$(ROWS)/components.json" --out "$(ROWS)/table2.json"
 
 bench: $(DEV) ## each speed beside a reference measured in the same run: kits to methods
-	$(BIN)/python bench/bench_kits.py
-	$(BIN)/python bench/bench_seating.py
-	$(BIN)/python bench/bench_render.py
-	$(BIN)/python bench/bench_voxels.py
-	$(BIN)/python bench/bench_reading.py
-	$(BIN)/python bench/bench_scoring.py
-	$(BIN)/python bench/bench_methods.py
-	$(BIN)/python bench/bench_snap_position.py --presets small
-	$(BIN)/python bench/bench_snap_rotation.py
+	$(BIN)/python bench/speed/kits.py
+	$(BIN)/python bench/speed/seating.py
+	$(BIN)/python bench/speed/render.py
+	$(BIN)/python bench/speed/voxels.py
+	$(BIN)/python bench/speed/reading.py
+	$(BIN)/python bench/speed/scoring.py
+	$(BIN)/python bench/speed/methods.py
+	$(BIN)/python bench/speed/snap_position.py --presets small
+	$(BIN)/python bench/speed/snap_rotation.py
 
 bench-parts: $(DEV) ## compare our parts with real ones: make bench-parts PARTS=DIR
 	$(if $(PARTS),,$(error a folder of meshes is wanted: make bench-parts PARTS=DIR))
-	$(BIN)/python bench/bench_parts.py "$(PARTS)"
+	$(BIN)/python bench/quality/parts.py "$(PARTS)"
 
 portable: $(DEV) ## generate tiny and small as on another processor, and compare every byte
-	$(BIN)/python bench/portable.py tiny small
+	$(BIN)/python bench/outside/portable.py tiny small
 
 mutants: $(DEV) ## change lines one at a time in a copy: do the tests notice? About 15 minutes
-	$(BIN)/python bench/mutants.py
+	$(BIN)/python bench/outside/mutants.py
 
 viewers: $(DEV) $(RERUN_VIEWER) ## open recordings of DATA, else of tiny, in Rerun, and take screenshots to look at
 	@$(call debian,command -v xvfb-run,xvfb xauth libxkbcommon-x11-0 libxcursor1 libxi6 libxrandr2)
 	@$(call debian,ls /usr/share/vulkan/icd.d/lvp_icd*,mesa-vulkan-drivers)
-	$(BIN)/python bench/viewers.py $(RERUN_VIEWER) --out $(VIEWERS)/out --data "$(DATA)"
+	$(BIN)/python bench/outside/viewers.py $(RERUN_VIEWER) --out $(VIEWERS)/out --data "$(DATA)"
 
 slicer: $(DEV) ## give kits and assemblies of DATA, else of tiny, to PrusaSlicer; BOP=DIR also scenes to BOP's toolkit
 	@$(call debian,command -v prusa-slicer,prusa-slicer)
-	$(BIN)/python bench/slicer.py --out $(VIEWERS)/out --data "$(DATA)" $(if $(BOP),--bop "$(BOP)")
+	$(BIN)/python bench/outside/slicer.py --out $(VIEWERS)/out --data "$(DATA)" $(if $(BOP),--bop "$(BOP)")
 
 pictures: $(DEV) ## draw the pictures of the README and the docs
 	$(BIN)/python docs/pictures/draw.py

@@ -27,7 +27,7 @@ from kit1000.submission.plausibility import plausibility_faults
 from kit1000.submission.rows import read_rows
 from kit1000.values import Prediction
 
-DOCUMENT = Path(__file__).resolve().parents[1] / "docs/submission.md"
+DOCUMENT = Path(__file__).resolve().parents[1] / "docs/reference/submission.md"
 
 
 @pytest.fixture(scope="module")

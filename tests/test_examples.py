@@ -98,7 +98,7 @@ def test_a_script_is_short_and_uses_public_names(script: Path) -> None:
 
 
 def test_the_page_lists_every_script() -> None:
-    page = (ROOT / "docs/examples.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs/guides/examples.md").read_text(encoding="utf-8")
     assert sorted(re.findall(r"^\| `(\w+\.py)`", page, re.MULTILINE)) == [script.name for script in SCRIPTS]
 
 

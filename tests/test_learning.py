@@ -27,7 +27,7 @@ def train(data: Dataset) -> Split:
 
 def code_blocks() -> tuple[str, ...]:
     """The Python blocks of the page: a training loop, and your own item."""
-    text = (ROOT / "docs/learning.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs/guides/write-a-method.md").read_text(encoding="utf-8")
     return tuple(re.findall(r"^```py\n(.*?)^```", text, re.MULTILINE | re.DOTALL))
 
 

@@ -1,4 +1,4 @@
-"""Tests that docs/recordings.md is enough to read a scene with the MCAP libraries and without kit1000."""
+"""Tests that docs/reference/recordings.md is enough to read a scene with the MCAP libraries and without kit1000."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from kit1000.values import View
 from tests.shapes import box, ell, lying_cylinder, standing
 
 CAMERA = Camera(320, 180, 231.25, 231.25, 159.5, 89.5)
-PAGE = Path(__file__).resolve().parents[1] / "docs/recordings.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs/reference/recordings.md"
 
 
 def bodies() -> list[tuple[Mesh, Pose]]:

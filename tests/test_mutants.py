@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bench import mutants
-from bench.mutants import LEAST_SHARE, MUTANTS, Mutant, is_killed, main
+from bench.outside.mutants import LEAST_SHARE, MUTANTS, Mutant, is_killed, main
 
 ROOT = Path(__file__).resolve().parents[1]
 MODULE = "def half(x):\n    return x / 2\n"

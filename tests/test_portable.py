@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from mini import file_hashes
 
-from bench.portable import OLD_PROCESSOR
+from bench.outside.portable import OLD_PROCESSOR
 from kit1000.queries.guesses import draw_direction, draw_tilt_error
 from tests.test_settle import SHAPES, drops, part_of
 

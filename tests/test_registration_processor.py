@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.portable import OLD_PROCESSOR
+from bench.outside.portable import OLD_PROCESSOR
 from kit1000.numerics.elimination import solve_positive
 from kit1000.pose import Pose
 from kit1000.registration.geometry.swept_slices import rotation_matrix

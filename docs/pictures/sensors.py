@@ -1,4 +1,4 @@
-"""The pictures of docs/sensors.md: noise against distance, and one scene as each sensor measures it."""
+"""The pictures of docs/reference/sensors.md: noise against distance, and one scene as each sensor measures it."""
 
 from __future__ import annotations
 

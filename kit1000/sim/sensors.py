@@ -3,7 +3,7 @@
 Two imagers side by side, or an imager and a projector, triangulate: disparity = fx * baseline / depth. Errors are
 applied to the disparity, in the order of the real device: edge fattening, blending by the matching window, no return in
 shadows and at grazing angles, noise, quantisation; then depth scale, range, and the grid of stored depths. Sources:
-docs/sensors.md.
+docs/reference/sensors.md.
 """
 
 from __future__ import annotations

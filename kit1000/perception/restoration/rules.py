@@ -1,7 +1,7 @@
 """Restoration by rules: an image calibrated by its table, and its edges where the sensor moved them.
 
 Nothing is learned and no truth is read: the table is part of the specification of every scene, and what the sensor does
-to edges is part of its own (docs/sensors.md). An ideal image stays as it is.
+to edges is part of its own (docs/reference/sensors.md). An ideal image stays as it is.
 
 1. Camera pose and depth scale are corrected by the table, whose pixels are put on its plane (`perception.calibration`).
 2. Pixels of a body without a return are shadows of the second imager: they take the farther depth of their row.

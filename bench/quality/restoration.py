@@ -1,0 +1,112 @@
+"""How far depths of the d415 are from the truth: calibrated by the table, restored by rules, and by the network.
+
+    python bench/quality/restoration.py data/kit1000 --split test
+
+Mean absolute error of the depth of the pixels of kits and of parts, in mm, beside edges and elsewhere. Pixels without a
+return count where every way gives them a depth.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+import tyro
+from bench.measured_dataset import measured_dataset
+
+from baselines.training.tasks.restoration.task import beside_jumps
+from baselines.training.tasks.restoration.views import SENSOR, example_of
+from benchmark.intervals import ENDS, bootstrap_means
+from kit1000.dataset.reader import RecordedScene
+from kit1000.errors import Kit1000Error
+from kit1000.perception.restoration.restorer import Restorer
+from kit1000.perception.restoration.rules import calibrated_image, closed_gaps, restored_edges
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
+from kit1000.weights import WEIGHTS
+
+WAYS = ("calibrated", "rules", "network")
+PLACES = ("kits, beside edges", "kits, elsewhere", "parts, beside edges", "parts, elsewhere")
+FAR = 5.0  # [mm] from the truth, from which on a pixel shows another surface
+
+
+@dataclass(frozen=True)
+class Restoration:
+    """Measure the restoration of noisy depth."""
+
+    data: tyro.conf.Positional[Path | None] = None
+    """Dataset folder; without one a tiny dataset is generated."""
+    split: str = "test"
+    weights: Path = WEIGHTS / "restoration"
+    """Stem of the network's weights."""
+    scenes: int = 200
+    """Most scenes, spread evenly over the split."""
+
+
+class Errors(NamedTuple):
+    """The errors in a place of a scene."""
+
+    assembly_id: str
+    means: list[float]
+    """[mm] by WAYS."""
+    far: list[float]
+    """Shares of pixels that are FAR off, by WAYS."""
+
+
+def main(options: Restoration) -> None:
+    """Print a table."""
+    torch.set_num_threads(1)
+    restorer = Restorer(options.weights)
+    with measured_dataset(options.data) as (dataset, _):
+        split = dataset.split(options.split, truth=True)
+        ids = split.scene_ids
+        count = min(options.scenes, len(ids))
+        measured = [_measured(split.scene(ids[i * len(ids) // count]), restorer) for i in range(count)]
+        print(f"{dataset.root.name}, {options.split}: {count} scenes")
+        for place in PLACES:
+            _print(place, [errors[place] for errors, _ in measured if place in errors])
+        print(f"  seconds of the network: median {np.median([seconds for _, seconds in measured]):.2f}")
+
+
+def _print(place: str, rows: list[Errors]) -> None:
+    means, far = (np.array([row[k] for row in rows]) for k in (1, 2))
+    low, high = np.quantile(bootstrap_means(means, [[row.assembly_id for row in rows]]), ENDS, axis=0)
+    for k, way in enumerate(WAYS):
+        interval = f"{means[:, k].mean():5.2f} [{low[k]:.2f}, {high[k]:.2f}] mm"
+        print(f"  {place:20} {way:10} {interval}; {100 * far[:, k].mean():4.1f} % beyond {FAR:g} mm")
+
+
+def _measured(scene: RecordedScene, restorer: Restorer) -> tuple[dict[str, Errors], float]:
+    """The errors in those of the PLACES that a scene has, and the seconds of the network."""
+    image = calibrated_image(scene.labelled_depth(SENSOR), SENSOR)
+    truth = scene.labelled_depth("ideal").view.depth
+    labels = np.unique(image.labels[image.labels > 0]).tolist()
+    start = time.process_time()
+    network = restorer(image, SENSOR, labels)
+    seconds = time.process_time() - start
+    ways = [found.view.depth for found in (closed_gaps(image), restored_edges(image, SENSOR), network)]
+    known = np.all([depth > 0 for depth in ways], axis=0)
+    beside = beside_jumps(torch.from_numpy(example_of(image, truth)["truth"])[None])[0].numpy()
+    bodies = (image.labels == ASSEMBLY_LABEL, image.labels >= FIRST_PART_LABEL)
+    masks = [known & body & where for body in bodies for where in (beside, ~beside)]
+    wrong, assembly_id = [1e3 * np.abs(depth - truth) for depth in ways], scene.scene.bodies[0].id
+    errors = {
+        place: Errors(assembly_id, [float(each[mask].mean()) for each in wrong], [_far(each[mask]) for each in wrong])
+        for place, mask in zip(PLACES, masks, strict=True)
+        if mask.any()
+    }
+    return errors, seconds
+
+
+def _far(wrong: np.ndarray) -> float:
+    return float((wrong > FAR).mean())
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Restoration))
+    except Kit1000Error as error:
+        raise SystemExit(f"restoration: {error}") from error

@@ -1,0 +1,165 @@
+"""Comparison of the two computations of the seating test, closed form and exact booleans, at the same poses.
+
+    python bench/speed/seating.py --pairs 12 --poses 40
+
+Half of the poses have random errors up to 10 mm and 25 degrees, half lie near the limit of being seated.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import count, cycle
+
+import numpy as np
+import tyro
+
+from kit1000.errors import Kit1000Error, Redraw
+from kit1000.kits.acceptance import rotated_about_centroid
+from kit1000.kits.contact import convex_edges
+from kit1000.kits.kit import make_kit
+from kit1000.kits.seating import (
+    BISECTION_STEP,
+    SEATED_LIMIT,
+    InsertedPart,
+    SeatingResult,
+    contact_offset,
+    contact_offset_by_booleans,
+    seating_result,
+    swept_solid,
+)
+from kit1000.mesh import solid_from_mesh
+from kit1000.parts.catalog import FAMILIES
+from kit1000.parts.family import make_part
+from kit1000.pose import Pose
+from kit1000.rng import stream
+from kit1000.values import Kit, Part
+
+MAX_SHIFT, MAX_ANGLE = 10e-3, np.radians(25)  # [m], [rad] of a random error
+LIMIT_BAND = 0.1e-3  # [m] from a limit, within which the two results may differ
+LIMIT_STEPS = np.array([-2e-2, -2e-3, 2e-3, 2e-2])  # relative steps of an error about the limit of being seated
+
+
+@dataclass(frozen=True)
+class Row:
+    """Both results for one pose."""
+
+    closed_form: SeatingResult
+    booleans: SeatingResult
+    to_limit: float
+    """[m] from the nearest limit"""
+    closed_form_s: float
+    booleans_s: float
+
+
+class Pair:
+    """A part and its kit, prepared for both computations."""
+
+    def __init__(self, part: Part, kit: Kit) -> None:
+        self.goal, self.depth = kit.slot.goals[0], kit.slot.depth
+        self.part, self.edges = InsertedPart.of(part.mesh, self.goal), convex_edges(kit.mesh)
+        self.swept, self.plate = swept_solid(part.mesh, self.part.axis), solid_from_mesh(kit.mesh)
+
+    def closed_form(self, pose: Pose) -> SeatingResult:
+        return seating_result(contact_offset(self.part, self.edges, pose), self.part, pose, self.goal, self.depth)
+
+    def booleans(self, pose: Pose) -> SeatingResult:
+        return seating_result(
+            contact_offset_by_booleans(self.swept, self.part, self.plate, pose), self.part, pose, self.goal, self.depth
+        )
+
+    def compare(self, pose: Pose) -> Row:
+        """Both results for a pose, timed."""
+        start = time.perf_counter()
+        closed_form = self.closed_form(pose)
+        between = time.perf_counter()
+        booleans = self.booleans(pose)
+        end = time.perf_counter()
+        return Row(closed_form, booleans, self.to_limit(closed_form), between - start, end - between)
+
+    def to_limit(self, result: SeatingResult) -> float:
+        """[m] distance of a result to the nearest of its limits."""
+        return min(
+            abs(abs(result.contact_height) - min(SEATED_LIMIT, self.depth / 3)),
+            abs(abs(result.contact_offset) - SEATED_LIMIT),
+        )
+
+    def moved(self, error: np.ndarray, share: float) -> Pose:
+        """The goal with a share of an error (6,) [m, rad]: shift in the kit frame, rotation about the centroid."""
+        return Pose.from_translation(share * error[:3]) @ rotated_about_centroid(self.goal, share * error[3:])
+
+    def seated_share(self, error: np.ndarray) -> float:
+        """The share of an error at which the part is no longer seated."""
+        low, high = 0.0, 1.0
+        for _ in range(14):
+            middle = (low + high) / 2
+            low, high = (middle, high) if self.closed_form(self.moved(error, middle)).seated else (low, middle)
+        return low
+
+
+def main(pairs: int = 12, poses: int = 40, seed: int = 1) -> None:
+    """Compare both computations on parts drawn from all families in turn.
+
+    Args:
+        pairs: of part and kit.
+        poses: for each pair.
+        seed: of the draws.
+    """
+    rows: list[Row] = []
+    for number, pair in zip(range(pairs), drawn_pairs(seed), strict=False):
+        pair.compare(pair.goal)  # numba compiles on the first
+        rows += [pair.compare(pose) for pose in drawn_poses(pair, poses, stream(seed, "poses", number))]
+    report(pairs, rows)
+
+
+def drawn_pairs(seed: int) -> Iterator[Pair]:
+    """Pairs from all families in turn."""
+    for number, name in zip(count(), cycle(FAMILIES), strict=False):
+        rng = stream(seed, "seating", number)
+        try:
+            part = make_part(name, name, FAMILIES[name].draw(rng), rng.uniform(35e-3, 50e-3))
+            yield Pair(part, make_kit(part))
+        except Redraw:
+            continue
+
+
+def drawn_poses(pair: Pair, poses: int, rng: np.random.Generator) -> Iterator[Pose]:
+    """Poses with random errors, and others near the limit of being seated."""
+    for number in range(poses):
+        shift, axis = rng.normal(size=(2, 3))
+        error = np.concatenate(
+            [
+                shift / np.linalg.norm(shift) * rng.uniform(0, MAX_SHIFT),
+                axis / np.linalg.norm(axis) * rng.uniform(0, MAX_ANGLE),
+            ]
+        )
+        share = 1.0 if number % 2 else pair.seated_share(error) * (1 + rng.choice(LIMIT_STEPS))
+        yield pair.moved(error, share)
+
+
+def report(pairs: int, rows: list[Row]) -> None:
+    """Print how well both agree and how long they take."""
+    both = [row for row in rows if np.isfinite([row.closed_form.contact_offset, row.booleans.contact_offset]).all()]
+    differences = np.array([abs(row.closed_form.contact_offset - row.booleans.contact_offset) for row in both])
+    differ = np.array([_flags(row.closed_form) != _flags(row.booleans) for row in rows])
+    near = np.array([row.to_limit < LIMIT_BAND for row in rows])
+    seated = np.mean([row.closed_form.seated for row in rows])
+    print(f"{pairs} pairs, {len(rows)} poses, {seated:.0%} seated")
+    print(f"{near.mean():.1%} of the poses within {LIMIT_BAND * 1e3:g} mm of a limit")
+    above = (differences > BISECTION_STEP).sum()
+    print(f"contact offset: largest difference {differences.max() * 1e6:.1f} um, {above} above the step")
+    print(f"results that differ: {differ.mean():.2%}, of these outside the band {(differ & ~near).sum()}")
+    for name, times in (("closed form", [r.closed_form_s for r in rows]), ("booleans", [r.booleans_s for r in rows])):
+        print(f"{name}: {np.median(times) * 1e3:.2f} ms a query, 95 % below {np.quantile(times, 0.95) * 1e3:.2f} ms")
+
+
+def _flags(result: SeatingResult) -> tuple[bool, bool]:
+    return result.seated, result.strict
+
+
+if __name__ == "__main__":
+    try:
+        tyro.cli(main)
+    except Kit1000Error as error:
+        raise SystemExit(f"seating: {error}") from error
