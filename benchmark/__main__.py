@@ -46,11 +46,11 @@ class Score:
     per_query: Optional = None
     """CSV file with one row per query."""
     split: Split = "test"
-    """The queries to score; with test the curves are scored too."""
+    """Split to score; with test the curves are scored too."""
     exact: Literal["near", "all", "never"] = "near"
-    """The predictions that the exact seating test decides: those near a limit, all, or none."""
+    """Predictions that the exact seating test decides: those near a limit, all, or none."""
     workers: int = 1
-    """Processes for the seating test; any number gives the same scores."""
+    """Number of processes for the seating test; any number gives the same scores."""
     cache: Optional = None
     """Folder of cached results; below ~/.cache/kit1000 when absent."""
     no_cache: Flag = False
@@ -87,9 +87,9 @@ class Rescore:
     data: Folder
     """Dataset folder, with ground truth."""
     workers: int = 1
-    """Processes, one submission each."""
+    """Number of processes; each scores one submission at a time."""
     refresh: Flag = False
-    """Where the scores are the same, write the scores.json anew: it then names the code of today."""
+    """Write scores.json anew where the scores are the same, so that it names the code of today."""
 
     def run(self) -> int:
         """Score and compare."""
@@ -125,17 +125,17 @@ class Compare:
     """Compare two methods: paired differences with intervals, and McNemar's test of seating."""
 
     a: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="A")]
-    """Folder of a submission."""
+    """Folder of the first submission."""
     b: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="B")]
-    """Folder of another."""
+    """Folder of the second submission."""
     data: Folder
     """Dataset folder, with ground truth."""
     tracks: tuple[str, ...] = ()
-    """Only these tracks; all that both have when absent."""
+    """Tracks to compare; all that both have when absent."""
     out: Optional = None
     """JSON file for the comparison."""
     workers: int = 1
-    """Processes for the seating test."""
+    """Number of processes for the seating test."""
     cache: Optional = None
     """Folder of cached results; below ~/.cache/kit1000 when absent."""
     no_cache: Flag = False
@@ -157,7 +157,7 @@ class Table1:
     submissions: Folder = Path("submissions")
     """Folder with a folder for each method, manifest.toml and scores.json in it."""
     out: Optional = None
-    """File to write instead of printing: .md, .json or .html; in an existing .md file the table is replaced."""
+    """File to write instead of printing: .md, .json or .html."""
 
     def run(self) -> int:
         """Print the table."""
@@ -182,7 +182,7 @@ class Table2:
     components: Optional = None
     """JSON file with the measures of segmentation and completion."""
     masks: Literal["given", "predicted"] = "given"
-    """Masks by which the robot finds the parts in rows that state predicted masks: the recorded ones, or predicted."""
+    """Masks by which the robot finds parts in rows that state predicted masks: recorded or predicted ones."""
     scenes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
     """Number of scenes, the first ones; all when absent."""
     out: Optional = None
@@ -221,6 +221,26 @@ class Pages:
         return 0
 
 
+@dataclass(frozen=True)
+class Documents:
+    """Fill the tables of documents from results/ and submissions/."""
+
+    documents: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE...")]
+    """Markdown files with marks."""
+    results: Folder = Path("results")
+    """Folder of NAME.json files, as the programs of bench/ write them."""
+    submissions: Folder = Path("submissions")
+    """Folder with a folder for each submission."""
+
+    def run(self) -> int:
+        """Name the documents that changed."""
+        from benchmark.documents import run as fill
+
+        for path in fill(self.documents, self.results, self.submissions):
+            print(f"{path}: filled")
+        return 0
+
+
 def _cache(folder: Path | None, none: bool) -> ResultCache | None:
     """The cache of results; None without one."""
     from benchmark.cache import ResultCache
@@ -243,6 +263,7 @@ COMMANDS = {
     "compare": Compare,
     "table1": Table1,
     "table2": Table2,
+    "documents": Documents,
     "pages": Pages,
 }
 

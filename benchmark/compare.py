@@ -45,13 +45,13 @@ class Difference:
     difference: float
     """a - b"""
     ci95: tuple[float, float]
-    """Of the difference."""
+    """Interval of the difference."""
     p: float
     """Two-sided; of a rate from McNemar's exact test, else from the bootstrap. In JSON, 0 is less than 1e-9."""
     better: str | None
     """A or B; None where the difference is not significant."""
     only_a: int | None = None
-    """Of a rate: queries that only A passes."""
+    """Number of queries that only A passes, for a rate."""
     only_b: int | None = None
 
 
@@ -66,7 +66,7 @@ class TrackComparison:
     n: int
     """Queries that both predict: those compared."""
     differences: dict[str, Difference | None]
-    """By key of the quantity; None where one of the two does not predict it, or n is 0."""
+    """Differences by key of the quantity; None where one of the two does not predict it, or n is 0."""
 
 
 @dataclass(frozen=True)

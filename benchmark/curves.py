@@ -23,7 +23,7 @@ BAND = (20, 80)  # percentiles about each line, as in the paper
 
 Row = dict[str, Any]
 Table = Mapping[str, Sequence[Mapping[str, Any]]]
-"""By name of a curve, a row for each fixed error and level."""
+"""Rows by name of a curve: one for each fixed error and level."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Curve:
 
     @property
     def unit(self) -> Unit:
-        """Of the kind that varies."""
+        """Unit of the kind that varies."""
         return self.quantity.unit
 
     def user(self, row: Mapping[str, Any]) -> float:

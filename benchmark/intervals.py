@@ -109,13 +109,13 @@ def _coarsest(clusterings: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def _variance(column: np.ndarray, labels: np.ndarray) -> float:
-    """Of the mean of a column (n,), if clusters vary independently: the sum of squares of their summed deviations."""
+    """Variance of the mean of a column (n,) of independent clusters: the sum of squares of their summed deviations."""
     sums = np.bincount(labels, weights=column - column.mean())
     return float((sums * sums).sum()) / len(column) ** 2
 
 
 def _clustered_variance(column: np.ndarray, clusterings: list[np.ndarray]) -> float:
-    """Of the mean of a column (n,), with one clustering or two."""
+    """Variance of the mean of a column (n,), with one clustering or two."""
     variances = [_variance(column, labels) for labels in clusterings]
     if len(clusterings) == 1:
         return variances[0]
@@ -125,7 +125,7 @@ def _clustered_variance(column: np.ndarray, clusterings: list[np.ndarray]) -> fl
 
 
 def _two_way_scale(column: np.ndarray, first: np.ndarray, second: np.ndarray) -> float:
-    """By which the added deviations of both resamples are multiplied, so that they have the two-way variance."""
+    """Factor on the added deviations of both resamples that gives them the two-way variance."""
     added = _variance(column, first) + _variance(column, second)
     return float(np.sqrt(_clustered_variance(column, [first, second]) / added)) if added else 1.0
 

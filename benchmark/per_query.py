@@ -32,7 +32,7 @@ class PerQuery:
     covered: np.ndarray
     """bool: whether there is a prediction; without one, the zero motion is measured."""
     quantities: Mapping[str, np.ndarray]
-    """By key, those of `quantities.per_query()`: float in the unit of the key, or bool for a rate."""
+    """Values by key of `quantities.per_query()`: float in the unit of the key, or bool for a rate."""
     exact_test: np.ndarray
     """bool: whether the exact seating test ran."""
     exact_disagreement: np.ndarray

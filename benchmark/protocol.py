@@ -32,7 +32,7 @@ class Protocol:
     dataset: Mapping[str, str]
     """{"preset", "id"}: the dataset of the leaderboard."""
     metric_versions: Mapping[str, int]
-    """By name of a metric; must be those of `kit1000.metrics.METRIC_VERSIONS`."""
+    """Versions by name of a metric; must be those of `kit1000.metrics.METRIC_VERSIONS`."""
     tracks: Mapping[str, Mapping[str, str | None]]
     """{"split", "sensor", "guess"} of each track of the leaderboard."""
     splits: tuple[str, ...]

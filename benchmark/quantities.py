@@ -72,7 +72,7 @@ class Quantity:
 
     @property
     def heading(self) -> str:
-        """Of a column of plain text, such as `position mm`."""
+        """Heading of a column of plain text, such as `position mm`."""
         return f"{self.name if self.name.isupper() else self.name.lower()} {self.unit.text}"
 
     def text(self, value: float) -> str:

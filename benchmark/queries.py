@@ -22,7 +22,7 @@ class ScoredQueries:
 
     geometry: Geometry
     tracks: tuple[str, ...]
-    """Of each query."""
+    """Track of each query."""
     scene_ids: tuple[str, ...]
     truths: tuple[Truth, ...]
 

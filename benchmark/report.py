@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from benchmark import quantities
@@ -93,12 +93,12 @@ def _cell(quantity: Quantity, row: Mapping[str, Any]) -> str:
     return f"{quantity.text(value)} [{quantity.text(low)}, {quantity.text(high)}]"
 
 
-def table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
-    """Lines of a table: text aligned left, numbers right, columns two spaces apart."""
+def table(headings: Sequence[str], rows: Sequence[Sequence[str]], text: Collection[str] = ("track", "")) -> list[str]:
+    """Lines of a table: columns with the headings `text` aligned left, others right; two spaces between columns."""
     cells = [list(headings), *map(list, rows)]
     widths = [max(len(row[i]) for row in cells) for i in range(len(headings))]
-    text = [i for i, heading in enumerate(headings) if heading in ("track", "")]
-    return ["  ".join(_padded(row[i], widths[i], i in text) for i in range(len(row))).rstrip() for row in cells]
+    left = [heading in text for heading in headings]
+    return ["  ".join(map(_padded, row, widths, left)).rstrip() for row in cells]
 
 
 def _padded(text: str, width: int, left: bool) -> str:

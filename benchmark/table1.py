@@ -20,7 +20,6 @@ from kit1000.errors import InputError, did_you_mean
 from kit1000.files import write_bytes
 from kit1000.queries.tracks import PAPER_TRACKS, TRACKS
 
-MARK = "<!-- table1 -->"  # before and after the table in a document
 NOT_YET = "not yet"  # where no submission is scored
 NO_VALUE = "–"  # where nothing was measured or printed
 
@@ -49,7 +48,7 @@ PAPER_ROWS = {  # numbers: Table I of "Scene Editing as Teleoperation", arXiv 21
     "snapnet": PaperRow("SnapNet", (3.9, 4.9), (10.8, 29.6)),
     "snapnet-gtvol": PaperRow("SnapNet, true volumes", (3.7, 4.61), (8.1, 28.9)),
 }
-"""By key, as `paper_row` of a manifest names it."""
+"""Rows of the paper by key, as `paper_row` of a manifest names it."""
 HALVES = " and ".join(f"{half} ({track})" for half, track in PAPER_TRACKS.items())
 OVERVIEW = f"{HALVES.capitalize()}: mean errors, printed in the paper and measured here."
 PLAIN = {POSITION: POSITION_PLAIN, ROTATION: ROTATION_PLAIN}
@@ -86,7 +85,7 @@ class Row:
     printed: dict[str, Pair]
     """The paper's numbers, by track."""
     tracks: dict[str, dict[str, Any]]
-    """Of each scored track: n, coverage, and the errors as in scores.json."""
+    """Values of each scored track: n, coverage, and the errors as in scores.json."""
 
 
 @dataclass(frozen=True)
@@ -113,11 +112,11 @@ class Grid:
 
 
 def run(submissions: Path, out: Path | None = None) -> None:
-    """Print the tables as Markdown, or write them; a document gets the paper's table alone.
+    """Print the tables as Markdown, or write them.
 
     Args:
         submissions: folder with one folder per method.
-        out: FILE.md, FILE.json or FILE.html. In an existing .md file the text between two marks is replaced.
+        out: FILE.md, FILE.json or FILE.html.
     """
     table = read_table(submissions)
     if out is None:
@@ -125,8 +124,12 @@ def run(submissions: Path, out: Path | None = None) -> None:
         return
     if out.suffix not in (".md", ".json", ".html"):
         raise InputError(f"--out {out}: expected a name that ends in .md, .json or .html")
-    texts = {".json": lambda: json_text(asdict(table)), ".html": lambda: as_html(table)}
-    write_bytes(out, texts.get(out.suffix, lambda: _document(out, as_markdown(table, tracks=False)))().encode())
+    texts = {
+        ".json": lambda: json_text(asdict(table)),
+        ".html": lambda: as_html(table),
+        ".md": lambda: as_markdown(table),
+    }
+    write_bytes(out, texts[out.suffix]().encode())
 
 
 def read_table(submissions: Path) -> Table:
@@ -266,13 +269,13 @@ def as_markdown(table: Table, tracks: bool = True) -> str:
     for grid in grids(table) if tracks else (_overview(table),):
         blocks += [f"### {grid.title}", grid.description]
         rule = ["---", *["---:"] * (len(grid.headings) - 1)]
-        lines = (map(_markdown_cell, row) for row in (grid.headings, rule, *grid.rows))
+        lines = (map(markdown_cell, row) for row in (grid.headings, rule, *grid.rows))
         blocks.append("\n".join(f"| {' | '.join(line)} |" for line in lines))
     blocks += ["### Notes", "\n".join(f"- {note}" for note in table.notes)]
     return "\n\n".join(blocks) + "\n"
 
 
-def _markdown_cell(text: str) -> str:
+def markdown_cell(text: str) -> str:
     """The text of a cell: a label may hold any character."""
     return re.sub(r"[\\|<*_`]", r"\\\g<0>", text)
 
@@ -300,18 +303,3 @@ def _html_cells(tag: Literal["th", "td"], texts: Sequence[str]) -> str:
     heads = ['<th scope="col">', *['<th scope="col" class="num">'] * (len(texts) - 1)]
     opened = heads if tag == "th" else ['<td class="num">'] * len(texts)
     return "".join(f"{start}{escape(text)}</{tag}>" for start, text in zip(opened, texts, strict=True))
-
-
-def _document(path: Path, text: str) -> str:
-    """The text of a document with the table between two marks; the rest stays."""
-    if not path.exists():
-        return f"{MARK}\n\n{text}\n{MARK}\n"
-    try:
-        around = path.read_text(encoding="utf-8").split(MARK)
-    except (OSError, ValueError) as error:
-        raise InputError(f"--out {path}: cannot be read ({error})") from error
-    if len(around) != 3:
-        raise InputError(
-            f"--out {path}: expected a new file, or one with {MARK} twice; it is there {len(around) - 1} times"
-        )
-    return f"{around[0]}{MARK}\n\n{text}\n{MARK}{around[2]}"

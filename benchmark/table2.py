@@ -60,7 +60,7 @@ class ChainRow:
     label: str
     n: int
     possible: int
-    """Of them those whose part, moved truly, lies right side up and has a spot for a cup."""
+    """Number of those whose part, moved truly, lies right side up and has a spot for a cup."""
     seated: float
     """Share of the possible ones that the robot seats."""
     interval: tuple[float, float]
@@ -68,7 +68,7 @@ class ChainRow:
     tested: float
     """Share of the possible ones that the seating test passes."""
     agreement: dict[str, int]
-    """Of the parts that were picked: both, robot alone, test alone, neither."""
+    """Number of picked parts that both seat, the robot alone, the test alone, neither."""
     position_mm: float | None
     """Median error of all predictions."""
     rotation_deg: float | None
@@ -81,8 +81,8 @@ class ChainRow:
     against: dict[str, int]
     """Number of the possible ones that the row before seats and this does not, lost, and the reverse, won."""
     queries: list[dict[str, Any]]
-    """Of each query its id, outcome and detail, what is wrong with the motion (nothing where the seating test passes
-    it), and the errors [mm], [degrees]."""
+    """Rows of each query: its id, outcome and detail, what is wrong with the motion (nothing where the seating test
+    passes it), and the errors [mm], [degrees]."""
 
 
 @dataclass(frozen=True)

@@ -1,11 +1,14 @@
-"""The handler of SIGTERM, put back after a time in which it is another one."""
+"""Signals that end a command: SIGTERM raises as Ctrl-C does, and a wait that no signal slips past."""
 
 from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+
+LOOK_EVERY = 0.5  # [s]
 
 
 @contextmanager
@@ -33,6 +36,16 @@ def keeping_sigterm() -> Iterator[None]:
     finally:
         if before is not None:  # None: set by compiled code, which Python can neither read nor restore
             signal.signal(signal.SIGTERM, before)
+
+
+def wait_until_interrupted() -> None:
+    """Wait in the main thread for KeyboardInterrupt.
+
+    A wait without an end can miss it: a signal that comes just before the thread blocks sets a flag that only a running
+    interpreter reads. So the thread looks twice a second.
+    """
+    while True:
+        time.sleep(LOOK_EVERY)
 
 
 def in_main_thread() -> bool:

@@ -83,6 +83,11 @@ def test_the_wheel_opens_the_page(folder: Path, snap: tuple[str, ...]) -> None:
             assert urlopen(address, timeout=30).status == 200
         finally:
             page.terminate()
+            try:
+                page.communicate(timeout=60)
+            except subprocess.TimeoutExpired:
+                page.kill()
+                raise
 
 
 def test_the_wheel_holds_neither_baselines_nor_benchmark() -> None:

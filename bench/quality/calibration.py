@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from bench.measured_dataset import measured_dataset
 
+from bench.measured_dataset import measured_dataset
 from kit1000.dataset.reader import RecordedScene
 from kit1000.errors import Kit1000Error
 from kit1000.perception.calibration import BLIND_BAND, BORDERS, OUTLINE, calibrated

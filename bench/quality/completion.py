@@ -18,10 +18,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 import tyro
+
+from bench.measured_dataset import measured_dataset
 from bench.quality.completion_scores import Scores, completion_scores, component_measures
 from bench.quality.components import add_components
-from bench.measured_dataset import measured_dataset
-
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import Kit1000Error
 from kit1000.generation.presets import HELD_OUT

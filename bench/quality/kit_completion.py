@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import tyro
+
 from bench.quality.completion_scores import Scores, completion_scores, component_measures
 from bench.quality.components import add_components
-
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
 from kit1000.perception.observed.kits import ObservedKits

@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 import tyro
-from bench.measured_dataset import measured_dataset
 
 from baselines.training.tasks.kit_completion.views import on_plate
+from bench.measured_dataset import measured_dataset
 from benchmark.intervals import ENDS, bootstrap_means
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import Kit1000Error

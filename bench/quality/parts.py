@@ -18,13 +18,13 @@ from typing import Annotated
 
 import numpy as np
 import tyro
-from bench.quality.descriptors import Shape, d2_distance, d2_noise, describe, near_duplicates
 from sklearn.ensemble import RandomForestClassifier
 from sklearn.linear_model import LogisticRegression
 from sklearn.model_selection import StratifiedKFold, cross_val_score
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
+from bench.quality.descriptors import Shape, d2_distance, d2_noise, describe, near_duplicates
 from kit1000.errors import Redraw
 from kit1000.mesh import Mesh
 from kit1000.parts.catalog import FAMILIES

@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 import torch
 import tyro
-from bench.measured_dataset import measured_dataset
 
 from baselines.training.tasks.restoration.task import beside_jumps
 from baselines.training.tasks.restoration.views import SENSOR, example_of
-from benchmark.intervals import ENDS, bootstrap_means
+from bench.measured_dataset import measured_dataset
+from benchmark.measurements import Column, Measurement, Table, estimate
 from kit1000.dataset.reader import RecordedScene
 from kit1000.errors import Kit1000Error
 from kit1000.perception.restoration.restorer import Restorer
@@ -30,6 +30,7 @@ from kit1000.weights import WEIGHTS
 
 WAYS = ("calibrated", "rules", "network")
 PLACES = ("kits, beside edges", "kits, elsewhere", "parts, beside edges", "parts, elsewhere")
+SECONDS = (Column("n", "images"), Column("seconds", "mean, s", 2))
 FAR = 5.0  # [mm] from the truth, from which on a pixel shows another surface
 
 
@@ -44,6 +45,8 @@ class Restoration:
     """Stem of the network's weights."""
     scenes: int = 200
     """Most scenes, spread evenly over the split."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/restoration.json."""
 
 
 class Errors(NamedTuple):
@@ -65,18 +68,30 @@ def main(options: Restoration) -> None:
         ids = split.scene_ids
         count = min(options.scenes, len(ids))
         measured = [_measured(split.scene(ids[i * len(ids) // count]), restorer) for i in range(count)]
-        print(f"{dataset.root.name}, {options.split}: {count} scenes")
+        measurement = Measurement.begin(dataset)
+        columns = [
+            Column("place", "pixels"),
+            Column("way", "depth"),
+            Column("n", "scenes"),
+            Column("error", "error, mm", 2),
+        ]
+        columns += [Column("median", "median", 2), Column("far", f"beyond {FAR:g} mm, %", 1, True)]
+        title = f"Mean absolute error of the d415's depth, scenes of {options.split}"
+        table = measurement.table("errors", title, *columns)
         for place in PLACES:
-            _print(place, [errors[place] for errors, _ in measured if place in errors])
-        print(f"  seconds of the network: median {np.median([seconds for _, seconds in measured]):.2f}")
+            _add(table, place, [errors[place] for errors, _ in measured if place in errors])
+        speed = measurement.table("seconds", "CPU seconds of the network an image", *SECONDS)
+        speed.add(seconds=estimate([seconds for _, seconds in measured]), n=count)
+        measurement.report(options.out)
 
 
-def _print(place: str, rows: list[Errors]) -> None:
+def _add(table: Table, place: str, rows: list[Errors]) -> None:
+    """Add the errors of a place, a row for each of WAYS."""
     means, far = (np.array([row[k] for row in rows]) for k in (1, 2))
-    low, high = np.quantile(bootstrap_means(means, [[row.assembly_id for row in rows]]), ENDS, axis=0)
+    clusters = [row.assembly_id for row in rows]
     for k, way in enumerate(WAYS):
-        interval = f"{means[:, k].mean():5.2f} [{low[k]:.2f}, {high[k]:.2f}] mm"
-        print(f"  {place:20} {way:10} {interval}; {100 * far[:, k].mean():4.1f} % beyond {FAR:g} mm")
+        error = estimate(means[:, k], clusters)
+        table.add(place=place, way=way, n=len(rows), error=error, median=error["median"], far=far[:, k].mean())
 
 
 def _measured(scene: RecordedScene, restorer: Restorer) -> tuple[dict[str, Errors], float]:

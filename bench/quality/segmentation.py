@@ -11,8 +11,8 @@ from typing import Literal
 
 import numpy as np
 import tyro
-from bench.quality.components import add_components
 
+from bench.quality.components import add_components
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
 from kit1000.metrics.segmentation import matched_masks

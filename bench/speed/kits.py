@@ -17,9 +17,9 @@ from typing import TypeVar
 import numpy as np
 import tyro
 from manifold3d import Manifold
-from bench.speed.release_kits import MARGIN, VOXEL, release_kit, stretched
 from scipy.spatial import KDTree
 
+from bench.speed.release_kits import MARGIN, VOXEL, release_kit, stretched
 from kit1000.errors import Kit1000Error, Redraw
 from kit1000.kits.clearance import points_along
 from kit1000.kits.kit import CLEARANCE, KitDesign, Plate, design_kit

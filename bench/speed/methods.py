@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from bench.measured_dataset import measured_dataset
 
 from baselines.catalog import method_of
+from bench.measured_dataset import measured_dataset
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
 from kit1000.prediction.making import make_predictor

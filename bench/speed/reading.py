@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 import torch
 import tyro
-from bench.measured_dataset import measured_dataset
 from torch.utils.data import DataLoader
 
+from bench.measured_dataset import measured_dataset
 from kit1000.dataset.cache import VolumeCache
 from kit1000.dataset.items import Item, depth_item
 from kit1000.dataset.reader import Split

@@ -25,7 +25,7 @@ class Board:
     """All entries, and the common setting of their scores."""
 
     entries: tuple[Entry, ...]
-    """By name of their folders; never empty."""
+    """Entries by name of their folders; never empty."""
     unscored: tuple[str, ...]
     """Names of the submissions without scores."""
 
@@ -41,7 +41,7 @@ class Board:
 
     @property
     def date(self) -> str:
-        """Of the latest submission, YYYY-MM-DD."""
+        """Date of the latest submission, YYYY-MM-DD."""
         return max(entry.manifest.date for entry in self.entries)
 
     @property
@@ -94,7 +94,7 @@ class Row:
 
     entry: Entry
     cells: Mapping[str, Cell]
-    """By key of the column."""
+    """Cells by key of the column."""
     runtime: str
     """Its class of runtime, a key of RUNTIMES."""
 

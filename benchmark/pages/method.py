@@ -31,7 +31,7 @@ class CaseRow:
     cells: Sequence[str]
     """Its quantities, in the order of `quantities.shown_in("cases")`."""
     caption: str
-    """Of its picture."""
+    """Caption of its picture."""
     picture: str | None
     """Its file, relative to the page."""
 
@@ -53,9 +53,9 @@ class TrackSection:
     n: int
     charts: Sequence[Markup]
     groups: Mapping[str, Sequence[Group]]
-    """By title of their property."""
+    """Groups by title of their property."""
     cases: Mapping[str, Sequence[CaseRow]]
-    """By title of the list."""
+    """Cases by title of the list."""
 
 
 def tracks_of(entry: Entry) -> list[str]:

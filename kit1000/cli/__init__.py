@@ -46,15 +46,15 @@ class Generate:
     workers: OptionalInt = None
     """Number of processes; one per core when absent. The bytes do not depend on it."""
     parts: OptionalPath = None
-    """Folder, file or .txt list of meshes to use in place of procedural parts."""
+    """Folder, file or .txt list of meshes to use instead of procedural parts."""
     unit: Unit = None
-    """Unit of those meshes; guessed and reported when absent."""
+    """Unit of the meshes of --parts; guessed and reported when absent."""
     engine: Literal["local", "ray"] = "local"
-    """Where jobs run: in processes of this machine, or on a Ray cluster."""
+    """Engine that runs the jobs: processes of this machine, or a Ray cluster."""
     address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
     """Address of the Ray cluster (`auto` finds a local one); a new local cluster when absent."""
     withhold: OptionalPath = None
-    """Second folder: gets the full dataset, and --out everything but the ground truth of the test split."""
+    """Second folder, for the full dataset; --out then lacks the ground truth of the test split."""
 
     def run(self) -> int:
         """Generate the dataset and print its summary."""
@@ -119,8 +119,8 @@ class MakeKit:
     fit_mm: OptionalFloat = None
     """Scale the part to this longest side; true size when absent."""
     bodies: Annotated[Literal["union", "largest", "each"] | None, tyro.conf.arg(metavar="{union,largest,each}")] = None
-    """Of several bodies in the file: all as one part (they touch or overlap), the largest, or a kit for each in folders
-    01, 02, ...; when absent, several are refused unless one holds nearly all of the volume."""
+    """Treatment of several bodies in the file: all as one part (they touch or overlap), the largest alone, or a kit for
+    each in folders 01, 02, ...; when absent, several are refused unless one holds nearly all of the volume."""
 
     def run(self) -> int:
         """Make the kit, then print its report; returns 1 when a kit is not exact, or of each body not every one is."""
@@ -171,21 +171,21 @@ class Show:
     out: Path = Path("sheet.png")
     """PNG file to write; with --scene also FILE.mcap."""
     what: Literal["parts", "kits", "assemblies"] = "assemblies"
-    """What to draw."""
+    """Kind of items to draw."""
     count: int = 24
     """Number of items, evenly spaced over the split."""
     split: Literal["train", "val", "test"] = "test"
     """Split of the items."""
     ids: tuple[str, ...] = ()
-    """Ids of the items, in place of evenly spaced ones."""
+    """Ids of the items to draw instead of evenly spaced ones."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
-    """Id of a scene to draw in place of items: depth, masks, meshes and goals."""
+    """Id of a scene to draw instead of items: depth, masks, meshes and goals."""
     truth: Flag = False
-    """In an MCAP: with models, goals and seated parts."""
+    """Add models, goals and seated parts to an MCAP."""
     predictions: OptionalPath = None
-    """In an MCAP: predictions.csv whose answers to the scene are shown, coloured by their errors."""
+    """Predictions file whose motions of the scene an MCAP shows, coloured by their errors."""
     track: str | None = None
-    """In an MCAP: track of the queries, with their pivots and guesses; the first that asks in the scene when absent."""
+    """Track of the queries that an MCAP shows, with pivots and guesses; the first track of the scene when absent."""
 
     def run(self) -> int:
         """Draw the picture and print its path."""

@@ -55,7 +55,7 @@ class Predict:
     out: Path
     """Submission folder; predictions are added to a submission of the same method and dataset."""
     split: tuple[str, ...] = ("test",)
-    """One or several of test, curves, val, test-all, train."""
+    """Splits to predict: one or several of test, curves, val, test-all, train."""
     tracks: tuple[str, ...] = ()
     """Tracks to predict for; all tracks of the method when absent."""
     workers: OptionalInt = None
@@ -89,7 +89,7 @@ class Run:
     predictions: Path
     """Submission folder or predictions file; predictions of one track."""
     scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
-    """One scene, such as test-s0003; every scene with a prediction when absent."""
+    """Id of one scene, such as test-s0003; every scene with a prediction when absent."""
     track: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
     """Track whose predictions are carried out, where the file has several."""
     out: OptionalPath = None
@@ -121,7 +121,7 @@ class Edit:
     snap: Annotated[str, tyro.conf.arg(metavar="METHOD")] = SNAP
     """Method that proposes where parts fit: one of the catalog, module:Object of your own, or none."""
     interface: Literal["scene", "hand", "hand-bare"] = "scene"
-    """What you move: parts, or the robot's suction cup, one part at a time; bare: by gizmo, and nothing snaps."""
+    """Thing that you move: parts, or the robot's suction cup, one part at a time; bare: by gizmo, and nothing snaps."""
     port: OptionalInt = None
     """Port of the page; a free one when absent."""
     truth: Flag = False
@@ -152,21 +152,21 @@ class Study:
     people: OptionalInt = None
     """Number of participants, a multiple of 4; 12 when absent. Without other options: plan, and print all orders."""
     conditions: tuple[str, ...] = ()
-    """Two or four of scene-snap, scene, hand-snap, hand, hand-bare; scene-snap and hand when absent."""
+    """Conditions: two or four of scene-snap, scene, hand-snap, hand, hand-bare; scene-snap and hand when absent."""
     sensor: Annotated[Literal["ideal", "d415"] | None, tyro.conf.arg(metavar="{ideal,d415}")] = None
     """Sensor of the depth images; ideal when absent."""
     snap: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
     """Method of the conditions that snap; registration when absent."""
     seed: OptionalInt = None
-    """Of tasks and orders; 0 when absent."""
+    """Seed of tasks and orders; 0 when absent."""
     participant: OptionalInt = None
     """Number of the participant who sits in now, from 1; prints the address of the page."""
     port: OptionalInt = None
-    """Port of that page; a free one when absent."""
+    """Port of the participant's page; a free one when absent."""
     simulate: Annotated[str | None, tyro.conf.arg(metavar="OPERATOR")] = None
-    """Let exact, paper, fitts or careless sit in for all participants. Tests the machine; says nothing about people."""
+    """Operator that replaces all participants: exact, paper, fitts or careless. It tests the machine, not people."""
     judge: Literal["robot", "test"] = "robot"
-    """Who judges uploads, the same for a whole study: the robot, or the seating test, which takes no time."""
+    """Evaluator of the uploads of a whole study: the robot, or the seating test, which takes no time."""
     report: Flag = False
     """Write report.html and report.json of the people, or of the operator of --simulate when all have sat."""
 

@@ -31,7 +31,7 @@ ENCODINGS: dict[str, tuple[Callable[[Volume], np.ndarray], Callable[[Grid, np.nd
     "uint8": (to_uint8, from_uint8),
     "float16": (to_float16, from_float16),
 }
-"""By name: the functions that encode and decode the values of a volume."""
+"""Functions that encode and decode the values of a volume, by name of the encoding."""
 NAME = re.compile(r"[A-Za-z0-9][\w.-]*")  # of a dataset, scene or item: it becomes a file name
 RECIPE_DIGITS = 16  # of the hash that names the folder of a recipe
 _LENGTHS = struct.Struct("<QI")  # [bytes] of the array, of the line of JSON

@@ -53,7 +53,7 @@ SPLIT_QUERIES: dict[str, tuple[str, Callable[[Row], bool]]] = {
     "test-all": ("test", _not_curve),
     "curves": ("test", _is_curve),
 }
-"""By split: the folder of its shards, and whether a query of that folder belongs to the split."""
+"""Folder of the shards of each split, and whether a query of that folder belongs to the split."""
 
 
 class Dataset:
@@ -320,7 +320,7 @@ class RecordedScene:
 
     @cached_property
     def _world_from_kits(self) -> list[Pose]:
-        """By part."""
+        """Pose of the kit of each part."""
         return [pose_of(part["world_from_kit"]) for part in self._truth_row["parts"]]
 
     def _truth_of(self, query_id: str, truth_row: Row) -> Truth:

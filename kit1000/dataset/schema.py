@@ -25,7 +25,7 @@ class Observation:
 
     scene_id: str
     views: Mapping[str, View]
-    """By key: "ideal" and "d415" of the primary camera, "three/0/ideal" ... of an extra camera set."""
+    """Views by key: "ideal" and "d415" of the primary camera, "three/0/ideal" ... of an extra camera set."""
     labels: np.ndarray | None = None
     """(H, W) uint8 masks of the primary camera, see `kit1000.values.LabelledDepth`."""
     queries: tuple[Row, ...] = ()
@@ -46,8 +46,8 @@ class SceneTruth:
     "pixels", "visible", "slot_angle", "slot_visible", "unseen": reason or null}; `mount` is an index into the mounts of
     the assembly, `unseen` is why the part or its slot is not visible enough for a query."""
     queries: Mapping[str, Row]
-    """By query id: {"part", "goal_drawn": pose, "draw": {"goal", "turn", "offset": [3], "rotvec": [3]} or null}. The
-    draw is that of the guess: index of the goal, its angle [rad] about the free axis, offset [m] and rotvec [rad]."""
+    """Rows by query id: {"part", "goal_drawn": pose, "draw": {"goal", "turn", "offset": [3], "rotvec": [3]} or null}.
+    The draw is that of the guess: index of the goal, its angle [rad] about the free axis, offset [m], rotvec [rad]."""
     seg: np.ndarray
     """(H, W) uint16 segmentation: 0 nothing, 1 table, 2 assembly, 3 + i part i, 100 + k the cavity of mount k."""
     models: Mapping[str, bytes] = field(default_factory=dict)

@@ -192,7 +192,7 @@ class Display:
         return self.no_fit(body) if free and space.over_kits(body) else ""
 
     def _pick_text(self) -> str:
-        """Of the picking cup in the hand."""
+        """Text of the picking cup in the hand."""
         part = self.workspace.carried(PLACE)
         return texts.NOTHING_PICKED if part is None else texts.picked(part)
 

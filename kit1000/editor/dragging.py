@@ -17,7 +17,7 @@ from kit1000.pose import Pose, quaternion_between
 
 Modifier = Literal["shift", "cmd/ctrl", "alt"] | None
 NAMES: dict[Modifier, str] = {None: "move", "shift": "lift", "cmd/ctrl": "turn", "alt": "tilt"}
-"""Of the operation, in the history."""
+"""Names of the operations in the history."""
 
 TURN_PER_HEIGHT = 2 * np.pi  # [rad] for a drag across the height of the screen
 TILT_PER_HEIGHT = np.pi

@@ -51,7 +51,7 @@ class ViserStage:
         self._aspect = NARROW
         self._clients: list[int] = []
         self._notices: dict[int, Any] = {}
-        """Of the tabs that only watch."""
+        """Notices of the tabs that only watch."""
         self._dress()
 
     def listen(self, controller: Controller) -> None:

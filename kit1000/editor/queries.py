@@ -23,7 +23,7 @@ def editable_queries(scene: RecordedScene, sensor: str) -> dict[int, Query]:
 
 
 def answered_queries(queries: Iterable[Query], sensor: str) -> dict[str, Query]:
-    """Those that an edit answers, by id: of `snap`, the hand in place of the recorded guess, and of `place`."""
+    """Queries that an edit answers, by id: of `snap`, the hand instead of the recorded guess, and of `place`."""
     tracks = _track("snap", sensor), _track("place", sensor)
     return {query.id: query for query in queries if query.track in tracks}
 

@@ -11,7 +11,6 @@ import contextlib
 import io
 import os
 import socket
-import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +29,7 @@ from kit1000.editor.scene import EditedScene
 from kit1000.editor.worker import Method, Worker
 from kit1000.errors import InputError, InternalError
 from kit1000.files import check_writable, locked
+from kit1000.interrupts import wait_until_interrupted
 
 HOST = "127.0.0.1"
 PORTS = range(8080, 8100)  # tried in order, where none is asked for
@@ -91,7 +91,7 @@ def run(options: Options) -> None:
     with editing(options) as (controller, address):
         with contextlib.suppress(KeyboardInterrupt):
             print(f"{address}  (Ctrl-C ends; everything is saved in {options.out})", flush=True)
-            threading.Event().wait()
+            wait_until_interrupted()
         space = controller.space
         confirmed = sum(space.session.edits[part].confirmed for part in space.scene.parts)
         print(f"{options.out}: {confirmed} of {len(space.scene.parts)} parts confirmed")

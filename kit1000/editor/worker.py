@@ -39,7 +39,7 @@ class Method:
     snap: str
     """A method of the catalog, or `module:Object`."""
     root: Path
-    """Of the dataset."""
+    """Folder of the dataset."""
     scene_id: str
     sensor: str
     truth: bool

@@ -46,7 +46,7 @@ class Workspace:
         self.selected: int | None = None
         """The body in the hand."""
         self.fit_index = 0
-        """Of the fit that is shown, among those near the hand."""
+        """Index of the fit that is shown, among those near the hand."""
         self.shows_gizmo = False
         self.kits_hidden = False
 
@@ -139,7 +139,7 @@ class Workspace:
     # What keys and buttons would do.
 
     def pointed_at(self, part: int) -> tuple[int, Step]:
-        """Of a part's number: the body to take into the hand, and what that changes."""
+        """The body that a part's number takes into the hand, and what that changes."""
         return part, Step("", {})
 
     def moved(self, name: str, body: int, edit: PartEdit) -> Step:
@@ -160,7 +160,7 @@ class Workspace:
         return Step("snap " + ", ".join(part_name(part) for part in sorted(changes)), changes) if changes else None
 
     def confirmed(self, bodies: Sequence[int]) -> Step | None:
-        """Those of the bodies that are over a plate; None where none is."""
+        """The step that confirms the bodies over a plate; None where none is."""
         ready = [body for body in bodies if self.over_kits(body)]
         edits = {part: self.session.edits[part].confirm() for part in ready}
         return Step("confirm " + ", ".join(map(part_name, ready)), edits) if ready else None

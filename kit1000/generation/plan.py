@@ -48,7 +48,7 @@ class Sources:
     """Mesh files used in place of procedural parts."""
 
     files: dict[str, Path]
-    """By name: the path relative to their common folder, so that a plan contains no absolute path."""
+    """Files by name: the path relative to their common folder, so that a plan contains no absolute path."""
     unit: str | None = None
     """The unit of all files; None: as each file states, else guessed."""
 

@@ -54,7 +54,7 @@ class Preset:
     """Number of test scenes whose target has queries at every level of guess error. These queries together reveal the
     goal, so a withheld test split has none."""
     scale: float = 1.0
-    """Of both halves of the table and of the cameras' distances, where parts or plates are larger."""
+    """Scale of both halves of the table and of the cameras' distances, where parts or plates are larger."""
     frames: int = 1
     """Number of frames of which a depth image of the d415 is the median."""
     crowded: float = 1 / 3

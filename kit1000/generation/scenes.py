@@ -88,7 +88,7 @@ class _LayoutView:
     modes: tuple[str, ...]
     layout: Layout
     world_from_kits: tuple[Pose, ...]
-    """By part: the pose of its kit."""
+    """Pose of the kit of each part."""
     world_from_camera: Pose
     frame: RenderedImage
     parts: tuple[PartVisibility, ...]

@@ -19,7 +19,7 @@ METRIC_VERSIONS: dict[str, int] = {
     "chamfer": 1,
     "mean_iou": 1,
 }
-"""By metric; raised when its values change."""
+"""Version of each metric, raised when its values change."""
 
 __all__ = [
     "METRIC_VERSIONS",

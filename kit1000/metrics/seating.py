@@ -144,7 +144,7 @@ class _AssemblyJob:
     mesh: Mesh
     parts: dict[str, Mesh]
     kits: dict[str, _KitPlacement]
-    """By part id."""
+    """Kits by part id."""
     rows: tuple[int, ...]
     predicted: Pose
     truths: tuple[Truth, ...]

@@ -70,7 +70,7 @@ class Dot:
     low: float | None
     high: float | None
     note: str = ""
-    """At the end of the line, such as n = 40."""
+    """Text at the end of the line, such as n = 40."""
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ class Task:
     """A part to pick and to place."""
 
     name: str
-    """Of the part as an obstacle of the cell."""
+    """Name of the part as an obstacle of the cell."""
     touch: np.ndarray
     """(3,) [m] world: where the cup touches it."""
     world_from_part: Pose

@@ -30,7 +30,7 @@ class Method:
     options: Mapping[str, Any] = field(default_factory=dict)
     """Further arguments of the class."""
     tracks: tuple[str, ...] = ALL_TRACKS
-    """Those it predicts for; a method that corrects a guess needs one of GUESS_TRACKS."""
+    """Tracks it predicts for; a method that corrects a guess needs one of GUESS_TRACKS."""
     uses_true_geometry: bool = False
     """Whether it is handed the true geometry; the controls read the ground truth as well."""
     learned: bool = False
@@ -38,7 +38,7 @@ class Method:
     """Whether it is a control, such as the unchanged guess, and no method."""
     predicts: Literal["pose", "rotation"] = "pose"
     masks: Literal["given", "predicted"] = "given"
-    """Those of the dataset, or such as `kit1000.perception.segmentation` finds in the depth image."""
+    """Masks it reads: those of the dataset, or those that `kit1000.perception.segmentation` finds in the image."""
     training_data: str = ""
     """What it learned from."""
     weights: Mapping[str, Path] = field(default_factory=dict)

@@ -42,12 +42,12 @@ class RunConfig:
     """What a run predicts. With the dataset and the method's own files it determines every prediction."""
 
     name: str
-    """Of a method: one of the catalog, or module:Object; with PREDICTED_MASKS behind it, without given masks."""
+    """Method of the catalog, or module:Object; with PREDICTED_MASKS behind it, it reads predicted masks."""
     splits: tuple[str, ...] = ("test",)
     tracks: tuple[str, ...] | None = None
     """None: all tracks of the method."""
     seed: int = 0
-    """Of all draws of the method."""
+    """Seed of all draws of the method."""
     limit: int | None = None
     """Only the first so many queries."""
     tables: tuple[str, ...] = TABLES

@@ -64,7 +64,7 @@ class LayoutDraw:
     tumbled_rotations: np.ndarray
     """(n, 4) quaternions world_from_part, used for tumbled parts."""
     scale: float = 1.0
-    """Of both halves of the table; the lengths at the head of this module are those at 1."""
+    """Scale of both halves of the table; the lengths at the head of this module are those at 1."""
     crowding: Crowding | None = None
     """How the parts are pushed together; None: they stay apart."""
 

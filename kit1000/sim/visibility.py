@@ -43,7 +43,7 @@ class PartVisibility:
 
     pixels: int
     share: float
-    """Of the silhouette of the part alone in an unbounded image."""
+    """Visible share of the silhouette of the part alone in an unbounded image."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class SlotVisibility:
     angle: float
     """[rad], as of `slot_angle`."""
     share: float
-    """Of the cavity's surface area."""
+    """Visible share of the cavity's surface area."""
 
 
 class CavitySurface(NamedTuple):

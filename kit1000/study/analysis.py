@@ -72,7 +72,7 @@ JUDGED_BY_TEST = (
 RATED = tuple((scale.name, scale.title, "0 to 100") for scale in SCALES)
 LOAD = ("load", "Mean of the six", "0 to 100")
 Table = Mapping[str, Mapping[int, float]]
-"""By condition, then by participant: one value."""
+"""One value by condition, then by participant."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +83,10 @@ class Contrast:
     short: str
     """The name for the margin of a plot."""
     weights: Mapping[str, float]
-    """By condition; they sum to zero."""
+    """Weights by condition; they sum to zero."""
 
     def values(self, table: Table) -> dict[int, float]:
-        """By participant, of those who have all conditions in question."""
+        """Values by participant, of those who have all conditions in question."""
         people = set.intersection(*(set(table[condition]) for condition in self.weights))
         return {i: sum(weight * table[name][i] for name, weight in self.weights.items()) for i in sorted(people)}
 
@@ -241,7 +241,7 @@ def _preferred(plan: StudyPlan, people: Iterable[Participant]) -> dict[str, int]
 
 
 def _order(plan: StudyPlan, people: Sequence[Participant], outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Of the first outcomes: means by position; carry-over and period of two conditions."""
+    """Means by position of the first outcomes; carry-over and period of two conditions."""
     rows = []
     for outcome in outcomes[:PLOTTED]:
         by_position = [

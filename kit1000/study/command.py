@@ -25,7 +25,7 @@ DEFAULTS: Mapping[str, Any] = {
     "snap": SNAP,
     "seed": 0,
 }
-"""Of a plan, where an option is absent."""
+"""Values of a plan where an option is absent."""
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ class OperatorModel:
     scatters: bool
     """Whether aimed movements scatter."""
     lapses: float
-    """By which the chances of lapses are multiplied."""
+    """Factor on the chances of lapses."""
     error_ball: bool = False
     """Whether the hand errs as the guesses of the benchmark do, and takes the paper's time."""
 
@@ -116,7 +116,7 @@ class Hand:
     operator: OperatorModel
     condition: Condition
     pace: float
-    """By which this person's times are multiplied."""
+    """Factor on all times of this person."""
     rng: np.random.Generator
 
     def put(self, aim: Aim) -> Put:

@@ -43,7 +43,7 @@ class Column:
 
     name: str
     values: Mapping[str, float]
-    """By participant."""
+    """Values by participant."""
     mean: float | None
     low: float | None
     high: float | None

@@ -66,7 +66,7 @@ class PartResult:
     seated_by_test: bool
     """Whether the uploaded motion passes the seating test of the benchmark."""
     position_mm: float | None
-    """Of the uploaded motion to the nearest goal; None without one."""
+    """Position error of the uploaded motion to the nearest goal; None without one."""
     angle_deg: float | None
 
 
@@ -80,7 +80,7 @@ class TrialRecord:
     operator: Operator
     condition: str
     position: int
-    """Of the condition among those of the participant, from 1."""
+    """Place of the condition among those of the participant, from 1."""
     task: int
     """From 1, within the condition."""
     scene: str

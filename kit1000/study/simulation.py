@@ -233,7 +233,7 @@ class _Tally:
 
 
 def _pace(plan: StudyPlan, number: int, name: str) -> float:
-    """By which a person's times are multiplied: the same in all conditions; 1 for the operators without scatter."""
+    """Factor on all times of a person: the same in all conditions; 1 for the operators without scatter."""
     if not operator_of(name).scatters:
         return 1.0
     return float(np.exp(SPREAD * stream(plan.seed, "operator-pace", number).standard_normal()))

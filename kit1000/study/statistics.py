@@ -38,13 +38,13 @@ class Comparison:
     t_p: float
     wilcoxon_p: float
     normality_p: float
-    """Of Shapiro and Wilk."""
+    """P value of the test of Shapiro and Wilk."""
     test: str
     """t, or Wilcoxon where the differences do not look normal."""
 
     @property
     def p(self) -> float:
-        """Of the test that counts."""
+        """P value of the test that counts."""
         return self.t_p if self.test == "t" else self.wilcoxon_p
 
 

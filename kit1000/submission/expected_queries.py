@@ -26,7 +26,7 @@ class ExpectedQueries:
 
     dataset_id: str
     checksum: str | None
-    """Of the files of this copy; None when dataset.json has none."""
+    """Checksum of the files of this copy; None when dataset.json has none."""
     query_ids: tuple[str, ...]
     tracks: tuple[str, ...]
     """(n,) track of each query."""

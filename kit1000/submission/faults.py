@@ -45,7 +45,7 @@ class FaultList:
     """Faults, of which those of the first lines are kept and all are counted."""
 
     kept: list[Fault] = field(default_factory=list)
-    """At most MOST_KEPT errors and MOST_KEPT warnings."""
+    """The first errors and warnings, at most MOST_KEPT of each."""
     errors: int = 0
     warnings: int = 0
 
@@ -103,7 +103,7 @@ class Report:
     against_data: bool
     """Whether ids and motions were checked against a dataset, or only the format."""
     error_count: int
-    """Of all errors, kept in `faults` or not."""
+    """Number of all errors, kept in `faults` or not."""
     warning_count: int
     form_errors: tuple[Fault, ...]
     """Errors of the manifest, of the header, of ids, or of all rows together: not those of single predictions."""

@@ -43,7 +43,7 @@ class Manifest:
     description: str
     """One or two sentences."""
     url: str = ""
-    """Of the paper or the code."""
+    """Address of the paper or the code."""
     date: str
     """YYYY-MM-DD"""
     dataset_id: str
@@ -71,7 +71,7 @@ class Manifest:
     reproduce: str = ""
     """The command that makes these predictions."""
     dataset_checksum: str = ""
-    """Of the copy of the dataset that was read, as dataset.json has it."""
+    """Checksum of the copy of the dataset that was read, as dataset.json has it."""
 
     def __post_init__(self) -> None:
         for name in ("authors", "tracks"):

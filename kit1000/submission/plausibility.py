@@ -148,7 +148,7 @@ ALTERNATIVES: dict[str, tuple[Callable[[Pose, np.ndarray], np.ndarray], str, str
         "write x, y, z as pivot + shift - R pivot, with the centre of your rotation as pivot",
     ),
 }
-"""By code: the pivots (n, 3) [m] if the numbers are read another way; what that shows; the repair."""
+"""Another reading by code: the pivots (n, 3) [m] that it gives; what that shows; the repair."""
 
 
 def _motion_fault(motions: Pose, pivots: np.ndarray, guessed_positions: np.ndarray) -> FaultDetails | None:

@@ -56,7 +56,7 @@ def _uncollapsed(faces: np.ndarray) -> np.ndarray:
 
 
 def longest_side(vertices: np.ndarray) -> float:
-    """Of the bounding box."""
+    """Longest side of the bounding box."""
     return float(np.ptp(vertices, axis=0).max())
 
 

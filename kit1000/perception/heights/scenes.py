@@ -38,11 +38,11 @@ class SceneHeights:
     """What three cameras show of a scene."""
 
     kits: HeightMap
-    """Of the half of the table where kits stand."""
+    """Heights of the half of the table where kits stand."""
     middle: np.ndarray
     """(2,) [m] middle of the extent of the observed kits."""
     parts: dict[int, HeightMap]
-    """By the index of the part; UNSEEN beside it."""
+    """Heights by the index of the part; UNSEEN beside it."""
 
 
 class RecordedHeights:
@@ -72,7 +72,7 @@ class RenderedHeights:
 
     @classmethod
     def beside(cls, dataset: Dataset) -> RenderedHeights:
-        """Those kept in the folder NAME.heights beside a dataset."""
+        """Maps kept in the folder NAME.heights beside a dataset."""
         return cls(dataset, dataset.root.with_name(f"{dataset.root.name}.heights"))
 
     def __reduce__(self) -> tuple[type[RenderedHeights], tuple[Dataset, Path]]:

@@ -26,9 +26,9 @@ class ObservedColumns:
     """What depth images show of an object, in cells that are half a voxel wide and a voxel high."""
 
     grid: Grid
-    """Of the volumes: every second cell along x and y."""
+    """Grid of the volumes: every second cell along x and y."""
     fine: Grid
-    """Of half a voxel: its every second layer has the cells."""
+    """Grid of half a voxel: its every second layer has the cells."""
     distance: np.ndarray
     """(2 nx, 2 ny, nz) observed distance, in truncations of half a voxel; positive is free, NaN unknown."""
     below_top: np.ndarray

@@ -33,7 +33,7 @@ class ObservedKits:
     image: LabelledDepth
     noise: Noise
     name: str
-    """Of the image: names the stream of its random draws."""
+    """Name of the image and of the stream of its random draws."""
     half_width: float = HALF_WIDTH
     """[m] from the middle of a volume to its sides."""
     completer: ReliefCompleter | None = None

@@ -41,7 +41,7 @@ class ObservedPart:
 
     image: LabelledDepth
     label: int
-    """Of the part, in the masks."""
+    """Label of the part in the masks."""
     pivot: np.ndarray
     """(3,) [m] world: about where the part lies."""
     others: tuple[LabelledDepth, ...] = ()

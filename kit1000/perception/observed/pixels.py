@@ -33,7 +33,7 @@ class Noise(NamedTuple):
 IDEAL = Noise(0.5e-3, float(np.radians(4)), 3)
 SENSOR = Noise(2e-3, float(np.radians(8)), 7, float(np.radians(6)))
 RESTORED = Noise(1.2e-3, float(np.radians(6)), 5, float(np.radians(6)), bent=True)
-"""Of an image of SENSOR that a network restored."""
+"""Noise of an image of SENSOR that a network restored."""
 
 
 def noise_of(sensor: str, restored: bool = False) -> Noise:

@@ -36,7 +36,7 @@ class RestorationConfig:
     views: int = 1500
     """Fresh views of scenes, of which the training examples are crops."""
     views_seed: int = 2029
-    """Of these views."""
+    """Seed of these views."""
 
 
 RESTORATION = {

@@ -27,9 +27,9 @@ FEATURES = (
     "one", "gap", "beyond 4 mm", "overlap", "defect", "width", "beyond 55 mm", "area",
     "smooth", "stepped", "apart", "height", "standing",
 )  # fmt: skip
-"""Of a pair: 1; [mm] gap between the outlines, its part beyond 4 mm, their overlap; area of the common outline that
-neither covers, over the smaller one; [5 cm] width of the common outline and [cm] its part beyond 55 mm; [10 cm^2] its
-area; share of the smaller piece's border along which they meet without and with a step; whether they meet nowhere;
+"""Features of a pair: 1; [mm] gap between the outlines, its part beyond 4 mm, their overlap; area of the common outline
+that neither covers, over the smaller one; [5 cm] width of the common outline and [cm] its part beyond 55 mm; [10 cm^2]
+its area; share of the smaller piece's border along which they meet without and with a step; whether they meet nowhere;
 [cm] lowest point of the larger one; share of the border with which both stand on the table."""
 Score = Callable[[np.ndarray], np.ndarray]
 

@@ -33,7 +33,7 @@ class CentresConfig:
     views: int = 1500
     """Fresh views of scenes, of which the training examples are crops."""
     views_seed: int = 2030
-    """Of these views."""
+    """Seed of these views."""
 
 
 CENTRES = {

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from kit1000.perception.segmentation.part_finder import PartFinder
 
 MASKS_WEIGHTS = ("restoration-unmasked", "segmentation")
-"""Of the network that restores noisy images, and of that which tells parts apart in them."""
+"""Weights of the network that restores noisy images, and of the one that separates parts in them."""
 WINDOW = 10  # [px] around the pivot: the part where no instance is found
 
 
@@ -29,7 +29,7 @@ class OnPredictedMasks:
 
     predictor: Predictor
     scale: float = 1.0
-    """Of the dataset's scenes."""
+    """Scale of the dataset's scenes."""
 
     def __call__(self, query: Query, geometry: TrueGeometry | None, /) -> PredictedMotion:
         """What the method predicts; segmentation is part of the method."""

@@ -24,8 +24,8 @@ RIGHT = {
     "d415": (4.6e-3, 1.1e-3),
     "restored": (3.9e-3, 0.6e-3),
 }
-"""By kind of image: the misfit [m] at which a plate is as likely the right one as not, and the spread of the logistic
-curve, fitted to the places of the split val."""
+"""Logistic curve of each kind of image: the misfit [m] at which a plate is as likely the right one as not, and the
+spread, fitted to the places of the split val."""
 NO_FIT = -2.0  # log odds of a plate in which no fit was refined: the image contradicts all of them
 
 

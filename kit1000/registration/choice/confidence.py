@@ -17,7 +17,7 @@ class Curve(NamedTuple):
     spread: float
     """[m]"""
     lead_share: float = 0.0
-    """Of the lead of a fit, taken off its doubt: another pose may fit as well."""
+    """Share of the lead of a fit that is taken off its doubt: another pose may fit as well."""
 
 
 CURVES = {
@@ -29,9 +29,9 @@ CURVES = {
     ("truth", "ideal"): Curve(5.5e-3, 0.4e-3),
     ("truth", "d415"): Curve(5.5e-3, 0.4e-3),
 }
-"""By source and kind of image. Those of depth are fitted to 210 snaps of parts that are turned over (train) and 100
-places (val) on ideal images, to 73 snaps and 47 places (val) on d415, both with completed parts, and to 593 snaps and
-391 places (train and val) on images of the d415 that a network restored. The others are fitted to the split val."""
+"""Curves by source and kind of image. Those of depth are fitted to 210 snaps of parts that are turned over (train) and
+100 places (val) on ideal images, to 73 snaps and 47 places (val) on d415, both with completed parts, and to 593 snaps
+and 391 places (train and val) on images of the d415 that a network restored. The others are fitted to the split val."""
 
 
 def confidence(doubt: float, lead: float, source: str, kind: str) -> float:

@@ -78,7 +78,7 @@ D415 = Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 4e-3, 0.0, 0.3, 1.0, Residuals
 free is hardly surer than what a network fills."""
 RESTORED = D415._replace(doubt=Residuals(0.0, 1.0, 0.0, 0.3, 0.0, 0.0), hidden=1e-3)
 REFINEMENTS = {"ideal": EXACT, "d415": D415, "restored": RESTORED}
-"""By kind of image: its sensor, or restored where a network restored it."""
+"""Refinement of each kind of image: its sensor, or restored where a network restored it."""
 
 
 def register_certain(source: DepthSource, query: Query, clearance: float, further: bool = True) -> list[Fit]:
@@ -162,7 +162,7 @@ class _Search:
         return Fit(goal_from_now, left.weighted(MISFIT), doubt, candidate)
 
     def _residuals(self, candidate: Candidate, intervals: Intervals) -> Residuals:
-        """Those of a refined candidate, without the outline's."""
+        """Residuals of a refined candidate, without the outline's."""
         contradicted, coarse = self._contradictions(candidate).score, COARSE_WEIGHT * candidate.misfit
         unseen = 0.0 if candidate.seen else UNSEEN_MISFIT
         return Residuals(intervals.outside, intervals.filled, 0.0, contradicted, coarse, unseen)

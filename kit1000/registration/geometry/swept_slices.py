@@ -162,7 +162,7 @@ def cell_at(x, y, above, shape):
 
 @compiled
 def nearer(a, b):
-    """Of two signed distances, that of the nearer surface; the second where both are as near."""
+    """The signed distance of the nearer surface, of two; the second where both are as near."""
     return a if abs(a) < abs(b) else b
 
 

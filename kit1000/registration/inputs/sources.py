@@ -31,7 +31,7 @@ class Source(Protocol):
 
     @property
     def noise(self) -> Noise:
-        """Of points and normals."""
+        """Noise of points and normals."""
         ...
 
     @property
@@ -46,7 +46,7 @@ class Source(Protocol):
 
     @property
     def cavities(self) -> dict[float, list[Cavity]]:
-        """Those found so far in the kits, by the side [m] of their reliefs; a search adds to them."""
+        """Cavities found so far in the kits, by the side [m] of their reliefs; a search adds to them."""
         ...
 
     def part(self) -> Volume:
@@ -128,7 +128,7 @@ class DepthSource:
 
     @property
     def noise(self) -> Noise:
-        """Of the image."""
+        """Noise of the image."""
         return noise_of(self.query.sensor, self.restored)
 
     def part(self) -> Volume:

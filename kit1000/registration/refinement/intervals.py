@@ -121,7 +121,7 @@ class IntervalProblem:
     points: np.ndarray
     """(n, 3) [m] plate frame: of the cavity."""
     sweeps: tuple[Sweep, Sweep, Sweep]
-    """Of the filled, the surely solid and the possible part."""
+    """Sweeps of the filled, the surely solid and the possible part."""
     down_normal: np.ndarray
     """(3,) plate frame: normal of the lower face in the rotation of the sweeps."""
     clearance: float

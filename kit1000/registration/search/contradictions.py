@@ -41,7 +41,7 @@ class KitHeights:
 
     @classmethod
     def of(cls, cavity: Cavity, clearance: float) -> KitHeights:
-        """Of a cavity; an unknown floor lies between the cavity's depth and what is seen to be free."""
+        """Heights of a cavity; an unknown floor lies between the cavity's depth and what is seen to be free."""
         known = ~np.isnan(cavity.certain_relief)
         bottom = np.where(cavity.region, -cavity.depth, -BELOW)
         low = np.where(known, cavity.certain_relief, np.minimum(bottom, cavity.certain_free))

@@ -207,7 +207,7 @@ class KitImage:
 
     cells: int
     size: int
-    """Of the transforms: no less than the cells."""
+    """Size of the transforms: no less than the cells."""
     weighted_relief: np.ndarray
     """Transform of the relief times its trust."""
     trust: np.ndarray

@@ -31,13 +31,13 @@ class KitCompletionConfig:
     views: int = 14_000
     """Fresh views that the training examples show, mirrored or not."""
     drawn_share: float = 0.5
-    """Of the views: with a kit cut for a fresh part in place of one of the train split."""
+    """Share of the views with a kit cut for a newly sampled part instead of one of the train split."""
     drawn_kits: int = 3000
-    """Such kits."""
+    """Number of these newly cut kits."""
     stretched_share: float = 0.75
-    """Of the views: with that kit stretched."""
+    """Share of the views with their kit stretched."""
     views_seed: int = 2034
-    """Of views and kits."""
+    """Seed of views and kits."""
 
 
 KIT_COMPLETION = {

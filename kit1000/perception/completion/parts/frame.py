@@ -65,7 +65,7 @@ def framed(
 
 
 def scale_of(image: LabelledDepth, label: int, table_height: float = 0.0) -> float:
-    """By which the scene of a part is shrunk: 1 unless it is seen to be LARGEST or more, then to a TYPICAL part.
+    """Factor that shrinks the scene of a part: 1 unless it is seen to be LARGEST or more, then to a TYPICAL part.
 
     The arguments are those of `framed`.
     """
@@ -95,7 +95,7 @@ def _enlarged(grid: Grid, table_height: float, scale: float) -> Grid:
 
 
 class _Extents(NamedTuple):
-    """Of what is seen of a part, without the OUTLIERS, in a world whose table is at height 0."""
+    """Extents of what is seen of a part, without the OUTLIERS, in a world whose table is at height 0."""
 
     yaw: float
     """[rad] of the direction away from the camera."""
@@ -106,7 +106,7 @@ class _Extents(NamedTuple):
 
 
 def _extents(view: View, mask: np.ndarray) -> _Extents | None:
-    """Of the pixels (H, W) of a part; None where there is none."""
+    """Extents of the pixels (H, W) of a part; None where there is none."""
     points = pixel_points(view, mask)
     if len(points) == 0:
         return None

@@ -32,9 +32,9 @@ class CompletionConfig:
     parts: int = 20_000
     """Fresh parts that the training examples show."""
     parts_seed: int = 2026
-    """Of these parts."""
+    """Seed of these parts."""
     d415_share: float = 0.35
-    """Of the training examples: measured by the d415, the others ideal."""
+    """Share of the training examples that the d415 measures; the others are ideal."""
 
 
 COMPLETION = {

@@ -1,0 +1,224 @@
+"""A measurement: tables of what a program measured, with the setting in which it did; results/NAME.json holds one.
+
+A program adds rows to tables and prints them; by `--out` it also writes the file. Documents show its tables between
+marks, see `benchmark.documents`, so no number that was measured is ever typed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import platform
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from benchmark.intervals import ENDS, bootstrap_means, wilson_interval
+from benchmark.provenance import commit
+from benchmark.report import json_text, table
+from kit1000.dataset.reader import Dataset
+from kit1000.errors import InputError
+from kit1000.files import write_bytes
+from kit1000.metrics import METRIC_VERSIONS
+
+NO_VALUE = "–"  # where nothing was measured
+SETTING = (
+    "command",
+    "commit",
+    "date",
+    "hardware",
+    "dataset_id",
+    "data_version",
+    "metric_versions",
+)  # beside the tables
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table."""
+
+    key: str
+    """Key of its values in each row."""
+    heading: str
+    """Heading with the unit, such as `error, mm`."""
+    decimals: int | None = None
+    """Number of decimals; None for text and whole numbers."""
+    percent: bool = False
+    """Whether shares from 0 to 1 are shown in percent."""
+
+    def text(self, value: Any) -> str:
+        """A value as shown: a number, a text, or an estimate as `mean [low, high]`."""
+        if isinstance(value, Mapping):
+            middle = value["rate"] if "rate" in value else value["mean"]
+            low, high = value["ci95"]
+            return f"{self.text(middle)} [{self.text(low)}, {self.text(high)}]"
+        if value is None or (isinstance(value, float) and not np.isfinite(value)):
+            return NO_VALUE
+        if self.decimals is None or isinstance(value, str):
+            return str(value)
+        return f"{round(100 * value if self.percent else value, self.decimals) + 0.0:,.{self.decimals}f}"
+
+
+@dataclass
+class Table:
+    """Rows of values under columns."""
+
+    name: str
+    """Name within its measurement, as in the mark of a document."""
+    title: str
+    """One line that says what is compared, over how many cases."""
+    columns: Sequence[Column]
+    rows: list[dict[str, Any]] = field(default_factory=list)
+
+    def add(self, **values: Any) -> None:
+        """Add a row: values by the keys of columns; numbers of numpy become those of Python."""
+        unknown = set(values) - {column.key for column in self.columns}
+        if unknown:
+            raise InputError(f"table {self.name}: there is no column {', '.join(sorted(unknown))}")
+        self.rows.append({key: _plain(value) for key, value in values.items()})
+
+    def cells(self) -> list[list[str]]:
+        """The rows as shown."""
+        return [[column.text(row.get(column.key)) for column in self.columns] for row in self.rows]
+
+
+@dataclass
+class Measurement:
+    """The tables of a program and their setting, which is written down when it begins."""
+
+    setting: dict[str, Any]
+    """Values by SETTING."""
+    tables: dict[str, Table] = field(default_factory=dict)
+
+    @classmethod
+    def begin(cls, dataset: Dataset | None = None) -> Measurement:
+        """A measurement without tables, of this command on this machine. dataset: what it measures on, if any."""
+        setting = {
+            "command": _command(dataset),
+            "commit": commit(),
+            "date": datetime.now(timezone.utc).strftime("%Y-%m-%d"),
+            "hardware": hardware(),
+            "dataset_id": dataset.id if dataset else None,
+            "data_version": dataset.summary["data_version"] if dataset else None,
+            "metric_versions": dict(METRIC_VERSIONS),
+        }
+        return cls(setting)
+
+    def table(self, name: str, title: str, *columns: Column) -> Table:
+        """Add an empty table."""
+        self.tables[name] = Table(name, title, columns)
+        return self.tables[name]
+
+    def report(self, out: Path | None) -> None:
+        """Print the tables and, where `out` is given, write them there as JSON."""
+        print(self.text())
+        if out is not None:
+            self.write(out)
+
+    def text(self) -> str:
+        """The tables for a terminal."""
+        blocks = []
+        for each in self.tables.values():
+            words = [column.heading for column in each.columns if column.decimals is None]
+            lines = table([column.heading for column in each.columns], each.cells(), words)
+            blocks.append("\n".join([each.title, *(f"  {line}" for line in lines)]))
+        return "\n\n".join(blocks)
+
+    def write(self, path: Path) -> None:
+        """Write the measurement as JSON."""
+        tables = {
+            name: {
+                "title": each.title,
+                "columns": [[c.key, c.heading, c.decimals, c.percent] for c in each.columns],
+                "rows": each.rows,
+            }
+            for name, each in self.tables.items()
+        }
+        write_bytes(path, json_text({**self.setting, "tables": tables}).encode())
+
+
+def read_measurement(path: Path) -> Measurement:
+    """The measurement in a file. Raises InputError naming the file where it is none."""
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        setting = {key: stored[key] for key in SETTING}
+        tables = {
+            name: Table(name, each["title"], [Column(*column) for column in each["columns"]], each["rows"])
+            for name, each in stored["tables"].items()
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(
+            f"{path}: expected a measurement as a program of bench/ writes it by --out ({error})"
+        ) from error
+    return Measurement(setting, tables)
+
+
+def estimate(values: ArrayLike, clusters: Sequence[str] | None = None) -> dict[str, Any]:
+    """n, mean, median and the 95 % interval of the mean of (n,) values, by a bootstrap over clusters.
+
+    clusters: n labels; values of equal labels are not independent, such as those of one assembly. None: all are.
+    """
+    values = np.asarray(values, float)
+    if not len(values):
+        raise InputError("values: none, and a mean needs at least one")
+    labels = np.arange(len(values)) if clusters is None else np.asarray(clusters)
+    low, high = np.quantile(bootstrap_means(values[:, None], [labels])[:, 0], ENDS)
+    return {"n": len(values), "mean": values.mean(), "median": np.median(values), "ci95": [low, high]}
+
+
+def rate(passed: ArrayLike) -> dict[str, Any]:
+    """n, share and Wilson's 95 % interval of (n,) bool."""
+    passed = np.asarray(passed, bool)
+    if not len(passed):
+        raise InputError("values: none, and a share needs at least one")
+    share = float(passed.mean())
+    return {"n": len(passed), "rate": share, "ci95": list(wilson_interval(share, len(passed)))}
+
+
+def hardware() -> str:
+    """The processor of this machine and the number of its cores that this process may use."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        name = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        name = platform.processor() or platform.machine()
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"{name}, {cores} cores"
+
+
+def _command(dataset: Dataset | None) -> str:
+    """The command line as one would type it in the checkout, with DATA for the folder of the dataset."""
+    root = Path(__file__).parents[1]
+    program = Path(sys.argv[0]).resolve()
+    inside = program.is_relative_to(root) and ".venv" not in program.parts
+    words = [program.relative_to(root).as_posix() if inside else program.name, *sys.argv[1:]]
+    here = {str(dataset.root), str(dataset.root.resolve())} if dataset else set()
+    kept: list[str] = []
+    for word in words:
+        kept.append("DATA" if here & {word, str(Path(word).resolve())} else word)
+    return " ".join(["python", *_without_out(kept)])
+
+
+def _without_out(words: list[str]) -> list[str]:
+    """Words without `--out FILE`, which says where and not what."""
+    if "--out" not in words:
+        return words
+    place = words.index("--out")
+    return words[:place] + words[place + 2 :]
+
+
+def _plain(value: Any) -> Any:
+    """A value with numbers of numpy as those of Python; infinite and undefined ones are None, which JSON can hold."""
+    if isinstance(value, Mapping):
+        return {key: _plain(inner) for key, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(inner) for inner in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not np.isfinite(value) else value
