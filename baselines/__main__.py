@@ -45,23 +45,23 @@ class Predict:
     """Run a method on the queries of a dataset; the same command again resumes an interrupted run."""
 
     name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]
-    """A method of the list, or module:Object of your own."""
+    """Method of the list, or module:Object of your own."""
     data: Path
     """Dataset folder."""
     out: Path
     """Submission folder; predictions are added to a submission of the same method and dataset."""
     split: tuple[str, ...] = ("test",)
-    """test, curves, val, test-all, train: one or several."""
+    """Splits to predict: one or several of test, curves, val, test-all, train."""
     tracks: tuple[str, ...] = ()
-    """Only these tracks; all tracks of the method by default."""
+    """Tracks to predict for; all tracks of the method by default."""
     workers: Count = None
-    """Processes; one per core by default. The predictions do not depend on it."""
+    """Number of processes; one per core by default. The predictions do not depend on it."""
     limit: Count = None
-    """Only the first N queries."""
+    """Number of queries, from the first on; all by default."""
     seed: int = 0
-    """Of all draws of the method."""
+    """Seed of all draws of the method."""
     masks: Literal["given", "predicted"] = "given"
-    """Those of the dataset, or such as segmentation of the depth image finds."""
+    """Masks that the method reads: those of the dataset, or those that segmentation finds in the depth image."""
 
     def run(self) -> int:
         """Predict, then print what was written."""
@@ -85,9 +85,9 @@ class Rerun:
     data: Path
     """Dataset folder."""
     first: Annotated[int, tyro.conf.arg(metavar="N")] = 50
-    """How many queries of each, from the first on."""
+    """Number of queries of each submission, from the first on."""
     workers: Count = None
-    """Processes; one per core by default."""
+    """Number of processes; one per core by default."""
 
     def run(self) -> int:
         """Predict and compare; 1 where a prediction differs."""
@@ -108,29 +108,29 @@ class Train:
     """Train a network; the same command again resumes after a stop, a crash or a kill."""
 
     name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]
-    """Such as snapnet-gtvol-position; a wrong name lists them all."""
+    """Name of the network, such as snapnet-gtvol-position; a wrong name lists them all."""
     data: Path
     """Dataset folder, with its ground truth."""
     out: Path
     """Folder of this run: checkpoint, log, best weights."""
     preset: str = "small"
-    """small for two cores, paper in the paper's sizes for a GPU; pretraining, then pretraining-2: to start from."""
+    """Sizes and training: small for two cores, paper for a GPU; pretraining, then pretraining-2, to start from."""
     steps: Count = None
-    """Of training; the preset's own by default, like the next two."""
+    """Number of training steps; that of the preset by default."""
     batch: Count = None
-    """Examples of a step."""
+    """Number of examples of a step; that of the preset by default."""
     seed: Count = None
-    """Of the initial weights and all draws."""
+    """Seed of the initial weights and all draws; that of the preset by default."""
     learning_rate: Annotated[float | None, tyro.conf.arg(metavar="X")] = None
-    """At its peak."""
+    """Learning rate at its peak; that of the preset by default."""
     start: Path | None = None
     """Weights to start from, a .safetensors file of the same network; new ones by default."""
     workers: Count = None
-    """Processes that make examples."""
+    """Number of processes that make examples; that of the preset by default."""
     threads: Count = None
-    """Of PyTorch."""
+    """Number of PyTorch threads; that of the preset, or one a core, by default."""
     time_limit_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
-    """Stop after this long, with a checkpoint."""
+    """Time [s] after which training stops, with a checkpoint; no limit by default."""
 
     def run(self) -> int:
         """Train, then print how it ended."""
@@ -151,10 +151,10 @@ class Ship:
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """Folder that `train` wrote."""
     commit: str
-    """Of the code that trained them: `git rev-parse HEAD`."""
+    """Commit of the code that trained the weights: `git rev-parse HEAD`."""
     precision: Precision = "float32"
-    """In which they are stored: float16 is half as large, rounded by up to 1 in 2048; int8 a quarter, rounded to 127ths
-    of the largest number of each row."""
+    """Number type of the stored weights: float16 is half as large, rounded by up to 1 in 2048; int8 a quarter, rounded
+    to 127ths of the largest number of each row."""
 
     def run(self) -> int:
         """Copy, then print where to."""

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
-from mini import HIDDEN, HIDDEN_SEED, MINI, Published, fake_scene, publish_by_command
 
 from kit1000.generation import shards
 from kit1000.generation.build import generate
 from kit1000.generation.presets import PRESETS
+from tests.samples.mini import HIDDEN, HIDDEN_SEED, MINI, Published, fake_scene, publish_by_command
 
 settings.register_profile("kit1000", deadline=None)  # a busy machine may take its time
 settings.load_profile("kit1000")

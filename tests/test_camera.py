@@ -11,7 +11,7 @@ from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError, ShapeError
 from kit1000.pose import Pose
 from kit1000.rng import stream
-from tests.strategies import directions, poses, vectors
+from tests.samples.strategies import directions, poses, vectors
 
 ROUNDING = 1e-14
 laws = settings(max_examples=50)

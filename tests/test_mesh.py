@@ -21,8 +21,8 @@ from kit1000.mesh import (
     surface_points,
 )
 from kit1000.pose import Pose
-from tests.shapes import box, cylinder, random_solid, standing
-from tests.strategies import poses
+from tests.samples.shapes import box, cylinder, random_solid, standing
+from tests.samples.strategies import poses
 
 CUBE = mesh_from_solid(standing(box(20, 30, 40)))
 

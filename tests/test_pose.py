@@ -20,7 +20,7 @@ from kit1000.pose import (
     random_quaternions,
 )
 from kit1000.rng import stream
-from tests.strategies import (
+from tests.samples.strategies import (
     directions,
     pose_batches,
     poses,

@@ -22,7 +22,7 @@ from kit1000.pose import (
     unit_vector,
 )
 from kit1000.rng import stream
-from tests.strategies import angles, directions, numbers, quaternions
+from tests.samples.strategies import angles, directions, numbers, quaternions
 
 # Rounding of a few products of numbers of size 1: about fifty units in the last place.
 ROUNDING = 1e-14

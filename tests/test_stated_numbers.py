@@ -17,7 +17,7 @@ from kit1000.sim.sensors import sense
 from kit1000.sim.stereo import blend_windows
 from kit1000.sim.visibility import PartVisibility, SlotVisibility, cavity_labels, view_redraw_reason
 from kit1000.values import View
-from tests.sample_kits import sample_kit, sample_part
+from tests.samples.kits import sample_kit, sample_part
 
 COLUMNS, ROWS = slice(420, -420), slice(20, -20)  # of an image: no border of a sensor, no shadow of the other imager
 

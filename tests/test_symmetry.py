@@ -23,7 +23,7 @@ from kit1000.pose import (
 )
 from kit1000.rng import stream
 from kit1000.symmetry import Symmetry
-from tests.strategies import directions, quaternions
+from tests.samples.strategies import directions, quaternions
 
 ROUNDING = 2e-14
 laws = settings(max_examples=60)

@@ -29,7 +29,7 @@ from kit1000.values import (
     Truth,
     View,
 )
-from tests.shapes import box, standing
+from tests.samples.shapes import box, standing
 
 MESH = mesh_from_solid(standing(box(30, 20, 10)))
 POSE = Pose.identity()

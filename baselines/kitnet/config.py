@@ -10,13 +10,13 @@ class KitNetConfig:
     """The network that rotates a part into its slot, from one depth view of each."""
 
     pixels: int
-    """Of both square views."""
+    """Pixels along a side of both square views."""
     pixel: float
     """[m]"""
     width: int
     """Channels of the encoders; the trunk has four times as many."""
     strides: tuple[int, int, int] = (2, 2, 2)
-    """Of the three stages of the trunk."""
+    """Strides of the three stages of the trunk."""
     zeroed: float = 0.02
     """Share of the pixels of a view that are set to 0 in training."""
     shift: float = 3e-3

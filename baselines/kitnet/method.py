@@ -30,7 +30,7 @@ class Seat:
     """A part, rotated for a cavity and centred over it."""
 
     rotation: Pose
-    """Of the part in the world."""
+    """Rotation of the part in the world."""
     target: np.ndarray
     """(3,) [m] of the pivot, world."""
     overlap: float

@@ -18,7 +18,7 @@ from kit1000.prediction.predict import Job, predict_job, splits_of
 from kit1000.submission import Predictions, read_submission
 
 MILLIMETRES, DEGREES = 0.01, 0.05
-"""By which a prediction may differ between processors: sums of float32 in a network depend on their order.
+"""Most that a prediction may differ between processors: sums of float32 in a network depend on their order.
 
 A second pass reads a volume about the pose of the first one, whose voxels take the nearest pixel: there 1e-5 degrees
 become up to 0.025 (100 predictions of `snapnet-2pass` and `snapnet-gtvol-2pass`, on two processors).

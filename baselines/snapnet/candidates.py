@@ -68,7 +68,7 @@ def coarse_candidates(name: CandidateSet) -> Pose:
 
 
 def near_candidates(name: CandidateSet, rotation: Pose) -> Pose:
-    """Those of a set within NEAR of a rotation; of more than MOST_NEAR as many far apart."""
+    """Rotations of a set within NEAR of a rotation; of more than MOST_NEAR as many far apart."""
     offered = candidates(name)
     near = offered[np.flatnonzero((rotation.inverse() @ offered).angle() <= NEAR)]
     return near if len(near) <= MOST_NEAR else _far_apart(near, rotation, MOST_NEAR)
@@ -185,7 +185,7 @@ def _place_paper() -> np.ndarray:
 
 
 def _roll_pitch(wxyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Of Rz(yaw) Ry(pitch) Rx(roll). (n, 4) -> (n,), (n,) [rad]."""
+    """Roll and pitch of Rz(yaw) Ry(pitch) Rx(roll). (n, 4) -> (n,), (n,) [rad]."""
     w, x, y, z = wxyz.T
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     return roll, np.arcsin(np.clip(2 * (w * y - x * z), -1, 1))

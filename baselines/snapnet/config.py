@@ -7,7 +7,7 @@ from typing import Literal
 
 Cells = tuple[int, int, int]
 Source = Literal["truth", "depth"]
-"""Of volumes: exact, from the true geometry, or from one depth image."""
+"""Source of volumes: exact, from the true geometry, or from one depth image."""
 
 
 @dataclass(frozen=True)
@@ -23,13 +23,13 @@ class PositionConfig:
     window: Cells = (16, 16, 16)
     """Cells of the scores; features have half the resolution of the volumes, so a cell is two voxels wide."""
     channels: tuple[int, int, int, int, int] = (16, 32, 64, 128, 256)
-    """Of the encoder, from full resolution to a sixteenth of it."""
+    """Channels of the encoder, from full resolution to a sixteenth of it."""
     features: int = 6
     """Channels that are correlated."""
     target: Literal["cell", "spread"] = "spread"
     """cell: one-hot on the nearest cell, as in the release; spread: trilinear over the eight cells around."""
     weight: Literal["even", "distance"] = "even"
-    """Of an example in the loss; distance: exp(error / window) - 1, as in the release: 0 if the best cell is right."""
+    """Weight of an example in the loss; distance: exp(error / window) - 1, as in the release: 0 at the right cell."""
     peak: Literal["cell", "mean"] = "mean"
     """cell: the best cell, as in the paper; mean: the mean of the cells around it, weighted by probability."""
 
@@ -49,7 +49,7 @@ class RotationConfig:
     part_points: int = 2048
     kit_points: int = 4096
     width: float = 1.0
-    """Of all layers, as a multiple of the paper's."""
+    """Width of all layers, as a multiple of the paper's."""
     centres: tuple[int, int] = (512, 128)
     """Points after the first and the second set abstraction."""
     neighbours: tuple[float, float] = (1.0, 1.0)
@@ -69,7 +69,7 @@ class RotationConfig:
     flag: Literal["paper", "release"] = "paper"
     """The fourth channel: +1 on the part and -1 on the kits, or with the signs reversed."""
     weight: Literal["even", "distance"] = "even"
-    """Of an example in the loss; distance: exp(error / largest) - 1 as in the release."""
+    """Weight of an example in the loss; distance: exp(error / largest) - 1 as in the release."""
 
 
 POSITION = {

@@ -18,7 +18,7 @@ Region = tuple[Span, Span, Span]
 SLAB = 2**21
 """Voxels of a volume above which its full resolution is processed in slabs: the features of one stay in the cache."""
 SLAB_ROWS = 4
-"""Of a slab, at half the resolution: few stay in the cache; torch has a slow convolution for even fewer."""
+"""Rows of a slab, at half the resolution: few stay in the cache; torch has a slow convolution for even fewer."""
 
 # Nearest x2 upsampling followed by a kernel of 3 is one transposed convolution, stride 2, with a kernel of 4: fine
 # cell 2i + j (j = 0, 1) holds coarse cell i, and tap t takes it to 2i + j - t + 1, tap j - t + 2 of the four.

@@ -176,7 +176,7 @@ class PositionExamples:
     """
 
     def __init__(self, sampler: QuerySampler, config: PositionConfig) -> None:
-        """Of the sampler's queries, in the sizes of a config."""
+        """Examples of the sampler's queries, in the sizes of a config."""
         self.sampler = sampler
         self.config = config
 
@@ -213,7 +213,7 @@ class RotationExamples:
     """
 
     def __init__(self, sampler: QuerySampler, config: RotationConfig) -> None:
-        """Of the sampler's queries, in the sizes of a config; InputError where its candidates are for other guesses."""
+        """Examples of the sampler's queries, in the sizes of a config; InputError where its candidates do not suit."""
         guesses = sampler.guesses
         if config.candidates.startswith("place") != (guesses == "place"):
             raise InputError(f"guesses {guesses!r}: the candidates {config.candidates!r} are not made for them")

@@ -99,7 +99,7 @@ class SnapNet:
         return PredictedMotion(motion, share * confidence)
 
     def _best_start(self, volumes: QueryVolumes) -> tuple[Pose, float]:
-        """Of the likely starts, corrected, the one with the highest score, and its share of them all."""
+        """The likely start with the highest score after its correction, and its share of them all."""
         starts = likely_starts(self.position, volumes, STARTS)
         found = [self._corrected(volumes, start, near=True) for start in starts]
         scores = np.array([each.score for each in found])

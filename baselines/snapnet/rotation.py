@@ -178,7 +178,7 @@ class RotationNet(nn.Module):
 
     @property
     def dtype(self) -> torch.dtype:
-        """Of the last level and of the logits."""
+        """Type of the last level and of the logits."""
         return next(self.last.parameters()).dtype
 
     def _wide(self, channels: int) -> int:

@@ -21,8 +21,9 @@ YAWS = 12
 RISE = 0.038  # [m] of the middle of the window above that of the observed kits; the mean of seated pivots in val
 REACH = (0.11, 0.11, 0.042)  # [m] of the window to every side: the largest in val is 0.096 level and 0.029 in height
 MEAN_SHARE = {"truth": 0.0, "depth": 0.5}
-"""Of a cell's mean over the yaws, taken off, by source. In 54 queries of `val`, from one image, the right start is then
-among the best five in 52, without it in 47; with true volumes it takes the mean position error from 1.3 to 3.5 mm."""
+"""Share of a cell's mean over the yaws that is taken off, by source. In 54 queries of `val`, from one image, the right
+start is then among the best five in 52, without it in 47; with true volumes the mean position error grows from 1.3 to
+3.5 mm."""
 APART = 8  # cells along level axes, and one yaw, within which a better start leaves no other
 
 

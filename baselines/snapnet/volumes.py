@@ -43,7 +43,7 @@ class ImageCrops(NamedTuple):
 
     kits: ObservedKits | None
     parts: dict[int, LabelledDepth]
-    """By the index of the part: the box of its mask, with TABLE_MARGIN around it."""
+    """Crops by the index of the part: the box of its mask, with TABLE_MARGIN around it."""
 
 
 class ImageCache:

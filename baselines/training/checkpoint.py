@@ -20,7 +20,7 @@ from kit1000.files import write_bytes
 from kit1000.perception.networks.weight_files import Tensors, copied, loaded, read_tensors_file
 
 GROUPS = ("model", "average", "optimizer")
-"""Of a state's tensors: each is a prefix of their names."""
+"""Groups of a state's tensors: each is a prefix of their names."""
 
 
 def write_state(path: Path, groups: Mapping[str, Mapping[str, torch.Tensor]], info: Mapping[str, Any]) -> None:

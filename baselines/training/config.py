@@ -22,17 +22,17 @@ class TrainConfig:
     optimizer: Literal["adam", "muon"] = "adam"
     """muon: orthogonalised momentum for the hidden layers, Adam for all else, see `baselines.training.muon`."""
     learning_rate: float = 1e-3
-    """Of the optimiser, at its peak."""
+    """Learning rate of the optimiser at its peak."""
     warmup: int = 0
     """Steps over which the learning rate rises linearly from 0."""
     decay: Literal["none", "linear", "cosine"] = "cosine"
     """How the learning rate falls afterwards, to 0 at the last step."""
     weight_decay: float = 0.0
-    """Of weights but not of biases and scales, decoupled from the gradient (AdamW); plain Adam when 0."""
+    """Decay of weights but not of biases and scales, decoupled from the gradient (AdamW); plain Adam when 0."""
     clip: float | None = None
     """Largest norm of the gradient."""
     ema_decay: float | None = None
-    """Of an exponential moving average of the weights, such as 0.999; the average is then validated and kept."""
+    """Decay of an exponential moving average of the weights, such as 0.999; the average is then validated and kept."""
     mixed_precision: Literal["auto", "bfloat16", "off"] = "auto"
     """auto: half precision on a GPU, bfloat16 where it has it; bfloat16: on a CPU too."""
     seed: int = 0
@@ -45,9 +45,9 @@ class TrainConfig:
     workers: int | None = None
     """Processes that make examples; None: one per core with a GPU, else one."""
     threads: int | None = None
-    """Of PyTorch; None: one per core."""
+    """Number of PyTorch threads; None: one per core."""
     time_limit_s: float | None = None
-    """After which a call stops, with a checkpoint, to be resumed."""
+    """Time after which a call stops, with a checkpoint, to be resumed."""
 
     def __post_init__(self) -> None:
         for name in ("steps", "batch", "validate_every", "checkpoint_every", "patience", "threads"):
@@ -88,4 +88,4 @@ UNET_TRAINING = TrainConfig(
     workers=0,
     threads=1,
 )
-"""Of the networks made of `kit1000.perception.networks.unet`, but for what each of them says."""
+"""Training of the networks made of `kit1000.perception.networks.unet`, but for what each of them says."""

@@ -48,7 +48,7 @@ class TrainingResult:
     """steps: all steps done; patience: no improvement for too long; time: the limit, and the same call resumes."""
     step: int
     seconds: float
-    """Of all calls together."""
+    """Seconds of all calls together."""
     best_step: int | None
     """None before the first validation."""
     measures: Measures
@@ -68,7 +68,7 @@ class _Progress:
     """Smallest median of the first measure."""
     best_step: int | None = None
     measures: Measures = field(default_factory=dict)
-    """At the best step."""
+    """Measures at the best step."""
     validations_since_best: int = 0
 
 

@@ -31,7 +31,7 @@ class TransporterConfig:
     slopes: bool = False
     """Whether the slopes of heights are inputs too; not in the paper."""
     yaws: int = YAWS
-    """Of the part in a training step without a guess: the correct ones and others at random."""
+    """Yaws of the part in a training step without a guess: the correct ones and others at random."""
     spread: bool = False
     """Whether a goal is spread over the eight cells around it; otherwise it is the nearest cell, as in the paper."""
     margin: int = 7

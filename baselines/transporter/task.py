@@ -91,7 +91,7 @@ def transporter_loss(net: TransporterNet, batch: Batch) -> Tensor:
 
 
 SCALAR_WEIGHT = 3.0
-"""Of the mean Huber loss of the three scalars against the cross-entropy."""
+"""Weight of the mean Huber loss of the three scalars against the cross-entropy."""
 
 
 def _errors(net: TransporterNet, example: Batch) -> tuple[float, float]:

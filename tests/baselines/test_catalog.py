@@ -28,8 +28,8 @@ from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.submission import Manifest
 from kit1000.testing import check_predictor
 from kit1000.values import Query, TrueGeometry, Truth, View
+from tests.samples.checkout import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 QueryTruths = list[tuple[Query, Truth]]
 METHODS = all_methods()
 CONTROLS = [name for name, method in METHODS.items() if method.control]

@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from board_samples import SNAPS, write_board
 from playwright.sync_api import Browser, Page, sync_playwright
 
 from benchmark.pages import build
 from kit1000.queries.tracks import TRACKS
+from tests.samples.board import SNAPS, write_board
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 WIDTHS = (390, 1280)

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sample_submissions import ground_truth, predicted, predictions
 
 from benchmark import cache as module
 from benchmark import quantities
@@ -19,6 +18,7 @@ from benchmark.score import score
 from kit1000 import Dataset
 from kit1000.pose import Pose
 from kit1000.submission import Predictions
+from tests.samples.submissions import ground_truth, predicted, predictions
 
 IDS = ("test-s0000-p0-snap", "test-s0001-p0-snap")
 MOTIONS = (Pose.identity(), Pose.from_rotvec((0.1, 0.2, 0.3), (1, 2, 3)))

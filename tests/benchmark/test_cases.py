@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from board_samples import GUESS
-from mini import file_hashes
 from PIL import Image
 
 from benchmark.entries import read_entries
@@ -23,6 +21,8 @@ from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.submission import write_submission
 from kit1000.values import Prediction
+from tests.samples.board import GUESS
+from tests.samples.mini import file_hashes
 
 TRACK = "snap"
 

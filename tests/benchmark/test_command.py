@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sample_submissions import ground_truth, predicted
 
 from benchmark.__main__ import main
 from kit1000 import Dataset
 from kit1000.queries.tracks import CURVES
 from kit1000.submission import Submission, read_submission
+from tests.samples.submissions import ground_truth, predicted
 
 MINI_TRACKS = ("snap", "snap-tilt", "snap-d415")  # of the one test scene of MINI
 

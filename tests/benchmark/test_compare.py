@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mean_intervals import mean_interval
 
 from benchmark import compare as module
 from benchmark import quantities
@@ -20,6 +19,7 @@ from benchmark.per_query import PerQuery
 from benchmark.report import json_text
 from benchmark.score import Scores
 from kit1000.errors import InputError
+from tests.samples.mean_intervals import mean_interval
 
 TEXT = ("query_id", "track", "scene_id", "assembly_id", "part_id", "rest_mode", "symmetry")
 BITS = ("covered", "seated", "seated_strict", "exact_test", "exact_disagreement", "crowded", "held_out")

@@ -11,10 +11,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from board_samples import LEARNED, SNAPS, curve_ids, write_scored
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sample_submissions import made_up
 
 from benchmark.curve_charts import COLUMNS, figure, write_curves
 from benchmark.curves import CURVES, curve_table
@@ -25,8 +23,10 @@ from kit1000.queries.guesses import FIXED_LEVELS, LEVELS
 from kit1000.queries.tracks import CURVES as TRACK
 from kit1000.queries.tracks import curve_levels
 from kit1000.rng import stream
+from tests.samples.board import LEARNED, SNAPS, curve_ids, write_scored
+from tests.samples.checkout import ROOT
+from tests.samples.submissions import made_up
 
-ROOT = Path(__file__).parents[1]
 IDS = curve_ids(3)
 MM = [0, 4, 8, 12, 16, 20, 24, 28]
 DEG = [27.5 * level / 7 for level in range(8)]

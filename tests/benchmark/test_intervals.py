@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mean_intervals import mean_interval
 from scipy.stats import binomtest
 
 from benchmark import intervals
 from benchmark.intervals import ENDS, bootstrap_means, rate_interval, wilson_interval
 from kit1000.errors import InputError
 from kit1000.rng import stream
+from tests.samples.mean_intervals import mean_interval
 
 
 def clustered(rng: np.random.Generator, clusters: int = 60, between: float = 1.0) -> tuple[np.ndarray, np.ndarray]:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sample_submissions import ground_truth, predicted
 
 from benchmark.__main__ import main
 from benchmark.rescore import rescore
@@ -18,6 +17,7 @@ from kit1000 import Dataset
 from kit1000.errors import InputError
 from kit1000.queries.tracks import CURVES
 from kit1000.submission import HEADER, Submission, check, read_submission, write_manifest
+from tests.samples.submissions import ground_truth, predicted
 
 INVALID = {  # by description: the field, its value, and the code of the fault
     "not a number": ("qw", "nan", "nan"),

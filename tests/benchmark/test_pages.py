@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from board_samples import GUESS, METHODS, SNAPS, write_board, write_scored
-from mini import file_hashes
 
 from benchmark.pages import build
 from benchmark.pages.board import runtime_class
@@ -24,6 +22,8 @@ from benchmark.table1 import run as table1
 from kit1000.errors import InputError
 from kit1000.queries.tracks import TRACKS
 from kit1000.submission.manifest import write_manifest
+from tests.samples.board import GUESS, METHODS, SNAPS, write_board, write_scored
+from tests.samples.mini import file_hashes
 
 VOID = {"meta", "link", "img", "input", "br"}
 

@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from board_samples import GUESS, PREDICTIONS, SNAPS
-from sample_submissions import goal_of, made_up, predictions
 
 from benchmark import evaluate as module
 from benchmark import quantities
@@ -27,6 +25,8 @@ from benchmark.summary import summarise
 from kit1000.metrics import Seatings
 from kit1000.pose import Pose
 from kit1000.submission.manifest import Manifest, write_manifest
+from tests.samples.board import GUESS, PREDICTIONS, SNAPS
+from tests.samples.submissions import goal_of, made_up, predictions
 
 TOY = Quantity("toy_mm", "Toy error", MILLIMETRE, "A quantity made for this test", "toy", HEADLINE | MEDIAN)
 

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from sample_submissions import SECONDS, goal_of, ground_truth, made_up, manifest, predicted, predictions
 
 from benchmark import evaluate as module
 from benchmark import provenance
@@ -35,6 +34,7 @@ from kit1000.submission import (
     write_predictions,
     write_submission,
 )
+from tests.samples.submissions import SECONDS, goal_of, ground_truth, made_up, manifest, predicted, predictions
 
 PROTOCOL = read_protocol()
 ERRORS = ("position_mm", "rotation_deg", "mssd_mm", "position_plain_mm", "rotation_plain_deg")

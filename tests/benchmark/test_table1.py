@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from board_samples import PREDICTIONS
 
 from benchmark.protocol import read_protocol
 from benchmark.table1 import MARK, NOT_YET, PAPER_ROWS, Grid, as_html, as_markdown, grids, read_table, run
 from kit1000.errors import InputError
 from kit1000.queries.tracks import PAPER_TRACKS, TRACKS
 from kit1000.submission.manifest import Manifest, write_manifest
+from tests.samples.board import PREDICTIONS
+from tests.samples.checkout import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 DATASET = "91f0221d05e7d974"
 PAPER_LABELS = [row.label for row in PAPER_ROWS.values()]
 

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mini import MINI, fake_scene, file_hashes, l_shape, l_shape_sources, write_stl
 from PIL import Image
 
 import kit1000
@@ -28,8 +27,9 @@ from kit1000.kits.choice import Attempt
 from kit1000.kits.kit import design_kit
 from kit1000.mesh import Mesh
 from kit1000.parts.family import part_of_mesh
+from tests.samples.checkout import ROOT
+from tests.samples.mini import MINI, fake_scene, file_hashes, l_shape, l_shape_sources, write_stl
 
-ROOT = Path(__file__).resolve().parents[1]
 WIDTHS = (20, 24, 28, 33)
 
 

@@ -10,12 +10,12 @@ import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from mini import l_shape
 
 from kit1000.dataset.mesh_files import glb_bytes, read_glb, stl_bytes
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, defect_float32, y_up, z_up
 from kit1000.parts.files.formats import read_triangles
+from tests.samples.mini import l_shape
 
 POINTS = arrays(np.float64, (7, 3), elements=st.floats(-1, 1, width=32))
 FACES = np.array([[0, 1, 2], [6, 5, 4], [3, 3, 0]], dtype=np.int32)

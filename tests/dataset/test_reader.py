@@ -29,7 +29,7 @@ from kit1000.queries.tracks import ALL_TRACKS, TRACKS
 from kit1000.sim.layout import TUMBLED, UPRIGHT, table
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Assembly, View
-from tests.sample_kits import QUICK, sample_kit, sample_part
+from tests.samples.kits import QUICK, sample_kit, sample_part
 
 CAMERA = Camera(64, 48, 55.0, 55.0, 31.5, 23.5)
 SEES = look_at((0.6, -0.1, 0.6), (0, 0, 0))

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mini import MINI
 
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.reader import Dataset, RecordedScene
@@ -15,6 +14,7 @@ from kit1000.errors import InputError
 from kit1000.sim.cameras import CAMERA, camera_set
 from kit1000.sim.sensors import DEPTH_GRID, SENSORS
 from kit1000.values import ASSEMBLY_LABEL, View
+from tests.samples.mini import MINI
 
 
 @pytest.fixture(scope="module")

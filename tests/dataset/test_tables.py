@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from mini import l_shape
-from strategies import directions, pose_batches, poses, vectors
 
 from kit1000.dataset.tables import Row, assembly_of, assembly_row, kit_of, kit_row, part_of, part_row, pose_of, pose_row
 from kit1000.files import json_bytes
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Slot
+from tests.samples.mini import l_shape
+from tests.samples.strategies import directions, pose_batches, poses, vectors
 
 MESH = l_shape()
 POSITIVE = st.floats(1e-6, 1e3)

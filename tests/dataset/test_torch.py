@@ -23,8 +23,8 @@ from kit1000.pose import Pose
 from kit1000.queries.motions import apply_error
 from kit1000.values import Query, Truth
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points, to_float16, to_uint8
+from tests.samples.checkout import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 SMALL = {"shape": (24, 20, 16), "voxel_size": 4e-3}
 
 

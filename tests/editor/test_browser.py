@@ -60,7 +60,7 @@ def browser() -> Iterator[Browser]:
 def session(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Controller, str]]:
     """An editing session with that method, and its address."""
     scene_id = Dataset(mini).split("test").scene_ids[0]
-    options = Options(mini, scene_id, tmp_path_factory.mktemp("edits"), snap="test_editor_browser:near")
+    options = Options(mini, scene_id, tmp_path_factory.mktemp("edits"), snap=f"{__name__}:near")
     with editing(options) as opened:
         yield opened
 
@@ -69,7 +69,7 @@ def session(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tu
 def carrying(mini: Path, tmp_path: Path) -> Iterator[tuple[Controller, str]]:
     """A session by hand control with that method, and its address."""
     scene_id = Dataset(mini).split("test").scene_ids[0]
-    with editing(Options(mini, scene_id, tmp_path, snap="test_editor_browser:near", interface="hand")) as opened:
+    with editing(Options(mini, scene_id, tmp_path, snap=f"{__name__}:near", interface="hand")) as opened:
         yield opened
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from editing import EYE, answered, desk, dragged, found, goal, header_of, off, scene_of
 
 from kit1000.camera import look_at
 from kit1000.cli import main
@@ -28,6 +27,7 @@ from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.submission import read_submission
+from tests.samples.editing import EYE, answered, desk, dragged, found, goal, header_of, off, scene_of
 
 
 @pytest.fixture(params=["ideal", "d415"])

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from editing import EYE, Desk, answered, desk, dragged, found, goal, header_of, scene_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,6 +21,7 @@ from kit1000.editor.session import UNTOUCHED, Session
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.submission import read_submission
+from tests.samples.editing import EYE, Desk, answered, desk, dragged, found, goal, header_of, scene_of
 
 numbers = st.floats(-1, 1, allow_subnormal=False)
 vectors = st.tuples(numbers, numbers, numbers).map(np.array)

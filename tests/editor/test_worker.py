@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from editing import desk, dragged, goal, off, scene_of
 
 from baselines.catalog import method_of
 from kit1000.cli.scenes import SNAP
@@ -38,9 +37,10 @@ from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor
 from kit1000.predictor import PredictedMotion
 from kit1000.values import Query, TrueGeometry
+from tests.samples.editing import desk, dragged, goal, off, scene_of
 
 NEAR = Pose.from_rotvec((0.0, 0.0, 0.1), (0.004, -0.003, 0.0))
-METHOD = Method("test_editor_worker:keep", Path(), "test-s0000", "ideal", False)
+METHOD = Method(f"{__name__}:keep", Path(), "test-s0000", "ideal", False)
 
 
 class Pool:
@@ -103,7 +103,7 @@ def test_a_blind_session_opens_no_file_with_truth(mini: Path, tmp_path: Path) ->
         dragged(table, body, scene.plates[0].point)
         table.controller.command("confirm")
         assert table.controller.space.session.edits[scene.parts[0]].confirmed
-    method = Method("test_editor_worker:keep", mini, scene_id, "ideal", False)
+    method = Method(f"{__name__}:keep", mini, scene_id, "ideal", False)
     proposals_of(prepared(method), Job(scene.parts[0], NEAR))
     watching[0] = False
     inside = {Path(name).name for name in opened if str(mini) in name}
@@ -150,7 +150,7 @@ def test_a_method_completes_the_kits_of_the_scene_or_does_not(mini: Path) -> Non
 
 def test_any_predictor_snaps_by_the_protocol_alone(mini: Path) -> None:
     scene = scene_of(mini)
-    method = Method("test_editor_worker:keep", mini, scene.recorded.id, "ideal", False)
+    method = Method(f"{__name__}:keep", mini, scene.recorded.id, "ideal", False)
     method.check()
     answer = proposals_of(prepared(method), Job(scene.parts[0], NEAR))
     assert same_motion(answer[0].goal_from_now, NEAR)
@@ -161,8 +161,8 @@ def test_any_predictor_snaps_by_the_protocol_alone(mini: Path) -> None:
 def test_true_geometry_is_for_sessions_that_show_it(mini: Path) -> None:
     scene_id = scene_of(mini).recorded.id
     with pytest.raises(InputError, match="--truth"):
-        prepared(Method("test_editor_worker:Fussy", mini, scene_id, "ideal", False))
-    made = prepared(Method("test_editor_worker:Fussy", mini, scene_id, "ideal", True))
+        prepared(Method(f"{__name__}:Fussy", mini, scene_id, "ideal", False))
+    made = prepared(Method(f"{__name__}:Fussy", mini, scene_id, "ideal", True))
     assert proposals_of(made, Job(next(iter(made.queries)), None))[0].confidence == 0.5
 
 

@@ -14,20 +14,20 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from jobs import fail_at_three, kill_own_process, square
-from mini import MINI, file_hashes, l_shape_sources
 
 from kit1000 import engines, files
 from kit1000.engines import JOBS_PER_WORKER, RETRIES, ParallelMap
 from kit1000.errors import InputError, InternalError, Kit1000Error
 from kit1000.generation.build import generate
+from tests.samples.checkout import ROOT
+from tests.samples.jobs import fail_at_three, kill_own_process, square
+from tests.samples.mini import MINI, file_hashes, l_shape_sources
 
 pytest.importorskip("ray", reason="an engine that is asked for: pip install 'kit1000[ray]'")
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::ResourceWarning"),  # Ray leaves the logs of its processes open
 ]
-ROOT = Path(__file__).resolve().parents[1]
 STORE = 100 << 20  # bytes of shared memory a node
 
 
@@ -40,7 +40,7 @@ def address() -> Iterator[str]:
     from ray.cluster_utils import Cluster
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", str(ROOT / "tests"))
+        patch.setenv("PYTHONPATH", str(ROOT))
         patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
         patch.chdir("/")
         head = {"num_cpus": 1, "object_store_memory": STORE, "include_dashboard": False}
@@ -204,7 +204,7 @@ def is_running(pid: int) -> bool:
 def test_a_local_ray_ends_with_the_process_that_started_it(signal_number: signal.Signals, tmp_path: Path) -> None:
     script = tmp_path / "alone.py"
     script.write_text(ALONE)
-    path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    path = str(ROOT)
     run = subprocess.Popen(
         [sys.executable, str(script)],
         stdout=subprocess.PIPE,

@@ -12,13 +12,13 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from jobs import fail_at_three, kill_own_process, square
 
 from kit1000.engines import JOBS_PER_WORKER, RETRIES, engine, local_engine
 from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError, InternalError, Kit1000Error
+from tests.samples.checkout import ROOT
+from tests.samples.jobs import fail_at_three, kill_own_process, square
 
-ROOT = Path(__file__).resolve().parents[1]
 WORKERS = pytest.mark.parametrize("workers", [1, 2])
 
 
@@ -157,7 +157,7 @@ def has_ended(pid: int) -> bool:
 def test_workers_end_with_the_process_that_started_them(signal_number: signal.Signals, tmp_path: Path) -> None:
     script = tmp_path / "orphans.py"
     script.write_text(ORPHANS)
-    path = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    path = str(ROOT)
     command = [sys.executable, str(script), str(tmp_path)]
     run = subprocess.Popen(
         command,

@@ -24,7 +24,7 @@ from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import Assembly, Body, Part, Scene, View
-from tests.sample_kits import sample_kit, sample_part
+from tests.samples.kits import sample_kit, sample_part
 
 CAMERA = Camera(640, 360, 460.0, 462.0, 318.5, 181.0)
 TABLE = mesh_from_solid(Manifold.cube((1.2, 1.6, 0.04), center=True).translate((0, 0, -0.02)))

@@ -17,9 +17,9 @@ from kit1000.mesh import mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Part
-from tests.sample_kits import sample_part
-from tests.shapes import as_part, cylinder
-from tests.strategies import poses
+from tests.samples.kits import sample_part
+from tests.samples.shapes import as_part, cylinder
+from tests.samples.strategies import poses
 
 
 def geometry(*splits: str) -> Geometry:

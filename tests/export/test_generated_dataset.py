@@ -11,9 +11,9 @@ import pytest
 from kit1000.dataset.reader import Dataset
 from kit1000.export import export
 from kit1000.generation.build import generate
-from tests.mini import MINI, l_shape_sources
-from tests.test_card import table_below
-from tests.test_export_bop import BopImage, distance_to_model
+from tests.export.test_bop import BopImage, distance_to_model
+from tests.generation.test_card import table_below
+from tests.samples.mini import MINI, l_shape_sources
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib.*")]
 

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import trimesh
 from manifold3d import Manifold, OpType
-from mini import file_hashes, l_shape, write_stl
 from PIL import Image
 
 from kit1000.dataset.mesh_files import read_glb
@@ -32,6 +31,7 @@ from kit1000.parts.files import bodies
 from kit1000.parts.files.formats import read_triangles
 from kit1000.parts.files.sources import mesh_files
 from kit1000.pictures import previews
+from tests.samples.mini import file_hashes, l_shape, write_stl
 
 FILES = ["kit.stl", "part.stl", "preview.png", "report.json", "seated.glb"]
 DRAWN = previews.kit_preview

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from mini import Published
-from shapes import box as box_solid
 
 from kit1000.cli import main
 from kit1000.dataset.reader import Dataset, RecordedScene
@@ -21,6 +19,8 @@ from kit1000.generation.withhold import publish
 from kit1000.mesh import mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.submission import Predictions, write_predictions
+from tests.samples.mini import Published
+from tests.samples.shapes import box as box_solid
 
 SCENE = "test-s0000"
 SEEN = {f"/{sensor}/{what}" for sensor in ("ideal", "d415") for what in ("camera", "colours", "points")}

@@ -20,7 +20,7 @@ from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import Mesh, defect_float32, solid_from_mesh
 from kit1000.parts.files.sources import read_mesh
 from kit1000.values import Assembly
-from tests.sample_kits import sample_kit, sample_part
+from tests.samples.kits import sample_kit, sample_part
 
 NAME = '<kits & "parts">'
 

@@ -20,9 +20,9 @@ from kit1000.parts.family import DENSITY
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry
 from kit1000.values import Assembly
-from tests.sample_kits import sample_kit, sample_part
-from tests.shapes import as_part
-from tests.strategies import poses
+from tests.samples.kits import sample_kit, sample_part
+from tests.samples.shapes import as_part
+from tests.samples.strategies import poses
 
 LONGEST_LINE = 256  # [characters]
 CLEARANCE = 2.5e-3  # [m]

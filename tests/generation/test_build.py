@@ -16,7 +16,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from mini import MINI, fake_scene, file_hashes, l_shape_sources
 
 from kit1000 import files
 from kit1000.dataset.geometry import Geometry
@@ -26,8 +25,9 @@ from kit1000.generation import assemblies, build, parts_and_kits, shards
 from kit1000.generation.build import generate
 from kit1000.generation.plan import Sources
 from kit1000.mesh import defect_float32
+from tests.samples.checkout import ROOT
+from tests.samples.mini import MINI, fake_scene, file_hashes, l_shape_sources
 
-ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.usefixtures("fake_scenes")
 
 
@@ -135,7 +135,7 @@ def test_the_summary_is_written_last(sources: Sources, tmp_path: Path, monkeypat
 RUN = """
 import os, signal, sys
 from pathlib import Path
-from mini import MINI, fake_scene, l_shape_sources
+from tests.samples.mini import MINI, fake_scene, l_shape_sources
 from kit1000 import files
 from kit1000.generation import shards
 from kit1000.generation.build import generate
@@ -165,7 +165,7 @@ def start_run(
     """A run in its own process group, killed between its last allowed write and the rename of the next file."""
     script = folder / "run.py"
     script.write_text(RUN)
-    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    paths = str(ROOT)
     return subprocess.Popen(
         [sys.executable, script, root, folder / "files", str(workers), str(allowed), scenes],
         env=os.environ | {"PYTHONPATH": paths},

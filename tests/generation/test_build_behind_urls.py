@@ -8,13 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from mini import MINI, file_hashes, l_shape_sources
 
 from kit1000.engines import ParallelMap
 from kit1000.errors import InputError
 from kit1000.files import parse_folder, remove_folder, sha256
 from kit1000.generation.build import generate
 from kit1000.generation.plan import Sources
+from tests.samples.mini import MINI, file_hashes, l_shape_sources
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from manifold3d import Manifold
-from mini import MINI, l_shape, l_shape_sources, write_stl
 
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.mesh_files import read_glb
@@ -24,6 +23,7 @@ from kit1000.mesh import Mesh, defect_float32, mesh_from_solid
 from kit1000.parts.family import part_of_mesh
 from kit1000.parts.files.sources import mesh_files
 from kit1000.queries.tracks import SPLITS
+from tests.samples.mini import MINI, l_shape, l_shape_sources, write_stl
 
 pytestmark = pytest.mark.usefixtures("fake_scenes")
 

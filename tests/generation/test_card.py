@@ -12,7 +12,7 @@ import pytest
 from kit1000.dataset.schema import SceneTruth
 from kit1000.generation.card import FILES, READING_EXAMPLE, card_bytes, citation, files_by_pattern
 from kit1000.values import Query, View
-from tests.card_samples import summary, withheld
+from tests.samples.cards import summary, withheld
 
 
 def table_below(card: str, heading: str) -> list[list[str]]:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from kit1000.generation import card_statistics
 from kit1000.generation.card_statistics import add_up, bin_name, bin_names, part_statistics, scene_statistics, track_of
-from tests.card_samples import PAIRS, tables, truth
+from tests.samples.cards import PAIRS, tables, truth
 
 EDGES = [edges for name, edges in vars(card_statistics).items() if isinstance(edges, tuple) and name.isupper()]
 TREES = st.recursive(

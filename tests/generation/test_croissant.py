@@ -11,7 +11,7 @@ import pytest
 
 from kit1000.generation.card import BIASES, LIMITS, USES, citation
 from kit1000.generation.croissant import PUBLISHED, croissant_bytes
-from tests.card_samples import summary, tables, withheld
+from tests.samples.cards import summary, tables, withheld
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib.*")  # of the validator's own reader
 

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mini import MINI, l_shape, l_shape_sources, write_stl
 
 from kit1000.errors import InputError
 from kit1000.files import json_bytes
@@ -27,6 +26,7 @@ from kit1000.parts.families.block import Block
 from kit1000.parts.mixtures import MIXTURES
 from kit1000.queries.tracks import SPLITS
 from kit1000.sim.layout import UPRIGHT, UPRIGHT_SHARE
+from tests.samples.mini import MINI, l_shape, l_shape_sources, write_stl
 
 TINY = PRESETS["tiny"]
 MANY = Preset("many", 120, 20, 40)

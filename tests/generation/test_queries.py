@@ -10,7 +10,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
-from query_samples import PARTS, SCENE, SceneArguments, images, part, scene_arguments
 from scipy.spatial.transform import Rotation
 
 from kit1000.dataset.tables import pose_of
@@ -27,7 +26,8 @@ from kit1000.queries.pivots import part_pivots
 from kit1000.queries.tracks import CURVES, PAPER_TRACKS, TRACKS, curve_id, curve_levels, has_curves
 from kit1000.sim.layout import TUMBLED
 from kit1000.values import FIRST_PART_LABEL
-from tests.strategies import poses
+from tests.samples.queries import PARTS, SCENE, SceneArguments, images, part, scene_arguments
+from tests.samples.strategies import poses
 
 PAPER = {"snap-tilt", "place-paper"}
 

@@ -11,7 +11,6 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from mini import MINI
 
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.mcap_io import ObservationFile, TruthFile
@@ -35,6 +34,7 @@ from kit1000.sim.render import render
 from kit1000.sim.visibility import MAX_SLOT_ANGLE, MIN_CAVITY_SHARE, MIN_PART_PIXELS, MIN_PART_SHARE, slot_visibility
 from kit1000.testing import surface_distances
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Assembly, Part, View
+from tests.samples.mini import MINI
 
 SEED, TARGET = 3, "test-0002"
 FAMILY_NAMES = ("bracket", "tee", "channel", "foot")

@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mini import MINI, fake_scene, file_hashes, l_shape_sources
 
 from kit1000.dataset.mcap_io import ObservationFile, TruthFile
 from kit1000.dataset.reader import Dataset
@@ -25,6 +24,7 @@ from kit1000.generation.parts_and_kits import BUILD_FOLDER
 from kit1000.generation.plan import scene_id_of
 from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS, TRUTH, make_shard, shard_jobs
 from kit1000.generation.verify import verify
+from tests.samples.mini import MINI, fake_scene, file_hashes, l_shape_sources
 
 ROOT = Path("root")
 

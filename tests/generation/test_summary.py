@@ -11,7 +11,6 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mini import MINI, file_hashes
 
 from kit1000.dataset.reader import Dataset
 from kit1000.files import json_bytes, read_json
@@ -21,6 +20,7 @@ from kit1000.generation.croissant import croissant_bytes
 from kit1000.generation.plan import DATA_VERSION, dataset_id, make_plan
 from kit1000.generation.summary import refused_files, summary_bytes
 from kit1000.queries.tracks import SPLITS
+from tests.samples.mini import MINI, file_hashes
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),

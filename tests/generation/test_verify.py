@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mini import MINI, file_hashes, l_shape_sources
 
 from kit1000.cli import main
 from kit1000.dataset.geometry import Geometry
@@ -32,6 +31,7 @@ from kit1000.generation.summary import summary_bytes
 from kit1000.generation.verify import verify
 from kit1000.pose import Pose
 from kit1000.values import View
+from tests.samples.mini import MINI, file_hashes, l_shape_sources
 
 
 @pytest.fixture

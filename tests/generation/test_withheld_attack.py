@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mini import Published
 from scipy.spatial.transform import Rotation
 
 from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter
@@ -27,6 +26,7 @@ from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET, draw_ball_error, draw
 from kit1000.queries.motions import apply_error, error_of
 from kit1000.queries.tracks import CURVES, TRACKS, curve_levels
 from kit1000.values import Query
+from tests.samples.mini import Published
 
 
 @dataclass(frozen=True)

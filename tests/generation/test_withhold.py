@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mini import HIDDEN, Published, file_hashes, l_shape_sources, publish_by_command
 
 from benchmark.score import read_checked, score
 from kit1000 import Manifest, Prediction, write_submission
@@ -32,6 +31,7 @@ from kit1000.generation.verify import verify
 from kit1000.mesh import y_up
 from kit1000.pictures.dataset_sheets import scene_sheet
 from kit1000.submission import check
+from tests.samples.mini import HIDDEN, Published, file_hashes, l_shape_sources, publish_by_command
 
 RUN = 12  # consecutive vertices: more than the corners that all plates have
 KEY = 8  # bytes that the search compares first

@@ -11,13 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from mini import l_shape, write_stl
 from PIL import Image
 
 from kit1000 import Dataset
 from kit1000.testing import check_predictor
+from tests.samples.checkout import ROOT
+from tests.samples.mini import l_shape, write_stl
 
-ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = sorted((ROOT / "examples").glob("*.py"))
 LONGEST = 60
 """Lines of a script."""

@@ -10,8 +10,7 @@ import torch
 
 from kit1000.dataset.reader import Dataset, Split
 from kit1000.dataset.torch import QueryDataset
-
-ROOT = Path(__file__).resolve().parents[1]
+from tests.samples.checkout import ROOT
 
 
 @pytest.fixture(scope="module")

@@ -18,8 +18,8 @@ import pytest
 import tomli
 
 from kit1000.cli.command_line import usage_error
+from tests.samples.checkout import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("kit1000", "benchmark", "baselines")  # the library and the two applications
 PYTHON_FOLDERS = (*PACKAGES, "bench", "examples", "tests", "docs")
 

@@ -16,10 +16,11 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
+from tests.samples.checkout import ROOT
+
 pytest.importorskip("mkdocs", reason="the site is built by mkdocs: pip install 'kit1000[docs]'")
 import yaml  # comes with mkdocs
 
-ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "mkdocs.yml"
 LOADED = {"script": "src", "img": "src", "source": "src", "iframe": "src", "video": "src", "link": "href"}
 """Tags of HTML that load what they name, and the attribute that names it."""

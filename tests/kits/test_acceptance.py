@@ -15,8 +15,8 @@ from kit1000.kits.kit import make_kit
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Kit, Part
-from tests.sample_kits import QUICK, sample_kit, sample_part
-from tests.shapes import Z, as_part, box, cylinder, ell, ring_plate, seated
+from tests.samples.kits import QUICK, sample_kit, sample_part
+from tests.samples.shapes import Z, as_part, box, cylinder, ell, ring_plate, seated
 
 STEP = np.radians(1)
 

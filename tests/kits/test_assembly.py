@@ -31,7 +31,7 @@ from kit1000.kits.seating import swept_solid
 from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Mount, Part
-from tests.sample_kits import QUICK, sample_kit, sample_part
+from tests.samples.kits import QUICK, sample_kit, sample_part
 
 DEGREE = np.pi / 180
 ROUNDING = 60e-9  # [m] rounding of the union's vertices moves a surface by no more

@@ -16,7 +16,7 @@ from kit1000.kits.cavity import Cavity, insertion_depth
 from kit1000.kits.patches import convex_patches
 from kit1000.kits.sweep import WALL_COSINE
 from kit1000.mesh import mesh_from_solid
-from tests.shapes import (
+from tests.samples.shapes import (
     box,
     cavity_of,
     cylinder,

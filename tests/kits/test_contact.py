@@ -14,7 +14,7 @@ from kit1000.kits.contact import ConvexEdges, contact_features, convex_edges, ve
 from kit1000.kits.envelope import lower_envelope
 from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose, random_quaternions
-from tests.shapes import MM, as_part, box, cylinder, random_solid, standing
+from tests.samples.shapes import MM, as_part, box, cylinder, random_solid, standing
 
 UPSIDE_DOWN = np.diag([1.0, -1.0, -1.0])
 IDENTITY = Pose.identity()

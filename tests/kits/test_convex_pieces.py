@@ -14,7 +14,7 @@ from manifold3d import CrossSection, FillRule, Manifold, triangulate
 from kit1000.kits.convex_pieces import convex_polygons, convex_prisms
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.values import Kit
-from tests.sample_kits import sample_kit, sample_part
+from tests.samples.kits import sample_kit, sample_part
 
 FAMILIES = ["tee", "cover", "hinge", "stepped_shaft", "clevis"]  # upright walls, ledges, round and sloping bottoms
 MAX_PIECES = 400

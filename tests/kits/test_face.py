@@ -24,7 +24,7 @@ from kit1000.kits.face import (
 from kit1000.kits.kit import CLEARANCE
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, random_quaternions
-from tests.shapes import as_part, box, cylinder, ell, prism, random_solid, upturned_tee
+from tests.samples.shapes import as_part, box, cylinder, ell, prism, random_solid, upturned_tee
 
 SOLIDS = {
     "slab": lambda: box(30, 20, 9),

@@ -9,7 +9,7 @@ from kit1000.kits.goals import SHADOW_TOLERANCE, Design, find_goals, has_design_
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.symmetry import Symmetry
 from kit1000.values import FreeAxis
-from tests.shapes import (
+from tests.samples.shapes import (
     MM,
     Seated,
     X,

@@ -18,7 +18,7 @@ from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset_by
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.values import Kit
-from tests.shapes import Z, box, seated
+from tests.samples.shapes import Z, box, seated
 
 
 def pair_of(solid: Manifold) -> tuple[Mesh, Kit]:

@@ -29,8 +29,8 @@ from kit1000.pose import Pose, random_quaternions
 from kit1000.rng import stream
 from kit1000.symmetry import Symmetry
 from kit1000.values import Part
-from tests.sample_kits import QUICK, sample_kit, sample_part
-from tests.shapes import MM, X, Z, as_part, box, cylinder, ell, gaps, outline_points, random_solid
+from tests.samples.kits import QUICK, sample_kit, sample_part
+from tests.samples.shapes import MM, X, Z, as_part, box, cylinder, ell, gaps, outline_points, random_solid
 
 # draws whose plates once opened when equal vertices were merged (walls that touched or folded by nanometres)
 ONCE_OPEN = [("wedge", 0), ("cam", 0), ("yoke", 0), ("knob", 2), ("hook", 2), ("flange", 1)]

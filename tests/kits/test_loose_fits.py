@@ -17,7 +17,7 @@ from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry
 from kit1000.values import FreeAxis, Kit, Slot
-from tests.shapes import Z, as_part, box, cylinder, ell, leaning_prism, ring_plate, seated, upturned_tee
+from tests.samples.shapes import Z, as_part, box, cylinder, ell, leaning_prism, ring_plate, seated, upturned_tee
 
 
 def pair_of(solid: Manifold, symmetry: Symmetry | None = None) -> tuple[Mesh, Kit]:

@@ -26,8 +26,8 @@ from kit1000.kits.seating import (
 from kit1000.mesh import mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.values import Kit, Part
-from tests.sample_kits import QUICK, sample_kit, sample_part
-from tests.shapes import (
+from tests.samples.kits import QUICK, sample_kit, sample_part
+from tests.samples.shapes import (
     MM,
     Z,
     box,

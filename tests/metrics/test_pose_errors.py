@@ -18,7 +18,7 @@ from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.queries.motions import goal_motion, goal_pose
 from kit1000.testing import check_metric
 from kit1000.values import FreeAxis, Slot, Truth
-from tests.strategies import directions, poses, vectors
+from tests.samples.strategies import directions, poses, vectors
 
 laws = settings(max_examples=40)
 EXACT = 1e-9  # [m], [rad] largest error at a right goal

@@ -33,8 +33,8 @@ from kit1000.metrics.seating import _is_over_plate, _TestResult, _to_seatings
 from kit1000.pose import Pose, random_quaternions
 from kit1000.queries.motions import goal_motion
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Truth
-from tests.sample_kits import QUICK, sample_kit, sample_part
-from tests.shapes import cylinder, leaning_prism, lying_cylinder, random_solid, seated, upturned_tee
+from tests.samples.kits import QUICK, sample_kit, sample_part
+from tests.samples.shapes import cylinder, leaning_prism, lying_cylinder, random_solid, seated, upturned_tee
 
 laws = settings(max_examples=40)
 KIT_PITCH = 0.15  # [m] between two kits of an assembly

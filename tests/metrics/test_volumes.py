@@ -15,8 +15,8 @@ from kit1000.mesh import surface_points as points_of
 from kit1000.metrics.volumes import known_share, occupancy_iou, surface_chamfer
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume, signed_distance, surface_points
-from tests.shapes import box
-from tests.strategies import poses
+from tests.samples.shapes import box
+from tests.samples.strategies import poses
 
 MM = 1e-3
 VOXEL = 0.89e-3  # [m] that of the paper

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kit1000.numerics.linear_algebra import determinant, eigenvectors, length, matmul
+from tests.samples.checkout import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 GENERATING = ("parts", "kits", "sim", "generation", "voxels")  # and the base modules, which have one file each
 SEEDS = st.integers(0, 2**32 - 1)
 

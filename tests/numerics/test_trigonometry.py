@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,8 +11,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from kit1000.numerics.trigonometry import LARGEST_ANGLE, cosine, sine, tangent
+from tests.samples.checkout import ROOT
 
-GENERATING = Path(__file__).resolve().parents[1] / "kit1000"
+GENERATING = ROOT / "kit1000"
 SEARCHING = {
     "insertion_search.py",
     "face.py",

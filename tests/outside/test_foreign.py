@@ -12,8 +12,8 @@ import pytest
 from bench.outside.foreign import Report, run
 from bench.outside.slicer import info_fault, slice_fault
 from bench.outside.viewers import check_fault, convert_fault, screenshot_fault, topics
+from tests.samples.checkout import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 LAYOUT = ROOT / "docs/assets/foxglove-layout.json"
 GOOD_CHECK = "Status  ID  Chunks  Topic  Issues\nok       1       1  /{0}  -\n"
 
@@ -138,7 +138,8 @@ def test_a_report_counts_the_failed_checks(capsys: pytest.CaptureFixture[str]) -
 
 def test_the_layout_shows_topics_that_recordings_have() -> None:
     layout = json.loads(LAYOUT.read_text(encoding="utf-8"))
-    documented = set(re.findall(r"`(/[a-z0-9/]+)`", (ROOT / "docs/reference/recordings.md").read_text(encoding="utf-8")))
+    page = ROOT / "docs/reference/recordings.md"
+    documented = set(re.findall(r"`(/[a-z0-9/]+)`", page.read_text(encoding="utf-8")))
     panels = layout["configById"]
     modes = [panel["imageMode"] for panel in panels.values() if "imageMode" in panel]
     shown = {*panels["3D!scene"]["topics"], *(mode[key] for mode in modes for key in mode if key.endswith("Topic"))}

@@ -9,8 +9,8 @@ import pytest
 
 from bench import mutants
 from bench.outside.mutants import LEAST_SHARE, MUTANTS, Mutant, is_killed, main
+from tests.samples.checkout import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 MODULE = "def half(x):\n    return x / 2\n"
 TEST = "from half import half\n\n\ndef test_half():\n    assert half(4) == 2\n"
 

@@ -8,17 +8,17 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from mini import file_hashes
 
 from bench.outside.portable import OLD_PROCESSOR
 from kit1000.queries.guesses import draw_direction, draw_tilt_error
-from tests.test_settle import SHAPES, drops, part_of
+from tests.samples.checkout import ROOT
+from tests.samples.mini import file_hashes
+from tests.sim.test_settle import SHAPES, drops, part_of
 
-ROOT = Path(__file__).resolve().parents[1]
 GENERATE_MINI = """
 import sys
 from pathlib import Path
-from mini import MINI
+from tests.samples.mini import MINI
 from kit1000.generation.build import generate
 generate(MINI, Path(sys.argv[1]), workers=1)
 """
@@ -26,7 +26,7 @@ generate(MINI, Path(sys.argv[1]), workers=1)
 
 def on_an_older_processor(code: str, *arguments: str) -> str:
     """What Python code prints there."""
-    paths = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
+    paths = str(ROOT)
     environment = os.environ | OLD_PROCESSOR | {"PYTHONPATH": paths}
     command = [sys.executable, "-W", "ignore", "-c", code, *arguments]
     return subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout
@@ -44,7 +44,7 @@ def roller_poses() -> str:
 
 
 def test_parts_settle_alike_on_an_older_processor() -> None:
-    code = "from tests.test_portable import roller_poses; print(roller_poses())"
+    code = "from tests.outside.test_portable import roller_poses; print(roller_poses())"
     assert on_an_older_processor(code).split() == roller_poses().split()
 
 
@@ -56,5 +56,5 @@ def drawn_errors() -> str:
 
 
 def test_guesses_are_drawn_alike_on_an_older_processor() -> None:
-    code = "from tests.test_portable import drawn_errors; print(drawn_errors())"
+    code = "from tests.outside.test_portable import drawn_errors; print(drawn_errors())"
     assert on_an_older_processor(code).strip() == drawn_errors()

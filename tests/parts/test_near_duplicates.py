@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from manifold3d import Manifold
-from mini import l_shape
-from strategies import vectors
 
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.parts.near_duplicates import MIN_DIFFERENCE, near_duplicate_of, shape_measures
+from tests.samples.mini import l_shape
+from tests.samples.strategies import vectors
 
 SIDES = st.floats(0.2, 5)
 

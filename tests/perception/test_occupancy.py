@@ -12,7 +12,7 @@ from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.perception.observed.occupancy import filled_share
 from kit1000.pose import Pose, random_quaternions
 from kit1000.voxels import Grid
-from tests.shapes import MM, box, ell, ring_plate
+from tests.samples.shapes import MM, box, ell, ring_plate
 
 CELL = 1e-3
 GRID = Grid.centred(Pose.from_translation((0.001, -0.002, 0.012)), (56, 52, 40), CELL)

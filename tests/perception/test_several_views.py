@@ -23,7 +23,7 @@ from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, View
 from kit1000.voxels import Grid, signed_distance, tsdf
 from kit1000.voxels.grid import DEFAULT_TRUNCATION
-from tests.shapes import MM, box
+from tests.samples.shapes import MM, box
 
 CAMERA = Camera(width=400, height=300, fx=500.0, fy=500.0, cx=199.5, cy=149.5)
 EYES = [look_at(eye, (0, 0, 0.01)) for eye in ((0.3, 0.1, 0.5), (-0.35, 0.2, 0.4), (0.05, -0.4, 0.35))]

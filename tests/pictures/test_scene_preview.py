@@ -31,7 +31,7 @@ from kit1000.pictures.scene_preview import (
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import View
-from tests.shapes import box, standing
+from tests.samples.shapes import box, standing
 
 CAMERA = Camera(128, 72, 92.5, 92.5, 63.5, 35.5)
 LARGEST = 60_000  # [bytes]

@@ -26,7 +26,7 @@ from kit1000.planner.trace import read_trace, state_at, trace_bytes
 from kit1000.pose import Pose
 from kit1000.submission.predictions import write_predictions
 from kit1000.values import Prediction
-from tests.sample_kits import sample_part
+from tests.samples.kits import sample_part
 
 pytest.importorskip("pybullet")
 UP = np.array([0.0, 0.0, 1.0])

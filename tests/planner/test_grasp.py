@@ -14,7 +14,7 @@ from kit1000.sim.cameras import CAMERA
 from kit1000.sim.layout import table
 from kit1000.sim.render import render
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
-from tests.shapes import box
+from tests.samples.shapes import box
 
 EYE = (0.35, -0.1, 0.55)
 

@@ -26,8 +26,8 @@ from kit1000.predictor import PredictedMotion
 from kit1000.queries.tracks import ALL_TRACKS, TRACKS
 from kit1000.submission import Submission, check, read_submission
 from kit1000.values import Prediction, Query, TrueGeometry
+from tests.samples.checkout import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 STOP = "KIT1000_TEST_STOP"
 
 
@@ -168,7 +168,7 @@ def test_a_run_that_fails_names_the_query_and_resumes(
     config, out = run_config(named(stopping)), tmp_path / "mine"
     last = query_ids_of(mini, "test")[-1]
     monkeypatch.setenv(STOP, last)
-    with pytest.raises(InternalError, match=rf"^{last}: RuntimeError: out of luck \(test_baselines_predict.py:\d+\)$"):
+    with pytest.raises(InternalError, match=rf"^{last}: RuntimeError: out of luck \(test_predict.py:\d+\)$"):
         predict(config, mini, out, workers)
     journal = out.with_name("mine.journal")
     kept = journal.read_text().splitlines()[1:]
@@ -186,7 +186,7 @@ def test_a_run_that_fails_names_the_query_and_resumes(
 def test_a_killed_run_resumes(mini: Path, tmp_path: Path) -> None:
     out, journal = tmp_path / "mine", tmp_path / "mine.journal"
     command = [sys.executable, "-m", "baselines", "predict", named(slow), "--data", str(mini), "--out", str(out)]
-    environment = os.environ | {"PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}"}
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
     process = subprocess.Popen([*command, "--workers", "1"], cwd=ROOT, env=environment, stderr=subprocess.DEVNULL)
     limit = time.monotonic() + 60
     while not (journal.is_file() and journal.read_text().count("\n") > 2):
@@ -217,7 +217,7 @@ def test_an_unfinished_run_with_other_settings_is_not_resumed(
     for config, difference in (
         (run_config(named(stopping), seed=1), "seed 0, now 1"),
         (run_config(named(stopping), ("val",)), r"splits \['test'\], now \['val'\]"),
-        (run_config("guess"), "method 'test_baselines_predict:stopping', now 'guess'"),
+        (run_config("guess"), f"method '{named(stopping)}', now 'guess'"),
     ):
         with pytest.raises(InputError, match=f"mine.journal: an unfinished run with {difference}; finish that one, or"):
             predict(config, mini, out, 1)

@@ -29,7 +29,7 @@ from kit1000.queries.guesses import (
 )
 from kit1000.queries.motions import apply_error, error_of, goal_motion, goal_pose
 from kit1000.values import FreeAxis, Slot
-from tests.strategies import directions, poses, vectors
+from tests.samples.strategies import directions, poses, vectors
 
 DRAWS = 2000
 laws = settings(max_examples=40)

@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from registration_cases import CASES, CLEARANCE, Case, case, perturbed
-from shapes import box, standing
 
 from kit1000.mesh import mesh_from_solid
 from kit1000.perception.observed.parts import PartEvidence
@@ -34,6 +32,8 @@ from kit1000.registration.geometry.faces import squared, standing_faces
 from kit1000.registration.search.candidates import DOWN, LIES, NEAR_GUESS, SLACK_ANGLE, _faces_down
 from kit1000.registration.search.correlation import UPRIGHT, tilted
 from kit1000.voxels import Grid, signed_distance, surface_points
+from tests.samples.registration_cases import CASES, CLEARANCE, Case, case, perturbed
+from tests.samples.shapes import box, standing
 
 
 def search_for(known: Case, further: bool = True) -> _Search:

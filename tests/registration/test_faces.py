@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import poses
 
 from kit1000.perception.observed.pixels import IDEAL
 from kit1000.perception.observed.plates import Plane, without_nested
 from kit1000.pose import Pose
 from kit1000.registration.geometry.faces import right_angled, squared
+from tests.samples.strategies import poses
 
 UP = np.array([0.0, 0.0, 1.0])
 ANGLE = np.radians(6)

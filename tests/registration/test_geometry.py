@@ -10,10 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from registration_cases import SIZE, columns, cuboid, volume_of
-from sample_kits import sample_kit
-from shapes import Seated, ell, gaps, seated
-from strategies import poses
 
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.perception.observed.pixels import IDEAL
@@ -33,6 +29,10 @@ from kit1000.registration.search.correlation import (
     without_duplicates,
 )
 from kit1000.voxels import Volume, signed_distance, surface_points
+from tests.samples.kits import sample_kit
+from tests.samples.registration_cases import SIZE, columns, cuboid, volume_of
+from tests.samples.shapes import Seated, ell, gaps, seated
+from tests.samples.strategies import poses
 
 IDENTITY = Pose.identity()
 TILTED = Pose.from_rotvec((0.5, 0.3, 0.9), (0.2, -0.1, 0.3))

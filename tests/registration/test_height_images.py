@@ -9,13 +9,13 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from registration_cases import SIZE, columns, cuboid, volume_of
-from strategies import poses, quaternions
 
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.registration.geometry.height_images import RADIUS, dilated, lower_envelope, read_value
 from kit1000.voxels import Grid, signed_distance
+from tests.samples.registration_cases import SIZE, columns, cuboid, volume_of
+from tests.samples.strategies import poses, quaternions
 
 IDENTITY = Pose.identity()
 ROTATED = Pose.from_rotvec((0.3, -0.7, 1.1), (4e-3, -2e-3, 1e-3))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from registration_cases import CASES, CLEARANCE, Case, case, known_cavity, perturbed
 from scipy.ndimage import distance_transform_edt
 
 from kit1000.perception.observed.parts import PartEvidence
@@ -19,6 +18,7 @@ from kit1000.registration.refinement.intervals import IntervalProblem, _outside,
 from kit1000.registration.refinement.walls import MAX_RESIDUAL, Problem, clipped_rms, refine
 from kit1000.registration.search.contradictions import MOST, TOLERANCE, KitHeights, contradictions
 from kit1000.voxels import Volume, surface_points
+from tests.samples.registration_cases import CASES, CLEARANCE, Case, case, known_cavity, perturbed
 
 NUMBERS = st.floats(-1, 1)
 

@@ -18,8 +18,8 @@ from kit1000.pose import Pose
 from kit1000.registration.geometry.swept_slices import rotation_matrix
 from kit1000.registration.search.correlation import YAW_STEP, OrientedPart, _correlate
 from kit1000.voxels import Grid, Volume
+from tests.samples.checkout import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 SEEDS = st.integers(0, 2**32 - 1)
 
 # Queries with a guess from the image and one without by true volumes: every digit of the predictions.

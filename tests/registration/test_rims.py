@@ -12,7 +12,7 @@ from kit1000.registration.geometry.observed_cavity import CUT, RIM, VOXEL, _seen
 from kit1000.sim.render import render
 from kit1000.values import View
 from kit1000.voxels import Volume, tsdf
-from tests.shapes import MM, box
+from tests.samples.shapes import MM, box
 
 CAMERA = Camera(width=600, height=500, fx=1500.0, fy=1500.0, cx=299.5, cy=249.5)
 HALF = np.array([20e-3, 15e-3])  # [m] of the cavity

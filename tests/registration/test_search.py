@@ -6,16 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from registration_cases import (
-    CASES,
-    CLEARANCE,
-    WORLD_FROM_KIT,
-    WORLD_FROM_PART,
-    Case,
-    case,
-    known_cavity,
-    perturbed,
-)
 
 from kit1000.kits.cavity import insertion_depth
 from kit1000.mesh import mesh_from_solid
@@ -38,7 +28,17 @@ from kit1000.registration.search.correlation import (
     coarse_search,
 )
 from kit1000.voxels import Grid, signed_distance
-from tests.shapes import box
+from tests.samples.registration_cases import (
+    CASES,
+    CLEARANCE,
+    WORLD_FROM_KIT,
+    WORLD_FROM_PART,
+    Case,
+    case,
+    known_cavity,
+    perturbed,
+)
+from tests.samples.shapes import box
 
 # search
 

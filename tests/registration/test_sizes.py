@@ -22,8 +22,8 @@ from kit1000.registration.search.candidates import SIDE, SLACK_OFFSET, plate_sid
 from kit1000.sim.render import render
 from kit1000.values import LabelledDepth, View
 from kit1000.voxels import Grid, Volume, signed_distance
-from tests.completion_cases import Oracle
-from tests.shapes import MM, box
+from tests.samples.completers import Oracle
+from tests.samples.shapes import MM, box
 
 CAMERA = Camera(width=400, height=300, fx=420.0, fy=420.0, cx=199.5, cy=149.5)
 EYE = look_at((0.35, 0.1, 0.6), (0, 0, 0))

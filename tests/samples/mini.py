@@ -7,9 +7,6 @@ from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
-import card_samples
-import recorded
-
 from kit1000.cli import main
 from kit1000.dataset.mesh_files import stl_bytes
 from kit1000.generation.plan import Sources, scene_id_of
@@ -18,6 +15,7 @@ from kit1000.generation.scenes import GeneratedScene
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.parts.cad import polygon, prism
 from kit1000.values import Assembly, Part
+from tests.samples import cards, recorded
 
 MINI = Preset("mini", 2, 1, 1, kits=(1, 2), seed=7)
 
@@ -72,4 +70,4 @@ def fake_scene(
     scene_id, k = scene_id_of(assembly.id), int(assembly.id[-4:])
     seen = replace(recorded.observation(k), scene_id=scene_id)
     extra = replace(recorded.extra_views(k), scene_id=scene_id) if extra_views else None
-    return GeneratedScene(seen, card_samples.truth(scene_id), extra, ("parts touch",) * (len(parts) + seed % 2))
+    return GeneratedScene(seen, cards.truth(scene_id), extra, ("parts touch",) * (len(parts) + seed % 2))

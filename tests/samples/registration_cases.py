@@ -6,7 +6,6 @@ from functools import cache
 
 import numpy as np
 from manifold3d import Manifold
-from shapes import Seated, box, cylinder, ell, seated
 
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
@@ -14,6 +13,7 @@ from kit1000.queries.motions import apply_error, goal_motion
 from kit1000.registration.geometry.observed_cavity import Cavity, find_cavity, plate_grid
 from kit1000.registration.search.correlation import Candidate
 from kit1000.voxels import Grid, Volume, signed_distance
+from tests.samples.shapes import Seated, box, cylinder, ell, seated
 
 CLEARANCE = 2.5e-3
 UP = np.array([0.0, 0.0, 1.0])

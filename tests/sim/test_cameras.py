@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import kstest
-from strategies import poses
 
 from kit1000.camera import Camera
 from kit1000.errors import InputError
@@ -24,6 +23,7 @@ from kit1000.sim.cameras import (
     draw_primary_pose,
     in_view,
 )
+from tests.samples.strategies import poses
 
 DRAWS = 1000
 CORNERS = np.array(np.meshgrid(*WORKSPACE.T)).reshape(3, 8).T

@@ -26,8 +26,8 @@ from kit1000.sim.convex_decomposition import cache_key, convex_pieces, pack_piec
 from kit1000.sim.insertion import MAX_LAG, InsertionTrial, Workpiece, assembly_obstacles, classify_outcome, insert
 from kit1000.sim.world import MARGIN, STEP_RATE, World
 from kit1000.values import Assembly, FreeAxis, Kit, Part, Slot
-from tests.sample_kits import sample_kit, sample_part
-from tests.shapes import MM, Z, box, ell, seated, standing
+from tests.samples.kits import sample_kit, sample_part
+from tests.samples.shapes import MM, Z, box, ell, seated, standing
 
 CUBE = (np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.01).astype(float)
 MOMENTS = np.array([1e-6, 2e-6, 2.5e-6])

@@ -38,8 +38,8 @@ from kit1000.sim.layout import (
 )
 from kit1000.sim.settle import POSE_GRID, RestPose
 from kit1000.values import Assembly, Part, Slot
-from tests.sample_kits import sample_kit, sample_part
-from tests.shapes import as_part, box
+from tests.samples.kits import sample_kit, sample_part
+from tests.samples.shapes import as_part, box
 
 FAMILIES = ("bracket", "channel", "tee", "cover")
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
-from sample_kits import QUICK, sample_kit, sample_part
-from shapes import box
 
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose, quaternion_from_rotvec
 from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.sim.render import RenderedImage, render
+from tests.samples.kits import QUICK, sample_kit, sample_part
+from tests.samples.shapes import box
 
 Bodies = list[tuple[Mesh, Pose]]
 DEPTH_TOLERANCE = 1e-6  # [m] of the median, and of 9999 pixels in 10,000

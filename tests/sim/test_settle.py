@@ -14,8 +14,8 @@ from kit1000.kits.face import resting_faces
 from kit1000.mesh import Mesh, inertia, mesh_from_solid
 from kit1000.pose import Pose, random_quaternions
 from kit1000.sim.settle import DOWN, POSE_GRID, Release, RestPose, is_stable_facet, principal_axes, rounded_pose, settle
-from tests.shapes import box, cylinder, ell, leaning_prism, lying_cylinder, random_solid, standing, upturned_tee
-from tests.strategies import poses
+from tests.samples.shapes import box, cylinder, ell, leaning_prism, lying_cylinder, random_solid, standing, upturned_tee
+from tests.samples.strategies import poses
 
 DENSITY = 1000.0
 SHAPES = {

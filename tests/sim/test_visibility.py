@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sample_kits import QUICK, sample_kit, sample_part
-from shapes import box, seated
 
 from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError
@@ -36,6 +34,8 @@ from kit1000.sim.visibility import (
     view_redraw_reason,
 )
 from kit1000.values import Kit
+from tests.samples.kits import QUICK, sample_kit, sample_part
+from tests.samples.shapes import box, seated
 
 IDENTITY = Pose.identity()
 DEPTH = 8e-3  # [m] of the cavity of `trough`

@@ -16,8 +16,8 @@ from kit1000.mesh import mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.sim import world as module
 from kit1000.sim.world import GRAVITY, MARGIN, MAX_HULL_VERTICES, STEP_RATE, World, hull_vertices
-from tests.shapes import box, cylinder, standing
-from tests.strategies import poses
+from tests.samples.shapes import box, cylinder, standing
+from tests.samples.strategies import poses
 
 CUBE = (np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) * 0.01).astype(float)
 MOMENTS = np.full(3, 0.05 / 6 * 0.02**2)

@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Browser, Page
-from test_editor_browser import PATIENCE_S, WINDOW, browser, on_page, ready, wait
 
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
@@ -22,6 +21,7 @@ from kit1000.study.questionnaire import SCALES
 from kit1000.study.reading import read_participants
 from kit1000.study.records import PERSON
 from kit1000.study.tasks import Task, Tasks
+from tests.editor.test_browser import PATIENCE_S, WINDOW, browser, on_page, ready, wait
 
 __all__ = ["browser"]  # a fixture
 

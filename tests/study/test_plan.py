@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from studies import plan_of
 
 from kit1000.errors import InputError
 from kit1000.study.conditions import CONDITIONS, CROSSED, conditions_of
 from kit1000.study.orders import orders, williams_square
 from kit1000.study.plan import FILE, StudyPlan, read_plan, write_plan
 from kit1000.study.tasks import SIZES, Task, Tasks
+from tests.samples.studies import plan_of
 
 
 @given(st.sampled_from([2, 4]), st.integers(1, 3), st.integers(0, 2**32))

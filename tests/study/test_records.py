@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from studies import FITTS, plan_of, trial_of, write_participant, write_study
 
 from kit1000.cli import main
 from kit1000.errors import InputError
@@ -18,6 +17,7 @@ from kit1000.study.plan import StudyPlan
 from kit1000.study.reading import chosen_operator, operators_of, read_participants
 from kit1000.study.records import PERSON, Operator, read_trial, trial_folder, write_trial
 from kit1000.study.report import write_report
+from tests.samples.studies import FITTS, plan_of, trial_of, write_participant, write_study
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from studies import FITTS
 
 from kit1000.cli import main
 from kit1000.dataset.reader import Dataset
@@ -25,6 +24,7 @@ from kit1000.study.plan import StudyPlan, read_plan, write_plan
 from kit1000.study.reading import read_participants
 from kit1000.study.tasks import SIZES, Task, Tasks, choose_tasks
 from kit1000.values import Query, TrueGeometry
+from tests.samples.studies import FITTS
 
 AIM = Aim(
     Pose.from_translation((0.0, 0.4, 0.05)) @ Pose.from_rotvec((0.0, 0.0, 1.0)),
@@ -112,7 +112,7 @@ def small_plan(mini: Path) -> StudyPlan:
     return StudyPlan(
         Dataset(mini).id,
         "ideal",
-        "test_study_simulation:near",
+        f"{__name__}:near",
         ("scene-snap", "hand"),
         4,
         3,

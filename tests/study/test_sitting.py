@@ -14,9 +14,6 @@ import pytest
 
 pytest.importorskip("viser")
 
-from editing import desk, dragged, goal, scene_of
-from studies import plan_of, write_participant
-
 from kit1000.cli import main
 from kit1000.dataset.reader import Dataset
 from kit1000.dataset.tables import pose_row
@@ -27,6 +24,8 @@ from kit1000.study.pages import TaskPanel
 from kit1000.study.plan import write_plan
 from kit1000.study.records import PERSON, PartResult
 from kit1000.study.sitting import FINISH, UPLOAD, Sitting, TaskPage
+from tests.samples.editing import desk, dragged, goal, scene_of
+from tests.samples.studies import plan_of, write_participant
 
 MOTION = Pose.from_translation((0.01, 0.02, 0.03))
 

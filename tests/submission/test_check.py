@@ -9,7 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from broken_submissions import (
+
+from kit1000.cli import main
+from kit1000.errors import InputError
+from kit1000.submission import HEADER, Manifest, check, read_predictions, write_manifest
+from tests.samples.broken_submissions import (
     BROKEN,
     BROKEN_MANIFESTS,
     GOOD,
@@ -25,10 +29,6 @@ from broken_submissions import (
     field,
     row,
 )
-
-from kit1000.cli import main
-from kit1000.errors import InputError
-from kit1000.submission import HEADER, Manifest, check, read_predictions, write_manifest
 
 
 @pytest.mark.parametrize("case", [*BROKEN, *WARNINGS])

@@ -26,8 +26,9 @@ from kit1000.submission.faults import Fault
 from kit1000.submission.plausibility import plausibility_faults
 from kit1000.submission.rows import read_rows
 from kit1000.values import Prediction
+from tests.samples.checkout import ROOT
 
-DOCUMENT = Path(__file__).resolve().parents[1] / "docs/reference/submission.md"
+DOCUMENT = ROOT / "docs/reference/submission.md"
 
 
 @pytest.fixture(scope="module")

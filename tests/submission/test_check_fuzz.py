@@ -12,12 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from broken_submissions import BROKEN, BROKEN_MANIFESTS, GOOD, MANIFEST, WARNINGS, as_bytes
 
 from kit1000.cli import main
 from kit1000.errors import InputError
 from kit1000.files import json_bytes
 from kit1000.submission import Report, check, read_manifest, read_predictions, write_manifest, write_predictions
+from tests.samples.broken_submissions import BROKEN, BROKEN_MANIFESTS, GOOD, MANIFEST, WARNINGS, as_bytes
 
 SECONDS = float(os.environ.get("KIT1000_FUZZ_S", "2"))
 TOKENS = (

@@ -8,12 +8,12 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
-from broken_submissions import GOOD, HEAD, MANIFEST
 
 from kit1000.cli import main
 from kit1000.errors import InputError
 from kit1000.submission import check, read_submission
 from kit1000.submission.faults import MOST_KEPT, MOST_PRINTED
+from tests.samples.broken_submissions import GOOD, HEAD, MANIFEST
 
 SECRET = "secret-of-another-user"
 FILES = ("manifest.toml", "predictions.csv")

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from mini import l_shape
-from mini import write_stl as stl_written
 
 from kit1000.camera import Camera
 from kit1000.errors import MeshRefused
@@ -25,6 +23,8 @@ from kit1000.sim.render import RenderedImage, render
 from kit1000.sim.sensors import DEPTH_GRID, SENSORS, sense
 from kit1000.testing import check_renderer, check_sensor, check_source
 from kit1000.values import View
+from tests.samples.mini import l_shape
+from tests.samples.mini import write_stl as stl_written
 
 Rng = np.random.Generator
 SMALL_CAMERA = CAMERA.scaled(0.25)  # 320 x 180 pixels: broken sensors fail on small images too

@@ -10,13 +10,13 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shapes import MM, box, random_solid
-from strategies import poses
 
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, signed_distance
+from tests.samples.shapes import MM, box, random_solid
+from tests.samples.strategies import poses
 
 ROTATED = Pose.from_rotvec((0.3, -0.7, 1.1), (0.2, -0.1, 0.05))
 IDENTITY = Pose.identity()

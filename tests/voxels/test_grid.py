@@ -9,8 +9,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates
-from shapes import box
-from strategies import poses
 
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, mesh_from_solid
@@ -27,6 +25,8 @@ from kit1000.voxels import (
     to_float16,
     to_uint8,
 )
+from tests.samples.shapes import box
+from tests.samples.strategies import poses
 
 ROTATED = Pose.from_rotvec((0.3, -0.7, 1.1), (0.2, -0.1, 0.05))
 GRID = Grid((7, 6, 5), 2e-3, ROTATED)

@@ -7,8 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from shapes import as_part, ring_plate
-from strategies import poses
 
 from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError
@@ -16,6 +14,8 @@ from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import View
 from kit1000.voxels import Grid, Volume, fuse, signed_distance, surface_points, tsdf
+from tests.samples.shapes import as_part, ring_plate
+from tests.samples.strategies import poses
 
 CAMERA = Camera(width=160, height=120, fx=150.0, fy=140.0, cx=78.3, cy=61.7)
 SQUARE = Camera(width=101, height=101, fx=400.0, fy=400.0, cx=50.0, cy=50.0)

@@ -15,8 +15,8 @@ from benchmark.protocol import read_protocol
 from kit1000.errors import InputError
 from kit1000.perception.networks.weight_files import LARGEST, load_weights, save_weights
 from kit1000.weights import WEIGHTS as LIBRARY_WEIGHTS
+from tests.samples.checkout import ROOT
 
-ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = (WEIGHTS, LIBRARY_WEIGHTS)
 SHIPPED = sorted({path.stem for folder in FOLDERS for path in folder.glob("*.json")})
 

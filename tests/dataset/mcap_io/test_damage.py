@@ -19,7 +19,7 @@ from kit1000.dataset.mcap_io.content import observation_hash, truth_hash
 from kit1000.dataset.schema import Observation
 from kit1000.errors import InputError
 from kit1000.values import View
-from tests.recorded import CAMERA, POSE, noise, observation, query, truth, write, write_truth
+from tests.samples.recorded import CAMERA, POSE, noise, observation, query, truth, write, write_truth
 
 
 @pytest.fixture

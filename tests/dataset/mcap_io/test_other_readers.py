@@ -21,10 +21,11 @@ from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import View
-from tests.shapes import box, ell, lying_cylinder, standing
+from tests.samples.checkout import ROOT
+from tests.samples.shapes import box, ell, lying_cylinder, standing
 
 CAMERA = Camera(320, 180, 231.25, 231.25, 159.5, 89.5)
-PAGE = Path(__file__).resolve().parents[1] / "docs/reference/recordings.md"
+PAGE = ROOT / "docs/reference/recordings.md"
 
 
 def bodies() -> list[tuple[Mesh, Pose]]:

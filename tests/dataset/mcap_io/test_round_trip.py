@@ -29,7 +29,7 @@ from kit1000.dataset.schema import Observation
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.values import View
-from tests.recorded import (
+from tests.samples.recorded import (
     BIG,
     CAMERA,
     POSE,
@@ -43,7 +43,7 @@ from tests.recorded import (
     write,
     write_truth,
 )
-from tests.strategies import poses
+from tests.samples.strategies import poses
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from kit1000.perception.observed.pixels import cropped
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 from kit1000.values import LabelledDepth, View
-from tests.shapes import MM, box, ell
+from tests.samples.shapes import MM, box, ell
 
 CAMERA = Camera(width=500, height=400, fx=700.0, fy=700.0, cx=249.5, cy=199.5)
 EYE = look_at((0.35, 0.1, 0.6), (0, 0, 0))

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from completion_cases import DEEP, WIDE, KnownPlate, plate_image
 from scipy.spatial import KDTree
 
 from kit1000.dataset.reader import Dataset
@@ -21,6 +20,7 @@ from kit1000.pose import Pose
 from kit1000.registration.proposals import CompletingRegistration
 from kit1000.rng import stream
 from kit1000.values import Query
+from tests.samples.completers import DEEP, WIDE, KnownPlate, plate_image
 
 MOVED = Pose.from_rotvec((0.0, 0.0, 2.0), (0.3, -0.2, 0.1))
 

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from completion_cases import DEEP, WIDE, KnownPlate, plate_image, tray
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -31,6 +30,7 @@ from kit1000.rng import stream
 from kit1000.values import Kit
 from kit1000.voxels import signed_distance
 from kit1000.weights import WEIGHTS
+from tests.samples.completers import DEEP, WIDE, KnownPlate, plate_image, tray
 
 VOXEL = 1e-3
 SMALL = KitCompletionConfig(widths=(8, 8, 8, 8))

@@ -28,8 +28,8 @@ from kit1000.registration.inputs.sources import DepthSource
 from kit1000.sim.render import render
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 from kit1000.voxels import Grid, signed_distance
-from tests.completion_cases import Oracle
-from tests.shapes import MM, box
+from tests.samples.completers import Oracle
+from tests.samples.shapes import MM, box
 
 CAMERA = Camera(width=400, height=300, fx=500.0, fy=500.0, cx=199.5, cy=149.5)
 EYE = look_at((0.3, 0.1, 0.55), (0, 0, 0))

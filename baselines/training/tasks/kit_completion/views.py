@@ -57,11 +57,11 @@ class KitViews:
     drawn: int
     """Fresh kits of that seed."""
     drawn_share: float
-    """Of the views: with one of these in place of the kit that is shown."""
+    """Share of the views with one of these instead of the kit that is shown."""
     stretched_share: float
-    """Of the views: with the kit that is shown stretched."""
+    """Share of the views with the kit that is shown stretched."""
     restorer: Restorer
-    """Of the images of the d415."""
+    """Restorer of the images of the d415."""
     _kept: dict[int, Example] = field(default_factory=dict, repr=False, compare=False)
     _kits: dict[int, Kit] = field(default_factory=dict, repr=False, compare=False)
 

@@ -52,7 +52,7 @@ class DrawnParts:
     seed: int
     count: int
     folder: Path | None = None
-    """Of the shards; None keeps them in memory alone."""
+    """Folder of the shards; None keeps them in memory alone."""
     _shards: dict[int, list[DrawnPart]] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:

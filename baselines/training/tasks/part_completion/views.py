@@ -39,7 +39,7 @@ class DrawnViews:
 
     parts: DrawnParts
     d415_share: float
-    """Of the examples that are measured by the d415."""
+    """Share of the examples that the d415 measures."""
 
     def example(self, rng: np.random.Generator) -> Example:
         """Evidence and truth of a view, see `example_of`."""

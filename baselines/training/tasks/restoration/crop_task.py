@@ -35,7 +35,7 @@ class Recorded(NamedTuple):
     place: np.ndarray
     """(3,) [m] world: shown in the middle of the crop."""
     whole: Example
-    """Of the whole image."""
+    """Example of the whole image."""
 
 
 @dataclass

@@ -41,7 +41,7 @@ class ViewCrops(ABC):
     """Ids of those that are shown, all of the train split."""
     seed: int
     count: int
-    """Of views."""
+    """Number of views."""
     _kept: dict[int, list[Example]] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -62,7 +62,7 @@ class ViewCrops(ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class SceneViews(ViewCrops):
-    """Of measured and true disparities."""
+    """Crops of measured and true disparities."""
 
     STREAM = "restoration"
     labelled: bool = True

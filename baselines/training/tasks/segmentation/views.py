@@ -26,11 +26,11 @@ KITS_SHARE = 0.05  # of the crops: about a pixel of the kits
 
 @dataclass(frozen=True, kw_only=True)
 class PartViews(ViewCrops):
-    """Of heights, with the middles of parts."""
+    """Crops of heights, with the middles of parts."""
 
     STREAM = "segmentation"
     restorer: Restorer
-    """Of images without masks."""
+    """Restorer of images without masks."""
 
     def crops(self, rng: np.random.Generator) -> list[Example]:
         """About pixels of parts, and some of the kits."""
