@@ -33,7 +33,7 @@ LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --unive
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install browser dataset test test-slow lint site results table1 table2 bench bench-parts portable mutants viewers slicer pictures lock clean
+.PHONY: help install browser dataset test test-slow lint site wheel results table1 table2 bench bench-parts portable mutants viewers slicer pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -78,6 +78,11 @@ table2: $(DEV) ## Table II of DATA (PRESET=real-like), rows under ROWS: each sta
 	$(BIN)/python bench/quality/kit_completion.py "$(DATA)" $(MEASURE)
 	$(BIN)/python -m benchmark table2 $(addprefix "$(ROWS)"/,true-shapes masks-given masks-found guess) --data "$(DATA)" \
 	    --masks predicted --components "$(ROWS)/components.json" --out "$(ROWS)/table2.json"
+
+wheel: $(DEV) ## build wheel and sdist under dist/, check them, and use the wheel alone in an empty folder
+	rm -rf dist && $(BIN)/python -m hatchling build --target wheel --target sdist --directory dist
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/python -m pytest -m slow tests/test_wheel.py
 
 results: $(DEV) ## fill the tables of README and docs from results/ and submissions/
 	$(BIN)/python -m benchmark documents README.md $$(grep -rl "<!-- result:" docs --include=*.md)

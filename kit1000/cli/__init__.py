@@ -16,7 +16,7 @@ import tyro
 
 from kit1000.cli.command_line import run
 from kit1000.cli.options import Flag, Folder, OptionalFloat, OptionalInt, OptionalPath, Unit
-from kit1000.cli.scenes import Edit, Insertions, Predict, Run, Study
+from kit1000.cli.scenes import Edit, Predict, Run, Study
 from kit1000.cli.summaries import kit_report_text, summary_text
 from kit1000.errors import InputError
 from kit1000.version import __version__
@@ -297,7 +297,6 @@ COMMANDS = {
     "check": Check,
     "edit": Edit,
     "predict": Predict,
-    "insertions": Insertions,
     "run": Run,
     "study": Study,
 }

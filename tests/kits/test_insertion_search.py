@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import CrossSection, Manifold
 
+from bench.exact_offset import contact_offset_by_booleans, swept_solid
 from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.insertion_search import MOST_TILT, _turned
 from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_loose_fit, is_near_goal
-from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset_by_booleans, swept_solid
+from kit1000.kits.seating import BISECTION_STEP, InsertedPart
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.values import Kit

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold, OpType
 
+from bench.exact_offset import contact_offset_by_booleans, swept_solid
 from kit1000.errors import InputError, ShapeError
 from kit1000.kits.acceptance import SeatingTest, rotated_about_centroid
 from kit1000.kits.contact import convex_edges
@@ -22,9 +23,7 @@ from kit1000.kits.seating import (
     InsertedPart,
     SeatingResult,
     contact_offset,
-    contact_offset_by_booleans,
     seating_result,
-    swept_solid,
 )
 from kit1000.mesh import Mesh, defect, mesh_from_solid, solid_from_mesh
 from kit1000.metrics import Seatings, seatings

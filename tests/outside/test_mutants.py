@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench import mutants
+from bench.outside import mutants
 from bench.outside.mutants import LEAST_SHARE, MUTANTS, Mutant, is_killed, main
 from tests.samples.checkout import ROOT
 
@@ -22,6 +22,11 @@ def test_a_change_has_one_place_and_makes_another_valid_module(mutant: Mutant) -
     changed = source.replace(mutant.old, mutant.new)
     assert ast.dump(ast.parse(changed)) != ast.dump(ast.parse(source))
     assert all((ROOT / name).is_file() for name in mutant.test_files)
+
+
+def test_tests_are_named_by_folder_and_module() -> None:
+    mutant = Mutant("kit1000/kits/seating.py", "3", "4", "kits/seating stated_numbers")
+    assert mutant.test_files == ["tests/kits/test_seating.py", "tests/test_stated_numbers.py"]
 
 
 def test_every_change_is_listed_once() -> None:
