@@ -54,10 +54,10 @@ PIECES = Path("runs/pieces")
 AGREEMENT_COLUMNS = (
     Column("error", "prediction"),
     Column("n", "n"),
-    Column("both", "both seat"),
-    Column("test_alone", "test alone"),
-    Column("physics_alone", "physics alone"),
-    Column("neither", "neither"),
+    Column("both", "both seat", 0),
+    Column("test_alone", "test alone", 0),
+    Column("physics_alone", "physics alone", 0),
+    Column("neither", "neither", 0),
     Column("agree", "agree, %", 1, True),
 )
 DISAGREEMENT_COLUMNS = (
@@ -290,7 +290,7 @@ def add_tables(measurement: Measurement, rows: Sequence[Row]) -> None:
         ("tilts", "Outcomes of true poses by the tilt of the slot", "tilt, °", tilts),
         ("depths", "Outcomes of true poses by the depth of the cavity", "depth, mm", depths),
     ):
-        columns = [Column("group", heading), Column("n", "n"), *(Column(outcome, outcome) for outcome in OUTCOMES)]
+        columns = [Column("group", heading), Column("n", "n"), *(Column(outcome, outcome, 0) for outcome in OUTCOMES)]
         table = measurement.table(name, title, *columns, Column("rate", "seated, %", 1, True))
         for group, trials in groups.items():
             if trials:

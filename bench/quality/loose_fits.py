@@ -261,7 +261,7 @@ def main(run: Attack) -> int:
     columns = (
         Column("kind", "kind"),
         Column("n", "pairs"),
-        Column("fallen", "fallen"),
+        Column("fallen", "fallen", 0),
         Column("rate", "fallen, %", 1, True),
     )
     rates = measurement.table("rates", "Pairs whose part goes into its slot near no goal", *columns)

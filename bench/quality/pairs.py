@@ -74,7 +74,7 @@ def main(run: PairCheckRun) -> int:
     columns = (
         Column("check", "check"),
         Column("n", "n"),
-        Column("faults", "faults"),
+        Column("faults", "faults", 0),
         Column("passed", "passed, %", 2, True),
     )
     checks = measurement.table("checks", title, *columns)

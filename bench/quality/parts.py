@@ -80,7 +80,7 @@ def main(options: Parts) -> int:
     measurement.setting["command"] = measurement.setting["command"].replace(str(options.parts), "PARTS")
     add_tables(measurement, real, ours, options.seed)
     measurement.report(options.out)
-    return int(any(row["met"] == "no" for each in measurement.tables.values() for row in each.rows))
+    return int(any(row.get("met") == "no" for each in measurement.tables.values() for row in each.rows))
 
 
 def shapes_of(folder: Path, seed: int) -> list[Shape]:

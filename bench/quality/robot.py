@@ -44,10 +44,10 @@ SEATED_COLUMNS = (
 AGREEMENT_COLUMNS = (
     MOTIONS,
     Column("n", "picked parts"),
-    Column("both", "both seat"),
-    Column("robot_alone", "robot alone"),
-    Column("test_alone", "test alone"),
-    Column("neither", "neither"),
+    Column("both", "both seat", 0),
+    Column("robot_alone", "robot alone", 0),
+    Column("test_alone", "test alone", 0),
+    Column("neither", "neither", 0),
     Column("differ", "they differ, %", 1, True),
     Column("seconds", "robot, s", 1),
     Column("median", "median", 1),
@@ -156,7 +156,7 @@ def add_tables(measurement: Measurement, cases: Mapping[str, Sequence[Case]], ti
     """Add the tables of cases by the name of their motions, the true ones among them."""
     possible = {case.query.id for case in cases[TRUTH] if case.run.outcome not in (NO_SEAL, NOT_FROM_ABOVE)}
     seated = measurement.table("seated", title, *SEATED_COLUMNS)
-    outcome_columns = [Column(outcome, outcome) for outcome in OUTCOMES]
+    outcome_columns = [Column(outcome, outcome, 0) for outcome in OUTCOMES]
     outcomes = measurement.table("outcomes", "All parts by outcome", MOTIONS, Column("n", "parts"), *outcome_columns)
     agreement = measurement.table("agreement", "Robot and seating test on picked parts", *AGREEMENT_COLUMNS)
     differences = measurement.table("differences", "Picked parts on which they differ", *DIFFERENCE_COLUMNS)

@@ -108,7 +108,7 @@ def _make_kit(reading: MeshReading, place: str, out: Path, clearance: float, lon
         )
     design, trial = _best_kit(part, clearance, place)
     report = _report(reading, part, scale, design, trial)
-    files = _files(part, design, place)
+    files = kit_files(part, design, place)
     clear_partial(out, *files, REPORT)
     with suppress(OSError):  # of an earlier run; the next write reports any error
         (out / REPORT).unlink()
@@ -192,7 +192,8 @@ def _trial_report(attempt: Attempt) -> dict[str, Any]:
     return report | {"why": why, "keyedness_deg": keyed}
 
 
-def _files(part: Part, design: KitDesign, place: str) -> dict[str, bytes]:
+def kit_files(part: Part, design: KitDesign, place: str) -> dict[str, bytes]:
+    """The files of a kit and its part, by name. place: what messages call the part."""
     from kit1000.pictures.previews import kit_preview  # only here: importing it compiles the renderer
 
     kit = _closed_in_files(design.kit.mesh, f"{place}: the kit")

@@ -74,7 +74,7 @@ def generate(
             parts = _make_parts_and_kits(root, preset, plan, sources, parallel_map)
             assemblies = _make_assemblies(root, preset, plan, parts, parallel_map)
             scenes = _make_shards(root, preset, plan, assemblies, parallel_map)
-        return _write_summary(root, plan, JobRecords(parts, assemblies, scenes))
+        return write_summary(root, plan, JobRecords(parts, assemblies, scenes))
 
 
 def _check_folder(root: Path, plan: dict[str, Any]) -> None:
@@ -226,7 +226,7 @@ def _check_files_present(root: Path, record: Record) -> None:
             )
 
 
-def _write_summary(root: Path, plan: dict[str, Any], records: JobRecords) -> dict[str, Any]:
+def write_summary(root: Path, plan: dict[str, Any], records: JobRecords) -> dict[str, Any]:
     """Write the tables, the plan, the data card, the Croissant file and last `dataset.json`; returns its contents."""
     written = {f"{name}.json": write_json(root / f"{name}.json", rows) for name, rows in tables(plan, records).items()}
     _remove_unlisted(root, records.files)

@@ -95,7 +95,7 @@ def publish(full: Path, public_folder: Path) -> dict[str, Any]:
         write_json(public_folder / BEGUN_FILE, {"dataset_id": secret["dataset_id"]})
         files = {name: digest for name, digest in summary["files"].items() if _is_public(name, tables)}
         for name, digest in files.items():
-            _link_or_copy(full / name, public_folder / name, digest)
+            link_or_copy(full / name, public_folder / name, digest)
         files |= _publish_recordings(full, public_folder, summary["shards"])
         for name, rows in tables.items():
             public_rows = {i: row for i, row in rows.items() if row["split"] != HIDDEN_SPLIT}
@@ -194,7 +194,7 @@ def _public_summary(summary: dict[str, Any], secret: dict[str, Any]) -> dict[str
     }
 
 
-def _link_or_copy(source: Path, target: Path, digest: str) -> None:
+def link_or_copy(source: Path, target: Path, digest: str) -> None:
     """Hard-link a file to a second place, or copy it where links are not possible."""
     if sha256(target) == digest:
         return

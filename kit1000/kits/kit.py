@@ -128,7 +128,7 @@ def _cut_plate(standing: Manifold, depth: float, clearance: float, plate: Plate)
         cavity = cut_cavity(standing, depth, clearance, plate.width, merge_patches)
         if not _fits_plate(cavity, plate):
             raise Redraw("wider than the plate")
-        mesh = _plate_mesh(cavity, plate)
+        mesh = plate_mesh(cavity, plate)
         measured = measure_clearance(mesh, cavity)
         if measured.largest <= clearance + MAX_EXCESS_CLEARANCE:
             break
@@ -176,7 +176,7 @@ def _fits_plate(cavity: Cavity, plate: Plate) -> bool:
     return bool((reach <= np.array(plate.width) / 2 - MIN_WALL).all())
 
 
-def _plate_mesh(cavity: Cavity, plate: Plate) -> Mesh:
+def plate_mesh(cavity: Cavity, plate: Plate) -> Mesh:
     """The plate with its cavity as a closed mesh on the float32 grid."""
     block = Manifold.cube((*plate.width, plate.thickness), center=True).translate((0, 0, -plate.thickness / 2))
     solid = block - cavity.solid.translate((0, 0, -cavity.depth))

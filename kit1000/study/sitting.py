@@ -168,7 +168,7 @@ class TaskPage:
                 if request == FINISH or (self.index and not self.clock.may_upload()):
                     return
                 if request == UPLOAD:
-                    self._upload(controller, judge, panel)
+                    self.upload(controller, judge, panel)
                 if len(self.motions) == parts or (not self.index and SEATED in self.outcomes.values()):
                     return
         finally:
@@ -184,7 +184,7 @@ class TaskPage:
                 request = self.requests.get(timeout=TICK_S)
             yield request
 
-    def _upload(self, controller: Controller, judge: Judge, panel: TaskPanel) -> None:
+    def upload(self, controller: Controller, judge: Judge, panel: TaskPanel) -> None:
         with controller.lock:
             edits = controller.space.session.edits
             parts = [

@@ -74,9 +74,7 @@ def test_the_interval_of_a_rate_is_wilsons() -> None:
     assert found["ci95"] == pytest.approx([0.4902, 0.9433], abs=1e-4)
 
 
-def test_the_command_names_the_program_and_neither_data_nor_target(
-    mini: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_names_the_program_and_neither_data_nor_target(mini: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = ROOT / "bench/quality/calibration.py"
     monkeypatch.setattr(sys, "argv", [str(program), str(mini), "--scenes", "3", "--out", "/elsewhere/x.json"])
     setting = Measurement.begin(Dataset(mini)).setting

@@ -241,7 +241,7 @@ def test_an_unfinished_dataset_is_named_as_such(
         raise KeyboardInterrupt
 
     l_shape_sources(tmp_path / "files", (24,))
-    monkeypatch.setattr(build, "_write_summary", interrupt)
+    monkeypatch.setattr(build, "write_summary", interrupt)
     line = ["generate", "tiny", "--out", f"{tmp_path}/out", "--parts", f"{tmp_path}/files", "--workers", "1"]
     assert main(line) == 130
     assert capsys.readouterr().err == "kit1000: interrupted; run the same command again to continue\n"

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.dataset.tables import pose_row
 from kit1000.errors import InputError
@@ -119,7 +118,7 @@ def test_invalid_camera_sets_and_sensors_are_refused(mini: Path, recorded: Recor
 def test_the_truth_of_one_query_is_that_of_all_and_reads_no_mesh(
     recorded: RecordedScene, mini: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.delattr(Geometry, "_mesh")
+    monkeypatch.delattr("kit1000.dataset.geometry.read_glb")
     again = Dataset(mini).recorded_scene("test-s0000")
     assert list(again.truths) == [query.id for query in recorded.queries]
     for query_id, truth in again.truths.items():

@@ -167,7 +167,7 @@ def test_an_interrupted_run_leaves_complete_files_and_no_report(
 
 def test_nothing_is_written_when_no_kit_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     part = write_stl(tmp_path / "corner.stl", l_shape())
-    monkeypatch.setattr(own_part, "_files", lambda *_: 1 / 0)
+    monkeypatch.setattr(own_part, "kit_files", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         make_kit_from_file(part, tmp_path / "out")
     assert not (tmp_path / "out").exists()
@@ -377,7 +377,7 @@ def test_written_meshes_stay_closed_where_rounding_would_open_them(width: float,
     design = design_kit(part, plate=None)
     seated = part.mesh.moved(design.kit.slot.kit_from_part)
     assert defect_float32(seated) is not None
-    data = own_part._files(part, design, "cut.stl")
+    data = own_part.kit_files(part, design, "cut.stl")
     (tmp_path / "part.stl").write_bytes(data["part.stl"])
     (tmp_path / "seated.glb").write_bytes(data["seated.glb"])
     back = read(tmp_path / "part.stl")

@@ -75,7 +75,8 @@ def test_a_finished_dataset_is_not_changed(
     complete: Path, sources: Sources, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     times = {path: path.stat().st_mtime_ns for path in complete.rglob("*") if path.name != ".lock"}
-    monkeypatch.setattr(build, "_make_parts_and_kits", None)
+    for name in ("make_part_and_kit", "make_assembly", "make_shard"):
+        monkeypatch.setattr(build, name, None)
     summary = generate(MINI, complete, workers=1, sources=sources)
     assert summary == json.loads((complete / "dataset.json").read_bytes())
     assert capsys.readouterr() == ("", f"{complete} is complete: nothing to do\n")
@@ -251,7 +252,7 @@ def make_unfinished(root: Path, sources: Sources, monkeypatch: pytest.MonkeyPatc
         raise Stop
 
     with monkeypatch.context() as patch:
-        patch.setattr(build, "_write_summary", stop)
+        patch.setattr(build, "write_summary", stop)
         with pytest.raises(Stop):
             generate(MINI, root, workers=1, sources=sources)
 
@@ -369,7 +370,7 @@ def test_neighbours_that_cannot_be_placed_are_left_out(
 
     monkeypatch.setattr(assemblies, "MAX_ATTEMPTS", 5)
     monkeypatch.setattr(assemblies, "check_assembly", check)
-    monkeypatch.setattr(assemblies, "_fits_in_other_slot", lambda *_: False)
+    monkeypatch.setattr(assemblies, "find_fit_in_other_slot", lambda *_: None)
     preset = build.replace(MINI, kits=(2, 2))
     summary = generate(preset, tmp_path, workers=1, sources=sources)
     assert summary["redraws"]["assemblies"] == {"too narrow": 2 * assemblies.MAX_ATTEMPTS, assemblies.FEWER_KITS: 4}

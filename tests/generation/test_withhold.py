@@ -257,7 +257,7 @@ class Stop(BaseException):
     """An exception that no code handles."""
 
 
-@pytest.mark.parametrize("place", ["make_shard", "_link_or_copy", "description_files"])
+@pytest.mark.parametrize("place", ["make_shard", "link_or_copy", "description_files"])
 def test_an_interrupted_run_continues_as_the_same_dataset(
     place: str, quick_dataset: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -268,7 +268,7 @@ def test_an_interrupted_run_continues_as_the_same_dataset(
             raise Stop
         return original(*arguments)
 
-    calls = 0 if place == "_link_or_copy" else 1
+    calls = 0 if place == "link_or_copy" else 1
     module = build if place == "make_shard" else withhold
     original = getattr(module, place)
     with monkeypatch.context() as patch:

@@ -19,8 +19,8 @@ from kit1000.kits.assembly import (
     GROUND_GAP,
     AssemblyPlan,
     SidePlate,
-    _cavity_box,
     build_assembly,
+    cavity_box,
     check_assembly,
     draw_assembly,
     place_kits,
@@ -198,7 +198,7 @@ def test_a_pin_in_a_cavity_is_caught() -> None:
 
 def test_a_hole_in_a_plate_is_caught() -> None:
     assembly = drawn(3, 4)
-    hole = solid_from_mesh(assembly.mesh) - _cavity_box(assembly.mounts[0])  # all that stands beside its cavity
+    hole = solid_from_mesh(assembly.mesh) - cavity_box(assembly.mounts[0])  # all that stands beside its cavity
     with pytest.raises(Redraw, match="plate not whole"):
         check_assembly(replace(assembly, mesh=mesh_from_solid(hole).rounded_float32()), parts())
 

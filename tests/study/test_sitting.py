@@ -108,7 +108,7 @@ def test_while_the_robot_works_clock_and_hand_stand_still(mini: Path, tmp_path: 
             return super().carry_out(motions)
 
     page.clock.start()
-    page._upload(controller, BusyJudge(), cast(TaskPanel, MagicMock()))
+    page.upload(controller, BusyJudge(), cast(TaskPanel, MagicMock()))
     assert page.outcomes == {part: "seated"}
     assert controller.space.session is before
     assert controller.space.current[part].goal_from_now is before.edits[part].goal_from_now

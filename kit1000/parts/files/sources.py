@@ -223,7 +223,7 @@ def read_all(
         raise InputError(f"unit {unit!r}: expected one of {', '.join(USER_UNITS)}")
     files = [Path(path) for path in paths]
     read = partial(_read_or_refuse, unit=unit)
-    outcomes = list(_read_parallel(read, files, workers) if workers > 1 and len(files) > 1 else map(read, files))
+    outcomes = list(read_parallel(read, files, workers) if workers > 1 and len(files) > 1 else map(read, files))
     readings = [outcome for outcome in outcomes if isinstance(outcome, MeshReading)]
     return readings, [outcome for outcome in outcomes if isinstance(outcome, Refusal)]
 
@@ -237,7 +237,7 @@ def _read_or_refuse(path: Path, unit: str | None) -> Outcome:
         return Refusal(path, "needs more memory than there is")
 
 
-def _read_parallel(read: Callable[[Path], Outcome], files: Sequence[Path], workers: int) -> Iterator[Outcome]:
+def read_parallel(read: Callable[[Path], Outcome], files: Sequence[Path], workers: int) -> Iterator[Outcome]:
     """Outcomes in order from several processes; a file that crashes its process is refused, the others are read."""
     done = 0
     while done < len(files):

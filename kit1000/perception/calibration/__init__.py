@@ -2,7 +2,8 @@
 
 The table is part of the specification of every scene, and what the sensor does not see of it is part of its own
 (docs/reference/sensors.md). Read `plane` (the table's plane), `borders` (its outline, and the band that the second
-imager does not see), `camera` (the pose and the depth scale that explain them) and `table_top` (which pixels look at the table).
+imager does not see), `camera` (the pose and the depth scale that explain them) and `table_top` (which pixels look at
+the table).
 """
 
 from kit1000.perception.calibration.borders import BLIND_BAND, BORDERS, OUTLINE

@@ -90,7 +90,7 @@ def register_certain(source: DepthSource, query: Query, clearance: float, furthe
         clearance: [m]
         further: whether further candidates are refined while the best fit is doubtful.
     """
-    search = _Search(source, query, clearance, further)
+    search = EvidenceSearch(source, query, clearance, further)
     guessed = query.guess is not None
     found = find_candidates(source, source.evidence.filled, query, clearance, thorough=True)
     distinct = without_duplicates(found, source.middle, DISTINCT if guessed else DISTINCT_WITHOUT_GUESS)
@@ -98,7 +98,7 @@ def register_certain(source: DepthSource, query: Query, clearance: float, furthe
     return ranked(fit for fit in fits if within_guess_error(fit.goal_from_now, query))
 
 
-class _Search:
+class EvidenceSearch:
     """The evidence about a part and its kits, at a clearance [m]."""
 
     def __init__(self, source: DepthSource, query: Query, clearance: float, further: bool) -> None:

@@ -70,7 +70,7 @@ def find_candidates(
         return []
     window = SearchWindow(query.pivot, query.guess, MAX_ANGLE + SLACK_ANGLE, MAX_OFFSET + SLACK_OFFSET)
     found: list[Candidate] = []
-    for faces in _faces_down(source, part, query, cavities, thorough):
+    for faces in faces_down(source, part, query, cavities, thorough):
         candidates = coarse_search(part, source.middle, faces.normals, faces.cavities, clearance, window, source.height)
         found += candidates if faces.seen else [replace(candidate, seen=False) for candidate in candidates]
     return sorted(found, key=lambda candidate: candidate.misfit)
@@ -134,7 +134,7 @@ def _holds_a_part(cavity: Cavity | None) -> bool:
     return cavity is not None and np.count_nonzero(cavity.region) * VOXEL**2 > LEAST_REGION
 
 
-def _faces_down(source: Source, part: Volume, query: Query, cavities: Sequence[Cavity], thorough: bool) -> list[Faces]:
+def faces_down(source: Source, part: Volume, query: Query, cavities: Sequence[Cavity], thorough: bool) -> list[Faces]:
     """The faces that may go onto a cavity's floor.
 
     Without a guess the part lies as it is inserted. With one, a thorough search inserts it on the face on which it

@@ -367,8 +367,8 @@ def test_the_image_cache_is_bounded(data: Dataset, monkeypatch: pytest.MonkeyPat
         sample = examples.draw(stream(seed))
         sample.volumes.kit_volume(sample.world_from_work, (4, 4, 4), VOXEL)
         sample.volumes.part_volume(sample.guess, sample.world_from_work, (4, 4, 4), VOXEL)
-        assert len(examples._images._crops) == 1
-        assert 1 <= len(examples._images._parts) <= 2
+        assert len(examples.images.crops) == 1
+        assert 1 <= len(examples.images.parts) <= 2
         assert "image" not in vars(sample.volumes.query)
 
 

@@ -310,7 +310,7 @@ def read_or_die(path: Path) -> Refusal:
 
 def test_a_file_that_crashes_its_reader_is_refused_and_the_others_are_read() -> None:
     files = [Path("a"), Path("crashing"), Path("b")]
-    outcomes = list(sources._read_parallel(read_or_die, files, workers=2))
+    outcomes = list(sources.read_parallel(read_or_die, files, workers=2))
     assert outcomes == [
         Refusal(Path("a"), "harmless"),
         Refusal(Path("crashing"), "its reader crashed"),
