@@ -1,6 +1,6 @@
 """Documents with tables of results: what stands between two marks is made from results/ and from scored submissions.
 
-A mark names its table: `<!-- result: NAME TABLE -->` that of results/NAME.json, and `submissions` in place of NAME one of
+A mark names its table: `<!-- result: NAME TABLE -->` that of results/NAME.json; with `submissions` as NAME one of
 `benchmark.score_tables` or Table I. `<!-- end -->` follows the table. Text outside the marks stays as it is.
 """
 

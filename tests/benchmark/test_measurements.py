@@ -1,4 +1,4 @@
-"""Measurements: what is written comes back, estimates agree with other computations, and documents hold their tables."""
+"""Measurements: what is written comes back, estimates agree with other computations, documents hold their tables."""
 
 from __future__ import annotations
 
