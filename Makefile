@@ -17,6 +17,12 @@ RESCORE = $(BIN)/python -m benchmark rescore $(SCORED) --data "$(DATA)" --worker
 UPGRADE =
 BOP     =
 ROWS    = runs/table2
+AREA    =
+AREAS   = $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py tests/*/*/test_*.py))))
+TESTED  = $(if $(AREA),$(if $(filter $(AREA),$(AREAS)),tests/$(AREA),$(error no tests of $(AREA): AREA is one of $(AREAS))))
+PYTEST  = $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+CHANGED = { git diff --name-only --diff-filter=d HEAD; git ls-files --others --exclude-standard; } 2>/dev/null \
+          | grep -E '^(kit1000|benchmark|baselines|bench|examples|tests)/.*\.py$$'
 ROW     = $(BIN)/python -m baselines predict --data "$(DATA)" --tracks snap-d415 $(if $(WORKERS),--workers $(WORKERS))
 MEASURE = --sensor d415 --components "$(ROWS)/components.json"
 
@@ -33,7 +39,7 @@ LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --unive
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install browser dataset test test-slow lint site wheel results table1 table2 bench bench-parts portable mutants viewers slicer pictures lock clean
+.PHONY: help install browser dataset test test-slow check lint site wheel results table1 table2 bench bench-parts portable mutants viewers slicer pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -49,11 +55,15 @@ browser: ## Chromium for the tests of the pages, where it is missing and no pass
 dataset: $(RUN) ## the full KIT1000 under data/kit1000
 	$(BIN)/kit1000 generate $(PRESET) --out "$(DATA)" $(if $(WORKERS),--workers $(WORKERS))
 
-test: $(DEV) browser ## the test suite
-	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+test: $(DEV) browser ## the test suite; AREA=kits runs tests/kits alone
+	$(PYTEST) $(TESTED)
 
 test-slow: $(DEV) browser ## the tests that take longer
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow $(TESTED)
+
+check: $(DEV) ## in a minute: ruff, types of changed files, rules of the house, tests without dataset, browser or torch
+	$(BIN)/ruff check .
+	@{ $(CHANGED) | xargs -r $(BIN)/pyright; } & types=$$!; $(PYTEST) --quick; tests=$$?; wait $$types && exit $$tests
 
 lint: $(DEV) ## ruff and pyright
 	$(BIN)/ruff check .

@@ -13,15 +13,42 @@ from hypothesis import settings
 from kit1000.generation import shards
 from kit1000.generation.build import generate
 from kit1000.generation.presets import PRESETS
+from tests.samples.checkout import ROOT
 from tests.samples.mini import HIDDEN, HIDDEN_SEED, MINI, Published, fake_scene, publish_by_command
+from tests.samples.sources import imports, loaded
 
 settings.register_profile("kit1000", deadline=None)  # a busy machine may take its time
 settings.load_profile("kit1000")
 
+SLOW_TO_LOAD = {"torch", "playwright", "mlcroissant"}  # the browser comes by playwright
+MAKES_DATASETS = "kit1000.generation.build"
+GENERATED = {"mini", "withheld", "real_parts"}  # fixtures; those that build on them count too
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--quick", action="store_true", help="only tests without dataset, browser or torch (make check)")
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """With --quick, whether a file loads what no quick test needs; such a file is not even imported."""
+    if not config.getoption("--quick") or not collection_path.name.startswith("test_"):
+        return None
+    return not SLOW_TO_LOAD.isdisjoint(loaded(collection_path)) or MAKES_DATASETS in imports(collection_path) or None
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """With --quick, leave out tests whose fixtures build on a generated dataset."""
+    if config.getoption("--quick"):
+        chosen, left_out = [], []
+        for item in items:
+            (chosen if GENERATED.isdisjoint(getattr(item, "fixturenames", ())) else left_out).append(item)
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = chosen
+
 
 def _folders() -> list[Path]:
     """The folder that KIT1000_REAL_PARTS names, else shared/parts/real beside the checkout, or none."""
-    beside = Path(__file__).resolve().parents[2] / "shared/parts/real"
+    beside = ROOT.parent / "shared/parts/real"
     folder = Path(os.environ.get("KIT1000_REAL_PARTS") or beside)
     return [folder] if (folder / "manifest.csv").is_file() else []
 

@@ -20,7 +20,7 @@ from kit1000.values import Truth
 NOT_UPLOADED = "not uploaded"
 ROBOT, TEST = "robot", "test"
 JUDGES = (ROBOT, TEST)
-NOMINAL_S = 23.0  # [s] of the robot for a part: the median of docs/reference/robot.md, where the seating test judges
+NOMINAL_S = 23.0  # [s] of the robot for a part: about the median of the robot, used with the seating test
 DECIMALS = 3  # of mm, degrees and seconds in records
 
 
