@@ -24,6 +24,9 @@ PYTEST  = $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 CHANGED = { git diff --name-only --diff-filter=d HEAD; git ls-files --others --exclude-standard; } 2>/dev/null \
           | grep -E '^(kit1000|benchmark|baselines|bench|examples|tests)/.*\.py$$'
 ROW     = $(BIN)/python -m baselines predict --data "$(DATA)" --tracks snap-d415 $(if $(WORKERS),--workers $(WORKERS))
+OUT     =
+TO      = $(if $(OUT),--out "$(OUT)/speed-$(1).json")
+MEASURED = $(if $(wildcard $(DATA)/dataset.json),"$(DATA)")
 MEASURE = --sensor d415 --components "$(ROWS)/components.json"
 
 # A stamp is touched last of all and removed first of all, so an install that was cut short is never taken for done.
@@ -97,16 +100,18 @@ wheel: $(DEV) ## build wheel and sdist under dist/, check them, and use the whee
 results: $(DEV) ## fill the tables of README and docs from results/ and submissions/
 	$(BIN)/python -m benchmark documents README.md $$(grep -rl "<!-- result:" docs --include=*.md)
 
-bench: $(DEV) ## each speed beside a reference measured in the same run: kits to methods
-	$(BIN)/python bench/speed/kits.py
-	$(BIN)/python bench/speed/seating.py
-	$(BIN)/python bench/speed/render.py
-	$(BIN)/python bench/speed/voxels.py
-	$(BIN)/python bench/speed/reading.py
-	$(BIN)/python bench/speed/scoring.py
-	$(BIN)/python bench/speed/methods.py
-	$(BIN)/python bench/speed/snap_position.py --presets small
-	$(BIN)/python bench/speed/snap_rotation.py
+bench: $(DEV) ## each speed beside a reference of the same run, on DATA, else on tiny; OUT=results writes them too
+	$(BIN)/python bench/speed/kits.py $(call TO,kits)
+	$(if $(PARTS),$(BIN)/python bench/speed/kit_files.py "$(PARTS)" $(call TO,kit-files))
+	$(BIN)/python bench/speed/seating.py $(call TO,seating)
+	$(BIN)/python bench/speed/render.py $(call TO,render)
+	$(BIN)/python bench/speed/voxels.py $(call TO,voxels)
+	$(BIN)/python bench/speed/reading.py $(MEASURED) $(call TO,reading)
+	$(BIN)/python bench/speed/scoring.py $(MEASURED) $(call TO,scoring)
+	$(BIN)/python bench/speed/methods.py $(MEASURED) $(call TO,methods)
+	$(BIN)/python bench/speed/snap_examples.py $(MEASURED) $(call TO,snap-examples)
+	$(BIN)/python bench/speed/snap_position.py $(call TO,snap-position)
+	$(BIN)/python bench/speed/snap_rotation.py $(call TO,snap-rotation)
 
 bench-parts: $(DEV) ## compare our parts with real ones: make bench-parts PARTS=DIR
 	$(if $(PARTS),,$(error a folder of meshes is wanted: make bench-parts PARTS=DIR))

@@ -13,9 +13,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from baselines.snapnet.candidates import candidates, nearest_candidate
+from baselines.snapnet.candidate_rotations import candidates, nearest_candidate
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
-from baselines.snapnet.volumes import SCENES, ImageCache, QueryVolumes
+from baselines.snapnet.query_volumes import SCENES, ImageCache, QueryVolumes
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.kits.goals import nearest_about_axis

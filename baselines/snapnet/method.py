@@ -13,12 +13,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 
-from baselines.snapnet.candidates import CandidateSet, candidates, coarse_candidates, near_candidates
+from baselines.snapnet.candidate_rotations import CandidateSet, candidates, coarse_candidates, near_candidates
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.position import PositionNet, position_of
+from baselines.snapnet.query_volumes import ImageCache, QueryVolumes
 from baselines.snapnet.rotation import RotationNet, rotation_of
 from baselines.snapnet.search import likely_starts
-from baselines.snapnet.volumes import ImageCache, QueryVolumes
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.completion.kits.completed import ReliefCompleter
 from kit1000.perception.completion.parts.completed import PartCompleter

@@ -42,8 +42,8 @@ ERROR_COLUMNS = (
     Column("angle_median", "median", 3),
     Column("scale", "scale, ‰", 2),
     Column("scale_median", "median", 2),
-    Column("seconds", "CPU s", 3),
 )
+SECONDS = (WAY, Column("n", "images"), Column("seconds", "mean, s", 3), Column("median", "median", 3))
 UNITS = {axis: "mm" if axis in "xyz" else "‰" if axis == "scale" else "°" for axis in AXES}
 AXIS_COLUMNS = (
     WAY,
@@ -77,6 +77,7 @@ def main(options: Calibration) -> None:
         title = f"Mean absolute error of camera pose and depth scale of the d415, images of {options.split}"
         errors = measurement.table("errors", title, *ERROR_COLUMNS)
         axes = measurement.table("axes", "Root mean square of the error along each axis of the world", *AXIS_COLUMNS)
+        times = measurement.table("seconds", "CPU seconds an image", *SECONDS)
         for way, measured in zip(WAYS, np.swapaxes(rows, 0, 1), strict=True):
             sizes = {
                 "position": np.linalg.norm(measured[:, :3], axis=1),
@@ -85,9 +86,12 @@ def main(options: Calibration) -> None:
             }
             estimates = {key: estimate(values, clusters) for key, values in sizes.items()}
             medians = {f"{key}_median": each["median"] for key, each in estimates.items()}
-            errors.add(way=way, n=count, seconds=measured[:, -1].mean(), **estimates, **medians)
+            errors.add(way=way, n=count, **estimates, **medians)
             squares = np.sqrt(np.mean(measured[:, :-1] ** 2, axis=0))
             axes.add(way=way, n=count, **dict(zip(AXES, squares, strict=True)))
+            if WAYS[way] is not None:
+                seconds = estimate(measured[:, -1])
+                times.add(way=way, n=count, seconds=seconds, median=seconds["median"])
         measurement.report(options.out)
 
 

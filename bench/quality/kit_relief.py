@@ -51,9 +51,8 @@ PLATE_COLUMNS = (
     Column("found", "found, %", 1, True),
     Column("hidden", "hidden cells, %", 1, True),
     Column("seen", "error of seen cells, median, mm", 2),
-    Column("seconds", "CPU s", 3),
-    Column("median", "median", 3),
 )
+SECONDS = (SENSOR, Column("n", "plates"), Column("seconds", "mean, s", 3), Column("median", "median", 3))
 
 
 @dataclass(frozen=True)
@@ -97,6 +96,7 @@ def main(options: KitRelief) -> None:
         measurement.table("errors", title, *ERROR_COLUMNS)
         title = f"Plates that are found and have {HIDDEN_CELLS} hidden cells"
         measurement.table("plates", title, *PLATE_COLUMNS)
+        measurement.table("seconds", "CPU seconds of the network a plate", *SECONDS)
         for sensor in options.sensors:
             split = dataset.split(options.split, truth=True)
             ids = split.scene_ids
@@ -115,16 +115,15 @@ def _add(measurement: Measurement, sensor: str, measured: list[Measured | None])
         error = estimate(errors[:, k], clusters)
         row = {"n": len(rows), "error": error, "median": error["median"]}
         measurement.tables["errors"].add(sensor=sensor, method=method, **row)
-    seconds = estimate([row.seconds for row in rows])
     measurement.tables["plates"].add(
         sensor=sensor,
         n=len(measured),
         found=rate([row is not None for row in measured]),
         hidden=estimate([row.hidden for row in rows], clusters),
         seen=np.median([row.seen for row in rows]),
-        seconds=seconds,
-        median=seconds["median"],
     )
+    seconds = estimate([row.seconds for row in rows])
+    measurement.tables["seconds"].add(sensor=sensor, n=len(rows), seconds=seconds, median=seconds["median"])
 
 
 def _measured(

@@ -28,8 +28,8 @@ from bench.quality.descriptors import Shape, d2_distance, d2_noise, describe, ne
 from benchmark.measurements import Column, Measurement, rate
 from kit1000.errors import Redraw
 from kit1000.mesh import Mesh
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.parts.files.sources import mesh_files, read_all
 from kit1000.parts.mixtures import MIXTURES, choose_family
 from kit1000.rng import stream

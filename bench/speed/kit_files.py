@@ -38,14 +38,16 @@ class KitFiles:
     parts: tyro.conf.Positional[Path]
     """Folder of mesh files."""
     files: int | None = None
-    """Most files, the first by name; all by default."""
+    """Most files, spread evenly over the folder; all by default."""
     out: Path | None = None
     """JSON file of the table, such as results/speed-kit-files.json."""
 
 
 def main(options: KitFiles) -> None:
     """Print the table."""
-    paths = mesh_files(options.parts)[: options.files]
+    found = mesh_files(options.parts)
+    count = min(options.files or len(found), len(found))
+    paths = [found[i * len(found) // count] for i in range(count)]
     _outcome(paths[0])  # numba compiles on the first
     seconds: dict[str, list[float]] = {MADE: [], REFUSED: []}
     for path in paths:

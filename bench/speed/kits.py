@@ -25,8 +25,8 @@ from kit1000.errors import Kit1000Error, Redraw
 from kit1000.kits.clearance import points_along
 from kit1000.kits.kit import CLEARANCE, KitDesign, Plate, design_kit
 from kit1000.mesh import Mesh, defect_float32, solid_from_mesh
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.rng import stream
 from kit1000.symmetry import Symmetry
 from kit1000.values import Part

@@ -23,10 +23,10 @@ from torch.utils.data import DataLoader, RandomSampler, Subset
 
 from bench.measured_dataset import measured_dataset
 from benchmark.measurements import Column, Measurement
-from kit1000.dataset.cache import VolumeCache
 from kit1000.dataset.items import Item, Maker, depth_item
 from kit1000.dataset.reader import Dataset, Split
 from kit1000.dataset.torch import QueryDataset, VolumeItem
+from kit1000.dataset.volume_cache import VolumeCache
 from kit1000.errors import Kit1000Error
 from kit1000.values import Query, Truth, View
 

@@ -31,8 +31,8 @@ from kit1000.kits.seating import (
     seating_result,
 )
 from kit1000.mesh import solid_from_mesh
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.values import Kit, Part

@@ -22,7 +22,7 @@ import tyro
 
 from baselines.snapnet.config import POSITION, ROTATION, Source
 from baselines.snapnet.examples import PositionExamples, QuerySampler, RotationExamples, Sensor
-from baselines.snapnet.volumes import grid_about
+from baselines.snapnet.query_volumes import grid_about
 from bench.measured_dataset import measured_dataset
 from bench.speed.timing import timed
 from benchmark.measurements import Column, Measurement, Table, estimate

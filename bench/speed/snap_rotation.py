@@ -20,7 +20,7 @@ import tyro
 from scipy.ndimage import distance_transform_edt, map_coordinates
 from torch import Tensor, nn
 
-from baselines.snapnet.candidates import candidates
+from baselines.snapnet.candidate_rotations import candidates
 from baselines.snapnet.config import ROTATION, RotationConfig
 from baselines.snapnet.points import rotated
 from baselines.snapnet.rotation import COUNTS, RADII, RotationNet, rotation_loss

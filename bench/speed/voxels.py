@@ -26,8 +26,8 @@ from benchmark.measurements import Column, Measurement
 from kit1000.camera import Camera, look_at
 from kit1000.errors import Kit1000Error
 from kit1000.mesh import Mesh
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.render import render

@@ -20,8 +20,8 @@ from kit1000.kits.seating import BISECTION_STEP
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
-from kit1000.parts.files.bodies import Choice, SeveralBodies
 from kit1000.parts.files.sources import MeshReading, Refusal, read_bodies, read_mesh
+from kit1000.parts.files.united_bodies import Choice, SeveralBodies
 from kit1000.values import Part
 
 COLOURS = {"kit": (224, 219, 210), "part": (238, 122, 40)}  # sRGB, those of the pictures

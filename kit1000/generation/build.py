@@ -29,11 +29,18 @@ from kit1000.files import (
     write_json,
 )
 from kit1000.generation.assemblies import AssemblyJob, make_assembly
+from kit1000.generation.dataset_summary import (
+    JobRecords,
+    description_files,
+    make_summary,
+    refused_files,
+    summary_bytes,
+    tables,
+)
 from kit1000.generation.parts_and_kits import BUILD_FOLDER, PartJob, Record, make_part_and_kit, read_intact
 from kit1000.generation.plan import Sources, candidate_order, make_plan, split_ids
 from kit1000.generation.presets import Preset
 from kit1000.generation.shards import make_shard, shard_jobs
-from kit1000.generation.summary import JobRecords, description_files, make_summary, refused_files, summary_bytes, tables
 from kit1000.parts.files.refusals import refusal_counts
 from kit1000.parts.near_duplicates import near_duplicate_of
 from kit1000.queries.tracks import SPLITS

@@ -18,7 +18,7 @@ from kit1000.dataset.tables import Row, pose_row
 from kit1000.errors import Redraw
 from kit1000.generation.plan import is_crowded, rest_modes, scene_id_of
 from kit1000.generation.presets import Preset
-from kit1000.generation.queries import PartInScene, asking_tracks, scene_queries
+from kit1000.generation.scene_queries import PartInScene, asking_tracks, scene_queries
 from kit1000.mesh import Mesh
 from kit1000.pictures.scene_preview import with_previews
 from kit1000.pose import Pose

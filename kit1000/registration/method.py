@@ -22,7 +22,7 @@ from kit1000.registration.choice.fits import Fit, lead, ranked
 from kit1000.registration.choice.from_evidence import register_certain
 from kit1000.registration.choice.from_filled_part import register_columns
 from kit1000.registration.inputs.shared_image import SharedImage
-from kit1000.registration.inputs.sources import DepthSource, TrueSource
+from kit1000.registration.inputs.volume_sources import DepthSource, TrueSource
 from kit1000.values import FIRST_PART_LABEL, Query, TrueGeometry
 
 if TYPE_CHECKING:

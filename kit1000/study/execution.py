@@ -13,7 +13,7 @@ from kit1000.errors import InputError
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.planner.execute import NOT_SEATED, SEATED, Robot, robot_at
 from kit1000.pose import Pose
-from kit1000.study.records import PartResult
+from kit1000.study.study_records import PartResult
 from kit1000.study.tasks import part_truths
 from kit1000.values import Truth
 

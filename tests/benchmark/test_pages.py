@@ -16,7 +16,7 @@ import pytest
 
 from benchmark.pages import build
 from benchmark.pages.board import runtime_class
-from benchmark.pages.numbers import percent
+from benchmark.pages.cells import percent
 from benchmark.quantities import POSITION
 from benchmark.table1 import run as table1
 from kit1000.errors import InputError

@@ -27,7 +27,7 @@ from kit1000.kits.envelope import RELIEF_CELLS, lower_envelope, polar_relief
 from kit1000.kits.kit import design_kit, insertion_faces
 from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
-from kit1000.parts.files import bodies
+from kit1000.parts.files import united_bodies
 from kit1000.parts.files.formats import read_triangles
 from kit1000.parts.files.sources import mesh_files
 from kit1000.pictures import previews
@@ -301,7 +301,7 @@ def test_voids_stay_with_their_body(tmp_path: Path) -> None:
 
 
 def test_too_many_bodies_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bodies, "MAX_BODIES", 4)
+    monkeypatch.setattr(united_bodies, "MAX_BODIES", 4)
     with pytest.raises(InputError, match=r"plate\.stl: 5 separate bodies, more than 4"):
         make_kits_from_file(stl_of(tmp_path / "plate.stl", *PLATE_OF_FIVE), tmp_path / "out", unit="mm")
     assert not (tmp_path / "out").exists()

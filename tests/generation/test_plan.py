@@ -21,8 +21,8 @@ from kit1000.generation.plan import (
     scene_id_of,
 )
 from kit1000.generation.presets import HELD_OUT, PRESETS, Preset, preset, preset_of
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.families.block import Block
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.parts.mixtures import MIXTURES
 from kit1000.queries.tracks import SPLITS
 from kit1000.sim.layout import UPRIGHT, UPRIGHT_SHARE

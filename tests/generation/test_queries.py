@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from kit1000.dataset.tables import pose_of
 from kit1000.errors import InputError
-from kit1000.generation.queries import (
+from kit1000.generation.scene_queries import (
     PAPER_TILT,
     eligible,
     largest_roll_or_pitch,

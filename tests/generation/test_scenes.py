@@ -23,8 +23,8 @@ from kit1000.kits.contact import convex_edges
 from kit1000.kits.goals import nearest_about_axis
 from kit1000.kits.kit import make_kit
 from kit1000.kits.seating import InsertedPart, contact_offset, seating_result
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, in_view

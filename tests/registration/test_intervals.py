@@ -14,7 +14,7 @@ from kit1000.perception.observed.parts import PartEvidence
 from kit1000.pose import Pose
 from kit1000.registration.geometry.observed_cavity import BELOW, VOXEL, find_cavity
 from kit1000.registration.geometry.swept_slices import CELL, envelope_about
-from kit1000.registration.refinement.intervals import (
+from kit1000.registration.refinement.interval_residuals import (
     IntervalProblem,
     distance_outside,
     floor_is_seen,

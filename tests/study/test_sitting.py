@@ -21,9 +21,9 @@ from kit1000.pose import Pose
 from kit1000.study import sitting
 from kit1000.study.execution import Carried
 from kit1000.study.pages import TaskPanel
-from kit1000.study.plan import write_plan
-from kit1000.study.records import PERSON, PartResult
 from kit1000.study.sitting import FINISH, UPLOAD, Sitting, TaskPage
+from kit1000.study.study_plan import write_plan
+from kit1000.study.study_records import PERSON, PartResult
 from tests.samples.editing import desk, dragged, goal, scene_of
 from tests.samples.studies import plan_of, write_participant
 

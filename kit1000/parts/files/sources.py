@@ -20,9 +20,9 @@ from manifold3d import Manifold
 
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh
-from kit1000.parts.files.bodies import Choice, body_meshes, part_mesh
 from kit1000.parts.files.formats import MESH_SUFFIXES, STEP_SUFFIXES, read_triangles
 from kit1000.parts.files.repair import closed_solid
+from kit1000.parts.files.united_bodies import Choice, body_meshes, part_mesh
 
 USER_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}  # [m] that a user can give
 FILE_UNITS = USER_UNITS | {"foot": 0.3048, "micron": 1e-6}  # [m] that a file can state

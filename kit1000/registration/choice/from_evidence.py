@@ -11,8 +11,8 @@ import numpy as np
 from kit1000.pose import Pose
 from kit1000.registration.choice.fits import STIFFNESS, Fit, ranked, same_pose
 from kit1000.registration.geometry.expected_relief import outline_misfit
-from kit1000.registration.inputs.sources import DepthSource
-from kit1000.registration.refinement.intervals import Intervals, refine_within
+from kit1000.registration.inputs.volume_sources import DepthSource
+from kit1000.registration.refinement.interval_residuals import Intervals, refine_within
 from kit1000.registration.refinement.levenberg_marquardt import SCALES
 from kit1000.registration.search.candidates import find_candidates, within_guess_error
 from kit1000.registration.search.contradictions import Contradictions, KitHeights, contradictions

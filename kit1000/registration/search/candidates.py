@@ -15,7 +15,7 @@ from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.registration.geometry.faces import right_angled, squared, standing_faces
 from kit1000.registration.geometry.observed_cavity import VOXEL, Cavity, find_cavity, plate_grid
-from kit1000.registration.inputs.sources import Source
+from kit1000.registration.inputs.volume_sources import Source
 from kit1000.registration.search.correlation import Candidate, SearchWindow, coarse_search
 from kit1000.rng import stream
 from kit1000.values import Query

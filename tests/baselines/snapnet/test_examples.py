@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.snapnet import volumes as volumes_module
+from baselines.snapnet import query_volumes as volumes_module
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.examples import (
     HARD,
@@ -24,7 +24,7 @@ from baselines.snapnet.examples import (
     residual_of,
     training_candidates,
 )
-from baselines.snapnet.volumes import QueryVolumes, grid_about, image_crops
+from baselines.snapnet.query_volumes import QueryVolumes, grid_about, image_crops
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics import Targets, pose_errors

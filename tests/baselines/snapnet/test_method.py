@@ -13,8 +13,8 @@ from baselines.catalog import all_methods
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.method import SnapNet
 from baselines.snapnet.position import PositionNet
+from baselines.snapnet.query_volumes import QueryVolumes
 from baselines.snapnet.rotation import RotationNet
-from baselines.snapnet.volumes import QueryVolumes
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.perception.networks.weight_files import save_weights

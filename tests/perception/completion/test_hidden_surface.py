@@ -16,7 +16,7 @@ from kit1000.perception.observed.pixels import IDEAL
 from kit1000.perception.observed.plates import Plane
 from kit1000.perception.observed.relief import CELL, DEEPEST, CompletedRelief, SeenRelief, seen_relief
 from kit1000.pose import Pose
-from kit1000.registration.proposals import CompletingRegistration
+from kit1000.registration.proposed_fits import CompletingRegistration
 from kit1000.rng import stream
 from kit1000.values import Query
 from tests.samples.completers import DEEP, WIDE, KnownPlate, plate_image
