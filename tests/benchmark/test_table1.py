@@ -127,7 +127,7 @@ def test_a_submission_fills_the_row_that_its_manifest_names(submissions: Path) -
         ({"paper_row": "snapnet"}, "theirs: paper_row 'snapnet' is that of ours too"),
         ({"method": "ours"}, "theirs: method 'ours' is that of ours too"),
         ({"label": "My SnapNet"}, "theirs: label 'My SnapNet' is that of ours too"),
-        ({"paper_row": "snapnett"}, "theirs: paper_row 'snapnett': did you mean snapnet.* expected one of kitnet, "),
+        ({"paper_row": "snapnett"}, "theirs: paper_row 'snapnett': did you mean snapnet.*kitnet"),
     ],
 )
 def test_two_submissions_for_one_row_or_of_one_name_are_refused(
@@ -215,7 +215,8 @@ def test_no_cell_has_a_minus_zero(tmp_path: Path) -> None:
 
 def test_the_first_line_has_protocol_versions_and_dataset(submissions: Path) -> None:
     first = as_markdown(read_table(submissions)).splitlines()[0]
-    assert first == ("Protocol kit1000-2026 (draft), dataset 91f0221d05e7d974, split test; position@v1, rotation@v1.")
+    for fact in ("kit1000-2026 (draft)", "91f0221d05e7d974", "split test", "position@v1", "rotation@v1"):
+        assert fact in first
 
 
 @pytest.mark.parametrize(
@@ -224,7 +225,7 @@ def test_the_first_line_has_protocol_versions_and_dataset(submissions: Path) -> 
 )
 def test_scores_of_different_settings_share_no_table(submissions: Path, key: str, value: Any) -> None:
     put(submissions, "c", {}, GUESS, **{key: value})
-    with pytest.raises(InputError, match=f"c: its scores have {key} .*those of .*; score both again, on one dataset"):
+    with pytest.raises(InputError, match=f"c: .*{key} .*score both"):
         read_table(submissions)
 
 
@@ -232,7 +233,7 @@ def test_a_file_without_scores_is_refused_by_name(submissions: Path) -> None:
     incomplete = track(1, 1)
     del incomplete["rotation_plain_deg"]
     put(submissions, "c", {"snap": incomplete}, GUESS)
-    with pytest.raises(InputError, match=r"c.scores\.json: expected scores .*there is no rotation_plain_deg of snap"):
+    with pytest.raises(InputError, match=r"c.scores\.json: .*no rotation_plain_deg of snap"):
         read_table(submissions)
     (submissions / "c" / "scores.json").write_text("[]", encoding="utf-8")
     with pytest.raises(InputError, match="there is no protocol, status"):

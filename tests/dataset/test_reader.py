@@ -332,11 +332,9 @@ def test_scenes_can_be_rendered_again(root: Path) -> None:
 
 def test_missing_scenes_splits_and_tracks_are_named(root: Path) -> None:
     dataset = Dataset(root)
-    with pytest.raises(
-        InputError, match=r"no split 'tets'; did you mean test\? there are train, val, test, test-all, curves"
-    ):
+    with pytest.raises(InputError, match=r"no split 'tets'.*did you mean test\?.*train, val, test, test-all, curves"):
         dataset.split("tets")
-    with pytest.raises(InputError, match="no scene 'test-s0009' among the 3 of split test; did you mean test-s00"):
+    with pytest.raises(InputError, match=r"no scene 'test-s0009' among.* 3 .*split test.*did you mean test-s00"):
         dataset.split("test").scene("test-s0009")
     with pytest.raises(InputError, match="no track 'snapp' in split test; there are snap, snap-tilt"):
         dataset.split("test").queries("snapp")

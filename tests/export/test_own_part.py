@@ -288,7 +288,7 @@ def test_a_body_without_a_kit_leaves_those_of_the_others(tmp_path: Path) -> None
     film = Manifold.cube((0.03, 0.03, 0.00005)).translate((0.1, 0, 0))
     made = make_kits_from_file(stl_of(tmp_path / "two.stl", CUBE, film), tmp_path / "out", unit="mm")
     assert isinstance(made["01"], dict)
-    assert "two.stl: body 2 of 2: no kit: 0.05 mm high where it lies, too flat" in str(made["02"])
+    assert all(fact in str(made["02"]) for fact in ("two.stl: body 2 of 2: ", "0.05 mm high"))
     assert sorted(os.listdir(tmp_path / "out")) == ["01", "report.json"]
 
 
@@ -310,7 +310,7 @@ def test_too_many_bodies_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     ("smallest", "refusal", "reason"),
     [
-        (2.479e-3, None, "came out with a clearance of 2.479 mm, expected 2.5 mm; nothing is"),
+        (2.479e-3, None, "clearance of 2.479 mm, expected 2.5 mm"),
         (0.0, None, "came out with a clearance of 0.000 mm"),
         (2.5e-3, NOT_SEATED, "the part does not seat at a goal of its kit"),
     ],
@@ -364,7 +364,7 @@ def test_kits_of_a_metre_are_as_exact_as_small_ones(tmp_path: Path) -> None:
 
 def test_a_clearance_wider_than_the_part_is_refused(tmp_path: Path) -> None:
     path = write_stl(tmp_path / "corner.stl", l_shape().scaled(0.01))
-    with pytest.raises(InputError, match=r"0\.4 mm long, less than the clearance of 2\.5 mm; choose a smaller --clear"):
+    with pytest.raises(InputError, match=r"0\.4 mm long.*2\.5 mm.*--clear"):
         make_kit_from_file(path, tmp_path / "out", unit="mm")
 
 

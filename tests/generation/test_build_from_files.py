@@ -171,7 +171,7 @@ def test_an_unreadable_dataset_is_refused_with_the_reason(
         with pytest.raises(InputError, match=f"no dataset \\({said}"):
             Geometry(folder)
     (tmp_path / "dataset.json").write_text("[]")
-    with pytest.raises(InputError, match="has format None, this version reads 'kit1000/2'; generate or download"):
+    with pytest.raises(InputError, match=r"has format None.*'kit1000/2'"):
         Geometry(tmp_path)
     with pytest.raises(InputError, match=r"no 'x' among 4 parts \(test-0000, "):
         Geometry(whole).part("x")

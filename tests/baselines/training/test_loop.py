@@ -240,7 +240,8 @@ def test_a_folder_of_another_run_is_refused(
         train(Product(dies_at=2), CONFIG, tmp_path, {"net": {"wide": 8}}, device=CPU)
     with pytest.raises(InputError) as error:
         train(Product(), config, tmp_path, about, device=CPU)
-    assert str(error.value) == f"{tmp_path}: holds a run with {difference}; choose another folder, or delete this one"
+    assert str(error.value).startswith(f"{tmp_path}: ")
+    assert difference in str(error.value)
 
 
 def test_a_folder_is_written_by_one_run_at_a_time(tmp_path: Path) -> None:
