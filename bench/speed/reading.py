@@ -43,7 +43,8 @@ WAITING = (
     Column("item", "item"),
     Column("n", "steps"),
     Column("share", "waiting, %", 1, True),
-    Column("ratio", "times the query alone", 1),
+    Column("seconds", "s a step", 3),
+    Column("ratio", "times the query alone", 2),
 )
 SCENES, IMAGES = 200, 100  # [1/s] goals for the queries of scenes, and for depth images
 
@@ -83,10 +84,11 @@ def main(options: Reading) -> None:
             _add_rate(measurement, f"item: {name}", subset.__getitem__, range(len(subset)), options)
         setting = f"{options.workers} workers, batches of {options.batch}, steps of {STEP:g} s"
         table = measurement.table("waiting", f"Waiting of a training loop: {setting}", *WAITING)
-        shares = {name: _waiting(subset, options) for name, subset in items.items()}
-        alone = next(iter(shares.values()))[1]
-        for name, (steps, share) in shares.items():
-            table.add(item=name, n=steps, share=share, ratio=share / alone)
+        steps = max(int(options.seconds * 3 / STEP), 10)
+        spent = {name: _waiting(subset, steps, options) for name, subset in items.items()}
+        alone = next(iter(spent.values()))[1]
+        for name, (waited, whole) in spent.items():
+            table.add(item=name, n=steps, share=waited / whole, seconds=whole / steps, ratio=whole / alone)
         measurement.report(options.out)
         print(f"cache: {cache.size()}")
 
@@ -157,9 +159,8 @@ def _add_rate(
     table.add(read=name, n=count, rate=rate, ms=ms, ratio=ms / reference, goal=goal)
 
 
-def _waiting(items: Subset, options: Reading) -> tuple[int, float]:
-    """The number of training steps, and the share of time that they wait for batches, without the first batch."""
-    steps = max(int(options.seconds * 3 / STEP), 10)
+def _waiting(items: Subset, steps: int, options: Reading) -> tuple[float, float]:
+    """Seconds that training steps wait for batches and seconds in all, without the first batch."""
     sampler = RandomSampler(items, replacement=True, num_samples=(steps + 1) * options.batch)
     loader = DataLoader(items, options.batch, sampler=sampler, num_workers=options.workers)
     batches = iter(loader)
@@ -170,7 +171,7 @@ def _waiting(items: Subset, options: Reading) -> tuple[int, float]:
         next(batches)
         waited += time.perf_counter() - step_started
         _compute(STEP)
-    return steps, waited / (time.perf_counter() - started)
+    return waited, time.perf_counter() - started
 
 
 def _compute(seconds: float) -> None:
