@@ -375,7 +375,7 @@ def test_the_images_of_a_scene_are_read_once(large: Path, bytes_read: list[int])
 def test_images_stay_valid_when_their_chunk_leaves_the_cache(large: Path, tmp_path: Path) -> None:
     file = ObservationFile(large)
     depths = {scene_id: file.view(scene_id).depth for scene_id in file.scene_ids}
-    other = ObservationFile(Path(shutil.copy(large, tmp_path)))
+    other = ObservationFile(Path(shutil.copy(large, tmp_path / "other.mcap")))
     assert len([other.view(scene_id) for scene_id in other.scene_ids]) > reading.RECENT
     for k in range(5):
         assert depths[f"test-s{k:04d}"].tobytes() == observation(k, BIG).views["ideal"].depth.tobytes()
