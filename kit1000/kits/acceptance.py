@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -77,8 +78,12 @@ def check_pair(part: Part, kit: Kit) -> PairCheck:
     for pose in poses_beyond_keyedness(kit, yaw):
         if not is_goal(pose, kit, yaw) and test.fits(pose, design):
             raise Redraw("seats when turned past its keyedness")
-    loose = find_loose_fit(PreparedPart(part.mesh, resting_faces(part.mesh, ANY_FACE)), PreparedKit(kit)) is not None
-    return PairCheck(yaw, loose)
+    return PairCheck(yaw, find_loose_fit(_prepared_part(part.mesh), PreparedKit(kit)) is not None)
+
+
+@lru_cache(maxsize=2)  # asked for again at every face that a kit is tried on
+def _prepared_part(mesh: Mesh) -> PreparedPart:
+    return PreparedPart(mesh, resting_faces(mesh, ANY_FACE))
 
 
 def wrong_poses(kit: Kit) -> Iterator[tuple[str, Pose]]:
