@@ -88,8 +88,12 @@ def _prepared_part(mesh: Mesh) -> PreparedPart:
 
 def wrong_poses(kit: Kit) -> Iterator[tuple[str, Pose]]:
     """(description, pose): the design pose lifted, shifted and tilted by errors at which no part may seat."""
-    design = kit.slot.goals[0]
-    shift = kit.slot.clearance + SEATED_LIMIT
+    return wrong_poses_about(kit.slot.goals[0], kit.slot.clearance)
+
+
+def wrong_poses_about(design: Pose, clearance: float) -> Iterator[tuple[str, Pose]]:
+    """`wrong_poses` of a design pose in a slot with a clearance [m]."""
+    shift = clearance + SEATED_LIMIT
     yield "lifted 3 mm", Pose.from_translation(np.array([0, 0, SEATED_LIMIT])) @ design
     for angle in DIRECTIONS:
         direction = np.array([cosine(angle), sine(angle), 0.0])

@@ -190,7 +190,7 @@ def _flipped_poses(design: Design, known: list[Pose]) -> list[Pose]:
         if any(_faces_down(pose, face.normal) for pose in known) or face.height < design.cavity.depth:
             continue
         other, _, _ = polar_relief(design.mesh.moved(face.plane_from_part), design.cavity.depth)
-        yaw, difference = _best_yaw(relief, other, weights)
+        yaw, difference = best_yaw(relief, other, weights)
         if difference > MAX_RELIEF_DIFFERENCE:
             continue
         if not _has_rim_area(design, face.plane_from_part):
@@ -215,7 +215,7 @@ def _faces_down(pose: Pose, normal: np.ndarray) -> bool:
     return bool(pose.rotate(normal)[2] < -cosine(SAME_GOAL_ANGLE))
 
 
-def _best_yaw(relief: np.ndarray, other: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
+def best_yaw(relief: np.ndarray, other: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
     """The yaw [rad] of `other` that matches `relief` best, and the share by which they still differ."""
     spectra = np.fft.rfft(relief, axis=1) * np.conj(np.fft.rfft(other, axis=1))
     correlation = matmul(weights, np.fft.irfft(spectra, n=relief.shape[1], axis=1))
