@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 
 from kit1000.errors import MeshRefused
 from kit1000.mesh import z_up
@@ -184,6 +183,8 @@ def _read_other(path: Path, suffix: str, data: bytes) -> TriangleSoup:
         return _read_3mf(data)
     if suffix in TEXT_SUFFIXES:
         data = _as_utf8(data)
+    import trimesh  # only here: importing it takes longer than reading an STL and making many a kit
+
     source = str(path) if suffix == ".gltf" else io.BytesIO(data)
     options: dict[str, Any] = {"skip_materials": True} if suffix in (".obj", *GLTF_SUFFIXES) else {}
     try:
