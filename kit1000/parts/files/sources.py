@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -22,7 +22,7 @@ from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh
 from kit1000.parts.files.bodies import Choice, body_meshes, part_mesh
 from kit1000.parts.files.formats import MESH_SUFFIXES, STEP_SUFFIXES, read_triangles
-from kit1000.parts.files.repair import closed_solid
+from kit1000.parts.files.negative_volumes import solid_of_soup
 
 USER_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}  # [m] that a user can give
 FILE_UNITS = USER_UNITS | {"foot": 0.3048, "micron": 1e-6}  # [m] that a file can state
@@ -111,7 +111,7 @@ def _read_solid(path: Path, unit: str | None) -> _SolidReading:
     soup = read_triangles(path)
     notes = list(soup.notes)
     used = np.zeros(len(soup.vertices), dtype=bool)
-    used[soup.faces] = True
+    used[soup.part_faces] = True
     _check_finite(soup.vertices[used])
     longest = float(np.ptp(soup.vertices[used], axis=0).max())
     given = None if path.suffix.lower() in STEP_SUFFIXES else unit  # the STEP reader has converted already
@@ -119,7 +119,7 @@ def _read_solid(path: Path, unit: str | None) -> _SolidReading:
     vertices = soup.vertices * FILE_UNITS[chosen]
     _check_size(longest * FILE_UNITS[chosen], chosen)
     vertices = _moved_to_origin(vertices, used, notes)
-    return _SolidReading(path, closed_solid(vertices, soup.faces, notes), chosen, guessed, reason, notes)
+    return _SolidReading(path, solid_of_soup(replace(soup, vertices=vertices), notes), chosen, guessed, reason, notes)
 
 
 def _check_finite(vertices: np.ndarray) -> None:
