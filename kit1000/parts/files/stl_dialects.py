@@ -17,10 +17,12 @@ from kit1000.parts.files.soup import TriangleSoup, soup_of_corners
 
 HEADER = 84  # [bytes] 80 of comment, 4 of count
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-NAME = re.compile(rb"^[ \t]*(?:end)?solid\b(?:(?!\bvertex[ \t]+[-+.\d])[^\n])*", re.MULTILINE | re.IGNORECASE)
+NAME = re.compile(rb"^[ \t]*(?:end)?solid\b(?:(?!\bfacet\s+normal\s+[-+.\dn])[^\n])*", re.MULTILINE | re.IGNORECASE)
 FACET_BEGIN = re.compile(rb"\bfacet\s+normal\b", re.IGNORECASE)
 CORNER = rb"\s+vertex\s+(\S+)\s+(\S+)\s+(\S+)"
 LOOP = re.compile(rb"\bouter\s+loop" + 3 * CORNER + rb"\s+endloop\b", re.IGNORECASE)
+FACET_END = re.compile(rb"\bendfacet\b", re.IGNORECASE)
+END = re.compile(rb"\bendsolid\b", re.IGNORECASE)
 LOOP_BEGIN = re.compile(rb"\bouter\s+loop\b", re.IGNORECASE)
 CORNERS = re.compile(rb"\bvertex\s", re.IGNORECASE)
 BLOCK = 100_000  # triangles of a text that are converted at once
@@ -69,6 +71,8 @@ def _text(text: bytes, max_faces: int) -> TriangleSoup:
     corners = np.concatenate([np.zeros((0, 3)), *blocks])
     if len(corners) != 3 * count:
         raise MeshRefused(_broken_facet(body))
+    if not END.search(text) and FACET_END.split(body)[-1].strip():
+        raise MeshRefused(f"cut short: ends within the facet after number {count:,}")
     return soup_of_corners(corners)
 
 

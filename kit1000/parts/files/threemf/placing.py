@@ -132,8 +132,9 @@ class _Placer:
         self.has_lattice |= named.has_lattice and role == PART
         if len(named.faces):
             vertices = matmul(named.vertices, transform[:3]) + transform[3]
+            faces = named.faces if np.linalg.det(transform[:3]) >= 0 else named.faces[:, ::-1]
             for kind, indices in self._ranges(reference, named):
-                yield Volume(number, role if role != PART else kind, vertices, named.faces[indices])
+                yield Volume(number, role if role != PART else kind, vertices, faces[indices])
         inherited = None if role in (PART, SURFACE) else role
         for component in named.components:
             first = self._in_metres(component, reference.path)
