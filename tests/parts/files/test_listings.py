@@ -50,7 +50,7 @@ def test_a_list_of_wide_letters_without_a_mark_is_refused(tmp_path: Path) -> Non
 
 CALLS = {
     "read_all": "from kit1000.parts.files.sources import read_all\nprint(read_all(['a.stl', 'b.stl'], workers=2))\n",
-    "engine": "from kit1000.engines import local_engine\nwith local_engine(2) as run:\n    print(list(run(abs, [1])))\n",
+    "engine": "from kit1000.engines import local_engine\nwith local_engine(2) as m:\n    print(list(m(abs, [1])))\n",
 }
 
 

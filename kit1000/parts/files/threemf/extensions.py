@@ -53,7 +53,8 @@ def shape_fault(element: Any) -> str | None:
         return f"object {element.get('id', '')[:20]} is a {unknown[0][:40]}, which is not supported; {EXPORT}"
     detail = _detail(element.attrib)
     if detail not in (None, FULL):
-        return f"object {element.get('id', '')[:20]} has a mesh of resolution {detail[:40]}, a stand-in for its shape; {EXPORT}"
+        what = f"object {element.get('id', '')[:20]} has a mesh of resolution {detail[:40]}"
+        return f"{what}, a stand-in for its shape; {EXPORT}"
     return None
 
 
