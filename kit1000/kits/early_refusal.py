@@ -21,8 +21,6 @@ from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
-from kit1000.numerics.linear_algebra import matmul
-from kit1000.pose import Pose
 from kit1000.values import Part
 
 MIN_CELLS, MAX_CELLS = 80, 300  # along the part's longest side
