@@ -93,6 +93,7 @@ class Generate:
     def _sources(self, dataset: Path) -> Sources | None:
         """The mesh files of --parts, without those that this command itself writes."""
         from kit1000.generation.plan import Sources
+        from kit1000.parts.files.formats import STEP_SUFFIXES
         from kit1000.parts.files.sources import mesh_files
 
         if self.parts is None:
@@ -101,6 +102,9 @@ class Generate:
         files = [file for file in mesh_files(self.parts) if own_folders.isdisjoint(file.resolve().parents)]
         if not files:
             raise InputError(f"{self.parts}: no mesh files but those in --out {dataset}")
+        step = sum(file.suffix.lower() in STEP_SUFFIXES for file in files)
+        if self.unit is not None and step:
+            print(f"--unit {self.unit}: not used for {step} STEP files, which state their own unit", file=sys.stderr)
         return Sources.of(files, self.unit)
 
 

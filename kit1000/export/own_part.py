@@ -124,24 +124,26 @@ def _best_kit(part: Part, clearance: float, place: str) -> tuple[KitDesign, dict
     Returns it with the report of its trials, which are only reported, as not every user's part can pass them. Raises
     InputError when there is no kit, and InexactKit when none is exact.
     """
-    kits: list[tuple[KitDesign, dict[str, Any]]] = []
-    faults: list[Kit1000Error | None] = []
+    tried: list[Attempt] = []
+    faults: list[Kit1000Error] = []
     reason = ""
     try:
         for attempt in attempts(part, clearance, None):
-            if attempt.design is None:
-                reason = reason or attempt.refusal
-                continue
-            kits.append((attempt.design, _trial_report(attempt)))
-            faults.append(_fault_of(attempt.design, attempt.refusal, place))
-            if attempt.refusal is None and faults[-1] is None:
-                return kits[-1]
+            tried.append(attempt)
+            if attempt.design is not None and attempt.refusal is None:
+                if _fault_of(attempt.design, None, place) is None:
+                    return attempt.design, _trial_report(attempt)
     except Redraw as refusal:
         reason = refusal.reason
-    for kit, fault in zip(kits, faults, strict=True):
+    for attempt in (attempt.postponed() if attempt.postponed else attempt for attempt in tried):
+        if attempt.design is None:
+            reason = reason or attempt.refusal or ""
+            continue
+        fault = _fault_of(attempt.design, attempt.refusal, place)
         if fault is None:
-            return kit
-    raise next((fault for fault in faults if fault is not None), InputError(f"{place}: no kit: {reason}"))
+            return attempt.design, _trial_report(attempt)
+        faults.append(fault)
+    raise next(iter(faults), InputError(f"{place}: no kit: {reason}"))
 
 
 def _fault_of(design: KitDesign, refusal: str | None, place: str) -> Kit1000Error | None:

@@ -96,14 +96,24 @@ def design_kit(
     """
     face = face or insertion_faces(part, clearance, fitted_plate=plate is None)[0]
     depth = insertion_depth(face.height)
-    standing = _aligned_with_plate(part.mesh, face, depth)
+    standing = _aligned_with_plate(part.mesh, face, depth)  # plane_from_part
     plate = plate or _fitted_plate(part.mesh.moved(standing), clearance, depth)
     solid = solid_from_mesh(part.mesh).transform(standing.matrix()[:3])
     cavity, mesh, measured = _cut_plate(solid, depth, clearance, plate)
-    kit_from_part = Pose.from_translation(np.array([0, 0, -depth])) @ standing
+    kit_from_part = _lowered(standing, depth)
     goals, free_axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, cavity))
     slot = Slot(part.id, kit_from_part, clearance, depth, goals, free_axis)
     return KitDesign(Kit(part.id, mesh, slot, np.array([*plate.width, plate.thickness])), cavity, face, measured)
+
+
+def seated_pose(mesh: Mesh, face: RestingFace) -> Pose:
+    """kit_from_part: the design pose of a part on a face."""
+    depth = insertion_depth(face.height)
+    return _lowered(_aligned_with_plate(mesh, face, depth), depth)
+
+
+def _lowered(standing: Pose, depth: float) -> Pose:
+    return Pose.from_translation(np.array([0, 0, -depth])) @ standing
 
 
 def insertion_faces(part: Part, clearance: float = CLEARANCE, fitted_plate: bool = False) -> list[RestingFace]:

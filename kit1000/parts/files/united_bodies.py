@@ -50,7 +50,7 @@ def part_mesh(solid: Manifold, notes: list[str], choice: Choice | None = None) -
         SeveralBodies: there are several, and by `choice` no single one.
         MeshRefused: a surface that passes through itself, or zero thickness.
     """
-    solid = _united(solid, notes)
+    solid = united(solid, notes)
     return _body_mesh(_joined(solid, notes) if choice == "union" else _single_body(solid, notes, choice), notes)
 
 
@@ -59,7 +59,7 @@ def body_meshes(solid: Manifold, notes: list[str]) -> list[tuple[Mesh | MeshRefu
 
     Bodies that touch or overlap are one. Raises MeshRefused when there are more than MAX_BODIES.
     """
-    shells = _united(solid, notes).decompose()
+    shells = united(solid, notes).decompose()
     bodies = _by_volume([shell for shell in shells if shell.volume() > 0])
     if not bodies:
         raise MeshRefused("zero thickness")
@@ -81,7 +81,7 @@ def _body_mesh(solid: Manifold, notes: list[str]) -> Mesh:
     return _rounded(solid, notes)
 
 
-def _united(solid: Manifold, notes: list[str]) -> Manifold:
+def united(solid: Manifold, notes: list[str]) -> Manifold:
     """The union of all outward shells without the voids inside them."""
     shells = solid.decompose()
     if len(shells) < 2:
@@ -130,7 +130,7 @@ def _joined(solid: Manifold, notes: list[str]) -> Manifold:
         raise MeshRefused("zero thickness")
     if len(bodies) == 1:
         return solid
-    grown = _united(Manifold.compose([solid_from_mesh(_grown(mesh_from_solid(body))) for body in bodies]), [])
+    grown = united(Manifold.compose([solid_from_mesh(_grown(mesh_from_solid(body))) for body in bodies]), [])
     if sum(shell.volume() > 0 for shell in grown.decompose()) > 1:
         apart = _bodies_text(_volume_shares(sorted(bodies, key=lambda body: -body.volume())))
         raise SeveralBodies(f"{apart}, which do not touch, so that their union is no single part")

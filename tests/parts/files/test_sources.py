@@ -66,7 +66,7 @@ REFUSED = {  # name -> (bytes, what the reason begins with)
     "text.ply": (b"hello", r"not readable as PLY: "),
     "cut.glb": (exported(BOX, "glb")[:-200], r"not readable as GLB: "),
     "noise.glb": (np.random.default_rng(2).bytes(3000), r"not readable as glTF: its JSON part is damaged$"),
-    "huge.gltf": (b'{"accessors": [{"count": 4000000000}]}', r"4,000,000,000 elements declared"),
+    "huge.gltf": (b'{"accessors": [{"count": 4000000000}]}', r"holds no triangles$"),
     "noise.3mf": (np.random.default_rng(3).bytes(3000), r"not readable as 3MF: not a zip archive$"),
     "part.sldprt": (b"proprietary", r"not a mesh format: \.sldprt; known are "),
     "part": (b"nameless", r"not a mesh format: no suffix; known are "),
