@@ -86,7 +86,7 @@ __all__ = [
 _MODULES = {
     "Camera": "camera",
     "look_at": "camera",
-    "VolumeCache": "dataset.cache",
+    "VolumeCache": "dataset.volume_cache",
     "Dataset": "dataset.reader",
     "RecordedScene": "dataset.reader",
     "Split": "dataset.reader",

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["FAMILIES", "Family", "make_part", "mesh_files", "part_of_mesh", "read_mesh"]
 
-_MODULES = {"FAMILIES": "catalog", "mesh_files": "files.sources", "read_mesh": "files.sources"}  # others: family
+_MODULES = {"FAMILIES": "family_catalog", "mesh_files": "files.sources", "read_mesh": "files.sources"}  # others: family
 
 
 def __getattr__(name: str) -> Any:

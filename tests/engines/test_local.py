@@ -125,12 +125,13 @@ def test_without_ray_the_error_says_how_to_install_it(monkeypatch: pytest.Monkey
 
 
 ORPHANS = """
-import sys, test_engines
+import sys
+from tests.engines import test_local
 from kit1000.engines import local_engine
 if __name__ == "__main__":
     with local_engine(2) as parallel_map:
-        print(*parallel_map(test_engines.process_id, [sys.argv[1]] * 2), flush=True)
-        list(parallel_map(test_engines.sleep_and_return_id, range(8)))
+        print(*parallel_map(test_local.process_id, [sys.argv[1]] * 2), flush=True)
+        list(parallel_map(test_local.sleep_and_return_id, range(8)))
 """
 
 
