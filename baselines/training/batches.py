@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import signal
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Protocol
 
@@ -107,9 +108,21 @@ def _without_model(task: Task) -> Task:
     return bare
 
 
+def _ignore_interrupts(_: int) -> None:
+    """Leave Ctrl-C, which a terminal sends to all processes, to the one that trains: it ends its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
 def _on_device(data: Dataset, batches: Iterable[list[int]], workers: int, device: torch.device) -> Iterator[Batch]:
     gpu = device.type == "cuda"
     prefetch = PREFETCH if workers else None
-    loader = DataLoader(data, batch_sampler=batches, num_workers=workers, prefetch_factor=prefetch, pin_memory=gpu)  # pyright: ignore[reportArgumentType]
+    loader = DataLoader(
+        data,
+        batch_sampler=batches,  # pyright: ignore[reportArgumentType]
+        num_workers=workers,
+        prefetch_factor=prefetch,
+        pin_memory=gpu,
+        worker_init_fn=_ignore_interrupts,
+    )
     for batch in loader:
         yield {name: value.to(device, non_blocking=gpu) for name, value in batch.items()}

@@ -308,8 +308,4 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line, that of this process when None; returns the exit status."""
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
-    if arguments in (["--version"], ["-V"]):
-        print(f"kit1000 {__version__}")
-        return 0
-    return run("kit1000", COMMANDS, ABOUT, arguments)
+    return run("kit1000", COMMANDS, ABOUT, arguments, __version__)

@@ -26,6 +26,8 @@ class JobRecords:
     parts: dict[str, Record]
     assemblies: dict[str, Record]
     shards: dict[str, Record]
+    mesh_files: int | None = None
+    """Number of mesh files that parts could be made of; None for procedural parts."""
 
     @property
     def accepted_parts(self) -> list[Record]:
@@ -58,6 +60,8 @@ def make_summary(plan: dict[str, Any], records: JobRecords, written: Mapping[str
 
     `written`: SHA-256 by name of files that no job wrote, such as the tables.
     """
+    refused, used = refused_files(plan, records.parts), sum("source" in record for record in records.accepted_parts)
+    untried = {} if records.mesh_files is None else {"untried_files": records.mesh_files - used - len(refused)}
     return {
         "format": FORMAT,
         "data_version": DATA_VERSION,
@@ -73,14 +77,14 @@ def make_summary(plan: dict[str, Any], records: JobRecords, written: Mapping[str
             "assemblies": _count_reasons(record["redraws"] for record in records.assemblies.values()),
             "scenes": _count_reasons(record["redraws"] for record in records.shards.values()),
         },
-        "refused": refused_files(plan, records.parts),
+        "refused": refused,
         "refused_scenes": {k: v for _, record in sorted(records.shards.items()) for k, v in record["refused"].items()},
         "statistics": {split: _statistics(records, split) for split in SPLITS},
         "shards": {
             f"{shard_id}.mcap": record["scenes"] for shard_id, record in records.shards.items() if record["scenes"]
         },
         "files": records.files | dict(written),
-    }
+    } | untried
 
 
 def description_files(summary: dict[str, Any]) -> dict[str, bytes]:
@@ -96,11 +100,11 @@ def summary_bytes(summary: Mapping[str, Any]) -> bytes:
 
 def refused_files(plan: Mapping[str, Any], records: Mapping[str, Record]) -> dict[str, str]:
     """The reasons for which mesh files were refused, by file name."""
-    dealt = {part_id: row.get("sources", []) for part_id, row in plan["parts"].items()}
+    dealt = {part_id: [name for name, _ in row.get("sources", [])] for part_id, row in plan["parts"].items()}
     return {
         name: reason
         for part_id, record in records.items()
-        for (name, _), reason in zip(dealt[part_id], record["redraws"], strict=False)
+        for name, reason in zip(record.get("tried", dealt[part_id]), record["redraws"], strict=False)
     }
 
 
