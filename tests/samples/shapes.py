@@ -12,6 +12,7 @@ from manifold3d import CrossSection, FillRule, Manifold, OpType
 
 from kit1000.kits.cavity import Cavity, cut_cavity, insertion_depth
 from kit1000.kits.kit import UNIT_PLATE, Plate, plate_mesh
+from kit1000.kits.patches import EXACT, MERGED
 from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
@@ -107,7 +108,7 @@ def as_part(solid: Manifold, symmetry: Symmetry | None = None, name: str = "p") 
 
 
 def cavity_of(solid: Manifold, depth: float, clearance: float = 2.5e-3, joined: bool = True) -> Cavity:
-    return cut_cavity(standing(solid), depth, clearance, (0.2, 0.2), joined)
+    return cut_cavity(standing(solid), depth, clearance, (0.2, 0.2), MERGED if joined else EXACT)
 
 
 @dataclass(frozen=True, eq=False)
