@@ -83,8 +83,8 @@ def image_statistics(
         focal: [px] focal length.
         ideal: (H, W) [m] depths without errors, where they are known: only jumps that are steps there count then.
     """
-    d = _disparity(depth, gain)
-    true = None if ideal is None else _disparity(ideal, gain)
+    d = disparity_of(depth, gain)
+    true = None if ideal is None else disparity_of(ideal, gain)
     plane = largest_plane(d)
     residual = d - plane
     flat_px, near = tile_statistics(residual, TILE)
@@ -112,7 +112,8 @@ def image_statistics(
     )
 
 
-def _disparity(depth: np.ndarray, gain: float) -> np.ndarray:
+def disparity_of(depth: np.ndarray, gain: float) -> np.ndarray:
+    """(H, W) [px] of depths (H, W) [m], NaN for no return. gain: [px m] focal length times baseline."""
     return np.where(depth > 0, gain / np.where(depth > 0, depth, 1), np.nan).astype(float)
 
 

@@ -219,11 +219,21 @@ def _between(ends: tuple[float, float], share: float) -> float:
     return ends[0] + (ends[1] - ends[0]) * share
 
 
-def measured_view(sensor: DepthSensor, view: View, conditions: Conditions, rng: np.random.Generator) -> View:
-    """What a sensor measures of an ideal view under some conditions, as by `sense_as_measured`."""
+def measured_view(
+    sensor: DepthSensor,
+    view: View,
+    conditions: Conditions,
+    rng: np.random.Generator,
+    noise: np.ndarray | None = None,
+) -> View:
+    """What a sensor measures of an ideal view under some conditions, as by `sense_as_measured`.
+
+    noise: (H, W) [px] of disparity, in place of drawn noise and bending: such as a real image's.
+    """
     scale = np.float32(1 + sensor.scale_error * rng.uniform(-1, 1))
     recorded = _recorded_pose(sensor, view.world_from_camera, rng)
-    depth = scale * _measured_depth(sensor, view, conditions, rng)
+    drawn = _noise(sensor, view.depth.shape, conditions, rng)
+    depth = scale * _measured_depth(sensor, view, conditions, drawn if noise is None else noise.astype(np.float32), rng)
     depth[(depth < sensor.min_depth) | (depth > sensor.max_depth)] = 0
     return View(view.camera, recorded, np.rint(depth / np.float32(DEPTH_GRID)) * np.float32(DEPTH_GRID))
 
@@ -247,12 +257,11 @@ def _recorded_pose(sensor: DepthSensor, world_from_camera: Pose, rng: np.random.
 
 
 def _measured_depth(
-    sensor: DepthSensor, view: View, conditions: Conditions, rng: np.random.Generator
+    sensor: DepthSensor, view: View, conditions: Conditions, noise: np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """Depths (H, W) float32 [m] from noisy disparities; 0 for no return."""
+    """Depths (H, W) float32 [m] from disparities with noise (H, W) [px]; 0 for no return."""
     camera = view.camera
     gain = np.float32(camera.fx * sensor.baseline)  # [px m] disparity x depth
-    noise = _noise(sensor, view.depth.shape, conditions, rng)
     patches = [smooth_field(rng, _coarse(view.depth.shape, COARSE), PATCH) for _ in range(4)]
     along = [smooth_field(rng, _coarse(view.depth.shape, SMOOTH), ALONG) for _ in range(2)]
     extension, chance, size, loss = patches

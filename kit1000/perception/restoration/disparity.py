@@ -15,6 +15,7 @@ Evidence = dict[str, np.ndarray]
 Box = tuple[slice, slice]
 
 NEAR_TABLE = 1.5  # [px] from the table's plane, of the pixels that show how noisy the image is
+LEVEL_STEP = 3  # [px] between them
 STARTS = ((16, 16), (11, 7), (8, 13))  # [px] above and left of a box, where images of it begin; odd in number
 
 
@@ -42,10 +43,12 @@ def noise_level(calibrated: View, mask: np.ndarray, sensor: str) -> np.ndarray:
     """(1,) float32 [px]: how far disparities are from those of the table's plane, noise and bending together.
 
     1.4826 times the median, the RMS if they are normal, of the pixels of a mask (H, W) within NEAR_TABLE px, every
-    third along rows and columns; 0 where none is.
+    LEVEL_STEP-th along rows and columns; 0 where none is.
     """
-    some = np.s_[::3, ::3]
-    away = np.abs(above_table(calibrated.depth, calibrated, sensor)[some][mask[some]])
+    some = np.s_[::LEVEL_STEP, ::LEVEL_STEP]
+    depth, mask = calibrated.depth[some], mask[some] & (calibrated.depth[some] > 0)
+    gain = calibrated.camera.fx * SENSORS[sensor].baseline
+    away = gain * np.abs(1 / depth[mask] - ground_inverse_depth(calibrated, LEVEL_STEP)[mask])
     away = away[away < NEAR_TABLE]
     level = 1.4826 * float(np.median(away)) if len(away) else 0.0
     return np.array([level], np.float32)
