@@ -176,7 +176,7 @@ def half_lag(correlation: np.ndarray) -> float:
 def low_pass_rms(residual: np.ndarray, sigma: float) -> float:
     """RMS [px] of the largest plane's residual under a Gaussian of `sigma` px, away from other surfaces."""
     inside = np.isfinite(residual) & (np.abs(np.nan_to_num(residual)) < NEAR_PLANE)
-    inside = binary_erosion(inside, np.ones((5, 5)))
+    inside = np.asarray(binary_erosion(inside, np.ones((5, 5))), bool)
     weight = gaussian_filter(inside.astype(float), sigma)
     smooth = gaussian_filter(np.where(inside, np.nan_to_num(residual), 0.0), sigma) / np.maximum(weight, 1e-9)
     known = inside & (weight > 0.7)

@@ -1,7 +1,7 @@
 """How a method does under the noise of real images: plane residuals of real depth images, put on scenes of a dataset.
 
     python bench/quality/real_noise.py data/kit1000 --images DIR --method registration-completed
-    python bench/quality/real_noise.py data/kit1000 --images DIR --edges measured --frames 30
+    python bench/quality/real_noise.py data/kit1000 --images DIR --frames 30 --weights runs/new
 
 DIR holds depth images with `manifest.csv` (columns file, sensor, metres_a_unit, fx), as for `sensor_statistics.py`. The
 residual of each image's largest plane becomes noise of the scenes' ideal images, mirrored to fill them, from a random
@@ -11,29 +11,29 @@ in mm. Edges are sharp, or ramps, shadows, holes and units of the measured d415.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import tyro
-from bench.quality.depth_images import DepthImage, read_images
-from bench.quality.depth_statistics import NEAR_PLANE, disparity_of, largest_plane
 from scipy.ndimage import binary_erosion, distance_transform_edt, zoom
 
-from benchmark.intervals import wilson_interval
-from kit1000.dataset.reader import Dataset
+from bench.quality.depth_images import DepthImage, read_images
+from bench.quality.depth_statistics import NEAR_PLANE, disparity_of, largest_plane
+from benchmark.compare import mcnemar_p
+from benchmark.measurements import Column, Measurement, Table, rate
+from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.engines import local_engine
 from kit1000.errors import InputError, Kit1000Error
-from kit1000.files import write_json
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor, method_of
 from kit1000.rng import stream
-from kit1000.sim.measured_sensors import MEASURED_SENSORS, Conditions, DepthSensor, conditions_of, measured_view
-from kit1000.values import LabelledDepth, Query
+from kit1000.sim.measured_sensors import MEASURED_SENSORS, conditions_of, measured_view
+from kit1000.values import LabelledDepth
 
 D415 = MEASURED_SENSORS["d415"]
 SHARP = replace(
@@ -41,6 +41,8 @@ SHARP = replace(
 )
 FOCAL = 925.0  # [px] of scenes
 LEAST_SIDE = 120  # [px] of the rectangle of a plane that noise is taken from
+BESIDE_BODIES = 12  # [px] of other surfaces, which do not count as the plane
+LOST = 4  # [px] from a return, within which pixels without one do not end a rectangle
 SURE = 0.8  # confidence from which on a fit counts as sure
 
 
@@ -53,9 +55,11 @@ class RealNoise:
     images: Path
     """Folder of real depth images with a manifest.csv."""
     names: tuple[str, ...] = ()
-    """Files to take noise from; all of stereo cameras when empty."""
+    """Files to take noise from, without suffix; all that show a large enough plane when empty."""
     method: str = "registration-completed"
-    """Of the library's catalog, or module:Object."""
+    """Name in the library's catalog, or module:Object."""
+    weights: tuple[Path, ...] = ()
+    """Folders with other weights of the method's networks, each compared with the shipped ones."""
     track: str = "snap-d415"
     split: Literal["test", "val", "train"] = "test"
     edges: Literal["sharp", "measured"] = "measured"
@@ -65,11 +69,10 @@ class RealNoise:
     """Only the first so many queries."""
     workers: int = 1
     out: Path | None = None
-    """JSON file for the rows."""
+    """JSON file for the table, such as results/real-noise.json."""
 
 
-@dataclass(frozen=True)
-class Answer:
+class Answer(NamedTuple):
     """What a method did with one query."""
 
     query_id: str
@@ -77,106 +80,159 @@ class Answer:
     confidence: float
 
 
+class Outcome(NamedTuple):
+    """What became of the answers to n queries."""
+
+    seated: np.ndarray
+    """(n,) bool"""
+    position: np.ndarray
+    """(n,) [m]"""
+    sure: np.ndarray
+    """(n,) bool"""
+
+
+COLUMNS = (
+    Column("image", "noise of"),
+    Column("noise", "RMS px", 3),
+    Column("edges", "edges"),
+    Column("frames", "frames"),
+    Column("weights", "weights"),
+    Column("n", "n"),
+    Column("seated", "seated, %", 1, True),
+    Column("position", "position, median mm", 2),
+    Column("won", "won"),
+    Column("lost", "lost"),
+    Column("p", "p (McNemar)", 3),
+    Column("sure", f"confidence {SURE} or more"),
+    Column("sure_seated", "seated of these"),
+)
+
+
 def main(options: RealNoise) -> None:
     """Predict, measure, print."""
-    images = [image for image in read_images(options.images) if "PhoXi" not in image.sensor]
-    names = options.names or tuple(image.name for image in images)
-    if unknown := set(names) - {image.name for image in images}:
-        raise InputError(f"{options.images}: no stereo image {min(unknown)!r}")
-    rows = []
-    with local_engine(options.workers) as spread:
-        for name in names:
-            rows.append(_row(options, name, spread))
-            print(_line(rows[-1]), flush=True)
-    if options.out is not None:
-        described = {"command": "python bench/quality/real_noise.py", "dataset_id": Dataset(options.data).id}
-        write_json(options.out, described | {"rows": rows})
-
-
-def _row(options: RealNoise, name: str, spread: Any) -> dict[str, Any]:
-    """The scores of a method under the noise of an image."""
     dataset = Dataset(options.data)
+    measurement = Measurement.begin(dataset)
+    measurement.setting["command"] = measurement.setting["command"].replace(str(options.images), "IMAGES")
+    title = f"{options.method} on {options.track} of {options.split}, images with the noise of real ones"
+    table = measurement.table("real-noise", title, *COLUMNS)
+    with local_engine(options.workers) as spread:
+        for name in options.names or usable_names(options.images):
+            first = None
+            for weights in (None, *options.weights):
+                found = _outcome(options, dataset, name, weights, spread)
+                _add(table, options, name, weights, found, first)
+                first = first or found
+    measurement.report(options.out)
+
+
+def usable_names(folder: Path) -> list[str]:
+    """The names of the stereo images that show a plane large enough."""
+    names = []
+    for image in read_images(folder):
+        if image.kind != "PhoXi":
+            with suppress(InputError):
+                plane_residual(image)
+                names.append(image.name)
+    return names
+
+
+def _add(
+    table: Table, options: RealNoise, name: str, weights: Path | None, found: Outcome, first: Outcome | None
+) -> None:
+    """Add the row of an image and of weights, beside those of the shipped ones."""
+    values: dict[str, Any] = {}
+    if first is not None:
+        won, lost = int((found.seated & ~first.seated).sum()), int((first.seated & ~found.seated).sum())
+        values = {"won": won, "lost": lost, "p": mcnemar_p(won, lost)}
+    table.add(
+        image=name,
+        noise=float(np.std(noise_field(options.images, name))),
+        edges=options.edges,
+        frames=options.frames,
+        weights="shipped" if weights is None else weights.name,
+        n=len(found.seated),
+        seated=rate(found.seated),
+        position=1e3 * float(np.median(found.position)),
+        sure=int(found.sure.sum()),
+        sure_seated=int((found.sure & found.seated).sum()),
+        **values,
+    )
+
+
+def _outcome(options: RealNoise, dataset: Dataset, name: str, weights: Path | None, spread: Any) -> Outcome:
+    """What becomes of a method's answers under the noise of an image."""
     split = dataset.split(options.split, truth=True)
     queries = [query for query in split.queries() if query.track == options.track][: options.limit]
+    if not queries:
+        raise InputError(f"{options.data}: split {options.split} has no query of {options.track}")
     jobs = [(query.scene_id, query.id) for query in queries]
-    answers: Sequence[Answer] = list(spread(partial(_answer, options, name), jobs))
+    answers = {answer.query_id: answer for answer in spread(partial(_answer, options, name, weights), jobs)}
     truths = [split.scene(scene).truth_of(query) for scene, query in jobs]
-    motions = Pose.stack([answer.motion for answer in answers])
-    seated = seatings(motions, truths, dataset.geometry).seated
+    motions = Pose.stack([answers[query].motion for _, query in jobs])
     errors = pose_errors(motions, Targets.of(truths, lambda part: dataset.geometry.part(part).mesh.vertices))
-    sure = np.array([answer.confidence for answer in answers]) >= SURE
-    low, high = wilson_interval(float(seated.mean()), len(seated))
-    return {
-        "image": name,
-        "method": options.method,
-        "track": options.track,
-        "split": options.split,
-        "edges": options.edges,
-        "frames": options.frames,
-        "noise_px": round(float(np.std(noise_field(options.images, name))), 4),
-        "n": len(jobs),
-        "seated": round(float(seated.mean()), 4),
-        "interval": [round(low, 4), round(high, 4)],
-        "position_mm": round(float(np.median(errors.position)) * 1e3, 3),
-        "sure": int(sure.sum()),
-        "sure_seated": int(seated[sure].sum()),
-        "seated_queries": [query for (_, query), yes in zip(jobs, seated.tolist(), strict=True) if yes],
-    }
+    sure = np.array([answers[query].confidence for _, query in jobs]) >= SURE
+    return Outcome(seatings(motions, truths, dataset.geometry).seated, errors.position, sure)
 
 
-def _line(row: dict[str, Any]) -> str:
-    low, high = row["interval"]
-    share = f"{100 * row['seated']:.0f} % [{100 * low:.0f}, {100 * high:.0f}]"
-    noise = f"{row['image']:12} {row['noise_px']:.3f} px, edges {row['edges']}, {row['frames']} frames"
-    return f"{noise}: n {row['n']}, seated {share}, {row['position_mm']:.2f} mm, sure {row['sure_seated']} of {row['sure']}"
-
-
-def _answer(options: RealNoise, name: str, job: tuple[str, str]) -> Answer:
+def _answer(options: RealNoise, name: str, weights: Path | None, job: tuple[str, str]) -> Answer:
     """The method's answer to a query, its image measured anew."""
     scene_id, query_id = job
-    dataset, predictor = _made(options.data, options.method)
+    dataset, predictor = _made(options.data, options.method, weights)
     scene = dataset.split(options.split).scene(scene_id)
     query = next(query for query in scene.queries if query.id == query_id)
-    ideal = scene.labelled_depth("ideal")
-    rng = stream(0, "real-noise", name, scene_id)
-    sensor = D415 if options.edges == "measured" else SHARP
-    field = filled(noise_field(options.images, name), ideal.view.depth.shape, rng)
-    conditions = conditions_of(sensor, rng, options.frames)
-    view = measured_view(sensor, ideal.view, conditions, rng, field * _left(sensor, conditions))
-    image = LabelledDepth(view, ideal.labels)
+    image = noisy_image(options, name, scene)
     predicted = predictor(replace(query, read_image=lambda: image), None)
     return Answer(query_id, predicted.goal_from_now, float(predicted.confidence))
 
 
-def _left(sensor: DepthSensor, conditions: Conditions) -> float:
-    """The share of the noise's RMS that the mean of the frames leaves."""
-    return conditions.left_px / replace(conditions, frames=1).left_px
+def noisy_image(options: RealNoise, name: str, scene: RecordedScene) -> LabelledDepth:
+    """The ideal image of a scene with the noise of a real one; always the same."""
+    ideal = scene.labelled_depth("ideal")
+    rng = stream(0, "real-noise", name, scene.id)
+    sensor = D415 if options.edges == "measured" else SHARP
+    field = filled(noise_field(options.images, name), ideal.view.depth.shape, rng)
+    conditions = conditions_of(sensor, rng, options.frames)
+    left = conditions.left_px / replace(conditions, frames=1).left_px  # of the RMS, in the mean of the frames
+    return LabelledDepth(measured_view(sensor, ideal.view, conditions, rng, field * left), ideal.labels)
 
 
 @cache
-def _made(data: Path, method: str) -> tuple[Dataset, Any]:
-    dataset = Dataset(data)
-    return dataset, make_predictor(method_of(method), dataset, 0)
+def _made(data: Path, name: str, weights: Path | None) -> tuple[Dataset, Any]:
+    """A dataset and the predictor of a method, with the weights of a folder where it has them."""
+    dataset, method = Dataset(data), method_of(name)
+    if weights is not None:
+        there = {key: weights / stem.name for key, stem in method.weights.items() if _has(weights, stem.name)}
+        if not there:
+            raise InputError(
+                f"{weights}: none of the weights of {name}, such as {next(iter(method.weights.values())).name}"
+            )
+        method = replace(method, weights={**method.weights, **there})
+    return dataset, make_predictor(method, dataset, 0)
+
+
+def _has(folder: Path, stem: str) -> bool:
+    return (folder / f"{stem}.json").is_file() and (folder / f"{stem}.safetensors").is_file()
 
 
 @cache
 def noise_field(folder: Path, name: str) -> np.ndarray:
-    """(h, w) [px] of the d415 at the focal length of scenes: the residual of an image's largest plane, on a rectangle."""
+    """(h, w) [px] noise of an image's largest plane, as the d415 has it at the focal length of scenes."""
     image = next(image for image in read_images(folder) if image.name == name)
     residual = plane_residual(image)
-    enlarged = zoom(residual, FOCAL / image.fx, order=1) if abs(image.fx / FOCAL - 1) > 0.02 else residual
+    enlarged = np.asarray(zoom(residual, FOCAL / image.fx, order=1)) if abs(image.fx / FOCAL - 1) > 0.02 else residual
     return enlarged * (FOCAL * D415.baseline) / image.gain
 
 
 def plane_residual(image: DepthImage) -> np.ndarray:
-    """(h, w) [px] what a real image's largest plane has of noise and bending, on the largest rectangle without bodies."""
+    """(h, w) [px] noise and bending of an image's largest plane, on the largest rectangle without bodies."""
     d = disparity_of(image.depth, image.gain)
     residual = d - largest_plane(d)
     off = ~(np.abs(np.nan_to_num(residual, nan=0.0)) < NEAR_PLANE)
-    bodies = distance_transform_edt(~binary_erosion(off, np.ones((5, 5)))) < 12
+    core = np.asarray(binary_erosion(off, np.ones((5, 5))), bool)
+    bodies = _within(core, BESIDE_BODIES)
     usable = np.isfinite(residual) & ~bodies
     whole = np.where(usable, residual, np.nan)
-    rows, columns = largest_rectangle(~bodies & _nearly(np.isfinite(residual)))
+    rows, columns = largest_rectangle(~bodies & _within(np.isfinite(residual), LOST))
     inside = whole[rows, columns]
     if min(inside.shape) < LEAST_SIDE:
         raise InputError(f"{image.name}: shows no plane of {LEAST_SIDE} x {LEAST_SIDE} px without bodies")
@@ -185,9 +241,9 @@ def plane_residual(image: DepthImage) -> np.ndarray:
     return filled_in - filled_in.mean()
 
 
-def _nearly(returned: np.ndarray) -> np.ndarray:
-    """Pixels with a return within 4 px: single lost pixels do not end a rectangle."""
-    return distance_transform_edt(~returned) < 4
+def _within(mask: np.ndarray, reach: float) -> np.ndarray:
+    """(H, W) bool: pixels less than `reach` px from one of a mask (H, W)."""
+    return np.asarray(distance_transform_edt(~mask)) < reach
 
 
 def largest_rectangle(mask: np.ndarray) -> tuple[slice, slice]:

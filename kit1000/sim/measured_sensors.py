@@ -1,9 +1,10 @@
-"""Depth sensors with the errors of real ones, as measured on public images: a stereo camera and a structured-light scanner.
+"""Depth sensors with the errors of real ones, measured on public images: a stereo camera, a structured-light scanner.
 
-What a sensor does differs from image to image: amplitude, bending, unit and stream are drawn for each (`conditions_of`),
-the rest is of the sensor. Errors come in the order of the real device, in disparity = fx * baseline / depth: fattened
-edges, ramps at small jumps, no return in shadows, in holes beside jumps and at grazing angles, noise, bending, rounding;
-then depth scale, range, and the grid of stored depths. `kit1000.sim.sensors` has the sensors of data 1.0.0.
+What a sensor does differs from image to image: amplitude, bending, unit, stream, ramps and holes are drawn for each
+(`conditions_of`), the rest belongs to the sensor. Errors come in the order of the real device, in disparity =
+fx * baseline / depth: fattened edges, ramps at small jumps, no return in shadows, in holes beside jumps and at grazing
+angles, noise, bending, rounding; then depth scale, range, and the grid of stored depths. `kit1000.sim.sensors` has the
+sensors of data 1.0.0.
 
 Sources: "images" are the public D415, D435 and PhoXi images of docs/reference/sensors.md, whose statistics
 `bench/quality/sensor_statistics.py` sets beside those of these sensors; other sources stand where they are used.
@@ -284,9 +285,7 @@ def _measured_depth(
     return depths_of(d, noise, missing, np.float32(step), np.float32(unit), gain)
 
 
-def _noise(
-    sensor: DepthSensor, shape: tuple[int, int], conditions: Conditions, rng: np.random.Generator
-) -> np.ndarray:
+def _noise(sensor: DepthSensor, shape: tuple[int, int], conditions: Conditions, rng: np.random.Generator) -> np.ndarray:
     """(H, W) float32 [px]: fine and coarse noise and bending."""
     noise = windowed_noise(rng, shape, sensor.fine_windows)
     noise *= np.float32(conditions.left_px * math.sqrt(1 - sensor.coarse_share))
@@ -306,7 +305,7 @@ def _shadows(sensor: DepthSensor, d: np.ndarray, fx: float, stream: Stream) -> n
     if stream == "raw":
         missing = occlusion_mask(seen_from, shift)
     else:
-        offset = sensor.colour_offset / sensor.baseline  # of the raw image's imager; the other one is a baseline farther
+        offset = sensor.colour_offset / sensor.baseline  # of one imager; the other one is a baseline farther
         missing = occlusion_mask(seen_from * np.float32(1 + offset), shift)
         missing |= occlusion_mask(seen_from * np.float32(offset), 0.0)
         missing |= _outside_raw(seen_from * np.float32(1 + offset), sensor.colour_inset_px)

@@ -94,7 +94,7 @@ def box_means(image, across, down, scale):
 
 @compiled
 def add_enlarged(out, field, factor, scale):
-    """Add a coarse field (h, w), one value in `factor` px along both axes, bilinear in between, times `scale`, to (H, W)."""
+    """Add a coarse field (h, w) times `scale` to one (H, W): a value every `factor` px, bilinear in between."""
     rows, columns = out.shape
     h, w = field.shape
     line = np.empty(w + 1, np.float32)

@@ -103,8 +103,9 @@ def blended_ramps(d, edge, half, factor):
         row = between[v]
         for x in range(1, widest + 1):
             end = columns - x
+            before, after = row[: end - x], row[2 * x :]
             _add_pairs(
-                row[x:end], row[: end - x], row[2 * x :], edges[x:end], halves[x:end], np.float32(x), total[x:end], count[x:end]
+                row[x:end], before, after, edges[x:end], halves[x:end], np.float32(x), total[x:end], count[x:end]
             )
         out[v] = row + total / count
     return out

@@ -1,4 +1,4 @@
-"""Noisy images to learn from: the d415 of data 1.0.0, or as measured on real ones, in wider ranges than those of data."""
+"""Noisy images to learn from: by the d415 of data 1.0.0, or as measured on real ones, in wider ranges than in data."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ WIDER = replace(
     hole_share=(0.0, 0.5),
     aligned_share=0.3,
 )
-"""The measured d415 once the table has calibrated it; bent planes leave more errors of pose and scale than flat ones."""
+"""The measured d415 once the table has calibrated it; bent planes leave more errors of pose and scale."""
 WINDOWS = (0.75, 1.35)  # range of a factor on the windows of noise: networks read its correlation
 FRAMES = (1, 1, 1, 1, 1, 3, 10, 30)  # of which an image is the mean, each in an equal share
 

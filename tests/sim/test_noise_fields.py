@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.ndimage import uniform_filter
+from scipy.ndimage import uniform_filter1d
 from scipy.stats import norm
 
 from kit1000.rng import stream
@@ -14,7 +14,8 @@ from kit1000.sim.noise_fields import add_enlarged, box_means, smooth_field, unif
 def test_box_means_are_those_of_a_filter_with_periodic_boundaries() -> None:
     image = np.random.default_rng(0).standard_normal((17, 23)).astype(np.float32)
     for across, down in ((1, 1), (5, 3), (7, 9)):
-        expected = 2 * uniform_filter(image.astype(float), (down, across), mode="wrap")
+        once = uniform_filter1d(image.astype(float), down, 0, mode="wrap")
+        expected = 2 * uniform_filter1d(once, across, 1, mode="wrap")
         np.testing.assert_allclose(box_means(image, across, down, np.float32(2)), expected, atol=1e-5)
 
 
