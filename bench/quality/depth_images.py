@@ -12,8 +12,8 @@ from PIL import Image
 from kit1000.errors import InputError
 
 MANIFEST = "manifest.csv"
-BASELINES = {"D415": 0.055, "D435": 0.050, "PhoXi": 0.27}
-"""[m] by words in the name of a sensor: data sheets of the D400 series; of the scanner assumed."""
+BASELINES = {"D415": 0.055, "D435": 0.050, "PhoXi": 0.225}
+"""[m] by words in the name of a sensor: data sheets of the D400 series; the scanner's from the width of its shadows."""
 COLUMNS = ("file", "sensor", "metres_a_unit", "fx")
 
 

@@ -126,7 +126,7 @@ def test_conditions_of_frames_draw_as_often_as_those_of_one() -> None:
     assert replace(many, frames=1) == one
 
 
-@pytest.mark.parametrize(("sensor", "rms"), [(D415, 0.1), (D415, 0.3), (PHOTONEO, 0.07)])
+@pytest.mark.parametrize(("sensor", "rms"), [(D415, 0.1), (D415, 0.3), (PHOTONEO, 0.06)])
 def test_noise_on_a_plane_has_its_amplitude_at_every_distance(sensor: DepthSensor, rms: float) -> None:
     conditions = replace(CALM, noise_px=rms)
     for distance in (0.5, 0.9):
@@ -145,7 +145,7 @@ def test_noise_of_the_d415_is_wider_across_than_down_and_that_of_the_scanner_is_
 
     across, down = correlation(D415, 1, 8), correlation(D415, 0, 8)
     assert 0.6 < across < 0.8  # of the whole image; tiles of 48 px less their own plane have 0.5 at 7 to 8 px
-    assert down < across - 0.1
+    assert down < across - 0.05
     assert correlation(D415, 1, 40) < 0.1
     assert all(abs(correlation(PHOTONEO, axis, lag)) < 0.02 for axis in (0, 1) for lag in (1, 3))
 
