@@ -90,8 +90,9 @@ class Restorer:
     def likeliest(self, read: Evidence, box: Box) -> np.ndarray:
         """(h, w) [px] the likeliest disparities in a box of the image, rounded."""
         cut = cropped_evidence(read, box)
-        disparity, slope = (torch.from_numpy(cut[name])[None].to(self.precision) for name in ("disparity", "slope"))
+        exact = ("disparity", "slope", "level")
+        disparity, slope, level = (torch.from_numpy(cut[name])[None].to(self.precision) for name in exact)
         returned, labels = (torch.from_numpy(cut[name])[None] for name in ("returned", "labels"))
         with torch.inference_mode():
-            likeliest = self.net(disparity, returned, labels, slope).likeliest()[0].numpy().astype(np.float64)
+            likeliest = self.net(disparity, returned, labels, slope, level).likeliest()[0].numpy().astype(np.float64)
         return np.rint(likeliest / DISPARITY_STEP) * DISPARITY_STEP
