@@ -14,10 +14,12 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import tyro
 from manifold3d import Manifold
+from tqdm import tqdm
 
 from bench.exact_offset import contact_offset_by_booleans, swept_solid
 from benchmark.measurements import Column, Measurement, rate
@@ -35,6 +37,15 @@ CLOSED, ONE_BODY, IN_BOUNDS = "plates closed in float32", "plates of one body", 
 FREE, SEATED_GOALS = "heights on the way in without overlap", "goals that seat"
 WRONG = "wrong poses that do not seat"
 
+HEIGHTS = np.linspace(FLOAT32_GAP, HOVER, 8)  # [m] above the goal at which overlap is looked for
+LIFTS = (0.5e-6, 1e-6, 2e-6, 5e-6, 10e-6, 20e-6, 50e-6, 100e-6)  # [m] tried to end an overlap
+OVERLAP_COLUMNS = (
+    Column("part", "part"),
+    Column("family", "family"),
+    Column("height_mm", "height, mm", 4),
+    Column("volume_mm3", "volume, mm³", 6),
+    Column("lift_um", "ended by a lift of, µm", 1),
+)
 CLEARANCE = {
     "nominal": "nominal",
     "smallest": "smallest",
@@ -57,6 +68,17 @@ class PairCheckRun:
     """JSON file of the tables, such as results/pairs.json."""
 
 
+class Overlap(NamedTuple):
+    """A part in its plate at a height on the way in."""
+
+    part: str
+    family: str
+    height_mm: float
+    volume_mm3: float
+    lift_um: float | None
+    """Least of LIFTS that ends it; None: none of them."""
+
+
 def main(run: PairCheckRun) -> int:
     """Print the counts; 1 when something fails."""
     dataset = Dataset(run.data)
@@ -67,8 +89,13 @@ def main(run: PairCheckRun) -> int:
         passed[ONE_BODY].append(body_count(mesh) == 1)
         passed[IN_BOUNDS].append(_in_bounds(row))
     sample = np.random.default_rng(run.seed).choice(sorted(geometry.kits), min(run.count, len(geometry.kits)), False)
-    for part_id in sample:
-        _check_pair(geometry.part(part_id), geometry.kit(part_id), geometry.kits[part_id]["keyedness"], passed)
+    overlaps: list[Overlap] = []
+    for part_id in tqdm(sample, desc="pairs", unit="", disable=None):
+        part, kit = geometry.part(part_id), geometry.kit(part_id)
+        found = _overlaps(part, kit)
+        passed[FREE] += [overlap is None for overlap in found]
+        overlaps += [overlap for overlap in found if overlap is not None]
+        _check_poses(part, kit, geometry.kits[part_id]["keyedness"], passed)
     measurement = Measurement.begin(dataset)
     title = f"All plates, and {len(sample)} pairs by exact booleans"
     columns = (
@@ -80,6 +107,9 @@ def main(run: PairCheckRun) -> int:
     checks = measurement.table("checks", title, *columns)
     for check, values in passed.items():
         checks.add(check=check, n=len(values), faults=len(values) - sum(values), passed=rate(values))
+    table = measurement.table("overlaps", "Overlaps on the way in", *OVERLAP_COLUMNS)
+    for overlap in overlaps:
+        table.add(**overlap._asdict())
     _add_clearance(measurement, list(geometry.kits.values()))
     measurement.report(run.out)
     return int(not all(all(values) for values in passed.values()))
@@ -103,12 +133,28 @@ def _in_bounds(row: dict) -> bool:
     return low <= report["clearance_smallest_mm"] and report["clearance_largest_mm"] <= high
 
 
-def _check_pair(part: Part, kit: Kit, keyedness: float | None, passed: dict[str, list[bool]]) -> None:
-    """Add what a pair passes to the lists by check."""
-    design, plate = kit.slot.goals[0], solid_from_mesh(kit.mesh)
-    body = solid_from_mesh(part.mesh).transform(design.matrix()[:3])
-    for lift in np.linspace(FLOAT32_GAP, HOVER, 8):
-        passed[FREE].append((body.translate((0, 0, lift)) ^ plate).is_empty())
+def _overlaps(part: Part, kit: Kit) -> list[Overlap | None]:
+    """Overlap of a part with its plate at each of HEIGHTS above its goal; None where there is none."""
+    plate = solid_from_mesh(kit.mesh)
+    body = solid_from_mesh(part.mesh).transform(kit.slot.goals[0].matrix()[:3])
+
+    def common(height: float) -> Manifold:
+        return body.translate((0, 0, height)) ^ plate
+
+    found: list[Overlap | None] = []
+    for height in HEIGHTS:
+        shared = common(height)
+        if shared.is_empty():
+            found.append(None)
+            continue
+        lift = next((lift for lift in LIFTS if common(height + lift).is_empty()), None)
+        found.append(Overlap(part.id, part.family, height * 1e3, shared.volume() * 1e9, lift and lift * 1e6))
+    return found
+
+
+def _check_poses(part: Part, kit: Kit, keyedness: float | None, passed: dict[str, list[bool]]) -> None:
+    """Add to the lists by check whether goals seat and wrong poses do not."""
+    design = kit.slot.goals[0]
     for goal in kit.slot.goals:
         passed[SEATED_GOALS].append(_seats(*swept_part(part, goal), kit, goal, goal))
     swept = swept_part(part, design)

@@ -26,7 +26,6 @@ SHARED = {  # by name: the files, and why they may have the same
     "seating": ("kit1000/kits", "kit1000/metrics"),  # their paths are hashed with every score
     "sensors": ("kit1000/sim", "kit1000/testing"),  # a conformance check is named after what it checks
     "sources": ("kit1000/parts/files", "kit1000/testing"),  # a conformance check is named after what it checks
-    "threemf": ("kit1000/export", "kit1000/parts/files"),  # writing and reading of one format
 }
 NAME = re.compile(rf"(?<![\w/.-])(?:{'|'.join(PACKAGES)})(?:\.[A-Za-z_]\w*)+")
 SCHEMAS = {"kit1000.SceneTruth"}  # of messages in recordings

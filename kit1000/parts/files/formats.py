@@ -18,7 +18,7 @@ import numpy as np
 from kit1000.errors import MeshRefused
 from kit1000.mesh import z_up
 from kit1000.parts.files.foreign_content import check_foreign
-from kit1000.parts.files.gltf.scene import read_gltf
+from kit1000.parts.files.gltf.node_tree import read_gltf
 from kit1000.parts.files.obj_and_off import read_obj, read_off
 from kit1000.parts.files.ply_elements import read_ply
 from kit1000.parts.files.soup import Cut, TriangleSoup, joined
