@@ -136,7 +136,8 @@ def _make_parts_and_kits(
     jobs = {
         part_id: _part_job(root, preset, plan["seed"], part_id, row, sources) for part_id, row in plan["parts"].items()
     }
-    records = _run_jobs("parts and kits", make_part_and_kit, list(jobs.values()), parallel_map)
+    costly_first = sorted(jobs.values(), key=_bytes_to_read, reverse=True)  # so that no core idles at the end
+    records = _run_jobs("parts and kits", make_part_and_kit, costly_first, parallel_map)
     accepted: list[str] = []
     measures = np.zeros((0, 5))
     for part_id in jobs:
@@ -156,6 +157,12 @@ def _make_parts_and_kits(
     if not accepted:
         raise InputError(_no_usable_file(root, plan, records))
     return records
+
+
+def _bytes_to_read(job: PartJob) -> int:
+    """The size of the first file of a job, which tells its cost; 0 where there is none."""
+    path = job.sources[0][1] if job.sources else None
+    return path.stat().st_size if path is not None and path.is_file() else 0
 
 
 def _part_job(
