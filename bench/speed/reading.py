@@ -37,7 +37,7 @@ RATES = (
     Column("rate", "per second", 0),
     Column("ms", "CPU, ms", 2),
     Column("ratio", "times queries alone", 1),
-    Column("goal", "goal, per second"),
+    Column("goal", "goal, per second", 0),
 )
 WAITING = (
     Column("item", "item"),

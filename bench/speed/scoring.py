@@ -48,7 +48,7 @@ SEATING_COLUMNS = (
     Column("ratio", "times the closed form", 1),
     Column("seated", "seated, %", 1, True),
     Column("exact", "tested exactly, %", 1, True),
-    Column("disagree", "verdicts that differ"),
+    Column("disagree", "verdicts that differ", 0),
 )
 
 

@@ -45,9 +45,9 @@ AGREEMENT = (
     Column("seated", "seated, %", 1, True),
     Column("near", f"within {LIMIT_BAND * 1e3:g} mm of a limit, %", 1, True),
     Column("offset", "offset, largest difference, um", 1),
-    Column("above", f"offsets differing by more than {BISECTION_STEP * 1e6:g} um"),
+    Column("above", f"offsets differing by more than {BISECTION_STEP * 1e6:g} um", 0),
     Column("differ", "verdicts that differ, %", 2, True),
-    Column("outside", "of these farther from a limit"),
+    Column("outside", "of these farther from a limit", 0),
 )
 SECONDS = (
     Column("way", "computation"),

@@ -41,7 +41,7 @@ PREDICTION_COLUMNS = (
     Column("spread", "std of scores", 4),
 )
 STEP_COLUMNS = (
-    Column("batch", "examples a step"),
+    Column("batch", "examples a step", 0),
     Column("n", "repeats"),
     Column("wall", "s a step", 3),
     Column("cpu", "CPU s", 3),

@@ -40,7 +40,7 @@ SCORE_COLUMNS = (
     Column("preset", "preset"),
     Column("way", "network"),
     Column("n", "candidates"),
-    Column("timed", "of these timed"),
+    Column("timed", "of these timed", 0),
     Column("seconds", "s a scene", 2),
     Column("ratio", "times ours", 1),
     Column("error", "largest difference of a logit, 1e-6", 1),
@@ -52,7 +52,7 @@ STEP_COLUMNS = (
     Column("seconds", "s a step", 2),
     Column("ratio", "times a scene", 2),
 )
-BF16_COLUMNS = (Column("n", "scenes"), Column("candidates", "candidates"), Column("same", "same choice, %", 1, True))
+BF16_COLUMNS = (Column("n", "scenes"), Column("candidates", "candidates", 0), Column("same", "same choice, %", 1, True))
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ MESH_COLUMNS = (
     Column("faces", "faces", 0),
     Column("way", "algorithm"),
     *SECONDS,
-    Column("signs", "wrong signs"),
+    Column("signs", "wrong signs", 0),
     Column("largest", "largest difference, voxels", 3),
 )
 FUSION_COLUMNS = (Column("body", "body"), Column("n", "views"), Column("wrong", "wrong, % of the volume", 2, True))
