@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import re
 from collections.abc import Iterator
 from functools import cache
@@ -62,19 +63,19 @@ def _target(module: str, name: str) -> str:
 def loaded(path: Path) -> set[str]:
     """Dotted names of all modules that are loaded with a file, ours and others; not those imported in functions."""
     found: set[str] = set()
-    left = [path]
+    left = [str(path)]
     while left:
-        for name in _imported_on_loading(left.pop()):
-            if name not in found:
-                found.add(name)
-                left += filter(None, [_file_of(name)])
+        for name in _imported_on_loading(left.pop()) - found:
+            found.add(name)
+            left += filter(None, [_file_of(name)])
     return found
 
 
 @cache
-def _imported_on_loading(path: Path) -> frozenset[str]:
+def _imported_on_loading(path: str) -> frozenset[str]:
     """By text, which is ten times faster than by syntax: imports begin a line."""
-    return frozenset(_names(path.read_text(encoding="utf-8")))
+    with open(path, encoding="utf-8") as file:
+        return frozenset(_names(file.read()))
 
 
 def _names(text: str) -> Iterator[str]:
@@ -84,6 +85,9 @@ def _names(text: str) -> Iterator[str]:
             yield f"{module}.{name}"  # a module, or a name that has no file
 
 
-def _file_of(name: str) -> Path | None:
-    place = ROOT.joinpath(*name.split("."))
-    return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)
+@cache
+def _file_of(name: str) -> str | None:
+    if name.partition(".")[0] not in PYTHON_FOLDERS:
+        return None
+    place = os.path.join(ROOT, *name.split("."))
+    return next(filter(os.path.isfile, (f"{place}.py", os.path.join(place, "__init__.py"))), None)
