@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 from benchmark.documents import filled
-from benchmark.entries import read_entries
+from benchmark.entries import Entry, read_entries
 from benchmark.measurements import read_measurement
+from tests.samples.checkout import ROOT
 
-ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 RECORDS = ("log/", "results/release-faults.md")  # dated records, and facts of another project with their source
 BLOCKS = re.compile(r"<!-- result:.*?<!-- end -->|^```.*?^```|^\|.*?$|^    .*?$", re.DOTALL | re.MULTILINE)
@@ -32,9 +33,14 @@ def sentences(text: str) -> list[str]:
     return re.split(r"(?<=[.!?])\s+|\n\n", BLOCKS.sub("", text))
 
 
+@cache
+def submissions() -> list[Entry]:
+    return read_entries(ROOT / "submissions")
+
+
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.relative_to(ROOT).as_posix())
 def test_tables_of_a_page_are_those_of_the_results(path: Path) -> None:
-    assert filled(path, ROOT / "results", read_entries(ROOT / "submissions")) == path.read_text("utf-8"), "make results"
+    assert filled(path, ROOT / "results", submissions()) == path.read_text("utf-8"), "make results"
 
 
 def stated(text: str) -> list[str]:
