@@ -59,7 +59,7 @@ class DepthSensor:
     coarse_windows: tuple[int, int] = (1, 1)
     """The same of the coarse noise, in steps of COARSE px."""
     coarse_share: float = 0.0
-    """Of the noise's variance."""
+    """Share of the noise's variance."""
     bending_px: tuple[float, float] = (0.0, 0.0)
     """RMS of the bending of planes at an amplitude of BENDING_AT px [px]; it grows with the root of the amplitude."""
     bending_window: int = 1
@@ -73,10 +73,11 @@ class DepthSensor:
     fattening_px: float = 0.0
     """Largest extension of a near surface beyond a jump that stays sharp [px]; uniform along edges, half at ramps."""
     shadow_px: int = 0
-    """By which shadows are wider than geometry makes them [px]."""
+    """Number of pixels by which shadows are wider than geometry makes them."""
     hole_share: tuple[float, float] = (0.0, 0.0)
-    """Of the jumps over `hole_jump_px` that have no return beside them, in patches; drawn for each image."""
+    """Share of the jumps over `hole_jump_px` with no return beside them, in patches; drawn for each image."""
     hole_jump_px: float = math.inf
+    """Least jump of disparity with holes beside it [px]."""
     hole_px: int = 1
     """Largest width of such a hole [px], odd."""
     grazing_deg: tuple[float, float] = (90.0, 90.0)
@@ -86,7 +87,7 @@ class DepthSensor:
     units: tuple[float, ...] = (0.0,)
     """[m] steps of depth in which frames are handed out, each in an equal share of images; 0: none."""
     aligned_share: float = 0.0
-    """Of the images whose stream is aligned."""
+    """Share of the images whose stream is aligned."""
     scale_error: float = 0.0
     """Half width of the uniform relative error of all depths of an image."""
     position_error: float = 0.0
@@ -155,7 +156,7 @@ class Conditions:
     noise_px: float
     """RMS of the noise of one frame."""
     fixed_share: float
-    """Of its variance, the same in every frame."""
+    """Share of its variance that is the same in every frame."""
     bending_px: float
     """RMS."""
     unit: float
@@ -164,7 +165,7 @@ class Conditions:
     ramp_px: float = 0.0
     """Jumps of more disparity never become ramps."""
     hole_share: float = 0.0
-    """Of the jumps that have a hole beside them."""
+    """Share of the jumps that have a hole beside them."""
     frames: int = 1
     """Number of frames of which the image is the mean."""
 
