@@ -22,7 +22,7 @@ class DepthImage:
     """A real depth image."""
 
     name: str
-    """Of its file, without the suffix."""
+    """Name of its file, without the suffix."""
     sensor: str
     depth: np.ndarray
     """(H, W) float64 [m], 0 for no return."""

@@ -197,7 +197,7 @@ def jumps(d: np.ndarray, true: np.ndarray | None = None) -> Iterator[Jump]:
 
 
 def _line_jumps(values: np.ndarray, places: np.ndarray, steps: np.ndarray | None) -> Iterator[Jump]:
-    """Those of the pixels of a line with a return: (n,) disparities and places. steps: (W - 1,) [px] true ones."""
+    """Jumps among the pixels of a line with a return: (n,) disparities and places. steps: (W - 1,) [px] true ones."""
     rise_at = np.zeros(len(values))  # over 6 px about a pixel
     rise_at[3:-3] = np.abs(values[6:] - values[:-6])
     highest = maximum_filter1d(rise_at, 2 * REACH + 1)

@@ -77,6 +77,7 @@ class DepthSensor:
     hole_share: tuple[float, float] = (0.0, 0.0)
     """Share of the jumps over `hole_jump_px` that have no return beside them, in patches; drawn for each image."""
     hole_jump_px: float = math.inf
+    """Least jump of disparity with holes beside it [px]."""
     hole_px: int = 1
     """Largest width of such a hole [px], odd."""
     grazing_deg: tuple[float, float] = (90.0, 90.0)
