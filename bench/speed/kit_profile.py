@@ -13,6 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -95,11 +96,8 @@ def profiled(path: Path) -> dict[str, float]:
         for module, name in places:
             _time(stage, module, name, seconds, inner)
     seconds[START] = time.process_time()
-    with TemporaryDirectory() as folder:
-        try:
-            make_kit_from_file(path, Path(folder) / "kit")
-        except (InputError, InexactKit):
-            pass  # a refusal takes time too
+    with TemporaryDirectory() as folder, suppress(InputError, InexactKit):  # a refusal takes time too
+        make_kit_from_file(path, Path(folder) / "kit")
     seconds[ALL] = time.process_time()
     seconds[OTHER] = seconds[ALL] - sum(value for stage, value in seconds.items() if stage != ALL)
     return seconds

@@ -21,8 +21,6 @@ from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
-from kit1000.numerics.linear_algebra import matmul
-from kit1000.pose import Pose
 from kit1000.values import Part
 
 MIN_CELLS, MAX_CELLS = 80, 300  # along the part's longest side
@@ -54,9 +52,9 @@ def sure_refusal(part: Part, face: RestingFace, clearance: float) -> str | None:
         below = -depth - (moved[:, 2].min() + step)
         heights_of_contact = np.array([below, above]) + pose.xyz[2] - design.xyz[2]
         seats = np.abs(heights_of_contact).max() <= limit - BISECTION_STEP
-        if seats and max(abs(below), abs(above)) / axis[2] < SEATED_LIMIT - BISECTION_STEP:
-            if not _may_be_goal(placed, part.mesh.moved(pose), depth):
-                return f"seats when {name}"
+        seats &= max(abs(below), abs(above)) / axis[2] < SEATED_LIMIT - BISECTION_STEP
+        if seats and not _may_be_goal(placed, part.mesh.moved(pose), depth):
+            return f"seats when {name}"
     return None
 
 
@@ -74,7 +72,7 @@ def _points(mesh: Mesh, step: float) -> np.ndarray:
 
 @compiled
 def _spread(triangles, step):
-    """Points on triangles, in rows along the longest side of each: rows a step apart, and points a step apart in each."""
+    """Points on triangles, in rows along the longest side of each: rows and the points in them are a step apart."""
     points = np.empty((1024, 3))
     count = 0
     for t in range(triangles.shape[0]):
