@@ -134,7 +134,8 @@ class MakeKit:
         """Make the kits, then print their reports; returns 1 when a kit is not exact, or of several not every one."""
         from kit1000.export.own_part import InexactKit, make_kit_from_file, make_kits_from_file
 
-        if not self.parts:
+        paths = list(self.parts)
+        if not paths:
             raise InputError("PART: expected a mesh file")
         if self.workers is not None and self.workers < 1:
             raise InputError(f"--workers: expected 1 or more, got {self.workers}")
@@ -142,9 +143,9 @@ class MakeKit:
             if value is not None and not 0.05 <= value <= 1000:
                 raise InputError(f"{name}: expected 0.05 to 1000, got {value:g}")
         longest = None if self.fit_mm is None else self.fit_mm * 1e-3
-        if len(self.parts) > 1:
-            return self._run_many(longest)
-        options = (self.parts[0], self.out, self.clearance_mm * 1e-3, self.unit, longest)
+        if len(paths) > 1:
+            return self._run_many(paths, longest)
+        options = (paths[0], self.out, self.clearance_mm * 1e-3, self.unit, longest)
         try:
             if self.bodies != "each":
                 print(kit_report_text(make_kit_from_file(*options, self.bodies, not self.no_preview), self.out))
@@ -154,7 +155,7 @@ class MakeKit:
             print(f"kit1000: {refusal}", file=sys.stderr)
             return 1
 
-    def _run_many(self, longest: float | None) -> int:
+    def _run_many(self, paths: list[Path], longest: float | None) -> int:
         """Make the kits of several files; returns 1 when one has none."""
         from tqdm import tqdm
 
@@ -162,9 +163,9 @@ class MakeKit:
 
         options = {"clearance": self.clearance_mm * 1e-3, "unit": self.unit, "longest": longest}
         options |= {"choice": self.bodies, "preview": not self.no_preview}
-        made = make_kits_from_files(self.parts, self.out, self.workers, **options)
+        made = make_kits_from_files(paths, self.out, self.workers, **options)
         status = 0
-        with tqdm(total=len(self.parts), desc="kits", unit="file", disable=None) as bar:
+        with tqdm(total=len(paths), desc="kits", unit="file", disable=None) as bar:
             for reports in made:
                 bar.clear()
                 status |= self._print(reports)

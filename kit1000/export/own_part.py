@@ -209,9 +209,9 @@ def _best_kit(part: Part, clearance: float, place: str) -> tuple[KitDesign, dict
     try:
         for attempt in attempts(part, clearance, None):
             tried.append(attempt)
-            design = attempt.design
-            if design is not None and attempt.refusal is None and _fault_of(design, None, place) is None:
-                return design, _trial_report(attempt)
+            passing = attempt.design if attempt.refusal is None else None
+            if passing is not None and _fault_of(passing, None, place) is None:
+                return passing, _trial_report(attempt)
     except Redraw as refusal:
         reason = refusal.reason
     for attempt in (attempt.postponed() if attempt.postponed else attempt for attempt in tried):

@@ -52,7 +52,7 @@ def sure_refusal(part: Part, face: RestingFace, clearance: float) -> str | None:
         below = -depth - (moved[:, 2].min() + step)
         heights_of_contact = np.array([below, above]) + pose.xyz[2] - design.xyz[2]
         seats = np.abs(heights_of_contact).max() <= limit - BISECTION_STEP
-        seats = seats and max(abs(below), abs(above)) / axis[2] < SEATED_LIMIT - BISECTION_STEP
+        seats &= max(abs(below), abs(above)) / axis[2] < SEATED_LIMIT - BISECTION_STEP
         if seats and not _may_be_goal(placed, part.mesh.moved(pose), depth):
             return f"seats when {name}"
     return None
@@ -72,7 +72,7 @@ def _points(mesh: Mesh, step: float) -> np.ndarray:
 
 @compiled
 def _spread(triangles, step):
-    """Points on triangles, in rows along the longest side of each; rows, and points in them, are a step apart."""
+    """Points on triangles, in rows along the longest side of each: rows and the points in them are a step apart."""
     points = np.empty((1024, 3))
     count = 0
     for t in range(triangles.shape[0]):

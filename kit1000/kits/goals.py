@@ -100,7 +100,7 @@ def _probes(cavity: Cavity, most: int = 8) -> list[Probe]:
 def _has_rotated_shadow(design: Design, angle: float) -> bool:
     """`has_design_shadow` of the design pose rotated by an angle [rad] about the vertical through the centre.
 
-    Its shadows are those of the design, rotated, so no shadow is computed anew.
+    Its shadows are the rotated ones of the design, so that none is computed anew.
     """
     for probe in _probes(design.cavity):
         other = _rotated(probe.shadow, design.centre, angle)

@@ -142,16 +142,23 @@ def _cut_plate(
     standing: Manifold, depth: float, clearance: float, plate: Plate, details: tuple[Detail, ...]
 ) -> tuple[Cavity, Mesh, Clearance]:
     """The cavity, the plate and its clearance, in the first of the details that keeps the bounds, else in the last."""
-    for detail in details:
-        cavity = cut_cavity(standing, depth, clearance, plate.width, detail)
-        if not _fits_plate(cavity, plate):
-            raise Redraw("wider than the plate")
-        mesh = plate_mesh(cavity, plate)
-        measured = measure_clearance(mesh, cavity, COARSE_HEIGHT_COUNT if detail is COARSE else HEIGHT_COUNT)
-        wide = measured.largest > clearance + MAX_EXCESS_CLEARANCE
-        if not wide and (detail is not COARSE or measured.smallest >= clearance - SAGITTA):
-            break
-    return cavity, mesh, measured
+    *first, last = details
+    for detail in first:
+        cavity, mesh, measured = _cut_in_detail(standing, depth, clearance, plate, detail)
+        is_wide_enough = detail is not COARSE or measured.smallest >= clearance - SAGITTA
+        if is_wide_enough and measured.largest <= clearance + MAX_EXCESS_CLEARANCE:
+            return cavity, mesh, measured
+    return _cut_in_detail(standing, depth, clearance, plate, last)
+
+
+def _cut_in_detail(
+    standing: Manifold, depth: float, clearance: float, plate: Plate, detail: Detail
+) -> tuple[Cavity, Mesh, Clearance]:
+    cavity = cut_cavity(standing, depth, clearance, plate.width, detail)
+    if not _fits_plate(cavity, plate):
+        raise Redraw("wider than the plate")
+    mesh = plate_mesh(cavity, plate)
+    return cavity, mesh, measure_clearance(mesh, cavity, COARSE_HEIGHT_COUNT if detail is COARSE else HEIGHT_COUNT)
 
 
 def _aligned_with_plate(mesh: Mesh, face: RestingFace, depth: float) -> Pose:
