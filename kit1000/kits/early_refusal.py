@@ -21,13 +21,14 @@ from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
+from kit1000.numerics.trigonometry import tangent
 from kit1000.values import Part
 
 MIN_CELLS, MAX_CELLS = 80, 300  # along the part's longest side
 CELLS_PER_CLEARANCE = 5
 STEPS_PER_LIMIT = 3  # points this fine leave two thirds of the height below which a part counts as seated
 MAX_STEPS = 400  # along the part's longest side: for a part flatter than that nothing is told early
-MOST_LEAN = np.tan(np.radians(20))  # of the direction in which a tilted part moves
+MOST_LEAN = tangent(float(np.radians(20)))  # of the direction in which a tilted part moves
 HALF_DIAGONAL = np.sqrt(0.5)  # of a square: no point is farther from the nearest of a grid
 
 
