@@ -63,6 +63,11 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f"did you mean {matches[0]}? " if matches else ""
 
 
+def shown(text: object) -> str:
+    """A name or message in one line that any output can print: control characters and odd bytes are escaped."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(text))
+
+
 Shape = tuple[int | str | EllipsisType, ...]
 
 

@@ -7,7 +7,6 @@ typed as Path. Object stores behind URLs have no locks and no partial files: the
 from __future__ import annotations
 
 import errno
-import fcntl
 import hashlib
 import json
 import os
@@ -17,7 +16,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, cast
+from typing import IO, Any, cast
 from urllib.parse import unquote
 
 from kit1000.errors import InputError
@@ -190,7 +189,7 @@ def locked(folder: Path) -> Iterator[None]:
         raise InputError(f"cannot write to {folder}: {_os_error(error)}") from error
     with handle:
         try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file(handle)
         except BlockingIOError:
             raise InputError(
                 f"{folder} is being written by another process: wait for it or choose another --out"
@@ -198,6 +197,19 @@ def locked(folder: Path) -> Iterator[None]:
         except OSError as error:
             raise InputError(f"cannot lock {folder}: {_os_error(error)}; choose a folder on another disk") from error
         yield
+
+
+def lock_file(file: IO[Any]) -> None:
+    """Lock an open file until it is closed; the lock ends with the process, also when it is killed.
+
+    Raises BlockingIOError where another process has it, another OSError where the disk has no locks, and InputError on
+    systems without them.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        raise InputError("writing to folders needs Linux or macOS; on Windows use WSL (wsl --install)") from None
+    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _compact(value: Any) -> str:

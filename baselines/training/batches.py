@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import signal
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Protocol
 
@@ -62,7 +63,7 @@ def train_batches(
         workers: processes that make examples; 0: this one.
     """
     batches = ([step * batch + i for i in indices] for step in steps)
-    return _on_device(_TrainingSet(task, seed, batch), batches, workers, device)
+    return _on_device(TrainingSet(task, seed, batch), batches, workers, device)
 
 
 def validation_batches(
@@ -73,7 +74,7 @@ def validation_batches(
     return _on_device(_ValidationSet(task, keys), batches, min(workers, len(batches)), device)
 
 
-class _TrainingSet(Dataset):
+class TrainingSet(Dataset):
     """Training examples, by step x batch + index."""
 
     def __init__(self, task: Task, seed: int, batch: int) -> None:
@@ -107,9 +108,21 @@ def _without_model(task: Task) -> Task:
     return bare
 
 
+def _ignore_interrupts(_: int) -> None:
+    """Leave Ctrl-C, which a terminal sends to all processes, to the one that trains: it ends its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
 def _on_device(data: Dataset, batches: Iterable[list[int]], workers: int, device: torch.device) -> Iterator[Batch]:
     gpu = device.type == "cuda"
     prefetch = PREFETCH if workers else None
-    loader = DataLoader(data, batch_sampler=batches, num_workers=workers, prefetch_factor=prefetch, pin_memory=gpu)  # pyright: ignore[reportArgumentType]
+    loader = DataLoader(
+        data,
+        batch_sampler=batches,  # pyright: ignore[reportArgumentType]
+        num_workers=workers,
+        prefetch_factor=prefetch,
+        pin_memory=gpu,
+        worker_init_fn=_ignore_interrupts,
+    )
     for batch in loader:
         yield {name: value.to(device, non_blocking=gpu) for name, value in batch.items()}

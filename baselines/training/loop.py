@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager, nullcontext
@@ -18,7 +19,6 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from baselines.training.batches import Batch, Task, train_batches, validation_batches
 from baselines.training.checkpoint import read_state, write_state
@@ -27,14 +27,19 @@ from baselines.training.curve import curve
 from baselines.training.descent import Descent
 from baselines.training.memory import keep_memory
 from baselines.training.ranks import Ranks, joined, processes_here
+from baselines.training.reports import Report
 from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError
 from kit1000.files import clear_partial, locked, read_json, write_bytes, write_json
+from kit1000.interrupts import deferred_interrupts
 from kit1000.perception.networks.weight_files import save_weights
 
 __all__ = ["Batch", "Task", "TrainConfig", "TrainingResult", "train"]
 
 CONFIG, LOG, BEST, CURVE, CHECKPOINT = "config.json", "log.jsonl", "best", "curve.svg", "checkpoint.safetensors"
+
+RAISED = "raised_from"  # the settings' key for the former numbers of steps
+STOPPING = "training: stopping after this step, with a checkpoint; once more stops at once"
 
 Measures = dict[str, dict[str, float]]
 StopReason = Literal["steps", "patience", "time"]
@@ -122,24 +127,33 @@ def _run_steps(run: _Run) -> StopReason:
     ends = math.inf if config.time_limit_s is None else time.monotonic() + config.time_limit_s
     steps, indices = range(progress.step, config.steps), ranks.share(config.batch)
     batches = train_batches(run.task, config.seed, config.batch, steps, indices, _workers(config, ranks), ranks.device)
-    silent = None if ranks.first else True
-    with (
-        closing(batches) as batches,  # pyright: ignore[reportArgumentType]
-        tqdm(desc="training", total=config.steps, initial=progress.step, unit="step", disable=silent) as bar,
-    ):
-        for batch in batches:
-            run.descent.step(progress.step, batch)
-            progress.step += 1
-            progress.steps_since_log += 1
-            bar.update()
-            progress.seconds = time.monotonic() - began
-            if progress.step % config.validate_every == 0 or progress.step == config.steps:
-                bar.set_postfix_str(_validate(run))
-            stopped_by = _stop_reason(run) or ("time" if ranks.agreed(time.monotonic() >= ends) else None)
-            if stopped_by or progress.step % config.checkpoint_every == 0:
-                _write_checkpoint(run)
-            if stopped_by:
-                return stopped_by
+    kept = progress.step  # at the last checkpoint
+    try:
+        with (
+            deferred_interrupts(STOPPING) as interrupt,
+            closing(batches) as batches,  # pyright: ignore[reportArgumentType]
+            Report(ranks.first, progress.step, config.steps) as report,
+        ):
+            for batch in batches:
+                run.descent.step(progress.step, batch)
+                progress.step += 1
+                progress.steps_since_log += 1
+                progress.seconds = time.monotonic() - began
+                validates = progress.step % config.validate_every == 0 or progress.step == config.steps
+                report.step(progress.step, progress.seconds, _validate(run) if validates else None)
+                ends_now = ranks.agreed(interrupt.requested or time.monotonic() >= ends)
+                stopped_by = _stop_reason(run) or ("time" if ends_now else None)
+                if stopped_by or progress.step % config.checkpoint_every == 0:
+                    _write_checkpoint(run)
+                    kept = progress.step
+                if interrupt.requested and stopped_by == "time":
+                    raise KeyboardInterrupt
+                if stopped_by:
+                    return stopped_by
+    except KeyboardInterrupt:
+        if ranks.first:
+            print(f"training: stopped; the same command goes on from step {kept}", file=sys.stderr)
+        raise
     raise AssertionError("the last step is a reason to stop")
 
 
@@ -156,7 +170,7 @@ def _validate(run: _Run) -> str:
     progress, first = run.progress, run.ranks.first
     loss = _mean_loss(run)
     with run.descent.evaluation():
-        measures = _measures(run)
+        measures = validate(run)
         name, chosen = next(iter(measures.items()))
         better = progress.best is None or chosen["median"] < progress.best
         if better:
@@ -173,7 +187,7 @@ def _validate(run: _Run) -> str:
     return f"{name} {chosen['median']:.4g}"
 
 
-def _measures(run: _Run) -> Measures:
+def validate(run: _Run) -> Measures:
     """Mean and median of each measure over all validation examples."""
     keys, ranks = run.task.validation_keys(), run.ranks
     if not len(keys):
@@ -226,11 +240,13 @@ def _write_checkpoint(run: _Run) -> None:
 def _opened(task: Task, config: TrainConfig, folder: Path, settings: dict[str, Any], ranks: Ranks) -> _Run:
     """A run at its start, or at its last checkpoint."""
     if (folder / CONFIG).exists():
-        _check_same(folder, read_json(folder / CONFIG), settings)
+        settings = _continued(folder, read_json(folder / CONFIG), settings)
+    elif ranks.first:
+        _check_unused(folder)
     run = _Run(task, config, folder, settings, ranks, Descent(task, config, ranks), _Progress())
     if (folder / CHECKPOINT).exists():
         tensors, info = read_state(folder / CHECKPOINT)
-        _check_same(folder, info["settings"], settings)
+        _continued(folder, info["settings"], settings)
         run.descent.restore(tensors, info["descent"], folder / CHECKPOINT)
         run.progress = _Progress(**info["progress"])
     if ranks.first:
@@ -240,14 +256,38 @@ def _opened(task: Task, config: TrainConfig, folder: Path, settings: dict[str, A
     return run
 
 
-def _check_same(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
-    """Raise InputError where a folder is of a run with other settings."""
+def _continued(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of a run that goes on. Raises InputError where a folder is of a run with other settings.
+
+    The steps of a finished run may be raised: its settings then have the former numbers as `raised_from`.
+    """
     free = {f"train.{name}" for name in FREE}
-    was, now = ({k: v for k, v in _flat(settings).items() if k not in free} for settings in (old, new))
+    before, after = old.get("train", {}).get("steps"), new["train"]["steps"]
+    history = [*old.get(RAISED, [])]
+    if before != after and isinstance(before, int) and before < after and _finished(folder, before):
+        history, free = [*history, before], free | {"train.steps"}
+    was, now = ({k: v for k, v in _flat(settings).items() if k not in free and k != RAISED} for settings in (old, new))
     for name in [*now, *was]:
         if was.get(name) != now.get(name):
             difference = f"{name.partition('.')[2]} {was.get(name)!r}, now {now.get(name)!r}"
-            raise InputError(f"{folder}: holds a run with {difference}; choose another folder, or delete this one")
+            first = "let it finish before you raise its steps, " if name == "train.steps" and before < after else ""
+            repair = f"{first}choose another folder, or delete this one"
+            raise InputError(f"{folder}: holds a run with {difference}; {repair}")
+    return {**new, RAISED: history} if history else dict(new)
+
+
+def _finished(folder: Path, steps: int) -> bool:
+    """Whether the checkpoint of a run is at its last step, or beyond it."""
+    if not (folder / CHECKPOINT).exists():
+        return False
+    return read_state(folder / CHECKPOINT)[1]["progress"]["step"] >= steps
+
+
+def _check_unused(folder: Path) -> None:
+    """Raise InputError where a new run would replace files of another origin."""
+    for name in (LOG, f"{BEST}.json", f"{BEST}.safetensors", CURVE, CHECKPOINT):
+        if (folder / name).exists():
+            raise InputError(f"{folder}: holds {name}, but no {CONFIG} of a run; it stays: choose another folder")
 
 
 def _flat(value: Any, name: str = "") -> dict[str, Any]:

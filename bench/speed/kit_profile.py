@@ -31,7 +31,7 @@ STAGES = {
     "choice of faces": [("kit1000.kits.choice", "insertion_faces"), ("kit1000.kits.choice", "sure_refusal")],
     "sweep": [("kit1000.kits.cavity", "grown_sweep")],
     "cavity": [("kit1000.kits.kit", "cut_cavity")],
-    "plate": [("kit1000.kits.kit", "_plate_mesh")],
+    "plate": [("kit1000.kits.kit", "plate_mesh")],
     "clearance": [("kit1000.kits.kit", "measure_clearance")],
     "goals": [("kit1000.kits.kit", "find_goals")],
     "trials": [("kit1000.kits.choice", "check_pair")],

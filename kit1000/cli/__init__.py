@@ -16,7 +16,7 @@ import tyro
 
 from kit1000.cli.command_line import run
 from kit1000.cli.options import Flag, Folder, OptionalFloat, OptionalInt, OptionalPath, Unit
-from kit1000.cli.scenes import Edit, Insertions, Predict, Run, Study
+from kit1000.cli.scenes import Edit, Predict, Run, Study
 from kit1000.cli.summaries import kit_report_text, summary_text
 from kit1000.errors import InputError
 from kit1000.version import __version__
@@ -93,6 +93,7 @@ class Generate:
     def _sources(self, dataset: Path) -> Sources | None:
         """The mesh files of --parts, without those that this command itself writes."""
         from kit1000.generation.plan import Sources
+        from kit1000.parts.files.formats import STEP_SUFFIXES
         from kit1000.parts.files.sources import mesh_files
 
         if self.parts is None:
@@ -101,6 +102,9 @@ class Generate:
         files = [file for file in mesh_files(self.parts) if own_folders.isdisjoint(file.resolve().parents)]
         if not files:
             raise InputError(f"{self.parts}: no mesh files but those in --out {dataset}")
+        step = sum(file.suffix.lower() in STEP_SUFFIXES for file in files)
+        if self.unit is not None and step:
+            print(f"--unit {self.unit}: not used for {step} STEP files, which state their own unit", file=sys.stderr)
         return Sources.of(files, self.unit)
 
 
@@ -328,7 +332,6 @@ COMMANDS = {
     "check": Check,
     "edit": Edit,
     "predict": Predict,
-    "insertions": Insertions,
     "run": Run,
     "study": Study,
 }
@@ -336,8 +339,4 @@ COMMANDS = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command line, that of this process when None; returns the exit status."""
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
-    if arguments in (["--version"], ["-V"]):
-        print(f"kit1000 {__version__}")
-        return 0
-    return run("kit1000", COMMANDS, ABOUT, arguments)
+    return run("kit1000", COMMANDS, ABOUT, arguments, __version__)

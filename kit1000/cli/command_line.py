@@ -15,16 +15,24 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 import tyro
 
-from kit1000.errors import InternalError, Kit1000Error, did_you_mean, internal_error
+from kit1000.cli.output import checked_output, system_fault
+from kit1000.errors import InternalError, Kit1000Error, did_you_mean, internal_error, shown
 from kit1000.interrupts import terminated_as_interrupted
 
 USAGE_ERROR, INTERNAL_ERROR = 2, 3  # exit status: wrong usage or invalid input, bug of the package
 INTERRUPTED = 130  # exit status of a command stopped by Ctrl-C, as in shells
+VERSION_WORDS = (["--version"], ["-V"])
 NUMBERS = {int: "a whole number", float: "a number"}
 POSITIONAL = get_args(tyro.conf.Positional[str])[1]  # marks a field that is a positional argument
 
 
-def run(program: str, commands: Mapping[str, type], about: str, arguments: Sequence[str] | None = None) -> int:
+def run(
+    program: str,
+    commands: Mapping[str, type],
+    about: str,
+    arguments: Sequence[str] | None = None,
+    version: str | None = None,
+) -> int:
     """Run a command line; returns the exit status.
 
     Args:
@@ -32,30 +40,50 @@ def run(program: str, commands: Mapping[str, type], about: str, arguments: Seque
         commands: dataclasses by name, whose fields are options and whose method `run` returns the exit status.
         about: the first lines of --help.
         arguments: the words after the program; those of this process when None.
+        version: what --version prints after the program; no such option when None.
     """
-    words = sys.argv[1:] if arguments is None else list(arguments)
-    error = usage_error(words, commands, program)
+    words = [_without_tilde(word) for word in (sys.argv[1:] if arguments is None else arguments)]
+    fault = system_fault()
+    if fault:
+        return _print_error(program, fault, USAGE_ERROR)
+    error = None if version and words in VERSION_WORDS else usage_error(words, commands, program)
     if error:
         return _print_error(program, error, USAGE_ERROR)
-    command = tyro.extras.subcommand_cli_from_dict(dict(commands), prog=program, description=about, args=words)
     try:
-        with terminated_as_interrupted():  # ends workers and releases locks as Ctrl-C does
-            status = command.run()
-        sys.stdout.flush()
-        return status
+        with checked_output(), terminated_as_interrupted():  # SIGTERM ends workers and releases locks as Ctrl-C does
+            if version and words in VERSION_WORDS:
+                print(f"{program} {version}")
+                return 0
+            command = tyro.extras.subcommand_cli_from_dict(dict(commands), prog=program, description=about, args=words)
+            return _status(command, words[0])
     except Kit1000Error as error:
         return _print_error(program, str(error), INTERNAL_ERROR if isinstance(error, InternalError) else USAGE_ERROR)
     except KeyboardInterrupt:
         return _print_error(program, "interrupted; run the same command again to continue", INTERRUPTED)
     except BrokenPipeError:  # the reader of the results has closed its end
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
         return _print_error(program, str(internal_error(words[0], error)), INTERNAL_ERROR)
 
 
+def _status(command: Any, name: str) -> int:
+    """Run a command; returns its exit status. No code that it calls ends the process instead."""
+    try:
+        return command.run()
+    except SystemExit as error:
+        raise internal_error(name, error) from error
+
+
+def _without_tilde(word: str) -> str:
+    """A word with the home folder in place of ~ where the shell left it, as in --out=~/x."""
+    option, equals, value = word.partition("=") if word.startswith("--") else ("", "", word)
+    if not value.startswith("~") or os.path.lexists(value):
+        return word
+    return option + equals + os.path.expanduser(value)
+
+
 def _print_error(program: str, line: str, status: int) -> int:
-    print(f"{program}: {line}", file=sys.stderr)
+    print(f"{program}: {shown(line)}", file=sys.stderr)
     return status
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from kit1000.errors import shown
+
 MAX_LISTED = 20  # refused files in a summary
 PRINTER_BED_MM = 250  # side of the bed of a usual desktop printer
 
@@ -24,7 +26,7 @@ def summary_text(summary: dict) -> str:
         ranked = sorted(reasons.items(), key=lambda item: (-item[1], item[0]))
         lines.append(f"  redraws of {kind}: {', '.join(f'{n}x {reason}' for reason, n in ranked) or 'none'}")
     refused = sorted((summary["refused"] | summary["refused_scenes"]).items())
-    refused = [f"  refused {name}: {reason}" for name, reason in refused]
+    refused = [f"  refused {shown(name)}: {shown(reason)}" for name, reason in refused]
     lines += refused[:MAX_LISTED]
     if len(refused) > MAX_LISTED:
         lines.append(f"  {len(refused) - MAX_LISTED} more refused: dataset.json lists them")
@@ -33,22 +35,23 @@ def summary_text(summary: dict) -> str:
 
 def _files_taken(summary: dict) -> list[str]:
     """The last line of a summary: of how many mesh files parts were made, and why not of the others."""
-    if not summary["refused"]:
+    untried = summary.get("untried_files", 0)
+    if not summary["refused"] and not untried:
         return []
     from kit1000.parts.files.refusals import refusal_counts
 
     taken = sum(count["parts"] for count in summary["counts"].values())
     tried = taken + len(summary["refused"])
-    return [
-        f"  {taken} of {tried} mesh files taken as parts; the others: {refusal_counts(summary['refused'].values())}"
-    ]
+    others = f"; the others: {shown(refusal_counts(summary['refused'].values()))}" if summary["refused"] else ""
+    rest = f"; {untried} more not tried: all parts are made" if untried else ""
+    return [f"  {taken} of {tried} mesh files taken as parts{others}{rest}"]
 
 
 def kit_report_text(report: dict, out: Path) -> str:
     """The report of a kit as text."""
     size, plate = (" x ".join(f"{side:.1f}" for side in report[key]) for key in ("size_mm", "plate_mm"))
     lines = [
-        f"part       {report['part']}: {size} mm ({report['unit_reason']})",
+        f"part       {shown(report['part'])}: {size} mm ({report['unit_reason']})",
         *(f"           {note}" for note in report["repairs"]),
         f"plate      {plate} mm, cavity {report['depth_mm']:.1f} mm deep, part protrudes {report['proud_mm']:.1f} mm",
         f"clearance  {report['clearance_smallest_mm']:.3f} to {report['clearance_largest_mm']:.3f} mm"
@@ -60,4 +63,4 @@ def kit_report_text(report: dict, out: Path) -> str:
         lines.append(f"note       the cavity alone does not determine the pose: the part {report['trial']['why']}")
     if max(report["plate_mm"][:2]) > PRINTER_BED_MM:
         lines.append(f"note       the plate is larger than the bed of a usual printer, {PRINTER_BED_MM} mm")
-    return "\n".join([*lines, f"files      {out}"])
+    return "\n".join([*lines, f"files      {shown(out)}"])

@@ -10,10 +10,20 @@ from contextlib import AbstractContextManager
 
 from kit1000.engines.cluster import ray_engine
 from kit1000.engines.jobs import JOBS_PER_WORKER, RETRIES, ParallelMap
+from kit1000.engines.main_guard import check_main_guard
 from kit1000.engines.processes import local_engine
 from kit1000.errors import InputError
 
-__all__ = ["ENGINES", "JOBS_PER_WORKER", "RETRIES", "ParallelMap", "engine", "local_engine", "ray_engine"]
+__all__ = [
+    "ENGINES",
+    "JOBS_PER_WORKER",
+    "RETRIES",
+    "ParallelMap",
+    "check_main_guard",
+    "engine",
+    "local_engine",
+    "ray_engine",
+]
 
 ENGINES = ("local", "ray")
 

@@ -18,6 +18,7 @@ from typing import Any
 
 from kit1000.engines.cores import usable_cores
 from kit1000.engines.jobs import JOBS_PER_WORKER, ONE_THREAD_ENV, RETRIES, ParallelMap, run_job
+from kit1000.engines.main_guard import check_main_guard
 from kit1000.errors import Kit1000Error
 
 
@@ -27,11 +28,15 @@ def local_engine(workers: int | None = None) -> Iterator[ParallelMap]:
 
     Args:
         workers: number of processes; None: one per core; 1: in this process.
+
+    Raises:
+        InputError: the script that runs would be run again by each process.
     """
     count = workers or usable_cores()
     if count == 1:
         yield lambda function, jobs: map(partial(run_job, function), jobs)
         return
+    check_main_guard()
     pool = _Pool(count)
     try:
         yield partial(_map, pool)

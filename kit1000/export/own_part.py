@@ -24,8 +24,8 @@ from kit1000.kits.seating import BISECTION_STEP
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
-from kit1000.parts.files.bodies import Choice, SeveralBodies
 from kit1000.parts.files.sources import MeshReading, Refusal, read_bodies, read_mesh
+from kit1000.parts.files.united_bodies import Choice, SeveralBodies
 from kit1000.values import Part
 
 COLOURS = {"kit": (224, 219, 210), "part": (238, 122, 40)}  # sRGB, those of the pictures
@@ -184,7 +184,7 @@ def _make_kit(
         )
     design, trial = _best_kit(part, clearance, place)
     report = _report(reading, part, scale, design, trial)
-    files = _files(part, design, place, preview)
+    files = kit_files(part, design, place, preview)
     clear_partial(out, *files, REPORT)
     with suppress(OSError):  # of an earlier run; the next write reports any error
         (out / REPORT).unlink()
@@ -273,7 +273,15 @@ def _trial_report(attempt: Attempt) -> dict[str, Any]:
     return report | {"why": why, "keyedness_deg": keyed}
 
 
-def _files(part: Part, design: KitDesign, place: str, preview: bool) -> dict[str, bytes]:
+def kit_files(part: Part, design: KitDesign, place: str, preview: bool = True) -> dict[str, bytes]:
+    """The files of a kit and its part, by name.
+
+    Args:
+        part: the part, in its own frame.
+        design: its kit.
+        place: what messages call the part.
+        preview: whether a picture is among the files.
+    """
     kit = _closed_in_files(design.kit.mesh, f"{place}: the kit")
     seated = _closed_in_files(part.mesh.moved(design.kit.slot.kit_from_part), f"{place}: the seated part")
     files = {

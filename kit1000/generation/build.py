@@ -29,14 +29,23 @@ from kit1000.files import (
     write_json,
 )
 from kit1000.generation.assemblies import AssemblyJob, make_assembly
+from kit1000.generation.dataset_summary import (
+    JobRecords,
+    description_files,
+    make_summary,
+    refused_files,
+    summary_bytes,
+    tables,
+)
+from kit1000.generation.leftover_files import fill_short_splits
 from kit1000.generation.parts_and_kits import BUILD_FOLDER, PartJob, Record, make_part_and_kit, read_intact
 from kit1000.generation.plan import Sources, candidate_order, make_plan, split_ids
 from kit1000.generation.presets import Preset
 from kit1000.generation.shards import make_shard, shard_jobs
-from kit1000.generation.summary import JobRecords, description_files, make_summary, refused_files, summary_bytes, tables
 from kit1000.parts.files.refusals import refusal_counts
 from kit1000.parts.near_duplicates import near_duplicate_of
 from kit1000.queries.tracks import SPLITS
+from kit1000.sim.world import check_physics
 
 
 def generate(
@@ -58,7 +67,8 @@ def generate(
         engine: runs the jobs; local processes when None.
 
     Raises:
-        InputError: the folder contains something else or cannot be written, or no mesh file can be a part.
+        InputError: the folder contains something else or cannot be written, no mesh file can be a part, or there is no
+            physics engine.
     """
     plan = make_plan(preset, preset.seed if seed is None else seed, sources)
     check_writable(root)
@@ -69,12 +79,15 @@ def generate(
         summary = _finished_summary(root)
         if summary is not None:
             return summary
+        check_physics()  # now, not after all parts are made
         write_json(root / "plan.json", plan)
         with engine or local_engine(workers) as parallel_map:
             parts = _make_parts_and_kits(root, preset, plan, sources, parallel_map)
             assemblies = _make_assemblies(root, preset, plan, parts, parallel_map)
             scenes = _make_shards(root, preset, plan, assemblies, parallel_map)
-        return _write_summary(root, plan, JobRecords(parts, assemblies, scenes))
+        return write_summary(
+            root, plan, JobRecords(parts, assemblies, scenes, None if sources is None else len(sources.files))
+        )
 
 
 def _check_folder(root: Path, plan: dict[str, Any]) -> None:
@@ -138,6 +151,9 @@ def _make_parts_and_kits(
         if "refused" not in record:
             accepted.append(part_id)
             measures = np.concatenate([measures, [record["measures"]]])
+    if sources is not None:
+        fill_short_splits(jobs, records, sources, parallel_map)
+        accepted = [part_id for part_id, record in records.items() if "refused" not in record]
     if not accepted:
         raise InputError(_no_usable_file(root, plan, records))
     return records
@@ -233,7 +249,7 @@ def _check_files_present(root: Path, record: Record) -> None:
             )
 
 
-def _write_summary(root: Path, plan: dict[str, Any], records: JobRecords) -> dict[str, Any]:
+def write_summary(root: Path, plan: dict[str, Any], records: JobRecords) -> dict[str, Any]:
     """Write the tables, the plan, the data card, the Croissant file and last `dataset.json`; returns its contents."""
     written = {f"{name}.json": write_json(root / f"{name}.json", rows) for name, rows in tables(plan, records).items()}
     _remove_unlisted(root, records.files)

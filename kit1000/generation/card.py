@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
+from kit1000.errors import shown
 from kit1000.generation import card_statistics
 from kit1000.generation.card_statistics import add_up, part_statistics, scene_statistics
 from kit1000.queries.tracks import SPLITS
@@ -118,7 +119,7 @@ HISTOGRAMS = (
 def card_bytes(summary: Mapping[str, Any]) -> bytes:
     """The data card of a dataset, from the contents of its `dataset.json`."""
     sections = [_head(summary), *_contents(summary), *_redraws_and_statistics(summary), *_about(summary)]
-    return ("\n\n".join(sections) + "\n").encode()
+    return ("\n\n".join(sections) + "\n").encode("utf-8", "backslashreplace")  # file names are any bytes
 
 
 def title(summary: Mapping[str, Any]) -> str:
@@ -201,14 +202,17 @@ def _redraws_and_statistics(summary: Mapping[str, Any]) -> Iterator[str]:
     for kind in sorted(
         redraws, key=lambda kind: (COUNTED_KINDS.index(kind) if kind in COUNTED_KINDS else len(COUNTED_KINDS), kind)
     ):
-        rows = sorted(redraws[kind].items(), key=lambda row: (-row[1], row[0]))
+        ranked = sorted(redraws[kind].items(), key=lambda row: (-row[1], row[0]))
+        rows = [(_reason(reason), times) for reason, times in ranked]
         yield f"### {kind.capitalize()}\n\n" + (_table(("reason", "times"), rows) if rows else "None.")
     for what, key in (("files", "refused"), ("scenes", "refused_scenes")):
         if summary.get(key):
             reasons: dict[str, int] = {}
             for reason in summary[key].values():
                 reasons[reason] = reasons.get(reason, 0) + 1
-            yield f"### Refused {what}\n\n" + _table(("reason", "times"), sorted(reasons.items()))
+            yield f"### Refused {what}\n\n" + _table(
+                ("reason", "times"), [(_reason(reason), times) for reason, times in sorted(reasons.items())]
+            )
     yield (
         "Loose fits (a cavity that accepts its part in a pose which is no goal) are drawn again in every split: "
         f"{redraws.get('parts', {}).get('loose fit', 0)} were, and none is left."
@@ -284,6 +288,11 @@ def _table(head: Sequence[object], rows: Sequence[Sequence[object]]) -> str:
     numbers = [bool(cells) and all(row[i][:1].isdigit() for row in cells) for i in range(len(head))]
     rule = ["---:" if number and i else "---" for i, number in enumerate(numbers)]
     return "\n".join("| " + " | ".join(map(str, line)) + " |" for line in [head, rule, *cells])
+
+
+def _reason(text: str) -> str:
+    """A reason, which may contain the name of a file, as a cell of a table."""
+    return shown(text).replace("|", "\\|").replace("<", "&lt;")
 
 
 def _bullet_list(texts: Sequence[str]) -> str:

@@ -77,7 +77,8 @@ Node = dict[str, Any]
 
 def croissant_bytes(summary: Mapping[str, Any]) -> bytes:
     """The bytes of `croissant.json`, from the contents of `dataset.json`."""
-    return (json.dumps(_dataset(summary), indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
+    text = json.dumps(_dataset(summary), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    return text.encode("utf-8", "backslashreplace")  # escapes of JSON
 
 
 def _dataset(summary: Mapping[str, Any]) -> Node:

@@ -6,6 +6,7 @@ the job is done. It also holds the reasons of the rejected attempts.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -57,9 +58,14 @@ Record = dict[str, Any]
 def make_part_and_kit(job: PartJob) -> Record:
     """Do the job unless its record exists; returns the record."""
     done = finished_record(job.root, "parts", job.part_id)
-    if done is not None and len(done["redraws"]) >= len(job.redraws):
+    if done is not None and len(done["redraws"]) >= len(job.redraws) and not _has_more_files(job, done):
         return done
     return save_record(job.root, "parts", job.part_id, _from_files(job) if job.sources else _from_draws(job))
+
+
+def _has_more_files(job: PartJob, done: Record) -> bool:
+    """Whether a job names files that its refused record has not tried."""
+    return "refused" in done and len(job.sources) > len(done["redraws"])
 
 
 def finished_record(root: Path, kind: str, item_id: str) -> Record | None:
@@ -117,8 +123,14 @@ def _from_files(job: PartJob) -> Record:
         except Exception as error:  # a user's mesh may trigger an unforeseen case: it is reported and the run continues
             redraws.append(str(internal_error("no kit", error)))
         else:
-            return _record(job, part, design, trial, redraws) | {"source": name}
-    return {"id": job.part_id, "split": job.split, "files": {}, "redraws": redraws, "refused": True}
+            return _record(job, part, design, trial, redraws) | {"source": name, "tried": _names(job, redraws)}
+    tried = _names(job, redraws)
+    return {"id": job.part_id, "split": job.split, "files": {}, "redraws": redraws, "refused": True, "tried": tried}
+
+
+def _names(job: PartJob, redraws: Sequence[str]) -> list[str]:
+    """The names of the files that were refused, in their order."""
+    return [name for name, _ in job.sources[: len(redraws)]]
 
 
 def _part_and_kit_of_file(job: PartJob, path: Path) -> tuple[Part, KitDesign, PairCheck]:
@@ -129,11 +141,11 @@ def _part_and_kit_of_file(job: PartJob, path: Path) -> tuple[Part, KitDesign, Pa
     """
     mesh = read_mesh(path, job.unit).mesh
     try:
-        part = _part_of_size(job, mesh, draw_longest(job.preset, job.seed, job.part_id))
+        part = part_of_size(job, mesh, draw_longest(job.preset, job.seed, job.part_id))
         return part, *_accepted_kit(job, part)
     except Redraw as refusal:
         with suppress(Redraw):
-            part = _part_of_size(job, mesh, job.preset.longest[1])
+            part = part_of_size(job, mesh, job.preset.longest[1])
             return part, *_accepted_kit(job, part)
         raise refusal from None
 
@@ -146,7 +158,7 @@ def _accepted_kit(job: PartJob, part: Part) -> tuple[KitDesign, PairCheck]:
     return accepted_kit(part, job.preset.clearance, plate)
 
 
-def _part_of_size(job: PartJob, mesh: Mesh, longest: float) -> Part:
+def part_of_size(job: PartJob, mesh: Mesh, longest: float) -> Part:
     """The part of a mesh scaled to a longest side [m], closed as files hold it. Raises MeshRefused when it opens."""
     part = part_of_mesh(job.part_id, mesh, longest)
     if defect_float32(part.mesh) is None:

@@ -12,11 +12,12 @@ from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.reader import WITHHELD_FILE
 from kit1000.errors import InputError
 from kit1000.files import read_json, sha256
+from kit1000.generation.dataset_summary import summary_bytes
 from kit1000.generation.plan import DATA_VERSION, dataset_id
 from kit1000.generation.rebuild import scene_differences
-from kit1000.generation.summary import summary_bytes
 from kit1000.generation.withhold import secret_fault
 from kit1000.rng import stream
+from kit1000.sim.world import PhysicsMissing, check_physics
 
 INDEX, PLAN = "dataset.json", "plan.json"
 
@@ -64,6 +65,10 @@ def _why_not_rebuilt(root: Path, summary: dict[str, Any], faults: list[str]) -> 
         return "no scene generated again: files are damaged"
     if summary["data_version"] != DATA_VERSION:
         return f"no scene generated again: data version {summary['data_version']}, this kit1000 makes {DATA_VERSION}"
+    try:
+        check_physics()
+    except PhysicsMissing as missing:
+        return f"no scene generated again: {missing}"
     return None
 
 

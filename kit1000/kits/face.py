@@ -94,9 +94,7 @@ def rank_faces(
     yaw that is a symmetry of the part is not wrong.
     """
     symmetry = symmetry or Symmetry.none()
-    awkward = [
-        (_tips_over(mesh, face, depth, clearance), face.rolls) for face, depth in zip(faces, depths, strict=True)
-    ]
+    awkward = [(tips_over(mesh, face, depth, clearance), face.rolls) for face, depth in zip(faces, depths, strict=True)]
     order: list[int] = []
     for kind in sorted(set(awkward)):
         left = sorted(
@@ -134,7 +132,7 @@ def _view(mesh: Mesh, face: RestingFace) -> np.ndarray:
     return np.sort([height, across, height + across], axis=1)
 
 
-def _tips_over(mesh: Mesh, face: RestingFace, depth: float, clearance: float) -> bool:
+def tips_over(mesh: Mesh, face: RestingFace, depth: float, clearance: float) -> bool:
     """Whether a block as narrow as the part below the rim can tip by TIP_ANGLE without rising or jamming."""
     points = mesh.moved(face.plane_from_part).vertices
     width = narrowest_width(points[points[:, 2] <= points[:, 2].min() + depth])

@@ -157,7 +157,7 @@ def _cut_in_detail(
     cavity = cut_cavity(standing, depth, clearance, plate.width, detail)
     if not _fits_plate(cavity, plate):
         raise Redraw("wider than the plate")
-    mesh = _plate_mesh(cavity, plate)
+    mesh = plate_mesh(cavity, plate)
     return cavity, mesh, measure_clearance(mesh, cavity, COARSE_HEIGHT_COUNT if detail is COARSE else HEIGHT_COUNT)
 
 
@@ -202,7 +202,7 @@ def _fits_plate(cavity: Cavity, plate: Plate) -> bool:
     return bool((reach <= np.array(plate.width) / 2 - MIN_WALL).all())
 
 
-def _plate_mesh(cavity: Cavity, plate: Plate) -> Mesh:
+def plate_mesh(cavity: Cavity, plate: Plate) -> Mesh:
     """The plate with its cavity as a closed mesh on the float32 grid."""
     block = Manifold.cube((*plate.width, plate.thickness), center=True).translate((0, 0, -plate.thickness / 2))
     solid = block - cavity.solid.translate((0, 0, -cavity.depth))

@@ -1,17 +1,45 @@
-"""Compilation of array loops with numba, cached on disk where a cache folder is writable."""
+"""Compilation of array loops with numba, cached on disk where a cache folder is writable.
+
+A file of the cache that cannot be read, as a full disk or a crash leaves it, is thrown away and made anew.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from numba import njit
+from numba.core.caching import FunctionCache
+
+
+class _ForgivingCache(FunctionCache):
+    """A cache on disk whose damage costs a compilation and nothing else."""
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            return super().load_overload(sig, target_context)
+        except Exception:  # damaged bytes raise anything when they are unpickled
+            self._forget()
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        try:
+            super().save_overload(sig, data)
+        except Exception:  # an index that is damaged, a full disk, a folder that has gone
+            self._forget()
+            with suppress(Exception):
+                super().save_overload(sig, data)
+
+    def _forget(self) -> None:
+        with suppress(Exception):
+            self.flush()  # an empty index
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile on the first call and cache the result on disk, or in memory where no folder is writable."""
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-    try:
-        return njit(cache=True, **options)(function)
-    except RuntimeError:  # raised when neither the package nor the user's cache folder is writable
-        return njit(**options)(function)
+    dispatcher = njit(**options)(function)
+    with suppress(RuntimeError):  # raised when neither the package nor the user's cache folder is writable
+        dispatcher._cache = _ForgivingCache(function)
+    return dispatcher

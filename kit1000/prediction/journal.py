@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,7 +9,7 @@ from types import TracebackType
 from typing import Any
 
 from kit1000.errors import InputError
-from kit1000.files import check_writable
+from kit1000.files import check_writable, lock_file
 from kit1000.pose import Pose
 from kit1000.values import Prediction
 
@@ -54,7 +53,7 @@ class Journal:
     def _lock(self) -> None:
         """Lock the file until it is closed; the lock ends with the process, also when it is killed."""
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file(self._file)
         except BlockingIOError:
             raise InputError(f"{self.path} is being written by another process: wait for it") from None
 

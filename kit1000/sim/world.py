@@ -23,6 +23,10 @@ from kit1000.numerics.linear_algebra import matmul
 from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.pose import Pose
 
+PHYSICS_MISSING = (
+    "physics: pybullet is missing or does not load: pip install 'kit1000[sim]'; it has wheels for Python 3.10 and "
+    "3.11, on other versions it is compiled, which needs a C++ compiler and the headers of Python"
+)
 GRAVITY = 9.81  # [m/s^2] along -z
 STEP_RATE = 240  # [1/s]
 MARGIN = 1e-4  # [m] collision margin; with pybullet's default, 1 mm, a part of a few centimetres rests visibly above
@@ -48,6 +52,15 @@ SOLVER = {
 # pybullet (3.2.7) never frees the rows of the point lists it is given, so all calls share these rows.
 _point_rows: list[list[float]] = []
 _point_rows_lock = threading.Lock()
+
+
+class PhysicsMissing(InputError):
+    """The physics engine is not installed, or does not load."""
+
+
+def check_physics() -> None:
+    """Raise PhysicsMissing where no world can be made."""
+    _pybullet()
 
 
 class World:
@@ -225,8 +238,8 @@ def _pybullet() -> Any:
     try:
         with _silent_stderr():
             import pybullet
-    except ImportError:
-        raise InputError("physics: needs pybullet: pip install 'kit1000[sim]'") from None
+    except Exception:  # ImportError, or what a library built for another system raises
+        raise PhysicsMissing(PHYSICS_MISSING) from None
     return pybullet
 
 

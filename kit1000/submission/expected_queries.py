@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +42,8 @@ class ExpectedQueries:
     """(n, 4) wxyz of the initial guess; NaN where there is none."""
     public_id: str | None = None
     """The id of the public dataset whose withheld ground truth this folder has."""
+    cameras: Callable[[np.ndarray], Pose] | None = None
+    """world_from_camera (k,) of the images of some queries, by their indices (k,); None where unknown."""
 
     @cached_property
     def index(self) -> dict[str, int]:
@@ -107,6 +109,7 @@ def _read_queries(root: Path, checksum: str | None, split: str, folders: tuple[s
         guessed_positions,
         guessed_rotations,
         dataset.public_id,
+        partial(_read_cameras, dataset, pairs),
     )
 
 
@@ -123,6 +126,18 @@ def _iterate_queries(dataset: Dataset, folders: Sequence[str]) -> Iterator[tuple
         if folder == "test" and dataset.summary["config"]["curve_scenes"]:
             for query in dataset.split(CURVES).queries():
                 yield CURVES, query
+
+
+def _read_cameras(dataset: Dataset, pairs: Sequence[tuple[str, Query]], index: np.ndarray) -> Pose:
+    """(k,) world_from_camera of some queries, by their indices (k,); no image is read."""
+    shards = {folder: dataset.shards("test" if folder == CURVES else folder) for folder in {name for name, _ in pairs}}
+    read: dict[tuple[str, str], Pose] = {}
+    for folder, query in (pairs[i] for i in index.tolist()):
+        file = dataset.observation_file(shards[folder][query.scene_id])
+        key = query.scene_id, query.sensor
+        if key not in read:
+            read[key] = file.camera_pose(*key)
+    return Pose.stack([read[pairs[i][1].scene_id, pairs[i][1].sensor] for i in index.tolist()])
 
 
 def _is_required(query_split: str, query: Query, split: str) -> bool:

@@ -14,6 +14,9 @@ HEADER = ("query_id", "qw", "qx", "qy", "qz", "x", "y", "z", "confidence", "seco
 SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "spaces"}
 NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*\Z", re.ASCII)
 COMMA_NUMBER = re.compile(r"\s*[+-]?\d+,\d+([eE][+-]?\d+)?\s*\Z", re.ASCII)  # with a decimal comma
+SEPARATOR_LINE = re.compile(
+    r"""\s*["']?sep=(.|\\t)["']?[\s,;]*\Z""", re.IGNORECASE
+)  # for spreadsheets, before the header
 COLUMN_ALIASES = {
     **dict.fromkeys(("id", "query", "queryid", "image_id"), "query_id"),
     "w": "qw",
@@ -71,7 +74,18 @@ def _field_pattern(separator: str) -> re.Pattern[str]:
 
 def read_layout(lines: Sequence[str], file: str) -> tuple[Layout | None, list[Fault]]:
     """The layout that a header describes, and all faults of the header; None when no row can be read."""
-    first = next((i for i, line in enumerate(lines) if line.strip()), 0)
+    filled = (i for i, line in enumerate(lines) if line.strip())
+    first, notes = next(filled, 0), []
+    if SEPARATOR_LINE.match(lines[first]):
+        actual, repair = f"a line {quote(lines[first].strip())} of a spreadsheet", "delete the line; it is skipped"
+        notes = [Fault(file, first + 1, 1, actual, "the header", repair, "warning", "separator-line")]
+        first = next(filled, first)
+    layout, faults = _layout_from(lines, first, file)
+    return layout, [*notes, *faults]
+
+
+def _layout_from(lines: Sequence[str], first: int, file: str) -> tuple[Layout | None, list[Fault]]:
+    """The layout that a line, counted from 0, describes as the header; all faults of it."""
     line = lines[first]
     separator = max(SEPARATORS, key=lambda s: _count_names(line, s))
     if _count_names(line, separator) == 0:

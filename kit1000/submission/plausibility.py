@@ -1,16 +1,16 @@
-"""Checks of all rows of a predictions file together: units, quaternion order, and poses in place of motions.
+"""Checks of all rows of a predictions file together: units, quaternion order, and conventions of motions.
 
 Statistical: a fault is reported when the numbers are implausible as they are, and plausible when read another way.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from kit1000.pose import Pose, quaternion_angle
+from kit1000.submission.conventions import convention_findings, sample_of
 from kit1000.submission.faults import Fault
 from kit1000.submission.rows import Rows
 
@@ -23,7 +23,7 @@ LARGEST_LENGTH = 1e9  # positions beyond are left out
 LEAST_ROWS = 10  # for a comparison with guesses
 LEAST_ROWS_ALONE = 20  # for statistics without guesses
 FAR_ANGLE, NEAR_ANGLE = np.radians(60), np.radians(40)  # median angle to the guess: no method's, every method's
-FAR_DISTANCE, NEAR_DISTANCE = 0.07, 0.06  # [m] the same to the guessed position; correct ones are within 0.05 m
+WORLD_MOTION = "goal_from_now, a motion in the world frame"
 SIGMAS = 5.0  # standard errors by which two mean squares must differ
 NORM_RANGE = (0.5, 2.0)  # norms of four numbers that are taken for a quaternion
 
@@ -45,8 +45,10 @@ def plausibility_faults(rows: Rows, expected: ExpectedQueries | None, rotation_o
     faults += [_fault(rows, *details) for details in (unit, order) if details]
     if expected is not None and index is not None and not rotation_only:
         motions = Pose(np.roll(wxyz, 1, axis=1) if order else wxyz, xyz * scale)
-        details = _motion_fault(motions, expected.pivots[index], expected.guessed_positions[index])
-        faults += [_fault(rows, *details)] if details else []
+        sample = sample_of(expected, index, motions)
+        for found in () if sample is None else convention_findings(sample, order is not None):
+            severity = "error" if found.is_error else "warning"
+            faults.append(_fault(rows, found.code, found.actual, WORLD_MOTION, found.repair, severity))
     return faults
 
 
@@ -129,45 +131,3 @@ def _median_angle(a: np.ndarray, b: np.ndarray) -> float:
 
 def _degrees(angle: float) -> str:
     return f"{np.degrees(angle):.0f} degrees"
-
-
-ALTERNATIVES: dict[str, tuple[Callable[[Pose, np.ndarray], np.ndarray], str, str]] = {
-    "pose-suspected": (
-        lambda p, pivots: p.xyz,
-        "x, y, z are positions in the kits: probably poses of the parts",
-        "multiply each goal pose by the inverse of the current pose: goal_from_now = world_from_goal @ now_from_world",
-    ),
-    "inverse-suspected": (
-        lambda p, pivots: p.inverse().apply(pivots),
-        "the inverse motions take the parts to the kits: probably now_from_goal",
-        "write the inverse of each motion",
-    ),
-    "rotation-about-the-part-suspected": (
-        lambda p, pivots: pivots + p.xyz,
-        "x, y, z lead from each part to its kit: probably rotations about the part, not about the world's origin",
-        "write x, y, z as pivot + shift - R pivot, with the centre of your rotation as pivot",
-    ),
-}
-"""Another reading by code: the pivots (n, 3) [m] that it gives; what that shows; the repair."""
-
-
-def _motion_fault(motions: Pose, pivots: np.ndarray, guessed_positions: np.ndarray) -> FaultDetails | None:
-    """A fault when the numbers are plausible as something else than motions in the world."""
-    with_guess = np.isfinite(guessed_positions).all(axis=1)
-    if with_guess.sum() < LEAST_ROWS:
-        return None
-    motions, pivots, guessed_positions = motions[with_guess], pivots[with_guess], guessed_positions[with_guess]
-
-    def median_distance(positions: np.ndarray) -> float:
-        return float(np.median(np.linalg.norm(positions - guessed_positions, axis=1)))
-
-    as_is = median_distance(motions.apply(pivots))
-    if as_is <= FAR_DISTANCE:
-        return None
-    distances = {code: median_distance(read(motions, pivots)) for code, (read, *_) in ALTERNATIVES.items()}
-    code = min(distances, key=lambda code: distances[code])
-    if distances[code] > min(NEAR_DISTANCE, as_is / 2):
-        return None
-    _, finding, repair = ALTERNATIVES[code]
-    actual = f"the parts end {as_is * 1e3:.0f} mm from their kits, and {finding}"
-    return code, actual, "goal_from_now, a motion in the world frame", repair, "error"

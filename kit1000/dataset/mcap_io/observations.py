@@ -37,6 +37,7 @@ from kit1000.dataset.mcap_io.writing import ShardWriter
 from kit1000.dataset.schema import PREVIEW_STEP, Observation
 from kit1000.dataset.tables import Row
 from kit1000.errors import InputError, checked
+from kit1000.pose import Pose
 from kit1000.values import View
 
 IDEAL = "ideal"  # the sensor whose frame is the true camera frame
@@ -107,8 +108,11 @@ class ObservationFile(ShardFile):
         if key not in keys:
             raise InputError(f"{self.path}: scene {scene_id} has no view {key!r}; it has {', '.join(keys) or 'none'}")
         camera = _camera(bytes(self._one(scene_id, f"/{key}/camera")))
-        pose = frames_of(self._one(scene_id, "/tf"))[_frame_id(key)]
-        return View(camera, pose, image_of(self._one(scene_id, f"/{key}/depth")))
+        return View(camera, self.camera_pose(scene_id, key), image_of(self._one(scene_id, f"/{key}/depth")))
+
+    def camera_pose(self, scene_id: str, key: str) -> Pose:
+        """The measured world_from_camera of a view, without reading its image."""
+        return frames_of(self._one(scene_id, "/tf"))[_frame_id(key)]
 
     def labels(self, scene_id: str) -> np.ndarray | None:
         """(H, W) uint8 masks of the primary camera, see `kit1000.values.LabelledDepth`; None without masks."""

@@ -1,4 +1,4 @@
-"""Mesh files as parts: finding the files, their units, reading and repair.
+"""Mesh files as parts: their units, reading and repair.
 
 Every change is in a reading's notes and every guess states how to override it; a file that cannot be a part is
 refused with one line, and one bad file never stops a run.
@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -18,11 +18,25 @@ from pathlib import Path
 import numpy as np
 from manifold3d import Manifold
 
+from kit1000.engines import check_main_guard
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh
-from kit1000.parts.files.bodies import Choice, body_meshes, part_mesh
-from kit1000.parts.files.formats import MESH_SUFFIXES, STEP_SUFFIXES, read_triangles
-from kit1000.parts.files.repair import closed_solid
+from kit1000.parts.files.formats import STEP_SUFFIXES, read_triangles
+from kit1000.parts.files.listings import mesh_files
+from kit1000.parts.files.negative_volumes import solid_of_soup
+from kit1000.parts.files.united_bodies import Choice, body_meshes, part_mesh
+
+__all__ = [
+    "FILE_UNITS",
+    "USER_UNITS",
+    "MeshReading",
+    "Outcome",
+    "Refusal",
+    "mesh_files",
+    "read_all",
+    "read_bodies",
+    "read_mesh",
+]
 
 USER_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}  # [m] that a user can give
 FILE_UNITS = USER_UNITS | {"foot": 0.3048, "micron": 1e-6}  # [m] that a file can state
@@ -111,15 +125,18 @@ def _read_solid(path: Path, unit: str | None) -> _SolidReading:
     soup = read_triangles(path)
     notes = list(soup.notes)
     used = np.zeros(len(soup.vertices), dtype=bool)
-    used[soup.faces] = True
+    used[soup.part_faces] = True
     _check_finite(soup.vertices[used])
     longest = float(np.ptp(soup.vertices[used], axis=0).max())
-    given = None if path.suffix.lower() in STEP_SUFFIXES else unit  # the STEP reader has converted already
+    given = unit
+    if unit is not None and path.suffix.lower() in STEP_SUFFIXES:  # whose reader has converted already
+        given = None
+        notes.append(f"did not use the given unit {unit}: STEP states its own")
     chosen, guessed, reason = _unit(longest, given, soup.unit)
     vertices = soup.vertices * FILE_UNITS[chosen]
     _check_size(longest * FILE_UNITS[chosen], chosen)
     vertices = _moved_to_origin(vertices, used, notes)
-    return _SolidReading(path, closed_solid(vertices, soup.faces, notes), chosen, guessed, reason, notes)
+    return _SolidReading(path, solid_of_soup(replace(soup, vertices=vertices), notes), chosen, guessed, reason, notes)
 
 
 def _check_finite(vertices: np.ndarray) -> None:
@@ -173,57 +190,20 @@ def _moved_to_origin(vertices: np.ndarray, used: np.ndarray, notes: list[str]) -
     return vertices - (low + high) / 2
 
 
-def mesh_files(path: str | Path) -> list[Path]:
-    """The mesh files of a path: the file itself, all below a folder (sorted), or those of a .txt list of paths.
-
-    Paths in a list are relative to it; blank lines and lines beginning with # are skipped; listed folders are searched.
-
-    Raises:
-        InputError: the path does not exist, or the folder or list has no mesh.
-    """
-    path = Path(path)
-    if path.is_dir():
-        found = _meshes_below(path)
-    elif path.suffix.lower() == ".txt" and path.is_file():
-        found = _meshes_listed(path)
-    elif path.exists():
-        return [path]
-    else:
-        raise InputError(f"{path}: does not exist; expected a mesh file, a folder or a .txt list of them")
-    if not found:
-        raise InputError(f"{path}: no mesh files inside; looked for {' '.join(MESH_SUFFIXES)}")
-    return found
-
-
-def _meshes_below(folder: Path) -> list[Path]:
-    """Mesh files below a folder, sorted, without hidden files and folders."""
-    files = (file for file in folder.rglob("*") if file.suffix.lower() in MESH_SUFFIXES and file.is_file())
-    inner = ((file, file.relative_to(folder).parts) for file in files)
-    return sorted(file for file, parts in inner if not any(part.startswith(".") for part in parts))
-
-
-def _meshes_listed(listing: Path) -> list[Path]:
-    try:
-        lines = [line.strip() for line in listing.read_text(encoding="utf-8").splitlines()]
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{listing}: cannot be read as a list of paths: {error}") from None
-    found: list[Path] = []
-    for line in lines:
-        if line and not line.startswith("#"):
-            entry = listing.parent / line
-            found.extend(_meshes_below(entry) if entry.is_dir() else [entry])
-    return found
-
-
 def read_all(
     paths: Iterable[str | Path], unit: str | None = None, workers: int = 1
 ) -> tuple[list[MeshReading], list[Refusal]]:
-    """Read many files; both lists keep the order of the paths, whatever the number of workers."""
+    """Read many files; both lists keep the order of the paths, whatever the number of workers.
+
+    Raises InputError for an unknown unit, or for a script without a main guard that asks for several workers.
+    """
     if unit is not None and unit not in USER_UNITS:
         raise InputError(f"unit {unit!r}: expected one of {', '.join(USER_UNITS)}")
     files = [Path(path) for path in paths]
+    if workers > 1:
+        check_main_guard()
     read = partial(_read_or_refuse, unit=unit)
-    outcomes = list(_read_parallel(read, files, workers) if workers > 1 and len(files) > 1 else map(read, files))
+    outcomes = list(read_parallel(read, files, workers) if workers > 1 and len(files) > 1 else map(read, files))
     readings = [outcome for outcome in outcomes if isinstance(outcome, MeshReading)]
     return readings, [outcome for outcome in outcomes if isinstance(outcome, Refusal)]
 
@@ -237,7 +217,7 @@ def _read_or_refuse(path: Path, unit: str | None) -> Outcome:
         return Refusal(path, "needs more memory than there is")
 
 
-def _read_parallel(read: Callable[[Path], Outcome], files: Sequence[Path], workers: int) -> Iterator[Outcome]:
+def read_parallel(read: Callable[[Path], Outcome], files: Sequence[Path], workers: int) -> Iterator[Outcome]:
     """Outcomes in order from several processes; a file that crashes its process is refused, the others are read."""
     done = 0
     while done < len(files):

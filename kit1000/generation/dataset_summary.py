@@ -1,0 +1,135 @@
+"""The files that describe a finished dataset: tables, `dataset.json`, the data card and the Croissant description."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from kit1000.dataset.schema import LICENCE
+from kit1000.dataset.tables import FORMAT, Row
+from kit1000.files import json_bytes
+from kit1000.generation.card import card_bytes
+from kit1000.generation.card_statistics import add_up, part_statistics
+from kit1000.generation.croissant import croissant_bytes
+from kit1000.generation.parts_and_kits import Record
+from kit1000.generation.plan import DATA_VERSION, dataset_id
+from kit1000.queries.tracks import SPLITS
+
+
+@dataclass(frozen=True, eq=False)
+class JobRecords:
+    """The records of all jobs of a dataset, by id."""
+
+    parts: dict[str, Record]
+    assemblies: dict[str, Record]
+    shards: dict[str, Record]
+    mesh_files: int | None = None
+    """Number of mesh files that parts could be made of; None for procedural parts."""
+
+    @property
+    def accepted_parts(self) -> list[Record]:
+        """Records of the parts and kits that were not refused."""
+        return [record for record in self.parts.values() if "refused" not in record]
+
+    @property
+    def files(self) -> dict[str, str]:
+        """SHA-256 of all files that jobs wrote, by name."""
+        records = [*self.accepted_parts, *self.assemblies.values(), *self.shards.values()]
+        return {name: digest for record in records for name, digest in record["files"].items()}
+
+
+def tables(plan: Mapping[str, Any], records: JobRecords) -> dict[str, dict[str, Row]]:
+    """Rows by id of the tables `parts`, `kits` and `assemblies`."""
+    accepted = {part_id: records.parts[part_id] for part_id in plan["parts"] if "refused" not in records.parts[part_id]}
+    common = ("split", "source", "redraws", "measures")
+    return {
+        "parts": {i: r["part"] | {key: r[key] for key in common if key in r} for i, r in accepted.items()},
+        "kits": {i: r["kit"] | {"split": r["split"]} for i, r in accepted.items()},
+        "assemblies": {
+            i: r["assembly"] | {key: r[key] for key in ("split", "target", "redraws")}
+            for i, r in records.assemblies.items()
+        },
+    }
+
+
+def make_summary(plan: dict[str, Any], records: JobRecords, written: Mapping[str, str]) -> dict[str, Any]:
+    """The contents of `dataset.json`, without the hashes of the data card and of the Croissant file.
+
+    `written`: SHA-256 by name of files that no job wrote, such as the tables.
+    """
+    refused, used = refused_files(plan, records.parts), sum("source" in record for record in records.accepted_parts)
+    untried = {} if records.mesh_files is None else {"untried_files": records.mesh_files - used - len(refused)}
+    return {
+        "format": FORMAT,
+        "data_version": DATA_VERSION,
+        "dataset_id": dataset_id(plan),
+        "licence": LICENCE,
+        "preset": plan["preset"],
+        "seed": plan["seed"],
+        "config": plan["config"],
+        "held_out_families": plan["held_out_families"],
+        "counts": {split: _counts(records, split) for split in SPLITS},
+        "redraws": {
+            "parts": _count_reasons(record["redraws"] for record in records.parts.values()),
+            "assemblies": _count_reasons(record["redraws"] for record in records.assemblies.values()),
+            "scenes": _count_reasons(record["redraws"] for record in records.shards.values()),
+        },
+        "refused": refused,
+        "refused_scenes": {k: v for _, record in sorted(records.shards.items()) for k, v in record["refused"].items()},
+        "statistics": {split: _statistics(records, split) for split in SPLITS},
+        "shards": {
+            f"{shard_id}.mcap": record["scenes"] for shard_id, record in records.shards.items() if record["scenes"]
+        },
+        "files": records.files | dict(written),
+    } | untried
+
+
+def description_files(summary: dict[str, Any]) -> dict[str, bytes]:
+    """The data card and the Croissant description, as bytes by file name."""
+    return {"README.md": card_bytes(summary), "croissant.json": croissant_bytes(summary)}
+
+
+def summary_bytes(summary: Mapping[str, Any]) -> bytes:
+    """The bytes of `dataset.json`, with a checksum of its other entries."""
+    plain = {key: value for key, value in summary.items() if key != "checksum"}
+    return json_bytes(plain | {"checksum": hashlib.sha256(json_bytes(plain)).hexdigest()})
+
+
+def refused_files(plan: Mapping[str, Any], records: Mapping[str, Record]) -> dict[str, str]:
+    """The reasons for which mesh files were refused, by file name."""
+    dealt = {part_id: [name for name, _ in row.get("sources", [])] for part_id, row in plan["parts"].items()}
+    return {
+        name: reason
+        for part_id, record in records.items()
+        for name, reason in zip(record.get("tried", dealt[part_id]), record["redraws"], strict=False)
+    }
+
+
+def _of_split(records: Mapping[str, Record], split: str) -> list[Record]:
+    return [record for _, record in sorted(records.items()) if record["split"] == split]
+
+
+def _counts(records: JobRecords, split: str) -> dict[str, int]:
+    return {
+        "parts": sum(record["split"] == split for record in records.accepted_parts),
+        "assemblies": len(_of_split(records.assemblies, split)),
+        "scenes": sum(len(record["scenes"]) for record in _of_split(records.shards, split)),
+    }
+
+
+def _statistics(records: JobRecords, split: str) -> dict[str, Any]:
+    """The statistics of a split for the data card: of the scenes, and of the parts and their kits."""
+    parts = [record for record in records.accepted_parts if record["split"] == split]
+    of_pairs = part_statistics([record["part"] for record in parts], [record["kit"] for record in parts])
+    return add_up([*(record["statistics"] for record in _of_split(records.shards, split)), of_pairs])
+
+
+def _count_reasons(redraws: Iterable[Iterable[str] | Mapping[str, int]]) -> dict[str, int]:
+    """Number of redraws by reason; each record has a list of reasons, or their counts."""
+    total: Counter[str] = Counter()
+    for reasons in redraws:
+        total.update(reasons)
+    return dict(total)
