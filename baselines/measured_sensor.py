@@ -11,7 +11,7 @@ from pathlib import Path
 
 from kit1000.registration import METHODS as REGISTRATION
 
-WEIGHTS = Path(__file__).parent / "weights"
+WEIGHTS = Path(__file__).parent / "weights/measured"  # under the names of the networks that they replace
 COMPLETED = REGISTRATION["registration-completed"]
 
 METHODS = {
@@ -22,8 +22,8 @@ METHODS = {
         training_data="40,000 and 30,000 sampled parts and views of split train, as seen by the measured sensor",
         weights={
             **COMPLETED.weights,
-            "noisy_completion": WEIGHTS / "completion-measured",
-            "restoration": WEIGHTS / "restoration-measured",
+            "noisy_completion": WEIGHTS / "completion-d415",
+            "restoration": WEIGHTS / "restoration",
         },
     )
 }

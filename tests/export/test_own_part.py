@@ -354,6 +354,7 @@ def test_an_own_plate_lies_flat_though_it_is_low(tmp_path: Path) -> None:
     assert made["depth_mm"] == pytest.approx(0.6 * 4, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_kits_of_a_metre_are_as_exact_as_small_ones(tmp_path: Path) -> None:
     beam, slab = Manifold.cube((1.0, 1.5, 0.4), True), Manifold.cube((1.0, 1.5, 0.4), True).rotate((10, 20, 30))
     made = make_kit_from_file(stl_of(tmp_path / "two.stl", beam, slab), tmp_path / "out", unit="mm")

