@@ -148,7 +148,7 @@ def test_a_disk_without_locks_has_an_error_of_its_own(tmp_path: Path, monkeypatc
     def flock(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
 
-    monkeypatch.setattr(files.fcntl, "flock", flock)
+    monkeypatch.setattr("fcntl.flock", flock)
     with pytest.raises(InputError, match=r"cannot lock .*: No locks available"), locked(tmp_path):
         pass
 

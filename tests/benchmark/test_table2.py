@@ -71,8 +71,8 @@ def test_the_rows_share_what_is_possible_and_their_counts_add_up(mini: Path, shi
     assert (truth.seated, truth.tested, truth.agreement["both"]) == (1.0, 1.0, len(possible))
     assert (raised.seated, raised.tested, raised.agreement["neither"]) == (0.0, 0.0, len(possible))
     assert truth.position_mm == pytest.approx(0, abs=1e-6)
-    assert sum(truth.failures.values()) == truth.against["lost"] == raised.against["won"] == 0
-    assert sum(raised.failures.values()) == raised.against["lost"] == len(possible)
+    assert sum(truth.failures.values()) == truth.against["losses"] == raised.against["wins"] == 0
+    assert sum(raised.failures.values()) == raised.against["losses"] == len(possible)
     assert raised.failures["nothing"] == 0
     assert raised.position_mm == pytest.approx(20.0)
     assert raised.rotation_deg == pytest.approx(0, abs=1e-6)
