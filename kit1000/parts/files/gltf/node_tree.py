@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from kit1000.errors import MeshRefused
-from kit1000.numerics.linear_algebra import matmul
+from kit1000.numerics.linear_algebra import determinant, matmul
 from kit1000.parts.files.gltf.accessors import count_of, floats, integers
 from kit1000.parts.files.gltf.document import Document, read_document
 from kit1000.parts.files.gltf.required_extensions import DRACO, INSTANCES, VISIBILITY, check_required
@@ -68,7 +68,7 @@ class _Scene:
             self._meshes[mesh, weights] = joined([self._primitive(primitive, weights) for primitive in primitives])
         vertices, faces = self._meshes[mesh, weights]
         moved = matmul(vertices, matrix[:3, :3].T) + matrix[:3, 3]
-        return moved, faces if np.linalg.det(matrix[:3, :3]) >= 0 else faces[:, ::-1]
+        return moved, faces if determinant(matrix[:3, :3]) >= 0 else faces[:, ::-1]
 
     def _roots(self) -> list[int]:
         """The nodes of the default scene, else of the first; where there is none, all that are no child."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from kit1000.errors import MeshRefused
-from kit1000.numerics.linear_algebra import matmul
+from kit1000.numerics.linear_algebra import determinant, matmul
 from kit1000.parts.files.threemf.models import Models, Object, Reference
 from kit1000.parts.files.threemf.package import Package
 from kit1000.parts.files.threemf.roles import NEGATIVE, PART, SURFACE, Roles, read_roles, triangle_roles
@@ -132,7 +132,7 @@ class _Placer:
         self.has_lattice |= named.has_lattice and role == PART
         if len(named.faces):
             vertices = matmul(named.vertices, transform[:3]) + transform[3]
-            faces = named.faces if np.linalg.det(transform[:3]) >= 0 else named.faces[:, ::-1]
+            faces = named.faces if determinant(transform[:3]) >= 0 else named.faces[:, ::-1]
             for kind, indices in self._ranges(reference, named):
                 yield Volume(number, role if role != PART else kind, vertices, faces[indices])
         inherited = None if role in (PART, SURFACE) else role
