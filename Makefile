@@ -17,7 +17,16 @@ RESCORE = $(BIN)/python -m benchmark rescore $(SCORED) --data "$(DATA)" --worker
 UPGRADE =
 BOP     =
 ROWS    = runs/table2
+AREA    =
+AREAS   = $(sort $(patsubst tests/%/,%,$(dir $(wildcard tests/*/test_*.py tests/*/*/test_*.py))))
+TESTED  = $(if $(AREA),$(if $(filter $(AREA),$(AREAS)),tests/$(AREA),$(error no tests of $(AREA): AREA is one of $(AREAS))))
+PYTEST  = $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+CHANGED = { git diff --name-only --diff-filter=d HEAD; git ls-files --others --exclude-standard; } 2>/dev/null \
+          | grep -E '^(kit1000|benchmark|baselines|bench|examples|tests)/.*\.py$$'
 ROW     = $(BIN)/python -m baselines predict --data "$(DATA)" --tracks snap-d415 $(if $(WORKERS),--workers $(WORKERS))
+OUT     =
+TO      = $(if $(OUT),--out "$(OUT)/speed-$(1).json")
+MEASURED = $(if $(wildcard $(DATA)/dataset.json),"$(DATA)")
 MEASURE = --sensor d415 --components "$(ROWS)/components.json"
 
 # A stamp is touched last of all and removed first of all, so an install that was cut short is never taken for done.
@@ -33,7 +42,7 @@ LOCK = $(BIN)/uv pip compile pyproject.toml --group pyproject.toml:build --unive
 
 .DEFAULT_GOAL = help
 .DELETE_ON_ERROR:
-.PHONY: help install browser dataset test test-slow lint site results table1 table2 bench bench-parts portable mutants viewers slicer pictures lock clean
+.PHONY: help install browser dataset test test-slow check lint site wheel results table1 table2 bench bench-parts portable mutants viewers slicer pictures lock clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -49,11 +58,15 @@ browser: ## Chromium for the tests of the pages, where it is missing and no pass
 dataset: $(RUN) ## the full KIT1000 under data/kit1000
 	$(BIN)/kit1000 generate $(PRESET) --out "$(DATA)" $(if $(WORKERS),--workers $(WORKERS))
 
-test: $(DEV) browser ## the test suite
-	$(BIN)/python -m pytest --numprocesses 2 --dist loadfile
+test: $(DEV) browser ## the test suite; AREA=kits runs tests/kits alone
+	$(PYTEST) $(TESTED)
 
 test-slow: $(DEV) browser ## the tests that take longer
-	$(BIN)/python -m pytest -m slow
+	$(BIN)/python -m pytest -m slow $(TESTED)
+
+check: $(DEV) ## in a minute: ruff, types of changed files, rules of the house, tests without dataset, browser or torch
+	$(BIN)/ruff check .
+	@{ $(CHANGED) | xargs -r $(BIN)/pyright; } & types=$$!; $(PYTEST) --quick; tests=$$?; wait $$types && exit $$tests
 
 lint: $(DEV) ## ruff and pyright
 	$(BIN)/ruff check .
@@ -79,19 +92,26 @@ table2: $(DEV) ## Table II of DATA (PRESET=real-like), rows under ROWS: each sta
 	$(BIN)/python -m benchmark table2 $(addprefix "$(ROWS)"/,true-shapes masks-given masks-found guess) --data "$(DATA)" \
 	    --masks predicted --components "$(ROWS)/components.json" --out "$(ROWS)/table2.json"
 
+wheel: $(DEV) ## build wheel and sdist under dist/, check them, and use the wheel alone in an empty folder
+	rm -rf dist && $(BIN)/python -m hatchling build --target wheel --target sdist --directory dist
+	$(BIN)/twine check --strict dist/*
+	$(BIN)/python -m pytest -m slow tests/test_wheel.py
+
 results: $(DEV) ## fill the tables of README and docs from results/ and submissions/
 	$(BIN)/python -m benchmark documents README.md $$(grep -rl "<!-- result:" docs --include=*.md)
 
-bench: $(DEV) ## each speed beside a reference measured in the same run: kits to methods
-	$(BIN)/python bench/speed/kits.py
-	$(BIN)/python bench/speed/seating.py
-	$(BIN)/python bench/speed/render.py
-	$(BIN)/python bench/speed/voxels.py
-	$(BIN)/python bench/speed/reading.py
-	$(BIN)/python bench/speed/scoring.py
-	$(BIN)/python bench/speed/methods.py
-	$(BIN)/python bench/speed/snap_position.py --presets small
-	$(BIN)/python bench/speed/snap_rotation.py
+bench: $(DEV) ## each speed beside a reference of the same run, on DATA, else on tiny; OUT=results writes them too
+	$(BIN)/python bench/speed/kits.py $(call TO,kits)
+	$(if $(PARTS),$(BIN)/python bench/speed/kit_files.py "$(PARTS)" $(call TO,kit-files))
+	$(BIN)/python bench/speed/seating.py $(call TO,seating)
+	$(BIN)/python bench/speed/render.py $(call TO,render)
+	$(BIN)/python bench/speed/voxels.py $(call TO,voxels)
+	$(BIN)/python bench/speed/reading.py $(MEASURED) $(call TO,reading)
+	$(BIN)/python bench/speed/scoring.py $(MEASURED) $(call TO,scoring)
+	$(BIN)/python bench/speed/methods.py $(MEASURED) $(call TO,methods)
+	$(BIN)/python bench/speed/snap_examples.py $(MEASURED) $(call TO,snap-examples)
+	$(BIN)/python bench/speed/snap_position.py $(call TO,snap-position)
+	$(BIN)/python bench/speed/snap_rotation.py $(call TO,snap-rotation)
 
 bench-parts: $(DEV) ## compare our parts with real ones: make bench-parts PARTS=DIR
 	$(if $(PARTS),,$(error a folder of meshes is wanted: make bench-parts PARTS=DIR))

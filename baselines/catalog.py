@@ -24,6 +24,7 @@ METHOD_TABLES = (
     "baselines.icp",
     "baselines.kitnet",
     *catalog.TABLES,
+    "baselines.measured_sensor",
     "baselines.snapnet",
     "baselines.transporter",
 )

@@ -111,7 +111,7 @@ def fitted(shell: np.ndarray, kits: np.ndarray, camera: np.ndarray) -> tuple[Pos
         kits: (m, 3) [m] in the same frame.
         camera: (3,) [m] where the kits were observed from, so that their normals point out of them.
     """
-    o3d = _open3d()
+    o3d = load_open3d()
     registration = o3d.pipelines.registration
     target = _cloud(kits)
     target.orient_normals_towards_camera_location(camera)
@@ -130,14 +130,14 @@ def fitted(shell: np.ndarray, kits: np.ndarray, camera: np.ndarray) -> tuple[Pos
 
 def _cloud(points: np.ndarray) -> Any:
     """Open3D's cloud of points (n, 3) [m], with normals of either sign."""
-    o3d = _open3d()
+    o3d = load_open3d()
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
     cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(NEIGHBOURS))
     return cloud
 
 
 @cache
-def _open3d() -> ModuleType:
+def load_open3d() -> ModuleType:
     """Open3D, which links to libusb: the wheel that carries that library is loaded first."""
     try:
         import libusb_package

@@ -1,7 +1,7 @@
 """Documents with tables of results: what stands between two marks is made from results/ and from scored submissions.
 
-A mark names its table: `<!-- result: NAME TABLE -->` that of results/NAME.json, `<!-- result: submissions TABLE WORDS -->`
-one of `benchmark.score_tables` or Table I. `<!-- end -->` follows the table. Text outside the marks stays as it is.
+A mark names its table: `<!-- result: NAME TABLE -->` that of results/NAME.json; with `submissions` as NAME one of
+`benchmark.score_tables` or Table I. `<!-- end -->` follows the table. Text outside the marks stays as it is.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from benchmark.entries import Entry, read_entries
 from benchmark.measurements import Measurement, Table, read_measurement
 from benchmark.score_tables import score_table
 from benchmark.table1 import as_markdown, markdown_cell, table_of
-from benchmark.table1 import source as setting_of
 from kit1000.errors import InputError
 from kit1000.files import write_bytes
 
@@ -70,7 +69,7 @@ def _table(words: Sequence[str], results: Path, entries: Sequence[Entry]) -> str
         return f"{as_table(measurement.tables[table])}\n\n{caption(measurement)}"
     if table == "table1":
         return as_markdown(table_of(entries), tracks=False).rstrip("\n")
-    return f"{as_table(score_table(table, entries, others))}\n\n{setting_of(table_of(entries))}"
+    return f"{as_table(score_table(table, entries, others))}\n\n{setting_of(entries)}"
 
 
 def as_table(table: Table) -> str:
@@ -80,6 +79,12 @@ def as_table(table: Table) -> str:
     rows = [[_cell(text) for text in row] for row in table.cells()]
     lines = [f"| {' | '.join(row)} |" for row in (heads, rule, *rows)]
     return "\n".join([f"**{table.title}**", "", *lines])
+
+
+def setting_of(entries: Sequence[Entry]) -> str:
+    """The protocol and the dataset of scores."""
+    setting = entries[0].setting
+    return f"*Protocol {setting['protocol']}, dataset {setting['dataset_id']}, split {setting['split']}.*"
 
 
 def caption(measurement: Measurement) -> str:

@@ -130,8 +130,8 @@ class Measurement:
             blocks.append("\n".join([each.title, *(f"  {line}" for line in lines)]))
         return "\n\n".join(blocks)
 
-    def write(self, path: Path) -> None:
-        """Write the measurement as JSON."""
+    def stored(self) -> dict[str, Any]:
+        """The setting, and `tables` by name, as JSON holds them."""
         tables = {
             name: {
                 "title": each.title,
@@ -140,7 +140,11 @@ class Measurement:
             }
             for name, each in self.tables.items()
         }
-        write_bytes(path, json_text({**self.setting, "tables": tables}).encode())
+        return {**self.setting, "tables": tables}
+
+    def write(self, path: Path) -> None:
+        """Write the measurement as JSON."""
+        write_bytes(path, json_text(self.stored()).encode())
 
 
 def read_measurement(path: Path) -> Measurement:

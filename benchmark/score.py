@@ -114,13 +114,13 @@ def _queries(
         parts.append(read_queries(dataset, split, known))
     if CURVES in tracks and split == protocol.splits[0] and config["curve_scenes"]:
         curves = read_queries(dataset, protocol.curves["split"], [CURVES])
-        parts.append(_curve_queries(curves, protocol.curves["first_scenes"], predicted))
+        parts.append(curve_queries(curves, protocol.curves["first_scenes"], predicted))
     if not parts:
         raise InputError(f"{dataset.root}: split {split} has no query of {', '.join(tracks) or 'no track'}")
     return concatenate(*parts)
 
 
-def _curve_queries(curves: ScoredQueries, first_scenes: int, predicted: Collection[str]) -> ScoredQueries:
+def curve_queries(curves: ScoredQueries, first_scenes: int, predicted: Collection[str]) -> ScoredQueries:
     """The queries of the first scenes if all predicted ones are among them; else those of all scenes."""
     first = curves.of_scenes(set(sorted(set(curves.scene_ids))[:first_scenes]))
     return first if set(predicted).intersection(curves.query_ids) <= set(first.query_ids) else curves

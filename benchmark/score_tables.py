@@ -36,7 +36,7 @@ def errors(entries: Sequence[Entry], words: Sequence[str]) -> Table:
         if error is not MSSD:
             columns.append(Column(f"{error.key}_median", "median", error.decimals))
     columns += [Column(share.key, f"{share.name.lower()}, %", 1, True) for share in SHARES]
-    table = Table(f"errors-{track}", f"Track `{track}`: {TRACKS[track].description}", columns)
+    table = Table(f"errors-{track}", f"Track `{track}`: {TRACKS[track].description.rstrip('.')}", columns)
     for entry in chosen(entries, names):
         row = entry.scores["tracks"].get(track)
         if row is not None:

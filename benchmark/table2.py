@@ -19,6 +19,7 @@ from tqdm import tqdm
 
 from benchmark.failures import KINDS, SEATS, failure_kinds
 from benchmark.intervals import rate_interval
+from benchmark.measurements import Column, Measurement
 from benchmark.report import json_text
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
@@ -39,6 +40,24 @@ MaskFinder = Callable[[Query, float], Query]
 """Called with a query and the scale of the dataset's scenes: the query with masks from its image alone."""
 TRUTH = "truth"  # label of the row with the true motions
 COMPONENT_KEYS = {"component", "label", "measure", "value", "interval", "n"}
+
+CHAIN_COLUMNS = (
+    Column("row", "chain"),
+    Column("n", "n"),
+    Column("possible", "possible"),
+    Column("seated", "seated by the robot, %", 1, True),
+    Column("tested", "by the test, %", 1, True),
+    Column("position", "mm, median", 2),
+    Column("rotation", "°, median", 1),
+    Column("seconds", "s a part", 0),
+)
+COMPONENT_COLUMNS = (
+    Column("component", "component"),
+    Column("label", "method"),
+    Column("measure", "measure"),
+    Column("n", "n"),
+    Column("value", "mean", 3),
+)
 
 PAPER = (  # Table II of "Scene Editing as Teleoperation", arXiv 2110.04450, and its user study
     ("segmentation, mean IoU", "69.1 %", "a missed part counts 0; the mean over objects of 23 scenes"),
@@ -79,7 +98,7 @@ class ChainRow:
     failures: dict[str, int]
     """Number of the possible ones that the robot does not seat, by what is wrong with the motion (`failure_kinds`)."""
     against: dict[str, int]
-    """Number of the possible ones that the row before seats and this does not, lost, and the reverse, won."""
+    """Losses, possible ones that the row before seats and this does not, and wins, the reverse."""
     queries: list[dict[str, Any]]
     """Rows of each query: its id, outcome and detail, what is wrong with the motion (nothing where the seating test
     passes it), and the errors [mm], [degrees]."""
@@ -205,7 +224,7 @@ def _row(dataset: Dataset, label: str, cases: Sequence[_Case], possible: set[str
         float(np.median(seconds)) if seconds else None,
         outcome_counts(case.run for case in cases),
         {kind: int((kinds[among & ~seated] == kind).sum()) for kind in KINDS},
-        {"lost": int((earlier & ~seated)[among].sum()), "won": int((seated & ~earlier)[among].sum())},
+        {"losses": int((earlier & ~seated)[among].sum()), "wins": int((seated & ~earlier)[among].sum())},
         [
             {
                 "query": case.query.id,
@@ -268,6 +287,33 @@ def markdown(rows: Sequence[ChainRow], components: Sequence[Mapping[str, Any]], 
     return "\n".join(lines)
 
 
+def measured(
+    rows: Sequence[ChainRow], components: Sequence[Mapping[str, Any]], dataset: Dataset, track: str
+) -> Measurement:
+    """The same tables with their setting, for documents."""
+    measurement = Measurement.begin(dataset)
+    title = f"Preset {dataset.summary['preset']}, track `{track}`: parts seated by the robot, and by the seating test"
+    table = measurement.table("chain", title, *CHAIN_COLUMNS)
+    for row in rows:
+        seated = {"n": row.possible, "rate": row.seated, "ci95": list(row.interval)}
+        medians = {"position": row.position_mm, "rotation": row.rotation_deg, "seconds": row.seconds}
+        table.add(row=row.label, n=row.n, possible=row.possible, seated=seated, tested=row.tested, **medians)
+    for name, title, counted in (
+        ("outcomes", "Queries by outcome", [row.outcomes for row in rows]),
+        ("agreement", "Picked parts that robot and seating test seat", [row.agreement for row in rows]),
+        ("failures", "Parts that the robot does not seat, by the fault of the motion", [row.failures for row in rows]),
+        ("against", "Parts seated against the row before", [row.against for row in rows]),
+    ):
+        counts = measurement.table(name, title, Column("row", "chain"), *(Column(key, key) for key in counted[0]))
+        for row, values in zip(rows, counted, strict=True):
+            counts.add(row=row.label, **values)
+    stages = measurement.table("components", "Single stages", *COMPONENT_COLUMNS)
+    for part in components:
+        value = {"n": part["n"], "mean": part["value"], "ci95": part["interval"]}
+        stages.add(**{key: part[key] for key in ("component", "label", "measure", "n")}, value=value)
+    return measurement
+
+
 def _line(cells: Sequence[Any]) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
@@ -293,11 +339,9 @@ def run(
     find_masks = resolved(PREDICTED_MASKS) if masks == "predicted" else None
     rows = chain(data, labelled, track, split, scenes, find_masks=find_masks)
     parts = [] if components is None else read_components(components)
-    if out is not None:
-        write_bytes(
-            out,
-            json_text({"track": track, "split": split, "chain": list(map(asdict, rows)), "components": parts}).encode(),
-        )
     dataset = Dataset(data)
+    if out is not None:
+        details = {"track": track, "split": split, "chain": list(map(asdict, rows)), "components": parts}
+        write_bytes(out, json_text({**measured(rows, parts, dataset, track).stored(), **details}).encode())
     title = f"Preset {dataset.summary['preset']}, dataset {dataset.id}, track {track}, split {split}."
     return markdown(rows, parts, title)

@@ -1,7 +1,7 @@
 """python examples/kit_for_stl.py part.stl --out my-kit
 
 Makes a kit for your own part at true size: kit.stl and part.stl for a slicer, seated.glb, preview.png and report.json.
-Takes 5 s. The command `kit1000 kit part.stl --out my-kit --clearance-mm 0.5` does the same.
+Takes 2 s. The command `kit1000 kit part.stl --out my-kit --clearance-mm 0.5` does the same.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ from kit1000.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from kit1000.camera import Camera, look_at
-    from kit1000.dataset.cache import VolumeCache
     from kit1000.dataset.reader import Dataset, RecordedScene, Split
+    from kit1000.dataset.volume_cache import VolumeCache
     from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, ShapeError
     from kit1000.export.own_part import make_kit_from_file
     from kit1000.kits.kit import make_kit
@@ -86,7 +86,7 @@ __all__ = [
 _MODULES = {
     "Camera": "camera",
     "look_at": "camera",
-    "VolumeCache": "dataset.cache",
+    "VolumeCache": "dataset.volume_cache",
     "Dataset": "dataset.reader",
     "RecordedScene": "dataset.reader",
     "Split": "dataset.reader",

@@ -169,7 +169,7 @@ class Query:
     drawn: bool
     """Whether its part is the one randomly drawn target of the scene."""
     pivot: np.ndarray
-    """(3,) [m] world: centre of the extents of the part's masked depth points, rounded to 0.1 mm."""
+    """(3,) [m] world: centre of the part's masked depth points (see `kit1000.queries.pivots`), rounded to 0.1 mm."""
     guess: Pose | None
     """The user's initial guess of goal_from_now, its rotation error about the pivot; None on tracks without guess."""
     read_image: Callable[[], LabelledDepth]

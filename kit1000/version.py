@@ -1,3 +1,3 @@
 """The version of the software; the data and the metrics have their own."""
 
-__version__ = "0.1.0"
+__version__ = "1.0.0"

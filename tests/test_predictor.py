@@ -90,7 +90,7 @@ BROKEN: dict[str, tuple[Callable[[Query, TrueGeometry | None], Any], str]] = {
     "forces": (forcing, "changes pivot of query"),
     "a number": (
         lambda query, geometry: 1.0,
-        r"expected a PredictedMotion\(goal_from_now: Pose, confidence: float\), got float",
+        r"expected a PredictedMotion.*, got float",
     ),
     "a tuple": (lambda query, geometry: (1.0, guess_of(query)), r"expected a PredictedMotion.*, got \(float, Pose\)"),
     "nothing": (lambda query, geometry: None, "expected a PredictedMotion.*, got NoneType"),

@@ -134,7 +134,7 @@ def test_dihedral_is_the_whole_symmetry_of_a_prism() -> None:
     ],
 )
 def test_rotations_that_form_no_group_are_rejected(rotations: np.ndarray) -> None:
-    with pytest.raises(InputError, match="expected a group of distinct rotations with the identity first"):
+    with pytest.raises(InputError, match=r"expected a group.* identity first"):
         Symmetry(rotations)
 
 

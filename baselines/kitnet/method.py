@@ -16,7 +16,7 @@ from baselines.kitnet.views import CAVITY, CELL, CavityView, cavity_image, cavit
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.perception.heights.maps import cell_centres, envelopes, extent
-from kit1000.perception.heights.scenes import RecordedHeights, SceneHeights
+from kit1000.perception.heights.scene_heights import RecordedHeights, SceneHeights
 from kit1000.perception.networks.loading import ready
 from kit1000.perception.observed.kits import ObservedKits
 from kit1000.perception.observed.pixels import noise_of

@@ -14,7 +14,7 @@ from baselines.kitnet.examples import Example, KitNetExamples
 from baselines.kitnet.network import KitNet, rotation_error, rotation_loss
 from baselines.training.tasks.goal_draws import QueryDraws
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.heights.scenes import RenderedHeights
+from kit1000.perception.heights.scene_heights import RenderedHeights
 
 VALIDATION_QUERIES = 100  # spread evenly over the validation split
 Batch = dict[str, Tensor]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -47,5 +48,19 @@ def train_network(
     about = {"name": name, "preset": preset, "network": asdict(config), "dataset_id": dataset.id}
     if start is not None:
         tensors, about["start"] = load_weights(start.with_suffix(""))
-        load_into(task.model, tensors, start)
+        load_into(task.model, with_new_inputs(tensors, task.model), start)
     return train(task, training, out, about)
+
+
+def with_new_inputs(tensors: Mapping[str, torch.Tensor], model: torch.nn.Module) -> dict[str, torch.Tensor]:
+    """The tensors of a network with weights 0 for inputs that it lacks: those of `model` come last in its layers."""
+    own = model.state_dict()
+    grown = dict(tensors)
+    for name, value in tensors.items():
+        target = own.get(name)
+        if target is None or value.ndim < 2 or value.shape[:1] + value.shape[2:] != target.shape[:1] + target.shape[2:]:
+            continue
+        if value.shape[1] < target.shape[1]:
+            grown[name] = torch.zeros(target.shape, dtype=value.dtype)
+            grown[name][:, : value.shape[1]] = value
+    return grown

@@ -77,7 +77,7 @@ ROTATION_TRAINING = {
     "small": TrainConfig(steps=3_000, batch=2, learning_rate=1e-3, warmup=200, ema_decay=0.999, validate_every=1000),
     "paper": TrainConfig(steps=150_000, batch=1, learning_rate=1e-4, decay="none", validate_every=500),
 }
-POSITION_TASK, ROTATION_TASK = "baselines.snapnet.tasks:position_task", "baselines.snapnet.tasks:rotation_task"
+POSITION_TASK, ROTATION_TASK = "baselines.snapnet.task:position_task", "baselines.snapnet.task:rotation_task"
 
 NETWORKS = {
     "snapnet-gtvol-position": Network(POSITION_TASK, POSITION_TRAINING, {"source": "truth"}),

@@ -13,9 +13,9 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from baselines.snapnet.candidates import candidates, nearest_candidate
+from baselines.snapnet.candidate_rotations import candidates, nearest_candidate
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
-from baselines.snapnet.volumes import SCENES, ImageCache, QueryVolumes
+from baselines.snapnet.query_volumes import SCENES, ImageCache, QueryVolumes
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.kits.goals import nearest_about_axis
@@ -107,7 +107,7 @@ class QuerySampler:
         if self.track not in TRACKS:
             raise InputError(f"sensor {sensor!r}: no track {self.track}; there are {', '.join(TRACKS)}")
         self._split = dataset.split(split, truth=True)
-        self._images = ImageCache(completer=completer, kit_completer=kit_completer)
+        self.images = ImageCache(completer=completer, kit_completer=kit_completer)
         self._completer, self._kit_completer = completer, kit_completer
         self._queries: Callable[[str], tuple[tuple[Query, Truth], ...]] = lru_cache(SCENES)(self._read)
 
@@ -150,7 +150,7 @@ class QuerySampler:
 
     def _volumes(self, query: Query, truth: Truth) -> QueryVolumes:
         geometry = self.dataset.geometry.true_geometry(truth) if self.source == "truth" else None
-        return QueryVolumes(query, self.source, geometry, self._images)
+        return QueryVolumes(query, self.source, geometry, self.images)
 
     def _draw_query(self, rng: np.random.Generator) -> tuple[Query, Truth]:
         scene_ids = self._split.scene_ids

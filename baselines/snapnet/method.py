@@ -13,12 +13,12 @@ from typing import Literal, NamedTuple
 import numpy as np
 import torch
 
-from baselines.snapnet.candidates import CandidateSet, candidates, coarse_candidates, near_candidates
+from baselines.snapnet.candidate_rotations import CandidateSet, candidates, coarse_candidates, near_candidates
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.position import PositionNet, position_of
+from baselines.snapnet.query_volumes import ImageCache, QueryVolumes
 from baselines.snapnet.rotation import RotationNet, rotation_of
 from baselines.snapnet.search import likely_starts
-from baselines.snapnet.volumes import ImageCache, QueryVolumes
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.completion.kits.completed import ReliefCompleter
 from kit1000.perception.completion.parts.completed import PartCompleter
@@ -95,18 +95,18 @@ class SnapNet:
         motion, share = (query.guess, 1.0) if query.guess is not None else self._best_start(volumes)
         confidence = 0.0
         for _ in range(self.passes):
-            motion, confidence, _ = self._corrected(volumes, motion, near=query.guess is None)
+            motion, confidence, _ = self.corrected(volumes, motion, near=query.guess is None)
         return PredictedMotion(motion, share * confidence)
 
     def _best_start(self, volumes: QueryVolumes) -> tuple[Pose, float]:
         """The likely start with the highest score after its correction, and its share of them all."""
         starts = likely_starts(self.position, volumes, STARTS)
-        found = [self._corrected(volumes, start, near=True) for start in starts]
+        found = [self.corrected(volumes, start, near=True) for start in starts]
         scores = np.array([each.score for each in found])
         best = int(scores.argmax())
         return found[best].motion, float(1 / np.exp(scores - scores[best]).sum())
 
-    def _corrected(self, volumes: QueryVolumes, guess: Pose, near: bool) -> Correction:
+    def corrected(self, volumes: QueryVolumes, guess: Pose, near: bool) -> Correction:
         """A guess, moved by the predicted offset and rotated by the best candidate; one pass.
 
         near: whether only the candidates near no rotation are scored.

@@ -14,7 +14,7 @@ import torch
 from baselines.snapnet.config import Cells, PositionConfig
 from baselines.snapnet.convolutions import correlate
 from baselines.snapnet.position import COARSEST, PositionNet
-from baselines.snapnet.volumes import QueryVolumes
+from baselines.snapnet.query_volumes import QueryVolumes
 from kit1000.pose import Pose
 
 YAWS = 12

@@ -63,7 +63,7 @@ def train_batches(
         workers: processes that make examples; 0: this one.
     """
     batches = ([step * batch + i for i in indices] for step in steps)
-    return _on_device(_TrainingSet(task, seed, batch), batches, workers, device)
+    return _on_device(TrainingSet(task, seed, batch), batches, workers, device)
 
 
 def validation_batches(
@@ -74,7 +74,7 @@ def validation_batches(
     return _on_device(_ValidationSet(task, keys), batches, min(workers, len(batches)), device)
 
 
-class _TrainingSet(Dataset):
+class TrainingSet(Dataset):
     """Training examples, by step x batch + index."""
 
     def __init__(self, task: Task, seed: int, batch: int) -> None:

@@ -170,7 +170,7 @@ def _validate(run: _Run) -> str:
     progress, first = run.progress, run.ranks.first
     loss = _mean_loss(run)
     with run.descent.evaluation():
-        measures = _measures(run)
+        measures = validate(run)
         name, chosen = next(iter(measures.items()))
         better = progress.best is None or chosen["median"] < progress.best
         if better:
@@ -187,7 +187,7 @@ def _validate(run: _Run) -> str:
     return f"{name} {chosen['median']:.4g}"
 
 
-def _measures(run: _Run) -> Measures:
+def validate(run: _Run) -> Measures:
     """Mean and median of each measure over all validation examples."""
     keys, ranks = run.task.validation_keys(), run.ranks
     if not len(keys):

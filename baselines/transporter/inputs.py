@@ -15,7 +15,7 @@ from scipy.ndimage import uniform_filter
 
 from baselines.transporter.config import TransporterConfig
 from kit1000.perception.heights.maps import UNSEEN, HeightMap, cell_centres, envelopes
-from kit1000.perception.heights.scenes import SceneHeights
+from kit1000.perception.heights.scene_heights import SceneHeights
 from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_OFFSET
 

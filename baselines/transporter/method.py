@@ -14,7 +14,7 @@ from baselines.transporter.lattice import rotation_from
 from baselines.transporter.network import TransporterNet
 from baselines.transporter.search import search
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.heights.scenes import RecordedHeights
+from kit1000.perception.heights.scene_heights import RecordedHeights
 from kit1000.perception.heights.shell import shell_points
 from kit1000.perception.networks.loading import ready
 from kit1000.pose import Pose

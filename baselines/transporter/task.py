@@ -17,7 +17,7 @@ from baselines.transporter.lattice import rotation_from
 from baselines.transporter.network import UNITS, TransporterNet
 from baselines.transporter.search import search
 from kit1000.dataset.reader import Dataset
-from kit1000.perception.heights.scenes import RenderedHeights
+from kit1000.perception.heights.scene_heights import RenderedHeights
 from kit1000.pose import Pose
 
 VALIDATION_PAIRS = 24  # a query without a guess and one with, spread evenly over the validation split

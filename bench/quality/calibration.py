@@ -2,8 +2,7 @@
 
     python bench/quality/calibration.py data/kit1000 --split test
 
-Root mean squares over the images: position and height in mm along the axes of the world, angles in degrees, scale in
-parts per thousand. The true pose and depths are those of the ideal image of the scene.
+The true pose and depths are those of the ideal image of the scene.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ import numpy as np
 import tyro
 
 from bench.measured_dataset import measured_dataset
+from benchmark.measurements import Column, Measurement, estimate
 from kit1000.dataset.reader import RecordedScene
 from kit1000.errors import Kit1000Error
 from kit1000.perception.calibration import BLIND_BAND, BORDERS, OUTLINE, calibrated
@@ -26,12 +26,30 @@ from kit1000.values import View
 WAYS: dict[str, Sequence[Border] | None] = {
     "as recorded": None,
     "plane": (),
-    "plane and blind band": (BLIND_BAND,),
-    "plane and outline": OUTLINE,
-    "plane, outline and blind band": BORDERS,
+    "plane, invalid depth band": (BLIND_BAND,),
+    "plane, outline": OUTLINE,
+    "plane, outline, invalid depth band": BORDERS,
 }
 """By name: the borders that are used beside the table's plane; None: no calibration."""
-HEADER = f"{'':30} {'x':>6} {'y':>6} {'height':>6} mm  {'roll':>6} {'pitch':>6} {'yaw':>6} °  {'scale':>6} ‰  seconds"
+AXES = ("x", "y", "z", "roll", "pitch", "yaw", "scale")
+WAY = Column("way", "calibrated by")
+ERROR_COLUMNS = (
+    WAY,
+    Column("n", "images"),
+    Column("position", "position, mm", 2),
+    Column("position_median", "median", 2),
+    Column("angle", "rotation, °", 3),
+    Column("angle_median", "median", 3),
+    Column("scale", "scale, ‰", 2),
+    Column("scale_median", "median", 2),
+)
+SECONDS = (WAY, Column("n", "images"), Column("seconds", "mean, s", 3), Column("median", "median", 3))
+UNITS = {axis: "mm" if axis in "xyz" else "‰" if axis == "scale" else "°" for axis in AXES}
+AXIS_COLUMNS = (
+    WAY,
+    Column("n", "images"),
+    *(Column(axis, f"{axis}, {UNITS[axis]}", 3 if UNITS[axis] == "°" else 2) for axis in AXES),
+)
 
 
 @dataclass(frozen=True)
@@ -43,20 +61,38 @@ class Calibration:
     split: str = "test"
     scenes: int = 200
     """Most scenes, spread evenly over the split."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/calibration.json."""
 
 
 def main(options: Calibration) -> None:
-    """Print a table."""
+    """Print the errors of position, rotation and scale, and their root mean squares along each axis."""
     with measured_dataset(options.data) as (dataset, _):
         split = dataset.split(options.split, truth=True)
         ids = split.scene_ids
         count = min(options.scenes, len(ids))
-        rows = [_measured(split.scene(ids[i * len(ids) // count])) for i in range(count)]
-    print(f"{options.split}: {count} images, root mean squares\n{HEADER}")
-    for way, measured in zip(WAYS, np.swapaxes(rows, 0, 1), strict=True):
-        x, y, height, roll, pitch, yaw, scale, _ = np.sqrt(np.mean(measured**2, axis=0))
-        place, angles = f"{x:6.2f} {y:6.2f} {height:6.2f}", f"{roll:6.3f} {pitch:6.3f} {yaw:6.3f}"
-        print(f"{way:30} {place} mm  {angles} °  {scale:6.2f} ‰  {measured[:, -1].mean():.3f}")
+        scenes = [split.scene(ids[i * len(ids) // count]) for i in range(count)]
+        rows, clusters = [_measured(scene) for scene in scenes], [scene.scene.bodies[0].id for scene in scenes]
+        measurement = Measurement.begin(dataset)
+        title = f"Mean absolute error of camera pose and depth scale of the d415, images of {options.split}"
+        errors = measurement.table("errors", title, *ERROR_COLUMNS)
+        axes = measurement.table("axes", "Root mean square of the error along each axis of the world", *AXIS_COLUMNS)
+        times = measurement.table("seconds", "CPU seconds an image", *SECONDS)
+        for way, measured in zip(WAYS, np.swapaxes(rows, 0, 1), strict=True):
+            sizes = {
+                "position": np.linalg.norm(measured[:, :3], axis=1),
+                "angle": np.linalg.norm(measured[:, 3:6], axis=1),
+                "scale": np.abs(measured[:, 6]),
+            }
+            estimates = {key: estimate(values, clusters) for key, values in sizes.items()}
+            medians = {f"{key}_median": each["median"] for key, each in estimates.items()}
+            errors.add(way=way, n=count, **estimates, **medians)
+            squares = np.sqrt(np.mean(measured[:, :-1] ** 2, axis=0))
+            axes.add(way=way, n=count, **dict(zip(AXES, squares, strict=True)))
+            if WAYS[way] is not None:
+                seconds = estimate(measured[:, -1])
+                times.add(way=way, n=count, seconds=seconds, median=seconds["median"])
+        measurement.report(options.out)
 
 
 def _measured(scene: RecordedScene) -> np.ndarray:

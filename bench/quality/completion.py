@@ -3,8 +3,8 @@
     python bench/quality/completion.py data/kit1000 --split test
 
 IoU of the occupied voxels of 1 mm and surface Chamfer distance, of all space, of hidden and of seen space; of the
-network also the expected calibration error of its probabilities in the cells that are not seen, and its seconds on one
-core. The image of the d415 is calibrated by the table first.
+network also the expected calibration error (ECE) of its probabilities in hidden cells, and its seconds on one core. The
+image of the d415 is calibrated by the table first.
 """
 
 from __future__ import annotations
@@ -20,8 +20,15 @@ import torch
 import tyro
 
 from bench.measured_dataset import measured_dataset
-from bench.quality.completion_scores import Scores, completion_scores, component_measures
+from bench.quality.completion_scores import (
+    Scores,
+    completion_scores,
+    component_measures,
+    score_columns,
+    score_estimates,
+)
 from bench.quality.components import add_components
+from benchmark.measurements import Column, Measurement, estimate
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import Kit1000Error
 from kit1000.generation.presets import HELD_OUT
@@ -38,6 +45,19 @@ WEIGHTS = METHODS["registration-completed"].weights
 SHIPPED = {"ideal": WEIGHTS["completion"], "d415": WEIGHTS["noisy_completion"]}
 VOXEL = 1e-3  # [m]
 BINS = 10  # of probability, for the calibration error
+METHODS = ("columns", "network")
+SENSOR, N = Column("sensor", "sensor"), Column("n", "n")
+GROUP_COLUMNS = (
+    SENSOR,
+    Column("group", "parts"),
+    N,
+    Column("columns", "IoU, columns", 3),
+    Column("network", "IoU, network", 3),
+    Column("gain", "gain", 3),
+    Column("median", "gain, median", 3),
+    Column("ece", "ECE", 3),
+)
+SECONDS = (SENSOR, N, Column("seconds", "mean, s", 3), Column("median", "median", 3))
 
 
 @dataclass(frozen=True)
@@ -57,6 +77,8 @@ class Completion:
     """File for one row per part."""
     components: Path | None = None
     """JSON file for Table II, to which the means are added."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/completion.json."""
 
 
 class Measured(NamedTuple):
@@ -82,41 +104,51 @@ GROUPS: dict[str, Callable[[Truth], bool]] = {
 
 
 def main(options: Completion) -> None:
-    """Print a table for each sensor."""
+    """Print the scores of each sensor, and the IoU by groups of parts."""
     torch.set_num_threads(1)
     with measured_dataset(options.data) as (dataset, _):
+        measurement = Measurement.begin(dataset)
+        title = f"Completed parts, voxels of {1e3 * VOXEL:g} mm, scenes of {options.split}"
+        measurement.table("scores", title, SENSOR, Column("method", "method"), N, *score_columns())
+        measurement.table("groups", "IoU of all space by groups of parts", *GROUP_COLUMNS)
+        measurement.table("seconds", "CPU seconds of the network a part", *SECONDS)
         for sensor in (options.sensor,) if options.sensor else ("ideal", "d415"):
             completer = PartCompleter(options.weights or SHIPPED[sensor])
             found = list(_measured(dataset, options, completer, sensor))
             if not found:
                 continue
-            print(f"{dataset.root.name}, {options.split}, {sensor}: IoU / hidden / seen, Chamfer mm / hidden / seen")
-            print(f"  {'':18} {'n':>4}  {'columns':39}  {'network':39}  {'ECE':6}")
-            for name, belongs in GROUPS.items():
-                _print_group(name, [row for row in found if belongs(row.truth)])
-            seconds = np.array([row.seconds for row in found])
-            print(f"  seconds of the network: mean {seconds.mean():.3f}, median {np.median(seconds):.3f}")
+            _report(measurement, sensor, found)
             if options.csv is not None:
                 _write(options.csv.with_stem(f"{options.csv.stem}-{sensor}"), found)
             if options.components is not None:
                 _add(options.components, sensor, found)
+        measurement.report(options.out)
 
 
-def _print_group(name: str, rows: list[Measured]) -> None:
+def _report(measurement: Measurement, sensor: str, found: list[Measured]) -> None:
+    """Add the rows of a sensor to the tables."""
+    clusters = [row.truth.assembly_id for row in found]
+    for method in METHODS:
+        estimates = score_estimates([getattr(row, method) for row in found], clusters)
+        measurement.tables["scores"].add(sensor=sensor, method=method, n=len(found), **estimates)
+    for name, belongs in GROUPS.items():
+        _add_group(measurement, sensor, name, [row for row in found if belongs(row.truth)])
+    seconds = estimate([row.seconds for row in found])
+    measurement.tables["seconds"].add(sensor=sensor, n=len(found), seconds=seconds, median=seconds["median"])
+
+
+def _add_group(measurement: Measurement, sensor: str, group: str, rows: list[Measured]) -> None:
     if not rows:
         return
-    texts = []
-    for method in ("columns", "network"):
-        iou, chamfer = np.array([getattr(row, method) for row in rows]).mean(0).T
-        words = [*(f"{share:.3f}" for share in iou), *(f"{1e3 * distance:.2f}" for distance in chamfer)]
-        texts.append(" / ".join(words))
-    error = calibration_error(np.sum([row.counts for row in rows], axis=0))
-    spread = np.std([row.network.all.iou - row.columns.all.iou for row in rows]) / np.sqrt(len(rows))
-    print(f"  {name:18} {len(rows):4}  {texts[0]:39}  {texts[1]:39}  {error:.4f}  (gain +- {1.96 * spread:.3f})")
+    columns, network = (np.array([getattr(row, method).all.iou for row in rows]) for method in METHODS)
+    gain = estimate(network - columns, [row.truth.assembly_id for row in rows])
+    shares = {"columns": columns.mean(), "network": network.mean(), "gain": gain, "median": gain["median"]}
+    ece = calibration_error(np.sum([row.counts for row in rows], axis=0))
+    measurement.tables["groups"].add(sensor=sensor, group=group, n=len(rows), ece=ece, **shares)
 
 
 def _add(path: Path, sensor: str, rows: list[Measured]) -> None:
-    methods = {method: [getattr(row, method) for row in rows] for method in ("columns", "network")}
+    methods = {method: [getattr(row, method) for row in rows] for method in METHODS}
     clusters = [row.truth.assembly_id for row in rows]
     add_components(path, f"part completion, {sensor}", component_measures(methods), clusters)
 

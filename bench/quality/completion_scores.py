@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
 
+from benchmark.measurements import Column, estimate
 from kit1000.metrics.volumes import occupancy_iou, surface_chamfer
 from kit1000.voxels import Volume, surface_points
 
@@ -27,6 +28,24 @@ class Scores(NamedTuple):
     hidden: Space
     """What the image does not show: behind what it shows, farther than the truncation."""
     seen: Space
+
+
+def score_columns() -> list[Column]:
+    """Columns of a table for IoU and Chamfer distance in each space, and for their medians in all space."""
+    spaces = {name: "" if name == "all" else f", {name}" for name in Scores._fields}
+    iou = [Column(f"iou_{name}", f"IoU{where}", 3) for name, where in spaces.items()]
+    chamfer = [Column(f"chamfer_{name}", f"Chamfer{where}, mm", 2) for name, where in spaces.items()]
+    return [*iou, Column("iou_median", "IoU, median", 3), *chamfer, Column("chamfer_median", "Chamfer, median", 2)]
+
+
+def score_estimates(scores: Sequence[Scores], clusters: Sequence[str]) -> dict[str, Any]:
+    """The values of `score_columns` over n scores. clusters: n labels, as in `benchmark.measurements.estimate`."""
+    values: dict[str, Any] = {}
+    for name in Scores._fields:
+        spaces: list[Space] = [getattr(one, name) for one in scores]
+        values[f"iou_{name}"] = estimate([space.iou for space in spaces], clusters)
+        values[f"chamfer_{name}"] = estimate([1e3 * space.chamfer for space in spaces], clusters)
+    return values | {f"{key}_median": values[f"{key}_all"]["median"] for key in ("iou", "chamfer")}
 
 
 def component_measures(methods: Mapping[str, Sequence[Scores]]) -> dict[str, list[float]]:

@@ -1,19 +1,18 @@
 """Does the editing page keep what its method promises? A scripted hand edits scenes, beside the method alone.
 
     python bench/quality/editing.py data/kit1000 --scenes 30
-    python bench/quality/editing.py data/kit1000 --scenes 30 --sensor d415
-    python bench/quality/editing.py data/kit1000 --snap kit1000.registration.proposals:CompletingRegistration
+    python bench/quality/editing.py data/kit1000 --scenes 30 --snap registration-completed
 
 The hand puts each part up to 20 mm and 15 degrees off its goal, takes the fit that the page shows, and confirms. The
 method alone corrects the recorded guesses about the same parts, up to 28 mm along each axis and 27.5 degrees off. The
-rows are also a submission, in the folder of --out. Times of the page: a drag step with its ghost, and a lookup.
+rows are also a submission. Times of the page: a drag step with its ghost, and a lookup of what lies below the pointer.
 """
 
 from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -21,7 +20,7 @@ from typing import Literal
 import numpy as np
 import tyro
 
-from benchmark.intervals import wilson_interval
+from benchmark.measurements import Column, Measurement, estimate, rate
 from kit1000.camera import look_at
 from kit1000.cli.scenes import SNAP
 from kit1000.dataset.reader import Dataset
@@ -42,6 +41,33 @@ HAND_OFFSET, HAND_ANGLE = 20e-3, float(np.radians(15))  # the largest errors of 
 EYE = Eye(look_at((0.0, -0.8, 0.7), (0.0, 0.0, 0.0)), float(np.radians(45)), 1.6)
 STEPS = 20  # of a timed drag
 SEED = 0
+LEVELS = ((0.8, 1.01), (0.5, 0.8), (0.0, 0.5))  # of confidence
+SENSOR, N = Column("sensor", "sensor"), Column("n", "n")
+ERROR_COLUMNS = (
+    SENSOR,
+    Column("way", "motions"),
+    N,
+    Column("position", "position, mm", 2),
+    Column("position_median", "median", 2),
+    Column("rotation", "rotation, °", 2),
+    Column("rotation_median", "median", 2),
+    Column("seated", "seated, %", 1, True),
+)
+LEVEL_COLUMNS = (
+    SENSOR,
+    Column("level", "confidence"),
+    N,
+    Column("stated", "mean confidence, %", 0, True),
+    Column("seated", "seated, %", 1, True),
+)
+TIME_COLUMNS = (
+    SENSOR,
+    Column("step", "step"),
+    N,
+    Column("ms", "mean, ms", 2),
+    Column("median", "median", 2),
+    Column("p95", "95th percentile", 2),
+)
 
 
 @dataclass(frozen=True)
@@ -51,13 +77,16 @@ class Editing:
     data: tyro.conf.Positional[Path]
     """Dataset folder, with ground truth: the script aims by it, the page does not see it."""
     scenes: int = 30
-    """The first so many scenes of the split."""
+    """Number of scenes, the first ones of the split."""
     split: Literal["test", "val"] = "test"
-    sensor: Literal["ideal", "d415"] = "ideal"
+    sensor: Literal["ideal", "d415"] | None = None
+    """One sensor; both when absent."""
     snap: str = SNAP
-    """Method that proposes, `module:Object`."""
-    out: Path | None = None
+    """Method that proposes: one of the catalog or module:Object."""
+    submission: Path | None = None
     """Submission folder; a temporary one when absent."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/editing.json."""
 
 
 class Blank:
@@ -81,40 +110,70 @@ class Edited:
 def main(options: Editing) -> None:
     """Edit, measure, print."""
     dataset = Dataset(options.data)
-    with tempfile.TemporaryDirectory() as temporary:
-        out, times = options.out or Path(temporary), ([], [])
-        scene_ids = dataset.split(options.split).scene_ids[: options.scenes]
-        edited = [each for scene_id in scene_ids for each in _edited(dataset, scene_id, options, out, times)]
-    print(f"{dataset.root.name} {options.split} {options.sensor}: {len(scene_ids)} scenes, {len(edited)} parts")
-    print(f"  {'':14} {'position mm':>12} {'median':>7} {'rotation':>9} {'median':>7} {'seated':>7}   95 %")
+    measurement = Measurement.begin(dataset)
+    scene_ids = dataset.split(options.split).scene_ids[: options.scenes]
+    title = f"Parts placed in {len(scene_ids)} scenes of {options.split}, snapped by `{options.snap}`"
+    measurement.table("errors", title, *ERROR_COLUMNS)
+    measurement.table("confidence", "Snapped parts by the confidence that the page states", *LEVEL_COLUMNS)
+    measurement.table("times", "Wall time of a step of the page", *TIME_COLUMNS)
+    for sensor in (options.sensor,) if options.sensor else ("ideal", "d415"):
+        with tempfile.TemporaryDirectory() as temporary:
+            folder, times = (options.submission or Path(temporary)) / sensor, ([], [])
+            edited = [
+                each
+                for scene_id in scene_ids
+                for each in _edited(dataset, scene_id, sensor, options.snap, folder, times)
+            ]
+        _add_errors(measurement, sensor, edited, dataset)
+        _add_confidence(measurement, sensor, edited, dataset)
+        for step, seconds in zip(("drag", "lookup"), times, strict=True):
+            ms = 1e3 * np.array(seconds)
+            row = {"ms": estimate(ms), "median": np.median(ms), "p95": np.quantile(ms, 0.95)}
+            measurement.tables["times"].add(sensor=sensor, step=step, n=len(ms), **row)
+    measurement.report(options.out)
+
+
+def _add_errors(measurement: Measurement, sensor: str, edited: Sequence[Edited], dataset: Dataset) -> None:
+    """Add the errors and seated shares of the hand, of the hand with the page, and of the method alone."""
     truths = [each.truth for each in edited]
-    for name, motions in (
+    targets = Targets.of(truths, lambda part_id: dataset.geometry.part(part_id).mesh.vertices)
+    clusters = [truth.assembly_id for truth in truths]
+    for way, motions in (
         ("hand", [each.hand for each in edited]),
-        ("hand + snap", [each.taken for each in edited]),
-        ("method alone", [each.alone for each in edited]),
+        ("hand, snapped", [each.taken for each in edited]),
+        ("method alone, from recorded guesses", [each.alone for each in edited]),
     ):
-        print(f"  {name:14} {_row(Pose.stack(motions), truths, dataset)}")
+        stacked = Pose.stack(motions)
+        errors = pose_errors(stacked, targets)
+        position = estimate(1e3 * errors.position, clusters)
+        rotation = estimate(np.degrees(errors.rotation), clusters)
+        medians = {"position_median": position["median"], "rotation_median": rotation["median"]}
+        seated = rate(seatings(stacked, truths, dataset.geometry).seated)
+        row = {"position": position, "rotation": rotation, "seated": seated} | medians
+        measurement.tables["errors"].add(sensor=sensor, way=way, n=len(edited), **row)
+
+
+def _add_confidence(measurement: Measurement, sensor: str, edited: Sequence[Edited], dataset: Dataset) -> None:
+    """Add the seated share of snapped parts by LEVELS of stated confidence."""
     sure = np.array([each.confidence for each in edited])
-    seated = seatings(Pose.stack([each.taken for each in edited]), truths, dataset.geometry).seated
-    for low, high in ((0.8, 1.01), (0.5, 0.8), (0.0, 0.5)):
+    motions = Pose.stack([each.taken for each in edited])
+    seated = seatings(motions, [each.truth for each in edited], dataset.geometry).seated
+    for low, high in LEVELS:
         chosen = (sure >= low) & (sure < high)
-        stated, share = (float(values[chosen].mean()) if chosen.any() else np.nan for values in (sure, seated))
-        span = f"{low:.1f} to {min(high, 1):.1f}"
-        print(f"  confidence {span}: {chosen.sum():3} parts, stated {stated:.2f}, seated {share:.2f}")
-    steps, lookups = (1e3 * np.array(each) for each in times)
-    print(f"  drag step ms: median {np.median(steps):.2f}, p95 {np.quantile(steps, 0.95):.2f} (n {len(steps)})")
-    print(f"  lookup ms:    median {np.median(lookups):.2f}, p95 {np.quantile(lookups, 0.95):.2f} (n {len(lookups)})")
+        if chosen.any():
+            row = {"stated": estimate(sure[chosen]), "seated": rate(seated[chosen])}
+            level = f"{low:.1f} to {min(high, 1):.1f}"
+            measurement.tables["confidence"].add(sensor=sensor, level=level, n=int(chosen.sum()), **row)
 
 
 def _edited(
-    dataset: Dataset, scene_id: str, options: Editing, out: Path, times: tuple[list[float], list[float]]
+    dataset: Dataset, scene_id: str, sensor: str, snap: str, out: Path, times: tuple[list[float], list[float]]
 ) -> Iterator[Edited]:
     """All parts of a scene, one after another."""
-    sensor = options.sensor
     scene = EditedScene.open(dataset, scene_id, sensor, truth=False)
-    method = Method(options.snap, dataset.root, scene_id, sensor, truth=False)
+    method = Method(snap, dataset.root, scene_id, sensor, truth=False)
     asker = AtOnce(method)
-    log = EventLog(out, Header(dataset.id, scene_id, sensor, False, options.snap, "scene"))
+    log = EventLog(out, Header(dataset.id, scene_id, sensor, False, snap, "scene"))
     controller = Controller(scene, Blank(), log, asker)  # type: ignore[arg-type]
     asker.start(controller.received)
     recorded = dataset.recorded_scene(scene_id, truth=True)
@@ -155,18 +214,6 @@ def _time(controller: Controller, part: int, hand: Pose, times: tuple[list[float
     controller.drag(start)
     controller.release()
     controller.command("undo")
-
-
-def _row(motions: Pose, truths: list[Truth], dataset: Dataset) -> str:
-    """Errors and the seated share with its Wilson interval, as text."""
-    errors = pose_errors(motions, Targets.of(truths, lambda part_id: dataset.geometry.part(part_id).mesh.vertices))
-    seated = seatings(motions, truths, dataset.geometry).seated
-    position, rotation = 1e3 * errors.position, np.degrees(errors.rotation)
-    low, high = wilson_interval(float(seated.mean()), len(seated))
-    return (
-        f"{position.mean():12.2f} {np.median(position):7.2f} {rotation.mean():8.2f}° {np.median(rotation):6.2f}°"
-        f" {seated.mean():7.3f}   {low:.3f} to {high:.3f}"
-    )
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How well kits are completed from one image, about the slot of a part: columns along the normal of its plate.
 
-    python bench/quality/kit_completion.py data/kit1000 --split test --sensor d415
+    python bench/quality/kit_completion.py data/kit1000 --split test
 
 IoU of the occupied voxels of 2 mm and surface Chamfer distance, of all space, of hidden and of seen space, within the
 plate and ABOVE it. Beside it a kit without cavity, the true one with its cavity filled, which shows what a number is
@@ -10,13 +10,23 @@ worth. The image of the d415 is calibrated and its edges are restored.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import tyro
 
-from bench.quality.completion_scores import Scores, completion_scores, component_measures
+from bench.measured_dataset import measured_dataset
+from bench.quality.completion_scores import (
+    Scores,
+    completion_scores,
+    component_measures,
+    score_columns,
+    score_estimates,
+)
 from bench.quality.components import add_components
+from benchmark.measurements import Column, Measurement
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
 from kit1000.perception.observed.kits import ObservedKits
@@ -31,41 +41,52 @@ ABOVE = 10e-3  # [m] the plate: there is free space to be found too
 METHODS = ("columns", "without cavity")
 
 
-def main(
-    data: tyro.conf.Positional[Path],
-    split: str = "test",
-    sensor: str = "d415",
-    parts: int = 200,
-    components: Path | None = None,
-) -> None:
-    """Print the means over the kits of drawn queries.
+@dataclass(frozen=True)
+class KitCompletion:
+    """Measure the completion of kits by columns."""
 
-    Args:
-        data: dataset folder.
-        split: of its scenes.
-        sensor: ideal or d415.
-        parts: most kits, those of the first scenes; one of each.
-        components: JSON file for Table II, to which the means are added.
-    """
-    dataset = Dataset(data)
-    rows, assemblies = [], []
-    for query, truth in _drawn(dataset, split, sensor, parts):
-        rows.append(_measure(dataset, query, truth))
-        assemblies.append(truth.assembly_id)
-    for method, scores in zip(METHODS, zip(*rows, strict=True), strict=True):
-        iou, chamfer = np.array(scores).mean(0).T
-        words = [*(f"{share:.3f}" for share in iou), *(f"{1e3 * distance:.2f}" for distance in chamfer)]
-        print(f"{method:14} n {len(rows)}: IoU / hidden / seen, Chamfer mm / hidden / seen: {' / '.join(words)}")
-    if components is not None:
-        methods = {method: [row[i] for row in rows] for i, method in enumerate(METHODS)}
-        add_components(components, f"kit completion, {sensor}", component_measures(methods), assemblies)
+    data: tyro.conf.Positional[Path | None] = None
+    """Dataset folder; without one a tiny dataset is generated."""
+    split: str = "test"
+    sensor: Literal["ideal", "d415"] | None = None
+    """One sensor; both when absent."""
+    parts: int = 200
+    """Most kits, spread evenly over the split; one of each scene."""
+    components: Path | None = None
+    """JSON file for Table II, to which the means are added."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/kit-completion.json."""
 
 
-def _drawn(dataset: Dataset, split: str, sensor: str, most: int) -> Iterator[tuple[Query, Truth]]:
-    """The first drawn query of each of the first scenes, with its truth."""
-    scenes = dataset.split(split, truth=True)
-    for scene_id in scenes.scene_ids[:most]:
-        scene = scenes.scene(scene_id)
+def main(options: KitCompletion) -> None:
+    """Print the scores over the kits of drawn queries."""
+    with measured_dataset(options.data) as (dataset, _):
+        measurement = Measurement.begin(dataset)
+        title = f"Completed kits, voxels of {1e3 * VOXEL:g} mm, scenes of {options.split}"
+        keys = Column("sensor", "sensor"), Column("method", "method"), Column("n", "n")
+        table = measurement.table("scores", title, *keys, *score_columns())
+        for sensor in (options.sensor,) if options.sensor else ("ideal", "d415"):
+            found = list(_drawn(dataset, options, sensor))
+            if not found:
+                continue
+            rows = [_measure(dataset, query, truth) for query, truth in found]
+            clusters = [truth.assembly_id for _, truth in found]
+            methods = {method: [row[i] for row in rows] for i, method in enumerate(METHODS)}
+            for method, scores in methods.items():
+                table.add(sensor=sensor, method=method, n=len(rows), **score_estimates(scores, clusters))
+            if options.components is not None:
+                component = f"kit completion, {sensor}"
+                add_components(options.components, component, component_measures(methods), clusters)
+        measurement.report(options.out)
+
+
+def _drawn(dataset: Dataset, options: KitCompletion, sensor: str) -> Iterator[tuple[Query, Truth]]:
+    """The first drawn query of each scene, with its truth."""
+    scenes = dataset.split(options.split, truth=True)
+    ids = scenes.scene_ids
+    count = min(options.parts, len(ids))
+    for i in range(count):
+        scene = scenes.scene(ids[i * len(ids) // count])
         query = next((query for query in scene.queries if query.drawn and query.sensor == sensor), None)
         if query is not None:
             yield query, scene.truth_of(query.id)
@@ -94,6 +115,6 @@ def _measure(dataset: Dataset, query: Query, truth: Truth) -> tuple[Scores, Scor
 
 if __name__ == "__main__":
     try:
-        tyro.cli(main)
+        main(tyro.cli(KitCompletion))
     except Kit1000Error as error:
         raise SystemExit(f"kit_completion: {error}") from error

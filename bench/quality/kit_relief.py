@@ -20,7 +20,7 @@ import tyro
 
 from baselines.training.tasks.kit_completion.views import on_plate
 from bench.measured_dataset import measured_dataset
-from benchmark.intervals import ENDS, bootstrap_means
+from benchmark.measurements import Column, Measurement, estimate, rate
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import Kit1000Error
 from kit1000.numerics.linear_algebra import length
@@ -37,6 +37,22 @@ from kit1000.weights import WEIGHTS
 FOUND_ANGLE, FOUND_DISTANCE = np.radians(5), 3e-3  # [rad], [m] between the true face of a plate and the one found
 HIDDEN_CELLS = 10  # least of a plate that counts
 METHODS = ("edge of the shadow", "columns", "network")
+SENSOR = Column("sensor", "sensor")
+ERROR_COLUMNS = (
+    SENSOR,
+    Column("method", "depth of hidden cells"),
+    Column("n", "plates"),
+    Column("error", "error, mm", 2),
+    Column("median", "median", 2),
+)
+PLATE_COLUMNS = (
+    SENSOR,
+    Column("n", "plates"),
+    Column("found", "found, %", 1, True),
+    Column("hidden", "hidden cells, %", 1, True),
+    Column("seen", "error of seen cells, median, mm", 2),
+)
+SECONDS = (SENSOR, Column("n", "plates"), Column("seconds", "mean, s", 3), Column("median", "median", 3))
 
 
 @dataclass(frozen=True)
@@ -53,6 +69,8 @@ class KitRelief:
     scenes: int = 200
     """Most scenes, spread evenly over the split."""
     sensors: tuple[str, ...] = ("ideal", "d415")
+    out: Path | None = None
+    """JSON file of the tables, such as results/kit-relief.json."""
 
 
 class Measured(NamedTuple):
@@ -69,32 +87,43 @@ class Measured(NamedTuple):
 
 
 def main(options: KitRelief) -> None:
-    """Print a table for each sensor."""
+    """Print the errors of hidden cells, and how many plates and cells count."""
     torch.set_num_threads(1)
     completer, restorer = ReliefCompleter(options.weights), Restorer(options.restoration)
     with measured_dataset(options.data) as (dataset, _):
+        measurement = Measurement.begin(dataset)
+        title = f"Mean absolute error of the depth of hidden cells, plates of {options.split}"
+        measurement.table("errors", title, *ERROR_COLUMNS)
+        title = f"Plates that are found and have {HIDDEN_CELLS} hidden cells"
+        measurement.table("plates", title, *PLATE_COLUMNS)
+        measurement.table("seconds", "CPU seconds of the network a plate", *SECONDS)
         for sensor in options.sensors:
             split = dataset.split(options.split, truth=True)
             ids = split.scene_ids
             count = min(options.scenes, len(ids))
             scenes = [split.scene(ids[i * len(ids) // count]) for i in range(count)]
             measured = [row for scene in scenes for row in _measured(dataset, scene, sensor, completer, restorer)]
-            rows = [row for row in measured if row is not None]
-            print(f"{dataset.root.name}, {options.split}, {sensor}: {len(rows)} of {len(measured)} plates")
-            _print(rows)
+            _add(measurement, sensor, measured)
+        measurement.report(options.out)
 
 
-def _print(rows: list[Measured]) -> None:
+def _add(measurement: Measurement, sensor: str, measured: list[Measured | None]) -> None:
+    """Add the rows of a sensor to the tables."""
+    rows = [row for row in measured if row is not None]
     errors, clusters = np.array([row.errors for row in rows]), [row.assembly_id for row in rows]
-    low, high = np.quantile(bootstrap_means(errors, [clusters]), ENDS, axis=0)
-    for k, name in enumerate(METHODS):
-        mean, median = errors[:, k].mean(), np.median(errors[:, k])
-        print(f"  {name:20} {mean:5.2f} [{low[k]:.2f}, {high[k]:.2f}], median {median:.2f} mm")
-    seconds = np.array([row.seconds for row in rows])
-    print(
-        f"  hidden {np.mean([row.hidden for row in rows]):.3f} of the cells; seconds: median {np.median(seconds):.3f}"
+    for k, method in enumerate(METHODS):
+        error = estimate(errors[:, k], clusters)
+        row = {"n": len(rows), "error": error, "median": error["median"]}
+        measurement.tables["errors"].add(sensor=sensor, method=method, **row)
+    measurement.tables["plates"].add(
+        sensor=sensor,
+        n=len(measured),
+        found=rate([row is not None for row in measured]),
+        hidden=estimate([row.hidden for row in rows], clusters),
+        seen=np.median([row.seen for row in rows]),
     )
-    print(f"  seen cells: median error {np.median([row.seen for row in rows]):.2f} mm")
+    seconds = estimate([row.seconds for row in rows])
+    measurement.tables["seconds"].add(sensor=sensor, n=len(rows), seconds=seconds, median=seconds["median"])
 
 
 def _measured(

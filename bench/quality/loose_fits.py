@@ -14,7 +14,6 @@ another way to put the part in, and `seated` refuses them by their rotation.
 from __future__ import annotations
 
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,8 +22,10 @@ from typing import NamedTuple
 import numpy as np
 import tyro
 from scipy.optimize import minimize
+from tqdm import tqdm
 
-from kit1000.dataset.geometry import Geometry
+from benchmark.measurements import Column, Measurement, rate
+from kit1000.dataset.reader import Dataset
 from kit1000.kits.contact import contact_features, convex_edges, vertical_contact_offset
 from kit1000.kits.envelope import lower_envelope
 from kit1000.kits.face import resting_faces
@@ -47,6 +48,15 @@ STEPS = 40  # contacts of one descent
 FIRST_STEPS, HOPELESS = 12, 2e-3  # after so many contacts, all higher than the limit by this [m], it is given up
 UNIT = np.array([np.radians(1.0), 0.5e-3, 0.5e-3, np.radians(1.0), np.radians(1.0)])  # of yaw, shift and tilt
 
+POSE_COLUMNS = (
+    Column("part", "part"),
+    Column("kind", "kind"),
+    Column("turn_deg", "rotation about the axis, °", 1),
+    Column("shift_mm", "offset, mm", 1),
+    Column("tilt_deg", "tilt, °", 1),
+    Column("height_mm", "height, mm", 2),
+)
+
 
 @dataclass(frozen=True)
 class Attack:
@@ -57,9 +67,11 @@ class Attack:
     count: int = 150
     """Pairs attacked, drawn at random."""
     seed: int = 0
-    """Of all draws."""
+    """Seed of all draws."""
     jams: bool = False
     """Look for jammed poses as well."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/loose-fits.json."""
 
 
 class Start(NamedTuple):
@@ -234,23 +246,33 @@ def _points_inside(points, heights, x0, y0, rotations, positions):
 
 
 def main(run: Attack) -> int:
-    """Print every pair that falls, then the shares."""
-    geometry, began = Geometry(run.data), time.perf_counter()
-    ids = sorted(geometry.kits)
+    """Print the share of pairs that fall, and the pose in which each does."""
+    dataset = Dataset(run.data)
+    ids = sorted(dataset.geometry.kits)
     chosen = sorted(np.random.default_rng(run.seed).choice(ids, min(run.count, len(ids)), replace=False))
-    fits = jams = 0
-    for number, part_id in enumerate(chosen):
-        target = Target(geometry.part(part_id), geometry.kit(part_id), np.random.default_rng([run.seed, number]))
-        fit, jam = target.fit(), target.jam() if run.jams else None
-        fits, jams = fits + (fit is not None), jams + (jam is not None)
-        for name, found in (("fits", fit), ("jams", jam)):
-            if found:
-                turn, shift, tilt, height = found
-                where = f"turned {turn:.1f} deg, shifted {shift:.1f} mm, tilted {tilt:.1f} deg, {height:.2f} mm high"
-                print(f"{part_id} {name} {where}", flush=True)
-    n = len(chosen)
-    print(f"{n} pairs: {fits} with a loose fit, {fits / n:.1%}" + (f"; {jams} jam, {jams / n:.1%}" if run.jams else ""))
-    print(f"{time.perf_counter() - began:.0f} s")
+    found: dict[str, list[Found | None]] = {"loose fit": []} | ({"jam": []} if run.jams else {})
+    for number, part_id in enumerate(tqdm(chosen, desc="pairs", unit="", disable=None)):
+        rng = np.random.default_rng([run.seed, number])
+        target = Target(dataset.geometry.part(part_id), dataset.geometry.kit(part_id), rng)
+        found["loose fit"].append(target.fit())
+        if run.jams:
+            found["jam"].append(target.jam())
+    measurement = Measurement.begin(dataset)
+    columns = (
+        Column("kind", "kind"),
+        Column("n", "pairs"),
+        Column("fallen", "fallen", 0),
+        Column("rate", "fallen, %", 1, True),
+    )
+    rates = measurement.table("rates", "Pairs whose part goes into its slot near no goal", *columns)
+    poses = measurement.table("poses", "Poses in which it does", *POSE_COLUMNS)
+    for kind, results in found.items():
+        fallen = [result is not None for result in results]
+        rates.add(kind=kind, n=len(results), fallen=sum(fallen), rate=rate(fallen))
+        for part_id, result in zip(chosen, results, strict=True):
+            if result is not None:
+                poses.add(kind=kind, part=str(part_id), **result._asdict())
+    measurement.report(run.out)
     return 0
 
 

@@ -1,6 +1,6 @@
 """Comparison of our kits with the scheme of the paper's release: seconds, faces and clearance, timed in one run.
 
-    make bench
+    python bench/speed/kits.py
 
 The same parts, stretched to the release's box, with the release's 10 mm of clearance in its 120 mm block;
 then ours once more as it stands in the dataset (50 mm parts, 2.5 mm).
@@ -8,11 +8,10 @@ then ours once more as it stands in the dataset (50 mm parts, 2.5 mm).
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count, cycle
-from typing import TypeVar
+from pathlib import Path
 
 import numpy as np
 import tyro
@@ -20,21 +19,50 @@ from manifold3d import Manifold
 from scipy.spatial import KDTree
 
 from bench.speed.release_kits import MARGIN, VOXEL, release_kit, stretched
+from bench.speed.timing import timed
+from benchmark.measurements import Column, Measurement, estimate
 from kit1000.errors import Kit1000Error, Redraw
 from kit1000.kits.clearance import points_along
 from kit1000.kits.kit import CLEARANCE, KitDesign, Plate, design_kit
 from kit1000.mesh import Mesh, defect_float32, solid_from_mesh
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.rng import stream
 from kit1000.symmetry import Symmetry
 from kit1000.values import Part
 
-Made = TypeVar("Made")
-
 LONGEST = 50e-3  # [m]
 BLOCK_PLATE = Plate((0.12, 0.12), 22e-3)  # the release's block
 HEIGHTS = np.array([3e-3, 6e-3, 9e-3, 12e-3, 15e-3])  # [m] at which the release's walls are measured
+SCHEMES = (
+    f"scheme of the release, {MARGIN * 1e3:g} mm",
+    f"ours, the same parts, {MARGIN * 1e3:g} mm",
+    f"ours, {LONGEST * 1e3:g} mm parts, {CLEARANCE * 1e3:g} mm",
+)
+COLUMNS = (
+    Column("scheme", "kit, nominal clearance"),
+    Column("n", "parts"),
+    Column("seconds", "mean, s", 3),
+    Column("median", "median", 3),
+    Column("longest", "longest", 3),
+    Column("ratio", "times the release", 1),
+    Column("faces", "faces, median", 0),
+    Column("smallest", "clearance from, mm", 2),
+    Column("largest", "to, mm", 2),
+    Column("closed", "closed, %", 0, True),
+)
+
+
+@dataclass(frozen=True)
+class Kits:
+    """Time both kit generators on parts drawn from all families in turn."""
+
+    parts: int = 12
+    """Number of parts."""
+    seed: int = 1
+    """Seed of the draws."""
+    out: Path | None = None
+    """JSON file of the table, such as results/speed-kits.json."""
 
 
 @dataclass(frozen=True)
@@ -51,24 +79,34 @@ class Row:
     """watertight after rounding to float32, as most files and readers do"""
 
 
-def main(parts: int = 12, seed: int = 1) -> None:
-    """Time both kit generators on parts drawn from all families in turn.
-
-    Args:
-        parts: how many.
-        seed: of the draws.
-    """
-    drawn = drawn_parts(seed)
+def main(options: Kits) -> None:
+    """Print the table."""
+    drawn = drawn_parts(options.seed)
     compare(next(drawn))  # numba compiles on the first
-    rows = [compare(next(drawn)) for _ in range(parts)]
-    release, ours_stretched, ours = (list(column) for column in zip(*rows, strict=True))
-    print(f"{parts} parts, seed {seed}; medians, clearance extremes over all")
-    print(f"{'':34}{'s/kit':>9}{'longest':>9}{'faces':>9}{'clearance mm':>16}{'closed':>9}")
-    print_line(f"scheme of the release, {MARGIN * 1e3:g} mm", release)
-    print_line(f"ours, the same parts, {MARGIN * 1e3:g} mm", ours_stretched)
-    print_line(f"ours, {LONGEST * 1e3:g} mm parts, {CLEARANCE * 1e3:g} mm", ours)
-    ratio = [a.seconds / b.seconds for a, b in zip(release, ours_stretched, strict=True)]
-    print(f"seconds, release / ours, same part: {np.median(ratio):.1f}x  [{min(ratio):.1f}, {max(ratio):.1f}]")
+    rows = [compare(next(drawn)) for _ in range(options.parts)]
+    measurement = Measurement.begin()
+    title = f"Seconds to make a kit, {options.parts} parts from all families in turn"
+    table = measurement.table("kits", title, *COLUMNS)
+    for k, scheme in enumerate(SCHEMES):
+        table.add(scheme=scheme, **summary([row[k] for row in rows], [row[0] for row in rows]))
+    measurement.report(options.out)
+
+
+def summary(rows: Sequence[Row], release: Sequence[Row]) -> dict[str, object]:
+    """The values of a line. release: the kits of the same parts by the scheme of the release."""
+    seconds = estimate([row.seconds for row in rows])
+    ratios = [row.seconds / other.seconds for row, other in zip(rows, release, strict=True)]
+    return {
+        "n": len(rows),
+        "seconds": seconds,
+        "median": seconds["median"],
+        "longest": max(row.seconds for row in rows),
+        "ratio": 1.0 if rows == release else estimate(ratios),
+        "faces": np.median([row.faces for row in rows]),
+        "smallest": 1e3 * min(row.smallest for row in rows),
+        "largest": 1e3 * max(row.largest for row in rows),
+        "closed": np.mean([row.closed for row in rows]),
+    }
 
 
 def drawn_parts(seed: int) -> Iterator[Part]:
@@ -105,12 +143,6 @@ def standing_part(standing: Mesh) -> Part:
     return Part("stretched", "stretched", mesh, Symmetry.none(), {}, 1.0)
 
 
-def timed(make: Callable[[], Made]) -> tuple[float, Made]:
-    start = time.perf_counter()
-    made = make()
-    return time.perf_counter() - start, made
-
-
 def wall_distances(kit: Mesh, standing: Mesh) -> tuple[float, float]:
     """Nearest and farthest [m] of the cavity's walls from what the part sweeps, horizontally.
 
@@ -137,18 +169,8 @@ def outline(loops: list[np.ndarray]) -> np.ndarray:
     return np.concatenate([points_along(loop) for loop in loops])
 
 
-def print_line(name: str, rows: list[Row]) -> None:
-    seconds, faces = np.array([row.seconds for row in rows]), np.array([row.faces for row in rows])
-    low, high = min(row.smallest for row in rows) * 1e3, max(row.largest for row in rows) * 1e3
-    closed = f"{sum(row.closed for row in rows)}/{len(rows)}"
-    print(
-        f"{name:34}{np.median(seconds):9.3f}{seconds.max():9.3f}{np.median(faces):9.0f}"
-        f"{f'{low:.2f} to {high:.2f}':>16}{closed:>9}"
-    )
-
-
 if __name__ == "__main__":
     try:
-        tyro.cli(main)
+        main(tyro.cli(Kits))
     except Kit1000Error as error:
         raise SystemExit(f"kits: {error}") from error

@@ -9,26 +9,43 @@ training. Two workers suffice when a loop of steps of 0.2 s waits for its batche
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 import tyro
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, RandomSampler, Subset
 
 from bench.measured_dataset import measured_dataset
-from kit1000.dataset.cache import VolumeCache
-from kit1000.dataset.items import Item, depth_item
-from kit1000.dataset.reader import Split
+from benchmark.measurements import Column, Measurement
+from kit1000.dataset.items import Item, Maker, depth_item
+from kit1000.dataset.reader import Dataset, Split
 from kit1000.dataset.torch import QueryDataset, VolumeItem
+from kit1000.dataset.volume_cache import VolumeCache
 from kit1000.errors import Kit1000Error
 from kit1000.values import Query, Truth, View
 
 STEP = 0.2  # [s] of computation for a batch
+RATES = (
+    Column("read", "read"),
+    Column("n", "reads"),
+    Column("rate", "per second", 0),
+    Column("ms", "CPU, ms", 2),
+    Column("ratio", "times queries alone", 1),
+    Column("goal", "goal, per second", 0),
+)
+WAITING = (
+    Column("item", "item"),
+    Column("n", "steps"),
+    Column("share", "waiting, %", 1, True),
+    Column("seconds", "s a step", 3),
+    Column("ratio", "times the query alone", 2),
+)
 SCENES, IMAGES = 200, 100  # [1/s] goals for the queries of scenes, and for depth images
 
 
@@ -38,46 +55,71 @@ class Reading:
 
     data: tyro.conf.Positional[Path | None] = None
     """Dataset folder; a tiny dataset is generated when absent."""
-    seconds: float = 3.0
+    seconds: float = 2.0
     """Minimum duration of each measurement."""
+    items: int = 300
+    """Most scenes and most items that are read, drawn at random; so many volumes are cached."""
     batch: int = 8
     workers: int = 2
     seed: int = 0
     """Seed of the random order."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/speed-reading.json."""
 
 
 def main(options: Reading) -> None:
-    """Print the table."""
+    """Print the tables."""
     torch.set_num_threads(1)
     with measured_dataset(options.data) as (dataset, temporary_folder):
         split = dataset.split("train", truth=True)
         track = next(query.track for query in split.queries() if query.guess is not None)
-        queries = len(list(split.queries(track)))
-        print(f"{dataset.root.name}: {len(split)} scenes of train, {queries} queries of {track}")
-        order = np.random.default_rng(options.seed)
-        _print_rate(
-            "queries of a scene, no image", lambda i: split.scene(i).queries, split.scene_ids, order, options, SCENES
-        )
-        first, shard = next(iter(split.shards.items()))
-        for sensor in dataset.observation_file(shard).view_keys(first):
-            view = partial(_read_view, split, sensor)
-            _print_rate(f"depth image, {sensor}", view, split.scene_ids, order, options, IMAGES)
         cache = VolumeCache(temporary_folder / "volumes")
-        makers = {
-            "the query alone": _id_only,
-            "images and masks": depth_item,
-            "volumes of 2 x 64^3 from depth": VolumeItem(dataset),
-            "the same, true": VolumeItem(dataset, source="truth"),
-            "the same, true, from the cache": VolumeItem(dataset, source="truth", cache=cache),
-            "the same, as codes": VolumeItem(dataset, source="truth", cache=cache, codes=True),
-        }
-        for name, make in makers.items():
-            items = QueryDataset(split, track, make)
-            _warm_up(items)
-            _print_rate(f"item: {name}", items.__getitem__, list(range(len(items))), order, options)
+        makers = _makers(dataset, cache)
+        items = {name: _drawn(QueryDataset(split, track, make), options) for name, make in makers.items()}
+        measurement = Measurement.begin(dataset)
+        measurement.table("rates", f"Reading in random order, items of `{track}`", *RATES)
+        _add_scenes(measurement, split, options)
+        for name, subset in items.items():
+            _warm_up(subset, makers[name])
+            _add_rate(measurement, f"item: {name}", subset.__getitem__, range(len(subset)), options)
+        setting = f"{options.workers} workers, batches of {options.batch}, steps of {STEP:g} s"
+        table = measurement.table("waiting", f"Waiting of a training loop: {setting}", *WAITING)
+        steps = max(int(options.seconds * 3 / STEP), 10)
+        spent = {name: _waiting(subset, steps, options) for name, subset in items.items()}
+        alone = next(iter(spent.values()))[1]
+        for name, (waited, whole) in spent.items():
+            table.add(item=name, n=steps, share=waited / whole, seconds=whole / steps, ratio=whole / alone)
+        measurement.report(options.out)
         print(f"cache: {cache.size()}")
-        for name, make in makers.items():
-            _print_waiting(name, QueryDataset(split, track, make), options)
+
+
+def _makers(dataset: Dataset, cache: VolumeCache) -> dict[str, Maker]:
+    """Makers of items by name, the cheapest first."""
+    return {
+        "the query alone": _id_only,
+        "images and masks": depth_item,
+        "volumes of 64^3 from depth": VolumeItem(dataset),
+        "true volumes": VolumeItem(dataset, source="truth"),
+        "true volumes, cached": VolumeItem(dataset, source="truth", cache=cache),
+        "true volumes, cached, as codes": VolumeItem(dataset, source="truth", cache=cache, codes=True),
+    }
+
+
+def _drawn(items: QueryDataset, options: Reading) -> Subset:
+    """Some of the items, in random order; the same ones each time."""
+    order = np.random.default_rng(options.seed).permutation(len(items))
+    return Subset(items, order[: options.items].tolist())
+
+
+def _add_scenes(measurement: Measurement, split: Split, options: Reading) -> None:
+    """Add the rates of scenes and of their images."""
+    order = np.random.default_rng(options.seed).permutation(len(split))
+    scenes = [split.scene_ids[i] for i in order[: options.items]]
+    _add_rate(measurement, "queries of a scene, no image", lambda i: split.scene(i).queries, scenes, options, SCENES)
+    first, shard = next(iter(split.shards.items()))
+    for sensor in split.dataset.observation_file(shard).view_keys(first):
+        view = partial(_read_view, split, sensor)
+        _add_rate(measurement, f"depth image, {sensor}", view, scenes, options, IMAGES)
 
 
 def _read_view(split: Split, key: str, scene_id: str) -> View:
@@ -88,34 +130,38 @@ def _id_only(query: Query, truth: Truth | None, rng: np.random.Generator) -> Ite
     return {"id": query.id}
 
 
-def _warm_up(items: QueryDataset) -> None:
+def _warm_up(items: Subset, make: Maker) -> None:
     """Compile, and fill the cache if there is one."""
-    for index in range(len(items)) if getattr(items.make, "cache", None) else [0]:
+    cached = isinstance(make, VolumeItem) and make.cache is not None
+    for index in range(len(items)) if cached else [0]:
         items[index]
 
 
-def _print_rate(
-    name: str, read: Callable[[Any], Any], items: list, order: np.random.Generator, options: Reading, goal: float = 0
+def _add_rate(
+    measurement: Measurement,
+    name: str,
+    read: Callable[[Any], Any],
+    keys: Sequence[Any],
+    options: Reading,
+    goal: int | None = None,
 ) -> None:
-    """Print how many items are read per second, and the goal. The random order makes caches of the last few useless."""
-    shuffled = [items[i] for i in order.permutation(len(items))]
-    read(shuffled[-1])
+    """Add how many are read per second. Their random order makes caches of the last few useless."""
+    table = measurement.tables["rates"]
+    read(keys[-1])
     count, started, computed = 0, time.perf_counter(), time.process_time()
-    while time.perf_counter() - started < options.seconds:
-        for one in shuffled:
-            read(one)
-        count += len(shuffled)
-    rate, cost = count / (time.perf_counter() - started), (time.process_time() - computed) / count
-    print(
-        f"{name:36}{rate:7.0f}/s{cost * 1e3:8.1f} ms of CPU"
-        + (f"   goal {goal:.0f}: {'reached' if rate >= goal else 'MISSED'}" if goal else "")
-    )
+    for key in cycle(keys):
+        read(key)
+        count += 1
+        if time.perf_counter() - started > options.seconds:
+            break
+    rate, ms = count / (time.perf_counter() - started), 1e3 * (time.process_time() - computed) / count
+    reference = table.rows[0]["ms"] if table.rows else ms
+    table.add(read=name, n=count, rate=rate, ms=ms, ratio=ms / reference, goal=goal)
 
 
-def _print_waiting(name: str, items: QueryDataset, options: Reading) -> None:
-    """Print the share of time that a loop of training steps waits for batches, without the first batch."""
-    steps = max(int(options.seconds * 3 / STEP), 10)
-    sampler = torch.utils.data.RandomSampler(items, replacement=True, num_samples=(steps + 1) * options.batch)
+def _waiting(items: Subset, steps: int, options: Reading) -> tuple[float, float]:
+    """Seconds that training steps wait for batches and seconds in all, without the first batch."""
+    sampler = RandomSampler(items, replacement=True, num_samples=(steps + 1) * options.batch)
     loader = DataLoader(items, options.batch, sampler=sampler, num_workers=options.workers)
     batches = iter(loader)
     next(batches)
@@ -125,11 +171,7 @@ def _print_waiting(name: str, items: QueryDataset, options: Reading) -> None:
         next(batches)
         waited += time.perf_counter() - step_started
         _compute(STEP)
-    share = waited / (time.perf_counter() - started)
-    verdict = "sufficient" if share < 0.05 else "TOO SLOW"
-    print(
-        f"{options.workers} workers, {options.batch} a batch, step {STEP} s: {name:32}{share:7.1%} waiting   {verdict}"
-    )
+    return waited, time.perf_counter() - started
 
 
 def _compute(seconds: float) -> None:

@@ -1,17 +1,18 @@
 """Our renderer compared with two ray casters and pybullet's TinyRenderer: milliseconds per image, timed in one run.
 
-    make bench
+    python bench/speed/render.py
 
 Depth and body ids at 1280 x 720 of a table, an assembly of four kits and four parts, subdivided to some 170,000 faces.
-The acceleration structures of the ray casters are built before the timing starts; our renderer has none.
+The acceleration structures of the ray casters are built before the timing starts; our renderer has none. Beside it the
+time to simulate what each sensor measures of these images.
 """
 
 from __future__ import annotations
 
 import ctypes
 import tempfile
-import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import libusb_package
@@ -22,70 +23,108 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from trimesh.remesh import subdivide
 
+from bench.speed.timing import timed
+from benchmark.measurements import Column, Measurement, estimate
 from kit1000.errors import Kit1000Error, Redraw
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.kits.kit import make_kit
 from kit1000.mesh import Mesh
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.sim.render import render
-from kit1000.values import Kit, Part
+from kit1000.sim.sensors import SENSORS, sense
+from kit1000.values import Kit, Part, View
 
 Bodies = list[tuple[Mesh, Pose]]
-Draw = Callable[[], np.ndarray]
+Draw = Callable[[Pose], np.ndarray]
+Times = dict[str, list[float]]  # [ms] of each image by name
 
 MAX_FACES = 177_000  # as a multi-kit of the release with its objects
 LONGEST = 45e-3  # [m] longest side of a part
 CLIP = (0.1, 10.0)  # [m] near and far plane of TinyRenderer
+OURS = "ours, 2 threads"
+SECONDS = (Column("n", "images"), Column("ms", "mean, ms", 1), Column("median", "median", 1))
+ENDS = (Column("fastest", "fastest", 1), Column("slowest", "slowest", 1), Column("ratio", "times ours", 2))
 
 
-def main(images: int = 20, seed: int = 1) -> None:
-    """Time four renderers in turn on the same images.
+@dataclass(frozen=True)
+class Renderers:
+    """Time four renderers in turn on the same images."""
 
-    Args:
-        images: number of images, each from a random camera pose.
-        seed: seed of the parts and the cameras.
-    """
-    bodies, rng = finely_split(scene(seed)), stream(seed, "cameras")
-    views = [draw_primary_pose(rng) for _ in range(images)]
+    images: int = 20
+    """Number of images, each from a random camera pose."""
+    seed: int = 1
+    """Seed of the parts and the cameras."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/speed-render.json."""
+
+
+def main(options: Renderers) -> None:
+    """Print the tables."""
+    bodies, rng = finely_split(scene(options.seed)), stream(options.seed, "cameras")
+    views = [draw_primary_pose(rng) for _ in range(options.images)]
     casters = {"embreex": embree(bodies), "open3d": open3d(bodies)}
     with tempfile.TemporaryDirectory() as folder, Tiny(bodies, Path(folder)) as tiny:
         renderers = {
-            "ours, 2 threads": lambda view: render(CAMERA, view, bodies, threads=2).depth,
+            OURS: lambda view: render(CAMERA, view, bodies, threads=2).depth,
             "ours, 1 thread": lambda view: render(CAMERA, view, bodies, threads=1).depth,
             **casters,
             "pybullet TinyRenderer": tiny.depth,
         }
         times, differences = time_renderers(renderers, views)
-    print(f"{sum(len(mesh.faces) for mesh, _ in bodies)} faces, {CAMERA.width} x {CAMERA.height}, {images} images")
-    print(f"{'':24}{'ms median':>10}{'fastest':>9}{'slowest':>9}{'/ ours':>8}{'depth error, median mm':>24}")
-    ours = np.median(times["ours, 2 threads"])
+    sensors = time_sensors(bodies, views)
+    measurement = Measurement.begin()
+    faces = sum(len(mesh.faces) for mesh, _ in bodies)
+    title = f"Milliseconds to render {faces:,} faces at {CAMERA.width} x {CAMERA.height}"
+    error = Column("error", "depth from ours, median, um", 2)
+    table = measurement.table("renderers", title, Column("renderer", "renderer"), *SECONDS, *ENDS, error)
+    ours = float(np.median(times[OURS]))
     for name, row in times.items():
-        line = f"{name:24}{np.median(row):10.1f}{min(row):9.1f}{max(row):9.1f}{np.median(row) / ours:7.1f}x"
-        print(f"{line}{differences[name] * 1e3:24.5f}")
+        table.add(renderer=name, error=1e6 * differences[name], **summary(row, ours))
+    table = measurement.table(
+        "sensors", "Milliseconds to simulate a sensor, one thread", Column("sensor", "sensor"), *SECONDS, *ENDS
+    )
+    for name, row in sensors.items():
+        table.add(sensor=name, **summary(row, ours))
+    measurement.report(options.out)
 
 
-def time_renderers(
-    renderers: dict[str, Callable], views: list[Pose]
-) -> tuple[dict[str, list[float]], dict[str, float]]:
+def summary(row: list[float], ours: float) -> dict[str, object]:
+    """The values of a line. row: [ms] of each image; ours: [ms], median of our renderer."""
+    ms = estimate(row)
+    ends = {"fastest": min(row), "slowest": max(row)}
+    return {"n": len(row), "ms": ms, "median": ms["median"], "ratio": ms["median"] / ours, **ends}
+
+
+def time_renderers(renderers: dict[str, Draw], views: list[Pose]) -> tuple[Times, dict[str, float]]:
     """Milliseconds per image of each renderer, and its largest median depth difference [m]; a first image warms up."""
     times, differences = {name: [] for name in renderers}, {}
     for number, view in enumerate([views[0], *views]):
-        reference = render(CAMERA, view, []).depth
+        reference = np.zeros(0)
         for name, draw in renderers.items():
-            start = time.perf_counter()
-            depth = draw(view)
-            times[name].append(1e3 * (time.perf_counter() - start))
-            reference = depth if name == "ours, 2 threads" else reference
+            seconds, depth = timed(lambda draw=draw, view=view: draw(view))
+            reference = depth if name == OURS else reference
             both = (reference > 0) & (depth > 0)
             difference = float(np.median(np.abs(depth - reference)[both]))
             differences[name] = max(differences.get(name, 0.0), difference)
-            if number == 0:
-                times[name].clear()
+            if number > 0:
+                times[name].append(1e3 * seconds)
     return times, differences
+
+
+def time_sensors(bodies: Bodies, views: list[Pose]) -> Times:
+    """Milliseconds per image of each sensor; a first image warms up."""
+    times: Times = {name: [] for name in SENSORS}
+    for number, pose in enumerate([views[0], *views]):
+        view = View(CAMERA, pose, render(CAMERA, pose, bodies).depth)
+        for name in SENSORS:
+            seconds, _ = timed(lambda name=name, view=view, number=number: sense(name, view, stream(number, name)))
+            if number > 0:
+                times[name].append(1e3 * seconds)
+    return times
 
 
 def scene(seed: int) -> Bodies:
@@ -229,6 +268,6 @@ def projection() -> np.ndarray:
 
 if __name__ == "__main__":
     try:
-        tyro.cli(main)
+        main(tyro.cli(Renderers))
     except Kit1000Error as error:
         raise SystemExit(f"render: {error}") from error

@@ -9,7 +9,6 @@ errors. The plain loops take all vertices of the mesh, all goals one after anoth
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +17,8 @@ import tyro
 from scipy.spatial import ConvexHull
 
 from bench.measured_dataset import measured_dataset
+from bench.speed.timing import timed
+from benchmark.measurements import Column, Measurement, Table, estimate
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import Kit1000Error
 from kit1000.metrics import Targets, pose_errors, seatings
@@ -26,9 +27,29 @@ from kit1000.queries.motions import goal_motion, goal_pose
 from kit1000.values import Truth
 
 STEPS = 315  # angles about a free axis: ceil(pi / 0.01)
-ERRORS = {"small errors": (1e-3, 0.01), "large errors": (3e-3, 0.05)}
+ERRORS = {"small": (1e-3, 0.01), "large": (3e-3, 0.05)}
 """By name: standard deviations of the position [m] and rotation [rad] errors, in each coordinate."""
+MODES = {"never": "closed form", "near": "exact near a limit, as in scoring", "all": "always exact"}
 MS = 1e3  # milliseconds in a second
+POSE_COLUMNS = (
+    Column("way", "computation"),
+    Column("n", "queries"),
+    Column("ms", "CPU, ms a query", 4),
+    Column("ratio", "times ours", 0),
+    Column("least", "least difference, mm", 6),
+    Column("most", "largest difference, mm", 3),
+)
+SEATING_COLUMNS = (
+    Column("errors", "errors"),
+    Column("mode", "test"),
+    Column("n", "queries"),
+    Column("wall", "ms a query", 2),
+    Column("ms", "CPU, ms", 2),
+    Column("ratio", "times the closed form", 1),
+    Column("seated", "seated, %", 1, True),
+    Column("exact", "tested exactly, %", 1, True),
+    Column("disagree", "verdicts that differ", 0),
+)
 
 
 @dataclass(frozen=True)
@@ -41,23 +62,30 @@ class Scoring:
     """For the pose errors: the queries of the split, repeated."""
     plain: int = 300
     """How many of them are scored by plain loops too."""
-    queries: int = 400
-    """For the seating test."""
+    queries: int = 200
+    """For the seating test, spread evenly over the split."""
     seed: int = 0
-    """Of the errors."""
+    """Seed of the errors."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/speed-scoring.json."""
 
 
 def main(options: Scoring) -> None:
-    """Print the table."""
+    """Print the tables."""
     with measured_dataset(options.data) as (dataset, _):
         split = dataset.split("test", truth=True)
         truths = [truth for scene in split for truth in scene.truths.values()]
+        measurement = Measurement.begin(dataset)
         free = np.mean([truth.slot.free_axis is not None for truth in truths])
-        print(f"{dataset.root.name}: {len(truths)} queries of test, {free:.0%} with a free axis")
-        _pose_errors(dataset, truths, options)
-        for name, (offset, angle) in ERRORS.items():
-            print(f"{name}: {offset * 1e3:g} mm, {np.degrees(angle):.1f} degrees, standard deviations")
-            _seatings(dataset, truths[: options.queries], np.random.default_rng(options.seed), offset, angle)
+        title = f"Pose errors, {len(truths)} queries of test repeated, {free:.0%} with a free axis"
+        _add_pose_errors(measurement.table("errors", title, *POSE_COLUMNS), dataset, truths, options)
+        title = "Seating test of predictions with random errors"
+        table = measurement.table("seating", title, *SEATING_COLUMNS)
+        count = min(options.queries, len(truths))
+        some = [truths[i * len(truths) // count] for i in range(count)]
+        for name in ERRORS:
+            _add_seatings(table, dataset, some, name, options.seed)
+        measurement.report(options.out)
 
 
 def with_errors(truths: list[Truth], rng: np.random.Generator, offset: float, angle: float) -> Pose:
@@ -69,38 +97,38 @@ def with_errors(truths: list[Truth], rng: np.random.Generator, offset: float, an
     return Pose.from_translation(target + rng.normal(size=(n, 3)) * offset) @ rotated
 
 
-def _timed(work: Callable[[], object]) -> float:
-    """CPU seconds."""
-    start = time.process_time()
-    work()
-    return time.process_time() - start
-
-
-def _pose_errors(dataset: Dataset, truths: list[Truth], options: Scoring) -> None:
+def _add_pose_errors(table: Table, dataset: Dataset, truths: list[Truth], options: Scoring) -> None:
+    """Add a line for all errors by us, and one for MSSD by plain loops."""
     vertices = {t.part_id: dataset.geometry.part(t.part_id).mesh.vertices for t in truths}
 
     def hull_of(part_id: str) -> np.ndarray:
         return vertices[part_id][ConvexHull(vertices[part_id]).vertices]
 
-    predicted = with_errors(truths, np.random.default_rng(options.seed), *ERRORS["large errors"])
+    predicted = with_errors(truths, np.random.default_rng(options.seed), *ERRORS["large"])
     targets = Targets.of(truths, hull_of)
     errors = pose_errors(predicted, targets)  # the first call compiles
     index = np.arange(options.predictions) % len(truths)
     many, motions = targets[index], predicted[index]
-    ours = _timed(lambda: pose_errors(motions, many)) / options.predictions
-    sample = np.random.default_rng(options.seed).permutation(len(truths))[: options.plain]
-    plain = np.empty(len(sample))
+    ours = timed(lambda: pose_errors(motions, many), time.process_time)[0] / options.predictions
+    sample = np.random.default_rng(options.seed).permutation(len(truths))[: options.plain].tolist()
+    plain = [_timed_mssd(predicted[i], truths[i], vertices[truths[i].part_id]) for i in sample]
+    seconds, found = np.array(plain).T
+    theirs = estimate(MS * seconds, [truths[i].part_id for i in sample])
+    difference = MS * (found - errors.mssd[sample])  # [mm]
+    table.add(way="ours, all errors", n=options.predictions, ms=MS * ours, ratio=1.0)
+    table.add(
+        way="plain loops, MSSD",
+        n=len(sample),
+        ms=theirs,
+        ratio=theirs["mean"] / (MS * ours),
+        least=difference.min(),
+        most=difference.max(),
+    )
 
-    def loops() -> None:
-        for k, i in enumerate(sample):
-            plain[k] = plain_mssd(predicted[int(i)], truths[i], vertices[truths[i].part_id])
 
-    theirs = _timed(loops) / len(sample)
-    difference = plain - errors.mssd[sample]
-    count = options.predictions
-    print(f"pose errors of {count} predictions: {ours * count:.2f} s, {ours * MS:.4f} ms a query")
-    print(f"MSSD by plain loops: {theirs * MS:.2f} ms a query, {theirs / ours:.0f} times our time")
-    print(f"plain loops minus ours: {difference.min() * 1e3:.6f} to {difference.max() * 1e3:.3f} mm")
+def _timed_mssd(predicted: Pose, truth: Truth, vertices: np.ndarray) -> tuple[float, float]:
+    """CPU seconds of `plain_mssd`, and its value [m]."""
+    return timed(lambda: plain_mssd(predicted, truth, vertices), time.process_time)
 
 
 def plain_mssd(predicted: Pose, truth: Truth, vertices: np.ndarray) -> float:
@@ -118,15 +146,28 @@ def plain_mssd(predicted: Pose, truth: Truth, vertices: np.ndarray) -> float:
     return smallest
 
 
-def _seatings(dataset: Dataset, truths: list[Truth], rng: np.random.Generator, offset: float, angle: float) -> None:
-    predicted = with_errors(truths, rng, offset, angle)
-    for exact in ("never", "near", "all"):
-        start, started = time.perf_counter(), time.process_time()
-        results = seatings(predicted, truths, dataset.geometry, exact)
-        wall, cpu = (MS * spent / len(truths) for spent in (time.perf_counter() - start, time.process_time() - started))
-        print(
-            f"  exact {exact:6}{wall:7.2f} ms a query ({cpu:.2f} of CPU), {results.seated.mean():.1%} seated, "
-            f"{results.exact.mean():.1%} tested exactly, {results.disagrees.sum()} disagree"
+def _add_seatings(table: Table, dataset: Dataset, truths: list[Truth], name: str, seed: int) -> None:
+    """Add a line for each of MODES, with the errors of a name."""
+    offset, angle = ERRORS[name]
+    predicted = with_errors(truths, np.random.default_rng(seed), offset, angle)
+    seatings(predicted[:1], truths[:1], dataset.geometry, "all")  # compiles
+    seatings(predicted, truths, dataset.geometry, "never")  # reads the meshes
+    reference = None
+    for exact, mode in MODES.items():
+        started = time.process_time()
+        seconds, results = timed(lambda exact=exact: seatings(predicted, truths, dataset.geometry, exact))
+        ms = MS * (time.process_time() - started) / len(truths)
+        reference = reference or ms
+        table.add(
+            errors=f"{name}: {offset * 1e3:g} mm, {np.degrees(angle):.1f}°",
+            mode=mode,
+            n=len(truths),
+            wall=MS * seconds / len(truths),
+            ms=ms,
+            ratio=ms / reference,
+            seated=results.seated.mean(),
+            exact=results.exact.mean(),
+            disagree=results.disagrees.sum(),
         )
 
 

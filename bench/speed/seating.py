@@ -1,20 +1,23 @@
 """Comparison of the two computations of the seating test, closed form and exact booleans, at the same poses.
 
-    python bench/speed/seating.py --pairs 12 --poses 40
+    python bench/speed/seating.py
 
 Half of the poses have random errors up to 10 mm and 25 degrees, half lie near the limit of being seated.
 """
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import count, cycle
+from pathlib import Path
 
 import numpy as np
 import tyro
 
+from bench.exact_offset import contact_offset_by_booleans, swept_solid
+from bench.speed.timing import timed
+from benchmark.measurements import Column, Measurement, estimate
 from kit1000.errors import Kit1000Error, Redraw
 from kit1000.kits.acceptance import rotated_about_centroid
 from kit1000.kits.contact import convex_edges
@@ -25,13 +28,11 @@ from kit1000.kits.seating import (
     InsertedPart,
     SeatingResult,
     contact_offset,
-    contact_offset_by_booleans,
     seating_result,
-    swept_solid,
 )
 from kit1000.mesh import solid_from_mesh
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.values import Kit, Part
@@ -39,12 +40,45 @@ from kit1000.values import Kit, Part
 MAX_SHIFT, MAX_ANGLE = 10e-3, np.radians(25)  # [m], [rad] of a random error
 LIMIT_BAND = 0.1e-3  # [m] from a limit, within which the two results may differ
 LIMIT_STEPS = np.array([-2e-2, -2e-3, 2e-3, 2e-2])  # relative steps of an error about the limit of being seated
+AGREEMENT = (
+    Column("n", "poses"),
+    Column("seated", "seated, %", 1, True),
+    Column("near", f"within {LIMIT_BAND * 1e3:g} mm of a limit, %", 1, True),
+    Column("offset", "offset, largest difference, um", 1),
+    Column("above", f"offsets differing by more than {BISECTION_STEP * 1e6:g} um", 0),
+    Column("differ", "verdicts that differ, %", 2, True),
+    Column("outside", "of these farther from a limit", 0),
+)
+SECONDS = (
+    Column("way", "computation"),
+    Column("n", "poses"),
+    Column("ms", "mean, ms", 2),
+    Column("median", "median", 2),
+    Column("late", "95th percentile", 2),
+    Column("ratio", "times the closed form", 1),
+)
+
+
+@dataclass(frozen=True)
+class Seating:
+    """Compare both computations on parts drawn from all families in turn."""
+
+    pairs: int = 24
+    """Number of pairs of part and kit."""
+    poses: int = 40
+    """Number of poses of each pair."""
+    seed: int = 1
+    """Seed of the draws."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/speed-seating.json."""
 
 
 @dataclass(frozen=True)
 class Row:
     """Both results for one pose."""
 
+    pair: str
+    """Label of the pair."""
     closed_form: SeatingResult
     booleans: SeatingResult
     to_limit: float
@@ -69,14 +103,11 @@ class Pair:
             contact_offset_by_booleans(self.swept, self.part, self.plate, pose), self.part, pose, self.goal, self.depth
         )
 
-    def compare(self, pose: Pose) -> Row:
+    def compare(self, pose: Pose, label: str) -> Row:
         """Both results for a pose, timed."""
-        start = time.perf_counter()
-        closed_form = self.closed_form(pose)
-        between = time.perf_counter()
-        booleans = self.booleans(pose)
-        end = time.perf_counter()
-        return Row(closed_form, booleans, self.to_limit(closed_form), between - start, end - between)
+        closed_form_s, closed_form = timed(lambda: self.closed_form(pose))
+        booleans_s, booleans = timed(lambda: self.booleans(pose))
+        return Row(label, closed_form, booleans, self.to_limit(closed_form), closed_form_s, booleans_s)
 
     def to_limit(self, result: SeatingResult) -> float:
         """[m] distance of a result to the nearest of its limits."""
@@ -98,19 +129,25 @@ class Pair:
         return low
 
 
-def main(pairs: int = 12, poses: int = 40, seed: int = 1) -> None:
-    """Compare both computations on parts drawn from all families in turn.
-
-    Args:
-        pairs: of part and kit.
-        poses: for each pair.
-        seed: of the draws.
-    """
+def main(options: Seating) -> None:
+    """Print the tables."""
     rows: list[Row] = []
-    for number, pair in zip(range(pairs), drawn_pairs(seed), strict=False):
-        pair.compare(pair.goal)  # numba compiles on the first
-        rows += [pair.compare(pose) for pose in drawn_poses(pair, poses, stream(seed, "poses", number))]
-    report(pairs, rows)
+    for number, pair in zip(range(options.pairs), drawn_pairs(options.seed), strict=False):
+        pair.compare(pair.goal, "")  # numba compiles on the first
+        poses = drawn_poses(pair, options.poses, stream(options.seed, "poses", number))
+        rows += [pair.compare(pose, str(number)) for pose in poses]
+    measurement = Measurement.begin()
+    title = f"Seating test by closed form and by exact booleans, {options.pairs} pairs"
+    measurement.table("agreement", title, *AGREEMENT).add(**agreement(rows))
+    table = measurement.table("seconds", "Milliseconds a pose", *SECONDS)
+    times = np.array([(row.closed_form_s, row.booleans_s) for row in rows]) * 1e3  # (n, 2)
+    clusters = [row.pair for row in rows]
+    for way, values in zip(("closed form", "exact booleans"), times.T, strict=True):
+        ms = estimate(values, clusters)
+        ratio = ms["median"] / np.median(times[:, 0])
+        late = np.quantile(values, 0.95)
+        table.add(way=way, n=len(rows), ms=ms, median=ms["median"], late=late, ratio=ratio)
+    measurement.report(options.out)
 
 
 def drawn_pairs(seed: int) -> Iterator[Pair]:
@@ -138,20 +175,21 @@ def drawn_poses(pair: Pair, poses: int, rng: np.random.Generator) -> Iterator[Po
         yield pair.moved(error, share)
 
 
-def report(pairs: int, rows: list[Row]) -> None:
-    """Print how well both agree and how long they take."""
+def agreement(rows: Sequence[Row]) -> dict[str, object]:
+    """How well both agree."""
     both = [row for row in rows if np.isfinite([row.closed_form.contact_offset, row.booleans.contact_offset]).all()]
     differences = np.array([abs(row.closed_form.contact_offset - row.booleans.contact_offset) for row in both])
     differ = np.array([_flags(row.closed_form) != _flags(row.booleans) for row in rows])
     near = np.array([row.to_limit < LIMIT_BAND for row in rows])
-    seated = np.mean([row.closed_form.seated for row in rows])
-    print(f"{pairs} pairs, {len(rows)} poses, {seated:.0%} seated")
-    print(f"{near.mean():.1%} of the poses within {LIMIT_BAND * 1e3:g} mm of a limit")
-    above = (differences > BISECTION_STEP).sum()
-    print(f"contact offset: largest difference {differences.max() * 1e6:.1f} um, {above} above the step")
-    print(f"results that differ: {differ.mean():.2%}, of these outside the band {(differ & ~near).sum()}")
-    for name, times in (("closed form", [r.closed_form_s for r in rows]), ("booleans", [r.booleans_s for r in rows])):
-        print(f"{name}: {np.median(times) * 1e3:.2f} ms a query, 95 % below {np.quantile(times, 0.95) * 1e3:.2f} ms")
+    return {
+        "n": len(rows),
+        "seated": np.mean([row.closed_form.seated for row in rows]),
+        "near": near.mean(),
+        "offset": 1e6 * differences.max(),
+        "above": (differences > BISECTION_STEP).sum(),
+        "differ": differ.mean(),
+        "outside": (differ & ~near).sum(),
+    }
 
 
 def _flags(result: SeatingResult) -> tuple[bool, bool]:
@@ -160,6 +198,6 @@ def _flags(result: SeatingResult) -> tuple[bool, bool]:
 
 if __name__ == "__main__":
     try:
-        tyro.cli(main)
+        main(tyro.cli(Seating))
     except Kit1000Error as error:
         raise SystemExit(f"seating: {error}") from error

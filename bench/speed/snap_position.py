@@ -1,7 +1,7 @@
 """The position network against a plain implementation of the release's scheme: seconds, ratios, differences.
 
-    .venv/bin/python bench/speed/snap_position.py
-    .venv/bin/python bench/speed/snap_position.py --presets small --batches 1 2 4 8
+    python bench/speed/snap_position.py
+    python bench/speed/snap_position.py --presets small paper --batches 1 2 4 8
 
 `plain` runs module by module: upsample, concatenate, convolve the whole volume, crop the features, correlate with the
 padded features of the part as one grouped convolution. `ours` has the same weights. bfloat16 is faster where the CPU
@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -22,57 +23,87 @@ from torch import Tensor
 from baselines.snapnet.config import POSITION, PositionConfig
 from baselines.snapnet.convolutions import correlate, cropped
 from baselines.snapnet.position import Encoder, PositionNet, position_loss
+from benchmark.measurements import Column, Measurement, Table
 from kit1000.errors import Kit1000Error
 
 BF16_FLAGS = {"amx_bf16", "avx512_bf16"}
 
 
-def main(
-    presets: tuple[str, ...] = ("small", "paper"),
-    batches: tuple[int, ...] = (1, 2, 4, 8),
-    repeats: int = 3,
-    threads: int = 2,
-    bf16: bool | None = None,
-    device: str = "cpu",
-) -> None:
-    """Time predictions (batch 1) of each preset, and training steps of the small one.
+SECONDS = (Column("wall", "s", 3), Column("wall_ratio", "times ours", 2))
+PREDICTION_COLUMNS = (
+    Column("preset", "preset"),
+    Column("way", "network"),
+    Column("n", "repeats"),
+    *SECONDS,
+    Column("cpu", "CPU s", 3),
+    Column("cpu_ratio", "times ours", 2),
+    Column("error", "largest difference, 1e-6", 2),
+    Column("spread", "std of scores", 4),
+)
+STEP_COLUMNS = (
+    Column("batch", "examples a step", 0),
+    Column("n", "repeats"),
+    Column("wall", "s a step", 3),
+    Column("cpu", "CPU s", 3),
+    Column("each", "s an example", 3),
+    Column("ratio", "times the first", 2),
+)
 
-    Args:
-        presets: which.
-        batches: of the training steps.
-        repeats: how often each is timed; the fastest counts.
-        threads: of torch.
-        bf16: also predict in bfloat16; by default where the CPU supports it.
-        device: cpu or cuda.
-    """
-    torch.set_num_threads(threads)
+
+@dataclass(frozen=True)
+class SnapPosition:
+    """Time predictions (batch 1) of each preset, and training steps of the small one."""
+
+    presets: tuple[str, ...] = ("small",)
+    """small or paper."""
+    batches: tuple[int, ...] = (1, 2, 4)
+    """Examples of a training step."""
+    repeats: int = 3
+    """Number of timings of each; the fastest counts."""
+    threads: int = 2
+    """Number of PyTorch threads."""
+    bf16: bool | None = None
+    """Whether to predict in bfloat16 too; by default where the processor supports it."""
+    device: str = "cpu"
+    """cpu or cuda."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/speed-snap-position.json."""
+
+
+def main(options: SnapPosition) -> None:
+    """Print the tables."""
+    torch.set_num_threads(options.threads)
     torch.manual_seed(1)
-    supported = device != "cpu" or bool(BF16_FLAGS & processor_flags())
-    print(f"{threads} threads; bfloat16 of the CPU: {'yes' if supported else 'no'}")
-    for preset in presets:
-        print_predictions(preset, repeats, device, supported if bf16 is None else bf16)
-    if "small" in presets:
-        print_steps(batches, repeats, device)
+    supported = options.device != "cpu" or bool(BF16_FLAGS & processor_flags())
+    measurement = Measurement.begin()
+    setting = f"{options.threads} threads on {options.device}"
+    title = f"Seconds to predict by the position network, {setting}, fastest"
+    table = measurement.table("prediction", title, *PREDICTION_COLUMNS)
+    for preset in options.presets:
+        _add_predictions(table, preset, options, supported if options.bf16 is None else options.bf16)
+    if "small" in options.presets:
+        title = f"Seconds of a training step, preset `small`, {setting}, fastest"
+        _add_steps(measurement.table("training", title, *STEP_COLUMNS), options)
+    measurement.report(options.out)
+    print(f"bfloat16 of the processor: {'yes' if supported else 'no'}")
 
 
-def print_predictions(preset: str, repeats: int, device: str, bf16: bool) -> None:
-    """Print a line each for plain, ours, and ours in bfloat16; differences are to sums in float64."""
+def _add_predictions(table: Table, preset: str, options: SnapPosition, bf16: bool) -> None:
+    """Add a line each for plain, ours, and ours in bfloat16; differences are to sums in float64."""
     config = POSITION[preset]
-    net = PositionNet(config).to(device).eval()
-    part, kit, _ = example(config, 1, device)
-    print(f"{'prediction':32}{'wall s':>10}{'ratio':>8}{'work s':>10}{'ratio':>8}{'diff':>10}{'of std':>10}")
+    net = PositionNet(config).to(options.device).eval()
+    part, kit, _ = example(config, 1, options.device)
+    ways = (("plain", plain_scores), ("ours", scores_of), ("ours, bfloat16", bf16_scores))
     with torch.inference_mode():
         features = plain_features(net.part, part), cropped(plain_features(net.kit, kit), net.region)
         exact = correlate(features[0].double(), features[1].double(), config.window)
-        took = (1.0, 1.0)
-        for name, scores_by in (("plain", plain_scores), ("ours", scores_of), ("ours, bfloat16", bf16_scores))[
-            : 2 + bf16
-        ]:
-            least, scores = timed(lambda run=scores_by: run(net, part, kit), repeats)
-            took = least if scores_by is plain_scores else took
-            difference = (scores - scores.mean() - exact + exact.mean()).abs().max()
-            columns = "".join(f"{now:10.3f}{then / now:8.1f}" for now, then in zip(least, took, strict=True))
-            print(f"{preset + ', ' + name:32}{columns}{difference:10.1e}{exact.std():10.1e}", flush=True)
+        found = {way: timed(lambda run=run: run(net, part, kit), options.repeats) for way, run in ways[: 2 + bf16]}
+    ours = found["ours"][0]
+    for way, (least, scores) in found.items():
+        difference = (scores - scores.mean() - exact + exact.mean()).abs().max()
+        ratios = {"wall_ratio": least[0] / ours[0], "cpu_ratio": least[1] / ours[1]}
+        errors = {"error": 1e6 * float(difference), "spread": float(exact.std())}
+        table.add(preset=f"`{preset}`", way=way, n=options.repeats, wall=least[0], cpu=least[1], **ratios, **errors)
 
 
 def scores_of(net: PositionNet, part: Tensor, kit: Tensor) -> Tensor:
@@ -84,13 +115,14 @@ def bf16_scores(net: PositionNet, part: Tensor, kit: Tensor) -> Tensor:
         return net(part, kit)
 
 
-def print_steps(batches: tuple[int, ...], repeats: int, device: str) -> None:
-    """Print seconds of a training step of the small preset, and steps in two hours."""
+def _add_steps(table: Table, options: SnapPosition) -> None:
+    """Add a line for each batch size with the seconds of a training step of the small preset."""
     config = POSITION["small"]
-    net = PositionNet(config).to(device)
+    net = PositionNet(config).to(options.device)
     adam = torch.optim.Adam(net.parameters(), 1e-4)
-    for batch in batches:
-        part, kit, offset = example(config, batch, device)
+    first = None
+    for batch in options.batches:
+        part, kit, offset = example(config, batch, options.device)
 
         def step() -> Tensor:
             loss = position_loss(net(part, kit), offset, config).mean()  # noqa: B023
@@ -99,9 +131,9 @@ def print_steps(batches: tuple[int, ...], repeats: int, device: str) -> None:
             adam.step()
             return loss
 
-        (wall, work), _ = timed(step, repeats)
-        title = f"small, step of {batch}"
-        print(f"{title:32}{wall:10.3f}{'':8}{work:10.3f}{7200 / wall:12.0f} steps in two hours", flush=True)
+        (wall, cpu), _ = timed(step, options.repeats)
+        first = first or wall / batch
+        table.add(batch=batch, n=options.repeats, wall=wall, cpu=cpu, each=wall / batch, ratio=wall / batch / first)
 
 
 def plain_scores(net: PositionNet, part: Tensor, kit: Tensor) -> Tensor:
@@ -159,6 +191,6 @@ def processor_flags() -> set[str]:
 
 if __name__ == "__main__":
     try:
-        tyro.cli(main)
+        main(tyro.cli(SnapPosition))
     except Kit1000Error as error:
         raise SystemExit(f"snap_position: {error}") from error

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 import torch
@@ -20,70 +20,96 @@ import tyro
 from scipy.ndimage import distance_transform_edt, map_coordinates
 from torch import Tensor, nn
 
-from baselines.snapnet.candidates import candidates
+from baselines.snapnet.candidate_rotations import candidates
 from baselines.snapnet.config import ROTATION, RotationConfig
 from baselines.snapnet.points import rotated
 from baselines.snapnet.rotation import COUNTS, RADII, RotationNet, rotation_loss
 from baselines.snapnet.set_abstraction import MLP, Dense, SetAbstraction, squared_distances
+from bench.speed.timing import Clock, fastest
+from benchmark.measurements import Column, Measurement, rate
+from kit1000.errors import Kit1000Error
 from kit1000.perception.networks.weight_files import load_into, load_weights
 from kit1000.rng import stream
-
-Made = TypeVar("Made")
 
 Scene = tuple[Tensor, Tensor, Tensor]  # points of part and kits, and the volume of the kits
 
 CHUNK = 20  # candidates that the release scores together
 
 
-def main(
-    preset: str = "small",
-    weights: Path | None = None,
-    seconds: float = 60,
-    threads: int = 1,
-    scenes: int = 30,
-    seed: int = 0,
-) -> None:
-    """Time one scene of random points.
+SCORE_COLUMNS = (
+    Column("preset", "preset"),
+    Column("way", "network"),
+    Column("n", "candidates"),
+    Column("timed", "of these timed", 0),
+    Column("seconds", "s a scene", 2),
+    Column("ratio", "times ours", 1),
+    Column("error", "largest difference of a logit, 1e-6", 1),
+    Column("largest", "largest logit", 1),
+)
+STEP_COLUMNS = (
+    Column("preset", "preset"),
+    Column("n", "candidates"),
+    Column("seconds", "s a step", 2),
+    Column("ratio", "times a scene", 2),
+)
+BF16_COLUMNS = (Column("n", "scenes"), Column("candidates", "candidates", 0), Column("same", "same choice, %", 1, True))
 
-    Args:
-        preset: of the network.
-        weights: path without suffix, of trained ones; with random ones the choices of bfloat16 mean nothing.
-        seconds: about how long the plain network may run; the time of its remaining candidates is extrapolated.
-        threads: of torch. With one, seconds are CPU time, which other programs do not lengthen.
-        scenes: in which the choices of bfloat16 are compared, where there are weights.
-        seed: of points and weights.
-    """
-    torch.set_num_threads(threads)
-    config = ROTATION[preset]
-    net = random_net(config, seed)
-    if weights:
-        load_into(net, load_weights(weights)[0], weights)
-    scene = random_scene(config, seed)
+
+@dataclass(frozen=True)
+class SnapRotation:
+    """Time one scene of random points."""
+
+    preset: str = "small"
+    """small or paper."""
+    weights: Path | None = None
+    """Trained weights without suffix; with random ones the choices of bfloat16 mean nothing."""
+    seconds: float = 20
+    """About how long the plain network may run; the time of its remaining candidates is extrapolated."""
+    threads: int = 1
+    """Number of PyTorch threads. With one, seconds are CPU time, which other programs do not lengthen."""
+    scenes: int = 30
+    """Number of scenes in which the choices of bfloat16 are compared, where there are weights."""
+    seed: int = 0
+    """Seed of points and weights."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/speed-snap-rotation.json."""
+
+
+def main(options: SnapRotation) -> None:
+    """Print the tables."""
+    torch.set_num_threads(options.threads)
+    config = ROTATION[options.preset]
+    net = random_net(config, options.seed)
+    if options.weights:
+        load_into(net, load_weights(options.weights)[0], options.weights)
+    scene = random_scene(config, options.seed)
     rotations = torch.from_numpy(np.array(candidates("ball").wxyz))[None]
-    clock = time.process_time if threads == 1 else time.perf_counter
+    clock = time.process_time if options.threads == 1 else time.perf_counter
     with torch.inference_mode():
-        fast, ours = min(
-            (timed(clock, lambda: net(*scene[:2], rotations, scene[2])) for _ in range(3)), key=lambda run: run[1]
-        )
-        plain, chunks = plain_run(clock, net, scene, rotations, seconds)
-    done, number = plain.shape[1], rotations.shape[1]
+        ours, logits = fastest(lambda: net(*scene[:2], rotations, scene[2]), 3, clock)
+        plain, chunks = plain_run(clock, net, scene, rotations, options.seconds)
+    number, done = rotations.shape[1], plain.shape[1]
     whole = chunks * number / done
-    print(f"{preset}: {config.part_points} + {config.kit_points} points, {number} candidates, one scene")
-    print(f"{threads} threads, {sum(p.numel() for p in net.parameters()):,} parameters")
-    print(f"plain: {chunks:.2f} s for {done} candidates, which makes {whole:.2f} s for all")
-    print(f"ours: {ours:.2f} s, {whole / ours:.1f} times as fast")
-    print(f"largest difference of a logit: {(fast[:, :done] - plain).abs().max():.1e}, of up to {fast.abs().max():.1f}")
+    difference = {"error": 1e6 * float((logits[:, :done] - plain).abs().max()), "largest": float(logits.abs().max())}
+    measurement = Measurement.begin()
+    unit = "CPU seconds" if options.threads == 1 else "Seconds"
+    title = f"{unit} of the rotation network, {config.part_points} + {config.kit_points} points"
+    table = measurement.table("scores", title, *SCORE_COLUMNS)
+    line = {"preset": f"`{options.preset}`", "n": number}
+    table.add(**line, way="plain", timed=done, seconds=whole, ratio=whole / ours, **difference)
+    table.add(**line, way="ours", timed=number, seconds=ours, ratio=1.0, largest=difference["largest"])
     step = training_step(clock, net, scene, rotations)
-    print(f"training step of {config.training_candidates} candidates: {step:.2f} s")
-    if weights:
+    table = measurement.table("training", f"{unit} of a training step", *STEP_COLUMNS)
+    table.add(preset=line["preset"], n=config.training_candidates, seconds=step, ratio=step / ours)
+    if options.weights:
         few = rotations[:, ::16]
-        agreement = same_best(net, config, few, scenes)
-        print(f"bfloat16 chooses as float32 among {few.shape[1]} candidates in {agreement:.0%} of {scenes} scenes")
+        same = rate(same_best(net, config, few, options.scenes))
+        table = measurement.table("bfloat16", "Scenes in which bfloat16 chooses as float32", *BF16_COLUMNS)
+        table.add(n=options.scenes, candidates=few.shape[1], same=same)
+    measurement.report(options.out)
 
 
-def plain_run(
-    clock: Callable[[], float], net: RotationNet, scene: Scene, rotations: Tensor, seconds: float
-) -> tuple[Tensor, float]:
+def plain_run(clock: Clock, net: RotationNet, scene: Scene, rotations: Tensor, seconds: float) -> tuple[Tensor, float]:
     """Logits of as many chunks as fit into the time, at least one, and the seconds they took."""
     start, found = clock(), []
     for chunk in rotations.split(CHUNK, 1):
@@ -230,7 +256,7 @@ def solid(places: np.ndarray) -> np.ndarray:
     return ~hole & (places[..., 2] < 6e-3)
 
 
-def training_step(clock: Callable[[], float], net: RotationNet, scene: Scene, rotations: Tensor) -> float:
+def training_step(clock: Clock, net: RotationNet, scene: Scene, rotations: Tensor) -> float:
     """Seconds forward and backward, the best of five."""
     net = copy.deepcopy(net).train()
     some = rotations[:, : net.config.training_candidates]
@@ -239,26 +265,24 @@ def training_step(clock: Callable[[], float], net: RotationNet, scene: Scene, ro
         logits = net(*scene[:2], some, scene[2])
         rotation_loss(logits, torch.zeros(1, dtype=torch.long), torch.ones_like(logits), net.config).sum().backward()
 
-    return min(timed(clock, step)[1] for _ in range(5))
+    return fastest(step, 5, clock)[0]
 
 
-def same_best(net: RotationNet, config: RotationConfig, rotations: Tensor, scenes: int) -> float:
-    """Share of random scenes in which bfloat16 chooses as float32."""
+def same_best(net: RotationNet, config: RotationConfig, rotations: Tensor, scenes: int) -> list[bool]:
+    """Whether bfloat16 chooses as float32, in random scenes."""
     half = copy.deepcopy(net)
     half.levels.to(torch.bfloat16)
     same = []
     with torch.inference_mode():
         for scene in range(scenes):
             part, kit, volume = random_scene(config, 100 + scene)
-            same.append(net(part, kit, rotations, volume).argmax() == half(part, kit, rotations, volume).argmax())
-    return float(torch.stack(same).float().mean())
-
-
-def timed(clock: Callable[[], float], work: Callable[[], Made]) -> tuple[Made, float]:
-    """The result and the seconds."""
-    start = clock()
-    return work(), clock() - start
+            chosen = [each(part, kit, rotations, volume).argmax().item() for each in (net, half)]
+            same.append(chosen[0] == chosen[1])
+    return same
 
 
 if __name__ == "__main__":
-    tyro.cli(main)
+    try:
+        main(tyro.cli(SnapRotation))
+    except Kit1000Error as error:
+        raise SystemExit(f"snap_rotation: {error}") from error

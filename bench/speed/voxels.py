@@ -1,6 +1,6 @@
 """Volumes compared with other implementations, timed in one run: milliseconds, ratio, agreement.
 
-    .venv/bin/python bench/speed/voxels.py
+    python bench/speed/voxels.py
 
 The TSDF of one depth image is compared with two implementations in numpy: `plain`, slab by slab in float32, and
 `release`, the algorithm of the paper's release (the world coordinates of all voxels in one array, then operations on
@@ -11,89 +11,129 @@ every second voxel along each axis; its time counts eight times.
 from __future__ import annotations
 
 import ctypes
-import resource
-import time
-from collections.abc import Callable
-from typing import Any, TypeVar
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import libusb_package
 import numpy as np
 import trimesh
 import tyro
 
+from bench.speed.timing import fastest, timed
+from benchmark.measurements import Column, Measurement
 from kit1000.camera import Camera, look_at
 from kit1000.errors import Kit1000Error
 from kit1000.mesh import Mesh
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.render import render
 from kit1000.values import View
-from kit1000.voxels import Grid, Volume, fuse, signed_distance, tsdf
+from kit1000.voxels import Grid, fuse, signed_distance, tsdf
 
-T = TypeVar("T")
+Bodies = list[tuple[Mesh, Pose]]
+Line = dict[str, Any]  # values of a line of a table
 
 VOXEL = 0.89e-3  # [m] as in the paper
 SHAPES = ((128, 128, 128), (400, 400, 256))  # of a part and of a kit
 CAMERA = Camera(1280, 720, 925, 925, 639.5, 359.5)
 DENSE_SPHERE = 6  # subdivisions: 81,920 faces
 EIGHTH = (slice(None, None, 2),) * 3
+SECONDS = (Column("n", "timings"), Column("ms", "fastest, ms", 1), Column("ratio", "times ours", 1))
+IMAGE_COLUMNS = (
+    Column("grid", "voxels"),
+    Column("way", "algorithm"),
+    *SECONDS,
+    Column("known", "known, %", 1, True),
+    Column("differ", "differing, %", 4, True),
+    Column("largest", "largest difference of others, 1e-6", 1),
+)
+MESH_COLUMNS = (
+    Column("body", "body"),
+    Column("faces", "faces", 0),
+    Column("way", "algorithm"),
+    *SECONDS,
+    Column("signs", "wrong signs", 0),
+    Column("largest", "largest difference, voxels", 3),
+)
+FUSION_COLUMNS = (Column("body", "body"), Column("n", "views"), Column("wrong", "wrong, % of the volume", 2, True))
 
 
-def main(repeats: int = 9, threads: int | None = None, release: bool = True) -> None:
-    """Time volumes.
+@dataclass(frozen=True)
+class Voxels:
+    """Time volumes."""
 
-    Args:
-        repeats: number of timings of each; the fastest counts.
-        threads: number of threads of ours; all cores by default. numpy uses one, open3d all.
-        release: also time the release's algorithm (needs 8 GB of memory for the larger grid).
-    """
+    repeats: int = 9
+    """Number of timings of each; the fastest counts."""
+    threads: int | None = None
+    """Number of threads of ours; all cores by default. numpy uses one, open3d all."""
+    release: bool = True
+    """Whether the release's algorithm is timed too; it needs 8 GB of memory for the larger grid."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/speed-voxels.json."""
+
+
+def main(options: Voxels) -> None:
+    """Print the tables."""
     bodies = sample_bodies()
     eye = look_at((0.45, 0.2, 0.5), (0, 0, 0))
     view = View(CAMERA, eye, render(CAMERA, eye, bodies).depth)
-    print(f"{'one 1280x720 image':34}{'ms':>10}{'ratio':>12}{'differing':>12}{'max error':>12}")
+    measurement = Measurement.begin()
+    title = f"TSDF of one image of {CAMERA.width} x {CAMERA.height}"
+    table = measurement.table("images", title, *IMAGE_COLUMNS)
     for shape in SHAPES:
-        grid = Grid.centred(Pose.from_translation((0, 0, 0.02)), shape, VOXEL)
-        ours = print_tsdf(grid, view, repeats, threads, release)
-        print(f"{'':6}known {ours.known.mean():.1%}, peak memory of this process {peak_gb():.1f} GB")
-    print(f"{'signed distance, 128^3':34}{'ms':>10}{'ratio':>12}{'wrong signs':>12}{'max, voxels':>12}")
+        for line in image_lines(Grid.centred(Pose.from_translation((0, 0, 0.02)), shape, VOXEL), view, options):
+            table.add(**line)
+    meshes = measurement.table("meshes", f"Signed distance of a mesh, {as_text(SHAPES[0])} voxels", *MESH_COLUMNS)
+    fusion = measurement.table("fusion", "Fused images, unknown voxels taken as solid", *FUSION_COLUMNS)
     for name, mesh in solids():
-        print_signed_distance(name, mesh, repeats, threads)
+        *lines, fused = mesh_lines(name, mesh, options)
+        for line in lines:
+            meshes.add(**line)
+        fusion.add(**fused)
+    measurement.report(options.out)
 
 
-def print_tsdf(grid: Grid, view: View, repeats: int, threads: int | None, release: bool) -> Volume:
-    """Print one line each for ours, plain numpy and the release's algorithm."""
-    ours = tsdf(grid, view, threads=threads)  # numba compiles in the first call
-    seconds = timed(lambda: tsdf(grid, view, threads=threads), repeats)[0]
-    title = "x".join(map(str, grid.shape))
-    print(f"{title + ', ours':34}{seconds * 1e3:10.1f}{1:12.1f}")
-    for name, other in (("plain numpy", plain_tsdf), ("release's algorithm", release_tsdf))[: 1 + release]:
-        other_seconds, values = timed(lambda make=other: make(grid, view), min(repeats, 3))
+def image_lines(grid: Grid, view: View, options: Voxels) -> Iterator[Line]:
+    """A line each for ours, plain numpy and the release's algorithm."""
+    ours = tsdf(grid, view, threads=options.threads)  # numba compiles in the first call
+    seconds, _ = fastest(lambda: tsdf(grid, view, threads=options.threads), options.repeats)
+    line = {"grid": as_text(grid.shape), "known": ours.known.mean()}
+    yield {**line, "way": "ours", "n": options.repeats, "ms": 1e3 * seconds, "ratio": 1.0}
+    others = (("plain numpy", plain_tsdf), ("release's algorithm", release_tsdf))
+    for name, other in others[: 1 + options.release]:
+        repeats = min(options.repeats, 3)
+        other_seconds, values = fastest(lambda make=other: make(grid, view), repeats)
         known = ours.known & ~np.isnan(values)
         gap = np.abs(ours.values - values)[known]
         differ = np.mean(ours.known != ~np.isnan(values)) + np.mean(gap > 1e-3)
-        largest = gap[gap <= 1e-3].max()
-        ratio = other_seconds / seconds
-        print(f"{title + ', ' + name:34}{other_seconds * 1e3:10.1f}{ratio:12.1f}{differ:12.5%}{largest:12.1e}")
-    return ours
+        line |= {"known": 1 - np.isnan(values).mean(), "differ": differ, "largest": 1e6 * gap[gap <= 1e-3].max()}
+        yield {**line, "way": name, "n": repeats, "ms": 1e3 * other_seconds, "ratio": other_seconds / seconds}
 
 
-def print_signed_distance(name: str, mesh: Mesh, repeats: int, threads: int | None) -> None:
-    """Print the times of ours and of open3d's exact distance, and the error of a fusion of several views."""
+def mesh_lines(name: str, mesh: Mesh, options: Voxels) -> Iterator[Line]:
+    """A line each for ours and open3d's exact distance, and one with the error of a fusion of several views."""
     grid = Grid.centred(Pose.from_rotvec((0.3, -0.5, 0.2)), SHAPES[0], VOXEL)
-    body = [(mesh, Pose.identity())]
+    body, threads = [(mesh, Pose.identity())], options.threads
     signed_distance(grid, body, threads=threads)
-    seconds, ours = timed(lambda: signed_distance(grid, body, threads=threads), repeats)
-    print(f"{f'{name}, {len(mesh.faces)} faces, ours':34}{seconds * 1e3:10.1f}{1:12.1f}")
+    seconds, ours = fastest(lambda: signed_distance(grid, body, threads=threads), options.repeats)
+    line = {"body": name, "faces": len(mesh.faces)}
+    yield {**line, "way": "ours", "n": options.repeats, "ms": 1e3 * seconds, "ratio": 1.0}
     other_seconds, distance = exact_distance(grid, mesh)
     gap = np.abs(ours.values[EIGHTH] * 5 - np.clip(distance / VOXEL, -5, 5))
-    signs = np.sum((distance < 0) != ours.occupied[EIGHTH])
-    ratio = other_seconds / seconds
-    print(f"{f'{name}, open3d':34}{other_seconds * 1e3:10.1f}{ratio:12.1f}{signs:12d}{gap.max():12.1e}")
-    fused = fuse([tsdf(grid, object_view(body, eye)) for eye in camera_positions()])
-    wrong = np.sum(ours.occupied != ~(fused.values >= 0)) / ours.occupied.sum()
-    print(f"{'':6}nine views fused, unknown taken as solid: {wrong:.1%} of the volume wrong")
+    errors = {"signs": np.sum((distance < 0) != ours.occupied[EIGHTH]), "largest": gap.max()}
+    yield {**line, "way": "open3d", "n": 1, "ms": 1e3 * other_seconds, "ratio": other_seconds / seconds, **errors}
+    views = [tsdf(grid, object_view(body, eye)) for eye in camera_positions()]
+    wrong = np.sum(ours.occupied != ~(fuse(views).values >= 0)) / ours.occupied.sum()
+    yield {"body": name, "n": len(views), "wrong": wrong}
+
+
+def as_text(shape: tuple[int, ...]) -> str:
+    """The number of voxels along each axis."""
+    return " x ".join(map(str, shape))
 
 
 def plain_tsdf(grid: Grid, view: View) -> np.ndarray:
@@ -138,12 +178,11 @@ def exact_distance(grid: Grid, mesh: Mesh) -> tuple[float, np.ndarray]:
     tensor: Any = open3d.core.Tensor
     scene.add_triangles((mesh.vertices * 1e3).astype(np.float32), mesh.faces.astype(np.uint32))
     points = (grid.centres()[EIGHTH] * 1e3).astype(np.float32)
-    start = time.perf_counter()
-    distance = scene.compute_signed_distance(tensor(points)).numpy()
-    return 8 * (time.perf_counter() - start), distance * 1e-3
+    seconds, distance = timed(lambda: scene.compute_signed_distance(tensor(points)).numpy())
+    return 8 * seconds, distance * 1e-3
 
 
-def sample_bodies() -> list[tuple[Mesh, Pose]]:
+def sample_bodies() -> Bodies:
     """A table with twelve parts on it."""
     table = trimesh.creation.box((1.2, 1.6, 0.04))
     bodies = [(Mesh(table.vertices, table.faces.astype(np.int32)), Pose.from_translation((0, 0, -0.02)))]
@@ -171,31 +210,15 @@ def camera_positions() -> list[tuple[float, float, float]]:
     return [(0.01, 0, 0.5), *((0.3 * x, 0.3 * y, 0.3) for x, y in ring), *((0.4 * x, 0.4 * y, 0.0) for x, y in ring)]
 
 
-def object_view(bodies: list[tuple[Mesh, Pose]], eye: tuple[float, float, float]) -> View:
+def object_view(bodies: Bodies, eye: tuple[float, float, float]) -> View:
     """The bodies, with depth 10 m for all other pixels, as free space behind them."""
     pose = look_at(eye, (0, 0, 0))
     depth = render(CAMERA, pose, bodies).depth
     return View(CAMERA, pose, np.where(depth > 0, depth, 10))
 
 
-def timed(make: Callable[[], T], repeats: int) -> tuple[float, T]:
-    """Smallest time [s] of several calls (other processes may interfere), and the last result."""
-    fastest = np.inf
-    for _ in range(repeats - 1):
-        start = time.perf_counter()
-        make()
-        fastest = min(fastest, time.perf_counter() - start)
-    start = time.perf_counter()
-    result = make()
-    return min(fastest, time.perf_counter() - start), result
-
-
-def peak_gb() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-
-
 if __name__ == "__main__":
     try:
-        tyro.cli(main)
+        main(tyro.cli(Voxels))
     except Kit1000Error as error:
         raise SystemExit(f"voxels: {error}") from error

@@ -9,8 +9,7 @@ from typing import Any
 
 from benchmark import quantities
 from benchmark.entries import Entry, read_entries, unscored
-from benchmark.pages import numbers
-from benchmark.pages.numbers import Cell, mean_cell, median_cell, scale_end
+from benchmark.pages.cells import Cell, mean_cell, median_cell, percent, scale_end
 from kit1000.errors import InputError
 from kit1000.queries.tracks import TRACKS
 
@@ -143,7 +142,7 @@ def _row(entry: Entry, scored: Mapping[str, Any], ends: Mapping[str, float]) -> 
         if "median" in quantity.outputs:
             cells[quantity.key + MEDIAN] = median_cell(quantity, scored)
     date = entry.manifest.date
-    cells["coverage"] = Cell(numbers.percent(scored["coverage"]).removesuffix(" %"), scored["coverage"])
+    cells["coverage"] = Cell(percent(scored["coverage"]).removesuffix(" %"), scored["coverage"])
     cells["date"] = Cell(date, float(date.replace("-", "")))
     seconds, _ = quantities.SECONDS.estimate(scored)
     return Row(entry, cells, runtime_class(seconds))

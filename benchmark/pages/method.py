@@ -13,8 +13,7 @@ from benchmark.breakdown import TITLES, group_order
 from benchmark.curve_charts import panel
 from benchmark.curves import CURVES
 from benchmark.entries import Entry
-from benchmark.pages import numbers
-from benchmark.pages.numbers import Cell, mean_cell, median_cell, scale_end
+from benchmark.pages.cells import NO_VALUE, Cell, mean_cell, median_cell, percent, scale_end
 from benchmark.quantities import Quantity
 from kit1000.pictures.charts import Axis, Dot, Line, dot_plot, histogram, line_chart, rounded_up
 from kit1000.queries.tracks import TRACKS
@@ -73,7 +72,7 @@ def summary_rows(entry: Entry) -> list[dict[str, Any]]:
         for quantity in quantities.QUANTITIES:
             cells.append(mean_cell(quantity, scored))
             cells += [median_cell(quantity, scored)] if "median" in quantity.outputs else []
-        rows.append({"track": track, "n": scored["n"], "coverage": numbers.percent(scored["coverage"]), "cells": cells})
+        rows.append({"track": track, "n": scored["n"], "coverage": percent(scored["coverage"]), "cells": cells})
     return rows
 
 
@@ -172,5 +171,5 @@ def _case(row: Mapping[str, Any], pictures: Mapping[str, str]) -> CaseRow:
 
 def _case_cell(quantity: Quantity, value: float | bool | None) -> str:
     if value is None:
-        return numbers.NO_VALUE
+        return NO_VALUE
     return ("yes" if value else "no") if quantity.rate else quantity.text(value)

@@ -19,7 +19,7 @@ from kit1000.pictures.shading import contact_sheet
 from kit1000.pose import Pose, unit_vector
 from kit1000.registration.choice.fits import Fit
 from kit1000.registration.geometry.observed_cavity import VOXEL, Cavity, cells_at
-from kit1000.registration.inputs.sources import DepthSource
+from kit1000.registration.inputs.volume_sources import DepthSource
 from kit1000.registration.method import Registration
 from kit1000.registration.search.contradictions import INSIDE, TOLERANCE, KitHeights, contradictions
 from kit1000.values import Query

@@ -17,8 +17,8 @@ from kit1000.generation.presets import PRESETS
 from kit1000.kits.assembly import build_assembly, check_assembly, draw_assembly
 from kit1000.kits.kit import make_kit
 from kit1000.mesh import Mesh
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.pictures.dataset_sheets import scene_sheet
 from kit1000.pictures.shading import KIT, PART, ColouredBody, contact_sheet, framing_camera, shaded_picture
 from kit1000.pose import Pose

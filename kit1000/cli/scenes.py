@@ -1,4 +1,4 @@
-"""Commands about single scenes: what physics, the robot and people do in them."""
+"""Commands about single scenes: what methods, the robot and people do in them."""
 
 from __future__ import annotations
 
@@ -19,29 +19,6 @@ def find_own_modules() -> None:
     """Let `module:Object` name modules of the current folder too, as `python -m` does."""
     if (here := os.getcwd()) not in sys.path:
         sys.path.append(here)
-
-
-@dataclass(frozen=True)
-class Insertions:
-    """Insert parts into their slots with a simulated compliant gripper, and compare physics with the seating test."""
-
-    data: Folder
-    """Dataset folder."""
-    out: Path
-    """Folder for insertions.json, and for the convex pieces of the parts, which later runs use again."""
-    sample: int = 16
-    """Number of slots with a true pose and eight wrong ones."""
-    true_only: int = 32
-    """Number of further slots with a true pose only."""
-    seed: int = 0
-    """Seed of the sample and of the pose errors."""
-
-    def run(self) -> int:
-        """Run the study and print its tables."""
-        from kit1000.insertion_study import format_report, study
-
-        print(format_report(study(self.data, self.out, self.sample, self.true_only, self.seed)))
-        return 0
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from kit1000.dataset.cache import Entry, Key, VolumeCache
 from kit1000.dataset.reader import Dataset
+from kit1000.dataset.volume_cache import Entry, Key, VolumeCache
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.queries.motions import error_of

@@ -6,36 +6,91 @@ Vertices are multiples of float32 steps, so a mesh read back equals the one writ
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import cast
+from typing import Any
 
 import numpy as np
-import trimesh
-from trimesh.visual.material import PBRMaterial
-from trimesh.visual.texture import TextureVisuals
 
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, y_up, z_up
 
+GLTF_BINARY, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
+UNSIGNED_INT, FLOAT, TRIANGLES = 5125, 5126, 4
+ASSET = {"version": "2.0", "generator": "https://github.com/mikedh/trimesh"}  # files keep the bytes that it wrote
+STL_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+
 
 def glb_bytes(bodies: Mapping[str, Mesh], colours: Mapping[str, tuple[int, int, int]] | None = None) -> bytes:
     """Named bodies as one GLB. `colours`: sRGB 0..255 by name; bodies without one get no material."""
-    scene = trimesh.Scene()
+    file, materials, meshes = _GlbData(), [], []
     for name, mesh in bodies.items():
-        body = trimesh.Trimesh(y_up(mesh.vertices), mesh.faces, process=False)
+        indices = file.accessor(mesh.faces.astype("<u4").reshape(-1, 1), UNSIGNED_INT)
+        position = file.accessor(y_up(mesh.vertices).astype("<f4"), FLOAT)
+        primitive: dict[str, Any] = {"attributes": {"POSITION": position}, "indices": indices, "mode": TRIANGLES}
         if colours and name in colours:
-            linear = [(c / 255) ** 2.2 for c in colours[name]]
-            material = PBRMaterial(
-                baseColorFactor=[*linear, 1.0], metallicFactor=0.0, roughnessFactor=0.6, doubleSided=False
-            )
-            body.visual = TextureVisuals(material=material)
-        scene.add_geometry(body, node_name=name, geom_name=name)
-    return cast(bytes, scene.export(file_type="glb"))
+            material = _material(colours[name])
+            if material not in materials:
+                materials.append(material)
+            primitive["material"] = materials.index(material)
+        meshes.append({"name": name, "extras": {}, "primitives": [primitive]})
+    return file.packed(meshes, materials)
+
+
+class _GlbData:
+    """The arrays of a GLB, each stored once."""
+
+    def __init__(self) -> None:
+        self.accessors: list[dict[str, Any]] = []
+        self.buffers: list[bytes] = []
+
+    def accessor(self, array: np.ndarray, component: int) -> int:
+        """The index of the accessor of an array (n, 1) or (n, 3)."""
+        data = array.tobytes()
+        if data not in self.buffers:
+            self.buffers.append(data)
+        entry = {"componentType": component, "type": "SCALAR" if array.shape[1] == 1 else "VEC3"}
+        entry |= {"byteOffset": 0} if component == FLOAT else {}
+        entry |= {"bufferView": self.buffers.index(data), "count": len(array)}
+        entry |= {"max": array.max(axis=0).tolist(), "min": array.min(axis=0).tolist()}
+        if entry not in self.accessors:
+            self.accessors.append(entry)
+        return self.accessors.index(entry)
+
+    def packed(self, meshes: list[dict[str, Any]], materials: list[dict[str, Any]]) -> bytes:
+        """The bytes of a GLB of meshes, each a node of its own."""
+        starts = np.cumsum([0, *map(len, self.buffers)]).tolist()
+        views = [
+            {"buffer": 0, "byteOffset": start, "byteLength": len(data)}
+            for start, data in zip(starts, self.buffers, strict=False)
+        ]
+        tree = {"scene": 0, "scenes": [{"nodes": list(range(len(meshes)))}], "asset": ASSET}
+        tree |= {"accessors": self.accessors, "meshes": meshes} | ({"materials": materials} if materials else {})
+        tree |= {"nodes": [{"name": mesh["name"], "mesh": number} for number, mesh in enumerate(meshes)]}
+        tree |= {"buffers": [{"byteLength": starts[-1]}], "bufferViews": views}
+        content = json.dumps(tree, separators=(",", ":"))
+        content += (4 - len(content) % 4) * " "
+        head = [GLTF_BINARY, 2, len(content) + starts[-1] + 28, len(content), JSON_CHUNK]
+        chunks = [_words(head), content.encode(), _words([starts[-1], BINARY_CHUNK]), *self.buffers]
+        return b"".join(chunks)
+
+
+def _words(numbers: list[int]) -> bytes:
+    return np.array(numbers, "<u4").tobytes()
+
+
+def _material(colour: tuple[int, int, int]) -> dict[str, Any]:
+    """A matt material of an sRGB colour."""
+    linear = [round((channel / 255) ** 2.2 * 255) / 255 for channel in colour]
+    surface = {"baseColorFactor": [*linear, 1.0], "roughnessFactor": 0.6, "metallicFactor": 0.0}
+    return {"pbrMetallicRoughness": surface, "doubleSided": False}
 
 
 def read_glb(path: Path) -> dict[str, Mesh]:
     """The bodies of a GLB written by `glb_bytes`, by name. Raises InputError for anything else."""
+    import trimesh  # only here: importing it takes longer than making many a kit
+
     try:
         scene = trimesh.load_scene(io.BytesIO(path.read_bytes()), file_type="glb", process=False)
         return {
@@ -50,5 +105,6 @@ def read_glb(path: Path) -> dict[str, Mesh]:
 
 def stl_bytes(mesh: Mesh) -> bytes:
     """A mesh as a binary STL in millimetres, z up, ready for a slicer."""
-    body = trimesh.Trimesh(mesh.vertices * 1e3, mesh.faces, process=False)
-    return cast(bytes, body.export(file_type="stl"))
+    facets = np.zeros(len(mesh.faces), STL_FACET)
+    facets["normal"], facets["corners"] = mesh.normals, mesh.triangles * 1e3
+    return bytes(80) + _words([len(facets)]) + facets.tobytes()

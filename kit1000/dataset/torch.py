@@ -1,6 +1,6 @@
 """The queries of a split as a map-style PyTorch dataset: items in any order, the same from any worker.
 
-This is the only module of the library that imports torch. `kit1000.dataset.items` makes the items as numpy arrays.
+`kit1000.dataset.items` makes the items as numpy arrays.
 """
 
 from __future__ import annotations

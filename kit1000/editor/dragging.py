@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from kit1000.editor import gestures
-from kit1000.editor.plates import Plate
 from kit1000.editor.pointing import Eye, Surface
+from kit1000.editor.seen_plates import Plate
 from kit1000.editor.session import PartEdit
 from kit1000.numerics.linear_algebra import length, matmul
 from kit1000.numerics.trigonometry import tangent

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kit1000.editor.plates import Plate
+from kit1000.editor.seen_plates import Plate
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.pose import Pose, quaternion_between
 

@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from kit1000.editor.plates import TABLE, Plate
 from kit1000.editor.pointing import Eye, Support, Surface, SurfaceImage
 from kit1000.editor.proposals import Proposal
 from kit1000.editor.scene import EditedScene
+from kit1000.editor.seen_plates import TABLE, Plate
 from kit1000.editor.session import UNTOUCHED, PartEdit, part_name
 from kit1000.editor.workspace import Step, Workspace
 from kit1000.mesh import Mesh, mesh_from_solid

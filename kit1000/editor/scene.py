@@ -9,11 +9,12 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.editor.contact import Cavities, TrueContacts
-from kit1000.editor.plates import Plate, find_plates
-from kit1000.editor.queries import editable_queries
-from kit1000.editor.seen import STRIDE, ColouredPoints, SeenScene, coloured_points, observed, seen_scene
+from kit1000.editor.edited_queries import editable_queries
+from kit1000.editor.part_on_plate import Cavities, TrueContacts
+from kit1000.editor.seen import ColouredPoints, SeenScene, coloured_points, observed, seen_scene
+from kit1000.editor.seen_plates import Plate, find_plates
 from kit1000.mesh import Mesh
+from kit1000.perception.observed.pixels import noise_of
 from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, Query, View
 
@@ -67,11 +68,8 @@ class EditedScene:
     @cached_property
     def plates(self) -> list[Plate]:
         """As seen, the largest first."""
-        view, noisy = self.view, self.sensor != "ideal"
-        mask = (self.recorded.labelled_depth(self.sensor).labels == ASSEMBLY_LABEL) & (view.depth > 0)
-        distance = float(np.median(view.depth[mask])) if mask.any() else 1.0
-        pixel = STRIDE * distance / view.camera.fx
-        return find_plates(self._seen.kits, pixel * pixel, noisy)
+        mask = self.recorded.labelled_depth(self.sensor).labels == ASSEMBLY_LABEL
+        return find_plates(self.view, mask, noise_of(self.sensor))
 
     @cached_property
     def clouds(self) -> dict[int, np.ndarray]:

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from kit1000.dataset.reader import Dataset
+from kit1000.editor.edited_queries import editable_queries
 from kit1000.editor.proposals import Proposal
-from kit1000.editor.queries import editable_queries
 from kit1000.engines.processes import start_worker
 from kit1000.errors import InputError, Kit1000Error
 from kit1000.mesh import Mesh
@@ -97,7 +97,7 @@ class Worker:
         self._first: list[int] = list(parts)
         self._guesses: dict[int, Pose] = {}
         self._changed, self._stopping = threading.Condition(), False
-        self._executor = _one_process()
+        self._executor = one_process()
 
     def start(self, done: Callable[[Result], None], completed: Callable[[Completion], None] | None = None) -> None:
         """Begin with the jobs. done: called with each result; completed: once before, with the completed kits."""
@@ -139,7 +139,7 @@ class Worker:
         try:
             return self._executor.submit(call, self._method, *job).result()
         except BrokenProcessPool:
-            self._executor = _one_process()
+            self._executor = one_process()
             return failed("the method's process died")
         except Exception as error:
             return failed(_line(error))
@@ -177,7 +177,8 @@ class AtOnce:
         """The part in the hand: nothing waits for it."""
 
 
-def _one_process() -> ProcessPoolExecutor:
+def one_process() -> ProcessPoolExecutor:
+    """A new process for the method."""
     return ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_begin)
 
 

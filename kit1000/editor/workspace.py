@@ -12,10 +12,10 @@ import numpy as np
 
 from kit1000.editor import gestures
 from kit1000.editor.keys import Interface
-from kit1000.editor.plates import Plate
 from kit1000.editor.pointing import Pointing, Surface
 from kit1000.editor.proposals import PartProposals, Proposal
 from kit1000.editor.scene import EditedScene
+from kit1000.editor.seen_plates import Plate
 from kit1000.editor.session import LIKELY, UNTOUCHED, PartEdit, Session, part_name
 
 APART = 25e-3  # [m] between the pivots of two parts in different cavities

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from kit1000.dataset.mesh_files import glb_bytes, stl_bytes
 from kit1000.dataset.tables import pose_row
-from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw
+from kit1000.engines import local_engine
+from kit1000.engines.cores import usable_cores
+from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, internal_error
 from kit1000.files import check_writable, clear_partial, write_bytes, write_json
 from kit1000.kits.acceptance import NOT_SEATED
 from kit1000.kits.choice import Attempt, attempts
@@ -20,8 +24,8 @@ from kit1000.kits.seating import BISECTION_STEP
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
-from kit1000.parts.files.bodies import Choice, SeveralBodies
 from kit1000.parts.files.sources import MeshReading, Refusal, read_bodies, read_mesh
+from kit1000.parts.files.united_bodies import Choice, SeveralBodies
 from kit1000.values import Part
 
 COLOURS = {"kit": (224, 219, 210), "part": (238, 122, 40)}  # sRGB, those of the pictures
@@ -29,6 +33,7 @@ OTHER_CHOICES = {  # what to do about several bodies, by the choice that was ref
     None: "choose --bodies union (they touch or overlap), largest, or each (a kit for every one)",
     "union": "choose --bodies largest, or each (a kit for every one)",
 }
+PREVIEW = "preview.png"
 REPORT = "report.json"  # written last: when it exists, the other files are complete and of the same part
 
 
@@ -43,6 +48,7 @@ def make_kit_from_file(
     unit: str | None = None,
     longest: float | None = None,
     choice: Choice | None = None,
+    preview: bool = True,
 ) -> dict[str, Any]:
     """Make the kit of a mesh file and write it to a folder; returns the report.
 
@@ -53,6 +59,7 @@ def make_kit_from_file(
         unit: unit of the file: mm, cm, m or inch; guessed when None.
         longest: [m] scale the part to this longest side; true size when None.
         choice: which body of several is the part, as in `read_mesh`.
+        preview: whether to draw preview.png.
 
     Raises:
         InputError: the file is no usable part, no kit can be made, or the folder cannot be written.
@@ -65,11 +72,16 @@ def make_kit_from_file(
         raise InputError(f"{path}: {refusal.reason}; {OTHER_CHOICES[choice]}") from None
     except MeshRefused as refusal:
         raise InputError(f"{path}: {refusal.reason}") from None
-    return _make_kit(reading, str(path), out, clearance, longest)
+    return _make_kit(reading, str(path), out, clearance, longest, preview)
 
 
 def make_kits_from_file(
-    path: Path, out: Path, clearance: float = CLEARANCE, unit: str | None = None, longest: float | None = None
+    path: Path,
+    out: Path,
+    clearance: float = CLEARANCE,
+    unit: str | None = None,
+    longest: float | None = None,
+    preview: bool = True,
 ) -> dict[str, dict[str, Any] | str]:
     """Make the kit of each body of a mesh file, in folders 01, 02, ... of `out`, the largest body first.
 
@@ -90,14 +102,78 @@ def make_kits_from_file(
         try:
             if isinstance(reading, Refusal):
                 raise InputError(f"{place}: {reading.reason}")
-            reports[name] = _make_kit(reading, place, out / name, clearance, longest)
+            reports[name] = _make_kit(reading, place, out / name, clearance, longest, preview)
         except (InputError, InexactKit) as refusal:
             reports[name] = str(refusal)
     write_json(out / REPORT, reports)
     return reports
 
 
-def _make_kit(reading: MeshReading, place: str, out: Path, clearance: float, longest: float | None) -> dict[str, Any]:
+@dataclass(frozen=True)
+class KitJob:
+    """One of several files to make kits for."""
+
+    path: Path
+    out: Path
+    clearance: float = CLEARANCE
+    unit: str | None = None
+    longest: float | None = None
+    choice: Literal["union", "largest", "each"] | None = None
+    preview: bool = True
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+    def run(self) -> dict[str, dict[str, Any] | str]:
+        """Make the kit, or those of each body: by folder the report, or why there is no kit."""
+        options = (self.path, self.out, self.clearance, self.unit, self.longest)
+        try:
+            if self.choice == "each":
+                reports = make_kits_from_file(*options, self.preview)
+                return {f"{self.out.name}/{name}": report for name, report in reports.items()}
+            return {self.out.name: make_kit_from_file(*options, self.choice, self.preview)}
+        except (InputError, InexactKit) as refusal:
+            return {self.out.name: str(refusal)}
+        except Exception as error:  # one file may trigger an unforeseen case: it is reported and the others get kits
+            return {self.out.name: str(internal_error(str(self.path), error))}
+
+
+def make_kits_from_files(
+    paths: Sequence[Path], out: Path, workers: int | None = None, **options: Any
+) -> Iterator[dict[str, dict[str, Any] | str]]:
+    """Make the kits of many files in folders of `out` named after them, on all cores; the largest file first.
+
+    Yields for each file, as it is done, the reports by folder as `make_kits_from_file` returns them. `report.json` of
+    `out` holds all of them, and is written last. options: fields of `KitJob`.
+    """
+    check_writable(out)
+    with suppress(OSError):  # of an earlier run
+        (out / REPORT).unlink()
+    jobs = [KitJob(path, out / name, **options) for path, name in zip(paths, folder_names(paths), strict=True)]
+    jobs.sort(key=lambda job: job.path.stat().st_size if job.path.is_file() else 0, reverse=True)
+    reports: dict[str, dict[str, Any] | str] = {}
+    with local_engine(min(workers or usable_cores(), len(jobs))) as run:
+        for done in run(KitJob.run, jobs):
+            reports |= done
+            yield done
+    write_json(out / REPORT, dict(sorted(reports.items())))
+
+
+def folder_names(paths: Sequence[Path]) -> list[str]:
+    """Names of folders for files: without their endings, and numbered where they would be equal."""
+    names: list[str] = []
+    for path in paths:
+        name, number = path.stem, 1
+        while name in names:
+            number += 1
+            name = f"{path.stem}-{number}"
+        names.append(name)
+    return names
+
+
+def _make_kit(
+    reading: MeshReading, place: str, out: Path, clearance: float, longest: float | None, preview: bool
+) -> dict[str, Any]:
     """Make the kit of a part and write it to a folder; returns the report. `place` begins every message."""
     part, scale = _part(reading, longest)
     side = float(part.mesh.extents.max())
@@ -108,10 +184,13 @@ def _make_kit(reading: MeshReading, place: str, out: Path, clearance: float, lon
         )
     design, trial = _best_kit(part, clearance, place)
     report = _report(reading, part, scale, design, trial)
-    files = _files(part, design, place)
+    files = kit_files(part, design, place, preview)
     clear_partial(out, *files, REPORT)
     with suppress(OSError):  # of an earlier run; the next write reports any error
         (out / REPORT).unlink()
+    if not preview:
+        with suppress(OSError):  # of an earlier run
+            (out / PREVIEW).unlink()
     for name, data in files.items():
         write_bytes(out / name, data)
     write_json(out / REPORT, report)
@@ -124,24 +203,26 @@ def _best_kit(part: Part, clearance: float, place: str) -> tuple[KitDesign, dict
     Returns it with the report of its trials, which are only reported, as not every user's part can pass them. Raises
     InputError when there is no kit, and InexactKit when none is exact.
     """
-    kits: list[tuple[KitDesign, dict[str, Any]]] = []
-    faults: list[Kit1000Error | None] = []
+    tried: list[Attempt] = []
+    faults: list[Kit1000Error] = []
     reason = ""
     try:
         for attempt in attempts(part, clearance, None):
-            if attempt.design is None:
-                reason = reason or attempt.refusal
-                continue
-            kits.append((attempt.design, _trial_report(attempt)))
-            faults.append(_fault_of(attempt.design, attempt.refusal, place))
-            if attempt.refusal is None and faults[-1] is None:
-                return kits[-1]
+            tried.append(attempt)
+            passing = attempt.design if attempt.refusal is None else None
+            if passing is not None and _fault_of(passing, None, place) is None:
+                return passing, _trial_report(attempt)
     except Redraw as refusal:
         reason = refusal.reason
-    for kit, fault in zip(kits, faults, strict=True):
+    for attempt in (attempt.postponed() if attempt.postponed else attempt for attempt in tried):
+        if attempt.design is None:
+            reason = reason or attempt.refusal or ""
+            continue
+        fault = _fault_of(attempt.design, attempt.refusal, place)
         if fault is None:
-            return kit
-    raise next((fault for fault in faults if fault is not None), InputError(f"{place}: no kit: {reason}"))
+            return attempt.design, _trial_report(attempt)
+        faults.append(fault)
+    raise next(iter(faults), InputError(f"{place}: no kit: {reason}"))
 
 
 def _fault_of(design: KitDesign, refusal: str | None, place: str) -> Kit1000Error | None:
@@ -192,17 +273,27 @@ def _trial_report(attempt: Attempt) -> dict[str, Any]:
     return report | {"why": why, "keyedness_deg": keyed}
 
 
-def _files(part: Part, design: KitDesign, place: str) -> dict[str, bytes]:
-    from kit1000.pictures.previews import kit_preview  # only here: importing it compiles the renderer
+def kit_files(part: Part, design: KitDesign, place: str, preview: bool = True) -> dict[str, bytes]:
+    """The files of a kit and its part, by name.
 
+    Args:
+        part: the part, in its own frame.
+        design: its kit.
+        place: what messages call the part.
+        preview: whether a picture is among the files.
+    """
     kit = _closed_in_files(design.kit.mesh, f"{place}: the kit")
     seated = _closed_in_files(part.mesh.moved(design.kit.slot.kit_from_part), f"{place}: the seated part")
-    return {
+    files = {
         "kit.stl": stl_bytes(kit),
         "part.stl": stl_bytes(seated),
         "seated.glb": glb_bytes({"kit": kit, "part": seated}, COLOURS),
-        "preview.png": kit_preview(part, design.kit),
     }
+    if preview:
+        from kit1000.pictures.previews import kit_preview  # only here: importing it compiles the renderer
+
+        files[PREVIEW] = kit_preview(part, design.kit)
+    return files
 
 
 def _closed_in_files(mesh: Mesh, name: str) -> Mesh:

@@ -29,12 +29,19 @@ from kit1000.files import (
     write_json,
 )
 from kit1000.generation.assemblies import AssemblyJob, make_assembly
+from kit1000.generation.dataset_summary import (
+    JobRecords,
+    description_files,
+    make_summary,
+    refused_files,
+    summary_bytes,
+    tables,
+)
 from kit1000.generation.leftover_files import fill_short_splits
 from kit1000.generation.parts_and_kits import BUILD_FOLDER, PartJob, Record, make_part_and_kit, read_intact
 from kit1000.generation.plan import Sources, candidate_order, make_plan, split_ids
 from kit1000.generation.presets import Preset
 from kit1000.generation.shards import make_shard, shard_jobs
-from kit1000.generation.summary import JobRecords, description_files, make_summary, refused_files, summary_bytes, tables
 from kit1000.parts.files.refusals import refusal_counts
 from kit1000.parts.near_duplicates import near_duplicate_of
 from kit1000.queries.tracks import SPLITS
@@ -78,7 +85,7 @@ def generate(
             parts = _make_parts_and_kits(root, preset, plan, sources, parallel_map)
             assemblies = _make_assemblies(root, preset, plan, parts, parallel_map)
             scenes = _make_shards(root, preset, plan, assemblies, parallel_map)
-        return _write_summary(
+        return write_summary(
             root, plan, JobRecords(parts, assemblies, scenes, None if sources is None else len(sources.files))
         )
 
@@ -129,7 +136,8 @@ def _make_parts_and_kits(
     jobs = {
         part_id: _part_job(root, preset, plan["seed"], part_id, row, sources) for part_id, row in plan["parts"].items()
     }
-    records = _run_jobs("parts and kits", make_part_and_kit, list(jobs.values()), parallel_map)
+    costly_first = sorted(jobs.values(), key=_bytes_to_read, reverse=True)  # so that no core idles at the end
+    records = _run_jobs("parts and kits", make_part_and_kit, costly_first, parallel_map)
     accepted: list[str] = []
     measures = np.zeros((0, 5))
     for part_id in jobs:
@@ -149,6 +157,12 @@ def _make_parts_and_kits(
     if not accepted:
         raise InputError(_no_usable_file(root, plan, records))
     return records
+
+
+def _bytes_to_read(job: PartJob) -> int:
+    """The size of the first file of a job, which tells its cost; 0 where there is none."""
+    path = job.sources[0][1] if job.sources else None
+    return path.stat().st_size if path is not None and path.is_file() else 0
 
 
 def _part_job(
@@ -235,7 +249,7 @@ def _check_files_present(root: Path, record: Record) -> None:
             )
 
 
-def _write_summary(root: Path, plan: dict[str, Any], records: JobRecords) -> dict[str, Any]:
+def write_summary(root: Path, plan: dict[str, Any], records: JobRecords) -> dict[str, Any]:
     """Write the tables, the plan, the data card, the Croissant file and last `dataset.json`; returns its contents."""
     written = {f"{name}.json": write_json(root / f"{name}.json", rows) for name, rows in tables(plan, records).items()}
     _remove_unlisted(root, records.files)

@@ -141,11 +141,11 @@ def _part_and_kit_of_file(job: PartJob, path: Path) -> tuple[Part, KitDesign, Pa
     """
     mesh = read_mesh(path, job.unit).mesh
     try:
-        part = _part_of_size(job, mesh, draw_longest(job.preset, job.seed, job.part_id))
+        part = part_of_size(job, mesh, draw_longest(job.preset, job.seed, job.part_id))
         return part, *_accepted_kit(job, part)
     except Redraw as refusal:
         with suppress(Redraw):
-            part = _part_of_size(job, mesh, job.preset.longest[1])
+            part = part_of_size(job, mesh, job.preset.longest[1])
             return part, *_accepted_kit(job, part)
         raise refusal from None
 
@@ -158,7 +158,7 @@ def _accepted_kit(job: PartJob, part: Part) -> tuple[KitDesign, PairCheck]:
     return accepted_kit(part, job.preset.clearance, plate)
 
 
-def _part_of_size(job: PartJob, mesh: Mesh, longest: float) -> Part:
+def part_of_size(job: PartJob, mesh: Mesh, longest: float) -> Part:
     """The part of a mesh scaled to a longest side [m], closed as files hold it. Raises MeshRefused when it opens."""
     part = part_of_mesh(job.part_id, mesh, longest)
     if defect_float32(part.mesh) is None:

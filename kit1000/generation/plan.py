@@ -19,8 +19,8 @@ import numpy as np
 from kit1000.files import json_bytes, sha256
 from kit1000.generation.presets import HELD_OUT, Preset
 from kit1000.kits.assembly import AssemblyPlan, draw_assembly
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import Family, dimensions
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.parts.mixtures import MIXTURES, choose_family
 from kit1000.queries.tracks import SPLITS
 from kit1000.rng import stream

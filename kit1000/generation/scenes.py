@@ -18,7 +18,7 @@ from kit1000.dataset.tables import Row, pose_row
 from kit1000.errors import Redraw
 from kit1000.generation.plan import is_crowded, rest_modes, scene_id_of
 from kit1000.generation.presets import Preset
-from kit1000.generation.queries import PartInScene, asking_tracks, scene_queries
+from kit1000.generation.scene_queries import PartInScene, asking_tracks, scene_queries
 from kit1000.mesh import Mesh
 from kit1000.pictures.scene_preview import with_previews
 from kit1000.pose import Pose
@@ -145,10 +145,15 @@ def bodies(assembly: Assembly, parts: tuple[Part, ...], layout: Layout) -> list[
 
 def _scene_parts(preset: Preset, seed: int, split: str, assembly: Assembly, parts: Mapping[str, Part]) -> _SceneParts:
     scene_id = scene_id_of(assembly.id)
-    mounts = tuple(stream(seed, "order", scene_id).permutation(len(assembly.mounts)).tolist())
+    mounts = mount_order(seed, scene_id, len(assembly.mounts))
     order = tuple(parts[assembly.mounts[k].kit.slot.part_id] for k in mounts)
     crowded = is_crowded(preset, seed, scene_id, len(order))
     return _SceneParts(scene_id, split, seed, preset, crowded, assembly, order, mounts)
+
+
+def mount_order(seed: int, scene_id: str, count: int) -> tuple[int, ...]:
+    """The mount of each part of a scene: an index says nothing about the place in the assembly."""
+    return tuple(stream(seed, "order", scene_id).permutation(count).tolist())
 
 
 def _draw_layout_and_view(scene_parts: _SceneParts) -> tuple[_LayoutView, list[str]]:

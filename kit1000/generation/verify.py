@@ -12,9 +12,9 @@ from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.reader import WITHHELD_FILE
 from kit1000.errors import InputError
 from kit1000.files import read_json, sha256
+from kit1000.generation.dataset_summary import summary_bytes
 from kit1000.generation.plan import DATA_VERSION, dataset_id
 from kit1000.generation.rebuild import scene_differences
-from kit1000.generation.summary import summary_bytes
 from kit1000.generation.withhold import secret_fault
 from kit1000.rng import stream
 from kit1000.sim.world import PhysicsMissing, check_physics

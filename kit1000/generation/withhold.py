@@ -24,9 +24,9 @@ from kit1000.dataset.reader import WITHHELD_FILE
 from kit1000.dataset.schema import Observation
 from kit1000.errors import InputError
 from kit1000.files import check_writable, is_url, json_bytes, locked, read_json, sha256, write_bytes, write_json
+from kit1000.generation.dataset_summary import description_files, summary_bytes
 from kit1000.generation.presets import Preset
 from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS
-from kit1000.generation.summary import description_files, summary_bytes
 from kit1000.pictures.scene_preview import png_bytes, scene_picture
 from kit1000.rng import MIN_SECRET_ROOT, ROOT_LIMIT
 
@@ -95,7 +95,7 @@ def publish(full: Path, public_folder: Path) -> dict[str, Any]:
         write_json(public_folder / BEGUN_FILE, {"dataset_id": secret["dataset_id"]})
         files = {name: digest for name, digest in summary["files"].items() if _is_public(name, tables)}
         for name, digest in files.items():
-            _link_or_copy(full / name, public_folder / name, digest)
+            link_or_copy(full / name, public_folder / name, digest)
         files |= _publish_recordings(full, public_folder, summary["shards"])
         for name, rows in tables.items():
             public_rows = {i: row for i, row in rows.items() if row["split"] != HIDDEN_SPLIT}
@@ -194,7 +194,7 @@ def _public_summary(summary: dict[str, Any], secret: dict[str, Any]) -> dict[str
     }
 
 
-def _link_or_copy(source: Path, target: Path, digest: str) -> None:
+def link_or_copy(source: Path, target: Path, digest: str) -> None:
     """Hard-link a file to a second place, or copy it where links are not possible."""
     if sha256(target) == digest:
         return

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -77,14 +78,22 @@ def check_pair(part: Part, kit: Kit) -> PairCheck:
     for pose in poses_beyond_keyedness(kit, yaw):
         if not is_goal(pose, kit, yaw) and test.fits(pose, design):
             raise Redraw("seats when turned past its keyedness")
-    loose = find_loose_fit(PreparedPart(part.mesh, resting_faces(part.mesh, ANY_FACE)), PreparedKit(kit)) is not None
-    return PairCheck(yaw, loose)
+    return PairCheck(yaw, find_loose_fit(_prepared_part(part.mesh), PreparedKit(kit)) is not None)
+
+
+@lru_cache(maxsize=2)  # asked for again at every face that a kit is tried on
+def _prepared_part(mesh: Mesh) -> PreparedPart:
+    return PreparedPart(mesh, resting_faces(mesh, ANY_FACE))
 
 
 def wrong_poses(kit: Kit) -> Iterator[tuple[str, Pose]]:
     """(description, pose): the design pose lifted, shifted and tilted by errors at which no part may seat."""
-    design = kit.slot.goals[0]
-    shift = kit.slot.clearance + SEATED_LIMIT
+    return wrong_poses_about(kit.slot.goals[0], kit.slot.clearance)
+
+
+def wrong_poses_about(design: Pose, clearance: float) -> Iterator[tuple[str, Pose]]:
+    """`wrong_poses` of a design pose in a slot with a clearance [m]."""
+    shift = clearance + SEATED_LIMIT
     yield "lifted 3 mm", Pose.from_translation(np.array([0, 0, SEATED_LIMIT])) @ design
     for angle in DIRECTIONS:
         direction = np.array([cosine(angle), sine(angle), 0.0])

@@ -164,7 +164,7 @@ def _check_printable(assembly: Assembly) -> None:
 
 def _check_cavities(assembly: Assembly) -> None:
     """Every cavity is as open as in its kit, and at least MIN_WALL of wall is between any two."""
-    boxes = [_cavity_box(mount) for mount in assembly.mounts]
+    boxes = [cavity_box(mount) for mount in assembly.mounts]
     if any(a.min_gap(b, 2 * MIN_WALL) < MIN_WALL for a, b in combinations(boxes, 2)):
         raise Redraw("cavities too close")
     plates = [mount.kit.mesh for mount in assembly.mounts]
@@ -176,7 +176,7 @@ def _check_cavities(assembly: Assembly) -> None:
         raise Redraw("plate not whole")
 
 
-def _cavity_box(mount: Mount) -> Manifold:
+def cavity_box(mount: Mount) -> Manifold:
     """The block of a plate within which its cavity lies, in the assembly frame."""
     points, (width, depth, _) = mount.kit.mesh.vertices, mount.kit.extent
     inner = points[(np.abs(points[:, :2]) < np.array((width, depth)) / 2 - MIN_WALL / 2).all(1)]

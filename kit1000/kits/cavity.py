@@ -16,6 +16,7 @@ from itertools import pairwise
 import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold, OpType
 
+from kit1000.kits.patches import MERGED, Detail
 from kit1000.kits.sweep import RIM_OVERSHOOT, grown_sweep, shadow_below
 
 LEDGE_OFFSET = 0.02e-3  # [m] of a probe above or below a ledge: lower steps are floor, not wall
@@ -71,13 +72,13 @@ def insertion_depth(height: float) -> float:
 
 
 def cut_cavity(
-    standing: Manifold, depth: float, clearance: float, width: tuple[float, float], merge_patches: bool = True
+    standing: Manifold, depth: float, clearance: float, width: tuple[float, float], detail: Detail = MERGED
 ) -> Cavity:
     """The cavity of a depth and clearance [m] for a solid standing on z = 0, in a plate of width (x, y) [m].
 
-    merge_patches: whether nearly convex neighbouring faces may be grown as one: faster, and up to 0.1 mm wider.
+    detail: up to which nearly convex neighbouring faces are grown as one: faster, and up to 0.1 mm wider.
     """
-    grown, levels = grown_sweep(standing, depth, clearance, merge_patches)
+    grown, levels = grown_sweep(standing, depth, clearance, detail)
     ledges = _ledges(levels, depth)
     shadows = _probe_shadows(standing, ledges)
     thin_walls, probes = _remove_thin_walls(grown, shadows, depth + RIM_OVERSHOOT, width)

@@ -7,13 +7,17 @@ another goal, as for a free axis or a gear with many teeth.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 from kit1000.errors import Redraw
 from kit1000.kits.acceptance import PairCheck, check_pair
+from kit1000.kits.early_refusal import sure_refusal
+from kit1000.kits.face import RestingFace
 from kit1000.kits.kit import CLEARANCE, UNIT_PLATE, KitDesign, Plate, design_kit, insertion_faces
 from kit1000.kits.loose_fits import PreparedKit, accepts_most_parts
+from kit1000.parts.family import FILE
 from kit1000.values import Part
 
 
@@ -27,6 +31,8 @@ class Attempt:
     """None when a trial fails."""
     refusal: str | None
     """Why the kit is refused; None when it passes all trials."""
+    postponed: Callable[[], Attempt] | None = None
+    """Designs the kit and tries it, where that was not done because it surely fails; else None."""
 
 
 def accepted_kit(part: Part, clearance: float = CLEARANCE, plate: Plate = UNIT_PLATE) -> tuple[KitDesign, PairCheck]:
@@ -45,20 +51,27 @@ def accepted_kit(part: Part, clearance: float = CLEARANCE, plate: Plate = UNIT_P
 def attempts(part: Part, clearance: float, plate: Plate | None) -> Iterator[Attempt]:
     """The kit on each insertion face in turn, designed and tried when asked for.
 
-    plate: None for one fitted to the part. Raises Redraw when there is no insertion face.
+    The kit of a part of a file is not designed on faces where it surely fails a trial. plate: None for one fitted to
+    the part. Raises Redraw when there is no insertion face.
     """
     for face in insertion_faces(part, clearance, fitted_plate=plate is None):
-        design = trial = refusal = None
-        try:
-            design = design_kit(part, clearance, plate, face)
-            if plate is not None:
-                _check_for_dataset(design)
-            trial = check_pair(part, design.kit)
-            if trial.has_loose_fit:
-                raise Redraw("loose fit")
-        except Redraw as error:
-            refusal = error.reason
-        yield Attempt(design, trial, refusal)
+        attempt = partial(_attempt, part, clearance, plate, face)
+        refusal = sure_refusal(part, face, clearance) if part.family == FILE else None
+        yield attempt() if refusal is None else Attempt(None, None, refusal, attempt)
+
+
+def _attempt(part: Part, clearance: float, plate: Plate | None, face: RestingFace) -> Attempt:
+    design = trial = refusal = None
+    try:
+        design = design_kit(part, clearance, plate, face)
+        if plate is not None:
+            _check_for_dataset(design)
+        trial = check_pair(part, design.kit)
+        if trial.has_loose_fit:
+            raise Redraw("loose fit")
+    except Redraw as error:
+        refusal = error.reason
+    return Attempt(design, trial, refusal)
 
 
 def _check_for_dataset(design: KitDesign) -> None:

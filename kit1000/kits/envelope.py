@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import maximum_filter
 
 from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
@@ -43,8 +42,9 @@ def polar_relief(resting: Mesh, depth: float, clearance: float = 0.0) -> tuple[n
     columns = np.rint(middle[1] + radii[:, None] * sine(angles)).astype(int)
     inside = (rows >= 0) & (rows < depths.shape[0]) & (columns >= 0) & (columns < depths.shape[1])
     cells = np.clip(rows, 0, depths.shape[0] - 1), np.clip(columns, 0, depths.shape[1] - 1)
-    relief, grown = (np.where(inside, field[cells], 0) for field in (depths, _grown(depths, int(clearance / cell))))
-    return relief, grown, radii * (cell**2 * 2 * np.pi * reach / RELIEF_RINGS)
+    fields = (depths, grown(depths, int(clearance / cell) + 0.5))
+    relief, wider = (np.where(inside, field[cells], 0) for field in fields)
+    return relief, wider, radii * (cell**2 * 2 * np.pi * reach / RELIEF_RINGS)
 
 
 def _grid(mesh: Mesh, cell: float, margin: float) -> tuple[np.ndarray, np.ndarray]:
@@ -71,9 +71,26 @@ def _edge_heights(mesh: Mesh, cell: float, margin: float) -> np.ndarray:
     return heights
 
 
-def _grown(depths: np.ndarray, cells: int) -> np.ndarray:
-    across = np.arange(-cells, cells + 1)
-    return maximum_filter(depths, footprint=np.hypot(*np.meshgrid(across, across)) <= cells + 0.5, mode="constant")
+def grown(depths: np.ndarray, cells: float) -> np.ndarray:
+    """Depths (n, m), none negative, grown sideways: the largest within a radius [cells] of each cell.
+
+    A disc is rows of cells, and the maximum over a row is that of two overlapping spans of a power of two.
+    """
+    reach = int(cells)
+    across = np.arange(-reach, reach + 1)
+    widths = 2 * np.floor(np.sqrt(np.maximum(cells**2 - across**2, 0)) + 1e-9).astype(int) + 1
+    rows, columns = depths.shape
+    spans = [np.pad(depths, reach)]  # of 1, 2, 4, ... cells to the right
+    while 2 ** len(spans) <= widths.max():
+        step = 2 ** (len(spans) - 1)
+        spans.append(np.maximum(spans[-1][:, :-step], spans[-1][:, step:]))
+    most = np.zeros_like(depths)
+    for row, width in enumerate(widths):
+        level, first = int(width).bit_length() - 1, reach - width // 2
+        span = spans[level][row : row + rows]
+        for start in {first, first + width - 2**level}:
+            np.maximum(most, span[:, start : start + columns], out=most)
+    return most
 
 
 @compiled

@@ -8,7 +8,7 @@ The face that a part rests on most often is the one to lay it on, so plates and 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.spatial import ConvexHull
@@ -56,6 +56,11 @@ def resting_faces(mesh: Mesh, min_probability: float = MIN_PROBABILITY) -> list[
 
     mesh: closed, with its centre of mass at the origin.
     """
+    return list(_resting_faces(mesh, min_probability))
+
+
+@lru_cache(maxsize=8)  # asked for again at every face that a kit is tried on
+def _resting_faces(mesh: Mesh, min_probability: float) -> tuple[RestingFace, ...]:
     hull = ConvexHull(mesh.vertices)
     normals, share = hull.equations[:, :3], _solid_angles(mesh.vertices[hull.simplices]) / (4 * np.pi)
     sinks, owner = np.unique(_rolls_to(mesh.vertices, hull), return_inverse=True)
@@ -66,7 +71,8 @@ def resting_faces(mesh: Mesh, min_probability: float = MIN_PROBABILITY) -> list[
         rest = np.setdiff1d(np.arange(len(sinks)), np.concatenate([np.zeros(0, dtype=int), *likely]))
         likely += _rolling_groups(normals, rest, UNLIKELY_ROLLING_ANGLE)
     faces = [_face(mesh, normals[group], probability[group]) for group in likely]
-    return sorted((f for f in faces if f.probability >= min_probability), key=lambda f: -round(f.probability, 6))
+    likely_faces = (face for face in faces if face.probability >= min_probability)
+    return tuple(sorted(likely_faces, key=lambda face: -round(face.probability, 6)))
 
 
 def _face(mesh: Mesh, normals: np.ndarray, probability: np.ndarray) -> RestingFace:
@@ -88,9 +94,7 @@ def rank_faces(
     yaw that is a symmetry of the part is not wrong.
     """
     symmetry = symmetry or Symmetry.none()
-    awkward = [
-        (_tips_over(mesh, face, depth, clearance), face.rolls) for face, depth in zip(faces, depths, strict=True)
-    ]
+    awkward = [(tips_over(mesh, face, depth, clearance), face.rolls) for face, depth in zip(faces, depths, strict=True)]
     order: list[int] = []
     for kind in sorted(set(awkward)):
         left = sorted(
@@ -128,7 +132,7 @@ def _view(mesh: Mesh, face: RestingFace) -> np.ndarray:
     return np.sort([height, across, height + across], axis=1)
 
 
-def _tips_over(mesh: Mesh, face: RestingFace, depth: float, clearance: float) -> bool:
+def tips_over(mesh: Mesh, face: RestingFace, depth: float, clearance: float) -> bool:
     """Whether a block as narrow as the part below the rim can tip by TIP_ANGLE without rising or jamming."""
     points = mesh.moved(face.plane_from_part).vertices
     width = narrowest_width(points[points[:, 2] <= points[:, 2].min() + depth])

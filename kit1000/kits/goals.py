@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold
-from scipy.optimize import minimize_scalar
 
 from kit1000.kits.cavity import AREA_TOLERANCE, Cavity, Probe
 from kit1000.kits.envelope import polar_relief
@@ -27,6 +26,7 @@ from kit1000.symmetry import Symmetry
 from kit1000.values import FreeAxis
 
 SHADOW_TOLERANCE = 0.05e-3  # [m] shadows whose outlines differ by less are equal
+AREA_SLACK = 1e-3  # share by which areas of equal grown shadows may differ: arcs are polygons, and yaws turn them
 ROTATION_ORDERS = tuple(range(36, 1, -1))  # n of the yaws of 360 degrees / n that are tested
 MAX_RELIEF_DIFFERENCE = 0.15  # share by which the reliefs of a candidate may differ on the coarse grid
 ALIGN_RANGE = np.radians(4.5)  # [rad] of the fine search for a yaw; the coarse grid has steps of 3 degrees
@@ -48,9 +48,24 @@ class Design:
         relief, _, weights = polar_relief(self.mesh.moved(self.kit_from_part), self.cavity.depth)
         return relief, weights
 
+    @cached_property
+    def solid(self) -> Manifold:
+        """The part as an exact solid, in its own frame."""
+        return solid_from_mesh(self.mesh)
+
+    @cached_property
+    def centre(self) -> np.ndarray:
+        """(2,) [m] centroid of the rim shadow."""
+        return area_centroid(self.cavity.rim_shadow)
+
+    @cached_property
+    def rim_areas(self) -> tuple[float, float]:
+        """[m^2] of the rim shadow, and of the same grown by SHADOW_TOLERANCE."""
+        return self.cavity.rim_shadow.area(), _grown(self.cavity.rim_shadow).area()
+
     def standing(self, kit_from_part: Pose) -> Manifold:
         """The solid of the part in a pose, shifted so that the cavity's floor is at z = 0."""
-        return solid_from_mesh(self.mesh).transform(kit_from_part.matrix()[:3]).translate((0, 0, self.cavity.depth))
+        return self.solid.transform(kit_from_part.matrix()[:3]).translate((0, 0, self.cavity.depth))
 
 
 def find_goals(design: Design) -> tuple[Pose, FreeAxis | None]:
@@ -82,8 +97,28 @@ def _probes(cavity: Cavity, most: int = 8) -> list[Probe]:
     return [cavity.probes[i] for i in picks[::-1]]
 
 
+def _has_rotated_shadow(design: Design, angle: float) -> bool:
+    """`has_design_shadow` of the design pose rotated by an angle [rad] about the vertical through the centre.
+
+    Its shadows are the rotated ones of the design, so that none is computed anew.
+    """
+    for probe in _probes(design.cavity):
+        other = _rotated(probe.shadow, design.centre, angle)
+        if not (_within_tolerance(probe.shadow, other) and _within_tolerance(other, probe.shadow)):
+            return False
+    return True
+
+
+def _rotated(shadow: CrossSection, centre: np.ndarray, angle: float) -> CrossSection:
+    return shadow.translate(-centre).rotate(np.degrees(angle)).translate(centre)
+
+
 def _within_tolerance(inner: CrossSection, outer: CrossSection) -> bool:
-    return (inner - outer.offset(SHADOW_TOLERANCE, JoinType.Round, circular_segments=16)).area() < AREA_TOLERANCE
+    return (inner - _grown(outer)).area() < AREA_TOLERANCE
+
+
+def _grown(shadow: CrossSection) -> CrossSection:
+    return shadow.offset(SHADOW_TOLERANCE, JoinType.Round, circular_segments=16)
 
 
 def area_centroid(shadow: CrossSection) -> np.ndarray:
@@ -102,7 +137,7 @@ def _free_axis(design: Design) -> FreeAxis | None:
     if design.symmetry.axis is not None:
         direction = design.kit_from_part.rotate(design.symmetry.axis)
         return FreeAxis(design.kit_from_part.xyz, direction / length(direction))
-    centre = area_centroid(design.cavity.rim_shadow)
+    centre = design.centre
     for probe in design.cavity.probes:
         for loop in probe.shadow.to_polygons():
             if not _is_circle(loop, centre):
@@ -124,8 +159,7 @@ def _rotation_order(design: Design) -> int:
     for order in ROTATION_ORDERS:
         if _relief_difference(relief, _shifted(relief, relief.shape[1] / order), weights) > MAX_RELIEF_DIFFERENCE:
             continue
-        rotated = _rotated_copies(design, design.kit_from_part, order, which=1)[0]
-        if has_design_shadow(design.cavity, design.standing(rotated)):
+        if _has_rotated_shadow(design, 2 * np.pi / order):
             return order
     return 1
 
@@ -140,14 +174,13 @@ def _relief_difference(a: np.ndarray, b: np.ndarray, weights: np.ndarray) -> flo
     return float(matmul(weights, np.abs(a - b).sum(1)) / (matmul(weights, (a + b).sum(1)) / 2))
 
 
-def _rotated_copies(design: Design, pose: Pose, order: int, which: int | None = None) -> list[Pose]:
+def _rotated_copies(design: Design, pose: Pose, order: int) -> list[Pose]:
     """The pose rotated by multiples of 360/order degrees about the vertical through the rim shadow's centroid."""
-    centre = np.array([*area_centroid(design.cavity.rim_shadow), 0.0])
-    multiples = range(order) if which is None else [which]
-    rotations = [Pose.from_rotvec(np.array([0, 0, 2 * np.pi * k / order])) for k in multiples]
+    centre = np.array([*design.centre, 0.0])
+    rotations = [Pose.from_rotvec(np.array([0, 0, 2 * np.pi * k / order])) for k in range(order)]
     return [
         Pose.from_translation(centre) @ rotation @ Pose.from_translation(-centre) @ pose if k else pose
-        for k, rotation in zip(multiples, rotations, strict=True)
+        for k, rotation in enumerate(rotations)
     ]
 
 
@@ -159,8 +192,10 @@ def _flipped_poses(design: Design, known: list[Pose]) -> list[Pose]:
         if any(_faces_down(pose, face.normal) for pose in known) or face.height < design.cavity.depth:
             continue
         other, _, _ = polar_relief(design.mesh.moved(face.plane_from_part), design.cavity.depth)
-        yaw, difference = _best_yaw(relief, other, weights)
+        yaw, difference = best_yaw(relief, other, weights)
         if difference > MAX_RELIEF_DIFFERENCE:
+            continue
+        if not _has_rim_area(design, face.plane_from_part):
             continue
         pose = _aligned(design, face.plane_from_part, yaw)
         if has_design_shadow(design.cavity, design.standing(pose)):
@@ -168,11 +203,21 @@ def _flipped_poses(design: Design, known: list[Pose]) -> list[Pose]:
     return found
 
 
+def _has_rim_area(design: Design, plane_from_part: Pose) -> bool:
+    """Whether the rim shadow of a resting part has about the area of the design's: equal shadows do, at any yaw."""
+    low = plane_from_part.apply(design.mesh.vertices)[:, 2].min()
+    seated = Pose.from_translation(np.array([0, 0, -design.cavity.depth - low])) @ plane_from_part
+    shadow = shadow_below(design.standing(seated), design.cavity.depth)
+    area, grown = design.rim_areas
+    most = (1 + AREA_SLACK) * grown + AREA_TOLERANCE
+    return shadow.area() < most and area < (1 + AREA_SLACK) * _grown(shadow).area() + AREA_TOLERANCE
+
+
 def _faces_down(pose: Pose, normal: np.ndarray) -> bool:
     return bool(pose.rotate(normal)[2] < -cosine(SAME_GOAL_ANGLE))
 
 
-def _best_yaw(relief: np.ndarray, other: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
+def best_yaw(relief: np.ndarray, other: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
     """The yaw [rad] of `other` that matches `relief` best, and the share by which they still differ."""
     spectra = np.fft.rfft(relief, axis=1) * np.conj(np.fft.rfft(other, axis=1))
     correlation = matmul(weights, np.fft.irfft(spectra, n=relief.shape[1], axis=1))
@@ -183,7 +228,8 @@ def _best_yaw(relief: np.ndarray, other: np.ndarray, weights: np.ndarray) -> tup
 def _aligned(design: Design, plane_from_part: Pose, yaw: float) -> Pose:
     """The part resting on the cavity's floor, centred, at the yaw [rad] nearby where the rim shadows overlap most."""
     rim = design.cavity.rim_shadow
-    centre = area_centroid(rim)
+    centre = design.centre
+    from scipy.optimize import minimize_scalar  # only here: few parts need it, and importing it takes long
 
     def placed(angle: float) -> Pose:
         rotated = Pose.from_rotvec(np.array([0, 0, angle])) @ plane_from_part
@@ -195,8 +241,7 @@ def _aligned(design: Design, plane_from_part: Pose, yaw: float) -> Pose:
     shadow = shadow_below(design.standing(placed(yaw)), design.cavity.depth)
 
     def overlap(extra: float) -> float:
-        rotated = shadow.translate(-centre).rotate(np.degrees(extra)).translate(centre)
-        return (rotated ^ rim).area()
+        return (_rotated(shadow, centre, extra) ^ rim).area()
 
     best = minimize_scalar(
         lambda extra: -overlap(extra), bounds=(-ALIGN_RANGE, ALIGN_RANGE), method="bounded", options={"xatol": 1e-7}

@@ -77,7 +77,7 @@ class LoweredPart:
 
     def features(self, state: np.ndarray) -> tuple[np.ndarray, ContactFeatures]:
         """(3, 3) kit from part and the contact features, at z = 0, in a state (5,)."""
-        rotation = matmul(_turned(state[0], state[3], state[4]), self.rotation)
+        rotation = matmul(turned_matrix(state[0], state[3], state[4]), self.rotation)
         return rotation, contact_features(self.edges, rotation, np.array([state[1], state[2], 0.0]), -1.0)
 
 
@@ -158,7 +158,7 @@ def _points_on(edges: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _turned(yaw, tilt_x, tilt_y):
+def turned_matrix(yaw, tilt_x, tilt_y):
     """(3, 3) a yaw and then a rotation by the vector (tilt_x, tilt_y, 0) [rad]; entries rounded."""
     c, s = np.round(np.cos(yaw) * TRIG_SCALE) / TRIG_SCALE, np.round(np.sin(yaw) * TRIG_SCALE) / TRIG_SCALE
     angle = np.sqrt(tilt_x * tilt_x + tilt_y * tilt_y)
@@ -179,7 +179,7 @@ def _turned(yaw, tilt_x, tilt_y):
 @compiled
 def _overlap(points, heights, x0, y0, cell, top, state, most):
     """[m] how far the points lie below the height field, summed; at least `most` where it is more."""
-    turned, total = _turned(state[0], state[3], state[4]), 0.0
+    turned, total = turned_matrix(state[0], state[3], state[4]), 0.0
     for p in range(points.shape[0]):
         a, b, c = points[p]
         x = turned[0, 0] * a + turned[0, 1] * b + turned[0, 2] * c + state[1]

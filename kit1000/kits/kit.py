@@ -12,14 +12,16 @@ from manifold3d import CrossSection, Manifold
 
 from kit1000.errors import Redraw
 from kit1000.kits.cavity import MIN_SEATED_HEIGHT, MIN_WALL, Cavity, cut_cavity, insertion_depth
-from kit1000.kits.clearance import Clearance, measure_clearance
+from kit1000.kits.clearance import HEIGHT_COUNT, Clearance, measure_clearance
 from kit1000.kits.face import RestingFace, distinct_faces, rank_faces, resting_faces
 from kit1000.kits.goals import Design, find_goals
+from kit1000.kits.patches import COARSE, EXACT, MERGED, Detail
 from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.numerics.trigonometry import cosine, sine
+from kit1000.parts.family import FILE
 from kit1000.pose import Pose
 from kit1000.values import Kit, Part, Slot
 
@@ -30,6 +32,8 @@ PLATE_WIDTH = PLATE_PITCH - PLATE_GAP
 MIN_FLOOR = 2e-3  # [m] least material under a cavity
 MAX_EXCESS_CLEARANCE = 0.1e-3  # [m] of a kept wall above the nominal clearance
 PROBABILITY_DECIMALS = 9  # the last bits of an arctangent differ between processors
+DENSE_FACES = 2000  # of a file, above which its cavity is cut coarsely first
+COARSE_HEIGHT_COUNT = 9  # heights at which the clearance of a coarse cavity is measured
 MIN_RIM = 8e-3  # [m] least wall around the cavity of a plate fitted to its part
 
 
@@ -96,14 +100,26 @@ def design_kit(
     """
     face = face or insertion_faces(part, clearance, fitted_plate=plate is None)[0]
     depth = insertion_depth(face.height)
-    standing = _aligned_with_plate(part.mesh, face, depth)
+    standing = _aligned_with_plate(part.mesh, face, depth)  # plane_from_part
     plate = plate or _fitted_plate(part.mesh.moved(standing), clearance, depth)
     solid = solid_from_mesh(part.mesh).transform(standing.matrix()[:3])
-    cavity, mesh, measured = _cut_plate(solid, depth, clearance, plate)
-    kit_from_part = Pose.from_translation(np.array([0, 0, -depth])) @ standing
+    is_dense = part.family == FILE and len(part.mesh.faces) > DENSE_FACES
+    details = (COARSE, MERGED, EXACT) if is_dense else (MERGED, EXACT)
+    cavity, mesh, measured = _cut_plate(solid, depth, clearance, plate, details)
+    kit_from_part = _lowered(standing, depth)
     goals, free_axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, cavity))
     slot = Slot(part.id, kit_from_part, clearance, depth, goals, free_axis)
     return KitDesign(Kit(part.id, mesh, slot, np.array([*plate.width, plate.thickness])), cavity, face, measured)
+
+
+def seated_pose(mesh: Mesh, face: RestingFace) -> Pose:
+    """kit_from_part: the design pose of a part on a face."""
+    depth = insertion_depth(face.height)
+    return _lowered(_aligned_with_plate(mesh, face, depth), depth)
+
+
+def _lowered(standing: Pose, depth: float) -> Pose:
+    return Pose.from_translation(np.array([0, 0, -depth])) @ standing
 
 
 def insertion_faces(part: Part, clearance: float = CLEARANCE, fitted_plate: bool = False) -> list[RestingFace]:
@@ -122,17 +138,27 @@ def insertion_faces(part: Part, clearance: float = CLEARANCE, fitted_plate: bool
     return [tall[i] for i in rank_faces(part.mesh, tall, depths, clearance, part.symmetry)]
 
 
-def _cut_plate(standing: Manifold, depth: float, clearance: float, plate: Plate) -> tuple[Cavity, Mesh, Clearance]:
-    """The cavity, the plate and its clearance: with merged patches if that keeps the bounds, else without."""
-    for merge_patches in (True, False):
-        cavity = cut_cavity(standing, depth, clearance, plate.width, merge_patches)
-        if not _fits_plate(cavity, plate):
-            raise Redraw("wider than the plate")
-        mesh = _plate_mesh(cavity, plate)
-        measured = measure_clearance(mesh, cavity)
-        if measured.largest <= clearance + MAX_EXCESS_CLEARANCE:
-            break
-    return cavity, mesh, measured
+def _cut_plate(
+    standing: Manifold, depth: float, clearance: float, plate: Plate, details: tuple[Detail, ...]
+) -> tuple[Cavity, Mesh, Clearance]:
+    """The cavity, the plate and its clearance, in the first of the details that keeps the bounds, else in the last."""
+    *first, last = details
+    for detail in first:
+        cavity, mesh, measured = _cut_in_detail(standing, depth, clearance, plate, detail)
+        is_wide_enough = detail is not COARSE or measured.smallest >= clearance - SAGITTA
+        if is_wide_enough and measured.largest <= clearance + MAX_EXCESS_CLEARANCE:
+            return cavity, mesh, measured
+    return _cut_in_detail(standing, depth, clearance, plate, last)
+
+
+def _cut_in_detail(
+    standing: Manifold, depth: float, clearance: float, plate: Plate, detail: Detail
+) -> tuple[Cavity, Mesh, Clearance]:
+    cavity = cut_cavity(standing, depth, clearance, plate.width, detail)
+    if not _fits_plate(cavity, plate):
+        raise Redraw("wider than the plate")
+    mesh = plate_mesh(cavity, plate)
+    return cavity, mesh, measure_clearance(mesh, cavity, COARSE_HEIGHT_COUNT if detail is COARSE else HEIGHT_COUNT)
 
 
 def _aligned_with_plate(mesh: Mesh, face: RestingFace, depth: float) -> Pose:
@@ -176,7 +202,7 @@ def _fits_plate(cavity: Cavity, plate: Plate) -> bool:
     return bool((reach <= np.array(plate.width) / 2 - MIN_WALL).all())
 
 
-def _plate_mesh(cavity: Cavity, plate: Plate) -> Mesh:
+def plate_mesh(cavity: Cavity, plate: Plate) -> Mesh:
     """The plate with its cavity as a closed mesh on the float32 grid."""
     block = Manifold.cube((*plate.width, plate.thickness), center=True).translate((0, 0, -plate.thickness / 2))
     solid = block - cavity.solid.translate((0, 0, -cavity.depth))

@@ -4,7 +4,7 @@ The part, resting on each of its stable faces in turn, is moved over the kit's h
 (rotations about the insertion axis). The field is the minimum over neighbouring cells, so that the grid misses no fit;
 candidates are confirmed by exact contact. In the part's own slot the search finds loose fits, in the slot of a
 neighbour it finds parts that would seat in the wrong place. Loose fits just beyond the limits about the goals, between
-the yaws of the grid, are found by `descent`. All lengths are metres.
+the yaws of the grid, are found by `insertion_search`. All lengths are metres.
 """
 
 from __future__ import annotations

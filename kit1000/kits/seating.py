@@ -7,8 +7,8 @@ contact leaves it at goal height (within min(3 mm, depth/3) along the slot's axi
 a slot with more than 4.2 mm of clearance a part that lies on the floor can turn farther: there `rotation_limit` is the
 limit of the rotation, and 10 degrees that of the tilt. The strict test has 1 mm in place of 3. The motion to contact
 does not rotate the part, so its rotation is the predicted one; without that limit, jammed parts 17 degrees off would
-count. Two independent computations of the contact, `contact_offset` (closed form on faces and edges, a millisecond) and
-`contact_offset_by_booleans` (bisection over exact booleans), agree within BISECTION_STEP. All lengths are metres.
+count. `contact_offset` computes the contact in closed form on faces and edges; the tests compare it with an independent
+computation by exact booleans, `bench/exact_offset.py`, within BISECTION_STEP. All lengths are metres.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from manifold3d import Manifold, Mesh64, OpType
 
 from kit1000.kits.contact import ContactFeatures, ConvexEdges, contact_features, convex_edges, vertical_contact_offset
-from kit1000.mesh import Mesh, solid_from_mesh
+from kit1000.mesh import Mesh
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.pose import Pose, quaternion_angle, quaternion_between, quaternion_conjugate, quaternion_multiply
 
@@ -33,9 +32,6 @@ ROTATION_PER_CLEARANCE = np.radians(2400)
 BISECTION_STEP = 0.02e-3  # [m] resolution of the bisection; both limits are tightened by it
 PARALLEL_TOLERANCE = 1e-15  # 1 - cos of an angle (45 nrad) that moves no point by a nanometre
 WALL_COSINE = 1e-6  # faces whose unit normal has a smaller -z are walls: what they sweep has no volume
-PRISM_FACES = np.array(
-    [(0, 1, 2), (5, 4, 3), (0, 3, 4), (0, 4, 1), (1, 4, 5), (1, 5, 2), (2, 5, 3), (2, 3, 0)], dtype=np.int32
-)
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -87,46 +83,6 @@ def contact_offset(
     axis_to_z = Pose(quaternion_between(axis, UP), np.zeros(3)).rotation_matrix()
     moving = contact_features(part.edges, matmul(axis_to_z, rotation), matmul(axis_to_z, fixed_from_part.xyz), -1.0)
     return vertical_contact_offset(moving, contact_features(fixed, axis_to_z, np.zeros(3), 1.0))
-
-
-def contact_offset_by_booleans(swept: Manifold, part: InsertedPart, fixed: Manifold, fixed_from_part: Pose) -> float:
-    """The same offset [m] by exact booleans: the smallest at which the swept part is clear of the fixed bodies.
-
-    swept: `swept_solid` of the part along its axis, part frame. With it "free" is monotone in the offset, so bisection
-    is exact; the error is at most BISECTION_STEP / 2.
-    """
-    placed = swept.transform(fixed_from_part.matrix()[:3])
-    axis = fixed_from_part.rotate(part.axis)
-
-    def free(offset: float) -> bool:
-        return (placed.translate(axis * offset) ^ fixed).is_empty()
-
-    low, high = -HOVER, HOVER
-    if free(low):
-        return -np.inf
-    while high - low > BISECTION_STEP:
-        middle = (low + high) / 2
-        low, high = (low, middle) if free(middle) else (middle, high)
-    return (low + high) / 2
-
-
-def swept_solid(mesh: Mesh, axis: np.ndarray, length: float = HOVER) -> Manifold:
-    """The solid that a part sweeps when it moves `length` [m] along a unit axis, part frame.
-
-    It is the union of the part at both ends of the motion and of a prism over each face that points backward.
-    """
-    axis_to_z = Pose(quaternion_between(axis, UP), np.zeros(3))
-    upright = mesh.moved(axis_to_z)
-    ends = [solid_from_mesh(upright), solid_from_mesh(upright).translate((0, 0, length))]
-    backs = upright.triangles[upright.normals[:, 2] < -WALL_COSINE]
-    swept = Manifold.batch_boolean(ends + [_prism(back, length) for back in backs], OpType.Add)
-    return swept.transform(axis_to_z.inverse().matrix()[:3])
-
-
-def _prism(triangle: np.ndarray, length: float) -> Manifold:
-    """A downward-facing triangle (3, 3) [m] extruded up by a length [m]."""
-    corners = np.concatenate([triangle, triangle + [0, 0, length]])
-    return Manifold(Mesh64(corners, PRISM_FACES))
 
 
 def seating_result(

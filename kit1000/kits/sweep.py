@@ -13,7 +13,7 @@ import numpy as np
 from manifold3d import CrossSection, FillRule, Manifold, OpType
 
 from kit1000.errors import Redraw
-from kit1000.kits.patches import convex_patches
+from kit1000.kits.patches import MERGED, Detail, convex_patches
 from kit1000.mesh import convex_hull, mesh_from_solid
 from kit1000.numerics.trigonometry import cosine, sine
 
@@ -27,10 +27,13 @@ COVERAGE_STEP = 1e-3  # [m] between heights at which the sweep of lower faces is
 AREA_TOLERANCE = 1e-10  # [m^2] smaller areas are rounding errors
 
 
-def disc_polygon(clearance: float) -> np.ndarray:
-    """(n, 2) [m] a polygon for the disc: corners DISC_OVERSIZE outside it, chords at most 0.6 SAGITTA inside."""
-    radius = clearance + DISC_OVERSIZE
-    corners = int(np.ceil(np.pi / np.arccos(1 - min(SAGITTA / radius, 0.5)) / 2)) * 2
+def disc_polygon(clearance: float, wider: float = 0.0) -> np.ndarray:
+    """(n, 2) [m] a polygon for the disc: corners DISC_OVERSIZE outside it, chords at most 0.6 SAGITTA inside.
+
+    wider: [m] by which the corners lie farther out, so that there are fewer.
+    """
+    radius = clearance + DISC_OVERSIZE + wider
+    corners = int(np.ceil(np.pi / np.arccos(1 - min((SAGITTA + wider) / radius, 0.5)) / 2)) * 2
     angles = np.arange(corners) * (2 * np.pi / corners)
     return radius * np.stack([cosine(angles), sine(angles)], 1)
 
@@ -41,15 +44,15 @@ def shadow_below(standing: Manifold, z: float) -> CrossSection:
 
 
 def grown_sweep(
-    standing: Manifold, depth: float, clearance: float, merge_patches: bool = True
+    standing: Manifold, depth: float, clearance: float, detail: Detail = MERGED
 ) -> tuple[Manifold, list[float]]:
     """The part below the rim, grown by the clearance and swept up; and the heights [m] of its level faces."""
     triangles, level = _underside(standing.trim_by_plane((0, 0, -1), -depth))
-    polygon, level_triangles = disc_polygon(clearance), triangles[level]
+    polygon, level_triangles = disc_polygon(clearance, detail.disc), triangles[level]
     levels = np.unique(level_triangles[:, 0, 2])
     outlines = [_grown_outline(level_triangles[level_triangles[:, 0, 2] == z][..., :2], polygon) for z in levels]
     lower = _LowerSweep(standing, clearance, levels, outlines)
-    sloping = [patch for patch in convex_patches(triangles, merge_patches) if np.ptp(patch[:, 2]) > LEVEL_TOLERANCE]
+    sloping = [patch for patch in convex_patches(triangles, detail) if np.ptp(patch[:, 2]) > LEVEL_TOLERANCE]
     exposed = [patch for patch in sloping if not lower.covers(patch, polygon)]
     # each top at a height of its own: many coplanar tops would take most of the time of the union
     tops = iter(depth + RIM_OVERSHOOT + TOP_SPACING * np.arange(len(outlines) + len(exposed)))

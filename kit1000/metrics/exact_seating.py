@@ -62,7 +62,7 @@ class ContactInterval:
 
     @staticmethod
     def of(limit: float, depth: float, cosine: float, height: float) -> ContactInterval:
-        """The interval of one pose, as in `kit1000.kits.seating.verdict`; empty where low is above high.
+        """The interval of one pose, as in `kit1000.kits.seating.seating_result`; empty where low is above high.
 
         Args:
             limit: [m] SEATED or STRICT.

@@ -96,16 +96,16 @@ def seatings(
         raise InputError(f"exact: expected {', '.join(EXACT_BANDS)}, got {exact!r}")
     if workers < 1:
         raise InputError(f"workers: expected 1 or more, got {workers}")
-    results: list[_TestResult | None] = [None] * len(truths)
+    results: list[SeatingTestResult | None] = [None] * len(truths)
     with local_engine(workers) as run_jobs:
         for rows, group in run_jobs(_test_assembly, _assembly_jobs(predicted, truths, geometry, exact)):
             for row, result in zip(rows, group, strict=True):
                 results[row] = result
-    return _to_seatings([result for result in results if result is not None])
+    return as_seatings([result for result in results if result is not None])
 
 
 @dataclass(frozen=True)
-class _TestResult:
+class SeatingTestResult:
     """The results of one prediction."""
 
     closed_form: SeatingResult
@@ -121,7 +121,8 @@ class _TestResult:
         return final.seated, final.strict, *lengths, self.exact, disagrees
 
 
-def _to_seatings(results: Sequence[_TestResult]) -> Seatings:
+def as_seatings(results: Sequence[SeatingTestResult]) -> Seatings:
+    """Results of n predictions as one array (n,) a quantity."""
     types = (bool, bool, float, float, float, bool, bool)
     columns = zip(*(result.row for result in results), strict=True) if results else [()] * len(types)
     return Seatings(*(np.array(column, dtype) for column, dtype in zip(columns, types, strict=True)))
@@ -177,7 +178,7 @@ def _kit_placement(assembly: Assembly, part_id: str) -> _KitPlacement:
     return _KitPlacement(mounts[0].assembly_from_kit, mounts[0].kit.extent)
 
 
-def _test_assembly(job: _AssemblyJob) -> tuple[tuple[int, ...], list[_TestResult]]:
+def _test_assembly(job: _AssemblyJob) -> tuple[tuple[int, ...], list[SeatingTestResult]]:
     """The rows of a job and the result of each."""
     targets = Targets.of(job.truths, lambda part_id: _hull_vertices(job.parts[part_id]))
     goal_motions = nearest_goal_motions(targets, pose_errors(job.predicted, targets))
@@ -221,27 +222,27 @@ class _AssemblyTester:
         """The assembly, for the exact test."""
         return solid_from_mesh(self.job.mesh)
 
-    def test(self, trial: _SeatingTrial) -> _TestResult:
+    def test(self, trial: _SeatingTrial) -> SeatingTestResult:
         """The seating test of one prediction."""
         part_id, depth = trial.truth.part_id, trial.truth.slot.depth
         part = InsertedPart(self.part_edges[part_id], trial.axis)
         offset = contact_offset(part, self.edges, trial.assembly_from_part)
         closed = seating_result(offset, part, trial.kit_from_part, trial.goal, depth, trial.truth.slot.clearance)
         xyz, axis = trial.kit_from_part.xyz, trial.kit_from_part.rotate(trial.axis)
-        if not _is_over_plate(xyz, axis, offset, self.job.kits[part_id].extent):
+        if not is_over_plate(xyz, axis, offset, self.job.kits[part_id].extent):
             closed = SeatingResult(offset, closed.contact_height, closed.fits, False, False)
-            return _TestResult(closed, closed, False)
+            return SeatingTestResult(closed, closed, False)
         if not is_rotation_seated(trial.kit_from_part, trial.goal, trial.truth.slot.clearance):
-            return _TestResult(closed, closed, False)  # no contact would seat it
+            return SeatingTestResult(closed, closed, False)  # no contact would seat it
         height, limits = xyz[2] - trial.goal.xyz[2], (SEATED_LIMIT, STRICT_LIMIT)
         intervals = [ContactInterval.of(limit, depth, axis[2], height) for limit in limits]
         band = EXACT_BANDS[self.job.exact]
         if not any(interval.has_end_within(band, offset) for interval in intervals):
-            return _TestResult(closed, closed, False)
+            return SeatingTestResult(closed, closed, False)
         swept = self._swept_volume(part_id, trial.axis)
         is_collision_free = cache(partial(swept.is_collision_free, self.solid, trial.assembly_from_part))
         passed = (contact_in_interval(interval, offset, band, is_collision_free) for interval in intervals)
-        return _TestResult(closed, SeatingResult(offset, closed.contact_height, closed.fits, *passed), True)
+        return SeatingTestResult(closed, SeatingResult(offset, closed.contact_height, closed.fits, *passed), True)
 
     def _swept_volume(self, part_id: str, axis: np.ndarray) -> SweptVolume:
         key = part_id, (np.round(axis, AXIS_DECIMALS) + 0.0).tobytes()
@@ -250,7 +251,7 @@ class _AssemblyTester:
         return self.swept_volumes[key]
 
 
-def _is_over_plate(xyz: np.ndarray, axis: np.ndarray, offset: float, extent: np.ndarray) -> bool:
+def is_over_plate(xyz: np.ndarray, axis: np.ndarray, offset: float, extent: np.ndarray) -> bool:
     """Whether the part's origin is over the plate of its own kit at contact; elsewhere it is in no slot or a wrong one.
 
     Args:

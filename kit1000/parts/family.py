@@ -18,6 +18,8 @@ from kit1000.values import Part
 
 Drawing = TypeVar("Drawing", bound="Family")
 
+FILE = "file"
+"""The family of parts that are read from files."""
 DENSITY = 1240.0
 """[kg/m^3] of PLA, the usual material of desktop 3D printers."""
 MIN_MEAN_THICKNESS = 0.7e-3
@@ -66,7 +68,7 @@ def part_of_mesh(part_id: str, mesh: Mesh, longest: float | None = None) -> Part
     """The part of a closed mesh, scaled to a longest side [m] (None: not scaled); no symmetry is declared."""
     scaled = mesh.scaled(1.0 if longest is None else longest / float(mesh.extents.max()))
     centred = Mesh(scaled.vertices - scaled.centroid, scaled.faces).rounded_float32()
-    return Part(part_id, "file", centred, Symmetry.none(), {}, DENSITY * centred.volume)
+    return Part(part_id, FILE, centred, Symmetry.none(), {}, DENSITY * centred.volume)
 
 
 def dimensions(dims: Family) -> dict[str, float]:

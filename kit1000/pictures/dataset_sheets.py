@@ -38,7 +38,7 @@ def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
     truth, also the scene, the parts of queries at their goals, and at their initial guesses.
     """
     recorded = dataset.recorded_scene(scene_id)
-    window = _window(recorded.labels)
+    window = window_of_bodies(recorded.labels)
     first, *others = recorded.sensors
     tiles = {f"{first} depth": depth_picture(recorded.view(first)), "masks": mask_picture(recorded.labelled_depth())}
     tiles |= {f"{sensor} depth": depth_picture(recorded.view(sensor)) for sensor in others}
@@ -50,7 +50,7 @@ def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
     return contact_sheet_png(pictures, [f"{scene_id}  {name}" for name in names], columns=3)
 
 
-def _window(labels: np.ndarray) -> tuple[slice, slice]:
+def window_of_bodies(labels: np.ndarray) -> tuple[slice, slice]:
     """Rows and columns that contain all bodies with a border, at the aspect ratio of the image."""
     v, u = np.nonzero(labels)
     height, width = labels.shape

@@ -105,42 +105,47 @@ def _lamp_pose(target: np.ndarray, eye: np.ndarray) -> Pose:
 
 
 @compiled
-def illuminate(intrinsics, rotation, eye, image, scene, lamps, ground, background, shadow, colours, out):
+def illuminate(intrinsics, rotation, eye, image, scene, lamps, turn, ground, background, shadow, colours, out):
     """Write the linear colour of each pixel to `out` (H, W, 3).
 
-    `rotation` (3, 3) and `eye` (3,) are world_from_camera; `image` is the depth, body ids and face ids;
+    `rotation` (3, 3) and `eye` (3,) are world_from_camera; `image` is the depth, body ids and face ids; `turn` is which
+    of how many groups of lamps casts the shadows of the first pixel, its neighbours take the next groups in turn;
     `ground` is the height [m] of a floor of the colour `background`, which shadows darken by up to `shadow`; NaN for no
     floor. `colours` (3, 3): of the key light, the sky and the light from below.
     """
     depth, ids, faces = image
+    start, groups = turn
     point, normal, face_normal, view = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    for v in range(depth.shape[0]):
-        for u in range(depth.shape[1]):
-            p, q = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
-            for i in range(3):
-                view[i] = rotation[i, 0] * p + rotation[i, 1] * q + rotation[i, 2]
-                out[v, u, i] = background[i]
-            body = ids[v, u] - 1
-            if body >= 0:
+    for group in range(groups):  # outermost, so that its shadow maps stay in the cache
+        for v in range(depth.shape[0]):
+            for u in range((group - start - 2 * v) % groups, depth.shape[1], groups):
+                p, q = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
                 for i in range(3):
-                    point[i] = eye[i] + depth[v, u] * view[i]
-                _set_normals(scene, scene.first_face[body] + faces[v, u], view, point, normal, face_normal)
-                key, sky, gloss, _, open_sky = _incident_light(lamps, point, normal, face_normal, view)
-                below = (0.5 - 0.5 * normal[2]) * (0.4 + 0.6 * sky / max(open_sky, 0.05))
-                for i in range(3):
-                    light = key * colours[0, i] + sky * colours[1, i] + below * colours[2, i]
-                    out[v, u, i] = scene.albedo[body, i] * light + gloss * colours[0, i]
-            elif view[2] < 0 and eye[2] > ground:
-                for i in range(3):
-                    point[i] = eye[i] + (ground - eye[2]) / view[2] * view[i]
-                    normal[i] = face_normal[i] = 0.0
-                normal[2] = face_normal[2] = 1.0
-                key, sky, _, open_key, open_sky = _incident_light(lamps, point, normal, face_normal, view)
-                for i in range(3):
-                    share = (key * colours[0, i] + sky * colours[1, i]) / (
-                        open_key * colours[0, i] + open_sky * colours[1, i]
-                    )
-                    out[v, u, i] = background[i] * (1 - shadow * (1 - share) * _fade(intrinsics, u, v))
+                    view[i] = rotation[i, 0] * p + rotation[i, 1] * q + rotation[i, 2]
+                    out[v, u, i] = background[i]
+                body = ids[v, u] - 1
+                if body >= 0:
+                    for i in range(3):
+                        point[i] = eye[i] + depth[v, u] * view[i]
+                    _set_normals(scene, scene.first_face[body] + faces[v, u], view, point, normal, face_normal)
+                    found = _incident_light(lamps, group, groups, point, normal, face_normal, view)
+                    key, sky, gloss, _, open_sky = found
+                    below = (0.5 - 0.5 * normal[2]) * (0.4 + 0.6 * sky / max(open_sky, 0.05))
+                    for i in range(3):
+                        light = key * colours[0, i] + sky * colours[1, i] + below * colours[2, i]
+                        out[v, u, i] = scene.albedo[body, i] * light + gloss * colours[0, i]
+                elif view[2] < 0 and eye[2] > ground:
+                    for i in range(3):
+                        point[i] = eye[i] + (ground - eye[2]) / view[2] * view[i]
+                        normal[i] = face_normal[i] = 0.0
+                    normal[2] = face_normal[2] = 1.0
+                    found = _incident_light(lamps, group, groups, point, normal, face_normal, view)
+                    key, sky, _, open_key, open_sky = found
+                    for i in range(3):
+                        share = (key * colours[0, i] + sky * colours[1, i]) / (
+                            open_key * colours[0, i] + open_sky * colours[1, i]
+                        )
+                        out[v, u, i] = background[i] * (1 - shadow * (1 - share) * _fade(intrinsics, u, v))
 
 
 @compiled
@@ -178,10 +183,13 @@ def _set_normals(scene, face, view, point, normal, face_normal):
 
 
 @compiled
-def _incident_light(lamps, point, normal, face_normal, view):
-    """Key light and sky light at a point, the reflection of the key light, and both lights without shadows."""
-    directions, weights, map_from_world, shadow_maps, texel, key_count = lamps
-    key, sky, open_key, open_sky = 0.0, 0.0, 0.0, 0.0
+def _incident_light(lamps, group, groups, point, normal, face_normal, view):
+    """Key light and sky light at a point, the reflection of the key light, and both lights without shadows.
+
+    Shadows are looked up for every lamp of one of the groups, in turns; they stand for those of all lamps.
+    """
+    directions, weights, maps, shadow_maps, texel, key_count = lamps  # single numbers: slices are counted references
+    open_key, open_sky, lit_key, lit_sky, asked_key, asked_sky = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     nx, ny, nz = normal[0], normal[1], normal[2]
     # An offset from the surface prevents self-shadowing at the resolution of the shadow maps.
     x, y, z = (
@@ -189,26 +197,33 @@ def _incident_light(lamps, point, normal, face_normal, view):
         point[1] + 1.5 * texel * face_normal[1],
         point[2] + 1.5 * texel * face_normal[2],
     )
-    for k in range(directions.shape[0]):
+    for k in range(group, directions.shape[0], groups):
         share = weights[k] * (nx * directions[k, 0] + ny * directions[k, 1] + nz * directions[k, 2])
         if share <= 0:
             continue
-        m = map_from_world[k]
-        u = m[0, 0] * x + m[0, 1] * y + m[0, 2] * z + m[0, 3] + 0.5
-        v = m[1, 0] * x + m[1, 1] * y + m[1, 2] * z + m[1, 3] + 0.5
-        lit = True
+        u = maps[k, 0, 0] * x + maps[k, 0, 1] * y + maps[k, 0, 2] * z + maps[k, 0, 3] + 0.5
+        v = maps[k, 1, 0] * x + maps[k, 1, 1] * y + maps[k, 1, 2] * z + maps[k, 1, 3] + 0.5
+        lit = share
         if 0 <= u < MAP_SIZE and 0 <= v < MAP_SIZE:
-            depth = m[2, 0] * x + m[2, 1] * y + m[2, 2] * z + m[2, 3]
+            depth = maps[k, 2, 0] * x + maps[k, 2, 1] * y + maps[k, 2, 2] * z + maps[k, 2, 3]
             nearest = shadow_maps[k, int(v), int(u)]
-            lit = nearest == 0 or nearest > depth - 0.5 * texel
+            if nearest != 0 and nearest <= depth - 0.5 * texel:
+                lit = 0.0
         if k < key_count:
-            open_key += share
-            if lit:
-                key += share
+            asked_key, lit_key = asked_key + share, lit_key + lit
         else:
-            open_sky += share
-            if lit:
-                sky += share
+            asked_sky, lit_sky = asked_sky + share, lit_sky + lit
+    if groups == 1:
+        open_key, open_sky = asked_key, asked_sky
+    elif nz == 1.0:
+        open_key = open_sky = 1.0  # the weights are such
+    else:
+        for k in range(key_count):
+            open_key += max(weights[k] * (nx * directions[k, 0] + ny * directions[k, 1] + nz * directions[k, 2]), 0.0)
+        for k in range(key_count, directions.shape[0]):
+            open_sky += max(weights[k] * (nx * directions[k, 0] + ny * directions[k, 1] + nz * directions[k, 2]), 0.0)
+    key = open_key * lit_key / asked_key if asked_key > 0 else 0.0
+    sky = open_sky * lit_sky / asked_sky if asked_sky > 0 else 0.0
     gloss = 0.0
     if key > 0:
         gloss = key / open_key * _gloss(directions[0], normal, view)

@@ -9,12 +9,23 @@ import numpy as np
 from PIL import Image
 
 from kit1000.kits.seating import HOVER
-from kit1000.pictures.shading import KIT, PART, ColouredBody, contact_sheet, framing_camera, part_colour, shaded_picture
+from kit1000.pictures.shading import (
+    FINE,
+    KIT,
+    PART,
+    QUICK,
+    ColouredBody,
+    Quality,
+    contact_sheet,
+    framing_camera,
+    part_colour,
+    shaded_picture,
+)
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Part
 
 TILE_SIZE = (420, 340)  # [px] of a tile of a contact sheet
-PREVIEW_SIZE = (1280, 640)  # [px]
+PREVIEW_SIZE = (1024, 512)  # [px]
 LIFT_SHARE = 0.45  # of HOVER: height of a part above its cavity
 PAIR_SPACING = 1.15  # between the two kits of a preview, in plate widths
 
@@ -33,6 +44,7 @@ def kit_preview(part: Part, kit: Kit) -> bytes:
                 ColouredBody(part.mesh, seated, PART),
             ],
             PREVIEW_SIZE,
+            QUICK,
         )
     )
 
@@ -63,9 +75,9 @@ def contact_sheet_png(tiles: Sequence[np.ndarray | Image.Image], labels: Sequenc
     return _png(contact_sheet(tiles, labels, columns))
 
 
-def _picture(bodies: list[ColouredBody], size: tuple[int, int]) -> np.ndarray:
+def _picture(bodies: list[ColouredBody], size: tuple[int, int], quality: Quality = FINE) -> np.ndarray:
     camera, world_from_camera = framing_camera(bodies, size=size)
-    return shaded_picture(bodies, camera, world_from_camera)
+    return shaded_picture(bodies, camera, world_from_camera, quality=quality)
 
 
 def _png(image: np.ndarray | Image.Image) -> bytes:

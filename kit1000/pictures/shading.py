@@ -41,8 +41,6 @@ INK: Colour = (44, 46, 50)  # text
 SECONDARY: tuple[Colour, ...] = (BLUE, TEAL, SAND, PLUM, MOSS, SLATE)  # the other parts
 
 PRODUCT_VIEW = (0.75, -1.0, 0.8)  # from the scene to the camera: from the front right, well above
-SAMPLES = 16  # images averaged into one, each shifted by a fraction of a pixel and with its own subset of lamps
-KEY_LAMPS, SKY_LAMPS = 3, 7  # per sample
 OUTLINE_STEP = 0.012  # smallest depth step with an outline, in radii of the scene
 GROUND_SHADOW = 0.75  # darkening of a ground point that no light reaches
 
@@ -50,6 +48,26 @@ GROUND_SHADOW = 0.75  # darkening of a ground point that no light reaches
 def part_colour(part: int) -> Colour:
     """The colour of the part of this index in a scene."""
     return (PART, *SECONDARY)[part % (1 + len(SECONDARY))]
+
+
+class Quality(NamedTuple):
+    """How much work a picture is."""
+
+    samples: int
+    """Number of images averaged into one, each shifted by a fraction of a pixel."""
+    key_lamps: int
+    """Number of lamps of the key light, in all samples."""
+    sky_lamps: int
+    """Number of lamps of the sky, in all samples."""
+    shared: bool
+    """Whether all samples have all lamps, and neighbouring pixels have the shadows of other lamps; else each sample has
+    lamps of its own."""
+
+
+FINE = Quality(16, 48, 112, shared=False)
+QUICK = Quality(4, 12, 18, shared=True)  # a sixth of the work: a grain of single pixels instead of smooth shadows
+LAMP_GROUPS = 6  # of shared lamps, one for each of six neighbouring pixels
+TURNS = 5  # groups from one sample to the next, so that every pixel has the shadows of several
 
 
 class ColouredBody(NamedTuple):
@@ -67,6 +85,7 @@ def shaded_picture(
     world_from_camera: Pose,
     background: Colour = PAPER,
     ground: bool = True,
+    quality: Quality = FINE,
 ) -> np.ndarray:
     """Render bodies in soft light. (H, W, 3) uint8 sRGB.
 
@@ -79,8 +98,10 @@ def shaded_picture(
     scene, patches = _shading_scene(bodies)
     ball = _bounding_ball(scene.corners.reshape(-1, 3))
     floor = float(scene.corners[..., 2].min()) if ground else np.nan
-    key = lighting.key_directions(SAMPLES * KEY_LAMPS, _key_direction(world_from_camera))
-    sky = lighting.sky_directions(SAMPLES * SKY_LAMPS)
+    samples = quality.samples
+    key = lighting.key_directions(quality.key_lamps, _key_direction(world_from_camera))
+    sky = lighting.sky_directions(quality.sky_lamps)
+    shared = lighting.place_lamps(meshes, ball, key, sky) if quality.shared else None
     rotation, eye = world_from_camera.rotation_matrix(), world_from_camera.xyz
     colours = np.array((lighting.KEY_COLOUR, lighting.SKY_COLOUR, lighting.BOUNCE_COLOUR))
 
@@ -89,18 +110,19 @@ def shaded_picture(
         shifted = replace(camera, cx=camera.cx + shift[0], cy=camera.cy + shift[1])
         rendered = render(shifted, world_from_camera, meshes, threads=1)
         buffers = (rendered.depth, rendered.body_ids, rendered.face_ids)
-        lamps = lighting.place_lamps(meshes, ball, key[number::SAMPLES], sky[number::SAMPLES])
+        lamps = shared or lighting.place_lamps(meshes, ball, key[number::samples], sky[number::samples])
+        turn = (number * TURNS % LAMP_GROUPS, LAMP_GROUPS) if shared else (0, 1)
         image = np.empty((camera.height, camera.width, 3), np.float32)
         viewer, ground_options = (Intrinsics.of(shifted), rotation, eye), (floor, _linear(background), GROUND_SHADOW)
-        lighting.illuminate(*viewer, buffers, scene, lamps, *ground_options, colours, image)
+        lighting.illuminate(*viewer, buffers, scene, lamps, turn, *ground_options, colours, image)
         draw_lines(*buffers, scene.first_face, patches, scene.albedo, OUTLINE_STEP * ball[1], image)
         return image
 
     total = np.zeros((camera.height, camera.width, 3), np.float32)
     with ThreadPoolExecutor(usable_cores()) as pool:
-        for image in pool.map(sample, range(SAMPLES)):
+        for image in pool.map(sample, range(samples)):
             total += np.minimum(image, 1)
-    return _srgb(total / SAMPLES)
+    return _srgb(total / samples)
 
 
 def framing_camera(

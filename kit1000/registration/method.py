@@ -22,7 +22,7 @@ from kit1000.registration.choice.fits import Fit, lead, ranked
 from kit1000.registration.choice.from_evidence import register_certain
 from kit1000.registration.choice.from_filled_part import register_columns
 from kit1000.registration.inputs.shared_image import SharedImage
-from kit1000.registration.inputs.sources import DepthSource, TrueSource
+from kit1000.registration.inputs.volume_sources import DepthSource, TrueSource
 from kit1000.values import FIRST_PART_LABEL, Query, TrueGeometry
 
 if TYPE_CHECKING:
@@ -106,10 +106,10 @@ class Registration:
         """All fits at all clearances, the best first."""
         if self.source == "depth":
             image = SharedImage(query.image, query.sensor, self.restorer)
-            fits = self._certain_fits(query, image)
+            fits = self.certain_fits(query, image)
             if query.guess is not None or self.clearances:
                 return fits
-            others = (self._certain_fits(other, image, thorough=False) for other in _other_parts(query))
+            others = (self.certain_fits(other, image, thorough=False) for other in _other_parts(query))
             return assigned(fits, others, self._kind(query))
         if self.source == "columns":
             query = restored_query(query)
@@ -121,7 +121,7 @@ class Registration:
         """[m] to try."""
         return self.clearances or (self.dataset.summary["config"]["clearance"],)
 
-    def _certain_fits(self, query: Query, image: SharedImage, thorough: bool = True) -> list[Fit]:
+    def certain_fits(self, query: Query, image: SharedImage, thorough: bool = True) -> list[Fit]:
         """All fits by what the image makes certain. thorough: further candidates are refined while none fits well."""
         kind = self._kind(query)
         query = replace(query, read_image=lambda: image.restored(FIRST_PART_LABEL + query.part))

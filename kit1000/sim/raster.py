@@ -226,16 +226,16 @@ def _span(x0, y0, x1, y1, y, left, right):
     if not (dy < 0 or (dy == 0 and dx > 0)):
         value -= 1
     if dy > 0:
-        right = min(right, _floor_divide(value, dy << SUBPIXEL_BITS))
+        right = min(right, floor_divide(value, dy << SUBPIXEL_BITS))
     elif dy < 0:
-        left = max(left, -_floor_divide(value, -dy << SUBPIXEL_BITS))
+        left = max(left, -floor_divide(value, -dy << SUBPIXEL_BITS))
     elif value < 0:
         right = left - 1
     return left, right
 
 
 @compiled
-def _floor_divide(value, divisor):
+def floor_divide(value, divisor):
     """Exact floor(value / divisor) for divisor > 0, from the quotient of floats, which is off by one at most."""
     quotient = np.int64(math.floor(np.float64(value) / np.float64(divisor)))
     rest = value - quotient * divisor

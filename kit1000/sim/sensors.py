@@ -101,7 +101,7 @@ def sense(name: str, view: View, rng: np.random.Generator, frames: int = 1) -> V
     """
     if name not in SENSORS:
         raise InputError(f"sensor: there is no {name!r}, expected one of {', '.join(SENSORS)}")
-    return measured(_of_frames(SENSORS[name], frames), view, rng)
+    return measured(sensor_of_frames(SENSORS[name], frames), view, rng)
 
 
 def measured(sensor: Sensor, view: View, rng: np.random.Generator) -> View:
@@ -113,7 +113,7 @@ def measured(sensor: Sensor, view: View, rng: np.random.Generator) -> View:
     return View(view.camera, recorded_pose, np.rint(depth / np.float32(DEPTH_GRID)) * np.float32(DEPTH_GRID))
 
 
-def _of_frames(sensor: Sensor, frames: int) -> Sensor:
+def sensor_of_frames(sensor: Sensor, frames: int) -> Sensor:
     """The sensor whose single frames are like medians of some frames: only noise that changes in time is smaller.
 
     The median of n normal values has the variance pi / (2 n) for many, 1 for one; the expression is between these.

@@ -12,10 +12,10 @@ from kit1000.errors import InputError
 from kit1000.planner.execute import SEATED
 from kit1000.study.conditions import CONDITIONS
 from kit1000.study.execution import ROBOT
-from kit1000.study.plan import MAIN_OUTCOME, StudyPlan
 from kit1000.study.questionnaire import SCALES, raw_load
-from kit1000.study.records import Operator, Participant, TrialRecord
 from kit1000.study.statistics import FEWEST, Comparison, bca_interval, compare, crossover, holm
+from kit1000.study.study_plan import MAIN_OUTCOME, StudyPlan
+from kit1000.study.study_records import Operator, Participant, TrialRecord
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,9 @@ from kit1000.files import check_writable, locked
 from kit1000.study.conditions import DEFAULT
 from kit1000.study.execution import ROBOT
 from kit1000.study.operators import operator_of
-from kit1000.study.plan import FILE, StudyPlan, make_plan, orders_text, read_plan, write_plan
-from kit1000.study.report import write_report
 from kit1000.study.simulation import simulate
+from kit1000.study.study_plan import FILE, StudyPlan, make_plan, orders_text, read_plan, write_plan
+from kit1000.study.study_report import write_report
 
 DEFAULTS: Mapping[str, Any] = {
     "people": 12,

@@ -13,14 +13,14 @@ from kit1000.errors import InputError
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.planner.execute import NOT_SEATED, SEATED, Robot, robot_at
 from kit1000.pose import Pose
-from kit1000.study.records import PartResult
+from kit1000.study.study_records import PartResult
 from kit1000.study.tasks import part_truths
 from kit1000.values import Truth
 
 NOT_UPLOADED = "not uploaded"
 ROBOT, TEST = "robot", "test"
 JUDGES = (ROBOT, TEST)
-NOMINAL_S = 23.0  # [s] of the robot for a part: the median of docs/reference/robot.md, where the seating test judges
+NOMINAL_S = 23.0  # [s] of the robot for a part: about the median of the robot, used with the seating test
 DECIMALS = 3  # of mm, degrees and seconds in records
 
 

@@ -26,10 +26,9 @@ from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.study.clock import TaskClock
 from kit1000.study.execution import DECIMALS, ROBOT, Judge, judging, measured
-from kit1000.study.header import header_of
 from kit1000.study.operators import SPREAD, Aim, Hand, operator_of
-from kit1000.study.plan import Session, StudyPlan
-from kit1000.study.records import (
+from kit1000.study.study_plan import Session, StudyPlan
+from kit1000.study.study_records import (
     PARTICIPANT_FILE,
     SIMULATED,
     TRIAL_FILE,
@@ -42,6 +41,7 @@ from kit1000.study.records import (
     write_trial,
 )
 from kit1000.study.tasks import Task, part_truths, true_motion
+from kit1000.study.trial_header import header_of
 from kit1000.values import Truth
 from kit1000.version import __version__
 

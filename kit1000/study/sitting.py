@@ -24,11 +24,10 @@ from kit1000.planner.execute import SEATED
 from kit1000.pose import Pose
 from kit1000.study.clock import TaskClock
 from kit1000.study.execution import DECIMALS, ROBOT, Judge, judging, measured
-from kit1000.study.header import TrialHeader, header_of
 from kit1000.study.pages import TaskPanel, ask_consent, ask_preference, ask_ratings, say_goodbye
-from kit1000.study.plan import Session, StudyPlan
 from kit1000.study.questionnaire import CONSENT_VERSION
-from kit1000.study.records import (
+from kit1000.study.study_plan import Session, StudyPlan
+from kit1000.study.study_records import (
     CLOSING_FILE,
     PARTICIPANT_FILE,
     PERSON,
@@ -44,6 +43,7 @@ from kit1000.study.records import (
     write_trial,
 )
 from kit1000.study.tasks import part_truths
+from kit1000.study.trial_header import TrialHeader, header_of
 from kit1000.version import __version__
 
 PRACTICE = 0
@@ -176,7 +176,7 @@ class TaskPage:
                 if request == FINISH or (self.index and not self.clock.may_upload()):
                     return
                 if request == UPLOAD:
-                    self._upload(controller, judge, panel)
+                    self.upload(controller, judge, panel)
                 if len(self.motions) == parts or (not self.index and SEATED in self.outcomes.values()):
                     return
         finally:
@@ -192,7 +192,7 @@ class TaskPage:
                 request = self.requests.get(timeout=TICK_S)
             yield request
 
-    def _upload(self, controller: Controller, judge: Judge, panel: TaskPanel) -> None:
+    def upload(self, controller: Controller, judge: Judge, panel: TaskPanel) -> None:
         with controller.lock:
             edits = controller.space.session.edits
             parts = [

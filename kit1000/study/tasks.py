@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.editor.queries import editable_queries
+from kit1000.editor.edited_queries import editable_queries
 from kit1000.errors import InputError
 from kit1000.kits.seating import UP
 from kit1000.planner.execute import MAX_TURN, SEATED, Bench, run_scene

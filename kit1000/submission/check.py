@@ -50,7 +50,7 @@ def check(path: str | Path, data: str | Path | None = None, split: str = "test")
             form.add([*_id_format_faults(rows), *_track_faults(rows, listed_tracks)])
         else:
             form.add(_unknown_id_faults(rows, expected))
-            form.add(_coverage_faults(rows, listed_tracks, expected))
+            form.add(coverage_faults(rows, listed_tracks, expected))
         rotation_only = manifest is not None and manifest.predicts == "rotation"
         form.add(plausibility_faults(rows, expected, rotation_only))
     form_errors = tuple(fault for fault in form.kept if fault.severity == "error")
@@ -162,7 +162,7 @@ def _track_faults(rows: Rows, listed_tracks: Iterable[str] | None) -> list[Fault
     return [*(empty if len(rows) else []), *_unlisted_track_faults(counts, listed_tracks, rows.file)]
 
 
-def _coverage_faults(rows: Rows, listed_tracks: Iterable[str] | None, expected: ExpectedQueries) -> list[Fault]:
+def coverage_faults(rows: Rows, listed_tracks: Iterable[str] | None, expected: ExpectedQueries) -> list[Fault]:
     """Queries without a row, by track, and rows of tracks and splits that are not checked."""
     known = [expected.index[query_id] for query_id in rows.query_ids if query_id in expected.index]
     predicted = set(known)

@@ -212,7 +212,7 @@ def test_a_method_of_ones_own_is_made_from_its_module(data: Dataset) -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("gues", "no method 'gues'; did you mean guess[?] there are truth, .*module:Object of your own"),
+        ("gues", "'gues'.*guess[?].*truth.*module:Object"),
         ("nowhere:Object", "nowhere:Object: No module named 'nowhere'"),
         ("baselines.controls:Gues", "baselines.controls has no Gues that can be called"),
         ("baselines.controls:NOISE", "has no NOISE that can be called"),
@@ -344,7 +344,8 @@ def test_a_learned_method_is_a_folder_and_a_line(
 
     train = ["train", "toy-height", "--data", str(mini), "--out", str(tmp_path / "run"), "--workers", "0"]
     assert main([*train, "--preset", "tinny"]) == 2
-    assert "no preset 'tinny' of toy-height; did you mean tiny? there are tiny" in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert all(fact in error for fact in ("'tinny'", "toy-height", "did you mean tiny?"))
     assert main([*train, "--preset", "tiny"]) == 0
     assert "step 2 (steps)" in capsys.readouterr().out
     assert (tmp_path / "run/best.safetensors").is_file()

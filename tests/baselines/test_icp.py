@@ -20,7 +20,7 @@ from kit1000.values import Query
 @pytest.fixture(scope="module", autouse=True)
 def _needs_open3d() -> None:
     try:
-        icp._open3d()
+        icp.load_open3d()
     except InputError as error:
         pytest.skip(f"Open3D cannot be loaded on this machine: {error}")
 

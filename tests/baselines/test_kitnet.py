@@ -18,7 +18,7 @@ from baselines.kitnet.views import cavity_image, cavity_view, part_image
 from baselines.training.tasks.goal_draws import QueryDraws
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.heights.maps import UNSEEN, HeightMap
-from kit1000.perception.heights.scenes import RenderedHeights
+from kit1000.perception.heights.scene_heights import RenderedHeights
 from kit1000.perception.observed.plates import Plane
 from kit1000.pose import Pose, random_quaternions
 from kit1000.rng import stream

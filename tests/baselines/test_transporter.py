@@ -38,7 +38,7 @@ from baselines.transporter.search import search
 from baselines.transporter.task import transporter_loss
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.heights.maps import HeightMap
-from kit1000.perception.heights.scenes import RenderedHeights, SceneHeights
+from kit1000.perception.heights.scene_heights import RenderedHeights, SceneHeights
 from kit1000.pose import Pose, random_quaternions
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.rng import stream

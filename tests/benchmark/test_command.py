@@ -59,12 +59,12 @@ def test_the_command_writes_the_scores_and_a_row_per_query(
     assert {path.name for path in perfect.folder.iterdir()} == {"manifest.toml", "predictions.csv"}
 
 
-WRONG = {
-    "": "no command; there are score, rescore, curves, compare, table1, table2, pages (see python -m benchmark --help)",
+WRONG = {  # by what is typed: facts of the answer
+    "": "no command|score|rescore|curves|compare|table1|table2|pages|--help",
     "scor": "no command 'scor'; did you mean score?",
     "score": "score: SUBMISSION and --data missing",
     "score {sub}": "score: --data missing",
-    "score {sub} --data {data} --split tets": "score: --split tets: did you mean test? expected one of test, test-all,",
+    "score {sub} --data {data} --split tets": "score: --split tets|did you mean test?|test-all",
     "score {sub} --data {data} --workers 0": "--workers: expected 1 or more, got 0",
     "score {sub} --data {data} --cache {tmp} --no-cache": "--cache and --no-cache: give one of them",
     "score {sub} --data {tmp}": "{tmp}: no dataset (no dataset.json in it)",
@@ -89,7 +89,8 @@ def test_wrong_usage_is_reported_in_one_line(
     assert main(typed.split()) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith(f"python -m benchmark: {message}")
+    assert err.startswith("python -m benchmark: ")
+    assert all(fact in err for fact in message.split("|"))
     assert err.count("\n") == 1
 
 

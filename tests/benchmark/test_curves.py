@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from benchmark.curve_charts import COLUMNS, figure, write_curves
 from benchmark.curves import CURVES, curve_table
 from benchmark.protocol import read_protocol
-from benchmark.score import _curve_queries
+from benchmark.score import curve_queries
 from kit1000.errors import InputError, ShapeError
 from kit1000.queries.guesses import FIXED_LEVELS, LEVELS
 from kit1000.queries.tracks import CURVES as TRACK
@@ -158,7 +158,7 @@ def test_curves_are_of_the_first_scenes_or_of_all_never_of_those_that_are_answer
         (ids, 12),
         (["another-id"], 4),
     ):
-        chosen = _curve_queries(queries, 4, predicted)
+        chosen = curve_queries(queries, 4, predicted)
         assert chosen.query_ids == ids[:scenes]
 
 

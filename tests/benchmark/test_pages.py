@@ -16,7 +16,7 @@ import pytest
 
 from benchmark.pages import build
 from benchmark.pages.board import runtime_class
-from benchmark.pages.numbers import percent
+from benchmark.pages.cells import percent
 from benchmark.quantities import POSITION
 from benchmark.table1 import run as table1
 from kit1000.errors import InputError
@@ -174,7 +174,7 @@ def test_scores_that_cannot_be_compared_share_no_board(tmp_path: Path) -> None:
     build(tmp_path, tmp_path / "site", None)
     assert "2 versions of the evaluator" in page(tmp_path / "site")
     edited(tmp_path / "snaps", dataset_id="another")
-    with pytest.raises(InputError, match=r"snaps: its scores have dataset_id another, those of guess 0123.*score both"):
+    with pytest.raises(InputError, match=r"snaps: .*dataset_id another.*guess 0123"):
         build(tmp_path, tmp_path / "site", None)
 
 
@@ -246,9 +246,7 @@ def test_one_method_in_two_folders_is_refused_on_the_board_and_in_table_1(tmp_pa
     write_board(tmp_path, ("snaps",))
     write_scored(tmp_path / "twin", replace(SNAPS, label="Another label"), 1.0, 1.0, None)
     for command in (lambda: build(tmp_path, tmp_path / "site", None), lambda: table1(tmp_path)):
-        with pytest.raises(
-            InputError, match=r"twin: method 'Snaps .*' is that of snaps too; change it in one manifest"
-        ):
+        with pytest.raises(InputError, match=r"twin: method 'Snaps .*' .*snaps.*manifest"):
             command()
 
 

@@ -32,7 +32,7 @@ TOY = Quantity("toy_mm", "Toy error", MILLIMETRE, "A quantity made for this test
 
 
 @pytest.fixture
-def _toy(monkeypatch: pytest.MonkeyPatch) -> None:
+def toy(monkeypatch: pytest.MonkeyPatch) -> None:
     """A quantity more, measured by a function of the poses: twice the height of the motion."""
     measure = module.pose_quantities
 
@@ -70,7 +70,7 @@ def scored(manifest: Manifest, shift: float) -> Scores:
     return Scores(rows, provenance | summarise(rows, protocol, False))
 
 
-@pytest.mark.usefixtures("_toy")
+@pytest.mark.usefixtures("toy")
 def test_a_new_quantity_reaches_every_output(tmp_path: Path) -> None:
     a, b = scored(SNAPS, 0.001), scored(GUESS, 0.027)
     row = a.summary["tracks"]["snap"][TOY.key]

@@ -338,7 +338,7 @@ def test_another_dataset_is_refused(perfect: Submission, dataset: Dataset) -> No
 def test_predictions_for_unknown_queries_are_refused(perfect: Submission, dataset: Dataset) -> None:
     ids = [*perfect.predictions.query_ids[:-1], "test-s0099-p0-snap"]
     odd = predictions(ids, list(perfect.predictions.motions))
-    with pytest.raises(InputError, match=r"query test-s0099-p0-snap is not in .*; `kit1000 check .* lists all faults"):
+    with pytest.raises(InputError, match=r"test-s0099-p0-snap is not in .*kit1000 check "):
         score(replace(perfect, predictions=odd), dataset)
 
 

@@ -12,12 +12,11 @@ from typing import Any
 import pytest
 
 from benchmark.protocol import read_protocol
-from benchmark.table1 import MARK, NOT_YET, PAPER_ROWS, Grid, as_html, as_markdown, grids, read_table, run
+from benchmark.table1 import NOT_YET, PAPER_ROWS, Grid, as_html, as_markdown, grids, read_table, run
 from kit1000.errors import InputError
 from kit1000.queries.tracks import PAPER_TRACKS, TRACKS
 from kit1000.submission.manifest import Manifest, write_manifest
 from tests.samples.board import PREDICTIONS
-from tests.samples.checkout import ROOT
 
 DATASET = "91f0221d05e7d974"
 PAPER_LABELS = [row.label for row in PAPER_ROWS.values()]
@@ -128,7 +127,7 @@ def test_a_submission_fills_the_row_that_its_manifest_names(submissions: Path) -
         ({"paper_row": "snapnet"}, "theirs: paper_row 'snapnet' is that of ours too"),
         ({"method": "ours"}, "theirs: method 'ours' is that of ours too"),
         ({"label": "My SnapNet"}, "theirs: label 'My SnapNet' is that of ours too"),
-        ({"paper_row": "snapnett"}, "theirs: paper_row 'snapnett': did you mean snapnet.* expected one of kitnet, "),
+        ({"paper_row": "snapnett"}, "theirs: paper_row 'snapnett': did you mean snapnet.*kitnet"),
     ],
 )
 def test_two_submissions_for_one_row_or_of_one_name_are_refused(
@@ -216,7 +215,8 @@ def test_no_cell_has_a_minus_zero(tmp_path: Path) -> None:
 
 def test_the_first_line_has_protocol_versions_and_dataset(submissions: Path) -> None:
     first = as_markdown(read_table(submissions)).splitlines()[0]
-    assert first == ("Protocol kit1000-2026 (draft), dataset 91f0221d05e7d974, split test; position@v1, rotation@v1.")
+    for fact in ("kit1000-2026 (draft)", "91f0221d05e7d974", "split test", "position@v1", "rotation@v1"):
+        assert fact in first
 
 
 @pytest.mark.parametrize(
@@ -225,7 +225,7 @@ def test_the_first_line_has_protocol_versions_and_dataset(submissions: Path) -> 
 )
 def test_scores_of_different_settings_share_no_table(submissions: Path, key: str, value: Any) -> None:
     put(submissions, "c", {}, GUESS, **{key: value})
-    with pytest.raises(InputError, match=f"c: its scores have {key} .*those of .*; score both again, on one dataset"):
+    with pytest.raises(InputError, match=f"c: .*{key} .*score both"):
         read_table(submissions)
 
 
@@ -233,7 +233,7 @@ def test_a_file_without_scores_is_refused_by_name(submissions: Path) -> None:
     incomplete = track(1, 1)
     del incomplete["rotation_plain_deg"]
     put(submissions, "c", {"snap": incomplete}, GUESS)
-    with pytest.raises(InputError, match=r"c.scores\.json: expected scores .*there is no rotation_plain_deg of snap"):
+    with pytest.raises(InputError, match=r"c.scores\.json: .*no rotation_plain_deg of snap"):
         read_table(submissions)
     (submissions / "c" / "scores.json").write_text("[]", encoding="utf-8")
     with pytest.raises(InputError, match="there is no protocol, status"):
@@ -312,38 +312,15 @@ def test_without_a_file_the_table_is_printed(submissions: Path, capsys: pytest.C
     assert capsys.readouterr().out == as_markdown(read_table(submissions))
 
 
-def test_in_a_document_only_the_text_between_the_marks_changes(submissions: Path, tmp_path: Path) -> None:
-    page = tmp_path / "page.md"
-    page.write_text(f"Before\n\n{MARK}\nold\n{MARK}\n\nAfter\n", encoding="utf-8")
-    run(submissions, page)
-    text = page.read_text("utf-8")
-    assert text == f"Before\n\n{MARK}\n\n{as_markdown(read_table(submissions), tracks=False)}\n{MARK}\n\nAfter\n"
-    run(submissions, page)
-    assert page.read_text("utf-8") == text
-
-
-def test_a_new_file_can_be_written_again(submissions: Path, tmp_path: Path) -> None:
-    for _ in range(2):
+def test_the_suffix_of_the_file_says_what_is_written(submissions: Path, tmp_path: Path) -> None:
+    for _ in range(2):  # a file is written again
         run(submissions, tmp_path / "new.md")
         run(submissions, tmp_path / "new.html")
-    assert as_markdown(read_table(submissions), tracks=False) in (tmp_path / "new.md").read_text("utf-8")
+    assert as_markdown(read_table(submissions)) == (tmp_path / "new.md").read_text("utf-8")
     assert as_html(read_table(submissions)) == (tmp_path / "new.html").read_text("utf-8")
-
-
-def test_a_document_without_marks_is_left_alone(submissions: Path, tmp_path: Path) -> None:
-    (tmp_path / "README.md").write_text("precious", encoding="utf-8")
-    with pytest.raises(InputError, match="it is there 0 times"):
-        run(submissions, tmp_path / "README.md")
-    assert (tmp_path / "README.md").read_text("utf-8") == "precious"
     with pytest.raises(InputError, match=r"ends in \.md, \.json or \.html"):
         run(submissions, tmp_path / "table1.csv")
 
 
 def test_the_tracks_are_those_of_the_protocol() -> None:
     assert set(TRACKS) == set(read_protocol().tracks)
-
-
-def test_the_committed_table_is_what_the_submissions_give() -> None:
-    _, committed, _ = (ROOT / "docs" / "table1.md").read_text("utf-8").split(MARK)
-    scored = list((ROOT / "submissions").glob("*/scores.json"))
-    assert committed.strip() == (as_markdown(read_table(ROOT / "submissions"), tracks=False).strip() if scored else "")

@@ -148,5 +148,5 @@ def test_the_command_prints_chain_components_and_paper(
 @pytest.mark.parametrize("content", ["{}", '[{"component": "x"}]', "[3]"])
 def test_what_is_no_list_of_components_is_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "parts.json").write_text(content)
-    with pytest.raises(InputError, match="expected a JSON list of objects with the keys component, interval"):
+    with pytest.raises(InputError, match=r"JSON list.*component, interval"):
         table2.read_components(tmp_path / "parts.json")

@@ -72,31 +72,32 @@ def command(*arguments: object, **options) -> subprocess.Popen[str]:
     )
 
 
-WRONG = {
-    "": "no command; there are generate, kit, info, show, verify, export",
-    "genrate tiny": "no command 'genrate'; did you mean generate? there are",
+INTERRUPTED = "kit1000: interrupted; run the same command again to continue\n"
+WRONG = {  # by what is typed: facts of the answer
+    "": "no command|generate, kit, info, show, verify, export",
+    "genrate tiny": "'genrate'|did you mean generate?",
     "generate": "generate: PRESET and --out missing",
     "generate tiny": "generate: --out missing",
     "generate tiny --out": "generate: --out needs a value",
-    "generate tiny --ot {tmp}/out": "generate: no option --ot; did you mean --out? there are --out, --seed, --workers",
-    "generate tiny --out {tmp}/out --worker 2": "generate: no option --worker; did you mean --workers?",
+    "generate tiny --ot {tmp}/out": "generate: no option --ot|did you mean --out?|--seed|--workers",
+    "generate tiny --out {tmp}/out --worker 2": "generate: no option --worker|did you mean --workers?",
     "generate tiny small --out {tmp}/out": "generate: unexpected argument 'small'",
     "generate tiny --out {tmp}/out --workers two": "generate: --workers: expected a whole number, got 'two'",
     "generate tiny --out {tmp}/out --workers 0": "--workers: expected 1 or more, got 0",
     "generate tiny --out {tmp}/out --seed -1": "--seed: expected 0 or more, got -1",
     "generate tiny --out {tmp}/out --seed=1.5": "generate: --seed: expected a whole number, got '1.5'",
     "generate tiny --out {tmp}/out --seed " + "9" * 50: "root seed: expected 0 <= number < 2**128",
-    "generate tyni --out {tmp}/out": "no preset 'tyni'; did you mean tiny? there are tiny, small, kit1000, paper",
-    "generate tiny --out {tmp}/out --parts {tmp}/none": "{tmp}/none: does not exist; expected a mesh file, a folder",
+    "generate tyni --out {tmp}/out": "no preset 'tyni'|did you mean tiny?|small, kit1000, paper",
+    "generate tiny --out {tmp}/out --parts {tmp}/none": "{tmp}/none: does not exist|a mesh file, a folder",
     "generate tiny --out {tmp}/out --parts {tmp}": "{tmp}: no mesh files inside; looked for .stl .obj",
     "generate tiny --out {tmp}/out --parts {files}/empty.stl": "none of 1 mesh files can be a part: 1x empty file (",
-    "generate tiny --out {tmp}/out --unit mm": "--unit: is the unit of the meshes of --parts, which is absent",
+    "generate tiny --out {tmp}/out --unit mm": "--unit: |--parts",
     "generate tiny --out {tmp}/out --withhold {tmp}/out": "--withhold: expected a folder outside --out {tmp}/out",
-    "generate tiny --out {tmp}/out --withhold {tmp}/w --seed 7": "--seed: 7 can be guessed, and with it the withheld",
-    "generate tiny --out {data} --withhold {tmp}/w": "{data} contains a full dataset: choose another --out",
-    "generate tiny --out {tmp}/w --withhold {data}": "--withhold: {data} was made from seed 7, which can be guessed",
-    "generate tiny --out {files}/good.stl": "cannot write to {files}/good.stl: Not a directory; a file exists where",
-    "generate tiny --out {files}": "{files} is not empty and contains no dataset: choose another --out",
+    "generate tiny --out {tmp}/out --withhold {tmp}/w --seed 7": "--seed: 7 can be guessed",
+    "generate tiny --out {data} --withhold {tmp}/w": "{data} contains a full dataset|--out",
+    "generate tiny --out {tmp}/w --withhold {data}": "--withhold: {data} |seed 7|can be guessed",
+    "generate tiny --out {files}/good.stl": "cannot write to {files}/good.stl: Not a directory",
+    "generate tiny --out {files}": "{files} is not empty|no dataset|--out",
     "kit {files}/none.stl --out {tmp}/out": "{files}/none.stl: cannot be read: no such file or directory",
     "kit {files}/empty.stl --out {tmp}/out": "{files}/empty.stl: empty file",
     "kit {files}/text.stl --out {tmp}/out": "{files}/text.stl: not a mesh: text file",
@@ -105,8 +106,8 @@ WRONG = {
     "kit {files}/folder.stl --out {tmp}/out": "{files}/folder.stl: is a folder, expected a mesh file",
     "kit {files}/flat.stl --out {tmp}/out": "{files}/flat.stl: zero thickness",
     "kit {files}/open.stl --out {tmp}/out": "{files}/open.stl: not closed: ",
-    "kit {files}/good.stl --out {files}/good.stl": "cannot write to {files}/good.stl: Not a directory; a file exists",
-    "kit {files}/good.stl --out {tmp}/out --unit inches": "kit: --unit inches: did you mean inch? expected one of mm,",
+    "kit {files}/good.stl --out {files}/good.stl": "cannot write to {files}/good.stl: Not a directory",
+    "kit {files}/good.stl --out {tmp}/out --unit inches": "kit: --unit inches: did you mean inch?|mm",
     "kit {files}/good.stl --out {tmp}/out --clearance-mm 0": "--clearance-mm: expected 0.05 to 1000, got 0",
     "kit {files}/good.stl --out {tmp}/out --clearance-mm nan": "--clearance-mm: expected 0.05 to 1000, got nan",
     "kit {files}/good.stl --out {tmp}/out --fit_mm -4": "--fit-mm: expected 0.05 to 1000, got -4",
@@ -115,9 +116,9 @@ WRONG = {
     "info {tmp}/none": "{tmp}/none: no dataset (there is no such folder)",
     "show {tmp}": "{tmp}: no dataset (no dataset.json in it)",
     "show {data} --count 0": "--count: expected 1 or more, got 0",
-    "show {data} --what part": "show: --what part: did you mean parts? expected one of parts, kits, assemblies",
+    "show {data} --what part": "show: --what part: did you mean parts?|kits, assemblies",
     "show {data} --ids train-0000 x --out {tmp}/a.png": "{data}: no 'x' among 4 assemblies (test-0000,",
-    "show {data} --count 1 --out {files}/folder.stl": "cannot write {files}/folder.stl: Is a directory; a folder",
+    "show {data} --count 1 --out {files}/folder.stl": "cannot write {files}/folder.stl: Is a directory",
     "verify {tmp}": "{tmp}: no dataset (no dataset.json in it)",
     "verify {data} --sample -1": "--sample: expected 0 or more, got -1",
     "export {tmp} --out {tmp}/out": "{tmp}: no dataset (no dataset.json in it)",
@@ -138,7 +139,8 @@ def test_wrong_usage_is_one_line(
     assert main(placed(line).split()) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith(f"kit1000: {placed(WRONG[line])}")
+    assert err.startswith("kit1000: ")
+    assert all(placed(fact) in err for fact in WRONG[line].split("|"))
     assert err.count("\n") == 1
     assert not any(path.name != ".lock" and path.is_file() for path in tmp_path.rglob("*"))
 
@@ -241,10 +243,10 @@ def test_an_unfinished_dataset_is_named_as_such(
         raise KeyboardInterrupt
 
     l_shape_sources(tmp_path / "files", (24,))
-    monkeypatch.setattr(build, "_write_summary", interrupt)
+    monkeypatch.setattr(build, "write_summary", interrupt)
     line = ["generate", "tiny", "--out", f"{tmp_path}/out", "--parts", f"{tmp_path}/files", "--workers", "1"]
     assert main(line) == 130
-    assert capsys.readouterr().err == "kit1000: interrupted; run the same command again to continue\n"
+    assert capsys.readouterr().err == INTERRUPTED
     assert main(["info", f"{tmp_path}/out"]) == 2
     assert "not finished: run the same `kit1000 generate` again" in capsys.readouterr().err
 
@@ -267,7 +269,7 @@ def test_an_interrupted_generate_ends_in_one_line_and_can_be_continued(how: sign
     run = command(*line)
     wait_for(out, ".build/parts/*.json", run)
     os.killpg(run.pid, how) if how == signal.SIGINT else run.send_signal(how)  # a terminal signals the whole group
-    assert run.communicate(timeout=30) == ("", "kit1000: interrupted; run the same command again to continue\n")
+    assert run.communicate(timeout=30) == ("", INTERRUPTED)
     assert run.returncode == 130
     assert not (out / "dataset.json").exists()
     generate(TINY, out, workers=1, sources=sources)
@@ -281,7 +283,7 @@ def test_an_interrupt_while_workers_start_is_one_line_too(tmp_path: Path) -> Non
     wait_for(tmp_path / "out", "plan.json", run)
     time.sleep(0.1)
     os.killpg(run.pid, signal.SIGINT)
-    assert run.communicate(timeout=30)[1] == "kit1000: interrupted; run the same command again to continue\n"
+    assert run.communicate(timeout=30)[1] == INTERRUPTED
     assert run.returncode == 130
 
 
@@ -291,7 +293,7 @@ def test_an_interrupted_kit_ends_in_one_line(files: Path, tmp_path: Path) -> Non
     run = command("kit", pipe, "--out", tmp_path / "out")
     writer = os.open(pipe, os.O_WRONLY)  # opens when the command has begun to read
     os.killpg(run.pid, signal.SIGINT)
-    assert run.communicate(timeout=30) == ("", "kit1000: interrupted; run the same command again to continue\n")
+    assert run.communicate(timeout=30) == ("", INTERRUPTED)
     os.close(writer)
     assert run.returncode == 130
     assert not (tmp_path / "out").exists()

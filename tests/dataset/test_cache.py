@@ -13,8 +13,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from kit1000.dataset import cache as cache_module
-from kit1000.dataset.cache import CacheSize, Entry, Key, VolumeCache
+from kit1000.dataset import volume_cache as cache_module
+from kit1000.dataset.volume_cache import CacheSize, Entry, Key, VolumeCache
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.voxels import Grid, Volume, from_float16, from_uint8, to_float16, to_uint8

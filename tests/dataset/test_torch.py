@@ -14,10 +14,10 @@ import pytest
 import torch
 from torch.utils.data import DataLoader
 
-from kit1000.dataset.cache import VolumeCache
 from kit1000.dataset.items import Item, pose_vector
 from kit1000.dataset.reader import Dataset, Split
 from kit1000.dataset.torch import QueryDataset, VolumeItem, decode_volumes, depth_item, to_tensors
+from kit1000.dataset.volume_cache import VolumeCache
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.queries.motions import apply_error

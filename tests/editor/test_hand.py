@@ -14,9 +14,9 @@ from kit1000.editor.display import KITS, body_node, ghost_node
 from kit1000.editor.hand import PICK, PLACE, HandWorkspace
 from kit1000.editor.help import help_text, shown
 from kit1000.editor.keys import keys_of, verbs_of
-from kit1000.editor.plates import TABLE
 from kit1000.editor.records import EventLog
 from kit1000.editor.scene import EditedScene
+from kit1000.editor.seen_plates import TABLE
 from kit1000.editor.session import UNTOUCHED, Session
 from kit1000.errors import InputError
 from kit1000.pose import Pose

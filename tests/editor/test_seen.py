@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 
 from kit1000.camera import Camera, look_at
 from kit1000.editor import gestures
-from kit1000.editor.contact import Cavities
-from kit1000.editor.plates import TABLE, Plate, find_plates
+from kit1000.editor.part_on_plate import Cavities
 from kit1000.editor.pointing import Eye, Pointing
 from kit1000.editor.seen import observed, seen_surface, with_skirt
+from kit1000.editor.seen_plates import TABLE, Plate, find_plates
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.parts.cad import polygon, prism
+from kit1000.perception.observed.pixels import IDEAL
 from kit1000.pose import Pose, quaternion_between
 from kit1000.sim.layout import table
 from kit1000.sim.render import render
@@ -50,16 +51,28 @@ def block() -> Mesh:
 
 
 @cache
-def seen() -> tuple[View, Mesh, Mesh]:
-    """An image of the kit and of the block on the table, and what is seen of each."""
+def pictured() -> tuple[View, np.ndarray]:
+    """An image of the kit (1) and of the block (2) on the table, and its labels."""
     bodies = [
         (kit(), WORLD_FROM_PLATE),
         (block(), Pose.from_translation((0.0, -0.15, 0.0))),
         (table(), Pose.identity()),
     ]
     image = render(CAMERA, VIEW_POSE, bodies)
-    view = View(CAMERA, VIEW_POSE, image.depth)
-    return view, seen_surface(view, image.body_ids == 1), with_skirt(seen_surface(view, image.body_ids == 2))
+    return View(CAMERA, VIEW_POSE, image.depth), image.body_ids
+
+
+@cache
+def seen() -> tuple[View, Mesh, Mesh]:
+    """The image, and what is seen of kit and block."""
+    view, labels = pictured()
+    return view, seen_surface(view, labels == 1), with_skirt(seen_surface(view, labels == 2))
+
+
+@cache
+def plates_of_kit() -> list[Plate]:
+    view, labels = pictured()
+    return find_plates(view, labels == 1, IDEAL)
 
 
 def test_seen_points_are_on_the_true_surface() -> None:
@@ -96,17 +109,31 @@ def test_a_skirt_closes_a_part_down_to_the_table() -> None:
 
 
 def test_the_plate_is_found_where_it_is_and_its_floor_is_not_one() -> None:
-    plates = find_plates(seen()[1], 1.3e-6, noisy=False)
+    plates = plates_of_kit()
     assert len(plates) == 1
     normal = WORLD_FROM_PLATE.rotate((0.0, 0.0, 1.0))
     assert np.degrees(np.arccos(min(1.0, float(plates[0].normal @ normal)))) < 0.1
     assert abs(float(plates[0].height(WORLD_FROM_PLATE.xyz))) < 1e-4
 
 
+def test_two_plates_in_one_plane_are_two() -> None:
+    shifted = Pose.from_translation((0.11, 0.0, 0.0))
+    bodies = [(kit(), WORLD_FROM_PLATE @ shift) for shift in (shifted, shifted.inverse())]
+    image = render(CAMERA, VIEW_POSE, [*bodies, (table(), Pose.identity())])
+    plates = find_plates(View(CAMERA, VIEW_POSE, image.depth), np.isin(image.body_ids, (1, 2)), IDEAL)
+    assert len(plates) == 2
+    assert sorted(round(float(plate.point[0]), 2) for plate in plates) == [-0.11, 0.11]
+
+
+def test_where_nothing_is_seen_no_plate_is_found() -> None:
+    view, labels = pictured()
+    assert find_plates(view, labels == 9, IDEAL) == []
+
+
 @pytest.mark.parametrize(("x", "y", "plate"), [(0.035, 0.0, True), (0.0, 0.0, True), (0.0, -0.16, False)])
 def test_a_lookup_meets_the_plane_of_what_is_under_the_cursor(x: float, y: float, plate: bool) -> None:
     """Also over the cavity: the part slides over it."""
-    plates = find_plates(seen()[1], 1.3e-6, noisy=False)
+    plates = plates_of_kit()
     pointing = Pointing(seen()[1], plates)
     point = WORLD_FROM_PLATE.apply((x, y, 0.0)) if plate else np.array([x, y, 0.0])
     support = pointing.support(EYE, EYE.screen(point))
@@ -119,7 +146,7 @@ def test_a_lookup_meets_the_plane_of_what_is_under_the_cursor(x: float, y: float
 def test_a_hole_in_what_is_seen_of_a_plate_is_not_the_table_below_it() -> None:
     """A camera does not see all of a cavity: without a lid a part would fall through the hole while it is dragged."""
     _, kits, _ = seen()
-    plates = find_plates(kits, 1.3e-6, noisy=False)
+    plates = plates_of_kit()
     local = WORLD_FROM_PLATE.inverse().apply(kits.triangles.mean(1))
     holed = Mesh(kits.vertices, kits.faces[(np.abs(local[:, :2]) > 0.02).any(1)])  # nothing seen of the cavity
     pointing = Pointing(holed, plates)
@@ -190,7 +217,7 @@ def test_levelling_stands_a_tilted_part_on_its_nearest_side() -> None:
 @pytest.mark.parametrize("height", [0.01, -0.006])
 def test_the_share_beside_the_cavity_is_that_of_the_shifted_square(shift: float, share: float, height: float) -> None:
     """A square of 30 mm over a cavity of 40 mm, however high: the cavity reaches 20 mm from its middle."""
-    plate = find_plates(seen()[1], 1.3e-6, noisy=False)[0]
+    plate = plates_of_kit()[0]
     to_origin = Pose.from_translation((0.0, 0.15, 0.0))
     motion = WORLD_FROM_PLATE @ Pose.from_translation((shift, 0.0, height)) @ to_origin
     cavities, points = Cavities(seen()[1], noisy=False), observed(seen()[2])

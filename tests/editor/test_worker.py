@@ -63,7 +63,7 @@ class Pool:
 
 def test_what_the_hand_asks_comes_first_then_the_part_in_the_hand(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also what is asked before the work begins; of several guesses about a part the last alone."""
-    monkeypatch.setattr(worker, "_one_process", Pool)
+    monkeypatch.setattr(worker, "one_process", Pool)
     results: Queue[Result] = Queue()
     completions: Queue[Completion] = Queue()
     work = Worker(METHOD, (0, 1, 2, 3, 4))

@@ -186,12 +186,13 @@ def test_an_address_without_a_cluster_is_one_line(address: str) -> None:
 
 
 ALONE = """
-import sys, test_ray
+import sys
+from tests.engines import test_cluster
 from kit1000 import engines
 if __name__ == "__main__":
     with engines.ray_engine(workers=2) as parallel_map:
-        print(*{*parallel_map(test_ray.process_id, range(8))}, flush=True)
-        list(parallel_map(test_ray.sleep_and_return_id, range(8)))
+        print(*{*parallel_map(test_cluster.process_id, range(8))}, flush=True)
+        list(parallel_map(test_cluster.sleep_and_return_id, range(8)))
 """
 
 

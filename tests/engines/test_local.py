@@ -83,7 +83,7 @@ def test_jobs_of_killed_workers_are_run_again(tmp_path: Path, capsys: pytest.Cap
         assert sorted(parallel_map(kill_first_attempts, [(i, tmp_path) for i in range(6)])) == list(range(6))
         assert sorted(parallel_map(square, range(3))) == [0, 1, 4]
     assert len(list(tmp_path.glob("2-*"))) == RETRIES + 1
-    assert "a worker process died (killed, or out of memory): its jobs are run again\n" in capsys.readouterr().err
+    assert "a worker process died" in capsys.readouterr().err
 
 
 def test_a_job_that_kills_every_worker_is_named_in_one_line() -> None:
@@ -125,12 +125,13 @@ def test_without_ray_the_error_says_how_to_install_it(monkeypatch: pytest.Monkey
 
 
 ORPHANS = """
-import sys, test_engines
+import sys
+from tests.engines import test_local
 from kit1000.engines import local_engine
 if __name__ == "__main__":
     with local_engine(2) as parallel_map:
-        print(*parallel_map(test_engines.process_id, [sys.argv[1]] * 2), flush=True)
-        list(parallel_map(test_engines.sleep_and_return_id, range(8)))
+        print(*parallel_map(test_local.process_id, [sys.argv[1]] * 2), flush=True)
+        list(parallel_map(test_local.sleep_and_return_id, range(8)))
 """
 
 

@@ -27,7 +27,7 @@ from kit1000.kits.envelope import RELIEF_CELLS, lower_envelope, polar_relief
 from kit1000.kits.kit import design_kit, insertion_faces
 from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
-from kit1000.parts.files import bodies
+from kit1000.parts.files import united_bodies
 from kit1000.parts.files.formats import read_triangles
 from kit1000.parts.files.sources import mesh_files
 from kit1000.pictures import previews
@@ -167,7 +167,7 @@ def test_an_interrupted_run_leaves_complete_files_and_no_report(
 
 def test_nothing_is_written_when_no_kit_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     part = write_stl(tmp_path / "corner.stl", l_shape())
-    monkeypatch.setattr(own_part, "_files", lambda *_: 1 / 0)
+    monkeypatch.setattr(own_part, "kit_files", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         make_kit_from_file(part, tmp_path / "out")
     assert not (tmp_path / "out").exists()
@@ -288,7 +288,7 @@ def test_a_body_without_a_kit_leaves_those_of_the_others(tmp_path: Path) -> None
     film = Manifold.cube((0.03, 0.03, 0.00005)).translate((0.1, 0, 0))
     made = make_kits_from_file(stl_of(tmp_path / "two.stl", CUBE, film), tmp_path / "out", unit="mm")
     assert isinstance(made["01"], dict)
-    assert "two.stl: body 2 of 2: no kit: 0.05 mm high where it lies, too flat" in str(made["02"])
+    assert all(fact in str(made["02"]) for fact in ("two.stl: body 2 of 2: ", "0.05 mm high"))
     assert sorted(os.listdir(tmp_path / "out")) == ["01", "report.json"]
 
 
@@ -301,7 +301,7 @@ def test_voids_stay_with_their_body(tmp_path: Path) -> None:
 
 
 def test_too_many_bodies_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bodies, "MAX_BODIES", 4)
+    monkeypatch.setattr(united_bodies, "MAX_BODIES", 4)
     with pytest.raises(InputError, match=r"plate\.stl: 5 separate bodies, more than 4"):
         make_kits_from_file(stl_of(tmp_path / "plate.stl", *PLATE_OF_FIVE), tmp_path / "out", unit="mm")
     assert not (tmp_path / "out").exists()
@@ -310,7 +310,7 @@ def test_too_many_bodies_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
 @pytest.mark.parametrize(
     ("smallest", "refusal", "reason"),
     [
-        (2.479e-3, None, "came out with a clearance of 2.479 mm, expected 2.5 mm; nothing is"),
+        (2.479e-3, None, "clearance of 2.479 mm, expected 2.5 mm"),
         (0.0, None, "came out with a clearance of 0.000 mm"),
         (2.5e-3, NOT_SEATED, "the part does not seat at a goal of its kit"),
     ],
@@ -364,7 +364,7 @@ def test_kits_of_a_metre_are_as_exact_as_small_ones(tmp_path: Path) -> None:
 
 def test_a_clearance_wider_than_the_part_is_refused(tmp_path: Path) -> None:
     path = write_stl(tmp_path / "corner.stl", l_shape().scaled(0.01))
-    with pytest.raises(InputError, match=r"0\.4 mm long, less than the clearance of 2\.5 mm; choose a smaller --clear"):
+    with pytest.raises(InputError, match=r"0\.4 mm long.*2\.5 mm.*--clear"):
         make_kit_from_file(path, tmp_path / "out", unit="mm")
 
 
@@ -377,7 +377,7 @@ def test_written_meshes_stay_closed_where_rounding_would_open_them(width: float,
     design = design_kit(part, plate=None)
     seated = part.mesh.moved(design.kit.slot.kit_from_part)
     assert defect_float32(seated) is not None
-    data = own_part._files(part, design, "cut.stl")
+    data = own_part.kit_files(part, design, "cut.stl")
     (tmp_path / "part.stl").write_bytes(data["part.stl"])
     (tmp_path / "seated.glb").write_bytes(data["seated.glb"])
     back = read(tmp_path / "part.stl")

@@ -75,7 +75,8 @@ def test_a_finished_dataset_is_not_changed(
     complete: Path, sources: Sources, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     times = {path: path.stat().st_mtime_ns for path in complete.rglob("*") if path.name != ".lock"}
-    monkeypatch.setattr(build, "_make_parts_and_kits", None)
+    for name in ("make_part_and_kit", "make_assembly", "make_shard"):
+        monkeypatch.setattr(build, name, None)
     summary = generate(MINI, complete, workers=1, sources=sources)
     assert summary == json.loads((complete / "dataset.json").read_bytes())
     assert capsys.readouterr() == ("", f"{complete} is complete: nothing to do\n")
@@ -240,7 +241,7 @@ def test_a_full_disk_is_one_line(sources: Sources, tmp_path: Path, monkeypatch: 
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(files.os, "fsync", full)
-    with pytest.raises(InputError, match="No space left on device; free some space and run the same command again"):
+    with pytest.raises(InputError, match=r"No space left on device.*run the same command again"):
         generate(MINI, tmp_path, workers=1, sources=sources)
 
 
@@ -251,7 +252,7 @@ def make_unfinished(root: Path, sources: Sources, monkeypatch: pytest.MonkeyPatc
         raise Stop
 
     with monkeypatch.context() as patch:
-        patch.setattr(build, "_write_summary", stop)
+        patch.setattr(build, "write_summary", stop)
         with pytest.raises(Stop):
             generate(MINI, root, workers=1, sources=sources)
 
@@ -314,7 +315,7 @@ def test_another_plan_is_refused_and_the_dataset_not_changed(
     seed: int, named: str, said: str, complete: Path, sources: Sources
 ) -> None:
     before = file_hashes(complete)
-    with pytest.raises(InputError, match=rf"contains another dataset \({said}\): choose another --out, or delete"):
+    with pytest.raises(InputError, match=rf"another dataset \({said}\).*--out"):
         generate(build.replace(MINI, name=named), complete, seed, workers=1, sources=sources)
     assert file_hashes(complete) == before
 
@@ -322,14 +323,14 @@ def test_another_plan_is_refused_and_the_dataset_not_changed(
 def test_a_file_in_place_of_the_folder_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
     for out in (tmp_path / "out", tmp_path / "out/deeper"):
-        with pytest.raises(InputError, match=r"cannot write to .*: Not a directory; a file exists where a folder"):
+        with pytest.raises(InputError, match=r"cannot write to .*: Not a directory"):
             generate(MINI, out, workers=1)
     assert os.listdir(tmp_path) == ["out"]
 
 
 def test_a_folder_that_may_not_be_written_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(files.os, "access", lambda *_: False)
-    with pytest.raises(InputError, match=r"cannot write to .*: Permission denied; choose a folder you may write to"):
+    with pytest.raises(InputError, match=r"cannot write to .*: Permission denied"):
         generate(MINI, tmp_path / "out", workers=1)
     assert not os.listdir(tmp_path)
 
@@ -369,7 +370,7 @@ def test_neighbours_that_cannot_be_placed_are_left_out(
 
     monkeypatch.setattr(assemblies, "MAX_ATTEMPTS", 5)
     monkeypatch.setattr(assemblies, "check_assembly", check)
-    monkeypatch.setattr(assemblies, "_fits_in_other_slot", lambda *_: False)
+    monkeypatch.setattr(assemblies, "find_fit_in_other_slot", lambda *_: None)
     preset = build.replace(MINI, kits=(2, 2))
     summary = generate(preset, tmp_path, workers=1, sources=sources)
     assert summary["redraws"]["assemblies"] == {"too narrow": 2 * assemblies.MAX_ATTEMPTS, assemblies.FEWER_KITS: 4}

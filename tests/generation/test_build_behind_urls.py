@@ -71,6 +71,6 @@ def other_folder_engine(place: Path) -> Iterator[ParallelMap]:
 
 def test_files_written_to_the_disk_of_a_node_are_reported(sources: Sources, tmp_path: Path) -> None:
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
-    with pytest.raises(InputError, match=r"^parts/.*\.glb was written on another machine and is not in .*out: all"):
+    with pytest.raises(InputError, match=r"^parts/.*\.glb .*another machine.*out"):
         generate(MINI, out, sources=sources, engine=other_folder_engine(elsewhere))
     assert not (out / "dataset.json").exists()

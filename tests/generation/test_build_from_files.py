@@ -102,7 +102,7 @@ def test_a_part_that_scaling_would_open_is_closed_again(tmp_path: Path, monkeypa
     assert defect_float32(part_of_mesh("cut", mesh, 0.04).mesh) is not None
     monkeypatch.setattr(parts_and_kits, "read_mesh", lambda *_: SimpleNamespace(mesh=mesh))
     job = part_job(tmp_path, "cut", cut, longest=(0.04, 0.04))
-    closed = parts_and_kits._part_of_size(job, mesh, 0.04)
+    closed = parts_and_kits.part_of_size(job, mesh, 0.04)
     assert defect_float32(closed.mesh) is None
     assert np.abs(closed.mesh.bounds - part_of_mesh("cut", mesh, 0.04).mesh.bounds).max() < 1e-5
     monkeypatch.setattr(parts_and_kits, "closed_on_grid", lambda mesh, _: (mesh, "3 open edges"))
@@ -172,7 +172,7 @@ def test_an_unreadable_dataset_is_refused_with_the_reason(
         with pytest.raises(InputError, match=f"no dataset \\({said}"):
             Geometry(folder)
     (tmp_path / "dataset.json").write_text("[]")
-    with pytest.raises(InputError, match="has format None, this version reads 'kit1000/2'; generate or download"):
+    with pytest.raises(InputError, match=r"has format None.*'kit1000/2'"):
         Geometry(tmp_path)
     with pytest.raises(InputError, match=r"no 'x' among 4 parts \(test-0000, "):
         Geometry(whole).part("x")

@@ -81,7 +81,7 @@ def test_every_preset_can_be_built() -> None:
 
 
 def test_an_unknown_preset_is_answered_with_the_closest_one() -> None:
-    with pytest.raises(InputError, match=r"no preset 'pape'; did you mean paper\? there are tiny, small, kit1000"):
+    with pytest.raises(InputError, match=r"no preset 'pape'.*did you mean paper\?.*tiny, small, kit1000"):
         preset("pape")
     with pytest.raises(InputError, match=r"no preset 'zzz'; there are tiny"):
         preset("zzz")

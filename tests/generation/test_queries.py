@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from kit1000.dataset.tables import pose_of
 from kit1000.errors import InputError
-from kit1000.generation.queries import (
+from kit1000.generation.scene_queries import (
     PAPER_TILT,
-    _largest_roll_or_pitch,
     eligible,
+    largest_roll_or_pitch,
 )
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.queries.guesses import FIXED_LEVELS, LEVELS, MAX_ANGLE, MAX_OFFSET, level_angle, level_offset
@@ -166,7 +166,7 @@ def test_a_track_without_any_part_draws_none() -> None:
 def test_roll_and_pitch_are_those_of_scipy(pose: Pose) -> None:
     roll, pitch, _ = _scipy_angles(pose)
     assume(abs(pitch) < np.radians(89.9))  # beyond, roll and yaw are one
-    assert _largest_roll_or_pitch(pose) == pytest.approx(max(abs(roll), abs(pitch)), abs=1e-7)
+    assert largest_roll_or_pitch(pose) == pytest.approx(max(abs(roll), abs(pitch)), abs=1e-7)
 
 
 def _scipy_angles(pose: Pose) -> np.ndarray:

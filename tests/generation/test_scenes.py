@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -24,8 +23,8 @@ from kit1000.kits.contact import convex_edges
 from kit1000.kits.goals import nearest_about_axis
 from kit1000.kits.kit import make_kit
 from kit1000.kits.seating import InsertedPart, contact_offset, seating_result
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, in_view
@@ -226,14 +225,7 @@ def test_parts_are_in_the_order_of_the_truth(sample: SceneSample) -> None:
 
 
 def test_the_index_of_a_part_does_not_depend_on_its_mount() -> None:
-    mounts = [SimpleNamespace(kit=SimpleNamespace(slot=SimpleNamespace(part_id=str(k)))) for k in range(3)]
-    parts = {str(k): cast(Part, SimpleNamespace(id=str(k))) for k in range(3)}
-
-    def order(k: int) -> tuple[int, ...]:
-        assembly = cast(Assembly, SimpleNamespace(id=f"test-{k:04d}", mounts=mounts))
-        return scenes._scene_parts(MINI, 1, "test", assembly, parts).mounts
-
-    counts = Counter(map(order, range(1200)))
+    counts = Counter(scenes.mount_order(1, f"test-s{k:04d}", 3) for k in range(1200))
     assert len(counts) == 6
     assert all(abs(count - 200) < 5 * np.sqrt(200) for count in counts.values())
 

@@ -119,7 +119,7 @@ def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.
     jobs = []
     original = make_shard
     monkeypatch.setattr("kit1000.generation.build.make_shard", lambda job: jobs.append(job) or original(job))
-    monkeypatch.setattr("kit1000.generation.build._write_summary", lambda *_: {})
+    monkeypatch.setattr("kit1000.generation.build.write_summary", lambda *_: {})
     generate(MINI, tmp_path / "data", workers=1, sources=l_shape_sources(tmp_path / "files"))
     records = [make_shard(job) for job in jobs]
     monkeypatch.setattr(module, "make_scene", refusing_scene("train-0000", "train-0001", "val-0000", "test-0000"))
@@ -133,7 +133,7 @@ def test_a_finished_shard_is_not_made_again(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_a_record_lists_its_files_by_hash(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fake_scenes: None) -> None:
-    monkeypatch.setattr("kit1000.generation.build._write_summary", lambda *_: {})
+    monkeypatch.setattr("kit1000.generation.build.write_summary", lambda *_: {})
     generate(MINI, tmp_path / "data", workers=1, sources=l_shape_sources(tmp_path / "files"))
     found = file_hashes(tmp_path / "data")
     record = read_json(tmp_path / "data" / BUILD_FOLDER / "shards/test/0000.json")

@@ -17,8 +17,8 @@ from kit1000.files import json_bytes, read_json
 from kit1000.generation.card import card_bytes
 from kit1000.generation.card_statistics import add_up, part_statistics, scene_statistics
 from kit1000.generation.croissant import croissant_bytes
+from kit1000.generation.dataset_summary import refused_files, summary_bytes
 from kit1000.generation.plan import DATA_VERSION, dataset_id, make_plan
-from kit1000.generation.summary import refused_files, summary_bytes
 from kit1000.queries.tracks import SPLITS
 from tests.samples.mini import MINI, file_hashes
 

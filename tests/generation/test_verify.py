@@ -21,13 +21,13 @@ from kit1000.errors import InputError
 from kit1000.files import json_bytes, read_json
 from kit1000.generation import rebuild
 from kit1000.generation.build import generate
+from kit1000.generation.dataset_summary import summary_bytes
 from kit1000.generation.rebuild import (
     observation_differences,
     preview_differences,
     scene_differences,
     truth_differences,
 )
-from kit1000.generation.summary import summary_bytes
 from kit1000.generation.verify import verify
 from kit1000.pose import Pose
 from kit1000.values import View

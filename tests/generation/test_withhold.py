@@ -201,7 +201,8 @@ def test_a_scene_of_one_sensor_is_read_by_it(folders: Published, tmp_path: Path)
 def test_both_folders_verify_and_the_public_one_notes_the_withheld_plan(folders: Published) -> None:
     report = verify(folders.public, sample=2)
     assert (report.faults, report.rebuilt) == ((), ())
-    assert report.notes == ("the plan is withheld: scenes can be generated again only from the full dataset",)
+    (note,) = report.notes
+    assert "the plan is withheld" in note
     assert verify(folders.full) == type(report)(report.files + len(set(read_secret(folders)["files"])) - 5, (), ())
 
 
@@ -257,7 +258,7 @@ class Stop(BaseException):
     """An exception that no code handles."""
 
 
-@pytest.mark.parametrize("place", ["make_shard", "_link_or_copy", "description_files"])
+@pytest.mark.parametrize("place", ["make_shard", "link_or_copy", "description_files"])
 def test_an_interrupted_run_continues_as_the_same_dataset(
     place: str, quick_dataset: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -268,7 +269,7 @@ def test_an_interrupted_run_continues_as_the_same_dataset(
             raise Stop
         return original(*arguments)
 
-    calls = 0 if place == "_link_or_copy" else 1
+    calls = 0 if place == "link_or_copy" else 1
     module = build if place == "make_shard" else withhold
     original = getattr(module, place)
     with monkeypatch.context() as patch:
@@ -317,7 +318,7 @@ def test_a_seed_of_fewer_than_128_bits_is_refused(seed: int, tmp_path: Path) -> 
 @pytest.mark.parametrize("seed", [7, 2**64, 2**127 - 1])
 def test_a_folder_made_from_a_guessable_seed_is_refused(seed: int, tmp_path: Path) -> None:
     (tmp_path / "plan.json").write_bytes(json_bytes({"seed": seed}))
-    with pytest.raises(InputError, match=f"was made from seed {seed}, which can be guessed: .*; choose another folder"):
+    with pytest.raises(InputError, match=f"seed {seed}, which can be guessed"):
         withhold.secret_seed(tmp_path, None)
 
 
@@ -340,7 +341,7 @@ def test_a_folder_with_other_contents_is_refused(quick_dataset: list[str], tmp_p
     with pytest.raises(InputError, match="contains a full dataset: choose another --out"):
         withhold.check_separate(one.full, other.full)
     for public, full in ((one.public, other.full), (one.public, tmp_path / "new"), (tmp_path / "files", one.full)):
-        with pytest.raises(InputError, match=r"is not empty and contains no public part of .*: choose another --out"):
+        with pytest.raises(InputError, match=r"not empty.* no public part of .*--out"):
             withhold.check_separate(public, full)
     withhold.check_separate(one.public, one.full)
     withhold.check_separate(tmp_path / "new", one.full)
@@ -353,7 +354,7 @@ def test_a_changed_record_of_the_withheld_files_is_reported(quick_dataset: list[
     for key, value in changed.items():
         path.write_bytes(json_bytes(secret | {key: value}))
         assert [fault.partition(":")[0] for fault in verify(folders.full).faults] == [WITHHELD_FILE]
-        with pytest.raises(InputError, match=r"withheld\.json: .*; restore it, or delete it to publish under another"):
+        with pytest.raises(InputError, match=r"withheld\.json: .*restore it"):
             withhold.publish(folders.full, folders.public)
 
 

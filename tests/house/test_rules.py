@@ -19,9 +19,7 @@ import tomli
 
 from kit1000.cli.command_line import usage_error
 from tests.samples.checkout import ROOT
-
-PACKAGES = ("kit1000", "benchmark", "baselines")  # the library and the two applications
-PYTHON_FOLDERS = (*PACKAGES, "bench", "examples", "tests", "docs")
+from tests.samples.sources import PACKAGES, PYTHON_FOLDERS, dotted, imports, modules, python_files, tree
 
 # A module imports from rows above and from further left in its own; inside one entry no circles are the rule.
 LAYERS = (
@@ -32,7 +30,7 @@ LAYERS = (
     ("sim",),
     ("queries", "dataset", "predictor", "submission"),
     ("perception", "prediction.catalog", "registration", "prediction"),
-    ("pictures", "export", "generation", "insertion_study"),
+    ("pictures", "export", "generation"),
     ("planner", "editor", "study", "testing"),
     ("cli", "", "__main__"),  # "" is the package itself, which hands out names of all the others
     ("benchmark",),
@@ -43,7 +41,7 @@ ORDER = {name: place for place, name in enumerate(chain(*LAYERS))}
 FENCES = {
     "manifold3d": ("kit1000.mesh", "kit1000.parts", "kit1000.kits", "kit1000.metrics", "kit1000.testing"),
     "pybullet": ("kit1000.sim", "kit1000.planner"),
-    "coacd": ("kit1000.sim",),
+    "coacd": (),  # a bench and its tests alone
     "numba": ("kit1000.numerics",),
     "kit1000.numerics.compiled": (
         "kit1000.numerics",
@@ -92,46 +90,6 @@ LONGEST_FUNCTION = 80  # without its docstring
 PYTHON_BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 DOCUMENTS = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")])
 PAGES = sorted((ROOT / "benchmark" / "pages" / "templates").glob("*.html"))
-
-
-@cache
-def modules() -> dict[str, Path]:
-    """Every module of the library and the applications, by its dotted name."""
-    files = chain.from_iterable((ROOT / package).rglob("*.py") for package in PACKAGES)
-    return {dotted(path): path for path in sorted(files)}
-
-
-def dotted(path: Path) -> str:
-    parts = path.relative_to(ROOT).with_suffix("").parts
-    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
-
-
-@cache
-def python_files() -> tuple[Path, ...]:
-    return tuple(chain.from_iterable(sorted((ROOT / folder).rglob("*.py")) for folder in PYTHON_FOLDERS))
-
-
-@cache
-def tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"), str(path))
-
-
-@cache
-def imports(path: Path) -> frozenset[str]:
-    """Dotted names that a file imports anywhere, each as `module` or, where that is one, `package.module`."""
-    found = set()
-    for node in ast.walk(tree(path)):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path.name}:{node.lineno}: imports are absolute"
-            found |= {_target(str(node.module), alias.name) for alias in node.names}
-    return frozenset(found - {"kit1000.__version__"})
-
-
-def _target(module: str, name: str) -> str:
-    whole = f"{module}.{name}"
-    return whole if whole in modules() or whole == "kit1000.__version__" else module
 
 
 def layer(module: str) -> int:
@@ -333,7 +291,7 @@ def test_the_version_stands_everywhere_the_same() -> None:
 
     assert project()["dynamic"] == ["version"]  # read from kit1000/__init__.py
     assert f"\nversion: {kit1000.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"\n## [{kit1000.__version__}]" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"\n## {kit1000.__version__} (" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
 
 
 def shown_commands(program: str) -> list[list[str]]:

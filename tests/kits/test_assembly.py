@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 from manifold3d import Manifold
 from numpy.typing import ArrayLike
 
+from bench.exact_offset import swept_solid
 from kit1000.errors import InputError, Redraw
 from kit1000.kits.assembly import (
     GROUND_GAP,
     AssemblyPlan,
     SidePlate,
-    _cavity_box,
     build_assembly,
+    cavity_box,
     check_assembly,
     draw_assembly,
     place_kits,
@@ -27,7 +28,6 @@ from kit1000.kits.assembly import (
 )
 from kit1000.kits.brackets import PLATE_OVERLAP, RIB_WIDTH, support_pieces
 from kit1000.kits.kit import PLATE_GAP
-from kit1000.kits.seating import swept_solid
 from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Mount, Part
@@ -198,7 +198,7 @@ def test_a_pin_in_a_cavity_is_caught() -> None:
 
 def test_a_hole_in_a_plate_is_caught() -> None:
     assembly = drawn(3, 4)
-    hole = solid_from_mesh(assembly.mesh) - _cavity_box(assembly.mounts[0])  # all that stands beside its cavity
+    hole = solid_from_mesh(assembly.mesh) - cavity_box(assembly.mounts[0])  # all that stands beside its cavity
     with pytest.raises(Redraw, match="plate not whole"):
         check_assembly(replace(assembly, mesh=mesh_from_solid(hole).rounded_float32()), parts())
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from manifold3d import CrossSection, Manifold
 
 from kit1000.kits.cavity import Cavity, insertion_depth
-from kit1000.kits.patches import convex_patches
+from kit1000.kits.patches import EXACT, convex_patches
 from kit1000.kits.sweep import WALL_COSINE
 from kit1000.mesh import mesh_from_solid
 from tests.samples.shapes import (
@@ -224,7 +224,7 @@ def assert_same_sweep(triangles: np.ndarray) -> None:
 
     Patches grow greedily, so that a wider tolerance need not leave fewer: one solid of some hundreds has one more.
     """
-    joined, patches = convex_patches(triangles), convex_patches(triangles, merge_nearly_convex=False)
+    joined, patches = convex_patches(triangles), convex_patches(triangles, EXACT)
     assert max(len(joined), len(patches)) <= len(triangles)
     top = float(triangles[..., 2].max()) + 1e-3
     wide, fused, single = (union_of_prisms(pieces, top) for pieces in (joined, patches, list(triangles)))
@@ -255,7 +255,7 @@ def test_a_lying_cylinder_is_few_patches() -> None:
 
 def test_nearly_convex_patches_of_a_cone_join() -> None:
     triangles = downward("cone")
-    assert len(convex_patches(triangles)) < 0.6 * len(convex_patches(triangles, merge_nearly_convex=False))
+    assert len(convex_patches(triangles)) < 0.6 * len(convex_patches(triangles, EXACT))
 
 
 def test_depth_is_sixty_percent_but_at_most_20_mm() -> None:

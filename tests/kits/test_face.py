@@ -16,10 +16,10 @@ from kit1000.kits.cavity import insertion_depth
 from kit1000.kits.face import (
     SAME_PROBABILITY,
     RestingFace,
-    _tips_over,
     distinct_faces,
     rank_faces,
     resting_faces,
+    tips_over,
 )
 from kit1000.kits.kit import CLEARANCE
 from kit1000.mesh import Mesh
@@ -170,9 +170,7 @@ def test_the_likeliest_face_comes_first_and_rolling_ones_after_flat_ones() -> No
     for body in (as_part(box(40, 30, 12) + box(9, 30, 20, (-15.5, 0, 0))).mesh, as_part(cylinder(20, 22)).mesh):
         faces = resting_faces(body)
         order = rank_faces(body, faces, [insertion_depth(face.height) for face in faces], CLEARANCE)
-        ranked = [
-            faces[i] for i in order if not _tips_over(body, faces[i], insertion_depth(faces[i].height), CLEARANCE)
-        ]
+        ranked = [faces[i] for i in order if not tips_over(body, faces[i], insertion_depth(faces[i].height), CLEARANCE)]
         assert [face.rolls for face in ranked] == sorted(face.rolls for face in ranked)
         flat = [face.probability for face in ranked if not face.rolls]
         assert all(a >= (1 - SAME_PROBABILITY) * b for a, b in pairwise(flat))

@@ -10,11 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import CrossSection, Manifold
 
+from bench.exact_offset import contact_offset_by_booleans, swept_solid
 from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import Design, find_goals
-from kit1000.kits.insertion_search import MOST_TILT, _turned
+from kit1000.kits.insertion_search import MOST_TILT, turned_matrix
 from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_loose_fit, is_near_goal
-from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset_by_booleans, swept_solid
+from kit1000.kits.seating import BISECTION_STEP, InsertedPart
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.values import Kit
@@ -86,4 +87,4 @@ def test_a_part_that_turns_about_another_point_than_its_centroid_is_found() -> N
 @given(st.floats(-3, 3), st.floats(-0.09, 0.09), st.floats(-0.09, 0.09))
 def test_a_yaw_is_followed_by_a_tilt(yaw: float, x: float, y: float) -> None:
     expected = Pose.from_rotvec(np.array([x, y, 0])) @ Pose.from_rotvec(np.array([0, 0, yaw]))
-    assert np.allclose(_turned(yaw, x, y), expected.rotation_matrix(), atol=1e-11)
+    assert np.allclose(turned_matrix(yaw, x, y), expected.rotation_matrix(), atol=1e-11)

@@ -23,8 +23,8 @@ from kit1000.kits.kit import (
 )
 from kit1000.kits.sweep import shadow_below
 from kit1000.mesh import Mesh, body_count, defect_float32, solid_from_mesh
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.pose import Pose, random_quaternions
 from kit1000.rng import stream
 from kit1000.symmetry import Symmetry

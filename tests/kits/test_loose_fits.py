@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from manifold3d import Manifold
 
+from bench.exact_offset import contact_offset_by_booleans, swept_solid
 from kit1000.kits.contact import convex_edges
 from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_fit_in_other_slot, find_loose_fit, is_near_goal
-from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset, contact_offset_by_booleans, swept_solid
+from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.symmetry import Symmetry

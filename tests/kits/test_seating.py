@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from manifold3d import Manifold
 
+from bench.exact_offset import contact_offset_by_booleans, swept_solid
 from kit1000.kits.acceptance import rotated_about_centroid
 from kit1000.kits.contact import convex_edges
 from kit1000.kits.seating import (
@@ -19,9 +20,7 @@ from kit1000.kits.seating import (
     InsertedPart,
     SeatingResult,
     contact_offset,
-    contact_offset_by_booleans,
     seating_result,
-    swept_solid,
 )
 from kit1000.mesh import mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold, OpType
 
+from bench.exact_offset import contact_offset_by_booleans, swept_solid
 from kit1000.errors import InputError, ShapeError
 from kit1000.kits.acceptance import SeatingTest, rotated_about_centroid
 from kit1000.kits.contact import convex_edges
@@ -22,14 +23,12 @@ from kit1000.kits.seating import (
     InsertedPart,
     SeatingResult,
     contact_offset,
-    contact_offset_by_booleans,
     seating_result,
-    swept_solid,
 )
 from kit1000.mesh import Mesh, defect, mesh_from_solid, solid_from_mesh
 from kit1000.metrics import Seatings, seatings
 from kit1000.metrics.exact_seating import ContactInterval, SweptVolume, contact_in_interval
-from kit1000.metrics.seating import _is_over_plate, _TestResult, _to_seatings
+from kit1000.metrics.seating import SeatingTestResult, as_seatings, is_over_plate
 from kit1000.pose import Pose, random_quaternions
 from kit1000.queries.motions import goal_motion
 from kit1000.values import Assembly, FreeAxis, Kit, Mount, Part, Truth
@@ -327,7 +326,7 @@ def test_a_part_beside_its_own_plate_at_floor_height_is_not_seated(side: tuple[i
 def test_the_bounds_of_the_plate_hold_at_contact(x: float, offset: float, over: bool) -> None:
     """Not at the predicted pose, from which a tilted part comes down sideways."""
     axis, extent = np.array([0.6, 0, 0.8]), np.array([99e-3, 99e-3, 22e-3])
-    assert _is_over_plate(np.array([x, 0, 0]), axis, offset, extent) == over
+    assert is_over_plate(np.array([x, 0, 0]), axis, offset, extent) == over
 
 
 @pytest.mark.parametrize(
@@ -335,7 +334,7 @@ def test_the_bounds_of_the_plate_hold_at_contact(x: float, offset: float, over: 
 )
 def test_the_tests_disagree_when_either_result_differs(seated: bool, strict: bool, differs: bool) -> None:
     closed, final = SeatingResult(0.0, 0.0, True, True, True), SeatingResult(0.0, 0.0, True, seated, strict)
-    assert _to_seatings([_TestResult(closed, final, True)]).disagrees.tolist() == [differs]
+    assert as_seatings([SeatingTestResult(closed, final, True)]).disagrees.tolist() == [differs]
 
 
 def test_nothing_below_is_not_seated() -> None:

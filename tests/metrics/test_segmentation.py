@@ -110,11 +110,11 @@ def test_an_image_without_objects() -> None:
 def test_anything_but_masks_is_refused() -> None:
     labels, stack = np.ones((H, W), int), np.ones((2, H, W), bool)
     for wrong in (labels * 0.5, stack * 0.5, stack[0], stack.astype(int), stack[None]):
-        with pytest.raises(ShapeError, match=r"predicted: expected labels \(H, W\) of integers or masks \(k, H, W\)"):
+        with pytest.raises(ShapeError, match=r"predicted: expected .*\(H, W\).*\(k, H, W\)"):
             mean_iou(wrong, labels)
     with pytest.raises(ShapeError, match=r"images of one size, got \(4, 5\) and \(4, 6\)"):
         mean_iou(labels[:, 1:], labels)
-    with pytest.raises(InputError, match="true: object 1 has no pixel: leave out objects that are not visible"):
+    with pytest.raises(InputError, match="true: object 1 has no pixel"):
         mean_iou(stack, np.array([labels > 0, labels > 1]))
 
 

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
+from kit1000.numerics.compiled import compiled
 from tests.samples.checkout import ROOT
 
-MODULE = """
-from kit1000.numerics.compiled import compiled
+MODULE = f"""
+from {compiled.__module__} import {compiled.__name__}
 
 @compiled
 def double(x):

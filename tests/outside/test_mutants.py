@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
 
-from bench import mutants
+from bench.outside import mutants
 from bench.outside.mutants import LEAST_SHARE, MUTANTS, Mutant, is_killed, main
 from tests.samples.checkout import ROOT
 
@@ -15,13 +16,24 @@ MODULE = "def half(x):\n    return x / 2\n"
 TEST = "from half import half\n\n\ndef test_half():\n    assert half(4) == 2\n"
 
 
+@cache
+def syntax(source: str) -> str:
+    """The syntax of a module, the same for any comments; what two mutants share is read once."""
+    return ast.dump(ast.parse(source))
+
+
 @pytest.mark.parametrize("mutant", MUTANTS, ids=str)
 def test_a_change_has_one_place_and_makes_another_valid_module(mutant: Mutant) -> None:
     source = (ROOT / mutant.file).read_text(encoding="utf-8")
     assert source.count(mutant.old) == 1
     changed = source.replace(mutant.old, mutant.new)
-    assert ast.dump(ast.parse(changed)) != ast.dump(ast.parse(source))
+    assert syntax(changed) != syntax(source)
     assert all((ROOT / name).is_file() for name in mutant.test_files)
+
+
+def test_tests_are_named_by_folder_and_module() -> None:
+    mutant = Mutant("kit1000/kits/seating.py", "3", "4", "kits/seating stated_numbers")
+    assert mutant.test_files == ["tests/kits/test_seating.py", "tests/test_stated_numbers.py"]
 
 
 def test_every_change_is_listed_once() -> None:

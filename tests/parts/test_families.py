@@ -12,8 +12,8 @@ from manifold3d import Manifold
 from kit1000.errors import Redraw
 from kit1000.mesh import mesh_from_solid
 from kit1000.parts.cad import at, box, cylinder, join, sphere, tube
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.parts.mixtures import MIXTURES, choose_family
 from kit1000.symmetry import Symmetry
 from kit1000.testing import check_family, check_symmetry, surface_distances

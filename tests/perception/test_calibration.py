@@ -13,7 +13,7 @@ from kit1000.errors import ShapeError
 from kit1000.mesh import Mesh
 from kit1000.perception.calibration import BLIND_BAND, OUTLINE, calibrated, flattened
 from kit1000.perception.calibration.borders import REACH, seen_borders
-from kit1000.perception.calibration.camera import D415, SPREADS
+from kit1000.perception.calibration.camera_pose import D415, SPREADS
 from kit1000.perception.calibration.plane import table_plane
 from kit1000.pose import Pose
 from kit1000.rng import stream

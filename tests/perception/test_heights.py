@@ -11,7 +11,7 @@ from baselines.training.tasks.goal_draws import QueryDraws, goal_motions
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.perception.heights.maps import UNSEEN, HeightMap, cell_centres, envelopes, extent
-from kit1000.perception.heights.scenes import CELL, RecordedHeights, RenderedHeights
+from kit1000.perception.heights.scene_heights import CELL, RecordedHeights, RenderedHeights
 from kit1000.perception.heights.shell import shell_points
 from kit1000.pose import Pose
 from kit1000.rng import stream

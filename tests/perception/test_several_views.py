@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -39,14 +40,20 @@ def image_from(eye: Pose) -> LabelledDepth:
     return LabelledDepth(View(CAMERA, eye, rendered.depth), labels)
 
 
-IMAGES = [image_from(eye) for eye in EYES]
-MASKED = [MaskedView.of(image, FIRST_PART_LABEL) for image in IMAGES]
+@cache
+def images() -> list[LabelledDepth]:
+    return [image_from(eye) for eye in EYES]
+
+
+@cache
+def masked() -> list[MaskedView]:
+    return [MaskedView.of(image, FIRST_PART_LABEL) for image in images()]
 
 
 @given(st.permutations(range(3)), st.integers(1, 3))
 @settings(max_examples=10)
 def test_images_show_together_what_any_of_them_shows(order: list[int], count: int) -> None:
-    chosen = [MASKED[i] for i in order[:count]]
+    chosen = [masked()[i] for i in order[:count]]
     single = np.stack([tsdf(GRID, image.view, image.mask, threads=1).values for image in chosen])
     together = observed_distance(GRID, chosen).values
     assert (np.isnan(together) == np.isnan(single).all(0)).all()
@@ -58,8 +65,8 @@ def test_images_show_together_what_any_of_them_shows(order: list[int], count: in
 
 
 def test_more_images_leave_less_to_guess() -> None:
-    part = ObservedPart(IMAGES[0], FIRST_PART_LABEL, np.array([0, 0, 0.02]))
-    several = replace(part, others=tuple(IMAGES[1:]))
+    part = ObservedPart(images()[0], FIRST_PART_LABEL, np.array([0, 0, 0.02]))
+    several = replace(part, others=tuple(images()[1:]))
     wrong = []
     for observed in (part, several):
         volume = observed.volume(VOXEL)
@@ -69,7 +76,7 @@ def test_more_images_leave_less_to_guess() -> None:
 
 
 def test_the_part_lies_between_what_is_sure_and_what_is_possible() -> None:
-    part = ObservedPart(IMAGES[0], FIRST_PART_LABEL, np.array([0, 0, 0.02]), tuple(IMAGES[1:]))
+    part = ObservedPart(images()[0], FIRST_PART_LABEL, np.array([0, 0, 0.02]), tuple(images()[1:]))
     _, sure, possible = part.evidence(VOXEL)
     truth = signed_distance(sure.grid, [(TEE, Pose.identity())], threads=1).values
     edge = 1.5 / DEFAULT_TRUNCATION  # pixels and voxels are decided by their centres

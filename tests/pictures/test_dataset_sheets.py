@@ -103,7 +103,7 @@ def test_without_the_d415_its_picture_is_omitted(
 
 def test_the_pictures_are_cropped_to_the_masks(mini: Path, whole_sheet: np.ndarray) -> None:
     recorded = Dataset(mini).recorded_scene("test-s0000")
-    rows, columns = sheets._window(recorded.labels)
+    rows, columns = sheets.window_of_bodies(recorded.labels)
     outside = np.ones(recorded.labels.shape, bool)
     outside[rows, columns] = False
     assert not recorded.labels[outside].any()
@@ -116,7 +116,7 @@ def test_the_pictures_are_cropped_to_the_masks(mini: Path, whole_sheet: np.ndarr
 
 def labels_of(recorded: RecordedScene) -> np.ndarray:
     """The labels in the crop and size of a picture of the sheet. (HEIGHT, WIDTH) uint8."""
-    masks = Image.fromarray(recorded.labels[sheets._window(recorded.labels)])
+    masks = Image.fromarray(recorded.labels[sheets.window_of_bodies(recorded.labels)])
     return np.asarray(masks.resize((WIDTH, HEIGHT), Image.Resampling.NEAREST))
 
 

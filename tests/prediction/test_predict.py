@@ -134,7 +134,7 @@ def test_a_second_run_replaces_predictions_and_keeps_what_people_wrote(mini: Pat
 def test_another_method_or_dataset_is_not_mixed_in(mini: Path, tmp_path: Path) -> None:
     out = tmp_path / "mine"
     predict(run_config("guess", limit=1), mini, out, 1)
-    with pytest.raises(InputError, match="holds predictions of method guess, not chance; choose another --out"):
+    with pytest.raises(InputError, match=r"method guess, not chance.*--out"):
         predict(run_config("chance"), mini, out, 1)
     manifest = (out / "manifest.toml").read_text()
     (out / "manifest.toml").write_text(manifest.replace(Dataset(mini).id, "0123456789abcdef"))
@@ -254,7 +254,7 @@ def test_a_journal_returns_every_bit_and_is_locked_by_one_run(tmp_path: Path) ->
     [
         (
             run_config("guess", tracks=("place",)),
-            "--tracks place: the tracks of guess are snap, snap-tilt, snap-d415, curves",
+            "--tracks place: .*guess.*snap, snap-tilt, snap-d415, curves",
         ),
         (run_config("truth", tracks=("snapp",)), "--tracks snapp: did you mean snap[?] the tracks of truth are"),
         (run_config("guess", ("tests",)), "no split 'tests'; did you mean test"),

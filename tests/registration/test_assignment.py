@@ -108,7 +108,7 @@ def test_a_place_asks_about_the_other_parts_of_its_image_and_a_snap_does_not(
         asked.append((query.part, int(query.image.labels[query.part_mask].max(initial=0))))
         return [fit(0.0, HALF - 0.1 * query.part * SPREAD), fit(0.1, HALF)]
 
-    monkeypatch.setattr(Registration, "_certain_fits", fits)
+    monkeypatch.setattr(Registration, "certain_fits", fits)
     data = Dataset(mini)
     scenes = [scene for split in ("train", "val", "test") for scene in data.split(split)]
     for track in ("place", "snap"):

@@ -26,22 +26,22 @@ from kit1000.registration.choice.from_evidence import (
     MOST_TRIED,
     UNSEEN_CHOICE,
     UNSEEN_MISFIT,
-    _Search,
+    EvidenceSearch,
 )
 from kit1000.registration.geometry.faces import squared, standing_faces
-from kit1000.registration.search.candidates import DOWN, LIES, NEAR_GUESS, SLACK_ANGLE, _faces_down
+from kit1000.registration.search.candidates import DOWN, LIES, NEAR_GUESS, SLACK_ANGLE, faces_down
 from kit1000.registration.search.correlation import UPRIGHT, tilted
 from kit1000.voxels import Grid, signed_distance, surface_points
 from tests.samples.registration_cases import CASES, CLEARANCE, Case, case, perturbed
 from tests.samples.shapes import box, standing
 
 
-def search_for(known: Case, further: bool = True) -> _Search:
+def search_for(known: Case, further: bool = True) -> EvidenceSearch:
     """The search with evidence that leaves nothing unknown."""
     told = PartEvidence(known.part, known.part, known.part)
     shown = {"part_points": surface_points(known.part)[::20], "hidden_outline": 0.0}
     source: Any = SimpleNamespace(evidence=told, middle=known.pivot, completer=None, restored=False, **shown)
-    return _Search(source, SimpleNamespace(guess=None, pivot=known.pivot, sensor="ideal"), CLEARANCE, further)  # type: ignore[arg-type]
+    return EvidenceSearch(source, SimpleNamespace(guess=None, pivot=known.pivot, sensor="ideal"), CLEARANCE, further)  # type: ignore[arg-type]
 
 
 def test_candidates_that_end_in_one_pose_are_refined_further_only_once() -> None:
@@ -174,10 +174,10 @@ def test_a_face_that_the_part_does_not_show_must_fit_better_than_one_that_it_sho
     assert search.fitted(hidden).misfit == pytest.approx(search.fitted(shown).misfit + UNSEEN_MISFIT, abs=1e-12)
 
 
-def faces_down(known: Case, guess: Pose, thorough: bool = True) -> list[np.ndarray]:
+def normals_down(known: Case, guess: Pose, thorough: bool = True) -> list[np.ndarray]:
     """The normals of the faces that may go into the known cavity."""
     query, source = SimpleNamespace(guess=guess), SimpleNamespace(noise=IDEAL)
-    groups = _faces_down(source, known.part, query, [known.cavity], thorough)  # type: ignore[arg-type]
+    groups = faces_down(source, known.part, query, [known.cavity], thorough)  # type: ignore[arg-type]
     return [normal for faces in groups if faces.cavities for normal in faces.normals]
 
 
@@ -188,13 +188,13 @@ def test_where_no_face_explains_the_guess_its_own_direction_is_tried(name: str, 
     guess = apply_error(
         known.goal, known.pivot, np.zeros(3), known.cavity.world_from_plate.rotate((np.radians(tilt), 0, 0))
     )
-    normals = faces_down(known, guess)
+    normals = normals_down(known, guess)
     guessed = guess.inverse().rotate(known.cavity.world_from_plate.rotate((0.0, 0.0, -1.0)))
     own = [guessed, squared(guessed, MAX_ANGLE)]
     others = [normal for normal in normals if all(np.abs(normal - each).max() > 1e-12 for each in own)]
     explained = max((float(guessed @ normal) for normal in others), default=-1.0) > NEAR_GUESS
     assert (max(float(guessed @ normal) for normal in normals) > 1 - 1e-12) == (not explained)
-    seen = faces_down(known, guess, thorough=False)
+    seen = normals_down(known, guess, thorough=False)
     for tried in (normals, seen):
         assert max(float(known.down_normal @ normal) for normal in tried) > np.cos(np.radians(4))  # its face, as ever
 
@@ -207,7 +207,7 @@ def test_faces_are_seen_where_the_volume_has_them(name: str) -> None:
     query: Any = SimpleNamespace(guess=guess)
     middle = known.part.grid.world(np.argwhere(known.part.occupied)).mean(0)
     has = [face.normal for face in standing_faces(surface_points(known.part), middle, IDEAL.angle)]
-    for faces in _faces_down(source, known.part, query, [known.cavity], True):
+    for faces in faces_down(source, known.part, query, [known.cavity], True):
         for normal in faces.normals if faces.cavities else []:
             near = max(float(normal @ face) for face in has)
             assert faces.seen == (near > np.cos(IDEAL.angle))
@@ -224,7 +224,7 @@ def test_a_top_that_is_nearly_level_is_tried_as_it_is(slope_deg: float) -> None:
     guess = Pose.from_rotvec((np.pi - np.radians(slope_deg), 0, 0))
     query: Any = SimpleNamespace(guess=guess)
     source: Any = SimpleNamespace(noise=IDEAL)
-    tried = [n for faces in _faces_down(source, part, query, [cavity], True) if faces.seen for n in faces.normals]
+    tried = [n for faces in faces_down(source, part, query, [cavity], True) if faces.seen for n in faces.normals]
     assert max(float(top @ normal) for normal in tried) > np.cos(np.radians(1))
 
 
@@ -236,7 +236,7 @@ def test_a_part_goes_in_on_the_face_on_which_it_lies_where_the_guess_allows_that
     known = case("an L")
     tilted = Pose.from_rotvec(np.radians(tilt_deg) * np.array([np.cos(turn), np.sin(turn), 0]))
     guess = known.cavity.world_from_plate @ Pose.from_rotvec((0, 0, yaw)) @ tilted
-    normals = faces_down(known, guess)
+    normals = normals_down(known, guess)
     assume(abs(tilt_deg - np.degrees(np.arccos(LIES))) > 1e-6)
     lies = tilt_deg < np.degrees(np.arccos(LIES))
     assert (len(normals) == 1 and np.array_equal(normals[0], DOWN)) == lies

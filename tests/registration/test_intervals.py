@@ -14,7 +14,13 @@ from kit1000.perception.observed.parts import PartEvidence
 from kit1000.pose import Pose
 from kit1000.registration.geometry.observed_cavity import BELOW, VOXEL, find_cavity
 from kit1000.registration.geometry.swept_slices import CELL, envelope_about
-from kit1000.registration.refinement.intervals import IntervalProblem, _outside, floor_is_seen, refine_within, sweeps_of
+from kit1000.registration.refinement.interval_residuals import (
+    IntervalProblem,
+    distance_outside,
+    floor_is_seen,
+    refine_within,
+    sweeps_of,
+)
 from kit1000.registration.refinement.walls import MAX_RESIDUAL, Problem, clipped_rms, refine
 from kit1000.registration.search.contradictions import MOST, TOLERANCE, KitHeights, contradictions
 from kit1000.voxels import Volume, surface_points
@@ -135,7 +141,7 @@ def test_a_jump_behind_a_near_rim_is_no_certain_surface() -> None:
 def test_the_distance_from_an_interval_is_0_where_it_holds_0(a: float, b: float) -> None:
     low, high = min(a, b), max(a, b)
     expected = low if low > 0 else high if high < 0 else 0.0
-    assert _outside(a, b) == _outside(b, a) == expected
+    assert distance_outside(a, b) == distance_outside(b, a) == expected
 
 
 def test_the_envelope_from_a_start_is_the_envelope_above_it() -> None:

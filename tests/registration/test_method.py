@@ -18,7 +18,7 @@ from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor
 from kit1000.predictor import PredictedMotion
 from kit1000.registration.geometry.observed_cavity import VOXEL, Cavity, find_cavity, plate_grid
-from kit1000.registration.inputs.sources import EXACT, TrueSource
+from kit1000.registration.inputs.volume_sources import EXACT, TrueSource
 from kit1000.registration.method import Registration
 from kit1000.registration.search.candidates import DEEPER, LEAST_REGION, SIDE, WIDER, find_cavities
 from kit1000.testing import check_predictor, moved_query, moved_truth

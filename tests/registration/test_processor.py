@@ -16,7 +16,7 @@ from bench.outside.portable import OLD_PROCESSOR
 from kit1000.numerics.elimination import solve_positive
 from kit1000.pose import Pose
 from kit1000.registration.geometry.swept_slices import rotation_matrix
-from kit1000.registration.search.correlation import YAW_STEP, OrientedPart, _correlate
+from kit1000.registration.search.correlation import YAW_STEP, OrientedPart, correlate
 from kit1000.voxels import Grid, Volume
 from tests.samples.checkout import ROOT
 
@@ -59,7 +59,7 @@ for seed in range(40):
         "labels": rng.integers(0, 3, shape, np.uint8),
         "slope": rng.normal(0, 0.02, 2).astype(np.float32),
     }
-    print(sha256(restorer._likeliest(evidence, (slice(0, shape[0]), slice(0, shape[1]))).tobytes()).hexdigest())
+    print(sha256(restorer.likeliest(evidence, (slice(0, shape[0]), slice(0, shape[1]))).tobytes()).hexdigest())
 data = Dataset(Path(sys.argv[1]))
 query = next(query for query in data.split("train").queries() if query.track == "snap-d415")
 motion, confidence = make_predictor(method_of("registration-completed"), data, 0)(query)
@@ -118,7 +118,7 @@ def test_correlations_multiply_by_the_conjugate(seed: int) -> None:
     rng = np.random.default_rng(seed)
     a, b, c, d = rng.normal(size=(4, 4, 3)) + 1j * rng.normal(size=(4, 4, 3))
     product = np.empty_like(a)
-    _correlate(a, b, c, d, product)
+    correlate(a, b, c, d, product)
     np.testing.assert_allclose(product, a * b.conj() - c * d.conj(), rtol=1e-12, atol=1e-12)
 
 

@@ -8,7 +8,7 @@ import pytest
 from kit1000.camera import Camera, look_at
 from kit1000.mesh import mesh_from_solid
 from kit1000.pose import Pose
-from kit1000.registration.geometry.observed_cavity import CUT, RIM, VOXEL, _seen_face, find_cavity, plate_grid
+from kit1000.registration.geometry.observed_cavity import CUT, RIM, VOXEL, find_cavity, plate_grid, seen_face
 from kit1000.sim.render import render
 from kit1000.values import View
 from kit1000.voxels import Volume, tsdf
@@ -46,7 +46,7 @@ def test_the_rims_of_a_cavity_lie_where_its_plate_ends(polar_deg: float) -> None
 
 def test_an_oblique_face_is_seen() -> None:
     volume = plate_seen_from(60)
-    seen = _seen_face(volume, CUT)
+    seen = seen_face(volume, CUT)
     axis = (np.arange(len(seen)) - (len(seen) - 1) / 2) * VOXEL
     x, y = np.meshgrid(axis, axis, indexing="ij")
     inside = (np.abs(x) < 0.036) & (np.abs(y) < 0.042) & ((np.abs(x) > HALF[0] + 3e-3) | (np.abs(y) > HALF[1] + 3e-3))

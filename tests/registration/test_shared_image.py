@@ -57,7 +57,7 @@ def test_cavities_are_found_once_and_the_fits_stay(mini: Path, track: str, monke
     method = Registration(Dataset(mini))
     parts = part_pivots(query.view, query.image.labels).items()
     queries = [replace(query, part=part, pivot=pivot) for part, pivot in parts]
-    alone = [method._certain_fits(each, SharedImage(each.image, each.sensor)) for each in queries]
+    alone = [method.certain_fits(each, SharedImage(each.image, each.sensor)) for each in queries]
     searches: list[float] = []
     search = hypotheses.find_cavities
 
@@ -67,7 +67,7 @@ def test_cavities_are_found_once_and_the_fits_stay(mini: Path, track: str, monke
 
     monkeypatch.setattr(hypotheses, "find_cavities", counted)
     image = SharedImage(query.image, query.sensor)
-    together = [method._certain_fits(each, image) for each in queries]
+    together = [method.certain_fits(each, image) for each in queries]
     assert len(queries) == 2
     assert len(searches) == len(set(searches)) == 1
     for one, other in zip(alone, together, strict=True):

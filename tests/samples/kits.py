@@ -7,8 +7,8 @@ from functools import cache
 import numpy as np
 
 from kit1000.kits.kit import make_kit
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.values import Kit, Part
 
 QUICK = ("bracket", "cover", "channel", "tee", "foot")

@@ -11,7 +11,8 @@ import numpy as np
 from manifold3d import CrossSection, FillRule, Manifold, OpType
 
 from kit1000.kits.cavity import Cavity, cut_cavity, insertion_depth
-from kit1000.kits.kit import UNIT_PLATE, Plate, _plate_mesh
+from kit1000.kits.kit import UNIT_PLATE, Plate, plate_mesh
+from kit1000.kits.patches import EXACT, MERGED
 from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
@@ -107,7 +108,7 @@ def as_part(solid: Manifold, symmetry: Symmetry | None = None, name: str = "p") 
 
 
 def cavity_of(solid: Manifold, depth: float, clearance: float = 2.5e-3, joined: bool = True) -> Cavity:
-    return cut_cavity(standing(solid), depth, clearance, (0.2, 0.2), joined)
+    return cut_cavity(standing(solid), depth, clearance, (0.2, 0.2), MERGED if joined else EXACT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +123,7 @@ class Seated:
         """A kit with the given goals; by default the design pose alone."""
         goals = Pose.stack([self.kit_from_part]) if goals is None else goals
         slot = Slot(self.part.id, self.kit_from_part, clearance, self.cavity.depth, goals)
-        return Kit("k", _plate_mesh(self.cavity, plate), slot, np.array([*plate.width, plate.thickness]))
+        return Kit("k", plate_mesh(self.cavity, plate), slot, np.array([*plate.width, plate.thickness]))
 
 
 def seated(solid: Manifold, symmetry: Symmetry | None = None, depth: float | None = None, clearance: float = 2.5e-3):

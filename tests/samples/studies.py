@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from kit1000.study.plan import Session, StudyPlan, write_plan
 from kit1000.study.questionnaire import NAMES
-from kit1000.study.records import (
+from kit1000.study.study_plan import Session, StudyPlan, write_plan
+from kit1000.study.study_records import (
     CLOSING_FILE,
     PARTICIPANT_FILE,
     PERSON,

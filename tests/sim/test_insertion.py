@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import cache
 from pathlib import Path
 
@@ -10,19 +9,19 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from kit1000 import insertion_study as insertions
+from bench.quality import insertions
+from bench.quality.convex_decomposition import cache_key, convex_pieces, pack_pieces, unpack_pieces
+from bench.quality.insertions import TrialError, agreement_counts, cached_pieces, draw_slots, outcome_counts, study
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.dataset.tables import FORMAT, assembly_row, kit_row, part_row
 from kit1000.errors import InputError
 from kit1000.files import write_json
-from kit1000.insertion_study import TrialError, cached_pieces, draw_slots, format_report, study
 from kit1000.kits.acceptance import rotated_about_centroid
 from kit1000.kits.assembly import AssemblyPlan, build_assembly
 from kit1000.mesh import convex_hull, mesh_from_solid
 from kit1000.pose import Pose
 from kit1000.rng import stream
-from kit1000.sim.convex_decomposition import cache_key, convex_pieces, pack_pieces, unpack_pieces
 from kit1000.sim.insertion import MAX_LAG, InsertionTrial, Workpiece, assembly_obstacles, classify_outcome, insert
 from kit1000.sim.world import MARGIN, STEP_RATE, World
 from kit1000.values import Assembly, FreeAxis, Kit, Part, Slot
@@ -246,23 +245,17 @@ def small_dataset(folder: Path) -> Path:
     return folder
 
 
-def test_the_study_reports_the_results_of_physics_and_of_the_seating_test(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    root = small_dataset(tmp_path / "data")
+def test_the_study_compares_physics_with_the_seating_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    geometry = Geometry(small_dataset(tmp_path / "data"))
     monkeypatch.setattr(insertions, "TRIAL_ERRORS", (TrialError("true", 0), TrialError("shift", 8)))
     monkeypatch.setattr(insertions, "convex_pieces", lambda mesh: [mesh.vertices])
-    report = study(root, tmp_path / "out", sample=1, true_only=1)
-    assert report == json.loads((tmp_path / "out/insertions.json").read_text())
-    assert report["agreement"]["true"] == {
-        "trials": 2, "both": 2, "test_alone": 0, "physics_alone": 0, "neither": 0,
-    }  # fmt: skip
-    assert report["agreement"]["shift 8 mm"]["trials"] == 1
-    assert sum(row["trials"] for row in report["true_by_tilt_deg"].values()) == 2
-    assert {row["physics"]["outcome"] for row in report["trials"][:1]} == {"seated"}
-    assert format_report(report).splitlines()[1].split() == ["true", "2", "2", "0", "0", "0"]
-    study(root, tmp_path / "again", sample=1, true_only=1)
-    assert (tmp_path / "again/insertions.json").read_bytes() == (tmp_path / "out/insertions.json").read_bytes()
+    rows = study(geometry, tmp_path / "pieces", sample=1, true_only=1)
+    true = [row for row in rows if row["error"]["kind"] == "true"]
+    counts = agreement_counts(true)
+    assert [counts[key] for key in ("n", "both", "test_alone", "physics_alone", "neither")] == [2, 2, 0, 0, 0]
+    assert len(rows) == 3
+    assert outcome_counts(true)["seated"] == 2
+    assert study(geometry, tmp_path / "again", sample=1, true_only=1) == rows
 
 
 def test_slots_are_spread_over_tilt(tmp_path: Path) -> None:
@@ -273,7 +266,7 @@ def test_slots_are_spread_over_tilt(tmp_path: Path) -> None:
 
 def test_an_empty_sample_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="sample: expected 1 or more"):
-        study(tmp_path, tmp_path / "out", sample=0)
+        study(Geometry(small_dataset(tmp_path / "data")), tmp_path / "pieces", sample=0)
 
 
 @pytest.mark.slow

@@ -291,7 +291,7 @@ def test_compiling_works_where_no_folder_is_writable(tmp_path: Path):
     environment = {**os.environ, "PYTHONPATH": str(copy.parent), "PYTHONDONTWRITEBYTECODE": "1"}
     environment.pop("NUMBA_CACHE_DIR", None)
     environment |= {"HOME": str(blocked), "XDG_CACHE_HOME": str(blocked / "cache")}
-    program = "import kit1000.sim.raster as r; print(r._floor_divide(-7, 2), r.__file__)"
+    program = "import kit1000.sim.raster as r; print(r.floor_divide(-7, 2), r.__file__)"
     done = subprocess.run(
         [sys.executable, "-c", program],
         env=environment,

@@ -9,7 +9,7 @@ from kit1000.camera import Camera
 from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.rng import stream
-from kit1000.sim.sensors import SENSORS, _of_frames, sense
+from kit1000.sim.sensors import SENSORS, sense, sensor_of_frames
 from kit1000.values import View
 
 CAMERA = Camera(320, 240, 925.0, 925.0, 159.5, 119.5)
@@ -29,7 +29,7 @@ def test_noise_of_a_median_of_frames_is_that_of_drawn_frames(frames: int) -> Non
     rng, fixed = np.random.default_rng(frames), D415.fixed_noise
     drawn = np.sqrt(1 - fixed**2) * np.median(rng.standard_normal((frames, 20_000)), axis=0)
     expected = D415.noise_px * (drawn + fixed * rng.standard_normal(20_000)).std()
-    assert _of_frames(D415, frames).noise_px == pytest.approx(expected, rel=0.05)
+    assert sensor_of_frames(D415, frames).noise_px == pytest.approx(expected, rel=0.05)
 
 
 def test_frames_change_only_the_noise() -> None:

@@ -14,7 +14,6 @@ from scipy.spatial import ConvexHull
 from kit1000.errors import InputError, ShapeError
 from kit1000.mesh import mesh_from_solid
 from kit1000.pose import Pose
-from kit1000.sim import world as module
 from kit1000.sim.world import GRAVITY, MARGIN, MAX_HULL_VERTICES, STEP_RATE, World, hull_vertices
 from tests.samples.shapes import box, cylinder, standing
 from tests.samples.strategies import poses
@@ -61,7 +60,7 @@ def test_a_sliding_cube_stops_after_the_distance_of_its_friction() -> None:
     with World() as world:
         world.add_ground(friction=1.0)
         cube = world.add_hull(CUBE, 0.05, MOMENTS, Pose.from_translation([0, 0, 0.01]), lateralFriction=0.3)
-        world._call("resetBaseVelocity", cube, linearVelocity=[0.5, 0, 0])
+        world.push(cube, force=np.array([0.05 * 0.5 * STEP_RATE, 0, 0]), torque=np.zeros(3))
         world.step(STEP_RATE)
         assert world.pose(cube).xyz[0] == pytest.approx(0.5**2 / (2 * 0.3 * GRAVITY), rel=0.05)
 
@@ -133,7 +132,7 @@ def test_an_error_reports_that_no_further_world_opens(monkeypatch: pytest.Monkey
         def connect(self, _: int) -> int:
             return -1
 
-    monkeypatch.setattr(module, "_pybullet", Full)
+    monkeypatch.setitem(sys.modules, "pybullet", Full())
     with pytest.raises(InputError, match="opens no further world"), World():
         pass
 

@@ -16,10 +16,10 @@ from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
 from kit1000.editor.hand import PLACE
 from kit1000.study import sitting
-from kit1000.study.plan import StudyPlan, write_plan
+from kit1000.study.finished_trials import read_participants
 from kit1000.study.questionnaire import SCALES
-from kit1000.study.reading import read_participants
-from kit1000.study.records import PERSON
+from kit1000.study.study_plan import StudyPlan, write_plan
+from kit1000.study.study_records import PERSON
 from kit1000.study.tasks import Task, Tasks
 from tests.editor.test_browser import PATIENCE_S, WINDOW, browser, on_page, ready, wait
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from kit1000.errors import InputError
 from kit1000.study.conditions import CONDITIONS, CROSSED, conditions_of
 from kit1000.study.orders import orders, williams_square
-from kit1000.study.plan import FILE, StudyPlan, read_plan, write_plan
+from kit1000.study.study_plan import FILE, StudyPlan, read_plan, write_plan
 from kit1000.study.tasks import SIZES, Task, Tasks
 from tests.samples.studies import plan_of
 

@@ -13,10 +13,10 @@ from kit1000.cli import main
 from kit1000.errors import InputError
 from kit1000.study import statistics
 from kit1000.study.conditions import CROSSED
-from kit1000.study.plan import StudyPlan
-from kit1000.study.reading import chosen_operator, operators_of, read_participants
-from kit1000.study.records import PERSON, Operator, read_trial, trial_folder, write_trial
-from kit1000.study.report import write_report
+from kit1000.study.finished_trials import chosen_operator, operators_of, read_participants
+from kit1000.study.study_plan import StudyPlan
+from kit1000.study.study_records import PERSON, Operator, read_trial, trial_folder, write_trial
+from kit1000.study.study_report import write_report
 from tests.samples.studies import FITTS, plan_of, trial_of, write_participant, write_study
 
 

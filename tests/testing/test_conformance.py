@@ -104,9 +104,9 @@ BROKEN_SENSORS: dict[str, tuple[Callable[[View, Rng], Any], str]] = {
     "half a pixel": (with_depth(half_a_pixel), r"pixels show surfaces \+0\.(49|50) px right of them"),
     "upside down": (
         lambda view, _: replace(view, depth=np.where(view.depth > 0, on_grid(view.depth[::-1]), 0)),
-        r"median error of \d+\.\d mm; probably the image is upside down",
+        r"\d+\.\d mm.*upside down",
     ),
-    "along the ray": (along_the_ray, r"; probably depth is measured along the rays, not along the optical axis"),
+    "along the ray": (along_the_ray, r"along the rays.*optical axis"),
     "5 % too far": (with_depth(lambda depth, _: depth * 1.05), r"depths have a median error of 3\d\.\d mm$"),
     "beside the grid": (lambda view, _: replace(view, depth=view.depth * 0.999), r"not multiples of 2\^-13 m"),
     "below 0": (
@@ -115,12 +115,12 @@ BROKEN_SENSORS: dict[str, tuple[Callable[[View, Rng], Any], str]] = {
     ),
     "blind": (
         with_depth(lambda depth, _: depth * 0),
-        r"0% of the pixels of a surface at 0.4 to 1 m have a depth, expected 50%",
+        r"0% of the pixels .*0.4 to 1 m.*expected 50%",
     ),
     "writes": (writing, r"modifies its input \(assignment destination is read-only\)"),
     "forces": (writing_by_force, r"modifies its input: 7 pixels changed"),
     "draws by pixel": (with_depth(noise_by_pixel), "the number of random draws depends on the image"),
-    "own chance": (with_depth(unseeded), r"two images from one seed differ in \d\d\.\d\d% of their pixels"),
+    "own chance": (with_depth(unseeded), r"one seed differ in \d\d\.\d\d%"),
     "astray": (
         with_pose(lambda pose: Pose(pose.wxyz, pose.xyz + 0.1)),
         r"camera pose has an error of 173\.2 mm and 0\.00 degrees$",
@@ -218,7 +218,7 @@ def writable_depth(camera: Camera, pose: Pose, bodies: list) -> RenderedImage:
 BROKEN_RENDERERS: dict[str, tuple[Callable[..., RenderedImage], str]] = {
     "half a pixel": (
         by_camera(lambda camera: replace(camera, cx=camera.cx - 0.5, cy=camera.cy - 0.5)),
-        r"tilted plane have errors of up to \d\.\d\d%; probably the image is half a pixel off",
+        r"tilted plane .*\d\.\d\d%.*half a pixel off",
     ),
     "upside down": (by_image(lambda image: image[::-1]), "probably the image is upside down"),
     "mirrored": (by_image(lambda image: image[:, ::-1]), "probably the image is mirrored left to right"),
@@ -236,15 +236,15 @@ BROKEN_RENDERERS: dict[str, tuple[Callable[..., RenderedImage], str]] = {
     ),
     "ids from 0": (
         by_frame(lambda frame, _: (frame.depth, frame.body_ids - 1, frame.face_ids)),
-        "depth is 0 or less where a body is visible|pixels without bodies show a body",
+        "0 or less where a body|pixels without bodies",
     ),
     "no face": (
         by_frame(lambda frame, _: (frame.depth, frame.body_ids, np.where(frame.body_ids > 0, 0, -1))),
-        r"at \d+ pixels of body 0 the depth differs from the face of their face id",
+        r"at \d+ pixels of body 0 .*face id",
     ),
     "last wins": (last_first, r"ids of coincident bodies are \[3\], expected the first, 1"),
-    "one side": (one_sided, "of a plane that fills the image is missing|inside a ball show no surface"),
-    "drops": (dropping, "a floor that crosses the plane of the camera is missing, expected clipped"),
+    "one side": (one_sided, "fills the image is missing|inside a ball"),
+    "drops": (dropping, "crosses the plane of the camera.*expected clipped"),
     "threads": (with_threads, r"depth differs in \d+ pixels when rendered by 3 threads"),
     "writable": (writable_depth, "depth is not read-only"),
 }
@@ -321,7 +321,7 @@ BROKEN_READERS: dict[str, tuple[Callable[[Path], Any], str]] = {
         lambda path: replace(r := read_mesh(path), mesh=r.mesh.scaled(1 / 3)),
         "vertices are not exact in float32",
     ),
-    "other_exception": (other_exception, r"raises ValueError \(unpack requires 84 bytes\), expected MeshRefused"),
+    "other_exception": (other_exception, r"ValueError .*84 bytes.*expected MeshRefused"),
     "many_lines": (many_lines, r"expected a reason of one line"),
     "nondeterministic": (nondeterministic, "gives two different meshes when read twice"),
     "modifying": (modifying, "is modified by reading it"),

@@ -11,7 +11,7 @@ import numpy as np
 
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
-from kit1000.perception.heights.scenes import SCENES, RenderedHeights, SceneHeights
+from kit1000.perception.heights.scene_heights import SCENES, RenderedHeights, SceneHeights
 from kit1000.pose import Pose
 from kit1000.queries.guesses import draw_ball_error, draw_goal, draw_tilt_error
 from kit1000.queries.motions import apply_error, goal_motion, goal_pose

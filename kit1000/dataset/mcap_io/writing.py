@@ -23,9 +23,9 @@ from kit1000.dataset.schema import LICENCE
 from kit1000.dataset.tables import FORMAT
 from kit1000.errors import InputError
 from kit1000.files import write_bytes
-from kit1000.version import __version__
 
 LIBRARY = "kit1000"  # without a version: it would change the bytes
+GENERATOR = "kit1000 0.1.0"  # the release that first wrote data version 1.0.0: later ones write the same bytes
 RECORD = "kit1000"  # name of the metadata record
 START = 1_767_225_600 * SECOND  # [ns] 2026-01-01: scene k of a shard is recorded k seconds later
 
@@ -88,7 +88,7 @@ class ShardWriter:
         record = {
             "format": FORMAT,
             "holds": self.CONTENTS,
-            "generator": f"kit1000 {__version__}",
+            "generator": GENERATOR,
             "licence": LICENCE,
             "length_unit": "m",
             "depth_unit": "m",

@@ -14,12 +14,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-import trimesh
 
 from kit1000.errors import MeshRefused
 from kit1000.mesh import z_up
 from kit1000.parts.files.foreign_content import check_foreign
-from kit1000.parts.files.gltf.scene import read_gltf
+from kit1000.parts.files.gltf.node_tree import read_gltf
 from kit1000.parts.files.obj_and_off import read_obj, read_off
 from kit1000.parts.files.ply_elements import read_ply
 from kit1000.parts.files.soup import Cut, TriangleSoup, joined
@@ -137,6 +136,8 @@ def _read_step(data: bytes, suffix: str) -> TriangleSoup:
     """Read by trimesh, whose reader converts to metres."""
     if find_spec("cascadio") is None:
         raise MeshRefused("STEP files need an optional reader: pip install cascadio")
+    import trimesh  # only here: importing it takes longer than reading an STL and making many a kit
+
     scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], process=False)
     pieces = [piece for piece in scene.dump() if isinstance(piece, trimesh.Trimesh) and len(piece.faces)]
     meshes = [(np.asarray(p.vertices, dtype=np.float64), np.asarray(p.faces, dtype=np.int64)) for p in pieces]

@@ -6,9 +6,9 @@ import numpy as np
 from manifold3d import Manifold
 
 from kit1000.errors import MeshRefused
-from kit1000.parts.files.bodies import united
 from kit1000.parts.files.repair import closed_solid
 from kit1000.parts.files.soup import Cut, TriangleSoup
+from kit1000.parts.files.united_bodies import united
 
 
 def solid_of_soup(soup: TriangleSoup, notes: list[str]) -> Manifold:

@@ -21,10 +21,10 @@ from manifold3d import Manifold
 from kit1000.engines import check_main_guard
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh
-from kit1000.parts.files.bodies import Choice, body_meshes, part_mesh
 from kit1000.parts.files.formats import STEP_SUFFIXES, read_triangles
 from kit1000.parts.files.listings import mesh_files
 from kit1000.parts.files.negative_volumes import solid_of_soup
+from kit1000.parts.files.united_bodies import Choice, body_meshes, part_mesh
 
 __all__ = [
     "FILE_UNITS",
@@ -203,7 +203,7 @@ def read_all(
     if workers > 1:
         check_main_guard()
     read = partial(_read_or_refuse, unit=unit)
-    outcomes = list(_read_parallel(read, files, workers) if workers > 1 and len(files) > 1 else map(read, files))
+    outcomes = list(read_parallel(read, files, workers) if workers > 1 and len(files) > 1 else map(read, files))
     readings = [outcome for outcome in outcomes if isinstance(outcome, MeshReading)]
     return readings, [outcome for outcome in outcomes if isinstance(outcome, Refusal)]
 
@@ -217,7 +217,7 @@ def _read_or_refuse(path: Path, unit: str | None) -> Outcome:
         return Refusal(path, "needs more memory than there is")
 
 
-def _read_parallel(read: Callable[[Path], Outcome], files: Sequence[Path], workers: int) -> Iterator[Outcome]:
+def read_parallel(read: Callable[[Path], Outcome], files: Sequence[Path], workers: int) -> Iterator[Outcome]:
     """Outcomes in order from several processes; a file that crashes its process is refused, the others are read."""
     done = 0
     while done < len(files):

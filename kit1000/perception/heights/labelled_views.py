@@ -13,7 +13,7 @@ from scipy.ndimage import distance_transform_edt
 
 from kit1000.dataset.reader import Dataset
 from kit1000.numerics.compiled import compiled
-from kit1000.perception.heights.scenes import CELL, KITS, LOWEST, RECENT, cell_below, part_labels, three_views
+from kit1000.perception.heights.scene_heights import CELL, KITS, LOWEST, RECENT, cell_below, part_labels, three_views
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, Query, View
 
 REACH = 30e-3  # [m] level, from the pixels that the primary camera sees of a part to its others: it sees half or more

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,8 @@ def ready(net: Any, config: type, make: type) -> Any:
 
     Args:
         net: the network, or the path.
-        config: the class of its config, a flat dataclass whose values the file of weights names.
+        config: the class of its config, a flat dataclass whose values the file of weights names; what an older file
+            does not name is at its default.
         make: the network's class, called with a config.
 
     Raises:
@@ -27,7 +28,8 @@ def ready(net: Any, config: type, make: type) -> Any:
         return net.eval()
     tensors, info = load_weights(net)
     values = info.get("about", {}).get("network", {})
-    differing = set(values) ^ {field.name for field in fields(config)}
+    needed = {field.name for field in fields(config) if field.default is MISSING}
+    differing = (set(values) - {field.name for field in fields(config)}) | (needed - set(values))
     if differing:
         raise InputError(f"{net}.json: no config of a {make.__name__}: it differs in {', '.join(sorted(differing))}")
     made = make(config(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}))

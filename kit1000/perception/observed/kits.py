@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,14 +12,11 @@ from kit1000.perception.observed.filled_columns import ObservedColumns
 from kit1000.perception.observed.fusion import MaskedView
 from kit1000.perception.observed.pixels import Noise, cropped, oriented_points, subpixel_points
 from kit1000.perception.observed.plates import Plane, find_planes, plane_frame
-from kit1000.perception.observed.relief import seen_relief
+from kit1000.perception.observed.relief import CompletedRelief, SeenRelief, seen_relief
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 from kit1000.voxels import Volume
-
-if TYPE_CHECKING:
-    from kit1000.perception.completion.kits.completed import CompletedRelief, ReliefCompleter
 
 HALF_WIDTH = 0.045  # [m] from the middle of a volume to its sides: no part of 50 mm is wider
 HALF_HEIGHT = 0.03  # [m] to its top and bottom: no cavity is deeper, and nothing higher touches a part
@@ -36,7 +33,7 @@ class ObservedKits:
     """Name of the image and of the stream of its random draws."""
     half_width: float = HALF_WIDTH
     """[m] from the middle of a volume to its sides."""
-    completer: ReliefCompleter | None = None
+    completer: Callable[[SeenRelief], CompletedRelief] | None = None
     """The network that completes what no pixel shows; None leaves it free where no point of a column was observed."""
 
     @property

@@ -14,24 +14,44 @@ from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 Evidence = dict[str, np.ndarray]
 Box = tuple[slice, slice]
 
+NEAR_TABLE = 1.5  # [px] from the table's plane, of the pixels that show how noisy the image is
+LEVEL_STEP = 3  # [px] between them
 STARTS = ((16, 16), (11, 7), (8, 13))  # [px] above and left of a box, where images of it begin; odd in number
 
 
 def evidence(image: LabelledDepth, closed: View, sensor: str) -> Evidence:
-    """What the network reads of a calibrated image: see `RestorationNet.forward`; (H, W) arrays and `slope` (2,).
+    """What the network reads of a calibrated image: see `RestorationNet.forward`; (H, W) arrays, `slope`, `level`.
 
     closed: its view as of `closed_gaps`.
     """
     kinds = np.select([image.labels == ASSEMBLY_LABEL, image.labels >= FIRST_PART_LABEL], [1, 2], 0)
     returned = (image.labels == 0) | (image.view.depth > 0)
-    return _evidence(closed, returned, kinds, sensor)
+    table = (image.labels == 0) & (image.view.depth > 0)
+    return _evidence(closed, returned, kinds, sensor) | {"level": noise_level(image.view, table, sensor)}
 
 
 def unlabelled_evidence(view: View, sensor: str) -> Evidence:
     """The same of a calibrated view without masks: `labels` is 0 everywhere."""
     depth, everywhere = view.depth.copy(), np.ones(view.depth.shape, bool)
     close_gaps(depth, everywhere)
-    return _evidence(replace(view, depth=depth), view.depth > 0, np.zeros(depth.shape), sensor)
+    returned = view.depth > 0
+    read = _evidence(replace(view, depth=depth), returned, np.zeros(depth.shape), sensor)
+    return read | {"level": noise_level(view, returned, sensor)}
+
+
+def noise_level(calibrated: View, mask: np.ndarray, sensor: str) -> np.ndarray:
+    """(1,) float32 [px]: how far disparities are from those of the table's plane, noise and bending together.
+
+    1.4826 times the median, the RMS if they are normal, of the pixels of a mask (H, W) within NEAR_TABLE px, every
+    LEVEL_STEP-th along rows and columns; 0 where none is.
+    """
+    some = np.s_[::LEVEL_STEP, ::LEVEL_STEP]
+    depth, mask = calibrated.depth[some], mask[some] & (calibrated.depth[some] > 0)
+    gain = calibrated.camera.fx * SENSORS[sensor].baseline
+    away = gain * np.abs(1 / depth[mask] - ground_inverse_depth(calibrated, LEVEL_STEP)[mask])
+    away = away[away < NEAR_TABLE]
+    level = 1.4826 * float(np.median(away)) if len(away) else 0.0
+    return np.array([level], np.float32)
 
 
 def _evidence(view: View, returned: np.ndarray, kinds: np.ndarray, sensor: str) -> Evidence:

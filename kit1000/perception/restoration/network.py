@@ -20,6 +20,7 @@ MAPS, SLOPES = 4, 2  # channels: of a pixel; of the table's plane
 SIDE = PACK * 8  # [px] of which sides of images are multiples
 DISPARITY_UNIT = 4.0  # [px] of a disparity of 1 in the input
 SLOPE_UNIT = 0.05  # [px/px] of a slope of 1
+LEVEL_UNIT = 0.2  # [px] of a level of 1
 LEAST_SPREAD, FIRST_SPREAD = 0.01, 0.1  # [px]
 
 
@@ -33,6 +34,10 @@ class RestorationConfig:
     """Residual blocks at each resolution, on the way down and on the way up."""
     labelled: bool = True
     """Whether it reads masks; without them it says where bodies end."""
+    level: bool = False
+    """Whether it reads how noisy the image is."""
+    sensor_model: int = 1
+    """Sensor model of the training examples: 1 the d415 of data 1.0.0, 2 as measured."""
     views: int = 1500
     """Fresh views of scenes, of which the training examples are crops."""
     views_seed: int = 2029
@@ -42,11 +47,15 @@ class RestorationConfig:
 RESTORATION = {
     "small": RestorationConfig(views=3000, views_seed=2035),
     "pretraining": RestorationConfig(),
+    "measured": RestorationConfig(level=True, sensor_model=2, views=30_000, views_seed=2048),
+    "large": RestorationConfig((48, 72, 108, 144), 2, level=True, sensor_model=2, views=30_000, views_seed=2048),
 }
-"""`small` starts from the weights of `pretraining`."""
+"""`small` starts from the weights of `pretraining`, `measured` from those of `small`, `large` from none."""
 UNMASKED = {
     "small": RestorationConfig(labelled=False),
+    "measured": RestorationConfig(labelled=False, level=True, sensor_model=2, views=30_000, views_seed=2049),
 }
+"""`measured` starts from the weights of `small`."""
 
 
 class Mixture(NamedTuple):
@@ -74,11 +83,13 @@ class RestorationNet(UNet):
     """Measured disparities to a mixture a pixel."""
 
     def __init__(self, config: RestorationConfig) -> None:
-        super().__init__(PACK * PACK * MAPS + SLOPES, PACK * PACK * 5, config.widths, config.blocks)
+        super().__init__(PACK * PACK * MAPS + SLOPES + config.level, PACK * PACK * 5, config.widths, config.blocks)
         self.config = config
         torch.nn.init.zeros_(self.head.weight)  # at first the measured disparities
 
-    def forward(self, disparity: Tensor, returned: Tensor, labels: Tensor, slope: Tensor) -> Mixture:
+    def forward(
+        self, disparity: Tensor, returned: Tensor, labels: Tensor, slope: Tensor, level: Tensor | None = None
+    ) -> Mixture:
         """The mixture of each pixel.
 
         Args:
@@ -86,10 +97,15 @@ class RestorationNet(UNet):
             returned: (B, H, W) bool.
             labels: (B, H, W) uint8: 0 the table, 1 the kits, 2 a part; 0 everywhere without masks.
             slope: (B, 2) [px/px] of the disparity of the table's plane, across and down.
+            level: (B, 1) [px] how noisy the image is, see `disparity.noise_level`; needed if the config says so.
         """
         scaled = disparity / DISPARITY_UNIT
         maps = torch.stack([scaled, returned.to(scaled.dtype), *((labels == k).to(scaled.dtype) for k in (1, 2))], 1)
-        plane = (slope / SLOPE_UNIT)[:, :, None, None]
+        plane = slope / SLOPE_UNIT
+        if self.config.level:
+            assert level is not None, "this network reads how noisy the image is"
+            plane = torch.cat([plane, level / LEVEL_UNIT], 1)
+        plane = plane[:, :, None, None]
         packed = F.pixel_unshuffle(maps, PACK)
         evidence = torch.cat([packed, plane.expand(-1, -1, *packed.shape[2:])], 1)
         out = F.pixel_shuffle(self.image(evidence.contiguous(memory_format=torch.channels_last)), PACK).float()

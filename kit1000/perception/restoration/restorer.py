@@ -76,7 +76,7 @@ class Restorer:
         if len(rows):
             tall, broad = (slice(max(line[0] - BORDER, 0), line[-1] + BORDER + 1) for line in (rows, columns))
             wide = padded_box(tall, broad, SIDE, view.camera)
-            depth[wide] = depths(self._likeliest(read, wide), view, wide, sensor)
+            depth[wide] = depths(self.likeliest(read, wide), view, wide, sensor)
         return replace(view, depth=depth)
 
     def _median(self, read: Evidence, box: Box, view: View) -> np.ndarray:
@@ -85,13 +85,14 @@ class Restorer:
         The network is coarse inside: where an image begins, to SIDE px, changes what it says beside edges.
         """
         boxes = shifted_boxes(box, SIDE, view.camera)
-        return np.median([self._likeliest(read, wide)[inside] for wide, inside in boxes], axis=0)
+        return np.median([self.likeliest(read, wide)[inside] for wide, inside in boxes], axis=0)
 
-    def _likeliest(self, read: Evidence, box: Box) -> np.ndarray:
+    def likeliest(self, read: Evidence, box: Box) -> np.ndarray:
         """(h, w) [px] the likeliest disparities in a box of the image, rounded."""
         cut = cropped_evidence(read, box)
-        disparity, slope = (torch.from_numpy(cut[name])[None].to(self.precision) for name in ("disparity", "slope"))
+        exact = ("disparity", "slope", "level")
+        disparity, slope, level = (torch.from_numpy(cut[name])[None].to(self.precision) for name in exact)
         returned, labels = (torch.from_numpy(cut[name])[None] for name in ("returned", "labels"))
         with torch.inference_mode():
-            likeliest = self.net(disparity, returned, labels, slope).likeliest()[0].numpy().astype(np.float64)
+            likeliest = self.net(disparity, returned, labels, slope, level).likeliest()[0].numpy().astype(np.float64)
         return np.rint(likeliest / DISPARITY_STEP) * DISPARITY_STEP

@@ -71,11 +71,14 @@ def _bodies(labels: np.ndarray) -> Iterator[tuple[tuple[slice, slice], np.ndarra
             yield box, labels[box] == label
 
 
-def ground_inverse_depth(view: View) -> np.ndarray:
-    """(H, W) [1/m]: the inverse depth of the plane z = 0 at each pixel; where it is not seen, hardly above 0."""
+def ground_inverse_depth(view: View, step: int = 1) -> np.ndarray:
+    """(H, W) [1/m]: the inverse depth of the plane z = 0 at each pixel; where it is not seen, hardly above 0.
+
+    step: [px] between the pixels, along rows and columns.
+    """
     down = -view.world_from_camera.inverse().rotate((0.0, 0.0, 1.0))
     height, camera = max(float(view.world_from_camera.xyz[2]), 1e-3), view.camera
-    u, v = np.arange(camera.width), np.arange(camera.height)
+    u, v = np.arange(0, camera.width, step), np.arange(0, camera.height, step)
     across = (u - camera.cx) / camera.fx * down[0]
     along = (v - camera.cy) / camera.fy * down[1]
     return np.maximum(across + along[:, None] + down[2], 1e-6) / height

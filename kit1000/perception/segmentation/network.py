@@ -34,13 +34,16 @@ class CentresConfig:
     """Fresh views of scenes, of which the training examples are crops."""
     views_seed: int = 2030
     """Seed of these views."""
+    sensor_model: int = 1
+    """Sensor model of the training examples: 1 the d415 of data 1.0.0, 2 as measured."""
 
 
 CENTRES = {
     "small": CentresConfig(views=2500, views_seed=2034),
     "pretraining": CentresConfig(),
+    "measured": CentresConfig(views=30_000, views_seed=2050, sensor_model=2),
 }
-"""`small` starts from the weights of `pretraining`."""
+"""`small` starts from the weights of `pretraining`, `measured` from those of `small`."""
 
 
 class Votes(NamedTuple):

@@ -11,8 +11,8 @@ import numpy as np
 from kit1000.pose import Pose
 from kit1000.registration.choice.fits import STIFFNESS, Fit, ranked, same_pose
 from kit1000.registration.geometry.expected_relief import outline_misfit
-from kit1000.registration.inputs.sources import DepthSource
-from kit1000.registration.refinement.intervals import Intervals, refine_within
+from kit1000.registration.inputs.volume_sources import DepthSource
+from kit1000.registration.refinement.interval_residuals import Intervals, refine_within
 from kit1000.registration.refinement.levenberg_marquardt import SCALES
 from kit1000.registration.search.candidates import find_candidates, within_guess_error
 from kit1000.registration.search.contradictions import Contradictions, KitHeights, contradictions
@@ -90,7 +90,7 @@ def register_certain(source: DepthSource, query: Query, clearance: float, furthe
         clearance: [m]
         further: whether further candidates are refined while the best fit is doubtful.
     """
-    search = _Search(source, query, clearance, further)
+    search = EvidenceSearch(source, query, clearance, further)
     guessed = query.guess is not None
     found = find_candidates(source, source.evidence.filled, query, clearance, thorough=True)
     distinct = without_duplicates(found, source.middle, DISTINCT if guessed else DISTINCT_WITHOUT_GUESS)
@@ -98,7 +98,7 @@ def register_certain(source: DepthSource, query: Query, clearance: float, furthe
     return ranked(fit for fit in fits if within_guess_error(fit.goal_from_now, query))
 
 
-class _Search:
+class EvidenceSearch:
     """The evidence about a part and its kits, at a clearance [m]."""
 
     def __init__(self, source: DepthSource, query: Query, clearance: float, further: bool) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from kit1000.registration.choice.fits import STIFFNESS, Fit, ranked
 from kit1000.registration.geometry.expected_relief import outline_misfit
-from kit1000.registration.inputs.sources import Source
+from kit1000.registration.inputs.volume_sources import Source
 from kit1000.registration.refinement.walls import refine
 from kit1000.registration.search.candidates import find_candidates, within_guess_error
 from kit1000.registration.search.correlation import Candidate, without_duplicates

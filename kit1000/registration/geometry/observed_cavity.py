@@ -85,7 +85,7 @@ def find_cavity(volume: Volume, world_from_plate: Pose, noise: float, deeper: fl
     )
     points = points[inside]
     if np.isnan(relief[region]).any():  # the upper edge of a hidden wall is visible
-        seen = face & _seen_face(volume, cut)  # the far rim is that of the relief
+        seen = face & seen_face(volume, cut)  # the far rim is that of the relief
         beyond = np.asarray(binary_propagation(region, mask=region | (face & ~seen)), bool)
         points = np.concatenate([points, _edges(seen, beyond)])
     certain = heights_from_above(volume, across_jumps=False)
@@ -101,7 +101,7 @@ def _enclosed(holes: np.ndarray, deep: np.ndarray) -> np.ndarray:
     return np.isin(names, enclosed[enclosed > 0])
 
 
-def _seen_face(volume: Volume, cut: float) -> np.ndarray:
+def seen_face(volume: Volume, cut: float) -> np.ndarray:
     """(n, n) bool: cells whose centre on the plate's face is seen there.
 
     Not by the relief: behind a near rim a ray passes over the rim and comes down to `cut` only farther on.

@@ -15,7 +15,7 @@ from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.registration.geometry.faces import right_angled, squared, standing_faces
 from kit1000.registration.geometry.observed_cavity import VOXEL, Cavity, find_cavity, plate_grid
-from kit1000.registration.inputs.sources import Source
+from kit1000.registration.inputs.volume_sources import Source
 from kit1000.registration.search.correlation import Candidate, SearchWindow, coarse_search
 from kit1000.rng import stream
 from kit1000.values import Query
@@ -70,7 +70,7 @@ def find_candidates(
         return []
     window = SearchWindow(query.pivot, query.guess, MAX_ANGLE + SLACK_ANGLE, MAX_OFFSET + SLACK_OFFSET)
     found: list[Candidate] = []
-    for faces in _faces_down(source, part, query, cavities, thorough):
+    for faces in faces_down(source, part, query, cavities, thorough):
         candidates = coarse_search(part, source.middle, faces.normals, faces.cavities, clearance, window, source.height)
         found += candidates if faces.seen else [replace(candidate, seen=False) for candidate in candidates]
     return sorted(found, key=lambda candidate: candidate.misfit)
@@ -134,7 +134,7 @@ def _holds_a_part(cavity: Cavity | None) -> bool:
     return cavity is not None and np.count_nonzero(cavity.region) * VOXEL**2 > LEAST_REGION
 
 
-def _faces_down(source: Source, part: Volume, query: Query, cavities: Sequence[Cavity], thorough: bool) -> list[Faces]:
+def faces_down(source: Source, part: Volume, query: Query, cavities: Sequence[Cavity], thorough: bool) -> list[Faces]:
     """The faces that may go onto a cavity's floor.
 
     Without a guess the part lies as it is inserted. With one, a thorough search inserts it on the face on which it

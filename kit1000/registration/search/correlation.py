@@ -243,7 +243,7 @@ def best_shifts(
     cut = np.minimum(envelope - lowest - cavity.depth, 0)
     squares, heights = (_spectrum(image, kit.size) for image in (cut**2, 2 * cut))
     product = np.empty_like(squares)
-    _correlate(kit.trust, squares, kit.weighted_relief, heights, product)
+    correlate(kit.trust, squares, kit.weighted_relief, heights, product)
     misfit = (1 + np.asarray(irfft2(product, (kit.size, kit.size))) / kit.empty).round(MISFIT_DECIMALS)
     steps = np.arange(kit.size)
     middle = (kit.cells - len(envelope)) / 2  # the step that puts the middle of one image on that of the other
@@ -261,7 +261,7 @@ def best_shifts(
 
 
 @compiled
-def _correlate(a, b, c, d, product):
+def correlate(a, b, c, d, product):
     """Fill a spectrum (m, n) complex with a times the conjugate of b, less c times that of d.
 
     By real products: those of numpy are rounded differently on processors with FMA.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from baselines.snapnet.candidates import (
+from baselines.snapnet.candidate_rotations import (
     COARSE,
     MOST_NEAR,
     NEAR,

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.snapnet import volumes as volumes_module
+from baselines.snapnet import query_volumes as volumes_module
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.examples import (
     HARD,
@@ -24,7 +24,7 @@ from baselines.snapnet.examples import (
     residual_of,
     training_candidates,
 )
-from baselines.snapnet.volumes import QueryVolumes, grid_about, image_crops
+from baselines.snapnet.query_volumes import QueryVolumes, grid_about, image_crops
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics import Targets, pose_errors
@@ -367,8 +367,8 @@ def test_the_image_cache_is_bounded(data: Dataset, monkeypatch: pytest.MonkeyPat
         sample = examples.draw(stream(seed))
         sample.volumes.kit_volume(sample.world_from_work, (4, 4, 4), VOXEL)
         sample.volumes.part_volume(sample.guess, sample.world_from_work, (4, 4, 4), VOXEL)
-        assert len(examples._images._crops) == 1
-        assert 1 <= len(examples._images._parts) <= 2
+        assert len(examples.images.crops) == 1
+        assert 1 <= len(examples.images.parts) <= 2
         assert "image" not in vars(sample.volumes.query)
 
 

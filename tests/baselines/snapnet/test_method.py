@@ -13,8 +13,8 @@ from baselines.catalog import all_methods
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.method import SnapNet
 from baselines.snapnet.position import PositionNet
+from baselines.snapnet.query_volumes import QueryVolumes
 from baselines.snapnet.rotation import RotationNet
-from baselines.snapnet.volumes import QueryVolumes
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.perception.networks.weight_files import save_weights
@@ -63,9 +63,9 @@ def test_without_a_guess_the_best_start_is_corrected(data: Dataset, monkeypatch:
     monkeypatch.setattr("baselines.snapnet.method.likely_starts", lambda *_: starts)
     volumes = QueryVolumes(query, "depth")
     with torch.inference_mode():
-        corrected = [method._corrected(volumes, start, near=True) for start in starts]
+        corrected = [method.corrected(volumes, start, near=True) for start in starts]
         best = max(corrected, key=lambda each: each.score)
-        expected = method._corrected(volumes, best.motion, near=True)
+        expected = method.corrected(volumes, best.motion, near=True)
     predicted = method(query)
     np.testing.assert_allclose(predicted.goal_from_now.matrix(), expected.motion.matrix(), atol=1e-6)
     assert 0 < predicted.confidence <= expected.confidence

@@ -11,7 +11,7 @@ from scipy.ndimage import map_coordinates
 from torch import Tensor
 
 from baselines.snapnet import rotation
-from baselines.snapnet.candidates import candidates
+from baselines.snapnet.candidate_rotations import candidates
 from baselines.snapnet.config import ROTATION, RotationConfig
 from baselines.snapnet.points import Where, interpolated, rotated, sample_points
 from baselines.snapnet.rotation import SPREAD, RotationNet, rotation_loss, rotation_of

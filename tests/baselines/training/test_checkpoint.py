@@ -128,7 +128,7 @@ def test_numbers_beyond_float16_are_refused_before_anything_is_written(stem: Pat
 
 def test_a_file_that_is_too_large_is_refused(stem: Path) -> None:
     model = nn.Linear(2048, LARGEST // 4 // 2048, bias=False)  # the tensors alone reach the limit
-    with pytest.raises(InputError, match=r"16\.0 MiB of weights, more than the 16 MiB .*=.float16. halves them"):
+    with pytest.raises(InputError, match=r"16\.0 MiB.*more than.*16 MiB.*float16"):
         save_weights(stem, model, {})
     assert not list(stem.parent.iterdir())
     save_weights(stem, model, {}, precision="float16")
@@ -153,7 +153,7 @@ def test_any_changed_byte_of_weights_is_noticed(
     data = bytearray(path.read_bytes())
     data[int(place * len(data))] ^= flip
     path.write_bytes(data)
-    with pytest.raises(InputError, match=r"w\.safetensors: damaged, or not the weights that w\.json describes"):
+    with pytest.raises(InputError, match=r"w\.safetensors: damaged.*w\.json"):
         load_weights(stem)
 
 
@@ -185,7 +185,7 @@ def test_weights_are_loaded_into_a_network_in_place() -> None:
     ("change", "message"),
     [
         ({"0.weight": None}, r"w\.st: has no 0\.weight, which this network has \(1 such\)"),
-        ({"0.wieght": torch.ones(1)}, r"has 0\.wieght, which this network has not; did you mean 0\.weight\? \(1"),
+        ({"0.wieght": torch.ones(1)}, r"0\.wieght.*did you mean 0\.weight\?"),
         ({"0.weight": torch.ones(4, 3)}, r"0\.weight has the shape \(4, 3\), in this network \(5, 3\)"),
     ],
 )

@@ -70,7 +70,7 @@ def test_models_of_unknown_bodies_are_refused(tmp_path: Path) -> None:
 
 def test_unknown_scenes_and_views_are_answered_with_the_known_ones(seen: Path) -> None:
     file = ObservationFile(seen)
-    with pytest.raises(InputError, match=r"no scene 'test-s0010' among 3; did you mean test-s000\d\? see"):
+    with pytest.raises(InputError, match=r"no scene 'test-s0010' among 3.*did you mean test-s000\d\?"):
         file.queries("test-s0010")
     with pytest.raises(InputError, match=r"test-s0001 has no view 'd435'; it has ideal, d415"):
         file.view("test-s0001", "d435")
@@ -92,9 +92,7 @@ def test_other_mcap_files_are_refused(tmp_path: Path, seen: Path, monkeypatch: p
     with monkeypatch.context() as patch:
         patch.setattr(writing, "FORMAT", "kit1000/1")
         older = write(tmp_path / "older.mcap", [observation()])
-    assert "older.mcap has format 'kit1000/1', this version reads 'kit1000/2'" in error_of(
-        older.name, older.read_bytes()
-    )
+    assert "older.mcap has format 'kit1000/1'" in error_of(older.name, older.read_bytes())
     with open(tmp_path / "foreign.mcap", "wb") as file:
         writer = Writer(file)
         writer.start()

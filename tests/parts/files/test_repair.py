@@ -12,9 +12,9 @@ from manifold3d import Manifold
 
 from kit1000.errors import MeshRefused
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
-from kit1000.parts.files.bodies import MAX_FACES_UNCHANGED, SIMPLIFY_TOLERANCE, part_mesh
 from kit1000.parts.files.crossings import crossings, max_distance, winding_numbers
 from kit1000.parts.files.repair import closed_solid
+from kit1000.parts.files.united_bodies import MAX_FACES_UNCHANGED, SIMPLIFY_TOLERANCE, part_mesh
 
 BOX = Manifold.cube((0.04, 0.02, 0.01), True)
 SHAPES = {

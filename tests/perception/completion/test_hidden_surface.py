@@ -10,14 +10,13 @@ from scipy.spatial import KDTree
 
 from kit1000.dataset.reader import Dataset
 from kit1000.mesh import Mesh, surface_points
-from kit1000.perception.completion.kits.completed import CompletedRelief
 from kit1000.perception.completion.kits.hidden_surface import hidden_surface, hidden_surfaces
 from kit1000.perception.observed.kits import ObservedKits
 from kit1000.perception.observed.pixels import IDEAL
 from kit1000.perception.observed.plates import Plane
-from kit1000.perception.observed.relief import CELL, DEEPEST, SeenRelief, seen_relief
+from kit1000.perception.observed.relief import CELL, DEEPEST, CompletedRelief, SeenRelief, seen_relief
 from kit1000.pose import Pose
-from kit1000.registration.proposals import CompletingRegistration
+from kit1000.registration.proposed_fits import CompletingRegistration
 from kit1000.rng import stream
 from kit1000.values import Query
 from tests.samples.completers import DEEP, WIDE, KnownPlate, plate_image

@@ -24,7 +24,7 @@ from kit1000.perception.completion.parts.network import CompletionConfig, Comple
 from kit1000.perception.networks.weight_files import save_weights
 from kit1000.perception.observed.parts import ObservedPart
 from kit1000.pose import Pose
-from kit1000.registration.inputs.sources import DepthSource
+from kit1000.registration.inputs.volume_sources import DepthSource
 from kit1000.sim.render import render
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 from kit1000.voxels import Grid, signed_distance

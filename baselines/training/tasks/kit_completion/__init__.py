@@ -13,6 +13,7 @@ NETWORKS = {
             "small": replace(KITS, steps=4000),
             "pretraining": replace(KITS, steps=3000, learning_rate=5e-3),
             "pretraining-2": replace(KITS, steps=2500),
+            "measured": replace(KITS, steps=3000, seed=3),
         },
         weights={"restoration": "restoration"},
     ),

@@ -18,6 +18,7 @@ NETWORKS = {
         "baselines.training.tasks.part_completion.task:completion_task",
         {
             "small": replace(SMALL, steps=4000, learning_rate=2e-3, seed=2),
+            "measured": replace(SMALL, steps=4000, batch=64, learning_rate=2e-3, seed=3),
         },
         {"d415_share": 1.0},
     ),

@@ -19,8 +19,8 @@ from kit1000.generation.presets import PRESETS
 from kit1000.kits.face import resting_faces
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.numerics.linear_algebra import length
-from kit1000.parts.catalog import FAMILIES
 from kit1000.parts.family import make_part, part_of_mesh
+from kit1000.parts.family_catalog import FAMILIES
 from kit1000.parts.mixtures import choose_family
 from kit1000.rng import stream
 

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from baselines.training.tasks.noisy_images import noisy_view
 from baselines.training.tasks.part_completion.sampled_parts import DrawnPart, DrawnParts
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
-from kit1000.perception.calibration import CALIBRATED
 from kit1000.perception.completion.parts.frame import SHAPE, FramedPart, framed, grid_at, packed, pixel_box
 from kit1000.perception.observed.occupancy import filled_share
 from kit1000.pose import Pose, quaternion_between
@@ -17,7 +17,6 @@ from kit1000.sim.cameras import CAMERA, draw_primary_pose
 from kit1000.sim.footprints import footprint
 from kit1000.sim.layout import DROP_BOUNDS, UPRIGHT_SHARE, table
 from kit1000.sim.render import render
-from kit1000.sim.sensors import measured
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 
 NEIGHBOURED_SHARE = 0.2  # of the examples: with neighbours that may hide some of the part
@@ -40,13 +39,15 @@ class DrawnViews:
     parts: DrawnParts
     d415_share: float
     """Share of the examples that the d415 measures."""
+    sensor_model: int = 1
+    """See `noisy_images.noisy_view`."""
 
     def example(self, rng: np.random.Generator) -> Example:
         """Evidence and truth of a view, see `example_of`."""
         noisy, neighboured = rng.random() < self.d415_share, rng.random() < NEIGHBOURED_SHARE
         for _ in range(MAX_DRAWS):
             bodies = self._bodies(rng, int(rng.integers(1, MOST_NEIGHBOURS + 1)) if neighboured else 0)
-            image = _image(bodies, draw_primary_pose(rng, neighboured), rng if noisy else None)
+            image = _image(bodies, draw_primary_pose(rng, neighboured), rng if noisy else None, self.sensor_model)
             if np.count_nonzero(image.labels == FIRST_PART_LABEL) >= LEAST_PIXELS:
                 part = framed(image, FIRST_PART_LABEL, flat=noisy)
                 if part is not None:
@@ -97,10 +98,12 @@ def example_of(part: FramedPart, mesh: Mesh, world_from_part: Pose, mirrored: bo
     return {"codes": packed(part.codes[:, sides]), "camera": part.camera, "solid": packed(solid[:, sides])}
 
 
-def _image(bodies: list[Body], world_from_camera: Pose, noise: np.random.Generator | None) -> LabelledDepth:
+def _image(
+    bodies: list[Body], world_from_camera: Pose, noise: np.random.Generator | None, sensor_model: int
+) -> LabelledDepth:
     """The depth image of bodies on the table, as much of it as the first one needs.
 
-    noise: of the calibrated d415; None for ideal depth.
+    noise: of the calibrated d415 of a sensor model; None for ideal depth.
     """
     pose = bodies[0][1]
     around = grid_at(float(pose.xyz[0]), float(pose.xyz[1]), 0.0)
@@ -114,4 +117,4 @@ def _image(bodies: list[Body], world_from_camera: Pose, noise: np.random.Generat
     frame = render(camera, world_from_camera, [(table(), Pose.identity()), *bodies], threads=1)
     labels = np.where(frame.body_ids > 1, frame.body_ids - 2 + FIRST_PART_LABEL, 0).astype(np.uint8)
     view = View(camera, world_from_camera, frame.depth)
-    return LabelledDepth(view if noise is None else measured(CALIBRATED, view, noise), labels)
+    return LabelledDepth(view if noise is None else noisy_view(view, noise, sensor_model), labels)

@@ -30,7 +30,8 @@ class RestorationTask(CropTask[SceneViews]):
         """About the slot of the drawn target; without masks, about the part."""
         scene = self.dataset.split(self.split, truth=True).scene(scene_id)
         target = next(query for query in scene.queries if query.drawn)
-        image, whole = recorded_example(self.dataset, self.split, scene_id, self.training.labelled)
+        views = self.training
+        image, whole = recorded_example(self.dataset, self.split, scene_id, views.labelled, views.sensor_model)
         slot = scene.truth_of(target.id).world_from_kit.xyz
         return Recorded(image.view, slot if self.training.labelled else target.pivot, whole)
 
@@ -52,7 +53,7 @@ class RestorationTask(CropTask[SceneViews]):
         }
 
     def _mixture(self, batch: Batch) -> Mixture:
-        return self.model(*(batch[name] for name in ("disparity", "returned", "labels", "slope")))
+        return self.model(*(batch[name] for name in ("disparity", "returned", "labels", "slope", "level")))
 
 
 def beside_jumps(truth: Tensor) -> Tensor:
@@ -75,6 +76,11 @@ def restoration_task(dataset: Dataset, preset: str, labelled: bool = True) -> tu
     model = RestorationNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
     scenes = dataset.split("train").scene_ids
     views = SceneViews(
-        dataset=dataset, scenes=scenes, seed=config.views_seed, count=config.views, labelled=config.labelled
+        dataset=dataset,
+        scenes=scenes,
+        seed=config.views_seed,
+        count=config.views,
+        sensor_model=config.sensor_model,
+        labelled=config.labelled,
     )
     return RestorationTask(views, dataset, "val", model), config

@@ -12,6 +12,7 @@ NETWORKS = {
         {
             "small": replace(SMALL, steps=4500, learning_rate=3e-3, seed=1),
             "pretraining": SMALL,
+            "measured": replace(SMALL, steps=4000, batch=64, learning_rate=3e-3, seed=3),
         },
         weights={"restoration": "restoration-unmasked"},
     ),

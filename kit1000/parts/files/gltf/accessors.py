@@ -8,7 +8,7 @@ import numpy as np
 
 from kit1000.errors import MeshRefused
 from kit1000.parts.files.gltf.document import Document
-from kit1000.parts.files.gltf.extensions import MESHOPT
+from kit1000.parts.files.gltf.required_extensions import MESHOPT
 
 TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 LARGEST = {5120: 127.0, 5121: 255.0, 5122: 32767.0, 5123: 65535.0}  # of what 1 is in normalized integers

@@ -28,7 +28,7 @@ class Document:
     binary: bytes | None
     """The binary chunk of a GLB."""
     folder: Path
-    """Of further files."""
+    """Contents of further files."""
     _buffers: dict[int, bytes] = field(default_factory=dict)
 
     def entries(self, name: str) -> list[Any]:

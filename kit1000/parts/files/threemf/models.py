@@ -46,7 +46,7 @@ class Object:
     has_lattice: bool
     components: list[Reference]
     role: str = PART
-    """By its type, or by what Cura says of it."""
+    """Role by its type, or by what Cura says of it."""
     ranges: tuple[TriangleRange, ...] = ()
     """Its volumes, where Slic3r writes them into the object."""
     fault: str | None = None

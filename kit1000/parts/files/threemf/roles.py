@@ -68,9 +68,9 @@ class Roles:
     """The roles that the configuration files of slicers give, by ids of the root model."""
 
     ranges: dict[str, tuple[TriangleRange, ...]] = field(default_factory=dict)
-    """By the id of an object: its volumes."""
+    """Volumes of each object, by its id."""
     components: dict[tuple[str, str], str] = field(default_factory=dict)
-    """By the ids of an object and of one of its components."""
+    """Roles by the ids of an object and of one of its components."""
 
 
 def read_roles(package: Package) -> Roles:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,38 +12,10 @@ from kit1000.perception.networks.loading import ready
 from kit1000.perception.observed.filled_columns import ObservedColumns
 from kit1000.perception.observed.fusion import MaskedView
 from kit1000.perception.observed.pixels import subpixel_points
-from kit1000.perception.observed.relief import CELL, CELLS, DEEPEST, SeenRelief
+from kit1000.perception.observed.relief import CELL, CELLS, DEEPEST, CompletedRelief, SeenRelief
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth
-from kit1000.voxels import Grid
 
 DEPTH_STEP = 0.01  # [mm] to which depths are rounded: sums of float32 depend on the processor
-
-
-@dataclass(frozen=True, eq=False)
-class CompletedRelief:
-    """The relief of a plate."""
-
-    shown: SeenRelief
-    """What the image shows of it."""
-    depths: np.ndarray
-    """(CELLS, CELLS) float32 [mm]: seen cells as they were seen, hidden ones likely; DEEPEST where nothing is."""
-
-    def filled(self, fine: Grid) -> np.ndarray:
-        """(nx, ny, nz / 2) bool: the cells of every second layer of a grid that lie below the surface of a hidden cell.
-
-        fine: its third axis is the plate's normal, as of `ObservedColumns.fine`.
-        """
-        nx, ny, nz = fine.shape
-        plate_from_grid = self.shown.world_from_plate.inverse() @ fine.world_from_grid
-        feet = np.stack([*np.indices((nx, ny)), np.zeros((nx, ny))], -1) * fine.voxel_size
-        points = plate_from_grid.apply(feet)
-        cells = np.rint(points[..., :2] / CELL + (CELLS - 1) / 2).astype(int)
-        inside = ((cells >= 0) & (cells < CELLS)).all(-1)
-        at = tuple(np.moveaxis(np.clip(cells, 0, CELLS - 1), -1, 0))
-        there = inside & ~self.shown.seen[at] & (self.depths[at] < DEEPEST)
-        top = np.where(there, -1e-3 * self.depths[at].astype(np.float64), -np.inf)
-        heights = points[0, 0, 2] + np.arange(0, nz, 2) * fine.voxel_size
-        return heights <= top[..., None]
 
 
 class ReliefCompleter:

@@ -8,9 +8,8 @@ from scipy.spatial import Delaunay, QhullError
 from trimesh.util import append_faces
 
 from kit1000.mesh import Mesh
-from kit1000.perception.completion.kits.completed import CompletedRelief
 from kit1000.perception.observed.kits import ObservedKits
-from kit1000.perception.observed.relief import CELL, CELLS, DEEPEST, SeenRelief
+from kit1000.perception.observed.relief import CELL, CELLS, DEEPEST, CompletedRelief, SeenRelief
 
 FACE = 1.0  # [mm] from a plate's face, within which a seen cell is of it
 LEAST_CELLS = 10  # of a hidden region: smaller ones are cells that a rim crosses

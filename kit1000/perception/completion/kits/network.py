@@ -38,6 +38,8 @@ class KitCompletionConfig:
     """Share of the views with their kit stretched."""
     views_seed: int = 2034
     """Seed of views and kits."""
+    sensor_model: int = 1
+    """Sensor model of the training examples: 1 the d415 of data 1.0.0, 2 as measured."""
 
 
 KIT_COMPLETION = {
@@ -48,9 +50,10 @@ KIT_COMPLETION = {
     "pretraining-2": KitCompletionConfig(
         views=10_000, drawn_share=0.25, drawn_kits=600, stretched_share=0.0, views_seed=2033
     ),
+    "measured": KitCompletionConfig(views_seed=2052, sensor_model=2),
 }
-"""Three runs, each from the weights of the one before: `pretraining` sees more kinds of kits than those of datasets,
-`pretraining-2` mostly theirs, and `small`, the last, fresh and stretched ones of both."""
+"""Runs, each from the weights of the one before: `pretraining` sees more kinds of kits than those of datasets,
+`pretraining-2` mostly theirs, `small` fresh and stretched ones of both, `measured` these with noise as measured."""
 
 
 class KitCompletionNet(UNet):

@@ -63,8 +63,8 @@ class ImageCache:
             kit_completer: the network that completes kits, see `ObservedKits`.
         """
         self._read_image, self._completer, self._kit_completer = read_image, completer, kit_completer
-        self._crops: dict[tuple[str, str], ImageCrops] = {}
-        self._parts: dict[tuple[str, str, int, float], Volume | None] = {}
+        self.crops: dict[tuple[str, str], ImageCrops] = {}
+        self.parts: dict[tuple[str, str, int, float], Volume | None] = {}
 
     def __reduce__(self) -> tuple[type[ImageCache], tuple[object, ...]]:
         return ImageCache, (self._read_image, self._completer, self._kit_completer)
@@ -80,7 +80,7 @@ class ImageCache:
             image = self._of(query).parts.get(query.part)
             return None if image is None else _part_volume(image, query, voxel, self._completer)
 
-        return _cached(self._parts, (query.scene_id, query.sensor, query.part, voxel), PARTS, make)
+        return _cached(self.parts, (query.scene_id, query.sensor, query.part, voxel), PARTS, make)
 
     def _of(self, query: Query) -> ImageCrops:
         key = (query.scene_id, query.sensor)
@@ -88,7 +88,7 @@ class ImageCache:
         def make() -> ImageCrops:
             return image_crops(restored(self._read_image(query), query.sensor), query, self._kit_completer)
 
-        return _cached(self._crops, key, SCENES, make)
+        return _cached(self.crops, key, SCENES, make)
 
 
 @dataclass(frozen=True, eq=False)

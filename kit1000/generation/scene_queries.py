@@ -183,7 +183,7 @@ def _nearly_level(part: PartInScene) -> bool:
     angles = np.arange(0, 2 * np.pi, ANGLE_STEP) if part.slot.free_axis is not None else 0.0
     goals = range(len(part.slot.goals))
     return _upright(part) and any(
-        bool(np.any(_largest_roll_or_pitch(part.motion(i, angles)) <= PAPER_TILT)) for i in goals
+        bool(np.any(largest_roll_or_pitch(part.motion(i, angles)) <= PAPER_TILT)) for i in goals
     )
 
 
@@ -240,7 +240,7 @@ def _drawn_part(seed: int, scene_id: str, track: str, indices: list[int], target
     return min(indices, key=lambda i: stream(seed, "query", scene_id, i, track, "drawn").random(), default=None)
 
 
-def _largest_roll_or_pitch(goal_from_now: Pose) -> np.ndarray:
+def largest_roll_or_pitch(goal_from_now: Pose) -> np.ndarray:
     """The larger of |roll| and |pitch| (...,) [rad]; the rotation is roll about x, then pitch about y, yaw about z."""
     x, y, z = np.moveaxis(goal_from_now.rotation_matrix()[..., 2, :], -1, 0)
     return np.maximum(np.abs(np.arctan2(y, z)), np.abs(np.arctan2(-x, np.hypot(y, z))))

@@ -1,29 +1,27 @@
-"""The plates in a depth image: large planes of the kits that face up, and which plate a point belongs to."""
+"""The plates that the page knows: the planes of the kits that perception finds, with their outlines, and the table."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.spatial import ConvexHull
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import ConvexHull, KDTree
 
 from kit1000.mesh import Mesh
-from kit1000.numerics.linear_algebra import eigenvectors, length, matmul
+from kit1000.numerics.linear_algebra import eigenvectors, matmul
+from kit1000.perception.observed.pixels import Noise, oriented_points
+from kit1000.perception.observed.plates import Plane, find_planes, without_nested
 from kit1000.pose import unit_vector
+from kit1000.rng import stream
+from kit1000.values import View
 
-SAMPLE = 4000  # points that are enough
-SEEDS = 96  # places at which a plane is tried
-PATCH = 8e-3  # [m] about a seed, from which its plane is fitted first
-WIDEST = 0.07  # [m] from a seed: a plate is no larger
-EXACT, NOISY = 0.8e-3, 2e-3  # [m] of the points of a plane from it, by whether the sensor has noise
-STEEPEST = float(np.cos(np.radians(52)))  # no plate is tilted by more than 45 degrees
 SMALLEST = 1500e-6  # [m^2] observed, of a plate
 DEEPEST = 25e-3  # [m] no cavity is deeper
 ABOVE = 4e-3  # [m] above a plate, where points still belong to it
 MARGIN = 12e-3  # [m] around a plate's observed points
-PARALLEL = float(np.cos(np.radians(5)))  # of the floor of a cavity to its plate
-ROUNDS = 4  # of refitting
-MOST = 8  # plates
+SAMPLE = 6000  # points that are enough
+JOINED = 4.0  # mean spacings of points, up to which they belong to one plate
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,49 +67,45 @@ class Plate:
 TABLE = Plate(np.array([0.0, 0.0, 1.0]), np.zeros(3), 1.0)
 
 
-def find_plates(kits: Mesh, area: float, noisy: bool) -> list[Plate]:
+def find_plates(view: View, mask: np.ndarray, noise: Noise) -> list[Plate]:
     """The plates of the kits, the largest first.
 
     Args:
-        kits: as seen; its vertices are spread evenly over the image.
-        area: [m^2] that a vertex stands for.
-        noisy: whether the sensor has noise.
+        view: the depth image.
+        mask: (H, W) bool, the pixels of the kits.
+        noise: of the image.
     """
-    reach = NOISY if noisy else EXACT
-    step = max(1, len(kits.vertices) // SAMPLE)
-    points, area, found = kits.vertices[::step], area * step, []
-    while len(points) * area > SMALLEST and len(found) < MOST:
-        best = _largest_plane(points, reach)
-        if best is None or int(best.sum()) * area < SMALLEST:
-            break
-        found.append(_plate(points[best]))
-        points = points[~(np.abs(found[-1].height(points)) < 2 * reach) | ~found[-1].holds(points)]
-    return [plate for plate in found if not any(_is_floor(plate, other) for other in found)]
+    points, normals, area = oriented_points(view, mask, noise.window)
+    step = 1 + len(points) // SAMPLE
+    points, normals, area = points[::step], normals[::step], area * step
+    planes = find_planes(points, normals, area, noise, stream(0, "plates of the page"))
+    planes = without_nested(planes, points, normals, noise)
+    bodies = [body for plane in planes for body in _bodies(_on_plane(plane, points, normals, noise), area)]
+    return [_plate(body) for body in sorted(bodies, key=len, reverse=True)]
+
+
+def _on_plane(plane: Plane, points: np.ndarray, normals: np.ndarray, noise: Noise) -> np.ndarray:
+    """(k, 3) [m] those of points (n, 3) with normals (n, 3) that lie on a plane and face its way."""
+    near = np.abs(matmul(points - plane.point, plane.normal)) < 2 * noise.distance
+    return points[near & (matmul(normals, plane.normal) > np.cos(2 * noise.angle))]
+
+
+def _bodies(points: np.ndarray, area: float) -> list[np.ndarray]:
+    """The points (n, 3) [m] of a plane in groups that are apart, as plates in one plane are; small groups are left out.
+
+    area: [m^2] that a point represents.
+    """
+    if not len(points):
+        return []
+    pairs = KDTree(points).sparse_distance_matrix(KDTree(points), JOINED * float(np.sqrt(area)))
+    _, labels = connected_components(pairs, directed=False)
+    return [points[labels == label] for label in np.flatnonzero(np.bincount(labels) * area > SMALLEST)]
 
 
 def plate_at(plates: list[Plate], point: np.ndarray) -> Plate | None:
     """The plate that a point (3,) [m] is on, of several the nearest; None where it is on none."""
     holding = [plate for plate in plates if bool(plate.holds(point))]
     return min(holding, key=lambda plate: abs(float(plate.height(point))), default=None)
-
-
-def _largest_plane(points: np.ndarray, reach: float) -> np.ndarray | None:
-    """(n,) bool: the points of the plane with most of them; None where no patch faces up."""
-    best: np.ndarray | None = None
-    for seed in points[:: max(1, len(points) // SEEDS)]:
-        inside = np.square(points - seed).sum(-1) < PATCH**2
-        near = np.square(points - seed).sum(-1) < WIDEST**2
-        for _ in range(ROUNDS):
-            if inside.sum() < 8:
-                break
-            normal, middle = _fitted(points[inside])
-            if normal[2] < STEEPEST:
-                break
-            inside = near & (np.abs(matmul(points - middle, normal)) < reach)
-        else:
-            if best is None or inside.sum() > best.sum():
-                best = inside
-    return best
 
 
 def _fitted(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -128,11 +122,3 @@ def _plate(points: np.ndarray) -> Plate:
     flat = points - matmul(points - middle, normal)[:, None] * normal
     outline = ConvexHull(flat[:, :2]).vertices  # as seen from above: no plate is steep
     return Plate(normal, middle, float(np.sqrt(np.square(points - middle).sum(-1).max())), flat[outline])
-
-
-def _is_floor(plate: Plate, other: Plate) -> bool:
-    """Whether a plane is the floor of a cavity in another."""
-    below = -float(other.height(plate.point))
-    across = length(plate.point - other.point + below * other.normal)
-    parallel = float(matmul(plate.normal, other.normal)) > PARALLEL
-    return parallel and 1.5e-3 < below < DEEPEST and plate.radius < other.radius and across < other.radius

@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from typing import Any
 
 import numpy as np
 
@@ -36,7 +35,9 @@ def convex_pieces(mesh: Mesh) -> list[np.ndarray]:
 
     The union of the pieces is the mesh, but for a few tenths of a millimetre and parts of its concavities.
     """
-    coacd = _coacd()
+    import coacd
+
+    coacd.set_log_level("error")
     simplified = mesh_from_solid(solid_from_mesh(mesh).simplify(SIMPLIFY_TOLERANCE))
     pieces = coacd.run_coacd(coacd.Mesh(simplified.vertices / MILLIMETRE, np.array(simplified.faces)), **COACD_OPTIONS)
     if not pieces:
@@ -67,12 +68,3 @@ def unpack_pieces(data: bytes) -> list[np.ndarray] | None:
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
     return np.split(corners, np.cumsum(counts)[:-1])
-
-
-def _coacd() -> Any:
-    try:
-        import coacd
-    except ImportError:
-        raise InputError("pieces: needs coacd: pip install 'kit1000[sim]'") from None
-    coacd.set_log_level("error")
-    return coacd

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 from scipy.spatial import ConvexHull, QhullError
 
-from kit1000.editor.plates import Plate
+from kit1000.editor.seen_plates import Plate
 from kit1000.kits.contact import convex_edges
 from kit1000.kits.seating import InsertedPart, contact_offset
 from kit1000.mesh import Mesh

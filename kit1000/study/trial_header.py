@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kit1000.editor.records import Header
-from kit1000.study.plan import Session, StudyPlan
-from kit1000.study.records import Operator
+from kit1000.study.study_plan import Session, StudyPlan
+from kit1000.study.study_records import Operator
 
 
 @dataclass(frozen=True)

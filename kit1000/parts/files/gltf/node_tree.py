@@ -16,7 +16,7 @@ from kit1000.errors import MeshRefused
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.parts.files.gltf.accessors import count_of, floats, integers
 from kit1000.parts.files.gltf.document import Document, read_document
-from kit1000.parts.files.gltf.extensions import DRACO, INSTANCES, VISIBILITY, check_required
+from kit1000.parts.files.gltf.required_extensions import DRACO, INSTANCES, VISIBILITY, check_required
 from kit1000.parts.files.soup import TriangleSoup, check_indices, joined
 
 TRIANGLES, STRIP, FAN = 4, 5, 6  # modes of primitives with triangles

@@ -15,12 +15,12 @@ from kit1000.pictures.charts import STYLE as CHART_STYLE
 from kit1000.study.analysis import PLOTTED, analyse
 from kit1000.study.conditions import CONDITIONS
 from kit1000.study.execution import NOMINAL_S, ROBOT
-from kit1000.study.plan import MAIN_OUTCOME, read_plan
+from kit1000.study.finished_trials import chosen_operator, read_participants
 from kit1000.study.plots import Column, Difference, difference_plot, outcome_plot, people_plot
-from kit1000.study.reading import chosen_operator, read_participants
-from kit1000.study.records import SIMULATED
+from kit1000.study.report_texts import METHOD, MODELS, SIMULATED_MEANS, STYLE
 from kit1000.study.statistics import ALPHA, RESAMPLES
-from kit1000.study.texts import METHOD, MODELS, SIMULATED_MEANS, STYLE
+from kit1000.study.study_plan import MAIN_OUTCOME, read_plan
+from kit1000.study.study_records import SIMULATED
 
 JSON_FILE, PAGE_FILE = "report.json", "report.html"
 

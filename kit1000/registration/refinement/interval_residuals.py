@@ -172,11 +172,11 @@ def _distances(points, twists, filled, sure, possible, f0, f1, f2, lowest, clear
             u, v, w = cell_at(x, y, z - lowest, filled.shape)
             wall = distance_at(filled, u, v, w) - clearance
             from_filled[t, p] = nearer(wall, f0[p] - z)
-            walls = _outside(distance_at(possible, u, v, w) - clearance, distance_at(sure, u, v, w) - clearance)
-            outside[t, p] = nearer(walls, _outside(f2[p] - z, f1[p] - z))
+            walls = distance_outside(distance_at(possible, u, v, w) - clearance, distance_at(sure, u, v, w) - clearance)
+            outside[t, p] = nearer(walls, distance_outside(f2[p] - z, f1[p] - z))
 
 
 @compiled
-def _outside(low, high):
+def distance_outside(low, high):
     """Signed distance of 0 from the interval of two numbers: positive below it, negative above it."""
     return max(min(low, high), 0.0) + min(max(low, high), 0.0)

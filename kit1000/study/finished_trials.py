@@ -8,8 +8,8 @@ from pathlib import Path
 
 from kit1000.errors import InputError
 from kit1000.study.execution import JUDGES
-from kit1000.study.plan import Session, StudyPlan
-from kit1000.study.records import (
+from kit1000.study.study_plan import Session, StudyPlan
+from kit1000.study.study_records import (
     CLOSING_FILE,
     HUMAN,
     PARTICIPANT_FILE,

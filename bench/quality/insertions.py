@@ -1,12 +1,15 @@
-"""The insertion study: does rigid-body physics agree with the seating test?
+"""Does rigid-body physics agree with the seating test? A compliant hand inserts parts of a dataset and releases them.
 
-A compliant hand inserts parts of a dataset into their slots and releases them (`kit1000.sim.insertion`), in true and in
-wrong poses; the outcomes are compared with the results of the seating test. Physics decides no score: the study shows
-where and why the two differ. One seed and one set of convex pieces give the same bytes.
+    python bench/quality/insertions.py data/kit1000 --sample 16 --true-only 32
+
+`kit1000.sim.insertion` inserts parts in true and in wrong poses; the outcomes are compared with the seating test.
+Physics decides no score: the study shows where and why the two differ. One seed and one set of convex pieces give the
+same results.
 """
 
 from __future__ import annotations
 
+import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -16,19 +19,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import tyro
 from tqdm import tqdm
 
+from bench.quality.convex_decomposition import cache_key, convex_pieces, pack_pieces, unpack_pieces
+from benchmark.measurements import Column, Measurement, rate
 from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.reader import Dataset
 from kit1000.dataset.tables import pose_of
-from kit1000.errors import InputError
-from kit1000.files import locked, write_bytes, write_json
+from kit1000.errors import InputError, Kit1000Error
+from kit1000.files import locked, write_bytes
 from kit1000.kits.acceptance import rotated_about_centroid
 from kit1000.kits.contact import ConvexEdges, convex_edges
 from kit1000.kits.seating import InsertedPart, SeatingResult, contact_offset, seating_result
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.rng import stream
-from kit1000.sim.convex_decomposition import cache_key, convex_pieces, pack_pieces, unpack_pieces
 from kit1000.sim.insertion import (
     OUTCOMES,
     InsertionOutcome,
@@ -44,10 +50,61 @@ SHIFTS_MM = (1, 2, 4, 8)
 ROTATIONS_DEG = (2, 5, 10, 20)
 TILTS_DEG = (0, 5, 15, 30, 45)  # bin edges of the tilt of a slot in the world
 DEPTHS_MM = (0, 8, 12, 16, 20)  # bin edges of the depth of a cavity
-REPORT_FILE = "insertions.json"
-PIECES_FOLDER = "pieces"
+PIECES = Path("runs/pieces")
+AGREEMENT_COLUMNS = (
+    Column("error", "prediction"),
+    Column("n", "n"),
+    Column("both", "both seat", 0),
+    Column("test_alone", "test alone", 0),
+    Column("physics_alone", "physics alone", 0),
+    Column("neither", "neither", 0),
+    Column("agree", "agree, %", 1, True),
+)
+DISAGREEMENT_COLUMNS = (
+    Column("family", "part"),
+    Column("error", "prediction"),
+    Column("tilt_deg", "tilt of the slot, °", 0),
+    Column("depth_mm", "depth, mm", 1),
+    Column("rise_mm", "contact above the prediction, mm", 2),
+    Column("release_mm", "released at, mm", 2),
+    Column("release_deg", "°", 1),
+    Column("outcome", "physics"),
+    Column("aside_mm", "rests aside, mm", 2),
+    Column("angle_deg", "°", 1),
+)
 
 Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Insertions:
+    """Insert parts into their slots with a simulated compliant hand, and compare physics with the seating test."""
+
+    data: tyro.conf.Positional[Path]
+    """Dataset folder."""
+    sample: int = 16
+    """Number of slots with a true pose and eight wrong ones."""
+    true_only: int = 32
+    """Number of further slots with a true pose only."""
+    seed: int = 0
+    """Seed of the sample and of the pose errors."""
+    split: str | None = None
+    """One split; the slots of all splits when absent."""
+    pieces: Path = PIECES
+    """Folder of the convex pieces of parts, which later runs use again."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/insertions.json."""
+
+
+def main(options: Insertions) -> None:
+    """Run the study and print its tables."""
+    dataset = Dataset(options.data)
+    start = time.process_time()
+    rows = study(dataset.geometry, options.pieces, options.sample, options.true_only, options.seed, options.split)
+    print(f"{time.process_time() - start:.0f} CPU s, missing convex pieces included")
+    measurement = Measurement.begin(dataset)
+    add_tables(measurement, rows)
+    measurement.report(options.out)
 
 
 @dataclass(frozen=True)
@@ -71,8 +128,7 @@ class TrialError:
     """[mm] or [degrees]"""
 
     def __str__(self) -> str:
-        unit = {"true": "", "shift": f" {self.amount:g} mm", "turn": f" {self.amount:g} degrees"}
-        return f"{self.kind}{unit[self.kind]}"
+        return {"true": "true", "shift": f"offset {self.amount:g} mm", "turn": f"rotation {self.amount:g}°"}[self.kind]
 
 
 TRIAL_ERRORS = (
@@ -106,31 +162,36 @@ class TrialSlot:
         }
 
 
-def study(root: str | Path, out: str | Path, sample: int = 16, true_only: int = 32, seed: int = 0) -> dict[str, Any]:
-    """Run trials in slots of a dataset: `sample` slots with a true and eight wrong poses, `true_only` with a true one.
+def study(
+    geometry: Geometry,
+    pieces: Path,
+    sample: int = 16,
+    true_only: int = 32,
+    seed: int = 0,
+    split: str | None = None,
+) -> list[Row]:
+    """The rows of all trials: `sample` slots with a true and eight wrong poses, `true_only` with a true one.
 
-    Slots are spread over tilt. Writes the report, `insertions.json`, and the convex pieces of the parts to a folder
-    `out`; pieces that are already there are reused. Progress goes to stderr. Returns the report.
+    Slots are spread over tilt. The convex pieces of parts are written to the folder `pieces`; those that are already
+    there are reused. Progress goes to stderr.
     """
     if sample < 1 or true_only < 0:
         raise InputError(
             f"sample: expected 1 or more slots, and 0 or more true-only ones, got {sample} and {true_only}"
         )
-    geometry, folder = Geometry(root), Path(out)
-    slots = draw_slots(geometry, sample + true_only, seed)
-    with locked(folder):
-        rows: list[Row] = []
+    slots = draw_slots(geometry, sample + true_only, seed, split)
+    rows: list[Row] = []
+    with locked(pieces):
         for number, slot in enumerate(tqdm(slots, desc="slots", unit="", disable=None)):
             errors = TRIAL_ERRORS if number < sample else TRIAL_ERRORS[:1]
-            rows += run_slot(geometry, slot, folder / PIECES_FOLDER, seed, errors)
-        report = {"dataset_id": geometry.summary["dataset_id"], "seed": seed, "slots": len(slots)} | summarise(rows)
-        write_json(folder / REPORT_FILE, report)
-    return report
+            rows += run_slot(geometry, slot, pieces, seed, errors)
+    return rows
 
 
-def draw_slots(geometry: Geometry, sample: int, seed: int) -> list[SlotReference]:
-    """`sample` slots of a dataset, or all when it has fewer, in turn from the bins of TILTS_DEG."""
-    slots = [slot for item_id, row in sorted(geometry.assemblies.items()) for slot in _assembly_slots(item_id, row)]
+def draw_slots(geometry: Geometry, sample: int, seed: int, split: str | None = None) -> list[SlotReference]:
+    """`sample` slots of a dataset or split, or all when it has fewer, in turn from the bins of TILTS_DEG."""
+    assemblies = {i: row for i, row in sorted(geometry.assemblies.items()) if split is None or row["split"] == split}
+    slots = [slot for item_id, row in assemblies.items() for slot in _assembly_slots(item_id, row)]
     order = stream(seed, "insertions", "places").permutation(len(slots))
     bins: list[list[SlotReference]] = [[] for _ in TILTS_DEG[1:]]
     for i in order:
@@ -152,7 +213,7 @@ def _bin_index(value: float, edges: Sequence[float]) -> int:
 def run_slot(
     geometry: Geometry, reference: SlotReference, pieces: Path, seed: int, errors: Sequence[TrialError] = TRIAL_ERRORS
 ) -> list[Row]:
-    """The rows of one slot: a prediction for each error, from a random goal in a random direction.
+    """Rows of one slot: a prediction for each error, from a random goal in a random direction.
 
     pieces: folder of the convex pieces.
     """
@@ -215,73 +276,82 @@ def cached_pieces(mesh: Mesh, folder: Path) -> list[np.ndarray]:
     return pieces
 
 
-def summarise(rows: Sequence[Row]) -> Row:
-    """The report of a study's rows: counts by error, outcomes of true poses by tilt and depth, and disagreements."""
+def add_tables(measurement: Measurement, rows: Sequence[Row]) -> None:
+    """Add agreement and outcomes by error, outcomes of true poses by tilt and depth, and the disagreements."""
     by_error = {str(error): [row for row in rows if row["error"] == asdict(error)] for error in TRIAL_ERRORS}
-    true = [row for row in rows if row["error"]["kind"] == "true"]
-    return {
-        "agreement": {name: _agreement_counts(trials) for name, trials in by_error.items()},
-        "outcomes": {name: _outcome_counts(trials) for name, trials in by_error.items()},
-        "true_by_tilt_deg": _outcomes_by_bin(true, "tilt_deg", TILTS_DEG),
-        "true_by_depth_mm": _outcomes_by_bin(true, "depth_mm", DEPTHS_MM),
-        "disagreements": [row for row in rows if row["seating"]["seated"] != _seated_in_physics(row)],
-        "trials": list(rows),
-    }
+    agreement = measurement.table("agreement", "Trials that test and physics seat", *AGREEMENT_COLUMNS)
+    for error, trials in [*by_error.items(), ("all", rows)]:
+        if trials:
+            agreement.add(error=error, **agreement_counts(trials))
+    true = by_error[str(TRIAL_ERRORS[0])]
+    tilts, depths = _by_bin(true, "tilt_deg", TILTS_DEG), _by_bin(true, "depth_mm", DEPTHS_MM)
+    for name, title, heading, groups in (
+        ("outcomes", "Outcomes of physics", "prediction", by_error),
+        ("tilts", "Outcomes of true poses by the tilt of the slot", "tilt, °", tilts),
+        ("depths", "Outcomes of true poses by the depth of the cavity", "depth, mm", depths),
+    ):
+        columns = [Column("group", heading), Column("n", "n"), *(Column(outcome, outcome, 0) for outcome in OUTCOMES)]
+        table = measurement.table(name, title, *columns, Column("rate", "seated, %", 1, True))
+        for group, trials in groups.items():
+            if trials:
+                table.add(group=group, **outcome_counts(trials))
+    disagreements = measurement.table("disagreements", "Trials in which they differ", *DISAGREEMENT_COLUMNS)
+    for row in rows:
+        if row["seating"]["seated"] != _seated_in_physics(row):
+            disagreements.add(**_disagreement(row))
 
 
 def _seated_in_physics(row: Row) -> bool:
     return row["physics"]["outcome"] == "seated"
 
 
-def _agreement_counts(rows: Sequence[Row]) -> dict[str, int]:
+def agreement_counts(rows: Sequence[Row]) -> Row:
+    """Number of trials that both seat, one alone, neither; and the share in which they agree."""
     counts = Counter((row["seating"]["seated"], _seated_in_physics(row)) for row in rows)
     return {
-        "trials": len(rows),
+        "n": len(rows),
         "both": counts[True, True],
         "test_alone": counts[True, False],
         "physics_alone": counts[False, True],
         "neither": counts[False, False],
+        "agree": rate([row["seating"]["seated"] == _seated_in_physics(row) for row in rows]),
     }
 
 
-def _outcome_counts(rows: Sequence[Row]) -> dict[str, int]:
+def outcome_counts(rows: Sequence[Row]) -> Row:
+    """Number of trials by the outcome of physics, and the share that it seats."""
     counts = Counter(row["physics"]["outcome"] for row in rows)
-    return {"trials": len(rows)} | {outcome: counts[outcome] for outcome in OUTCOMES}
+    seated = rate([_seated_in_physics(row) for row in rows])
+    return {"n": len(rows), "rate": seated} | {outcome: counts[outcome] for outcome in OUTCOMES}
 
 
-def _outcomes_by_bin(rows: Sequence[Row], key: str, edges: Sequence[float]) -> dict[str, dict[str, int]]:
+def _by_bin(rows: Sequence[Row], key: str, edges: Sequence[float]) -> dict[str, list[Row]]:
     index = partial(_bin_index, edges=edges)
     return {
-        f"{low:g}-{high:g}": _outcome_counts([row for row in rows if index(row[key]) == k])
+        f"{low:g} to {high:g}": [row for row in rows if index(row[key]) == k]
         for k, (low, high) in enumerate(pairwise(edges))
     }
 
 
-def format_report(report: Row) -> str:
-    """A report as text: four tables, and one line for each disagreement."""
-    lines = _table("prediction", report["agreement"])
-    lines += ["", "outcomes of true poses", *_table("tilt, degrees", report["true_by_tilt_deg"])]
-    lines += ["", *_table("depth, mm", report["true_by_depth_mm"])]
-    lines += ["", "outcomes of all trials", *_table("prediction", report["outcomes"])]
-    lines += ["", f"{len(report['disagreements'])} disagreements", *map(_trial_line, report["disagreements"])]
-    return "\n".join(lines)
-
-
-def _table(title: str, counts: dict[str, dict[str, int]]) -> list[str]:
-    columns = [column.replace("_", " ") for column in next(iter(counts.values()))]
-    rows = [[name, *map(str, row.values())] for name, row in counts.items()]
-    return [f"{name:16s}" + "".join(f"{cell:>15s}" for cell in cells) for name, *cells in [[title, *columns], *rows]]
-
-
-def _trial_line(row: Row) -> str:
+def _disagreement(row: Row) -> Row:
+    """The cells of a trial in which test and physics differ."""
     test, release, physics = row["seating"], row["released"], row["physics"]
-    rise = "free" if test["rise_mm"] is None else f"rise {test['rise_mm']:.2f} mm height {test['height_mm']:.2f} mm"
-    return (
-        f"{row['assembly']} mount {row['mount']} {row['family']} tilt {row['tilt_deg']:.0f},"
-        f" depth {row['depth_mm']:.1f} mm, {TrialError(**row['error'])}: "
-        f"test {'seated' if test['seated'] else 'not seated'} ({rise});"
-        f" {'blocked' if release['held_up'] else 'released'} at height {release['height_mm']:.2f} mm,"
-        f" angle {release['angle_deg']:.1f}; physics {physics['outcome']} (height {physics['height_mm']:.2f} mm,"
-        f" offset {physics['aside_mm']:.2f} mm, angle {physics['angle_deg']:.1f}"
-        f"{'' if physics['still'] else ', moving'})"
-    )
+    return {
+        "family": row["family"].replace("_", " "),
+        "error": str(TrialError(**row["error"])),
+        "tilt_deg": row["tilt_deg"],
+        "depth_mm": row["depth_mm"],
+        "rise_mm": test["rise_mm"],
+        "release_mm": release["height_mm"],
+        "release_deg": release["angle_deg"],
+        "outcome": physics["outcome"],
+        "aside_mm": physics["aside_mm"],
+        "angle_deg": physics["angle_deg"],
+    }
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(Insertions))
+    except Kit1000Error as error:
+        raise SystemExit(f"insertions: {error}") from error

@@ -1,0 +1,80 @@
+"""Tests of early refusals: what they tell of a face, the exact trials of its kit tell too."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from manifold3d import Manifold
+
+from kit1000.errors import Redraw
+from kit1000.kits.acceptance import check_pair
+from kit1000.kits.choice import attempts
+from kit1000.kits.early_refusal import _points, sure_refusal
+from kit1000.kits.kit import design_kit, insertion_faces
+from kit1000.parts.family import FILE
+from kit1000.values import Part
+from tests.samples.shapes import as_part, box, ell, random_solid, ring_plate, upturned_tee
+
+CLEARANCE = 2.5e-3
+SOLIDS = {
+    "ell": ell(),
+    "ring": ring_plate(12),
+    "tee": upturned_tee(),
+    "bar": box(60, 8, 7),
+    "cube": box(10, 10, 10),
+    "plate": box(50, 40, 1.5),
+    **{f"random {seed}": random_solid(seed) for seed in range(6)},
+}
+
+
+def of_file(solid: Manifold) -> Part:
+    return replace(as_part(solid), family=FILE)
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+@pytest.mark.parametrize("clearance", [CLEARANCE, 0.5e-3])
+def test_a_face_refused_early_is_refused_by_the_exact_trials_for_the_same_reason(name: str, clearance: float) -> None:
+    part = of_file(SOLIDS[name])
+    for face in insertion_faces(part, clearance, fitted_plate=True):
+        reason = sure_refusal(part, face, clearance)
+        if reason is not None:
+            with pytest.raises(Redraw, match=reason):
+                check_pair(part, design_kit(part, clearance, None, face).kit)
+
+
+def test_most_faces_of_a_small_cube_and_of_a_bar_are_refused_early() -> None:
+    for name in ("cube", "bar"):
+        part = of_file(SOLIDS[name])
+        reasons = [sure_refusal(part, face, CLEARANCE) for face in insertion_faces(part, CLEARANCE, True)]
+        assert "seats when tilted 20 degrees" in reasons
+
+
+def test_a_face_whose_kit_passes_is_not_refused() -> None:
+    part = of_file(ell())
+    assert sure_refusal(part, insertion_faces(part)[0], CLEARANCE) is None
+
+
+def test_a_refused_face_is_designed_only_when_asked_for() -> None:
+    part = of_file(box(10, 10, 10))
+    attempt = next(iter(attempts(part, CLEARANCE, None)))
+    assert (attempt.design, attempt.trial) == (None, None)
+    assert attempt.postponed is not None
+    made = attempt.postponed()
+    assert made.design is not None
+    assert made.refusal == attempt.refusal == "seats when tilted 20 degrees"
+
+
+def test_procedural_parts_are_never_refused_early() -> None:
+    assert all(attempt.postponed is None for attempt in attempts(as_part(box(10, 10, 10)), CLEARANCE, None))
+
+
+def test_every_point_of_a_surface_is_within_a_step_of_a_point_that_stands_for_it() -> None:
+    mesh, rng = as_part(random_solid(3)).mesh, np.random.default_rng(5)
+    step = 1e-3
+    points = _points(mesh, step)
+    shares = rng.dirichlet((1, 1, 1), (len(mesh.faces), 20))
+    surface = np.einsum("fkc,fci->fki", shares, mesh.triangles).reshape(-1, 3)
+    nearest = [np.sqrt(((points - point) ** 2).sum(1).min()) for point in surface]
+    assert max(nearest) <= step

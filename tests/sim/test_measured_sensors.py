@@ -1,0 +1,277 @@
+"""The sensors as measured on real images, compared with their parameters: closed forms on planes and steps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kit1000.camera import Camera
+from kit1000.errors import InputError
+from kit1000.pose import Pose
+from kit1000.rng import stream
+from kit1000.sim.measured_sensors import (
+    BENDING_AT,
+    MEASURED_SENSORS,
+    Conditions,
+    DepthSensor,
+    conditions_of,
+    measured_view,
+    sense_as_measured,
+    with_calibration,
+)
+from kit1000.sim.sensors import DEPTH_GRID
+from kit1000.testing import check_sensor
+from kit1000.values import View
+
+CAMERA = Camera(1280, 720, 925.0, 925.0, 639.5, 359.5)
+SMALL = Camera(320, 240, 925.0, 925.0, 159.5, 119.5)
+TINY = Camera(8, 6, 925.0, 925.0, 3.5, 2.5)
+D415, PHOTONEO = MEASURED_SENSORS["d415"], MEASURED_SENSORS["photoneo"]
+GAIN = CAMERA.fx * D415.baseline  # [px m]
+NOISELESS = DepthSensor(baseline=D415.baseline)
+CALM = Conditions(noise_px=0.0, fixed_share=0.0, bending_px=0.0, unit=0.0, stream="raw")
+
+
+def wall(camera: Camera, distance: float) -> View:
+    return View(camera, Pose.identity(), np.full((camera.height, camera.width), distance, np.float32))
+
+
+def step_of(jump_px: float, camera: Camera = SMALL, far: float = 0.8, where: int = 180) -> View:
+    """A far wall, and from column `where` to 40 px more one that is nearer by a jump of disparity [px]."""
+    depth = np.full((camera.height, camera.width), far)
+    depth[:, where : where + 40] = GAIN / (GAIN / far + jump_px)
+    return View(camera, Pose.identity(), depth.astype(np.float32))
+
+
+def disparities(view: View, baseline: float = D415.baseline) -> np.ndarray:
+    """(H, W) [px], NaN without a return."""
+    depth = view.depth.astype(float)
+    return np.where(depth > 0, view.camera.fx * baseline / np.where(depth > 0, depth, 1), np.nan)
+
+
+def residual_px(view: View, sensor: DepthSensor, conditions: Conditions, seed: int) -> np.ndarray:
+    """Measured minus true disparity, away from the invalid band and the border."""
+    measured = measured_view(with_calibration(sensor), view, conditions, stream(seed))
+    away = disparities(measured, sensor.baseline) - disparities(view, sensor.baseline)
+    return away[30:-30, 150:-30]
+
+
+@pytest.mark.parametrize("name", MEASURED_SENSORS)
+def test_a_measured_sensor_conforms(name: str) -> None:
+    """Without bending, which shifts planes as a shift of the image would."""
+    sensor = replace(MEASURED_SENSORS[name], bending_px=(0.0, 0.0))
+    check_sensor(lambda view, rng: measured_view(sensor, view, conditions_of(sensor, rng), rng), name)
+
+
+@pytest.mark.parametrize("name", MEASURED_SENSORS)
+def test_the_number_of_draws_depends_on_the_image_size_alone(name: str) -> None:
+    after = []
+    for view in (step_of(4.0), wall(SMALL, 0.7), View(SMALL, Pose.identity(), np.zeros((240, 320), np.float32))):
+        rng = stream(8)
+        sense_as_measured(name, view, rng)
+        after.append(rng.random())
+    assert len(set(after)) == 1
+
+
+def test_the_message_about_an_unknown_sensor_lists_the_known_ones() -> None:
+    with pytest.raises(InputError, match=r"no 'd435', expected one of d415, photoneo"):
+        sense_as_measured("d435", wall(TINY, 1.0), stream(0))
+
+
+def test_no_frame_is_no_image() -> None:
+    with pytest.raises(InputError, match="frames: expected 1 or more, got 0"):
+        sense_as_measured("d415", wall(TINY, 1.0), stream(0), frames=0)
+
+
+@pytest.mark.parametrize("jump", [0.0, 1.5, 4.0, 12.0])
+def test_without_errors_what_is_seen_is_ideal(jump: float) -> None:
+    view = step_of(jump)
+    depth = measured_view(NOISELESS, view, CALM, stream(0)).depth
+    seen = depth > 0
+    assert np.abs(depth.astype(float) - view.depth)[seen].max() <= DEPTH_GRID / 2 + 1e-6
+    assert seen[:, 70:].mean() == pytest.approx(1 - jump / 250, abs=0.01)  # all but the shadow
+
+
+@pytest.mark.parametrize("name", MEASURED_SENSORS)
+def test_the_measurement_depends_on_the_generator_alone(name: str) -> None:
+    first, again, other = (sense_as_measured(name, step_of(3.0), stream(seed)) for seed in (5, 5, 6))
+    np.testing.assert_array_equal(first.depth, again.depth)
+    assert not np.array_equal(first.depth, other.depth)
+
+
+@pytest.mark.parametrize("name", MEASURED_SENSORS)
+def test_conditions_stay_within_their_ranges(name: str) -> None:
+    sensor = MEASURED_SENSORS[name]
+    drawn = [conditions_of(sensor, stream(seed)) for seed in range(400)]
+    noise = np.array([each.noise_px for each in drawn])
+    low, high = sensor.amplitude_px
+    assert low <= noise.min() < 1.05 * low
+    assert 0.95 * high < noise.max() <= high
+    assert np.log(noise).mean() == pytest.approx(np.log(low * high) / 2, abs=0.05)  # log-uniform
+    for values, (least, most) in (
+        ([each.fixed_share for each in drawn], sensor.fixed_share),
+        ([each.ramp_px for each in drawn], sensor.ramp_px),
+        ([each.hole_share for each in drawn], sensor.hole_share),
+        ([each.bending_px / np.sqrt(each.noise_px / BENDING_AT) for each in drawn], sensor.bending_px),
+    ):
+        assert min(values) >= least - 1e-12
+        assert max(values) <= most + 1e-12
+    assert {each.unit for each in drawn} == set(sensor.units)
+
+
+def test_conditions_of_frames_draw_as_often_as_those_of_one() -> None:
+    one, many = (conditions_of(D415, stream(3), frames) for frames in (1, 30))
+    assert replace(many, frames=1) == one
+
+
+@pytest.mark.parametrize(("sensor", "rms"), [(D415, 0.1), (D415, 0.3), (PHOTONEO, 0.06)])
+def test_noise_on_a_plane_has_its_amplitude_at_every_distance(sensor: DepthSensor, rms: float) -> None:
+    conditions = replace(CALM, noise_px=rms)
+    for distance in (0.5, 0.9):
+        away = np.concatenate([residual_px(wall(CAMERA, distance), sensor, conditions, seed) for seed in range(2)])
+        grid = sensor.baseline * CAMERA.fx / distance**2 * DEPTH_GRID
+        expected = np.sqrt(rms**2 + sensor.subpixel_px**2 / 12 + grid**2 / 12)
+        assert np.sqrt(np.nanmean(away**2)) == pytest.approx(expected, rel=0.06)
+        assert abs(np.nanmean(away)) < 0.06 * rms
+
+
+def test_noise_of_the_d415_is_wider_across_than_down_and_that_of_the_scanner_is_white() -> None:
+    def correlation(sensor: DepthSensor, axis: int, lag: int) -> float:
+        fields = [residual_px(wall(CAMERA, 0.7), sensor, replace(CALM, noise_px=0.2), seed) for seed in range(2)]
+        ahead, behind = (np.s_[lag:], np.s_[:-lag]) if axis == 0 else (np.s_[:, lag:], np.s_[:, :-lag])
+        return float(np.mean([np.nanmean(f[ahead] * f[behind]) / np.nanvar(f) for f in fields]))
+
+    across, down = correlation(D415, 1, 8), correlation(D415, 0, 8)
+    assert 0.6 < across < 0.8  # of the whole image; tiles of 48 px less their own plane have 0.5 at 7 to 8 px
+    assert down < across - 0.05
+    assert correlation(D415, 1, 40) < 0.1
+    assert all(abs(correlation(PHOTONEO, axis, lag)) < 0.02 for axis in (0, 1) for lag in (1, 3))
+
+
+def test_bending_is_smooth_and_has_its_amplitude() -> None:
+    fields = np.stack([residual_px(wall(CAMERA, 0.8), D415, replace(CALM, bending_px=0.2), seed) for seed in range(4)])
+    assert np.sqrt(np.mean(fields**2)) == pytest.approx(0.2, rel=0.25)  # few patches an image
+    assert np.abs(np.diff(fields, axis=2)).mean() < 0.03  # rounding of disparities alone
+
+
+def test_frames_lower_the_changing_part_alone() -> None:
+    conditions = replace(CALM, noise_px=0.2, fixed_share=0.16)
+    assert conditions.left_px == pytest.approx(0.2)
+    assert replace(conditions, frames=10**9).left_px == pytest.approx(0.08)
+    assert replace(conditions, frames=30).left_px == pytest.approx(0.2 * np.sqrt(0.16 + 0.84 / 30))
+    bent = replace(CALM, bending_px=0.1)
+    one, many = (residual_px(wall(CAMERA, 0.7), D415, replace(bent, frames=n), 2) for n in (1, 100))
+    assert np.corrcoef(one.ravel(), many.ravel())[0, 1] > 0.98
+    assert np.std(many) == pytest.approx(np.std(one), rel=0.05)
+
+
+def test_frames_keep_shadows_and_holes() -> None:
+    conditions = replace(CALM, noise_px=0.1, hole_share=0.3, ramp_px=4.0)
+    one, many = (
+        measured_view(D415, step_of(6.0), replace(conditions, frames=frames), stream(4)).depth for frames in (1, 30)
+    )
+    np.testing.assert_array_equal(one == 0, many == 0)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e-4])
+def test_depths_of_one_frame_are_multiples_of_the_unit(unit: float) -> None:
+    conditions = replace(CALM, noise_px=0.2, unit=unit)
+    depth = measured_view(with_calibration(D415), wall(SMALL, 0.7), conditions, stream(1)).depth.astype(float)
+    away = np.abs(depth - unit * np.rint(depth / unit))
+    assert away.max() <= DEPTH_GRID / 2 + 1e-6
+    assert len(np.unique(depth)) > 5
+
+
+def between_px(view: View, conditions: Conditions, seed: int = 0) -> np.ndarray:
+    """(H,) pixels of each row, right of the near wall, between both surfaces."""
+    sensor = replace(D415, fattening_px=0.0, hole_share=(0.0, 0.0))
+    d = disparities(measured_view(with_calibration(sensor), view, conditions, stream(seed)))[40:-40]
+    near, far = np.nanmedian(d[:, 195:205]), np.nanmedian(d[:, 260:280])
+    share = (d[:, 205:240] - far) / (near - far)
+    return ((share > 0.1) & (share < 0.9)).sum(1)
+
+
+def test_small_jumps_become_ramps_and_large_ones_stay_sharp() -> None:
+    conditions = replace(CALM, ramp_px=4.0)
+    ramps = between_px(step_of(1.5), conditions)
+    assert 4 <= ramps.mean() <= 9
+    assert ramps.std() > 0.2  # the width varies along the edge
+    assert between_px(step_of(8.0), conditions).max() == 0
+
+
+def test_between_the_two_a_jump_is_a_ramp_in_places() -> None:
+    widths = np.concatenate([between_px(step_of(5.0), replace(CALM, ramp_px=8.0), seed) for seed in range(4)])
+    assert 0.2 < np.mean(widths > 2) < 0.8
+
+
+@pytest.mark.parametrize(("sensor", "left"), [(D415, True), (PHOTONEO, False)])
+def test_shadows_lie_on_the_side_of_the_sensor(sensor: DepthSensor, left: bool) -> None:
+    sensor = replace(sensor, fattening_px=0.0, ramp_px=(0.0, 0.0), shadow_px=0, convergence=np.inf)
+    depth = np.full((240, 1280), 0.8)
+    depth[:, 400:640] = 0.6
+    camera = replace(SMALL, width=1280, cx=639.5)
+    missing = measured_view(sensor, View(camera, Pose.identity(), depth.astype(np.float32)), CALM, stream(0)).depth == 0
+    jump = camera.fx * sensor.baseline * (1 / 0.6 - 1 / 0.8)
+    beside = (missing[:, 250:400] if left else missing[:, 640:790]).sum(1)
+    other = missing[:, 640:650] if left else missing[:, 390:400]
+    assert beside.mean() == pytest.approx(jump, abs=1.0)
+    assert not other.any()
+
+
+def test_shadows_are_wider_by_shadow_px_and_in_an_aligned_stream_by_the_place_of_the_colour_camera() -> None:
+    bare = replace(D415, fattening_px=0.0, ramp_px=(0.0, 0.0), shadow_px=0)
+
+    def width(sensor: DepthSensor, conditions: Conditions) -> float:
+        depth = measured_view(sensor, step_of(11.0, CAMERA, where=600), conditions, stream(0)).depth
+        return float((depth[100:-100, 500:600] == 0).sum(1).mean())
+
+    narrow = width(bare, CALM)
+    assert narrow == pytest.approx(11, abs=1)
+    assert width(replace(bare, shadow_px=2), CALM) == narrow + 2
+    assert width(bare, replace(CALM, stream="aligned")) == pytest.approx(11 * 70 / 55, abs=1.5)
+
+
+def test_holes_come_on_every_side_in_their_share_and_nowhere_else() -> None:
+    sensor = replace(NOISELESS, hole_jump_px=1.5, hole_px=5)
+    depth = np.full((240, 320), 0.8)
+    depth[60:180, 120:260] = GAIN / (GAIN / 0.8 + 2.0)
+    view = View(SMALL, Pose.identity(), depth.astype(np.float32))
+    shares, far_off = [], 0
+    for seed in range(12):
+        missing = measured_view(sensor, view, replace(CALM, hole_share=0.3), stream(seed)).depth == 0
+        sides = missing[70:170, 257:263].any(1), missing[57:63, 130:250].any(0), missing[177:183, 130:250].any(0)
+        shares.append([side.mean() for side in sides])
+        far_off += int(missing[70:170, 130:250].sum())
+    assert np.mean(shares, axis=0) == pytest.approx(0.33, abs=0.12)
+    assert far_off == 0
+    whole = measured_view(sensor, step_of(1.0), replace(CALM, hole_share=1.0), stream(0)).depth
+    assert (whole[:, 80:] > 0).all()  # no jump over hole_jump_px
+
+
+def test_a_slanted_plane_passes_edges_and_ramps_unchanged() -> None:
+    v, u = np.mgrid[:240, :320]
+    d = (60 + 0.2 * u - 0.1 * v).astype(np.float32)
+    view = View(SMALL, Pose.identity(), (np.float32(GAIN) / d).astype(np.float32))
+    sensor = replace(D415, grazing_deg=(89.0, 90.0), subpixel_px=0.0)
+    measured = measured_view(with_calibration(sensor), view, replace(CALM, ramp_px=9.0, hole_share=0.5), stream(0))
+    away = (disparities(measured) - d)[:, 130:]
+    assert np.isfinite(away).all()
+    assert np.abs(away).max() < 0.02  # the grid of depths
+
+
+def test_depth_scale_and_recorded_pose_have_the_stated_errors() -> None:
+    view = wall(TINY, 1.0)
+    shifts, angles = [], []
+    for seed in range(300):
+        error = sense_as_measured("d415", view, stream(seed)).world_from_camera
+        shifts.append(np.sum(np.square(error.xyz)))
+        angles.append(np.sum(np.square(np.degrees(error.rotvec()))))
+    assert np.sqrt(np.mean(shifts)) == pytest.approx(D415.position_error, rel=0.1)
+    assert np.sqrt(np.mean(angles)) == pytest.approx(D415.rotation_error_deg, rel=0.1)
+    ratios = [
+        np.mean(measured_view(D415, wall(SMALL, 1.0), CALM, stream(seed)).depth[100:140, 100:].astype(float))
+        for seed in range(60)
+    ]
+    assert np.abs(np.array(ratios) - 1).max() < D415.scale_error + DEPTH_GRID
