@@ -234,9 +234,7 @@ class Show:
             raise InputError(f"--count: expected 1 or more, got {self.count}")
         recording = self.out.suffix == ".mcap"
         if self.out.suffix.lower() not in (".png", ".mcap", ""):
-            raise InputError(
-                f"--out {self.out}: pictures are PNG: name a file .png, or .mcap for a recording of a --scene"
-            )
+            raise InputError(f"--out {self.out}: pictures are PNG: name a file .png, or .mcap for a recording")
         if recording and self.scene is None:
             raise InputError(f"--out {self.out}: a recording shows one scene; add --scene ID")
         if not recording and (self.truth or self.predictions is not None):
