@@ -45,7 +45,7 @@ class Predict:
     """Run a method on the queries of a dataset; the same command again resumes an interrupted run."""
 
     name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]
-    """Method of the list, or module:Object of your own."""
+    """Method of the list, or module:Object or FILE.py:Object of your own."""
     data: Path
     """Dataset folder."""
     out: Path
@@ -62,6 +62,8 @@ class Predict:
     """Seed of all draws of the method."""
     masks: Literal["given", "predicted"] = "given"
     """Masks that the method reads: those of the dataset, or those that segmentation finds in the depth image."""
+    weights: tuple[Path, ...] = ()
+    """Folders of training runs whose best weights replace the published ones."""
 
     def run(self) -> int:
         """Predict, then print what was written."""
@@ -71,7 +73,9 @@ class Predict:
         for name, value, least in (("workers", self.workers, 1), ("limit", self.limit, 1), ("seed", self.seed, 0)):
             _check_least(name, value, least)
         tracks = self.tracks or None
-        config = RunConfig.of(self.name, self.masks, self.split, tracks, self.seed, self.limit, METHOD_TABLES)
+        config = RunConfig.of(
+            self.name, self.masks, self.split, tracks, self.seed, self.limit, METHOD_TABLES, self.weights
+        )
         print(predict_and_describe(config, self.data, self.out, self.workers))
         return 0
 
@@ -146,7 +150,9 @@ class Train:
 
 @dataclass(frozen=True)
 class Ship:
-    """Copy the best weights of a run to where the methods look for them."""
+    """For maintainers: replace the published weights of a network by the best ones of a run.
+
+    `predict --weights RUN` uses weights of your own and replaces nothing."""
 
     run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
     """Folder that `train` wrote."""

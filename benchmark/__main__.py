@@ -64,17 +64,21 @@ class Score:
         from benchmark.report import json_text, score_text
         from benchmark.score import invalid_text, read_checked, score
         from kit1000.dataset.reader import Dataset
-        from kit1000.files import write_bytes
+        from kit1000.files import write_bytes, write_own
 
         workers, cache = _workers(self.workers), _cache(self.cache, self.no_cache)
         submission = read_checked(self.submission, self.data, self.split)
         if warning := invalid_text(submission):
             print(f"{PROGRAM}: {warning}", file=sys.stderr)
         scores = score(submission, Dataset(self.data), None, self.split, self.exact, workers, cache)
-        write_bytes(self.out or self.submission / "scores.json", json_text(scores.summary).encode())
+        print(score_text(scores.summary, self.breakdown))  # before a file that cannot be written
+        text = json_text(scores.summary).encode()
+        if self.out is None:
+            write_bytes(self.submission / "scores.json", text)
+        else:
+            write_own(self.out, text)
         if self.per_query is not None:
             write_per_query(self.per_query, scores.rows)
-        print(score_text(scores.summary, self.breakdown))
         return 0
 
 

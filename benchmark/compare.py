@@ -25,7 +25,7 @@ from benchmark.report import json_text, table
 from benchmark.score import Scores, score
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
-from kit1000.files import write_bytes
+from kit1000.files import write_own
 from kit1000.queries.tracks import CURVES
 from kit1000.submission import read_valid_submission
 
@@ -109,7 +109,7 @@ def run(
     first, second = (score(each, dataset, protocol, workers=workers, cache=cache) for each in submissions)
     comparison = compare(first, second, tracks, protocol.draws, protocol.seed)
     if out is not None:
-        write_bytes(out, json_text(asdict(comparison)).encode())
+        write_own(out, json_text(asdict(comparison)).encode())
     print(comparison_text(comparison))
 
 

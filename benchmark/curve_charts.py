@@ -12,7 +12,7 @@ from typing import Any
 
 from benchmark.curves import CURVES, Curve, Table
 from kit1000.errors import InputError
-from kit1000.files import read_json, write_bytes
+from kit1000.files import read_json, write_own
 from kit1000.pictures.charts import HUES, Axis, Line, line_chart, rounded_up, standalone
 
 LINE_HUES = (0, 3, 1)  # of the fixed errors: the largest is red and dotted, as in the paper
@@ -32,8 +32,8 @@ def write_curves(submissions: Sequence[Path], out: Path) -> tuple[Path, Path]:
     if len(curves) < len(submissions):
         raise InputError(f"curves: expected methods of different names, got {', '.join(map(str, submissions))}")
     picture, numbers = out / "curves.svg", out / "curves.csv"
-    write_bytes(picture, figure(curves).encode())
-    write_bytes(numbers, curve_csv(curves).encode())
+    write_own(picture, figure(curves).encode())
+    write_own(numbers, curve_csv(curves).encode())
     return picture, numbers
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from benchmark import quantities
 from kit1000.errors import InternalError
-from kit1000.files import write_bytes
+from kit1000.files import write_own
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ def write_per_query(path: Path, rows: PerQuery) -> None:
     """Write the rows as a CSV file: a header, then a line per query; values that were not measured are empty."""
     columns = rows.columns()
     lines = [",".join(columns), *map(",".join, zip(*map(_cells, columns.values()), strict=True))]
-    write_bytes(path, ("\n".join(lines) + "\n").encode())
+    write_own(path, ("\n".join(lines) + "\n").encode())
 
 
 def _cells(column: np.ndarray) -> Sequence[str]:

@@ -17,7 +17,7 @@ from benchmark.entries import Entry, read_entries
 from benchmark.quantities import POSITION, POSITION_PLAIN, ROTATION, ROTATION_PLAIN, Quantity
 from benchmark.report import json_text
 from kit1000.errors import InputError, did_you_mean
-from kit1000.files import write_bytes
+from kit1000.files import write_own
 from kit1000.queries.tracks import PAPER_TRACKS, TRACKS
 
 NOT_YET = "not yet"  # where no submission is scored
@@ -129,7 +129,7 @@ def run(submissions: Path, out: Path | None = None) -> None:
         ".html": lambda: as_html(table),
         ".md": lambda: as_markdown(table),
     }
-    write_bytes(out, texts[out.suffix]().encode())
+    write_own(out, texts[out.suffix]().encode())
 
 
 def read_table(submissions: Path) -> Table:

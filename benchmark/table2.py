@@ -23,7 +23,7 @@ from benchmark.measurements import Column, Measurement
 from benchmark.report import json_text
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.files import read_json, write_bytes
+from kit1000.files import read_json, write_own
 from kit1000.metrics import Targets, pose_errors
 from kit1000.planner.execute import NO_SEAL, NOT_FROM_ABOVE, OUTCOMES, SEATED, PartRun, SceneRun, run_scene
 from kit1000.planner.runs import outcome_counts
@@ -342,6 +342,6 @@ def run(
     dataset = Dataset(data)
     if out is not None:
         details = {"track": track, "split": split, "chain": list(map(asdict, rows)), "components": parts}
-        write_bytes(out, json_text({**measured(rows, parts, dataset, track).stored(), **details}).encode())
+        write_own(out, json_text({**measured(rows, parts, dataset, track).stored(), **details}).encode())
     title = f"Preset {dataset.summary['preset']}, dataset {dataset.id}, track {track}, split {split}."
     return markdown(rows, parts, title)

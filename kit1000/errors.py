@@ -57,6 +57,19 @@ def internal_error(action: str, error: BaseException) -> InternalError:
     return InternalError(f"{action}: {cause}; please report this bug of kit1000")
 
 
+def failure_text(error: BaseException) -> str:
+    """An unexpected exception of a user's code as one line: its type, its message, and the line of that code."""
+    frames = [frame for frame in traceback.extract_tb(error.__traceback__) if "<frozen" not in frame.filename]
+    own = [frame for frame in frames if "site-packages" not in frame.filename]
+    place = f" ({Path(own[-1].filename).name}:{own[-1].lineno})" if own else ""
+    if isinstance(error, SyntaxError) and error.filename:
+        place = f" ({Path(error.filename).name}:{error.lineno})"
+    if isinstance(error, SystemExit):
+        return f"it ends the process by sys.exit({'' if error.code is None else repr(error.code)}){place}"
+    message = error.msg if isinstance(error, SyntaxError) else " ".join(str(error).split())
+    return f"{type(error).__name__}: {message or 'no message'}{place}"
+
+
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """The hint "did you mean x? " for a message about an unknown word; empty when no known word is similar."""
     matches = get_close_matches(word, list(known), n=1, cutoff=0.5)

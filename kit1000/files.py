@@ -21,6 +21,7 @@ from urllib.parse import unquote
 
 from kit1000.errors import InputError
 
+OWN_MARK, OWN_HEADER = b"kit1000", 256  # what a picture or recording of ours has in its first bytes
 PARTIAL = ".partial"  # suffix of a file being written; files with it may be deleted
 
 
@@ -59,6 +60,43 @@ def write_bytes(path: Path, data: bytes) -> str:
     """Write a file atomically: complete or not at all, also after a crash; returns the SHA-256 in hex."""
     (_write_url if is_url(path) else _write_local)(path, data)
     return hashlib.sha256(data).hexdigest()
+
+
+def write_own(path: Path, data: bytes) -> str:
+    """Write a file as `write_bytes` does, unless one of another origin is there.
+
+    Raises InputError where a file is neither equal nor of the same kind: JSON with the same keys, a text with the same
+    first line, or a picture or recording that this package wrote.
+    """
+    if not is_url(path) and path.is_file():
+        old = path.read_bytes()
+        if old != data and not _same_kind(old, data):
+            raise InputError(f"{path}: is there already and of another origin: it stays; name another file")
+    return write_bytes(path, data)
+
+
+def check_own_mark(path: Path) -> None:
+    """Raise InputError where a picture or recording that is not of this package would be replaced."""
+    if path.is_file() and OWN_MARK not in path.read_bytes()[:OWN_HEADER].lower():
+        raise InputError(f"{path}: is there already and of another origin: it stays; name another file")
+
+
+def _same_kind(old: bytes, new: bytes) -> bool:
+    if new.startswith((b"\x89PNG", b"\x89MCAP")):
+        return old[:4] == new[:4] and OWN_MARK in old[:OWN_HEADER].lower()
+    keys = [_keys(data) for data in (old, new)]
+    return keys[0] == keys[1] if keys[1] else old.partition(b"\n")[0] == new.partition(b"\n")[0]
+
+
+def _keys(data: bytes) -> set[str] | None:
+    """The keys of a JSON object, or of the first one of JSON lines; None for anything else."""
+    for text in (data, data.partition(b"\n")[0]):
+        try:
+            value = json.loads(text)
+        except (ValueError, RecursionError):
+            continue
+        return set(value) if isinstance(value, dict) else None
+    return None
 
 
 def _write_local(path: Path, data: bytes) -> None:

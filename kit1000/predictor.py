@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import re
+import sys
 from collections.abc import Sequence
-from importlib import import_module
+from importlib import import_module, invalidate_caches
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-from kit1000.errors import InputError
+from kit1000.errors import InputError, InternalError, Kit1000Error, failure_text
 from kit1000.pose import Pose
 from kit1000.values import Prediction, Query, TrueGeometry
+
+FILE_TARGET = re.compile(r"(?P<path>.+\.py):(?P<object>[^:/\\]*)\Z")
+"""A target that names a file: ./my_method.py:predict."""
 
 
 class PredictedMotion(NamedTuple):
@@ -40,15 +46,46 @@ class Proposer(Protocol):
 
 
 def resolved(target: str) -> Any:
-    """The object that `module:Object` names; raises InputError where there is none that can be called."""
-    module, _, name = target.partition(":")
+    """The object that `module:Object` or `file.py:Object` names.
+
+    Raises:
+        InputError: there is none that can be called.
+        InternalError: its module fails while it is imported, or ends the process.
+    """
+    module, name = module_and_object(target)
     try:
         value = getattr(import_module(module), name, None)
     except (ImportError, ValueError) as error:
         raise InputError(f"{target}: {' '.join(str(error).split())}") from error
+    except Kit1000Error:
+        raise
+    except (Exception, SystemExit) as error:
+        raise InternalError(f"{target}: {failure_text(error)}") from error
     if not callable(value):
         raise InputError(f"{target}: {module} has no {name or 'object'} that can be called")
     return value
+
+
+def module_and_object(target: str) -> tuple[str, str]:
+    """The module and the object that a target names; the folder of a file is made one of those that are searched.
+
+    Raises InputError where the file is missing, or has the name of another module that is loaded.
+    """
+    match = FILE_TARGET.match(target)
+    if match is None:
+        module, _, name = target.partition(":")
+        return module, name
+    path = Path(match["path"]).expanduser()
+    if not path.is_file():
+        raise InputError(f"{target}: no file {path}")
+    folder = str(path.resolve().parent)
+    if folder not in sys.path:
+        sys.path.insert(0, folder)
+    invalidate_caches()
+    loaded = getattr(sys.modules.get(path.stem), "__file__", None)
+    if path.stem in sys.modules and (loaded is None or Path(loaded).resolve() != path.resolve()):
+        raise InputError(f"{target}: another module is called {path.stem}; rename the file")
+    return path.stem, match["object"]
 
 
 def to_prediction(query: Query, predicted: PredictedMotion, seconds: float) -> Prediction:

@@ -227,23 +227,26 @@ class Show:
         from kit1000.dataset.geometry import Geometry
         from kit1000.dataset.reader import Dataset
         from kit1000.export.recording import write_scene_recording
-        from kit1000.files import write_bytes
+        from kit1000.files import check_own_mark, write_own
         from kit1000.pictures.dataset_sheets import geometry_sheet, scene_sheet
 
         if self.count < 1:
             raise InputError(f"--count: expected 1 or more, got {self.count}")
         recording = self.out.suffix == ".mcap"
+        if self.out.suffix.lower() not in (".png", ".mcap", ""):
+            raise InputError(f"--out {self.out}: pictures are PNG: name a file .png, or .mcap for a recording")
         if recording and self.scene is None:
             raise InputError(f"--out {self.out}: a recording shows one scene; add --scene ID")
         if not recording and (self.truth or self.predictions is not None):
             raise InputError(f"--out {self.out}: --truth and --predictions are for a recording; name a file .mcap")
+        check_own_mark(self.out)
         if self.scene is None:
-            write_bytes(self.out, geometry_sheet(Geometry(self.data), self.what, self.split, self.count, self.ids))
+            write_own(self.out, geometry_sheet(Geometry(self.data), self.what, self.split, self.count, self.ids))
         elif recording:
             options = (self.truth, self.predictions, self.track)
             write_scene_recording(Dataset(self.data), self.scene, self.out, *options)
         else:
-            write_bytes(self.out, scene_sheet(Dataset(self.data), self.scene))
+            write_own(self.out, scene_sheet(Dataset(self.data), self.scene))
         print(self.out)
         return 0
 

@@ -26,7 +26,7 @@ class Predict:
     """Run a method on the queries of a dataset; the same command again resumes an interrupted run."""
 
     name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="METHOD")]
-    """A method of the catalog, such as registration-completed, or module:Object of your own."""
+    """A method of the catalog, such as registration-completed, or module:Object or FILE.py:Object of your own."""
     data: Path
     """Dataset folder."""
     out: Path
@@ -43,6 +43,8 @@ class Predict:
     """Seed of all draws of the method."""
     masks: Literal["given", "predicted"] = "given"
     """Masks that the method reads: those of the dataset, or those that segmentation finds in the depth image."""
+    weights: tuple[Path, ...] = ()
+    """Folders of training runs whose best weights replace the published ones."""
 
     def run(self) -> int:
         """Predict, then print what was written."""
@@ -52,7 +54,9 @@ class Predict:
             if value is not None and value < least:
                 raise InputError(f"--{name}: expected {least} or more, got {value}")
         find_own_modules()
-        config = RunConfig.of(self.name, self.masks, self.split, self.tracks or None, self.seed, self.limit)
+        config = RunConfig.of(
+            self.name, self.masks, self.split, self.tracks or None, self.seed, self.limit, weights=self.weights
+        )
         print(predict_and_describe(config, self.data, self.out, self.workers))
         return 0
 
@@ -101,6 +105,8 @@ class Edit:
     """Thing that you move: parts, or the robot's suction cup, one part at a time; bare: by gizmo, and nothing snaps."""
     port: OptionalInt = None
     """Port of the page; a free one when absent."""
+    origin: tuple[str, ...] = ()
+    """Further web addresses of the page, as behind a proxy or ssh -L with another port: http://localhost:9000."""
     truth: Flag = False
     """Show true shapes; the page and every line of the log say so."""
 
@@ -114,7 +120,8 @@ class Edit:
                 raise
             raise InputError("edit: needs viser: pip install 'kit1000[edit]'") from None
         find_own_modules()
-        serve(Options(self.data, self.scene, self.out, self.sensor, self.snap, self.port, self.truth, self.interface))
+        scene = (self.data, self.scene, self.out, self.sensor, self.snap)
+        serve(Options(*scene, self.port, self.truth, self.interface, self.origin))
         return 0
 
 
@@ -140,6 +147,8 @@ class Study:
     """Number of the participant who sits in now, from 1; prints the address of the page."""
     port: OptionalInt = None
     """Port of the participant's page; a free one when absent."""
+    origin: tuple[str, ...] = ()
+    """Further web addresses of that page, as behind a proxy or ssh -L with another port: http://localhost:9000."""
     simulate: Annotated[str | None, tyro.conf.arg(metavar="OPERATOR")] = None
     """Operator that replaces all participants: exact, paper, fitts or careless. It tests the machine, not people."""
     judge: Literal["robot", "test"] = "robot"

@@ -11,7 +11,7 @@ import contextlib
 import io
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ import websockets.asyncio.server as websocket_server
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
 from kit1000.editor.keys import Interface
+from kit1000.editor.origins import Guard, check_origins
 from kit1000.editor.page import ViserStage
 from kit1000.editor.records import EventLog, Header, Sink
 from kit1000.editor.scene import EditedScene
@@ -50,6 +51,8 @@ class Options:
     port: int | None = None
     truth: bool = False
     interface: Interface = "scene"
+    origins: tuple[str, ...] = ()
+    """Further web addresses whose page may talk to the server, such as http://localhost:9000."""
 
 
 @contextlib.contextmanager
@@ -69,7 +72,7 @@ def editing(
     header = header or Header(dataset.id, options.scene, options.sensor, options.truth, options.snap, options.interface)
     with locked(options.out):
         log = EventLog(options.out, header, sink=sink)
-        with serving(options.port) as (server, address):
+        with serving(options.port, options.origins) as (server, address):
             worker = None if options.snap == NO_SNAP else Worker(method, scene.parts)
             stage = ViserStage(server, options.interface, worker is not None)
             stage.say("head", head_text(header))
@@ -98,13 +101,17 @@ def run(options: Options) -> None:
 
 
 @contextlib.contextmanager
-def serving(port: int | None) -> Iterator[tuple[viser.ViserServer, str]]:
-    """A server for this machine alone, and its address. port: None for a free one."""
+def serving(port: int | None, origins: Sequence[str] = ()) -> Iterator[tuple[viser.ViserServer, str]]:
+    """A server for this machine alone, and its address.
+
+    port: None for a free one. origins: further web addresses whose page may talk to it, as behind a tunnel or a proxy.
+    """
+    check_origins(origins)
     chosen = _free_port() if port is None else port
     if not 0 < chosen < 1 << 16:
         raise InputError(f"--port: expected 1 to 65535, got {chosen}")
     os.environ.pop("_VISER_PORT_OVERRIDE", None)
-    with _guarded(chosen) as calls, contextlib.redirect_stdout(io.StringIO()):
+    with _guarded(chosen, origins) as calls, contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=HOST, port=chosen, label="kit1000 edit", verbose=False)
     try:
         if not calls:
@@ -127,23 +134,17 @@ def head_text(header: Header) -> str:
 
 
 @contextlib.contextmanager
-def _guarded(port: int) -> Iterator[list[int]]:
-    """While the server is made, its handshake demands the Origin of this page; yields a list with the calls."""
+def _guarded(port: int, further: Sequence[str]) -> Iterator[list[int]]:
+    """While the server is made, its handshake demands the Origin of its page; yields a list with the calls."""
     serve, calls = websocket_server.serve, []
-    origins = [f"http://{name}:{port}" for name in (HOST, "localhost")]
+    guard = Guard([*(f"http://{name}:{port}" for name in (HOST, "localhost")), *further])
 
     def guarded(*args: Any, **options: Any) -> Any:
         calls.append(port)
-        return serve(*args, **{**options, "origins": origins, "process_response": _unframed})
+        return serve(*args, **{**options, "origins": guard.origins, "process_response": guard.process_response})
 
     with mock.patch.object(websocket_server, "serve", guarded):
         yield calls
-
-
-def _unframed(connection: Any, request: Any, response: Any) -> None:
-    """No other page may show this one in a frame, and click through it."""
-    response.headers["X-Frame-Options"] = "DENY"
-    response.headers["Content-Security-Policy"] = "frame-ancestors 'none'"
 
 
 def _refuse_to_share(verbose: bool = True) -> None:

@@ -15,7 +15,8 @@ from kit1000.dataset.tables import pose_row
 from kit1000.engines import local_engine
 from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, internal_error
-from kit1000.files import check_writable, clear_partial, write_bytes, write_json
+from kit1000.export.kit_folder import REPORT, check_kit_folder, check_reports, write_kit_folder
+from kit1000.files import check_writable, write_json
 from kit1000.kits.acceptance import NOT_SEATED
 from kit1000.kits.choice import Attempt, attempts
 from kit1000.kits.kit import CLEARANCE, KitDesign
@@ -34,7 +35,7 @@ OTHER_CHOICES = {  # what to do about several bodies, by the choice that was ref
     "union": "choose --bodies largest, or each (a kit for every one)",
 }
 PREVIEW = "preview.png"
-REPORT = "report.json"  # written last: when it exists, the other files are complete and of the same part
+KIT_FILES = ("kit.stl", "part.stl", "seated.glb", PREVIEW)
 
 
 class InexactKit(Kit1000Error):
@@ -93,6 +94,7 @@ def make_kits_from_file(
         readings = read_bodies(path, unit)
     except MeshRefused as refusal:
         raise InputError(f"{path}: {refusal.reason}") from None
+    check_reports(out)
     with suppress(OSError):  # of an earlier run
         (out / REPORT).unlink()
     reports: dict[str, dict[str, Any] | str] = {}
@@ -147,6 +149,7 @@ def make_kits_from_files(
     `out` holds all of them, and is written last. options: fields of `KitJob`.
     """
     check_writable(out)
+    check_reports(out)
     with suppress(OSError):  # of an earlier run
         (out / REPORT).unlink()
     jobs = [KitJob(path, out / name, **options) for path, name in zip(paths, folder_names(paths), strict=True)]
@@ -175,6 +178,7 @@ def _make_kit(
     reading: MeshReading, place: str, out: Path, clearance: float, longest: float | None, preview: bool
 ) -> dict[str, Any]:
     """Make the kit of a part and write it to a folder; returns the report. `place` begins every message."""
+    check_kit_folder(out, KIT_FILES if preview else KIT_FILES[:-1], reading.path)
     part, scale = _part(reading, longest)
     side = float(part.mesh.extents.max())
     if side < clearance:
@@ -184,17 +188,7 @@ def _make_kit(
         )
     design, trial = _best_kit(part, clearance, place)
     report = _report(reading, part, scale, design, trial)
-    files = kit_files(part, design, place, preview)
-    clear_partial(out, *files, REPORT)
-    with suppress(OSError):  # of an earlier run; the next write reports any error
-        (out / REPORT).unlink()
-    if not preview:
-        with suppress(OSError):  # of an earlier run
-            (out / PREVIEW).unlink()
-    for name, data in files.items():
-        write_bytes(out / name, data)
-    write_json(out / REPORT, report)
-    return report
+    return write_kit_folder(out, kit_files(part, design, place, preview), report)
 
 
 def _best_kit(part: Part, clearance: float, place: str) -> tuple[KitDesign, dict[str, Any]]:

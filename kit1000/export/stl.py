@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 from kit1000.dataset.mesh_files import stl_bytes
-from kit1000.files import write_bytes
+from kit1000.files import write_own
 from kit1000.values import Assembly
 
 
 def write_stl(assembly: Assembly, path: Path) -> Path:
-    """Write a binary STL, replacing an existing file; returns the path."""
-    write_bytes(path, stl_bytes(assembly.mesh))
+    """Write a binary STL, unless one of another origin is there; returns the path."""
+    write_own(path, stl_bytes(assembly.mesh))
     return path

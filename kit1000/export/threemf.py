@@ -11,7 +11,7 @@ import zipfile
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from kit1000.files import write_bytes
+from kit1000.files import write_own
 from kit1000.mesh import Mesh
 from kit1000.values import Assembly
 
@@ -31,8 +31,8 @@ ALWAYS = (1980, 1, 1, 0, 0, 0)  # the earliest time in the zip format
 
 
 def write_3mf(assembly: Assembly, path: Path) -> Path:
-    """Write a 3MF of one object named by the assembly's id, replacing an existing file; returns the path."""
-    write_bytes(path, threemf_bytes(assembly.id, assembly.mesh))
+    """Write a 3MF of one object named by the assembly's id, unless one of another origin is there; returns the path."""
+    write_own(path, threemf_bytes(assembly.id, assembly.mesh))
     return path
 
 

@@ -41,5 +41,5 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
     dispatcher = njit(**options)(function)
     with suppress(RuntimeError):  # raised when neither the package nor the user's cache folder is writable
-        dispatcher._cache = _ForgivingCache(function)
+        dispatcher._cache = _ForgivingCache(function)  # pyright: ignore[reportAttributeAccessIssue]
     return dispatcher

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from kit1000.kits.seating import HOVER
 from kit1000.pictures.shading import (
@@ -83,5 +84,7 @@ def _picture(bodies: list[ColouredBody], size: tuple[int, int], quality: Quality
 def _png(image: np.ndarray | Image.Image) -> bytes:
     buffer = io.BytesIO()
     picture = image if isinstance(image, Image.Image) else Image.fromarray(image)
-    picture.save(buffer, "PNG", optimize=False)
+    about = PngInfo()
+    about.add_text("Software", "kit1000")
+    picture.save(buffer, "PNG", optimize=False, pnginfo=about)
     return buffer.getvalue()

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError, did_you_mean
-from kit1000.files import write_bytes, write_json
+from kit1000.files import json_bytes, write_own
 from kit1000.planner.execute import OUTCOMES, SEATED, PartRun, SceneRun, run_scene
 from kit1000.planner.trace import trace_bytes
 from kit1000.pose import Pose
@@ -57,9 +57,9 @@ def run_predictions(
         if motions:
             runs.append(run_scene(scene, motions, TRACKS[track].sensor, seed))
             if out is not None:
-                write_bytes(Path(out) / f"{each}.jsonl", trace_bytes(runs[-1]))
+                write_own(Path(out) / f"{each}.jsonl", trace_bytes(runs[-1]))
     if out is not None:
-        write_json(Path(out) / OUTCOMES_FILE, report(runs, dataset.id, track, seed))
+        write_own(Path(out) / OUTCOMES_FILE, json_bytes(report(runs, dataset.id, track, seed)))
     return runs
 
 

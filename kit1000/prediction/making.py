@@ -1,4 +1,4 @@
-"""How a method is made, from its name in the catalog or from `module:Object` of your own."""
+"""How a method is made, from its name in the catalog or from `module:Object` or `file.py:Object` of your own."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from kit1000.dataset.reader import Dataset
-from kit1000.errors import InputError, did_you_mean
+from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean, failure_text
 from kit1000.perception.segmentation import predicted_masks
 from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS, OnPredictedMasks
 from kit1000.prediction.catalog import TABLES, Method, all_methods
 from kit1000.prediction.imported_sources import imported_modules
-from kit1000.predictor import Predictor, resolved
+from kit1000.predictor import Predictor, module_and_object, resolved
 from kit1000.queries.tracks import ALL_TRACKS
 from kit1000.weights import WEIGHTS
 
@@ -32,7 +32,7 @@ PREDICTED_MASKS = "+predicted-masks"  # after the name of a method: it is run wi
 
 
 def method_of(name: str, tables: Sequence[str] = TABLES) -> Method:
-    """A method of the tables, or one of your own by `module:Object`, described by its ATTRIBUTES.
+    """A method of the tables, or one of your own by `module:Object` or `file.py:Object`, described by its ATTRIBUTES.
 
     With PREDICTED_MASKS after its name it reads predicted masks.
     """
@@ -41,11 +41,12 @@ def method_of(name: str, tables: Sequence[str] = TABLES) -> Method:
         return _on_predicted_masks(method_of(name.removesuffix(PREDICTED_MASKS), tables))
     if name in methods:
         return methods[name]
+    if name.endswith(".py"):
+        raise InputError(f"{name}: expected the file and its function or class, such as {name}:predict")
     if ":" not in name:
         known = ", ".join(methods)
-        raise InputError(
-            f"no method {name!r}; {did_you_mean(name, methods)}there are {known}, or module:Object of your own"
-        )
+        hint = f"{did_you_mean(name, methods)}there are {known}, or module:Object or FILE.py:Object of your own"
+        raise InputError(f"no method {name!r}; {hint}")
     target = resolved(name)
     values = {attribute: getattr(target, attribute, None) for attribute in ATTRIBUTES}
     stated = {key: value for key, value in values.items() if value is not None and not isinstance(value, property)}
@@ -57,7 +58,13 @@ def make_predictor(method: Method, dataset: Dataset, seed: int) -> Predictor:
     predictor: Any = resolved(method.make)
     if isinstance(predictor, type):
         takes_seed = "seed" in inspect.signature(predictor).parameters
-        predictor = predictor(dataset, **method.options, **method.weights, **({"seed": seed} if takes_seed else {}))
+        seeded = {"seed": seed} if takes_seed else {}
+        try:
+            predictor = predictor(dataset, **method.options, **method.weights, **seeded)
+        except Kit1000Error:
+            raise
+        except (Exception, SystemExit) as error:
+            raise InternalError(f"{method.make}: {failure_text(error)}") from error
     given = method.masks == "given"
     return predictor if given else OnPredictedMasks(predictor, dataset.summary["config"]["scale"])
 
@@ -77,14 +84,17 @@ def source_hash(method: Method) -> str:
 
     Of a module of your own, what it imports from the same package or folder counts too.
     """
-    entries = [method.make.partition(":")[0], *([predicted_masks.__name__] if method.masks == "predicted" else [])]
+    entries = [module_and_object(method.make)[0], *([predicted_masks.__name__] if method.masks == "predicted" else [])]
     folder = _source_folder(entries[0])
     beside = {path.stem: path for path in folder.glob("*.py")}
     beside |= {path.parent.name: path.parent for path in folder.glob("*/__init__.py")}
     roots = beside | {"kit1000": LIBRARY}
-    stems = [*method.weights.values(), *(WEIGHTS / name for name in MASKS_WEIGHTS if method.masks == "predicted")]
+    stems = {stem.name: stem for stem in method.weights.values()}
+    if len(stems) < len(method.weights):  # those of runs all have one name
+        stems = {f"{argument}:{stem.name}": stem for argument, stem in method.weights.items()}
+    stems |= {name: WEIGHTS / name for name in MASKS_WEIGHTS if method.masks == "predicted"}
     files = imported_modules(entries, roots)
-    files |= {stem.name: stem.with_name(f"{stem.name}.safetensors") for stem in stems}
+    files |= {name: stem.with_name(f"{stem.name}.safetensors") for name, stem in stems.items()}
     digest = hashlib.sha256()
     for name in sorted(files):
         digest.update(name.encode() + b"\0" + hashlib.sha256(files[name].read_bytes()).digest())

@@ -9,8 +9,7 @@ from __future__ import annotations
 import platform
 import re
 import shlex
-import traceback
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import date
 from functools import lru_cache, partial
@@ -23,12 +22,13 @@ from tqdm import tqdm
 from kit1000.dataset.reader import Dataset
 from kit1000.engines import local_engine
 from kit1000.engines.cores import usable_cores
-from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean
+from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean, failure_text
 from kit1000.files import check_writable
 from kit1000.prediction.catalog import TABLES, Method
 from kit1000.prediction.journal import Journal
 from kit1000.prediction.making import PREDICTED_MASKS, make_predictor, method_of, source_hash
-from kit1000.predictor import PredictedMotion, Predictor, to_prediction
+from kit1000.prediction.own_weights import with_weights
+from kit1000.predictor import FILE_TARGET, PredictedMotion, Predictor, to_prediction
 from kit1000.queries.tracks import ALL_TRACKS, CURVES, SPLITS
 from kit1000.submission import Manifest, Submission, read_submission, write_submission
 from kit1000.values import Prediction, Query, TrueGeometry
@@ -52,6 +52,19 @@ class RunConfig:
     """Only the first so many queries."""
     tables: tuple[str, ...] = TABLES
     """Packages that list the methods, see `kit1000.prediction.catalog`."""
+    weights: tuple[str, ...] = ()
+    """Runs of training whose weights replace the published ones, see `kit1000.prediction.own_weights`."""
+
+    @property
+    def display_name(self) -> str:
+        """The name in a manifest: without the folder of a file."""
+        match = FILE_TARGET.match(self.name)
+        return self.name if match is None else f"{Path(match['path']).name}:{match['object']}"
+
+    @property
+    def method(self) -> Method:
+        """The method, with its weights."""
+        return with_weights(method_of(self.name, self.tables), self.weights)
 
     @classmethod
     def of(
@@ -63,9 +76,11 @@ class RunConfig:
         seed: int = 0,
         limit: int | None = None,
         tables: tuple[str, ...] = TABLES,
+        weights: Sequence[Path] = (),
     ) -> RunConfig:
         """The run of a method with given or predicted masks."""
-        return cls(name + (PREDICTED_MASKS if masks == "predicted" else ""), splits, tracks, seed, limit, tables)
+        full = name + (PREDICTED_MASKS if masks == "predicted" else "")
+        return cls(full, splits, tracks, seed, limit, tables, tuple(str(run.absolute()) for run in weights))
 
 
 @dataclass(frozen=True)
@@ -90,21 +105,24 @@ def predict(config: RunConfig, data: Path, out: Path, workers: int | None = None
         out: submission folder; an earlier submission must be of the same method and dataset.
         workers: processes; None = one per core.
     """
-    method, dataset, out = method_of(config.name, config.tables), Dataset(data), out.absolute()
+    method, dataset, out = config.method, Dataset(data), out.absolute()
     jobs = jobs_of(dataset, method, config)
     check_writable(out)
-    earlier = _earlier_submission(out, config.name, dataset)
+    manifest = _manifest(config, method, dataset, {job.track for job in jobs})
+    earlier = _earlier_submission(out, manifest)
     run = {"method": config.name, "dataset_id": dataset.id, "splits": config.splits, "tracks": config.tracks}
-    run |= {"seed": config.seed, "limit": config.limit, "source": source_hash(method)}
+    run |= {"seed": config.seed, "limit": config.limit, "source": manifest.source}
     with Journal(out.with_name(f"{out.name}.journal"), run) as journal:
         left = [job for job in jobs if job.query_id not in journal.done]
         _made.cache_clear()  # the folder may hold another dataset than in an earlier run of this process
         with local_engine(workers) as spread:
-            predictions = spread(partial(predict_job, dataset.root, config.name, config.seed, config.tables), left)
+            predictions = spread(
+                partial(predict_job, dataset.root, config.name, config.seed, config.tables, weights=config.weights),
+                left,
+            )
             bar = tqdm(predictions, None, len(jobs), initial=len(jobs) - len(left), unit="query", disable=None)
             for prediction in bar:
                 journal.add(prediction)
-        manifest = _manifest(config, method, dataset, {job.track for job in jobs})
         manifest = replace(manifest, hardware=_hardware(workers), reproduce=_command(config, dataset, out))
         if earlier is not None:
             manifest = _merged_manifest(earlier.manifest, manifest)
@@ -139,9 +157,14 @@ def jobs_of(dataset: Dataset, method: Method, config: RunConfig) -> list[Job]:
     return list(jobs.values())[: config.limit]
 
 
-def predict_job(root: Path, name: str, seed: int, tables: tuple[str, ...], job: Job) -> Prediction:
+def predict_job(
+    root: Path, name: str, seed: int, tables: tuple[str, ...], job: Job, weights: tuple[str, ...] = ()
+) -> Prediction:
     """A method's prediction for a query, and its time from the images in memory to the prediction."""
-    method, dataset, predictor = _made(root, name, seed, tables)
+    try:
+        method, dataset, predictor = _made(root, name, seed, tables, weights)
+    except InternalError as error:
+        raise InternalError(f"{job}: {error}") from error
     scene = dataset.split(job.split, method.uses_true_geometry).scene(job.scene_id)
     query = next(query for query in scene.queries if query.id == job.query_id)
     true = method.uses_true_geometry
@@ -153,9 +176,11 @@ def predict_job(root: Path, name: str, seed: int, tables: tuple[str, ...], job: 
 
 
 @lru_cache(maxsize=1)
-def _made(root: Path, name: str, seed: int, tables: tuple[str, ...]) -> tuple[Method, Dataset, Predictor]:
+def _made(
+    root: Path, name: str, seed: int, tables: tuple[str, ...], weights: tuple[str, ...]
+) -> tuple[Method, Dataset, Predictor]:
     """A method, the dataset and the predictor, made once in each process."""
-    method, dataset = method_of(name, tables), Dataset(root)
+    method, dataset = with_weights(method_of(name, tables), weights), Dataset(root)
     return method, dataset, make_predictor(method, dataset, seed)
 
 
@@ -167,25 +192,30 @@ def _predicted(predictor: Predictor, query: Query, geometry: TrueGeometry | None
         if isinstance(error, InternalError) or query.id in str(error):
             raise
         raise InputError(f"{query.id}: {error}") from error
-    except Exception as error:
-        frames = traceback.extract_tb(error.__traceback__)
-        frame = [frame for frame in frames if "site-packages" not in frame.filename][-1]
-        message = " ".join(str(error).split()) or "no message"
-        place = f"{Path(frame.filename).name}:{frame.lineno}"
-        raise InternalError(f"{query.id}: {type(error).__name__}: {message} ({place})") from error
+    except (Exception, SystemExit) as error:
+        raise InternalError(f"{query.id}: {failure_text(error)}") from error
 
 
-def _earlier_submission(out: Path, name: str, dataset: Dataset) -> Submission | None:
-    """The submission that is there already; raises InputError where it is of another method or dataset."""
+def _earlier_submission(out: Path, new: Manifest) -> Submission | None:
+    """The submission that is there already.
+
+    Raises InputError where it is of another method or dataset, or its rows were made by other code or weights.
+    """
     if not out.exists() or not any(out.iterdir()):
         return None
     earlier = read_submission(out)
-    for what, theirs, ours in (
-        ("method", earlier.manifest.method, name),
-        ("dataset", earlier.manifest.dataset_id, dataset.id),
-    ):
+    old = earlier.manifest
+    for what, theirs, ours in (("method", old.method, new.method), ("dataset", old.dataset_id, new.dataset_id)):
         if theirs != ours:
             raise InputError(f"{out}: holds predictions of {what} {theirs}, not {ours}; choose another --out")
+    if old.source and old.source != new.source:
+        names = f"source {old.source[:12]}, now {new.source[:12]}"
+        raise InputError(f"{out}: holds rows of other code or other weights ({names}); choose another --out")
+    if old.training_data != new.training_data and not old.source:
+        raise InputError(
+            f"{out}: holds rows of weights trained on {old.training_data or 'nothing'!r}, not on "
+            f"{new.training_data or 'nothing'!r}; choose another --out"
+        )
     return earlier
 
 
@@ -214,7 +244,7 @@ def splits_of(query_ids: Iterable[str]) -> tuple[str, ...]:
 
 def _manifest(config: RunConfig, method: Method, dataset: Dataset, tracks: set[str]) -> Manifest:
     return Manifest(
-        method=config.name,
+        method=config.display_name,
         label=method.label,
         authors=AUTHORS,
         description=method.description,
@@ -230,6 +260,7 @@ def _manifest(config: RunConfig, method: Method, dataset: Dataset, tracks: set[s
         paper_row=method.paper_row,
         training_data=method.training_data,
         camera_set=method.camera_set,
+        source=source_hash(method),
     )
 
 
@@ -250,6 +281,7 @@ def _command(config: RunConfig, dataset: Dataset, out: Path) -> str:
     name = config.name.removesuffix(PREDICTED_MASKS)
     program = ["kit1000"] if config.tables == TABLES else ["python", "-m", "baselines"]
     words = [*program, "predict", name, "--split", *config.splits]
+    words += ["--weights", *config.weights] if config.weights else []
     words += ["--masks", "predicted"] if name != config.name else []
     words += ["--tracks", *config.tracks] if config.tracks else []
     words += ["--seed", str(config.seed)] if config.seed else []

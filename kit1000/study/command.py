@@ -41,6 +41,7 @@ class Request:
     seed: int | None = None
     participant: int | None = None
     port: int | None = None
+    origin: tuple[str, ...] = ()
     simulate: str | None = None
     judge: str = ROBOT
     report: bool = False
@@ -78,7 +79,7 @@ def _sit(request: Request, plan: StudyPlan, dataset: Dataset) -> None:
         if error.name != "viser":
             raise
         raise InputError("study: a sitting needs viser: pip install 'kit1000[edit]'") from None
-    sit(request.out, plan, dataset, request.participant, request.port, request.judge)
+    sit(request.out, plan, dataset, request.participant, request.port, request.judge, request.origin)
 
 
 def _plan(request: Request) -> StudyPlan:

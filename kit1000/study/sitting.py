@@ -62,17 +62,24 @@ class Sitting:
     number: int
     port: int
     judge: str = ROBOT
+    origins: tuple[str, ...] = ()
 
 
 def sit(
-    study: Path, plan: StudyPlan, dataset: Dataset, number: int, port: int | None = None, judge: str = ROBOT
+    study: Path,
+    plan: StudyPlan,
+    dataset: Dataset,
+    number: int,
+    port: int | None = None,
+    judge: str = ROBOT,
+    origins: tuple[str, ...] = (),
 ) -> None:
     """Serve the pages of a participant one after another, until the end or Ctrl-C."""
     sessions = plan.sessions(number)
-    with serving(port) as (_, address):
+    with serving(port, origins) as (_, address):
         chosen = int(address.rpartition(":")[2])
     print(f"{address}  participant {number} (Ctrl-C ends; the same command again goes on)", flush=True)
-    sitting = Sitting(study, plan, dataset, number, chosen, judge)
+    sitting = Sitting(study, plan, dataset, number, chosen, judge, origins)
     _consent(sitting)
     for session in sessions:
         folder = condition_folder(study, PERSON, number, session.position, session.condition.name)
@@ -84,7 +91,7 @@ def sit(
             if not (path / TRIAL_FILE).is_file():
                 write_trial(path, TaskPage(sitting, session, task).run())
         if not (folder / RATINGS_FILE).is_file():
-            with serving(chosen) as (server, _):
+            with serving(chosen, origins) as (server, _):
                 ratings = ask_ratings(server, session.condition.label)
             write_record(folder / RATINGS_FILE, plan.id, number, PERSON, ratings=ratings)
     _close(sitting)
@@ -95,7 +102,7 @@ def _consent(sitting: Sitting) -> None:
     if path.is_file():
         check_judge(path, sitting.plan.id, PERSON, sitting.number, sitting.judge)
         return
-    with serving(sitting.port) as (server, _):
+    with serving(sitting.port, sitting.origins) as (server, _):
         ask_consent(server)
     consent = {"version": CONSENT_VERSION, "time": round(time.time(), DECIMALS)}
     versions = {"kit1000": __version__, "python": platform.python_version(), "machine": platform.machine()}
@@ -104,7 +111,7 @@ def _consent(sitting: Sitting) -> None:
 
 def _close(sitting: Sitting) -> None:
     path = participant_folder(sitting.study, PERSON, sitting.number) / CLOSING_FILE
-    with serving(sitting.port) as (server, _):
+    with serving(sitting.port, sitting.origins) as (server, _):
         if not path.is_file():
             preferred = ask_preference(server, sitting.plan.conditions)
             write_record(path, sitting.plan.id, sitting.number, PERSON, preferred=preferred)
@@ -148,6 +155,7 @@ class TaskPage:
             snap,
             self.sitting.port,
             interface=self.header.interface,
+            origins=self.sitting.origins,
         )
         earlier = EventLog(self.folder, self.header).rows
         with (

@@ -10,7 +10,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from kit1000.files import write_bytes, write_json
+from kit1000.files import json_bytes, write_own
 from kit1000.pictures.charts import STYLE as CHART_STYLE
 from kit1000.study.analysis import PLOTTED, analyse
 from kit1000.study.conditions import CONDITIONS
@@ -37,8 +37,8 @@ def write_report(study: Path, simulated: str | None = None, seed: int = 0) -> Pa
     operator = chosen_operator(study, simulated)
     numbers = analyse(plan, operator, read_participants(study, plan, operator), seed)
     folder = operator.folder(study)
-    write_json(folder / JSON_FILE, numbers)
-    write_bytes(folder / PAGE_FILE, page(numbers).encode())
+    write_own(folder / JSON_FILE, json_bytes(numbers))
+    write_own(folder / PAGE_FILE, page(numbers).encode())
     return folder / PAGE_FILE
 
 

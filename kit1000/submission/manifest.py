@@ -72,6 +72,8 @@ class Manifest:
     """The command that makes these predictions."""
     dataset_checksum: str = ""
     """Checksum of the copy of the dataset that was read, as dataset.json has it."""
+    source: str = ""
+    """Hash of the code and the weights that made the rows, so that those of others are not mixed in."""
 
     def __post_init__(self) -> None:
         for name in ("authors", "tracks"):
@@ -232,7 +234,7 @@ def _wrong_value(name: str, value: str | bool | Sequence[str]) -> tuple[str, str
     if isinstance(value, bool):
         return None
     texts = [value] if isinstance(value, str) else list(value)
-    short = name in ("method", "label", "paper_row", "dataset_id", "dataset_checksum")
+    short = name in ("method", "label", "paper_row", "dataset_id", "dataset_checksum", "source")
     if any(UNPRINTABLE.search(text) for text in texts):
         return "control-character", "delete control characters"
     if any(len(text) > (MAX_NAME if short else MAX_TEXT) for text in texts):

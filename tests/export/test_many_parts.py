@@ -59,7 +59,7 @@ def test_the_command_takes_many_files(tmp_path: Path, capsys: pytest.CaptureFixt
 
 def test_a_kit_without_preview_leaves_no_old_one(tmp_path: Path) -> None:
     path, out = write_stl(tmp_path / "good.stl", l_shape()), tmp_path / "out"
-    out.mkdir()
-    (out / "preview.png").write_bytes(b"old")
+    assert main(["kit", str(path), "--out", str(out), "--unit", "mm"]) == 0
+    assert (out / "preview.png").is_file()
     assert main(["kit", str(path), "--out", str(out), "--no-preview", "--unit", "mm"]) == 0
     assert sorted(file.name for file in out.iterdir()) == ["kit.stl", "part.stl", "report.json", "seated.glb"]

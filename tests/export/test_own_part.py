@@ -137,14 +137,14 @@ def test_another_run_over_the_same_folder_replaces_everything(out: Path, tmp_pat
     assert {name for name in FILES if wide[name] != file_hashes(out)[name]} == {"kit.stl", "seated.glb", "report.json"}
 
 
-@pytest.mark.parametrize("step", range(5))
+@pytest.mark.parametrize("step", range(6))
 def test_an_interrupted_run_leaves_complete_files_and_no_report(
     step: int, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder, replace, left = tmp_path / "out", os.replace, step
     part = write_stl(tmp_path / "corner.stl", l_shape())
-    folder.mkdir()
-    (folder / "report.json").write_text("of an earlier run")
+    make_kit_from_file(part, folder, clearance=2e-3)
+    earlier, whole = file_hashes(folder), file_hashes(out)
 
     def stopping(source: Path, target: Path) -> None:
         nonlocal left
@@ -158,11 +158,12 @@ def test_an_interrupted_run_leaves_complete_files_and_no_report(
         with pytest.raises(KeyboardInterrupt):
             make_kit_from_file(part, folder)
     found = file_hashes(folder)
-    assert "report.json" not in found
-    assert len(found) == step
-    assert found.items() <= file_hashes(out).items()
+    record = found.pop(".kit1000-writing.json", None)
+    assert (record is not None, "report.json" in found) == (step > 0, step == 0)
+    replaced = ["kit.stl", "part.stl", "seated.glb", "preview.png"][: max(step - 1, 0)]
+    assert all(digest == (whole if name in replaced else earlier)[name] for name, digest in found.items())
     make_kit_from_file(part, folder)
-    assert file_hashes(folder) == file_hashes(out)
+    assert file_hashes(folder) == whole
 
 
 def test_nothing_is_written_when_no_kit_can_be_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

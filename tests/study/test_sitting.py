@@ -77,7 +77,7 @@ def test_the_command_names_who_judges_a_sitting(
     plan = replace(plan_of(), dataset_id=Dataset(mini).id)
     write_plan(tmp_path, plan)
     write_participant(tmp_path, plan, PERSON, 1)  # judged by the robot
-    monkeypatch.setattr(sitting, "serving", lambda _: nullcontext((None, "http://127.0.0.1:8080")))
+    monkeypatch.setattr(sitting, "serving", lambda *_: nullcontext((None, "http://127.0.0.1:8080")))
     monkeypatch.setattr(sitting, "say_goodbye", lambda _: None)
     arguments = ["study", str(mini), "--out", str(tmp_path), "--participant", "1"]
     for folder in (tmp_path / "people/p001").glob("*-*"):

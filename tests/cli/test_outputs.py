@@ -1,0 +1,144 @@
+"""What commands do with the places that they write to: full and closed outputs, odd names, files of other people."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from kit1000.cli import main
+from kit1000.errors import InputError, shown
+from kit1000.export import export
+from kit1000.files import json_bytes, write_own
+from tests.samples.checkout import ROOT
+from tests.samples.mini import l_shape, write_stl
+
+COMMAND = [sys.executable, "-m", "kit1000"]
+
+
+def run(shell: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[bytes]:
+    """A line of bash in a folder, with the command as `$KIT1000`."""
+    known = {**os.environ, "PYTHONPATH": str(ROOT), "KIT1000": " ".join(COMMAND), **environment}
+    return subprocess.run(["bash", "-c", shell], cwd=folder, env=known, capture_output=True, check=False)
+
+
+@pytest.mark.parametrize(
+    ("redirected", "reason"),
+    [
+        ("> /dev/full", b"cannot write the results to standard output: No space left"),
+        (">&-", b"standard output is closed"),
+    ],
+)
+@pytest.mark.parametrize("words", ["info MINI", "--help", "--version"])
+def test_a_full_or_closed_output_is_one_line(
+    words: str, redirected: str, reason: bytes, mini: Path, tmp_path: Path
+) -> None:
+    done = run(f"$KIT1000 {words.replace('MINI', str(mini))} {redirected}", tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.count(b"\n") == 1
+    assert reason in done.stderr
+
+
+def test_an_output_that_ends_early_is_no_error(mini: Path, tmp_path: Path) -> None:
+    done = run(f"$KIT1000 info {mini} | head -1; exit ${{PIPESTATUS[0]}}", tmp_path)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_a_closed_error_output_leaves_the_results_alone(mini: Path, tmp_path: Path) -> None:
+    done = run(f"$KIT1000 info {mini} 2>&-", tmp_path)
+    assert done.returncode == 0
+    assert done.stdout == run(f"$KIT1000 info {mini}", tmp_path).stdout
+
+
+@pytest.mark.parametrize("encoding", ["utf-8:strict", "ascii:strict", "latin-1"])
+def test_names_in_odd_encodings_are_printed_escaped(encoding: str, tmp_path: Path) -> None:
+    write_stl(tmp_path / "a.stl", l_shape())
+    odd = os.fsencode(tmp_path) + b"/Geh\xe4use.stl"
+    os.rename(tmp_path / "a.stl", odd)
+    done = run(
+        "$KIT1000 kit Geh\\\xe4use.stl --out k --no-preview".replace("\\\xe4", "*"), tmp_path, PYTHONIOENCODING=encoding
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"Geh\\udce4use.stl" in done.stdout
+
+
+def test_a_line_feed_in_a_name_keeps_the_message_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["kit", str(tmp_path / "two\nlines.stl"), "--out", str(tmp_path / "k")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert shown("a\tb\udce4ä\n") == "a\\tb\\udce4ä\\n"
+
+
+def test_the_home_folder_is_found_behind_an_equals_sign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_stl(tmp_path / "a.stl", l_shape())
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["kit", "a.stl", "--out=~/x", "--no-preview"]) == 0
+    assert (tmp_path / "home/x/kit.stl").is_file()
+    assert not (tmp_path / "~").exists()
+    (tmp_path / "~").mkdir()
+    assert main(["kit", "a.stl", "--out", "~/y", "--no-preview"]) == 0
+    assert (tmp_path / "home/y").is_dir()
+
+
+@pytest.mark.parametrize("name", ["x.jpg", "x.JPEG", "x.pdf", "x.svg"])
+def test_a_picture_of_another_format_is_refused(
+    name: str, mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["show", str(mini), "--out", str(tmp_path / name), "--count", "1"]) == 2
+    assert "pictures are PNG: name a file .png" in capsys.readouterr().err
+    assert not (tmp_path / name).exists()
+
+
+@pytest.mark.parametrize("name", ["x.png", "x.mcap"])
+def test_a_picture_or_recording_of_mine_stays(
+    name: str, mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / name
+    scene = ["--scene", "test-s0000"] if name.endswith("mcap") else ["--count", "1"]
+    path.write_bytes(b"\x89PNG mine")
+    assert main(["show", str(mini), "--out", str(path), *scene]) == 2
+    assert "of another origin: it stays" in capsys.readouterr().err
+    assert path.read_bytes() == b"\x89PNG mine"
+    path.unlink()
+    for _ in range(2):  # its own is replaced
+        assert main(["show", str(mini), "--out", str(path), *scene]) == 0
+
+
+@pytest.mark.parametrize("format", ["stl", "3mf"])
+def test_an_export_replaces_only_what_is_equal(format: str, mini: Path, tmp_path: Path) -> None:
+    export(mini, format, tmp_path, ("test-0000",))
+    export(mini, format, tmp_path, ("test-0000",))
+    path = tmp_path / f"test-0000.{format}"
+    path.write_bytes(b"mine")
+    with pytest.raises(InputError, match="of another origin: it stays"):
+        export(mini, format, tmp_path, ("test-0000",))
+    assert path.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "replaced"),
+    [
+        (json_bytes({"a": 1, "b": 2}), json_bytes({"a": 3, "b": 4}), True),
+        (json_bytes({"a": 1}), json_bytes({"a": 3, "b": 4}), False),
+        (b'{"t": 1}\n{"t": 2}\n', b'{"t": 5}\n{"u": 2}\n', True),
+        (b"method,mm\na,1\n", b"method,mm\nb,2\n", True),
+        (b"mine", b"method,mm\nb,2\n", False),
+        (b"", b"method,mm\n", False),
+        (b"same", b"same", True),
+    ],
+)
+def test_a_file_of_the_same_kind_is_replaced(old: bytes, new: bytes, replaced: bool, tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(old)
+    if replaced:
+        write_own(path, new)
+        assert path.read_bytes() == new
+        return
+    with pytest.raises(InputError, match="of another origin"):
+        write_own(path, new)
+    assert path.read_bytes() == old
