@@ -148,6 +148,8 @@ def _cut_plate(
         is_wide_enough = detail is not COARSE or measured.smallest >= clearance - SAGITTA
         if is_wide_enough and measured.largest <= clearance + MAX_EXCESS_CLEARANCE:
             return cavity, mesh, measured
+        if measured.largest > clearance + 3 * MAX_EXCESS_CLEARANCE:
+            break  # more than any detail adds
     return _cut_in_detail(standing, depth, clearance, plate, last)
 
 
