@@ -78,7 +78,7 @@ def _check_files(entry: Entry) -> None:
     scored, now = entry.scores["manifest"], json.loads(json.dumps(asdict(entry.manifest)))
     if not isinstance(scored, dict):
         raise _other_files(entry, "its manifest is no table")
-    changed = sorted(name for name in scored | now if (scored.get(name) or "") != (now.get(name) or ""))  # a new field is empty
+    changed = sorted(name for name in scored | now if (scored.get(name) or "") != (now.get(name) or ""))
     if changed:
         raise _other_files(entry, f"manifest.toml has another {', '.join(changed)}")
     if entry.scores["method"] != entry.manifest.method:
