@@ -6,13 +6,19 @@ import fcntl
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
 
-from kit1000.generation import shards
+from kit1000.errors import Redraw
+from kit1000.generation import parts_and_kits, shards
 from kit1000.generation.build import generate
 from kit1000.generation.presets import PRESETS
+from kit1000.kits.acceptance import PairCheck
+from kit1000.kits.choice import accepted_kit
+from kit1000.kits.kit import KitDesign, Plate
+from kit1000.values import Part
 from tests.samples.checkout import ROOT
 from tests.samples.mini import HIDDEN, HIDDEN_SEED, MINI, Published, fake_scene, publish_by_command
 from tests.samples.sources import loaded
@@ -103,6 +109,30 @@ def no_sync() -> Iterator[None]:
     """Files are not forced onto the disk: no test pulls the plug, and thousands of small files would wait for it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda _: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def kits_once() -> Iterator[None]:
+    """The generator makes each kit once a process: most tests of generation make the same few parts again and again.
+
+    That a kit is the same whenever it is made is tested with kits, and by datasets that other processes generate.
+    """
+    made: dict[tuple[Any, ...], Any] = {}
+
+    def once(part: Part, clearance: float, plate: Plate) -> tuple[KitDesign, PairCheck]:
+        key = part.id, part.family, part.mesh.vertices.tobytes(), part.mesh.faces.tobytes(), clearance, plate
+        if key not in made:
+            try:
+                made[key] = accepted_kit(part, clearance, plate)
+            except Redraw as refusal:
+                made[key] = refusal.reason
+        if isinstance(made[key], str):
+            raise Redraw(made[key])
+        return made[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parts_and_kits, "accepted_kit", once)
         yield
 
 

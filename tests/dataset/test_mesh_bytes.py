@@ -40,5 +40,7 @@ def test_a_glb_has_the_bytes_of_trimesh(bodies: dict[str, Mesh], colours: dict |
 def test_an_stl_has_the_numbers_of_trimesh(mesh: Mesh) -> None:
     theirs = trimesh.Trimesh(mesh.vertices * 1e3, mesh.faces, process=False).export(file_type="stl")
     ours = stl_bytes(mesh)
+    assert isinstance(theirs, bytes)
     assert ours[:84] == theirs[:84]
-    assert np.array_equal(*(np.frombuffer(data, STL_FACET, offset=84) for data in (ours, theirs)))  # -0 equals 0
+    mine, reference = (np.frombuffer(data, STL_FACET, offset=84) for data in (ours, theirs))
+    assert np.array_equal(mine, reference)  # -0 equals 0

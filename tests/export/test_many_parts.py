@@ -37,7 +37,9 @@ def test_each_file_gets_a_kit_and_a_bad_one_a_reason(tmp_path: Path, monkeypatch
     assert "bad.stl" in reports["bad"]
     assert isinstance(reports["bad"], str)
     for name in ("good", "large"):
-        assert reports[name]["part"] == f"{name}.stl"
+        report = reports[name]
+        assert isinstance(report, dict)
+        assert report["part"] == f"{name}.stl"
         names = sorted(path.name for path in (tmp_path / "out" / name).iterdir())
         assert names == ["kit.stl", "part.stl", "report.json", "seated.glb"]
     assert "bug" in run(KitJob(strange, tmp_path / "out/strange"))["strange"]

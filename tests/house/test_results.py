@@ -34,7 +34,7 @@ def sentences(text: str) -> list[str]:
 
 
 @cache
-def submissions() -> list[Entry]:
+def submissions() -> tuple[Entry, ...]:
     return read_entries(ROOT / "submissions")
 
 

@@ -62,9 +62,8 @@ def private_names(path: Path) -> Iterator[str]:
             names = re.findall(rf"^(?:(?:{'|'.join(OURS)})[\w.]*\.)?(_[a-z]\w*)$", node.value)
         else:
             names = []
-        yield from (
-            f"{node.lineno}: {name}" for name in names if re.match(r"_[^_]", name) and name not in OF_NAMED_TUPLES
-        )
+        line = getattr(node, "lineno", 0)
+        yield from (f"{line}: {name}" for name in names if re.match(r"_[^_]", name) and name not in OF_NAMED_TUPLES)
 
 
 def _root(node: ast.expr) -> str | None:

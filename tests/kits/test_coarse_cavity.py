@@ -20,8 +20,9 @@ from tests.samples.shapes import as_part
 def filleted(segments: int = 64) -> Manifold:
     """A block with a concave fillet of many facets all round its foot, and a hole off its centre."""
     angles = np.linspace(0, np.pi / 2, segments // 4)
-    profile = [(10 + 6 - 6 * np.sin(a), 6 - 6 * np.cos(a)) for a in angles]
-    body = Manifold.revolve(CrossSection([[(0, 0), (16, 0), *profile[1:], (10, 20), (0, 20)]]), segments)
+    fillet = np.column_stack([16 - 6 * np.sin(angles), 6 - 6 * np.cos(angles)])
+    profile = np.vstack([[(0, 0), (16, 0)], fillet[1:], [(10, 20), (0, 20)]])
+    body = Manifold.revolve(CrossSection([profile]), segments)
     return body.rotate((180, 0, 0)).translate((0, 0, 20)) - Manifold.cylinder(40, 2, 2, 48, True).translate((4, 1, 0))
 
 

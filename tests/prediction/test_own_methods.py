@@ -6,13 +6,14 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from baselines.catalog import METHOD_TABLES, all_methods, run_config
+from baselines.catalog import all_methods, run_config
 from baselines.training.shipping import ship
 from kit1000.cli import main
 from kit1000.errors import InputError, InternalError
@@ -173,11 +174,10 @@ def test_one_submission_holds_one_code_and_one_set_of_weights(mini: Path, tmp_pa
     assert len(manifest.source) == 64
     predict(run_config("guess", ("test",), ("snap-tilt",)), mini, tmp_path / "o", 1)
     rows = (tmp_path / "o/predictions.csv").read_bytes()
-    values = {name: getattr(manifest, name) for name in manifest.__dataclass_fields__}
-    write_manifest(tmp_path / "o/manifest.toml", type(manifest)(**values | {"source": "0" * 64}))
+    write_manifest(tmp_path / "o/manifest.toml", replace(manifest, source="0" * 64))
     with pytest.raises(InputError, match=r"holds rows of other code or other weights .source 000000000000, now"):
         predict(run_config("guess", ("test",), ("snap-d415",)), mini, tmp_path / "o", 1)
-    write_manifest(tmp_path / "o/manifest.toml", type(manifest)(**values | {"source": "", "training_data": "mine"}))
+    write_manifest(tmp_path / "o/manifest.toml", replace(manifest, source="", training_data="mine"))
     with pytest.raises(InputError, match="holds rows of weights trained on 'mine', not on 'nothing'"):
         predict(run_config("guess", ("test",), ("snap-d415",)), mini, tmp_path / "o", 1)
     assert (tmp_path / "o/predictions.csv").read_bytes() == rows
@@ -191,4 +191,3 @@ def test_shipping_refuses_weights_of_another_dataset(own_run: Path, tmp_path: Pa
     with pytest.raises(InputError, match=r"were trained on dataset 0123, these on feedfeedfeedfeed.*--weights RUN"):
         ship(own_run, lambda _: published, "0123abc")
     assert json.loads((published / "completion.json").read_text())["sha256"] == "0"
-    assert METHOD_TABLES

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from kit1000.parts.files.sources import MeshReading, read_bodies
+
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 RELATIONSHIPS = (
     '<?xml version="1.0"?><Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
@@ -34,6 +36,14 @@ def cases() -> Path | None:
     beside = Path(__file__).resolve().parents[3] / "shared/cases"
     folder = Path(os.environ.get("KIT1000_CASES") or beside)
     return folder if (folder / "README.md").is_file() else None
+
+
+def readable_bodies(path: Path) -> list[MeshReading]:
+    """The bodies of a file, each of which can be a part."""
+    bodies = read_bodies(path)
+    readable = [body for body in bodies if isinstance(body, MeshReading)]
+    assert len(readable) == len(bodies)
+    return readable
 
 
 def mesh_xml(*meshes: trimesh.Trimesh) -> str:

@@ -11,8 +11,8 @@ import pytest
 import trimesh
 
 from kit1000.errors import MeshRefused
-from kit1000.parts.files.sources import read_bodies, read_mesh
-from tests.samples.foreign_files import Gltf
+from kit1000.parts.files.sources import read_mesh
+from tests.samples.foreign_files import Gltf, readable_bodies
 
 BOX = trimesh.creation.box((0.04, 0.02, 0.01))
 SIZE = (40, 10, 20)  # [mm] y up becomes z up
@@ -135,7 +135,7 @@ def test_instances_are_bodies(tmp_path: Path) -> None:
     extension = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": places, "SCALE": sizes}}}
     gltf.json["nodes"][0]["extensions"] = extension
     gltf.json["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
-    bodies = read_bodies(gltf.glb(tmp_path / "a.glb"))
+    bodies = readable_bodies(gltf.glb(tmp_path / "a.glb"))
     assert [body.mesh.volume * 1e9 for body in bodies] == pytest.approx([64000, 8000], rel=1e-5)
     assert not any("inside out" in note for body in bodies for note in body.notes)
 

@@ -143,7 +143,8 @@ def test_the_triangles_of_a_polygon_cover_it_once(seed: int, corners: int) -> No
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     vertices = flat @ turn.T
     triangles = triangles_of(vertices, [list(range(corners))])
-    normals = np.cross(*(vertices[triangles[:, k]] - vertices[triangles[:, 0]] for k in (1, 2)))
+    first, second = (vertices[triangles[:, k]] - vertices[triangles[:, 0]] for k in (1, 2))
+    normals = np.cross(first, second)
     ahead = np.roll(flat, -1, axis=0)
     area = 0.5 * (flat[:, 0] * ahead[:, 1] - flat[:, 1] * ahead[:, 0]).sum()
     direction = np.cross(vertices, np.roll(vertices, -1, axis=0)).sum(0)
@@ -157,7 +158,8 @@ def test_corners_on_a_line_stay_in_the_triangles() -> None:
     triangles = triangles_of(vertices, np.array([[0, 1, 2, 3, 4, 5]]))
     edges = {tuple(sorted(edge)) for a, b, c in triangles.tolist() for edge in ((a, b), (b, c), (c, a))}
     assert {(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (0, 5)} <= edges
-    normals = np.cross(*(vertices[triangles[:, k]] - vertices[triangles[:, 0]] for k in (1, 2)))
+    first, second = (vertices[triangles[:, k]] - vertices[triangles[:, 0]] for k in (1, 2))
+    normals = np.cross(first, second)
     assert normals[:, 2].sum() == pytest.approx(8)
 
 

@@ -8,8 +8,17 @@ import pytest
 import trimesh
 
 from kit1000.errors import MeshRefused
-from kit1000.parts.files.sources import read_bodies, read_mesh
-from tests.samples.foreign_files import PART, archive, helper, mesh_xml, model_xml, object_xml, slic3r_config
+from kit1000.parts.files.sources import read_mesh
+from tests.samples.foreign_files import (
+    PART,
+    archive,
+    helper,
+    mesh_xml,
+    model_xml,
+    object_xml,
+    readable_bodies,
+    slic3r_config,
+)
 
 CUBE = helper()
 ONE = object_xml(1, mesh_xml(PART, CUBE))
@@ -162,7 +171,7 @@ def test_a_negative_volume_cuts_the_parts_of_its_own_item_alone(tmp_path: Path) 
 def test_each_instance_of_a_cut_object_is_cut(tmp_path: Path) -> None:
     config = slic3r_config((0, 11, "ModelPart"), (12, 23, "NegativeVolume"))
     items = ['objectid="1"', 'objectid="1" transform="-1 0 0 0 1 0 0 0 1 -10 0 0"']  # mirrored
-    bodies = read_bodies(archive(tmp_path / "part.3mf", model_xml(ONE, *items), config))
+    bodies = readable_bodies(archive(tmp_path / "part.3mf", model_xml(ONE, *items), config))
     assert [body.mesh.volume * 1e9 for body in bodies] == pytest.approx([5744, 5744], rel=1e-6)
 
 

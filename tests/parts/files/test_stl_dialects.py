@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import trimesh
 
+from kit1000.dataset.mesh_files import stl_bytes
 from kit1000.errors import MeshRefused
-from kit1000.parts.files.sources import read_bodies, read_mesh
+from kit1000.mesh import Mesh
+from kit1000.parts.files.sources import read_mesh
+from tests.samples.foreign_files import readable_bodies
 
 BOX = trimesh.creation.box((40, 20, 10))
-BINARY = BOX.export(file_type="stl")
-TEXT = BOX.export(file_type="stl_ascii")
-FAR = trimesh.Trimesh(BOX.vertices + [60, 0, 0], BOX.faces, process=False).export(file_type="stl_ascii")
-assert isinstance(BINARY, bytes)
-assert isinstance(TEXT, str)
-assert isinstance(FAR, str)
+BINARY = stl_bytes(Mesh(BOX.vertices * 1e-3, BOX.faces))
+TEXT = str(BOX.export(file_type="stl_ascii"))
+FAR = str(trimesh.Trimesh(BOX.vertices + [60, 0, 0], BOX.faces, process=False).export(file_type="stl_ascii"))
 
 DIALECTS: dict[str, Callable[[], bytes]] = {
     "upper": lambda: TEXT.upper().encode(),
@@ -57,7 +57,7 @@ def test_a_dialect_of_text_is_the_same_part(name: str, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("between", ["", "\n", "\ncomment: vertex 1 2 3\n"])
 def test_several_solids_are_several_bodies(between: str, tmp_path: Path) -> None:
-    bodies = read_bodies(written(tmp_path, (TEXT + between + FAR).encode()))
+    bodies = readable_bodies(written(tmp_path, (TEXT + between + FAR).encode()))
     assert [body.mesh.volume * 1e9 for body in bodies] == pytest.approx([8000, 8000])
 
 
