@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,15 +31,17 @@ class OnPredictedMasks:
     predictor: Predictor
     scale: float = 1.0
     """Scale of the dataset's scenes."""
+    weights: Path = WEIGHTS
+    """Folder of the networks for noisy images."""
 
     def __call__(self, query: Query, geometry: TrueGeometry | None, /) -> PredictedMotion:
         """What the method predicts; segmentation is part of the method."""
-        return self.predictor(with_predicted_masks(query, self.scale), geometry)
+        return self.predictor(with_predicted_masks(query, self.scale, self.weights), geometry)
 
 
-def with_predicted_masks(query: Query, scale: float = 1.0) -> Query:
+def with_predicted_masks(query: Query, scale: float = 1.0, weights: Path = WEIGHTS) -> Query:
     """The query with masks from its depth image alone. Its pivot says which instance is the part: the nearest one."""
-    restorer, finder = (None, None) if query.sensor == "ideal" else mask_networks()
+    restorer, finder = (None, None) if query.sensor == "ideal" else mask_networks(weights)
     labels = segmented(query.view, query.sensor, scale, restorer, finder).copy()
     own = FIRST_PART_LABEL + query.part
     pivots = part_pivots(query.view, labels)
@@ -54,14 +57,14 @@ def with_predicted_masks(query: Query, scale: float = 1.0) -> Query:
     return replace(query, read_image=lambda: image)
 
 
-@lru_cache(maxsize=1)
-def mask_networks() -> tuple[Restorer, PartFinder]:
-    """The networks of MASKS_WEIGHTS."""
+@lru_cache(maxsize=2)
+def mask_networks(folder: Path = WEIGHTS) -> tuple[Restorer, PartFinder]:
+    """The networks of MASKS_WEIGHTS in a folder."""
     from kit1000.perception.restoration.restorer import Restorer
     from kit1000.perception.segmentation.part_finder import PartFinder
 
     restoration, parts = MASKS_WEIGHTS
-    return Restorer(WEIGHTS / restoration), PartFinder(WEIGHTS / parts)
+    return Restorer(folder / restoration), PartFinder(folder / parts)
 
 
 def _around_pivot(query: Query) -> np.ndarray:
