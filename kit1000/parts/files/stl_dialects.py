@@ -22,7 +22,9 @@ FACET_BEGIN = re.compile(rb"\bfacet\s+normal\b", re.IGNORECASE)
 CORNER = rb"\s+vertex\s+(\S+)\s+(\S+)\s+(\S+)"
 LOOP = re.compile(rb"\bouter\s+loop" + 3 * CORNER + rb"\s+endloop\b", re.IGNORECASE)
 FACET_END = re.compile(rb"\bendfacet\b", re.IGNORECASE)
-END = re.compile(rb"\bendsolid\b", re.IGNORECASE)
+AFTER_SOLID = re.compile(
+    rb"^[ \t]*end[ \t]*solid\b(.*?)(?=^[ \t]*solid\b|\Z)", re.MULTILINE | re.IGNORECASE | re.DOTALL
+)
 LOOP_BEGIN = re.compile(rb"\bouter\s+loop\b", re.IGNORECASE)
 CORNERS = re.compile(rb"\bvertex\s", re.IGNORECASE)
 BLOCK = 100_000  # triangles of a text that are converted at once
@@ -36,8 +38,9 @@ def read_stl(data: bytes, max_faces: int) -> TriangleSoup:
         return _binary(data, declared, max_faces)
     check_foreign(data)
     check_narrow(data)
-    if b"\0" not in data[:4096] and _is_printable(data[:4096]):
-        return _text(plain_text(data), max_faces)
+    text = data.rstrip(b"\0")  # with which some programs fill up a block of the disk
+    if b"\0" not in text[:4096] and _is_printable(text[:4096]):
+        return _text(plain_text(text), max_faces)
     if len(data) < HEADER:
         raise MeshRefused(f"not a mesh: {len(data)} bytes, a binary STL has at least {HEADER}")
     held = (len(data) - HEADER) // FACET.itemsize
@@ -60,7 +63,7 @@ def _binary(data: bytes, count: int, max_faces: int, notes: tuple[str, ...] = ()
 def _text(text: bytes, max_faces: int) -> TriangleSoup:
     if not FACET_BEGIN.search(text):
         raise MeshRefused("holds no triangles" if NAME.match(text.lstrip()) else "not a mesh: text file")
-    body = NAME.sub(b"", text)  # names may hold any word
+    body = NAME.sub(b"", AFTER_SOLID.sub(_without_comment, text))  # names and comments may hold any word
     count = sum(1 for _ in FACET_BEGIN.finditer(body))
     if count > max_faces:
         raise MeshRefused(f"{count:,} triangles, more than {max_faces:,}")
@@ -71,9 +74,15 @@ def _text(text: bytes, max_faces: int) -> TriangleSoup:
     corners = np.concatenate([np.zeros((0, 3)), *blocks])
     if len(corners) != 3 * count:
         raise MeshRefused(_broken_facet(body))
-    if not END.search(text) and FACET_END.split(body)[-1].strip():
+    rest = FACET_END.split(body)[-1].split()
+    if rest and b"facet".startswith(rest[0].lower()):
         raise MeshRefused(f"cut short: ends within the facet after number {count:,}")
     return soup_of_corners(corners)
+
+
+def _without_comment(match: re.Match[bytes]) -> bytes:
+    """Blank lines for all from the end of a solid to the next one, unless there are facets."""
+    return match[0] if LOOP.search(match[1]) else b"\n" * match[0].count(b"\n")
 
 
 def _numbers(loops: list[tuple[bytes, ...]]) -> np.ndarray:
