@@ -43,7 +43,7 @@ class EditedScene:
         base_from_camera: None for that of dataset.json, if it states one.
         """
         recorded = dataset.recorded_scene(scene_id, truth)
-        base = base_from_camera or _stated_base(dataset)
+        base = _stated_base(dataset) if base_from_camera is None else base_from_camera
         return cls(dataset, recorded, sensor, truth, editable_queries(recorded, sensor), base)
 
     @property

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kit1000.cli import main
@@ -75,6 +75,7 @@ def test_moving_the_world_moves_nothing_in_the_frame_of_the_camera(move: Move, m
         assert np.abs(one.axis - other.axis).max() < 1e-9
 
 
+@settings(max_examples=20)
 @given(written=st.lists(moves(), max_size=3, unique_by=lambda move: move.part))
 def test_moves_are_read_as_they_were_written(written: list[Move], tmp_path_factory: pytest.TempPathFactory) -> None:
     folder = tmp_path_factory.mktemp("edits")
@@ -212,7 +213,7 @@ def test_a_bad_pose_file_ends_the_command_before_it_begins(
 ) -> None:
     (tmp_path / "pose.json").write_text("[1, 2]")
     options = ["--scene", KEY[0], "--out", str(tmp_path / "out"), "--base-from-camera", str(tmp_path / "pose.json")]
-    assert main(["edit", "--data", str(mini), *options]) == 2
+    assert main(["edit", str(mini), *options]) == 2
     assert "pose.json: no pose" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
