@@ -109,6 +109,8 @@ class Edit:
     """Further web addresses of the page, as behind a proxy or ssh -L with another port: http://localhost:9000."""
     truth: Flag = False
     """Show true shapes; the page and every line of the log say so."""
+    base_from_camera: OptionalPath = None
+    """JSON file with the camera's pose in the base of your robot, for moves.json; that of dataset.json when absent."""
 
     def run(self) -> int:
         """Serve the page until Ctrl-C."""
@@ -121,7 +123,7 @@ class Edit:
             raise InputError("edit: needs viser: pip install 'kit1000[edit]'") from None
         find_own_modules()
         scene = (self.data, self.scene, self.out, self.sensor, self.snap)
-        serve(Options(*scene, self.port, self.truth, self.interface, self.origin))
+        serve(Options(*scene, self.port, self.truth, self.interface, self.origin, self.base_from_camera))
         return 0
 
 

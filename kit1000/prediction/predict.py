@@ -250,7 +250,7 @@ def _manifest(config: RunConfig, method: Method, dataset: Dataset, tracks: set[s
         description=method.description,
         date=date.today().isoformat(),
         dataset_id=dataset.id,
-        dataset_checksum=dataset.summary["checksum"],
+        dataset_checksum=dataset.summary.get("checksum", ""),
         tracks=_in_order(tracks),
         predicts=method.predicts,
         learned=method.learned,
@@ -286,7 +286,7 @@ def _command(config: RunConfig, dataset: Dataset, out: Path) -> str:
     words += ["--tracks", *config.tracks] if config.tracks else []
     words += ["--seed", str(config.seed)] if config.seed else []
     words += ["--limit", str(config.limit)] if config.limit is not None else []
-    words += ["--data", f"data/{dataset.summary['preset']}", "--out", f"submissions/{out.name}"]
+    words += ["--data", f"data/{dataset.summary.get('preset', dataset.root.name)}", "--out", f"submissions/{out.name}"]
     return shlex.join(words)
 
 
