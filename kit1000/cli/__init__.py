@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
+from kit1000.cli.capture import ImportImages
 from kit1000.cli.command_line import run
 from kit1000.cli.options import Flag, Folder, OptionalFloat, OptionalInt, OptionalPath, Unit
 from kit1000.cli.scenes import Edit, Predict, Run, Study
@@ -333,6 +334,7 @@ COMMANDS = {
     "verify": Verify,
     "export": Export,
     "check": Check,
+    "import": ImportImages,
     "edit": Edit,
     "predict": Predict,
     "run": Run,
