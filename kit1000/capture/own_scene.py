@@ -11,6 +11,7 @@ import numpy as np
 from kit1000.capture.depth_frames import DepthFrame, mean_depth, metric_depth
 from kit1000.capture.intrinsics import Intrinsics, Stream
 from kit1000.capture.known_sensors import known_baseline
+from kit1000.capture.mask_networks import cut_back
 from kit1000.capture.own_world import OwnWorld, read_pose, world_of_bodies, world_of_pose
 from kit1000.capture.pinhole_images import PinholeImage, pinhole_image
 from kit1000.capture.seen_bodies import SeenBody, seen_bodies
@@ -39,6 +40,8 @@ class Wanted:
     """Number of the body that is the kit, the largest first, from 1."""
     world_from_camera: Path | None = None
     """JSON file of a hand-eye pose."""
+    networks: bool = False
+    """Whether the networks of segmentation cut the masks back."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +94,15 @@ def own_scene(
     table, floor = _table(image, source, empty)
     bodies = seen_bodies(table, floor)
     chosen = _with_kit_first(bodies, wanted.kit, source, table)
+    facts = _facts(frames[0], known, image, table, wanted)
+    if wanted.networks:
+        kit, parts = cut_back(table, on_grid(image.depth), chosen, facts)
+        chosen = [kit, *parts]
     world = _world(table, chosen, wanted)
     labels = np.zeros(image.depth.shape, np.uint8)
     for number, body in enumerate(chosen):
         labels[body.mask] = ASSEMBLY_LABEL if number == 0 else FIRST_PART_LABEL + number - 1
     view = View(image.camera, world.world_from_camera, on_grid(image.depth))
-    facts = _facts(frames[0], known, image, table, wanted)
     return OwnScene(source, table, tuple(chosen), world, LabelledDepth(view, labels), facts)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import binary_dilation, binary_fill_holes, binary_opening, find_objects
 
-from kit1000.capture.table_search import Table, inside_outline
+from kit1000.capture.table_search import Table, convex_outline, inside_outline
 from kit1000.perception.segmentation.pieces import connected
 
 LEAST_HEIGHT = 2.5e-3  # [m] of a pixel above the table,
@@ -22,6 +22,7 @@ LEAST_PIXELS = 150
 MOST_BODIES = 200
 SPIKE = 3  # [px] side of a square that is a body, and no noise
 GAP = 25e-3  # [m] along the table, between neighbours in the image that are two bodies
+FRAGMENT, FRAGMENT_AREA = 0.1, 5e-4  # of the larger one's area, and [m^2], of pieces that a shadow cut off
 MOST_POINTS = 2000  # whose smallest rectangle is sought
 
 
@@ -66,7 +67,26 @@ def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]
         strip = body.sides[0] < STRIP and (mask & beside[box]).any()
         if body.area > LEAST_AREA and not strip:
             found.append(body)
-    return sorted(found, key=lambda body: -body.area)[:MOST_BODIES]
+    return _with_fragments(table, sorted(found, key=lambda body: -body.area))[:MOST_BODIES]
+
+
+def _with_fragments(table: Table, bodies: list[SeenBody]) -> list[SeenBody]:
+    """Bodies, the largest first; small ones inside the convex outline of a much larger one become pieces of it."""
+    whole: list[SeenBody] = []
+    for body in bodies:
+        homes = (i for i, other in enumerate(whole) if body.area < FRAGMENT * other.area and body.area < FRAGMENT_AREA)
+        home = next((i for i in homes if _within(table, body, whole[i])), None)
+        if home is None:
+            whole.append(body)
+        else:
+            whole[home] = measured_body(table, whole[home].mask | body.mask)
+    return whole
+
+
+def _within(table: Table, body: SeenBody, other: SeenBody) -> bool:
+    """Whether most of a body lies inside the convex outline of another one, from above."""
+    outline = convex_outline(table.ground(other.mask))
+    return bool(np.mean(inside_outline(table.ground(body.mask), outline, 0.0)) > 0.5)
 
 
 def _opened(mask: np.ndarray) -> np.ndarray:

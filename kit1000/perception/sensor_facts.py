@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, TypeAlias
 
 from kit1000.errors import InputError
 from kit1000.sim.sensors import SENSORS, Sensor
@@ -39,21 +39,30 @@ class SensorFacts:
         """The facts as a JSON value."""
         return asdict(self)
 
-    @property
-    def model(self) -> Sensor:
-        """The sensor model with these facts: how far disparities and edges are off."""
-        return replace(D415, baseline=self.baseline, fattening_px=self.fattening_px, noise_px=self.noise_px)
-
 
 SIMULATED = SensorFacts()
+AnySensor: TypeAlias = "str | SensorFacts"
+"""A simulated sensor by its name, or the facts about another one."""
 
 
-def facts_of(summary: Mapping[str, Any], sensor: str) -> SensorFacts:
-    """The facts about a sensor of a dataset, from its dataset.json; the simulated ones where it states none."""
+def sensor_of(summary: Mapping[str, Any], sensor: str) -> AnySensor:
+    """The facts that a dataset.json states about the sensor of a view, by its key; the key where it states none."""
     rows = summary.get(KEY) or {}
     if sensor not in rows:
-        return SIMULATED
+        return sensor
     try:
         return SensorFacts(**rows[sensor])
     except TypeError as error:
         raise InputError(f"dataset.json: facts of the sensor {sensor} cannot be read ({error}); import it again") from None
+
+
+def model_of(sensor: AnySensor) -> Sensor:
+    """The sensor model: how far disparities and edges are off."""
+    if isinstance(sensor, str):
+        return SENSORS[sensor]
+    return replace(D415, baseline=sensor.baseline, fattening_px=sensor.fattening_px, noise_px=sensor.noise_px)
+
+
+def table_is_simulated(sensor: AnySensor) -> bool:
+    """Whether the table is that of generated scenes, 1.2 m x 1.6 m about the origin."""
+    return isinstance(sensor, str) or sensor.simulated_table

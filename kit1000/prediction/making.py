@@ -66,7 +66,7 @@ def make_predictor(method: Method, dataset: Dataset, seed: int) -> Predictor:
         except (Exception, SystemExit) as error:
             raise InternalError(f"{method.make}: {failure_text(error)}") from error
     given = method.masks == "given"
-    return predictor if given else OnPredictedMasks(predictor, dataset.summary["config"]["scale"])
+    return predictor if given else OnPredictedMasks(predictor, dataset.summary["config"]["scale"], dataset.summary)
 
 
 def _on_predicted_masks(method: Method) -> Method:

@@ -13,6 +13,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.perception.heights.labelled_views import LabelledViews
 from kit1000.perception.restoration import restored_query
+from kit1000.perception.sensor_facts import sensor_of
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.queries.pivots import part_pivots
@@ -105,7 +106,7 @@ class Registration:
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits at all clearances, the best first."""
         if self.source == "depth":
-            image = SharedImage(query.image, query.sensor, self.restorer)
+            image = SharedImage(query.image, sensor_of(self.dataset.summary, query.sensor), self.restorer)
             fits = self.certain_fits(query, image)
             if query.guess is not None or self.clearances:
                 return fits
