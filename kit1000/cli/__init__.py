@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from kit1000.cli.capture import ImportImages
 from kit1000.cli.command_line import run
 from kit1000.cli.datasets import Check, Export, Generate, Info, Show, Verify
 from kit1000.cli.own_kits import MakeKit
@@ -30,6 +31,7 @@ COMMANDS = {
     "verify": Verify,
     "export": Export,
     "check": Check,
+    "import": ImportImages,
     "edit": Edit,
     "predict": Predict,
     "run": Run,

@@ -64,8 +64,9 @@ def make_predictor(method: Method, dataset: Dataset, seed: int) -> Predictor:
             raise
         except (Exception, SystemExit) as error:
             raise InternalError(f"{method.make}: {failure_text(error)}") from error
-    given = method.masks == "given"
-    return predictor if given else OnPredictedMasks(predictor, dataset.summary["config"]["scale"], method.mask_weights)
+    if method.masks == "given":
+        return predictor
+    return OnPredictedMasks(predictor, dataset.summary["config"]["scale"], dataset.summary, method.mask_weights)
 
 
 def _on_predicted_masks(method: Method) -> Method:

@@ -13,6 +13,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.perception.heights.labelled_views import LabelledViews
 from kit1000.perception.restoration import restored_query
+from kit1000.perception.sensor_facts import sensor_of
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.queries.pivots import part_pivots
@@ -107,7 +108,7 @@ class Registration:
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits, the best first: at all clearances that are tried; from depth at the best one, where none is stated."""
         if self.source == "depth":
-            image = SharedImage(query.image, query.sensor, self.restorer)
+            image = SharedImage(query.image, sensor_of(self.dataset.summary, query.sensor), self.restorer)
             if not self.clearances and len(self._clearances) > 1:
                 return self._fits_at_best_clearance(query, image)
             fits = self.certain_fits(query, image)

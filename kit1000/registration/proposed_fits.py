@@ -6,6 +6,7 @@ from kit1000.mesh import Mesh
 from kit1000.perception.observed.kits import ObservedKits
 from kit1000.perception.observed.pixels import noise_of
 from kit1000.perception.restoration import calibrated_image
+from kit1000.perception.sensor_facts import sensor_of
 from kit1000.predictor import PredictedMotion
 from kit1000.registration.method import Registration
 from kit1000.values import ASSEMBLY_LABEL, Query, TrueGeometry
@@ -31,8 +32,9 @@ class CompletingRegistration(ProposingRegistration):
         from kit1000.perception.completion.kits.completed import ReliefCompleter
         from kit1000.perception.completion.kits.hidden_surface import hidden_surfaces
 
-        image = calibrated_image(query.image, query.sensor)
-        restored = image if self.restorer is None else self.restorer(image, query.sensor, (ASSEMBLY_LABEL,))
+        sensor = sensor_of(self.dataset.summary, query.sensor)
+        image = calibrated_image(query.image, sensor)
+        restored = image if self.restorer is None else self.restorer(image, sensor, (ASSEMBLY_LABEL,))
         noise = noise_of(query.sensor, restored=True)
         kits = ObservedKits(restored, noise, query.scene_id, completer=ReliefCompleter(WEIGHTS / "kit-completion"))
         recorded_from_calibrated = query.view.world_from_camera @ image.view.world_from_camera.inverse()

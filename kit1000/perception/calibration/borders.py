@@ -18,6 +18,7 @@ from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.perception.calibration.plane import plane_coefficients
 from kit1000.perception.calibration.table_top import HALF_SIZES, ground, rays
+from kit1000.perception.sensor_facts import AnySensor
 from kit1000.pose import Pose
 from kit1000.sim.sensors import SENSORS
 from kit1000.values import View
@@ -94,6 +95,17 @@ class BlindBand:
 OUTLINE = tuple(OutlineEdge(axis, side) for axis in (0, 1) for side in (1, -1))
 BLIND_BAND = BlindBand(SENSORS["d415"].baseline)
 BORDERS: tuple[Border, ...] = (BLIND_BAND, *OUTLINE)
+
+
+def borders_of(sensor: AnySensor) -> tuple[Border, ...]:
+    """The borders that an image of a sensor shows: all of a simulated one; of another one those that its facts state.
+
+    An image aligned to another camera has an empty band too, but not where the baseline puts it.
+    """
+    if isinstance(sensor, str):
+        return BORDERS
+    band = (BlindBand(sensor.baseline),) if sensor.stream == "raw" else ()
+    return (*band, *OUTLINE) if sensor.simulated_table else band
 
 
 @dataclass(frozen=True, eq=False)

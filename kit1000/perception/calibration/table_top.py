@@ -13,6 +13,7 @@ from kit1000.values import View
 
 HALF_SIZES = np.array(TABLE_SIZE[:2]) / 2
 """(2,) [m] from the origin to the table's edges, along x and y."""
+NEAR = 25e-3  # [m] from the plane, of pixels of a table of unknown size
 
 
 def rays(camera: Camera, uv: np.ndarray) -> np.ndarray:
@@ -27,19 +28,34 @@ def ground(pose: Pose, directions: np.ndarray) -> np.ndarray:
     return pose.xyz + directions * (pose.xyz[2] / down)[:, None]
 
 
-def flattened(view: View, labels: np.ndarray) -> View:
-    """The view with the depths of the table's plane at all pixels of the table, with a return or without."""
-    depth, on = _table_top(view)
+def flattened(view: View, labels: np.ndarray, simulated: bool = True) -> View:
+    """The view with the depths of the table's plane at all pixels of the table, with a return or without.
+
+    simulated: whether the table is that of generated scenes; of another one, only pixels near its plane are its own.
+    """
+    depth, on = _table_top(view) if simulated else _near_plane(view)
     return replace(view, depth=np.where((labels == 0) & on, depth.astype(view.depth.dtype), view.depth))
+
+
+def _near_plane(view: View) -> tuple[np.ndarray, np.ndarray]:
+    """As of `_table_top`, for a table of unknown size: pixels without a return, or with one near the plane."""
+    depth = _plane_depth(view)[0]
+    along = np.abs(view.depth - depth) * view.world_from_camera.xyz[2] / np.maximum(depth, 1e-3)  # [m] of height
+    return depth, (depth > 0) & ((view.depth == 0) | (along < NEAR))
 
 
 def _table_top(view: View) -> tuple[np.ndarray, np.ndarray]:
     """(H, W) [m] depths of the plane z = 0, 0 where it is not in front; (H, W) bool: pixels that look at the table."""
+    depth, (x, y, z) = _plane_depth(view)
+    axes = zip(view.world_from_camera.xyz, (x, y), HALF_SIZES, strict=False)
+    within = [np.abs(start + direction * depth) <= half for start, direction, half in axes]
+    return depth, (z < 0) & within[0] & within[1]
+
+
+def _plane_depth(view: View) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """(H, W) [m] depths of the plane z = 0, 0 where it is not in front; three (H, W): rays of depth 1 in the world."""
     camera, pose = view.camera, view.world_from_camera
     across = (np.arange(camera.width) - camera.cx) / camera.fx
     along = (np.arange(camera.height) - camera.cy) / camera.fy
     x, y, z = (axis[0] * across + (axis[1] * along + axis[2])[:, None] for axis in pose.rotation_matrix())
-    depth = np.divide(pose.xyz[2], -z, out=np.zeros_like(z), where=z < 0)  # of rays of depth 1
-    axes = zip(pose.xyz, (x, y), HALF_SIZES, strict=False)
-    within = [np.abs(start + direction * depth) <= half for start, direction, half in axes]
-    return depth, (z < 0) & within[0] & within[1]
+    return np.divide(pose.xyz[2], -z, out=np.zeros_like(z), where=z < 0), (x, y, z)

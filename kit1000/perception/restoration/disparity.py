@@ -8,7 +8,7 @@ import numpy as np
 
 from kit1000.camera import Camera
 from kit1000.perception.restoration.rules import close_gaps, ground_inverse_depth
-from kit1000.sim.sensors import SENSORS
+from kit1000.perception.sensor_facts import AnySensor, model_of
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 Evidence = dict[str, np.ndarray]
@@ -19,7 +19,7 @@ LEVEL_STEP = 3  # [px] between them
 STARTS = ((16, 16), (11, 7), (8, 13))  # [px] above and left of a box, where images of it begin; odd in number
 
 
-def evidence(image: LabelledDepth, closed: View, sensor: str) -> Evidence:
+def evidence(image: LabelledDepth, closed: View, sensor: AnySensor) -> Evidence:
     """What the network reads of a calibrated image: see `RestorationNet.forward`; (H, W) arrays, `slope`, `level`.
 
     closed: its view as of `closed_gaps`.
@@ -30,7 +30,7 @@ def evidence(image: LabelledDepth, closed: View, sensor: str) -> Evidence:
     return _evidence(closed, returned, kinds, sensor) | {"level": noise_level(image.view, table, sensor)}
 
 
-def unlabelled_evidence(view: View, sensor: str) -> Evidence:
+def unlabelled_evidence(view: View, sensor: AnySensor) -> Evidence:
     """The same of a calibrated view without masks: `labels` is 0 everywhere."""
     depth, everywhere = view.depth.copy(), np.ones(view.depth.shape, bool)
     close_gaps(depth, everywhere)
@@ -39,7 +39,7 @@ def unlabelled_evidence(view: View, sensor: str) -> Evidence:
     return read | {"level": noise_level(view, returned, sensor)}
 
 
-def noise_level(calibrated: View, mask: np.ndarray, sensor: str) -> np.ndarray:
+def noise_level(calibrated: View, mask: np.ndarray, sensor: AnySensor) -> np.ndarray:
     """(1,) float32 [px]: how far disparities are from those of the table's plane, noise and bending together.
 
     1.4826 times the median, the RMS if they are normal, of the pixels of a mask (H, W) within NEAR_TABLE px, every
@@ -47,29 +47,29 @@ def noise_level(calibrated: View, mask: np.ndarray, sensor: str) -> np.ndarray:
     """
     some = np.s_[::LEVEL_STEP, ::LEVEL_STEP]
     depth, mask = calibrated.depth[some], mask[some] & (calibrated.depth[some] > 0)
-    gain = calibrated.camera.fx * SENSORS[sensor].baseline
+    gain = calibrated.camera.fx * model_of(sensor).baseline
     away = gain * np.abs(1 / depth[mask] - ground_inverse_depth(calibrated, LEVEL_STEP)[mask])
     away = away[away < NEAR_TABLE]
     level = 1.4826 * float(np.median(away)) if len(away) else 0.0
     return np.array([level], np.float32)
 
 
-def _evidence(view: View, returned: np.ndarray, kinds: np.ndarray, sensor: str) -> Evidence:
+def _evidence(view: View, returned: np.ndarray, kinds: np.ndarray, sensor: AnySensor) -> Evidence:
     disparity = above_table(view.depth, view, sensor)
-    slope = view.camera.fx * SENSORS[sensor].baseline * ground_slope(view)
+    slope = view.camera.fx * model_of(sensor).baseline * ground_slope(view)
     return {"disparity": disparity, "returned": returned, "labels": kinds.astype(np.uint8), "slope": slope}
 
 
-def above_table(depth: np.ndarray, calibrated: View, sensor: str) -> np.ndarray:
+def above_table(depth: np.ndarray, calibrated: View, sensor: AnySensor) -> np.ndarray:
     """(H, W) float32 [px]: disparities of depths (H, W) [m] in the image of a calibrated view; 0 without surface."""
     seen = depth > 0
     above = 1 / np.where(seen, depth, 1.0) - ground_inverse_depth(calibrated)
-    return np.where(seen, calibrated.camera.fx * SENSORS[sensor].baseline * above, 0.0).astype(np.float32)
+    return np.where(seen, calibrated.camera.fx * model_of(sensor).baseline * above, 0.0).astype(np.float32)
 
 
-def depths(disparity: np.ndarray, view: View, box: Box, sensor: str) -> np.ndarray:
+def depths(disparity: np.ndarray, view: View, box: Box, sensor: AnySensor) -> np.ndarray:
     """[m] float32: the depths of disparities in a box of a calibrated view."""
-    gain = view.camera.fx * SENSORS[sensor].baseline
+    gain = view.camera.fx * model_of(sensor).baseline
     inverse = ground_inverse_depth(view)[box] + disparity / gain
     return (1 / np.maximum(inverse, 1e-3)).astype(np.float32)
 

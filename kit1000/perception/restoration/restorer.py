@@ -25,7 +25,7 @@ from kit1000.perception.restoration.disparity import (
 )
 from kit1000.perception.restoration.network import SIDE, RestorationConfig, RestorationNet
 from kit1000.perception.restoration.rules import closed_gaps
-from kit1000.sim.sensors import SENSORS
+from kit1000.perception.sensor_facts import AnySensor, model_of, table_is_simulated
 from kit1000.values import LabelledDepth, View
 
 HEIGHT = 4e-3  # [m] along the ray, in front of the table, from which on something is a body
@@ -48,14 +48,14 @@ class Restorer:
         self.net = in_float64(net) if exact else net.to(memory_format=torch.channels_last)
         self.precision = torch.float64 if exact else torch.float32
 
-    def __call__(self, image: LabelledDepth, sensor: str, labels: Sequence[int]) -> LabelledDepth:
+    def __call__(self, image: LabelledDepth, sensor: AnySensor, labels: Sequence[int]) -> LabelledDepth:
         """A calibrated image with its table on its plane, and the bodies of some labels where they likely are.
 
         Bodies of other labels stay as they were measured, but for their narrow shadows; ideal depth stays as it is.
         """
         if sensor == "ideal":
             return image
-        closed = closed_gaps(image).view
+        closed = closed_gaps(image, table_is_simulated(sensor)).view
         read, depth = evidence(image, closed, sensor), closed.depth.copy()
         boxes = find_objects(image.labels)
         for label in labels:
@@ -66,11 +66,12 @@ class Restorer:
                 depth[wide] = np.where(image.labels[wide] == label, found, depth[wide])
         return LabelledDepth(replace(closed, depth=depth), image.labels)
 
-    def without_masks(self, view: View, sensor: str) -> View:
+    def without_masks(self, view: View, sensor: AnySensor) -> View:
         """A calibrated view with bodies and the table about them where they likely are; farther off only the table."""
         read = unlabelled_evidence(view, sensor)
-        depth = flattened(view, np.zeros(view.depth.shape, np.uint8)).depth.copy()
-        in_front = read["disparity"] * view.depth**2 / (view.camera.fx * SENSORS[sensor].baseline)  # [m] of the table
+        nothing = np.zeros(view.depth.shape, np.uint8)
+        depth = flattened(view, nothing, table_is_simulated(sensor)).depth.copy()
+        in_front = read["disparity"] * view.depth**2 / (view.camera.fx * model_of(sensor).baseline)  # [m] of the table
         high = np.asarray(binary_opening((in_front > HEIGHT) & read["returned"], np.ones((3, 3))), bool)
         rows, columns = (np.flatnonzero(high.any(axis)) for axis in (1, 0))
         if len(rows):

@@ -17,8 +17,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, find_objects
 
-from kit1000.perception.calibration import calibrated, flattened
-from kit1000.sim.sensors import SENSORS, Sensor
+from kit1000.perception.calibration import borders_of, calibrated, flattened
+from kit1000.perception.sensor_facts import AnySensor, model_of, table_is_simulated
+from kit1000.sim.sensors import Sensor
 from kit1000.sim.stereo import EDGE_STEP
 from kit1000.values import LabelledDepth, Query, View
 
@@ -34,30 +35,37 @@ def restored_query(query: Query) -> Query:
     return replace(query, read_image=lambda: restored(query.image, query.sensor))
 
 
-def restored(image: LabelledDepth, sensor: str) -> LabelledDepth:
+def restored(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
     """The image as the sensor should have measured it, as far as its table and its masks tell; the labels stay."""
     return restored_edges(calibrated_image(image, sensor), sensor)
 
 
-def calibrated_image(image: LabelledDepth, sensor: str) -> LabelledDepth:
+def calibrated_image(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
     """The image of a noisy sensor, calibrated by the table; the same image where the sensor is ideal."""
-    return image if sensor == "ideal" else LabelledDepth(calibrated(image.view, image.labels), image.labels)
+    return (
+        image
+        if sensor == "ideal"
+        else LabelledDepth(calibrated(image.view, image.labels, borders=borders_of(sensor)), image.labels)
+    )
 
 
-def restored_edges(image: LabelledDepth, sensor: str) -> LabelledDepth:
+def restored_edges(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
     """A calibrated image with its table on its plane and the edges where they should be; the same one if ideal."""
     if sensor == "ideal":
         return image
-    closed = closed_gaps(image)
+    closed = closed_gaps(image, table_is_simulated(sensor))
     depth, ground = closed.view.depth.copy(), ground_inverse_depth(closed.view)
     for box, mask in _bodies(image.labels):
-        _cut_back(depth[box], mask, ground[box], closed.view.camera.fx, SENSORS[sensor])
+        _cut_back(depth[box], mask, ground[box], closed.view.camera.fx, model_of(sensor))
     return LabelledDepth(replace(closed.view, depth=depth), image.labels)
 
 
-def closed_gaps(image: LabelledDepth) -> LabelledDepth:
-    """A calibrated image with its table on its plane, and narrow shadows on bodies filled from beside."""
-    view = flattened(image.view, image.labels)
+def closed_gaps(image: LabelledDepth, simulated: bool = True) -> LabelledDepth:
+    """A calibrated image with its table on its plane, and narrow shadows on bodies filled from beside.
+
+    simulated: whether the table is that of generated scenes.
+    """
+    view = flattened(image.view, image.labels, simulated)
     depth = view.depth.copy()
     for box, mask in _bodies(image.labels):
         close_gaps(depth[box], mask)

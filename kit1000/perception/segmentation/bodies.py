@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.ndimage import label, uniform_filter
 
-from kit1000.perception.calibration import calibrated
+from kit1000.perception.calibration import borders_of, calibrated
+from kit1000.perception.sensor_facts import AnySensor
 from kit1000.values import View
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ class Bodies(NamedTuple):
     """The image before edges were restored or shadows closed, calibrated where the sensor is noisy."""
 
 
-def find_bodies(view: View, sensor: str, restorer: Restorer | None = None) -> Bodies:
+def find_bodies(view: View, sensor: AnySensor, restorer: Restorer | None = None) -> Bodies:
     """The bodies on the kits' half (y > 0) and the parts' half of the table.
 
     restorer: a network that restores noisy images without masks; None looks at them as they are.
@@ -48,7 +49,7 @@ def find_bodies(view: View, sensor: str, restorer: Restorer | None = None) -> Bo
     measured = view
     if noisy:
         above = (view.depth > 0) & (world_points(view)[..., 2] > RECORDED_HEIGHT)
-        measured = calibrated(view, above.astype(np.uint8))
+        measured = calibrated(view, above.astype(np.uint8), borders=borders_of(sensor))
         view = without_shadows(measured) if restorer is None else restorer.without_masks(measured, sensor)
     points = world_points(view)
     height, seen = points[..., 2], view.depth > 0
@@ -60,7 +61,8 @@ def find_bodies(view: View, sensor: str, restorer: Restorer | None = None) -> Bo
         if restorer is None:
             body = uniform_filter(body.astype(float), WINDOW) > SHARE
     far_half = on_far_half(points)
-    kind = sensor if restorer is None or not noisy else "restored"
+    name = sensor if isinstance(sensor, str) else "d415"
+    kind = name if restorer is None or not noisy else "restored"
     return Bodies(view, points, body & far_half, body & ~far_half, kind, measured)
 
 

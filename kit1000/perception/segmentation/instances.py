@@ -11,6 +11,7 @@ from kit1000.numerics.linear_algebra import matmul
 from kit1000.perception.segmentation.bodies import Bodies, find_bodies
 from kit1000.perception.segmentation.merging import LOW, Pieces, merged
 from kit1000.perception.segmentation.pieces import SCALES, find_pieces
+from kit1000.perception.sensor_facts import AnySensor
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, View
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ WEIGHTS = {
 
 def segmented(
     view: View,
-    sensor: str = "ideal",
+    sensor: AnySensor = "ideal",
     scale: float = 1.0,
     restorer: Restorer | None = None,
     finder: PartFinder | None = None,
@@ -39,7 +40,7 @@ def segmented(
 
     Args:
         view: as recorded.
-        sensor: of its noise: ideal or d415.
+        sensor: of its noise: ideal, d415, or the facts about another one.
         scale: of the scene, as the dataset's configuration states it.
         restorer: a network that restores noisy images without masks; None looks at them as they are.
         finder: a network that tells parts apart in restored images; None merges pieces, as in ideal ones.

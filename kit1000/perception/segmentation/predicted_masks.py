@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kit1000.perception.segmentation.instances import segmented
+from kit1000.perception.sensor_facts import AnySensor, sensor_of
 from kit1000.predictor import PredictedMotion, Predictor
 from kit1000.queries.pivots import part_pivots
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
@@ -31,18 +33,27 @@ class OnPredictedMasks:
     predictor: Predictor
     scale: float = 1.0
     """Scale of the dataset's scenes."""
+    summary: Mapping[str, Any] = field(default_factory=dict)
+    """Its dataset.json, which may state facts about its sensors."""
     weights: Path = WEIGHTS
     """Folder of the networks for noisy images."""
 
     def __call__(self, query: Query, geometry: TrueGeometry | None, /) -> PredictedMotion:
         """What the method predicts; segmentation is part of the method."""
-        return self.predictor(with_predicted_masks(query, self.scale, self.weights), geometry)
+        sensor = sensor_of(self.summary, query.sensor)
+        return self.predictor(with_predicted_masks(query, self.scale, sensor, self.weights), geometry)
 
 
-def with_predicted_masks(query: Query, scale: float = 1.0, weights: Path = WEIGHTS) -> Query:
-    """The query with masks from its depth image alone. Its pivot says which instance is the part: the nearest one."""
+def with_predicted_masks(
+    query: Query, scale: float = 1.0, sensor: AnySensor | None = None, weights: Path = WEIGHTS
+) -> Query:
+    """The query with masks from its depth image alone. Its pivot says which instance is the part: the nearest one.
+
+    sensor: facts about it, where its name does not tell.
+    weights: folder of the networks for noisy images.
+    """
     restorer, finder = (None, None) if query.sensor == "ideal" else mask_networks(weights)
-    labels = segmented(query.view, query.sensor, scale, restorer, finder).copy()
+    labels = segmented(query.view, sensor or query.sensor, scale, restorer, finder).copy()
     own = FIRST_PART_LABEL + query.part
     pivots = part_pivots(query.view, labels)
     if pivots:

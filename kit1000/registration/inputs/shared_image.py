@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kit1000.perception.restoration import calibrated_image, restored_edges
+from kit1000.perception.sensor_facts import AnySensor
 from kit1000.registration.geometry.observed_cavity import Cavity
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 
@@ -21,7 +22,7 @@ class SharedImage:
     """An image and what was found in it for one part, which the next part need not find again."""
 
     recorded: LabelledDepth
-    sensor: str
+    sensor: AnySensor
     restorer: Restorer | None = None
     """The network that restores noisy images; None restores by rules."""
     cavities: dict[float, list[Cavity]] = field(default_factory=dict, init=False)

@@ -1,0 +1,106 @@
+"""Depth frames of one camera that did not move, and the image that several of them give together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from kit1000.capture.intrinsics import Intrinsics
+from kit1000.errors import InputError
+
+NEAREST, FARTHEST = 0.15, 4.0  # [m] median depths of tables that a camera sees well
+UNITS = {1e-3: "1 mm", 1e-4: "0.1 mm", 1e-2: "1 cm", 2.5e-4: "0.25 mm", 1.0: "1 m", 1e-5: "0.01 mm"}
+"""[m] that 1 in an image may stand for, the usual ones first."""
+SATURATED = 65535  # of 16 bits: no return, by many drivers
+MOST_PIXELS = 30_000_000
+LEAST_SIDE = 64  # [px] of an image
+LEAST_RETURNS = 0.02  # share of the pixels
+
+
+@dataclass(frozen=True, eq=False)
+class DepthFrame:
+    """One frame as it was stored."""
+
+    values: np.ndarray
+    """(H, W) unsigned integers or floats, 0 or not finite: no return."""
+    source: str
+    """File, and topic where it has several, for messages."""
+    unit: float | None = None
+    """[m] that 1 stands for, where the format says so."""
+    intrinsics: Intrinsics | None = None
+    """Those that came with it."""
+
+    def __post_init__(self) -> None:
+        values = self.values
+        if values.ndim == 3 and values.shape[-1] == 1:
+            object.__setattr__(self, "values", values[..., 0])
+        check_values(self.values, self.source)
+
+
+def check_values(values: np.ndarray, source: str) -> None:
+    """Raise InputError where an array cannot be a depth image."""
+    shape = " x ".join(map(str, values.shape))
+    if values.ndim == 3 and values.shape[-1] in (2, 3, 4):
+        raise InputError(f"{source}: {values.shape[-1]} channels, expected one: a colour picture, not depths")
+    if values.ndim != 2:
+        raise InputError(f"{source}: an array of {shape}, expected rows and columns of one depth image")
+    if values.dtype.kind == "b" or (values.dtype.kind in "iu" and values.dtype.itemsize == 1):
+        raise InputError(f"{source}: 8 bits a pixel, expected 16-bit integers or floats: a picture, not depths")
+    if values.dtype.kind not in "iuf":
+        raise InputError(f"{source}: {values.dtype} values, expected 16-bit integers or floats")
+    if min(values.shape) < LEAST_SIDE or values.size > MOST_PIXELS:
+        raise InputError(f"{source}: {shape} px, expected rows and columns from {LEAST_SIDE} up, at most 30 megapixels")
+
+
+def metric_depth(frame: DepthFrame, scale: float | None = None) -> np.ndarray:
+    """(H, W) float32 [m] the depths of a frame, 0 without a return.
+
+    Args:
+        frame: as stored.
+        scale: [m] that 1 stands for; None: as the file says, else 1 mm for integers and 1 m for floats.
+
+    Raises:
+        InputError: hardly any pixel has a return, or the median depth is not that of a table; names the unit that fits.
+    """
+    values = frame.values
+    integers = values.dtype.kind in "iu"
+    stated = frame.unit or (frame.intrinsics.unit if frame.intrinsics is not None else None)
+    unit = scale or stated or (1e-3 if integers else 1.0)
+    known = np.isfinite(values) & (values > 0)
+    if integers:
+        known &= values < SATURATED
+    share = np.count_nonzero(known) / values.size
+    if share < LEAST_RETURNS:
+        raise InputError(
+            f"{frame.source}: {100 * share:.1f} % of the pixels have a depth, expected {100 * LEAST_RETURNS:.0f} or more: "
+            "empty, or not a depth image"
+        )
+    depth = np.where(known, values, 0).astype(np.float64) * unit
+    middle = float(np.median(depth[known]))
+    if not NEAREST <= middle <= FARTHEST:
+        raise InputError(f"{frame.source}: median depth {middle:.4g} m, expected 0.15 to 4{_fitting(middle / unit)}")
+    return np.where(depth < 10 * FARTHEST, depth, 0).astype(np.float32)
+
+
+def mean_depth(depths: Sequence[np.ndarray]) -> np.ndarray:
+    """(H, W) float32 [m]: the median of depths (H, W), where a pixel is seen in more than half of them; 0 elsewhere."""
+    if len(depths) == 1:
+        return depths[0]
+    stack = np.stack(depths)
+    seen = stack > 0
+    often = 2 * seen.sum(0) > len(depths)
+    values = np.where(seen, stack, np.nan)
+    middle = np.zeros(often.shape, np.float32)
+    middle[often] = np.nanmedian(values[:, often], axis=0)
+    return middle
+
+
+def _fitting(middle: float) -> str:
+    """The unit that makes a median of stored values a likely depth, as the end of a message."""
+    fits = (unit for unit in UNITS if NEAREST <= middle * unit <= FARTHEST)
+    unit = next(fits, None)
+    if unit is None:
+        return ": no usual unit fits: is it a depth image?"
+    return f"; in units of {UNITS[unit]} it would be {middle * unit:.2f} m: --depth-scale {unit:g}"

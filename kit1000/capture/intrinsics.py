@@ -1,0 +1,97 @@
+"""The intrinsics of a depth image as users have them: perhaps without size, perhaps with distortion and a unit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from kit1000.camera import Camera
+from kit1000.errors import InputError
+
+NO_DISTORTION = 1e-9  # largest coefficient that is none
+FORWARD_MODELS = {"plumb_bob": 5, "rational_polynomial": 8}
+"""Models of OpenCV that map where a point is to where it is seen, and their largest number of coefficients."""
+ALIASES = {"brown_conrady": "plumb_bob", "opencv": "plumb_bob", "plumb bob": "plumb_bob", "": "plumb_bob"}
+Stream = Literal["raw", "aligned"]
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Intrinsics with what their file says beside them."""
+
+    fx: float
+    """[px], as the next three."""
+    fy: float
+    cx: float
+    """From the centre of the first pixel."""
+    cy: float
+    size: tuple[int, int] | None = None
+    """Width and height of the image that they belong to [px]; None where they are not stated."""
+    unit: float | None = None
+    """[m] that 1 in the image stands for; None where it is not stated."""
+    model: str = "plumb_bob"
+    """Name of the distortion model."""
+    coefficients: tuple[float, ...] = ()
+    """Those of the distortion; empty or 0: there is none."""
+    device: str = ""
+    """Name of the camera, where it is stated."""
+    baseline: float | None = None
+    """[m] between its imagers, where it is stated."""
+    stream: Stream | None = None
+    """raw: the depth camera's own stream; aligned: resampled to another camera; None where it is not stated."""
+    source: str = "--intrinsics"
+    """The file, for messages."""
+
+    def __post_init__(self) -> None:
+        numbers = (self.fx, self.fy, self.cx, self.cy, *self.coefficients)
+        if not np.isfinite(numbers).all() or self.fx <= 0 or self.fy <= 0:
+            text = " ".join(f"{value:g}" for value in numbers[:4])
+            raise InputError(f"{self.source}: fx fy cx cy {text}: expected finite numbers, focal lengths above 0 px")
+
+    @property
+    def distorted(self) -> bool:
+        """Whether the image has distortion."""
+        return any(abs(value) > NO_DISTORTION for value in self.coefficients)
+
+    @property
+    def forward_model(self) -> str:
+        """The model of FORWARD_MODELS by which distortion can be undone; raises InputError for another one."""
+        model = ALIASES.get(self.model.lower(), self.model.lower())
+        if model not in FORWARD_MODELS or len(self.coefficients) > FORWARD_MODELS[model]:
+            known = ", ".join(FORWARD_MODELS)
+            count = f" of {len(self.coefficients)} coefficients" if model in FORWARD_MODELS else ""
+            raise InputError(
+                f"{self.source}: distortion by {self.model}{count}, expected none or {known}: rectify the images first"
+            )
+        return model
+
+    def camera(self, shape: tuple[int, ...], image: str) -> Camera:
+        """The pinhole camera of an image of a shape (H, W), its name for the message.
+
+        Raises InputError where the intrinsics are of another size, or their centre is far outside the image.
+        """
+        height, width = shape
+        if self.size is not None and self.size != (width, height):
+            stated = f"{self.size[0]} x {self.size[1]} px"
+            raise InputError(
+                f"{self.source}: is of {stated}, {image} has {width} x {height}: give the intrinsics of the stream "
+                "that was saved"
+            )
+        if not (0 <= self.cx <= width and 0 <= self.cy <= height):
+            raise InputError(
+                f"{self.source}: principal point {self.cx:g}, {self.cy:g} is outside {image} of {width} x {height} px: "
+                "are they of another stream?"
+            )
+        return Camera(width, height, self.fx, self.fy, self.cx, self.cy)
+
+
+def distorted(x: np.ndarray, y: np.ndarray, coefficients: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Where points at x, y (of depth 1, without distortion) are seen, by OpenCV's k1 k2 p1 p2 k3 k4 k5 k6."""
+    k1, k2, p1, p2, k3, k4, k5, k6 = (*coefficients, *(0.0,) * (8 - len(coefficients)))
+    r2 = x * x + y * y
+    radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+    across = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    down = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    return across, down

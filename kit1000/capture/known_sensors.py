@@ -1,0 +1,25 @@
+"""Facts about depth cameras by their names, and the value that holds those of an image's own sensor."""
+
+from __future__ import annotations
+
+import re
+
+BASELINES = {  # [m] from the data sheets
+    "D405": 0.018,
+    "D415": 0.055,
+    "D421": 0.050,
+    "D435": 0.050,
+    "D455": 0.095,
+    "D456": 0.095,
+}
+TIME_OF_FLIGHT = re.compile(r"kinect|l515|femto|tof|picoflexx", re.IGNORECASE)
+
+
+def known_baseline(device: str) -> float | None:
+    """[m] between the imagers of a camera of this name, such as Intel RealSense D435i; None where it is not known."""
+    return next((baseline for name, baseline in BASELINES.items() if name in device.upper()), None)
+
+
+def measures_time_of_flight(device: str) -> bool:
+    """Whether a camera of this name measures the time of light, which blurs edges as nothing here expects."""
+    return bool(TIME_OF_FLIGHT.search(device))

@@ -1,0 +1,100 @@
+"""Masks cut back by the networks of segmentation, where they agree with what depth alone shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.util import find_spec
+from typing import NamedTuple
+
+import numpy as np
+
+from kit1000.capture.own_world import world_of_bodies
+from kit1000.capture.seen_bodies import SeenBody, measured_body
+from kit1000.capture.table_search import Table, convex_outline
+from kit1000.perception.sensor_facts import SensorFacts
+from kit1000.values import View
+
+AGREED = 0.5  # least share of a body that the network sees as body too
+LEAST_PART = 150  # [px] of an instance
+LEAST_SHARE = 0.12  # of a body's pixels, of an instance in it
+ROUND = 0.88  # area over convex area from above: a body that fills its outline more is one part
+LONGEST = 0.2  # [m] of bodies that may be several parts: the networks know parts of 35 to 50 mm
+
+
+class Found(NamedTuple):
+    """What the networks see."""
+
+    body: np.ndarray
+    """(H, W) bool: something on the table."""
+    instances: np.ndarray
+    """(H, W) int: from 1 on the parts of the parts' half, 0 elsewhere."""
+
+
+def networks_available() -> bool:
+    """Whether torch is there, with which the networks run."""
+    return find_spec("torch") is not None and find_spec("safetensors") is not None
+
+
+def cut_back(
+    table: Table, depth: np.ndarray, bodies: Sequence[SeenBody], facts: SensorFacts
+) -> tuple[SeenBody, list[SeenBody]]:
+    """The kit and the parts with masks cut back to where the networks agree; touching parts become several.
+
+    Args:
+        table: of the image.
+        depth: (H, W) float32 [m] on the grid of recordings.
+        bodies: the kit first.
+        facts: about the sensor.
+    """
+    kit, *parts = bodies
+    world = world_of_bodies(table, kit, parts)
+    if not parts or world.gap is None or world.gap <= 0:  # the networks know scenes in two halves
+        return kit, parts
+    found = _found(View(table.image.camera, world.world_from_camera, depth), facts)
+    return _agreed(table, kit, found.body), [piece for part in parts for piece in _pieces(table, part, found)]
+
+
+def _found(view: View, facts: SensorFacts) -> Found:
+    from kit1000.perception.segmentation.bodies import find_bodies
+    from kit1000.perception.segmentation.predicted_masks import mask_networks
+
+    restorer, finder = mask_networks()
+    bodies = find_bodies(view, facts, restorer)
+    return Found(bodies.kits | bodies.parts, finder(bodies))
+
+
+def _agreed(table: Table, body: SeenBody, seen: np.ndarray) -> SeenBody:
+    """A body without the pixels that the networks see as table; as it was where they disagree too much."""
+    common = body.mask & seen
+    if common.sum() < AGREED * body.mask.sum() or not (table.image.depth[common] > 0).any():
+        return body
+    return measured_body(table, common)
+
+
+def _pieces(table: Table, body: SeenBody, found: Found) -> list[SeenBody]:
+    """The parts that a body consists of, the largest first: one, where its outline is that of one."""
+    agreed = _agreed(table, body, found.body)
+    counts = np.bincount(found.instances[agreed.mask], minlength=1)
+    counts[0] = 0
+    numbers = np.flatnonzero(counts >= max(LEAST_PART, LEAST_SHARE * agreed.mask.sum()))
+    if len(numbers) < 2 or agreed.sides[1] > LONGEST or _roundness(table, agreed) > ROUND:
+        return [agreed]
+    masks = [agreed.mask & (found.instances == number) for number in numbers]
+    masks = [mask for mask in masks if (table.image.depth[mask] > 0).any()]
+    return sorted((measured_body(table, mask) for mask in masks), key=lambda piece: -piece.area)
+
+
+def _roundness(table: Table, body: SeenBody) -> float:
+    """The area of a body over that of its convex outline, both from above and in steps of a pixel."""
+    outline = convex_outline(table.ground(body.mask))
+    if len(outline) == 0:
+        return 1.0
+    x, y = outline.T
+    convex = float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum() / 2)
+    return _area_from_above(table, body) / max(convex, 1e-9)
+
+
+def _area_from_above(table: Table, body: SeenBody) -> float:
+    """[m^2] of the cells of the table, 2 mm wide, that a body covers."""
+    cells = np.unique(np.floor(table.ground(body.mask) / 2e-3).astype(int), axis=0)
+    return 4e-6 * len(cells)

@@ -1,0 +1,130 @@
+"""A dataset folder of own scenes: all that commands read of a dataset, but ground truth, parts and kits."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from kit1000.capture.own_scene import OwnScene
+from kit1000.dataset.mcap_io import ObservationWriter
+from kit1000.dataset.mcap_io.writing import record_checksum
+from kit1000.dataset.schema import SCENES_PER_SHARD, Observation
+from kit1000.dataset.tables import FORMAT
+from kit1000.errors import InputError
+from kit1000.export.new_folder import new_folder
+from kit1000.files import write_json
+from kit1000.perception.sensor_facts import KEY
+from kit1000.pictures.scene_preview import png_bytes, scene_picture
+from kit1000.queries.pivots import part_pivots
+from kit1000.queries.tracks import query_id
+
+SENSOR = "d415"  # key of the view, by which tracks of noisy images are named
+TRACKS = ("snap-d415", "place-d415")
+LICENCE = "the user's own"
+PRESET = "own"
+TABLES_KEY = "tables"
+"""Key of dataset.json: the outline (k, 2) [m] of the table that was seen, by scene."""
+TABLES = ("parts.json", "kits.json", "assemblies.json")
+
+
+class OwnWriter(ObservationWriter):
+    """Writes recordings of the user's own images, with the user's licence."""
+
+    def __init__(self, path: Path, licence: str) -> None:
+        super().__init__(path)
+        self._licence = licence
+
+    def _record(self) -> dict[str, str]:
+        record = super()._record() | {"licence": self._licence}
+        return record | {"checksum": record_checksum(record)}
+
+
+def write_own_folder(
+    folder: Path, scenes: Sequence[OwnScene], clearance: float | None = None, licence: str = LICENCE
+) -> None:
+    """Write the folder: it appears when it is complete, or not at all.
+
+    Args:
+        folder: must not exist.
+        scenes: of one sensor.
+        clearance: [m] between parts and the walls of their cavities; None: not known.
+        licence: of the images, for the recordings.
+
+    Raises:
+        InputError: the folder exists or cannot be written, or a scene has no part.
+    """
+    observations = [_observation(f"test-s{number:04d}", scene) for number, scene in enumerate(scenes)]
+    with new_folder(folder, "scene") as partial:
+        files, shards = {}, {}
+        for first in range(0, len(observations), SCENES_PER_SHARD):
+            name = f"test/{first // SCENES_PER_SHARD:04d}.mcap"
+            some = observations[first : first + SCENES_PER_SHARD]
+            with OwnWriter(partial / name, licence) as writer:
+                for observation in some:
+                    writer.add(observation)
+            files[name], shards[name] = writer.sha256, [observation.scene_id for observation in some]
+        files |= {name: write_json(partial / name, {}) for name in TABLES}
+        write_json(partial / "dataset.json", _summary(scenes, files, shards, clearance, licence))
+
+
+def _observation(scene_id: str, scene: OwnScene) -> Observation:
+    pivots = part_pivots(scene.image.view, scene.image.labels)
+    if not pivots:
+        raise InputError(f"{scene.source}: one body stands on the table, expected a kit and parts: put both into view")
+    rows = tuple(
+        {
+            "id": query_id(scene_id, part, track),
+            "track": track,
+            "sensor": SENSOR,
+            "part": part,
+            "drawn": True,
+            "pivot": pivot.tolist(),
+            "guess": None,
+        }
+        for track in TRACKS
+        for part, pivot in pivots.items()
+    )
+    observation = Observation(scene_id, {SENSOR: scene.image.view}, scene.image.labels, rows)
+    return Observation(scene_id, observation.views, observation.labels, rows, png_bytes(_picture(observation)))
+
+
+def _picture(observation: Observation) -> Any:
+    """The preview, without outlines about the parts: a method is asked about all of them."""
+    return scene_picture(Observation(observation.scene_id, observation.views, observation.labels))
+
+
+def _summary(
+    scenes: Sequence[OwnScene],
+    files: dict[str, str | None],
+    shards: dict[str, list[str]],
+    clearance: float | None,
+    licence: str,
+) -> dict[str, Any]:
+    """The contents of dataset.json."""
+    checksum = hashlib.sha256("".join(f"{name} {files[name]}\n" for name in sorted(files)).encode()).hexdigest()
+    config = {"curve_scenes": 0, "frames": 1, "scale": 1.0, "tracks": list(TRACKS)}
+    config |= {} if clearance is None else {"clearance": clearance}
+    scene_ids = [scene_id for some in shards.values() for scene_id in some]
+    outlines = [scene.outline.round(4).tolist() for scene in scenes]
+    none = {"assemblies": 0, "parts": 0, "scenes": 0}
+    return {
+        "checksum": checksum,
+        "config": config,
+        "counts": {"test": none | {"scenes": len(scenes)}, "train": none, "val": none},
+        "data_version": "own",
+        "dataset_id": checksum[:16],
+        "files": files,
+        "format": FORMAT,
+        "licence": licence,
+        "own": {"sources": [scene.source for scene in scenes]},
+        "preset": PRESET,
+        "redraws": {},
+        "refused": {},
+        "refused_scenes": {},
+        "seed": None,
+        KEY: {SENSOR: scenes[0].facts.as_row()},
+        "shards": shards,
+        TABLES_KEY: dict(zip(scene_ids, outlines, strict=True)),
+    }

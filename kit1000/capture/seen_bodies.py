@@ -1,0 +1,132 @@
+"""Bodies on the table: regions of the image above its plane, larger than its ripple explains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_dilation, binary_fill_holes, binary_opening, find_objects
+
+from kit1000.capture.table_search import Table, convex_outline, inside_outline
+from kit1000.perception.segmentation.pieces import connected
+
+LEAST_HEIGHT = 2.5e-3  # [m] of a pixel above the table,
+RIPPLES, MOST_LEAST = 2.5, 8e-3  # or so many of the table's own standard deviations, [m] up to this
+SURE_HEIGHT, SURE_QUANTILE = 6e-3, 0.9  # [m], or as many times the least as it is here, that a tenth of a body reaches
+TALLEST = 0.2  # [m]
+EDGE = 6e-3  # [m] inside the table's outline, where bodies stand
+STRIP = 15e-3  # [m] shorter side: of strips beside something higher at the outline, which are its foot
+TOUCHING = 3  # [px]
+LEAST_AREA = 1e-4  # [m^2] seen
+LEAST_PIXELS = 150
+MOST_BODIES = 200
+SPIKE = 3  # [px] side of a square that is a body, and no noise
+GAP = 25e-3  # [m] along the table, between neighbours in the image that are two bodies
+FRAGMENT, FRAGMENT_AREA = 0.1, 5e-4  # of the larger one's area, and [m^2], of pieces that a shadow cut off
+MOST_POINTS = 2000  # whose smallest rectangle is sought
+
+
+@dataclass(frozen=True, eq=False)
+class SeenBody:
+    """A body."""
+
+    mask: np.ndarray
+    """(H, W) bool"""
+    area: float
+    """[m^2] as seen from straight above."""
+    height: float
+    """[m] above the table, 98th percentile."""
+    sides: tuple[float, float]
+    """[m] of the smallest rectangle about it from above, the shorter first."""
+    centre: np.ndarray
+    """(2,) [m] along the table's `axes`."""
+
+
+def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]:
+    """The bodies of an image, the largest first.
+
+    floor: (H, W) [m] heights that the empty table has in the same place, NaN where unknown; None: it is searched.
+    """
+    heights = table.flat_heights if floor is None else table.heights - np.nan_to_num(floor)
+    least = float(np.clip(RIPPLES * table.ripple, LEAST_HEIGHT, MOST_LEAST))
+    high = heights > least
+    on_table = np.zeros_like(high)
+    on_table[high] = inside_outline(table.ground(high), table.outline, EDGE)
+    beside = binary_dilation(_opened(high & ~on_table), iterations=TOUCHING)
+    opened = _opened(on_table & (heights < TALLEST))
+    regions = _regions(table, opened)
+    found = []
+    for number, box in enumerate(find_objects(regions), start=1):
+        mask = regions[box] == number
+        sure = max(SURE_HEIGHT, SURE_HEIGHT / LEAST_HEIGHT * least)
+        if mask.sum() < LEAST_PIXELS or np.quantile(heights[box][mask], SURE_QUANTILE) < sure:
+            continue
+        whole = np.zeros(high.shape, bool)
+        whole[box] = binary_fill_holes(mask) & ~(heights[box] < least / 2)  # a hole without a return is a shadow
+        body = measured_body(table, whole)
+        strip = body.sides[0] < STRIP and (mask & beside[box]).any()
+        if body.area > LEAST_AREA and not strip:
+            found.append(body)
+    return _with_fragments(table, sorted(found, key=lambda body: -body.area))[:MOST_BODIES]
+
+
+def _with_fragments(table: Table, bodies: list[SeenBody]) -> list[SeenBody]:
+    """Bodies, the largest first; small ones inside the convex outline of a much larger one become pieces of it."""
+    whole: list[SeenBody] = []
+    for body in bodies:
+        homes = (i for i, other in enumerate(whole) if body.area < FRAGMENT * other.area and body.area < FRAGMENT_AREA)
+        home = next((i for i in homes if _within(table, body, whole[i])), None)
+        if home is None:
+            whole.append(body)
+        else:
+            whole[home] = measured_body(table, whole[home].mask | body.mask)
+    return whole
+
+
+def _within(table: Table, body: SeenBody, other: SeenBody) -> bool:
+    """Whether most of a body lies inside the convex outline of another one, from above."""
+    outline = convex_outline(table.ground(other.mask))
+    return bool(np.mean(inside_outline(table.ground(body.mask), outline, 0.0)) > 0.5)
+
+
+def _opened(mask: np.ndarray) -> np.ndarray:
+    """A mask (H, W) without spikes."""
+    return np.asarray(binary_opening(mask, np.ones((SPIKE, SPIKE))), bool)
+
+
+def _regions(table: Table, mask: np.ndarray) -> np.ndarray:
+    """(H, W) int: from 1 on the regions of a mask, whose neighbours are no more than GAP apart along the table."""
+    feet = np.full((*mask.shape, 2), np.inf)
+    feet[mask] = table.ground(mask)
+    joined = []
+    for axis in (0, 1):
+        with np.errstate(invalid="ignore"):
+            joined.append(np.square(np.diff(feet, axis=axis)).sum(-1) < GAP**2)
+    return connected(mask, joined)
+
+
+def measured_body(table: Table, mask: np.ndarray) -> SeenBody:
+    """A body by its mask (H, W) bool, which has a return."""
+    camera = table.image.camera
+    rows, columns = np.nonzero(mask & (table.image.depth > 0))
+    depth = table.image.depth[rows, columns].astype(float)
+    rays = camera.unproject_pixels(np.stack([columns, rows], -1), np.ones(len(rows)))
+    points = rays * depth[:, None]
+    slant = np.abs(rays @ table.up)  # a level face fills fewer pixels the flatter it is seen
+    area = float((depth**2 / np.maximum(slant, 0.1)).sum() / (camera.fx * camera.fy))
+    feet, heights = points @ table.axes[:2].T, table.heights[rows, columns]
+    middle = (feet.min(0) + feet.max(0)) / 2
+    return SeenBody(mask, area, float(np.quantile(heights, 0.98)), _sides(feet), middle)
+
+
+def _sides(feet: np.ndarray) -> tuple[float, float]:
+    """The sides of the smallest of 90 rectangles about points (n, 2), without a hundredth of them at either end."""
+    some = feet[:: max(len(feet) // MOST_POINTS, 1)]
+    best, sides = np.inf, (0.0, 0.0)
+    for angle in np.radians(np.arange(90)):
+        axes = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        low, high = np.quantile(some @ axes.T, (0.005, 0.995), axis=0)
+        across, along = sorted((high - low).tolist())
+        if across * along < best:
+            best, sides = across * along, (across, along)
+    return sides

@@ -1,0 +1,83 @@
+"""The command that makes a scene of the user's own depth image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from kit1000.cli.options import OptionalFloat, OptionalPath
+
+if TYPE_CHECKING:
+    from kit1000.capture.importing import Import
+
+Stream = Annotated[Literal["raw", "aligned"] | None, tyro.conf.arg(metavar="{raw,aligned}")]
+
+
+@dataclass(frozen=True)
+class OwnImages:
+    """Options that say what own depth images are."""
+
+    intrinsics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE | FX FY CX CY")] = ()
+    """JSON of BOP, Open3D, RealSense, ROS or gqcnn, .txt of 3 x 3, or four numbers [px]; recordings bring their own."""
+    depth_scale: OptionalFloat = None
+    """Metres that 1 in an image stands for; as the files say, else 0.001 for integers and 1 for floats."""
+    topic: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    """Topic of the depth images in a recording; the only one when absent."""
+    frames: int = 1
+    """Number of successive frames of which an image is the median."""
+    first: int = 0
+    """Index of the first frame of a recording."""
+    sensor: str = ""
+    """Name of the camera, such as D435; as the files say when absent."""
+    baseline_mm: OptionalFloat = None
+    """Distance between the camera's imagers; known for RealSense cameras."""
+    stream: Stream = None
+    """raw: the depth camera's own image; aligned: resampled to another camera; as the files say, else aligned."""
+    kit: int = 1
+    """Number of the body that is the kit, the largest first."""
+    world_from_camera: OptionalPath = None
+    """JSON file of a hand-eye pose in a frame with the table at z = 0, which is kept; found from the bodies if absent."""
+    empty_table: OptionalPath = None
+    """Depth image of the same camera and table without bodies."""
+    clearance_mm: OptionalFloat = None
+    """Gap between a part and the walls of its cavity."""
+    check: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MM MM MM")] = ()
+    """Sides of a box in view: images in which no body has them are refused."""
+
+    def asked(self, sources: tuple[Path, ...], out: Path, licence: str | None = None) -> Import:
+        """The import that these options describe."""
+        from kit1000.capture.frame_sources import Selection
+        from kit1000.capture.importing import Import
+        from kit1000.capture.own_folder import LICENCE
+        from kit1000.capture.own_scene import Wanted
+
+        baseline = None if self.baseline_mm is None else 1e-3 * self.baseline_mm
+        wanted = Wanted(self.depth_scale, self.sensor, baseline, self.stream, self.kit, self.world_from_camera)
+        selection = Selection(self.frames, self.first, self.topic)
+        rest = (self.empty_table, self.clearance_mm, self.check, licence or LICENCE)
+        return Import(sources, out, self.intrinsics, selection, wanted, *rest)
+
+
+@dataclass(frozen=True)
+class ImportImages(OwnImages):
+    """Make a scene folder of your own depth images: finds table, kit and parts, and prints their sizes."""
+
+    sources: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SOURCE [SOURCE ...]")] = ()
+    """16-bit PNG or TIFF, .npy, .npz, or MCAP of ROS 2, Foxglove or ours. Several images become several scenes."""
+    out: OptionalPath = None
+    """Folder to write to; the name of the first image with -scene when absent."""
+    licence: str = ""
+    """Licence of the images, for the recordings."""
+
+    def run(self) -> int:
+        """Import, print the report and the folder."""
+        from kit1000.capture.importing import default_folder, import_scenes
+
+        out = self.out or default_folder(self.sources)
+        for line in import_scenes(self.asked(self.sources, out, self.licence)):
+            print(line)
+        print(f"{out}: open it with kit1000 edit {out}")
+        return 0

@@ -1,0 +1,70 @@
+"""Facts about the sensor of a depth image that perception needs: those of simulated sensors, or of the user's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, TypeAlias
+
+from kit1000.errors import InputError
+from kit1000.sim.sensors import SENSORS, Sensor
+
+D415 = SENSORS["d415"]
+KEY = "sensors"
+"""Key of dataset.json: facts by the key of the view; absent from generated datasets."""
+
+
+@dataclass(frozen=True)
+class SensorFacts:
+    """What is known about a sensor; the defaults are those of the simulated d415."""
+
+    device: str = "d415"
+    """Name of the camera, for people."""
+    baseline: float = D415.baseline
+    """[m] between its imagers."""
+    fattening_px: float = D415.fattening_px
+    """Largest extension of a near surface beyond its edge [px]."""
+    focal_length: float | None = None
+    """[px] as recorded, before the image was resampled; None: not resampled."""
+    unit: float = 0.0
+    """[m] step of its depths; 0: finer than that of recordings."""
+    noise_px: float = D415.noise_px
+    """[px] of disparity: noise and bending of the table together."""
+    stream: Literal["raw", "aligned"] = "raw"
+    """raw: the image of its own left imager, with the invalid depth band; aligned: another camera's."""
+    simulated_table: bool = True
+    """Whether the table is that of generated scenes, 1.2 m x 1.6 m about the origin."""
+
+    def as_row(self) -> dict[str, Any]:
+        """The facts as a JSON value."""
+        return asdict(self)
+
+
+SIMULATED = SensorFacts()
+AnySensor: TypeAlias = "str | SensorFacts"
+"""A simulated sensor by its name, or the facts about another one."""
+
+
+def sensor_of(summary: Mapping[str, Any], sensor: str) -> AnySensor:
+    """The facts that a dataset.json states about the sensor of a view, by its key; the key where it states none."""
+    rows = summary.get(KEY) or {}
+    if sensor not in rows:
+        return sensor
+    try:
+        return SensorFacts(**rows[sensor])
+    except TypeError as error:
+        raise InputError(
+            f"dataset.json: facts of the sensor {sensor} cannot be read ({error}); import it again"
+        ) from None
+
+
+def model_of(sensor: AnySensor) -> Sensor:
+    """The sensor model: how far disparities and edges are off."""
+    if isinstance(sensor, str):
+        return SENSORS[sensor]
+    return replace(D415, baseline=sensor.baseline, fattening_px=sensor.fattening_px, noise_px=sensor.noise_px)
+
+
+def table_is_simulated(sensor: AnySensor) -> bool:
+    """Whether the table is that of generated scenes, 1.2 m x 1.6 m about the origin."""
+    return isinstance(sensor, str) or sensor.simulated_table
