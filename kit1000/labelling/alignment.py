@@ -19,8 +19,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.ndimage import binary_erosion
 
-from kit1000.labelling.seen_bodies import SeenBody
-from kit1000.labelling.support import Support
+from kit1000.labelling.body_windows import BodyWindow
+from kit1000.labelling.standing_plane import Support
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim.render import render
@@ -46,7 +46,7 @@ class PlacedShape:
     """A known shape at a pose, and the body of the image that it is taken for."""
 
     mesh: Mesh
-    seen: SeenBody
+    seen: BodyWindow
     camera_from_body: Pose
     width: float = 0.0
     """[px] by which the mask is wider than the shape."""

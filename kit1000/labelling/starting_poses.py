@@ -8,8 +8,8 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from kit1000.labelling.alignment import PlacedShape
-from kit1000.labelling.seen_bodies import SeenBody
-from kit1000.labelling.support import Support, standing_frame
+from kit1000.labelling.body_windows import BodyWindow
+from kit1000.labelling.standing_plane import Support, standing_frame
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, quaternion_between
 from kit1000.sim.render import render
@@ -76,7 +76,7 @@ def _flattened(points: np.ndarray, normal: np.ndarray) -> np.ndarray:
     return Pose(quaternion_between(normal, UP), np.zeros(3)).rotate(points)[:, :2]
 
 
-def starts(shape: KnownShape, seen: SeenBody, support: Support, turns: int = TURNS) -> list[Start]:
+def starts(shape: KnownShape, seen: BodyWindow, support: Support, turns: int = TURNS) -> list[Start]:
     """The first poses of a shape over a mask, that of least cost first; none where the mask has no depth."""
     points = seen.points
     if not len(points):
@@ -108,14 +108,14 @@ def _distinct(downs: np.ndarray) -> list[np.ndarray]:
 class _Coarse:
     """A window with fewer pixels."""
 
-    seen: SeenBody
+    seen: BodyWindow
     step: int
     depth: np.ndarray
     mask: np.ndarray
     others: np.ndarray
 
     @staticmethod
-    def of(seen: SeenBody) -> _Coarse:
+    def of(seen: BodyWindow) -> _Coarse:
         step = max(round(max(seen.mask.shape) / ACROSS), 1)
         every = np.s_[step // 2 :: step, step // 2 :: step]
         return _Coarse(seen, step, seen.depth[every], seen.mask[every], seen.others[every])
@@ -131,7 +131,7 @@ class _Coarse:
         return render(small, Pose.identity(), [(mesh, pose)], threads=1).depth.astype(float)
 
 
-def _start(shape: KnownShape, seen: SeenBody, coarse: _Coarse, pose: Pose, table: Pose) -> Start:
+def _start(shape: KnownShape, seen: BodyWindow, coarse: _Coarse, pose: Pose, table: Pose) -> Start:
     """A pose moved along the table until its outline lies over the mask, with its cost."""
     wanted = np.argwhere(coarse.mask).mean(0)
     depth = coarse.rendered(shape.mesh, pose)

@@ -21,7 +21,7 @@ OTHERS_REACH = 2  # [px] about another body, where an outline may be its own
 
 
 @dataclass(frozen=True, eq=False)
-class SeenBody:
+class BodyWindow:
     """A body as an image shows it."""
 
     label: int
@@ -66,7 +66,7 @@ class SeenBody:
         return np.gradient(gaussian_filter(self.distance, SMOOTHING))
 
 
-def seen_bodies(image: LabelledDepth) -> dict[int, SeenBody]:
+def body_windows(image: LabelledDepth) -> dict[int, BodyWindow]:
     """The bodies of an image by their label: `ASSEMBLY_LABEL` the kits, `FIRST_PART_LABEL` + i part i."""
     found = {}
     for label, box in enumerate(find_objects(image.labels), start=1):
@@ -75,7 +75,7 @@ def seen_bodies(image: LabelledDepth) -> dict[int, SeenBody]:
     return found
 
 
-def _seen(image: LabelledDepth, label: int, box: tuple[slice, slice]) -> SeenBody:
+def _seen(image: LabelledDepth, label: int, box: tuple[slice, slice]) -> BodyWindow:
     (height, width), camera = image.labels.shape, image.view.camera
     top, left = max(box[0].start - MARGIN, 0), max(box[1].start - MARGIN, 0)
     window = np.s_[top : min(box[0].stop + MARGIN, height), left : min(box[1].stop + MARGIN, width)]
@@ -84,4 +84,4 @@ def _seen(image: LabelledDepth, label: int, box: tuple[slice, slice]) -> SeenBod
     mask = labels == label
     rows, columns = mask.shape
     shifted = Camera(columns, rows, camera.fx, camera.fy, camera.cx - left, camera.cy - top)
-    return SeenBody(label, shifted, (top, left), image.view.depth[window].astype(float), mask, others & ~mask)
+    return BodyWindow(label, shifted, (top, left), image.view.depth[window].astype(float), mask, others & ~mask)
