@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from kit1000.cli.command_line import run
+from kit1000.cli.labels import Label
 from kit1000.cli.options import Flag, Folder, OptionalFloat, OptionalInt, OptionalPath, Unit
 from kit1000.cli.scenes import Edit, Predict, Run, Study
 from kit1000.cli.summaries import kit_report_text, summary_text
@@ -334,6 +335,7 @@ COMMANDS = {
     "export": Export,
     "check": Check,
     "edit": Edit,
+    "label": Label,
     "predict": Predict,
     "run": Run,
     "study": Study,

@@ -14,7 +14,7 @@ from kit1000.sim.render import render
 REACH = 6.0  # standard deviations of depth at which a difference counts as much as none at all
 LEAST_REACH = 3e-3  # [m]
 WIDE = 3.0  # [px] beyond its width, by which a mask may end elsewhere than the outline
-GOOD_COST, GOOD_OUTLINE, GOOD_DEPTH = 0.35, 2.5, 2.0
+GOOD_COST, GOOD_OUTLINE, GOOD_DEPTH, GOOD_STRAY = 0.35, 2.5, 2.0, 0.08
 
 
 @dataclass(frozen=True)
@@ -33,13 +33,16 @@ class Agreement:
     """Share of the pixels of outline and mask that only one of the two has, beyond that width."""
 
     @property
-    def good(self) -> bool:
-        """Whether the image agrees with the pose as well as its noise allows."""
-        return (
-            self.cost < GOOD_COST
-            and self.outline < GOOD_OUTLINE
-            and self.depth < GOOD_DEPTH * max(self.noise, LEAST_REACH / REACH)
-        )
+    def faults(self) -> tuple[str, ...]:
+        """In what the image disagrees with the pose more than its noise allows."""
+        found = []
+        if self.cost > GOOD_COST or self.depth > GOOD_DEPTH * max(self.noise, LEAST_REACH / REACH):
+            found.append(f"measured depths are {self.depth * 1e3:.1f} mm off, noise is {self.noise * 1e3:.1f} mm")
+        if self.outline > GOOD_OUTLINE:
+            found.append(f"its outline is {self.outline:.1f} px off that of the mask")
+        if self.stray > GOOD_STRAY:
+            found.append(f"{self.stray:.0%} of its pixels are in the mask or the shape alone")
+        return tuple(found)
 
 
 def rendered_depth(placed: PlacedShape) -> np.ndarray:

@@ -25,9 +25,12 @@ from kit1000.pose import Pose
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth
 
 KIT_TURNS = 72  # starting turns of the kits
+PART_TURNS = 36  # of a part
 PAIR_TURNS = 12  # of a part over a mask, to tell which part a mask shows
 TRIED = 8  # different starts of a body that are refined
 SAME_START, SAME_POSE = 4e-3, 1e-3  # [m] by which poses differ that count as one
+LEAST_MARGIN = 0.02  # of the cost, to that of another pose
+MOST_SHIFT = 1.5e-3  # [m] that an open depth scale may move a body
 OFTEN = 400  # most starts that are looked through for different ones
 
 
@@ -45,14 +48,20 @@ class RegisteredBody:
     rival: float | None
     """Cost of the best pose at which the shape lies elsewhere; None without one."""
 
-    @property
-    def sure(self) -> bool:
-        """Whether the image alone settles the pose; a person confirms it all the same."""
-        margin = np.inf if self.rival is None else self.rival - self.agreement.cost
-        return self.agreement.good and margin > LEAST_MARGIN
+    def doubts(self, scale_spread: float) -> tuple[str, ...]:
+        """Why the image alone does not settle the pose; none where it does. A person confirms it all the same.
+
+        scale_spread: standard deviation of the depth scale.
+        """
+        found = list(self.agreement.faults)
+        if self.rival is not None and self.rival - self.agreement.cost < LEAST_MARGIN:
+            found.append("another pose explains the image nearly as well")
+        far = 2 * scale_spread * float(np.linalg.norm(self.placed.centre))
+        if far > MOST_SHIFT:
+            found.append(f"the depth scale is open: up to {far * 1e3:.1f} mm along the line of sight")
+        return tuple(found)
 
 
-LEAST_MARGIN = 0.02  # of the cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +127,7 @@ def _assigned(
 
 def _registered(shape: KnownShape, window: BodyWindow, support: Support) -> RegisteredBody:
     """The best pose of a shape in a window, with the cost of the best other one."""
-    found = starts(shape, window, support, KIT_TURNS if window.label == ASSEMBLY_LABEL else _PART_TURNS)
+    found = starts(shape, window, support, KIT_TURNS if window.label == ASSEMBLY_LABEL else PART_TURNS)
     if not found:
         raise InputError(f"{shape.name}: its mask has no depth: choose another image")
     distance = ShapeDistance(shape.mesh)
@@ -131,9 +140,6 @@ def _registered(shape: KnownShape, window: BodyWindow, support: Support) -> Regi
         if distance.between(placed.camera_from_body, other.camera_from_body) > SAME_POSE
     )
     return RegisteredBody(shape.name, window.label, placed, best, next(others, None))
-
-
-_PART_TURNS = 36
 
 
 def _refined(start: Start, support: Support) -> PlacedShape:
