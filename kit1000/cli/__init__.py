@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from kit1000.cli.command_line import run
-from kit1000.cli.labels import Label
+from kit1000.cli.labels import Label, Print
 from kit1000.cli.options import Flag, Folder, OptionalFloat, OptionalInt, OptionalPath, Unit
 from kit1000.cli.scenes import Edit, Predict, Run, Study
 from kit1000.cli.summaries import kit_report_text, summary_text
@@ -337,6 +337,7 @@ COMMANDS = {
     "edit": Edit,
     "label": Label,
     "predict": Predict,
+    "print": Print,
     "run": Run,
     "study": Study,
 }

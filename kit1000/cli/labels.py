@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -87,3 +88,27 @@ class Label:
             raise InputError(f"--clearance-mm: expected 0.05 to 100, got {self.clearance_mm:g}")
         clearance = None if self.clearance_mm is None else self.clearance_mm * 1e-3
         return kits_of_files(self.kit, self.part, clearance)
+
+
+@dataclass(frozen=True)
+class Print:
+    """Write kits in pairs on brackets, and their parts, as 3MF to print; `label --shapes` reads the same folder."""
+
+    data: Folder
+    """Dataset folder."""
+    out: Path = Path("prints")
+    """Folder to write, which must not exist."""
+    ids: tuple[str, ...] = ()
+    """Ids of the parts, two a bracket; the first of the test split that go together when absent."""
+    brackets: tuple[float, ...] = (10.0, 20.0, 30.0)
+    """Angle of the second plate of each assembly [degrees], 10 to 45."""
+
+    def run(self) -> int:
+        """Write the folder, and print what to print."""
+        from kit1000.export.print_set import PRINTS, write_print_set
+
+        made = write_print_set(self.data, self.out, self.ids, self.brackets)
+        for name, angle in zip(made, self.brackets, strict=True):
+            print(f"{self.out / PRINTS / f'kits-{name}.3mf'}: two kits, bracket of {angle:g} degrees")
+        print(f"{self.out / PRINTS}: {len(made)} assemblies and {2 * len(made)} parts, 3MF in mm")
+        return 0
