@@ -76,5 +76,7 @@ def _queries(scene_id: str, labels: np.ndarray) -> tuple[dict, ...]:
     parts = [int(i) - FIRST_PART_LABEL for i in np.unique(labels) if i >= FIRST_PART_LABEL]
     common = {"sensor": SENSOR, "drawn": True, "pivot": [0.0, 0.0, 0.0], "guess": None}
     return tuple(
-        {"id": f"{scene_id}-p{part}-{track}", "track": track, "part": part} | common for part in parts for track in TRACKS
+        {"id": f"{scene_id}-p{part}-{track}", "track": track, "part": part} | common
+        for part in parts
+        for track in TRACKS
     )

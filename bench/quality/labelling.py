@@ -1,4 +1,4 @@
-"""How well are known shapes registered to noisy depth images? Scenes of a dataset, their truth forgotten and then asked.
+"""How well are known shapes registered to noisy depth images? Scenes whose truth is forgotten, then asked.
 
     python bench/quality/labelling.py data/tiny --splits test train val --out results/labelling.json
 
@@ -85,9 +85,7 @@ class Options:
 def main(options: Options) -> None:
     """Label the scenes and print the tables."""
     dataset, measurement, rows = Dataset(options.data), Measurement.begin(Dataset(options.data)), []
-    chosen = [
-        scene for split in options.splits for scene in list(dataset.split(split, truth=True))[: options.scenes]
-    ]
+    chosen = [scene for split in options.splits for scene in list(dataset.split(split, truth=True))[: options.scenes]]
     for recorded in tqdm(chosen, desc="scenes", unit="", disable=None):
         rows += list(scene_rows(recorded, forgotten_image(recorded, options.unit_mm / MM, options.masks)))
     add_tables(measurement, rows, f"{len(chosen)} scenes, depths in {options.unit_mm:g} mm, masks {options.masks}")

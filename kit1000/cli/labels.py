@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from kit1000.cli.options import Folder, OptionalFloat, OptionalPath
+from kit1000.cli.options import Flag, Folder, OptionalFloat, OptionalInt, OptionalPath
 from kit1000.errors import InputError
 
 if TYPE_CHECKING:
     from kit1000.labelling.known_kits import KnownKits
+    from kit1000.labelling.labelling_session import OwnScenes
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,10 @@ class Label:
     """Bodies that you confirm after a look at the picture: all, sure, or names such as kits."""
     by: str = ""
     """Your name, which stands beside what you confirm."""
+    page: Flag = False
+    """Open a page on which you move the shapes of a scene, confirm them, and see the residual; Ctrl-C ends it."""
+    port: OptionalInt = None
+    """Port of the page; a free one when absent."""
 
     def run(self) -> int:
         """Register or confirm, and print what was found; returns 1 when bodies are left that are not sure."""
@@ -47,9 +52,22 @@ class Label:
         scenes = OwnScenes.of(self.data, self.scene)
         if self.confirm:
             return self._confirm(scenes)
-        return self._register(scenes)
+        if self.shapes is None and self.kit is None and self.page:
+            return self._serve(scenes.scene_ids[0])
+        status = self._register(scenes)
+        return self._serve(scenes.scene_ids[0]) if self.page else status
 
-    def _register(self, scenes) -> int:
+    def _serve(self, scene_id: str) -> int:
+        try:
+            from kit1000.editor.label_page import run_label_page
+        except ModuleNotFoundError as error:
+            if error.name != "viser":
+                raise
+            raise InputError("label --page: needs viser: pip install 'kit1000[edit]'") from None
+        run_label_page(self.data, scene_id, self.port)
+        return 0
+
+    def _register(self, scenes: OwnScenes) -> int:
         from kit1000.labelling.labelling_session import picture_path, register, report_lines
 
         sure = True
@@ -60,7 +78,7 @@ class Label:
         print("look at the pictures, then: kit1000 label DATA --confirm all --by NAME")
         return 0 if sure else 1
 
-    def _confirm(self, scenes) -> int:
+    def _confirm(self, scenes: OwnScenes) -> int:
         from kit1000.labelling.labelling_session import confirm, publish, report_lines
 
         given = [name for name in ("shapes", "kit", "part") if getattr(self, name) is not None]

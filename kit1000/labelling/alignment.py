@@ -81,8 +81,13 @@ class _Rows:
     outline_spread: float = 0.0  # [px]
 
     @staticmethod
-    def of(values: np.ndarray, motion: np.ndarray, width: float | np.ndarray, scale: float | np.ndarray,
-           outline_spread: float = 0.0) -> _Rows:
+    def of(
+        values: np.ndarray,
+        motion: np.ndarray,
+        width: float | np.ndarray,
+        scale: float | np.ndarray,
+        outline_spread: float = 0.0,
+    ) -> _Rows:
         n = len(values)
         return _Rows(values, motion, np.broadcast_to(width, n), np.broadcast_to(scale, n), outline_spread)
 

@@ -115,7 +115,17 @@ def publish(scenes: OwnScenes, records: Sequence[LabelRecord]) -> list[str]:
     complete = {record.scene_id: record for record in records if record.confirmed}
     if not complete:
         return list(Dataset(scenes.root).shards(SPLIT))
-    return write_truth(scenes.root, complete)
+    without = write_truth(scenes.root, complete)
+    for record in complete.values():
+        write_record(scenes.root, numbered_as_written(record))
+    return without
+
+
+def numbered_as_written(record: LabelRecord) -> LabelRecord:
+    """A record whose parts have the labels that they get in the masks when truth is written: without gaps."""
+    parts = sorted(body.label for body in record.bodies if body.label >= FIRST_PART_LABEL)
+    new = {label: FIRST_PART_LABEL + i for i, label in enumerate(parts)}
+    return replace(record, bodies=tuple(replace(body, label=new.get(body.label, body.label)) for body in record.bodies))
 
 
 def report_lines(record: LabelRecord) -> list[str]:
@@ -139,8 +149,3 @@ def report_lines(record: LabelRecord) -> list[str]:
 def kits_of_record(record: LabelRecord) -> KnownKits:
     """The shapes of a record, read again."""
     return read_known_kits(record.source)
-
-
-def without_confirmation(record: LabelRecord) -> LabelRecord:
-    """A record that nobody confirmed."""
-    return replace(record, bodies=tuple(replace(body, confirmed_by=None) for body in record.bodies))

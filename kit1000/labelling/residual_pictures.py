@@ -1,4 +1,4 @@
-"""The picture by which a person judges labels: outlines of the shapes on the depth image, and the residual in colour."""
+"""The picture by which a person judges labels: outlines of shapes on the depth image, the residual in colour."""
 
 from __future__ import annotations
 

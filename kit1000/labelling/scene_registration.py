@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from kit1000.errors import InputError
-from kit1000.labelling.alignment import Alignment, PlacedShape, align
 from kit1000.labelling.agreement import Agreement, agreement
+from kit1000.labelling.alignment import Alignment, PlacedShape, align
 from kit1000.labelling.body_windows import BodyWindow, body_windows
 from kit1000.labelling.shape_distance import ShapeDistance
 from kit1000.labelling.standing_plane import Support, seen_support
@@ -60,8 +60,6 @@ class RegisteredBody:
         if far > MOST_SHIFT:
             found.append(f"the depth scale is open: up to {far * 1e3:.1f} mm along the line of sight")
         return tuple(found)
-
-
 
 
 @dataclass(frozen=True, eq=False)

@@ -47,7 +47,9 @@ class SampleScene:
 def sample_kits() -> KnownKits:
     plan = AssemblyPlan(0.0, 0.0, (SidePlate(0, float(np.radians(20))),))
     assembly = build_assembly("bracket", [sample_kit(family) for family in FAMILIES], plan)
-    return KnownKits(assembly, tuple(sample_part(family) for family in FAMILIES), {"shapes": "none", "assembly": "bracket"})
+    return KnownKits(
+        assembly, tuple(sample_part(family) for family in FAMILIES), {"shapes": "none", "assembly": "bracket"}
+    )
 
 
 def standing(part: Part, turn: float, place: tuple[float, float]) -> Pose:
@@ -61,7 +63,9 @@ def sample_scene(noise: float = NOISE, scale: float = 1.0, seed: int = 0) -> Sam
     kits = sample_kits()
     assembly_pose = Pose.from_rotvec((0.0, 0.0, 0.7), (0.02, 0.16, 0.0))
     places = ((-0.09, -0.08), (0.08, -0.1))
-    poses = tuple(standing(part, 1.0 + i, place) for i, (part, place) in enumerate(zip(kits.parts, places, strict=True)))
+    poses = tuple(
+        standing(part, 1.0 + i, place) for i, (part, place) in enumerate(zip(kits.parts, places, strict=True))
+    )
     camera_pose = look_at((0.15, -0.35, 0.6), (0.0, 0.04, 0.0))
     bodies: list[tuple[Mesh, Pose]] = [(table(), Pose.identity()), (kits.assembly.mesh, assembly_pose)]
     bodies += [(part.mesh, pose) for part, pose in zip(kits.parts, poses, strict=True)]
