@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.perception.heights.labelled_views import LabelledViews
+from kit1000.perception.observed.parts import ObservedPart
 from kit1000.perception.restoration import restored_query
 from kit1000.perception.sensor_facts import sensor_of
 from kit1000.pose import Pose
@@ -24,6 +25,7 @@ from kit1000.registration.choice.from_evidence import register_certain
 from kit1000.registration.choice.from_filled_part import register_columns
 from kit1000.registration.inputs.shared_image import SharedImage
 from kit1000.registration.inputs.volume_sources import DepthSource, TrueSource
+from kit1000.registration.search.effort import affordable
 from kit1000.values import FIRST_PART_LABEL, Query, TrueGeometry
 
 if TYPE_CHECKING:
@@ -106,7 +108,7 @@ class Registration:
         return query.sensor if self.restorer is None or query.sensor == "ideal" else "restored"
 
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
-        """All fits, the best first: at all clearances that are tried; from depth at the best one, where none is stated."""
+        """All fits, the best first; where no clearance is stated, those from depth are at the one that fits best."""
         if self.source == "depth":
             image = SharedImage(query.image, sensor_of(self.dataset.summary, query.sensor), self.restorer)
             if not self.clearances and len(self._clearances) > 1:
@@ -179,10 +181,13 @@ def _completer(stem: Path) -> PartCompleter:
 
 
 def _other_parts(query: Query) -> Iterator[Query]:
-    """The query about each other part of its image."""
-    for part, pivot in part_pivots(query.view, query.image.labels).items():
-        if part != query.part:
-            yield replace(query, part=part, pivot=pivot)
+    """The query about each other part of its image, as far as they are affordable."""
+    pivots = part_pivots(query.view, query.image.labels) | {query.part: query.pivot}
+    seen = {part: ObservedPart(query.image, FIRST_PART_LABEL + part, pivot) for part, pivot in pivots.items()}
+    half_widths = {part: each.half_width for part, each in seen.items()}
+    own = half_widths.pop(query.part)
+    for part in affordable(half_widths, own):
+        yield replace(query, part=part, pivot=pivots[part])
 
 
 def _true_source(query: Query, geometry: TrueGeometry | None) -> TrueSource:

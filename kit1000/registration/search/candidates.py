@@ -15,6 +15,7 @@ from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.registration.geometry.faces import right_angled, squared, standing_faces
 from kit1000.registration.geometry.observed_cavity import VOXEL, Cavity, find_cavity, plate_grid
+from kit1000.registration.geometry.wide_plates import plate_frames
 from kit1000.registration.inputs.volume_sources import Source
 from kit1000.registration.search.correlation import Candidate, SearchWindow, coarse_search
 from kit1000.rng import stream
@@ -105,7 +106,10 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
     planes = find_planes(points, normals, area, source.noise, stream(0, "registration", query.id))
     if not nested:
         planes = without_nested(planes, points, normals, source.noise)
-    frames = [plane_frame(plane, plane.point if guessed is None else guessed) for plane in planes]
+    if guessed is None:
+        frames = [frame for plane in planes for frame in plate_frames(source, plane, points, normals, side)]
+    else:
+        frames = [plane_frame(plane, guessed) for plane in planes]
     noise, small = source.noise, list[Cavity]()
     for wide in (side, WIDER * side):
         cuts = (1.0, *DEEPER) if noise.bent or wide > side else (1.0,)
