@@ -15,6 +15,7 @@ from PIL import Image
 
 from kit1000.capture.depth_frames import DepthFrame
 from kit1000.capture.intrinsics import Intrinsics, Stream
+from kit1000.capture.known_sensors import known_baseline
 from kit1000.errors import InputError
 
 RAW = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
@@ -64,14 +65,14 @@ def intrinsics_of(message: Any, source: str, topic: str) -> Intrinsics:
         raise InputError(f"{source}: its image is binned {binning} times; record it without binning, or give --intrinsics")
     coefficients = tuple(float(value) for value in (message.d if hasattr(message, "d") else message.D))
     return Intrinsics(
-        fx=matrix[0],
-        fy=matrix[4],
-        cx=matrix[2],
-        cy=matrix[5],
+        fx=float(matrix[0]),
+        fy=float(matrix[4]),
+        cx=float(matrix[2]),
+        cy=float(matrix[5]),
         size=(int(message.width), int(message.height)),
         model=str(message.distortion_model) or "plumb_bob",
         coefficients=coefficients,
-        device=topic,
+        device=topic if known_baseline(topic) else "",
         stream=_stream_of(topic),
         source=source,
     )

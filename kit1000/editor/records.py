@@ -135,7 +135,7 @@ def _manifest(dataset: Dataset, header: Header, tracks: tuple[str, ...]) -> Mani
         description=f"Parts placed in the page of kit1000 edit ({header.interface}), {snap}.{shown}",
         date=date.today().isoformat(),
         dataset_id=dataset.id,
-        dataset_checksum=dataset.summary["checksum"],
+        dataset_checksum=dataset.summary.get("checksum", ""),
         tracks=tracks,
         learned=False,
         uses_true_geometry=header.truth,

@@ -250,7 +250,7 @@ def _manifest(config: RunConfig, method: Method, dataset: Dataset, tracks: set[s
         description=method.description,
         date=date.today().isoformat(),
         dataset_id=dataset.id,
-        dataset_checksum=dataset.summary["checksum"],
+        dataset_checksum=dataset.summary.get("checksum", ""),
         tracks=_in_order(tracks),
         predicts=method.predicts,
         learned=method.learned,
