@@ -236,7 +236,9 @@ def _add_seated(
     original = make_predictor(method_of(f"{options.method}{PREDICTED_MASKS}"), dataset, 0)
     for number, scene in enumerate(scenes):
         own = _imported(scene, "mm-png", folder, None)
-        motions = _own_motions(scene, own, folder / f"own-{number}", lambda data: make_predictor(method, data, 0), dataset)
+        motions = _own_motions(
+            scene, own, folder / f"own-{number}", lambda data: make_predictor(method, data, 0), dataset
+        )
         for query in (query for query in scene.queries if query.track == TRACK):
             truths.append(scene.truth_of(query.id))
             found["original, predicted masks"].append(original(query, None).goal_from_now)

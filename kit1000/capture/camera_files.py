@@ -74,7 +74,9 @@ def _chosen(value: Mapping[str, Any], path: Path, image: Path | None) -> Mapping
         return rows[number]
     if len({json.dumps([row["cam_K"], row.get("depth_scale")]) for row in rows.values()}) == 1:
         return next(iter(rows.values()))
-    raise InputError(f"{path}: holds {len(rows)} cameras, none of image {number or 'without a number'}: save one of them")
+    raise InputError(
+        f"{path}: holds {len(rows)} cameras, none of image {number or 'without a number'}: save one of them"
+    )
 
 
 def _from_json(row: Mapping[str, Any], path: Path) -> Intrinsics:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 BASELINES = {  # [m] from the data sheets
     "D405": 0.018,

@@ -138,5 +138,3 @@ def _summary_bytes(
         TABLES_KEY: dict(zip(scene_ids, outlines, strict=True)),
     }
     return json_bytes(summary | {"checksum": hashlib.sha256(json_bytes(summary)).hexdigest()})
-
-

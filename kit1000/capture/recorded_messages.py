@@ -62,7 +62,9 @@ def intrinsics_of(message: Any, source: str, topic: str) -> Intrinsics:
         raise InputError(f"{source}: is not calibrated (K is {matrix.tolist()}); give --intrinsics")
     binning = max(int(getattr(message, "binning_x", 0)), int(getattr(message, "binning_y", 0)))
     if binning > 1:
-        raise InputError(f"{source}: its image is binned {binning} times; record it without binning, or give --intrinsics")
+        raise InputError(
+            f"{source}: its image is binned {binning} times; record it without binning, or give --intrinsics"
+        )
     coefficients = tuple(float(value) for value in (message.d if hasattr(message, "d") else message.D))
     return Intrinsics(
         fx=float(matrix[0]),
@@ -98,7 +100,9 @@ def _raw_values(message: Any, source: str) -> np.ndarray:
     order = ">" if getattr(message, "is_bigendian", 0) else "<"
     dtype = np.dtype(order + RAW[message.encoding])
     if step < width * dtype.itemsize or len(data) < step * height or width == 0 or height == 0:
-        raise InputError(f"{source}: {len(data)} bytes for {width} x {height} px in steps of {step}: damaged; record again")
+        raise InputError(
+            f"{source}: {len(data)} bytes for {width} x {height} px in steps of {step}: damaged; record again"
+        )
     rows = np.frombuffer(data, np.uint8, step * height).reshape(height, step)[:, : width * dtype.itemsize]
     return np.ascontiguousarray(rows).view(dtype).astype(dtype.newbyteorder("="))
 
@@ -117,7 +121,9 @@ def _packed_values(message: Any, source: str) -> np.ndarray:
     if not message.format.startswith("32FC1"):
         return values
     steps = values.astype(np.float32)
-    return np.where(steps > 0, np.float32(scale) / np.where(steps > 0, steps - np.float32(offset), 1), 0).astype(np.float32)
+    return np.where(steps > 0, np.float32(scale) / np.where(steps > 0, steps - np.float32(offset), 1), 0).astype(
+        np.float32
+    )
 
 
 def _png(data: bytes, source: str) -> np.ndarray:

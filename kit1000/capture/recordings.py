@@ -155,4 +155,6 @@ def _one_line(path: Path) -> Iterator[None]:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     except Exception as error:
         text = " ".join(str(error).split())[:160]
-        raise InputError(f"{path}: damaged or cut off ({type(error).__name__}{': ' if text else ''}{text}); {FIX}") from None
+        raise InputError(
+            f"{path}: damaged or cut off ({type(error).__name__}{': ' if text else ''}{text}); {FIX}"
+        ) from None

@@ -60,7 +60,11 @@ def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]
     for number, box in enumerate(find_objects(regions), start=1):
         mask = regions[box] == number
         sure = max(SURE_HEIGHT, SURE_HEIGHT / LEAST_HEIGHT * least)
-        if mask.sum() < LEAST_PIXELS or not binary_erosion(mask, np.ones((NARROW, NARROW))).any() or np.quantile(heights[box][mask], SURE_QUANTILE) < sure:
+        if (
+            mask.sum() < LEAST_PIXELS
+            or not binary_erosion(mask, np.ones((NARROW, NARROW))).any()
+            or np.quantile(heights[box][mask], SURE_QUANTILE) < sure
+        ):
             continue
         whole = np.zeros(high.shape, bool)
         whole[box] = binary_fill_holes(mask) & ~(heights[box] < least / 2)  # a hole without a return is a shadow

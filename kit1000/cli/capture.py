@@ -23,7 +23,9 @@ def need_generated(data: Path, command: str) -> None:
     path = data / "dataset.json"
     summary = read_json(path) if path.is_file() else {}
     if isinstance(summary, dict) and "own" in summary:
-        raise InputError(f"{data}: scenes of your own camera, without ground truth; {command} needs a generated dataset")
+        raise InputError(
+            f"{data}: scenes of your own camera, without ground truth; {command} needs a generated dataset"
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -106,7 +106,9 @@ def test_pixels_without_a_return_are_zero_whatever_they_hold() -> None:
     assert (depth[0, 5:] > 0).all()
 
 
-@pytest.mark.parametrize(("depth", "unit", "scale"), [(0.8, 1e-3, "0.001"), (0.8, 1e-4, "0.0001"), (0.8, 1e-5, "1e-05")])
+@pytest.mark.parametrize(
+    ("depth", "unit", "scale"), [(0.8, 1e-3, "0.001"), (0.8, 1e-4, "0.0001"), (0.8, 1e-5, "1e-05")]
+)
 def test_the_unit_that_would_fit_is_named(depth: float, unit: float, scale: str) -> None:
     stored = DepthFrame(np.full((96, 128), depth / unit), "depth.npy", unit=1.0)
     with pytest.raises(InputError, match=rf"expected 0\.15 to 4.*--depth-scale {scale}$"):

@@ -54,7 +54,9 @@ def image(values: np.ndarray = DEPTH, encoding: str = "16UC1", frame: str = FRAM
     return {"kind": "Image", "header": stamped(frame), **row, "data": rows.tobytes(), **changes}
 
 
-def compressed(values: np.ndarray = DEPTH, form: str = "16UC1; compressedDepth png", head: tuple = (0, 0.0, 0.0)) -> dict:
+def compressed(
+    values: np.ndarray = DEPTH, form: str = "16UC1; compressedDepth png", head: tuple = (0, 0.0, 0.0)
+) -> dict:
     file = io.BytesIO()
     Image.fromarray(values).save(file, "PNG")
     data = struct.pack("<iff", *head) + file.getvalue()

@@ -42,8 +42,10 @@ def restored(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
 
 def calibrated_image(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
     """The image of a noisy sensor, calibrated by the table; the same image where the sensor is ideal."""
-    return image if sensor == "ideal" else LabelledDepth(
-        calibrated(image.view, image.labels, borders=borders_of(sensor)), image.labels
+    return (
+        image
+        if sensor == "ideal"
+        else LabelledDepth(calibrated(image.view, image.labels, borders=borders_of(sensor)), image.labels)
     )
 
 
