@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from kit1000.capture.own_scene import OwnScene
 from kit1000.dataset.mcap_io import ObservationWriter
 from kit1000.dataset.mcap_io.writing import record_checksum
 from kit1000.dataset.schema import SCENES_PER_SHARD, Observation
 from kit1000.dataset.tables import FORMAT
-from kit1000.errors import InputError
+from kit1000.errors import InputError, checked
 from kit1000.export.new_folder import new_folder
-from kit1000.files import write_json
+from kit1000.files import json_bytes, write_bytes, write_json
 from kit1000.perception.sensor_facts import KEY
 from kit1000.pictures.scene_preview import png_bytes, scene_picture
 from kit1000.queries.pivots import part_pivots
@@ -23,10 +25,18 @@ from kit1000.queries.tracks import query_id
 SENSOR = "d415"  # key of the view, by which tracks of noisy images are named
 TRACKS = ("snap-d415", "place-d415")
 LICENCE = "the user's own"
-PRESET = "own"
+PRESET = OWN = "own"
+"""Preset, and key of dataset.json: what the scenes were imported from; generated datasets have none."""
+ID_DIGITS = 16
 TABLES_KEY = "tables"
 """Key of dataset.json: the outline (k, 2) [m] of the table that was seen, by scene."""
 TABLES = ("parts.json", "kits.json", "assemblies.json")
+
+
+def seen_table(summary: Mapping[str, Any], scene_id: str) -> np.ndarray | None:
+    """(k, 2) [m] world: the convex outline of the table that an own scene shows; None for a generated scene."""
+    outline = summary.get(TABLES_KEY, {}).get(scene_id)
+    return None if outline is None else checked(f"dataset.json: table of {scene_id}", outline, ("k", 2))
 
 
 class OwnWriter(ObservationWriter):
@@ -66,7 +76,7 @@ def write_own_folder(
                     writer.add(observation)
             files[name], shards[name] = writer.sha256, [observation.scene_id for observation in some]
         files |= {name: write_json(partial / name, {}) for name in TABLES}
-        write_json(partial / "dataset.json", _summary(scenes, files, shards, clearance, licence))
+        write_bytes(partial / "dataset.json", _summary_bytes(scenes, files, shards, clearance, licence))
 
 
 def _observation(scene_id: str, scene: OwnScene) -> Observation:
@@ -95,30 +105,29 @@ def _picture(observation: Observation) -> Any:
     return scene_picture(Observation(observation.scene_id, observation.views, observation.labels))
 
 
-def _summary(
+def _summary_bytes(
     scenes: Sequence[OwnScene],
     files: dict[str, str | None],
     shards: dict[str, list[str]],
     clearance: float | None,
     licence: str,
-) -> dict[str, Any]:
-    """The contents of dataset.json."""
-    checksum = hashlib.sha256("".join(f"{name} {files[name]}\n" for name in sorted(files)).encode()).hexdigest()
+) -> bytes:
+    """The bytes of dataset.json, with a checksum of its other entries, as generated datasets have it."""
+    dataset_id = hashlib.sha256(json_bytes(files)).hexdigest()[:ID_DIGITS]
     config = {"curve_scenes": 0, "frames": 1, "scale": 1.0, "tracks": list(TRACKS)}
     config |= {} if clearance is None else {"clearance": clearance}
     scene_ids = [scene_id for some in shards.values() for scene_id in some]
     outlines = [scene.outline.round(4).tolist() for scene in scenes]
     none = {"assemblies": 0, "parts": 0, "scenes": 0}
-    return {
-        "checksum": checksum,
+    summary = {
         "config": config,
         "counts": {"test": none | {"scenes": len(scenes)}, "train": none, "val": none},
         "data_version": "own",
-        "dataset_id": checksum[:16],
+        "dataset_id": dataset_id,
         "files": files,
         "format": FORMAT,
         "licence": licence,
-        "own": {"sources": [scene.source for scene in scenes]},
+        OWN: {"sources": [scene.source for scene in scenes]},
         "preset": PRESET,
         "redraws": {},
         "refused": {},
@@ -128,3 +137,4 @@ def _summary(
         "shards": shards,
         TABLES_KEY: dict(zip(scene_ids, outlines, strict=True)),
     }
+    return json_bytes(summary | {"checksum": hashlib.sha256(json_bytes(summary)).hexdigest()})

@@ -110,7 +110,9 @@ def frame_intrinsics(frame: DepthFrame, given: Intrinsics | None) -> Intrinsics:
     """The given intrinsics, else those that came with a frame."""
     known = given or frame.intrinsics
     if known is None:
-        raise InputError(f"{frame.source}: without intrinsics; give --intrinsics FILE, or fx fy cx cy in px")
+        raise InputError(
+            f"{frame.source}: no intrinsics beside it: record CameraInfo too, or give --intrinsics FILE, or fx fy cx cy"
+        )
     return known
 
 

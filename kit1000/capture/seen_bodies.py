@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import binary_dilation, binary_fill_holes, binary_opening, find_objects
+from scipy.ndimage import binary_dilation, binary_erosion, binary_fill_holes, binary_opening, find_objects
 
 from kit1000.capture.table_search import Table, convex_outline, inside_outline
 from kit1000.perception.segmentation.pieces import connected
@@ -21,6 +21,7 @@ LEAST_AREA = 1e-4  # [m^2] seen
 LEAST_PIXELS = 150
 MOST_BODIES = 200
 SPIKE = 3  # [px] side of a square that is a body, and no noise
+NARROW = 5  # [px] side of a square inside every body: what a matcher smears beside edges is narrower
 GAP = 25e-3  # [m] along the table, between neighbours in the image that are two bodies
 FRAGMENT, FRAGMENT_AREA = 0.1, 5e-4  # of the larger one's area, and [m^2], of pieces that a shadow cut off
 MOST_POINTS = 2000  # whose smallest rectangle is sought
@@ -59,7 +60,11 @@ def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]
     for number, box in enumerate(find_objects(regions), start=1):
         mask = regions[box] == number
         sure = max(SURE_HEIGHT, SURE_HEIGHT / LEAST_HEIGHT * least)
-        if mask.sum() < LEAST_PIXELS or np.quantile(heights[box][mask], SURE_QUANTILE) < sure:
+        if (
+            mask.sum() < LEAST_PIXELS
+            or not binary_erosion(mask, np.ones((NARROW, NARROW))).any()
+            or np.quantile(heights[box][mask], SURE_QUANTILE) < sure
+        ):
             continue
         whole = np.zeros(high.shape, bool)
         whole[box] = binary_fill_holes(mask) & ~(heights[box] < least / 2)  # a hole without a return is a shadow

@@ -75,6 +75,11 @@ class Table:
         residuals = np.where(depth > 0, 1 / np.where(depth > 0, depth, 1), np.inf)
         return np.abs(residuals - inverse_depths(self.image.camera, self.coefficients)) < SURE_TABLE * self.spread
 
+    @cached_property
+    def solid_mask(self) -> np.ndarray:
+        """(H, W) bool: those of `mask` that are no single pixels."""
+        return np.asarray(binary_opening(self.mask, np.ones((OPENED, OPENED))), bool)
+
     @property
     def share(self) -> float:
         """Share of the image that the table fills."""
@@ -107,8 +112,7 @@ class Table:
     @cached_property
     def outline(self) -> np.ndarray:
         """(k, 2) [m] along `axes`: convex, counter-clockwise, about the regions of the image that show the table."""
-        opened = np.asarray(binary_opening(self.mask, np.ones((OPENED, OPENED))), bool)
-        regions, _ = label(opened)  # type: ignore[misc]
+        regions, _ = label(self.solid_mask)  # type: ignore[misc]
         counts = np.bincount(regions.ravel())
         counts[0] = 0
         return convex_outline(self.ground(np.isin(regions, np.flatnonzero(counts > PIECE * counts.max()))))
@@ -162,7 +166,7 @@ def find_table(image: PinholeImage, source: str) -> Table:
         raise InputError(f"{source}: no plane is seen from above: is the table in view?")
     coefficients, spread = _fitted(rays[seen], inverse[seen], best)
     table = Table(image, coefficients, spread)
-    share = np.count_nonzero(table.mask) / max(np.count_nonzero(depth), 1)
+    share = np.count_nonzero(table.solid_mask) / max(np.count_nonzero(depth), 1)
     if share < LEAST_SHARE or not _plausible(coefficients):
         raise InputError(
             f"{source}: the largest plane holds {100 * share:.0f} % of the image, expected {100 * LEAST_SHARE:.0f} or "

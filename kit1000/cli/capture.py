@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from kit1000.cli.options import OptionalFloat, OptionalPath
+from kit1000.errors import InputError
+from kit1000.files import read_json
 
 if TYPE_CHECKING:
     from kit1000.capture.importing import Import
@@ -16,7 +18,17 @@ if TYPE_CHECKING:
 Stream = Annotated[Literal["raw", "aligned"] | None, tyro.conf.arg(metavar="{raw,aligned}")]
 
 
-@dataclass(frozen=True)
+def need_generated(data: Path, command: str) -> None:
+    """Raise InputError for a folder of own scenes, which has no ground truth, parts or kits."""
+    path = data / "dataset.json"
+    summary = read_json(path) if path.is_file() else {}
+    if isinstance(summary, dict) and "own" in summary:
+        raise InputError(
+            f"{data}: scenes of your own camera, without ground truth; {command} needs a generated dataset"
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
 class OwnImages:
     """Options that say what own depth images are."""
 
@@ -30,7 +42,7 @@ class OwnImages:
     """Number of successive frames of which an image is the median."""
     first: int = 0
     """Index of the first frame of a recording."""
-    sensor: str = ""
+    device: str = ""
     """Name of the camera, such as D435; as the files say when absent."""
     baseline_mm: OptionalFloat = None
     """Distance between the camera's imagers; known for RealSense cameras."""
@@ -44,18 +56,28 @@ class OwnImages:
     """Depth image of the same camera and table without bodies."""
     clearance_mm: OptionalFloat = None
     """Gap between a part and the walls of its cavity."""
+    masks: Annotated[Literal["depth", "networks"] | None, tyro.conf.arg(metavar="{depth,networks}")] = None
+    """depth: bodies as depth alone shows them; networks: cut back by the networks, when absent where torch is there."""
     check: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MM MM MM")] = ()
     """Sides of a box in view: images in which no body has them are refused."""
+
+    def own_options(self) -> list[str]:
+        """The options of own images that are given."""
+        given = [field.name for field in fields(OwnImages) if getattr(self, field.name) != field.default]
+        return [f"--{name.replace('_', '-')}" for name in given]
 
     def asked(self, sources: tuple[Path, ...], out: Path, licence: str | None = None) -> Import:
         """The import that these options describe."""
         from kit1000.capture.frame_sources import Selection
         from kit1000.capture.importing import Import
+        from kit1000.capture.mask_networks import networks_available
         from kit1000.capture.own_folder import LICENCE
         from kit1000.capture.own_scene import Wanted
 
         baseline = None if self.baseline_mm is None else 1e-3 * self.baseline_mm
-        wanted = Wanted(self.depth_scale, self.sensor, baseline, self.stream, self.kit, self.world_from_camera)
+        networks = self.masks == "networks" or (self.masks is None and networks_available())
+        hands = (self.kit, self.world_from_camera)
+        wanted = Wanted(self.depth_scale, self.device, baseline, self.stream, *hands, networks)
         selection = Selection(self.frames, self.first, self.topic)
         rest = (self.empty_table, self.clearance_mm, self.check, licence or LICENCE)
         return Import(sources, out, self.intrinsics, selection, wanted, *rest)
@@ -65,7 +87,7 @@ class OwnImages:
 class ImportImages(OwnImages):
     """Make a scene folder of your own depth images: finds table, kit and parts, and prints their sizes."""
 
-    sources: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SOURCE [SOURCE ...]")] = ()
+    sources: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SOURCE [SOURCE ...]")]
     """16-bit PNG or TIFF, .npy, .npz, or MCAP of ROS 2, Foxglove or ours. Several images become several scenes."""
     out: OptionalPath = None
     """Folder to write to; the name of the first image with -scene when absent."""

@@ -10,6 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from kit1000.cli.capture import OwnImages, need_generated
 from kit1000.cli.options import Flag, Folder, OptionalInt, OptionalPath
 from kit1000.editor import SNAP
 from kit1000.errors import InputError
@@ -80,6 +81,7 @@ class Run:
 
     def run(self) -> int:
         """Run the robot and print the outcomes; returns 1 when a part is not seated."""
+        need_generated(self.data, "run")
         from kit1000.planner.runs import format_runs, run_predictions
 
         runs = run_predictions(self.data, self.predictions, self.scene, self.track, self.out, self.seed)
@@ -88,17 +90,18 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Edit:
+class Edit(OwnImages):
     """Open a page in which you drag the parts of a scene onto their cavities; prints its address. Ctrl-C ends it."""
 
     data: Folder
-    """Dataset folder."""
-    scene: Annotated[str, tyro.conf.arg(metavar="ID")]
-    """Id of the scene, such as test-s0003."""
-    out: Path = Path("edits")
-    """Submission folder for the confirmed parts and the log; the same command again continues."""
-    sensor: Literal["ideal", "d415"] = "ideal"
-    """Sensor of the depth image."""
+    """Dataset folder, or an own depth image or recording, of which `kit1000 import` makes one beside it first."""
+    scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    """Id of the scene, such as test-s0003; the only one when absent."""
+    out: OptionalPath = None
+    """Submission folder for the confirmed parts and the log, edits when absent; the same command again continues. Of an
+    image: folder of the scene, beside which the edits lie."""
+    sensor: Annotated[Literal["ideal", "d415"] | None, tyro.conf.arg(metavar="{ideal,d415}")] = None
+    """Sensor of the depth image; ideal when absent, where the scene has it."""
     snap: Annotated[str, tyro.conf.arg(metavar="METHOD")] = SNAP
     """Method that proposes where parts fit: one of the catalog, module:Object of your own, or none."""
     interface: Literal["scene", "hand", "hand-bare"] = "scene"
@@ -122,9 +125,37 @@ class Edit:
                 raise
             raise InputError("edit: needs viser: pip install 'kit1000[edit]'") from None
         find_own_modules()
-        scene = (self.data, self.scene, self.out, self.sensor, self.snap)
-        serve(Options(*scene, self.port, self.truth, self.interface, self.origin, self.base_from_camera))
+        data, out = self._folders()
+        scene, sensor = _chosen_scene(data, self.scene, self.sensor)
+        chosen = (data, scene, out, sensor, self.snap)
+        serve(Options(*chosen, self.port, self.truth, self.interface, self.origin, self.base_from_camera))
         return 0
+
+    def _folders(self) -> tuple[Path, Path]:
+        """The folders of the dataset and of the edits, after the import of an image."""
+        if self.data.is_dir() and not any(self.data.glob("*.mcap")):
+            given = self.own_options()
+            if given:
+                raise InputError(f"{given[0]}: is for own depth images; {self.data} is a folder of scenes")
+            return self.data, self.out or Path("edits")
+        from kit1000.capture.importing import default_folder, import_scenes
+
+        folder = self.out or default_folder((self.data,))
+        for line in import_scenes(self.asked((self.data,), folder)):
+            print(line)
+        return folder, folder.with_name(f"{folder.name}-edits")
+
+
+def _chosen_scene(data: Path, scene: str | None, sensor: str | None) -> tuple[str, str]:
+    """Id and sensor of the scene to edit: the only one, and the first sensor that it has."""
+    from kit1000.dataset.reader import Dataset
+
+    dataset = Dataset(data)
+    ids = [scene_id for shard in dataset.summary.get("shards", {}).values() for scene_id in shard]
+    if scene is None and len(ids) != 1:
+        raise InputError(f"{data}: has {len(ids)} scenes; choose one with --scene, such as {ids[0] if ids else 'none'}")
+    chosen = scene or ids[0]
+    return chosen, sensor or next(iter(dataset.recorded_scene(chosen, truth=False).sensors), "ideal")
 
 
 @dataclass(frozen=True)
@@ -160,6 +191,7 @@ class Study:
 
     def run(self) -> int:
         """Do what is asked; prints orders, an address or the path of a report."""
+        need_generated(self.data, "study")
         from kit1000.study.command import Request, run
 
         find_own_modules()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from kit1000.errors import shown
@@ -12,6 +13,8 @@ PRINTER_BED_MM = 250  # side of the bed of a usual desktop printer
 
 def summary_text(summary: dict) -> str:
     """The contents of a dataset.json as text."""
+    if "own" in summary:
+        return "\n".join(_own_lines(summary))
     seed = "withheld" if summary["seed"] is None else summary["seed"]
     lines = [
         f"{summary['preset']}  {summary['dataset_id']}"
@@ -31,6 +34,19 @@ def summary_text(summary: dict) -> str:
     if len(refused) > MAX_LISTED:
         lines.append(f"  {len(refused) - MAX_LISTED} more refused: dataset.json lists them")
     return "\n".join([*lines, *_files_taken(summary)])
+
+
+def _own_lines(summary: dict) -> Iterator[str]:
+    """The lines about a folder of the user's own images."""
+    scenes = [scene_id for ids in summary["shards"].values() for scene_id in ids]
+    yield f"{summary['preset']}  {summary['dataset_id']}  ({shown(summary['licence'])}; without ground truth)"
+    for facts in summary["sensors"].values():
+        step = f"steps of {1e3 * facts['unit']:g} mm" if facts["unit"] else "floats"
+        yield (
+            f"  {shown(facts['device'])}: {facts['stream']} stream, {step}, baseline {1e3 * facts['baseline']:g} mm, "
+            f"noise {facts['noise_px']:.2f} px, recorded with fx {facts['focal_length']:.1f} px"
+        )
+    yield from (f"  {i}  {shown(source)}" for i, source in zip(scenes, summary["own"]["sources"], strict=True))
 
 
 def _files_taken(summary: dict) -> list[str]:

@@ -29,6 +29,7 @@ SKY, SUN = 1.2, 1.9  # lights, by which cavities stand out without shadows
 SUN_AT = (-0.6, -0.5, 1.0)
 SAME_SHAPE = 0.02  # of two windows, in width over height
 POINT_SIZE = 1.6e-3  # [m]: neighbours just touch
+BELOW = 5e-4  # [m] z = 0, of the table's top: what stands on it is not cut
 GIZMO = "/gizmo"
 WATCHES = "Another tab of this page is in charge. When that is closed, this one is."
 
@@ -36,9 +37,14 @@ WATCHES = "Another tab of this page is in charge. When that is closed, this one 
 class ViserStage:
     """The verbs of `stage.Stage`, and the events for a controller."""
 
-    def __init__(self, server: viser.ViserServer, interface: Interface, snaps: bool) -> None:
-        """A page for an interface. snaps: whether a method proposes fits."""
-        self.server = server
+    def __init__(
+        self, server: viser.ViserServer, interface: Interface, snaps: bool, table: np.ndarray | None = None
+    ) -> None:
+        """A page for an interface.
+
+        snaps: whether a method proposes fits. table: (k, 2) [m] convex outline of the table; None: the simulated one.
+        """
+        self.server, self._table = server, table
         self._wanted = interface, snaps
         self._nodes: dict[str, Any] = {}
         self._labels: dict[str, Any] = {}
@@ -172,15 +178,7 @@ class ViserStage:
         server.scene.configure_environment_map(None)
         server.scene.add_light_ambient("/light/sky", intensity=SKY)
         server.scene.add_light_directional("/light/sun", intensity=SUN, position=SUN_AT)
-        width, depth, thickness = TABLE_SIZE
-        server.scene.add_box(
-            "/table",
-            texts.TABLE_COLOUR,
-            (width, depth, thickness),
-            position=(0, 0, -thickness / 2 - 5e-4),
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        self._lay_table()
         self._texts["head"] = gui.add_markdown("")
         self._progress = gui.add_progress_bar(0.0, animated=False)
         for place in PLACES[1:]:
@@ -204,6 +202,21 @@ class ViserStage:
             label = key.help or key.verb.replace("-", " ")
             command = gui.add_command(label, hotkey=key.key, modifier=key.modifier)  # type: ignore[arg-type]
             command.on_trigger(partial(self._key_pressed, key.verb))
+
+    def _lay_table(self) -> None:
+        """The simulated table, or as much of the user's own as was seen."""
+        shadows = {"cast_shadow": False, "receive_shadow": False}
+        if self._table is None:
+            width, depth, thickness = TABLE_SIZE
+            at = (0, 0, -thickness / 2 - BELOW)
+            self.server.scene.add_box("/table", texts.TABLE_COLOUR, (width, depth, thickness), position=at, **shadows)
+        elif len(self._table) >= 3:
+            corners = np.column_stack([self._table, np.full(len(self._table), -BELOW)]).astype(np.float32)
+            others = np.arange(1, len(corners) - 1, dtype=np.uint32)
+            faces = np.stack([np.zeros_like(others), others, others + 1], axis=-1)
+            self.server.scene.add_mesh_simple(
+                "/table", corners, faces, color=texts.TABLE_COLOUR, side="double", flat_shading=True, **shadows
+            )
 
     def _listen_to(self, body: int, drags: bool) -> None:
         handle = self._nodes[body_node(body)]

@@ -20,6 +20,7 @@ from unittest import mock
 import viser
 import websockets.asyncio.server as websocket_server
 
+from kit1000.capture.own_folder import seen_table
 from kit1000.dataset.pose_files import read_pose
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
@@ -32,6 +33,7 @@ from kit1000.editor.worker import Method, Worker
 from kit1000.errors import InputError, InternalError
 from kit1000.files import check_writable, locked
 from kit1000.interrupts import wait_until_interrupted
+from kit1000.perception.sensor_facts import AnySensor, sensor_of
 
 HOST = "127.0.0.1"
 PORTS = range(8080, 8100)  # tried in order, where none is asked for
@@ -79,8 +81,9 @@ def editing(
         log = EventLog(options.out, header, sink=sink)
         with serving(options.port, options.origins) as (server, address):
             worker = None if options.snap == NO_SNAP else Worker(method, scene.parts)
-            stage = ViserStage(server, options.interface, worker is not None)
-            stage.say("head", head_text(header))
+            table = seen_table(dataset.summary, options.scene)
+            stage = ViserStage(server, options.interface, worker is not None, table)
+            stage.say("head", head_text(header, camera_name(sensor_of(dataset.summary, options.sensor))))
             controller = Controller(scene, stage, log, worker, moves)
             stage.listen(controller)
             log.add("open")
@@ -130,9 +133,14 @@ def serving(port: int | None, origins: Sequence[str] = ()) -> Iterator[tuple[vis
             server.stop()
 
 
-def head_text(header: Header) -> str:
-    """The top of the panel."""
-    shown = "**TRUE SHAPES ARE SHOWN**" if header.truth else f"as the {header.sensor} camera saw it"
+def camera_name(sensor: AnySensor) -> str:
+    """What the page calls the camera of an image."""
+    return f"{sensor} camera" if isinstance(sensor, str) else sensor.device
+
+
+def head_text(header: Header, camera: str) -> str:
+    """The top of the panel. camera: its name."""
+    shown = "**TRUE SHAPES ARE SHOWN**" if header.truth else f"as the {camera} saw it"
     bare = header.interface == "hand-bare"
     snap = "nothing snaps" if bare or header.snap == NO_SNAP else f"snaps by {header.snap.rpartition(':')[2]}"
     return f"**{header.scene}** · {shown} · {snap}"

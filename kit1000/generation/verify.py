@@ -70,6 +70,8 @@ def verify(root: Path, sample: int = 0) -> VerifyReport:
 
 def _why_not_rebuilt(root: Path, summary: dict[str, Any], faults: list[str]) -> str | None:
     """Why no scene can be generated again; None when it can."""
+    if "own" in summary:
+        return "scenes of a camera: there is nothing to generate again"
     if not (root / PLAN).is_file():
         return "the plan is withheld: scenes can be generated again only from the full dataset"
     if faults:

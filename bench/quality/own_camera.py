@@ -1,0 +1,306 @@
+"""How well `kit1000 import` makes scenes: simulated images through the files that people have, and real images.
+
+    python bench/quality/own_camera.py data/kit1000 --scenes 13
+    python bench/quality/own_camera.py data/kit1000 --rosbags ENV/bin/python --images DIR --seat
+
+Each scene's d415 image is saved as a user would save it, everything else is forgotten, and the import's table, masks
+and depths are compared with the scene. With --seat, a method predicts on the imported scene and on the original with
+predicted masks. DIR holds real depth images with a manifest.csv (file, sensor, metres_a_unit, fx, fy, cx, cy, and
+foreground_mask: all that is no background).
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import tyro
+from PIL import Image
+
+from bench.measured_dataset import measured_dataset
+from benchmark.measurements import Column, Measurement, Table, rate
+from kit1000.capture.frame_sources import Selection
+from kit1000.capture.importing import Import, imported_scenes
+from kit1000.capture.mask_networks import networks_available
+from kit1000.capture.own_folder import write_own_folder
+from kit1000.capture.own_scene import OwnScene, Wanted
+from kit1000.dataset.mcap_io import ObservationWriter
+from kit1000.dataset.reader import Dataset, RecordedScene
+from kit1000.dataset.schema import Observation
+from kit1000.errors import InputError, Kit1000Error
+from kit1000.metrics import Targets, pose_errors, seatings
+from kit1000.perception.calibration import borders_of, calibrated
+from kit1000.pose import Pose
+from kit1000.prediction.making import PREDICTED_MASKS, make_predictor, method_of
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, View
+
+SENSOR, TRACK = "d415", "place-d415"
+BAG_WRITER = Path(__file__).parents[1] / "outside" / "ros_bag.py"
+MM, FINE = 1e-3, 1e-4  # [m] units
+FORMATS = ("mm-png", "fine-png", "npy", "foxglove", "ros", "ros-compressed")
+TRIP = (
+    Column("format", "format"),
+    Column("n", "scenes"),
+    Column("distance", "table off, largest mm", 2),
+    Column("angle", "largest degrees", 3),
+    Column("depth", "depth off, largest mm", 3),
+    Column("kit", "IoU of kits, %", 1, True),
+    Column("parts", "IoU of parts, %", 1, True),
+    Column("counted", "number of parts right, %", 1, True),
+)
+SEAT = (
+    Column("image", "image"),
+    Column("n", "n"),
+    Column("seated", "seated, %", 1, True),
+    Column("position", "position, median mm", 2),
+)
+REAL = (
+    Column("image", "image"),
+    Column("share", "table, % of the image", 0, True),
+    Column("ripple", "ripple, mm", 2),
+    Column("bodies", "bodies"),
+    Column("moved", "camera moved by calibration, mm", 3),
+    Column("iou", "IoU of the foreground, %", 1, True),
+)
+
+
+@dataclass(frozen=True)
+class OwnCamera:
+    """Import simulated and real images, and print how right they are."""
+
+    data: tyro.conf.Positional[Path | None] = None
+    """Dataset folder with ground truth; without one a tiny dataset is generated."""
+    scenes: int = 13
+    """Number of scenes, those that have a query of place-d415, over all splits."""
+    formats: tuple[str, ...] = FORMATS[:4]
+    """Some of mm-png, fine-png, npy, foxglove, and with --rosbags ros and ros-compressed."""
+    rosbags: Path | None = None
+    """Python of an environment with the package rosbags, which writes ROS 2 bags; adds both formats."""
+    images: Path | None = None
+    """Folder of real images with a manifest.csv."""
+    method: str = "registration-completed"
+    """Method that predicts with --seat."""
+    seat: bool = False
+    """Whether to predict on the imported scenes, and on the original ones with predicted masks."""
+    out: Path | None = None
+    """JSON file for the tables, such as results/own-camera.json."""
+
+
+class Trip(NamedTuple):
+    """A scene after the import."""
+
+    distance: float
+    """[m]"""
+    angle_deg: float
+    depth: float
+    """[m]"""
+    kit: float
+    parts: float
+    counted: bool
+
+
+def main(options: OwnCamera) -> None:
+    """Import, compare, print."""
+    formats = (*options.formats, *(FORMATS[4:] if options.rosbags else ()))
+    for name in formats:
+        if name not in FORMATS or (name in FORMATS[4:] and options.rosbags is None):
+            raise InputError(f"--formats {name}: expected {', '.join(FORMATS[:4])}; ROS 2 bags with --rosbags PYTHON")
+    with measured_dataset(options.data) as (dataset, folder):
+        measurement = Measurement.begin(dataset)
+        command = measurement.setting["command"]
+        for given, shown in ((options.images, "IMAGES"), (options.rosbags, "PYTHON")):
+            command = command.replace(str(given), shown) if given else command
+        measurement.setting["command"] = command
+        scenes = _scenes(dataset, options.scenes)
+        trips = measurement.table("round-trip", "Simulated d415 images saved, and imported again", *TRIP)
+        for name in formats:
+            _add_trips(trips, name, [_trip(scene, _imported(scene, name, folder, options.rosbags)) for scene in scenes])
+        if options.seat:
+            seated = measurement.table("seated", f"{options.method} on {TRACK}", *SEAT)
+            _add_seated(seated, options, dataset, scenes, folder)
+        if options.images is not None:
+            _add_images(measurement.table("images", "Real images", *REAL), options.images)
+        measurement.report(options.out)
+
+
+def _scenes(dataset: Dataset, count: int) -> list[RecordedScene]:
+    """The first scenes with a query of TRACK."""
+    names = [name for name in ("train", "val", "test-all") if dataset.shards(name.partition("-")[0])]
+    scenes = (scene for name in names for scene in dataset.split(name, truth=True))
+    return [scene for scene in scenes if any(query.track == TRACK for query in scene.queries)][:count]
+
+
+def _imported(scene: RecordedScene, name: str, folder: Path, rosbags: Path | None) -> OwnScene:
+    """The scene that is imported from its image, saved as a format has it."""
+    with tempfile.TemporaryDirectory(dir=folder) as temporary:
+        source = Path(temporary)
+        intrinsics, selection = _saved(scene, name, source, rosbags)
+        sources = (next(path for path in sorted(source.iterdir()) if path.suffix != ".json"),)
+        wanted = Wanted(device="D415", stream="raw", networks=networks_available())
+        (own,) = imported_scenes(Import(sources, source / "out", intrinsics, selection, wanted))
+        return own
+
+
+def _saved(scene: RecordedScene, name: str, folder: Path, rosbags: Path | None) -> tuple[tuple[str, ...], Selection]:
+    """Write the image of a scene; returns the intrinsics to give, and which frame to take."""
+    view = scene.view(SENSOR)
+    camera = view.camera
+    numbers = [camera.fx, camera.fy, camera.cx, camera.cy]
+    if name == "foxglove":
+        with ObservationWriter(folder / "scene.mcap") as writer:
+            writer.add(Observation(scene.id, {SENSOR: view}))
+        return (), Selection()
+    if name.startswith("ros"):
+        depth, png = _png(view, MM)
+        np.savez(folder / "image.npz", depth=depth, intrinsics=np.array(numbers), png=np.frombuffer(png, np.uint8))
+        words = [str(BAG_WRITER), str(folder / "image.npz"), str(folder / "bag")]
+        kind = "compressed" if name == "ros-compressed" else "raw"
+        subprocess.run([str(rosbags), *words, "--kind", kind], check=True)
+        (folder / "image.npz").unlink()
+        return (), Selection()
+    if name == "npy":
+        np.save(folder / "depth.npy", view.depth)
+    else:
+        (folder / "depth.png").write_bytes(_png(view, MM if name == "mm-png" else FINE)[1])
+    row = dict(zip(("fx", "fy", "ppx", "ppy"), numbers, strict=True)) | {"width": camera.width, "height": camera.height}
+    units = {"mm-png": {"depth_units": MM}, "fine-png": {"depth_units": FINE}, "npy": {}}[name]
+    (folder / "camera.json").write_text(json.dumps(row | units), encoding="utf-8")
+    return (str(folder / "camera.json"),), Selection()
+
+
+def _png(view: View, unit: float) -> tuple[np.ndarray, bytes]:
+    """(H, W) uint16 depths in a unit [m], and the PNG of them."""
+    depth, file = np.rint(view.depth / unit).astype(np.uint16), io.BytesIO()
+    Image.fromarray(depth).save(file, "PNG")
+    return depth, file.getvalue()
+
+
+def _trip(scene: RecordedScene, own: OwnScene) -> Trip:
+    """What the import made of a scene, compared with it: its table as its own masks show it."""
+    image = scene.labelled_depth(SENSOR)
+    right = calibrated(image.view, image.labels, borders=()).world_from_camera
+    up = right.inverse().rotate((0.0, 0.0, 1.0))
+    angle = float(np.degrees(np.arccos(np.clip(up @ own.table.up, -1, 1))))
+    depth = float(np.abs(own.image.view.depth - image.view.depth).max())
+    homes = _homes(scene, own)
+    parts = [max((_iou(image.labels == label, own.image.labels == FIRST_PART_LABEL + part)
+                  for part, home in homes.items() if home == label - FIRST_PART_LABEL), default=0.0)
+             for label in range(FIRST_PART_LABEL, int(image.labels.max()) + 1)]  # fmt: skip
+    kit = _iou(image.labels == ASSEMBLY_LABEL, own.image.labels == ASSEMBLY_LABEL)
+    counted = int(image.labels.max()) == int(own.image.labels.max())
+    return Trip(own.table.distance - float(right.xyz[2]), angle, depth, kit, float(np.mean(parts)), counted)
+
+
+def _iou(one: np.ndarray, other: np.ndarray) -> float:
+    return float((one & other).sum() / max((one | other).sum(), 1))
+
+
+def _homes(scene: RecordedScene, own: OwnScene) -> dict[int, int]:
+    """The part of the scene that each imported part mostly shows, by index."""
+    labels, homes = scene.labelled_depth(SENSOR).labels, {}
+    for part in range(len(own.parts)):
+        counts = np.bincount(labels[own.image.labels == FIRST_PART_LABEL + part], minlength=FIRST_PART_LABEL + 1)
+        if counts[FIRST_PART_LABEL:].any():
+            homes[part] = int(counts[FIRST_PART_LABEL:].argmax())
+    return homes
+
+
+def _add_trips(table: Table, name: str, trips: Sequence[Trip]) -> None:
+    table.add(
+        format=name,
+        n=len(trips),
+        distance=1e3 * max(abs(trip.distance) for trip in trips),
+        angle=max(trip.angle_deg for trip in trips),
+        depth=1e3 * max(trip.depth for trip in trips),
+        kit=float(np.mean([trip.kit for trip in trips])),
+        parts=float(np.mean([trip.parts for trip in trips])),
+        counted=rate([trip.counted for trip in trips]),
+    )
+
+
+def _add_seated(
+    table: Table, options: OwnCamera, dataset: Dataset, scenes: Sequence[RecordedScene], folder: Path
+) -> None:
+    """Predictions on original images with predicted masks, and on imported ones, for the same queries."""
+    found: dict[str, list[Pose]] = {"original, predicted masks": [], "imported, 1 mm PNG": []}
+    truths = []
+    method = method_of(options.method)
+    original = make_predictor(method_of(f"{options.method}{PREDICTED_MASKS}"), dataset, 0)
+    for number, scene in enumerate(scenes):
+        own = _imported(scene, "mm-png", folder, None)
+        motions = _own_motions(
+            scene, own, folder / f"own-{number}", lambda data: make_predictor(method, data, 0), dataset
+        )
+        for query in (query for query in scene.queries if query.track == TRACK):
+            truths.append(scene.truth_of(query.id))
+            found["original, predicted masks"].append(original(query, None).goal_from_now)
+            found["imported, 1 mm PNG"].append(motions.get(query.part, Pose.identity()))
+    for name, poses in found.items():
+        motions = Pose.stack(poses)
+        errors = pose_errors(motions, Targets.of(truths, lambda part: dataset.geometry.part(part).mesh.vertices))
+        seated = seatings(motions, truths, dataset.geometry).seated
+        position = 1e3 * float(np.median(errors.position))
+        table.add(image=name, n=len(truths), seated=rate(seated), position=position)
+
+
+def _own_motions(
+    scene: RecordedScene, own: OwnScene, folder: Path, make: Callable[[Dataset], Any], dataset: Dataset
+) -> dict[int, Pose]:
+    """Predicted motions on the folder of an import, in the world of the scene, by the scene's index of the part."""
+    write_own_folder(folder, [own], dataset.summary["config"]["clearance"])
+    imported = Dataset(folder)
+    (recorded,) = imported.split("test")
+    predictor, homes = make(imported), _homes(scene, own)
+    world_from_own = scene.view("ideal").world_from_camera @ own.world.world_from_camera.inverse()
+    motions: dict[int, Pose] = {}
+    wanted = {query.part for query in scene.queries if query.track == TRACK}
+    for query in recorded.queries:
+        home = homes.get(query.part)
+        if query.track == TRACK and home in wanted and home not in motions:
+            motion = predictor(replace(query, guess=None), None).goal_from_now
+            motions[home] = world_from_own @ motion @ world_from_own.inverse()
+    return motions
+
+
+def _add_images(table: Table, folder: Path) -> None:
+    with open(folder / "manifest.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        intrinsics = tuple(row[name] for name in ("fx", "fy", "cx", "cy"))
+        wanted = Wanted(float(row["metres_a_unit"]), row["sensor"], networks=networks_available())
+        (own,) = imported_scenes(Import((folder / row["file"],), folder / "out", intrinsics, wanted=wanted))
+        view = own.image.view
+        fixed = calibrated(view, own.image.labels, borders=borders_of(own.facts)).world_from_camera
+        mask = row.get("foreground_mask")
+        values = {} if not mask else {"iou": _foreground(folder / mask, own)}
+        table.add(
+            image=Path(row["file"]).stem,
+            share=own.table.share,
+            ripple=1e3 * own.table.ripple,
+            bodies=len(own.bodies),
+            moved=1e3 * float(np.sqrt(((fixed.xyz - view.world_from_camera.xyz) ** 2).sum())),
+            **values,
+        )
+
+
+def _foreground(path: Path, own: OwnScene) -> float:
+    """IoU of all bodies with a mask of the recorded size, over pixels with a return."""
+    height, width = own.image.labels.shape
+    mask = np.asarray(Image.open(path).convert("L").resize((width, height), Image.Resampling.NEAREST)) > 0
+    seen = own.image.view.depth > 0
+    return _iou(mask & seen, (own.image.labels > 0) & seen)
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(OwnCamera))
+    except Kit1000Error as error:
+        raise SystemExit(f"own_camera: {error}") from error

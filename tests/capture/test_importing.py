@@ -1,0 +1,179 @@
+"""The command: a folder that all commands take, or one line and nothing written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from kit1000.capture.importing import Import, import_scenes
+from kit1000.capture.own_folder import seen_table
+from kit1000.cli import main
+from kit1000.dataset.mcap_io import ObservationFile
+from kit1000.dataset.reader import Dataset
+from kit1000.editor.scene import EditedScene
+from kit1000.errors import InputError
+from kit1000.perception.sensor_facts import SensorFacts, sensor_of
+from kit1000.pose import Pose
+from kit1000.submission import Predictions, check, read_submission, write_submission
+from kit1000.submission.manifest import Manifest
+from kit1000.values import ASSEMBLY_LABEL, Prediction
+from tests.samples.own_images import CAMERA, exact_depth, millimetres, noisy_depth
+
+DEPTH = millimetres(noisy_depth(exact_depth(), 0.05))
+NUMBERS = tuple(str(value) for value in (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy))
+
+
+@pytest.fixture
+def image(tmp_path: Path) -> Path:
+    Image.fromarray(DEPTH).save(tmp_path / "depth.png")
+    return tmp_path / "depth.png"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two images of a camera, imported by the command."""
+    place = tmp_path_factory.mktemp("own")
+    for seed in range(2):
+        Image.fromarray(millimetres(noisy_depth(exact_depth(), 0.05, seed))).save(place / f"{seed}.png")
+    words = ["--intrinsics", *NUMBERS, "--masks", "depth", "--clearance-mm", "2.5", "--device", "D435"]
+    assert main(["import", str(place / "0.png"), str(place / "1.png"), *words, "--out", str(place / "mine")]) == 0
+    return place / "mine"
+
+
+def test_the_folder_is_a_dataset_without_truth(folder: Path) -> None:
+    dataset = Dataset(folder)
+    split = dataset.split("test")
+    assert split.scene_ids == ["test-s0000", "test-s0001"]
+    for scene in split:
+        assert scene.sensors == ["d415"]
+        assert [query.id for query in scene.queries] == [
+            f"{scene.id}-p{part}-{track}" for track in ("snap-d415", "place-d415") for part in range(2)
+        ]
+        assert (scene.labels == ASSEMBLY_LABEL).any()
+    assert dataset.summary["config"]["clearance"] == 2.5e-3
+    assert not list(folder.rglob("*.truth.mcap"))
+
+
+def test_the_recording_is_stamped_as_the_user_s_own(folder: Path) -> None:
+    record = ObservationFile(folder / "test/0000.mcap").record
+    assert "CC-BY" not in record["licence"]
+    assert ObservationFile(folder / "test/0000.mcap").recomputed_hash("test-s0000")
+
+
+def test_facts_and_the_seen_table_are_stored(folder: Path) -> None:
+    summary = Dataset(folder).summary
+    facts = sensor_of(summary, "d415")
+    assert isinstance(facts, SensorFacts)
+    assert (facts.device, facts.baseline, facts.stream) == ("D435", 0.05, "aligned")
+    outline = seen_table(summary, "test-s0001")
+    assert outline is not None
+    assert 0.05 < np.ptp(outline[:, 0]) < 1.0
+    assert seen_table({}, "test-s0001") is None
+
+
+def test_the_page_opens_the_scene(folder: Path) -> None:
+    scene = EditedScene.open(Dataset(folder), "test-s0000", "d415", False)
+    assert scene.parts == (0, 1)
+    assert len(scene.kits.faces)
+    assert scene.plates
+
+
+@pytest.mark.parametrize("words", [["info"], ["verify"], ["show", "--scene", "test-s0000", "--out", "{tmp}/a.png"]])
+def test_commands_take_the_folder(folder: Path, tmp_path: Path, words: list[str]) -> None:
+    options = [word.replace("{tmp}", str(tmp_path)) for word in words[1:]]
+    assert main([words[0], str(folder), *options]) == 0
+
+
+NEED_TRUTH = [
+    ["run", "--predictions", "x"],
+    ["study"],
+    ["export", "--out", "x"],
+    ["show"],
+    ["show", "--scene", "test-s0000", "--truth", "--out", "a.mcap"],
+]
+
+
+@pytest.mark.parametrize("words", NEED_TRUTH, ids=" ".join)
+def test_commands_that_need_truth_say_so_in_one_line(
+    folder: Path, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([words[0], str(folder), *words[1:]]) == 2
+    message = capsys.readouterr().err
+    assert "without ground truth" in message
+    assert message.count("\n") == 1
+
+
+def test_predictions_are_checked_against_the_folder(folder: Path, tmp_path: Path) -> None:
+    dataset = Dataset(folder)
+    rows = [Prediction(query.id, Pose.identity(), 0.5, 1.0) for query in dataset.split("test").queries("place-d415")]
+    manifest = Manifest(
+        method="own", authors=("x",), description="x", date="2026-01-01", dataset_id=dataset.id,
+        tracks=("place-d415",), learned=False, uses_true_geometry=False,
+    )  # fmt: skip
+    write_submission(tmp_path / "out", manifest, Predictions.of(rows))
+    assert check(tmp_path / "out", folder).good
+    assert len(read_submission(tmp_path / "out").predictions) == 4
+
+
+def test_one_image_of_frames_is_one_scene(tmp_path: Path) -> None:
+    frames = [millimetres(noisy_depth(exact_depth(), 0.2, seed)) for seed in range(4)]
+    for seed, frame in enumerate(frames):
+        np.save(tmp_path / f"{seed}.npy", frame)
+    sources = ["--frames", "4", "--intrinsics", *NUMBERS, "--masks", "depth", "--out", str(tmp_path / "mine")]
+    assert main(["import", *(str(tmp_path / f"{seed}.npy") for seed in range(4)), *sources]) == 0
+    assert len(Dataset(tmp_path / "mine").split("test")) == 1
+    assert main(["import", str(tmp_path / "0.npy"), *sources[:-1], str(tmp_path / "other")]) == 2
+
+
+WRONG = {  # by what is typed: facts of the answer
+    "{image}": "no intrinsics|--intrinsics",
+    "{image} --intrinsics 1 2 3": "--intrinsics|four numbers",
+    "{image} --intrinsics none.json": "none.json|no such file",
+    "{image} --intrinsics {camera}": "camera.json|1280 x 720|640 x 480",
+    "{tmp}/depht.png --intrinsics 1 2 3 4": "no such file|did you mean depth.png",
+    "{tmp}/a.jpg --intrinsics 1 2 3 4": "8 bits",
+    "{tmp} --intrinsics 1 2 3 4": "a folder without an MCAP file",
+    "{image} --out {tmp}": "exists already",
+    "{image} {good} --clearance-mm 0": "--clearance-mm|0.05 to 100",
+    "{image} {good} --frames 0": "--frames",
+    "{image} {good} --frames 2": "--frames 2|groups of 2",
+    "{image} {good} --depth-scale -1": "--depth-scale",
+    "{image} {good} --depth-scale 0.01": "median depth|--depth-scale 0.001",
+    "{image} {good} --kit 7": "--kit 7|3 bodies",
+    "{image} {good} --check 10 20": "--check|three sides",
+    "{image} {good} --check 400 300 200": "--check 400 x 300 x 200|no body",
+    "{image} {good} --stream colour": "--stream|raw, aligned",
+    "{image} {good} --world-from-camera none.json": "none.json",
+}
+
+
+@pytest.mark.parametrize("typed", WRONG)
+def test_wrong_input_is_one_line_and_nothing_is_written(
+    image: Path, typed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = image.parent
+    (place / "a.jpg").touch()
+    row = {"fx": 900, "fy": 900, "cx": 640, "cy": 360, "width": 1280, "height": 720}
+    (place / "camera.json").write_text(json.dumps(row), encoding="utf-8")
+    before = sorted(place.rglob("*"))
+    good = f"--intrinsics {' '.join(NUMBERS)} --masks depth"
+    words = typed.format(image=image, tmp=place, camera=place / "camera.json", good=good).split()
+    assert main(["import", *words]) == 2
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1
+    for fact in WRONG[typed].split("|"):
+        assert fact in printed.err
+    assert not printed.out
+    assert sorted(place.rglob("*")) == before
+
+
+def test_one_body_is_no_scene(tmp_path: Path) -> None:
+    np.save(tmp_path / "depth.npy", exact_depth((((0.1, 0.1, 0.05), (0.0, 0.0)),)))
+    with_kit = Import((tmp_path / "depth.npy",), tmp_path / "out", NUMBERS)
+    with pytest.raises(InputError, match="one body"):
+        import_scenes(with_kit)
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,122 @@
+"""Intrinsics as others write them: all dialects of one camera are the same, and what cannot be is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kit1000.capture.camera_files import read_intrinsics
+from kit1000.capture.intrinsics import Intrinsics, distorted
+from kit1000.errors import InputError
+
+FX, FY, CX, CY = 612.5, 613.25, 322.5, 248.125
+K = [FX, 0, CX, 0, FY, CY, 0, 0, 1]
+BY_COLUMN = [FX, 0, 0, 0, FY, 0, CX, CY, 1]
+DIALECTS: dict[str, tuple[dict[str, Any], float | None]] = {  # JSON, and the unit that it states [m]
+    "ours": ({"fx": FX, "fy": FY, "cx": CX, "cy": CY, "depth_units": 1e-3}, 1e-3),
+    "realsense": ({"fx": FX, "fy": FY, "ppx": CX, "ppy": CY, "coeffs": [0] * 5, "depth_scale": 1e-3}, 1e-3),
+    "bop": ({"cam_K": K, "depth_scale": 0.1}, 1e-4),
+    "bop camera": ({"fx": FX, "fy": FY, "cx": CX, "cy": CY, "depth_units": 1e-4}, 1e-4),
+    "open3d": ({"width": 640, "height": 480, "intrinsic_matrix": BY_COLUMN}, None),
+    "open3d recorder": ({"intrinsic_matrix": BY_COLUMN, "depth_scale": 1000.0}, 1e-3),
+    "nested": ({"K": [K[:3], K[3:6], K[6:]]}, None),
+    "ros": ({"image_width": 640, "image_height": 480, "camera_matrix": {"rows": 3, "cols": 3, "data": K}}, None),
+    "gqcnn": ({"_fx": FX, "_fy": FY, "_cx": CX, "_cy": CY, "_skew": 0.0, "_width": 640, "_height": 480}, None),
+}
+
+
+def written(folder: Path, value: Any) -> Path:
+    path = folder / "camera.json"
+    path.write_text(value if isinstance(value, str) else json.dumps(value), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("name", DIALECTS)
+def test_all_dialects_say_the_same(tmp_path: Path, name: str) -> None:
+    value, unit = DIALECTS[name]
+    found = read_intrinsics([str(written(tmp_path, value))])
+    assert (found.fx, found.fy, found.cx, found.cy) == (FX, FY, CX, CY)
+    assert found.unit == (None if unit is None else pytest.approx(unit))
+    assert found.size in (None, (640, 480))
+    assert not found.distorted
+
+
+def test_numbers_and_a_text_file_say_the_same(tmp_path: Path) -> None:
+    np.savetxt(tmp_path / "K.txt", np.reshape(K, (3, 3)))
+    for words in ([str(tmp_path / "K.txt")], [str(value) for value in (FX, FY, CX, CY)]):
+        found = read_intrinsics(words)
+        assert (found.fx, found.fy, found.cx, found.cy) == (FX, FY, CX, CY)
+
+
+def test_the_number_of_the_image_chooses_among_cameras(tmp_path: Path) -> None:
+    other = [FX + 1, *K[1:]]
+    path = str(written(tmp_path, {"3": {"cam_K": K, "depth_scale": 1.0}, "4": {"cam_K": other, "depth_scale": 1.0}}))
+    assert read_intrinsics([path], Path("000004.png")).fx == FX + 1
+    with pytest.raises(InputError, match="2 cameras"):
+        read_intrinsics([path], Path("image.png"))
+
+
+HOSTILE = {  # by what is in the file: facts of the message
+    "[1, 2]": "JSON object",
+    "{": "damaged or no JSON",
+    '{"focal": 1}': "focal",
+    '{"fx": 1, "fy": 1}': "principal point",
+    '{"fx": "wide", "fy": 1, "cx": 1, "cy": 1}': "wide",
+    '{"fx": -1, "fy": 1, "cx": 1, "cy": 1}': "above 0",
+    '{"fx": 1e999, "fy": 1, "cx": 1, "cy": 1}': "finite",
+    '{"K": [1, 2, 3]}': "nine numbers",
+    '{"K": [600, 5, 320, 0, 600, 240, 0, 0, 1]}': "skew 5",
+    '{"K": [0, 0, 0, 0, 0, 0, 0, 0, 0]}': "0 0 1",
+    '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "depth_scale": 1000}': "--depth-scale",
+    '{"cam_K": [600, 0, 320, 0, 600, 240, 0, 0, 1], "depth_scale": 0}': "above 0",
+    '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "stream": "colour"}': "raw",
+}
+
+
+@pytest.mark.parametrize("content", HOSTILE)
+def test_what_is_no_camera_is_refused_in_one_line(tmp_path: Path, content: str) -> None:
+    with pytest.raises(InputError) as refusal:
+        read_intrinsics([str(written(tmp_path, content))])
+    assert HOSTILE[content] in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("words", [[], ["1", "2"], ["1", "2", "3", "x"], ["missing.json"]])
+def test_words_that_are_no_camera_are_refused(words: list[str]) -> None:
+    with pytest.raises(InputError, match="--intrinsics"):
+        read_intrinsics(words)
+
+
+def test_intrinsics_of_another_size_are_refused() -> None:
+    known = Intrinsics(FX, FY, CX, CY, size=(640, 480))
+    assert known.camera((480, 640), "x.png").width == 640
+    with pytest.raises(InputError, match=r"640 x 480.*1280 x 720"):
+        known.camera((720, 1280), "x.png")
+    with pytest.raises(InputError, match="principal point"):
+        Intrinsics(FX, FY, 900.0, CY).camera((480, 640), "x.png")
+
+
+def test_distortion_that_cannot_be_undone_is_refused() -> None:
+    known = Intrinsics(FX, FY, CX, CY, model="inverse_brown_conrady", coefficients=(0.1, 0, 0, 0, 0))
+    assert known.distorted
+    with pytest.raises(InputError, match=r"inverse_brown_conrady.*rectify"):
+        known.forward_model
+
+
+@given(
+    st.floats(-0.6, 0.6), st.floats(-0.5, 0.5), st.lists(st.floats(-0.05, 0.05), min_size=5, max_size=5)
+)  # fmt: skip
+def test_distortion_is_that_of_the_formula(x: float, y: float, coefficients: list[float]) -> None:
+    k1, k2, p1, p2, k3 = coefficients
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2**2 + k3 * r2**3
+    across = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    down = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    found = distorted(np.array(x), np.array(y), tuple(coefficients))
+    np.testing.assert_allclose([float(value) for value in found], [across, down], atol=1e-12)

@@ -1,0 +1,174 @@
+"""Scenes of own images: bodies of known size, a world in two halves, and laws of moving the camera or the unit."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kit1000.camera import look_at
+from kit1000.capture.depth_frames import DepthFrame
+from kit1000.capture.intrinsics import Intrinsics
+from kit1000.capture.own_scene import OwnScene, Wanted, image_of_frames, on_grid, own_scene
+from kit1000.capture.scene_report import check_size, report
+from kit1000.capture.table_search import find_table
+from kit1000.errors import InputError
+from kit1000.pose import Pose
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
+from tests.samples.own_images import BASELINE, CAMERA, EYE, KIT, PARTS, exact_depth, millimetres, noisy_depth
+
+KNOWN = Intrinsics(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, device="Intel RealSense D435i")
+BODIES = (KIT, *PARTS)
+
+
+def scene_of(depth: np.ndarray, wanted: Wanted = Wanted(), known: Intrinsics = KNOWN) -> OwnScene:
+    return own_scene([DepthFrame(depth, "depth.png")], known, wanted)
+
+
+@pytest.fixture(scope="module")
+def scene() -> OwnScene:
+    return scene_of(millimetres(noisy_depth(exact_depth(), 0.05)))
+
+
+def test_bodies_have_the_sizes_of_a_ruler(scene: OwnScene) -> None:
+    assert len(scene.parts) == len(PARTS)
+    for body, ((x, y, z), _) in zip(scene.bodies, BODIES, strict=True):
+        assert body.sides == pytest.approx(sorted((x, y)), abs=5e-3)
+        assert body.height == pytest.approx(z, abs=2e-3)
+
+
+def test_the_world_has_kits_and_parts_in_two_halves_and_the_table_at_zero(scene: OwnScene) -> None:
+    view, labels = scene.image.view, scene.image.labels
+    v, u = np.indices(labels.shape)
+    points = view.world_from_camera.apply(view.camera.unproject_pixels(np.stack([u, v], -1), view.depth))
+    assert abs(np.median(points[scene.table.mask, 2])) < 0.3e-3
+    assert (points[labels == ASSEMBLY_LABEL, 1] > 0).all()
+    for part in range(len(PARTS)):
+        assert (points[labels == FIRST_PART_LABEL + part, 1] < 0).all()
+    assert scene.world.gap is not None
+    assert scene.world.gap > 0.05
+
+
+def test_depths_are_kept_to_the_unit(scene: OwnScene) -> None:
+    stored = millimetres(noisy_depth(exact_depth(), 0.05)) * 1e-3
+    np.testing.assert_allclose(scene.image.view.depth, stored, atol=0.07e-3)
+    np.testing.assert_array_equal(on_grid(scene.image.view.depth), scene.image.view.depth)
+
+
+def test_facts_come_from_the_name_of_the_camera(scene: OwnScene) -> None:
+    assert scene.facts.baseline == 0.05
+    assert scene.facts.unit == 1e-3
+    assert scene.facts.stream == "aligned"
+    assert not scene.facts.simulated_table
+    assert 0.02 < scene.facts.noise_px < 0.15
+
+
+def test_masks_cover_the_bodies(scene: OwnScene) -> None:
+    for number, ((x, y, z), at) in enumerate(BODIES):
+        u, v = np.rint(CAMERA.project(EYE.inverse().apply((*at, z)))).astype(int)
+        expected = ASSEMBLY_LABEL if number == 0 else FIRST_PART_LABEL + number - 1
+        assert scene.image.labels[v, u] == expected
+    assert 0.02 < (scene.image.labels > 0).mean() < 0.2
+
+
+@pytest.mark.parametrize("unit", [1e-4, 2.5e-4])
+def test_another_unit_changes_nothing(scene: OwnScene, unit: float) -> None:
+    steps = np.rint(noisy_depth(exact_depth(), 0.05) / unit).astype(np.uint16)
+    other = scene_of(steps, Wanted(depth_scale=unit))
+    assert other.table.distance == pytest.approx(scene.table.distance, abs=0.2e-3)
+    assert len(other.parts) == len(scene.parts)
+    assert (other.image.labels == scene.image.labels).mean() > 0.998
+
+
+def test_from_another_place_the_bodies_have_the_same_sizes(scene: OwnScene) -> None:
+    eye = look_at((0.15, -0.3, 0.75), (0.0, 0.02, 0.0))
+    other = scene_of(millimetres(noisy_depth(exact_depth(eye=eye), 0.05)))
+    assert len(other.parts) == len(scene.parts)
+    for here, there in zip(scene.bodies, other.bodies, strict=True):
+        assert here.sides == pytest.approx(there.sides, abs=5e-3)
+        assert here.height == pytest.approx(there.height, abs=1.5e-3)
+
+
+def test_the_kit_is_the_body_that_is_named() -> None:
+    depth = millimetres(exact_depth())
+    chosen = scene_of(depth, Wanted(kit=2))
+    assert chosen.kit.sides == pytest.approx((0.03, 0.05), abs=5e-3)
+    with pytest.raises(InputError, match=r"--kit 9: .* 3 bodies; expected 1 to 3"):
+        scene_of(depth, Wanted(kit=9))
+
+
+def test_an_empty_table_is_no_scene() -> None:
+    with pytest.raises(InputError, match="nothing higher than"):
+        scene_of(millimetres(noisy_depth(exact_depth(()), 0.05)))
+
+
+def test_an_image_of_the_empty_table_gives_its_plane() -> None:
+    rng = np.random.default_rng(1)
+    bent = 0.3 * np.sin(np.linspace(0, 9, CAMERA.width)) * np.cos(np.linspace(0, 7, CAMERA.height))[:, None]
+
+    def noisy(depth: np.ndarray) -> np.ndarray:
+        return 1 / (1 / depth + (bent + 0.03 * rng.standard_normal(depth.shape)) / (CAMERA.fx * BASELINE))
+
+    depths = (noisy(exact_depth(bodies)).astype(np.float32) for bodies in ((), BODIES))
+    frames = [DepthFrame(depth, "depth.npy") for depth in depths]
+    empty = find_table(image_of_frames(frames[:1], KNOWN, None), "empty")
+    found = own_scene(frames[1:], KNOWN, Wanted(), empty)
+    assert len(found.parts) == len(PARTS)
+
+
+def pose_file(folder: Path, pose: Pose, matrix: bool = False) -> Path:
+    value = pose.matrix().tolist() if matrix else {"wxyz": pose.wxyz.tolist(), "xyz": pose.xyz.tolist()}
+    (folder / "pose.json").write_text(json.dumps(value), encoding="utf-8")
+    return folder / "pose.json"
+
+
+@pytest.mark.parametrize("matrix", [False, True])
+def test_a_given_pose_keeps_the_frame_of_the_user(tmp_path: Path, matrix: bool) -> None:
+    off = Pose.from_rotvec((0.01, 0.0, 0.0), (0.0, 0.0, 4e-3))
+    wanted = Wanted(world_from_camera=pose_file(tmp_path, off @ EYE, matrix))
+    found = scene_of(millimetres(exact_depth()), wanted)
+    np.testing.assert_allclose(found.world.world_from_camera.xyz, EYE.xyz, atol=8e-3)
+    assert found.world.world_from_camera.xyz[2] == pytest.approx(EYE.xyz[2], abs=0.5e-3)
+    assert any("corrected" in line for line in report(found, None))
+
+
+FAR = {
+    "elsewhere": (Pose.from_translation((0, 0, 0.752)), r"at z = 752 mm.*subtract 0\.75"),
+    "upside down": (Pose.from_rotvec((np.pi, 0, 0)), r"tilted by 180"),
+    "inverse": (EYE.inverse() @ EYE.inverse(), "tilted by"),
+}
+
+
+@pytest.mark.parametrize("name", FAR)
+def test_a_pose_that_contradicts_the_image_is_refused(tmp_path: Path, name: str) -> None:
+    off, fact = FAR[name]
+    wanted = Wanted(world_from_camera=pose_file(tmp_path, off @ EYE))
+    with pytest.raises(InputError, match=fact):
+        scene_of(millimetres(exact_depth()), wanted)
+
+
+@pytest.mark.parametrize("content", ["[]", "{}", '{"wxyz": [1], "xyz": [0]}', "[[1,2],[3,4]]", "nonsense", "3"])
+def test_a_file_without_a_pose_is_refused(tmp_path: Path, content: str) -> None:
+    (tmp_path / "pose.json").write_text(content, encoding="utf-8")
+    with pytest.raises(InputError, match=r"pose\.json"):
+        scene_of(millimetres(exact_depth()), Wanted(world_from_camera=tmp_path / "pose.json"))
+
+
+def test_wrong_intrinsics_show_in_the_sizes_and_fail_the_check(scene: OwnScene) -> None:
+    assert "check" in check_size([scene], (0.04, 0.12, 0.1))
+    wrong = Intrinsics(0.53 * CAMERA.fx, 0.53 * CAMERA.fy, CAMERA.cx, CAMERA.cy)
+    other = scene_of(millimetres(exact_depth()), known=wrong)
+    assert other.kit.sides[1] / scene.kit.sides[1] == pytest.approx(1 / 0.53, rel=0.2)
+    with pytest.raises(InputError, match=r"--check 40 x 120 x 100: no body.*intrinsics"):
+        check_size([other], (0.04, 0.12, 0.1))
+
+
+def test_the_report_names_sizes_and_what_makes_fits_unsure(scene: OwnScene) -> None:
+    lines = list(report(scene, None))
+    assert lines[0].startswith("depth.png: table ")
+    assert "body 1:" in lines[1]
+    assert lines[1].endswith("kit")
+    assert any("--clearance-mm" in line for line in lines)
+    assert not any("--clearance-mm" in line for line in report(scene, 2.5e-3))
