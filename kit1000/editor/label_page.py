@@ -52,6 +52,15 @@ class LabelPage:
         self._dress()
         self.update()
 
+    @property
+    def person(self) -> str:
+        """The name of who confirms, as the page has it."""
+        return self._person.value
+
+    @person.setter
+    def person(self, name: str) -> None:
+        self._person.value = name
+
     def update(self) -> None:
         """Show everything as it is."""
         for name, handle in self._meshes.items():
@@ -138,7 +147,7 @@ class LabelPage:
     def confirm(self, everything: bool) -> None:
         """Confirm the selected body or all, save, and write the truth once all are confirmed."""
         names = ["all"] if everything else [self.selected] if self.selected else []
-        self.correction.confirm(names, self._person.value)
+        self.correction.confirm(names, self.person)
         self.correction.save()
         self.update()
         if self.correction.record.confirmed:

@@ -126,13 +126,14 @@ def read_record(root: Path, scene_id: str) -> LabelRecord:
     """The record of a scene. Raises InputError where it is missing or damaged."""
     path = record_path(root, scene_id)
     row = read_json(path)
+    found = row.get("format") if isinstance(row, dict) else None
+    if found != FORMAT:
+        raise InputError(f"{path}: format {found!r}, expected {FORMAT!r}: label the scene again")
     try:
-        if row["format"] != FORMAT:
-            raise InputError(f"{path}: format {row['format']!r}, expected {FORMAT!r}: label the scene again")
         bodies = tuple(map(_body_of, row["bodies"]))
         numbers = float(row["scale"]), float(row["scale_spread"])
         return LabelRecord(row["scene_id"], row["view"], dict(row["shapes"]), *numbers, bodies)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, InputError) as error:
         raise InputError(f"{path}: damaged ({type(error).__name__}: {error}): label the scene again") from error
 
 

@@ -8,10 +8,15 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.quality.forgotten_truth import write_forgotten
+from bench.quality.forgotten_truth import SENSOR, write_forgotten
 from kit1000.camera import Camera, look_at
+from kit1000.dataset.mesh_files import glb_bytes
+from kit1000.dataset.tables import FORMAT, assembly_row, kit_row, part_row
+from kit1000.files import write_bytes, write_json
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
-from kit1000.labelling.known_kits import KnownKits
+from kit1000.labelling.agreement import Agreement
+from kit1000.labelling.known_kits import KITS, KnownKits
+from kit1000.labelling.label_records import LabelledBody, LabelRecord
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.sim.cameras import CAMERA
@@ -86,3 +91,34 @@ def _noisy(depth: np.ndarray, noise: float, seed: int) -> np.ndarray:
 def own_folder(folder: Path, scene: SampleScene | None = None) -> Path:
     """A folder of own scenes with that scene."""
     return write_forgotten(folder, {SCENE: (scene or sample_scene()).image}, CLEARANCE)
+
+
+def true_record(scene: SampleScene, source: dict[str, str], person: str | None = None) -> LabelRecord:
+    """The record of a scene with its true poses; person: who confirmed all bodies."""
+    fit = Agreement(cost=0.1, depth=5e-4, noise=8e-4, outline=0.3, stray=0.0)
+    poses = {KITS: scene.world_from_assembly}
+    poses |= {part.id: pose for part, pose in zip(scene.kits.parts, scene.world_from_parts, strict=True)}
+    bodies = (
+        LabelledBody(name, label, scene.camera_from_world @ pose, 0.0, fit, 0.4, (), confirmed_by=person)
+        for label, (name, pose) in enumerate(poses.items(), start=1)
+    )
+    return LabelRecord(SCENE, SENSOR, dict(source), 1.0, 1e-4, tuple(bodies))
+
+
+def shapes_folder(folder: Path) -> dict[str, str]:
+    """The shapes of the scene as a folder of tables and meshes; returns them as the source of a record."""
+    kits = sample_kits()
+    rows = {kit.kit.id: kit_row(kit.kit) | {"split": "test"} for kit in kits.assembly.mounts}
+    parts = {part.id: part_row(part) | {"split": "test"} for part in kits.parts}
+    assemblies = {kits.assembly.id: assembly_row(kits.assembly) | {"split": "test"}}
+    for name, table_rows in (("kits", rows), ("parts", parts), ("assemblies", assemblies)):
+        write_json(folder / f"{name}.json", table_rows)
+    for kind, meshes in (
+        ("kits", {mount.kit.id: mount.kit.mesh for mount in kits.assembly.mounts}),
+        ("parts", {part.id: part.mesh for part in kits.parts}),
+        ("assemblies", {kits.assembly.id: kits.assembly.mesh}),
+    ):
+        for name, mesh in meshes.items():
+            write_bytes(folder / kind / f"{name}.glb", glb_bytes({name: mesh}))
+    write_json(folder / "dataset.json", {"format": FORMAT, "dataset_id": "shapes", "data_version": "1.0.0", "config": {}})
+    return {"shapes": str(folder), "assembly": kits.assembly.id}
