@@ -37,6 +37,7 @@ DIALECTS: dict[str, Callable[[], bytes]] = {
     "end in two words": lambda: TEXT.replace("endsolid", "END SOLID").encode(),
     "end without a space": lambda: TEXT.replace("endsolid ", "endsolid").encode(),
     "zeros to the end of the block": lambda: TEXT.encode() + b"\0" * 300,
+    "note between facets": lambda: TEXT.replace("endfacet", "endfacet # note", 1).encode(),
     "comment before": lambda: ("# exported\n" + TEXT).encode(),
     "one line": lambda: " ".join(TEXT.split()).encode(),
     "no end": lambda: TEXT.rpartition("endsolid")[0].encode(),
