@@ -12,6 +12,8 @@ PRINTER_BED_MM = 250  # side of the bed of a usual desktop printer
 
 def summary_text(summary: dict) -> str:
     """The contents of a dataset.json as text."""
+    if "preset" not in summary:
+        return _own_scenes(summary)
     seed = "withheld" if summary["seed"] is None else summary["seed"]
     lines = [
         f"{summary['preset']}  {summary['dataset_id']}"
@@ -31,6 +33,14 @@ def summary_text(summary: dict) -> str:
     if len(refused) > MAX_LISTED:
         lines.append(f"  {len(refused) - MAX_LISTED} more refused: dataset.json lists them")
     return "\n".join([*lines, *_files_taken(summary)])
+
+
+def _own_scenes(summary: dict) -> str:
+    """The text of a dataset.json that no preset made, as of an own camera."""
+    clearance = summary.get("config", {}).get("clearance")
+    stated = "not stated" if clearance is None else f"{1e3 * clearance:g} mm"
+    scenes = sum(map(len, summary["shards"].values()))
+    return f"own scenes  {summary['dataset_id']}  ({scenes} scenes without ground truth, clearance {stated})"
 
 
 def _files_taken(summary: dict) -> list[str]:
