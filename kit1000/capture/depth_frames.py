@@ -73,10 +73,8 @@ def metric_depth(frame: DepthFrame, scale: float | None = None) -> np.ndarray:
         known &= values < SATURATED
     share = np.count_nonzero(known) / values.size
     if share < LEAST_RETURNS:
-        raise InputError(
-            f"{frame.source}: {100 * share:.1f} % of the pixels have a depth, expected {100 * LEAST_RETURNS:.0f} or more: "
-            "empty, or not a depth image"
-        )
+        found, expected = f"{100 * share:.1f} % of the pixels have a depth", f"{100 * LEAST_RETURNS:.0f} or more"
+        raise InputError(f"{frame.source}: {found}, expected {expected}: empty, or not a depth image")
     depth = np.where(known, values, 0).astype(np.float64) * unit
     middle = float(np.median(depth[known]))
     if not NEAREST <= middle <= FARTHEST:

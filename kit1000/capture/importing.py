@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from kit1000.capture.camera_files import read_intrinsics
@@ -28,8 +28,8 @@ class Import:
     out: Path
     intrinsics: tuple[str, ...] = ()
     """A file, or fx fy cx cy; empty: those of the recording."""
-    selection: Selection = Selection()
-    wanted: Wanted = Wanted()
+    selection: Selection = field(default_factory=Selection)
+    wanted: Wanted = field(default_factory=Wanted)
     empty_table: Path | None = None
     clearance_mm: float | None = None
     check_mm: tuple[float, ...] = ()

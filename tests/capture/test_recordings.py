@@ -34,7 +34,8 @@ uint32 nanosec
 IMAGE = HEADER.format("uint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\nuint8[] data")
 COMPRESSED = HEADER.format("string format\nuint8[] data")
 INFO = HEADER.format(
-    "uint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\nuint32 binning_x\nuint32 binning_y"
+    "uint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n"
+    "uint32 binning_x\nuint32 binning_y"
 )
 SCHEMAS = {"Image": IMAGE, "CompressedImage": COMPRESSED, "CameraInfo": INFO}
 DEPTH = millimetres(exact_depth())
