@@ -93,7 +93,7 @@ def _from_json(row: Mapping[str, Any], path: Path) -> Intrinsics:
 
 
 def _from_fields(row: Mapping[str, Any], prefix: str, path: Path) -> Intrinsics:
-    """Of fx, fy and the principal point by the names of RealSense, ours, or gqcnn."""
+    """Intrinsics of fx, fy and the principal point by the names of RealSense, ours, or gqcnn."""
     centre = next((names for names in CENTRES if all(name in row for name in names)), None)
     if centre is None:
         raise InputError(f"{path}: no principal point: expected cx and cy, or ppx and ppy")
@@ -104,7 +104,7 @@ def _from_fields(row: Mapping[str, Any], prefix: str, path: Path) -> Intrinsics:
 
 
 def _from_matrix(matrix: np.ndarray, row: Mapping[str, Any], path: Path, unit: float | None = None) -> Intrinsics:
-    """Of a matrix K, row by row or column by column: one of its corners is 0."""
+    """Intrinsics of a matrix K, row by row or column by column: one of its corners is 0."""
     if matrix[0, 2] == 0 and matrix[2, 0] != 0:
         matrix = matrix.T
     if not np.isfinite(matrix).all() or abs(matrix[2] - (0, 0, 1)).max() > 1e-6 or abs(matrix[1, 0]) > 1e-9:

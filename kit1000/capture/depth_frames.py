@@ -30,7 +30,7 @@ class DepthFrame:
     unit: float | None = None
     """[m] that 1 stands for, where the format says so."""
     intrinsics: Intrinsics | None = None
-    """Those that came with it."""
+    """Intrinsics that came with it."""
 
     def __post_init__(self) -> None:
         values = self.values

@@ -9,7 +9,8 @@ from pathlib import Path
 
 from kit1000.capture.camera_files import read_intrinsics
 from kit1000.capture.depth_frames import DepthFrame
-from kit1000.capture.frame_sources import Selection, read_groups
+from kit1000.capture.frame_selection import Selection
+from kit1000.capture.frame_sources import read_groups
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.own_folder import LICENCE, write_own_folder
 from kit1000.capture.own_scene import OwnScene, Wanted, frame_intrinsics, image_of_frames, own_scene

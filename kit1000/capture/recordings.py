@@ -14,7 +14,7 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 
 from kit1000.capture.depth_frames import DepthFrame
-from kit1000.capture.frame_sources import Selection
+from kit1000.capture.frame_selection import Selection
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.recorded_messages import (
     CAMERA_SCHEMAS,
@@ -114,7 +114,7 @@ def _shows_depth(recording: _Recording, topic: str) -> bool:
 
 
 def _intrinsics(recording: _Recording, topic: str, image: Any) -> Intrinsics | None:
-    """Those of the calibration beside a topic, else of one of the same frame; None without any."""
+    """The intrinsics of the calibration beside a topic, else of one of the same frame; None without any."""
     cameras = recording.topics(CAMERA_SCHEMAS)
     folder = _base(topic).rpartition("/")[0]
     beside = [camera for camera in cameras if camera.rpartition("/")[0] in (folder, _base(topic))]

@@ -66,7 +66,7 @@ class OwnImages:
 
     def asked(self, sources: tuple[Path, ...], out: Path, licence: str | None = None) -> Import:
         """The import that these options describe."""
-        from kit1000.capture.frame_sources import Selection
+        from kit1000.capture.frame_selection import Selection
         from kit1000.capture.importing import Import
         from kit1000.capture.mask_networks import networks_available
         from kit1000.capture.own_folder import LICENCE

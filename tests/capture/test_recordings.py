@@ -15,7 +15,8 @@ from mcap_ros2.writer import Writer
 from PIL import Image
 
 from kit1000.capture.depth_frames import DepthFrame, metric_depth
-from kit1000.capture.frame_sources import Selection, read_groups
+from kit1000.capture.frame_selection import Selection
+from kit1000.capture.frame_sources import read_groups
 from kit1000.errors import InputError
 from tests.samples import recorded
 from tests.samples.own_images import CAMERA, exact_depth, millimetres
