@@ -27,7 +27,7 @@ from PIL import Image
 
 from bench.measured_dataset import measured_dataset
 from benchmark.measurements import Column, Measurement, Table, rate
-from kit1000.capture.frame_sources import Selection
+from kit1000.capture.frame_selection import Selection
 from kit1000.capture.importing import Import, imported_scenes
 from kit1000.capture.mask_networks import networks_available
 from kit1000.capture.own_folder import write_own_folder

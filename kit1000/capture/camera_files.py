@@ -31,7 +31,8 @@ def read_intrinsics(words: Sequence[str], image: Path | None = None) -> Intrinsi
     image: the depth image, whose number chooses among those of BOP's scene_camera.json.
     """
     if len(words) == 4:
-        return Intrinsics(*_numbers(words))
+        fx, fy, cx, cy = _numbers(words)
+        return Intrinsics(fx, fy, cx, cy)
     if len(words) != 1:
         raise InputError(f"--intrinsics: expected a file or the four numbers fx fy cx cy, got {len(words)} words")
     path = Path(words[0])
@@ -92,18 +93,18 @@ def _from_json(row: Mapping[str, Any], path: Path) -> Intrinsics:
 
 
 def _from_fields(row: Mapping[str, Any], prefix: str, path: Path) -> Intrinsics:
-    """Of fx, fy and the principal point by the names of RealSense, ours, or gqcnn."""
+    """Intrinsics of fx, fy and the principal point by the names of RealSense, ours, or gqcnn."""
     centre = next((names for names in CENTRES if all(name in row for name in names)), None)
     if centre is None:
         raise InputError(f"{path}: no principal point: expected cx and cy, or ppx and ppy")
     if abs(float(row.get(f"{prefix}skew") or 0)) > 1e-9:
         raise InputError(f"{path}: skew {row[f'{prefix}skew']}, expected 0: no depth camera has any")
-    values = [_number(row, name, path) for name in (f"{prefix}fx", f"{prefix}fy", *centre)]
-    return Intrinsics(*values, **_beside(row, path, _field_unit(row, path)))
+    fx, fy, cx, cy = (_number(row, name, path) for name in (f"{prefix}fx", f"{prefix}fy", *centre))
+    return Intrinsics(fx, fy, cx, cy, **_beside(row, path, _field_unit(row, path)))
 
 
 def _from_matrix(matrix: np.ndarray, row: Mapping[str, Any], path: Path, unit: float | None = None) -> Intrinsics:
-    """Of a matrix K, row by row or column by column: one of its corners is 0."""
+    """Intrinsics of a matrix K, row by row or column by column: one of its corners is 0."""
     if matrix[0, 2] == 0 and matrix[2, 0] != 0:
         matrix = matrix.T
     if not np.isfinite(matrix).all() or abs(matrix[2] - (0, 0, 1)).max() > 1e-6 or abs(matrix[1, 0]) > 1e-9:
@@ -148,22 +149,20 @@ def _field_unit(row: Mapping[str, Any], path: Path) -> float | None:
 
 def _beside(row: Mapping[str, Any], path: Path, unit: float | None) -> dict[str, Any]:
     """What else a file says about its image."""
-    size = next(
-        ((row[f"{p}width"], row[f"{p}height"]) for p in ("", "_", "image_") if f"{p}width" in row and f"{p}height" in row),
-        None,
-    )  # fmt: skip
+    sides = ((row.get(f"{prefix}width"), row.get(f"{prefix}height")) for prefix in ("", "_", "image_"))
+    size = next((pair for pair in sides if None not in pair), None)
     coefficients = next((row[name] for name in ("coeffs", "distortion", "D", "d") if name in row), ())
     coefficients = coefficients.get("data", ()) if isinstance(coefficients, dict) else coefficients
     model = str(row.get("model") or row.get("distortion_model") or "plumb_bob").lower().removeprefix("distortion.")
     baseline = _positive(row, "baseline", path) if "baseline" in row else None
     try:
-        whole = None if size is None else (int(size[0]), int(size[1]))
+        whole = None if size is None else (int(size[0] or 0), int(size[1] or 0))
         floats = tuple(float(value) for value in coefficients)
     except (TypeError, ValueError):
         raise InputError(f"{path}: width, height or distortion are no numbers") from None
     device = str(row.get("device") or row.get("name") or "")
-    known = dict(unit=unit, model=model, coefficients=floats, device=device, baseline=baseline)
-    return dict(size=whole, stream=_stream(row, path), source=str(path), **known)
+    known = {"unit": unit, "model": model, "coefficients": floats, "device": device, "baseline": baseline}
+    return {"size": whole, "stream": _stream(row, path), "source": str(path), **known}
 
 
 def _stream(row: Mapping[str, Any], path: Path) -> Stream | None:

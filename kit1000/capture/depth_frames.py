@@ -30,7 +30,7 @@ class DepthFrame:
     unit: float | None = None
     """[m] that 1 stands for, where the format says so."""
     intrinsics: Intrinsics | None = None
-    """Those that came with it."""
+    """Intrinsics that came with it."""
 
     def __post_init__(self) -> None:
         values = self.values
@@ -73,10 +73,8 @@ def metric_depth(frame: DepthFrame, scale: float | None = None) -> np.ndarray:
         known &= values < SATURATED
     share = np.count_nonzero(known) / values.size
     if share < LEAST_RETURNS:
-        raise InputError(
-            f"{frame.source}: {100 * share:.1f} % of the pixels have a depth, expected {100 * LEAST_RETURNS:.0f} or more: "
-            "empty, or not a depth image"
-        )
+        found, expected = f"{100 * share:.1f} % of the pixels have a depth", f"{100 * LEAST_RETURNS:.0f} or more"
+        raise InputError(f"{frame.source}: {found}, expected {expected}: empty, or not a depth image")
     depth = np.where(known, values, 0).astype(np.float64) * unit
     middle = float(np.median(depth[known]))
     if not NEAREST <= middle <= FARTHEST:

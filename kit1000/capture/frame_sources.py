@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from kit1000.capture.depth_files import SUFFIXES, read_depth_files
 from kit1000.capture.depth_frames import DepthFrame
+from kit1000.capture.frame_selection import Selection
 from kit1000.errors import InputError, did_you_mean
 
 RECORDINGS = (".mcap",)
@@ -21,18 +21,6 @@ ADVICE = {
     ".jpg": "JPEG holds 8 bits: save depth as 16-bit PNG",
     ".jpeg": "JPEG holds 8 bits: save depth as 16-bit PNG",
 }
-
-
-@dataclass(frozen=True)
-class Selection:
-    """Which frames of the sources."""
-
-    frames: int = 1
-    """Number of frames of which an image is the median."""
-    first: int = 0
-    """Index of the first one in a recording."""
-    topic: str | None = None
-    """Topic of the depth images in a recording; None: the only one."""
 
 
 def read_groups(sources: Sequence[Path], selection: Selection) -> list[list[DepthFrame]]:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from kit1000.capture.camera_files import read_intrinsics
 from kit1000.capture.depth_frames import DepthFrame
-from kit1000.capture.frame_sources import Selection, read_groups
+from kit1000.capture.frame_selection import Selection
+from kit1000.capture.frame_sources import read_groups
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.own_folder import LICENCE, write_own_folder
 from kit1000.capture.own_scene import OwnScene, Wanted, frame_intrinsics, image_of_frames, own_scene
@@ -28,8 +29,8 @@ class Import:
     out: Path
     intrinsics: tuple[str, ...] = ()
     """A file, or fx fy cx cy; empty: those of the recording."""
-    selection: Selection = Selection()
-    wanted: Wanted = Wanted()
+    selection: Selection = field(default_factory=Selection)
+    wanted: Wanted = field(default_factory=Wanted)
     empty_table: Path | None = None
     clearance_mm: float | None = None
     check_mm: tuple[float, ...] = ()

@@ -34,7 +34,7 @@ class Intrinsics:
     model: str = "plumb_bob"
     """Name of the distortion model."""
     coefficients: tuple[float, ...] = ()
-    """Those of the distortion; empty or 0: there is none."""
+    """Coefficients of the distortion; empty or 0: there is none."""
     device: str = ""
     """Name of the camera, where it is stated."""
     baseline: float | None = None

@@ -41,7 +41,7 @@ def pinhole_image(depth: np.ndarray, intrinsics: Intrinsics, source: str) -> Pin
 
 
 def _factor(camera: Camera) -> float:
-    """By which an image is enlarged."""
+    """The ratio by which an image is enlarged."""
     ratio = FOCAL / np.sqrt(camera.fx * camera.fy)
     if 1 / KEPT <= ratio <= KEPT:
         return 1.0

@@ -87,7 +87,7 @@ def frame_id_of(message: Any) -> str:
 
 
 def _stream_of(topic: str) -> Stream | None:
-    """By the names that realsense2_camera gives, and by those of our own recordings."""
+    """The stream, by the names that realsense2_camera gives, and by those of our own recordings."""
     if "aligned" in topic:
         return "aligned"
     return "raw" if topic.endswith(("/image_rect_raw", "/d415/depth")) or "/image_rect_raw/" in topic else None

@@ -14,7 +14,7 @@ from mcap_protobuf.decoder import DecoderFactory as ProtobufFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2Factory
 
 from kit1000.capture.depth_frames import DepthFrame
-from kit1000.capture.frame_sources import Selection
+from kit1000.capture.frame_selection import Selection
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.recorded_messages import (
     CAMERA_SCHEMAS,
@@ -82,9 +82,8 @@ def read_recording(path: Path, selection: Selection) -> list[DepthFrame]:
         chosen = islice(recording.messages(topic), selection.first, selection.first + selection.frames)
         messages = list(chosen)
         if len(messages) < selection.frames:
-            raise InputError(
-                f"{source}: {len(messages)} frames from {selection.first} on, expected {selection.frames}: lower --frames"
-            )
+            found = f"{len(messages)} frames from {selection.first} on"
+            raise InputError(f"{source}: {found}, expected {selection.frames}: lower --frames")
         intrinsics = _intrinsics(recording, topic, messages[0])
         return [frame_of(message, schema, source, intrinsics) for message in messages]
 
@@ -115,7 +114,7 @@ def _shows_depth(recording: _Recording, topic: str) -> bool:
 
 
 def _intrinsics(recording: _Recording, topic: str, image: Any) -> Intrinsics | None:
-    """Those of the calibration beside a topic, else of one of the same frame; None without any."""
+    """The intrinsics of the calibration beside a topic, else of one of the same frame; None without any."""
     cameras = recording.topics(CAMERA_SCHEMAS)
     folder = _base(topic).rpartition("/")[0]
     beside = [camera for camera in cameras if camera.rpartition("/")[0] in (folder, _base(topic))]
@@ -127,9 +126,9 @@ def _intrinsics(recording: _Recording, topic: str, image: Any) -> Intrinsics | N
         if frames[0] == frames[1]:
             return intrinsics_of(message, f"{recording.path} {camera}", topic)
         if camera in beside:
+            both = f"{camera} is of frame {frames[0]}, {topic} of {frames[1]}"
             raise InputError(
-                f"{recording.path}: {camera} is of frame {frames[0]}, {topic} of {frames[1]}: of another stream; record "
-                "the one of this stream, or give --intrinsics"
+                f"{recording.path}: {both}: of another stream; record the one of this stream, or give --intrinsics"
             )
     return None
 

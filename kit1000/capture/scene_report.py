@@ -85,8 +85,8 @@ def _notes(scene: OwnScene, clearance: float | None) -> Iterator[str]:
     table, facts = scene.table, scene.facts
     if table.ripple > MUCH_RIPPLE:
         yield (
-            f"ripple {1e3 * table.ripple:.1f} mm: fits will be unsure. Average 30 frames, come nearer than 0.7 m, avoid "
-            "shiny white, raise the laser power"
+            f"ripple {1e3 * table.ripple:.1f} mm: fits will be unsure. Average 30 frames, come nearer than 0.7 m, "
+            "avoid shiny white, raise the laser power"
         )
     if facts.stream == "aligned":
         yield "taken as aligned to another camera; depth of the camera's own stream, with --stream raw, is more exact"
@@ -96,4 +96,4 @@ def _notes(scene: OwnScene, clearance: float | None) -> Iterator[str]:
         yield "no --clearance-mm: the gap between part and cavity is not known"
     shift, tilt = scene.world.moved
     if abs(shift) > 1e-3 or tilt > 0.1:
-        yield f"the given pose was corrected by {1e3 * shift:+.1f} mm in z and {tilt:.2f}°, so that the table is at z = 0"
+        yield f"the given pose was corrected by {1e3 * shift:+.1f} mm in z and {tilt:.2f}°: the table is at z = 0"

@@ -59,20 +59,24 @@ def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]
     found = []
     for number, box in enumerate(find_objects(regions), start=1):
         mask = regions[box] == number
-        sure = max(SURE_HEIGHT, SURE_HEIGHT / LEAST_HEIGHT * least)
-        if (
-            mask.sum() < LEAST_PIXELS
-            or not binary_erosion(mask, np.ones((NARROW, NARROW))).any()
-            or np.quantile(heights[box][mask], SURE_QUANTILE) < sure
-        ):
+        if not _is_body(mask, heights[box][mask], least):
             continue
         whole = np.zeros(high.shape, bool)
-        whole[box] = binary_fill_holes(mask) & ~(heights[box] < least / 2)  # a hole without a return is a shadow
+        whole[box] = np.asarray(binary_fill_holes(mask), bool) & ~(
+            heights[box] < least / 2
+        )  # a hole without a return is a shadow
         body = measured_body(table, whole)
         strip = body.sides[0] < STRIP and (mask & beside[box]).any()
         if body.area > LEAST_AREA and not strip:
             found.append(body)
     return _with_fragments(table, sorted(found, key=lambda body: -body.area))[:MOST_BODIES]
+
+
+def _is_body(mask: np.ndarray, heights: np.ndarray, least: float) -> bool:
+    """Whether a region (h, w) bool with heights (n,) [m] is large, broad and high enough. least: [m] of a pixel."""
+    if len(heights) < LEAST_PIXELS or not binary_erosion(mask, np.ones((NARROW, NARROW))).any():
+        return False
+    return bool(np.quantile(heights, SURE_QUANTILE) > SURE_HEIGHT * max(1.0, least / LEAST_HEIGHT))
 
 
 def _with_fragments(table: Table, bodies: list[SeenBody]) -> list[SeenBody]:

@@ -145,7 +145,7 @@ class Table:
         return np.where(depth > 0, (1 - expected * depth) * self.distance, np.nan)
 
 
-def _quadratic(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _quadratic(x: np.ndarray, y: np.ndarray | float) -> np.ndarray:
     """(n, 6) the terms of a quadratic of two coordinates (n,), or (n,) and one number."""
     return np.stack([x**i * y**j + 0 * x for i in range(3) for j in range(3 - i)], axis=-1)
 

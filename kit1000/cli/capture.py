@@ -23,9 +23,7 @@ def need_generated(data: Path, command: str) -> None:
     path = data / "dataset.json"
     summary = read_json(path) if path.is_file() else {}
     if isinstance(summary, dict) and "own" in summary:
-        raise InputError(
-            f"{data}: scenes of your own camera, without ground truth; {command} needs a generated dataset"
-        )
+        raise InputError(f"{data}: own scenes, without ground truth; {command} needs a generated dataset")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +49,7 @@ class OwnImages:
     kit: int = 1
     """Number of the body that is the kit, the largest first."""
     world_from_camera: OptionalPath = None
-    """JSON file of a hand-eye pose in a frame with the table at z = 0, which is kept; found from the bodies if absent."""
+    """JSON file of a hand-eye pose in a frame with the table at z = 0, which is kept; by the bodies when absent."""
     empty_table: OptionalPath = None
     """Depth image of the same camera and table without bodies."""
     clearance_mm: OptionalFloat = None
@@ -68,7 +66,7 @@ class OwnImages:
 
     def asked(self, sources: tuple[Path, ...], out: Path, licence: str | None = None) -> Import:
         """The import that these options describe."""
-        from kit1000.capture.frame_sources import Selection
+        from kit1000.capture.frame_selection import Selection
         from kit1000.capture.importing import Import
         from kit1000.capture.mask_networks import networks_available
         from kit1000.capture.own_folder import LICENCE

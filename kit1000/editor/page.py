@@ -205,17 +205,26 @@ class ViserStage:
 
     def _lay_table(self) -> None:
         """The simulated table, or as much of the user's own as was seen."""
-        shadows = {"cast_shadow": False, "receive_shadow": False}
         if self._table is None:
             width, depth, thickness = TABLE_SIZE
             at = (0, 0, -thickness / 2 - BELOW)
-            self.server.scene.add_box("/table", texts.TABLE_COLOUR, (width, depth, thickness), position=at, **shadows)
+            sides = (width, depth, thickness)
+            self.server.scene.add_box(
+                "/table", texts.TABLE_COLOUR, sides, position=at, cast_shadow=False, receive_shadow=False
+            )
         elif len(self._table) >= 3:
             corners = np.column_stack([self._table, np.full(len(self._table), -BELOW)]).astype(np.float32)
             others = np.arange(1, len(corners) - 1, dtype=np.uint32)
             faces = np.stack([np.zeros_like(others), others, others + 1], axis=-1)
             self.server.scene.add_mesh_simple(
-                "/table", corners, faces, color=texts.TABLE_COLOUR, side="double", flat_shading=True, **shadows
+                "/table",
+                corners,
+                faces,
+                color=texts.TABLE_COLOUR,
+                side="double",
+                flat_shading=True,
+                cast_shadow=False,
+                receive_shadow=False,
             )
 
     def _listen_to(self, body: int, drags: bool) -> None:

@@ -18,7 +18,8 @@ from kit1000.errors import InputError
 FX, FY, CX, CY = 612.5, 613.25, 322.5, 248.125
 K = [FX, 0, CX, 0, FY, CY, 0, 0, 1]
 BY_COLUMN = [FX, 0, 0, 0, FY, 0, CX, CY, 1]
-DIALECTS: dict[str, tuple[dict[str, Any], float | None]] = {  # JSON, and the unit that it states [m]
+GQCNN = f'{{"_fx": {FX}, "_fy": {FY}, "_cx": {CX}, "_cy": {CY}, "_skew": 0.0, "_width": 640, "_height": 480}}'
+DIALECTS: dict[str, tuple[dict[str, Any] | str, float | None]] = {  # JSON, and the unit that it states [m]
     "ours": ({"fx": FX, "fy": FY, "cx": CX, "cy": CY, "depth_units": 1e-3}, 1e-3),
     "realsense": ({"fx": FX, "fy": FY, "ppx": CX, "ppy": CY, "coeffs": [0] * 5, "depth_scale": 1e-3}, 1e-3),
     "bop": ({"cam_K": K, "depth_scale": 0.1}, 1e-4),
@@ -27,7 +28,7 @@ DIALECTS: dict[str, tuple[dict[str, Any], float | None]] = {  # JSON, and the un
     "open3d recorder": ({"intrinsic_matrix": BY_COLUMN, "depth_scale": 1000.0}, 1e-3),
     "nested": ({"K": [K[:3], K[3:6], K[6:]]}, None),
     "ros": ({"image_width": 640, "image_height": 480, "camera_matrix": {"rows": 3, "cols": 3, "data": K}}, None),
-    "gqcnn": ({"_fx": FX, "_fy": FY, "_cx": CX, "_cy": CY, "_skew": 0.0, "_width": 640, "_height": 480}, None),
+    "gqcnn": (GQCNN, None),
 }
 
 

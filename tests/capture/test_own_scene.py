@@ -21,9 +21,10 @@ from tests.samples.own_images import BASELINE, CAMERA, EYE, KIT, PARTS, exact_de
 
 KNOWN = Intrinsics(CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, device="Intel RealSense D435i")
 BODIES = (KIT, *PARTS)
+BY_DEPTH = Wanted()
 
 
-def scene_of(depth: np.ndarray, wanted: Wanted = Wanted(), known: Intrinsics = KNOWN) -> OwnScene:
+def scene_of(depth: np.ndarray, wanted: Wanted = BY_DEPTH, known: Intrinsics = KNOWN) -> OwnScene:
     return own_scene([DepthFrame(depth, "depth.png")], known, wanted)
 
 
@@ -66,8 +67,8 @@ def test_facts_come_from_the_name_of_the_camera(scene: OwnScene) -> None:
 
 
 def test_masks_cover_the_bodies(scene: OwnScene) -> None:
-    for number, ((x, y, z), at) in enumerate(BODIES):
-        u, v = np.rint(CAMERA.project(EYE.inverse().apply((*at, z)))).astype(int)
+    for number, (sides, at) in enumerate(BODIES):
+        u, v = np.rint(CAMERA.project(EYE.inverse().apply((*at, sides[2])))).astype(int)
         expected = ASSEMBLY_LABEL if number == 0 else FIRST_PART_LABEL + number - 1
         assert scene.image.labels[v, u] == expected
     assert 0.02 < (scene.image.labels > 0).mean() < 0.2

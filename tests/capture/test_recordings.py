@@ -15,7 +15,8 @@ from mcap_ros2.writer import Writer
 from PIL import Image
 
 from kit1000.capture.depth_frames import DepthFrame, metric_depth
-from kit1000.capture.frame_sources import Selection, read_groups
+from kit1000.capture.frame_selection import Selection
+from kit1000.capture.frame_sources import read_groups
 from kit1000.errors import InputError
 from tests.samples import recorded
 from tests.samples.own_images import CAMERA, exact_depth, millimetres
@@ -34,7 +35,8 @@ uint32 nanosec
 IMAGE = HEADER.format("uint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\nuint32 step\nuint8[] data")
 COMPRESSED = HEADER.format("string format\nuint8[] data")
 INFO = HEADER.format(
-    "uint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\nuint32 binning_x\nuint32 binning_y"
+    "uint32 height\nuint32 width\nstring distortion_model\nfloat64[] d\nfloat64[9] k\n"
+    "uint32 binning_x\nuint32 binning_y"
 )
 SCHEMAS = {"Image": IMAGE, "CompressedImage": COMPRESSED, "CameraInfo": INFO}
 DEPTH = millimetres(exact_depth())

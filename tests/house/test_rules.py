@@ -30,7 +30,7 @@ LAYERS = (
     ("sim",),
     ("queries", "dataset", "predictor", "submission"),
     ("perception", "prediction.catalog", "registration", "prediction"),
-    ("pictures", "export", "generation"),
+    ("pictures", "export", "generation", "capture"),
     ("planner", "labelling", "editor", "study", "testing"),
     ("cli", "", "__main__"),  # "" is the package itself, which hands out names of all the others
     ("benchmark",),
@@ -67,7 +67,8 @@ FENCES = {
     "tomllib": ("kit1000.submission.manifest",),
     "tomli": ("kit1000.submission.manifest",),
     "playwright": (),  # the tests alone
-    "mcap": ("kit1000.dataset.mcap_io",),
+    "mcap": ("kit1000.dataset.mcap_io", "kit1000.capture.recordings"),
+    "mcap_ros2": ("kit1000.capture.recordings",),
     "foxglove_schemas_protobuf": ("kit1000.dataset.mcap_io",),
     "torch": ("kit1000.dataset.torch", "kit1000.perception", "baselines"),
     "safetensors": ("kit1000.perception.networks", "baselines"),
@@ -80,7 +81,12 @@ FENCES = {
 NOT_ON_IMPORT = ("numpy", "scipy", "numba", "trimesh", "manifold3d", "pybullet", "open3d", "torch", "viser")
 
 # Where a package on the index and its module differ.
-IMPORT_NAMES = {"pillow": "PIL", "mcap-protobuf-support": "mcap_protobuf", "universal-pathlib": "upath"}
+IMPORT_NAMES = {
+    "pillow": "PIL",
+    "mcap-protobuf-support": "mcap_protobuf",
+    "mcap-ros2-support": "mcap_ros2",
+    "universal-pathlib": "upath",
+}
 USED_BY_TRIMESH = {"networkx", "lxml"}  # it reads 3MF with them
 
 NAMED_AFTER_NOTHING = {"utils", "util", "common", "helpers", "helper", "core", "base", "manager", "misc"}

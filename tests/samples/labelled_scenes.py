@@ -120,5 +120,7 @@ def shapes_folder(folder: Path) -> dict[str, str]:
     ):
         for name, mesh in meshes.items():
             write_bytes(folder / kind / f"{name}.glb", glb_bytes({name: mesh}))
-    write_json(folder / "dataset.json", {"format": FORMAT, "dataset_id": "shapes", "data_version": "1.0.0", "config": {}})
+    write_json(
+        folder / "dataset.json", {"format": FORMAT, "dataset_id": "shapes", "data_version": "1.0.0", "config": {}}
+    )
     return {"shapes": str(folder), "assembly": kits.assembly.id}
