@@ -198,7 +198,7 @@ def _outline_rows(shape: PlacedShape, number: int) -> _Rows:
     seen, camera = shape.seen, shape.seen.camera.scaled(SUPERSAMPLING)
     image = render(camera, Pose.identity(), [(shape.mesh, shape.camera_from_body)], threads=1)
     inside = image.body_ids > 0
-    v, u = np.nonzero(inside & ~binary_erosion(inside))  # the border of the window counts as outside
+    v, u = np.nonzero(inside & np.logical_not(binary_erosion(inside)))  # the border of the window counts as outside
     z = image.depth[v, u].astype(float)
     uv = (np.stack([u, v], axis=-1) + 0.5) / SUPERSAMPLING - 0.5
     rows, columns = np.rint(uv[:, 1]).astype(int), np.rint(uv[:, 0]).astype(int)

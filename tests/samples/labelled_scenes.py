@@ -119,5 +119,7 @@ def shapes_folder(folder: Path, families: tuple[str, str] = FAMILIES) -> dict[st
     ):
         for name, mesh in meshes.items():
             write_bytes(folder / kind / f"{name}.glb", glb_bytes({name: mesh}))
-    write_json(folder / "dataset.json", {"format": FORMAT, "dataset_id": "shapes", "data_version": "1.0.0", "config": {}})
+    write_json(
+        folder / "dataset.json", {"format": FORMAT, "dataset_id": "shapes", "data_version": "1.0.0", "config": {}}
+    )
     return {"shapes": str(folder), "assembly": kits.assembly.id}
