@@ -44,7 +44,7 @@ def _masks_from_depth(view: View, labels: np.ndarray) -> np.ndarray:
     """(H, W) uint8 masks of what stands above z = 0, with the fattened edges of the sensor."""
     heights = view.world_from_camera.apply(view.camera.unproject(view.depth))[..., 2]
     above = (view.depth > 0) & (heights > LOWEST)
-    pieces, count = label(binary_closing(binary_opening(above, iterations=1), iterations=2))
+    pieces, count = label(binary_closing(binary_opening(above, iterations=1), iterations=2))  # type: ignore[misc]
     found = np.zeros_like(labels)
     for piece in range(1, count + 1):
         inside = pieces == piece

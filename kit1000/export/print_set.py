@@ -104,16 +104,20 @@ def _chosen(geometry: Geometry, brackets_deg: Sequence[float]) -> Iterator[tuple
     left = sorted(part_id for part_id, row in geometry.parts.items() if row["split"] == SPLIT)
     members: dict[str, _Member] = {}
     for angle in brackets_deg:
+        reason = f"{len(left)} are left"
         for names in combinations(left, 2):
             pair = [members.setdefault(name, _Member.of(geometry, name)) for name in names]
             try:
                 yield _joined(pair, angle), pair
-            except Redraw:
+            except Redraw as refusal:
+                reason = refusal.reason
                 continue
             left = [name for name in left if name not in names]
             break
         else:
-            raise InputError(f"{geometry.root}: its {SPLIT} split has no pair of parts for a bracket of {angle:g}°")
+            raise InputError(
+                f"{geometry.root}: its {SPLIT} split has no pair of parts for a bracket of {angle:g}°: {reason}"
+            )
 
 
 def _joined(pair: Sequence[_Member], angle_deg: float) -> Assembly:

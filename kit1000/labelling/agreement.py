@@ -36,8 +36,10 @@ class Agreement:
     def faults(self) -> tuple[str, ...]:
         """In what the image disagrees with the pose more than its noise allows."""
         found = []
-        if self.cost > GOOD_COST or self.depth > GOOD_DEPTH * max(self.noise, LEAST_REACH / REACH):
+        if self.depth > GOOD_DEPTH * max(self.noise, LEAST_REACH / REACH):
             found.append(f"measured depths are {self.depth * 1e3:.1f} mm off, noise is {self.noise * 1e3:.1f} mm")
+        if self.cost > GOOD_COST:
+            found.append(f"only {1 - self.cost:.0%} of what is seen is explained")
         if self.outline > GOOD_OUTLINE:
             found.append(f"its outline is {self.outline:.1f} px off that of the mask")
         if self.stray > GOOD_STRAY:

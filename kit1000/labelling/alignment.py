@@ -31,7 +31,11 @@ CORRELATED_DEPTHS = 50.0  # pixels whose depth errors are as one: windows of a s
 CORRELATED_OUTLINE = 8.0  # px along an outline over which an error of one px holds
 LEAST_OUTLINE_SPREAD, MOST_OUTLINE_SPREAD = 0.3, 3.0  # [px]
 WIDTH_SPREAD = 3.0  # [px] of the width by which the masks of an image are too wide
-OWN_WIDTH = 0.15  # of the spread of an outline, by which the width of its mask differs from the common one
+# Standard deviation of the width of one mask about the common one: [px], and of each px by which the outline spreads
+# beyond LEAST_OUTLINE_SPREAD. Exact masks are all alike; those of a sensor that fattens edges are not.
+OWN_WIDTH, OWN_WIDTH_SHARE = 0.045, 0.8
+WIDE_SCALE_SPREAD = 1.2e-3  # of the scale, where outlines spread by WIDE_OUTLINE [px] or more: widths differ by body
+WIDE_OUTLINE = 1.0
 DAMPING, FIXED = 1e-6, 1e15  # added to the diagonal
 SCALE_SPREAD = 2e-3  # of the depth scale; a D415 is within 3e-3 by its data sheet
 HEIGHT_SPREAD, TILT_SPREAD = 0.3e-3, np.radians(0.15)  # [m], [rad] of a body that stands on the table
@@ -119,7 +123,9 @@ def align(
         step = -np.linalg.solve(normal, gradient)
         moved = [_moved(shape, step[7 * i : 7 * i + 7]) for i, shape in enumerate(moved)]
         width, log_scale = width + float(step[-2]), log_scale + float(step[-1])
-        spread = float(np.sqrt(np.linalg.inv(normal)[-1, -1]))
+        wide = float(np.median([own.outline_spread for own in rows])) - 1.2 * LEAST_OUTLINE_SPREAD
+        wide = WIDE_SCALE_SPREAD * float(np.clip(wide / WIDE_OUTLINE, 0, 1))
+        spread = min(float(np.hypot(np.sqrt(np.linalg.inv(normal)[-1, -1]), wide)), SCALE_SPREAD)
     return Alignment(tuple(moved), float(np.exp(log_scale)), spread)
 
 
@@ -135,7 +141,8 @@ def _equations(
         normal[np.ix_(at, at)] += slopes.T @ slopes
         gradient[at] += slopes.T @ own.values
         pair = [7 * i + 6, count - 2]
-        certainty = (OWN_WIDTH * own.outline_spread) ** -2
+        beyond = max(own.outline_spread - 1.2 * LEAST_OUTLINE_SPREAD, 0.0)
+        certainty = (OWN_WIDTH + OWN_WIDTH_SHARE * beyond) ** -2
         normal[np.ix_(pair, pair)] += certainty * np.array([[1.0, -1.0], [-1.0, 1.0]])
         gradient[pair] += certainty * (shape.width - width) * np.array([1.0, -1.0])
     normal[-2, -2] += WIDTH_SPREAD**-2
@@ -191,7 +198,7 @@ def _outline_rows(shape: PlacedShape, number: int) -> _Rows:
     seen, camera = shape.seen, shape.seen.camera.scaled(SUPERSAMPLING)
     image = render(camera, Pose.identity(), [(shape.mesh, shape.camera_from_body)], threads=1)
     inside = image.body_ids > 0
-    v, u = np.nonzero(inside & ~binary_erosion(inside))  # the border of the window counts as outside
+    v, u = np.nonzero(inside & np.logical_not(binary_erosion(inside)))  # the border of the window counts as outside
     z = image.depth[v, u].astype(float)
     uv = (np.stack([u, v], axis=-1) + 0.5) / SUPERSAMPLING - 0.5
     rows, columns = np.rint(uv[:, 1]).astype(int), np.rint(uv[:, 0]).astype(int)

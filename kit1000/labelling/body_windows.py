@@ -40,7 +40,7 @@ class BodyWindow:
     @cached_property
     def distance(self) -> np.ndarray:
         """(h, w) [px] signed distance to the border of the mask, negative inside."""
-        outside, inside = distance_transform_edt(~self.mask), distance_transform_edt(self.mask)
+        outside, inside = (np.asarray(distance_transform_edt(mask)) for mask in (~self.mask, self.mask))
         return np.where(self.mask, 0.5 - inside, outside - 0.5)
 
     @cached_property
@@ -62,8 +62,9 @@ class BodyWindow:
         return value, np.stack([across, down], axis=-1)
 
     @cached_property
-    def _gradient(self) -> list[np.ndarray]:
-        return np.gradient(gaussian_filter(self.distance, SMOOTHING))
+    def _gradient(self) -> tuple[np.ndarray, np.ndarray]:
+        down, across = np.gradient(gaussian_filter(self.distance, SMOOTHING))
+        return down, across
 
 
 def body_windows(image: LabelledDepth) -> dict[int, BodyWindow]:

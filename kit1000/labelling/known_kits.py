@@ -35,7 +35,7 @@ class KnownKits:
 
     assembly: Assembly
     parts: tuple[Part, ...]
-    """Of each mount, in their order."""
+    """The part of each mount, in their order."""
     source: dict[str, Any]
     """Where the shapes come from, as `read_known_kits` takes it."""
 

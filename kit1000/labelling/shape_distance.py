@@ -29,5 +29,5 @@ class ShapeDistance:
 
     def _far(self, points: np.ndarray, rank: int) -> float:
         """[m] to the neighbour of a rank, nearly the largest."""
-        distances = self._tree.query(points, k=[rank])[0]
-        return float(np.percentile(distances, FARTHEST))
+        distances = np.reshape(self._tree.query(points, k=rank)[0], (len(points), rank))
+        return float(np.percentile(distances[:, -1], FARTHEST))

@@ -38,7 +38,7 @@ class Support:
 def seen_support(image: LabelledDepth) -> Support:
     """The plane of the table's pixels near z = 0 of the recorded world; raises InputError where too few show it."""
     view, bodies = image.view, image.labels > 0
-    table = ~binary_dilation(bodies, iterations=MARGIN) & (view.depth > 0)
+    table = np.logical_not(binary_dilation(bodies, iterations=MARGIN)) & (view.depth > 0)
     v, u = np.nonzero(table[::STEP, ::STEP])
     pixels, z = np.stack([u, v], axis=-1) * STEP, view.depth[::STEP, ::STEP][v, u].astype(float)
     rays = view.camera.unproject_pixels(pixels.astype(float), np.ones(len(z)))

@@ -49,12 +49,11 @@ class SampleScene:
 
 
 @cache
-def sample_kits() -> KnownKits:
+def sample_kits(families: tuple[str, str] = FAMILIES) -> KnownKits:
     plan = AssemblyPlan(0.0, 0.0, (SidePlate(0, float(np.radians(20))),))
-    assembly = build_assembly("bracket", [sample_kit(family) for family in FAMILIES], plan)
-    return KnownKits(
-        assembly, tuple(sample_part(family) for family in FAMILIES), {"shapes": "none", "assembly": "bracket"}
-    )
+    assembly = build_assembly(families[0], [sample_kit(family) for family in families], plan)
+    source = {"shapes": "none", "assembly": families[0]}
+    return KnownKits(assembly, tuple(sample_part(family) for family in families), source)
 
 
 def standing(part: Part, turn: float, place: tuple[float, float]) -> Pose:
@@ -105,9 +104,9 @@ def true_record(scene: SampleScene, source: dict[str, str], person: str | None =
     return LabelRecord(SCENE, SENSOR, dict(source), 1.0, 1e-4, tuple(bodies))
 
 
-def shapes_folder(folder: Path) -> dict[str, str]:
-    """The shapes of the scene as a folder of tables and meshes; returns them as the source of a record."""
-    kits = sample_kits()
+def shapes_folder(folder: Path, families: tuple[str, str] = FAMILIES) -> dict[str, str]:
+    """The shapes of a scene as a folder of tables and meshes; returns them as the source of a record."""
+    kits = sample_kits(families)
     rows = {kit.kit.id: kit_row(kit.kit) | {"split": "test"} for kit in kits.assembly.mounts}
     parts = {part.id: part_row(part) | {"split": "test"} for part in kits.parts}
     assemblies = {kits.assembly.id: assembly_row(kits.assembly) | {"split": "test"}}
