@@ -12,6 +12,7 @@ from kit1000.version import __version__
 LIBRARIES = ("manifold3d", "mcap", "numba", "numpy", "pybullet", "scipy", "zstandard")
 RECORD = "made_with"  # the entry of dataset.json
 ABSENT = "absent"
+SERIES = "3.5"  # of manifold3d, by which the datasets without a record were made
 
 
 def library_versions() -> dict[str, str]:
@@ -28,11 +29,11 @@ def library_versions() -> dict[str, str]:
 def version_differences(summary: Mapping[str, Any]) -> list[str] | None:
     """The libraries that are of another version here than where a dataset was made: "numpy 2.2.0, here 2.4.6".
 
-    None for a dataset that does not record them.
+    None for a dataset that does not record them, unless manifold3d is of another series than any that made one.
     """
-    recorded = summary.get(RECORD)
+    recorded, here = summary.get(RECORD), library_versions()
     if not isinstance(recorded, Mapping):
-        return None
-    here = library_versions()
+        found = here["manifold3d"]
+        return None if f"{found}.".startswith(f"{SERIES}.") else [f"manifold3d {SERIES}, here {found}"]
     pairs = [(name, recorded[name], here[name]) for name in LIBRARIES if name in recorded]
     return [f"{name} {before}, here {now}" for name, before, now in pairs if before != now]

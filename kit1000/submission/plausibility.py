@@ -90,8 +90,9 @@ def _unit_fault(
     likely = "millimetres" if median > MILLIMETRES else "centimetres"
 
     def plausibility(unit: str) -> tuple[float, bool]:
-        known = expected is not None and index is not None
-        sample = sample_of(expected, index, Pose(wxyz, xyz * UNITS[unit])) if known else None
+        sample = None
+        if expected is not None and index is not None:
+            sample = sample_of(expected, index, Pose(wxyz, xyz * UNITS[unit]))
         return (0.0 if sample is None else sample.share(sample.motions.apply(sample.pivots))), unit == likely
 
     unit = max(UNITS, key=plausibility)

@@ -22,7 +22,7 @@ from kit1000.files import json_bytes, read_json
 from kit1000.generation import rebuild
 from kit1000.generation.build import generate
 from kit1000.generation.dataset_summary import summary_bytes
-from kit1000.generation.library_versions import version_differences
+from kit1000.generation.library_versions import library_versions, version_differences
 from kit1000.generation.rebuild import (
     observation_differences,
     preview_differences,
@@ -174,6 +174,11 @@ def test_differences_of_a_dataset_without_versions_are_faults_with_a_note(
     report = verify(recorded_as(copy, None), 1)
     assert len(report.faults) == 1
     assert "another version than manifold3d " in report.notes[0]
+    here = library_versions() | {"manifold3d": "3.4.1"}
+    monkeypatch.setattr("kit1000.generation.library_versions.library_versions", lambda: here)
+    report = verify(copy, 1)
+    assert report.faults == ()
+    assert "manifold3d 3.5, here 3.4.1" in report.notes[1]
 
 
 def without_tolerance(patch: pytest.MonkeyPatch) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+import tomli
 
 from tests.samples.checkout import ROOT
 
@@ -24,6 +26,15 @@ case "$2" in
     pip) sleep {seconds}; echo "$@" >>"$LOG";;
 esac
 """
+
+
+def test_the_oldest_versions_are_those_that_the_project_allows() -> None:
+    project = tomli.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lines = [*project["dependencies"], *project["optional-dependencies"]["sim"]]
+    bounds = {name: low for line in lines for name, low in re.findall(r"^([\w-]+)>=([\d.]+)", line) if ";" not in line}
+    pinned = dict(re.findall(r"^([\w-]+)==([\d.]+)$", (ROOT / "requirements/oldest.txt").read_text(), re.MULTILINE))
+    assert pinned.keys() == bounds.keys()
+    assert {name: low for name, low in bounds.items() if f"{pinned[name]}.".startswith(f"{low}.")} == bounds
 
 
 @pytest.fixture
