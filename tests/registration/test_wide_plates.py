@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from types import SimpleNamespace
 from typing import Any, cast
@@ -33,7 +34,7 @@ WORLD_FROM_KIT = Pose.from_rotvec((0.12, 0.05, 0.3), (0.0, 0.16, 0.02))
 UP = WORLD_FROM_KIT.rotate((0.0, 0.0, 1.0))
 
 
-def block(width: float, length: float, holes: list[tuple[float, float]], diameter: float = 30) -> Mesh:
+def block(width: float, length: float, holes: Sequence[tuple[float, float]], diameter: float = 30) -> Mesh:
     """[m] a block of this size [mm] on z = 0 with round holes [mm] in its top."""
     solid = box(width, length, 40)
     for x, y in holes:
