@@ -108,9 +108,8 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
     if not nested:
         planes = without_nested(planes, points, normals, source.noise)
     if guessed is None:
-        frames = [frame for plane in planes for frame in plate_frames(source, plane, points, normals, side)][
-            :MOST_PLATES
-        ]
+        about = (plate_frames(source, plane, points, normals, side) for plane in planes)
+        frames = list(chain.from_iterable(about))[:MOST_PLATES]
     else:
         frames = [plane_frame(plane, guessed) for plane in planes]
     noise, small = source.noise, list[Cavity]()
