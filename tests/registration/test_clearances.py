@@ -31,7 +31,7 @@ def test_what_is_tried_is_what_is_stated_or_all_that_kits_usually_have() -> None
 
 @pytest.mark.parametrize("value", ["2.5", 2.5, 0, -1e-3, True, [2.5e-3], float("nan")])
 def test_what_is_no_length_in_metres_is_one_line(value: Any) -> None:
-    with pytest.raises(InputError, match=r"own/dataset\.json: config: clearance: expected metres, such as 0\.0025"):
+    with pytest.raises(InputError, match=r"own: dataset\.json: config: clearance: expected metres, such as 0\.0025"):
         stated_clearances(dataset_with({"clearance": value}))
 
 
@@ -42,7 +42,7 @@ def unknown(mini: Path) -> Dataset:
     return data
 
 
-@pytest.mark.parametrize("track", ["snap", "place"])
+@pytest.mark.parametrize("track", ["snap", pytest.param("place", marks=pytest.mark.slow)])
 def test_without_the_clearance_parts_reach_their_goals_as_with_it(mini: Path, track: str) -> None:
     split = Dataset(mini).split("train", truth=True)
     query = next(split.queries(track))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
 from types import SimpleNamespace
 from typing import Any, cast
@@ -33,7 +34,7 @@ WORLD_FROM_KIT = Pose.from_rotvec((0.12, 0.05, 0.3), (0.0, 0.16, 0.02))
 UP = WORLD_FROM_KIT.rotate((0.0, 0.0, 1.0))
 
 
-def block(width: float, length: float, holes: list[tuple[float, float]], diameter: float = 30) -> Mesh:
+def block(width: float, length: float, holes: Sequence[tuple[float, float]], diameter: float = 30) -> Mesh:
     """[m] a block of this size [mm] on z = 0 with round holes [mm] in its top."""
     solid = box(width, length, 40)
     for x, y in holes:
@@ -46,7 +47,8 @@ def frames_of(kit: Mesh) -> tuple[Plane, list[Pose]]:
     part = mesh_from_solid(box(20, 20, 20)).scaled(MM)
     source = TrueSource(TrueGeometry(part, Pose.from_translation((0, -0.2, 0)), kit, WORLD_FROM_KIT))
     points, normals, _ = source.oriented_points(None)
-    plane = Plane(UP, WORLD_FROM_KIT.apply(np.array([0.0, 0.0, TOP])), 0.05)
+    area = float(np.prod(np.ptp(kit.bounds, axis=0)[:2]))
+    plane = Plane(UP, WORLD_FROM_KIT.apply(np.array([0.0, 0.0, TOP])), area)
     return plane, plate_frames(source, plane, points, normals, SIDE)
 
 
@@ -62,8 +64,11 @@ def test_each_hole_of_a_wide_plate_has_a_frame_over_its_middle() -> None:
 
 
 @pytest.mark.parametrize("holes", [[], [(0.0, 0.0)], [(-25.0, 0.0), (25.0, 0.0)]])
-def test_a_plate_of_the_usual_size_has_one_frame_about_its_middle(holes: list[tuple[float, float]]) -> None:
-    plane, (frame,) = frames_of(block(120, 100, holes))
+@pytest.mark.parametrize("length", [100, 198])  # one plate, and two in one plane
+def test_a_plate_of_the_usual_size_has_one_frame_about_its_middle(
+    length: float, holes: list[tuple[float, float]]
+) -> None:
+    plane, (frame,) = frames_of(block(length, 119, holes))
     assert np.array_equal(frame.matrix(), plane_frame(plane, plane.point).matrix())
 
 

@@ -14,6 +14,7 @@ from kit1000.pose import Pose
 from kit1000.registration.geometry.observed_cavity import VOXEL, holes_in, plate_grid
 from kit1000.registration.inputs.volume_sources import Source
 
+AREA = 0.025  # [m^2] seen of a plate that is wide: two plates in one plane show less
 REACH = 0.11  # [m] along an axis, from its middle to the border of a plate that one relief shows
 WIDEST = 0.25  # [m] the same of a plate that is looked at as a whole
 BORDER = 0.02  # [m] beyond the border of a plate, within its relief
@@ -33,6 +34,8 @@ def plate_frames(source: Source, plane: Plane, points: np.ndarray, normals: np.n
         side: [m] of a relief.
     """
     frame, noise = plane_frame(plane, plane.point), source.noise
+    if plane.area < AREA:
+        return [frame]
     local = frame.inverse().apply(_on_plane(plane, points, normals, noise))[:, :2]
     reach = float(np.percentile(np.abs(local), WITHIN, axis=0).max()) if len(local) else 0.0
     if reach <= max(REACH, side / 2):
