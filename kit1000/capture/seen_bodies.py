@@ -17,6 +17,7 @@ TALLEST = 0.2  # [m]
 EDGE = 6e-3  # [m] inside the table's outline, where bodies stand
 STRIP = 15e-3  # [m] shorter side: of strips beside something higher at the outline, which are its foot
 TOUCHING = 3  # [px]
+LONG, BORDER, INSIDE = 4.0, 36e-3, 0.3  # length over width, and [m] from the outline of all but this share, of others
 LEAST_AREA = 1e-4  # [m^2] seen
 LEAST_PIXELS = 150
 MOST_BODIES = 200
@@ -67,9 +68,17 @@ def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]
         )  # a hole without a return is a shadow
         body = measured_body(table, whole)
         strip = body.sides[0] < STRIP and (mask & beside[box]).any()
-        if body.area > LEAST_AREA and not strip:
+        if body.area > LEAST_AREA and not strip and not _lies_along_outline(table, body):
             found.append(body)
     return _with_fragments(table, sorted(found, key=lambda body: -body.area))[:MOST_BODIES]
+
+
+def _lies_along_outline(table: Table, body: SeenBody) -> bool:
+    """Whether a body is a long strip at the outline of the table: the foot of a wall, or the bent border."""
+    short, long = body.sides
+    if long < LONG * short:
+        return False
+    return bool(np.mean(inside_outline(table.ground(body.mask), table.outline, BORDER)) < INSIDE)
 
 
 def _is_body(mask: np.ndarray, heights: np.ndarray, least: float) -> bool:
