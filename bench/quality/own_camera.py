@@ -37,7 +37,8 @@ from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.dataset.schema import Observation
 from kit1000.errors import InputError, Kit1000Error
 from kit1000.metrics import Targets, pose_errors, seatings
-from kit1000.perception.calibration import borders_of, calibrated
+from kit1000.perception.calibration import calibrated_by
+from kit1000.perception.calibration.plane import table_plane
 from kit1000.pose import Pose
 from kit1000.prediction.making import PREDICTED_MASKS, make_predictor, method_of
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, View
@@ -186,9 +187,10 @@ def _png(view: View, unit: float) -> tuple[np.ndarray, bytes]:
 def _trip(scene: RecordedScene, own: OwnScene) -> Trip:
     """What the import made of a scene, compared with it: its table as its own masks show it."""
     image = scene.labelled_depth(SENSOR)
-    right = calibrated(image.view, image.labels, borders=()).world_from_camera
-    up = right.inverse().rotate((0.0, 0.0, 1.0))
-    angle = float(np.degrees(np.arccos(np.clip(up @ own.table.up, -1, 1))))
+    plane = table_plane(image.view, image.labels)
+    assert plane is not None, "the scenes show their table"
+    away = np.sqrt(plane.coefficients @ plane.coefficients)
+    angle = float(np.degrees(np.arccos(np.clip(-plane.coefficients @ own.table.up / away, -1, 1))))
     depth = float(np.abs(own.image.view.depth - image.view.depth).max())
     homes = _homes(scene, own)
     parts = [max((_iou(image.labels == label, own.image.labels == FIRST_PART_LABEL + part)
@@ -196,7 +198,7 @@ def _trip(scene: RecordedScene, own: OwnScene) -> Trip:
              for label in range(FIRST_PART_LABEL, int(image.labels.max()) + 1)]  # fmt: skip
     kit = _iou(image.labels == ASSEMBLY_LABEL, own.image.labels == ASSEMBLY_LABEL)
     counted = int(image.labels.max()) == int(own.image.labels.max())
-    return Trip(own.table.distance - float(right.xyz[2]), angle, depth, kit, float(np.mean(parts)), counted)
+    return Trip(own.table.distance - 1 / float(away), angle, depth, kit, float(np.mean(parts)), counted)
 
 
 def _iou(one: np.ndarray, other: np.ndarray) -> float:
@@ -278,7 +280,7 @@ def _add_images(table: Table, folder: Path) -> None:
         wanted = Wanted(float(row["metres_a_unit"]), row["sensor"], networks=networks_available())
         (own,) = imported_scenes(Import((folder / row["file"],), folder / "out", intrinsics, wanted=wanted))
         view = own.image.view
-        fixed = calibrated(view, own.image.labels, borders=borders_of(own.facts)).world_from_camera
+        fixed = calibrated_by(view, own.image.labels, own.facts).world_from_camera
         mask = row.get("foreground_mask")
         values = {} if not mask else {"iou": _foreground(folder / mask, own)}
         table.add(

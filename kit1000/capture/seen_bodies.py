@@ -17,11 +17,13 @@ TALLEST = 0.2  # [m]
 EDGE = 6e-3  # [m] inside the table's outline, where bodies stand
 STRIP = 15e-3  # [m] shorter side: of strips beside something higher at the outline, which are its foot
 TOUCHING = 3  # [px]
+LONG, BORDER, INSIDE = 4.0, 36e-3, 0.3  # length over width, and [m] from the outline of all but this share, of others
 LEAST_AREA = 1e-4  # [m^2] seen
 LEAST_PIXELS = 150
 MOST_BODIES = 200
 SPIKE = 3  # [px] side of a square that is a body, and no noise
 NARROW = 5  # [px] side of a square inside every body: what a matcher smears beside edges is narrower
+SEAM = 9  # [px] the same of bodies that touch another one in the image
 GAP = 25e-3  # [m] along the table, between neighbours in the image that are two bodies
 FRAGMENT, FRAGMENT_AREA = 0.1, 5e-4  # of the larger one's area, and [m^2], of pieces that a shadow cut off
 MOST_POINTS = 2000  # whose smallest rectangle is sought
@@ -59,7 +61,7 @@ def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]
     found = []
     for number, box in enumerate(find_objects(regions), start=1):
         mask = regions[box] == number
-        if not _is_body(mask, heights[box][mask], least):
+        if not _is_body(mask, heights[box][mask], least) or _is_smear(regions, number, box):
             continue
         whole = np.zeros(high.shape, bool)
         whole[box] = np.asarray(binary_fill_holes(mask), bool) & ~(
@@ -67,9 +69,27 @@ def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]
         )  # a hole without a return is a shadow
         body = measured_body(table, whole)
         strip = body.sides[0] < STRIP and (mask & beside[box]).any()
-        if body.area > LEAST_AREA and not strip:
+        if body.area > LEAST_AREA and not strip and not _lies_along_outline(table, body):
             found.append(body)
     return _with_fragments(table, sorted(found, key=lambda body: -body.area))[:MOST_BODIES]
+
+
+def _lies_along_outline(table: Table, body: SeenBody) -> bool:
+    """Whether a body is a long strip at the outline of the table: the foot of a wall, or the bent border."""
+    short, long = body.sides
+    if long < LONG * short:
+        return False
+    return bool(np.mean(inside_outline(table.ground(body.mask), table.outline, BORDER)) < INSIDE)
+
+
+def _is_smear(regions: np.ndarray, number: int, box: tuple[slice, ...]) -> bool:
+    """Whether a region is a seam beside another one: pixels between a near edge and what is behind it."""
+    rows, columns = (slice(max(side.start - TOUCHING, 0), side.stop + TOUCHING) for side in box)
+    near = regions[rows, columns]
+    mask = near == number
+    if binary_erosion(mask, np.ones((SEAM, SEAM))).any():
+        return False
+    return bool(((near > 0) & ~mask & binary_dilation(mask, iterations=TOUCHING)).any())
 
 
 def _is_body(mask: np.ndarray, heights: np.ndarray, least: float) -> bool:

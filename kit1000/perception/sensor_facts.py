@@ -59,9 +59,7 @@ def sensor_of(summary: Mapping[str, Any], sensor: str) -> AnySensor:
     try:
         return SensorFacts(**rows[sensor])
     except TypeError as error:
-        raise InputError(
-            f"dataset.json: facts of the sensor {sensor} cannot be read ({error}); import it again"
-        ) from None
+        raise InputError(f"dataset.json: facts of {sensor} cannot be read ({error}); import again") from None
 
 
 def model_of(sensor: AnySensor) -> Sensor:

@@ -177,3 +177,53 @@ def test_one_body_is_no_scene(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="one body"):
         import_scenes(with_kit)
     assert not (tmp_path / "out").exists()
+
+
+def test_the_page_shows_the_table_that_was_seen(folder: Path, tmp_path: Path) -> None:
+    viser = pytest.importorskip("viser")
+    from kit1000.editor.serve import Options, editing
+
+    added: dict[str, np.ndarray] = {}
+    mesh = viser.SceneApi.add_mesh_simple
+
+    def noted(scene: object, name: str, vertices: np.ndarray, *rest: object, **options: object) -> object:
+        added[name] = vertices
+        return mesh(scene, name, vertices, *rest, **options)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(viser.SceneApi, "add_mesh_simple", noted)
+        with editing(Options(folder, "test-s0001", tmp_path / "edits", "d415")) as (editor, address):
+            assert editor.space.bodies == (0, 1)
+            assert address.startswith("http://127.0.0.1:")
+    outline = seen_table(Dataset(folder).summary, "test-s0001")
+    assert outline is not None
+    np.testing.assert_allclose(added["/table"][:, :2], outline, atol=1e-6)
+    assert (added["/table"][:, 2] <= 0).all()
+
+
+def test_an_image_is_imported_before_it_is_edited(
+    image: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("viser")
+    from kit1000.editor import serve
+
+    asked: list[serve.Options] = []
+    monkeypatch.setattr(serve, "run", asked.append)
+    words = ["edit", str(image), "--intrinsics", *NUMBERS, "--masks", "depth"]
+    assert main(words) == 0
+    assert "body 1:" in capsys.readouterr().out
+    (options,) = asked
+    assert (options.scene, options.sensor) == ("test-s0000", "d415")
+    assert options.data == image.with_name("depth-scene")
+    assert Dataset(options.data).split("test").scene_ids == ["test-s0000"]
+    assert options.out.parent == image.parent  # not in the folder of the scene, whose files are listed
+    assert main(words) == 2  # the folder is there: it is never written over
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_a_scene_is_named_where_there_are_several(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("viser")
+    assert main(["edit", str(folder)]) == 2
+    assert "2 scenes; choose one with --scene, such as test-s0000" in capsys.readouterr().err
+    assert main(["edit", str(folder), "--scene", "test-s0000", "--kit", "2"]) == 2
+    assert "--kit" in capsys.readouterr().err

@@ -6,8 +6,8 @@ imager does not see), `camera_pose` (the pose and the depth scale that explain t
 look at the table).
 """
 
-from kit1000.perception.calibration.borders import BLIND_BAND, BORDERS, OUTLINE, borders_of
-from kit1000.perception.calibration.camera_pose import CALIBRATED, calibrated
+from kit1000.perception.calibration.borders import BLIND_BAND, BORDERS, OUTLINE
+from kit1000.perception.calibration.camera_pose import CALIBRATED, calibrated, calibrated_by
 from kit1000.perception.calibration.table_top import flattened
 
-__all__ = ["BLIND_BAND", "BORDERS", "CALIBRATED", "OUTLINE", "borders_of", "calibrated", "flattened"]
+__all__ = ["BLIND_BAND", "BORDERS", "CALIBRATED", "OUTLINE", "calibrated", "calibrated_by", "flattened"]

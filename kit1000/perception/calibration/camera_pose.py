@@ -15,9 +15,10 @@ import numpy as np
 from kit1000.errors import checked
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import matmul
-from kit1000.perception.calibration.borders import BORDERS, Border, SeenBorder, seen_borders
-from kit1000.perception.calibration.plane import Plane, plane_coefficients, table_plane
+from kit1000.perception.calibration.borders import BORDERS, Border, SeenBorder, borders_of, seen_borders
+from kit1000.perception.calibration.plane import PLANE_REACH, Plane, plane_coefficients, reach_of, table_plane
 from kit1000.perception.calibration.table_top import flattened
+from kit1000.perception.sensor_facts import AnySensor
 from kit1000.pose import Pose
 from kit1000.sim.sensors import SENSORS
 from kit1000.values import View
@@ -34,7 +35,13 @@ SPREADS = np.repeat(
 ROUNDS = 4  # of Gauss and Newton
 
 
-def calibrated(view: View, labels: np.ndarray, flat: bool = False, borders: Sequence[Border] = BORDERS) -> View:
+def calibrated(
+    view: View,
+    labels: np.ndarray,
+    flat: bool = False,
+    borders: Sequence[Border] = BORDERS,
+    reach: float = PLANE_REACH,
+) -> View:
     """The view with the camera pose and the depths that its table gives it.
 
     Args:
@@ -42,15 +49,21 @@ def calibrated(view: View, labels: np.ndarray, flat: bool = False, borders: Sequ
         labels: (H, W) uint8 masks, see `kit1000.values.LabelledDepth`; 0 for the table or nothing.
         flat: put the pixels of the table exactly on its plane; those without a return get one.
         borders: of the table that are used as well as its plane.
+        reach: [m] from the recorded plane, of pixels that may show it.
     """
     labels = checked("labels", labels, view.depth.shape, np.uint8)
-    plane = table_plane(view, labels)
+    plane = table_plane(view, labels, reach)
     if plane is None:
         return view
     unknowns = _solved(view, plane, [])
     seen = seen_borders(_corrected(view, unknowns), labels, borders)
     corrected = _corrected(view, _solved(view, plane, seen) if seen else unknowns)
     return flattened(corrected, labels) if flat else corrected
+
+
+def calibrated_by(view: View, labels: np.ndarray, sensor: AnySensor) -> View:
+    """The view as `calibrated` has it, with the borders and the reach that belong to a noisy sensor."""
+    return calibrated(view, labels, borders=borders_of(sensor), reach=reach_of(sensor, view))
 
 
 def _corrected(view: View, unknowns: np.ndarray) -> View:

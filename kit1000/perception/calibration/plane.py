@@ -10,6 +10,7 @@ from scipy.ndimage import binary_dilation
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import eigenvectors, matmul
 from kit1000.perception.calibration.table_top import rays
+from kit1000.perception.sensor_facts import AnySensor, table_is_simulated
 from kit1000.pose import Pose
 from kit1000.values import View
 
@@ -17,6 +18,7 @@ STEP = 6  # [px] between pixels that enter the plane
 CORRELATED = 3.0  # of which so many count as one: noise of two windows of 7 px in succession, one value in 108 px
 MARGIN = 2  # cells of STEP px about every body: there its fattened edge may cover the table
 PLANE_REACH = 25e-3  # [m] from the recorded plane, of the pixels that enter
+OWN_REACH, OWN_SPREADS = 2e-3, 4.0  # [m], or so many standard deviations of the noise, of an own image
 LEAST_PIXELS = 500  # of the plane; with fewer there is none
 PLANE_ROUNDS = 5  # of reweighting
 RECORDED_WEIGHT = 0.3  # of the recorded plane, in pixels: noise of a pixel over spread of the plane, squared, at 0.8 m
@@ -40,8 +42,20 @@ def plane_coefficients(pose: Pose) -> np.ndarray:
     return -pose.inverse().rotate((0.0, 0.0, 1.0)) / pose.xyz[2]
 
 
-def table_plane(view: View, labels: np.ndarray) -> Plane | None:
-    """The plane of the table's pixels; None where there are too few.
+def reach_of(sensor: AnySensor, view: View) -> float:
+    """[m] from the recorded plane of pixels that may show the table.
+
+    The plane of an own image was found in it, so that only its noise is left; beside it may be walls.
+    """
+    if table_is_simulated(sensor):
+        return PLANE_REACH
+    assert not isinstance(sensor, str), "simulated sensors have simulated tables"
+    gain = view.camera.fx * sensor.baseline
+    return max(OWN_REACH, OWN_SPREADS * sensor.noise_px * float(view.world_from_camera.xyz[2]) ** 2 / gain)
+
+
+def table_plane(view: View, labels: np.ndarray, reach: float = PLANE_REACH) -> Plane | None:
+    """The plane of the table's pixels; None where there are too few. reach: [m] of them from the recorded plane.
 
     Fitted in inverse depth, where noise is the same for all pixels, with Tukey's weights; what a narrow strip of table
     leaves open stays as recorded.
@@ -53,7 +67,7 @@ def table_plane(view: View, labels: np.ndarray) -> Plane | None:
     if view.world_from_camera.xyz[2] < PLANE_REACH:
         return None
     recorded = plane_coefficients(view.world_from_camera)
-    near = np.abs(z * matmul(directions, recorded) - 1) * view.world_from_camera.xyz[2] < PLANE_REACH
+    near = np.abs(z * matmul(directions, recorded) - 1) * view.world_from_camera.xyz[2] < reach
     directions, inverse = directions[near], 1 / z[near]
     return _fitted(directions, inverse, recorded) if len(directions) >= LEAST_PIXELS else None
 

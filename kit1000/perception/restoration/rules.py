@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, find_objects
 
-from kit1000.perception.calibration import borders_of, calibrated, flattened
+from kit1000.perception.calibration import calibrated_by, flattened
 from kit1000.perception.sensor_facts import AnySensor, model_of, table_is_simulated
 from kit1000.sim.sensors import Sensor
 from kit1000.sim.stereo import EDGE_STEP
@@ -42,11 +42,7 @@ def restored(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
 
 def calibrated_image(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
     """The image of a noisy sensor, calibrated by the table; the same image where the sensor is ideal."""
-    return (
-        image
-        if sensor == "ideal"
-        else LabelledDepth(calibrated(image.view, image.labels, borders=borders_of(sensor)), image.labels)
-    )
+    return image if sensor == "ideal" else LabelledDepth(calibrated_by(image.view, image.labels, sensor), image.labels)
 
 
 def restored_edges(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:

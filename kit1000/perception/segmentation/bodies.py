@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.ndimage import label, uniform_filter
 
-from kit1000.perception.calibration import borders_of, calibrated
+from kit1000.perception.calibration import calibrated_by
 from kit1000.perception.sensor_facts import AnySensor
 from kit1000.values import View
 
@@ -49,7 +49,7 @@ def find_bodies(view: View, sensor: AnySensor, restorer: Restorer | None = None)
     measured = view
     if noisy:
         above = (view.depth > 0) & (world_points(view)[..., 2] > RECORDED_HEIGHT)
-        measured = calibrated(view, above.astype(np.uint8), borders=borders_of(sensor))
+        measured = calibrated_by(view, above.astype(np.uint8), sensor)
         view = without_shadows(measured) if restorer is None else restorer.without_masks(measured, sensor)
     points = world_points(view)
     height, seen = points[..., 2], view.depth > 0

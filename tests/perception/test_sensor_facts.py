@@ -1,0 +1,84 @@
+"""A sensor is a value with its facts: calibration uses only what they say that the image shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kit1000.camera import Camera, look_at
+from kit1000.errors import InputError
+from kit1000.perception.calibration import BORDERS, calibrated_by
+from kit1000.perception.calibration.borders import BlindBand, borders_of
+from kit1000.perception.calibration.table_top import flattened
+from kit1000.perception.sensor_facts import KEY, SensorFacts, model_of, sensor_of, table_is_simulated
+from kit1000.pose import Pose
+from kit1000.sim.layout import table
+from kit1000.sim.render import render
+from kit1000.sim.sensors import SENSORS
+from kit1000.values import View
+
+CAMERA = Camera(640, 360, 462.5, 462.5, 319.5, 179.5)
+EYE = look_at((0.1, -0.6, 0.6), (0.0, 0.05, 0.0))
+OWN = SensorFacts("D435", baseline=0.05, stream="aligned", simulated_table=False, noise_px=0.05)
+
+
+@pytest.fixture(scope="module")
+def view() -> View:
+    """A table with nothing on it, whose left 60 columns have no return, as in an aligned image."""
+    depth = render(CAMERA, EYE, [(table(), Pose.identity())]).depth.copy()
+    depth[:, :60] = 0
+    return View(CAMERA, EYE, depth)
+
+
+def test_facts_are_read_back_as_they_were_stored() -> None:
+    summary = {KEY: {"d415": OWN.as_row()}}
+    assert sensor_of(summary, "d415") == OWN
+    assert sensor_of(summary, "ideal") == "ideal"
+    assert sensor_of({}, "d415") == "d415"
+    with pytest.raises(InputError, match="import again"):
+        sensor_of({KEY: {"d415": {"colour": "blue"}}}, "d415")
+
+
+def test_a_model_has_the_facts_and_a_name_its_own_model() -> None:
+    assert model_of("d415") is SENSORS["d415"]
+    assert model_of(OWN).baseline == 0.05
+    assert table_is_simulated("d415")
+    assert not table_is_simulated(OWN)
+
+
+def test_borders_are_those_that_the_image_shows() -> None:
+    assert borders_of("d415") == BORDERS
+    assert borders_of(OWN) == ()
+    assert borders_of(replace(OWN, stream="raw")) == (BlindBand(0.05),)
+    assert borders_of(SensorFacts()) == BORDERS
+
+
+def test_an_image_of_an_unknown_table_moves_no_camera(view: View) -> None:
+    nothing = np.zeros(view.depth.shape, np.uint8)
+    right = calibrated_by(view, nothing, OWN)
+    assert np.sqrt(((right.world_from_camera.xyz - EYE.xyz) ** 2).sum()) < 0.2e-3
+    assert (right.world_from_camera.inverse() @ EYE).angle() < 1e-3
+
+
+def test_a_wall_beside_the_table_moves_no_camera(view: View) -> None:
+    """Its foot is within the reach of a simulated table, not of one that was found in the image itself."""
+    depth = view.depth.copy()
+    depth[:150] = np.where(depth[:150] > 0, depth[:150] * np.float32(0.98), 0)
+    moved = []
+    for sensor in (OWN, replace(OWN, simulated_table=True)):
+        right = calibrated_by(replace(view, depth=depth), np.zeros(depth.shape, np.uint8), sensor)
+        moved.append(float(np.sqrt(((right.world_from_camera.xyz - EYE.xyz) ** 2).sum())))
+    assert moved[0] < 0.2e-3
+    assert moved[1] > moved[0]
+
+
+def test_of_an_unknown_table_only_what_is_near_its_plane_is_put_on_it(view: View) -> None:
+    nothing = np.zeros(view.depth.shape, np.uint8)
+    depth = view.depth.copy()
+    depth[200:220, 300:320] = 2.0  # the floor, through a hole
+    flat = flattened(replace(view, depth=depth), nothing, simulated=False).depth
+    assert (flat[200:220, 300:320] == 2).all()
+    np.testing.assert_allclose(flat[250:300, 100:500], view.depth[250:300, 100:500], atol=1e-5)
+    assert (flat[:, :60] > 0).any()  # without a return: on the plane
