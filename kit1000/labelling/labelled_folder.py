@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter, TruthFile, TruthWriter
+from kit1000.dataset.mcap_io.writing import ShardWriter, record_checksum
 from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.dataset.reader import Dataset
 from kit1000.dataset.schema import Observation, SceneTruth
@@ -26,6 +27,29 @@ from kit1000.mesh import Mesh
 SPLIT = "test"
 TRACKS = ("snap-d415", "place-d415")  # where the folder names none
 ORIGIN = "own"  # value of `source` in the rows of shapes that a user gave
+
+
+class _Licensed(ShardWriter):
+    """A writer of recordings under the licence of the images: a user's own stay the user's."""
+
+    def __init__(self, path: Path, licence: str | None) -> None:
+        super().__init__(path)
+        self._licence = licence
+
+    def _record(self) -> dict[str, str]:
+        record = super()._record()
+        if self._licence is None:
+            return record
+        record["licence"] = self._licence
+        return record | {"checksum": record_checksum(record)}
+
+
+class _OwnObservations(_Licensed, ObservationWriter):
+    """Recordings of own images."""
+
+
+class _OwnTruths(_Licensed, TruthWriter):
+    """Recordings of the truth of own scenes."""
 
 
 def write_truth(root: Path, records: Mapping[str, LabelRecord]) -> list[str]:
@@ -51,7 +75,7 @@ def write_truth(root: Path, records: Mapping[str, LabelRecord]) -> list[str]:
         written |= {f"{name}.json": write_json(root / f"{name}.json", rows) for name, rows in tables.items()}
         without: list[str] = []
         for shard in sorted({shards[scene_id] for scene_id in records}):
-            hashes, missing = _write_shard(root, shard, made)
+            hashes, missing = _write_shard(root, shard, made, dataset.summary.get("licence"))
             written, without = written | hashes, without + missing
         without += [i for i, shard in shards.items() if not (root / f"{shard}.truth.mcap").is_file()]
         _write_summary(root, dataset.summary, written, tables)
@@ -59,7 +83,7 @@ def write_truth(root: Path, records: Mapping[str, LabelRecord]) -> list[str]:
 
 
 def _write_shard(
-    root: Path, shard: str, made: Mapping[str, tuple[Observation, SceneTruth]]
+    root: Path, shard: str, made: Mapping[str, tuple[Observation, SceneTruth]], licence: str | None
 ) -> tuple[dict[str, str], list[str]]:
     """Write both recordings of a shard anew; returns the SHA-256 of each, and the scenes without truth."""
     seen_path, truth_path = root / f"{shard}.mcap", root / f"{shard}.truth.mcap"
@@ -69,10 +93,10 @@ def _write_shard(
     observations = [made[i][0] if i in made else recorded.observation(i) for i in recorded.scene_ids]
     truths = [made[i][1] if i in made else known.truth(i) for i in recorded.scene_ids if i in made or i in had]  # type: ignore[union-attr]
     hashes = {}
-    with TruthWriter(truth_path) as truth_writer:
+    with _OwnTruths(truth_path, licence) as truth_writer:
         for truth in truths:
             truth_writer.add(truth)
-    with ObservationWriter(seen_path) as writer:
+    with _OwnObservations(seen_path, licence) as writer:
         for observation in observations:
             writer.add(observation)
     for path, one in ((seen_path, writer), (truth_path, truth_writer)):
@@ -109,6 +133,9 @@ def _write_summary(
     counts = {key: dict(value) for key, value in summary.get("counts", {}).items()}
     counts[SPLIT] = counts.get(SPLIT, {}) | {name: len(tables[name]) for name in ("parts", "assemblies")}
     plain = {key: value for key, value in summary.items() if key != "checksum"}
+    clearances = {row["clearance"] for row in tables["kits"].values()}
+    if len(clearances) == 1:  # which generated datasets tell too
+        plain["config"] = {"clearance": clearances.pop()} | summary["config"]
     plain |= {"counts": counts, "files": dict(summary.get("files", {})) | dict(written)}
     checksum = {"checksum": hashlib.sha256(json_bytes(plain)).hexdigest()} if "checksum" in summary else {}
     write_bytes(root / "dataset.json", json_bytes(plain | checksum))

@@ -11,6 +11,7 @@ import pytest
 from bench.quality.forgotten_truth import write_forgotten
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
+from kit1000.files import read_json, write_json
 from kit1000.labelling.labelled_folder import write_truth
 from kit1000.labelling.scene_truth import true_camera
 from kit1000.metrics import seatings
@@ -91,6 +92,19 @@ def test_bodies_without_a_shape_become_background(source: dict[str, str], tmp_pa
     assert [row["part_id"] for row in recorded.truth.parts] == ["tee"]
     assert np.array_equal(recorded.labels == 2, scene.image.labels == 3)
     assert {query.part for query in recorded.queries} == {0}
+
+
+def test_the_licence_of_the_images_stays(source: dict[str, str], tmp_path: Path) -> None:
+    root = own_folder(tmp_path)
+    summary = read_json(root / "dataset.json")
+    del summary["config"]["clearance"]
+    write_json(root / "dataset.json", summary | {"licence": "the user's own"})
+    write_truth(root, {SCENE: true_record(sample_scene(), source, PERSON)})
+    for name in ("test/0000.mcap", "test/0000.truth.mcap"):
+        data = (root / name).read_bytes()
+        assert b"the user's own" in data
+        assert b"CC-BY" not in data
+    assert Dataset(root).summary["config"]["clearance"] == CLEARANCE
 
 
 def test_scenes_without_confirmed_labels_are_named(source: dict[str, str], tmp_path: Path) -> None:
