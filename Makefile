@@ -1,5 +1,6 @@
 # Each target is one line that a person could type; what it needs is installed first, into $(VENV).
-# Works from a bare checkout with nothing but make and a Python of 3.10 or newer.
+# Works from a bare checkout with nothing but make and a Python: 3.11 or 3.10, for which all packages have wheels, or a
+# newer one and a C++ compiler.
 
 PRESET  = kit1000
 DATA    = data/$(PRESET)
@@ -48,7 +49,7 @@ help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z0-9-]+:.*## / { printf "  make %-12s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
 	@echo
 	@echo "  make dataset PRESET=tiny DATA=DIR WORKERS=N    another preset, folder, number of processes"
-	@echo "  make install PYTHON=python3.12                 another interpreter than the first that suits"
+	@echo "  make install PYTHON=python3.12                 another interpreter than 3.11, 3.10 or the first that suits"
 
 install: $(DEV) browser ## the environment alone: all commands then stand in .venv/bin
 
@@ -150,10 +151,10 @@ clean: ## remove the environment and all caches, never data
 # The environment. Without a stamp it is made from nothing; with one, pyproject.toml or a lock has changed since, and
 # pip brings it up to date.
 $(RUN): pyproject.toml requirements/run.txt
-	@if [ -e $(RUN) ] && $(BIN)/python -c 'import pip' 2>/dev/null; then rm -f $(RUN) $(DEV); else $(fresh); fi
+	@if [ -e $(RUN) ] && $(BIN)/python -c 'import pip' 2>/dev/null; then rm -f $(RUN) $(DEV); \
+	    else sh requirements/environment.sh "$(VENV)" "$(PYTHON)"; fi
 	@echo "installing what KIT1000 runs on into $(VENV)" >&2
-	@$(PIP) install --require-hashes -r requirements/run.txt
-	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@sh requirements/install.sh "$(BIN)/python"
 	@touch $(RUN)
 
 $(DEV): $(RUN) requirements/dev.txt
@@ -167,24 +168,6 @@ $(RERUN_VIEWER): $(RUN)
 	@echo "installing Rerun into $(VIEWERS)" >&2
 	@rm -rf $(VIEWERS)/bin && $(BIN)/python -m venv $(VIEWERS)
 	@$(VIEWERS)/bin/python -m pip --disable-pip-version-check --quiet install $(RERUN_SDK)
-
-# Takes the first interpreter that is new enough and can make an environment, and makes it.
-PYTHONS = $(if $(PYTHON),$(PYTHON),python3 python3.13 python3.12 python3.11 python3.10 python)
-define fresh
-	rm -rf $(VENV); found=; bare=; old=; \
-	for python in $(PYTHONS); do \
-	    version=$$($$python -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null) || continue; \
-	    $$python -c 'import sys; sys.exit(sys.version_info < (3, 10))' || { old="$$old $$python is $$version."; continue; }; \
-	    $$python -c 'import venv, ensurepip' 2>/dev/null || { bare=$$version; continue; }; \
-	    found=$$python; break; \
-	done; \
-	if [ -n "$$found" ]; then $$found -m venv $(VENV); \
-	elif [ -n "$$bare" ]; then \
-	    echo "Python $$bare lacks the venv module (Debian, Ubuntu: apt install python$$bare-venv)." >&2; exit 1; \
-	else \
-	    echo "KIT1000 needs Python 3.10 or newer.$$old Name one: make install PYTHON=/path/to/python3" >&2; exit 1; \
-	fi
-endef
 
 # Without a browser the tests of the pages are skipped and say so: it is no reason to stop.
 SUDO = $(shell [ "$$(id -u)" = 0 ] || echo sudo -n)

@@ -24,7 +24,6 @@ METHOD_TABLES = (
     "baselines.icp",
     "baselines.kitnet",
     *catalog.TABLES,
-    "baselines.measured_sensor",
     "baselines.snapnet",
     "baselines.transporter",
 )

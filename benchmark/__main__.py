@@ -67,6 +67,8 @@ class Score:
         from kit1000.files import write_bytes, write_own
 
         workers, cache = _workers(self.workers), _cache(self.cache, self.no_cache)
+        if self.out is None:
+            _check_scores(self.submission / "scores.json")
         submission = read_checked(self.submission, self.data, self.split)
         if warning := invalid_text(submission):
             print(f"{PROGRAM}: {warning}", file=sys.stderr)
@@ -252,6 +254,20 @@ def _cache(folder: Path | None, none: bool) -> ResultCache | None:
     if none and folder is not None:
         raise InputError("--cache and --no-cache: give one of them")
     return None if none else ResultCache(folder or user_cache("scores"))
+
+
+def _check_scores(path: Path) -> None:
+    """Raise InputError where a file holds anything but scores, which new ones may replace."""
+    from kit1000.files import read_json
+
+    if not path.is_file():
+        return
+    try:
+        known = read_json(path)
+    except InputError:
+        known = None
+    if not isinstance(known, dict) or "protocol" not in known:
+        raise InputError(f"{path}: is there already and of another origin: it stays; name another file by --out")
 
 
 def _workers(count: int) -> int:

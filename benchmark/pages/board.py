@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,8 @@ FAST, SLOW = 1.0, 10.0  # [s] per query: between the classes of runtime
 RUNTIMES = {"fast": "up to 1 s", "medium": "1 to 10 s", "slow": "over 10 s", "unknown": "not measured"}
 SORTED_BY = quantities.MSSD.key  # the column by which a table is sorted at first
 MEDIAN = " median"  # behind the key of a quantity: the column of its median
+REAL = "real"  # folder of the submissions about scenes that people recorded and labelled, and the name of their track
+REAL_TEXT = "Scenes of real cameras, labelled by people: printed kits, depth as recorded."
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +29,8 @@ class Board:
     """Entries by name of their folders; never empty."""
     unscored: tuple[str, ...]
     """Names of the submissions without scores."""
+    real: tuple[Entry, ...] = ()
+    """Entries on real scenes, which have a dataset of their own; their names begin with `real-`."""
 
     @property
     def setting(self) -> Mapping[str, Any]:
@@ -55,7 +59,13 @@ def read_board(submissions: Path) -> Board:
     entries = read_entries(submissions)
     if not entries:
         raise InputError(f"{submissions}: no scored submission (folders with manifest.toml and scores.json)")
-    return Board(entries, unscored(submissions))
+    return Board(entries, unscored(submissions), _read_real(submissions / REAL))
+
+
+def _read_real(folder: Path) -> tuple[Entry, ...]:
+    """The entries on real scenes; none until somebody sends some."""
+    entries = read_entries(folder) if folder.is_dir() else ()
+    return tuple(replace(entry, name=f"{REAL}-{entry.name}") for entry in entries)
 
 
 @dataclass(frozen=True)
@@ -113,7 +123,17 @@ class TrackTable:
 
 def track_tables(board: Board) -> list[TrackTable]:
     """A table for every track, also for those without a method."""
-    return [_table(board, track) for track in board.tracks]
+    return [*(_table(board.entries, track) for track in board.tracks), *_real_tables(board.real)]
+
+
+def _real_tables(entries: Sequence[Entry]) -> list[TrackTable]:
+    """A table for each track of the real scenes; an empty one where there are none."""
+    scored = [track for track in TRACKS if any(track in entry.scores["tracks"] for entry in entries)]
+    tables = [_table(entries, track) for track in scored]
+    described = [
+        replace(table, name=f"{REAL}-{table.name}", description=f"{REAL_TEXT} {table.description}") for table in tables
+    ]
+    return described or [TrackTable(REAL, f"{REAL_TEXT} None was sent yet.", 0, (), {})]
 
 
 def runtime_class(seconds: float | None) -> str:
@@ -123,8 +143,8 @@ def runtime_class(seconds: float | None) -> str:
     return "fast" if seconds <= FAST else "medium" if seconds <= SLOW else "slow"
 
 
-def _table(board: Board, track: str) -> TrackTable:
-    entries = [entry for entry in board.entries if track in entry.scores["tracks"]]
+def _table(every: Sequence[Entry], track: str) -> TrackTable:
+    entries = [entry for entry in every if track in entry.scores["tracks"]]
     scored = {entry.name: entry.scores["tracks"][track] for entry in entries}
     methods = [scored[entry.name] for entry in entries if not entry.manifest.control] or list(scored.values())
     ends = {quantity.key: scale_end(quantity, methods) for quantity in quantities.shown_in("interval")}

@@ -45,6 +45,9 @@ def build(submissions: Path, out: Path, data: Path | None = None, rescored: bool
     for entry in board.entries:
         files = {} if dataset is None else _write_pictures(dataset, entry, out)
         _write(out / "methods" / f"{entry.name}.html", pages, "method.html", _method(entry, files, dataset is not None))
+    for entry in board.real:
+        values = _method(entry, {}, False) | {"setting": entry.setting}
+        _write(out / "methods" / f"{entry.name}.html", pages, "method.html", values)
     _write(out / "table1.html", pages, "table1.html", {"table1": Markup(as_html(table_of(board.entries)))})
     _write(out / "index.html", pages, "index.html", _index(board))
 

@@ -102,8 +102,9 @@ class Edit(OwnImages):
     image: folder of the scene, beside which the edits lie."""
     sensor: Annotated[Literal["ideal", "d415"] | None, tyro.conf.arg(metavar="{ideal,d415}")] = None
     """Sensor of the depth image; ideal when absent, where the scene has it."""
-    snap: Annotated[str, tyro.conf.arg(metavar="METHOD")] = SNAP
-    """Method that proposes where parts fit: one of the catalog, module:Object of your own, or none."""
+    snap: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
+    """Method that proposes where parts fit: one of the catalog, module:Object of your own, or none; when absent,
+    registration, in own scenes with the networks that suit the noise of the camera."""
     interface: Literal["scene", "hand", "hand-bare"] = "scene"
     """Thing that you move: parts, or the robot's suction cup, one part at a time; bare: by gizmo, and nothing snaps."""
     port: OptionalInt = None
@@ -112,6 +113,8 @@ class Edit(OwnImages):
     """Further web addresses of the page, as behind a proxy or ssh -L with another port: http://localhost:9000."""
     truth: Flag = False
     """Show true shapes; the page and every line of the log say so."""
+    base_from_camera: OptionalPath = None
+    """JSON file with the camera's pose in the base of your robot, for moves.json; that of dataset.json when absent."""
 
     def run(self) -> int:
         """Serve the page until Ctrl-C."""
@@ -125,8 +128,8 @@ class Edit(OwnImages):
         find_own_modules()
         data, out = self._folders()
         scene, sensor = _chosen_scene(data, self.scene, self.sensor)
-        chosen = (data, scene, out, sensor, self.snap)
-        serve(Options(*chosen, self.port, self.truth, self.interface, self.origin))
+        chosen = (data, scene, out, sensor, self.snap or _default_method(data, sensor))
+        serve(Options(*chosen, self.port, self.truth, self.interface, self.origin, self.base_from_camera))
         return 0
 
     def _folders(self) -> tuple[Path, Path]:
@@ -154,6 +157,18 @@ def _chosen_scene(data: Path, scene: str | None, sensor: str | None) -> tuple[st
         raise InputError(f"{data}: has {len(ids)} scenes; choose one with --scene, such as {ids[0] if ids else 'none'}")
     chosen = scene or ids[0]
     return chosen, sensor or next(iter(dataset.recorded_scene(chosen, truth=False).sensors), "ideal")
+
+
+def _default_method(data: Path, sensor: str) -> str:
+    """The method that snaps where none is named: with the networks that suit an own camera, where torch is there."""
+    from kit1000.capture.mask_networks import networks_available
+    from kit1000.dataset.geometry import Geometry
+    from kit1000.perception.sensor_facts import SensorFacts, sensor_of
+
+    facts = sensor_of(Geometry(data).summary, sensor)
+    if not isinstance(facts, SensorFacts) or not networks_available():
+        return SNAP
+    return "registration-measured" if facts.noisy else "registration-completed"
 
 
 @dataclass(frozen=True)

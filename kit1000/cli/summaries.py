@@ -15,6 +15,8 @@ def summary_text(summary: dict) -> str:
     """The contents of a dataset.json as text."""
     if "own" in summary:
         return "\n".join(_own_lines(summary))
+    if "preset" not in summary:
+        return _own_scenes(summary)
     seed = "withheld" if summary["seed"] is None else summary["seed"]
     lines = [
         f"{summary['preset']}  {summary['dataset_id']}"
@@ -47,6 +49,14 @@ def _own_lines(summary: dict) -> Iterator[str]:
             f"noise {facts['noise_px']:.2f} px, recorded with fx {facts['focal_length']:.1f} px"
         )
     yield from (f"  {i}  {shown(source)}" for i, source in zip(scenes, summary["own"]["sources"], strict=True))
+
+
+def _own_scenes(summary: dict) -> str:
+    """The text of a dataset.json that no preset made, as of an own camera."""
+    clearance = summary.get("config", {}).get("clearance")
+    stated = "not stated" if clearance is None else f"{1e3 * clearance:g} mm"
+    scenes = sum(map(len, summary["shards"].values()))
+    return f"own scenes  {summary['dataset_id']}  ({scenes} scenes without ground truth, clearance {stated})"
 
 
 def _files_taken(summary: dict) -> list[str]:

@@ -6,6 +6,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+from kit1000.dataset.json_objects import JsonObject
 from kit1000.dataset.mesh_files import read_glb
 from kit1000.dataset.tables import Row, assembly_of, check_format, kit_of, part_of, slot_of
 from kit1000.errors import InputError
@@ -13,6 +14,8 @@ from kit1000.files import read_json
 from kit1000.mesh import Mesh
 from kit1000.values import Assembly, Kit, Part, Slot, TrueGeometry, Truth
 
+REPAIR = "add it, or make the dataset again"
+OBJECTS = ("config", "counts", "files", "shards")  # of dataset.json, by name
 CACHED = 1024  # parts, and as many assemblies, in memory: all of a training split; 0.2 MB and 3 ms of reading each
 
 
@@ -24,9 +27,13 @@ class Geometry:
         self.root = Path(root)
         if not (self.root / "dataset.json").is_file():
             raise InputError(f"{self.root}: no dataset ({self._missing()})")
-        self.summary: dict[str, Any] = read_json(self.root / "dataset.json")
-        version = self.summary.get("format") if isinstance(self.summary, dict) else None
+        summary = read_json(self.root / "dataset.json")
+        version = summary.get("format") if isinstance(summary, dict) else None
         check_format(version, f"{self.root}: dataset.json")
+        self.summary: dict[str, Any] = JsonObject(summary, f"{self.root}: dataset.json", REPAIR)
+        for name in OBJECTS:
+            if not isinstance(self.summary.get(name, {}), dict):
+                raise InputError(f"{self.root}: dataset.json: {name}: expected an object; {REPAIR}")
         self.part = lru_cache(maxsize=CACHED)(self._part)
         self.kit = lru_cache(maxsize=64)(self._kit)
         self.assembly = lru_cache(maxsize=CACHED)(self._assembly)
@@ -35,17 +42,17 @@ class Geometry:
     @cached_property
     def parts(self) -> dict[str, Row]:
         """Rows of the table `parts`, by id."""
-        return read_json(self.root / "parts.json")
+        return self._table("parts")
 
     @cached_property
     def kits(self) -> dict[str, Row]:
         """Rows of the table `kits`, by id, which is that of the part."""
-        return read_json(self.root / "kits.json")
+        return self._table("kits")
 
     @cached_property
     def assemblies(self) -> dict[str, Row]:
         """Rows of the table `assemblies`, by id."""
-        return read_json(self.root / "assemblies.json")
+        return self._table("assemblies")
 
     def true_geometry(self, truth: Truth) -> TrueGeometry:
         """The meshes and poses of a query's part and assembly, without its goals."""
@@ -53,6 +60,14 @@ class Geometry:
         mount = next(mount for mount in assembly.mounts if mount.kit.id == truth.part_id)
         world_from_assembly = truth.world_from_kit @ mount.assembly_from_kit.inverse()
         return TrueGeometry(self.part(truth.part_id).mesh, truth.world_from_part, assembly.mesh, world_from_assembly)
+
+    def _table(self, name: str) -> dict[str, Row]:
+        """A table; it is empty where nothing is known but images, as of an own camera."""
+        path = self.root / f"{name}.json"
+        rows = read_json(path)
+        if not isinstance(rows, dict) or not all(isinstance(row, dict) for row in rows.values()):
+            raise InputError(f"{path}: expected an object with a row for each id; {REPAIR}")
+        return JsonObject(rows, str(path), REPAIR)
 
     def _missing(self) -> str:
         if not self.root.is_dir():
@@ -79,8 +94,8 @@ class Geometry:
     def _row(self, table: str, item_id: str) -> Row:
         rows: dict[str, Row] = getattr(self, table)
         if item_id not in rows:
-            near = ", ".join(sorted(rows)[:3])
-            raise InputError(f"{self.root}: no {item_id!r} among {len(rows)} {table} ({near}, ...)")
+            near = f" ({', '.join(sorted(rows)[:3])}, ...)" if rows else ""
+            raise InputError(f"{self.root}: no {item_id!r} among {len(rows)} {table}{near}")
         return rows[item_id]
 
     def _mesh(self, kind: str, item_id: str) -> Mesh:

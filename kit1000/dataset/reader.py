@@ -31,6 +31,7 @@ from kit1000.values import Body, LabelledDepth, Query, Scene, Truth, View
 
 MAX_OPEN_FILES = 128  # open at once: all shards of the largest split, with their truth
 WITHHELD_FILE = "withheld.json"  # in the full folder of a withheld dataset: salt, commitment, id of the public one
+WITHOUT_TRUTH = "scenes without ground truth, as those of an own camera, cannot be scored, run or verified"
 CACHED_IMAGES = 4  # depth images with masks in memory: the queries of a scene share them
 
 
@@ -135,6 +136,13 @@ class Dataset:
         """A depth image of the primary camera with its masks; the last few are cached."""
         return self._labelled_depths(shard, scene_id, sensor)
 
+    def _why_no_truth(self) -> str:
+        """Why a file with truth may be missing, for a message."""
+        if "withheld" in self.summary:
+            return " (withheld from this folder)"
+        own = not any(self.root.glob("*/*.truth.mcap"))
+        return f": {WITHOUT_TRUTH}" if own else ""
+
     def _read_labelled_depth(self, shard: str, scene_id: str, sensor: str) -> LabelledDepth:
         file = self.observation_file(shard)
         labels = file.labels(scene_id)
@@ -144,8 +152,7 @@ class Dataset:
 
     def _open(self, kind: Callable[[Path], Any], name: str) -> Any:
         if not (self.root / name).is_file():
-            why = " (withheld from this folder)" if kind is TruthFile and "withheld" in self.summary else ""
-            raise InputError(f"{self.root}: no file {name}{why}")
+            raise InputError(f"{self.root}: no file {name}{self._why_no_truth() if kind is TruthFile else ''}")
         return kind(self.root / name)
 
 

@@ -18,6 +18,8 @@ from kit1000.editor.dragging import NAMES, Drag, Modifier, screen_axes
 from kit1000.editor.edited_queries import answered_queries
 from kit1000.editor.hand import BareHandWorkspace, HandWorkspace
 from kit1000.editor.keys import FINE_TURN_DEG, STEP_MM, TURN_DEG, Interface, verbs_of
+from kit1000.editor.moves import write_moves
+from kit1000.editor.picks import Pick, moves_of
 from kit1000.editor.pointing import Eye
 from kit1000.editor.proposals import takes_by_letting_go
 from kit1000.editor.records import EventLog, write_predictions_of
@@ -62,8 +64,13 @@ def exclusive(method: Method) -> Method:
 class Controller:
     """The editor of one scene."""
 
-    def __init__(self, scene: EditedScene, stage: Stage, log: EventLog, asker: Asker | None) -> None:
-        """Show the scene as the log has it, by the log's interface. asker: who answers guesses; None: nothing snaps."""
+    def __init__(
+        self, scene: EditedScene, stage: Stage, log: EventLog, asker: Asker | None, moves: bool = False
+    ) -> None:
+        """Show the scene as the log has it, by the log's interface.
+
+        asker: who answers guesses; None: nothing snaps. moves: whether moves.json is written beside the predictions.
+        """
         self.lock = threading.RLock()
         self.stage, self.log, self.asker = stage, log, asker
         self.space = INTERFACES[log.header.interface](scene, asker is not None)
@@ -74,6 +81,7 @@ class Controller:
         self.held = False
         """Whether nothing can be moved, as while a robot carries parts out."""
         self._drag: Drag | None = None
+        self._picks: dict[int, Pick] | None = {} if moves else None
         self.display.look("camera")
         self._adopt()
         stage.flush()
@@ -339,7 +347,11 @@ class Controller:
         space, header = self.space, self.log.header
         space.adopt(space.session)
         answered = answered_queries(space.scene.recorded.queries, header.sensor)
-        write_predictions_of(self.log.path.parent, space.scene.dataset, header, answered, space.session)
+        folder, dataset = self.log.path.parent, space.scene.dataset
+        write_predictions_of(folder, dataset, header, answered, space.session)
+        if self._picks is not None:
+            moves = moves_of(space.scene, space.session, space.pointing, self._picks)
+            write_moves(folder, dataset.id, header.key(), moves)
         self._ask()
         self.display.update()
 

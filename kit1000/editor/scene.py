@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from kit1000.dataset.pose_files import stated_pose
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.editor.edited_queries import editable_queries
 from kit1000.editor.part_on_plate import Cavities, TrueContacts
@@ -30,12 +31,20 @@ class EditedScene:
     """Whether true shapes are shown; without, no file with truth is opened."""
     queries: dict[int, Query]
     """A query without a guess for each part that can be edited, by index."""
+    base_from_camera: Pose | None = None
+    """The camera in the base of the user's robot, where it is stated."""
 
     @classmethod
-    def open(cls, dataset: Dataset, scene_id: str, sensor: str, truth: bool) -> EditedScene:
-        """A scene of the dataset's own list; raises InputError where there is none, or no part of it can be edited."""
+    def open(
+        cls, dataset: Dataset, scene_id: str, sensor: str, truth: bool, base_from_camera: Pose | None = None
+    ) -> EditedScene:
+        """A scene of the dataset's own list; raises InputError where there is none, or no part of it can be edited.
+
+        base_from_camera: None for that of dataset.json, if it states one.
+        """
         recorded = dataset.recorded_scene(scene_id, truth)
-        return cls(dataset, recorded, sensor, truth, editable_queries(recorded, sensor))
+        base = _stated_base(dataset) if base_from_camera is None else base_from_camera
+        return cls(dataset, recorded, sensor, truth, editable_queries(recorded, sensor), base)
 
     @property
     def parts(self) -> tuple[int, ...]:
@@ -113,6 +122,13 @@ class EditedScene:
     @cached_property
     def _contacts(self) -> TrueContacts:
         return TrueContacts(self.kits, self.meshes)
+
+
+def _stated_base(dataset: Dataset) -> Pose | None:
+    """base_from_camera of dataset.json; None where it states none."""
+    value = dataset.summary.get("config", {}).get("base_from_camera")
+    place = f"{dataset.root / 'dataset.json'}: config: base_from_camera"
+    return None if value is None else stated_pose(value, place)
 
 
 def _placed(mesh: Mesh, world_from_body: Pose) -> Mesh:

@@ -21,6 +21,7 @@ import viser
 import websockets.asyncio.server as websocket_server
 
 from kit1000.capture.own_folder import seen_table
+from kit1000.dataset.pose_files import read_pose
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
 from kit1000.editor.keys import Interface
@@ -55,19 +56,23 @@ class Options:
     interface: Interface = "scene"
     origins: tuple[str, ...] = ()
     """Further web addresses whose page may talk to the server, such as http://localhost:9000."""
+    base_from_camera: Path | None = None
+    """JSON file with the pose of the camera in the base of a robot, for moves.json."""
 
 
 @contextlib.contextmanager
 def editing(
-    options: Options, sink: Sink | None = None, header: Header | None = None
+    options: Options, sink: Sink | None = None, header: Header | None = None, moves: bool = False
 ) -> Iterator[tuple[Controller, str]]:
     """A page while the block runs: its controller and its address.
 
     sink: called with each event as the log has it, after it is written. header: of the log, where it says more.
+    moves: whether moves.json is written.
     """
     check_writable(options.out)
     dataset = Dataset(options.data)
-    scene = EditedScene.open(dataset, options.scene, options.sensor, options.truth)
+    base = None if options.base_from_camera is None else read_pose(options.base_from_camera)
+    scene = EditedScene.open(dataset, options.scene, options.sensor, options.truth, base)
     method = Method(options.snap, dataset.root, options.scene, options.sensor, options.truth)
     if options.snap != NO_SNAP:
         method.check()
@@ -79,7 +84,7 @@ def editing(
             table = seen_table(dataset.summary, options.scene)
             stage = ViserStage(server, options.interface, worker is not None, table)
             stage.say("head", head_text(header, camera_name(sensor_of(dataset.summary, options.sensor))))
-            controller = Controller(scene, stage, log, worker)
+            controller = Controller(scene, stage, log, worker, moves)
             stage.listen(controller)
             log.add("open")
             try:
@@ -94,7 +99,7 @@ def editing(
 
 def run(options: Options) -> None:
     """Serve the page until Ctrl-C."""
-    with editing(options) as (controller, address):
+    with editing(options, moves=True) as (controller, address):
         with contextlib.suppress(KeyboardInterrupt):
             print(f"{address}  (Ctrl-C ends; everything is saved in {options.out})", flush=True)
             wait_until_interrupted()

@@ -25,12 +25,13 @@ STAYS = "is there already and of another origin: it stays; choose another --out"
 def check_kit_folder(out: Path, names: Iterable[str], source: Path) -> None:
     """Raise InputError where a kit in a folder would replace the file of its part, or one that no earlier run wrote."""
     known = _known(out)
-    for name in (*names, REPORT):
-        path = out / name
+    paths = {name: out / name for name in (REPORT, *names)}  # the report first: it tells what the others are
+    for path in paths.values():
         if path.exists() and path.resolve() == source.resolve():
             raise InputError(
                 f"{path}: is the part itself, which a kit in this folder would replace; choose another --out"
             )
+    for name, path in paths.items():
         if path.exists() and not (_is_ours(path) if name == REPORT else sha256(path) in known.get(name, ())):
             raise InputError(f"{path}: {STAYS}")
 

@@ -14,6 +14,7 @@ from kit1000.files import json_bytes
 from kit1000.generation.card import card_bytes
 from kit1000.generation.card_statistics import add_up, part_statistics
 from kit1000.generation.croissant import croissant_bytes
+from kit1000.generation.library_versions import RECORD, library_versions
 from kit1000.generation.parts_and_kits import Record
 from kit1000.generation.plan import DATA_VERSION, dataset_id
 from kit1000.queries.tracks import SPLITS
@@ -84,6 +85,7 @@ def make_summary(plan: dict[str, Any], records: JobRecords, written: Mapping[str
             f"{shard_id}.mcap": record["scenes"] for shard_id, record in records.shards.items() if record["scenes"]
         },
         "files": records.files | dict(written),
+        RECORD: library_versions(),
     } | untried
 
 
@@ -93,9 +95,18 @@ def description_files(summary: dict[str, Any]) -> dict[str, bytes]:
 
 
 def summary_bytes(summary: Mapping[str, Any]) -> bytes:
-    """The bytes of `dataset.json`, with a checksum of its other entries."""
-    plain = {key: value for key, value in summary.items() if key != "checksum"}
-    return json_bytes(plain | {"checksum": hashlib.sha256(json_bytes(plain)).hexdigest()})
+    """The bytes of `dataset.json`, with a checksum of its other entries.
+
+    Versions of libraries have a checksum of their own: they are no part of what tells copies of a dataset apart.
+    """
+    plain = {key: value for key, value in summary.items() if key not in ("checksum", RECORD)}
+    made = {RECORD: _with_checksum(summary[RECORD])} if RECORD in summary else {}
+    return json_bytes(_with_checksum(plain) | made)
+
+
+def _with_checksum(entries: Mapping[str, Any]) -> dict[str, Any]:
+    plain = {key: value for key, value in entries.items() if key != "checksum"}
+    return plain | {"checksum": hashlib.sha256(json_bytes(plain)).hexdigest()}
 
 
 def refused_files(plan: Mapping[str, Any], records: Mapping[str, Record]) -> dict[str, str]:

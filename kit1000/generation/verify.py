@@ -9,10 +9,11 @@ from typing import Any
 from tqdm import tqdm
 
 from kit1000.dataset.geometry import Geometry
-from kit1000.dataset.reader import WITHHELD_FILE
+from kit1000.dataset.reader import WITHHELD_FILE, WITHOUT_TRUTH
 from kit1000.errors import InputError
 from kit1000.files import read_json, sha256
 from kit1000.generation.dataset_summary import summary_bytes
+from kit1000.generation.library_versions import library_versions, version_differences
 from kit1000.generation.plan import DATA_VERSION, dataset_id
 from kit1000.generation.rebuild import scene_differences
 from kit1000.generation.withhold import secret_fault
@@ -40,21 +41,35 @@ def verify(root: Path, sample: int = 0) -> VerifyReport:
     """Check all files of a dataset, and generate `sample` of its scenes again. Raises InputError for another folder."""
     geometry = Geometry(root)
     summary = geometry.summary
+    own = PLAN not in summary.get("files", {}) and "withheld" not in summary  # as of an own camera
+    if "checksum" not in summary:
+        fault = f"{INDEX}: has no checksum: nothing can be compared with what was written"
+        return VerifyReport(0, (), (fault,), (WITHOUT_TRUTH,) if own else ())
     if not _checksum_holds(root, summary):
         return VerifyReport(
             0, (), (f"{INDEX}: changed since it was written",), ("it lists all others: none was checked",)
         )
     count, faults = len(summary["files"]), _file_faults(root, summary)
-    if sample == 0:
-        return VerifyReport(count, (), tuple(faults))
+    if sample == 0 or own:
+        return VerifyReport(count, (), tuple(faults), (WITHOUT_TRUTH,) if own else ())
     reason = _why_not_rebuilt(root, summary, faults)
     if reason is not None:
         return VerifyReport(count, (), tuple(faults), (reason,))
     plan, scenes = read_json(root / PLAN), _sample_scenes(summary, sample)
-    for scene_id in tqdm(scenes, desc="generating scenes again", unit="", disable=None):
-        faults += [f"{scene_id}: {difference}" for difference in scene_differences(geometry, plan, scene_id)]
-    notes = ("parts are from mesh files: stored parts are used",) if "unit" in plan else ()
-    return VerifyReport(count, tuple(scenes), tuple(faults), notes)
+    notes = ["parts are from mesh files: stored parts are used"] if "unit" in plan else []
+    differences = [
+        f"{scene_id}: {difference}"
+        for scene_id in tqdm(scenes, desc="generating scenes again", unit="", disable=None)
+        for difference in scene_differences(geometry, plan, scene_id)
+    ]
+    others = version_differences(summary)
+    if differences and others:  # files are intact, and another library may well make other triangles
+        notes += [*differences, f"no faults, as it was made with other libraries: {'; '.join(others)}"]
+        differences = []
+    elif differences and others is None:
+        here = f"manifold3d {library_versions()['manifold3d']}"
+        notes.append(f"it does not say with which libraries it was made; another version than {here} may explain this")
+    return VerifyReport(count, tuple(scenes), (*faults, *differences), tuple(notes))
 
 
 def _why_not_rebuilt(root: Path, summary: dict[str, Any], faults: list[str]) -> str | None:
@@ -77,7 +92,7 @@ def _why_not_rebuilt(root: Path, summary: dict[str, Any], faults: list[str]) -> 
 def _checksum_holds(root: Path, summary: dict[str, Any]) -> bool:
     try:
         return (root / INDEX).read_bytes() == summary_bytes(summary)
-    except ValueError:  # an infinite number, as a changed digit can make
+    except (ValueError, AttributeError):  # an infinite number, as a changed digit can make, or no table of versions
         return False
 
 

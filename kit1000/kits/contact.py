@@ -101,9 +101,9 @@ def vertical_contact_offset(moving: ContactFeatures, fixed: ContactFeatures) -> 
     low, high = moving.vertices[:, :2].min(0), moving.vertices[:, :2].max(0)
     fixed = cropped(fixed, low, high)
     return max(
-        _highest_vertex_contact(moving.vertices, fixed.faces, 1.0),
-        _highest_vertex_contact(fixed.vertices, moving.faces, -1.0),
-        _highest_edge_contact(moving.edges, fixed.edges),
+        highest_vertex_contact(moving.vertices, fixed.faces, 1.0),
+        highest_vertex_contact(fixed.vertices, moving.faces, -1.0),
+        highest_edge_contact(moving.edges, fixed.edges),
     )
 
 
@@ -160,7 +160,7 @@ def _cell(x, x0, scale, count):
 
 
 @compiled
-def _highest_vertex_contact(points, faces, sign):
+def highest_vertex_contact(points, faces, sign):
     """max of sign * (face height - point height) over points above or below a face."""
     best = -np.inf
     x0, y0, sx, sy, nx, ny, first, shapes = _bins(points[:, :2], points[:, :2])
@@ -193,7 +193,7 @@ def _highest_vertex_contact(points, faces, sign):
 
 
 @compiled
-def _highest_edge_contact(moving, fixed):
+def highest_edge_contact(moving, fixed):
     """max of (fixed height - moving height) over the crossings of two sets of projected edges."""
     best = -np.inf
     low, high = np.empty((fixed.shape[0], 2)), np.empty((fixed.shape[0], 2))

@@ -44,7 +44,7 @@ def sure_refusal(part: Part, face: RestingFace, clearance: float) -> str | None:
     placed = part.mesh.moved(design)
     heights, corner = lower_envelope(placed, cell, clearance + MOST_LEAN * depth + 4 * cell)
     tops = -grown(np.maximum(-heights, 0.0), reach)
-    points = _points(part.mesh, step)
+    points = surface_points(part.mesh, step)
     for name, pose in wrong_poses_about(design, clearance):
         moved = pose.apply(points)
         axis = (pose @ design.inverse()).rotate(np.array([0.0, 0.0, 1.0]))
@@ -66,7 +66,7 @@ def _may_be_goal(design: Mesh, other: Mesh, depth: float) -> bool:
 
 
 @lru_cache(maxsize=4)
-def _points(mesh: Mesh, step: float) -> np.ndarray:
+def surface_points(mesh: Mesh, step: float) -> np.ndarray:
     """(n, 3) [m] points on a mesh: every point of it is within a step of one of them."""
     return _spread(mesh.triangles, step)
 

@@ -10,6 +10,7 @@ from kit1000.errors import InputError
 from kit1000.sim.sensors import SENSORS, Sensor
 
 D415 = SENSORS["d415"]
+REAL_NOISE = 0.12  # [px] noise and bending: the simulated d415 stays below, public images of D400 cameras above
 KEY = "sensors"
 """Key of dataset.json: facts by the key of the view; absent from generated datasets."""
 
@@ -34,6 +35,11 @@ class SensorFacts:
     """raw: the image of its own left imager, with the invalid depth band; aligned: another camera's."""
     simulated_table: bool = True
     """Whether the table is that of generated scenes, 1.2 m x 1.6 m about the origin."""
+
+    @property
+    def noisy(self) -> bool:
+        """Whether networks for the noise of real stereo cameras suit it better than those for the simulated d415."""
+        return self.noise_px >= REAL_NOISE
 
     def as_row(self) -> dict[str, Any]:
         """The facts as a JSON value."""

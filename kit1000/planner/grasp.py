@@ -8,6 +8,7 @@ no part here has so wide a flat top.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,16 +60,27 @@ def find_grasps(image: LabelledDepth, part: int, flatness: float = FLATNESS) -> 
 
     image: as seen. part: index of the part. flatness: [m] that seen heights may deviate from a plane.
     """
+    return [grasp for grasps in _grasps_by_cup(image, part, flatness) for grasp in grasps]
+
+
+def best_grasp(image: LabelledDepth, part: int, flatness: float = FLATNESS) -> Grasp | None:
+    """The first grasp of `find_grasps`; None where no cup seals."""
+    return next((grasps[0] for grasps in _grasps_by_cup(image, part, flatness) if grasps), None)
+
+
+def _grasps_by_cup(image: LabelledDepth, part: int, flatness: float) -> Iterator[list[Grasp]]:
+    """The grasps of each cup, larger cups first."""
     view, mask = image.view, image.labels == FIRST_PART_LABEL + part
     rows, columns = np.nonzero(mask & (view.depth > 0))
     if len(rows) == 0:
-        return []
+        return
     pixels = np.stack([columns, rows], axis=-1)
     points = view.world_from_camera.apply(view.camera.unproject_pixels(pixels, view.depth[rows, columns]))
     middle = (points[:, :2].min(0) + points[:, :2].max(0)) / 2
     _, first = np.unique(np.round(points / CANDIDATE_SPACING).astype(np.int64), axis=0, return_index=True)
     candidates = points[np.sort(first)]
-    return [grasp for cup in CUPS for grasp in _grasps_of_cup(image, mask, candidates, middle, cup, flatness)]
+    for cup in CUPS:
+        yield _grasps_of_cup(image, mask, candidates, middle, cup, flatness)
 
 
 def _grasps_of_cup(

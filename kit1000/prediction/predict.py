@@ -22,7 +22,7 @@ from tqdm import tqdm
 from kit1000.dataset.reader import Dataset
 from kit1000.engines import local_engine
 from kit1000.engines.cores import usable_cores
-from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean, failure_text
+from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean, failure_text, shown
 from kit1000.files import check_writable
 from kit1000.prediction.catalog import TABLES, Method
 from kit1000.prediction.journal import Journal
@@ -203,6 +203,9 @@ def _earlier_submission(out: Path, new: Manifest) -> Submission | None:
     """
     if not out.exists() or not any(out.iterdir()):
         return None
+    if not (out / "manifest.toml").is_file():
+        first = shown(min(entry.name for entry in out.iterdir()))
+        raise InputError(f"{out}: holds {first}, but no submission; choose another --out")
     earlier = read_submission(out)
     old = earlier.manifest
     for what, theirs, ours in (("method", old.method, new.method), ("dataset", old.dataset_id, new.dataset_id)):
@@ -286,7 +289,7 @@ def _command(config: RunConfig, dataset: Dataset, out: Path) -> str:
     words += ["--tracks", *config.tracks] if config.tracks else []
     words += ["--seed", str(config.seed)] if config.seed else []
     words += ["--limit", str(config.limit)] if config.limit is not None else []
-    words += ["--data", f"data/{dataset.summary['preset']}", "--out", f"submissions/{out.name}"]
+    words += ["--data", f"data/{dataset.summary.get('preset', dataset.root.name)}", "--out", f"submissions/{out.name}"]
     return shlex.join(words)
 
 

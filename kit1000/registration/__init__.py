@@ -7,7 +7,7 @@ Read it in the order of the method: `inputs` (volumes of the part and the kits, 
 """
 
 from kit1000.prediction.catalog import Method
-from kit1000.weights import WEIGHTS
+from kit1000.weights import MEASURED, WEIGHTS
 
 METHODS = {
     "registration": Method(
@@ -28,6 +28,20 @@ METHODS = {
             "noisy_completion": WEIGHTS / "completion-d415",
             "restoration": WEIGHTS / "restoration",
         },
+    ),
+    "registration-measured": Method(
+        "kit1000.registration.proposed_fits:CompletingRegistration",
+        "registration-completed with networks trained on the noise of real stereo cameras",
+        label="Registration, networks of the measured sensor",
+        options={"source": "depth"},
+        learned=True,
+        training_data="40,000 and 30,000 sampled parts and views of split train, as seen by the measured sensor",
+        weights={
+            "completion": WEIGHTS / "completion",
+            "noisy_completion": MEASURED / "completion-d415",
+            "restoration": MEASURED / "restoration",
+        },
+        mask_weights=MEASURED,
     ),
     "registration-three": Method(
         "kit1000.registration.proposed_fits:ProposingRegistration",

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.perception.heights.labelled_views import LabelledViews
+from kit1000.perception.observed.parts import ObservedPart
 from kit1000.perception.restoration import restored_query
 from kit1000.perception.sensor_facts import sensor_of
 from kit1000.pose import Pose
@@ -19,11 +20,12 @@ from kit1000.predictor import PredictedMotion
 from kit1000.queries.pivots import part_pivots
 from kit1000.registration.choice.assignment import assigned
 from kit1000.registration.choice.confidence import confidence
-from kit1000.registration.choice.fits import Fit, lead, ranked
+from kit1000.registration.choice.fits import Fit, lead, least_misfit, ranked
 from kit1000.registration.choice.from_evidence import register_certain
 from kit1000.registration.choice.from_filled_part import register_columns
 from kit1000.registration.inputs.shared_image import SharedImage
 from kit1000.registration.inputs.volume_sources import DepthSource, TrueSource
+from kit1000.registration.search.effort import affordable
 from kit1000.values import FIRST_PART_LABEL, Query, TrueGeometry
 
 if TYPE_CHECKING:
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
     from kit1000.perception.restoration.restorer import Restorer
 
 SOURCES = ("depth", "columns", "truth")
+UNKNOWN = (0.25e-3, 0.5e-3, 1e-3, 2.5e-3)  # [m] clearances that are tried where the dataset states none
+LARGEST = 0.1  # [m] of a clearance that is stated: a larger one was written in mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +46,7 @@ class Registration:
     """depth: the query's image and masks, by what they make certain; columns: the same, with the part filled down to
     the table; truth: the true geometry."""
     clearances: tuple[float, ...] = ()
-    """[m] to try, of which the best fit counts; by default the one that the dataset states."""
+    """[m] to try, of which the best fit counts; by default the one that the dataset states, or UNKNOWN."""
     completion: Path | None = None
     """Stem of the weights of a network that completes the part; None fills columns."""
     noisy_completion: Path | None = None
@@ -104,9 +108,11 @@ class Registration:
         return query.sensor if self.restorer is None or query.sensor == "ideal" else "restored"
 
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
-        """All fits at all clearances, the best first."""
+        """All fits, the best first; where no clearance is stated, those from depth are at the one that fits best."""
         if self.source == "depth":
             image = SharedImage(query.image, sensor_of(self.dataset.summary, query.sensor), self.restorer)
+            if not self.clearances and len(self._clearances) > 1:
+                return self._fits_at_best_clearance(query, image)
             fits = self.certain_fits(query, image)
             if query.guess is not None or self.clearances:
                 return fits
@@ -117,16 +123,33 @@ class Registration:
         filled = DepthSource(query) if self.source == "columns" else _true_source(query, geometry)
         return ranked(chain.from_iterable(register_columns(filled, query, c) for c in self._clearances))
 
-    @property
+    @cached_property
     def _clearances(self) -> tuple[float, ...]:
         """[m] to try."""
-        return self.clearances or (self.dataset.summary["config"]["clearance"],)
+        return self.clearances or stated_clearances(self.dataset)
 
     def certain_fits(self, query: Query, image: SharedImage, thorough: bool = True) -> list[Fit]:
         """All fits by what the image makes certain. thorough: further candidates are refined while none fits well."""
+        source = self._source(query, image)
+        further = thorough and len(self._clearances) == 1  # at a wrong clearance every fit is doubtful
+        return ranked(chain.from_iterable(register_certain(source, source.query, c, further) for c in self._clearances))
+
+    def _fits_at_best_clearance(self, query: Query, image: SharedImage) -> list[Fit]:
+        """The fits at the clearance whose best fit has the least misfit; at that one further candidates are refined."""
+        source = self._source(query, image)
+        quick = {c: register_certain(source, source.query, c, further=False) for c in self._clearances}
+        best = min(quick, key=lambda clearance: least_misfit(quick[clearance]))
+        fits = ranked(register_certain(source, source.query, best))
+        if query.guess is not None:
+            return fits
+        others = (self._source(other, image) for other in _other_parts(query))
+        return assigned(fits, (register_certain(o, o.query, best, further=False) for o in others), self._kind(query))
+
+    def _source(self, query: Query, image: SharedImage) -> DepthSource:
+        """What registration reads of a query, calibrated and restored."""
         kind = self._kind(query)
         query = replace(query, read_image=lambda: image.restored(FIRST_PART_LABEL + query.part))
-        source = DepthSource(
+        return DepthSource(
             query,
             self.completer(query.sensor),
             measured=None if kind == "ideal" else image.measured,
@@ -134,8 +157,19 @@ class Registration:
             restored=kind == "restored",
             cavities=image.cavities,
         )
-        further = thorough and len(self._clearances) == 1  # at a wrong clearance every fit is doubtful
-        return ranked(chain.from_iterable(register_certain(source, query, c, further) for c in self._clearances))
+
+
+def stated_clearances(dataset: Dataset) -> tuple[float, ...]:
+    """[m] the clearance that a dataset states, or UNKNOWN; raises InputError where it is no length."""
+    stated = dataset.summary.get("config", {}).get("clearance")
+    if stated is None:
+        return UNKNOWN
+    if isinstance(stated, bool) or not isinstance(stated, int | float) or not 0 < stated < LARGEST:
+        raise InputError(
+            f"{dataset.root}: dataset.json: config: clearance: expected metres, such as 0.0025, or none where it is "
+            f"not known, got {stated!r}"
+        )
+    return (stated,)
 
 
 @lru_cache(maxsize=2)  # for exact and for noisy images
@@ -147,10 +181,13 @@ def _completer(stem: Path) -> PartCompleter:
 
 
 def _other_parts(query: Query) -> Iterator[Query]:
-    """The query about each other part of its image."""
-    for part, pivot in part_pivots(query.view, query.image.labels).items():
-        if part != query.part:
-            yield replace(query, part=part, pivot=pivot)
+    """The query about each other part of its image, as far as they are affordable."""
+    pivots = part_pivots(query.view, query.image.labels) | {query.part: query.pivot}
+    seen = {part: ObservedPart(query.image, FIRST_PART_LABEL + part, pivot) for part, pivot in pivots.items()}
+    half_widths = {part: each.half_width for part, each in seen.items()}
+    own = half_widths.pop(query.part)
+    for part in affordable(half_widths, own):
+        yield replace(query, part=part, pivot=pivots[part])
 
 
 def _true_source(query: Query, geometry: TrueGeometry | None) -> TrueSource:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,6 +45,8 @@ def check(path: str | Path, data: str | Path | None = None, split: str = "test")
     expected = None if data is None else _read_expected(Path(data), split, rows)
     if manifest is not None and expected is not None:
         form.add(_dataset_faults(manifest, expected, path / manifests.FILE))
+    elif expected is not None:
+        form.kept = [_naming_dataset(fault, expected) for fault in form.kept]
     if rows is not None:
         listed_tracks = None if manifest is None else manifest.tracks
         if expected is None:
@@ -99,6 +102,12 @@ def _is_folder(path: Path) -> bool:
         return path.is_dir()
     except (OSError, ValueError, RuntimeError):  # a loop of links, a NUL in the path
         return False
+
+
+def _naming_dataset(fault: Fault, expected: ExpectedQueries) -> Fault:
+    """The fault; where the id of the dataset is to be added, with the id itself."""
+    example = f"dataset_id = {manifests.EXAMPLES['dataset_id']}"
+    return replace(fault, repair=fault.repair.replace(example, f'dataset_id = "{expected.dataset_id}"'))
 
 
 def _dataset_faults(manifest: Manifest, expected: ExpectedQueries, path: Path) -> list[Fault]:

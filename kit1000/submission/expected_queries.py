@@ -95,6 +95,8 @@ def _read_queries(root: Path, checksum: str | None, split: str, folders: tuple[s
     dataset = Dataset(root)
     pairs = list(_iterate_queries(dataset, folders))
     queries = [query for _, query in pairs]
+    if not queries:
+        raise InputError(f"{root}: no query of split {split}: dataset.json lists its scenes in 'shards'")
     pivots = np.array([query.pivot for query in queries]).reshape(-1, 3)
     guessed_positions, guessed_rotations = _read_guesses(queries, pivots)
     required = [_is_required(query_split, query, split) for query_split, query in pairs]

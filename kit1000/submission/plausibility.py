@@ -17,8 +17,10 @@ from kit1000.submission.rows import Rows
 if TYPE_CHECKING:
     from kit1000.submission.expected_queries import ExpectedQueries
 
-MILLIMETRES = 10.0  # [m] median length of a position above which it is in millimetres; correct ones: 0.3 m
-CENTIMETRES = 2.0  # [m] the same for centimetres
+UNITS = {"millimetres": 1e-3, "centimetres": 1e-2, "inches": 0.0254}  # [m]
+DOUBTFUL = 2.0  # [m] median length of a position above which it is probably not in metres; correct ones: 0.3 m
+IMPOSSIBLE = 10.0  # [m] the same, certainly
+MILLIMETRES = 95.0  # the same above which it is rather in millimetres than in centimetres
 LARGEST_LENGTH = 1e9  # positions beyond are left out
 LEAST_ROWS = 10  # for a comparison with guesses
 LEAST_ROWS_ALONE = 20  # for statistics without guesses
@@ -39,7 +41,7 @@ def plausibility_faults(rows: Rows, expected: ExpectedQueries | None, rotation_o
     faults = _angle_faults(rows, norm)
     if len(wxyz) == 0:
         return faults
-    unit, scale = (None, 1.0) if rotation_only else _unit_fault(xyz)
+    unit, scale = (None, 1.0) if rotation_only else _unit_fault(wxyz, xyz, expected, index)
     guesses = None if expected is None or index is None else expected.guessed_rotations[index]
     order = _order_fault(wxyz, guesses)
     faults += [_fault(rows, *details) for details in (unit, order) if details]
@@ -78,15 +80,25 @@ def _angle_faults(rows: Rows, norm: np.ndarray) -> list[Fault]:
     return [_fault(rows, "angles-suspected", actual, "unit quaternions, scalar first", repair, "error")]
 
 
-def _unit_fault(xyz: np.ndarray) -> tuple[FaultDetails | None, float]:
-    """A fault of the unit of the positions, and the unit in metres."""
+def _unit_fault(
+    wxyz: np.ndarray, xyz: np.ndarray, expected: ExpectedQueries | None, index: np.ndarray | None
+) -> tuple[FaultDetails | None, float]:
+    """A fault of the unit of the positions, and the unit in metres: that in which most parts lie in their kits."""
     median = float(np.median(np.linalg.norm(xyz, axis=1)))
-    for limit, unit, scale in ((MILLIMETRES, "millimetres", 1e-3), (CENTIMETRES, "centimetres", 1e-2)):
-        if median > limit:
-            actual = f"the median length of x, y, z is {median:.4g}, probably {unit}"
-            severity = "error" if limit == MILLIMETRES else "warning"
-            return (f"{unit}-suspected", actual, "metres", f"multiply x, y, z by {scale:g}", severity), scale
-    return None, 1.0
+    if median <= DOUBTFUL:
+        return None, 1.0
+    likely = "millimetres" if median > MILLIMETRES else "centimetres"
+
+    def plausibility(unit: str) -> tuple[float, bool]:
+        sample = None
+        if expected is not None and index is not None:
+            sample = sample_of(expected, index, Pose(wxyz, xyz * UNITS[unit]))
+        return (0.0 if sample is None else sample.share(sample.motions.apply(sample.pivots))), unit == likely
+
+    unit = max(UNITS, key=plausibility)
+    actual = f"the median length of x, y, z is {median:.4g}, probably {unit}"
+    severity = "error" if median > IMPOSSIBLE else "warning"
+    return (f"{unit}-suspected", actual, "metres", f"multiply x, y, z by {UNITS[unit]:g}", severity), UNITS[unit]
 
 
 def _order_fault(wxyz: np.ndarray, guesses: np.ndarray | None) -> FaultDetails | None:

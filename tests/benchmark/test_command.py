@@ -42,6 +42,21 @@ def perfect(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Submi
     return read_submission(folder)
 
 
+def test_a_file_that_holds_no_scores_stays(
+    perfect: Submission, dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = shutil.copytree(perfect.folder, tmp_path / "mine")
+    words = ["score", str(folder), "--data", str(dataset.root), "--no-cache", "--exact", "never"]
+    for text in ("my notes", "[1]", '{"my": "numbers"}'):
+        (folder / "scores.json").write_text(text)
+        assert main(words) == 2
+        assert "scores.json: is there already and of another origin: it stays" in capsys.readouterr().err
+        assert (folder / "scores.json").read_text() == text
+    (folder / "scores.json").write_text('{"protocol": "of last year"}')
+    assert main(words) == 0
+    assert "tracks" in json.loads((folder / "scores.json").read_text())
+
+
 def test_the_command_writes_the_scores_and_a_row_per_query(
     perfect: Submission, dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -48,12 +48,11 @@ def test_each_file_gets_a_kit_and_a_bad_one_a_reason(tmp_path: Path, monkeypatch
 def test_the_command_takes_many_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     paths = [str(write_stl(tmp_path / f"{name}.stl", l_shape(size))) for name, size in (("one", 40), ("two", 50))]
     (tmp_path / "text.stl").write_text("no mesh")
-    line = ["kit", *paths, "--out", str(tmp_path / "out"), "--no-preview", "--workers", "1", "--unit", "mm"]
-    assert main(line) == 0
-    assert main([*line, "--bodies", "each"]) == 0
-    assert (tmp_path / "out/one/01/kit.stl").is_file()
+    line = ["--no-preview", "--workers", "1", "--unit", "mm"]
+    assert main(["kit", *paths, "--out", str(tmp_path / "each"), *line, "--bodies", "each"]) == 0
+    assert (tmp_path / "each/one/01/kit.stl").is_file()
     capsys.readouterr()
-    assert main(["kit", str(tmp_path / "text.stl"), *line[1:]]) == 1
+    assert main(["kit", str(tmp_path / "text.stl"), *paths, "--out", str(tmp_path / "out"), *line]) == 1
     out, err = capsys.readouterr()
     assert out.count("files      ") == 2
     assert "text.stl: not a mesh: text file" in err

@@ -22,6 +22,7 @@ from kit1000.files import json_bytes, read_json
 from kit1000.generation import rebuild
 from kit1000.generation.build import generate
 from kit1000.generation.dataset_summary import summary_bytes
+from kit1000.generation.library_versions import library_versions, version_differences
 from kit1000.generation.rebuild import (
     observation_differences,
     preview_differences,
@@ -132,6 +133,52 @@ def replace_file(root: Path, name: str, data: bytes) -> None:
     summary = read_json(root / "dataset.json")
     summary["files"][name] = sha256(data).hexdigest()
     (root / "dataset.json").write_bytes(summary_bytes(summary))
+
+
+def recorded_as(root: Path, made_with: dict[str, str] | None) -> Path:
+    """The dataset as if it had been made with other versions of libraries; None: as if it did not say."""
+    summary = {key: value for key, value in read_json(root / "dataset.json").items() if key != "made_with"}
+    (root / "dataset.json").write_bytes(summary_bytes(summary | ({"made_with": made_with} if made_with else {})))
+    return root
+
+
+def test_versions_of_libraries_are_recorded_outside_identity(copy: Path) -> None:
+    before = read_json(copy / "dataset.json")
+    assert version_differences(before) == []
+    assert {"python", "manifold3d", "numpy", "scipy", "pybullet"} < set(before["made_with"])
+    recorded_as(copy, before["made_with"] | {"manifold3d": "3.2.0", "python": "3.9.0"})
+    after = read_json(copy / "dataset.json")
+    assert (after["dataset_id"], after["checksum"]) == (before["dataset_id"], before["checksum"])
+    assert version_differences(after) == [f"manifold3d 3.2.0, here {before['made_with']['manifold3d']}"]
+    assert is_intact(copy)
+
+
+def test_differences_are_no_faults_where_another_library_explains_them(
+    copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("kit1000.generation.verify.scene_differences", lambda *_: ["part: other triangles"])
+    made_with = read_json(copy / "dataset.json")["made_with"]
+    assert len(verify(copy, 1).faults) == 1
+    report = verify(recorded_as(copy, made_with | {"manifold3d": "3.2.0"}), 1)
+    assert report.faults == ()
+    assert report.notes[0].endswith(": part: other triangles")
+    assert "manifold3d 3.2.0, here " in report.notes[1]
+    flip_bit(copy / "parts.json", 40)
+    assert verify(copy, 1).faults == ("parts.json: changed since it was written",)
+
+
+def test_differences_of_a_dataset_without_versions_are_faults_with_a_note(
+    copy: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("kit1000.generation.verify.scene_differences", lambda *_: ["part: other triangles"])
+    report = verify(recorded_as(copy, None), 1)
+    assert len(report.faults) == 1
+    assert "another version than manifold3d " in report.notes[0]
+    here = library_versions() | {"manifold3d": "3.4.1"}
+    monkeypatch.setattr("kit1000.generation.library_versions.library_versions", lambda: here)
+    report = verify(copy, 1)
+    assert report.faults == ()
+    assert "manifold3d 3.5, here 3.4.1" in report.notes[1]
 
 
 def without_tolerance(patch: pytest.MonkeyPatch) -> None:

@@ -31,7 +31,7 @@ LAYERS = (
     ("queries", "dataset", "predictor", "submission"),
     ("perception", "prediction.catalog", "registration", "prediction"),
     ("pictures", "export", "generation", "capture"),
-    ("planner", "editor", "study", "testing"),
+    ("planner", "labelling", "editor", "study", "testing"),
     ("cli", "", "__main__"),  # "" is the package itself, which hands out names of all the others
     ("benchmark",),
     ("baselines",),

@@ -105,6 +105,6 @@ def test_what_a_file_loads_is_known_without_loading_it() -> None:
 def test_an_unknown_area_is_answered_with_the_known_ones() -> None:
     done = subprocess.run(["make", "-n", "test", "AREA=kit"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert re.fullmatch(r".*no tests of kit: AREA is one of .*\bkits metrics\b.*\n", done.stderr)
+    assert re.fullmatch(r".*no tests of kit: AREA is one of .*\bkits labelling metrics\b.*\n", done.stderr)
     known = done.stderr.partition("one of ")[2].rstrip(". Stop\n").split()
     assert known == FOLDERS

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import maximum_filter
 
-from kit1000.kits.contact import _highest_edge_contact, _highest_vertex_contact
+from kit1000.kits.contact import highest_edge_contact, highest_vertex_contact
 from kit1000.kits.envelope import grown
 
 
@@ -29,15 +29,15 @@ def test_contacts_are_those_of_every_pair_tried_alone(count: int, size: float, r
         return np.round(found, 2) if rounded else found  # many coordinates are then equal
 
     moving, fixed, faces = shapes(2), shapes(2), shapes(3)
-    alone = max(_highest_edge_contact(a[None], b[None]) for a in moving for b in fixed)
-    assert _highest_edge_contact(moving, fixed) == alone
+    alone = max(highest_edge_contact(a[None], b[None]) for a in moving for b in fixed)
+    assert highest_edge_contact(moving, fixed) == alone
     points = np.concatenate([moving.reshape(-1, 3), faces.reshape(-1, 3)])
     for sign in (1.0, -1.0):
-        alone = max(_highest_vertex_contact(point[None], face[None], sign) for point in points for face in faces)
-        assert _highest_vertex_contact(points, faces, sign) == alone
+        alone = max(highest_vertex_contact(point[None], face[None], sign) for point in points for face in faces)
+        assert highest_vertex_contact(points, faces, sign) == alone
 
 
 def test_nothing_touches_nothing() -> None:
     none, one = np.zeros((0, 2, 3)), np.zeros((1, 2, 3))
-    assert _highest_edge_contact(none, one) == _highest_edge_contact(one, none) == -np.inf
-    assert _highest_vertex_contact(np.zeros((0, 3)), np.zeros((1, 3, 3)), 1.0) == -np.inf
+    assert highest_edge_contact(none, one) == highest_edge_contact(one, none) == -np.inf
+    assert highest_vertex_contact(np.zeros((0, 3)), np.zeros((1, 3, 3)), 1.0) == -np.inf

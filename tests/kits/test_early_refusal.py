@@ -11,7 +11,7 @@ from manifold3d import Manifold
 from kit1000.errors import Redraw
 from kit1000.kits.acceptance import check_pair
 from kit1000.kits.choice import attempts
-from kit1000.kits.early_refusal import _points, sure_refusal
+from kit1000.kits.early_refusal import sure_refusal, surface_points
 from kit1000.kits.kit import design_kit, insertion_faces
 from kit1000.parts.family import FILE
 from kit1000.values import Part
@@ -73,7 +73,7 @@ def test_procedural_parts_are_never_refused_early() -> None:
 def test_every_point_of_a_surface_is_within_a_step_of_a_point_that_stands_for_it() -> None:
     mesh, rng = as_part(random_solid(3)).mesh, np.random.default_rng(5)
     step = 1e-3
-    points = _points(mesh, step)
+    points = surface_points(mesh, step)
     shares = rng.dirichlet((1, 1, 1), (len(mesh.faces), 20))
     surface = np.einsum("fkc,fci->fki", shares, mesh.triangles).reshape(-1, 3)
     nearest = [np.sqrt(((points - point) ** 2).sum(1).min()) for point in surface]

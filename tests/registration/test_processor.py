@@ -58,6 +58,7 @@ for seed in range(40):
         "returned": rng.random(shape) < 0.9,
         "labels": rng.integers(0, 3, shape, np.uint8),
         "slope": rng.normal(0, 0.02, 2).astype(np.float32),
+        "level": rng.uniform(0, 0.3, 1).astype(np.float32),
     }
     print(sha256(restorer.likeliest(evidence, (slice(0, shape[0]), slice(0, shape[1]))).tobytes()).hexdigest())
 data = Dataset(Path(sys.argv[1]))

@@ -118,10 +118,12 @@ def header_of(scene: EditedScene, snap: str = "a:b", interface: Interface = "sce
     return Header(scene.dataset.id, scene.recorded.id, scene.sensor, scene.truth, snap, interface)
 
 
-def desk(scene: EditedScene, out: Path, snaps: bool = True, interface: Interface = "scene") -> Desk:
+def desk(
+    scene: EditedScene, out: Path, snaps: bool = True, interface: Interface = "scene", moves: bool = False
+) -> Desk:
     stage, asker = FakeStage(), FakeAsker()
     log = EventLog(out, header_of(scene, interface=interface), sink=stage.events.append)
-    return Desk(Controller(scene, stage, log, asker if snaps else None), stage, asker, log)
+    return Desk(Controller(scene, stage, log, asker if snaps else None, moves), stage, asker, log)
 
 
 def goal(scene: EditedScene, part: int) -> Pose:

@@ -215,7 +215,7 @@ def test_implausible_rows_are_suspected(tmp_path: Path) -> None:
     for wxyz, xyz, name in (
         (q, t, None),
         (q, t * 1e3, "millimetres-suspected"),
-        (q, t * 1e2, "millimetres-suspected"),
+        (q, t * 1e2, "centimetres-suspected"),
         (q, t * 10, "centimetres-suspected"),
         (np.roll(q, -1, axis=1), t, "scalar-last-suspected"),
         (np.tile([0.0, 0, 0, 1], (100, 1)), t, "scalar-last-suspected"),

@@ -236,6 +236,8 @@ def pivots(mini: Path, truth: Predictions) -> np.ndarray:
 
 MISTAKES: dict[str, Callable[[Pose, np.ndarray], Pose]] = {
     "millimetres-suspected": lambda p, pivots: Pose(p.wxyz, p.xyz * 1e3),
+    "centimetres-suspected": lambda p, pivots: Pose(p.wxyz, p.xyz * 1e2),
+    "inches-suspected": lambda p, pivots: Pose(p.wxyz, p.xyz / 0.0254),
     "scalar-last-suspected": lambda p, pivots: Pose(np.roll(p.wxyz, -1, axis=1), p.xyz),
     "pose-suspected": lambda p, pivots: Pose(p.wxyz, p.apply(pivots + 0.005)),
     "inverse-suspected": lambda p, pivots: p.inverse(),
@@ -284,9 +286,22 @@ def test_mistakes_are_distinguished(seed: int, guessed: float, tmp_path: Path) -
     expected, motions = queries_and_motions(np.random.default_rng(seed), guessed)
     assert plausibility_codes(expected, motions, tmp_path) == []
     for name, mistake in MISTAKES.items():
+        if name == "inches-suspected" and not guessed:
+            continue  # without guesses they look like centimetres
         assert plausibility_codes(expected, mistake(motions, expected.pivots), tmp_path) == [name]
     for case, control in controls(motions, expected.pivots).items():
         assert plausibility_codes(expected, control, tmp_path) == [], case
+
+
+def test_a_manifest_without_dataset_is_told_its_id(
+    mini: Path, manifest: Manifest, truth: Predictions, tmp_path: Path
+) -> None:
+    write_submission(tmp_path, manifest, truth)
+    path = tmp_path / "manifest.toml"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(line for line in lines if not line.startswith("dataset_id")) + "\n")
+    (fault,) = check(tmp_path, mini).errors
+    assert fault.repair == f'add a line dataset_id = "{Dataset(mini).id}"'
 
 
 def test_two_mistakes_at_once_are_both_suspected(

@@ -17,14 +17,19 @@ from kit1000.parts.files.soup import TriangleSoup, soup_of_corners
 
 HEADER = 84  # [bytes] 80 of comment, 4 of count
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-NAME = re.compile(rb"^[ \t]*(?:end)?solid\b(?:(?!\bfacet\s+normal\s+[-+.\dn])[^\n])*", re.MULTILINE | re.IGNORECASE)
-FACET_BEGIN = re.compile(rb"\bfacet\s+normal\b", re.IGNORECASE)
+NAME = re.compile(rb"^[ \t]*(?:end)?solid\b(?:(?!\bfacet\s+normal\s+[-+.\dn])[^\n])*", re.MULTILINE)  # in lower case
+AFTER_SOLID = re.compile(rb"^[ \t]*end[ \t]*solid\b(.*?)(?=^[ \t]*solid\b|\Z)", re.MULTILINE | re.DOTALL)
+FACET_BEGIN = re.compile(rb"facet\s+normal\b")
 CORNER = rb"\s+vertex\s+(\S+)\s+(\S+)\s+(\S+)"
-LOOP = re.compile(rb"\bouter\s+loop" + 3 * CORNER + rb"\s+endloop\b", re.IGNORECASE)
-FACET_END = re.compile(rb"\bendfacet\b", re.IGNORECASE)
-END = re.compile(rb"\bendsolid\b", re.IGNORECASE)
-LOOP_BEGIN = re.compile(rb"\bouter\s+loop\b", re.IGNORECASE)
-CORNERS = re.compile(rb"\bvertex\s", re.IGNORECASE)
+LOOP = re.compile(rb"outer\s+loop" + 3 * CORNER + rb"\s+endloop\b")
+FACET_END = re.compile(rb"endfacet\b")
+LOOP_BEGIN = re.compile(rb"outer\s+loop\b")
+CORNERS = re.compile(rb"vertex\s")
+WORDS = 21  # of a facet, with the places of its keywords and coordinates among them
+KEYWORDS = {0: b"facet", 1: b"normal", 5: b"outer", 6: b"loop", 19: b"endloop", 20: b"endfacet"}
+KEYWORDS |= dict.fromkeys((7, 11, 15), b"vertex")
+COORDINATES = (8, 9, 10, 12, 13, 14, 16, 17, 18)
+PIECE = 1 << 22  # [bytes] of a regular text that are split into words at once
 BLOCK = 100_000  # triangles of a text that are converted at once
 
 
@@ -36,8 +41,9 @@ def read_stl(data: bytes, max_faces: int) -> TriangleSoup:
         return _binary(data, declared, max_faces)
     check_foreign(data)
     check_narrow(data)
-    if b"\0" not in data[:4096] and _is_printable(data[:4096]):
-        return _text(plain_text(data), max_faces)
+    text = data.rstrip(b"\0")  # with which some programs fill up a block of the disk
+    if b"\0" not in text[:4096] and _is_printable(text[:4096]):
+        return _text(plain_text(text), max_faces)
     if len(data) < HEADER:
         raise MeshRefused(f"not a mesh: {len(data)} bytes, a binary STL has at least {HEADER}")
     held = (len(data) - HEADER) // FACET.itemsize
@@ -58,9 +64,58 @@ def _binary(data: bytes, count: int, max_faces: int, notes: tuple[str, ...] = ()
 
 
 def _text(text: bytes, max_faces: int) -> TriangleSoup:
+    text = text.lower()
+    regular = _regular(text, max_faces)
+    return soup_of_corners(_corners(text, max_faces) if regular is None else regular)
+
+
+def _regular(text: bytes, max_faces: int) -> np.ndarray | None:
+    """(3 m, 3) the corners of a text in lower case of nothing but solids; None for any other text.
+
+    Ten times faster than a search for facets.
+    """
+    pieces, place, count = [], len(text) - len(text.lstrip()), 0
+    while (name := NAME.match(text, place)) is not None:
+        end = text.find(b"endsolid", name.end())
+        if end < 0:  # the last one may have no end, but then nothing follows
+            end = len(text)
+        begin = name.end()
+        while begin < end:
+            stop = text.find(b"endfacet", begin + PIECE, end)
+            stop = end if stop < 0 else stop + len(b"endfacet")
+            piece = _of_words(text[begin:stop].split())
+            if piece is None:
+                return None
+            count += len(piece) // 3
+            if count > max_faces:
+                raise MeshRefused(f"more than {max_faces:,} triangles")
+            pieces.append(piece)
+            begin = stop
+        line = text.find(b"\n", end)
+        place = len(text) if line < 0 else line + 1
+        while text[place : place + 1].isspace():
+            place += 1
+    rest = text[place:]  # a comment, unless it may hold more of a solid
+    return np.concatenate(pieces) if count and b"facet" not in rest and b"solid" not in rest else None
+
+
+def _of_words(words: list[bytes]) -> np.ndarray | None:
+    """(3 m, 3) the corners of the words of facets; None where a keyword is in another place."""
+    if len(words) % WORDS or any({*words[place::WORDS]} - {word} for place, word in KEYWORDS.items()):
+        return None
+    columns = [np.array(words[place::WORDS], dtype="S") for place in COORDINATES] if words else []
+    try:
+        table = [column.astype(np.float64) for column in columns]
+    except ValueError:
+        return None
+    return np.stack(table, axis=1).reshape(-1, 3) if table else np.zeros((0, 3))
+
+
+def _corners(text: bytes, max_faces: int) -> np.ndarray:
+    """(3 m, 3) the corners of the facets in a text in lower case, whatever stands between them."""
     if not FACET_BEGIN.search(text):
         raise MeshRefused("holds no triangles" if NAME.match(text.lstrip()) else "not a mesh: text file")
-    body = NAME.sub(b"", text)  # names may hold any word
+    body = NAME.sub(b"", AFTER_SOLID.sub(_without_comment, text))  # names and comments may hold any word
     count = sum(1 for _ in FACET_BEGIN.finditer(body))
     if count > max_faces:
         raise MeshRefused(f"{count:,} triangles, more than {max_faces:,}")
@@ -71,9 +126,15 @@ def _text(text: bytes, max_faces: int) -> TriangleSoup:
     corners = np.concatenate([np.zeros((0, 3)), *blocks])
     if len(corners) != 3 * count:
         raise MeshRefused(_broken_facet(body))
-    if not END.search(text) and FACET_END.split(body)[-1].strip():
+    rest = FACET_END.split(body)[-1].split()
+    if rest and b"facet".startswith(rest[0]):
         raise MeshRefused(f"cut short: ends within the facet after number {count:,}")
-    return soup_of_corners(corners)
+    return corners
+
+
+def _without_comment(match: re.Match[bytes]) -> bytes:
+    """Blank lines for all from the end of a solid to the next one, unless there are facets."""
+    return match[0] if LOOP.search(match[1]) else b"\n" * match[0].count(b"\n")
 
 
 def _numbers(loops: list[tuple[bytes, ...]]) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,19 +35,24 @@ class OnPredictedMasks:
     """Scale of the dataset's scenes."""
     summary: Mapping[str, Any] = field(default_factory=dict)
     """Its dataset.json, which may state facts about its sensors."""
+    weights: Path = WEIGHTS
+    """Folder of the networks for noisy images."""
 
     def __call__(self, query: Query, geometry: TrueGeometry | None, /) -> PredictedMotion:
         """What the method predicts; segmentation is part of the method."""
         sensor = sensor_of(self.summary, query.sensor)
-        return self.predictor(with_predicted_masks(query, self.scale, sensor), geometry)
+        return self.predictor(with_predicted_masks(query, self.scale, sensor, self.weights), geometry)
 
 
-def with_predicted_masks(query: Query, scale: float = 1.0, sensor: AnySensor | None = None) -> Query:
+def with_predicted_masks(
+    query: Query, scale: float = 1.0, sensor: AnySensor | None = None, weights: Path = WEIGHTS
+) -> Query:
     """The query with masks from its depth image alone. Its pivot says which instance is the part: the nearest one.
 
     sensor: facts about it, where its name does not tell.
+    weights: folder of the networks for noisy images.
     """
-    restorer, finder = (None, None) if query.sensor == "ideal" else mask_networks()
+    restorer, finder = (None, None) if query.sensor == "ideal" else mask_networks(weights)
     labels = segmented(query.view, sensor or query.sensor, scale, restorer, finder).copy()
     own = FIRST_PART_LABEL + query.part
     pivots = part_pivots(query.view, labels)
@@ -62,14 +68,14 @@ def with_predicted_masks(query: Query, scale: float = 1.0, sensor: AnySensor | N
     return replace(query, read_image=lambda: image)
 
 
-@lru_cache(maxsize=1)
-def mask_networks() -> tuple[Restorer, PartFinder]:
-    """The networks of MASKS_WEIGHTS."""
+@lru_cache(maxsize=2)
+def mask_networks(folder: Path = WEIGHTS) -> tuple[Restorer, PartFinder]:
+    """The networks of MASKS_WEIGHTS in a folder."""
     from kit1000.perception.restoration.restorer import Restorer
     from kit1000.perception.segmentation.part_finder import PartFinder
 
     restoration, parts = MASKS_WEIGHTS
-    return Restorer(WEIGHTS / restoration), PartFinder(WEIGHTS / parts)
+    return Restorer(folder / restoration), PartFinder(folder / parts)
 
 
 def _around_pivot(query: Query) -> np.ndarray:

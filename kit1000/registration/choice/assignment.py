@@ -7,7 +7,7 @@ they lie as they are inserted; where they do not, their misfits say nothing.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from itertools import compress
 
 import numpy as np
@@ -18,6 +18,7 @@ from kit1000.registration.geometry.observed_cavity import VOXEL, Cavity
 from kit1000.sim.layout import UPRIGHT_SHARE
 
 DOUBTFUL = 1e-3  # [m] of misfit: while a fit in another plate has less than so much more, other parts are asked
+MOST_PLATES = 12  # that are told apart: the sums are over all sets of them
 APART = 0.03  # [m] between the middles of cavities in different plates
 RIGHT = {
     "ideal": (2.95e-3, 0.29e-3),
@@ -41,7 +42,7 @@ def assigned(fits: Sequence[Fit], others: Iterable[Sequence[Fit]], kind: str) ->
     if len(nearest) < 2 or nearest[1] - nearest[0] > DOUBTFUL:
         return list(fits)
     parts = [fits, *others]
-    middles = _middles([fit for part in parts for fit in part])
+    middles = _middles([fit for part in parts for fit in part])[:MOST_PLATES]
     half, spread = RIGHT[kind]
     misfits = np.stack([least_misfits(part, middles) for part in parts])
     posterior = plate_posterior(np.where(np.isfinite(misfits), (half - misfits) / spread, NO_FIT))
@@ -58,12 +59,17 @@ def plate_posterior(odds: np.ndarray) -> np.ndarray:
     """
     weights = np.exp(odds)
     weights[1:] = UPRIGHT_SHARE * weights[1:] + 1 - UPRIGHT_SHARE
-    parts, plates = weights.shape
-    sums = np.zeros(plates + 1)
-    for plates_of_parts in _assignments(parts, plates):
-        found = [weights[part, plate] for part, plate in enumerate(plates_of_parts) if plate < plates]
-        sums[plates_of_parts[0]] += np.prod(found)
-    return sums[:plates] / sums.sum()
+    plates = odds.shape[1]
+    taken = np.arange(1 << plates)  # each set of plates as a number: bit p is plate p
+    sums = (taken == 0).astype(float)  # over the assignments of the other parts so far that take just these plates
+    for part in weights[1:]:
+        before = sums.copy()
+        for plate, weight in enumerate(part):
+            free = taken[(taken >> plate & 1) == 0]
+            sums[free | 1 << plate] += weight * before[free]
+    left = np.array([sums[(taken >> plate & 1) == 0].sum() for plate in range(plates)])
+    found = weights[0] * left
+    return found / (found.sum() + sums.sum())
 
 
 def least_misfits(fits: Sequence[Fit], middles: Sequence[np.ndarray]) -> np.ndarray:
@@ -74,20 +80,6 @@ def least_misfits(fits: Sequence[Fit], middles: Sequence[np.ndarray]) -> np.ndar
         if plate is not None:
             least[plate] = min(least[plate], fit.misfit)
     return least
-
-
-def _assignments(parts: int, plates: int) -> Iterator[tuple[int, ...]]:
-    """The plate of each part, no plate twice; `plates` stands for any that was not found."""
-
-    def extended(chosen: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
-        if len(chosen) == parts:
-            yield chosen
-            return
-        for plate in range(plates + 1):
-            if plate == plates or plate not in chosen:
-                yield from extended((*chosen, plate))
-
-    return extended(())
 
 
 def _middles(fits: Sequence[Fit]) -> list[np.ndarray]:

@@ -35,6 +35,11 @@ def ranked(fits: Iterable[Fit]) -> list[Fit]:
     return sorted(fits, key=lambda fit: round(fit.misfit, MISFIT_DECIMALS))
 
 
+def least_misfit(fits: Iterable[Fit]) -> float:
+    """[m] the misfit of the best fit, on the grid on which fits are ranked; infinite where there is none."""
+    return min((round(fit.misfit, MISFIT_DECIMALS) for fit in fits), default=np.inf)
+
+
 def same_pose(a: Pose, b: Pose, point: np.ndarray) -> bool:
     """Whether two motions move a point (3,) [m] to one place and differ little in rotation."""
     near = length(a.apply(point) - b.apply(point)) < SAME_DISTANCE

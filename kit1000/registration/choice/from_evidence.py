@@ -17,13 +17,14 @@ from kit1000.registration.refinement.levenberg_marquardt import SCALES
 from kit1000.registration.search.candidates import find_candidates, within_guess_error
 from kit1000.registration.search.contradictions import Contradictions, KitHeights, contradictions
 from kit1000.registration.search.correlation import Candidate, lies_on, tilted, without_duplicates
+from kit1000.registration.search.effort import LARGEST, tries_of
 from kit1000.values import Query
 
 DISTINCT, DISTINCT_WITHOUT_GUESS = 24, 16  # candidates of each plate among which contradictions choose
 REFINED, REFINED_WITHOUT_GUESS = 4, 6  # candidates of all plates that are refined
 COARSE_WEIGHT = 1e-3  # [m] of the coarse misfit beside contradictions: over unseen cells nothing contradicts
 UNSEEN_CHOICE, UNSEEN_MISFIT = 0.3e-3, 0.4e-3  # [m] added for a face that the part's volume does not have
-MOST_TRIED = 40  # candidates that are refined while no fit is good
+MOST_TRIED = 40  # candidates that are refined while no fit is good; fewer of large parts
 FURTHER_MISFIT = 0.4e-3  # [m] added for those beyond the first: the image contradicts them more
 SPARE = 3  # further candidates that are refined once in place of those that end in an earlier one's pose
 CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
@@ -89,7 +90,12 @@ def register_certain(source: DepthSource, query: Query, clearance: float, furthe
         query: its guess, if any, bounds the search.
         clearance: [m]
         further: whether further candidates are refined while the best fit is doubtful.
+
+    Returns:
+        The fits; none of a part that is too large to search.
     """
+    if source.half_width > LARGEST:
+        return []
     search = EvidenceSearch(source, query, clearance, further)
     guessed = query.guess is not None
     found = find_candidates(source, source.evidence.filled, query, clearance, thorough=True)
@@ -117,7 +123,8 @@ class EvidenceSearch:
         """The fits of the first `most` candidates in different poses; of further ones while the best is doubtful."""
         fits: list[Fit] = []
         goals: list[Pose] = []
-        for number, candidate in enumerate(candidates[:MOST_TRIED]):
+        tries = tries_of(self.source.half_width, most + SPARE, MOST_TRIED)
+        for number, candidate in enumerate(candidates[:tries]):
             further = len(goals) >= most or number >= most + SPARE
             if further and not self._doubtful(fits):
                 break

@@ -67,10 +67,7 @@ def find_cavity(volume: Volume, world_from_plate: Pose, noise: float, deeper: fl
     cut = deeper * max(CUT, 1.25 * noise)
     relief, free = heights_from_above(volume)
     face = np.abs(relief) < cut
-    holes = ~(relief > -cut)
-    if deeper > 1:
-        holes = np.asarray(binary_opening(holes, np.ones((CRACK, CRACK))), bool)
-    region = _enclosed(holes, free < -cut)
+    region = _region(relief, free, cut, deeper > 1)
     bottom = relief[region & (relief < -cut)]
     if len(bottom) * VOXEL**2 < SPECK:
         return None
@@ -90,6 +87,20 @@ def find_cavity(volume: Volume, world_from_plate: Pose, noise: float, deeper: fl
         points = np.concatenate([points, _edges(seen, beyond)])
     certain = heights_from_above(volume, across_jumps=False)
     return Cavity(world_from_plate, relief, free, face | region, region, depth, points, *certain)
+
+
+def holes_in(volume: Volume, noise: float, deeper: float = 1.0) -> np.ndarray:
+    """(n, n) bool: the cells of all holes in the volume of a plate. Arguments as of `find_cavity`."""
+    relief, free = heights_from_above(volume)
+    return _region(relief, free, deeper * max(CUT, 1.25 * noise), deeper > 1)
+
+
+def _region(relief: np.ndarray, free: np.ndarray, cut: float, closes: bool) -> np.ndarray:
+    """(n, n) bool: the cells of holes deeper than a cut [m]. closes: whether cracks to the outside are closed."""
+    holes = ~(relief > -cut)
+    if closes:
+        holes = np.asarray(binary_opening(holes, np.ones((CRACK, CRACK))), bool)
+    return _enclosed(holes, free < -cut)
 
 
 def _enclosed(holes: np.ndarray, deep: np.ndarray) -> np.ndarray:

@@ -179,15 +179,23 @@ class DepthSource:
         """(3,) [m] world: of the observed part."""
         return self._part.middle
 
+    @property
+    def half_width(self) -> float:
+        """[m] from the middle of the part to its sides, at least HALF_WIDTH."""
+        return self._observed.half_width
+
+    @cached_property
+    def _observed(self) -> ObservedPart:
+        label = FIRST_PART_LABEL + self.query.part
+        return ObservedPart(self.query.image, label, self.query.pivot, self.others)
+
     @cached_property
     def _part(self) -> ObservedPart | CompletedPart:
-        label = FIRST_PART_LABEL + self.query.part
-        part = ObservedPart(self.query.image, label, self.query.pivot, self.others)
         if self.completer is None:
-            return part
+            return self._observed
         from kit1000.perception.completion.parts.completed import CompletedPart
 
-        return CompletedPart(part, self.completer, self.measured)
+        return CompletedPart(self._observed, self.completer, self.measured)
 
     @cached_property
     def _kits(self) -> list[MaskedView]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import compress
+from itertools import chain, compress
 from typing import NamedTuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
 from kit1000.registration.geometry.faces import right_angled, squared, standing_faces
 from kit1000.registration.geometry.observed_cavity import VOXEL, Cavity, find_cavity, plate_grid
+from kit1000.registration.geometry.wide_plates import plate_frames
 from kit1000.registration.inputs.volume_sources import Source
 from kit1000.registration.search.correlation import Candidate, SearchWindow, coarse_search
 from kit1000.rng import stream
@@ -25,6 +26,7 @@ SLACK_OFFSET, SLACK_ANGLE = 1.5e-3, np.radians(2.5)  # [m], [rad] searched beyon
 SIDE = 0.144  # [m] of a plate's relief, at least: the range of a guess and half a part's width on either side
 WIDER = 1.4  # times that, where the border cuts all cavities: a guess may be off by its largest error along two axes
 DEEPER = (2.0, 3.0)  # times as deep a cut, where a cavity then seems to run out over a rim: noise may bend it
+MOST_PLATES = 24  # reliefs that are searched: eight planes, some of them with many holes
 LEAST_REGION = 1e-4  # [m^2] a smaller hole is none that holds a part
 NEAR_GUESS = np.cos(np.radians(15))  # between the guess and a face that explains its tilt
 LIES = np.cos(MAX_ANGLE + SLACK_ANGLE)  # between the guess and the face on which the part lies, where it allows that
@@ -105,7 +107,11 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
     planes = find_planes(points, normals, area, source.noise, stream(0, "registration", query.id))
     if not nested:
         planes = without_nested(planes, points, normals, source.noise)
-    frames = [plane_frame(plane, plane.point if guessed is None else guessed) for plane in planes]
+    if guessed is None:
+        about = (plate_frames(source, plane, points, normals, side) for plane in planes)
+        frames = list(chain.from_iterable(about))[:MOST_PLATES]
+    else:
+        frames = [plane_frame(plane, guessed) for plane in planes]
     noise, small = source.noise, list[Cavity]()
     for wide in (side, WIDER * side):
         cuts = (1.0, *DEEPER) if noise.bent or wide > side else (1.0,)

@@ -9,17 +9,20 @@ import pytest
 import torch
 
 from baselines.catalog import WEIGHTS, all_methods, all_networks, weights_folder
-from baselines.measured_sensor import WEIGHTS as MEASURED
 from baselines.training.curve import curve
 from baselines.training.shipping import ship, whole_log
 from benchmark.protocol import read_protocol
 from kit1000.errors import InputError
 from kit1000.perception.networks.weight_files import LARGEST, load_weights, save_weights
+from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS
+from kit1000.weights import MEASURED
 from kit1000.weights import WEIGHTS as LIBRARY_WEIGHTS
 from tests.samples.checkout import ROOT
 
 FOLDERS = (WEIGHTS, LIBRARY_WEIGHTS)
 SHIPPED = sorted({path.stem for folder in FOLDERS for path in folder.glob("*.json")})
+
+DRAWN = [name for name in SHIPPED if (ROOT / f"docs/pictures/{name}.svg").is_file()]
 
 
 @pytest.fixture
@@ -88,16 +91,17 @@ def test_shipped_weights_name_their_origin(name: str) -> None:
 
 
 def test_weights_of_the_measured_sensor_are_trained_on_it_and_used() -> None:
-    used = {path for path in all_methods()["registration-measured"].weights.values() if path.parent == MEASURED}
-    others = {"kit-completion", "segmentation", "restoration-unmasked"}  # for kits and masks, not plugged in yet
-    assert {path.stem for path in MEASURED.glob("*.safetensors")} == {path.name for path in used} | others
+    method = all_methods()["registration-measured"]
+    used = {path for path in method.weights.values() if path.parent == MEASURED}
+    used |= {method.mask_weights / name for name in MASKS_WEIGHTS}
+    assert {path.with_suffix("") for path in MEASURED.glob("*.safetensors")} == used
     for path in used:
         _, info = load_weights(path)
         assert (info["about"]["name"], info["about"]["preset"]) == (path.name, "measured")
         assert len(info["commit"]) == 40
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", DRAWN)
 def test_learning_curves_in_the_docs_are_those_of_the_logs(name: str) -> None:
     _, info = load_weights(weights_folder(name) / name)
     assert (ROOT / f"docs/pictures/{name}.svg").read_text(encoding="utf-8") == curve(whole_log(info))

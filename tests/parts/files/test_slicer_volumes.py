@@ -118,9 +118,10 @@ def test_a_component_of_bambu_studio_counts_by_its_subtype(
 def test_helper_meshes_of_cura_are_no_part(setting: str, note: str, tmp_path: Path) -> None:
     new = f'<metadatagroup><metadata name="cura:{setting}" preserve="1">True</metadata></metadatagroup>'
     old = f'<c:settings xmlns:c="{CURA}"><c:setting key="{setting}">True</c:setting></c:settings>'
+    prefixed = old.replace("key=", "c:key=")
     off = new.replace("True", "False")
     first = object_xml(1, mesh_xml(PART) + off)
-    for name, mark in (("new", new), ("old", old)):
+    for name, mark in (("new", new), ("old", old), ("prefixed", prefixed)):
         second = object_xml(2, mark + mesh_xml(CUBE))
         model = model_xml(first + second, 'objectid="1"', 'objectid="2"')
         assert volume_of(archive(tmp_path / f"{name}.3mf", model)) == (pytest.approx(6000), (note,))

@@ -33,6 +33,11 @@ DIALECTS: dict[str, Callable[[], bytes]] = {
     "header of keywords": lambda: TEXT.replace("solid", "solid facet normal outer loop vertex", 1).encode(),
     "header of another encoding": lambda: TEXT.encode().replace(b"solid", b"solid Geh\xe4use", 1),
     "comment after the end": lambda: (TEXT + "\n; made by facet tools\n# vertex 1 2 3\n").encode(),
+    "comment of keywords": lambda: (TEXT + "\n# of facet normal, outer loop and vertex 1 2 3\n").encode(),
+    "end in two words": lambda: TEXT.replace("endsolid", "END SOLID").encode(),
+    "end without a space": lambda: TEXT.replace("endsolid ", "endsolid").encode(),
+    "zeros to the end of the block": lambda: TEXT.encode() + b"\0" * 300,
+    "note between facets": lambda: TEXT.replace("endfacet", "endfacet # note", 1).encode(),
     "comment before": lambda: ("# exported\n" + TEXT).encode(),
     "one line": lambda: " ".join(TEXT.split()).encode(),
     "no end": lambda: TEXT.rpartition("endsolid")[0].encode(),
@@ -59,6 +64,17 @@ def test_a_dialect_of_text_is_the_same_part(name: str, tmp_path: Path) -> None:
 def test_several_solids_are_several_bodies(between: str, tmp_path: Path) -> None:
     bodies = readable_bodies(written(tmp_path, (TEXT + between + FAR).encode()))
     assert [body.mesh.volume * 1e9 for body in bodies] == pytest.approx([8000, 8000])
+
+
+def test_facets_after_the_end_of_a_solid_are_read_without_a_header(tmp_path: Path) -> None:
+    path = written(tmp_path, (TEXT + FAR.partition("\n")[2]).encode())
+    assert [body.mesh.volume * 1e9 for body in readable_bodies(path)] == pytest.approx([8000, 8000])
+
+
+@pytest.mark.parametrize("end", ["f", "facet", "Facet nor"])
+def test_a_text_that_ends_within_the_word_facet_is_cut_short(end: str, tmp_path: Path) -> None:
+    with pytest.raises(MeshRefused, match="cut short: ends within the facet after number 12"):
+        read_mesh(written(tmp_path, (TEXT.rpartition("endsolid")[0] + end).encode()))
 
 
 LFS = b"version https://git-lfs.github.com/spec/v1\noid sha256:%s\nsize 684\n" % (b"0" * 64)

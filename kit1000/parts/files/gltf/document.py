@@ -63,10 +63,11 @@ class Document:
         return _of_data(address, index) if address[:5].lower() == "data:" else self._of_file(address)
 
     def _of_file(self, address: str) -> bytes:
-        """The bytes of a further file; its name is percent-encoded, or as it is."""
+        """The bytes of a further file; its name is percent-encoded, or as it is, or as Windows writes it."""
         if SCHEME.match(address) or address.startswith("//"):
             raise MeshRefused(f"its data lie at {address[:80]}: download that file and name it beside this one")
-        names = dict.fromkeys([unquote(address), address])
+        plain = unquote(re.split(r"[?#]", address)[0])
+        names = dict.fromkeys([unquote(address), address, plain, plain.replace("\\", "/")])
         path = next((path for name in names if "\0" not in name and (path := self.folder / name).is_file()), None)
         if path is None:
             raise MeshRefused(f"its data are in {unquote(address)[:80]}, which is missing: put that file beside it")
@@ -91,7 +92,7 @@ def _of_data(address: str, index: int) -> bytes:
     try:
         if not kind.endswith(";base64"):
             return unquote_to_bytes(content)
-        text = unquote(content)
+        text = "".join(unquote(content).split())
         return base64.b64decode(text + "=" * (-len(text) % 4), validate=True)
     except (binascii.Error, ValueError):
         raise MeshRefused(f"not readable as glTF: the base64 of buffer {index} is damaged") from None

@@ -145,8 +145,9 @@ def _settings(element: Any) -> Iterator[tuple[str, str]]:
     """Names without prefix, and values, of the metadata and settings of an object."""
     for entry in element.iter("{*}metadata", "{*}setting"):
         if etree.QName(entry.getparent()).localname in ("metadatagroup", "settings", "object"):
-            name = entry.get("name") or entry.get("key") or ""
-            yield name.rpartition(":")[2], entry.text or entry.get("value", "")
+            plain = {etree.QName(name).localname: value for name, value in entry.attrib.items()}
+            name = plain.get("name") or plain.get("key") or ""
+            yield name.rpartition(":")[2], entry.text or plain.get("value", "")
 
 
 def triangle_roles(count: int, ranges: tuple[TriangleRange, ...]) -> list[tuple[str, np.ndarray]]:

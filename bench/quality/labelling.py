@@ -1,0 +1,196 @@
+"""How well are known shapes registered to noisy depth images? Scenes whose truth is forgotten, then asked.
+
+    python bench/quality/labelling.py data/tiny --splits test train val --out results/labelling.json
+
+The noisy view is rounded to a unit and labelled as `kit1000 label` does; poses are compared with the truth in the
+camera frame, up to the symmetry of the shape. The true camera is that of the ideal view. "Relative" is the pose of a
+part against the kits, which is all that a score depends on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+from tqdm import tqdm
+
+from bench.quality.forgotten_truth import SENSOR, UNIT, forgotten_image
+from benchmark.measurements import Column, Measurement, estimate
+from kit1000.dataset.reader import Dataset, RecordedScene
+from kit1000.labelling.known_kits import KITS
+from kit1000.labelling.scene_registration import RegisteredBody, RegisteredScene, register_scene
+from kit1000.labelling.shape_distance import ShapeDistance
+from kit1000.labelling.starting_poses import KnownShape
+from kit1000.mesh import Mesh
+from kit1000.pose import Pose
+from kit1000.symmetry import Symmetry
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth
+
+MM = 1e3
+OFF = 2e-3  # [m] beyond which no body may pass as sure
+COINCIDES = 0.5e-3  # [m] by which surfaces differ that coincide at another pose: a symmetry that no one declared
+ERRORS = (
+    Column("what", "body"),
+    Column("n", "n"),
+    Column("position", "mm, median", 2),
+    Column("position_90", "mm, 90 %", 2),
+    Column("rotation", "°, median", 2),
+    Column("relative", "mm to the kits, median", 2),
+    Column("surface", "mm of the surface, largest", 2),
+)
+SURE = (
+    Column("what", "body"),
+    Column("n", "n"),
+    Column("sure", "sure"),
+    Column("sure_off", "sure and over 2 mm off"),
+    Column("worst", "worst of the sure, mm", 2),
+    Column("wrong", "over 2 mm off"),
+)
+SCALE = (
+    Column("n", "scenes"),
+    Column("true", "scale error, %, mean size", 3),
+    Column("left", "left after labelling, %", 3),
+    Column("before", "cost at the part before, mm, median", 2),
+    Column("after", "after, mm, median", 2),
+    Column("motion", "cost to a motion from part to kits, mm, median", 2),
+    Column("seconds", "CPU s a scene", 1),
+)
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Options:
+    """Label scenes of a dataset whose truth is forgotten, and compare."""
+
+    data: tyro.conf.Positional[Path]
+    """Dataset folder with ground truth and views of the d415."""
+    splits: tuple[str, ...] = ("test",)
+    """Splits of the scenes."""
+    scenes: int | None = None
+    """Number of scenes of each split; all when absent."""
+    unit_mm: float = UNIT * MM
+    """Unit of the depths."""
+    masks: Literal["given", "depth"] = "given"
+    """Masks: those of the dataset, or everything that stands above the table."""
+    out: Path | None = None
+    """JSON file of the tables, such as results/labelling.json."""
+
+
+def main(options: Options) -> None:
+    """Label the scenes and print the tables."""
+    dataset, measurement, rows = Dataset(options.data), Measurement.begin(Dataset(options.data)), []
+    chosen = [scene for split in options.splits for scene in list(dataset.split(split, truth=True))[: options.scenes]]
+    for recorded in tqdm(chosen, desc="scenes", unit="", disable=None):
+        rows += list(scene_rows(recorded, forgotten_image(recorded, options.unit_mm / MM, options.masks)))
+    add_tables(measurement, rows, f"{len(chosen)} scenes, depths in {options.unit_mm:g} mm, masks {options.masks}")
+    measurement.report(options.out)
+
+
+def scene_rows(recorded: RecordedScene, image: LabelledDepth) -> Iterator[Row]:
+    """The errors of each body of a scene; all rows hold those of the depth scale."""
+    (kits, kits_pose), *parts = recorded.bodies()[1:]
+    shown = set(np.unique(image.labels).tolist())
+    names = {f"part {i}": i for i in range(len(parts)) if FIRST_PART_LABEL + i in shown}
+    shapes = [KnownShape.of(name, parts[i][0]) for name, i in names.items()]
+    start = time.process_time()
+    found = register_scene(image, KnownShape.upright(KITS, kits), shapes)
+    seconds = time.process_time() - start
+    camera_from_world = recorded.view("ideal").world_from_camera.inverse()
+    true_scale, kits_found = _true_scale(recorded), found.bodies[0].placed.camera_from_body
+    for body in found.bodies:
+        mesh, pose = (kits, kits_pose) if body.name == KITS else parts[names[body.name]]
+        true, true_kits = camera_from_world @ pose, camera_from_world @ kits_pose
+        symmetry = Symmetry.none() if body.name == KITS else _symmetry(recorded, names[body.name])
+        row = _body_row(body, found, mesh, true, symmetry)
+        middle = mesh.centroid
+        seen = kits_found.inverse().apply(body.placed.camera_from_body.apply(middle))
+        relative = float(np.linalg.norm(seen - true_kits.inverse().apply(true.apply(middle))))
+        distance = float(np.linalg.norm(true.xyz))
+        motion = float(np.linalg.norm(true.xyz - true_kits.xyz))
+        yield row | {
+            "scene": recorded.id,
+            "relative": relative * MM,
+            "scale_true": true_scale - 1,
+            "scale_left": found.scale / true_scale - 1,
+            "distance": distance,
+            "motion": motion,
+            "seconds": seconds,
+        }
+
+
+def _body_row(body: RegisteredBody, found: RegisteredScene, mesh: Mesh, true: Pose, symmetry: Symmetry) -> Row:
+    error = true.inverse() @ body.placed.camera_from_body
+    surface = ShapeDistance(mesh).between(true, body.placed.camera_from_body)
+    position = float(np.linalg.norm(error.apply(mesh.centroid) - mesh.centroid))
+    rotation = float(np.degrees(symmetry.error(body.placed.camera_from_body.wxyz, true.wxyz)))
+    doubts = body.doubts(found.scale_spread)
+    return {
+        "what": "kits" if body.name == KITS else "part",
+        "position": position * MM,
+        "rotation": rotation,
+        "surface": surface * MM,
+        "sure": not doubts,
+        "doubts": list(doubts),
+    }
+
+
+def _true_scale(recorded: RecordedScene) -> float:
+    """Measured over true depth, as the median of an image."""
+    measured, ideal = recorded.view(SENSOR).depth, recorded.view("ideal").depth
+    both = (measured > 0) & (ideal > 0)
+    return float(np.median(measured[both] / ideal[both]))
+
+
+def _symmetry(recorded: RecordedScene, index: int) -> Symmetry:
+    part_id = recorded.scene.bodies[1 + index].id
+    return recorded.split.dataset.geometry.part(part_id).symmetry
+
+
+def add_tables(measurement: Measurement, rows: Sequence[Row], setting: str) -> None:
+    """Add the tables of errors, of what passes as sure, and of the depth scale."""
+    errors = measurement.table("errors", f"Poses of known shapes; {setting}", *ERRORS)
+    sure = measurement.table("sure", f"Bodies that the image alone settles; {setting}", *SURE)
+    for what in ("kits", "part"):
+        own = [row for row in rows if row["what"] == what]
+        if not own:
+            continue
+        position, surface = np.array([r["position"] for r in own]), np.array([r["surface"] for r in own])
+        off = np.maximum(position, surface) > OFF * MM
+        passed = np.array([r["sure"] for r in own])
+        errors.add(
+            what=what,
+            n=len(own),
+            position=np.median(position),
+            position_90=np.quantile(position, 0.9),
+            rotation=np.median([r["rotation"] for r in own]),
+            relative=np.median([r["relative"] for r in own]) if what == "part" else None,
+            surface=surface.max(),
+        )
+        worst = np.maximum(position, surface)[passed].max() if passed.any() else None
+        sure.add(
+            what=what, n=len(own), sure=int(passed.sum()), sure_off=int((passed & off).sum()), worst=worst,
+            wrong=int(off.sum()),
+        )  # fmt: skip
+    scale = measurement.table("scale", f"The depth scale of the camera; {setting}", *SCALE)
+    parts = [row for row in rows if row["what"] == "part"]
+    true, left = (np.abs([row[key] for row in parts]) for key in ("scale_true", "scale_left"))
+    reach, motion = (np.array([row[key] for row in parts]) * MM for key in ("distance", "motion"))
+    scale.add(
+        n=len({row["scene"] for row in rows}),
+        true=100 * estimate(true)["mean"],
+        left=100 * estimate(left)["mean"],
+        before=np.median(true * reach),
+        after=np.median(left * reach),
+        motion=np.median(true * motion),
+        seconds=np.mean([row["seconds"] for row in rows]),
+    )
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))

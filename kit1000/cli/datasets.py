@@ -1,0 +1,240 @@
+"""The commands about datasets: generate, info, show, verify, export and check."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from kit1000.cli.capture import need_generated
+from kit1000.cli.options import Flag, Folder, OptionalInt, OptionalPath, Unit
+from kit1000.cli.summaries import summary_text
+from kit1000.errors import InputError
+
+if TYPE_CHECKING:
+    from kit1000.generation.plan import Sources
+    from kit1000.generation.presets import Preset
+
+
+@dataclass(frozen=True)
+class Generate:
+    """Generate a dataset. Run the same command again to continue after an interruption."""
+
+    preset: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="PRESET")]
+    """tiny, small, kit1000, paper, real-like, study or completion."""
+    out: Annotated[str, tyro.conf.arg(metavar="PATH")]
+    """Dataset folder to write; with --engine ray also a URL such as s3://bucket/folder."""
+    seed: OptionalInt = None
+    """Seed of all random draws; that of the preset when absent."""
+    workers: OptionalInt = None
+    """Number of processes; one per core when absent. The bytes do not depend on it."""
+    parts: OptionalPath = None
+    """Folder, file or .txt list of meshes to use instead of procedural parts."""
+    unit: Unit = None
+    """Unit of the meshes of --parts; guessed and reported when absent."""
+    engine: Literal["local", "ray"] = "local"
+    """Engine that runs the jobs: processes of this machine, or a Ray cluster."""
+    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
+    """Address of the Ray cluster (`auto` finds a local one); a new local cluster when absent."""
+    withhold: OptionalPath = None
+    """Second folder, for the full dataset; --out then lacks the ground truth of the test split."""
+
+    def run(self) -> int:
+        """Generate the dataset and print its summary."""
+        from kit1000.generation.presets import preset
+
+        chosen = preset(self.preset)
+        if self.workers is not None and self.workers < 1:
+            raise InputError(f"--workers: expected 1 or more, got {self.workers}")
+        if self.seed is not None and self.seed < 0:
+            raise InputError(f"--seed: expected 0 or more, got {self.seed}")
+        if self.unit is not None and self.parts is None:
+            raise InputError("--unit: is the unit of the meshes of --parts, which is absent")
+        from kit1000.files import parse_folder
+
+        out = parse_folder(self.out)
+        summary = self._generate(chosen, out) if self.withhold is None else self._publish(chosen, out, self.withhold)
+        print(summary_text(summary))
+        return 0
+
+    def _generate(self, chosen: Preset, out: Path, seed: int | None = None) -> dict[str, Any]:
+        """Generate the full dataset in a folder; returns its summary."""
+        from kit1000.engines import engine as engine_of
+        from kit1000.generation.build import generate
+
+        engine = engine_of(self.engine, self.workers, self.address)
+        return generate(chosen, out, self.seed if seed is None else seed, self.workers, self._sources(out), engine)
+
+    def _publish(self, chosen: Preset, out: Path, full: Path) -> dict[str, Any]:
+        """Generate the full dataset in one folder and its public part in --out; returns the summary of the latter."""
+        from kit1000.generation.withhold import check_separate, publish, secret_seed, withheld_preset
+
+        check_separate(out, full)
+        self._generate(withheld_preset(chosen), full, secret_seed(full, self.seed))
+        return publish(full, out)
+
+    def _sources(self, dataset: Path) -> Sources | None:
+        """The mesh files of --parts, without those that this command itself writes."""
+        from kit1000.generation.plan import Sources
+        from kit1000.parts.files.formats import STEP_SUFFIXES
+        from kit1000.parts.files.sources import mesh_files
+
+        if self.parts is None:
+            return None
+        own_folders = {dataset.resolve(), Path(self.out).resolve()}
+        files = [file for file in mesh_files(self.parts) if own_folders.isdisjoint(file.resolve().parents)]
+        if not files:
+            raise InputError(f"{self.parts}: no mesh files but those in --out {dataset}")
+        step = sum(file.suffix.lower() in STEP_SUFFIXES for file in files)
+        if self.unit is not None and step:
+            print(f"--unit {self.unit}: not used for {step} STEP files, which state their own unit", file=sys.stderr)
+        return Sources.of(files, self.unit)
+
+
+@dataclass(frozen=True)
+class Info:
+    """Print the summary of a dataset: id, counts, redraws."""
+
+    data: Folder
+    """Dataset folder."""
+
+    def run(self) -> int:
+        """Print the summary."""
+        from kit1000.dataset.geometry import Geometry
+
+        print(summary_text(Geometry(self.data).summary))
+        return 0
+
+
+@dataclass(frozen=True)
+class Show:
+    """Draw parts, kits or assemblies of a dataset, or one of its scenes, as a PNG or as an MCAP for 3D viewers."""
+
+    data: Folder
+    """Dataset folder."""
+    out: Path = Path("sheet.png")
+    """PNG file to write; with --scene also FILE.mcap."""
+    what: Literal["parts", "kits", "assemblies"] = "assemblies"
+    """Kind of items to draw."""
+    count: int = 24
+    """Number of items, evenly spaced over the split."""
+    split: Literal["train", "val", "test"] = "test"
+    """Split of the items."""
+    ids: tuple[str, ...] = ()
+    """Ids of the items to draw instead of evenly spaced ones."""
+    scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    """Id of a scene to draw instead of items: depth, masks, meshes and goals."""
+    truth: Flag = False
+    """Add models, goals and seated parts to an MCAP."""
+    predictions: OptionalPath = None
+    """Predictions file whose motions of the scene an MCAP shows, coloured by their errors."""
+    track: str | None = None
+    """Track of the queries that an MCAP shows, with pivots and guesses; the first track of the scene when absent."""
+
+    def run(self) -> int:
+        """Draw the picture and print its path."""
+        from kit1000.dataset.geometry import Geometry
+        from kit1000.dataset.reader import Dataset
+        from kit1000.export.recording import write_scene_recording
+        from kit1000.files import check_own_mark, write_own
+        from kit1000.pictures.dataset_sheets import geometry_sheet, scene_sheet
+
+        if self.count < 1:
+            raise InputError(f"--count: expected 1 or more, got {self.count}")
+        recording = self.out.suffix == ".mcap"
+        if self.out.suffix.lower() not in (".png", ".mcap", ""):
+            raise InputError(f"--out {self.out}: pictures are PNG: name a file .png, or .mcap for a recording")
+        if recording and self.scene is None:
+            raise InputError(f"--out {self.out}: a recording shows one scene; add --scene ID")
+        if not recording and (self.truth or self.predictions is not None):
+            raise InputError(f"--out {self.out}: --truth and --predictions are for a recording; name a file .mcap")
+        check_own_mark(self.out)
+        if self.scene is None or self.truth:
+            need_generated(self.data, "show without --scene" if self.scene is None else "show --truth")
+        if self.scene is None:
+            write_own(self.out, geometry_sheet(Geometry(self.data), self.what, self.split, self.count, self.ids))
+        elif recording:
+            options = (self.truth, self.predictions, self.track)
+            write_scene_recording(Dataset(self.data), self.scene, self.out, *options)
+        else:
+            write_own(self.out, scene_sheet(Dataset(self.data), self.scene))
+        print(self.out)
+        return 0
+
+
+@dataclass(frozen=True)
+class Verify:
+    """Check every file of a dataset, and generate a sample of its scenes again to compare."""
+
+    data: Folder
+    """Dataset folder."""
+    sample: int = 4
+    """Number of scenes to generate again from the plan."""
+
+    def run(self) -> int:
+        """Check and print the faults; returns 1 when there are any."""
+        from kit1000.generation.verify import verify
+
+        if self.sample < 0:
+            raise InputError(f"--sample: expected 0 or more, got {self.sample}")
+        report = verify(self.data, self.sample)
+        for line in report.faults:
+            print(line)
+        rebuilt = ", ".join(report.rebuilt) or "none"
+        print(f"{report.files} files checked, {len(report.rebuilt)} scenes generated again ({rebuilt})")
+        print(*(f"note: {note}" for note in report.notes), sep="\n", end="\n" if report.notes else "")
+        print(f"faults: {len(report.faults) or 'none'}")
+        return 1 if report.faults else 0
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write assemblies as URDF with open cavities, STL or 3MF in millimetres, or scenes in the BOP format."""
+
+    data: Folder
+    """Dataset folder."""
+    out: Path
+    """Folder to write to."""
+    format: Literal["bop", "urdf", "stl", "3mf"] = "urdf"
+    """Format to write."""
+    ids: tuple[str, ...] = ()
+    """Ids of the assemblies, or of the scenes for BOP; all of them when absent."""
+    split: Literal["train", "val", "test"] | None = None
+    """Split to export; all of them when absent."""
+    sensor: Literal["ideal", "d415"] = "ideal"
+    """Sensor of the depth images, for BOP."""
+
+    def run(self) -> int:
+        """Export, and print the folder."""
+        need_generated(self.data, "export")
+        from kit1000.export import export
+
+        export(self.data, self.format, self.out, self.ids, self.split, self.sensor)
+        print(self.out)
+        return 0
+
+
+@dataclass(frozen=True)
+class Check:
+    """List every fault of a submission, with line, column, value, expected value and fix."""
+
+    submission: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SUBMISSION")]
+    """Folder with manifest.toml and predictions.csv, or one predictions file."""
+    data: OptionalPath = None
+    """Dataset of the predictions; only the format is checked when absent."""
+    split: Literal["test", "test-all", "val", "train"] = "test"
+    """Split whose queries need predictions."""
+    json: Flag = False
+    """Print the report as JSON."""
+
+    def run(self) -> int:
+        """Check and print the report; returns 1 when there are errors."""
+        from kit1000.files import json_bytes
+        from kit1000.submission import check
+
+        report = check(self.submission, self.data, self.split)
+        print(json_bytes(report.as_json()).decode() if self.json else report, end="" if self.json else "\n")
+        return 0 if report.good else 1

@@ -1,0 +1,132 @@
+"""The command `kit1000 label`: ground truth for scenes of your own, from shapes that you have."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from kit1000.cli.options import Flag, Folder, OptionalFloat, OptionalInt, OptionalPath
+from kit1000.errors import InputError
+
+if TYPE_CHECKING:
+    from kit1000.labelling.known_kits import KnownKits
+    from kit1000.labelling.labelling_session import OwnScenes
+
+
+@dataclass(frozen=True)
+class Label:
+    """Label own scenes with ground truth: register known shapes, look at the pictures, confirm, and score as usual."""
+
+    data: Folder
+    """Folder of own scenes, as `kit1000 import` writes it."""
+    scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    """Id of one scene; all scenes when absent."""
+    shapes: OptionalPath = None
+    """Folder of a print set, or any dataset folder with the kits in the image."""
+    assembly: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    """Id of the assembly in --shapes; the only one when absent."""
+    parts: tuple[str, ...] = ()
+    """Ids of the parts on the table; all parts of the assembly when absent."""
+    kit: OptionalPath = None
+    """Mesh file of a kit of your own, instead of --shapes: kit.stl of `kit1000 kit`."""
+    part: OptionalPath = None
+    """Mesh file of its part, seated in the frame of the kit: part.stl of `kit1000 kit`."""
+    clearance_mm: OptionalFloat = None
+    """Clearance between part and kit; that of report.json beside --kit when absent."""
+    confirm: tuple[str, ...] = ()
+    """Bodies that you confirm after a look at the picture: all, sure, or names such as kits."""
+    by: str = ""
+    """Your name, which stands beside what you confirm."""
+    page: Flag = False
+    """Open a page on which you move the shapes of a scene, confirm them, and see the residual; Ctrl-C ends it."""
+    port: OptionalInt = None
+    """Port of the page; a free one when absent."""
+
+    def run(self) -> int:
+        """Register or confirm, and print what was found; returns 1 when bodies are left that are not sure."""
+        from kit1000.labelling.labelling_session import OwnScenes
+
+        scenes = OwnScenes.of(self.data, self.scene)
+        if self.confirm:
+            return self._confirm(scenes)
+        if self.shapes is None and self.kit is None and self.page:
+            return self._serve(scenes.scene_ids[0])
+        status = self._register(scenes)
+        return self._serve(scenes.scene_ids[0]) if self.page else status
+
+    def _serve(self, scene_id: str) -> int:
+        try:
+            from kit1000.editor.label_page import run_label_page
+        except ModuleNotFoundError as error:
+            if error.name != "viser":
+                raise
+            raise InputError("label --page: needs viser: pip install 'kit1000[edit]'") from None
+        run_label_page(self.data, scene_id, self.port)
+        return 0
+
+    def _register(self, scenes: OwnScenes) -> int:
+        from kit1000.labelling.labelling_session import picture_path, register, report_lines
+
+        sure = True
+        for record in register(scenes, self._kits(), self.parts):
+            print(*report_lines(record), sep="\n")
+            print(f"  {picture_path(self.data, record.scene_id)}")
+            sure &= all(body.sure for body in record.bodies)
+        print("look at the pictures, then: kit1000 label DATA --confirm all --by NAME")
+        return 0 if sure else 1
+
+    def _confirm(self, scenes: OwnScenes) -> int:
+        from kit1000.labelling.labelling_session import confirm, publish, report_lines
+
+        given = [name for name in ("shapes", "kit", "part") if getattr(self, name) is not None]
+        if given:
+            raise InputError(f"--{given[0]}: the labels know their shapes: leave it out with --confirm")
+        records = confirm(scenes, self.confirm, self.by)
+        without = publish(scenes, records)
+        for record in records:
+            print(*report_lines(record), sep="\n")
+        print(f"without truth: {', '.join(without) or 'none'}")
+        return 1 if without else 0
+
+    def _kits(self) -> KnownKits:
+        from kit1000.labelling.known_kits import kits_of_files, kits_of_folder
+
+        if (self.shapes is None) == (self.kit is None):
+            raise InputError("expected either --shapes FOLDER, or --kit FILE and --part FILE")
+        if self.shapes is not None:
+            if self.part is not None:
+                raise InputError("--part: is for --kit; name parts of --shapes by --parts")
+            return kits_of_folder(self.shapes, self.assembly)
+        if self.kit is None or self.part is None:
+            raise InputError("--kit: needs --part FILE, the part seated in its frame")
+        if self.clearance_mm is not None and not 0.05 <= self.clearance_mm <= 100:
+            raise InputError(f"--clearance-mm: expected 0.05 to 100, got {self.clearance_mm:g}")
+        clearance = None if self.clearance_mm is None else self.clearance_mm * 1e-3
+        return kits_of_files(self.kit, self.part, clearance)
+
+
+@dataclass(frozen=True)
+class Print:
+    """Write kits in pairs on brackets, and their parts, as 3MF to print; `label --shapes` reads the same folder."""
+
+    data: Folder
+    """Dataset folder."""
+    out: Path = Path("prints")
+    """Folder to write, which must not exist."""
+    ids: tuple[str, ...] = ()
+    """Ids of the parts, two a bracket; the first of the test split that go together when absent."""
+    brackets: tuple[float, ...] = (10.0, 20.0, 30.0)
+    """Angle of the second plate of each assembly [degrees], 10 to 45."""
+
+    def run(self) -> int:
+        """Write the folder, and print what to print."""
+        from kit1000.export.print_set import PRINTS, write_print_set
+
+        made = write_print_set(self.data, self.out, self.ids, self.brackets)
+        for name, angle in zip(made, self.brackets, strict=True):
+            print(f"{self.out / PRINTS / f'kits-{name}.3mf'}: two kits, bracket of {angle:g} degrees")
+        print(f"{self.out / PRINTS}: {len(made)} assemblies and {2 * len(made)} parts, 3MF in mm")
+        return 0

@@ -1,0 +1,88 @@
+"""The command that makes kits for mesh files of the user's own."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+from kit1000.cli.options import Flag, OptionalFloat, OptionalInt, Unit
+from kit1000.cli.summaries import kit_report_text
+from kit1000.errors import InputError
+
+
+@dataclass(frozen=True)
+class MakeKit:
+    """Make a kit for your own part at true size: kit.stl, part.stl, seated.glb, report.json, preview.png."""
+
+    parts: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="PART [PART ...]")]
+    """Mesh files: STL, OBJ, PLY, OFF, 3MF, GLB (and STEP with `pip install kit1000[step]`)."""
+    out: Path
+    """Folder to write to; for several files it gets a folder for each."""
+    clearance_mm: float = 2.5
+    """Horizontal gap between part and cavity walls."""
+    unit: Unit = None
+    """Unit of the file; guessed and reported when absent."""
+    fit_mm: OptionalFloat = None
+    """Scale the part to this longest side; true size when absent."""
+    bodies: Annotated[Literal["union", "largest", "each"] | None, tyro.conf.arg(metavar="{union,largest,each}")] = None
+    """Treatment of several bodies in the file: all as one part (they touch or overlap), the largest alone, or a kit for
+    each in folders 01, 02, ...; when absent, several are refused unless one holds nearly all of the volume."""
+    no_preview: Flag = False
+    """Draw no preview.png, which takes most of the time of a simple part."""
+    workers: OptionalInt = None
+    """Number of processes for several files; one per core when absent."""
+
+    def run(self) -> int:
+        """Make the kits, then print their reports; returns 1 when a kit is not exact, or of several not every one."""
+        from kit1000.export.own_part import InexactKit, make_kit_from_file, make_kits_from_file
+
+        paths = list(self.parts)
+        if not paths:
+            raise InputError("PART: expected a mesh file")
+        if self.workers is not None and self.workers < 1:
+            raise InputError(f"--workers: expected 1 or more, got {self.workers}")
+        for name, value in (("--clearance-mm", self.clearance_mm), ("--fit-mm", self.fit_mm)):
+            if value is not None and not 0.05 <= value <= 1000:
+                raise InputError(f"{name}: expected 0.05 to 1000, got {value:g}")
+        longest = None if self.fit_mm is None else self.fit_mm * 1e-3
+        if len(paths) > 1:
+            return self._run_many(paths, longest)
+        options = (paths[0], self.out, self.clearance_mm * 1e-3, self.unit, longest)
+        try:
+            if self.bodies != "each":
+                print(kit_report_text(make_kit_from_file(*options, self.bodies, not self.no_preview), self.out))
+                return 0
+            return self._print(make_kits_from_file(*options, not self.no_preview))
+        except InexactKit as refusal:
+            print(f"kit1000: {refusal}", file=sys.stderr)
+            return 1
+
+    def _run_many(self, paths: list[Path], longest: float | None) -> int:
+        """Make the kits of several files; returns 1 when one has none."""
+        from tqdm import tqdm
+
+        from kit1000.export.own_part import make_kits_from_files
+
+        options = {"clearance": self.clearance_mm * 1e-3, "unit": self.unit, "longest": longest}
+        options |= {"choice": self.bodies, "preview": not self.no_preview}
+        made = make_kits_from_files(paths, self.out, self.workers, **options)
+        status = 0
+        with tqdm(total=len(paths), desc="kits", unit="file", disable=None) as bar:
+            for reports in made:
+                bar.clear()
+                status |= self._print(reports)
+                bar.update()
+        return status
+
+    def _print(self, reports: dict[str, Any]) -> int:
+        """Print the reports of several kits, by folder; returns 1 when one has none."""
+        for name, report in reports.items():
+            if isinstance(report, str):
+                print(f"kit1000: {report}", file=sys.stderr)
+            else:
+                print(kit_report_text(report, self.out / name))
+        return 1 if any(isinstance(report, str) for report in reports.values()) else 0

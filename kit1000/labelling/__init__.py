@@ -1,0 +1,1 @@
+"""Ground truth of real scenes: shapes that are known are registered to a depth image, and a person confirms them."""

@@ -1,0 +1,166 @@
+"""From the confirmed labels of a scene to its ground truth, as generated scenes have it.
+
+The world of an own scene is defined by its table, as the image measured it. Truth is in true lengths: the camera is put
+where it is once depths are divided by their scale, so that the table stays at z = 0. Methods see the image as it is;
+what the scale shifts is an error of the camera, and of theirs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from kit1000.dataset.mesh_files import glb_bytes
+from kit1000.dataset.schema import Observation, SceneTruth
+from kit1000.dataset.tables import Row, pose_row
+from kit1000.errors import InputError
+from kit1000.labelling.known_kits import KITS, KnownKits
+from kit1000.labelling.label_records import LabelRecord
+from kit1000.labelling.real_queries import AskedPart, real_queries
+from kit1000.pictures.scene_preview import png_bytes, scene_picture, with_previews
+from kit1000.pose import Pose
+from kit1000.queries.pivots import part_pivots
+from kit1000.sim.footprints import footprint, footprint_distance
+from kit1000.sim.layout import MIN_GAP, TUMBLED, UPRIGHT, table
+from kit1000.sim.render import RenderedImage, render
+from kit1000.sim.visibility import cavity_labels, part_visibility, slot_visibility, view_redraw_reason
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Mount, Part, View
+
+FIRST_CAVITY = 100  # in the segmentation, as in generated scenes
+UPRIGHT_ANGLE = np.radians(10)  # from the insertion face down, up to which a part lies on it
+
+
+@dataclass(frozen=True, eq=False)
+class _Placed:
+    """A part with its slot in the world."""
+
+    part: Part
+    mount: Mount
+    number: int
+    """Index of the mount in the assembly."""
+    label: int
+    """Its value in the masks before they are made dense."""
+    world_from_part: Pose
+    world_from_kit: Pose
+
+    @property
+    def rest_mode(self) -> str:
+        out = self.mount.kit.slot.kit_from_part.inverse().rotate((0.0, 0.0, 1.0))
+        tilt = float(np.arccos(np.clip(self.world_from_part.rotate(out)[2], -1, 1)))
+        return UPRIGHT if tilt < UPRIGHT_ANGLE else TUMBLED
+
+
+def true_camera(view: View, scale: float) -> Pose:
+    """world_from_camera in true lengths, where measured depths are `scale` times the true ones."""
+    return Pose(view.world_from_camera.wxyz, view.world_from_camera.xyz / scale)
+
+
+def labelled_scene(
+    observation: Observation, record: LabelRecord, kits: KnownKits, tracks: Sequence[str]
+) -> tuple[Observation, SceneTruth]:
+    """The observation with the masks and queries of its labelled parts alone, and its ground truth.
+
+    Raises InputError where a body is not confirmed, or belongs to another image.
+    """
+    waiting = [body.name for body in record.bodies if not body.confirmed_by]
+    if waiting:
+        raise InputError(f"{record.scene_id}: {', '.join(waiting)} not confirmed: look at the picture, then --confirm")
+    if observation.labels is None or record.view not in observation.views:
+        raise InputError(f"{record.scene_id}: its recording has no view {record.view!r} with masks: label it again")
+    view = observation.views[record.view]
+    camera_pose = true_camera(view, record.scale)
+    poses = {body.name: camera_pose @ body.camera_from_body for body in record.bodies}
+    world_from_assembly = poses.pop(KITS)
+    placed = [_placed(kits, record, name, pose, world_from_assembly) for name, pose in poses.items()]
+    placed.sort(key=lambda each: each.label)
+    labels = _dense(observation.labels, [each.label for each in placed])
+    bodies = [(table(), Pose.identity()), (kits.assembly.mesh, world_from_assembly)]
+    bodies += [(each.part.mesh, each.world_from_part) for each in placed]
+    frame = render(view.camera, camera_pose, bodies, threads=1)
+    rows, asked = _part_rows(placed, frame, view, camera_pose, labels)
+    queries, truths = real_queries(record.scene_id, tracks, record.view, view, labels, asked)
+    target = next((each for each in placed if each.part.id == kits.assembly.id), None)
+    truth = SceneTruth(
+        scene_id=record.scene_id,
+        assembly_id=kits.assembly.id,
+        world_from_assembly=world_from_assembly,
+        parts=tuple(rows),
+        queries=truths,
+        seg=_segmentation(frame, view, camera_pose, placed),
+        models=_models(kits, placed),
+        goals=None if target is None else target.world_from_kit @ target.mount.kit.slot.goals,
+        crowded=_crowded(placed),
+    )
+    seen = replace(observation, labels=labels, queries=tuple(queries), preview=None)
+    if target is None:
+        return replace(seen, preview=png_bytes(scene_picture(seen))), truth
+    return with_previews(seen, truth, target.part.mesh)
+
+
+def _placed(kits: KnownKits, record: LabelRecord, name: str, pose: Pose, world_from_assembly: Pose) -> _Placed:
+    number = next(i for i, mount in enumerate(kits.assembly.mounts) if mount.kit.slot.part_id == kits.part(name).id)
+    mount = kits.assembly.mounts[number]
+    label = next(body.label for body in record.bodies if body.name == name)
+    return _Placed(kits.part(name), mount, number, label, pose, world_from_assembly @ mount.assembly_from_kit)
+
+
+def _dense(labels: np.ndarray, kept: Sequence[int]) -> np.ndarray:
+    """(H, W) uint8 masks in which the kept parts are p0, p1, ... and bodies without a shape are background."""
+    lookup = np.zeros(256, np.uint8)
+    lookup[ASSEMBLY_LABEL] = ASSEMBLY_LABEL
+    lookup[list(kept)] = FIRST_PART_LABEL + np.arange(len(kept))
+    return lookup[labels]
+
+
+def _part_rows(
+    placed: Sequence[_Placed], frame: RenderedImage, view: View, camera_pose: Pose, labels: np.ndarray
+) -> tuple[list[Row], list[AskedPart]]:
+    """The rows of the truth, and what queries need; as `kit1000.generation.scenes` writes them."""
+    rows, asked, pivots = [], [], part_pivots(view, labels)
+    for i, each in enumerate(placed):
+        shown = part_visibility(frame, 2 + i, view.camera, camera_pose, each.part.mesh, each.world_from_part)
+        slot = slot_visibility(frame.depth, view.camera, camera_pose, each.mount.kit, each.world_from_kit)
+        unseen = view_redraw_reason(shown, slot) or (None if i in pivots else "no depth on the part")
+        rows.append(
+            {
+                "part_id": each.part.id,
+                "family": each.part.family,
+                "mount": each.number,
+                "rest_mode": each.rest_mode,
+                "world_from_part": pose_row(each.world_from_part),
+                "world_from_kit": pose_row(each.world_from_kit),
+                "pixels": int(shown.pixels),
+                "visible": float(shown.share),
+                "slot_angle": float(slot.angle),
+                "slot_visible": float(slot.share),
+                "unseen": unseen,
+            }
+        )
+        slot_value = each.mount.kit.slot
+        asked.append(AskedPart(i, each.rest_mode, each.world_from_part, each.world_from_kit, slot_value, unseen))
+    return rows, asked
+
+
+def _segmentation(frame: RenderedImage, view: View, camera_pose: Pose, placed: Sequence[_Placed]) -> np.ndarray:
+    """(H, W) uint16, labels as in `SceneTruth.seg`."""
+    kits, poses = [each.mount.kit for each in placed], [each.world_from_kit for each in placed]
+    cavity = cavity_labels(frame.depth, view.camera, camera_pose, poses, kits)
+    numbers = np.array([each.number for each in placed] or [0])
+    seg = frame.body_ids.astype(np.uint16)
+    inside = (frame.body_ids == ASSEMBLY_LABEL + 1) & (cavity >= 0)
+    seg[inside] = FIRST_CAVITY + numbers[cavity[inside]]
+    seg.setflags(write=False)
+    return seg
+
+
+def _models(kits: KnownKits, placed: Sequence[_Placed]) -> dict[str, bytes]:
+    models = {f"assemblies/{kits.assembly.id}": glb_bytes({kits.assembly.id: kits.assembly.mesh})}
+    return models | {f"parts/{each.part.id}": glb_bytes({each.part.id: each.part.mesh}) for each in placed}
+
+
+def _crowded(placed: Sequence[_Placed]) -> bool:
+    outlines = [footprint(each.part.mesh, each.world_from_part) for each in placed]
+    return any(footprint_distance(a, b) < MIN_GAP for a, b in combinations(outlines, 2))

@@ -1,0 +1,73 @@
+"""The plane that the bodies stand on, in the camera frame, and the noise of the depths that show it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_dilation
+
+from kit1000.errors import InputError
+from kit1000.pose import Pose, unit_vector
+from kit1000.values import LabelledDepth
+
+STEP = 4  # [px] between the pixels that are fitted
+MARGIN = 12  # [px] about every body, where a fattened edge may cover the table
+REACH = 25e-3  # [m] from the recorded plane, of the pixels that are fitted
+LEAST_PIXELS = 300
+ROUNDS = 8  # of reweighting
+LEAST_NOISE = 0.3e-3  # [m] at 1 m: below it, steps of stored depths and edges matter more than noise
+
+
+@dataclass(frozen=True, eq=False)
+class Support:
+    """A plane n . x = offset in the camera frame, as measured."""
+
+    normal: np.ndarray
+    """(3,) unit, away from the table: towards the camera."""
+    offset: float
+    """[m] negative: the camera is above the plane."""
+    noise: float
+    """[1/m] standard deviation of inverse depths, equal at all distances for a stereo camera."""
+
+    def noise_at(self, depth: np.ndarray | float) -> np.ndarray | float:
+        """[m] standard deviation of depths (...,) [m]."""
+        return self.noise * np.square(depth)
+
+
+def seen_support(image: LabelledDepth) -> Support:
+    """The plane of the table's pixels near z = 0 of the recorded world; raises InputError where too few show it."""
+    view, bodies = image.view, image.labels > 0
+    table = np.logical_not(binary_dilation(bodies, iterations=MARGIN)) & (view.depth > 0)
+    v, u = np.nonzero(table[::STEP, ::STEP])
+    pixels, z = np.stack([u, v], axis=-1) * STEP, view.depth[::STEP, ::STEP][v, u].astype(float)
+    rays = view.camera.unproject_pixels(pixels.astype(float), np.ones(len(z)))
+    near = np.abs(view.world_from_camera.apply(rays * z[:, None])[:, 2]) < REACH
+    rays, inverse = rays[near], 1 / z[near]
+    if len(rays) < LEAST_PIXELS:
+        raise InputError(
+            f"the image shows {len(rays) * STEP**2} pixels of the table within {REACH * 1e3:g} mm of z = 0, expected "
+            f"{LEAST_PIXELS * STEP**2} or more: is the table in view, and is the camera's pose right?"
+        )
+    return _fitted(rays, inverse)
+
+
+def _fitted(rays: np.ndarray, inverse: np.ndarray) -> Support:
+    """The plane of rays (n, 3) with inverse depths (n,) [1/m]: 1/z = c . ray, with Tukey's weights."""
+    weights, coefficients, spread = np.ones(len(inverse)), np.zeros(3), 0.0
+    for _ in range(ROUNDS):
+        root = np.sqrt(weights)
+        coefficients = np.linalg.lstsq(rays * root[:, None], inverse * root, rcond=None)[0]
+        residuals = inverse - rays @ coefficients
+        spread = 1.4826 * float(np.median(np.abs(residuals))) + 1e-9
+        weights = np.square(np.clip(1 - np.square(residuals / (4.685 * spread)), 0, None))
+    size = float(np.linalg.norm(coefficients))
+    return Support(-coefficients / size, -1 / size, max(spread, LEAST_NOISE))
+
+
+def standing_frame(support: Support, above: np.ndarray) -> Pose:
+    """camera_from_table: z away from the table, the origin on it below a point (3,) [m] of the camera frame."""
+    z = support.normal
+    x = unit_vector(np.cross((0.0, 1.0, 0.0) if abs(z[1]) < 0.9 else (1.0, 0.0, 0.0), z))
+    origin = above + z * (support.offset - float(above @ z))
+    return Pose.from_rotation_matrix(np.stack([x, np.cross(z, x), z], axis=-1), origin)

@@ -1,0 +1,236 @@
+"""moves.json: laws of its frames, a round trip, what it refuses, and the Python of its page."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kit1000.cli import main
+from kit1000.dataset.pose_files import stated_pose
+from kit1000.dataset.reader import Dataset
+from kit1000.editor.moves import FILE, FramedMove, Move, read_moves, write_moves
+from kit1000.editor.scene import EditedScene
+from kit1000.errors import InputError
+from kit1000.kits.seating import HOVER
+from kit1000.pose import Pose
+from kit1000.submission import read_submission
+from tests.samples.checkout import ROOT
+from tests.samples.editing import desk, found, goal, scene_of
+from tests.samples.strategies import directions, poses
+
+near = poses().map(lambda pose: Pose(pose.wxyz, np.clip(pose.xyz, -2, 2)))
+KEY = ("test-s0000", "ideal")
+
+
+def apart(one: Pose, other: Pose) -> float:
+    return float(np.abs(one.matrix() - other.matrix()).max())
+
+
+@st.composite
+def moves(draw: st.DrawFn) -> Move:
+    framed = FramedMove(draw(near), draw(near), draw(directions()))
+    base = draw(st.none() | near)
+    return Move(*KEY, draw(st.integers(0, 9)), draw(st.floats(0, 1)), True, None, framed, draw(near), base)
+
+
+def frames(move: Move) -> list[FramedMove]:
+    return [move.world, move.camera, *([] if move.base is None else [move.base])]
+
+
+@given(move=moves())
+def test_the_motion_takes_the_pick_to_the_seated_pose_in_every_frame(move: Move) -> None:
+    for framed in frames(move):
+        assert apart(framed.motion @ framed.pick, framed.seated) == 0
+        out = framed.hover.xyz - framed.seated.xyz
+        assert np.abs(out - HOVER * framed.axis).max() < 1e-12
+        assert np.array_equal(framed.hover.wxyz, framed.seated.wxyz)
+
+
+@given(move=moves())
+def test_the_frames_agree(move: Move) -> None:
+    seen = move.world_from_camera
+    assert apart(seen @ move.camera.pick, move.world.pick) < 1e-9
+    assert apart(seen @ move.camera.hover, move.world.hover) < 1e-9
+    assert apart(seen @ move.camera.seated, move.world.seated) < 1e-9
+    assert np.abs(seen.rotate(move.camera.axis) - move.world.axis).max() < 1e-9
+    if move.base is not None and move.base_from_camera is not None:
+        assert apart(move.base.seated, move.base_from_camera @ move.camera.seated) < 1e-9
+
+
+@given(move=moves(), moved=near)
+def test_moving_the_world_moves_nothing_in_the_frame_of_the_camera(move: Move, moved: Pose) -> None:
+    elsewhere = Move(
+        *KEY, 0, 1.0, True, None, move.world.seen_from(moved), moved @ move.world_from_camera, move.base_from_camera
+    )
+    for one, other in zip(frames(move)[1:], frames(elsewhere)[1:], strict=True):
+        assert apart(one.motion, other.motion) < 1e-9
+        assert apart(one.hover, other.hover) < 1e-9
+        assert np.abs(one.axis - other.axis).max() < 1e-9
+
+
+@settings(max_examples=20)
+@given(written=st.lists(moves(), max_size=3, unique_by=lambda move: move.part))
+def test_moves_are_read_as_they_were_written(written: list[Move], tmp_path_factory: pytest.TempPathFactory) -> None:
+    folder = tmp_path_factory.mktemp("edits")
+    write_moves(folder, "id", KEY, written)
+    assert (folder / FILE).is_file() == bool(written)
+    read = read_moves(folder) if written else []
+    for one, other in zip(sorted(written, key=lambda move: move.part), read, strict=True):
+        assert (one.key, one.part, one.confidence, one.cup) == (other.key, other.part, other.confidence, other.cup)
+        assert apart(one.world.seated, other.world.seated) < 1e-9
+        assert (one.base is None) == (other.base is None)
+
+
+def sample(part: int = 0, base: Pose | None = None, scene: str = KEY[0]) -> Move:
+    framed = FramedMove(Pose.from_rotvec((0, 0, 1.0), (0.1, 0.2, 0)), Pose.identity(), np.array([0.0, 0.0, 1.0]))
+    return Move(scene, "ideal", part, 0.9, True, 3e-3, framed, Pose.from_rotvec((2.0, 0, 0), (0, 0, 0.7)), base)
+
+
+def test_scenes_share_a_file_and_each_replaces_its_own_moves(tmp_path: Path) -> None:
+    write_moves(tmp_path, "id", ("b", "ideal"), [sample(1, scene="b"), sample(0, scene="b")])
+    write_moves(tmp_path, "id", ("a", "ideal"), [sample(4, scene="a")])
+    assert [(move.scene, move.part) for move in read_moves(tmp_path)] == [("a", 4), ("b", 0), ("b", 1)]
+    write_moves(tmp_path, "id", ("b", "ideal"), [])
+    assert [(move.scene, move.part) for move in read_moves(tmp_path / FILE)] == [("a", 4)]
+    with pytest.raises(InputError, match="about dataset id, not other"):
+        write_moves(tmp_path, "other", KEY, [sample()])
+    write_moves(tmp_path, "id", ("a", "ideal"), [])
+    assert not (tmp_path / FILE).exists()
+
+
+@pytest.mark.parametrize(
+    ("keys", "value", "says"),
+    [
+        (["camera", "seated", "xyz", 0], 5.0, "camera.seated"),
+        (["base", "axis", 2], 0.5, "base.axis"),
+        (["world", "hover", "wxyz"], [0, 1, 0, 0], "world.hover"),
+        (["world", "pick", "wxyz"], [0, 0, 0, 0], "world.pick"),
+        (["world", "motion"], {}, "world.motion"),
+        (["world", "axis"], [0, 0, 0], "direction"),
+        (["confidence"], 3, "confidence"),
+        (["confidence"], "much", "much"),
+        (["base"], None, "base"),
+        (["camera"], None, "camera"),
+        (["part"], "0", "part"),
+        (["world_from_camera"], 3, "world_from_camera"),
+    ],
+)
+def test_a_damaged_move_is_one_line_with_its_place(keys: list[Any], value: Any, says: str, tmp_path: Path) -> None:
+    write_moves(tmp_path, "id", KEY, [sample(base=Pose.from_translation((0.5, 0, 0)))])
+    file = json.loads((tmp_path / FILE).read_text())
+    *path, last = keys
+    row = file["moves"][0]
+    for key in path:
+        row = row[key]
+    row[last] = value
+    (tmp_path / FILE).write_text(json.dumps(file))
+    with pytest.raises(InputError) as refused:
+        read_moves(tmp_path)
+    assert str(refused.value).startswith(f"{tmp_path / FILE}: move 0")
+    assert says in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "kit1000/moves/1"}', '{"format": 1, "moves": []}'])
+def test_another_file_is_refused_and_stays(text: str, tmp_path: Path) -> None:
+    (tmp_path / FILE).write_text(text)
+    with pytest.raises(InputError, match=re.escape(str(tmp_path / FILE))):
+        read_moves(tmp_path)
+    with pytest.raises(InputError, match=re.escape(str(tmp_path / FILE))):
+        write_moves(tmp_path, "id", KEY, [sample()])
+    assert (tmp_path / FILE).read_text() == text
+
+
+@pytest.fixture(params=["ideal", "d415"])
+def scene(mini: Path, request: pytest.FixtureRequest) -> EditedScene:
+    return scene_of(mini, request.param)
+
+
+def confirmed(scene: EditedScene, out: Path) -> tuple[Any, int, Pose]:
+    """A desk at which the first part was snapped onto its goal and confirmed."""
+    table, part = desk(scene, out, moves=True), scene.parts[0]
+    true = goal(scene, part)
+    table.controller.place(part, true)
+    found(table, part, (true, 0.93))
+    table.controller.command("take")
+    table.controller.command("confirm")
+    return table, part, true
+
+
+def test_a_confirmed_part_is_a_move_and_an_undone_one_is_none(scene: EditedScene, tmp_path: Path) -> None:
+    table, part, true = confirmed(scene, tmp_path)
+    (move,) = read_moves(tmp_path)
+    assert (move.scene, move.sensor, move.part, move.base) == (scene.recorded.id, scene.sensor, part, None)
+    assert apart(move.world.motion, true) < 1e-12
+    rows = read_submission(tmp_path).predictions
+    assert all(apart(motion, move.world.motion) < 1e-12 for motion in rows.motions)
+    assert apart(move.world_from_camera, scene.view.world_from_camera) < 1e-12
+    plate = table.controller.space.pointing.below(true.apply(scene.pivot(part)))
+    assert move.world.axis @ plate.normal > np.cos(np.radians(5))
+    table.controller.command("undo")
+    assert not (tmp_path / FILE).exists()
+
+
+def test_the_camera_in_the_base_of_a_robot_comes_from_a_file_or_from_the_dataset(mini: Path, tmp_path: Path) -> None:
+    stated = Pose.from_rotvec((0.1, 2.0, 0.3), (0.4, 0.1, 0.8))
+    copy = tmp_path / "data"
+    copy.mkdir()
+    for path in mini.iterdir():
+        if path.name != "dataset.json":
+            (copy / path.name).symlink_to(path)
+    summary = json.loads((mini / "dataset.json").read_text())
+    row = {"wxyz": stated.wxyz.tolist(), "xyz": stated.xyz.tolist()}
+    for base in (row, stated.matrix().tolist()):
+        summary["config"]["base_from_camera"] = base
+        (copy / "dataset.json").write_text(json.dumps(summary))
+        opened = EditedScene.open(Dataset(copy), KEY[0], "ideal", False)
+        assert opened.base_from_camera is not None
+        assert apart(opened.base_from_camera, stated) < 1e-9
+    other = Pose.from_translation((1, 2, 3))
+    opened = EditedScene.open(Dataset(copy), KEY[0], "ideal", False, other)
+    _, _, true = confirmed(opened, tmp_path / "out")
+    (move,) = read_moves(tmp_path / "out")
+    assert move.base is not None
+    assert move.base_from_camera is not None
+    assert apart(move.base_from_camera, other) < 1e-12
+    base_from_world = other @ move.world_from_camera.inverse()
+    assert apart(move.base.motion, base_from_world @ true @ base_from_world.inverse()) < 1e-9
+    summary["config"]["base_from_camera"] = [1, 2]
+    (copy / "dataset.json").write_text(json.dumps(summary))
+    with pytest.raises(InputError, match=r"dataset\.json: config: base_from_camera: no pose"):
+        EditedScene.open(Dataset(copy), KEY[0], "ideal", False)
+
+
+def test_a_bad_pose_file_ends_the_command_before_it_begins(
+    mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "pose.json").write_text("[1, 2]")
+    options = ["--scene", KEY[0], "--out", str(tmp_path / "out"), "--base-from-camera", str(tmp_path / "pose.json")]
+    assert main(["edit", str(mini), *options]) == 2
+    assert "pose.json: no pose" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_python_of_the_page_reads_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    base = Pose.from_rotvec((0.1, 2.0, 0.3), (0.4, 0.1, 0.8))
+    (tmp_path / "edits").mkdir()
+    write_moves(tmp_path / "edits", "id", KEY, [sample(0, base), sample(1, base)])
+    monkeypatch.chdir(tmp_path)
+    blocks = re.findall(r"^```py\n(.*?)^```", (ROOT / "docs/reference/moves.md").read_text("utf-8"), re.M | re.S)
+    assert blocks
+    for block in blocks:
+        exec(block, {})
+        printed = capsys.readouterr().out
+        assert KEY[0] in printed
+        assert len(re.findall(r"-?\d+\.\d+", printed)) >= 6
+    row = json.loads((tmp_path / "edits" / FILE).read_text())["moves"][0]
+    assert stated_pose(row["base"]["seated"], "") is not None
