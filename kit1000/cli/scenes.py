@@ -134,7 +134,8 @@ class Edit(OwnImages):
 
     def _folders(self) -> tuple[Path, Path]:
         """The folders of the dataset and of the edits, after the import of an image."""
-        if self.data.is_dir() and not any(self.data.glob("*.mcap")):
+        folder = self.data.is_dir() and not any(self.data.glob("*.mcap"))  # no bag of ROS
+        if folder or not (self.data.exists() or self.data.suffix):
             given = self.own_options()
             if given:
                 raise InputError(f"{given[0]}: is for own depth images; {self.data} is a folder of scenes")

@@ -171,6 +171,33 @@ def test_wrong_input_is_one_line_and_nothing_is_written(
     assert sorted(place.rglob("*")) == before
 
 
+HOSTILE = {
+    "zeros": np.zeros((480, 640), np.uint16),
+    "saturated": np.full((480, 640), 65535, np.uint16),
+    "not a number": np.full((480, 640), np.nan, np.float32),
+    "noise": np.random.default_rng(0).integers(400, 1500, (480, 640)).astype(np.uint16),
+    "eight bits": np.full((480, 640), 9, np.uint8),
+    "colour": np.zeros((480, 640, 3), np.uint16),
+    "another size": np.full((720, 1280), 800, np.uint16),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_images_are_one_line_and_nothing_is_written(
+    tmp_path: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    np.save(tmp_path / "depth.npy", HOSTILE[name])
+    row = {"fx": 900, "fy": 905, "cx": 322.3, "cy": 238.1, "width": 640, "height": 480}
+    (tmp_path / "camera.json").write_text(json.dumps(row), encoding="utf-8")
+    before = sorted(tmp_path.rglob("*"))
+    words = ["--intrinsics", str(tmp_path / "camera.json"), "--masks", "depth", "--out", str(tmp_path / "out")]
+    assert main(["import", str(tmp_path / "depth.npy"), *words]) == 2
+    printed = capsys.readouterr()
+    assert printed.err.count("\n") == 1
+    assert "report this bug" not in printed.err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 def test_one_body_is_no_scene(tmp_path: Path) -> None:
     np.save(tmp_path / "depth.npy", exact_depth((((0.1, 0.1, 0.05), (0.0, 0.0)),)))
     with_kit = Import((tmp_path / "depth.npy",), tmp_path / "out", NUMBERS)

@@ -17,6 +17,7 @@ from PIL import Image
 from kit1000.capture.depth_frames import DepthFrame, metric_depth
 from kit1000.capture.frame_selection import Selection
 from kit1000.capture.frame_sources import read_groups
+from kit1000.capture.own_scene import Wanted, own_scene
 from kit1000.errors import InputError
 from tests.samples import recorded
 from tests.samples.own_images import CAMERA, exact_depth, millimetres
@@ -177,6 +178,13 @@ def test_what_cannot_be_used_is_refused_in_one_line(tmp_path: Path, name: str) -
     assert fact in str(refusal.value)
     assert "bag.mcap" in str(refusal.value)
     assert "\n" not in str(refusal.value)
+
+
+def test_without_calibration_intrinsics_are_asked_for(tmp_path: Path) -> None:
+    frames = read(bag(tmp_path / "bag.mcap", COLOUR, (RECT, image())))
+    assert frames[0].intrinsics is None
+    with pytest.raises(InputError, match=r"bag\.mcap .*record CameraInfo too, or give --intrinsics"):
+        own_scene(frames, None, Wanted())
 
 
 def test_an_unknown_topic_is_answered_with_the_known_ones(tmp_path: Path) -> None:

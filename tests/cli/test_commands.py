@@ -10,6 +10,7 @@ import time
 from dataclasses import fields
 from functools import partial
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from PIL import Image
 
 import kit1000
 from kit1000.cli import COMMANDS, main
+from kit1000.cli.command_line import POSITIONAL
 from kit1000.cli.summaries import summary_text
 from kit1000.export import own_part
 from kit1000.generation import build, shards
@@ -317,13 +319,22 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
     assert capsys.readouterr().out == f"kit1000 {kit1000.__version__}\n"
 
 
+def options_of(command: type) -> list[str]:
+    """The options of a command, without what is told by its place."""
+    hints = get_type_hints(command, include_extras=True)
+    named = [
+        field.name for field in fields(command) if POSITIONAL not in getattr(hints[field.name], "__metadata__", ())
+    ]
+    return [f"--{name.replace('_', '-')}" for name in named]
+
+
 @pytest.mark.parametrize("line", [["--help"], *([name, "--help"] for name in COMMANDS)])
 def test_help_names_every_command_and_option(line: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(line)
     assert caught.value.code == 0
     out = capsys.readouterr().out
-    options = [f"--{field.name.replace('_', '-')}" for field in fields(COMMANDS[line[0]])[1:]] if line[1:] else COMMANDS
+    options = options_of(COMMANDS[line[0]]) if line[1:] else COMMANDS
     assert all(word in out for word in options)
 
 
