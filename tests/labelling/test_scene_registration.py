@@ -69,6 +69,10 @@ def test_a_wrong_shape_is_in_doubt() -> None:
     image = LabelledDepth(scene.image.view, labels)
     registered = register_scene(image, scene.kits.kit_shape, wrong)
     assert registered.bodies[1].doubts(1e-4)
+    kits = registered.bodies[0]
+    assert np.linalg.norm((true_pose(scene, KITS).inverse() @ kits.placed.camera_from_body).xyz) < 1.5e-3
+    assert abs(registered.scale - 1) < 2e-3  # by the kits alone
+    assert any("wrong shapes" in doubt for doubt in kits.doubts(1e-4, scale=1.02))
 
 
 def test_images_without_what_is_needed_are_refused() -> None:
