@@ -52,6 +52,7 @@ def test_a_body_whose_image_settles_its_pose_has_no_doubts(found: RegisteredScen
     assert any("depth scale" in doubt for doubt in found.bodies[0].doubts(5e-3))
 
 
+@pytest.mark.slow
 def test_the_sizes_of_the_shapes_tell_the_depth_scale() -> None:
     scene = sample_scene(noise=0.3e-3, scale=1.003)
     parts = [scene.kits.shape(part.id) for part in scene.kits.parts]
