@@ -106,7 +106,7 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
     ),
     ("kit1000/kits/contact.py", "kits/contact"): (
         ("facing[body.adjacent] > -WALL_COSINE).any(1)", "facing[body.adjacent] > -WALL_COSINE).all(1)"),
-        ("        _highest_vertex_contact(fixed.vertices, moving.faces, -1.0),\n", ""),
+        ("        highest_vertex_contact(fixed.vertices, moving.faces, -1.0),\n", ""),
         ("along) > COPLANAR_SINE", "along) > 0.5"),
     ),
     ("kit1000/kits/cavity.py", "kits/cavity"): (

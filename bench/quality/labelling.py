@@ -129,7 +129,7 @@ def _body_row(body: RegisteredBody, found: RegisteredScene, mesh: Mesh, true: Po
     surface = ShapeDistance(mesh).between(true, body.placed.camera_from_body)
     position = float(np.linalg.norm(error.apply(mesh.centroid) - mesh.centroid))
     rotation = float(np.degrees(symmetry.error(body.placed.camera_from_body.wxyz, true.wxyz)))
-    doubts = body.doubts(found.scale_spread)
+    doubts = body.doubts(found.scale_spread, found.scale)
     return {
         "what": "kits" if body.name == KITS else "part",
         "position": position * MM,

@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 Stream = Annotated[Literal["raw", "aligned"] | None, tyro.conf.arg(metavar="{raw,aligned}")]
 
 
-def need_generated(data: Path, command: str) -> None:
-    """Raise InputError for a folder of own scenes, which has no ground truth, parts or kits."""
+def need_truth(data: Path, command: str) -> None:
+    """Raise InputError for a folder of own scenes without labels: it has no ground truth, parts or kits."""
     path = data / "dataset.json"
     summary = read_json(path) if path.is_file() else {}
-    if isinstance(summary, dict) and "own" in summary:
-        raise InputError(f"{data}: own scenes, without ground truth; {command} needs a generated dataset")
+    if isinstance(summary, dict) and "own" in summary and not any(data.glob("*/*.truth.mcap")):
+        raise InputError(f"{data}: own scenes, without ground truth, which {command} needs; kit1000 label adds it")
 
 
 @dataclass(frozen=True, kw_only=True)

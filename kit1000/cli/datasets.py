@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from kit1000.cli.capture import need_generated
+from kit1000.cli.capture import need_truth
 from kit1000.cli.options import Flag, Folder, OptionalInt, OptionalPath, Unit
 from kit1000.cli.summaries import summary_text
 from kit1000.errors import InputError
@@ -153,7 +153,7 @@ class Show:
             raise InputError(f"--out {self.out}: --truth and --predictions are for a recording; name a file .mcap")
         check_own_mark(self.out)
         if self.scene is None or self.truth:
-            need_generated(self.data, "show without --scene" if self.scene is None else "show --truth")
+            need_truth(self.data, "show without --scene" if self.scene is None else "show --truth")
         if self.scene is None:
             write_own(self.out, geometry_sheet(Geometry(self.data), self.what, self.split, self.count, self.ids))
         elif recording:
@@ -209,7 +209,7 @@ class Export:
 
     def run(self) -> int:
         """Export, and print the folder."""
-        need_generated(self.data, "export")
+        need_truth(self.data, "export")
         from kit1000.export import export
 
         export(self.data, self.format, self.out, self.ids, self.split, self.sensor)

@@ -75,7 +75,7 @@ class Label:
             print(*report_lines(record), sep="\n")
             print(f"  {picture_path(self.data, record.scene_id)}")
             sure &= all(body.sure for body in record.bodies)
-        print("look at the pictures, then: kit1000 label DATA --confirm all --by NAME")
+        print(f"look at the pictures, then: kit1000 label {self.data} --confirm all --by NAME")
         return 0 if sure else 1
 
     def _confirm(self, scenes: OwnScenes) -> int:

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from kit1000.cli.capture import OwnImages, need_generated
+from kit1000.cli.capture import OwnImages, need_truth
 from kit1000.cli.options import Flag, Folder, OptionalInt, OptionalPath
 from kit1000.editor import SNAP
 from kit1000.errors import InputError
@@ -81,7 +81,7 @@ class Run:
 
     def run(self) -> int:
         """Run the robot and print the outcomes; returns 1 when a part is not seated."""
-        need_generated(self.data, "run")
+        need_truth(self.data, "run")
         from kit1000.planner.runs import format_runs, run_predictions
 
         runs = run_predictions(self.data, self.predictions, self.scene, self.track, self.out, self.seed)
@@ -205,7 +205,7 @@ class Study:
 
     def run(self) -> int:
         """Do what is asked; prints orders, an address or the path of a report."""
-        need_generated(self.data, "study")
+        need_truth(self.data, "study")
         from kit1000.study.command import Request, run
 
         find_own_modules()

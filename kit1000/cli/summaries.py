@@ -41,7 +41,9 @@ def summary_text(summary: dict) -> str:
 def _own_lines(summary: dict) -> Iterator[str]:
     """The lines about a folder of the user's own images."""
     scenes = [scene_id for ids in summary["shards"].values() for scene_id in ids]
-    yield f"{summary['preset']}  {summary['dataset_id']}  ({shown(summary['licence'])}; without ground truth)"
+    labelled = any(name.endswith(".truth.mcap") for name in summary["files"])
+    truth = "with labels" if labelled else "without ground truth"
+    yield f"{summary['preset']}  {summary['dataset_id']}  ({shown(summary['licence'])}; {truth})"
     for facts in summary["sensors"].values():
         step = f"steps of {1e3 * facts['unit']:g} mm" if facts["unit"] else "floats"
         yield (

@@ -63,8 +63,8 @@ class BodyWindow:
 
     @cached_property
     def _gradient(self) -> tuple[np.ndarray, np.ndarray]:
-        down, across = np.gradient(gaussian_filter(self.distance, SMOOTHING))
-        return down, across
+        smooth = gaussian_filter(self.distance, SMOOTHING)
+        return np.asarray(np.gradient(smooth, axis=0)), np.asarray(np.gradient(smooth, axis=1))
 
 
 def body_windows(image: LabelledDepth) -> dict[int, BodyWindow]:

@@ -78,7 +78,7 @@ def record_of(scene_id: str, view: str, source: dict[str, Any], scene: Registere
             body.placed.width,
             body.agreement,
             body.rival,
-            body.doubts(scene.scale_spread),
+            body.doubts(scene.scale_spread, scene.scale),
         )
         for body in scene.bodies
     )

@@ -8,7 +8,7 @@ tell, and the body is not sure.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from kit1000.errors import InputError
 from kit1000.labelling.agreement import Agreement, agreement
-from kit1000.labelling.alignment import Alignment, PlacedShape, align
+from kit1000.labelling.alignment import SCALE_SPREAD, PlacedShape, align
 from kit1000.labelling.body_windows import BodyWindow, body_windows
 from kit1000.labelling.shape_distance import ShapeDistance
 from kit1000.labelling.standing_plane import Support, seen_support
@@ -27,9 +27,10 @@ from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth
 KIT_TURNS = 72  # starting turns of the kits
 PART_TURNS = 36  # of a part
 PAIR_TURNS = 12  # of a part over a mask, to tell which part a mask shows
-TRIED = 8  # different starts of a body that are refined
+TRIED, MOST_TRIED = 8, 24  # different starts of a body that are refined; more where none of them explains the image
 SAME_START, SAME_POSE = 4e-3, 1e-3  # [m] by which poses differ that count as one
 LEAST_MARGIN = 0.02  # of the cost, to that of another pose
+MOST_SCALE = 3 * SCALE_SPREAD  # beyond, no camera is believed
 MOST_SHIFT = 1.5e-3  # [m] that an open depth scale may move a body
 OFTEN = 400  # most starts that are looked through for different ones
 
@@ -48,14 +49,16 @@ class RegisteredBody:
     rival: float | None
     """Cost of the best pose at which the shape lies elsewhere; None without one."""
 
-    def doubts(self, scale_spread: float) -> tuple[str, ...]:
+    def doubts(self, scale_spread: float, scale: float = 1.0) -> tuple[str, ...]:
         """Why the image alone does not settle the pose; none where it does. A person confirms it all the same.
 
-        scale_spread: standard deviation of the depth scale.
+        scale_spread, scale: of the depths, with its standard deviation.
         """
         found = list(self.agreement.faults)
         if self.rival is not None and self.rival - self.agreement.cost < LEAST_MARGIN:
             found.append("another pose explains the image nearly as well")
+        if abs(scale - 1) > MOST_SCALE:
+            found.append(f"the depth scale would be {(scale - 1) * 1e2:+.1f} %: wrong shapes, or wrong intrinsics")
         far = 2 * scale_spread * float(np.linalg.norm(self.placed.centre))
         if far > MOST_SHIFT:
             found.append(f"the depth scale is open: up to {far * 1e3:.1f} mm along the line of sight")
@@ -95,15 +98,19 @@ def register_scene(image: LabelledDepth, kits: KnownShape, parts: Sequence[Known
     return together(bodies, support)
 
 
-def together(bodies: Sequence[RegisteredBody], support: Support, fixed: Sequence[bool] = ()) -> RegisteredScene:
-    """Bodies refined together, with one depth scale. fixed: bodies that stay where they are."""
-    aligned: Alignment = align([body.placed for body in bodies], support)
-    still = list(fixed) or [False] * len(bodies)
-    moved = []
-    for body, placed, stays in zip(bodies, aligned.shapes, still, strict=True):
-        kept = body.placed if stays else placed
-        moved.append(replace(body, placed=kept, agreement=agreement(kept, support, aligned.scale)))
-    return RegisteredScene(tuple(moved), support, aligned.scale, aligned.scale_spread)
+def together(bodies: Sequence[RegisteredBody], support: Support) -> RegisteredScene:
+    """Bodies refined together: those that agree with the image tell the depth scale, and all follow it."""
+    sound = [body.placed for body in bodies if not body.agreement.faults]
+    scale, spread = 1.0, SCALE_SPREAD
+    if sound:
+        found = align(sound, support)
+        scale, spread = found.scale, found.scale_spread
+    aligned = align([body.placed for body in bodies], support, scale, fixed_scale=True)
+    moved = (
+        replace(body, placed=placed, agreement=agreement(placed, support, scale))
+        for body, placed in zip(bodies, aligned.shapes, strict=True)
+    )
+    return RegisteredScene(tuple(moved), support, scale, spread)
 
 
 def _assigned(
@@ -129,8 +136,13 @@ def _registered(shape: KnownShape, window: BodyWindow, support: Support) -> Regi
     if not found:
         raise InputError(f"{shape.name}: its mask has no depth: choose another image")
     distance = ShapeDistance(shape.mesh)
-    refined = [_refined(start, support) for start in _different(found, distance)]
-    scored = sorted(((agreement(placed, support), placed) for placed in refined), key=lambda entry: entry[0].cost)
+    scored: list[tuple[Agreement, PlacedShape]] = []
+    for start in _different(found, distance):
+        if len(scored) >= TRIED and not min(scored, key=_cost)[0].faults:
+            break
+        placed = _refined(start, support)
+        scored.append((agreement(placed, support), placed))
+    scored.sort(key=_cost)
     best, placed = scored[0]
     others = (
         score.cost
@@ -140,17 +152,21 @@ def _registered(shape: KnownShape, window: BodyWindow, support: Support) -> Regi
     return RegisteredBody(shape.name, window.label, placed, best, next(others, None))
 
 
+def _cost(entry: tuple[Agreement, PlacedShape]) -> float:
+    return entry[0].cost
+
+
 def _refined(start: Start, support: Support) -> PlacedShape:
     return align([start.placed], support, fixed_scale=True).shapes[0]
 
 
-def _different(found: Sequence[Start], distance: ShapeDistance) -> list[Start]:
-    """The first TRIED starts that differ from each other."""
+def _different(found: Sequence[Start], distance: ShapeDistance) -> Iterator[Start]:
+    """The first MOST_TRIED starts that differ from each other, each looked for when it is asked for."""
     kept: list[Start] = []
     for start in found[:OFTEN]:
         pose: Pose = start.placed.camera_from_body
         if all(distance.between(pose, other.placed.camera_from_body) > SAME_START for other in kept):
             kept.append(start)
-        if len(kept) == TRIED:
-            break
-    return kept
+            yield start
+        if len(kept) == MOST_TRIED:
+            return

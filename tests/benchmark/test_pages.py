@@ -271,3 +271,23 @@ def test_numbers_are_written_with_the_decimals_of_their_column() -> None:
         "medium",
         "slow",
     ]
+
+
+def test_real_scenes_are_tracks_of_their_own(tmp_path: Path) -> None:
+    """Empty until somebody sends scenes; then of another dataset than the rest of the board."""
+    folder = write_board(tmp_path / "submissions", ("guess", "learned"))
+    build(folder, tmp_path / "empty", None)
+    empty = page(tmp_path / "empty")
+    assert 'id="track-real"' in empty
+    assert "None was sent yet" in empty
+    shutil.copytree(folder / "learned", folder / "real/learned")
+    scores = json.loads((folder / "real/learned/scores.json").read_text("utf-8"))
+    (folder / "real/learned/scores.json").write_text(json.dumps(scores | {"dataset_id": "ea1dea1dea1dea1d"}))
+    build(folder, tmp_path / "site", None)
+    index = page(tmp_path / "site")
+    tracks = re.findall(r'id="track-(real[^"]*)"', index)
+    assert tracks == [f"real-{track}" for track in TRACKS if track in scores["tracks"]]
+    assert "methods/real-learned.html" in index
+    own = (tmp_path / "site/methods/real-learned.html").read_text("utf-8")
+    assert "ea1dea1dea1dea1d" in own
+    assert "ea1dea1dea1dea1d" not in page(tmp_path / "site", "learned")

@@ -52,6 +52,7 @@ def test_a_body_whose_image_settles_its_pose_has_no_doubts(found: RegisteredScen
     assert any("depth scale" in doubt for doubt in found.bodies[0].doubts(5e-3))
 
 
+@pytest.mark.slow
 def test_the_sizes_of_the_shapes_tell_the_depth_scale() -> None:
     scene = sample_scene(noise=0.3e-3, scale=1.003)
     parts = [scene.kits.shape(part.id) for part in scene.kits.parts]
@@ -69,6 +70,10 @@ def test_a_wrong_shape_is_in_doubt() -> None:
     image = LabelledDepth(scene.image.view, labels)
     registered = register_scene(image, scene.kits.kit_shape, wrong)
     assert registered.bodies[1].doubts(1e-4)
+    kits = registered.bodies[0]
+    assert np.linalg.norm((true_pose(scene, KITS).inverse() @ kits.placed.camera_from_body).xyz) < 1.5e-3
+    assert abs(registered.scale - 1) < 2e-3  # by the kits alone
+    assert any("wrong shapes" in doubt for doubt in kits.doubts(1e-4, scale=1.02))
 
 
 def test_images_without_what_is_needed_are_refused() -> None:

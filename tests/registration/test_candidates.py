@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from kit1000.mesh import mesh_from_solid
-from kit1000.perception.observed.parts import PartEvidence
+from kit1000.perception.observed.parts import HALF_WIDTH, PartEvidence
 from kit1000.perception.observed.pixels import IDEAL
 from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE
@@ -40,7 +40,8 @@ def search_for(known: Case, further: bool = True) -> EvidenceSearch:
     """The search with evidence that leaves nothing unknown."""
     told = PartEvidence(known.part, known.part, known.part)
     shown = {"part_points": surface_points(known.part)[::20], "hidden_outline": 0.0}
-    source: Any = SimpleNamespace(evidence=told, middle=known.pivot, completer=None, restored=False, **shown)
+    kind = {"completer": None, "restored": False, "half_width": HALF_WIDTH}
+    source: Any = SimpleNamespace(evidence=told, middle=known.pivot, **kind, **shown)
     return EvidenceSearch(source, SimpleNamespace(guess=None, pivot=known.pivot, sensor="ideal"), CLEARANCE, further)  # type: ignore[arg-type]
 
 
