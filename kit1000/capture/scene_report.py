@@ -93,7 +93,7 @@ def _notes(scene: OwnScene, clearance: float | None) -> Iterator[str]:
     if measures_time_of_flight(facts.device):
         yield f"{facts.device} measures time of flight, which blurs edges: not supported, fits will be off"
     if clearance is None:
-        yield "no --clearance-mm: the gap between part and cavity is not known"
+        yield "no --clearance-mm: several gaps between part and cavity are tried"
     shift, tilt = scene.world.moved
     if abs(shift) > 1e-3 or tilt > 0.1:
         yield f"the given pose was corrected by {1e3 * shift:+.1f} mm in z and {tilt:.2f}°: the table is at z = 0"
