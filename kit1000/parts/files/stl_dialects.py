@@ -42,7 +42,7 @@ def read_stl(data: bytes, max_faces: int) -> TriangleSoup:
     check_foreign(data)
     check_narrow(data)
     text = data.rstrip(b"\0")  # with which some programs fill up a block of the disk
-    if b"\0" not in text[:4096] and _is_printable(text[:4096]):
+    if text and b"\0" not in text[:4096] and _is_printable(text[:4096]):
         return _text(plain_text(text), max_faces)
     if len(data) < HEADER:
         raise MeshRefused(f"not a mesh: {len(data)} bytes, a binary STL has at least {HEADER}")
