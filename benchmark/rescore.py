@@ -43,7 +43,9 @@ def _rescore(data: Path, refresh: bool, folder: Path) -> tuple[Path, list[str]]:
     submission = read_checked(folder, data, split)
     summary = score(submission, _dataset(data), None, split, exact).summary
     text = json_text(summary)
-    found = _differences(before, json.loads(text), "")
+    now = json.loads(text)
+    unknown = {field: value for field, value in now["manifest"].items() if value == ""}  # fields newer than the scores
+    found = _differences(before | {"manifest": unknown | before["manifest"]}, now, "")
     differences = [line for line in found if line.partition(":")[0] not in CODE_KEYS]
     if refresh and not differences:
         write_bytes(folder / "scores.json", text.encode())
