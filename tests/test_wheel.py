@@ -1,4 +1,4 @@
-"""The wheel alone, outside the checkout, does the whole job: generates, predicts, runs the robot, opens the page."""
+"""The wheel alone, outside the checkout: generates, imports, predicts, runs the robot, opens the page."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ from collections.abc import Callable
 from pathlib import Path
 from urllib.request import urlopen
 
+import numpy as np
 import pytest
+from PIL import Image
+
+from kit1000.dataset.reader import Dataset
 
 ROOT = Path(__file__).resolve().parents[1]
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -75,7 +79,25 @@ def test_the_wheel_predicts_by_networks_and_lets_the_robot_run(kit1000: Command)
 @pytest.mark.usefixtures("tiny")
 @pytest.mark.parametrize("snap", [(), ("--snap", "registration-completed")])
 def test_the_wheel_opens_the_page(folder: Path, snap: tuple[str, ...]) -> None:
-    words = [folder.parent / "env/bin/kit1000", "edit", "tiny", "--scene", "test-s0000", *snap]
+    check_page(folder, "tiny", "--scene", "test-s0000", *snap)
+
+
+@pytest.mark.slow
+def test_the_wheel_imports_an_image_and_predicts_for_it(folder: Path, kit1000: Command, tiny: Path) -> None:
+    view = Dataset(tiny).split("test").scene("test-s0000").labelled_depth("d415").view
+    millimetres = np.rint(1e3 * view.depth).astype(np.uint16)
+    Image.fromarray(millimetres).save(folder / "depth.png")
+    numbers = [str(value) for value in (view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy)]
+    listed = kit1000("import", "depth.png", "--intrinsics", *numbers, "--stream", "raw", "--out", "own").stdout
+    assert "kit\n" in listed
+    predict = ("predict", "registration-measured", "--data", "own", "--limit", "1", "--out", "own-answers")
+    assert "1 predictions of registration-measured" in kit1000(*predict).stdout
+    check_page(folder, "own", "--out", "own-edits")
+
+
+def check_page(folder: Path, *options: str) -> None:
+    """Open the page as `kit1000 edit` does, ask for it, and end it."""
+    words = [folder.parent / "env/bin/kit1000", "edit", *options]
     with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as page:
         try:
             assert page.stdout is not None
