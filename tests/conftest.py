@@ -23,7 +23,7 @@ from tests.samples.checkout import ROOT
 from tests.samples.mini import HIDDEN, HIDDEN_SEED, MINI, Published, fake_scene, publish_by_command
 from tests.samples.sources import loaded
 
-settings.register_profile("kit1000", deadline=None)  # a busy machine may take its time
+settings.register_profile("kit1000", deadline=None, max_examples=30)  # a busy machine may take its time
 settings.load_profile("kit1000")
 
 TORCH, BROWSER = "torch", "playwright"

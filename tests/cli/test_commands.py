@@ -265,7 +265,7 @@ def wait_for(folder: Path, pattern: str, run: subprocess.Popen[str]) -> None:
         time.sleep(0.01)
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_an_interrupted_generate_ends_in_one_line_and_can_be_continued(how: signal.Signals, tmp_path: Path) -> None:
     sources, out = l_shape_sources(tmp_path / "files", WIDTHS), tmp_path / "out"
     line = ["generate", "tiny", "--out", out, "--parts", tmp_path / "files", "--workers", "2"]

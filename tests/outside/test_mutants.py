@@ -50,6 +50,7 @@ def small_tree(tmp_path: Path) -> Path:
     return tree
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("old", "new", "killed"), [("x / 2", "x / 3", True), ("x / 2", "x * 0.5", False)])
 def test_a_change_dies_when_a_test_fails_and_is_undone(old: str, new: str, killed: bool, small_tree: Path) -> None:
     assert is_killed(Mutant("half.py", old, new, "half"), small_tree) == killed

@@ -86,6 +86,7 @@ def test_predictions_do_not_depend_on_the_processor(mini: Path) -> None:
     assert here == there
 
 
+@pytest.mark.slow
 def test_predictions_by_networks_do_not_depend_on_the_processor(mini: Path) -> None:
     here, there = printed(NETWORKS, mini)
     assert here.count("\n") == 41
