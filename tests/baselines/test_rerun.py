@@ -97,6 +97,7 @@ def test_a_submission_that_cannot_be_rerun_is_bad_input(made: Path, mini: Path, 
         rerun(out, mini, 1, 1)
 
 
+@pytest.mark.slow
 def test_scores_come_out_again_to_the_last_digit(made: Path, mini: Path, tmp_path: Path) -> None:
     assert list(rescore([made], mini)) == [(made, [])]
     assert benchmark(["rescore", str(made), "--data", str(mini)]) == 0

@@ -15,6 +15,7 @@ from kit1000.labelling.label_records import read_record
 from tests.samples.labelled_scenes import SCENE, own_folder, shapes_folder
 
 
+@pytest.mark.slow
 def test_an_own_scene_is_labelled_confirmed_and_scored(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     root = own_folder(tmp_path / "mine")
     shapes_folder(tmp_path / "shapes")

@@ -103,7 +103,10 @@ def test_what_needs_ground_truth_says_in_one_line_that_there_is_none(
     assert "without ground truth" in said
 
 
-@pytest.mark.parametrize("key", ["checksum", "files", "config", "counts", "preset", "seed", "shards", "data_version"])
+RARE = [pytest.param(key, marks=pytest.mark.slow) for key in ("files", "counts", "preset", "seed", "data_version")]
+
+
+@pytest.mark.parametrize("key", ["checksum", "config", "shards", *RARE])
 def test_a_missing_entry_is_one_line_or_no_matter(
     mini: Path, tmp_path: Path, summary: dict[str, Any], key: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

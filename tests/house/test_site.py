@@ -143,6 +143,7 @@ def test_a_page_opened_from_disk_can_be_searched_without_errors(site: Path, chro
     page.close()
 
 
+@pytest.mark.slow
 def test_a_page_fits_on_a_phone(site: Path, chromium: Any) -> None:
     page = chromium.new_page(viewport={"width": 390, "height": 800})
     for unseen in ("**/*.png", "**/*.js", "**/search_index*"):  # pictures shrink to the page; scripts move nothing

@@ -34,7 +34,7 @@ def of_file(solid: Manifold) -> Part:
 
 
 @pytest.mark.parametrize("name", SOLIDS)
-@pytest.mark.parametrize("clearance", [CLEARANCE, 0.5e-3])
+@pytest.mark.parametrize("clearance", [CLEARANCE, pytest.param(0.5e-3, marks=pytest.mark.slow)])
 def test_a_face_refused_early_is_refused_by_the_exact_trials_for_the_same_reason(name: str, clearance: float) -> None:
     part = of_file(SOLIDS[name])
     for face in insertion_faces(part, clearance, fitted_plate=True):
