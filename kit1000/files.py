@@ -13,7 +13,7 @@ import os
 import platform
 import shutil
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any, cast
@@ -143,6 +143,12 @@ def json_bytes(value: Any) -> bytes:
         rows = [f"{json.dumps(key)}: {_compact(value[key])}" for key in sorted(value)]
         return ("{\n" + ",\n".join(rows) + "\n}\n").encode()
     return (_compact(value) + "\n").encode()
+
+
+def with_checksum(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """Entries of a JSON object with `checksum`: the SHA-256 in hex of the bytes of the others."""
+    plain = {key: value for key, value in entries.items() if key != "checksum"}
+    return plain | {"checksum": hashlib.sha256(json_bytes(plain)).hexdigest()}
 
 
 def read_json(path: Path) -> Any:

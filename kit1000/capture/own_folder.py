@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from kit1000.capture.own_scene import OwnScene
 from kit1000.dataset.mcap_io import ObservationWriter
-from kit1000.dataset.mcap_io.writing import record_checksum
+from kit1000.dataset.own_scenes import OWN, TABLES
 from kit1000.dataset.schema import SCENES_PER_SHARD, Observation
 from kit1000.dataset.tables import FORMAT
-from kit1000.errors import InputError, checked
+from kit1000.errors import InputError
 from kit1000.export.new_folder import new_folder
-from kit1000.files import json_bytes, write_bytes, write_json
+from kit1000.files import json_bytes, with_checksum, write_bytes, write_json
 from kit1000.perception.sensor_facts import KEY
 from kit1000.pictures.scene_preview import png_bytes, scene_picture
 from kit1000.queries.pivots import part_pivots
@@ -25,30 +23,9 @@ from kit1000.queries.tracks import query_id
 SENSOR = "d415"  # key of the view, by which tracks of noisy images are named
 TRACKS = ("snap-d415", "place-d415")
 LICENCE = "the user's own"
-PRESET = OWN = "own"
-"""Preset, and key of dataset.json: what the scenes were imported from; generated datasets have none."""
+PRESET = DATA_VERSION = "own"
 ID_DIGITS = 16
-TABLES_KEY = "tables"
-"""Key of dataset.json: the outline (k, 2) [m] of the table that was seen, by scene."""
-TABLES = ("parts.json", "kits.json", "assemblies.json")
-
-
-def seen_table(summary: Mapping[str, Any], scene_id: str) -> np.ndarray | None:
-    """(k, 2) [m] world: the convex outline of the table that an own scene shows; None for a generated scene."""
-    outline = summary.get(TABLES_KEY, {}).get(scene_id)
-    return None if outline is None else checked(f"dataset.json: table of {scene_id}", outline, ("k", 2))
-
-
-class OwnWriter(ObservationWriter):
-    """Writes recordings of the user's own images, with the user's licence."""
-
-    def __init__(self, path: Path, licence: str) -> None:
-        super().__init__(path)
-        self._licence = licence
-
-    def _record(self) -> dict[str, str]:
-        record = super()._record() | {"licence": self._licence}
-        return record | {"checksum": record_checksum(record)}
+SHAPES = ("parts.json", "kits.json", "assemblies.json")
 
 
 def write_own_folder(
@@ -71,11 +48,11 @@ def write_own_folder(
         for first in range(0, len(observations), SCENES_PER_SHARD):
             name = f"test/{first // SCENES_PER_SHARD:04d}.mcap"
             some = observations[first : first + SCENES_PER_SHARD]
-            with OwnWriter(partial / name, licence) as writer:
+            with ObservationWriter(partial / name, licence) as writer:
                 for observation in some:
                     writer.add(observation)
             files[name], shards[name] = writer.sha256, [observation.scene_id for observation in some]
-        files |= {name: write_json(partial / name, {}) for name in TABLES}
+        files |= {name: write_json(partial / name, {}) for name in SHAPES}
         write_bytes(partial / "dataset.json", _summary_bytes(scenes, files, shards, clearance, licence))
 
 
@@ -122,7 +99,7 @@ def _summary_bytes(
     summary = {
         "config": config,
         "counts": {"test": none | {"scenes": len(scenes)}, "train": none, "val": none},
-        "data_version": "own",
+        "data_version": DATA_VERSION,
         "dataset_id": dataset_id,
         "files": files,
         "format": FORMAT,
@@ -135,6 +112,6 @@ def _summary_bytes(
         "seed": None,
         KEY: {SENSOR: scenes[0].facts.as_row()},
         "shards": shards,
-        TABLES_KEY: dict(zip(scene_ids, outlines, strict=True)),
+        TABLES: dict(zip(scene_ids, outlines, strict=True)),
     }
-    return json_bytes(summary | {"checksum": hashlib.sha256(json_bytes(summary)).hexdigest()})
+    return json_bytes(with_checksum(summary))

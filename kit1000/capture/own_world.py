@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from kit1000.capture.seen_bodies import SeenBody
 from kit1000.capture.table_search import Table
-from kit1000.errors import InputError, Kit1000Error
+from kit1000.dataset.pose_files import stated_pose
+from kit1000.errors import InputError
 from kit1000.files import read_json
 from kit1000.pose import Pose, quaternion_between
 
@@ -20,7 +20,6 @@ KITS_PLACE = 0.2  # [m] from the origin to the middle of the kit, where there ar
 SAME_GAP = 2e-3  # [m] gaps up to this much narrower than the widest are as good
 MOST_OFF, MOST_TILT_DEG = 25e-3, 5.0  # [m] from the plane z = 0 and from level, of the table in the user's frame
 TRIMMED = 0.01  # share of a body's points beyond either side of the line
-POSE_FORMATS = '{"wxyz": [4], "xyz": [3]} or a matrix of 4 x 4 numbers'
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,18 +80,7 @@ def world_of_pose(table: Table, given: Pose, source: str) -> OwnWorld:
 def read_pose(path: Path) -> Pose:
     """The pose world_from_camera of a JSON file. Raises InputError for anything else."""
     value = read_json(path)
-    rows = value.get("world_from_camera", value) if isinstance(value, dict) else value
-    try:
-        return _pose_of(rows)
-    except (Kit1000Error, TypeError, ValueError, KeyError) as error:
-        raise InputError(f"{path}: expected a pose, {POSE_FORMATS} [m] ({' '.join(str(error).split())})") from None
-
-
-def _pose_of(rows: Any) -> Pose:
-    if isinstance(rows, dict):
-        wxyz = np.array(rows["wxyz"], float)
-        return Pose(wxyz / np.sqrt((wxyz**2).sum()), np.array(rows["xyz"], float))
-    return Pose.from_matrix(np.array(rows, float).reshape(4, 4))
+    return stated_pose(value.get("world_from_camera", value) if isinstance(value, dict) else value, str(path))
 
 
 def _pose(table: Table, towards: np.ndarray, origin: np.ndarray) -> Pose:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 from kit1000.cli.options import OptionalFloat, OptionalPath
+from kit1000.dataset.own_scenes import is_labelled, is_own
 from kit1000.errors import InputError
 from kit1000.files import read_json
 
@@ -22,7 +23,7 @@ def need_truth(data: Path, command: str) -> None:
     """Raise InputError for a folder of own scenes without labels: it has no ground truth, parts or kits."""
     path = data / "dataset.json"
     summary = read_json(path) if path.is_file() else {}
-    if isinstance(summary, dict) and "own" in summary and not any(data.glob("*/*.truth.mcap")):
+    if isinstance(summary, dict) and is_own(summary) and not is_labelled(summary):
         raise InputError(f"{data}: own scenes, without ground truth, which {command} needs; kit1000 label adds it")
 
 

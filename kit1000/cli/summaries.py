@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from kit1000.dataset.own_scenes import OWN, is_labelled, is_own
 from kit1000.errors import shown
 
 MAX_LISTED = 20  # refused files in a summary
@@ -13,7 +14,7 @@ PRINTER_BED_MM = 250  # side of the bed of a usual desktop printer
 
 def summary_text(summary: dict) -> str:
     """The contents of a dataset.json as text."""
-    if "own" in summary:
+    if is_own(summary):
         return "\n".join(_own_lines(summary))
     if "preset" not in summary:
         return _own_scenes(summary)
@@ -41,8 +42,7 @@ def summary_text(summary: dict) -> str:
 def _own_lines(summary: dict) -> Iterator[str]:
     """The lines about a folder of the user's own images."""
     scenes = [scene_id for ids in summary["shards"].values() for scene_id in ids]
-    labelled = any(name.endswith(".truth.mcap") for name in summary["files"])
-    truth = "with labels" if labelled else "without ground truth"
+    truth = "with labels" if is_labelled(summary) else "without ground truth"
     yield f"{summary['preset']}  {summary['dataset_id']}  ({shown(summary['licence'])}; {truth})"
     for facts in summary["sensors"].values():
         step = f"steps of {1e3 * facts['unit']:g} mm" if facts["unit"] else "floats"
@@ -50,7 +50,7 @@ def _own_lines(summary: dict) -> Iterator[str]:
             f"  {shown(facts['device'])}: {facts['stream']} stream, {step}, baseline {1e3 * facts['baseline']:g} mm, "
             f"noise {facts['noise_px']:.2f} px, recorded with fx {facts['focal_length']:.1f} px"
         )
-    yield from (f"  {i}  {shown(source)}" for i, source in zip(scenes, summary["own"]["sources"], strict=True))
+    yield from (f"  {i}  {shown(source)}" for i, source in zip(scenes, summary[OWN]["sources"], strict=True))
 
 
 def _own_scenes(summary: dict) -> str:

@@ -20,7 +20,7 @@ from unittest import mock
 import viser
 import websockets.asyncio.server as websocket_server
 
-from kit1000.capture.own_folder import seen_table
+from kit1000.dataset.own_scenes import seen_table
 from kit1000.dataset.pose_files import read_pose
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from kit1000.errors import InputError
-from kit1000.files import clear_partial, json_bytes, sha256, write_bytes, write_json
+from kit1000.files import clear_partial, sha256, with_checksum, write_bytes, write_json
 
 REPORT = "report.json"  # written last: when it exists, the other files are complete and of the same part
 WRITING = ".kit1000-writing.json"
-FILES, CHECKSUM = "files", "checksum"
+FILES = "files"
 STAYS = "is there already and of another origin: it stays; choose another --out"
 
 
@@ -62,8 +62,7 @@ def write_kit_folder(out: Path, files: Mapping[str, bytes], report: dict[str, An
             (out / name).unlink(missing_ok=True)
     for name, data in files.items():
         write_bytes(out / name, data)
-    complete = report | {FILES: new}
-    complete |= {CHECKSUM: _checksum(complete)}
+    complete = with_checksum(report | {FILES: new})
     write_json(out / REPORT, complete)
     (out / WRITING).unlink(missing_ok=True)
     return complete
@@ -84,14 +83,7 @@ def _known(out: Path) -> dict[str, set[str]]:
 def _is_ours(path: Path) -> bool:
     """Whether a report is as a run wrote it."""
     report = _read(path)
-    return (
-        isinstance(report, dict) and isinstance(report.get(FILES), dict) and report.get(CHECKSUM) == _checksum(report)
-    )
-
-
-def _checksum(report: Mapping[str, Any]) -> str:
-    """SHA-256 of a report without its checksum."""
-    return hashlib.sha256(json_bytes({key: value for key, value in report.items() if key != CHECKSUM})).hexdigest()
+    return isinstance(report, dict) and isinstance(report.get(FILES), dict) and report == with_checksum(report)
 
 
 def _read(path: Path) -> Any:

@@ -22,7 +22,7 @@ from kit1000.dataset.tables import FORMAT, Row, assembly_row, kit_row, part_row
 from kit1000.errors import InputError, Redraw, did_you_mean
 from kit1000.export.new_folder import new_folder
 from kit1000.export.threemf import threemf_bytes
-from kit1000.files import json_bytes, write_bytes, write_json
+from kit1000.files import json_bytes, with_checksum, write_bytes, write_json
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly, check_assembly
 from kit1000.kits.face import resting_faces
 from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_fit_in_other_slot
@@ -191,7 +191,7 @@ def _summary(
         "shards": {},
         "files": dict(files),
     }
-    return plain | {"checksum": hashlib.sha256(json_bytes(plain)).hexdigest()}
+    return with_checksum(plain)
 
 
 def printed_volumes(folder: Path) -> dict[str, tuple[float, float]]:

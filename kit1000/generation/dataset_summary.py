@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -10,7 +9,7 @@ from typing import Any
 
 from kit1000.dataset.schema import LICENCE
 from kit1000.dataset.tables import FORMAT, Row
-from kit1000.files import json_bytes
+from kit1000.files import json_bytes, with_checksum
 from kit1000.generation.card import card_bytes
 from kit1000.generation.card_statistics import add_up, part_statistics
 from kit1000.generation.croissant import croissant_bytes
@@ -100,13 +99,8 @@ def summary_bytes(summary: Mapping[str, Any]) -> bytes:
     Versions of libraries have a checksum of their own: they are no part of what tells copies of a dataset apart.
     """
     plain = {key: value for key, value in summary.items() if key not in ("checksum", RECORD)}
-    made = {RECORD: _with_checksum(summary[RECORD])} if RECORD in summary else {}
-    return json_bytes(_with_checksum(plain) | made)
-
-
-def _with_checksum(entries: Mapping[str, Any]) -> dict[str, Any]:
-    plain = {key: value for key, value in entries.items() if key != "checksum"}
-    return plain | {"checksum": hashlib.sha256(json_bytes(plain)).hexdigest()}
+    made = {RECORD: with_checksum(summary[RECORD])} if RECORD in summary else {}
+    return json_bytes(with_checksum(plain) | made)
 
 
 def refused_files(plan: Mapping[str, Any], records: Mapping[str, Record]) -> dict[str, str]:

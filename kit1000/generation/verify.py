@@ -9,6 +9,7 @@ from typing import Any
 from tqdm import tqdm
 
 from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.own_scenes import is_labelled
 from kit1000.dataset.reader import WITHHELD_FILE, WITHOUT_TRUTH
 from kit1000.errors import InputError
 from kit1000.files import read_json, sha256
@@ -21,6 +22,8 @@ from kit1000.rng import stream
 from kit1000.sim.world import PhysicsMissing, check_physics
 
 INDEX, PLAN = "dataset.json", "plan.json"
+
+NOT_GENERATED = "scenes of a camera: there is nothing to generate again"
 
 
 @dataclass(frozen=True)
@@ -42,16 +45,17 @@ def verify(root: Path, sample: int = 0) -> VerifyReport:
     geometry = Geometry(root)
     summary = geometry.summary
     own = PLAN not in summary.get("files", {}) and "withheld" not in summary  # as of an own camera
+    own_notes = ((NOT_GENERATED if is_labelled(summary) else WITHOUT_TRUTH),) if own else ()
     if "checksum" not in summary:
         fault = f"{INDEX}: has no checksum: nothing can be compared with what was written"
-        return VerifyReport(0, (), (fault,), (WITHOUT_TRUTH,) if own else ())
+        return VerifyReport(0, (), (fault,), own_notes)
     if not _checksum_holds(root, summary):
         return VerifyReport(
             0, (), (f"{INDEX}: changed since it was written",), ("it lists all others: none was checked",)
         )
     count, faults = len(summary["files"]), _file_faults(root, summary)
     if sample == 0 or own:
-        return VerifyReport(count, (), tuple(faults), (WITHOUT_TRUTH,) if own else ())
+        return VerifyReport(count, (), tuple(faults), own_notes)
     reason = _why_not_rebuilt(root, summary, faults)
     if reason is not None:
         return VerifyReport(count, (), tuple(faults), (reason,))
@@ -74,8 +78,6 @@ def verify(root: Path, sample: int = 0) -> VerifyReport:
 
 def _why_not_rebuilt(root: Path, summary: dict[str, Any], faults: list[str]) -> str | None:
     """Why no scene can be generated again; None when it can."""
-    if "own" in summary:
-        return "scenes of a camera: there is nothing to generate again"
     if not (root / PLAN).is_file():
         return "the plan is withheld: scenes can be generated again only from the full dataset"
     if faults:

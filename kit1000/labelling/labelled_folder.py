@@ -11,45 +11,21 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from kit1000.capture.own_folder import TRACKS
 from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter, TruthFile, TruthWriter
-from kit1000.dataset.mcap_io.writing import ShardWriter, record_checksum
 from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.dataset.reader import Dataset
-from kit1000.dataset.schema import Observation, SceneTruth
+from kit1000.dataset.schema import LICENCE, Observation, SceneTruth
 from kit1000.dataset.tables import Row, assembly_row, kit_row, part_row
 from kit1000.errors import InputError
-from kit1000.files import json_bytes, locked, read_json, write_bytes, write_json
+from kit1000.files import json_bytes, locked, read_json, with_checksum, write_bytes, write_json
 from kit1000.labelling.known_kits import KnownKits, read_known_kits
 from kit1000.labelling.label_records import LabelRecord
 from kit1000.labelling.scene_truth import labelled_scene
 from kit1000.mesh import Mesh
 
 SPLIT = "test"
-TRACKS = ("snap-d415", "place-d415")  # where the folder names none
 ORIGIN = "own"  # value of `source` in the rows of shapes that a user gave
-
-
-class _Licensed(ShardWriter):
-    """A writer of recordings under the licence of the images: a user's own stay the user's."""
-
-    def __init__(self, path: Path, licence: str | None) -> None:
-        super().__init__(path)
-        self._licence = licence
-
-    def _record(self) -> dict[str, str]:
-        record = super()._record()
-        if self._licence is None:
-            return record
-        record["licence"] = self._licence
-        return record | {"checksum": record_checksum(record)}
-
-
-class _OwnObservations(_Licensed, ObservationWriter):
-    """Recordings of own images."""
-
-
-class _OwnTruths(_Licensed, TruthWriter):
-    """Recordings of the truth of own scenes."""
 
 
 def write_truth(root: Path, records: Mapping[str, LabelRecord]) -> list[str]:
@@ -59,7 +35,7 @@ def write_truth(root: Path, records: Mapping[str, LabelRecord]) -> list[str]:
     """
     dataset = Dataset(root)
     shards = dataset.shards(SPLIT)
-    tracks = dataset.summary["config"].get("tracks") or list(TRACKS)
+    tracks = dataset.summary["config"].get("tracks") or list(TRACKS)  # folders that no import wrote may name none
     shapes = {scene_id: read_known_kits(record.source) for scene_id, record in records.items()}
     made: dict[str, tuple[Observation, SceneTruth]] = {}
     for scene_id, record in records.items():
@@ -75,7 +51,7 @@ def write_truth(root: Path, records: Mapping[str, LabelRecord]) -> list[str]:
         written |= {f"{name}.json": write_json(root / f"{name}.json", rows) for name, rows in tables.items()}
         without: list[str] = []
         for shard in sorted({shards[scene_id] for scene_id in records}):
-            hashes, missing = _write_shard(root, shard, made, dataset.summary.get("licence"))
+            hashes, missing = _write_shard(root, shard, made, dataset.summary.get("licence", LICENCE))
             written, without = written | hashes, without + missing
         without += [i for i, shard in shards.items() if not (root / f"{shard}.truth.mcap").is_file()]
         _write_summary(root, dataset.summary, written, tables)
@@ -83,7 +59,7 @@ def write_truth(root: Path, records: Mapping[str, LabelRecord]) -> list[str]:
 
 
 def _write_shard(
-    root: Path, shard: str, made: Mapping[str, tuple[Observation, SceneTruth]], licence: str | None
+    root: Path, shard: str, made: Mapping[str, tuple[Observation, SceneTruth]], licence: str
 ) -> tuple[dict[str, str], list[str]]:
     """Write both recordings of a shard anew; returns the SHA-256 of each, and the scenes without truth."""
     seen_path, truth_path = root / f"{shard}.mcap", root / f"{shard}.truth.mcap"
@@ -93,10 +69,10 @@ def _write_shard(
     observations = [made[i][0] if i in made else recorded.observation(i) for i in recorded.scene_ids]
     truths = [made[i][1] if i in made else known.truth(i) for i in recorded.scene_ids if i in made or i in had]  # type: ignore[union-attr]
     hashes = {}
-    with _OwnTruths(truth_path, licence) as truth_writer:
+    with TruthWriter(truth_path, licence) as truth_writer:
         for truth in truths:
             truth_writer.add(truth)
-    with _OwnObservations(seen_path, licence) as writer:
+    with ObservationWriter(seen_path, licence) as writer:
         for observation in observations:
             writer.add(observation)
     for path, one in ((seen_path, writer), (truth_path, truth_writer)):
@@ -137,5 +113,4 @@ def _write_summary(
     if len(clearances) == 1:  # which generated datasets tell too
         plain["config"] = {"clearance": clearances.pop()} | summary["config"]
     plain |= {"counts": counts, "files": dict(summary.get("files", {})) | dict(written)}
-    checksum = {"checksum": hashlib.sha256(json_bytes(plain)).hexdigest()} if "checksum" in summary else {}
-    write_bytes(root / "dataset.json", json_bytes(plain | checksum))
+    write_bytes(root / "dataset.json", json_bytes(with_checksum(plain) if "checksum" in summary else plain))

@@ -10,9 +10,9 @@ import pytest
 from PIL import Image
 
 from kit1000.capture.importing import Import, import_scenes
-from kit1000.capture.own_folder import seen_table
 from kit1000.cli import main
 from kit1000.dataset.mcap_io import ObservationFile
+from kit1000.dataset.own_scenes import seen_table
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.scene import EditedScene
 from kit1000.errors import InputError

@@ -35,7 +35,9 @@ class ShardWriter:
 
     CONTENTS: ClassVar[str]
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, licence: str = LICENCE) -> None:
+        """Begin a file under a licence."""
+        self.licence = licence
         self.path = Path(path) if isinstance(path, str) else path  # an object store has its own path type
         self.sha256: str | None = None
         """SHA-256 of the file in hex; None until it is written."""
@@ -89,7 +91,7 @@ class ShardWriter:
             "format": FORMAT,
             "holds": self.CONTENTS,
             "generator": GENERATOR,
-            "licence": LICENCE,
+            "licence": self.licence,
             "length_unit": "m",
             "depth_unit": "m",
             "scenes": json_bytes(list(self._content), "scenes").decode(),

@@ -1,0 +1,31 @@
+"""What dataset.json says of scenes of the user's own camera, as `kit1000 import` and `kit1000 label` write it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from kit1000.errors import checked
+
+OWN = "own"
+"""Key of dataset.json: what the scenes were imported from; generated datasets have none."""
+TABLES = "tables"
+"""Key of dataset.json: the outline (k, 2) [m] of the table that was seen, by scene."""
+
+
+def is_own(summary: Mapping[str, Any]) -> bool:
+    """Whether a dataset.json is about own scenes."""
+    return OWN in summary
+
+
+def is_labelled(summary: Mapping[str, Any]) -> bool:
+    """Whether a dataset.json lists ground truth."""
+    return any(name.endswith(".truth.mcap") for name in summary.get("files", {}))
+
+
+def seen_table(summary: Mapping[str, Any], scene_id: str) -> np.ndarray | None:
+    """(k, 2) [m] world: the convex outline of the table that an own scene shows; None for a generated scene."""
+    outline = summary.get(TABLES, {}).get(scene_id)
+    return None if outline is None else checked(f"dataset.json: table of {scene_id}", outline, ("k", 2))
