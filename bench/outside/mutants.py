@@ -167,9 +167,11 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ("hashlib.sha256(salt.encode() + dataset_id.encode())", "hashlib.sha256(dataset_id.encode())"),
         ('"seed": None,', '"seed": summary["seed"],'),
     ),
-    ("kit1000/generation/scene_queries.py", "generation/queries"): (
+    ("kit1000/dataset/asked_queries.py", "dataset/asked_queries"): (
         ("PAPER_TILT = float(np.radians(15))", "PAPER_TILT = float(np.radians(20))"),
         ("return np.maximum(np.abs(np.arctan2(y, z))", "return np.minimum(np.abs(np.arctan2(y, z))"),
+    ),
+    ("kit1000/generation/scene_queries.py", "dataset/asked_queries"): (
         ("if part.invisibility is None]\n    pivots", "]\n    pivots"),
         ("if part.invisibility is None]\n    able", "]\n    able"),
     ),

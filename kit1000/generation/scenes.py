@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kit1000.dataset.mesh_files import glb_bytes
+from kit1000.dataset.asked_queries import PartInScene
+from kit1000.dataset.scene_records import part_truth_row, scene_models, segmentation
 from kit1000.dataset.schema import Observation, SceneTruth
-from kit1000.dataset.tables import Row, pose_row
+from kit1000.dataset.tables import Row
 from kit1000.errors import Redraw
 from kit1000.generation.plan import is_crowded, rest_modes, scene_id_of
 from kit1000.generation.presets import Preset
-from kit1000.generation.scene_queries import PartInScene, asking_tracks, scene_queries
+from kit1000.generation.scene_queries import asking_tracks, scene_queries
 from kit1000.mesh import Mesh
 from kit1000.pictures.scene_preview import with_previews
 from kit1000.pose import Pose
@@ -31,17 +32,15 @@ from kit1000.sim.sensors import sense
 from kit1000.sim.visibility import (
     PartVisibility,
     SlotVisibility,
-    cavity_labels,
     part_visibility,
     slot_angle,
     slot_visibility,
     view_redraw_reason,
 )
-from kit1000.values import ASSEMBLY_LABEL, Assembly, Mount, Part, Slot, View
+from kit1000.values import Assembly, Mount, Part, Slot, View
 
 MAX_LAYOUTS = 60  # layouts of one scene before it is refused
 MAX_VIEWS = 12  # views of one layout before the layout is redrawn
-FIRST_CAVITY_LABEL = 100  # in the segmentation: 100 + k is the cavity of mount k
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +125,7 @@ def make_scene(
         tuple(_part_row(scene_parts, layout_view, i) for i in range(len(scene_parts.parts))),
         truths,
         _segmentation(scene_parts, layout_view),
-        _models(scene_parts),
+        scene_models(assembly, scene_parts.parts),
         layout_view.world_from_kits[scene_parts.target] @ scene_parts.slot(scene_parts.target).goals,
         scene_parts.crowded,
     )
@@ -246,35 +245,21 @@ def _part_in_scene(scene_parts: _SceneParts, layout_view: _LayoutView, i: int) -
 
 
 def _part_row(scene_parts: _SceneParts, layout_view: _LayoutView, i: int) -> Row:
-    part, slot = layout_view.parts[i], layout_view.slots[i]
-    return {
-        "part_id": scene_parts.parts[i].id,
-        "family": scene_parts.parts[i].family,
-        "mount": scene_parts.mounts[i],
-        "rest_mode": layout_view.modes[i],
-        "world_from_part": pose_row(layout_view.layout.world_from_parts[i]),
-        "world_from_kit": pose_row(layout_view.world_from_kits[i]),
-        "pixels": int(part.pixels),
-        "visible": float(part.share),
-        "slot_angle": float(slot.angle),
-        "slot_visible": float(slot.share),
-        "unseen": layout_view.part_invisibility(i),
-    }
+    return part_truth_row(
+        scene_parts.parts[i],
+        scene_parts.mounts[i],
+        layout_view.modes[i],
+        layout_view.layout.world_from_parts[i],
+        layout_view.world_from_kits[i],
+        layout_view.parts[i],
+        layout_view.slots[i],
+        layout_view.part_invisibility(i),
+    )
 
 
 def _segmentation(scene_parts: _SceneParts, layout_view: _LayoutView) -> np.ndarray:
-    """(H, W) uint16, labels as in `SceneTruth.seg`."""
     by_mount = np.argsort(scene_parts.mounts).tolist()  # index of the part of each mount
     kits = [scene_parts.mount(i).kit for i in by_mount]
     world_from_kits = [layout_view.world_from_kits[i] for i in by_mount]
-    cavity = cavity_labels(layout_view.frame.depth, CAMERA, layout_view.world_from_camera, world_from_kits, kits)
-    seg = layout_view.frame.body_ids.astype(np.uint16)
-    inside = (layout_view.frame.body_ids == ASSEMBLY_LABEL + 1) & (cavity >= 0)
-    seg[inside] = FIRST_CAVITY_LABEL + cavity[inside]
-    seg.setflags(write=False)
-    return seg
-
-
-def _models(scene_parts: _SceneParts) -> dict[str, bytes]:
-    models = {f"assemblies/{scene_parts.assembly.id}": glb_bytes({scene_parts.assembly.id: scene_parts.assembly.mesh})}
-    return models | {f"parts/{part.id}": glb_bytes({part.id: part.mesh}) for part in scene_parts.parts}
+    seen = (layout_view.frame, CAMERA, layout_view.world_from_camera)
+    return segmentation(*seen, world_from_kits, kits, range(len(kits)))

@@ -13,23 +13,23 @@ from itertools import combinations
 
 import numpy as np
 
-from kit1000.dataset.mesh_files import glb_bytes
+from kit1000.dataset.asked_queries import PartInScene
+from kit1000.dataset.scene_records import part_truth_row, scene_models, segmentation
 from kit1000.dataset.schema import Observation, SceneTruth
-from kit1000.dataset.tables import Row, pose_row
+from kit1000.dataset.tables import Row
 from kit1000.errors import InputError
 from kit1000.labelling.known_kits import KITS, KnownKits
 from kit1000.labelling.label_records import LabelRecord
-from kit1000.labelling.real_queries import AskedPart, real_queries
+from kit1000.labelling.real_queries import real_queries
 from kit1000.pictures.scene_preview import png_bytes, scene_picture, with_previews
 from kit1000.pose import Pose
 from kit1000.queries.pivots import part_pivots
 from kit1000.sim.footprints import footprint, footprint_distance
 from kit1000.sim.layout import MIN_GAP, TUMBLED, UPRIGHT, table
 from kit1000.sim.render import RenderedImage, render
-from kit1000.sim.visibility import cavity_labels, part_visibility, slot_visibility, view_redraw_reason
+from kit1000.sim.visibility import part_visibility, slot_visibility, view_redraw_reason
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Mount, Part, View
 
-FIRST_CAVITY = 100  # in the segmentation, as in generated scenes
 UPRIGHT_ANGLE = np.radians(10)  # from the insertion face down, up to which a part lies on it
 
 
@@ -90,7 +90,7 @@ def labelled_scene(
         parts=tuple(rows),
         queries=truths,
         seg=_segmentation(frame, view, camera_pose, placed),
-        models=_models(kits, placed),
+        models=scene_models(kits.assembly, [each.part for each in placed]),
         goals=None if target is None else target.world_from_kit @ target.mount.kit.slot.goals,
         crowded=_crowded(placed),
     )
@@ -117,48 +117,23 @@ def _dense(labels: np.ndarray, kept: Sequence[int]) -> np.ndarray:
 
 def _part_rows(
     placed: Sequence[_Placed], frame: RenderedImage, view: View, camera_pose: Pose, labels: np.ndarray
-) -> tuple[list[Row], list[AskedPart]]:
+) -> tuple[list[Row], list[PartInScene]]:
     """The rows of the truth, and what queries need; as `kit1000.generation.scenes` writes them."""
     rows, asked, pivots = [], [], part_pivots(view, labels)
     for i, each in enumerate(placed):
         shown = part_visibility(frame, 2 + i, view.camera, camera_pose, each.part.mesh, each.world_from_part)
         slot = slot_visibility(frame.depth, view.camera, camera_pose, each.mount.kit, each.world_from_kit)
         unseen = view_redraw_reason(shown, slot) or (None if i in pivots else "no depth on the part")
-        rows.append(
-            {
-                "part_id": each.part.id,
-                "family": each.part.family,
-                "mount": each.number,
-                "rest_mode": each.rest_mode,
-                "world_from_part": pose_row(each.world_from_part),
-                "world_from_kit": pose_row(each.world_from_kit),
-                "pixels": int(shown.pixels),
-                "visible": float(shown.share),
-                "slot_angle": float(slot.angle),
-                "slot_visible": float(slot.share),
-                "unseen": unseen,
-            }
-        )
-        slot_value = each.mount.kit.slot
-        asked.append(AskedPart(i, each.rest_mode, each.world_from_part, each.world_from_kit, slot_value, unseen))
+        poses = (each.rest_mode, each.world_from_part, each.world_from_kit)
+        rows.append(part_truth_row(each.part, each.number, *poses, shown, slot, unseen))
+        asked.append(PartInScene(i, *poses, each.mount.kit.slot, unseen))
     return rows, asked
 
 
 def _segmentation(frame: RenderedImage, view: View, camera_pose: Pose, placed: Sequence[_Placed]) -> np.ndarray:
     """(H, W) uint16, labels as in `SceneTruth.seg`."""
     kits, poses = [each.mount.kit for each in placed], [each.world_from_kit for each in placed]
-    cavity = cavity_labels(frame.depth, view.camera, camera_pose, poses, kits)
-    numbers = np.array([each.number for each in placed] or [0])
-    seg = frame.body_ids.astype(np.uint16)
-    inside = (frame.body_ids == ASSEMBLY_LABEL + 1) & (cavity >= 0)
-    seg[inside] = FIRST_CAVITY + numbers[cavity[inside]]
-    seg.setflags(write=False)
-    return seg
-
-
-def _models(kits: KnownKits, placed: Sequence[_Placed]) -> dict[str, bytes]:
-    models = {f"assemblies/{kits.assembly.id}": glb_bytes({kits.assembly.id: kits.assembly.mesh})}
-    return models | {f"parts/{each.part.id}": glb_bytes({each.part.id: each.part.mesh}) for each in placed}
+    return segmentation(frame, view.camera, camera_pose, poses, kits, [each.number for each in placed])
 
 
 def _crowded(placed: Sequence[_Placed]) -> bool:

@@ -13,11 +13,12 @@ import pytest
 
 from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.mcap_io import ObservationFile, TruthFile
+from kit1000.dataset.scene_records import FIRST_CAVITY_LABEL
 from kit1000.dataset.tables import Row, pose_of
 from kit1000.errors import Redraw
 from kit1000.generation import scenes
 from kit1000.generation.plan import draw_assembly_of
-from kit1000.generation.scenes import FIRST_CAVITY_LABEL, MAX_LAYOUTS, MAX_VIEWS, GeneratedScene, make_scene
+from kit1000.generation.scenes import MAX_LAYOUTS, MAX_VIEWS, GeneratedScene, make_scene
 from kit1000.kits.assembly import build_assembly, check_assembly
 from kit1000.kits.contact import convex_edges
 from kit1000.kits.goals import nearest_about_axis

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from kit1000.dataset.asked_queries import GuessDraw
 from kit1000.errors import InputError
-from kit1000.generation.scene_queries import GuessDraw
 from kit1000.kits.goals import nearest_about_axis
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.queries.guesses import (
