@@ -73,12 +73,18 @@ def _read(folder: Path) -> Entry:
     return entry
 
 
+def with_newer_fields(scored: Mapping[str, Any], now: Mapping[str, Any]) -> dict[str, Any]:
+    """A manifest as scores have it, with the empty fields of today's that it lacks: they are newer than the scores."""
+    return {name: value for name, value in now.items() if value == ""} | dict(scored)
+
+
 def _check_files(entry: Entry) -> None:
     """Refuse scores that were made of another manifest or of other predictions than those beside them."""
     scored, now = entry.scores["manifest"], json.loads(json.dumps(asdict(entry.manifest)))
     if not isinstance(scored, dict):
         raise _other_files(entry, "its manifest is no table")
-    changed = sorted(name for name in scored | now if (scored.get(name) or "") != (now.get(name) or ""))
+    scored = with_newer_fields(scored, now)
+    changed = sorted(name for name in scored | now if scored.get(name) != now.get(name))
     if changed:
         raise _other_files(entry, f"manifest.toml has another {', '.join(changed)}")
     if entry.scores["method"] != entry.manifest.method:

@@ -8,6 +8,7 @@ from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
+from benchmark.entries import with_newer_fields
 from benchmark.report import json_text
 from benchmark.score import read_checked, score
 from kit1000.dataset.reader import Dataset
@@ -44,8 +45,7 @@ def _rescore(data: Path, refresh: bool, folder: Path) -> tuple[Path, list[str]]:
     summary = score(submission, _dataset(data), None, split, exact).summary
     text = json_text(summary)
     now = json.loads(text)
-    unknown = {field: value for field, value in now["manifest"].items() if value == ""}  # fields newer than the scores
-    found = _differences(before | {"manifest": unknown | before["manifest"]}, now, "")
+    found = _differences(before | {"manifest": with_newer_fields(before["manifest"], now["manifest"])}, now, "")
     differences = [line for line in found if line.partition(":")[0] not in CODE_KEYS]
     if refresh and not differences:
         write_bytes(folder / "scores.json", text.encode())

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_closing, binary_opening, label
 
+from kit1000.capture.own_folder import TRACKS
 from kit1000.dataset.mcap_io import ObservationWriter
 from kit1000.dataset.reader import RecordedScene
 from kit1000.dataset.schema import Observation
@@ -22,7 +23,6 @@ from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 
 SENSOR = "d415"
 UNIT = 1e-3  # [m] of the depths of most recordings
-TRACKS = ("snap-d415", "place-d415")
 LOWEST = 4e-3  # [m] above the table, of a pixel that shows a body
 SMALLEST = 150  # [px] of a body
 

@@ -33,7 +33,6 @@ from kit1000.values import FIRST_PART_LABEL, LabelledDepth
 
 MM = 1e3
 OFF = 2e-3  # [m] beyond which no body may pass as sure
-COINCIDES = 0.5e-3  # [m] by which surfaces differ that coincide at another pose: a symmetry that no one declared
 ERRORS = (
     Column("what", "body"),
     Column("n", "n"),

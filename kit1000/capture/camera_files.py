@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from kit1000.capture.intrinsics import Intrinsics, Stream
+from kit1000.capture.intrinsics import Intrinsics
 from kit1000.errors import InputError
 from kit1000.files import read_json
+from kit1000.sim.measured_sensors import Stream
 
 LARGEST_UNIT = 0.02  # [m] above it a `depth_scale` beside fx is no length of a unit in m
 MOST_BYTES = 10_000_000

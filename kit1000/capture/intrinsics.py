@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from kit1000.camera import Camera
 from kit1000.errors import InputError
+from kit1000.sim.measured_sensors import Stream
 
 NO_DISTORTION = 1e-9  # largest coefficient that is none
 FORWARD_MODELS = {"plumb_bob": 5, "rational_polynomial": 8}
 """Models of OpenCV that map where a point is to where it is seen, and their largest number of coefficients."""
 ALIASES = {"brown_conrady": "plumb_bob", "opencv": "plumb_bob", "plumb bob": "plumb_bob", "": "plumb_bob"}
-Stream = Literal["raw", "aligned"]
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from kit1000.capture.depth_frames import DepthFrame, mean_depth, metric_depth
-from kit1000.capture.intrinsics import Intrinsics, Stream
+from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.known_sensors import known_baseline
 from kit1000.capture.mask_networks import cut_back
 from kit1000.capture.own_world import OwnWorld, read_pose, world_of_bodies, world_of_pose
@@ -18,7 +18,8 @@ from kit1000.capture.seen_bodies import SeenBody, seen_bodies
 from kit1000.capture.table_search import Table, find_table
 from kit1000.errors import InputError
 from kit1000.perception.sensor_facts import SIMULATED, SensorFacts
-from kit1000.sim.sensors import DEPTH_GRID
+from kit1000.sim.measured_sensors import Stream
+from kit1000.sim.sensors import on_depth_grid
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 UNKNOWN_DEVICE = "depth camera"
@@ -96,13 +97,13 @@ def own_scene(
     chosen = _with_kit_first(bodies, wanted.kit, source, table)
     facts = _facts(frames[0], known, image, table, wanted)
     if wanted.networks:
-        kit, parts = cut_back(table, on_grid(image.depth), chosen, facts)
+        kit, parts = cut_back(table, on_depth_grid(image.depth), chosen, facts)
         chosen = [kit, *parts]
     world = _world(table, chosen, wanted)
     labels = np.zeros(image.depth.shape, np.uint8)
     for number, body in enumerate(chosen):
         labels[body.mask] = ASSEMBLY_LABEL if number == 0 else FIRST_PART_LABEL + number - 1
-    view = View(image.camera, world.world_from_camera, on_grid(image.depth))
+    view = View(image.camera, world.world_from_camera, on_depth_grid(image.depth))
     return OwnScene(source, table, tuple(chosen), world, LabelledDepth(view, labels), facts)
 
 
@@ -124,12 +125,6 @@ def image_of_frames(frames: Sequence[DepthFrame], known: Intrinsics, scale: floa
             raise InputError(f"{frame.source}: {frame.values.shape[::-1]} px, the first frame has {first[::-1]}")
     unit = scale or known.unit
     return pinhole_image(mean_depth([metric_depth(frame, unit) for frame in frames]), known, frames[0].source)
-
-
-def on_grid(depth: np.ndarray) -> np.ndarray:
-    """(H, W) float32 [m] depths on the grid of recordings."""
-    grid = np.float32(DEPTH_GRID)
-    return np.rint(depth / grid).astype(np.float32) * grid
 
 
 def _table(image: PinholeImage, source: str, empty: Table | None) -> tuple[Table, np.ndarray | None]:

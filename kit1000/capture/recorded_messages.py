@@ -14,9 +14,10 @@ import numpy as np
 from PIL import Image
 
 from kit1000.capture.depth_frames import DepthFrame
-from kit1000.capture.intrinsics import Intrinsics, Stream
+from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.known_sensors import known_baseline
 from kit1000.errors import InputError
+from kit1000.sim.measured_sensors import Stream
 
 RAW = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 """Encodings of raw depth images, with their types."""

@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 from kit1000.camera import Camera
 from kit1000.capture.pinhole_images import PinholeImage
 from kit1000.errors import InputError
+from kit1000.numerics.robust import TUKEY, tukey_weights
 from kit1000.rng import stream
 
 STEP = 6  # [px] between pixels that vote
@@ -31,8 +32,7 @@ BETWEEN = 4  # pixels of a plane on either side of one that the plane would hide
 STEEPEST = np.sin(np.radians(14))  # of the angle between ray and plane: planes seen flatter are walls or seams
 LEAST_SHARE = 0.08  # of the pixels with a return, on the table
 ROUNDS = 12  # of reweighting
-TUKEY = 4.685  # [spreads] where a weight becomes 0;
-SINKING = 2.5  # of pixels above the plane while it sinks
+SINKING = 2.5  # [spreads] in place of TUKEY, of pixels above the plane while it sinks
 LEAST_SPREAD = 1e-5  # [1/m]
 SURE_TABLE = 3.0  # [spreads] from the plane, of pixels that are the table's
 OPENED = 5  # [px] side of the squares of which the table's regions consist
@@ -132,7 +132,7 @@ class Table:
             solution = np.linalg.solve(weighted.T @ terms + 1e-3 * np.eye(len(solution)), weighted.T @ residuals)
             left = residuals - terms @ solution
             spread = max(1.4826 * float(np.median(np.abs(left))), 1e-6)
-            weights = np.square(np.clip(1 - np.square(left / (TUKEY * spread)), 0, None))
+            weights = tukey_weights(left, TUKEY * spread)
         rows = [_quadratic(2 * np.arange(camera.width) / camera.width - 1, 2 * y / camera.height - 1) @ solution
                 for y in range(camera.height)]  # fmt: skip
         return np.clip(np.stack(rows), -MOST_BEND * self.spread, MOST_BEND * self.spread)
@@ -298,7 +298,7 @@ def _fitted(rays: np.ndarray, inverse: np.ndarray, plane: np.ndarray) -> tuple[n
     for turn in range(2 * ROUNDS):
         residuals = inverse - rays @ plane
         cut = np.where((residuals > 0) & (turn < ROUNDS), SINKING, TUKEY)
-        weights = np.square(np.clip(1 - np.square(residuals / (cut * spread)), 0, None))
+        weights = tukey_weights(residuals, cut * spread)
         weighted = rays * weights[:, None]
         plane = plane + np.linalg.solve(weighted.T @ rays + 1e-9 * np.eye(3), weighted.T @ residuals)
         below = (rays @ plane - inverse)[inverse < rays @ plane]

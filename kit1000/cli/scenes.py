@@ -6,7 +6,7 @@ import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -14,6 +14,9 @@ from kit1000.cli.capture import OwnImages, need_truth
 from kit1000.cli.options import Flag, Folder, OptionalInt, OptionalPath
 from kit1000.editor import SNAP
 from kit1000.errors import InputError
+
+if TYPE_CHECKING:
+    from kit1000.dataset.reader import Dataset
 
 
 def find_own_modules() -> None:
@@ -125,10 +128,13 @@ class Edit(OwnImages):
             if error.name != "viser":
                 raise
             raise InputError("edit: needs viser: pip install 'kit1000[edit]'") from None
+        from kit1000.dataset.reader import Dataset
+
         find_own_modules()
         data, out = self._folders()
-        scene, sensor = _chosen_scene(data, self.scene, self.sensor)
-        chosen = (data, scene, out, sensor, self.snap or _default_method(data, sensor))
+        dataset = Dataset(data)
+        scene, sensor = _chosen_scene(dataset, self.scene, self.sensor)
+        chosen = (data, scene, out, sensor, self.snap or _default_method(dataset, sensor))
         serve(Options(*chosen, self.port, self.truth, self.interface, self.origin, self.base_from_camera))
         return 0
 
@@ -148,25 +154,23 @@ class Edit(OwnImages):
         return folder, folder.with_name(f"{folder.name}-edits")
 
 
-def _chosen_scene(data: Path, scene: str | None, sensor: str | None) -> tuple[str, str]:
+def _chosen_scene(dataset: Dataset, scene: str | None, sensor: str | None) -> tuple[str, str]:
     """Id and sensor of the scene to edit: the only one, and the first sensor that it has."""
-    from kit1000.dataset.reader import Dataset
-
-    dataset = Dataset(data)
     ids = [scene_id for shard in dataset.summary.get("shards", {}).values() for scene_id in shard]
     if scene is None and len(ids) != 1:
-        raise InputError(f"{data}: has {len(ids)} scenes; choose one with --scene, such as {ids[0] if ids else 'none'}")
+        raise InputError(
+            f"{dataset.root}: has {len(ids)} scenes; choose one with --scene, such as {ids[0] if ids else 'none'}"
+        )
     chosen = scene or ids[0]
     return chosen, sensor or next(iter(dataset.recorded_scene(chosen, truth=False).sensors), "ideal")
 
 
-def _default_method(data: Path, sensor: str) -> str:
+def _default_method(dataset: Dataset, sensor: str) -> str:
     """The method that snaps where none is named: with the networks that suit an own camera, where torch is there."""
     from kit1000.capture.mask_networks import networks_available
-    from kit1000.dataset.geometry import Geometry
     from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 
-    facts = sensor_of(Geometry(data).summary, sensor)
+    facts = sensor_of(dataset.summary, sensor)
     if not isinstance(facts, SensorFacts) or not networks_available():
         return SNAP
     return "registration-measured" if facts.noisy else "registration-completed"

@@ -26,7 +26,7 @@ from kit1000.files import json_bytes, with_checksum, write_bytes, write_json
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly, check_assembly
 from kit1000.kits.face import resting_faces
 from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_fit_in_other_slot
-from kit1000.mesh import Mesh, solid_from_mesh
+from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Part
 
@@ -192,16 +192,3 @@ def _summary(
         "files": dict(files),
     }
     return with_checksum(plain)
-
-
-def printed_volumes(folder: Path) -> dict[str, tuple[float, float]]:
-    """[m^3] volume of each assembly and part of a print set, and of its 3MF as read back."""
-    from kit1000.parts.files.sources import read_mesh
-
-    geometry, found = Geometry(folder), {}
-    for kind, names in (("kits", geometry.assemblies), ("part", geometry.parts)):
-        for name in names:
-            mesh = geometry.assembly(name).mesh if kind == "kits" else geometry.part(name).mesh
-            again = read_mesh(folder / PRINTS / f"{kind}-{name}.3mf").mesh
-            found[f"{kind}-{name}"] = (solid_from_mesh(mesh).volume(), solid_from_mesh(again).volume())
-    return found

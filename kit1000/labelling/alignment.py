@@ -22,6 +22,7 @@ from scipy.ndimage import binary_erosion
 from kit1000.labelling.body_windows import BodyWindow
 from kit1000.labelling.standing_plane import Support
 from kit1000.mesh import Mesh
+from kit1000.numerics.robust import TUKEY, tukey_weights
 from kit1000.pose import Pose
 from kit1000.sim.render import render
 
@@ -39,7 +40,6 @@ WIDE_OUTLINE = 1.0
 DAMPING, FIXED = 1e-6, 1e15  # added to the diagonal
 SCALE_SPREAD = 2e-3  # of the depth scale; a D415 is within 3e-3 by its data sheet
 HEIGHT_SPREAD, TILT_SPREAD = 0.3e-3, np.radians(0.15)  # [m], [rad] of a body that stands on the table
-TUKEY = 4.685
 DEPTH_REACH = (20e-3, 10e-3, 6e-3)  # [m] beyond which depths do not count, in the first rounds
 OUTLINE_REACH = (14.0, 8.0, 5.0)  # [px]
 STEP_LIMIT = (np.radians(8), 8e-3)  # [rad], [m] of one round
@@ -187,9 +187,9 @@ def _depth_rows(shape: PlacedShape, support: Support, log_scale: float, number: 
     arms = rays * rendered[:, None] - shape.centre
     motion = -np.column_stack([np.cross(arms, normals), normals])
     spread = support.noise_at(rendered) * np.maximum(facing, 0.2)
-    reach = max(DEPTH_REACH[min(number, 2)] if number < 4 else 0.0, 0.0)
+    reach = DEPTH_REACH[min(number, 2)] if number < 4 else 0.0
     limit = np.maximum(TUKEY * spread, reach)
-    weight = np.square(np.clip(1 - np.square(values / limit), 0, None)) * share / CORRELATED_DEPTHS
+    weight = tukey_weights(values, limit) * share / CORRELATED_DEPTHS
     return _Rows.of(values, motion, 0.0, facing * measured).weighted(np.sqrt(weight) / spread)
 
 
@@ -219,7 +219,7 @@ def _outline_rows(shape: PlacedShape, number: int) -> _Rows:
     spread = float(np.clip(spread, LEAST_OUTLINE_SPREAD, MOST_OUTLINE_SPREAD))
     limit = max(TUKEY * spread, OUTLINE_REACH[min(number, 2)] if number < 4 else 0.0)
     correlated = SUPERSAMPLING * max(CORRELATED_OUTLINE * spread, 1.0)
-    weight = np.square(np.clip(1 - np.square(values / limit), 0, None)) / correlated
+    weight = tukey_weights(values, limit) / correlated
     return _Rows.of(values, motion, 1.0, 0.0, spread).weighted(np.sqrt(weight) / spread)
 
 

@@ -15,9 +15,9 @@ from kit1000.errors import InputError
 from kit1000.labelling.agreement import agreement
 from kit1000.labelling.alignment import PlacedShape, align
 from kit1000.labelling.body_windows import body_windows
-from kit1000.labelling.known_kits import KnownKits
+from kit1000.labelling.known_kits import KnownKits, read_known_kits
 from kit1000.labelling.label_records import LabelledBody, LabelRecord, confirmed
-from kit1000.labelling.labelling_session import OwnScenes, kits_of_record, store
+from kit1000.labelling.labelling_session import OwnScenes, store
 from kit1000.labelling.residual_pictures import residual_colours
 from kit1000.labelling.scene_truth import true_camera
 from kit1000.labelling.standing_plane import seen_support
@@ -34,7 +34,7 @@ class Correction:
     def __init__(self, scenes: OwnScenes, record: LabelRecord, kits: KnownKits | None = None) -> None:
         """Begin with a record of a scene. kits: its shapes, read again when None."""
         self.scenes, self.record = scenes, record
-        self.kits = kits or kits_of_record(record)
+        self.kits = kits or read_known_kits(record.source)
         _, self.image = scenes.image(record.scene_id, record.view)
         self.support = seen_support(self.image)
         self._windows = body_windows(self.image)

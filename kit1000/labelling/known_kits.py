@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError, MeshRefused, did_you_mean
 from kit1000.kits.cavity import cut_cavity
@@ -138,8 +136,3 @@ def _check_seated(plate: Mesh, seated: Mesh, path: Path) -> None:
             f"{path}: {what}: expected the part seated in the frame of the kit, as `kit1000 kit` writes part.stl; "
             "several plates on brackets are given by --shapes"
         )
-
-
-def same_shapes(one: Mesh, other: Mesh) -> bool:
-    """Whether two meshes are the same to the bit."""
-    return np.array_equal(one.vertices, other.vertices) and np.array_equal(one.faces, other.faces)

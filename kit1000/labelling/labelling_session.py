@@ -12,7 +12,7 @@ from kit1000.dataset.mcap_io import ObservationFile
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.files import check_writable, write_own
-from kit1000.labelling.known_kits import KnownKits, read_known_kits
+from kit1000.labelling.known_kits import KnownKits
 from kit1000.labelling.label_records import (
     FOLDER,
     LabelRecord,
@@ -144,8 +144,3 @@ def report_lines(record: LabelRecord) -> list[str]:
         state = f"confirmed by {body.confirmed_by}" if body.confirmed_by else ("sure" if body.sure else "not sure: ")
         lines.append(f"  {what}: {numbers}; {state}{'' if body.confirmed_by else '; '.join(body.doubts)}")
     return lines
-
-
-def kits_of_record(record: LabelRecord) -> KnownKits:
-    """The shapes of a record, read again."""
-    return read_known_kits(record.source)

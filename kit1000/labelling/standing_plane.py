@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation
 
 from kit1000.errors import InputError
+from kit1000.numerics.robust import TUKEY, tukey_weights
 from kit1000.pose import Pose, unit_vector
 from kit1000.values import LabelledDepth
 
@@ -60,7 +61,7 @@ def _fitted(rays: np.ndarray, inverse: np.ndarray) -> Support:
         coefficients = np.linalg.lstsq(rays * root[:, None], inverse * root, rcond=None)[0]
         residuals = inverse - rays @ coefficients
         spread = 1.4826 * float(np.median(np.abs(residuals))) + 1e-9
-        weights = np.square(np.clip(1 - np.square(residuals / (4.685 * spread)), 0, None))
+        weights = tukey_weights(residuals, TUKEY * spread)
     size = float(np.linalg.norm(coefficients))
     return Support(-coefficients / size, -1 / size, max(spread, LEAST_NOISE))
 

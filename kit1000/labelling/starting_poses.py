@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from kit1000.camera import Camera
 from kit1000.labelling.alignment import PlacedShape
 from kit1000.labelling.body_windows import BodyWindow
 from kit1000.labelling.standing_plane import Support, standing_frame
@@ -122,8 +123,6 @@ class _Coarse:
 
     def rendered(self, mesh: Mesh, pose: Pose) -> np.ndarray:
         """(h, w) [m] depths of a shape at the pixels of the window, 0 where it is not."""
-        from kit1000.camera import Camera
-
         camera, step, first = self.seen.camera, self.step, self.step // 2
         rows, columns = self.mask.shape
         small = Camera(columns, rows, camera.fx / step, camera.fy / step, (camera.cx - first) / step,

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 from kit1000.errors import InputError
+from kit1000.sim.measured_sensors import Stream
 from kit1000.sim.sensors import SENSORS, Sensor
 
 D415 = SENSORS["d415"]
@@ -31,7 +32,7 @@ class SensorFacts:
     """[m] step of its depths; 0: finer than that of recordings."""
     noise_px: float = D415.noise_px
     """[px] of disparity: noise and bending of the table together."""
-    stream: Literal["raw", "aligned"] = "raw"
+    stream: Stream = "raw"
     """raw: the image of its own left imager, with the invalid depth band; aligned: another camera's."""
     simulated_table: bool = True
     """Whether the table is that of generated scenes, 1.2 m x 1.6 m about the origin."""

@@ -22,7 +22,7 @@ from kit1000.errors import InputError
 from kit1000.pose import Pose
 from kit1000.sim.noise_fields import add_enlarged, smooth_field, uniform_of, windowed_noise
 from kit1000.sim.rims import blended_ramps, depths_of, punch_holes, widen_shadows, widened_edges
-from kit1000.sim.sensors import DEPTH_GRID
+from kit1000.sim.sensors import on_depth_grid
 from kit1000.sim.stereo import disparity_from_depth, grazing_mask, occlusion_mask
 from kit1000.values import View
 
@@ -237,7 +237,7 @@ def measured_view(
     drawn = _noise(sensor, view.depth.shape, conditions, rng)
     depth = scale * _measured_depth(sensor, view, conditions, drawn if noise is None else noise.astype(np.float32), rng)
     depth[(depth < sensor.min_depth) | (depth > sensor.max_depth)] = 0
-    return View(view.camera, recorded, np.rint(depth / np.float32(DEPTH_GRID)) * np.float32(DEPTH_GRID))
+    return View(view.camera, recorded, on_depth_grid(depth))
 
 
 def with_calibration(

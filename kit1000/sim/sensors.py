@@ -93,6 +93,12 @@ SENSORS: dict[str, Sensor] = {
 }
 
 
+def on_depth_grid(depth: np.ndarray) -> np.ndarray:
+    """Depths (...) float32 [m] rounded to DEPTH_GRID."""
+    grid = np.float32(DEPTH_GRID)
+    return np.rint(depth / grid) * grid
+
+
 def sense(name: str, view: View, rng: np.random.Generator, frames: int = 1) -> View:
     """Simulate the sensor `name` on an ideal view, as rendered; the image is the median of a number of frames.
 
@@ -110,7 +116,7 @@ def measured(sensor: Sensor, view: View, rng: np.random.Generator) -> View:
     recorded_pose = _recorded_pose(sensor, view.world_from_camera, rng)
     depth = scale * (_measured_depth(sensor, view, rng) if sensor.baseline > 0 else view.depth)
     depth[(depth < sensor.min_depth) | (depth > sensor.max_depth)] = 0
-    return View(view.camera, recorded_pose, np.rint(depth / np.float32(DEPTH_GRID)) * np.float32(DEPTH_GRID))
+    return View(view.camera, recorded_pose, on_depth_grid(depth))
 
 
 def sensor_of_frames(sensor: Sensor, frames: int) -> Sensor:

@@ -11,11 +11,12 @@ import pytest
 from kit1000.camera import look_at
 from kit1000.capture.depth_frames import DepthFrame
 from kit1000.capture.intrinsics import Intrinsics
-from kit1000.capture.own_scene import OwnScene, Wanted, image_of_frames, on_grid, own_scene
+from kit1000.capture.own_scene import OwnScene, Wanted, image_of_frames, own_scene
 from kit1000.capture.scene_report import check_size, report
 from kit1000.capture.table_search import find_table
 from kit1000.errors import InputError
 from kit1000.pose import Pose
+from kit1000.sim.sensors import on_depth_grid
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 from tests.samples.own_images import BASELINE, CAMERA, EYE, KIT, PARTS, exact_depth, millimetres, noisy_depth
 
@@ -55,7 +56,7 @@ def test_the_world_has_kits_and_parts_in_two_halves_and_the_table_at_zero(scene:
 def test_depths_are_kept_to_the_unit(scene: OwnScene) -> None:
     stored = millimetres(noisy_depth(exact_depth(), 0.05)) * 1e-3
     np.testing.assert_allclose(scene.image.view.depth, stored, atol=0.07e-3)
-    np.testing.assert_array_equal(on_grid(scene.image.view.depth), scene.image.view.depth)
+    np.testing.assert_array_equal(on_depth_grid(scene.image.view.depth), scene.image.view.depth)
 
 
 def test_facts_come_from_the_name_of_the_camera(scene: OwnScene) -> None:

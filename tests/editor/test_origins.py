@@ -2,33 +2,16 @@
 
 from __future__ import annotations
 
-import asyncio
 import gzip
 import http.client
 
 import pytest
-import viser
-from websockets.asyncio.client import connect
-from websockets.exceptions import InvalidStatus
 
 from kit1000.editor.serve import HOST, serving
 from kit1000.errors import InputError
+from tests.samples.handshakes import shake
 
-PROTOCOL = f"viser-v{viser.__version__}"
 TUNNEL = "http://localhost:9000"
-
-
-def shake(port: int, origin: str) -> int:
-    """HTTP status of a handshake: 101 where it is accepted."""
-
-    async def go() -> int:
-        try:
-            async with connect(f"ws://{HOST}:{port}", origin=origin, subprotocols=[PROTOCOL], proxy=None):  # type: ignore[arg-type, list-item]
-                return 101
-        except InvalidStatus as refused:
-            return refused.response.status_code
-
-    return asyncio.run(go())
 
 
 def page(port: int, packed: bool) -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import http.client
 import json
 import re
@@ -18,33 +17,17 @@ from unittest import mock
 import pytest
 import viser
 import websockets.asyncio.server
-from websockets.asyncio.client import connect
-from websockets.exceptions import InvalidStatus
 
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.serve import HOST, serving
 from kit1000.errors import InputError, InternalError
-
-PROTOCOL = f"viser-v{viser.__version__}"
+from tests.samples.handshakes import shake
 
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[viser.ViserServer]:
     with serving(None) as (served, _):
         yield served
-
-
-def shake(port: int, origin: str | None) -> int:
-    """HTTP status of a handshake: 101 where it is accepted."""
-
-    async def go() -> int:
-        try:
-            async with connect(f"ws://{HOST}:{port}", origin=origin, subprotocols=[PROTOCOL], proxy=None):  # type: ignore[arg-type, list-item]
-                return 101
-        except InvalidStatus as refused:
-            return refused.response.status_code
-
-    return asyncio.run(go())
 
 
 def get(port: int, path: str) -> http.client.HTTPResponse:

@@ -9,9 +9,11 @@ import pytest
 
 from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError
-from kit1000.export.print_set import BED, printed_volumes, write_print_set
+from kit1000.export.print_set import BED, PRINTS, write_print_set
 from kit1000.files import read_json, sha256
 from kit1000.labelling.known_kits import kits_of_folder
+from kit1000.mesh import solid_from_mesh
+from kit1000.parts.files.sources import read_mesh
 from tests.samples.labelled_scenes import shapes_folder
 
 
@@ -37,6 +39,17 @@ def test_the_second_plate_has_the_angle_of_its_bracket(prints: Path) -> None:
     assert np.allclose(first.assembly_from_kit.rotate((0.0, 0.0, 1.0)), (0, 0, 1))
     axis = second.assembly_from_kit.rotate((0.0, 0.0, 1.0))
     assert np.degrees(np.arccos(axis[2])) == pytest.approx(25, abs=1e-6)
+
+
+def printed_volumes(folder: Path) -> dict[str, tuple[float, float]]:
+    """[m^3] volume of each assembly and part of a print set, and of its 3MF as read back."""
+    geometry, found = Geometry(folder), {}
+    for kind, names in (("kits", geometry.assemblies), ("part", geometry.parts)):
+        for name in names:
+            mesh = geometry.assembly(name).mesh if kind == "kits" else geometry.part(name).mesh
+            again = read_mesh(folder / PRINTS / f"{kind}-{name}.3mf").mesh
+            found[f"{kind}-{name}"] = (solid_from_mesh(mesh).volume(), solid_from_mesh(again).volume())
+    return found
 
 
 def test_what_is_printed_is_what_is_known(prints: Path) -> None:

@@ -9,6 +9,7 @@ from scipy.ndimage import binary_dilation
 
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import eigenvectors, matmul
+from kit1000.numerics.robust import TUKEY, tukey_weights
 from kit1000.perception.calibration.table_top import rays
 from kit1000.perception.sensor_facts import AnySensor, table_is_simulated
 from kit1000.pose import Pose
@@ -81,7 +82,7 @@ def _fitted(directions: np.ndarray, inverse: np.ndarray, recorded: np.ndarray) -
         coefficients = recorded + solve_positive(normal, matmul(weighted, inverse - matmul(directions, recorded)))
         residuals = inverse - matmul(directions, coefficients)
         spread = 1.4826 * np.median(np.abs(residuals)) + 1e-9
-        weights = np.square(np.clip(1 - np.square(residuals / (4.685 * spread)), 0, None))
+        weights = tukey_weights(residuals, TUKEY * spread)
     information = matmul((directions * weights[:, None]).T, directions) / CORRELATED
     axes = eigenvectors(information)
     pixels = np.diag(matmul(axes.T, matmul(information, axes)))
