@@ -36,7 +36,7 @@ STAGES = {
     "goals": [("kit1000.kits.kit", "find_goals")],
     "trials": [("kit1000.kits.choice", "check_pair")],
     "loose fits": [("kit1000.kits.acceptance", "find_loose_fit")],
-    "files": [("kit1000.export.own_part", "_files")],
+    "files": [("kit1000.export.own_part", "kit_files")],
     "preview": [("kit1000.pictures.previews", "kit_preview")],
 }
 """The functions of a stage, where their callers find them."""

@@ -11,6 +11,7 @@ from typing import Any
 
 from numba import njit
 from numba.core.caching import FunctionCache
+from numba.core.runtime import rtsys
 
 
 class _ForgivingCache(FunctionCache):
@@ -18,7 +19,8 @@ class _ForgivingCache(FunctionCache):
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         try:
-            return super().load_overload(sig, target_context)
+            rtsys.initialize(target_context)  # enough to run; numba's own loader also sets up its compiler
+            return self._load_overload(sig, target_context)
         except Exception:  # damaged bytes raise anything when they are unpickled
             self._forget()
             return None

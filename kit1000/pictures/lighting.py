@@ -18,7 +18,7 @@ from kit1000.numerics.compiled import compiled
 from kit1000.pose import Pose, quaternion_between
 from kit1000.sim.render import render
 
-MAP_SIZE = 512  # [px] side of a shadow map
+MAP_SIZE = 512  # [px] side of a shadow map, unless another is asked for
 LAMP_DISTANCE = 1000.0  # in radii of the scene: rays are parallel to a quarter of a texel
 KEY_SPREAD = 0.16  # sine of the half angle of the key light: its shadows are soft but have a shape
 KEY_COLOUR = (0.62, 0.60, 0.56)  # warm; with the sky, a level surface has its own colour, slightly lighter
@@ -39,7 +39,7 @@ class Lamps(NamedTuple):
     map_from_world: np.ndarray
     """(L, 3, 4): from a point (x, y, z, 1) to column, row [px] and depth [m] in a shadow map."""
     shadow_maps: np.ndarray
-    """(L, MAP_SIZE, MAP_SIZE) float32 [m] depth from the lamp, 0 for no surface."""
+    """(L, S, S) float32 [m] depth from the lamp, 0 for no surface."""
     texel: float
     """[m] width of a pixel of a shadow map at the scene."""
     key_count: int
@@ -77,16 +77,23 @@ def sky_directions(n: int) -> np.ndarray:
 
 
 def place_lamps(
-    bodies: Sequence[tuple[Mesh, Pose]], ball: tuple[np.ndarray, float], key: np.ndarray, sky: np.ndarray
+    bodies: Sequence[tuple[Mesh, Pose]],
+    ball: tuple[np.ndarray, float],
+    key: np.ndarray,
+    sky: np.ndarray,
+    map_size: int = MAP_SIZE,
 ) -> Lamps:
-    """Lamps in directions key (k, 3) and sky (s, 3) for bodies within `ball`: centre (3,), radius [m]."""
+    """Lamps in directions key (k, 3) and sky (s, 3) for bodies within `ball`: centre (3,), radius [m].
+
+    map_size: [px] side of a shadow map.
+    """
     centre, radius = ball
-    texel = 2 * radius / (MAP_SIZE - 4)
-    focal, centre_px = LAMP_DISTANCE * radius / texel, (MAP_SIZE - 1) / 2
-    camera = Camera(width=MAP_SIZE, height=MAP_SIZE, fx=focal, fy=focal, cx=centre_px, cy=centre_px)
+    texel = 2 * radius / (map_size - 4)
+    focal, centre_px = LAMP_DISTANCE * radius / texel, (map_size - 1) / 2
+    camera = Camera(width=map_size, height=map_size, fx=focal, fy=focal, cx=centre_px, cy=centre_px)
     directions = np.concatenate([key, sky])
     map_from_world = np.zeros((len(directions), 3, 4))
-    shadow_maps = np.empty((len(directions), MAP_SIZE, MAP_SIZE), np.float32)
+    shadow_maps = np.empty((len(directions), map_size, map_size), np.float32)
     for k, direction in enumerate(directions):
         # Each map has another roll, so that their pixel grids are not aligned.
         roll = Pose.from_rotvec((0, 0, GOLDEN_ANGLE * k))
@@ -204,7 +211,7 @@ def _incident_light(lamps, group, groups, point, normal, face_normal, view):
         u = maps[k, 0, 0] * x + maps[k, 0, 1] * y + maps[k, 0, 2] * z + maps[k, 0, 3] + 0.5
         v = maps[k, 1, 0] * x + maps[k, 1, 1] * y + maps[k, 1, 2] * z + maps[k, 1, 3] + 0.5
         lit = share
-        if 0 <= u < MAP_SIZE and 0 <= v < MAP_SIZE:
+        if 0 <= u < shadow_maps.shape[2] and 0 <= v < shadow_maps.shape[1]:
             depth = maps[k, 2, 0] * x + maps[k, 2, 1] * y + maps[k, 2, 2] * z + maps[k, 2, 3]
             nearest = shadow_maps[k, int(v), int(u)]
             if nearest != 0 and nearest <= depth - 0.5 * texel:

@@ -62,10 +62,13 @@ class Quality(NamedTuple):
     shared: bool
     """Whether all samples have all lamps, and neighbouring pixels have the shadows of other lamps; else each sample has
     lamps of its own."""
+    map_size: int = lighting.MAP_SIZE
+    """[px] Side of a shadow map."""
 
 
 FINE = Quality(16, 48, 112, shared=False)
-QUICK = Quality(4, 12, 18, shared=True)  # a sixth of the work: a grain of single pixels instead of smooth shadows
+# A fifteenth of the work: a grain of single pixels instead of smooth shadows.
+QUICK = Quality(2, 12, 18, shared=True, map_size=256)
 LAMP_GROUPS = 6  # of shared lamps, one for each of six neighbouring pixels
 TURNS = 5  # groups from one sample to the next, so that every pixel has the shadows of several
 
@@ -101,7 +104,7 @@ def shaded_picture(
     samples = quality.samples
     key = lighting.key_directions(quality.key_lamps, _key_direction(world_from_camera))
     sky = lighting.sky_directions(quality.sky_lamps)
-    shared = lighting.place_lamps(meshes, ball, key, sky) if quality.shared else None
+    shared = lighting.place_lamps(meshes, ball, key, sky, quality.map_size) if quality.shared else None
     rotation, eye = world_from_camera.rotation_matrix(), world_from_camera.xyz
     colours = np.array((lighting.KEY_COLOUR, lighting.SKY_COLOUR, lighting.BOUNCE_COLOUR))
 
