@@ -17,6 +17,7 @@ OBJ_SHORT = re.compile(rb"^[ \t]*v[ \t]+(?!\S+[ \t]+\S+[ \t]+\S)[^\n]*", re.MULT
 OBJ_FACE = re.compile(rb"^[ \t]*fo?[ \t]+([^\n#]*)", re.MULTILINE)
 OBJ_CURVED = re.compile(rb"^[ \t]*(surf|bmat|cstype)\b", re.MULTILINE)
 REST = re.compile(rb"/[^\s]*")  # of a corner: its texture and its normal
+MOST_COLOUR_WORDS = 4  # after the corners of a face
 COMMENT = re.compile(rb"#[^\n]*")
 OFF_HEADER = re.compile(rb"\s*(?:ST)?C?N?(4?n?)OFF\b[ \t]*(BINARY)?|\s*(?:ST)?C?N?OFF(?=\d)", re.IGNORECASE)
 
@@ -57,16 +58,59 @@ def read_off(data: bytes) -> TriangleSoup:
     if not len(counts):
         raise MeshRefused("not readable as OFF: no numbers of vertices and faces")
     n, m = (int(count) for count in counts[0])
-    if min(n, m) < 0 or n + m > len(lines) - 1:
-        raise MeshRefused(f"not readable as OFF: {n:,} vertices and {m:,} faces in {len(lines) - 1:,} lines")
-    if any(len(words) < 3 for words in lines[1 : n + 1]):
+    try:
+        vertices, faces = _off_by_lines(lines[1:], n, m)
+    except MeshRefused as refused:
+        wrapped = _off_by_words(lines[1:], n, m, _vertex_width(header[0] if header else b""))
+        if wrapped is None:
+            raise refused from None
+        vertices, faces = wrapped
+    return _soup(vertices, faces, "OFF")
+
+
+def _off_by_lines(lines: list[list[bytes]], n: int, m: int) -> tuple[np.ndarray, np.ndarray | list[list[int]]]:
+    """Vertices and faces where each has a line of its own; what else is on it, such as a colour, is ignored."""
+    if min(n, m) < 0 or n + m > len(lines):
+        raise MeshRefused(f"not readable as OFF: {n:,} vertices and {m:,} faces in {len(lines):,} lines")
+    if any(len(words) < 3 for words in lines[:n]):
         raise MeshRefused("not readable as OFF: a vertex of fewer than 3 coordinates")
-    vertices = _numbers([tuple(words[:3]) for words in lines[1 : n + 1]], "OFF")
-    sizes = [int(row[0]) for row in _whole([words[:1] for words in lines[n + 1 : n + 1 + m]], "OFF")]
-    rows = [words[1 : size + 1] for words, size in zip(lines[n + 1 : n + 1 + m], sizes, strict=True)]
+    vertices = _numbers([tuple(words[:3]) for words in lines[:n]], "OFF")
+    sizes = [int(row[0]) for row in _whole([words[:1] for words in lines[n : n + m]], "OFF")]
+    rows = [words[1 : size + 1] for words, size in zip(lines[n : n + m], sizes, strict=True)]
     if any(len(row) < size for row, size in zip(rows, sizes, strict=True)):
         raise MeshRefused("not readable as OFF: a face with fewer corners than it says")
-    return _soup(vertices, _whole(rows, "OFF"), "OFF")
+    return vertices, _whole(rows, "OFF")
+
+
+def _off_by_words(
+    lines: list[list[bytes]], n: int, m: int, width: int
+) -> tuple[np.ndarray, np.ndarray | list[list[int]]] | None:
+    """Vertices of `width` numbers and faces that go on over lines, as Geomview reads them; None where they do not fit.
+
+    A colour of a face ends with the line on which it stands.
+    """
+    words = [word for line in lines for word in line]
+    ends = np.repeat(np.cumsum([len(line) for line in lines]), [len(line) for line in lines]).tolist()
+    if min(n, m) < 0 or n * width + m > len(words):
+        return None
+    try:
+        vertices = _numbers([tuple(words[k * width : k * width + 3]) for k in range(n)], "OFF")
+        rows, place = [], n * width
+        for _ in range(m):
+            last = place + int(words[place])
+            if not place < last < len(words) or ends[last] - last > MOST_COLOUR_WORDS + 1:
+                return None
+            rows.append(words[place + 1 : last + 1])
+            place = ends[last]
+        return vertices, _whole(rows, "OFF")
+    except (ValueError, IndexError, MeshRefused):
+        return None
+
+
+def _vertex_width(header: bytes) -> int:
+    """How many numbers a vertex has by the word before `OFF`: with colour, normal and texture beside its place."""
+    word = header.strip().upper().partition(b"OFF")[0]
+    return 3 + 2 * word.startswith(b"ST") + 4 * (b"C" in word) + 3 * (b"N" in word)
 
 
 def _soup(vertices: np.ndarray, polygons: np.ndarray | Sequence[Sequence[int]], kind: str) -> TriangleSoup:

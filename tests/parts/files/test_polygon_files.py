@@ -26,6 +26,17 @@ def off(header: str = "OFF\n", tail: str = "", counts: str = " 24") -> str:
     return header + "\n".join([*rows, *(f"{len(face)} {' '.join(map(str, face))}" for face in FACES)]) + "\n"
 
 
+def wrapped(text: str, words: int, colour: str = "") -> str:
+    """The vertices and faces of an OFF file over lines of at most so many words; a colour ends each face."""
+    header, counts, *rows = text.splitlines()
+    lines = []
+    for number, row in enumerate(rows):
+        pieces = [" ".join(row.split()[k : k + words]) for k in range(0, len(row.split()), words)]
+        pieces[-1] += colour if number >= len(VERTICES) else ""
+        lines += pieces
+    return "\n".join([header, counts, *lines]) + "\n"
+
+
 def obj(corner: str = "{}", relative: bool = False) -> str:
     points = "".join(f"v {x} {y} {z}\n" for x, y, z in VERTICES)
     rows = ["f " + " ".join(corner.format(i - len(VERTICES) if relative else i + 1) for i in face) for face in FACES]
@@ -61,6 +72,11 @@ FILES = {
     "cr.off": off().replace("\n", "\r").encode(),
     "mark.off": b"\xef\xbb\xbf" + off().encode(),
     "comments.off": off().replace("\n", " # here\n").encode(),
+    "wrapped.off": wrapped(off(), 5).encode(),
+    "word.off": wrapped(off(), 1).encode(),
+    "wrapped-normals.off": wrapped(off("NOFF\n", " 0 0 1"), 4).encode(),
+    "wrapped-all.off": wrapped(off("STCNOFF\n", " 0 0 1 0.5 0.5 0.5 1 0 0"), 7).encode(),
+    "wrapped-colours.off": wrapped(off(), 5, " 0.5 0.5 0.5").encode(),
     "a.obj": obj().encode(),
     "texture.obj": obj("{}/1").encode(),
     "normal.obj": obj("{}//1").encode(),
@@ -112,6 +128,9 @@ def test_indices_from_the_back_count_from_where_they_stand(tmp_path: Path) -> No
         ("a.off", off().replace("4 7 0 8 15", "4 7 0 8"), "a face with fewer corners than it says"),
         ("a.off", off().replace("4 7 0 8 15", "4 7 0 8 16"), "not readable as OFF: faces name vertex 16 of 16"),
         ("a.off", off().replace("40.0", "4O.0"), "not readable as OFF: a coordinate is not a number"),
+        ("a.off", wrapped(off(), 5)[:-9], "not readable as OFF: "),
+        ("a.off", wrapped(off(), 5, " 1 1 1 1 1"), "not readable as OFF: "),
+        ("a.off", wrapped(off(), 5).replace("4 7 0 8 15", "99 7 0 8 15"), "not readable as OFF: "),
         ("a.obj", obj().replace("f 8 1", "f 0 1"), "not readable as OBJ: faces name vertex -1 of 16"),
         ("a.obj", obj().replace("f 8 1", "f x 1"), "not readable as OBJ: a corner of a face is not a whole number"),
         ("a.obj", obj() + "v 1 2\n", "not readable as OBJ: line 29 has fewer than 3 coordinates"),
