@@ -24,7 +24,7 @@ from kit1000.parts.files.ply_elements import read_ply
 from kit1000.parts.files.soup import Cut, TriangleSoup, joined
 from kit1000.parts.files.stl_dialects import read_stl
 from kit1000.parts.files.threemf.placing import Built, read_threemf
-from kit1000.parts.files.threemf.roles import NEGATIVE, PART
+from kit1000.parts.files.threemf.roles import NEGATIVE
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".3mf", ".glb", ".gltf", ".step", ".stp")
 STEP_SUFFIXES = (".step", ".stp")
@@ -118,16 +118,20 @@ def _read_3mf(data: bytes) -> TriangleSoup:
 
 
 def _soup_of_volumes(built: Built, notes: tuple[str, ...]) -> TriangleSoup:
-    """The volumes as one soup; negative ones are subtracted from the parts of their item alone."""
+    """The volumes as one soup; negative ones are subtracted from the parts before them in their item alone."""
     vertices, _ = joined([(volume.vertices, volume.faces) for volume in built.volumes])
     starts = np.cumsum([0, *(len(volume.vertices) for volume in built.volumes)]).tolist()
-    faces: dict[tuple[int, str], list[np.ndarray]] = {}
+    runs: dict[int, list[tuple[str, list[np.ndarray]]]] = {}
     for volume, start in zip(built.volumes, starts[:-1], strict=True):
-        faces.setdefault((volume.item, volume.role), []).append(volume.faces + start)
-    merged = {key: np.concatenate(rows) for key, rows in faces.items()}
-    cut = {item for item, role in merged if role == NEGATIVE and (item, PART) in merged}
-    cuts = tuple(Cut(merged[item, PART], merged[item, NEGATIVE]) for item in sorted(cut))
-    plain = [rows for (item, role), rows in merged.items() if role == PART and item not in cut]
+        own = runs.setdefault(volume.item, [])
+        if not own and volume.role == NEGATIVE:
+            continue  # nothing is before it
+        if not own or own[-1][0] != volume.role:
+            own.append((volume.role, []))
+        own[-1][1].append(volume.faces + start)
+    merged = [tuple(np.concatenate(faces) for _, faces in runs[item]) for item in sorted(runs) if runs[item]]
+    cuts = tuple(Cut(faces) for faces in merged if len(faces) > 1)
+    plain = [faces[0] for faces in merged if len(faces) == 1]
     rest = np.concatenate([np.zeros((0, 3), dtype=np.int64), *plain])
     return TriangleSoup(vertices, rest, UNIT_NAMES.get(built.unit), notes, cuts)
 

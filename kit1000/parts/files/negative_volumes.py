@@ -28,10 +28,19 @@ def solid_of_soup(soup: TriangleSoup, notes: list[str]) -> Manifold:
 
 
 def _difference(vertices: np.ndarray, cut: Cut, notes: list[str]) -> Manifold:
-    """The parts without the negative volumes, each side united first: its volumes may overlap."""
-    part = united(closed_solid(vertices, cut.faces, notes), [])
+    """The parts without the negative volumes after them, each run united first: its volumes may overlap."""
+    solid = Manifold()
+    for number, faces in enumerate(cut.runs):
+        if number % 2 == 0:
+            part = united(closed_solid(vertices, faces, notes), [])
+            solid = solid + part if number else part
+        else:
+            solid -= _negative(vertices, faces)
+    return solid
+
+
+def _negative(vertices: np.ndarray, faces: np.ndarray) -> Manifold:
     try:
-        negative = united(closed_solid(vertices, cut.negative, []), [])
+        return united(closed_solid(vertices, faces, []), [])
     except MeshRefused as refused:
         raise MeshRefused(f"a negative volume is {refused.reason}") from None
-    return part - negative

@@ -12,12 +12,15 @@ from kit1000.errors import MeshRefused
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """A part of a file from which negative volumes are subtracted."""
+    """An object of a slicer whose negative volumes are subtracted from the volumes before them, as the slicer does."""
 
-    faces: np.ndarray
-    """(m, 3) int64 of the part."""
-    negative: np.ndarray
-    """(k, 3) int64 of all that is subtracted."""
+    runs: tuple[np.ndarray, ...]
+    """(m, 3) int64 faces of parts and of negative volumes by turns, parts first."""
+
+    @property
+    def part_faces(self) -> np.ndarray:
+        """(m, 3) int64 the faces of its parts."""
+        return np.concatenate(self.runs[::2])
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,7 +40,7 @@ class TriangleSoup:
     @property
     def part_faces(self) -> np.ndarray:
         """(m, 3) int64 all faces but those of negative volumes."""
-        return np.concatenate([self.faces, *(cut.faces for cut in self.cuts)]) if self.cuts else self.faces
+        return np.concatenate([self.faces, *(cut.part_faces for cut in self.cuts)]) if self.cuts else self.faces
 
 
 def soup_of_corners(corners: np.ndarray, notes: tuple[str, ...] = ()) -> TriangleSoup:

@@ -169,6 +169,30 @@ def test_a_negative_volume_cuts_the_parts_of_its_own_item_alone(tmp_path: Path) 
     assert volume_of(archive(tmp_path / "part.3mf", model, config))[0] == pytest.approx(6000 - 256 + 3000, rel=1e-6)
 
 
+# Volumes by PrusaSlicer 2.5.0, as filament in cm^3 at 100 % infill: 5.75, 5.99, 6.19, 6.28 and 5.88.
+@pytest.mark.parametrize(
+    ("kinds", "volume", "note"),
+    [
+        ("PN", 6000 - 256, "subtracted 1 negative volume"),
+        ("NP", 6000, "left out 1 negative volume listed before all parts"),
+        ("PNP", 6000 - 256 + 512 - 64, "subtracted 1 negative volume"),
+        ("NPP", 6000 + 288, "left out 1 negative volume listed before all parts"),
+        ("PPN", 6000 + 288 - 256 - 160, "subtracted 1 negative volume"),
+    ],
+)
+def test_a_negative_volume_cuts_the_parts_before_it_alone(kinds: str, volume: float, note: str, tmp_path: Path) -> None:
+    shifted = CUBE.copy().apply_translation((3, 0, 0))
+    meshes, parts = [], iter((PART, shifted))
+    for kind in kinds:
+        meshes.append(CUBE if kind == "N" else next(parts))
+    names = {"P": "ModelPart", "N": "NegativeVolume"}
+    config = slic3r_config(*((12 * k, 12 * k + 11, names[kind]) for k, kind in enumerate(kinds)))
+    path = archive(tmp_path / "part.3mf", model_xml(object_xml(1, mesh_xml(*meshes)), 'objectid="1"'), config)
+    measured, notes = volume_of(path)
+    assert measured == pytest.approx(volume, rel=1e-6)
+    assert note in notes
+
+
 def test_each_instance_of_a_cut_object_is_cut(tmp_path: Path) -> None:
     config = slic3r_config((0, 11, "ModelPart"), (12, 23, "NegativeVolume"))
     items = ['objectid="1"', 'objectid="1" transform="-1 0 0 0 1 0 0 0 1 -10 0 0"']  # mirrored

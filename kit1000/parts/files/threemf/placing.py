@@ -87,8 +87,18 @@ def _sorted_by_use(placed: Sequence[Volume]) -> tuple[list[Volume], list[str]]:
 
 
 def _cut_out(used: Sequence[Volume]) -> list[str]:
-    number = sum(volume.role == NEGATIVE for volume in used)
-    return [f"subtracted {_counted(number, NEGATIVE)}"] if number else []
+    """Notes on the negative volumes: those after a part of their item are subtracted, the others have no effect."""
+    begun: set[int] = set()
+    subtracted = idle = 0
+    for volume in used:
+        if volume.role == PART:
+            begun.add(volume.item)
+        elif volume.item in begun:
+            subtracted += 1
+        else:
+            idle += 1
+    notes = [f"subtracted {_counted(subtracted, NEGATIVE)}"] if subtracted else []
+    return notes + ([f"left out {_counted(idle, NEGATIVE)} listed before all parts"] if idle else [])
 
 
 def _counted(number: int, noun: str) -> str:
