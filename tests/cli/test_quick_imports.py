@@ -5,14 +5,17 @@ from __future__ import annotations
 import subprocess
 import sys
 
+from kit1000.cli.quick_imports import UNUSED, import_scipy
+
 
 def output_of(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
 
 def test_geometry_of_scipy_needs_no_tools_of_numpy() -> None:
-    code = "import sys; from kit1000.cli.quick_imports import import_scipy; import_scipy()"
-    code += "; import kit1000.export.own_part; print(sorted({'numpy.f2py', 'numpy.testing'} & set(sys.modules)))"
+    unused = {f"numpy.{name}" for name in UNUSED}
+    code = f"import sys; from {import_scipy.__module__} import import_scipy; import_scipy()"
+    code += f"; import kit1000.export.own_part; print(sorted({unused} & set(sys.modules)))"
     assert output_of(code) == "[]"
 
 
