@@ -7,6 +7,7 @@ from pathlib import Path
 
 from kit1000.dataset.own_scenes import OWN, is_labelled, is_own
 from kit1000.errors import shown
+from kit1000.perception.sensor_facts import KEY
 
 MAX_LISTED = 20  # refused files in a summary
 PRINTER_BED_MM = 250  # side of the bed of a usual desktop printer
@@ -14,10 +15,8 @@ PRINTER_BED_MM = 250  # side of the bed of a usual desktop printer
 
 def summary_text(summary: dict) -> str:
     """The contents of a dataset.json as text."""
-    if is_own(summary):
+    if is_own(summary) or "preset" not in summary:
         return "\n".join(_own_lines(summary))
-    if "preset" not in summary:
-        return _own_scenes(summary)
     seed = "withheld" if summary["seed"] is None else summary["seed"]
     lines = [
         f"{summary['preset']}  {summary['dataset_id']}"
@@ -40,25 +39,22 @@ def summary_text(summary: dict) -> str:
 
 
 def _own_lines(summary: dict) -> Iterator[str]:
-    """The lines about a folder of the user's own images."""
-    scenes = [scene_id for ids in summary["shards"].values() for scene_id in ids]
-    truth = "with labels" if is_labelled(summary) else "without ground truth"
-    yield f"{summary['preset']}  {summary['dataset_id']}  ({shown(summary['licence'])}; {truth})"
-    for facts in summary["sensors"].values():
+    """The lines about a folder of the user's own images, of which an old or foreign one states less."""
+    shards, clearance = summary["shards"], summary.get("config", {}).get("clearance")
+    scenes = [scene_id for ids in shards.values() for scene_id in ids]
+    truth = "labels" if is_labelled(summary) else "no labels"
+    stated = "not stated" if clearance is None else f"{1e3 * clearance:g} mm"
+    licence = shown(summary.get("licence", "licence not stated"))
+    yield f"own scenes  {summary['dataset_id']}  ({len(scenes)} scenes, {truth}, clearance {stated}, {licence})"
+    for facts in summary.get(KEY, {}).values():
         step = f"steps of {1e3 * facts['unit']:g} mm" if facts["unit"] else "floats"
         yield (
             f"  {shown(facts['device'])}: {facts['stream']} stream, {step}, baseline {1e3 * facts['baseline']:g} mm, "
             f"noise {facts['noise_px']:.2f} px, recorded with fx {facts['focal_length']:.1f} px"
         )
-    yield from (f"  {i}  {shown(source)}" for i, source in zip(scenes, summary[OWN]["sources"], strict=True))
-
-
-def _own_scenes(summary: dict) -> str:
-    """The text of a dataset.json that no preset made, as of an own camera."""
-    clearance = summary.get("config", {}).get("clearance")
-    stated = "not stated" if clearance is None else f"{1e3 * clearance:g} mm"
-    scenes = sum(map(len, summary["shards"].values()))
-    return f"own scenes  {summary['dataset_id']}  ({scenes} scenes without ground truth, clearance {stated})"
+    yield from (
+        f"  {i}  {shown(source)}" for i, source in zip(scenes, summary.get(OWN, {}).get("sources", ()), strict=False)
+    )
 
 
 def _files_taken(summary: dict) -> list[str]:

@@ -82,7 +82,7 @@ def test_own_scenes_are_edited_predicted_checked_shown_and_described(
     assert (answers / "moves.json").is_file()
     assert main(["check", str(answers), "--data", str(own)]) in (0, 1)  # the other parts were not edited
     assert main(["info", str(own)]) == 0
-    assert "1 scenes without ground truth, clearance not stated" in capsys.readouterr().out
+    assert "1 scenes, no labels, clearance not stated, licence not stated" in capsys.readouterr().out
     assert main(["show", str(own), "--scene", SCENE, "--out", str(tmp_path / "scene.png")]) == 0
     method = ["predict", "registration-columns", "--data", str(own), "--out", str(tmp_path / "predicted")]
     assert main([*method, "--tracks", "snap", "--limit", "1", "--workers", "1"]) == 0
