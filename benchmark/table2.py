@@ -25,19 +25,24 @@ from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import read_json, write_own
 from kit1000.metrics import Targets, pose_errors
+from kit1000.perception.sensor_facts import AnySensor, sensor_of
 from kit1000.planner.execute import NO_SEAL, NOT_FROM_ABOVE, OUTCOMES, SEATED, PartRun, SceneRun, run_scene
 from kit1000.planner.runs import outcome_counts
 from kit1000.pose import Pose
+from kit1000.prediction.catalog import all_methods
+from kit1000.prediction.making import PREDICTED_MASKS as PREDICTED
 from kit1000.predictor import resolved
 from kit1000.queries.tracks import TRACKS
 from kit1000.submission.manifest import FILE as MANIFEST
 from kit1000.submission.manifest import read_manifest
 from kit1000.submission.predictions import FILE, read_predictions
 from kit1000.values import Query, Truth
+from kit1000.weights import WEIGHTS
 
-PREDICTED_MASKS = "kit1000.perception.segmentation.predicted_masks:with_predicted_masks"  # by name: it loads networks
-MaskFinder = Callable[[Query, float], Query]
-"""Called with a query and the scale of the dataset's scenes: the query with masks from its image alone."""
+FIND_MASKS = "kit1000.perception.segmentation.predicted_masks:with_predicted_masks"  # by name: it loads networks
+MaskFinder = Callable[[Query, float, AnySensor, Path], Query]
+"""Called with a query, the scale of the dataset's scenes, the sensor and the folder of the networks' weights: the query
+with masks from its image alone."""
 TRUTH = "truth"  # label of the row with the true motions
 COMPONENT_KEYS = {"component", "label", "measure", "value", "interval", "n"}
 
@@ -151,7 +156,11 @@ def chain(
     before: set[str] = set()
     rows = []
     for label, predicted in motions.items():
-        find = find_masks if label != TRUTH and _states_predicted_masks(Path(submissions[label])) else None
+        find = (
+            None
+            if label == TRUTH
+            else _mask_finder(dataset, Path(submissions[label]), TRACKS[track].sensor, find_masks)
+        )
         cases = _execute(dataset, label, queries, truths, predicted, TRACKS[track].sensor, seed, find)
         if label == TRUTH:
             possible = {case.query.id for case in cases if case.run.outcome not in (NO_SEAL, NOT_FROM_ABOVE)}
@@ -170,8 +179,17 @@ def _motions_of(path: Path, queries: Sequence[Query]) -> dict[str, Pose]:
     return {i: Pose.identity() if row is None else predictions.motions[row] for i, row in rows.items()}
 
 
-def _states_predicted_masks(path: Path) -> bool:
-    return path.is_dir() and read_manifest(path / MANIFEST, path).masks == "predicted"
+def _mask_finder(dataset: Dataset, path: Path, sensor: str, find: MaskFinder | None) -> Callable[[Query], Query] | None:
+    """How a submission that states predicted masks found them: by the facts of the sensor, and its method's weights."""
+    if find is None or not path.is_dir():
+        return None
+    manifest = read_manifest(path / MANIFEST, path)
+    if manifest.masks != "predicted":
+        return None
+    method = all_methods().get(manifest.method.removesuffix(PREDICTED))
+    weights = WEIGHTS if method is None else method.mask_weights
+    facts, scale = sensor_of(dataset.summary, sensor), dataset.summary["config"]["scale"]
+    return lambda query: find(query, scale, facts, weights)
 
 
 def _execute(
@@ -182,15 +200,14 @@ def _execute(
     motions: Mapping[str, Pose],
     sensor: str,
     seed: int,
-    find: MaskFinder | None,
+    find: Callable[[Query], Query] | None,
 ) -> list[_Case]:
     """Let the robot carry out all motions of a row, scene by scene."""
     cases = []
     for scene_id in tqdm(dict.fromkeys(query.scene_id for query in queries), desc=label, unit="", disable=None):
         own = {query.part: query for query in queries if query.scene_id == scene_id}
         scene = dataset.recorded_scene(scene_id, truth=True)
-        scale = dataset.summary["config"]["scale"]
-        images = None if find is None else {part: find(query, scale).image for part, query in own.items()}
+        images = None if find is None else {part: find(query).image for part, query in own.items()}
         moves = {part: motions[query.id] for part, query in own.items()}
         run: SceneRun = run_scene(scene, moves, sensor, seed, images)
         for part in run.parts:
@@ -336,7 +353,7 @@ def run(
     labelled = {path.name if path.is_dir() else path.stem: path for path in submissions}
     if len(labelled) < len(submissions) or TRUTH in labelled:
         raise InputError("submissions: expected names of their own, and none called truth, which is there anyway")
-    find_masks = resolved(PREDICTED_MASKS) if masks == "predicted" else None
+    find_masks = resolved(FIND_MASKS) if masks == "predicted" else None
     rows = chain(data, labelled, track, split, scenes, find_masks=find_masks)
     parts = [] if components is None else read_components(components)
     dataset = Dataset(data)

@@ -15,11 +15,13 @@ from benchmark import table2
 from benchmark.__main__ import main
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
+from kit1000.perception.sensor_facts import AnySensor, SensorFacts
 from kit1000.planner.execute import NO_SEAL, OUTCOMES, PartRun, SceneRun
 from kit1000.pose import Pose
 from kit1000.submission import Manifest, write_submission
 from kit1000.submission.predictions import write_predictions
-from kit1000.values import LabelledDepth, Prediction
+from kit1000.values import LabelledDepth, Prediction, Query
+from kit1000.weights import MEASURED, WEIGHTS
 
 SPLIT = "train"
 FAR = Pose.from_translation([0.0, 0.0, 0.02])
@@ -112,11 +114,60 @@ def test_the_robot_finds_parts_by_predicted_masks_where_the_manifest_states_them
         write_submission(tmp_path / masks, replace(stated, masks=masks), rows)
     folders = {masks: tmp_path / masks for masks in ("given", "predicted")}
     found = []
-    table2.chain(mini, folders, "snap", SPLIT, 1, find_masks=lambda query, scale: found.append(scale) or query)
+
+    def find(query: Query, scale: float, sensor: AnySensor, weights: Path) -> Query:
+        found.append((scale, sensor, weights))
+        return query
+
+    table2.chain(mini, folders, "snap", SPLIT, 1, find_masks=find)
     assert [images is None for _, images in seen] == [True, True, False]
     own = [query for query in queries if query.scene_id == seen[-1][0]]
     assert set(seen[-1][1] or ()) == {query.part for query in own}
-    assert found == [dataset.summary["config"]["scale"]] * len(own)
+    assert found == [(dataset.summary["config"]["scale"], "ideal", WEIGHTS)] * len(own)
+
+
+def test_masks_are_found_by_the_facts_of_the_sensor_and_the_weights_of_the_method(
+    mini: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As `predict --masks predicted` finds them."""
+    facts = SensorFacts(device="D435", noise_px=0.2, stream="aligned")
+    root = tmp_path / "stated"
+    root.mkdir()
+    for path in mini.iterdir():
+        if path.name != "dataset.json":
+            (root / path.name).symlink_to(path)
+    summary = json.loads((mini / "dataset.json").read_text("utf-8"))
+    (root / "dataset.json").write_text(json.dumps(summary | {"sensors": {"d415": facts.as_row()}}))
+    monkeypatch.setattr(
+        table2,
+        "run_scene",
+        lambda scene, motions, *_: SceneRun(
+            scene.id, tuple(PartRun(part, NO_SEAL, "") for part in motions), (), (), Pose.identity()
+        ),
+    )
+    dataset = Dataset(root)
+    rows = [Prediction(q.id, Pose.identity(), 0.5, 1.0) for q in dataset.split(SPLIT).queries("snap-d415")]
+    stated = Manifest(
+        method="registration-measured+predicted-masks",
+        authors=("us",),
+        description="none",
+        date="2026-01-01",
+        dataset_id=dataset.id,
+        tracks=("snap-d415",),
+        learned=True,
+        uses_true_geometry=False,
+        masks="predicted",
+    )
+    write_submission(tmp_path / "found", stated, rows)
+    given: list[tuple[AnySensor, Path]] = []
+
+    def find(query: Query, scale: float, sensor: AnySensor, weights: Path) -> Query:
+        given.append((sensor, weights))
+        return query
+
+    table2.chain(root, {"found": tmp_path / "found"}, "snap-d415", SPLIT, 1, find_masks=find)
+    assert given
+    assert set(given) == {(facts, MEASURED)}
 
 
 def test_predictions_of_other_queries_and_unknown_tracks_are_refused(mini: Path, tmp_path: Path, robot: None) -> None:
