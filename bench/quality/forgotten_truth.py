@@ -16,7 +16,7 @@ from kit1000.dataset.mcap_io import ObservationWriter
 from kit1000.dataset.reader import RecordedScene
 from kit1000.dataset.schema import Observation
 from kit1000.dataset.tables import FORMAT
-from kit1000.files import write_json
+from kit1000.files import with_checksum, write_json
 from kit1000.pictures.scene_preview import png_bytes, scene_picture
 from kit1000.sim.sensors import DEPTH_GRID
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
@@ -63,12 +63,12 @@ def write_forgotten(folder: Path, scenes: Mapping[str, LabelledDepth], clearance
         for scene_id, image in scenes.items():
             seen = Observation(scene_id, {SENSOR: image.view}, image.labels, _queries(scene_id, image.labels))
             writer.add(Observation(scene_id, seen.views, seen.labels, seen.queries, png_bytes(scene_picture(seen))))
-    for name in ("parts", "kits", "assemblies"):
-        write_json(folder / f"{name}.json", {})
+    files = {f"{name}.json": write_json(folder / f"{name}.json", {}) for name in ("parts", "kits", "assemblies")}
+    files["test/0000.mcap"] = writer.sha256 or ""
     config = {"clearance": clearance, "scale": 1.0, "curve_scenes": 0, "frames": 1, "tracks": list(TRACKS)}
     summary = {"format": FORMAT, "dataset_id": "0123456789abcdef", "data_version": "1.0.0", "config": config}
-    summary |= {"checksum": "0" * 64, "shards": {"test/0000.mcap": list(scenes)}, "files": {}, "preset": "own"}
-    write_json(folder / "dataset.json", summary)
+    summary |= {"shards": {"test/0000.mcap": list(scenes)}, "files": files, "preset": "own"}
+    write_json(folder / "dataset.json", with_checksum(summary))
     return folder
 
 

@@ -11,6 +11,8 @@ from kit1000.errors import checked
 
 OWN = "own"
 """Key of dataset.json: what the scenes were imported from; generated datasets have none."""
+LABELS = "labels"
+"""Folder of the labels of own scenes and their pictures, which a person goes on changing."""
 TABLES = "tables"
 """Key of dataset.json: the outline (k, 2) [m] of the table that was seen, by scene."""
 

@@ -237,7 +237,7 @@ def labelling(
     scenes = OwnScenes.of(root, scene_id)
     record = read_record(root, scenes.scene_ids[0])
     correction = Correction(scenes, record)
-    with serving(port, origins) as (server, address):
+    with serving(port, origins, "kit1000 label") as (server, address):
         yield LabelPage(server, correction), address
 
 

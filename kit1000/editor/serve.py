@@ -109,10 +109,13 @@ def run(options: Options) -> None:
 
 
 @contextlib.contextmanager
-def serving(port: int | None, origins: Sequence[str] = ()) -> Iterator[tuple[viser.ViserServer, str]]:
+def serving(
+    port: int | None, origins: Sequence[str] = (), title: str = "kit1000 edit"
+) -> Iterator[tuple[viser.ViserServer, str]]:
     """A server for this machine alone, and its address.
 
     port: None for a free one. origins: further web addresses whose page may talk to it, as behind a tunnel or a proxy.
+    title: of the page.
     """
     check_origins(origins)
     chosen = _free_port() if port is None else port
@@ -120,7 +123,7 @@ def serving(port: int | None, origins: Sequence[str] = ()) -> Iterator[tuple[vis
         raise InputError(f"--port: expected 1 to 65535, got {chosen}")
     os.environ.pop("_VISER_PORT_OVERRIDE", None)
     with _guarded(chosen, origins) as calls, contextlib.redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=HOST, port=chosen, label="kit1000 edit", verbose=False)
+        server = viser.ViserServer(host=HOST, port=chosen, label=title, verbose=False)
     try:
         if not calls:
             raise InternalError("viser no longer serves by websockets.asyncio.server.serve: its origins are unchecked")

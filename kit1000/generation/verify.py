@@ -9,7 +9,7 @@ from typing import Any
 from tqdm import tqdm
 
 from kit1000.dataset.geometry import Geometry
-from kit1000.dataset.own_scenes import is_labelled
+from kit1000.dataset.own_scenes import LABELS, is_labelled
 from kit1000.dataset.reader import WITHHELD_FILE, WITHOUT_TRUTH
 from kit1000.errors import InputError
 from kit1000.files import read_json, sha256
@@ -44,7 +44,7 @@ def verify(root: Path, sample: int = 0) -> VerifyReport:
     """Check all files of a dataset, and generate `sample` of its scenes again. Raises InputError for another folder."""
     geometry = Geometry(root)
     summary = geometry.summary
-    own = PLAN not in summary.get("files", {}) and "withheld" not in summary  # as of an own camera
+    own = _is_of_camera(summary)
     own_notes = ((NOT_GENERATED if is_labelled(summary) else WITHOUT_TRUTH),) if own else ()
     if "checksum" not in summary:
         fault = f"{INDEX}: has no checksum: nothing can be compared with what was written"
@@ -98,6 +98,10 @@ def _checksum_holds(root: Path, summary: dict[str, Any]) -> bool:
         return False
 
 
+def _is_of_camera(summary: dict[str, Any]) -> bool:
+    return PLAN not in summary.get("files", {}) and "withheld" not in summary
+
+
 def _file_faults(root: Path, summary: dict[str, Any]) -> list[str]:
     """Files that are changed, missing, or not listed; hidden files are ignored."""
     faults = []
@@ -108,7 +112,12 @@ def _file_faults(root: Path, summary: dict[str, Any]) -> list[str]:
     full = PLAN in summary["files"]  # not the public part of a withheld dataset
     listed = {INDEX, *summary["files"], *([WITHHELD_FILE] if full else [])}
     present = (path.relative_to(root) for path in root.rglob("*") if path.is_file())
-    not_hidden = (path.as_posix() for path in present if not any(step.startswith(".") for step in path.parts))
+    others = () if not _is_of_camera(summary) else (LABELS,)
+    not_hidden = (
+        path.as_posix()
+        for path in present
+        if path.parts[0] not in others and not any(step.startswith(".") for step in path.parts)
+    )
     faults += [f"{name}: not a file of this dataset" for name in sorted(not_hidden) if name not in listed]
     if full and not faults and dataset_id(read_json(root / PLAN)) != summary["dataset_id"]:
         faults.append(f"{PLAN}: of another dataset")

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from kit1000.dataset.own_scenes import LABELS
 from kit1000.dataset.tables import Row, pose_of, pose_row
 from kit1000.errors import InputError
 from kit1000.files import json_bytes, read_json, write_bytes
@@ -19,7 +20,7 @@ from kit1000.labelling.scene_registration import RegisteredScene
 from kit1000.pose import Pose
 
 FORMAT = "kit1000-label/1"
-FOLDER = "labels"
+FOLDER = LABELS
 
 
 @dataclass(frozen=True, eq=False)

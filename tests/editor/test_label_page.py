@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import viser
 
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.label_page import LabelPage, labelling
 from kit1000.labelling.label_records import read_record, write_record
 from kit1000.pose import Pose
 from tests.samples.labelled_scenes import SCENE, own_folder, sample_scene, shapes_folder, true_record
+
+SERVER = viser.ViserServer
 
 
 @pytest.fixture
@@ -22,6 +26,20 @@ def page(tmp_path: Path) -> Iterator[LabelPage]:
     with labelling(root, None, None, ()) as (opened, address):
         assert address.startswith("http://127.0.0.1:")
         yield opened
+
+
+def test_the_page_has_a_title_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    titles: list[str] = []
+
+    def server(*args: Any, label: str, **options: Any) -> viser.ViserServer:
+        titles.append(label)
+        return SERVER(*args, label=label, **options)
+
+    monkeypatch.setattr(viser, "ViserServer", server)
+    root, source = own_folder(tmp_path / "mine"), shapes_folder(tmp_path / "shapes")
+    write_record(root, true_record(sample_scene(), source))
+    with labelling(root, None, None, ()):
+        assert titles == ["kit1000 label"]
 
 
 def ray_to(point: np.ndarray, eye: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -12,6 +12,8 @@ from bench.quality.forgotten_truth import write_forgotten
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import read_json, write_json
+from kit1000.generation.verify import verify
+from kit1000.labelling.label_records import write_record
 from kit1000.labelling.labelled_folder import write_truth
 from kit1000.labelling.scene_truth import true_camera
 from kit1000.metrics import seatings
@@ -80,6 +82,20 @@ def test_writing_twice_gives_the_same_bytes(folder: Path, source: dict[str, str]
         write_truth(twice, {SCENE: true_record(sample_scene(), source, PERSON)})
     for name in ("test/0000.mcap", "test/0000.truth.mcap", "dataset.json", "kits.json", "parts/tee.glb"):
         assert (twice / name).read_bytes() == (folder / name).read_bytes(), name
+
+
+def test_labels_are_files_of_a_labelled_folder(source: dict[str, str], tmp_path: Path) -> None:
+    root = own_folder(tmp_path)
+    write_truth(root, {SCENE: true_record(sample_scene(), source, PERSON)})
+    write_record(root, true_record(sample_scene(), source, PERSON))
+    (root / "labels" / f"{SCENE}.png").write_bytes(b"a picture")
+    report = verify(root, 1)
+    assert report.faults == ()
+    assert report.files == 10  # two recordings, three tables, five meshes
+    (root / "parts" / "spare.glb").write_bytes(b"")
+    (root / "parts" / "tee.glb").write_bytes(b"")
+    faults = verify(root).faults
+    assert [fault.partition(":")[0] for fault in faults] == ["parts/tee.glb", "parts/spare.glb"]
 
 
 def test_bodies_without_a_shape_become_background(source: dict[str, str], tmp_path: Path) -> None:
