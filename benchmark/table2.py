@@ -188,8 +188,8 @@ def _mask_finder(dataset: Dataset, path: Path, sensor: str, find: MaskFinder | N
         return None
     method = all_methods().get(manifest.method.removesuffix(PREDICTED))
     weights = WEIGHTS if method is None else method.mask_weights
-    facts, scale = sensor_of(dataset.summary, sensor), dataset.summary["config"]["scale"]
-    return lambda query: find(query, scale, facts, weights)
+    scale = dataset.summary["config"]["scale"]
+    return lambda query: find(query, scale, sensor_of(dataset.summary, sensor, query.scene_id), weights)
 
 
 def _execute(

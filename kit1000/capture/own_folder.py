@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +56,11 @@ def write_own_folder(
         write_bytes(partial / "dataset.json", _summary_bytes(scenes, files, shards, clearance, licence))
 
 
+def folder_id(files: Mapping[str, str | None]) -> str:
+    """The id of a folder of own scenes with files of these hashes."""
+    return hashlib.sha256(json_bytes(files)).hexdigest()[:ID_DIGITS]
+
+
 def _observation(scene_id: str, scene: OwnScene) -> Observation:
     pivots = part_pivots(scene.image.view, scene.image.labels)
     if not pivots:
@@ -90,7 +95,6 @@ def _summary_bytes(
     licence: str,
 ) -> bytes:
     """The bytes of dataset.json, with a checksum of its other entries, as generated datasets have it."""
-    dataset_id = hashlib.sha256(json_bytes(files)).hexdigest()[:ID_DIGITS]
     config = {"curve_scenes": 0, "frames": 1, "scale": 1.0, "tracks": list(TRACKS)}
     config |= {} if clearance is None else {"clearance": clearance}
     scene_ids = [scene_id for some in shards.values() for scene_id in some]
@@ -100,7 +104,7 @@ def _summary_bytes(
         "config": config,
         "counts": {"test": none | {"scenes": len(scenes)}, "train": none, "val": none},
         "data_version": DATA_VERSION,
-        "dataset_id": dataset_id,
+        "dataset_id": folder_id(files),
         "files": files,
         "format": FORMAT,
         "licence": licence,

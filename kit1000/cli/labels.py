@@ -1,4 +1,4 @@
-"""The command `kit1000 label`: ground truth for scenes of your own, from shapes that you have."""
+"""The commands about scenes with ground truth of your own: print shapes, label, join."""
 
 from __future__ import annotations
 
@@ -106,6 +106,23 @@ class Label:
             raise InputError(f"--clearance-mm: expected 0.05 to 100, got {self.clearance_mm:g}")
         clearance = None if self.clearance_mm is None else self.clearance_mm * 1e-3
         return kits_of_files(self.kit, self.part, clearance)
+
+
+@dataclass(frozen=True)
+class Join:
+    """Join folders of labelled scenes into one, as the real split; scenes get new ids, licences and names stay."""
+
+    folders: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DIR [DIR ...]")]
+    """Folders whose labels are confirmed; an earlier joined folder comes first, so that its ids stay."""
+    out: Path = Path("real")
+    """Folder to write, which must not exist."""
+
+    def run(self) -> int:
+        """Join, and print what came from where."""
+        from kit1000.labelling.joined_folders import join_folders
+
+        print(*join_folders(self.folders, self.out), f"{self.out}: joined", sep="\n")
+        return 0
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,7 @@ class Edit(OwnImages):
         data, out = self._folders()
         dataset = Dataset(data)
         scene, sensor = _chosen_scene(dataset, self.scene, self.sensor)
-        chosen = (data, scene, out, sensor, self.snap or _default_method(dataset, sensor))
+        chosen = (data, scene, out, sensor, self.snap or _default_method(dataset, scene, sensor))
         serve(Options(*chosen, self.port, self.truth, self.interface, self.origin, self.base_from_camera))
         return 0
 
@@ -165,12 +165,12 @@ def _chosen_scene(dataset: Dataset, scene: str | None, sensor: str | None) -> tu
     return chosen, sensor or next(iter(dataset.recorded_scene(chosen, truth=False).sensors), "ideal")
 
 
-def _default_method(dataset: Dataset, sensor: str) -> str:
+def _default_method(dataset: Dataset, scene: str, sensor: str) -> str:
     """The method that snaps where none is named: with the networks that suit an own camera, where torch is there."""
     from kit1000.capture.mask_networks import networks_available
     from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 
-    facts = sensor_of(dataset.summary, sensor)
+    facts = sensor_of(dataset.summary, sensor, scene)
     if not isinstance(facts, SensorFacts) or not networks_available():
         return SNAP
     return "registration-measured" if facts.noisy else "registration-completed"

@@ -83,7 +83,7 @@ def editing(
             worker = None if options.snap == NO_SNAP else Worker(method, scene.parts)
             table = seen_table(dataset.summary, options.scene)
             stage = ViserStage(server, options.interface, worker is not None, table)
-            stage.say("head", head_text(header, camera_name(sensor_of(dataset.summary, options.sensor))))
+            stage.say("head", head_text(header, camera_name(sensor_of(dataset.summary, options.sensor, options.scene))))
             controller = Controller(scene, stage, log, worker, moves)
             stage.listen(controller)
             log.add("open")

@@ -89,7 +89,7 @@ def _shape_files(root: Path, shapes: list[KnownKits]) -> tuple[dict[str, bytes],
     def add(kind: str, item_id: str, row: Row, mesh: Mesh) -> None:
         name, data = f"{kind}/{item_id}.glb", glb_bytes({item_id: mesh})
         full = row | {"split": SPLIT, "source": ORIGIN}
-        other = (root / name).read_bytes() if item_id in tables[kind] else files.get(name, data)
+        other = files.get(name) or ((root / name).read_bytes() if item_id in tables[kind] else data)
         if other != data:
             raise InputError(f"{root}: another shape is named {item_id!r} there: rename the file of one of the two")
         files[name], tables[kind][item_id] = data, full

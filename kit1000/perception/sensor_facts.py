@@ -14,6 +14,8 @@ D415 = SENSORS["d415"]
 REAL_NOISE = 0.12  # [px] noise and bending: the simulated d415 stays below, public images of D400 cameras above
 KEY = "sensors"
 """Key of dataset.json: facts by the key of the view; absent from generated datasets."""
+SCENE_KEY = "scene_sensors"
+"""Key of dataset.json: the same by scene, where scenes of several cameras are joined."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +54,12 @@ AnySensor: TypeAlias = "str | SensorFacts"
 """A simulated sensor by its name, or the facts about another one."""
 
 
-def sensor_of(summary: Mapping[str, Any], sensor: str) -> AnySensor:
-    """The facts that a dataset.json states about the sensor of a view, by its key; the key where it states none."""
-    rows = summary.get(KEY) or {}
+def sensor_of(summary: Mapping[str, Any], sensor: str, scene_id: str = "") -> AnySensor:
+    """The facts that a dataset.json states about the sensor of a view, by its key; the key where it states none.
+
+    scene_id: scene of the view, of which it may state others than of the rest.
+    """
+    rows = (summary.get(SCENE_KEY) or {}).get(scene_id) or summary.get(KEY) or {}
     if sensor not in rows:
         return sensor
     try:

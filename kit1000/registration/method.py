@@ -110,7 +110,9 @@ class Registration:
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits, the best first; where no clearance is stated, those from depth are at the one that fits best."""
         if self.source == "depth":
-            image = SharedImage(query.image, sensor_of(self.dataset.summary, query.sensor), self.restorer)
+            image = SharedImage(
+                query.image, sensor_of(self.dataset.summary, query.sensor, query.scene_id), self.restorer
+            )
             if not self.clearances and len(self._clearances) > 1:
                 return self._fits_at_best_clearance(query, image)
             fits = self.certain_fits(query, image)

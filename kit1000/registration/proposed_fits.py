@@ -32,7 +32,7 @@ class CompletingRegistration(ProposingRegistration):
         from kit1000.perception.completion.kits.completed import ReliefCompleter
         from kit1000.perception.completion.kits.hidden_surface import hidden_surfaces
 
-        sensor = sensor_of(self.dataset.summary, query.sensor)
+        sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
         image = calibrated_image(query.image, sensor)
         restored = image if self.restorer is None else self.restorer(image, sensor, (ASSEMBLY_LABEL,))
         noise = noise_of(query.sensor, restored=True)

@@ -134,6 +134,14 @@ def test_scenes_without_confirmed_labels_are_named(source: dict[str, str], tmp_p
     assert len(list(Dataset(root).split("test", truth=True))) == 2
 
 
+def test_several_scenes_of_the_same_shapes_are_confirmed_at_once(source: dict[str, str], tmp_path: Path) -> None:
+    root = write_forgotten(tmp_path, dict.fromkeys((SCENE, OTHER), sample_scene().image), CLEARANCE)
+    record = true_record(sample_scene(), source, PERSON)
+    assert write_truth(root, {SCENE: record, OTHER: replace(record, scene_id=OTHER)}) == []
+    assert len(list(Dataset(root).split("test", truth=True))) == 2
+    assert verify(root).faults == ()
+
+
 def test_nothing_is_written_of_labels_that_nobody_confirmed(source: dict[str, str], tmp_path: Path) -> None:
     root, record = own_folder(tmp_path), true_record(sample_scene(), source)
     before = {path: path.read_bytes() for path in root.rglob("*") if path.is_file()}
