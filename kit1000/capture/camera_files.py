@@ -20,6 +20,7 @@ from kit1000.files import read_json
 from kit1000.sim.measured_sensors import Stream
 
 LARGEST_UNIT = 0.02  # [m] above it a `depth_scale` beside fx is no length of a unit in m
+LONGEST_BASELINE = 1.0  # [m]
 MOST_BYTES = 10_000_000
 FORMATS = "JSON with fx, fy, cx, cy, or cam_K, K or intrinsic_matrix; a text file of 3 x 3 numbers; or fx fy cx cy"
 MATRICES = ("cam_K", "intrinsic_matrix", "camera_matrix", "K", "k")
@@ -43,7 +44,10 @@ def read_intrinsics(words: Sequence[str], image: Path | None = None) -> Intrinsi
         raise InputError(f"{path}: {path.stat().st_size / 1e6:.0f} MB, expected intrinsics: {FORMATS}")
     if path.suffix.lower() == ".txt":
         return _from_matrix(_text_matrix(path), {}, path)
-    value = read_json(path)
+    try:
+        value = read_json(path)
+    except RecursionError:
+        value = None
     if not isinstance(value, dict):
         raise InputError(f"{path}: expected a JSON object; known are {FORMATS}")
     return _from_json(_chosen(value, path, image), path)
@@ -57,8 +61,9 @@ def _numbers(words: Sequence[str]) -> list[float]:
 
 
 def _text_matrix(path: Path) -> np.ndarray:
+    text = path.read_text("utf-8", "replace")
     try:
-        matrix = np.loadtxt(path, delimiter="," if "," in path.read_text("utf-8", "replace") else None, ndmin=2)
+        matrix = np.array([row.replace(",", " ").split() for row in text.splitlines() if row.strip()], float)
     except ValueError:
         matrix = np.zeros((0, 0))
     if matrix.shape != (3, 3):
@@ -98,7 +103,7 @@ def _from_fields(row: Mapping[str, Any], prefix: str, path: Path) -> Intrinsics:
     centre = next((names for names in CENTRES if all(name in row for name in names)), None)
     if centre is None:
         raise InputError(f"{path}: no principal point: expected cx and cy, or ppx and ppy")
-    if abs(float(row.get(f"{prefix}skew") or 0)) > 1e-9:
+    if row.get(f"{prefix}skew") is not None and abs(_number(row, f"{prefix}skew", path)) > 1e-9:
         raise InputError(f"{path}: skew {row[f'{prefix}skew']}, expected 0: no depth camera has any")
     fx, fy, cx, cy = (_number(row, name, path) for name in (f"{prefix}fx", f"{prefix}fy", *centre))
     return Intrinsics(fx, fy, cx, cy, **_beside(row, path, _field_unit(row, path)))
@@ -153,13 +158,15 @@ def _beside(row: Mapping[str, Any], path: Path, unit: float | None) -> dict[str,
     sides = ((row.get(f"{prefix}width"), row.get(f"{prefix}height")) for prefix in ("", "_", "image_"))
     size = next((pair for pair in sides if None not in pair), None)
     coefficients = next((row[name] for name in ("coeffs", "distortion", "D", "d") if name in row), ())
-    coefficients = coefficients.get("data", ()) if isinstance(coefficients, dict) else coefficients
+    coefficients = (coefficients.get("data") if isinstance(coefficients, dict) else coefficients) or ()
     model = str(row.get("model") or row.get("distortion_model") or "plumb_bob").lower().removeprefix("distortion.")
-    baseline = _positive(row, "baseline", path) if "baseline" in row else None
+    baseline = _positive(row, "baseline", path) if row.get("baseline") is not None else None
+    if baseline is not None and baseline > LONGEST_BASELINE:
+        raise InputError(f"{path}: baseline is {baseline:g}, expected metres, up to {LONGEST_BASELINE:g}")
     try:
         whole = None if size is None else (int(size[0] or 0), int(size[1] or 0))
         floats = tuple(float(value) for value in coefficients)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InputError(f"{path}: width, height or distortion are no numbers") from None
     device = str(row.get("device") or row.get("name") or "")
     known = {"unit": unit, "model": model, "coefficients": floats, "device": device, "baseline": baseline}

@@ -41,7 +41,7 @@ class DepthFrame:
 
 def check_values(values: np.ndarray, source: str) -> None:
     """Raise InputError where an array cannot be a depth image."""
-    shape = " x ".join(map(str, values.shape))
+    shape = " x ".join(map(str, values.shape)) or "one number"
     if values.ndim == 3 and values.shape[-1] in (2, 3, 4):
         raise InputError(f"{source}: {values.shape[-1]} channels, expected one: a colour picture, not depths")
     if values.ndim != 2:
@@ -50,8 +50,14 @@ def check_values(values: np.ndarray, source: str) -> None:
         raise InputError(f"{source}: 8 bits a pixel, expected 16-bit integers or floats: a picture, not depths")
     if values.dtype.kind not in "iuf":
         raise InputError(f"{source}: {values.dtype} values, expected 16-bit integers or floats")
-    if min(values.shape) < LEAST_SIDE or values.size > MOST_PIXELS:
-        raise InputError(f"{source}: {shape} px, expected rows and columns from {LEAST_SIDE} up, at most 30 megapixels")
+    check_size(values.shape, source)
+
+
+def check_size(shape: tuple[int, ...], source: str) -> None:
+    """Raise InputError where an image of a shape (H, W) is too small or too large for a depth image."""
+    if min(shape) < LEAST_SIDE or shape[0] * shape[1] > MOST_PIXELS:
+        size = " x ".join(map(str, shape))
+        raise InputError(f"{source}: {size} px, expected rows and columns from {LEAST_SIDE} up, at most 30 megapixels")
 
 
 def metric_depth(frame: DepthFrame, scale: float | None = None) -> np.ndarray:
@@ -70,7 +76,7 @@ def metric_depth(frame: DepthFrame, scale: float | None = None) -> np.ndarray:
     unit = scale or stated or (1e-3 if integers else 1.0)
     known = np.isfinite(values) & (values > 0)
     if integers:
-        known &= values < SATURATED
+        known &= values != SATURATED
     share = np.count_nonzero(known) / values.size
     if share < LEAST_RETURNS:
         found, expected = f"{100 * share:.1f} % of the pixels have a depth", f"{100 * LEAST_RETURNS:.0f} or more"

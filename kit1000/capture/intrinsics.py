@@ -10,6 +10,8 @@ from kit1000.camera import Camera
 from kit1000.errors import InputError
 from kit1000.sim.measured_sensors import Stream
 
+SHORTEST_FOCAL, LONGEST_FOCAL = 0.2, 20.0  # [widths of the image]: it sees 136 to 3 degrees
+MOST_RATIO = 1.5  # of focal lengths
 NO_DISTORTION = 1e-9  # largest coefficient that is none
 FORWARD_MODELS = {"plumb_bob": 5, "rational_polynomial": 8}
 """Models of OpenCV that map where a point is to where it is seen, and their largest number of coefficients."""
@@ -69,7 +71,8 @@ class Intrinsics:
     def camera(self, shape: tuple[int, ...], image: str) -> Camera:
         """The pinhole camera of an image of a shape (H, W), its name for the message.
 
-        Raises InputError where the intrinsics are of another size, or their centre is far outside the image.
+        Raises InputError where the intrinsics are of another size, their centre is outside the image, or their focal
+        lengths are those of no depth camera.
         """
         height, width = shape
         if self.size is not None and self.size != (width, height):
@@ -77,6 +80,12 @@ class Intrinsics:
             raise InputError(
                 f"{self.source}: is of {stated}, {image} has {width} x {height}: give the intrinsics of the stream "
                 "that was saved"
+            )
+        longest, shortest = LONGEST_FOCAL * width, SHORTEST_FOCAL * width
+        if not (shortest <= self.fx <= longest and 1 / MOST_RATIO <= self.fx / self.fy <= MOST_RATIO):
+            raise InputError(
+                f"{self.source}: focal lengths {self.fx:g}, {self.fy:g} px, {image} is {width} px wide: expected two "
+                f"alike, {shortest:.0f} to {longest:.0f} px: are they in mm, or in another order than fx fy cx cy?"
             )
         if not (0 <= self.cx <= width and 0 <= self.cy <= height):
             raise InputError(

@@ -8,10 +8,12 @@ import numpy as np
 
 from kit1000.camera import Camera
 from kit1000.capture.intrinsics import Intrinsics, distorted
+from kit1000.errors import InputError
 
 FOCAL = 925.0  # [px] of the images that the networks learned from
 KEPT = 1.25  # an image stays as it is up to this ratio of focal lengths
 MOST_SIDE = 1920  # [px] of a resampled image
+LEAST_KEPT = 0.3  # of the share of pixels with a depth, when distortion is undone
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +38,12 @@ def pinhole_image(depth: np.ndarray, intrinsics: Intrinsics, source: str) -> Pin
     if intrinsics.distorted:
         intrinsics.forward_model  # noqa: B018 (raises where distortion cannot be undone)
     if intrinsics.distorted or factor != 1:
-        return PinholeImage(target, _looked_up(depth, intrinsics, target), factor)
+        found = _looked_up(depth, intrinsics, target)
+        if np.count_nonzero(found) * depth.size < LEAST_KEPT * np.count_nonzero(depth) * found.size:
+            raise InputError(
+                f"{intrinsics.source}: its distortion maps most of {source} outside: is it of this camera?"
+            )
+        return PinholeImage(target, found, factor)
     return PinholeImage(target, np.ascontiguousarray(depth[: target.height, : target.width]))
 
 

@@ -11,6 +11,7 @@ from kit1000.errors import InputError
 
 MUCH_RIPPLE = 2e-3  # [m] from which on fits are unsure
 MOST_LISTED = 12  # bodies
+MOST_OFF_CENTRE = 0.15  # of the image's sides, from its middle to the principal point
 SAME_SIZE = 0.15  # by which a side of --check may differ, and
 SAME_LENGTH = 6e-3  # [m] by which at least
 
@@ -87,6 +88,13 @@ def _notes(scene: OwnScene, clearance: float | None) -> Iterator[str]:
         yield (
             f"ripple {1e3 * table.ripple:.1f} mm: fits will be unsure. Average 30 frames, come nearer than 0.7 m, "
             "avoid shiny white, raise the laser power"
+        )
+    camera = table.image.camera
+    off = max(abs(camera.cx / camera.width - 0.5), abs(camera.cy / camera.height - 0.5))
+    if off > MOST_OFF_CENTRE:
+        yield (
+            f"principal point {100 * off:.0f} % of the image from its middle: are the intrinsics of this size, or is "
+            "the image cropped?"
         )
     if facts.stream == "aligned":
         yield "taken as aligned to another camera; depth of the camera's own stream, with --stream raw, is more exact"

@@ -158,6 +158,8 @@ def find_table(image: PinholeImage, source: str) -> Table:
     v, u = np.meshgrid(rows, columns, indexing="ij")
     rays = camera.unproject_pixels(np.stack([u, v], -1).astype(float), np.ones(grid.shape))
     seen = grid > 0
+    if not seen.any():
+        raise InputError(f"{source}: hardly any pixel has a depth: is it a depth image?")
     inverse = np.where(seen, 1 / np.where(seen, grid, 1), 0)
     weights = np.where(seen, _middle_weights(u, v, camera), 0)
     planes = _random_planes(rays, inverse, seen, camera)

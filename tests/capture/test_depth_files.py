@@ -52,6 +52,27 @@ def test_floats_are_metres_and_several_frames_are_read(tmp_path: Path) -> None:
     np.testing.assert_array_equal(frames[1].values, metres + 1)
 
 
+def test_pages_of_a_tiff_are_frames(tmp_path: Path) -> None:
+    pages = [STEPS, STEPS + 1, STEPS + 2]
+    first, *others = map(Image.fromarray, pages)
+    first.save(tmp_path / "pages.tif", save_all=True, append_images=others)
+    frames = read_depth_files(tmp_path / "pages.tif")
+    assert [frame.values.tolist() for frame in frames] == [page.tolist() for page in pages]
+
+
+def test_32_bits_go_beyond_what_16_bits_mark_as_missing() -> None:
+    hundredths = STEPS.astype(np.int32) * 100
+    np.testing.assert_allclose(metric_depth(DepthFrame(hundredths, "depth.npy"), 1e-5), STEPS * 1e-3, rtol=1e-6)
+
+
+def damaged_npz(path: Path) -> bytes:
+    """The bytes of a compressed file of arrays, some of which are changed."""
+    np.savez_compressed(path, depth=STEPS)
+    data = bytearray(path.read_bytes())
+    data[200:300] = bytes(100)
+    return bytes(data)
+
+
 HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "eight.png": (lambda path: Image.fromarray(STEPS.astype(np.uint8)).save(path), "8 bits"),
     "colour.png": (lambda path: Image.new("RGB", (128, 96)).save(path), "3 channels"),
@@ -61,6 +82,14 @@ HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "complex.npy": (lambda path: np.save(path, STEPS.astype(complex)), "complex128"),
     "flat.npy": (lambda path: np.save(path, np.arange(5.0)), "rows and columns"),
     "deep.npy": (lambda path: np.save(path, np.zeros((2, 2, 2, 2))), "rows and columns"),
+    "one.npy": (lambda path: np.save(path, np.array(3.0)), "one number"),
+    "no frames.npy": (lambda path: np.save(path, np.zeros((0, 96, 128))), "0 x 96 x 128"),
+    "sizes.tif": (
+        lambda path: Image.fromarray(STEPS).save(path, save_all=True, append_images=[Image.fromarray(STEPS[:-1])]),
+        "several sizes",
+    ),
+    "packed.npz": (lambda path: path.write_bytes(damaged_npz(path)), "cannot be read"),
+    "wide.png": (lambda path: Image.new("I;16", (9000, 9000)).save(path), "9000 x 9000"),
     "small.png": (lambda path: Image.fromarray(STEPS[:9, :9]).save(path), "9 x 9"),
     "objects.npy": (lambda path: np.save(path, np.array([{}, 1], object)), "cannot be read"),
     "names.npz": (lambda path: np.savez(path, left=STEPS, right=STEPS), "left, right"),

@@ -77,10 +77,15 @@ HOSTILE = {  # by what is in the file: facts of the message
     '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "depth_scale": 1000}': "--depth-scale",
     '{"cam_K": [600, 0, 320, 0, 600, 240, 0, 0, 1], "depth_scale": 0}': "above 0",
     '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "stream": "colour"}': "raw",
+    '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "skew": "none"}': "skew is 'none'",
+    '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "width": Infinity, "height": 480}': "width",
+    '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "coeffs": ["a"]}': "distortion",
+    '{"fx": 600, "fy": 600, "cx": 320, "cy": 240, "baseline": 55}': "baseline is 55, expected metres",
+    "[" * 100_000 + "]" * 100_000: "JSON object",
 }
 
 
-@pytest.mark.parametrize("content", HOSTILE)
+@pytest.mark.parametrize("content", HOSTILE, ids=lambda content: content[:60])
 def test_what_is_no_camera_is_refused_in_one_line(tmp_path: Path, content: str) -> None:
     with pytest.raises(InputError) as refusal:
         read_intrinsics([str(written(tmp_path, content))])
@@ -101,6 +106,27 @@ def test_intrinsics_of_another_size_are_refused() -> None:
         known.camera((720, 1280), "x.png")
     with pytest.raises(InputError, match="principal point"):
         Intrinsics(FX, FY, 900.0, CY).camera((480, 640), "x.png")
+
+
+@pytest.mark.parametrize("focal", [(1.93, 1.93), (FX, 0.2 * FX), (1e9, 1e9)])
+def test_focal_lengths_of_no_depth_camera_are_refused(focal: tuple[float, float]) -> None:
+    """As of lengths in mm, or of numbers in another order."""
+    with pytest.raises(InputError, match=r"focal lengths \S+, \S+ px, x\.png is 640 px wide"):
+        Intrinsics(*focal, CX, CY).camera((480, 640), "x.png")
+
+
+def test_an_empty_or_missing_distortion_is_none(tmp_path: Path) -> None:
+    for coefficients in (None, [], {"data": None}):
+        value = {"fx": FX, "fy": FY, "cx": CX, "cy": CY, "coeffs": coefficients, "baseline": None}
+        assert not read_intrinsics([str(written(tmp_path, value))]).distorted
+
+
+@pytest.mark.parametrize("text", ["", "a b c", "1 2\n3 4", "600 0 320\n0 600 240\n0 0\n"])
+def test_a_text_file_without_a_matrix_is_refused(tmp_path: Path, text: str, recwarn: pytest.WarningsRecorder) -> None:
+    (tmp_path / "k.txt").write_text(text)
+    with pytest.raises(InputError, match="3 x 3 numbers"):
+        read_intrinsics([str(tmp_path / "k.txt")])
+    assert not len(recwarn)
 
 
 def test_distortion_that_cannot_be_undone_is_refused() -> None:

@@ -69,3 +69,9 @@ def test_a_model_that_cannot_be_undone_is_refused() -> None:
     known = Intrinsics(900, 900, 320, 240, model="equidistant", coefficients=(0.1, 0, 0, 0))
     with pytest.raises(InputError, match="equidistant"):
         pinhole_image(np.ones((480, 640), np.float32), known, "x")
+
+
+def test_distortion_of_another_camera_is_refused() -> None:
+    known = Intrinsics(900.0, 905.0, 322.3, 238.1, coefficients=(1e6, 1e6, 0.0, 0.0, 0.0))
+    with pytest.raises(InputError, match=r"--intrinsics: its distortion maps most of a\.png outside"):
+        pinhole_image(np.full((480, 640), 0.8, np.float32), known, "a.png")
