@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 import sysconfig
@@ -93,6 +94,42 @@ def test_the_wheel_imports_an_image_and_predicts_for_it(folder: Path, kit1000: C
     predict = ("predict", "registration-measured", "--data", "own", "--limit", "1", "--out", "own-answers")
     assert "1 predictions of registration-measured" in kit1000(*predict).stdout
     check_page(folder, "own", "--out", "own-edits")
+    check_moves(folder, "own")
+
+
+def check_moves(folder: Path, data: str) -> None:
+    """Confirm a part as the page does when it is edited and ended, and read moves.json by the lines of the docs."""
+    done = subprocess.run(
+        [folder.parent / "env/bin/python", "-c", CONFIRM, data], cwd=folder, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    where = Path(done.stdout.split()[0])
+    assert where.is_relative_to(folder.parent / "env"), "the wheel, not the checkout"
+    assert (folder / "edits/predictions.csv").read_text("utf-8").count("-p0-") == 2  # of both tracks
+    page = (ROOT / "docs/reference/moves.md").read_text("utf-8")
+    (lines,) = re.findall(r"^```py\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
+    read = subprocess.run([sys.executable, "-c", lines], cwd=folder, capture_output=True, text=True)
+    assert read.returncode == 0, read.stderr
+    rows = [line.split() for line in read.stdout.splitlines()]
+    assert [row[:3] for row in rows] == [["test-s0000", "0", name] for name in ("pick", "hover", "seated")]
+    hover, seated = (np.array(row[3:6], float) for row in rows[1:])
+    assert np.linalg.norm(hover - seated) == pytest.approx(0.1)
+
+
+CONFIRM = """
+import sys
+from pathlib import Path
+import kit1000
+from kit1000.editor.serve import Options, editing
+from kit1000.pose import Pose
+options = Options(Path(sys.argv[1]), "test-s0000", Path("edits"), "d415")
+with editing(options, moves=True) as (controller, _):
+    scene = controller.space.scene
+    part, plate = scene.parts[0], scene.plates[0]
+    controller.place(part, Pose.from_translation(plate.point - scene.pivot(part)))
+    controller.command("confirm")
+print(kit1000.__file__)
+"""
 
 
 def check_page(folder: Path, *options: str) -> None:
