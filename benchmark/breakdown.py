@@ -1,4 +1,4 @@
-"""Groups of queries that share a property: rest mode, tilt, kits, crowding, family, visible share, symmetry."""
+"""Groups of queries that share a property: rest mode, tilt, kits, crowding, family, visible share, noise, symmetry."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ TITLES = {
     "parts": "Parts of the scene",
     "family": "Family of the part in training",
     "visible": "Visible share of the part",
+    "noise": "Noise of the image, px of disparity",
     "symmetry": "Goals of the slot",
 }
 """The properties and their titles on pages, in order."""
@@ -32,8 +33,10 @@ def groups(rows: PerQuery, protocol: Protocol) -> dict[str, dict[str, np.ndarray
         "parts": np.where(rows.crowded, "pushed together", "apart"),
         "family": np.where(rows.held_out, "held out", "seen"),
         "visible": binned(rows.visible, protocol.breakdown["visible"]),
-        "symmetry": rows.symmetry,
     }
+    if "noise_px" in protocol.breakdown and (rows.noise_px > 0).any():
+        labels["noise"] = binned(rows.noise_px, protocol.breakdown["noise_px"])
+    labels["symmetry"] = rows.symmetry
     return {key: {name: column == name for name in _in_order(column)} for key, column in labels.items()}
 
 

@@ -140,6 +140,7 @@ def _properties(queries: ScoredQueries) -> dict[str, np.ndarray]:
         "crowded": np.array([truth.crowded for truth in truths]),
         "held_out": np.array([truth.family in held_out for truth in truths]),
         "visible": np.array([truth.visible for truth in truths]),
+        "noise_px": np.array([truth.noise_px for truth in truths]),
         "symmetry": np.array([symmetry_of(truth.slot) for truth in truths]),
     }
 

@@ -51,6 +51,8 @@ class PerQuery:
     """bool: whether the part's family is in no training scene."""
     visible: np.ndarray
     """Share of the part's silhouette that is visible to the camera."""
+    noise_px: np.ndarray
+    """[px] RMS noise of the disparity of the image; 0 of ideal depth, NaN where it is not known."""
     symmetry: np.ndarray
     """str: one goal, several goals, or free axis; that of the part in its slot."""
 

@@ -18,7 +18,7 @@ from kit1000.kits import seating
 from kit1000.metrics.seating import EXACT_BANDS
 
 FOLDER = Path(__file__).parent / "protocols"
-CURRENT = "kit1000-2026"
+CURRENT = "kit1000-2026-11"
 MM = 1e3  # millimetres in a metre
 
 
@@ -42,7 +42,7 @@ class Protocol:
     bootstrap: Mapping[str, float]
     """draws, seed and level of the intervals."""
     breakdown: Mapping[str, tuple[float, ...]]
-    """Lower ends of the bins of tilt_deg and visible; the last bin is open."""
+    """Lower ends of the bins of tilt_deg, visible and, since data 2.0.0, noise_px; the last bin is open."""
     histograms: Mapping[str, tuple[float, ...]]
     """Lower ends of the bins of position_mm and rotation_deg; the last bin is open."""
     curves: Mapping[str, Any]

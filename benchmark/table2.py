@@ -29,20 +29,16 @@ from kit1000.perception.sensor_facts import AnySensor, sensor_of
 from kit1000.planner.execute import NO_SEAL, NOT_FROM_ABOVE, OUTCOMES, SEATED, PartRun, SceneRun, run_scene
 from kit1000.planner.runs import outcome_counts
 from kit1000.pose import Pose
-from kit1000.prediction.catalog import all_methods
-from kit1000.prediction.making import PREDICTED_MASKS as PREDICTED
 from kit1000.predictor import resolved
 from kit1000.queries.tracks import TRACKS
 from kit1000.submission.manifest import FILE as MANIFEST
 from kit1000.submission.manifest import read_manifest
 from kit1000.submission.predictions import FILE, read_predictions
 from kit1000.values import Query, Truth
-from kit1000.weights import WEIGHTS
 
 FIND_MASKS = "kit1000.perception.segmentation.predicted_masks:with_predicted_masks"  # by name: it loads networks
-MaskFinder = Callable[[Query, float, AnySensor, Path], Query]
-"""Called with a query, the scale of the dataset's scenes, the sensor and the folder of the networks' weights: the query
-with masks from its image alone."""
+MaskFinder = Callable[[Query, float, AnySensor], Query]
+"""Called with a query, the scale of the dataset's scenes and the sensor: the query with masks from its image alone."""
 TRUTH = "truth"  # label of the row with the true motions
 COMPONENT_KEYS = {"component", "label", "measure", "value", "interval", "n"}
 
@@ -180,16 +176,14 @@ def _motions_of(path: Path, queries: Sequence[Query]) -> dict[str, Pose]:
 
 
 def _mask_finder(dataset: Dataset, path: Path, sensor: str, find: MaskFinder | None) -> Callable[[Query], Query] | None:
-    """How a submission that states predicted masks found them: by the facts of the sensor, and its method's weights."""
+    """How a submission that states predicted masks found them: by the facts of the sensor."""
     if find is None or not path.is_dir():
         return None
     manifest = read_manifest(path / MANIFEST, path)
     if manifest.masks != "predicted":
         return None
-    method = all_methods().get(manifest.method.removesuffix(PREDICTED))
-    weights = WEIGHTS if method is None else method.mask_weights
     scale = dataset.summary["config"]["scale"]
-    return lambda query: find(query, scale, sensor_of(dataset.summary, sensor, query.scene_id), weights)
+    return lambda query: find(query, scale, sensor_of(dataset.summary, sensor, query.scene_id))
 
 
 def _execute(

@@ -163,7 +163,7 @@ class Query:
     scene_id: str
     track: str
     sensor: str
-    """The sensor of its depth image: ideal or d415."""
+    """The sensor of its depth image: ideal, d415 or photoneo."""
     part: int
     """Index of the part among those of its scene."""
     drawn: bool
@@ -236,6 +236,8 @@ class Truth:
     """goal_from_now of the goal from which the guess was drawn; of the design pose on tracks without guess."""
     crowded: bool = False
     """Whether the parts of the scene are pushed together."""
+    noise_px: float = 0.0
+    """[px] of disparity: RMS noise of the query's image; 0 of ideal depth, NaN where it is not known."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "anchor", checked("anchor", self.anchor, (3,)))

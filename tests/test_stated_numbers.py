@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,8 +15,7 @@ from kit1000.pose import Pose
 from kit1000.queries.guesses import draw_ball_error, draw_tilt_error, level_angle, level_offset
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA
-from kit1000.sim.sensors import sense
-from kit1000.sim.stereo import blend_windows
+from kit1000.sim.sensors import SENSORS, sense
 from kit1000.sim.visibility import PartVisibility, SlotVisibility, cavity_labels, view_redraw_reason
 from kit1000.values import View
 from tests.samples.kits import sample_kit, sample_part
@@ -31,18 +32,17 @@ def wall_depths(sensor: str, distance: float, seed: int = 0) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("sensor", "baseline", "noise_px", "distance"), [("d415", 0.055, 0.08, 0.5), ("photoneo", 0.27, 0.04, 1.2)]
+    ("sensor", "baseline", "least", "most"), [("d415", 0.055, 0.10, 0.43), ("photoneo", 0.225, 0.045, 0.062)]
 )
-def test_the_noise_of_disparity_is_the_stated_one(
-    sensor: str, baseline: float, noise_px: float, distance: float
-) -> None:
-    """RMS over a plane; rounding of disparity and depth adds 2 % or less at these distances."""
-    disparities = [CAMERA.fx * baseline / wall_depths(sensor, distance, seed) for seed in range(3)]
-    rms = np.sqrt(np.mean([np.var(disparity) for disparity in disparities]))
-    assert rms == pytest.approx(noise_px, rel=0.1)
+def test_the_noise_of_disparity_is_the_stated_one(sensor: str, baseline: float, least: float, most: float) -> None:
+    """RMS over a plane, with the bending of the stereo camera; rounding adds 3 % or less at this distance."""
+    disparities = [CAMERA.fx * baseline / wall_depths(sensor, 0.6, seed) for seed in range(12)]
+    rms = [float(np.std(disparity)) for disparity in disparities]
+    assert 0.95 * least < min(rms) < max(rms) < 1.05 * most
 
 
-def test_the_stereo_camera_rounds_disparity_to_a_32nd_of_a_pixel() -> None:
+def test_the_stereo_camera_rounds_disparity_to_a_32nd_of_a_pixel(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(SENSORS, "d415", replace(SENSORS["d415"], units=(0.0,)))
     depths = np.unique(wall_depths("d415", 2.0))
     steps = np.diff(np.sort(CAMERA.fx * 0.055 / depths))
     assert np.median(steps) == pytest.approx(1 / 32, rel=0.1)
@@ -50,7 +50,7 @@ def test_the_stereo_camera_rounds_disparity_to_a_32nd_of_a_pixel() -> None:
 
 @pytest.mark.parametrize(
     ("sensor", "distance", "share"),
-    [("d415", 0.29, 0), ("d415", 0.31, 1), ("d415", 2.9, 1), ("d415", 3.1, 0)]
+    [("d415", 0.29, 0), ("d415", 0.31, 1), ("d415", 2.6, 1), ("d415", 3.5, 0)]
     + [("photoneo", 0.39, 0), ("photoneo", 0.41, 1), ("photoneo", 1.95, 1), ("photoneo", 2.05, 0)],
 )
 def test_a_sensor_measures_between_the_stated_distances(sensor: str, distance: float, share: float) -> None:
@@ -171,13 +171,6 @@ def test_at_10_mm_of_clearance_a_part_may_turn_by_24_degrees_and_tilt_by_10(
 def test_a_pose_within_1_mm_of_a_goal_is_that_goal(off_mm: float, same: bool) -> None:
     kit = sample_kit("tee")
     assert is_goal(Pose.from_translation((off_mm * 1e-3, 0, 0)) @ kit.slot.goals[0], kit) == same
-
-
-@pytest.mark.parametrize(("step_px", "blended"), [(0.9, True), (1.1, False)])
-def test_matching_windows_blend_steps_up_to_one_pixel(step_px: float, blended: bool) -> None:
-    disparity = np.where(np.arange(42) < 20, 50.0, 50.0 + step_px).astype(np.float32) * np.ones((22, 1), np.float32)
-    changed = np.abs(blend_windows(disparity, 7) - disparity) > 1e-3
-    assert changed[10].any() == blended
 
 
 def test_the_axes_of_the_scanner_cross_at_800_mm() -> None:

@@ -91,8 +91,8 @@ def test_the_wheel_imports_an_image_and_predicts_for_it(folder: Path, kit1000: C
     numbers = [str(value) for value in (view.camera.fx, view.camera.fy, view.camera.cx, view.camera.cy)]
     listed = kit1000("import", "depth.png", "--intrinsics", *numbers, "--stream", "raw", "--out", "own").stdout
     assert "kit\n" in listed
-    predict = ("predict", "registration-measured", "--data", "own", "--limit", "1", "--out", "own-answers")
-    assert "1 predictions of registration-measured" in kit1000(*predict).stdout
+    predict = ("predict", "registration-completed", "--data", "own", "--limit", "1", "--out", "own-answers")
+    assert "1 predictions of registration-completed" in kit1000(*predict).stdout
     check_page(folder, "own", "--out", "own-edits")
     check_moves(folder, "own")
 

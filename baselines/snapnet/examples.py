@@ -30,7 +30,7 @@ from kit1000.values import FreeAxis, Query, Truth
 
 Guesses = Literal["ball", "tilt", "place"]
 """Errors of the guess: about any axis, about level axes; place: no guess."""
-Sensor = Literal["ideal", "d415"]
+Sensor = Literal["ideal", "d415", "photoneo"]
 Example = dict[str, np.ndarray]
 
 TRACK_OF = {"ball": "snap", "tilt": "snap-tilt", "place": "place"}

@@ -19,16 +19,14 @@ from bench.measured_dataset import measured_dataset
 from benchmark.measurements import Column, Measurement, estimate
 from kit1000.dataset.reader import RecordedScene
 from kit1000.errors import Kit1000Error
-from kit1000.perception.calibration import BLIND_BAND, BORDERS, OUTLINE, calibrated
-from kit1000.perception.calibration.borders import Border
+from kit1000.perception.calibration import OUTLINE, calibrated
+from kit1000.perception.calibration.borders import OutlineEdge
 from kit1000.values import View
 
-WAYS: dict[str, Sequence[Border] | None] = {
+WAYS: dict[str, Sequence[OutlineEdge] | None] = {
     "as recorded": None,
     "plane": (),
-    "plane, invalid depth band": (BLIND_BAND,),
     "plane, outline": OUTLINE,
-    "plane, outline, invalid depth band": BORDERS,
 }
 """By name: the borders that are used beside the table's plane; None: no calibration."""
 AXES = ("x", "y", "z", "roll", "pitch", "yaw", "scale")

@@ -6,7 +6,7 @@
 DIR holds depth images with `manifest.csv` (columns file, sensor, metres_a_unit, fx), as for `sensor_statistics.py`. The
 residual of each image's largest plane becomes noise of the scenes' ideal images, mirrored to fill them, from a random
 place of the residual. Of a camera with another focal length or baseline it is enlarged, and scaled to the same noise
-in mm. Edges are sharp, or ramps, shadows, holes and units of the measured d415. The methods read nothing else.
+in mm. Edges are sharp, or ramps, shadows, holes and units of the d415. The methods read nothing else.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor, method_of
 from kit1000.rng import stream
-from kit1000.sim.measured_sensors import MEASURED_SENSORS, conditions_of, measured_view
+from kit1000.sim.sensors import SENSORS, conditions_of, measured_view
 from kit1000.values import LabelledDepth
 
-D415 = MEASURED_SENSORS["d415"]
+D415 = SENSORS["d415"]
 SHARP = replace(
     D415, least_ramp_px=0.0, ramp_px=(0.0, 0.0), fattening_px=0.0, shadow_px=0, hole_share=(0.0, 0.0), units=(0.0,)
 )
@@ -62,7 +62,7 @@ class RealNoise:
     """Folders with other weights of the method's networks, each compared with the shipped ones."""
     track: str = "snap-d415"
     split: Literal["test", "val", "train"] = "test"
-    edges: Literal["sharp", "measured"] = "measured"
+    edges: Literal["sharp", "d415"] = "d415"
     frames: int = 1
     """Number of frames of which an image is the mean: what changes from frame to frame gets smaller."""
     limit: int | None = None
@@ -189,7 +189,7 @@ def noisy_image(options: RealNoise, name: str, scene: RecordedScene) -> Labelled
     """The ideal image of a scene with the noise of a real one; always the same."""
     ideal = scene.labelled_depth("ideal")
     rng = stream(0, "real-noise", name, scene.id)
-    sensor = D415 if options.edges == "measured" else SHARP
+    sensor = D415 if options.edges == "d415" else SHARP
     field = filled(noise_field(options.images, name), ideal.view.depth.shape, rng)
     conditions = conditions_of(sensor, rng, options.frames)
     left = conditions.left_px / replace(conditions, frames=1).left_px  # of the RMS, in the mean of the frames

@@ -4,15 +4,14 @@
     python bench/quality/sensor_statistics.py --images DIR
 
 DIR holds depth images as 16-bit PNG, npy or npz, and `manifest.csv`, a table with the columns file, sensor (D415, D435
-or PhoXi in its name), metres_a_unit and fx [px]: so whoever has a camera can run it on theirs. Of a dataset the ideal
-images are measured by the sensors of data 1.0.0 and by those as measured. Statistics are in pixels of disparity, see
-`depth_statistics.py`; those of the D435 are enlarged to the focal length and baseline of our images.
+or PhoXi in its name), metres_a_unit and fx [px]: so whoever has a camera can run it on theirs. Our sensors measure the
+ideal images of a dataset. Statistics are in pixels of disparity, see `depth_statistics.py`; those of the D435 are
+enlarged to the focal length and baseline of our images.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,9 +24,7 @@ from benchmark.measurements import Column, Measurement, Table
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, Kit1000Error
 from kit1000.rng import stream
-from kit1000.sim.measured_sensors import MEASURED_SENSORS, sense_as_measured
 from kit1000.sim.sensors import SENSORS, sense
-from kit1000.values import View
 
 ROWS = {
     "flat_px": "noise on flat tiles of 48 px, RMS px",
@@ -80,13 +77,10 @@ def main(options: SensorStatistics) -> None:
     measurement.setting["command"] = measurement.setting["command"].replace(str(options.images), "IMAGES")
     real = {} if options.images is None else real_groups(read_images(options.images))
     ours = {} if dataset is None else our_groups(dataset, options.split, options.scenes)
-    for title, kinds, names in (
-        ("stereo", ("D415", "D435"), ("d415, data 1.0.0", "d415 as measured")),
-        ("scanner", ("PhoXi",), ("photoneo, data 1.0.0", "photoneo as measured")),
-    ):
-        groups = {name: group for name, group in {**real, **ours}.items() if name in (*kinds, *names)}
+    for title, kinds, name in (("stereo", ("D415", "D435"), "d415"), ("scanner", ("PhoXi",), "photoneo")):
+        groups = {key: group for key, group in {**real, **ours}.items() if key in (*kinds, name)}
         if groups:
-            _add_rows(measurement, title, groups, [name for name in kinds if name in real], names[1])
+            _add_rows(measurement, title, groups, [kind for kind in kinds if kind in real], name)
     measurement.report(options.out)
 
 
@@ -108,30 +102,25 @@ def our_groups(dataset: Dataset, split: str, scenes: int) -> dict[str, Group]:
     groups: dict[str, Group] = {}
     for scene_id in dataset.split(split).scene_ids[:scenes]:
         ideal = dataset.split(split).scene(scene_id).labelled_depth("ideal").view
-        for name, sensor in MEASURED_SENSORS.items():
-            models: dict[str, tuple[Callable[[str, View, np.random.Generator], View], float]] = {
-                f"{name}, data 1.0.0": (sense, SENSORS[name].baseline),
-                f"{name} as measured": (sense_as_measured, sensor.baseline),
-            }
-            for title, (measure, baseline) in models.items():
-                measured = measure(name, ideal, stream(0, "statistics", scene_id)).depth
-                found = image_statistics(measured, ideal.camera.fx * baseline, ideal.camera.fx, ideal.depth)
-                for key, value in found.named().items():
-                    groups.setdefault(title, {}).setdefault(key, []).append(value)
+        for name in ("d415", "photoneo"):
+            measured = sense(name, ideal, stream(0, "statistics", scene_id)).depth
+            gain = ideal.camera.fx * SENSORS[name].baseline
+            for key, value in image_statistics(measured, gain, ideal.camera.fx, ideal.depth).named().items():
+                groups.setdefault(name, {}).setdefault(key, []).append(value)
     return groups
 
 
-def _add_rows(measurement: Measurement, title: str, groups: dict[str, Group], real: list[str], model: str) -> None:
-    """Add a table of the ranges of each statistic, and whether those of a model's images lie in the real one."""
+def _add_rows(measurement: Measurement, title: str, groups: dict[str, Group], real: list[str], sensor: str) -> None:
+    """Add a table of the ranges of each statistic, and whether those of our sensor's images lie in the real one."""
     columns = [Column("statistic", "statistic"), *(Column(name, name) for name in groups)]
-    columns += [Column("within", "images within the real range")] if real and model in groups else []
+    columns += [Column("within", "images within the real range")] if real and sensor in groups else []
     counts = ", ".join(f"{name} {len(group['flat_px'])}" for name, group in groups.items())
     table: Table = measurement.table(title, f"Lowest, median and highest of the images: {counts}", *columns)
     for key, words in ROWS.items():
         values = {name: _spread(group[key]) for name, group in groups.items()}
-        if real and model in groups:
+        if real and sensor in groups:
             values["within"] = _share_within(
-                groups[model][key], [value for name in real for value in groups[name][key]]
+                groups[sensor][key], [value for name in real for value in groups[name][key]]
             )
         table.add(statistic=words, **values)
 

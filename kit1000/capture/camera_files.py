@@ -17,7 +17,7 @@ import numpy as np
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.errors import InputError
 from kit1000.files import read_json
-from kit1000.sim.measured_sensors import Stream
+from kit1000.sim.sensors import Stream
 
 LARGEST_UNIT = 0.02  # [m] above it a `depth_scale` beside fx is no length of a unit in m
 LONGEST_BASELINE = 1.0  # [m]

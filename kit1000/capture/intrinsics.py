@@ -8,7 +8,7 @@ import numpy as np
 
 from kit1000.camera import Camera
 from kit1000.errors import InputError
-from kit1000.sim.measured_sensors import Stream
+from kit1000.sim.sensors import Stream
 
 SHORTEST_FOCAL, LONGEST_FOCAL = 0.2, 20.0  # [widths of the image]: it sees 136 to 3 degrees
 MOST_RATIO = 1.5  # of focal lengths

@@ -13,7 +13,6 @@ from kit1000.capture.seen_bodies import SeenBody, measured_body
 from kit1000.capture.table_search import Table, convex_outline
 from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.values import View
-from kit1000.weights import MEASURED, WEIGHTS
 
 AGREED = 0.5  # least share of a body that the network sees as body too
 LEAST_PART = 150  # [px] of an instance
@@ -59,7 +58,7 @@ def _found(view: View, facts: SensorFacts) -> Found:
     from kit1000.perception.segmentation.bodies import find_bodies
     from kit1000.perception.segmentation.predicted_masks import mask_networks
 
-    restorer, finder = mask_networks(MEASURED if facts.noisy else WEIGHTS)
+    restorer, finder = mask_networks()
     bodies = find_bodies(view, facts, restorer)
     return Found(bodies.kits | bodies.parts, finder(bodies))
 

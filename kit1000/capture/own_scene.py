@@ -18,8 +18,7 @@ from kit1000.capture.seen_bodies import SeenBody, seen_bodies
 from kit1000.capture.table_search import Table, find_table
 from kit1000.errors import InputError
 from kit1000.perception.sensor_facts import SIMULATED, SensorFacts
-from kit1000.sim.measured_sensors import Stream
-from kit1000.sim.sensors import on_depth_grid
+from kit1000.sim.sensors import Stream, on_depth_grid
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 UNKNOWN_DEVICE = "depth camera"

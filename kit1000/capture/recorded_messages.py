@@ -17,7 +17,7 @@ from kit1000.capture.depth_frames import DepthFrame
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.known_sensors import known_baseline
 from kit1000.errors import InputError
-from kit1000.sim.measured_sensors import Stream
+from kit1000.sim.sensors import Stream
 
 RAW = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 """Encodings of raw depth images, with their types."""

@@ -13,6 +13,7 @@ from kit1000.cli.capture import need_truth
 from kit1000.cli.options import Flag, Folder, OptionalInt, OptionalPath, Unit
 from kit1000.cli.summaries import summary_text
 from kit1000.errors import InputError
+from kit1000.queries.tracks import Sensor
 
 if TYPE_CHECKING:
     from kit1000.generation.plan import Sources
@@ -204,7 +205,7 @@ class Export:
     """Ids of the assemblies, or of the scenes for BOP; all of them when absent."""
     split: Literal["train", "val", "test"] | None = None
     """Split to export; all of them when absent."""
-    sensor: Literal["ideal", "d415"] = "ideal"
+    sensor: Sensor = "ideal"
     """Sensor of the depth images, for BOP."""
 
     def run(self) -> int:

@@ -14,6 +14,7 @@ from kit1000.cli.capture import OwnImages, need_truth
 from kit1000.cli.options import Flag, Folder, OptionalInt, OptionalPath
 from kit1000.editor import SNAP
 from kit1000.errors import InputError
+from kit1000.queries.tracks import Sensor
 
 if TYPE_CHECKING:
     from kit1000.dataset.reader import Dataset
@@ -103,7 +104,7 @@ class Edit(OwnImages):
     out: OptionalPath = None
     """Submission folder for the confirmed parts and the log, edits when absent; the same command again continues. Of an
     image: folder of the scene, beside which the edits lie."""
-    sensor: Annotated[Literal["ideal", "d415"] | None, tyro.conf.arg(metavar="{ideal,d415}")] = None
+    sensor: Annotated[Sensor | None, tyro.conf.arg(metavar="{ideal,d415,photoneo}")] = None
     """Sensor of the depth image; ideal when absent, where the scene has it."""
     snap: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
     """Method that proposes where parts fit: one of the catalog, module:Object of your own, or none; when absent,
@@ -170,10 +171,8 @@ def _default_method(dataset: Dataset, scene: str, sensor: str) -> str:
     from kit1000.capture.mask_networks import networks_available
     from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 
-    facts = sensor_of(dataset.summary, sensor, scene)
-    if not isinstance(facts, SensorFacts) or not networks_available():
-        return SNAP
-    return "registration-measured" if facts.noisy else "registration-completed"
+    own = isinstance(sensor_of(dataset.summary, sensor, scene), SensorFacts)
+    return "registration-completed" if own and networks_available() else SNAP
 
 
 @dataclass(frozen=True)
@@ -188,7 +187,7 @@ class Study:
     """Number of participants, a multiple of 4; 12 when absent. Without other options: plan, and print all orders."""
     conditions: tuple[str, ...] = ()
     """Conditions: two or four of scene-snap, scene, hand-snap, hand, hand-bare; scene-snap and hand when absent."""
-    sensor: Annotated[Literal["ideal", "d415"] | None, tyro.conf.arg(metavar="{ideal,d415}")] = None
+    sensor: Annotated[Sensor | None, tyro.conf.arg(metavar="{ideal,d415,photoneo}")] = None
     """Sensor of the depth images; ideal when absent."""
     snap: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
     """Method of the conditions that snap; registration when absent."""

@@ -7,7 +7,6 @@ from pathlib import Path
 
 from kit1000.dataset.own_scenes import JOINED, OWN, is_labelled, is_own
 from kit1000.errors import shown
-from kit1000.perception.sensor_facts import KEY, SCENE_KEY
 
 MAX_LISTED = 20  # refused files in a summary
 PRINTER_BED_MM = 250  # side of the bed of a usual desktop printer
@@ -64,6 +63,8 @@ def _own_lines(summary: dict) -> Iterator[str]:
 
 def _sensors(summary: dict) -> list[dict]:
     """The facts about all sensors of own scenes, each once."""
+    from kit1000.perception.sensor_facts import KEY, SCENE_KEY
+
     stated = [summary.get(KEY, {}), *summary.get(SCENE_KEY, {}).values()]
     return list({str(facts): facts for rows in stated for facts in rows.values()}.values())
 

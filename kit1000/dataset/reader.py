@@ -220,8 +220,8 @@ class RecordedScene:
         return tuple(map(self._query, self._query_rows.values()))
 
     def view(self, key: str | None = None) -> View:
-        """A depth image: ideal or d415 of the primary camera, three/0/ideal ... of an extra camera set; None: the first
-        of `sensors`."""
+        """A depth image: ideal, d415 or photoneo of the primary camera, three/0/ideal ... of an extra camera set; None:
+        the first of `sensors`."""
         if key is None or "/" not in key:
             return self.labelled_depth(key).view
         return self._dataset.observation_file(self.shard, key.partition("/")[0]).view(self.id, key)
@@ -349,4 +349,10 @@ class RecordedScene:
             slot=geometry.slot(part["part_id"]),
             goal_drawn=pose_of(row["goal_drawn"]),
             crowded=truth_row["crowded"],
+            noise_px=_noise_of(self._query_rows[query_id]["sensor"], truth_row),
         )
+
+
+def _noise_of(sensor: str, truth_row: Row) -> float:
+    """[px] of an image, as its scene's truth states it; real scenes state none."""
+    return truth_row.get("noise_px", {}).get(sensor, 0.0 if sensor == "ideal" else float("nan"))

@@ -25,7 +25,7 @@ class Observation:
 
     scene_id: str
     views: Mapping[str, View]
-    """Views by key: "ideal" and "d415" of the primary camera, "three/0/ideal" ... of an extra camera set."""
+    """Views by key: "ideal", "d415", "photoneo" of the primary camera, "three/0/ideal" ... of an extra camera set."""
     labels: np.ndarray | None = None
     """(H, W) uint8 masks of the primary camera, see `kit1000.values.LabelledDepth`."""
     queries: tuple[Row, ...] = ()
@@ -58,3 +58,5 @@ class SceneTruth:
     """Whether the parts are pushed together."""
     preview: bytes | None = None
     """A small PNG for viewers: the preview of the observation, with the target at its goals."""
+    noise_px: Mapping[str, float] = field(default_factory=dict)
+    """[px] of disparity: RMS of the noise of the images of the primary camera, by sensor; of those that have noise."""

@@ -30,7 +30,7 @@ from kit1000.symmetry import Symmetry
 if TYPE_CHECKING:
     from kit1000.dataset.reader import Dataset, RecordedScene
 
-SENSORS = ("ideal", "d415")
+SENSORS = ("ideal", "d415", "photoneo")
 DEPTH_SCALE = 0.1  # [mm] of one step of a depth image; the largest depth is 6.55 m
 MAX_STEPS = np.iinfo(np.uint16).max
 DELTA = 5.0  # [mm] that a visible surface may be behind the measured one
@@ -66,7 +66,7 @@ def write_bop(
         folder: must not exist.
         ids: ids of the scenes to write; all of the split when empty.
         split: train, val or test; all three when None.
-        sensor: sensor of the depth images: ideal or d415.
+        sensor: sensor of the depth images: ideal, d415 or photoneo.
 
     Raises:
         InputError: no such split, scene or sensor, the truth is withheld, or the folder cannot be written.

@@ -44,7 +44,7 @@ def export(
         out: folder to write to. bop: must not exist; else it gets a file or folder for each assembly, named by its id.
         ids: ids of assemblies, or of scenes for bop; all of the split when empty.
         split: train, val or test; all of them when None.
-        sensor: sensor of the depth images for bop: ideal or d415.
+        sensor: sensor of the depth images for bop: ideal, d415 or photoneo.
 
     Raises:
         InputError: an unknown format, split, sensor or id, or a folder that cannot be written.

@@ -24,11 +24,12 @@ ABOUT = (
 )
 COLLECTION = (
     "Everything is made by a program from one seed: parts by procedural CAD (or from a folder of meshes), kits and "
-    "assemblies by exact geometry, rest poses by rigid-body simulation, depth images by rendering, and a model of a "
-    "stereo depth sensor on top. No person, place or real object was recorded."
+    "assemblies by exact geometry, rest poses by rigid-body simulation, depth images by rendering, and models of a "
+    "stereo camera and a scanner on top, with errors measured on public images of real ones. No person, place or real "
+    "object was recorded."
 )
 LIMITS = (
-    "Simulated depth only, without colour; the sensor `d415` is a model of one, not a recording.",
+    "Simulated depth only, without colour; `d415` and `photoneo` are models of sensors, not recordings.",
     "Parts are rigid and of one size class, and lie on the table: close together in crowded scenes, but none lies on "
     "another or leans on one.",
     "Every cavity lets its part out straight along one axis; press fits, threads and snap fits do not occur.",
@@ -189,7 +190,7 @@ def _preset_rows(config: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     if "clearance" in config:
         yield "clearance", f"{1e3 * config['clearance']:g} mm"
     if config.get("frames", 1) > 1:
-        yield "depth image of the d415", f"median of {config['frames']} frames"
+        yield "depth image of a sensor", f"mean of {config['frames']} frames"
     if "kits" in config:
         yield "kits in an assembly", "{} to {}".format(*config["kits"])
     if "tilt_deg" in config:

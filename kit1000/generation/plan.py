@@ -27,7 +27,7 @@ from kit1000.rng import stream
 from kit1000.sim.layout import UPRIGHT, draw_rest_modes
 
 FORMAT = "kit1000-plan/2"
-DATA_VERSION = "1.0.0"
+DATA_VERSION = "2.0.0"
 """Increased whenever the same plan gives other data."""
 MAX_SOURCE_FILES = 10  # of one part: the next file is tried when one cannot be a part
 MAX_CANDIDATES = 48  # parts tried to reach the drawn number of kits; more are tried only to reach the smallest number

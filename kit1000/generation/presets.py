@@ -49,14 +49,14 @@ class Preset:
     brackets_deg: tuple[float, ...] = ()
     """Discrete tilts to draw from in place of the range, where brackets come in a few angles."""
     tracks: tuple[str, ...] = tuple(TRACKS)
-    """Tracks of the queries. Depth images of the d415 are recorded only where a track reads them."""
+    """Tracks of the queries. Depth images of a sensor are recorded only where a track reads them."""
     curve_scenes: int = 40
     """Number of test scenes whose target has queries at every level of guess error. These queries together reveal the
     goal, so a withheld test split has none."""
     scale: float = 1.0
     """Scale of both halves of the table and of the cameras' distances, where parts or plates are larger."""
     frames: int = 1
-    """Number of frames of which a depth image of the d415 is the median."""
+    """Number of frames of which a depth image of a sensor is the mean."""
     crowded: float = 1 / 3
     """Share of the scenes whose parts are pushed together, where an assembly has two or more."""
     one_track: bool = False
@@ -77,10 +77,13 @@ class Preset:
         """[m] half the diagonal of a part's box, at most."""
         return self.scale * MAX_PART_RADIUS
 
-    @property
-    def sensors(self) -> tuple[str, ...]:
-        """Sensors whose depth images are recorded."""
-        return tuple(dict.fromkeys(("ideal", *(TRACKS[track].sensor for track in self.tracks))))
+    def tracks_of(self, split: str) -> tuple[str, ...]:
+        """Tracks of the queries of a split."""
+        return tuple(track for track in self.tracks if split in TRACKS[track].splits)
+
+    def sensors_of(self, split: str) -> tuple[str, ...]:
+        """Sensors whose depth images are recorded in a split."""
+        return tuple(dict.fromkeys(("ideal", *(TRACKS[track].sensor for track in self.tracks_of(split)))))
 
     @property
     def config(self) -> dict[str, Any]:

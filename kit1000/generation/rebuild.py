@@ -100,6 +100,8 @@ def truth_differences(rebuilt: SceneTruth, stored: SceneTruth) -> list[str]:
         differences.append("another pose of the assembly")
     if rebuilt.crowded != stored.crowded:
         differences.append("crowded" if stored.crowded else "not crowded")
+    if rebuilt.noise_px != stored.noise_px:
+        differences.append("another noise of the images")
     differences += _row_differences("part", dict(enumerate(rebuilt.parts)), dict(enumerate(stored.parts)))
     differences += _row_differences("truth of", rebuilt.queries, stored.queries)
     if not _images_match(rebuilt.seg, stored.seg):

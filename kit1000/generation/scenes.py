@@ -7,7 +7,7 @@ Nothing here reads or writes a file, so any scene can be made again by itself.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,7 +28,7 @@ from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA, camera_set, draw_primary_pose, in_view
 from kit1000.sim.layout import PART_UNSTABLE, UPRIGHT, Layout, draw_layout, simulate_layout, table
 from kit1000.sim.render import RenderedImage, render
-from kit1000.sim.sensors import sense
+from kit1000.sim.sensors import SENSORS, conditions_of, measured_view
 from kit1000.sim.visibility import (
     PartVisibility,
     SlotVisibility,
@@ -41,6 +41,7 @@ from kit1000.values import Assembly, Mount, Part, Slot, View
 
 MAX_LAYOUTS = 60  # layouts of one scene before it is refused
 MAX_VIEWS = 12  # views of one layout before the layout is redrawn
+NOISE_DECIMALS = 4  # of the noise [px] that the truth states
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,13 +107,14 @@ def make_scene(
     """
     scene_parts = _scene_parts(preset, seed, split, assembly, parts)
     layout_view, redraws = _draw_layout_and_view(scene_parts)
-    views = _sensor_views(scene_parts, "", layout_view.world_from_camera, layout_view.frame)
+    sensors = preset.sensors_of(split)
+    views, noise_px = _sensor_views(scene_parts, sensors, "", layout_view.world_from_camera, layout_view.frame)
     labels = np.maximum(layout_view.frame.body_ids - 1, 0).astype(np.uint8)  # nothing and table both become 0
     labels.setflags(write=False)
     in_scene = [_part_in_scene(scene_parts, layout_view, i) for i in range(len(scene_parts.parts))]
     alone = preset.one_track and split == "test"
     tracks = asking_tracks(
-        scene_parts.scene_id, seed, preset.tracks, in_scene, crowded=scene_parts.crowded, alone=alone
+        scene_parts.scene_id, seed, preset.tracks_of(split), in_scene, crowded=scene_parts.crowded, alone=alone
     )
     curves = (CURVES,) if has_curves(scene_parts.scene_id, preset.curve_scenes) else ()
     rows, truths = scene_queries(
@@ -128,6 +130,7 @@ def make_scene(
         scene_models(assembly, scene_parts.parts),
         layout_view.world_from_kits[scene_parts.target] @ scene_parts.slot(scene_parts.target).goals,
         scene_parts.crowded,
+        noise_px={sensor: noise for sensor, noise in noise_px.items() if noise > 0},
     )
     observation = Observation(scene_parts.scene_id, views, labels, tuple(rows))
     observation, truth = with_previews(observation, truth, scene_parts.parts[scene_parts.target].mesh)
@@ -209,27 +212,26 @@ def redraw_for(reason: str | None) -> None:
 
 
 def _sensor_views(
-    scene_parts: _SceneParts, camera_key: str, world_from_camera: Pose, frame: RenderedImage
-) -> dict[str, View]:
-    """The depth images of all sensors from one camera pose, the noise of each from its own stream."""
+    scene_parts: _SceneParts, sensors: Sequence[str], camera_key: str, world_from_camera: Pose, frame: RenderedImage
+) -> tuple[dict[str, View], dict[str, float]]:
+    """The depth images of some sensors from one camera pose, the noise of each from its own stream; its RMS [px]."""
     view = View(CAMERA, world_from_camera, frame.depth)
     prefix = f"{camera_key}/" if camera_key else ""
-    return {
-        prefix + sensor: sense(
-            sensor,
-            view,
-            stream(scene_parts.seed, "noise", scene_parts.scene_id, camera_key, sensor),
-            scene_parts.preset.frames,
-        )
-        for sensor in scene_parts.preset.sensors
-    }
+    views, noise_px = {}, {}
+    for name in sensors:
+        rng = stream(scene_parts.seed, "noise", scene_parts.scene_id, camera_key, name)
+        conditions = conditions_of(SENSORS[name], rng, scene_parts.preset.frames)
+        views[prefix + name] = measured_view(SENSORS[name], view, conditions, rng)
+        noise_px[name] = round(conditions.left_px, NOISE_DECIMALS)
+    return views, noise_px
 
 
 def _extra_views(scene_parts: _SceneParts, layout: Layout) -> Observation:
     scene = bodies(scene_parts.assembly, scene_parts.parts, layout)
     views: dict[str, View] = {}
+    sensors = scene_parts.preset.sensors_of(scene_parts.split)
     for key, (camera, pose) in camera_set("three", scale=scene_parts.preset.scale).items():
-        views |= _sensor_views(scene_parts, key, pose, render(camera, pose, scene, threads=1))
+        views |= _sensor_views(scene_parts, sensors, key, pose, render(camera, pose, scene, threads=1))[0]
     return Observation(scene_parts.scene_id, views)
 
 

@@ -7,11 +7,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, TypeAlias
 
 from kit1000.errors import InputError
-from kit1000.sim.measured_sensors import Stream
-from kit1000.sim.sensors import SENSORS, Sensor
+from kit1000.sim.sensors import SENSORS, Sensor, Stream
 
 D415 = SENSORS["d415"]
-REAL_NOISE = 0.12  # [px] noise and bending: the simulated d415 stays below, public images of D400 cameras above
+FINE = ("ideal", "photoneo")  # sensors whose edges are where they should be
 KEY = "sensors"
 """Key of dataset.json: facts by the key of the view; absent from generated datasets."""
 SCENE_KEY = "scene_sensors"
@@ -32,17 +31,12 @@ class SensorFacts:
     """[px] as recorded, before the image was resampled; None: not resampled."""
     unit: float = 0.0
     """[m] step of its depths; 0: finer than that of recordings."""
-    noise_px: float = D415.noise_px
+    noise_px: float = D415.amplitude_px[1]
     """[px] of disparity: noise and bending of the table together."""
     stream: Stream = "raw"
     """raw: the image of its own left imager, with the invalid depth band; aligned: another camera's."""
     simulated_table: bool = True
     """Whether the table is that of generated scenes, 1.2 m x 1.6 m about the origin."""
-
-    @property
-    def noisy(self) -> bool:
-        """Whether networks for the noise of real stereo cameras suit it better than those for the simulated d415."""
-        return self.noise_px >= REAL_NOISE
 
     def as_row(self) -> dict[str, Any]:
         """The facts as a JSON value."""
@@ -72,7 +66,12 @@ def model_of(sensor: AnySensor) -> Sensor:
     """The sensor model: how far disparities and edges are off."""
     if isinstance(sensor, str):
         return SENSORS[sensor]
-    return replace(D415, baseline=sensor.baseline, fattening_px=sensor.fattening_px, noise_px=sensor.noise_px)
+    return replace(D415, baseline=sensor.baseline, fattening_px=sensor.fattening_px)
+
+
+def needs_restoring(sensor: AnySensor) -> bool:
+    """Whether its edges are bent and its noise reaches far, as those of stereo cameras do."""
+    return sensor not in FINE
 
 
 def table_is_simulated(sensor: AnySensor) -> bool:

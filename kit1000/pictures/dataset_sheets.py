@@ -34,14 +34,14 @@ def geometry_sheet(geometry: Geometry, what: str, split: str, count: int, ids: S
 
 
 def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
-    """A PNG of one scene, cropped to its bodies: the depth images and the masks; if the split was opened with ground
-    truth, also the scene, the parts of queries at their goals, and at their initial guesses.
+    """A PNG of one scene, cropped to its bodies: up to two depth images and the masks; if the split was opened with
+    ground truth, also the scene, the parts of queries at their goals, and at their initial guesses.
     """
     recorded = dataset.recorded_scene(scene_id)
     window = window_of_bodies(recorded.labels)
     first, *others = recorded.sensors
     tiles = {f"{first} depth": depth_picture(recorded.view(first)), "masks": mask_picture(recorded.labelled_depth())}
-    tiles |= {f"{sensor} depth": depth_picture(recorded.view(sensor)) for sensor in others}
+    tiles |= {f"{sensor} depth": depth_picture(recorded.view(sensor)) for sensor in others[:1]}  # a row of three
     pictures = [Image.fromarray(tile[window]).resize(SCENE_TILE, Image.Resampling.BICUBIC) for tile in tiles.values()]
     names = list(tiles)
     if recorded.split.truth:

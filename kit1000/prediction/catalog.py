@@ -14,7 +14,6 @@ from typing import Any, Literal
 
 from kit1000.errors import InputError
 from kit1000.queries.tracks import ALL_TRACKS
-from kit1000.weights import WEIGHTS
 
 TABLES = ("kit1000.registration",)
 """Packages of the library with a table METHODS."""
@@ -44,8 +43,6 @@ class Method:
     """What it learned from."""
     weights: Mapping[str, Path] = field(default_factory=dict)
     """Further arguments of the class: weight files, without suffix."""
-    mask_weights: Path = WEIGHTS
-    """Folder of the networks that find predicted masks in noisy images."""
     camera_set: str = "primary"
     """The cameras that it reads, see `kit1000.sim.cameras.camera_set`."""
     label: str = ""

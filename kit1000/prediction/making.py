@@ -18,6 +18,7 @@ from kit1000.prediction.catalog import TABLES, Method, all_methods
 from kit1000.prediction.imported_sources import imported_modules
 from kit1000.predictor import Predictor, module_and_object, resolved
 from kit1000.queries.tracks import ALL_TRACKS
+from kit1000.weights import WEIGHTS
 
 LIBRARY = Path(__file__).parents[1]
 """Folder of the package `kit1000`."""
@@ -66,7 +67,7 @@ def make_predictor(method: Method, dataset: Dataset, seed: int) -> Predictor:
             raise InternalError(f"{method.make}: {failure_text(error)}") from error
     if method.masks == "given":
         return predictor
-    return OnPredictedMasks(predictor, dataset.summary["config"]["scale"], dataset.summary, method.mask_weights)
+    return OnPredictedMasks(predictor, dataset.summary["config"]["scale"], dataset.summary)
 
 
 def _on_predicted_masks(method: Method) -> Method:
@@ -92,7 +93,7 @@ def source_hash(method: Method) -> str:
     stems = {stem.name: stem for stem in method.weights.values()}
     if len(stems) < len(method.weights):  # those of runs all have one name
         stems = {f"{argument}:{stem.name}": stem for argument, stem in method.weights.items()}
-    stems |= {name: method.mask_weights / name for name in MASKS_WEIGHTS if method.masks == "predicted"}
+    stems |= {name: WEIGHTS / name for name in MASKS_WEIGHTS if method.masks == "predicted"}
     files = imported_modules(entries, roots)
     files |= {name: stem.with_name(f"{stem.name}.safetensors") for name, stem in stems.items()}
     digest = hashlib.sha256()

@@ -13,6 +13,8 @@ from typing import Literal
 from kit1000.errors import InputError
 
 SPLITS = ("train", "val", "test")
+Sensor = Literal["ideal", "d415", "photoneo"]
+"""A sensor whose depth images datasets record, see `kit1000.sim.sensors.SENSORS`."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +22,7 @@ class Track:
     """A track of the benchmark: one kind of query."""
 
     name: str
-    sensor: Literal["ideal", "d415"]
+    sensor: Sensor
     """The depth image of its queries."""
     guess: Literal["ball", "tilt"] | None
     """The rotation error of the user's initial guess: about any axis, or a tilt alone; None: there is no guess."""
@@ -30,6 +32,8 @@ class Track:
     """Whether it asks in crowded scenes too."""
     description: str
     """One sentence for tables and pages."""
+    splits: tuple[str, ...] = SPLITS
+    """Splits that have its queries."""
 
 
 TRACKS = {
@@ -82,6 +86,24 @@ TRACKS = {
             parts="upright",
             crowded_scenes=True,
             description="As place, from a depth image with the noise of a RealSense D415.",
+        ),
+        Track(
+            "snap-photoneo",
+            sensor="photoneo",
+            guess="ball",
+            parts="all",
+            crowded_scenes=True,
+            description="As snap, from a depth image with the noise of a Photoneo PhoXi scanner.",
+            splits=("val", "test"),
+        ),
+        Track(
+            "place-photoneo",
+            sensor="photoneo",
+            guess=None,
+            parts="upright",
+            crowded_scenes=True,
+            description="As place, from a depth image with the noise of a Photoneo PhoXi scanner.",
+            splits=("val", "test"),
         ),
     )
 }

@@ -6,24 +6,8 @@ Read it in the order of the method: `inputs` (volumes of the part and the kits, 
 `proposed_fits` hands out all its fits.
 """
 
-from dataclasses import replace
-
 from kit1000.prediction.catalog import Method
-from kit1000.weights import MEASURED, WEIGHTS
-
-COMPLETED = Method(
-    "kit1000.registration.proposed_fits:CompletingRegistration",
-    "registration from the depth image, the part completed by a network, noisy images restored by another one",
-    label="Registration, completed part",
-    options={"source": "depth"},
-    learned=True,
-    training_data="40,000 fresh parts of the families of split train, from both sensors; split train of kit1000",
-    weights={
-        "completion": WEIGHTS / "completion",
-        "noisy_completion": WEIGHTS / "completion-d415",
-        "restoration": WEIGHTS / "restoration",
-    },
-)
+from kit1000.weights import WEIGHTS
 
 METHODS = {
     "registration": Method(
@@ -32,18 +16,18 @@ METHODS = {
         label="Registration, from depth",
         options={"source": "depth"},
     ),
-    "registration-completed": COMPLETED,
-    "registration-measured": replace(
-        COMPLETED,
-        description="registration-completed with networks trained on the noise of real stereo cameras",
-        label="Registration, networks of the measured sensor",
-        training_data="40,000 and 30,000 sampled parts and views of split train, as seen by the measured sensor",
+    "registration-completed": Method(
+        "kit1000.registration.proposed_fits:CompletingRegistration",
+        "registration from the depth image, the part completed by a network, noisy images restored by another one",
+        label="Registration, completed part",
+        options={"source": "depth"},
+        learned=True,
+        training_data="40,000 sampled parts; 30,000 views of split train, data version 1.0.0, by ideal depth and d415",
         weights={
-            **COMPLETED.weights,
-            "noisy_completion": MEASURED / "completion-d415",
-            "restoration": MEASURED / "restoration",
+            "completion": WEIGHTS / "completion",
+            "noisy_completion": WEIGHTS / "completion-d415",
+            "restoration": WEIGHTS / "restoration",
         },
-        mask_weights=MEASURED,
     ),
     "registration-three": Method(
         "kit1000.registration.proposed_fits:ProposingRegistration",

@@ -14,7 +14,7 @@ from kit1000.errors import InputError
 from kit1000.perception.heights.labelled_views import LabelledViews
 from kit1000.perception.observed.parts import ObservedPart
 from kit1000.perception.restoration import restored_query
-from kit1000.perception.sensor_facts import sensor_of
+from kit1000.perception.sensor_facts import needs_restoring, sensor_of
 from kit1000.pose import Pose
 from kit1000.predictor import PredictedMotion
 from kit1000.queries.pivots import part_pivots
@@ -78,8 +78,8 @@ class Registration:
 
     def completer(self, sensor: str) -> PartCompleter | None:
         """The network that completes parts in the images of a sensor."""
-        stem = self.completion if sensor == "ideal" else self.noisy_completion or self.completion
-        return None if stem is None else _completer(stem)
+        stem = self.noisy_completion if needs_restoring(sensor) else None
+        return None if self.completion is None else _completer(stem or self.completion)
 
     @property
     def uses_true_geometry(self) -> bool:
@@ -105,7 +105,7 @@ class Registration:
 
     def _kind(self, query: Query) -> str:
         """The kind of an image: its sensor, or restored where a network restores it."""
-        return query.sensor if self.restorer is None or query.sensor == "ideal" else "restored"
+        return "restored" if self.restorer is not None and needs_restoring(query.sensor) else query.sensor
 
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits, the best first; where no clearance is stated, those from depth are at the one that fits best."""

@@ -126,7 +126,7 @@ def test_a_seen_goal_takes_measured_points_to_measured_goals() -> None:
 def test_the_table_corrects_what_the_recorded_calibration_misses(data: Dataset, queries: QueryTruths) -> None:
     recorded, corrected = (misses(name, data, queries) for name in ("truth-calibration", "truth-table"))
     assert 0.5e-3 < recorded.mean() < 6e-3
-    assert corrected.mean() < 0.6 * recorded.mean()
+    assert corrected.mean() < 0.8 * recorded.mean()
 
 
 def test_on_ideal_depth_a_seen_goal_is_the_goal(data: Dataset, queries: QueryTruths) -> None:

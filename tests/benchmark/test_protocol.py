@@ -24,7 +24,10 @@ def current() -> dict[str, Any]:
     return json.loads((FOLDER / f"{CURRENT}.json").read_text("utf-8"))
 
 
-FROZEN = {"kit1000-2026": "bd34e5e025f0aa0aeaea2d0e955da20bbad1cad6eabb47ddac58e8eaee8d0c11"}
+FROZEN = {
+    "kit1000-2026": "bd34e5e025f0aa0aeaea2d0e955da20bbad1cad6eabb47ddac58e8eaee8d0c11",
+    "kit1000-2026-11": "4c54738a1ae724fa4659c9a4bcc35cf0835f46573d8ecd8c6ce7d7f39e7fcce6",
+}
 """SHA-256 of the files of frozen protocols."""
 
 
@@ -108,5 +111,5 @@ def test_limits_are_those_of_the_metrics(limit: str) -> None:
 
 
 def test_an_unknown_protocol_is_refused_with_the_known_ones() -> None:
-    with pytest.raises(InputError, match=f"no protocol 'kit1000-1999'; there are {CURRENT}"):
+    with pytest.raises(InputError, match=f"no protocol 'kit1000-1999'; there are kit1000-2026, {CURRENT}"):
         read_protocol("kit1000-1999")

@@ -85,7 +85,7 @@ def near_goals(queries: ScoredQueries, seed: int = 1) -> list[Pose]:
 
 def test_the_ground_truth_scores_perfectly(perfect_score: Scores) -> None:
     tracks = perfect_score.summary["tracks"]
-    assert set(tracks) == {"snap", "snap-tilt", "snap-d415"}
+    assert set(tracks) == {"snap", "snap-tilt", "snap-d415", "snap-photoneo"}
     for row in tracks.values():
         assert (row["n"], row["coverage"], row["loose_fits"]) == (1, 1, 0)
         for name in ERRORS:
@@ -263,6 +263,7 @@ def test_groups_are_by_properties_of_the_queries(seating_results: None) -> None:
     assert counts["kits"] == {"2": 4, "3": 4, "4": 4}
     assert counts["parts"] == {"apart": 10, "pushed together": 2}
     assert counts["family"] == {"held out": 3, "seen": 9}
+    assert counts["noise"] == {"0-0.1": 4, "0.1-0.14": 2, "0.14-0.2": 2, "0.2-0.25": 2, "0.25+": 2}
     assert counts["symmetry"] == {"free axis": 4, "one goal": 4, "several goals": 4}
     assert list(counts) == list(TITLES)
 

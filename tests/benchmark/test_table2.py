@@ -21,7 +21,6 @@ from kit1000.pose import Pose
 from kit1000.submission import Manifest, write_submission
 from kit1000.submission.predictions import write_predictions
 from kit1000.values import LabelledDepth, Prediction, Query
-from kit1000.weights import MEASURED, WEIGHTS
 
 SPLIT = "train"
 FAR = Pose.from_translation([0.0, 0.0, 0.02])
@@ -115,18 +114,18 @@ def test_the_robot_finds_parts_by_predicted_masks_where_the_manifest_states_them
     folders = {masks: tmp_path / masks for masks in ("given", "predicted")}
     found = []
 
-    def find(query: Query, scale: float, sensor: AnySensor, weights: Path) -> Query:
-        found.append((scale, sensor, weights))
+    def find(query: Query, scale: float, sensor: AnySensor) -> Query:
+        found.append((scale, sensor))
         return query
 
     table2.chain(mini, folders, "snap", SPLIT, 1, find_masks=find)
     assert [images is None for _, images in seen] == [True, True, False]
     own = [query for query in queries if query.scene_id == seen[-1][0]]
     assert set(seen[-1][1] or ()) == {query.part for query in own}
-    assert found == [(dataset.summary["config"]["scale"], "ideal", WEIGHTS)] * len(own)
+    assert found == [(dataset.summary["config"]["scale"], "ideal")] * len(own)
 
 
-def test_masks_are_found_by_the_facts_of_the_sensor_and_the_weights_of_the_method(
+def test_masks_are_found_by_the_facts_of_the_sensor(
     mini: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """As `predict --masks predicted` finds them."""
@@ -148,7 +147,7 @@ def test_masks_are_found_by_the_facts_of_the_sensor_and_the_weights_of_the_metho
     dataset = Dataset(root)
     rows = [Prediction(q.id, Pose.identity(), 0.5, 1.0) for q in dataset.split(SPLIT).queries("snap-d415")]
     stated = Manifest(
-        method="registration-measured+predicted-masks",
+        method="registration-completed+predicted-masks",
         authors=("us",),
         description="none",
         date="2026-01-01",
@@ -159,15 +158,15 @@ def test_masks_are_found_by_the_facts_of_the_sensor_and_the_weights_of_the_metho
         masks="predicted",
     )
     write_submission(tmp_path / "found", stated, rows)
-    given: list[tuple[AnySensor, Path]] = []
+    given: list[AnySensor] = []
 
-    def find(query: Query, scale: float, sensor: AnySensor, weights: Path) -> Query:
-        given.append((sensor, weights))
+    def find(query: Query, scale: float, sensor: AnySensor) -> Query:
+        given.append(sensor)
         return query
 
     table2.chain(root, {"found": tmp_path / "found"}, "snap-d415", SPLIT, 1, find_masks=find)
     assert given
-    assert set(given) == {(facts, MEASURED)}
+    assert set(given) == {facts}
 
 
 def test_predictions_of_other_queries_and_unknown_tracks_are_refused(mini: Path, tmp_path: Path, robot: None) -> None:

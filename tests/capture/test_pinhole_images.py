@@ -30,6 +30,7 @@ def test_an_image_near_the_focal_length_stays_as_it_is() -> None:
 @settings(deadline=None, max_examples=10)
 @given(st.floats(300, 2200), st.integers(70, 200), st.integers(70, 200))
 def test_every_pixel_has_a_recorded_depth_that_its_ray_met(fx: float, width: int, height: int) -> None:
+    fx = min(fx, 20.0 * width)  # longer ones are of no depth camera
     known = Intrinsics(fx, fx * 1.01, width * 0.5, height * 0.45)
     v, u = np.indices((height, width))
     depth = plane_depth((u - known.cx) / known.fx, (v - known.cy) / known.fy)

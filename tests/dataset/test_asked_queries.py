@@ -30,8 +30,8 @@ PAPER = {"snap-tilt", "place-paper"}
 
 def test_every_track_has_queries_about_its_parts() -> None:
     found = {(row["track"], row["part"]) for row in scene_arguments().rows()}
-    expected = {track: [0, 1, 2, 3] for track in ("snap", "snap-tilt", "snap-d415")}
-    expected |= {"place": [0, 1, 3], "place-d415": [0, 1, 3], "place-paper": [0, 3]}
+    expected = {track: [0, 1, 2, 3] for track in ("snap", "snap-tilt", "snap-d415", "snap-photoneo")}
+    expected |= {"place": [0, 1, 3], "place-d415": [0, 1, 3], "place-photoneo": [0, 1, 3], "place-paper": [0, 3]}
     assert found == {(track, i) for track, parts in expected.items() for i in parts}
 
 
@@ -46,7 +46,9 @@ def test_rows_have_the_fields_of_the_format() -> None:
     for row in scene_arguments().rows():
         assert set(row) == {"id", "track", "sensor", "part", "drawn", "pivot", "guess"}
         assert row["id"] == f"{SCENE}-p{row['part']}-{row['track']}"
-        assert row["sensor"] == ("d415" if row["track"].endswith("d415") else "ideal")
+        assert row["sensor"] == (
+            row["track"].partition("-")[2] if row["track"].endswith(("d415", "photoneo")) else "ideal"
+        )
         assert (row["guess"] is not None) == row["track"].startswith("snap")
         assert len(row["pivot"]) == 3
 
@@ -97,7 +99,8 @@ def test_a_part_without_a_return_has_no_query_of_that_sensor() -> None:
     less = scene_arguments(views=views | {"d415": replace(views["d415"], depth=blind)}).by_id()
     whole = scene_arguments().by_id()
     assert set(whole) - set(less) == {f"{SCENE}-p1-snap-d415", f"{SCENE}-p1-place-d415"}
-    assert scene_arguments(views={"ideal": views["ideal"]}).by_id().keys() == {i for i in whole if "d415" not in i}
+    only = scene_arguments(views={"ideal": views["ideal"]}).by_id()
+    assert only.keys() == {i for i in whole if not i.endswith(("d415", "photoneo"))}
 
 
 def test_the_noisy_track_asks_about_the_same_parts_with_draws_of_its_own() -> None:
@@ -122,15 +125,16 @@ def test_alone_one_track_asks_and_its_queries_are_the_same_as_otherwise() -> Non
         found[track] += 1
     assert found.keys() == TRACKS.keys()
     paper = sum(found[track] for track in PAPER) / 2  # twice as often as others, as they do not ask in crowded scenes
-    others = sum(found[track] for track in TRACKS.keys() - PAPER) / 4
+    others = sum(found[track] for track in TRACKS.keys() - PAPER) / 6
     assert 1.5 < paper / others < 2.6
 
 
 def test_alone_a_track_asks_only_where_it_has_a_part_to_ask_about() -> None:
     tumbled = scene_arguments(parts=scene_arguments().parts[2:3], alone=True)
     crowded = scene_arguments(alone=True, crowded=True)
+    snaps = {"snap", "snap-tilt", "snap-d415", "snap-photoneo"}
     for seed in range(20):
-        assert {row["track"] for row in replace(tumbled, seed=seed).rows()} < {"snap", "snap-tilt", "snap-d415"}
+        assert {row["track"] for row in replace(tumbled, seed=seed).rows()} < snaps
         assert {row["track"] for row in replace(crowded, seed=seed).rows()}.isdisjoint(PAPER)
     assert not scene_arguments(parts=scene_arguments().parts[4:], alone=True).rows()
 
@@ -156,7 +160,7 @@ def test_another_part_is_drawn_uniformly_where_the_target_has_no_query() -> None
 
 def test_a_track_without_any_part_draws_none() -> None:
     rows = scene_arguments(parts=scene_arguments().parts[2:3]).rows()
-    assert {row["track"] for row in rows} == {"snap", "snap-tilt", "snap-d415"}
+    assert {row["track"] for row in rows} == {"snap", "snap-tilt", "snap-d415", "snap-photoneo"}
 
 
 @settings(max_examples=60)
@@ -244,7 +248,7 @@ def test_draws_differ_between_tracks_parts_scenes_and_seeds() -> None:
         for query_id, truth in arguments.queries_and_truths()[1].items()
         if truth["draw"] is not None
     ]
-    assert len({*offsets}) == len(offsets) == 3 * 12
+    assert len({*offsets}) == len(offsets) == 4 * 12
 
 
 def test_guesses_move_with_the_scene() -> None:

@@ -27,7 +27,7 @@ numbers = st.floats(-1, 1, allow_subnormal=False)
 vectors = st.tuples(numbers, numbers, numbers).map(np.array)
 
 
-@pytest.fixture(params=["ideal", "d415"])
+@pytest.fixture(params=["ideal", "photoneo"])
 def scene(mini: Path, request: pytest.FixtureRequest) -> EditedScene:
     return scene_of(mini, request.param)
 

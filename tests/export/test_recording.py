@@ -23,7 +23,7 @@ from tests.samples.mini import Published
 from tests.samples.shapes import box as box_solid
 
 SCENE = "test-s0000"
-SEEN = {f"/{sensor}/{what}" for sensor in ("ideal", "d415") for what in ("camera", "colours", "points")}
+SEEN = {f"/{sensor}/{what}" for sensor in ("ideal", "d415", "photoneo") for what in ("camera", "colours", "points")}
 OBSERVED = SEEN | {"/tf", "/pivots", "/guesses"}
 NUMPY_TYPES = {1: "u1", 7: "<f4"}
 
@@ -124,7 +124,7 @@ def test_no_topic_without_truth_names_a_part_or_gives_a_pose_of_one(plain: Path,
         assert body.id.encode() not in data
         for number in (*body.world_from_body.xyz, *body.world_from_body.wxyz):
             assert abs(number) in (0, 1) or np.float64(number).tobytes() not in data
-    assert {item.child_frame_id for item in messages(plain)["/tf"].transforms} == {"camera", "d415"}
+    assert {item.child_frame_id for item in messages(plain)["/tf"].transforms} == {"camera", "d415", "photoneo"}
 
 
 def test_guesses_take_the_visible_points_of_the_parts(plain: Path, scene: RecordedScene) -> None:

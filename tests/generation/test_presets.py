@@ -50,18 +50,21 @@ def test_the_config_states_everything_but_name_seed_and_later_fields_at_their_de
 
 @given(st.sets(st.sampled_from(list(TRACKS))))
 def test_sensors_follow_the_tracks(tracks: set[str]) -> None:
-    """The d415 is recorded exactly when a track reads it, the ideal image always."""
-    sensors = Preset("any", 1, 1, 1, tracks=tuple(tracks)).sensors
-    assert sensors[0] == "ideal"
-    assert ("d415" in sensors) == bool(tracks & {"snap-d415", "place-d415"})
-    assert len(set(sensors)) == len(sensors) <= 2
+    """A noisy sensor is recorded exactly where a track reads it, the ideal image always."""
+    for split in SPLITS:
+        sensors = Preset("any", 1, 1, 1, tracks=tuple(tracks)).sensors_of(split)
+        assert sensors[0] == "ideal"
+        assert ("d415" in sensors) == bool(tracks & {"snap-d415", "place-d415"})
+        scanned = split != "train" and bool(tracks & {"snap-photoneo", "place-photoneo"})
+        assert ("photoneo" in sensors) == scanned
+        assert len(set(sensors)) == len(sensors)
 
 
 def test_every_preset_has_known_tracks() -> None:
     for one in PRESETS.values():
         assert set(one.tracks) <= set(TRACKS)
         assert "snap-tilt" in one.tracks  # contact sheets draw its guesses
-        assert {TRACKS[track].sensor for track in one.tracks} == set(one.sensors)
+        assert {TRACKS[track].sensor for track in one.tracks} == set(one.sensors_of("test"))
     assert not [track for track in IDEAL_TRACKS if TRACKS[track].sensor != "ideal"]
 
 

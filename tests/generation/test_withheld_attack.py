@@ -115,14 +115,15 @@ def test_a_withheld_scene_has_one_track_and_the_images_of_its_sensor_alone(withh
             for scene_id in file.scene_ids:
                 (track,) = tracks[scene_id]
                 assert {key.rpartition("/")[2] for key in file.view_keys(scene_id)} == {TRACKS[track].sensor}
-                assert {key.rpartition("/")[2] for key in whole.view_keys(scene_id)} == {"ideal", "d415"}
+                assert {key.rpartition("/")[2] for key in whole.view_keys(scene_id)} == {"ideal", "d415", "photoneo"}
     assert len({track for (track,) in tracks.values()}) > 1
 
 
 def test_scenes_for_training_and_validation_keep_all_tracks_and_sensors(withheld: Published) -> None:
     for split in ("train", "val"):
         scenes = list(Dataset(withheld.public).split(split))
-        assert {sensor for scene in scenes for sensor in scene.sensors} == {"ideal", "d415"}
+        scanner = {"photoneo"} if split == "val" else set()
+        assert {sensor for scene in scenes for sensor in scene.sensors} == {"ideal", "d415"} | scanner
         assert {"snap", "snap-tilt", "snap-d415"} <= {query.track for scene in scenes for query in scene.queries}
 
 
@@ -189,7 +190,7 @@ def test_no_two_guesses_share_an_error_or_its_direction(mini: Path) -> None:
             assert np.abs(one - other).min() > 1e-6
         for group in groups(clues):
             assert len({tuple(np.round(clue.guess.wxyz, 6)) for clue in group}) == len(group)
-    assert tracks == {"snap", "snap-tilt", "snap-d415"}
+    assert tracks == {"snap", "snap-tilt", "snap-d415", "snap-photoneo"}
 
 
 @pytest.mark.parametrize(("guesses", "position_mm", "rotation_deg"), [(1, 26.9, 13.8), (2, 18.5, 10.2), (3, 15.1, 8.4)])

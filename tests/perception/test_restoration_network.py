@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import find_objects
 
+from baselines.training.tasks.noisy_images import WIDER, noisy_view
 from baselines.training.tasks.restoration.task import beside_jumps, restoration_task
 from baselines.training.tasks.restoration.views import CROPS, recorded_example
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
-from kit1000.perception.calibration import CALIBRATED
 from kit1000.perception.networks.weight_files import save_weights
 from kit1000.perception.restoration.disparity import (
     STARTS,
@@ -34,7 +34,6 @@ from kit1000.perception.restoration.rules import closed_gaps, restored_edges
 from kit1000.registration.method import Registration
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA
-from kit1000.sim.sensors import measured
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth
 from kit1000.weights import WEIGHTS
 
@@ -51,7 +50,7 @@ def exact(mini: Path) -> LabelledDepth:
 @pytest.fixture(scope="module")
 def noisy(exact: LabelledDepth) -> LabelledDepth:
     """The same, by the calibrated d415."""
-    return LabelledDepth(measured(CALIBRATED, exact.view, stream(0, "noisy")), exact.labels)
+    return LabelledDepth(noisy_view(exact.view, stream(0, "noisy")), exact.labels)
 
 
 def untrained(bias: float = 0.0) -> RestorationNet:
@@ -78,7 +77,7 @@ def test_an_exact_image_shows_the_truth_and_depths_come_back(exact: LabelledDept
 
 def test_the_slope_is_that_of_the_table(exact: LabelledDepth) -> None:
     seen = exact.view.depth > 0
-    inverse = CAMERA.fx * CALIBRATED.baseline / np.where(seen, exact.view.depth, 1.0)
+    inverse = CAMERA.fx * WIDER.baseline / np.where(seen, exact.view.depth, 1.0)
     table = seen & (exact.labels == 0)
     for axis, slope in ((1, read_of(exact)["slope"][0]), (0, read_of(exact)["slope"][1])):
         both = table & np.roll(table, -1, axis)
@@ -154,7 +153,7 @@ def test_a_mixture_is_a_density_and_its_likeliest_is_never_between() -> None:
 def test_without_training_the_measured_image_stays(noisy: LabelledDepth) -> None:
     labels = np.unique(noisy.labels[noisy.labels > 0]).tolist()
     same, closed = Restorer(untrained())(noisy, D415, labels).view, closed_gaps(noisy).view
-    gain = CAMERA.fx * CALIBRATED.baseline
+    gain = CAMERA.fx * WIDER.baseline
     step = np.abs(gain / np.maximum(same.depth, 0.1) - gain / np.maximum(closed.depth, 0.1))
     seen = closed.depth > 0
     assert step[seen].max() < 0.6 * DISPARITY_STEP + 1e-3
@@ -177,7 +176,7 @@ def test_fresh_views_are_the_same_whoever_makes_them(mini: Path) -> None:
         crop, same = task.training[index], again.training[index]
         assert all(np.array_equal(crop[name], same[name]) for name in crop)
         wrong = np.abs(crop["disparity"] - crop["truth"])[crop["labels"] > 0]
-        assert 0.01 < np.median(wrong) < 0.2
+        assert 0.01 < np.median(wrong) < 0.6
     assert len(task.training) == CROPS * config.views
     with pytest.raises(IndexError):
         task.training[len(task.training)]

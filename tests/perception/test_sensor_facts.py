@@ -9,8 +9,8 @@ import pytest
 
 from kit1000.camera import Camera, look_at
 from kit1000.errors import InputError
-from kit1000.perception.calibration import BORDERS, calibrated_by
-from kit1000.perception.calibration.borders import BlindBand, borders_of
+from kit1000.perception.calibration import OUTLINE, calibrated_by
+from kit1000.perception.calibration.borders import borders_of
 from kit1000.perception.calibration.table_top import flattened
 from kit1000.perception.sensor_facts import KEY, SensorFacts, model_of, sensor_of, table_is_simulated
 from kit1000.pose import Pose
@@ -49,10 +49,10 @@ def test_a_model_has_the_facts_and_a_name_its_own_model() -> None:
 
 
 def test_borders_are_those_that_the_image_shows() -> None:
-    assert borders_of("d415") == BORDERS
+    assert borders_of("d415") == OUTLINE
     assert borders_of(OWN) == ()
-    assert borders_of(replace(OWN, stream="raw")) == (BlindBand(0.05),)
-    assert borders_of(SensorFacts()) == BORDERS
+    assert borders_of("photoneo") == ()
+    assert borders_of(SensorFacts()) == OUTLINE
 
 
 def test_an_image_of_an_unknown_table_moves_no_camera(view: View) -> None:

@@ -106,10 +106,11 @@ def test_one_process_and_two_give_the_same(mini: Path, tmp_path: Path) -> None:
 
 def test_tracks_and_splits_added_one_by_one_are_what_one_run_gives(mini: Path, tmp_path: Path) -> None:
     whole = predict(run_config("guess", ("val", "test", "curves")), mini, tmp_path / "whole", 1)
-    for split, tracks in (("curves", None), ("test", ("snap-d415",)), ("val", None), ("test", ("snap-tilt", "snap"))):
+    noisy = ("snap-d415", "snap-photoneo")
+    for split, tracks in (("curves", None), ("test", noisy), ("val", None), ("test", ("snap-tilt", "snap"))):
         step = predict(run_config("guess", (split,), tracks), mini, tmp_path / "steps", 1)
     assert rows(step) == rows(whole)
-    assert step.manifest.tracks == whole.manifest.tracks == ("snap", "snap-tilt", "snap-d415", "curves")
+    assert step.manifest.tracks == whole.manifest.tracks == ("snap", "snap-tilt", *noisy, "curves")
     assert step.manifest.reproduce.count("python -m baselines predict guess") == 4
     assert Counter(i.partition("-")[0] for i in step.predictions.query_ids)["curves"] == 48
 
@@ -254,7 +255,7 @@ def test_a_journal_returns_every_bit_and_is_locked_by_one_run(tmp_path: Path) ->
     [
         (
             run_config("guess", tracks=("place",)),
-            "--tracks place: .*guess.*snap, snap-tilt, snap-d415, curves",
+            "--tracks place: .*guess.*snap, snap-tilt, snap-d415, snap-photoneo, curves",
         ),
         (run_config("truth", tracks=("snapp",)), "--tracks snapp: did you mean snap[?] the tracks of truth are"),
         (run_config("guess", ("tests",)), "no split 'tests'; did you mean test"),

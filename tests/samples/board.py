@@ -149,5 +149,6 @@ def _rows(
         crowded=k % 3 == 0,
         held_out=k % 4 == 0,
         visible=0.5 + (k % 10) / 20,
+        noise_px=0.1 + (k % 5) / 25,
         symmetry=np.array(["one goal", "several goals", "free axis"])[k % 3],
     )

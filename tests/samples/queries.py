@@ -72,7 +72,7 @@ class SceneArguments:
 
 @cache
 def images() -> tuple[dict[str, View], np.ndarray]:
-    """Depth images of the two sensors and their masks: a block of pixels for each part."""
+    """Depth images of the sensors and their masks: a block of pixels for each part."""
     rng = np.random.default_rng(0)
     labels = np.zeros((48, 64), np.uint8)
     for i in range(PARTS):
@@ -80,7 +80,8 @@ def images() -> tuple[dict[str, View], np.ndarray]:
     labels[:5] = 1
     depth = rng.uniform(0.7, 0.9, labels.shape)
     noisy = np.where(rng.random(labels.shape) < 0.2, 0, depth + rng.normal(0, 1e-3, labels.shape))
-    return {"ideal": View(CAMERA, TRUE_CAMERA, depth), "d415": View(CAMERA, MEASURED_CAMERA, noisy)}, labels
+    measured = View(CAMERA, MEASURED_CAMERA, noisy)
+    return {"ideal": View(CAMERA, TRUE_CAMERA, depth), "d415": measured, "photoneo": measured}, labels
 
 
 def scene_arguments(**changes: Any) -> SceneArguments:

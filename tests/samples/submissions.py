@@ -115,4 +115,5 @@ def _made_up_truth(i: int, track: str, rng: np.random.Generator) -> Truth:
         slot=slot,
         goal_drawn=goal_motion(now, world_from_kit, slot.goals[0]),
         crowded=i % 6 == 0,
+        noise_px=0.05 * (i % 6),
     )

@@ -52,6 +52,7 @@ def truth_row(truth: SceneTruth) -> Row:
         "assembly_id": truth.assembly_id,
         "world_from_assembly": pose_row(truth.world_from_assembly),
         "crowded": truth.crowded,
+        "noise_px": dict(truth.noise_px),
         "parts": list(truth.parts),
         "queries": dict(truth.queries),
     }

@@ -1,7 +1,7 @@
 """Recordings of observations: cameras with their measured poses, queries, masks and depth images.
 
-A view "ideal" or "d415" is of the primary camera, "three/0/ideal" of a camera of an extra set. These files contain no
-poses of parts and no random draws.
+A view "ideal", "d415" or "photoneo" is of the primary camera, "three/0/ideal" of a camera of an extra set. These files
+contain no poses of parts and no random draws.
 """
 
 from __future__ import annotations

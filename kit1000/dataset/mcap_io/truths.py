@@ -42,6 +42,11 @@ _TRUTH = json_schema(
             "assembly_id": {"type": "string"},
             "world_from_assembly": POSE_SCHEMA,
             "crowded": {"type": "boolean", "description": "whether the parts are pushed together"},
+            "noise_px": {
+                "type": "object",
+                "additionalProperties": {"type": "number"},
+                "description": "RMS noise of the images of noisy sensors, in px of disparity",
+            },
             "parts": {"type": "array", "items": {"type": "object"}, "description": "p0, p1, ..."},
             "queries": {"type": "object", "additionalProperties": {"type": "object"}, "description": "by query id"},
         },
@@ -78,6 +83,7 @@ class TruthFile(ShardFile):
             models=self.models(scene_id),
             goals=poses_of(goals[0]) if goals else None,
             crowded=row["crowded"],
+            noise_px=row.get("noise_px", {}),
             preview=preview_of(previews[0]) if previews else None,
         )
 

@@ -25,7 +25,7 @@ from kit1000.errors import InputError
 from kit1000.files import write_bytes
 
 LIBRARY = "kit1000"  # without a version: it would change the bytes
-GENERATOR = "kit1000 0.1.0"  # the release that first wrote data version 1.0.0: later ones write the same bytes
+GENERATOR = "kit1000 0.1.0"  # the release that first wrote this format: later ones write ideal views byte for byte
 RECORD = "kit1000"  # name of the metadata record
 START = 1_767_225_600 * SECOND  # [ns] 2026-01-01: scene k of a shard is recorded k seconds later
 

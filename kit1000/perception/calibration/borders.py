@@ -1,49 +1,28 @@
-"""Borders of the table's returns: straight lines in the image, found to a fraction of a pixel.
-
-The outline of the table shows the camera's yaw and its place along the table. The blind band is the strip at the left
-that the second imager does not see: a point there is outside its image. It is as wide as the disparity of the table at
-its end. So it shows the height of the camera above the table in pixels, which no error of the depth's scale moves.
-"""
+"""Edges of the table against nothing: straight lines in the image, which show the camera's yaw and its place."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from kit1000.camera import Camera
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import matmul
-from kit1000.perception.calibration.plane import plane_coefficients
 from kit1000.perception.calibration.table_top import HALF_SIZES, ground, rays
-from kit1000.perception.sensor_facts import AnySensor
+from kit1000.perception.sensor_facts import AnySensor, needs_restoring, table_is_simulated
 from kit1000.pose import Pose
-from kit1000.sim.sensors import SENSORS
 from kit1000.values import View
 
 REACH = 10  # [px] on either side of where a border is expected
 LEAST = 20  # pixels of a border
-PIXEL_SPREAD = 0.3  # [px] standard deviation of a border within the pixel that it crosses: 1 / sqrt(12), rounded up
+BORDER_SPREAD = 1.0  # [px] standard deviation of a whole border: shadows, holes and bent planes move it, not one pixel
 DROPOUT_QUANTILE = 0.9  # dropouts move a border inward only, so it lies where the outermost pixels are
 TOLERANCE = 1.0  # [px] from the border, of the pixels that enter
 ROUNDS = 4  # of the choice of pixels
-MARGIN = 0.03  # [m] from the table's outline, of where the blind band ends: more than REACH px
 
 Line = tuple[float, float, float]
-
-
-class Border(Protocol):
-    """A line at which the returns of the table end."""
-
-    def line(self, camera: Camera, pose: Pose) -> Line:
-        """a, b, c of the line a u + b v + c = 0 [px] in the image of a camera at a pose; the sum is below 0 outside."""
-        ...
-
-    def shown(self, pose: Pose, points: np.ndarray) -> np.ndarray:
-        """(n,) bool: whether the border is at points (n, 3) [m] of the plane z = 0 on its line."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -74,45 +53,20 @@ class OutlineEdge:
         return np.abs(points[:, 1 - self.axis]) < HALF_SIZES[1 - self.axis]
 
 
-@dataclass(frozen=True)
-class BlindBand:
-    """The end of the band that a second imager does not see, to the right of the first and parallel to it."""
-
-    baseline: float
-    """[m] between the imagers."""
-
-    def line(self, camera: Camera, pose: Pose) -> Line:
-        """Where half a pixel more than the column is the disparity of the table: the second imager's first column."""
-        disparity = camera.fx * self.baseline * plane_coefficients(pose)
-        a, b, c = _in_pixels(-disparity, camera)
-        return 1 + a, b, c + 0.5
-
-    def shown(self, pose: Pose, points: np.ndarray) -> np.ndarray:
-        """On the table: elsewhere there are no returns on either side."""
-        return np.max(np.abs(points[:, :2]) - HALF_SIZES, axis=1) < -MARGIN
-
-
 OUTLINE = tuple(OutlineEdge(axis, side) for axis in (0, 1) for side in (1, -1))
-BLIND_BAND = BlindBand(SENSORS["d415"].baseline)
-BORDERS: tuple[Border, ...] = (BLIND_BAND, *OUTLINE)
 
 
-def borders_of(sensor: AnySensor) -> tuple[Border, ...]:
-    """The borders that an image of a sensor shows: all of a simulated one; of another one those that its facts state.
-
-    An image aligned to another camera has an empty band too, but not where the baseline puts it.
-    """
-    if isinstance(sensor, str):
-        return BORDERS
-    band = (BlindBand(sensor.baseline),) if sensor.stream == "raw" else ()
-    return (*band, *OUTLINE) if sensor.simulated_table else band
+def borders_of(sensor: AnySensor) -> tuple[OutlineEdge, ...]:
+    """The edges that an image of a sensor may use: none of a scanner, whose plane suffices, and none of a table of an
+    unknown size."""
+    return OUTLINE if needs_restoring(sensor) and table_is_simulated(sensor) else ()
 
 
 @dataclass(frozen=True, eq=False)
 class SeenBorder:
     """A border as an image shows it: at most one place in each column, or in each row."""
 
-    border: Border
+    border: OutlineEdge
     columns: bool
     """Whether columns cross it, and not rows."""
     lines: np.ndarray
@@ -128,13 +82,13 @@ class SeenBorder:
         return (expected - self.places) / self.spread
 
 
-def seen_borders(view: View, labels: np.ndarray, borders: Sequence[Border] = BORDERS) -> list[SeenBorder]:
+def seen_borders(view: View, labels: np.ndarray, borders: Sequence[OutlineEdge] = OUTLINE) -> list[SeenBorder]:
     """The borders that the image shows, in a view whose plane is right. labels: (H, W), 0 for the table or nothing."""
     seen = (_seen(view, labels, border) for border in borders)
     return [border for border in seen if border is not None]
 
 
-def _seen(view: View, labels: np.ndarray, border: Border) -> SeenBorder | None:
+def _seen(view: View, labels: np.ndarray, border: OutlineEdge) -> SeenBorder | None:
     """A border; None where the image shows too little of it."""
     columns, outward, lines, expected = _expected(view.camera, view.world_from_camera, border)
     if len(lines) < LEAST:
@@ -153,12 +107,10 @@ def _seen(view: View, labels: np.ndarray, border: Border) -> SeenBorder | None:
     kept = _without_dropouts(lines.astype(float), outward * (last - expected))
     if kept.sum() < LEAST:
         return None
-    crossed = len(np.unique(last[kept]))  # a border along a row of pixels is as good as one place alone
-    spread = PIXEL_SPREAD * max(np.sqrt(kept.sum()) / crossed, 1.0)
-    return SeenBorder(border, columns, lines[kept], last[kept], float(spread))
+    return SeenBorder(border, columns, lines[kept], last[kept], BORDER_SPREAD * float(np.sqrt(kept.sum())))
 
 
-def _expected(camera: Camera, pose: Pose, border: Border) -> tuple[bool, int, np.ndarray, np.ndarray]:
+def _expected(camera: Camera, pose: Pose, border: OutlineEdge) -> tuple[bool, int, np.ndarray, np.ndarray]:
     """Where a border should be in the image.
 
     Returns:

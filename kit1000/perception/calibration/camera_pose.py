@@ -8,15 +8,22 @@ determine stays as recorded. Sums are loops of numpy, not BLAS: results are the 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from kit1000.errors import checked
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import matmul
-from kit1000.perception.calibration.borders import BORDERS, Border, SeenBorder, borders_of, seen_borders
-from kit1000.perception.calibration.plane import PLANE_REACH, Plane, plane_coefficients, reach_of, table_plane
+from kit1000.perception.calibration.borders import OUTLINE, OutlineEdge, SeenBorder, borders_of, seen_borders
+from kit1000.perception.calibration.plane import (
+    CORRELATED,
+    PLANE_REACH,
+    Plane,
+    correlated_in,
+    plane_coefficients,
+    reach_of,
+    table_plane,
+)
 from kit1000.perception.calibration.table_top import flattened
 from kit1000.perception.sensor_facts import AnySensor
 from kit1000.pose import Pose
@@ -24,9 +31,6 @@ from kit1000.sim.sensors import SENSORS
 from kit1000.values import View
 
 D415 = SENSORS["d415"]
-CALIBRATED = replace(D415, scale_error=3e-4, position_error=3e-4, rotation_error_deg=0.02)
-"""The d415 once the table has calibrated it, in examples for training: about the errors of pose and scale that plane
-and outline leave; with the blind band they are smaller."""
 SPREADS = np.repeat(
     [np.radians(D415.rotation_error_deg) / np.sqrt(3), D415.position_error / np.sqrt(3), D415.scale_error / np.sqrt(3)],
     [3, 3, 1],
@@ -39,20 +43,22 @@ def calibrated(
     view: View,
     labels: np.ndarray,
     flat: bool = False,
-    borders: Sequence[Border] = BORDERS,
+    borders: Sequence[OutlineEdge] = OUTLINE,
     reach: float = PLANE_REACH,
+    correlated: float = CORRELATED,
 ) -> View:
     """The view with the camera pose and the depths that its table gives it.
 
     Args:
-        view: as recorded by a d415.
+        view: as recorded by a noisy sensor.
         labels: (H, W) uint8 masks, see `kit1000.values.LabelledDepth`; 0 for the table or nothing.
         flat: put the pixels of the table exactly on its plane; those without a return get one.
         borders: of the table that are used as well as its plane.
         reach: [m] from the recorded plane, of pixels that may show it.
+        correlated: how many of the pixels that enter the plane count as one.
     """
     labels = checked("labels", labels, view.depth.shape, np.uint8)
-    plane = table_plane(view, labels, reach)
+    plane = table_plane(view, labels, reach, correlated)
     if plane is None:
         return view
     unknowns = _solved(view, plane, [])
@@ -63,7 +69,8 @@ def calibrated(
 
 def calibrated_by(view: View, labels: np.ndarray, sensor: AnySensor) -> View:
     """The view as `calibrated` has it, with the borders and the reach that belong to a noisy sensor."""
-    return calibrated(view, labels, borders=borders_of(sensor), reach=reach_of(sensor, view))
+    reach, correlated = reach_of(sensor, view), correlated_in(sensor)
+    return calibrated(view, labels, borders=borders_of(sensor), reach=reach, correlated=correlated)
 
 
 def _corrected(view: View, unknowns: np.ndarray) -> View:

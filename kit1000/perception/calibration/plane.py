@@ -11,12 +11,13 @@ from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import eigenvectors, matmul
 from kit1000.numerics.robust import TUKEY, tukey_weights
 from kit1000.perception.calibration.table_top import rays
-from kit1000.perception.sensor_facts import AnySensor, table_is_simulated
+from kit1000.perception.sensor_facts import AnySensor, needs_restoring, table_is_simulated
 from kit1000.pose import Pose
 from kit1000.values import View
 
 STEP = 6  # [px] between pixels that enter the plane
 CORRELATED = 3.0  # of which so many count as one: noise of two windows of 7 px in succession, one value in 108 px
+BENT = 600.0  # of a stereo camera, which bends planes: half of the variance varies over 85 px, one value in 45,000 px
 MARGIN = 2  # cells of STEP px about every body: there its fattened edge may cover the table
 PLANE_REACH = 25e-3  # [m] from the recorded plane, of the pixels that enter
 OWN_REACH, OWN_SPREADS = 2e-3, 4.0  # [m], or so many standard deviations of the noise, of an own image
@@ -55,7 +56,14 @@ def reach_of(sensor: AnySensor, view: View) -> float:
     return max(OWN_REACH, OWN_SPREADS * sensor.noise_px * float(view.world_from_camera.xyz[2]) ** 2 / gain)
 
 
-def table_plane(view: View, labels: np.ndarray, reach: float = PLANE_REACH) -> Plane | None:
+def correlated_in(sensor: AnySensor) -> float:
+    """How many of the pixels that enter the plane count as one, in an image of a sensor."""
+    return BENT if needs_restoring(sensor) else CORRELATED
+
+
+def table_plane(
+    view: View, labels: np.ndarray, reach: float = PLANE_REACH, correlated: float = CORRELATED
+) -> Plane | None:
     """The plane of the table's pixels; None where there are too few. reach: [m] of them from the recorded plane.
 
     Fitted in inverse depth, where noise is the same for all pixels, with Tukey's weights; what a narrow strip of table
@@ -70,10 +78,10 @@ def table_plane(view: View, labels: np.ndarray, reach: float = PLANE_REACH) -> P
     recorded = plane_coefficients(view.world_from_camera)
     near = np.abs(z * matmul(directions, recorded) - 1) * view.world_from_camera.xyz[2] < reach
     directions, inverse = directions[near], 1 / z[near]
-    return _fitted(directions, inverse, recorded) if len(directions) >= LEAST_PIXELS else None
+    return _fitted(directions, inverse, recorded, correlated) if len(directions) >= LEAST_PIXELS else None
 
 
-def _fitted(directions: np.ndarray, inverse: np.ndarray, recorded: np.ndarray) -> Plane:
+def _fitted(directions: np.ndarray, inverse: np.ndarray, recorded: np.ndarray, correlated: float) -> Plane:
     """The plane of pixels: (n, 3) rays, (n,) [1/m] inverse depths. recorded: (3,) coefficients, a weak prior."""
     weights, coefficients, spread = np.ones(len(inverse)), recorded, 0.0
     for _ in range(PLANE_ROUNDS):
@@ -83,7 +91,7 @@ def _fitted(directions: np.ndarray, inverse: np.ndarray, recorded: np.ndarray) -
         residuals = inverse - matmul(directions, coefficients)
         spread = 1.4826 * np.median(np.abs(residuals)) + 1e-9
         weights = tukey_weights(residuals, TUKEY * spread)
-    information = matmul((directions * weights[:, None]).T, directions) / CORRELATED
+    information = matmul((directions * weights[:, None]).T, directions) / correlated
     axes = eigenvectors(information)
     pixels = np.diag(matmul(axes.T, matmul(information, axes)))
     return Plane(coefficients, axes, spread / np.sqrt(np.maximum(pixels, LEAST_INFORMATION)))

@@ -32,14 +32,18 @@ class Noise(NamedTuple):
 
 IDEAL = Noise(0.5e-3, float(np.radians(4)), 3)
 SENSOR = Noise(2e-3, float(np.radians(8)), 7, float(np.radians(6)))
+SCANNER = Noise(1e-3, float(np.radians(6)), 5, float(np.radians(6)))
 RESTORED = Noise(1.2e-3, float(np.radians(6)), 5, float(np.radians(6)), bent=True)
 """Noise of an image of SENSOR that a network restored."""
 
 
+NOISES = {"ideal": IDEAL, "photoneo": SCANNER}
+
+
 def noise_of(sensor: str, restored: bool = False) -> Noise:
     """The noise of the images of a sensor, as they are or restored by a network."""
-    if sensor == "ideal":
-        return IDEAL
+    if sensor in NOISES:
+        return NOISES[sensor]
     return RESTORED if restored else SENSOR
 
 

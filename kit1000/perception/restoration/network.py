@@ -37,7 +37,7 @@ class RestorationConfig:
     level: bool = False
     """Whether it reads how noisy the image is."""
     sensor_model: int = 1
-    """Sensor model of the training examples: 1 the d415 of data 1.0.0, 2 as measured."""
+    """Data version of the sensors that made the training examples: 1 or 2; training makes those of 2."""
     views: int = 1500
     """Fresh views of scenes, of which the training examples are crops."""
     views_seed: int = 2029
@@ -45,14 +45,14 @@ class RestorationConfig:
 
 
 RESTORATION = {
-    "small": RestorationConfig(views=3000, views_seed=2035),
-    "pretraining": RestorationConfig(),
+    "small": RestorationConfig(level=True, sensor_model=2, views=3000, views_seed=2035),
+    "pretraining": RestorationConfig(level=True, sensor_model=2),
     "measured": RestorationConfig(level=True, sensor_model=2, views=30_000, views_seed=2048),
     "large": RestorationConfig((48, 72, 108, 144), 2, level=True, sensor_model=2, views=30_000, views_seed=2048),
 }
 """`small` starts from the weights of `pretraining`, `measured` from those of `small`, `large` from none."""
 UNMASKED = {
-    "small": RestorationConfig(labelled=False),
+    "small": RestorationConfig(labelled=False, level=True, sensor_model=2),
     "measured": RestorationConfig(labelled=False, level=True, sensor_model=2, views=30_000, views_seed=2049),
 }
 """`measured` starts from the weights of `small`."""

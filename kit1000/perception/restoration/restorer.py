@@ -25,7 +25,7 @@ from kit1000.perception.restoration.disparity import (
 )
 from kit1000.perception.restoration.network import SIDE, RestorationConfig, RestorationNet
 from kit1000.perception.restoration.rules import closed_gaps
-from kit1000.perception.sensor_facts import AnySensor, model_of, table_is_simulated
+from kit1000.perception.sensor_facts import AnySensor, model_of, needs_restoring, table_is_simulated
 from kit1000.values import LabelledDepth, View
 
 HEIGHT = 4e-3  # [m] along the ray, in front of the table, from which on something is a body
@@ -51,9 +51,10 @@ class Restorer:
     def __call__(self, image: LabelledDepth, sensor: AnySensor, labels: Sequence[int]) -> LabelledDepth:
         """A calibrated image with its table on its plane, and the bodies of some labels where they likely are.
 
-        Bodies of other labels stay as they were measured, but for their narrow shadows; ideal depth stays as it is.
+        Bodies of other labels stay as they were measured, but for their narrow shadows; so does all depth of sensors
+        that need no restoring.
         """
-        if sensor == "ideal":
+        if not needs_restoring(sensor):
             return image
         closed = closed_gaps(image, table_is_simulated(sensor)).view
         read, depth = evidence(image, closed, sensor), closed.depth.copy()

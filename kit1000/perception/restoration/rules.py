@@ -17,8 +17,8 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import distance_transform_edt, find_objects
 
-from kit1000.perception.calibration import calibrated_by, flattened
-from kit1000.perception.sensor_facts import AnySensor, model_of, table_is_simulated
+from kit1000.perception.calibration import calibrated_by, flattened, unbent
+from kit1000.perception.sensor_facts import AnySensor, model_of, needs_restoring, table_is_simulated
 from kit1000.sim.sensors import Sensor
 from kit1000.sim.stereo import EDGE_STEP
 from kit1000.values import LabelledDepth, Query, View
@@ -41,8 +41,13 @@ def restored(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
 
 
 def calibrated_image(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
-    """The image of a noisy sensor, calibrated by the table; the same image where the sensor is ideal."""
-    return image if sensor == "ideal" else LabelledDepth(calibrated_by(image.view, image.labels, sensor), image.labels)
+    """The image of a noisy sensor, calibrated and unbent by the table; the same image where the sensor is ideal."""
+    if sensor == "ideal":
+        return image
+    view = calibrated_by(image.view, image.labels, sensor)
+    if needs_restoring(sensor):
+        view = unbent(view, image.labels, model_of(sensor).baseline)
+    return LabelledDepth(view, image.labels)
 
 
 def restored_edges(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import label, uniform_filter
 
 from kit1000.perception.calibration import calibrated_by
-from kit1000.perception.sensor_facts import AnySensor
+from kit1000.perception.sensor_facts import AnySensor, needs_restoring
 from kit1000.values import View
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 LEAST_HEIGHT = 3e-4  # [m] above the table that is no part of it, in an ideal image: its grid is 0.12 mm
 SURE_HEIGHT = 6e-3  # [m] the same in a noisy image,
 NOISY_HEIGHT = 2e-3  # [m] and beside such pixels: three times the noise of the table,
-RESTORED_HEIGHT = 1e-3  # [m] or less where a network restored the image
+FINE_HEIGHT = 1e-3  # [m] or less where a network restored the image, or of a scanner
 RECORDED_HEIGHT = 8e-3  # [m] the same before calibration
 SHADOW = 40  # [px] the widest gap along a row that is the shadow of a near edge
 WINDOW, SHARE = 11, 0.6  # [px] around a pixel, and the share of body in it: fattened edges are bumpy, parts are not
@@ -35,7 +35,7 @@ class Bodies(NamedTuple):
     parts: np.ndarray
     """(H, W) bool"""
     kind: str
-    """ideal, d415, or restored: of the view."""
+    """ideal, photoneo, d415, or restored: of the view."""
     measured: View
     """The image before edges were restored or shadows closed, calibrated where the sensor is noisy."""
 
@@ -45,24 +45,26 @@ def find_bodies(view: View, sensor: AnySensor, restorer: Restorer | None = None)
 
     restorer: a network that restores noisy images without masks; None looks at them as they are.
     """
-    noisy = sensor != "ideal"
+    noisy, bent = sensor != "ideal", needs_restoring(sensor)
+    network = restorer if bent else None
+    coarse = bent and network is None
     measured = view
     if noisy:
         above = (view.depth > 0) & (world_points(view)[..., 2] > RECORDED_HEIGHT)
         measured = calibrated_by(view, above.astype(np.uint8), sensor)
-        view = without_shadows(measured) if restorer is None else restorer.without_masks(measured, sensor)
+        view = without_shadows(measured) if network is None else network.without_masks(measured, sensor)
     points = world_points(view)
     height, seen = points[..., 2], view.depth > 0
     body = seen & (height > LEAST_HEIGHT)
     if noisy:
-        least = NOISY_HEIGHT if restorer is None else RESTORED_HEIGHT
+        least = NOISY_HEIGHT if coarse else FINE_HEIGHT
         regions = np.asarray(label(seen & (height > least))[0])  # type: ignore[index]
         body = np.isin(regions, np.unique(regions[seen & (height > SURE_HEIGHT)]))
-        if restorer is None:
+        if coarse:
             body = uniform_filter(body.astype(float), WINDOW) > SHARE
     far_half = on_far_half(points)
     name = sensor if isinstance(sensor, str) else "d415"
-    kind = name if restorer is None or not noisy else "restored"
+    kind = name if network is None else "restored"
     return Bodies(view, points, body & far_half, body & ~far_half, kind, measured)
 
 

@@ -18,11 +18,17 @@ if TYPE_CHECKING:
     from kit1000.perception.restoration.restorer import Restorer
     from kit1000.perception.segmentation.part_finder import PartFinder
 
-LEAST_PART = {"ideal": 60, "restored": 150, "d415": 60}  # [px] fewer are noise, or a corner of a hidden part
+LEAST_PART = {
+    "ideal": 60,
+    "photoneo": 60,
+    "restored": 150,
+    "d415": 60,
+}  # [px] fewer are noise, or a corner of a hidden part
 MOST_PARTS = 253  # labels of 8 bits hold no more
 IDEAL = np.array([8.33, -0.12, -0.17, -0.07, -0.81, -4.10, -2.31, -1.16, 6.01, 5.46, 1.96, -0.57, 6.68])
 WEIGHTS = {
     "ideal": IDEAL,
+    "photoneo": IDEAL,
     "restored": IDEAL,  # fitted to restored images they split more parts (val)
     "d415": np.array([2.73, -0.09, 0.03, -0.22, 0.08, 0.55, 0.32, -2.09, 6.02, 3.73, 0.45, -0.34, -5.13]),
 }
@@ -40,7 +46,7 @@ def segmented(
 
     Args:
         view: as recorded.
-        sensor: of its noise: ideal, d415, or the facts about another one.
+        sensor: of its noise: ideal, photoneo, d415, or the facts about another one.
         scale: of the scene, as the dataset's configuration states it.
         restorer: a network that restores noisy images without masks; None looks at them as they are.
         finder: a network that tells parts apart in restored images; None merges pieces, as in ideal ones.

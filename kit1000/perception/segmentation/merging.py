@@ -19,6 +19,7 @@ from kit1000.perception.segmentation.pieces import AXES, neighbours
 REACH = 12e-3  # [m] between the outlines of pieces that may be of one part
 LOW = {
     "ideal": 2e-3,
+    "photoneo": 2.5e-3,
     "restored": 3e-3,
     "d415": 6e-3,
 }  # [m] above the table: a piece that ends there beside it stands on it

@@ -35,12 +35,12 @@ class CentresConfig:
     views_seed: int = 2030
     """Seed of these views."""
     sensor_model: int = 1
-    """Sensor model of the training examples: 1 the d415 of data 1.0.0, 2 as measured."""
+    """Data version of the sensors that made the training examples: 1 or 2; training makes those of 2."""
 
 
 CENTRES = {
-    "small": CentresConfig(views=2500, views_seed=2034),
-    "pretraining": CentresConfig(),
+    "small": CentresConfig(views=2500, views_seed=2034, sensor_model=2),
+    "pretraining": CentresConfig(sensor_model=2),
     "measured": CentresConfig(views=30_000, views_seed=2050, sensor_model=2),
 }
 """`small` starts from the weights of `pretraining`, `measured` from those of `small`."""

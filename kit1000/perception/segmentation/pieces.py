@@ -27,6 +27,7 @@ class Scale(NamedTuple):
 
 SCALES = {
     "ideal": Scale(1.5e-3, 2, 0.35e-3),
+    "photoneo": Scale(2e-3, 3, 1e-3),
     "restored": Scale(2e-3, 3, 1e-3),
     "d415": Scale(4e-3, 5, 2.5e-3),
 }

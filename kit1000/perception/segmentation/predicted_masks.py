@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from kit1000.perception.segmentation.instances import segmented
-from kit1000.perception.sensor_facts import AnySensor, sensor_of
+from kit1000.perception.sensor_facts import AnySensor, needs_restoring, sensor_of
 from kit1000.predictor import PredictedMotion, Predictor
 from kit1000.queries.pivots import part_pivots
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, TrueGeometry
@@ -35,25 +34,21 @@ class OnPredictedMasks:
     """Scale of the dataset's scenes."""
     summary: Mapping[str, Any] = field(default_factory=dict)
     """Its dataset.json, which may state facts about its sensors."""
-    weights: Path = WEIGHTS
-    """Folder of the networks for noisy images."""
 
     def __call__(self, query: Query, geometry: TrueGeometry | None, /) -> PredictedMotion:
         """What the method predicts; segmentation is part of the method."""
         sensor = sensor_of(self.summary, query.sensor, query.scene_id)
-        return self.predictor(with_predicted_masks(query, self.scale, sensor, self.weights), geometry)
+        return self.predictor(with_predicted_masks(query, self.scale, sensor), geometry)
 
 
-def with_predicted_masks(
-    query: Query, scale: float = 1.0, sensor: AnySensor | None = None, weights: Path = WEIGHTS
-) -> Query:
+def with_predicted_masks(query: Query, scale: float = 1.0, sensor: AnySensor | None = None) -> Query:
     """The query with masks from its depth image alone. Its pivot says which instance is the part: the nearest one.
 
     sensor: facts about it, where its name does not tell.
-    weights: folder of the networks for noisy images.
     """
-    restorer, finder = (None, None) if query.sensor == "ideal" else mask_networks(weights)
-    labels = segmented(query.view, sensor or query.sensor, scale, restorer, finder).copy()
+    seen_by = sensor or query.sensor
+    restorer, finder = mask_networks() if needs_restoring(seen_by) else (None, None)
+    labels = segmented(query.view, seen_by, scale, restorer, finder).copy()
     own = FIRST_PART_LABEL + query.part
     pivots = part_pivots(query.view, labels)
     if pivots:
@@ -68,14 +63,14 @@ def with_predicted_masks(
     return replace(query, read_image=lambda: image)
 
 
-@lru_cache(maxsize=2)
-def mask_networks(folder: Path = WEIGHTS) -> tuple[Restorer, PartFinder]:
-    """The networks of MASKS_WEIGHTS in a folder."""
+@lru_cache(maxsize=1)
+def mask_networks() -> tuple[Restorer, PartFinder]:
+    """The networks of MASKS_WEIGHTS."""
     from kit1000.perception.restoration.restorer import Restorer
     from kit1000.perception.segmentation.part_finder import PartFinder
 
     restoration, parts = MASKS_WEIGHTS
-    return Restorer(folder / restoration), PartFinder(folder / parts)
+    return Restorer(WEIGHTS / restoration), PartFinder(WEIGHTS / parts)
 
 
 def _around_pivot(query: Query) -> np.ndarray:

@@ -22,6 +22,7 @@ MOST_PLATES = 12  # that are told apart: the sums are over all sets of them
 APART = 0.03  # [m] between the middles of cavities in different plates
 RIGHT = {
     "ideal": (2.95e-3, 0.29e-3),
+    "photoneo": (3.2e-3, 0.4e-3),
     "d415": (4.6e-3, 1.1e-3),
     "restored": (3.9e-3, 0.6e-3),
 }

@@ -22,16 +22,20 @@ class Curve(NamedTuple):
 
 CURVES = {
     ("depth", "ideal"): Curve(3.5e-3, 0.7e-3, 0.5),
+    ("depth", "photoneo"): Curve(3.5e-3, 0.7e-3, 0.5),
     ("depth", "d415"): Curve(10.2e-3, 6.5e-3, 0.5),
-    ("depth", "restored"): Curve(1.52e-3, 0.366e-3, 0.1),
+    ("depth", "restored"): Curve(0.9e-3, 0.29e-3, 0.1),
     ("columns", "ideal"): Curve(6.0e-3, 1.4e-3),
+    ("columns", "photoneo"): Curve(6.0e-3, 1.4e-3),
     ("columns", "d415"): Curve(-6.8e-3, 7.1e-3),
     ("truth", "ideal"): Curve(5.5e-3, 0.4e-3),
+    ("truth", "photoneo"): Curve(5.5e-3, 0.4e-3),
     ("truth", "d415"): Curve(5.5e-3, 0.4e-3),
 }
 """Curves by source and kind of image. Those of depth are fitted to 210 snaps of parts that are turned over (train) and
-100 places (val) on ideal images, to 73 snaps and 47 places (val) on d415, both with completed parts, and to 593 snaps
-and 391 places (train and val) on images of the d415 that a network restored. The others are fitted to the split val."""
+100 places (val) on ideal images, whose curve a scanner has too, to 73 snaps and 47 places (val) on the d415 of data
+1.0.0, both with completed parts, and to 110 snaps (val) on images of the d415 that a network restored. The others are
+fitted to the split val."""
 
 
 def confidence(doubt: float, lead: float, source: str, kind: str) -> float:

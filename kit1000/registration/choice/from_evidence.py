@@ -78,7 +78,7 @@ D415 = Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 4e-3, 0.0, 0.3, 1.0, Residuals
 """Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls, and what is surely solid or
 free is hardly surer than what a network fills."""
 RESTORED = D415._replace(doubt=Residuals(0.0, 1.0, 0.0, 0.3, 0.0, 0.0), hidden=1e-3)
-REFINEMENTS = {"ideal": EXACT, "d415": D415, "restored": RESTORED}
+REFINEMENTS = {"ideal": EXACT, "photoneo": EXACT, "d415": D415, "restored": RESTORED}
 """Refinement of each kind of image: its sensor, or restored where a network restored it."""
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kit1000.perception.restoration import calibrated_image, restored_edges
-from kit1000.perception.sensor_facts import AnySensor
+from kit1000.perception.sensor_facts import AnySensor, needs_restoring
 from kit1000.registration.geometry.observed_cavity import Cavity
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 
@@ -37,7 +37,7 @@ class SharedImage:
 
     def restored(self, label: int) -> LabelledDepth:
         """Calibrated, the edges of the kits and of the part of a label where they are."""
-        if self.restorer is None:
+        if self.restorer is None or not needs_restoring(self.sensor):
             return self._by_rules
         if self._kits is None:
             image = self.restorer(self.measured, self.sensor, (ASSEMBLY_LABEL, label))

@@ -13,9 +13,8 @@ from baselines.training.curve import curve
 from baselines.training.shipping import ship, whole_log
 from benchmark.protocol import read_protocol
 from kit1000.errors import InputError
+from kit1000.generation.plan import DATA_VERSION
 from kit1000.perception.networks.weight_files import LARGEST, load_weights, save_weights
-from kit1000.perception.segmentation.predicted_masks import MASKS_WEIGHTS
-from kit1000.weights import MEASURED
 from kit1000.weights import WEIGHTS as LIBRARY_WEIGHTS
 from tests.samples.checkout import ROOT
 
@@ -90,15 +89,10 @@ def test_shipped_weights_name_their_origin(name: str) -> None:
     assert info["log"][-1]["step"] <= info["train"]["steps"]
 
 
-def test_weights_of_the_measured_sensor_are_trained_on_it_and_used() -> None:
-    method = all_methods()["registration-measured"]
-    used = {path for path in method.weights.values() if path.parent == MEASURED}
-    used |= {method.mask_weights / name for name in MASKS_WEIGHTS}
-    assert {path.with_suffix("") for path in MEASURED.glob("*.safetensors")} == used
-    for path in used:
-        _, info = load_weights(path)
-        assert (info["about"]["name"], info["about"]["preset"]) == (path.name, "measured")
-        assert len(info["commit"]) == 40
+@pytest.mark.parametrize("name", ["completion-d415", "restoration", "restoration-unmasked", "segmentation"])
+def test_networks_for_noisy_images_learned_from_the_sensors_of_the_data(name: str) -> None:
+    _, info = load_weights(LIBRARY_WEIGHTS / name)
+    assert info["about"]["network"]["sensor_model"] == int(DATA_VERSION.partition(".")[0])
 
 
 @pytest.mark.parametrize("name", DRAWN)
@@ -110,7 +104,7 @@ def test_learning_curves_in_the_docs_are_those_of_the_logs(name: str) -> None:
 def test_every_method_has_its_weights_and_none_are_unused() -> None:
     assert {path.name for method in all_methods().values() for path in method.weights.values()} <= set(SHIPPED)
     paths = [path for method in all_methods().values() for path in method.weights.values()]
-    assert all(path.parent == weights_folder(path.name) for path in paths if path.parent != MEASURED)
+    assert all(path.parent == weights_folder(path.name) for path in paths)
     files = {path.stem for folder in FOLDERS for path in folder.glob("*.safetensors")}
     assert files == set(SHIPPED) <= set(all_networks())
     assert LARGEST == 16 * 2**20

@@ -71,7 +71,7 @@ def queries(mini: Path) -> dict[str, Query]:
     return {query.sensor: query for query in scene.queries}
 
 
-@pytest.mark.parametrize(("sensor", "near"), [("ideal", 1e-3), ("d415", 3e-3)])
+@pytest.mark.parametrize(("sensor", "near"), [("ideal", 1e-3), ("d415", 4e-3)])
 def test_the_kits_of_a_scene_are_completed_near_their_true_surface(
     mini: Path, queries: dict[str, Query], sensor: str, near: float
 ) -> None:

@@ -12,7 +12,6 @@ import torch
 from torch import Tensor
 
 from baselines.training.tasks.kit_completion.views import Example, KitViews, example_of, mirrored, plane_of
-from baselines.training.tasks.restoration.views import recorded_image
 from baselines.training.validation import drawn_targets
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.completion.kits.network import (
@@ -75,10 +74,7 @@ class KitCompletionTask:
         assembly = self.dataset.geometry.assembly(truth.assembly_id)
         mount = next(mount for mount in assembly.mounts if mount.kit.id == truth.part_id)
         pose = truth.world_from_kit
-        if key.sensor == "ideal" or self.training.sensor_model == 1:
-            image = calibrated_image(scene.labelled_depth(key.sensor), key.sensor)
-        else:
-            image = recorded_image(scene, self.training.sensor_model)
+        image = calibrated_image(scene.labelled_depth(key.sensor), key.sensor)
         restored = self.training.restorer(image, key.sensor, (ASSEMBLY_LABEL,))
         relief = seen_relief(restored, plane_of(pose), pose.xyz, noise_of(key.sensor, restored=True))
         return example_of(relief, assembly, pose @ mount.assembly_from_kit.inverse(), mount)
@@ -117,6 +113,5 @@ def kit_completion_task(
         drawn_share=config.drawn_share,
         stretched_share=config.stretched_share,
         restorer=Restorer(restoration),
-        sensor_model=config.sensor_model,
     )
     return KitCompletionTask(views, dataset, "val", model), config

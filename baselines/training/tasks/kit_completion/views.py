@@ -34,7 +34,7 @@ from kit1000.sim.layout import KITS_CENTRE, MAX_KITS_SHIFT, table
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, Assembly, Kit, LabelledDepth, Mount, View
 
-D415_SHARE = {1: 0.25, 2: 0.6}  # of the views by sensor model: measured by the d415, the others ideal
+D415_SHARE = 0.6  # of the views: measured by the d415, the others ideal
 LEAST_COSINE = 0.25  # of the polar angle of a camera: of flatter plates hardly anything is seen
 JITTER = 12e-3  # [m] most along x and y, of the middle of a relief from that of its plate
 PLANE_ERRORS = {"ideal": (1e-3, 3e-5), "d415": (6e-3, 3e-4)}
@@ -61,8 +61,6 @@ class KitViews:
     """Share of the views with the kit that is shown stretched."""
     restorer: Restorer
     """Restorer of the images of the d415."""
-    sensor_model: int = 1
-    """See `noisy_images.noisy_view`."""
     _kept: dict[int, Example] = field(default_factory=dict, repr=False, compare=False)
     _kits: dict[int, Kit] = field(default_factory=dict, repr=False, compare=False)
 
@@ -78,13 +76,13 @@ class KitViews:
 
     def _view(self, rng: np.random.Generator) -> Example:
         """A view of a plate, its assembly anywhere on the kits' half of the table, at any yaw."""
-        sensor = "d415" if rng.random() < D415_SHARE[self.sensor_model] else "ideal"
+        sensor = "d415" if rng.random() < D415_SHARE else "ideal"
         assembly, mount = self._shown(rng)
         shift = KITS_CENTRE + rng.uniform(-MAX_KITS_SHIFT, MAX_KITS_SHIFT, 2)
         world_from_assembly = Pose.from_rotvec((0.0, 0.0, rng.uniform(0, 2 * np.pi)), (*shift, 0.0))
         plane, middle = _near(world_from_assembly @ mount.assembly_from_kit, sensor, rng)
         camera, noise = _camera_before(plane, middle, rng), rng if sensor == "d415" else None
-        image = _image(assembly, world_from_assembly, plane, middle, camera, noise, self.sensor_model)
+        image = _image(assembly, world_from_assembly, plane, middle, camera, noise)
         restored = self.restorer(image, sensor, (ASSEMBLY_LABEL,))
         relief = seen_relief(restored, plane, middle, noise_of(sensor, restored=True))
         return example_of(relief, assembly, world_from_assembly, mount)
@@ -159,11 +157,10 @@ def _image(
     middle: np.ndarray,
     world_from_camera: Pose,
     noise: np.random.Generator | None,
-    sensor_model: int,
 ) -> LabelledDepth:
     """The depth image of an assembly on the table, as much of it as shows a relief about a middle.
 
-    noise: of the calibrated d415 of a sensor model; None for ideal depth.
+    noise: of the calibrated d415; None for ideal depth.
     """
     around = relief_grid(away_frame(plane, middle, world_from_camera.xyz))
     rows, columns = pixel_box(around, CAMERA, world_from_camera, BORDER)
@@ -174,4 +171,4 @@ def _image(
     rendered = render(camera, world_from_camera, bodies, threads=1)
     labels = np.where(rendered.body_ids == 2, ASSEMBLY_LABEL, 0).astype(np.uint8)
     view = View(camera, world_from_camera, rendered.depth)
-    return LabelledDepth(view if noise is None else noisy_view(view, noise, sensor_model), labels)
+    return LabelledDepth(view if noise is None else noisy_view(view, noise), labels)

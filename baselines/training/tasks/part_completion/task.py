@@ -12,7 +12,6 @@ from torch import Tensor
 
 from baselines.training.tasks.part_completion.sampled_parts import DrawnParts
 from baselines.training.tasks.part_completion.views import DrawnViews, Example, example_of
-from baselines.training.tasks.restoration.views import recorded_image
 from baselines.training.validation import drawn_targets
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
@@ -65,10 +64,7 @@ class CompletionTask:
 
     def _example(self, key: Key) -> Example:
         scene = self.dataset.split(self.split, truth=True).scene(key.scene_id)
-        if key.sensor == "ideal" or self.training.sensor_model == 1:
-            image = calibrated_image(scene.labelled_depth(key.sensor), key.sensor)
-        else:
-            image = recorded_image(scene, self.training.sensor_model)
+        image = calibrated_image(scene.labelled_depth(key.sensor), key.sensor)
         mesh, pose = scene.bodies()[2 + key.part]
         label = FIRST_PART_LABEL + key.part
         part = framed(image, label, scale=scale_of(image, label))
@@ -110,4 +106,4 @@ def completion_task(dataset: Dataset, preset: str, **changes: Any) -> tuple[Comp
     config = replace(COMPLETION[preset], **changes)
     parts = DrawnParts(config.parts_seed, config.parts, user_cache("drawn-parts"))
     model = CompletionNet(config).to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-    return CompletionTask(DrawnViews(parts, config.d415_share, config.sensor_model), dataset, "val", model), config
+    return CompletionTask(DrawnViews(parts, config.d415_share), dataset, "val", model), config

@@ -39,15 +39,13 @@ class DrawnViews:
     parts: DrawnParts
     d415_share: float
     """Share of the examples that the d415 measures."""
-    sensor_model: int = 1
-    """See `noisy_images.noisy_view`."""
 
     def example(self, rng: np.random.Generator) -> Example:
         """Evidence and truth of a view, see `example_of`."""
         noisy, neighboured = rng.random() < self.d415_share, rng.random() < NEIGHBOURED_SHARE
         for _ in range(MAX_DRAWS):
             bodies = self._bodies(rng, int(rng.integers(1, MOST_NEIGHBOURS + 1)) if neighboured else 0)
-            image = _image(bodies, draw_primary_pose(rng, neighboured), rng if noisy else None, self.sensor_model)
+            image = _image(bodies, draw_primary_pose(rng, neighboured), rng if noisy else None)
             if np.count_nonzero(image.labels == FIRST_PART_LABEL) >= LEAST_PIXELS:
                 part = framed(image, FIRST_PART_LABEL, flat=noisy)
                 if part is not None:
@@ -98,12 +96,10 @@ def example_of(part: FramedPart, mesh: Mesh, world_from_part: Pose, mirrored: bo
     return {"codes": packed(part.codes[:, sides]), "camera": part.camera, "solid": packed(solid[:, sides])}
 
 
-def _image(
-    bodies: list[Body], world_from_camera: Pose, noise: np.random.Generator | None, sensor_model: int
-) -> LabelledDepth:
+def _image(bodies: list[Body], world_from_camera: Pose, noise: np.random.Generator | None) -> LabelledDepth:
     """The depth image of bodies on the table, as much of it as the first one needs.
 
-    noise: of the calibrated d415 of a sensor model; None for ideal depth.
+    noise: of the calibrated d415; None for ideal depth.
     """
     pose = bodies[0][1]
     around = grid_at(float(pose.xyz[0]), float(pose.xyz[1]), 0.0)
@@ -117,4 +113,4 @@ def _image(
     frame = render(camera, world_from_camera, [(table(), Pose.identity()), *bodies], threads=1)
     labels = np.where(frame.body_ids > 1, frame.body_ids - 2 + FIRST_PART_LABEL, 0).astype(np.uint8)
     view = View(camera, world_from_camera, frame.depth)
-    return LabelledDepth(view if noise is None else noisy_view(view, noise, sensor_model), labels)
+    return LabelledDepth(view if noise is None else noisy_view(view, noise), labels)

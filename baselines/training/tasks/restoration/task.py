@@ -30,8 +30,7 @@ class RestorationTask(CropTask[SceneViews]):
         """About the slot of the drawn target; without masks, about the part."""
         scene = self.dataset.split(self.split, truth=True).scene(scene_id)
         target = next(query for query in scene.queries if query.drawn)
-        views = self.training
-        image, whole = recorded_example(self.dataset, self.split, scene_id, views.labelled, views.sensor_model)
+        image, whole = recorded_example(self.dataset, self.split, scene_id, self.training.labelled)
         slot = scene.truth_of(target.id).world_from_kit.xyz
         return Recorded(image.view, slot if self.training.labelled else target.pivot, whole)
 
@@ -80,7 +79,6 @@ def restoration_task(dataset: Dataset, preset: str, labelled: bool = True) -> tu
         scenes=scenes,
         seed=config.views_seed,
         count=config.views,
-        sensor_model=config.sensor_model,
         labelled=config.labelled,
     )
     return RestorationTask(views, dataset, "val", model), config

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zlib
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -42,8 +41,6 @@ class ViewCrops(ABC):
     seed: int
     count: int
     """Number of views."""
-    sensor_model: int = 1
-    """See `noisy_images.noisy_view`."""
     _kept: dict[int, list[Example]] = field(default_factory=dict, repr=False, compare=False)
 
     def __len__(self) -> int:
@@ -72,39 +69,33 @@ class SceneViews(ViewCrops):
 
     def crops(self, rng: np.random.Generator) -> list[Example]:
         """About pixels of the kits and of parts."""
-        image, depth = fresh_image(self.dataset, self.scenes, rng, self.sensor_model)
+        image, depth = fresh_image(self.dataset, self.scenes, rng)
         whole = example_of(image, depth, self.labelled)
         places = [body_pixel(image.labels, KITS_SHARE[self.labelled], rng) for _ in range(CROPS)]
         return [cropped_evidence(whole, box_about(*place)) for place in places]
 
 
-def fresh_image(
-    dataset: Dataset, scenes: Sequence[str], rng: np.random.Generator, sensor_model: int = 1
-) -> tuple[LabelledDepth, np.ndarray]:
+def fresh_image(dataset: Dataset, scenes: Sequence[str], rng: np.random.Generator) -> tuple[LabelledDepth, np.ndarray]:
     """One of some scenes of the train split as the calibrated d415 sees it from a new place; (H, W) [m] true depths."""
     scene = dataset.split("train", truth=True).scene(scenes[int(rng.integers(len(scenes)))])
     pose = draw_primary_pose(rng, crowded=bool(rng.random() < CROWDED_SHARE))
     frame = render(CAMERA, pose, scene.bodies(), threads=1)
     labels = np.where(frame.body_ids > 1, frame.body_ids - 2 + ASSEMBLY_LABEL, 0).astype(np.uint8)
-    return LabelledDepth(noisy_view(View(CAMERA, pose, frame.depth), rng, sensor_model), labels), frame.depth
+    return LabelledDepth(noisy_view(View(CAMERA, pose, frame.depth), rng), labels), frame.depth
 
 
 def recorded_example(
-    dataset: Dataset, split: str, scene_id: str, labelled: bool = True, sensor_model: int = 1
+    dataset: Dataset, split: str, scene_id: str, labelled: bool = True
 ) -> tuple[LabelledDepth, Example]:
     """The calibrated image of a recorded scene, and all of its evidence and truth."""
     scene = dataset.split(split, truth=True).scene(scene_id)
-    image = recorded_image(scene, sensor_model)
+    image = recorded_image(scene)
     return image, example_of(image, scene.labelled_depth("ideal").view.depth, labelled)
 
 
-def recorded_image(scene: RecordedScene, sensor_model: int = 1) -> LabelledDepth:
-    """The image of a recorded scene, calibrated; of sensor model 2 the ideal one, measured anew."""
-    if sensor_model == 1:
-        return calibrated_image(scene.labelled_depth(SENSOR), SENSOR)
-    ideal = scene.labelled_depth("ideal")
-    rng = stream(zlib.crc32(scene.id.encode()), "recorded", sensor_model)
-    return LabelledDepth(noisy_view(ideal.view, rng, sensor_model), ideal.labels)
+def recorded_image(scene: RecordedScene) -> LabelledDepth:
+    """The image of a recorded scene, calibrated."""
+    return calibrated_image(scene.labelled_depth(SENSOR), SENSOR)
 
 
 def example_of(image: LabelledDepth, depth: np.ndarray, labelled: bool = True) -> Example:

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from baselines.training.tasks.restoration.crop_task import CropTask, Recorded
-from baselines.training.tasks.restoration.views import SENSOR, recorded_image
+from baselines.training.tasks.restoration.views import SENSOR
 from baselines.training.tasks.segmentation.views import PartViews, recorded_example
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration.restorer import Restorer
@@ -29,8 +29,7 @@ class CentresTask(CropTask[PartViews]):
         """About the drawn part."""
         scene = self.dataset.split(self.split).scene(scene_id)
         pivot = next(query for query in scene.queries if query.drawn).pivot
-        model = self.training.sensor_model
-        image = scene.labelled_depth(SENSOR) if model == 1 else recorded_image(scene, model)
+        image = scene.labelled_depth(SENSOR)
         return Recorded(image.view, pivot, recorded_example(image, self.training.restorer))
 
     def loss(self, batch: Batch) -> Tensor:
@@ -70,7 +69,6 @@ def centres_task(dataset: Dataset, preset: str, restoration: Path) -> tuple[Cent
         scenes=scenes,
         seed=config.views_seed,
         count=config.views,
-        sensor_model=config.sensor_model,
         restorer=restorer,
     )
     return CentresTask(views, dataset, "val", model), config

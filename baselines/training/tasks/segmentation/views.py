@@ -34,7 +34,7 @@ class PartViews(ViewCrops):
 
     def crops(self, rng: np.random.Generator) -> list[Example]:
         """About pixels of parts, and some of the kits."""
-        image, _ = fresh_image(self.dataset, self.scenes, rng, self.sensor_model)
+        image, _ = fresh_image(self.dataset, self.scenes, rng)
         whole = _example(image.labels, image.view, self.restorer.without_masks(image.view, SENSOR))
         return [cropped_evidence(whole, box_about(*body_pixel(image.labels, KITS_SHARE, rng))) for _ in range(CROPS)]
 

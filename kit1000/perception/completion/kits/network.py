@@ -39,21 +39,21 @@ class KitCompletionConfig:
     views_seed: int = 2034
     """Seed of views and kits."""
     sensor_model: int = 1
-    """Sensor model of the training examples: 1 the d415 of data 1.0.0, 2 as measured."""
+    """Data version of the sensors that made the training examples: 1 or 2; training makes those of 2."""
 
 
 KIT_COMPLETION = {
-    "small": KitCompletionConfig(),
+    "small": KitCompletionConfig(sensor_model=2),
     "pretraining": KitCompletionConfig(
-        views=12_000, drawn_share=0.75, drawn_kits=3000, stretched_share=0.0, views_seed=2032
+        views=12_000, drawn_share=0.75, drawn_kits=3000, stretched_share=0.0, views_seed=2032, sensor_model=2
     ),
     "pretraining-2": KitCompletionConfig(
-        views=10_000, drawn_share=0.25, drawn_kits=600, stretched_share=0.0, views_seed=2033
+        views=10_000, drawn_share=0.25, drawn_kits=600, stretched_share=0.0, views_seed=2033, sensor_model=2
     ),
     "measured": KitCompletionConfig(views_seed=2052, sensor_model=2),
 }
 """Runs, each from the weights of the one before: `pretraining` sees more kinds of kits than those of datasets,
-`pretraining-2` mostly theirs, `small` fresh and stretched ones of both, `measured` these with noise as measured."""
+`pretraining-2` mostly theirs, `small` and `measured` fresh and stretched ones of both."""
 
 
 class KitCompletionNet(UNet):

@@ -36,12 +36,12 @@ class CompletionConfig:
     d415_share: float = 0.35
     """Share of the training examples that the d415 measures; the others are ideal."""
     sensor_model: int = 1
-    """Sensor model of the training examples: 1 the d415 of data 1.0.0, 2 as measured."""
+    """Data version of the sensors that made the training examples: 1 or 2; training makes those of 2."""
 
 
 COMPLETION = {
-    "small": CompletionConfig(parts_seed=2027, d415_share=0.0),
-    "pretraining": CompletionConfig(),
+    "small": CompletionConfig(parts_seed=2027, d415_share=0.0, sensor_model=2),
+    "pretraining": CompletionConfig(sensor_model=2),
     "measured": CompletionConfig(parts_seed=2051, sensor_model=2),
 }
 """`small` starts from the weights of `pretraining`, `measured` of noisy parts from those of `small`."""

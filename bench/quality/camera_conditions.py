@@ -1,0 +1,219 @@
+"""How many parts a method seats under other conditions of the camera: sensor, frames, distance, clearance.
+
+    python bench/quality/camera_conditions.py data/kit1000 --limit 40 --out results/camera-conditions.json
+    python bench/quality/camera_conditions.py data/kit1000 --clearances data/wide data/wider
+
+One factor at a time differs from the base: one frame of the d415 from where the scene's own camera stands. Images are
+measured anew, always the same. For another distance the scene is rendered again: the camera keeps its direction and
+looks at the middle between the part and its goal, which for this the truth shows. Methods get masks and a calibrated
+image as ever, and no truth. A part or goal outside the image leaves a query out, so n differs between distances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import tyro
+
+from benchmark.measurements import Column, Measurement, Table, rate
+from kit1000.camera import look_at
+from kit1000.dataset.reader import Dataset, RecordedScene
+from kit1000.engines import local_engine
+from kit1000.errors import InputError, Kit1000Error
+from kit1000.metrics import Targets, pose_errors, seatings
+from kit1000.pose import Pose
+from kit1000.prediction.making import make_predictor, method_of
+from kit1000.queries.pivots import part_pivots
+from kit1000.rng import stream
+from kit1000.sim.cameras import CAMERA, in_view
+from kit1000.sim.render import render
+from kit1000.sim.sensors import sense
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, Truth, View
+
+SURE = 0.8  # confidence from which on a fit counts as sure
+LEAST_PIXELS = 200  # of a part in an image that is rendered again
+
+
+class Condition(NamedTuple):
+    """What the camera is and does."""
+
+    sensor: str = "d415"
+    frames: int = 1
+    distance: float | None = None
+    """[m] from the middle between part and goal; None: as recorded."""
+
+    @property
+    def name(self) -> str:
+        """Words for a table."""
+        frames = "" if self.sensor == "ideal" else f", {self.frames} frame{'s' if self.frames > 1 else ''}"
+        return f"{self.sensor}{frames}" + (f", {self.distance} m" if self.distance else "")
+
+
+BASE = Condition()
+CONDITIONS = (
+    BASE,
+    *(BASE._replace(frames=frames) for frames in (10, 30)),
+    *(BASE._replace(distance=distance) for distance in (0.45, 0.6, 0.8)),
+    Condition("d415", 30, 0.45),
+    Condition("photoneo"),
+    Condition("ideal"),
+)
+
+
+class Answer(NamedTuple):
+    """What a method did with a query, and the truth about it."""
+
+    motion: Pose
+    confidence: float
+    truth: Truth
+
+
+@dataclass(frozen=True)
+class CameraConditions:
+    """Predict for queries under several conditions of the camera, and print the shares of parts seated."""
+
+    data: tyro.conf.Positional[Path]
+    """Dataset folder, with ground truth and ideal images."""
+    clearances: tuple[Path, ...] = ()
+    """Folders of datasets with other clearances: the base condition is measured on them too."""
+    conditions: tuple[str, ...] = ()
+    """Names of conditions, such as "d415, 10 frames"; all when empty."""
+    method: str = "registration-completed"
+    """Name in the library's catalog, or module:Object."""
+    track: str = "snap-d415"
+    """The track whose queries are taken: their parts and guesses."""
+    split: Literal["test", "val", "train"] = "test"
+    limit: int = 40
+    """Most queries of a condition, spread evenly over the split."""
+    workers: int = 1
+    out: Path | None = None
+    """JSON file for the table, such as results/camera-conditions.json."""
+
+
+COLUMNS = (
+    Column("condition", "condition"),
+    Column("clearance", "clearance, mm", 1),
+    Column("n", "n"),
+    Column("seated", "seated, %", 1, True),
+    Column("position", "position, median mm", 2),
+    Column("rotation", "rotation, median °", 2),
+    Column("sure", f"confidence {SURE} or more"),
+    Column("sure_seated", "seated of these"),
+)
+
+
+def main(options: CameraConditions) -> None:
+    """Predict, measure, print."""
+    chosen = conditions_named(options.conditions)
+    measurement = Measurement.begin(Dataset(options.data))
+    title = f"{options.method} under conditions of the camera, queries of {options.track} of {options.split}"
+    table = measurement.table("seated", title, *COLUMNS)
+    with local_engine(options.workers) as spread:
+        for data, condition in [*((options.data, each) for each in chosen), *((d, BASE) for d in options.clearances)]:
+            _add(table, Dataset(data), condition, _answers(options, data, condition, spread))
+    measurement.report(options.out)
+
+
+def conditions_named(names: Sequence[str]) -> tuple[Condition, ...]:
+    """The conditions with some names; all when there are none."""
+    known = {condition.name: condition for condition in CONDITIONS}
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise InputError(f"condition {unknown[0]!r}: expected one of {'; '.join(known)}")
+    return tuple(known[name] for name in names) or CONDITIONS
+
+
+def _answers(options: CameraConditions, data: Path, condition: Condition, spread: Any) -> list[Answer]:
+    """The method's answers under a condition."""
+    split = Dataset(data).split(options.split, truth=True)
+    queries = [query for query in split.queries() if query.track == options.track]
+    if not queries:
+        raise InputError(f"{data}: split {options.split} has no query of {options.track}")
+    count = min(options.limit, len(queries))
+    jobs = [(queries[k].scene_id, queries[k].id) for k in (i * len(queries) // count for i in range(count))]
+    answers = [each for each in spread(partial(_answer, options, data, condition), jobs) if each is not None]
+    if not answers:
+        raise InputError(f"{condition.name}: no part and goal of {count} queries are in view")
+    return answers
+
+
+def _add(table: Table, dataset: Dataset, condition: Condition, answers: Sequence[Answer]) -> None:
+    """Add the row of a condition."""
+    motions, truths = Pose.stack([each.motion for each in answers]), [each.truth for each in answers]
+    errors = pose_errors(motions, Targets.of(truths, lambda part: dataset.geometry.part(part).mesh.vertices))
+    seated = seatings(motions, truths, dataset.geometry).seated
+    sure = np.array([each.confidence for each in answers]) >= SURE
+    table.add(
+        condition=condition.name,
+        clearance=1e3 * float(dataset.summary["config"]["clearance"]),
+        n=len(answers),
+        seated=rate(seated),
+        position=1e3 * float(np.median(errors.position)),
+        rotation=float(np.degrees(np.median(errors.rotation))),
+        sure=int(sure.sum()),
+        sure_seated=int((sure & seated).sum()),
+    )
+
+
+def _answer(options: CameraConditions, data: Path, condition: Condition, job: tuple[str, str]) -> Answer | None:
+    """The method's answer to a query under a condition; None where its part or its goal is out of view."""
+    scene_id, query_id = job
+    dataset, predictor = _made(data, options.method)
+    scene = dataset.split(options.split, truth=True).scene(scene_id)
+    query, truth = next(query for query in scene.queries if query.id == query_id), scene.truth_of(query_id)
+    ideal = scene.labelled_depth("ideal")
+    if condition.distance is not None:
+        nearer = rendered_from(scene, query, truth, condition.distance)
+        if nearer is None:
+            return None
+        ideal = nearer
+    predicted = predictor(asked_again(query, ideal, condition), None)
+    return Answer(predicted.goal_from_now, float(predicted.confidence), truth)
+
+
+def rendered_from(scene: RecordedScene, query: Query, truth: Truth, distance: float) -> LabelledDepth | None:
+    """The ideal image of a scene from a distance [m]; None where the query's part or goal is out of view."""
+    recorded = scene.labelled_depth("ideal").view.world_from_camera
+    middle = (truth.anchor + truth.goal_drawn.apply(truth.anchor)) / 2
+    backward = recorded.rotate((0.0, 0.0, -1.0))
+    pose = look_at(middle + distance * backward, middle)
+    bodies = scene.bodies()
+    mesh, world_from_part = bodies[FIRST_PART_LABEL + query.part]
+    points = world_from_part.apply(mesh.vertices)
+    if not in_view(CAMERA, pose, np.concatenate([points, truth.goal_drawn.apply(points)])):
+        return None
+    image = render(CAMERA, pose, bodies, threads=1)
+    labels = np.maximum(image.body_ids - 1, 0).astype(np.uint8)  # nothing and table both become 0
+    if np.count_nonzero(labels == FIRST_PART_LABEL + query.part) < LEAST_PIXELS:
+        return None
+    return LabelledDepth(View(CAMERA, pose, image.depth), labels)
+
+
+def asked_again(query: Query, ideal: LabelledDepth, condition: Condition) -> Query:
+    """A query about the image that a sensor measures of an ideal one; always the same."""
+    view = ideal.view
+    if condition.sensor != "ideal":
+        rng = stream(0, "camera-conditions", condition.sensor, query.scene_id)
+        view = sense(condition.sensor, view, rng, condition.frames)
+    image = LabelledDepth(view, ideal.labels)
+    pivot = part_pivots(view, ideal.labels).get(query.part, query.pivot)
+    return replace(query, sensor=condition.sensor, pivot=pivot, read_image=lambda: image)
+
+
+@cache
+def _made(data: Path, name: str) -> tuple[Dataset, Any]:
+    """A dataset and the predictor of a method."""
+    dataset = Dataset(data)
+    return dataset, make_predictor(method_of(name), dataset, 0)
+
+
+if __name__ == "__main__":
+    try:
+        main(tyro.cli(CameraConditions))
+    except Kit1000Error as error:
+        raise SystemExit(f"camera_conditions: {error}") from error
