@@ -99,16 +99,17 @@ def test_the_wheel_imports_an_image_and_predicts_for_it(folder: Path, kit1000: C
 
 def check_moves(folder: Path, data: str) -> None:
     """Confirm a part as the page does when it is edited and ended, and read moves.json by the lines of the docs."""
-    done = subprocess.run(
-        [folder.parent / "env/bin/python", "-c", CONFIRM, data], cwd=folder, capture_output=True, text=True
-    )
+    place = folder / "confirmed"
+    place.mkdir()
+    confirm = [folder.parent / "env/bin/python", "-c", CONFIRM, str(folder / data)]
+    done = subprocess.run(confirm, cwd=place, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     where = Path(done.stdout.split()[0])
     assert where.is_relative_to(folder.parent / "env"), "the wheel, not the checkout"
-    assert (folder / "edits/predictions.csv").read_text("utf-8").count("-p0-") == 2  # of both tracks
+    assert (place / "edits/predictions.csv").read_text("utf-8").count("-p0-") == 2  # of both tracks
     page = (ROOT / "docs/reference/moves.md").read_text("utf-8")
     (lines,) = re.findall(r"^```py\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
-    read = subprocess.run([sys.executable, "-c", lines], cwd=folder, capture_output=True, text=True)
+    read = subprocess.run([sys.executable, "-c", lines], cwd=place, capture_output=True, text=True)
     assert read.returncode == 0, read.stderr
     rows = [line.split() for line in read.stdout.splitlines()]
     assert [row[:3] for row in rows] == [["test-s0000", "0", name] for name in ("pick", "hover", "seated")]
