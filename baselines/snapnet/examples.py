@@ -24,13 +24,12 @@ from kit1000.perception.completion.parts.completed import PartCompleter
 from kit1000.pose import Pose, unit_vector
 from kit1000.queries.guesses import draw_ball_error, draw_goal, draw_tilt_error
 from kit1000.queries.motions import apply_error, goal_motion, goal_pose
-from kit1000.queries.tracks import TRACKS
+from kit1000.queries.tracks import TRACKS, Sensor
 from kit1000.rng import stream
 from kit1000.values import FreeAxis, Query, Truth
 
 Guesses = Literal["ball", "tilt", "place"]
 """Errors of the guess: about any axis, about level axes; place: no guess."""
-Sensor = Literal["ideal", "d415", "photoneo"]
 Example = dict[str, np.ndarray]
 
 TRACK_OF = {"ball": "snap", "tilt": "snap-tilt", "place": "place"}

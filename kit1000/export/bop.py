@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 import numpy as np
 from PIL import Image
@@ -23,14 +23,14 @@ from kit1000.export.new_folder import new_folder
 from kit1000.files import json_bytes
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
-from kit1000.queries.tracks import SPLITS
+from kit1000.queries.tracks import SPLITS, Sensor
 from kit1000.sim.render import render
 from kit1000.symmetry import Symmetry
 
 if TYPE_CHECKING:
     from kit1000.dataset.reader import Dataset, RecordedScene
 
-SENSORS = ("ideal", "d415", "photoneo")
+SENSORS: tuple[str, ...] = get_args(Sensor)
 DEPTH_SCALE = 0.1  # [mm] of one step of a depth image; the largest depth is 6.55 m
 MAX_STEPS = np.iinfo(np.uint16).max
 DELTA = 5.0  # [mm] that a visible surface may be behind the measured one

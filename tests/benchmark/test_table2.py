@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -86,6 +85,26 @@ def test_fewer_scenes_are_the_first_ones(mini: Path, shifted: Path, robot: None)
     assert row.possible == 0
 
 
+def manifest(dataset: Dataset, track: str, masks: Literal["given", "predicted"]) -> Manifest:
+    """Of a submission that answers one track."""
+    return Manifest(
+        method="mine",
+        authors=("us",),
+        description="motions",
+        date="2026-01-01",
+        dataset_id=dataset.id,
+        tracks=(track,),
+        learned=False,
+        uses_true_geometry=False,
+        masks=masks,
+    )
+
+
+def without_seal(scene: RecordedScene, motions: Mapping[int, Pose]) -> SceneRun:
+    """What becomes of a scene where the robot seals on no part."""
+    return SceneRun(scene.id, tuple(PartRun(part, NO_SEAL, "") for part in motions), (), (), Pose.identity())
+
+
 def test_the_robot_finds_parts_by_predicted_masks_where_the_manifest_states_them(
     mini: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -93,24 +112,14 @@ def test_the_robot_finds_parts_by_predicted_masks_where_the_manifest_states_them
 
     def run_scene(scene: RecordedScene, motions: Mapping[int, Pose], sensor: str, seed: int, images: Any) -> SceneRun:
         seen.append((scene.id, images))
-        return SceneRun(scene.id, tuple(PartRun(part, NO_SEAL, "") for part in motions), (), (), Pose.identity())
+        return without_seal(scene, motions)
 
     monkeypatch.setattr(table2, "run_scene", run_scene)
     dataset = Dataset(mini)
     queries = list(dataset.split(SPLIT).queries("snap"))
     rows = [Prediction(query.id, dataset.truth_of(query).goal_drawn, 0.5, 1.0) for query in queries]
-    stated = Manifest(
-        method="mine",
-        authors=("us",),
-        description="true motions",
-        date="2026-01-01",
-        dataset_id=dataset.id,
-        tracks=("snap",),
-        learned=False,
-        uses_true_geometry=False,
-    )
-    for masks in ("given", "predicted"):
-        write_submission(tmp_path / masks, replace(stated, masks=masks), rows)
+    write_submission(tmp_path / "given", manifest(dataset, "snap", "given"), rows)
+    write_submission(tmp_path / "predicted", manifest(dataset, "snap", "predicted"), rows)
     folders = {masks: tmp_path / masks for masks in ("given", "predicted")}
     found = []
 
@@ -137,27 +146,10 @@ def test_masks_are_found_by_the_facts_of_the_sensor(
             (root / path.name).symlink_to(path)
     summary = json.loads((mini / "dataset.json").read_text("utf-8"))
     (root / "dataset.json").write_text(json.dumps(summary | {"sensors": {"d415": facts.as_row()}}))
-    monkeypatch.setattr(
-        table2,
-        "run_scene",
-        lambda scene, motions, *_: SceneRun(
-            scene.id, tuple(PartRun(part, NO_SEAL, "") for part in motions), (), (), Pose.identity()
-        ),
-    )
+    monkeypatch.setattr(table2, "run_scene", lambda scene, motions, *_: without_seal(scene, motions))
     dataset = Dataset(root)
     rows = [Prediction(q.id, Pose.identity(), 0.5, 1.0) for q in dataset.split(SPLIT).queries("snap-d415")]
-    stated = Manifest(
-        method="registration-completed+predicted-masks",
-        authors=("us",),
-        description="none",
-        date="2026-01-01",
-        dataset_id=dataset.id,
-        tracks=("snap-d415",),
-        learned=True,
-        uses_true_geometry=False,
-        masks="predicted",
-    )
-    write_submission(tmp_path / "found", stated, rows)
+    write_submission(tmp_path / "found", manifest(dataset, "snap-d415", "predicted"), rows)
     given: list[AnySensor] = []
 
     def find(query: Query, scale: float, sensor: AnySensor) -> Query:

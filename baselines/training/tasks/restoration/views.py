@@ -11,7 +11,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from baselines.training.tasks.noisy_images import noisy_view
-from kit1000.dataset.reader import Dataset, RecordedScene
+from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration.disparity import Box, above_table, cropped_evidence, evidence, unlabelled_evidence
 from kit1000.perception.restoration.rules import calibrated_image, closed_gaps
 from kit1000.rng import stream
@@ -89,13 +89,8 @@ def recorded_example(
 ) -> tuple[LabelledDepth, Example]:
     """The calibrated image of a recorded scene, and all of its evidence and truth."""
     scene = dataset.split(split, truth=True).scene(scene_id)
-    image = recorded_image(scene)
+    image = calibrated_image(scene.labelled_depth(SENSOR), SENSOR)
     return image, example_of(image, scene.labelled_depth("ideal").view.depth, labelled)
-
-
-def recorded_image(scene: RecordedScene) -> LabelledDepth:
-    """The image of a recorded scene, calibrated."""
-    return calibrated_image(scene.labelled_depth(SENSOR), SENSOR)
 
 
 def example_of(image: LabelledDepth, depth: np.ndarray, labelled: bool = True) -> Example:
