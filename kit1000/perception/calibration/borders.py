@@ -17,7 +17,7 @@ from kit1000.values import View
 
 REACH = 10  # [px] on either side of where a border is expected
 LEAST = 20  # pixels of a border
-BORDER_SPREAD = 1.0  # [px] standard deviation of a whole border: shadows, holes and bent planes move it, not one pixel
+BORDER_SPREAD = 0.1  # [px] standard deviation of a whole border: bodies beside it and dropouts move it, not one pixel
 DROPOUT_QUANTILE = 0.9  # dropouts move a border inward only, so it lies where the outermost pixels are
 TOLERANCE = 1.0  # [px] from the border, of the pixels that enter
 ROUNDS = 4  # of the choice of pixels
