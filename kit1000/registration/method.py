@@ -157,6 +157,7 @@ class Registration:
             measured=None if kind == "ideal" else image.measured,
             others=() if self.cameras == "primary" else self.views.of(query),
             restored=kind == "restored",
+            gain=image.gain,
             cavities=image.cavities,
         )
 

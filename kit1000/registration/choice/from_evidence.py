@@ -12,6 +12,7 @@ from kit1000.pose import Pose
 from kit1000.registration.choice.fits import STIFFNESS, Fit, ranked, same_pose
 from kit1000.registration.geometry.expected_relief import outline_misfit
 from kit1000.registration.inputs.volume_sources import DepthSource
+from kit1000.registration.refinement.image_residuals import refine_in_image
 from kit1000.registration.refinement.interval_residuals import Intervals, refine_within
 from kit1000.registration.refinement.levenberg_marquardt import SCALES
 from kit1000.registration.search.candidates import find_candidates, within_guess_error
@@ -25,6 +26,7 @@ REFINED, REFINED_WITHOUT_GUESS = 4, 6  # candidates of all plates that are refin
 COARSE_WEIGHT = 1e-3  # [m] of the coarse misfit beside contradictions: over unseen cells nothing contradicts
 UNSEEN_CHOICE, UNSEEN_MISFIT = 0.3e-3, 0.4e-3  # [m] added for a face that the part's volume does not have
 MOST_TRIED = 40  # candidates that are refined while no fit is good; fewer of large parts
+IN_IMAGE = 3  # best fits that are refined in a noisy image
 FURTHER_MISFIT = 0.4e-3  # [m] added for those beyond the first: the image contradicts them more
 SPARE = 3  # further candidates that are refined once in place of those that end in an earlier one's pose
 CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
@@ -71,14 +73,18 @@ class Refinement(NamedTuple):
     """Weights in the doubt: how sure a fit is tells another sum than which of the fits is the best."""
     hidden: float
     """[m] added to the doubt of a part whose whole outline is hidden, in proportion to the hidden share."""
+    noise_px: float = 0.0
+    """[px] of disparity, of the robust scale with which the best fits are refined in the image; 0: they are not."""
 
 
 EXACT = Refinement((SCALES[:3], SCALES[2:]), 2.6e-3, float(np.radians(8)), 0.1, 0.1, MISFIT, 0.0)
-D415 = Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 4e-3, 0.0, 0.3, 1.0, Residuals(0.0, 1.0, 1.0, 1.0, 5.0, 1.0), 0.0)
+NOISY_DOUBT = Residuals(0.0, 1.0, 1.0, 1.0, 5.0, 1.0)
+D415 = Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 4e-3, 0.0, 0.3, 1.0, NOISY_DOUBT, 0.0, noise_px=1.0)
 """Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls, and what is surely solid or
 free is hardly surer than what a network fills."""
-RESTORED = D415._replace(doubt=Residuals(0.0, 1.0, 0.0, 0.3, 0.0, 0.0), hidden=1e-3)
-REFINEMENTS = {"ideal": EXACT, "photoneo": EXACT, "d415": D415, "restored": RESTORED}
+RESTORED = D415._replace(doubt=Residuals(0.0, 1.0, 0.0, 0.3, 0.0, 0.0), hidden=1e-3, noise_px=0.6)
+SCANNED = EXACT._replace(noise_px=1.2)
+REFINEMENTS = {"ideal": EXACT, "photoneo": SCANNED, "d415": D415, "restored": RESTORED}
 """Refinement of each kind of image: its sensor, or restored where a network restored it."""
 
 
@@ -89,7 +95,7 @@ def register_certain(source: DepthSource, query: Query, clearance: float, furthe
         source: of part and kits.
         query: its guess, if any, bounds the search.
         clearance: [m]
-        further: whether further candidates are refined while the best fit is doubtful.
+        further: whether further candidates are refined while the best fit is doubtful, and the best fits in the image.
 
     Returns:
         The fits; none of a part that is too large to search.
@@ -101,7 +107,8 @@ def register_certain(source: DepthSource, query: Query, clearance: float, furthe
     found = find_candidates(source, source.evidence.filled, query, clearance, thorough=True)
     distinct = without_duplicates(found, source.middle, DISTINCT if guessed else DISTINCT_WITHOUT_GUESS)
     fits = search.fits(search.least_contradictory(distinct), REFINED if guessed else REFINED_WITHOUT_GUESS)
-    return ranked(fit for fit in fits if within_guess_error(fit.goal_from_now, query))
+    best = ranked(fit for fit in fits if within_guess_error(fit.goal_from_now, query))
+    return [search.in_image(fit) if k < IN_IMAGE else fit for k, fit in enumerate(best)] if further else best
 
 
 class EvidenceSearch:
@@ -167,6 +174,16 @@ class EvidenceSearch:
         if self.refinement.hidden:
             doubt += self.refinement.hidden * self.source.hidden_outline
         return Fit(goal_from_now, left.weighted(MISFIT), doubt, candidate)
+
+    def in_image(self, fit: Fit) -> Fit:
+        """A fit, moved in its plate to where a noisy image shows the cavity; its misfit stays."""
+        if not self.refinement.noise_px:
+            return fit
+        image, filled = self.source.query.image, self.source.evidence.filled
+        gain = self.source.gain / self.refinement.noise_px
+        pose = refine_in_image(image, gain, filled, self.source.middle, fit.candidate, self.clearance)
+        moved = replace(fit.candidate, plate_from_now=pose)
+        return replace(fit, goal_from_now=moved.cavity.world_from_plate @ pose, candidate=moved)
 
     def _residuals(self, candidate: Candidate, intervals: Intervals) -> Residuals:
         """Residuals of a refined candidate, without the outline's."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kit1000.perception.restoration import calibrated_image, restored_edges
-from kit1000.perception.sensor_facts import AnySensor, needs_restoring
+from kit1000.perception.sensor_facts import AnySensor, model_of, needs_restoring
 from kit1000.registration.geometry.observed_cavity import Cavity
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 
@@ -29,6 +29,11 @@ class SharedImage:
     """See `Source.cavities`."""
     _kits: View | None = field(default=None, init=False)
     """With restored kits, once any part was asked for."""
+
+    @property
+    def gain(self) -> float:
+        """[px m] disparity times depth; 0 of an exact image."""
+        return self.recorded.view.camera.fx * model_of(self.sensor).baseline
 
     @cached_property
     def measured(self) -> LabelledDepth:

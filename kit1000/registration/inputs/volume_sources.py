@@ -123,6 +123,8 @@ class DepthSource:
     """Images of further cameras, with the labels of the query's."""
     restored: bool = False
     """Whether a network restored the image of a noisy sensor."""
+    gain: float = 0.0
+    """[px m] disparity times depth, of a noisy image."""
     cavities: dict[float, list[Cavity]] = field(default_factory=dict, kw_only=True)
     """See `Source.cavities`; shared by the parts of an image."""
 

@@ -19,7 +19,6 @@ SCALES = (4e-3, 2e-3, 1e-3, 0.5e-3)  # [m] of the Geman-McClure weights, from fa
 STEPS = 6  # of Levenberg-Marquardt at each scale
 LEVER = 0.02  # [m] a tilt moves the edge of a part by about its angle times this
 DIFFERENCES = np.array([1e-3, 1e-3, 1e-3, 5e-5, 5e-5, 5e-5])  # [rad, m] of the numerical derivatives
-NEIGHBOURS = np.concatenate([np.zeros((1, 6)), np.diag(DIFFERENCES), -np.diag(DIFFERENCES)])  # of a twist, and itself
 METRIC = np.array([LEVER, LEVER, LEVER, 1, 1, 1]) ** 2
 
 
@@ -47,10 +46,22 @@ class LeastSquares(Protocol):
         ...
 
 
-def descend(problem: LeastSquares, twist: np.ndarray, scales: Sequence[float] = SCALES) -> np.ndarray:
-    """(6,) the twist of the nearest minimum that is found. scales: [m] of the weights, one after the other."""
+def descend(
+    problem: LeastSquares,
+    twist: np.ndarray,
+    scales: Sequence[float] = SCALES,
+    differences: np.ndarray = DIFFERENCES,
+) -> np.ndarray:
+    """(6,) the twist of the nearest minimum that is found.
+
+    Args:
+        problem: of residuals in some unit.
+        twist: (6,) where it starts.
+        scales: of the weights in that unit, one after the other.
+        differences: (6,) of the numerical derivatives.
+    """
     for scale in scales:
-        twist = _levenberg(problem, twist, scale)
+        twist = _levenberg(problem, twist, scale, differences)
     return twist
 
 
@@ -66,14 +77,15 @@ def pose_at(twist: np.ndarray, rotation: Pose, pivot: np.ndarray) -> Pose:
     return Pose(refined.wxyz, twist[3:] - refined.rotate(pivot))
 
 
-def _levenberg(problem: LeastSquares, twist: np.ndarray, scale: float) -> np.ndarray:
+def _levenberg(problem: LeastSquares, twist: np.ndarray, scale: float, differences: np.ndarray) -> np.ndarray:
     """(6,) Rodrigues vector and position of the pivot, after some steps at one scale of the weights."""
-    damping = 1e-3
+    damping, aside = 1e-3, np.diag(differences)
+    neighbours = np.concatenate([np.zeros((1, 6)), aside, -aside])  # of a twist, and itself
     for _ in range(STEPS):
         floors = problem.floors_at(twist)
-        residuals, *beside = problem.residuals(twist + NEIGHBOURS, floors)
+        residuals, *beside = problem.residuals(twist + neighbours, floors)
         cost = _cost(residuals, problem.priors, scale)
-        jacobian = (np.stack(beside[:6], axis=1) - np.stack(beside[6:], axis=1)) / (2 * DIFFERENCES)
+        jacobian = (np.stack(beside[:6], axis=1) - np.stack(beside[6:], axis=1)) / (2 * differences)
         weights = (scale**2 / (scale**2 + residuals**2)) ** 2
         weights[-problem.priors :] = 1
         weighted = (jacobian * weights[:, None]).T

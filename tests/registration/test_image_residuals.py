@@ -1,0 +1,115 @@
+"""Refinement in the image: rendered cavities are those of the renderer, and a fit goes to where the image shows it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from kit1000.camera import Camera, look_at
+from kit1000.pose import Pose
+from kit1000.registration.refinement.image_residuals import refine_in_image
+from kit1000.registration.search.correlation import Candidate
+from kit1000.sim.render import render
+from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
+from kit1000.voxels import Volume
+from tests.samples.registration_cases import CASES, CLEARANCE, WORLD_FROM_KIT, Case, case
+from tests.samples.shapes import seated
+
+CAMERA = Camera(width=320, height=260, fx=900.0, fy=900.0, cx=159.5, cy=129.5)
+AWAY = 0.7  # [m]
+NOISE = 0.3  # [px]
+GAIN = CAMERA.fx * 0.055 / NOISE
+MM = 1e3
+
+
+@cache
+def image_of(name: str, polar_deg: float = 35.0, noise_px: float = 0.0) -> LabelledDepth:
+    """The kit of a case from an angle to its plate's normal, with white noise of its disparities."""
+    middle = WORLD_FROM_KIT.xyz
+    aside = WORLD_FROM_KIT.rotate((np.sin(np.radians(polar_deg)), 0.0, np.cos(np.radians(polar_deg))))
+    pose = look_at(middle + AWAY * aside, middle)
+    seen = render(CAMERA, pose, [(seated(CASES[name]()).kit().mesh, WORLD_FROM_KIT)], 1)
+    gain = CAMERA.fx * 0.055
+    drawn = noise_px * np.random.default_rng(7).standard_normal(seen.depth.shape)
+    disparity = gain / np.where(seen.depth > 0, seen.depth, np.inf) + drawn
+    depth = np.where(seen.depth > 0, gain / np.maximum(disparity, 1.0), 0.0).astype(np.float32)
+    return LabelledDepth(View(CAMERA, pose, depth), np.where(seen.body_ids == 1, ASSEMBLY_LABEL, 0).astype(np.uint8))
+
+
+def moved(known: Case, x_mm: float, y_mm: float, yaw_deg: float) -> Candidate:
+    """The goal, moved and rotated in the plate about the part's pivot."""
+    at_goal = known.candidate(known.goal)
+    pivot = at_goal.plate_from_now.apply(known.pivot)
+    yaw = Pose.from_rotvec((0, 0, np.radians(yaw_deg)))
+    there = Pose.from_translation(pivot + np.array([x_mm, y_mm, 0.0]) / MM) @ yaw @ Pose.from_translation(-pivot)
+    return replace(at_goal, plate_from_now=there @ at_goal.plate_from_now)
+
+
+def refined(name: str, image: LabelledDepth, candidate: Candidate) -> tuple[float, float]:
+    """[mm] at the pivot and [degrees] from the goal."""
+    known = case(name)
+    return known.error_of(refine_in_image(image, GAIN, known.part, known.pivot, candidate, CLEARANCE))
+
+
+@pytest.mark.parametrize("polar_deg", [0.0, 25.0, 45.0])
+@pytest.mark.parametrize("name", CASES)
+def test_the_goal_stays(name: str, polar_deg: float) -> None:
+    far, angle = refined(name, image_of(name, polar_deg), moved(case(name), 0, 0, 0))
+    assert far < 0.4
+    assert angle < 1.0
+
+
+@settings(max_examples=10)
+@given(
+    name=st.sampled_from(sorted(CASES)),
+    angle=st.floats(0, 2 * np.pi),
+    yaw_deg=st.floats(-4, 4),
+    noise_px=st.sampled_from((0.0, NOISE)),
+)
+def test_a_fit_goes_to_where_the_image_shows_it(name: str, angle: float, yaw_deg: float, noise_px: float) -> None:
+    start = moved(case(name), 2 * np.cos(angle), 2 * np.sin(angle), yaw_deg)
+    far, off = refined(name, image_of(name, 35.0, noise_px), start)
+    assert far < 0.9  # of 2 mm
+    assert off < 2.0
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_face_that_is_off_is_no_matter_of_the_place(name: str) -> None:
+    image = image_of(name)
+    gain, depth = CAMERA.fx * 0.055, image.view.depth
+    bent = np.where(depth > 0, gain / (gain / np.maximum(depth, 0.1) + 0.2 + 1e-3 * np.arange(CAMERA.width)), 0)
+    view = replace(image.view, depth=bent.astype(np.float32))
+    far, _ = refined(name, LabelledDepth(view, image.labels), moved(case(name), 1.5, -1.0, 2.0))
+    assert far < 0.7
+
+
+def test_the_world_may_be_elsewhere() -> None:
+    known, image, start = case("an L"), image_of("an L"), moved(case("an L"), 1.0, 1.0, 2.0)
+    here = refine_in_image(image, GAIN, known.part, known.pivot, start, CLEARANCE)
+    move = Pose.from_rotvec((0.3, -0.2, 0.7), (0.1, 0.2, -0.3))
+    view = replace(image.view, world_from_camera=move @ image.view.world_from_camera)
+    grid = replace(known.part.grid, world_from_grid=move @ known.part.grid.world_from_grid)
+    cavity = replace(start.cavity, world_from_plate=move @ start.cavity.world_from_plate)
+    there = replace(start, cavity=cavity, plate_from_now=start.plate_from_now @ move.inverse())
+    part, pivot = Volume(grid, known.part.values), move.apply(known.pivot)
+    found = refine_in_image(LabelledDepth(view, image.labels), GAIN, part, pivot, there, CLEARANCE)
+    np.testing.assert_allclose((found @ move).matrix(), here.matrix(), atol=2e-5)
+
+
+@pytest.mark.parametrize("what", ["no kit", "no return", "elsewhere"])
+def test_without_the_plate_in_the_image_a_fit_stays(what: str) -> None:
+    known, image, start = case("an L"), image_of("an L"), moved(case("an L"), 1.0, 0.0, 0.0)
+    if what == "no kit":
+        image = LabelledDepth(image.view, np.zeros_like(image.labels))
+    elif what == "no return":
+        image = LabelledDepth(replace(image.view, depth=np.zeros_like(image.view.depth)), image.labels)
+    else:
+        away = Pose.from_translation((2.0, 0.0, 0.0)) @ image.view.world_from_camera
+        image = LabelledDepth(replace(image.view, world_from_camera=away), image.labels)
+    stays = refine_in_image(image, GAIN, known.part, known.pivot, start, CLEARANCE)
+    np.testing.assert_array_equal(stays.matrix(), start.plate_from_now.matrix())
