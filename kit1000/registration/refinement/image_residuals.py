@@ -201,4 +201,3 @@ def _height_at(relief, cells, x, y):
     near = (1 - b) * relief[i, j] + b * relief[i, j + 1]
     far = (1 - b) * relief[i + 1, j] + b * relief[i + 1, j + 1]
     return (1 - a) * near + a * far
-
