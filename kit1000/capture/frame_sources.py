@@ -37,7 +37,10 @@ def read_groups(sources: Sequence[Path], selection: Selection) -> list[list[Dept
 
             groups.append(read_recording(found, selection))
             continue
-        frames = read_depth_files(_image_file(source))
+        image = _image_file(source)
+        if selection.topic is not None or selection.first:
+            raise InputError(f"{image}: an image, of which --topic and --first choose nothing: they are of recordings")
+        frames = read_depth_files(image)
         if len(frames) > 1:
             groups.append(frames)
         else:

@@ -6,6 +6,7 @@ explains the image, and who confirmed it. Truth is written from confirmed record
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -21,6 +22,7 @@ from kit1000.pose import Pose
 
 FORMAT = "kit1000-label/1"
 FOLDER = LABELS
+FILES = ("shapes", "kit", "part")  # keys of a source that are paths, in a file relative to the dataset's folder
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +116,7 @@ def write_record(root: Path, record: LabelRecord) -> Path:
         "format": FORMAT,
         "scene_id": record.scene_id,
         "view": record.view,
-        "shapes": record.source,
+        "shapes": {key: _relative(value, root) if key in FILES else value for key, value in record.source.items()},
         "scale": record.scale,
         "scale_spread": record.scale_spread,
         "bodies": [_body_row(body) for body in record.bodies],
@@ -133,9 +135,15 @@ def read_record(root: Path, scene_id: str) -> LabelRecord:
     try:
         bodies = tuple(map(_body_of, row["bodies"]))
         numbers = float(row["scale"]), float(row["scale_spread"])
-        return LabelRecord(row["scene_id"], row["view"], dict(row["shapes"]), *numbers, bodies)
+        shapes = {key: str((root / v).resolve()) if key in FILES else v for key, v in row["shapes"].items()}
+        return LabelRecord(row["scene_id"], row["view"], shapes, *numbers, bodies)
     except (KeyError, TypeError, ValueError, InputError) as error:
         raise InputError(f"{path}: damaged ({type(error).__name__}: {error}): label the scene again") from error
+
+
+def _relative(path: str, root: Path) -> str:
+    """A path from a folder: records are published, and whose home it is says nothing."""
+    return Path(os.path.relpath(Path(path).resolve(), root.resolve())).as_posix()
 
 
 def _body_row(body: LabelledBody) -> Row:

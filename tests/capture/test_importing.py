@@ -141,6 +141,8 @@ WRONG = {  # by what is typed: facts of the answer
     "{image} {good} --clearance-mm 0": "--clearance-mm|0.05 to 100",
     "{image} {good} --frames 0": "--frames",
     "{image} {good} --frames 2": "--frames 2|groups of 2",
+    "{image} {good} --topic /depth": "--topic|an image|recordings",
+    "{image} {good} --first 3": "--first|an image|recordings",
     "{image} {good} --depth-scale -1": "--depth-scale",
     "{image} {good} --depth-scale 0.01": "median depth|--depth-scale 0.001",
     "{image} {good} --kit 7": "--kit 7|3 bodies",

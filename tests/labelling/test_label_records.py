@@ -12,7 +12,7 @@ from kit1000.errors import InputError
 from kit1000.labelling.label_records import LabelRecord, confirmed, read_record, record_path, write_record
 from tests.samples.labelled_scenes import SCENE, sample_scene, true_record
 
-SOURCE = {"shapes": "prints", "assembly": "bracket"}
+SOURCE = {"shapes": "/prints", "assembly": "bracket"}
 
 
 def same(a: LabelRecord, b: LabelRecord) -> bool:
@@ -29,6 +29,16 @@ def test_a_record_is_read_as_it_was_written(tmp_path: Path) -> None:
     record = true_record(sample_scene(), SOURCE, "A. Person")
     assert write_record(tmp_path, record) == record_path(tmp_path, SCENE)
     assert same(read_record(tmp_path, SCENE), record)
+
+
+def test_a_record_names_shapes_from_its_folder_and_moves_with_them(tmp_path: Path) -> None:
+    before, after = tmp_path / "before", tmp_path / "after"
+    source = {"kit": str(before / "print/kit.stl"), "part": str(before / "print/part.stl"), "clearance": 1e-3}
+    path = write_record(before / "scenes", true_record(sample_scene(), source, "A. Person"))
+    assert str(tmp_path) not in path.read_text()  # whose home it is says nothing
+    before.rename(after)
+    moved = source | {name: str(after / f"print/{name}.stl") for name in ("kit", "part")}
+    assert read_record(after / "scenes", SCENE).source == moved
 
 
 def test_a_person_confirms_all_the_sure_or_some() -> None:
