@@ -138,6 +138,7 @@ pictures: $(DEV) ## draw the pictures of the README and the docs
 	$(BIN)/python docs/pictures/sensors.py
 	$(BIN)/python docs/pictures/robot.py
 	$(BIN)/python docs/pictures/curves.py
+	$(BIN)/python docs/pictures/cameras.py
 
 lock: $(DEV) ## pin in requirements/ what pyproject.toml asks for; UPGRADE=1 renews all versions
 	$(PIP) install uv

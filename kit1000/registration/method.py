@@ -154,7 +154,7 @@ class Registration:
         return DepthSource(
             query,
             self.completer(query.sensor),
-            measured=None if kind == "ideal" else image.measured,
+            measured=image.measured if needs_restoring(query.sensor) else None,
             others=() if self.cameras == "primary" else self.views.of(query),
             restored=kind == "restored",
             gain=image.gain,

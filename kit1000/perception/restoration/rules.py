@@ -4,7 +4,8 @@ Nothing is learned and no truth is read: the table is part of the specification 
 to edges is part of its own (docs/reference/sensors.md). An ideal image stays as it is.
 
 1. Camera pose and depth scale are corrected by the table, whose pixels are put on its plane (`perception.calibration`).
-2. Pixels of a body without a return are shadows of the second imager: they take the farther depth of their row.
+2. Pixels of a body without a return are shadows of the second imager: they take the farther depth of their row. On
+   kits in a scanner's image they stay.
 3. A near surface that was fattened over a far one is cut back by about the mean extension. The far surface is continued
    parallel to the table.
 """
@@ -21,7 +22,7 @@ from kit1000.perception.calibration import calibrated_by, flattened, unbent
 from kit1000.perception.sensor_facts import AnySensor, model_of, needs_restoring, table_is_simulated
 from kit1000.sim.sensors import Sensor
 from kit1000.sim.stereo import EDGE_STEP
-from kit1000.values import LabelledDepth, Query, View
+from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, Query, View
 
 GAP = 20  # [px] the widest that is closed
 EXTENSION = 0.55  # of the largest extension of an edge: there the rims of cavities have the least bias, on train
@@ -54,21 +55,25 @@ def restored_edges(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
     """A calibrated image with its table on its plane and the edges where they should be; the same one if ideal."""
     if sensor == "ideal":
         return image
-    closed = closed_gaps(image, table_is_simulated(sensor))
+    closed = closed_gaps(image, table_is_simulated(sensor), kits=needs_restoring(sensor))
     depth, ground = closed.view.depth.copy(), ground_inverse_depth(closed.view)
     for box, mask in _bodies(image.labels):
         _cut_back(depth[box], mask, ground[box], closed.view.camera.fx, model_of(sensor))
     return LabelledDepth(replace(closed.view, depth=depth), image.labels)
 
 
-def closed_gaps(image: LabelledDepth, simulated: bool = True) -> LabelledDepth:
+def closed_gaps(image: LabelledDepth, simulated: bool = True, kits: bool = True) -> LabelledDepth:
     """A calibrated image with its table on its plane, and narrow shadows on bodies filled from beside.
 
-    simulated: whether the table is that of generated scenes.
+    Args:
+        image: calibrated.
+        simulated: whether the table is that of generated scenes.
+        kits: whether those on kits are filled too: on a tilted floor a depth from beside is off by millimetres, and
+            where edges are sharp, what is unknown does less harm.
     """
     view = flattened(image.view, image.labels, simulated)
     depth = view.depth.copy()
-    for box, mask in _bodies(image.labels):
+    for box, mask in _bodies(image.labels if kits else np.where(image.labels == ASSEMBLY_LABEL, 0, image.labels)):
         close_gaps(depth[box], mask)
     return LabelledDepth(replace(view, depth=depth), image.labels)
 

@@ -118,7 +118,7 @@ class DepthSource:
     completer: PartCompleter | None = None
     """The network that completes the part; None fills columns."""
     measured: LabelledDepth | None = None
-    """The calibrated image of a noisy sensor before its edges were restored, which the network reads."""
+    """The calibrated image of a sensor whose edges were restored, as it was before, which the network reads."""
     others: tuple[LabelledDepth, ...] = ()
     """Images of further cameras, with the labels of the query's."""
     restored: bool = False
