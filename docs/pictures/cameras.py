@@ -1,6 +1,6 @@
 """The picture of what a camera seats: a line for each condition of results/camera-conditions.json, the best first.
 
-    python docs/pictures/cameras.py
+python docs/pictures/cameras.py
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ def picture(rows: list[dict[str, Any]]) -> str:
     """An SVG file of the rows of the table."""
     dots = sorted(map(_dot, rows), key=lambda dot: -(dot.value or 0.0))
     description = "Share of parts seated under conditions of the camera, with intervals of 95 %."
-    return standalone([[dot_plot("Which camera for which clearance", description, dots, Axis("parts seated, %", 100.0))]])
+    return standalone(
+        [[dot_plot("Which camera for which clearance", description, dots, Axis("parts seated, %", 100.0))]]
+    )
 
 
 def _dot(row: dict[str, Any]) -> Dot:

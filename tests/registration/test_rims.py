@@ -19,15 +19,21 @@ HALF = np.array([20e-3, 15e-3])  # [m] of the cavity
 SIDE, NOISE = 0.12, 0.5e-3
 
 
-def plate_seen_from(polar_deg: float) -> Volume:
-    """A plate with its face at z = 0 and a cavity 15 mm deep, seen from x < 0 at an angle from its normal."""
+def plate_seen_from(polar_deg: float, dark: bool = False) -> Volume:
+    """A plate with its face at z = 0 and a cavity 15 mm deep, seen from x < 0 at an angle from its normal.
+
+    dark: whether nothing below the face returns.
+    """
     plate = mesh_from_solid(
         box(90, 90, 22, (0, 0, -22)) - box(2e3 * HALF[0], 2e3 * HALF[1], 15.001, (0, 0, -15))
     ).scaled(MM)
     polar = np.radians(polar_deg)
     pose = look_at((-0.7 * np.sin(polar), 0.0, 0.7 * np.cos(polar)), (0, 0, 0))
     image = render(CAMERA, pose, [(plate, Pose.identity())], 1)
-    return tsdf(plate_grid(Pose.identity(), SIDE), View(CAMERA, pose, image.depth), image.body_ids == 1, threads=1)
+    v, u = np.indices(image.depth.shape)
+    points = pose.apply(CAMERA.unproject_pixels(np.stack([u, v], -1), image.depth))
+    depth = np.where((points[..., 2] < -1e-4) & dark, 0, image.depth)
+    return tsdf(plate_grid(Pose.identity(), SIDE), View(CAMERA, pose, depth), image.body_ids == 1, threads=1)
 
 
 @pytest.mark.parametrize("polar_deg", [25, 45, 60])
@@ -42,6 +48,21 @@ def test_the_rims_of_a_cavity_lie_where_its_plate_ends(polar_deg: float) -> None
     for sign in (-1, 1):
         side = rims[(sign * rims[:, 1] > 0.8 * HALF[1]) & (np.abs(rims[:, 0]) < 0.7 * HALF[0])]
         assert abs(np.median(side[:, 1]) - sign * HALF[1]) < 0.75 * VOXEL
+
+
+@pytest.mark.parametrize("polar_deg", [5, 30])
+def test_a_cavity_without_any_return_is_found_where_there_may_be_one(polar_deg: float) -> None:
+    volume = plate_seen_from(polar_deg, dark=True)
+    assert find_cavity(volume, Pose.identity(), NOISE) is None
+    cavity = find_cavity(volume, Pose.identity(), NOISE, dark=True)
+    assert cavity is not None
+    assert cavity.region.sum() * VOXEL**2 == pytest.approx(4 * HALF.prod(), rel=0.15)
+    assert cavity.depth < 2 * CUT  # unknown: the part's height tells it
+    seen = plate_seen_from(polar_deg)
+    known, same = (find_cavity(seen, Pose.identity(), NOISE, dark=dark) for dark in (False, True))
+    assert known is not None
+    assert same is not None
+    np.testing.assert_array_equal(known.region, same.region)  # where a floor is seen nothing changes
 
 
 def test_an_oblique_face_is_seen() -> None:

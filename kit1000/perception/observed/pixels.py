@@ -28,11 +28,13 @@ class Noise(NamedTuple):
     """[rad] from upright or level, within which a face of a part is taken to be so."""
     bent: bool = False
     """Whether rims may be farther off than `distance`."""
+    dark: bool = False
+    """Whether a whole cavity may be without a return, in the shadow of its rim."""
 
 
 IDEAL = Noise(0.5e-3, float(np.radians(4)), 3)
 SENSOR = Noise(2e-3, float(np.radians(8)), 7, float(np.radians(6)))
-SCANNER = Noise(1e-3, float(np.radians(6)), 5, float(np.radians(6)))
+SCANNER = Noise(1e-3, float(np.radians(6)), 5, float(np.radians(6)), dark=True)
 RESTORED = Noise(1.2e-3, float(np.radians(6)), 5, float(np.radians(6)), bent=True)
 """Noise of an image of SENSOR that a network restored."""
 

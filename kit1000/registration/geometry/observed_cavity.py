@@ -19,6 +19,7 @@ RIM = 1e-3  # [m] below the rim, where points are left out: the plate's face is 
 UNDER = 1e-3  # [m] below the floor, beyond which points are of another face: the plate's lower face is 2 mm away
 JUMP = 0.5  # of the truncated distance from one voxel down to the next: 2.5 mm where a level surface gives 1 mm
 SPECK = 12e-6  # [m^2] a smaller hole is noise
+DARK = 3e-3  # [m] below the face, down to which a hole without any return is taken as free
 CRACK = 3  # cells across a hole in a deeper cut, which must be wider: noise opens cracks to the outside
 
 
@@ -54,7 +55,9 @@ def plate_grid(world_from_plate: Pose, side: float) -> Grid:
     return Grid((n, n, layers), VOXEL, world_from_plate @ first)
 
 
-def find_cavity(volume: Volume, world_from_plate: Pose, noise: float, deeper: float = 1.0) -> Cavity | None:
+def find_cavity(
+    volume: Volume, world_from_plate: Pose, noise: float, deeper: float = 1.0, dark: bool = False
+) -> Cavity | None:
     """The cavity in the volume of a plate on its `plate_grid`; None where there is none.
 
     Args:
@@ -63,6 +66,8 @@ def find_cavity(volume: Volume, world_from_plate: Pose, noise: float, deeper: fl
         noise: [m] largest distance of points on the plate's face from its plane.
         deeper: by which the depth of the cut is multiplied, where the face is farther from its plane than noise says;
             there cracks are closed as well.
+        dark: whether a hole in which nothing was observed is a cavity, where there is no other; its depth is unknown,
+            and given as that of the cut.
     """
     cut = deeper * max(CUT, 1.25 * noise)
     relief, free = heights_from_above(volume)
@@ -70,7 +75,10 @@ def find_cavity(volume: Volume, world_from_plate: Pose, noise: float, deeper: fl
     region = _region(relief, free, cut, deeper > 1)
     bottom = relief[region & (relief < -cut)]
     if len(bottom) * VOXEL**2 < SPECK:
-        return None
+        region = _enclosed(np.isnan(relief), np.isnan(relief)) if dark else np.zeros_like(face)
+        free, bottom = np.where(region, -DARK, free), np.full(np.count_nonzero(region), -cut)
+        if not region.any():
+            return None
     depth = -float(np.percentile(bottom, 3))
     points = world_from_plate.inverse().apply(surface_points(volume))
     i, j = cells_at(points, len(relief))

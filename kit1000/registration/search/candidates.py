@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kit1000.numerics.linear_algebra import matmul
+from kit1000.perception.observed.pixels import Noise
 from kit1000.perception.observed.plates import find_planes, plane_frame, without_nested
 from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET
@@ -115,7 +116,7 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
     noise, small = source.noise, list[Cavity]()
     for wide in (side, WIDER * side):
         cuts = (1.0, *DEEPER) if noise.bent or wide > side else (1.0,)
-        found = [_cavity(source.plate(plate_grid(frame, wide)), frame, noise.distance, cuts) for frame in frames]
+        found = [_cavity(source.plate(plate_grid(frame, wide)), frame, noise, cuts) for frame in frames]
         cavities = [cavity for cavity in found if cavity is not None]
         large = [cavity for cavity in cavities if _holds_a_part(cavity)]
         if large:
@@ -124,11 +125,11 @@ def find_cavities(source: Source, query: Query, side: float = SIDE, nested: bool
     return small
 
 
-def _cavity(volume: Volume, world_from_plate: Pose, noise: float, cuts: Sequence[float]) -> Cavity | None:
+def _cavity(volume: Volume, world_from_plate: Pose, noise: Noise, cuts: Sequence[float]) -> Cavity | None:
     """The first cavity that holds a part, by deeper and deeper cuts; where none does, the first."""
     first = None
     for deeper in cuts:
-        cavity = find_cavity(volume, world_from_plate, noise, deeper)
+        cavity = find_cavity(volume, world_from_plate, noise.distance, deeper, noise.dark)
         if _holds_a_part(cavity):
             return cavity
         first = first or cavity
