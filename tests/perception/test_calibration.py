@@ -176,7 +176,9 @@ def test_the_plane_moves_with_a_level_motion_of_the_world_and_the_outline_does_n
     assert difference.angle() < 1e-7
     here = calibrated(moved, corner.labels).world_from_camera
     assert ((motion @ alone).inverse() @ here).angle() > np.radians(0.03)
-    assert abs(errors(replace(wrong, world_from_camera=here), corner.view)[1][2]) < 0.01
+    position, rotvec = errors(replace(wrong, world_from_camera=here), corner.view)
+    assert abs(rotvec[2]) < 0.05  # of 0.2: the prior holds a part of it
+    assert np.linalg.norm(position) < 1  # of 2 mm
 
 
 def test_flat_puts_the_table_on_its_plane_and_nothing_else(corner: LabelledDepth) -> None:
