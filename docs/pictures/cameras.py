@@ -26,14 +26,15 @@ def picture(rows: list[dict[str, Any]]) -> str:
     dots = sorted(map(_dot, rows), key=lambda dot: -(dot.value or 0.0))
     description = "Share of parts seated under conditions of the camera, with intervals of 95 %."
     return standalone(
-        [[dot_plot("Which camera for which clearance", description, dots, Axis("parts seated, %", 100.0))]]
+        [[dot_plot("Parts seated by camera, frames and distance", description, dots, Axis("parts seated, %", 100.0))]]
     )
 
 
 def _dot(row: dict[str, Any]) -> Dot:
-    other = "" if row["clearance"] == CLEARANCE else f", {row['clearance']:g} mm"
+    name = row["condition"].replace(", 1 frame", "").replace(" frames", "×").replace(",", "")
+    other = "" if row["clearance"] == CLEARANCE else f" {row['clearance']:g} mm"
     share, (low, high) = row["seated"]["rate"], row["seated"]["ci95"]
-    return Dot(row["condition"] + other, 100 * share, 100 * low, 100 * high, f"n = {row['n']}")
+    return Dot(name + other, 100 * share, 100 * low, 100 * high, f"n = {row['n']}")
 
 
 if __name__ == "__main__":
