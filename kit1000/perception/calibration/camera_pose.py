@@ -16,7 +16,7 @@ from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.perception.calibration.borders import OUTLINE, OutlineEdge, SeenBorder, borders_of, seen_borders
 from kit1000.perception.calibration.plane import (
-    CORRELATED,
+    BENT,
     PLANE_REACH,
     Plane,
     correlated_in,
@@ -45,7 +45,7 @@ def calibrated(
     flat: bool = False,
     borders: Sequence[OutlineEdge] = OUTLINE,
     reach: float = PLANE_REACH,
-    correlated: float = CORRELATED,
+    correlated: float = BENT,
 ) -> View:
     """The view with the camera pose and the depths that its table gives it.
 
