@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, TypeAlias
 
+from kit1000.camera import Camera
 from kit1000.errors import InputError
 from kit1000.sim.sensors import SENSORS, Sensor, Stream
 
@@ -67,6 +68,11 @@ def model_of(sensor: AnySensor) -> Sensor:
     if isinstance(sensor, str):
         return SENSORS[sensor]
     return replace(D415, baseline=sensor.baseline, fattening_px=sensor.fattening_px)
+
+
+def gain_of(camera: Camera, sensor: AnySensor) -> float:
+    """[px m] disparity times depth; 0 of an ideal sensor."""
+    return camera.fx * model_of(sensor).baseline
 
 
 def needs_restoring(sensor: AnySensor) -> bool:

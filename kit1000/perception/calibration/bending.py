@@ -16,6 +16,7 @@ from scipy.ndimage import binary_dilation
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.perception.calibration.plane import plane_coefficients
+from kit1000.perception.calibration.table_top import rays
 from kit1000.values import View
 
 CELL = 40  # [px] edge of the cells over which residuals are averaged
@@ -64,9 +65,8 @@ def table_residuals(view: View, labels: np.ndarray, gain: float) -> Residuals | 
     beside = np.asarray(binary_dilation(labels > 0, np.ones((BESIDE_BODIES, 1))))
     beside = np.asarray(binary_dilation(beside, np.ones((1, BESIDE_BODIES))), bool)
     v, u = np.nonzero((view.depth > 0) & ~beside)
-    camera = view.camera
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(len(u))], axis=-1)
-    residuals = gain * (1 / view.depth[v, u].astype(float) - matmul(rays, plane_coefficients(view.world_from_camera)))
+    plane = matmul(rays(view.camera, np.stack([u, v], axis=-1)), plane_coefficients(view.world_from_camera))
+    residuals = gain * (1 / view.depth[v, u].astype(float) - plane)
     near = np.abs(residuals) < NEAR_TABLE
     down, across = (-(-size // CELL) for size in view.depth.shape)
     cells = (v[near] // CELL) * across + u[near] // CELL

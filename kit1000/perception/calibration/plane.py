@@ -11,7 +11,7 @@ from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import eigenvectors, matmul
 from kit1000.numerics.robust import TUKEY, tukey_weights
 from kit1000.perception.calibration.table_top import rays
-from kit1000.perception.sensor_facts import AnySensor, needs_restoring, table_is_simulated
+from kit1000.perception.sensor_facts import AnySensor, gain_of, needs_restoring, table_is_simulated
 from kit1000.pose import Pose
 from kit1000.values import View
 
@@ -52,7 +52,7 @@ def reach_of(sensor: AnySensor, view: View) -> float:
     if table_is_simulated(sensor):
         return PLANE_REACH
     assert not isinstance(sensor, str), "simulated sensors have simulated tables"
-    gain = view.camera.fx * sensor.baseline
+    gain = gain_of(view.camera, sensor)
     return max(OWN_REACH, OWN_SPREADS * sensor.noise_px * float(view.world_from_camera.xyz[2]) ** 2 / gain)
 
 

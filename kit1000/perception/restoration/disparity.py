@@ -8,7 +8,7 @@ import numpy as np
 
 from kit1000.camera import Camera
 from kit1000.perception.restoration.rules import close_gaps, ground_inverse_depth
-from kit1000.perception.sensor_facts import AnySensor, model_of
+from kit1000.perception.sensor_facts import AnySensor, gain_of
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 Evidence = dict[str, np.ndarray]
@@ -47,7 +47,7 @@ def noise_level(calibrated: View, mask: np.ndarray, sensor: AnySensor) -> np.nda
     """
     some = np.s_[::LEVEL_STEP, ::LEVEL_STEP]
     depth, mask = calibrated.depth[some], mask[some] & (calibrated.depth[some] > 0)
-    gain = calibrated.camera.fx * model_of(sensor).baseline
+    gain = gain_of(calibrated.camera, sensor)
     away = gain * np.abs(1 / depth[mask] - ground_inverse_depth(calibrated, LEVEL_STEP)[mask])
     away = away[away < NEAR_TABLE]
     level = 1.4826 * float(np.median(away)) if len(away) else 0.0
@@ -56,7 +56,7 @@ def noise_level(calibrated: View, mask: np.ndarray, sensor: AnySensor) -> np.nda
 
 def _evidence(view: View, returned: np.ndarray, kinds: np.ndarray, sensor: AnySensor) -> Evidence:
     disparity = above_table(view.depth, view, sensor)
-    slope = view.camera.fx * model_of(sensor).baseline * ground_slope(view)
+    slope = gain_of(view.camera, sensor) * ground_slope(view)
     return {"disparity": disparity, "returned": returned, "labels": kinds.astype(np.uint8), "slope": slope}
 
 
@@ -64,12 +64,12 @@ def above_table(depth: np.ndarray, calibrated: View, sensor: AnySensor) -> np.nd
     """(H, W) float32 [px]: disparities of depths (H, W) [m] in the image of a calibrated view; 0 without surface."""
     seen = depth > 0
     above = 1 / np.where(seen, depth, 1.0) - ground_inverse_depth(calibrated)
-    return np.where(seen, calibrated.camera.fx * model_of(sensor).baseline * above, 0.0).astype(np.float32)
+    return np.where(seen, gain_of(calibrated.camera, sensor) * above, 0.0).astype(np.float32)
 
 
 def depths(disparity: np.ndarray, view: View, box: Box, sensor: AnySensor) -> np.ndarray:
     """[m] float32: the depths of disparities in a box of a calibrated view."""
-    gain = view.camera.fx * model_of(sensor).baseline
+    gain = gain_of(view.camera, sensor)
     inverse = ground_inverse_depth(view)[box] + disparity / gain
     return (1 / np.maximum(inverse, 1e-3)).astype(np.float32)
 

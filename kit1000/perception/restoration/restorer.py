@@ -25,7 +25,7 @@ from kit1000.perception.restoration.disparity import (
 )
 from kit1000.perception.restoration.network import SIDE, RestorationConfig, RestorationNet
 from kit1000.perception.restoration.rules import closed_gaps
-from kit1000.perception.sensor_facts import AnySensor, model_of, needs_restoring, table_is_simulated
+from kit1000.perception.sensor_facts import AnySensor, gain_of, needs_restoring, table_is_simulated
 from kit1000.values import LabelledDepth, View
 
 HEIGHT = 4e-3  # [m] along the ray, in front of the table, from which on something is a body
@@ -72,7 +72,7 @@ class Restorer:
         read = unlabelled_evidence(view, sensor)
         nothing = np.zeros(view.depth.shape, np.uint8)
         depth = flattened(view, nothing, table_is_simulated(sensor)).depth.copy()
-        in_front = read["disparity"] * view.depth**2 / (view.camera.fx * model_of(sensor).baseline)  # [m] of the table
+        in_front = read["disparity"] * view.depth**2 / gain_of(view.camera, sensor)  # [m] of the table
         high = np.asarray(binary_opening((in_front > HEIGHT) & read["returned"], np.ones((3, 3))), bool)
         rows, columns = (np.flatnonzero(high.any(axis)) for axis in (1, 0))
         if len(rows):

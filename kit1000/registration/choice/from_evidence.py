@@ -108,7 +108,7 @@ def register_certain(source: DepthSource, query: Query, clearance: float, furthe
     distinct = without_duplicates(found, source.middle, DISTINCT if guessed else DISTINCT_WITHOUT_GUESS)
     fits = search.fits(search.least_contradictory(distinct), REFINED if guessed else REFINED_WITHOUT_GUESS)
     best = ranked(fit for fit in fits if within_guess_error(fit.goal_from_now, query))
-    return [search.in_image(fit) if k < IN_IMAGE else fit for k, fit in enumerate(best)] if further else best
+    return [*map(search.in_image, best[:IN_IMAGE]), *best[IN_IMAGE:]] if further else best
 
 
 class EvidenceSearch:

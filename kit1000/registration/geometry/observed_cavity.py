@@ -74,12 +74,14 @@ def find_cavity(
     face = np.abs(relief) < cut
     region = _region(relief, free, cut, deeper > 1)
     bottom = relief[region & (relief < -cut)]
-    if len(bottom) * VOXEL**2 < SPECK:
-        region = _enclosed(np.isnan(relief), np.isnan(relief)) if dark else np.zeros_like(face)
-        free, bottom = np.where(region, -DARK, free), np.full(np.count_nonzero(region), -cut)
-        if not region.any():
+    if len(bottom) * VOXEL**2 >= SPECK:
+        depth = -float(np.percentile(bottom, 3))
+    else:
+        unseen = np.isnan(relief)
+        region, depth = _enclosed(unseen, unseen), cut
+        free = np.where(region, -DARK, free)
+        if not (dark and region.any()):
             return None
-    depth = -float(np.percentile(bottom, 3))
     points = world_from_plate.inverse().apply(surface_points(volume))
     i, j = cells_at(points, len(relief))
     heights = points[:, 2]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kit1000.perception.restoration import calibrated_image, restored_edges
-from kit1000.perception.sensor_facts import AnySensor, model_of, needs_restoring
+from kit1000.perception.sensor_facts import AnySensor, gain_of, needs_restoring
 from kit1000.registration.geometry.observed_cavity import Cavity
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 
@@ -33,7 +33,7 @@ class SharedImage:
     @property
     def gain(self) -> float:
         """[px m] disparity times depth; 0 of an exact image."""
-        return self.recorded.view.camera.fx * model_of(self.sensor).baseline
+        return gain_of(self.recorded.view.camera, self.sensor)
 
     @cached_property
     def measured(self) -> LabelledDepth:

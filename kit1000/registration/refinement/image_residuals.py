@@ -8,6 +8,7 @@ less their bend: how far the plate's face itself is off, which is no matter of t
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import binary_dilation, uniform_filter
@@ -145,19 +146,22 @@ class ImageProblem:
         """Yaw and place."""
         return 3
 
+    @cached_property
+    def bends(self) -> np.ndarray:
+        """(3, n) disparities of units of bend across, down and in the middle, at the pixels that are shown."""
+        (rows, columns), (v, u) = self.plate.face.shape, np.nonzero(self.plate.shown)
+        return BEND * np.stack([LEVER * (2 * u / columns - 1), LEVER * (2 * v / rows - 1), np.ones(len(u))])
+
     def floors_at(self, twist: np.ndarray) -> np.ndarray:
         """Nothing: no floor is kept while derivatives are taken."""
         return np.empty((0, 0))
 
     def residuals(self, twists: np.ndarray, floors: np.ndarray) -> np.ndarray:
         """(m, n + 3) at twists (m, 6)."""
-        shown, (rows, columns) = self.plate.shown, self.plate.face.shape
-        v, u = np.nonzero(shown)
-        bends = BEND * np.stack([LEVER * (2 * u / columns - 1), LEVER * (2 * v / rows - 1), np.ones(len(u))])
         places, which = np.unique(twists[:, [0, 3, 4]], axis=0, return_inverse=True)
-        beyond = np.stack([(self.plate.measured - self.rendered(place))[shown] for place in places])
+        beyond = np.stack([(self.plate.measured - self.rendered(place))[self.plate.shown] for place in places])
         held = HOLD * twists[:, [0, 3, 4]] * (LEVER, 1.0, 1.0)
-        return np.concatenate([beyond[which.ravel()] - matmul(twists[:, [1, 2, 5]], bends), held], axis=1)
+        return np.concatenate([beyond[which.ravel()] - matmul(twists[:, [1, 2, 5]], self.bends), held], axis=1)
 
     def rendered(self, place: np.ndarray) -> np.ndarray:
         """(h, w) disparities beyond those of the face, at a yaw [rad] and an offset x, y [m] from the fit."""
