@@ -14,7 +14,9 @@ from kit1000.capture.frame_sources import read_groups
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.own_folder import LICENCE, write_own_folder
 from kit1000.capture.own_scene import OwnScene, Wanted, frame_intrinsics, image_of_frames, own_scene
-from kit1000.capture.scene_report import check_size, report
+from kit1000.capture.own_world import read_pose
+from kit1000.capture.scene_report import check_sides, check_size, report
+from kit1000.capture.seen_bodies import MOST_BODIES
 from kit1000.capture.table_search import Table, find_table
 from kit1000.errors import InputError
 
@@ -59,16 +61,16 @@ def default_folder(sources: Sequence[Path]) -> Path:
 def imported_scenes(asked: Import) -> list[OwnScene]:
     """The scenes of an import, before they are written."""
     groups = read_groups(asked.sources, asked.selection)
+    known = [_intrinsics(asked, frames) for frames in groups]
     empty = _empty_table(asked)
-    return [own_scene(frames, _intrinsics(asked, frames), asked.wanted, empty) for frames in groups]
+    return [own_scene(frames, given, asked.wanted, empty) for frames, given in zip(groups, known, strict=True)]
 
 
 def _check(asked: Import) -> None:
     """Raise InputError for options that cannot be, before anything is read."""
     if not asked.sources:
         raise InputError("SOURCE: expected a depth image or a recording")
-    if os.path.lexists(asked.out):
-        raise InputError(f"{asked.out} exists already: name a new folder with --out")
+    _check_folder(asked.out)
     if asked.selection.frames < 1 or asked.selection.first < 0:
         raise InputError("--frames: expected 1 or more, --first: 0 or more")
     low, high = CLEARANCES
@@ -77,6 +79,22 @@ def _check(asked: Import) -> None:
     for name, value in (("--depth-scale", asked.wanted.depth_scale), ("--baseline-mm", asked.wanted.baseline)):
         if value is not None and not 0 < value <= 1:
             raise InputError(f"{name}: expected above 0 and up to 1 m, got {value:g} m")
+    if not 1 <= asked.wanted.kit <= MOST_BODIES:
+        raise InputError(f"--kit {asked.wanted.kit}: expected the number of a body, from 1 to {MOST_BODIES}")
+    if asked.check_mm:
+        check_sides([1e-3 * side for side in asked.check_mm])
+    if asked.wanted.world_from_camera is not None:
+        read_pose(asked.wanted.world_from_camera)
+
+
+def _check_folder(out: Path) -> None:
+    """Raise InputError where a folder exists, or where it could not be made."""
+    if os.path.lexists(out):
+        raise InputError(f"{out} exists already: name a new folder with --out")
+    parent = next(parent for parent in out.absolute().parents if parent.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+        why = "is not writable" if parent.is_dir() else "is a file"
+        raise InputError(f"cannot write {out}: {parent} {why}; name another folder with --out")
 
 
 def _intrinsics(asked: Import, frames: Sequence[DepthFrame]) -> Intrinsics | None:

@@ -14,6 +14,7 @@ MOST_LISTED = 12  # bodies
 MOST_OFF_CENTRE = 0.15  # of the image's sides, from its middle to the principal point
 SAME_SIZE = 0.15  # by which a side of --check may differ, and
 SAME_LENGTH = 6e-3  # [m] by which at least
+SHORTEST, LONGEST = 1e-3, 2.0  # [m] of its sides
 
 
 def report(scene: OwnScene, clearance: float | None) -> Iterator[str]:
@@ -41,14 +42,19 @@ def body_text(body: SeenBody) -> str:
     return f"{1e4 * body.area:.1f} cm² from above, {short:.0f} x {long:.0f} x {1e3 * body.height:.0f} mm"
 
 
+def check_sides(sides: Sequence[float]) -> None:
+    """Raise InputError for sides [m] that no box on a table has."""
+    if len(sides) != 3 or not all(SHORTEST <= side <= LONGEST for side in sides):
+        given = " ".join(f"{1e3 * side:g}" for side in sides)
+        raise InputError(f"--check {given}: expected the three sides of a box in view, in mm, each from 1 to 2000")
+
+
 def check_size(scenes: Sequence[OwnScene], sides: Sequence[float]) -> str:
     """The body that a box of known sides (3,) [m] is, as a line.
 
     Raises InputError where no body has these sides: then intrinsics or units are wrong.
     """
-    if len(sides) != 3 or not all(0 < side < 2 for side in sides):
-        given = " ".join(f"{1e3 * side:g}" for side in sides)
-        raise InputError(f"--check {given}: expected the three sides of a box in view [mm], up to 2000")
+    check_sides(sides)
     wanted = " x ".join(f"{1e3 * side:.0f}" for side in sides)
     best, closest = float("inf"), None
     for scene in scenes:
