@@ -15,7 +15,7 @@ from kit1000.kits.cavity import MIN_SEATED_HEIGHT, MIN_WALL, Cavity, cut_cavity,
 from kit1000.kits.clearance import HEIGHT_COUNT, Clearance, measure_clearance
 from kit1000.kits.face import RestingFace, distinct_faces, rank_faces, resting_faces
 from kit1000.kits.goals import Design, find_goals
-from kit1000.kits.patches import COARSE, EXACT, MERGED, Detail
+from kit1000.kits.patches import EXACT, EXACT_FILE, MERGED, MERGED_FILE, Detail
 from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh, solid_from_mesh
@@ -32,8 +32,7 @@ PLATE_WIDTH = PLATE_PITCH - PLATE_GAP
 MIN_FLOOR = 2e-3  # [m] least material under a cavity
 MAX_EXCESS_CLEARANCE = 0.1e-3  # [m] of a kept wall above the nominal clearance
 PROBABILITY_DECIMALS = 9  # the last bits of an arctangent differ between processors
-DENSE_FACES = 2000  # of a file, above which its cavity is cut coarsely first
-COARSE_HEIGHT_COUNT = 9  # heights at which the clearance of a coarse cavity is measured
+FILE_HEIGHT_COUNT = 9  # heights at which the clearance of a merged cavity of a file is measured
 MIN_RIM = 8e-3  # [m] least wall around the cavity of a plate fitted to its part
 
 
@@ -103,8 +102,7 @@ def design_kit(
     standing = _aligned_with_plate(part.mesh, face, depth)  # plane_from_part
     plate = plate or _fitted_plate(part.mesh.moved(standing), clearance, depth)
     solid = solid_from_mesh(part.mesh).transform(standing.matrix()[:3])
-    is_dense = part.family == FILE and len(part.mesh.faces) > DENSE_FACES
-    details = (COARSE, MERGED, EXACT) if is_dense else (MERGED, EXACT)
+    details = (MERGED_FILE, EXACT_FILE) if part.family == FILE else (MERGED, EXACT)
     cavity, mesh, measured = _cut_plate(solid, depth, clearance, plate, details)
     kit_from_part = _lowered(standing, depth)
     goals, free_axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, cavity))
@@ -145,7 +143,7 @@ def _cut_plate(
     *first, last = details
     for detail in first:
         cavity, mesh, measured = _cut_in_detail(standing, depth, clearance, plate, detail)
-        is_wide_enough = detail is not COARSE or measured.smallest >= clearance - SAGITTA
+        is_wide_enough = detail is not MERGED_FILE or measured.smallest >= clearance - SAGITTA
         if is_wide_enough and measured.largest <= clearance + MAX_EXCESS_CLEARANCE:
             return cavity, mesh, measured
         if measured.largest > clearance + 3 * MAX_EXCESS_CLEARANCE:
@@ -160,7 +158,7 @@ def _cut_in_detail(
     if not _fits_plate(cavity, plate):
         raise Redraw("wider than the plate")
     mesh = plate_mesh(cavity, plate)
-    return cavity, mesh, measure_clearance(mesh, cavity, COARSE_HEIGHT_COUNT if detail is COARSE else HEIGHT_COUNT)
+    return cavity, mesh, measure_clearance(mesh, cavity, FILE_HEIGHT_COUNT if detail is MERGED_FILE else HEIGHT_COUNT)
 
 
 def _aligned_with_plate(mesh: Mesh, face: RestingFace, depth: float) -> Pose:

@@ -14,6 +14,7 @@ import numpy as np
 from kit1000.numerics.compiled import compiled
 
 PLANE_TOLERANCE = 2e-6  # [m] a corner may lie this far below the plane of a face
+EXACT_AREA = 2e-11  # [m^2] by which the hull of a convex projection exceeds it, by rounding
 
 
 class Detail(NamedTuple):
@@ -23,29 +24,58 @@ class Detail(NamedTuple):
     """[m] by which a corner of a convex patch may lie outside a face, measured horizontally."""
     hull_area: float
     """[m^2] by which the hull of a patch's projection may exceed the projection."""
-    disc: float = 0.0
-    """[m] by which the corners of the disc lie farther out than usual, so that it has fewer."""
+    sagitta: float | None = None
+    """[m] by which the border of a patch may lie inside its hull, in place of `hull_area`."""
+    sectors: bool = False
+    """Whether a patch is grown by the sector of the disc that it needs, in place of all of it."""
 
 
-EXACT = Detail(0.0, 2e-11)
+EXACT = Detail(0.0, EXACT_AREA)
 MERGED = Detail(0.1e-3, 2e-8)  # two or three facets of a round hole merge
-COARSE = Detail(0.05e-3, 4e-8, 0.035e-3)  # for dense meshes: half the time
+# Of files, whose meshes may be dense.
+EXACT_FILE = Detail(0.0, EXACT_AREA, sectors=True)
+MERGED_FILE = Detail(0.07e-3, 0.0, sagitta=0.06e-3, sectors=True)
+
+
+class Underside(NamedTuple):
+    """Downward-facing triangles with their corners shared, and the patches that they merge into."""
+
+    corners: np.ndarray
+    """(n, 3) [m]"""
+    faces: np.ndarray
+    """(m, 3) corners of each triangle."""
+    neighbours: np.ndarray
+    """(m, 3) triangle across each edge, -1 at the border."""
+    groups: list[np.ndarray]
+    """Triangles of each patch."""
+
+    def patch(self, group: np.ndarray) -> np.ndarray:
+        """(k, 3) [m] the corners of a patch."""
+        return self.corners[np.unique(self.faces[group])]
 
 
 def convex_patches(triangles: np.ndarray, detail: Detail = MERGED) -> list[np.ndarray]:
     """Patches of downward-facing triangles (m, 3, 3) [m], each as its corners (k, 3) [m]."""
+    underside = merged_underside(triangles, detail)
+    return [underside.patch(group) for group in underside.groups]
+
+
+def merged_underside(triangles: np.ndarray, detail: Detail = MERGED) -> Underside:
+    """Downward-facing triangles (m, 3, 3) [m] merged into convex patches."""
     if not len(triangles):
-        return []
+        return Underside(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros((0, 3), int), [])
     corners, faces = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     faces = faces.reshape(-1, 3)
-    labels = _grow(corners, faces, _neighbours(faces), detail.horizontal, detail.hull_area)
+    neighbours = _neighbours(faces)
+    sagitta = -1.0 if detail.sagitta is None else detail.sagitta
+    labels = _grow(corners, faces, neighbours, detail.horizontal, detail.hull_area, sagitta)
     order = np.argsort(labels, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
-    return [corners[np.unique(faces[group])] for group in groups]
+    return Underside(corners, faces, neighbours, groups)
 
 
 def _neighbours(faces: np.ndarray) -> np.ndarray:
-    """(m, 3) index of the face horizontal each edge, -1 at the border."""
+    """(m, 3) index of the face across each edge, -1 at the border."""
     a, b = faces.ravel(), faces[:, [1, 2, 0]].ravel()
     count = faces.max() + 1
     there, back = a * count + b, b * count + a
@@ -56,11 +86,12 @@ def _neighbours(faces: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _grow(corners, faces, neighbours, horizontal, hull_tolerance):
+def _grow(corners, faces, neighbours, horizontal, hull_tolerance, sagitta):
     """(m,) patch label of each face. Greedy: each unlabelled face seeds a patch that adds neighbours while convex.
 
     corners: in lexical order, so that a list of indices in order is sorted for the hull. Loops over numbers alone, as
-    array expressions would take ten times as long to compile.
+    array expressions would take ten times as long to compile. sagitta: [m] where it takes the place of hull_tolerance,
+    else negative.
     """
     count = faces.shape[0]
     planes, areas = np.empty((count, 5)), np.empty(count)
@@ -71,7 +102,7 @@ def _grow(corners, faces, neighbours, horizontal, hull_tolerance):
         labels[f] = -1
     members, queue = np.empty(count, np.int64), np.empty(3 * count, np.int64)
     points, longer = np.empty(3 * count, np.int64), np.empty(3 * count, np.int64)
-    chain = np.empty(3 * count, np.int64)
+    chain = np.empty(3 * count + 2, np.int64)
     for seed in range(count):
         if labels[seed] >= 0:
             continue
@@ -89,8 +120,16 @@ def _grow(corners, faces, neighbours, horizontal, hull_tolerance):
             if not _fits(corners, faces, planes, f, points, point_count, members, member_count):
                 continue
             longer_count = _insert(faces, f, points, point_count, longer)
-            if _hull_area(corners, longer, longer_count, chain) > area + areas[f] + hull_tolerance:
-                continue
+            hull_count, hull_area = _hull(corners, longer, longer_count, chain)
+            if sagitta < 0:
+                if hull_area > area + areas[f] + hull_tolerance:
+                    continue
+            elif hull_area > area + areas[f] + EXACT_AREA:
+                labels[f] = seed
+                members[member_count] = f
+                if _is_deep(corners, faces, neighbours, labels, members, member_count + 1, chain, hull_count, sagitta):
+                    labels[f] = -1
+                    continue
             points, longer, point_count = longer, points, longer_count
             area += areas[f]
             labels[f] = seed
@@ -155,21 +194,61 @@ def _is_below(corners, p, planes, f):
 
 
 @compiled
-def _hull_area(corners, points, count, chain):
-    """Area of the convex hull of points in lexical order, projected along z (monotone chain)."""
-    area = 0.0
+def _hull(corners, points, count, chain):
+    """Corners and area of the convex hull of points in lexical order, projected along z (monotone chain).
+
+    Writes the corners to `chain`, those of the lower side first.
+    """
+    area, first = 0.0, 0
     for side in range(2):
-        n = 0
+        n = first
         for i in range(count):
             p = points[i] if side == 0 else points[count - 1 - i]
-            while n > 1 and _turn(corners, chain[n - 2], chain[n - 1], p) <= 0:
+            while n - first > 1 and _turn(corners, chain[n - 2], chain[n - 1], p) <= 0:
                 n -= 1
             chain[n] = p
             n += 1
-        for i in range(n - 1):
+        for i in range(first, n - 1):
             a, b = chain[i], chain[i + 1]
             area += corners[a, 0] * corners[b, 1] - corners[a, 1] * corners[b, 0]
-    return abs(area) / 2
+        first = n - 1
+    return first, abs(area) / 2
+
+
+@compiled
+def _is_deep(corners, faces, neighbours, labels, members, member_count, chain, hull_count, sagitta):
+    """Whether a corner on the border of a patch lies farther inside the hull than `sagitta`."""
+    for m in range(member_count):
+        f = members[m]
+        for k in range(3):
+            other = neighbours[f, k]
+            if other >= 0 and labels[other] == labels[f]:
+                continue
+            if _depth_in_hull(corners, faces[f, k], chain, hull_count, sagitta) > sagitta:
+                return True
+            if _depth_in_hull(corners, faces[f, (k + 1) % 3], chain, hull_count, sagitta) > sagitta:
+                return True
+    return False
+
+
+@compiled
+def _depth_in_hull(corners, p, chain, hull_count, enough):
+    """[m] from a corner to the nearest edge of the hull's outline, up to the first distance that is small enough.
+
+    An edge above the corner is as near as one at its height: the hull fills no space below it. An edge below it is not:
+    a steep face with an arch is a sliver seen from above, and its hull would fill the arch.
+    """
+    nearest = np.inf
+    for i in range(hull_count):
+        a, b = chain[i], chain[(i + 1) % hull_count]
+        ux, uy = corners[b, 0] - corners[a, 0], corners[b, 1] - corners[a, 1]
+        dx, dy = corners[p, 0] - corners[a, 0], corners[p, 1] - corners[a, 1]
+        share = min(max((dx * ux + dy * uy) / max(ux * ux + uy * uy, 1e-300), 0.0), 1.0)
+        below = max(corners[p, 2] - corners[a, 2] - share * (corners[b, 2] - corners[a, 2]), 0.0)
+        nearest = min(nearest, math.hypot(math.hypot(dx - share * ux, dy - share * uy), below))
+        if nearest <= enough:
+            break
+    return nearest
 
 
 @compiled

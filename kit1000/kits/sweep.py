@@ -7,13 +7,15 @@ insertion face down. All lengths are metres.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from manifold3d import CrossSection, FillRule, Manifold, OpType
 
 from kit1000.errors import Redraw
-from kit1000.kits.patches import MERGED, Detail, convex_patches
+from kit1000.kits.outward_sectors import disc_sectors
+from kit1000.kits.patches import MERGED, Detail, merged_underside
 from kit1000.mesh import convex_hull, mesh_from_solid
 from kit1000.numerics.trigonometry import cosine, sine
 
@@ -27,13 +29,10 @@ COVERAGE_STEP = 1e-3  # [m] between heights at which the sweep of lower faces is
 AREA_TOLERANCE = 1e-10  # [m^2] smaller areas are rounding errors
 
 
-def disc_polygon(clearance: float, wider: float = 0.0) -> np.ndarray:
-    """(n, 2) [m] a polygon for the disc: corners DISC_OVERSIZE outside it, chords at most 0.6 SAGITTA inside.
-
-    wider: [m] by which the corners lie farther out, so that there are fewer.
-    """
-    radius = clearance + DISC_OVERSIZE + wider
-    corners = int(np.ceil(np.pi / np.arccos(1 - min((SAGITTA + wider) / radius, 0.5)) / 2)) * 2
+def disc_polygon(clearance: float) -> np.ndarray:
+    """(n, 2) [m] a polygon for the disc: corners DISC_OVERSIZE outside it, chords at most 0.6 SAGITTA inside."""
+    radius = clearance + DISC_OVERSIZE
+    corners = int(np.ceil(np.pi / np.arccos(1 - min(SAGITTA / radius, 0.5)) / 2)) * 2
     angles = np.arange(corners) * (2 * np.pi / corners)
     return radius * np.stack([cosine(angles), sine(angles)], 1)
 
@@ -48,12 +47,12 @@ def grown_sweep(
 ) -> tuple[Manifold, list[float]]:
     """The part below the rim, grown by the clearance and swept up; and the heights [m] of its level faces."""
     triangles, level = _underside(standing.trim_by_plane((0, 0, -1), -depth))
-    polygon, level_triangles = disc_polygon(clearance, detail.disc), triangles[level]
+    polygon, level_triangles = disc_polygon(clearance), triangles[level]
     levels = np.unique(level_triangles[:, 0, 2])
     outlines = [_grown_outline(level_triangles[level_triangles[:, 0, 2] == z][..., :2], polygon) for z in levels]
     lower = _LowerSweep(standing, clearance, levels, outlines)
-    sloping = [patch for patch in convex_patches(triangles, detail) if np.ptp(patch[:, 2]) > LEVEL_TOLERANCE]
-    exposed = [patch for patch in sloping if not lower.covers(patch, polygon)]
+    sloping = [(patch, disc) for patch, disc in _patches(triangles, level, detail, polygon) if _slopes(patch)]
+    exposed = [(patch, disc) for patch, disc in sloping if not lower.covers(patch, disc)]
     # each top at a height of its own: many coplanar tops would take most of the time of the union
     tops = iter(depth + RIM_OVERSHOOT + TOP_SPACING * np.arange(len(outlines) + len(exposed)))
     prisms = [
@@ -61,11 +60,26 @@ def grown_sweep(
         for z, outline in zip(levels, outlines, strict=True)
         if not outline.is_empty()  # a sliver of a face that Clipper rounds away
     ]
-    hulls = [convex_hull(_swept_corners(patch, polygon, next(tops))) for patch in exposed]
+    hulls = [convex_hull(_swept_corners(patch, disc, next(tops))) for patch, disc in exposed]
     swept = Manifold.batch_boolean(prisms + hulls, OpType.Add)
     if swept.is_empty():
         raise Redraw(f"no underside to sweep ({swept.status().name})")
     return swept, levels.tolist()
+
+
+def _patches(
+    triangles: np.ndarray, level: np.ndarray, detail: Detail, polygon: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Convex patches (k, 3) [m] of the underside, each with the points (n, 2) [m] of the disc that it is grown by."""
+    underside = merged_underside(triangles, detail)
+    patches = [underside.patch(group) for group in underside.groups]
+    if not detail.sectors:
+        return zip(patches, [polygon] * len(patches), strict=True)
+    return zip(patches, disc_sectors(underside, ~level, polygon), strict=True)
+
+
+def _slopes(patch: np.ndarray) -> bool:
+    return bool(np.ptp(patch[:, 2]) > LEVEL_TOLERANCE)
 
 
 class _LowerSweep:
@@ -76,9 +90,9 @@ class _LowerSweep:
         self.levels, self.outlines = levels, outlines
         self.areas: dict[tuple[int, int], CrossSection] = {}
 
-    def covers(self, patch: np.ndarray, polygon: np.ndarray) -> bool:
+    def covers(self, patch: np.ndarray, disc: np.ndarray) -> bool:
         """Whether the grown shadow of a patch lies inside the grown sweep of the faces below it."""
-        grown: Any = (patch[:, None, :2] + polygon).reshape(-1, 2)
+        grown: Any = (patch[:, None, :2] + disc).reshape(-1, 2)
         shadow = CrossSection.hull_points(grown)
         return (shadow - self._area_below(float(patch[:, 2].min()))).area() < AREA_TOLERANCE
 
@@ -113,9 +127,9 @@ def _underside(solid: Manifold) -> tuple[np.ndarray, np.ndarray]:
     return triangles, level
 
 
-def _swept_corners(patch: np.ndarray, polygon: np.ndarray, top: float) -> np.ndarray:
+def _swept_corners(patch: np.ndarray, disc: np.ndarray, top: float) -> np.ndarray:
     """(n, 3) [m] corners of a patch, each grown to a level disc, at their own height and at the top."""
-    low = (patch[:, None] + np.concatenate([polygon, np.zeros((len(polygon), 1))], 1)).reshape(-1, 3)
+    low = (patch[:, None] + np.concatenate([disc, np.zeros((len(disc), 1))], 1)).reshape(-1, 3)
     return np.concatenate([low, np.concatenate([low[:, :2], np.full((len(low), 1), top)], 1)])
 
 
