@@ -12,12 +12,18 @@ BASELINES = {  # [m] from the data sheets
     "D455": 0.095,
     "D456": 0.095,
 }
+SCANNERS = re.compile(r"phoxi|photoneo|structured.?light", re.IGNORECASE)
 TIME_OF_FLIGHT = re.compile(r"kinect|l515|femto|tof|picoflexx", re.IGNORECASE)
 
 
 def known_baseline(device: str) -> float | None:
     """[m] between the imagers of a camera of this name, such as Intel RealSense D435i; None where it is not known."""
     return next((baseline for name, baseline in BASELINES.items() if name in device.upper()), None)
+
+
+def is_scanner(device: str) -> bool:
+    """Whether a camera of this name is a structured-light scanner."""
+    return bool(SCANNERS.search(device))
 
 
 def measures_time_of_flight(device: str) -> bool:

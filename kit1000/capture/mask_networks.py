@@ -1,4 +1,4 @@
-"""Masks cut back by the networks of segmentation, where they agree with what depth alone shows."""
+"""Masks cut back by segmentation, where it agrees with what depth alone shows: by networks, of a scanner by rules."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ import numpy as np
 from kit1000.capture.own_world import world_of_bodies
 from kit1000.capture.seen_bodies import SeenBody, measured_body
 from kit1000.capture.table_search import Table, convex_outline
-from kit1000.perception.sensor_facts import SensorFacts
-from kit1000.values import View
+from kit1000.perception.segmentation.bodies import find_bodies
+from kit1000.perception.segmentation.instances import segmented
+from kit1000.perception.sensor_facts import SensorFacts, needs_restoring
+from kit1000.values import ASSEMBLY_LABEL, View
 
 AGREED = 0.5  # least share of a body that the network sees as body too
 LEAST_PART = 150  # [px] of an instance
@@ -22,7 +24,7 @@ LONGEST = 0.2  # [m] of bodies that may be several parts: the networks know part
 
 
 class Found(NamedTuple):
-    """What the networks see."""
+    """What segmentation sees."""
 
     body: np.ndarray
     """(H, W) bool: something on the table."""
@@ -55,7 +57,10 @@ def cut_back(
 
 
 def _found(view: View, facts: SensorFacts) -> Found:
-    from kit1000.perception.segmentation.bodies import find_bodies
+    """What networks see; of a scanner, whose images none restores, what rules see."""
+    if not needs_restoring(facts):
+        labels = segmented(view, facts)
+        return Found(labels > 0, np.maximum(labels.astype(int) - ASSEMBLY_LABEL, 0))
     from kit1000.perception.segmentation.predicted_masks import mask_networks
 
     restorer, finder = mask_networks()

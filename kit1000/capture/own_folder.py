@@ -15,13 +15,13 @@ from kit1000.dataset.tables import FORMAT
 from kit1000.errors import InputError
 from kit1000.export.new_folder import new_folder
 from kit1000.files import json_bytes, with_checksum, write_bytes, write_json
-from kit1000.perception.sensor_facts import KEY
+from kit1000.perception.sensor_facts import KEY, key_of
 from kit1000.pictures.scene_preview import png_bytes, scene_picture
 from kit1000.queries.pivots import part_pivots
 from kit1000.queries.tracks import query_id
 
-SENSOR = "d415"  # key of the view, by which tracks of noisy images are named
-TRACKS = ("snap-d415", "place-d415")
+TASKS = ("snap", "place")  # whose tracks are named by them and the key of the view
+TRACKS = ("snap-d415", "place-d415")  # of a stereo camera
 LICENCE = "the user's own"
 PRESET = DATA_VERSION = "own"
 ID_DIGITS = 16
@@ -42,7 +42,8 @@ def write_own_folder(
     Raises:
         InputError: the folder exists or cannot be written, or a scene has no part.
     """
-    observations = [_observation(f"test-s{number:04d}", scene) for number, scene in enumerate(scenes)]
+    sensor = key_of(scenes[0].facts)
+    observations = [_observation(f"test-s{number:04d}", scene, sensor) for number, scene in enumerate(scenes)]
     with new_folder(folder, "scene") as partial:
         files, shards = {}, {}
         for first in range(0, len(observations), SCENES_PER_SHARD):
@@ -61,7 +62,12 @@ def folder_id(files: Mapping[str, str | None]) -> str:
     return hashlib.sha256(json_bytes(files)).hexdigest()[:ID_DIGITS]
 
 
-def _observation(scene_id: str, scene: OwnScene) -> Observation:
+def _tracks(sensor: str) -> list[str]:
+    """The tracks of scenes of a sensor."""
+    return [f"{task}-{sensor}" for task in TASKS]
+
+
+def _observation(scene_id: str, scene: OwnScene, sensor: str) -> Observation:
     pivots = part_pivots(scene.image.view, scene.image.labels)
     if not pivots:
         raise InputError(f"{scene.source}: one body stands on the table, expected a kit and parts: put both into view")
@@ -69,16 +75,16 @@ def _observation(scene_id: str, scene: OwnScene) -> Observation:
         {
             "id": query_id(scene_id, part, track),
             "track": track,
-            "sensor": SENSOR,
+            "sensor": sensor,
             "part": part,
             "drawn": True,
             "pivot": pivot.tolist(),
             "guess": None,
         }
-        for track in TRACKS
+        for track in _tracks(sensor)
         for part, pivot in pivots.items()
     )
-    observation = Observation(scene_id, {SENSOR: scene.image.view}, scene.image.labels, rows)
+    observation = Observation(scene_id, {sensor: scene.image.view}, scene.image.labels, rows)
     return Observation(scene_id, observation.views, observation.labels, rows, png_bytes(_picture(observation)))
 
 
@@ -95,7 +101,8 @@ def _summary_bytes(
     licence: str,
 ) -> bytes:
     """The bytes of dataset.json, with a checksum of its other entries, as generated datasets have it."""
-    config = {"curve_scenes": 0, "frames": 1, "scale": 1.0, "tracks": list(TRACKS)}
+    facts = scenes[0].facts
+    config = {"curve_scenes": 0, "frames": 1, "scale": 1.0, "tracks": _tracks(key_of(facts))}
     config |= {} if clearance is None else {"clearance": clearance}
     scene_ids = [scene_id for some in shards.values() for scene_id in some]
     outlines = [scene.outline.round(4).tolist() for scene in scenes]
@@ -114,7 +121,7 @@ def _summary_bytes(
         "refused": {},
         "refused_scenes": {},
         "seed": None,
-        KEY: {SENSOR: scenes[0].facts.as_row()},
+        KEY: {key_of(facts): facts.as_row()},
         "shards": shards,
         TABLES: dict(zip(scene_ids, outlines, strict=True)),
     }

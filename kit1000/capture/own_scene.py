@@ -10,14 +10,14 @@ import numpy as np
 
 from kit1000.capture.depth_frames import DepthFrame, mean_depth, metric_depth
 from kit1000.capture.intrinsics import Intrinsics
-from kit1000.capture.known_sensors import known_baseline
+from kit1000.capture.known_sensors import is_scanner, known_baseline
 from kit1000.capture.mask_networks import cut_back
 from kit1000.capture.own_world import OwnWorld, read_pose, world_of_bodies, world_of_pose
 from kit1000.capture.pinhole_images import PinholeImage, pinhole_image
 from kit1000.capture.seen_bodies import SeenBody, seen_bodies
 from kit1000.capture.table_search import Table, find_table
 from kit1000.errors import InputError
-from kit1000.perception.sensor_facts import SIMULATED, SensorFacts
+from kit1000.perception.sensor_facts import D415, SCANNER, SensorFacts
 from kit1000.sim.sensors import Stream, on_depth_grid
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
@@ -31,11 +31,11 @@ class Wanted:
     depth_scale: float | None = None
     """[m] that 1 in an image stands for; None: as the files say."""
     device: str = ""
-    """Name of the camera; empty: as the files say."""
+    """Name of the camera; empty: as the files say. It tells a structured-light scanner from a stereo camera."""
     baseline: float | None = None
     """[m] between its imagers; None: by the name."""
     stream: Stream | None = None
-    """None: as the files say, else aligned."""
+    """None: as the files say, else raw of a scanner and aligned of other cameras."""
     kit: int = 1
     """Number of the body that is the kit, the largest first, from 1."""
     world_from_camera: Path | None = None
@@ -156,15 +156,19 @@ def _world(table: Table, bodies: Sequence[SeenBody], wanted: Wanted) -> OwnWorld
 def _facts(frame: DepthFrame, known: Intrinsics, image: PinholeImage, table: Table, wanted: Wanted) -> SensorFacts:
     """The facts about the sensor: as the user says, else the files, else its name."""
     device = wanted.device or known.device or UNKNOWN_DEVICE
-    baseline = wanted.baseline or known.baseline or known_baseline(device) or SIMULATED.baseline
+    scanner = is_scanner(device)
+    model = SCANNER if scanner else D415
+    baseline = wanted.baseline or known.baseline or known_baseline(device) or model.baseline
     integers = frame.values.dtype.kind in "iu"
     unit = wanted.depth_scale or known.unit or frame.unit or (1e-3 if integers else 0.0)
     return SensorFacts(
         device=device,
         baseline=baseline,
+        fattening_px=model.fattening_px,
         focal_length=known.fx,
         unit=unit,
         noise_px=round(float(image.camera.fx * baseline * table.spread), 4),
-        stream=wanted.stream or known.stream or "aligned",
+        stream=wanted.stream or known.stream or ("raw" if scanner else "aligned"),
         simulated_table=False,
+        scanner=scanner,
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from kit1000.capture.known_sensors import measures_time_of_flight
-from kit1000.capture.own_scene import OwnScene
+from kit1000.capture.own_scene import UNKNOWN_DEVICE, OwnScene
 from kit1000.capture.seen_bodies import SeenBody
 from kit1000.errors import InputError
 
@@ -102,6 +102,10 @@ def _notes(scene: OwnScene, clearance: float | None) -> Iterator[str]:
             f"principal point {100 * off:.0f} % of the image from its middle: are the intrinsics of this size, or is "
             "the image cropped?"
         )
+    if facts.scanner:
+        yield f"{facts.device}: read as of a structured-light scanner, whose edges are sharp and whose holes stay"
+    elif facts.device == UNKNOWN_DEVICE:
+        yield "no --device: read as of a stereo camera such as the D415"
     if facts.stream == "aligned":
         yield "taken as aligned to another camera; depth of the camera's own stream, with --stream raw, is more exact"
     if measures_time_of_flight(facts.device):

@@ -42,11 +42,12 @@ class OwnImages:
     first: int = 0
     """Index of the first frame of a recording."""
     device: str = ""
-    """Name of the camera, such as D435; as the files say when absent."""
+    """Name of the camera, such as D435, or PhoXi for a structured-light scanner; as the files say when absent."""
     baseline_mm: OptionalFloat = None
     """Distance between the camera's imagers; known for RealSense cameras."""
     stream: Stream = None
-    """raw: the depth camera's own image; aligned: resampled to another camera; as the files say, else aligned."""
+    """raw: the depth camera's own image; aligned: resampled to another camera; as the files say, else raw of a
+    scanner and aligned of other cameras."""
     kit: int = 1
     """Number of the body that is the kit, the largest first."""
     world_from_camera: OptionalPath = None
@@ -56,7 +57,8 @@ class OwnImages:
     clearance_mm: OptionalFloat = None
     """Gap between a part and the walls of its cavity."""
     masks: Annotated[Literal["depth", "networks"] | None, tyro.conf.arg(metavar="{depth,networks}")] = None
-    """depth: bodies as depth alone shows them; networks: cut back by the networks, when absent where torch is there."""
+    """depth: bodies as depth alone shows them; networks: cut back by the networks, of a scanner by rules; when absent
+    networks where torch is there."""
     check: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MM MM MM")] = ()
     """Sides of a box in view: images in which no body has them are refused."""
 

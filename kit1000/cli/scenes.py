@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -105,7 +105,7 @@ class Edit(OwnImages):
     """Submission folder for the confirmed parts and the log, edits when absent; the same command again continues. Of an
     image: folder of the scene, beside which the edits lie."""
     sensor: Annotated[Sensor | None, tyro.conf.arg(metavar="{ideal,d415,photoneo}")] = None
-    """Sensor of the depth image; ideal when absent, where the scene has it."""
+    """Sensor of the depth image; ideal when absent, where the scene has it. Of an own image: photoneo is a scanner."""
     snap: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
     """Method that proposes where parts fit: one of the catalog, module:Object of your own, or none; when absent,
     registration, in own scenes with the networks that suit the noise of the camera."""
@@ -149,8 +149,12 @@ class Edit(OwnImages):
             return self.data, self.out or Path("edits")
         from kit1000.capture.importing import default_folder, import_scenes
 
+        if self.sensor == "ideal":
+            raise InputError("--sensor ideal: no camera is; expected d415 or photoneo of an own image")
+        scanner = self.sensor == "photoneo" and not self.device
+        own = replace(self, device=self.sensor) if scanner else self
         folder = self.out or default_folder((self.data,))
-        for line in import_scenes(self.asked((self.data,), folder)):
+        for line in import_scenes(own.asked((self.data,), folder)):
             print(line)
         return folder, folder.with_name(f"{folder.name}-edits")
 

@@ -10,7 +10,7 @@ from kit1000.camera import Camera
 from kit1000.errors import InputError
 from kit1000.sim.sensors import SENSORS, Sensor, Stream
 
-D415 = SENSORS["d415"]
+D415, SCANNER = SENSORS["d415"], SENSORS["photoneo"]
 FINE = ("ideal", "photoneo")  # sensors whose edges are where they should be
 KEY = "sensors"
 """Key of dataset.json: facts by the key of the view; absent from generated datasets."""
@@ -38,13 +38,14 @@ class SensorFacts:
     """raw: the image of its own left imager, with the invalid depth band; aligned: another camera's."""
     simulated_table: bool = True
     """Whether the table is that of generated scenes, 1.2 m x 1.6 m about the origin."""
+    scanner: bool = False
+    """Whether it is a structured-light scanner, whose edges are where they should be, and no stereo camera."""
 
     def as_row(self) -> dict[str, Any]:
         """The facts as a JSON value."""
         return asdict(self)
 
 
-SIMULATED = SensorFacts()
 AnySensor: TypeAlias = "str | SensorFacts"
 """A simulated sensor by its name, or the facts about another one."""
 
@@ -67,7 +68,15 @@ def model_of(sensor: AnySensor) -> Sensor:
     """The sensor model: how far disparities and edges are off."""
     if isinstance(sensor, str):
         return SENSORS[sensor]
-    return replace(D415, baseline=sensor.baseline, fattening_px=sensor.fattening_px)
+    model = SCANNER if sensor.scanner else D415
+    return replace(model, baseline=sensor.baseline, fattening_px=sensor.fattening_px)
+
+
+def key_of(sensor: AnySensor) -> str:
+    """The simulated sensor as whose images those of a sensor are read: the key of its views, and in names of tracks."""
+    if isinstance(sensor, str):
+        return sensor
+    return "photoneo" if sensor.scanner else "d415"
 
 
 def gain_of(camera: Camera, sensor: AnySensor) -> float:
@@ -77,7 +86,7 @@ def gain_of(camera: Camera, sensor: AnySensor) -> float:
 
 def needs_restoring(sensor: AnySensor) -> bool:
     """Whether its edges are bent and its noise reaches far, as those of stereo cameras do."""
-    return sensor not in FINE
+    return key_of(sensor) not in FINE
 
 
 def table_is_simulated(sensor: AnySensor) -> bool:

@@ -76,6 +76,22 @@ def test_facts_and_the_seen_table_are_stored(folder: Path) -> None:
     assert seen_table({}, "test-s0001") is None
 
 
+def test_an_image_of_a_scanner_is_read_as_those_of_the_simulated_one(tmp_path: Path) -> None:
+    np.save(tmp_path / "scan.npy", noisy_depth(exact_depth(), 0.05))
+    words = ["--intrinsics", *NUMBERS, "--device", "PhoXi", "--masks", "depth", "--out", str(tmp_path / "mine")]
+    assert main(["import", str(tmp_path / "scan.npy"), *words]) == 0
+    dataset = Dataset(tmp_path / "mine")
+    (scene,) = dataset.split("test")
+    assert scene.sensors == ["photoneo"]
+    assert {query.track for query in scene.queries} == {"snap-photoneo", "place-photoneo"}
+    assert {query.sensor for query in scene.queries} == {"photoneo"}
+    assert set(dataset.summary["config"]["tracks"]) == {"snap-photoneo", "place-photoneo"}
+    facts = sensor_of(dataset.summary, "photoneo")
+    assert isinstance(facts, SensorFacts)
+    assert facts.scanner
+    assert main(["info", str(tmp_path / "mine")]) == main(["verify", str(tmp_path / "mine")]) == 0
+
+
 def test_the_page_opens_the_scene(folder: Path) -> None:
     scene = EditedScene.open(Dataset(folder), "test-s0000", "d415", False)
     assert scene.parts == (0, 1)
@@ -302,6 +318,21 @@ def test_an_image_is_imported_before_it_is_edited(
     assert options.out.parent == image.parent  # not in the folder of the scene, whose files are listed
     assert main(words) == 2  # the folder is there: it is never written over
     assert "exists already" in capsys.readouterr().err
+
+
+def test_the_sensor_of_an_image_to_edit_may_be_a_scanner(
+    image: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("viser")
+    from kit1000.editor import serve
+
+    asked: list[serve.Options] = []
+    monkeypatch.setattr(serve, "run", asked.append)
+    words = ["edit", str(image), "--intrinsics", *NUMBERS, "--masks", "depth", "--sensor"]
+    assert main([*words, "ideal"]) == 2
+    assert "--sensor ideal" in capsys.readouterr().err
+    assert main([*words, "photoneo"]) == 0
+    assert [options.sensor for options in asked] == ["photoneo"]
 
 
 def test_a_scene_is_named_where_there_are_several(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -16,7 +16,7 @@ from kit1000.capture.scene_report import check_size, report
 from kit1000.capture.table_search import find_table
 from kit1000.errors import InputError
 from kit1000.pose import Pose
-from kit1000.sim.sensors import on_depth_grid
+from kit1000.sim.sensors import SENSORS, on_depth_grid
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL
 from tests.samples.own_images import BASELINE, CAMERA, EYE, KIT, PARTS, exact_depth, millimetres, noisy_depth
 
@@ -65,6 +65,24 @@ def test_facts_come_from_the_name_of_the_camera(scene: OwnScene) -> None:
     assert scene.facts.stream == "aligned"
     assert not scene.facts.simulated_table
     assert 0.02 < scene.facts.noise_px < 0.15
+
+
+@pytest.mark.parametrize("device", ["Photoneo PhoXi 3D Scanner M", "phoxi", "Zivid 2, structured light"])
+def test_a_scanner_is_known_by_its_name(device: str) -> None:
+    found = scene_of(noisy_depth(exact_depth(), 0.05), Wanted(device=device))
+    assert found.facts.scanner
+    assert found.facts.baseline == SENSORS["photoneo"].baseline
+    assert (found.facts.fattening_px, found.facts.stream) == (0.0, "raw")
+    assert any("structured-light" in line for line in report(found, None))
+    assert not scene_of(noisy_depth(exact_depth(), 0.05), Wanted(device="D435")).facts.scanner
+
+
+def test_touching_parts_of_a_scanner_become_two() -> None:
+    bodies = (KIT, ((0.05, 0.03, 0.03), (-0.05, -0.06)), ((0.02, 0.05, 0.015), (-0.015, -0.085)))
+    depth = noisy_depth(exact_depth(bodies), 0.01)
+    assert len(scene_of(depth, Wanted(device="PhoXi")).parts) == 1
+    found = scene_of(depth, Wanted(device="PhoXi", networks=True))
+    assert sorted(round(1e3 * part.height) for part in found.parts) == [15, 30]
 
 
 def test_masks_cover_the_bodies(scene: OwnScene) -> None:

@@ -12,6 +12,8 @@ from PIL import Image
 from kit1000.capture.importing import Import, imported_scenes
 from kit1000.capture.own_scene import Wanted
 from kit1000.perception.calibration import calibrated_by
+from kit1000.perception.restoration import restored
+from kit1000.values import ASSEMBLY_LABEL
 from tests.samples.checkout import ROOT
 
 FOLDER = ROOT.parent / "shared" / "real-depth"
@@ -28,9 +30,14 @@ def test_a_real_image_is_imported(row: dict[str, str]) -> None:
     wanted = Wanted(float(row["metres_a_unit"]), row["sensor"])
     (scene,) = imported_scenes(Import((FOLDER / row["file"],), FOLDER / "out", intrinsics, wanted=wanted))
     assert 1 < len(scene.bodies) <= MOST_BODIES
+    assert scene.facts.scanner == ("PhoXi" in row["sensor"])
     view, labels = scene.image.view, scene.image.labels
     moved = calibrated_by(view, labels, scene.facts).world_from_camera.xyz - view.world_from_camera.xyz
     assert np.sqrt((moved**2).sum()) < 1e-3
+    if scene.facts.scanner:
+        kit = labels == ASSEMBLY_LABEL
+        read = restored(scene.image, scene.facts).view.depth
+        assert ((read[kit] > 0) == (view.depth[kit] > 0)).all()
     if row["foreground_mask"]:
         seen = view.depth > 0
         size = (view.camera.width, view.camera.height)

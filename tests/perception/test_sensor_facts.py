@@ -12,16 +12,27 @@ from kit1000.errors import InputError
 from kit1000.perception.calibration import OUTLINE, calibrated_by
 from kit1000.perception.calibration.borders import borders_of
 from kit1000.perception.calibration.table_top import flattened
-from kit1000.perception.sensor_facts import KEY, SensorFacts, model_of, sensor_of, table_is_simulated
+from kit1000.perception.restoration import restored
+from kit1000.perception.segmentation.bodies import find_bodies
+from kit1000.perception.sensor_facts import (
+    KEY,
+    SensorFacts,
+    key_of,
+    model_of,
+    needs_restoring,
+    sensor_of,
+    table_is_simulated,
+)
 from kit1000.pose import Pose
 from kit1000.sim.layout import table
 from kit1000.sim.render import render
 from kit1000.sim.sensors import SENSORS
-from kit1000.values import View
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, View
 
 CAMERA = Camera(640, 360, 462.5, 462.5, 319.5, 179.5)
 EYE = look_at((0.1, -0.6, 0.6), (0.0, 0.05, 0.0))
 OWN = SensorFacts("D435", baseline=0.05, stream="aligned", simulated_table=False, noise_px=0.05)
+PHOXI = SensorFacts("PhoXi", baseline=0.225, fattening_px=0.0, simulated_table=False, noise_px=0.06, scanner=True)
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +46,9 @@ def view() -> View:
 def test_facts_are_read_back_as_they_were_stored() -> None:
     summary = {KEY: {"d415": OWN.as_row()}}
     assert sensor_of(summary, "d415") == OWN
+    assert sensor_of({KEY: {"photoneo": PHOXI.as_row()}}, "photoneo") == PHOXI
+    earlier = {name: value for name, value in OWN.as_row().items() if name != "scanner"}
+    assert sensor_of({KEY: {"d415": earlier}}, "d415") == OWN
     assert sensor_of(summary, "ideal") == "ideal"
     assert sensor_of({}, "d415") == "d415"
     with pytest.raises(InputError, match="import again"):
@@ -53,6 +67,27 @@ def test_borders_are_those_that_the_image_shows() -> None:
     assert borders_of(OWN) == ()
     assert borders_of("photoneo") == ()
     assert borders_of(SensorFacts()) == OUTLINE
+    assert borders_of(PHOXI) == ()
+
+
+def test_an_own_scanner_is_read_as_the_simulated_one(view: View) -> None:
+    assert [key_of(sensor) for sensor in ("ideal", "photoneo", OWN, PHOXI)] == ["ideal", "photoneo", "d415", "photoneo"]
+    assert [needs_restoring(sensor) for sensor in ("ideal", "photoneo", OWN, PHOXI)] == [False, False, True, False]
+    assert replace(model_of(PHOXI), baseline=0.0) == replace(SENSORS["photoneo"], baseline=0.0)
+    assert find_bodies(view, PHOXI).kind == "photoneo"
+
+
+def test_holes_on_kits_of_a_scanner_stay_and_those_on_parts_are_closed(view: View) -> None:
+    labels = np.zeros(view.depth.shape, np.uint8)
+    labels[150:220, 200:300], labels[150:220, 350:450] = ASSEMBLY_LABEL, FIRST_PART_LABEL
+    depth = view.depth.copy()
+    depth[labels > 0] -= 0.03
+    depth[180:190, 240:250] = depth[180:190, 390:400] = 0
+    image = LabelledDepth(replace(view, depth=depth), labels)
+    scanned, stereo = (restored(image, sensor).view.depth for sensor in (PHOXI, OWN))
+    assert (scanned[180:190, 240:250] == 0).all()
+    assert (scanned[180:190, 390:400] > 0).all()
+    assert (stereo[180:190, 240:250] > 0).all()
 
 
 def test_an_image_of_an_unknown_table_moves_no_camera(view: View) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import label, uniform_filter
 
 from kit1000.perception.calibration import calibrated_by
-from kit1000.perception.sensor_facts import AnySensor, needs_restoring
+from kit1000.perception.sensor_facts import AnySensor, key_of, needs_restoring
 from kit1000.values import View
 
 if TYPE_CHECKING:
@@ -63,8 +63,7 @@ def find_bodies(view: View, sensor: AnySensor, restorer: Restorer | None = None)
         if coarse:
             body = uniform_filter(body.astype(float), WINDOW) > SHARE
     far_half = on_far_half(points)
-    name = sensor if isinstance(sensor, str) else "d415"
-    kind = name if network is None else "restored"
+    kind = key_of(sensor) if network is None else "restored"
     return Bodies(view, points, body & far_half, body & ~far_half, kind, measured)
 
 
