@@ -170,7 +170,7 @@ def test_at_10_mm_of_clearance_a_part_may_turn_by_24_degrees_and_tilt_by_10(
 @pytest.mark.parametrize(("off_mm", "same"), [(0.9, True), (1.1, False)])
 def test_a_pose_within_1_mm_of_a_goal_is_that_goal(off_mm: float, same: bool) -> None:
     kit = sample_kit("tee")
-    assert is_goal(Pose.from_translation((off_mm * 1e-3, 0, 0)) @ kit.slot.goals[0], kit) == same
+    assert is_goal(Pose.from_translation((off_mm * 1e-3, 0, 0)) @ kit.slot.goals[0], kit.slot) == same
 
 
 def test_the_axes_of_the_scanner_cross_at_800_mm() -> None:

@@ -162,7 +162,7 @@ def _check_poses(part: Part, kit: Kit, keyedness: float | None, passed: dict[str
         (pose, keyedness) for pose in poses_beyond_keyedness(kit, keyedness)
     ]
     for pose, max_angle in wrong:
-        if not is_goal(pose, kit, max_angle):
+        if not is_goal(pose, kit.slot, max_angle):
             passed[WRONG].append(not _seats(*swept, kit, pose, design))
 
 

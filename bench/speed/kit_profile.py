@@ -33,7 +33,7 @@ STAGES = {
     "cavity": [("kit1000.kits.kit", "cut_cavity")],
     "plate": [("kit1000.kits.kit", "plate_mesh")],
     "clearance": [("kit1000.kits.kit", "measure_clearance")],
-    "goals": [("kit1000.kits.kit", "find_goals")],
+    "shadows and goals": [("kit1000.kits.choice", "design_slot")],
     "trials": [("kit1000.kits.choice", "check_pair")],
     "loose fits": [("kit1000.kits.acceptance", "find_loose_fit")],
     "files": [("kit1000.export.own_part", "kit_files")],

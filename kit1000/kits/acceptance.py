@@ -22,7 +22,7 @@ from kit1000.mesh import Mesh
 from kit1000.numerics.linear_algebra import length
 from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.pose import Pose, quaternion_angle
-from kit1000.values import Kit, Part
+from kit1000.values import Kit, Part, Slot
 
 DIRECTIONS = np.radians(np.arange(0, 360, 30.0))  # in the plate's plane: of shifts and tilt axes
 WRONG_TILT = np.radians(20)
@@ -72,17 +72,18 @@ def check_pair(part: Part, kit: Kit) -> PairCheck:
         if not test.result(goal, goal).strict:
             raise Redraw(NOT_SEATED)
     for name, pose in wrong_poses(kit):
-        if not is_goal(pose, kit) and test.fits(pose, design):
+        if not is_goal(pose, kit.slot) and test.fits(pose, design):
             raise Redraw(f"seats when {name}")
     yaw = keyedness(test)
     for pose in poses_beyond_keyedness(kit, yaw):
-        if not is_goal(pose, kit, yaw) and test.fits(pose, design):
+        if not is_goal(pose, kit.slot, yaw) and test.fits(pose, design):
             raise Redraw("seats when turned past its keyedness")
-    return PairCheck(yaw, find_loose_fit(_prepared_part(part.mesh), PreparedKit(kit)) is not None)
+    return PairCheck(yaw, find_loose_fit(prepared_part(part.mesh), PreparedKit(kit)) is not None)
 
 
 @lru_cache(maxsize=2)  # asked for again at every face that a kit is tried on
-def _prepared_part(mesh: Mesh) -> PreparedPart:
+def prepared_part(mesh: Mesh) -> PreparedPart:
+    """A part prepared for the search for loose fits, on every face that it might be put in on."""
     return PreparedPart(mesh, resting_faces(mesh, ANY_FACE))
 
 
@@ -123,11 +124,11 @@ def poses_beyond_keyedness(kit: Kit, yaw: float | None) -> Iterator[Pose]:
         yield rotated_about_centroid(kit.slot.goals[0], np.array([0, 0, sign * ((yaw or 0.0) + BEYOND_KEYEDNESS)]))
 
 
-def is_goal(pose: Pose, kit: Kit, max_angle: float | None = None) -> bool:
+def is_goal(pose: Pose, slot: Slot, max_angle: float | None = None) -> bool:
     """Whether a pose is a goal up to the free axis, within 1 mm and ANGLE_STEP (or a larger `max_angle` [rad])."""
     limit = max(ANGLE_STEP, max_angle or 0.0)
-    for goal in kit.slot.goals:
-        nearest = goal if kit.slot.free_axis is None else nearest_about_axis(pose, goal, kit.slot.free_axis)
+    for goal in slot.goals:
+        nearest = goal if slot.free_axis is None else nearest_about_axis(pose, goal, slot.free_axis)
         shift = length(pose.xyz - nearest.xyz)
         if quaternion_angle(pose.wxyz, nearest.wxyz) < limit and shift < SEATED_LIMIT / 3:
             return True

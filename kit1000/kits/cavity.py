@@ -11,23 +11,20 @@ metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold, OpType
 
 from kit1000.kits.patches import MERGED, Detail
-from kit1000.kits.sweep import RIM_OVERSHOOT, grown_sweep, shadow_below
+from kit1000.kits.shadows import PartShadows, Shadow
+from kit1000.kits.sweep import RIM_OVERSHOOT, grown_sweep
 
-LEDGE_OFFSET = 0.02e-3  # [m] of a probe above or below a ledge: lower steps are floor, not wall
-PROBE_SPACING = 4e-3  # [m] at most between probes where the shadow changes
 MIN_SEATED_HEIGHT = 7e-3  # [m] of a seated part: lower ones leave no useful cavity
 MIN_PROTRUSION = 3e-3  # [m] of a part above the rim, for a gripper
 MIN_WALL = 3e-3  # [m] walls, fins and posts thinner than this are removed
 MITER_LIMIT = 2.0  # wall corners sharper than 60 degrees count as thin
 MIN_WALL_AREA = 0.05e-6  # [m^2] smaller pieces of thin wall are rounding errors
 WALL_OVERLAP = 0.05e-3  # [m] a removed wall is cut so much wider, so that no film stays between it and the cavity
-AREA_TOLERANCE = 1e-9  # [m^2] smaller areas are rounding errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +54,6 @@ class Cavity:
     undercut_volume: float
     """[m^3] below the rim that the part sweeps but does not fill."""
 
-    @property
-    def rim_shadow(self) -> CrossSection:
-        """The shadow at the rim."""
-        return self.probes[-1].shadow
-
 
 def insertion_depth(height: float) -> float:
     """Cavity depth [m] for a part of a seated height [m]: 0.6 of it, at most 20 mm, MIN_PROTRUSION left above the rim.
@@ -71,51 +63,30 @@ def insertion_depth(height: float) -> float:
     return min(20e-3, 0.6 * height, height - MIN_PROTRUSION if height >= MIN_SEATED_HEIGHT else np.inf)
 
 
-def cut_cavity(
-    standing: Manifold, depth: float, clearance: float, width: tuple[float, float], detail: Detail = MERGED
-) -> Cavity:
-    """The cavity of a depth and clearance [m] for a solid standing on z = 0, in a plate of width (x, y) [m].
+def cut_cavity(part: PartShadows, clearance: float, width: tuple[float, float], detail: Detail = MERGED) -> Cavity:
+    """The cavity of a clearance [m] for a standing part, in a plate of width (x, y) [m].
 
     detail: up to which nearly convex neighbouring faces are grown as one: faster, and up to 0.1 mm wider.
     """
-    grown, levels = grown_sweep(standing, depth, clearance, detail)
-    ledges = _ledges(levels, depth)
-    shadows = _probe_shadows(standing, ledges)
+    depth, shadows = part.depth, part.shadows
+    grown = grown_sweep(part.standing, depth, clearance, detail)
     thin_walls, probes = _remove_thin_walls(grown, shadows, depth + RIM_OVERSHOOT, width)
     solid = Manifold.batch_boolean([grown, *thin_walls], OpType.Add) if thin_walls else grown
     removed_volume = (solid - grown).trim_by_plane((0, 0, -1), -depth).volume() if thin_walls else 0.0
     removed_count = sum(piece.area() > MIN_WALL_AREA for piece in probes[-1].removed_walls.decompose())
-    filled = standing.trim_by_plane((0, 0, -1), -depth).volume()
+    filled = part.standing.trim_by_plane((0, 0, -1), -depth).volume()
     undercut = max(_swept_volume(shadows) - filled, 0.0)
     return Cavity(depth, solid, tuple(probes), removed_count, removed_volume, undercut)
 
 
-def _ledges(levels: list[float], depth: float) -> list[float]:
-    """Heights of floor, level faces and rim: between them the shadow changes continuously."""
-    return [0.0, *(z for z in levels if MIN_WALL / 10 < z < depth - MIN_WALL / 10), depth]
-
-
-def _probe_shadows(standing: Manifold, ledges: list[float]) -> list[tuple[float, CrossSection]]:
-    """(z, S(z)) at both ends of each interval between ledges, and at steps inside where the shadow changes."""
-    probes = []
-    for low, high in pairwise(ledges):
-        ends = [(z, shadow_below(standing, z)) for z in (low + LEDGE_OFFSET, high - LEDGE_OFFSET)]
-        inner: list[tuple[float, CrossSection]] = []
-        if abs(ends[0][1].area() - ends[1][1].area()) > AREA_TOLERANCE:
-            steps = 2 * int(np.ceil((high - low) / PROBE_SPACING))
-            inner = [(z, shadow_below(standing, z)) for z in np.linspace(low, high, steps + 1)[1:-1]]
-        probes += [ends[0], *inner, ends[1]]
-    return probes
-
-
-def _swept_volume(shadows: list[tuple[float, CrossSection]]) -> float:
+def _swept_volume(shadows: tuple[Shadow, ...]) -> float:
     """[m^3] that the part sweeps between floor and rim (trapezoid rule)."""
-    z, areas = np.array([s[0] for s in shadows]), np.array([s[1].area() for s in shadows])
+    z, areas = np.array([s.z for s in shadows]), np.array([s.section.area() for s in shadows])
     return float(np.trapezoid(areas, z))
 
 
 def _remove_thin_walls(
-    grown: Manifold, shadows: list[tuple[float, CrossSection]], top: float, width: tuple[float, float]
+    grown: Manifold, shadows: tuple[Shadow, ...], top: float, width: tuple[float, float]
 ) -> tuple[list[Manifold], list[Probe]]:
     """Thin walls to cut as well, each from half-way to the probe below up to `top` [m]; and the probes."""
     plate = CrossSection.square(width, center=True)

@@ -14,8 +14,7 @@ from functools import partial
 from kit1000.errors import Redraw
 from kit1000.kits.acceptance import PairCheck, check_pair
 from kit1000.kits.early_refusal import sure_refusal
-from kit1000.kits.face import RestingFace
-from kit1000.kits.kit import CLEARANCE, UNIT_PLATE, KitDesign, Plate, design_kit, insertion_faces
+from kit1000.kits.kit import CLEARANCE, UNIT_PLATE, KitDesign, Plate, SlotDesign, cut_kit, design_slot, insertion_faces
 from kit1000.kits.loose_fits import PreparedKit, accepts_most_parts
 from kit1000.parts.family import FILE
 from kit1000.values import Part
@@ -55,18 +54,19 @@ def attempts(part: Part, clearance: float, plate: Plate | None) -> Iterator[Atte
     the part. Raises Redraw when there is no insertion face.
     """
     for face in insertion_faces(part, clearance, fitted_plate=plate is None):
-        attempt = partial(_attempt, part, clearance, plate, face)
-        refusal = sure_refusal(part, face, clearance) if part.family == FILE else None
+        design = design_slot(part, clearance, face)
+        attempt = partial(_attempt, design, plate)
+        refusal = sure_refusal(part, design.slot) if part.family == FILE else None
         yield attempt() if refusal is None else Attempt(None, None, refusal, attempt)
 
 
-def _attempt(part: Part, clearance: float, plate: Plate | None, face: RestingFace) -> Attempt:
+def _attempt(slot: SlotDesign, plate: Plate | None) -> Attempt:
     design = trial = refusal = None
     try:
-        design = design_kit(part, clearance, plate, face)
+        design = cut_kit(slot, plate)
         if plate is not None:
             _check_for_dataset(design)
-        trial = check_pair(part, design.kit)
+        trial = check_pair(slot.part, design.kit)
         if trial.has_loose_fit:
             raise Redraw("loose fit")
     except Redraw as error:

@@ -7,22 +7,21 @@ here seats in the kit. What does not is left to the exact trials. Kit frame; all
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from kit1000.kits.acceptance import wrong_poses_about
-from kit1000.kits.cavity import insertion_depth
-from kit1000.kits.envelope import grown, lower_envelope, polar_relief
-from kit1000.kits.face import RestingFace
-from kit1000.kits.goals import MAX_RELIEF_DIFFERENCE, best_yaw
-from kit1000.kits.kit import seated_pose
+from kit1000.kits.acceptance import is_goal, prepared_part, wrong_poses_about
+from kit1000.kits.envelope import grown, lower_envelope
+from kit1000.kits.loose_fits import OpenField, height_limit, is_near_goal, poses_in_own_slot
 from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
 from kit1000.numerics.trigonometry import tangent
-from kit1000.values import Part
+from kit1000.pose import Pose
+from kit1000.values import Part, Slot
 
 MIN_CELLS, MAX_CELLS = 80, 300  # along the part's longest side
 CELLS_PER_CLEARANCE = 5
@@ -32,37 +31,76 @@ MOST_LEAN = tangent(float(np.radians(20)))  # of the direction in which a tilted
 HALF_DIAGONAL = np.sqrt(0.5)  # of a square: no point is farther from the nearest of a grid
 
 
-def sure_refusal(part: Part, face: RestingFace, clearance: float) -> str | None:
-    """Why the kit on a face surely fails the trials, as they would tell it; None when they have to be made."""
-    depth, longest = insertion_depth(face.height), float(part.mesh.extents.max())
-    limit, design = min(SEATED_LIMIT, depth / 3), seated_pose(part.mesh, face)
-    cell = float(np.clip(clearance / CELLS_PER_CLEARANCE, longest / MAX_CELLS, longest / MIN_CELLS))
-    step = min(limit / STEPS_PER_LIMIT, cell)
-    reach = (clearance - SAGITTA) / cell - HALF_DIAGONAL
-    if reach < 1 or step < longest / MAX_STEPS:
+def sure_refusal(part: Part, slot: Slot) -> str | None:
+    """Why the kit with a slot surely fails the trials; None when they have to be made.
+
+    They may fail for another reason before they come to this one.
+    """
+    stand_in = _StandIn.of(part.mesh, slot)
+    if stand_in is None:
         return None
-    placed = part.mesh.moved(design)
-    heights, corner = lower_envelope(placed, cell, clearance + MOST_LEAN * depth + 4 * cell)
-    tops = -grown(np.maximum(-heights, 0.0), reach)
-    points = surface_points(part.mesh, step)
-    for name, pose in wrong_poses_about(design, clearance):
-        moved = pose.apply(points)
-        axis = (pose @ design.inverse()).rotate(np.array([0.0, 0.0, 1.0]))
-        above = _highest_offset(moved, tops, *corner, cell, *(axis[:2] / axis[2]), depth) + step
-        # contact is no lower than where the lowest point of the part is on the floor
-        below = -depth - (moved[:, 2].min() + step)
-        heights_of_contact = np.array([below, above]) + pose.xyz[2] - design.xyz[2]
-        seats = np.abs(heights_of_contact).max() <= limit - BISECTION_STEP
-        seats &= max(abs(below), abs(above)) / axis[2] < SEATED_LIMIT - BISECTION_STEP
-        if seats and not _may_be_goal(placed, part.mesh.moved(pose), depth):
+    for name, pose in wrong_poses_about(slot.goals[0], slot.clearance):
+        if not is_goal(pose, slot) and stand_in.seats_from(pose):
             return f"seats when {name}"
-    return None
+    return "loose fit" if stand_in.has_loose_fit() else None
 
 
-def _may_be_goal(design: Mesh, other: Mesh, depth: float) -> bool:
-    """Whether a pose looks as the design pose does, at any yaw: then it may be near a goal."""
-    relief, _, weights = polar_relief(design, depth)
-    return best_yaw(relief, polar_relief(other, depth)[0], weights)[1] < 2 * MAX_RELIEF_DIFFERENCE
+@dataclass(frozen=True, eq=False)
+class _StandIn:
+    """What stands for a kit and its part: columns of the plate, and points of the part."""
+
+    mesh: Mesh
+    slot: Slot
+    columns: np.ndarray
+    """(nx, ny) [m] heights of their tops, which nowhere lie below the plate's surface."""
+    corner: np.ndarray
+    """(2,) [m] centre of the first column."""
+    cell: float
+    """[m] between columns."""
+    step: float
+    """[m] every point of the part is within this distance of one that stands for it."""
+
+    @staticmethod
+    def of(mesh: Mesh, slot: Slot) -> _StandIn | None:
+        """The stand-in, or None where it is too coarse to tell anything."""
+        depth, clearance, longest = slot.depth, slot.clearance, float(mesh.extents.max())
+        cell = float(np.clip(clearance / CELLS_PER_CLEARANCE, longest / MAX_CELLS, longest / MIN_CELLS))
+        step = min(height_limit(slot) / STEPS_PER_LIMIT, cell)
+        reach = (clearance - SAGITTA) / cell - HALF_DIAGONAL
+        if reach < 1 or step < longest / MAX_STEPS:
+            return None
+        placed = mesh.moved(slot.goals[0])
+        heights, corner = lower_envelope(placed, cell, clearance + MOST_LEAN * depth + 4 * cell)
+        return _StandIn(mesh, slot, -grown(np.maximum(-heights, 0.0), reach), corner, cell, step)
+
+    def seats_from(self, pose: Pose) -> bool:
+        """Whether a part that was meant for the design pose surely seats from another one, along its tilted axis."""
+        design = self.slot.goals[0]
+        axis = (pose @ design.inverse()).rotate(np.array([0.0, 0.0, 1.0]))
+        offsets = self._offsets_to_contact(pose, axis[:2] / axis[2])
+        is_near = np.abs(offsets).max() / axis[2] < SEATED_LIMIT - BISECTION_STEP
+        return bool(is_near and self._is_at_height(offsets + pose.xyz[2], design.xyz[2]))
+
+    def has_loose_fit(self) -> bool:
+        """Whether the part surely seats in a pose that is near no goal, resting on one of its faces."""
+        field = OpenField.of(self.columns, self.corner, self.cell, self.slot.depth)
+        for pose in poses_in_own_slot(prepared_part(self.mesh), field, self.slot):
+            heights = self._offsets_to_contact(pose, np.zeros(2)) + pose.xyz[2]
+            at_goal = (self._is_at_height(heights, z) for z in self.slot.goals.xyz[:, 2])
+            if any(at_goal) and not is_near_goal(pose, self.slot):
+                return True
+        return False
+
+    def _offsets_to_contact(self, pose: Pose, lean: np.ndarray) -> np.ndarray:
+        """(2,) [m] the least and the most along z to first contact of a part that moves along (*lean, 1)."""
+        points, depth = surface_points(self.mesh, self.step), self.slot.depth
+        field = (self.columns, *self.corner, self.cell)
+        most, lowest = _offset_to_contact(points, pose.rotation_matrix(), pose.xyz, *field, *lean, depth)
+        # contact is no lower than where the lowest point of the part is on the floor
+        return np.array([-depth - lowest - self.step, most + self.step])
+
+    def _is_at_height(self, heights: np.ndarray, goal: float) -> bool:
+        return bool(np.abs(heights - goal).max() <= height_limit(self.slot) - BISECTION_STEP)
 
 
 @lru_cache(maxsize=4)
@@ -110,10 +148,11 @@ def _spread(triangles, step):
 
 
 @compiled
-def _highest_offset(points, tops, x0, y0, cell, lean_x, lean_y, depth):
-    """[m] along z that takes points to first contact with columns when they move along (lean_x, lean_y, 1).
+def _offset_to_contact(points, rotation, shift, tops, x0, y0, cell, lean_x, lean_y, depth):
+    """[m] along z that takes moved points to first contact with columns when they move along (lean_x, lean_y, 1).
 
-    tops: (nx, ny) [m] of the columns, which reach down to -depth; beside them the plate's top is at 0.
+    Also returns the height [m] of the lowest point. rotation (3, 3), shift (3,): of the points. tops: (nx, ny) [m] of
+    the columns, which reach down to -depth; beside them the plate's top is at 0.
     """
     nx, ny = tops.shape
     seen = np.empty((nx, ny))  # the highest point of the columns that is seen along the direction, where it meets z = 0
@@ -136,15 +175,19 @@ def _highest_offset(points, tops, x0, y0, cell, lean_x, lean_y, depth):
                 z -= down
                 if z <= floor:
                     break
-    best = -np.inf
+    best, lowest = -np.inf, np.inf
     for k in range(points.shape[0]):
-        z = points[k, 2]
+        u, v, w = points[k, 0], points[k, 1], points[k, 2]
+        z = rotation[2, 0] * u + rotation[2, 1] * v + rotation[2, 2] * w + shift[2]
+        lowest = min(lowest, z)
         if -z <= best:
             continue
-        i = int(np.round((points[k, 0] - z * lean_x - x0) / cell))
-        j = int(np.round((points[k, 1] - z * lean_y - y0) / cell))
+        x = rotation[0, 0] * u + rotation[0, 1] * v + rotation[0, 2] * w + shift[0]
+        y = rotation[1, 0] * u + rotation[1, 1] * v + rotation[1, 2] * w + shift[1]
+        i = int(np.round((x - z * lean_x - x0) / cell))
+        j = int(np.round((y - z * lean_y - y0) / cell))
         for di in range(-1, 2):
             for dj in range(-1, 2):
                 inside = 0 <= i + di < nx and 0 <= j + dj < ny
                 best = max(best, (seen[i + di, j + dj] if inside else 0.0) - z)
-    return best
+    return best, lowest

@@ -1,5 +1,5 @@
 """The goals of a slot: every pose of the part whose shadow S(z) equals that of the design pose at all heights below the
-rim. (The shadow is the projection along the insertion axis of all of the part below a height, see `cavity`.)
+rim. (The shadow is the projection along the insertion axis of all of the part below a height, see `shadows`.)
 
 Declared symmetries are goals by construction. A numeric search adds goals that follow from the seated part alone: yaws
 that leave the shadow unchanged, other faces down with the same shadow, and a free axis where every shadow is round.
@@ -14,10 +14,9 @@ from functools import cached_property
 import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold
 
-from kit1000.kits.cavity import AREA_TOLERANCE, Cavity, Probe
 from kit1000.kits.envelope import polar_relief
 from kit1000.kits.face import resting_faces
-from kit1000.kits.sweep import shadow_below
+from kit1000.kits.shadows import AREA_TOLERANCE, PartShadows, Shadow, shadow_below
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.numerics.linear_algebra import length, matmul
 from kit1000.numerics.trigonometry import cosine
@@ -35,17 +34,17 @@ SAME_GOAL_ANGLE, SAME_GOAL_SHIFT = np.radians(1.0), 0.2e-3  # goals closer than 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """The input of the search: the part, its design pose and its cavity."""
+    """The input of the search: the part, its design pose and its shadows there."""
 
     mesh: Mesh
     symmetry: Symmetry
     kit_from_part: Pose
-    cavity: Cavity
+    shadows: PartShadows
 
     @cached_property
     def relief(self) -> tuple[np.ndarray, np.ndarray]:
         """Relief of the part in its design pose and area weights of its rings, see `polar_relief`."""
-        relief, _, weights = polar_relief(self.mesh.moved(self.kit_from_part), self.cavity.depth)
+        relief, _, weights = polar_relief(self.mesh.moved(self.kit_from_part), self.shadows.depth)
         return relief, weights
 
     @cached_property
@@ -56,16 +55,16 @@ class Design:
     @cached_property
     def centre(self) -> np.ndarray:
         """(2,) [m] centroid of the rim shadow."""
-        return area_centroid(self.cavity.rim_shadow)
+        return area_centroid(self.shadows.rim)
 
     @cached_property
     def rim_areas(self) -> tuple[float, float]:
         """[m^2] of the rim shadow, and of the same grown by SHADOW_TOLERANCE."""
-        return self.cavity.rim_shadow.area(), _grown(self.cavity.rim_shadow).area()
+        return self.shadows.rim.area(), _grown(self.shadows.rim).area()
 
     def standing(self, kit_from_part: Pose) -> Manifold:
         """The solid of the part in a pose, shifted so that the cavity's floor is at z = 0."""
-        return self.solid.transform(kit_from_part.matrix()[:3]).translate((0, 0, self.cavity.depth))
+        return self.solid.transform(kit_from_part.matrix()[:3]).translate((0, 0, self.shadows.depth))
 
 
 def find_goals(design: Design) -> tuple[Pose, FreeAxis | None]:
@@ -82,19 +81,19 @@ def find_goals(design: Design) -> tuple[Pose, FreeAxis | None]:
     return Pose.stack(goals), axis
 
 
-def has_design_shadow(cavity: Cavity, standing: Manifold) -> bool:
-    """Whether a solid on the cavity's floor, z = 0, has the shadow that the cavity was made for, at every height."""
-    for probe in _probes(cavity):
-        other = shadow_below(standing, probe.z)
-        if not (_within_tolerance(probe.shadow, other) and _within_tolerance(other, probe.shadow)):
+def has_design_shadow(design: PartShadows, standing: Manifold) -> bool:
+    """Whether a solid on the cavity's floor, z = 0, has the shadows of the design pose, at every height."""
+    for z, section in _compared(design):
+        other = shadow_below(standing, z)
+        if not (_within_tolerance(section, other) and _within_tolerance(other, section)):
             return False
     return True
 
 
-def _probes(cavity: Cavity, most: int = 8) -> list[Probe]:
-    """The probes to compare, the rim first: it differs most often."""
-    picks = np.unique(np.linspace(0, len(cavity.probes) - 1, most).round().astype(int))
-    return [cavity.probes[i] for i in picks[::-1]]
+def _compared(part: PartShadows, most: int = 8) -> list[Shadow]:
+    """The shadows to compare, the rim's first: it differs most often."""
+    picks = np.unique(np.linspace(0, len(part.shadows) - 1, most).round().astype(int))
+    return [part.shadows[i] for i in picks[::-1]]
 
 
 def _has_rotated_shadow(design: Design, angle: float) -> bool:
@@ -102,9 +101,9 @@ def _has_rotated_shadow(design: Design, angle: float) -> bool:
 
     Its shadows are the rotated ones of the design, so that none is computed anew.
     """
-    for probe in _probes(design.cavity):
-        other = _rotated(probe.shadow, design.centre, angle)
-        if not (_within_tolerance(probe.shadow, other) and _within_tolerance(other, probe.shadow)):
+    for _, section in _compared(design.shadows):
+        other = _rotated(section, design.centre, angle)
+        if not (_within_tolerance(section, other) and _within_tolerance(other, section)):
             return False
     return True
 
@@ -138,8 +137,8 @@ def _free_axis(design: Design) -> FreeAxis | None:
         direction = design.kit_from_part.rotate(design.symmetry.axis)
         return FreeAxis(design.kit_from_part.xyz, direction / length(direction))
     centre = design.centre
-    for probe in design.cavity.probes:
-        for loop in probe.shadow.to_polygons():
+    for _, section in design.shadows.shadows:
+        for loop in section.to_polygons():
             if not _is_circle(loop, centre):
                 return None
     return FreeAxis(np.array([*centre, 0.0]), np.array([0.0, 0.0, 1.0]))
@@ -189,16 +188,16 @@ def _flipped_poses(design: Design, known: list[Pose]) -> list[Pose]:
     relief, weights = design.relief
     found = []
     for face in resting_faces(design.mesh, min_probability=0.0):
-        if any(_faces_down(pose, face.normal) for pose in known) or face.height < design.cavity.depth:
+        if any(_faces_down(pose, face.normal) for pose in known) or face.height < design.shadows.depth:
             continue
-        other, _, _ = polar_relief(design.mesh.moved(face.plane_from_part), design.cavity.depth)
+        other, _, _ = polar_relief(design.mesh.moved(face.plane_from_part), design.shadows.depth)
         yaw, difference = best_yaw(relief, other, weights)
         if difference > MAX_RELIEF_DIFFERENCE:
             continue
         if not _has_rim_area(design, face.plane_from_part):
             continue
         pose = _aligned(design, face.plane_from_part, yaw)
-        if has_design_shadow(design.cavity, design.standing(pose)):
+        if has_design_shadow(design.shadows, design.standing(pose)):
             found.append(pose)
     return found
 
@@ -206,8 +205,8 @@ def _flipped_poses(design: Design, known: list[Pose]) -> list[Pose]:
 def _has_rim_area(design: Design, plane_from_part: Pose) -> bool:
     """Whether the rim shadow of a resting part has about the area of the design's: equal shadows do, at any yaw."""
     low = plane_from_part.apply(design.mesh.vertices)[:, 2].min()
-    seated = Pose.from_translation(np.array([0, 0, -design.cavity.depth - low])) @ plane_from_part
-    shadow = shadow_below(design.standing(seated), design.cavity.depth)
+    seated = Pose.from_translation(np.array([0, 0, -design.shadows.depth - low])) @ plane_from_part
+    shadow = shadow_below(design.standing(seated), design.shadows.depth)
     area, grown = design.rim_areas
     most = (1 + AREA_SLACK) * grown + AREA_TOLERANCE
     return shadow.area() < most and area < (1 + AREA_SLACK) * _grown(shadow).area() + AREA_TOLERANCE
@@ -227,18 +226,18 @@ def best_yaw(relief: np.ndarray, other: np.ndarray, weights: np.ndarray) -> tupl
 
 def _aligned(design: Design, plane_from_part: Pose, yaw: float) -> Pose:
     """The part resting on the cavity's floor, centred, at the yaw [rad] nearby where the rim shadows overlap most."""
-    rim = design.cavity.rim_shadow
+    rim = design.shadows.rim
     centre = design.centre
     from scipy.optimize import minimize_scalar  # only here: few parts need it, and importing it takes long
 
     def placed(angle: float) -> Pose:
         rotated = Pose.from_rotvec(np.array([0, 0, angle])) @ plane_from_part
         low = rotated.apply(design.mesh.vertices)[:, 2].min()
-        seated = Pose.from_translation(np.array([0, 0, -design.cavity.depth - low])) @ rotated
-        offset = centre - area_centroid(shadow_below(design.standing(seated), design.cavity.depth))
+        seated = Pose.from_translation(np.array([0, 0, -design.shadows.depth - low])) @ rotated
+        offset = centre - area_centroid(shadow_below(design.standing(seated), design.shadows.depth))
         return Pose.from_translation(np.array([*offset, 0.0])) @ seated
 
-    shadow = shadow_below(design.standing(placed(yaw)), design.cavity.depth)
+    shadow = shadow_below(design.standing(placed(yaw)), design.shadows.depth)
 
     def overlap(extra: float) -> float:
         return (_rotated(shadow, centre, extra) ^ rim).area()

@@ -17,6 +17,7 @@ from kit1000.kits.face import RestingFace, distinct_faces, rank_faces, resting_f
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.patches import EXACT, EXACT_FILE, MERGED, MERGED_FILE, Detail
 from kit1000.kits.printable_mesh import printable_mesh
+from kit1000.kits.shadows import PartShadows
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.numerics.linear_algebra import matmul
@@ -84,6 +85,16 @@ class KitDesign:
         }
 
 
+@dataclass(frozen=True, eq=False)
+class SlotDesign:
+    """The slot of a part on an insertion face: where the part goes, before any cavity is cut."""
+
+    part: Part
+    face: RestingFace
+    slot: Slot
+    shadows: PartShadows
+
+
 def make_kit(part: Part, clearance: float = CLEARANCE, plate: Plate | None = UNIT_PLATE) -> Kit:
     """The kit of a part on the first of its insertion faces, without trials; see `design_kit`."""
     return design_kit(part, clearance, plate).kit
@@ -97,27 +108,30 @@ def design_kit(
     face: the insertion face; the first of `insertion_faces` when None. Raises Redraw with a short reason when the part
     has no insertion face or does not fit the plate.
     """
-    face = face or insertion_faces(part, clearance, fitted_plate=plate is None)[0]
+    return cut_kit(design_slot(part, clearance, face or insertion_faces(part, clearance, plate is None)[0]), plate)
+
+
+def design_slot(part: Part, clearance: float, face: RestingFace) -> SlotDesign:
+    """The slot of a part on an insertion face: its design pose, its shadows there and its goals."""
     depth = insertion_depth(face.height)
     standing = _aligned_with_plate(part.mesh, face, depth)  # plane_from_part
-    plate = plate or _fitted_plate(part.mesh.moved(standing), clearance, depth)
-    solid = solid_from_mesh(part.mesh).transform(standing.matrix()[:3])
+    shadows = PartShadows.of(solid_from_mesh(part.mesh).transform(standing.matrix()[:3]), depth)
+    kit_from_part = Pose.from_translation(np.array([0, 0, -depth])) @ standing
+    goals, free_axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, shadows))
+    return SlotDesign(part, face, Slot(part.id, kit_from_part, clearance, depth, goals, free_axis), shadows)
+
+
+def cut_kit(design: SlotDesign, plate: Plate | None = UNIT_PLATE) -> KitDesign:
+    """The kit with a designed slot, in a given plate or, with None, in one fitted to the part.
+
+    Raises Redraw with a short reason when the part does not fit the plate.
+    """
+    part, slot = design.part, design.slot
+    plate = plate or _fitted_plate(part.mesh.moved(slot.kit_from_part), slot.clearance, slot.depth)
     details = (MERGED_FILE, EXACT_FILE) if part.family == FILE else (MERGED, EXACT)
-    cavity, mesh, measured = _cut_plate(solid, depth, clearance, plate, details)
-    kit_from_part = _lowered(standing, depth)
-    goals, free_axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, cavity))
-    slot = Slot(part.id, kit_from_part, clearance, depth, goals, free_axis)
-    return KitDesign(Kit(part.id, mesh, slot, np.array([*plate.width, plate.thickness])), cavity, face, measured)
-
-
-def seated_pose(mesh: Mesh, face: RestingFace) -> Pose:
-    """kit_from_part: the design pose of a part on a face."""
-    depth = insertion_depth(face.height)
-    return _lowered(_aligned_with_plate(mesh, face, depth), depth)
-
-
-def _lowered(standing: Pose, depth: float) -> Pose:
-    return Pose.from_translation(np.array([0, 0, -depth])) @ standing
+    cavity, mesh, measured = _cut_plate(design.shadows, slot.clearance, plate, details)
+    kit = Kit(part.id, mesh, slot, np.array([*plate.width, plate.thickness]))
+    return KitDesign(kit, cavity, design.face, measured)
 
 
 def insertion_faces(part: Part, clearance: float = CLEARANCE, fitted_plate: bool = False) -> list[RestingFace]:
@@ -137,24 +151,22 @@ def insertion_faces(part: Part, clearance: float = CLEARANCE, fitted_plate: bool
 
 
 def _cut_plate(
-    standing: Manifold, depth: float, clearance: float, plate: Plate, details: tuple[Detail, ...]
+    part: PartShadows, clearance: float, plate: Plate, details: tuple[Detail, ...]
 ) -> tuple[Cavity, Mesh, Clearance]:
     """The cavity, the plate and its clearance, in the first of the details that keeps the bounds, else in the last."""
     *first, last = details
     for detail in first:
-        cavity, mesh, measured = _cut_in_detail(standing, depth, clearance, plate, detail)
+        cavity, mesh, measured = _cut_in_detail(part, clearance, plate, detail)
         is_wide_enough = detail is not MERGED_FILE or measured.smallest >= clearance - SAGITTA
         if is_wide_enough and measured.largest <= clearance + MAX_EXCESS_CLEARANCE:
             return cavity, mesh, measured
         if measured.largest > clearance + 3 * MAX_EXCESS_CLEARANCE:
             break  # more than any detail adds
-    return _cut_in_detail(standing, depth, clearance, plate, last)
+    return _cut_in_detail(part, clearance, plate, last)
 
 
-def _cut_in_detail(
-    standing: Manifold, depth: float, clearance: float, plate: Plate, detail: Detail
-) -> tuple[Cavity, Mesh, Clearance]:
-    cavity = cut_cavity(standing, depth, clearance, plate.width, detail)
+def _cut_in_detail(part: PartShadows, clearance: float, plate: Plate, detail: Detail) -> tuple[Cavity, Mesh, Clearance]:
+    cavity = cut_cavity(part, clearance, plate.width, detail)
     if not _fits_plate(cavity, plate):
         raise Redraw("wider than the plate")
     mesh = plate_mesh(cavity, plate)

@@ -45,17 +45,35 @@ REFINE_STEP = 0.5e-3  # [m] between the shifts tested exactly about a candidate 
 REFINED_SHIFTS = REFINE_STEP * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
 
 
+class OpenField(NamedTuple):
+    """A kit's height field, in which the search moves a part."""
+
+    heights: np.ndarray
+    """(nx, ny) float32 [m]"""
+    origin: np.ndarray
+    """(2,) [m] of the first cell."""
+    cell: float
+    """[m]"""
+    low: np.ndarray
+    """(2,) [m] of the smallest rectangle around the cells that are open to half of the depth."""
+    high: np.ndarray
+
+    @staticmethod
+    def of(heights: np.ndarray, origin: np.ndarray, cell: float, depth: float) -> OpenField:
+        """The field of a kit with a cavity of a depth [m]."""
+        heights = heights.astype(np.float32)
+        cells = np.argwhere(heights < -depth / 2)
+        return OpenField(heights, origin, cell, origin + cells.min(0) * cell, origin + cells.max(0) * cell)
+
+
 class PreparedKit:
-    """A kit prepared for the search: its height field, its open area and its contact features from above."""
+    """A kit prepared for the search: its height field and its contact features from above."""
 
     def __init__(self, kit: Kit) -> None:
         self.slot = kit.slot
         self.features = contact_features(convex_edges(kit.mesh), np.eye(3), np.zeros(3), 1.0)
         self.mesh, field = kit.mesh, HeightField.of(kit.mesh, CELL)
-        self.origin, self.heights = field.origin, _minimum_filtered(field.heights).astype(np.float32)
-        open_cells = np.argwhere(self.heights < -kit.slot.depth / 2)
-        self.open_low = self.origin + open_cells.min(0) * CELL
-        self.open_high = self.origin + open_cells.max(0) * CELL
+        self.field = OpenField.of(_minimum_filtered(field.heights), field.origin, CELL, kit.slot.depth)
 
     @cached_property
     def fine_field(self) -> HeightField:
@@ -65,7 +83,12 @@ class PreparedKit:
     @property
     def height_limit(self) -> float:
         """[m] above goal height at which a part still counts as seated."""
-        return min(SEATED_LIMIT, self.slot.depth / 3)
+        return height_limit(self.slot)
+
+
+def height_limit(slot: Slot) -> float:
+    """[m] above goal height at which a part still counts as seated in a slot."""
+    return min(SEATED_LIMIT, slot.depth / 3)
 
 
 class Candidate(NamedTuple):
@@ -113,15 +136,28 @@ class _RestingPart(NamedTuple):
 def find_loose_fit(part: PreparedPart, kit: PreparedKit) -> Pose | None:
     """A kit_from_part pose that is near no goal and seats the part in its own slot, or None."""
     goals, limit = kit.slot.goals.xyz[:, 2], kit.height_limit
-    for resting in part.resting:
-        if np.abs(goals - (resting.origin_height - kit.slot.depth) - limit / 2).min() > 1.5 * limit:
-            continue
-        lift = float(goals.max()) + limit - (resting.origin_height - kit.slot.depth)  # it may hang above the floor
-        lift = min(max(lift, limit), MOST_LIFT * kit.slot.depth)
+    for resting, lift in _faces_near_goals(part, kit.slot):
         for candidate in _candidates(part.edges, resting, kit, lift, away_from_goals=True):
             if np.abs(candidate.xyz[2] + candidate.contact_offset - goals).min() <= limit - BISECTION_STEP:
                 return candidate.pose
     return _fit_beyond_goal(part, kit)
+
+
+def poses_in_own_slot(part: PreparedPart, field: OpenField, slot: Slot) -> Iterator[Pose]:
+    """The kit_from_part poses that a height field of the part's own slot allows, its lowest point on the floor."""
+    for resting, lift in _faces_near_goals(part, slot):
+        for rotation, xyz in _poses_on_floor(resting, field, slot.depth, lift):
+            yield Pose.from_rotation_matrix(rotation, xyz)
+
+
+def _faces_near_goals(part: PreparedPart, slot: Slot) -> Iterator[tuple[_RestingPart, float]]:
+    """The part on each face on which it may be at goal height, and how high [m] it may hang above the floor there."""
+    goals, limit = slot.goals.xyz[:, 2], height_limit(slot)
+    for resting in part.resting:
+        if np.abs(goals - (resting.origin_height - slot.depth) - limit / 2).min() > 1.5 * limit:
+            continue
+        lift = float(goals.max()) + limit - (resting.origin_height - slot.depth)
+        yield resting, min(max(lift, limit), MOST_LIFT * slot.depth)
 
 
 def _fit_beyond_goal(part: PreparedPart, kit: PreparedKit) -> Pose | None:
@@ -203,21 +239,27 @@ def _candidates(
     lift: [m] above the floor at which the height field must be clear.
     away_from_goals: leave out those of which a shift may be near a goal.
     """
-    depth, points = kit.slot.depth, resting.underside[resting.underside[:, 2] < kit.slot.depth]
-    field = (points, kit.heights, *kit.origin, *kit.open_low, *kit.open_high, depth, lift)
+    for rotation, middle in _poses_on_floor(resting, kit.field, kit.slot.depth, lift):
+        if away_from_goals and is_near_goal(Pose.from_rotation_matrix(rotation, middle), kit.slot, REFINE_STEP):
+            continue
+        moving = contact_features(edges, rotation, np.zeros(3), -1.0)
+        for shift in REFINED_SHIFTS:
+            xyz = middle + [*shift, 0]
+            shifted = ContactFeatures(moving.vertices + xyz, moving.edges + xyz, moving.faces + xyz)
+            yield Candidate(rotation, xyz, vertical_contact_offset(shifted, kit.features))
+
+
+def _poses_on_floor(
+    resting: _RestingPart, field: OpenField, depth: float, lift: float
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Rotation (3, 3) and shift (3,) [m] of a part on one face, amid all shifts that a height field allows at a yaw."""
+    points = resting.underside[resting.underside[:, 2] < depth]
+    search = (points, field.heights, *field.origin, field.cell, *field.low, *field.high, depth, lift)
     for batch in range(YAW_BATCHES):
-        for yaw, dx, dy in _feasible_shifts(*field, YAWS[batch::YAW_BATCHES]):
+        for yaw, dx, dy in _feasible_shifts(*search, YAWS[batch::YAW_BATCHES]):
             c, s = np.cos(yaw), np.sin(yaw)
             rotation = matmul(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), resting.rotation)
-            middle = np.array([dx, dy, resting.origin_height - depth])
-            pose = Pose.from_rotation_matrix(rotation, middle)
-            if away_from_goals and is_near_goal(pose, kit.slot, REFINE_STEP):
-                continue
-            moving = contact_features(edges, rotation, np.zeros(3), -1.0)
-            for shift in REFINED_SHIFTS:
-                xyz = middle + [*shift, 0]
-                shifted = ContactFeatures(moving.vertices + xyz, moving.edges + xyz, moving.faces + xyz)
-                yield Candidate(rotation, xyz, vertical_contact_offset(shifted, kit.features))
+            yield rotation, np.array([dx, dy, resting.origin_height - depth])
 
 
 def _underside_points(resting: Mesh) -> np.ndarray:
@@ -238,7 +280,7 @@ def _minimum_filtered(heights: np.ndarray) -> np.ndarray:
 
 
 @compiled
-def _feasible_shifts(points, heights, x0, y0, low_x, low_y, high_x, high_y, depth, limit, yaws):
+def _feasible_shifts(points, heights, x0, y0, cell, low_x, low_y, high_x, high_y, depth, limit, yaws):
     """(k, 3) yaw, dx, dy: for each yaw the mean of all shifts that keep the points above the height field."""
     found = np.empty((yaws.shape[0], 3))
     count = 0
@@ -256,7 +298,7 @@ def _feasible_shifts(points, heights, x0, y0, low_x, low_y, high_x, high_y, dept
             continue
         steps_x, steps_y = int(room_x / SHIFT_STEP) + 1, int(room_y / SHIFT_STEP) + 1
         sum_x, sum_y, hits = low_x - left + room_x / 2, low_y - near + room_y / 2, 1
-        if _is_clear(points, rotated, heights, x0, y0, sum_x, sum_y, limit - depth):
+        if _is_clear(points, rotated, heights, x0, y0, cell, sum_x, sum_y, limit - depth):
             steps_x = steps_y = -1  # the middle of the room is enough
         else:
             sum_x, sum_y, hits = 0.0, 0.0, 0
@@ -264,7 +306,7 @@ def _feasible_shifts(points, heights, x0, y0, low_x, low_y, high_x, high_y, dept
             dx = low_x - left + room_x * i / steps_x
             for j in range(steps_y + 1):
                 dy = low_y - near + room_y * j / steps_y
-                if _is_clear(points, rotated, heights, x0, y0, dx, dy, limit - depth):
+                if _is_clear(points, rotated, heights, x0, y0, cell, dx, dy, limit - depth):
                     sum_x, sum_y, hits = sum_x + dx, sum_y + dy, hits + 1
         if hits:
             found[count, 0], found[count, 1], found[count, 2] = yaw, sum_x / hits, sum_y / hits
@@ -273,9 +315,9 @@ def _feasible_shifts(points, heights, x0, y0, low_x, low_y, high_x, high_y, dept
 
 
 @compiled
-def _is_clear(points, rotated, heights, x0, y0, dx, dy, lift):
+def _is_clear(points, rotated, heights, x0, y0, cell, dx, dy, lift):
     for p in range(points.shape[0]):
-        i, j = round((rotated[p, 0] + dx - x0) / CELL), round((rotated[p, 1] + dy - y0) / CELL)
+        i, j = round((rotated[p, 0] + dx - x0) / cell), round((rotated[p, 1] + dy - y0) / cell)
         if i < 0 or j < 0 or i >= heights.shape[0] or j >= heights.shape[1]:
             continue
         if heights[i, j] > points[p, 2] + lift:

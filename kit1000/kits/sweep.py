@@ -16,15 +16,15 @@ from manifold3d import CrossSection, FillRule, Manifold, OpType
 from kit1000.errors import Redraw
 from kit1000.kits.outward_sectors import disc_sectors
 from kit1000.kits.patches import MERGED, Detail, merged_underside
-from kit1000.mesh import convex_hull, mesh_from_solid
+from kit1000.kits.shadows import shadow_below
+from kit1000.kits.underside import LEVEL_TOLERANCE, downward_faces
+from kit1000.mesh import convex_hull
 from kit1000.numerics.trigonometry import cosine, sine
 
 SAGITTA = 0.02e-3  # [m] width of the band that the chords of the disc stay within
 DISC_OVERSIZE = 0.4 * SAGITTA  # the disc's corners lie this far outside the clearance, its chords 0.6 SAGITTA inside
 RIM_OVERSHOOT = 1e-3  # [m] by which cutting solids stick out of the rim
 TOP_SPACING = 1e-6  # [m] from the top of one cutting solid to the next
-WALL_COSINE = 2e-4  # faces whose unit normal has a smaller -z are walls: they sweep no more than their edges do
-LEVEL_TOLERANCE = 2e-6  # [m] a face of a smaller extent along z is level
 COVERAGE_STEP = 1e-3  # [m] between heights at which the sweep of lower faces is computed
 AREA_TOLERANCE = 1e-10  # [m^2] smaller areas are rounding errors
 
@@ -37,16 +37,9 @@ def disc_polygon(clearance: float) -> np.ndarray:
     return radius * np.stack([cosine(angles), sine(angles)], 1)
 
 
-def shadow_below(standing: Manifold, z: float) -> CrossSection:
-    """S(z): the shadow of a standing solid below a height [m], its projection along z."""
-    return CrossSection(standing.trim_by_plane((0, 0, -1), -z).project().to_polygons(), FillRule.Positive)
-
-
-def grown_sweep(
-    standing: Manifold, depth: float, clearance: float, detail: Detail = MERGED
-) -> tuple[Manifold, list[float]]:
-    """The part below the rim, grown by the clearance and swept up; and the heights [m] of its level faces."""
-    triangles, level = _underside(standing.trim_by_plane((0, 0, -1), -depth))
+def grown_sweep(standing: Manifold, depth: float, clearance: float, detail: Detail = MERGED) -> Manifold:
+    """The part below the rim, grown by the clearance and swept up."""
+    triangles, level = downward_faces(standing.trim_by_plane((0, 0, -1), -depth))
     polygon, level_triangles = disc_polygon(clearance), triangles[level]
     levels = np.unique(level_triangles[:, 0, 2])
     outlines = [_grown_outline(level_triangles[level_triangles[:, 0, 2] == z][..., :2], polygon) for z in levels]
@@ -64,7 +57,7 @@ def grown_sweep(
     swept = Manifold.batch_boolean(prisms + hulls, OpType.Add)
     if swept.is_empty():
         raise Redraw(f"no underside to sweep ({swept.status().name})")
-    return swept, levels.tolist()
+    return swept
 
 
 def _patches(
@@ -111,20 +104,6 @@ class _LowerSweep:
         return shadow.offset(
             self.clearance + DISC_OVERSIZE - SAGITTA, circular_segments=len(disc_polygon(self.clearance))
         )
-
-
-def _underside(solid: Manifold) -> tuple[np.ndarray, np.ndarray]:
-    """Down-facing triangles (m, 3, 3) and which of them are level, these flattened to their lowest corner."""
-    mesh = mesh_from_solid(solid)
-    triangles = mesh.triangles[mesh.normals[:, 2] < -WALL_COSINE].copy()
-    level = np.ptp(triangles[..., 2], axis=1) < LEVEL_TOLERANCE
-    heights = np.sort(triangles[level][..., 2].min(1))
-    lowest = heights[np.diff(heights, prepend=-np.inf) > LEVEL_TOLERANCE]
-    if len(lowest):
-        own = np.searchsorted(lowest, triangles[level][..., 2].min(1), side="right") - 1
-        flattened = np.broadcast_to(lowest[own][:, None, None], (len(own), 3, 1))
-        triangles[level] = np.concatenate([triangles[level][..., :2], flattened], axis=2)
-    return triangles, level
 
 
 def _swept_corners(patch: np.ndarray, disc: np.ndarray, top: float) -> np.ndarray:

@@ -12,8 +12,8 @@ from typing import Any
 
 from kit1000.dataset.geometry import Geometry
 from kit1000.errors import InputError, MeshRefused, did_you_mean
-from kit1000.kits.cavity import cut_cavity
 from kit1000.kits.goals import Design, find_goals
+from kit1000.kits.shadows import PartShadows
 from kit1000.labelling.starting_poses import KnownShape
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
@@ -97,8 +97,7 @@ def kits_of_files(kit_path: Path, part_path: Path, clearance: float | None = Non
     kit_from_part = Pose.from_translation(seated.centroid)
     depth, extent = -float(seated.bounds[0, 2]), plate.extents
     standing = solid_from_mesh(part.mesh.moved(Pose.from_translation((0.0, 0.0, depth)) @ kit_from_part))
-    cavity = cut_cavity(standing, depth, clearance, (float(extent[0]), float(extent[1])))
-    goals, axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, cavity))
+    goals, axis = find_goals(Design(part.mesh, part.symmetry, kit_from_part, PartShadows.of(standing, depth)))
     kit = Kit(name, plate, Slot(name, kit_from_part, clearance, depth, goals, axis), extent)
     raised = Pose.from_translation((0.0, 0.0, float(extent[2])))
     assembly = Assembly(name, plate.moved(raised).rounded_float32(), (Mount(kit, raised),))

@@ -24,7 +24,7 @@ STEP = np.radians(1)
 def pair_of(solid: Manifold, symmetry: Symmetry | None = None, clearance: float = 2.5e-3) -> tuple[Part, Kit]:
     """A part and its kit with all goals, inserted as drawn."""
     place = seated(solid, symmetry, clearance=clearance)
-    goals, axis = find_goals(Design(place.part.mesh, place.part.symmetry, place.kit_from_part, place.cavity))
+    goals, axis = find_goals(Design(place.part.mesh, place.part.symmetry, place.kit_from_part, place.shadows))
     kit = place.kit(goals, clearance=clearance)
     return place.part, replace(kit, slot=replace(kit.slot, free_axis=axis))
 

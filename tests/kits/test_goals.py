@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from kit1000.kits.goals import SHADOW_TOLERANCE, Design, find_goals, has_design_shadow, nearest_about_axis
+from kit1000.kits.shadows import PartShadows
 from kit1000.pose import Pose, quaternion_angle, random_quaternions
 from kit1000.symmetry import Symmetry
 from kit1000.values import FreeAxis
@@ -16,7 +17,6 @@ from tests.samples.shapes import (
     Y,
     Z,
     box,
-    cavity_of,
     cylinder,
     ell,
     gaps,
@@ -47,7 +47,7 @@ UNDECLARED = ["box", "square prism", "hex", "ell", "tee", "eccentric hole"]
 
 
 def design(place: Seated, symmetry: Symmetry | None = None) -> Design:
-    return Design(place.part.mesh, symmetry or place.part.symmetry, place.kit_from_part, place.cavity)
+    return Design(place.part.mesh, symmetry or place.part.symmetry, place.kit_from_part, place.shadows)
 
 
 @pytest.fixture(scope="module", params=CASES)
@@ -115,7 +115,7 @@ def test_rotated_part_axes_rotate_the_goals_and_change_nothing_else(name: str) -
         place.part.mesh.moved(rotation),
         symmetry.conjugated(rotation.wxyz),
         place.kit_from_part @ rotation.inverse(),
-        place.cavity,
+        place.shadows,
     )
     (before, axis), (after, _) = find_goals(design(place)), find_goals(other)
     assert len(before) == len(after)
@@ -143,21 +143,21 @@ def test_a_hole_too_small_for_a_post_still_distinguishes_goals() -> None:
 def test_shadows_are_the_same_within_50_micrometres(off_mm: float, same: bool) -> None:
     place = seated(ell())
     moved = design(place).standing(Pose.from_translation(np.array([off_mm * MM, 0, 0])) @ place.kit_from_part)
-    assert has_design_shadow(place.cavity, moved) == same
+    assert has_design_shadow(place.shadows, moved) == same
 
 
 @pytest.mark.parametrize(("wider_mm", "same"), [(0.0, True), (1.0, False), (-1.0, False)])
 def test_a_larger_and_a_smaller_shadow_are_others(wider_mm: float, same: bool) -> None:
-    cavity = cavity_of(box(30, 20, 20), 12e-3)
-    assert has_design_shadow(cavity, standing(box(30 + wider_mm, 20 + wider_mm, 20))) == same
+    shadows = PartShadows.of(standing(box(30, 20, 20)), 12e-3)
+    assert has_design_shadow(shadows, standing(box(30 + wider_mm, 20 + wider_mm, 20))) == same
 
 
 @pytest.mark.parametrize(("step_mm", "same"), [(0.01, True), (0.5, False)])
 def test_a_step_near_the_floor_changes_the_shadow(step_mm: float, same: bool) -> None:
     """The shadows agree at the rim but not below: a notch under one end is higher."""
-    cavity = cavity_of(box(30, 20, 20) - box(8, 20, 6, (11, 0, 0)), 12e-3)
+    shadows = PartShadows.of(standing(box(30, 20, 20) - box(8, 20, 6, (11, 0, 0))), 12e-3)
     other = box(30, 20, 20) - box(8, 20, 6 + step_mm, (11, 0, 0))
-    assert has_design_shadow(cavity, standing(other)) == same
+    assert has_design_shadow(shadows, standing(other)) == same
 
 
 def test_the_nearest_goal_about_the_axis_is_the_nearest_of_many_angles() -> None:

@@ -25,7 +25,7 @@ from tests.samples.shapes import Z, box, seated
 def pair_of(solid: Manifold) -> tuple[Mesh, Kit]:
     """A part inserted as drawn, and its kit with all goals."""
     place = seated(solid)
-    goals, axis = find_goals(Design(place.part.mesh, place.part.symmetry, place.kit_from_part, place.cavity))
+    goals, axis = find_goals(Design(place.part.mesh, place.part.symmetry, place.kit_from_part, place.shadows))
     kit = place.kit(goals)
     return place.part.mesh, replace(kit, slot=replace(kit.slot, free_axis=axis))
 

@@ -21,7 +21,7 @@ from kit1000.kits.kit import (
     design_kit,
     make_kit,
 )
-from kit1000.kits.sweep import shadow_below
+from kit1000.kits.shadows import shadow_below
 from kit1000.mesh import Mesh, body_count, defect_float32, solid_from_mesh
 from kit1000.parts.family import make_part
 from kit1000.parts.family_catalog import FAMILIES

@@ -24,7 +24,7 @@ from tests.samples.shapes import Z, as_part, box, cylinder, ell, leaning_prism, 
 def pair_of(solid: Manifold, symmetry: Symmetry | None = None) -> tuple[Mesh, Kit]:
     """A part inserted as drawn, and its kit with all goals."""
     place = seated(solid, symmetry)
-    goals, axis = find_goals(Design(place.part.mesh, place.part.symmetry, place.kit_from_part, place.cavity))
+    goals, axis = find_goals(Design(place.part.mesh, place.part.symmetry, place.kit_from_part, place.shadows))
     kit = place.kit(goals)
     return place.part.mesh, replace(kit, slot=replace(kit.slot, free_axis=axis))
 
@@ -94,7 +94,7 @@ def test_random_poses_find_no_loose_fit_where_the_search_finds_none(solid) -> No
         face = faces[number % len(faces)]
         rotated = Pose.from_rotvec(np.array([0, 0, rng.uniform(0, 2 * np.pi)])) @ face.plane_from_part
         low, high = mesh.moved(rotated).bounds
-        room = prepared.open_high + 1e-3 - high[:2], prepared.open_low - 1e-3 - low[:2]
+        room = prepared.field.high + 1e-3 - high[:2], prepared.field.low - 1e-3 - low[:2]
         shift = rng.uniform(np.minimum(*room), np.maximum(*room))
         pose = Pose.from_translation(np.array([*shift, -kit.slot.depth - low[2]])) @ rotated
         heights = pose.xyz[2] + contact_offset(InsertedPart.of(mesh, pose), edges, pose) - kit.slot.goals.xyz[:, 2]
@@ -146,6 +146,6 @@ def test_any_rotation_about_a_free_axis_is_near_the_goal() -> None:
 def test_the_height_field_of_a_box_is_as_deep_and_wide_as_its_slot() -> None:
     kit = pair_of(box(34, 22, 20))[1]
     prepared = PreparedKit(kit)
-    assert prepared.heights.min() == pytest.approx(-kit.slot.depth, abs=1e-7)
-    assert prepared.heights.max() == pytest.approx(0, abs=1e-7)
-    assert np.allclose(prepared.open_high - prepared.open_low, np.array([39, 27]) * 1e-3, atol=1.6e-3)
+    assert prepared.field.heights.min() == pytest.approx(-kit.slot.depth, abs=1e-7)
+    assert prepared.field.heights.max() == pytest.approx(0, abs=1e-7)
+    assert np.allclose(prepared.field.high - prepared.field.low, np.array([39, 27]) * 1e-3, atol=1.6e-3)

@@ -1,4 +1,4 @@
-"""Tests of sectors: a cavity grown by them is the cavity grown by whole discs, and keeps the bounds of its clearance."""
+"""Tests of sectors: a cavity grown by them is the one grown by whole discs, and keeps the bounds of its clearance."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def swept(solid: Manifold, detail: Detail) -> Manifold:
     """The grown sweep of a solid [mm] below its rim."""
     stood = standing(solid)
     depth = insertion_depth(stood.bounding_box()[5])
-    return grown_sweep(stood, depth, CLEARANCE, detail)[0].trim_by_plane((0, 0, -1), -depth)
+    return grown_sweep(stood, depth, CLEARANCE, detail).trim_by_plane((0, 0, -1), -depth)
 
 
 @pytest.mark.parametrize("make", [filleted, arched, *(lambda seed=seed: random_solid(seed) for seed in range(8))])

@@ -13,6 +13,7 @@ from manifold3d import CrossSection, FillRule, Manifold, OpType
 from kit1000.kits.cavity import Cavity, cut_cavity, insertion_depth
 from kit1000.kits.kit import UNIT_PLATE, Plate, plate_mesh
 from kit1000.kits.patches import EXACT, MERGED
+from kit1000.kits.shadows import PartShadows
 from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
@@ -108,7 +109,7 @@ def as_part(solid: Manifold, symmetry: Symmetry | None = None, name: str = "p") 
 
 
 def cavity_of(solid: Manifold, depth: float, clearance: float = 2.5e-3, joined: bool = True) -> Cavity:
-    return cut_cavity(standing(solid), depth, clearance, (0.2, 0.2), MERGED if joined else EXACT)
+    return cut_cavity(PartShadows.of(standing(solid), depth), clearance, (0.2, 0.2), MERGED if joined else EXACT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +118,7 @@ class Seated:
 
     part: Part
     kit_from_part: Pose
+    shadows: PartShadows
     cavity: Cavity
 
     def kit(self, goals: Pose | None = None, plate: Plate = UNIT_PLATE, clearance: float = 2.5e-3) -> Kit:
@@ -134,7 +136,8 @@ def seated(solid: Manifold, symmetry: Symmetry | None = None, depth: float | Non
     pose = Pose.from_translation(np.array([0, 0, -depth - part.mesh.bounds[0, 2]]))
     lowered = part.mesh.moved(pose).vertices + [0, 0, depth]
     solid_m = solid_from_mesh(Mesh(lowered, part.mesh.faces))
-    return Seated(part, pose, cut_cavity(solid_m, depth, clearance, UNIT_PLATE.width))
+    shadows = PartShadows.of(solid_m, depth)
+    return Seated(part, pose, shadows, cut_cavity(shadows, clearance, UNIT_PLATE.width))
 
 
 def slice_union(solid: Manifold, z: float, step: float = 0.2e-3) -> CrossSection:

@@ -1,0 +1,76 @@
+"""The shadow S(z) of a standing part: its projection along z, the insertion axis, of all of it below a height z.
+
+It is a section of what the part sweeps when it leaves along z. Frame: the part stands on z = 0, insertion face down.
+All lengths are metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from manifold3d import CrossSection, FillRule, Manifold
+
+from kit1000.kits.underside import downward_faces
+
+LEDGE_OFFSET = 0.02e-3  # [m] of a shadow above or below a ledge: lower steps are floor, not wall
+LEAST_STEP = 3e-3 / 10  # [m] of a ledge from floor and rim
+SPACING = 4e-3  # [m] at most between heights where the shadow changes
+AREA_TOLERANCE = 1e-9  # [m^2] smaller areas are rounding errors
+
+
+class Shadow(NamedTuple):
+    """The shadow below one height."""
+
+    z: float
+    """[m] above the floor."""
+    section: CrossSection
+    """S(z), what the part sweeps at this height."""
+
+
+@dataclass(frozen=True, eq=False)
+class PartShadows:
+    """A standing part with its shadows at several heights below the rim of its cavity."""
+
+    standing: Manifold
+    depth: float
+    """[m] of the rim above the floor."""
+    shadows: tuple[Shadow, ...]
+    """Lowest first, the last just below the rim."""
+
+    @staticmethod
+    def of(standing: Manifold, depth: float) -> PartShadows:
+        """The shadows of a part at both ends of each interval between ledges, and inside where they change."""
+        triangles, level = downward_faces(standing.trim_by_plane((0, 0, -1), -depth))
+        levels = np.unique(triangles[level][:, 0, 2]).tolist()
+        return PartShadows(standing, depth, tuple(_shadows(standing, _ledges(levels, depth))))
+
+    @property
+    def rim(self) -> CrossSection:
+        """The shadow at the rim."""
+        return self.shadows[-1].section
+
+
+def shadow_below(standing: Manifold, z: float) -> CrossSection:
+    """S(z): the shadow of a standing solid below a height [m], its projection along z."""
+    return CrossSection(standing.trim_by_plane((0, 0, -1), -z).project().to_polygons(), FillRule.Positive)
+
+
+def _ledges(levels: list[float], depth: float) -> list[float]:
+    """Heights of floor, level faces and rim: between them the shadow changes continuously."""
+    return [0.0, *(z for z in levels if LEAST_STEP < z < depth - LEAST_STEP), depth]
+
+
+def _shadows(standing: Manifold, ledges: list[float]) -> list[Shadow]:
+    """Shadows at both ends of each interval between ledges, and at steps inside where the shadow changes."""
+    shadows = []
+    for low, high in pairwise(ledges):
+        first, last = (Shadow(z, shadow_below(standing, z)) for z in (low + LEDGE_OFFSET, high - LEDGE_OFFSET))
+        inner: list[Shadow] = []
+        if abs(first.section.area() - last.section.area()) > AREA_TOLERANCE:
+            heights = np.linspace(low, high, 2 * int(np.ceil((high - low) / SPACING)) + 1)[1:-1]
+            inner = [Shadow(z, shadow_below(standing, z)) for z in heights]
+        shadows += [first, *inner, last]
+    return shadows
