@@ -335,7 +335,8 @@ def test_the_face_is_the_first_that_passes_the_trials_else_the_first_with_an_exa
     def tried(refusals: list[str | None]) -> float:
         def with_refusals(*arguments: Any) -> Iterator[Attempt]:
             for attempt, refusal in zip(attempts(*arguments), refusals, strict=False):
-                yield replace(attempt, refusal=refusal)
+                made = attempt.postponed() if attempt.postponed else attempt
+                yield replace(made, refusal=refusal)
 
         monkeypatch.setattr(own_part, "attempts", with_refusals)
         made = make_kit_from_file(write_stl(tmp_path / "corner.stl", l_shape()), tmp_path / "out")
