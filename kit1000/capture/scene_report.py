@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import numpy as np
+
 from kit1000.capture.known_sensors import measures_time_of_flight
 from kit1000.capture.own_scene import UNKNOWN_DEVICE, OwnScene
 from kit1000.capture.seen_bodies import SeenBody
@@ -26,8 +28,8 @@ def report(scene: OwnScene, clearance: float | None) -> Iterator[str]:
     )
     numbers = {id(body): n for n, body in enumerate(sorted(scene.bodies, key=lambda body: -body.area), start=1)}
     for place, body in enumerate(scene.bodies[:MOST_LISTED]):
-        name = "kit" if place == 0 else f"part {place - 1}"
-        yield f"  body {numbers[id(body)]}: {body_text(body):44s} {name}"
+        name = "kit" if place == 0 else f"part {place - 1}, {place} on the page"
+        yield f"  body {numbers[id(body)]}: {body_text(body):44s} {_middle(scene, body):17s} {name}"
     if len(scene.bodies) > MOST_LISTED:
         yield f"  and {len(scene.bodies) - MOST_LISTED} more"
     yield "  measure one of them with a ruler: wrong intrinsics or units show here"
@@ -40,6 +42,12 @@ def body_text(body: SeenBody) -> str:
     """Area and sizes of a body."""
     short, long = (1e3 * side for side in body.sides)
     return f"{1e4 * body.area:.1f} cm² from above, {short:.0f} x {long:.0f} x {1e3 * body.height:.0f} mm"
+
+
+def _middle(scene: OwnScene, body: SeenBody) -> str:
+    """Where the recorded image shows a body, from its left and its top."""
+    across, down = (np.median(places) / scene.table.image.enlarged for places in np.nonzero(body.mask)[::-1])
+    return f"at {across:.0f}, {down:.0f} px"
 
 
 def check_sides(sides: Sequence[float]) -> None:

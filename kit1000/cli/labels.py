@@ -143,7 +143,8 @@ class Print:
         from kit1000.export.print_set import PRINTS, write_print_set
 
         made = write_print_set(self.data, self.out, self.ids, self.brackets)
-        for name, angle in zip(made, self.brackets, strict=True):
-            print(f"{self.out / PRINTS / f'kits-{name}.3mf'}: two kits, bracket of {angle:g} degrees")
+        for (name, parts), angle in zip(made.items(), self.brackets, strict=True):
+            kits = f"kits of the parts {' and '.join(parts)}, bracket of {angle:g} degrees"
+            print(f"{self.out / PRINTS / f'kits-{name}.3mf'}: {kits}")
         print(f"{self.out / PRINTS}: {len(made)} assemblies and {2 * len(made)} parts, 3MF in mm")
         return 0

@@ -60,8 +60,8 @@ class _Member:
 
 def write_print_set(
     data: Path, out: Path, ids: Sequence[str] = (), brackets_deg: Sequence[float] = BRACKETS_DEG
-) -> list[str]:
-    """Write a print set to a new folder; returns the ids of its assemblies.
+) -> dict[str, list[str]]:
+    """Write a print set to a new folder; returns the ids of its assemblies, each with those of its parts.
 
     Args:
         data: dataset folder.
@@ -79,7 +79,7 @@ def write_print_set(
     made = list(_given(geometry, ids, brackets_deg) if ids else _chosen(geometry, brackets_deg))
     with new_folder(out, "prints") as folder:
         _write(folder, geometry, made)
-    return [assembly.id for assembly, _ in made]
+    return {assembly.id: [member.part.id for member in members] for assembly, members in made}
 
 
 def _given(

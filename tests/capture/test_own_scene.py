@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -190,5 +191,11 @@ def test_the_report_names_sizes_and_what_makes_fits_unsure(scene: OwnScene) -> N
     assert lines[0].startswith("depth.png: table ")
     assert "body 1:" in lines[1]
     assert lines[1].endswith("kit")
+    assert lines[2].endswith("part 0, 1 on the page")
+    for line, (sides, at) in zip(lines[1:], BODIES, strict=False):
+        seen = CAMERA.project(EYE.inverse().apply((*at, sides[2] / 2)))
+        told = re.search(r"at (\d+), (\d+) px", line)
+        assert told is not None
+        assert np.abs(np.array(told.groups(), float) - seen).max() < 12
     assert any("--clearance-mm" in line for line in lines)
     assert not any("--clearance-mm" in line for line in report(scene, 2.5e-3))

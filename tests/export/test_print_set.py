@@ -28,8 +28,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def prints(data: Path) -> Path:
     out = data / "prints"
-    (made,) = write_print_set(data, out, brackets_deg=(25.0,))
-    assert made in Geometry(data).parts
+    ((made, parts),) = write_print_set(data, out, brackets_deg=(25.0,)).items()
+    assert {made, *parts} == set(Geometry(data).parts)
     return out
 
 
