@@ -23,11 +23,11 @@ from kit1000.numerics.trigonometry import tangent
 from kit1000.pose import Pose
 from kit1000.values import Part, Slot
 
-MIN_CELLS, MAX_CELLS = 80, 60  # of the stand-in along the part's longest side; the most, for each of a resolution
+MIN_CELLS, MAX_CELLS = 80, 600  # of the stand-in along the part's longest side
 RESOLUTIONS = (10, 20)  # cells in a clearance, tried in turn: a finer stand-in tells more and takes four times as long
 DENSE_FACES = 3000  # of a part, above which cutting its kit takes longer than the second stand-in
 STEPS_PER_LIMIT = 6  # points this fine leave five sixths of the height below which a part counts as seated
-MAX_STEPS = 80  # along the part's longest side, for each of a resolution: of a flatter part nothing is told early
+MAX_STEPS = 800  # along the part's longest side: for a part flatter than that nothing is told early
 MOST_LEAN = tangent(float(np.radians(20)))  # of the direction in which a tilted part moves
 HALF_DIAGONAL = np.sqrt(0.5)  # of a square: no point is farther from the nearest of a grid
 
@@ -37,9 +37,12 @@ def sure_refusal(part: Part, slot: Slot) -> str | None:
 
     They may fail for another reason before they come to this one.
     """
+    finest = np.inf
     for resolution in RESOLUTIONS if len(part.mesh.faces) > DENSE_FACES else RESOLUTIONS[:1]:
         stand_in = _StandIn.of(part.mesh, slot, resolution)
-        refusal = None if stand_in is None else stand_in.refusal()
+        if stand_in is None or stand_in.cell >= finest:
+            return None
+        finest, refusal = stand_in.cell, stand_in.refusal()
         if refusal is not None:
             return refusal
     return None
@@ -64,10 +67,10 @@ class _StandIn:
     def of(mesh: Mesh, slot: Slot, resolution: int) -> _StandIn | None:
         """The stand-in with so many cells in a clearance, or None where it is too coarse to tell anything."""
         depth, clearance, longest = slot.depth, slot.clearance, float(mesh.extents.max())
-        cell = float(np.clip(clearance / resolution, longest / (MAX_CELLS * resolution), longest / MIN_CELLS))
+        cell = float(np.clip(clearance / resolution, longest / MAX_CELLS, longest / MIN_CELLS))
         step = min(height_limit(slot) / STEPS_PER_LIMIT, cell)
         reach = (clearance - SAGITTA) / cell - HALF_DIAGONAL
-        if reach < 1 or step < longest / (MAX_STEPS * resolution):
+        if reach < 1 or step < longest / MAX_STEPS:
             return None
         placed = mesh.moved(slot.goals[0])
         heights, corner = lower_envelope(placed, cell, clearance + MOST_LEAN * depth + 4 * cell)
