@@ -18,7 +18,7 @@ from kit1000.values import ASSEMBLY_LABEL, View
 
 AGREED = 0.5  # least share of a body that the network sees as body too
 LEAST_PART = 150  # [px] of an instance
-LEAST_SHARE = 0.12  # of a body's pixels, of an instance in it
+LEAST_SHARE = 0.12  # of the pixels of a body's largest instance, of any other in it
 ROUND = 0.88  # area over convex area from above: a body that fills its outline more is one part
 LONGEST = 0.2  # [m] of bodies that may be several parts: the networks know parts of 35 to 50 mm
 
@@ -40,7 +40,9 @@ def networks_available() -> bool:
 def cut_back(
     table: Table, depth: np.ndarray, bodies: Sequence[SeenBody], facts: SensorFacts
 ) -> tuple[SeenBody, list[SeenBody]]:
-    """The kit and the parts with masks cut back to where the networks agree; touching parts become several.
+    """The kit and the parts with masks cut back to where the networks agree.
+
+    Touching parts become several, and bodies of one part become one.
 
     Args:
         table: of the image.
@@ -53,7 +55,8 @@ def cut_back(
     if not parts or world.gap is None or world.gap <= 0:  # the networks know scenes in two halves
         return kit, parts
     found = _found(View(table.image.camera, world.world_from_camera, depth), facts)
-    return _agreed(table, kit, found.body), [piece for part in parts for piece in _pieces(table, part, found)]
+    whole = _joined(table, parts, found)
+    return _agreed(table, kit, found.body), [piece for part in whole for piece in _pieces(table, part, found)]
 
 
 def _found(view: View, facts: SensorFacts) -> Found:
@@ -66,6 +69,19 @@ def _found(view: View, facts: SensorFacts) -> Found:
     restorer, finder = mask_networks()
     bodies = find_bodies(view, facts, restorer)
     return Found(bodies.kits | bodies.parts, finder(bodies))
+
+
+def _joined(table: Table, parts: Sequence[SeenBody], found: Found) -> list[SeenBody]:
+    """The parts in their order; those of which segmentation sees most as one instance are one, up to LONGEST."""
+    whole: dict[int, SeenBody] = {}
+    for place, part in enumerate(parts):
+        counts = np.bincount(found.instances[part.mask], minlength=2)
+        number = int(counts[1:].argmax()) + 1
+        name = number if counts[number] > AGREED * part.mask.sum() else -place
+        both = measured_body(table, whole[name].mask | part.mask) if name in whole else part
+        small = both.sides[1] < LONGEST
+        whole[name if small else -place] = both if small else part
+    return list(whole.values())
 
 
 def _agreed(table: Table, body: SeenBody, seen: np.ndarray) -> SeenBody:
@@ -81,7 +97,7 @@ def _pieces(table: Table, body: SeenBody, found: Found) -> list[SeenBody]:
     agreed = _agreed(table, body, found.body)
     counts = np.bincount(found.instances[agreed.mask], minlength=1)
     counts[0] = 0
-    numbers = np.flatnonzero(counts >= max(LEAST_PART, LEAST_SHARE * agreed.mask.sum()))
+    numbers = np.flatnonzero(counts >= max(LEAST_PART, LEAST_SHARE * counts.max()))
     if len(numbers) < 2 or agreed.sides[1] > LONGEST or _roundness(table, agreed) > ROUND:
         return [agreed]
     masks = [agreed.mask & (found.instances == number) for number in numbers]

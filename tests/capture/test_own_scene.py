@@ -86,6 +86,16 @@ def test_touching_parts_of_a_scanner_become_two() -> None:
     assert sorted(round(1e3 * part.height) for part in found.parts) == [15, 30]
 
 
+def test_a_part_that_a_gap_without_returns_cuts_is_one() -> None:
+    depth = noisy_depth(exact_depth(), 0.01).copy()
+    u = round(float(CAMERA.project(EYE.inverse().apply((*PARTS[0][1], PARTS[0][0][2])))[0]))
+    depth[250:, u - 2 : u + 2] = 0
+    assert len(scene_of(depth, Wanted(device="PhoXi")).parts) == len(PARTS) + 1
+    found = scene_of(depth, Wanted(device="PhoXi", networks=True))
+    assert len(found.parts) == len(PARTS)
+    assert max(part.sides[1] for part in found.parts) == pytest.approx(0.05, abs=5e-3)
+
+
 def test_masks_cover_the_bodies(scene: OwnScene) -> None:
     for number, (sides, at) in enumerate(BODIES):
         u, v = np.rint(CAMERA.project(EYE.inverse().apply((*at, sides[2])))).astype(int)
