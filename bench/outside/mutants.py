@@ -119,8 +119,8 @@ CHANGES: dict[tuple[str, str], tuple[tuple[str, str], ...]] = {
         ("SHADOW_TOLERANCE = 0.05e-3", "SHADOW_TOLERANCE = 0.06e-3"),
         ("range(36, 1, -1)", "range(4, 1, -1)"),
         (
-            "z)\n        if not (_within_tolerance(probe.shadow, other) and _within_tolerance(other, probe.shadow))",
-            "z)\n        if not (_within_tolerance(probe.shadow, other))",
+            "z)\n        if not (_within_tolerance(section, other) and _within_tolerance(other, section))",
+            "z)\n        if not (_within_tolerance(section, other))",
         ),
         ("2 * np.arctan2(matmul(v, axis.direction), w)", "np.arctan2(matmul(v, axis.direction), w)"),
     ),

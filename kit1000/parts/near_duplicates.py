@@ -6,12 +6,11 @@ bounding box filled, share of the convex hull filled, two ratios of the box's si
 
 from __future__ import annotations
 
-from decimal import Context, Decimal
-
 import numpy as np
 from scipy.spatial import ConvexHull
 
 from kit1000.mesh import Mesh
+from kit1000.numerics.powers import power
 
 MIN_DIFFERENCE = 0.01  # relative difference of two different parts in at least one measure
 
@@ -26,14 +25,9 @@ def shape_measures(mesh: Mesh) -> np.ndarray:
             mesh.volume / hull,
             middle / long,
             short / long,
-            mesh.area / _power(mesh.volume, 2 / 3),
+            mesh.area / power(mesh.volume, 2 / 3),
         ]
     )
-
-
-def _power(base: float, exponent: float) -> float:
-    """A power, correctly rounded: the last digits of those of numpy and of C differ between processors."""
-    return float(Context(prec=40).power(Decimal(float(base)), Decimal(exponent)))
 
 
 def near_duplicate_of(measures: np.ndarray, others: np.ndarray) -> int | None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from decimal import Decimal, localcontext
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,7 +9,6 @@ from hypothesis import strategies as st
 from manifold3d import Manifold
 
 from kit1000.mesh import Mesh, mesh_from_solid
-from kit1000.parts import near_duplicates
 from kit1000.parts.near_duplicates import MIN_DIFFERENCE, near_duplicate_of, shape_measures
 from tests.samples.mini import l_shape
 from tests.samples.strategies import vectors
@@ -28,19 +25,6 @@ def test_the_measures_of_a_box_are_known(a: float, b: float, c: float) -> None:
     short, middle, long = sorted((a, b, c))
     area = 2 * (a * b + b * c + c * a) / (a * b * c) ** (2 / 3)
     assert shape_measures(box(a, b, c)) == pytest.approx([1, 1, middle / long, short / long, area], rel=1e-9)
-
-
-@given(st.floats(1e-8, 1e3))
-def test_powers_are_correctly_rounded(volume: float) -> None:
-    """So that measures have the same last digits on every processor."""
-    with localcontext() as context:
-        context.prec = 60
-        exact = (Decimal(2 / 3) * Decimal(volume).ln()).exp()
-        rounded = near_duplicates._power(volume, 2 / 3)
-        assert all(
-            abs(Decimal(rounded) - exact) <= abs(Decimal(float(np.nextafter(rounded, to))) - exact)
-            for to in (0.0, np.inf)
-        )
 
 
 @given(st.floats(1e-3, 1e3), vectors(5.0), st.permutations([0, 1, 2]))
