@@ -69,7 +69,7 @@ def cut_cavity(part: PartShadows, clearance: float, width: tuple[float, float], 
     detail: up to which nearly convex neighbouring faces are grown as one: faster, and up to 0.1 mm wider.
     """
     depth, shadows = part.depth, part.shadows
-    grown = grown_sweep(part.standing, depth, clearance, detail)
+    grown = grown_sweep(part, clearance, detail)
     thin_walls, probes = _remove_thin_walls(grown, shadows, depth + RIM_OVERSHOOT, width)
     solid = Manifold.batch_boolean([grown, *thin_walls], OpType.Add) if thin_walls else grown
     removed_volume = (solid - grown).trim_by_plane((0, 0, -1), -depth).volume() if thin_walls else 0.0

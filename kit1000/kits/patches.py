@@ -49,15 +49,10 @@ class Underside(NamedTuple):
     groups: list[np.ndarray]
     """Triangles of each patch."""
 
-    def patch(self, group: np.ndarray) -> np.ndarray:
-        """(k, 3) [m] the corners of a patch."""
-        return self.corners[np.unique(self.faces[group])]
-
-
-def convex_patches(triangles: np.ndarray, detail: Detail = MERGED) -> list[np.ndarray]:
-    """Patches of downward-facing triangles (m, 3, 3) [m], each as its corners (k, 3) [m]."""
-    underside = merged_underside(triangles, detail)
-    return [underside.patch(group) for group in underside.groups]
+    @property
+    def patches(self) -> list[np.ndarray]:
+        """(k, 3) [m] the corners of each patch."""
+        return [self.corners[np.unique(self.faces[group])] for group in self.groups]
 
 
 def merged_underside(triangles: np.ndarray, detail: Detail = MERGED) -> Underside:
@@ -224,9 +219,8 @@ def _is_deep(corners, faces, neighbours, labels, members, member_count, chain, h
             other = neighbours[f, k]
             if other >= 0 and labels[other] == labels[f]:
                 continue
+            # its other end is where the next edge of the border begins
             if _depth_in_hull(corners, faces[f, k], chain, hull_count, sagitta) > sagitta:
-                return True
-            if _depth_in_hull(corners, faces[f, (k + 1) % 3], chain, hull_count, sagitta) > sagitta:
                 return True
     return False
 

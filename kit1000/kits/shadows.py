@@ -37,15 +37,17 @@ class PartShadows:
     standing: Manifold
     depth: float
     """[m] of the rim above the floor."""
+    underside: tuple[np.ndarray, np.ndarray]
+    """Its `downward_faces` below the rim."""
     shadows: tuple[Shadow, ...]
     """Lowest first, the last just below the rim."""
 
     @staticmethod
     def of(standing: Manifold, depth: float) -> PartShadows:
         """The shadows of a part at both ends of each interval between ledges, and inside where they change."""
-        triangles, level = downward_faces(standing.trim_by_plane((0, 0, -1), -depth))
+        underside = triangles, level = downward_faces(standing.trim_by_plane((0, 0, -1), -depth))
         levels = np.unique(triangles[level][:, 0, 2]).tolist()
-        return PartShadows(standing, depth, tuple(_shadows(standing, _ledges(levels, depth))))
+        return PartShadows(standing, depth, underside, tuple(_shadows(standing, _ledges(levels, depth))))
 
     @property
     def rim(self) -> CrossSection:

@@ -16,8 +16,8 @@ from manifold3d import CrossSection, FillRule, Manifold, OpType
 from kit1000.errors import Redraw
 from kit1000.kits.outward_sectors import disc_sectors
 from kit1000.kits.patches import MERGED, Detail, merged_underside
-from kit1000.kits.shadows import shadow_below
-from kit1000.kits.underside import LEVEL_TOLERANCE, downward_faces
+from kit1000.kits.shadows import PartShadows, shadow_below
+from kit1000.kits.underside import LEVEL_TOLERANCE
 from kit1000.mesh import convex_hull
 from kit1000.numerics.trigonometry import cosine, sine
 
@@ -37,17 +37,17 @@ def disc_polygon(clearance: float) -> np.ndarray:
     return radius * np.stack([cosine(angles), sine(angles)], 1)
 
 
-def grown_sweep(standing: Manifold, depth: float, clearance: float, detail: Detail = MERGED) -> Manifold:
+def grown_sweep(part: PartShadows, clearance: float, detail: Detail = MERGED) -> Manifold:
     """The part below the rim, grown by the clearance and swept up."""
-    triangles, level = downward_faces(standing.trim_by_plane((0, 0, -1), -depth))
+    triangles, level = part.underside
     polygon, level_triangles = disc_polygon(clearance), triangles[level]
     levels = np.unique(level_triangles[:, 0, 2])
     outlines = [_grown_outline(level_triangles[level_triangles[:, 0, 2] == z][..., :2], polygon) for z in levels]
-    lower = _LowerSweep(standing, clearance, levels, outlines)
+    lower = _LowerSweep(part.standing, clearance, levels, outlines)
     sloping = [(patch, disc) for patch, disc in _patches(triangles, level, detail, polygon) if _slopes(patch)]
     exposed = [(patch, disc) for patch, disc in sloping if not lower.covers(patch, disc)]
     # each top at a height of its own: many coplanar tops would take most of the time of the union
-    tops = iter(depth + RIM_OVERSHOOT + TOP_SPACING * np.arange(len(outlines) + len(exposed)))
+    tops = iter(part.depth + RIM_OVERSHOOT + TOP_SPACING * np.arange(len(outlines) + len(exposed)))
     prisms = [
         outline.extrude(next(tops) - z).translate((0, 0, z))
         for z, outline in zip(levels, outlines, strict=True)
@@ -65,10 +65,8 @@ def _patches(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Convex patches (k, 3) [m] of the underside, each with the points (n, 2) [m] of the disc that it is grown by."""
     underside = merged_underside(triangles, detail)
-    patches = [underside.patch(group) for group in underside.groups]
-    if not detail.sectors:
-        return zip(patches, [polygon] * len(patches), strict=True)
-    return zip(patches, disc_sectors(underside, ~level, polygon), strict=True)
+    whole = [polygon] * len(underside.groups)
+    return zip(underside.patches, disc_sectors(underside, ~level, polygon) if detail.sectors else whole, strict=True)
 
 
 def _slopes(patch: np.ndarray) -> bool:

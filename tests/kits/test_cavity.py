@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from manifold3d import CrossSection, Manifold
 
 from kit1000.kits.cavity import Cavity, insertion_depth
-from kit1000.kits.patches import EXACT, convex_patches
+from kit1000.kits.patches import EXACT, merged_underside
 from kit1000.kits.underside import WALL_COSINE
 from kit1000.mesh import mesh_from_solid
 from tests.samples.shapes import (
@@ -224,7 +224,7 @@ def assert_same_sweep(triangles: np.ndarray) -> None:
 
     Patches grow greedily, so that a wider tolerance need not leave fewer: one solid of some hundreds has one more.
     """
-    joined, patches = convex_patches(triangles), convex_patches(triangles, EXACT)
+    joined, patches = merged_underside(triangles).patches, merged_underside(triangles, EXACT).patches
     assert max(len(joined), len(patches)) <= len(triangles)
     top = float(triangles[..., 2].max()) + 1e-3
     wide, fused, single = (union_of_prisms(pieces, top) for pieces in (joined, patches, list(triangles)))
@@ -250,12 +250,12 @@ def downward(name: str) -> np.ndarray:
 
 
 def test_a_lying_cylinder_is_few_patches() -> None:
-    assert len(convex_patches(downward("lying cylinder"))) <= 3
+    assert len(merged_underside(downward("lying cylinder")).patches) <= 3
 
 
 def test_nearly_convex_patches_of_a_cone_join() -> None:
     triangles = downward("cone")
-    assert len(convex_patches(triangles)) < 0.6 * len(convex_patches(triangles, EXACT))
+    assert len(merged_underside(triangles).patches) < 0.6 * len(merged_underside(triangles, EXACT).patches)
 
 
 def test_depth_is_sixty_percent_but_at_most_20_mm() -> None:

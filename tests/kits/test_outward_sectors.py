@@ -15,6 +15,7 @@ from kit1000.kits.clearance import measure_clearance
 from kit1000.kits.kit import MAX_EXCESS_CLEARANCE, design_kit
 from kit1000.kits.outward_sectors import disc_sectors
 from kit1000.kits.patches import EXACT, EXACT_FILE, MERGED_FILE, Detail, merged_underside
+from kit1000.kits.shadows import PartShadows
 from kit1000.kits.sweep import SAGITTA, disc_polygon, grown_sweep
 from kit1000.parts.family import FILE
 from tests.samples.shapes import MM, as_part, box, random_solid, standing
@@ -47,7 +48,7 @@ def swept(solid: Manifold, detail: Detail) -> Manifold:
     """The grown sweep of a solid [mm] below its rim."""
     stood = standing(solid)
     depth = insertion_depth(stood.bounding_box()[5])
-    return grown_sweep(stood, depth, CLEARANCE, detail).trim_by_plane((0, 0, -1), -depth)
+    return grown_sweep(PartShadows.of(stood, depth), CLEARANCE, detail).trim_by_plane((0, 0, -1), -depth)
 
 
 @pytest.mark.parametrize("make", [filleted, arched, *(lambda seed=seed: random_solid(seed) for seed in range(8))])
