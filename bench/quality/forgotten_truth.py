@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import binary_closing, binary_opening, label
 
-from kit1000.capture.own_folder import TRACKS
+from kit1000.capture.own_folder import tracks_of
 from kit1000.dataset.mcap_io import ObservationWriter
 from kit1000.dataset.reader import RecordedScene
 from kit1000.dataset.schema import Observation
@@ -65,7 +65,7 @@ def write_forgotten(folder: Path, scenes: Mapping[str, LabelledDepth], clearance
             writer.add(Observation(scene_id, seen.views, seen.labels, seen.queries, png_bytes(scene_picture(seen))))
     files = {f"{name}.json": write_json(folder / f"{name}.json", {}) for name in ("parts", "kits", "assemblies")}
     files["test/0000.mcap"] = writer.sha256 or ""
-    config = {"clearance": clearance, "scale": 1.0, "curve_scenes": 0, "frames": 1, "tracks": list(TRACKS)}
+    config = {"clearance": clearance, "scale": 1.0, "curve_scenes": 0, "frames": 1, "tracks": tracks_of(SENSOR)}
     summary = {"format": FORMAT, "dataset_id": "0123456789abcdef", "data_version": "1.0.0", "config": config}
     summary |= {"shards": {"test/0000.mcap": list(scenes)}, "files": files, "preset": "own"}
     write_json(folder / "dataset.json", with_checksum(summary))
@@ -78,5 +78,5 @@ def _queries(scene_id: str, labels: np.ndarray) -> tuple[dict, ...]:
     return tuple(
         {"id": f"{scene_id}-p{part}-{track}", "track": track, "part": part} | common
         for part in parts
-        for track in TRACKS
+        for track in tracks_of(SENSOR)
     )

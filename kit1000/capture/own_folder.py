@@ -21,7 +21,6 @@ from kit1000.queries.pivots import part_pivots
 from kit1000.queries.tracks import query_id
 
 TASKS = ("snap", "place")  # whose tracks are named by them and the key of the view
-TRACKS = ("snap-d415", "place-d415")  # of a stereo camera
 LICENCE = "the user's own"
 PRESET = DATA_VERSION = "own"
 ID_DIGITS = 16
@@ -62,7 +61,7 @@ def folder_id(files: Mapping[str, str | None]) -> str:
     return hashlib.sha256(json_bytes(files)).hexdigest()[:ID_DIGITS]
 
 
-def _tracks(sensor: str) -> list[str]:
+def tracks_of(sensor: str) -> list[str]:
     """The tracks of scenes of a sensor."""
     return [f"{task}-{sensor}" for task in TASKS]
 
@@ -81,7 +80,7 @@ def _observation(scene_id: str, scene: OwnScene, sensor: str) -> Observation:
             "pivot": pivot.tolist(),
             "guess": None,
         }
-        for track in _tracks(sensor)
+        for track in tracks_of(sensor)
         for part, pivot in pivots.items()
     )
     observation = Observation(scene_id, {sensor: scene.image.view}, scene.image.labels, rows)
@@ -102,7 +101,7 @@ def _summary_bytes(
 ) -> bytes:
     """The bytes of dataset.json, with a checksum of its other entries, as generated datasets have it."""
     facts = scenes[0].facts
-    config = {"curve_scenes": 0, "frames": 1, "scale": 1.0, "tracks": _tracks(key_of(facts))}
+    config = {"curve_scenes": 0, "frames": 1, "scale": 1.0, "tracks": tracks_of(key_of(facts))}
     config |= {} if clearance is None else {"clearance": clearance}
     scene_ids = [scene_id for some in shards.values() for scene_id in some]
     outlines = [scene.outline.round(4).tolist() for scene in scenes]

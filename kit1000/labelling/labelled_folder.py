@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from kit1000.capture.own_folder import TRACKS
+from kit1000.capture.own_folder import tracks_of
 from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter, TruthFile, TruthWriter
 from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.dataset.reader import Dataset
@@ -35,7 +35,7 @@ def write_truth(root: Path, records: Mapping[str, LabelRecord]) -> list[str]:
     """
     dataset = Dataset(root)
     shards = dataset.shards(SPLIT)
-    tracks = dataset.summary["config"].get("tracks") or list(TRACKS)  # folders that no import wrote may name none
+    tracks = dataset.summary["config"].get("tracks") or tracks_of("d415")  # folders that no import wrote may name none
     shapes = {scene_id: read_known_kits(record.source) for scene_id, record in records.items()}
     made: dict[str, tuple[Observation, SceneTruth]] = {}
     for scene_id, record in records.items():

@@ -31,7 +31,7 @@ TRIED, MOST_TRIED = 8, 24  # different starts of a body that are refined; more w
 SAME_START, SAME_POSE = 4e-3, 1e-3  # [m] by which poses differ that count as one
 LEAST_MARGIN = 0.02  # of the cost, to that of another pose
 MOST_SCALE = 3 * SCALE_SPREAD  # beyond, no camera is believed
-MOST_SHIFT = 1.5e-3  # [m] that an open depth scale may move a body
+MOST_SPREAD = 1.2e-3  # [m] of a body along the line of sight, which bent depths and their scale leave open
 OFTEN = 400  # most starts that are looked through for different ones
 
 
@@ -59,9 +59,9 @@ class RegisteredBody:
             found.append("another pose explains the image nearly as well")
         if abs(scale - 1) > MOST_SCALE:
             found.append(f"the depth scale would be {(scale - 1) * 1e2:+.1f} %: wrong shapes, or wrong intrinsics")
-        far = 2 * scale_spread * float(np.linalg.norm(self.placed.centre))
-        if far > MOST_SHIFT:
-            found.append(f"the depth scale is open: up to {far * 1e3:.1f} mm along the line of sight")
+        spread = float(np.hypot(self.placed.spread, scale_spread * np.linalg.norm(self.placed.centre)))
+        if spread > MOST_SPREAD:
+            found.append(f"its distance is open: ± {spread * 1e3:.1f} mm along the line of sight")
         return tuple(found)
 
 

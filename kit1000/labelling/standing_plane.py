@@ -1,4 +1,4 @@
-"""The plane that the bodies stand on, in the camera frame, and the noise of the depths that show it."""
+"""The plane that the bodies stand on, in the camera frame, and the noise and bend of the depths that show it."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ MARGIN = 12  # [px] about every body, where a fattened edge may cover the table
 REACH = 25e-3  # [m] from the recorded plane, of the pixels that are fitted
 LEAST_PIXELS = 300
 ROUNDS = 8  # of reweighting
+CELL = 100  # [px] edge of the cells that show the bend: about as large as a part in an image
+LEAST_CELL = 100  # fitted pixels in a cell
+LEAST_BEND = 0.1e-3  # [m] at 1 m
 LEAST_NOISE = 0.3e-3  # [m] at 1 m: below it, steps of stored depths and edges matter more than noise
 
 
@@ -30,6 +33,13 @@ class Support:
     """[m] negative: the camera is above the plane."""
     noise: float
     """[1/m] standard deviation of inverse depths, equal at all distances for a stereo camera."""
+    bend: float
+    """[1/m] standard deviation of what varies slowly in the image: the same error for all pixels of a part."""
+
+    @property
+    def bend_share(self) -> float:
+        """The share of the bend in the variance of the depths."""
+        return min((self.bend / self.noise) ** 2, 1.0)
 
     def noise_at(self, depth: np.ndarray | float) -> np.ndarray | float:
         """[m] standard deviation of depths (...,) [m]."""
@@ -44,17 +54,34 @@ def seen_support(image: LabelledDepth) -> Support:
     pixels, z = np.stack([u, v], axis=-1) * STEP, view.depth[::STEP, ::STEP][v, u].astype(float)
     rays = view.camera.unproject_pixels(pixels.astype(float), np.ones(len(z)))
     near = np.abs(view.world_from_camera.apply(rays * z[:, None])[:, 2]) < REACH
-    rays, inverse = rays[near], 1 / z[near]
+    pixels, rays, inverse = pixels[near], rays[near], 1 / z[near]
     if len(rays) < LEAST_PIXELS:
         raise InputError(
             f"the image shows {len(rays) * STEP**2} pixels of the table within {REACH * 1e3:g} mm of z = 0, expected "
             f"{LEAST_PIXELS * STEP**2} or more: is the table in view, and is the camera's pose right?"
         )
-    return _fitted(rays, inverse)
+    coefficients, noise = _fitted(rays, inverse)
+    residuals = inverse - rays @ coefficients
+    table = np.abs(residuals) < TUKEY * noise
+    bend = _bend(pixels[table], residuals[table])
+    size = float(np.linalg.norm(coefficients))
+    return Support(-coefficients / size, -1 / size, max(noise, LEAST_NOISE), max(bend, LEAST_BEND))
 
 
-def _fitted(rays: np.ndarray, inverse: np.ndarray) -> Support:
-    """The plane of rays (n, 3) with inverse depths (n,) [1/m]: 1/z = c . ray, with Tukey's weights."""
+def _bend(pixels: np.ndarray, residuals: np.ndarray) -> float:
+    """The root mean square of the residuals (n,) [1/m] at pixels (n, 2), averaged over cells; 0 without a full cell."""
+    _, cells = np.unique(pixels // CELL, axis=0, return_inverse=True)
+    counts = np.bincount(cells.ravel())
+    means = np.bincount(cells.ravel(), residuals) / counts
+    full = counts >= LEAST_CELL
+    return float(np.sqrt(np.mean(np.square(means[full])))) if full.any() else 0.0
+
+
+def _fitted(rays: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, float]:
+    """c (3,) of the plane 1/z = c . ray through rays (n, 3) with inverse depths (n,) [1/m], and their spread.
+
+    With Tukey's weights.
+    """
     weights, coefficients, spread = np.ones(len(inverse)), np.zeros(3), 0.0
     for _ in range(ROUNDS):
         root = np.sqrt(weights)
@@ -62,8 +89,7 @@ def _fitted(rays: np.ndarray, inverse: np.ndarray) -> Support:
         residuals = inverse - rays @ coefficients
         spread = 1.4826 * float(np.median(np.abs(residuals))) + 1e-9
         weights = tukey_weights(residuals, TUKEY * spread)
-    size = float(np.linalg.norm(coefficients))
-    return Support(-coefficients / size, -1 / size, max(spread, LEAST_NOISE))
+    return coefficients, spread
 
 
 def standing_frame(support: Support, above: np.ndarray) -> Pose:

@@ -74,3 +74,18 @@ def test_a_body_that_stands_on_the_table_is_put_on_it() -> None:
     found = align([shape], support, fixed_scale=True).shapes[0]
     lowest = (found.camera_from_body.apply(found.mesh.vertices) @ support.normal).min() - support.offset
     assert abs(lowest) < 0.3e-3
+
+
+@pytest.mark.parametrize("bend", [1e-3, 2e-3, 4e-3])
+def test_bent_depths_move_a_body_less_than_its_spread_tells(bend: float) -> None:
+    scene = sample_scene()
+    view = scene.image.view
+    columns = np.arange(view.depth.shape[1])
+    field = bend * np.sqrt(2) * np.sin(columns / 60)  # [1/m]
+    depth = np.where(view.depth > 0, 1 / (1 / np.maximum(view.depth, 1e-6) + field), 0).astype(np.float32)
+    image = LabelledDepth(replace(view, depth=depth), scene.image.labels)
+    shape, true = placed(scene, Pose.from_translation((0.5e-3, -0.5e-3, 0.0)), image)
+    flat = align([placed(scene, Pose.identity())[0]], seen_support(scene.image), fixed_scale=True).shapes[0]
+    found = align([shape], seen_support(image), fixed_scale=True).shapes[0]
+    assert off(found.camera_from_body, true)[0] < 1e3 * max(2 * found.spread, 0.7e-3)
+    assert found.spread > flat.spread

@@ -49,7 +49,7 @@ def test_shapes_lie_where_they_are(found: RegisteredScene) -> None:
 
 def test_a_body_whose_image_settles_its_pose_has_no_doubts(found: RegisteredScene) -> None:
     assert [body.doubts(1e-4) for body in found.bodies] == [()] * 3
-    assert any("depth scale" in doubt for doubt in found.bodies[0].doubts(5e-3))
+    assert any("distance is open" in doubt for doubt in found.bodies[0].doubts(5e-3))
 
 
 @pytest.mark.slow

@@ -32,6 +32,18 @@ def test_the_plane_does_not_follow_an_error_of_the_recorded_pose() -> None:
     assert here.noise_at(0.7) == pytest.approx(NOISE, rel=0.35)
 
 
+def test_the_bend_is_what_the_depths_of_the_table_share_over_a_part() -> None:
+    scene = sample_scene()
+    view = scene.image.view
+    rows, columns = np.mgrid[: view.depth.shape[0], : view.depth.shape[1]]
+    field = 2e-3 * np.sin(columns / 60) * np.cos(rows / 60)  # [1/m], of a root mean square of half as much
+    bent = replace(view, depth=np.where(view.depth > 0, 1 / (1 / np.maximum(view.depth, 1e-6) + field), 0))
+    flat, found = (seen_support(LabelledDepth(seen, scene.image.labels)) for seen in (view, bent))
+    assert flat.bend < 0.3e-3
+    assert found.bend == pytest.approx(1e-3, rel=0.35)
+    assert flat.bend_share < 0.1 < found.bend_share
+
+
 def test_the_frame_stands_on_the_plane() -> None:
     support = seen_support(sample_scene().image)
     frame = standing_frame(support, np.array([0.05, -0.02, 0.6]))
