@@ -9,6 +9,7 @@ from PIL import Image
 
 from kit1000.camera import Camera
 from kit1000.dataset.geometry import Geometry
+from kit1000.dataset.own_scenes import is_own
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.pictures.depth_images import depth_picture, mask_picture
@@ -40,7 +41,8 @@ def scene_sheet(dataset: Dataset, scene_id: str) -> bytes:
     recorded = dataset.recorded_scene(scene_id)
     window = window_of_bodies(recorded.labels)
     first, *others = recorded.sensors
-    tiles = {f"{first} depth": depth_picture(recorded.view(first)), "masks": mask_picture(recorded.labelled_depth())}
+    seen = "depth" if is_own(dataset.summary) else f"{first} depth"  # a camera of one's own is only like the d415
+    tiles = {seen: depth_picture(recorded.view(first)), "masks": mask_picture(recorded.labelled_depth())}
     tiles |= {f"{sensor} depth": depth_picture(recorded.view(sensor)) for sensor in others[:1]}  # a row of three
     pictures = [Image.fromarray(tile[window]).resize(SCENE_TILE, Image.Resampling.BICUBIC) for tile in tiles.values()]
     names = list(tiles)
