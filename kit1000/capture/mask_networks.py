@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from typing import NamedTuple
 
@@ -38,7 +39,7 @@ def networks_available() -> bool:
 
 
 def cut_back(
-    table: Table, depth: np.ndarray, bodies: Sequence[SeenBody], facts: SensorFacts
+    table: Table, depth: np.ndarray, bodies: Sequence[SeenBody], doubtful: Sequence[SeenBody], facts: SensorFacts
 ) -> tuple[SeenBody, list[SeenBody]]:
     """The kit and the parts with masks cut back to where the networks agree.
 
@@ -48,6 +49,7 @@ def cut_back(
         table: of the image.
         depth: (H, W) float32 [m] on the grid of recordings.
         bodies: the kit first.
+        doubtful: bodies that count as parts only where the networks see the same.
         facts: about the sensor.
     """
     kit, *parts = bodies
@@ -55,6 +57,7 @@ def cut_back(
     if not parts or world.gap is None or world.gap <= 0:  # the networks know scenes in two halves
         return kit, parts
     found = _found(View(table.image.camera, world.world_from_camera, depth), facts)
+    parts += [replace(body, sure=True) for body in doubtful if _is_instance(body, found)]
     whole = _joined(table, parts, found)
     return _agreed(table, kit, found.body), [piece for part in whole for piece in _pieces(table, part, found)]
 
@@ -69,6 +72,13 @@ def _found(view: View, facts: SensorFacts) -> Found:
     restorer, finder = mask_networks()
     bodies = find_bodies(view, facts, restorer)
     return Found(bodies.kits | bodies.parts, finder(bodies))
+
+
+def _is_instance(body: SeenBody, found: Found) -> bool:
+    """Whether segmentation sees a body as one instance, and nothing else in it."""
+    number = int(np.bincount(found.instances[body.mask]).argmax())
+    both = body.mask & (found.instances == number)
+    return number > 0 and both.sum() > AGREED * (body.mask | (found.instances == number)).sum()
 
 
 def _joined(table: Table, parts: Sequence[SeenBody], found: Found) -> list[SeenBody]:

@@ -12,7 +12,7 @@ from kit1000.perception.segmentation.pieces import connected
 
 LEAST_HEIGHT = 2.5e-3  # [m] of a pixel above the table,
 RIPPLES, MOST_LEAST = 2.5, 8e-3  # or so many of the table's own standard deviations, [m] up to this
-SURE_HEIGHT, SURE_QUANTILE = 6e-3, 0.9  # [m], or as many times the least as it is here, that a tenth of a body reaches
+BODY_HEIGHT, BODY_QUANTILE = 6e-3, 0.9  # [m] that a tenth of a body reaches; as many times the least as it is, if sure
 TALLEST = 0.2  # [m]
 EDGE = 6e-3  # [m] inside the table's outline, where bodies stand
 STRIP = 15e-3  # [m] shorter side: of strips beside something higher at the outline, which are its foot
@@ -43,10 +43,12 @@ class SeenBody:
     """[m] of the smallest rectangle about it from above, the shorter first."""
     centre: np.ndarray
     """(2,) [m] along the table's `axes`."""
+    sure: bool = True
+    """Whether it is higher than the ripple of the table explains."""
 
 
 def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]:
-    """The bodies of an image, the largest first.
+    """The bodies of an image, the largest first; last those that are not sure.
 
     floor: (H, W) [m] heights that the empty table has in the same place, NaN where unknown; None: it is searched.
     """
@@ -61,17 +63,20 @@ def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]
     found = []
     for number, box in enumerate(find_objects(regions), start=1):
         mask = regions[box] == number
-        if not _is_body(mask, heights[box][mask], least) or _is_smear(regions, number, box):
+        if not _is_body(mask, heights[box][mask]) or _is_smear(regions, number, box):
             continue
         whole = np.zeros(high.shape, bool)
         whole[box] = np.asarray(binary_fill_holes(mask), bool) & ~(
             heights[box] < least / 2
         )  # a hole without a return is a shadow
-        body = measured_body(table, whole)
+        high_part = float(np.quantile(heights[box][mask], BODY_QUANTILE))
+        body = measured_body(table, whole, high_part > BODY_HEIGHT * max(1.0, least / LEAST_HEIGHT))
         strip = body.sides[0] < STRIP and (mask & beside[box]).any()
         if body.area > LEAST_AREA and not strip and not _lies_along_outline(table, body):
             found.append(body)
-    return _with_fragments(table, sorted(found, key=lambda body: -body.area))[:MOST_BODIES]
+    found.sort(key=lambda body: -body.area)
+    whole = _with_fragments(table, [body for body in found if body.sure])
+    return [*whole, *(body for body in found if not body.sure)][:MOST_BODIES]
 
 
 def _lies_along_outline(table: Table, body: SeenBody) -> bool:
@@ -92,11 +97,11 @@ def _is_smear(regions: np.ndarray, number: int, box: tuple[slice, ...]) -> bool:
     return bool(((near > 0) & ~mask & binary_dilation(mask, iterations=TOUCHING)).any())
 
 
-def _is_body(mask: np.ndarray, heights: np.ndarray, least: float) -> bool:
-    """Whether a region (h, w) bool with heights (n,) [m] is large, broad and high enough. least: [m] of a pixel."""
+def _is_body(mask: np.ndarray, heights: np.ndarray) -> bool:
+    """Whether a region (h, w) bool with heights (n,) [m] is large, broad and high enough."""
     if len(heights) < LEAST_PIXELS or not binary_erosion(mask, np.ones((NARROW, NARROW))).any():
         return False
-    return bool(np.quantile(heights, SURE_QUANTILE) > SURE_HEIGHT * max(1.0, least / LEAST_HEIGHT))
+    return bool(np.quantile(heights, BODY_QUANTILE) > BODY_HEIGHT)
 
 
 def _with_fragments(table: Table, bodies: list[SeenBody]) -> list[SeenBody]:
@@ -134,7 +139,7 @@ def _regions(table: Table, mask: np.ndarray) -> np.ndarray:
     return connected(mask, joined)
 
 
-def measured_body(table: Table, mask: np.ndarray) -> SeenBody:
+def measured_body(table: Table, mask: np.ndarray, sure: bool = True) -> SeenBody:
     """A body by its mask (H, W) bool, which has a return."""
     camera = table.image.camera
     rows, columns = np.nonzero(mask & (table.image.depth > 0))
@@ -145,7 +150,7 @@ def measured_body(table: Table, mask: np.ndarray) -> SeenBody:
     area = float((depth**2 / np.maximum(slant, 0.1)).sum() / (camera.fx * camera.fy))
     feet, heights = points @ table.axes[:2].T, table.heights[rows, columns]
     middle = (feet.min(0) + feet.max(0)) / 2
-    return SeenBody(mask, area, float(np.quantile(heights, 0.98)), _sides(feet), middle)
+    return SeenBody(mask, area, float(np.quantile(heights, 0.98)), _sides(feet), middle, sure)
 
 
 def _sides(feet: np.ndarray) -> tuple[float, float]:

@@ -86,6 +86,15 @@ def test_touching_parts_of_a_scanner_become_two() -> None:
     assert sorted(round(1e3 * part.height) for part in found.parts) == [15, 30]
 
 
+def test_a_low_part_on_a_rippled_table_counts_where_the_networks_see_it() -> None:
+    low = ((0.045, 0.035, 0.0095), (-0.06, -0.16))
+    depth = noisy_depth(exact_depth((KIT, *PARTS, low)), 0.2)
+    assert len(scene_of(depth).parts) == len(PARTS)
+    assert len(scene_of(depth, Wanted(networks=True)).parts) == len(PARTS) + 1
+    empty = noisy_depth(exact_depth((KIT, *PARTS)), 0.2)
+    assert len(scene_of(empty, Wanted(networks=True)).parts) == len(PARTS)
+
+
 def test_a_part_that_a_gap_without_returns_cuts_is_one() -> None:
     depth = noisy_depth(exact_depth(), 0.01).copy()
     u = round(float(CAMERA.project(EYE.inverse().apply((*PARTS[0][1], PARTS[0][0][2])))[0]))
