@@ -30,7 +30,7 @@ TORCH, BROWSER = "torch", "playwright"
 GENERATOR = "kit1000.generation.build"
 GENERATED = {"mini", "withheld", "real_parts"}  # fixtures; those that build on them count too
 LONG_TESTS = ROOT / "tests/long.txt"
-LONG = 0.25  # [s] of processor time for a test function with all its cases
+LONG = 0.15  # [s] of processor time for a test function with all its cases
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
