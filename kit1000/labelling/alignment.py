@@ -101,8 +101,8 @@ class _Rows:
         scale: float | np.ndarray,
         outline_spread: float = 0.0,
     ) -> _Rows:
-        slopes = (np.broadcast_to(slope, len(values)) for slope in (width, bend, scale))
-        return _Rows(values, motion, *slopes, outline_spread)
+        by_width, by_bend, by_scale = (np.broadcast_to(slope, len(values)) for slope in (width, bend, scale))
+        return _Rows(values, motion, by_width, by_bend, by_scale, outline_spread)
 
     @property
     def slopes(self) -> np.ndarray:
@@ -110,8 +110,8 @@ class _Rows:
         return np.column_stack([self.motion, self.width, self.bend, self.scale])
 
     def weighted(self, root: np.ndarray) -> _Rows:
-        own = (values * root for values in (self.width, self.bend, self.scale))
-        return _Rows(self.values * root, self.motion * root[:, None], *own, self.outline_spread)
+        width, bend, scale = (slope * root for slope in (self.width, self.bend, self.scale))
+        return _Rows(self.values * root, self.motion * root[:, None], width, bend, scale, self.outline_spread)
 
 
 def align(
