@@ -53,8 +53,8 @@ def cut_back(
         facts: about the sensor.
     """
     kit, *parts = bodies
-    world = world_of_bodies(table, kit, parts)
-    if not parts or world.gap is None or world.gap <= 0:  # the networks know scenes in two halves
+    world = world_of_bodies(table, kit, parts or doubtful)
+    if world.gap is None or world.gap <= 0:  # the networks know scenes in two halves
         return kit, parts
     found = _found(View(table.image.camera, world.world_from_camera, depth), facts)
     parts += [replace(body, sure=True) for body in doubtful if _is_instance(body, found)]

@@ -12,7 +12,8 @@ from kit1000.perception.segmentation.pieces import connected
 
 LEAST_HEIGHT = 2.5e-3  # [m] of a pixel above the table,
 RIPPLES, MOST_LEAST = 2.5, 8e-3  # or so many of the table's own standard deviations, [m] up to this
-BODY_HEIGHT, BODY_QUANTILE = 6e-3, 0.9  # [m] that a tenth of a body reaches; as many times the least as it is, if sure
+BODY_HEIGHT, BODY_QUANTILE = 6e-3, 0.9  # [m] that a tenth of a body reaches
+SURE, MOST_SURE = 2.3, 19e-3  # times RIPPLES, [m] up to this, of one that is sure; ripple alone reaches 2.1 times
 TALLEST = 0.2  # [m]
 EDGE = 6e-3  # [m] inside the table's outline, where bodies stand
 STRIP = 15e-3  # [m] shorter side: of strips beside something higher at the outline, which are its foot
@@ -55,6 +56,7 @@ def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]
     heights = table.flat_heights if floor is None else table.heights - np.nan_to_num(floor)
     least = float(np.clip(RIPPLES * table.ripple, LEAST_HEIGHT, MOST_LEAST))
     high = heights > least
+    sure = float(np.clip(SURE * RIPPLES * table.ripple, BODY_HEIGHT, MOST_SURE))
     on_table = np.zeros_like(high)
     on_table[high] = inside_outline(table.ground(high), table.outline, EDGE)
     beside = binary_dilation(_opened(high & ~on_table), iterations=TOUCHING)
@@ -69,8 +71,7 @@ def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]
         whole[box] = np.asarray(binary_fill_holes(mask), bool) & ~(
             heights[box] < least / 2
         )  # a hole without a return is a shadow
-        high_part = float(np.quantile(heights[box][mask], BODY_QUANTILE))
-        body = measured_body(table, whole, high_part > BODY_HEIGHT * max(1.0, least / LEAST_HEIGHT))
+        body = measured_body(table, whole, bool(np.quantile(heights[box][mask], BODY_QUANTILE) > sure))
         strip = body.sides[0] < STRIP and (mask & beside[box]).any()
         if body.area > LEAST_AREA and not strip and not _lies_along_outline(table, body):
             found.append(body)

@@ -91,6 +91,8 @@ def test_a_low_part_on_a_rippled_table_counts_where_the_networks_see_it() -> Non
     depth = noisy_depth(exact_depth((KIT, *PARTS, low)), 0.2)
     assert len(scene_of(depth).parts) == len(PARTS)
     assert len(scene_of(depth, Wanted(networks=True)).parts) == len(PARTS) + 1
+    alone = noisy_depth(exact_depth((KIT, low)), 0.2)
+    assert len(scene_of(alone, Wanted(networks=True)).parts) == 1
     empty = noisy_depth(exact_depth((KIT, *PARTS)), 0.2)
     assert len(scene_of(empty, Wanted(networks=True)).parts) == len(PARTS)
 
