@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from importlib.util import find_spec
 from typing import NamedTuple
 
@@ -57,7 +56,7 @@ def cut_back(
     if world.gap is None or world.gap <= 0:  # the networks know scenes in two halves
         return kit, parts
     found = _found(View(table.image.camera, world.world_from_camera, depth), facts)
-    parts += [replace(body, sure=True) for body in doubtful if _is_instance(body, found)]
+    parts += [body for body in doubtful if _is_instance(body, found)]
     whole = _joined(table, parts, found)
     return _agreed(table, kit, found.body), [piece for part in whole for piece in _pieces(table, part, found)]
 

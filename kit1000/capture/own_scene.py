@@ -93,11 +93,10 @@ def own_scene(
     image = image_of_frames(frames, known, wanted.depth_scale)
     table, floor = _table(image, source, empty)
     bodies = seen_bodies(table, floor)
-    chosen = _with_kit_first([body for body in bodies if body.sure], wanted.kit, source, table)
+    chosen = _with_kit_first(bodies.sure, wanted.kit, source, table)
     facts = _facts(frames[0], known, image, table, wanted)
     if wanted.networks:
-        doubtful = [body for body in bodies if not body.sure]
-        kit, parts = cut_back(table, on_depth_grid(image.depth), chosen, doubtful, facts)
+        kit, parts = cut_back(table, on_depth_grid(image.depth), chosen, bodies.doubtful, facts)
         chosen = [kit, *parts]
     world = _world(table, chosen, wanted)
     labels = np.zeros(image.depth.shape, np.uint8)

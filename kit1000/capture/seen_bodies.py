@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_dilation, binary_erosion, binary_fill_holes, binary_opening, find_objects
@@ -44,12 +45,19 @@ class SeenBody:
     """[m] of the smallest rectangle about it from above, the shorter first."""
     centre: np.ndarray
     """(2,) [m] along the table's `axes`."""
-    sure: bool = True
-    """Whether it is higher than the ripple of the table explains."""
 
 
-def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]:
-    """The bodies of an image, the largest first; last those that are not sure.
+class SeenBodies(NamedTuple):
+    """The bodies of an image, the largest first."""
+
+    sure: list[SeenBody]
+    """Higher than the ripple of the table explains."""
+    doubtful: list[SeenBody]
+    """Lower ones."""
+
+
+def seen_bodies(table: Table, floor: np.ndarray | None = None) -> SeenBodies:
+    """The bodies of an image, at most MOST_BODIES.
 
     floor: (H, W) [m] heights that the empty table has in the same place, NaN where unknown; None: it is searched.
     """
@@ -62,22 +70,26 @@ def seen_bodies(table: Table, floor: np.ndarray | None = None) -> list[SeenBody]
     beside = binary_dilation(_opened(high & ~on_table), iterations=TOUCHING)
     opened = _opened(on_table & (heights < TALLEST))
     regions = _regions(table, opened)
-    found = []
+    found: list[tuple[float, SeenBody]] = []  # with the height that a tenth of it reaches
     for number, box in enumerate(find_objects(regions), start=1):
         mask = regions[box] == number
-        if not _is_body(mask, heights[box][mask]) or _is_smear(regions, number, box):
+        if not _is_broad(mask):
+            continue
+        reached = float(np.quantile(heights[box][mask], BODY_QUANTILE))
+        if reached <= BODY_HEIGHT or _is_smear(regions, number, box):
             continue
         whole = np.zeros(high.shape, bool)
         whole[box] = np.asarray(binary_fill_holes(mask), bool) & ~(
             heights[box] < least / 2
         )  # a hole without a return is a shadow
-        body = measured_body(table, whole, bool(np.quantile(heights[box][mask], BODY_QUANTILE) > sure))
+        body = measured_body(table, whole)
         strip = body.sides[0] < STRIP and (mask & beside[box]).any()
         if body.area > LEAST_AREA and not strip and not _lies_along_outline(table, body):
-            found.append(body)
-    found.sort(key=lambda body: -body.area)
-    whole = _with_fragments(table, [body for body in found if body.sure])
-    return [*whole, *(body for body in found if not body.sure)][:MOST_BODIES]
+            found.append((reached, body))
+    found.sort(key=lambda entry: -entry[1].area)
+    high_ones = _with_fragments(table, [body for reached, body in found if reached > sure])[:MOST_BODIES]
+    low_ones = [body for reached, body in found if reached <= sure]
+    return SeenBodies(high_ones, low_ones[: MOST_BODIES - len(high_ones)])
 
 
 def _lies_along_outline(table: Table, body: SeenBody) -> bool:
@@ -98,11 +110,9 @@ def _is_smear(regions: np.ndarray, number: int, box: tuple[slice, ...]) -> bool:
     return bool(((near > 0) & ~mask & binary_dilation(mask, iterations=TOUCHING)).any())
 
 
-def _is_body(mask: np.ndarray, heights: np.ndarray) -> bool:
-    """Whether a region (h, w) bool with heights (n,) [m] is large, broad and high enough."""
-    if len(heights) < LEAST_PIXELS or not binary_erosion(mask, np.ones((NARROW, NARROW))).any():
-        return False
-    return bool(np.quantile(heights, BODY_QUANTILE) > BODY_HEIGHT)
+def _is_broad(mask: np.ndarray) -> bool:
+    """Whether a region (h, w) bool is large and broad enough for a body."""
+    return mask.sum() >= LEAST_PIXELS and bool(binary_erosion(mask, np.ones((NARROW, NARROW))).any())
 
 
 def _with_fragments(table: Table, bodies: list[SeenBody]) -> list[SeenBody]:
@@ -140,7 +150,7 @@ def _regions(table: Table, mask: np.ndarray) -> np.ndarray:
     return connected(mask, joined)
 
 
-def measured_body(table: Table, mask: np.ndarray, sure: bool = True) -> SeenBody:
+def measured_body(table: Table, mask: np.ndarray) -> SeenBody:
     """A body by its mask (H, W) bool, which has a return."""
     camera = table.image.camera
     rows, columns = np.nonzero(mask & (table.image.depth > 0))
@@ -151,7 +161,7 @@ def measured_body(table: Table, mask: np.ndarray, sure: bool = True) -> SeenBody
     area = float((depth**2 / np.maximum(slant, 0.1)).sum() / (camera.fx * camera.fy))
     feet, heights = points @ table.axes[:2].T, table.heights[rows, columns]
     middle = (feet.min(0) + feet.max(0)) / 2
-    return SeenBody(mask, area, float(np.quantile(heights, 0.98)), _sides(feet), middle, sure)
+    return SeenBody(mask, area, float(np.quantile(heights, 0.98)), _sides(feet), middle)
 
 
 def _sides(feet: np.ndarray) -> tuple[float, float]:
