@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import itertools
 import os
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,12 +13,15 @@ import pytest
 from hypothesis import settings
 
 from kit1000.errors import Redraw
+from kit1000.export import own_part
 from kit1000.generation import parts_and_kits, shards
 from kit1000.generation.build import generate
 from kit1000.generation.presets import PRESETS
 from kit1000.kits.acceptance import PairCheck
-from kit1000.kits.choice import accepted_kit
+from kit1000.kits.choice import Attempt, accepted_kit, attempts
 from kit1000.kits.kit import KitDesign, Plate
+from kit1000.pictures import dataset_sheets, previews
+from kit1000.pictures.shading import QUICK, shaded_picture
 from kit1000.values import Part
 from tests.samples.checkout import ROOT
 from tests.samples.mini import HIDDEN, HIDDEN_SEED, MINI, Published, fake_scene, publish_by_command
@@ -114,14 +118,28 @@ def no_sync() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def kits_once() -> Iterator[None]:
-    """The generator makes each kit once a process: most tests of generation make the same few parts again and again.
+    """A process makes each kit once, for datasets and for own parts: most tests make the same few parts many times.
 
     That a kit is the same whenever it is made is tested with kits, and by datasets that other processes generate.
     """
     made: dict[tuple[Any, ...], Any] = {}
+    begun: dict[tuple[Any, ...], tuple[list[Attempt], Iterator[Attempt]]] = {}
+
+    def key_of(part: Part, clearance: float, plate: Plate | None) -> tuple[Any, ...]:
+        return part.id, part.family, part.mesh.vertices.tobytes(), part.mesh.faces.tobytes(), clearance, plate
+
+    def attempts_once(part: Part, clearance: float, plate: Plate | None) -> Iterator[Attempt]:
+        earlier, further = begun.setdefault(key_of(part, clearance, plate), ([], attempts(part, clearance, plate)))
+        for number in itertools.count():
+            if number == len(earlier):
+                attempt = next(further, None)
+                if attempt is None:
+                    return
+                earlier.append(attempt)
+            yield earlier[number]
 
     def once(part: Part, clearance: float, plate: Plate) -> tuple[KitDesign, PairCheck]:
-        key = part.id, part.family, part.mesh.vertices.tobytes(), part.mesh.faces.tobytes(), clearance, plate
+        key = key_of(part, clearance, plate)
         if key not in made:
             try:
                 made[key] = accepted_kit(part, clearance, plate)
@@ -133,7 +151,9 @@ def kits_once() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(parts_and_kits, "accepted_kit", once)
+        patch.setattr(own_part, "attempts", attempts_once)
         yield
+    begun.clear()
 
 
 @pytest.fixture(scope="session")
@@ -162,6 +182,17 @@ def withheld(tmp_path_factory: pytest.TempPathFactory) -> Published:
 def fake_scenes(monkeypatch: pytest.MonkeyPatch) -> None:
     """Replaces real scenes by fake ones, in this process."""
     monkeypatch.setattr(shards, "make_scene", fake_scene)
+
+
+@pytest.fixture
+def quick_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures and contact sheets have as few samples and lamps as a preview; what they show stays."""
+
+    def quick(*arguments: Any, **options: Any) -> Any:
+        return shaded_picture(*arguments, **options | {"quality": QUICK})
+
+    monkeypatch.setattr(previews, "shaded_picture", quick)
+    monkeypatch.setattr(dataset_sheets, "shaded_picture", quick)
 
 
 @pytest.fixture(scope="session", params=_folders(), ids=lambda folder: folder.name)

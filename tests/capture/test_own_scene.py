@@ -13,6 +13,7 @@ from kit1000.camera import look_at
 from kit1000.capture.depth_frames import DepthFrame
 from kit1000.capture.intrinsics import Intrinsics
 from kit1000.capture.own_scene import OwnScene, Wanted, image_of_frames, own_scene
+from kit1000.capture.own_world import read_pose
 from kit1000.capture.scene_report import check_size, report
 from kit1000.capture.table_search import find_table
 from kit1000.errors import InputError
@@ -75,6 +76,9 @@ def test_a_scanner_is_known_by_its_name(device: str) -> None:
     assert found.facts.baseline == SENSORS["photoneo"].baseline
     assert (found.facts.fattening_px, found.facts.stream) == (0.0, "raw")
     assert any("structured-light" in line for line in report(found, None))
+
+
+def test_a_camera_of_another_name_is_no_scanner() -> None:
     assert not scene_of(noisy_depth(exact_depth(), 0.05), Wanted(device="D435")).facts.scanner
 
 
@@ -195,7 +199,7 @@ def test_a_pose_that_contradicts_the_image_is_refused(tmp_path: Path, name: str)
 def test_a_file_without_a_pose_is_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "pose.json").write_text(content, encoding="utf-8")
     with pytest.raises(InputError, match=r"pose\.json"):
-        scene_of(millimetres(exact_depth()), Wanted(world_from_camera=tmp_path / "pose.json"))
+        read_pose(tmp_path / "pose.json")
 
 
 def test_wrong_intrinsics_show_in_the_sizes_and_fail_the_check(scene: OwnScene) -> None:

@@ -128,6 +128,7 @@ WRONG = {  # by what is typed: facts of the answer
 }
 
 
+@pytest.mark.usefixtures("quick_pictures")
 @pytest.mark.parametrize("line", WRONG)
 def test_wrong_usage_is_one_line(
     line: str, data: Path, files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -168,7 +169,7 @@ def test_the_report_of_a_kit_is_printed(files: Path, tmp_path: Path, capsys: pyt
 
 
 def test_a_plate_beyond_a_usual_bed_is_noted(files: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = ["kit", str(files / "good.stl"), "--out", str(tmp_path / "out"), "--unit", "mm", "--fit-mm"]
+    line = ["kit", str(files / "good.stl"), "--out", str(tmp_path / "out"), "--unit", "mm", "--no-preview", "--fit-mm"]
     assert main([*line, "300"]) == 0
     note = "note       the plate is larger than the bed of a usual printer, 250 mm\n"
     assert note in capsys.readouterr().out
@@ -193,7 +194,7 @@ def test_each_body_of_a_file_is_reported(tmp_path: Path, capsys: pytest.CaptureF
     vertices = np.concatenate([one.vertices, thin.vertices + 0.1])
     both = Mesh(vertices, np.concatenate([one.faces, thin.faces + len(one.vertices)]))
     line = ["kit", str(write_stl(tmp_path / "two.stl", both)), "--out", str(tmp_path / "out"), "--bodies", "each"]
-    assert main(line) == 1
+    assert main([*line, "--no-preview"]) == 1
     out, err = capsys.readouterr()
     assert out.endswith(f"files      {tmp_path / 'out' / '01'}\n")
     assert err.startswith(f"kit1000: {tmp_path}/two.stl: body 2 of 2: 0.08 mm long, less than the clearance of 2.5 mm")
@@ -223,6 +224,7 @@ def test_meshes_written_by_a_run_are_no_sources_of_the_next(tmp_path: Path, caps
     assert capsys.readouterr().err == f"{tmp_path}/out is complete: nothing to do\n"
 
 
+@pytest.mark.usefixtures("quick_pictures")
 @pytest.mark.parametrize("what", ["parts", "kits", "assemblies"])
 def test_show_draws_every_kind(what: str, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = tmp_path / f"{what}.png"
@@ -265,6 +267,7 @@ def wait_for(folder: Path, pattern: str, run: subprocess.Popen[str]) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.usefixtures("fake_scenes")  # in this process: the command is interrupted before it makes one
 @pytest.mark.parametrize("how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_an_interrupted_generate_ends_in_one_line_and_can_be_continued(how: signal.Signals, tmp_path: Path) -> None:
     sources, out = l_shape_sources(tmp_path / "files", WIDTHS), tmp_path / "out"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -47,22 +48,37 @@ def test_an_output_that_ends_early_is_no_error(mini: Path, tmp_path: Path) -> No
     assert (done.returncode, done.stderr) == (0, b"")
 
 
-def test_a_closed_error_output_leaves_the_results_alone(mini: Path, tmp_path: Path) -> None:
+def test_a_closed_error_output_leaves_the_results_alone(
+    mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     done = run(f"$KIT1000 info {mini} 2>&-", tmp_path)
     assert done.returncode == 0
-    assert done.stdout == run(f"$KIT1000 info {mini}", tmp_path).stdout
+    assert main(["info", str(mini)]) == 0
+    assert done.stdout.decode() == capsys.readouterr().out
 
 
-@pytest.mark.parametrize("encoding", ["utf-8:strict", "ascii:strict", "latin-1"])
-def test_names_in_odd_encodings_are_printed_escaped(encoding: str, tmp_path: Path) -> None:
-    write_stl(tmp_path / "a.stl", l_shape())
-    odd = os.fsencode(tmp_path) + b"/Geh\xe4use.stl"
-    os.rename(tmp_path / "a.stl", odd)
-    done = run(
-        "$KIT1000 kit Geh\\\xe4use.stl --out k --no-preview".replace("\\\xe4", "*"), tmp_path, PYTHONIOENCODING=encoding
-    )
+@pytest.fixture
+def odd_file(tmp_path: Path) -> Path:
+    """A mesh file with a name that is no UTF-8."""
+    return write_stl(tmp_path / "a.stl", l_shape()).rename(tmp_path / os.fsdecode(b"Geh\xe4use.stl"))
+
+
+def test_names_in_odd_encodings_are_printed_escaped(odd_file: Path) -> None:
+    line = "$KIT1000 kit Geh*use.stl --out k --no-preview"
+    done = run(line, odd_file.parent, PYTHONIOENCODING="ascii:strict")
     assert (done.returncode, done.stderr) == (0, b"")
     assert b"Geh\\udce4use.stl" in done.stdout
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "ascii", "latin-1"])
+def test_an_output_of_any_encoding_gets_odd_names_escaped(
+    encoding: str, odd_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    written, said = io.BytesIO(), io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding, "strict"))
+    monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(said, encoding, "strict"))
+    assert main(["kit", str(odd_file), "--out", str(odd_file.parent / "k"), "--no-preview"]) == 0
+    assert (b"Geh\\udce4use.stl" in written.getvalue(), said.getvalue()) == (True, b"")
 
 
 def test_a_line_feed_in_a_name_keeps_the_message_in_one_line(
@@ -94,6 +110,7 @@ def test_a_picture_of_another_format_is_refused(
     assert not (tmp_path / name).exists()
 
 
+@pytest.mark.usefixtures("quick_pictures")
 @pytest.mark.parametrize("name", ["x.png", "x.mcap"])
 def test_a_picture_or_recording_of_mine_stays(
     name: str, mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

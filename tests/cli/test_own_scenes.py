@@ -17,6 +17,7 @@ from kit1000.pose import Pose
 from kit1000.submission import read_submission
 from tests.samples.editing import desk
 
+pytestmark = pytest.mark.usefixtures("quick_pictures")
 SCENE = "test-s0000"
 TABLES = ("parts.json", "kits.json", "assemblies.json")
 

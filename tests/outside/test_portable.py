@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from bench.outside.portable import OLD_PROCESSOR
 from kit1000.queries.guesses import draw_direction, draw_tilt_error
@@ -20,7 +21,7 @@ import sys
 from pathlib import Path
 from tests.samples.mini import MINI
 from kit1000.generation.build import generate
-generate(MINI, Path(sys.argv[1]), workers=1)
+generate(MINI, Path(sys.argv[1]), workers=2)
 """
 
 
@@ -32,7 +33,7 @@ def on_an_older_processor(code: str, *arguments: str) -> str:
     return subprocess.run(command, env=environment, check=True, capture_output=True, text=True).stdout
 
 
-def test_an_older_processor_writes_the_same_bytes(mini: Path, tmp_path: Path) -> None:
+def test_two_workers_on_an_older_processor_write_the_same_bytes_as_one_here(mini: Path, tmp_path: Path) -> None:
     on_an_older_processor(GENERATE_MINI, str(tmp_path / "mini"))
     assert file_hashes(tmp_path / "mini") == file_hashes(mini)
 
@@ -43,11 +44,6 @@ def roller_poses() -> str:
     return " ".join(pose.wxyz.tobytes().hex() + pose.xyz.tobytes().hex() for pose in poses)
 
 
-def test_parts_settle_alike_on_an_older_processor() -> None:
-    code = "from tests.outside.test_portable import roller_poses; print(roller_poses())"
-    assert on_an_older_processor(code).split() == roller_poses().split()
-
-
 def drawn_errors() -> str:
     """Errors of guesses: sine and cosine differ in the last bit of one number in 1,400."""
     rng = np.random.default_rng(0)
@@ -55,6 +51,16 @@ def drawn_errors() -> str:
     return np.stack(rows).tobytes().hex()
 
 
-def test_guesses_are_drawn_alike_on_an_older_processor() -> None:
-    code = "from tests.outside.test_portable import drawn_errors; print(drawn_errors())"
-    assert on_an_older_processor(code).strip() == drawn_errors()
+@pytest.fixture(scope="module")
+def lines_there() -> list[str]:
+    """Poses and errors there, a line each."""
+    code = "from tests.outside import test_portable as here; print(here.roller_poses()); print(here.drawn_errors())"
+    return on_an_older_processor(code).splitlines()
+
+
+def test_parts_settle_alike_on_an_older_processor(lines_there: list[str]) -> None:
+    assert lines_there[0].split() == roller_poses().split()
+
+
+def test_guesses_are_drawn_alike_on_an_older_processor(lines_there: list[str]) -> None:
+    assert lines_there[1] == drawn_errors()

@@ -16,7 +16,7 @@ from kit1000.parts.family import make_part
 from kit1000.parts.family_catalog import FAMILIES
 from kit1000.parts.mixtures import MIXTURES, choose_family
 from kit1000.symmetry import Symmetry
-from kit1000.testing import check_family, check_symmetry, surface_distances
+from kit1000.testing import check_family, check_symmetry, families, surface_distances
 from kit1000.values import Part
 
 SEEDS = range(3)
@@ -24,7 +24,8 @@ WEIGHTS = MIXTURES["2026"]
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_family_conforms(name: str) -> None:
+def test_family_conforms(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(families, "SURFACE_SAMPLES", 60)
     check_family(FAMILIES[name], SEEDS, name)
 
 
@@ -50,17 +51,17 @@ def test_a_mixture_weighs_families_of_the_catalog(mixture: str) -> None:
 
 
 def test_choice_follows_the_weights() -> None:
-    drawn = [choose_family(7, "part", index, weights=WEIGHTS) for index in range(1500)]
+    drawn = [choose_family(7, "part", index, weights=WEIGHTS) for index in range(700)]
     total = sum(WEIGHTS.values())
     for name, weight in WEIGHTS.items():
         share = weight / total
-        assert abs(drawn.count(name) / 1500 - share) < 5 * np.sqrt(share / 1500)
+        assert abs(drawn.count(name) / len(drawn) - share) < 5 * np.sqrt(share / len(drawn))
 
 
 def test_one_more_weight_changes_only_the_parts_that_its_family_wins() -> None:
     fewer = {name: weight for name, weight in WEIGHTS.items() if name != "bracket"}
-    before = [choose_family(3, index, weights=fewer) for index in range(300)]
-    after = [choose_family(3, index, weights=WEIGHTS) for index in range(300)]
+    before = [choose_family(3, index, weights=fewer) for index in range(150)]
+    after = [choose_family(3, index, weights=WEIGHTS) for index in range(150)]
     assert {new for old, new in zip(before, after, strict=True) if old != new} == {"bracket"}
 
 

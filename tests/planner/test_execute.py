@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 
@@ -17,7 +19,7 @@ from kit1000.files import read_json
 from kit1000.kits.convex_pieces import TOLERANCE, enclosing_prisms
 from kit1000.kits.seating import HOVER
 from kit1000.mesh import convex_hull, solid_from_mesh
-from kit1000.planner import execute
+from kit1000.planner import execute, planning
 from kit1000.planner.execute import OUTCOMES, SceneRun, run_scene
 from kit1000.planner.motion import LINE_SPEED, MOVE_SPEED
 from kit1000.planner.robot import HOME, JOINT_SPEED, tool_pose, within_limits
@@ -42,6 +44,15 @@ class Case:
         return run_scene(self.scene, {self.part: motion}).parts[0].outcome
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _few_ways() -> Iterator[None]:
+    """The hand takes a part in fewer ways, each of which is a matter of a tenth of a second."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planning, "YAWS", 4)
+        patch.setattr(planning, "DIRECT_TRIES", 3)
+        yield
+
+
 @pytest.fixture(scope="module")
 def case(mini: Path) -> Case:
     dataset = Dataset(mini)
@@ -63,12 +74,6 @@ def test_with_the_true_motion_the_part_is_seated(case: Case) -> None:
     assert abs(part.physics["height_mm"]) < 3
     assert part.physics["angle_deg"] < 10
     assert 10 < part.seconds < 90
-
-
-def test_the_same_run_gives_the_same_bytes(case: Case) -> None:
-    again = run_scene(case.scene, {case.part: case.motion})
-    assert trace_bytes(again) == trace_bytes(case.run)
-    assert again.parts == case.run.parts
 
 
 @pytest.mark.parametrize(
@@ -144,7 +149,9 @@ def test_what_is_no_trace_is_refused(data: bytes) -> None:
         read_trace(data)
 
 
-def test_the_command_writes_outcomes_and_traces(case: Case, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_the_outcomes_and_traces_of_another_run(
+    case: Case, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file, out = tmp_path / "predictions.csv", tmp_path / "out"
     write_predictions(file, [Prediction(case.query_id, case.motion, 1.0, 0.0)])
     data = str(case.scene.split.dataset.root)
@@ -152,7 +159,7 @@ def test_the_command_writes_outcomes_and_traces(case: Case, tmp_path: Path, caps
     assert "1 of 1 seated; 1 seated" in capsys.readouterr().out
     report = read_json(out / "outcomes.json")
     assert report["counts"] == dict.fromkeys(OUTCOMES, 0) | {"seated": 1}
-    assert report["scenes"][case.scene.id]["parts"][0]["outcome"] == "seated"
+    assert report["scenes"][case.scene.id] == {"order": [case.part], "parts": [asdict(case.run.parts[0])]}
     assert (out / f"{case.scene.id}.jsonl").read_bytes() == trace_bytes(case.run)
 
 
