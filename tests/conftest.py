@@ -30,6 +30,9 @@ from tests.samples.sources import loaded
 settings.register_profile("kit1000", deadline=None, max_examples=30)  # a busy machine may take its time
 settings.load_profile("kit1000")
 
+# The processes of a run share the cores: further threads of torch would busily wait for each other.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 TORCH, BROWSER = "torch", "playwright"
 GENERATOR = "kit1000.generation.build"
 GENERATED = {"mini", "withheld", "real_parts"}  # fixtures; those that build on them count too

@@ -71,7 +71,7 @@ def worker_environment(name: str) -> tuple[str, str, str, str]:
     import kit1000
 
     time.sleep(0.3)  # longer than a job takes to reach the other node
-    return node_id(), str(kit1000.__file__), str(Path(name).resolve()), os.environ["OMP_NUM_THREADS"]
+    return node_id(), str(kit1000.__file__), str(Path(name).resolve()), os.environ["NUMBA_NUM_THREADS"]
 
 
 def process_id(_: int) -> int:

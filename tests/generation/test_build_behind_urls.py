@@ -12,9 +12,12 @@ import pytest
 from kit1000.engines import ParallelMap
 from kit1000.errors import InputError
 from kit1000.files import parse_folder, remove_folder, sha256
+from kit1000.generation import shards
 from kit1000.generation.build import generate
 from kit1000.generation.plan import Sources
-from tests.samples.mini import MINI, file_hashes, l_shape_sources
+from tests.samples.mini import MINI, fake_scene, file_hashes, l_shape_sources
+
+pytestmark = pytest.mark.usefixtures("fake_scenes")
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +29,9 @@ def sources(tmp_path_factory: pytest.TempPathFactory) -> Sources:
 def on_disk(sources: Sources, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     """The file hashes of a dataset on disk."""
     root = tmp_path_factory.mktemp("disk")
-    generate(MINI, root, workers=1, sources=sources)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(shards, "make_scene", fake_scene)
+        generate(MINI, root, workers=1, sources=sources)
     return file_hashes(root)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,14 +42,19 @@ GOLDEN = "973d67705a139086"
 """
 
 
+@pytest.fixture(scope="module")
+def many() -> dict[str, Any]:
+    """The plan of MANY with seed 5; read-only."""
+    return make_plan(MANY, 5)
+
+
 def test_the_plan_of_tiny_has_not_changed() -> None:
     assert dataset_id(make_plan(TINY, TINY.seed)) == GOLDEN
 
 
-def test_a_plan_is_a_pure_function_of_preset_and_seed() -> None:
-    plan = make_plan(MANY, 5)
-    assert json_bytes(plan) == json_bytes(make_plan(MANY, 5))
-    assert json.loads(json_bytes(plan)) == plan
+def test_a_plan_is_a_pure_function_of_preset_and_seed(many: dict[str, Any]) -> None:
+    assert json_bytes(many) == json_bytes(make_plan(MANY, 5))
+    assert json.loads(json_bytes(many)) == many
 
 
 def test_another_seed_is_another_dataset() -> None:
@@ -64,26 +70,24 @@ def test_every_setting_of_a_preset_changes_the_id() -> None:
     assert len(ids | {dataset_id(make_plan(MINI, 7))}) == len(changes) + 1
 
 
-def test_splits_have_the_size_of_the_preset_and_share_nothing() -> None:
-    plan = make_plan(MANY, 5)
+def test_splits_have_the_size_of_the_preset_and_share_nothing(many: dict[str, Any]) -> None:
     for table in ("parts", "assemblies"):
-        of = {split: {i for i, row in plan[table].items() if row["split"] == split} for split in SPLITS}
+        of = {split: {i for i, row in many[table].items() if row["split"] == split} for split in SPLITS}
         assert {split: len(ids) for split, ids in of.items()} == {split: MANY.count(split) for split in SPLITS}
-    drawn = [json.dumps(row["dimensions"], sort_keys=True) + row["family"] for row in plan["parts"].values()]
+    drawn = [json.dumps(row["dimensions"], sort_keys=True) + row["family"] for row in many["parts"].values()]
     assert len(set(drawn)) == len(drawn)
 
 
-def test_candidates_are_of_the_same_split_and_never_the_target() -> None:
-    plan = make_plan(MANY, 5)
-    for row in plan["assemblies"].values():
+def test_candidates_are_of_the_same_split_and_never_the_target(many: dict[str, Any]) -> None:
+    for row in many["assemblies"].values():
         assert row["target"] not in row["company"]
         assert len(set(row["company"])) == len(row["company"]) >= MANY.kits[1] - 1
-        assert {plan["parts"][i]["split"] for i in (row["target"], *row["company"])} == {row["split"]}
+        assert {many["parts"][i]["split"] for i in (row["target"], *row["company"])} == {row["split"]}
         assert MANY.kits[0] <= row["kits"] <= MANY.kits[1]
 
 
 def test_every_assembly_has_its_scene_and_most_parts_lie_upright() -> None:
-    plan = make_plan(replace(PRESETS["kit1000"], train=200), 5)
+    plan = make_plan(replace(PRESETS["kit1000"], train=100, val=20, test=60), 5)
     assert [row["assembly"] for row in plan["scenes"].values()] == list(plan["assemblies"])
     for scene_id, row in plan["scenes"].items():
         assert scene_id == row["assembly"].replace("-", "-s") == scene_id_of(row["assembly"])
@@ -91,11 +95,11 @@ def test_every_assembly_has_its_scene_and_most_parts_lie_upright() -> None:
         assert len(row["rest"]) == plan["assemblies"][row["assembly"]]["kits"]
         assert UPRIGHT in row["rest"]
     lying = [mode for row in plan["scenes"].values() for mode in row["rest"]]
-    assert abs(lying.count(UPRIGHT) / len(lying) - UPRIGHT_SHARE) < 0.03
+    assert abs(lying.count(UPRIGHT) / len(lying) - UPRIGHT_SHARE) < 0.05
 
 
 def test_a_third_of_the_scenes_with_two_parts_or_more_is_crowded() -> None:
-    plan = make_plan(replace(MANY, train=2000, kits=(1, 3)), 5)
+    plan = make_plan(replace(MANY, train=700, kits=(1, 3)), 5)
     several, single = [], []
     for row in plan["scenes"].values():
         (several if plan["assemblies"][row["assembly"]]["kits"] > 1 else single).append(row["crowded"])
@@ -132,29 +136,29 @@ def test_attempts_are_independent_draws() -> None:
     assert draw_part(MINI, 7, "train-0000", "train", 3) == draws[3]
 
 
-def test_a_new_family_in_the_catalog_changes_no_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_family_in_the_catalog_changes_no_plan(many: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither the plan nor its id nor a redraw changes: only families of a mixture are drawn."""
-    before = make_plan(MANY, 5)
     redraws = [draw_part(MANY, 5, "test-0000", "test", attempt) for attempt in range(1, 20)]
     monkeypatch.setitem(FAMILIES, "new", Block)
-    assert json_bytes(make_plan(MANY, 5)) == json_bytes(before)
+    assert json_bytes(make_plan(MANY, 5)) == json_bytes(many)
     assert dataset_id(make_plan(TINY, TINY.seed)) == GOLDEN
     assert [draw_part(MANY, 5, "test-0000", "test", attempt) for attempt in range(1, 20)] == redraws
 
 
-def test_a_mixture_with_one_more_family_changes_only_the_parts_that_it_wins(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = make_plan(MANY, 5)
+def test_a_mixture_with_one_more_family_changes_only_the_parts_that_it_wins(
+    many: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(FAMILIES, "new", Block)
     monkeypatch.setitem(MIXTURES, "next", {**MIXTURES[MANY.mixture], "new": 3.0})
     after = make_plan(replace(MANY, mixture="next"), 5)
     won = {i for i, row in after["parts"].items() if row["family"] == "new"}
     assert 0 < len(won) < 40
-    assert {i for i in before["parts"] if before["parts"][i] != after["parts"][i]} == won
-    assert before["assemblies"] == after["assemblies"]
+    assert {i for i in many["parts"] if many["parts"][i] != after["parts"][i]} == won
+    assert many["assemblies"] == after["assemblies"]
 
 
-def test_a_larger_dataset_begins_with_the_smaller_one() -> None:
-    small, large = make_plan(MANY, 5)["parts"], make_plan(replace(MANY, train=150, test=60), 5)["parts"]
+def test_a_larger_dataset_begins_with_the_smaller_one(many: dict[str, Any]) -> None:
+    small, large = make_plan(replace(MANY, train=30, test=20), 5)["parts"], many["parts"]
     assert {i: large[i] for i in small} == small
 
 
@@ -166,9 +170,11 @@ def test_tilts_and_levels_are_those_of_the_preset() -> None:
         assert all(np.radians(25) <= side.tilt <= np.radians(30) for side in placing.sides)
 
 
-def test_sizes_are_those_of_the_preset() -> None:
-    assert {row["longest"] for row in make_plan(replace(PRESETS["paper"], train=100), 1)["parts"].values()} == {0.05}
-    assert all(0.035 <= row["longest"] <= 0.05 for row in make_plan(MANY, 1)["parts"].values())
+def test_sizes_are_those_of_the_preset(many: dict[str, Any]) -> None:
+    assert {
+        row["longest"] for row in make_plan(replace(PRESETS["paper"], train=20, val=5, test=5), 1)["parts"].values()
+    } == {0.05}
+    assert all(0.035 <= row["longest"] <= 0.05 for row in many["parts"].values())
 
 
 def test_a_plan_of_files_contains_no_absolute_path(tmp_path: Path) -> None:

@@ -14,12 +14,15 @@ from kit1000.mesh import Mesh
 from kit1000.pictures import lighting
 from kit1000.pictures.creases import smooth_patches
 from kit1000.pictures.shading import (
+    FINE,
     KIT,
     PAPER,
     PART,
+    QUICK,
     SECONDARY,
     TEAL,
     ColouredBody,
+    Quality,
     contact_sheet,
     framing_camera,
     shaded_picture,
@@ -29,6 +32,7 @@ from kit1000.pose import Pose, random_quaternions
 IDENTITY = Pose.identity()
 ABOVE = (0.0, 0.0, 1.0)
 SIZE = (120, 90)
+ROUGH = FINE._replace(samples=4, key_lamps=12, sky_lamps=28)  # a quarter of the work, drawn in the same way
 
 
 def mesh(shape: trimesh.Trimesh) -> Mesh:
@@ -40,8 +44,8 @@ BALL = mesh(trimesh.creation.icosphere(subdivisions=3, radius=0.03))
 CYLINDER = mesh(trimesh.creation.cylinder(radius=0.02, height=0.05, sections=24))
 
 
-def picture(bodies: list[ColouredBody], direction=(0.5, -1.0, 0.8), **options) -> np.ndarray:
-    return shaded_picture(bodies, *framing_camera(bodies, direction, SIZE, margin=0.2), **options)
+def picture(bodies: list[ColouredBody], direction=(0.5, -1.0, 0.8), quality=ROUGH, **options) -> np.ndarray:
+    return shaded_picture(bodies, *framing_camera(bodies, direction, SIZE, margin=0.2), quality=quality, **options)
 
 
 def brightness(image: np.ndarray) -> np.ndarray:
@@ -78,9 +82,10 @@ def test_the_framing_camera_needs_a_body():
         framing_camera([])
 
 
-def test_the_same_bodies_give_the_same_picture():
+@pytest.mark.parametrize("quality", [ROUGH, QUICK])
+def test_the_same_bodies_give_the_same_picture(quality: Quality):
     bodies = [ColouredBody(BOX, IDENTITY, KIT), ColouredBody(BALL, Pose.from_translation((0.07, 0, 0)), PART)]
-    np.testing.assert_array_equal(picture(bodies), picture(bodies))
+    np.testing.assert_array_equal(picture(bodies, quality=quality), picture(bodies, quality=quality))
 
 
 def test_without_bodies_there_is_only_the_background():
@@ -97,9 +102,11 @@ def test_background_keeps_its_colour_without_a_ground():
     assert (image[far] == (10, 90, 200)).all()
 
 
-@pytest.mark.parametrize("colour", [KIT, PART, *SECONDARY])
-def test_a_level_face_has_the_colour_of_its_body(colour: tuple[int, int, int]):
-    image = picture([ColouredBody(BOX, IDENTITY, colour)], ABOVE)
+@pytest.mark.parametrize(
+    ("colour", "quality"), [*((colour, ROUGH) for colour in (KIT, PART, *SECONDARY)), (PART, FINE)]
+)
+def test_a_level_face_has_the_colour_of_its_body(colour: tuple[int, int, int], quality: Quality):
+    image = picture([ColouredBody(BOX, IDENTITY, colour)], ABOVE, quality)
     assert np.abs(image[45, 60].astype(int) - colour).max() <= 20
 
 

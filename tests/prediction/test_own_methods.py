@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -52,13 +53,22 @@ def run(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
 
 
-@pytest.mark.parametrize("name", ["./my_method_a.py:predict", "my_method_a.py:predict", "sub/my_method_b.py:predict"])
-def test_a_method_is_named_by_its_file(name: str, mini: Path, tmp_path: Path) -> None:
+def test_a_method_of_the_folder_is_found_by_the_command(mini: Path, tmp_path: Path) -> None:
+    (tmp_path / "my_method_a.py").write_text(GOOD)
+    done = run(tmp_path, "./my_method_a.py:predict", "--data", str(mini), "--tracks", "snap", "--out", "o")
+    assert done.returncode == 0, done.stderr
+    assert read_manifest(tmp_path / "o/manifest.toml").method == "my_method_a.py:predict"
+
+
+@pytest.mark.parametrize("name", ["./my_method_b.py:predict", "my_method_c.py:predict", "sub/my_method_d.py:predict"])
+def test_a_method_is_named_by_its_file(name: str, mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / name.partition(":")[0]
     file.parent.mkdir(exist_ok=True)
     file.write_text(GOOD)
-    done = run(tmp_path, name, "--data", str(mini), "--tracks", "snap", "--out", "o")
-    assert done.returncode == 0, done.stderr
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    line = ["predict", name, "--data", str(mini), "--tracks", "snap", "--out", "o", "--workers", "1"]
+    assert main(line) == 0
     assert read_manifest(tmp_path / "o/manifest.toml").method == f"{file.name}:predict"
 
 
@@ -112,15 +122,14 @@ def test_an_unloadable_module_keeps_its_message() -> None:
     assert issubclass(InternalError, Exception)
 
 
-@pytest.fixture
-def own_run(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as `train` writes it, with weights of the completion network that differ from the published ones."""
     tensors, info = load_weights(WEIGHTS / "completion")
     module = torch.nn.Module()
     for name, value in tensors.items():
         module.register_buffer(name.replace(".", "__"), value)
-    folder = tmp_path / "run"
-    folder.mkdir()
+    folder = tmp_path_factory.mktemp("run")
     about = {
         "name": "completion",
         "dataset_id": "feedfeedfeedfeed",
@@ -130,6 +139,12 @@ def own_run(tmp_path: Path) -> Path:
     save_weights(folder / "best", module, {"about": about, "step": 20}, "float16", None)
     (folder / "log.jsonl").write_text('{"step": 20, "seconds": 1, "loss": 1, "measures": {}}\n')
     return folder
+
+
+@pytest.fixture
+def own_run(trained: Path, tmp_path: Path) -> Path:
+    """A copy of that folder."""
+    return shutil.copytree(trained, tmp_path / "run")
 
 
 def test_weights_of_a_run_replace_the_published_ones_of_their_network_alone(own_run: Path) -> None:

@@ -187,22 +187,22 @@ def test_the_measure_is_zero_for_the_truth_and_validation_examples_are_kept(mini
     assert truth < 0.1 * float(task.loss(batch))
 
 
-def test_fresh_kits_are_the_same_whoever_makes_them_and_change_one_plate_alone() -> None:
-    kits = [drawn_kit(5, index) for index in range(3)]
+@pytest.fixture(scope="module")
+def kit() -> Kit:
+    return drawn_kit(5, 0)
+
+
+def test_fresh_kits_are_the_same_whoever_makes_them_and_change_one_plate_alone(kit: Kit) -> None:
+    kits = [kit, drawn_kit(5, 1), drawn_kit(5, 2)]
     assembly = build_assembly("a", kits[:2], AssemblyPlan(0.1, 0.4, (SidePlate(1, 0.3),)))
-    for kit, again in zip(kits, (drawn_kit(5, index) for index in range(3)), strict=True):
-        assert np.array_equal(kit.mesh.vertices, again.mesh.vertices)
-        assert np.ptp(kit.mesh.vertices, axis=0) == pytest.approx(kit.extent, abs=1e-6)
+    assert np.array_equal(kit.mesh.vertices, drawn_kit(5, 0).mesh.vertices)
+    for each in kits:
+        assert np.ptp(each.mesh.vertices, axis=0) == pytest.approx(each.extent, abs=1e-6)
     for number in range(2):
         changed, old = with_kit(assembly, number, kits[2]), assembly.mounts[number].kit
         assert [mount.kit is kits[2] for mount in changed.mounts] == [k == number for k in range(2)]
         cut = old.mesh.volume - kits[2].mesh.volume  # its own cavity is all that changes
         assert assembly.mesh.volume - changed.mesh.volume == pytest.approx(cut, abs=2e-9)
-
-
-@pytest.fixture(scope="module")
-def kit() -> Kit:
-    return drawn_kit(5, 0)
 
 
 @settings(max_examples=20, deadline=None)
