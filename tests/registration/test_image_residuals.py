@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from kit1000.camera import Camera, look_at
 from kit1000.pose import Pose
-from kit1000.registration.refinement.image_residuals import refine_in_image
+from kit1000.registration.refinement.image_residuals import ImageFit, refine_in_image
 from kit1000.registration.search.correlation import Candidate
 from kit1000.sim.render import render
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
@@ -28,14 +28,14 @@ MM = 1e3
 
 
 @cache
-def image_of(name: str, polar_deg: float = 35.0, noise_px: float = 0.0) -> LabelledDepth:
+def image_of(name: str, polar_deg: float = 35.0, noise_px: float = 0.0, seed: int = 7) -> LabelledDepth:
     """The kit of a case from an angle to its plate's normal, with white noise of its disparities."""
     middle = WORLD_FROM_KIT.xyz
     aside = WORLD_FROM_KIT.rotate((np.sin(np.radians(polar_deg)), 0.0, np.cos(np.radians(polar_deg))))
     pose = look_at(middle + AWAY * aside, middle)
     seen = render(CAMERA, pose, [(seated(CASES[name]()).kit().mesh, WORLD_FROM_KIT)], 1)
     gain = CAMERA.fx * 0.055
-    drawn = noise_px * np.random.default_rng(7).standard_normal(seen.depth.shape)
+    drawn = noise_px * np.random.default_rng(seed).standard_normal(seen.depth.shape)
     disparity = gain / np.where(seen.depth > 0, seen.depth, np.inf) + drawn
     depth = np.where(seen.depth > 0, gain / np.maximum(disparity, 1.0), 0.0).astype(np.float32)
     return LabelledDepth(View(CAMERA, pose, depth), np.where(seen.body_ids == 1, ASSEMBLY_LABEL, 0).astype(np.uint8))
@@ -50,10 +50,15 @@ def moved(known: Case, x_mm: float, y_mm: float, yaw_deg: float) -> Candidate:
     return replace(at_goal, plate_from_now=there @ at_goal.plate_from_now)
 
 
+def found_in(image: LabelledDepth, known: Case, candidate: Candidate) -> ImageFit:
+    found = refine_in_image(image, GAIN, known.part, known.pivot, candidate, CLEARANCE)
+    assert found is not None
+    return found
+
+
 def refined(name: str, image: LabelledDepth, candidate: Candidate) -> tuple[float, float]:
     """[mm] at the pivot and [degrees] from the goal."""
-    known = case(name)
-    return known.error_of(refine_in_image(image, GAIN, known.part, known.pivot, candidate, CLEARANCE))
+    return case(name).error_of(found_in(image, case(name), candidate).plate_from_now)
 
 
 @pytest.mark.parametrize("polar_deg", [0.0, 25.0, 45.0])
@@ -90,7 +95,7 @@ def test_a_face_that_is_off_is_no_matter_of_the_place(name: str) -> None:
 
 def test_the_world_may_be_elsewhere() -> None:
     known, image, start = case("an L"), image_of("an L"), moved(case("an L"), 1.0, 1.0, 2.0)
-    here = refine_in_image(image, GAIN, known.part, known.pivot, start, CLEARANCE)
+    here = found_in(image, known, start)
     move = Pose.from_rotvec((0.3, -0.2, 0.7), (0.1, 0.2, -0.3))
     view = replace(image.view, world_from_camera=move @ image.view.world_from_camera)
     grid = replace(known.part.grid, world_from_grid=move @ known.part.grid.world_from_grid)
@@ -98,11 +103,30 @@ def test_the_world_may_be_elsewhere() -> None:
     there = replace(start, cavity=cavity, plate_from_now=start.plate_from_now @ move.inverse())
     part, pivot = Volume(grid, known.part.values), move.apply(known.pivot)
     found = refine_in_image(LabelledDepth(view, image.labels), GAIN, part, pivot, there, CLEARANCE)
-    np.testing.assert_allclose((found @ move).matrix(), here.matrix(), atol=2e-5)
+    assert found is not None
+    np.testing.assert_allclose((found.plate_from_now @ move).matrix(), here.plate_from_now.matrix(), atol=2e-5)
+    assert found.spread == pytest.approx(here.spread, rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["an L"])
+def test_places_scatter_as_the_spread_says(name: str) -> None:
+    start = moved(case(name), 0.5, 0.5, 1.0)
+    found = [found_in(image_of(name, 35.0, NOISE, seed), case(name), start) for seed in range(16)]
+    places = np.array([fit.plate_from_now.apply(case(name).pivot)[:2] for fit in found])
+    scatter = np.sqrt(np.linalg.eigvalsh(np.cov(places.T)).max())
+    spread = np.median([fit.spread for fit in found])
+    assert spread / 2.5 < scatter < 2.5 * spread
+
+
+def test_the_spread_grows_with_the_noise() -> None:
+    start = moved(case("an L"), 0.0, 0.0, 0.0)
+    spreads = [found_in(image_of("an L", 35.0, noise_px), case("an L"), start).spread for noise_px in (0.1, 0.3, 0.6)]
+    assert spreads == sorted(spreads)
+    assert spreads[0] < 0.5 * spreads[2]
 
 
 @pytest.mark.parametrize("what", ["no kit", "no return", "elsewhere"])
-def test_without_the_plate_in_the_image_a_fit_stays(what: str) -> None:
+def test_without_the_plate_in_the_image_nothing_is_found(what: str) -> None:
     known, image, start = case("an L"), image_of("an L"), moved(case("an L"), 1.0, 0.0, 0.0)
     if what == "no kit":
         image = LabelledDepth(image.view, np.zeros_like(image.labels))
@@ -111,5 +135,4 @@ def test_without_the_plate_in_the_image_a_fit_stays(what: str) -> None:
     else:
         away = Pose.from_translation((2.0, 0.0, 0.0)) @ image.view.world_from_camera
         image = LabelledDepth(replace(image.view, world_from_camera=away), image.labels)
-    stays = refine_in_image(image, GAIN, known.part, known.pivot, start, CLEARANCE)
-    np.testing.assert_array_equal(stays.matrix(), start.plate_from_now.matrix())
+    assert refine_in_image(image, GAIN, known.part, known.pivot, start, CLEARANCE) is None

@@ -27,6 +27,7 @@ COARSE_WEIGHT = 1e-3  # [m] of the coarse misfit beside contradictions: over uns
 UNSEEN_CHOICE, UNSEEN_MISFIT = 0.3e-3, 0.4e-3  # [m] added for a face that the part's volume does not have
 MOST_TRIED = 40  # candidates that are refined while no fit is good; fewer of large parts
 IN_IMAGE = 3  # best fits that are refined in a noisy image
+TYPICAL_SPREAD = 55e-6  # [m] of the place of such a fit
 FURTHER_MISFIT = 0.4e-3  # [m] added for those beyond the first: the image contradicts them more
 SPARE = 3  # further candidates that are refined once in place of those that end in an earlier one's pose
 CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
@@ -75,6 +76,8 @@ class Refinement(NamedTuple):
     """[m] added to the doubt of a part whose whole outline is hidden, in proportion to the hidden share."""
     noise_px: float = 0.0
     """[px] of disparity, of the robust scale with which the best fits are refined in the image; 0: they are not."""
+    spread: float = 0.0
+    """[m] added to their doubt where their place is then e times as uncertain as TYPICAL_SPREAD."""
 
 
 EXACT = Refinement((SCALES[:3], SCALES[2:]), 2.6e-3, float(np.radians(8)), 0.1, 0.1, MISFIT, 0.0)
@@ -82,7 +85,7 @@ NOISY_DOUBT = Residuals(0.0, 1.0, 1.0, 1.0, 5.0, 1.0)
 D415 = Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 4e-3, 0.0, 0.3, 1.0, NOISY_DOUBT, 0.0, noise_px=1.0)
 """Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls, and what is surely solid or
 free is hardly surer than what a network fills."""
-RESTORED = D415._replace(doubt=Residuals(0.0, 1.0, 0.0, 0.3, 0.0, 0.0), hidden=1e-3, noise_px=0.6)
+RESTORED = D415._replace(doubt=Residuals(0.0, 1.0, 0.0, 0.3, 0.0, 0.0), hidden=1e-3, noise_px=0.6, spread=1e-3)
 SCANNED = EXACT._replace(noise_px=1.2)
 REFINEMENTS = {"ideal": EXACT, "photoneo": SCANNED, "d415": D415, "restored": RESTORED}
 """Refinement of each kind of image: its sensor, or restored where a network restored it."""
@@ -181,9 +184,12 @@ class EvidenceSearch:
             return fit
         image, filled = self.source.query.image, self.source.evidence.filled
         gain = self.source.gain / self.refinement.noise_px
-        pose = refine_in_image(image, gain, filled, self.source.middle, fit.candidate, self.clearance)
-        moved = replace(fit.candidate, plate_from_now=pose)
-        return replace(fit, goal_from_now=moved.cavity.world_from_plate @ pose, candidate=moved)
+        found = refine_in_image(image, gain, filled, self.source.middle, fit.candidate, self.clearance)
+        if found is None:
+            return fit
+        moved = replace(fit.candidate, plate_from_now=found.plate_from_now)
+        doubt = fit.doubt + self.refinement.spread * float(np.log(found.spread / TYPICAL_SPREAD))
+        return Fit(moved.cavity.world_from_plate @ found.plate_from_now, fit.misfit, doubt, moved)
 
     def _residuals(self, candidate: Candidate, intervals: Intervals) -> Residuals:
         """Residuals of a refined candidate, without the outline's."""

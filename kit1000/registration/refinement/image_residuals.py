@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_dilation, uniform_filter
 
 from kit1000.numerics.compiled import compiled
+from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.pose import Pose
 from kit1000.registration.geometry.height_images import dilated, image_cells, lower_envelope
-from kit1000.registration.refinement.levenberg_marquardt import LEVER, descend
+from kit1000.registration.refinement.levenberg_marquardt import LEVER, descend, linearised
 from kit1000.registration.search.correlation import Candidate
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 from kit1000.voxels import Volume
@@ -28,12 +30,14 @@ AROUND = 10e-3  # [m] about the cavity, of the plate that is compared
 DEEPEST = 30e-3  # [m] below the face at which a ray ends
 BORDER = 5  # [px] inside the masks of the kits: beyond it the image is of something else
 IN_FRONT, BEHIND = 12e-3, 60e-3  # [m] of depth from the face, up to which a pixel shows the plate or its cavity
-LEAST_PIXELS = 200  # that are compared; with fewer a fit stays
+LEAST_PIXELS = 200  # that are compared
 HOLD = 620.0  # [1/m] by which a fit is held where it was: it wins where the image shows no rim
 HALF = 1  # px on either side over which rendered disparities are averaged: edges of the image are as soft
 BEND = 2e3  # of a unit of bend, so that all unknowns weigh about as much as a move of the cavity
 DIFFERENCES = np.array([14e-3, 1e-3, 1e-3, 0.4e-3, 0.4e-3, 0.05e-3])  # a rendered image changes in steps of a pixel
 SCALES = (2.0, 1.0)  # of the Geman-McClure weights
+LEAST_SPREAD = 1e-6  # [m] of a place: no image is exact
+REGULAR = 1e-9  # share of its trace on the diagonal of a matrix that is solved: pixels in a row determine no slope
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +56,14 @@ class PlateInImage:
     """(h, w) bool: pixels that show the plate or its cavity."""
 
 
+class ImageFit(NamedTuple):
+    """A fit, moved and rotated in its plate to where the image shows the cavity."""
+
+    plate_from_now: Pose
+    spread: float
+    """[m] standard deviation of the place that the residuals leave, along the less certain axis of the plate."""
+
+
 def refine_in_image(
     image: LabelledDepth,
     gain: float,
@@ -59,8 +71,8 @@ def refine_in_image(
     middle: np.ndarray,
     candidate: Candidate,
     clearance: float,
-) -> Pose:
-    """plate_from_now of a fit, moved and rotated in its plate to where the image shows the cavity.
+) -> ImageFit | None:
+    """The refined fit; None where too few pixels show the plate.
 
     Args:
         image: restored, with masks.
@@ -77,10 +89,20 @@ def refine_in_image(
     relief = np.minimum(dilated(envelope, CELL, clearance), 0.0)
     plate = _plate_in_image(image, gain, candidate.cavity.world_from_plate, pivot, _radius(relief) + AROUND)
     if plate is None:
-        return pose
-    twist = descend(ImageProblem(plate, relief, pivot, gain), np.zeros(6), SCALES, DIFFERENCES)
+        return None
+    problem = ImageProblem(plate, relief, pivot, gain)
+    twist = descend(problem, np.zeros(6), SCALES, DIFFERENCES)
     rotation = Pose(np.array([1.0, 0.0, 0.0, twist[0] / 2]), np.zeros(3))
-    return Pose.from_translation((*(pivot[:2] + twist[3:5]), 0.0)) @ rotation @ about @ pose
+    refined = Pose.from_translation((*(pivot[:2] + twist[3:5]), 0.0)) @ rotation @ about @ pose
+    return ImageFit(refined, _spread(problem, twist))
+
+
+def _spread(problem: ImageProblem, twist: np.ndarray) -> float:
+    """[m] see `ImageFit`, of a solution."""
+    residuals, normal, _ = linearised(problem, twist, problem.floors_at(twist), SCALES[-1], DIFFERENCES)
+    regular = normal + REGULAR * np.trace(normal) * np.eye(6)
+    variances = [solve_positive(regular, np.eye(6)[k])[k] for k in (3, 4)]
+    return max(float(np.sqrt(max(variances) * np.square(residuals[: -problem.priors]).mean())), LEAST_SPREAD)
 
 
 def _radius(relief: np.ndarray) -> float:

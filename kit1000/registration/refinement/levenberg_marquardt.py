@@ -7,7 +7,7 @@ sine or cosine, whose last bit depends on the processor: small rotations are Rod
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -46,6 +46,17 @@ class LeastSquares(Protocol):
         ...
 
 
+class Linear(NamedTuple):
+    """A least-squares problem about a twist."""
+
+    residuals: np.ndarray
+    """(n + priors,)"""
+    normal: np.ndarray
+    """(6, 6) of the normal equations."""
+    gradient: np.ndarray
+    """(6,)"""
+
+
 def descend(
     problem: LeastSquares,
     twist: np.ndarray,
@@ -77,19 +88,27 @@ def pose_at(twist: np.ndarray, rotation: Pose, pivot: np.ndarray) -> Pose:
     return Pose(refined.wxyz, twist[3:] - refined.rotate(pivot))
 
 
+def linearised(
+    problem: LeastSquares, twist: np.ndarray, floors: np.ndarray, scale: float, differences: np.ndarray
+) -> Linear:
+    """A problem at a twist (6,), its residuals weighted at a scale. floors: see `LeastSquares`."""
+    aside = np.diag(differences)
+    neighbours = np.concatenate([np.zeros((1, 6)), aside, -aside])  # of a twist, and itself
+    residuals, *beside = problem.residuals(twist + neighbours, floors)
+    jacobian = (np.stack(beside[:6], axis=1) - np.stack(beside[6:], axis=1)) / (2 * differences)
+    weights = (scale**2 / (scale**2 + residuals**2)) ** 2
+    weights[-problem.priors :] = 1
+    weighted = (jacobian * weights[:, None]).T
+    return Linear(residuals, matmul(weighted, jacobian), matmul(weighted, residuals))
+
+
 def _levenberg(problem: LeastSquares, twist: np.ndarray, scale: float, differences: np.ndarray) -> np.ndarray:
     """(6,) Rodrigues vector and position of the pivot, after some steps at one scale of the weights."""
-    damping, aside = 1e-3, np.diag(differences)
-    neighbours = np.concatenate([np.zeros((1, 6)), aside, -aside])  # of a twist, and itself
+    damping = 1e-3
     for _ in range(STEPS):
         floors = problem.floors_at(twist)
-        residuals, *beside = problem.residuals(twist + neighbours, floors)
+        residuals, normal, gradient = linearised(problem, twist, floors, scale, differences)
         cost = _cost(residuals, problem.priors, scale)
-        jacobian = (np.stack(beside[:6], axis=1) - np.stack(beside[6:], axis=1)) / (2 * differences)
-        weights = (scale**2 / (scale**2 + residuals**2)) ** 2
-        weights[-problem.priors :] = 1
-        weighted = (jacobian * weights[:, None]).T
-        normal, gradient = matmul(weighted, jacobian), matmul(weighted, residuals)
         mean = np.trace(normal[3:, 3:]) / 3 + 1e-9
         for _ in range(4):
             move = -solve_positive(normal + damping * mean * np.diag(METRIC), gradient)
