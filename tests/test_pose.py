@@ -32,7 +32,7 @@ from tests.samples.strategies import (
 
 # Rounding of a few products of numbers of size 1 to 4: about fifty units in the last place of 1.
 ROUNDING = 1e-14
-laws = settings(max_examples=60)
+laws = settings(max_examples=30)
 
 
 def assert_same(a: Pose, b: Pose, tolerance: float = ROUNDING) -> None:

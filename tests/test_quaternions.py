@@ -26,7 +26,7 @@ from tests.samples.strategies import angles, directions, numbers, quaternions
 
 # Rounding of a few products of numbers of size 1: about fifty units in the last place.
 ROUNDING = 1e-14
-laws = settings(max_examples=60)
+laws = settings(max_examples=30)
 
 
 @given(st.lists(numbers(1e6), min_size=4, max_size=4).map(np.array).filter(lambda q: np.abs(q).max() > 1e-9))

@@ -105,13 +105,20 @@ def test_all_messages_have_the_time_of_the_scene(mini: Path, tmp_path: Path) -> 
         assert {stamp.seconds for stamp in stamps if stamp is not None} <= {time // 10**9}
 
 
-def test_without_truth_only_observations_are_read(mini: Path, plain: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def public(mini: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The public part of a copy of the dataset."""
+    folder = tmp_path_factory.mktemp("published")
+    publish(shutil.copytree(mini, folder / "whole"), folder / "open")
+    return folder / "open"
+
+
+def test_without_truth_only_observations_are_read(public: Path, plain: Path, tmp_path: Path) -> None:
     """The bytes are those from a folder with nothing but the observations and the summary of the public part."""
-    publish(shutil.copytree(mini, tmp_path / "whole"), tmp_path / "open")
     bare = tmp_path / "bare"
     (bare / "test").mkdir(parents=True)
-    shutil.copy(tmp_path / "open/dataset.json", bare)
-    shutil.copy(tmp_path / "open/test/0000.mcap", bare / "test")
+    shutil.copy(public / "dataset.json", bare)
+    shutil.copy(public / "test/0000.mcap", bare / "test")
     path = write_scene_recording(Dataset(bare), SCENE, tmp_path / "scene.mcap")
     assert path.read_bytes() == plain.read_bytes()
     assert set(messages(path)) == OBSERVED
@@ -161,7 +168,7 @@ def test_with_truth_there_are_models_goals_and_seated_parts(
         assert (points <= box.max(0) + 1e-6).all()
 
 
-@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (1e-3, 0.0, 0.0), (0.0, 0.0, 4e-3)])
+@pytest.mark.parametrize("offset", [(0.0, 0.0, 0.0), (1e-3, 0.0, 4e-3)])
 def test_answers_are_coloured_by_their_error(
     dataset: Dataset, scene: RecordedScene, tmp_path: Path, offset: tuple[float, float, float]
 ) -> None:
@@ -226,10 +233,9 @@ def test_truth_is_for_recordings_alone(mini: Path, tmp_path: Path, capsys: pytes
     assert all(fact in error for fact in ("--truth", "--predictions", ".mcap"))
 
 
-def test_a_withheld_truth_is_said_to_be_withheld(mini: Path, tmp_path: Path) -> None:
-    publish(shutil.copytree(mini, tmp_path / "whole"), tmp_path / "open")
+def test_a_withheld_truth_is_said_to_be_withheld(public: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="withheld from this folder"):
-        write_scene_recording(Dataset(tmp_path / "open"), SCENE, tmp_path / "scene.mcap", truth=True)
+        write_scene_recording(Dataset(public), SCENE, tmp_path / "scene.mcap", truth=True)
     assert not (tmp_path / "scene.mcap").exists()
 
 
@@ -244,7 +250,7 @@ def test_the_command_prints_the_file_that_it_wrote(
 
 def test_the_track_is_by_default_the_first_that_asks_in_the_scene(withheld: Published, tmp_path: Path) -> None:
     dataset = Dataset(withheld.public)
-    for scene_id in dataset.split("test").scene_ids:
+    for scene_id in dataset.split("test").scene_ids[:2]:
         (track,) = {query.track for query in dataset.recorded_scene(scene_id, truth=False).queries}
         path = write_scene_recording(dataset, scene_id, tmp_path / f"{scene_id}.mcap")
         named = write_scene_recording(dataset, scene_id, tmp_path / "named.mcap", track=track)

@@ -92,7 +92,7 @@ def test_walls_keep_the_clearance_at_every_height(name: str, clearance_mm: float
 
 
 @given(st.integers(0, 10_000), st.booleans())
-@settings(max_examples=8)
+@settings(max_examples=5)
 def test_walls_keep_the_clearance_of_any_solid(seed: int, joined: bool) -> None:
     """Merged patches may widen the slot a little more, never narrow it."""
     drawn = random_solid(seed)
@@ -213,7 +213,7 @@ def test_patches_sweep_what_their_triangles_sweep(name: str) -> None:
 
 @given(st.integers(0, 10_000))
 @example(3857)  # where joined patches are one more
-@settings(max_examples=8)
+@settings(max_examples=5)
 def test_patches_of_any_solid_sweep_what_their_triangles_sweep(seed: int) -> None:
     mesh = mesh_from_solid(standing(random_solid(seed)))
     assert_same_sweep(mesh.triangles[mesh.normals[:, 2] < -0.02])

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from manifold3d import Manifold
+from scipy.spatial import KDTree
 
 from kit1000.errors import Redraw
 from kit1000.kits.acceptance import check_pair
@@ -26,7 +27,7 @@ SOLIDS = {
     "bar": box(60, 8, 7),
     "cube": box(10, 10, 10),
     "plate": box(50, 40, 1.5),
-    **{f"random {seed}": random_solid(seed) for seed in range(6)},
+    **{f"random {seed}": random_solid(seed) for seed in range(4)},
 }
 
 
@@ -98,5 +99,4 @@ def test_every_point_of_a_surface_is_within_a_step_of_a_point_that_stands_for_it
     points = surface_points(mesh, step)
     shares = rng.dirichlet((1, 1, 1), (len(mesh.faces), 20))
     surface = np.einsum("fkc,fci->fki", shares, mesh.triangles).reshape(-1, 3)
-    nearest = [np.sqrt(((points - point) ** 2).sum(1).min()) for point in surface]
-    assert max(nearest) <= step
+    assert KDTree(points).query(surface)[0].max() <= step

@@ -163,7 +163,7 @@ def test_a_step_near_the_floor_changes_the_shadow(step_mm: float, same: bool) ->
 def test_the_nearest_goal_about_the_axis_is_the_nearest_of_many_angles() -> None:
     axis = FreeAxis(np.array([3e-3, 1e-3, 0]), Y)
     rng = np.random.default_rng(2)
-    for quaternions in random_quaternions(rng, 20).reshape(10, 2, 4):
+    for quaternions in random_quaternions(rng, 10).reshape(5, 2, 4):
         pose, goal = (Pose(q, rng.normal(0, 0.01, 3)) for q in quaternions)
         best = nearest_about_axis(pose, goal, axis)
         brute = [rotated_about(axis, goal, angle) for angle in np.radians(np.arange(0, 360, 1.0))]

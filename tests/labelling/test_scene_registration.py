@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import pytest
 
 from kit1000.errors import InputError
+from kit1000.labelling import scene_registration
 from kit1000.labelling.known_kits import KITS
 from kit1000.labelling.scene_registration import RegisteredScene, register_scene
 from kit1000.labelling.shape_distance import ShapeDistance
@@ -14,6 +17,15 @@ from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth
 from tests.samples.labelled_scenes import SampleScene, sample_scene
 
 LABELS = range(FIRST_PART_LABEL, FIRST_PART_LABEL + 2)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_turns() -> Iterator[None]:
+    """Bodies start in half as many turns: refining them takes most of the time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scene_registration, "KIT_TURNS", 36)
+        patch.setattr(scene_registration, "PART_TURNS", 18)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -102,7 +102,7 @@ def test_scenes_are_segmented_as_well_as_stated(mini: Path) -> None:
 
 def test_restored_images_are_segmented_better(mini: Path) -> None:
     restorer, scores = Restorer(WEIGHTS / MASKS_WEIGHTS[0]), []
-    for scene_ in [*Dataset(mini).split("train"), *Dataset(mini).split("test")][:8]:
+    for scene_ in Dataset(mini).split("train"):
         if "d415" in scene_.sensors:
             image = scene_.labelled_depth("d415")
             both = (segmented(image.view, "d415"), segmented(image.view, "d415", restorer=restorer))

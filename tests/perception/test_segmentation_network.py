@@ -132,7 +132,7 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
 
 def test_noisy_parts_are_told_apart(mini: Path, restorer: Restorer) -> None:
     finder, scores = PartFinder(FINDER), []
-    for scene in [*Dataset(mini).split("train"), *Dataset(mini).split("test")][:8]:
+    for scene in Dataset(mini).split("train"):
         if D415 in scene.sensors:
             image = scene.labelled_depth(D415)
             scores.append(mean_iou(segmented(image.view, D415, 1.0, restorer, finder), image.labels))
