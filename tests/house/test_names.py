@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.samples.checkout import ROOT
-from tests.samples.sources import PACKAGES, dotted, modules, tree
+from tests.samples.sources import PACKAGES, dotted, modules, statements, tree
 
 PATTERNS = {"method", "network", "task", "config", "views", "__init__", "__main__"}  # may recur, one a folder
 SHARED = {  # by name: the files, and why they may have the same
@@ -90,12 +90,10 @@ def unresolved(text: str) -> set[str]:
 
 def docstrings(path: Path) -> Iterator[tuple[int, str]]:
     """Line and text of each docstring of a file, those below fields included."""
-    for node in ast.walk(tree(path)):
-        body = getattr(node, "body", None)
-        for statement in body if isinstance(body, list) else ():
-            value = getattr(statement, "value", None)
-            if isinstance(statement, ast.Expr) and isinstance(value, ast.Constant) and isinstance(value.value, str):
-                yield statement.lineno, value.value
+    for statement in statements(path):
+        value = getattr(statement, "value", None)
+        if isinstance(statement, ast.Expr) and isinstance(value, ast.Constant) and isinstance(value.value, str):
+            yield statement.lineno, value.value
 
 
 def test_dotted_names_in_docstrings_resolve() -> None:

@@ -19,7 +19,7 @@ import tomli
 
 from kit1000.cli.command_line import usage_error
 from tests.samples.checkout import ROOT
-from tests.samples.sources import PACKAGES, PYTHON_FOLDERS, dotted, imports, modules, python_files, tree
+from tests.samples.sources import PACKAGES, PYTHON_FOLDERS, dotted, imports, modules, python_files, statements, tree
 
 # A module imports from rows above and from further left in its own; inside one entry no circles are the rule.
 LAYERS = (
@@ -236,7 +236,7 @@ def test_functions_are_short() -> None:
     long = [
         f"{dotted(path)}.{node.name}: {body_length(node)} lines"
         for path in python_files()
-        for node in ast.walk(tree(path))
+        for node in statements(path)
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and body_length(node) > LONGEST_FUNCTION
     ]
     assert not long

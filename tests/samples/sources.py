@@ -42,11 +42,23 @@ def tree(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"), str(path))
 
 
+def statements(path: Path) -> Iterator[ast.AST]:
+    """All statements of a file, also those inside others, and the handlers and cases around some; no expressions."""
+    waiting: list[ast.AST] = [tree(path)]
+    while waiting:
+        node = waiting.pop()
+        for block in ("body", "orelse", "finalbody", "handlers", "cases"):
+            inner = getattr(node, block, ())
+            if isinstance(inner, list):
+                waiting += inner
+                yield from inner
+
+
 @cache
 def imports(path: Path) -> frozenset[str]:
     """Dotted names that a file imports anywhere, each as `module` or, where that is one, `package.module`."""
     found = set()
-    for node in ast.walk(tree(path)):
+    for node in statements(path):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
