@@ -31,10 +31,8 @@ WALL_OVERLAP = 0.05e-3  # [m] a removed wall is cut so much wider, so that no fi
 class Probe:
     """The cavity at one height."""
 
-    z: float
-    """[m] above the floor."""
-    shadow: CrossSection
-    """S(z), what the part sweeps at this height."""
+    shadow: Shadow
+    """At this height."""
     removed_walls: CrossSection
     """Sections of thin walls removed here or below; empty where there were none."""
 
@@ -91,13 +89,14 @@ def _remove_thin_walls(
     """Thin walls to cut as well, each from half-way to the probe below up to `top` [m]; and the probes."""
     plate = CrossSection.square(width, center=True)
     cuts, probes, removed, below = [], [], CrossSection(), 0.0
-    for z, shadow in shadows:
+    for shadow in shadows:
+        z = shadow.z
         thin = _thin_walls(plate - grown.slice(z))
         if not thin.is_empty():
             widened, floor = thin.offset(WALL_OVERLAP, JoinType.Miter, MITER_LIMIT), (below + z) / 2 if probes else 0.0
             cuts.append(widened.extrude(top - floor).translate((0, 0, floor)))
             removed = removed + thin
-        probes.append(Probe(z, shadow, removed))
+        probes.append(Probe(shadow, removed))
         below = z
     return cuts, probes
 

@@ -34,10 +34,11 @@ def measure_clearance(plate: Mesh, cavity: Cavity, heights: int = HEIGHT_COUNT) 
     picks = np.unique(np.linspace(0, len(cavity.probes) - 1, heights).round().astype(int))
     nearest, farthest = [np.inf], [0.0]
     for probe in (cavity.probes[i] for i in picks):
-        above = _kept_walls(solid, probe, probe.z + HEIGHT_TOLERANCE - cavity.depth)
-        below = _kept_walls(solid, probe, probe.z - HEIGHT_TOLERANCE - cavity.depth)
-        nearest.append(distances(above, probe.shadow).min(initial=np.inf))
-        farthest.append(distances(below, probe.shadow).max(initial=0.0))
+        z, section = probe.shadow
+        above = _kept_walls(solid, probe, z + HEIGHT_TOLERANCE - cavity.depth)
+        below = _kept_walls(solid, probe, z - HEIGHT_TOLERANCE - cavity.depth)
+        nearest.append(distances(above, section).min(initial=np.inf))
+        farthest.append(distances(below, section).max(initial=0.0))
     return Clearance(float(min(nearest)), float(max(farthest)))
 
 
