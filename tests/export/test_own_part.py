@@ -21,7 +21,7 @@ from kit1000.export import own_part
 from kit1000.export.own_part import InexactKit, make_kit_from_file, make_kits_from_file
 from kit1000.files import PARTIAL
 from kit1000.kits.acceptance import NOT_SEATED, PairCheck
-from kit1000.kits.choice import Attempt, attempts
+from kit1000.kits.choice import Attempt
 from kit1000.kits.clearance import Clearance
 from kit1000.kits.envelope import RELIEF_CELLS, lower_envelope, polar_relief
 from kit1000.kits.kit import design_kit, insertion_faces
@@ -332,9 +332,11 @@ def test_an_inexact_kit_is_not_written(
 def test_the_face_is_the_first_that_passes_the_trials_else_the_first_with_an_exact_kit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    usual = own_part.attempts
+
     def tried(refusals: list[str | None]) -> float:
         def with_refusals(*arguments: Any) -> Iterator[Attempt]:
-            for attempt, refusal in zip(attempts(*arguments), refusals, strict=False):
+            for attempt, refusal in zip(usual(*arguments), refusals, strict=False):
                 made = attempt.postponed() if attempt.postponed else attempt
                 yield replace(made, refusal=refusal)
 

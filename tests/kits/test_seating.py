@@ -102,8 +102,8 @@ def errors(seed: int, n: int) -> np.ndarray:
 
 def sample_poses(subject: Pair, seed: int) -> list[Pose]:
     """Poses with random errors, others just before and beyond the limit of being seated, and lifts near the limits."""
-    poses = [subject.moved(error) for error in errors(seed, 3)]
-    for error in errors(seed + 1, 3):
+    poses = [subject.moved(error) for error in errors(seed, 2)]
+    for error in errors(seed + 1, 2):
         share = subject.seated_share(error)
         poses += [subject.moved(error, share * (1 + step)) for step in (-0.02, 0.004)]
     return poses + [subject.lifted(SEATED_LIMIT + step) for step in (-0.15e-3, 0.15e-3)]

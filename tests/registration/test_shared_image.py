@@ -57,7 +57,7 @@ def test_cavities_are_found_once_and_the_fits_stay(mini: Path, track: str, monke
     method = Registration(Dataset(mini))
     parts = part_pivots(query.view, query.image.labels).items()
     queries = [replace(query, part=part, pivot=pivot) for part, pivot in parts]
-    alone = [method.certain_fits(each, SharedImage(each.image, each.sensor)) for each in queries]
+    alone = method.certain_fits(queries[-1], SharedImage(query.image, query.sensor))  # the first is alone anyway
     searches: list[float] = []
     search = hypotheses.find_cavities
 
@@ -70,6 +70,6 @@ def test_cavities_are_found_once_and_the_fits_stay(mini: Path, track: str, monke
     together = [method.certain_fits(each, image) for each in queries]
     assert len(queries) == 2
     assert len(searches) == len(set(searches)) == 1
-    for one, other in zip(alone, together, strict=True):
-        assert [fit.misfit for fit in one] == [fit.misfit for fit in other]
-        assert [fit.goal_from_now.xyz.tolist() for fit in one] == [fit.goal_from_now.xyz.tolist() for fit in other]
+    assert [fit.misfit for fit in alone] == [fit.misfit for fit in together[-1]]
+    places = [[fit.goal_from_now.xyz.tolist() for fit in fits] for fits in (alone, together[-1])]
+    assert places[0] == places[1]
