@@ -332,9 +332,7 @@ def test_an_inexact_kit_is_not_written(
 def test_the_face_is_the_first_that_passes_the_trials_else_the_first_with_an_exact_kit(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    usual = own_part.attempts
-
-    def tried(refusals: list[str | None]) -> float:
+    def tried(refusals: list[str | None], usual: Any = own_part.attempts) -> float:
         def with_refusals(*arguments: Any) -> Iterator[Attempt]:
             for attempt, refusal in zip(usual(*arguments), refusals, strict=False):
                 made = attempt.postponed() if attempt.postponed else attempt
