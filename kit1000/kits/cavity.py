@@ -32,7 +32,7 @@ class Probe:
     """The cavity at one height."""
 
     shadow: Shadow
-    """At this height."""
+    """What the part sweeps at this height."""
     removed_walls: CrossSection
     """Sections of thin walls removed here or below; empty where there were none."""
 
