@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import product
+from itertools import islice, product
 from typing import NamedTuple
 
 import numpy as np
@@ -119,8 +119,10 @@ def plan(cell: Cell, start: np.ndarray, task: Task, rng: np.random.Generator) ->
         if not any(is_reachable(joints).any() for joints in lines.joints):
             return Refusal(UNREACHABLE, f"no joints reach {what}")
     held = [Held(task.name, pick.inverse() @ task.world_from_part) for pick in picks]
-    pairs, blocked = _free_pairs(to_part, to_slot, held, start)
-    for pair in pairs:
+    pairs: list[_Pair] = []
+    blocked: list[str] = []
+    for pair in islice(_free_pairs(to_part, to_slot, held, start, blocked), DIRECT_TRIES):
+        pairs.append(pair)
         corners = [np.stack([start, pair.reach[0]]), np.stack([pair.reach[0], pair.carry[0]])]
         what = _moves_contact(cell, task, pair.held, corners)
         if what is None:
@@ -146,10 +148,10 @@ def _line(cell: Cell, world_from_tool: Pose, offset: np.ndarray) -> np.ndarray:
     return line_joints(cell.world_from_base.inverse() @ line_poses(start, world_from_tool))
 
 
-def _free_pairs(to_part: _Lines, to_slot: _Lines, held: list[Held], start: np.ndarray) -> tuple[list[_Pair], list[str]]:
-    """The first DIRECT_TRIES pairs of lines that are free, and what blocks the others. held: by yaw."""
-    pairs: list[_Pair] = []
-    blocked = []
+def _free_pairs(
+    to_part: _Lines, to_slot: _Lines, held: list[Held], start: np.ndarray, blocked: list[str]
+) -> Iterator[_Pair]:
+    """The pairs of lines that are free; what blocks the others is added to `blocked`. held: by yaw."""
     for yaw, pick, place in _ranked_branches(to_part, to_slot, start):
         what = to_part.blocked_by(yaw, pick, held[yaw]) or to_slot.blocked_by(yaw, place, held[yaw])
         if what is not None:
@@ -157,12 +159,8 @@ def _free_pairs(to_part: _Lines, to_slot: _Lines, held: list[Held], start: np.nd
             continue
         reach = turned_near(to_part.joints[yaw][pick], start)
         carry = None if reach is None else turned_near(to_slot.joints[yaw][place], reach[0])
-        if reach is None or carry is None:
-            continue
-        pairs.append(_Pair(held[yaw], reach, carry))
-        if len(pairs) == DIRECT_TRIES:
-            break
-    return pairs, blocked
+        if reach is not None and carry is not None:
+            yield _Pair(held[yaw], reach, carry)
 
 
 def _ranked_branches(to_part: _Lines, to_slot: _Lines, start: np.ndarray) -> list[tuple[int, int, int]]:
