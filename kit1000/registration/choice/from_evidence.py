@@ -188,7 +188,9 @@ class EvidenceSearch:
         if found is None:
             return fit
         moved = replace(fit.candidate, plate_from_now=found.plate_from_now)
-        doubt = fit.doubt + self.refinement.spread * float(np.log(found.spread / TYPICAL_SPREAD))
+        doubt = fit.doubt
+        if self.refinement.spread:
+            doubt += self.refinement.spread * float(np.log(found.spread / TYPICAL_SPREAD))
         return Fit(moved.cavity.world_from_plate @ found.plate_from_now, fit.misfit, doubt, moved)
 
     def _residuals(self, candidate: Candidate, intervals: Intervals) -> Residuals:

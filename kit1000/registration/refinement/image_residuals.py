@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import binary_dilation, uniform_filter
@@ -56,12 +55,23 @@ class PlateInImage:
     """(h, w) bool: pixels that show the plate or its cavity."""
 
 
-class ImageFit(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class ImageFit:
     """A fit, moved and rotated in its plate to where the image shows the cavity."""
 
     plate_from_now: Pose
-    spread: float
-    """[m] standard deviation of the place that the residuals leave, along the less certain axis of the plate."""
+    problem: ImageProblem
+    twist: np.ndarray
+    """(6,) that solves the problem."""
+
+    @cached_property
+    def spread(self) -> float:
+        """[m] standard deviation of the place that the residuals leave, along the less certain axis of the plate."""
+        problem, twist = self.problem, self.twist
+        residuals, normal, _ = linearised(problem, twist, problem.floors_at(twist), SCALES[-1], DIFFERENCES)
+        regular = normal + REGULAR * np.trace(normal) * np.eye(6)
+        variances = [solve_positive(regular, np.eye(6)[k])[k] for k in (3, 4)]
+        return max(float(np.sqrt(max(variances) * np.square(residuals[: -problem.priors]).mean())), LEAST_SPREAD)
 
 
 def refine_in_image(
@@ -94,15 +104,7 @@ def refine_in_image(
     twist = descend(problem, np.zeros(6), SCALES, DIFFERENCES)
     rotation = Pose(np.array([1.0, 0.0, 0.0, twist[0] / 2]), np.zeros(3))
     refined = Pose.from_translation((*(pivot[:2] + twist[3:5]), 0.0)) @ rotation @ about @ pose
-    return ImageFit(refined, _spread(problem, twist))
-
-
-def _spread(problem: ImageProblem, twist: np.ndarray) -> float:
-    """[m] see `ImageFit`, of a solution."""
-    residuals, normal, _ = linearised(problem, twist, problem.floors_at(twist), SCALES[-1], DIFFERENCES)
-    regular = normal + REGULAR * np.trace(normal) * np.eye(6)
-    variances = [solve_positive(regular, np.eye(6)[k])[k] for k in (3, 4)]
-    return max(float(np.sqrt(max(variances) * np.square(residuals[: -problem.priors]).mean())), LEAST_SPREAD)
+    return ImageFit(refined, problem, twist)
 
 
 def _radius(relief: np.ndarray) -> float:
