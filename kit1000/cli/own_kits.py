@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from kit1000.cli.options import Flag, OptionalFloat, OptionalInt, Unit
-from kit1000.cli.quick_imports import import_scipy
+from kit1000.cli.quick_imports import quick_imports
 from kit1000.cli.summaries import kit_report_text
 from kit1000.errors import InputError
 
@@ -39,8 +39,8 @@ class MakeKit:
 
     def run(self) -> int:
         """Make the kits, then print their reports; returns 1 when a kit is not exact, or of several not every one."""
-        import_scipy()
-        from kit1000.export.own_part import InexactKit, make_kit_from_file, make_kits_from_file
+        with quick_imports():
+            from kit1000.export.own_part import InexactKit, make_kit_from_file, make_kits_from_file
 
         paths = list(self.parts)
         if not paths:

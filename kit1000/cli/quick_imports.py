@@ -1,27 +1,59 @@
-"""Import of scipy without the tools of numpy that it drags in and nobody uses: a third of a second of every command.
+"""Quick imports for a command that ends soon: most of its time would go into packages that it does not use.
 
-scipy copies all public names of numpy, by which numpy loads its compiler of Fortran and its helpers of tests.
+Of scipy a kit needs convex hulls, which are one compiled module. All that scipy imports around it takes a third of a
+second, and so does the search for garbage among the objects that imports make.
 """
 
 from __future__ import annotations
 
+import gc
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import import_module
+from pathlib import Path
 from types import ModuleType
+from typing import Any
 
-UNUSED = ("f2py", "testing")  # modules of numpy
+STAND_INS = ("scipy.linalg", "scipy.sparse", "scipy.sparse.csgraph", "scipy.spatial")
+HULLS = "scipy.spatial._qhull"
 
 
-def import_scipy() -> None:
-    """Import scipy's geometry with empty modules in place of the unused ones, which later imports load as usual."""
-    numpy = import_module("numpy")
-    absent = [name for name in UNUSED if f"numpy.{name}" not in sys.modules]
+class _StandIn(ModuleType):
+    """A package whose functions import it on their first call; its hulls are there at once."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
+        hulls = import_module(HULLS) if HULLS.startswith(self.__name__) else None
+        return getattr(hulls, name) if hasattr(hulls, name) else _deferred(self.__name__, name)
+
+
+def _deferred(package: str, name: str) -> Callable[..., Any]:
+    def call(*arguments: Any, **options: Any) -> Any:
+        return getattr(import_module(package), name)(*arguments, **options)
+
+    return call
+
+
+@contextmanager
+def quick_imports() -> Iterator[None]:
+    """Import in the block with stand-ins for packages of scipy, which later imports load as usual, and no collection.
+
+    What is imported in the block may call what it names of these packages, and use their classes of hulls.
+    """
+    collects = gc.isenabled()
+    gc.disable()
+    absent = [name for name in STAND_INS if name not in sys.modules]
+    folder = Path(import_module("scipy").__path__[0])
     for name in absent:
-        sys.modules[f"numpy.{name}"] = ModuleType(f"numpy.{name}")
-        setattr(numpy, name, sys.modules[f"numpy.{name}"])
+        sys.modules[name] = stand_in = _StandIn(name)
+        stand_in.__path__ = [str(folder.joinpath(*name.split(".")[1:]))]
     try:
-        import_module("scipy.spatial")
+        yield
     finally:
         for name in absent:
-            del sys.modules[f"numpy.{name}"]
-            delattr(numpy, name)
+            del sys.modules[name]
+        gc.freeze()  # modules stay until the command ends
+        if collects:
+            gc.enable()

@@ -179,7 +179,7 @@ def _offset_to_contact(points, rotation, shift, tops, x0, y0, cell, lean_x, lean
                         floor = min(floor, tops[i + di, j + dj])
             z = top
             while True:
-                p, q = i + int(np.round(-z * lean_x / cell)), j + int(np.round(-z * lean_y / cell))
+                p, q = i + round(-z * lean_x / cell), j + round(-z * lean_y / cell)
                 if 0 <= p < nx and 0 <= q < ny and seen[p, q] < z:
                     seen[p, q] = z
                 z -= down
@@ -194,8 +194,8 @@ def _offset_to_contact(points, rotation, shift, tops, x0, y0, cell, lean_x, lean
             continue
         x = rotation[0, 0] * u + rotation[0, 1] * v + rotation[0, 2] * w + shift[0]
         y = rotation[1, 0] * u + rotation[1, 1] * v + rotation[1, 2] * w + shift[1]
-        i = int(np.round((x - z * lean_x - x0) / cell))
-        j = int(np.round((y - z * lean_y - y0) / cell))
+        i = round((x - z * lean_x - x0) / cell)
+        j = round((y - z * lean_y - y0) / cell)
         for di in range(-1, 2):
             for dj in range(-1, 2):
                 inside = 0 <= i + di < nx and 0 <= j + dj < ny

@@ -160,12 +160,12 @@ def _points_on(edges: np.ndarray) -> np.ndarray:
 @compiled
 def turned_matrix(yaw, tilt_x, tilt_y):
     """(3, 3) a yaw and then a rotation by the vector (tilt_x, tilt_y, 0) [rad]; entries rounded."""
-    c, s = np.round(np.cos(yaw) * TRIG_SCALE) / TRIG_SCALE, np.round(np.sin(yaw) * TRIG_SCALE) / TRIG_SCALE
+    c, s = round(np.cos(yaw) * TRIG_SCALE) / TRIG_SCALE, round(np.sin(yaw) * TRIG_SCALE) / TRIG_SCALE
     angle = np.sqrt(tilt_x * tilt_x + tilt_y * tilt_y)
     if angle == 0.0:
         return np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
     x, y = tilt_x / angle, tilt_y / angle
-    d, e = np.round(np.cos(angle) * TRIG_SCALE) / TRIG_SCALE, np.round(np.sin(angle) * TRIG_SCALE) / TRIG_SCALE
+    d, e = round(np.cos(angle) * TRIG_SCALE) / TRIG_SCALE, round(np.sin(angle) * TRIG_SCALE) / TRIG_SCALE
     xx, xy, yy = d + (1 - d) * x * x, (1 - d) * x * y, d + (1 - d) * y * y
     return np.array(
         (
@@ -192,7 +192,7 @@ def _overlap(points, heights, x0, y0, cell, top, state, most):
             total += min(deep, DEEPEST)
             if total >= most:
                 break
-    return np.round(total * LENGTH_SCALE) / LENGTH_SCALE
+    return round(total * LENGTH_SCALE) / LENGTH_SCALE
 
 
 @compiled

@@ -7,11 +7,10 @@ to one patch; lines are drawn where two patches meet and around each body.
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
+from kit1000.numerics.components import component_labels
 
 CREASE_DEG = 32.0  # cylinders have 12 sides or more (30 degrees), chamfers have 45 degrees
 PLANE_DEG = 0.5  # largest angle between faces of one plane, after rounding to float32
@@ -30,8 +29,8 @@ def smooth_patches(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     corner = np.unique(mesh.triangles.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
     pairs = _adjacent_faces(corner)
     cosine = np.einsum("ij,ij->i", mesh.normals[pairs[0]], mesh.normals[pairs[1]])
-    patches = _components(len(corner), pairs[:, cosine > np.cos(np.deg2rad(CREASE_DEG))])
-    planes = _components(len(corner), pairs[:, cosine > np.cos(np.deg2rad(PLANE_DEG))])
+    patches = component_labels(len(corner), *pairs[:, cosine > np.cos(np.deg2rad(CREASE_DEG))]).astype(np.int32)
+    planes = component_labels(len(corner), *pairs[:, cosine > np.cos(np.deg2rad(PLANE_DEG))])
     return patches, _corner_normals(mesh, corner, patches, planes)
 
 
@@ -42,11 +41,6 @@ def _adjacent_faces(corner: np.ndarray) -> np.ndarray:
     order = np.argsort(key, kind="stable")
     same = key[order[1:]] == key[order[:-1]]
     return np.stack([order[:-1][same], order[1:][same]]) // 3
-
-
-def _components(m: int, pairs: np.ndarray) -> np.ndarray:
-    graph = coo_array((np.ones(pairs.shape[1], np.int8), (pairs[0], pairs[1])), shape=(m, m))
-    return connected_components(graph, directed=False)[1].astype(np.int32)
 
 
 def _corner_normals(mesh: Mesh, corner: np.ndarray, patches: np.ndarray, planes: np.ndarray) -> np.ndarray:

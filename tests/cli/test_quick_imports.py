@@ -5,27 +5,41 @@ from __future__ import annotations
 import subprocess
 import sys
 
-from kit1000.cli.quick_imports import UNUSED, import_scipy
+from kit1000.cli.quick_imports import STAND_INS, quick_imports
+
+MAKER = f"from {quick_imports.__module__} import quick_imports\nwith quick_imports():\n    import kit1000.export.own_part\n"
 
 
 def output_of(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
 
-def test_geometry_of_scipy_needs_no_tools_of_numpy() -> None:
-    unused = {f"numpy.{name}" for name in UNUSED}
-    code = f"import sys; from {import_scipy.__module__} import import_scipy; import_scipy()"
-    code += f"; import kit1000.export.own_part; print(sorted({unused} & set(sys.modules)))"
-    assert output_of(code) == "[]"
+def test_kits_need_no_package_of_scipy() -> None:
+    assert output_of(MAKER + f"import sys; print(sorted({set(STAND_INS)} & set(sys.modules)))") == "[]"
 
 
-def test_tools_of_numpy_are_whole_when_they_are_imported_later() -> None:
-    code = "from kit1000.cli.quick_imports import import_scipy; import_scipy(); import numpy, numpy.testing"
-    code += "; numpy.testing.assert_allclose(1, 1); print(numpy.f2py.__name__, hasattr(numpy.f2py, 'crackfortran'))"
-    assert output_of(code) == "numpy.f2py True"
+def test_hulls_are_those_of_scipy() -> None:
+    code = "import kit1000.mesh, scipy.spatial; print(kit1000.mesh.ConvexHull is scipy.spatial.ConvexHull)"
+    assert output_of(MAKER + code) == "True"
 
 
-def test_tools_that_are_loaded_already_stay() -> None:
-    code = "import numpy.testing as before; from kit1000.cli.quick_imports import import_scipy; import_scipy()"
-    code += "; import numpy; print(numpy.testing is before, hasattr(before, 'assert_allclose'))"
-    assert output_of(code) == "True True"
+def test_a_function_of_a_package_imports_it_when_called() -> None:
+    code = "from kit1000.mesh import Mesh, body_count; from manifold3d import Manifold\n"
+    code += "from kit1000.mesh import mesh_from_solid; import sys\n"
+    code += "print(body_count(mesh_from_solid(Manifold.cube((1, 1, 1)))), 'scipy.sparse.csgraph' in sys.modules)"
+    assert output_of(MAKER + code) == "1 True"
+
+
+def test_packages_are_whole_when_they_are_imported_later() -> None:
+    code = "import scipy.spatial, scipy.linalg, scipy.interpolate, scipy.optimize\n"
+    code += "tree = scipy.spatial.KDTree([[0.0], [1.0]])\nprint(tree.query([0.9])[1], scipy.linalg.LinAlgError.__name__)"
+    assert output_of(MAKER + code) == "1 LinAlgError"
+
+
+def test_packages_that_are_loaded_already_stay() -> None:
+    code = "import scipy.spatial as before\n" + MAKER + "import scipy.spatial; print(scipy.spatial is before)"
+    assert output_of(code) == "True"
+
+
+def test_garbage_is_collected_after_the_imports() -> None:
+    assert output_of(MAKER + "import gc; print(gc.isenabled(), gc.get_freeze_count() > 0)") == "True True"
