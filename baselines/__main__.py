@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-import tyro
-
 from kit1000.cli.command_line import run
+from kit1000.cli.options import Argument
 from kit1000.errors import InputError
 from kit1000.perception.networks.precision import Precision
 
@@ -24,7 +23,7 @@ ABOUT = """The reference methods of KIT1000: each reads a dataset and writes a s
 Results go to stdout, progress to stderr. Exit status: 0 good, 1 the check found differences, 2 wrong usage or bad
 input, 3 a fault of the method or of kit1000, 130 interrupted."""
 
-Count = Annotated[int | None, tyro.conf.arg(metavar="N")]
+Count = Annotated[int | None, Argument("N")]
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class List:
 class Predict:
     """Run a method on the queries of a dataset; the same command again resumes an interrupted run."""
 
-    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]
+    name: Annotated[str, Argument("NAME", positional=True)]
     """Method of the list, or module:Object or FILE.py:Object of your own."""
     data: Path
     """Dataset folder."""
@@ -84,11 +83,11 @@ class Predict:
 class Rerun:
     """Predict queries of submissions again and compare with the predictions in them."""
 
-    submissions: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SUBMISSION...")]
+    submissions: Annotated[tuple[Path, ...], Argument("SUBMISSION...", positional=True)]
     """Folders that `predict` wrote with seed 0."""
     data: Path
     """Dataset folder."""
-    first: Annotated[int, tyro.conf.arg(metavar="N")] = 50
+    first: Annotated[int, Argument("N")] = 50
     """Number of queries of each submission, from the first on."""
     workers: Count = None
     """Number of processes; one per core by default."""
@@ -111,7 +110,7 @@ class Rerun:
 class Train:
     """Train a network; the same command again resumes after a stop, a crash or a kill."""
 
-    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="NAME")]
+    name: Annotated[str, Argument("NAME", positional=True)]
     """Name of the network, such as snapnet-gtvol-position; a wrong name lists them all."""
     data: Path
     """Dataset folder, with its ground truth."""
@@ -125,7 +124,7 @@ class Train:
     """Number of examples of a step; that of the preset by default."""
     seed: Count = None
     """Seed of the initial weights and all draws; that of the preset by default."""
-    learning_rate: Annotated[float | None, tyro.conf.arg(metavar="X")] = None
+    learning_rate: Annotated[float | None, Argument("X")] = None
     """Learning rate at its peak; that of the preset by default."""
     start: Path | None = None
     """Weights to start from, a .safetensors file of the same network; new ones by default."""
@@ -133,7 +132,7 @@ class Train:
     """Number of processes that make examples; that of the preset by default."""
     threads: Count = None
     """Number of PyTorch threads; that of the preset, or one a core, by default."""
-    time_limit_s: Annotated[float | None, tyro.conf.arg(metavar="S")] = None
+    time_limit_s: Annotated[float | None, Argument("S")] = None
     """Time [s] after which training stops, with a checkpoint; no limit by default."""
 
     def run(self) -> int:
@@ -154,7 +153,7 @@ class Ship:
 
     `predict --weights RUN` uses weights of your own and replaces nothing."""
 
-    run_folder: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="RUN")]
+    run_folder: Annotated[Path, Argument("RUN", positional=True)]
     """Folder that `train` wrote."""
     commit: str
     """Commit of the code that trained the weights: `git rev-parse HEAD`."""

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
-
 from kit1000.cli.command_line import run
+from kit1000.cli.options import Argument
 from kit1000.errors import InputError
 from kit1000.files import user_cache
 
@@ -25,11 +24,10 @@ ABOUT = """The benchmark of KIT1000: scores with intervals, robustness curves, p
 Results go to stdout, progress to stderr. Exit status: 0 success, 1 a check failed,
 2 wrong usage or bad input, 3 a fault of kit1000 itself, 130 interrupted."""
 
-Optional = Annotated[Path | None, tyro.conf.arg(metavar="PATH")]
-Folder = Annotated[Path, tyro.conf.arg(metavar="DIR")]
-One = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SUBMISSION")]
-Several = Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SUBMISSION...")]
-Flag = Annotated[bool, tyro.conf.FlagCreatePairsOff]
+Optional = Annotated[Path | None, Argument("PATH")]
+Folder = Annotated[Path, Argument("DIR")]
+One = Annotated[Path, Argument("SUBMISSION", positional=True)]
+Several = Annotated[tuple[Path, ...], Argument("SUBMISSION...", positional=True)]
 Split = Literal["test", "test-all", "val", "train"]
 
 
@@ -53,9 +51,9 @@ class Score:
     """Number of processes for the seating test; any number gives the same scores."""
     cache: Optional = None
     """Folder of cached results; below ~/.cache/kit1000 when absent."""
-    no_cache: Flag = False
+    no_cache: bool = False
     """Measure everything, and cache nothing."""
-    breakdown: Flag = False
+    breakdown: bool = False
     """Print the breakdown by properties of the queries too."""
 
     def run(self) -> int:
@@ -94,7 +92,7 @@ class Rescore:
     """Dataset folder, with ground truth."""
     workers: int = 1
     """Number of processes; each scores one submission at a time."""
-    refresh: Flag = False
+    refresh: bool = False
     """Write scores.json anew where the scores are the same, so that it names the code of today."""
 
     def run(self) -> int:
@@ -130,9 +128,9 @@ class Curves:
 class Compare:
     """Compare two methods: paired differences with intervals, and McNemar's test of seating."""
 
-    a: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="A")]
+    a: Annotated[Path, Argument("A", positional=True)]
     """Folder of the first submission."""
-    b: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="B")]
+    b: Annotated[Path, Argument("B", positional=True)]
     """Folder of the second submission."""
     data: Folder
     """Dataset folder, with ground truth."""
@@ -144,7 +142,7 @@ class Compare:
     """Number of processes for the seating test."""
     cache: Optional = None
     """Folder of cached results; below ~/.cache/kit1000 when absent."""
-    no_cache: Flag = False
+    no_cache: bool = False
     """Measure everything, and cache nothing."""
 
     def run(self) -> int:
@@ -181,7 +179,7 @@ class Table2:
     """Submission folders or predictions files, a row each; the true motions are a row anyway."""
     data: Folder
     """Dataset folder, with ground truth."""
-    track: Annotated[str, tyro.conf.arg(metavar="NAME")] = "snap-d415"
+    track: Annotated[str, Argument("NAME")] = "snap-d415"
     """Track whose queries are carried out."""
     split: Split = "test"
     """Split of the queries; test-all has every part of a test scene."""
@@ -189,7 +187,7 @@ class Table2:
     """JSON file with the measures of segmentation and completion."""
     masks: Literal["given", "predicted"] = "given"
     """Masks by which the robot finds parts in rows that state predicted masks: recorded or predicted ones."""
-    scenes: Annotated[int | None, tyro.conf.arg(metavar="N")] = None
+    scenes: Annotated[int | None, Argument("N")] = None
     """Number of scenes, the first ones; all when absent."""
     out: Optional = None
     """JSON file for the numbers."""
@@ -213,7 +211,7 @@ class Pages:
     """Folder for the pages."""
     data: Optional = None
     """Dataset folder, with ground truth: pictures of single predictions are drawn too."""
-    rescored: Flag = False
+    rescored: bool = False
     """State on every page that `rescore` has reproduced the scores with --data; else that they are as submitted."""
 
     def run(self) -> int:
@@ -231,7 +229,7 @@ class Pages:
 class Documents:
     """Fill the tables of documents from results/ and submissions/."""
 
-    documents: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="FILE...")]
+    documents: Annotated[tuple[Path, ...], Argument("FILE...", positional=True)]
     """Markdown files with marks."""
     results: Folder = Path("results")
     """Folder of NAME.json files, as the programs of bench/ write them."""

@@ -6,9 +6,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
-
-from kit1000.cli.options import OptionalFloat, OptionalPath
+from kit1000.cli.options import Argument, OptionalFloat, OptionalPath
 from kit1000.dataset.own_scenes import is_labelled, is_own
 from kit1000.errors import InputError
 from kit1000.files import read_json
@@ -16,7 +14,7 @@ from kit1000.files import read_json
 if TYPE_CHECKING:
     from kit1000.capture.importing import Import
 
-Stream = Annotated[Literal["raw", "aligned"] | None, tyro.conf.arg(metavar="{raw,aligned}")]
+Stream = Annotated[Literal["raw", "aligned"] | None, Argument("{raw,aligned}")]
 
 
 def need_truth(data: Path, command: str) -> None:
@@ -31,11 +29,11 @@ def need_truth(data: Path, command: str) -> None:
 class OwnImages:
     """Options that say what own depth images are."""
 
-    intrinsics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="FILE | FX FY CX CY")] = ()
+    intrinsics: Annotated[tuple[str, ...], Argument("FILE | FX FY CX CY")] = ()
     """JSON of BOP, Open3D, RealSense, ROS or gqcnn, .txt of 3 x 3, or four numbers [px]; recordings bring their own."""
     depth_scale: OptionalFloat = None
     """Metres that 1 in an image stands for; as the files say, else 0.001 for integers and 1 for floats."""
-    topic: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    topic: Annotated[str | None, Argument("NAME")] = None
     """Topic of the depth images in a recording; the only one when absent."""
     frames: int = 1
     """Number of successive frames of which an image is the median."""
@@ -56,10 +54,10 @@ class OwnImages:
     """Depth image of the same camera and table without bodies."""
     clearance_mm: OptionalFloat = None
     """Gap between a part and the walls of its cavity."""
-    masks: Annotated[Literal["depth", "networks"] | None, tyro.conf.arg(metavar="{depth,networks}")] = None
+    masks: Annotated[Literal["depth", "networks"] | None, Argument("{depth,networks}")] = None
     """depth: bodies as depth alone shows them; networks: cut back by the networks, of a scanner by rules; when absent
     networks where torch is there."""
-    check: Annotated[tuple[float, ...], tyro.conf.arg(metavar="MM MM MM")] = ()
+    check: Annotated[tuple[float, ...], Argument("MM MM MM")] = ()
     """Sides of a box in view: images in which no body has them are refused."""
 
     def own_options(self) -> list[str]:
@@ -88,7 +86,7 @@ class OwnImages:
 class ImportImages(OwnImages):
     """Make a scene folder of your own depth images: finds table, kit and parts, and prints their sizes."""
 
-    sources: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="SOURCE [SOURCE ...]")]
+    sources: Annotated[tuple[Path, ...], Argument("SOURCE [SOURCE ...]", positional=True)]
     """16-bit PNG or TIFF, .npy, .npz, or MCAP of ROS 2, Foxglove or ours. Several images become several scenes."""
     out: OptionalPath = None
     """Folder to write to; the name of the first image with -scene when absent."""

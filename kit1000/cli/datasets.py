@@ -7,10 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
-
 from kit1000.cli.capture import need_truth
-from kit1000.cli.options import Flag, Folder, OptionalInt, OptionalPath, Unit
+from kit1000.cli.options import Argument, Folder, OptionalInt, OptionalPath, Unit
 from kit1000.cli.summaries import summary_text
 from kit1000.errors import InputError
 from kit1000.queries.tracks import Sensor
@@ -24,9 +22,9 @@ if TYPE_CHECKING:
 class Generate:
     """Generate a dataset. Run the same command again to continue after an interruption."""
 
-    preset: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="PRESET")]
+    preset: Annotated[str, Argument("PRESET", positional=True)]
     """tiny, small, kit1000, paper, real-like, study or completion."""
-    out: Annotated[str, tyro.conf.arg(metavar="PATH")]
+    out: Annotated[str, Argument("PATH")]
     """Dataset folder to write; with --engine ray also a URL such as s3://bucket/folder."""
     seed: OptionalInt = None
     """Seed of all random draws; that of the preset when absent."""
@@ -38,7 +36,7 @@ class Generate:
     """Unit of the meshes of --parts; guessed and reported when absent."""
     engine: Literal["local", "ray"] = "local"
     """Engine that runs the jobs: processes of this machine, or a Ray cluster."""
-    address: Annotated[str | None, tyro.conf.arg(metavar="HOST:PORT")] = None
+    address: Annotated[str | None, Argument("HOST:PORT")] = None
     """Address of the Ray cluster (`auto` finds a local one); a new local cluster when absent."""
     withhold: OptionalPath = None
     """Second folder, for the full dataset; --out then lacks the ground truth of the test split."""
@@ -126,9 +124,9 @@ class Show:
     """Split of the items."""
     ids: tuple[str, ...] = ()
     """Ids of the items to draw instead of evenly spaced ones."""
-    scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    scene: Annotated[str | None, Argument("ID")] = None
     """Id of a scene to draw instead of items: depth, masks, meshes and goals."""
-    truth: Flag = False
+    truth: bool = False
     """Add models, goals and seated parts to an MCAP."""
     predictions: OptionalPath = None
     """Predictions file whose motions of the scene an MCAP shows, coloured by their errors."""
@@ -222,13 +220,13 @@ class Export:
 class Check:
     """List every fault of a submission, with line, column, value, expected value and fix."""
 
-    submission: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="SUBMISSION")]
+    submission: Annotated[Path, Argument("SUBMISSION", positional=True)]
     """Folder with manifest.toml and predictions.csv, or one predictions file."""
     data: OptionalPath = None
     """Dataset of the predictions; only the format is checked when absent."""
     split: Literal["test", "test-all", "val", "train"] = "test"
     """Split whose queries need predictions."""
-    json: Flag = False
+    json: bool = False
     """Print the report as JSON."""
 
     def run(self) -> int:

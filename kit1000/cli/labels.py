@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
-
-from kit1000.cli.options import Flag, Folder, OptionalFloat, OptionalInt, OptionalPath
+from kit1000.cli.options import Argument, Folder, OptionalFloat, OptionalInt, OptionalPath
 from kit1000.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,11 +20,11 @@ class Label:
 
     data: Folder
     """Folder of own scenes, as `kit1000 import` writes it."""
-    scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    scene: Annotated[str | None, Argument("ID")] = None
     """Id of one scene; all scenes when absent."""
     shapes: OptionalPath = None
     """Folder of a print set, or any dataset folder with the kits in the image."""
-    assembly: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    assembly: Annotated[str | None, Argument("ID")] = None
     """Id of the assembly in --shapes; the only one when absent."""
     parts: tuple[str, ...] = ()
     """Ids of the parts on the table; all parts of the assembly when absent."""
@@ -40,7 +38,7 @@ class Label:
     """Bodies that you confirm after a look at the picture: all, sure, or names such as kits."""
     by: str = ""
     """Your name, which stands beside what you confirm."""
-    page: Flag = False
+    page: bool = False
     """Open a page on which you move the shapes of a scene, confirm them, and see the residual; Ctrl-C ends it."""
     port: OptionalInt = None
     """Port of the page; a free one when absent."""
@@ -112,7 +110,7 @@ class Label:
 class Join:
     """Join folders of labelled scenes into one, as the real split; scenes get new ids, licences and names stay."""
 
-    folders: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="DIR [DIR ...]")]
+    folders: Annotated[tuple[Path, ...], Argument("DIR [DIR ...]", positional=True)]
     """Folders whose labels are confirmed; an earlier joined folder comes first, so that its ids stay."""
     out: Path = Path("real")
     """Folder to write, which must not exist."""

@@ -7,9 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import tyro
-
-from kit1000.cli.options import Flag, OptionalFloat, OptionalInt, Unit
+from kit1000.cli.options import Argument, OptionalFloat, OptionalInt, Unit
 from kit1000.cli.quick_imports import quick_imports
 from kit1000.cli.summaries import kit_report_text
 from kit1000.errors import InputError
@@ -19,7 +17,7 @@ from kit1000.errors import InputError
 class MakeKit:
     """Make a kit for your own part at true size: kit.stl, part.stl, seated.glb, report.json, preview.png."""
 
-    parts: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="PART [PART ...]")]
+    parts: Annotated[tuple[Path, ...], Argument("PART [PART ...]", positional=True)]
     """Mesh files: STL, OBJ, PLY, OFF, 3MF, GLB (and STEP with `pip install kit1000[step]`)."""
     out: Path
     """Folder to write to; for several files it gets a folder for each."""
@@ -29,10 +27,10 @@ class MakeKit:
     """Unit of the file; guessed and reported when absent."""
     fit_mm: OptionalFloat = None
     """Scale the part to this longest side; true size when absent."""
-    bodies: Annotated[Literal["union", "largest", "each"] | None, tyro.conf.arg(metavar="{union,largest,each}")] = None
+    bodies: Annotated[Literal["union", "largest", "each"] | None, Argument("{union,largest,each}")] = None
     """Treatment of several bodies in the file: all as one part (they touch or overlap), the largest alone, or a kit for
     each in folders 01, 02, ...; when absent, several are refused unless one holds nearly all of the volume."""
-    no_preview: Flag = False
+    no_preview: bool = False
     """Draw no preview.png, which takes most of the time of a simple part."""
     workers: OptionalInt = None
     """Number of processes for several files; one per core when absent."""

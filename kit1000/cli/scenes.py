@@ -8,10 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import tyro
-
 from kit1000.cli.capture import OwnImages, need_truth
-from kit1000.cli.options import Flag, Folder, OptionalInt, OptionalPath
+from kit1000.cli.options import Argument, Folder, OptionalInt, OptionalPath
 from kit1000.editor import SNAP
 from kit1000.errors import InputError
 from kit1000.queries.tracks import Sensor
@@ -30,7 +28,7 @@ def find_own_modules() -> None:
 class Predict:
     """Run a method on the queries of a dataset; the same command again resumes an interrupted run."""
 
-    name: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="METHOD")]
+    name: Annotated[str, Argument("METHOD", positional=True)]
     """A method of the catalog, such as registration-completed, or module:Object or FILE.py:Object of your own."""
     data: Path
     """Dataset folder."""
@@ -74,9 +72,9 @@ class Run:
     """Dataset folder, with ground truth."""
     predictions: Path
     """Submission folder or predictions file; predictions of one track."""
-    scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    scene: Annotated[str | None, Argument("ID")] = None
     """Id of one scene, such as test-s0003; every scene with a prediction when absent."""
-    track: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
+    track: Annotated[str | None, Argument("NAME")] = None
     """Track whose predictions are carried out, where the file has several."""
     out: OptionalPath = None
     """Folder for outcomes.json and a trace of each scene."""
@@ -99,14 +97,14 @@ class Edit(OwnImages):
 
     data: Folder
     """Dataset folder, or an own depth image or recording, of which `kit1000 import` makes one beside it first."""
-    scene: Annotated[str | None, tyro.conf.arg(metavar="ID")] = None
+    scene: Annotated[str | None, Argument("ID")] = None
     """Id of the scene, such as test-s0003; the only one when absent."""
     out: OptionalPath = None
     """Submission folder for the confirmed parts and the log, edits when absent; the same command again continues. Of an
     image: folder of the scene, beside which the edits lie."""
-    sensor: Annotated[Sensor | None, tyro.conf.arg(metavar="{ideal,d415,photoneo}")] = None
+    sensor: Annotated[Sensor | None, Argument("{ideal,d415,photoneo}")] = None
     """Sensor of the depth image; ideal when absent, where the scene has it. Of an own image: photoneo is a scanner."""
-    snap: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
+    snap: Annotated[str | None, Argument("METHOD")] = None
     """Method that proposes where parts fit: one of the catalog, module:Object of your own, or none; when absent,
     registration, in own scenes with the networks that suit the noise of the camera."""
     interface: Literal["scene", "hand", "hand-bare"] = "scene"
@@ -115,7 +113,7 @@ class Edit(OwnImages):
     """Port of the page; a free one when absent."""
     origin: tuple[str, ...] = ()
     """Further web addresses of the page, as behind a proxy or ssh -L with another port: http://localhost:9000."""
-    truth: Flag = False
+    truth: bool = False
     """Show true shapes; the page and every line of the log say so."""
     base_from_camera: OptionalPath = None
     """JSON file with the camera's pose in the base of your robot, for moves.json; that of dataset.json when absent."""
@@ -191,9 +189,9 @@ class Study:
     """Number of participants, a multiple of 4; 12 when absent. Without other options: plan, and print all orders."""
     conditions: tuple[str, ...] = ()
     """Conditions: two or four of scene-snap, scene, hand-snap, hand, hand-bare; scene-snap and hand when absent."""
-    sensor: Annotated[Sensor | None, tyro.conf.arg(metavar="{ideal,d415,photoneo}")] = None
+    sensor: Annotated[Sensor | None, Argument("{ideal,d415,photoneo}")] = None
     """Sensor of the depth images; ideal when absent."""
-    snap: Annotated[str | None, tyro.conf.arg(metavar="METHOD")] = None
+    snap: Annotated[str | None, Argument("METHOD")] = None
     """Method of the conditions that snap; registration when absent."""
     seed: OptionalInt = None
     """Seed of tasks and orders; 0 when absent."""
@@ -203,11 +201,11 @@ class Study:
     """Port of the participant's page; a free one when absent."""
     origin: tuple[str, ...] = ()
     """Further web addresses of that page, as behind a proxy or ssh -L with another port: http://localhost:9000."""
-    simulate: Annotated[str | None, tyro.conf.arg(metavar="OPERATOR")] = None
+    simulate: Annotated[str | None, Argument("OPERATOR")] = None
     """Operator that replaces all participants: exact, paper, fitts or careless. It tests the machine, not people."""
     judge: Literal["robot", "test"] = "robot"
     """Evaluator of the uploads of a whole study: the robot, or the seating test, which takes no time."""
-    report: Flag = False
+    report: bool = False
     """Write report.html and report.json of the people, or of the operator of --simulate when all have sat."""
 
     def run(self) -> int:

@@ -18,7 +18,7 @@ from PIL import Image
 
 import kit1000
 from kit1000.cli import COMMANDS, main
-from kit1000.cli.command_line import POSITIONAL
+from kit1000.cli.arguments import is_positional
 from kit1000.cli.summaries import summary_text
 from kit1000.export import own_part
 from kit1000.generation import build, shards
@@ -325,9 +325,7 @@ def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
 def options_of(command: type) -> list[str]:
     """The options of a command, without what is told by its place."""
     hints = get_type_hints(command, include_extras=True)
-    named = [
-        field.name for field in fields(command) if POSITIONAL not in getattr(hints[field.name], "__metadata__", ())
-    ]
+    named = [field.name for field in fields(command) if not is_positional(hints[field.name])]
     return [f"--{name.replace('_', '-')}" for name in named]
 
 

@@ -7,7 +7,8 @@ import sys
 
 from kit1000.cli.quick_imports import STAND_INS, quick_imports
 
-MAKER = f"from {quick_imports.__module__} import quick_imports\nwith quick_imports():\n    import kit1000.export.own_part\n"
+MAKER = f"from {quick_imports.__module__} import quick_imports\n"
+MAKER += "with quick_imports():\n    import kit1000.export.own_part\n"
 
 
 def output_of(code: str) -> str:
@@ -32,7 +33,8 @@ def test_a_function_of_a_package_imports_it_when_called() -> None:
 
 def test_packages_are_whole_when_they_are_imported_later() -> None:
     code = "import scipy.spatial, scipy.linalg, scipy.interpolate, scipy.optimize\n"
-    code += "tree = scipy.spatial.KDTree([[0.0], [1.0]])\nprint(tree.query([0.9])[1], scipy.linalg.LinAlgError.__name__)"
+    code += "tree = scipy.spatial.KDTree([[0.0], [1.0]])\n"
+    code += "print(tree.query([0.9])[1], scipy.linalg.LinAlgError.__name__)"
     assert output_of(MAKER + code) == "1 LinAlgError"
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 import tomli
 
-from kit1000.cli.command_line import usage_error
+from kit1000.cli.arguments import usage_error
 from tests.samples.checkout import ROOT
 from tests.samples.sources import PACKAGES, PYTHON_FOLDERS, dotted, imports, modules, python_files, statements, tree
 
@@ -76,7 +76,7 @@ FENCES = {
     "ray": ("kit1000.engines",),
     "fsspec": ("kit1000.engines",),
     "upath": ("kit1000.files",),
-    "tyro": ("kit1000.cli", "kit1000.cli.command_line", "benchmark", "baselines"),
+    "tyro": ("kit1000.cli.help_pages",),
 }
 NOT_ON_IMPORT = ("numpy", "scipy", "numba", "trimesh", "manifold3d", "pybullet", "open3d", "torch", "viser")
 
