@@ -31,7 +31,7 @@ class MakeKit:
     """Treatment of several bodies in the file: all as one part (they touch or overlap), the largest alone, or a kit for
     each in folders 01, 02, ...; when absent, several are refused unless one holds nearly all of the volume."""
     no_preview: bool = False
-    """Draw no preview.png, which takes most of the time of a simple part."""
+    """Draw no preview.png."""
     workers: OptionalInt = None
     """Number of processes for several files; one per core when absent."""
 

@@ -26,7 +26,7 @@ def smooth_patches(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
         normals: (m, 3, 3) unit normal at each corner of each face, averaged over its patch. Large planes have more
             weight than the narrow faces of a fillet, so that planes look flat.
     """
-    corner = np.unique(mesh.triangles.reshape(-1, 3), axis=0, return_inverse=True)[1].reshape(-1, 3)
+    corner = np.unique(mesh.vertices, axis=0, return_inverse=True)[1].ravel()[mesh.faces]
     pairs = _adjacent_faces(corner)
     cosine = np.einsum("ij,ij->i", mesh.normals[pairs[0]], mesh.normals[pairs[1]])
     patches = component_labels(len(corner), *pairs[:, cosine > np.cos(np.deg2rad(CREASE_DEG))]).astype(np.int32)

@@ -7,16 +7,13 @@ linear, 1 = white.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from kit1000.camera import Camera, look_at
-from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
+from kit1000.pictures.shadow_maps import shadow_maps
 from kit1000.pose import Pose, quaternion_between
-from kit1000.sim.render import render
 
 MAP_SIZE = 512  # [px] side of a shadow map, unless another is asked for
 LAMP_DISTANCE = 1000.0  # in radii of the scene: rays are parallel to a quarter of a texel
@@ -24,9 +21,10 @@ KEY_SPREAD = 0.16  # sine of the half angle of the key light: its shadows are so
 KEY_COLOUR = (0.62, 0.60, 0.56)  # warm; with the sky, a level surface has its own colour, slightly lighter
 SKY_COLOUR = (0.48, 0.50, 0.53)  # cool
 BOUNCE_COLOUR = (0.21, 0.205, 0.20)  # light reflected by the ground from below
-GLOSS, SHININESS = 0.07, 24.0  # satin plastic
+GLOSS = 0.07  # satin plastic
 FADE_BORDER = 0.08  # fraction of the image along its border in which shadows on the ground fade out
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+HEIGHTS, AZIMUTHS = 65, 8  # normals at which the light of the sky without shadows is tabled, and averaged over
 
 
 class Lamps(NamedTuple):
@@ -43,6 +41,10 @@ class Lamps(NamedTuple):
     texel: float
     """[m] width of a pixel of a shadow map at the scene."""
     key_count: int
+    open_key: np.ndarray
+    """(3,) whose product with a normal is the key light there without shadows."""
+    open_sky: np.ndarray
+    """(h,) light of the sky without shadows, at normals of heights -1 .. 1."""
 
 
 class ShadingScene(NamedTuple):
@@ -77,82 +79,128 @@ def sky_directions(n: int) -> np.ndarray:
 
 
 def place_lamps(
-    bodies: Sequence[tuple[Mesh, Pose]],
-    ball: tuple[np.ndarray, float],
-    key: np.ndarray,
-    sky: np.ndarray,
-    map_size: int = MAP_SIZE,
+    corners: np.ndarray, ball: tuple[np.ndarray, float], key: np.ndarray, sky: np.ndarray, map_size: int = MAP_SIZE
 ) -> Lamps:
-    """Lamps in directions key (k, 3) and sky (s, 3) for bodies within `ball`: centre (3,), radius [m].
+    """Lamps in directions key (k, 3) and sky (s, 3) for triangles (m, 3, 3) within `ball`: centre (3,), radius [m].
 
     map_size: [px] side of a shadow map.
     """
     centre, radius = ball
     texel = 2 * radius / (map_size - 4)
-    focal, centre_px = LAMP_DISTANCE * radius / texel, (map_size - 1) / 2
-    camera = Camera(width=map_size, height=map_size, fx=focal, fy=focal, cx=centre_px, cy=centre_px)
     directions = np.concatenate([key, sky])
-    map_from_world = np.zeros((len(directions), 3, 4))
-    shadow_maps = np.empty((len(directions), map_size, map_size), np.float32)
-    for k, direction in enumerate(directions):
-        # Each map has another roll, so that their pixel grids are not aligned.
-        roll = Pose.from_rotvec((0, 0, GOLDEN_ANGLE * k))
-        world_from_lamp = _lamp_pose(centre, centre + LAMP_DISTANCE * radius * direction) @ roll
-        shadow_maps[k] = render(camera, world_from_lamp, bodies, threads=1).depth
-        map_from_world[k] = world_from_lamp.inverse().matrix()[:3]
-        map_from_world[k, :2] /= texel
-        map_from_world[k, :2, 3] += centre_px
+    map_from_world = _parallel_projections(directions, centre, LAMP_DISTANCE * radius)
+    map_from_world[:, :2] /= texel
+    map_from_world[:, :2, 3] += (map_size - 1) / 2
     weights = np.concatenate([np.full(len(key), 1 / key[:, 2].sum()), np.full(len(sky), 1 / sky[:, 2].sum())])
-    return Lamps(directions, weights, map_from_world, shadow_maps, texel, len(key))
+    maps = shadow_maps(corners, map_from_world, map_size)
+    return Lamps(directions, weights, map_from_world, maps, texel, len(key), key.sum(0) / key[:, 2].sum(), _open(sky))
 
 
-def _lamp_pose(target: np.ndarray, eye: np.ndarray) -> Pose:
-    upright = abs((eye - target)[2]) < 0.9 * np.linalg.norm(eye - target)
-    return look_at(eye, target, up=(0, 0, 1) if upright else (0, 1, 0))
+def _open(sky: np.ndarray) -> np.ndarray:
+    """(HEIGHTS,) light of a sky (s, 3) without shadows, at normals of heights -1 .. 1, a mean over their azimuths."""
+    height, azimuth = np.linspace(-1, 1, HEIGHTS)[:, None], np.arange(AZIMUTHS) * (2 * np.pi / AZIMUTHS)
+    level = np.sqrt(1 - height**2)
+    normals = np.stack(np.broadcast_arrays(level * np.cos(azimuth), level * np.sin(azimuth), height), axis=-1)
+    return np.maximum(normals @ sky.T, 0).sum(2).mean(1) / sky[:, 2].sum()
+
+
+def _parallel_projections(directions: np.ndarray, centre: np.ndarray, distance: float) -> np.ndarray:
+    """(L, 3, 4) [m] from a point (x, y, z, 1) to its place across rays from directions (L, 3), and along them.
+
+    The centre (3,) [m] is in the middle, at a distance [m]. Each lamp has another roll, so that the pixel grids of
+    their maps are not aligned.
+    """
+    aside = np.cross(directions, np.eye(3)[np.abs(directions).argmin(1)])
+    aside /= np.linalg.norm(aside, axis=1, keepdims=True)
+    above, roll = np.cross(directions, aside), GOLDEN_ANGLE * np.arange(len(directions))[:, None]
+    c, s = np.cos(roll), np.sin(roll)
+    axes = np.stack([c * aside + s * above, c * above - s * aside, -directions], axis=1)
+    ends = -np.einsum("kij,j->ki", axes, centre)
+    ends[:, 2] += distance
+    return np.concatenate([axes, ends[..., None]], axis=2)
 
 
 @compiled
-def illuminate(intrinsics, rotation, eye, image, scene, lamps, turn, ground, background, shadow, colours, out):
+def illuminate(intrinsics, rotation, eye, image, scene, lamps, turn, ground, background, shadow, coarse, colours, out):
     """Write the linear colour of each pixel to `out` (H, W, 3).
 
     `rotation` (3, 3) and `eye` (3,) are world_from_camera; `image` is the depth, body ids and face ids; `turn` is which
     of how many groups of lamps casts the shadows of the first pixel, its neighbours take the next groups in turn;
     `ground` is the height [m] of a floor of the colour `background`, which shadows darken by up to `shadow`; NaN for no
-    floor. `colours` (3, 3): of the key light, the sky and the light from below.
+    floor. `coarse` is the floor at every step-th pixel, and the step; where it is empty each pixel is computed.
+    `colours` (3, 3): of the key light, the sky and the light from below.
     """
     depth, ids, faces = image
     start, groups = turn
+    floor, step = coarse
     point, normal, face_normal, view = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for group in range(groups):  # outermost, so that its shadow maps stay in the cache
         for v in range(depth.shape[0]):
             for u in range((group - start - 2 * v) % groups, depth.shape[1], groups):
-                p, q = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
-                for i in range(3):
-                    view[i] = rotation[i, 0] * p + rotation[i, 1] * q + rotation[i, 2]
-                    out[v, u, i] = background[i]
                 body = ids[v, u] - 1
-                if body >= 0:
-                    for i in range(3):
-                        point[i] = eye[i] + depth[v, u] * view[i]
-                    _set_normals(scene, scene.first_face[body] + faces[v, u], view, point, normal, face_normal)
-                    found = _incident_light(lamps, group, groups, point, normal, face_normal, view)
-                    key, sky, gloss, _, open_sky = found
-                    below = (0.5 - 0.5 * normal[2]) * (0.4 + 0.6 * sky / max(open_sky, 0.05))
-                    for i in range(3):
-                        light = key * colours[0, i] + sky * colours[1, i] + below * colours[2, i]
-                        out[v, u, i] = scene.albedo[body, i] * light + gloss * colours[0, i]
-                elif view[2] < 0 and eye[2] > ground:
-                    for i in range(3):
-                        point[i] = eye[i] + (ground - eye[2]) / view[2] * view[i]
-                        normal[i] = face_normal[i] = 0.0
-                    normal[2] = face_normal[2] = 1.0
-                    found = _incident_light(lamps, group, groups, point, normal, face_normal, view)
-                    key, sky, _, open_key, open_sky = found
-                    for i in range(3):
-                        share = (key * colours[0, i] + sky * colours[1, i]) / (
-                            open_key * colours[0, i] + open_sky * colours[1, i]
-                        )
-                        out[v, u, i] = background[i] * (1 - shadow * (1 - share) * _fade(intrinsics, u, v))
+                if body < 0 and floor.shape[0] > 0:
+                    _interpolate(floor, step, out, v, u)
+                    continue
+                _set_view(intrinsics, rotation, u, v, view)
+                if body < 0:
+                    fade = shadow * _fade(intrinsics, u, v)
+                    _set_floor(eye, view, lamps, ground, background, fade, colours, point, normal, out, v, u)
+                    continue
+                for i in range(3):
+                    point[i] = eye[i] + depth[v, u] * view[i]
+                _set_normals(scene, scene.first_face[body] + faces[v, u], view, point, normal, face_normal)
+                key, sky, gloss, open_sky = _incident_light(lamps, group, groups, point, normal, face_normal, view)
+                below = (0.5 - 0.5 * normal[2]) * (0.4 + 0.6 * sky / max(open_sky, 0.05))
+                for i in range(3):
+                    light = key * colours[0, i] + sky * colours[1, i] + below * colours[2, i]
+                    out[v, u, i] = scene.albedo[body, i] * light + gloss * colours[0, i]
+
+
+@compiled
+def coarse_floor(intrinsics, rotation, eye, lamps, ground, background, shadow, colours, step, out):
+    """Write the linear colour of the floor at every step-th pixel to `out` (h, w, 3); arguments as of `illuminate`."""
+    point, normal, view = np.empty(3), np.empty(3), np.empty(3)
+    for v in range(out.shape[0]):
+        for u in range(out.shape[1]):
+            _set_view(intrinsics, rotation, u * step, v * step, view)
+            fade = shadow * _fade(intrinsics, u * step, v * step)
+            _set_floor(eye, view, lamps, ground, background, fade, colours, point, normal, out, v, u)
+
+
+@compiled
+def _interpolate(floor, step, out, v, u):
+    """Write the colour of a pixel between those of a floor at every step-th pixel."""
+    i, j = v // step, u // step
+    down, along = v / step - i, u / step - j
+    for c in range(3):
+        upper = floor[i, j, c] + along * (floor[i, j + 1, c] - floor[i, j, c])
+        lower = floor[i + 1, j, c] + along * (floor[i + 1, j + 1, c] - floor[i + 1, j, c])
+        out[v, u, c] = upper + down * (lower - upper)
+
+
+@compiled
+def _set_view(intrinsics, rotation, u, v, view):
+    """Set the direction in which a pixel looks, of depth 1."""
+    p, q = (u - intrinsics.cx) / intrinsics.fx, (v - intrinsics.cy) / intrinsics.fy
+    for i in range(3):
+        view[i] = rotation[i, 0] * p + rotation[i, 1] * q + rotation[i, 2]
+
+
+@compiled
+def _set_floor(eye, view, lamps, ground, background, shadow, colours, point, normal, out, v, u):
+    """Write the colour of the floor in a direction to a pixel; the background's where there is none."""
+    for i in range(3):
+        out[v, u, i] = background[i]
+    if not (view[2] < 0 and eye[2] > ground):
+        return
+    for i in range(3):
+        point[i] = eye[i] + (ground - eye[2]) / view[2] * view[i]
+        normal[i] = 0.0
+    normal[2] = 1.0
+    key, sky, _, _ = _incident_light(lamps, 0, 1, point, normal, normal, view)
+    for i in range(3):
+        share = (key * colours[0, i] + sky * colours[1, i]) / (colours[0, i] + colours[1, i])
+        out[v, u, i] = background[i] * (1 - shadow * (1 - share))
 
 
 @compiled
@@ -191,12 +239,13 @@ def _set_normals(scene, face, view, point, normal, face_normal):
 
 @compiled
 def _incident_light(lamps, group, groups, point, normal, face_normal, view):
-    """Key light and sky light at a point, the reflection of the key light, and both lights without shadows.
+    """Key light and sky light at a point, the reflection of the key light, and the light of the sky without shadows.
 
     Shadows are looked up for every lamp of one of the groups, in turns; they stand for those of all lamps.
     """
-    directions, weights, maps, shadow_maps, texel, key_count = lamps  # single numbers: slices are counted references
-    open_key, open_sky, lit_key, lit_sky, asked_key, asked_sky = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    # all by single numbers: slices are counted references
+    directions, weights, maps, shadow_maps, texel, key_count, key_sum, sky_table = lamps
+    lit_key, lit_sky, asked_key, asked_sky = 0.0, 0.0, 0.0, 0.0
     nx, ny, nz = normal[0], normal[1], normal[2]
     # An offset from the surface prevents self-shadowing at the resolution of the shadow maps.
     x, y, z = (
@@ -220,21 +269,18 @@ def _incident_light(lamps, group, groups, point, normal, face_normal, view):
             asked_key, lit_key = asked_key + share, lit_key + lit
         else:
             asked_sky, lit_sky = asked_sky + share, lit_sky + lit
-    if groups == 1:
-        open_key, open_sky = asked_key, asked_sky
-    elif nz == 1.0:
-        open_key = open_sky = 1.0  # the weights are such
-    else:
-        for k in range(key_count):
-            open_key += max(weights[k] * (nx * directions[k, 0] + ny * directions[k, 1] + nz * directions[k, 2]), 0.0)
-        for k in range(key_count, directions.shape[0]):
-            open_sky += max(weights[k] * (nx * directions[k, 0] + ny * directions[k, 1] + nz * directions[k, 2]), 0.0)
+    open_key, open_sky = asked_key, asked_sky
+    if groups > 1:
+        open_key = max(nx * key_sum[0] + ny * key_sum[1] + nz * key_sum[2], 0.0)
+        place = (nz + 1) / 2 * (HEIGHTS - 1)
+        below = min(max(int(place), 0), HEIGHTS - 2)
+        open_sky = sky_table[below] + (place - below) * (sky_table[below + 1] - sky_table[below])
     key = open_key * lit_key / asked_key if asked_key > 0 else 0.0
     sky = open_sky * lit_sky / asked_sky if asked_sky > 0 else 0.0
     gloss = 0.0
     if key > 0:
         gloss = key / open_key * _gloss(directions[0], normal, view)
-    return key, sky, gloss, open_key, open_sky
+    return key, sky, gloss, open_sky
 
 
 @compiled
@@ -246,4 +292,5 @@ def _gloss(towards, normal, view):
         half = towards[i] - view[i] / length
         square += half * half
         cosine += half * normal[i]
-    return GLOSS * max(cosine / np.sqrt(square), 0.0) ** SHININESS
+    cube = max(cosine / np.sqrt(square), 0.0) ** 3
+    return GLOSS * (cube * cube) ** 4  # the shininess is 24

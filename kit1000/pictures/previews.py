@@ -28,6 +28,7 @@ from kit1000.values import Assembly, Kit, Part
 TILE_SIZE = (420, 340)  # [px] of a tile of a contact sheet
 PREVIEW_SIZE = (1024, 512)  # [px]
 LIFT_SHARE = 0.45  # of HOVER: height of a part above its cavity
+COMPRESSION = 3  # of a PNG, 0 to 9: a tenth larger than by the usual 6, in half the time
 PAIR_SPACING = 1.15  # between the two kits of a preview, in plate widths
 
 
@@ -86,5 +87,5 @@ def _png(image: np.ndarray | Image.Image) -> bytes:
     picture = image if isinstance(image, Image.Image) else Image.fromarray(image)
     about = PngInfo()
     about.add_text("Software", "kit1000")
-    picture.save(buffer, "PNG", optimize=False, pnginfo=about)
+    picture.save(buffer, "PNG", compress_level=COMPRESSION, pnginfo=about)
     return buffer.getvalue()
