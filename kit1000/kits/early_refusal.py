@@ -29,6 +29,8 @@ DENSE_FACES = 3000  # of a part, above which cutting its kit takes longer than t
 STEPS_PER_LIMIT = 6  # points this fine leave five sixths of the height below which a part counts as seated
 MAX_STEPS = 800  # along the part's longest side: for a part flatter than that nothing is told early
 MOST_LEAN = tangent(float(np.radians(20)))  # of the direction in which a tilted part moves
+FEW = 61  # one point in so many is tried first: where the part collides, it mostly tells
+ROUNDING = 1e-9  # [m]
 HALF_DIAGONAL = np.sqrt(0.5)  # of a square: no point is farther from the nearest of a grid
 
 
@@ -55,7 +57,9 @@ class _StandIn:
     mesh: Mesh
     slot: Slot
     columns: np.ndarray
-    """(nx, ny) [m] heights of their tops, which nowhere lie below the plate's surface."""
+    """(nx, ny) [m] heights of their tops, which nowhere lie below the plate's surface, and not below its floor."""
+    sides: np.ndarray
+    """(nx, ny) [m] the lowest top of a column and its neighbours: below it the column's side is hidden."""
     corner: np.ndarray
     """(2,) [m] centre of the first column."""
     cell: float
@@ -74,7 +78,8 @@ class _StandIn:
             return None
         placed = mesh.moved(slot.goals[0])
         heights, corner = lower_envelope(placed, cell, clearance + MOST_LEAN * depth + 4 * cell)
-        return _StandIn(mesh, slot, -grown(np.maximum(-heights, 0.0), reach), corner, cell, step)
+        columns = np.maximum(-grown(np.maximum(-heights, 0.0), reach), -depth)
+        return _StandIn(mesh, slot, columns, _lowest_of_neighbours(columns), corner, cell, step)
 
     def refusal(self) -> str | None:
         """Why the kit surely fails the trials, or None."""
@@ -87,30 +92,47 @@ class _StandIn:
         """Whether a part that was meant for the design pose surely seats from another one, along its tilted axis."""
         design = self.slot.goals[0]
         axis = (pose @ design.inverse()).rotate(np.array([0.0, 0.0, 1.0]))
-        offsets = self._offsets_to_contact(pose, axis[:2] / axis[2])
+        most = min((SEATED_LIMIT - BISECTION_STEP) * axis[2], self._height_above(design.xyz[2]) - pose.xyz[2])
+        offsets = self._offsets_to_contact(pose, axis[:2] / axis[2], most)
         is_near = np.abs(offsets).max() / axis[2] < SEATED_LIMIT - BISECTION_STEP
         return bool(is_near and self._is_at_height(offsets + pose.xyz[2], design.xyz[2]))
 
     def has_loose_fit(self) -> bool:
         """Whether the part surely seats in a pose that is near no goal, resting on one of its faces."""
         field = OpenField.of(self.columns, self.corner, self.cell, self.slot.depth)
+        highest = self._height_above(float(self.slot.goals.xyz[:, 2].max()))
         for pose in poses_in_own_slot(prepared_part(self.mesh), field, self.slot):
-            heights = self._offsets_to_contact(pose, np.zeros(2)) + pose.xyz[2]
+            heights = self._offsets_to_contact(pose, np.zeros(2), highest - pose.xyz[2]) + pose.xyz[2]
             at_goal = (self._is_at_height(heights, z) for z in self.slot.goals.xyz[:, 2])
             if any(at_goal) and not is_near_goal(pose, self.slot):
                 return True
         return False
 
-    def _offsets_to_contact(self, pose: Pose, lean: np.ndarray) -> np.ndarray:
-        """(2,) [m] the least and the most along z to first contact of a part that moves along (*lean, 1)."""
+    def _offsets_to_contact(self, pose: Pose, lean: np.ndarray, enough: float) -> np.ndarray:
+        """(2,) [m] the least and the most along z to first contact of a part that moves along (*lean, 1).
+
+        Where the most is more than `enough` [m], it is some of what is more.
+        """
         points, depth = surface_points(self.mesh, self.step), self.slot.depth
-        field = (self.columns, *self.corner, self.cell)
-        most, lowest = _offset_to_contact(points, pose.rotation_matrix(), pose.xyz, *field, *lean, depth)
+        field = (self.columns, self.sides, *self.corner, self.cell)
+        limit = enough - self.step + ROUNDING
+        most, lowest = _offset_to_contact(points, pose.rotation_matrix(), pose.xyz, *field, *lean, depth, limit)
         # contact is no lower than where the lowest point of the part is on the floor
         return np.array([-depth - lowest - self.step, most + self.step])
 
+    def _height_above(self, goal: float) -> float:
+        """[m] up to which a part is at a goal of a height [m]."""
+        return goal + height_limit(self.slot) - BISECTION_STEP
+
     def _is_at_height(self, heights: np.ndarray, goal: float) -> bool:
         return bool(np.abs(heights - goal).max() <= height_limit(self.slot) - BISECTION_STEP)
+
+
+def _lowest_of_neighbours(columns: np.ndarray) -> np.ndarray:
+    """(nx, ny) the least of each cell and its neighbours."""
+    padded = np.pad(columns, 1, constant_values=np.inf)
+    lines = np.minimum(np.minimum(padded[:-2], padded[1:-1]), padded[2:])
+    return np.minimum(np.minimum(lines[:, :-2], lines[:, 1:-1]), lines[:, 2:])
 
 
 @lru_cache(maxsize=4)
@@ -158,46 +180,48 @@ def _spread(triangles, step):
 
 
 @compiled
-def _offset_to_contact(points, rotation, shift, tops, x0, y0, cell, lean_x, lean_y, depth):
+def _offset_to_contact(points, rotation, shift, tops, sides, x0, y0, cell, lean_x, lean_y, depth, enough):
     """[m] along z that takes moved points to first contact with columns when they move along (lean_x, lean_y, 1).
 
-    Also returns the height [m] of the lowest point. rotation (3, 3), shift (3,): of the points. tops: (nx, ny) [m] of
-    the columns, which reach down to -depth; beside them the plate's top is at 0.
+    Also returns the height [m] of the lowest point; both of fewer points where the contact is above `enough` [m].
+    rotation (3, 3), shift (3,): of the points. tops, sides: (nx, ny) [m] of the columns, which reach down to -depth;
+    beside them the plate's top is at 0.
     """
     nx, ny = tops.shape
-    seen = np.empty((nx, ny))  # the highest point of the columns that is seen along the direction, where it meets z = 0
-    seen[:] = -depth
+    seen = tops  # the highest point of the columns that is seen along the direction, where it meets z = 0
     most = max(abs(lean_x), abs(lean_y))
-    down = cell / (2 * most) if most > 1e-9 else np.inf
-    for i in range(nx):
-        for j in range(ny):
-            top = tops[i, j]
-            floor = top  # of the lowest of the neighbours: below it the column's side is hidden
+    if most > 1e-9:
+        seen = np.empty((nx, ny))
+        for i in range(nx):
+            for j in range(ny):
+                seen[i, j] = -depth
+        down, right, ahead = cell / (2 * most), lean_x / cell, lean_y / cell
+        for i in range(nx):
+            for j in range(ny):
+                z = tops[i, j]
+                while z > -depth:
+                    p, q = i + round(-z * right), j + round(-z * ahead)
+                    if 0 <= p < nx and 0 <= q < ny and seen[p, q] < z:
+                        seen[p, q] = z
+                    z -= down
+                    if z <= sides[i, j]:
+                        break
+    best, lowest = -np.inf, np.inf
+    for every in (FEW, 1):
+        for k in range(0, points.shape[0], every):
+            u, v, w = points[k, 0], points[k, 1], points[k, 2]
+            z = rotation[2, 0] * u + rotation[2, 1] * v + rotation[2, 2] * w + shift[2]
+            lowest = min(lowest, z)
+            if -z <= best:
+                continue
+            x = rotation[0, 0] * u + rotation[0, 1] * v + rotation[0, 2] * w + shift[0]
+            y = rotation[1, 0] * u + rotation[1, 1] * v + rotation[1, 2] * w + shift[1]
+            i = round((x - z * lean_x - x0) / cell)
+            j = round((y - z * lean_y - y0) / cell)
             for di in range(-1, 2):
                 for dj in range(-1, 2):
-                    if 0 <= i + di < nx and 0 <= j + dj < ny:
-                        floor = min(floor, tops[i + di, j + dj])
-            z = top
-            while True:
-                p, q = i + round(-z * lean_x / cell), j + round(-z * lean_y / cell)
-                if 0 <= p < nx and 0 <= q < ny and seen[p, q] < z:
-                    seen[p, q] = z
-                z -= down
-                if z <= floor:
-                    break
-    best, lowest = -np.inf, np.inf
-    for k in range(points.shape[0]):
-        u, v, w = points[k, 0], points[k, 1], points[k, 2]
-        z = rotation[2, 0] * u + rotation[2, 1] * v + rotation[2, 2] * w + shift[2]
-        lowest = min(lowest, z)
-        if -z <= best:
-            continue
-        x = rotation[0, 0] * u + rotation[0, 1] * v + rotation[0, 2] * w + shift[0]
-        y = rotation[1, 0] * u + rotation[1, 1] * v + rotation[1, 2] * w + shift[1]
-        i = round((x - z * lean_x - x0) / cell)
-        j = round((y - z * lean_y - y0) / cell)
-        for di in range(-1, 2):
-            for dj in range(-1, 2):
-                inside = 0 <= i + di < nx and 0 <= j + dj < ny
-                best = max(best, (seen[i + di, j + dj] if inside else 0.0) - z)
+                    inside = 0 <= i + di < nx and 0 <= j + dj < ny
+                    best = max(best, (seen[i + di, j + dj] if inside else 0.0) - z)
+            if best > enough:
+                return best, lowest
     return best, lowest
