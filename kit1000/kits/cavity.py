@@ -70,11 +70,22 @@ def cut_cavity(part: PartShadows, clearance: float, width: tuple[float, float], 
     grown = grown_sweep(part, clearance, detail)
     thin_walls, probes = _remove_thin_walls(grown, shadows, depth + RIM_OVERSHOOT, width)
     solid = Manifold.batch_boolean([grown, *thin_walls], OpType.Add) if thin_walls else grown
-    removed_volume = (solid - grown).trim_by_plane((0, 0, -1), -depth).volume() if thin_walls else 0.0
+    removed_volume = _removed_volume(solid, grown, depth, detail) if thin_walls else 0.0
     removed_count = sum(piece.area() > MIN_WALL_AREA for piece in probes[-1].removed_walls.decompose())
-    filled = part.standing.trim_by_plane((0, 0, -1), -depth).volume()
+    filled = _below(part.standing, depth).volume()
     undercut = max(_swept_volume(shadows) - filled, 0.0)
     return Cavity(depth, solid, tuple(probes), removed_count, removed_volume, undercut)
+
+
+def _removed_volume(solid: Manifold, grown: Manifold, depth: float, detail: Detail) -> float:
+    """[m^3] below the rim of a cavity that is not in the grown sweep; of files, whose last digits are free, quickly."""
+    if detail.sectors:
+        return _below(solid, depth).volume() - _below(grown, depth).volume()
+    return _below(solid - grown, depth).volume()
+
+
+def _below(solid: Manifold, z: float) -> Manifold:
+    return solid.trim_by_plane((0, 0, -1), -z)
 
 
 def _swept_volume(shadows: tuple[Shadow, ...]) -> float:

@@ -53,7 +53,7 @@ def grown_sweep(part: PartShadows, clearance: float, detail: Detail = MERGED) ->
         for z, outline in zip(levels, outlines, strict=True)
         if not outline.is_empty()  # a sliver of a face that Clipper rounds away
     ]
-    hulls = [convex_hull(_swept_corners(patch, disc, next(tops))) for patch, disc in exposed]
+    hulls = [convex_hull(_swept_corners(patch, disc, next(tops), detail.sectors)) for patch, disc in exposed]
     swept = Manifold.batch_boolean(prisms + hulls, OpType.Add)
     if swept.is_empty():
         raise Redraw(f"no underside to sweep ({swept.status().name})")
@@ -104,10 +104,17 @@ class _LowerSweep:
         )
 
 
-def _swept_corners(patch: np.ndarray, disc: np.ndarray, top: float) -> np.ndarray:
-    """(n, 3) [m] corners of a patch, each grown to a level disc, at their own height and at the top."""
+def _swept_corners(patch: np.ndarray, disc: np.ndarray, top: float, few: bool) -> np.ndarray:
+    """(n, 3) [m] corners of a patch, each grown to a level disc, at their own height and at the top.
+
+    few: at the top only those of their outline, which have the same hull; it is found as fast, but its corners come in
+    another order, and so do those of kits.
+    """
     low = (patch[:, None] + np.concatenate([disc, np.zeros((len(disc), 1))], 1)).reshape(-1, 3)
-    return np.concatenate([low, np.concatenate([low[:, :2], np.full((len(low), 1), top)], 1)])
+    above: Any = low[:, :2]
+    if few:
+        above = CrossSection.hull_points(above).to_polygons()[0]
+    return np.concatenate([low, np.concatenate([above, np.full((len(above), 1), top)], 1)])
 
 
 def _grown_outline(triangles: np.ndarray, polygon: np.ndarray) -> CrossSection:
