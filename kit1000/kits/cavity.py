@@ -11,6 +11,7 @@ metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold, OpType
@@ -47,10 +48,24 @@ class Cavity:
     """The cavity at several heights, lowest first, the last just below the rim."""
     removed_wall_count: int
     """Number of thin walls, fins and posts removed, counted at the rim."""
-    removed_wall_volume: float
-    """[m^3] of thin walls removed."""
-    undercut_volume: float
-    """[m^3] below the rim that the part sweeps but does not fill."""
+    grown: Manifold
+    """The grown sweep: the solid with its thin walls."""
+    part: PartShadows
+    detail: Detail
+
+    @cached_property
+    def removed_wall_volume(self) -> float:
+        """[m^3] of thin walls removed; of files, whose last digits are free, a difference of volumes."""
+        if self.grown is self.solid:
+            return 0.0
+        if self.detail.sectors:
+            return _below(self.solid, self.depth).volume() - _below(self.grown, self.depth).volume()
+        return _below(self.solid - self.grown, self.depth).volume()
+
+    @cached_property
+    def undercut_volume(self) -> float:
+        """[m^3] below the rim that the part sweeps but does not fill."""
+        return max(_swept_volume(self.part.shadows) - _below(self.part.standing, self.depth).volume(), 0.0)
 
 
 def insertion_depth(height: float) -> float:
@@ -70,18 +85,8 @@ def cut_cavity(part: PartShadows, clearance: float, width: tuple[float, float], 
     grown = grown_sweep(part, clearance, detail)
     thin_walls, probes = _remove_thin_walls(grown, shadows, depth + RIM_OVERSHOOT, width)
     solid = Manifold.batch_boolean([grown, *thin_walls], OpType.Add) if thin_walls else grown
-    removed_volume = _removed_volume(solid, grown, depth, detail) if thin_walls else 0.0
     removed_count = sum(piece.area() > MIN_WALL_AREA for piece in probes[-1].removed_walls.decompose())
-    filled = _below(part.standing, depth).volume()
-    undercut = max(_swept_volume(shadows) - filled, 0.0)
-    return Cavity(depth, solid, tuple(probes), removed_count, removed_volume, undercut)
-
-
-def _removed_volume(solid: Manifold, grown: Manifold, depth: float, detail: Detail) -> float:
-    """[m^3] below the rim of a cavity that is not in the grown sweep; of files, whose last digits are free, quickly."""
-    if detail.sectors:
-        return _below(solid, depth).volume() - _below(grown, depth).volume()
-    return _below(solid - grown, depth).volume()
+    return Cavity(depth, solid, tuple(probes), removed_count, grown, part, detail)
 
 
 def _below(solid: Manifold, z: float) -> Manifold:

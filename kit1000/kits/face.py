@@ -15,6 +15,7 @@ from scipy.spatial import ConvexHull
 
 from kit1000.kits.envelope import polar_relief
 from kit1000.mesh import Mesh
+from kit1000.numerics.compiled import compiled
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.pose import Pose, quaternion_between, quaternion_from_rotvec
 from kit1000.symmetry import Symmetry
@@ -158,16 +159,32 @@ def _yaw_contrast(mesh: Mesh, face: RestingFace, depth: float, clearance: float,
     """
     relief, cavity, weights = polar_relief(mesh.moved(face.plane_from_part), depth, clearance)
     columns = relief.shape[1]
-    rotated = relief[:, (np.arange(columns)[:, None] - np.arange(columns)) % columns]  # (rings, columns, yaws)
-    overlap = np.maximum(rotated - cavity[:, :, None] - min(TIP_RISE, depth / 3), 0).sum(1)
+    overlap, difference = _at_all_yaws(relief, cavity, min(TIP_RISE, depth / 3))
     mean_overlap = matmul(weights, overlap) / (weights.sum() * columns)  # (yaws,)
     yaws = np.arange(columns) * (2 * np.pi / columns)
     rotations = quaternion_from_rotvec(-yaws[:, None] * face.normal)  # the normal points down: opposite sense
-    same = matmul(weights, np.abs(rotated - relief[:, :, None]).sum(1)) < SAME_RELIEF_SHARE * matmul(
-        weights, relief.sum(1)
-    )
+    same = matmul(weights, difference) < SAME_RELIEF_SHARE * matmul(weights, relief.sum(1))
     wrong = (symmetry.error(rotations, np.array([1.0, 0, 0, 0])) > WRONG_YAW) & ~same
     return float(mean_overlap[wrong].min() + 0.01 * mean_overlap.mean()) if wrong.any() else np.inf
+
+
+@compiled
+def _at_all_yaws(relief, cavity, rise):
+    """(rings, yaws) [m] how far a relief (rings, columns), rotated by each yaw, exceeds a cavity by more than a rise.
+
+    Also returns how far it differs from the relief. Both are sums over the columns, in their order.
+    """
+    rings, columns = relief.shape
+    overlap, difference = np.empty((rings, columns)), np.empty((rings, columns))
+    for ring in range(rings):
+        for yaw in range(columns):
+            beyond, apart = 0.0, 0.0
+            for column in range(columns):
+                rotated = relief[ring, (column - yaw) % columns]
+                beyond += max(rotated - cavity[ring, column] - rise, 0.0)
+                apart += abs(rotated - relief[ring, column])
+            overlap[ring, yaw], difference[ring, yaw] = beyond, apart
+    return overlap, difference
 
 
 def _rolls_to(vertices: np.ndarray, hull: ConvexHull) -> np.ndarray:

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,8 +24,9 @@ from kit1000.parts.files.obj_and_off import read_obj, read_off
 from kit1000.parts.files.ply_elements import read_ply
 from kit1000.parts.files.soup import Cut, TriangleSoup, joined
 from kit1000.parts.files.stl_dialects import read_stl
-from kit1000.parts.files.threemf.placing import Built, read_threemf
-from kit1000.parts.files.threemf.roles import NEGATIVE
+
+if TYPE_CHECKING:
+    from kit1000.parts.files.threemf.placing import Built
 
 MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".3mf", ".glb", ".gltf", ".step", ".stp")
 STEP_SUFFIXES = (".step", ".stp")
@@ -109,6 +111,8 @@ def _check_archive(data: bytes) -> None:
 def _read_3mf(data: bytes) -> TriangleSoup:
     check_foreign(data, archive=True)
     _check_archive(data)
+    from kit1000.parts.files.threemf.placing import read_threemf  # only here: other formats need no reader of XML
+
     built = read_threemf(data, MAX_FACES)
     lattice = "a beam lattice, which has no triangles"
     if not any(len(volume.faces) for volume in built.volumes) and built.has_lattice:
@@ -119,6 +123,8 @@ def _read_3mf(data: bytes) -> TriangleSoup:
 
 def _soup_of_volumes(built: Built, notes: tuple[str, ...]) -> TriangleSoup:
     """The volumes as one soup; negative ones are subtracted from the parts before them in their item alone."""
+    from kit1000.parts.files.threemf.roles import NEGATIVE
+
     vertices, _ = joined([(volume.vertices, volume.faces) for volume in built.volumes])
     starts = np.cumsum([0, *(len(volume.vertices) for volume in built.volumes)]).tolist()
     runs: dict[int, list[tuple[str, list[np.ndarray]]]] = {}
