@@ -17,7 +17,8 @@ from kit1000.dataset.reader import RecordedScene
 from kit1000.dataset.schema import Observation
 from kit1000.dataset.tables import FORMAT
 from kit1000.files import with_checksum, write_json
-from kit1000.pictures.scene_preview import png_bytes, scene_picture
+from kit1000.pictures.png_files import png_bytes
+from kit1000.pictures.scene_preview import scene_picture
 from kit1000.sim.sensors import DEPTH_GRID
 from kit1000.values import FIRST_PART_LABEL, LabelledDepth, View
 

@@ -16,7 +16,8 @@ from kit1000.errors import InputError
 from kit1000.export.new_folder import new_folder
 from kit1000.files import json_bytes, with_checksum, write_bytes, write_json
 from kit1000.perception.sensor_facts import KEY, key_of
-from kit1000.pictures.scene_preview import png_bytes, scene_picture
+from kit1000.pictures.png_files import png_bytes
+from kit1000.pictures.scene_preview import scene_picture
 from kit1000.queries.pivots import part_pivots
 from kit1000.queries.tracks import query_id
 

@@ -27,7 +27,8 @@ from kit1000.files import check_writable, is_url, json_bytes, locked, read_json,
 from kit1000.generation.dataset_summary import description_files, summary_bytes
 from kit1000.generation.presets import Preset
 from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS
-from kit1000.pictures.scene_preview import png_bytes, scene_picture
+from kit1000.pictures.png_files import png_bytes
+from kit1000.pictures.scene_preview import scene_picture
 from kit1000.rng import MIN_SECRET_ROOT, ROOT_LIMIT
 
 HIDDEN_SPLIT = "test"

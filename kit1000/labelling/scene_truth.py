@@ -21,7 +21,8 @@ from kit1000.errors import InputError
 from kit1000.labelling.known_kits import KITS, KnownKits
 from kit1000.labelling.label_records import LabelRecord
 from kit1000.labelling.real_queries import real_queries
-from kit1000.pictures.scene_preview import png_bytes, scene_picture, with_previews
+from kit1000.pictures.png_files import png_bytes
+from kit1000.pictures.scene_preview import scene_picture, with_previews
 from kit1000.pose import Pose
 from kit1000.queries.pivots import part_pivots
 from kit1000.sim.footprints import footprint, footprint_distance

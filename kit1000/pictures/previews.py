@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from PIL import Image
-from PIL.PngImagePlugin import PngInfo
 
 from kit1000.kits.seating import HOVER
+from kit1000.pictures.png_files import QUICK_COMPRESSION, png_bytes
 from kit1000.pictures.shading import (
     FINE,
     KIT,
@@ -25,10 +24,12 @@ from kit1000.pictures.shading import (
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Part
 
+if TYPE_CHECKING:
+    from PIL import Image
+
 TILE_SIZE = (420, 340)  # [px] of a tile of a contact sheet
 PREVIEW_SIZE = (1024, 512)  # [px]
 LIFT_SHARE = 0.45  # of HOVER: height of a part above its cavity
-COMPRESSION = 3  # of a PNG, 0 to 9: a tenth larger than by the usual 6, in half the time
 PAIR_SPACING = 1.15  # between the two kits of a preview, in plate widths
 
 
@@ -83,9 +84,4 @@ def _picture(bodies: list[ColouredBody], size: tuple[int, int], quality: Quality
 
 
 def _png(image: np.ndarray | Image.Image) -> bytes:
-    buffer = io.BytesIO()
-    picture = image if isinstance(image, Image.Image) else Image.fromarray(image)
-    about = PngInfo()
-    about.add_text("Software", "kit1000")
-    picture.save(buffer, "PNG", compress_level=COMPRESSION, pnginfo=about)
-    return buffer.getvalue()
+    return png_bytes(np.asarray(image), QUICK_COMPRESSION, software="kit1000")

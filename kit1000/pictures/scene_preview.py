@@ -7,8 +7,6 @@ is that of zlib.
 from __future__ import annotations
 
 import io
-import struct
-import zlib
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +18,7 @@ from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
 from kit1000.pictures.depth_shading import CELL, line_cover, relief_light
+from kit1000.pictures.png_files import png_bytes
 from kit1000.pictures.shading import KIT, Colour, part_colour
 from kit1000.pose import Pose
 from kit1000.sim.render import render
@@ -34,7 +33,6 @@ MARK_INNER, MARK_OUTER = 2, 5  # [px of the depth image] from a part to both bor
 GOAL_LINE = 3  # [px of the depth image] width of the outline of a goal
 GHOST = 40  # percent: opacity of the target at its goals
 MARGIN = 8  # [px of the depth image] around what is drawn over a picture
-COMPRESSION = 6  # of zlib; higher levels take five times as long for 3 % less
 
 
 def with_previews(observation: Observation, truth: SceneTruth, mesh: Mesh) -> tuple[Observation, SceneTruth]:
@@ -91,17 +89,6 @@ def with_goals(picture: np.ndarray, view: View, mesh: Mesh, world_from_parts: Po
     _blend(area, inside & ~outlines, part_colour(part), GHOST)
     _blend(area, outlines, part_colour(part), 100)
     return goals
-
-
-def png_bytes(picture: np.ndarray) -> bytes:
-    """A PNG of a picture (H, W, 3) uint8 sRGB, without filters: so its areas of one colour compress best."""
-    height, width = picture.shape[:2]
-    rows = np.concatenate([np.zeros((height, 1), np.uint8), picture.reshape(height, -1)], axis=1)
-    header = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)  # 8 bits, RGB
-    chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), COMPRESSION)), (b"IEND", b""))
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
-    )
 
 
 def _primary_view(observation: Observation) -> View:

@@ -9,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from PIL import Image, ImageDraw, ImageFont
 
 from kit1000.camera import Camera, look_at
 from kit1000.engines.cores import usable_cores
@@ -24,6 +23,9 @@ from kit1000.pictures.creases import draw_lines, smooth_patches
 from kit1000.pose import Pose
 from kit1000.sim.raster import Intrinsics
 from kit1000.sim.render import render
+
+if TYPE_CHECKING:
+    from PIL import Image, ImageFont
 
 Colour = tuple[int, int, int]
 
@@ -185,6 +187,8 @@ def contact_sheet(
     background: Colour = PAPER,
 ) -> Image.Image:
     """Arrange pictures in rows, a caption under each; cells have the size of the largest picture."""
+    from PIL import Image, ImageDraw, ImageFont  # only here: one picture needs none of them
+
     if len(images) != len(labels):
         raise InputError(f"contact_sheet: {len(images)} images but {len(labels)} labels")
     if not images:

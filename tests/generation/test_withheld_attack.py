@@ -20,7 +20,8 @@ from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter
 from kit1000.dataset.reader import Dataset
 from kit1000.generation.presets import PRESETS
 from kit1000.generation.withhold import withheld_preset
-from kit1000.pictures.scene_preview import png_bytes, same_picture, scene_picture
+from kit1000.pictures.png_files import png_bytes
+from kit1000.pictures.scene_preview import same_picture, scene_picture
 from kit1000.pose import Pose, random_quaternions
 from kit1000.queries.guesses import MAX_ANGLE, MAX_OFFSET, draw_ball_error, draw_tilt_error
 from kit1000.queries.motions import apply_error, error_of

@@ -18,11 +18,11 @@ from kit1000.dataset.schema import Observation, SceneTruth
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.pictures.depth_shading import BOUNCE_SHARE, KEY_LIGHT, KEY_SHARE, SKY, SKY_SHARE, line_cover, relief_light
+from kit1000.pictures.png_files import png_bytes
 from kit1000.pictures.scene_preview import (
     MARK,
     NOTHING,
     TABLE,
-    png_bytes,
     same_picture,
     scene_picture,
     with_goals,
