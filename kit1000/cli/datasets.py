@@ -138,7 +138,7 @@ class Show:
         from kit1000.dataset.geometry import Geometry
         from kit1000.dataset.reader import Dataset
         from kit1000.export.recording import write_scene_recording
-        from kit1000.files import check_own_mark, write_own
+        from kit1000.files import check_own_mark, check_writable, write_own
         from kit1000.pictures.dataset_sheets import geometry_sheet, scene_sheet
 
         if self.count < 1:
@@ -151,6 +151,9 @@ class Show:
         if not recording and (self.truth or self.predictions is not None):
             raise InputError(f"--out {self.out}: --truth and --predictions are for a recording; name a file .mcap")
         check_own_mark(self.out)
+        check_writable(self.out.parent)
+        if self.out.is_dir():
+            raise InputError(f"cannot write {self.out}: Is a directory")
         if self.scene is None or self.truth:
             need_truth(self.data, "show without --scene" if self.scene is None else "show --truth")
         if self.scene is None:

@@ -20,6 +20,7 @@ from kit1000.values import View
 
 SCENE_TILE = (960, 540)  # [px] of one picture of a scene
 BORDER = 1.12  # size of the window around all bodies, relative to their extents
+ONE_OF = {"parts": "part", "kits": "kit", "assemblies": "assembly"}  # loaders of geometry
 GUESS_TRACKS = ("snap-tilt", "snap")  # the guesses of the first that has queries about the scene are shown
 
 
@@ -29,6 +30,9 @@ def geometry_sheet(geometry: Geometry, what: str, split: str, count: int, ids: S
     chosen = list(ids) or _evenly_chosen(sorted(i for i, row in rows.items() if row["split"] == split), count)
     if not chosen:
         raise InputError(f"{geometry.root}: no {what} in split {split!r}")
+    for item_id in chosen:
+        if item_id not in rows:
+            getattr(geometry, ONE_OF[what])(item_id)  # raises, with what there is, before anything is drawn
     return contact_sheet_png(
         [_tile(geometry, what, item_id) for item_id in chosen], [_label(geometry, what, i) for i in chosen]
     )

@@ -29,6 +29,7 @@ from kit1000.kits.choice import Attempt
 from kit1000.kits.kit import design_kit
 from kit1000.mesh import Mesh
 from kit1000.parts.family import part_of_mesh
+from kit1000.pictures import previews
 from tests.samples.checkout import ROOT
 from tests.samples.mini import MINI, fake_scene, file_hashes, l_shape, l_shape_sources, write_stl
 
@@ -126,6 +127,23 @@ WRONG = {  # by what is typed: facts of the answer
     "verify {data} --sample -1": "--sample: expected 0 or more, got -1",
     "export {tmp} --out {tmp}/out": "{tmp}: no dataset (no dataset.json in it)",
 }
+
+
+@pytest.mark.parametrize(
+    ("line", "fact"),
+    [
+        ("--ids test-0000 x", "no 'x' among 4 assemblies"),
+        ("--what kits --ids x", "no 'x' among"),
+        ("--out {files}", "Is a directory"),
+        ("--out {files}/good.stl/sheet.png", "Not a directory"),
+    ],
+)
+def test_show_refuses_before_it_draws(
+    line: str, fact: str, data: Path, files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(previews, "shaded_picture", None)
+    assert main(["show", str(data), *line.replace("{files}", str(files)).split()]) == 2
+    assert fact in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("quick_pictures")
