@@ -108,3 +108,15 @@ def test_an_unknown_area_is_answered_with_the_known_ones() -> None:
     assert re.fullmatch(r".*no tests of kit: AREA is one of .*\bkits labelling metrics\b.*\n", done.stderr)
     known = done.stderr.partition("one of ")[2].rstrip(". Stop\n").split()
     assert known == FOLDERS
+
+
+def test_every_long_test_is_there() -> None:
+    named = [line.partition("::") for line in (TESTS / "long.txt").read_text(encoding="utf-8").split()]
+    assert named == sorted(named)
+    found = {
+        (path.relative_to(ROOT).as_posix(), node.name)
+        for path in FILES
+        for node in tree(path).body
+        if isinstance(node, ast.FunctionDef)
+    }
+    assert not [f"{path}::{name}" for path, _, name in named if (path, name) not in found]
