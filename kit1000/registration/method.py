@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import chain
@@ -131,26 +131,34 @@ class Registration:
         return self.clearances or stated_clearances(self.dataset)
 
     def certain_fits(self, query: Query, image: SharedImage, thorough: bool = True) -> list[Fit]:
-        """All fits by what the image makes certain. thorough: further candidates are refined while none fits well."""
-        source = self._source(query, image)
+        """All fits by what the image makes certain. thorough: further candidates are refined while none fits well.
+
+        Of several guesses at what holes of the part show that counts whose best fit has the least misfit: a wrong
+        shape fits no cavity.
+        """
         further = thorough and len(self._clearances) == 1  # at a wrong clearance every fit is doubtful
-        return ranked(chain.from_iterable(register_certain(source, source.query, c, further) for c in self._clearances))
+        sources = self._sources(query, image)
+        return min((_fits(source, self._clearances, further) for source in sources), key=least_misfit)
 
     def _fits_at_best_clearance(self, query: Query, image: SharedImage) -> list[Fit]:
         """The fits at the clearance whose best fit has the least misfit; at that one further candidates are refined."""
-        source = self._source(query, image)
-        quick = {c: register_certain(source, source.query, c, further=False) for c in self._clearances}
+        first, *others = self._sources(query, image)
+        quick = {c: register_certain(first, first.query, c, further=False) for c in self._clearances}
         best = min(quick, key=lambda clearance: least_misfit(quick[clearance]))
-        fits = ranked(register_certain(source, source.query, best))
+        fits = min((_fits(source, (best,)) for source in (first, *others)), key=least_misfit)
         if query.guess is not None:
             return fits
-        others = (self._source(other, image) for other in _other_parts(query))
-        return assigned(fits, (register_certain(o, o.query, best, further=False) for o in others), self._kind(query))
+        rest = (self._sources(other, image)[0] for other in _other_parts(query))
+        return assigned(fits, (_fits(source, (best,), further=False) for source in rest), self._kind(query))
 
-    def _source(self, query: Query, image: SharedImage) -> DepthSource:
+    def _sources(self, query: Query, image: SharedImage) -> list[DepthSource]:
+        """What registration reads of a query, by each guess at what holes of the part show."""
+        return [self._source(query, image, columns) for columns in image.guesses]
+
+    def _source(self, query: Query, image: SharedImage, columns: bool) -> DepthSource:
         """What registration reads of a query, calibrated and restored."""
-        kind = self._kind(query)
-        query = replace(query, read_image=lambda: image.restored(FIRST_PART_LABEL + query.part))
+        kind, label = self._kind(query), FIRST_PART_LABEL + query.part
+        query = replace(query, read_image=lambda: image.restored(label, columns))
         return DepthSource(
             query,
             self.completer(query.sensor),
@@ -160,6 +168,11 @@ class Registration:
             gain=image.gain,
             cavities=image.cavities,
         )
+
+
+def _fits(source: DepthSource, clearances: Sequence[float], further: bool = True) -> list[Fit]:
+    """The fits of a source at some clearances [m], the best first. further: see `register_certain`."""
+    return ranked(chain.from_iterable(register_certain(source, source.query, c, further) for c in clearances))
 
 
 def stated_clearances(dataset: Dataset) -> tuple[float, ...]:

@@ -7,12 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from scipy.ndimage import binary_erosion
 
 from kit1000.camera import look_at
 from kit1000.mesh import Mesh
 from kit1000.perception.restoration import restored, restored_query
-from kit1000.perception.restoration.rules import GAP
+from kit1000.perception.restoration.rules import GAP, close_gaps
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA
@@ -113,6 +116,20 @@ def test_gaps_take_the_farther_side_and_wide_ones_stay(ring: LabelledDepth) -> N
     closed = restored(holed, "d415").view.depth[row]
     assert (closed[first + 12 : first + 12 + GAP] > 0).all()
     assert (closed[last - 12 - 2 * GAP : last - 12 - GAP] == 0).all()
+
+
+@given(image=arrays(np.float32, (9, 11), elements=st.sampled_from([0.0, 0.0, 0.5, 0.6, 0.7])))
+def test_gaps_closed_along_columns_too_are_the_farther_of_both_ways(image: np.ndarray) -> None:
+    """And the same on the transposed image; what returned stays."""
+    mask = np.ones(image.shape, bool)
+    rows, columns, both, transposed = image.copy(), image.T.copy(), image.copy(), image.T.copy()
+    close_gaps(rows, mask)
+    close_gaps(columns, mask.T)
+    close_gaps(both, mask, columns=True)
+    close_gaps(transposed, mask.T, columns=True)
+    np.testing.assert_array_equal(both, np.maximum(rows, columns.T))
+    np.testing.assert_array_equal(both, transposed.T)
+    np.testing.assert_array_equal(both[image > 0], image[image > 0])
 
 
 def test_a_moved_world_changes_nothing_in_the_image(ring: LabelledDepth) -> None:

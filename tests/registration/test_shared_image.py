@@ -73,3 +73,27 @@ def test_cavities_are_found_once_and_the_fits_stay(mini: Path, track: str, monke
     assert [fit.misfit for fit in alone] == [fit.misfit for fit in together[-1]]
     places = [[fit.goal_from_now.xyz.tolist() for fit in fits] for fits in (alone, together[-1])]
     assert places[0] == places[1]
+
+
+def test_of_two_guesses_at_the_holes_of_a_part_that_counts_which_fits_better(
+    mini: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    query = query_of(mini, "snap")
+    depth = query.image.view.depth.copy()
+    rows, columns = np.nonzero(query.part_mask)
+    depth[rows[::3], columns[::3]] = 0
+    image = LabelledDepth(replace(query.image.view, depth=depth), query.image.labels)
+    query = replace(query, sensor="photoneo", read_image=lambda: image)
+    method = Registration(Dataset(mini))
+
+    def misfits() -> list[float]:
+        return [fit.misfit for fit in method.certain_fits(query, SharedImage(image, "photoneo"))]
+
+    assert [len(SharedImage(image, sensor).guesses) for sensor in ("ideal", "d415", "photoneo")] == [1, 1, 2]
+    both, alone = misfits(), []
+    for guess in (False, True):
+        monkeypatch.setattr(SharedImage, "guesses", (guess,))
+        alone.append(misfits())
+    assert alone[0] != alone[1]
+    assert both in alone
+    assert both[0] == min(alone[0][0], alone[1][0])

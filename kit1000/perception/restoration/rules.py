@@ -5,7 +5,8 @@ to edges is part of its own (docs/reference/sensors.md). An ideal image stays as
 
 1. Camera pose and depth scale are corrected by the table, whose pixels are put on its plane (`perception.calibration`).
 2. Pixels of a body without a return are shadows of the second imager: they take the farther depth of their row. On
-   kits in a scanner's image they stay.
+   kits in a scanner's image they stay; on parts there, where steep walls return nothing either, that of their column is
+   another guess.
 3. A near surface that was fattened over a far one is cut back by about the mean extension. The far surface is continued
    parallel to the table.
 """
@@ -51,18 +52,23 @@ def calibrated_image(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
     return LabelledDepth(view, image.labels)
 
 
-def restored_edges(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
-    """A calibrated image with its table on its plane and the edges where they should be; the same one if ideal."""
+def restored_edges(image: LabelledDepth, sensor: AnySensor, columns: bool = False) -> LabelledDepth:
+    """A calibrated image with its table on its plane and the edges where they should be; the same one if ideal.
+
+    columns: see `close_gaps`.
+    """
     if sensor == "ideal":
         return image
-    closed = closed_gaps(image, table_is_simulated(sensor), kits=needs_restoring(sensor))
+    closed = closed_gaps(image, table_is_simulated(sensor), kits=needs_restoring(sensor), columns=columns)
     depth, ground = closed.view.depth.copy(), ground_inverse_depth(closed.view)
     for box, mask in _bodies(image.labels):
         _cut_back(depth[box], mask, ground[box], closed.view.camera.fx, model_of(sensor))
     return LabelledDepth(replace(closed.view, depth=depth), image.labels)
 
 
-def closed_gaps(image: LabelledDepth, simulated: bool = True, kits: bool = True) -> LabelledDepth:
+def closed_gaps(
+    image: LabelledDepth, simulated: bool = True, kits: bool = True, columns: bool = False
+) -> LabelledDepth:
     """A calibrated image with its table on its plane, and narrow shadows on bodies filled from beside.
 
     Args:
@@ -70,11 +76,12 @@ def closed_gaps(image: LabelledDepth, simulated: bool = True, kits: bool = True)
         simulated: whether the table is that of generated scenes.
         kits: whether those on kits are filled too: on a tilted floor a depth from beside is off by millimetres, and
             where edges are sharp, what is unknown does less harm.
+        columns: see `close_gaps`.
     """
     view = flattened(image.view, image.labels, simulated)
     depth = view.depth.copy()
     for box, mask in _bodies(image.labels if kits else np.where(image.labels == ASSEMBLY_LABEL, 0, image.labels)):
-        close_gaps(depth[box], mask)
+        close_gaps(depth[box], mask, columns)
     return LabelledDepth(replace(view, depth=depth), image.labels)
 
 
@@ -98,19 +105,28 @@ def ground_inverse_depth(view: View, step: int = 1) -> np.ndarray:
     return np.maximum(across + along[:, None] + down[2], 1e-6) / height
 
 
-def close_gaps(depth: np.ndarray, mask: np.ndarray) -> None:
+def close_gaps(depth: np.ndarray, mask: np.ndarray, columns: bool = False) -> None:
     """Give masked pixels without return, in gaps of at most GAP along a row, the farther depth of the two sides.
 
     Such gaps are shadows of the sensor's projector or its second camera: they belong to the farther surface.
+
+    columns: whether the farthest depth of all four sides counts, with those along a column.
     """
     known = mask & (depth > 0)
+    farther = _farther(depth, known)
+    if columns:
+        farther = np.maximum(farther, _farther(depth.T, known.T).T)
+    depth[mask & ~known] = farther[mask & ~known]
+
+
+def _farther(depth: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """(H, W) [m]: the farther of the nearest known depths of a row on either side, at most GAP away; 0 without any."""
     columns = np.arange(depth.shape[1])
     left = np.maximum.accumulate(np.where(known, columns, -GAP - 1), axis=1)
     right = np.minimum.accumulate(np.where(known, columns, len(columns) + GAP)[:, ::-1], axis=1)[:, ::-1]
     sides = [np.where(np.abs(side - columns) <= GAP, side, -1) for side in (left, right)]
     rows = np.arange(len(depth))[:, None]
-    farther = np.maximum(*(np.where(side >= 0, depth[rows, side], 0) for side in sides))
-    depth[mask & ~known] = farther[mask & ~known]
+    return np.maximum(*(np.where(side >= 0, depth[rows, side], 0) for side in sides))
 
 
 def _cut_back(depth: np.ndarray, mask: np.ndarray, ground: np.ndarray, fx: float, sensor: Sensor) -> None:

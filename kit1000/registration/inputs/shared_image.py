@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kit1000.perception.restoration import calibrated_image, restored_edges
-from kit1000.perception.sensor_facts import AnySensor, gain_of, needs_restoring
+from kit1000.perception.sensor_facts import AnySensor, gain_of, key_of, needs_restoring
 from kit1000.registration.geometry.observed_cavity import Cavity
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 
@@ -40,10 +40,18 @@ class SharedImage:
         """Calibrated by the table."""
         return calibrated_image(self.recorded, self.sensor)
 
-    def restored(self, label: int) -> LabelledDepth:
-        """Calibrated, the edges of the kits and of the part of a label where they are."""
+    @property
+    def guesses(self) -> tuple[bool, ...]:
+        """The guesses at what the holes of a part show, each as the `columns` of `restored`."""
+        return (False, True) if key_of(self.sensor) == "photoneo" else (False,)
+
+    def restored(self, label: int, columns: bool = False) -> LabelledDepth:
+        """Calibrated, the edges of the kits and of the part of a label where they are.
+
+        columns: whether holes of parts that no network restores are closed along columns too.
+        """
         if self.restorer is None or not needs_restoring(self.sensor):
-            return self._by_rules
+            return self._with_columns if columns else self._by_rules
         if self._kits is None:
             image = self.restorer(self.measured, self.sensor, (ASSEMBLY_LABEL, label))
             self._kits = image.view
@@ -55,3 +63,7 @@ class SharedImage:
     @cached_property
     def _by_rules(self) -> LabelledDepth:
         return restored_edges(self.measured, self.sensor)
+
+    @cached_property
+    def _with_columns(self) -> LabelledDepth:
+        return restored_edges(self.measured, self.sensor, columns=True)
