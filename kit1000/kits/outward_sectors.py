@@ -1,9 +1,10 @@
-"""The directions in which each patch of an underside has to be grown: a sector of the disc in place of all of it.
+"""The directions in which each corner of an underside has to be grown: a sector of the disc in place of all of it.
 
 The cavity at a height z is the shadow S(z) grown by a disc. A point of it outside S(z) lies along an outward normal of
-S(z) from the nearest point of S(z). So a patch needs only the directions of the outward normals that S(z) can have at
-one of its corners: there they lie between the horizontal normals of the sloping faces that meet, and the normals of
-the border edges, seen from above. A patch with directions all around is grown by the whole disc.
+S(z) from the nearest point of S(z). So a corner needs only the directions of the outward normals that S(z) can have
+there: they lie between the horizontal normals of the sloping faces that meet, and the normals of the border edges, seen
+from above. Those along an edge or a face are directions of all its corners. A corner with directions all around is
+grown by the whole disc.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ ANGLE_SLACK = 1e-6  # [rad] by which a direction may lie beyond the sector's cor
 
 
 def disc_sectors(underside: Underside, is_sloping: np.ndarray, polygon: np.ndarray) -> list[np.ndarray]:
-    """For each patch (k, 2) [m] the points of the disc that it is grown by.
+    """For each corner (k, 2) [m] the points of the disc that it is grown by; of those of level faces alone, all.
 
     is_sloping: (m,) of the faces: the others are level, and grown elsewhere. polygon: (n, 2) [m] corners of the disc,
     the first along x, all equally spaced.
@@ -27,11 +28,7 @@ def disc_sectors(underside: Underside, is_sloping: np.ndarray, polygon: np.ndarr
     corner, angle = _outward_normals(underside, is_sloping)
     order = np.argsort(corner, kind="stable")
     angle, starts = angle[order], np.searchsorted(corner[order], np.arange(len(underside.corners) + 1))
-    sectors = []
-    for group in underside.groups:
-        own = [angle[starts[i] : starts[i + 1]] for i in np.unique(underside.faces[group])]
-        sectors.append(_sector(np.concatenate(own), polygon))
-    return sectors
+    return [_sector(angle[starts[i] : starts[i + 1]], polygon) for i in range(len(underside.corners))]
 
 
 def _outward_normals(underside: Underside, is_sloping: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -44,8 +44,7 @@ def grown_sweep(part: PartShadows, clearance: float, detail: Detail = MERGED) ->
     levels = np.unique(level_triangles[:, 0, 2])
     outlines = [_grown_outline(level_triangles[level_triangles[:, 0, 2] == z][..., :2], polygon) for z in levels]
     lower = _LowerSweep(part.standing, clearance, levels, outlines)
-    sloping = [(patch, disc) for patch, disc in _patches(triangles, level, detail, polygon) if _slopes(patch)]
-    exposed = [(patch, disc) for patch, disc in sloping if not lower.covers(patch, disc)]
+    exposed = [patch for patch in _grown_patches(triangles, level, detail, polygon) if not lower.covers(patch)]
     # each top at a height of its own: many coplanar tops would take most of the time of the union
     tops = iter(part.depth + RIM_OVERSHOOT + TOP_SPACING * np.arange(len(outlines) + len(exposed)))
     prisms = [
@@ -53,24 +52,26 @@ def grown_sweep(part: PartShadows, clearance: float, detail: Detail = MERGED) ->
         for z, outline in zip(levels, outlines, strict=True)
         if not outline.is_empty()  # a sliver of a face that Clipper rounds away
     ]
-    hulls = [convex_hull(_swept_corners(patch, disc, next(tops), detail.sectors)) for patch, disc in exposed]
+    hulls = [convex_hull(_swept_corners(patch, next(tops), detail.sectors)) for patch in exposed]
     swept = Manifold.batch_boolean(prisms + hulls, OpType.Add)
     if swept.is_empty():
         raise Redraw(f"no underside to sweep ({swept.status().name})")
     return swept
 
 
-def _patches(
+def _grown_patches(
     triangles: np.ndarray, level: np.ndarray, detail: Detail, polygon: np.ndarray
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Convex patches (k, 3) [m] of the underside, each with the points (n, 2) [m] of the disc that it is grown by."""
+) -> Iterator[np.ndarray]:
+    """Convex sloping patches of the underside, each corner grown to a level disc or its sector. (k, 3) [m]"""
     underside = merged_underside(triangles, detail)
-    whole = [polygon] * len(underside.groups)
-    return zip(underside.patches, disc_sectors(underside, ~level, polygon) if detail.sectors else whole, strict=True)
-
-
-def _slopes(patch: np.ndarray) -> bool:
-    return bool(np.ptp(patch[:, 2]) > LEVEL_TOLERANCE)
+    sectors = disc_sectors(underside, ~level, polygon) if detail.sectors else [polygon] * len(underside.corners)
+    for group in underside.groups:
+        corners = np.unique(underside.faces[group])
+        if np.ptp(underside.corners[corners, 2]) > LEVEL_TOLERANCE:
+            discs = [sectors[corner] for corner in corners]
+            grown = np.repeat(underside.corners[corners], [len(disc) for disc in discs], axis=0)
+            grown[:, :2] += np.concatenate(discs)
+            yield grown
 
 
 class _LowerSweep:
@@ -81,10 +82,9 @@ class _LowerSweep:
         self.levels, self.outlines = levels, outlines
         self.areas: dict[tuple[int, int], CrossSection] = {}
 
-    def covers(self, patch: np.ndarray, disc: np.ndarray) -> bool:
-        """Whether the grown shadow of a patch lies inside the grown sweep of the faces below it."""
-        grown: Any = (patch[:, None, :2] + disc).reshape(-1, 2)
-        shadow = CrossSection.hull_points(grown)
+    def covers(self, patch: Any) -> bool:
+        """Whether the shadow of a grown patch (k, 3) lies inside the grown sweep of the faces below it."""
+        shadow = CrossSection.hull_points(patch[:, :2])
         return (shadow - self._area_below(float(patch[:, 2].min()))).area() < AREA_TOLERANCE
 
     def _area_below(self, z: float) -> CrossSection:
@@ -104,17 +104,16 @@ class _LowerSweep:
         )
 
 
-def _swept_corners(patch: np.ndarray, disc: np.ndarray, top: float, few: bool) -> np.ndarray:
-    """(n, 3) [m] corners of a patch, each grown to a level disc, at their own height and at the top.
+def _swept_corners(patch: np.ndarray, top: float, few: bool) -> np.ndarray:
+    """(n, 3) [m] corners of a grown patch (k, 3), at their own height and at the top.
 
     few: at the top only those of their outline, which have the same hull; it is found as fast, but its corners come in
     another order, and so do those of kits.
     """
-    low = (patch[:, None] + np.concatenate([disc, np.zeros((len(disc), 1))], 1)).reshape(-1, 3)
-    above: Any = low[:, :2]
+    above: Any = patch[:, :2]
     if few:
         above = CrossSection.hull_points(above).to_polygons()[0]
-    return np.concatenate([low, np.concatenate([above, np.full((len(above), 1), top)], 1)])
+    return np.concatenate([patch, np.concatenate([above, np.full((len(above), 1), top)], 1)])
 
 
 def _grown_outline(triangles: np.ndarray, polygon: np.ndarray) -> CrossSection:

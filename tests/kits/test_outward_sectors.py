@@ -81,10 +81,12 @@ def test_a_sector_lies_inside_the_disc_and_holds_the_directions_of_its_faces(cle
     down = mesh.triangles[mesh.normals[:, 2] < -1e-3]
     underside = merged_underside(down, EXACT)
     is_sloping = np.ptp(down[..., 2], axis=1) > 1e-6
-    for group, sector in zip(underside.groups, disc_sectors(underside, is_sloping, polygon), strict=True):
+    sectors = disc_sectors(underside, is_sloping, polygon)
+    assert len(sectors) == len(underside.corners)
+    for sector in sectors:
         assert np.linalg.norm(sector, axis=1).max() <= np.linalg.norm(polygon, axis=1).max() * (1 + 1e-9)
-        for triangle in down[group][is_sloping[group]]:
-            outward = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])[:2]
-            outward /= np.linalg.norm(outward)
-            reach = (sector @ outward).max()
-            assert reach >= clearance_mm * MM - SAGITTA
+    for triangle, corners in zip(down[is_sloping], underside.faces[is_sloping], strict=True):
+        outward = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])[:2]
+        outward /= np.linalg.norm(outward)
+        for corner in corners:
+            assert (sectors[corner] @ outward).max() >= clearance_mm * MM - SAGITTA
