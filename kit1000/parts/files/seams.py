@@ -5,6 +5,8 @@ Vertices (n, 3) are float64 [m], faces (m, 3) int64. A surface that stays open i
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from manifold3d import triangulate
 from scipy.sparse import coo_array
@@ -21,6 +23,7 @@ WELD_LIMIT = 1e-5  # [m] wider seams are not closed
 STITCH_SHARE = 1e-4  # of the longest side: how far a vertex may lie off the edge that it splits
 STITCH_LIMIT = 20_000  # open edges; a surface with more is not nearly closed
 STITCH_PASSES = 4  # a face may be split along each side, and its pieces once more
+TREE_LIMIT = 3_000_000  # pairs of points, up to which it is quicker to try all than to import a tree
 HOLE_SHARE = 0.02  # of the surface; a larger hole may be intended, and a lid would change the solid
 TRIANGLE_SHARE = 0.2  # of the surface, for a hole of three edges, which has only one possible lid
 KEY_FACTORS = (1, 1_000_003, 998_244_353)  # of the places of a cell in its key
@@ -121,10 +124,9 @@ def _splits(vertices: np.ndarray, faces: np.ndarray) -> dict[int, tuple[int, np.
     if not len(opened):
         return {}
     rim = np.unique([start[opened], end[opened]])
-    tree = KDTree(vertices[rim])
     a, b = vertices[start[opened]], vertices[end[opened]]
     lengths = np.linalg.norm(b - a, axis=1)
-    near = tree.query_ball_point((a + b) / 2, lengths / 2)
+    near = _in_balls(vertices[rim], (a + b) / 2, lengths / 2)
     tolerance = min(STITCH_SHARE * longest_side(vertices), WELD_LIMIT)
     splits: dict[int, tuple[int, np.ndarray]] = {}
     for i, halfedge in enumerate(opened):
@@ -136,6 +138,14 @@ def _splits(vertices: np.ndarray, faces: np.ndarray) -> dict[int, tuple[int, np.
         if on_edge.any() and face not in splits:
             splits[face] = side, candidates[on_edge][np.argsort(position[on_edge])]
     return splits
+
+
+def _in_balls(points: np.ndarray, centres: np.ndarray, radii: np.ndarray) -> Sequence[np.ndarray]:
+    """For each ball (m, 3), (m,) the indices of the points (n, 3) in it."""
+    if len(points) * len(centres) > TREE_LIMIT:
+        return KDTree(points).query_ball_point(centres, radii)
+    balls = zip(centres, radii, strict=True)
+    return [np.flatnonzero(np.square(points - centre).sum(1) <= radius * radius) for centre, radius in balls]
 
 
 def _fan(face: np.ndarray, side: int, points: np.ndarray) -> np.ndarray:
