@@ -18,7 +18,6 @@ from kit1000.kits.envelope import polar_relief
 from kit1000.kits.face import resting_faces
 from kit1000.kits.shadows import AREA_TOLERANCE, PartShadows, Shadow, shadow_below
 from kit1000.mesh import Mesh, solid_from_mesh
-from kit1000.numerics.bounded_minimum import bounded_minimum
 from kit1000.numerics.linear_algebra import length, matmul
 from kit1000.numerics.trigonometry import cosine
 from kit1000.pose import Pose, quaternion_angle
@@ -30,7 +29,6 @@ AREA_SLACK = 1e-3  # share by which areas of equal grown shadows may differ: arc
 ROTATION_ORDERS = tuple(range(36, 1, -1))  # n of the yaws of 360 degrees / n that are tested
 MAX_RELIEF_DIFFERENCE = 0.15  # share by which the reliefs of a candidate may differ on the coarse grid
 ALIGN_RANGE = np.radians(4.5)  # [rad] of the fine search for a yaw; the coarse grid has steps of 3 degrees
-ALIGN_TOLERANCE = 1e-7  # [rad] of its result
 SAME_GOAL_ANGLE, SAME_GOAL_SHIFT = np.radians(1.0), 0.2e-3  # goals closer than both are one goal
 
 
@@ -230,6 +228,7 @@ def _aligned(design: Design, plane_from_part: Pose, yaw: float) -> Pose:
     """The part resting on the cavity's floor, centred, at the yaw [rad] nearby where the rim shadows overlap most."""
     rim = design.shadows.rim
     centre = design.centre
+    from scipy.optimize import minimize_scalar  # only here: few parts need it, and importing it takes long
 
     def placed(angle: float) -> Pose:
         rotated = Pose.from_rotvec(np.array([0, 0, angle])) @ plane_from_part
@@ -243,7 +242,10 @@ def _aligned(design: Design, plane_from_part: Pose, yaw: float) -> Pose:
     def overlap(extra: float) -> float:
         return (_rotated(shadow, centre, extra) ^ rim).area()
 
-    return placed(yaw + bounded_minimum(lambda extra: -overlap(extra), -ALIGN_RANGE, ALIGN_RANGE, ALIGN_TOLERANCE))
+    best = minimize_scalar(
+        lambda extra: -overlap(extra), bounds=(-ALIGN_RANGE, ALIGN_RANGE), method="bounded", options={"xatol": 1e-7}
+    )
+    return placed(yaw + best.x)
 
 
 def _design_rotation(design: Design, rotation: np.ndarray) -> np.ndarray:

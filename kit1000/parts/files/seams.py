@@ -5,8 +5,6 @@ Vertices (n, 3) are float64 [m], faces (m, 3) int64. A surface that stays open i
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from manifold3d import triangulate
 from scipy.sparse import coo_array
@@ -14,7 +12,6 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from kit1000.errors import MeshRefused
-from kit1000.numerics.components import component_labels
 from kit1000.numerics.linear_algebra import length, matmul
 from kit1000.parts.files.topology import consistently_wound, halfedges, longest_side, open_edges, without_duplicates
 
@@ -23,10 +20,8 @@ WELD_LIMIT = 1e-5  # [m] wider seams are not closed
 STITCH_SHARE = 1e-4  # of the longest side: how far a vertex may lie off the edge that it splits
 STITCH_LIMIT = 20_000  # open edges; a surface with more is not nearly closed
 STITCH_PASSES = 4  # a face may be split along each side, and its pieces once more
-TREE_LIMIT = 3_000_000  # pairs of points, up to which it is quicker to try all than to import a tree
 HOLE_SHARE = 0.02  # of the surface; a larger hole may be intended, and a lid would change the solid
 TRIANGLE_SHARE = 0.2  # of the surface, for a hole of three edges, which has only one possible lid
-KEY_FACTORS = (1, 1_000_003, 998_244_353)  # of the places of a cell in its key
 HOLE_FLATNESS = 2e-3  # of the longest side
 
 
@@ -67,39 +62,17 @@ def _welded_seams(vertices: np.ndarray, faces: np.ndarray, tolerance: float, not
     start, end = halfedges(faces)
     opened = open_edges(faces)
     rim = np.unique([start[opened], end[opened]])
-    pairs = close_pairs(vertices[rim], tolerance)
+    pairs = KDTree(vertices[rim]).query_pairs(tolerance, output_type="ndarray")
     if not len(pairs):
         return faces
-    labels = component_labels(len(rim), *pairs.T)
-    count = labels.max() + 1
+    graph = coo_array((np.ones(len(pairs), dtype=np.int8), pairs.T), shape=(len(rim), len(rim)))
+    count, labels = connected_components(graph, directed=False)
     first = np.full(count, len(rim))
     np.minimum.at(first, labels, np.arange(len(rim)))
     target = np.arange(len(vertices))
     target[rim] = rim[first[labels]]
     notes.append(f"welded {len(rim) - count:,} vertices within {tolerance * 1e6:.2g} um")
     return without_duplicates(vertices, target[faces], notes)
-
-
-def close_pairs(points: np.ndarray, tolerance: float) -> np.ndarray:
-    """(k, 2) indices of points (n, 3) within a tolerance of each other, some pairs several times.
-
-    By cells four times as wide: a point near the side of its cell counts for both. It finds what a tree of scipy finds,
-    whose import takes longer than a kit.
-    """
-    sides = [np.floor((points + shift) / (4 * tolerance)).astype(np.int64) for shift in (-tolerance, tolerance)]
-    ways = np.indices((2, 2, 2)).reshape(3, -1).T
-    # cells that share a key by chance cost a comparison and nothing else
-    keys = np.stack([sum(KEY_FACTORS[axis] * sides[way[axis]][:, axis] for axis in range(3)) for way in ways])
-    entries = np.unique(np.stack([keys.ravel(), np.tile(np.arange(len(points)), len(ways))], axis=1), axis=0)
-    found = [np.zeros((0, 2), dtype=np.int64)]
-    for apart in range(1, len(entries)):
-        same = entries[apart:, 0] == entries[:-apart, 0]
-        if not same.any():
-            break
-        pairs = np.stack([entries[:-apart, 1][same], entries[apart:, 1][same]], axis=1)
-        offsets = points[pairs[:, 0]] - points[pairs[:, 1]]
-        found.append(pairs[np.sqrt(np.square(offsets).sum(1)) <= tolerance])
-    return np.concatenate(found)
 
 
 def _stitched(vertices: np.ndarray, faces: np.ndarray, notes: list[str]) -> np.ndarray:
@@ -124,9 +97,10 @@ def _splits(vertices: np.ndarray, faces: np.ndarray) -> dict[int, tuple[int, np.
     if not len(opened):
         return {}
     rim = np.unique([start[opened], end[opened]])
+    tree = KDTree(vertices[rim])
     a, b = vertices[start[opened]], vertices[end[opened]]
     lengths = np.linalg.norm(b - a, axis=1)
-    near = _in_balls(vertices[rim], (a + b) / 2, lengths / 2)
+    near = tree.query_ball_point((a + b) / 2, lengths / 2)
     tolerance = min(STITCH_SHARE * longest_side(vertices), WELD_LIMIT)
     splits: dict[int, tuple[int, np.ndarray]] = {}
     for i, halfedge in enumerate(opened):
@@ -138,14 +112,6 @@ def _splits(vertices: np.ndarray, faces: np.ndarray) -> dict[int, tuple[int, np.
         if on_edge.any() and face not in splits:
             splits[face] = side, candidates[on_edge][np.argsort(position[on_edge])]
     return splits
-
-
-def _in_balls(points: np.ndarray, centres: np.ndarray, radii: np.ndarray) -> Sequence[np.ndarray]:
-    """For each ball (m, 3), (m,) the indices of the points (n, 3) in it."""
-    if len(points) * len(centres) > TREE_LIMIT:
-        return KDTree(points).query_ball_point(centres, radii)
-    balls = zip(centres, radii, strict=True)
-    return [np.flatnonzero(np.square(points - centre).sum(1) <= radius * radius) for centre, radius in balls]
 
 
 def _fan(face: np.ndarray, side: int, points: np.ndarray) -> np.ndarray:

@@ -9,13 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold
-from scipy.spatial import KDTree
 
 from kit1000.errors import MeshRefused
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parts.files.crossings import crossings, max_distance, winding_numbers
 from kit1000.parts.files.repair import closed_solid
-from kit1000.parts.files.seams import close_pairs
 from kit1000.parts.files.united_bodies import MAX_FACES_UNCHANGED, SIMPLIFY_TOLERANCE, part_mesh
 
 BOX = Manifold.cube((0.04, 0.02, 0.01), True)
@@ -282,13 +280,3 @@ def test_winding_numbers_count_the_surfaces_around_a_point() -> None:
     points = np.array([[0, 0, 0], [0.015, 0.001, 0.001], [0.1, 0, 0]])
     assert winding_numbers(points, np.concatenate([outer, inner])) == pytest.approx([2, 1, 0])
     assert winding_numbers(points, np.concatenate([outer, inner[:, ::-1]])) == pytest.approx([0, 1, 0])
-
-
-@pytest.mark.parametrize("tolerance", [1e-7, 1e-5, 3e-4])
-def test_close_pairs_are_those_of_a_tree(tolerance: float) -> None:
-    rng = np.random.default_rng(4)
-    points = rng.uniform(-0.05, 0.05, (300, 3)).round(3)  # many share a plane
-    points = np.concatenate([points, points[:200] + rng.normal(size=(200, 3)) * tolerance, points[:20]])
-    found = {tuple(sorted(pair)) for pair in close_pairs(points, tolerance).tolist()}
-    assert found == KDTree(points).query_pairs(tolerance)
-    assert not len(close_pairs(points[:0], tolerance))
