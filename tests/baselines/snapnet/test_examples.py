@@ -24,7 +24,7 @@ from baselines.snapnet.examples import (
     residual_of,
     training_candidates,
 )
-from baselines.snapnet.query_volumes import QueryVolumes, grid_about, image_crops
+from baselines.snapnet.query_volumes import QueryVolumes, grid_about
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics import Targets, pose_errors
@@ -37,7 +37,7 @@ from kit1000.queries.guesses import MAX_OFFSET
 from kit1000.queries.motions import apply_error, goal_motion
 from kit1000.rng import stream
 from kit1000.testing import moved_geometry, moved_query, moved_truth
-from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, FreeAxis
+from kit1000.values import FIRST_PART_LABEL, FreeAxis
 from kit1000.voxels import resample, tsdf
 
 VOXEL, CELLS = 2e-3, (40, 44, 48)
@@ -250,20 +250,6 @@ def volumes_of(sample: QuerySample, volumes: QueryVolumes) -> tuple[np.ndarray, 
     return volumes.part_volume(sample.guess, work, CELLS, VOXEL), volumes.kit_volume(work, CELLS, VOXEL)
 
 
-def test_a_prediction_reads_the_image_of_its_query_once(data: Dataset) -> None:
-    query, reads = drawn(data, 7, "depth").volumes.query, []
-    volumes = QueryVolumes(replace(query, read_image=lambda: reads.append(1) or query.read_image()), "depth")
-    volumes.part_volume(Pose.identity(), YAWED, CELLS, VOXEL)
-    volumes.kit_volume(YAWED, CELLS, VOXEL)
-    assert (volumes.query.image.labels.any(), len(reads)) == (True, 1)
-
-
-def test_a_part_that_is_not_observed_has_an_empty_volume(data: Dataset) -> None:
-    sample = drawn(data, 0, "depth")
-    volumes = replace(sample.volumes, query=replace(sample.volumes.query, part=200))
-    assert np.all(volumes.part_volume(Pose.identity(), YAWED, CELLS, VOXEL) == 1)
-
-
 def test_without_a_guess_the_pivot_goes_to_the_centre_of_the_kits(data: Dataset) -> None:
     examples = sampler(data, guesses="place")
     sample = examples.stored(examples.keys(1)[0])
@@ -370,19 +356,6 @@ def test_the_image_cache_is_bounded(data: Dataset, monkeypatch: pytest.MonkeyPat
         assert len(examples.images.crops) == 1
         assert 1 <= len(examples.images.parts) <= 2
         assert "image" not in vars(sample.volumes.query)
-
-
-def test_crops_hold_every_masked_depth(data: Dataset) -> None:
-    query = drawn(data).volumes.query
-    image = query.read_image()
-    crops = image_crops(image, query)
-    labels = set(np.unique(image.labels).tolist()) - {0, ASSEMBLY_LABEL}
-    assert {FIRST_PART_LABEL + part for part in crops.parts} == labels
-    assert crops.kits is not None
-    cropped = {FIRST_PART_LABEL + part: crop for part, crop in crops.parts.items()} | {ASSEMBLY_LABEL: crops.kits.image}
-    for label, crop in cropped.items():
-        depth = crop.view.depth[crop.labels == label]
-        np.testing.assert_array_equal(depth, image.view.depth[image.labels == label])
 
 
 def test_bad_input_is_refused(data: Dataset) -> None:
