@@ -13,11 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from manifold3d import Error, Manifold, Mesh64
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 
 from kit1000.errors import MeshRefused, ShapeError, checked
+from kit1000.numerics.components import component_labels
 from kit1000.numerics.linear_algebra import determinant, matmul
 
 if TYPE_CHECKING:
@@ -187,11 +186,9 @@ def defect_float32(mesh: Mesh) -> str | None:
 
 def body_count(mesh: Mesh) -> int:
     """Number of connected components of the surface (two for a hollow body)."""
-    a, b = mesh.faces[:, [0, 1, 2]].ravel(), mesh.faces[:, [1, 2, 0]].ravel()
-    used = np.unique(mesh.faces)
-    graph = coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(len(mesh.vertices),) * 2)
-    labels = connected_components(graph, directed=False)[1]
-    return len(np.unique(labels[used]))
+    a, b, c = mesh.faces.T
+    labels = component_labels(len(mesh.vertices), np.concatenate([a, b]), np.concatenate([b, c]))
+    return len(np.unique(labels[a]))
 
 
 def surface_points(mesh: Mesh, n: int, rng: np.random.Generator) -> np.ndarray:

@@ -1,7 +1,7 @@
 """How a method does under the noise of real images: plane residuals of real depth images, put on scenes of a dataset.
 
     python bench/quality/real_noise.py data/kit1000 --images DIR --method registration-completed
-    python bench/quality/real_noise.py data/kit1000 --images DIR --frames 30 --weights runs/new
+    python bench/quality/real_noise.py data/kit1000 --images DIR --frames 1 30 --weights runs/new
 
 DIR holds depth images with `manifest.csv` (columns file, sensor, metres_a_unit, fx), as for `sensor_statistics.py`. The
 residual of each image's largest plane becomes noise of the scenes' ideal images, mirrored to fill them, from a random
@@ -14,6 +14,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -63,8 +64,8 @@ class RealNoise:
     track: str = "snap-d415"
     split: Literal["test", "val", "train"] = "test"
     edges: Literal["sharp", "d415"] = "d415"
-    frames: int = 1
-    """Number of frames of which an image is the mean: what changes from frame to frame gets smaller."""
+    frames: tuple[int, ...] = (1,)
+    """Numbers of frames, of which an image is the mean: what changes from frame to frame gets smaller."""
     limit: int | None = None
     """Only the first so many queries."""
     workers: int = 1
@@ -116,11 +117,11 @@ def main(options: RealNoise) -> None:
     title = f"{options.method} on {options.track} of {options.split}, images with the noise of real ones"
     table = measurement.table("real-noise", title, *COLUMNS)
     with local_engine(options.workers) as spread:
-        for name in options.names or usable_names(options.images):
+        for name, frames in product(options.names or usable_names(options.images), options.frames):
             first = None
             for weights in (None, *options.weights):
-                found = _outcome(options, dataset, name, weights, spread)
-                _add(table, options, name, weights, found, first)
+                found = _outcome(options, dataset, name, frames, weights, spread)
+                _add(table, options, name, frames, weights, found, first)
                 first = first or found
     measurement.report(options.out)
 
@@ -137,9 +138,15 @@ def usable_names(folder: Path) -> list[str]:
 
 
 def _add(
-    table: Table, options: RealNoise, name: str, weights: Path | None, found: Outcome, first: Outcome | None
+    table: Table,
+    options: RealNoise,
+    name: str,
+    frames: int,
+    weights: Path | None,
+    found: Outcome,
+    first: Outcome | None,
 ) -> None:
-    """Add the row of an image and of weights, beside those of the shipped ones."""
+    """Add the row of an image, a number of frames and weights, beside those of the shipped ones."""
     values: dict[str, Any] = {}
     if first is not None:
         won, lost = int((found.seated & ~first.seated).sum()), int((first.seated & ~found.seated).sum())
@@ -148,7 +155,7 @@ def _add(
         image=name,
         noise=float(np.std(noise_field(options.images, name))),
         edges=options.edges,
-        frames=options.frames,
+        frames=frames,
         weights="shipped" if weights is None else weights.name,
         n=len(found.seated),
         seated=rate(found.seated),
@@ -159,14 +166,16 @@ def _add(
     )
 
 
-def _outcome(options: RealNoise, dataset: Dataset, name: str, weights: Path | None, spread: Any) -> Outcome:
-    """What becomes of a method's answers under the noise of an image."""
+def _outcome(
+    options: RealNoise, dataset: Dataset, name: str, frames: int, weights: Path | None, spread: Any
+) -> Outcome:
+    """What becomes of a method's answers under the noise of an image, with a number of frames."""
     split = dataset.split(options.split, truth=True)
     queries = [query for query in split.queries() if query.track == options.track][: options.limit]
     if not queries:
         raise InputError(f"{options.data}: split {options.split} has no query of {options.track}")
     jobs = [(query.scene_id, query.id) for query in queries]
-    answers = {answer.query_id: answer for answer in spread(partial(_answer, options, name, weights), jobs)}
+    answers = {answer.query_id: answer for answer in spread(partial(_answer, options, name, frames, weights), jobs)}
     truths = [split.scene(scene).truth_of(query) for scene, query in jobs]
     motions = Pose.stack([answers[query].motion for _, query in jobs])
     errors = pose_errors(motions, Targets.of(truths, lambda part: dataset.geometry.part(part).mesh.vertices))
@@ -174,24 +183,24 @@ def _outcome(options: RealNoise, dataset: Dataset, name: str, weights: Path | No
     return Outcome(seatings(motions, truths, dataset.geometry).seated, errors.position, sure)
 
 
-def _answer(options: RealNoise, name: str, weights: Path | None, job: tuple[str, str]) -> Answer:
+def _answer(options: RealNoise, name: str, frames: int, weights: Path | None, job: tuple[str, str]) -> Answer:
     """The method's answer to a query, its image measured anew."""
     scene_id, query_id = job
     dataset, predictor = _made(options.data, options.method, weights)
     scene = dataset.split(options.split).scene(scene_id)
     query = next(query for query in scene.queries if query.id == query_id)
-    image = noisy_image(options, name, scene)
+    image = noisy_image(options, name, frames, scene)
     predicted = predictor(replace(query, read_image=lambda: image), None)
     return Answer(query_id, predicted.goal_from_now, float(predicted.confidence))
 
 
-def noisy_image(options: RealNoise, name: str, scene: RecordedScene) -> LabelledDepth:
-    """The ideal image of a scene with the noise of a real one; always the same."""
+def noisy_image(options: RealNoise, name: str, frames: int, scene: RecordedScene) -> LabelledDepth:
+    """The ideal image of a scene with the noise of a real one, left by a number of frames; always the same."""
     ideal = scene.labelled_depth("ideal")
     rng = stream(0, "real-noise", name, scene.id)
     sensor = D415 if options.edges == "d415" else SHARP
     field = filled(noise_field(options.images, name), ideal.view.depth.shape, rng)
-    conditions = conditions_of(sensor, rng, options.frames)
+    conditions = conditions_of(sensor, rng, frames)
     left = conditions.left_px / replace(conditions, frames=1).left_px  # of the RMS, in the mean of the frames
     return LabelledDepth(measured_view(sensor, ideal.view, conditions, rng, field * left), ideal.labels)
 

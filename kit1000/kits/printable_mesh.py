@@ -13,8 +13,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from kit1000.errors import Redraw
-from kit1000.mesh import Mesh, defect_float32, mesh_from_solid
-from kit1000.numerics.components import component_labels
+from kit1000.mesh import Mesh, body_count, defect_float32, mesh_from_solid
 from kit1000.numerics.linear_algebra import length
 
 SIMPLIFY_TOLERANCE = 2e-6  # [m] edges and bumps smaller than this are simplified away
@@ -28,15 +27,9 @@ def printable_mesh(solid: Manifold, name: str) -> Mesh:
     mesh, fault = closed_on_grid(mesh_from_solid(solid.as_original().simplify(SIMPLIFY_TOLERANCE)), GRID)
     if fault is not None:
         raise Redraw(f"{name} not closed in float32: {fault}")
-    if _has_several_bodies(mesh):
+    if body_count(mesh) > 1:
         raise Redraw(f"{name} in several bodies")
     return mesh
-
-
-def _has_several_bodies(mesh: Mesh) -> bool:
-    """Whether the surface is in several pieces; all vertices are those of faces."""
-    a, b, c = mesh.faces.T
-    return bool(component_labels(len(mesh.vertices), np.concatenate([a, b]), np.concatenate([b, c])).any())
 
 
 def closed_on_grid(
