@@ -1,12 +1,13 @@
 """How many parts a method seats under other conditions of the camera: sensor, frames, distance, clearance.
 
     python bench/quality/camera_conditions.py data/kit1000 --limit 40 --out results/camera-conditions.json
-    python bench/quality/camera_conditions.py data/kit1000 --clearances data/wide data/wider
+    python bench/quality/camera_conditions.py data/kit1000 --clearances-mm 5 10 --sets data/clearances
 
 One factor at a time differs from the base: one frame of the d415 from where the scene's own camera stands. Images are
 measured anew, always the same. For another distance the scene is rendered again: the camera keeps its direction and
 looks at the middle between the part and its goal, which for this the truth shows. Methods get masks and a calibrated
 image as ever, and no truth. A part or goal outside the image leaves a query out, so n differs between distances.
+For another clearance a small dataset is made, with other parts: those that fit too loosely are refused.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from kit1000.camera import look_at
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.engines import local_engine
 from kit1000.errors import InputError, Kit1000Error
+from kit1000.generation.build import generate
+from kit1000.generation.presets import preset
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor, method_of
@@ -79,8 +82,10 @@ class CameraConditions:
 
     data: tyro.conf.Positional[Path]
     """Dataset folder, with ground truth and ideal images."""
-    clearances: tuple[Path, ...] = ()
-    """Folders of datasets with other clearances: the base condition is measured on them too."""
+    clearances_mm: tuple[float, ...] = ()
+    """Other clearances, under which the base condition is measured too."""
+    sets: Path = Path("data/clearances")
+    """Folder for the datasets with these clearances; those that it holds are not made again."""
     conditions: tuple[str, ...] = ()
     """Names of conditions, such as "d415, 10 frames"; all when empty."""
     method: str = "registration-completed"
@@ -113,8 +118,9 @@ def main(options: CameraConditions) -> None:
     measurement = Measurement.begin(Dataset(options.data))
     title = f"{options.method} under conditions of the camera, queries of {options.track} of {options.split}"
     table = measurement.table("seated", title, *COLUMNS)
+    wider = [_set_with(clearance, options) for clearance in options.clearances_mm]
     with local_engine(options.workers) as spread:
-        for data, condition in [*((options.data, each) for each in chosen), *((d, BASE) for d in options.clearances)]:
+        for data, condition in [*((options.data, each) for each in chosen), *((data, BASE) for data in wider)]:
             _add(table, Dataset(data), condition, _answers(options, data, condition, spread))
     measurement.report(options.out)
 
@@ -126,6 +132,17 @@ def conditions_named(names: Sequence[str]) -> tuple[Condition, ...]:
     if unknown:
         raise InputError(f"condition {unknown[0]!r}: expected one of {'; '.join(known)}")
     return tuple(known[name] for name in names) or CONDITIONS
+
+
+def _set_with(clearance_mm: float, options: CameraConditions) -> Path:
+    """A dataset as kit1000 but for its clearance, with a scene for each query of a condition."""
+    folder = options.sets / f"{clearance_mm:g}-mm"
+    scenes = {"train": 1, "val": 1, "test": 1, options.split: options.limit}
+    settings = replace(
+        preset("kit1000"), **scenes, clearance=clearance_mm * 1e-3, tracks=(options.track,), curve_scenes=0
+    )
+    generate(settings, folder, workers=options.workers)
+    return folder
 
 
 def _answers(options: CameraConditions, data: Path, condition: Condition, spread: Any) -> list[Answer]:
