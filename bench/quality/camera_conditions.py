@@ -118,9 +118,9 @@ def main(options: CameraConditions) -> None:
     measurement = Measurement.begin(Dataset(options.data))
     title = f"{options.method} under conditions of the camera, queries of {options.track} of {options.split}"
     table = measurement.table("seated", title, *COLUMNS)
-    wider = [_set_with(clearance, options) for clearance in options.clearances_mm]
+    others = [_set_with(clearance, options) for clearance in options.clearances_mm]
     with local_engine(options.workers) as spread:
-        for data, condition in [*((options.data, each) for each in chosen), *((data, BASE) for data in wider)]:
+        for data, condition in [*((options.data, each) for each in chosen), *((data, BASE) for data in others)]:
             _add(table, Dataset(data), condition, _answers(options, data, condition, spread))
     measurement.report(options.out)
 

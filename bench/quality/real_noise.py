@@ -14,7 +14,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import product
+from itertools import product, starmap
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -73,6 +73,15 @@ class RealNoise:
     """JSON file for the table, such as results/real-noise.json."""
 
 
+class Noise(NamedTuple):
+    """What noise an image gets."""
+
+    image: str
+    """Name of the real image that it is taken from."""
+    frames: int
+    """Number of frames of which the noisy image is the mean."""
+
+
 class Answer(NamedTuple):
     """What a method did with one query."""
 
@@ -117,11 +126,11 @@ def main(options: RealNoise) -> None:
     title = f"{options.method} on {options.track} of {options.split}, images with the noise of real ones"
     table = measurement.table("real-noise", title, *COLUMNS)
     with local_engine(options.workers) as spread:
-        for name, frames in product(options.names or usable_names(options.images), options.frames):
+        for noise in starmap(Noise, product(options.names or usable_names(options.images), options.frames)):
             first = None
             for weights in (None, *options.weights):
-                found = _outcome(options, dataset, name, frames, weights, spread)
-                _add(table, options, name, frames, weights, found, first)
+                found = _outcome(options, dataset, noise, weights, spread)
+                _add(table, options, noise, weights, found, first)
                 first = first or found
     measurement.report(options.out)
 
@@ -138,24 +147,18 @@ def usable_names(folder: Path) -> list[str]:
 
 
 def _add(
-    table: Table,
-    options: RealNoise,
-    name: str,
-    frames: int,
-    weights: Path | None,
-    found: Outcome,
-    first: Outcome | None,
+    table: Table, options: RealNoise, noise: Noise, weights: Path | None, found: Outcome, first: Outcome | None
 ) -> None:
-    """Add the row of an image, a number of frames and weights, beside those of the shipped ones."""
+    """Add the row of a noise and of weights, beside those of the shipped ones."""
     values: dict[str, Any] = {}
     if first is not None:
         won, lost = int((found.seated & ~first.seated).sum()), int((first.seated & ~found.seated).sum())
         values = {"won": won, "lost": lost, "p": mcnemar_p(won, lost)}
     table.add(
-        image=name,
-        noise=float(np.std(noise_field(options.images, name))),
+        image=noise.image,
+        noise=float(np.std(noise_field(options.images, noise.image))),
         edges=options.edges,
-        frames=frames,
+        frames=noise.frames,
         weights="shipped" if weights is None else weights.name,
         n=len(found.seated),
         seated=rate(found.seated),
@@ -166,16 +169,14 @@ def _add(
     )
 
 
-def _outcome(
-    options: RealNoise, dataset: Dataset, name: str, frames: int, weights: Path | None, spread: Any
-) -> Outcome:
-    """What becomes of a method's answers under the noise of an image, with a number of frames."""
+def _outcome(options: RealNoise, dataset: Dataset, noise: Noise, weights: Path | None, spread: Any) -> Outcome:
+    """What becomes of a method's answers under a noise."""
     split = dataset.split(options.split, truth=True)
     queries = [query for query in split.queries() if query.track == options.track][: options.limit]
     if not queries:
         raise InputError(f"{options.data}: split {options.split} has no query of {options.track}")
     jobs = [(query.scene_id, query.id) for query in queries]
-    answers = {answer.query_id: answer for answer in spread(partial(_answer, options, name, frames, weights), jobs)}
+    answers = {answer.query_id: answer for answer in spread(partial(_answer, options, noise, weights), jobs)}
     truths = [split.scene(scene).truth_of(query) for scene, query in jobs]
     motions = Pose.stack([answers[query].motion for _, query in jobs])
     errors = pose_errors(motions, Targets.of(truths, lambda part: dataset.geometry.part(part).mesh.vertices))
@@ -183,24 +184,24 @@ def _outcome(
     return Outcome(seatings(motions, truths, dataset.geometry).seated, errors.position, sure)
 
 
-def _answer(options: RealNoise, name: str, frames: int, weights: Path | None, job: tuple[str, str]) -> Answer:
+def _answer(options: RealNoise, noise: Noise, weights: Path | None, job: tuple[str, str]) -> Answer:
     """The method's answer to a query, its image measured anew."""
     scene_id, query_id = job
     dataset, predictor = _made(options.data, options.method, weights)
     scene = dataset.split(options.split).scene(scene_id)
     query = next(query for query in scene.queries if query.id == query_id)
-    image = noisy_image(options, name, frames, scene)
+    image = noisy_image(options, noise, scene)
     predicted = predictor(replace(query, read_image=lambda: image), None)
     return Answer(query_id, predicted.goal_from_now, float(predicted.confidence))
 
 
-def noisy_image(options: RealNoise, name: str, frames: int, scene: RecordedScene) -> LabelledDepth:
-    """The ideal image of a scene with the noise of a real one, left by a number of frames; always the same."""
+def noisy_image(options: RealNoise, noise: Noise, scene: RecordedScene) -> LabelledDepth:
+    """The ideal image of a scene with the noise of a real one; always the same."""
     ideal = scene.labelled_depth("ideal")
-    rng = stream(0, "real-noise", name, scene.id)
+    rng = stream(0, "real-noise", noise.image, scene.id)
     sensor = D415 if options.edges == "d415" else SHARP
-    field = filled(noise_field(options.images, name), ideal.view.depth.shape, rng)
-    conditions = conditions_of(sensor, rng, frames)
+    field = filled(noise_field(options.images, noise.image), ideal.view.depth.shape, rng)
+    conditions = conditions_of(sensor, rng, noise.frames)
     left = conditions.left_px / replace(conditions, frames=1).left_px  # of the RMS, in the mean of the frames
     return LabelledDepth(measured_view(sensor, ideal.view, conditions, rng, field * left), ideal.labels)
 

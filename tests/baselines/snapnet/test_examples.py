@@ -250,6 +250,12 @@ def volumes_of(sample: QuerySample, volumes: QueryVolumes) -> tuple[np.ndarray, 
     return volumes.part_volume(sample.guess, work, CELLS, VOXEL), volumes.kit_volume(work, CELLS, VOXEL)
 
 
+def test_a_part_that_is_not_observed_has_an_empty_volume(data: Dataset) -> None:
+    sample = drawn(data, 0, "depth")
+    volumes = replace(sample.volumes, query=replace(sample.volumes.query, part=200))
+    assert np.all(volumes.part_volume(Pose.identity(), YAWED, CELLS, VOXEL) == 1)
+
+
 def test_without_a_guess_the_pivot_goes_to_the_centre_of_the_kits(data: Dataset) -> None:
     examples = sampler(data, guesses="place")
     sample = examples.stored(examples.keys(1)[0])

@@ -1,4 +1,4 @@
-"""Volumes of a query: its image is read once and cropped whole, and what is not observed is empty."""
+"""Volumes of a query: its image is read once, and cropped with every masked depth."""
 
 from __future__ import annotations
 
@@ -28,11 +28,6 @@ def test_a_prediction_reads_the_image_of_its_query_once(query: Query) -> None:
     volumes.part_volume(Pose.identity(), YAWED, CELLS, VOXEL)
     volumes.kit_volume(YAWED, CELLS, VOXEL)
     assert (volumes.query.image.labels.any(), len(reads)) == (True, 1)
-
-
-def test_a_part_that_is_not_observed_has_an_empty_volume(query: Query) -> None:
-    volumes = QueryVolumes(replace(query, part=200), "depth")
-    assert np.all(volumes.part_volume(Pose.identity(), YAWED, CELLS, VOXEL) == 1)
 
 
 def test_crops_hold_every_masked_depth(query: Query) -> None:
