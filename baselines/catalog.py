@@ -34,6 +34,7 @@ NETWORK_TABLES = (
     "baselines.kitnet",
     "baselines.training.tasks.restoration",
     "baselines.training.tasks.segmentation",
+    "baselines.training.tasks.placement",
     "baselines.snapnet",
     "baselines.transporter",
 )

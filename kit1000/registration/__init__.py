@@ -22,11 +22,13 @@ METHODS = {
         label="Registration, completed part",
         options={"source": "depth"},
         learned=True,
-        training_data="40,000 sampled parts; 30,000 views of split train by ideal depth and d415, data version 2.0.0",
+        training_data="40,000 sampled parts; 30,000 views and 2218 fits of split train by ideal depth and d415, "
+        "data version 2.0.0",
         weights={
             "completion": WEIGHTS / "completion",
             "noisy_completion": WEIGHTS / "completion-d415",
             "restoration": WEIGHTS / "restoration",
+            "placement": WEIGHTS / "placement",
         },
     ),
     "registration-three": Method(

@@ -30,6 +30,7 @@ from kit1000.values import FIRST_PART_LABEL, Query, TrueGeometry
 
 if TYPE_CHECKING:
     from kit1000.perception.completion.parts.completed import PartCompleter
+    from kit1000.perception.placement.placer import Placer
     from kit1000.perception.restoration.restorer import Restorer
 
 SOURCES = ("depth", "columns", "truth")
@@ -53,6 +54,8 @@ class Registration:
     """The same of one that learned from noisy images alone, which it reads; None: `completion` reads them too."""
     restoration: Path | None = None
     """Stem of the weights of a network that restores noisy images; None restores by rules."""
+    placement: Path | None = None
+    """Stem of the weights of a network that places fits in images that a network restored; None: it is not asked."""
     cameras: Literal["primary", "three"] = "primary"
     """three: further images beside the query's own, which source `depth` reads."""
 
@@ -75,6 +78,11 @@ class Registration:
         from kit1000.perception.restoration.restorer import Restorer
 
         return Restorer(self.restoration)
+
+    def placer(self, sensor: str) -> Placer | None:
+        """The network that places fits in the images of a sensor."""
+        restored = self.restorer is not None and needs_restoring(sensor)
+        return _placer(self.placement) if self.placement is not None and restored else None
 
     def completer(self, sensor: str) -> PartCompleter | None:
         """The network that completes parts in the images of a sensor."""
@@ -110,10 +118,8 @@ class Registration:
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits, the best first; where no clearance is stated, those from depth are at the one that fits best."""
         if self.source == "depth":
-            image = SharedImage(
-                query.image, sensor_of(self.dataset.summary, query.sensor, query.scene_id), self.restorer
-            )
-            if not self.clearances and len(self._clearances) > 1:
+            image = self.image_of(query)
+            if not self.clearances and len(self.all_clearances) > 1:
                 return self._fits_at_best_clearance(query, image)
             fits = self.certain_fits(query, image)
             if query.guess is not None or self.clearances:
@@ -123,10 +129,10 @@ class Registration:
         if self.source == "columns":
             query = restored_query(query)
         filled = DepthSource(query) if self.source == "columns" else _true_source(query, geometry)
-        return ranked(chain.from_iterable(register_columns(filled, query, c) for c in self._clearances))
+        return ranked(chain.from_iterable(register_columns(filled, query, c) for c in self.all_clearances))
 
     @cached_property
-    def _clearances(self) -> tuple[float, ...]:
+    def all_clearances(self) -> tuple[float, ...]:
         """[m] to try."""
         return self.clearances or stated_clearances(self.dataset)
 
@@ -136,22 +142,27 @@ class Registration:
         Of several guesses at what holes of the part show that counts whose best fit has the least misfit: a wrong
         shape fits no cavity.
         """
-        further = thorough and len(self._clearances) == 1  # at a wrong clearance every fit is doubtful
-        sources = self._sources(query, image)
-        return min((_fits(source, self._clearances, further) for source in sources), key=least_misfit)
+        further = thorough and len(self.all_clearances) == 1  # at a wrong clearance every fit is doubtful
+        sources = self.sources(query, image)
+        return min((_fits(source, self.all_clearances, further) for source in sources), key=least_misfit)
 
     def _fits_at_best_clearance(self, query: Query, image: SharedImage) -> list[Fit]:
         """The fits at the clearance whose best fit has the least misfit; at that one further candidates are refined."""
-        first, *others = self._sources(query, image)
-        quick = {c: register_certain(first, first.query, c, further=False) for c in self._clearances}
+        first, *others = self.sources(query, image)
+        quick = {c: register_certain(first, first.query, c, further=False) for c in self.all_clearances}
         best = min(quick, key=lambda clearance: least_misfit(quick[clearance]))
         fits = min((_fits(source, (best,)) for source in (first, *others)), key=least_misfit)
         if query.guess is not None:
             return fits
-        rest = (self._sources(other, image)[0] for other in _other_parts(query))
+        rest = (self.sources(other, image)[0] for other in _other_parts(query))
         return assigned(fits, (_fits(source, (best,), further=False) for source in rest), self._kind(query))
 
-    def _sources(self, query: Query, image: SharedImage) -> list[DepthSource]:
+    def image_of(self, query: Query) -> SharedImage:
+        """The image of a query, for all parts of its scene."""
+        sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
+        return SharedImage(query.image, sensor, self.restorer)
+
+    def sources(self, query: Query, image: SharedImage) -> list[DepthSource]:
         """What registration reads of a query, by each guess at what holes of the part show."""
         return [self._source(query, image, columns) for columns in image.guesses]
 
@@ -162,6 +173,7 @@ class Registration:
         return DepthSource(
             query,
             self.completer(query.sensor),
+            self.placer(query.sensor),
             measured=image.measured if needs_restoring(query.sensor) else None,
             others=() if self.cameras == "primary" else self.views.of(query),
             restored=kind == "restored",
@@ -194,6 +206,14 @@ def _completer(stem: Path) -> PartCompleter:
     from kit1000.perception.completion.parts.completed import PartCompleter
 
     return PartCompleter(stem)
+
+
+@lru_cache(maxsize=1)
+def _placer(stem: Path) -> Placer:
+    """The network with the weights of a stem, loaded when an image asks for it."""
+    from kit1000.perception.placement.placer import Placer
+
+    return Placer(stem)
 
 
 def _other_parts(query: Query) -> Iterator[Query]:

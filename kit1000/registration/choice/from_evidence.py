@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from kit1000.perception.placement.channels import CELLS
 from kit1000.pose import Pose
 from kit1000.registration.choice.fits import STIFFNESS, Fit, ranked, same_pose
 from kit1000.registration.geometry.expected_relief import outline_misfit
@@ -15,6 +16,7 @@ from kit1000.registration.inputs.volume_sources import DepthSource
 from kit1000.registration.refinement.image_residuals import refine_in_image
 from kit1000.registration.refinement.interval_residuals import Intervals, refine_within
 from kit1000.registration.refinement.levenberg_marquardt import SCALES
+from kit1000.registration.refinement.plate_patch import plate_patch
 from kit1000.registration.search.candidates import find_candidates, within_guess_error
 from kit1000.registration.search.contradictions import Contradictions, KitHeights, contradictions
 from kit1000.registration.search.correlation import Candidate, lies_on, tilted, without_duplicates
@@ -191,7 +193,17 @@ class EvidenceSearch:
         doubt = fit.doubt
         if self.refinement.spread:
             doubt += self.refinement.spread * float(np.log(found.spread / TYPICAL_SPREAD))
-        return Fit(moved.cavity.world_from_plate @ found.plate_from_now, fit.misfit, doubt, moved)
+        return self._placed(Fit(moved.cavity.world_from_plate @ found.plate_from_now, fit.misfit, doubt, moved))
+
+    def _placed(self, fit: Fit) -> Fit:
+        """A fit, moved as a network tells; its misfit and doubt stay."""
+        source, candidate = self.source, fit.candidate
+        patch = None if source.placer is None else plate_patch(source, candidate, self.clearance, CELLS)
+        if source.placer is None or patch is None:
+            return fit
+        goal_from_now = patch.moved(fit.goal_from_now, source.middle, source.placer(patch.channels))
+        plate_from_now = candidate.cavity.world_from_plate.inverse() @ goal_from_now
+        return replace(fit, goal_from_now=goal_from_now, candidate=replace(candidate, plate_from_now=plate_from_now))
 
     def _residuals(self, candidate: Candidate, intervals: Intervals) -> Residuals:
         """Residuals of a refined candidate, without the outline's."""

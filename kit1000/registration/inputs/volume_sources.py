@@ -19,6 +19,7 @@ from kit1000.voxels import Grid, Volume, signed_distance, surface_points
 
 if TYPE_CHECKING:
     from kit1000.perception.completion.parts.completed import CompletedPart, PartCompleter
+    from kit1000.perception.placement.placer import Placer
 
 VOXEL = 1e-3  # [m] of the part's volume
 COARSE = 2e-3  # [m] voxels of the volume in which planes are searched
@@ -117,6 +118,8 @@ class DepthSource:
     query: Query
     completer: PartCompleter | None = None
     """The network that completes the part; None fills columns."""
+    placer: Placer | None = None
+    """The network that places fits in the image; None: it is not asked."""
     measured: LabelledDepth | None = None
     """The calibrated image of a sensor whose edges were restored, as it was before, which the network reads."""
     others: tuple[LabelledDepth, ...] = ()
@@ -141,6 +144,12 @@ class DepthSource:
     def evidence(self) -> PartEvidence:
         """What is certain about the part."""
         return self._part.evidence(VOXEL)
+
+    def solid_above(self, logit: float) -> Volume:
+        """The part where a network finds it likelier than a logit; the filled one where none completes it."""
+        if isinstance(self._part, ObservedPart):
+            return self.evidence.filled
+        return self._part.solid_above(logit, VOXEL)
 
     @cached_property
     def part_points(self) -> np.ndarray:

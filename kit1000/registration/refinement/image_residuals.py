@@ -13,20 +13,17 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import binary_dilation, uniform_filter
 
-from kit1000.numerics.compiled import compiled
 from kit1000.numerics.elimination import solve_positive
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.pose import Pose
-from kit1000.registration.geometry.height_images import dilated, image_cells, lower_envelope
+from kit1000.registration.geometry.relief_rays import CELL, cavity_relief, trace
 from kit1000.registration.refinement.levenberg_marquardt import LEVER, descend, linearised
 from kit1000.registration.search.correlation import Candidate
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 from kit1000.voxels import Volume
 
-CELL = 0.5e-3  # [m] of the cavity's relief, and of the steps along a ray
 LEAST_CUT = 1e-3  # [m] below the face, of cells that belong to the cavity
 AROUND = 10e-3  # [m] about the cavity, of the plate that is compared
-DEEPEST = 30e-3  # [m] below the face at which a ray ends
 BORDER = 5  # [px] inside the masks of the kits: beyond it the image is of something else
 IN_FRONT, BEHIND = 12e-3, 60e-3  # [m] of depth from the face, up to which a pixel shows the plate or its cavity
 LEAST_PIXELS = 200  # that are compared
@@ -94,15 +91,14 @@ def refine_in_image(
     """
     pose = candidate.plate_from_now
     pivot = pose.apply(middle)
-    about = Pose.from_translation((-pivot[0], -pivot[1], 0.0))
-    envelope = lower_envelope(part, about @ pose, CELL, image_cells(part, clearance, CELL))
-    relief = np.minimum(dilated(envelope, CELL, clearance), 0.0)
+    relief = cavity_relief(part, pose, pivot, clearance)
     plate = _plate_in_image(image, gain, candidate.cavity.world_from_plate, pivot, _radius(relief) + AROUND)
     if plate is None:
         return None
     problem = ImageProblem(plate, relief, pivot, gain)
     twist = descend(problem, np.zeros(6), SCALES, DIFFERENCES)
     rotation = Pose(np.array([1.0, 0.0, 0.0, twist[0] / 2]), np.zeros(3))
+    about = Pose.from_translation((-pivot[0], -pivot[1], 0.0))
     refined = Pose.from_translation((*(pivot[:2] + twist[3:5]), 0.0)) @ rotation @ about @ pose
     return ImageFit(refined, problem, twist)
 
@@ -190,42 +186,6 @@ class ImageProblem:
     def rendered(self, place: np.ndarray) -> np.ndarray:
         """(h, w) disparities beyond those of the face, at a yaw [rad] and an offset x, y [m] from the fit."""
         depth = np.empty(self.plate.face.size)
-        _trace(self.plate.origin, self.plate.rays, self.relief, self.pivot[:2] + place[1:], place[0] / 2, depth)
+        trace(self.plate.origin, self.plate.rays, self.relief, self.pivot[:2] + place[1:], place[0] / 2, depth)
         beyond = self.gain / depth.reshape(self.plate.face.shape) - self.plate.face
         return np.asarray(uniform_filter(beyond, 2 * HALF + 1))
-
-
-@compiled
-def _trace(origin, rays, relief, middle, tangent, depth):
-    """Fill depth (n,) [m]: where rays (n, 3) from an origin meet a relief (m, m) [m], of cells of CELL about a middle.
-
-    tangent: of half the angle by which the relief is rotated.
-    """
-    cells = len(relief)
-    cosine = (1 - tangent * tangent) / (1 + tangent * tangent)
-    sine = 2 * tangent / (1 + tangent * tangent)
-    for k in range(len(rays)):
-        height, before = 0.0, 0.0
-        while True:
-            t = (height - origin[2]) / rays[k, 2]
-            x, y = origin[0] + t * rays[k, 0] - middle[0], origin[1] + t * rays[k, 1] - middle[1]
-            above = height - _height_at(relief, cells, cosine * x + sine * y, cosine * y - sine * x)
-            if above <= 0 or height <= -DEEPEST:
-                break
-            height, before = height - CELL, above
-        if above < 0 and before > 0:  # between the last two steps
-            t -= CELL * above / (above - before) / rays[k, 2]
-        depth[k] = t
-
-
-@compiled
-def _height_at(relief, cells, x, y):
-    """[m] of a relief at a point of its frame, linear between cells; 0 beyond it."""
-    u, v = x / CELL + (cells - 1) / 2, y / CELL + (cells - 1) / 2
-    if not (0 <= u < cells - 1 and 0 <= v < cells - 1):
-        return 0.0
-    i, j = int(u), int(v)
-    a, b = u - i, v - j
-    near = (1 - b) * relief[i, j] + b * relief[i, j + 1]
-    far = (1 - b) * relief[i + 1, j] + b * relief[i + 1, j + 1]
-    return (1 - a) * near + a * far

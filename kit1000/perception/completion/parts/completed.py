@@ -102,6 +102,11 @@ class CompletedPart:
             return Volume.adopt(grid, np.ones(grid.shape, np.float32))
         return Volume.adopt(grid, -np.tanh(self.logits.at(grid, (1, 1, 1)) / 2))
 
+    def solid_above(self, logit: float, voxel: float) -> Volume:
+        """Negative where the logit is above another one, else positive, -1 to 1; on the grid of `probability`."""
+        odds = self.probability(voxel)
+        return Volume.adopt(odds.grid, np.clip(odds.values + np.float32(np.tanh(logit / 2)), -1, 1))
+
     def volume(self, voxel: float) -> Volume:
         """Signed distances to the part, on the grid of `ObservedPart`.
 

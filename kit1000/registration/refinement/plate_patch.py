@@ -1,0 +1,164 @@
+"""Patches: what an image shows about a fit, on a grid on the face of its plate that looks away from the camera.
+
+A patch lies below the middle of the part, its first axis away from the camera, its z axis out of the plate. All its
+disparities are those beyond the face's: negative in a cavity. So a plate may stand anywhere, and its patch is the same.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+from kit1000.camera import Camera
+from kit1000.perception.placement.channels import CELL, Channel
+from kit1000.pose import Pose
+from kit1000.registration.geometry import relief_rays
+from kit1000.registration.geometry.relief_rays import cavity_relief, trace
+from kit1000.registration.inputs.volume_sources import DepthSource
+from kit1000.registration.search.correlation import Candidate
+from kit1000.values import ASSEMBLY_LABEL, LabelledDepth
+from kit1000.voxels import Volume
+
+LARGEST = 24.0  # [px] of a disparity beyond the face: what is farther from it is another surface
+SLIMMER, WIDER = 1.0, -1.5  # logits above which the part is solid, for cavities of a slimmer and of a wider part
+
+
+@dataclass(frozen=True, eq=False)
+class PlatePatch:
+    """A fit in an image."""
+
+    channels: np.ndarray
+    """(Channel, n, n) float32, cells of CELL."""
+    world_from_patch: Pose
+
+    def moved(self, goal_from_now: Pose, middle: np.ndarray, move: np.ndarray) -> Pose:
+        """A motion of the part, followed by a move in the plate.
+
+        Args:
+            goal_from_now: of the fit.
+            middle: (3,) [m] world, of the part now; the yaw is about where the fit takes it.
+            move: (3,) yaw [rad], shift along the axes of the patch [m].
+        """
+        patch_from_world = self.world_from_patch.inverse()
+        pivot = (patch_from_world @ goal_from_now).apply(middle)
+        shifted = pivot + (move[1], move[2], 0.0)
+        about = Pose(np.array([1.0, 0.0, 0.0, move[0] / 2]), shifted) @ Pose.from_translation(-pivot)
+        return self.world_from_patch @ about @ patch_from_world @ goal_from_now
+
+    def twist_to(self, true: Pose, goal_from_now: Pose, middle: np.ndarray) -> np.ndarray:
+        """(6,) rotation vector [rad] and shift [m], in the frame of the patch, from a fit to the true motion."""
+        patch_from_world = self.world_from_patch.inverse()
+        pivot = (patch_from_world @ goal_from_now).apply(middle)
+        difference = patch_from_world @ true @ goal_from_now.inverse() @ self.world_from_patch
+        return np.concatenate([difference.rotvec(), difference.apply(pivot) - pivot])
+
+
+def plate_patch(source: DepthSource, candidate: Candidate, clearance: float, cells: int) -> PlatePatch | None:
+    """The patch of a fit; None where the camera does not see the plate's face from above.
+
+    Args:
+        source: of a noisy image.
+        candidate: the fit.
+        clearance: [m]
+        cells: of a side.
+    """
+    world_from_plate = candidate.cavity.world_from_plate
+    plate_from_camera = world_from_plate.inverse() @ source.query.view.world_from_camera
+    pivot = candidate.plate_from_now.apply(source.middle)
+    away = pivot[:2] - plate_from_camera.xyz[:2]
+    yaw = float(np.arctan2(away[1], away[0]))
+    plate_from_patch = Pose.from_rotvec((0.0, 0.0, yaw), (*pivot[:2], 0.0))
+    along = (np.arange(cells) - (cells - 1) / 2) * CELL
+    x, y = np.meshgrid(along, along, indexing="ij")
+    face = plate_from_patch.apply(np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3))
+    seen = plate_from_camera.inverse().apply(face)
+    if plate_from_camera.xyz[2] <= 0 or (seen[:, 2] <= 0).any():
+        return None
+    pixels = _Pixels(source.query.view.camera.project(seen), source.gain / seen[:, 2], source.gain)
+    channels = np.zeros((len(Channel), cells * cells), np.float32)
+    restored, measured = source.query.image, source.measured or source.query.image
+    channels[Channel.RESTORED], channels[Channel.IS_RESTORED] = pixels.beyond(restored)
+    channels[Channel.MEASURED], channels[Channel.IS_MEASURED] = pixels.beyond(measured)
+    rays = _Rays.of(pixels.uv, source.query.view.camera, plate_from_camera)
+    if rays is None:
+        return None
+    for channel, part in _parts(source).items():
+        relief = cavity_relief(part, candidate.plate_from_now, pivot, clearance)
+        channels[channel] = rays.beyond(relief, pivot, pixels)
+        if channel == Channel.CAVITY:
+            channels[Channel.RELIEF] = _heights(relief, face[:, :2] - pivot[:2])
+    return PlatePatch(channels.reshape(-1, cells, cells), world_from_plate @ plate_from_patch)
+
+
+def _parts(source: DepthSource) -> dict[Channel, Volume]:
+    """The part as the search takes it, and slimmer and wider."""
+    return {
+        Channel.CAVITY: source.evidence.filled,
+        Channel.WIDER: source.solid_above(WIDER),
+        Channel.SLIMMER: source.solid_above(SLIMMER),
+    }
+
+
+def _heights(relief: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """(k,) [m] of a relief at places (k, 2) [m] about its middle; 0 beyond it."""
+    cells = places / relief_rays.CELL + (len(relief) - 1) / 2
+    return map_coordinates(relief, cells.T, order=1, mode="constant", cval=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pixels:
+    """Where an image shows the cells of a patch, if nothing but the plate's face is there."""
+
+    uv: np.ndarray
+    """(k, 2) [px]"""
+    face: np.ndarray
+    """(k,) [px] disparities."""
+    gain: float
+    """[px m] disparity times depth."""
+
+    def beyond(self, image: LabelledDepth) -> tuple[np.ndarray, np.ndarray]:
+        """(k,) [px] disparities of an image beyond the face, 0 where it shows no kit; and (k,) the share that does."""
+        shown = (image.view.depth > 0) & (image.labels == ASSEMBLY_LABEL)
+        disparity = np.where(shown, self.gain / np.where(shown, image.view.depth, 1.0), 0.0)
+        total, share = (self._read(values) for values in (disparity, shown.astype(float)))
+        beyond = total / np.maximum(share, 1e-6) - self.face
+        return np.where(share > 0.5, np.clip(beyond, -LARGEST, LARGEST), 0.0), share
+
+    def _read(self, values: np.ndarray) -> np.ndarray:
+        """(k,) values (H, W) between pixels; 0 beyond the image."""
+        return map_coordinates(values, self.uv.T[::-1], order=1, mode="constant", cval=0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rays:
+    """The rays of a box of an image, plate frame."""
+
+    corner: np.ndarray
+    """(2,) [px] u, v of the first."""
+    shape: tuple[int, int]
+    origin: np.ndarray
+    """(3,) [m] the camera."""
+    directions: np.ndarray
+    """(h * w, 3) of a depth of 1, row by row."""
+
+    @staticmethod
+    def of(uv: np.ndarray, camera: Camera, plate_from_camera: Pose) -> _Rays | None:
+        """The rays of the pixels about places (k, 2) [px]; None where one of them misses the plate."""
+        size = np.array([camera.width, camera.height])
+        low, high = (np.clip(f(uv, axis=0), 0, size - 1).astype(int) for f in (np.min, np.max))
+        v, u = np.mgrid[low[1] : high[1] + 2, low[0] : high[0] + 2]
+        ends = camera.unproject_pixels(np.stack([u, v], -1).reshape(-1, 2), np.ones(u.size))
+        directions = np.ascontiguousarray(plate_from_camera.rotate(ends))
+        if (directions[:, 2] >= 0).any():
+            return None
+        return _Rays(low, u.shape, plate_from_camera.xyz, directions)
+
+    def beyond(self, relief: np.ndarray, pivot: np.ndarray, pixels: _Pixels) -> np.ndarray:
+        """(k,) [px] disparities beyond the face where these rays meet a relief about a pivot, at the cells' pixels."""
+        depth = np.empty(len(self.directions))
+        trace(self.origin, self.directions, relief, pivot[:2], 0.0, depth)
+        face = -self.origin[2] / self.directions[:, 2]
+        beyond = (pixels.gain / depth - pixels.gain / face).reshape(self.shape)
+        return map_coordinates(beyond, (pixels.uv - self.corner).T[::-1], order=1, mode="nearest")

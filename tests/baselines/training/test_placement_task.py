@@ -1,0 +1,125 @@
+"""Examples of placement: their changes agree with moves of the fit, and fits are kept in files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from baselines.training.tasks.placement.changes import Changes, changed, drawn_changes, no_changes
+from baselines.training.tasks.placement.placed_fits import BORDER, PlacedFits
+from baselines.training.tasks.placement.task import IN_PLATE, MM, placement_task
+from kit1000.dataset.reader import Dataset
+from kit1000.perception.placement.channels import CELLS, Channel
+from kit1000.pose import Pose
+from kit1000.registration.inputs.volume_sources import DepthSource
+from kit1000.registration.refinement.plate_patch import PlatePatch, plate_patch
+from kit1000.weights import WEIGHTS
+from tests.samples.known_source import KnownSource
+from tests.samples.registration_cases import CLEARANCE, case
+from tests.samples.registration_images import image_of, moved
+
+NAME = "an L"
+
+
+def patch_at(x_mm: float, y_mm: float, yaw_deg: float, cells: int = CELLS) -> tuple[PlatePatch, np.ndarray]:
+    """The patch of a fit that far from the goal in the plate, and its move to the goal."""
+    known = case(NAME)
+    fit = moved(known, x_mm, y_mm, yaw_deg)
+    source = cast(DepthSource, KnownSource(image_of(NAME), known.part, known.pivot))
+    patch = plate_patch(source, fit, CLEARANCE, cells)
+    assert patch is not None
+    goal_from_now = fit.cavity.world_from_plate @ fit.plate_from_now
+    return patch, MM * patch.twist_to(known.goal, goal_from_now, known.pivot)[IN_PLATE].astype(np.float32)
+
+
+def apply(patch: PlatePatch, move: np.ndarray, **changes: np.ndarray) -> tuple[Tensor, Tensor]:
+    every = no_changes() | {name: np.asarray(value, no_changes()[name].dtype) for name, value in changes.items()}
+    batch = Changes(*(torch.from_numpy(every[name])[None] for name in Changes._fields))
+    return changed(torch.from_numpy(patch.channels)[None], torch.from_numpy(move)[None], batch)
+
+
+def wide(x_mm: float = 0.0, y_mm: float = 0.0, yaw_deg: float = 0.0) -> tuple[PlatePatch, np.ndarray]:
+    return patch_at(x_mm, y_mm, yaw_deg, CELLS + 2 * BORDER)
+
+
+def test_without_changes_the_border_is_cut_off() -> None:
+    patch, move = wide(1.0, -1.0, 2.0)
+    seen, true = apply(patch, move)
+    np.testing.assert_allclose(seen[0].numpy(), patch.channels[:, BORDER:-BORDER, BORDER:-BORDER], atol=2e-5)
+    np.testing.assert_array_equal(true[0].numpy(), move)
+
+
+@pytest.mark.parametrize("shift_mm", [(2.0, 0.0), (0.0, -2.0), (1.0, 1.5)])
+def test_a_shifted_fit_is_the_cavity_there(shift_mm: tuple[float, float]) -> None:
+    """The cavity of a changed fit is that of a fit which lies there, and what the image shows of it stays."""
+    here, move = wide()
+    along = here.world_from_patch.rotate((*shift_mm, 0.0)) * 1e-3
+    known, at_goal = case(NAME), moved(case(NAME), 0, 0, 0)
+    plate = at_goal.cavity.world_from_plate.inverse()
+    there = replace(at_goal, plate_from_now=Pose.from_translation(plate.rotate(along)) @ at_goal.plate_from_now)
+    source = cast(DepthSource, KnownSource(image_of(NAME), known.part, known.pivot))
+    patch = plate_patch(source, there, CLEARANCE, CELLS)
+    assert patch is not None
+    seen, true = apply(here, move, shift=np.array(shift_mm))
+    np.testing.assert_allclose(true[0].numpy() - move, [0, -shift_mm[0], -shift_mm[1]], atol=1e-5)
+    x, y = np.array(shift_mm).round().astype(int)
+    whole = np.roll(patch.channels[Channel.RELIEF], (x, y), (0, 1))
+    middle = np.s_[10:-10, 10:-10]
+    if (np.array(shift_mm) == (x, y)).all():
+        assert np.abs(seen[0, Channel.RELIEF].numpy() - whole)[middle].mean() < 0.2e-3
+    np.testing.assert_allclose(seen[0, Channel.RESTORED].numpy(), apply(here, move)[0][0, Channel.RESTORED].numpy())
+
+
+def test_a_rotated_fit_has_its_rotation_left_to_undo() -> None:
+    patch, move = wide()
+    _, true = apply(patch, move, yaw=np.array(0.05))
+    np.testing.assert_allclose(true[0].numpy() - move, [-20 * 0.05, 0, 0], atol=1e-5)
+
+
+def test_the_cavity_rotates_with_the_fit() -> None:
+    turned, (here, move) = patch_at(0, 0, 8.0)[0], wide()
+    seen, _ = apply(here, move, yaw=np.array(np.radians(8.0)))
+    cavity = turned.channels[Channel.RELIEF]
+    still = here.channels[Channel.RELIEF, BORDER:-BORDER, BORDER:-BORDER]
+    assert np.abs(seen[0, Channel.RELIEF].numpy() - cavity).mean() < 0.5 * np.abs(still - cavity).mean()
+
+
+def test_seen_from_aside_the_move_is_in_the_other_frame() -> None:
+    patch, move = wide(1.5, -0.5, 3.0)
+    _, true = apply(patch, move, aside=np.array(np.pi / 2))
+    np.testing.assert_allclose(true[0].numpy(), move[[0, 2, 1]] * [1, 1, -1], atol=1e-4)
+
+
+def test_left_and_right_are_exchanged_twice_for_nothing() -> None:
+    patch, move = wide(1.0, -1.0, 2.0)
+    once, true = apply(patch, move, mirrored=np.array(True))
+    np.testing.assert_allclose(once[0].numpy(), apply(patch, move)[0][0].flip(2).numpy(), atol=2e-5)
+    np.testing.assert_array_equal(true[0].numpy(), move * [-1, 1, -1])
+
+
+def test_changes_are_drawn_and_those_of_validation_are_none() -> None:
+    drawn = [drawn_changes(np.random.default_rng(seed)) for seed in range(200)]
+    assert 0.35 < np.mean([each["mirrored"] for each in drawn]) < 0.65
+    assert 0.5 < np.std([each["shift"] for each in drawn]) < 0.9
+    assert not any(value.any() for value in no_changes().values())
+
+
+def test_fits_are_kept_in_files_and_lead_to_the_truth(mini: Path, tmp_path: Path) -> None:
+    task, _ = placement_task(Dataset(mini), "small", WEIGHTS / "completion-d415", WEIGHTS / "restoration")
+    fits = PlacedFits(task.training.registration, "train", tmp_path)
+    query_id = next(iter(fits.queries))
+    first = fits.of(query_id)
+    assert [path.name for path in tmp_path.iterdir()] == [f"{fits.dataset.id}-{query_id}.npz"]
+    again = PlacedFits(cast("object", SimpleNamespace(dataset=fits.dataset)), "train", tmp_path).of(query_id)  # pyright: ignore[reportArgumentType]
+    assert (first is None) == (again is None)
+    if first is not None and again is not None:
+        np.testing.assert_array_equal(again.channels, first.channels)
+        np.testing.assert_array_equal(again.twist, first.twist)
+        assert first.channels.shape == (len(Channel), CELLS + 2 * BORDER, CELLS + 2 * BORDER)
