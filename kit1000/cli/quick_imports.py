@@ -8,39 +8,31 @@ from __future__ import annotations
 
 import gc
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-STAND_INS = ("scipy.linalg", "scipy.sparse", "scipy.sparse.csgraph", "scipy.spatial")
+STAND_INS = ("scipy.linalg", "scipy.spatial")
 HULLS = "scipy.spatial._qhull"
 
 
 class _StandIn(ModuleType):
-    """A package whose functions import it on their first call; its hulls are there at once."""
+    """A package of which its hulls alone are there."""
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):
-            raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
-        hulls = import_module(HULLS) if HULLS.startswith(self.__name__) else None
-        return getattr(hulls, name) if hasattr(hulls, name) else _deferred(self.__name__, name)
-
-
-def _deferred(package: str, name: str) -> Callable[..., Any]:
-    def call(*arguments: Any, **options: Any) -> Any:
-        return getattr(import_module(package), name)(*arguments, **options)
-
-    return call
+        if not name.startswith("__") and HULLS.startswith(self.__name__):
+            return getattr(import_module(HULLS), name)
+        raise AttributeError(f"module {self.__name__!r} has no attribute {name!r}")
 
 
 @contextmanager
 def quick_imports() -> Iterator[None]:
     """Import in the block with stand-ins for packages of scipy, which later imports load as usual, and no collection.
 
-    What is imported in the block may call what it names of these packages, and use their classes of hulls.
+    What is imported in the block may use of these packages their hulls.
     """
     collects = gc.isenabled()
     gc.disable()

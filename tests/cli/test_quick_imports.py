@@ -24,12 +24,6 @@ def test_hulls_are_those_of_scipy() -> None:
     assert output_of(MAKER + code) == "True"
 
 
-def test_a_function_of_a_package_imports_it_when_called() -> None:
-    code = "import sys, numpy; from kit1000.parts.files.topology import connected_components\n"
-    code += "print(connected_components(numpy.eye(2))[0], 'scipy.sparse.csgraph' in sys.modules)"
-    assert output_of(MAKER + code) == "2 True"
-
-
 def test_packages_are_whole_when_they_are_imported_later() -> None:
     code = "import scipy.spatial, scipy.linalg, scipy.interpolate, scipy.optimize\n"
     code += "tree = scipy.spatial.KDTree([[0.0], [1.0]])\n"

@@ -43,6 +43,17 @@ class BoxTree:
             yield query, self.order[node]
 
 
+def near_points(centres: np.ndarray, radii: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index arrays (k,), (k,) of balls, centres (m, 3) and radii (m,), and of the points (n, 3) in each."""
+    found = [np.zeros((2, 0), dtype=np.int64)]
+    reach = radii[:, None]
+    for ball, point in BoxTree(points, points).overlaps(centres - reach, centres + reach):
+        inside = np.square(centres[ball] - points[point]).sum(1) <= np.square(radii[ball])
+        found.append(np.stack([ball[inside], point[inside]]))
+    ball, point = np.concatenate(found, axis=1)
+    return ball, point
+
+
 def crossings(triangles: np.ndarray, tolerance: float) -> np.ndarray:
     """(k, 3) points where an edge of one triangle passes through another by more than the tolerance."""
     low, high = triangles.min(1), triangles.max(1)

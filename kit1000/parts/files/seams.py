@@ -7,12 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 from manifold3d import triangulate
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 
 from kit1000.errors import MeshRefused
+from kit1000.numerics.components import component_labels
 from kit1000.numerics.linear_algebra import length, matmul
+from kit1000.parts.files.crossings import near_points
 from kit1000.parts.files.topology import consistently_wound, halfedges, longest_side, open_edges, without_duplicates
 
 WELD_SHARES = (1e-7, 1e-6, 1e-5)  # of the longest side; CAD exports one corner with different last digits
@@ -47,9 +46,8 @@ def _holes_text(vertices: np.ndarray, faces: np.ndarray, opened: np.ndarray) -> 
     """The number of holes among open edges, the width of the widest, and what to do about them."""
     start, end = halfedges(faces)
     rim, places = np.unique([start[opened], end[opened]], return_inverse=True)
-    edges = places.reshape(2, -1)
-    graph = coo_array((np.ones(len(opened), dtype=np.int8), tuple(edges)), shape=(len(rim), len(rim)))
-    count, labels = connected_components(graph, directed=False)
+    labels = component_labels(len(rim), *places.reshape(2, -1))
+    count = labels.max() + 1
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     np.minimum.at(low, labels, vertices[rim])
     np.maximum.at(high, labels, vertices[rim])
@@ -62,11 +60,10 @@ def _welded_seams(vertices: np.ndarray, faces: np.ndarray, tolerance: float, not
     start, end = halfedges(faces)
     opened = open_edges(faces)
     rim = np.unique([start[opened], end[opened]])
-    pairs = KDTree(vertices[rim]).query_pairs(tolerance, output_type="ndarray")
-    if not len(pairs):
+    labels = component_labels(len(rim), *near_points(vertices[rim], np.full(len(rim), tolerance), vertices[rim]))
+    count = labels.max() + 1
+    if count == len(rim):
         return faces
-    graph = coo_array((np.ones(len(pairs), dtype=np.int8), pairs.T), shape=(len(rim), len(rim)))
-    count, labels = connected_components(graph, directed=False)
     first = np.full(count, len(rim))
     np.minimum.at(first, labels, np.arange(len(rim)))
     target = np.arange(len(vertices))
@@ -97,10 +94,10 @@ def _splits(vertices: np.ndarray, faces: np.ndarray) -> dict[int, tuple[int, np.
     if not len(opened):
         return {}
     rim = np.unique([start[opened], end[opened]])
-    tree = KDTree(vertices[rim])
     a, b = vertices[start[opened]], vertices[end[opened]]
     lengths = np.linalg.norm(b - a, axis=1)
-    near = tree.query_ball_point((a + b) / 2, lengths / 2)
+    ball, point = near_points((a + b) / 2, lengths / 2, vertices[rim])
+    near = np.split(point[np.argsort(ball, kind="stable")], np.cumsum(np.bincount(ball, minlength=len(opened)))[:-1])
     tolerance = min(STITCH_SHARE * longest_side(vertices), WELD_LIMIT)
     splits: dict[int, tuple[int, np.ndarray]] = {}
     for i, halfedge in enumerate(opened):

@@ -6,10 +6,9 @@ Vertices (n, 3) are float64 [m], faces (m, 3) int64 of indices into them. A half
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from kit1000.errors import MeshRefused
+from kit1000.numerics.components import component_labels
 
 
 def halfedges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -99,8 +98,7 @@ def _winding_flips(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     left, right = left % count, right % count
     rows = np.concatenate([left, left + count])
     columns = np.concatenate([right + opposed * count, right + (1 - opposed) * count])
-    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(2 * count, 2 * count))
-    labels = connected_components(graph, directed=False)[1]
+    labels = component_labels(2 * count, rows, columns)
     as_is, flipped = labels[:count], labels[count:]
     if (as_is == flipped).any():
         raise MeshRefused("one-sided surface: its faces cannot be wound consistently")

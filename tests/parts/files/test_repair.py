@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold
+from scipy.spatial import KDTree
 
 from kit1000.errors import MeshRefused
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
-from kit1000.parts.files.crossings import crossings, max_distance, winding_numbers
+from kit1000.parts.files.crossings import crossings, max_distance, near_points, winding_numbers
 from kit1000.parts.files.repair import closed_solid
 from kit1000.parts.files.united_bodies import MAX_FACES_UNCHANGED, SIMPLIFY_TOLERANCE, part_mesh
 
@@ -280,3 +281,14 @@ def test_winding_numbers_count_the_surfaces_around_a_point() -> None:
     points = np.array([[0, 0, 0], [0.015, 0.001, 0.001], [0.1, 0, 0]])
     assert winding_numbers(points, np.concatenate([outer, inner])) == pytest.approx([2, 1, 0])
     assert winding_numbers(points, np.concatenate([outer, inner[:, ::-1]])) == pytest.approx([0, 1, 0])
+
+
+@pytest.mark.parametrize("radius", [1e-7, 1e-5, 3e-4, 0.02])
+def test_points_near_others_are_those_of_a_tree(radius: float) -> None:
+    rng = np.random.default_rng(4)
+    points = rng.uniform(-0.05, 0.05, (300, 3)).round(3)  # many share a plane
+    points = np.concatenate([points, points[:200] + rng.normal(size=(200, 3)) * radius, points[:20]])
+    centres, radii = points[::2], radius * rng.uniform(0, 2, len(points[::2]))
+    ball, point = near_points(centres, radii, points)
+    own = [np.sort(point[ball == i]).tolist() for i in range(len(centres))]
+    assert own == [sorted(near) for near in KDTree(points).query_ball_point(centres, radii)]
