@@ -102,9 +102,10 @@ class _StandIn:
         field = OpenField.of(self.columns, self.corner, self.cell, self.slot.depth)
         highest = self._height_above(float(self.slot.goals.xyz[:, 2].max()))
         for pose in poses_in_own_slot(prepared_part(self.mesh), field, self.slot):
+            if is_near_goal(pose, self.slot):
+                continue
             heights = self._offsets_to_contact(pose, np.zeros(2), highest - pose.xyz[2]) + pose.xyz[2]
-            at_goal = (self._is_at_height(heights, z) for z in self.slot.goals.xyz[:, 2])
-            if any(at_goal) and not is_near_goal(pose, self.slot):
+            if any(self._is_at_height(heights, z) for z in self.slot.goals.xyz[:, 2]):
                 return True
         return False
 
