@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-BOXES_PER_QUERY = 16384  # boxes queried at once; bounds the memory
+BOXES_PER_QUERY = 2048  # boxes queried at once: few enough for arrays of their pairs that stay in the cache
 MORTON_BITS = 20  # bits per axis in the sorting key: cells of a millionth of the extent
 
 
@@ -21,25 +21,25 @@ class BoxTree:
         """low, high: (n, 3) corners of the boxes."""
         self.order = np.argsort(_morton((low + high) / 2), kind="stable")
         size = 1 << max(len(low) - 1, 0).bit_length()
-        lows, highs = np.full((size, 3), np.inf), np.full((size, 3), -np.inf)  # empty leaves overlap no box
-        lows[: len(low)], highs[: len(low)] = low[self.order], high[self.order]
+        lows, highs = np.full((3, size), np.inf), np.full((3, size), -np.inf)  # empty leaves overlap no box
+        lows[:, : len(low)], highs[:, : len(low)] = low[self.order].T, high[self.order].T
         self.levels = [(lows, highs)]
-        while len(lows) > 1:
-            lows, highs = np.minimum(lows[::2], lows[1::2]), np.maximum(highs[::2], highs[1::2])
+        while lows.shape[1] > 1:
+            lows, highs = np.minimum(lows[:, ::2], lows[:, 1::2]), np.maximum(highs[:, ::2], highs[:, 1::2])
             self.levels.insert(0, (lows, highs))
 
     def overlaps(self, low: np.ndarray, high: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield (query, box) index arrays (k,) of all overlapping pairs, some queries (m, 3) at a time."""
-        for start in range(0, len(low), BOXES_PER_QUERY):
-            query = np.arange(start, min(start + BOXES_PER_QUERY, len(low)))
+        low, high = np.ascontiguousarray(low.T), np.ascontiguousarray(high.T)
+        for start in range(0, low.shape[1], BOXES_PER_QUERY):
+            query = np.arange(start, min(start + BOXES_PER_QUERY, low.shape[1]))
             node = np.zeros(len(query), dtype=np.int64)
             for depth, (lows, highs) in enumerate(self.levels):
                 if depth:
                     node, query = np.concatenate([2 * node, 2 * node + 1]), np.tile(query, 2)
-                keep = np.ones(len(node), dtype=bool)
                 for axis in range(3):
-                    keep &= (lows[node, axis] <= high[query, axis]) & (highs[node, axis] >= low[query, axis])
-                node, query = node[keep], query[keep]
+                    keep = (lows[axis][node] <= high[axis][query]) & (highs[axis][node] >= low[axis][query])
+                    node, query = node[keep], query[keep]
             yield query, self.order[node]
 
 
@@ -70,12 +70,13 @@ def _edge_crossings(
     triangles: np.ndarray, normals: np.ndarray, face: np.ndarray, other: np.ndarray, tolerance: float
 ) -> np.ndarray:
     """(k, 3) points where the edges of `other` pass through `face`, both index arrays (m,)."""
-    heights = np.einsum("mkc,mc->mk", triangles[other] - triangles[face, None, 0], normals[face])
-    across = (heights.min(1) < -tolerance) & (heights.max(1) > tolerance)
-    face, other, heights = face[across], other[across], heights[across]
+    base, normal = triangles[face, 0], normals[face]
+    heights = np.stack([np.einsum("mc,mc->m", triangles[other, k] - base, normal) for k in range(3)])
+    across = (heights.min(0) < -tolerance) & (heights.max(0) > tolerance)
+    face, other, heights = face[across], other[across], heights[:, across]
     found = []
     for start, end in ((0, 1), (1, 2), (2, 0)):
-        a, b = heights[:, start], heights[:, end]
+        a, b = heights[start], heights[end]
         through = (a * b < 0) & (np.minimum(np.abs(a), np.abs(b)) > tolerance)
         share = (a[through] / (a[through] - b[through]))[:, None]
         edge = triangles[other[through]]
