@@ -121,25 +121,23 @@ def _parallel_projections(directions: np.ndarray, centre: np.ndarray, distance: 
 
 
 @compiled
-def illuminate(intrinsics, rotation, eye, image, scene, lamps, turn, ground, background, shadow, coarse, colours, out):
+def illuminate(intrinsics, rotation, eye, image, scene, lamps, turn, ground, background, shadow, drawn, colours, out):
     """Write the linear colour of each pixel to `out` (H, W, 3).
 
     `rotation` (3, 3) and `eye` (3,) are world_from_camera; `image` is the depth, body ids and face ids; `turn` is which
     of how many groups of lamps casts the shadows of the first pixel, its neighbours take the next groups in turn;
     `ground` is the height [m] of a floor of the colour `background`, which shadows darken by up to `shadow`; NaN for no
-    floor. `coarse` is the floor at every step-th pixel, and the step; where it is empty each pixel is computed.
-    `colours` (3, 3): of the key light, the sky and the light from below.
+    floor. `drawn` is whether `out` holds the floor already. `colours` (3, 3): of the key light, the sky and the light
+    from below.
     """
     depth, ids, faces = image
     start, groups = turn
-    floor, step = coarse
     point, normal, face_normal, view = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for group in range(groups):  # outermost, so that its shadow maps stay in the cache
         for v in range(depth.shape[0]):
             for u in range((group - start - 2 * v) % groups, depth.shape[1], groups):
                 body = ids[v, u] - 1
-                if body < 0 and floor.shape[0] > 0:
-                    _interpolate(floor, step, out, v, u)
+                if body < 0 and drawn:
                     continue
                 _set_view(intrinsics, rotation, u, v, view)
                 if body < 0:
@@ -157,25 +155,28 @@ def illuminate(intrinsics, rotation, eye, image, scene, lamps, turn, ground, bac
 
 
 @compiled
-def coarse_floor(intrinsics, rotation, eye, lamps, ground, background, shadow, colours, step, out):
-    """Write the linear colour of the floor at every step-th pixel to `out` (h, w, 3); arguments as of `illuminate`."""
+def draw_floor(intrinsics, rotation, eye, lamps, ground, background, shadow, colours, step, out):
+    """Write the linear colour of the floor to `out` (H, W, 3), interpolated between every step-th pixel.
+
+    Arguments as of `illuminate`.
+    """
     point, normal, view = np.empty(3), np.empty(3), np.empty(3)
-    for v in range(out.shape[0]):
-        for u in range(out.shape[1]):
+    floor = np.empty((out.shape[0] // step + 2, out.shape[1] // step + 2, 3), np.float32)
+    for v in range(floor.shape[0]):
+        for u in range(floor.shape[1]):
             _set_view(intrinsics, rotation, u * step, v * step, view)
             fade = shadow * _fade(intrinsics, u * step, v * step)
-            _set_floor(eye, view, lamps, ground, background, fade, colours, point, normal, out, v, u)
-
-
-@compiled
-def _interpolate(floor, step, out, v, u):
-    """Write the colour of a pixel between those of a floor at every step-th pixel."""
-    i, j = v // step, u // step
-    down, along = v / step - i, u / step - j
-    for c in range(3):
-        upper = floor[i, j, c] + along * (floor[i, j + 1, c] - floor[i, j, c])
-        lower = floor[i + 1, j, c] + along * (floor[i + 1, j + 1, c] - floor[i + 1, j, c])
-        out[v, u, c] = upper + down * (lower - upper)
+            _set_floor(eye, view, lamps, ground, background, fade, colours, point, normal, floor, v, u)
+    for v in range(out.shape[0]):
+        i = v // step
+        down = v / step - i
+        for u in range(out.shape[1]):
+            j = u // step
+            along = u / step - j
+            for c in range(3):
+                upper = floor[i, j, c] + along * (floor[i, j + 1, c] - floor[i, j, c])
+                lower = floor[i + 1, j, c] + along * (floor[i + 1, j + 1, c] - floor[i + 1, j, c])
+                out[v, u, c] = upper + down * (lower - upper)
 
 
 @compiled

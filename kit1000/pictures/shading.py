@@ -111,11 +111,10 @@ def shaded_picture(
     lit = (floor, _linear(background), GROUND_SHADOW)
     colours = np.array((lighting.KEY_COLOUR, lighting.SKY_COLOUR, lighting.BOUNCE_COLOUR))
     viewer = (world_from_camera.rotation_matrix(), world_from_camera.xyz)
-    turns, shared, coarse = 1, None, np.zeros((0, 0, 3), np.float32)
+    turns, shared, floor_image = 1, None, np.empty((camera.height, camera.width, 3), np.float32)
     if quality.shared:
         turns, shared = LAMP_GROUPS, lighting.place_lamps(scene.corners, ball, key, sky, quality.map_size)
-        coarse = np.empty((camera.height // FLOOR_STEP + 2, camera.width // FLOOR_STEP + 2, 3), np.float32)
-        lighting.coarse_floor(Intrinsics.of(camera), *viewer, shared, *lit, colours, FLOOR_STEP, coarse)
+        lighting.draw_floor(Intrinsics.of(camera), *viewer, shared, *lit, colours, FLOOR_STEP, floor_image)
 
     def sample(number: int) -> np.ndarray:
         shift = (_van_der_corput(number, 2) - 0.5, _van_der_corput(number, 3) - 0.5)
@@ -123,8 +122,8 @@ def shaded_picture(
         rendered = render(shifted, world_from_camera, meshes, threads=1)
         buffers = (rendered.depth, rendered.body_ids, rendered.face_ids)
         lamps = shared or lighting.place_lamps(scene.corners, ball, key[number::samples], sky[number::samples])
-        image = np.empty((camera.height, camera.width, 3), np.float32)
-        light = (scene, lamps, (number * TURNS % turns, turns), *lit, (coarse, FLOOR_STEP), colours)
+        image = floor_image.copy()
+        light = (scene, lamps, (number * TURNS % turns, turns), *lit, quality.shared, colours)
         lighting.illuminate(Intrinsics.of(shifted), *viewer, buffers, *light, image)
         draw_lines(*buffers, scene.first_face, patches, scene.albedo, OUTLINE_STEP * ball[1], image)
         return image
@@ -132,8 +131,8 @@ def shaded_picture(
     total = np.zeros((camera.height, camera.width, 3), np.float32)
     with ThreadPoolExecutor(1 if quality.shared else usable_cores()) as pool:
         for image in pool.map(sample, range(samples)):
-            total += np.minimum(image, 1)
-    return _srgb(total / samples)
+            total += np.minimum(image, 1, out=image)
+    return _srgb(np.divide(total, samples, out=total))
 
 
 def framing_camera(
@@ -273,5 +272,7 @@ def _srgb(linear: np.ndarray) -> np.ndarray:
     """The inverse of `_linear`, for images. (..., 3) -> (..., 3) uint8."""
     value = np.linspace(0, 1, LEVELS)
     curve = np.where(value <= 0.0031308, value * 12.92, 1.055 * value ** (1 / 2.4) - 0.055)
-    place = np.clip(linear, 0, 1) * (LEVELS - 1) + 0.5
+    place = np.clip(linear, 0, 1)
+    place *= LEVELS - 1
+    place += 0.5
     return np.round(255 * curve).astype(np.uint8)[place.astype(np.int16)]
