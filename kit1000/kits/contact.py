@@ -75,8 +75,10 @@ def contact_features(body: ConvexEdges, rotation: np.ndarray, translation: np.nd
     vertices = matmul(body.mesh.vertices, rotation.T) + translation
     facing = side * (matmul(body.mesh.normals, rotation[2]))  # (m,) cosine to the direction of view
     ends = body.ends[(facing[body.adjacent] > -WALL_COSINE).any(1)]
+    is_end = np.zeros(len(vertices), dtype=bool)
+    is_end[ends] = True
     return ContactFeatures(
-        vertices[np.unique(ends)],
+        vertices[is_end],
         vertices[ends],
         vertices[body.mesh.faces[facing > WALL_COSINE]],
     )
