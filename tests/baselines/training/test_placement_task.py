@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
@@ -13,9 +12,10 @@ import torch
 from torch import Tensor
 
 from baselines.training.tasks.placement.changes import Changes, changed, drawn_changes, no_changes
-from baselines.training.tasks.placement.placed_fits import BORDER, PlacedFits
+from baselines.training.tasks.placement.placed_fits import BORDER, LARGEST_SHIFT, PlacedFits
 from baselines.training.tasks.placement.task import IN_PLATE, MM, placement_task
 from kit1000.dataset.reader import Dataset
+from kit1000.errors import InputError
 from kit1000.perception.placement.channels import CELLS, Channel
 from kit1000.pose import Pose
 from kit1000.registration.inputs.volume_sources import DepthSource
@@ -111,15 +111,22 @@ def test_changes_are_drawn_and_those_of_validation_are_none() -> None:
     assert not any(value.any() for value in no_changes().values())
 
 
-def test_fits_are_kept_in_files_and_lead_to_the_truth(mini: Path, tmp_path: Path) -> None:
+def test_fits_are_kept_in_files(mini: Path, tmp_path: Path) -> None:
+    task, _ = placement_task(Dataset(mini), "small", WEIGHTS / "completion-d415", WEIGHTS / "restoration")
+    registration = task.training.registration
+    drawn = PlacedFits(registration, "train", tmp_path).draw(np.random.default_rng(0))
+    assert drawn.channels.shape == (len(Channel), CELLS + 2 * BORDER, CELLS + 2 * BORDER)
+    assert np.abs(drawn.twist[3:5]).max() <= LARGEST_SHIFT
+    files = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    again = PlacedFits(registration, "train", tmp_path).draw(np.random.default_rng(0))
+    np.testing.assert_array_equal(again.channels, drawn.channels)
+    np.testing.assert_array_equal(again.twist, drawn.twist)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == files
+
+
+def test_a_split_without_queries_of_the_track_says_so(mini: Path, tmp_path: Path) -> None:
     task, _ = placement_task(Dataset(mini), "small", WEIGHTS / "completion-d415", WEIGHTS / "restoration")
     fits = PlacedFits(task.training.registration, "train", tmp_path)
-    query_id = next(iter(fits.queries))
-    first = fits.of(query_id)
-    assert [path.name for path in tmp_path.iterdir()] == [f"{fits.dataset.id}-{query_id}.npz"]
-    again = PlacedFits(cast("object", SimpleNamespace(dataset=fits.dataset)), "train", tmp_path).of(query_id)  # pyright: ignore[reportArgumentType]
-    assert (first is None) == (again is None)
-    if first is not None and again is not None:
-        np.testing.assert_array_equal(again.channels, first.channels)
-        np.testing.assert_array_equal(again.twist, first.twist)
-        assert first.channels.shape == (len(Channel), CELLS + 2 * BORDER, CELLS + 2 * BORDER)
+    fits.__dict__["queries"] = {}
+    with pytest.raises(InputError, match="no query of snap-d415"):
+        fits.draw(np.random.default_rng(0))

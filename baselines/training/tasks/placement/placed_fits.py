@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import io
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from kit1000.dataset.reader import Dataset
+from kit1000.errors import InputError
 from kit1000.files import write_bytes
 from kit1000.metrics import Targets, pose_errors
 from kit1000.metrics.pose_errors import nearest_goal_motions
@@ -31,6 +32,7 @@ TRACK = "snap-d415"
 NEARER = 0.4  # share of the error of a user's guess from which fits for training start: few then end in another slot
 BORDER = 8  # cells about a patch, which changes move into it
 LARGEST_SHIFT, LARGEST_ROTATION = 7e-3, 0.25  # [m] across, [rad] of a twist: a fit farther off is in another slot
+TRIES = 1000  # queries drawn in a row without a fit before the split counts as empty
 NONE = np.zeros(0, np.float32)
 
 
@@ -51,6 +53,7 @@ class PlacedFits:
     registration: Registration
     split: str
     folder: Path
+    _kept: dict[str, PlacedFit | None] = field(default_factory=dict, repr=False)
 
     @property
     def dataset(self) -> Dataset:
@@ -64,8 +67,23 @@ class PlacedFits:
         own = [query for query in split.queries() if query.track == TRACK]
         return {query.id: self._nearer(query) if self.split == "train" else query for query in own}
 
+    def draw(self, rng: np.random.Generator) -> PlacedFit:
+        """The fit of a query, every query that has one with the same probability."""
+        names = list(self.queries)
+        for _ in range(TRIES if names else 0):
+            fit = self.of(names[int(rng.integers(len(names)))])
+            if fit is not None:
+                return fit
+        raise InputError(f"{self.dataset.root}: split {self.split} has no query of {TRACK} with a fit in its slot")
+
     def of(self, query_id: str) -> PlacedFit | None:
         """The best fit of a query; None where there is none, and where it is in another slot."""
+        if query_id not in self._kept:
+            self._kept[query_id] = self._read(query_id)
+        return self._kept[query_id]
+
+    def _read(self, query_id: str) -> PlacedFit | None:
+        """The fit from its file, which is written if there is none yet."""
         path = self.folder / f"{self.dataset.id}-{query_id}.npz"
         if path.is_file():
             return _decoded(path.read_bytes())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -36,14 +35,9 @@ class PlacementTask:
     validation: PlacedFits
     model: PlacementNet
 
-    @cached_property
-    def fits(self) -> list[PlacedFit]:
-        """All of the train split."""
-        return [fit for fit in map(self.training.of, self.training.queries) if fit is not None]
-
     def example(self, rng: np.random.Generator) -> Example:
         """One of the fits, changed."""
-        return _example(self.fits[int(rng.integers(len(self.fits)))], drawn_changes(rng))
+        return _example(self.training.draw(rng), drawn_changes(rng))
 
     def validation_keys(self) -> Sequence[str]:
         """Ids of the queries whose fit is in the right slot."""
