@@ -53,7 +53,8 @@ class _GlbData:
         entry = {"componentType": component, "type": "SCALAR" if array.shape[1] == 1 else "VEC3"}
         entry |= {"byteOffset": 0} if component == FLOAT else {}
         entry |= {"bufferView": self.buffers.index(data), "count": len(array)}
-        entry |= {"max": array.max(axis=0).tolist(), "min": array.min(axis=0).tolist()}
+        # which zero is the largest of 0.0 and -0.0 depends on the processor; -0.0 + 0 is 0.0
+        entry |= {"max": (array.max(axis=0) + 0).tolist(), "min": (array.min(axis=0) + 0).tolist()}
         if entry not in self.accessors:
             self.accessors.append(entry)
         return self.accessors.index(entry)

@@ -173,11 +173,11 @@ class Registration:
         return DepthSource(
             query,
             self.completer(query.sensor),
-            self.placer(query.sensor),
             measured=image.measured if needs_restoring(query.sensor) else None,
             others=() if self.cameras == "primary" else self.views.of(query),
             restored=kind == "restored",
             gain=image.gain,
+            placer=self.placer(query.sensor),
             cavities=image.cavities,
         )
 

@@ -118,8 +118,6 @@ class DepthSource:
     query: Query
     completer: PartCompleter | None = None
     """The network that completes the part; None fills columns."""
-    placer: Placer | None = None
-    """The network that places fits in the image; None: it is not asked."""
     measured: LabelledDepth | None = None
     """The calibrated image of a sensor whose edges were restored, as it was before, which the network reads."""
     others: tuple[LabelledDepth, ...] = ()
@@ -128,6 +126,8 @@ class DepthSource:
     """Whether a network restored the image of a noisy sensor."""
     gain: float = 0.0
     """[px m] disparity times depth, of a noisy image."""
+    placer: Placer | None = None
+    """The network that places fits in the image; None: it is not asked."""
     cavities: dict[float, list[Cavity]] = field(default_factory=dict, kw_only=True)
     """See `Source.cavities`; shared by the parts of an image."""
 
