@@ -53,8 +53,7 @@ class _GlbData:
         entry = {"componentType": component, "type": "SCALAR" if array.shape[1] == 1 else "VEC3"}
         entry |= {"byteOffset": 0} if component == FLOAT else {}
         entry |= {"bufferView": self.buffers.index(data), "count": len(array)}
-        # which zero is the largest of 0.0 and -0.0 depends on the processor; -0.0 + 0 is 0.0
-        entry |= {"max": (array.max(axis=0) + 0).tolist(), "min": (array.min(axis=0) + 0).tolist()}
+        entry |= {name: bound.tolist() for name, bound in _bounds(array).items()}
         if entry not in self.accessors:
             self.accessors.append(entry)
         return self.accessors.index(entry)
@@ -75,6 +74,18 @@ class _GlbData:
         head = [GLTF_BINARY, 2, len(content) + starts[-1] + 28, len(content), JSON_CHUNK]
         chunks = [_words(head), content.encode(), _words([starts[-1], BINARY_CHUNK]), *self.buffers]
         return b"".join(chunks)
+
+
+def _bounds(array: np.ndarray) -> dict[str, np.ndarray]:
+    """(k,) each: the largest and the least of columns (n, k), 0.0 where zeros of both signs are.
+
+    Which of these is the largest depends on the processor.
+    """
+    bounds = {"max": array.max(axis=0), "min": array.min(axis=0)}
+    if array.dtype.kind != "f":
+        return bounds
+    positive = ((array == 0) & ~np.signbit(array)).any(axis=0)
+    return {name: np.where((bound == 0) & positive, np.abs(bound), bound) for name, bound in bounds.items()}
 
 
 def _words(numbers: list[int]) -> bytes:

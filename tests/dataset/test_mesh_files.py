@@ -68,7 +68,7 @@ def test_the_same_bodies_give_the_same_bytes() -> None:
 
 def test_zeros_of_both_signs_have_bounds_of_one() -> None:
     """Which of two equal zeros a processor takes for the largest is its own."""
-    points = np.array([[-1.0, -0.0, -1.0], [0.0, 0.0, -2.0], [-0.0, -0.0, -3.0], [-2.0, 0.0, 0.0]] * 8)
+    points = np.array([[-1.0, -0.0, -1.0], [1.0, 0.0, -2.0], [0.5, -0.0, -3.0], [-2.0, 0.0, 1.0]] * 8)
     for mesh in (Mesh(points, FACES[:1]), Mesh(-points, FACES[:1])):
         assert b"-0.0" not in glb_bytes({"a": mesh})
 
