@@ -12,6 +12,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 
 from kit1000.camera import Camera
+from kit1000.numerics.linear_algebra import length
 from kit1000.perception.placement.channels import CELL, Channel
 from kit1000.pose import Pose
 from kit1000.registration.geometry import relief_rays
@@ -22,6 +23,7 @@ from kit1000.values import ASSEMBLY_LABEL, LabelledDepth
 from kit1000.voxels import Volume
 
 LARGEST = 24.0  # [px] of a disparity beyond the face: what is farther from it is another surface
+LEAST_LENGTH = 1e-9  # [m] of a direction
 SLIMMER, WIDER = 1.0, -1.5  # logits above which the part is solid, for cavities of a slimmer and of a wider part
 
 
@@ -67,9 +69,7 @@ def plate_patch(source: DepthSource, candidate: Candidate, clearance: float, cel
     world_from_plate = candidate.cavity.world_from_plate
     plate_from_camera = world_from_plate.inverse() @ source.query.view.world_from_camera
     pivot = candidate.plate_from_now.apply(source.middle)
-    away = pivot[:2] - plate_from_camera.xyz[:2]
-    yaw = float(np.arctan2(away[1], away[0]))
-    plate_from_patch = Pose.from_rotvec((0.0, 0.0, yaw), (*pivot[:2], 0.0))
+    plate_from_patch = Pose(_yaw_along(pivot[:2] - plate_from_camera.xyz[:2]), np.array([*pivot[:2], 0.0]))
     along = (np.arange(cells) - (cells - 1) / 2) * CELL
     x, y = np.meshgrid(along, along, indexing="ij")
     face = plate_from_patch.apply(np.stack([x, y, np.zeros_like(x)], -1).reshape(-1, 3))
@@ -90,6 +90,13 @@ def plate_patch(source: DepthSource, candidate: Candidate, clearance: float, cel
         if channel == Channel.CAVITY:
             channels[Channel.RELIEF] = _heights(relief, face[:, :2] - pivot[:2])
     return PlatePatch(channels.reshape(-1, cells, cells), world_from_plate @ plate_from_patch)
+
+
+def _yaw_along(direction: np.ndarray) -> np.ndarray:
+    """(4,) the rotation about z that takes the x axis along a direction (2,), by roots alone: they are exact."""
+    cosine = direction[0] / max(length(direction), LEAST_LENGTH)
+    half_sine = np.sqrt(max(1 - cosine, 0.0) / 2)
+    return np.array([np.sqrt(max(1 + cosine, 0.0) / 2), 0.0, 0.0, half_sine if direction[1] >= 0 else -half_sine])
 
 
 def _parts(source: DepthSource) -> dict[Channel, Volume]:
