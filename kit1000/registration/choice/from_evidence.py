@@ -198,8 +198,10 @@ class EvidenceSearch:
     def _placed(self, fit: Fit) -> Fit:
         """A fit, moved as a network tells; its misfit and doubt stay."""
         source, candidate = self.source, fit.candidate
-        patch = None if source.placer is None else plate_patch(source, candidate, self.clearance, CELLS)
-        if source.placer is None or patch is None:
+        if source.placer is None:
+            return fit
+        patch = plate_patch(source, candidate, self.clearance, CELLS)
+        if patch is None:
             return fit
         goal_from_now = patch.moved(fit.goal_from_now, source.middle, source.placer(patch.channels))
         plate_from_now = candidate.cavity.world_from_plate.inverse() @ goal_from_now

@@ -87,7 +87,7 @@ class PlacedFits:
         path = self.folder / f"{self.dataset.id}-{query_id}.npz"
         if path.is_file():
             return _decoded(path.read_bytes())
-        fit = self._made(self.queries[query_id])
+        fit = self._made(replace(self.queries[query_id]))  # a copy: its image, once read, is kept with it
         os.makedirs(self.folder, exist_ok=True)
         write_bytes(path, _encoded(fit))
         return fit
