@@ -5,8 +5,8 @@
 #
 # Run it in the root of a checkout, where `python` has kit1000[learn]. DATA is a dataset with ground truth, by default
 # data/kit1000. The fits of its scenes are made when first needed, some two seconds each, and kept in DATA.fits. They
-# come from kit1000/weights: run restoration.sh and completion.sh first to replace those, and delete DATA.fits. `ship` replaces the weights in
-# kit1000/weights. The same command resumes an interrupted recipe.
+# come from kit1000/weights: run restoration.sh and completion.sh first to replace those, and delete DATA.fits. `ship`
+# replaces the weights in kit1000/weights. The same command resumes an interrupted recipe.
 set -euo pipefail
 
 data="${1:-data/kit1000}"
