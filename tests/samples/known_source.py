@@ -32,5 +32,10 @@ class KnownSource:
     def evidence(self) -> SimpleNamespace:
         return SimpleNamespace(filled=self.part)
 
-    def solid_above(self, logit: float) -> Volume:
+    @property
+    def slimmer(self) -> Volume:
+        return self.part
+
+    @property
+    def wider(self) -> Volume:
         return self.part

@@ -25,6 +25,7 @@ VOXEL = 1e-3  # [m] of the part's volume
 COARSE = 2e-3  # [m] voxels of the volume in which planes are searched
 EXACT = Noise(0.5e-3, float(np.radians(1.5)), 1)
 SEEN_POINTS = 1500
+SLIMMER, WIDER = 1.0, -1.5  # logits above which the part is solid, for cavities of a slimmer and of a wider part
 
 
 class Source(Protocol):
@@ -145,7 +146,17 @@ class DepthSource:
         """What is certain about the part."""
         return self._part.evidence(VOXEL)
 
-    def solid_above(self, logit: float) -> Volume:
+    @cached_property
+    def slimmer(self) -> Volume:
+        """The part where a network finds it likely, for all fits."""
+        return self._solid_above(SLIMMER)
+
+    @cached_property
+    def wider(self) -> Volume:
+        """The part also where a network finds it less likely."""
+        return self._solid_above(WIDER)
+
+    def _solid_above(self, logit: float) -> Volume:
         """The part where a network finds it likelier than a logit; the filled one where none completes it."""
         if isinstance(self._part, ObservedPart):
             return self.evidence.filled

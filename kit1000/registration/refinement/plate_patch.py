@@ -24,7 +24,6 @@ from kit1000.voxels import Volume
 
 LARGEST = 24.0  # [px] of a disparity beyond the face: what is farther from it is another surface
 LEAST_LENGTH = 1e-9  # [m] of a direction
-SLIMMER, WIDER = 1.0, -1.5  # logits above which the part is solid, for cavities of a slimmer and of a wider part
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +102,8 @@ def _parts(source: DepthSource) -> dict[Channel, Volume]:
     """The part as the search takes it, and slimmer and wider."""
     return {
         Channel.CAVITY: source.evidence.filled,
-        Channel.WIDER: source.solid_above(WIDER),
-        Channel.SLIMMER: source.solid_above(SLIMMER),
+        Channel.WIDER: source.wider,
+        Channel.SLIMMER: source.slimmer,
     }
 
 
