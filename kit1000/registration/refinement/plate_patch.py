@@ -6,7 +6,9 @@ disparities are those beyond the face's: negative in a cavity. So a plate may st
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -75,12 +77,13 @@ def plate_patch(source: DepthSource, candidate: Candidate, clearance: float, cel
     seen = plate_from_camera.inverse().apply(face)
     if plate_from_camera.xyz[2] <= 0 or (seen[:, 2] <= 0).any():
         return None
-    pixels = _Pixels(source.query.view.camera.project(seen), source.gain / seen[:, 2], source.gain)
+    camera = source.query.view.camera
+    pixels = _Pixels(camera, camera.project(seen), source.gain / seen[:, 2], source.gain)
     channels = np.zeros((len(Channel), cells * cells), np.float32)
     restored, measured = source.query.image, source.measured or source.query.image
     channels[Channel.RESTORED], channels[Channel.IS_RESTORED] = pixels.beyond(restored)
     channels[Channel.MEASURED], channels[Channel.IS_MEASURED] = pixels.beyond(measured)
-    rays = _Rays.of(pixels.uv, source.query.view.camera, plate_from_camera)
+    rays = _Rays.of(pixels, plate_from_camera)
     if rays is None:
         return None
     for channel, part in _parts(source).items():
@@ -117,6 +120,7 @@ def _heights(relief: np.ndarray, places: np.ndarray) -> np.ndarray:
 class _Pixels:
     """Where an image shows the cells of a patch, if nothing but the plate's face is there."""
 
+    camera: Camera
     uv: np.ndarray
     """(k, 2) [px]"""
     face: np.ndarray
@@ -126,23 +130,37 @@ class _Pixels:
 
     def beyond(self, image: LabelledDepth) -> tuple[np.ndarray, np.ndarray]:
         """(k,) [px] disparities of an image beyond the face, 0 where it shows no kit; and (k,) the share that does."""
-        shown = (image.view.depth > 0) & (image.labels == ASSEMBLY_LABEL)
-        disparity = np.where(shown, self.gain / np.where(shown, image.view.depth, 1.0), 0.0)
-        total, share = (self._read(values) for values in (disparity, shown.astype(float)))
+        depth = image.view.depth[self.box]
+        shown = (depth > 0) & (image.labels[self.box] == ASSEMBLY_LABEL)
+        disparity = np.where(shown, self.gain / np.where(shown, depth, 1.0), 0.0)
+        total, share = (self.between(values, "constant") for values in (disparity, shown.astype(float)))
         beyond = total / np.maximum(share, 1e-6) - self.face
         return np.where(share > 0.5, np.clip(beyond, -LARGEST, LARGEST), 0.0), share
 
-    def _read(self, values: np.ndarray) -> np.ndarray:
-        """(k,) values (H, W) between pixels; 0 beyond the image."""
-        return map_coordinates(values, self.uv.T[::-1], order=1, mode="constant", cval=0.0)
+    @cached_property
+    def corner(self) -> np.ndarray:
+        """(2,) [px] u, v of the first pixel about the cells."""
+        return self._inside(np.min)
+
+    @cached_property
+    def box(self) -> tuple[slice, slice]:
+        """Rows and columns about the cells, and one more."""
+        (left, top), (right, bottom) = self.corner, self._inside(np.max) + 2
+        return np.s_[top:bottom, left:right]
+
+    def _inside(self, end: Callable[..., np.ndarray]) -> np.ndarray:
+        """(2,) [px] the least or the largest u and v, in the image."""
+        return np.clip(end(self.uv, axis=0), 0, (self.camera.width - 1, self.camera.height - 1)).astype(int)
+
+    def between(self, values: np.ndarray, mode: str) -> np.ndarray:
+        """(k,) values (h, w) of the box between pixels, beyond its pixels by a mode of scipy.ndimage, such as 0."""
+        return map_coordinates(values, (self.uv - self.corner).T[::-1], order=1, mode=mode)
 
 
 @dataclass(frozen=True, eq=False)
 class _Rays:
     """The rays of a box of an image, plate frame."""
 
-    corner: np.ndarray
-    """(2,) [px] u, v of the first."""
     shape: tuple[int, int]
     origin: np.ndarray
     """(3,) [m] the camera."""
@@ -150,16 +168,14 @@ class _Rays:
     """(h * w, 3) of a depth of 1, row by row."""
 
     @staticmethod
-    def of(uv: np.ndarray, camera: Camera, plate_from_camera: Pose) -> _Rays | None:
-        """The rays of the pixels about places (k, 2) [px]; None where one of them misses the plate."""
-        size = np.array([camera.width, camera.height])
-        low, high = (np.clip(f(uv, axis=0), 0, size - 1).astype(int) for f in (np.min, np.max))
-        v, u = np.mgrid[low[1] : high[1] + 2, low[0] : high[0] + 2]
-        ends = camera.unproject_pixels(np.stack([u, v], -1).reshape(-1, 2), np.ones(u.size))
+    def of(pixels: _Pixels, plate_from_camera: Pose) -> _Rays | None:
+        """The rays of the box of pixels; None where one of them misses the plate."""
+        v, u = np.mgrid[pixels.box]
+        ends = pixels.camera.unproject_pixels(np.stack([u, v], -1).reshape(-1, 2), np.ones(u.size))
         directions = np.ascontiguousarray(plate_from_camera.rotate(ends))
         if (directions[:, 2] >= 0).any():
             return None
-        return _Rays(low, u.shape, plate_from_camera.xyz, directions)
+        return _Rays(u.shape, plate_from_camera.xyz, directions)
 
     def beyond(self, relief: np.ndarray, pivot: np.ndarray, pixels: _Pixels) -> np.ndarray:
         """(k,) [px] disparities beyond the face where these rays meet a relief about a pivot, at the cells' pixels."""
@@ -167,4 +183,4 @@ class _Rays:
         trace(self.origin, self.directions, relief, pivot[:2], 0.0, depth)
         face = -self.origin[2] / self.directions[:, 2]
         beyond = (pixels.gain / depth - pixels.gain / face).reshape(self.shape)
-        return map_coordinates(beyond, (pixels.uv - self.corner).T[::-1], order=1, mode="nearest")
+        return pixels.between(beyond, "nearest")
