@@ -1,4 +1,4 @@
-"""Training of the network that places fits: `placed_fits` (kept in files), `changes` (drawn anew), `task`."""
+"""Training of the network that places fits: `fresh_images`, `placed_fits` (kept in files), `changes`, `task`."""
 
 from dataclasses import replace
 

@@ -1,6 +1,7 @@
 """Fits to learn placement from: what registration finds for the queries of a split, and the moves that mend them.
 
-A fit takes seconds, so each is made when first needed and kept in a file: the folder is only a cache.
+For training a query is asked several times: about its recorded image, and about images that are measured anew. A fit
+takes seconds, so each is made when first needed and kept in a file: the folder is only a cache.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from kit1000.dataset.reader import Dataset
+from baselines.training.tasks.placement.fresh_images import measured_query
+from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.errors import InputError
 from kit1000.files import write_bytes
 from kit1000.metrics import Targets, pose_errors
@@ -32,6 +34,7 @@ TRACK = "snap-d415"
 NEARER = 0.4  # share of the error of a user's guess from which fits for training start: few then end in another slot
 BORDER = 8  # cells about a patch, which changes move into it
 LARGEST_SHIFT, LARGEST_ROTATION = 7e-3, 0.25  # [m] across, [rad] of a twist: a fit farther off is in another slot
+IMAGES = 3  # of a query for training: the recorded one, and fresh ones
 TRIES = 1000  # queries drawn in a row without a fit before the split counts as empty
 NONE = np.zeros(0, np.float32)
 
@@ -62,10 +65,11 @@ class PlacedFits:
 
     @cached_property
     def queries(self) -> dict[str, Query]:
-        """The queries of TRACK, by id; for training with nearer guesses."""
+        """The queries of TRACK by name: their id, and for training once more for each fresh image, with its number."""
         split = self.dataset.split(self.split, truth=True)
         own = [query for query in split.queries() if query.track == TRACK]
-        return {query.id: self._nearer(query) if self.split == "train" else query for query in own}
+        fresh = range(1, IMAGES if self.split == "train" else 1)
+        return {query.id: query for query in own} | {f"{query.id}-{k}": query for k in fresh for query in own}
 
     def draw(self, rng: np.random.Generator) -> PlacedFit:
         """The fit of a query, every query that has one with the same probability."""
@@ -76,30 +80,38 @@ class PlacedFits:
                 return fit
         raise InputError(f"{self.dataset.root}: split {self.split} has no query of {TRACK} with a fit in its slot")
 
-    def of(self, query_id: str) -> PlacedFit | None:
-        """The best fit of a query; None where there is none, and where it is in another slot."""
-        if query_id not in self._kept:
-            self._kept[query_id] = self._read(query_id)
-        return self._kept[query_id]
+    def of(self, name: str) -> PlacedFit | None:
+        """The best fit of one of the queries; None where there is none, and where it is in another slot."""
+        if name not in self._kept:
+            self._kept[name] = self._read(name)
+        return self._kept[name]
 
-    def _read(self, query_id: str) -> PlacedFit | None:
+    def _read(self, name: str) -> PlacedFit | None:
         """The fit from its file, which is written if there is none yet."""
-        path = self.folder / f"{self.dataset.id}-{query_id}.npz"
+        path = self.folder / f"{self.dataset.id}-{name}.npz"
         if path.is_file():
             return _decoded(path.read_bytes())
-        fit = self._made(replace(self.queries[query_id]))  # a copy: its image, once read, is kept with it
+        fit = self._made(self._asked(name))
         os.makedirs(self.folder, exist_ok=True)
         write_bytes(path, _encoded(fit))
         return fit
 
-    def _nearer(self, query: Query) -> Query:
-        """The query with a guess whose error is the share NEARER of a user's."""
-        goal = self._truth_of(query).goal_drawn
-        offset, rotvec = draw_ball_error(stream(0, "placement", query.id))
-        return replace(query, guess=apply_error(goal, query.pivot, NEARER * offset, NEARER * rotvec))
+    def _asked(self, name: str) -> Query:
+        """One of the queries; for training with a guess whose error is the share NEARER of a user's."""
+        query = replace(self.queries[name])  # a copy: its image, once read, is kept with it
+        if self.split != "train":
+            return query
+        truth = self._truth_of(query)
+        if name != query.id:
+            query = measured_query(query, self._scene_of(query), truth, stream(0, "placement-image", name))
+        offset, rotvec = draw_ball_error(stream(0, "placement", name))
+        return replace(query, guess=apply_error(truth.goal_drawn, query.pivot, NEARER * offset, NEARER * rotvec))
+
+    def _scene_of(self, query: Query) -> RecordedScene:
+        return self.dataset.split(self.split, truth=True).scene(query.scene_id)
 
     def _truth_of(self, query: Query) -> Truth:
-        return self.dataset.split(self.split, truth=True).scene(query.scene_id).truth_of(query.id)
+        return self._scene_of(query).truth_of(query.id)
 
     def _made(self, query: Query) -> PlacedFit | None:
         registration, truth = self.registration, self._truth_of(query)
