@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from baselines.training.tasks.placement.fresh_images import measured_query, rendered_from
+from baselines.training.tasks.placement.fresh_images import measured_query, recorded_query, rendered_from
 from baselines.training.tasks.placement.placed_fits import IMAGES, TRACK, PlacedFits
 from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.registration.method import Registration
@@ -16,18 +16,18 @@ from kit1000.rng import stream
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, LabelledDepth, Query, Truth
 
 
-class Asked(NamedTuple):
+class Known(NamedTuple):
     scene: RecordedScene
     query: Query
     truth: Truth
 
 
 @pytest.fixture(scope="module")
-def asked(mini: Path) -> Asked:
+def asked(mini: Path) -> Known:
     split = Dataset(mini).split("train", truth=True)
     query = next(query for query in split.queries() if query.track == TRACK)
     scene = split.scene(query.scene_id)
-    return Asked(scene, query, scene.truth_of(query.id))
+    return Known(scene, query, scene.truth_of(query.id))
 
 
 def points_of(image: LabelledDepth, label: int) -> np.ndarray:
@@ -38,7 +38,7 @@ def points_of(image: LabelledDepth, label: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("distance", [0.5, 0.7])
-def test_a_camera_nearer_shows_the_same_surfaces(asked: Asked, distance: float) -> None:
+def test_a_camera_nearer_shows_the_same_surfaces(asked: Known, distance: float) -> None:
     scene, query, truth = asked
     recorded, image = scene.labelled_depth("ideal"), rendered_from(scene, query, truth, distance)
     assert image is not None
@@ -54,24 +54,31 @@ def test_a_camera_nearer_shows_the_same_surfaces(asked: Asked, distance: float) 
     assert (part < high + 1e-4).all()
 
 
-def test_from_nearer_the_kits_are_larger(asked: Asked) -> None:
+def test_from_nearer_the_kits_are_larger(asked: Known) -> None:
     images = [rendered_from(*asked, distance) for distance in (0.5, 0.7)]
     nearer, farther = ((image.labels == ASSEMBLY_LABEL).sum() for image in images if image is not None)
     assert nearer > 1.5 * farther
 
 
-def test_from_too_near_nothing_is_shown(asked: Asked) -> None:
+def test_from_too_near_nothing_is_shown(asked: Known) -> None:
     scene, query, truth = asked
     assert rendered_from(scene, query, truth, 0.06) is None
 
 
-def test_a_query_is_asked_about_its_own_image(asked: Asked) -> None:
+def test_a_query_is_asked_about_its_own_image(asked: Known) -> None:
     scene, query, truth = asked
-    drawn = [measured_query(query, scene, truth, stream(0, "test", str(k))) for k in range(8)]
-    again = measured_query(query, scene, truth, stream(0, "test", "0"))
+    asked_eight_times = [measured_query(query, scene, truth, stream(0, "test", str(k))) for k in range(8)]
+    drawn = [each.query for each in asked_eight_times]
+    again = measured_query(query, scene, truth, stream(0, "test", "0")).query
     np.testing.assert_array_equal(again.view.depth, drawn[0].view.depth)
     assert len({each.view.depth.tobytes() for each in drawn}) == len(drawn)
     assert len({each.view.world_from_camera.xyz.round(2).tobytes() for each in drawn}) > 2
+    recorded = recorded_query(query, scene)
+    assert recorded.query is query
+    for each in (recorded, *asked_eight_times):  # the recorded pose has the error of a hand-eye calibration
+        off = each.query.view.world_from_camera.inverse() @ each.world_from_camera
+        assert 0 < np.linalg.norm(off.xyz) < 6e-3
+        assert off.angle() < np.radians(0.6)
     mesh, world_from_part = scene.bodies()[FIRST_PART_LABEL + query.part]
     off = np.array([each.pivot for each in drawn]) - world_from_part.apply(mesh.vertices).mean(0)
     assert np.linalg.norm(off, axis=1).max() < np.linalg.norm(np.ptp(mesh.vertices, axis=0)) / 2

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from kit1000.camera import look_at
 from kit1000.dataset.reader import RecordedScene
+from kit1000.pose import Pose
 from kit1000.queries.pivots import part_pivots
 from kit1000.sim.cameras import CAMERA, in_view
 from kit1000.sim.render import render
@@ -21,13 +23,27 @@ FRAMES = (1, 1, 1, 3, 10, 30)  # of which an image is the mean, each in an equal
 SENSOR = "d415"
 
 
-def measured_query(query: Query, scene: RecordedScene, truth: Truth, rng: np.random.Generator) -> Query:
+class Asked(NamedTuple):
+    """A query about an image."""
+
+    query: Query
+    world_from_camera: Pose
+    """Where the camera truly stood."""
+
+
+def recorded_query(query: Query, scene: RecordedScene) -> Asked:
+    """The query about the image that its scene has."""
+    return Asked(query, scene.labelled_depth("ideal").view.world_from_camera)
+
+
+def measured_query(query: Query, scene: RecordedScene, truth: Truth, rng: np.random.Generator) -> Asked:
     """The query about a drawn image of its scene."""
     frames, nearer = FRAMES[int(rng.integers(len(FRAMES)))], rng.random() < NEARER_SHARE
     distance = rng.uniform(*DISTANCES)
     image = rendered_from(scene, query, truth, distance) if nearer else None
     ideal = image or scene.labelled_depth("ideal")
-    return asked_again(query, LabelledDepth(sense(SENSOR, ideal.view, rng, frames), ideal.labels), SENSOR)
+    measured = LabelledDepth(sense(SENSOR, ideal.view, rng, frames), ideal.labels)
+    return Asked(asked_again(query, measured, SENSOR), ideal.view.world_from_camera)
 
 
 def rendered_from(scene: RecordedScene, query: Query, truth: Truth, distance: float) -> LabelledDepth | None:
