@@ -21,9 +21,9 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import tyro
 
-from baselines.training.tasks.placement.fresh_images import asked_again, rendered_from
 from benchmark.measurements import Column, Measurement, Table, rate
-from kit1000.dataset.reader import Dataset
+from kit1000.camera import look_at
+from kit1000.dataset.reader import Dataset, RecordedScene
 from kit1000.engines import local_engine
 from kit1000.errors import InputError, Kit1000Error
 from kit1000.generation.build import generate
@@ -31,11 +31,15 @@ from kit1000.generation.presets import preset
 from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor, method_of
+from kit1000.queries.pivots import part_pivots
 from kit1000.rng import stream
+from kit1000.sim.cameras import CAMERA, in_view
+from kit1000.sim.render import render
 from kit1000.sim.sensors import sense
-from kit1000.values import LabelledDepth, Query, Truth
+from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, Truth, View
 
 SURE = 0.8  # confidence from which on a fit counts as sure
+LEAST_PIXELS = 200  # of a part in an image that is rendered again
 
 
 class Condition(NamedTuple):
@@ -185,17 +189,37 @@ def _answer(options: CameraConditions, data: Path, condition: Condition, job: tu
         if nearer is None:
             return None
         ideal = nearer
-    predicted = predictor(measured(query, ideal, condition), None)
+    predicted = predictor(asked_again(query, ideal, condition), None)
     return Answer(predicted.goal_from_now, float(predicted.confidence), truth)
 
 
-def measured(query: Query, ideal: LabelledDepth, condition: Condition) -> Query:
+def rendered_from(scene: RecordedScene, query: Query, truth: Truth, distance: float) -> LabelledDepth | None:
+    """The ideal image of a scene from a distance [m]; None where the query's part or goal is out of view."""
+    recorded = scene.labelled_depth("ideal").view.world_from_camera
+    middle = (truth.anchor + truth.goal_drawn.apply(truth.anchor)) / 2
+    backward = recorded.rotate((0.0, 0.0, -1.0))
+    pose = look_at(middle + distance * backward, middle)
+    bodies = scene.bodies()
+    mesh, world_from_part = bodies[FIRST_PART_LABEL + query.part]
+    points = world_from_part.apply(mesh.vertices)
+    if not in_view(CAMERA, pose, np.concatenate([points, truth.goal_drawn.apply(points)])):
+        return None
+    image = render(CAMERA, pose, bodies, threads=1)
+    labels = np.maximum(image.body_ids - 1, 0).astype(np.uint8)  # nothing and table both become 0
+    if np.count_nonzero(labels == FIRST_PART_LABEL + query.part) < LEAST_PIXELS:
+        return None
+    return LabelledDepth(View(CAMERA, pose, image.depth), labels)
+
+
+def asked_again(query: Query, ideal: LabelledDepth, condition: Condition) -> Query:
     """A query about the image that a sensor measures of an ideal one; always the same."""
-    if condition.sensor == "ideal":
-        return asked_again(query, ideal, "ideal")
-    rng = stream(0, "camera-conditions", condition.sensor, query.scene_id)
-    view = sense(condition.sensor, ideal.view, rng, condition.frames)
-    return asked_again(query, LabelledDepth(view, ideal.labels), condition.sensor)
+    view = ideal.view
+    if condition.sensor != "ideal":
+        rng = stream(0, "camera-conditions", condition.sensor, query.scene_id)
+        view = sense(condition.sensor, view, rng, condition.frames)
+    image = LabelledDepth(view, ideal.labels)
+    pivot = part_pivots(view, ideal.labels).get(query.part, query.pivot)
+    return replace(query, sensor=condition.sensor, pivot=pivot, read_image=lambda: image)
 
 
 @cache

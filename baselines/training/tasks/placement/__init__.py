@@ -1,4 +1,4 @@
-"""Training of the network that places fits: `fresh_images`, `placed_fits` (kept in files), `changes`, `task`."""
+"""Training of the network that places fits: `placed_fits` (kept in files), `changes` (drawn anew), `task`."""
 
 from dataclasses import replace
 
@@ -11,13 +11,13 @@ NETWORKS = {
         {
             "small": replace(
                 UNET_TRAINING,
-                steps=1100,
+                steps=900,
                 batch=32,
                 warmup=50,
                 clip=1.0,
                 ema_decay=0.98,
                 mixed_precision="off",  # the least squares want all digits
-                validate_every=1100,  # the last weights are shipped
+                validate_every=900,  # the last weights are shipped
                 threads=None,
             )
         },

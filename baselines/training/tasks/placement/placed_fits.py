@@ -1,8 +1,6 @@
 """Fits to learn placement from: what registration finds for the queries of a split, and the moves that mend them.
 
-For training a query is asked several times: about its recorded image, and about images that are measured anew. What
-calibration leaves of the camera's error moves the true goal, and no image shows it: a fit is to end where its image has
-the goal. A fit takes seconds, so each is made when first needed and kept in a file: the folder is only a cache.
+A fit takes seconds, so each is made when first needed and kept in a file: the folder is only a cache.
 """
 
 from __future__ import annotations
@@ -15,8 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from baselines.training.tasks.placement.fresh_images import Asked, measured_query, recorded_query
-from kit1000.dataset.reader import Dataset, RecordedScene
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import write_bytes
 from kit1000.metrics import Targets, pose_errors
@@ -35,7 +32,6 @@ TRACK = "snap-d415"
 NEARER = 0.4  # share of the error of a user's guess from which fits for training start: few then end in another slot
 BORDER = 8  # cells about a patch, which changes move into it
 LARGEST_SHIFT, LARGEST_ROTATION = 7e-3, 0.25  # [m] across, [rad] of a twist: a fit farther off is in another slot
-IMAGES = 2  # of a query for training: the recorded one, and a fresh one
 TRIES = 1000  # queries drawn in a row without a fit before the split counts as empty
 NONE = np.zeros(0, np.float32)
 
@@ -47,7 +43,7 @@ class PlacedFit:
     channels: np.ndarray
     """(Channel, n, n) float16, n is CELLS and a BORDER on all sides."""
     twist: np.ndarray
-    """(6,) float32 to the goal in the image, as of `PlatePatch.twist_to`."""
+    """(6,) float32 to the truth, as of `PlatePatch.twist_to`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +62,10 @@ class PlacedFits:
 
     @cached_property
     def queries(self) -> dict[str, Query]:
-        """The queries of TRACK by name: their id, and for training that of each fresh image too, with its number."""
+        """The queries of TRACK, by id; for training with nearer guesses."""
         split = self.dataset.split(self.split, truth=True)
         own = [query for query in split.queries() if query.track == TRACK]
-        fresh = range(1, IMAGES if self.split == "train" else 1)
-        return {query.id: query for query in own} | {f"{query.id}-{k}": query for k in fresh for query in own}
+        return {query.id: self._nearer(query) if self.split == "train" else query for query in own}
 
     def draw(self, rng: np.random.Generator) -> PlacedFit:
         """The fit of a query, every query that has one with the same probability."""
@@ -81,68 +76,46 @@ class PlacedFits:
                 return fit
         raise InputError(f"{self.dataset.root}: split {self.split} has no query of {TRACK} with a fit in its slot")
 
-    def of(self, name: str) -> PlacedFit | None:
-        """The best fit of one of the queries; None where there is none, and where it is in another slot."""
-        if name not in self._kept:
-            self._kept[name] = self._read(name)
-        return self._kept[name]
+    def of(self, query_id: str) -> PlacedFit | None:
+        """The best fit of a query; None where there is none, and where it is in another slot."""
+        if query_id not in self._kept:
+            self._kept[query_id] = self._read(query_id)
+        return self._kept[query_id]
 
-    def _read(self, name: str) -> PlacedFit | None:
+    def _read(self, query_id: str) -> PlacedFit | None:
         """The fit from its file, which is written if there is none yet."""
-        path = self.folder / f"{self.dataset.id}-{name}.npz"
+        path = self.folder / f"{self.dataset.id}-{query_id}.npz"
         if path.is_file():
             return _decoded(path.read_bytes())
-        fit = self._made(self._asked(name))
+        fit = self._made(replace(self.queries[query_id]))  # a copy: its image, once read, is kept with it
         os.makedirs(self.folder, exist_ok=True)
         write_bytes(path, _encoded(fit))
         return fit
 
-    def _asked(self, name: str) -> Asked:
-        """One of the queries; for training with a guess whose error is the share NEARER of a user's."""
-        query = replace(self.queries[name])  # a copy: its image, once read, is kept with it
-        scene, truth = self._scene_of(query), self._truth_of(query)
-        fresh = name != query.id
-        rng = stream(0, "placement-image", name)
-        asked = measured_query(query, scene, truth, rng) if fresh else recorded_query(query, scene)
-        return asked if self.split != "train" else asked._replace(query=_nearer(name, asked.query, truth))
-
-    def _scene_of(self, query: Query) -> RecordedScene:
-        return self.dataset.split(self.split, truth=True).scene(query.scene_id)
+    def _nearer(self, query: Query) -> Query:
+        """The query with a guess whose error is the share NEARER of a user's."""
+        goal = self._truth_of(query).goal_drawn
+        offset, rotvec = draw_ball_error(stream(0, "placement", query.id))
+        return replace(query, guess=apply_error(goal, query.pivot, NEARER * offset, NEARER * rotvec))
 
     def _truth_of(self, query: Query) -> Truth:
-        return self._scene_of(query).truth_of(query.id)
+        return self.dataset.split(self.split, truth=True).scene(query.scene_id).truth_of(query.id)
 
-    def _made(self, asked: Asked) -> PlacedFit | None:
-        registration, query = self.registration, asked.query
+    def _made(self, query: Query) -> PlacedFit | None:
+        registration, truth = self.registration, self._truth_of(query)
         (source,), (clearance,) = registration.sources(query, registration.image_of(query)), registration.all_clearances
         fits = register_certain(source, source.query, clearance)
         patch = plate_patch(source, fits[0].candidate, clearance, CELLS + 2 * BORDER) if fits else None
-        if patch is None:
-            return None
-        calibrated_from_true = source.query.view.world_from_camera @ asked.world_from_camera.inverse()
-        true = self._true_motion(fits[0].goal_from_now, self._truth_of(query))
-        seen = calibrated_from_true @ true @ calibrated_from_true.inverse()
-        return _placed(patch, patch.twist_to(seen, fits[0].goal_from_now, source.middle))
+        return None if patch is None else self._placed(patch, fits[0].goal_from_now, source.middle, truth)
 
-    def _true_motion(self, goal_from_now: Pose, truth: Truth) -> Pose:
-        """The motion of a query to the goal nearest to that of a fit."""
+    def _placed(self, patch: PlatePatch, goal_from_now: Pose, middle: np.ndarray, truth: Truth) -> PlacedFit | None:
         targets = Targets.of([truth], lambda part: self.dataset.geometry.part(part).mesh.vertices)
         errors = pose_errors(Pose.stack([goal_from_now]), targets)
         true = nearest_goal_motions(targets, errors)
-        return Pose(true.wxyz[0], true.xyz[0])
-
-
-def _nearer(name: str, query: Query, truth: Truth) -> Query:
-    """A query with a guess whose error is the share NEARER of a user's. name: of its draw."""
-    offset, rotvec = draw_ball_error(stream(0, "placement", name))
-    return replace(query, guess=apply_error(truth.goal_drawn, query.pivot, NEARER * offset, NEARER * rotvec))
-
-
-def _placed(patch: PlatePatch, twist: np.ndarray) -> PlacedFit | None:
-    """A fit with its twist to the goal; None of one in another slot."""
-    if np.abs(twist[3:5]).max() > LARGEST_SHIFT or np.linalg.norm(twist[:3]) > LARGEST_ROTATION:
-        return None
-    return PlacedFit(patch.channels.astype(np.float16), twist.astype(np.float32))
+        twist = patch.twist_to(Pose(true.wxyz[0], true.xyz[0]), goal_from_now, middle)
+        if np.abs(twist[3:5]).max() > LARGEST_SHIFT or np.linalg.norm(twist[:3]) > LARGEST_ROTATION:
+            return None
+        return PlacedFit(patch.channels.astype(np.float16), twist.astype(np.float32))
 
 
 def _encoded(fit: PlacedFit | None) -> bytes:

@@ -40,8 +40,8 @@ class PlacementTask:
         return _example(self.training.draw(rng), drawn_changes(rng))
 
     def validation_keys(self) -> Sequence[str]:
-        """Names of the queries whose fit is in the right slot."""
-        return [name for name in self.validation.queries if self.validation.of(name) is not None]
+        """Ids of the queries whose fit is in the right slot."""
+        return [query_id for query_id in self.validation.queries if self.validation.of(query_id) is not None]
 
     def validation_example(self, key: str) -> Example:
         """The fit as it is."""
