@@ -153,7 +153,7 @@ class _Pixels:
         return np.clip(end(self.uv, axis=0), 0, (self.camera.width - 1, self.camera.height - 1)).astype(int)
 
     def between(self, values: np.ndarray, mode: str) -> np.ndarray:
-        """(k,) values (h, w) of the box between pixels, beyond its pixels by a mode of scipy.ndimage, such as 0."""
+        """(k,) values (h, w) of the box between its pixels; beyond them by a mode of `scipy.ndimage`."""
         return map_coordinates(values, (self.uv - self.corner).T[::-1], order=1, mode=mode)
 
 
