@@ -25,7 +25,7 @@ OLD_PROCESSOR = {
     "ATEN_CPU_CAPABILITY": "default",
 }
 OLD_LOOPS = {"NUMBA_CPU_NAME": "sandybridge", "NUMBA_CPU_FEATURES": ""}
-"""For these loops are compiled anew, which takes a minute."""
+"""Apart from the others, as every loop is compiled anew for these, which takes a minute."""
 
 
 def generate(preset: str, out: Path, environment: dict[str, str]) -> dict[str, str]:

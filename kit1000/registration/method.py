@@ -81,8 +81,7 @@ class Registration:
 
     def placer(self, sensor: str) -> Placer | None:
         """The network that places fits in the images of a sensor."""
-        restored = self.restorer is not None and needs_restoring(sensor)
-        return _placer(self.placement) if self.placement is not None and restored else None
+        return _placer(self.placement) if self.placement is not None and self._restores(sensor) else None
 
     def completer(self, sensor: str) -> PartCompleter | None:
         """The network that completes parts in the images of a sensor."""
@@ -113,7 +112,11 @@ class Registration:
 
     def _kind(self, query: Query) -> str:
         """The kind of an image: its sensor, or restored where a network restores it."""
-        return "restored" if self.restorer is not None and needs_restoring(query.sensor) else query.sensor
+        return "restored" if self._restores(query.sensor) else query.sensor
+
+    def _restores(self, sensor: str) -> bool:
+        """Whether a network restores the images of a sensor."""
+        return self.restorer is not None and needs_restoring(sensor)
 
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits, the best first; where no clearance is stated, those from depth are at the one that fits best."""
