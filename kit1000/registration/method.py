@@ -181,6 +181,7 @@ class Registration:
             restored=kind == "restored",
             gain=image.gain,
             placer=self.placer(query.sensor),
+            camera=image.camera,
             cavities=image.cavities,
         )
 

@@ -11,10 +11,10 @@ import trimesh
 from kit1000.camera import look_at
 from kit1000.errors import ShapeError
 from kit1000.mesh import Mesh
-from kit1000.perception.calibration import OUTLINE, calibrated, flattened
-from kit1000.perception.calibration.borders import REACH, seen_borders
-from kit1000.perception.calibration.camera_pose import SPREADS
-from kit1000.perception.calibration.plane import table_plane
+from kit1000.perception.calibration import OUTLINE, CameraEstimate, calibrated, camera_estimate_by, flattened
+from kit1000.perception.calibration.borders import REACH, OutlineEdge, seen_borders
+from kit1000.perception.calibration.camera_pose import SPREADS, camera_estimate
+from kit1000.perception.calibration.plane import BENT, PLANE_REACH, table_plane
 from kit1000.pose import Pose
 from kit1000.rng import stream
 from kit1000.sim.cameras import CAMERA
@@ -237,3 +237,71 @@ def test_two_runs_agree_to_the_bit_and_the_input_stays(corner: LabelledDepth) ->
     assert one.depth.tobytes() == two.depth.tobytes()
     assert one.world_from_camera.xyz.tobytes() == two.world_from_camera.xyz.tobytes()
     assert measured.depth.tobytes() == before
+
+
+def motion_over(pose: Pose, rotation: np.ndarray) -> tuple[Pose, np.ndarray]:
+    """A motion from the middle of an image to a place beside it, and the point of the table that is moved."""
+    ray = pose.rotate((0.05, 0.1, 1.0))
+    point = pose.xyz - ray * pose.xyz[2] / ray[2]
+    goal = point + np.array((-0.2, 0.15, 0.1))
+    turned = Pose.from_rotvec(rotation, (0, 0, 0))
+    return Pose.from_rotvec(rotation, goal - turned.apply(point)), point
+
+
+def motion_error(motion: Pose, point: np.ndarray, measured: View, true: View) -> np.ndarray:
+    """(3,) [m] by how much a true motion of a point differs from the one that a wrong view shows between its bodies.
+
+    Bodies are seen where the wrong camera has what the right one sees, at the depths of the wrong scale.
+    """
+    scale = float(np.median((measured.depth / np.where(true.depth > 0, true.depth, np.inf))[true.depth > 0]))
+
+    def shown(x: np.ndarray) -> np.ndarray:
+        return measured.world_from_camera.apply(scale * true.world_from_camera.inverse().apply(x))
+
+    goal = motion.apply(point)
+    return shown(goal) - goal - motion.rotate(shown(point) - point)
+
+
+@pytest.mark.parametrize("borders", [(), OUTLINE], ids=["plane", "outline"])
+@pytest.mark.parametrize("rotation", [(0.0, 0.0, 0.0), (0.0, 0.0, 1.2), (1.0, -0.8, 0.5)])
+def test_the_spread_of_a_motion_is_that_of_the_errors_left(
+    corner: LabelledDepth, rotation: tuple[float, float, float], borders: tuple[OutlineEdge, ...]
+) -> None:
+    """Cameras with errors of their specification, calibrated: their motions differ by the spread stated.
+
+    Edges are exact here, and differ by less than theirs.
+    """
+    motion, point = motion_over(CORNER, np.array(rotation))
+    rng, found = stream(3, "cameras"), []
+    for _ in range(60):
+        unknowns = rng.normal(size=7) * SPREADS
+        wrong = disturbed(corner.view, Pose.from_rotvec(-unknowns[:3], -unknowns[3:6]), float(np.exp(unknowns[6])))
+        right = camera_estimate(wrong, corner.labels, borders, PLANE_REACH, BENT)
+        squared = np.sum(motion_error(motion, point, right.view, corner.view) ** 2)
+        found.append((squared, right.spread_of(motion, point)))
+    errors_squared, spreads = np.array(found).T
+    ratio = np.sqrt(errors_squared.mean() / np.mean(spreads**2))
+    assert (0.5 if borders else 0.8) < ratio < 1.2
+    assert np.ptp(spreads) < 0.05 * spreads.mean()  # it depends on what is seen, hardly on the error
+
+
+def test_edges_leave_less_of_a_motion_open_and_no_motion_nothing(corner: LabelledDepth, middle: LabelledDepth) -> None:
+    for image, pose in ((corner, CORNER), (middle, MIDDLE)):
+        motion, point = motion_over(pose, np.array((0.3, 0.2, 1.5)))
+        plane, outline = (
+            camera_estimate(image.view, image.labels, borders, PLANE_REACH, BENT).spread_of(motion, point)
+            for borders in ((), OUTLINE)
+        )
+        assert outline < 0.8 * plane if image is corner else outline == plane
+        unseen = CameraEstimate(image.view, np.eye(7)).spread_of(motion, point)
+        assert plane < unseen
+        assert CameraEstimate(image.view, np.eye(7)).spread_of(Pose.identity(), point) == 0
+
+
+def test_the_spread_of_a_motion_moves_with_the_world(corner: LabelledDepth) -> None:
+    motion, point = motion_over(CORNER, np.array((0.3, 0.2, 1.5)))
+    estimate = camera_estimate_by(corner.view, corner.labels, "d415")
+    world = Pose.from_rotvec((0.4, -0.3, 1.1), (0.5, -2.0, 0.3))
+    view = View(estimate.view.camera, world @ estimate.view.world_from_camera, estimate.view.depth)
+    moved = CameraEstimate(view, estimate.information).spread_of(world @ motion @ world.inverse(), world.apply(point))
+    assert moved == pytest.approx(estimate.spread_of(motion, point), rel=1e-9)

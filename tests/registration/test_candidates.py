@@ -18,12 +18,15 @@ from kit1000.pose import Pose
 from kit1000.queries.guesses import MAX_ANGLE
 from kit1000.queries.motions import apply_error
 from kit1000.registration.choice.confidence import CURVES, confidence
-from kit1000.registration.choice.fits import LARGEST_LEAD, SAME_ANGLE, SAME_DISTANCE, lead, ranked, same_pose
+from kit1000.registration.choice.fits import LARGEST_LEAD, SAME_ANGLE, SAME_DISTANCE, Fit, lead, ranked, same_pose
 from kit1000.registration.choice.from_evidence import (
     COARSE_WEIGHT,
     EXACT,
     FURTHER_MISFIT,
     MOST_TRIED,
+    REFINEMENTS,
+    RESTORED,
+    TYPICAL_CAMERA_SPREAD,
     UNSEEN_CHOICE,
     UNSEEN_MISFIT,
     EvidenceSearch,
@@ -154,6 +157,23 @@ def test_a_fit_beside_the_goal_has_more_doubt() -> None:
     )
     assert seated.doubt == seated.misfit  # ideal depth: one sum tells both
     assert turned.doubt > seated.doubt + 0.5e-3
+
+
+def test_a_camera_that_leaves_more_of_a_motion_open_adds_doubt_and_no_misfit() -> None:
+    known = case("a keyed block")
+    right = known.candidate(known.goal)
+
+    def fitted(spread: float | None, sensor: str = "d415") -> Fit:
+        search = search_for(known)
+        search.source.camera = None if spread is None else SimpleNamespace(spread_of=lambda motion, point: spread)  # type: ignore[misc, assignment]
+        search.refinement = REFINEMENTS["restored" if sensor == "d415" else sensor]
+        return search.fitted(right)
+
+    unknown, typical, open_ = (fitted(spread) for spread in (None, TYPICAL_CAMERA_SPREAD, 2 * TYPICAL_CAMERA_SPREAD))
+    assert unknown.doubt == pytest.approx(typical.doubt, abs=1e-12)
+    assert open_.doubt == pytest.approx(typical.doubt + RESTORED.camera * TYPICAL_CAMERA_SPREAD, abs=1e-12)
+    assert unknown.misfit == typical.misfit == open_.misfit
+    assert fitted(1.0, "ideal").doubt == fitted(None, "ideal").doubt  # its camera is exact
 
 
 def test_of_candidates_that_contradict_equally_the_better_coarse_match_is_first() -> None:

@@ -10,7 +10,9 @@ import pytest
 
 import kit1000.registration.search.candidates as hypotheses
 from kit1000.dataset.reader import Dataset
+from kit1000.perception.restoration import calibrated_image
 from kit1000.perception.restoration.restorer import Restorer
+from kit1000.perception.sensor_facts import SensorFacts
 from kit1000.queries.pivots import part_pivots
 from kit1000.registration.geometry.observed_cavity import Cavity
 from kit1000.registration.inputs.shared_image import SharedImage
@@ -97,3 +99,16 @@ def test_of_two_guesses_at_the_holes_of_a_part_that_counts_which_fits_better(
     assert alone[0] != alone[1]
     assert both in alone
     assert both[0] == min(alone[0][0], alone[1][0])
+
+
+def test_only_a_noisy_camera_in_the_simulated_world_is_uncertain(mini: Path) -> None:
+    image = query_of(mini, "place-d415").image
+    own = SensorFacts(simulated_table=False)
+    assert [SharedImage(image, sensor).camera is None for sensor in ("ideal", own, "d415", SensorFacts())] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    for sensor in ("ideal", own, "d415", "photoneo"):
+        assert same(SharedImage(image, sensor).measured, calibrated_image(image, sensor), tuple(range(256)))

@@ -8,6 +8,7 @@ determine stays as recorded. Sums are loops of numpy, not BLAS: results are the 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -39,6 +40,33 @@ SPREADS = np.repeat(
 ROUNDS = 4  # of Gauss and Newton
 
 
+@dataclass(frozen=True, eq=False)
+class CameraEstimate:
+    """A camera as its view of the table shows it."""
+
+    view: View
+    """With the corrected pose and depths."""
+    information: np.ndarray
+    """(7, 7) inverse covariance of what is left of the unknowns, each in standard deviations of SPREADS."""
+
+    def spread_of(self, motion: Pose, point: np.ndarray) -> float:
+        """[m] standard deviation that is left of where a motion measured in this view takes a point of the world.
+
+        An error of the camera moves the point (3,) [m] and its goal, and matters as far as it moves them unlike.
+        """
+        goal = motion.apply(point)
+        slopes = self._moved(goal) - matmul(motion.rotation_matrix(), self._moved(point))
+        variance = sum(matmul(row, solve_positive(self.information, row)) for row in slopes * SPREADS)
+        return float(np.sqrt(variance))
+
+    def _moved(self, point: np.ndarray) -> np.ndarray:
+        """(3, 7) by how much a point of the world moves with each unknown."""
+        pose = self.view.world_from_camera
+        seen = pose.inverse().apply(point)
+        turned = np.cross(np.eye(3), seen).T
+        return matmul(pose.rotation_matrix(), np.column_stack([turned, np.eye(3), -seen]))
+
+
 def calibrated(
     view: View,
     labels: np.ndarray,
@@ -57,20 +85,33 @@ def calibrated(
         reach: [m] from the recorded plane, of pixels that may show it.
         correlated: how many of the pixels that enter the plane count as one.
     """
-    labels = checked("labels", labels, view.depth.shape, np.uint8)
-    plane = table_plane(view, labels, reach, correlated)
-    if plane is None:
-        return view
-    unknowns = _solved(view, plane, [])
-    seen = seen_borders(_corrected(view, unknowns), labels, borders)
-    corrected = _corrected(view, _solved(view, plane, seen) if seen else unknowns)
-    return flattened(corrected, labels) if flat else corrected
+    corrected = camera_estimate(view, labels, borders, reach, correlated).view
+    return flattened(corrected, labels) if flat and corrected is not view else corrected
 
 
 def calibrated_by(view: View, labels: np.ndarray, sensor: AnySensor) -> View:
     """The view as `calibrated` has it, with the borders and the reach that belong to a noisy sensor."""
-    reach, correlated = reach_of(sensor, view), correlated_in(sensor)
-    return calibrated(view, labels, borders=borders_of(sensor), reach=reach, correlated=correlated)
+    return camera_estimate_by(view, labels, sensor).view
+
+
+def camera_estimate_by(view: View, labels: np.ndarray, sensor: AnySensor) -> CameraEstimate:
+    """The camera of a view of a noisy sensor, by the borders and the reach that belong to it."""
+    return camera_estimate(view, labels, borders_of(sensor), reach_of(sensor, view), correlated_in(sensor))
+
+
+def camera_estimate(
+    view: View, labels: np.ndarray, borders: Sequence[OutlineEdge], reach: float, correlated: float
+) -> CameraEstimate:
+    """The camera of a view, see `calibrated`; as recorded where too little of the table is seen."""
+    labels = checked("labels", labels, view.depth.shape, np.uint8)
+    plane = table_plane(view, labels, reach, correlated)
+    if plane is None:
+        return CameraEstimate(view, np.eye(len(SPREADS)))
+    unknowns, information = _solved(view, plane, [])
+    seen = seen_borders(_corrected(view, unknowns), labels, borders)
+    if seen:
+        unknowns, information = _solved(view, plane, seen)
+    return CameraEstimate(_corrected(view, unknowns), information)
 
 
 def _corrected(view: View, unknowns: np.ndarray) -> View:
@@ -81,8 +122,12 @@ def _pose(view: View, unknowns: np.ndarray) -> Pose:
     return view.world_from_camera @ Pose.from_rotvec(unknowns[:3], unknowns[3:6])
 
 
-def _solved(view: View, plane: Plane, seen: Sequence[SeenBorder]) -> np.ndarray:
-    """(7,) unknowns of least squares: plane, borders, and the spread of each unknown."""
+def _solved(view: View, plane: Plane, seen: Sequence[SeenBorder]) -> tuple[np.ndarray, np.ndarray]:
+    """Least squares of plane, borders, and the spread of each unknown.
+
+    Returns:
+        (7,) unknowns; (7, 7) see `CameraEstimate.information`.
+    """
 
     def residuals(scaled: np.ndarray) -> np.ndarray:
         unknowns = scaled * SPREADS
@@ -91,9 +136,10 @@ def _solved(view: View, plane: Plane, seen: Sequence[SeenBorder]) -> np.ndarray:
         on_plane = matmul(plane.axes.T, measured - plane.coefficients) / plane.spreads
         return np.concatenate([scaled, on_plane, *(border.residuals(view.camera, pose) for border in seen)])
 
-    start = np.zeros(len(SPREADS))
+    start, information = np.zeros(len(SPREADS)), np.eye(len(SPREADS))
     for _ in range(ROUNDS):
         here = residuals(start)
         slopes = np.stack([(residuals(start + step) - here) / 1e-3 for step in 1e-3 * np.eye(len(start))], axis=-1)
-        start = start - solve_positive(matmul(slopes.T, slopes), matmul(slopes.T, here))
-    return start * SPREADS
+        information = matmul(slopes.T, slopes)
+        start = start - solve_positive(information, matmul(slopes.T, here))
+    return start * SPREADS, information

@@ -4,6 +4,12 @@
 (its input), `network` and `restorer` (its use).
 """
 
-from kit1000.perception.restoration.rules import calibrated_image, restored, restored_edges, restored_query
+from kit1000.perception.restoration.rules import (
+    calibrated_image,
+    restored,
+    restored_edges,
+    restored_query,
+    unbent_image,
+)
 
-__all__ = ["calibrated_image", "restored", "restored_edges", "restored_query"]
+__all__ = ["calibrated_image", "restored", "restored_edges", "restored_query", "unbent_image"]

@@ -46,10 +46,14 @@ def calibrated_image(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
     """The image of a noisy sensor, calibrated and unbent by the table; the same image where the sensor is ideal."""
     if sensor == "ideal":
         return image
-    view = calibrated_by(image.view, image.labels, sensor)
-    if needs_restoring(sensor):
-        view = unbent(view, image.labels, model_of(sensor).baseline)
-    return LabelledDepth(view, image.labels)
+    return unbent_image(LabelledDepth(calibrated_by(image.view, image.labels, sensor), image.labels), sensor)
+
+
+def unbent_image(image: LabelledDepth, sensor: AnySensor) -> LabelledDepth:
+    """A calibrated image without the smooth errors that a stereo camera's table shows; the same of other sensors."""
+    if not needs_restoring(sensor):
+        return image
+    return LabelledDepth(unbent(image.view, image.labels, model_of(sensor).baseline), image.labels)
 
 
 def restored_edges(image: LabelledDepth, sensor: AnySensor, columns: bool = False) -> LabelledDepth:

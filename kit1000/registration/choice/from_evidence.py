@@ -30,6 +30,7 @@ UNSEEN_CHOICE, UNSEEN_MISFIT = 0.3e-3, 0.4e-3  # [m] added for a face that the p
 MOST_TRIED = 40  # candidates that are refined while no fit is good; fewer of large parts
 IN_IMAGE = 3  # best fits that are refined in a noisy image
 TYPICAL_SPREAD = 55e-6  # [m] of the place of such a fit
+TYPICAL_CAMERA_SPREAD = 1.45e-3  # [m] of a motion, by the camera of a noisy image: the mean of the split val
 FURTHER_MISFIT = 0.4e-3  # [m] added for those beyond the first: the image contradicts them more
 SPARE = 3  # further candidates that are refined once in place of those that end in an earlier one's pose
 CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
@@ -80,6 +81,8 @@ class Refinement(NamedTuple):
     """[px] of disparity, of the robust scale with which the best fits are refined in the image; 0: they are not."""
     spread: float = 0.0
     """[m] added to their doubt where their place is then e times as uncertain as TYPICAL_SPREAD."""
+    camera: float = 0.0
+    """Share in the doubt, of the spread that the camera leaves of a motion, beyond TYPICAL_CAMERA_SPREAD."""
 
 
 EXACT = Refinement((SCALES[:3], SCALES[2:]), 2.6e-3, float(np.radians(8)), 0.1, 0.1, MISFIT, 0.0)
@@ -87,7 +90,9 @@ NOISY_DOUBT = Residuals(0.0, 1.0, 1.0, 1.0, 5.0, 1.0)
 D415 = Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 4e-3, 0.0, 0.3, 1.0, NOISY_DOUBT, 0.0, noise_px=1.0)
 """Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls, and what is surely solid or
 free is hardly surer than what a network fills."""
-RESTORED = D415._replace(doubt=Residuals(0.0, 1.0, 0.0, 0.3, 0.0, 0.0), hidden=1e-3, noise_px=0.6, spread=1e-3)
+RESTORED = D415._replace(
+    doubt=Residuals(0.0, 1.0, 0.0, 0.3, 0.0, 0.0), hidden=1e-3, noise_px=0.6, spread=1e-3, camera=0.6
+)
 SCANNED = EXACT._replace(noise_px=1.2)
 REFINEMENTS = {"ideal": EXACT, "photoneo": SCANNED, "d415": D415, "restored": RESTORED}
 """Refinement of each kind of image: its sensor, or restored where a network restored it."""
@@ -175,10 +180,18 @@ class EvidenceSearch:
         outline = outline_misfit(filled, candidate.cavity, pose, self.clearance)
         left = self._residuals(candidate, intervals)._replace(outline=outline)
         goal_from_now = candidate.cavity.world_from_plate @ candidate.plate_from_now
-        doubt = left.weighted(self.refinement.doubt)
+        doubt = left.weighted(self.refinement.doubt) + self._unseen_doubt(goal_from_now)
+        return Fit(goal_from_now, left.weighted(MISFIT), doubt, candidate)
+
+    def _unseen_doubt(self, goal_from_now: Pose) -> float:
+        """[m] of doubt that no residual shows: a hidden outline, and what calibration leaves of the camera's error."""
+        doubt = 0.0
         if self.refinement.hidden:
             doubt += self.refinement.hidden * self.source.hidden_outline
-        return Fit(goal_from_now, left.weighted(MISFIT), doubt, candidate)
+        if self.refinement.camera and self.source.camera is not None:
+            spread = self.source.camera.spread_of(goal_from_now, self.source.middle)
+            doubt += self.refinement.camera * (spread - TYPICAL_CAMERA_SPREAD)
+        return doubt
 
     def in_image(self, fit: Fit) -> Fit:
         """A fit, moved in its plate to where a noisy image shows the cavity; its misfit stays."""

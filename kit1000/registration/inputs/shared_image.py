@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kit1000.perception.restoration import calibrated_image, restored_edges
-from kit1000.perception.sensor_facts import AnySensor, gain_of, key_of, needs_restoring
+from kit1000.perception.calibration import CameraEstimate, camera_estimate_by
+from kit1000.perception.restoration import restored_edges, unbent_image
+from kit1000.perception.sensor_facts import AnySensor, gain_of, key_of, needs_restoring, table_is_simulated
 from kit1000.registration.geometry.observed_cavity import Cavity
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 
@@ -38,7 +39,21 @@ class SharedImage:
     @cached_property
     def measured(self) -> LabelledDepth:
         """Calibrated by the table."""
-        return calibrated_image(self.recorded, self.sensor)
+        if self._estimate is None:
+            return self.recorded
+        return unbent_image(replace(self.recorded, view=self._estimate.view), self.sensor)
+
+    @property
+    def camera(self) -> CameraEstimate | None:
+        """The camera, with its uncertainty; None where the world is no simulated one, but the image's own frame."""
+        return self._estimate if table_is_simulated(self.sensor) else None
+
+    @cached_property
+    def _estimate(self) -> CameraEstimate | None:
+        """None of an exact image."""
+        if self.sensor == "ideal":
+            return None
+        return camera_estimate_by(self.recorded.view, self.recorded.labels, self.sensor)
 
     @property
     def guesses(self) -> tuple[bool, ...]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from kit1000.perception.calibration import CameraEstimate
 from kit1000.perception.observed.fusion import MaskedView, observed_distance
 from kit1000.perception.observed.parts import AROUND, HALF_WIDTH, ObservedPart, PartEvidence
 from kit1000.perception.observed.pixels import Noise, noise_of, oriented_points, pixel_points
@@ -129,6 +130,8 @@ class DepthSource:
     """[px m] disparity times depth, of a noisy image."""
     placer: Placer | None = None
     """The network that places fits in the image; None: it is not asked."""
+    camera: CameraEstimate | None = None
+    """The camera's uncertainty; None where it is exact, or not known."""
     cavities: dict[float, list[Cavity]] = field(default_factory=dict, kw_only=True)
     """See `Source.cavities`; shared by the parts of an image."""
 
