@@ -33,6 +33,7 @@ NETWORK_TABLES = (
     "baselines.training.tasks.kit_completion",
     "baselines.kitnet",
     "baselines.training.tasks.restoration",
+    "baselines.training.tasks.hole_filling",
     "baselines.training.tasks.segmentation",
     "baselines.training.tasks.placement",
     "baselines.snapnet",

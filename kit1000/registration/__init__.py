@@ -18,16 +18,17 @@ METHODS = {
     ),
     "registration-completed": Method(
         "kit1000.registration.proposed_fits:CompletingRegistration",
-        "registration from the depth image, the part completed by a network, noisy images restored by another one",
+        "registration from the depth image, the part completed by a network, noisy images restored by others",
         label="Registration, completed part",
         options={"source": "depth"},
         learned=True,
-        training_data="40,000 sampled parts; 30,000 views and 2218 fits of split train by ideal depth and d415, "
-        "data version 2.0.0",
+        training_data="40,000 sampled parts; 34,500 views and 2218 fits of split train by ideal depth, d415 and "
+        "photoneo, data version 2.0.0",
         weights={
             "completion": WEIGHTS / "completion",
             "noisy_completion": WEIGHTS / "completion-d415",
             "restoration": WEIGHTS / "restoration",
+            "hole_filling": WEIGHTS / "hole-filling",
             "placement": WEIGHTS / "placement",
         },
     ),

@@ -31,6 +31,7 @@ from kit1000.values import FIRST_PART_LABEL, Query, TrueGeometry
 if TYPE_CHECKING:
     from kit1000.perception.completion.parts.completed import PartCompleter
     from kit1000.perception.placement.placer import Placer
+    from kit1000.perception.restoration.hole_filler import HoleFiller
     from kit1000.perception.restoration.restorer import Restorer
 
 SOURCES = ("depth", "columns", "truth")
@@ -54,6 +55,8 @@ class Registration:
     """The same of one that learned from noisy images alone, which it reads; None: `completion` reads them too."""
     restoration: Path | None = None
     """Stem of the weights of a network that restores noisy images; None restores by rules."""
+    hole_filling: Path | None = None
+    """Stem of the weights of a network that fills holes of kits in a scanner's images; None: they stay unknown."""
     placement: Path | None = None
     """Stem of the weights of a network that places fits in images that a network restored; None: it is not asked."""
     cameras: Literal["primary", "three"] = "primary"
@@ -78,6 +81,15 @@ class Registration:
         from kit1000.perception.restoration.restorer import Restorer
 
         return Restorer(self.restoration)
+
+    @cached_property
+    def filler(self) -> HoleFiller | None:
+        """The network that fills holes."""
+        if self.hole_filling is None:
+            return None
+        from kit1000.perception.restoration.hole_filler import HoleFiller
+
+        return HoleFiller(self.hole_filling)
 
     def placer(self, sensor: str) -> Placer | None:
         """The network that places fits in the images of a sensor."""
@@ -163,7 +175,7 @@ class Registration:
     def image_of(self, query: Query) -> SharedImage:
         """The image of a query, for all parts of its scene."""
         sensor = sensor_of(self.dataset.summary, query.sensor, query.scene_id)
-        return SharedImage(query.image, sensor, self.restorer)
+        return SharedImage(query.image, sensor, self.restorer, self.filler)
 
     def sources(self, query: Query, image: SharedImage) -> list[DepthSource]:
         """What registration reads of a query, by each guess at what holes of the part show."""

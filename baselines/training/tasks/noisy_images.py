@@ -1,4 +1,4 @@
-"""Noisy images to learn from: by the d415, under conditions drawn from wider ranges than those of datasets."""
+"""Noisy images to learn from: by d415 and scanner, under conditions drawn from wider ranges than those of datasets."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ WIDER = replace(
     aligned_share=0.3,
 )
 """The d415 once the table has calibrated it; bent planes leave more errors of pose and scale."""
+SCANNER = replace(SENSORS["photoneo"], amplitude_px=(0.03, 0.1), hole_share=(0.3, 0.75))
 WINDOWS = (0.75, 1.35)  # range of a factor on the windows of noise: networks read its correlation
 FRAMES = (1, 1, 1, 1, 1, 3, 10, 30)  # of which an image is the mean, each in an equal share
 
@@ -28,6 +29,11 @@ def noisy_view(view: View, rng: np.random.Generator) -> View:
     frames = FRAMES[int(rng.integers(len(FRAMES)))]
     sensor = with_windows(WIDER, *rng.uniform(*WINDOWS, 2))
     return measured_view(sensor, view, conditions_of(sensor, rng, frames), rng)
+
+
+def scanned_view(view: View, rng: np.random.Generator) -> View:
+    """What a scanner sees of an ideal view."""
+    return measured_view(SCANNER, view, conditions_of(SCANNER, rng, 1), rng)
 
 
 def with_windows(sensor: Sensor, fine: float, coarse: float) -> Sensor:

@@ -56,6 +56,11 @@ UNMASKED = {
     "measured": RestorationConfig(labelled=False, level=True, sensor_model=2, views=30_000, views_seed=2049),
 }
 """`measured` starts from the weights of `small`."""
+HOLES = {
+    "small": RestorationConfig(level=True, sensor_model=2, views=2000, views_seed=2062),
+    "pretraining": RestorationConfig(level=True, sensor_model=2, views=2500, views_seed=2061),
+}
+"""For holes in a scanner's image; `small` starts from the weights of `pretraining`."""
 
 
 class Mixture(NamedTuple):
@@ -77,6 +82,17 @@ class Mixture(NamedTuple):
         """(B, H, W) [px]: the median of the likelier component; never one between a near and a far surface."""
         second = self.log_share[:, 1] > self.log_share[:, 0]
         return torch.where(second, self.disparity[:, 1], self.disparity[:, 0])
+
+    def probability_near(self, disparity: Tensor, reach: float) -> Tensor:
+        """(B, H, W) that the surface is within a reach [px] of disparities (B, H, W) [px]."""
+        away = disparity[:, None] - self.disparity
+        near = _laplace((away + reach) / self.spread) - _laplace((away - reach) / self.spread)
+        return (self.log_share.exp() * near).sum(1)
+
+
+def _laplace(x: Tensor) -> Tensor:
+    """The cumulative distribution of a Laplace variable of median 0 and mean absolute deviation 1."""
+    return torch.where(x < 0, x.clamp(max=0).exp() / 2, 1 - (-x.clamp(min=0)).exp() / 2)
 
 
 class RestorationNet(UNet):

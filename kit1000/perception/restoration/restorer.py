@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from scipy.ndimage import binary_opening, find_objects
+from torch import Tensor
 
 from kit1000.perception.calibration import flattened
 from kit1000.perception.networks.loading import ready
@@ -23,7 +24,7 @@ from kit1000.perception.restoration.disparity import (
     shifted_boxes,
     unlabelled_evidence,
 )
-from kit1000.perception.restoration.network import SIDE, RestorationConfig, RestorationNet
+from kit1000.perception.restoration.network import SIDE, Mixture, RestorationConfig, RestorationNet
 from kit1000.perception.restoration.rules import closed_gaps
 from kit1000.perception.sensor_facts import AnySensor, gain_of, needs_restoring, table_is_simulated
 from kit1000.values import LabelledDepth, View
@@ -91,10 +92,20 @@ class Restorer:
 
     def likeliest(self, read: Evidence, box: Box) -> np.ndarray:
         """(h, w) [px] the likeliest disparities in a box of the image, rounded."""
-        cut = cropped_evidence(read, box)
-        exact = ("disparity", "slope", "level")
-        disparity, slope, level = (torch.from_numpy(cut[name])[None].to(self.precision) for name in exact)
-        returned, labels = (torch.from_numpy(cut[name])[None] for name in ("returned", "labels"))
         with torch.inference_mode():
-            likeliest = self.net(disparity, returned, labels, slope, level).likeliest()[0].numpy().astype(np.float64)
-        return np.rint(likeliest / DISPARITY_STEP) * DISPARITY_STEP
+            likeliest = mixture_in(self.net, read, box, self.precision).likeliest()
+        return rounded(likeliest)
+
+
+def mixture_in(net: RestorationNet, read: Evidence, box: Box, precision: torch.dtype) -> Mixture:
+    """What a network tells of a box of the image."""
+    cut = cropped_evidence(read, box)
+    exact = ("disparity", "slope", "level")
+    disparity, slope, level = (torch.from_numpy(cut[name])[None].to(precision) for name in exact)
+    returned, labels = (torch.from_numpy(cut[name])[None] for name in ("returned", "labels"))
+    return net(disparity, returned, labels, slope, level)
+
+
+def rounded(disparity: Tensor) -> np.ndarray:
+    """(h, w) [px] float64: disparities (1, h, w), rounded to DISPARITY_STEP."""
+    return np.rint(disparity[0].numpy().astype(np.float64) / DISPARITY_STEP) * DISPARITY_STEP

@@ -15,6 +15,7 @@ from kit1000.registration.geometry.observed_cavity import Cavity
 from kit1000.values import ASSEMBLY_LABEL, LabelledDepth, View
 
 if TYPE_CHECKING:
+    from kit1000.perception.restoration.hole_filler import HoleFiller
     from kit1000.perception.restoration.restorer import Restorer
 
 
@@ -26,6 +27,8 @@ class SharedImage:
     sensor: AnySensor
     restorer: Restorer | None = None
     """The network that restores noisy images; None restores by rules."""
+    filler: HoleFiller | None = None
+    """The network that fills holes of kits in a scanner's images; None leaves them unknown."""
     cavities: dict[float, list[Cavity]] = field(default_factory=dict, init=False)
     """See `Source.cavities`."""
     _kits: View | None = field(default=None, init=False)
@@ -77,8 +80,15 @@ class SharedImage:
 
     @cached_property
     def _by_rules(self) -> LabelledDepth:
-        return restored_edges(self.measured, self.sensor)
+        return restored_edges(self._filled, self.sensor)
 
     @cached_property
     def _with_columns(self) -> LabelledDepth:
-        return restored_edges(self.measured, self.sensor, columns=True)
+        return restored_edges(self._filled, self.sensor, columns=True)
+
+    @cached_property
+    def _filled(self) -> LabelledDepth:
+        """Calibrated, holes of kits in a scanner's image filled where a network is sure."""
+        if self.filler is None or key_of(self.sensor) != "photoneo":
+            return self.measured
+        return self.filler(self.measured, (ASSEMBLY_LABEL,))

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from baselines.training.tasks.restoration.crop_task import CropTask, Recorded
+from baselines.training.tasks.restoration.crop_task import CropTask, Recorded, Views
 from baselines.training.tasks.restoration.views import SceneViews, recorded_example
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.restoration.network import RESTORATION, UNMASKED, Mixture, RestorationConfig, RestorationNet
@@ -21,10 +21,24 @@ Batch = dict[str, Tensor]
 
 
 @dataclass
-class RestorationTask(CropTask[SceneViews]):
-    """Restore a crop of one image, calibrated by the table."""
+class MixtureTask(CropTask[Views]):
+    """Tell the mixture of each pixel of a crop that counts."""
 
     model: RestorationNet
+
+    def loss(self, batch: Batch) -> Tensor:
+        """() mean over the pixels that count of the negative logarithm of the likelihood of the truth."""
+        likely, counts = self.mixture(batch).log_likelihood(batch["truth"]), batch["counts"]
+        return -(likely * counts).sum() / counts.sum().clamp(min=1)
+
+    def mixture(self, batch: Batch) -> Mixture:
+        """What the network tells of a batch."""
+        return self.model(*(batch[name] for name in ("disparity", "returned", "labels", "slope", "level")))
+
+
+@dataclass
+class RestorationTask(MixtureTask[SceneViews]):
+    """Restore a crop of one image, calibrated by the table."""
 
     def recorded(self, scene_id: str) -> Recorded:
         """About the slot of the drawn target; without masks, about the part."""
@@ -34,25 +48,17 @@ class RestorationTask(CropTask[SceneViews]):
         slot = scene.truth_of(target.id).world_from_kit.xyz
         return Recorded(image.view, slot if self.training.labelled else target.pivot, whole)
 
-    def loss(self, batch: Batch) -> Tensor:
-        """() mean over the pixels that count of the negative logarithm of the likelihood of the truth."""
-        likely, counts = self._mixture(batch).log_likelihood(batch["truth"]), batch["counts"]
-        return -(likely * counts).sum() / counts.sum().clamp(min=1)
-
     def measure(self, batch: Batch) -> Batch:
         """(B,) `edge_px`: mean absolute error beside edges; `far_edge`: share of pixels there that are off by FAR px;
         `plain_px`: mean absolute error elsewhere; all where it counts."""
-        wrong = (self._mixture(batch).likeliest() - batch["truth"]).abs()
+        wrong = (self.mixture(batch).likeliest() - batch["truth"]).abs()
         beside = beside_jumps(batch["truth"])
         edge, plain = batch["counts"] & beside, batch["counts"] & ~beside
         return {
-            "edge_px": _mean(wrong, edge),
-            "far_edge": _mean((wrong > FAR).float(), edge),
-            "plain_px": _mean(wrong, plain),
+            "edge_px": mean_where(wrong, edge),
+            "far_edge": mean_where((wrong > FAR).float(), edge),
+            "plain_px": mean_where(wrong, plain),
         }
-
-    def _mixture(self, batch: Batch) -> Mixture:
-        return self.model(*(batch[name] for name in ("disparity", "returned", "labels", "slope", "level")))
 
 
 def beside_jumps(truth: Tensor) -> Tensor:
@@ -64,7 +70,7 @@ def beside_jumps(truth: Tensor) -> Tensor:
     return F.max_pool2d(jumps, 2 * REACH + 1, 1, REACH) > 0
 
 
-def _mean(values: Tensor, where: Tensor) -> Tensor:
+def mean_where(values: Tensor, where: Tensor) -> Tensor:
     """(B,) means over bool (B, H, W); 0 where none is."""
     return (values * where).sum((1, 2)) / where.sum((1, 2)).clamp(min=1)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -27,6 +27,8 @@ CROWDED_SHARE = 0.2  # of the views: from cameras as of crowded scenes
 AROUND = 12  # [px] about bodies, where without masks the table counts too
 
 Example = dict[str, np.ndarray]
+Measurement = Callable[[View, np.random.Generator], View]
+"""What a sensor sees of an ideal view."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,13 +77,15 @@ class SceneViews(ViewCrops):
         return [cropped_evidence(whole, box_about(*place)) for place in places]
 
 
-def fresh_image(dataset: Dataset, scenes: Sequence[str], rng: np.random.Generator) -> tuple[LabelledDepth, np.ndarray]:
-    """One of some scenes of the train split as the calibrated d415 sees it from a new place; (H, W) [m] true depths."""
+def fresh_image(
+    dataset: Dataset, scenes: Sequence[str], rng: np.random.Generator, measured: Measurement = noisy_view
+) -> tuple[LabelledDepth, np.ndarray]:
+    """One of some scenes of the train split as a calibrated sensor sees it from a new place; (H, W) [m] true depths."""
     scene = dataset.split("train", truth=True).scene(scenes[int(rng.integers(len(scenes)))])
     pose = draw_primary_pose(rng, crowded=bool(rng.random() < CROWDED_SHARE))
     frame = render(CAMERA, pose, scene.bodies(), threads=1)
     labels = np.where(frame.body_ids > 1, frame.body_ids - 2 + ASSEMBLY_LABEL, 0).astype(np.uint8)
-    return LabelledDepth(noisy_view(View(CAMERA, pose, frame.depth), rng), labels), frame.depth
+    return LabelledDepth(measured(View(CAMERA, pose, frame.depth), rng), labels), frame.depth
 
 
 def recorded_example(
