@@ -20,6 +20,7 @@ from kit1000.perception.restoration.disparity import Box, Evidence, depths, evid
 from kit1000.perception.restoration.network import SIDE, RestorationConfig, RestorationNet
 from kit1000.perception.restoration.restorer import mixture_in, rounded
 from kit1000.perception.restoration.rules import closed_gaps
+from kit1000.perception.sensor_facts import AnySensor, table_is_simulated
 from kit1000.values import LabelledDepth
 
 UNIT = "d415"  # sensor in whose disparities the network reads and tells depths
@@ -33,9 +34,12 @@ def holes(image: LabelledDepth) -> np.ndarray:
     return (image.labels > 0) & (image.view.depth == 0)
 
 
-def hole_evidence(image: LabelledDepth) -> Evidence:
-    """What the network reads of a calibrated image, see `evidence`; holes hold a first estimate from beside."""
-    return evidence(image, closed_gaps(image).view, UNIT)
+def hole_evidence(image: LabelledDepth, simulated: bool = True) -> Evidence:
+    """What the network reads of a calibrated image, see `evidence`; holes hold a first estimate from beside.
+
+    simulated: whether the table is that of generated scenes.
+    """
+    return evidence(image, closed_gaps(image, simulated).view, UNIT)
 
 
 class HoleFiller:
@@ -45,9 +49,10 @@ class HoleFiller:
         """weights: stem of the files, or the network itself; it calculates in float64, see `Restorer`."""
         self.net = in_float64(folded(ready(weights, RestorationConfig, RestorationNet)).to("cpu"))
 
-    def __call__(self, image: LabelledDepth, labels: Sequence[int]) -> LabelledDepth:
+    def __call__(self, image: LabelledDepth, sensor: AnySensor, labels: Sequence[int]) -> LabelledDepth:
         """A calibrated image with the holes of the bodies of some labels filled where the network is sure."""
-        read, empty, depth = hole_evidence(image), holes(image), image.view.depth.copy()
+        read, empty = hole_evidence(image, table_is_simulated(sensor)), holes(image)
+        depth = image.view.depth.copy()
         boxes = find_objects(image.labels)
         for label in labels:
             box = boxes[label - 1] if label <= len(boxes) else None

@@ -91,4 +91,4 @@ class SharedImage:
         """Calibrated, holes of kits in a scanner's image filled where a network is sure."""
         if self.filler is None or key_of(self.sensor) != "photoneo":
             return self.measured
-        return self.filler(self.measured, (ASSEMBLY_LABEL,))
+        return self.filler(self.measured, self.sensor, (ASSEMBLY_LABEL,))
