@@ -27,7 +27,7 @@ CROWDED_SHARE = 0.2  # of the views: from cameras as of crowded scenes
 AROUND = 12  # [px] about bodies, where without masks the table counts too
 
 Example = dict[str, np.ndarray]
-Measurement = Callable[[View, np.random.Generator], View]
+Sensing = Callable[[View, np.random.Generator], View]
 """What a sensor sees of an ideal view."""
 
 
@@ -78,7 +78,7 @@ class SceneViews(ViewCrops):
 
 
 def fresh_image(
-    dataset: Dataset, scenes: Sequence[str], rng: np.random.Generator, measured: Measurement = noisy_view
+    dataset: Dataset, scenes: Sequence[str], rng: np.random.Generator, measured: Sensing = noisy_view
 ) -> tuple[LabelledDepth, np.ndarray]:
     """One of some scenes of the train split as a calibrated sensor sees it from a new place; (H, W) [m] true depths."""
     scene = dataset.split("train", truth=True).scene(scenes[int(rng.integers(len(scenes)))])
