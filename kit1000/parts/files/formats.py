@@ -102,7 +102,9 @@ def _check_archive(data: bytes) -> None:
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
-    except (zipfile.BadZipFile, NotImplementedError, ValueError, OSError):
+    except NotImplementedError:  # of the version that an entry asks for
+        raise MeshRefused("not readable as 3MF: its zip archive needs a newer reader; save it again") from None
+    except (zipfile.BadZipFile, ValueError, OSError):
         raise MeshRefused("not readable as 3MF: not a zip archive") from None
     if size > MAX_BYTES:
         raise MeshRefused(f"unpacks to {size / 1e9:.1f} GB, more than {MAX_BYTES / 1e9:.1f} GB")

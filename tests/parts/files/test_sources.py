@@ -38,6 +38,14 @@ PLY_HEADER = b"ply\nformat binary_little_endian 1.0\nelement vertex 4000000000\n
 POINT = b"v 1 1 1\nv 1 1 1\nv 1 1 1\nf 1 2 3\n"
 TETRAHEDRON = b"v 0 0 0\nv %s 0 0\nv 0 30 0\nv 0 0 30\nf 1 2 3\nf 1 3 4\nf 1 4 2\nf 2 4 3\n"
 
+
+def _needing_version(archive: bytes, version: int) -> bytes:
+    """A zip archive whose entries ask for a reader of some version, in tenths."""
+    changed, entry = bytearray(archive), archive.find(b"PK\1\2")
+    changed[entry + 6 : entry + 8] = version.to_bytes(2, "little")
+    return bytes(changed)
+
+
 REFUSED = {  # name -> (bytes, what the reason begins with)
     "empty.stl": (b"", r"empty file$"),
     "text.stl": (b"Dear all, please find attached\n" * 9, r"not a mesh: text file$"),
@@ -67,6 +75,10 @@ REFUSED = {  # name -> (bytes, what the reason begins with)
     "cut.glb": (exported(BOX, "glb")[:-200], r"not readable as GLB: "),
     "noise.glb": (np.random.default_rng(2).bytes(3000), r"not readable as glTF: its JSON part is damaged$"),
     "huge.gltf": (b'{"accessors": [{"count": 4000000000}]}', r"holds no triangles$"),
+    "newer.3mf": (
+        _needing_version(exported(BOX, "3mf"), 99),
+        r"not readable as 3MF: its zip archive needs a newer reader; save it again$",
+    ),
     "noise.3mf": (np.random.default_rng(3).bytes(3000), r"not readable as 3MF: not a zip archive$"),
     "part.sldprt": (b"proprietary", r"not a mesh format: \.sldprt; known are "),
     "part": (b"nameless", r"not a mesh format: no suffix; known are "),
