@@ -12,13 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.ndimage import find_objects
 
 from kit1000.perception.networks.loading import ready
 from kit1000.perception.networks.unet import folded, in_float64
-from kit1000.perception.restoration.disparity import Box, Evidence, depths, evidence, padded_box
-from kit1000.perception.restoration.network import SIDE, RestorationConfig, RestorationNet
-from kit1000.perception.restoration.restorer import mixture_in, rounded
+from kit1000.perception.restoration.disparity import Box, Evidence, depths, evidence
+from kit1000.perception.restoration.network import RestorationConfig, RestorationNet
+from kit1000.perception.restoration.restorer import bodies_in, mixture_in, rounded
 from kit1000.perception.restoration.rules import closed_gaps
 from kit1000.perception.sensor_facts import AnySensor, table_is_simulated
 from kit1000.values import LabelledDepth
@@ -53,14 +52,10 @@ class HoleFiller:
         """A calibrated image with the holes of the bodies of some labels filled where the network is sure."""
         read, empty = hole_evidence(image, table_is_simulated(sensor)), holes(image)
         depth = image.view.depth.copy()
-        boxes = find_objects(image.labels)
-        for label in labels:
-            box = boxes[label - 1] if label <= len(boxes) else None
-            if box is not None:
-                wide = padded_box(box[0], box[1], SIDE, image.view.camera)
-                disparity, sure = self._likeliest(read, wide)
-                filled = empty[wide] & (image.labels[wide] == label) & (sure >= LEAST_SURE)
-                depth[wide] = np.where(filled, depths(disparity, image.view, wide, UNIT), depth[wide])
+        for wide, mask in bodies_in(image, labels):
+            disparity, sure = self._likeliest(read, wide)
+            filled = empty[wide] & mask & (sure >= LEAST_SURE)
+            depth[wide] = np.where(filled, depths(disparity, image.view, wide, UNIT), depth[wide])
         return replace(image, view=replace(image.view, depth=depth))
 
     def _likeliest(self, read: Evidence, box: Box) -> tuple[np.ndarray, np.ndarray]:

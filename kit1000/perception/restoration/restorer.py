@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -59,13 +59,9 @@ class Restorer:
             return image
         closed = closed_gaps(image, table_is_simulated(sensor)).view
         read, depth = evidence(image, closed, sensor), closed.depth.copy()
-        boxes = find_objects(image.labels)
-        for label in labels:
-            box = boxes[label - 1] if label <= len(boxes) else None
-            if box is not None:
-                wide = padded_box(box[0], box[1], SIDE, closed.camera)
-                found = depths(self._median(read, wide, closed), closed, wide, sensor)
-                depth[wide] = np.where(image.labels[wide] == label, found, depth[wide])
+        for wide, mask in bodies_in(image, labels):
+            found = depths(self._median(read, wide, closed), closed, wide, sensor)
+            depth[wide] = np.where(mask, found, depth[wide])
         return LabelledDepth(replace(closed, depth=depth), image.labels)
 
     def without_masks(self, view: View, sensor: AnySensor) -> View:
@@ -95,6 +91,16 @@ class Restorer:
         with torch.inference_mode():
             likeliest = mixture_in(self.net, read, box, self.precision).likeliest()
         return rounded(likeliest)
+
+
+def bodies_in(image: LabelledDepth, labels: Sequence[int]) -> Iterator[tuple[Box, np.ndarray]]:
+    """The box of each body of some labels that the image shows, padded for the network, and its mask (bool) in it."""
+    boxes = find_objects(image.labels)
+    for label in labels:
+        box = boxes[label - 1] if label <= len(boxes) else None
+        if box is not None:
+            wide = padded_box(box[0], box[1], SIDE, image.view.camera)
+            yield wide, image.labels[wide] == label
 
 
 def mixture_in(net: RestorationNet, read: Evidence, box: Box, precision: torch.dtype) -> Mixture:
