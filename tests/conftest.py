@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
+from kit1000.dataset.reader import Dataset
 from kit1000.errors import Redraw
 from kit1000.export import own_part
 from kit1000.generation import parts_and_kits, shards
@@ -22,7 +23,7 @@ from kit1000.kits.choice import Attempt, accepted_kit, attempts
 from kit1000.kits.kit import KitDesign, Plate
 from kit1000.pictures import dataset_sheets, previews
 from kit1000.pictures.shading import QUICK, shaded_picture
-from kit1000.values import Part
+from kit1000.values import LabelledDepth, Part
 from tests.samples.checkout import ROOT
 from tests.samples.mini import HIDDEN, HIDDEN_SEED, MINI, Published, fake_scene, publish_by_command
 from tests.samples.sources import loaded
@@ -168,6 +169,12 @@ def mini(tmp_path_factory: pytest.TempPathFactory) -> Path:
         fcntl.flock(lock, fcntl.LOCK_EX)
         generate(MINI, shared / "mini", workers=1)  # where another process was first, it finds it complete
     return shared / "mini"
+
+
+@pytest.fixture(scope="session")
+def exact(mini: Path) -> LabelledDepth:
+    """The exact image of a scene, which tests of restoration measure by noisy sensors."""
+    return next(iter(Dataset(mini).split("val"))).labelled_depth("ideal")
 
 
 @pytest.fixture(scope="session")

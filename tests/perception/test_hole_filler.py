@@ -31,12 +31,6 @@ TINY = RestorationConfig(widths=(8, 8, 8, 8), level=True)
 
 
 @pytest.fixture(scope="module")
-def exact(mini: Path) -> LabelledDepth:
-    """The exact image of a scene."""
-    return next(iter(Dataset(mini).split("val"))).labelled_depth("ideal")
-
-
-@pytest.fixture(scope="module")
 def scanned(exact: LabelledDepth) -> LabelledDepth:
     """The same, by a calibrated scanner."""
     return LabelledDepth(scanned_view(exact.view, stream(0, "scanned")), exact.labels)

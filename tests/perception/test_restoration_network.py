@@ -42,12 +42,6 @@ D415 = "d415"
 
 
 @pytest.fixture(scope="module")
-def exact(mini: Path) -> LabelledDepth:
-    """The exact image of a scene."""
-    return next(iter(Dataset(mini).split("val"))).labelled_depth("ideal")
-
-
-@pytest.fixture(scope="module")
 def noisy(exact: LabelledDepth) -> LabelledDepth:
     """The same, by the calibrated d415."""
     return LabelledDepth(noisy_view(exact.view, stream(0, "noisy")), exact.labels)
