@@ -1,8 +1,9 @@
 """The camera pose and the depth scale that explain what a view shows of the table.
 
-The seven unknowns are a small motion of the camera (rotation, translation, in its own frame) and the logarithm of the
-depth scale. Each is pulled to 0 by the spread that the specification of the d415 gives it, so what the table does not
-determine stays as recorded. Sums are loops of numpy, not BLAS: results are the same on every processor.
+The seven unknowns are a small motion of the camera (rotation, translation, in its own frame) and the error of the depth
+scale. Each is pulled to 0 by the spread that the specification of the d415 gives it, so what the table does not
+determine stays as recorded. Sums are loops of numpy, not BLAS, and nothing takes an exponential: results are the same
+on every processor.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ SPREADS = np.repeat(
     [np.radians(D415.rotation_error_deg) / np.sqrt(3), D415.position_error / np.sqrt(3), D415.scale_error / np.sqrt(3)],
     [3, 3, 1],
 )
-"""(7,) standard deviations of the unknowns: rotation vector [rad], translation [m], logarithm of the depth scale."""
+"""(7,) standard deviations of the unknowns: rotation vector [rad], translation [m], error of the depth scale."""
 ROUNDS = 4  # of Gauss and Newton
 
 
@@ -115,7 +116,7 @@ def camera_estimate(
 
 
 def _corrected(view: View, unknowns: np.ndarray) -> View:
-    return View(view.camera, _pose(view, unknowns), view.depth * np.float32(np.exp(-unknowns[6])))
+    return View(view.camera, _pose(view, unknowns), view.depth / np.float32(1 + unknowns[6]))
 
 
 def _pose(view: View, unknowns: np.ndarray) -> Pose:
@@ -132,7 +133,7 @@ def _solved(view: View, plane: Plane, seen: Sequence[SeenBorder]) -> tuple[np.nd
     def residuals(scaled: np.ndarray) -> np.ndarray:
         unknowns = scaled * SPREADS
         pose = _pose(view, unknowns)
-        measured = plane_coefficients(pose) * np.exp(-unknowns[6])
+        measured = plane_coefficients(pose) / (1 + unknowns[6])
         on_plane = matmul(plane.axes.T, measured - plane.coefficients) / plane.spreads
         return np.concatenate([scaled, on_plane, *(border.residuals(view.camera, pose) for border in seen)])
 
