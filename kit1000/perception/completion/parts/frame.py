@@ -28,6 +28,7 @@ PACK = 2  # cells along x and along y that are channels of one pixel of the netw
 OUTLIERS = 0.02  # share of the seen points that is cut off at either end of each axis
 LARGEST = np.array([64e-3, 64e-3, 52e-3])  # [m] seen extents of parts of 50 mm, of which the network learns
 TYPICAL = 43e-3  # [m] the median of the longest of these extents
+YAW_DECIMALS = 12  # of the frame: the last digit of an arctangent depends on the processor
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +112,7 @@ def _extents(view: View, mask: np.ndarray) -> _Extents | None:
     if len(points) == 0:
         return None
     away = points.mean(0)[:2] - view.world_from_camera.xyz[:2]
-    yaw = float(np.arctan2(away[1], away[0]))
+    yaw = round(float(np.arctan2(away[1], away[0])), YAW_DECIMALS)
     rotated = Pose.from_rotvec((0.0, 0.0, -yaw)).apply(points)
     low, high = np.percentile(rotated, [100 * OUTLIERS, 100 * (1 - OUTLIERS)], axis=0)
     return _Extents(yaw, (low + high) / 2, high - (*low[:2], 0.0))
