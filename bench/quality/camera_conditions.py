@@ -7,7 +7,8 @@ One factor at a time differs from the base: one frame of the d415 from where the
 measured anew, always the same. For another distance the scene is rendered again: the camera keeps its direction and
 looks at the middle between the part and its goal, which for this the truth shows. Methods get masks and a calibrated
 image as ever, and no truth. A part or goal outside the image leaves a query out, so n differs between distances.
-For another clearance a small dataset is made, with other parts: those that fit too loosely are refused.
+For another clearance a small dataset is made, with other parts: those that fit too loosely are refused. Of more than
+7 mm four of five parts of 35 to 50 mm would be, so there parts, plates and distances are those of `real-like`.
 """
 
 from __future__ import annotations
@@ -40,6 +41,7 @@ from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, Truth, View
 
 SURE = 0.8  # confidence from which on a fit counts as sure
 LEAST_PIXELS = 200  # of a part in an image that is rendered again
+WIDE_MM = 7.0  # clearances above it are for larger parts
 
 
 class Condition(NamedTuple):
@@ -138,8 +140,9 @@ def _set_with(clearance_mm: float, options: CameraConditions) -> Path:
     """A dataset as kit1000 but for its clearance, with a scene for each query of a condition."""
     folder = options.sets / f"{clearance_mm:g}-mm"
     scenes = {"train": 1, "val": 1, "test": 1, options.split: options.limit}
+    sizes = preset("real-like" if clearance_mm > WIDE_MM else "kit1000")
     settings = replace(
-        preset("kit1000"), **scenes, clearance=clearance_mm * 1e-3, tracks=(options.track,), curve_scenes=0
+        sizes, **scenes, frames=1, clearance=clearance_mm * 1e-3, tracks=(options.track,), curve_scenes=0
     )
     generate(settings, folder, workers=options.workers)
     return folder

@@ -176,6 +176,23 @@ def test_a_camera_that_leaves_more_of_a_motion_open_adds_doubt_and_no_misfit() -
     assert fitted(1.0, "ideal").doubt == fitted(None, "ideal").doubt  # its camera is exact
 
 
+def test_fits_in_restored_images_are_raised_out_of_the_plate_and_exact_ones_are_not() -> None:
+    known = case("an L")
+    search = search_for(known)
+    fit = search.fitted(known.candidate(known.goal))
+    assert search.lifted(fit) is fit
+    search.refinement = RESTORED
+    raised = search.lifted(fit)
+    plate_from_world = fit.candidate.cavity.world_from_plate.inverse()
+    moved = (plate_from_world @ raised.goal_from_now) @ (plate_from_world @ fit.goal_from_now).inverse()
+    height = RESTORED.lift * HALF_WIDTH
+    np.testing.assert_allclose(moved.matrix(), Pose.from_translation((0.0, 0.0, height)).matrix(), atol=1e-12)
+    assert 0.2e-3 < height < 1e-3  # a share of the clearance
+    there = raised.candidate.cavity.world_from_plate @ raised.candidate.plate_from_now
+    np.testing.assert_allclose(there.matrix(), raised.goal_from_now.matrix(), atol=1e-12)
+    assert (raised.misfit, raised.doubt) == (fit.misfit, fit.doubt)
+
+
 def test_of_candidates_that_contradict_equally_the_better_coarse_match_is_first() -> None:
     known = case("an L")
     good = replace(known.candidate(known.goal), misfit=0.1)

@@ -33,6 +33,7 @@ TYPICAL_SPREAD = 55e-6  # [m] of the place of such a fit
 TYPICAL_CAMERA_SPREAD = 1.45e-3  # [m] of a motion, by the camera of a noisy image: the mean of the split val
 FURTHER_MISFIT = 0.4e-3  # [m] added for those beyond the first: the image contradicts them more
 SPARE = 3  # further candidates that are refined once in place of those that end in an earlier one's pose
+UP = np.array([0.0, 0.0, 1.0])
 CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
 
 
@@ -83,6 +84,9 @@ class Refinement(NamedTuple):
     """[m] added to their doubt where their place is then e times as uncertain as TYPICAL_SPREAD."""
     camera: float = 0.0
     """Share in the doubt, of the spread that the camera leaves of a motion, beyond TYPICAL_CAMERA_SPREAD."""
+    lift: float = 0.0
+    """[m] by which goals are raised out of the cavity, for each m of the part's half width: a part whose fit is tilted
+    by error touches the cavity's floor before its middle does."""
 
 
 EXACT = Refinement((SCALES[:3], SCALES[2:]), 2.6e-3, float(np.radians(8)), 0.1, 0.1, MISFIT, 0.0)
@@ -91,9 +95,9 @@ D415 = Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 4e-3, 0.0, 0.3, 1.0, NOISY_DOU
 """Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls, and what is surely solid or
 free is hardly surer than what a network fills."""
 RESTORED = D415._replace(
-    doubt=Residuals(0.0, 1.0, 0.0, 0.3, 0.0, 0.0), hidden=1e-3, noise_px=0.6, spread=1e-3, camera=0.6
+    doubt=Residuals(0.0, 1.0, 0.0, 0.3, 0.0, 0.0), hidden=1e-3, noise_px=0.6, spread=1e-3, camera=0.6, lift=0.014
 )
-SCANNED = EXACT._replace(noise_px=1.2)
+SCANNED = EXACT._replace(noise_px=1.2, lift=0.006)
 REFINEMENTS = {"ideal": EXACT, "photoneo": SCANNED, "d415": D415, "restored": RESTORED}
 """Refinement of each kind of image: its sensor, or restored where a network restored it."""
 
@@ -118,7 +122,8 @@ def register_certain(source: DepthSource, query: Query, clearance: float, furthe
     distinct = without_duplicates(found, source.middle, DISTINCT if guessed else DISTINCT_WITHOUT_GUESS)
     fits = search.fits(search.least_contradictory(distinct), REFINED if guessed else REFINED_WITHOUT_GUESS)
     best = ranked(fit for fit in fits if within_guess_error(fit.goal_from_now, query))
-    return [*map(search.in_image, best[:IN_IMAGE]), *best[IN_IMAGE:]] if further else best
+    refined = [*map(search.in_image, best[:IN_IMAGE]), *best[IN_IMAGE:]] if further else best
+    return [*map(search.lifted, refined)]
 
 
 class EvidenceSearch:
@@ -216,9 +221,15 @@ class EvidenceSearch:
         patch = plate_patch(source, candidate, self.clearance, CELLS)
         if patch is None:
             return fit
-        goal_from_now = patch.moved(fit.goal_from_now, source.middle, source.placer(patch.channels))
-        plate_from_now = candidate.cavity.world_from_plate.inverse() @ goal_from_now
-        return replace(fit, goal_from_now=goal_from_now, candidate=replace(candidate, plate_from_now=plate_from_now))
+        return _moved(fit, patch.moved(fit.goal_from_now, source.middle, source.placer(patch.channels)))
+
+    def lifted(self, fit: Fit) -> Fit:
+        """A fit, raised out of its cavity by what the noise of the image asks for; see `Refinement.lift`."""
+        if not self.refinement.lift:
+            return fit
+        height = self.refinement.lift * self.source.half_width
+        world_from_plate = fit.candidate.cavity.world_from_plate
+        return _moved(fit, Pose.from_translation(height * world_from_plate.rotate(UP)) @ fit.goal_from_now)
 
     def _residuals(self, candidate: Candidate, intervals: Intervals) -> Residuals:
         """Residuals of a refined candidate, without the outline's."""
@@ -242,3 +253,9 @@ class EvidenceSearch:
         if key not in self._kits:
             self._kits[key] = KitHeights.of(candidate.cavity, self.clearance)
         return contradictions(self.source.evidence, self.seen, self._kits[key], candidate.plate_from_now)
+
+
+def _moved(fit: Fit, goal_from_now: Pose) -> Fit:
+    """A fit with another motion; its misfit and doubt stay."""
+    plate_from_now = fit.candidate.cavity.world_from_plate.inverse() @ goal_from_now
+    return replace(fit, goal_from_now=goal_from_now, candidate=replace(fit.candidate, plate_from_now=plate_from_now))
