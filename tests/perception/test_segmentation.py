@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.metrics.segmentation import matched_masks, mean_iou
 from kit1000.perception.restoration.restorer import Restorer
-from kit1000.perception.segmentation.bodies import world_points
+from kit1000.perception.segmentation.bodies import OF_LARGEST, find_bodies, world_points
 from kit1000.perception.segmentation.instances import segmented
 from kit1000.perception.segmentation.merging import area_of, best_pairs, gap_between, outline_of
 from kit1000.perception.segmentation.pieces import MOST_PIECES, SCALES, connected, find_pieces
@@ -66,6 +68,21 @@ def test_a_part_in_two_pieces_behind_another_is_one() -> None:
     """A bar lies behind a post, which hides its middle."""
     image = scene(KIT, box(-0.02, -0.12, (0.02, 0.06, 0.02)), box(0.03, -0.12, (0.012, 0.012, 0.05)))
     assert mean_iou(segmented(image.view), image.labels) > 0.97
+
+
+def test_in_a_restored_image_a_body_is_what_the_sensor_saw_and_the_kits_are_one() -> None:
+    part, ghost, crumb = box(0.0, -0.10, (0.03, 0.04, 0.02)), box(0.05, -0.18, (0.04,) * 3), box(0.0, 0.2, (0.02,) * 3)
+    image = scene(KIT, part, ghost, crumb)
+    is_kit, is_part, is_ghost, is_crumb = (image.labels == 1 + k for k in range(4))
+    assert 50 < is_crumb.sum() < OF_LARGEST * is_kit.sum()
+    exact = SimpleNamespace(without_masks=lambda measured, sensor: image.view)  # a network that restores all of it
+    measured = replace(image.view, depth=np.where(is_ghost, np.float32(0), image.view.depth))
+    found = find_bodies(measured, "d415", cast(Restorer, exact))
+    assert found.parts[is_part].mean() > 0.95
+    assert found.kits[is_kit].mean() > 0.95
+    assert not (found.kits | found.parts)[is_ghost | is_crumb].any()
+    seen = find_bodies(image.view, "d415", cast(Restorer, exact))
+    assert seen.parts[is_ghost].mean() > 0.95
 
 
 def test_a_mirrored_image_has_mirrored_masks(mini: Path) -> None:

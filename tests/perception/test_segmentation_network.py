@@ -139,6 +139,14 @@ def test_noisy_parts_are_told_apart(mini: Path, restorer: Restorer) -> None:
     assert np.mean(scores) > 0.75
 
 
+def test_noise_beside_bodies_is_no_part(image: LabelledDepth, restorer: Restorer) -> None:
+    finder, bodies = PartFinder(FINDER), find_bodies(image.view, D415, restorer)
+    found = finder(bodies)
+    number = int(np.bincount(found[found > 0]).argmax())
+    hidden = finder(bodies._replace(parts=bodies.parts & (found != number)))
+    assert not hidden[found == number].any()
+
+
 def test_two_runs_agree_to_the_bit_and_the_input_stays(image: LabelledDepth, restorer: Restorer) -> None:
     finder, before = PartFinder(FINDER), image.view.depth.tobytes()
     one, two = (segmented(image.view, D415, 1.0, restorer, finder) for _ in range(2))

@@ -18,6 +18,9 @@ LEAST_HEIGHT = 3e-4  # [m] above the table that is no part of it, in an ideal im
 SURE_HEIGHT = 6e-3  # [m] the same in a noisy image,
 NOISY_HEIGHT = 2e-3  # [m] and beside such pixels: three times the noise of the table,
 FINE_HEIGHT = 1e-3  # [m] or less where a network restored the image, or of a scanner
+LEAST_SURE = 5  # pixels with a return above SURE_HEIGHT, of a body in an image that a network restored,
+RETURNED = 0.7  # and the share of its pixels with one: the network guesses where the sensor saw nothing
+OF_LARGEST = 0.1  # share of the largest region on the kits' half: the kits are one body, smaller regions are none
 RECORDED_HEIGHT = 8e-3  # [m] the same before calibration
 SHADOW = 40  # [px] the widest gap along a row that is the shadow of a near edge
 WINDOW, SHARE = 11, 0.6  # [px] around a pixel, and the share of body in it: fattened edges are bumpy, parts are not
@@ -54,17 +57,37 @@ def find_bodies(view: View, sensor: AnySensor, restorer: Restorer | None = None)
         measured = calibrated_by(view, above.astype(np.uint8), sensor)
         view = without_shadows(measured) if network is None else network.without_masks(measured, sensor)
     points = world_points(view)
-    height, seen = points[..., 2], view.depth > 0
-    body = seen & (height > LEAST_HEIGHT)
-    if noisy:
-        least = NOISY_HEIGHT if coarse else FINE_HEIGHT
-        regions = np.asarray(label(seen & (height > least))[0])  # type: ignore[index]
-        body = np.isin(regions, np.unique(regions[seen & (height > SURE_HEIGHT)]))
-        if coarse:
-            body = uniform_filter(body.astype(float), WINDOW) > SHARE
-    far_half = on_far_half(points)
-    kind = key_of(sensor) if network is None else "restored"
-    return Bodies(view, points, body & far_half, body & ~far_half, kind, measured)
+    far_half, height = on_far_half(points), np.where(view.depth > 0, points[..., 2], 0.0)
+    if network is not None:
+        body = _restored_regions(height, measured.depth > 0)
+        kits = _largest_regions(body & far_half)
+        return Bodies(view, points, kits, body & ~far_half, "restored", measured)
+    body = _high_regions(height, NOISY_HEIGHT if coarse else FINE_HEIGHT) if noisy else height > LEAST_HEIGHT
+    if coarse:
+        body = np.asarray(uniform_filter(body.astype(float), WINDOW)) > SHARE
+    return Bodies(view, points, body & far_half, body & ~far_half, key_of(sensor), measured)
+
+
+def _high_regions(height: np.ndarray, least: float) -> np.ndarray:
+    """(H, W) bool: regions above the least height that hold a pixel above SURE_HEIGHT. height: (H, W) [m]."""
+    regions = np.asarray(label(height > least)[0])  # type: ignore[index]
+    return np.isin(regions, np.unique(regions[height > SURE_HEIGHT]))
+
+
+def _restored_regions(height: np.ndarray, returned: np.ndarray) -> np.ndarray:
+    """(H, W) bool: regions above FINE_HEIGHT that the sensor saw too. returned: (H, W) bool, pixels with a return."""
+    regions = np.asarray(label(height > FINE_HEIGHT)[0])  # type: ignore[index]
+    count = int(regions.max()) + 1
+    masks = regions > 0, returned, returned & (height > SURE_HEIGHT)
+    pixels, with_return, sure = (np.bincount(regions[mask], minlength=count) for mask in masks)
+    return ((sure >= LEAST_SURE) & (with_return >= RETURNED * pixels) & (pixels > 0))[regions]
+
+
+def _largest_regions(body: np.ndarray) -> np.ndarray:
+    """(H, W) bool: the largest region, and those of at least OF_LARGEST of its pixels."""
+    regions = np.asarray(label(body)[0])  # type: ignore[index]
+    pixels = np.bincount(regions[body], minlength=1)
+    return body & (pixels >= OF_LARGEST * pixels.max())[regions]
 
 
 def on_far_half(points: np.ndarray) -> np.ndarray:

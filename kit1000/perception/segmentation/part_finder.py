@@ -18,6 +18,7 @@ from kit1000.perception.segmentation.votes import gathered
 BORDER = 16  # [px] about the parts
 OFFSET_STEP = 1 / 8  # [px] to which votes are rounded: sums of float32 depend on the processor
 LOGIT_STEP = 1 / 64  # the same of the logits
+ON_BODIES = 0.5  # least share of a part's pixels that lie on bodies: elsewhere noise looks like one
 
 
 class PartFinder:
@@ -37,7 +38,11 @@ class PartFinder:
         tall, broad = (slice(max(line[0] - BORDER, 0), line[-1] + BORDER + 1) for line in (rows, columns))
         box = padded_box(tall, broad, SIDE, bodies.view.camera)
         offset, part = self.votes(bodies, box)
-        labels[box] = gathered(np.indices(part.shape) + offset[::-1], part & ~on_far_half(bodies.points[box]))
+        found = gathered(np.indices(part.shape) + offset[::-1], part & ~on_far_half(bodies.points[box]))
+        pixels, shared = (
+            np.bincount(found[mask], minlength=found.max() + 1) for mask in (found > 0, bodies.parts[box])
+        )
+        labels[box] = np.where((shared >= ON_BODIES * pixels)[found], found, 0)
         return labels
 
     def votes(self, bodies: Bodies, box: Box) -> tuple[np.ndarray, np.ndarray]:
