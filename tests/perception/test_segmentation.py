@@ -71,7 +71,8 @@ def test_a_part_in_two_pieces_behind_another_is_one() -> None:
 
 
 def test_in_a_restored_image_a_body_is_what_the_sensor_saw_and_the_kits_are_one() -> None:
-    part, ghost, crumb = box(0.0, -0.10, (0.03, 0.04, 0.02)), box(0.05, -0.18, (0.04,) * 3), box(0.0, 0.2, (0.02,) * 3)
+    part, ghost = box(0.0, -0.10, (0.03, 0.04, 0.02)), box(0.05, -0.18, (0.04, 0.04, 0.04))
+    crumb = box(0.0, 0.2, (0.02, 0.02, 0.02))
     image = scene(KIT, part, ghost, crumb)
     is_kit, is_part, is_ghost, is_crumb = (image.labels == 1 + k for k in range(4))
     assert 50 < is_crumb.sum() < OF_LARGEST * is_kit.sum()

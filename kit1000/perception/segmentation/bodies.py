@@ -68,15 +68,20 @@ def find_bodies(view: View, sensor: AnySensor, restorer: Restorer | None = None)
     return Bodies(view, points, body & far_half, body & ~far_half, key_of(sensor), measured)
 
 
+def _regions(mask: np.ndarray) -> np.ndarray:
+    """(H, W) int: from 1 on the pixels of each connected region of a mask (H, W), 0 elsewhere."""
+    return np.asarray(label(mask)[0], np.intp)  # type: ignore[index]
+
+
 def _high_regions(height: np.ndarray, least: float) -> np.ndarray:
     """(H, W) bool: regions above the least height that hold a pixel above SURE_HEIGHT. height: (H, W) [m]."""
-    regions = np.asarray(label(height > least)[0])  # type: ignore[index]
+    regions = _regions(height > least)
     return np.isin(regions, np.unique(regions[height > SURE_HEIGHT]))
 
 
 def _restored_regions(height: np.ndarray, returned: np.ndarray) -> np.ndarray:
     """(H, W) bool: regions above FINE_HEIGHT that the sensor saw too. returned: (H, W) bool, pixels with a return."""
-    regions = np.asarray(label(height > FINE_HEIGHT)[0])  # type: ignore[index]
+    regions = _regions(height > FINE_HEIGHT)
     count = int(regions.max()) + 1
     masks = regions > 0, returned, returned & (height > SURE_HEIGHT)
     pixels, with_return, sure = (np.bincount(regions[mask], minlength=count) for mask in masks)
@@ -85,7 +90,7 @@ def _restored_regions(height: np.ndarray, returned: np.ndarray) -> np.ndarray:
 
 def _largest_regions(body: np.ndarray) -> np.ndarray:
     """(H, W) bool: the largest region, and those of at least OF_LARGEST of its pixels."""
-    regions = np.asarray(label(body)[0])  # type: ignore[index]
+    regions = _regions(body)
     pixels = np.bincount(regions[body], minlength=1)
     return body & (pixels >= OF_LARGEST * pixels.max())[regions]
 
