@@ -19,7 +19,7 @@ from kit1000.registration.refinement.levenberg_marquardt import SCALES
 from kit1000.registration.refinement.plate_patch import plate_patch
 from kit1000.registration.search.candidates import find_candidates, within_guess_error
 from kit1000.registration.search.contradictions import Contradictions, KitHeights, contradictions
-from kit1000.registration.search.correlation import Candidate, lies_on, tilted, without_duplicates
+from kit1000.registration.search.correlation import UP, Candidate, lies_on, tilted, without_duplicates
 from kit1000.registration.search.effort import LARGEST, tries_of
 from kit1000.values import Query
 
@@ -33,7 +33,6 @@ TYPICAL_SPREAD = 55e-6  # [m] of the place of such a fit
 TYPICAL_CAMERA_SPREAD = 1.45e-3  # [m] of a motion, by the camera of a noisy image: the mean of the split val
 FURTHER_MISFIT = 0.4e-3  # [m] added for those beyond the first: the image contradicts them more
 SPARE = 3  # further candidates that are refined once in place of those that end in an earlier one's pose
-UP = np.array([0.0, 0.0, 1.0])
 CHOICE_DECIMALS = 9  # of a metre: candidates that contradict equally are taken in order
 
 
