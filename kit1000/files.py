@@ -22,6 +22,8 @@ from urllib.parse import unquote
 from kit1000.errors import InputError
 
 OWN_MARK, OWN_HEADER = b"kit1000", 256  # what a picture or recording of ours has in its first bytes
+LFS_POINTER = b"version https://git-lfs"  # first bytes of what stands in place of a file that Git LFS keeps
+LFS_ADVICE = "a Git LFS pointer instead of the file itself: run git lfs pull"
 PARTIAL = ".partial"  # suffix of a file being written; files with it may be deleted
 
 

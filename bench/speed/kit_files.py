@@ -23,6 +23,7 @@ from benchmark.measurements import Column, Measurement, estimate
 from kit1000.errors import Kit1000Error
 from kit1000.parts.files.sources import mesh_files
 
+UNUSUAL = ("PYTHONDONTWRITEBYTECODE", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 MADE, REFUSED = "kit made", "refused"
 COLUMNS = (
     Column("outcome", "outcome"),
@@ -67,7 +68,7 @@ def main(options: KitFiles) -> None:
 
 
 def command(path: Path) -> tuple[float, str]:
-    """The CPU seconds of the command on one file, on one core for each library, and whether it makes a kit."""
+    """The CPU seconds of the command on one file, and whether it makes a kit."""
     with tempfile.TemporaryDirectory() as folder:
         line = [sys.executable, "-m", "kit1000", "kit", str(path), "--out", str(Path(folder) / "kit")]
         before = _seconds_of_children()
@@ -76,10 +77,8 @@ def command(path: Path) -> tuple[float, str]:
 
 
 def _environment() -> dict[str, str]:
-    """One core for each library, and compiled modules that stay for the next command, as for a user."""
-    return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"} | {
-        "OMP_NUM_THREADS": "1"
-    }
+    """That of a user: libraries choose their threads, and compiled modules stay for the next command."""
+    return {name: value for name, value in os.environ.items() if name not in UNUSUAL}
 
 
 def _seconds_of_children() -> float:

@@ -9,6 +9,7 @@ from kit1000.capture.depth_files import SUFFIXES, read_depth_files
 from kit1000.capture.depth_frames import DepthFrame
 from kit1000.capture.frame_selection import Selection
 from kit1000.errors import InputError, did_you_mean
+from kit1000.files import LFS_ADVICE, LFS_POINTER
 
 RECORDINGS = (".mcap",)
 ADVICE = {
@@ -35,9 +36,9 @@ def read_groups(sources: Sequence[Path], selection: Selection) -> list[list[Dept
         if found is not None:
             from kit1000.capture.recordings import read_recording
 
-            groups.append(read_recording(found, selection))
+            groups.append(read_recording(_whole(found), selection))
             continue
-        image = _image_file(source)
+        image = _whole(_image_file(source))
         if selection.topic is not None or selection.first:
             raise InputError(f"{image}: an image, of which --topic and --first choose nothing: they are of recordings")
         frames = read_depth_files(image)
@@ -75,3 +76,11 @@ def _image_file(source: Path) -> Path:
         advice = ADVICE.get(suffix, f"expected {', '.join((*SUFFIXES, *RECORDINGS))}")
         raise InputError(f"{source}: {suffix or 'a file without suffix'} is not read; {advice}")
     return source
+
+
+def _whole(path: Path) -> Path:
+    """A file, unless git-lfs left a pointer in its place."""
+    with path.open("rb") as file:
+        if file.read(len(LFS_POINTER)) == LFS_POINTER:
+            raise InputError(f"{path}: {LFS_ADVICE}")
+    return path

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from kit1000.errors import InputError
+from kit1000.files import LFS_ADVICE, LFS_POINTER
 from kit1000.mesh import Mesh, y_up, z_up
 
 GLTF_BINARY, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
@@ -104,13 +105,19 @@ def read_glb(path: Path) -> dict[str, Mesh]:
     import trimesh  # only here: importing it takes longer than making many a kit
 
     try:
-        scene = trimesh.load_scene(io.BytesIO(path.read_bytes()), file_type="glb", process=False)
+        data = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(f"no file {path}") from None
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}") from None
+    if data.startswith(LFS_POINTER):
+        raise InputError(f"{path}: {LFS_ADVICE}")
+    try:
+        scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
         return {
             str(name): Mesh(z_up(np.asarray(body.vertices, dtype=np.float64)), body.faces)  # type: ignore[union-attr]
             for name, body in scene.geometry.items()
         }
-    except FileNotFoundError:
-        raise InputError(f"no file {path}") from None
     except Exception as error:  # the reader of trimesh may raise anything on damaged bytes
         raise InputError(f"cannot read {path}: damaged or no GLB ({type(error).__name__}: {error})") from error
 

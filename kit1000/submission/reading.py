@@ -8,6 +8,7 @@ import re
 import stat
 from pathlib import Path
 
+from kit1000.files import LFS_POINTER
 from kit1000.submission.faults import Fault, printable
 
 LARGEST_FILE = 1 << 28  # bytes; a million predictions are 150 MB
@@ -30,7 +31,7 @@ FILE_SIGNATURES = (
     (b"\x80\x04\x95", "a pickle", "write the rows with kit1000.write_submission"),
     (b"\x80\x05\x95", "a pickle", "write the rows with kit1000.write_submission"),
     (b"%PDF", "a PDF", "write plain text"),
-    (b"version https://git-lfs", "a git-lfs pointer, not the file itself", "fetch the file with git lfs pull"),
+    (LFS_POINTER, "a git-lfs pointer, not the file itself", "fetch the file with git lfs pull"),
 )
 BYTE_ORDER_MARKS = (
     (b"\xff\xfe\x00\x00", "utf-32"),

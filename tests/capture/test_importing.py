@@ -153,6 +153,8 @@ WRONG = {  # by what is typed: facts of the answer
     "{image} --intrinsics {camera}": "camera.json|1280 x 720|640 x 480",
     "{tmp}/depht.png --intrinsics 1 2 3 4": "no such file|did you mean depth.png",
     "{tmp}/a.jpg --intrinsics 1 2 3 4": "8 bits",
+    "{tmp}/pointers/0.png --intrinsics 1 2 3 4": "0.png|run git lfs pull",
+    "{tmp}/pointers/0.mcap": "0.mcap|run git lfs pull",
     "{tmp} --intrinsics 1 2 3 4": "a folder without an MCAP file",
     "{image} --out {tmp}": "exists already",
     "{image} {good} --clearance-mm 0": "--clearance-mm|0.05 to 100",
@@ -176,6 +178,9 @@ def test_wrong_input_is_one_line_and_nothing_is_written(
 ) -> None:
     place = image.parent
     (place / "a.jpg").touch()
+    (place / "pointers").mkdir()
+    for name in ("0.png", "0.mcap"):
+        (place / "pointers" / name).write_bytes(b"version https://git-lfs.github.com/spec/v1\nsize 684\n")
     row = {"fx": 900, "fy": 900, "cx": 640, "cy": 360, "width": 1280, "height": 720}
     (place / "camera.json").write_text(json.dumps(row), encoding="utf-8")
     before = sorted(place.rglob("*"))

@@ -102,3 +102,10 @@ def test_a_damaged_glb_is_one_line(data: bytes, tmp_path: Path) -> None:
 def test_a_missing_glb_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no file .*mesh\.glb"):
         read_glb(tmp_path / "mesh.glb")
+
+
+def test_a_glb_that_git_left_as_a_pointer_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.glb"
+    path.write_bytes(b"version https://git-lfs.github.com/spec/v1\nsize 684\n")
+    with pytest.raises(InputError, match=r"mesh\.glb: a Git LFS pointer instead of the file itself: run git lfs pull$"):
+        read_glb(path)

@@ -30,6 +30,7 @@ from kit1000.dataset.mcap_io.messages import SECOND
 from kit1000.dataset.mcap_io.writing import RECORD, START, record_checksum
 from kit1000.dataset.tables import check_format
 from kit1000.errors import InputError, did_you_mean
+from kit1000.files import LFS_ADVICE, LFS_POINTER
 
 FIX = "generate or download it again"
 RECENT = 3  # decompressed chunks in memory, of all files together: 8 MB each with two views, 22 MB with six
@@ -148,7 +149,8 @@ class _Source:
         if size == 0:
             raise InputError(f"{self.path}: empty file; {FIX}")
         if self.read(0, len(MAGIC)) != MAGIC:
-            raise InputError(f"{self.path}: no MCAP file")
+            pointer = self.read(0, len(LFS_POINTER)) == LFS_POINTER
+            raise InputError(f"{self.path}: {LFS_ADVICE if pointer else 'no MCAP file'}")
         tail = self.read(max(size - _FOOTER.size, 0), _FOOTER.size)
         if not tail.endswith(MAGIC) or len(tail) < _FOOTER.size:
             raise InputError(f"{self.path}: truncated: the end of the file is missing; {FIX}")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from kit1000.errors import MeshRefused
+from kit1000.files import LFS_ADVICE, LFS_POINTER
 
-LFS = b"version https://git-lfs"
 BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 ARCHIVES = {b"PK\x03\x04": "a zip archive", b"\x1f\x8b": "compressed by gzip", b"7z\xbc\xaf": "a 7z archive"}
 ARCHIVES |= {b"Rar!": "a RAR archive", b"BZh": "compressed by bzip2", b"\xfd7zXZ": "compressed by xz"}
@@ -18,8 +18,8 @@ def check_foreign(data: bytes, archive: bool = False) -> None:
     archive: whether the format of the mesh is itself an archive.
     """
     start = data[:256].removeprefix(BYTE_ORDER_MARK).lstrip().lower()
-    if start.startswith(LFS):
-        raise MeshRefused("a Git LFS pointer instead of the file itself: run git lfs pull")
+    if start.startswith(LFS_POINTER):
+        raise MeshRefused(LFS_ADVICE)
     if start.startswith((b"<!doctype html", b"<html")):
         raise MeshRefused("a web page instead of a mesh: download the file itself")
     packed = next((name for magic, name in ARCHIVES.items() if data.startswith(magic)), None)

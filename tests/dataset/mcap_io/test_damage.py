@@ -86,6 +86,7 @@ def test_other_mcap_files_are_refused(tmp_path: Path, seen: Path, monkeypatch: p
 
     assert "empty file" in error_of("empty.mcap", b"")
     assert "no MCAP file" in error_of("text.mcap", b"a recording, I swear\n" * 9)
+    assert "run git lfs pull" in error_of("pointer.mcap", b"version https://git-lfs.github.com/spec/v1\nsize 684\n")
     assert "truncated" in error_of("short.mcap", seen.read_bytes()[:-100])
     assert "truncated" in error_of("magic.mcap", seen.read_bytes()[:8])
     assert "expected a file of 'truth'" in error_of("swapped.mcap", seen.read_bytes(), TruthFile)
