@@ -36,6 +36,7 @@ from kit1000.registration.search.candidates import DOWN, LIES, NEAR_GUESS, SLACK
 from kit1000.registration.search.correlation import UPRIGHT, tilted
 from kit1000.voxels import Grid, signed_distance, surface_points
 from tests.samples.registration_cases import CASES, CLEARANCE, Case, case, perturbed
+from tests.samples.registration_images import GAIN, image_of, moved
 from tests.samples.shapes import box, standing
 
 
@@ -174,6 +175,21 @@ def test_a_camera_that_leaves_more_of_a_motion_open_adds_doubt_and_no_misfit() -
     assert open_.doubt == pytest.approx(typical.doubt + RESTORED.camera * TYPICAL_CAMERA_SPREAD, abs=1e-12)
     assert unknown.misfit == typical.misfit == open_.misfit
     assert fitted(1.0, "ideal").doubt == fitted(None, "ideal").doubt  # its camera is exact
+
+
+def test_what_the_image_shows_worse_than_the_best_fit_adds_misfit() -> None:
+    known = case("an L")
+    search = search_for(known)
+    fits = [search.fitted(moved(known, *move)) for move in ((0, 0, 0), (8, 8, 40))]
+    assert search.in_image(fits) == fits  # of ideal depth
+    search.refinement = RESTORED
+    search.source.query = SimpleNamespace(image=image_of("an L", noise_px=0.3))  # type: ignore[misc, assignment]
+    search.source.gain, search.source.placer = GAIN * RESTORED.noise_px, None  # type: ignore[misc, assignment]
+    right, wrong = search.in_image(fits)
+    assert right.misfit == fits[0].misfit
+    assert wrong.misfit > fits[1].misfit + 5e-3
+    (alone,) = search.in_image(fits[1:])
+    assert alone.misfit == fits[1].misfit
 
 
 def test_fits_in_restored_images_are_raised_out_of_the_plate_and_exact_ones_are_not() -> None:

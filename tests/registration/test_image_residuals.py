@@ -93,6 +93,16 @@ def test_the_spread_grows_with_the_noise() -> None:
     assert spreads[0] < 0.5 * spreads[2]
 
 
+@pytest.mark.parametrize("name", CASES)
+def test_the_image_agrees_with_the_goal_best(name: str) -> None:
+    known, image = case(name), image_of(name, 35.0, NOISE)
+    deep = Pose.from_translation((0.0, 0.0, -6e-3))
+    goal, other = (found_in(image, known, moved(known, *move)) for move in ((0, 0, 0), (8, 8, 40)))
+    start = moved(known, 0, 0, 0)
+    lower = found_in(image, known, replace(start, plate_from_now=deep @ start.plate_from_now))
+    assert 0 <= goal.misfit < min(other.misfit, lower.misfit) <= 1
+
+
 @pytest.mark.parametrize("what", ["no kit", "no return", "elsewhere"])
 def test_without_the_plate_in_the_image_nothing_is_found(what: str) -> None:
     known, image, start = case("an L"), image_of("an L"), moved(case("an L"), 1.0, 0.0, 0.0)

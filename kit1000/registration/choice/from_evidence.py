@@ -13,7 +13,7 @@ from kit1000.pose import Pose
 from kit1000.registration.choice.fits import STIFFNESS, Fit, ranked, same_pose
 from kit1000.registration.geometry.expected_relief import outline_misfit
 from kit1000.registration.inputs.volume_sources import DepthSource
-from kit1000.registration.refinement.image_residuals import refine_in_image
+from kit1000.registration.refinement.image_residuals import ImageFit, refine_in_image
 from kit1000.registration.refinement.interval_residuals import Intervals, refine_within
 from kit1000.registration.refinement.levenberg_marquardt import SCALES
 from kit1000.registration.refinement.plate_patch import plate_patch
@@ -79,6 +79,8 @@ class Refinement(NamedTuple):
     """[m] added to the doubt of a part whose whole outline is hidden, in proportion to the hidden share."""
     noise_px: float = 0.0
     """[px] of disparity, of the robust scale with which the best fits are refined in the image; 0: they are not."""
+    shown: float = 0.0
+    """[m] added to the misfit of such a fit, for each unit by which its `ImageFit.misfit` exceeds the least of them."""
     spread: float = 0.0
     """[m] added to their doubt where their place is then e times as uncertain as TYPICAL_SPREAD."""
     camera: float = 0.0
@@ -94,7 +96,13 @@ D415 = Refinement(((4e-3, 2e-3), (2e-3, 1.5e-3)), 4e-3, 0.0, 0.3, 1.0, NOISY_DOU
 """Edges of the d415 are off by 1.4 mm at random: there a narrow scale follows single walls, and what is surely solid or
 free is hardly surer than what a network fills."""
 RESTORED = D415._replace(
-    doubt=Residuals(0.0, 1.0, 0.0, 0.3, 0.0, 0.0), hidden=1e-3, noise_px=0.6, spread=1e-3, camera=0.6, lift=0.014
+    doubt=Residuals(0.0, 1.0, 0.0, 0.3, 0.0, 0.0),
+    hidden=1e-3,
+    noise_px=0.6,
+    shown=0.1,
+    spread=1e-3,
+    camera=0.6,
+    lift=0.014,
 )
 SCANNED = EXACT._replace(noise_px=1.2, lift=0.006)
 REFINEMENTS = {"ideal": EXACT, "photoneo": SCANNED, "d415": D415, "restored": RESTORED}
@@ -121,7 +129,7 @@ def register_certain(source: DepthSource, query: Query, clearance: float, furthe
     distinct = without_duplicates(found, source.middle, DISTINCT if guessed else DISTINCT_WITHOUT_GUESS)
     fits = search.fits(search.least_contradictory(distinct), REFINED if guessed else REFINED_WITHOUT_GUESS)
     best = ranked(fit for fit in fits if within_guess_error(fit.goal_from_now, query))
-    refined = [*map(search.in_image, best[:IN_IMAGE]), *best[IN_IMAGE:]] if further else best
+    refined = [*search.in_image(best[:IN_IMAGE]), *best[IN_IMAGE:]] if further else best
     return [*map(search.lifted, refined)]
 
 
@@ -197,20 +205,28 @@ class EvidenceSearch:
             doubt += self.refinement.camera * (spread - TYPICAL_CAMERA_SPREAD)
         return doubt
 
-    def in_image(self, fit: Fit) -> Fit:
-        """A fit, moved in its plate to where a noisy image shows the cavity; its misfit stays."""
+    def in_image(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Fits, moved in their plates to where a noisy image shows the cavity.
+
+        Their misfit rises by what the image shows worse than the best of them.
+        """
         if not self.refinement.noise_px:
-            return fit
+            return list(fits)
         image, filled = self.source.query.image, self.source.evidence.filled
         gain = self.source.gain / self.refinement.noise_px
-        found = refine_in_image(image, gain, filled, self.source.middle, fit.candidate, self.clearance)
-        if found is None:
-            return fit
+        places = (image, gain, filled, self.source.middle)
+        found = [refine_in_image(*places, fit.candidate, self.clearance) for fit in fits]
+        least = min((each.misfit for each in found if each is not None), default=0.0)
+        return [fit if each is None else self._shown(fit, each, least) for fit, each in zip(fits, found, strict=True)]
+
+    def _shown(self, fit: Fit, found: ImageFit, least: float) -> Fit:
+        """A fit where the image shows it. least: misfit in the image of the best one."""
         moved = replace(fit.candidate, plate_from_now=found.plate_from_now)
-        doubt = fit.doubt
+        goal_from_now = moved.cavity.world_from_plate @ found.plate_from_now
+        misfit, doubt = fit.misfit + self.refinement.shown * (found.misfit - least), fit.doubt
         if self.refinement.spread:
             doubt += self.refinement.spread * float(np.log(found.spread / TYPICAL_SPREAD))
-        return self._placed(Fit(moved.cavity.world_from_plate @ found.plate_from_now, fit.misfit, doubt, moved))
+        return self._placed(Fit(goal_from_now, misfit, doubt, moved))
 
     def _placed(self, fit: Fit) -> Fit:
         """A fit, moved as a network tells; its misfit and doubt stay."""

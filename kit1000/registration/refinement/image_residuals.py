@@ -62,6 +62,13 @@ class ImageFit:
     """(6,) that solves the problem."""
 
     @cached_property
+    def misfit(self) -> float:
+        """The mean cost of the pixels at the last of SCALES: 0 where all of them agree, 1 where none does."""
+        problem, twist = self.problem, self.twist
+        square = problem.residuals(twist[None], problem.floors_at(twist))[0, : -problem.priors] ** 2
+        return float((square / (SCALES[-1] ** 2 + square)).mean())
+
+    @cached_property
     def spread(self) -> float:
         """[m] standard deviation of the place that the residuals leave, along the less certain axis of the plate."""
         problem, twist = self.problem, self.twist
