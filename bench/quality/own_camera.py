@@ -133,8 +133,8 @@ def main(options: OwnCamera) -> None:
 
 
 def _scenes(dataset: Dataset, count: int) -> list[RecordedScene]:
-    """The first scenes with a query of TRACK."""
-    names = [name for name in ("train", "val", "test-all") if dataset.shards(name.partition("-")[0])]
+    """The first scenes with a query of TRACK, of `val` as far as it has them: the networks learned from `train`."""
+    names = [name for name in ("val", "test-all", "train") if dataset.shards(name.partition("-")[0])]
     scenes = (scene for name in names for scene in dataset.split(name, truth=True))
     return [scene for scene in scenes if any(query.track == TRACK for query in scene.queries)][:count]
 
