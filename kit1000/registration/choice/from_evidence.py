@@ -104,7 +104,7 @@ RESTORED = D415._replace(
     camera=0.6,
     lift=0.014,
 )
-SCANNED = EXACT._replace(noise_px=1.2, shown=0.03, lift=0.006)
+SCANNED = EXACT._replace(noise_px=1.2, lift=0.006)
 REFINEMENTS = {"ideal": EXACT, "photoneo": SCANNED, "d415": D415, "restored": RESTORED}
 """Refinement of each kind of image: its sensor, or restored where a network restored it."""
 
