@@ -80,7 +80,11 @@ def _image_file(source: Path) -> Path:
 
 def _whole(path: Path) -> Path:
     """A file, unless git-lfs left a pointer in its place."""
-    with path.open("rb") as file:
-        if file.read(len(LFS_POINTER)) == LFS_POINTER:
-            raise InputError(f"{path}: {LFS_ADVICE}")
+    try:
+        with path.open("rb") as file:
+            start = file.read(len(LFS_POINTER))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    if start == LFS_POINTER:
+        raise InputError(f"{path}: {LFS_ADVICE}")
     return path

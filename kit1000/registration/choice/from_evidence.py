@@ -214,8 +214,8 @@ class EvidenceSearch:
             return list(fits)
         image, filled = self.source.query.image, self.source.evidence.filled
         gain = self.source.gain / self.refinement.noise_px
-        places = (image, gain, filled, self.source.middle)
-        found = [refine_in_image(*places, fit.candidate, self.clearance) for fit in fits]
+        given = (image, gain, filled, self.source.middle)
+        found = [refine_in_image(*given, fit.candidate, self.clearance) for fit in fits]
         least = min((each.misfit for each in found if each is not None), default=0.0)
         return [fit if each is None else self._shown(fit, each, least) for fit, each in zip(fits, found, strict=True)]
 
