@@ -216,14 +216,17 @@ class EvidenceSearch:
         gain = self.source.gain / self.refinement.noise_px
         given = (image, gain, filled, self.source.middle)
         found = [refine_in_image(*given, fit.candidate, self.clearance) for fit in fits]
-        least = min((each.misfit for each in found if each is not None), default=0.0)
+        misfits = [each.misfit for each in found if each is not None] if self.refinement.shown else []
+        least = min(misfits, default=0.0)
         return [fit if each is None else self._shown(fit, each, least) for fit, each in zip(fits, found, strict=True)]
 
     def _shown(self, fit: Fit, found: ImageFit, least: float) -> Fit:
         """A fit where the image shows it. least: misfit in the image of the best one."""
         moved = replace(fit.candidate, plate_from_now=found.plate_from_now)
         goal_from_now = moved.cavity.world_from_plate @ found.plate_from_now
-        misfit, doubt = fit.misfit + self.refinement.shown * (found.misfit - least), fit.doubt
+        misfit, doubt = fit.misfit, fit.doubt
+        if self.refinement.shown:
+            misfit += self.refinement.shown * (found.misfit - least)
         if self.refinement.spread:
             doubt += self.refinement.spread * float(np.log(found.spread / TYPICAL_SPREAD))
         return self._placed(Fit(goal_from_now, misfit, doubt, moved))
