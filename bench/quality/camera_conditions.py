@@ -5,8 +5,10 @@
 
 One factor at a time differs from the base: one frame of the d415 from where the scene's own camera stands. Images are
 measured anew, always the same. For another distance the scene is rendered again: the camera keeps its direction and
-looks at the middle between the part and its goal, which for this the truth shows. Methods get masks and a calibrated
-image as ever, and no truth. A part or goal outside the image leaves a query out, so n differs between distances.
+looks at the middle between the part and its goal, which for this the truth shows. From several places the camera goes
+about the vertical through that middle; each image has its own noise and its own error of the camera's pose. Methods get
+masks and a calibrated image as ever, and no truth. A part or goal outside the image leaves an image out, and a query
+where it was the only one, so n differs between distances.
 For another clearance a small dataset is made, with other parts: those that fit too loosely are refused. Of more than
 7 mm four of five parts of 35 to 50 mm would be, so there parts, plates and distances are those of `real-like`.
 """
@@ -41,6 +43,7 @@ from kit1000.values import FIRST_PART_LABEL, LabelledDepth, Query, Truth, View
 
 SURE = 0.8  # confidence from which on a fit counts as sure
 LEAST_PIXELS = 200  # of a part in an image that is rendered again
+AZIMUTHS = tuple(np.radians((0.0, 40.0, 90.0, 180.0)).tolist())  # [rad] of the places, about the first
 WIDE_MM = 7.0  # clearances above it are for larger parts
 
 
@@ -51,12 +54,15 @@ class Condition(NamedTuple):
     frames: int = 1
     distance: float | None = None
     """[m] from the middle between part and goal; None: as recorded."""
+    places: int = 1
+    """Number of places from which the camera looks, the first of AZIMUTHS."""
 
     @property
     def name(self) -> str:
         """Words for a table."""
         frames = "" if self.sensor == "ideal" else f", {self.frames} frame{'s' if self.frames > 1 else ''}"
-        return f"{self.sensor}{frames}" + (f", {self.distance} m" if self.distance else "")
+        near = f", {self.distance} m" if self.distance else ""
+        return f"{self.sensor}{frames}{near}" + (f", {self.places} places" if self.places > 1 else "")
 
 
 BASE = Condition()
@@ -65,6 +71,9 @@ CONDITIONS = (
     *(BASE._replace(frames=frames) for frames in (10, 30)),
     *(BASE._replace(distance=distance) for distance in (0.45, 0.6, 0.8)),
     Condition("d415", 30, 0.45),
+    *(BASE._replace(places=places) for places in (2, 3, 4)),
+    BASE._replace(frames=30, places=2),
+    *(Condition("d415", 30, 0.45, places) for places in (2, 4)),
     Condition("photoneo"),
     Condition("ideal"),
 )
@@ -186,22 +195,42 @@ def _answer(options: CameraConditions, data: Path, condition: Condition, job: tu
     dataset, predictor = _made(data, options.method)
     scene = dataset.split(options.split, truth=True).scene(scene_id)
     query, truth = next(query for query in scene.queries if query.id == query_id), scene.truth_of(query_id)
-    ideal = scene.labelled_depth("ideal")
-    if condition.distance is not None:
-        nearer = rendered_from(scene, query, truth, condition.distance)
-        if nearer is None:
-            return None
-        ideal = nearer
-    predicted = predictor(asked_again(query, ideal, condition), None)
+    seen = [ideal_from(scene, query, truth, condition.distance, azimuth) for azimuth in AZIMUTHS[: condition.places]]
+    queries = [asked_again(query, ideal, condition, place) for place, ideal in enumerate(seen) if ideal is not None]
+    if not queries:
+        return None
+    if condition.places > 1 and not hasattr(predictor, "together"):
+        raise InputError(f"{options.method}: has no `together`, which answers by images from several places")
+    predicted = predictor(queries[0], None) if condition.places == 1 else predictor.together(queries)
     return Answer(predicted.goal_from_now, float(predicted.confidence), truth)
 
 
-def rendered_from(scene: RecordedScene, query: Query, truth: Truth, distance: float) -> LabelledDepth | None:
-    """The ideal image of a scene from a distance [m]; None where the query's part or goal is out of view."""
-    recorded = scene.labelled_depth("ideal").view.world_from_camera
-    middle = (truth.anchor + truth.goal_drawn.apply(truth.anchor)) / 2
-    backward = recorded.rotate((0.0, 0.0, -1.0))
-    pose = look_at(middle + distance * backward, middle)
+def ideal_from(
+    scene: RecordedScene, query: Query, truth: Truth, distance: float | None, azimuth: float = 0.0
+) -> LabelledDepth | None:
+    """The ideal image of a scene from another place; None where the query's part or goal is out of view.
+
+    Args:
+        scene: with its truth.
+        query: about a part.
+        truth: of it.
+        distance: [m] from the middle between part and goal; None: as recorded, and looking where the camera did.
+        azimuth: [rad] about the vertical through that middle.
+    """
+    image = scene.labelled_depth("ideal")
+    if distance is None and azimuth == 0:
+        return image
+    pose, middle = image.view.world_from_camera, (truth.anchor + truth.goal_drawn.apply(truth.anchor)) / 2
+    if distance is not None:
+        pose = look_at(middle + distance * pose.rotate((0.0, 0.0, -1.0)), middle)
+    if azimuth != 0:
+        about = Pose.from_translation(middle) @ Pose.from_rotvec((0.0, 0.0, azimuth)) @ Pose.from_translation(-middle)
+        pose = about @ pose
+    return rendered_from(scene, query, truth, pose)
+
+
+def rendered_from(scene: RecordedScene, query: Query, truth: Truth, pose: Pose) -> LabelledDepth | None:
+    """The ideal image of a scene by a camera at a pose; None where the query's part or goal is out of view."""
     bodies = scene.bodies()
     mesh, world_from_part = bodies[FIRST_PART_LABEL + query.part]
     points = world_from_part.apply(mesh.vertices)
@@ -214,11 +243,11 @@ def rendered_from(scene: RecordedScene, query: Query, truth: Truth, distance: fl
     return LabelledDepth(View(CAMERA, pose, image.depth), labels)
 
 
-def asked_again(query: Query, ideal: LabelledDepth, condition: Condition) -> Query:
-    """A query about the image that a sensor measures of an ideal one; always the same."""
+def asked_again(query: Query, ideal: LabelledDepth, condition: Condition, place: int = 0) -> Query:
+    """A query about the image that a sensor measures of an ideal one, with the noise of a place; always the same."""
     view = ideal.view
     if condition.sensor != "ideal":
-        rng = stream(0, "camera-conditions", condition.sensor, query.scene_id)
+        rng = stream(0, "camera-conditions", condition.sensor, query.scene_id, *([place] if place else []))
         view = sense(condition.sensor, view, rng, condition.frames)
     image = LabelledDepth(view, ideal.labels)
     pivot = part_pivots(view, ideal.labels).get(query.part, query.pivot)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from kit1000.capture.camera_files import read_intrinsics
@@ -33,10 +33,14 @@ class Import:
     """A file, or fx fy cx cy; empty: those of the recording."""
     selection: Selection = field(default_factory=Selection)
     wanted: Wanted = field(default_factory=Wanted)
+    poses: tuple[Path, ...] = ()
+    """JSON files of hand-eye poses: one for all images, or one for each; empty: the bodies tell."""
     empty_table: Path | None = None
     clearance_mm: float | None = None
     check_mm: tuple[float, ...] = ()
     licence: str = LICENCE
+    one_scene: bool = False
+    """Whether the images show the same bodies, each from its own pose."""
 
 
 def import_scenes(asked: Import) -> list[str]:
@@ -47,7 +51,9 @@ def import_scenes(asked: Import) -> list[str]:
     lines = [line for scene in scenes for line in report(scene, clearance)]
     if asked.check_mm:
         lines.append(check_size(scenes, [1e-3 * side for side in asked.check_mm]))
-    write_own_folder(asked.out, scenes, clearance, asked.licence)
+    if asked.one_scene:
+        lines.append(f"  {len(scenes)} images of one scene: methods of registration answer by all of them")
+    write_own_folder(asked.out, scenes, clearance, asked.licence, asked.one_scene)
     return lines
 
 
@@ -62,8 +68,22 @@ def imported_scenes(asked: Import) -> list[OwnScene]:
     """The scenes of an import, before they are written."""
     groups = read_groups(asked.sources, asked.selection)
     known = [_intrinsics(asked, frames) for frames in groups]
+    wanted = [replace(asked.wanted, world_from_camera=pose) for pose in _poses(asked, len(groups))]
     empty = _empty_table(asked)
-    return [own_scene(frames, given, asked.wanted, empty) for frames, given in zip(groups, known, strict=True)]
+    return [own_scene(*each, empty) for each in zip(groups, known, wanted, strict=True)]
+
+
+def _poses(asked: Import, images: int) -> Sequence[Path | None]:
+    """The file of the pose of each image; raises InputError for another number of files."""
+    given = len(asked.poses)
+    if asked.one_scene and not 1 < given == images:
+        raise InputError(
+            f"--one-scene: expected two images or more, and a pose of each, got {images} and {given} by "
+            "--world-from-camera FILE FILE ..."
+        )
+    if given not in (0, 1, images):
+        raise InputError(f"--world-from-camera: expected one file, or one for each of {images} images, got {given}")
+    return asked.poses if given == images else [asked.poses[0] if given else None] * images
 
 
 def _check(asked: Import) -> None:
@@ -83,8 +103,8 @@ def _check(asked: Import) -> None:
         raise InputError(f"--kit {asked.wanted.kit}: expected the number of a body, from 1 to {MOST_BODIES}")
     if asked.check_mm:
         check_sides([1e-3 * side for side in asked.check_mm])
-    if asked.wanted.world_from_camera is not None:
-        read_pose(asked.wanted.world_from_camera)
+    for path in asked.poses:
+        read_pose(path)
 
 
 def _check_folder(out: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 
 from kit1000.capture.own_scene import OwnScene
 from kit1000.dataset.mcap_io import ObservationWriter
-from kit1000.dataset.own_scenes import OWN, TABLES
+from kit1000.dataset.own_scenes import OWN, PLACES, TABLES
 from kit1000.dataset.schema import SCENES_PER_SHARD, Observation
 from kit1000.dataset.tables import FORMAT
 from kit1000.errors import InputError
@@ -29,7 +29,11 @@ SHAPES = ("parts.json", "kits.json", "assemblies.json")
 
 
 def write_own_folder(
-    folder: Path, scenes: Sequence[OwnScene], clearance: float | None = None, licence: str = LICENCE
+    folder: Path,
+    scenes: Sequence[OwnScene],
+    clearance: float | None = None,
+    licence: str = LICENCE,
+    one_scene: bool = False,
 ) -> None:
     """Write the folder: it appears when it is complete, or not at all.
 
@@ -38,6 +42,7 @@ def write_own_folder(
         scenes: of one sensor.
         clearance: [m] between parts and the walls of their cavities; None: not known.
         licence: of the images, for the recordings.
+        one_scene: whether they show the same bodies in one world, from several places of the camera.
 
     Raises:
         InputError: the folder exists or cannot be written, or a scene has no part.
@@ -54,7 +59,7 @@ def write_own_folder(
                     writer.add(observation)
             files[name], shards[name] = writer.sha256, [observation.scene_id for observation in some]
         files |= {name: write_json(partial / name, {}) for name in SHAPES}
-        write_bytes(partial / "dataset.json", _summary_bytes(scenes, files, shards, clearance, licence))
+        write_bytes(partial / "dataset.json", _summary_bytes(scenes, files, shards, clearance, licence, one_scene))
 
 
 def folder_id(files: Mapping[str, str | None]) -> str:
@@ -99,6 +104,7 @@ def _summary_bytes(
     shards: dict[str, list[str]],
     clearance: float | None,
     licence: str,
+    one_scene: bool,
 ) -> bytes:
     """The bytes of dataset.json, with a checksum of its other entries, as generated datasets have it."""
     facts = scenes[0].facts
@@ -124,5 +130,6 @@ def _summary_bytes(
         KEY: {key_of(facts): facts.as_row()},
         "shards": shards,
         TABLES: dict(zip(scene_ids, outlines, strict=True)),
+        **({PLACES: [scene_ids]} if one_scene else {}),
     }
     return json_bytes(with_checksum(summary))

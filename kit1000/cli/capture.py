@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -48,8 +48,9 @@ class OwnImages:
     scanner and aligned of other cameras."""
     kit: int = 1
     """Number of the body that is the kit, the largest first."""
-    world_from_camera: OptionalPath = None
-    """JSON file of a hand-eye pose in a frame with the table at z = 0, which is kept; by the bodies when absent."""
+    world_from_camera: Annotated[tuple[Path, ...], Argument("FILE [FILE ...]")] = ()
+    """JSON file of a hand-eye pose in a frame with the table at z = 0, which is kept; one for all images, or one for
+    each; by the bodies when absent."""
     empty_table: OptionalPath = None
     """Depth image of the same camera and table without bodies."""
     clearance_mm: OptionalFloat = None
@@ -75,11 +76,10 @@ class OwnImages:
 
         baseline = None if self.baseline_mm is None else 1e-3 * self.baseline_mm
         networks = self.masks == "networks" or (self.masks is None and networks_available())
-        hands = (self.kit, self.world_from_camera)
-        wanted = Wanted(self.depth_scale, self.device, baseline, self.stream, *hands, networks)
+        wanted = Wanted(self.depth_scale, self.device, baseline, self.stream, self.kit, networks=networks)
         selection = Selection(self.frames, self.first, self.topic)
         rest = (self.empty_table, self.clearance_mm, self.check, licence or LICENCE)
-        return Import(sources, out, self.intrinsics, selection, wanted, *rest)
+        return Import(sources, out, self.intrinsics, selection, wanted, self.world_from_camera, *rest)
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,8 @@ class ImportImages(OwnImages):
     """16-bit PNG or TIFF, .npy, .npz, or MCAP of ROS 2, Foxglove or ours. Several images become several scenes."""
     out: OptionalPath = None
     """Folder to write to; the name of the first image with -scene when absent."""
+    one_scene: bool = False
+    """The images show the same bodies from several places, each with its pose: methods of registration use all."""
     licence: str = ""
     """Licence of the images, for the recordings."""
 
@@ -98,7 +100,7 @@ class ImportImages(OwnImages):
         from kit1000.capture.importing import default_folder, import_scenes
 
         out = self.out or default_folder(self.sources)
-        for line in import_scenes(self.asked(self.sources, out, self.licence)):
+        for line in import_scenes(replace(self.asked(self.sources, out, self.licence), one_scene=self.one_scene)):
             print(line)
         print(f"{out}: open it with kit1000 edit {out}")
         return 0

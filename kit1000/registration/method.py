@@ -23,6 +23,8 @@ from kit1000.registration.choice.confidence import confidence
 from kit1000.registration.choice.fits import Fit, lead, least_misfit, ranked
 from kit1000.registration.choice.from_evidence import register_certain
 from kit1000.registration.choice.from_filled_part import register_columns
+from kit1000.registration.choice.several_images import agreed
+from kit1000.registration.inputs.other_places import from_elsewhere
 from kit1000.registration.inputs.shared_image import SharedImage
 from kit1000.registration.inputs.volume_sources import DepthSource, TrueSource
 from kit1000.registration.search.effort import affordable
@@ -108,9 +110,7 @@ class Registration:
     def __call__(self, query: Query, geometry: TrueGeometry | None = None) -> PredictedMotion:
         """The best fit; where nothing fits, the guess or no motion, with confidence 0."""
         fits = self.fits(query, geometry)
-        if not fits:
-            return PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
-        return self._motion(fits[0], fits, query)
+        return self._motion(fits[0], fits, query) if fits else _without_fit(query)
 
     def motions(self, query: Query, geometry: TrueGeometry | None = None) -> list[PredictedMotion]:
         """All fits, the best first, each with its confidence."""
@@ -130,8 +130,23 @@ class Registration:
         """Whether a network restores the images of a sensor."""
         return self.restorer is not None and needs_restoring(sensor)
 
+    def together(self, queries: Sequence[Query]) -> PredictedMotion:
+        """The best fit by several images of one part, which cameras took in one world."""
+        fits = agreed([self.fits_in_image(query) for query in queries], queries[0].pivot)
+        return self._motion(fits[0], fits, queries[0]) if fits else _without_fit(queries[0])
+
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
-        """All fits, the best first; where no clearance is stated, those from depth are at the one that fits best."""
+        """All fits, the best first; by all images of the scene, where dataset.json states several."""
+        others = from_elsewhere(self.dataset, query)
+        if not others:
+            return self.fits_in_image(query, geometry)
+        return agreed([self.fits_in_image(each, geometry) for each in (query, *others)], query.pivot)
+
+    def fits_in_image(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
+        """All fits by the query's own image, the best first.
+
+        Where no clearance is stated, those from depth are at the one that fits best.
+        """
         if self.source == "depth":
             image = self.image_of(query)
             if not self.clearances and len(self.all_clearances) > 1:
@@ -196,6 +211,11 @@ class Registration:
             camera=image.camera,
             cavities=image.cavities,
         )
+
+
+def _without_fit(query: Query) -> PredictedMotion:
+    """The guess, or no motion."""
+    return PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
 
 
 def _fits(source: DepthSource, clearances: Sequence[float], further: bool = True) -> list[Fit]:

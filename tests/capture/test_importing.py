@@ -9,20 +9,22 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from kit1000.camera import look_at
 from kit1000.capture import importing
 from kit1000.capture.importing import Import, import_scenes
 from kit1000.cli import main
 from kit1000.dataset.mcap_io import ObservationFile
-from kit1000.dataset.own_scenes import seen_table
+from kit1000.dataset.own_scenes import PLACES, scenes_from_elsewhere, seen_table
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.scene import EditedScene
 from kit1000.errors import InputError
 from kit1000.perception.sensor_facts import SensorFacts, sensor_of
 from kit1000.pose import Pose
+from kit1000.registration.inputs.other_places import from_elsewhere
 from kit1000.submission import Predictions, check, read_submission, write_submission
 from kit1000.submission.manifest import Manifest
 from kit1000.values import ASSEMBLY_LABEL, Prediction
-from tests.samples.own_images import CAMERA, exact_depth, millimetres, noisy_depth
+from tests.samples.own_images import CAMERA, EYE, exact_depth, millimetres, noisy_depth
 
 DEPTH = millimetres(noisy_depth(exact_depth(), 0.05))
 NUMBERS = tuple(str(value) for value in (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy))
@@ -32,6 +34,11 @@ NUMBERS = tuple(str(value) for value in (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA
 def image(tmp_path: Path) -> Path:
     Image.fromarray(DEPTH).save(tmp_path / "depth.png")
     return tmp_path / "depth.png"
+
+
+def pose_file(path: Path, pose: Pose = EYE) -> Path:
+    path.write_text(json.dumps({"wxyz": pose.wxyz.tolist(), "xyz": pose.xyz.tolist()}), encoding="utf-8")
+    return path
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +64,37 @@ def test_the_folder_is_a_dataset_without_truth(folder: Path) -> None:
         assert (scene.labels == ASSEMBLY_LABEL).any()
     assert dataset.summary["config"]["clearance"] == 2.5e-3
     assert not list(folder.rglob("*.truth.mcap"))
+
+
+def test_images_from_several_places_are_one_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    eyes = [EYE, look_at((0.35, -0.3, 0.7), (0.0, 0.0, 0.0))]
+    sources, poses = [], []
+    for number, eye in enumerate(eyes):
+        sources.append(str(tmp_path / f"{number}.png"))
+        Image.fromarray(millimetres(exact_depth(eye=eye))).save(sources[-1])
+        poses.append(str(pose_file(tmp_path / f"{number}.json", eye)))
+    words = ["--intrinsics", *NUMBERS, "--masks", "depth", "--out", str(tmp_path / "mine")]
+    assert main(["import", *sources, "--one-scene", "--world-from-camera", *poses, *words]) == 0
+    assert "2 images of one scene" in capsys.readouterr().out
+    dataset = Dataset(tmp_path / "mine")
+    assert dataset.summary[PLACES] == [["test-s0000", "test-s0001"]]
+    for query in dataset.split("test").queries("place-d415"):
+        (other,) = from_elsewhere(dataset, query)
+        assert other.scene_id != query.scene_id
+        np.testing.assert_allclose(other.pivot, query.pivot, atol=15e-3)
+    assert main(["verify", str(tmp_path / "mine")]) == 0
+
+
+def test_scenes_are_alone_unless_they_are_said_to_be_one(folder: Path) -> None:
+    dataset = Dataset(folder)
+    assert PLACES not in dataset.summary
+    assert not [other for query in dataset.split("test").queries() for other in from_elsewhere(dataset, query)]
+
+
+@pytest.mark.parametrize("groups", [{"a": 1}, ["test-s0000"], 3])
+def test_groups_of_another_kind_are_refused(groups: object) -> None:
+    with pytest.raises(InputError, match="import again"):
+        scenes_from_elsewhere({PLACES: groups}, "test-s0000")
 
 
 def test_the_recording_is_stamped_as_the_user_s_own(folder: Path) -> None:
@@ -169,6 +207,10 @@ WRONG = {  # by what is typed: facts of the answer
     "{image} {good} --check 400 300 200": "--check 400 x 300 x 200|no body",
     "{image} {good} --stream colour": "--stream|raw, aligned",
     "{image} {good} --world-from-camera none.json": "none.json",
+    "{image} {good} --world-from-camera {pose} {pose}": "--world-from-camera|each of 1 images, got 2",
+    "{image} {good} --one-scene": "--one-scene|got 1 and 0",
+    "{image} {good} --one-scene --world-from-camera {pose}": "--one-scene|got 1 and 1",
+    "{image} {image} {good} --one-scene --world-from-camera {pose}": "--one-scene|got 2 and 1",
 }
 
 
@@ -183,9 +225,10 @@ def test_wrong_input_is_one_line_and_nothing_is_written(
         (place / "pointers" / name).write_bytes(b"version https://git-lfs.github.com/spec/v1\nsize 684\n")
     row = {"fx": 900, "fy": 900, "cx": 640, "cy": 360, "width": 1280, "height": 720}
     (place / "camera.json").write_text(json.dumps(row), encoding="utf-8")
-    before = sorted(place.rglob("*"))
     good = f"--intrinsics {' '.join(NUMBERS)} --masks depth"
-    words = typed.format(image=image, tmp=place, camera=place / "camera.json", good=good).split()
+    named = {"camera": place / "camera.json", "pose": pose_file(place / "pose.json")}
+    before = sorted(place.rglob("*"))
+    words = typed.format(image=image, tmp=place, good=good, **named).split()
     assert main(["import", *words]) == 2
     printed = capsys.readouterr()
     assert printed.err.count("\n") == 1

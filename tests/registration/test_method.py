@@ -17,6 +17,7 @@ from kit1000.metrics import Targets, pose_errors
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor
 from kit1000.predictor import PredictedMotion
+from kit1000.registration.choice.several_images import difference
 from kit1000.registration.geometry.observed_cavity import VOXEL, Cavity, find_cavity, plate_grid
 from kit1000.registration.inputs.volume_sources import EXACT, TrueSource
 from kit1000.registration.method import Registration
@@ -324,3 +325,28 @@ def test_a_few_pixels_of_a_part_are_enough_for_a_prediction(pixels: int, snaps: 
     keep[v[len(v) // 2], u[len(u) // 2] : u[len(u) // 2] + pixels] = True
     predicted = Registration(data)(without(query, query.part_mask & ~keep))
     assert 0 <= predicted.confidence <= 1
+
+
+def check_same(one: PredictedMotion, other: PredictedMotion) -> None:
+    """Two predictions are equal to the last digit."""
+    np.testing.assert_array_equal(one.goal_from_now.matrix(), other.goal_from_now.matrix())
+    assert one.confidence == other.confidence
+
+
+def test_an_image_seen_twice_answers_as_once(data: Dataset, snaps: QueryTruths) -> None:
+    query, _ = snaps[0]
+    method = Registration(data)
+    alone, twice = method(query), method.together([query, query])
+    assert difference(alone.goal_from_now, twice.goal_from_now, query.pivot) < 1e-9
+    check_same(method.together([query]), alone)
+    assert twice.confidence > alone.confidence
+
+
+def test_a_scene_seen_from_two_places_is_answered_by_both(
+    data: Dataset, snaps: QueryTruths, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    query, _ = snaps[0]
+    method, other = Registration(data), replace(query)
+    expected = method.together([query, other])
+    monkeypatch.setattr("kit1000.registration.method.from_elsewhere", lambda *_: [other])
+    check_same(method(query), expected)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,12 @@ class Fit:
     """[m] the less, the likelier is it to be seated; may weigh the same residuals differently."""
     candidate: Candidate
     """In the refined pose, for a second refinement."""
+
+
+def moved(fit: Fit, goal_from_now: Pose) -> Fit:
+    """A fit with another motion; its misfit and doubt stay."""
+    plate_from_now = fit.candidate.cavity.world_from_plate.inverse() @ goal_from_now
+    return replace(fit, goal_from_now=goal_from_now, candidate=replace(fit.candidate, plate_from_now=plate_from_now))
 
 
 def ranked(fits: Iterable[Fit]) -> list[Fit]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from kit1000.perception.placement.channels import CELLS
 from kit1000.pose import Pose
-from kit1000.registration.choice.fits import STIFFNESS, Fit, ranked, same_pose
+from kit1000.registration.choice.fits import STIFFNESS, Fit, moved, ranked, same_pose
 from kit1000.registration.geometry.expected_relief import outline_misfit
 from kit1000.registration.inputs.volume_sources import DepthSource
 from kit1000.registration.refinement.image_residuals import ImageFit, refine_in_image
@@ -239,7 +239,7 @@ class EvidenceSearch:
         patch = plate_patch(source, candidate, self.clearance, CELLS)
         if patch is None:
             return fit
-        return _moved(fit, patch.moved(fit.goal_from_now, source.middle, source.placer(patch.channels)))
+        return moved(fit, patch.moved(fit.goal_from_now, source.middle, source.placer(patch.channels)))
 
     def lifted(self, fit: Fit) -> Fit:
         """A fit, raised out of its cavity by what the noise of the image asks for; see `Refinement.lift`."""
@@ -247,7 +247,7 @@ class EvidenceSearch:
             return fit
         height = self.refinement.lift * self.source.half_width
         world_from_plate = fit.candidate.cavity.world_from_plate
-        return _moved(fit, Pose.from_translation(height * world_from_plate.rotate(UP)) @ fit.goal_from_now)
+        return moved(fit, Pose.from_translation(height * world_from_plate.rotate(UP)) @ fit.goal_from_now)
 
     def _residuals(self, candidate: Candidate, intervals: Intervals) -> Residuals:
         """Residuals of a refined candidate, without the outline's."""
@@ -271,9 +271,3 @@ class EvidenceSearch:
         if key not in self._kits:
             self._kits[key] = KitHeights.of(candidate.cavity, self.clearance)
         return contradictions(self.source.evidence, self.seen, self._kits[key], candidate.plate_from_now)
-
-
-def _moved(fit: Fit, goal_from_now: Pose) -> Fit:
-    """A fit with another motion; its misfit and doubt stay."""
-    plate_from_now = fit.candidate.cavity.world_from_plate.inverse() @ goal_from_now
-    return replace(fit, goal_from_now=goal_from_now, candidate=replace(fit.candidate, plate_from_now=plate_from_now))

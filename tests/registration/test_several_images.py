@@ -1,0 +1,129 @@
+"""Fits by several images: what their mean obeys, which fits find company, and how sure the mean is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kit1000.pose import Pose, random_quaternions
+from kit1000.registration.choice.fits import Fit
+from kit1000.registration.choice.several_images import ALONE, ARM, COMPANY, NEAR, agreed, difference, mean_motion
+from kit1000.registration.search.correlation import Candidate
+from tests.samples.strategies import poses
+
+MIDDLE = np.array([0.05, -0.17, 0.02])
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+def about(motion: Pose, place: Sequence[float], rotvec: Sequence[float] = (0.0, 0.0, 0.0)) -> Pose:
+    """A motion whose goal is moved by `place` [m] and rotated by `rotvec` [rad] about where the part's middle goes."""
+    goal = motion.apply(MIDDLE)
+    moved = Pose.from_translation(goal + place) @ Pose.from_rotvec(rotvec) @ Pose.from_translation(-goal)
+    return moved @ motion
+
+
+def fit(motion: Pose, misfit: float = 3e-3, doubt: float = 1e-3) -> Fit:
+    """One in a plate at the origin."""
+    cavity: Any = SimpleNamespace(world_from_plate=Pose.identity())
+    return Fit(motion, misfit, doubt, Candidate(cavity, motion, DOWN, 0.0, 0.1))
+
+
+@given(poses(), st.lists(poses(), min_size=1, max_size=4))
+def test_the_mean_moves_with_the_world(world: Pose, motions: list[Pose]) -> None:
+    near = [about(motions[0], 1e-3 * each.xyz, 0.1 * each.wxyz[1:]) for each in motions]
+    mean = mean_motion(near, MIDDLE)
+    there = mean_motion([world @ each @ world.inverse() for each in near], world.apply(MIDDLE))
+    back = world.inverse() @ there @ world
+    assert difference(mean, back, MIDDLE) < 1e-9 * (1 + float(np.abs(world.xyz).max()))
+
+
+@given(poses(), st.integers(1, 5))
+def test_the_mean_of_equal_motions_is_that_motion(motion: Pose, count: int) -> None:
+    signs = [Pose(motion.wxyz * (-1) ** k, motion.xyz) for k in range(count)]  # q and -q are one rotation
+    assert difference(mean_motion(signs, MIDDLE), motion, MIDDLE) < 1e-9
+
+
+def test_the_mean_halves_what_two_fits_are_off() -> None:
+    true = Pose(random_quaternions(np.random.default_rng(0), 1)[0], np.array([0.1, 0.3, 0.05]))
+    off = [about(true, (2e-3, 0, 0), (0, 0, 0.06)), about(true, (0, 2e-3, 0), (0, 0, -0.02))]
+    mean = mean_motion(off, MIDDLE)
+    np.testing.assert_allclose(mean.apply(MIDDLE) - true.apply(MIDDLE), (1e-3, 1e-3, 0), atol=1e-12)
+    np.testing.assert_allclose((mean @ true.inverse()).rotvec(), (0, 0, 0.02), atol=1e-6)
+
+
+@given(poses(), st.floats(-0.3, 0.3), st.tuples(*[st.floats(-9e-3, 9e-3)] * 3))
+def test_the_difference_is_of_place_and_angle(motion: Pose, angle: float, place: tuple[float, float, float]) -> None:
+    other = about(motion, place, (angle, 0, 0))
+    expected = np.hypot(np.linalg.norm(place), ARM * angle)
+    assert difference(motion, other, MIDDLE) == pytest.approx(expected, rel=5e-3, abs=1e-9)
+    assert difference(motion, other, MIDDLE) == difference(other, motion, MIDDLE)
+
+
+RIGHT = Pose.from_rotvec((0.3, 0.1, 1.2), (0.1, 0.4, 0.06))
+WRONG = about(RIGHT, (0, 0, 0), (0, 0, np.pi))
+ELSEWHERE = about(RIGHT, (0.09, 0, 0))
+
+
+def test_one_image_keeps_its_fits() -> None:
+    fits = [fit(WRONG), fit(RIGHT, 4e-3)]
+    assert agreed([fits], MIDDLE) == agreed([fits, []], MIDDLE) == fits
+    assert agreed([], MIDDLE) == agreed([[], []], MIDDLE) == []
+
+
+def test_fits_in_company_win_over_better_ones_alone() -> None:
+    slightly = about(RIGHT, (2e-3, 0, 0))
+    images = [[fit(WRONG, 2e-3), fit(RIGHT, 3e-3)], [fit(ELSEWHERE, 2e-3), fit(slightly, 3e-3)]]
+    best, *others = agreed(images, MIDDLE)
+    assert difference(best.goal_from_now, RIGHT, MIDDLE) == pytest.approx(1e-3, abs=1e-9)
+    assert best.misfit == pytest.approx(3.5e-3)
+    assert {round(other.misfit, 9) for other in others} == {(2e-3 + ALONE) / 2}
+    assert len(others) == 2
+
+
+def test_fits_too_far_apart_are_none_of_a_pose() -> None:
+    far = about(RIGHT, (1.01 * NEAR, 0, 0))
+    found = agreed([[fit(RIGHT)], [fit(far, 4e-3)]], MIDDLE)
+    assert [each.goal_from_now for each in found] != []
+    assert difference(found[0].goal_from_now, RIGHT, MIDDLE) == 0
+    assert len(found) == 2
+
+
+def test_the_more_images_agree_the_surer() -> None:
+    doubts = []
+    for count in (1, 2, 3, 4):
+        best, *_ = agreed([[fit(RIGHT)]] * count + [[fit(ELSEWHERE, 6e-3)]], MIDDLE)
+        doubts.append(best.doubt)
+    expected = 1e-3 - COMPANY * np.log([1, 2, 3, 4])
+    np.testing.assert_allclose(doubts, expected, atol=1e-12)
+
+
+def test_fits_that_differ_are_less_sure() -> None:
+    apart = about(RIGHT, (4e-3, 0, 0))
+    near, far = (agreed([[fit(RIGHT)], [fit(other)]], MIDDLE)[0].doubt for other in (RIGHT, apart))
+    assert far > near
+
+
+def test_the_order_of_an_image_s_fits_is_kept() -> None:
+    """Fits in the likeliest plate come first, though one in another plate has less misfit."""
+    first = [fit(RIGHT, 3e-3), fit(ELSEWHERE, 2.9e-3)]
+    best, *_ = agreed([first, first], MIDDLE)
+    assert difference(best.goal_from_now, RIGHT, MIDDLE) < 1e-12
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_order_of_the_images_does_not_matter(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    images = [
+        [fit(about(base, rng.normal(0, 1e-3, 3), rng.normal(0, 0.02, 3)), float(rng.uniform(2e-3, 4e-3)))
+         for base in (RIGHT, WRONG, ELSEWHERE)]
+        for _ in range(3)
+    ]  # fmt: skip
+    one, other = (agreed(some, MIDDLE)[0] for some in (images, images[::-1]))
+    assert difference(one.goal_from_now, other.goal_from_now, MIDDLE) < 1e-9
+    assert one.misfit == pytest.approx(other.misfit)
