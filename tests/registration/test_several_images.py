@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import ArrayLike
 
 from kit1000.pose import Pose, random_quaternions
 from kit1000.registration.choice.fits import Fit
@@ -21,10 +21,10 @@ MIDDLE = np.array([0.05, -0.17, 0.02])
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
-def about(motion: Pose, place: Sequence[float], rotvec: Sequence[float] = (0.0, 0.0, 0.0)) -> Pose:
+def about(motion: Pose, place: ArrayLike, rotvec: ArrayLike = (0.0, 0.0, 0.0)) -> Pose:
     """A motion whose goal is moved by `place` [m] and rotated by `rotvec` [rad] about where the part's middle goes."""
     goal = motion.apply(MIDDLE)
-    moved = Pose.from_translation(goal + place) @ Pose.from_rotvec(rotvec) @ Pose.from_translation(-goal)
+    moved = Pose.from_translation(goal + np.asarray(place)) @ Pose.from_rotvec(rotvec) @ Pose.from_translation(-goal)
     return moved @ motion
 
 
