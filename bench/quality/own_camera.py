@@ -4,9 +4,9 @@
     python bench/quality/own_camera.py data/kit1000 --rosbags ENV/bin/python --images DIR --seat
 
 Each scene's d415 image is saved as a user would save it, everything else is forgotten, and the import's table, masks
-and depths are compared with the scene. With --seat, a method predicts on the imported scene and on the original with
-predicted masks. DIR holds real depth images with a manifest.csv (file, sensor, metres_a_unit, fx, fy, cx, cy, and
-foreground_mask: all that is no background).
+and depths are compared with the scene. With --seat, a method predicts on the imported scene, on the original with
+predicted masks, and on images from four places that are imported together. DIR holds real depth images with a
+manifest.csv (file, sensor, metres_a_unit, fx, fy, cx, cy, and foreground_mask: all that is no background).
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import io
 import json
 import subprocess
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import tyro
@@ -40,10 +40,16 @@ from kit1000.metrics import Targets, pose_errors, seatings
 from kit1000.perception.calibration import calibrated_by
 from kit1000.perception.calibration.plane import table_plane
 from kit1000.pose import Pose
+from kit1000.prediction.catalog import Method
 from kit1000.prediction.making import PREDICTED_MASKS, make_predictor, method_of
+from kit1000.rng import stream
+from kit1000.sim.cameras import PRIMARY_TARGET
+from kit1000.sim.render import render
+from kit1000.sim.sensors import sense
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, View
 
 SENSOR, TRACK = "d415", "place-d415"
+AZIMUTHS = tuple(np.radians((0.0, 40.0, 90.0, 180.0)).tolist())  # [rad] of the places, about the first
 BAG_WRITER = Path(__file__).parents[1] / "outside" / "ros_bag.py"
 MM, FINE = 1e-3, 1e-4  # [m] units
 FORMATS = ("mm-png", "fine-png", "npy", "foxglove", "ros", "ros-compressed")
@@ -232,19 +238,26 @@ def _add_seated(
     table: Table, options: OwnCamera, dataset: Dataset, scenes: Sequence[RecordedScene], folder: Path
 ) -> None:
     """Predictions on original images with predicted masks, and on imported ones, for the same queries."""
-    found: dict[str, list[Pose]] = {"original, predicted masks": [], "imported, 1 mm PNG": []}
+    together = f"imported, 1 mm PNG, {len(AZIMUTHS)} places"
+    found: dict[str, list[Pose]] = {"original, predicted masks": [], "imported, 1 mm PNG": [], together: []}
     truths = []
-    method = method_of(options.method)
+    method, clearance = method_of(options.method), dataset.summary["config"]["clearance"]
     original = make_predictor(method_of(f"{options.method}{PREDICTED_MASKS}"), dataset, 0)
     for number, scene in enumerate(scenes):
-        own = _imported(scene, "mm-png", folder, None)
-        motions = _own_motions(
-            scene, own, folder / f"own-{number}", lambda data: make_predictor(method, data, 0), dataset
+        alone, several = [_imported(scene, "mm-png", folder, None)], _imported_from_places(scene, folder)
+        write_own_folder(folder / f"own-{number}", alone, clearance)
+        write_own_folder(folder / f"places-{number}", several, clearance, one_scene=True)
+        one, all_places = (
+            _own_motions(scene, owns[0], Dataset(folder / f"{name}-{number}"), method)
+            for name, owns in (("own", alone), ("places", several))
         )
+        world_from_own = scene.view("ideal").world_from_camera @ alone[0].world.world_from_camera.inverse()
         for query in (query for query in scene.queries if query.track == TRACK):
             truths.append(scene.truth_of(query.id))
             found["original, predicted masks"].append(original(query, None).goal_from_now)
-            found["imported, 1 mm PNG"].append(motions.get(query.part, Pose.identity()))
+            motion = one.get(query.part, Pose.identity())
+            found["imported, 1 mm PNG"].append(world_from_own @ motion @ world_from_own.inverse())
+            found[together].append(all_places.get(query.part, Pose.identity()))
     for name, poses in found.items():
         motions = Pose.stack(poses)
         errors = pose_errors(motions, Targets.of(truths, lambda part: dataset.geometry.part(part).mesh.vertices))
@@ -253,23 +266,45 @@ def _add_seated(
         table.add(image=name, n=len(truths), seated=rate(seated), position=position)
 
 
-def _own_motions(
-    scene: RecordedScene, own: OwnScene, folder: Path, make: Callable[[Dataset], Any], dataset: Dataset
-) -> dict[int, Pose]:
-    """Predicted motions on the folder of an import, in the world of the scene, by the scene's index of the part."""
-    write_own_folder(folder, [own], dataset.summary["config"]["clearance"])
-    imported = Dataset(folder)
-    (recorded,) = imported.split("test")
-    predictor, homes = make(imported), _homes(scene, own)
-    world_from_own = scene.view("ideal").world_from_camera @ own.world.world_from_camera.inverse()
-    motions: dict[int, Pose] = {}
+def _own_motions(scene: RecordedScene, own: OwnScene, imported: Dataset, method: Method) -> dict[int, Pose]:
+    """Predicted motions of the first scene of an import, in its world, by the scene's index of the part."""
+    recorded, homes = next(iter(imported.split("test"))), _homes(scene, own)
+    predictor, motions = make_predictor(method, imported, 0), dict[int, Pose]()
     wanted = {query.part for query in scene.queries if query.track == TRACK}
     for query in recorded.queries:
         home = homes.get(query.part)
         if query.track == TRACK and home in wanted and home not in motions:
-            motion = predictor(replace(query, guess=None), None).goal_from_now
-            motions[home] = world_from_own @ motion @ world_from_own.inverse()
+            motions[home] = predictor(replace(query, guess=None), None).goal_from_now
     return motions
+
+
+def _imported_from_places(scene: RecordedScene, folder: Path) -> list[OwnScene]:
+    """The import of images from several places, each with the pose that the robot believes the camera to have."""
+    with tempfile.TemporaryDirectory(dir=folder) as temporary:
+        sources, poses = [], []
+        for number, azimuth in enumerate(AZIMUTHS):
+            view, stem = _view_from(scene, azimuth, number), Path(temporary) / str(number)
+            stem.with_suffix(".png").write_bytes(_png(view, MM)[1])
+            pose = view.world_from_camera
+            row = {"wxyz": pose.wxyz.tolist(), "xyz": pose.xyz.tolist()}
+            stem.with_suffix(".json").write_text(json.dumps(row), encoding="utf-8")
+            sources.append(stem.with_suffix(".png"))
+            poses.append(stem.with_suffix(".json"))
+        camera = scene.view(SENSOR).camera
+        intrinsics = tuple(str(number) for number in (camera.fx, camera.fy, camera.cx, camera.cy))
+        wanted = Wanted(device="D415", stream="raw", networks=networks_available())
+        asked = Import(tuple(sources), Path(temporary) / "out", intrinsics, wanted=wanted, poses=tuple(poses))
+        return imported_scenes(replace(asked, one_scene=True))
+
+
+def _view_from(scene: RecordedScene, azimuth: float, number: int) -> View:
+    """The image from a place: the recorded one, or from an azimuth [rad] about the middle of the table."""
+    if number == 0:
+        return scene.view(SENSOR)
+    ideal, middle = scene.view("ideal"), Pose.from_translation(PRIMARY_TARGET)
+    pose = middle @ Pose.from_rotvec((0.0, 0.0, azimuth)) @ middle.inverse() @ ideal.world_from_camera
+    depth = render(ideal.camera, pose, scene.bodies(), threads=1).depth
+    return sense(SENSOR, View(ideal.camera, pose, depth), stream(0, "own-camera", scene.id, number), 1)
 
 
 def _add_images(table: Table, folder: Path) -> None:
