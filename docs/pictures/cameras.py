@@ -26,7 +26,16 @@ def picture(rows: list[dict[str, Any]]) -> str:
     dots = sorted(map(_dot, rows), key=lambda dot: -(dot.value or 0.0))
     description = "Share of parts seated under conditions of the camera, with intervals of 95 %."
     return standalone(
-        [[dot_plot("Parts seated by frames, distance, places, clearance", description, dots, Axis("parts seated, %", 100.0))]]
+        [
+            [
+                dot_plot(
+                    "Parts seated by frames, distance, places, clearance",
+                    description,
+                    dots,
+                    Axis("parts seated, %", 100.0),
+                )
+            ]
+        ]
     )
 
 

@@ -37,9 +37,16 @@ def seen_table(summary: Mapping[str, Any], scene_id: str) -> np.ndarray | None:
     return None if outline is None else checked(f"dataset.json: table of {scene_id}", outline, ("k", 2))
 
 
-def scenes_from_elsewhere(summary: Mapping[str, Any], scene_id: str) -> tuple[str, ...]:
-    """The other scenes that show the bodies of one, as their images were taken from several places."""
+def groups_of_places(summary: Mapping[str, Any]) -> list[list[str]]:
+    """The groups of PLACES, none in generated datasets; raises InputError for anything else."""
     groups = summary.get(PLACES, [])
     if not (isinstance(groups, list) and all(isinstance(group, list) for group in groups)):
         raise InputError(f"dataset.json: {PLACES}: expected lists of scenes; import again")
-    return tuple(other for group in groups if scene_id in group for other in group if other != scene_id)
+    return groups
+
+
+def scenes_from_elsewhere(summary: Mapping[str, Any], scene_id: str) -> tuple[str, ...]:
+    """The other scenes that show the bodies of one, as their images were taken from several places."""
+    return tuple(
+        other for group in groups_of_places(summary) if scene_id in group for other in group if other != scene_id
+    )

@@ -13,7 +13,7 @@ from typing import Any
 
 from kit1000.capture.own_folder import PRESET, folder_id
 from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter, TruthFile, TruthWriter
-from kit1000.dataset.own_scenes import JOINED, LABELS, OWN, TABLES
+from kit1000.dataset.own_scenes import JOINED, LABELS, OWN, PLACES, TABLES, groups_of_places
 from kit1000.dataset.reader import Dataset
 from kit1000.dataset.schema import SCENES_PER_SHARD, Observation, SceneTruth
 from kit1000.dataset.tables import Row
@@ -228,6 +228,9 @@ def _summary_bytes(
     config = {key: value for key, value in first.get("config", {}).items() if key != "clearance"}
     clearances = {row["clearance"] for row in tables["kits"].values()}
     licences = sorted({scene.origin["licence"] for scene in named.values()})
+    new_ids = {(scene.root, scene.record.scene_id): scene_id for scene_id, scene in named.items()}
+    groups = [(dataset.root, group) for dataset in datasets for group in groups_of_places(dataset.summary)]
+    places = [[new_ids[root, scene_id] for scene_id in group] for root, group in groups]
     summary = {
         **{key: first.get(key) for key in SAME},
         "config": config | ({"clearance": clearances.pop()} if len(clearances) == 1 else {}),
@@ -245,6 +248,7 @@ def _summary_bytes(
         KEY: next((scene.sensors for scene in named.values() if scene.sensors), {}),
         SCENE_KEY: {scene_id: scene.sensors for scene_id, scene in named.items() if scene.sensors},
         "shards": dict(shards),
+        **({PLACES: places} if places else {}),
         TABLES: {scene_id: scene.outline for scene_id, scene in named.items() if scene.outline is not None},
     }
     return json_bytes(with_checksum(summary))

@@ -16,7 +16,7 @@ from bench.quality.forgotten_truth import write_forgotten
 from benchmark.__main__ import main as benchmark
 from kit1000.cli import main
 from kit1000.dataset.mcap_io import ObservationFile
-from kit1000.dataset.own_scenes import seen_table
+from kit1000.dataset.own_scenes import scenes_from_elsewhere, seen_table
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.files import json_bytes, read_json, with_checksum
@@ -53,6 +53,8 @@ def labelled(folder: Path, source: dict[str, str], place: int, scene_ids: tuple[
         summary["dataset_id"], summary["licence"] = f"{place:016d}", LICENCES[place]
         summary["sensors"] = {"d415": facts.as_row()}
         summary["own"] = {"sources": [f"{place}-{scene_id}.png" for scene_id in scene_ids]}
+        if len(scene_ids) > 1:
+            summary["places"] = [list(scene_ids)]
         summary["tables"] = {scene_id: [[0, 0], [1 + place, 0], [0, 1]] for scene_id in scene_ids}
 
     stated(root, own)
@@ -116,6 +118,13 @@ def test_licence_contributor_and_sensor_of_every_scene_are_kept(real: Path) -> N
     assert (real / "labels/test-s0001.png").read_bytes() == OTHER.encode()
 
 
+def test_images_of_one_scene_stay_together(real: Path, folders: tuple[Path, Path]) -> None:
+    assert Dataset(folders[0]).summary["places"] == [[SCENE, OTHER]]
+    assert Dataset(real).summary["places"] == [["test-s0000", "test-s0001"]]
+    assert scenes_from_elsewhere(Dataset(real).summary, "test-s0001") == ("test-s0000",)
+    assert scenes_from_elsewhere(Dataset(real).summary, "test-s0002") == ()
+
+
 def test_every_file_is_hashed(real: Path, tmp_path: Path) -> None:
     report = verify(real)
     assert report.faults == ()
@@ -137,6 +146,7 @@ def test_a_joined_folder_grows(real: Path, folders: tuple[Path, Path], tmp_path:
     one, both = (read_json(path / "dataset.json") for path in (real, tmp_path / "both"))
     assert one["own"] == both["own"]
     assert one["files"] == both["files"]
+    assert one["places"] == both["places"]
 
 
 def test_the_benchmark_scores_it(real: Path, tmp_path: Path) -> None:
