@@ -28,6 +28,11 @@ def about(motion: Pose, place: ArrayLike, rotvec: ArrayLike = (0.0, 0.0, 0.0)) -
     return moved @ motion
 
 
+RIGHT = Pose.from_rotvec((0.3, 0.1, 1.2), (0.1, 0.4, 0.06))
+WRONG = about(RIGHT, (0, 0, 0), (0, 0, np.pi))
+ELSEWHERE = about(RIGHT, (0.09, 0, 0))
+
+
 def fit(motion: Pose, misfit: float = 3e-3, doubt: float = 1e-3) -> Fit:
     """One in a plate at the origin."""
     cavity: Any = SimpleNamespace(world_from_plate=Pose.identity())
@@ -37,8 +42,9 @@ def fit(motion: Pose, misfit: float = 3e-3, doubt: float = 1e-3) -> Fit:
 @given(poses(), st.lists(poses(), min_size=1, max_size=4))
 def test_the_mean_moves_with_the_world(world: Pose, motions: list[Pose]) -> None:
     near = [about(motions[0], 1e-3 * each.xyz, 0.1 * each.wxyz[1:]) for each in motions]
-    mean = mean_motion(near, MIDDLE)
-    there = mean_motion([world @ each @ world.inverse() for each in near], world.apply(MIDDLE))
+    weights = [1.0 + k for k in range(len(near))]
+    mean = mean_motion(near, weights, MIDDLE)
+    there = mean_motion([world @ each @ world.inverse() for each in near], weights, world.apply(MIDDLE))
     back = world.inverse() @ there @ world
     assert difference(mean, back, MIDDLE) < 1e-9 * (1 + float(np.abs(world.xyz).max()))
 
@@ -46,15 +52,23 @@ def test_the_mean_moves_with_the_world(world: Pose, motions: list[Pose]) -> None
 @given(poses(), st.integers(1, 5))
 def test_the_mean_of_equal_motions_is_that_motion(motion: Pose, count: int) -> None:
     signs = [Pose(motion.wxyz * (-1) ** k, motion.xyz) for k in range(count)]  # q and -q are one rotation
-    assert difference(mean_motion(signs, MIDDLE), motion, MIDDLE) < 1e-9
+    assert difference(mean_motion(signs, [1.0] * count, MIDDLE), motion, MIDDLE) < 1e-9
 
 
 def test_the_mean_halves_what_two_fits_are_off() -> None:
     true = Pose(random_quaternions(np.random.default_rng(0), 1)[0], np.array([0.1, 0.3, 0.05]))
     off = [about(true, (2e-3, 0, 0), (0, 0, 0.06)), about(true, (0, 2e-3, 0), (0, 0, -0.02))]
-    mean = mean_motion(off, MIDDLE)
+    mean = mean_motion(off, [1.0, 1.0], MIDDLE)
     np.testing.assert_allclose(mean.apply(MIDDLE) - true.apply(MIDDLE), (1e-3, 1e-3, 0), atol=1e-12)
     np.testing.assert_allclose((mean @ true.inverse()).rotvec(), (0, 0, 0.02), atol=1e-6)
+    nearer = mean_motion(off, [3.0, 1.0], MIDDLE)
+    np.testing.assert_allclose(nearer.apply(MIDDLE) - true.apply(MIDDLE), (1.5e-3, 0.5e-3, 0), atol=1e-12)
+
+
+def test_the_surer_fit_weighs_more() -> None:
+    other = about(RIGHT, (4e-3, 0, 0))
+    best, *_ = agreed([[fit(RIGHT, doubt=0.0)], [fit(other, doubt=3e-3)]], MIDDLE)
+    assert 0 < difference(best.goal_from_now, RIGHT, MIDDLE) < 1.8e-3
 
 
 @given(poses(), st.floats(-0.3, 0.3), st.tuples(*[st.floats(-9e-3, 9e-3)] * 3))
@@ -63,11 +77,6 @@ def test_the_difference_is_of_place_and_angle(motion: Pose, angle: float, place:
     expected = np.hypot(np.linalg.norm(place), ARM * angle)
     assert difference(motion, other, MIDDLE) == pytest.approx(expected, rel=5e-3, abs=1e-9)
     assert difference(motion, other, MIDDLE) == difference(other, motion, MIDDLE)
-
-
-RIGHT = Pose.from_rotvec((0.3, 0.1, 1.2), (0.1, 0.4, 0.06))
-WRONG = about(RIGHT, (0, 0, 0), (0, 0, np.pi))
-ELSEWHERE = about(RIGHT, (0.09, 0, 0))
 
 
 def test_one_image_keeps_its_fits() -> None:

@@ -21,6 +21,7 @@ NEAR = 8e-3  # [m] by which fits of one pose differ at most
 DIFFERENCE = 0.5  # share of the difference from an image's fit that counts like its misfit
 ALONE = 8e-3  # [m] in place of the misfit of an image that has no fit near
 APART = 0.6  # share in the doubt, of the mean difference of the fits from their mean
+DOUBTLESS, LEAST_DOUBT = -2.3e-3, 1e-3  # [m] a fit weighs by 1 over what its doubt is above the one, at least the other
 COMPANY = 3e-3  # [m] off the doubt where e times as many images have a fit near
 
 
@@ -45,12 +46,13 @@ def agreed(images: Sequence[Sequence[Fit]], middle: np.ndarray) -> list[Fit]:
     return found
 
 
-def mean_motion(motions: Sequence[Pose], middle: np.ndarray) -> Pose:
-    """The mean of motions near each other: of their rotations as quaternions, and of where a middle (3,) [m] goes."""
+def mean_motion(motions: Sequence[Pose], weights: Sequence[float], middle: np.ndarray) -> Pose:
+    """The weighted mean of motions near each other: of their quaternions, and of where a middle (3,) [m] goes."""
+    shares = np.array(weights)[:, None] / sum(weights)
     first = motions[0].wxyz
-    turns = [motion.wxyz if (motion.wxyz * first).sum() >= 0 else -motion.wxyz for motion in motions]
-    rotation = Pose(np.sum(turns, axis=0), np.zeros(3))
-    place = np.mean([motion.apply(middle) for motion in motions], axis=0)
+    turned = [motion.wxyz if (motion.wxyz * first).sum() >= 0 else -motion.wxyz for motion in motions]
+    rotation = Pose((shares * turned).sum(0), np.zeros(3))
+    place = (shares * [motion.apply(middle) for motion in motions]).sum(0)
     return Pose(rotation.wxyz, place - rotation.apply(middle))
 
 
@@ -69,7 +71,8 @@ def _in_order(fits: Sequence[Fit]) -> list[Fit]:
 def _mean_fit(fit: Fit, images: Sequence[Sequence[Fit]], middle: np.ndarray) -> Fit:
     """The mean of a fit and of those that other images have near it."""
     near = [each for each in (_nearest(fit, fits, middle) for fits in images) if each is not None]
-    motion = mean_motion([each.goal_from_now for each in near], middle)
+    weights = [1 / max(each.doubt - DOUBTLESS, LEAST_DOUBT) for each in near]
+    motion = mean_motion([each.goal_from_now for each in near], weights, middle)
     misfit = sum(_cost(fit, each, middle) for each in near) + ALONE * (len(images) - len(near))
     doubts = [each.doubt + APART * difference(motion, each.goal_from_now, middle) for each in near]
     doubt = float(np.mean(doubts)) - COMPANY * float(np.log(len(near)))
