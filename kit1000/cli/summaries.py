@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from kit1000.dataset.own_scenes import JOINED, OWN, is_labelled, is_own
+from kit1000.dataset.own_scenes import JOINED, OWN, groups_of_places, is_labelled, is_own
 from kit1000.errors import shown
 
 MAX_LISTED = 20  # refused files in a summary
@@ -59,6 +59,7 @@ def _own_lines(summary: dict) -> Iterator[str]:
     yield from (
         f"  {i}  {shown(source)}" for i, source in zip(scenes, summary.get(OWN, {}).get("sources", ()), strict=False)
     )
+    yield from (f"  images of one scene: {shown(', '.join(group))}" for group in groups_of_places(summary))
 
 
 def _sensors(summary: dict) -> list[dict]:

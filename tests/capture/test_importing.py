@@ -82,7 +82,8 @@ def test_images_from_several_places_are_one_scene(tmp_path: Path, capsys: pytest
         (other,) = from_elsewhere(dataset, query)
         assert other.scene_id != query.scene_id
         np.testing.assert_allclose(other.pivot, query.pivot, atol=15e-3)
-    assert main(["verify", str(tmp_path / "mine")]) == 0
+    assert main(["verify", str(tmp_path / "mine")]) == main(["info", str(tmp_path / "mine")]) == 0
+    assert "images of one scene: test-s0000, test-s0001" in capsys.readouterr().out
 
 
 def test_scenes_are_alone_unless_they_are_said_to_be_one(folder: Path) -> None:
