@@ -147,15 +147,15 @@ def histogram(title: str, description: str, edges: Sequence[float | None], count
     )
 
 
-def dot_plot(title: str, description: str, dots: Sequence[Dot], axis: Axis) -> str:
-    """Means with their intervals under one another: names at the left, notes at the right."""
+def dot_plot(title: str, description: str, dots: Sequence[Dot], axis: Axis, names: float = NAMES) -> str:
+    """Means with their intervals under one another: names at the left, in a width [px], notes at the right."""
     bottom = TOP + DOT_ROW * len(dots)
-    frame = _Frame(axis, None, NAMES, WIDTH - NOTES, bottom)
+    frame = _Frame(axis, None, names, WIDTH - NOTES, bottom)
     marks = [heading(title, "")]
     marks += [f'<path class="rule" d="M{px(frame.at(tick, 0)[0])} {TOP}V{bottom}"/>' for tick in axis.ticks]
     for i, dot in enumerate(dots):
         level = TOP + DOT_ROW * (i + 0.5)
-        marks.append(written(NAMES - 10, level + 4, cut(dot.name, int((NAMES - 12) / LETTER)), "end"))
+        marks.append(written(names - 10, level + 4, cut(dot.name, int((names - 12) / LETTER)), "end"))
         marks.append(_interval(dot, level, lambda value: frame.at(value, 0)[0], axis.end))
         marks.append(written(WIDTH - 4, level + 4, dot.note, "soft end"))
     marks.append(frame.across([(tick, number(tick)) for tick in axis.ticks]))
