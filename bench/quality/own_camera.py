@@ -26,6 +26,7 @@ import tyro
 from PIL import Image
 
 from bench.measured_dataset import measured_dataset
+from bench.quality.camera_conditions import AZIMUTHS
 from benchmark.measurements import Column, Measurement, Table, rate
 from kit1000.capture.frame_selection import Selection
 from kit1000.capture.importing import Import, imported_scenes
@@ -49,7 +50,6 @@ from kit1000.sim.sensors import sense
 from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, View
 
 SENSOR, TRACK = "d415", "place-d415"
-AZIMUTHS = tuple(np.radians((0.0, 40.0, 90.0, 180.0)).tolist())  # [rad] of the places, about the first
 BAG_WRITER = Path(__file__).parents[1] / "outside" / "ros_bag.py"
 MM, FINE = 1e-3, 1e-4  # [m] units
 FORMATS = ("mm-png", "fine-png", "npy", "foxglove", "ros", "ros-compressed")

@@ -21,7 +21,7 @@ NEAR = 8e-3  # [m] by which fits of one pose differ at most
 DIFFERENCE = 0.5  # share of the difference from an image's fit that counts like its misfit
 ALONE = 8e-3  # [m] in place of the misfit of an image that has no fit near
 APART = 0.6  # share in the doubt, of the mean difference of the fits from their mean
-DOUBTLESS, LEAST_DOUBT = -2.3e-3, 1e-3  # [m] a fit weighs by 1 over what its doubt is above the one, at least the other
+DOUBTLESS, LEAST_DOUBT = -2.3e-3, 1e-3  # [m] a fit weighs 1 / (doubt - DOUBTLESS), or at most 1 / LEAST_DOUBT
 COMPANY = 3e-3  # [m] off the doubt where e times as many images have a fit near
 
 
