@@ -2,15 +2,18 @@
 
     python bench/quality/real_noise.py data/kit1000 --images DIR --method registration-completed
     python bench/quality/real_noise.py data/kit1000 --images DIR --frames 1 30 --weights runs/new
+    python bench/quality/real_noise.py data/kit1000 --images DIR --simulated
 
 DIR holds depth images with `manifest.csv` (columns file, sensor, metres_a_unit, fx), as for `sensor_statistics.py`. The
 residual of each image's largest plane becomes noise of the scenes' ideal images, mirrored to fill them, from a random
 place of the residual. Of a camera with another focal length or baseline it is enlarged, and scaled to the same noise
-in mm. Edges are sharp, or ramps, shadows, holes and units of the d415. The methods read nothing else.
+in mm. Edges are sharp, or ramps, shadows, holes and units of the d415. The methods read nothing else. With --simulated,
+each row has one beside it under the noise and bending of the simulated d415, of the same RMS.
 """
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -66,6 +69,8 @@ class RealNoise:
     edges: Literal["sharp", "d415"] = "d415"
     frames: tuple[int, ...] = (1,)
     """Numbers of frames, of which an image is the mean: what changes from frame to frame gets smaller."""
+    simulated: bool = False
+    """Whether to compare with simulated noise of the same RMS."""
     limit: int | None = None
     """Only the first so many queries."""
     workers: int = 1
@@ -80,6 +85,8 @@ class Noise(NamedTuple):
     """Name of the real image that it is taken from."""
     frames: int
     """Number of frames of which the noisy image is the mean."""
+    simulated: bool = False
+    """Whether it is the d415's own, of the RMS of the real one."""
 
 
 class Answer(NamedTuple):
@@ -128,9 +135,10 @@ def main(options: RealNoise) -> None:
     with local_engine(options.workers) as spread:
         for noise in starmap(Noise, product(options.names or usable_names(options.images), options.frames)):
             first = None
-            for weights in (None, *options.weights):
-                found = _outcome(options, dataset, noise, weights, spread)
-                _add(table, options, noise, weights, found, first)
+            others = [noise._replace(simulated=True)] if options.simulated else []
+            for each, weights in ((noise, None), *product(others, [None]), *product([noise], options.weights)):
+                found = _outcome(options, dataset, each, weights, spread)
+                _add(table, options, each, weights, found, first)
                 first = first or found
     measurement.report(options.out)
 
@@ -149,13 +157,13 @@ def usable_names(folder: Path) -> list[str]:
 def _add(
     table: Table, options: RealNoise, noise: Noise, weights: Path | None, found: Outcome, first: Outcome | None
 ) -> None:
-    """Add the row of a noise and of weights, beside those of the shipped ones."""
+    """Add the row of a noise and of weights, beside that of the real noise and the shipped weights."""
     values: dict[str, Any] = {}
     if first is not None:
         won, lost = int((found.seated & ~first.seated).sum()), int((first.seated & ~found.seated).sum())
         values = {"won": won, "lost": lost, "p": mcnemar_p(won, lost)}
     table.add(
-        image=noise.image,
+        image=f"{noise.image}, simulated" if noise.simulated else noise.image,
         noise=float(np.std(noise_field(options.images, noise.image))),
         edges=options.edges,
         frames=noise.frames,
@@ -200,8 +208,14 @@ def noisy_image(options: RealNoise, noise: Noise, scene: RecordedScene) -> Label
     ideal = scene.labelled_depth("ideal")
     rng = stream(0, "real-noise", noise.image, scene.id)
     sensor = D415 if options.edges == "d415" else SHARP
-    field = filled(noise_field(options.images, noise.image), ideal.view.depth.shape, rng)
+    real = noise_field(options.images, noise.image)
+    field = filled(real, ideal.view.depth.shape, rng)
     conditions = conditions_of(sensor, rng, noise.frames)
+    if noise.simulated:
+        louder = float(np.std(real)) / math.hypot(conditions.noise_px, conditions.bending_px)
+        amplitude = {name: louder * getattr(conditions, name) for name in ("noise_px", "bending_px")}
+        view = measured_view(sensor, ideal.view, replace(conditions, **amplitude), rng)
+        return LabelledDepth(view, ideal.labels)
     left = conditions.left_px / replace(conditions, frames=1).left_px  # of the RMS, in the mean of the frames
     return LabelledDepth(measured_view(sensor, ideal.view, conditions, rng, field * left), ideal.labels)
 
