@@ -5,8 +5,9 @@
 
 Each scene's d415 image is saved as a user would save it, everything else is forgotten, and the import's table, masks
 and depths are compared with the scene. With --seat, a method predicts on the imported scene, on the original with
-predicted masks, and on images from four places that are imported together. DIR holds real depth images with a
-manifest.csv (file, sensor, metres_a_unit, fx, fy, cx, cy, and foreground_mask: all that is no background).
+predicted masks, and with guesses on images from up to four places that are imported together. DIR holds real depth
+images with a manifest.csv (file, sensor, metres_a_unit, fx, fy, cx, cy, and foreground_mask: all that is no
+background).
 """
 
 from __future__ import annotations
@@ -47,9 +48,10 @@ from kit1000.rng import stream
 from kit1000.sim.cameras import PRIMARY_TARGET
 from kit1000.sim.render import render
 from kit1000.sim.sensors import sense
-from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, View
+from kit1000.values import ASSEMBLY_LABEL, FIRST_PART_LABEL, Query, Truth, View
 
-SENSOR, TRACK = "d415", "place-d415"
+SENSOR, TRACK, SNAP_TRACK = "d415", "place-d415", "snap-d415"
+PLACES = (1, 2, 4)  # numbers of images, from the first of AZIMUTHS
 BAG_WRITER = Path(__file__).parents[1] / "outside" / "ros_bag.py"
 MM, FINE = 1e-3, 1e-4  # [m] units
 FORMATS = ("mm-png", "fine-png", "npy", "foxglove", "ros", "ros-compressed")
@@ -133,6 +135,8 @@ def main(options: OwnCamera) -> None:
         if options.seat:
             seated = measurement.table("seated", f"{options.method} on {TRACK}", *SEAT)
             _add_seated(seated, options, dataset, scenes, folder)
+            places = measurement.table("places", f"{options.method} on {SNAP_TRACK}, with hand-eye poses", *SEAT)
+            _add_places(places, options, dataset, scenes, folder)
         if options.images is not None:
             _add_images(measurement.table("images", "Real images", *REAL), options.images)
         measurement.report(options.out)
@@ -238,43 +242,60 @@ def _add_seated(
     table: Table, options: OwnCamera, dataset: Dataset, scenes: Sequence[RecordedScene], folder: Path
 ) -> None:
     """Predictions on original images with predicted masks, and on imported ones, for the same queries."""
-    together = f"imported, 1 mm PNG, {len(AZIMUTHS)} places"
-    found: dict[str, list[Pose]] = {"original, predicted masks": [], "imported, 1 mm PNG": [], together: []}
+    found: dict[str, list[Pose]] = {"original, predicted masks": [], "imported, 1 mm PNG": []}
     truths = []
     method, clearance = method_of(options.method), dataset.summary["config"]["clearance"]
     original = make_predictor(method_of(f"{options.method}{PREDICTED_MASKS}"), dataset, 0)
     for number, scene in enumerate(scenes):
-        alone, several = [_imported(scene, "mm-png", folder, None)], _imported_from_places(scene, folder)
-        write_own_folder(folder / f"own-{number}", alone, clearance)
-        write_own_folder(folder / f"places-{number}", several, clearance, one_scene=True)
-        one, all_places = (
-            _own_motions(scene, owns[0], Dataset(folder / f"{name}-{number}"), method)
-            for name, owns in (("own", alone), ("places", several))
-        )
-        world_from_own = scene.view("ideal").world_from_camera @ alone[0].world.world_from_camera.inverse()
-        for query in (query for query in scene.queries if query.track == TRACK):
-            truths.append(scene.truth_of(query.id))
-            found["original, predicted masks"].append(original(query, None).goal_from_now)
-            motion = one.get(query.part, Pose.identity())
-            found["imported, 1 mm PNG"].append(world_from_own @ motion @ world_from_own.inverse())
-            found[together].append(all_places.get(query.part, Pose.identity()))
+        own = _imported(scene, "mm-png", folder, None)
+        write_own_folder(folder / f"own-{number}", [own], clearance)
+        asked = [query for query in scene.queries if query.track == TRACK]
+        motions = _own_motions(scene, own, asked, Dataset(folder / f"own-{number}"), method)
+        world_from_own = scene.view("ideal").world_from_camera @ own.world.world_from_camera.inverse()
+        truths += [scene.truth_of(query.id) for query in asked]
+        found["original, predicted masks"] += [original(query, None).goal_from_now for query in asked]
+        found["imported, 1 mm PNG"] += [world_from_own @ motion @ world_from_own.inverse() for motion in motions]
     for name, poses in found.items():
-        motions = Pose.stack(poses)
-        errors = pose_errors(motions, Targets.of(truths, lambda part: dataset.geometry.part(part).mesh.vertices))
-        seated = seatings(motions, truths, dataset.geometry).seated
-        position = 1e3 * float(np.median(errors.position))
-        table.add(image=name, n=len(truths), seated=rate(seated), position=position)
+        _add_motions(table, name, poses, truths, dataset)
 
 
-def _own_motions(scene: RecordedScene, own: OwnScene, imported: Dataset, method: Method) -> dict[int, Pose]:
-    """Predicted motions of the first scene of an import, in its world, by the scene's index of the part."""
+def _add_places(
+    table: Table, options: OwnCamera, dataset: Dataset, scenes: Sequence[RecordedScene], folder: Path
+) -> None:
+    """Predictions with guesses, in the world of the hand-eye poses, by images from one place and from several."""
+    truths, clearance = list[Truth](), dataset.summary["config"]["clearance"]
+    found: dict[int, list[Pose]] = {count: [] for count in PLACES}
+    for number, scene in enumerate(scenes):
+        several = _imported_from_places(scene, folder)
+        asked = [query for query in scene.queries if query.track == SNAP_TRACK]
+        truths += [scene.truth_of(query.id) for query in asked]
+        for count, poses in found.items():
+            out = folder / f"places-{number}-{count}"
+            write_own_folder(out, several[:count], clearance, one_scene=count > 1)
+            poses += _own_motions(scene, several[0], asked, Dataset(out), method_of(options.method))
+    for count, poses in found.items():
+        _add_motions(table, f"{count} place{'s' if count > 1 else ''}", poses, truths, dataset)
+
+
+def _add_motions(table: Table, name: str, poses: Sequence[Pose], truths: Sequence[Truth], dataset: Dataset) -> None:
+    """Add the row of predicted motions, of which the truth is known."""
+    motions = Pose.stack(poses)
+    errors = pose_errors(motions, Targets.of(truths, lambda part: dataset.geometry.part(part).mesh.vertices))
+    seated = seatings(motions, truths, dataset.geometry).seated
+    table.add(image=name, n=len(truths), seated=rate(seated), position=1e3 * float(np.median(errors.position)))
+
+
+def _own_motions(
+    scene: RecordedScene, own: OwnScene, asked: Sequence[Query], imported: Dataset, method: Method
+) -> list[Pose]:
+    """The motion for each query about a scene, by the first image of its import; none where that found no such part."""
     recorded, homes = next(iter(imported.split("test"))), _homes(scene, own)
-    predictor, motions = make_predictor(method, imported, 0), dict[int, Pose]()
-    wanted = {query.part for query in scene.queries if query.track == TRACK}
-    for query in recorded.queries:
-        home = homes.get(query.part)
-        if query.track == TRACK and home in wanted and home not in motions:
-            motions[home] = predictor(replace(query, guess=None), None).goal_from_now
+    predictor, motions = make_predictor(method, imported, 0), list[Pose]()
+    for query in asked:
+        same = (each for each in recorded.queries if (each.track, homes.get(each.part)) == (query.track, query.part))
+        found = next(same, None)
+        answer = None if found is None else predictor(replace(found, guess=query.guess), None)
+        motions.append(Pose.identity() if answer is None else answer.goal_from_now)
     return motions
 
 
