@@ -223,10 +223,13 @@ def ideal_from(
     pose, middle = image.view.world_from_camera, (truth.anchor + truth.goal_drawn.apply(truth.anchor)) / 2
     if distance is not None:
         pose = look_at(middle + distance * pose.rotate((0.0, 0.0, -1.0)), middle)
-    if azimuth != 0:
-        about = Pose.from_translation(middle) @ Pose.from_rotvec((0.0, 0.0, azimuth)) @ Pose.from_translation(-middle)
-        pose = about @ pose
-    return rendered_from(scene, query, truth, pose)
+    return rendered_from(scene, query, truth, pose if azimuth == 0 else orbited(pose, middle, azimuth))
+
+
+def orbited(pose: Pose, middle: np.ndarray, azimuth: float) -> Pose:
+    """A camera's pose after a rotation by an azimuth [rad] about the vertical through a middle (3,) [m]."""
+    there = Pose.from_translation(middle)
+    return there @ Pose.from_rotvec((0.0, 0.0, azimuth)) @ there.inverse() @ pose
 
 
 def rendered_from(scene: RecordedScene, query: Query, truth: Truth, pose: Pose) -> LabelledDepth | None:

@@ -27,7 +27,7 @@ import tyro
 from PIL import Image
 
 from bench.measured_dataset import measured_dataset
-from bench.quality.camera_conditions import AZIMUTHS
+from bench.quality.camera_conditions import AZIMUTHS, orbited
 from benchmark.measurements import Column, Measurement, Table, rate
 from kit1000.capture.frame_selection import Selection
 from kit1000.capture.importing import Import, imported_scenes
@@ -322,8 +322,8 @@ def _view_from(scene: RecordedScene, azimuth: float, number: int) -> View:
     """The image from a place: the recorded one, or from an azimuth [rad] about the middle of the table."""
     if number == 0:
         return scene.view(SENSOR)
-    ideal, middle = scene.view("ideal"), Pose.from_translation(PRIMARY_TARGET)
-    pose = middle @ Pose.from_rotvec((0.0, 0.0, azimuth)) @ middle.inverse() @ ideal.world_from_camera
+    ideal = scene.view("ideal")
+    pose = orbited(ideal.world_from_camera, np.array(PRIMARY_TARGET), azimuth)
     depth = render(ideal.camera, pose, scene.bodies(), threads=1).depth
     return sense(SENSOR, View(ideal.camera, pose, depth), stream(0, "own-camera", scene.id, number), 1)
 

@@ -211,7 +211,7 @@ def noisy_image(options: RealNoise, noise: Noise, scene: RecordedScene) -> Label
     real = noise_field(options.images, noise.image)
     field = filled(real, ideal.view.depth.shape, rng)
     conditions = conditions_of(sensor, rng, noise.frames)
-    if noise.simulated:
+    if noise.simulated:  # under the same conditions and errors of the camera: `rng` has drawn as for the real noise
         louder = float(np.std(real)) / math.hypot(conditions.noise_px, conditions.bending_px)
         amplitude = {name: louder * getattr(conditions, name) for name in ("noise_px", "bending_px")}
         view = measured_view(sensor, ideal.view, replace(conditions, **amplitude), rng)

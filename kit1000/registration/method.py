@@ -109,8 +109,7 @@ class Registration:
 
     def __call__(self, query: Query, geometry: TrueGeometry | None = None) -> PredictedMotion:
         """The best fit; where nothing fits, the guess or no motion, with confidence 0."""
-        fits = self.fits(query, geometry)
-        return self._motion(fits[0], fits, query) if fits else _without_fit(query)
+        return self._best(self.fits(query, geometry), query)
 
     def motions(self, query: Query, geometry: TrueGeometry | None = None) -> list[PredictedMotion]:
         """All fits, the best first, each with its confidence."""
@@ -132,15 +131,21 @@ class Registration:
 
     def together(self, queries: Sequence[Query]) -> PredictedMotion:
         """The best fit by several images of one part, which cameras took in one world."""
-        fits = agreed([self.fits_in_image(query) for query in queries], queries[0].pivot)
-        return self._motion(fits[0], fits, queries[0]) if fits else _without_fit(queries[0])
+        return self._best(self._fits_together(queries), queries[0])
+
+    def _best(self, fits: list[Fit], query: Query) -> PredictedMotion:
+        """The first of the fits; the guess or no motion where there is none."""
+        if not fits:
+            return PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
+        return self._motion(fits[0], fits, query)
 
     def fits(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits, the best first; by all images of the scene, where dataset.json states several."""
-        others = from_elsewhere(self.dataset, query)
-        if not others:
-            return self.fits_in_image(query, geometry)
-        return agreed([self.fits_in_image(each, geometry) for each in (query, *others)], query.pivot)
+        return self._fits_together([query, *from_elsewhere(self.dataset, query)], geometry)
+
+    def _fits_together(self, queries: Sequence[Query], geometry: TrueGeometry | None = None) -> list[Fit]:
+        """All fits by the images of some queries about one part, the best first."""
+        return agreed([self.fits_in_image(query, geometry) for query in queries], queries[0].pivot)
 
     def fits_in_image(self, query: Query, geometry: TrueGeometry | None = None) -> list[Fit]:
         """All fits by the query's own image, the best first.
@@ -211,11 +216,6 @@ class Registration:
             camera=image.camera,
             cavities=image.cavities,
         )
-
-
-def _without_fit(query: Query) -> PredictedMotion:
-    """The guess, or no motion."""
-    return PredictedMotion(Pose.identity() if query.guess is None else query.guess, 0.0)
 
 
 def _fits(source: DepthSource, clearances: Sequence[float], further: bool = True) -> list[Fit]:
