@@ -20,7 +20,7 @@ class TrainConfig:
     batch: int = 8
     """Examples of a step, over all processes together."""
     optimizer: Literal["adam", "muon"] = "adam"
-    """muon: orthogonalised momentum for the hidden layers, Adam for all else, see `baselines.training.muon`."""
+    """muon: orthogonalised momentum for the hidden layers, AdamW for the others, see `baselines.training.muon`."""
     learning_rate: float = 1e-3
     """Learning rate of the optimiser at its peak."""
     warmup: int = 0
@@ -34,12 +34,10 @@ class TrainConfig:
     ema_decay: float | None = None
     """Decay of an exponential moving average of the weights, such as 0.999; the average is then validated and kept."""
     mixed_precision: Literal["auto", "bfloat16", "off"] = "auto"
-    """auto: half precision on a GPU, bfloat16 where it has it; bfloat16: on a CPU too."""
+    """auto: bfloat16 on a GPU that has it; bfloat16: on a CPU too; off: float32."""
     seed: int = 0
     validate_every: int = 200
     """Steps."""
-    patience: int | None = None
-    """Validations without a new best after which to stop."""
     checkpoint_every: int = 200
     """Steps: the most that a kill costs."""
     workers: int | None = None
@@ -50,7 +48,7 @@ class TrainConfig:
     """Time after which a call stops, with a checkpoint, to be resumed."""
 
     def __post_init__(self) -> None:
-        for name in ("steps", "batch", "validate_every", "checkpoint_every", "patience", "threads"):
+        for name in ("steps", "batch", "validate_every", "checkpoint_every", "threads"):
             _at_least(name, getattr(self, name), 1)
         for name in ("warmup", "weight_decay", "seed", "workers", "time_limit_s"):
             _at_least(name, getattr(self, name), 0)
@@ -88,4 +86,4 @@ UNET_TRAINING = TrainConfig(
     workers=0,
     threads=1,
 )
-"""Training of the networks made of `kit1000.perception.networks.unet`, but for what each of them says."""
+"""Training of the networks made of `kit1000.perception.networks.unet`; each network replaces some of the values."""

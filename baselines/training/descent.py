@@ -1,4 +1,4 @@
-"""Optimiser steps: Adam or Muon, half precision, a moving average of the weights, several processes."""
+"""Optimiser steps: AdamW or Muon, bfloat16, a moving average of the weights, several processes."""
 
 from __future__ import annotations
 
@@ -11,56 +11,51 @@ import torch
 from torch.nn.parallel import DistributedDataParallel
 
 from baselines.training.batches import Batch, Task
-from baselines.training.checkpoint import load_into_optimizer, optimizer_tensors
 from baselines.training.config import TrainConfig
 from baselines.training.muon import Muon
-from baselines.training.ranks import Ranks
+from baselines.training.processes import Processes
 from kit1000.errors import InputError
 from kit1000.perception.networks.weight_files import Tensors, load_into
 from kit1000.rng import stream
 
 EMA_WARMUP = 10  # steps: at first the decay is only (1 + step) / (10 + step), as in TensorFlow
-BF16_SINCE = (8, 0)  # compute capability of GPUs that calculate in bfloat16; older ones emulate it
+BF16_SINCE = (8, 0)  # compute capability of GPUs that calculate in bfloat16
 
 
 class Descent:
     """A network with all state that training changes."""
 
-    def __init__(self, task: Task, config: TrainConfig, ranks: Ranks) -> None:
-        """Take the network to the device of this process."""
-        self.config, self.ranks = config, ranks
-        self.model = task.model.to(ranks.device)
+    def __init__(self, task: Task, config: TrainConfig, processes: Processes) -> None:
+        """Move the network to the device of this process."""
+        self.config, self.processes = config, processes
+        self.model = task.model.to(processes.device)
         self.loss = task.loss
-        self.loss_sum = torch.zeros((), dtype=torch.float64, device=ranks.device)
-        """Over the steps since it was reset; on the device, so that no step waits for a transfer."""
-        self._half = _half(config, ranks.device)
+        self.loss_sum = torch.zeros((), dtype=torch.float64, device=processes.device)
+        """Sum of the losses since it was reset; it stays on the device, so that no step waits for a transfer."""
         self._optimizer = {"adam": _adam, "muon": _muon}[config.optimizer](self.model, config)
-        self._scaler = torch.amp.GradScaler(enabled=self._half == torch.float16)  # pyright: ignore[reportPrivateImportUsage]
         self._average = {} if config.ema_decay is None else _copied(self.model)
         self._parallel: torch.nn.Module | None = None
 
     def step(self, step: int, batch: Batch) -> None:
         """Take step number `step`, counted from 0, on this process's part of its batch."""
-        self._seed("torch", step, self.ranks.rank)
+        self._seed("torch", step, self.processes.rank)
         for group in self._optimizer.param_groups:
             group["lr"] = self.config.learning_rate_at(step)
         self.model.train()
         with self._precision():
             loss = self._loss(batch)
         self._optimizer.zero_grad()
-        self._scaler.scale(loss).backward()
+        loss.backward()
         if self.config.clip is not None:
-            self._scaler.unscale_(self._optimizer)
             torch.nn.utils.clip_grad_norm_(self.model.parameters(), self.config.clip)
-        self._scaler.step(self._optimizer)
-        self._scaler.update()
+        self._optimizer.step()
         if self.config.ema_decay is not None:
             _update_average(self._average, self.model, 1 - min(self.config.ema_decay, (1 + step) / (EMA_WARMUP + step)))
         self.loss_sum += loss.detach()
 
     def mean_loss(self, steps: int) -> float:
-        """Over the steps since the reset, and over all processes; raises InputError where it is not finite."""
-        self.loss_sum.copy_(self.ranks.mean(self.loss_sum))
+        """The mean loss of all processes over the steps since the reset; raises InputError if it is not finite."""
+        self.loss_sum.copy_(self.processes.mean(self.loss_sum))
         loss = float(self.loss_sum) / max(steps, 1)
         if not math.isfinite(loss):
             raise InputError("the loss is no longer finite; a lower learning_rate, or clip, may help")
@@ -68,7 +63,7 @@ class Descent:
 
     @contextmanager
     def evaluation(self) -> Iterator[None]:
-        """The network as it is validated and kept: in evaluation mode, without gradients, with averaged weights."""
+        """The network as it is validated and saved: in evaluation mode, without gradients, with averaged weights."""
         own = _copied(self.model) if self._average else {}
         if own:
             self.model.load_state_dict(self._average)
@@ -81,34 +76,36 @@ class Descent:
             if own:
                 self.model.load_state_dict(own)
 
-    def tensors(self) -> dict[str, Tensors]:
-        """Its tensors by group, for a checkpoint."""
-        optimizer = optimizer_tensors(self.model, self._optimizer)
-        return {"model": self.model.state_dict(), "average": self._average, "optimizer": optimizer}
+    def state(self) -> dict[str, Any]:
+        """All of the state, for a checkpoint."""
+        return {
+            "model": self.model.state_dict(),
+            "average": self._average,
+            "optimizer": self._optimizer.state_dict(),
+            "loss_sum": self.loss_sum,
+        }
 
-    def numbers(self) -> dict[str, Any]:
-        """Its other state, for a checkpoint, as JSON has it."""
-        return {"loss_sum": float(self.loss_sum), "scaler": self._scaler.state_dict()}
-
-    def restore(self, tensors: Mapping[str, Tensors], numbers: Mapping[str, Any], where: object) -> None:
-        """Restore the state of a checkpoint; raises InputError where it is of another network."""
-        load_into(self.model, tensors["model"], str(where))
-        load_into_optimizer(self.model, self._optimizer, tensors["optimizer"], str(where))
-        self._average = {name: value.to(self.ranks.device) for name, value in tensors["average"].items()}
-        self.loss_sum.fill_(numbers["loss_sum"])
-        if numbers["scaler"]:
-            self._scaler.load_state_dict(numbers["scaler"])
+    def restore(self, state: Mapping[str, Any], where: object) -> None:
+        """Restore the state of a checkpoint; raises InputError if it belongs to another network."""
+        load_into(self.model, state["model"], str(where))
+        self._optimizer.load_state_dict(state["optimizer"])
+        self._average = {name: value.to(self.processes.device) for name, value in state["average"].items()}
+        self.loss_sum.copy_(state["loss_sum"])
 
     def _loss(self, batch: Batch) -> torch.Tensor:
         """() the loss, whose gradient is the mean over all processes."""
-        if self.ranks.world == 1:
+        if self.processes.count == 1:
             return self.loss(batch)
         if self._parallel is None:
             self._parallel = DistributedDataParallel(_Loss(self.model, self.loss))
         return self._parallel(batch)
 
     def _precision(self) -> torch.autocast:
-        return torch.autocast(self.ranks.device.type, self._half or torch.bfloat16, enabled=self._half is not None)
+        device, mode = self.processes.device, self.config.mixed_precision
+        has_bfloat16 = device.type == "cuda" and torch.cuda.get_device_capability(device) >= BF16_SINCE
+        return torch.autocast(
+            device.type, torch.bfloat16, enabled=mode == "bfloat16" or (mode == "auto" and has_bfloat16)
+        )
 
     def _seed(self, *key: int | str) -> None:
         """Seed dropout and the like, which have no generators of their own: by step, so that a run can be resumed."""
@@ -128,7 +125,7 @@ class _Loss(torch.nn.Module):
 
 
 def _adam(model: torch.nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
-    """Adam, or with weight decay AdamW; vectors, which are biases and scales, do not decay."""
+    """AdamW; vectors, which are biases and scales, do not decay."""
     trainable = [parameter for parameter in model.parameters() if parameter.requires_grad]
     groups = [
         {"params": [parameter for parameter in trainable if parameter.ndim > 1], "weight_decay": config.weight_decay},
@@ -138,14 +135,13 @@ def _adam(model: torch.nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
 
 
 def _muon(model: torch.nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
-    """Muon for the weights of hidden layers; Adam for vectors and for the layers that a network names its ENDS."""
+    """Muon for the weights of hidden layers; AdamW for vectors and for the layers that a network names its ENDS."""
     ends = tuple(f"{name}." for name in getattr(model, "ENDS", ()))
     groups: dict[tuple[bool, bool], list[torch.nn.Parameter]] = {}
     for name, parameter in model.named_parameters():
         if parameter.requires_grad:
-            groups.setdefault((parameter.ndim > 1 and not name.startswith(ends), parameter.ndim > 1), []).append(
-                parameter
-            )
+            kind = (parameter.ndim > 1 and not name.startswith(ends), parameter.ndim > 1)
+            groups.setdefault(kind, []).append(parameter)
     return Muon(
         [
             {"params": parameters, "orthogonal": hidden, "weight_decay": config.weight_decay if weights else 0.0}
@@ -153,15 +149,6 @@ def _muon(model: torch.nn.Module, config: TrainConfig) -> torch.optim.Optimizer:
         ],
         config.learning_rate,
     )
-
-
-def _half(config: TrainConfig, device: torch.device) -> torch.dtype | None:
-    """The half-precision type; None for float32."""
-    if config.mixed_precision == "bfloat16":
-        return torch.bfloat16
-    if config.mixed_precision == "off" or device.type != "cuda":
-        return None
-    return torch.bfloat16 if torch.cuda.get_device_capability(device) >= BF16_SINCE else torch.float16
 
 
 def _copied(model: torch.nn.Module) -> Tensors:

@@ -1,33 +1,33 @@
-"""One training loop for every network: Adam, validation on fixed examples, checkpoints, one process or several.
+"""One training loop for every network: validation on fixed examples, checkpoints, one process or several.
 
 A run writes into a folder: config.json, log.jsonl with a row for each validation, best.safetensors and best.json,
-curve.svg, and checkpoint.safetensors, from which the same call resumes after a stop or a kill with the same results.
+curve.svg, and checkpoint.pt, from which the same call resumes after a stop or a kill with the same results.
 """
 
 from __future__ import annotations
 
+import ctypes
 import json
 import math
 import os
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import torch
+from tqdm import tqdm
 
 from baselines.training.batches import Batch, Task, train_batches, validation_batches
 from baselines.training.checkpoint import read_state, write_state
 from baselines.training.config import FREE, TrainConfig
 from baselines.training.curve import curve
 from baselines.training.descent import Descent
-from baselines.training.memory import keep_memory
-from baselines.training.ranks import Ranks, joined, processes_here
-from baselines.training.reports import Report
+from baselines.training.processes import Processes, joined, processes_here
 from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError
 from kit1000.files import clear_partial, locked, read_json, write_bytes, write_json
@@ -36,13 +36,13 @@ from kit1000.perception.networks.weight_files import save_weights
 
 __all__ = ["Batch", "Task", "TrainConfig", "TrainingResult", "train"]
 
-CONFIG, LOG, BEST, CURVE, CHECKPOINT = "config.json", "log.jsonl", "best", "curve.svg", "checkpoint.safetensors"
+CONFIG, LOG, BEST, CURVE, CHECKPOINT = "config.json", "log.jsonl", "best", "curve.svg", "checkpoint.pt"
 
-RAISED = "raised_from"  # the settings' key for the former numbers of steps
+TRIM_THRESHOLD, MMAP_MAX = -1, -4  # names of glibc's mallopt
 STOPPING = "training: stopping after this step, with a checkpoint; once more stops at once"
 
 Measures = dict[str, dict[str, float]]
-StopReason = Literal["steps", "patience", "time"]
+StopReason = Literal["steps", "time"]
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class TrainingResult:
     """How a call of `train` ended."""
 
     stopped_by: StopReason
-    """steps: all steps done; patience: no improvement for too long; time: the limit, and the same call resumes."""
+    """steps: all steps are done; time: the time limit was reached, and the same call resumes."""
     step: int
     seconds: float
     """Seconds of all calls together."""
@@ -74,7 +74,6 @@ class _Progress:
     best_step: int | None = None
     measures: Measures = field(default_factory=dict)
     """Measures at the best step."""
-    validations_since_best: int = 0
 
 
 @dataclass
@@ -86,7 +85,7 @@ class _Run:
     folder: Path
     settings: dict[str, Any]
     """What the results depend on, as JSON has it: `train` and `about`."""
-    ranks: Ranks
+    processes: Processes
     descent: Descent
     progress: _Progress
 
@@ -111,74 +110,77 @@ def train(
         InputError: the folder is of another run, a file in it is damaged, or a loss or measure is not finite.
     """
     settings = json.loads(json.dumps({"train": asdict(config), "about": dict(about or {})}))
-    with joined(device) as ranks, _settings(config, ranks), locked(folder) if ranks.first else nullcontext():
-        if config.batch % ranks.world:
-            raise InputError(f"batch: expected a multiple of the {ranks.world} processes, got {config.batch}")
-        run = _opened(task, config, folder, settings, ranks)
-        stopped_by = _stop_reason(run) or _run_steps(run)
+    with joined(device) as processes, _settings(config, processes), _only_run(folder, processes):
+        if config.batch % processes.count:
+            raise InputError(f"batch: expected a multiple of the {processes.count} processes, got {config.batch}")
+        run = _opened(task, config, folder, settings, processes)
+        stopped_by = _run_steps(run) if run.progress.step < config.steps else "steps"
         progress = run.progress
         return TrainingResult(stopped_by, progress.step, progress.seconds, progress.best_step, progress.measures)
 
 
+def _only_run(folder: Path, processes: Processes) -> AbstractContextManager[Any]:
+    """Refuse another run that writes into the same folder."""
+    return locked(folder) if processes.first else nullcontext()
+
+
 def _run_steps(run: _Run) -> StopReason:
-    """Take steps until there is a reason to stop."""
-    config, progress, ranks = run.config, run.progress, run.ranks
+    """Take steps until all are taken, the time is over, or a signal asks to stop."""
+    config, progress, processes = run.config, run.progress, run.processes
     began = time.monotonic() - progress.seconds
     ends = math.inf if config.time_limit_s is None else time.monotonic() + config.time_limit_s
-    steps, indices = range(progress.step, config.steps), ranks.share(config.batch)
-    batches = train_batches(run.task, config.seed, config.batch, steps, indices, _workers(config, ranks), ranks.device)
+    steps, indices = range(progress.step, config.steps), processes.share(config.batch)
+    workers = _workers(config, processes)
+    batches = train_batches(run.task, config.seed, config.batch, steps, indices, workers, processes.device)
     kept = progress.step  # at the last checkpoint
+    bar = tqdm(steps, "training", config.steps, unit="step", initial=kept, disable=None if processes.first else True)
     try:
-        with (
-            deferred_interrupts(STOPPING) as interrupt,
-            closing(batches) as batches,  # pyright: ignore[reportArgumentType]
-            Report(ranks.first, progress.step, config.steps) as report,
-        ):
+        with deferred_interrupts(STOPPING) as interrupt, closing(batches), closing(bar):  # pyright: ignore[reportArgumentType]
             for batch in batches:
                 run.descent.step(progress.step, batch)
                 progress.step += 1
                 progress.steps_since_log += 1
                 progress.seconds = time.monotonic() - began
-                validates = progress.step % config.validate_every == 0 or progress.step == config.steps
-                report.step(progress.step, progress.seconds, _validate(run) if validates else None)
-                ends_now = ranks.agreed(interrupt.requested or time.monotonic() >= ends)
-                stopped_by = _stop_reason(run) or ("time" if ends_now else None)
-                if stopped_by or progress.step % config.checkpoint_every == 0:
+                bar.update()
+                done = progress.step == config.steps
+                if done or progress.step % config.validate_every == 0:
+                    _report(run, bar, _validate(run))
+                stopped = done or processes.agreed(interrupt.requested or time.monotonic() >= ends)
+                if stopped or progress.step % config.checkpoint_every == 0:
                     _write_checkpoint(run)
                     kept = progress.step
-                if interrupt.requested and stopped_by == "time":
+                if interrupt.requested and stopped and not done:
                     raise KeyboardInterrupt
-                if stopped_by:
-                    return stopped_by
+                if stopped:
+                    return "steps" if done else "time"
     except KeyboardInterrupt:
-        if ranks.first:
-            print(f"training: stopped; the same command goes on from step {kept}", file=sys.stderr)
+        if processes.first:
+            print(f"training: stopped; the same command continues from step {kept}", file=sys.stderr)
         raise
-    raise AssertionError("the last step is a reason to stop")
+    raise AssertionError("the last step ends the loop")
 
 
-def _stop_reason(run: _Run) -> StopReason | None:
-    """Why the run is complete, if it is."""
-    if run.progress.step >= run.config.steps:
-        return "steps"
-    patience = run.config.patience
-    return "patience" if patience is not None and run.progress.validations_since_best >= patience else None
+def _report(run: _Run, bar: tqdm, measured: str) -> None:
+    """Show what a validation measured: in the bar of a terminal, as a line in a log file."""
+    bar.set_postfix_str(measured)
+    if run.processes.first and bar.disable:
+        progress = run.progress
+        line = f"training: step {progress.step} of {run.config.steps}, {progress.seconds:.0f} s, {measured}"
+        print(line, file=sys.stderr, flush=True)
 
 
 def _validate(run: _Run) -> str:
-    """Measure, log, keep the weights if they are the best so far, draw; returns the first measure as text."""
-    progress, first = run.progress, run.ranks.first
+    """Measure, save the weights if they are the best so far, log and draw; returns the first measure as text."""
+    progress, first = run.progress, run.processes.first
     loss = _mean_loss(run)
     with run.descent.evaluation():
         measures = validate(run)
         name, chosen = next(iter(measures.items()))
-        better = progress.best is None or chosen["median"] < progress.best
-        if better:
+        if progress.best is None or chosen["median"] < progress.best:
             progress.best, progress.best_step, progress.measures = chosen["median"], progress.step, measures
             if first:
                 info = {**run.settings, "step": progress.step, "seconds": progress.seconds, "measures": measures}
                 save_weights(run.folder / BEST, run.descent.model, info, largest=None)
-    progress.validations_since_best = 0 if better else progress.validations_since_best + 1
     if first:
         row = {"step": progress.step, "loss": loss, "learning_rate": run.config.learning_rate_at(progress.step - 1)}
         progress.log_bytes = _log(run.folder, {**row, "seconds": round(progress.seconds, 3), "measures": measures})
@@ -189,15 +191,15 @@ def _validate(run: _Run) -> str:
 
 def validate(run: _Run) -> Measures:
     """Mean and median of each measure over all validation examples."""
-    keys, ranks = run.task.validation_keys(), run.ranks
+    keys, processes = run.task.validation_keys(), run.processes
     if not len(keys):
         raise InputError("expected at least one validation example")
-    own, workers = ranks.share(len(keys)), _workers(run.config, ranks)
+    own, workers = processes.share(len(keys)), _workers(run.config, processes)
     measured: dict[str, list[float]] = {}
-    for batch in validation_batches(run.task, keys, own, run.config.batch, workers, ranks.device):
+    for batch in validation_batches(run.task, keys, own, run.config.batch, workers, processes.device):
         for name, values in run.task.measure(batch).items():
             measured.setdefault(name, []).extend(values.double().tolist())
-    shares = ranks.gathered(measured)
+    shares = processes.gathered(measured)
     return {name: _summary(run, name, np.concatenate([share.get(name, []) for share in shares])) for name in shares[0]}
 
 
@@ -232,59 +234,42 @@ def _log(folder: Path, row: Mapping[str, Any]) -> int:
 def _write_checkpoint(run: _Run) -> None:
     """Write a checkpoint."""
     _mean_loss(run)  # weights after a loss that is not finite are useless
-    if run.ranks.first:
-        info = {"settings": run.settings, "progress": asdict(run.progress), "descent": run.descent.numbers()}
-        write_state(run.folder / CHECKPOINT, run.descent.tensors(), info)
+    if run.processes.first:
+        state = {"settings": run.settings, "progress": asdict(run.progress), **run.descent.state()}
+        write_state(run.folder / CHECKPOINT, state)
 
 
-def _opened(task: Task, config: TrainConfig, folder: Path, settings: dict[str, Any], ranks: Ranks) -> _Run:
+def _opened(task: Task, config: TrainConfig, folder: Path, settings: dict[str, Any], processes: Processes) -> _Run:
     """A run at its start, or at its last checkpoint."""
     if (folder / CONFIG).exists():
-        settings = _continued(folder, read_json(folder / CONFIG), settings)
-    elif ranks.first:
+        _check_same(folder, read_json(folder / CONFIG), settings)
+    elif processes.first:
         _check_unused(folder)
-    run = _Run(task, config, folder, settings, ranks, Descent(task, config, ranks), _Progress())
+    run = _Run(task, config, folder, settings, processes, Descent(task, config, processes), _Progress())
     if (folder / CHECKPOINT).exists():
-        tensors, info = read_state(folder / CHECKPOINT)
-        _continued(folder, info["settings"], settings)
-        run.descent.restore(tensors, info["descent"], folder / CHECKPOINT)
-        run.progress = _Progress(**info["progress"])
-    if ranks.first:
+        state = read_state(folder / CHECKPOINT)
+        _check_same(folder, state["settings"], settings)
+        run.descent.restore(state, folder / CHECKPOINT)
+        run.progress = _Progress(**state["progress"])
+    if processes.first:
         clear_partial(folder)
         _truncate(folder / LOG, run.progress.log_bytes)
         write_json(folder / CONFIG, settings)
     return run
 
 
-def _continued(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings of a run that goes on. Raises InputError where a folder is of a run with other settings.
-
-    The steps of a finished run may be raised: its settings then have the former numbers as `raised_from`.
-    """
+def _check_same(folder: Path, old: Mapping[str, Any], new: Mapping[str, Any]) -> None:
+    """Raise InputError if a folder holds a run with other settings."""
     free = {f"train.{name}" for name in FREE}
-    before, after = old.get("train", {}).get("steps"), new["train"]["steps"]
-    history = [*old.get(RAISED, [])]
-    if before != after and isinstance(before, int) and before < after and _finished(folder, before):
-        history, free = [*history, before], free | {"train.steps"}
-    was, now = ({k: v for k, v in _flat(settings).items() if k not in free and k != RAISED} for settings in (old, new))
+    was, now = ({k: v for k, v in _flat(settings).items() if k not in free} for settings in (old, new))
     for name in [*now, *was]:
         if was.get(name) != now.get(name):
             difference = f"{name.partition('.')[2]} {was.get(name)!r}, now {now.get(name)!r}"
-            first = "let it finish before you raise its steps, " if name == "train.steps" and before < after else ""
-            repair = f"{first}choose another folder, or delete this one"
-            raise InputError(f"{folder}: holds a run with {difference}; {repair}")
-    return {**new, RAISED: history} if history else dict(new)
-
-
-def _finished(folder: Path, steps: int) -> bool:
-    """Whether the checkpoint of a run is at its last step, or beyond it."""
-    if not (folder / CHECKPOINT).exists():
-        return False
-    return read_state(folder / CHECKPOINT)[1]["progress"]["step"] >= steps
+            raise InputError(f"{folder}: holds a run with {difference}; choose another folder, or delete this one")
 
 
 def _check_unused(folder: Path) -> None:
-    """Raise InputError where a new run would replace files of another origin."""
+    """Raise InputError if a new run would replace files of another origin."""
     for name in (LOG, f"{BEST}.json", f"{BEST}.safetensors", CURVE, CHECKPOINT):
         if (folder / name).exists():
             raise InputError(f"{folder}: holds {name}, but no {CONFIG} of a run; it stays: choose another folder")
@@ -309,21 +294,33 @@ def _truncate(log: Path, size: int) -> None:
 
 
 @contextmanager
-def _settings(config: TrainConfig, ranks: Ranks) -> Iterator[None]:
+def _settings(config: TrainConfig, processes: Processes) -> Iterator[None]:
     """Set the threads and the random state of PyTorch; the caller's are restored afterwards."""
-    if ranks.device.type == "cpu":
-        keep_memory()
+    if processes.device.type == "cpu":
+        _keep_freed_memory()
     threads = torch.get_num_threads()
     torch.set_num_threads(config.threads or max(usable_cores() // processes_here(), 1))
     try:
-        with torch.random.fork_rng([ranks.device] if ranks.device.type == "cuda" else []):
+        with torch.random.fork_rng([processes.device] if processes.device.type == "cuda" else []):
             yield
     finally:
         torch.set_num_threads(threads)
 
 
-def _workers(config: TrainConfig, ranks: Ranks) -> int:
-    """Processes that make examples."""
+def _keep_freed_memory() -> None:
+    """Make glibc keep freed memory for the rest of the process.
+
+    Tensors of more than 32 MB are otherwise mapped anew each time, and touching their fresh pages costs more than the
+    arithmetic of a small network: a step takes up to half as long again.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform.startswith("linux") else None
+    if mallopt is not None:  # other C libraries have none
+        mallopt(MMAP_MAX, 0)
+        mallopt(TRIM_THRESHOLD, 2**31 - 1)
+
+
+def _workers(config: TrainConfig, processes: Processes) -> int:
+    """The number of processes that make examples."""
     if config.workers is not None:
         return config.workers
-    return max(usable_cores() // processes_here(), 1) if ranks.device.type == "cuda" else 1
+    return max(usable_cores() // processes_here(), 1) if processes.device.type == "cuda" else 1

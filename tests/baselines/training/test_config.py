@@ -23,7 +23,7 @@ def test_the_learning_rate_rises_then_falls() -> None:
     assert replace(config, decay="none").learning_rate_at(109) == 1.0
 
 
-INVALID = {"steps": 0, "batch": -1, "learning_rate": 0.0, "ema_decay": 1.0, "clip": 0.0, "workers": -1, "patience": 0}
+INVALID = {"steps": 0, "batch": -1, "learning_rate": 0.0, "ema_decay": 1.0, "clip": 0.0, "workers": -1}
 
 
 @pytest.mark.parametrize(("name", "value"), INVALID.items())

@@ -1,8 +1,7 @@
-"""Weights and states: what is written is read back to the bit, and any fault of a file gives one line."""
+"""Weights: what is written is read back to the bit, and any fault of a file gives one line."""
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +12,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import nn
 
-from baselines.training.checkpoint import load_into_optimizer, optimizer_tensors, read_state, write_state
 from kit1000.errors import InputError
 from kit1000.perception.networks.weight_files import (
     LARGEST,
@@ -35,15 +33,6 @@ def network(seed: int = 0, width: int = 5) -> nn.Sequential:
 def same(a: dict[str, torch.Tensor], b: dict[str, torch.Tensor]) -> bool:
     """To the bit."""
     return a.keys() == b.keys() and all(a[name].dtype == b[name].dtype and a[name].equal(b[name]) for name in a)
-
-
-def error_of(path: Path) -> str | None:
-    """The message for a state that cannot be read, or not into this network; None for a good one."""
-    try:
-        load_into(network(1), read_state(path)[0]["model"], path)
-    except InputError as error:
-        return str(error)
-    return None
 
 
 @pytest.fixture
@@ -198,82 +187,3 @@ def test_tensors_of_another_network_are_refused_and_change_nothing(
     with pytest.raises(InputError, match=message):
         load_into(model, changed, "w.st")
     assert same(copied_state(model), before)
-
-
-def test_a_state_is_read_back_to_the_bit(tmp_path: Path) -> None:
-    info = {"step": 3, "third": 1 / 3, "nested": {"none": None}}
-    write_state(tmp_path / "s", {"model": copied_state(network()), "average": {}}, info)
-    groups, read = read_state(tmp_path / "s")
-    assert same(groups["model"], copied_state(network()))
-    assert groups["average"] == groups["optimizer"] == {}
-    assert read == info
-
-
-@given(place=st.floats(0, 1, exclude_max=True), flip=st.integers(1, 255))
-@settings(max_examples=60)
-def test_a_changed_byte_of_a_state_is_noticed_or_harmless(
-    tmp_path_factory: pytest.TempPathFactory, place: float, flip: int
-) -> None:
-    path, info = tmp_path_factory.mktemp("state") / "s", {"step": 3}
-    write_state(path, {"model": copied_state(network())}, info)
-    data = bytearray(path.read_bytes())
-    data[int(place * len(data))] ^= flip
-    path.write_bytes(data)
-    if (error := error_of(path)) is None:
-        groups, read = read_state(path)
-        assert read == info
-        assert all(groups["model"][name].equal(value) for name, value in copied_state(network()).items())
-    else:
-        assert str(path) in error
-        assert "\n" not in error
-
-
-@pytest.mark.parametrize("share", [0.0, 0.001, 0.1, 0.5, 0.99])
-def test_a_state_cut_short_is_damaged(tmp_path: Path, share: float) -> None:
-    path = tmp_path / "s"
-    write_state(path, {"model": copied_state(network())}, {})
-    data = path.read_bytes()
-    path.write_bytes(data[: int(share * len(data))])
-    assert "damaged" in str(error_of(path))
-
-
-def test_missing_and_foreign_states_are_named(tmp_path: Path) -> None:
-    assert error_of(tmp_path / "s") == f"no file {tmp_path / 's'}"
-    save_weights(tmp_path / "w", network(), {})  # good tensors, but no state
-    assert "no checkpoint of a training run" in str(error_of(tmp_path / "w.safetensors"))
-    (tmp_path / "t").write_text(json.dumps({"step": 3}))
-    assert "no checkpoint of a training run" in str(error_of(tmp_path / "t"))
-    assert "cannot read" in str(error_of(tmp_path))
-
-
-def take_steps(model: nn.Module, optimizer: torch.optim.Optimizer, steps: int) -> None:
-    for step in range(steps):
-        x = torch.linspace(-1, 1, 12).view(4, 3) + step
-        optimizer.zero_grad()
-        model(x).square().mean().backward()
-        optimizer.step()
-
-
-def test_an_optimizer_resumes_to_the_bit() -> None:
-    model = network()
-    model[2].bias.requires_grad_(False)  # a parameter without state
-    optimizer = torch.optim.AdamW(model.parameters(), 0.1)
-    take_steps(model, optimizer, 3)
-    other = network(1)
-    load_into(other, copied_state(model), "")
-    fresh = torch.optim.AdamW(other.parameters(), 0.1)
-    load_into_optimizer(other, fresh, optimizer_tensors(model, optimizer), "")
-    other[2].bias.requires_grad_(False)
-    take_steps(model, optimizer, 2)
-    take_steps(other, fresh, 2)
-    assert same(copied_state(other), copied_state(model))
-    assert same(optimizer_tensors(other, fresh), optimizer_tensors(model, optimizer))
-
-
-@pytest.mark.parametrize("change", [{"exp_avg.9.weight": torch.ones(5, 3)}, {"exp_avg.0.weight": torch.ones(4, 3)}])
-def test_the_optimizer_state_of_another_network_is_refused(change: dict[str, torch.Tensor]) -> None:
-    model = network()
-    optimizer = torch.optim.AdamW(model.parameters(), 0.1)
-    take_steps(model, optimizer, 1)
-    with pytest.raises(InputError, match=rf"s: the optimizer's {next(iter(change))} fits no parameter"):
-        load_into_optimizer(model, optimizer, optimizer_tensors(model, optimizer) | change, "s")

@@ -1,4 +1,4 @@
-"""The processes of one training run: one, or several started by torchrun, each with its device."""
+"""The processes of one training run: one, or several that torchrun started, each with its device."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ import torch.distributed as dist
 
 from kit1000.errors import InputError
 
-BACKENDS = "cpu:gloo,cuda:nccl"  # numbers and decisions by gloo, gradients on a GPU by nccl
+BACKENDS = "cpu:gloo,cuda:nccl"  # gloo for numbers and decisions, nccl for gradients on GPUs
 
 
 @dataclass(frozen=True)
-class Ranks:
-    """The rank of this process, the number of processes, and its device."""
+class Processes:
+    """The rank of this process, the number of processes, and the device of this one."""
 
     rank: int
-    world: int
+    count: int
     device: torch.device
 
     @property
@@ -31,56 +31,52 @@ class Ranks:
 
     def share(self, count: int) -> range:
         """The indices of this process among `count`."""
-        return range(self.rank, count, self.world)
+        return range(self.rank, count, self.count)
 
     def agreed(self, decision: bool) -> bool:
         """The decision of the first process."""
-        if self.world == 1:
-            return decision
-        value = torch.tensor(int(decision))
-        dist.broadcast(value, 0)
-        return bool(value)
+        return bool(self.gathered(decision)[0])
 
     def mean(self, value: torch.Tensor) -> torch.Tensor:
         """The mean of a tensor over the processes."""
-        if self.world == 1:
+        if self.count == 1:
             return value
         total = value.clone()
         dist.all_reduce(total)
-        return total / self.world
+        return total / self.count
 
     def gathered(self, value: Any) -> list[Any]:
         """The values of all processes in their order, in every process; a value is pickled."""
-        if self.world == 1:
+        if self.count == 1:
             return [value]
-        values = [None] * self.world
+        values = [None] * self.count
         dist.all_gather_object(values, value)
         return values
 
 
 @contextmanager
-def joined(device: torch.device | str | None = None) -> Iterator[Ranks]:
+def joined(device: torch.device | str | None = None) -> Iterator[Processes]:
     """The processes of the environment (WORLD_SIZE, RANK, LOCAL_RANK, as torchrun sets them), or this one alone.
 
     Args:
-        device: a GPU where there is one, else the CPU, when None; each process of a machine takes a GPU of its own.
+        device: by default a GPU if there is one, else the CPU; each process of a computer takes a GPU of its own.
     """
-    rank, world = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+    rank, count = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
     chosen = _device(device)
     if chosen.type == "cuda":
         torch.cuda.set_device(chosen)
-    begun = world > 1 and not dist.is_initialized()
+    begun = count > 1 and not dist.is_initialized()
     if begun:
-        dist.init_process_group(BACKENDS if chosen.type == "cuda" else "gloo", rank=rank, world_size=world)
+        dist.init_process_group(BACKENDS if chosen.type == "cuda" else "gloo", rank=rank, world_size=count)
     try:
-        yield Ranks(rank, world, chosen)
+        yield Processes(rank, count, chosen)
     finally:
         if begun:
             dist.destroy_process_group()
 
 
 def processes_here() -> int:
-    """The number of processes of the run on this machine."""
+    """The number of processes of the run on this computer."""
     return int(os.environ.get("LOCAL_WORLD_SIZE", os.environ.get("WORLD_SIZE", 1)))
 
 
@@ -90,5 +86,5 @@ def _device(device: torch.device | str | None) -> torch.device:
         return chosen
     index = int(os.environ.get("LOCAL_RANK", 0))
     if index >= torch.cuda.device_count():
-        raise InputError(f"process {index} of this machine has no GPU: it has {torch.cuda.device_count()}")
+        raise InputError(f"process {index} of this computer has no GPU: it has {torch.cuda.device_count()}")
     return torch.device("cuda", index)
