@@ -24,6 +24,7 @@ TESTED  = $(if $(AREA),$(if $(filter $(AREA),$(AREAS)),tests/$(AREA),$(error no 
 PYTEST  = $(BIN)/python -m pytest --numprocesses 2 --dist loadfile
 CHANGED = { git diff --name-only --diff-filter=d HEAD; git ls-files --others --exclude-standard; } 2>/dev/null \
           | grep -E '^(kit1000|benchmark|baselines|bench|examples|tests)/.*\.py$$'
+LAYERS  = $(BIN)/lint-imports --no-cache --no-logo
 ROW     = $(BIN)/python -m baselines predict --data "$(DATA)" --tracks snap-d415 $(if $(WORKERS),--workers $(WORKERS))
 OUT     =
 TO      = $(if $(OUT),--out "$(OUT)/speed-$(1).json")
@@ -65,12 +66,15 @@ test: $(DEV) browser ## the test suite; AREA=kits runs tests/kits alone
 test-slow: $(DEV) browser ## the tests that take longer
 	$(BIN)/python -m pytest -m slow $(TESTED)
 
-check: $(DEV) ## in a minute: ruff, types of changed files, rules of the house, tests without dataset, browser or torch
+check: $(DEV) ## in a minute: ruff, layers, types of changed files, tests that were short before and need no dataset
 	$(BIN)/ruff check .
+	$(LAYERS)
 	@{ $(CHANGED) | xargs -r $(BIN)/pyright; } & types=$$!; $(PYTEST) --quick; tests=$$?; wait $$types && exit $$tests
 
-lint: $(DEV) ## ruff and pyright
+lint: $(DEV) ## ruff, layers of imports, declared packages, types
 	$(BIN)/ruff check .
+	$(LAYERS)
+	$(BIN)/deptry .
 	$(BIN)/pyright
 
 site: $(DEV) ## documentation, API reference and leaderboard, under site/; with DATA rescored, with pictures of cases

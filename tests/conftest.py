@@ -26,7 +26,6 @@ from kit1000.pictures.shading import QUICK, shaded_picture
 from kit1000.values import LabelledDepth, Part
 from tests.samples.checkout import ROOT
 from tests.samples.mini import HIDDEN, HIDDEN_SEED, MINI, Published, fake_scene, publish_by_command
-from tests.samples.sources import loaded
 
 settings.register_profile("kit1000", deadline=None, max_examples=30)  # a busy machine may take its time
 settings.load_profile("kit1000")
@@ -34,75 +33,68 @@ settings.load_profile("kit1000")
 # The processes of a run share the cores: further threads of torch would busily wait for each other.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-TORCH, BROWSER = "torch", "playwright"
-GENERATOR = "kit1000.generation.build"
 GENERATED = {"mini", "withheld", "real_parts"}  # fixtures; those that build on them count too
-LONG_TESTS = ROOT / "tests/long.txt"
 LONG = 0.15  # [s] of processor time for a test function with all its cases
+MEASURED = "kit1000/seconds"  # where pytest's cache keeps the seconds of each test function, as last measured here
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--quick", action="store_true", help="only short tests without dataset, browser or torch")
-    parser.addoption("--write-long", action="store_true", help=f"write which tests take over {LONG} s to {LONG_TESTS}")
+    parser.addoption("--quick", action="store_true", help=f"only tests without dataset that took at most {LONG} s here")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if config.getoption("--write-long"):
-        config.pluginmanager.register(Times(), "times")
-
-
-def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """With --quick, whether a file loads what no quick test needs; such a file is not even imported."""
-    if not config.getoption("--quick") or not collection_path.name.startswith("test_"):
-        return None
-    text = collection_path.read_text(encoding="utf-8")
-    return f"from {GENERATOR} import" in text or BROWSER in text or TORCH in loaded(collection_path) or None
+    if not hasattr(config, "workerinput"):  # the process that gathers the reports of all others
+        config.pluginmanager.register(Times(config), "times")
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """With --quick, leave out long tests and those whose fixtures build on a generated dataset."""
+    """With --quick, leave out tests that took long at their last run, and those that need a generated dataset."""
     if not config.getoption("--quick"):
         return
-    long = set(LONG_TESTS.read_text(encoding="utf-8").split())
+    seconds = _measured(config)
     quick: list[pytest.Item] = []
     left_out: list[pytest.Item] = []
     for item in items:
         generated = not GENERATED.isdisjoint(getattr(item, "fixturenames", ()))
-        (left_out if generated or _function(item.nodeid) in long else quick).append(item)
+        (left_out if generated or seconds.get(_function(item.nodeid), 0) > LONG else quick).append(item)
     config.hook.pytest_deselected(items=left_out)
     items[:] = quick
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item: pytest.Item) -> Iterator[None]:
+    before = os.times()
+    try:
+        return (yield)
+    finally:
+        item.user_properties.append(("seconds", sum(os.times()[:4]) - sum(before[:4])))  # and those of children
+
+
+class Times:
+    """Adds up the seconds of each test function and keeps them in pytest's cache, with those of earlier runs."""
+
+    def __init__(self, config: pytest.Config) -> None:
+        self.config = config
+        self.seconds: dict[str, float] = {}
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        if report.when == "call":
+            name = _function(report.nodeid)
+            self.seconds[name] = self.seconds.get(name, 0.0) + float(str(dict(report.user_properties)["seconds"]))
+
+    def pytest_sessionfinish(self) -> None:
+        cache = self.config.cache
+        if cache is not None:
+            cache.set(MEASURED, _measured(self.config) | self.seconds)
+
+
+def _measured(config: pytest.Config) -> dict[str, float]:
+    return config.cache.get(MEASURED, None) or {} if config.cache is not None else {}
 
 
 def _function(node_id: str) -> str:
     """The test function without its case."""
     return node_id.partition("[")[0]
-
-
-class Times:
-    """Writes the names of long tests; those that did not run keep their entry."""
-
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_call(self, item: pytest.Item) -> Iterator[None]:
-        before = os.times()
-        try:
-            return (yield)
-        finally:
-            item.user_properties.append(("seconds", sum(os.times()[:4]) - sum(before[:4])))  # and those of children
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        name = _function(report.nodeid)
-        seconds = dict(report.user_properties).get("seconds", 0.0) if report.when == "call" else 0.0
-        self.seconds[name] = self.seconds.get(name, 0.0) + float(str(seconds))
-
-    def pytest_sessionfinish(self) -> None:
-        if "PYTEST_XDIST_WORKER" not in os.environ:
-            kept = set(LONG_TESTS.read_text(encoding="utf-8").split()) - set(self.seconds)
-            found = {name for name, seconds in self.seconds.items() if seconds > LONG}
-            names = (name for name in kept | found if (ROOT / name.partition("::")[0]).is_file())
-            LONG_TESTS.write_text("".join(f"{name}\n" for name in sorted(names)), encoding="utf-8")
 
 
 def _folders() -> list[Path]:

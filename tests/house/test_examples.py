@@ -1,4 +1,4 @@
-"""The scripts in examples/ and the Python of the README: short, runnable, and built on public names."""
+"""The scripts in examples/ and the Python of README and guides: short, runnable, and built on public names."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_the_page_lists_every_script() -> None:
 
 def test_the_code_of_the_readme_runs(tiny: Path) -> None:
     names: dict[str, Any] = {}
-    for block in re.findall(r"^```py\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.M | re.S):
+    for block in blocks("README.md"):
         exec(block, names)
     assert names["part"].any()
     assert names["kits"].any()
@@ -126,3 +126,25 @@ def test_the_results_of_the_readme_are_those_of_the_submissions() -> None:
         ):
             decimals = len(shown.partition(".")[2])
             assert shown == f"{value:.{decimals}f}", f"{submission}: {shown} in the README, {value} in its scores"
+
+
+def blocks(page: str) -> list[str]:
+    """The Python blocks of a page that need a dataset."""
+    return re.findall(r"^```py\n(.*?)^```", (ROOT / page).read_text(encoding="utf-8"), re.M | re.S)
+
+
+def test_the_network_of_the_guide_learns(tiny: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    torch = pytest.importorskip("torch")
+    torch.manual_seed(0)
+    exec(blocks("docs/guides/write-a-method.md")[0], {})
+    losses = [float(line.split()[2]) for line in capsys.readouterr().out.splitlines()]
+    assert losses[0] > 15  # [mm] about the error of the guess
+    assert losses[-1] < losses[0] / 2
+
+
+def test_the_own_item_of_the_guide_works(tiny: Path) -> None:
+    learning = pytest.importorskip("kit1000.dataset.torch")
+    exec(blocks("docs/guides/write-a-method.md")[1], names := {})
+    for item in learning.QueryDataset(Dataset("tiny").split("train", truth=True), "snap", names["part_crop"]):
+        assert item["crop"].shape == (128, 128)
+        assert (item["crop"] > 0).any()
