@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from kit1000.cli.command_line import run
-from kit1000.cli.options import Argument
-from kit1000.errors import InputError
+from tyro.conf import Positional, arg
+
+from kit1000.cli.command_line import check_least, run
+from kit1000.cli.options import OptionalFloat, OptionalInt
 from kit1000.perception.networks.precision import Precision
 
 PROGRAM = "python -m baselines"
@@ -22,8 +23,6 @@ ABOUT = """The reference methods of KIT1000: each reads a dataset and writes a s
 
 Results go to stdout, progress to stderr. Exit status: 0 good, 1 the check found differences, 2 wrong usage or bad
 input, 3 a fault of the method or of kit1000, 130 interrupted."""
-
-Count = Annotated[int | None, Argument("N")]
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class List:
 class Predict:
     """Run a method on the queries of a dataset; the same command again resumes an interrupted run."""
 
-    name: Annotated[str, Argument("NAME", positional=True)]
+    name: Annotated[Positional[str], arg(metavar="NAME")]
     """Method of the list, or module:Object or FILE.py:Object of your own."""
     data: Path
     """Dataset folder."""
@@ -53,9 +52,9 @@ class Predict:
     """Splits to predict: one or several of test, curves, val, test-all, train."""
     tracks: tuple[str, ...] = ()
     """Tracks to predict for; all tracks of the method by default."""
-    workers: Count = None
+    workers: OptionalInt = None
     """Number of processes; one per core by default. The predictions do not depend on it."""
-    limit: Count = None
+    limit: OptionalInt = None
     """Number of queries, from the first on; all by default."""
     seed: int = 0
     """Seed of all draws of the method."""
@@ -69,8 +68,7 @@ class Predict:
         from baselines.catalog import METHOD_TABLES
         from kit1000.prediction.predict import RunConfig, predict_and_describe
 
-        for name, value, least in (("workers", self.workers, 1), ("limit", self.limit, 1), ("seed", self.seed, 0)):
-            _check_least(name, value, least)
+        check_least(workers=(self.workers, 1), limit=(self.limit, 1), seed=(self.seed, 0))
         tracks = self.tracks or None
         config = RunConfig.of(
             self.name, self.masks, self.split, tracks, self.seed, self.limit, METHOD_TABLES, self.weights
@@ -83,21 +81,20 @@ class Predict:
 class Rerun:
     """Predict queries of submissions again and compare with the predictions in them."""
 
-    submissions: Annotated[tuple[Path, ...], Argument("SUBMISSION...", positional=True)]
+    submissions: Annotated[Positional[tuple[Path, ...]], arg(metavar="SUBMISSION...")]
     """Folders that `predict` wrote with seed 0."""
     data: Path
     """Dataset folder."""
-    first: Annotated[int, Argument("N")] = 50
+    first: int = 50
     """Number of queries of each submission, from the first on."""
-    workers: Count = None
+    workers: OptionalInt = None
     """Number of processes; one per core by default."""
 
     def run(self) -> int:
         """Predict and compare; 1 where a prediction differs."""
         from baselines.running.rerun import rerun
 
-        _check_least("first", self.first, 1)
-        _check_least("workers", self.workers, 1)
+        check_least(first=(self.first, 1), workers=(self.workers, 1))
         good = True
         for folder in self.submissions:
             again = rerun(folder, self.data, self.first, self.workers)
@@ -110,7 +107,7 @@ class Rerun:
 class Train:
     """Train a network; the same command again resumes after a stop, a crash or a kill."""
 
-    name: Annotated[str, Argument("NAME", positional=True)]
+    name: Annotated[Positional[str], arg(metavar="NAME")]
     """Name of the network, such as snapnet-gtvol-position; a wrong name lists them all."""
     data: Path
     """Dataset folder, with its ground truth."""
@@ -118,21 +115,21 @@ class Train:
     """Folder of this run: checkpoint, log, best weights."""
     preset: str = "small"
     """Sizes and training: small for two cores, paper for a GPU; pretraining, then pretraining-2, to start from."""
-    steps: Count = None
+    steps: OptionalInt = None
     """Number of training steps; that of the preset by default."""
-    batch: Count = None
+    batch: OptionalInt = None
     """Number of examples of a step; that of the preset by default."""
-    seed: Count = None
+    seed: OptionalInt = None
     """Seed of the initial weights and all draws; that of the preset by default."""
-    learning_rate: Annotated[float | None, Argument("X")] = None
+    learning_rate: OptionalFloat = None
     """Learning rate at its peak; that of the preset by default."""
     start: Path | None = None
     """Weights to start from, a .safetensors file of the same network; new ones by default."""
-    workers: Count = None
+    workers: OptionalInt = None
     """Number of processes that make examples; that of the preset by default."""
-    threads: Count = None
+    threads: OptionalInt = None
     """Number of PyTorch threads; that of the preset, or one a core, by default."""
-    time_limit_s: Annotated[float | None, Argument("S")] = None
+    time_limit_s: OptionalFloat = None
     """Time [s] after which training stops, with a checkpoint; no limit by default."""
 
     def run(self) -> int:
@@ -153,7 +150,7 @@ class Ship:
 
     `predict --weights RUN` uses weights of your own and replaces nothing."""
 
-    run_folder: Annotated[Path, Argument("RUN", positional=True)]
+    run_folder: Annotated[Positional[Path], arg(metavar="RUN")]
     """Folder that `train` wrote."""
     commit: str
     """Commit of the code that trained the weights: `git rev-parse HEAD`."""
@@ -168,11 +165,6 @@ class Ship:
 
         print(ship(self.run_folder, weights_folder, self.commit, self.precision))
         return 0
-
-
-def _check_least(name: str, value: int | None, least: int) -> None:
-    if value is not None and value < least:
-        raise InputError(f"--{name}: expected {least} or more, got {value}")
 
 
 COMMANDS = {"list": List, "predict": Predict, "rerun": Rerun, "train": Train, "ship": Ship}

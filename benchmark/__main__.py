@@ -8,8 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from kit1000.cli.command_line import run
-from kit1000.cli.options import Argument
+from tyro.conf import Positional, arg
+
+from kit1000.cli.command_line import check_least, run
+from kit1000.cli.options import OptionalInt, OptionalPath
 from kit1000.errors import InputError
 from kit1000.files import user_cache
 
@@ -24,10 +26,9 @@ ABOUT = """The benchmark of KIT1000: scores with intervals, robustness curves, p
 Results go to stdout, progress to stderr. Exit status: 0 success, 1 a check failed,
 2 wrong usage or bad input, 3 a fault of kit1000 itself, 130 interrupted."""
 
-Optional = Annotated[Path | None, Argument("PATH")]
-Folder = Annotated[Path, Argument("DIR")]
-One = Annotated[Path, Argument("SUBMISSION", positional=True)]
-Several = Annotated[tuple[Path, ...], Argument("SUBMISSION...", positional=True)]
+Folder = Annotated[Path, arg(metavar="DIR")]
+One = Annotated[Positional[Path], arg(metavar="SUBMISSION")]
+Several = Annotated[Positional[tuple[Path, ...]], arg(metavar="SUBMISSION...")]
 Split = Literal["test", "test-all", "val", "train"]
 
 
@@ -39,9 +40,9 @@ class Score:
     """Folder with manifest.toml and predictions.csv."""
     data: Folder
     """Dataset folder, with ground truth."""
-    out: Optional = None
+    out: OptionalPath = None
     """File for the scores; scores.json in the folder of the submission when absent."""
-    per_query: Optional = None
+    per_query: OptionalPath = None
     """CSV file with one row per query."""
     split: Split = "test"
     """Split to score; with test the curves are scored too."""
@@ -49,7 +50,7 @@ class Score:
     """Predictions that the exact seating test decides: those near a limit, all, or none."""
     workers: int = 1
     """Number of processes for the seating test; any number gives the same scores."""
-    cache: Optional = None
+    cache: OptionalPath = None
     """Folder of cached results; below ~/.cache/kit1000 when absent."""
     no_cache: bool = False
     """Measure everything, and cache nothing."""
@@ -64,13 +65,14 @@ class Score:
         from kit1000.dataset.reader import Dataset
         from kit1000.files import write_bytes, write_own
 
-        workers, cache = _workers(self.workers), _cache(self.cache, self.no_cache)
+        check_least(workers=(self.workers, 1))
+        cache = _cache(self.cache, self.no_cache)
         if self.out is None:
             _check_scores(self.submission / "scores.json")
         submission = read_checked(self.submission, self.data, self.split)
         if warning := invalid_text(submission):
             print(f"{PROGRAM}: {warning}", file=sys.stderr)
-        scores = score(submission, Dataset(self.data), None, self.split, self.exact, workers, cache)
+        scores = score(submission, Dataset(self.data), None, self.split, self.exact, self.workers, cache)
         print(score_text(scores.summary, self.breakdown))  # before a file that cannot be written
         text = json_text(scores.summary).encode()
         if self.out is None:
@@ -99,8 +101,9 @@ class Rescore:
         """Score and compare."""
         from benchmark.rescore import rescore
 
+        check_least(workers=(self.workers, 1))
         same = True
-        for folder, differences in rescore(self.submissions, self.data, _workers(self.workers), self.refresh):
+        for folder, differences in rescore(self.submissions, self.data, self.workers, self.refresh):
             result = f"{len(differences)} values differ; {differences[0]}" if differences else "the same scores"
             print(f"{folder}: {result}", flush=True)
             same &= not differences
@@ -128,19 +131,19 @@ class Curves:
 class Compare:
     """Compare two methods: paired differences with intervals, and McNemar's test of seating."""
 
-    a: Annotated[Path, Argument("A", positional=True)]
+    a: Annotated[Positional[Path], arg(metavar="A")]
     """Folder of the first submission."""
-    b: Annotated[Path, Argument("B", positional=True)]
+    b: Annotated[Positional[Path], arg(metavar="B")]
     """Folder of the second submission."""
     data: Folder
     """Dataset folder, with ground truth."""
     tracks: tuple[str, ...] = ()
     """Tracks to compare; all that both have when absent."""
-    out: Optional = None
+    out: OptionalPath = None
     """JSON file for the comparison."""
     workers: int = 1
     """Number of processes for the seating test."""
-    cache: Optional = None
+    cache: OptionalPath = None
     """Folder of cached results; below ~/.cache/kit1000 when absent."""
     no_cache: bool = False
     """Measure everything, and cache nothing."""
@@ -149,8 +152,9 @@ class Compare:
         """Compare and print."""
         from benchmark.compare import run as compare
 
+        check_least(workers=(self.workers, 1))
         cache = _cache(self.cache, self.no_cache)
-        compare(self.a, self.b, self.data, self.tracks, self.out, _workers(self.workers), cache)
+        compare(self.a, self.b, self.data, self.tracks, self.out, self.workers, cache)
         return 0
 
 
@@ -160,7 +164,7 @@ class Table1:
 
     submissions: Folder = Path("submissions")
     """Folder with a folder for each method, manifest.toml and scores.json in it."""
-    out: Optional = None
+    out: OptionalPath = None
     """File to write instead of printing: .md, .json or .html."""
 
     def run(self) -> int:
@@ -179,17 +183,17 @@ class Table2:
     """Submission folders or predictions files, a row each; the true motions are a row anyway."""
     data: Folder
     """Dataset folder, with ground truth."""
-    track: Annotated[str, Argument("NAME")] = "snap-d415"
+    track: Annotated[str, arg(metavar="NAME")] = "snap-d415"
     """Track whose queries are carried out."""
     split: Split = "test"
     """Split of the queries; test-all has every part of a test scene."""
-    components: Optional = None
+    components: OptionalPath = None
     """JSON file with the measures of segmentation and completion."""
     masks: Literal["given", "predicted"] = "given"
     """Masks by which the robot finds parts in rows that state predicted masks: recorded or predicted ones."""
-    scenes: Annotated[int | None, Argument("N")] = None
+    scenes: OptionalInt = None
     """Number of scenes, the first ones; all when absent."""
-    out: Optional = None
+    out: OptionalPath = None
     """JSON file for the numbers."""
 
     def run(self) -> int:
@@ -209,7 +213,7 @@ class Pages:
     """Folder with a folder for each method, manifest.toml and scores.json in it."""
     out: Folder = Path("site/board")
     """Folder for the pages."""
-    data: Optional = None
+    data: OptionalPath = None
     """Dataset folder, with ground truth: pictures of single predictions are drawn too."""
     rescored: bool = False
     """State on every page that `rescore` has reproduced the scores with --data; else that they are as submitted."""
@@ -229,7 +233,7 @@ class Pages:
 class Documents:
     """Fill the tables of documents from results/ and submissions/."""
 
-    documents: Annotated[tuple[Path, ...], Argument("FILE...", positional=True)]
+    documents: Annotated[Positional[tuple[Path, ...]], arg(metavar="FILE...")]
     """Markdown files with marks."""
     results: Folder = Path("results")
     """Folder of NAME.json files, as the programs of bench/ write them."""
@@ -266,12 +270,6 @@ def _check_scores(path: Path) -> None:
         known = None
     if not isinstance(known, dict) or "protocol" not in known:
         raise InputError(f"{path}: is there already and of another origin: it stays; name another file by --out")
-
-
-def _workers(count: int) -> int:
-    if count < 1:
-        raise InputError(f"--workers: expected 1 or more, got {count}")
-    return count
 
 
 COMMANDS = {

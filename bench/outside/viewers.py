@@ -85,11 +85,11 @@ def recordings(dataset: Dataset, out: Path) -> tuple[list[Path], list[Path]]:
     recorded = sorted(dataset.root.glob(f"{shard}*.mcap"))
     scenes = iter(dataset.split("test-all", truth=True))
     scene = next(scene for scene in scenes if any(query.guess is not None for query in scene.queries))
-    seen, answers = out / "show.mcap", out / "show-answers.mcap"
     predictions, track = guesses(scene, out / "guesses.csv")
-    show = ("show", dataset.root, "--scene", scene.id, "--track", track, "--out")
-    kit1000(*show, seen)
-    kit1000(*show, answers, "--truth", "--predictions", predictions)
+    export = ("export", dataset.root, "--format", "mcap", "--ids", scene.id, "--track", track, "--out")
+    kit1000(*export, out / "seen")
+    kit1000(*export, out / "answers", "--truth", "--predictions", predictions)
+    seen, answers = (out / folder / f"{scene.id}.mcap" for folder in ("seen", "answers"))
     return [*recorded, seen, answers], [dataset.root / f"{shard}.mcap", seen, answers]
 
 
@@ -110,7 +110,7 @@ def main() -> int:
         report.line(f"{path.name}: rerun mcap check", check_fault(rerun, path, environment))
         report.line(f"{path.name}: rerun mcap convert", convert_fault(rerun, path, out / "converted.rrd", environment))
     for path in pictured:
-        picture = out / f"{path.stem}.png"
+        picture = out / f"{path.parent.name}-{path.stem}.png"
         report.line(f"{path.name}: look at {picture}", screenshot_fault(rerun, path, picture, environment))
     return 1 if report.failed else 0
 

@@ -88,10 +88,7 @@ def profiled_apart(path: Path) -> dict[str, float]:
 
 def profiled(path: Path) -> dict[str, float]:
     """CPU seconds by stage of one file, in this process."""
-    from kit1000.cli.quick_imports import quick_imports
-
-    with quick_imports():
-        from kit1000.export.own_part import InexactKit, make_kit_from_file
+    from kit1000.export.own_part import InexactKit, make_kit_from_file
 
     seconds: dict[str, float] = {}
     inner: list[float] = []

@@ -6,7 +6,9 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from kit1000.cli.options import Argument, OptionalFloat, OptionalPath
+from tyro.conf import Positional, arg
+
+from kit1000.cli.options import OptionalFloat, OptionalName, OptionalPath, optional
 from kit1000.dataset.own_scenes import is_labelled, is_own
 from kit1000.errors import InputError
 from kit1000.files import read_json
@@ -14,7 +16,8 @@ from kit1000.files import read_json
 if TYPE_CHECKING:
     from kit1000.capture.importing import Import
 
-Stream = Annotated[Literal["raw", "aligned"] | None, Argument("{raw,aligned}")]
+Stream = Literal["raw", "aligned"]
+Masks = Literal["depth", "networks"]
 
 
 def need_truth(data: Path, command: str) -> None:
@@ -29,11 +32,11 @@ def need_truth(data: Path, command: str) -> None:
 class OwnImages:
     """Options that say what own depth images are."""
 
-    intrinsics: Annotated[tuple[str, ...], Argument("FILE | FX FY CX CY")] = ()
+    intrinsics: Annotated[tuple[str, ...], arg(metavar="FILE | FX FY CX CY")] = ()
     """JSON of BOP, Open3D, RealSense, ROS or gqcnn, .txt of 3 x 3, or four numbers [px]; recordings bring their own."""
     depth_scale: OptionalFloat = None
     """Metres that 1 in an image stands for; as the files say, else 0.001 for integers and 1 for floats."""
-    topic: Annotated[str | None, Argument("NAME")] = None
+    topic: OptionalName = None
     """Topic of the depth images in a recording; the only one when absent."""
     frames: int = 1
     """Number of successive frames of which an image is the median."""
@@ -43,22 +46,22 @@ class OwnImages:
     """Name of the camera, such as D435, or PhoXi for a structured-light scanner; as the files say when absent."""
     baseline_mm: OptionalFloat = None
     """Distance between the camera's imagers; known for RealSense cameras."""
-    stream: Stream = None
+    stream: Annotated[Stream | None, optional(Stream)] = None
     """raw: the depth camera's own image; aligned: resampled to another camera; as the files say, else raw of a
     scanner and aligned of other cameras."""
     kit: int = 1
     """Number of the body that is the kit, the largest first."""
-    world_from_camera: Annotated[tuple[Path, ...], Argument("FILE [FILE ...]")] = ()
+    world_from_camera: Annotated[tuple[Path, ...], arg(metavar="FILE [FILE ...]")] = ()
     """JSON file of a hand-eye pose in a frame with the table at z = 0, which is kept; one for all images, or one for
     each; by the bodies when absent."""
     empty_table: OptionalPath = None
     """Depth image of the same camera and table without bodies."""
     clearance_mm: OptionalFloat = None
     """Gap between a part and the walls of its cavity."""
-    masks: Annotated[Literal["depth", "networks"] | None, Argument("{depth,networks}")] = None
+    masks: Annotated[Masks | None, optional(Masks)] = None
     """depth: bodies as depth alone shows them; networks: cut back by the networks, of a scanner by rules; when absent
     networks where torch is there."""
-    check: Annotated[tuple[float, ...], Argument("MM MM MM")] = ()
+    check: Annotated[tuple[float, ...], arg(metavar="MM MM MM")] = ()
     """Sides of a box in view: images in which no body has them are refused."""
 
     def own_options(self) -> list[str]:
@@ -86,7 +89,7 @@ class OwnImages:
 class ImportImages(OwnImages):
     """Make a scene folder of your own depth images: finds table, kit and parts, and prints their sizes."""
 
-    sources: Annotated[tuple[Path, ...], Argument("SOURCE [SOURCE ...]", positional=True)]
+    sources: Annotated[Positional[tuple[Path, ...]], arg(metavar="SOURCE [SOURCE ...]")]
     """16-bit PNG or TIFF, .npy, .npz, or MCAP of ROS 2, Foxglove or ours. Several images become several scenes."""
     out: OptionalPath = None
     """Folder to write to; the name of the first image with -scene when absent."""

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from tyro.conf import Positional, arg
+
 from kit1000.cli.capture import need_truth
-from kit1000.cli.options import Argument, Folder, OptionalInt, OptionalPath, Unit
+from kit1000.cli.command_line import check_least
+from kit1000.cli.options import Folder, OptionalId, OptionalInt, OptionalName, OptionalPath, Unit, optional
 from kit1000.cli.summaries import summary_text
 from kit1000.errors import InputError
 from kit1000.queries.tracks import Sensor
@@ -22,9 +25,9 @@ if TYPE_CHECKING:
 class Generate:
     """Generate a dataset. Run the same command again to continue after an interruption."""
 
-    preset: Annotated[str, Argument("PRESET", positional=True)]
+    preset: Annotated[Positional[str], arg(metavar="PRESET")]
     """tiny, small, kit1000, paper, real-like, study or completion."""
-    out: Annotated[str, Argument("PATH")]
+    out: Annotated[str, arg(metavar="PATH")]
     """Dataset folder to write; with --engine ray also a URL such as s3://bucket/folder."""
     seed: OptionalInt = None
     """Seed of all random draws; that of the preset when absent."""
@@ -36,23 +39,20 @@ class Generate:
     """Unit of the meshes of --parts; guessed and reported when absent."""
     engine: Literal["local", "ray"] = "local"
     """Engine that runs the jobs: processes of this machine, or a Ray cluster."""
-    address: Annotated[str | None, Argument("HOST:PORT")] = None
+    address: Annotated[str | None, optional(str, "HOST:PORT")] = None
     """Address of the Ray cluster (`auto` finds a local one); a new local cluster when absent."""
     withhold: OptionalPath = None
     """Second folder, for the full dataset; --out then lacks the ground truth of the test split."""
 
     def run(self) -> int:
         """Generate the dataset and print its summary."""
+        from kit1000.files import parse_folder
         from kit1000.generation.presets import preset
 
         chosen = preset(self.preset)
-        if self.workers is not None and self.workers < 1:
-            raise InputError(f"--workers: expected 1 or more, got {self.workers}")
-        if self.seed is not None and self.seed < 0:
-            raise InputError(f"--seed: expected 0 or more, got {self.seed}")
+        check_least(workers=(self.workers, 1), seed=(self.seed, 0))
         if self.unit is not None and self.parts is None:
             raise InputError("--unit: is the unit of the meshes of --parts, which is absent")
-        from kit1000.files import parse_folder
 
         out = parse_folder(self.out)
         summary = self._generate(chosen, out) if self.withhold is None else self._publish(chosen, out, self.withhold)
@@ -110,12 +110,12 @@ class Info:
 
 @dataclass(frozen=True)
 class Show:
-    """Draw parts, kits or assemblies of a dataset, or one of its scenes, as a PNG or as an MCAP for 3D viewers."""
+    """Draw parts, kits or assemblies of a dataset, or one of its scenes, as a PNG."""
 
     data: Folder
     """Dataset folder."""
     out: Path = Path("sheet.png")
-    """PNG file to write; with --scene also FILE.mcap."""
+    """PNG file to write."""
     what: Literal["parts", "kits", "assemblies"] = "assemblies"
     """Kind of items to draw."""
     count: int = 24
@@ -124,43 +124,23 @@ class Show:
     """Split of the items."""
     ids: tuple[str, ...] = ()
     """Ids of the items to draw instead of evenly spaced ones."""
-    scene: Annotated[str | None, Argument("ID")] = None
+    scene: OptionalId = None
     """Id of a scene to draw instead of items: depth, masks, meshes and goals."""
-    truth: bool = False
-    """Add models, goals and seated parts to an MCAP."""
-    predictions: OptionalPath = None
-    """Predictions file whose motions of the scene an MCAP shows, coloured by their errors."""
-    track: str | None = None
-    """Track of the queries that an MCAP shows, with pivots and guesses; the first track of the scene when absent."""
 
     def run(self) -> int:
         """Draw the picture and print its path."""
         from kit1000.dataset.geometry import Geometry
         from kit1000.dataset.reader import Dataset
-        from kit1000.export.recording import write_scene_recording
-        from kit1000.files import check_own_mark, check_writable, write_own
+        from kit1000.files import check_own_mark, write_own
         from kit1000.pictures.dataset_sheets import geometry_sheet, scene_sheet
 
-        if self.count < 1:
-            raise InputError(f"--count: expected 1 or more, got {self.count}")
-        recording = self.out.suffix == ".mcap"
-        if self.out.suffix.lower() not in (".png", ".mcap", ""):
-            raise InputError(f"--out {self.out}: pictures are PNG: name a file .png, or .mcap for a recording")
-        if recording and self.scene is None:
-            raise InputError(f"--out {self.out}: a recording shows one scene; add --scene ID")
-        if not recording and (self.truth or self.predictions is not None):
-            raise InputError(f"--out {self.out}: --truth and --predictions are for a recording; name a file .mcap")
+        check_least(count=(self.count, 1))
+        if self.out.suffix.lower() not in (".png", ""):
+            raise InputError(f"--out {self.out}: a picture is a PNG file: name a file .png")
         check_own_mark(self.out)
-        check_writable(self.out.parent)
-        if self.out.is_dir():
-            raise InputError(f"cannot write {self.out}: Is a directory")
-        if self.scene is None or self.truth:
-            need_truth(self.data, "show without --scene" if self.scene is None else "show --truth")
         if self.scene is None:
+            need_truth(self.data, "show without --scene")
             write_own(self.out, geometry_sheet(Geometry(self.data), self.what, self.split, self.count, self.ids))
-        elif recording:
-            options = (self.truth, self.predictions, self.track)
-            write_scene_recording(Dataset(self.data), self.scene, self.out, *options)
         else:
             write_own(self.out, scene_sheet(Dataset(self.data), self.scene))
         print(self.out)
@@ -180,8 +160,7 @@ class Verify:
         """Check and print the faults; returns 1 when there are any."""
         from kit1000.generation.verify import verify
 
-        if self.sample < 0:
-            raise InputError(f"--sample: expected 0 or more, got {self.sample}")
+        check_least(sample=(self.sample, 0))
         report = verify(self.data, self.sample)
         for line in report.faults:
             print(line)
@@ -194,36 +173,63 @@ class Verify:
 
 @dataclass(frozen=True)
 class Export:
-    """Write assemblies as URDF with open cavities, STL or 3MF in millimetres, or scenes in the BOP format."""
+    """Write assemblies as URDF with open cavities, STL or 3MF in mm; or scenes in the BOP format or as MCAP."""
 
     data: Folder
     """Dataset folder."""
     out: Path
     """Folder to write to."""
-    format: Literal["bop", "urdf", "stl", "3mf"] = "urdf"
-    """Format to write."""
+    format: Literal["bop", "urdf", "stl", "3mf", "mcap"] = "urdf"
+    """Format to write; mcap is a recording of each scene for 3D viewers."""
     ids: tuple[str, ...] = ()
-    """Ids of the assemblies, or of the scenes for BOP; all of them when absent."""
+    """Ids of the assemblies, or of the scenes for bop and mcap; all of them when absent (mcap needs ids)."""
     split: Literal["train", "val", "test"] | None = None
     """Split to export; all of them when absent."""
     sensor: Sensor = "ideal"
-    """Sensor of the depth images, for BOP."""
+    """Sensor of the depth images, for bop."""
+    truth: bool = False
+    """Add models, goals and seated parts; for mcap."""
+    predictions: OptionalPath = None
+    """Predictions file whose motions are shown, coloured by their errors; for mcap with --truth."""
+    track: OptionalName = None
+    """Track of the queries whose pivots and guesses are shown, for mcap; the first one of the scene when absent."""
 
     def run(self) -> int:
         """Export, and print the folder."""
-        need_truth(self.data, "export")
         from kit1000.export import export
 
-        export(self.data, self.format, self.out, self.ids, self.split, self.sensor)
+        if self.format == "mcap":
+            self._write_recordings()
+        elif self.truth or self.predictions is not None or self.track is not None:
+            raise InputError("--truth, --predictions and --track: need --format mcap")
+        else:
+            need_truth(self.data, "export")
+            export(self.data, self.format, self.out, self.ids, self.split, self.sensor)
         print(self.out)
         return 0
+
+    def _write_recordings(self) -> None:
+        """Write a recording of each scene of --ids into the folder."""
+        from kit1000.dataset.reader import Dataset
+        from kit1000.export.recording import write_scene_recording
+        from kit1000.files import check_own_mark
+
+        if not self.ids:
+            raise InputError("--ids: --format mcap needs the ids of the scenes, such as test-s0003")
+        if self.truth:
+            need_truth(self.data, "export --truth")
+        dataset, paths = Dataset(self.data), [self.out / f"{scene_id}.mcap" for scene_id in self.ids]
+        for path in paths:
+            check_own_mark(path)
+        for scene_id, path in zip(self.ids, paths, strict=True):
+            write_scene_recording(dataset, scene_id, path, self.truth, self.predictions, self.track)
 
 
 @dataclass(frozen=True)
 class Check:
     """List every fault of a submission, with line, column, value, expected value and fix."""
 
-    submission: Annotated[Path, Argument("SUBMISSION", positional=True)]
+    submission: Annotated[Positional[Path], arg(metavar="SUBMISSION")]
     """Folder with manifest.toml and predictions.csv, or one predictions file."""
     data: OptionalPath = None
     """Dataset of the predictions; only the format is checked when absent."""

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from kit1000.cli.options import Argument, Folder, OptionalFloat, OptionalInt, OptionalPath
+from tyro.conf import Positional, arg
+
+from kit1000.cli.options import Folder, OptionalFloat, OptionalId, OptionalInt, OptionalPath
 from kit1000.errors import InputError
 
 if TYPE_CHECKING:
@@ -20,11 +22,11 @@ class Label:
 
     data: Folder
     """Folder of own scenes, as `kit1000 import` writes it."""
-    scene: Annotated[str | None, Argument("ID")] = None
+    scene: OptionalId = None
     """Id of one scene; all scenes when absent."""
     shapes: OptionalPath = None
     """Folder of a print set, or any dataset folder with the kits in the image."""
-    assembly: Annotated[str | None, Argument("ID")] = None
+    assembly: OptionalId = None
     """Id of the assembly in --shapes; the only one when absent."""
     parts: tuple[str, ...] = ()
     """Ids of the parts on the table; all parts of the assembly when absent."""
@@ -110,7 +112,7 @@ class Label:
 class Join:
     """Join folders of labelled scenes into one, as the real split; scenes get new ids, licences and names stay."""
 
-    folders: Annotated[tuple[Path, ...], Argument("DIR [DIR ...]", positional=True)]
+    folders: Annotated[Positional[tuple[Path, ...]], arg(metavar="DIR [DIR ...]")]
     """Folders whose labels are confirmed; an earlier joined folder comes first, so that its ids stay."""
     out: Path = Path("real")
     """Folder to write, which must not exist."""

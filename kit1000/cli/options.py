@@ -1,27 +1,26 @@
-"""Options of commands: how a field of a command is typed, and types that several commands share.
-
-The annotations are ours, so that a command starts without the package that prints --help.
-"""
+"""Types of options that several commands share: what tyro parses, and what --help calls the value."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
+
+from tyro.conf import Positional, arg
 
 
-@dataclass(frozen=True)
-class Argument:
-    """How a field is given on the command line."""
+def optional(type_: Any, metavar: str | None = None) -> Any:
+    """The mark of an option that is None when absent: its words are parsed as a type without None.
 
-    metavar: str
-    """What --help calls its value."""
-    positional: bool = False
-    """Whether it is given by its place, without its name."""
+    Its help text says what None means, so that no default is printed.
+    """
+    return arg(metavar=metavar, constructor=type_, help_behavior_hint="")
 
 
-OptionalInt = Annotated[int | None, Argument("N")]
-OptionalFloat = Annotated[float | None, Argument("X")]
-OptionalPath = Annotated[Path | None, Argument("PATH")]
-Unit = Annotated[Literal["mm", "cm", "m", "inch"] | None, Argument("{mm,cm,m,inch}")]
-Folder = Annotated[Path, Argument("DATA", positional=True)]
+LengthUnit = Literal["mm", "cm", "m", "inch"]
+OptionalInt = Annotated[int | None, optional(int, "N")]
+OptionalFloat = Annotated[float | None, optional(float, "X")]
+OptionalPath = Annotated[Path | None, optional(Path, "PATH")]
+OptionalId = Annotated[str | None, optional(str, "ID")]
+OptionalName = Annotated[str | None, optional(str, "NAME")]
+Unit = Annotated[LengthUnit | None, optional(LengthUnit)]
+Folder = Annotated[Positional[Path], arg(metavar="DATA")]

@@ -7,17 +7,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from kit1000.cli.options import Argument, OptionalFloat, OptionalInt, Unit
-from kit1000.cli.quick_imports import quick_imports
+from tyro.conf import Positional, arg
+
+from kit1000.cli.command_line import check_least
+from kit1000.cli.options import OptionalFloat, OptionalInt, Unit, optional
 from kit1000.cli.summaries import kit_report_text
 from kit1000.errors import InputError
+
+Bodies = Literal["union", "largest", "each"]
 
 
 @dataclass(frozen=True)
 class MakeKit:
     """Make a kit for your own part at true size: kit.stl, part.stl, seated.glb, report.json, preview.png."""
 
-    parts: Annotated[tuple[Path, ...], Argument("PART [PART ...]", positional=True)]
+    parts: Annotated[Positional[tuple[Path, ...]], arg(metavar="PART [PART ...]")]
     """Mesh files: STL, OBJ, PLY, OFF, 3MF, GLB (and STEP with `pip install kit1000[step]`)."""
     out: Path
     """Folder to write to; for several files it gets a folder for each."""
@@ -27,7 +31,7 @@ class MakeKit:
     """Unit of the file; guessed and reported when absent."""
     fit_mm: OptionalFloat = None
     """Scale the part to this longest side; true size when absent."""
-    bodies: Annotated[Literal["union", "largest", "each"] | None, Argument("{union,largest,each}")] = None
+    bodies: Annotated[Literal["union", "largest", "each"] | None, optional(Literal["union", "largest", "each"])] = None
     """Treatment of several bodies in the file: all as one part (they touch or overlap), the largest alone, or a kit for
     each in folders 01, 02, ...; when absent, several are refused unless one holds nearly all of the volume."""
     no_preview: bool = False
@@ -37,14 +41,10 @@ class MakeKit:
 
     def run(self) -> int:
         """Make the kits, then print their reports; returns 1 when a kit is not exact, or of several not every one."""
-        with quick_imports():
-            from kit1000.export.own_part import InexactKit, make_kit_from_file, make_kits_from_file
+        from kit1000.export.own_part import InexactKit, make_kit_from_file, make_kits_from_file
 
         paths = list(self.parts)
-        if not paths:
-            raise InputError("PART: expected a mesh file")
-        if self.workers is not None and self.workers < 1:
-            raise InputError(f"--workers: expected 1 or more, got {self.workers}")
+        check_least(workers=(self.workers, 1))
         for name, value in (("--clearance-mm", self.clearance_mm), ("--fit-mm", self.fit_mm)):
             if value is not None and not 0.05 <= value <= 1000:
                 raise InputError(f"{name}: expected 0.05 to 1000, got {value:g}")

@@ -8,8 +8,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
+from tyro.conf import Positional, arg
+
 from kit1000.cli.capture import OwnImages, need_truth
-from kit1000.cli.options import Argument, Folder, OptionalInt, OptionalPath
+from kit1000.cli.command_line import check_least
+from kit1000.cli.options import Folder, OptionalId, OptionalInt, OptionalName, OptionalPath, optional
 from kit1000.editor import SNAP
 from kit1000.errors import InputError
 from kit1000.queries.tracks import Sensor
@@ -28,7 +31,7 @@ def find_own_modules() -> None:
 class Predict:
     """Run a method on the queries of a dataset; the same command again resumes an interrupted run."""
 
-    name: Annotated[str, Argument("METHOD", positional=True)]
+    name: Annotated[Positional[str], arg(metavar="METHOD")]
     """A method of the catalog, such as registration-completed, or module:Object or FILE.py:Object of your own."""
     data: Path
     """Dataset folder."""
@@ -53,9 +56,7 @@ class Predict:
         """Predict, then print what was written."""
         from kit1000.prediction.predict import RunConfig, predict_and_describe
 
-        for name, value, least in (("workers", self.workers, 1), ("limit", self.limit, 1), ("seed", self.seed, 0)):
-            if value is not None and value < least:
-                raise InputError(f"--{name}: expected {least} or more, got {value}")
+        check_least(workers=(self.workers, 1), limit=(self.limit, 1), seed=(self.seed, 0))
         find_own_modules()
         config = RunConfig.of(
             self.name, self.masks, self.split, self.tracks or None, self.seed, self.limit, weights=self.weights
@@ -72,9 +73,9 @@ class Run:
     """Dataset folder, with ground truth."""
     predictions: Path
     """Submission folder or predictions file; predictions of one track."""
-    scene: Annotated[str | None, Argument("ID")] = None
+    scene: OptionalId = None
     """Id of one scene, such as test-s0003; every scene with a prediction when absent."""
-    track: Annotated[str | None, Argument("NAME")] = None
+    track: OptionalName = None
     """Track whose predictions are carried out, where the file has several."""
     out: OptionalPath = None
     """Folder for outcomes.json and a trace of each scene."""
@@ -97,14 +98,14 @@ class Edit(OwnImages):
 
     data: Folder
     """Dataset folder, or an own depth image or recording, of which `kit1000 import` makes one beside it first."""
-    scene: Annotated[str | None, Argument("ID")] = None
+    scene: OptionalId = None
     """Id of the scene, such as test-s0003; the only one when absent."""
     out: OptionalPath = None
     """Submission folder for the confirmed parts and the log, edits when absent; the same command again continues. Of an
     image: folder of the scene, beside which the edits lie."""
-    sensor: Annotated[Sensor | None, Argument("{ideal,d415,photoneo}")] = None
+    sensor: Annotated[Sensor | None, optional(Sensor)] = None
     """Sensor of the depth image; ideal when absent, where the scene has it. Of an own image: photoneo is a scanner."""
-    snap: Annotated[str | None, Argument("METHOD")] = None
+    snap: Annotated[str | None, optional(str, "METHOD")] = None
     """Method that proposes where parts fit: one of the catalog, module:Object of your own, or none; when absent,
     registration, in own scenes with the networks that suit the noise of the camera."""
     interface: Literal["scene", "hand", "hand-bare"] = "scene"
@@ -189,9 +190,9 @@ class Study:
     """Number of participants, a multiple of 4; 12 when absent. Without other options: plan, and print all orders."""
     conditions: tuple[str, ...] = ()
     """Conditions: two or four of scene-snap, scene, hand-snap, hand, hand-bare; scene-snap and hand when absent."""
-    sensor: Annotated[Sensor | None, Argument("{ideal,d415,photoneo}")] = None
+    sensor: Annotated[Sensor | None, optional(Sensor)] = None
     """Sensor of the depth images; ideal when absent."""
-    snap: Annotated[str | None, Argument("METHOD")] = None
+    snap: Annotated[str | None, optional(str, "METHOD")] = None
     """Method of the conditions that snap; registration when absent."""
     seed: OptionalInt = None
     """Seed of tasks and orders; 0 when absent."""
@@ -201,7 +202,7 @@ class Study:
     """Port of the participant's page; a free one when absent."""
     origin: tuple[str, ...] = ()
     """Further web addresses of that page, as behind a proxy or ssh -L with another port: http://localhost:9000."""
-    simulate: Annotated[str | None, Argument("OPERATOR")] = None
+    simulate: Annotated[str | None, optional(str, "OPERATOR")] = None
     """Operator that replaces all participants: exact, paper, fitts or careless. It tests the machine, not people."""
     judge: Literal["robot", "test"] = "robot"
     """Evaluator of the uploads of a whole study: the robot, or the seating test, which takes no time."""

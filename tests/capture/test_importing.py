@@ -149,7 +149,7 @@ NEED_TRUTH = [
     ["study"],
     ["export", "--out", "x"],
     ["show"],
-    ["show", "--scene", "test-s0000", "--truth", "--out", "a.mcap"],
+    ["export", "--format", "mcap", "--ids", "test-s0000", "--truth", "--out", "x"],
 ]
 
 

@@ -206,13 +206,13 @@ def test_spread_points_are_on_the_surface_and_evenly_spread() -> None:
 
 
 WRONG = {
-    "": "a recording shows one scene; add --scene ID",
-    "--scene tets-s0000": "no scene 'tets-s0000' among 4; did you mean test-s0000?",
-    f"--scene {SCENE} --track snip": "no track 'snip'; did you mean snap?",
-    f"--scene {SCENE} --predictions {{answers}}": "its errors are measured against the truth; add --truth",
-    "--scene train-s0000 --truth --predictions {answers}": "no prediction for scene train-s0000 on track snap;",
-    f"--scene {SCENE} --truth --track place --predictions {{answers}}": "track place; it has some on snap: add --track",
-    f"--scene {SCENE} --truth --predictions {{answers}}.gone": "does not exist",
+    "": "--ids",
+    "--ids tets-s0000": "no scene 'tets-s0000' among 4; did you mean test-s0000?",
+    f"--ids {SCENE} --track snip": "no track 'snip'; did you mean snap?",
+    f"--ids {SCENE} --predictions {{answers}}": "its errors are measured against the truth; add --truth",
+    "--ids train-s0000 --truth --predictions {answers}": "no prediction for scene train-s0000 on track snap;",
+    f"--ids {SCENE} --truth --track place --predictions {{answers}}": "track place; it has some on snap: add --track",
+    f"--ids {SCENE} --truth --predictions {{answers}}.gone": "does not exist",
 }
 
 
@@ -221,16 +221,10 @@ def test_a_wrong_wish_gets_one_line(
     options: str, mini: Path, scene: RecordedScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     words = options.format(answers=answered(scene, tmp_path / "answers.csv", (0.0, 0.0, 0.0))).split()
-    assert main(["show", str(mini), "--out", str(tmp_path / "scene.mcap"), *words]) == 2
+    assert main(["export", str(mini), "--format", "mcap", "--out", str(tmp_path / "out"), *words]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert WRONG[options] in line
-    assert not (tmp_path / "scene.mcap").exists()
-
-
-def test_truth_is_for_recordings_alone(mini: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["show", str(mini), "--scene", SCENE, "--truth", "--out", str(tmp_path / "scene.png")]) == 2
-    error = capsys.readouterr().err
-    assert all(fact in error for fact in ("--truth", "--predictions", ".mcap"))
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_withheld_truth_is_said_to_be_withheld(public: Path, tmp_path: Path) -> None:
@@ -242,10 +236,9 @@ def test_a_withheld_truth_is_said_to_be_withheld(public: Path, tmp_path: Path) -
 def test_the_command_prints_the_file_that_it_wrote(
     mini: Path, plain: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    path = tmp_path / "scene.mcap"
-    assert main(["show", str(mini), "--scene", SCENE, "--out", str(path)]) == 0
-    assert capsys.readouterr().out == f"{path}\n"
-    assert path.read_bytes() == plain.read_bytes()
+    assert main(["export", str(mini), "--format", "mcap", "--ids", SCENE, "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().out == f"{tmp_path}\n"
+    assert (tmp_path / f"{SCENE}.mcap").read_bytes() == plain.read_bytes()
 
 
 def test_the_track_is_by_default_the_first_that_asks_in_the_scene(withheld: Published, tmp_path: Path) -> None:
