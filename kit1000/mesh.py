@@ -22,6 +22,7 @@ from kit1000.numerics.linear_algebra import determinant, matmul
 if TYPE_CHECKING:
     from kit1000.pose import Pose
 
+COPLANAR_SINE = 1e-9  # sine of the dihedral angle below which two faces count as coplanar
 FLAT_THICKNESS = 1e-5  # [m] a mesh of smaller mean thickness, 2 volume / area, is a sheet and no solid
 
 
@@ -52,6 +53,22 @@ class Mesh:
         crosses = _cross_products(self.triangles)
         lengths = np.linalg.norm(crosses, axis=1, keepdims=True)
         return np.divide(crosses, lengths, out=np.zeros_like(crosses), where=lengths > 0)
+
+    @cached_property
+    def convex_edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """The convex edges of a closed mesh: (k, 2) indices of their ends and (k, 2) of the faces at each."""
+        a, b = self.faces.ravel(), self.faces[:, [1, 2, 0]].ravel()
+        n = len(self.vertices)
+        there, back = a.astype(np.int64) * n + b, b.astype(np.int64) * n + a
+        order, opposite = np.argsort(there), np.argsort(back)
+        once = a[order] < b[order]
+        first, second = order[once], opposite[once]  # halfedges: 3 for each face, in the order of the faces
+        left, right = self.normals[first // 3], self.normals[second // 3]
+        along = self.vertices[b[first]] - self.vertices[a[first]]
+        along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
+        convex = np.einsum("ij,ij->i", np.cross(left, right), along) > COPLANAR_SINE
+        convex |= ~(left.any(1) & right.any(1))  # a face without area has no normal: its edges may be convex
+        return np.stack([a[first], b[first]], 1)[convex], np.stack([first // 3, second // 3], 1)[convex]
 
     @cached_property
     def area(self) -> float:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from kit1000.kits.acceptance import is_goal
-from kit1000.kits.contact import convex_edges
 from kit1000.kits.seating import HOVER, InsertedPart, is_rotation_seated, seating_result
 from kit1000.metrics.exact_seating import ContactInterval
 from kit1000.pose import Pose
@@ -117,7 +116,7 @@ def test_the_last_level_of_a_curve_is_28_mm_and_27_5_degrees() -> None:
 @pytest.mark.parametrize("sign", [1, -1])
 def test_seated_is_within_3_mm_and_strict_within_1_mm(off_mm: float, seated: bool, strict: bool, sign: int) -> None:
     """The limit holds for the goal height of a part in contact, and for the contact of a part at goal height."""
-    part = InsertedPart(convex_edges(sample_part("tee").mesh), np.array([0.0, 0.0, 1.0]))
+    part = InsertedPart(sample_part("tee").mesh, np.array([0.0, 0.0, 1.0]))
     off, goal = sign * off_mm * 1e-3, Pose.identity()
     raised = Pose.from_translation((0, 0, off))
     for offset, pose in ((0.0, raised), (-off, raised)):
@@ -150,7 +149,7 @@ def test_seated_is_within_10_degrees_and_more_about_the_axis_with_much_clearance
 
 @pytest.mark.parametrize(("angle_deg", "seated"), [(9.95, True), (10.05, False)])
 def test_the_rotation_limits_both_criteria_while_contact_is_exact(angle_deg: float, seated: bool) -> None:
-    part = InsertedPart(convex_edges(sample_part("tee").mesh), np.array([0.0, 0.0, 1.0]))
+    part = InsertedPart(sample_part("tee").mesh, np.array([0.0, 0.0, 1.0]))
     pose = Pose.from_rotvec(np.radians(angle_deg) * np.array([0.6, 0, 0.8]))
     result = seating_result(0.0, part, pose, Pose.identity(), 20e-3)
     assert (result.fits, result.seated, result.strict) == (True, seated, seated)

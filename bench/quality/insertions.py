@@ -30,7 +30,6 @@ from kit1000.dataset.tables import pose_of
 from kit1000.errors import InputError, Kit1000Error
 from kit1000.files import locked, write_bytes
 from kit1000.kits.acceptance import rotated_about_centroid
-from kit1000.kits.contact import ConvexEdges, convex_edges
 from kit1000.kits.seating import InsertedPart, SeatingResult, contact_offset, seating_result
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
@@ -143,7 +142,7 @@ class TrialSlot:
 
     def __init__(self, assembly: Assembly, mount: Mount, part: Part, workpiece: Workpiece) -> None:
         self.mount, self.part, self.workpiece = mount, part, workpiece
-        self.edges: ConvexEdges = convex_edges(assembly.mesh)
+        self.assembly = assembly
         self.obstacles: Sequence[Obstacle] = assembly_obstacles(assembly)
 
     def run_trial(self, pose: Pose, goal: Pose) -> Row:
@@ -151,7 +150,7 @@ class TrialSlot:
         part = InsertedPart.of(self.part.mesh, goal)
         kit, assembly_from_kit = self.mount.kit, self.mount.assembly_from_kit
         predicted = assembly_from_kit @ pose
-        offset = contact_offset(part, self.edges, predicted)
+        offset = contact_offset(part, self.assembly.mesh, predicted)
         trial = insert(self.workpiece, self.obstacles, predicted, part.axis)
         kit_from_assembly = assembly_from_kit.inverse()
         release, rest = kit_from_assembly @ trial.release_pose, kit_from_assembly @ trial.rest_pose

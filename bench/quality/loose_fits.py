@@ -26,10 +26,10 @@ from tqdm import tqdm
 
 from benchmark.measurements import Column, Measurement, rate
 from kit1000.dataset.reader import Dataset
-from kit1000.kits.contact import contact_features, convex_edges, vertical_contact_offset
-from kit1000.kits.envelope import lower_envelope
+from kit1000.kits.contact import contact_features, vertical_contact_offset
 from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import nearest_about_axis
+from kit1000.kits.height_fields import lower_envelope
 from kit1000.kits.loose_fits import near_goal_limits
 from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT, UP, InsertedPart, contact_offset
 from kit1000.mesh import Mesh, surface_points
@@ -98,7 +98,7 @@ class Target:
 
     def __init__(self, part: Part, kit: Kit, rng: np.random.Generator) -> None:
         self.part, self.slot, self.rng = part, kit.slot, rng
-        self.edges, self.kit_edges = convex_edges(part.mesh), convex_edges(kit.mesh)
+        self.edges, self.kit_edges = part.mesh, kit.mesh
         self.kit_features = contact_features(self.kit_edges, np.eye(3), np.zeros(3), 1.0)
         angle, self.most_shift = near_goal_limits(kit.slot.clearance)
         self.most_deg = float(np.degrees(angle))

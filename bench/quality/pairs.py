@@ -158,8 +158,8 @@ def _check_poses(part: Part, kit: Kit, keyedness: float | None, passed: dict[str
     for goal in kit.slot.goals:
         passed[SEATED_GOALS].append(_seats(*swept_part(part, goal), kit, goal, goal))
     swept = swept_part(part, design)
-    wrong = [(pose, None) for _, pose in wrong_poses(kit)] + [
-        (pose, keyedness) for pose in poses_beyond_keyedness(kit, keyedness)
+    wrong = [(pose, None) for _, pose in wrong_poses(kit.slot)] + [
+        (pose, keyedness) for pose in poses_beyond_keyedness(kit.slot, keyedness)
     ]
     for pose, max_angle in wrong:
         if not is_goal(pose, kit.slot, max_angle):

@@ -20,7 +20,6 @@ from bench.speed.timing import timed
 from benchmark.measurements import Column, Measurement, estimate
 from kit1000.errors import Kit1000Error, Redraw
 from kit1000.kits.acceptance import rotated_about_centroid
-from kit1000.kits.contact import convex_edges
 from kit1000.kits.kit import make_kit
 from kit1000.kits.seating import (
     BISECTION_STEP,
@@ -92,7 +91,7 @@ class Pair:
 
     def __init__(self, part: Part, kit: Kit) -> None:
         self.goal, self.depth = kit.slot.goals[0], kit.slot.depth
-        self.part, self.edges = InsertedPart.of(part.mesh, self.goal), convex_edges(kit.mesh)
+        self.part, self.edges = InsertedPart.of(part.mesh, self.goal), kit.mesh
         self.swept, self.plate = swept_solid(part.mesh, self.part.axis), solid_from_mesh(kit.mesh)
 
     def closed_form(self, pose: Pose) -> SeatingResult:

@@ -14,7 +14,6 @@ from scipy.ndimage import binary_erosion
 from scipy.spatial import ConvexHull, QhullError
 
 from kit1000.editor.seen_plates import Plate
-from kit1000.kits.contact import convex_edges
 from kit1000.kits.seating import InsertedPart, contact_offset
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose, quaternion_between
@@ -84,8 +83,7 @@ class TrueContacts:
 
     def __init__(self, kits: Mesh, parts: Mapping[int, Mesh]) -> None:
         """kits: [m] world. parts: [m] where they lie, by index."""
-        self._fixed = convex_edges(kits)
-        self._parts = {part: convex_edges(mesh) for part, mesh in parts.items()}
+        self._fixed, self._parts = kits, parts
 
     def text(self, part: int, motion: Pose, plate: Plate) -> str:
         """How a part meets the kits where a motion puts it; for the page."""

@@ -24,8 +24,8 @@ from kit1000.export.new_folder import new_folder
 from kit1000.export.threemf import threemf_bytes
 from kit1000.files import json_bytes, with_checksum, write_bytes, write_json
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly, check_assembly
-from kit1000.kits.face import resting_faces
-from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_fit_in_other_slot
+from kit1000.kits.loose_fits import find_fit_in_other_slot
+from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Part
@@ -48,7 +48,7 @@ class _Member:
     @staticmethod
     def of(geometry: Geometry, part_id: str) -> _Member:
         part, kit = geometry.part(part_id), geometry.kit(part_id)
-        return _Member(part, kit, PreparedPart(part.mesh, resting_faces(part.mesh)), PreparedKit(kit))
+        return _Member(part, kit, PreparedPart(part.mesh), PreparedKit(kit))
 
     def seats_apart_from(self, other: _Member) -> bool:
         """Whether neither part seats in the other's slot."""

@@ -14,8 +14,8 @@ from kit1000.generation.parts_and_kits import BUILD_FOLDER, Record, finished_rec
 from kit1000.generation.plan import MAX_CANDIDATES, draw_assembly_of
 from kit1000.generation.presets import Preset
 from kit1000.kits.assembly import build_assembly, check_assembly
-from kit1000.kits.face import resting_faces
-from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_fit_in_other_slot
+from kit1000.kits.loose_fits import find_fit_in_other_slot
+from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.values import Assembly, Kit, Part
 
 MAX_ATTEMPTS = 60  # placements of the same kits before one kit is left out
@@ -125,7 +125,7 @@ def read_member(root: Path, part_id: str) -> Member:
 @lru_cache(maxsize=CACHED_MEMBERS)
 def _read_member(root: Path, part_id: str, _record: str | None) -> Member:
     part, kit = read_part_and_kit(root, part_id)
-    return Member(part, kit, PreparedPart(part.mesh, resting_faces(part.mesh)), PreparedKit(kit))
+    return Member(part, kit, PreparedPart(part.mesh), PreparedKit(kit))
 
 
 def read_assembly(root: Path, assembly_id: str) -> tuple[Assembly, dict[str, Part]]:

@@ -8,27 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
 from kit1000.errors import Redraw
-from kit1000.kits.contact import ConvexEdges, contact_features, convex_edges
-from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import nearest_about_axis
-from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_loose_fit, turns_freely
+from kit1000.kits.loose_fits import find_loose_fit, turns_freely
+from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.kits.seating import SEATED_LIMIT, InsertedPart, SeatingResult, contact_offset, seating_result
 from kit1000.mesh import Mesh
 from kit1000.numerics.linear_algebra import length
 from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.pose import Pose, quaternion_angle
-from kit1000.values import Kit, Part, Slot
+from kit1000.values import Slot
 
 DIRECTIONS = np.radians(np.arange(0, 360, 30.0))  # in the plate's plane: of shifts and tilt axes
 WRONG_TILT = np.radians(20)
 BEYOND_KEYEDNESS = np.radians(5)  # at a yaw this far beyond the keyedness the part does not seat either
 ANGLE_STEP = np.radians(1)
-ANY_FACE = 0.01  # least probability of a face on which a part might be put in: more than it is laid on
 NOT_SEATED = "does not seat at a goal"
 
 
@@ -43,58 +40,40 @@ class PairCheck:
     """Whether the part also seats in a pose that is no goal."""
 
 
-class SeatingTest:
-    """The seating test of one part in its own kit, prepared for many poses (kit frame)."""
-
-    def __init__(self, mesh: Mesh, kit: Kit) -> None:
-        self.slot, self.kit_edges = kit.slot, convex_edges(kit.mesh)
-        self.kit_features = contact_features(self.kit_edges, np.eye(3), np.zeros(3), 1.0)
-        self.part_edges: ConvexEdges = convex_edges(mesh)
-
-    def result(self, pose: Pose, goal: Pose) -> SeatingResult:
-        """The result for a pose meant for a goal: +z of the kit at the goal is the part's insertion axis."""
-        part = InsertedPart(self.part_edges, goal.inverse().rotate(np.array([0.0, 0.0, 1.0])))
-        offset = contact_offset(part, self.kit_edges, pose, self.kit_features)
-        return seating_result(offset, part, pose, goal, self.slot.depth, self.slot.clearance)
-
-    def fits(self, pose: Pose, goal: Pose) -> bool:
-        """Whether contact alone seats a pose meant for a goal, at whatever rotation."""
-        return self.result(pose, goal).fits
-
-
-def check_pair(part: Part, kit: Kit) -> PairCheck:
+def check_pair(part: PreparedPart, kit: PreparedKit) -> PairCheck:
     """Run all acceptance tests on a part and its kit. Raises Redraw with the reason of the first one that fails.
 
     A loose fit is no failure here: it is reported, and the caller decides.
     """
-    test, design = SeatingTest(part.mesh, kit), kit.slot.goals[0]
-    for goal in kit.slot.goals:
-        if not test.result(goal, goal).strict:
+    mesh, slot = part.mesh, kit.slot
+    for goal in slot.goals:
+        if not seating_at(mesh, kit, goal, goal).strict:
             raise Redraw(NOT_SEATED)
-    for name, pose in wrong_poses(kit):
-        if not is_goal(pose, kit.slot) and test.fits(pose, design):
+    for name, pose in wrong_poses(slot):
+        if not is_goal(pose, slot) and fits_at(mesh, kit, pose):
             raise Redraw(f"seats when {name}")
-    yaw = keyedness(test)
-    for pose in poses_beyond_keyedness(kit, yaw):
-        if not is_goal(pose, kit.slot, yaw) and test.fits(pose, design):
+    yaw = keyedness(mesh, kit)
+    for pose in poses_beyond_keyedness(slot, yaw):
+        if not is_goal(pose, slot, yaw) and fits_at(mesh, kit, pose):
             raise Redraw("seats when turned past its keyedness")
-    return PairCheck(yaw, find_loose_fit(prepared_part(part.mesh), PreparedKit(kit)) is not None)
+    return PairCheck(yaw, find_loose_fit(part, kit) is not None)
 
 
-@lru_cache(maxsize=2)  # asked for again at every face that a kit is tried on
-def prepared_part(mesh: Mesh) -> PreparedPart:
-    """A part prepared for the search for loose fits, on every face that it might be put in on."""
-    return PreparedPart(mesh, resting_faces(mesh, ANY_FACE))
+def seating_at(mesh: Mesh, kit: PreparedKit, pose: Pose, goal: Pose) -> SeatingResult:
+    """The seating test of a part in its kit for a pose meant for a goal: the insertion axis is +z at the goal."""
+    part = InsertedPart.of(mesh, goal)
+    offset = contact_offset(part, kit.mesh, pose, kit.features)
+    return seating_result(offset, part, pose, goal, kit.slot.depth, kit.slot.clearance)
 
 
-def wrong_poses(kit: Kit) -> Iterator[tuple[str, Pose]]:
+def fits_at(mesh: Mesh, kit: PreparedKit, pose: Pose) -> bool:
+    """Whether contact alone seats a part in a pose that is meant for the design pose, at whatever rotation."""
+    return seating_at(mesh, kit, pose, kit.slot.goals[0]).fits
+
+
+def wrong_poses(slot: Slot) -> Iterator[tuple[str, Pose]]:
     """(description, pose): the design pose lifted, shifted and tilted by errors at which no part may seat."""
-    return wrong_poses_about(kit.slot.goals[0], kit.slot.clearance)
-
-
-def wrong_poses_about(design: Pose, clearance: float) -> Iterator[tuple[str, Pose]]:
-    """`wrong_poses` of a design pose in a slot with a clearance [m]."""
-    shift = clearance + SEATED_LIMIT
+    design, shift = slot.goals[0], slot.clearance + SEATED_LIMIT
     yield "lifted 3 mm", Pose.from_translation(np.array([0, 0, SEATED_LIMIT])) @ design
     for angle in DIRECTIONS:
         direction = np.array([cosine(angle), sine(angle), 0.0])
@@ -107,21 +86,21 @@ def rotated_about_centroid(pose: Pose, rotvec: np.ndarray) -> Pose:
     return Pose((Pose.from_rotvec(rotvec) @ Pose(pose.wxyz, np.zeros(3))).wxyz, pose.xyz)
 
 
-def keyedness(test: SeatingTest) -> float | None:
-    """[rad] the smallest yaw from the design pose at which the part seats in neither sense; None if there is none."""
-    if turns_freely(test.slot):
+def keyedness(mesh: Mesh, kit: PreparedKit) -> float | None:
+    """The smallest yaw from the design pose at which the part seats in neither sense [rad]; None if there is none."""
+    if turns_freely(kit.slot):
         return None
-    design = test.slot.goals[0]
+    design = kit.slot.goals[0]
     for yaw in np.arange(ANGLE_STEP, np.pi, ANGLE_STEP):
-        if not any(test.fits(rotated_about_centroid(design, np.array([0, 0, s * yaw])), design) for s in (1, -1)):
+        if not any(fits_at(mesh, kit, rotated_about_centroid(design, np.array([0, 0, s * yaw]))) for s in (1, -1)):
             return float(yaw)
     return None
 
 
-def poses_beyond_keyedness(kit: Kit, yaw: float | None) -> Iterator[Pose]:
+def poses_beyond_keyedness(slot: Slot, yaw: float | None) -> Iterator[Pose]:
     """The design pose at yaws of +- (keyedness `yaw` [rad] + BEYOND_KEYEDNESS); none for a free axis."""
     for sign in (1, -1) if yaw is not None else ():
-        yield rotated_about_centroid(kit.slot.goals[0], np.array([0, 0, sign * ((yaw or 0.0) + BEYOND_KEYEDNESS)]))
+        yield rotated_about_centroid(slot.goals[0], np.array([0, 0, sign * ((yaw or 0.0) + BEYOND_KEYEDNESS)]))
 
 
 def is_goal(pose: Pose, slot: Slot, max_angle: float | None = None) -> bool:

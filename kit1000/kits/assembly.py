@@ -18,7 +18,6 @@ from scipy.spatial import ConvexHull
 from kit1000.errors import InputError, Redraw
 from kit1000.kits.brackets import OUTWARD, support_pieces
 from kit1000.kits.cavity import MIN_WALL
-from kit1000.kits.contact import ConvexEdges, convex_edges
 from kit1000.kits.kit import PLATE_GAP
 from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset
@@ -193,12 +192,6 @@ class _SeatedPart:
     radius: float
     """[m] of the ball about the part's origin that contains it."""
 
-    @property
-    def convex_edges(self) -> ConvexEdges:
-        """The part's convex edges in the assembly frame."""
-        edges = self.part.edges
-        return ConvexEdges(edges.mesh.moved(self.assembly_from_part), edges.ends, edges.adjacent)
-
 
 def _seated(mount: Mount, part: Part) -> _SeatedPart:
     kit_from_part = mount.kit.slot.kit_from_part
@@ -209,8 +202,7 @@ def _seated(mount: Mount, part: Part) -> _SeatedPart:
 def _check_paths(assembly: Assembly, parts: Mapping[str, Part]) -> None:
     """Every part reaches its slot along the slot's axis while all other parts are seated."""
     seated = [_seated(mount, parts[mount.kit.slot.part_id]) for mount in assembly.mounts]
-    edges = convex_edges(assembly.mesh)
-    if any(contact_offset(one.part, edges, one.assembly_from_part) > BISECTION_STEP for one in seated):
+    if any(contact_offset(one.part, assembly.mesh, one.assembly_from_part) > BISECTION_STEP for one in seated):
         raise Redraw("insertion path blocked")
     if any(_blocks(other, one) for one, other in permutations(seated, 2)):
         raise Redraw("insertion path blocked by a seated part")
@@ -223,7 +215,8 @@ def _blocks(other: _SeatedPart, moving: _SeatedPart) -> bool:
     aside = apart - max(float(matmul(apart, axis)), 0.0) * axis
     if length(aside) > other.radius + moving.radius:
         return False
-    return contact_offset(moving.part, other.convex_edges, moving.assembly_from_part) > 0
+    fixed = other.part.mesh.moved(other.assembly_from_part)
+    return contact_offset(moving.part, fixed, moving.assembly_from_part) > 0
 
 
 def _check_stability(assembly: Assembly, parts: Mapping[str, Part]) -> None:

@@ -15,9 +15,12 @@ from kit1000.errors import Redraw
 from kit1000.kits.acceptance import PairCheck, check_pair
 from kit1000.kits.early_refusal import sure_refusal
 from kit1000.kits.kit import CLEARANCE, UNIT_PLATE, KitDesign, Plate, SlotDesign, cut_kit, design_slot, insertion_faces
-from kit1000.kits.loose_fits import PreparedKit, accepts_most_parts
+from kit1000.kits.loose_fits import accepts_most_parts
+from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.parts.family import FILE
 from kit1000.values import Part
+
+ANY_FACE = 0.01  # least probability of a face on which a part might be put in: more than it is laid on
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,20 +56,22 @@ def attempts(part: Part, clearance: float, plate: Plate | None) -> Iterator[Atte
     The kit of a part of a file is not designed on faces where it surely fails a trial. plate: None for one fitted to
     the part. Raises Redraw when there is no insertion face.
     """
+    prepared = PreparedPart(part.mesh, ANY_FACE)
     for face in insertion_faces(part, clearance, fitted_plate=plate is None):
         design = design_slot(part, clearance, face)
-        attempt = partial(_attempt, design, plate)
-        refusal = sure_refusal(part, design.slot) if part.family == FILE else None
+        attempt = partial(_attempt, design, prepared, plate)
+        refusal = sure_refusal(prepared, design.slot) if part.family == FILE else None
         yield attempt() if refusal is None else Attempt(None, None, refusal, attempt)
 
 
-def _attempt(slot: SlotDesign, plate: Plate | None) -> Attempt:
+def _attempt(slot: SlotDesign, part: PreparedPart, plate: Plate | None) -> Attempt:
     design = trial = refusal = None
     try:
         design = cut_kit(slot, plate)
+        kit = PreparedKit(design.kit)
         if plate is not None:
-            _check_for_dataset(design)
-        trial = check_pair(slot.part, design.kit)
+            _check_for_dataset(design, kit)
+        trial = check_pair(part, kit)
         if trial.has_loose_fit:
             raise Redraw("loose fit")
     except Redraw as error:
@@ -74,9 +79,9 @@ def _attempt(slot: SlotDesign, plate: Plate | None) -> Attempt:
     return Attempt(design, trial, refusal)
 
 
-def _check_for_dataset(design: KitDesign) -> None:
+def _check_for_dataset(design: KitDesign, kit: PreparedKit) -> None:
     """Raise Redraw for a kit that is no good for a dataset, though a user may want it for a part of their own."""
     if not design.clearance_in_bounds:
         raise Redraw("clearance out of bounds")
-    if accepts_most_parts(PreparedKit(design.kit)):
+    if accepts_most_parts(kit):
         raise Redraw("slot takes nearly any part")  # every assembly with it would have one kit

@@ -9,7 +9,6 @@ leaves few pairs. All arrays are metres.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -18,14 +17,13 @@ from kit1000.numerics.compiled import compiled
 from kit1000.numerics.linear_algebra import matmul
 
 WALL_COSINE = 1e-9  # faces whose unit normal has a smaller z are walls: only their edges can touch
-COPLANAR_SINE = 1e-9  # sine of the dihedral angle below which two faces count as coplanar
 ROUNDING = 1e-9  # [m] more than the rounding errors of a height
 BARYCENTRIC_SLACK = 1e-12  # [m] so that a point on the edge between two faces belongs to at least one of them
 
 
 @dataclass(frozen=True, eq=False)
 class ContactFeatures:
-    """What of a body can be touched from one side along z."""
+    """The features of a body that can be touched from one side along z."""
 
     vertices: np.ndarray
     """(n, 3) [m] ends of the edges."""
@@ -35,53 +33,18 @@ class ContactFeatures:
     """(m, 3, 3) [m] triangles whose normals point to that side."""
 
 
-@dataclass(frozen=True, eq=False)
-class ConvexEdges:
-    """The convex edges of a mesh, independent of its pose."""
+def contact_features(body: Mesh, rotation: np.ndarray, translation: np.ndarray, side: float) -> ContactFeatures:
+    """The features of a closed body that can be touched from above (side = +1) or from below (side = -1).
 
-    mesh: Mesh
-    ends: np.ndarray
-    """(k, 2) indices of vertices."""
-    adjacent: np.ndarray
-    """(k, 2) indices of the two faces at each edge."""
-
-
-@lru_cache(maxsize=8)  # asked for again at every face that a kit is tried on
-def convex_edges(mesh: Mesh) -> ConvexEdges:
-    """The convex edges of a closed mesh."""
-    a, b = mesh.faces.ravel(), mesh.faces[:, [1, 2, 0]].ravel()
-    owner = np.repeat(np.arange(len(mesh.faces)), 3)
-    n = len(mesh.vertices)
-    there, back = a.astype(np.int64) * n + b, b.astype(np.int64) * n + a
-    order, opposite = np.argsort(there), np.argsort(back)
-    first, second = order[a[order] < b[order]], opposite[a[order] < b[order]]
-    left, right = mesh.normals[owner[first]], mesh.normals[owner[second]]
-    along = mesh.vertices[b[first]] - mesh.vertices[a[first]]
-    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
-    convex = np.einsum("ij,ij->i", np.cross(left, right), along) > COPLANAR_SINE
-    convex |= ~(left.any(1) & right.any(1))  # a face without area has no normal: its edges may be convex
-    return ConvexEdges(
-        mesh,
-        np.stack([a[first], b[first]], 1)[convex],
-        np.stack([owner[first], owner[second]], 1)[convex],
-    )
-
-
-def contact_features(body: ConvexEdges, rotation: np.ndarray, translation: np.ndarray, side: float) -> ContactFeatures:
-    """What of a body can be touched from above (side = +1) or from below (side = -1) after a rigid motion.
-
-    rotation: (3, 3); translation: (3,) [m].
+    rotation: (3, 3) and translation: (3,) [m] of a rigid motion of the body.
     """
-    vertices = matmul(body.mesh.vertices, rotation.T) + translation
-    facing = side * (matmul(body.mesh.normals, rotation[2]))  # (m,) cosine to the direction of view
-    ends = body.ends[(facing[body.adjacent] > -WALL_COSINE).any(1)]
+    vertices = matmul(body.vertices, rotation.T) + translation
+    facing = side * (matmul(body.normals, rotation[2]))  # (m,) cosine to the direction of view
+    ends, adjacent = body.convex_edges
+    ends = ends[(facing[adjacent] > -WALL_COSINE).any(1)]
     is_end = np.zeros(len(vertices), dtype=bool)
     is_end[ends] = True
-    return ContactFeatures(
-        vertices[is_end],
-        vertices[ends],
-        vertices[body.mesh.faces[facing > WALL_COSINE]],
-    )
+    return ContactFeatures(vertices[is_end], vertices[ends], vertices[body.faces[facing > WALL_COSINE]])
 
 
 def cropped(features: ContactFeatures, low: np.ndarray, high: np.ndarray) -> ContactFeatures:

@@ -12,16 +12,17 @@ from functools import lru_cache
 
 import numpy as np
 
-from kit1000.kits.acceptance import is_goal, prepared_part, wrong_poses_about
-from kit1000.kits.envelope import grown, lower_envelope
-from kit1000.kits.loose_fits import OpenField, height_limit, is_near_goal, poses_in_own_slot
+from kit1000.kits.acceptance import is_goal, wrong_poses
+from kit1000.kits.height_fields import HeightField, grown, lower_envelope
+from kit1000.kits.loose_fits import is_near_goal, poses_in_own_slot
+from kit1000.kits.prepared import PreparedPart, height_limit
 from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
 from kit1000.numerics.trigonometry import tangent
 from kit1000.pose import Pose
-from kit1000.values import Part, Slot
+from kit1000.values import Slot
 
 MIN_CELLS, MAX_CELLS = 80, 600  # of the stand-in along the part's longest side
 RESOLUTIONS = (10, 20)  # cells in a clearance, tried in turn: a finer stand-in tells more and takes four times as long
@@ -34,14 +35,14 @@ ROUNDING = 1e-9  # [m]
 HALF_DIAGONAL = np.sqrt(0.5)  # of a square: no point is farther from the nearest of a grid
 
 
-def sure_refusal(part: Part, slot: Slot) -> str | None:
+def sure_refusal(part: PreparedPart, slot: Slot) -> str | None:
     """Why the kit with a slot surely fails the trials; None when they have to be made.
 
     They may fail for another reason before they come to this one.
     """
     finest = np.inf
     for resolution in RESOLUTIONS if len(part.mesh.faces) > DENSE_FACES else RESOLUTIONS[:1]:
-        stand_in = _StandIn.of(part.mesh, slot, resolution)
+        stand_in = _StandIn.of(part, slot, resolution)
         if stand_in is None or stand_in.cell >= finest:
             return None
         finest, refusal = stand_in.cell, stand_in.refusal()
@@ -54,7 +55,7 @@ def sure_refusal(part: Part, slot: Slot) -> str | None:
 class _StandIn:
     """What stands for a kit and its part: columns of the plate, and points of the part."""
 
-    mesh: Mesh
+    part: PreparedPart
     slot: Slot
     columns: np.ndarray
     """(nx, ny) [m] heights of their tops, which nowhere lie below the plate's surface, and not below its floor."""
@@ -68,22 +69,22 @@ class _StandIn:
     """[m] every point of the part is within this distance of one that stands for it."""
 
     @staticmethod
-    def of(mesh: Mesh, slot: Slot, resolution: int) -> _StandIn | None:
+    def of(part: PreparedPart, slot: Slot, resolution: int) -> _StandIn | None:
         """The stand-in with so many cells in a clearance, or None where it is too coarse to tell anything."""
-        depth, clearance, longest = slot.depth, slot.clearance, float(mesh.extents.max())
+        depth, clearance, longest = slot.depth, slot.clearance, float(part.mesh.extents.max())
         cell = float(np.clip(clearance / resolution, longest / MAX_CELLS, longest / MIN_CELLS))
         step = min(height_limit(slot) / STEPS_PER_LIMIT, cell)
         reach = (clearance - SAGITTA) / cell - HALF_DIAGONAL
         if reach < 1 or step < longest / MAX_STEPS:
             return None
-        placed = mesh.moved(slot.goals[0])
+        placed = part.mesh.moved(slot.goals[0])
         heights, corner = lower_envelope(placed, cell, clearance + MOST_LEAN * depth + 4 * cell)
         columns = np.maximum(-grown(np.maximum(-heights, 0.0), reach), -depth)
-        return _StandIn(mesh, slot, columns, _lowest_of_neighbours(columns), corner, cell, step)
+        return _StandIn(part, slot, columns, _lowest_of_neighbours(columns), corner, cell, step)
 
     def refusal(self) -> str | None:
         """Why the kit surely fails the trials, or None."""
-        for name, pose in wrong_poses_about(self.slot.goals[0], self.slot.clearance):
+        for name, pose in wrong_poses(self.slot):
             if not is_goal(pose, self.slot) and self.seats_from(pose):
                 return f"seats when {name}"
         return "loose fit" if self.has_loose_fit() else None
@@ -99,9 +100,9 @@ class _StandIn:
 
     def has_loose_fit(self) -> bool:
         """Whether the part surely seats in a pose that is near no goal, resting on one of its faces."""
-        field = OpenField.of(self.columns, self.corner, self.cell, self.slot.depth)
+        field = HeightField(self.columns.astype(np.float32), self.corner, self.cell, self.slot.depth)
         highest = self._height_above(float(self.slot.goals.xyz[:, 2].max()))
-        for pose in poses_in_own_slot(prepared_part(self.mesh), field, self.slot):
+        for pose in poses_in_own_slot(self.part, field, self.slot):
             if is_near_goal(pose, self.slot):
                 continue
             heights = self._offsets_to_contact(pose, np.zeros(2), highest - pose.xyz[2]) + pose.xyz[2]
@@ -114,7 +115,7 @@ class _StandIn:
 
         Where the most is more than `enough` [m], it is some of what is more.
         """
-        points, depth = surface_points(self.mesh, self.step), self.slot.depth
+        points, depth = surface_points(self.part.mesh, self.step), self.slot.depth
         field = (self.columns, self.sides, *self.corner, self.cell)
         limit = enough - self.step + ROUNDING
         most, lowest = _offset_to_contact(points, pose.rotation_matrix(), pose.xyz, *field, *lean, depth, limit)

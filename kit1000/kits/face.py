@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from kit1000.kits.envelope import polar_relief
+from kit1000.kits.height_fields import polar_relief
 from kit1000.mesh import Mesh
 from kit1000.numerics.compiled import compiled
 from kit1000.numerics.linear_algebra import matmul

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 from manifold3d import CrossSection, JoinType, Manifold
 
-from kit1000.kits.envelope import polar_relief
 from kit1000.kits.face import resting_faces
+from kit1000.kits.height_fields import polar_relief
 from kit1000.kits.shadows import AREA_TOLERANCE, PartShadows, Shadow, shadow_below
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.numerics.linear_algebra import length, matmul

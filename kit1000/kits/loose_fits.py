@@ -1,94 +1,66 @@
 """Search for loose fits: poses of a part, other than its goals, in which a cavity also accepts it.
 
-The part, resting on each of its stable faces in turn, is moved over the kit's height field at all shifts and yaws
-(rotations about the insertion axis). The field is the minimum over neighbouring cells, so that the grid misses no fit;
-candidates are confirmed by exact contact. In the part's own slot the search finds loose fits, in the slot of a
-neighbour it finds parts that would seat in the wrong place. Loose fits just beyond the limits about the goals, between
-the yaws of the grid, are found by `insertion_search`. All lengths are metres.
+The part rests on each of its stable faces in turn and is moved over the kit's height field at all shifts and yaws
+(rotations about the insertion axis). Exact contact confirms the candidates. In the part's own slot the search finds
+loose fits; in the slot of a neighbour it finds parts that would seat in the wrong place.
+
+A second search lowers the part into its own slot just beyond the limits about a goal, between the yaws of the grid. It
+turns, shifts and tilts the part as an attacker would. A pattern search lowers the overlap: the part is held at the
+greatest height at which it counts as seated, and the depths of the points of its underside below the kit's height field
+are added up. If the overlap nearly vanishes, the same search lowers the exact height of contact.
+
+Kit frame; metres and radians.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from functools import cached_property
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from manifold3d import Manifold
 
-from kit1000.kits.contact import ContactFeatures, ConvexEdges, contact_features, convex_edges, vertical_contact_offset
-from kit1000.kits.envelope import lower_envelope
+from kit1000.kits.contact import ContactFeatures, contact_features, vertical_contact_offset
 from kit1000.kits.face import RestingFace
 from kit1000.kits.goals import nearest_about_axis
-from kit1000.kits.insertion_search import HeightField, LoweredPart, lowered_fit
-from kit1000.kits.seating import BISECTION_STEP, SEATED_LIMIT, rotation_limit
+from kit1000.kits.height_fields import HeightField
+from kit1000.kits.prepared import PreparedKit, PreparedPart, RestingPart, height_limit, underside_points
+from kit1000.kits.seating import BISECTION_STEP, rotation_limit
 from kit1000.mesh import Mesh, mesh_from_solid
 from kit1000.numerics.compiled import compiled
 from kit1000.numerics.linear_algebra import length, matmul
+from kit1000.numerics.trigonometry import cosine, sine
 from kit1000.pose import Pose, quaternion_angle
-from kit1000.values import Kit, Slot
+from kit1000.values import Slot
 
-CELL = 0.5e-3  # [m] of the kit's height field
-FINE_CELL = 0.2e-3  # [m] of the field for the search just beyond the limits
-UNDERSIDE_CELL = 1.0e-3  # [m] between the points that stand for the part's underside
-SHIFT_STEP = 1.0e-3  # [m] between shifts: twice the reach of the minimum over neighbouring cells
 YAWS = np.radians(np.arange(0, 360, 5.0))
+TURNS = np.stack([cosine(YAWS), sine(YAWS)], 1)
 YAW_BATCHES = 4  # yaws are searched a quarter at a time, widely spaced, so that an easy fit is found early
-# A pose nearer to a goal than this and than `rotation_limit` is no other pose; the same for each metre of clearance.
-NEAR_GOAL_SHIFT, SHIFT_PER_CLEARANCE = 5e-3, 2.0
-TURNED_SHARE = 1.0001  # of the limit: yaw from a goal at which the search just beyond it begins
-TURNED_RANGE = np.radians(6)  # a part that seats at a greater yaw also seats at a smaller one, or is found by the grid
-BESIDE = 1e-3  # [m] of shift beyond the clearance: a part does not turn about its origin
-TRAY_SIDES = np.array([36e-3, 29e-3])  # [m] of a block: most parts, seen along the insertion axis, are no larger
-MOST_LIFT = 0.45  # of the depth: the lowest points of a part must be in the cavity
+SHIFT_STEP = 1.0e-3  # [m] between shifts: twice the reach of the minimum over neighbouring cells
 REFINE_STEP = 0.5e-3  # [m] between the shifts tested exactly about a candidate of the grid
 REFINED_SHIFTS = REFINE_STEP * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
+MOST_LIFT = 0.45  # of the depth: the lowest points of a part must be in the cavity
+TRAY_SIDES = np.array([36e-3, 29e-3])  # [m] of a block: most parts, seen along the insertion axis, are no larger
+NEAR_GOAL_SHIFT = 5e-3  # [m] a pose nearer to a goal than this and than `rotation_limit` is no other pose
+SHIFT_PER_CLEARANCE = 2.0  # the same shift for each metre of clearance
 
-
-class OpenField(NamedTuple):
-    """A kit's height field, in which the search moves a part."""
-
-    heights: np.ndarray
-    """(nx, ny) float32 [m]"""
-    origin: np.ndarray
-    """(2,) [m] of the first cell."""
-    cell: float
-    """[m]"""
-    low: np.ndarray
-    """(2,) [m] of the smallest rectangle around the cells that are open to half of the depth."""
-    high: np.ndarray
-
-    @staticmethod
-    def of(heights: np.ndarray, origin: np.ndarray, cell: float, depth: float) -> OpenField:
-        """The field of a kit with a cavity of a depth [m]."""
-        heights = heights.astype(np.float32)
-        cells = np.argwhere(heights < -depth / 2)
-        return OpenField(heights, origin, cell, origin + cells.min(0) * cell, origin + cells.max(0) * cell)
-
-
-class PreparedKit:
-    """A kit prepared for the search: its height field and its contact features from above."""
-
-    def __init__(self, kit: Kit) -> None:
-        self.slot = kit.slot
-        self.features = contact_features(convex_edges(kit.mesh), np.eye(3), np.zeros(3), 1.0)
-        self.mesh, field = kit.mesh, HeightField.of(kit.mesh, CELL)
-        self.field = OpenField.of(_minimum_filtered(field.heights), field.origin, CELL, kit.slot.depth)
-
-    @cached_property
-    def fine_field(self) -> HeightField:
-        """Its height field for the search just beyond the limits."""
-        return HeightField.of(self.mesh, FINE_CELL)
-
-    @property
-    def height_limit(self) -> float:
-        """[m] above goal height at which a part still counts as seated."""
-        return height_limit(self.slot)
-
-
-def height_limit(slot: Slot) -> float:
-    """[m] above goal height at which a part still counts as seated in a slot."""
-    return min(SEATED_LIMIT, slot.depth / 3)
+# The search just beyond the limits about a goal. Its state is (yaw, x, y, tilt about x, tilt about y).
+TURNED_SHARE = 1.0001  # of the limit: yaw from a goal at which the search begins
+TURNED_RANGE = np.radians(6)  # a part that seats at a greater yaw also seats at a smaller one, or is found by the grid
+BESIDE = 1e-3  # [m] of shift beyond the clearance: a part does not turn about its origin
+MOST_TILT = np.radians(5)  # of a part that goes in upright; tilted farther it is jammed
+TILT_STARTS = np.radians([(0.0, 0.0), (3.0, 0.0), (-3.0, 0.0), (0.0, 3.0), (0.0, -3.0)])
+FIRST_STEPS = np.array([np.radians(1.0), 0.5e-3, 0.5e-3, np.radians(1.0), np.radians(1.0)])  # of the state
+HALVINGS = 3  # of the steps, when none of them leads lower
+EDGE_SPACING = 1.0e-3  # [m] between points on the part's convex edges
+MARGIN = 3e-3  # [m] above the rim: points of the part that lie higher touch nothing
+DEEPEST = 3e-3  # [m] of overlap of one point: a deeper one collides in any case
+NEARLY_CLEAR = 5e-3  # [m] of summed overlap: the height field may err by as much, exact contact decides
+TRIED_EXACTLY = 2  # of the poses that the starts lead to, those of least overlap
+EXACT_TRIALS = 16  # exact contacts of one pose
+TRIG_SCALE = 2.0**40  # sines and cosines are rounded to its inverse, so that their last bits decide nothing
+LENGTH_SCALE = 1e9  # overlaps and heights are compared in whole nanometres
 
 
 class Candidate(NamedTuple):
@@ -97,9 +69,9 @@ class Candidate(NamedTuple):
     rotation: np.ndarray
     """(3, 3) kit from part."""
     xyz: np.ndarray
-    """(3,) [m] of the part's frame, its lowest point on the cavity's floor."""
+    """Position of the part's frame, (3,) [m]; its lowest point is on the cavity's floor."""
     contact_offset: float
-    """[m] up to contact."""
+    """Distance up to contact [m]."""
 
     @property
     def pose(self) -> Pose:
@@ -107,92 +79,20 @@ class Candidate(NamedTuple):
         return Pose.from_rotation_matrix(self.rotation, self.xyz)
 
 
-class PreparedPart:
-    """A part prepared for the search, resting on each of its stable faces."""
-
-    def __init__(self, mesh: Mesh, faces: Sequence[RestingFace]) -> None:
-        self.edges = convex_edges(mesh)
-        self.resting = [_RestingPart.on(mesh, face) for face in faces]
-
-
-class _RestingPart(NamedTuple):
-    """A part resting on one face, on the plane z = 0."""
-
-    rotation: np.ndarray
-    """(3, 3) plane from part."""
-    origin_height: float
-    """[m] of the part's frame above the plane."""
-    underside: np.ndarray
-    """(n, 3) [m] points of its underside."""
-
-    @staticmethod
-    def on(mesh: Mesh, face: RestingFace) -> _RestingPart:
-        rotation = face.plane_from_part.rotation_matrix()
-        points = _underside_points(Mesh(matmul(mesh.vertices, rotation.T), mesh.faces))
-        low = float(points[:, 2].min())
-        return _RestingPart(rotation, -low, points - [0, 0, low])
-
-
 def find_loose_fit(part: PreparedPart, kit: PreparedKit) -> Pose | None:
     """A kit_from_part pose that is near no goal and seats the part in its own slot, or None."""
     goals, limit = kit.slot.goals.xyz[:, 2], kit.height_limit
     for resting, lift in _faces_near_goals(part, kit.slot):
-        for candidate in _candidates(part.edges, resting, kit, lift, away_from_goals=True):
+        for candidate in _candidates(part.mesh, resting, kit, lift, away_from_goals=True):
             if np.abs(candidate.xyz[2] + candidate.contact_offset - goals).min() <= limit - BISECTION_STEP:
                 return candidate.pose
-    return _fit_beyond_goal(part, kit)
-
-
-def poses_in_own_slot(part: PreparedPart, field: OpenField, slot: Slot) -> Iterator[Pose]:
-    """The kit_from_part poses that a height field of the part's own slot allows, its lowest point on the floor."""
-    for resting, lift in _faces_near_goals(part, slot):
-        for rotation, xyz in _poses_on_floor(resting, field, slot.depth, lift):
-            yield Pose.from_rotation_matrix(rotation, xyz)
-
-
-def _faces_near_goals(part: PreparedPart, slot: Slot) -> Iterator[tuple[_RestingPart, float]]:
-    """The part on each face on which it may be at goal height, and how high [m] it may hang above the floor there."""
-    goals, limit = slot.goals.xyz[:, 2], height_limit(slot)
-    for resting in part.resting:
-        if np.abs(goals - (resting.origin_height - slot.depth) - limit / 2).min() > 1.5 * limit:
-            continue
-        lift = float(goals.max()) + limit - (resting.origin_height - slot.depth)
-        yield resting, min(max(lift, limit), MOST_LIFT * slot.depth)
-
-
-def _fit_beyond_goal(part: PreparedPart, kit: PreparedKit) -> Pose | None:
-    """A pose in which the part seats, turned by little more than the limit from the design pose and tilted a little.
-
-    The other goals have the same shadow as the design pose, so the part goes in about each of them alike.
-    """
-    slot, design = kit.slot, kit.slot.goals[0]
-    if turns_freely(slot):
-        return None
-    goals, limit = slot.goals.xyz[:, 2], kit.height_limit - BISECTION_STEP
-    lowered = LoweredPart.of(part.edges, design.rotation_matrix(), slot.depth)
-    shift = np.array([0.0, slot.clearance + BESIDE, slot.clearance + BESIDE])
-    turned = TURNED_SHARE * near_goal_limits(slot.clearance)[0]
-    for sign in (1.0, -1.0):
-        yaws = np.sort([sign * turned, sign * (turned + TURNED_RANGE)])
-        middle = np.array([0.0, *design.xyz[:2]])
-        pose = lowered_fit(
-            lowered,
-            kit.fine_field,
-            kit.features,
-            start=middle + [sign * turned, 0.0, 0.0],
-            reach=middle + np.stack([-shift, shift]) + np.array([[yaws[0], 0, 0], [yaws[1], 0, 0]]),
-            top=float(design.xyz[2]) + limit,
-            accepts=lambda height: bool(np.abs(height - goals).min() <= limit),
-        )
-        if pose is not None and not is_near_goal(pose, slot):
-            return pose
-    return None
+    return _fit_beyond_goal(part.mesh, kit)
 
 
 def find_fit_in_other_slot(part: PreparedPart, kit: PreparedKit) -> Pose | None:
     """A kit_from_part pose in which a part rests on the floor of a slot made for another part, or None."""
     for resting in part.resting:
-        for candidate in _candidates(part.edges, resting, kit, kit.height_limit):
+        for candidate in _candidates(part.mesh, resting, kit, kit.height_limit):
             if candidate.contact_offset <= kit.height_limit - BISECTION_STEP:
                 return candidate.pose
     return None
@@ -201,9 +101,16 @@ def find_fit_in_other_slot(part: PreparedPart, kit: PreparedKit) -> Pose | None:
 def accepts_most_parts(kit: PreparedKit) -> bool:
     """Whether a slot is an open tray: even a block as large as most parts rests on its floor."""
     sides = TRAY_SIDES + 2 * kit.slot.clearance
-    block = mesh_from_solid(Manifold.cube((*sides, kit.slot.depth), center=True))
-    face = RestingFace(np.array([0.0, 0.0, -1.0]), 1.0, kit.slot.depth)
-    return find_fit_in_other_slot(PreparedPart(block, [face]), kit) is not None
+    block = PreparedPart(mesh_from_solid(Manifold.cube((*sides, kit.slot.depth), center=True)))
+    block.faces = [RestingFace(np.array([0.0, 0.0, -1.0]), 1.0, kit.slot.depth)]
+    return find_fit_in_other_slot(block, kit) is not None
+
+
+def poses_in_own_slot(part: PreparedPart, field: HeightField, slot: Slot) -> Iterator[Pose]:
+    """The kit_from_part poses that a height field of the part's own slot allows, its lowest point on the floor."""
+    for resting, lift in _faces_near_goals(part, slot):
+        for rotation, xyz in _poses_on_floor(resting, field, lift):
+            yield Pose.from_rotation_matrix(rotation, xyz)
 
 
 def turns_freely(slot: Slot) -> bool:
@@ -214,13 +121,13 @@ def turns_freely(slot: Slot) -> bool:
 def near_goal_limits(clearance: float) -> tuple[float, float]:
     """The angle [rad] and the shift [m] up to which a pose is near a goal: 10 degrees and 5 mm, more in wide slots.
 
-    clearance: [m] of the slot.
+    clearance: of the slot [m].
     """
     return rotation_limit(clearance), max(NEAR_GOAL_SHIFT, SHIFT_PER_CLEARANCE * clearance)
 
 
 def is_near_goal(pose: Pose, slot: Slot, margin: float = 0.0) -> bool:
-    """Whether a pose is within both limits of a goal, that of shift widened by a margin [m], up to the free axis."""
+    """Whether a pose is within both limits of a goal, up to the free axis; the limit of shift grows by a margin [m]."""
     most_angle, most_shift = near_goal_limits(slot.clearance)
     for goal in slot.goals:
         nearest = goal if slot.free_axis is None else nearest_about_axis(pose, goal, slot.free_axis)
@@ -230,63 +137,59 @@ def is_near_goal(pose: Pose, slot: Slot, margin: float = 0.0) -> bool:
     return False
 
 
-def _candidates(
-    edges: ConvexEdges, resting: _RestingPart, kit: PreparedKit, lift: float, away_from_goals: bool = False
-) -> Iterator[Candidate]:
-    """Poses of a part on one face that the height field allows, its lowest point on the cavity's floor, and shifts of
-    them by REFINE_STEP.
+def _faces_near_goals(part: PreparedPart, slot: Slot) -> Iterator[tuple[RestingPart, float]]:
+    """The part on each face on which it may be at goal height, and its greatest height above the floor there [m]."""
+    goals, limit = slot.goals.xyz[:, 2], height_limit(slot)
+    for resting in part.resting:
+        if np.abs(goals - (resting.origin_height - slot.depth) - limit / 2).min() > 1.5 * limit:
+            continue
+        lift = float(goals.max()) + limit - (resting.origin_height - slot.depth)
+        yield resting, min(max(lift, limit), MOST_LIFT * slot.depth)
 
-    lift: [m] above the floor at which the height field must be clear.
-    away_from_goals: leave out those of which a shift may be near a goal.
+
+def _candidates(
+    mesh: Mesh, resting: RestingPart, kit: PreparedKit, lift: float, away_from_goals: bool = False
+) -> Iterator[Candidate]:
+    """Poses of a part on one face that the height field allows, with the part's lowest point on the floor, and shifts
+    of each by REFINE_STEP.
+
+    lift: height above the floor at which the height field must be clear [m].
+    away_from_goals: leave out a pose if one of its shifts may be near a goal.
     """
-    for rotation, middle in _poses_on_floor(resting, kit.field, kit.slot.depth, lift):
+    for rotation, middle in _poses_on_floor(resting, kit.field, lift):
         if away_from_goals and is_near_goal(Pose.from_rotation_matrix(rotation, middle), kit.slot, REFINE_STEP):
             continue
-        moving = contact_features(edges, rotation, np.zeros(3), -1.0)
+        moving = contact_features(mesh, rotation, np.zeros(3), -1.0)
         for shift in REFINED_SHIFTS:
             xyz = middle + [*shift, 0]
             shifted = ContactFeatures(moving.vertices + xyz, moving.edges + xyz, moving.faces + xyz)
             yield Candidate(rotation, xyz, vertical_contact_offset(shifted, kit.features))
 
 
-def _poses_on_floor(
-    resting: _RestingPart, field: OpenField, depth: float, lift: float
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Rotation (3, 3) and shift (3,) [m] of a part on one face, amid all shifts that a height field allows at a yaw."""
-    points = resting.underside[resting.underside[:, 2] < depth]
-    search = (points, field.heights, *field.origin, field.cell, *field.low, *field.high, depth, lift)
+def _poses_on_floor(resting: RestingPart, field: HeightField, lift: float) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """For each yaw with a shift that a height field allows: rotation (3, 3) and the mean of these shifts (3,) [m]."""
+    points = resting.underside[resting.underside[:, 2] < field.depth]
+    low, high = field.opening
+    search = (points, field.heights, *field.origin, field.cell, *low, *high, field.depth, lift)
     for batch in range(YAW_BATCHES):
-        for yaw, dx, dy in _feasible_shifts(*search, YAWS[batch::YAW_BATCHES]):
-            c, s = np.cos(yaw), np.sin(yaw)
+        turns = TURNS[batch::YAW_BATCHES]
+        for k, dx, dy in _feasible_shifts(*search, turns):
+            c, s = turns[int(k)]
             rotation = matmul(np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), resting.rotation)
-            yield rotation, np.array([dx, dy, resting.origin_height - depth])
-
-
-def _underside_points(resting: Mesh) -> np.ndarray:
-    """(n, 3) [m] the lower envelope on a grid, and all vertices; farthest from the z axis first."""
-    heights, corner = lower_envelope(resting, UNDERSIDE_CELL)
-    i, j = np.nonzero(np.isfinite(heights))
-    grid = np.stack([corner[0] + i * UNDERSIDE_CELL, corner[1] + j * UNDERSIDE_CELL, heights[i, j]], 1)
-    points = np.concatenate([grid, resting.vertices])
-    order = np.argsort(-np.hypot(points[:, 0], points[:, 1]), kind="stable")
-    return np.ascontiguousarray(points[order])
-
-
-def _minimum_filtered(heights: np.ndarray) -> np.ndarray:
-    """The minimum over each cell and its eight neighbours."""
-    padded = np.pad(heights, 1)
-    rows, columns = heights.shape
-    return np.min([padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)], axis=0)
+            yield rotation, np.array([dx, dy, resting.origin_height - field.depth])
 
 
 @compiled
-def _feasible_shifts(points, heights, x0, y0, cell, low_x, low_y, high_x, high_y, depth, limit, yaws):
-    """(k, 3) yaw, dx, dy: for each yaw the mean of all shifts that keep the points above the height field."""
-    found = np.empty((yaws.shape[0], 3))
+def _feasible_shifts(points, heights, x0, y0, cell, low_x, low_y, high_x, high_y, depth, limit, turns):
+    """(k, 3) index of the turn, dx, dy: for each turn the mean of all shifts that keep the points above the field.
+
+    turns: (n, 2) cosine and sine of the yaw.
+    """
+    found = np.empty((turns.shape[0], 3))
     count = 0
     rotated = np.empty((points.shape[0], 2))
-    for yaw in yaws:
-        c, s = np.cos(yaw), np.sin(yaw)
+    for k in range(turns.shape[0]):
+        c, s = turns[k]
         left, right, near, far = np.inf, -np.inf, np.inf, -np.inf
         for p in range(points.shape[0]):
             x, y = c * points[p, 0] - s * points[p, 1], s * points[p, 0] + c * points[p, 1]
@@ -309,7 +212,7 @@ def _feasible_shifts(points, heights, x0, y0, cell, low_x, low_y, high_x, high_y
                 if _is_clear(points, rotated, heights, x0, y0, cell, dx, dy, limit - depth):
                     sum_x, sum_y, hits = sum_x + dx, sum_y + dy, hits + 1
         if hits:
-            found[count, 0], found[count, 1], found[count, 2] = yaw, sum_x / hits, sum_y / hits
+            found[count, 0], found[count, 1], found[count, 2] = k, sum_x / hits, sum_y / hits
             count += 1
     return found[:count]
 
@@ -323,3 +226,198 @@ def _is_clear(points, rotated, heights, x0, y0, cell, dx, dy, lift):
         if heights[i, j] > points[p, 2] + lift:
             return False
     return True
+
+
+@dataclass(frozen=True, eq=False)
+class LoweredPart:
+    """A part in a base rotation, prepared to be lowered into a cavity."""
+
+    mesh: Mesh
+    rotation: np.ndarray
+    """(3, 3) kit from part."""
+    points: np.ndarray
+    """Points of underside and convex edges relative to the part's origin, farthest from it across first, (n, 3) [m]."""
+
+    @staticmethod
+    def of(mesh: Mesh, rotation: np.ndarray, depth: float) -> LoweredPart:
+        """A part for a cavity of a depth [m]; its lowest point stands on the floor."""
+        vertices = matmul(mesh.vertices, rotation.T)
+        points = underside_points(Mesh(vertices, mesh.faces), _points_on(vertices[mesh.convex_edges[0]]))
+        return LoweredPart(mesh, rotation, points[points[:, 2] < vertices[:, 2].min() + depth + MARGIN])
+
+    def features(self, state: np.ndarray) -> tuple[np.ndarray, ContactFeatures]:
+        """(3, 3) kit from part and the contact features, at z = 0, in a state (5,)."""
+        rotation = matmul(turned_matrix(state[0], state[3], state[4]), self.rotation)
+        return rotation, contact_features(self.mesh, rotation, np.array([state[1], state[2], 0.0]), -1.0)
+
+
+def _fit_beyond_goal(mesh: Mesh, kit: PreparedKit) -> Pose | None:
+    """A pose in which the part seats, turned by little more than the limit from the design pose and tilted a little.
+
+    The other goals have the same shadow as the design pose, so the part goes in about each of them alike.
+    """
+    slot, design = kit.slot, kit.slot.goals[0]
+    if turns_freely(slot):
+        return None
+    goals, limit = slot.goals.xyz[:, 2], kit.height_limit - BISECTION_STEP
+    lowered = LoweredPart.of(mesh, design.rotation_matrix(), slot.depth)
+    shift = np.array([0.0, slot.clearance + BESIDE, slot.clearance + BESIDE])
+    turned = TURNED_SHARE * near_goal_limits(slot.clearance)[0]
+    for sign in (1.0, -1.0):
+        yaws = np.sort([sign * turned, sign * (turned + TURNED_RANGE)])
+        middle = np.array([0.0, *design.xyz[:2]])
+        pose = _lowered_fit(
+            lowered,
+            kit,
+            start=middle + [sign * turned, 0.0, 0.0],
+            reach=middle + np.stack([-shift, shift]) + np.array([[yaws[0], 0, 0], [yaws[1], 0, 0]]),
+            top=float(design.xyz[2]) + limit,
+            accepts=lambda height: bool(np.abs(height - goals).min() <= limit),
+        )
+        if pose is not None and not is_near_goal(pose, slot):
+            return pose
+    return None
+
+
+def _lowered_fit(
+    part: LoweredPart,
+    kit: PreparedKit,
+    *,
+    start: np.ndarray,
+    reach: np.ndarray,
+    top: float,
+    accepts: Callable[[float], bool],
+) -> Pose | None:
+    """A kit_from_part pose that touches at an accepted height, or None.
+
+    Args:
+        part: in its base rotation.
+        kit: the kit.
+        start: yaw [rad] beside the base rotation and position x, y [m] of the part's origin, (3,).
+        reach: the lowest and the highest yaw and position, (2, 3).
+        top: the greatest height of the part's origin that is accepted [m].
+        accepts: whether the part's origin may be at a height [m] when it touches.
+    """
+    low = np.concatenate([reach[0], [-MOST_TILT, -MOST_TILT]])
+    high = np.concatenate([reach[1], [MOST_TILT, MOST_TILT]])
+    field = kit.fine_field
+    grid = (part.points, field.heights, *field.origin, field.cell, top)
+    found = [_least_overlap(*grid, np.concatenate([start, tilt]), low, high) for tilt in TILT_STARTS]
+    for k in np.argsort([overlap for _, overlap in found], kind="stable")[:TRIED_EXACTLY]:
+        state, overlap = found[k]
+        pose = _exact_fit(part, kit.features, state, low, high, accepts) if overlap <= NEARLY_CLEAR else None
+        if pose is not None:
+            return pose
+    return None
+
+
+def _exact_fit(
+    part: LoweredPart,
+    kit: ContactFeatures,
+    state: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    accepts: Callable[[float], bool],
+) -> Pose | None:
+    """The first pose of a pattern search for the lowest contact that touches at an accepted height."""
+
+    def height(state: np.ndarray) -> tuple[float, np.ndarray]:
+        rotation, features = part.features(state)
+        return np.round(vertical_contact_offset(features, kit) * LENGTH_SCALE) / LENGTH_SCALE, rotation
+
+    best, rotation = height(state)
+    steps, trials, found = FIRST_STEPS / 2, 1, True
+    while not accepts(best) and trials < EXACT_TRIALS:
+        found = False
+        for k in range(5):
+            for sign in (1.0, -1.0):
+                other = state.copy()
+                other[k] += sign * steps[k]
+                if accepts(best) or not (low[k] <= other[k] <= high[k]) or np.hypot(*other[3:]) > MOST_TILT:
+                    continue
+                trials += 1
+                lower, turned = height(other)
+                if lower < best:
+                    state, best, rotation, found = other, lower, turned, True
+        if not found:
+            steps = steps / 2
+    return Pose.from_rotation_matrix(rotation, [state[1], state[2], best]) if accepts(best) else None
+
+
+def _points_on(edges: np.ndarray) -> np.ndarray:
+    """(n, 3) [m] points inside edges (k, 2, 3), at most EDGE_SPACING apart."""
+    along = edges[:, 1] - edges[:, 0]
+    counts = np.ceil(np.sqrt(matmul(along**2, np.ones(3))) / EDGE_SPACING).astype(int) - 1
+    counts = np.maximum(counts, 0)
+    edge = np.repeat(np.arange(len(edges)), counts)
+    number = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return edges[edge, 0] + ((number + 1) / (counts[edge] + 1))[:, None] * along[edge]
+
+
+@compiled
+def turned_matrix(yaw, tilt_x, tilt_y):
+    """(3, 3) a yaw and then a rotation by the vector (tilt_x, tilt_y, 0) [rad]; entries rounded."""
+    c, s = round(np.cos(yaw) * TRIG_SCALE) / TRIG_SCALE, round(np.sin(yaw) * TRIG_SCALE) / TRIG_SCALE
+    angle = np.sqrt(tilt_x * tilt_x + tilt_y * tilt_y)
+    if angle == 0.0:
+        return np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
+    x, y = tilt_x / angle, tilt_y / angle
+    d, e = round(np.cos(angle) * TRIG_SCALE) / TRIG_SCALE, round(np.sin(angle) * TRIG_SCALE) / TRIG_SCALE
+    xx, xy, yy = d + (1 - d) * x * x, (1 - d) * x * y, d + (1 - d) * y * y
+    return np.array(
+        (
+            (xx * c + xy * s, -xx * s + xy * c, e * y),
+            (xy * c + yy * s, -xy * s + yy * c, -e * x),
+            (-e * y * c + e * x * s, e * y * s + e * x * c, d),
+        )
+    )
+
+
+@compiled
+def _overlap(points, heights, x0, y0, cell, top, state, most):
+    """The depths of the points below the height field, added up [m]; stops when the sum reaches `most`."""
+    turned, total = turned_matrix(state[0], state[3], state[4]), 0.0
+    for p in range(points.shape[0]):
+        a, b, c = points[p]
+        x = turned[0, 0] * a + turned[0, 1] * b + turned[0, 2] * c + state[1]
+        y = turned[1, 0] * a + turned[1, 1] * b + turned[1, 2] * c + state[2]
+        i, j = round((x - x0) / cell), round((y - y0) / cell)
+        if i < 0 or j < 0 or i >= heights.shape[0] or j >= heights.shape[1]:
+            continue
+        deep = heights[i, j] - (turned[2, 0] * a + turned[2, 1] * b + turned[2, 2] * c + top)
+        if deep > 0.0:
+            total += min(deep, DEEPEST)
+            if total >= most:
+                break
+    return round(total * LENGTH_SCALE) / LENGTH_SCALE
+
+
+@compiled
+def _least_overlap(points, heights, x0, y0, cell, top, start, low, high):
+    """The state (5,) of least overlap that a pattern search finds from the best shift of a grid, and its overlap."""
+    best, least = start.copy(), _overlap(points, heights, x0, y0, cell, top, start, np.inf)
+    steps_x, steps_y = int((high[1] - low[1]) / SHIFT_STEP + 0.5), int((high[2] - low[2]) / SHIFT_STEP + 0.5)
+    state = start.copy()
+    for i in range(steps_x + 1):
+        for j in range(steps_y + 1):
+            state[1], state[2] = low[1] + i * SHIFT_STEP, low[2] + j * SHIFT_STEP
+            overlap = _overlap(points, heights, x0, y0, cell, top, state, least)
+            if overlap < least:
+                best, least = state.copy(), overlap
+    steps, halvings = FIRST_STEPS.copy(), 0
+    while halvings <= HALVINGS and least > 0.0:
+        found = False
+        for k in range(5):
+            for sign in (1.0, -1.0):
+                state = best.copy()
+                state[k] += sign * steps[k]
+                tilted = np.sqrt(state[3] * state[3] + state[4] * state[4]) > MOST_TILT
+                if state[k] < low[k] or state[k] > high[k] or tilted:
+                    continue
+                overlap = _overlap(points, heights, x0, y0, cell, top, state, least)
+                if overlap < least:
+                    best, least, found = state, overlap, True
+        if not found:
+            steps /= 2
+            halvings += 1
+    return best, least

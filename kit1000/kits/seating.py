@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kit1000.kits.contact import ContactFeatures, ConvexEdges, contact_features, convex_edges, vertical_contact_offset
+from kit1000.kits.contact import ContactFeatures, contact_features, vertical_contact_offset
 from kit1000.mesh import Mesh
 from kit1000.numerics.linear_algebra import matmul
 from kit1000.pose import Pose, quaternion_angle, quaternion_between, quaternion_conjugate, quaternion_multiply
@@ -37,16 +37,16 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class InsertedPart:
-    """A part with its insertion axis, prepared for contact tests."""
+    """A part with its insertion axis."""
 
-    edges: ConvexEdges
+    mesh: Mesh
     axis: np.ndarray
     """(3,) unit, part frame: the direction out of the cavity."""
 
     @staticmethod
     def of(mesh: Mesh, kit_from_part: Pose) -> InsertedPart:
         """The part in its slot: +z of the kit points out of the cavity."""
-        return InsertedPart(convex_edges(mesh), kit_from_part.inverse().rotate(UP))
+        return InsertedPart(mesh, kit_from_part.inverse().rotate(UP))
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class SeatingResult:
 
 
 def contact_offset(
-    part: InsertedPart, fixed: ConvexEdges, fixed_from_part: Pose, fixed_features: ContactFeatures | None = None
+    part: InsertedPart, fixed: Mesh, fixed_from_part: Pose, fixed_features: ContactFeatures | None = None
 ) -> float:
     """[m] along the carried axis that takes the part to first contact with the fixed bodies; closed form.
 
@@ -78,10 +78,10 @@ def contact_offset(
     """
     rotation, axis = fixed_from_part.rotation_matrix(), fixed_from_part.rotate(part.axis)
     if fixed_features is not None and axis[2] > 1 - PARALLEL_TOLERANCE:
-        moving = contact_features(part.edges, rotation, fixed_from_part.xyz, -1.0)
+        moving = contact_features(part.mesh, rotation, fixed_from_part.xyz, -1.0)
         return vertical_contact_offset(moving, fixed_features)
     axis_to_z = Pose(quaternion_between(axis, UP), np.zeros(3)).rotation_matrix()
-    moving = contact_features(part.edges, matmul(axis_to_z, rotation), matmul(axis_to_z, fixed_from_part.xyz), -1.0)
+    moving = contact_features(part.mesh, matmul(axis_to_z, rotation), matmul(axis_to_z, fixed_from_part.xyz), -1.0)
     return vertical_contact_offset(moving, contact_features(fixed, axis_to_z, np.zeros(3), 1.0))
 
 

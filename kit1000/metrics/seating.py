@@ -18,7 +18,6 @@ from scipy.spatial import ConvexHull
 
 from kit1000.engines import local_engine
 from kit1000.errors import InputError
-from kit1000.kits.contact import ConvexEdges, convex_edges
 from kit1000.kits.seating import (
     SEATED_LIMIT,
     STRICT_LIMIT,
@@ -213,8 +212,6 @@ class _AssemblyTester:
 
     def __init__(self, job: _AssemblyJob) -> None:
         self.job = job
-        self.edges: ConvexEdges = convex_edges(job.mesh)
-        self.part_edges = {part_id: convex_edges(mesh) for part_id, mesh in job.parts.items()}
         self.swept_volumes: dict[tuple[str, bytes], SweptVolume] = {}
 
     @cached_property
@@ -225,8 +222,8 @@ class _AssemblyTester:
     def test(self, trial: _SeatingTrial) -> SeatingTestResult:
         """The seating test of one prediction."""
         part_id, depth = trial.truth.part_id, trial.truth.slot.depth
-        part = InsertedPart(self.part_edges[part_id], trial.axis)
-        offset = contact_offset(part, self.edges, trial.assembly_from_part)
+        part = InsertedPart(self.job.parts[part_id], trial.axis)
+        offset = contact_offset(part, self.job.mesh, trial.assembly_from_part)
         closed = seating_result(offset, part, trial.kit_from_part, trial.goal, depth, trial.truth.slot.clearance)
         xyz, axis = trial.kit_from_part.xyz, trial.kit_from_part.rotate(trial.axis)
         if not is_over_plate(xyz, axis, offset, self.job.kits[part_id].extent):

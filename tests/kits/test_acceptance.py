@@ -9,9 +9,11 @@ import pytest
 from manifold3d import CrossSection, Manifold
 
 from kit1000.errors import Redraw
-from kit1000.kits.acceptance import SeatingTest, check_pair, keyedness, rotated_about_centroid, wrong_poses
+from kit1000.kits.acceptance import PairCheck, check_pair, fits_at, keyedness, rotated_about_centroid, wrong_poses
+from kit1000.kits.choice import ANY_FACE
 from kit1000.kits.goals import Design, find_goals
 from kit1000.kits.kit import make_kit
+from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.pose import Pose
 from kit1000.symmetry import Symmetry
 from kit1000.values import Kit, Part
@@ -29,14 +31,18 @@ def pair_of(solid: Manifold, symmetry: Symmetry | None = None, clearance: float 
     return place.part, replace(kit, slot=replace(kit.slot, free_axis=axis))
 
 
+def checked(part: Part, kit: Kit) -> PairCheck:
+    return check_pair(PreparedPart(part.mesh, ANY_FACE), PreparedKit(kit))
+
+
 @pytest.mark.parametrize("family", QUICK)
 def test_drawn_pairs_are_accepted(family: str) -> None:
-    check = check_pair(sample_part(family), sample_kit(family))
+    check = checked(sample_part(family), sample_kit(family))
     assert check.keyedness is None or STEP <= check.keyedness < np.pi
 
 
 def test_a_valid_pair_is_accepted() -> None:
-    check = check_pair(*pair_of(ell()))
+    check = checked(*pair_of(ell()))
     assert check.keyedness is not None
     assert np.radians(3) < check.keyedness < np.radians(30)
     assert not check.has_loose_fit
@@ -44,7 +50,7 @@ def test_a_valid_pair_is_accepted() -> None:
 
 def test_a_washer_has_a_free_axis_and_no_loose_fit() -> None:
     washer = cylinder(34, 12) - cylinder(16, 40).translate((0, 0, -9))
-    check = check_pair(*pair_of(washer, Symmetry.free_flipped(Z)))
+    check = checked(*pair_of(washer, Symmetry.free_flipped(Z)))
     assert check.keyedness is None
     assert not check.has_loose_fit
 
@@ -53,26 +59,26 @@ def test_a_plate_with_an_eccentric_hole_alone_has_a_loose_fit() -> None:
     """The hole is too small for a post: the pose at 180 degrees is no goal, but the part seats."""
     part, kit = pair_of(ring_plate(7, off=9))
     assert len(kit.slot.goals) == 2
-    assert check_pair(part, kit).has_loose_fit
+    assert checked(part, kit).has_loose_fit
 
 
 def test_a_narrow_bar_seats_when_tilted() -> None:
     with pytest.raises(Redraw, match="seats when tilted 20 degrees"):
-        check_pair(*pair_of(box(40, 4, 12)))
+        checked(*pair_of(box(40, 4, 12)))
 
 
 def test_a_slot_with_too_much_clearance_is_rejected() -> None:
     part, kit = pair_of(box(34, 30, 24), clearance=10e-3)
     understated = replace(kit, slot=replace(kit.slot, clearance=2.5e-3))
     with pytest.raises(Redraw, match="seats when moved clearance"):
-        check_pair(part, understated)
+        checked(part, understated)
 
 
 def test_a_goal_below_the_floor_is_rejected() -> None:
     part, kit = pair_of(box(34, 30, 24))
     low = Pose.from_translation(np.array([0, 0, -0.8e-3])) @ kit.slot.goals[0]
     with pytest.raises(Redraw, match="seats when lifted 3 mm"):
-        check_pair(part, replace(kit, slot=replace(kit.slot, goals=Pose.stack([low]))))
+        checked(part, replace(kit, slot=replace(kit.slot, goals=Pose.stack([low]))))
 
 
 @pytest.mark.parametrize("error", [[0, 0, 2e-3, 0, 0, 0], [5e-3, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.6]])
@@ -81,7 +87,7 @@ def test_a_wrong_goal_is_rejected(error: list[float]) -> None:
     design = kit.slot.goals[0]
     wrong = rotated_about_centroid(Pose.from_translation(np.array(error[:3])) @ design, np.array(error[3:]))
     with pytest.raises(Redraw, match="does not seat at a goal"):
-        check_pair(part, replace(kit, slot=replace(kit.slot, goals=Pose.stack([design, wrong]))))
+        checked(part, replace(kit, slot=replace(kit.slot, goals=Pose.stack([design, wrong]))))
 
 
 @pytest.mark.parametrize(("x", "y"), [(40, 20), (36, 28), (30, 30)])
@@ -97,7 +103,7 @@ def test_keyedness_of_a_box_is_that_of_a_rotating_rectangle(x: float, y: float) 
         beyond = np.maximum(np.abs(rotated) - np.array([x, y]) / 2 * 1e-3, 0)
         out = np.maximum(out, np.linalg.norm(beyond, axis=1))
     brute = yaws[np.argmax(out > kit.slot.clearance)]
-    measured = keyedness(SeatingTest(part.mesh, kit))
+    measured = keyedness(part.mesh, PreparedKit(kit))
     assert measured is not None
     assert brute - 1e-3 <= measured <= brute + STEP + 1e-3
 
@@ -105,7 +111,7 @@ def test_keyedness_of_a_box_is_that_of_a_rotating_rectangle(x: float, y: float) 
 def test_wrong_poses_have_the_stated_errors() -> None:
     _, kit = pair_of(ell())
     design = kit.slot.goals[0]
-    poses = list(wrong_poses(kit))
+    poses = list(wrong_poses(kit.slot))
     assert len(poses) == 25
     for name, pose in poses:
         off = pose.xyz - design.xyz
@@ -127,7 +133,7 @@ def test_rotation_about_the_centroid_keeps_its_position() -> None:
 
 def test_a_kit_made_as_in_a_dataset_is_accepted() -> None:
     part = as_part(box(40, 30, 16) - box(16, 12, 30, (12, 9, -2)), Symmetry.none())
-    assert not check_pair(part, make_kit(part)).has_loose_fit
+    assert not checked(part, make_kit(part)).has_loose_fit
 
 
 def test_keyedness_is_the_yaw_that_jams_in_both_senses() -> None:
@@ -136,11 +142,11 @@ def test_keyedness_is_the_yaw_that_jams_in_both_senses() -> None:
     radii = 14 + 6 * angles / (2 * np.pi)
     snail = CrossSection([np.stack([radii * np.cos(angles), radii * np.sin(angles)], 1)])
     part, kit = pair_of(Manifold.extrude(snail, 20))
-    test, design = SeatingTest(part.mesh, kit), kit.slot.goals[0]
+    prepared, design = PreparedKit(kit), kit.slot.goals[0]
     yaws = np.arange(STEP, np.pi, STEP)
     jams = [
-        next(yaw for yaw in yaws if not test.fits(rotated_about_centroid(design, sign * yaw * Z), design))
+        next(yaw for yaw in yaws if not fits_at(part.mesh, prepared, rotated_about_centroid(design, sign * yaw * Z)))
         for sign in (1, -1)
     ]
     assert max(jams) > 5 * min(jams)
-    assert keyedness(test) == pytest.approx(max(jams), abs=1e-9)
+    assert keyedness(part.mesh, prepared) == pytest.approx(max(jams), abs=1e-9)

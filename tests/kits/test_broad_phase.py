@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import maximum_filter
 
 from kit1000.kits.contact import highest_edge_contact, highest_vertex_contact
-from kit1000.kits.envelope import grown
+from kit1000.kits.height_fields import grown
 
 
 @pytest.mark.parametrize("cells", [0, 1, 2, 3, 5, 12, 21])

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold
 
-from kit1000.kits.contact import ConvexEdges, contact_features, convex_edges, vertical_contact_offset
-from kit1000.kits.envelope import lower_envelope
+from kit1000.kits.contact import contact_features, vertical_contact_offset
+from kit1000.kits.height_fields import lower_envelope
 from kit1000.mesh import Mesh, mesh_from_solid, solid_from_mesh
 from kit1000.pose import Pose, random_quaternions
 from tests.samples.shapes import MM, as_part, box, cylinder, random_solid, standing
@@ -35,8 +35,8 @@ def drawn(seed: int) -> tuple[Mesh, Mesh, Pose]:
 
 def offset_of(moving: Mesh, fixed: Mesh, pose: Pose, base: Pose = IDENTITY) -> float:
     return vertical_contact_offset(
-        contact_features(convex_edges(moving), pose.rotation_matrix(), pose.xyz, -1.0),
-        contact_features(convex_edges(fixed), base.rotation_matrix(), base.xyz, 1.0),
+        contact_features(moving, pose.rotation_matrix(), pose.xyz, -1.0),
+        contact_features(fixed, base.rotation_matrix(), base.xyz, 1.0),
     )
 
 
@@ -166,12 +166,11 @@ def test_a_body_hanging_free_has_a_negative_offset() -> None:
 
 
 def test_a_box_has_twelve_convex_edges() -> None:
-    found: ConvexEdges = convex_edges(solid(box(10, 20, 30)))
-    assert len(found.ends) == 12
+    assert len(solid(box(10, 20, 30)).convex_edges[0]) == 12
 
 
 def test_inner_edges_of_an_l_are_not_convex() -> None:
-    found = convex_edges(solid(box(20, 10, 10) + box(10, 10, 20, (-5, 0, 0))))
+    found = solid(box(20, 10, 10) + box(10, 10, 20, (-5, 0, 0)))
     inner = [10e-3, 0.0]
-    middles = found.mesh.vertices[found.ends].mean(1)
+    middles = found.vertices[found.convex_edges[0]].mean(1)
     assert not (np.abs(middles[:, [2, 0]] - inner).max(1) < 1e-6).any()

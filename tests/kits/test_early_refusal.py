@@ -11,10 +11,11 @@ from scipy.spatial import KDTree
 
 from kit1000.errors import Redraw
 from kit1000.kits.acceptance import check_pair
-from kit1000.kits.choice import attempts
+from kit1000.kits.choice import ANY_FACE, attempts
 from kit1000.kits.early_refusal import sure_refusal, surface_points
 from kit1000.kits.face import RestingFace
 from kit1000.kits.kit import cut_kit, design_slot, insertion_faces
+from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.parts.family import FILE
 from kit1000.values import Kit, Part
 from tests.samples.shapes import as_part, box, ell, random_solid, ring_plate, upturned_tee
@@ -40,13 +41,13 @@ def of_file(solid: Manifold) -> Part:
 
 def exact_refusal(part: Part, kit: Kit) -> str | None:
     try:
-        return "loose fit" if check_pair(part, kit).has_loose_fit else None
+        return "loose fit" if check_pair(PreparedPart(part.mesh, ANY_FACE), PreparedKit(kit)).has_loose_fit else None
     except Redraw as refusal:
         return refusal.reason
 
 
 def first_refusal(part: Part, face: RestingFace) -> str | None:
-    return sure_refusal(part, design_slot(part, CLEARANCE, face).slot)
+    return sure_refusal(PreparedPart(part.mesh, ANY_FACE), design_slot(part, CLEARANCE, face).slot)
 
 
 @pytest.mark.parametrize("name", SOLIDS)
@@ -55,7 +56,7 @@ def test_a_face_refused_early_is_refused_by_the_exact_trials(name: str, clearanc
     part = of_file(SOLIDS[name])
     for face in insertion_faces(part, clearance, fitted_plate=True):
         slot = design_slot(part, clearance, face)
-        reason = sure_refusal(part, slot.slot)
+        reason = sure_refusal(PreparedPart(part.mesh, ANY_FACE), slot.slot)
         if reason is not None:
             assert exact_refusal(part, cut_kit(slot, None).kit) in ({reason} if reason != "loose fit" else LOOSE)
 

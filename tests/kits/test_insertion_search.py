@@ -11,10 +11,9 @@ from hypothesis import strategies as st
 from manifold3d import CrossSection, Manifold
 
 from bench.exact_offset import contact_offset_by_booleans, swept_solid
-from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import Design, find_goals
-from kit1000.kits.insertion_search import MOST_TILT, turned_matrix
-from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_loose_fit, is_near_goal
+from kit1000.kits.loose_fits import MOST_TILT, find_loose_fit, is_near_goal, turned_matrix
+from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.kits.seating import BISECTION_STEP, InsertedPart
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose
@@ -33,11 +32,12 @@ def pair_of(solid: Manifold) -> tuple[Mesh, Kit]:
 def loose_fit(mesh: Mesh, kit: Kit) -> Pose | None:
     """A loose fit on the face of the design pose, checked by booleans."""
     design = kit.slot.goals[0]
-    down = [face for face in resting_faces(mesh, 0.0) if design.rotate(face.normal)[2] < -0.999]
-    pose = find_loose_fit(PreparedPart(mesh, down), PreparedKit(kit))
+    part = PreparedPart(mesh, min_probability=0.0)
+    part.faces = [face for face in part.faces if design.rotate(face.normal)[2] < -0.999]
+    pose = find_loose_fit(part, PreparedKit(kit))
     if pose is not None:
-        part = InsertedPart.of(mesh, pose)
-        offset = contact_offset_by_booleans(swept_solid(mesh, part.axis), part, solid_from_mesh(kit.mesh), pose)
+        inserted = InsertedPart.of(mesh, pose)
+        offset = contact_offset_by_booleans(swept_solid(mesh, inserted.axis), inserted, solid_from_mesh(kit.mesh), pose)
         height = np.abs(pose.xyz[2] + offset - kit.slot.goals.xyz[:, 2]).min()
         assert height <= PreparedKit(kit).height_limit + BISECTION_STEP
         assert not is_near_goal(pose, kit.slot)

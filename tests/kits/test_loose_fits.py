@@ -9,10 +9,9 @@ import pytest
 from manifold3d import Manifold
 
 from bench.exact_offset import contact_offset_by_booleans, swept_solid
-from kit1000.kits.contact import convex_edges
-from kit1000.kits.face import resting_faces
 from kit1000.kits.goals import Design, find_goals
-from kit1000.kits.loose_fits import PreparedKit, PreparedPart, find_fit_in_other_slot, find_loose_fit, is_near_goal
+from kit1000.kits.loose_fits import find_fit_in_other_slot, find_loose_fit, is_near_goal
+from kit1000.kits.prepared import PreparedKit, PreparedPart
 from kit1000.kits.seating import BISECTION_STEP, InsertedPart, contact_offset
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.pose import Pose, quaternion_angle
@@ -54,7 +53,7 @@ OTHER_SLOTS = [
 def test_the_search_finds_parts_that_another_slot_accepts_and_no_others(part, other, accepted: bool) -> None:
     mesh, kit = as_part(part()).mesh, pair_of(other())[1]
     prepared = PreparedKit(kit)
-    pose = find_fit_in_other_slot(PreparedPart(mesh, resting_faces(mesh)), prepared)
+    pose = find_fit_in_other_slot(PreparedPart(mesh), prepared)
     assert (pose is not None) == accepted
     if pose is not None:
         assert offset_by_booleans(mesh, kit, pose) <= prepared.height_limit
@@ -75,7 +74,7 @@ def test_the_search_finds_parts_that_another_slot_accepts_and_no_others(part, ot
 )
 def test_loose_fits_are_found_and_confirmed_by_booleans(solid, loose: bool) -> None:
     mesh, kit = pair_of(solid())
-    pose = find_loose_fit(PreparedPart(mesh, resting_faces(mesh)), PreparedKit(kit))
+    pose = find_loose_fit(PreparedPart(mesh), PreparedKit(kit))
     assert (pose is not None) == loose
     if pose is not None:
         assert not is_near_goal(pose, kit.slot)
@@ -87,17 +86,17 @@ def test_loose_fits_are_found_and_confirmed_by_booleans(solid, loose: bool) -> N
 def test_random_poses_find_no_loose_fit_where_the_search_finds_none(solid) -> None:
     """None of 400 random resting poses over the open area seats away from the goals."""
     mesh, kit = pair_of(solid())
-    prepared, edges, rng = PreparedKit(kit), convex_edges(kit.mesh), np.random.default_rng(11)
-    faces = resting_faces(mesh)
-    assert find_loose_fit(PreparedPart(mesh, faces), prepared) is None
+    part, prepared, rng = PreparedPart(mesh), PreparedKit(kit), np.random.default_rng(11)
+    (lowest, highest), faces = prepared.field.opening, part.faces
+    assert find_loose_fit(part, prepared) is None
     for number in range(400):
         face = faces[number % len(faces)]
         rotated = Pose.from_rotvec(np.array([0, 0, rng.uniform(0, 2 * np.pi)])) @ face.plane_from_part
         low, high = mesh.moved(rotated).bounds
-        room = prepared.field.high + 1e-3 - high[:2], prepared.field.low - 1e-3 - low[:2]
+        room = highest + 1e-3 - high[:2], lowest - 1e-3 - low[:2]
         shift = rng.uniform(np.minimum(*room), np.maximum(*room))
         pose = Pose.from_translation(np.array([*shift, -kit.slot.depth - low[2]])) @ rotated
-        heights = pose.xyz[2] + contact_offset(InsertedPart.of(mesh, pose), edges, pose) - kit.slot.goals.xyz[:, 2]
+        heights = pose.xyz[2] + contact_offset(InsertedPart.of(mesh, pose), kit.mesh, pose) - kit.slot.goals.xyz[:, 2]
         assert np.abs(heights).min() > prepared.height_limit or is_near_goal(pose, kit.slot)
 
 
@@ -106,7 +105,7 @@ def test_the_search_does_not_depend_on_the_axes_of_the_part() -> None:
     rotation = Pose.from_rotvec(np.array([0.4, 1.1, -0.3]))
     for solid, accepted in ((box(14, 34, 18), True), (box(48, 30, 40), False)):
         mesh = as_part(solid).mesh.moved(rotation)
-        pose = find_fit_in_other_slot(PreparedPart(mesh, resting_faces(mesh)), PreparedKit(kit))
+        pose = find_fit_in_other_slot(PreparedPart(mesh), PreparedKit(kit))
         assert (pose is not None) == accepted
 
 
@@ -148,4 +147,5 @@ def test_the_height_field_of_a_box_is_as_deep_and_wide_as_its_slot() -> None:
     prepared = PreparedKit(kit)
     assert prepared.field.heights.min() == pytest.approx(-kit.slot.depth, abs=1e-7)
     assert prepared.field.heights.max() == pytest.approx(0, abs=1e-7)
-    assert np.allclose(prepared.field.high - prepared.field.low, np.array([39, 27]) * 1e-3, atol=1.6e-3)
+    low, high = prepared.field.opening
+    assert np.allclose(high - low, np.array([39, 27]) * 1e-3, atol=1.6e-3)

@@ -11,7 +11,6 @@ from manifold3d import Manifold
 
 from bench.exact_offset import contact_offset_by_booleans, swept_solid
 from kit1000.kits.acceptance import rotated_about_centroid
-from kit1000.kits.contact import convex_edges
 from kit1000.kits.seating import (
     BISECTION_STEP,
     HOVER,
@@ -58,7 +57,7 @@ class Pair:
 
     def __init__(self, part: Part, kit: Kit) -> None:
         self.part, self.goal, self.depth = part, kit.slot.goals[0], kit.slot.depth
-        self.kit, self.edges = kit, convex_edges(kit.mesh)
+        self.kit, self.edges = kit, kit.mesh
         self.inserted = InsertedPart.of(part.mesh, self.goal)
 
     def contact_offset(self, pose: Pose) -> float:
@@ -201,7 +200,7 @@ def test_on_the_top_of_a_neighbour_in_its_plane_is_not_seated() -> None:
     """Two plates side by side: over the neighbour's plain top the part is a slot's depth too high."""
     subject = pair("box")
     neighbour = mesh_from_solid(box(0.099, 0.099, 0.022, (0.1, 0, -0.022)))
-    both = convex_edges(mesh_from_solid(solid_from_mesh(subject.kit.mesh) + solid_from_mesh(neighbour)))
+    both = mesh_from_solid(solid_from_mesh(subject.kit.mesh) + solid_from_mesh(neighbour))
     pose = subject.moved(np.array([0.1, 0, subject.depth, 0, 0, 0]))
     offset = contact_offset(subject.inserted, both, pose)
     assert offset == pytest.approx(0, abs=5e-6)
@@ -212,7 +211,7 @@ def test_in_a_pit_deeper_than_the_slot_the_part_is_not_seated() -> None:
     """A neighbour's slot 5 mm deeper takes the part, but below goal height."""
     subject = pair("box")
     pit = box(60, 60, 40, (0, 0, -40)) - box(40, 30, 40, (0, 0, -(subject.depth / MM + 5)))
-    around = convex_edges(mesh_from_solid(standing(pit)))
+    around = mesh_from_solid(standing(pit))
     pose = subject.lifted(-5e-3)
     offset = contact_offset(subject.inserted, around, pose)
     assert offset == pytest.approx(0, abs=5e-6)
@@ -225,7 +224,7 @@ def test_a_tilted_pose_comes_down_along_the_axis_it_carries() -> None:
     part = pair("box").part
     pose = Pose.from_rotvec(np.array([0, np.radians(10), 0])) @ Pose.from_translation(np.array([0, 0, 0.03]))
     lowest = pose.apply(part.mesh.vertices)[:, 2].min()
-    offset = contact_offset(InsertedPart(convex_edges(part.mesh), Z), convex_edges(mesh_from_solid(block)), pose)
+    offset = contact_offset(InsertedPart(part.mesh, Z), mesh_from_solid(block), pose)
     assert offset == pytest.approx(-lowest / np.cos(np.radians(10)), abs=1e-9)
 
 

@@ -13,8 +13,8 @@ from manifold3d import Manifold, OpType
 
 from bench.exact_offset import contact_offset_by_booleans, swept_solid
 from kit1000.errors import InputError, ShapeError
-from kit1000.kits.acceptance import SeatingTest, rotated_about_centroid
-from kit1000.kits.contact import convex_edges
+from kit1000.kits.acceptance import rotated_about_centroid, seating_at
+from kit1000.kits.prepared import PreparedKit
 from kit1000.kits.seating import (
     BISECTION_STEP,
     HOVER,
@@ -158,10 +158,10 @@ def test_a_jammed_part_is_seated_up_to_10_degrees_from_its_goal(tilt: float, is_
 def test_results_equal_those_of_single_trials(name: str) -> None:
     """Of a kit alone, in its own frame: the test that the generation of kits runs."""
     truth = truth_of(next(i for i in sample_geometry().assemblies if i.startswith(name)))
-    goal, test = truth.slot.goals[0], SeatingTest(sample_part(name).mesh, sample_kit(name))
+    goal, part, kit = truth.slot.goals[0], sample_part(name).mesh, PreparedKit(sample_kit(name))
     poses = [displaced(goal, error) for error in random_errors(QUICK.index(name), 30)]
     results = results_of(*((truth, pose) for pose in poses), exact="never")
-    single = [test.result(pose, goal) for pose in poses]
+    single = [seating_at(part, kit, pose, goal) for pose in poses]
     assert 0 < sum(one.seated for one in single) < len(single)
     assert results.seated.tolist() == [one.seated for one in single]
     assert results.strict.tolist() == [one.strict for one in single]
@@ -246,7 +246,7 @@ def test_a_swept_volume_is_collision_free_from_contact_on(seed: int) -> None:
     mesh, goal = sample_geometry().part(name).mesh, truth.slot.goals[0]
     inserted = InsertedPart.of(mesh, goal)
     pose = displaced(goal, random_errors(seed, 1, 10e-3, 0.4)[0])
-    offset = contact_offset(inserted, convex_edges(sample_kit(name).mesh), pose)
+    offset = contact_offset(inserted, sample_kit(name).mesh, pose)
     swept_volume, plate = SweptVolume.of(mesh, inserted.axis), solid_from_mesh(sample_kit(name).mesh)
     assert swept_volume.is_collision_free(plate, pose, offset + BISECTION_STEP / 2)
     assert not swept_volume.is_collision_free(plate, pose, offset - BISECTION_STEP / 2)
@@ -259,7 +259,7 @@ def test_a_contact_interval_holds_the_offsets_that_pass_the_seating_test(
 ) -> None:
     axis = np.array([np.sqrt(1 - cosine**2), 0, cosine])
     pose, goal = Pose.from_translation(np.array([0, 0, height])), Pose.identity()
-    inserted = InsertedPart(convex_edges(sample_part("tee").mesh), axis)
+    inserted = InsertedPart(sample_part("tee").mesh, axis)
     result = seating_result(offset, inserted, pose, goal, depth)
 
     def never_called(end: float) -> bool:

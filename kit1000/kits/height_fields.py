@@ -1,6 +1,9 @@
-"""Height fields of a body along z: its lower envelope on square and polar grids. All lengths are metres."""
+"""Height fields of a body along z: a kit from above, a part from below on square and polar grids. Lengths in metres."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -10,6 +13,40 @@ from kit1000.numerics.trigonometry import cosine, sine
 
 RELIEF_CELLS = 75  # along a relief's longest side: fine enough to distinguish yaws, coarse enough for 2 ms
 RELIEF_RINGS, RELIEF_ANGLES = 30, 120
+
+
+@dataclass(frozen=True, eq=False)
+class HeightField:
+    """A kit from above, on a grid."""
+
+    heights: np.ndarray
+    """Heights of the cells, (nx, ny) [m]; 0, the top of the plate, beside the kit."""
+    origin: np.ndarray
+    """Middle of the first cell, (2,) [m]."""
+    cell: float
+    """Side of a cell [m]."""
+    depth: float
+    """Depth of the cavity [m]."""
+
+    @staticmethod
+    def of(kit: Mesh, cell: float, depth: float) -> HeightField:
+        """The field of a kit whose top is at z = 0."""
+        upside_down = Mesh(kit.vertices * [1, 1, -1], kit.faces[:, ::-1])
+        heights, origin = lower_envelope(upside_down, cell)
+        return HeightField(np.where(np.isfinite(heights), -heights, 0.0), origin, cell, depth)
+
+    def minimum_filtered(self) -> HeightField:
+        """The field with the minimum over each cell and its eight neighbours, float32."""
+        padded = np.pad(self.heights, 1)
+        rows, columns = self.heights.shape
+        least = np.min([padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)], axis=0)
+        return replace(self, heights=least.astype(np.float32))
+
+    @cached_property
+    def opening(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest corner (2,) [m] of the rectangle around the cells that are open to half of the depth."""
+        cells = np.argwhere(self.heights < -self.depth / 2)
+        return self.origin + cells.min(0) * self.cell, self.origin + cells.max(0) * self.cell
 
 
 def lower_envelope(mesh: Mesh, cell: float, margin: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
