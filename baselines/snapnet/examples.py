@@ -6,37 +6,29 @@ all drawn from one generator. Validation uses the dataset's queries with their s
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from typing import Literal, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from baselines.snapnet.candidate_rotations import candidates, nearest_candidate
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
-from baselines.snapnet.query_volumes import SCENES, ImageCache, QueryVolumes
+from baselines.snapnet.query_volumes import ImageCache, QueryVolumes
+from baselines.training.tasks.split_queries import TRACK_OF, Guesses, SplitQueries, new_guess
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError, did_you_mean
 from kit1000.kits.goals import nearest_about_axis
 from kit1000.perception.completion.kits.completed import ReliefCompleter
 from kit1000.perception.completion.parts.completed import PartCompleter
 from kit1000.pose import Pose, unit_vector
-from kit1000.queries.guesses import draw_ball_error, draw_goal, draw_tilt_error
-from kit1000.queries.motions import apply_error, goal_motion, goal_pose
+from kit1000.queries.motions import goal_motion
 from kit1000.queries.tracks import TRACKS, Sensor
 from kit1000.rng import stream
 from kit1000.values import FreeAxis, Query, Truth
 
-Guesses = Literal["ball", "tilt", "place"]
-"""Errors of the guess: about any axis, about level axes; place: no guess."""
 Example = dict[str, np.ndarray]
 
-TRACK_OF = {"ball": "snap", "tilt": "snap-tilt", "place": "place"}
-"""The track with such guesses."""
-DRAW_ERROR = {"ball": draw_ball_error, "tilt": draw_tilt_error}
 START_JITTER = 3.56e-3  # [m] most along an axis, without a guess: four voxels of the paper
-TRIES = 1000  # scenes drawn in a row without a query before the split counts as empty
 HARD = 64  # candidates nearest to the correct one: on the ball those within some 14 degrees
 SEED = 0  # of the points and candidates of validation examples
 
@@ -98,21 +90,19 @@ class QuerySampler:
         """
         if guesses not in TRACK_OF:
             raise InputError(f"guesses {guesses!r}: {did_you_mean(guesses, TRACK_OF)}there are {', '.join(TRACK_OF)}")
-        self.dataset, self.split = dataset, split
         self.source: Source = source
         self.guesses: Guesses = guesses
-        self.sensor: Sensor = sensor
         self.track = TRACK_OF[guesses] if sensor == "ideal" else f"{TRACK_OF[guesses]}-{sensor}"
         if self.track not in TRACKS:
             raise InputError(f"sensor {sensor!r}: no track {self.track}; there are {', '.join(TRACKS)}")
-        self._split = dataset.split(split, truth=True)
+        self.queries = SplitQueries(dataset, split, sensor)
         self.images = ImageCache(completer=completer, kit_completer=kit_completer)
-        self._completer, self._kit_completer = completer, kit_completer
-        self._queries: Callable[[str], tuple[tuple[Query, Truth], ...]] = lru_cache(SCENES)(self._read)
+        self._networks = completer, kit_completer
 
     def __reduce__(self) -> tuple[type[QuerySampler], tuple[object, ...]]:
-        networks = (self._completer, self._kit_completer)
-        return QuerySampler, (self.dataset, self.split, self.source, self.guesses, self.sensor, *networks)
+        queries = self.queries
+        options = (queries.dataset, queries.split, self.source, self.guesses, queries.sensor)
+        return QuerySampler, (*options, *self._networks)
 
     def draw(self, rng: np.random.Generator) -> QuerySample:
         """A part of a scene, every scene with the same probability, with a fresh guess.
@@ -120,51 +110,27 @@ class QuerySampler:
         The error is drawn along the working axes, not the world's, so that it fills the window of scores as it does
         without a yaw.
         """
-        query, truth = self._draw_query(rng)
+        query, truth = self.queries.draw(rng, self.track)
         volumes = self._volumes(query, truth)
         yaw = Pose.from_rotvec((0, 0, rng.uniform(0, 2 * np.pi)))
         if self.guesses == "place":
             shift = yaw.rotate(rng.uniform(-START_JITTER, START_JITTER, 3))
             return query_sample(volumes, truth, Pose.from_translation(shift) @ volumes.initial_guess(), yaw)
-        goal = goal_pose(truth.slot, *draw_goal(rng, truth.slot))
-        offset, rotvec = DRAW_ERROR[self.guesses](rng)
-        motion = goal_motion(truth.world_from_part, truth.world_from_kit, goal)
-        guess = apply_error(motion, query.pivot, yaw.rotate(offset), yaw.rotate(rotvec))
-        return query_sample(volumes, truth, guess, yaw)
+        return query_sample(volumes, truth, new_guess(rng, query, truth, self.guesses, yaw), yaw)
 
     def keys(self, count: int) -> list[str]:
         """Ids of validation queries: `count` of the drawn targets, spread evenly, or all if there are fewer."""
-        drawn = [query.id for scene_id in self._split.scene_ids for query, _ in self._queries(scene_id) if query.drawn]
-        return [drawn[i * len(drawn) // count] for i in range(count)] if count < len(drawn) else drawn
+        return self.queries.keys(self.track, count)
 
     def stored(self, key: str) -> QuerySample:
         """A query of the track by its id, with its stored guess, if it has one, along the axes of the world."""
-        scene_id = key.partition("-p")[0]  # train-s0012-p3-snap
-        queries = {query.id: (query, truth) for query, truth in self._queries(scene_id)}
-        if key not in queries:
-            raise InputError(f"no query {key!r} of track {self.track}; {did_you_mean(key, queries)}see keys()")
-        query, truth = queries[key]
+        query, truth = self.queries.stored(key)
         volumes = self._volumes(query, truth)
         return query_sample(volumes, truth, volumes.initial_guess(), Pose.identity())
 
     def _volumes(self, query: Query, truth: Truth) -> QueryVolumes:
-        geometry = self.dataset.geometry.true_geometry(truth) if self.source == "truth" else None
+        geometry = self.queries.dataset.geometry.true_geometry(truth) if self.source == "truth" else None
         return QueryVolumes(query, self.source, geometry, self.images)
-
-    def _draw_query(self, rng: np.random.Generator) -> tuple[Query, Truth]:
-        scene_ids = self._split.scene_ids
-        for _ in range(TRIES):
-            queries = self._queries(scene_ids[rng.integers(len(scene_ids))])
-            if queries:
-                return queries[rng.integers(len(queries))]
-        raise InputError(f"{self.dataset.root}: split {self.split} has no query of track {self.track}")
-
-    def _read(self, scene_id: str) -> tuple[tuple[Query, Truth], ...]:
-        """The queries of the track in a scene, with their truths; they share its images and hold none in memory."""
-        recorded = self._split.scene(scene_id)
-        read_image = partial(self.dataset.labelled_depth, recorded.shard, scene_id, self.sensor)
-        queries = (query for query in recorded.queries if query.track == self.track)
-        return tuple((replace(query, read_image=read_image), recorded.truth_of(query.id)) for query in queries)
 
 
 class PositionExamples:

@@ -12,9 +12,10 @@ import torch
 from torch import Tensor
 
 from baselines.snapnet.config import POSITION, ROTATION, PositionConfig, RotationConfig, Source
-from baselines.snapnet.examples import Example, Guesses, PositionExamples, QuerySampler, RotationExamples
+from baselines.snapnet.examples import Example, PositionExamples, QuerySampler, RotationExamples
 from baselines.snapnet.position import PositionNet, position_loss, position_of
 from baselines.snapnet.rotation import RotationNet, rotation_loss
+from baselines.training.tasks.split_queries import Guesses
 from kit1000.dataset.reader import Dataset
 from kit1000.perception.completion.kits.completed import ReliefCompleter
 from kit1000.perception.completion.parts.completed import PartCompleter

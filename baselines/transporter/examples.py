@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.training.tasks.goal_draws import TRACK_OF, GoalQuery, Guesses, QueryDraws
+from baselines.training.tasks.goal_draws import GoalQuery, QueryDraws
+from baselines.training.tasks.split_queries import TRACK_OF, Guesses
 from baselines.transporter.config import YAW_STEP, YAWS, TransporterConfig
 from baselines.transporter.inputs import Start, search_inputs, start_of
 from baselines.transporter.lattice import lattice_of, spread_cells, tilt_and_yaw

@@ -10,7 +10,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from baselines.training.tasks.goal_draws import Guesses, QueryDraws
+from baselines.training.tasks.goal_draws import QueryDraws
+from baselines.training.tasks.split_queries import Guesses
 from baselines.transporter.config import TRANSPORTER, TransporterConfig
 from baselines.transporter.examples import Example, TransporterExamples
 from baselines.transporter.lattice import rotation_from

@@ -14,17 +14,16 @@ from baselines.snapnet import query_volumes as volumes_module
 from baselines.snapnet.config import PositionConfig, RotationConfig, Source
 from baselines.snapnet.examples import (
     HARD,
-    Guesses,
     PositionExamples,
     QuerySample,
     QuerySampler,
     RotationExamples,
-    Sensor,
     query_sample,
     residual_of,
     training_candidates,
 )
 from baselines.snapnet.query_volumes import QueryVolumes, grid_about
+from baselines.training.tasks.split_queries import Guesses
 from kit1000.dataset.reader import Dataset
 from kit1000.errors import InputError
 from kit1000.metrics import Targets, pose_errors
@@ -35,6 +34,7 @@ from kit1000.perception.restoration import restored_query
 from kit1000.pose import Pose, quaternion_angle
 from kit1000.queries.guesses import MAX_OFFSET
 from kit1000.queries.motions import apply_error, goal_motion
+from kit1000.queries.tracks import Sensor
 from kit1000.rng import stream
 from kit1000.testing import moved_geometry, moved_query, moved_truth
 from kit1000.values import FIRST_PART_LABEL, FreeAxis
