@@ -11,6 +11,7 @@ from typing import Any
 
 from kit1000.errors import InputError
 from kit1000.files import read_json
+from kit1000.submission.faults import Fault
 from kit1000.submission.manifest import Manifest, read_manifest
 from kit1000.submission.predictions import FILE as PREDICTIONS
 from kit1000.submission.reading import read_file
@@ -90,9 +91,9 @@ def _check_files(entry: Entry) -> None:
     if entry.scores["method"] != entry.manifest.method:
         raise _other_files(entry, "manifest.toml has another method")
     path = entry.folder / PREDICTIONS
-    data, faults = read_file(path, str(path), entry.folder)
-    if data is None:
-        raise InputError(str(faults[0]))
+    data = read_file(path, str(path), entry.folder)
+    if isinstance(data, Fault):
+        raise InputError(str(data))
     scored, now = entry.scores["predictions_sha256"], hashlib.sha256(data).hexdigest()
     if scored != now:
         hashes = f"has SHA-256 {now[:SHOWN_DIGITS]}, the scored one had {str(scored)[:SHOWN_DIGITS]}"

@@ -227,7 +227,7 @@ class Export:
 
 @dataclass(frozen=True)
 class Check:
-    """List every fault of a submission, with line, column, value, expected value and fix."""
+    """List every fault of a submission, with line, value, expected value and repair."""
 
     submission: Annotated[Positional[Path], arg(metavar="SUBMISSION")]
     """Folder with manifest.toml and predictions.csv, or one predictions file."""

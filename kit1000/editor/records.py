@@ -23,7 +23,7 @@ from kit1000.errors import InputError
 from kit1000.queries.tracks import TRACKS
 from kit1000.submission import Manifest, Predictions, read_submission, write_submission
 from kit1000.submission import manifest as manifests
-from kit1000.submission.row_rules import NOT_MEASURED
+from kit1000.submission.predictions import NOT_MEASURED
 from kit1000.values import Prediction, Query
 
 FILE = "events.jsonl"

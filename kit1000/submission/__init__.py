@@ -5,9 +5,8 @@ from __future__ import annotations
 from kit1000.submission.check import check
 from kit1000.submission.faults import Fault, Report
 from kit1000.submission.folder import Submission, read_submission, read_valid_submission, write_submission
-from kit1000.submission.header import HEADER
 from kit1000.submission.manifest import Manifest, read_manifest, write_manifest
-from kit1000.submission.predictions import Predictions, read_predictions, write_predictions
+from kit1000.submission.predictions import HEADER, Predictions, read_predictions, write_predictions
 
 __all__ = [
     "HEADER",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cached_property, lru_cache, partial
 from pathlib import Path
 
@@ -54,26 +53,13 @@ class ExpectedQueries:
     def _by_normal_id(self) -> dict[str, str]:
         return {_normal_id(query_id): query_id for query_id in self.query_ids}
 
-    @cached_property
-    def _by_part(self) -> dict[str, list[str]]:
-        by_part: dict[str, list[str]] = {}
-        for query_id in self.query_ids:
-            by_part.setdefault(_scene_part(query_id), []).append(query_id)
-        return by_part
-
     def scene_part(self, i: int) -> str:
         """Scene and part of a query: test-s0007-p2."""
-        return _scene_part(self.query_ids[i])
+        return "-".join(self.query_ids[i].split("-")[:3])
 
-    def closest_id(self, query_id: str, fuzzy: bool) -> str | None:
-        """The query id that was probably intended; beyond case, hyphens and zeros only if `fuzzy`."""
-        text = query_id[:100]
-        same = self._by_normal_id.get(_normal_id(text))
-        if same is not None or not fuzzy:
-            return same
-        of_part = self._by_part.get(_scene_part(_lowercase_id(text)), [])
-        close = get_close_matches(text.lower(), of_part or self.query_ids, n=1, cutoff=0.6 if of_part else 0.85)
-        return close[0] if close else None
+    def closest_id(self, query_id: str) -> str | None:
+        """The query id that differs only in case, hyphens or zeros; None if there is none."""
+        return self._by_normal_id.get(_normal_id(query_id))
 
 
 def read_expected_queries(data: Path, split: str, query_ids: Iterable[str]) -> ExpectedQueries:
@@ -163,13 +149,4 @@ def _read_guesses(queries: list[Query], pivots: np.ndarray) -> tuple[np.ndarray,
 
 def _normal_id(query_id: str) -> str:
     """An id in lower case, with single hyphens and without leading zeros, for comparison."""
-    return re.sub(r"(?<=[a-z])0+(?=\d)", "", _lowercase_id(query_id))
-
-
-def _lowercase_id(query_id: str) -> str:
-    return re.sub(r"[\s_./-]+", "-", query_id.strip().lower())
-
-
-def _scene_part(query_id: str) -> str:
-    """Scene and part of a query: test-s0007-p2."""
-    return "-".join(query_id.split("-")[:3])
+    return re.sub(r"(?<=[a-z])0+(?=\d)", "", re.sub(r"[\s_./-]+", "-", query_id[:100].lower()))

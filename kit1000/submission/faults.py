@@ -3,92 +3,84 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-import numpy as np
-
-LONGEST_VALUE = 60  # characters of a value in a message; longer ones are shortened
+LONGEST_VALUE = 60  # characters of a value in a message; longer values are shortened
 LISTED = 3  # ids in a message; the others are counted
-MOST_KEPT = 1000  # errors, and warnings, in a report; further ones are counted: its size is limited for any file
+MOST_KEPT = 1000  # errors, and warnings, in a report; the others are counted, so that no file makes a report large
 MOST_PRINTED = 20  # faults of a report as text
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault in one place. As text: `file:line:column: actual: expected EXPECTED; repair`."""
+    """One fault in one place. As text: `file:line: actual: expected EXPECTED; repair`."""
 
     file: str
     """manifest.toml, predictions.csv, or the given path."""
     line: int | None
-    """Counted from 1; None when the fault concerns the whole file."""
-    column: int | None
-    """Position in the line where the value begins, counted from 1."""
+    """Counted from 1; None if the fault concerns the whole file."""
+    code: str
+    """Kind of fault, such as quaternion-norm: stable, for programs."""
     actual: str
     """What the file contains, such as `qw = "abc"`."""
     expected: str
     repair: str
     """What to do."""
-    severity: Literal["error", "warning"]
-    code: str
-    """Kind of fault, such as decimal-comma: stable, for programs."""
+    severity: Literal["error", "warning"] = "error"
 
     def __str__(self) -> str:
-        location = ":".join(str(part) for part in (self.file, self.line, self.column) if part is not None)
+        location = self.file if self.line is None else f"{self.file}:{self.line}"
         prefix = "" if self.severity == "error" else "warning: "
         return f"{location}: {prefix}{self.actual}: expected {self.expected}; {self.repair}"
 
 
+def file_error(file: str, code: str, actual: str, expected: str, repair: str) -> Fault:
+    """An error that concerns a whole file."""
+    return Fault(file, None, code, actual, expected, repair)
+
+
+def file_warning(file: str, code: str, actual: str, expected: str, repair: str) -> Fault:
+    """A warning that concerns a whole file."""
+    return Fault(file, None, code, actual, expected, repair, "warning")
+
+
 @dataclass
 class FaultList:
-    """Faults, of which those of the first lines are kept and all are counted."""
+    """Faults in any order. All are counted; a caller that finds thousands adds only the first MOST_KEPT."""
 
     kept: list[Fault] = field(default_factory=list)
-    """The first errors and warnings, at most MOST_KEPT of each."""
     errors: int = 0
     warnings: int = 0
 
-    @classmethod
-    def of(cls, faults: Iterable[Fault]) -> FaultList:
-        """A list of faults, in any order."""
-        made = cls()
-        for fault in faults:
-            made._count(fault.severity, 1)
-            made.kept.append(fault)
-        made.kept = _first(made.kept)
-        return made
+    def add(self, faults: Iterable[Fault], errors: int | None = None) -> None:
+        """Add faults.
 
-    @classmethod
-    def of_rows(
-        cls,
-        rows: Sequence[int] | np.ndarray,
-        make: Callable[[int], Fault],
-        severity: Literal["error", "warning"] = "error",
-    ) -> FaultList:
-        """One fault for each of some rows, in their order; only those that are kept are made."""
-        made = cls([make(int(row)) for row in rows[:MOST_KEPT]])
-        made._count(severity, len(rows))
-        return made
+        Args:
+            faults: errors and warnings.
+            errors: number of all errors, if `faults` holds only the first of them.
+        """
+        added = list(faults)
+        warnings = sum(fault.severity == "warning" for fault in added)
+        self.kept += added
+        self.warnings += warnings
+        self.errors += len(added) - warnings if errors is None else errors
 
-    def append(self, fault: Fault) -> None:
-        """Add a fault that comes after all others."""
-        self._count(fault.severity, 1)
-        if (self.errors if fault.severity == "error" else self.warnings) <= MOST_KEPT:
-            self.kept.append(fault)
-
-    def add(self, faults: FaultList | Iterable[Fault]) -> None:
-        """Add faults of any place."""
-        other = faults if isinstance(faults, FaultList) else FaultList.of(faults)
+    def add_all(self, other: FaultList) -> None:
+        """Add the faults of another list."""
+        self.kept += other.kept
         self.errors += other.errors
         self.warnings += other.warnings
-        self.kept = _first([*self.kept, *other.kept])
 
-    def _count(self, severity: str, n: int) -> None:
-        if severity == "error":
-            self.errors += n
-        else:
-            self.warnings += n
+    def first(self, severity: Literal["error", "warning"]) -> tuple[Fault, ...]:
+        """The first MOST_KEPT errors or warnings, by file and line."""
+        return tuple(in_order(fault for fault in self.kept if fault.severity == severity)[:MOST_KEPT])
+
+    @property
+    def first_error(self) -> Fault | None:
+        """The first error by file and line; None if there is none."""
+        return next(iter(self.first("error")), None)
 
 
 @dataclass(frozen=True)
@@ -96,27 +88,34 @@ class Report:
     """The result of a check."""
 
     path: str
-    faults: tuple[Fault, ...]
-    """Ordered by file, line and column; where there are more, the first MOST_KEPT errors and warnings."""
+    errors: tuple[Fault, ...]
+    """Faults that make a submission invalid, by file and line; if there are more, the first MOST_KEPT."""
+    warnings: tuple[Fault, ...]
+    """Allowed, but probably not intended; limited in the same way."""
     rows: int
-    """Number of predictions with all their fields."""
+    """Number of rows with all their fields."""
     against_data: bool
     """Whether ids and motions were checked against a dataset, or only the format."""
     error_count: int
-    """Number of all errors, kept in `faults` or not."""
+    """Number of all errors."""
     warning_count: int
     form_errors: tuple[Fault, ...]
     """Errors of the manifest, of the header, of ids, or of all rows together: not those of single predictions."""
 
-    @property
-    def errors(self) -> tuple[Fault, ...]:
-        """Faults that make a submission invalid, those in `faults`."""
-        return tuple(fault for fault in self.faults if fault.severity == "error")
+    @classmethod
+    def of(cls, path: object, form: FaultList, of_rows: FaultList, rows: int, against_data: bool) -> Report:
+        """The report about a path, from the faults of form and of single rows."""
+        found = FaultList()
+        found.add_all(form)
+        found.add_all(of_rows)
+        counts = found.errors, found.warnings
+        shown = found.first("error"), found.first("warning")
+        return cls(printable(path), *shown, rows, against_data, *counts, form.first("error"))
 
     @property
-    def warnings(self) -> tuple[Fault, ...]:
-        """Allowed, but probably not intended."""
-        return tuple(fault for fault in self.faults if fault.severity == "warning")
+    def faults(self) -> tuple[Fault, ...]:
+        """Errors and warnings by file and line."""
+        return tuple(in_order([*self.errors, *self.warnings]))
 
     @property
     def good(self) -> bool:
@@ -124,7 +123,7 @@ class Report:
         return not self.error_count
 
     def __str__(self) -> str:
-        printed = sorted_faults([*self.errors, *self.warnings][:MOST_PRINTED])
+        printed = in_order([*self.errors, *self.warnings][:MOST_PRINTED])
         return "\n".join([*map(str, printed), self.summary])
 
     @property
@@ -151,27 +150,14 @@ class Report:
         }
 
 
-def _first(faults: Sequence[Fault]) -> list[Fault]:
-    """The faults in order: of errors and of warnings the first MOST_KEPT."""
-    kept: list[Fault] = []
-    for severity in ("error", "warning"):
-        kept += sorted_faults(fault for fault in faults if fault.severity == severity)[:MOST_KEPT]
-    return list(sorted_faults(kept))
-
-
-def sorted_faults(faults: Iterable[Fault]) -> tuple[Fault, ...]:
-    """Sorted by file, line and column; faults of a whole file come first."""
-    return tuple(sorted(faults, key=lambda f: (f.file, f.line or 0, f.column or 0, f.severity, f.code)))
-
-
-def first_error(faults: Iterable[Fault]) -> Fault | None:
-    """The first error in sorted order; None when there is none."""
-    return next((fault for fault in sorted_faults(faults) if fault.severity == "error"), None)
+def in_order(faults: Iterable[Fault]) -> list[Fault]:
+    """Faults by file and line; faults of a whole file come first."""
+    return sorted(faults, key=lambda fault: (fault.file, fault.line or 0, fault.severity, fault.code))
 
 
 def quote(value: object) -> str:
     """A value for a message: in quotes, shortened, in ASCII."""
-    text = value if isinstance(value, str) else str(value)
+    text = str(value)
     short = text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
     return json.dumps(short).replace("\x7f", "\\u007f")
 

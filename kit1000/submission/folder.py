@@ -37,7 +37,7 @@ class Submission:
 
 
 def read_submission(folder: str | Path) -> Submission:
-    """Read a submission. Raises InputError with its first error, when it has any."""
+    """Read a submission. Raises InputError with its first error, if it has any."""
     submission = read_valid_submission(folder)
     if submission.invalid.first is not None:
         raise InputError(f"{submission.invalid.first} (`kit1000 check` lists all faults)")
@@ -45,7 +45,10 @@ def read_submission(folder: str | Path) -> Submission:
 
 
 def read_valid_submission(folder: str | Path) -> Submission:
-    """Read a submission without its invalid rows. Raises InputError for faults of form alone."""
+    """Read a submission without its invalid rows.
+
+    Raises InputError with the first error of the manifest, or of the predictions file itself.
+    """
     path = Path(folder)
     manifest = read_manifest(path / manifests.FILE, path)
     predictions, invalid = read_valid_predictions(path / prediction_files.FILE, path)

@@ -2,132 +2,165 @@
 
 from __future__ import annotations
 
+import json
 import re
-import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields
 from datetime import date, datetime
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Annotated, Any, get_type_hints
 
-from kit1000.errors import InputError
+import msgspec
+from msgspec import Meta
+
+from kit1000.errors import InputError, did_you_mean
 from kit1000.files import write_bytes
 from kit1000.queries.tracks import ALL_TRACKS
 from kit1000.sim.cameras import CAMERA_SETS
-from kit1000.submission.faults import Fault, first_error, printable, quote
-from kit1000.submission.reading import UNPRINTABLE, decode_text, file_error, read_file
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from kit1000.submission.faults import Fault, file_error, file_warning, printable, quote
+from kit1000.submission.reading import read_text
 
 FILE = "manifest.toml"
-PREDICTS = ("pose", "rotation")
-MASKS = ("given", "predicted")
-MAX_NAME = 80  # characters of a name or label, so that it fits into a table
-MAX_TEXT = 2000  # characters of any other field
-DAY = re.compile(r"\d{4}-\d{2}-\d{2}\Z", re.ASCII)
+EXAMPLE_ID = "0123456789abcdef"  # of a dataset, in messages
+MAX_NAME, MAX_TEXT = 80, 2000  # characters: a name fits into a table
+CONTROLS = r"\x00-\x08\x0b-\x1f\x7f\ud800-\udfff"  # control characters, and what UTF-8 cannot encode
+LINE = rf"[^\n{CONTROLS}]*\Z"
+DAY = r"\A\d{4}-\d\d-\d\d\Z"
+FILLED = r"\A(?=[\s\S]*\S)"
+
+
+def _text(expected: str, pattern: str, most: int = MAX_TEXT, **options: Any) -> Meta:
+    return Meta(max_length=most, pattern=pattern, description=f"{expected} of at most {most} characters", **options)
+
+
+def _one_of(choices: Sequence[str], **options: Any) -> Meta:
+    return Meta(pattern=rf"\A({'|'.join(choices)})\Z", description=f"one of {', '.join(choices)}", **options)
+
+
+Name = Annotated[str, _text("one line of text", FILLED + LINE, MAX_NAME, examples=["my method"])]
+ShortLine = Annotated[str, _text("one line of text", r"\A" + LINE, MAX_NAME)]
+Text = Annotated[str, _text("text", rf"\A[^{CONTROLS}]*\Z")]
+Flag = Annotated[bool, Meta(description="true or false, without quotes", examples=[False])]
+Author = Annotated[str, _text("one line of text", FILLED + LINE)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
     """A method and how it made its predictions."""
 
-    method: str
+    method: Name
     """Its name, unique among the submissions of a leaderboard."""
-    label: str = ""
-    """Short name in tables; the method's name when left out."""
-    authors: tuple[str, ...]
-    description: str
+    label: ShortLine = ""
+    """Short name in tables; the method's name if left out."""
+    authors: Annotated[tuple[Author, ...], Meta(min_length=1, description="a list of names", examples=[["A. Name"]])]
+    description: Annotated[str, _text("text", rf"{FILLED}[^{CONTROLS}]*\Z", examples=["What it does."])]
     """One or two sentences."""
-    url: str = ""
+    url: Annotated[str, _text("an address that begins with https://", r"\A(https?://[^\s/]+\S*)?\Z")] = ""
     """Address of the paper or the code."""
-    date: str
+    date: Annotated[str, Meta(pattern=DAY, description="a day as YYYY-MM-DD", examples=["2026-01-31"])]
     """YYYY-MM-DD"""
-    dataset_id: str
+    dataset_id: Annotated[str, _text("the dataset_id of dataset.json", FILLED + LINE, MAX_NAME, examples=[EXAMPLE_ID])]
     """As dataset.json has it."""
-    tracks: tuple[str, ...]
+    tracks: Annotated[
+        tuple[Annotated[str, _one_of(ALL_TRACKS)], ...],
+        Meta(min_length=1, description=f"a list of some of {', '.join(ALL_TRACKS)}", examples=[["snap", "place"]]),
+    ]
     """The tracks with predictions: those of the dataset, and `curves`."""
-    predicts: str = "pose"
-    """pose, or rotation when the positions are not predicted."""
-    learned: bool
+    predicts: Annotated[str, _one_of(("pose", "rotation"))] = "pose"
+    """pose, or rotation if the positions are not predicted."""
+    learned: Flag
     """Whether anything was fitted to data."""
-    uses_true_geometry: bool
+    uses_true_geometry: Flag
     """Whether the method reads meshes or poses of the ground truth."""
-    control: bool = False
+    control: Flag = False
     """Whether this is a control and no method, such as the unchanged initial guess."""
-    paper_row: str = ""
-    """Key of the row of the paper's Table I that it reproduces, see `benchmark.table1`; none when left out."""
-    training_data: str = ""
+    paper_row: ShortLine = ""
+    """Key of the row of the paper's Table I that it reproduces, see `benchmark.table1`; none if left out."""
+    training_data: Text = ""
     """The data it was fitted to."""
-    hardware: str = ""
+    hardware: Text = ""
     """The computer on which the seconds were measured."""
-    camera_set: str = "primary"
+    camera_set: Annotated[str, _one_of(CAMERA_SETS)] = "primary"
     """The cameras it reads: primary, three or top."""
-    masks: str = "given"
+    masks: Annotated[str, _one_of(("given", "predicted"))] = "given"
     """The masks it reads: those of the dataset, given, or predicted from depth."""
-    reproduce: str = ""
+    reproduce: Text = ""
     """The command that makes these predictions."""
-    dataset_checksum: str = ""
+    dataset_checksum: ShortLine = ""
     """Checksum of the copy of the dataset that was read, as dataset.json has it."""
-    source: str = ""
-    """Hash of the code and the weights that made the rows, so that those of others are not mixed in."""
+    source: ShortLine = ""
+    """Hash of the code and the weights that made the rows, so that rows of others are not mixed in."""
 
     def __post_init__(self) -> None:
         for name in ("authors", "tracks"):
             value = getattr(self, name)
             object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
-        first = next((fault for name in FIELD_TYPES if (fault := _value_fault(name, getattr(self, name)))), None)
-        if first is not None:
-            raise InputError(f"manifest: {first.actual}: expected {first.expected}; {first.repair}")
+        for name in FIELD_TYPES:
+            fault = _value_fault(name, getattr(self, name), "")
+            if fault is not None:
+                raise InputError(f"manifest: {fault.actual}: expected {fault.expected}")
 
     @property
     def display_name(self) -> str:
-        """The label, or the method's name where there is none."""
+        """The label, or the method's name if there is none."""
         return self.label or self.method
 
 
-FIELD_TYPES = get_type_hints(Manifest)
+FIELD_TYPES = get_type_hints(Manifest, include_extras=True)
+META: dict[str, Meta] = {name: kind.__metadata__[0] for name, kind in FIELD_TYPES.items()}
 REQUIRED = tuple(field.name for field in fields(Manifest) if field.default is MISSING)
 
 
 def read_manifest(path: str | Path, inside: Path | None = None) -> Manifest:
-    """Read a manifest. Raises InputError, with the first fault, when there is one.
+    """Read a manifest. Raises InputError with its first error, if it has any.
 
     Args:
         path: of the file.
-        inside: the folder that a link must not lead out of; any link is followed when absent.
+        inside: the folder that a link must not lead out of; any link is followed if absent.
     """
-    manifest, faults = manifest_of(Path(path), printable(path), inside)
-    error = first_error(faults)
-    if error is not None:
-        raise InputError(f"{error} (`kit1000 check` lists all faults)")
-    assert manifest is not None  # or there would be an error
+    manifest, faults = parse_manifest(read_text(Path(path), printable(path), inside), printable(path))
+    if manifest is None:
+        raise InputError(f"{faults[0]} (`kit1000 check` lists all faults)")
     return manifest
 
 
 def write_manifest(path: str | Path, manifest: Manifest) -> None:
-    """Write a manifest as TOML: whole or not at all."""
-    lines = [f"{field.name} = {_toml(getattr(manifest, field.name))}" for field in fields(manifest)]
+    """Write a manifest as TOML: completely or not at all."""
+    values = {field.name: getattr(manifest, field.name) for field in fields(manifest)}
+    lines = [f"{name} = {_toml(value)}" for name, value in values.items()]
     write_bytes(Path(path), "\n".join([*lines, ""]).encode())
 
 
-def manifest_of(path: Path, file: str, inside: Path | None = None) -> tuple[Manifest | None, list[Fault]]:
-    """A manifest and its faults; `file` is its name in messages. The manifest is None when there are errors."""
-    data, faults = read_file(path, file, inside)
-    text, more = (None, []) if data is None else decode_text(data, file)
-    faults += more
-    if text is None:
-        return None, faults
-    values, fault = _parsed(text, file)
-    if fault is not None:
-        return None, [*faults, fault]
-    faults += _value_faults(values, text, file)
-    if first_error(faults) is not None:
-        return None, faults
-    return Manifest(**{name: _plain(value) for name, value in values.items()}), faults
+def _toml(value: object) -> str:
+    """A text, a truth value or texts as TOML, which writes them as JSON does."""
+    return json.dumps(value, ensure_ascii=False)
+
+
+def parse_manifest(text: str | Fault, file: str) -> tuple[Manifest | None, list[Fault]]:
+    """A manifest and its faults; it is None if there are errors.
+
+    Args:
+        text: of the file, or why it cannot be read.
+        file: its name in messages.
+    """
+    if isinstance(text, Fault):
+        return None, [text]
+    try:
+        values = msgspec.toml.decode(text)
+    except (ValueError, RecursionError) as error:  # numbers or nesting out of range included
+        reason = printable(" ".join(str(error).split())[:200]) or "cannot be parsed"
+        repair = "write name = value, with text in quotes and lists in brackets"
+        return None, [file_error(file, "not-toml", f"not TOML: {reason}", "TOML", repair)]
+    values = {name: _plain(value) for name, value in values.items()}
+    errors = [fault for name in values if (fault := _field_fault(name, values, file, line_of(name, text)))]
+    for name in REQUIRED:
+        if name not in values:
+            repair = f"add a line {name} = {_toml((META[name].examples or [''])[0])}"
+            actual, expected = f"no field {name}", META[name].description or ""
+            errors.append(file_error(file, "missing-field", actual, expected, repair))
+    if errors:
+        return None, errors
+    return Manifest(**values), _omissions(values, file)
 
 
 def line_of(name: str, text: str) -> int | None:
@@ -136,154 +169,39 @@ def line_of(name: str, text: str) -> int | None:
     return text.count("\n", 0, match.start()) + 1 if match else None
 
 
-def _parsed(text: str, file: str) -> tuple[dict[str, Any], Fault | None]:
-    match = UNPRINTABLE.search(text)
-    if match:
-        line, column = text.count("\n", 0, match.start()) + 1, match.start() - text.rfind("\n", 0, match.start())
-        actual = f"byte 0x{ord(match[0]) & 0xFF:02X}"
-        return {}, Fault(file, line, column, actual, "UTF-8 text", "write the file again", "error", "invalid-byte")
+def _plain(value: Any) -> Any:
+    """A TOML value as the manifest has it: a day as text."""
+    return value.isoformat() if isinstance(value, date) and not isinstance(value, datetime) else value
+
+
+def _field_fault(name: str, values: dict[str, Any], file: str, line: int | None) -> Fault | None:
+    if name in FIELD_TYPES:
+        return _value_fault(name, values[name], file, line)
+    repair = did_you_mean(name, [field for field in FIELD_TYPES if field not in values]) or "delete it"
+    actual, expected = f"field {quote(name)}", f"one of {', '.join(FIELD_TYPES)}"
+    return Fault(file, line, "unknown-field", actual, expected, repair.strip())
+
+
+def _value_fault(name: str, value: Any, file: str, line: int | None = None) -> Fault | None:
+    """The error of a field's value; None if it is valid."""
     try:
-        return tomllib.loads(text), None
-    except (ValueError, RecursionError) as error:  # numbers or nesting out of range included
-        message = " ".join(str(error).split())
-        location = re.search(r" \(at line (\d+), column (\d+)\)", message)
-        line, column = (int(location[1]), int(location[2])) if location else (None, None)
-        reason = printable(message[: location.start()] if location else message[:200]) or "cannot be parsed"
-        repair = "write name = value, with text in quotes and lists in brackets"
-        return {}, Fault(file, line, column, f"not TOML: {reason}", "TOML", repair, "error", "not-toml")
+        msgspec.convert(value, FIELD_TYPES[name])
+        if name == "date":
+            date.fromisoformat(value)
+        if not isinstance(value, str | bool) and len(set(value)) < len(value):
+            raise ValueError
+    except ValueError:
+        shown = list(value) if isinstance(value, tuple) else value
+        expected = META[name].description or ""
+        return Fault(file, line, "invalid-value", f"{name} = {quote(shown)}", expected, f"correct {name}")
+    return None
 
 
-def _value_faults(values: Mapping[str, Any], text: str, file: str) -> list[Fault]:
-    faults = []
-    unknown = [name for name in values if name not in FIELD_TYPES]
-    for name in unknown:
-        similar = get_close_matches(name, [field for field in FIELD_TYPES if field not in values], n=1, cutoff=0.6)
-        repair = f"did you mean {similar[0]}?" if similar else "delete it"
-        actual = f"{'table' if isinstance(values[name], dict) else 'field'} {quote(name)}"
-        expected = f"one of {', '.join(FIELD_TYPES)}"
-        faults.append(Fault(file, line_of(name, text), None, actual, expected, repair, "error", "unknown-field"))
-    for name in REQUIRED:
-        if name not in values:
-            actual, expected = f"no field {name}", EXPECTED[name]
-            faults.append(file_error(file, "missing-field", actual, expected, f"add a line {name} = {EXAMPLES[name]}"))
-    for name in FIELD_TYPES:
-        fault = _value_fault(name, _plain(values[name]), file, line_of(name, text)) if name in values else None
-        faults += [fault] if fault else []
-    return faults + (_omissions(values, file) if not faults else [])
-
-
-def _omissions(values: Mapping[str, Any], file: str) -> list[Fault]:
-    """A warning about empty fields that others need to reproduce the numbers."""
+def _omissions(values: dict[str, Any], file: str) -> list[Fault]:
+    """A warning about empty fields that others need to reproduce the scores."""
     needed = ["reproduce", "hardware", *(["training_data"] if values["learned"] else [])]
     empty = [name for name in needed if not values.get(name)]
     if not empty or values.get("control"):
         return []
     actual, expected = f"{' and '.join(empty)} left empty", "what others need to reproduce the scores"
-    return [Fault(file, None, None, actual, expected, "fill in", "warning", "left-empty")]
-
-
-EXPECTED = {
-    "method": f"a name of at most {MAX_NAME} characters, in one line",
-    "label": f"a short name of at most {MAX_NAME} characters, in one line, or nothing",
-    "authors": "a list of names",
-    "description": f"text of at most {MAX_TEXT} characters",
-    "url": "an address that begins with https://, or nothing",
-    "date": "a day as YYYY-MM-DD",
-    "dataset_id": "the dataset_id of dataset.json",
-    "tracks": f"a list of some of {', '.join(ALL_TRACKS)}",
-    "predicts": " or ".join(PREDICTS),
-    "learned": "true or false",
-    "uses_true_geometry": "true or false",
-    "control": "true or false",
-    "paper_row": f"the key of a row of Table I, of at most {MAX_NAME} characters, in one line, or nothing",
-    "camera_set": f"one of {', '.join(CAMERA_SETS)}",
-    "masks": " or ".join(MASKS),
-}
-EXAMPLES = {
-    "method": '"my method"',
-    "authors": '["A. Name"]',
-    "description": '"What it does."',
-    "date": '"2026-01-31"',
-    "dataset_id": '"0123456789abcdef"',
-    "tracks": '["snap", "place"]',
-    "learned": "false",
-    "uses_true_geometry": "false",
-}
-
-
-def _value_fault(name: str, value: Any, file: str = "", line: int | None = None) -> Fault | None:
-    """The fault of a field's value; None where it is right."""
-    kind = FIELD_TYPES[name]
-    expected = EXPECTED.get(name, f"text of at most {MAX_TEXT} characters")
-    if kind is bool:
-        right, repair = isinstance(value, bool), "write true or false, without quotes"
-    elif kind is str:
-        right, repair = isinstance(value, str), "put it in quotes"
-    else:
-        listed = isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)
-        right, repair = listed, 'write a list of texts, such as ["a", "b"]'
-    actual = f"{name} = {quote(list(value) if isinstance(value, tuple) else value)}"
-    if not right:
-        return Fault(file, line, None, actual, expected, repair, "error", "wrong-type")
-    wrong = _wrong_value(name, value)
-    return wrong and Fault(file, line, None, actual, expected, wrong[1], "error", wrong[0])
-
-
-def _wrong_value(name: str, value: str | bool | Sequence[str]) -> tuple[str, str] | None:
-    """Code and repair of a wrong value of the right type; None for a valid value."""
-    if isinstance(value, bool):
-        return None
-    texts = [value] if isinstance(value, str) else list(value)
-    short = name in ("method", "label", "paper_row", "dataset_id", "dataset_checksum", "source")
-    if any(UNPRINTABLE.search(text) for text in texts):
-        return "control-character", "delete control characters"
-    if any(len(text) > (MAX_NAME if short else MAX_TEXT) for text in texts):
-        return "too-long", "shorten it"
-    if (short or name == "authors") and any("\n" in text for text in texts):
-        return "two-lines", "write it in one line"
-    if name in REQUIRED and not (texts and all(text.strip() for text in texts)):
-        return "empty-field", "fill in"
-    if name in CHOICES:
-        return _choice(texts, CHOICES[name])
-    if name == "date" and not _is_day(texts[0]):
-        return "invalid-date", "write year, month and day, such as 2026-01-31"
-    if name == "url" and texts[0] and not re.match(r"https?://[^\s/]+\S*\Z", texts[0]):
-        return "invalid-url", "write the whole address, with https://"
-    return None
-
-
-CHOICES = {"tracks": ALL_TRACKS, "predicts": PREDICTS, "camera_set": CAMERA_SETS, "masks": MASKS}
-
-
-def _choice(texts: list[str], known: tuple[str, ...]) -> tuple[str, str] | None:
-    unknown = [text for text in texts if text not in known]
-    if unknown:
-        similar = get_close_matches(unknown[0].lower().replace("_", "-"), known, n=1, cutoff=0.5)
-        return "unknown-value", f"did you mean {similar[0]}?" if similar else f"delete {quote(unknown[0])}"
-    return ("duplicate-value", "list each once") if len(set(texts)) < len(texts) else None
-
-
-def _is_day(text: str) -> bool:
-    try:
-        date.fromisoformat(text)
-    except ValueError:
-        return False
-    return bool(DAY.match(text))
-
-
-def _plain(value: Any) -> Any:
-    """A TOML value as the manifest has it: dates as text, lists as tuples."""
-    if isinstance(value, date) and not isinstance(value, datetime):
-        return value.isoformat()
-    return tuple(value) if isinstance(value, list) else value
-
-
-def _toml(value: str | bool | tuple[str, ...]) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(_toml, value))}]"
-    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-    for sign, code in (("\n", "\\n"), ("\t", "\\t"), ("\r", "\\r")):
-        escaped = escaped.replace(sign, code)
-    return f'"{escaped}"'
+    return [file_warning(file, "left-empty", actual, expected, "fill in")]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import csv
+import re
+from array import array
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import compress
@@ -14,23 +17,43 @@ import numpy as np
 from kit1000.errors import InputError, ShapeError, checked
 from kit1000.files import write_bytes
 from kit1000.pose import Pose
-from kit1000.submission.faults import Fault, FaultList, first_error, printable, quote
-from kit1000.submission.header import HEADER
-from kit1000.submission.reading import decode_text, read_file
-from kit1000.submission.row_rules import (
-    ID_PATTERN,
-    LARGEST_POSITION,
-    NOT_MEASURED,
-    duplicate_faults,
-    valid_rows,
-    value_faults,
-)
-from kit1000.submission.rows import read_rows
+from kit1000.submission.faults import MOST_KEPT, Fault, FaultList, printable, quote
+from kit1000.submission.reading import read_text
 
 if TYPE_CHECKING:
     from kit1000.values import Prediction
 
 FILE = "predictions.csv"
+HEADER = ("query_id", "qw", "qx", "qy", "qz", "x", "y", "z", "confidence", "seconds")
+LONGEST_LINE = 2000  # characters; a row has about 200
+ID_PATTERN = re.compile(r"(?!#|query_id\Z)[!#-+\--~]+\Z")  # printable ASCII without spaces, quotes and commas
+NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*\Z", re.ASCII)
+NORM_ERROR = 1e-2  # largest difference of a quaternion's norm from 1
+NOT_MEASURED = -1.0  # seconds
+
+
+@dataclass(frozen=True)
+class Range:
+    """The values that a column may have."""
+
+    low: float
+    high: float
+    expected: str
+    repair: str
+    sentinel: float = np.nan
+    """A value out of the range that is valid too."""
+
+    def outside(self, values: np.ndarray) -> np.ndarray:
+        """(n,) bool: which of (n,) values are invalid; NaN is not."""
+        return ((values < self.low) | (values > self.high)) & (values != self.sentinel)
+
+
+METRES = Range(-1e6, 1e6, "metres, at most 1e+06", "divide millimetres by 1000")
+RANGES = {
+    **dict.fromkeys("xyz", METRES),
+    "confidence": Range(0, 1, "0 to 1", "divide percent by 100, or write 1 if the method has none"),
+    "seconds": Range(0, np.inf, "0 or more", "write -1 if they were not measured", NOT_MEASURED),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +66,7 @@ class Predictions:
     confidence: np.ndarray
     """(n,) 0 .. 1"""
     seconds: np.ndarray
-    """(n,) [s], -1 where it was not measured."""
+    """(n,) [s], -1 if not measured."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "query_ids", tuple(self.query_ids))
@@ -52,32 +75,24 @@ class Predictions:
         object.__setattr__(self, "seconds", checked("seconds", self.seconds, (n,)))
         if self.motions.batch_shape != (n,):
             raise ShapeError(f"motions: expected {n}, one per query, got batch shape {self.motions.batch_shape}")
-        self._check_values()
-
-    def _check_values(self) -> None:
-        """Raise InputError for values that could not be written and read back."""
-        if len(self._rows) < len(self.query_ids):
-            duplicate = next(query_id for i, query_id in enumerate(self.query_ids) if self._rows[query_id] != i)
-            raise InputError(f"predictions: expected one per query, got {quote(duplicate)} more than once")
+        if len(self._rows) < n:
+            twice = next(query_id for i, query_id in enumerate(self.query_ids) if self._rows[query_id] != i)
+            raise InputError(f"predictions: expected one per query, got {quote(twice)} more than once")
         invalid = next((query_id for query_id in self.query_ids if not ID_PATTERN.match(query_id)), None)
         if invalid is not None:
             raise InputError(f"predictions: expected ids of letters, digits and hyphens, got {quote(invalid)}")
-        confidence, seconds = self.confidence, self.seconds
-        self._check_range("confidence", confidence, (confidence < 0) | (confidence > 1), "0 to 1")
-        self._check_range(
-            "seconds", seconds, (seconds < 0) & (seconds != NOT_MEASURED), "0 or more, or -1 for not measured"
-        )
-        farthest = np.abs(self.motions.xyz).max(axis=1, initial=0)
-        self._check_range("position", farthest, farthest > LARGEST_POSITION, f"metres, at most {LARGEST_POSITION:g}")
-
-    def _check_range(self, name: str, values: np.ndarray, wrong: np.ndarray, expected: str) -> None:
-        if wrong.any():
-            i = int(np.argmax(wrong))
-            raise InputError(f"{name} of {self.query_ids[i]}: expected {expected}, got {values[i]:g}")
+        for name, values in zip(HEADER[5:], self._numbers.T[4:], strict=True):
+            for i in np.flatnonzero(RANGES[name].outside(values))[:1]:
+                raise InputError(f"{name} of {self.query_ids[i]}: expected {RANGES[name].expected}, got {values[i]:g}")
 
     @cached_property
     def _rows(self) -> dict[str, int]:
         return {query_id: i for i, query_id in enumerate(self.query_ids)}
+
+    @property
+    def _numbers(self) -> np.ndarray:
+        """(n, 9) the columns after the id."""
+        return np.column_stack([self.motions.wxyz, self.motions.xyz, self.confidence, self.seconds])
 
     @classmethod
     def of(cls, predictions: Iterable[Prediction]) -> Predictions:
@@ -94,8 +109,14 @@ class Predictions:
         return len(self.query_ids)
 
     def row(self, query_id: str) -> int | None:
-        """The index of the prediction for a query; None when there is none."""
+        """The index of the prediction for a query; None if there is none."""
         return self._rows.get(query_id)
+
+    def to_bytes(self) -> bytes:
+        """The content of a predictions file."""
+        rows = zip(self.query_ids, self._numbers.tolist(), strict=True)
+        lines = [",".join([query_id, *map(repr, row)]) for query_id, row in rows]
+        return "\n".join([",".join(HEADER), *lines, ""]).encode("ascii")
 
 
 @dataclass(frozen=True)
@@ -104,14 +125,21 @@ class InvalidRows:
 
     count: int = 0
     first: Fault | None = None
-    """The first of their faults; None without any."""
+    """The first of their faults; None if there is none."""
 
 
 NO_INVALID = InvalidRows()
 
 
+def write_predictions(path: str | Path, predictions: Predictions | Iterable[Prediction]) -> None:
+    """Write a predictions file, completely or not at all, with all digits of every number."""
+    if not isinstance(predictions, Predictions):
+        predictions = Predictions.of(predictions)
+    write_bytes(Path(path), predictions.to_bytes())
+
+
 def read_predictions(path: str | Path) -> Predictions:
-    """Read a predictions file. Raises InputError with its first error, when it has any."""
+    """Read a predictions file. Raises InputError with its first error, if it has any."""
     predictions, invalid = read_valid_predictions(path)
     if invalid.first is not None:
         raise InputError(f"{invalid.first} (`kit1000 check` lists all faults)")
@@ -121,35 +149,166 @@ def read_predictions(path: str | Path) -> Predictions:
 def read_valid_predictions(path: str | Path, inside: Path | None = None) -> tuple[Predictions, InvalidRows]:
     """Read the valid rows of a predictions file, and count the others; a link must not lead out of `inside`.
 
-    Raises InputError with the first error of the file itself: one without a readable header, or with an id twice.
+    Raises InputError with the first error of the file itself: one without the right header, or with an id twice.
     """
     file = printable(path)
-    data, faults = read_file(Path(path), file, inside)
-    text, more = (None, []) if data is None else decode_text(data, file)
-    rows, rest, of_rows = (None, [], FaultList()) if text is None else read_rows(text, file)
-    error = first_error([*faults, *more, *rest, *(duplicate_faults(rows).kept if rows is not None else ())])
-    if error is not None:
+    text = read_text(Path(path), file, inside)
+    rows = text if isinstance(text, Fault) else read_rows(text, file)
+    error = rows if isinstance(rows, Fault) else rows.duplicates().first_error
+    if isinstance(rows, Fault) or error is not None:
         raise InputError(f"{error} (`kit1000 check` lists all faults)")
-    assert rows is not None  # or there would be an error
-    of_rows.add(value_faults(rows))
-    valid = valid_rows(rows)
+    valid = rows.valid
     wxyz, xyz, confidence, seconds = np.split(rows.numbers[valid], (4, 7, 8), axis=1)
     ids = tuple(compress(rows.query_ids, valid.tolist()))
-    invalid = InvalidRows(rows.unreadable + int((~valid).sum()), first_error(of_rows.kept))
+    invalid = InvalidRows(rows.broken.errors + int((~valid).sum()), rows.faults().first_error)
     return Predictions(ids, Pose(wxyz, xyz), confidence[:, 0], seconds[:, 0]), invalid
 
 
-def write_predictions(path: str | Path, predictions: Predictions | Iterable[Prediction]) -> None:
-    """Write a predictions file, completely or not at all, with all digits of every number."""
-    if not isinstance(predictions, Predictions):
-        predictions = Predictions.of(predictions)
-    write_bytes(Path(path), predictions_bytes(predictions))
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The n lines of a predictions file that have all their fields, valid or not."""
+
+    file: str
+    text: Sequence[str]
+    """All lines of the file."""
+    lines: np.ndarray
+    """(n,) int: the line number of each row, from 1."""
+    query_ids: tuple[str, ...]
+    numbers: np.ndarray
+    """(n, 9) float64: qw qx qy qz, x y z [m], confidence, seconds [s]; NaN if a field is not a finite number."""
+    broken: FaultList
+    """One error for each line without the fields of a row."""
+
+    def __len__(self) -> int:
+        return len(self.query_ids)
+
+    @cached_property
+    def _norms(self) -> np.ndarray:
+        """(n,) the norm of each quaternion; NaN if one of its numbers is invalid."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.linalg.norm(self.numbers[:, :4], axis=1)
+
+    @cached_property
+    def wrong(self) -> np.ndarray:
+        """(n, 10) bool: the invalid fields, by row and column of HEADER. A wrong norm belongs to qw."""
+        wrong_ids = [not ID_PATTERN.match(query_id) for query_id in self.query_ids]
+        wrong = np.column_stack([np.array(wrong_ids, bool), np.isnan(self.numbers)])
+        wrong[:, 1] |= np.abs(self._norms - 1) > NORM_ERROR
+        for name, allowed in RANGES.items():
+            column = HEADER.index(name)
+            wrong[:, column] |= allowed.outside(self.numbers[:, column - 1])
+        return wrong
+
+    @property
+    def valid(self) -> np.ndarray:
+        """(n,) bool: the rows that are valid predictions."""
+        return np.logical_not(self.wrong.any(axis=1))
+
+    def faults(self) -> FaultList:
+        """The faults of single lines: broken ones, and those with invalid fields."""
+        faults = FaultList(list(self.broken.kept), self.broken.errors)
+        cells = np.argwhere(self.wrong)
+        faults.add((self._value_fault(row, column) for row, column in cells[:MOST_KEPT].tolist()), len(cells))
+        return faults
+
+    def duplicates(self) -> FaultList:
+        """One error for each further row with the same id: no row says which of them is meant."""
+        first: dict[str, int] = {}
+        again = [i for i, query_id in enumerate(self.query_ids) if first.setdefault(query_id, i) != i and query_id]
+
+        def fault(i: int) -> Fault:
+            line, before = self.lines[i], self.lines[first[self.query_ids[i]]]
+            expected = f"one row per query, but line {before} has the same id"
+            return self.fault(i, "query_id", "duplicate-id", expected, f"delete line {line} or line {before}")
+
+        faults = FaultList()
+        faults.add(map(fault, again[:MOST_KEPT]), len(again))
+        return faults
+
+    def _value_fault(self, row: int, column: int) -> Fault:
+        name = HEADER[column]
+        if column == 0:
+            expected, repair = "a query id such as test-s0007-p2-snap", "copy the id from the dataset"
+            return self.fault(row, name, "invalid-id", expected, repair)
+        if np.isnan(self.numbers[row, column - 1]):
+            repair = "write digits with a decimal point, or omit the row if there is no prediction"
+            return self.fault(row, name, "not-a-number", "a finite number such as 0.25 or 1e-05", repair)
+        if name == "qw":
+            expected = f"qw, qx, qy, qz of norm 1, got {self._norms[row]:.6g}"
+            repair = "write a unit quaternion (1,0,0,0 for no rotation), not angles"
+            return self.fault(row, name, "quaternion-norm", expected, repair)
+        allowed = RANGES[name]
+        code = f"{'position' if allowed is METRES else name}-range"
+        return self.fault(row, name, code, allowed.expected, allowed.repair)
+
+    def fault(self, row: int, field: str, code: str, expected: str, repair: str) -> Fault:
+        """An error of a field of a row."""
+        line = int(self.lines[row])
+        value = _fields(self.text[line - 1])[HEADER.index(field)].strip()
+        return Fault(self.file, line, code, f"{field} = {quote(value)}", expected, repair)
 
 
-def predictions_bytes(predictions: Predictions) -> bytes:
-    """The bytes of a predictions file."""
-    motions = predictions.motions
-    numbers = np.column_stack([motions.wxyz, motions.xyz, predictions.confidence, predictions.seconds])
-    rows = zip(predictions.query_ids, numbers.tolist(), strict=True)
-    lines = [",".join([query_id, *map(repr, row)]) for query_id, row in rows]
-    return "\n".join([",".join(HEADER), *lines, ""]).encode("ascii")
+def read_rows(text: str, file: str) -> Rows | Fault:
+    """The rows of a predictions file; the fault of its header if that is not the right one."""
+    lines = text.split("\n")
+    head = next(i for i, line in enumerate(lines) if line.strip())
+    if not _is_header(lines[head]):
+        return _header_fault(lines, head, file)
+    broken, count = list[Fault](), 0
+    row_lines, query_ids, numbers = list[int](), list[str](), array("d")
+    for number, line in enumerate(lines[head + 1 :], head + 2):
+        if not line.strip(" ,"):
+            continue
+        fields = _fields(line) if len(line) <= LONGEST_LINE else []
+        if len(fields) == len(HEADER):
+            row_lines.append(number)
+            query_ids.append(fields[0].strip())
+            numbers.extend(float(field) if NUMBER.match(field) else np.nan for field in fields[1:])
+            continue
+        count += 1
+        if count <= MOST_KEPT:
+            broken.append(_line_fault(line, number, number == len(lines), file))
+    values = np.array(numbers, dtype=np.float64).reshape(-1, len(HEADER) - 1)
+    values[np.isinf(values)] = np.nan
+    values.setflags(write=False)
+    return Rows(file, lines, np.array(row_lines, np.int64), tuple(query_ids), values, FaultList(broken, count))
+
+
+def _fields(line: str) -> list[str]:
+    """The fields of a line, which may be quoted; none if a quote is not closed."""
+    if '"' not in line:
+        return line.split(",")
+    try:
+        return next(csv.reader([line], strict=True))
+    except csv.Error:
+        return []
+
+
+def _is_header(line: str) -> bool:
+    return len(line) <= LONGEST_LINE and tuple(_fields(line.strip())) == HEADER
+
+
+def _header_fault(lines: Sequence[str], head: int, file: str) -> Fault:
+    """The error of a file whose first line that is not empty is not the header."""
+    header = ",".join(HEADER)
+    if any(map(_is_header, lines[head + 1 : head + 20])):
+        repair = "delete the lines above the header"
+    elif len(fields := _fields(lines[head])) == len(HEADER) and NUMBER.match(fields[1]):
+        repair = "insert the header above the first row"
+    else:
+        repair = "write this header, with commas between the columns and decimal points in the numbers"
+    actual = f"the first line is {quote(lines[head])}"
+    return Fault(file, head + 1, "header", actual, f"the header {header}", repair)
+
+
+def _line_fault(line: str, number: int, is_last: bool, file: str) -> Fault:
+    """Why a line is no row."""
+    if len(line) > LONGEST_LINE:
+        actual = f"a line of {len(line)} characters, which begins with {quote(line[:40])}"
+        expected, repair = f"at most {LONGEST_LINE} characters", "write one row per query, each on its own line"
+        return Fault(file, number, "long-line", actual, expected, repair)
+    fields = _fields(line)
+    actual = f"{len(fields)} field{'' if len(fields) == 1 else 's'}" if fields else "a quote that is not closed"
+    repair = "the file was cut off: write or copy it again" if is_last else f"write {','.join(HEADER)}"
+    expected = f"{len(HEADER)} fields, separated by commas"
+    return Fault(file, number, "fields", f"{actual} in {quote(line)}", expected, repair)

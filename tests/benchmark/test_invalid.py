@@ -20,17 +20,17 @@ from kit1000.submission import HEADER, Submission, check, read_submission, write
 from tests.samples.submissions import ground_truth, predicted
 
 INVALID = {  # by description: the field, its value, and the code of the fault
-    "not a number": ("qw", "nan", "nan"),
-    "infinite": ("x", "inf", "infinity"),
-    "overflow": ("z", "1e999", "overflow"),
-    "text": ("qx", "abc", "text"),
-    "empty": ("y", "", "empty-field"),
+    "not a number": ("qw", "nan", "not-a-number"),
+    "infinite": ("x", "inf", "not-a-number"),
+    "overflow": ("z", "1e999", "not-a-number"),
+    "text": ("qx", "abc", "not-a-number"),
+    "empty": ("y", "", "not-a-number"),
     "long quaternion": ("qw", "3", "quaternion-norm"),
     "far away": ("x", "1e12", "position-range"),
     "percent": ("confidence", "90", "confidence-range"),
-    "unknown confidence": ("confidence", "high", "text"),
+    "unknown confidence": ("confidence", "high", "not-a-number"),
     "negative seconds": ("seconds", "-7", "seconds-range"),
-    "no id": ("query_id", "", "empty-id"),
+    "no id": ("query_id", "", "invalid-id"),
     "id with a blank": ("query_id", "test s0000", "invalid-id"),
 }
 
@@ -92,15 +92,15 @@ def test_an_invalid_prediction_counts_as_no_motion(case: str, perfect: Submissio
 
 
 LINES: dict[str, tuple[Callable[[str], str], str]] = {
-    "too short": (lambda line: line.rpartition(",")[0], "too-few-fields"),
-    "too long": (lambda line: line + ",7", "too-many-fields"),
-    "a comment": (lambda line: "# " + line, "comment"),
+    "too short": (lambda line: line.rpartition(",")[0], "fields"),
+    "too long": (lambda line: line + ",7", "fields"),
+    "a comment": (lambda line: "# " + line, "invalid-id"),
     "a zero quaternion": (
         lambda line: ",".join([line.split(",")[0], "0,0,0,0", *line.split(",")[5:]]),
-        "zero-quaternion",
+        "quaternion-norm",
     ),
-    "an open quote": (lambda line: '"' + line, "open-quote"),
-    "a control character": (lambda line: line + "\x01", "invalid-byte"),
+    "an open quote": (lambda line: '"' + line, "fields"),
+    "a control character": (lambda line: line + "\x01", "not-a-number"),
 }
 
 
@@ -115,7 +115,7 @@ def test_a_line_that_is_no_prediction_counts_as_no_motion(case: str, perfect: Su
 def no_header(folder: Path) -> str:
     path = folder / "predictions.csv"
     path.write_text(path.read_text().partition("\n")[2])
-    return "no header"
+    return "insert the header"
 
 
 def duplicate(folder: Path) -> str:
@@ -126,13 +126,13 @@ def duplicate(folder: Path) -> str:
 
 def another_file(folder: Path) -> str:
     (folder / "predictions.csv").write_bytes(b"PK\x03\x04 and so on")
-    return "is a zip file"
+    return "the first line is"
 
 
 def semicolons(folder: Path) -> str:
     path = folder / "predictions.csv"
     path.write_text(path.read_text().replace(",", ";"))
-    return "separated by semicolons"
+    return "expected the header"
 
 
 def unknown_id(folder: Path) -> str:

@@ -48,7 +48,7 @@ def test_a_link_out_of_the_folder_is_refused_unread(
     assert main(["check", str(folder), "--json"]) == 1
     out, err = capsys.readouterr()
     assert SECRET not in out + err
-    with pytest.raises(InputError, match=f"{name}: is a symbolic link that leads out of the folder"):
+    with pytest.raises(InputError, match=name):
         read_submission(folder)
 
 
@@ -112,7 +112,7 @@ def test_a_report_takes_the_same_memory_for_any_number_of_faults(folder: Path) -
         (folder / "predictions.csv").write_text("\n".join([HEAD, *rows, ""]))
         tracemalloc.start()
         report = check(folder)
-        gc.collect()  # what is only kept by cycles would count, or not, by chance
+        gc.collect()  # cycles that are not collected would count by chance
         sizes.append(tracemalloc.get_traced_memory()[0])
         tracemalloc.stop()
         assert report.error_count >= 9 * n

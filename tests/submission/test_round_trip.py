@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import kit1000
-from kit1000.errors import InputError, ShapeError
+from kit1000.errors import InputError
 from kit1000.pose import Pose, random_quaternions
 from kit1000.submission import (
     HEADER,
@@ -124,50 +124,38 @@ def test_arrays_cannot_be_written_to() -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "facts"),
     [
-        ({"query_ids": ("a", "b", "a")}, 'expected one per query, got "a" more than once'),
-        ({"query_ids": ("a", "b", "c,d")}, 'letters, digits and hyphens, got "c,d"'),
-        ({"query_ids": ("a", "b", "")}, 'got ""'),
-        ({"query_ids": ("a", "b", "query_id")}, 'got "query_id"'),
-        ({"query_ids": ("a", "b")}, "confidence: expected"),
-        ({"confidence": np.array([0, 1, 1.1])}, "confidence of c: expected 0 to 1, got 1.1"),
-        ({"confidence": np.array([0, 1, np.nan])}, "which is not finite"),
-        ({"seconds": np.array([0, -1, -2.0])}, "seconds of c: expected 0 or more"),
-        ({"motions": Pose.identity()}, "motions: expected 3"),
-        ({"motions": Pose.from_translation(np.full((3, 3), 1e7))}, "position of a: expected metres"),
+        ({"query_ids": ("a", "b", "a")}, ('"a"', "one per query")),
+        ({"query_ids": ("a", "b", "c,d")}, ('"c,d"',)),
+        ({"query_ids": ("a", "b", "")}, ('""',)),
+        ({"query_ids": ("a", "b", "query_id")}, ('"query_id"',)),
+        ({"query_ids": ("a", "b")}, ("confidence",)),
+        ({"confidence": np.array([0, 1, 1.1])}, ("confidence of c", "0 to 1", "1.1")),
+        ({"confidence": np.array([0, 1, np.nan])}, ("not finite",)),
+        ({"seconds": np.array([0, -1, -2.0])}, ("seconds of c", "0 or more")),
+        ({"motions": Pose.identity()}, ("motions", "3")),
+        ({"motions": Pose.from_translation(np.full((3, 3), 1e7))}, ("x of a", "metres")),
     ],
 )
-def test_values_that_could_not_be_read_are_refused(changes: dict, message: str) -> None:
+def test_predictions_that_could_not_be_read_are_refused(changes: dict, facts: tuple[str, ...]) -> None:
     good = Predictions(("a", "b", "c"), Pose.identity((3,)), np.ones(3), np.zeros(3))
     with pytest.raises(InputError) as caught:
         replace(good, **changes)
-    assert message in str(caught.value)
-
-
-def test_motions_of_another_shape_are_refused() -> None:
-    with pytest.raises(ShapeError):
-        Predictions(("a",), Pose.identity((2,)), np.ones(1), np.ones(1))
+    assert all(fact in str(caught.value) for fact in facts)
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    "changes",
     [
-        ({"tracks": ("snap", "plaec")}, "did you mean place?"),
-        ({"tracks": ()}, "tracks"),
-        ({"predicts": "position"}, "pose or rotation"),
-        ({"date": "yesterday"}, "YYYY-MM-DD"),
-        ({"learned": 1}, "true or false"),
-        ({"method": ""}, "fill in"),
-        ({"authors": ("",)}, "a list of names"),
-        ({"url": "ftp://example.org"}, "https://"),
-        ({"camera_set": "none"}, "primary, three, top"),
+        {"tracks": ("snap", "plaec")}, {"tracks": ()}, {"predicts": "position"}, {"date": "yesterday"}, {"learned": 1},
+        {"method": ""}, {"authors": ("",)}, {"url": "ftp://example.org"}, {"camera_set": "none"},
     ],
-)
-def test_manifest_values_that_could_not_be_read_are_refused(changes: dict, message: str) -> None:
+)  # fmt: skip
+def test_manifest_values_that_could_not_be_read_are_refused_by_name(changes: dict) -> None:
     with pytest.raises(InputError) as caught:
         replace(MANIFEST, **changes)
-    assert message in str(caught.value)
+    assert f"manifest: {next(iter(changes))} = " in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
@@ -197,7 +185,7 @@ def test_the_reader_reports_the_first_fault_and_the_command_that_lists_all(tmp_p
     path.write_text("\n".join([*lines[:2], lines[2].replace("test", "te st"), lines[3] + ",1", ""]))
     with pytest.raises(InputError) as caught:
         read_submission(tmp_path)
-    assert str(caught.value).startswith(f"{path}:3:1: query_id = ")
+    assert str(caught.value).startswith(f"{path}:3: query_id = ")
     assert str(caught.value).endswith("(`kit1000 check` lists all faults)")
 
 
