@@ -1,4 +1,4 @@
-"""Charts as SVG text, small and crisp: lines with bands, histograms, means with their intervals.
+"""Charts as SVG text: lines with bands, histograms, means with their intervals.
 
 A chart is as wide as the column of a phone, so its text stays legible; pages set several side by side. Colours are
 variables with a light and a dark set, defined by STYLE: a page has it in its style sheet, a file of its own includes it
@@ -21,9 +21,12 @@ DOT_ROW = 26  # [px] height of a line of a dot plot
 NAMES, NOTES = 122, 62  # [px] beside a dot plot
 MARK = (84, 16)  # [px] of an interval in a cell of a table
 TICKS = 5
+LOG_RATIO = 10.0  # largest value over the smallest one, above which `axis_around` is logarithmic
+MOST_POWERS = 6  # ticks of a logarithmic axis
+MOST_POINTS = 40  # of a line that marks each of its points
 GAP = 12  # [px] below a row of a file of its own
-DASHES = ("", "6 4", "1.5 4")  # of the lines of a chart in turn: in the paper's figure the largest error is dotted
-LIGHT = ("#2f6f9f", "#c2571a", "#8a4f86", "#1f7f74", "#8f6b10", "#5c6670")  # of lines, in turn
+DASHES = ("", "6 4", "1.5 4")  # of the lines of a chart in turn: the paper's figure dots the largest error
+LIGHT = ("#2f6f9f", "#c2571a", "#8a4f86", "#1f7f74", "#8f6b10", "#5c6670")  # colours of lines in turn, by day
 DARK = ("#6cb2e6", "#f2955a", "#d29ace", "#58c2b4", "#dcb552", "#aab4bf")
 HUES = len(LIGHT)
 
@@ -75,20 +78,40 @@ class Dot:
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis with its label, from 0 to `end`."""
+    """An axis with its label, from `start` to `end`; those of a logarithmic axis are powers of ten."""
 
     label: str
     end: float
+    start: float = 0.0
+    logarithmic: bool = False
 
     @property
     def ticks(self) -> list[float]:
-        """Round numbers from 0 to no more than `end`."""
-        step = tick_step(self.end)
-        return [step * i for i in range(floor(self.end / step + 1e-9) + 1)]
+        """Round numbers from `start` to no more than `end`."""
+        if self.logarithmic:
+            first, last = round(log10(self.start)), round(log10(self.end))
+            return [10.0**power for power in range(first, last + 1, ceil((last - first + 1) / MOST_POWERS))]
+        step = tick_step(self.end - self.start)
+        return [step * i for i in range(ceil(self.start / step - 1e-9), floor(self.end / step + 1e-9) + 1)]
 
     def fraction(self, value: float) -> float:
         """The position of a number: 0 at the start of the axis, 1 at its end, clipped."""
-        return min(max(value / self.end, 0.0), 1.0)
+        if self.logarithmic:
+            share = log10(max(value, self.start) / self.start) / log10(self.end / self.start)
+        else:
+            share = (value - self.start) / (self.end - self.start)
+        return min(max(share, 0.0), 1.0)
+
+
+def axis_around(label: str, values: Sequence[float]) -> Axis:
+    """An axis that holds 0 and all values; a logarithmic one without 0 if they are positive and span over LOG_RATIO."""
+    low, high = min(values, default=0.0), max(values, default=1.0)
+    if low > 0 and high / low > LOG_RATIO:
+        return Axis(label, 10.0 ** ceil(log10(high)), 10.0 ** floor(log10(low)), logarithmic=True)
+    low, high = min(low, 0.0), max(high, 0.0)
+    step = tick_step(high - low)
+    first, last = floor(low / step + 1e-9), ceil(high / step - 1e-9)
+    return Axis(label, step * max(last, first + 1), step * first)
 
 
 def tick_step(end: float) -> float:
@@ -108,7 +131,7 @@ def rounded_up(value: float) -> float:
 def line_chart(
     title: str, description: str, lines: Sequence[Line], x: Axis, y: Axis, identity: bool = False, note: str = ""
 ) -> str:
-    """Lines with their bands over a grid, and a legend of their names where there are several.
+    """Lines with their bands over a grid, and a legend of their names if there are several.
 
     Args:
         title: above the chart; a screen reader reads it with `description`.
@@ -128,7 +151,7 @@ def line_chart(
 
 
 def histogram(title: str, description: str, edges: Sequence[float | None], counts: Sequence[int], label: str) -> str:
-    """A bar for each bin, all of one width; where the last edge is None, the last bin is open and labelled so."""
+    """A bar for each bin, all of one width; if the last edge is None, the last bin is open and labelled so."""
     frame = _Frame(
         Axis(label, len(counts)), Axis("queries", rounded_up(max([*counts, 1]))), LEFT, WIDTH - RIGHT, HEIGHT - BOTTOM
     )
@@ -163,7 +186,7 @@ def dot_plot(title: str, description: str, dots: Sequence[Dot], axis: Axis, name
 
 
 def interval_mark(dot: Dot, end: float) -> str:
-    """A mean with its interval for a cell of a table, from 0 to `end`; an arrow where it lies beyond."""
+    """A mean with its interval for a cell of a table, from 0 to `end`; an arrow if the mean lies beyond."""
     width, height = MARK
     drawn = _interval(dot, height / 2, lambda value: 4 + (width - 8) * Axis("", end).fraction(value), end)
     head = f'<svg class="chart mark" role="img" viewBox="0 0 {width} {height}" width="{width}" height="{height}">'
@@ -240,9 +263,9 @@ def _band(frame: _Frame, line: Line) -> str:
 
 
 def _stroke(frame: _Frame, line: Line) -> str:
-    """A line with a point at each of its numbers, shown as a tooltip."""
+    """A line; one of few points marks each of them, with its numbers as a tooltip."""
     marks = [f'<path class="line stroke-{line.hue % HUES}"{_dashes(line)} d="{frame.path(line.x, line.y)}"/>']
-    for x, y in zip(line.x, line.y, strict=True):
+    for x, y in zip(line.x, line.y, strict=True) if len(line.x) <= MOST_POINTS else ():
         u, v = frame.at(x, y)
         tooltip = f"<title>{escape(f'{line.name}: {x:.3g}, {y:.3g}')}</title>"
         marks.append(f'<circle class="fill-{line.hue % HUES}" cx="{px(u)}" cy="{px(v)}" r="2.6">{tooltip}</circle>')
@@ -270,7 +293,7 @@ def _legend(lines: Sequence[Line]) -> tuple[str, int]:
 
 
 def _interval(dot: Dot, level: float, position: Callable[[float], float], end: float) -> str:
-    """A dot on its whisker; an arrow where the mean lies beyond the end of the scale. position: [px] of a number."""
+    """A dot on its whisker; an arrow if the mean lies beyond the end of the scale. position: [px] of a number."""
     if dot.value is None:
         return ""
     if dot.value > end * (1 + 1e-9):
