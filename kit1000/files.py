@@ -16,14 +16,17 @@ import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any, TypeVar, cast
 from urllib.parse import unquote
+
+import msgspec
 
 from kit1000.errors import InputError
 
 OWN_MARK, OWN_HEADER = b"kit1000", 256  # what a picture or recording of ours has in its first bytes
 LFS_POINTER = b"version https://git-lfs"  # first bytes of what stands in place of a file that Git LFS keeps
 LFS_ADVICE = "a Git LFS pointer instead of the file itself: run git lfs pull"
+Kind = TypeVar("Kind")
 PARTIAL = ".partial"  # suffix of a file being written; files with it may be deleted
 
 
@@ -163,6 +166,17 @@ def read_json(path: Path) -> Any:
         raise InputError(f"cannot read {path}: {error.strerror or error}") from error
     except ValueError as error:
         raise InputError(f"cannot read {path}: damaged or no JSON ({error})") from error
+
+
+def converted(value: Any, kind: type[Kind], place: object) -> Kind:
+    """A JSON value as a msgspec struct or dataclass.
+
+    Raises InputError that begins with the place, such as a path, and names the field that does not fit.
+    """
+    try:
+        return msgspec.convert(value, kind)
+    except msgspec.ValidationError as error:
+        raise InputError(f"{place}: {error}") from None
 
 
 def sha256(path: Path) -> str | None:

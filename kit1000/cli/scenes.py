@@ -180,7 +180,7 @@ def _default_method(dataset: Dataset, scene: str, sensor: str) -> str:
 
 @dataclass(frozen=True)
 class Study:
-    """Plan a user study, let a participant sit in, rehearse it with simulated operators, or report."""
+    """Plan a user study, run the sitting of a participant, rehearse with simulated operators, or report."""
 
     data: Folder
     """Dataset folder, with ground truth; the preset study is made for this."""
@@ -189,28 +189,26 @@ class Study:
     people: OptionalInt = None
     """Number of participants, a multiple of 4; 12 when absent. Without other options: plan, and print all orders."""
     conditions: tuple[str, ...] = ()
-    """Conditions: two or four of scene-snap, scene, hand-snap, hand, hand-bare; scene-snap and hand when absent."""
+    """Conditions: two of scene-snap, scene, hand, hand-bare; scene-snap and hand when absent."""
     sensor: Annotated[Sensor | None, optional(Sensor)] = None
     """Sensor of the depth images; ideal when absent."""
     snap: Annotated[str | None, optional(str, "METHOD")] = None
-    """Method of the conditions that snap; registration when absent."""
+    """Method of the condition that snaps; registration when absent."""
     seed: OptionalInt = None
     """Seed of tasks and orders; 0 when absent."""
     participant: OptionalInt = None
-    """Number of the participant who sits in now, from 1; prints the address of the page."""
+    """Number of the participant whose sitting begins or continues now, from 1; prints the address of the page."""
     port: OptionalInt = None
     """Port of the participant's page; a free one when absent."""
     origin: tuple[str, ...] = ()
     """Further web addresses of that page, as behind a proxy or ssh -L with another port: http://localhost:9000."""
     simulate: Annotated[str | None, optional(str, "OPERATOR")] = None
-    """Operator that replaces all participants: exact, paper, fitts or careless. It tests the machine, not people."""
-    judge: Literal["robot", "test"] = "robot"
-    """Evaluator of the uploads of a whole study: the robot, or the seating test, which takes no time."""
+    """Simulated operator that replaces all participants: exact or paper. It tests the procedure, not people."""
     report: bool = False
-    """Write report.html and report.json of the people, or of the operator of --simulate when all have sat."""
+    """Write trials.csv, analysis.json and report.md about the participants, or about the operator of --simulate."""
 
     def run(self) -> int:
-        """Do what is asked; prints orders, an address or the path of a report."""
+        """Plan, serve, simulate or report; prints orders, an address or the path of a report."""
         need_truth(self.data, "study")
         from kit1000.study.command import Request, run
 

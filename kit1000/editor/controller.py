@@ -15,7 +15,6 @@ import numpy as np
 from kit1000.editor import gestures, texts
 from kit1000.editor.display import Display
 from kit1000.editor.dragging import NAMES, Drag, Modifier, screen_axes
-from kit1000.editor.edited_queries import answered_queries
 from kit1000.editor.hand import BareHandWorkspace, HandWorkspace
 from kit1000.editor.keys import FINE_TURN_DEG, STEP_MM, TURN_DEG, Interface, verbs_of
 from kit1000.editor.moves import write_moves
@@ -23,7 +22,7 @@ from kit1000.editor.picks import Pick, moves_of
 from kit1000.editor.pointing import Eye
 from kit1000.editor.proposals import takes_by_letting_go
 from kit1000.editor.records import EventLog, write_predictions_of
-from kit1000.editor.scene import EditedScene
+from kit1000.editor.scene import EditedScene, answered_queries
 from kit1000.editor.session import PartEdit
 from kit1000.editor.stage import Stage
 from kit1000.editor.worker import Completion, Result

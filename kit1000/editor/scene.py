@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,10 +11,10 @@ from scipy.spatial import ConvexHull
 
 from kit1000.dataset.pose_files import stated_pose
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.editor.edited_queries import editable_queries
 from kit1000.editor.part_on_plate import Cavities, TrueContacts
 from kit1000.editor.seen import ColouredPoints, SeenScene, coloured_points, observed, seen_scene
 from kit1000.editor.seen_plates import Plate, find_plates
+from kit1000.errors import InputError
 from kit1000.mesh import Mesh
 from kit1000.perception.observed.pixels import noise_of
 from kit1000.pose import Pose
@@ -122,6 +123,28 @@ class EditedScene:
     @cached_property
     def _contacts(self) -> TrueContacts:
         return TrueContacts(self.kits, self.meshes)
+
+
+def editable_queries(scene: RecordedScene, sensor: str) -> dict[int, Query]:
+    """A query for each part that can be edited, by index, without the recorded guess: the hand replaces it.
+
+    Raises InputError if there is none.
+    """
+    track = _track("snap", sensor)
+    found = {query.part: replace(query, guess=None) for query in scene.queries if query.track == track}
+    if not found:
+        raise InputError(f"{scene.id}: no part of it can be edited from the {sensor} depth image")
+    return dict(sorted(found.items()))
+
+
+def answered_queries(queries: Iterable[Query], sensor: str) -> dict[str, Query]:
+    """Queries that an edit answers, by id: of `snap`, with the hand in place of the recorded guess, and of `place`."""
+    tracks = _track("snap", sensor), _track("place", sensor)
+    return {query.id: query for query in queries if query.track in tracks}
+
+
+def _track(kind: str, sensor: str) -> str:
+    return kind if sensor == "ideal" else f"{kind}-{sensor}"
 
 
 def _stated_base(dataset: Dataset) -> Pose | None:

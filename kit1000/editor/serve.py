@@ -59,15 +59,18 @@ class Options:
     base_from_camera: Path | None = None
     """JSON file with the pose of the camera in the base of a robot, for moves.json."""
 
+    def header(self, dataset_id: str) -> Header:
+        """The header of the log."""
+        return Header(dataset_id, self.scene, self.sensor, self.truth, self.snap, self.interface)
+
 
 @contextlib.contextmanager
 def editing(
-    options: Options, sink: Sink | None = None, header: Header | None = None, moves: bool = False
+    options: Options, sink: Sink | None = None, moves: bool = False
 ) -> Iterator[tuple[Controller, str]]:
     """A page while the block runs: its controller and its address.
 
-    sink: called with each event as the log has it, after it is written. header: of the log, where it says more.
-    moves: whether moves.json is written.
+    sink: called with each event as the log has it, after it is written. moves: whether moves.json is written.
     """
     check_writable(options.out)
     dataset = Dataset(options.data)
@@ -76,7 +79,7 @@ def editing(
     method = Method(options.snap, dataset.root, options.scene, options.sensor, options.truth)
     if options.snap != NO_SNAP:
         method.check()
-    header = header or Header(dataset.id, options.scene, options.sensor, options.truth, options.snap, options.interface)
+    header = options.header(dataset.id)
     with locked(options.out):
         log = EventLog(options.out, header, sink=sink)
         with serving(options.port, options.origins) as (server, address):

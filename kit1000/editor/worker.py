@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 from kit1000.dataset.reader import Dataset
-from kit1000.editor.edited_queries import editable_queries
 from kit1000.editor.proposals import Proposal
+from kit1000.editor.scene import editable_queries
 from kit1000.engines.processes import start_worker
 from kit1000.errors import InputError, Kit1000Error
 from kit1000.mesh import Mesh

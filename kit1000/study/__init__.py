@@ -1,7 +1,6 @@
-"""A user study of ways to say where parts go: plan, sittings, simulated operators, statistics and a report.
+"""User studies: scene editing against hand control, within subjects, with NASA-TLX.
 
-Read it in this order: `conditions` (what is compared), `tasks` and `study_plan` (who does what in which order),
-`clock` and `study_records` (what a trial leaves), `questionnaire`, `execution` (the robot judges), `operators` and
-`simulation` (people replaced by models, to test the machine), `finished_trials`, `statistics`, `analysis`, and
-`study_report` with `plots`. `command` is what the command line calls.
+Read it in this order: `plan` (conditions, orders, tasks), `records` (what a participant leaves behind), `clock`,
+`execution`, `questionnaire` and `pages` (parts of a sitting), `sitting` (one participant at the page), `simulation` (a
+rehearsal without people), `statistics`, `analysis` and `report`. `command` joins them as `kit1000 study`.
 """

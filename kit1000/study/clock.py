@@ -1,7 +1,7 @@
 """The clock of a task, and the paper's rule: in a task of n kits an upload may start while it reads under n minutes.
 
-The clock starts when the scene is shown. It runs while the person specifies, and goes on by the robot's own seconds
-when an upload is carried out; an upload that started in time runs to its end.
+The clock starts when the scene is shown. It runs while the participant specifies, and advances by the robot's own
+seconds when an upload is executed; an upload that started in time runs to its end.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ class TaskClock:
     _since: float | None = field(default=None, init=False)
 
     def start(self) -> None:
-        """The person is in charge from now on."""
+        """The participant is in charge from now on."""
         if self._since is None:
             self._since = self.now()
 
     def stop(self) -> None:
-        """The person is no longer in charge: the robot works, or the page is closed."""
+        """The participant is no longer in charge: the robot works, or the page is closed."""
         self.specification, self._since = self.specified, None
 
     @property
     def specified(self) -> float:
-        """[s] for which the person has been in charge."""
+        """[s] for which the participant has been in charge."""
         return self.specification + (0.0 if self._since is None else self.now() - self._since)
 
     @property
@@ -55,7 +55,7 @@ class TaskClock:
 
     @property
     def left(self) -> float:
-        """[s] in which an upload may still start; 0 when none may."""
+        """[s] in which an upload may still start; 0 if none may."""
         return max(time_limit(self.kits) - self.reading, 0.0)
 
     def may_upload(self) -> bool:
@@ -63,7 +63,7 @@ class TaskClock:
         return self.reading < time_limit(self.kits)
 
     def executed(self, seconds: float) -> None:
-        """The robot has carried out an upload."""
+        """Add the seconds of the robot for an upload."""
         if not seconds >= 0:
             raise InputError(f"seconds of the robot: expected 0 or more, got {seconds}")
         self.execution += seconds

@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from kit1000.editor.session import part_name
-from kit1000.study.conditions import CONDITIONS
+from kit1000.study.plan import CONDITIONS
 from kit1000.study.questionnaire import CONSENT, NAMES, PREFERENCE, SCALES, UNSET, VALUES
 
 FAREWELL_S = 3.0  # [s] for which the last page stays

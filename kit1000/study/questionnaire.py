@@ -1,7 +1,8 @@
-"""Raw NASA-TLX (Hart and Staveland 1988; unweighted, Hart 2006), without preset values; consent; the closing question.
+"""The texts of a sitting: consent, raw NASA-TLX without preset values, and the question of preference.
 
-The questions and the ends of the scales are those of the paper form, a work of the United States government. Six scales
-of 21 steps, 0 to 100 by 5. Low is good on each: performance runs from perfect to failure.
+Raw means unweighted (Hart and Staveland 1988; Hart 2006). The questions and the ends of the scales are those of
+the paper form, a work of the United States government. Each of the six scales has 21 steps, 0 to 100 by 5. Low is good
+on each: performance runs from perfect to failure.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from kit1000.errors import InputError, did_you_mean
 STEP, HIGHEST = 5, 100
 VALUES = tuple(range(0, HIGHEST + 1, STEP))
 UNSET = "–"
-"""The first entry of a list of values: a slider would start somewhere, and so suggest an answer."""
+"""The first entry of a list of values; the initial position of a slider would suggest an answer."""
 CONSENT_VERSION = "2026-11"
 CONSENT = """\
 **What happens.** You tell a simulated robot where parts go, with different ways of doing so, in short tasks against a
@@ -30,6 +31,11 @@ the number.
 PREFERENCE = "Which way would you rather use again?"
 
 
+PERFORMANCE = "How successful were you in accomplishing what you were asked to do?"
+EFFORT = "How hard did you have to work to accomplish your level of performance?"
+FRUSTRATION = "How insecure, discouraged, irritated, stressed, and annoyed were you?"
+
+
 @dataclass(frozen=True)
 class Scale:
     """One scale of the questionnaire."""
@@ -41,31 +47,14 @@ class Scale:
     high: str
 
 
+LOW_HIGH = "Very low", "Very high"
 SCALES = (
-    Scale("mental", "Mental demand", "How mentally demanding was the task?", "Very low", "Very high"),
-    Scale("physical", "Physical demand", "How physically demanding was the task?", "Very low", "Very high"),
-    Scale("temporal", "Temporal demand", "How hurried or rushed was the pace of the task?", "Very low", "Very high"),
-    Scale(
-        "performance",
-        "Performance",
-        "How successful were you in accomplishing what you were asked to do?",
-        "Perfect",
-        "Failure",
-    ),
-    Scale(
-        "effort",
-        "Effort",
-        "How hard did you have to work to accomplish your level of performance?",
-        "Very low",
-        "Very high",
-    ),
-    Scale(
-        "frustration",
-        "Frustration",
-        "How insecure, discouraged, irritated, stressed, and annoyed were you?",
-        "Very low",
-        "Very high",
-    ),
+    Scale("mental", "Mental demand", "How mentally demanding was the task?", *LOW_HIGH),
+    Scale("physical", "Physical demand", "How physically demanding was the task?", *LOW_HIGH),
+    Scale("temporal", "Temporal demand", "How hurried or rushed was the pace of the task?", *LOW_HIGH),
+    Scale("performance", "Performance", PERFORMANCE, "Perfect", "Failure"),
+    Scale("effort", "Effort", EFFORT, *LOW_HIGH),
+    Scale("frustration", "Frustration", FRUSTRATION, *LOW_HIGH),
 )
 NAMES = tuple(scale.name for scale in SCALES)
 

@@ -1,17 +1,17 @@
-"""The tasks of a study: scenes of two and of three kits that the robot is known to manage with the true motions.
+"""The tasks of a study: scenes of two and of three kits that the robot solves with the true motions.
 
-A part without a spot for a cup, or upside down in its slot, would fail whoever says where it goes.
+Scenes that the robot cannot solve are left out: every participant would fail there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
 
+import msgspec
 import numpy as np
 
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.editor.edited_queries import editable_queries
+from kit1000.editor.scene import editable_queries
 from kit1000.errors import InputError
 from kit1000.kits.seating import UP
 from kit1000.planner.execute import MAX_TURN, SEATED, Bench, run_scene
@@ -21,12 +21,12 @@ from kit1000.rng import stream
 from kit1000.values import Truth
 
 SIZES = (2, 2, 3, 3)
-"""Kits of the tasks of a condition, in their order: as in the paper."""
+"""Number of kits of the tasks of a condition, in order, as in the paper."""
+SETS = 2  # one for each condition
 SPLIT = "test-all"
 
 
-@dataclass(frozen=True)
-class Task:
+class Task(msgspec.Struct, frozen=True):
     """A scene, all of whose parts go into their slots."""
 
     scene: str
@@ -34,45 +34,45 @@ class Task:
     """Also the number of parts: p0, p1, ..."""
 
 
-@dataclass(frozen=True)
-class Tasks:
-    """What a study asks."""
+class Tasks(msgspec.Struct, frozen=True):
+    """All tasks of a study."""
 
     practice: Task
     sets: tuple[tuple[Task, ...], ...]
-    """As many sets as conditions; a participant meets each once."""
+    """A participant meets each set once."""
 
 
-Manages = Callable[[RecordedScene], bool]
+SceneTest = Callable[[RecordedScene], bool]
 
 
-def choose_tasks(dataset: Dataset, sets: int, sensor: str, seed: int, manages: Manages | None = None) -> Tasks:
-    """Draw the tasks among the scenes that the robot manages.
+def choose_tasks(dataset: Dataset, sensor: str, seed: int, solvable: SceneTest | None = None) -> Tasks:
+    """Draw the tasks from the scenes that the robot solves.
 
     Args:
         dataset: with ground truth.
-        sets: number of sets.
-        sensor: by whose depth image parts are seen and grasped.
+        sensor: whose depth image shows the parts.
         seed: of the draw.
-        manages: says whether the robot seats all parts of a scene; by default it is let try, which takes seconds.
+        solvable: whether the robot seats all parts of a scene; by default the robot tries, which takes seconds.
     """
-    manages = manages or (lambda scene: can_be_asked(scene, sensor) and robot_manages(scene, sensor, seed))
-    needed = {size: sets * SIZES.count(size) + (size == min(SIZES)) for size in SIZES}  # and one to practise
+    solvable = solvable or (lambda scene: is_reachable(scene, sensor) and robot_solves(scene, sensor, seed))
+    needed = {size: SETS * SIZES.count(size) for size in SIZES}
+    needed[min(SIZES)] += 1  # to practise
     found: dict[int, list[Task]] = {size: [] for size in needed}
     for scene in _scenes(dataset, seed):
         size = len(scene.scene.bodies) - 1
-        if len(found.get(size, ())) < needed.get(size, 0) and manages(scene):
+        if len(found.get(size, ())) < needed.get(size, 0) and solvable(scene):
             found[size].append(Task(scene.id, size))
         if all(len(found[size]) == count for size, count in needed.items()):
-            return _dealt(found, sets)
+            practice = found[min(SIZES)].pop()
+            dealt = {size: iter(tasks) for size, tasks in found.items()}
+            rounds = [[next(dealt[size]) for _ in range(SETS)] for size in SIZES]
+            return Tasks(practice, tuple(zip(*rounds, strict=True)))
     missing = ", ".join(f"{len(found[size])} of {count} scenes with {size} kits" for size, count in needed.items())
-    raise InputError(
-        f"{dataset.root}: the robot manages {missing}; compare fewer --conditions, or generate the preset study"
-    )
+    raise InputError(f"{dataset.root}: the robot solves {missing}; generate the preset study")
 
 
-def can_be_asked(scene: RecordedScene, sensor: str) -> bool:
-    """Whether every part of a scene can be edited, has a spot for a cup, and a goal with its upper side up."""
+def is_reachable(scene: RecordedScene, sensor: str) -> bool:
+    """Whether every part of a scene can be edited and gripped, and has a goal with its upper side up."""
     bench, truths = Bench(scene, sensor), part_truths(scene, sensor)
     return len(truths) == len(bench.parts) and all(
         any(bench.seal_height(part, grasp) is not None for grasp in bench.grasps(part))
@@ -81,7 +81,7 @@ def can_be_asked(scene: RecordedScene, sensor: str) -> bool:
     )
 
 
-def robot_manages(scene: RecordedScene, sensor: str, seed: int) -> bool:
+def robot_solves(scene: RecordedScene, sensor: str, seed: int) -> bool:
     """Whether the robot seats every part of a scene by the true motions."""
     motions = {part: true_motion(truth) for part, truth in part_truths(scene, sensor).items()}
     return all(part.outcome == SEATED for part in run_scene(scene, motions, sensor, seed).parts)
@@ -103,15 +103,3 @@ def _scenes(dataset: Dataset, seed: int) -> Iterator[RecordedScene]:
     split = dataset.split(SPLIT, truth=True)
     for i in stream(seed, "study-tasks").permutation(len(split)):
         yield split.scene(split.scene_ids[int(i)])
-
-
-def _dealt(found: dict[int, list[Task]], sets: int) -> Tasks:
-    practice = found[min(SIZES)].pop()
-    decks: dict[int, Sequence[Task]] = dict(found)
-    taken = dict.fromkeys(decks, 0)
-    dealt: list[list[Task]] = [[] for _ in range(sets)]
-    for size in SIZES:
-        for task_set in dealt:
-            task_set.append(decks[size][taken[size]])
-            taken[size] += 1
-    return Tasks(practice, tuple(map(tuple, dealt)))

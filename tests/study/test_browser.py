@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,11 +15,11 @@ from kit1000.dataset.reader import Dataset
 from kit1000.editor.controller import Controller
 from kit1000.editor.hand import PLACE
 from kit1000.study import sitting
-from kit1000.study.finished_trials import read_participants
+from kit1000.study.execution import by_seating_test
+from kit1000.study.plan import StudyPlan, write_plan
 from kit1000.study.questionnaire import SCALES
-from kit1000.study.study_plan import StudyPlan, write_plan
-from kit1000.study.study_records import PERSON
-from kit1000.study.tasks import Task, Tasks
+from kit1000.study.records import PEOPLE, ParticipantFiles, read_participants
+from kit1000.study.tasks import Task, Tasks, part_truths
 from tests.editor.test_browser import PATIENCE_S, WINDOW, browser, on_page, ready, wait
 
 __all__ = ["browser"]  # a fixture
@@ -41,7 +40,7 @@ def plan(mini: Path) -> StudyPlan:
 
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[Controller]:
-    """The controllers of the editing pages, in the order in which they open."""
+    """The controllers of the editing pages, in the order in which they open; the seating test replaces the robot."""
     controllers: list[Controller] = []
     editing = sitting.editing
 
@@ -51,7 +50,11 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Controller]:
             controllers.append(controller)
             yield controller, address
 
+    def execution(scene: Any, sensor: str, seed: int) -> Any:
+        return contextlib.nullcontext(by_seating_test(scene.split.dataset, part_truths(scene, sensor)))
+
     monkeypatch.setattr(sitting, "editing", watched)
+    monkeypatch.setattr(sitting, "by_robot", execution)
     return controllers
 
 
@@ -114,7 +117,8 @@ def test_a_sitting_from_consent_to_the_last_question(
 ) -> None:
     write_plan(tmp_path, plan)
     dataset = Dataset(mini)
-    thread = threading.Thread(target=sitting.sit, args=(tmp_path, plan, dataset, 1, None, "test"), daemon=True)
+    served = sitting.Sitting(ParticipantFiles(tmp_path, plan, 1), dataset)
+    thread = threading.Thread(target=served.run, daemon=True)
     thread.start()
     page = browser.new_page(viewport=WINDOW)  # type: ignore[arg-type]
     printed: list[str] = []
@@ -150,7 +154,7 @@ def test_a_sitting_from_consent_to_the_last_question(
     page.get_by_text("You have finished").first.wait_for(timeout=1000 * PATIENCE_S)
     thread.join(PATIENCE_S)
     assert not thread.is_alive()
-    [someone] = read_participants(tmp_path, plan, PERSON)
+    [someone] = read_participants(tmp_path, plan, PEOPLE)
     assert someone.preferred == "hand"
     assert {tuple(ratings.values()) for ratings in someone.ratings.values()} == {(0, 10, 20, 30, 40, 50)}
     assert len(someone.trials) == 2
@@ -158,6 +162,4 @@ def test_a_sitting_from_consent_to_the_last_question(
         assert trial.uploads == 1
         assert sum(part.position_mm is not None for part in trial.parts) == 1
         assert trial.specification_s > 0
-    logs = [json.loads(line) for path in tmp_path.rglob("events.jsonl") for line in path.read_text().splitlines()]
-    assert {row["operator"] for row in logs} == {"human"}
     page.close()

@@ -1,7 +1,8 @@
-"""Records of a study: they come back as written, and whatever does not belong is refused in one clear line."""
+"""Records and reports of a study: they come back as written, and a record that does not belong is refused by path."""
 
 from __future__ import annotations
 
+import csv
 import json
 import shutil
 from collections.abc import Callable
@@ -12,12 +13,10 @@ import pytest
 from kit1000.cli import main
 from kit1000.errors import InputError
 from kit1000.study import statistics
-from kit1000.study.conditions import CROSSED
-from kit1000.study.finished_trials import chosen_operator, operators_of, read_participants
-from kit1000.study.study_plan import StudyPlan
-from kit1000.study.study_records import PERSON, Operator, read_trial, trial_folder, write_trial
-from kit1000.study.study_report import write_report
-from tests.samples.studies import FITTS, plan_of, trial_of, write_participant, write_study
+from kit1000.study.plan import StudyPlan
+from kit1000.study.records import PEOPLE, ParticipantFiles, TrialRecord, operators_of, read_participants
+from kit1000.study.report import write_report
+from tests.samples.studies import PAPER, plan_of, trial_of, write_participant, write_study
 
 
 @pytest.fixture(autouse=True)
@@ -26,30 +25,38 @@ def few_resamples(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(statistics, "RESAMPLES", 200)
 
 
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("study")
+    write_study(folder, plan_of())
+    return folder
+
+
 @pytest.fixture
-def study(tmp_path: Path) -> tuple[Path, StudyPlan]:
-    return tmp_path, write_study(tmp_path, plan_of())
+def study(written: Path, tmp_path: Path) -> Path:
+    """A study of four people that a test may change."""
+    return shutil.copytree(written, tmp_path / "study")
+
+
+PLAN: StudyPlan = plan_of()
 
 
 def test_a_trial_comes_back(tmp_path: Path) -> None:
-    plan = plan_of()
-    session = plan.sessions(3)[1]
-    trial = trial_of(plan, FITTS, 3, session, 4, 2, 12.345)
-    folder = trial_folder(tmp_path, FITTS, 3, session.position, session.condition.name, 4)
-    write_trial(folder, trial)
-    assert read_trial(folder / "trial.json", plan.id, FITTS, 3) == trial
+    files, session = ParticipantFiles(tmp_path, PLAN, 3, PAPER), PLAN.sessions(3)[1]
+    trial = trial_of(files, session, 4, 2, 12.345)
+    path = files.of_task(session, 4) / "trial.json"
+    files.write(path, trial)
+    assert files.read(path, TrialRecord) == trial
     assert trial.seated == 2
-    assert folder.relative_to(tmp_path).parts[:3] == ("simulated", "fitts", "p003")
+    assert path.relative_to(tmp_path).parts[:3] == ("simulated", "paper", "p003")
 
 
-def test_everybody_is_read(study: tuple[Path, StudyPlan]) -> None:
-    folder, plan = study
-    people = read_participants(folder, plan, PERSON)
+def test_everybody_is_read(study: Path) -> None:
+    people = read_participants(study, PLAN, PEOPLE)
     assert [person.number for person in people] == [1, 2, 3, 4]
     assert {len(person.trials) for person in people} == {8}
-    assert all(set(person.ratings) == set(plan.conditions) for person in people)
+    assert all(set(person.ratings) == set(PLAN.conditions) for person in people)
     assert {person.preferred for person in people} == {"scene-snap"}
-    assert operators_of(folder) == [PERSON]
 
 
 def first(folder: Path, name: str) -> Path:
@@ -57,11 +64,12 @@ def first(folder: Path, name: str) -> Path:
 
 
 def edited(name: str, **change: object) -> Callable[[Path], None]:
-    """Changes fields of the first file of a name."""
+    """Changes fields of the first file of a name; None removes a field."""
 
     def change_file(folder: Path) -> None:
         path = first(folder, name)
-        path.write_text(json.dumps(json.loads(path.read_text()) | change))
+        row = json.loads(path.read_text()) | change
+        path.write_text(json.dumps({key: value for key, value in row.items() if value is not None}))
 
     return change_file
 
@@ -74,170 +82,116 @@ def cut(name: str) -> Callable[[Path], None]:
     return cut_file
 
 
-def without(name: str, field: str) -> Callable[[Path], None]:
-    def change_file(folder: Path) -> None:
-        path = first(folder, name)
-        row = json.loads(path.read_text())
-        del row[field]
-        path.write_text(json.dumps(row))
-
-    return change_file
-
-
 def copied(source: str, target: str) -> Callable[[Path], None]:
     return lambda folder: shutil.copytree(folder / source, folder / target) and None
 
 
-HOSTILE = [
-    (cut("trial.json"), "no record"),
-    (cut("participant.json"), "no record"),
-    (edited("trial.json", specification_s="12"), "specification_s: expected seconds"),
-    (edited("trial.json", specification_s=-1), "specification_s: expected seconds"),
-    (edited("trial.json", uploads=True), "uploads: expected a whole number"),
-    (edited("trial.json", parts=[]), "parts: expected one result for each"),
-    (edited("trial.json", parts=[3]), "expected an object"),
-    (edited("trial.json", task=2), "where the plan has"),
-    (edited("trial.json", scene="test-s9999"), "where the plan has"),
-    (edited("trial.json", study="0"), "study: expected"),
-    (edited("trial.json", participant=2), "participant: expected 1"),
-    (edited("trial.json", format="x"), "expected a record of the format"),
-    (edited("trial.json", comment="nice"), "no field 'comment'"),
-    (without("trial.json", "kits"), "kits is missing"),
-    (edited("trial.json", operator={"kind": "simulated", "name": "fitts"}), "never mixed"),
-    (
-        edited("participant.json", operator={"kind": "simulated", "name": "exact"}),
-        "simulated operator \\(exact\\) among",
-    ),
-    (edited("trial.json", operator=None), "nobody known"),
-    (edited("ratings.json", ratings={"mental": 5}), "not rated"),
-    (edited("ratings.json", ratings=None), "six numbers"),
-    (edited("closing.json", preferred="hand-bare"), "preferred: expected one of"),
-    (without("participant.json", "consent"), "no consent"),
-    (edited("participant.json", judge="me"), "judge: expected robot or test"),
-    (copied("people/p001", "people/p0001"), "there twice"),
-    (copied("people/p001", "people/p009"), "participants 1 to 4"),
-    (copied("people/p001", "people/anna"), "no folder of a participant"),
-    (copied("people/p001/1-hand", "people/p001/3-hand"), "no such condition"),
+DAMAGES: list[tuple[Callable[[Path], None], tuple[str, ...]]] = [
+    (cut("trial.json"), ("trial.json",)),
+    (cut("participant.json"), ("participant.json",)),
+    (edited("trial.json", specification_s="12"), ("trial.json", "specification_s", "float")),
+    (edited("trial.json", specification_s=-1), ("trial.json", "specification_s", ">= 0")),
+    (edited("trial.json", uploads=True), ("trial.json", "uploads", "int")),
+    (edited("trial.json", parts=[]), ("trial.json", "parts")),
+    (edited("trial.json", parts=[3]), ("trial.json", "parts[0]")),
+    (edited("trial.json", task=2), ("trial.json", "plan")),
+    (edited("trial.json", scene="test-s9999"), ("trial.json", "test-s9999")),
+    (edited("trial.json", study="0"), ("trial.json", "study", PLAN.id)),
+    (edited("trial.json", participant=2), ("trial.json", "participant", "1", "2")),
+    (edited("trial.json", format="x"), ("trial.json", "format")),
+    (edited("trial.json", comment="nice"), ("trial.json", "comment")),
+    (edited("trial.json", kits=None), ("trial.json", "kits")),
+    (edited("trial.json", operator=PAPER), ("trial.json", "operator", PEOPLE, PAPER)),
+    (edited("participant.json", operator="simulated/exact"), ("participant.json", "simulated/exact")),
+    (edited("participant.json", consent=None), ("participant.json", "consent")),
+    (edited("ratings.json", ratings={"mental": 5}), ("ratings.json", "physical")),
+    (edited("ratings.json", ratings=None), ("ratings.json", "ratings")),
+    (edited("closing.json", preferred="hand-bare"), ("closing.json", "preferred", "hand-bare")),
+    (copied("people/p001", "people/p0001"), ("p0001", "p004")),
+    (copied("people/p001", "people/p009"), ("p009", "p004")),
+    (copied("people/p001", "people/anna"), ("anna", "p001")),
+    (copied("people/p001/1-hand", "people/p001/3-hand"), ("3-hand", "1-hand")),
+    (copied("people/p001/1-hand/task-1", "people/p001/1-hand/task-9"), ("task-9", "task-4")),
 ]
 
 
-@pytest.mark.parametrize(("damage", "message"), HOSTILE, ids=lambda value: value if isinstance(value, str) else "")
-def test_hostile_records_are_refused_in_one_line(
-    study: tuple[Path, StudyPlan], damage: Callable[[Path], None], message: str
+@pytest.mark.parametrize(("damage", "facts"), DAMAGES)
+def test_a_record_that_does_not_belong_is_refused_in_one_line(
+    study: Path, damage: Callable[[Path], None], facts: tuple[str, ...]
 ) -> None:
-    folder, plan = study
-    if not (folder / "people/p001/1-hand").is_dir():
-        (folder / "people/p001/1-hand").mkdir()
-    damage(folder)
-    with pytest.raises(InputError, match=message) as refusal:
-        read_participants(folder, plan, PERSON)
-    assert "\n" not in str(refusal.value)
-    assert str(folder) in str(refusal.value)
+    assert PLAN.sessions(1)[0].condition.name == "hand"
+    damage(study)
+    with pytest.raises(InputError) as refusal:
+        read_participants(study, PLAN, PEOPLE)
+    text = str(refusal.value)
+    assert "\n" not in text
+    assert all(fact in text for fact in (str(study), *facts))
 
 
-def test_a_simulated_folder_among_people_ends_the_report_with_status_2(
-    study: tuple[Path, StudyPlan], capsys: pytest.CaptureFixture[str]
+def test_a_simulated_record_among_people_ends_the_report_with_status_2(
+    study: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder, plan = study
-    write_study(folder, plan, FITTS)
-    shutil.rmtree(folder / "people/p002")
-    shutil.copytree(folder / "simulated/fitts/p002", folder / "people/p002")
-    assert main(["study", str(folder), "--out", str(folder), "--report"]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "never mixed" in error
+    write_participant(ParticipantFiles(study, PLAN, 2, PAPER))
+    shutil.rmtree(study / "people/p002")
+    shutil.copytree(study / "simulated/paper/p002", study / "people/p002")
+    assert main(["study", str(study), "--out", str(study), "--report"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_a_report_is_about_one_kind(study: tuple[Path, StudyPlan]) -> None:
-    folder, plan = study
-    exact = Operator("simulated", "exact")
-    for operator in (FITTS, exact):
-        write_study(folder, plan, operator)
-    assert operators_of(folder) == [PERSON, exact, FITTS]
-    assert chosen_operator(folder, None) == PERSON
-    assert chosen_operator(folder, "fitts") == FITTS
-    with pytest.raises(InputError, match="paper"):
-        chosen_operator(folder, "paper")
-    shutil.rmtree(folder / "people")
-    with pytest.raises(InputError, match="several simulated operators"):
-        chosen_operator(folder, None)
-    shutil.rmtree(folder / "simulated")
-    with pytest.raises(InputError, match="--participant 1"):
-        chosen_operator(folder, None)
+def test_a_report_is_about_one_operator(study: Path) -> None:
+    exact = "simulated/exact"
+    for operator in (PAPER, exact):
+        write_study(study, PLAN, operator)
+    assert operators_of(study) == [PEOPLE, exact, PAPER]
+    assert write_report(study).parent == study / PEOPLE
+    assert write_report(study, "paper").parent == study / PAPER
+    shutil.rmtree(study / "people")
+    for removed, name in ((None, None), (None, "fitts"), (exact, "exact"), (PAPER, None)):
+        shutil.rmtree(study / removed) if removed else None
+        with pytest.raises(InputError, match="--report --simulate NAME"):
+            write_report(study, name)
 
 
-def test_ratings_of_a_simulated_operator_are_refused(tmp_path: Path) -> None:
-    plan = write_study(tmp_path, plan_of(), FITTS)
-    session = plan.sessions(1)[0]
-    source = tmp_path / "simulated/fitts/p001"
-    write_participant(tmp_path, plan, PERSON, 1)
-    path = source / f"{session.position}-{session.condition.name}" / "ratings.json"
-    row = json.loads(first(tmp_path / "people", "ratings.json").read_text())
-    path.write_text(json.dumps(row | {"operator": {"kind": "simulated", "name": "fitts"}}))
-    with pytest.raises(InputError, match="only people can rate"):
-        read_participants(tmp_path, plan, FITTS)
-
-
-@pytest.mark.parametrize("words", [("human", "fitts"), ("simulated", "human"), ("robot", "x")])
-def test_an_operator_is_a_person_or_a_model(words: tuple[str, str]) -> None:
-    with pytest.raises(InputError, match="operator"):
-        Operator(*words)
-
-
-def test_a_report_of_people_finds_what_was_put_in(study: tuple[Path, StudyPlan]) -> None:
-    folder, _ = study
-    page = write_report(folder)
-    numbers = json.loads((page.parent / "report.json").read_text())
+def test_a_report_finds_the_effects_of_its_records(study: Path) -> None:
+    path = write_report(study)
+    numbers = json.loads((path.parent / "analysis.json").read_text())
     rows = {row["name"]: row for row in numbers["outcomes"]}
-    change = rows["specification"]["contrasts"][0]
+    change = rows["specification"]["difference"]
     assert change["low"] < -20 < change["high"]
     assert change["n"] == numbers["n"] == 4
-    assert rows["success"]["contrasts"][0]["mean"] == pytest.approx(40, abs=15)  # a part of two or three a task
+    assert rows["success"]["difference"]["mean"] == pytest.approx(40, abs=15)  # one part of two or three per task
+    assert rows["specification"]["order"]["n"] == [2, 2]
     assert [row["name"] for row in numbers["ratings"]][-1] == "load"
-    assert all(row["contrasts"][0]["p_holm"] >= row["contrasts"][0]["p"] for row in numbers["ratings"][:-1])
-    assert numbers["preferred"] == {"scene-snap": 4, "hand": 0}
-    text = page.read_text()
-    assert "simulated" not in text.replace("simulated robot", "").lower()
-    before = page.read_bytes()
-    assert write_report(folder).read_bytes() == before
+    assert all(
+        row["p_holm"] >= min(row["difference"]["t_p"], row["difference"]["wilcoxon_p"])
+        for row in numbers["ratings"][:-1]
+    )
+    assert numbers["preferred"] == {"scene-snap": 4}
+    trials = list(csv.DictReader((path.parent / "trials.csv").read_text().splitlines()))
+    assert len(trials) == 32
+    assert {row["position_mm"] for row in trials} == {"1.5 1.5", "1.5 1.5 1.5"}
+    table = path.read_text()
+    assert table.count("\n|") == 2 + len(rows) + 7
+    assert "simulated" not in table
+    assert write_report(study).read_text() == table
 
 
-def test_every_title_of_a_simulated_report_says_so(tmp_path: Path) -> None:
-    plan = write_study(tmp_path, plan_of(4, CROSSED), FITTS)
-    page = write_report(tmp_path, "fitts").read_text()
-    for mark in ("<head>", "<h1>", "<h2>", 'class="title"'):
-        titles = [title.split("</")[0].lower() for title in page.split(mark)[1:]]
-        assert titles
-        assert all("simulated" in title for title in titles)
-    assert "No person took part" in page
-    numbers = json.loads((tmp_path / "simulated/fitts/report.json").read_text())
-    assert numbers["operator"] == {"kind": "simulated", "name": "fitts"}
-    assert len(numbers["outcomes"][0]["contrasts"]) == 6
+def test_a_report_of_a_simulated_operator_says_so_and_has_no_ratings(tmp_path: Path) -> None:
+    write_study(tmp_path, PLAN, PAPER)
+    path = write_report(tmp_path, "paper")
+    numbers = json.loads((path.parent / "analysis.json").read_text())
+    assert numbers["operator"] == PAPER
     assert numbers["ratings"] == []
-    assert not numbers["balanced"]  # four conditions need sixteen people
-    assert plan.people == 4
+    assert {"success_by_test"}.isdisjoint(row["name"] for row in numbers["outcomes"])
+    assert "simulated participants, which say nothing about people" in path.read_text()
 
 
-def test_outcomes_of_two_judges_are_never_mixed(study: tuple[Path, StudyPlan]) -> None:
-    folder, _ = study
-    edited("participant.json", judge="test")(folder)
-    with pytest.raises(InputError, match="two judges"):
-        write_report(folder)
-    for path in folder.rglob("participant.json"):
-        path.write_text(json.dumps(json.loads(path.read_text()) | {"judge": "test"}))
-    text = write_report(folder).read_text()
-    assert "by the robot" not in text
-    assert "the robot has seated it" not in text
-    assert "no robot was at work" in text
-
-
-def test_who_has_not_finished_is_left_out_and_named(study: tuple[Path, StudyPlan]) -> None:
-    folder, _ = study
-    first(folder / "people/p004", "trial.json").unlink()
-    numbers = json.loads((write_report(folder).parent / "report.json").read_text())
+def test_unfinished_participants_are_left_out_and_named(study: Path) -> None:
+    first(study / "people/p004", "trial.json").unlink()
+    numbers = json.loads((write_report(study).parent / "analysis.json").read_text())
     assert numbers["n"] == 3
-    assert numbers["left_out"] == [{"participant": 4, "why": "7 of 8 tasks done"}]
+    assert numbers["left_out"] == {"4": "7 of 8 tasks done"}
     assert not numbers["balanced"]
-    first(folder / "people/p003", "trial.json").unlink()
-    with pytest.raises(InputError, match="needs 3 or more"):
-        write_report(folder)
+    first(study / "people/p003", "trial.json").unlink()
+    with pytest.raises(InputError, match=r"2 participants .* 3 or more"):
+        write_report(study)

@@ -1,16 +1,16 @@
-"""A sitting that was broken off goes on: with its uploads, its outcomes and its clock, and the record counts it."""
+"""An interrupted sitting continues with its uploads, its outcomes and its clock, and the record counts it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 pytest.importorskip("viser")
 
@@ -19,36 +19,36 @@ from kit1000.dataset.reader import Dataset
 from kit1000.dataset.tables import pose_row
 from kit1000.pose import Pose
 from kit1000.study import sitting
-from kit1000.study.execution import Carried
+from kit1000.study.execution import Executed
 from kit1000.study.pages import TaskPanel
+from kit1000.study.plan import write_plan
+from kit1000.study.records import PEOPLE, PRACTICE_FILE, ParticipantFiles, PartResult
 from kit1000.study.sitting import FINISH, UPLOAD, Sitting, TaskPage
-from kit1000.study.study_plan import write_plan
-from kit1000.study.study_records import PERSON, PartResult
 from tests.samples.editing import desk, dragged, goal, scene_of
 from tests.samples.studies import plan_of, write_participant
 
 MOTION = Pose.from_translation((0.01, 0.02, 0.03))
 
 
-class Judge:
-    """Seats everything in ten seconds, and remembers what."""
+class Robot:
+    """Seats everything in ten seconds, and remembers the uploads."""
 
     def __init__(self) -> None:
-        self.asked: list[dict[int, Pose]] = []
+        self.uploads: list[dict[int, Pose]] = []
 
-    def carry_out(self, motions: Mapping[int, Pose]) -> dict[int, Carried]:
-        self.asked.append(dict(motions))
-        return {part: Carried("seated", 10.0) for part in motions}
+    def __call__(self, motions: Mapping[int, Pose]) -> dict[int, Executed]:
+        self.uploads.append(dict(motions))
+        return {part: Executed("seated", 10.0) for part in motions}
 
 
 def page_of(tmp_path: Path, condition: int = 0, index: int = 1) -> TaskPage:
     plan = plan_of()
     session = next(each for each in plan.sessions(1) if each.condition.name == plan.conditions[condition])
-    return TaskPage(Sitting(tmp_path, plan, cast(Dataset, None), 1, 8080), session, index)
+    return TaskPage(Sitting(ParticipantFiles(tmp_path, plan, 1), cast(Dataset, None)), session, index)
 
 
-def test_what_was_done_before_a_crash_is_taken_up(tmp_path: Path) -> None:
-    page, judge = page_of(tmp_path), Judge()
+def test_work_before_a_crash_is_continued(tmp_path: Path) -> None:
+    page, robot = page_of(tmp_path), Robot()
     rows: list[dict[str, Any]] = [
         {"event": "open"},
         {"event": "undo"},
@@ -58,38 +58,35 @@ def test_what_was_done_before_a_crash_is_taken_up(tmp_path: Path) -> None:
         {"event": "clock", "specification_s": 31.25, "execution_s": 10.0},
         {"event": "close"},
     ]
-    page.resume(rows, judge)
-    [asked] = judge.asked
-    assert list(asked) == [1]
-    assert asked[1].wxyz.tobytes() + asked[1].xyz.tobytes() == MOTION.wxyz.tobytes() + MOTION.xyz.tobytes()
+    page.resume(rows, robot)
+    [upload] = robot.uploads
+    assert list(upload) == [1]
+    assert upload[1].wxyz.tobytes() + upload[1].xyz.tobytes() == MOTION.wxyz.tobytes() + MOTION.xyz.tobytes()
     assert page.outcomes == {1: "seated"}
     assert (page.clock.specified, page.clock.execution, page.clock.reading) == (31.25, 10.0, 41.25)
     record = page.record({i: PartResult(i, "seated", True, 1.0, 1.0) for i in range(2)}, rows)
     assert (record.uploads, record.undos, record.refused, record.interruptions) == (1, 1, 1, 1)
-    assert record.operator == PERSON
+    assert record.operator == PEOPLE
     assert not record.out_of_time  # there was time left: the participant ended the task
 
 
-def test_the_command_names_who_judges_a_sitting(
+def test_the_command_continues_a_sitting_whose_steps_are_done(
     mini: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """And a participant who was judged otherwise before is refused."""
     plan = replace(plan_of(), dataset_id=Dataset(mini).id)
     write_plan(tmp_path, plan)
-    write_participant(tmp_path, plan, PERSON, 1)  # judged by the robot
+    files = ParticipantFiles(tmp_path, plan, 1)
+    write_participant(files)
+    for session in plan.sessions(1):
+        (files.of_session(session) / PRACTICE_FILE).touch()
     monkeypatch.setattr(sitting, "serving", lambda *_: nullcontext((None, "http://127.0.0.1:8080")))
     monkeypatch.setattr(sitting, "say_goodbye", lambda _: None)
-    arguments = ["study", str(mini), "--out", str(tmp_path), "--participant", "1"]
-    for folder in (tmp_path / "people/p001").glob("*-*"):
-        (folder / sitting.PRACTICE_FILE).touch()
-    assert main(arguments) == 0
+    assert main(["study", str(mini), "--out", str(tmp_path), "--participant", "1"]) == 0
     assert "complete" in capsys.readouterr().out
-    assert main([*arguments, "--judge", "test"]) == 2
-    assert "was judged by the robot; go on with --judge robot" in capsys.readouterr().err
 
 
 def test_while_the_robot_works_clock_and_hand_stand_still(mini: Path, tmp_path: Path) -> None:
-    """Of two parts one is uploaded; what the participant does meanwhile counts for nothing."""
+    """One part is uploaded; nothing that the participant does meanwhile has an effect."""
     scene = scene_of(mini)
     table, part = desk(scene, tmp_path), scene.parts[0]
     controller, page, true = table.controller, page_of(tmp_path), goal(scene, part)
@@ -97,18 +94,18 @@ def test_while_the_robot_works_clock_and_hand_stand_still(mini: Path, tmp_path: 
     controller.command("confirm")
     before = controller.space.session
 
-    class BusyJudge(Judge):
-        def carry_out(self, motions: Mapping[int, Pose]) -> dict[int, Carried]:
+    class BusyRobot(Robot):
+        def __call__(self, motions: Mapping[int, Pose]) -> dict[int, Executed]:
             controller.place(part, MOTION)
             dragged(table, part, np.zeros(3))
             for verb in ("undo", "reset-all", "turn-left"):
                 controller.command(verb)
             controller.return_to(0)
             assert "robot is at work" in table.stage.texts["note"]
-            return super().carry_out(motions)
+            return super().__call__(motions)
 
     page.clock.start()
-    page.upload(controller, BusyJudge(), cast(TaskPanel, MagicMock()))
+    page.upload(controller, BusyRobot(), cast(TaskPanel, MagicMock()))
     assert page.outcomes == {part: "seated"}
     assert controller.space.session is before
     assert controller.space.current[part].goal_from_now is before.edits[part].goal_from_now

@@ -1,0 +1,103 @@
+"""The report of a study: `trials.csv` for other programs, `analysis.json` with all numbers, `report.md` to read."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from kit1000.errors import InputError
+from kit1000.files import json_bytes, write_bytes
+from kit1000.study.analysis import Analysis, Mean, Row, analyse
+from kit1000.study.plan import CONDITIONS, read_plan
+from kit1000.study.records import PEOPLE, SIMULATED, Participant, TrialRecord, operators_of, read_participants
+
+TRIALS_FILE, ANALYSIS_FILE, TABLE_FILE = "trials.csv", "analysis.json", "report.md"
+COLUMNS = tuple(name for name in TrialRecord.__struct_fields__ if name not in ("format", "study", "operator", "parts"))
+
+
+def write_report(study: Path, simulated: str | None = None, seed: int = 0) -> Path:
+    """Write the report beside the records; returns the path of the table.
+
+    Args:
+        study: folder of the study.
+        simulated: the simulated operator; None for people, or for the only operator.
+        seed: of the resampling.
+    """
+    plan, operator = read_plan(study), _operator(study, simulated)
+    participants = read_participants(study, plan, operator)
+    analysis = analyse(plan, operator, participants, seed)
+    folder = study / operator
+    write_bytes(folder / TRIALS_FILE, trials_csv(participants).encode())
+    write_bytes(folder / ANALYSIS_FILE, json_bytes(_with_text_keys(asdict(analysis))))
+    write_bytes(folder / TABLE_FILE, table(analysis).encode())
+    return folder / TABLE_FILE
+
+
+def _operator(study: Path, simulated: str | None) -> str:
+    """The operator that was named, or people, or the only operator that there is."""
+    found, named = operators_of(study), f"{SIMULATED}/{simulated}"
+    if simulated is None and (found[:1] == [PEOPLE] or len(found) == 1):
+        return found[0]
+    if named in found:
+        return named
+    raise InputError(
+        f"{study}: expected records of people, or of one operator by --report --simulate NAME; "
+        f"found {', '.join(found) or 'none'}"
+    )
+
+
+def trials_csv(participants: Iterable[Participant]) -> str:
+    """A row for each trial, also of unfinished participants; the errors of the parts stand in one cell."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([*COLUMNS, "seated", "seated_by_test", "position_mm", "angle_deg"])
+    for trial in (trial for person in participants for trial in person.trials):
+        errors = [[getattr(part, name) for part in trial.parts] for name in ("position_mm", "angle_deg")]
+        lists = [" ".join("" if error is None else str(error) for error in each).strip() for each in errors]
+        by_test = sum(part.seated_by_test for part in trial.parts)
+        writer.writerow([*(getattr(trial, name) for name in COLUMNS), trial.seated, by_test, *lists])
+    return text.getvalue()
+
+
+def table(analysis: Analysis) -> str:
+    """The Markdown text: who took part, and a table of all outcomes and scales."""
+    one, other = (CONDITIONS[name].label for name in analysis.conditions)
+    who = "participants" if analysis.operator == PEOPLE else "simulated participants, which say nothing about people,"
+    lines = [f"# {one} against {other}", ""]
+    lines.append(f"{analysis.n} of {analysis.planned} planned {who} have done all tasks of study {analysis.study}.")
+    lines.append("Difference: the first condition minus the second, with the 95 % BCa interval over participants.")
+    lines.append("p: of the named test; for the six scales adjusted after Holm.")
+    lines += ["", f"| outcome | {one} | {other} | difference | d_z | rank-biserial | p | test |"]
+    lines.append("| --- " * 8 + "|")
+    lines += [_line(row, analysis.conditions) for row in (*analysis.outcomes, *analysis.ratings)]
+    if analysis.preferred:
+        answers = ", ".join(f"{CONDITIONS[name].label} {count}" for name, count in analysis.preferred.items())
+        lines += ["", f"Preferred: {answers}."]
+    return "\n".join(lines) + "\n"
+
+
+def _line(row: Row, conditions: Sequence[str]) -> str:
+    cells = [f"{row.label} [{row.unit}]", *(_mean_text(row.means[name]) for name in conditions)]
+    found = row.difference
+    if found is None:
+        return f"| {' | '.join(cells)} | – | – | – | – | – |"
+    effect = "–" if found.d_z is None else f"{found.d_z:.2f}"
+    p = found.p if row.p_holm is None else row.p_holm
+    cells += [f"{found.mean:+.1f} [{found.low:.1f}, {found.high:.1f}]", effect, f"{found.rank_biserial:.2f}"]
+    cells += ["< .001" if p < 0.001 else f"{p:.3f}", found.test]
+    return f"| {' | '.join(cells)} |"
+
+
+def _mean_text(mean: Mean) -> str:
+    spread = "" if mean.sd is None else f" ± {mean.sd:.1f}"
+    return "–" if mean.mean is None else f"{mean.mean:.1f}{spread}"
+
+
+def _with_text_keys(value: object) -> object:
+    """The value with all keys as texts, as JSON has them."""
+    if isinstance(value, dict):
+        return {str(key): _with_text_keys(each) for key, each in value.items()}
+    return [_with_text_keys(each) for each in value] if isinstance(value, list | tuple) else value
