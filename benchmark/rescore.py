@@ -12,8 +12,8 @@ from benchmark.entries import with_newer_fields
 from benchmark.report import json_text
 from benchmark.score import read_checked, score
 from kit1000.dataset.reader import Dataset
-from kit1000.engines import local_engine
 from kit1000.files import read_json, write_bytes
+from kit1000.parallel import local_engine
 
 CODE_KEYS = ("commit", "evaluator")
 """Keys of scores.json about the code that made it; they are not compared: another commit may give the same numbers."""

@@ -1,17 +1,14 @@
-"""Signals that end a command: SIGTERM raises as Ctrl-C does, a wait that none slips past, work that ends in order."""
+"""Signals that end a command: SIGTERM raises KeyboardInterrupt as Ctrl-C does; a wait for Ctrl-C."""
 
 from __future__ import annotations
 
 import signal
-import sys
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
-from types import FrameType
 
-LOOK_EVERY = 0.5  # [s]
+LOOK_EVERY = 0.5  # [s] between two looks for a signal
 
 
 @contextmanager
@@ -39,40 +36,6 @@ def keeping_sigterm() -> Iterator[None]:
     finally:
         if before is not None:  # None: set by compiled code, which Python can neither read nor restore
             signal.signal(signal.SIGTERM, before)
-
-
-@dataclass
-class Deferral:
-    """Whether the work of a block is asked to end."""
-
-    requested: bool = False
-
-
-@contextmanager
-def deferred_interrupts(notice: str) -> Iterator[Deferral]:
-    """Let the first Ctrl-C or SIGTERM in the block only ask it to end, and print a notice; the second one raises.
-
-    The handlers before are restored. Only the main thread can set them: in others nothing is asked.
-    """
-    deferral = Deferral()
-    if not in_main_thread():
-        yield deferral
-        return
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        if deferral.requested:
-            raise KeyboardInterrupt
-        deferral.requested = True
-        print(notice, file=sys.stderr, flush=True)
-
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    for number in before:
-        signal.signal(number, handle)
-    try:
-        yield deferral
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
 def wait_until_interrupted() -> None:

@@ -6,11 +6,8 @@ import errno
 import hashlib
 import json
 import os
-import sys
-from collections.abc import Iterator
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, cast
 
 import pytest
 from hypothesis import given
@@ -20,18 +17,18 @@ from kit1000 import files
 from kit1000.errors import InputError
 from kit1000.files import (
     PARTIAL,
+    check_output,
     check_writable,
     clear_partial,
-    is_url,
     json_bytes,
     locked,
-    parse_folder,
+    new_folder,
     read_json,
-    remove_folder,
     sha256,
     user_cache,
     write_bytes,
     write_json,
+    write_own,
 )
 
 VALUES = st.recursive(
@@ -171,68 +168,68 @@ def test_values_that_json_lacks_are_refused(tmp_path: Path) -> None:
     assert not os.listdir(tmp_path)
 
 
-def test_a_folder_of_this_machine_is_a_plain_path(tmp_path: Path) -> None:
-    assert parse_folder("data/a b") == Path("data/a b")
-    assert parse_folder(f"file://{tmp_path}/a%20b") == tmp_path / "a b"
-    assert not is_url(parse_folder(f"file://{tmp_path}"))
+@pytest.mark.parametrize(
+    ("present", "marks", "allowed"),
+    [
+        ((), ("plan.json",), True),
+        ((".lock",), ("plan.json",), True),
+        (("plan.json", "thesis.tex"), ("plan.json",), True),
+        (("thesis.tex",), ("plan.json",), False),
+        (("thesis.tex",), (), False),
+    ],
+)
+def test_a_command_writes_to_a_new_an_empty_or_its_own_folder(
+    present: tuple[str, ...], marks: tuple[str, ...], allowed: bool, tmp_path: Path
+) -> None:
+    check_output(tmp_path / "new", *marks)
+    for name in present:
+        (tmp_path / name).touch()
+    if allowed:
+        check_output(tmp_path, *marks)
+    else:
+        with pytest.raises(InputError, match=str(tmp_path)):
+            check_output(tmp_path, *marks)
+    assert sorted(os.listdir(tmp_path)) == sorted(present)
 
 
-@pytest.mark.parametrize(("url", "said"), [("nowhere://a/b", "nowhere"), ("oci://bucket/data", "Install|install")])
-def test_a_url_that_cannot_be_reached_is_one_line(url: str, said: str) -> None:
-    with pytest.raises(InputError, match=rf"^{url}: .*({said}).*$"):
-        parse_folder(url)
+@pytest.mark.parametrize(
+    ("old", "new", "replaced"),
+    [
+        (json_bytes({"a": 1, "b": 2}), json_bytes({"a": 3, "b": 4}), True),
+        (json_bytes({"a": 1}), json_bytes({"a": 3, "b": 4}), False),
+        (b'{"t": 1}\n{"t": 2}\n', b'{"t": 5}\n{"u": 2}\n', True),
+        (b"method,mm\na,1\n", b"method,mm\nb,2\n", True),
+        (b"mine", b"method,mm\nb,2\n", False),
+        (b"", b"method,mm\n", False),
+        (b"same", b"same", True),
+        (b"\x89PNG mine", b"\x89PNG Kit1000", False),
+        (b"\x89PNG kit1000 old", b"\x89PNG Kit1000 new", True),
+        (b"\x89PNG kit1000", b"\x89MCAP kit1000", False),
+    ],
+)
+def test_a_file_of_the_same_kind_alone_is_replaced(old: bytes, new: bytes, replaced: bool, tmp_path: Path) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(old)
+    if replaced:
+        write_own(path, new)
+    else:
+        with pytest.raises(InputError, match=str(path)):
+            write_own(path, new)
+    assert path.read_bytes() == (new if replaced else old)
 
 
-def test_without_the_packages_for_urls_the_error_says_how_to_install_them(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "upath", None)
-    with pytest.raises(InputError, match=r"^memory://a: .*pip install 'kit1000\[ray\]'"):
-        parse_folder("memory://a")
-
-
-@pytest.fixture(params=["memory", "local"])
-def remote(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Path]:
-    """A folder behind a URL: without folders, as in object stores, and with folders that must be created."""
-    place = parse_folder(f"{request.param}://{tmp_path}/root")
-    assert is_url(place)
-    yield place
-    remove_folder(place)
-
-
-def test_files_behind_a_url_are_written_read_and_removed(remote: Path) -> None:
-    check_writable(remote)
-    assert not remote.is_dir() or not list(remote.iterdir())
-    assert sha256(remote / "deep/a.json") is None
-    with locked(remote):
-        digest = write_json(remote / "deep/a.json", {"a": [1, 2]})
-        clear_partial(remote)
-    assert read_json(remote / "deep/a.json") == {"a": [1, 2]}
-    assert sha256(remote / "deep/a.json") == digest == hashlib.sha256((remote / "deep/a.json").read_bytes()).hexdigest()
-    assert [path.name for path in (remote / "deep").glob("*.json")] == ["a.json"]
-    with pytest.raises(InputError, match=r"^no file .*b\.json$"):
-        read_json(remote / "b.json")
-    (remote / "deep/a.json").write_bytes(b"{")
-    with pytest.raises(InputError, match=r"^cannot read .*://.*a\.json: damaged or no JSON"):
-        read_json(remote / "deep/a.json")
-    remove_folder(remote / "deep")
-    remove_folder(remote / "deep")
-    assert not (remote / "deep").exists()
-
-
-class Refused(Exception):
-    """An exception of an object store."""
-
-
-def test_a_store_that_refuses_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    place = parse_folder("memory://bucket/data")
-
-    def refuse(*_: object, **__: object) -> None:
-        raise Refused("no\ncredentials")
-
-    monkeypatch.setattr(cast(Any, place).fs, "open", refuse)
-    with pytest.raises(InputError, match=r"^cannot write to memory://bucket/data: Refused: no credentials$"):
-        check_writable(place)
-    with pytest.raises(InputError, match=r"^cannot write memory://bucket/data/a: Refused: no credentials$"):
-        write_bytes(place / "a", b"")
+def test_a_new_folder_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(FileNotFoundError), new_folder(out, "things") as partial:
+        (partial / "b/a").read_bytes()
+    assert os.listdir(tmp_path) == []
+    out.mkdir()
+    with new_folder(out, "things") as partial:
+        (partial / "a").touch()
+    assert os.listdir(tmp_path) == ["out"]
+    with pytest.raises(InputError, match="things"), new_folder(out, "things"):
+        pass
+    assert os.listdir(out) == ["a"]
 
 
 def test_the_cache_is_the_users(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

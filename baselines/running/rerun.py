@@ -12,8 +12,8 @@ from tqdm import tqdm
 
 from baselines.catalog import METHOD_TABLES, method_of
 from kit1000.dataset.reader import Dataset
-from kit1000.engines import local_engine
 from kit1000.errors import InputError
+from kit1000.parallel import local_engine
 from kit1000.prediction.predict import Job, predict_job, splits_of
 from kit1000.submission import Predictions, read_submission
 

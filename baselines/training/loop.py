@@ -10,12 +10,14 @@ import ctypes
 import json
 import math
 import os
+import signal
 import sys
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from types import FrameType
 from typing import Any, Literal
 
 import numpy as np
@@ -28,10 +30,10 @@ from baselines.training.config import FREE, TrainConfig
 from baselines.training.curve import curve
 from baselines.training.descent import Descent
 from baselines.training.processes import Processes, joined, processes_here
-from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError
 from kit1000.files import clear_partial, locked, read_json, write_bytes, write_json
-from kit1000.interrupts import deferred_interrupts
+from kit1000.interrupts import in_main_thread
+from kit1000.parallel import usable_cores
 from kit1000.perception.networks.weight_files import save_weights
 
 __all__ = ["Batch", "Task", "TrainConfig", "TrainingResult", "train"]
@@ -135,7 +137,7 @@ def _run_steps(run: _Run) -> StopReason:
     kept = progress.step  # at the last checkpoint
     bar = tqdm(steps, "training", config.steps, unit="step", initial=kept, disable=None if processes.first else True)
     try:
-        with deferred_interrupts(STOPPING) as interrupt, closing(batches), closing(bar):  # pyright: ignore[reportArgumentType]
+        with _deferred_interrupts(STOPPING) as interrupt, closing(batches), closing(bar):  # pyright: ignore[reportArgumentType]
             for batch in batches:
                 run.descent.step(progress.step, batch)
                 progress.step += 1
@@ -158,6 +160,40 @@ def _run_steps(run: _Run) -> StopReason:
             print(f"training: stopped; the same command continues from step {kept}", file=sys.stderr)
         raise
     raise AssertionError("the last step ends the loop")
+
+
+@dataclass
+class _Deferral:
+    """Whether the work of a block is asked to end."""
+
+    requested: bool = False
+
+
+@contextmanager
+def _deferred_interrupts(notice: str) -> Iterator[_Deferral]:
+    """Let the first Ctrl-C or SIGTERM in the block only ask it to end, and print a notice; the second one raises.
+
+    The handlers before are restored. Only the main thread can set them: in others nothing is asked.
+    """
+    deferral = _Deferral()
+    if not in_main_thread():
+        yield deferral
+        return
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if deferral.requested:
+            raise KeyboardInterrupt
+        deferral.requested = True
+        print(notice, file=sys.stderr, flush=True)
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, handle)
+    try:
+        yield deferral
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)
 
 
 def _report(run: _Run, bar: tqdm, measured: str) -> None:

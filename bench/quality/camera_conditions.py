@@ -27,11 +27,11 @@ import tyro
 from benchmark.measurements import Column, Measurement, Table, rate
 from kit1000.camera import look_at
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.engines import local_engine
 from kit1000.errors import InputError, Kit1000Error
 from kit1000.generation.build import generate
 from kit1000.generation.presets import preset
 from kit1000.metrics import Targets, pose_errors, seatings
+from kit1000.parallel import local_engine
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor, method_of
 from kit1000.queries.pivots import part_pivots

@@ -30,9 +30,9 @@ from bench.quality.depth_statistics import NEAR_PLANE, disparity_of, largest_pla
 from benchmark.compare import mcnemar_p
 from benchmark.measurements import Column, Measurement, Table, rate
 from kit1000.dataset.reader import Dataset, RecordedScene
-from kit1000.engines import local_engine
 from kit1000.errors import InputError, Kit1000Error
 from kit1000.metrics import Targets, pose_errors, seatings
+from kit1000.parallel import local_engine
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor, method_of
 from kit1000.rng import stream

@@ -13,8 +13,7 @@ from kit1000.dataset.own_scenes import OWN, PLACES, TABLES
 from kit1000.dataset.schema import SCENES_PER_SHARD, Observation
 from kit1000.dataset.tables import FORMAT
 from kit1000.errors import InputError
-from kit1000.export.new_folder import new_folder
-from kit1000.files import json_bytes, with_checksum, write_bytes, write_json
+from kit1000.files import json_bytes, new_folder, with_checksum, write_bytes, write_json
 from kit1000.perception.sensor_facts import KEY, key_of
 from kit1000.pictures.png_files import png_bytes
 from kit1000.pictures.scene_preview import scene_picture

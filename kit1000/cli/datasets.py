@@ -27,8 +27,8 @@ class Generate:
 
     preset: Annotated[Positional[str], arg(metavar="PRESET")]
     """tiny, small, kit1000, paper, real-like, study or completion."""
-    out: Annotated[str, arg(metavar="PATH")]
-    """Dataset folder to write; with --engine ray also a URL such as s3://bucket/folder."""
+    out: Path
+    """Dataset folder to write; with --engine ray all nodes must share it."""
     seed: OptionalInt = None
     """Seed of all random draws; that of the preset when absent."""
     workers: OptionalInt = None
@@ -46,7 +46,6 @@ class Generate:
 
     def run(self) -> int:
         """Generate the dataset and print its summary."""
-        from kit1000.files import parse_folder
         from kit1000.generation.presets import preset
 
         chosen = preset(self.preset)
@@ -54,15 +53,17 @@ class Generate:
         if self.unit is not None and self.parts is None:
             raise InputError("--unit: is the unit of the meshes of --parts, which is absent")
 
-        out = parse_folder(self.out)
-        summary = self._generate(chosen, out) if self.withhold is None else self._publish(chosen, out, self.withhold)
+        if self.withhold is None:
+            summary = self._generate(chosen, self.out)
+        else:
+            summary = self._publish(chosen, self.out, self.withhold)
         print(summary_text(summary))
         return 0
 
     def _generate(self, chosen: Preset, out: Path, seed: int | None = None) -> dict[str, Any]:
         """Generate the full dataset in a folder; returns its summary."""
-        from kit1000.engines import engine as engine_of
         from kit1000.generation.build import generate
+        from kit1000.parallel import engine as engine_of
 
         engine = engine_of(self.engine, self.workers, self.address)
         return generate(chosen, out, self.seed if seed is None else seed, self.workers, self._sources(out), engine)
@@ -83,7 +84,7 @@ class Generate:
 
         if self.parts is None:
             return None
-        own_folders = {dataset.resolve(), Path(self.out).resolve()}
+        own_folders = {dataset.resolve(), self.out.resolve()}
         files = [file for file in mesh_files(self.parts) if own_folders.isdisjoint(file.resolve().parents)]
         if not files:
             raise InputError(f"{self.parts}: no mesh files but those in --out {dataset}")
@@ -131,13 +132,13 @@ class Show:
         """Draw the picture and print its path."""
         from kit1000.dataset.geometry import Geometry
         from kit1000.dataset.reader import Dataset
-        from kit1000.files import check_own_mark, write_own
+        from kit1000.files import check_output_file, write_own
         from kit1000.pictures.dataset_sheets import geometry_sheet, scene_sheet
 
         check_least(count=(self.count, 1))
         if self.out.suffix.lower() not in (".png", ""):
             raise InputError(f"--out {self.out}: a picture is a PNG file: name a file .png")
-        check_own_mark(self.out)
+        check_output_file(self.out)
         if self.scene is None:
             need_truth(self.data, "show without --scene")
             write_own(self.out, geometry_sheet(Geometry(self.data), self.what, self.split, self.count, self.ids))
@@ -212,7 +213,7 @@ class Export:
         """Write a recording of each scene of --ids into the folder."""
         from kit1000.dataset.reader import Dataset
         from kit1000.export.recording import write_scene_recording
-        from kit1000.files import check_own_mark
+        from kit1000.files import check_output_file
 
         if not self.ids:
             raise InputError("--ids: --format mcap needs the ids of the scenes, such as test-s0003")
@@ -220,7 +221,7 @@ class Export:
             need_truth(self.data, "export --truth")
         dataset, paths = Dataset(self.data), [self.out / f"{scene_id}.mcap" for scene_id in self.ids]
         for path in paths:
-            check_own_mark(path)
+            check_output_file(path)
         for scene_id, path in zip(self.ids, paths, strict=True):
             write_scene_recording(dataset, scene_id, path, self.truth, self.predictions, self.track)
 

@@ -7,6 +7,7 @@ one in the hand first. A job that runs is not interrupted; its result is dropped
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterable
@@ -21,9 +22,9 @@ from typing import Any, NamedTuple, TypeVar
 from kit1000.dataset.reader import Dataset
 from kit1000.editor.proposals import Proposal
 from kit1000.editor.scene import editable_queries
-from kit1000.engines.processes import start_worker
 from kit1000.errors import InputError, Kit1000Error
 from kit1000.mesh import Mesh
+from kit1000.parallel import start_worker
 from kit1000.pose import Pose
 from kit1000.prediction.making import make_predictor, method_of
 from kit1000.predictor import to_prediction
@@ -183,7 +184,7 @@ def one_process() -> ProcessPoolExecutor:
 
 
 def _begin() -> None:
-    start_worker()
+    start_worker(os.getppid())
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the page, which ends this process
 
 

@@ -19,8 +19,7 @@ from tqdm import tqdm
 from kit1000.camera import Camera
 from kit1000.errors import InputError
 from kit1000.export.bop_models import ASSEMBLY, KINDS, MM, PART, model_info, object_numbers, ply_bytes
-from kit1000.export.new_folder import new_folder
-from kit1000.files import json_bytes
+from kit1000.files import json_bytes, new_folder
 from kit1000.mesh import Mesh
 from kit1000.pose import Pose
 from kit1000.queries.tracks import SPLITS, Sensor

@@ -12,8 +12,6 @@ import numpy as np
 
 from kit1000.dataset.mesh_files import glb_bytes, stl_bytes
 from kit1000.dataset.tables import pose_row
-from kit1000.engines import local_engine
-from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, internal_error
 from kit1000.export.kit_folder import REPORT, check_kit_folder, check_reports, write_kit_folder
 from kit1000.files import check_writable, write_json
@@ -24,6 +22,7 @@ from kit1000.kits.printable_mesh import SIMPLIFY_TOLERANCE, closed_on_grid
 from kit1000.kits.seating import BISECTION_STEP
 from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
+from kit1000.parallel import local_engine, usable_cores
 from kit1000.parts.family import part_of_mesh
 from kit1000.parts.files.sources import MeshReading, Refusal, read_bodies, read_mesh
 from kit1000.parts.files.united_bodies import Choice, SeveralBodies

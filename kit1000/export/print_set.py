@@ -20,9 +20,8 @@ from kit1000.dataset.geometry import Geometry
 from kit1000.dataset.mesh_files import glb_bytes
 from kit1000.dataset.tables import FORMAT, Row, assembly_row, kit_row, part_row
 from kit1000.errors import InputError, Redraw, did_you_mean
-from kit1000.export.new_folder import new_folder
 from kit1000.export.threemf import threemf_bytes
-from kit1000.files import json_bytes, with_checksum, write_bytes, write_json
+from kit1000.files import json_bytes, new_folder, with_checksum, write_bytes, write_json
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly, check_assembly
 from kit1000.kits.loose_fits import find_fit_in_other_slot
 from kit1000.kits.prepared import PreparedKit, PreparedPart

@@ -13,7 +13,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from kit1000.export.new_folder import new_folder
+from kit1000.files import new_folder
 from kit1000.kits.brackets import support_meshes
 from kit1000.kits.convex_pieces import convex_prisms
 from kit1000.mesh import Mesh, inertia

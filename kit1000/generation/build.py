@@ -6,6 +6,7 @@ any order on any number of workers; decisions that depend on order (near-duplica
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -16,7 +17,6 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-from kit1000.engines import ParallelMap, local_engine
 from kit1000.errors import InputError
 from kit1000.files import (
     check_writable,
@@ -24,7 +24,6 @@ from kit1000.files import (
     json_bytes,
     locked,
     read_json,
-    remove_folder,
     write_bytes,
     write_json,
 )
@@ -42,6 +41,7 @@ from kit1000.generation.parts_and_kits import BUILD_FOLDER, PartJob, Record, mak
 from kit1000.generation.plan import Sources, candidate_order, make_plan, split_ids
 from kit1000.generation.presets import Preset
 from kit1000.generation.shards import make_shard, shard_jobs
+from kit1000.parallel import ParallelMap, local_engine
 from kit1000.parts.files.refusals import refusal_counts
 from kit1000.parts.near_duplicates import near_duplicate_of
 from kit1000.queries.tracks import SPLITS
@@ -121,7 +121,7 @@ def _finished_summary(root: Path) -> dict[str, Any] | None:
         return None
     summary = read_intact(root, path)
     if summary is not None:
-        remove_folder(root / BUILD_FOLDER)
+        shutil.rmtree(root / BUILD_FOLDER, ignore_errors=True)
         print(f"{root} is complete: nothing to do", file=sys.stderr)
         return summary
     print(f"{root}: files are missing or changed, generating them again", file=sys.stderr)
@@ -176,7 +176,7 @@ def _part_job(
 
 def _no_usable_file(root: Path, plan: dict[str, Any], records: dict[str, Record]) -> str:
     """The message that no mesh file became a part. Deletes the plan, so that the folder can be used again."""
-    remove_folder(root / BUILD_FOLDER)
+    shutil.rmtree(root / BUILD_FOLDER, ignore_errors=True)
     (root / "plan.json").unlink(missing_ok=True)
     refused = refused_files(plan, records)
     reasons = [f"{name}: {reason}" for name, reason in refused.items()]
@@ -245,7 +245,7 @@ def _check_files_present(root: Path, record: Record) -> None:
         if not (root / name).is_file():
             raise InputError(
                 f"{name} was written on another machine and is not in {root}: "
-                "all nodes must share that folder, or --out be a URL that all of them reach"
+                "all nodes must share that folder"
             )
 
 
@@ -258,7 +258,7 @@ def write_summary(root: Path, plan: dict[str, Any], records: JobRecords) -> dict
     for name, data in description_files(summary).items():
         summary["files"][name] = write_bytes(root / name, data)
     write_bytes(root / "dataset.json", summary_bytes(summary))
-    remove_folder(root / BUILD_FOLDER)
+    shutil.rmtree(root / BUILD_FOLDER, ignore_errors=True)
     return read_json(root / "dataset.json")
 
 

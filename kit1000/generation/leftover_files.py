@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from kit1000.engines import ParallelMap
 from kit1000.generation.parts_and_kits import PartJob, Record, make_part_and_kit
 from kit1000.generation.plan import Sources
+from kit1000.parallel import ParallelMap
 from kit1000.parts.near_duplicates import near_duplicate_of
 
 

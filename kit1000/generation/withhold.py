@@ -23,7 +23,7 @@ from kit1000.dataset.mcap_io import ObservationFile, ObservationWriter
 from kit1000.dataset.reader import WITHHELD_FILE
 from kit1000.dataset.schema import Observation
 from kit1000.errors import InputError
-from kit1000.files import check_writable, is_url, json_bytes, locked, read_json, sha256, write_bytes, write_json
+from kit1000.files import check_writable, json_bytes, locked, read_json, sha256, write_bytes, write_json
 from kit1000.generation.dataset_summary import description_files, summary_bytes
 from kit1000.generation.presets import Preset
 from kit1000.generation.shards import EXTRA_VIEWS, OBSERVATIONS
@@ -66,7 +66,7 @@ def withheld_preset(preset: Preset) -> Preset:
 
 def check_separate(public_folder: Path, full: Path) -> None:
     """Raise InputError unless the public folder is outside the full one, writable, and empty or its public part."""
-    one, other = (folder if is_url(folder) else folder.resolve() for folder in (public_folder, full))
+    one, other = public_folder.resolve(), full.resolve()
     if one == other or one in other.parents or other in one.parents:
         raise InputError(f"--withhold: expected a folder outside --out {public_folder}, got {full}")
     check_writable(public_folder)

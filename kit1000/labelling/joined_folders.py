@@ -18,8 +18,7 @@ from kit1000.dataset.reader import Dataset
 from kit1000.dataset.schema import SCENES_PER_SHARD, Observation, SceneTruth
 from kit1000.dataset.tables import Row
 from kit1000.errors import InputError, shown
-from kit1000.export.new_folder import new_folder
-from kit1000.files import json_bytes, read_json, sha256, with_checksum, write_bytes, write_json
+from kit1000.files import json_bytes, new_folder, read_json, sha256, with_checksum, write_bytes, write_json
 from kit1000.labelling.label_records import LabelRecord, read_record, record_path, write_record
 from kit1000.labelling.labelled_folder import SPLIT
 from kit1000.perception.sensor_facts import KEY, SCENE_KEY

@@ -16,7 +16,6 @@ import numpy as np
 from manifold3d import Manifold
 from scipy.spatial import ConvexHull
 
-from kit1000.engines import local_engine
 from kit1000.errors import InputError
 from kit1000.kits.seating import (
     SEATED_LIMIT,
@@ -32,6 +31,7 @@ from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.metrics.exact_seating import ContactInterval, SweptVolume, contact_in_interval
 from kit1000.metrics.pose_errors import nearest_goal_motions, pose_errors
 from kit1000.metrics.targets import Targets, check_poses
+from kit1000.parallel import local_engine
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Part, Truth
 

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kit1000.camera import Camera, look_at
-from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError, checked
 from kit1000.mesh import Mesh
+from kit1000.parallel import usable_cores
 from kit1000.pictures import lighting
 from kit1000.pictures.creases import draw_lines, smooth_patches
 from kit1000.pose import Pose

@@ -20,10 +20,9 @@ from typing import Literal
 from tqdm import tqdm
 
 from kit1000.dataset.reader import Dataset
-from kit1000.engines import local_engine
-from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError, InternalError, Kit1000Error, did_you_mean, failure_text, shown
 from kit1000.files import check_writable
+from kit1000.parallel import local_engine, usable_cores
 from kit1000.prediction.catalog import TABLES, Method
 from kit1000.prediction.journal import Journal
 from kit1000.prediction.making import PREDICTED_MASKS, make_predictor, method_of, source_hash

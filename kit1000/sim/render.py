@@ -14,9 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from kit1000.camera import Camera
-from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError
 from kit1000.mesh import Mesh
+from kit1000.parallel import usable_cores
 from kit1000.pose import Pose
 from kit1000.sim import raster
 from kit1000.sim.raster import Intrinsics, TriangleBatch

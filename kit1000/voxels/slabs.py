@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
-from kit1000.engines.cores import usable_cores
 from kit1000.errors import InputError
+from kit1000.parallel import usable_cores
 
 SLAB_VOXELS = 1 << 17  # half a megabyte of float32: fits the cache of a core, and gives enough slabs for all threads
 

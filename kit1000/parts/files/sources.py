@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 from manifold3d import Manifold
 
-from kit1000.engines import check_main_guard
 from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh
 from kit1000.parts.files.formats import STEP_SUFFIXES, read_triangles
@@ -195,13 +194,11 @@ def read_all(
 ) -> tuple[list[MeshReading], list[Refusal]]:
     """Read many files; both lists keep the order of the paths, whatever the number of workers.
 
-    Raises InputError for an unknown unit, or for a script without a main guard that asks for several workers.
+    Raises InputError for an unknown unit.
     """
     if unit is not None and unit not in USER_UNITS:
         raise InputError(f"unit {unit!r}: expected one of {', '.join(USER_UNITS)}")
     files = [Path(path) for path in paths]
-    if workers > 1:
-        check_main_guard()
     read = partial(_read_or_refuse, unit=unit)
     outcomes = list(read_parallel(read, files, workers) if workers > 1 and len(files) > 1 else map(read, files))
     readings = [outcome for outcome in outcomes if isinstance(outcome, MeshReading)]
