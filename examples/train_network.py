@@ -8,13 +8,27 @@ distance volumes, one of the part and one of the kit. Prints the mean error left
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
 import tyro
 from torch import nn
 
-from kit1000 import Dataset
-from kit1000.dataset.torch import QueryDataset, VolumeItem
+from kit1000 import Dataset, Pose, Query, Truth
+from kit1000.dataset.torch import QueryDataset, query_item
+from kit1000.voxels import Grid, tsdf
+
+SHAPE, VOXEL = (32, 32, 32), 3e-3  # number of voxels; edge of a voxel [m]
+
+
+def volumes(query: Query, truth: Truth | None, rng: np.random.Generator) -> dict[str, Any]:
+    """Signed distances around the pivot, of the part and of the kits; voxel (i, j, k) coincides after the guess."""
+    assert query.guess is not None
+    goal = Pose.from_translation(query.guess.apply(query.pivot))
+    kit = tsdf(Grid.centred(goal, SHAPE, VOXEL), query.view, query.kit_region)
+    part = tsdf(Grid.centred(query.guess.inverse() @ goal, SHAPE, VOXEL), query.view, query.part_mask)
+    return {"part": part.filled(1.0), "kit": kit.filled(1.0), **query_item(query, truth)}  # unknown: as if free
 
 
 def network() -> nn.Module:
@@ -37,7 +51,6 @@ def main(data: tyro.conf.Positional[Path] = Path("tiny"), epochs: int = 10) -> N
         epochs: passes over the training split.
     """
     dataset = Dataset(data)
-    volumes = VolumeItem(dataset, shape=(32, 32, 32), voxel_size=3e-3)
     train, val = (QueryDataset(dataset.split(name, truth=True), "snap", volumes) for name in ("train", "val"))
     loader = torch.utils.data.DataLoader(train, batch_size=6, shuffle=True)
     net = network()

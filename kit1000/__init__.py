@@ -13,7 +13,6 @@ from kit1000.version import __version__ as __version__
 if TYPE_CHECKING:
     from kit1000.camera import Camera, look_at
     from kit1000.dataset.reader import Dataset, RecordedScene, Split
-    from kit1000.dataset.volume_cache import VolumeCache
     from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, ShapeError
     from kit1000.export.own_part import make_kit_from_file
     from kit1000.kits.kit import make_kit
@@ -74,7 +73,6 @@ __all__ = [
     "TrueGeometry",
     "Truth",
     "View",
-    "VolumeCache",
     "look_at",
     "make_kit",
     "make_kit_from_file",
@@ -86,7 +84,6 @@ __all__ = [
 _MODULES = {
     "Camera": "camera",
     "look_at": "camera",
-    "VolumeCache": "dataset.volume_cache",
     "Dataset": "dataset.reader",
     "RecordedScene": "dataset.reader",
     "Split": "dataset.reader",

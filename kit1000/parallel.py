@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import os
 import signal
+import socket
 import sys
 import threading
 import time
@@ -32,6 +33,7 @@ JOBS_PER_WORKER = 2  # submitted at once; all fit into joblib's queue, whose wor
 LOOK_EVERY = 1.0  # [s] between two looks of a worker whether its parent is there
 ONE_THREAD_ENV = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA")}
 """Environment of a worker: there is one worker per core, so more threads would only compete."""
+CONNECT_TIMEOUT_S = 5.0  # of the server of a cluster
 OBJECT_STORE_BYTES = 100 << 20  # shared memory of a local Ray: it holds small results, Ray's minimum is 75 MiB
 CONTINUES = "run the same command again, it continues"
 
@@ -83,10 +85,9 @@ def _map(count: int, begun: list[Any], function: Callable[[Any], Any], jobs: Ite
     from joblib import Parallel, delayed, parallel_config
 
     limit = parallel_config("loky", inner_max_num_threads=1, initializer=start_worker, initargs=(os.getpid(),))
+    options: dict[str, Any] = {"pre_dispatch": JOBS_PER_WORKER * count, "batch_size": 1, "max_nbytes": None}
     with limit, _sigint_blocked():  # workers inherit the block: Ctrl-C ends them through this process
-        pool = Parallel(
-            count, return_as="generator_unordered", pre_dispatch=JOBS_PER_WORKER * count, batch_size=1, max_nbytes=None
-        )
+        pool = Parallel(count, return_as="generator_unordered", **options)
         begun.append(pool(delayed(_run_job)(function, job) for job in jobs))
     return begun[-1]
 
@@ -157,11 +158,22 @@ def _connect(ray: Any, address: str | None, workers: int | None) -> None:
         resources = {"num_cpus": workers or usable_cores(), "object_store_memory": OBJECT_STORE_BYTES}
         ray.init("local", runtime_env={"env_vars": variables}, **resources, **quiet)
         return
+    _check_reachable(address)
     environment = {"env_vars": ONE_THREAD_ENV, "py_modules": [str(Path(__file__).parent)], "excludes": ["__pycache__"]}
     try:
         ray.init(address, runtime_env=environment, **quiet)
     except (OSError, RuntimeError, ValueError) as error:
         raise InputError(f"--address {address}: cannot join that Ray cluster: {_first_line(error)}") from error
+
+
+def _check_reachable(address: str) -> None:
+    """Raise InputError when an address is a host and a port without a listening server: Ray would try for minutes."""
+    host, colon, port = address.removeprefix("ray://").rpartition(":")
+    if colon and port.isdigit():
+        try:
+            socket.create_connection((host, int(port)), timeout=CONNECT_TIMEOUT_S).close()
+        except (OSError, OverflowError) as error:
+            raise InputError(f"--address {address}: no Ray cluster there ({error})") from error
 
 
 def _map_on_ray(ray: Any, at_once: int | None, function: Callable[[Any], Any], jobs: Iterable[Any]) -> Iterator[Any]:

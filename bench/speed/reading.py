@@ -23,12 +23,12 @@ from torch.utils.data import DataLoader, RandomSampler, Subset
 
 from bench.measured_dataset import measured_dataset
 from benchmark.measurements import Column, Measurement
-from kit1000.dataset.items import Item, Maker, depth_item
-from kit1000.dataset.reader import Dataset, Split
-from kit1000.dataset.torch import QueryDataset, VolumeItem
-from kit1000.dataset.volume_cache import VolumeCache
+from kit1000.dataset.reader import Split
+from kit1000.dataset.torch import Item, QueryDataset, depth_item
 from kit1000.errors import Kit1000Error
+from kit1000.pose import Pose
 from kit1000.values import Query, Truth, View
+from kit1000.voxels import Grid, tsdf
 
 STEP = 0.2  # [s] of computation for a batch
 RATES = (
@@ -49,6 +49,21 @@ WAITING = (
 SCENES, IMAGES = 200, 100  # [1/s] goals for the queries of scenes, and for depth images
 
 
+def id_only(query: Query, truth: Truth | None, rng: np.random.Generator) -> Item:
+    """An item that needs no image."""
+    return {"id": query.id}
+
+
+def volumes(query: Query, truth: Truth | None, rng: np.random.Generator) -> Item:
+    """Signed distances of part and kits from the depth image, on grids of 64 x 64 x 64 voxels of 1.5 mm."""
+    grid = Grid.centred(Pose.from_translation(query.pivot), (64, 64, 64), 1.5e-3)
+    masks = {"part": query.part_mask, "kit": query.kit_region}
+    return {name: tsdf(grid, query.view, mask, threads=1).filled(1.0) for name, mask in masks.items()}
+
+
+MAKERS = {"the query alone": id_only, "images and masks": depth_item, "volumes of 64^3 from depth": volumes}
+
+
 @dataclass(frozen=True)
 class Reading:
     """Measure how fast a dataset is read."""
@@ -58,7 +73,7 @@ class Reading:
     seconds: float = 2.0
     """Minimum duration of each measurement."""
     items: int = 300
-    """Most scenes and most items that are read, drawn at random; so many volumes are cached."""
+    """Most scenes and most items that are read, drawn at random."""
     batch: int = 8
     workers: int = 2
     seed: int = 0
@@ -70,17 +85,14 @@ class Reading:
 def main(options: Reading) -> None:
     """Print the tables."""
     torch.set_num_threads(1)
-    with measured_dataset(options.data) as (dataset, temporary_folder):
+    with measured_dataset(options.data) as (dataset, _):
         split = dataset.split("train", truth=True)
         track = next(query.track for query in split.queries() if query.guess is not None)
-        cache = VolumeCache(temporary_folder / "volumes")
-        makers = _makers(dataset, cache)
-        items = {name: _drawn(QueryDataset(split, track, make), options) for name, make in makers.items()}
+        items = {name: _drawn(QueryDataset(split, track, make), options) for name, make in MAKERS.items()}
         measurement = Measurement.begin(dataset)
         measurement.table("rates", f"Reading in random order, items of `{track}`", *RATES)
         _add_scenes(measurement, split, options)
         for name, subset in items.items():
-            _warm_up(subset, makers[name])
             _add_rate(measurement, f"item: {name}", subset.__getitem__, range(len(subset)), options)
         setting = f"{options.workers} workers, batches of {options.batch}, steps of {STEP:g} s"
         table = measurement.table("waiting", f"Waiting of a training loop: {setting}", *WAITING)
@@ -90,19 +102,6 @@ def main(options: Reading) -> None:
         for name, (waited, whole) in spent.items():
             table.add(item=name, n=steps, share=waited / whole, seconds=whole / steps, ratio=whole / alone)
         measurement.report(options.out)
-        print(f"cache: {cache.size()}")
-
-
-def _makers(dataset: Dataset, cache: VolumeCache) -> dict[str, Maker]:
-    """Makers of items by name, the cheapest first."""
-    return {
-        "the query alone": _id_only,
-        "images and masks": depth_item,
-        "volumes of 64^3 from depth": VolumeItem(dataset),
-        "true volumes": VolumeItem(dataset, source="truth"),
-        "true volumes, cached": VolumeItem(dataset, source="truth", cache=cache),
-        "true volumes, cached, as codes": VolumeItem(dataset, source="truth", cache=cache, codes=True),
-    }
 
 
 def _drawn(items: QueryDataset, options: Reading) -> Subset:
@@ -124,17 +123,6 @@ def _add_scenes(measurement: Measurement, split: Split, options: Reading) -> Non
 
 def _read_view(split: Split, key: str, scene_id: str) -> View:
     return split.dataset.observation_file(split.shards[scene_id]).view(scene_id, key)
-
-
-def _id_only(query: Query, truth: Truth | None, rng: np.random.Generator) -> Item:
-    return {"id": query.id}
-
-
-def _warm_up(items: Subset, make: Maker) -> None:
-    """Compile, and fill the cache if there is one."""
-    cached = isinstance(make, VolumeItem) and make.cache is not None
-    for index in range(len(items)) if cached else [0]:
-        items[index]
 
 
 def _add_rate(

@@ -5,7 +5,6 @@ A value is distance / truncation, from -1 to 1: negative inside, positive outsid
 """
 
 from kit1000.voxels.distance import signed_distance
-from kit1000.voxels.encodings import from_float16, from_uint8, to_float16, to_uint8
 from kit1000.voxels.grid import Grid, Volume, crop
 from kit1000.voxels.sampling import resample, surface_points
 from kit1000.voxels.tsdf import fuse, tsdf
@@ -14,13 +13,9 @@ __all__ = [
     "Grid",
     "Volume",
     "crop",
-    "from_float16",
-    "from_uint8",
     "fuse",
     "resample",
     "signed_distance",
     "surface_points",
-    "to_float16",
-    "to_uint8",
     "tsdf",
 ]

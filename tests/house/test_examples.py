@@ -140,11 +140,3 @@ def test_the_network_of_the_guide_learns(tiny: Path, capsys: pytest.CaptureFixtu
     losses = [float(line.split()[2]) for line in capsys.readouterr().out.splitlines()]
     assert losses[0] > 15  # [mm] about the error of the guess
     assert losses[-1] < losses[0] / 2
-
-
-def test_the_own_item_of_the_guide_works(tiny: Path) -> None:
-    learning = pytest.importorskip("kit1000.dataset.torch")
-    exec(blocks("docs/guides/write-a-method.md")[1], names := {})
-    for item in learning.QueryDataset(Dataset("tiny").split("train", truth=True), "snap", names["part_crop"]):
-        assert item["crop"].shape == (128, 128)
-        assert (item["crop"] > 0).any()

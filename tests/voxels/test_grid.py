@@ -1,4 +1,4 @@
-"""Grids, volumes, their encodings, and interpolation."""
+"""Grids, volumes, and interpolation."""
 
 from __future__ import annotations
 
@@ -17,13 +17,9 @@ from kit1000.voxels import (
     Grid,
     Volume,
     crop,
-    from_float16,
-    from_uint8,
     resample,
     signed_distance,
     surface_points,
-    to_float16,
-    to_uint8,
 )
 from tests.samples.shapes import box
 from tests.samples.strategies import poses
@@ -181,32 +177,6 @@ def test_the_border_of_the_observed_region_is_no_surface() -> None:
     np.testing.assert_allclose(points, [[2.5, 0, 0]])
 
 
-values = st.lists(st.floats(-1, 1, width=32) | st.just(float("nan")), min_size=1, max_size=40)
-
-
-@given(values)
-@settings(max_examples=200)
-def test_one_byte_preserves_sign_unknown_and_value(numbers: list[float]) -> None:
-    volume = Volume(Grid((len(numbers), 1, 1), 1.0, Pose.identity()), np.array(numbers).reshape(-1, 1, 1))
-    decoded = from_uint8(volume.grid, to_uint8(volume))
-    assert to_uint8(decoded).tobytes() == to_uint8(volume).tobytes()
-    check_encoding(volume, decoded, np.where((volume.values < 0) & (volume.values > -1 / 127), 1 / 127, 1 / 254))
-
-
-@given(values)
-@settings(max_examples=200)
-def test_two_bytes_preserve_sign_unknown_and_value(numbers: list[float]) -> None:
-    volume = Volume(Grid((len(numbers), 1, 1), 1.0, Pose.identity()), np.array(numbers).reshape(-1, 1, 1))
-    check_encoding(volume, from_float16(volume.grid, to_float16(volume)), np.full(volume.values.shape, 2.0**-12))
-
-
-def check_encoding(volume: Volume, decoded: Volume, max_error: np.ndarray) -> None:
-    np.testing.assert_array_equal(decoded.known, volume.known)
-    np.testing.assert_array_equal(decoded.occupied, volume.occupied)
-    error = np.abs(decoded.values - volume.values)
-    assert np.all(error[volume.known] <= max_error[volume.known] * (1 + 1e-5))
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -241,8 +211,6 @@ def test_an_invalid_volume_is_rejected(array: np.ndarray, message: str) -> None:
 
 def test_other_invalid_input_is_rejected() -> None:
     volume = any_volume()
-    with pytest.raises(InputError, match="codes: expected uint8"):
-        from_uint8(GRID, np.zeros((2, 2, 2), np.uint8))
     with pytest.raises(InputError, match="shape: expected 1 voxel"):
         crop(volume, (0, 0, 0), (0, 1, 1))
     with pytest.raises(InputError, match="start: expected int64"):
