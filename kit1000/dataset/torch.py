@@ -20,7 +20,7 @@ try:
 except ImportError:
     raise InputError("kit1000.dataset.torch needs PyTorch: pip install 'kit1000[learn]'") from None
 
-__all__ = ["QueryDataset", "depth_item", "query_item"]
+__all__ = ["QueryDataset", "depth_item", "query_item", "to_tensors"]
 
 Item = dict[str, Any]
 Maker = Callable[[Query, Truth | None, np.random.Generator], Mapping[str, Any]]
@@ -95,14 +95,30 @@ class QueryDataset(Dataset):
         return len(self.keys)
 
     def __getitem__(self, index: int) -> Item:
-        """The item of a query: arrays become tensors of their own memory, other values stay."""
+        """The item of a query, arrays as tensors."""
         index = range(len(self))[index]  # resolves negative indices, raises IndexError
         scene_id, number = self.keys[index]
         recorded = self.split.scene(scene_id)
         query = recorded.queries[number]
         truth = recorded.truth_of(query.id) if self.split.truth else None
-        item = self.make(query, truth, stream(self.seed, "item", self.epoch, index))
-        return {name: torch.tensor(each) if isinstance(each, np.ndarray) else each for name, each in item.items()}
+        return to_tensors(self.make(query, truth, stream(self.seed, "item", self.epoch, index)))
 
     def __iter__(self) -> Iterator[Item]:
         return map(self.__getitem__, range(len(self)))
+
+
+def to_tensors(item: Mapping[str, Any]) -> Item:
+    """Arrays as tensors that share their memory; read-only arrays, which others use too, are copied."""
+    return {name: _tensor(name, value) for name, value in item.items()}
+
+
+def _tensor(name: str, value: Any) -> Any:
+    if not isinstance(value, np.ndarray | np.generic):
+        return value
+    array = np.asarray(value)
+    if not array.flags.writeable or min(array.strides, default=0) < 0:
+        array = array.copy()
+    try:
+        return torch.from_numpy(array)
+    except (TypeError, ValueError):  # ValueError: another byte order
+        raise InputError(f"item {name!r}: torch has no tensors of {array.dtype}") from None

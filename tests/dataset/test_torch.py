@@ -13,7 +13,7 @@ import torch
 from torch.utils.data import DataLoader
 
 from kit1000.dataset.reader import Dataset, Split
-from kit1000.dataset.torch import Item, QueryDataset, depth_item
+from kit1000.dataset.torch import Item, QueryDataset, depth_item, to_tensors
 from kit1000.errors import InputError
 from kit1000.queries.motions import apply_error
 from kit1000.values import Query, Truth
@@ -118,6 +118,19 @@ def test_changing_an_item_changes_no_other(train: Split) -> None:
         if isinstance(value, torch.Tensor):
             value.zero_()
     assert bytes_of(items[0]) == before
+
+
+def test_tensors_share_memory_with_arrays_that_may_be_written() -> None:
+    array = np.zeros((4, 5), "float16")[1:, ::2]
+    assert to_tensors({"any": array})["any"].data_ptr() == array.ctypes.data
+    assert to_tensors({"id": "a", "n": 3, "t": np.float32(0.5)}) == {"id": "a", "n": 3, "t": torch.tensor(0.5)}
+    array.setflags(write=False)
+    found = to_tensors({"sealed": array, "broadcast": np.broadcast_to(1.0, (2, 3)), "turned": np.arange(3)[::-1]})
+    found["sealed"][:] = 1
+    assert not array.any()
+    assert found["turned"].tolist() == [2, 1, 0]
+    with pytest.raises(InputError, match=r"'name'.*<U3"):
+        to_tensors({"name": np.array("abc")})
 
 
 def test_an_unknown_track_and_an_index_too_high_are_refused(train: Split) -> None:
