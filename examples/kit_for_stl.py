@@ -11,6 +11,7 @@ from pathlib import Path
 import tyro
 
 from kit1000 import make_kit_from_file
+from kit1000.export.own_part import KitOptions
 
 
 def main(part: tyro.conf.Positional[Path], out: Path = Path("my-kit"), clearance_mm: float = 0.5) -> None:
@@ -21,7 +22,7 @@ def main(part: tyro.conf.Positional[Path], out: Path = Path("my-kit"), clearance
         out: the folder to write.
         clearance_mm: horizontal gap between the part and the walls of its cavity.
     """
-    report = make_kit_from_file(part, out, clearance_mm * 1e-3)
+    report = make_kit_from_file(part, out, KitOptions(clearance_mm * 1e-3))
     print(f"{part.name}, read in {report['unit']}: {' x '.join(f'{side:g}' for side in report['size_mm'])} mm")
     print(f"cavity {report['depth_mm']:.1f} mm deep, {report['goals']} poses seat the part")
     print(f"seating trials {'passed' if report['trial']['passes'] else 'failed: ' + report['trial']['why']}")

@@ -121,11 +121,11 @@ def kits_once() -> Iterator[None]:
     made: dict[tuple[Any, ...], Any] = {}
     begun: dict[tuple[Any, ...], tuple[list[Attempt], Iterator[Attempt]]] = {}
 
-    def key_of(part: Part, clearance: float, plate: Plate | None) -> tuple[Any, ...]:
-        return part.id, part.family, part.mesh.vertices.tobytes(), part.mesh.faces.tobytes(), clearance, plate
+    def key_of(part: Part, *options: Any) -> tuple[Any, ...]:
+        return part.id, part.family, part.mesh.vertices.tobytes(), part.mesh.faces.tobytes(), *options
 
-    def attempts_once(part: Part, clearance: float, plate: Plate | None) -> Iterator[Attempt]:
-        earlier, further = begun.setdefault(key_of(part, clearance, plate), ([], attempts(part, clearance, plate)))
+    def attempts_once(part: Part, *options: Any) -> Iterator[Attempt]:
+        earlier, further = begun.setdefault(key_of(part, *options), ([], attempts(part, *options)))
         for number in itertools.count():
             if number == len(earlier):
                 attempt = next(further, None)

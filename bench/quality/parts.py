@@ -26,11 +26,11 @@ from sklearn.preprocessing import StandardScaler
 
 from bench.quality.descriptors import Shape, d2_distance, d2_noise, describe, near_duplicates
 from benchmark.measurements import Column, Measurement, rate
-from kit1000.errors import Redraw
+from kit1000.errors import MeshRefused, Redraw
 from kit1000.mesh import Mesh
 from kit1000.parts.family import make_part
 from kit1000.parts.family_catalog import FAMILIES
-from kit1000.parts.files.sources import mesh_files, read_all
+from kit1000.parts.files.read import mesh_files, read_mesh
 from kit1000.parts.mixtures import MIXTURES, choose_family
 from kit1000.rng import stream
 
@@ -85,10 +85,15 @@ def main(options: Parts) -> int:
 
 def shapes_of(folder: Path, seed: int) -> list[Shape]:
     """Descriptors of every mesh of a folder that can be a part."""
-    readings, refusals = read_all(mesh_files(folder))
-    for reason, times in Counter(refusal.reason.split(":")[0] for refusal in refusals).items():
+    meshes, reasons = [], Counter()
+    for path in mesh_files(folder):
+        try:
+            meshes.append(read_mesh(path).mesh)
+        except MeshRefused as refused:
+            reasons[refused.reason.split(":")[0]] += 1
+    for reason, times in reasons.items():
         print(f"left out {times}: {reason}")
-    return [describe(one.mesh, stream(seed, "describe", index)) for index, one in enumerate(readings)]
+    return [describe(mesh, stream(seed, "describe", index)) for index, mesh in enumerate(meshes)]
 
 
 def sampled_shapes(count: int, seed: int) -> list[Shape]:

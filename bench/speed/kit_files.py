@@ -21,7 +21,7 @@ from tqdm import tqdm
 
 from benchmark.measurements import Column, Measurement, estimate
 from kit1000.errors import Kit1000Error
-from kit1000.parts.files.sources import mesh_files
+from kit1000.parts.files.read import mesh_files
 
 UNUSUAL = ("PYTHONDONTWRITEBYTECODE", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 MADE, REFUSED = "kit made", "refused"

@@ -24,7 +24,7 @@ import tyro
 from tqdm import tqdm
 
 from kit1000.errors import InputError, Kit1000Error
-from kit1000.parts.files.sources import mesh_files
+from kit1000.parts.files.read import mesh_files
 
 STAGES = {
     "reading": [("kit1000.export.own_part", "read_mesh")],

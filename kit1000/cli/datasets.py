@@ -79,8 +79,7 @@ class Generate:
     def _sources(self, dataset: Path) -> Sources | None:
         """The mesh files of --parts, without those that this command itself writes."""
         from kit1000.generation.plan import Sources
-        from kit1000.parts.files.formats import STEP_SUFFIXES
-        from kit1000.parts.files.sources import mesh_files
+        from kit1000.parts.files.read import STEP_SUFFIXES, mesh_files
 
         if self.parts is None:
             return None

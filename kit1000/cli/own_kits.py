@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -14,7 +14,8 @@ from kit1000.cli.options import OptionalFloat, OptionalInt, Unit, optional
 from kit1000.cli.summaries import kit_report_text
 from kit1000.errors import InputError
 
-Bodies = Literal["union", "largest", "each"]
+if TYPE_CHECKING:
+    from kit1000.export.own_part import KitOptions
 
 
 @dataclass(frozen=True)
@@ -24,7 +25,7 @@ class MakeKit:
     parts: Annotated[Positional[tuple[Path, ...]], arg(metavar="PART [PART ...]")]
     """Mesh files: STL, OBJ, PLY, OFF, 3MF, GLB (and STEP with `pip install kit1000[step]`)."""
     out: Path
-    """Folder to write to; for several files it gets a folder for each."""
+    """Folder to write to, new or of an earlier run; for several files it gets a folder for each."""
     clearance_mm: float = 2.5
     """Horizontal gap between part and cavity walls."""
     unit: Unit = None
@@ -40,8 +41,8 @@ class MakeKit:
     """Number of processes for several files; one per core when absent."""
 
     def run(self) -> int:
-        """Make the kits, then print their reports; returns 1 when a kit is not exact, or of several not every one."""
-        from kit1000.export.own_part import InexactKit, make_kit_from_file, make_kits_from_file
+        """Make the kits and print their reports; returns 1 if a kit is not exact, or if one of several has none."""
+        from kit1000.export.own_part import InexactKit, KitOptions, make_kit_from_file
 
         paths = list(self.parts)
         check_least(workers=(self.workers, 1))
@@ -49,40 +50,31 @@ class MakeKit:
             if value is not None and not 0.05 <= value <= 1000:
                 raise InputError(f"{name}: expected 0.05 to 1000, got {value:g}")
         longest = None if self.fit_mm is None else self.fit_mm * 1e-3
-        if len(paths) > 1:
-            return self._run_many(paths, longest)
-        options = (paths[0], self.out, self.clearance_mm * 1e-3, self.unit, longest)
+        options = KitOptions(self.clearance_mm * 1e-3, self.unit, longest, self.bodies, not self.no_preview)
+        if len(paths) > 1 or self.bodies == "each":
+            return self._make_several(paths, options)
         try:
-            if self.bodies != "each":
-                print(kit_report_text(make_kit_from_file(*options, self.bodies, not self.no_preview), self.out))
-                return 0
-            return self._print(make_kits_from_file(*options, not self.no_preview))
+            print(kit_report_text(make_kit_from_file(paths[0], self.out, options), self.out))
+            return 0
         except InexactKit as refusal:
             print(f"kit1000: {refusal}", file=sys.stderr)
             return 1
 
-    def _run_many(self, paths: list[Path], longest: float | None) -> int:
-        """Make the kits of several files; returns 1 when one has none."""
+    def _make_several(self, paths: list[Path], options: KitOptions) -> int:
+        """Make several kits and print each report; returns 1 if one has none."""
         from tqdm import tqdm
 
-        from kit1000.export.own_part import make_kits_from_files
+        from kit1000.export.own_part import make_kits
 
-        options = {"clearance": self.clearance_mm * 1e-3, "unit": self.unit, "longest": longest}
-        options |= {"choice": self.bodies, "preview": not self.no_preview}
-        made = make_kits_from_files(paths, self.out, self.workers, **options)
         status = 0
         with tqdm(total=len(paths), desc="kits", unit="file", disable=None) as bar:
-            for reports in made:
+            for reports in make_kits(paths, self.out, options, self.workers):
                 bar.clear()
-                status |= self._print(reports)
+                for name, report in reports.items():
+                    if isinstance(report, str):
+                        print(f"kit1000: {report}", file=sys.stderr)
+                        status = 1
+                    else:
+                        print(kit_report_text(report, self.out / name))
                 bar.update()
         return status
-
-    def _print(self, reports: dict[str, Any]) -> int:
-        """Print the reports of several kits, by folder; returns 1 when one has none."""
-        for name, report in reports.items():
-            if isinstance(report, str):
-                print(f"kit1000: {report}", file=sys.stderr)
-            else:
-                print(kit_report_text(report, self.out / name))
-        return 1 if any(isinstance(report, str) for report in reports.values()) else 0

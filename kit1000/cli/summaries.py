@@ -10,6 +10,7 @@ from kit1000.errors import shown
 
 MAX_LISTED = 20  # refused files in a summary
 PRINTER_BED_MM = 250  # side of the bed of a usual desktop printer
+COARSE_STEP = 0.1  # of the clearance: coordinates in larger steps get a warning
 
 
 def summary_text(summary: dict) -> str:
@@ -75,7 +76,7 @@ def _files_taken(summary: dict) -> list[str]:
     untried = summary.get("untried_files", 0)
     if not summary["refused"] and not untried:
         return []
-    from kit1000.parts.files.refusals import refusal_counts
+    from kit1000.parts.files.read import refusal_counts
 
     taken = sum(count["parts"] for count in summary["counts"].values())
     tried = taken + len(summary["refused"])
@@ -96,6 +97,9 @@ def kit_report_text(report: dict, out: Path) -> str:
         f"walls      {report['walls_removed']} too thin to print, removed ({report['walls_removed_mm3']:.0f} mm3);"
         f" undercuts {report['undercut_lost_mm3']:.0f} mm3",
     ]
+    if report["coordinate_step_mm"] >= COARSE_STEP * report["clearance_asked_mm"]:
+        step = f"{report['coordinate_step_mm']:.2g} mm"
+        lines.append(f"warning    the file gives coordinates in steps of {step}: its shape is exact to that only")
     if not report["trial"]["passes"]:
         lines.append(f"note       the cavity alone does not determine the pose: the part {report['trial']['why']}")
     if max(report["plate_mm"][:2]) > PRINTER_BED_MM:

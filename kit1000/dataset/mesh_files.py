@@ -5,7 +5,6 @@ Vertices are multiples of float32 steps, so a mesh read back equals the one writ
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,14 +12,15 @@ from typing import Any
 
 import numpy as np
 
-from kit1000.errors import InputError
-from kit1000.files import LFS_ADVICE, LFS_POINTER
+from kit1000.errors import InputError, MeshRefused
 from kit1000.mesh import Mesh, y_up, z_up
+from kit1000.parts.files.gltf import gltf_bodies
+from kit1000.parts.files.stl import FACET
 
 GLTF_BINARY, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 UNSIGNED_INT, FLOAT, TRIANGLES = 5125, 5126, 4
+MAX_FACES = 10_000_000  # of one file that is read
 ASSET = {"version": "2.0", "generator": "https://github.com/mikedh/trimesh"}  # files keep the bytes that it wrote
-STL_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
 
 def glb_bytes(bodies: Mapping[str, Mesh], colours: Mapping[str, tuple[int, int, int]] | None = None) -> bytes:
@@ -101,29 +101,24 @@ def _material(colour: tuple[int, int, int]) -> dict[str, Any]:
 
 
 def read_glb(path: Path) -> dict[str, Mesh]:
-    """The bodies of a GLB written by `glb_bytes`, by name. Raises InputError for anything else."""
-    import trimesh  # only here: importing it takes longer than making many a kit
-
+    """The bodies of a GLB, by name, z up. Raises InputError if the file is missing or no GLB."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:
         raise InputError(f"no file {path}") from None
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}") from None
-    if data.startswith(LFS_POINTER):
-        raise InputError(f"{path}: {LFS_ADVICE}")
     try:
-        scene = trimesh.load_scene(io.BytesIO(data), file_type="glb", process=False)
-        return {
-            str(name): Mesh(z_up(np.asarray(body.vertices, dtype=np.float64)), body.faces)  # type: ignore[union-attr]
-            for name, body in scene.geometry.items()
-        }
-    except Exception as error:  # the reader of trimesh may raise anything on damaged bytes
+        bodies = gltf_bodies(data, MAX_FACES)
+        return {body.name: Mesh(z_up(body.vertices), body.faces) for body in bodies}
+    except MeshRefused as refused:
+        raise InputError(f"cannot read {path}: {refused.reason}") from None
+    except Exception as error:  # the reader may raise anything on damaged bytes
         raise InputError(f"cannot read {path}: damaged or no GLB ({type(error).__name__}: {error})") from error
 
 
 def stl_bytes(mesh: Mesh) -> bytes:
     """A mesh as a binary STL in millimetres, z up, ready for a slicer."""
-    facets = np.zeros(len(mesh.faces), STL_FACET)
+    facets = np.zeros(len(mesh.faces), FACET)
     facets["normal"], facets["corners"] = mesh.normals, mesh.triangles * 1e3
     return bytes(80) + _words([len(facets)]) + facets.tobytes()

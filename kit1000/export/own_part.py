@@ -1,9 +1,10 @@
-"""A kit for a user's own part at true size: reads a mesh file, designs the kit, writes files for a slicer, a report."""
+"""Kits for a user's own parts at true size: mesh files are read, kits designed, and written as files for a slicer."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -13,8 +14,7 @@ import numpy as np
 from kit1000.dataset.mesh_files import glb_bytes, stl_bytes
 from kit1000.dataset.tables import pose_row
 from kit1000.errors import InputError, Kit1000Error, MeshRefused, Redraw, internal_error
-from kit1000.export.kit_folder import REPORT, check_kit_folder, check_reports, write_kit_folder
-from kit1000.files import check_writable, write_json
+from kit1000.files import check_writable, clear_partial, sha256, with_checksum, write_bytes, write_json
 from kit1000.kits.acceptance import NOT_SEATED
 from kit1000.kits.choice import Attempt, attempts
 from kit1000.kits.kit import CLEARANCE, KitDesign
@@ -24,145 +24,135 @@ from kit1000.kits.sweep import SAGITTA
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
 from kit1000.parallel import local_engine, usable_cores
 from kit1000.parts.family import part_of_mesh
-from kit1000.parts.files.sources import MeshReading, Refusal, read_bodies, read_mesh
-from kit1000.parts.files.united_bodies import Choice, SeveralBodies
+from kit1000.parts.files.part_mesh import SeveralBodies
+from kit1000.parts.files.read import MeshReading, Refusal, read_bodies, read_mesh
 from kit1000.values import Part
 
 COLOURS = {"kit": (224, 219, 210), "part": (238, 122, 40)}  # sRGB, those of the pictures
-OTHER_CHOICES = {  # what to do about several bodies, by the choice that was refused
-    None: "choose --bodies union (they touch or overlap), largest, or each (a kit for every one)",
-    "union": "choose --bodies largest, or each (a kit for every one)",
-}
+REPORT = "report.json"  # written last: if it exists, the other files are complete and of the same part
+FILES = "files"  # entry of a report: SHA-256 of the files beside it, by name
 PREVIEW = "preview.png"
-KIT_FILES = ("kit.stl", "part.stl", "seated.glb", PREVIEW)
 
 
 class InexactKit(Kit1000Error):
     """A kit that fails its own measurement; it is not written."""
 
 
-def make_kit_from_file(
-    path: Path,
-    out: Path,
-    clearance: float = CLEARANCE,
-    unit: str | None = None,
-    longest: float | None = None,
-    choice: Choice | None = None,
-    preview: bool = True,
-) -> dict[str, Any]:
+@dataclass(frozen=True)
+class KitOptions:
+    """How the kits of mesh files are made."""
+
+    clearance: float = CLEARANCE
+    """Horizontal gap between part and cavity walls. [m]"""
+    unit: str | None = None
+    """Unit of the files: mm, cm, m or inch; guessed if None."""
+    longest: float | None = None
+    """Longest side to which the part is scaled; true size if None. [m]"""
+    bodies: Literal["union", "largest", "each"] | None = None
+    """Which body of several is the part, as in `read_mesh`; "each": every one gets a kit."""
+    preview: bool = True
+    """Whether to draw preview.png."""
+
+
+Reports = dict[str, dict[str, Any] | str]
+"""Reports of several kits by folder, or the reasons why there is no kit."""
+
+
+def make_kit_from_file(path: Path, out: Path, options: KitOptions = KitOptions()) -> dict[str, Any]:
     """Make the kit of a mesh file and write it to a folder; returns the report.
 
     Args:
         path: mesh file of the part.
-        out: folder; gets kit.stl, part.stl, seated.glb, preview.png and report.json.
-        clearance: [m] horizontal gap between part and cavity walls.
-        unit: unit of the file: mm, cm, m or inch; guessed when None.
-        longest: [m] scale the part to this longest side; true size when None.
-        choice: which body of several is the part, as in `read_mesh`.
-        preview: whether to draw preview.png.
+        out: folder, new or of an earlier run; gets kit.stl, part.stl, seated.glb, preview.png and report.json.
+        options: `bodies` is not "each".
 
     Raises:
         InputError: the file is no usable part, no kit can be made, or the folder cannot be written.
         InexactKit: the clearance of the kit is too small, or the part does not seat in it.
     """
-    check_writable(out)
+    check_out(out)
+    assert options.bodies != "each", "make_kits writes several kits"
     try:
-        reading = read_mesh(path, unit, choice)
+        reading = read_mesh(path, options.unit, options.bodies)
     except SeveralBodies as refusal:
-        raise InputError(f"{path}: {refusal.reason}; {OTHER_CHOICES[choice]}") from None
+        others = "" if options.bodies == "union" else "union (they touch or overlap), "
+        hint = f"choose --bodies {others}largest, or each (a kit for every one)"
+        raise InputError(f"{path}: {refusal.reason}; {hint}") from None
     except MeshRefused as refusal:
         raise InputError(f"{path}: {refusal.reason}") from None
-    return _make_kit(reading, str(path), out, clearance, longest, preview)
+    return _make_and_write(reading, str(path), out, options)
 
 
-def make_kits_from_file(
-    path: Path,
-    out: Path,
-    clearance: float = CLEARANCE,
-    unit: str | None = None,
-    longest: float | None = None,
-    preview: bool = True,
-) -> dict[str, dict[str, Any] | str]:
-    """Make the kit of each body of a mesh file, in folders 01, 02, ... of `out`, the largest body first.
-
-    Returns by folder the report, or why there is no kit and no folder; `report.json` of `out` holds the same, and is
-    written last. Arguments and errors that concern the whole file are those of `make_kit_from_file`.
-    """
-    check_writable(out)
-    try:
-        readings = read_bodies(path, unit)
-    except MeshRefused as refusal:
-        raise InputError(f"{path}: {refusal.reason}") from None
-    check_reports(out)
-    with suppress(OSError):  # of an earlier run
-        (out / REPORT).unlink()
-    reports: dict[str, dict[str, Any] | str] = {}
-    for number, reading in enumerate(readings, 1):
-        name = f"{number:02d}"
-        place = f"{path}: body {number} of {len(readings)}"
-        try:
-            if isinstance(reading, Refusal):
-                raise InputError(f"{place}: {reading.reason}")
-            reports[name] = _make_kit(reading, place, out / name, clearance, longest, preview)
-        except (InputError, InexactKit) as refusal:
-            reports[name] = str(refusal)
-    write_json(out / REPORT, reports)
-    return reports
-
-
-@dataclass(frozen=True)
-class KitJob:
-    """One of several files to make kits for."""
-
-    path: Path
-    out: Path
-    clearance: float = CLEARANCE
-    unit: str | None = None
-    longest: float | None = None
-    choice: Literal["union", "largest", "each"] | None = None
-    preview: bool = True
-
-    def __str__(self) -> str:
-        return str(self.path)
-
-    def run(self) -> dict[str, dict[str, Any] | str]:
-        """Make the kit, or those of each body: by folder the report, or why there is no kit."""
-        options = (self.path, self.out, self.clearance, self.unit, self.longest)
-        try:
-            if self.choice == "each":
-                reports = make_kits_from_file(*options, self.preview)
-                return {f"{self.out.name}/{name}": report for name, report in reports.items()}
-            return {self.out.name: make_kit_from_file(*options, self.choice, self.preview)}
-        except (InputError, InexactKit) as refusal:
-            return {self.out.name: str(refusal)}
-        except Exception as error:  # one file may trigger an unforeseen case: it is reported and the others get kits
-            return {self.out.name: str(internal_error(str(self.path), error))}
-
-
-def make_kits_from_files(
-    paths: Sequence[Path], out: Path, workers: int | None = None, **options: Any
-) -> Iterator[dict[str, dict[str, Any] | str]]:
+def make_kits(
+    paths: Sequence[Path], out: Path, options: KitOptions = KitOptions(), workers: int | None = None
+) -> Iterator[Reports]:
     """Make the kits of many files in folders of `out` named after them, on all cores; the largest file first.
 
-    Yields for each file, as it is done, the reports by folder as `make_kits_from_file` returns them. `report.json` of
-    `out` holds all of them, and is written last. options: fields of `KitJob`.
+    With `options.bodies` "each", the bodies of a file get folders 01, 02, ... in that of the file, or in `out` if it is
+    the only file. Yields the reports of each file as it is done; `report.json` of `out` has all of them and is written
+    last. A file or body without a kit does not stop the others.
+
+    Raises InputError if the folder cannot be written, or if the only file is refused as a whole.
     """
-    check_writable(out)
-    check_reports(out)
-    with suppress(OSError):  # of an earlier run
-        (out / REPORT).unlink()
-    jobs = [KitJob(path, out / name, **options) for path, name in zip(paths, folder_names(paths), strict=True)]
+    check_out(out)
+    (out / REPORT).unlink(missing_ok=True)
+    names = [""] if len(paths) == 1 and options.bodies == "each" else folder_names(paths)
+    jobs = [_KitJob(path, out, name, options) for path, name in zip(paths, names, strict=True)]
     jobs.sort(key=lambda job: job.path.stat().st_size if job.path.is_file() else 0, reverse=True)
-    reports: dict[str, dict[str, Any] | str] = {}
+    reports: Reports = {}
     with local_engine(min(workers or usable_cores(), len(jobs))) as run:
-        for done in run(KitJob.run, jobs):
+        for done in run(_KitJob.run, jobs):
             reports |= done
             yield done
     write_json(out / REPORT, dict(sorted(reports.items())))
 
 
+@dataclass(frozen=True)
+class _KitJob:
+    """One of several files to make kits for."""
+
+    path: Path
+    out: Path
+    name: str
+    """Folder of the file in `out`; empty for `out` itself."""
+    options: KitOptions
+
+    def __str__(self) -> str:
+        return str(self.path)
+
+    def run(self) -> Reports:
+        """Make the kit, or those of all bodies."""
+        folder = self.out / self.name
+        if self.options.bodies != "each":
+            return {self.name: self._tried(make_kit_from_file, self.path, folder, self.options)}
+        try:
+            readings = read_bodies(self.path, self.options.unit)
+        except MeshRefused as refusal:
+            if not self.name:
+                raise InputError(f"{self.path}: {refusal.reason}") from None
+            return {self.name: f"{self.path}: {refusal.reason}"}
+        reports: Reports = {}
+        for number, reading in enumerate(readings, 1):
+            place, body = f"{self.path}: body {number} of {len(readings)}", f"{number:02d}"
+            name = f"{self.name}/{body}" if self.name else body
+            if isinstance(reading, Refusal):
+                reports[name] = f"{place}: {reading.reason}"
+            else:
+                reports[name] = self._tried(_make_and_write, reading, place, folder / body, self.options)
+        return reports
+
+    def _tried(self, make: Callable[..., dict[str, Any]], *arguments: Any) -> dict[str, Any] | str:
+        """The report that a function makes, or why there is no kit."""
+        try:
+            return make(*arguments)
+        except (InputError, InexactKit) as refusal:
+            return str(refusal)
+        except Exception as error:  # one file may trigger an unforeseen case: it is reported and the others get kits
+            return str(internal_error(str(self.path), error))
+
+
 def folder_names(paths: Sequence[Path]) -> list[str]:
-    """Names of folders for files: without their endings, and numbered where they would be equal."""
+    """Names of folders for files: without their endings, and numbered if they would be equal."""
     names: list[str] = []
     for path in paths:
         name, number = path.stem, 1
@@ -173,53 +163,116 @@ def folder_names(paths: Sequence[Path]) -> list[str]:
     return names
 
 
-def _make_kit(
-    reading: MeshReading, place: str, out: Path, clearance: float, longest: float | None, preview: bool
-) -> dict[str, Any]:
+def check_out(out: Path) -> None:
+    """Raise InputError unless a folder can be written and is new, empty, or holds nothing but kits of earlier runs."""
+    check_writable(out)
+    stranger = _stranger(out)
+    if stranger is not None:
+        raise InputError(f"{stranger}: is not of an earlier run of this command: it stays; choose another --out")
+
+
+def _stranger(folder: Path) -> Path | None:
+    """The first file below a folder that no earlier run wrote; hidden ones are left alone."""
+    report = _read_report(folder / REPORT)
+    is_ours = report == with_checksum(report) and isinstance(report.get(FILES), dict)
+    is_of_several = all(isinstance(row, str) or (isinstance(row, dict) and FILES in row) for row in report.values())
+    written = report[FILES] if is_ours else {}
+    for entry in sorted(folder.iterdir()) if folder.is_dir() else []:
+        if entry.name.startswith("."):
+            continue
+        if entry.is_dir():
+            found = _stranger(entry)
+        elif entry.name == REPORT:
+            found = None if is_ours or (report and is_of_several) else entry
+        else:
+            found = None if sha256(entry) == written.get(entry.name) else entry
+        if found is not None:
+            return found
+    return None
+
+
+def _read_report(path: Path) -> dict[str, Any]:
+    """A report; empty if there is none."""
+    try:
+        report = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return report if isinstance(report, dict) else {}
+
+
+def _make_and_write(reading: MeshReading, place: str, out: Path, options: KitOptions) -> dict[str, Any]:
     """Make the kit of a part and write it to a folder; returns the report. `place` begins every message."""
-    check_kit_folder(out, KIT_FILES if preview else KIT_FILES[:-1], reading.path)
-    part, scale = _part(reading, longest)
+    files, report = make_kit(reading, place, options)
+    earlier = _read_report(out / REPORT).get(FILES, {})
+    clear_partial(out, *files, REPORT)
+    (out / REPORT).unlink(missing_ok=True)
+    for name in earlier:
+        if name not in files:
+            (out / name).unlink(missing_ok=True)
+    for name, data in files.items():
+        write_bytes(out / name, data)
+    complete = with_checksum(report | {FILES: {name: hashlib.sha256(data).hexdigest() for name, data in files.items()}})
+    write_json(out / REPORT, complete)
+    return complete
+
+
+def make_kit(reading: MeshReading, place: str, options: KitOptions) -> tuple[dict[str, bytes], dict[str, Any]]:
+    """The files of the kit of a part by name, and its report. `place` begins every message.
+
+    Raises as `make_kit_from_file` does.
+    """
+    scale = 1.0 if options.longest is None else options.longest / float(reading.mesh.extents.max())
+    part = part_of_mesh(reading.path.stem, reading.mesh, options.longest)
     side = float(part.mesh.extents.max())
-    if side < clearance:
+    if side < options.clearance:
         raise InputError(
-            f"{place}: {side * 1e3:.3g} mm long, less than the clearance of {clearance * 1e3:g} mm; "
+            f"{place}: {side * 1e3:.3g} mm long, less than the clearance of {options.clearance * 1e3:g} mm; "
             "choose a smaller --clearance-mm, or another --unit"
         )
-    design, trial = _best_kit(part, clearance, place)
-    report = _report(reading, part, scale, design, trial)
-    return write_kit_folder(out, kit_files(part, design, place, preview), report)
+    attempt = _best_attempt(part, options.clearance, place)
+    design = attempt.design
+    assert design is not None
+    report = {
+        "part": reading.path.name,
+        "unit": reading.unit,
+        "unit_reason": reading.unit_reason,
+        "coordinate_step_mm": reading.step * scale * 1e3,
+        "repairs": list(reading.notes),
+        "scale": scale,
+        "size_mm": np.round(part.mesh.extents * 1e3, 3).tolist(),
+        "volume_mm3": part.mesh.volume * 1e9,
+        "plate_mm": (design.kit.extent * 1e3).tolist(),
+        "kit_from_part": pose_row(design.kit.slot.kit_from_part),
+        "trial": _trial_report(attempt),
+    }
+    return kit_files(part, design, place, options.preview), report | design.report
 
 
-def _best_kit(part: Part, clearance: float, place: str) -> tuple[KitDesign, dict[str, Any]]:
+def _best_attempt(part: Part, clearance: float, place: str) -> Attempt:
     """The kit on the first face that passes all trials, as in a dataset, else on the first that has an exact kit.
 
-    Returns it with the report of its trials, which are only reported, as not every user's part can pass them. Raises
-    InputError when there is no kit, and InexactKit when none is exact.
+    Trials are only reported, as not every user's part can pass them. Raises InputError if there is no kit, and
+    InexactKit if none is exact.
     """
-    tried: list[Attempt] = []
     faults: list[Kit1000Error] = []
     reason = ""
-    try:
-        for attempt in attempts(part, clearance, None):
-            tried.append(attempt)
-            passing = attempt.design if attempt.refusal is None else None
-            if passing is not None and _fault_of(passing, None, place) is None:
-                return passing, _trial_report(attempt)
-    except Redraw as refusal:
-        reason = refusal.reason
-    for attempt in (attempt.postponed() if attempt.postponed else attempt for attempt in tried):
-        if attempt.design is None:
-            reason = reason or attempt.refusal or ""
-            continue
-        fault = _fault_of(attempt.design, attempt.refusal, place)
-        if fault is None:
-            return attempt.design, _trial_report(attempt)
-        faults.append(fault)
+    for only_passing in (True, False):
+        try:
+            for attempt in attempts(part, clearance, None, only_passing):
+                reason = reason or attempt.refusal or ""
+                if attempt.design is None or (only_passing and attempt.refusal is not None):
+                    continue
+                fault = _fault_of(attempt.design, attempt.refusal, place)
+                if fault is None:
+                    return attempt
+                faults += [] if only_passing else [fault]
+        except Redraw as refusal:
+            reason = refusal.reason
     raise next(iter(faults), InputError(f"{place}: no kit: {reason}"))
 
 
 def _fault_of(design: KitDesign, refusal: str | None, place: str) -> Kit1000Error | None:
-    """What keeps a kit from being written: less than the requested clearance, or a part that does not seat in it."""
+    """Why a kit must not be written: less than the requested clearance, or a part that does not seat in it."""
     slot, smallest = design.kit.slot, design.measured_clearance.smallest
     if slot.depth / 3 <= BISECTION_STEP:
         return InputError(
@@ -234,26 +287,6 @@ def _fault_of(design: KitDesign, refusal: str | None, place: str) -> Kit1000Erro
     if refusal == NOT_SEATED:
         return InexactKit(f"{place}: the part {NOT_SEATED} of its kit; nothing is written, try another --clearance-mm")
     return None
-
-
-def _part(reading: MeshReading, longest: float | None) -> tuple[Part, float]:
-    scale = 1.0 if longest is None else longest / float(reading.mesh.extents.max())
-    return part_of_mesh(reading.path.stem, reading.mesh, longest), scale
-
-
-def _report(reading: MeshReading, part: Part, scale: float, design: KitDesign, trial: dict[str, Any]) -> dict[str, Any]:
-    return {
-        "part": reading.path.name,
-        "unit": reading.unit,
-        "unit_reason": reading.unit_reason,
-        "repairs": list(reading.notes),
-        "scale": scale,
-        "size_mm": np.round(part.mesh.extents * 1e3, 3).tolist(),
-        "volume_mm3": part.mesh.volume * 1e9,
-        "plate_mm": (design.kit.extent * 1e3).tolist(),
-        "kit_from_part": pose_row(design.kit.slot.kit_from_part),
-        "trial": trial,
-    } | design.report
 
 
 def _trial_report(attempt: Attempt) -> dict[str, Any]:
@@ -290,7 +323,7 @@ def kit_files(part: Part, design: KitDesign, place: str, preview: bool = True) -
 
 
 def _closed_in_files(mesh: Mesh, name: str) -> Mesh:
-    """The mesh, with vertices moved by microns where it would open when files round them and loaders merge them."""
+    """The mesh, with vertices moved by microns if it would open once files round them and loaders merge them."""
     if _file_defect(mesh) is None:
         return mesh
     grid = 2.0 ** (np.ceil(np.log2(np.abs(mesh.vertices).max() * 1e3)) - 23) * 1e-3  # exact in float32 millimetres

@@ -42,7 +42,7 @@ from kit1000.generation.plan import Sources, candidate_order, make_plan, split_i
 from kit1000.generation.presets import Preset
 from kit1000.generation.shards import make_shard, shard_jobs
 from kit1000.parallel import ParallelMap, local_engine
-from kit1000.parts.files.refusals import refusal_counts
+from kit1000.parts.files.read import refusal_counts
 from kit1000.parts.near_duplicates import near_duplicate_of
 from kit1000.queries.tracks import SPLITS
 from kit1000.sim.world import check_physics

@@ -25,7 +25,7 @@ from kit1000.kits.printable_mesh import GRID, closed_on_grid
 from kit1000.mesh import Mesh, defect_float32
 from kit1000.numerics.linear_algebra import length
 from kit1000.parts.family import make_part, part_of_mesh
-from kit1000.parts.files.sources import read_mesh
+from kit1000.parts.files.read import read_mesh
 from kit1000.parts.near_duplicates import shape_measures
 from kit1000.values import Part
 

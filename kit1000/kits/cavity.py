@@ -51,15 +51,12 @@ class Cavity:
     grown: Manifold
     """The grown sweep: the solid with its thin walls."""
     part: PartShadows
-    detail: Detail
 
     @cached_property
     def removed_wall_volume(self) -> float:
-        """[m^3] of thin walls removed; of files, whose last digits are free, a difference of volumes."""
+        """Volume of the thin walls that were removed. [m^3]"""
         if self.grown is self.solid:
             return 0.0
-        if self.detail.sectors:
-            return _below(self.solid, self.depth).volume() - _below(self.grown, self.depth).volume()
         return _below(self.solid - self.grown, self.depth).volume()
 
     @cached_property
@@ -86,7 +83,7 @@ def cut_cavity(part: PartShadows, clearance: float, width: tuple[float, float], 
     thin_walls, probes = _remove_thin_walls(grown, shadows, depth + RIM_OVERSHOOT, width)
     solid = Manifold.batch_boolean([grown, *thin_walls], OpType.Add) if thin_walls else grown
     removed_count = sum(piece.area() > MIN_WALL_AREA for piece in probes[-1].removed_walls.decompose())
-    return Cavity(depth, solid, tuple(probes), removed_count, grown, part, detail)
+    return Cavity(depth, solid, tuple(probes), removed_count, grown, part)
 
 
 def _below(solid: Manifold, z: float) -> Manifold:

@@ -7,9 +7,8 @@ another goal, as for a free axis or a gear with many teeth.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 
 from kit1000.errors import Redraw
 from kit1000.kits.acceptance import PairCheck, check_pair
@@ -32,9 +31,7 @@ class Attempt:
     trial: PairCheck | None
     """None when a trial fails."""
     refusal: str | None
-    """Why the kit is refused; None when it passes all trials."""
-    postponed: Callable[[], Attempt] | None = None
-    """Designs the kit and tries it, where that was not done because it surely fails; else None."""
+    """Why the kit is refused; None if it passes all trials."""
 
 
 def accepted_kit(part: Part, clearance: float = CLEARANCE, plate: Plate = UNIT_PLATE) -> tuple[KitDesign, PairCheck]:
@@ -50,18 +47,19 @@ def accepted_kit(part: Part, clearance: float = CLEARANCE, plate: Plate = UNIT_P
     raise Redraw(refusals[0])
 
 
-def attempts(part: Part, clearance: float, plate: Plate | None) -> Iterator[Attempt]:
-    """The kit on each insertion face in turn, designed and tried when asked for.
+def attempts(part: Part, clearance: float, plate: Plate | None, early_refusal: bool = True) -> Iterator[Attempt]:
+    """The kit on each insertion face in turn, designed and tried when the iterator gets there.
 
-    The kit of a part of a file is not designed on faces where it surely fails a trial. plate: None for one fitted to
-    the part. Raises Redraw when there is no insertion face.
+    plate: None for one fitted to the part.
+    early_refusal: the kit of a part of a file is not designed on faces where it surely fails a trial.
+
+    Raises Redraw if there is no insertion face.
     """
     prepared = PreparedPart(part.mesh, ANY_FACE)
     for face in insertion_faces(part, clearance, fitted_plate=plate is None):
         design = design_slot(part, clearance, face)
-        attempt = partial(_attempt, design, prepared, plate)
-        refusal = sure_refusal(prepared, design.slot) if part.family == FILE else None
-        yield attempt() if refusal is None else Attempt(None, None, refusal, attempt)
+        refusal = sure_refusal(prepared, design.slot) if part.family == FILE and early_refusal else None
+        yield _attempt(design, prepared, plate) if refusal is None else Attempt(None, None, refusal)
 
 
 def _attempt(slot: SlotDesign, part: PreparedPart, plate: Plate | None) -> Attempt:

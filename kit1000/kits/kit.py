@@ -15,7 +15,7 @@ from kit1000.kits.cavity import MIN_SEATED_HEIGHT, MIN_WALL, Cavity, cut_cavity,
 from kit1000.kits.clearance import HEIGHT_COUNT, Clearance, measure_clearance
 from kit1000.kits.face import RestingFace, distinct_faces, rank_faces, resting_faces
 from kit1000.kits.goals import Design, find_goals
-from kit1000.kits.patches import EXACT, EXACT_FILE, MERGED, MERGED_FILE, Detail
+from kit1000.kits.patches import EXACT, MERGED, MERGED_FILE, Detail
 from kit1000.kits.printable_mesh import printable_mesh
 from kit1000.kits.shadows import PartShadows
 from kit1000.kits.sweep import SAGITTA
@@ -128,7 +128,7 @@ def cut_kit(design: SlotDesign, plate: Plate | None = UNIT_PLATE) -> KitDesign:
     """
     part, slot = design.part, design.slot
     plate = plate or _fitted_plate(part.mesh.moved(slot.kit_from_part), slot.clearance, slot.depth)
-    details = (MERGED_FILE, EXACT_FILE) if part.family == FILE else (MERGED, EXACT)
+    details = (MERGED_FILE if part.family == FILE else MERGED, EXACT)
     cavity, mesh, measured = _cut_plate(design.shadows, slot.clearance, plate, details)
     kit = Kit(part.id, mesh, slot, np.array([*plate.width, plate.thickness]))
     return KitDesign(kit, cavity, design.face, measured)

@@ -25,16 +25,12 @@ class Detail(NamedTuple):
     hull_area: float
     """[m^2] by which the hull of a patch's projection may exceed the projection."""
     sagitta: float | None = None
-    """[m] by which the border of a patch may lie inside its hull, in place of `hull_area`."""
-    sectors: bool = False
-    """Whether a patch is grown by the sector of the disc that it needs, in place of all of it."""
+    """[m] by which the border of a patch may lie inside its hull, instead of `hull_area`."""
 
 
 EXACT = Detail(0.0, EXACT_AREA)
 MERGED = Detail(0.1e-3, 2e-8)  # two or three facets of a round hole merge
-# Of files, whose meshes may be dense.
-EXACT_FILE = Detail(0.0, EXACT_AREA, sectors=True)
-MERGED_FILE = Detail(0.07e-3, 0.0, sagitta=0.06e-3, sectors=True)
+MERGED_FILE = Detail(0.07e-3, 0.0, sagitta=0.06e-3)  # for parts of files, whose meshes may be dense
 
 
 class Underside(NamedTuple):

@@ -14,7 +14,6 @@ import numpy as np
 from manifold3d import CrossSection, FillRule, Manifold, OpType
 
 from kit1000.errors import Redraw
-from kit1000.kits.outward_sectors import disc_sectors
 from kit1000.kits.patches import MERGED, Detail, merged_underside
 from kit1000.kits.shadows import PartShadows, shadow_below
 from kit1000.kits.underside import LEVEL_TOLERANCE
@@ -44,7 +43,7 @@ def grown_sweep(part: PartShadows, clearance: float, detail: Detail = MERGED) ->
     levels = np.unique(level_triangles[:, 0, 2])
     outlines = [_grown_outline(level_triangles[level_triangles[:, 0, 2] == z][..., :2], polygon) for z in levels]
     lower = _LowerSweep(part.standing, clearance, levels, outlines)
-    exposed = [patch for patch in _grown_patches(triangles, level, detail, polygon) if not lower.covers(patch)]
+    exposed = [patch for patch in _grown_patches(triangles, detail, polygon) if not lower.covers(patch)]
     # each top at a height of its own: many coplanar tops would take most of the time of the union
     tops = iter(part.depth + RIM_OVERSHOOT + TOP_SPACING * np.arange(len(outlines) + len(exposed)))
     prisms = [
@@ -52,25 +51,19 @@ def grown_sweep(part: PartShadows, clearance: float, detail: Detail = MERGED) ->
         for z, outline in zip(levels, outlines, strict=True)
         if not outline.is_empty()  # a sliver of a face that Clipper rounds away
     ]
-    hulls = [convex_hull(_swept_corners(patch, next(tops), detail.sectors)) for patch in exposed]
+    hulls = [convex_hull(_swept_corners(patch, next(tops))) for patch in exposed]
     swept = Manifold.batch_boolean(prisms + hulls, OpType.Add)
     if swept.is_empty():
         raise Redraw(f"no underside to sweep ({swept.status().name})")
     return swept
 
 
-def _grown_patches(
-    triangles: np.ndarray, level: np.ndarray, detail: Detail, polygon: np.ndarray
-) -> Iterator[np.ndarray]:
-    """Convex sloping patches of the underside, each corner grown to a level disc or its sector. (k, 3) [m]"""
-    underside = merged_underside(triangles, detail)
-    sectors = disc_sectors(underside, ~level, polygon) if detail.sectors else [polygon] * len(underside.corners)
-    for group in underside.groups:
-        corners = np.unique(underside.faces[group])
-        if np.ptp(underside.corners[corners, 2]) > LEVEL_TOLERANCE:
-            discs = [sectors[corner] for corner in corners]
-            grown = np.repeat(underside.corners[corners], [len(disc) for disc in discs], axis=0)
-            grown[:, :2] += np.concatenate(discs)
+def _grown_patches(triangles: np.ndarray, detail: Detail, polygon: np.ndarray) -> Iterator[np.ndarray]:
+    """Convex sloping patches of the underside, each corner grown to a level disc. (k, 3) [m]"""
+    for patch in merged_underside(triangles, detail).patches:
+        if np.ptp(patch[:, 2]) > LEVEL_TOLERANCE:
+            grown = np.repeat(patch, len(polygon), axis=0)
+            grown[:, :2] += np.tile(polygon, (len(patch), 1))
             yield grown
 
 
@@ -104,16 +97,11 @@ class _LowerSweep:
         )
 
 
-def _swept_corners(patch: np.ndarray, top: float, few: bool) -> np.ndarray:
-    """(n, 3) [m] corners of a grown patch (k, 3), at their own height and at the top.
-
-    few: at the top only those of their outline, which have the same hull; it is found as fast, but its corners come in
-    another order, and so do those of kits.
-    """
-    above: Any = patch[:, :2]
-    if few:
-        above = CrossSection.hull_points(above).to_polygons()[0]
-    return np.concatenate([patch, np.concatenate([above, np.full((len(above), 1), top)], 1)])
+def _swept_corners(patch: np.ndarray, top: float) -> np.ndarray:
+    """(2 k, 3) [m] corners of a grown patch (k, 3), at their own height and at the top."""
+    above = patch.copy()
+    above[:, 2] = top
+    return np.concatenate([patch, above])
 
 
 def _grown_outline(triangles: np.ndarray, polygon: np.ndarray) -> CrossSection:

@@ -17,7 +17,7 @@ from kit1000.kits.shadows import PartShadows
 from kit1000.labelling.starting_poses import KnownShape
 from kit1000.mesh import Mesh, solid_from_mesh
 from kit1000.parts.family import part_of_mesh
-from kit1000.parts.files.sources import read_mesh
+from kit1000.parts.files.read import read_mesh
 from kit1000.pose import Pose
 from kit1000.values import Assembly, Kit, Mount, Part, Slot
 

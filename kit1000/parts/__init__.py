@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from kit1000.parts.family import Family, make_part, part_of_mesh
     from kit1000.parts.family_catalog import FAMILIES
-    from kit1000.parts.files.sources import mesh_files, read_mesh
+    from kit1000.parts.files.read import mesh_files, read_mesh
 
 __all__ = ["FAMILIES", "Family", "make_part", "mesh_files", "part_of_mesh", "read_mesh"]
 
-_MODULES = {"FAMILIES": "family_catalog", "mesh_files": "files.sources", "read_mesh": "files.sources"}  # others: family
+_MODULES = {"FAMILIES": "family_catalog", "mesh_files": "files.read", "read_mesh": "files.read"}  # others: family
 
 
 def __getattr__(name: str) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 
 from kit1000.errors import MeshRefused
 from kit1000.mesh import body_count, defect_float32
-from kit1000.parts.files.sources import ACCEPTED_SIZE, MeshReading, Outcome, Refusal
+from kit1000.parts.files.read import ACCEPTED_SIZE, MeshReading, Outcome, Refusal
 
 Read = Callable[[Path], MeshReading]
 """Reads one file as a part, or raises MeshRefused."""
@@ -83,6 +83,6 @@ def _read_or_refuse(read: Read, path: Path, name: str) -> Outcome:
         return reading
     kind = type(reading).__name__
     assert isinstance(reading, MeshReading), (
-        f"{name}: {path.name} gives a {kind}, expected a kit1000.parts.files.sources.MeshReading"
+        f"{name}: {path.name} gives a {kind}, expected a kit1000.parts.files.read.MeshReading"
     )
     return reading

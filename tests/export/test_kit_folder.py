@@ -1,4 +1,4 @@
-"""Nobody's file is ever overwritten by a kit: what an earlier run wrote is replaced, all else stays."""
+"""The folder of a kit is new, or of an earlier run: nobody's file is ever overwritten or deleted."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from kit1000.cli import main
-from kit1000.export.own_part import make_kit_from_file, make_kits_from_file, make_kits_from_files
+from kit1000.errors import InputError
+from kit1000.export.own_part import KitOptions, make_kit_from_file, make_kits
 from kit1000.pictures import previews
 from tests.samples.mini import file_hashes, l_shape, write_stl
 
@@ -39,12 +40,12 @@ def test_the_part_itself_is_never_replaced(
     monkeypatch.chdir(tmp_path)
     for out in (".", str(tmp_path), "../" + tmp_path.name):
         assert main(["kit", "part.stl", "--out", out]) == 2
-        assert "part.stl: is the part itself" in capsys.readouterr().err
+        assert "part.stl: is not of an earlier run" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["part.stl"]
     assert part.read_bytes() == before
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, "notes.txt", "01/kit.stl"])
 @pytest.mark.parametrize("beside_a_kit", [False, True])
 def test_a_file_of_another_origin_stays(
     name: str, beside_a_kit: bool, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -52,12 +53,12 @@ def test_a_file_of_another_origin_stays(
     out = tmp_path / "out"
     if beside_a_kit:
         shutil.copytree(made / "out", out)
-    out.mkdir(exist_ok=True)
+    (out / name).parent.mkdir(parents=True, exist_ok=True)
     (out / name).write_text('{"mine": 1}')
     before = file_hashes(out)
     assert main(["kit", str(made / "corner.stl"), "--out", str(out)]) == 2
     said = capsys.readouterr().err
-    assert f"{name}: is there already and of another origin: it stays" in said
+    assert "is not of an earlier run of this command: it stays; choose another --out" in said
     assert said.count("\n") == 1
     assert file_hashes(out) == before
 
@@ -69,37 +70,23 @@ def test_a_report_that_was_changed_is_not_of_a_run(made: Path, tmp_path: Path) -
     assert main(["kit", str(made / "corner.stl"), "--out", str(tmp_path / "out")]) == 2
 
 
-def test_the_folder_of_an_earlier_run_is_written_again_and_other_files_stay(made: Path, tmp_path: Path) -> None:
+def test_the_folder_of_an_earlier_run_is_written_again(made: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     shutil.copytree(made / "out", out)
-    (out / "notes.txt").write_text("mine")
-    report = make_kit_from_file(made / "corner.stl", out, clearance=2e-3)
+    (out / ".DS_Store").write_text("of the system")
+    report = make_kit_from_file(made / "corner.stl", out, KitOptions(2e-3))
     assert json.loads((out / "report.json").read_bytes()) == report
-    assert (out / "notes.txt").read_text() == "mine"
-    assert sorted(file_hashes(out)) == sorted([*NAMES, "notes.txt"])
-    make_kit_from_file(made / "corner.stl", out, preview=False)
+    assert sorted(file_hashes(out)) == sorted([*NAMES, ".DS_Store"])
+    make_kit_from_file(made / "corner.stl", out, KitOptions(preview=False))
     assert not (out / "preview.png").exists()  # that of the earlier run would show another kit
 
 
-def test_a_picture_of_mine_stays_also_without_a_preview(made: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "preview.png").write_text("mine")
-    make_kit_from_file(made / "corner.stl", out, preview=False)
-    assert (out / "preview.png").read_text() == "mine"
-
-
-def test_reports_of_several_kits_replace_their_own_alone(made: Path, tmp_path: Path) -> None:
-    for number, run in enumerate(
-        (
-            lambda out: make_kits_from_file(made / "corner.stl", out),
-            lambda out: list(make_kits_from_files([made / "corner.stl"], out, 1)),
-        )
-    ):
-        out = tmp_path / str(number)
-        run(out)
-        run(out)
-        (out / "report.json").write_text('{"mine": 1}')
-        with pytest.raises(Exception, match=r"report\.json: is there already and of another origin"):
-            run(out)
-        assert (out / "report.json").read_text() == '{"mine": 1}'
+@pytest.mark.parametrize("bodies", [None, "each"])
+def test_reports_of_several_kits_replace_their_own_alone(bodies, made: Path, tmp_path: Path) -> None:
+    files = [made / "corner.stl"] * (1 if bodies else 2)
+    for _ in range(2):
+        list(make_kits(files, tmp_path, KitOptions(bodies=bodies), 1))
+    (tmp_path / "report.json").write_text('{"mine": 1}')
+    with pytest.raises(InputError, match=r"report\.json: is not of an earlier run"):
+        list(make_kits(files, tmp_path, KitOptions(bodies=bodies), 1))
+    assert (tmp_path / "report.json").read_text() == '{"mine": 1}'

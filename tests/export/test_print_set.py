@@ -13,7 +13,7 @@ from kit1000.export.print_set import BED, PRINTS, write_print_set
 from kit1000.files import read_json, sha256
 from kit1000.labelling.known_kits import kits_of_folder
 from kit1000.mesh import solid_from_mesh
-from kit1000.parts.files.sources import read_mesh
+from kit1000.parts.files.read import read_mesh
 from tests.samples.labelled_scenes import shapes_folder
 
 

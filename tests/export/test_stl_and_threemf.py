@@ -18,7 +18,7 @@ from kit1000.export import ASSEMBLY_FORMATS, FORMATS, export
 from kit1000.export.threemf import threemf_bytes, write_3mf
 from kit1000.kits.assembly import AssemblyPlan, SidePlate, build_assembly
 from kit1000.mesh import Mesh, defect_float32, solid_from_mesh
-from kit1000.parts.files.sources import read_mesh
+from kit1000.parts.files.read import read_mesh
 from kit1000.values import Assembly
 from tests.samples.kits import sample_kit, sample_part
 

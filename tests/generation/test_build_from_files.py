@@ -21,7 +21,7 @@ from kit1000.generation.scenes import make_scene
 from kit1000.generation.verify import verify
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid
 from kit1000.parts.family import part_of_mesh
-from kit1000.parts.files.sources import mesh_files
+from kit1000.parts.files.read import mesh_files
 from kit1000.queries.tracks import SPLITS
 from tests.samples.mini import MINI, l_shape, l_shape_sources, write_stl
 

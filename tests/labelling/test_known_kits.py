@@ -9,7 +9,7 @@ import pytest
 
 from kit1000.dataset.mesh_files import stl_bytes
 from kit1000.errors import InputError
-from kit1000.export.own_part import make_kit_from_file
+from kit1000.export.own_part import KitOptions, make_kit_from_file
 from kit1000.labelling.known_kits import kits_of_files, kits_of_folder, read_known_kits
 from kit1000.pose import Pose
 from tests.samples.kits import sample_kit, sample_part
@@ -53,7 +53,7 @@ def test_two_files_give_the_slot_that_was_designed(tmp_path: Path) -> None:
 
 def test_the_clearance_is_read_from_the_report_beside_the_kit(tmp_path: Path) -> None:
     (tmp_path / "mine.stl").write_bytes(stl_bytes(sample_part("foot").mesh))
-    make_kit_from_file(tmp_path / "mine.stl", tmp_path / "kit", clearance=1.5e-3, preview=False)
+    make_kit_from_file(tmp_path / "mine.stl", tmp_path / "kit", KitOptions(1.5e-3, preview=False))
     kits = kits_of_files(tmp_path / "kit/kit.stl", tmp_path / "kit/part.stl")
     assert kits.assembly.mounts[0].kit.slot.clearance == pytest.approx(1.5e-3)
     assert kits.parts[0].id == "kit"  # its folder: every part.stl has that name

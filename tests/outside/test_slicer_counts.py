@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kit1000.parts.files.sources import read_mesh
+from kit1000.parts.files.read import read_mesh
 from tests.samples.foreign_files import PART, archive, helper, mesh_xml, model_xml, object_xml, slic3r_config
 
 SLICER = shutil.which("prusa-slicer")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from kit1000.parts.files.sources import MeshReading, read_bodies
+from kit1000.parts.files.read import MeshReading, read_bodies
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 RELATIONSHIPS = (
@@ -36,6 +36,13 @@ def cases() -> Path | None:
     beside = Path(__file__).resolve().parents[3] / "shared/cases"
     folder = Path(os.environ.get("KIT1000_CASES") or beside)
     return folder if (folder / "README.md").is_file() else None
+
+
+def written(path: Path, data: bytes) -> Path:
+    """A file with its folders."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
+    return path
 
 
 def readable_bodies(path: Path) -> list[MeshReading]:

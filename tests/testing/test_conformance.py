@@ -16,7 +16,7 @@ import trimesh
 from kit1000.camera import Camera
 from kit1000.errors import MeshRefused
 from kit1000.mesh import Mesh
-from kit1000.parts.files.sources import MeshReading, read_mesh
+from kit1000.parts.files.read import MeshReading, read_mesh
 from kit1000.pose import Pose
 from kit1000.sim.cameras import CAMERA
 from kit1000.sim.render import RenderedImage, render

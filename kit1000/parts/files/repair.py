@@ -11,7 +11,7 @@ from manifold3d import Error, Manifold, Mesh64
 
 from kit1000.errors import MeshRefused
 from kit1000.numerics.linear_algebra import eigenvectors, matmul
-from kit1000.parts.files.seams import close_surface
+from kit1000.parts.files.closing import close_surface
 from kit1000.parts.files.topology import (
     consistently_wound,
     longest_side,

@@ -1,8 +1,9 @@
-"""glTF of other exporters: quantized, sparse, interleaved, instanced; what is not read is refused by its name."""
+"""glTF of other exporters: read exactly, or refused by the name of what is not read."""
 
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,13 @@ import pytest
 import trimesh
 
 from kit1000.errors import MeshRefused
-from kit1000.parts.files import formats
-from kit1000.parts.files.sources import read_mesh
-from tests.samples.foreign_files import Gltf, readable_bodies
+from kit1000.parts.files import read
+from kit1000.parts.files.read import read_mesh
+from tests.samples.foreign_files import Gltf
 
 BOX = trimesh.creation.box((0.04, 0.02, 0.01))
 SIZE = (40, 10, 20)  # [mm] y up becomes z up
+DRACO = "KHR_draco_mesh_compression"
 
 
 def made(**more: Any) -> Gltf:
@@ -29,79 +31,62 @@ def size_of(path: Path) -> list[float]:
     return (read_mesh(path).mesh.extents * 1e3).tolist()
 
 
-@pytest.mark.parametrize(
-    ("component", "dtype", "largest", "normalized"),
-    [
-        (5120, "<i1", 127, True),
-        (5122, "<i2", 32767, True),
-        (5120, "<i1", 1, False),
-        (5122, "<i2", 1, False),
-        (5121, "<u1", 255, True),
-        (5123, "<u2", 65535, True),
-    ],
-)
-def test_quantized_positions_have_the_size_that_they_state(
-    component: int, dtype: str, largest: int, normalized: bool, tmp_path: Path
-) -> None:
-    steps = (BOX.vertices / BOX.extents + 0.5) * (largest if normalized else 100)
-    values = np.zeros((len(steps), 4), dtype)  # padded to whole words
-    values[:, :3] = np.round(steps)
-    gltf = made()
-    view = gltf.view(values.tobytes(), byteStride=values.strides[0])
-    gltf.json["accessors"][0] |= {"bufferView": view, "componentType": component, "normalized": normalized}
-    gltf.json["nodes"][0]["scale"] = (BOX.extents / (1 if normalized else 100)).tolist()
-    gltf.json |= {"extensionsRequired": ["KHR_mesh_quantization"], "extensionsUsed": ["KHR_mesh_quantization"]}
-    assert size_of(gltf.glb(tmp_path / "a.glb")) == pytest.approx(SIZE, abs=1e-3)
-
-
-@pytest.mark.parametrize("with_base", [True, False])
-def test_sparse_positions_replace_those_of_their_base(with_base: bool, tmp_path: Path) -> None:
-    gltf = made()
-    high = np.flatnonzero(BOX.vertices[:, 1] > 0) if with_base else np.arange(8)
-    if with_base:
-        half = np.array(BOX.vertices, dtype="<f4")
-        half[high, 1] = 0
-        gltf.json["accessors"][0]["bufferView"] = gltf.view(half.tobytes())
-    else:
-        del gltf.json["accessors"][0]["bufferView"]
-    gltf.json["accessors"][0]["sparse"] = {
-        "count": len(high),
-        "indices": {"bufferView": gltf.view(high.astype("<u2").tobytes()), "componentType": 5123},
-        "values": {"bufferView": gltf.view(BOX.vertices[high].astype("<f4").tobytes())},
-    }
-    assert size_of(gltf.glb(tmp_path / "a.glb")) == pytest.approx(SIZE, abs=1e-4)
-
-
-def test_positions_may_lie_between_other_attributes(tmp_path: Path) -> None:
-    gltf = made()
+def interleaved(gltf: Gltf) -> None:
     rows = np.zeros((8, 8), dtype="<f4")
     rows[:, 3:6] = BOX.vertices
-    view = gltf.view(rows.tobytes(), byteStride=32)
-    gltf.json["accessors"][0] |= {"bufferView": view, "byteOffset": 12}
-    assert size_of(gltf.glb(tmp_path / "a.glb")) == pytest.approx(SIZE, abs=1e-4)
+    gltf.json["accessors"][0] |= {"bufferView": gltf.view(rows.tobytes(), byteStride=32), "byteOffset": 12}
 
 
-@pytest.mark.parametrize("mode", [5, 6])
-def test_strips_and_fans_are_triangles(mode: int, tmp_path: Path) -> None:
+def in_the_second_scene(gltf: Gltf) -> None:
+    gltf.json |= {"scenes": [{"nodes": [1]}, {"nodes": [0]}], "scene": 1}
+    gltf.json["nodes"].append({"mesh": 0, "scale": [5, 5, 5]})
+
+
+def mirrored(gltf: Gltf) -> None:
+    gltf.json["nodes"][0]["scale"] = [-1, 1, 1]
+
+
+def with_targets(gltf: Gltf) -> None:
+    gltf.json["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": gltf.accessor(np.ones((8, 3), "<f4"), 5126)}]
+    gltf.json["meshes"][0]["weights"] = [0]
+
+
+def requiring(*names: str) -> Callable[[Gltf], None]:
+    return lambda gltf: gltf.json.update(extensionsRequired=list(names))
+
+
+READ: dict[str, Callable[[Gltf], Any]] = {
+    "positions between other attributes": interleaved,
+    "the default scene alone": in_the_second_scene,
+    "a mirrored node": mirrored,
+    "morph targets of no weight": with_targets,
+    "a required material": requiring("KHR_materials_unlit"),
+    "a required texture": requiring("KHR_texture_transform", "EXT_texture_webp"),
+    "required quantization of other attributes": requiring("KHR_mesh_quantization"),
+}
+
+
+@pytest.mark.parametrize("name", READ)
+def test_a_file_is_read_whole(name: str, tmp_path: Path) -> None:
     gltf = made()
-    faces = [
-        (1, 0, 3, 2),
-        (4, 5, 6, 7),
-        (0, 1, 4, 5),
-        (2, 6, 3, 7),
-        (0, 4, 2, 6),
-        (1, 3, 5, 7),
-    ]  # fmt: skip (the six sides of a box as strips)
+    READ[name](gltf)
+    reading = read_mesh(gltf.glb(tmp_path / "a.glb"))
+    assert (reading.mesh.extents * 1e3).tolist() == pytest.approx(SIZE, abs=1e-4)
+    assert reading.mesh.volume * 1e9 == pytest.approx(8000, rel=1e-5)
+    assert reading.notes == ()
+
+
+def test_strips_are_triangles(tmp_path: Path) -> None:
+    gltf = made()
+    faces = [(1, 0, 3, 2), (4, 5, 6, 7), (0, 1, 4, 5), (2, 6, 3, 7), (0, 4, 2, 6), (1, 3, 5, 7)]
     corners = np.array([[x, y, z] for x in (0, 0.04) for y in (0, 0.02) for z in (0, 0.01)], dtype="<f4")
     position = gltf.accessor(corners, 5126)
     primitives = []
-    for a, b, c, d in faces:
-        order = np.array([a, b, c, d] if mode == 5 else [a, b, d, c], dtype="<u2").reshape(-1, 1)
-        indices = gltf.accessor(order, 5123)
-        primitives.append({"attributes": {"POSITION": position}, "indices": indices, "mode": mode})
+    for face in faces:
+        indices = gltf.accessor(np.array(face, dtype="<u2").reshape(-1, 1), 5123)
+        primitives.append({"attributes": {"POSITION": position}, "indices": indices, "mode": 5})
     gltf.json["meshes"] = [{"primitives": primitives}]
-    reading = read_mesh(gltf.glb(tmp_path / "a.glb"))
-    assert reading.mesh.volume * 1e9 == pytest.approx(8000, rel=1e-6)
+    assert read_mesh(gltf.glb(tmp_path / "a.glb")).mesh.volume * 1e9 == pytest.approx(8000, rel=1e-6)
 
 
 def test_nodes_are_placed_by_matrix_or_by_translation_rotation_and_scale(tmp_path: Path) -> None:
@@ -115,104 +100,74 @@ def test_nodes_are_placed_by_matrix_or_by_translation_rotation_and_scale(tmp_pat
     assert np.allclose(bounds, [[1190, -40, -60], [1210, 40, 60]], atol=1e-2)
 
 
-def test_a_file_without_a_scene_has_all_its_roots(tmp_path: Path) -> None:
+def sparse(gltf: Gltf) -> None:
+    gltf.json["accessors"][0]["sparse"] = {"count": 1, "indices": {"bufferView": 0}, "values": {"bufferView": 0}}
+
+
+def quantized(normalized: bool) -> Callable[[Gltf], None]:
+    def change(gltf: Gltf) -> None:
+        view = gltf.view(np.zeros((8, 4), "<i1").tobytes(), byteStride=4)
+        gltf.json["accessors"][0] |= {"bufferView": view, "componentType": 5120, "normalized": normalized}
+
+    return change
+
+
+def node(**more: Any) -> Callable[[Gltf], None]:
+    return lambda gltf: gltf.json["nodes"][0].update(more)
+
+
+def below_a_camera(gltf: Gltf) -> None:
+    gltf.json["nodes"] = [{"camera": 0, "children": [1]}, {"mesh": 0}]
+    gltf.json["cameras"] = [{"type": "perspective", "perspective": {"yfov": 1, "znear": 0.1}}]
+
+
+def morphed(gltf: Gltf) -> None:
+    with_targets(gltf)
+    gltf.json["nodes"][0]["weights"] = [0.5]
+
+
+def without(*names: str) -> Callable[[Gltf], Any]:
+    return lambda gltf: [gltf.json.pop(name) for name in names]
+
+
+REFUSED: list[tuple[Callable[[Gltf], Any], tuple[str, ...]]] = [
+    (sparse, ("accessor 0 is sparse", "export it without")),
+    (quantized(True), ("quantized positions", "32-bit floats")),
+    (quantized(False), ("quantized positions",)),
+    (lambda gltf: gltf.json["accessors"][0].pop("bufferView"), ("accessor 0", "no data")),
+    (lambda gltf: gltf.json["meshes"][0]["primitives"][0].update(mode=6), ("fans", "export it as triangles")),
+    (lambda gltf: gltf.json["meshes"][0]["primitives"][0].update(extensions={DRACO: {}}), ("Draco compression", DRACO)),
+    (requiring(DRACO), ("Draco compression", DRACO, "export it without")),
+    (requiring("EXT_meshopt_compression"), ("meshopt compression", "export it without")),
+    (lambda gltf: gltf.json["bufferViews"][0].update(extensions={"KHR_meshopt_compression": {}}), ("meshopt",)),
+    (requiring("ACME_surfaces"), ("ACME_surfaces", "export it without")),
+    (node(extensions={"EXT_mesh_gpu_instancing": {}}), ("instances", "EXT_mesh_gpu_instancing")),
+    (node(extensions={"KHR_node_visibility": {"visible": False}}), ("invisible nodes",)),
+    (node(skin=0), ("bent by a skeleton", "before the export")),
+    (morphed, ("morph targets", "before the export")),
+    (below_a_camera, ("a camera", "export it without cameras")),
+    (without("scene", "scenes"), ("no scene",)),
+    (node(children=[0]), ("two places",)),
+    (node(mesh=7), ("not readable",)),
+    (lambda gltf: gltf.json["asset"].update(version="1.0"), ("version 1.0", "expected 2.0")),
+    (lambda gltf: gltf.json["accessors"][0].update(count=9000), ("not readable",)),
+    (lambda gltf: gltf.json["accessors"][0].update(count=-1), ("accessor 0 has no count",)),
+    (lambda gltf: gltf.json["accessors"][1].update(componentType=5126), ("no integers",)),
+    (lambda gltf: gltf.json["nodes"].extend([{"mesh": 0}] * 5000), ("60,012 triangles", "50,000")),
+]
+
+
+@pytest.mark.parametrize(("change", "facts"), REFUSED)
+def test_what_is_not_read_is_refused_by_name(
+    change: Callable[[Gltf], Any], facts: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(read, "MAX_FACES", 50_000)
     gltf = made()
-    for name in ("scene", "scenes"):
-        del gltf.json[name]
-    assert size_of(gltf.glb(tmp_path / "a.glb")) == pytest.approx(SIZE, abs=1e-4)
-
-
-def test_only_the_default_scene_is_read(tmp_path: Path) -> None:
-    gltf = made()
-    gltf.json |= {"scenes": [{"nodes": [1]}, {"nodes": [0]}], "scene": 1}
-    gltf.json["nodes"].append({"mesh": 0, "scale": [5, 5, 5]})
-    assert size_of(gltf.glb(tmp_path / "a.glb")) == pytest.approx(SIZE, abs=1e-4)
-
-
-def test_instances_are_bodies(tmp_path: Path) -> None:
-    gltf = made()
-    places = gltf.accessor(np.array([[0, 0, 0], [0.1, 0, 0]], dtype="<f4"), 5126)
-    sizes = gltf.accessor(np.array([[1, 1, 1], [-2, 2, 2]], dtype="<f4"), 5126)
-    extension = {"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": places, "SCALE": sizes}}}
-    gltf.json["nodes"][0]["extensions"] = extension
-    gltf.json["extensionsRequired"] = ["EXT_mesh_gpu_instancing"]
-    bodies = readable_bodies(gltf.glb(tmp_path / "a.glb"))
-    assert [body.mesh.volume * 1e9 for body in bodies] == pytest.approx([64000, 8000], rel=1e-5)
-    assert not any("inside out" in note for body in bodies for note in body.notes)
-
-
-def test_morph_targets_are_applied_with_their_weights(tmp_path: Path) -> None:
-    gltf = made()
-    taller = np.where(BOX.vertices > 0, BOX.vertices * [0, 2, 0], 0)
-    target = gltf.accessor(taller.astype("<f4"), 5126)
-    gltf.json["meshes"][0]["primitives"][0]["targets"] = [{"POSITION": target}]
-    gltf.json["meshes"][0]["weights"] = [0.5]
-    assert size_of(gltf.glb(tmp_path / "a.glb")) == pytest.approx((40, 10, 30), abs=1e-4)
-    gltf.json["nodes"][0]["weights"] = [0]
-    assert size_of(gltf.glb(tmp_path / "b.glb")) == pytest.approx(SIZE, abs=1e-4)
-
-
-def test_an_invisible_node_is_left_out(tmp_path: Path) -> None:
-    gltf = made()
-    hidden = {"KHR_node_visibility": {"visible": False}}
-    gltf.json["nodes"].append({"mesh": 0, "translation": [0.02, 0, 0], "extensions": hidden})
-    gltf.json["scenes"][0]["nodes"].append(1)
-    reading = read_mesh(gltf.glb(tmp_path / "a.glb"))
-    assert reading.mesh.volume * 1e9 == pytest.approx(8000, rel=1e-5)
-    assert reading.notes == ("left out 1 invisible node",)
-
-
-@pytest.mark.parametrize(
-    "name", ["KHR_materials_unlit", "KHR_texture_transform", "EXT_texture_webp", "KHR_lights_punctual"]
-)
-def test_extensions_without_a_shape_may_be_required(name: str, tmp_path: Path) -> None:
-    gltf = made()
-    gltf.json["extensionsRequired"] = [name]
-    assert size_of(gltf.glb(tmp_path / "a.glb")) == pytest.approx(SIZE, abs=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("KHR_draco_mesh_compression", "stored with Draco compression .KHR_draco_.*export it without$"),
-        ("EXT_meshopt_compression", "stored with meshopt compression .EXT_meshopt_.*export it without$"),
-        ("KHR_meshopt_compression", "stored with meshopt compression"),
-        ("ACME_surfaces", "requires the glTF extension ACME_surfaces, which is not supported: export it without$"),
-    ],
-)
-def test_another_required_extension_is_refused_by_name(name: str, reason: str, tmp_path: Path) -> None:
-    gltf = made()
-    gltf.json["extensionsRequired"] = ["KHR_mesh_quantization", name]
-    with pytest.raises(MeshRefused, match=reason):
+    change(gltf)
+    with pytest.raises(MeshRefused) as caught:
         read_mesh(gltf.glb(tmp_path / "a.glb"))
-
-
-def test_compressed_data_are_refused_also_where_nothing_is_required(tmp_path: Path) -> None:
-    gltf = made(extensions={"KHR_draco_mesh_compression": {"bufferView": 0, "attributes": {"POSITION": 0}}})
-    assert size_of(gltf.glb(tmp_path / "both.glb")) == pytest.approx(SIZE, abs=1e-4)
-    for accessor in gltf.json["accessors"]:
-        del accessor["bufferView"]
-    with pytest.raises(MeshRefused, match="Draco compression"):
-        read_mesh(gltf.glb(tmp_path / "draco.glb"))
-    gltf = made()
-    gltf.json["bufferViews"][0] |= {"buffer": 1, "extensions": {"EXT_meshopt_compression": {"buffer": 0}}}
-    path = gltf.glb(tmp_path / "meshopt.glb")
-    gltf.json["extensionsUsed"] = ["EXT_meshopt_compression"]
-    data = path.read_bytes()
-    assert b'"buffers"' in data
-    with pytest.raises(MeshRefused, match=r"names buffers\[1\], which does not exist"):
-        read_mesh(path)
-
-
-def test_a_skin_and_another_version_are_refused_by_name(tmp_path: Path) -> None:
-    gltf = made()
-    gltf.json["nodes"][0]["skin"] = 0
-    with pytest.raises(MeshRefused, match="bent by a skeleton"):
-        read_mesh(gltf.glb(tmp_path / "a.glb"))
-    gltf = made()
-    gltf.json["asset"]["version"] = "1.0"
-    with pytest.raises(MeshRefused, match=r"glTF of version 1.0, expected 2.0"):
-        read_mesh(gltf.glb(tmp_path / "b.glb"))
+    assert all(fact in caught.value.reason for fact in facts), caught.value.reason
+    assert "\n" not in caught.value.reason
 
 
 @pytest.mark.parametrize(
@@ -225,7 +180,6 @@ def test_a_skin_and_another_version_are_refused_by_name(tmp_path: Path) -> None:
         ("Geh%C3%A4use.bin", "Gehäuse.bin"),
         ("data/x.bin", "data/x.bin"),
         ("data%5Cx.bin", "data/x.bin"),  # of an exporter on Windows
-        ("data\\x.bin", "data/x.bin"),
         ("a%20part.bin?version=2", "a part.bin"),
     ],
 )
@@ -235,49 +189,26 @@ def test_a_further_file_is_found_by_its_encoded_name(address: str, file: str, tm
 
 def test_data_may_be_in_the_address_itself(tmp_path: Path) -> None:
     gltf = made()
-    text = base64.b64encode(gltf.blob).decode()
-    text = "\n".join([text[:40], text[40:]])  # in lines, as some encoders write
-    for number, kind in enumerate(("application/octet-stream", "application/gltf-buffer")):
-        path = gltf.gltf(tmp_path / f"{number}.gltf", f"data:{kind};base64,{text}", None)
-        assert size_of(path) == pytest.approx(SIZE, abs=1e-4)
+    address = "data:application/octet-stream;base64," + base64.b64encode(gltf.blob).decode()
+    assert size_of(gltf.gltf(tmp_path / "a.gltf", address, None)) == pytest.approx(SIZE, abs=1e-4)
 
 
 @pytest.mark.parametrize(
-    ("address", "reason"),
+    ("address", "contents", "facts"),
     [
-        ("part%20a.bin", "its data are in part a.bin, which is missing: put that file beside it$"),
-        ("https://example.org/a.bin", "its data lie at https://example.org/a.bin: download"),
-        ("data:application/octet-stream;base64,???", "the base64 of buffer 0 is damaged"),
+        ("part%20a.bin", None, ("part a.bin", "missing", "put that file beside it")),
+        ("https://example.org/a.bin", None, ("https://example.org/a.bin", "download")),
+        ("data:application/octet-stream;base64,???", None, ("not readable",)),
+        ("a.bin", b"\0" * 20, ("not readable",)),
+        ("a.bin", b"version https://git-lfs.github.com/spec/v1\n", ("its data in a.bin are", "Git LFS pointer")),
     ],
 )
-def test_data_that_are_missing_are_named(address: str, reason: str, tmp_path: Path) -> None:
-    with pytest.raises(MeshRefused, match=reason):
-        read_mesh(made().gltf(tmp_path / "a.gltf", address, None))
-
-
-def test_a_further_file_that_is_cut_short_or_a_pointer_is_named(tmp_path: Path) -> None:
-    path = made().gltf(tmp_path / "a.gltf", "a.bin", "a.bin")
-    (tmp_path / "a.bin").write_bytes(b"\0" * 20)
-    with pytest.raises(MeshRefused, match="cut short: buffer 0 has 20 of 168 bytes"):
+def test_data_that_are_missing_are_named(
+    address: str, contents: bytes | None, facts: tuple[str, ...], tmp_path: Path
+) -> None:
+    path = made().gltf(tmp_path / "a.gltf", address, None)
+    if contents is not None:
+        (tmp_path / "a.bin").write_bytes(contents)
+    with pytest.raises(MeshRefused) as caught:
         read_mesh(path)
-    (tmp_path / "a.bin").write_bytes(b"version https://git-lfs.github.com/spec/v1\n")
-    with pytest.raises(MeshRefused, match=r"its data in a\.bin are a Git LFS pointer"):
-        read_mesh(path)
-
-
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        (lambda json: json["nodes"][0].update(children=[0]), "nodes nested more than 64 deep"),
-        (lambda json: json["accessors"][0].update(count=9000), "values beyond the end of their buffer"),
-        (lambda json: json["accessors"][1].update(componentType=5126), "accessor 1 has indices that are no integers"),
-        (lambda json: json["nodes"][0].update(mesh=7), r"names meshes\[7\], which does not exist"),
-        (lambda json: json["scenes"][0].update(nodes=[0] * 5000), "more than 50,000 triangles"),
-    ],
-)
-def test_a_damaged_file_is_refused(change: Any, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(formats, "MAX_FACES", 50_000)
-    gltf = made()
-    change(gltf.json)
-    with pytest.raises(MeshRefused, match=reason):
-        read_mesh(gltf.glb(tmp_path / "a.glb"))
+    assert all(fact in caught.value.reason for fact in facts), caught.value.reason

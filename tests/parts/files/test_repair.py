@@ -9,13 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold
-from scipy.spatial import KDTree
 
 from kit1000.errors import MeshRefused
 from kit1000.mesh import Mesh, defect_float32, mesh_from_solid, solid_from_mesh
-from kit1000.parts.files.crossings import crossings, max_distance, near_points, winding_numbers
+from kit1000.parts.files.part_mesh import MAX_FACES_UNCHANGED, SIMPLIFY_TOLERANCE, part_mesh
 from kit1000.parts.files.repair import closed_solid
-from kit1000.parts.files.united_bodies import MAX_FACES_UNCHANGED, SIMPLIFY_TOLERANCE, part_mesh
+from kit1000.parts.files.triangle_queries import crossings, max_distance
 
 BOX = Manifold.cube((0.04, 0.02, 0.01), True)
 SHAPES = {
@@ -44,10 +43,9 @@ def notes_of(*solids: Manifold) -> list[str]:
     return repaired(*soup_of(*solids))[1]
 
 
-def tube_along(centre: Callable[[np.ndarray], np.ndarray], radius: float, span: tuple[float, float], n: int) -> Mesh:
-    """A tube round a closed curve over a part of its parameter; capped unless the span is a full turn."""
-    full = np.isclose(span[1] - span[0], 2 * np.pi)
-    t = np.linspace(*span, n, endpoint=not full)
+def tube_along(centre: Callable[[np.ndarray], np.ndarray], radius: float, n: int) -> Mesh:
+    """A tube round a closed curve."""
+    t = np.linspace(0, 2 * np.pi, n, endpoint=False)
     tangent = centre(t + 1e-6) - centre(t - 1e-6)
     normal = np.cross(tangent, [0.0, 0.0, 1.0])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -56,13 +54,10 @@ def tube_along(centre: Callable[[np.ndarray], np.ndarray], radius: float, span: 
     angle = 2 * np.pi * np.arange(k) / k
     around = np.cos(angle)[:, None] * normal[:, None] + np.sin(angle)[:, None] * third[:, None]
     vertices = (centre(t)[:, None] + radius * around).reshape(-1, 3)
-    i, j = np.meshgrid(np.arange(n if full else n - 1), np.arange(k), indexing="ij")
+    i, j = np.meshgrid(np.arange(n), np.arange(k), indexing="ij")
     a, b = i * k + j, i * k + (j + 1) % k
     c, d = (i + 1) % n * k + (j + 1) % k, (i + 1) % n * k + j
     faces = np.concatenate([np.stack([a, b, c], -1).reshape(-1, 3), np.stack([a, c, d], -1).reshape(-1, 3)])
-    if not full:
-        fan = np.stack([np.zeros(k - 2, dtype=int), np.arange(2, k), np.arange(1, k - 1)], axis=1)
-        faces = np.concatenate([faces, fan, (n - 1) * k + fan[:, ::-1]])
     mesh = Mesh(vertices, faces)
     return mesh if mesh.volume > 0 else Mesh(mesh.vertices, mesh.faces[:, ::-1])
 
@@ -222,15 +217,19 @@ def test_solids_that_touch_along_an_edge_stay_closed_after_rounding() -> None:
     assert notes == ["separated surfaces that touch along edges, by 2 um"]
 
 
-def test_a_loop_that_crosses_itself_is_united_exactly() -> None:
-    """Against the union of its two halves, each of which is simple."""
-    whole = tube_along(eight, 0.004, (0, 2 * np.pi), 96)
-    halves = [tube_along(eight, 0.004, (start, start + np.pi), 49) for start in (0.0, np.pi)]
-    expected = (solid_from_mesh(halves[0]) + solid_from_mesh(halves[1])).volume()
-    assert whole.volume > 1.02 * expected  # the crossing counts twice before the repair
-    found, notes = repaired(whole.vertices, whole.faces)
-    assert found.volume == pytest.approx(expected, rel=1e-5)
-    assert any("self-intersection" in note for note in notes)
+def test_a_loop_that_crosses_itself_is_refused() -> None:
+    whole = tube_along(eight, 0.004, 96)
+    with pytest.raises(MeshRefused, match=r"^passes through itself at \d+ places"):
+        repaired(whole.vertices, whole.faces)
+
+
+def test_a_small_fold_is_removed_within_the_stated_distance() -> None:
+    mesh = mesh_from_solid(BOX.refine(40))
+    vertices = np.array(mesh.vertices)
+    vertices[np.argmin(np.linalg.norm(vertices - [0, 0, 0.005], axis=1))] += [1.3e-3, 0, 1e-5]
+    found, notes = repaired(vertices, mesh.faces)
+    assert found.volume == pytest.approx(8e-6, rel=1e-4)
+    assert len(notes) >= 1
 
 
 def test_a_spike_through_the_far_side_is_refused() -> None:
@@ -274,21 +273,3 @@ def test_distance_to_a_box_matches_its_closed_form(seed: int) -> None:
     for point, distance in zip(points, expected, strict=True):
         assert max_distance(point[None], triangles, 10.0) == pytest.approx(distance, abs=1e-12)
     assert max_distance(points, triangles, 1e-3) == pytest.approx(min(expected.max(), 1e-3))
-
-
-def test_winding_numbers_count_the_surfaces_around_a_point() -> None:
-    outer, inner = mesh_from_solid(BOX).triangles, mesh_from_solid(BOX.scale((0.5, 0.5, 0.5))).triangles
-    points = np.array([[0, 0, 0], [0.015, 0.001, 0.001], [0.1, 0, 0]])
-    assert winding_numbers(points, np.concatenate([outer, inner])) == pytest.approx([2, 1, 0])
-    assert winding_numbers(points, np.concatenate([outer, inner[:, ::-1]])) == pytest.approx([0, 1, 0])
-
-
-@pytest.mark.parametrize("radius", [1e-7, 1e-5, 3e-4, 0.02])
-def test_points_near_others_are_those_of_a_tree(radius: float) -> None:
-    rng = np.random.default_rng(4)
-    points = rng.uniform(-0.05, 0.05, (300, 3)).round(3)  # many share a plane
-    points = np.concatenate([points, points[:200] + rng.normal(size=(200, 3)) * radius, points[:20]])
-    centres, radii = points[::2], radius * rng.uniform(0, 2, len(points[::2]))
-    ball, point = near_points(centres, radii, points)
-    own = [np.sort(point[ball == i]).tolist() for i in range(len(centres))]
-    assert own == [sorted(near) for near in KDTree(points).query_ball_point(centres, radii)]

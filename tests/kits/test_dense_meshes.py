@@ -1,4 +1,4 @@
-"""Tests of sectors: a cavity grown by them is the one grown by whole discs, and keeps the bounds of its clearance."""
+"""Kits of parts that are read from files: patches of dense meshes merge within the bounds of the clearance."""
 
 from __future__ import annotations
 
@@ -6,19 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from manifold3d import CrossSection, Manifold
 
 from kit1000.kits.cavity import insertion_depth
 from kit1000.kits.clearance import measure_clearance
 from kit1000.kits.kit import MAX_EXCESS_CLEARANCE, design_kit
-from kit1000.kits.outward_sectors import disc_sectors
-from kit1000.kits.patches import EXACT, EXACT_FILE, MERGED_FILE, Detail, merged_underside
+from kit1000.kits.patches import EXACT, MERGED_FILE, Detail
 from kit1000.kits.shadows import PartShadows
-from kit1000.kits.sweep import SAGITTA, disc_polygon, grown_sweep
+from kit1000.kits.sweep import SAGITTA, grown_sweep
 from kit1000.parts.family import FILE
-from tests.samples.shapes import MM, as_part, box, random_solid, standing
+from tests.samples.shapes import MM, as_part, box, standing
 
 CLEARANCE = 2.5e-3
 CUBIC_MM = MM**3
@@ -51,14 +48,6 @@ def swept(solid: Manifold, detail: Detail) -> Manifold:
     return grown_sweep(PartShadows.of(stood, depth), CLEARANCE, detail).trim_by_plane((0, 0, -1), -depth)
 
 
-@pytest.mark.parametrize("make", [filleted, arched, *(lambda seed=seed: random_solid(seed) for seed in range(8))])
-def test_a_cavity_grown_by_sectors_is_the_one_grown_by_whole_discs(make) -> None:
-    whole, sectors = swept(make(), EXACT), swept(make(), EXACT_FILE)
-    assert (sectors - whole).volume() < 1e-3 * CUBIC_MM
-    assert (whole - sectors).volume() < SAGITTA * whole.surface_area()
-    assert len(sectors.decompose()) == len(whole.decompose())  # no film stays between neighbouring patches
-
-
 @pytest.mark.parametrize("make", [filleted, arched])
 @pytest.mark.parametrize("clearance", [CLEARANCE, 0.5e-3])
 def test_the_cavity_of_a_file_keeps_the_bounds_of_the_clearance(make, clearance: float) -> None:
@@ -72,21 +61,3 @@ def test_merged_patches_of_a_file_do_not_fill_an_arch() -> None:
     merged, exact = swept(arched(), MERGED_FILE), swept(arched(), EXACT)
     assert (merged - exact).volume() < 0.1 * MM * exact.surface_area() / 10
     assert swept(arched(), Detail(0.07 * MM, 1e-6)).volume() > exact.volume() + 100 * CUBIC_MM  # by its area alone
-
-
-@given(st.floats(0.05, 6.0), st.integers(0, 40))
-def test_a_sector_lies_inside_the_disc_and_holds_the_directions_of_its_faces(clearance_mm: float, seed: int) -> None:
-    polygon = disc_polygon(clearance_mm * MM)
-    mesh = as_part(random_solid(seed % 5)).mesh
-    down = mesh.triangles[mesh.normals[:, 2] < -1e-3]
-    underside = merged_underside(down, EXACT)
-    is_sloping = np.ptp(down[..., 2], axis=1) > 1e-6
-    sectors = disc_sectors(underside, is_sloping, polygon)
-    assert len(sectors) == len(underside.corners)
-    for sector in sectors:
-        assert np.linalg.norm(sector, axis=1).max() <= np.linalg.norm(polygon, axis=1).max() * (1 + 1e-9)
-    for triangle, corners in zip(down[is_sloping], underside.faces[is_sloping], strict=True):
-        outward = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])[:2]
-        outward /= np.linalg.norm(outward)
-        for corner in corners:
-            assert (sectors[corner] @ outward).max() >= clearance_mm * MM - SAGITTA

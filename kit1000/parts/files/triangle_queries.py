@@ -1,7 +1,7 @@
-"""Intersections of triangles and distances to surfaces, by a tree of boxes and exact tests on the near pairs.
+"""Intersections of triangles and distances to surfaces: a tree of boxes finds near pairs, exact tests decide.
 
-Arrays of triangles are (n, 3, 3) float64; every length is in the unit of the coordinates. Touching does not count as
-crossing: an edge must pass through a face by more than a tolerance on both sides, and inside its boundary.
+Arrays of triangles are (n, 3, 3) float64; every length is in the unit of the coordinates. Triangles that touch do not
+cross: an edge must pass through a face by more than a tolerance on both sides, and inside its boundary.
 """
 
 from __future__ import annotations
@@ -41,17 +41,6 @@ class BoxTree:
                     keep = (lows[axis][node] <= high[axis][query]) & (highs[axis][node] >= low[axis][query])
                     node, query = node[keep], query[keep]
             yield query, self.order[node]
-
-
-def near_points(centres: np.ndarray, radii: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index arrays (k,), (k,) of balls, centres (m, 3) and radii (m,), and of the points (n, 3) in each."""
-    found = [np.zeros((2, 0), dtype=np.int64)]
-    reach = radii[:, None]
-    for ball, point in BoxTree(points, points).overlaps(centres - reach, centres + reach):
-        inside = np.square(centres[ball] - points[point]).sum(1) <= np.square(radii[ball])
-        found.append(np.stack([ball[inside], point[inside]]))
-    ball, point = np.concatenate(found, axis=1)
-    return ball, point
 
 
 def crossings(triangles: np.ndarray, tolerance: float) -> np.ndarray:
@@ -118,18 +107,6 @@ def _distances(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
         share = np.einsum("mc,mc->m", offset, side) / np.maximum(np.einsum("mc,mc->m", side, side), 1e-300)
         sides = np.minimum(sides, np.linalg.norm(offset - np.clip(share, 0, 1)[:, None] * side, axis=1))
     return np.where(above, height, sides)
-
-
-def winding_numbers(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(n,) how often the surface winds round each point (van Oosterom and Strackee 1983, eq. 8)."""
-    total = np.empty(len(points))
-    for i, point in enumerate(points):
-        a, b, c = np.moveaxis(triangles - point, 1, 0)
-        la, lb, lc = (np.linalg.norm(x, axis=1) for x in (a, b, c))
-        above = np.einsum("mc,mc->m", a, np.cross(b, c))
-        ab, bc, ca = (np.einsum("mc,mc->m", x, y) for x, y in ((a, b), (b, c), (c, a)))
-        total[i] = np.arctan2(above, la * lb * lc + ab * lc + bc * la + ca * lb).sum()
-    return total / (2 * np.pi)
 
 
 def _unit_normals(triangles: np.ndarray) -> np.ndarray:

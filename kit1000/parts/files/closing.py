@@ -7,12 +7,18 @@ from __future__ import annotations
 
 import numpy as np
 from manifold3d import triangulate
+from scipy.spatial import KDTree
 
 from kit1000.errors import MeshRefused
-from kit1000.numerics.components import component_labels
 from kit1000.numerics.linear_algebra import length, matmul
-from kit1000.parts.files.crossings import near_points
-from kit1000.parts.files.topology import consistently_wound, halfedges, longest_side, open_edges, without_duplicates
+from kit1000.parts.files.topology import (
+    component_labels,
+    consistently_wound,
+    halfedges,
+    longest_side,
+    open_edges,
+    without_duplicates,
+)
 
 WELD_SHARES = (1e-7, 1e-6, 1e-5)  # of the longest side; CAD exports one corner with different last digits
 WELD_LIMIT = 1e-5  # [m] wider seams are not closed
@@ -60,7 +66,7 @@ def _welded_seams(vertices: np.ndarray, faces: np.ndarray, tolerance: float, not
     start, end = halfedges(faces)
     opened = open_edges(faces)
     rim = np.unique([start[opened], end[opened]])
-    labels = component_labels(len(rim), *near_points(vertices[rim], np.full(len(rim), tolerance), vertices[rim]))
+    labels = component_labels(len(rim), *KDTree(vertices[rim]).query_pairs(tolerance, output_type="ndarray").T)
     count = labels.max() + 1
     if count == len(rim):
         return faces
@@ -96,8 +102,7 @@ def _splits(vertices: np.ndarray, faces: np.ndarray) -> dict[int, tuple[int, np.
     rim = np.unique([start[opened], end[opened]])
     a, b = vertices[start[opened]], vertices[end[opened]]
     lengths = np.linalg.norm(b - a, axis=1)
-    ball, point = near_points((a + b) / 2, lengths / 2, vertices[rim])
-    near = np.split(point[np.argsort(ball, kind="stable")], np.cumsum(np.bincount(ball, minlength=len(opened)))[:-1])
+    near = KDTree(vertices[rim]).query_ball_point((a + b) / 2, lengths / 2)
     tolerance = min(STITCH_SHARE * longest_side(vertices), WELD_LIMIT)
     splits: dict[int, tuple[int, np.ndarray]] = {}
     for i, halfedge in enumerate(opened):

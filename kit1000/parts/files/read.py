@@ -1,0 +1,335 @@
+"""Mesh files as parts: finding them, reading their triangles, their unit, and repair.
+
+Every repair is in a reading's notes and every guess states how to override it. A file that cannot be a part is refused
+with one line. A file is never trusted: the counts in its header are compared with its size before memory is allocated.
+"""
+
+from __future__ import annotations
+
+import codecs
+import io
+import math
+import os
+import re
+import zipfile
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from manifold3d import Manifold
+
+from kit1000.errors import InputError, MeshRefused
+from kit1000.mesh import Mesh, z_up
+from kit1000.parts.files.file_text import check_foreign
+from kit1000.parts.files.gltf import gltf_bodies
+from kit1000.parts.files.part_mesh import Choice, body_meshes, part_mesh
+from kit1000.parts.files.polygon_files import read_obj, read_off, read_ply
+from kit1000.parts.files.repair import closed_solid
+from kit1000.parts.files.stl import read_stl
+from kit1000.parts.files.triangles import TriangleSoup, joined
+
+STEP_SUFFIXES = (".step", ".stp")
+GLTF_SUFFIXES = (".glb", ".gltf")
+MESH_SUFFIXES = (".stl", ".obj", ".ply", ".off", ".3mf", *GLTF_SUFFIXES, *STEP_SUFFIXES)
+MAX_FACES = 5_000_000
+MAX_BYTES = 1_500_000_000  # an ASCII STL of 5 million faces; also the limit of what a 3MF may unpack to
+USER_UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "inch": 0.0254}  # [m] that a user can give
+FILE_UNITS = USER_UNITS | {"foot": 0.3048, "micron": 1e-6}  # [m] that a file can state
+UNIT_GUESS_ORDER = ("mm", "m", "inch", "cm")  # the most frequent in machine parts first
+PLAUSIBLE_SIZE = (0.005, 0.5)  # [m] longest side of a machine part, by which a unit is guessed
+ACCEPTED_SIZE = (1e-4, 10.0)  # [m] longest side of a part that is not refused
+MAX_OFFSET_RATIO = 100.0  # distance from the origin in longest sides; farther away float32 would ruin the shape
+LIST_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+DETAIL = re.compile(r"[:;(,].*| of \S+\.\w+$| when read in .*|^\d\S* ")  # of one file: names, counts, what to do
+NUMBER = re.compile(r"\d\S*")
+
+
+@dataclass(frozen=True, eq=False)
+class MeshReading:
+    """A part read from a file and repaired."""
+
+    path: Path
+    mesh: Mesh
+    """Metres, closed, outward, one body, vertices on the float32 grid."""
+    unit: str
+    """The unit in which the file's coordinates were read."""
+    unit_guessed: bool
+    unit_reason: str
+    """Why this unit, and how to override a guess."""
+    notes: tuple[str, ...]
+    """Every change made to the surface; empty for a clean file."""
+    step: float = 0.0
+    """Distance between two coordinates that the file can tell apart; 0 if it is as fine as float64. [m]"""
+
+
+@dataclass(frozen=True)
+class Refusal:
+    """A file that cannot be a part."""
+
+    path: Path
+    reason: str
+
+
+Outcome = MeshReading | Refusal
+
+
+def read_mesh(path: str | Path, unit: str | None = None, choice: Choice | None = None) -> MeshReading:
+    """Read one mesh file as a part.
+
+    Args:
+        path: STL, OBJ, PLY, OFF, 3MF, GLB or GLTF; STEP if its optional reader is installed.
+        unit: "mm", "cm", "m" or "inch"; None: the one stated in the file, else guessed from its size.
+        choice: which of several bodies is the part. "union": all as one, which must touch or overlap; "largest"; None:
+            the one with nearly all of the volume.
+
+    Raises:
+        SeveralBodies: there are several bodies, and by `choice` no single one.
+        MeshRefused: the file cannot be a part; one line says why.
+        InputError: the unit is unknown.
+    """
+    solid = _read_solid(Path(path), unit)
+    return solid.reading(part_mesh(solid.solid, solid.notes, choice), solid.notes)
+
+
+def read_bodies(path: str | Path, unit: str | None = None) -> list[Outcome]:
+    """Read each body of a mesh file as a part, or as the reason why it cannot be one; the largest first.
+
+    Bodies that touch or overlap are one. Raises as `read_mesh` does if the whole file is refused.
+    """
+    solid = _read_solid(Path(path), unit)
+    return [
+        solid.reading(mesh, notes) if isinstance(mesh, Mesh) else Refusal(solid.path, mesh.reason)
+        for mesh, notes in body_meshes(solid.solid, solid.notes)
+    ]
+
+
+def read_triangles(path: Path) -> TriangleSoup:
+    """The triangles of a mesh file without any repair. Raises MeshRefused with one line if it has none."""
+    data, suffix = _bytes(path), path.suffix.lower()
+    if suffix not in MESH_SUFFIXES:
+        raise MeshRefused(f"not a mesh format: {suffix or 'no suffix'}; known are {' '.join(MESH_SUFFIXES)}")
+    try:
+        soup = _triangles(path, suffix, data)
+    except (MeshRefused, MemoryError):
+        raise
+    except Exception as error:  # a damaged file may break a reader in any way
+        words = "" if isinstance(error, OSError) else " ".join(str(error).split())[:100]
+        raise MeshRefused(f"not readable as {suffix[1:].upper()}: {words or 'damaged'}") from None
+    if not len(soup.faces):
+        raise MeshRefused("holds no triangles")
+    if len(soup.faces) > MAX_FACES:
+        raise MeshRefused(f"{len(soup.faces):,} triangles, more than {MAX_FACES:,}")
+    return soup
+
+
+def mesh_files(path: str | Path) -> list[Path]:
+    """The mesh files of a path: the file itself, all below a folder (sorted), or those of a .txt list of paths.
+
+    Paths in a list are relative to it; blank lines and lines beginning with # are skipped; listed folders are searched.
+
+    Raises:
+        InputError: the path does not exist, or the folder or list has no mesh.
+    """
+    path = Path(path)
+    if path.is_dir():
+        found = _meshes_below(path)
+    elif path.suffix.lower() == ".txt" and path.is_file():
+        found = _meshes_listed(path)
+    elif path.exists():
+        return [path]
+    else:
+        raise InputError(f"{path}: does not exist; expected a mesh file, a folder or a .txt list of them")
+    if not found:
+        raise InputError(f"{path}: no mesh files inside; looked for {' '.join(MESH_SUFFIXES)}")
+    return found
+
+
+def refusal_counts(reasons: Iterable[str]) -> str:
+    """The kinds of refusals with their numbers, most frequent first: "3x not closed, 1x empty file"."""
+    kinds = Counter(NUMBER.sub("N", DETAIL.sub("", reason)).strip() or reason for reason in reasons)
+    ranked = sorted(kinds.items(), key=lambda item: (-item[1], item[0]))
+    return ", ".join(f"{count}x {kind}" for kind, count in ranked)
+
+
+@dataclass(frozen=True, eq=False)
+class _SolidReading:
+    """All that a file bounds, before its bodies are told apart; the other fields as in MeshReading."""
+
+    path: Path
+    solid: Manifold
+    """In metres."""
+    unit: str
+    unit_guessed: bool
+    unit_reason: str
+    notes: list[str]
+    step: float
+
+    def reading(self, mesh: Mesh, notes: list[str]) -> MeshReading:
+        """The reading of one body."""
+        stated = (self.unit, self.unit_guessed, self.unit_reason)
+        return MeshReading(self.path, mesh, *stated, tuple(notes), self.step)
+
+
+def _read_solid(path: Path, unit: str | None) -> _SolidReading:
+    if unit is not None and unit not in USER_UNITS:
+        raise InputError(f"unit {unit!r}: expected one of {', '.join(USER_UNITS)}")
+    soup = read_triangles(path)
+    notes = list(soup.notes)
+    used = np.zeros(len(soup.vertices), dtype=bool)
+    used[soup.faces] = True
+    _check_finite(soup.vertices[used])
+    longest = float(np.ptp(soup.vertices[used], axis=0).max())
+    given = unit
+    if unit is not None and path.suffix.lower() in STEP_SUFFIXES:  # its reader has converted already
+        given = None
+        notes.append(f"did not use the given unit {unit}: STEP states its own")
+    chosen, guessed, reason = _unit(longest, given, soup.unit)
+    metres = FILE_UNITS[chosen]
+    _check_size(longest * metres, chosen)
+    vertices = _moved_to_origin(soup.vertices * metres, used, notes)
+    solid = closed_solid(vertices, soup.faces, notes)
+    return _SolidReading(path, solid, chosen, guessed, reason, notes, soup.step * metres)
+
+
+def _triangles(path: Path, suffix: str, data: bytes) -> TriangleSoup:
+    if suffix == ".stl":
+        return read_stl(data, MAX_FACES)
+    if suffix in GLTF_SUFFIXES:
+        bodies = gltf_bodies(data, MAX_FACES, path.parent)
+        vertices, faces = joined([(body.vertices, body.faces) for body in bodies])
+        return TriangleSoup(z_up(vertices), faces, "m", max((body.step for body in bodies), default=0.0))
+    if suffix == ".3mf":
+        check_foreign(data, is_archive=True)
+        _check_archive(data)
+        from kit1000.parts.files.threemf import read_threemf  # only here: other formats need no reader of XML
+
+        return read_threemf(data, MAX_FACES)
+    check_foreign(data)
+    if suffix in STEP_SUFFIXES:
+        return _read_step(data, suffix)
+    return {".obj": read_obj, ".off": read_off, ".ply": read_ply}[suffix](data)
+
+
+def _read_step(data: bytes, suffix: str) -> TriangleSoup:
+    """The triangles of a STEP file in metres, by trimesh."""
+    if find_spec("cascadio") is None:
+        raise MeshRefused("STEP files need an optional reader: pip install cascadio")
+    import trimesh  # only here: its import takes longer than reading most files
+
+    scene = trimesh.load_scene(io.BytesIO(data), file_type=suffix[1:], process=False)
+    pieces = [piece for piece in scene.dump() if isinstance(piece, trimesh.Trimesh) and len(piece.faces)]
+    meshes = [(np.asarray(p.vertices, dtype=np.float64), np.asarray(p.faces, dtype=np.int64)) for p in pieces]
+    return TriangleSoup(*joined(meshes), "m")
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        if path.is_dir():
+            raise MeshRefused("is a folder, expected a mesh file")
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise MeshRefused(f"{size / 1e9:.1f} GB, more than {MAX_BYTES / 1e9:.1f} GB")
+        data = path.read_bytes()
+    except OSError as error:
+        raise MeshRefused(f"cannot be read: {(error.strerror or str(error)).lower()}") from None
+    except ValueError as error:  # a NUL in the name
+        raise MeshRefused(f"cannot be read: {error}") from None
+    if not data:
+        raise MeshRefused("empty file")
+    return data
+
+
+def _check_archive(data: bytes) -> None:
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+    except NotImplementedError:  # the entry asks for a newer version
+        raise MeshRefused("not readable as 3MF: its zip archive needs a newer reader; save it again") from None
+    except (zipfile.BadZipFile, ValueError, OSError):
+        raise MeshRefused("not readable as 3MF: not a zip archive") from None
+    if size > MAX_BYTES:
+        raise MeshRefused(f"unpacks to {size / 1e9:.1f} GB, more than {MAX_BYTES / 1e9:.1f} GB")
+
+
+def _check_finite(vertices: np.ndarray) -> None:
+    bad = int((~np.isfinite(vertices)).any(1).sum())
+    if bad:
+        raise MeshRefused(f"NaN or infinite vertices: {bad:,} of {len(vertices):,}")
+
+
+def _check_size(longest: float, unit: str) -> None:
+    low, high = ACCEPTED_SIZE
+    if longest == 0:
+        raise MeshRefused("zero thickness: all vertices in one place")
+    if not low <= longest <= high:
+        size = f"longest side {longest:.4g} m when read in {unit}"
+        raise MeshRefused(f"{size}; expected {low:g} to {high:g} m, {_better_unit(longest / FILE_UNITS[unit])}")
+
+
+def _better_unit(longest: float) -> str:
+    """What to do about a longest side, in the unit of the file, that is too large or too small for a part."""
+    low, high = PLAUSIBLE_SIZE
+    for unit in UNIT_GUESS_ORDER:
+        if low <= longest * USER_UNITS[unit] <= high:
+            return f"as --unit {unit} it would be {longest * USER_UNITS[unit] * 1e3:.4g} mm"
+    return "and no --unit makes it plausible: scale the file"
+
+
+def _unit(longest: float, given: str | None, stated: str | None) -> tuple[str, bool, str]:
+    """(unit, whether it is guessed, reason) for a longest side in the unit of the file."""
+    if given is not None:
+        return given, False, "as given"
+    if stated is not None:
+        return stated, False, "stated in the file"
+    low, high = PLAUSIBLE_SIZE
+
+    def implausibility(unit: str) -> float:
+        size = max(longest * USER_UNITS[unit], 1e-300)
+        return max(math.log(low * (1 - 1e-9) / size), math.log(size / (high * (1 + 1e-9))), 0.0)
+
+    unit = min(UNIT_GUESS_ORDER, key=implausibility)
+    others = [other for other in UNIT_GUESS_ORDER if other != unit and implausibility(other) == 0]
+    also = f"; could also be {' or '.join(others)}" if others else ""
+    size = f"longest side {longest:.4g} read as {unit} is {longest * USER_UNITS[unit] * 1e3:.4g} mm"
+    return unit, True, f"guessed: {size}{also}; override with the unit option (mm, cm, m, inch)"
+
+
+def _moved_to_origin(vertices: np.ndarray, used: np.ndarray, notes: list[str]) -> np.ndarray:
+    low, high = vertices[used].min(0), vertices[used].max(0)
+    if np.abs(low + high).max() / 2 <= MAX_OFFSET_RATIO * (high - low).max():
+        return vertices
+    notes.append(f"moved to the origin from {np.linalg.norm(low + high) / 2:.4g} m away")
+    return vertices - (low + high) / 2
+
+
+def _meshes_below(folder: Path) -> list[Path]:
+    """Mesh files below a folder, sorted, without hidden files and folders."""
+    files = (file for file in folder.rglob("*") if file.suffix.lower() in MESH_SUFFIXES and file.is_file())
+    inner = ((file, file.relative_to(folder).parts) for file in files)
+    return sorted(file for file, parts in inner if not any(part.startswith(".") for part in parts))
+
+
+def _meshes_listed(listing: Path) -> list[Path]:
+    """The mesh files of a list; names in quotes are read without them, and names that are no UTF-8 as bytes."""
+    try:
+        data = listing.read_bytes()
+        encoding = next((name for mark, name in LIST_MARKS.items() if data.startswith(mark)), None)
+        text = os.fsdecode(data) if encoding is None else data.decode(encoding)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{listing}: cannot be read as a list of paths: {error}") from None
+    if "\0" in text:
+        what = "it holds binary data, or UTF-16 without a mark"
+        raise InputError(f"{listing}: cannot be read as a list of paths: {what}")
+    found: list[Path] = []
+    for line in text.replace("\r\n", "\n").replace("\r", "\n").split("\n"):
+        name = line.strip()
+        if not name or name.startswith("#"):
+            continue
+        entry = listing.parent / name
+        if name[0] == name[-1] and name[0] in "'\"" and len(name) > 2 and not entry.exists():
+            entry = listing.parent / name[1:-1]
+        found.extend(_meshes_below(entry) if entry.is_dir() else [entry])
+    return found

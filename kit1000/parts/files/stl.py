@@ -1,0 +1,111 @@
+"""Reading STL files, binary or text.
+
+Text may have keywords in any case, any line ends, a byte order mark, comments, and several solids. The number of
+triangles that a binary file declares is compared with its size before memory is allocated.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from kit1000.errors import MeshRefused
+from kit1000.parts.files.file_text import check_foreign, check_narrow, line_number, numbers, plain_text
+from kit1000.parts.files.triangles import TriangleSoup, decimal_step, float32_step
+
+HEADER = 84  # [bytes] 80 of comment, 4 of count
+FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+# A name or comment ends at the line's end, or at the first facet if all is on one line.
+NAME = re.compile(rb"(?:^[ \t]*solid\b|\bend[ \t]*solid|[#;])(?:(?!\bfacet\s+normal\s+[-+.\dn])[^\n])*", re.MULTILINE)
+KEYWORDS = {0: b"facet", 1: b"normal", 5: b"outer", 6: b"loop", 19: b"endloop", 20: b"endfacet"}
+KEYWORDS |= dict.fromkeys((7, 11, 15), b"vertex")
+WORDS = 21  # words of a facet: keywords, the normal, and three corners
+COORDINATES = (8, 9, 10, 12, 13, 14, 16, 17, 18)
+PIECE = 1 << 22  # [bytes] of text that are split into words at once
+
+
+def read_stl(data: bytes, max_faces: int) -> TriangleSoup:
+    """The triangles of an STL file, at most `max_faces`. Raises MeshRefused with one line if there are none."""
+    declared = int.from_bytes(data[80:HEADER], "little") if len(data) >= HEADER else 0
+    if len(data) >= HEADER and len(data) == HEADER + FACET.itemsize * declared:
+        return _binary(data, declared, FACET, max_faces)
+    check_foreign(data)
+    check_narrow(data)
+    text = data.rstrip(b"\0\x1a")  # some programs fill up a block of the disk
+    if text and all(byte >= 32 or byte in b"\t\n\r\f\v" for byte in text[:4096]):
+        return _text(plain_text(text), max_faces)
+    return _odd_binary(data, declared, max_faces)
+
+
+def _odd_binary(data: bytes, declared: int, max_faces: int) -> TriangleSoup:
+    """A binary file with bytes besides its facets: attributes of a fixed length, or a table at the end."""
+    if len(data) < HEADER:
+        raise MeshRefused(f"not a mesh: {len(data)} bytes, a binary STL has at least {HEADER}")
+    held, rest = divmod(len(data) - HEADER, FACET.itemsize)
+    if held < declared:
+        raise MeshRefused(f"cut short or not an STL: {declared:,} triangles declared, room for {held:,}")
+    size = int.from_bytes(data[HEADER + FACET.itemsize - 2 : HEADER + FACET.itemsize], "little")
+    long = np.dtype([*FACET.descr, ("extra", "V", size)]) if size else FACET
+    fits = size > 0 and len(data) == HEADER + declared * long.itemsize
+    if fits and (np.frombuffer(data, long, declared, HEADER)["attribute"] == size).all():
+        return _binary(data, declared, long, max_faces, (f"ignored {size:,} attribute bytes after each triangle",))
+    if (np.frombuffer(data, FACET, declared, HEADER)["attribute"] != 0).any():
+        raise MeshRefused("holds attribute bytes of unequal lengths: export it without colours or attributes")
+    if rest == 0:  # some programs never go back to write the count
+        raise MeshRefused(f"its header declares {declared:,} triangles, but {held:,} follow: export it again")
+    surplus = len(data) - HEADER - FACET.itemsize * declared
+    return _binary(data, declared, FACET, max_faces, (f"ignored {surplus:,} bytes after the last triangle",))
+
+
+def _binary(data: bytes, count: int, facet: np.dtype, max_faces: int, notes: tuple[str, ...] = ()) -> TriangleSoup:
+    _check_count(count, max_faces)
+    facets = np.frombuffer(data, facet, count, HEADER)
+    with np.errstate(invalid="ignore"):  # a signalling NaN; corners that are no numbers are refused later
+        corners = facets["corners"].reshape(-1, 3).astype(np.float64)
+    return _soup(corners, float32_step(corners), notes)
+
+
+def _text(text: bytes, max_faces: int) -> TriangleSoup:
+    """The facets of a text: it may hold nothing but facets, names of solids, and comments."""
+    text = text.lower()
+    body = NAME.sub(b"", text)
+    if b"facet" not in body:
+        raise MeshRefused("holds no triangles" if re.match(rb"\s*solid\b", text) else "not a mesh: text file")
+    _check_count(body.count(b"endfacet"), max_faces)
+    pieces, begin = [], 0
+    while begin < len(body):
+        end = body.find(b"endfacet", begin + PIECE)
+        end = len(body) if end < 0 else end + len(b"endfacet")
+        words = body[begin:end].split()
+        if len(words) % WORDS or any({*words[place::WORDS]} - {key} for place, key in KEYWORDS.items()):
+            raise MeshRefused(_broken_facet(body, begin, end))
+        columns = [numbers(words[place::WORDS], text, "STL") for place in COORDINATES]
+        pieces.append(np.stack(columns, axis=1).reshape(-1, 3))
+        begin = end
+    corners = np.concatenate(pieces)
+    return _soup(corners, decimal_step(corners))
+
+
+def _broken_facet(body: bytes, begin: int, end: int) -> str:
+    """The first facet of a piece of text that is not made of its 21 words."""
+    place = begin
+    for facet in re.split(rb"(?<=endfacet)", body[begin:end]):
+        words = facet.split()
+        if len(words) != WORDS or any(words[k] != key for k, key in KEYWORDS.items()):
+            line = line_number(body, place + len(facet) - len(facet.lstrip()))
+            if not words or words[-1] != b"endfacet":
+                return f"cut short: the facet in line {line:,} has no end"
+            return f"not readable as STL: the facet in line {line:,} is no normal and one loop of 3 corners"
+        place += len(facet)
+    return "not readable as STL: text between facets"
+
+
+def _check_count(count: int, max_faces: int) -> None:
+    if count > max_faces:
+        raise MeshRefused(f"{count:,} triangles, more than {max_faces:,}")
+
+
+def _soup(corners: np.ndarray, step: float, notes: tuple[str, ...] = ()) -> TriangleSoup:
+    """The soup of corners (3 m, 3), three for each triangle."""
+    return TriangleSoup(corners, np.arange(len(corners)).reshape(-1, 3), step=step, notes=notes)
